@@ -4,7 +4,8 @@
 //! [`Belief::handle_users`] takes each accepted position report once. [`Belief::estimate`] predicts
 //! any time ahead. A user is found by number, in any order of the reports. A user who is absent
 //! from a report has no estimate. A user who returns within a second continues: the missing reports
-//! are a longer interval. One who returns later starts again.
+//! are a longer interval. One who returns later starts again. So does a number that is reported where
+//! no motion of its user leads: the tracker gave it to another user.
 //!
 //! [`Belief::handle_orientation`] and [`Belief::handle_channel`] take each accepted report of these
 //! kinds. [`Belief::handle_command`] takes each command, because the gains depend on the angles of
@@ -61,7 +62,7 @@ use channel_evidence::{Beliefs, Bodies, ChannelEvidence};
 use device::DeviceSettings;
 use heading::{HEADING_KNOWN, HEADINGS};
 use independence::independent_share;
-use innovations::Innovations;
+use innovations::{Innovations, normalised_squared};
 use motion::{MotionEstimate, Sighting, WalkPriors};
 use noise::NoiseLevel;
 use occupancy::Occupancy;
@@ -76,10 +77,6 @@ const POSITION_NOISE_M: [f64; 2] = [1e-3, 1.0];
 
 /// Bounds of the estimated noise of a velocity component in m/s.
 const VELOCITY_NOISE_M_S: [f64; 2] = [1e-3, 2.0];
-
-/// Three reports show the noise if the longer of the two intervals between them is at most this many
-/// times the shorter one: jitter of a tracker is within it, and a few lost reports are not.
-const UNEQUAL_INTERVALS: f64 = 3.0;
 
 /// Place and velocity of a user at a time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -111,7 +108,11 @@ pub struct Belief {
     velocity_noise: NoiseLevel,
     first_noise: [NoiseLevel; 2],
     tracks: Tracks,
+    /// The users of the last report whose numbers belonged to other users before it.
+    renumbered: Vec<u32>,
     last_ns: Nanos,
+    /// A channel report of a larger age is not accepted.
+    report_age_max_ns: Nanos,
     body: Option<Body>,
     posture: Posture,
     devices: DeviceSettings,
@@ -148,7 +149,9 @@ impl Belief {
             velocity_noise,
             first_noise: [position_noise, velocity_noise],
             tracks: Tracks::new(capacity),
+            renumbered: Vec::with_capacity(capacity),
             last_ns: 0,
+            report_age_max_ns: (scenario.control.report_age_max_ms * 1e6) as Nanos,
             body: Body::new(&scenario.blockage),
             posture: Posture::new(scenario.control.tilt),
             devices: DeviceSettings::new(scenario),
@@ -296,18 +299,21 @@ impl Belief {
     pub fn handle_users(&mut self, report: &UserReport) {
         let time_ns = report.stamp.time_ns;
         self.tracks.begin_report();
+        self.renumbered.clear();
         for (slot, user) in report.users.iter().enumerate() {
             let known = self.tracks.former(slot, user.user, time_ns);
             let seen_ns = known.and_then(|track| track.seen_ns()).unwrap_or(self.last_ns);
             let elapsed_s = time_ns.saturating_sub(seen_ns) as f64 * 1e-9;
-            if let Some(track) = &known {
-                let [x, y, _] = user.position_m.map(f64::from);
-                let noise_m = self.position_noise.deviation();
-                self.innovations.handle(&track.motion.estimate(elapsed_s), [x, y], noise_m);
-            }
-            let mut track = known.unwrap_or_else(|| Track::new(user.user, &self.priors, self.map.is_none()));
+            let [x, y, _] = user.position_m.map(f64::from);
+            let noise_m = self.position_noise.deviation();
+            let innovation = known.map(|track| normalised_squared(&track.motion.estimate(elapsed_s), [x, y], noise_m));
+            let mut track = known.unwrap_or_else(|| self.new_track(user.user));
             self.learn_noise(&track, user, time_ns);
-            self.correct(&mut track, user, elapsed_s);
+            if self.correct(&mut track, user, elapsed_s) {
+                self.renumbered.push(user.user);
+            } else if let Some(squared) = innovation {
+                self.innovations.add(squared);
+            }
             track.remember(user, time_ns);
             self.tracks.push(track);
         }
@@ -332,13 +338,34 @@ impl Belief {
         Some(Estimate { position, velocity, position_cov_m2, velocity_var_m2_s2, heading, direct_clear })
     }
 
+    /// The probability of each heading of a user of the last report.
+    pub fn heading_distribution(&self, user: u32) -> Option<&[f64; HEADINGS]> {
+        self.tracks.find(user).map(|track| track.heading.probabilities())
+    }
+
+    /// The unit vector of a heading of [`Self::heading_distribution`].
+    pub fn direction(&self, heading: usize) -> &Vec3 {
+        &self.directions[heading]
+    }
+
     /// Estimated standard deviations of a reported coordinate in m and of a reported velocity
     /// component in m/s.
     pub fn noise(&self) -> [f64; 2] {
         [self.position_noise.deviation(), self.velocity_noise.deviation()]
     }
 
-    fn correct(&self, track: &mut Track, user: &UserState, elapsed_s: f64) {
+    /// The users of the last report whose numbers belonged to other users before it.
+    pub fn renumbered(&self) -> &[u32] {
+        &self.renumbered
+    }
+
+    fn new_track(&self, user: u32) -> Track {
+        Track::new(user, &self.priors, self.map.is_none())
+    }
+
+    /// Corrects a track by a report. Where the number has been given to another user, all but the
+    /// motion starts again, and the result is true.
+    fn correct(&self, track: &mut Track, user: &UserState, elapsed_s: f64) -> bool {
         let [x, y, z] = user.position_m.map(f64::from);
         let [position_noise_m, velocity_noise_m_s] = self.noise();
         let sighting = Sighting {
@@ -347,33 +374,20 @@ impl Belief {
             position_noise_m,
             velocity_noise_m_s,
         };
-        track.motion.correct(&self.priors, elapsed_s, &sighting);
+        let jumped = track.motion.correct(&self.priors, elapsed_s, &sighting);
+        if jumped {
+            *track = Track { motion: track.motion, ..self.new_track(user.user) };
+        }
         track.height.correct(elapsed_s, z, position_noise_m);
         let velocity = track.motion.estimate(0.0).velocity_m_s;
         track.heading.handle_velocity(elapsed_s, velocity, &self.directions);
+        jumped
     }
 
-    /// Compares the middle one of three reports with the line through the others, which has the
-    /// position noise of its error; for the velocity noise two reports suffice.
-    ///
-    /// e = x1 - a x0 - b x2 with a = h2 / (h1 + h2) and b = h1 / (h1 + h2) for the intervals h1 and
-    /// h2, so that var e = (1 + a^2 + b^2) s^2 on a straight walk for noise s. For a tracker at
-    /// 30 Hz with a jitter of 5 ms whose noise is twice the assumed one, the estimate lies within
-    /// 20 % after 200 reports of a user.
+    /// Learns the noise of positions by three reports, and that of velocities by two.
     fn learn_noise(&mut self, track: &Track, user: &UserState, time_ns: Nanos) {
-        let [Some(last), Some(before)] = track.earlier else { return };
-        let later = time_ns.saturating_sub(last.time_ns) as f64;
-        let earlier = last.time_ns.saturating_sub(before.time_ns) as f64;
-        let shorter = later.min(earlier);
-        if shorter <= 0.0 || later.max(earlier) > UNEQUAL_INTERVALS * shorter {
-            return;
-        }
-        let (of_before, of_now) = (later / (earlier + later), earlier / (earlier + later));
-        let [x, y, _] = user.position_m.map(f64::from);
-        let error = |now: f64, axis: usize| last.at_m[axis] - of_before * before.at_m[axis] - of_now * now;
-        let (across, along) = (error(x, 0), error(y, 1));
-        let factor = 1.0 + of_before * of_before + of_now * of_now;
-        self.position_noise.handle(across * across + along * along, factor);
+        let Some((squared, factor)) = track.interpolation_error(user, time_ns) else { return };
+        self.position_noise.handle(squared, factor);
         if let (Some([u, v]), Some([former_u, former_v])) = (reported_velocity(user), track.reported_velocity) {
             let (du, dv) = (u - former_u, v - former_v);
             self.velocity_noise.handle(du * du + dv * dv, 2.0);

@@ -4,7 +4,8 @@ use heliostat_channel::mirrors::MirrorAngles;
 use heliostat_proto::{MirrorCommand, Nanos};
 use serde::{Deserialize, Serialize};
 
-/// Commands that are kept: at 100 per second those of the largest age of a report.
+/// Commands that are kept: at 100 per second those of the last 0.6 s. The angles of an older
+/// measurement are not known, whatever age of a report the scenario accepts.
 const COMMANDS: usize = 64;
 
 /// While the mirrors turn to another command, their angles count as known if the two differ by at
@@ -21,6 +22,11 @@ pub(super) struct Entry {
 }
 
 impl Entry {
+    /// Length in a recorded state in bytes, which the times hardly change.
+    pub fn bytes(&self) -> usize {
+        size_of_val(&self.roll[..]) + size_of_val(&self.yaw[..])
+    }
+
     fn resembles(&self, other: &Self) -> bool {
         let near = |one: &[f32], two: &[f32]| one.iter().zip(two).all(|(one, two)| (one - two).abs() <= SAME_RAD);
         near(&self.roll, &other.roll) && near(&self.yaw, &other.yaw)

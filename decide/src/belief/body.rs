@@ -21,6 +21,12 @@ impl Body {
         })
     }
 
+    /// The smallest cylinder that holds the body of a user whose device is here, for every heading.
+    pub fn around(&self, device: &Vec3) -> Cylinder {
+        let Self { radius_m, height_m, offset_m } = *self;
+        Cylinder { x_m: device.x, y_m: device.y, radius_m: radius_m + offset_m, height_m }
+    }
+
     /// The body of a user whose device is here, and who faces this direction (a unit vector).
     pub fn behind(&self, device: &Vec3, heading: &Vec3) -> Cylinder {
         let Self { radius_m, height_m, offset_m } = *self;

@@ -92,6 +92,11 @@ impl Heading {
         self.normalise();
     }
 
+    /// The probability of each heading.
+    pub fn probabilities(&self) -> &[f64; HEADINGS] {
+        &self.probability
+    }
+
     /// The headings that are worth an examination, with their probability.
     pub fn possible(&self) -> impl Iterator<Item = (usize, f64)> {
         self.probability.iter().copied().enumerate().filter(|(_, probability)| *probability > NEGLIGIBLE)

@@ -2,7 +2,8 @@
 
 use crate::belief::motion::MotionEstimate;
 
-/// Normalised innovation squared of the position reports of known users since the start.
+/// Normalised innovation squared of the position reports of known users since the start. A report that
+/// gives an old number to another user does not count.
 ///
 /// d' S^-1 d for the deviation d of a reported position from the predicted one, where S is the
 /// covariance of the prediction plus that of the report. Its mean is 2 if both are right.
@@ -15,17 +16,21 @@ pub struct Innovations {
 }
 
 impl Innovations {
-    /// Compares a prediction with the reported x and y in m, whose noise has this standard deviation
-    /// in m.
-    pub fn handle(&mut self, predicted: &MotionEstimate, reported_m: [f64; 2], noise_m: f64) {
-        let [xx, xy, yy] = predicted.position_cov_m2;
-        let noise = noise_m * noise_m;
-        let (xx, yy) = (xx + noise, yy + noise);
-        let [dx, dy] = [0, 1].map(|axis| reported_m[axis] - predicted.position_m[axis]);
-        let squared = (yy * dx * dx - 2.0 * xy * dx * dy + xx * dy * dy) / (xx * yy - xy * xy);
+    /// Adds a normalised innovation squared; one that is not finite does not count.
+    pub(super) fn add(&mut self, squared: f64) {
         if squared.is_finite() {
             self.count += 1;
             self.sum += squared;
         }
     }
+}
+
+/// The normalised innovation squared of the reported x and y in m, whose noise has this standard
+/// deviation in m.
+pub(super) fn normalised_squared(predicted: &MotionEstimate, reported_m: [f64; 2], noise_m: f64) -> f64 {
+    let [xx, xy, yy] = predicted.position_cov_m2;
+    let noise = noise_m * noise_m;
+    let (xx, yy) = (xx + noise, yy + noise);
+    let [dx, dy] = [0, 1].map(|axis| reported_m[axis] - predicted.position_m[axis]);
+    (yy * dx * dx - 2.0 * xy * dx * dy + xx * dy * dy) / (xx * yy - xy * xy)
 }

@@ -1,6 +1,6 @@
 //! The state of a belief, as a recording holds it.
 
-use heliostat_proto::Nanos;
+use heliostat_proto::{MAX_STATE, Nanos};
 use serde::{Deserialize, Serialize};
 
 use crate::belief::{
@@ -12,9 +12,13 @@ use crate::belief::{
     track::Track,
 };
 
-/// Commands whose validity ended longer than this before the last position report, in ns, explain no
-/// later measurement: no report is accepted at twice this age.
+/// Commands whose validity ended at most this long before the last position report, in ns, are always
+/// in a state.
 const COMMANDS_NS: Nanos = 2_000_000_000;
+
+/// Earlier commands that may explain a measurement are in a state if all commands take at most this
+/// many bytes: two thirds of the largest state.
+const COMMANDS_BYTES: usize = MAX_STATE / 3 * 2;
 
 /// Everything that a belief has learned. Settings of the scenario are not in it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -114,9 +118,18 @@ impl Belief {
             velocity_noise: self.velocity_noise,
             tracks: self.tracks.all().to_vec(),
             last_ns: self.last_ns,
-            commands: self.history.since(self.last_ns.saturating_sub(COMMANDS_NS)),
+            commands: self.commands(),
             map: self.map.as_ref().map(Occupancy::memory),
         }
+    }
+
+    /// The commands that may explain a measurement, as far as a state has room for them.
+    fn commands(&self) -> Vec<angle_history::Entry> {
+        let since = |span_ns: Nanos| self.history.since(self.last_ns.saturating_sub(span_ns));
+        // No report is accepted at twice the largest age.
+        let commands = since(COMMANDS_NS.max(self.report_age_max_ns.saturating_mul(2)));
+        let bytes: usize = commands.iter().map(angle_history::Entry::bytes).sum();
+        if bytes <= COMMANDS_BYTES { commands } else { since(COMMANDS_NS) }
     }
 
     /// Replaces the state; false, with parts of it replaced, where it is not one of this scenario.

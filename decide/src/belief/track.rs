@@ -14,6 +14,10 @@ use crate::belief::{
     posture::{Posture, TiltEvidence},
 };
 
+/// Three reports show the noise if the longer of the two intervals between them is at most this many
+/// times the shorter one: jitter of a tracker is within it, and a few lost reports are not.
+const UNEQUAL_INTERVALS: f64 = 3.0;
+
 /// A user's reports, motion and heading.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(super) struct Track {
@@ -71,6 +75,27 @@ impl Track {
     pub fn measured<'a>(&self, slot: usize, report: &'a ChannelReport) -> Option<&'a UserChannel> {
         let same_slot = report.users.get(slot).filter(|entry| entry.user == self.user);
         same_slot.or_else(|| report.users.iter().find(|entry| entry.user == self.user))
+    }
+
+    /// The square of the deviation of the middle one of three reports from the line through the others,
+    /// and the variance of one axis of it as a multiple of that of a report. `None` where the intervals
+    /// differ too much, and for a user with fewer than two reports before this one.
+    ///
+    /// e = x1 - a x0 - b x2 with a = h2 / (h1 + h2) and b = h1 / (h1 + h2) for the intervals h1 and
+    /// h2, so that var e = (1 + a^2 + b^2) s^2 on a straight walk for noise s.
+    pub fn interpolation_error(&self, user: &UserState, time_ns: Nanos) -> Option<(f64, f64)> {
+        let [Some(last), Some(before)] = self.earlier else { return None };
+        let later = time_ns.saturating_sub(last.time_ns) as f64;
+        let earlier = last.time_ns.saturating_sub(before.time_ns) as f64;
+        let shorter = later.min(earlier);
+        if shorter <= 0.0 || later.max(earlier) > UNEQUAL_INTERVALS * shorter {
+            return None;
+        }
+        let (of_before, of_now) = (later / (earlier + later), earlier / (earlier + later));
+        let [x, y, _] = user.position_m.map(f64::from);
+        let error = |now: f64, axis: usize| last.at_m[axis] - of_before * before.at_m[axis] - of_now * now;
+        let (across, along) = (error(x, 0), error(y, 1));
+        Some((across * across + along * along, 1.0 + of_before * of_before + of_now * of_now))
     }
 
     /// Time of the last report with this user.

@@ -58,7 +58,7 @@ impl Controller {
     /// `now`; its stamp is the caller's. False, without a change, where `control.belief` names no
     /// filter. Does not allocate in a report with memory for all users.
     pub fn report_beliefs(&self, now: Nanos, report: &mut BeliefReport) -> bool {
-        self.observer.report_beliefs(&self.inbox, &self.observation, now, report)
+        self.observer.report_beliefs(&self.model, &self.inbox, (&self.observation, now), report)
     }
 
     /// What fills the observation: the belief of the filter, and the headings of the users.

@@ -18,11 +18,11 @@
 
 mod array;
 pub mod memory;
+mod rules;
 mod slot;
 
 use heliostat_proto::{
-    CLOCK_LEAD_MAX_NS, ChannelReport, MirrorTelemetry, Nanos, NodeKind, ObstacleReport, OrientationReport, Stamp,
-    UserReport,
+    ChannelReport, MirrorTelemetry, Nanos, NodeKind, ObstacleReport, OrientationReport, Stamp, UserReport,
 };
 use heliostat_scenario::Scenario;
 
@@ -31,10 +31,8 @@ use crate::input::{
     sequence::SequenceTrack,
 };
 use array::ArrayInbox;
+use rules::{Rules, check_channel, check_obstacles, check_orientation};
 use slot::{Owner, Slot};
-
-/// How far outside the room a reported position may lie, in m: a tracker's noise may exceed a wall.
-const OUTSIDE_MARGIN_M: f64 = 1.0;
 
 /// A decoded message. The inbox swaps an accepted message with the former one, whose memory the
 /// caller decodes into next.
@@ -364,75 +362,4 @@ pub(crate) fn publishes(node: NodeKind, stream: Stream) -> bool {
         NodeKind::Tracker => stream != Stream::Telemetry,
         NodeKind::Controller | NodeKind::Viewer => false,
     }
-}
-
-/// What a scenario states about its reports.
-#[derive(Clone, Debug)]
-struct Rules {
-    half_x_m: f64,
-    half_y_m: f64,
-    height_m: f64,
-    age_max_ns: Nanos,
-    source_timeout_ns: Nanos,
-}
-
-impl Rules {
-    fn new(scenario: &Scenario) -> Self {
-        let nanoseconds = |milliseconds: f64| (milliseconds * 1e6) as Nanos;
-        Self {
-            half_x_m: scenario.room.length_x_m / 2.0,
-            half_y_m: scenario.room.length_y_m / 2.0,
-            height_m: scenario.room.height_m,
-            age_max_ns: nanoseconds(scenario.control.report_age_max_ms),
-            source_timeout_ns: nanoseconds(scenario.control.source_timeout_ms),
-        }
-    }
-
-    fn check_time(&self, now: Nanos, stamp: &Stamp) -> Result<(), Refusal> {
-        if stamp.time_ns > now.saturating_add(CLOCK_LEAD_MAX_NS) {
-            return Err(Refusal::FromFuture);
-        }
-        if now.saturating_sub(stamp.time_ns) > self.age_max_ns {
-            return Err(Refusal::Stale);
-        }
-        Ok(())
-    }
-
-    fn check_users(&self, report: &UserReport) -> Result<(), Refusal> {
-        check_distinct(report.users.iter().map(|user| user.user))?;
-        let inside = |position: &[f32; 3]| {
-            let [x, y, z] = position.map(f64::from);
-            x.abs() <= self.half_x_m + OUTSIDE_MARGIN_M
-                && y.abs() <= self.half_y_m + OUTSIDE_MARGIN_M
-                && (-OUTSIDE_MARGIN_M..=self.height_m).contains(&z)
-        };
-        if !report.users.iter().all(|user| inside(&user.position_m)) {
-            return Err(Refusal::OutsideRoom);
-        }
-        plausible(report.users.iter().all(|user| user.min_rate_bps >= 0.0))
-    }
-}
-
-/// Each user may appear once. The codec bounds the number of entries.
-fn check_distinct(ids: impl Iterator<Item = u32> + Clone) -> Result<(), Refusal> {
-    let is_repeated = |(index, id): (usize, u32)| ids.clone().take(index).any(|earlier| earlier == id);
-    if ids.clone().enumerate().any(is_repeated) { Err(Refusal::DuplicateUser) } else { Ok(()) }
-}
-
-fn check_orientation(report: &OrientationReport) -> Result<(), Refusal> {
-    check_distinct(report.users.iter().map(|user| user.user))
-}
-
-fn check_channel(report: &ChannelReport) -> Result<(), Refusal> {
-    check_distinct(report.users.iter().map(|user| user.user))?;
-    // A gain is the received share of the transmitted light.
-    plausible(report.users.iter().all(|user| (0.0..=1.0).contains(&user.los_gain)))
-}
-
-fn check_obstacles(report: &ObstacleReport) -> Result<(), Refusal> {
-    plausible(report.obstacles.iter().all(|obstacle| obstacle.radius_m >= 0.0 && obstacle.height_m >= 0.0))
-}
-
-fn plausible(holds: bool) -> Result<(), Refusal> {
-    if holds { Ok(()) } else { Err(Refusal::Implausible) }
 }

@@ -155,6 +155,11 @@ impl Evidence {
         entries.retain(|entry| time_ns.saturating_sub(entry.time_ns) < FORGOTTEN_NS);
     }
 
+    /// Forgets these users, since their numbers belong to others now.
+    pub fn forget_users(&mut self, users: &[u32]) {
+        self.history.entries.retain(|entry| !users.contains(&entry.user));
+    }
+
     /// Forgets all users, since another source reports from now on.
     pub fn forget(&mut self) {
         self.history.entries.clear();

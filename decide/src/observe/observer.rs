@@ -31,7 +31,9 @@ pub mod memory;
 mod places;
 
 use heliostat_channel::{ChannelModel, Orientation, Vec3, blockage::Cylinder};
-use heliostat_proto::{ChannelReport, MAX_OBSTACLES, MAX_USERS, MirrorCommand, Nanos, OrientationReport, UserReport};
+use heliostat_proto::{
+    ChannelReport, MAX_OBSTACLES, MAX_USERS, MirrorCommand, Nanos, Obstacle, OrientationReport, UserReport,
+};
 use heliostat_scenario::Scenario;
 
 use crate::{
@@ -164,6 +166,9 @@ impl Observer {
     /// Takes an accepted position report. Call it once for each, before [`observe`](Self::observe).
     pub fn handle_users(&mut self, report: &UserReport) {
         self.prediction.handle_users(report);
+        let renumbered = self.prediction.belief().map_or(&[][..], Belief::renumbered);
+        self.evidence.iter_mut().for_each(|evidence| evidence.forget_users(renumbered));
+        self.walks.iter_mut().for_each(|walks| walks.forget_users(renumbered));
         self.walks.iter_mut().for_each(|walks| walks.handle_users(report));
     }
 
@@ -364,12 +369,17 @@ impl Observer {
     fn place_obstacles(&mut self, inbox: &Inbox) {
         self.blockers.clear();
         let obstacles = inbox.obstacles().into_iter().flat_map(|report| &report.obstacles);
-        self.blockers.extend(obstacles.map(|obstacle| Cylinder {
-            x_m: f64::from(obstacle.x_m),
-            y_m: f64::from(obstacle.y_m),
-            radius_m: f64::from(obstacle.radius_m),
-            height_m: f64::from(obstacle.height_m),
-        }));
+        self.blockers.extend(obstacles.map(cylinder));
+    }
+}
+
+/// The cylinder of a surveyed obstacle.
+fn cylinder(obstacle: &Obstacle) -> Cylinder {
+    Cylinder {
+        x_m: f64::from(obstacle.x_m),
+        y_m: f64::from(obstacle.y_m),
+        radius_m: f64::from(obstacle.radius_m),
+        height_m: f64::from(obstacle.height_m),
     }
 }
 

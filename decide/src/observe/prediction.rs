@@ -167,8 +167,10 @@ impl Prediction {
         }
     }
 
-    /// Forgets the users.
+    /// Forgets the users, since another source reports from now on. The time since its predecessor's
+    /// last report is no interval between reports.
     pub fn forget(&mut self) {
+        self.lead.last_ns = 0;
         if let Method::Filter(belief) = &mut self.method {
             belief.forget();
         }
@@ -251,6 +253,8 @@ impl Prediction {
 
 #[cfg(test)]
 mod tests {
+    use heliostat_proto::Stamp;
+
     use super::*;
 
     #[test]
@@ -264,5 +268,17 @@ mod tests {
         assert!((lead.ahead_s(0.1) - 0.3).abs() < 1e-3, "{}", lead.ahead_s(0.1));
         lead.handle_users(60_000_000_000);
         assert!(lead.ahead_s(0.1) < 0.35, "one pause: {}", lead.ahead_s(0.1));
+    }
+
+    #[test]
+    fn the_time_between_the_reports_of_two_sources_is_no_interval() {
+        let scenario = Scenario::builtin("hall").expect("a built-in scenario");
+        let model = scenario.channel_model().expect("a valid channel");
+        let mut prediction = Prediction::new(&scenario, &model);
+        let report = |time_ns| UserReport { stamp: Stamp { time_ns, ..Stamp::default() }, ..UserReport::default() };
+        prediction.handle_users(&report(1_000_000_000));
+        prediction.forget();
+        prediction.handle_users(&report(9_000_000_000));
+        assert_eq!(prediction.lead_s(), 0.05, "half of the interval that the scenario states");
     }
 }

@@ -113,6 +113,11 @@ impl WalkHistory {
         }
     }
 
+    /// Forgets these users, since their numbers belong to others now.
+    pub fn forget_users(&mut self, users: &[u32]) {
+        self.walks.retain(|walk| !users.contains(&walk.user));
+    }
+
     /// Forgets all users, since another source reports from now on.
     pub fn forget(&mut self) {
         self.walks.clear();
@@ -305,6 +310,17 @@ mod tests {
         let found = row(&mut history, 1);
         assert!(found[..LEAD - 6].iter().all(|value| *value == 0.0) && found[LEAD - 1] == 1.0);
         assert!(row(&mut history, 7)[..LEAD].iter().all(|value| *value == 0.0), "an unknown user");
+    }
+
+    #[test]
+    fn a_number_that_another_user_got_starts_again() {
+        let mut history = walked(3, &[[0.5, 0.0], [0.0, -1.0]]);
+        history.forget_users(&[1, 9]);
+        let stamp = Stamp { source: 1, sequence: 9, time_ns: 300_000_000 };
+        let users = [0, 1].map(|user| UserState { user, ..UserState::default() }).into();
+        history.handle_users(&UserReport { stamp, tick: 9, users });
+        let reports = |history: &mut WalkHistory, user| row(history, user)[5..LEAD].iter().step_by(6).sum::<f32>();
+        assert_eq!([0, 1].map(|user| reports(&mut history, user)), [4.0, 1.0]);
     }
 
     #[test]

@@ -1,11 +1,18 @@
 //! The belief about the users: as a message, and from the readings of real receivers.
 
-use heliostat_decide::belief::Belief;
+use std::f64::consts::TAU;
+
+use heliostat_channel::{Vec3, blockage::Cylinder};
+use heliostat_decide::belief::{Belief, memory::LaterMemories};
+use heliostat_decide::inbox::Message;
 use heliostat_decide::policy::PolicyKind;
-use heliostat_proto::{BeliefReport, ChannelReport, Stamp, UserChannel, UserReport, UserState, encode};
+use heliostat_proto::{
+    BeliefReport, ChannelReport, MAX_STATE, MirrorCommand, Stamp, UserChannel, UserReport, UserState, encode,
+    encode_state,
+};
 use heliostat_scenario::Scenario;
 
-use crate::support::{MS, Room, build, controller, scenario};
+use crate::support::{MS, Room, build, controller, receive, scenario};
 
 #[test]
 fn the_belief_of_a_decision_is_reported_without_an_allocation() {
@@ -34,6 +41,63 @@ fn the_belief_of_a_decision_is_reported_without_an_allocation() {
     assert_eq!(report.users.len(), users.len());
     assert_eq!(encode(&report, &mut Vec::new()), Ok(()));
     assert!(controller.innovations().is_some_and(|innovations| innovations.count == 29 * 3));
+}
+
+/// The published probability of a blocked direct path, of users at these places who stand. There are
+/// no gains.
+fn blocked_standing(scenario: &Scenario, places: &[[f32; 3]]) -> Vec<f32> {
+    let mut controller = controller(scenario, build(PolicyKind::Nearest, scenario).unwrap());
+    let mut report = BeliefReport::buffer();
+    for tick in 1..=3 {
+        let stamp = Stamp { source: 1, sequence: tick, time_ns: Room::time(tick) };
+        let user = |(user, place): (usize, &[f32; 3])| UserState {
+            user: user as u32,
+            position_m: *place,
+            ..UserState::default()
+        };
+        let users = places.iter().enumerate().map(user).collect();
+        receive(&mut controller, Room::time(tick), Message::Users(&mut UserReport { stamp, tick, users }));
+        assert!(controller.report_beliefs(Room::time(tick), &mut report));
+    }
+    report.users.iter().map(|user| user.blocked_probability).collect()
+}
+
+#[test]
+fn the_published_probability_of_a_blocked_path_is_that_over_all_headings() {
+    let scenario = scenario(&["control.belief=\"filter\"", "blockage.bodies=true"]);
+    let model = scenario.channel_model().unwrap();
+    let (place, led) = ([1.4, 1.1, 0.85], &model.leds[0].position);
+    let (device, blockage) = (Vec3::from_iterator(place), &scenario.blockage);
+    let body_blocks = |device: &Vec3, heading: f64, from: &Vec3| {
+        let (sine, cosine) = heading.sin_cos();
+        let body = Cylinder {
+            x_m: device.x - blockage.body_offset_m * cosine,
+            y_m: device.y - blockage.body_offset_m * sine,
+            radius_m: blockage.body_radius_m,
+            height_m: blockage.body_height_m,
+        };
+        heliostat_channel::blockage::blocks(&body, led, from)
+    };
+    let share = |device: &Vec3, from: &Vec3| {
+        let blocked = (0..36).filter(|index| body_blocks(device, f64::from(*index) * TAU / 36.0, from)).count();
+        blocked as f64 / 36.0
+    };
+    let expected = share(&device, &device);
+    assert!((0.1..0.5).contains(&expected), "{expected}");
+    let place = place.map(|part| part as f32);
+    // Without a measurement the detector may be covered.
+    let without_bodies = crate::support::scenario(&["control.belief=\"filter\"", "blockage.bodies=false"]);
+    let uncovered = 1.0 - f64::from(blocked_standing(&without_bodies, &[place])[0]);
+    let past_bodies = |places: &[[f32; 3]]| 1.0 - f64::from(blocked_standing(&scenario, places)[0]);
+    let (clear, alone) = (uncovered * (1.0 - expected), past_bodies(&[place]));
+    assert!((alone - clear).abs() < 0.02, "{alone} for {clear}");
+
+    // Another user between the LED and the first one.
+    let near = [0.95, 0.75, 0.85];
+    let by_other = share(&Vec3::from_iterator(near), &device);
+    assert!((0.1..1.0).contains(&by_other), "{by_other}");
+    let (clear, both) = (clear * (1.0 - by_other), past_bodies(&[place, near.map(|part| part as f32)]));
+    assert!((both - clear).abs() < 0.02, "{both} for {clear}");
 }
 
 #[test]
@@ -80,4 +144,55 @@ fn a_path_that_the_converter_cannot_resolve_shows_nothing() {
     assert!(with("streams.channel.resolution_bits=12") < 0.1);
     let unknown = with("streams.channel.resolution_bits=2");
     assert!((0.2..1.0).contains(&unknown), "the prior remains: {unknown}");
+}
+
+/// A belief in a room with this many rows and columns of mirrors, where reports may be late. Before each
+/// of 60 reports, 0.1 s apart, a command turned the mirrors.
+fn commanded([rows, columns]: [usize; 2]) -> (Scenario, Belief) {
+    let mirrors = [format!("mirrors.rows={rows}"), format!("mirrors.columns={columns}")];
+    let late = ["control.belief=\"filter\"", "control.report_age_max_ms=10000"];
+    let small = ["mirrors.width_m=0.03", "mirrors.height_m=0.02", "mirrors.gap_m=0.005"];
+    let scenario = scenario(&[&[&mirrors[0][..], &mirrors[1]], &late[..], &small].concat());
+    let model = scenario.channel_model().unwrap();
+    let mut belief = Belief::new(&scenario, &model, 64);
+    belief.keep_residuals(true);
+    for tick in 1..=60 {
+        let time_ns = tick * 100 * MS;
+        let angles = vec![0.01 * tick as f32; rows * columns];
+        belief.handle_command(&MirrorCommand {
+            time_ns: time_ns - 50 * MS,
+            validity_ms: 400,
+            roll: angles.clone(),
+            yaw: angles,
+            ..MirrorCommand::default()
+        });
+        let user = UserState { user: 7, position_m: [1.0, 0.5, 0.85], ..UserState::default() };
+        let stamp = Stamp { source: 1, sequence: tick, time_ns };
+        belief.handle_users(&UserReport { stamp, tick, users: vec![user] });
+    }
+    (scenario, belief)
+}
+
+#[test]
+fn a_restored_belief_knows_the_mirrors_of_a_late_measurement() {
+    let (scenario, mut first) = commanded([3, 3]);
+    let model = scenario.channel_model().unwrap();
+    let mut second = Belief::new(&scenario, &model, 64);
+    second.keep_residuals(true);
+    let (tilt, devices, absent) = (&first.tilt_memory(), &first.device_memory(), first.absent_memory());
+    assert!(second.restore(&first.memory(), LaterMemories { tilt, devices, absent }));
+    // A measurement of 4 s before the last report.
+    let stamp = Stamp { source: 1, sequence: 61, time_ns: 2000 * MS };
+    let measured = UserChannel { user: 7, los_gain: 1e-6, irs_gain: 1e-6, sinr: 0.0 };
+    let channel = ChannelReport { stamp, tick: 20, users: vec![measured] };
+    [&mut first, &mut second].into_iter().for_each(|belief| belief.handle_channel(&model, &channel, &[], &[]));
+    assert!(first.residuals()[0].steering > 0.0, "the angles of the mirrors are known");
+    assert_eq!(second.residuals(), first.residuals());
+}
+
+#[test]
+fn the_commands_of_many_mirrors_leave_room_in_a_state() {
+    let (_, belief) = commanded([50, 40]);
+    let length = encode_state(&belief.memory()).unwrap().len();
+    assert!((200_000..MAX_STATE).contains(&length), "{length}");
 }

@@ -105,6 +105,30 @@ fn another_user_under_a_number_that_was_absent_is_followed_at_once() {
 }
 
 #[test]
+fn another_user_under_an_old_number_inherits_nothing_but_the_number() {
+    let (mut first, mut second) = (belief(), belief());
+    for tick in 1..=10 {
+        first.handle_users(&report(tick, &[(7, [0.1 * tick as f32, 0.0, 0.9], [1.0, 0.0])]));
+    }
+    let before = first.innovations();
+    let certainty = |belief: &Belief| belief.estimate(7, 0.0).expect("a user").heading.norm();
+    assert!(certainty(&first) > 0.9 && first.renumbered().is_empty());
+    // Who stands shows no heading.
+    let jump = report(11, &[(7, [-3.0, 2.0, 1.2], [0.0, 0.0])]);
+    first.handle_users(&jump);
+    assert_eq!(first.renumbered(), [7]);
+    assert_eq!(first.innovations(), before, "no prediction was wrong");
+    let height_m = first.estimate(7, 0.0).expect("a user").position.z;
+    assert!((height_m - 1.2).abs() < 1e-3, "{height_m}");
+    second.handle_users(&report(10, &[]));
+    second.handle_users(&jump);
+    assert!((certainty(&first) - certainty(&second)).abs() < 0.01, "{} {}", certainty(&first), certainty(&second));
+    first.handle_users(&report(12, &[(7, [-3.0, 2.0, 1.2], [0.0, 0.0])]));
+    assert!(first.renumbered().is_empty());
+    assert_eq!(first.innovations().count, before.count + 1);
+}
+
+#[test]
 fn absent_users_give_way_to_those_who_are_present() {
     let mut belief = belief();
     let crowd = |users: std::ops::Range<u32>| -> Vec<_> {

@@ -132,6 +132,20 @@ fn a_late_report_of_a_source_that_has_left_is_refused_until_the_source_returns()
 }
 
 #[test]
+fn a_report_of_a_speed_that_no_user_has_is_refused() {
+    let (mut controller, mut room) = flat(&[]);
+    let mut outcome = |tick: u64, velocity_m_s: [f32; 2]| {
+        let mut report = room.positions(tick);
+        report.users[1].velocity_m_s = velocity_m_s;
+        receive(&mut controller, Room::time(tick), Message::Users(&mut report))
+    };
+    assert_eq!(outcome(1, [60.0, -80.0]).command().answers, 1);
+    assert_eq!(outcome(2, [0.0, 100.5]), Outcome::Nothing);
+    assert_eq!(outcome(3, [-1e38, 1e38]), Outcome::Nothing);
+    assert_eq!(refused(&controller, Stream::Users, Refusal::Implausible), 2);
+}
+
+#[test]
 fn a_report_with_two_entries_for_one_user_is_refused() {
     let (mut controller, mut room) = flat(&[]);
     let (mut gains, mut users) = (room.gains_of(1, 1e-6, &[4, 4]), room.positions_of(1, &[7, 3, 7]));

@@ -84,6 +84,23 @@ fn reported_orientations_are_not_corrected_and_those_of_other_users_are() {
     assert_eq!(counted, [false, false, true]);
 }
 
+#[test]
+fn another_user_under_an_old_number_has_no_residuals_of_the_former_one() {
+    let scenario = hidden();
+    let recipe = ActorRecipe::compact([0.0; 3]);
+    let mut controller = controller(&scenario, build_with(PolicyKind::Residual, &scenario, &recipe.file()).unwrap());
+    let mut room = Room::new(&scenario);
+    (1..=20).for_each(|tick| drop(room.tick(&mut controller, tick)));
+    let mut report = room.positions(21);
+    report.users[1].position_m = [-2.2, 2.1, 0.85];
+    receive(&mut controller, Room::time(21), Message::Users(&mut report)).command();
+    let ids = &controller.observation().ids;
+    let rows = controller.observer().evidence().expect("the policy reads it").rows();
+    let observed = |user: u32| rows[ids.iter().position(|id| *id == user).unwrap()][MEANS.start];
+    assert!(observed(0) > 0.1 && observed(2) > 0.1, "{} {}", observed(0), observed(2));
+    assert_eq!(observed(1), 0.0);
+}
+
 /// A network that gives zeros while it is loaded, and a value that is not finite later.
 struct Diverging(usize);
 

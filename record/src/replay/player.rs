@@ -333,7 +333,12 @@ impl<'a> Player<'a> {
 
     fn presence(&mut self, data: &[u8]) -> Result<()> {
         let presence: Presence = serde_json::from_slice(data).context("a presence entry is damaged")?;
-        if presence.node == NodeKind::Controller && presence.alive {
+        let Presence { node, source, alive } = presence;
+        self.epochs_running().for_each(|EpochReplay { controller, .. }| match alive {
+            true => controller.handle_source_found(node, source),
+            false => controller.handle_source_lost(node, source),
+        });
+        if node == NodeKind::Controller && alive {
             // In lockstep the room waits for its controller: the controller received every recorded
             // message.
             if self.plan.clock == Clock::Live {
@@ -346,9 +351,6 @@ impl<'a> Player<'a> {
                     (epoch, _) => self.next = self.start_from(epoch + 1)?,
                 }
             }
-        } else if !presence.alive {
-            self.epochs_running()
-                .for_each(|epoch_replay| epoch_replay.controller.handle_source_lost(presence.node, presence.source));
         }
         Ok(())
     }

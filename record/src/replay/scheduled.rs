@@ -5,7 +5,7 @@ use std::rc::Rc;
 
 use heliostat_decide::core::memory::Memory;
 use heliostat_decide::core::{Controller, Timing};
-use heliostat_proto::{ControllerMemory, InputKind, MirrorCommand, Nanos, decode};
+use heliostat_proto::{ControllerMemory, InputKind, MirrorCommand, Nanos, NodeKind, decode};
 
 use super::inputs::{Input, cloned, handle};
 use super::plan::RecordedCommand;
@@ -50,11 +50,18 @@ pub(super) struct Decided {
     pub counts: bool,
 }
 
+/// A message of a step.
+struct Waiting {
+    input: Input,
+    source: u64,
+    data: Vec<u8>,
+}
+
 /// The progress in a schedule.
 pub(super) struct Progress {
     schedule: Rc<Schedule>,
     next: usize,
-    waiting: HashMap<EntryIndex, (Input, Vec<u8>)>,
+    waiting: HashMap<EntryIndex, Waiting>,
     /// Whether the controller has the recorded state.
     pub is_known: bool,
     /// Why a state was not restored.
@@ -75,7 +82,7 @@ impl Progress {
     pub fn place(&mut self, offered: &Offered) -> Place {
         let Offered { entry, input, source, sequence, data } = offered;
         if self.schedule.names(*entry) {
-            self.waiting.insert(*entry, (*input, data.clone()));
+            self.waiting.insert(*entry, Waiting { input: *input, source: *source, data: data.clone() });
             return Place::Step;
         }
         if self.schedule.is_later(input.0, *source, *sequence) { Place::Tail } else { Place::Nowhere }
@@ -84,7 +91,7 @@ impl Progress {
     /// Keeps a memory message for its step.
     pub fn keep_memory(&mut self, entry: EntryIndex, data: &[u8]) {
         if self.schedule.names(entry) {
-            self.waiting.insert(entry, (Input::default(), data.to_vec()));
+            self.waiting.insert(entry, Waiting { input: Input::default(), source: 0, data: data.to_vec() });
         }
     }
 
@@ -97,7 +104,12 @@ impl Progress {
                 Step::Gap => self.is_known = false,
                 Step::Handle { entry: None, .. } => self.is_known = false,
                 Step::Handle { entry: Some(entry), now } => match self.waiting.remove(&entry) {
-                    Some((input, data)) => handle(controller, input, &data, now),
+                    Some(Waiting { input, source, data }) => {
+                        // The recorded controller accepted the message, so it knew that its source
+                        // was alive. The recorder may have missed its return, or received it later.
+                        controller.handle_source_found(publisher(input.0), source);
+                        handle(controller, input, &data, now);
+                    }
                     None if entry > read => return decisions,
                     None => self.is_known = false,
                 },
@@ -114,7 +126,7 @@ impl Progress {
                     }
                 }
                 Step::Load { entry } => match self.waiting.remove(&entry) {
-                    Some((_, data)) if !self.is_known => self.load(controller, &data),
+                    Some(Waiting { data, .. }) if !self.is_known => self.load(controller, &data),
                     Some(_) => {}
                     None if entry > read => return decisions,
                     None => {}
@@ -133,6 +145,11 @@ impl Progress {
             self.problem.get_or_insert(error.to_string());
         }
     }
+}
+
+/// A kind of process that publishes the stream of an input.
+fn publisher(input: InputKind) -> NodeKind {
+    if input == InputKind::Telemetry { NodeKind::Driver } else { NodeKind::Tracker }
 }
 
 fn decide(controller: &mut Controller, input: InputKind, now: Nanos) -> Vec<(usize, MirrorCommand)> {

@@ -1,9 +1,14 @@
 //! The belief about the users of the last decision, as a message for viewers.
 
-use heliostat_proto::{BeliefReport, Nanos, UserBelief};
+use heliostat_channel::{ChannelModel, Vec3, blockage, blockage::Cylinder};
+use heliostat_proto::{BeliefReport, Nanos, Obstacle, UserBelief};
 
 use super::Observer;
-use crate::{belief::Estimate, input::inbox::Inbox, observe::observation::Observation};
+use crate::{
+    belief::{Belief, Estimate, body::Body, heading::HEADINGS},
+    input::inbox::Inbox,
+    observe::observation::Observation,
+};
 
 impl Observer {
     /// Fills a report with the belief by which `observation` was made at `now`; its stamp is the
@@ -11,33 +16,101 @@ impl Observer {
     /// allocate in a report with memory for all users.
     pub fn report_beliefs(
         &self,
+        model: &ChannelModel,
         inbox: &Inbox,
-        observation: &Observation,
-        now: Nanos,
+        (observation, now): (&Observation, Nanos),
         report: &mut BeliefReport,
     ) -> bool {
-        let Some(users) = inbox.users() else { return false };
+        let (Some(users), Some(belief)) = (inbox.users(), self.prediction.belief()) else { return false };
         let age_s = now.saturating_sub(users.stamp.time_ns) as f64 * 1e-9;
         let Some(ahead_s) = self.prediction.ahead_s(age_s) else { return false };
         report.tick = users.tick;
         report.holds_ns = users.stamp.time_ns.saturating_add((ahead_s.max(0.0) * 1e9).round() as Nanos);
         report.users.clear();
-        for (slot, user) in observation.ids.iter().enumerate() {
+        for user in &observation.ids {
             let Some(estimate) = self.prediction.estimate(*user, age_s) else { continue };
             let heading = estimate.heading;
-            // A body or a surveyed obstacle of the observation, or else what is believed.
-            let is_modelled = observation.scene.los_blocked().get(slot).is_some_and(|blocked| *blocked);
-            let blocked = if is_modelled && estimate.direct_clear > 0.5 { 1.0 } else { 1.0 - estimate.direct_clear };
             report.users.push(UserBelief {
                 user: *user,
                 heading_rad: heading.y.atan2(heading.x) as f32,
                 heading_certainty: heading.norm().min(1.0) as f32,
-                blocked_probability: blocked.clamp(0.0, 1.0) as f32,
+                blocked_probability: (1.0 - estimate.direct_clear).clamp(0.0, 1.0) as f32,
                 ..of_estimate(&estimate)
             });
         }
+        let bodies = Bodies { belief, shape: self.body.as_ref(), obstacles: surveyed(inbox) };
+        let measured = inbox.channel(now).filter(|_| belief.knows_obstacles());
+        for index in 0..report.users.len() {
+            let UserBelief { user, blocked_probability, .. } = report.users[index];
+            let is_blocked = |slot: usize| observation.scene.los_blocked().get(slot).is_some_and(|blocked| *blocked);
+            let others_clear = 1.0 - blocked_probability;
+            let clear = match measured.is_some_and(|channel| channel.users.iter().any(|entry| entry.user == user)) {
+                // Where all obstacles are reported, the last measurement decides.
+                true if observation.ids.iter().position(|id| *id == user).is_some_and(is_blocked) => 0.0,
+                true => others_clear,
+                false => others_clear * bodies.clear(model, &report.users, index) as f32,
+            };
+            report.users[index].blocked_probability = (1.0 - clear).clamp(0.0, 1.0);
+        }
         true
     }
+}
+
+/// The surveyed obstacles.
+fn surveyed(inbox: &Inbox) -> &[Obstacle] {
+    inbox.obstacles().map_or(&[], |report| &report.obstacles)
+}
+
+/// What blocks direct paths besides unreported obstacles.
+struct Bodies<'a> {
+    belief: &'a Belief,
+    shape: Option<&'a Body>,
+    obstacles: &'a [Obstacle],
+}
+
+impl Bodies<'_> {
+    /// Probability that the direct path from some LED to the user of this index is clear past all bodies
+    /// and surveyed obstacles, over all headings of all users. The headings of different users are
+    /// taken as independent, and so are the paths from different LEDs at one heading of the user.
+    fn clear(&self, model: &ChannelModel, users: &[UserBelief], index: usize) -> f64 {
+        let at = position(&users[index]);
+        let Some(probabilities) = self.belief.heading_distribution(users[index].user) else { return 1.0 };
+        let mut blocked = [1.0; HEADINGS];
+        for led in &model.leds {
+            let by_others = 1.0 - self.clear_past_others(&led.position, users, index);
+            for (heading, blocked) in blocked.iter_mut().enumerate() {
+                let own = self.shape.map(|shape| shape.behind(&at, self.belief.direction(heading)));
+                let by_own = own.is_some_and(|own| blockage::blocks(&own, &led.position, &at));
+                *blocked *= if by_own { 1.0 } else { by_others };
+            }
+        }
+        probabilities.iter().zip(blocked).map(|(probability, blocked)| probability * (1.0 - blocked)).sum()
+    }
+
+    /// Probability that surveyed obstacles and the bodies of other users leave the path from an LED to a
+    /// user clear.
+    fn clear_past_others(&self, led: &Vec3, users: &[UserBelief], index: usize) -> f64 {
+        let at = position(&users[index]);
+        if self.obstacles.iter().any(|obstacle| blockage::blocks(&super::cylinder(obstacle), led, &at)) {
+            return 0.0;
+        }
+        let Some(shape) = self.shape else { return 1.0 };
+        let others = users.iter().enumerate().filter(|(other, _)| *other != index).map(|(_, other)| other);
+        let blocks = |body: &Cylinder| blockage::blocks(body, led, &at);
+        // A body of any heading is within this cylinder.
+        let near = others.filter(|other| blocks(&shape.around(&position(other))));
+        near.filter_map(|other| Some((position(other), self.belief.heading_distribution(other.user)?)))
+            .map(|(place, heading)| {
+                let clear = |heading: &usize| !blocks(&shape.behind(&place, self.belief.direction(*heading)));
+                let indices = (0..heading.len()).filter(clear);
+                indices.map(|index| heading[index]).sum::<f64>()
+            })
+            .product()
+    }
+}
+
+fn position(user: &UserBelief) -> Vec3 {
+    Vec3::from_iterator(user.position_m.map(f64::from))
 }
 
 /// Place, velocity and covariance. The covariance is cut to the bound of the contract, which

@@ -1,0 +1,95 @@
+//! The rules for the content and the time of a report.
+
+use heliostat_proto::{
+    CLOCK_LEAD_MAX_NS, ChannelReport, Nanos, ObstacleReport, OrientationReport, Stamp, UserReport, UserState,
+};
+use heliostat_scenario::Scenario;
+
+use crate::input::refusal::Refusal;
+
+/// How far outside the room a reported position may lie, in m: a tracker's noise may exceed a wall.
+const OUTSIDE_MARGIN_M: f64 = 1.0;
+
+/// Largest speed of a reported user in m/s: far beyond any walk and its noise, and within the bounds of
+/// a state that can be restored.
+const SPEED_MAX_M_S: f64 = 100.0;
+
+/// What a scenario states about its reports.
+#[derive(Clone, Debug)]
+pub(super) struct Rules {
+    half_x_m: f64,
+    half_y_m: f64,
+    height_m: f64,
+    /// A report older than this is refused.
+    pub age_max_ns: Nanos,
+    /// An owner without an accepted report for this time can be replaced.
+    pub source_timeout_ns: Nanos,
+}
+
+impl Rules {
+    /// Those of a scenario.
+    pub fn new(scenario: &Scenario) -> Self {
+        let nanoseconds = |milliseconds: f64| (milliseconds * 1e6) as Nanos;
+        Self {
+            half_x_m: scenario.room.length_x_m / 2.0,
+            half_y_m: scenario.room.length_y_m / 2.0,
+            height_m: scenario.room.height_m,
+            age_max_ns: nanoseconds(scenario.control.report_age_max_ms),
+            source_timeout_ns: nanoseconds(scenario.control.source_timeout_ms),
+        }
+    }
+
+    /// Checks the time of a report that arrived at `now`.
+    pub fn check_time(&self, now: Nanos, stamp: &Stamp) -> Result<(), Refusal> {
+        if stamp.time_ns > now.saturating_add(CLOCK_LEAD_MAX_NS) {
+            return Err(Refusal::FromFuture);
+        }
+        if now.saturating_sub(stamp.time_ns) > self.age_max_ns {
+            return Err(Refusal::Stale);
+        }
+        Ok(())
+    }
+
+    /// Checks the users, positions and speeds of a report.
+    pub fn check_users(&self, report: &UserReport) -> Result<(), Refusal> {
+        check_distinct(report.users.iter().map(|user| user.user))?;
+        let inside = |position: &[f32; 3]| {
+            let [x, y, z] = position.map(f64::from);
+            x.abs() <= self.half_x_m + OUTSIDE_MARGIN_M
+                && y.abs() <= self.half_y_m + OUTSIDE_MARGIN_M
+                && (-OUTSIDE_MARGIN_M..=self.height_m).contains(&z)
+        };
+        if !report.users.iter().all(|user| inside(&user.position_m)) {
+            return Err(Refusal::OutsideRoom);
+        }
+        let moves = |user: &UserState| {
+            let [x, y] = user.velocity_m_s.map(f64::from);
+            x.hypot(y) <= SPEED_MAX_M_S
+        };
+        plausible(report.users.iter().all(|user| user.min_rate_bps >= 0.0 && moves(user)))
+    }
+}
+
+/// Each user may appear once. The codec bounds the number of entries.
+fn check_distinct(ids: impl Iterator<Item = u32> + Clone) -> Result<(), Refusal> {
+    let is_repeated = |(index, id): (usize, u32)| ids.clone().take(index).any(|earlier| earlier == id);
+    if ids.clone().enumerate().any(is_repeated) { Err(Refusal::DuplicateUser) } else { Ok(()) }
+}
+
+pub(super) fn check_orientation(report: &OrientationReport) -> Result<(), Refusal> {
+    check_distinct(report.users.iter().map(|user| user.user))
+}
+
+pub(super) fn check_channel(report: &ChannelReport) -> Result<(), Refusal> {
+    check_distinct(report.users.iter().map(|user| user.user))?;
+    // A gain is the received share of the transmitted light.
+    plausible(report.users.iter().all(|user| (0.0..=1.0).contains(&user.los_gain)))
+}
+
+pub(super) fn check_obstacles(report: &ObstacleReport) -> Result<(), Refusal> {
+    plausible(report.obstacles.iter().all(|obstacle| obstacle.radius_m >= 0.0 && obstacle.height_m >= 0.0))
+}
+
+fn plausible(holds: bool) -> Result<(), Refusal> {
+    if holds { Ok(()) } else { Err(Refusal::Implausible) }
+}

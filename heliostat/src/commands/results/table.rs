@@ -167,7 +167,7 @@ fn cells(row: &Value, columns: &[Column]) -> Vec<String> {
 }
 
 /// A figure as text; a dash where it does not exist.
-fn cell(value: &Value, form: Form) -> String {
+pub fn cell(value: &Value, form: Form) -> String {
     let number = |value: &Value, digits: usize| value.as_f64().map(|number| format!("{number:.digits$}"));
     let text = match form {
         Form::Text => match value {

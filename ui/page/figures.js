@@ -1,9 +1,11 @@
 // The figures beside the room: state chips, users, counters, times and problems.
+import { jain } from "./fairness.js";
 import { userColour } from "./geometry.js";
 import { seconds } from "./sentence.js";
 
 const at = (id) => document.getElementById(id);
 const setText = (element, text) => { if (element.textContent !== text) element.textContent = text; };
+const setTitle = (element, text) => { if (element.title !== text) element.title = text; };
 const setClass = (element, name) => { if (element.className !== name) element.className = name; };
 
 function chip(id, text, state = "") {
@@ -41,9 +43,13 @@ export function users(now, shown, frame, outages) {
     rows.delete(String(user.user));
     if (body.rows[index] !== row) body.insertBefore(row, body.rows[index] ?? null);
     fill(row, user, rateOf(user), largest);
-    setText(row.cells[4], outageText(outages.of(user.user)));
+    const outage = outages.of(user.user);
+    setText(row.cells[4], outageText(outage));
+    setTitle(row.cells[4], outageLengths(outage));
   });
   for (const row of rows.values()) row.remove();
+  const fairness = jain(now.users.map(rateOf));
+  setText(at("jain"), fairness === null ? "–" : fairness.toFixed(2));
   setText(at("rates-title"), shown.wall ? "Rate of each user" : "Rate of each user without the mirrors");
 }
 
@@ -73,6 +79,13 @@ function fill(row, user, rate, largest) {
 function outageText(outage) {
   if (outage === null) return "–";
   return outage.share === 0 ? "none" : `${(100 * outage.share).toFixed(0)} %, up to ${outage.longest_s.toFixed(1)} s`;
+}
+
+// The lengths of the outages in the last minute.
+function outageLengths(outage) {
+  if (outage === null || outage.count === 0) return "";
+  const { count, p50_s, p95_s } = outage;
+  return `${count} ${count === 1 ? "outage" : "outages"}: p50 ${p50_s.toFixed(1)} s, p95 ${p95_s.toFixed(1)} s`;
 }
 
 function list(element, entries) {

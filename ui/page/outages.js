@@ -21,19 +21,29 @@ export class Outages {
     this.users = present;
   }
 
-  // Share of the time below the minimum rate, and the longest outage in s; null while unknown. A rate
-  // holds until the next one.
+  // Share of the time below the minimum rate, number of outages, and their p50, p95 and longest length in s;
+  // null while unknown. A rate holds until the next one. The minute cuts off the first outage and the last.
   of(user) {
     const past = this.users.get(user);
     if (!past || past.length < 2) return null;
-    let [below_s, longest_s, since_s] = [0, 0, null];
+    const lengths_s = [];
     for (let index = 1; index < past.length; index += 1) {
       const [before, after] = [past[index - 1], past[index]];
-      if (!before.below) { since_s = null; continue; }
-      since_s ??= before.time_s;
-      below_s += after.time_s - before.time_s;
-      longest_s = Math.max(longest_s, after.time_s - since_s);
+      if (!before.below) continue;
+      if (index === 1 || !past[index - 2].below) lengths_s.push(0);
+      lengths_s[lengths_s.length - 1] += after.time_s - before.time_s;
     }
-    return { share: below_s / (past.at(-1).time_s - past[0].time_s), longest_s };
+    const below_s = lengths_s.reduce((sum, length_s) => sum + length_s, 0);
+    lengths_s.sort((one, other) => one - other);
+    const [p50_s, p95_s, longest_s] = [0.5, 0.95, 1].map((share) => quantile(lengths_s, share));
+    return { share: below_s / (past.at(-1).time_s - past[0].time_s), count: lengths_s.length, p50_s, p95_s, longest_s };
   }
+}
+
+// The quantile of sorted values, linear between them, as in the tables of `heliostat eval`; 0 without values.
+function quantile(sorted, share) {
+  if (sorted.length === 0) return 0;
+  const place = share * (sorted.length - 1);
+  const [below, above] = [sorted[Math.floor(place)], sorted[Math.ceil(place)]];
+  return below + (place - Math.floor(place)) * (above - below);
 }

@@ -10,11 +10,12 @@ pub(crate) struct Asset {
 }
 
 /// All files except Plotly.
-static ASSETS: [Asset; 23] = [
+static ASSETS: [Asset; 24] = [
     Asset { path: "/", media: "text/html; charset=utf-8", text: include_str!("../page/index.html") },
     Asset { path: "/page.css", media: "text/css; charset=utf-8", text: include_str!("../page/page.css") },
     Asset { path: "/camera.js", media: JAVASCRIPT, text: include_str!("../page/camera.js") },
     Asset { path: "/charts.js", media: JAVASCRIPT, text: include_str!("../page/charts.js") },
+    Asset { path: "/fairness.js", media: JAVASCRIPT, text: include_str!("../page/fairness.js") },
     Asset { path: "/figures.js", media: JAVASCRIPT, text: include_str!("../page/figures.js") },
     Asset { path: "/geometry.js", media: JAVASCRIPT, text: include_str!("../page/geometry.js") },
     Asset { path: "/heat.js", media: JAVASCRIPT, text: include_str!("../page/heat.js") },

@@ -111,6 +111,36 @@ fn an_outage_lasts_from_a_rate_below_the_minimum_to_the_next_one_above_it() {
            return [share, longest_s, outages.of(3).share, outages.of(9)]; })";
     let found = browser.run(script);
     assert_eq!(found, serde_json::json!([0.3, 3, 0, null]));
+    // Outages of 1 s, 2 s and 4 s: the quantiles are linear between them.
+    let script = "return import('/outages.js').then(({ Outages }) => { \
+           const outages = new Outages(); \
+           const below = [1, 3, 4, 6, 7, 8, 9]; \
+           for (let time_s = 0; time_s <= 12; time_s += 1) { \
+             const rate_mbps = below.includes(time_s) ? 0.5 : 2; \
+             outages.take({ time_s, users: [{ user: 3, is_rate_known: true, rate_mbps, min_rate_mbps: 1 }] }); \
+           } \
+           const { count, p50_s, p95_s, longest_s } = outages.of(3); \
+           return [count, p50_s, Math.round(10 * p95_s) / 10, longest_s]; })";
+    assert_eq!(browser.run(script), serde_json::json!([3, 2, 3.8, 4]));
+}
+
+#[test]
+fn the_fairness_index_is_that_of_the_rates_in_the_table() {
+    let setting = Setting::with(&["--set", "blockage.forced_users=2"]);
+    let Some(browser) = setting.browser(&[]) else { return };
+    let script = "return import('/fairness.js').then(({ jain }) => \
+           [jain([5, 5, 5, 5]), jain([8, 0, 0, 0]), jain([1, 2, 3]), jain([0, 0]), jain([]), jain([2, null])])";
+    assert_eq!(browser.run(script), serde_json::json!([1, 0.25, 36.0 / 42.0, 1, null, null]));
+    // Users who stand have rates that stay.
+    browser.click("#speed [data-value='0']");
+    let shown = "const rates = [...document.querySelectorAll('#users tr')].map((row) => Number(row.cells[2].textContent)); \
+                 const sum = rates.reduce((total, rate) => total + rate, 0); \
+                 const squares = rates.reduce((total, rate) => total + rate * rate, 0); \
+                 return [Number(document.getElementById('jain').textContent), sum * sum / (rates.length * squares)]";
+    wait_until("an index that agrees with the rates", || {
+        let [shown, expected] = serde_json::from_value(browser.run(shown)).unwrap_or([f64::NAN; 2]);
+        (shown - expected).abs() <= 0.01
+    });
 }
 
 #[test]

@@ -2,6 +2,7 @@
 
 mod actuators;
 mod anchors;
+mod combinations;
 mod evaluation;
 mod latency;
 mod learning;
@@ -17,6 +18,8 @@ pub enum PageName {
     Evaluation,
     /// Rooms that differ from the scenario hall: mobility, orientation, mismatch
     Rooms,
+    /// Each mobility model with each orientation and each mismatch, in the scenario hall
+    Combinations,
     /// A learned correction of the belief, beside the best model-based policy
     Learning,
     /// Newer algorithms from the literature, beside the best model-based policy
@@ -33,6 +36,7 @@ impl PageName {
         match self {
             Self::Evaluation => &evaluation::PAGE,
             Self::Rooms => &rooms::PAGE,
+            Self::Combinations => &combinations::PAGE,
             Self::Learning => &learning::PAGE,
             Self::Anchors => &anchors::PAGE,
             Self::Actuators => &actuators::PAGE,

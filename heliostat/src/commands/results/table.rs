@@ -19,6 +19,9 @@ pub enum Layout {
     Sweep,
     /// `heliostat bench` and `heliostat calibrate`: the array `rows`.
     Rows,
+    /// `heliostat bench env`: the same, and a second table of the array `moving`, whose rows have the
+    /// name `moving`.
+    RowsAndMoving,
 }
 
 /// One column.
@@ -53,6 +56,15 @@ const BELIEF: [Column; 6] = [
     Column { title: "within 95 % ellipse", at: "/coverage_95", form: Form::Interval(3) },
 ];
 
+/// The speed of a room with moving users, beside that of the same room with simpler ones.
+const MOVING: [Column; 5] = [
+    Column { title: "users with", at: "/movement", form: Form::Text },
+    Column { title: "step (s)", at: "/step_s", form: Form::Text },
+    Column { title: "steps/s", at: "/steps_per_s", form: Form::Number(0) },
+    Column { title: "random waypoint, upright: steps/s", at: "/reference_steps_per_s", form: Form::Number(0) },
+    Column { title: "ratio", at: "/ratio", form: Form::Number(2) },
+];
+
 /// One row by its name: the policy, the belief or the room, or nothing where rows have no names.
 pub type Row = (String, Value);
 
@@ -69,6 +81,7 @@ impl Layout {
                 let name = |row: &Value| row["policy"].as_str().or(row["room"].as_str()).unwrap_or_default().to_owned();
                 Ok(rows.iter().map(|row| (name(row), row.clone())).collect())
             }
+            Self::RowsAndMoving => Ok([Self::Rows.rows(output, arguments)?, moving(output)?].concat()),
             Self::Policies => policies(output, arguments),
             Self::PoliciesAndBeliefs => Ok([policies(output, arguments)?, beliefs(output, arguments)?].concat()),
             Self::Sweep => {
@@ -91,6 +104,13 @@ impl Layout {
                 for (_, row) in self.rows(output, arguments)? {
                     lines.push(cells(&row, columns));
                 }
+            }
+            Self::RowsAndMoving => {
+                let moving = moving(output)?.iter().map(|(_, row)| cells(row, &MOVING)).collect::<Vec<_>>();
+                let titles = MOVING.iter().map(|column| column.title.to_owned()).collect();
+                return Ok(Self::Rows.markdown(output, arguments, columns)?
+                    + "\n"
+                    + &grid(&[vec![titles], moving].concat()));
             }
             Self::Policies => lines = named_lines(policies(output, arguments)?, columns),
             Self::PoliciesAndBeliefs => {
@@ -148,6 +168,12 @@ fn beliefs(report: &Value, arguments: &[String]) -> Result<Vec<Row>> {
     Ok(rows)
 }
 
+/// The rows of the array `moving`.
+fn moving(output: &Value) -> Result<Vec<Row>> {
+    let rows = output["moving"].as_array().context("expected an array `moving`")?;
+    Ok(rows.iter().map(|row| ("moving".to_owned(), row.clone())).collect())
+}
+
 /// The names that follow a flag, separated by commas.
 fn listed<'a>(arguments: &'a [String], flag: &str) -> Vec<&'a str> {
     let names = arguments.iter().skip_while(|word| *word != flag).nth(1);
@@ -167,7 +193,7 @@ fn cells(row: &Value, columns: &[Column]) -> Vec<String> {
 }
 
 /// A figure as text; a dash where it does not exist.
-fn cell(value: &Value, form: Form) -> String {
+pub fn cell(value: &Value, form: Form) -> String {
     let number = |value: &Value, digits: usize| value.as_f64().map(|number| format!("{number:.digits$}"));
     let text = match form {
         Form::Text => match value {
@@ -255,6 +281,20 @@ mod tests {
         );
         assert!(beliefs.ends_with("\n| none | 9.0 | - | - | - | - | - |\n"), "{text}");
         assert!(layout.markdown(&json!({ "oracle": {}, "policies": {} }), &words, &COLUMNS).is_err());
+    }
+
+    #[test]
+    fn a_table_of_moving_users_follows_the_rows_and_its_rows_have_a_name() {
+        let moving = json!([{ "movement": "both", "step_s": 0.1, "steps_per_s": 60.4, "reference_steps_per_s": 100.0, "ratio": 0.604 }]);
+        let output = json!({ "rows": [{ "decision_us": { "p50": 7.4 } }], "moving": moving });
+        let layout = Layout::RowsAndMoving;
+        let names: Vec<String> = layout.rows(&output, &[]).unwrap().into_iter().map(|(name, _)| name).collect();
+        assert_eq!(names, ["", "moving"]);
+        let text = layout.markdown(&output, &[], &COLUMNS[1..]).unwrap();
+        let (rows, moving) = text.split_once("\n\n").expect("two tables");
+        assert_eq!(rows, "| p50 |\n| --- |\n| 7 |");
+        assert!(moving.ends_with("| --- |\n| both | 0.1 | 60 | 100 | 0.60 |\n"), "{text}");
+        assert!(layout.markdown(&json!({ "rows": [] }), &[], &COLUMNS).is_err());
     }
 
     #[test]

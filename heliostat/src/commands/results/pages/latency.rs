@@ -304,13 +304,23 @@ pub static PAGE: Page = Page {
         rooms(["rooms-nearest", "Rooms, nearest", "bench rooms --policy nearest"]),
         rooms(["rooms-fixed-point", "Rooms, fixed-point", "bench rooms --policy fixed-point"]),
         rooms(["rooms-ddpg", "Rooms, ddpg", "bench rooms --policy ddpg"]),
-        section(
-            ["environment", "Environment steps", "bench env"],
-            "Steps a second on one core; the reference is a straightforward scalar implementation.",
-            ["--seconds 0.5", "--seconds 0.05"],
-            &STEPS,
-            &[],
-        ),
+        Section {
+            layout: Layout::RowsAndMoving,
+            ..section(
+                ["environment", "Environment steps", "bench env"],
+                "Steps a second on one core; the reference is a straightforward scalar implementation. The second table has \
+                 users of `hall` who hold tilted receivers, avoid each other, or do both; the reference is the same room with \
+                 upright receivers and random waypoint walks.",
+                ["--seconds 0.5", "--seconds 0.05"],
+                &STEPS,
+                &[Bound {
+                    what: "orientation, social force or both: at least 0.5 times the steps with upright receivers and random waypoint",
+                    policy: "moving",
+                    at: "/ratio",
+                    limit: Limit::AtLeast(0.5),
+                }],
+            )
+        },
         section(
             ["solver", "Solver", "bench oracle"],
             "One solution of the oracle, of fixed-point and of greedy, without and with minimum rates.",

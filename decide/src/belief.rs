@@ -309,7 +309,8 @@ impl Belief {
             let innovation = known.map(|track| normalised_squared(&track.motion.estimate(elapsed_s), [x, y], noise_m));
             let mut track = known.unwrap_or_else(|| self.new_track(user.user));
             self.learn_noise(&track, user, time_ns);
-            if self.correct(&mut track, user, elapsed_s) {
+            // Any interval may be behind the first report of a user.
+            if self.correct(&mut track, user, elapsed_s) && known.is_some() {
                 self.renumbered.push(user.user);
             } else if let Some(squared) = innovation {
                 self.innovations.add(squared);

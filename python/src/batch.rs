@@ -324,8 +324,8 @@ impl Batch {
                 let episodes = held_out_episodes(scenario, trace.as_deref(), (states, seeds), WARM).map_err(refused)?;
                 let count = episodes.len();
                 let episode = episodes.get(index).ok_or_else(|| refused(format!("episode {index} of {count}")))?;
-                (slots[0].steps, slots[0].ended) = (0, false);
                 slots[0].task.begin_episode(episode).map_err(refused)?;
+                (slots[0].steps, slots[0].ended) = (0, false);
                 slots[0].task.write_observation(seen);
                 Ok(())
             })

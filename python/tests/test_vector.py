@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from typing import Any
@@ -192,7 +193,9 @@ def test_seeds_of_another_type_are_refused_by_name() -> None:
 
 
 def test_other_threads_run_while_a_batch_steps() -> None:
-    env = heliostat.HeliostatVectorEnv("hall", num_envs=16, dynamics="closed-loop", oracle=True)
+    # A step of a larger batch on more processors takes as long.
+    count = 16 * (os.cpu_count() or 1)
+    env = heliostat.HeliostatVectorEnv("hall", num_envs=count, dynamics="closed-loop", oracle=True)
     env.reset(seed=1)
     ticks: list[float] = []
     stop = threading.Event()
@@ -209,7 +212,7 @@ def test_other_threads_run_while_a_batch_steps() -> None:
     # before the step and one after.
     while most < 4 and time.monotonic() < last:
         begun = time.perf_counter()
-        env.step(np.zeros((16, 200), np.float32))
+        env.step(np.zeros((count, 200), np.float32))
         ended = time.perf_counter()
         most = max(most, sum(begun < at < ended for at in ticks))
     stop.set()

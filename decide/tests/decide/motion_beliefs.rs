@@ -105,6 +105,14 @@ fn another_user_under_a_number_that_was_absent_is_followed_at_once() {
 }
 
 #[test]
+fn the_first_report_of_a_user_is_of_no_old_number() {
+    let mut belief = belief();
+    // Times are UTC.
+    belief.handle_users(&report(17_000_000_000, &[(7, [1.0, 0.0, 0.9], [1.0, 0.0])]));
+    assert!(belief.renumbered().is_empty());
+}
+
+#[test]
 fn another_user_under_an_old_number_inherits_nothing_but_the_number() {
     let (mut first, mut second) = (belief(), belief());
     for tick in 1..=10 {
@@ -113,7 +121,7 @@ fn another_user_under_an_old_number_inherits_nothing_but_the_number() {
     let before = first.innovations();
     let certainty = |belief: &Belief| belief.estimate(7, 0.0).expect("a user").heading.norm();
     assert!(certainty(&first) > 0.9 && first.renumbered().is_empty());
-    // Who stands shows no heading.
+    // A user who stands shows no heading.
     let jump = report(11, &[(7, [-3.0, 2.0, 1.2], [0.0, 0.0])]);
     first.handle_users(&jump);
     assert_eq!(first.renumbered(), [7]);

@@ -43,12 +43,12 @@ impl Observer {
         for index in 0..report.users.len() {
             let UserBelief { user, blocked_probability, .. } = report.users[index];
             let is_blocked = |slot: usize| observation.scene.los_blocked().get(slot).is_some_and(|blocked| *blocked);
-            let others_clear = 1.0 - blocked_probability;
+            let uncovered = 1.0 - blocked_probability;
             let clear = match measured.is_some_and(|channel| channel.users.iter().any(|entry| entry.user == user)) {
                 // Where all obstacles are reported, the last measurement decides.
                 true if observation.ids.iter().position(|id| *id == user).is_some_and(is_blocked) => 0.0,
-                true => others_clear,
-                false => others_clear * bodies.clear(model, &report.users, index) as f32,
+                true => uncovered,
+                false => uncovered * bodies.clear(model, &report.users, index) as f32,
             };
             report.users[index].blocked_probability = (1.0 - clear).clamp(0.0, 1.0);
         }

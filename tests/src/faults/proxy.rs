@@ -7,8 +7,6 @@ use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::Duration;
 
-use heliostat_bus::free_loopback_port;
-
 /// Longest delay between a change of the proxy's state and its effect.
 const POLL: Duration = Duration::from_millis(5);
 
@@ -54,13 +52,13 @@ impl Proxy {
     /// When no port is free, or the endpoint has another form.
     pub fn start(target: &str) -> Self {
         let target = target.strip_prefix("tcp/").expect("a TCP endpoint").to_owned();
-        let port = free_loopback_port().expect("a free port");
-        let listener = TcpListener::bind(("127.0.0.1", port)).expect("the port is free");
+        let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
+        let endpoint = format!("tcp/{}", listener.local_addr().expect("a bound socket has an address"));
         listener.set_nonblocking(true).expect("a socket can be set");
         let state: Arc<State> = Arc::default();
         let accepting = Arc::clone(&state);
         thread::spawn(move || accept(&listener, &target, &accepting));
-        Self { endpoint: format!("tcp/127.0.0.1:{port}"), state }
+        Self { endpoint, state }
     }
 
     /// The endpoint to connect to.

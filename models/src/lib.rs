@@ -1,28 +1,69 @@
-//! Training, evaluation and export of the learned policies.
+//! ONNX inference for learned policies, behind [`Engine`](heliostat_core::policy::Engine) of the
+//! decision core.
 //!
-//! A learner acts in a simulated room through the same observation encoder and the same decoder as
-//! the controller. The result is one ONNX file in which features, network and decoder are one
-//! graph. This crate uses no transport, and nothing in it runs in the decision path.
+//! - [`build`]: any policy by its name, on the engine that suits its graph; [`EngineChoice`]
+//!   selects another.
+//! - [`source`]: where the file of a learned policy comes from; [`shipped`] holds the actors that
+//!   are built in.
 //!
-//! # Modules, in the order of the data flow
-//! - [`environment`]: rooms, observations as inputs of a network, actions, and the reward.
-//! - [`networks`]: layers, optimiser, and the actor.
-//! - [`training`]: the training loop and the files of a run.
-//! - [`learners`]: the algorithms, one file each, with their deviations from the paper.
-//! - [`export`]: ONNX graphs.
-//! - [`evaluation`]: held-out states, the ratio to the oracle, and confidence intervals.
-//! - [`comparison`]: policies on the same states, static and in closed loop.
-//! - [`calibrate`](mod@calibrate): the mounting of real mirrors from measured gains.
-//! - [`train`]: the `heliostat train` command.
+//! The embedded engine is tract, called directly: it is Rust alone. The cargo feature `onnxruntime`
+//! selects ONNX Runtime through ort instead. Only one module names each of them. Dense graphs run
+//! on [`DenseEngine`](heliostat_core::policy::DenseEngine), which needs neither. A build without
+//! both features evaluates other graphs by the reference evaluation, which is slow.
 
-pub mod calibrate;
-pub mod comparison;
-pub mod environment;
-pub mod evaluation;
-pub mod export;
-pub mod learners;
-pub mod networks;
-pub mod train;
-pub mod training;
+#[cfg(any(feature = "tract", feature = "onnxruntime"))]
+mod batch;
+mod choice;
+mod embedded;
+mod error;
+#[cfg(feature = "onnxruntime")]
+mod onnxruntime;
+#[cfg(not(any(feature = "tract", feature = "onnxruntime")))]
+mod reference;
+pub mod shipped;
+pub mod source;
+mod time;
+#[cfg(all(feature = "tract", not(feature = "onnxruntime")))]
+mod tract;
 
-pub use train::{TrainArgs, run_train};
+use heliostat_core::policy::{
+    Actor, Finding, Policy, PolicyKind,
+    actor_file::{ActorError, ActorFile},
+};
+use heliostat_scenario::Scenario;
+
+pub use choice::{EngineChoice, UnknownEngine};
+pub use embedded::{EMBEDDED, embedded_network};
+pub use error::{BuildError, SourceError};
+pub use source::ActorSource;
+pub use time::monotonic_ns;
+
+/// Builds a policy for a room on the engine of [`EngineChoice::Auto`]; a learned one reads its file
+/// from `source`.
+///
+/// # Errors
+/// As [`EngineChoice::build`].
+pub fn build(kind: PolicyKind, scenario: &Scenario, source: &ActorSource) -> Result<Box<dyn Policy>, BuildError> {
+    EngineChoice::Auto.build(kind, scenario, source)
+}
+
+/// Builds a policy for a room on the engine of [`EngineChoice::Auto`] and, if it is learned, tries
+/// it on sampled observations.
+///
+/// # Errors
+/// As [`EngineChoice::build_tried`].
+pub fn build_tried(
+    kind: PolicyKind,
+    scenario: &Scenario,
+    source: &ActorSource,
+) -> Result<(Box<dyn Policy>, Vec<Finding>), BuildError> {
+    EngineChoice::Auto.build_tried(kind, scenario, source)
+}
+
+/// Loads an actor for a room on the engine of [`EngineChoice::Auto`].
+///
+/// # Errors
+/// As [`EngineChoice::load_actor`].
+pub fn load_actor(file: &ActorFile, scenario: &Scenario) -> Result<Actor, ActorError> {
+    EngineChoice::Auto.load_actor(file, scenario)
+}

@@ -1,12 +1,12 @@
 //! Actors from other programs: a network as an ONNX file becomes a file that a controller accepts.
 
-use heliostat_decide::correction::Correction;
-use heliostat_decide::evidence::{EVIDENCE_VERSION, FEATURES};
-use heliostat_decide::observation::{OBSERVATION_VERSION, ObservationEncoder, USERS_CAPACITY};
-use heliostat_decide::policy::actor_file::{
+use heliostat_core::correction::Correction;
+use heliostat_core::evidence::{EVIDENCE_VERSION, FEATURES};
+use heliostat_core::observation::{OBSERVATION_VERSION, ObservationEncoder, USERS_CAPACITY};
+use heliostat_core::policy::actor_file::{
     ActorFile, ActorInfo, COMPACT, CORRECTIONS_NAME, INPUT_NAME, OUTPUT_NAME, key,
 };
-use heliostat_decide::policy::compact_file::CORRECTIONS;
+use heliostat_core::policy::compact_file::CORRECTIONS;
 use heliostat_environment::action::Head;
 use heliostat_environment::angle_state::AngleState;
 use heliostat_environment::decoder_graph::{Observed, decode};

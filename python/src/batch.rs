@@ -374,7 +374,7 @@ impl Batch {
         let slots = self.open()?;
         let encoder = slots[0].task.encoder();
         let (users, mirrors) = (encoder.users_max(), encoder.mirrors());
-        let columns = heliostat_decide::observation::Summary::COLUMNS;
+        let columns = heliostat_core::observation::Summary::COLUMNS;
         Ok(vec![
             ("mask", encoder.present().start, vec![users]),
             ("positions", encoder.positions().start, vec![users, 3]),

@@ -1,7 +1,7 @@
 //! `heliostat._core`: the compiled part of the Python package.
 //!
 //! It holds no logic of its own. Environments are tasks of `heliostat-environment`, physics is
-//! `heliostat-channel`, and policies are those of `heliostat-decide`. Messages are those of
+//! `heliostat-channel`, and policies are those of `heliostat-core`. Messages are those of
 //! `heliostat-proto`, the rules of a driver are those of `heliostat-array`, and recordings are read
 //! by `heliostat-record`. Panics and refusals become Python exceptions with their reason.
 
@@ -44,7 +44,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("ARRAYS_MAX", heliostat_proto::MAX_ARRAYS)?;
     module.add("STOP_RECORD_MAX", heliostat_array::stop_record::RECORD_MAX)?;
     module.add("Refused", module.py().get_type::<wire::Refused>())?;
-    module.add("EVIDENCE_FEATURES", heliostat_decide::evidence::FEATURES)?;
+    module.add("EVIDENCE_FEATURES", heliostat_core::evidence::FEATURES)?;
     module.add("INSTANTS", heliostat_environment::episodes::INSTANTS)?;
     module.add("BELIEF_COLUMNS", heliostat_environment::believed::COLUMNS.to_vec())?;
     module.add("BUILTIN_SCENARIOS", heliostat_scenario::BUILTIN_NAMES.to_vec())?;

@@ -7,10 +7,10 @@ use std::sync::{Mutex, PoisonError};
 
 use clap::ValueEnum;
 use heliostat_channel::{ChannelModel, MirrorAngles};
-use heliostat_decide::observation::{Observation, RoomState};
-use heliostat_decide::policy::{self, Actor, PolicyKind};
-use heliostat_decide::safety::Limits;
-use heliostat_engine::{ActorSource, build, load_actor};
+use heliostat_core::observation::{Observation, RoomState};
+use heliostat_core::policy::{self, Actor, PolicyKind};
+use heliostat_core::safety::Limits;
+use heliostat_models::{ActorSource, build, load_actor};
 use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 

@@ -21,7 +21,7 @@ impl Scenario {
 
     /// Largest angle of an axis in rad, plus and minus.
     pub fn range(&self) -> f64 {
-        heliostat_decide::safety::Limits::new(&self.inner.control).range_rad()
+        heliostat_core::safety::Limits::new(&self.inner.control).range_rad()
     }
 }
 

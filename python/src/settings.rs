@@ -8,7 +8,7 @@ use heliostat_environment::episodes::{HeldOutEpisode, WARM, held_out_episodes};
 use heliostat_environment::room::{Reward, RewardForm};
 use heliostat_environment::sampling::Sampled;
 use heliostat_environment::task::{Dynamics, ObservationForm, TaskSettings};
-use heliostat_sim::World;
+use heliostat_room::World;
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
 use rayon::prelude::*;

@@ -1,5 +1,4 @@
-//! Shared parts of the tests across processes, and the readers of sources and manifests for the
-//! rules of ARCHITECTURE.md.
+//! Shared parts of the tests across processes, and the packages of the build.
 //!
 //! - [`Process`]: a built program as a process.
 //! - [`RoomObserver`]: a session that receives the messages of a room.
@@ -8,23 +7,18 @@
 //! - [`PythonExample`]: an example in Python as a process.
 //! - [`containers`]: a container engine with base images.
 //! - [`faults`]: rooms of processes, faults, and the measurement of their effects.
-//! - [`architecture`]: checks of the architecture rules, based on [`module_graph`], [`packages`]
-//!   and [`rust_source`].
 //!
 //! Tests see what a driver, a viewer or a user at the terminal sees; nothing here reaches into a
 //! process.
 
-pub mod architecture;
 mod browser;
 pub mod containers;
 pub mod faults;
 mod live_page;
-pub mod module_graph;
 mod observer;
 pub mod packages;
 mod process;
 mod python;
-pub mod rust_source;
 mod wait;
 
 pub use browser::Browser;

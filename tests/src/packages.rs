@@ -1,5 +1,4 @@
-//! The packages of a build as `cargo metadata` reports them: names, versions, licences, sources and
-//! dependencies.
+//! The packages of a build as `cargo metadata` reports them: names and dependencies.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -7,20 +6,12 @@ use std::process::Command;
 
 use serde_json::Value;
 
-/// The package source that stands for crates.io.
-pub const CRATES_IO: &str = "registry+https://github.com/rust-lang/crates.io-index";
-
 /// A package of the build.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Package {
-    /// Name.
-    pub name: String,
-    /// Version.
-    pub version: String,
-    /// The licence expression; empty where there is none.
-    pub licence: String,
-    /// Where it comes from; nothing for a package of this workspace.
-    pub source: Option<String>,
+#[derive(Clone, Debug)]
+struct Package {
+    name: String,
+    /// Whether the workspace holds it.
+    is_own: bool,
 }
 
 /// All packages that a build for this platform takes part in.
@@ -54,12 +45,7 @@ impl Packages {
         let taking_part: BTreeSet<String> = nodes.iter().map(|node| text(&node["id"])).collect();
         let packages = metadata["packages"].as_array().expect("a list of packages").iter();
         let packages = packages.filter(|package| taking_part.contains(&text(&package["id"]))).map(|package| {
-            let package_data = Package {
-                name: text(&package["name"]),
-                version: text(&package["version"]),
-                licence: text(&package["license"]),
-                source: package["source"].as_str().map(String::from),
-            };
+            let package_data = Package { name: text(&package["name"]), is_own: package["source"].is_null() };
             (text(&package["id"]), package_data)
         });
         let is_built = |dependency: &&Value| {
@@ -73,14 +59,9 @@ impl Packages {
         Self { packages: packages.collect(), dependencies: dependencies.collect() }
     }
 
-    /// All packages.
-    pub fn all(&self) -> impl Iterator<Item = &Package> {
-        self.packages.values()
-    }
-
     /// Names of the packages that a package of the workspace needs, itself left out.
     pub fn needed_by(&self, name: &str) -> BTreeSet<&str> {
-        let is_it = |(_, package): &(&String, &Package)| package.name == name && package.source.is_none();
+        let is_it = |(_, package): &(&String, &Package)| package.name == name && package.is_own;
         let mut waiting: Vec<&String> = self.packages.iter().filter(is_it).map(|(id, _)| id).collect();
         let mut seen: BTreeSet<&String> = waiting.iter().copied().collect();
         let mut needed = BTreeSet::new();
@@ -97,68 +78,26 @@ impl Packages {
 
     /// Names of the workspace's packages on which a package of the workspace depends directly.
     pub fn workspace_dependencies(&self, name: &str) -> BTreeSet<&str> {
-        let own = self.packages.iter().filter(|(_, package)| package.name == name && package.source.is_none());
+        let own = self.packages.iter().filter(|(_, package)| package.name == name && package.is_own);
         let ids = own.flat_map(|(id, _)| self.dependencies.get(id).into_iter().flatten());
-        let packages = ids.filter_map(|id| self.packages.get(id)).filter(|package| package.source.is_none());
+        let packages = ids.filter_map(|id| self.packages.get(id)).filter(|package| package.is_own);
         packages.map(|package| package.name.as_str()).collect()
     }
 
-    /// Names of which the build holds more than one version, with the versions.
-    pub fn in_several_versions(&self) -> BTreeMap<&str, BTreeSet<&str>> {
-        let mut versions: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
-        for package in self.packages.values() {
-            versions.entry(&package.name).or_default().insert(&package.version);
-        }
-        versions.retain(|_, versions| versions.len() > 1);
-        versions
+    /// Names of the workspace's own packages.
+    pub fn of_the_workspace(&self) -> BTreeSet<&str> {
+        self.packages.values().filter(|package| package.is_own).map(|package| package.name.as_str()).collect()
     }
-}
 
-/// Whether a licence expression can be met with these licences alone: `OR` gives a choice, `AND`
-/// demands both.
-///
-/// `/` is the older spelling of `OR`. `WITH` and its exception belong to the licence before it.
-pub fn is_licence_allowed(expression: &str, allowed: &[&str]) -> bool {
-    let spaced = expression.replace('/', " OR ").replace('(', " ( ").replace(')', " ) ");
-    let words: Vec<&str> = spaced.split_whitespace().collect();
-    let mut at = 0;
-    let is_allowed = any_of(&words, &mut at, allowed);
-    is_allowed && at == words.len()
-}
-
-fn any_of(words: &[&str], at: &mut usize, allowed: &[&str]) -> bool {
-    let mut is_allowed = all_of(words, at, allowed);
-    while words.get(*at) == Some(&"OR") {
-        *at += 1;
-        is_allowed |= all_of(words, at, allowed);
+    /// Names of the workspace's packages that depend directly on a package, tests left out.
+    pub fn users_of(&self, library: &str) -> BTreeSet<&str> {
+        let depends = |id: &&String| {
+            let ids = self.dependencies.get(*id).into_iter().flatten();
+            ids.filter_map(|id| self.packages.get(id)).any(|package| package.name == library)
+        };
+        let own = self.packages.iter().filter(|(_, package)| package.is_own);
+        own.filter(|(id, _)| depends(id)).map(|(_, package)| package.name.as_str()).collect()
     }
-    is_allowed
-}
-
-fn all_of(words: &[&str], at: &mut usize, allowed: &[&str]) -> bool {
-    let mut is_allowed = one(words, at, allowed);
-    while words.get(*at) == Some(&"AND") {
-        *at += 1;
-        is_allowed &= one(words, at, allowed);
-    }
-    is_allowed
-}
-
-fn one(words: &[&str], at: &mut usize, allowed: &[&str]) -> bool {
-    let Some(word) = words.get(*at) else { return false };
-    *at += 1;
-    if *word == "(" {
-        let is_allowed = any_of(words, at, allowed);
-        let is_closed = words.get(*at) == Some(&")");
-        *at += 1;
-        return is_allowed && is_closed;
-    }
-    let mut licence = (*word).to_owned();
-    if words.get(*at) == Some(&"WITH") {
-        licence = [licence.as_str(), "WITH", words.get(*at + 1).copied().unwrap_or_default()].join(" ");
-        *at += 2;
-    }
-    allowed.contains(&licence.as_str())
 }
 
 /// The platform for which cargo builds: packages of other platforms may not be on this machine.

@@ -6,8 +6,8 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use heliostat_bus::{Bus, BusConfig, free_loopback_endpoint};
-use heliostat_decide::observation::{OBSERVATION_VERSION, ObservationEncoder, USERS_CAPACITY};
-use heliostat_decide::policy::actor_file::{INPUT_NAME, OUTPUT_NAME, key};
+use heliostat_core::observation::{OBSERVATION_VERSION, ObservationEncoder, USERS_CAPACITY};
+use heliostat_core::policy::actor_file::{INPUT_NAME, OUTPUT_NAME, key};
 use heliostat_onnx::graph::{Ends, Graph};
 use heliostat_proto::{ArrayState, MirrorCommand, NodeKind, Room, UserReport, codec};
 use heliostat_scenario::Scenario;

@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use heliostat_bus::{Bus, BusConfig, free_loopback_endpoint};
-use heliostat_engine::EMBEDDED;
+use heliostat_models::EMBEDDED;
 use heliostat_proto::{BranchReport, MirrorCommand, NodeStatus, OrientationReport, Room, Stamp, UserReport, codec};
 use heliostat_record::account::Account;
 use heliostat_record::file::{Reading, Recording};
@@ -16,7 +16,7 @@ use heliostat_tests::{Process, RoomObserver, programs, wait_until};
 use serde_json::Value;
 use tempfile::TempDir;
 
-#[path = "../../decide/tests/decide/dense_graphs.rs"]
+#[path = "../../controller/core/tests/core/dense_graphs.rs"]
 #[allow(dead_code)]
 mod dense_graphs;
 

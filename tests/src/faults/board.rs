@@ -1,5 +1,5 @@
 //! A servo board as a socket on this machine, with the protocol of
-//! `driver/src/devices/servo_board.rs`.
+//! `crates/driver/src/devices/servo_board.rs`.
 
 use std::io::{BufRead, BufReader, ErrorKind, Write};
 use std::net::{TcpListener, TcpStream};

@@ -11,10 +11,10 @@ use heliostat_driver::stop_record::StopRecordSettings;
 use heliostat_proto::{
     ArrayState, MirrorCommand, MirrorTelemetry, NodeStatus, Room, Stamp, UserReport, UserState, decode, encode,
 };
+use heliostat_room::mirrors::SimulatedMirrors;
 use heliostat_scenario::Scenario;
 use heliostat_service::Stop;
 use heliostat_service::clock::utc_ns;
-use heliostat_sim::mirrors::SimulatedMirrors;
 
 /// Six mirrors on one wall, then eight on another.
 pub const TWO: &str =

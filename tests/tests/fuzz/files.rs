@@ -5,19 +5,19 @@
 
 use heliostat_array::calibration_file::CalibrationFile;
 use heliostat_channel::MirrorAngles;
-use heliostat_decide::observation::Observation;
-use heliostat_decide::policy::actor_file::ActorFile;
-use heliostat_decide::policy::{Policy, PolicyKind};
+use heliostat_core::observation::Observation;
+use heliostat_core::policy::actor_file::ActorFile;
+use heliostat_core::policy::{Policy, PolicyKind};
 use heliostat_driver::Device;
 use heliostat_driver::config::Config;
-use heliostat_engine::{ActorSource, load_actor};
+use heliostat_models::{ActorSource, load_actor};
 use heliostat_proto::*;
 use heliostat_record::account::Account;
 use heliostat_record::file::{Header, Recording};
 use heliostat_record::replay;
+use heliostat_room::episode::Event;
+use heliostat_room::{Episode, SimulatedRoom};
 use heliostat_scenario::{BUILTIN_NAMES, Scenario};
-use heliostat_sim::episode::Event;
-use heliostat_sim::{Episode, SimulatedRoom};
 
 use crate::forge::{self, Genuine};
 use crate::onnx_edits;

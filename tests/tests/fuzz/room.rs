@@ -12,14 +12,14 @@ use heliostat_array::Kit;
 use heliostat_array::moment::Moment;
 use heliostat_array::refusal_counts::RefusalCounts;
 use heliostat_channel::{ChannelModel, MirrorAngles};
-use heliostat_decide::capabilities::{Examiner, Force};
-use heliostat_decide::core::Controller;
-use heliostat_decide::policy::PolicyKind;
-use heliostat_decide::tenure::Tenure;
-use heliostat_engine::ActorSource;
+use heliostat_core::capabilities::{Examiner, Force};
+use heliostat_core::core::Controller;
+use heliostat_core::policy::PolicyKind;
+use heliostat_core::tenure::Tenure;
+use heliostat_models::ActorSource;
 use heliostat_proto::*;
+use heliostat_room::SimulatedRoom;
 use heliostat_scenario::Scenario;
-use heliostat_sim::SimulatedRoom;
 
 use crate::bench_device::BenchDevice;
 use crate::forge::{self, Genuine, example_of};
@@ -87,7 +87,7 @@ impl Room {
         let clock = if choice & 1 == 0 { ValidityClock::SourceTime } else { ValidityClock::Arrival };
         // Most inputs use a policy that costs little, so that there is time for more of them.
         let kind = if choice & 0x30 == 0 { PolicyKind::FixedPoint } else { PolicyKind::Nearest };
-        let policy = heliostat_engine::build(kind, scenario, &ActorSource::Shipped).expect("it reads no file");
+        let policy = heliostat_models::build(kind, scenario, &ActorSource::Shipped).expect("it reads no file");
         let tenure = Tenure::live(CONTROLLER, INTERVAL_NS);
         let mut room = Self {
             kit: Kit::new(BenchDevice::new(clock, choice & 2 == 0)),

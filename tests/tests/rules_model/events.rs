@@ -1,6 +1,6 @@
 //! What can happen in the modelled room, and how often.
 
-use heliostat_decide::tenure::Evidence;
+use heliostat_core::tenure::Evidence;
 use heliostat_proto::{EmergencyStop, MirrorCommand};
 
 /// How often each event may occur.

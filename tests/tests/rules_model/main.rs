@@ -2,7 +2,7 @@
 //!
 //! [stateright](https://docs.rs/stateright) visits every state that the model can reach. The model
 //! runs the real code: the kit of `heliostat-array` with its latch and bounds, and the tenure and
-//! the stop latch of `heliostat-decide`. Only clocks, network and operators are abstract:
+//! the stop latch of `heliostat-core`. Only clocks, network and operators are abstract:
 //!
 //! - Two controllers start, crash and start again, with a right clock or one a day ahead.
 //! - One array crashes and starts again; only the record of its latch survives.

@@ -7,8 +7,8 @@ use heliostat_array::moment::Moment;
 use heliostat_array::rules::{Array, Followed};
 use heliostat_array::{Device, DeviceError, Kit};
 use heliostat_channel::MirrorAngles;
-use heliostat_decide::guard::StopLatch;
-use heliostat_decide::tenure::{Evidence, Tenure};
+use heliostat_core::guard::StopLatch;
+use heliostat_core::tenure::{Evidence, Tenure};
 use heliostat_proto::*;
 
 /// UTC at the start of the model.

@@ -5,7 +5,7 @@ use std::hash::{Hash, Hasher};
 
 use heliostat_array::latch::Latch;
 use heliostat_array::moment::Moment;
-use heliostat_decide::tenure::{Evidence, Tenure};
+use heliostat_core::tenure::{Evidence, Tenure};
 use heliostat_proto::*;
 
 use crate::events::{Attack, Budgets, Fate, Packet};

@@ -3,12 +3,12 @@
 use heliostat_array::content::Content;
 use heliostat_array::moment::Moment;
 use heliostat_array::refusal_counts::RefusalCounts;
-use heliostat_decide::core::{Decision, Due, Timing, memory::Memory};
-use heliostat_decide::inbox::Message as Report;
-use heliostat_decide::refusal::{Refusal, Stream};
+use heliostat_core::core::{Decision, Due, Timing, memory::Memory};
+use heliostat_core::inbox::Message as Report;
+use heliostat_core::refusal::{Refusal, Stream};
 use heliostat_proto::*;
+use heliostat_room::control;
 use heliostat_scenario::Scenario;
-use heliostat_sim::control;
 
 use super::{Room, setup};
 

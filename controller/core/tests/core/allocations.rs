@@ -1,0 +1,184 @@
+//! Nothing is allocated between the first byte of a payload and the last byte of the command.
+
+use allocation_counter::measure;
+use clap::ValueEnum;
+use heliostat_channel::MirrorAngles;
+use heliostat_core::{
+    core::{Controller, Decision},
+    inbox::Message,
+    policy::PolicyKind,
+};
+use heliostat_proto::{ChannelReport, Obstacle, ObstacleReport, OrientationReport, UserReport, decode_into, encode};
+use heliostat_scenario::Scenario;
+
+use crate::support::{Room, build, controller, scenario};
+
+fn large() -> Scenario {
+    scenario(&["mirrors.rows=10", "mirrors.columns=10", "control.slew_deg_per_s=6000"])
+}
+
+/// Survey, orientations, gains and positions of a tick.
+type Payloads = [Vec<u8>; 4];
+
+/// The payloads of some ticks, made before anything is measured.
+fn payloads(scenario: &Scenario) -> Vec<Payloads> {
+    let mut room = Room::new(scenario);
+    let bytes = |message: &dyn Fn(&mut Vec<u8>)| {
+        let mut payload = Vec::new();
+        message(&mut payload);
+        payload
+    };
+    (1..=60)
+        .map(|tick| {
+            let pillar = Obstacle { x_m: 1.0, y_m: 0.5, radius_m: 0.25, height_m: 1.75 };
+            let (gains, users) = (room.gains(tick, 1e-6), room.positions(tick));
+            let survey = room.survey(tick, vec![pillar; 3]);
+            let held = room.orientations_of(tick, 0.5, &[2, 0]);
+            [
+                bytes(&|out| encode(&survey, out).unwrap()),
+                bytes(&|out| encode(&held, out).unwrap()),
+                bytes(&|out| encode(&gains, out).unwrap()),
+                bytes(&|out| encode(&users, out).unwrap()),
+            ]
+        })
+        .collect()
+}
+
+/// What is reused from tick to tick at the edge.
+#[derive(Default)]
+struct Scratch {
+    obstacles: ObstacleReport,
+    orientation: OrientationReport,
+    channel: ChannelReport,
+    users: UserReport,
+    payload: Vec<u8>,
+}
+
+fn tick(controller: &mut Controller, scratch: &mut Scratch, tick: u64, [survey, held, gains, users]: &Payloads) {
+    let now = Room::time(tick);
+    decode_into(&mut scratch.obstacles, survey).unwrap();
+    controller.handle_and_poll(now, Message::Obstacles(&mut scratch.obstacles), &mut |_| {});
+    decode_into(&mut scratch.orientation, held).unwrap();
+    controller.handle_and_poll(now, Message::Orientation(&mut scratch.orientation), &mut |_| {});
+    decode_into(&mut scratch.channel, gains).unwrap();
+    controller.handle_and_poll(now, Message::Channel(&mut scratch.channel), &mut |_| {});
+    decode_into(&mut scratch.users, users).unwrap();
+    match controller.handle_and_poll(now, Message::Users(&mut scratch.users), &mut |_| {}) {
+        Some(Decision::Move { command, .. }) => encode(command, &mut scratch.payload).unwrap(),
+        other => panic!("expected a command, got {other:?}"),
+    }
+}
+
+/// Allocations in each of the last ticks, after the first have sized all buffers.
+fn allocations(scenario: &Scenario, kind: PolicyKind) -> Vec<u64> {
+    let mut controller = controller(scenario, build(kind, scenario).unwrap());
+    let mut scratch = Scratch::default();
+    let payloads = payloads(scenario);
+    let counts = payloads.iter().enumerate().map(|(index, payloads)| {
+        measure(|| tick(&mut controller, &mut scratch, index as u64 + 1, payloads)).count_total
+    });
+    counts.skip(20).collect()
+}
+
+#[test]
+fn no_policy_without_a_network_allocates() {
+    let scenario = large();
+    // The exhaustive search cannot run in a large room, and is no policy for a tick anywhere.
+    let without_network = |kind: &&PolicyKind| !kind.is_learned() && **kind != PolicyKind::Exhaustive;
+    for kind in PolicyKind::value_variants().iter().filter(without_network) {
+        let counts = allocations(&scenario, *kind);
+        assert!(counts.len() == 40 && counts.iter().all(|count| *count == 0), "{kind:?}: {counts:?}");
+    }
+}
+
+/// Users who come and go: one at first, then up to the largest number of the contract, and none.
+fn crowds() -> Vec<Payloads> {
+    let mut room = Room::new(&scenario(&[]));
+    (1..=26)
+        .map(|tick| {
+            let count = if tick < 6 { 1 } else { [3, 2, 5, 0, 12, 1, 64][tick as usize % 7] };
+            let mut ids: Vec<u32> = (0..count).map(|user| user * 7 + tick as u32 % 3).collect();
+            if tick % 2 == 0 {
+                ids.reverse();
+            }
+            let (gains, users) = (room.gains_of(tick, 1e-6, &ids), room.positions_of(tick, &ids));
+            let mut payloads = Payloads::default();
+            encode(&room.survey(tick, Vec::new()), &mut payloads[0]).unwrap();
+            encode(&room.orientations_of(tick, 0.5, &ids), &mut payloads[1]).unwrap();
+            encode(&gains, &mut payloads[2]).unwrap();
+            encode(&users, &mut payloads[3]).unwrap();
+            payloads
+        })
+        .collect()
+}
+
+/// Lets a policy decide for the crowds; nothing may be allocated once the room was not empty.
+fn assert_no_allocation_for_crowds(scenario: &Scenario, kind: PolicyKind) {
+    let mut controller = controller(scenario, build(kind, scenario).unwrap());
+    controller.warm_up(0..2);
+    let mut scratch = Scratch {
+        users: UserReport::buffer(),
+        channel: ChannelReport::buffer(),
+        orientation: OrientationReport::buffer(),
+        ..Scratch::default()
+    };
+    for (index, payloads) in crowds().iter().enumerate() {
+        let counted = measure(|| tick(&mut controller, &mut scratch, index as u64 + 1, payloads)).count_total;
+        assert!(index < 4 || counted == 0, "{kind:?}, tick {}: {counted}", index + 1);
+    }
+    assert_eq!(controller.counters().commands, 26, "{kind:?}");
+}
+
+#[test]
+fn users_who_come_and_go_do_not_make_the_decision_allocate() {
+    let small = ["mirrors.rows=4", "mirrors.columns=4"];
+    for kind in PolicyKind::value_variants().iter().filter(|kind| **kind != PolicyKind::Exhaustive) {
+        assert_no_allocation_for_crowds(&scenario(&small), *kind);
+    }
+    for belief in ["constant-velocity", "filter"] {
+        let scenario = scenario(&[&small[..], &[&format!("control.belief={belief}")]].concat());
+        assert_no_allocation_for_crowds(&scenario, PolicyKind::FixedPoint);
+    }
+}
+
+#[test]
+fn cache_warm_ups_do_not_allocate() {
+    let scenario = large();
+    for kind in [PolicyKind::FixedPoint, PolicyKind::Greedy, PolicyKind::Nearest] {
+        let mut controller = controller(&scenario, build(kind, &scenario).unwrap());
+        let mut scratch = Scratch::default();
+        for (index, payloads) in payloads(&scenario).iter().enumerate().take(5) {
+            tick(&mut controller, &mut scratch, index as u64 + 1, payloads);
+        }
+        controller.warm_cache();
+        assert_eq!(measure(|| controller.warm_cache()).count_total, 0, "{kind:?}");
+    }
+}
+
+#[test]
+fn the_counter_sees_allocations() {
+    assert_eq!(measure(|| drop(std::hint::black_box(vec![1u8; 100]))).count_total, 1);
+}
+
+#[test]
+fn a_failing_policy_does_not_make_the_fallback_allocate() {
+    let scenario = large();
+    let failing = crate::support::Scripted(|_, out: &mut MirrorAngles| {
+        out.roll[3] = f64::NAN;
+        Ok(())
+    });
+    let mut controller = controller(&scenario, Box::new(failing));
+    let mut scratch = Scratch::default();
+    for (index, payloads) in payloads(&scenario).iter().enumerate() {
+        let counted = measure(|| tick(&mut controller, &mut scratch, index as u64 + 1, payloads)).count_total;
+        assert!(index < 20 || counted == 0, "tick {index}: {counted}");
+    }
+}
+
+#[test]
+fn an_actor_does_not_allocate_beside_its_engine() {
+    for kind in [PolicyKind::Ddpg, PolicyKind::Residual, PolicyKind::Lstm] {
+        let counts = allocations(&large(), kind);
+        assert!(counts.len() == 40 && counts.iter().all(|count| *count == 0), "{kind:?}: {counts:?}");
+    }
+}

@@ -1,0 +1,359 @@
+//! Epochs: controllers, an array that obeys by the rules of CONTRACT.md, and forged messages.
+
+use heliostat_core::tenure::{EPOCH_SLOTS, Evidence, Standing, Tenure, TenureEvent};
+use heliostat_proto::Nanos;
+
+use crate::support::MS;
+
+const S: Nanos = 1000 * MS;
+const INTERVAL: Nanos = 10 * MS;
+/// UTC at the start, in s and ms.
+const NOON: Nanos = 1_767_000_000 * S;
+const NOON_MS: u64 = NOON / MS;
+const DAY_MS: u64 = 86_400_000;
+
+/// What an array accepts: rules 3 and 4 of a driver, and its bound on epochs.
+#[derive(Default)]
+struct Array {
+    shown: Evidence,
+    lead_max_ms: Option<u64>,
+}
+
+impl Array {
+    fn handle(&mut self, now: Nanos, epoch: u64, sequence: u64) -> bool {
+        let Evidence { epoch: followed, applied_sequence, stopped, .. } = self.shown;
+        let bound = self.lead_max_ms.map_or(u64::MAX, |lead_ms| followed.max(now / MS).saturating_add(lead_ms));
+        let is_old = epoch < followed || (epoch == followed && sequence <= applied_sequence);
+        if stopped || is_old || epoch > bound {
+            self.shown.refused += u64::from(!stopped);
+            return false;
+        }
+        let accepted = self.shown.accepted + 1;
+        self.shown = Evidence { epoch, applied_sequence: sequence, accepted, ..self.shown };
+        true
+    }
+}
+
+/// A controller with its own clock.
+struct Controller {
+    tenure: Tenure,
+    is_alive: bool,
+    clock_ahead_ns: Nanos,
+    sent: (u64, u64),
+    accepted: u64,
+    events: Vec<TenureEvent>,
+}
+
+impl Controller {
+    fn new(source: u64) -> Self {
+        let tenure = Tenure::live(source, INTERVAL);
+        Self { tenure, is_alive: true, clock_ahead_ns: 0, sent: (0, 0), accepted: 0, events: Vec::new() }
+    }
+
+    fn report(&mut self, now: Nanos, array: &mut Array) {
+        let now = now + self.clock_ahead_ns;
+        let (epoch, event) = self.tenure.permit(now);
+        self.events.extend(event);
+        if let Some(epoch) = epoch {
+            let sequence = if self.sent.0 == epoch { self.sent.1 + 1 } else { 1 };
+            self.sent = (epoch, sequence);
+            self.accepted += u64::from(array.handle(now - self.clock_ahead_ns, epoch, sequence));
+        }
+    }
+
+    fn telemetry(&mut self, now: Nanos, shown: Evidence) {
+        self.tenure.handle_sent(self.sent.0, self.sent.1);
+        self.events.extend(self.tenure.handle_telemetry(now + self.clock_ahead_ns, shown));
+    }
+}
+
+/// A room with a report every 10 ms and telemetry every 50 ms.
+struct Room {
+    now: Nanos,
+    array: Array,
+    controllers: Vec<Controller>,
+}
+
+impl Room {
+    fn new(sources: &[u64]) -> Self {
+        let controllers = sources.iter().map(|source| Controller::new(*source)).collect();
+        Self { now: NOON, array: Array::default(), controllers }
+    }
+
+    fn run(&mut self, duration: Nanos) {
+        for _ in 0..duration / INTERVAL {
+            self.now += INTERVAL;
+            for controller in self.controllers.iter_mut().filter(|controller| controller.is_alive) {
+                controller.report(self.now, &mut self.array);
+            }
+            if self.now.is_multiple_of(50 * MS) {
+                self.show(self.array.shown);
+            }
+        }
+    }
+
+    fn show(&mut self, shown: Evidence) {
+        self.controllers.iter_mut().for_each(|controller| controller.telemetry(self.now, shown));
+    }
+
+    /// Time until a controller's next accepted command, at most a minute.
+    fn until_accepted(&mut self, of: usize) -> Nanos {
+        let (start, before) = (self.now, self.controllers[of].accepted);
+        while self.controllers[of].accepted == before && self.now - start < 60 * S {
+            self.run(INTERVAL);
+        }
+        self.now - start
+    }
+
+    fn standings(&self) -> Vec<Standing> {
+        self.controllers.iter().map(|controller| controller.tenure.standing()).collect()
+    }
+}
+
+#[test]
+fn the_first_epoch_is_above_utc_and_above_every_epoch_of_the_array() {
+    let first = |prepare: &dyn Fn(&mut Tenure)| {
+        let mut tenure = Tenure::live(5, INTERVAL);
+        assert_eq!((tenure.standing(), tenure.epoch()), (Standing::Waiting, 0));
+        prepare(&mut tenure);
+        tenure.permit(NOON).0.expect("the first command is sent")
+    };
+    let is_next = |epoch: u64, base: u64| epoch > base && epoch <= base + EPOCH_SLOTS && epoch % EPOCH_SLOTS == 5;
+    assert!(is_next(first(&|_| {}), NOON_MS));
+    assert!(is_next(first(&|tenure| tenure.handle_announced_epoch(NOON_MS + DAY_MS)), NOON_MS + DAY_MS));
+    let seen = Evidence { epoch: NOON_MS + DAY_MS, ..Evidence::default() };
+    assert!(is_next(first(&|tenure| assert_eq!(tenure.handle_telemetry(NOON, seen), None)), NOON_MS + DAY_MS));
+    assert!(is_next(first(&|tenure| tenure.handle_announced_epoch(u64::MAX)), NOON_MS), "there is no higher one");
+}
+
+#[test]
+fn controllers_with_other_source_ids_never_choose_the_same_epoch() {
+    for step in 0..3000 {
+        let epochs = [11, 700].map(|source| Tenure::live(source, INTERVAL).permit(NOON + step * MS).0);
+        assert_ne!(epochs[0], epochs[1]);
+    }
+}
+
+#[test]
+fn a_controller_whose_clock_was_a_day_ahead_is_replaced_after_the_correction() {
+    for hears_telemetry_first in [true, false] {
+        let mut room = Room::new(&[1]);
+        room.controllers[0].clock_ahead_ns = DAY_MS * MS;
+        room.run(S);
+        room.controllers[0].is_alive = false;
+        room.controllers.push(Controller::new(2));
+        if hears_telemetry_first {
+            room.show(room.array.shown);
+        }
+        let waited = room.until_accepted(1);
+        let limit = if hears_telemetry_first { INTERVAL } else { 60 * MS };
+        assert!(waited <= limit, "{} ms", waited / MS);
+        room.run(10 * S);
+        assert!(room.controllers[1].accepted > 990, "{}", room.controllers[1].accepted);
+    }
+}
+
+#[test]
+fn a_superseded_controller_stands_by_and_takes_over_when_the_other_ends() {
+    let mut room = Room::new(&[1]);
+    room.run(S);
+    room.controllers.push(Controller::new(600));
+    room.run(60 * S);
+    assert_eq!(room.standings(), [Standing::Standby, Standing::Leading]);
+    assert_eq!(room.controllers[0].events, [TenureEvent::Superseded], "they do not fight");
+    assert!(room.controllers[1].accepted > 5990);
+    room.controllers[1].is_alive = false;
+    let waited = room.until_accepted(0);
+    assert!((S..1200 * MS).contains(&waited), "{} ms", waited / MS);
+    // The other one had only lost its reports, and finds a successor.
+    room.controllers[1].is_alive = true;
+    room.run(60 * S);
+    assert_eq!(room.standings(), [Standing::Leading, Standing::Standby]);
+    assert_eq!(room.controllers[0].events, [TenureEvent::Superseded, TenureEvent::TookOver]);
+}
+
+#[test]
+fn a_controller_that_starts_right_after_another_takes_over_at_once_and_for_good() {
+    let mut room = Room::new(&[1000]);
+    room.run(200 * MS);
+    let first = room.controllers[0].tenure.epoch();
+    room.controllers.push(Controller::new(NOON_MS + 250));
+    room.run(10 * MS);
+    assert!(room.controllers[1].tenure.epoch() < first, "the case that this test is for");
+    room.run(200 * MS);
+    assert_eq!(room.standings(), [Standing::Standby, Standing::Leading]);
+    room.run(60 * S);
+    assert_eq!(room.standings(), [Standing::Standby, Standing::Leading]);
+    assert_eq!(room.controllers[1].events, [TenureEvent::TookOver]);
+}
+
+#[test]
+fn a_forged_epoch_at_the_start_delays_a_controller_by_one_message() {
+    let mut room = Room::new(&[1]);
+    room.run(10 * MS);
+    room.show(Evidence { epoch: u64::MAX, ..Evidence::default() });
+    assert!(room.until_accepted(0) <= 60 * MS);
+}
+
+#[test]
+fn of_several_controllers_in_standby_one_takes_over() {
+    let mut room = Room::new(&[1]);
+    for source in [2, 3, 4] {
+        room.run(S);
+        room.controllers.push(Controller::new(source));
+    }
+    room.run(S);
+    room.controllers[3].is_alive = false;
+    room.run(5 * S);
+    let leading = room.standings()[..3].iter().filter(|standing| **standing == Standing::Leading).count();
+    assert_eq!(leading, 1);
+    let before = room.array.shown.accepted;
+    room.run(10 * S);
+    assert_eq!(room.array.shown.accepted - before, 1000);
+}
+
+#[test]
+fn one_forged_telemetry_message_of_the_highest_epoch_pauses_commands_for_one_message_only() {
+    let mut room = Room::new(&[1]);
+    room.run(S);
+    room.show(Evidence { epoch: u64::MAX, ..room.array.shown });
+    assert_eq!(room.standings(), [Standing::Standby]);
+    let waited = room.until_accepted(0);
+    assert!(waited <= 60 * MS, "{} ms", waited / MS);
+    assert_eq!(room.controllers[0].events, [TenureEvent::Superseded, TenureEvent::Resumed]);
+}
+
+#[test]
+fn standby_ends_when_telemetry_is_absent() {
+    let mut room = Room::new(&[1]);
+    room.run(S);
+    let epoch = room.controllers[0].tenure.epoch();
+    room.show(Evidence { epoch: u64::MAX, ..room.array.shown });
+    let permitted = (1..300).find_map(|tick| {
+        let permitted = room.controllers[0].tenure.permit(room.now + tick * INTERVAL);
+        permitted.0.map(|epoch| (tick, epoch, permitted.1))
+    });
+    assert_eq!(permitted, Some((101, epoch, Some(TenureEvent::Resumed))));
+}
+
+#[test]
+fn a_forged_command_of_a_higher_epoch_locks_out_no_controller() {
+    for forged in [NOON_MS + 30_000, NOON_MS + 60_000, u64::MAX] {
+        let mut room = Room::new(&[1]);
+        room.array.lead_max_ms = Some(60_000);
+        room.run(S);
+        room.array.handle(room.now, forged, u64::MAX);
+        room.run(100 * MS);
+        let waited = room.until_accepted(0);
+        assert!(waited <= 1200 * MS, "epoch {forged}: {} ms", waited / MS);
+        room.run(10 * S);
+        assert!(room.controllers[0].accepted > 1000, "{}", room.controllers[0].accepted);
+    }
+}
+
+#[test]
+fn a_forged_command_in_the_own_epoch_is_answered_by_a_new_epoch() {
+    let mut room = Room::new(&[1]);
+    room.run(S);
+    let epoch = room.controllers[0].tenure.epoch();
+    assert!(room.array.handle(room.now, epoch, u64::MAX));
+    let waited = room.until_accepted(0);
+    assert!(waited <= 60 * MS, "{} ms", waited / MS);
+    assert!(room.controllers[0].tenure.epoch() > epoch);
+    assert_eq!(room.controllers[0].events, [TenureEvent::ForeignSequence]);
+}
+
+#[test]
+fn an_epoch_beyond_the_bound_of_the_array_is_given_up() {
+    let mut room = Room::new(&[1]);
+    room.array.lead_max_ms = Some(60_000);
+    room.controllers[0].tenure.handle_announced_epoch(NOON_MS + 1000 * DAY_MS);
+    let waited = room.until_accepted(0);
+    assert!((S..1200 * MS).contains(&waited), "{} ms", waited / MS);
+    assert_eq!(room.controllers[0].events, [TenureEvent::LockedOut]);
+}
+
+#[test]
+fn a_stopped_array_is_not_taken_over() {
+    let mut room = Room::new(&[1, 2]);
+    room.run(S);
+    let events = |room: &Room| room.controllers.iter().map(|controller| controller.events.clone()).collect::<Vec<_>>();
+    let before = events(&room);
+    room.array.shown.stopped = true;
+    room.run(60 * S);
+    assert_eq!(events(&room), before);
+}
+
+#[test]
+fn a_pause_of_the_reports_is_no_reason_to_take_over() {
+    let mut room = Room::new(&[1]);
+    room.run(S);
+    room.controllers.push(Controller::new(2));
+    room.run(S);
+    for pause in [3 * S, 3600 * S] {
+        room.now += pause;
+        room.run(10 * S);
+    }
+    assert_eq!(room.standings(), [Standing::Standby, Standing::Leading]);
+    assert!(!room.controllers[0].events.contains(&TenureEvent::TookOver), "{:?}", room.controllers[0].events);
+}
+
+#[test]
+fn commands_continue_after_a_clock_has_stepped_back() {
+    let mut room = Room::new(&[1]);
+    room.run(10 * S);
+    room.controllers.push(Controller::new(2));
+    room.run(S);
+    room.now -= 3600 * S;
+    room.run(S);
+    room.controllers[1].is_alive = false;
+    let waited = room.until_accepted(0);
+    assert!(waited <= 1200 * MS, "{} ms", waited / MS);
+}
+
+#[test]
+fn commands_refused_as_expired_are_reported_without_a_new_epoch() {
+    let mut tenure = Tenure::live(1, INTERVAL);
+    let mut events = Vec::new();
+    for tick in 0..250 {
+        let now = NOON + tick * INTERVAL;
+        let shown = Evidence { expired: tick, ..Evidence::default() };
+        events.extend(tenure.handle_telemetry(now, shown));
+        tenure.permit(now);
+    }
+    assert_eq!(events, [TenureEvent::ClocksDiffer; 2]);
+    assert!(tenure.epoch() <= NOON_MS + EPOCH_SLOTS);
+}
+
+#[test]
+fn a_controller_that_nothing_obeys_tries_at_growing_intervals() {
+    let mut tenure = Tenure::live(1, INTERVAL);
+    let mut tried = Vec::new();
+    for tick in 0..6000 {
+        let now = NOON + tick * INTERVAL;
+        let event = tenure.handle_telemetry(now, Evidence { refused: tick, ..Evidence::default() });
+        tried.extend(event.map(|_| tick / 100));
+        tenure.permit(now);
+    }
+    assert_eq!(tried, [1, 2, 4, 8, 16, 24, 32, 40, 48, 56]);
+}
+
+#[test]
+fn a_second_controller_in_lockstep_stands_by_and_keeps_its_epoch() {
+    let mut second = Tenure::lockstep(1);
+    second.handle_sent(1, 1);
+    assert_eq!(second.permit(S), (Some(1), None));
+    let of_first = Evidence { epoch: 1, applied_sequence: 40, accepted: 40, ..Evidence::default() };
+    assert_eq!(second.handle_telemetry(S, of_first), Some(TenureEvent::Superseded));
+    for tick in 1..50 {
+        assert_eq!(second.permit(S + tick * INTERVAL), (None, None));
+    }
+    assert_eq!(second.epoch(), 1);
+}
+
+#[test]
+fn replay_keeps_its_epoch_whatever_telemetry_shows() {
+    let mut tenure = Tenure::fixed(7);
+    assert_eq!(tenure.handle_telemetry(S, Evidence { epoch: u64::MAX, ..Evidence::default() }), None);
+    assert_eq!(tenure.permit(S), (Some(7), None));
+}

@@ -1,0 +1,381 @@
+//! A small room that reports, and actors made to order.
+
+use heliostat_channel::{ChannelModel, MirrorAngles, Orientation};
+use heliostat_core::{
+    core::{Controller, Decision, DegradedMode},
+    correction::Correction,
+    evidence::{EVIDENCE_VERSION, FEATURES},
+    inbox::Message,
+    observation::{OBSERVATION_VERSION, Observation, ObservationEncoder},
+    policy::{
+        self, Actor, BuildError, Engine, Network, Policy, PolicyError, PolicyKind, Resources,
+        actor_file::{
+            ActorError, ActorFile, COMPACT, CORRECTIONS_NAME, DISPLACEMENTS_NAME, INPUT_NAME, OUTPUT_NAME, key,
+        },
+    },
+    walk_history::{DISPLACEMENT_VALUES, WALK_VALUES, WALK_VERSION},
+};
+use heliostat_onnx::{
+    GraphProto, ModelProto, NodeProto, OperatorSetIdProto, StringStringEntryProto, TensorProto, ValueInfoProto,
+    f32_row, f32_rows, tensor_proto::DataType,
+};
+use heliostat_proto::{
+    ChannelReport, MAX_USERS, MirrorCommand, Nanos, Obstacle, ObstacleReport, OrientationReport, Stamp, UserChannel,
+    UserOrientation, UserReport, UserState,
+};
+use heliostat_scenario::Scenario;
+use prost::Message as _;
+
+pub const MS: Nanos = 1_000_000;
+pub const SOURCE: u64 = 0x51;
+pub const START: Nanos = 1_000 * MS;
+
+/// The default scenario with three by three mirrors and three users.
+pub fn scenario(overrides: &[&str]) -> Scenario {
+    let small = ["mirrors.rows=3", "mirrors.columns=3", "users.count=3"];
+    let overrides: Vec<String> = small.iter().chain(overrides).map(|text| text.to_string()).collect();
+    Scenario::builtin("specular").unwrap().with_overrides(&overrides).unwrap()
+}
+
+pub fn model(scenario: &Scenario) -> ChannelModel {
+    scenario.channel_model().unwrap()
+}
+
+pub fn controller(scenario: &Scenario, policy: Box<dyn Policy>) -> Controller {
+    Controller::new(scenario, model(scenario), policy, 7)
+}
+
+/// What came of a message.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Outcome {
+    Nothing,
+    Moved(MirrorCommand),
+    Held(DegradedMode),
+}
+
+impl Outcome {
+    pub fn command(self) -> MirrorCommand {
+        match self {
+            Self::Moved(command) => command,
+            other => panic!("expected a command, got {other:?}"),
+        }
+    }
+}
+
+pub fn receive(controller: &mut Controller, now: Nanos, message: Message<'_>) -> Outcome {
+    match controller.handle_and_poll(now, message, &mut |_| {}) {
+        None => Outcome::Nothing,
+        Some(Decision::Move { command, .. }) => Outcome::Moved(command.clone()),
+        Some(Decision::Hold(mode)) => Outcome::Held(mode),
+    }
+}
+
+/// A room with users who walk in circles and report every 10 ms.
+pub struct Room {
+    pub source: u64,
+    pub users: usize,
+    pub sequence: u64,
+}
+
+impl Room {
+    pub fn new(scenario: &Scenario) -> Self {
+        Self { source: SOURCE, users: scenario.users.count, sequence: 0 }
+    }
+
+    /// Time of the n-th tick.
+    pub fn time(tick: u64) -> Nanos {
+        START + tick * 10 * MS
+    }
+
+    fn stamp(&mut self, tick: u64) -> Stamp {
+        self.sequence += 1;
+        Stamp { source: self.source, sequence: self.sequence, time_ns: Self::time(tick) }
+    }
+
+    pub fn positions(&mut self, tick: u64) -> UserReport {
+        let ids: Vec<u32> = (0..self.users as u32).collect();
+        self.positions_of(tick, &ids)
+    }
+
+    /// The positions of these users, in this order.
+    pub fn positions_of(&mut self, tick: u64, ids: &[u32]) -> UserReport {
+        let stamp = self.stamp(tick);
+        UserReport { stamp, tick, users: ids.iter().map(|id| walker(*id, self.users, tick)).collect() }
+    }
+
+    /// All users measure the same gain of the direct path.
+    pub fn gains(&mut self, tick: u64, los_gain: f32) -> ChannelReport {
+        let ids: Vec<u32> = (0..self.users as u32).collect();
+        self.gains_of(tick, los_gain, &ids)
+    }
+
+    /// The gains of these users, in this order.
+    pub fn gains_of(&mut self, tick: u64, los_gain: f32, ids: &[u32]) -> ChannelReport {
+        let stamp = self.stamp(tick);
+        let one = |user: &u32| UserChannel { user: *user, los_gain, irs_gain: 0.0, sinr: 0.0 };
+        ChannelReport { stamp, tick, users: ids.iter().map(one).collect() }
+    }
+
+    /// These users hold their receivers with this polar angle in rad, each towards another azimuth.
+    pub fn orientations_of(&mut self, tick: u64, polar: f64, ids: &[u32]) -> OrientationReport {
+        let held = |user: u32| Orientation::from_polar_azimuth(polar, f64::from(user)).quaternion();
+        let one = |user: &u32| UserOrientation { user: *user, quaternion: held(*user).map(|part| part as f32) };
+        OrientationReport { stamp: self.stamp(tick), users: ids.iter().map(one).collect() }
+    }
+
+    pub fn survey(&mut self, tick: u64, obstacles: Vec<Obstacle>) -> ObstacleReport {
+        ObstacleReport { stamp: self.stamp(tick), obstacles }
+    }
+
+    /// Reports gains and then positions of a tick, at its time.
+    pub fn tick(&mut self, controller: &mut Controller, tick: u64) -> Outcome {
+        receive(controller, Self::time(tick), Message::Channel(&mut self.gains(tick, 1e-6)));
+        receive(controller, Self::time(tick), Message::Users(&mut self.positions(tick)))
+    }
+}
+
+fn walker(user: u32, users: usize, tick: u64) -> UserState {
+    let turn = std::f64::consts::TAU * f64::from(user) / users as f64 + 0.01 * tick as f64;
+    let (sin, cos) = turn.sin_cos();
+    UserState {
+        user,
+        position_m: [(1.4 * cos) as f32, (1.1 * sin) as f32, 0.85],
+        velocity_m_s: [(-1.4 * sin) as f32, (1.1 * cos) as f32],
+        min_rate_bps: 1e6,
+    }
+}
+
+/// A policy that calls a function.
+pub struct Scripted(pub fn(&Observation, &mut MirrorAngles) -> Result<(), PolicyError>);
+
+impl Policy for Scripted {
+    fn name(&self) -> &str {
+        "scripted"
+    }
+
+    fn act(&mut self, _: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) -> Result<(), PolicyError> {
+        (self.0)(observation, out)
+    }
+}
+
+/// An ONNX file to order: a network of one layer whose weights are equal, and usually zero, so that
+/// it answers its bias.
+pub struct ActorRecipe {
+    pub input_name: &'static str,
+    pub output_name: &'static str,
+    pub input_length: usize,
+    pub output_length: usize,
+    pub bias: Vec<f32>,
+    /// All weights have this value.
+    pub weight: f32,
+    pub metadata: Vec<(&'static str, String)>,
+    /// Declares input or output, of one row or of any number.
+    pub port: fn(&str, usize) -> ValueInfoProto,
+    pub opset: i64,
+}
+
+impl ActorRecipe {
+    /// An actor that fits the scenario and sees up to four users.
+    pub fn fitting(scenario: &Scenario) -> Self {
+        let (users_max, mirrors) = (4, scenario.mirror_count());
+        Self {
+            input_name: INPUT_NAME,
+            output_name: OUTPUT_NAME,
+            input_length: ObservationEncoder::new(users_max, mirrors).len(),
+            output_length: 2 * mirrors,
+            bias: vec![0.25; 2 * mirrors],
+            weight: 0.0,
+            metadata: vec![
+                (key::OBSERVATION_VERSION, OBSERVATION_VERSION.to_string()),
+                (key::USERS_MAX, users_max.to_string()),
+                (key::MIRRORS, mirrors.to_string()),
+                (key::MODE, scenario.channel.mode.name().into()),
+                (key::GEOMETRY, scenario.geometry_hash()),
+            ],
+            port: f32_row,
+            opset: 17,
+        }
+    }
+
+    /// A compact actor that answers these corrections for every user.
+    pub fn compact(bias: [f32; Correction::VALUES]) -> Self {
+        Self {
+            input_name: INPUT_NAME,
+            output_name: CORRECTIONS_NAME,
+            input_length: FEATURES,
+            output_length: Correction::VALUES,
+            bias: bias.to_vec(),
+            weight: 0.0,
+            metadata: vec![(key::ACTION, COMPACT.into()), (key::OBSERVATION_VERSION, EVIDENCE_VERSION.to_string())],
+            port: f32_rows,
+            opset: 17,
+        }
+    }
+
+    /// An actor that moves every user from the Gauss-Markov prediction by this in m.
+    pub fn displacements(bias: [f32; DISPLACEMENT_VALUES]) -> Self {
+        Self {
+            output_name: DISPLACEMENTS_NAME,
+            input_length: WALK_VALUES,
+            output_length: DISPLACEMENT_VALUES,
+            bias: bias.to_vec(),
+            metadata: vec![
+                (key::ACTION, DISPLACEMENTS_NAME.into()),
+                (key::OBSERVATION_VERSION, WALK_VERSION.to_string()),
+            ],
+            ..Self::compact([0.0; Correction::VALUES])
+        }
+    }
+
+    pub fn with_metadata(mut self, key: &'static str, value: &str) -> Self {
+        self.metadata.retain(|(name, _)| *name != key);
+        self.metadata.push((key, value.into()));
+        self
+    }
+
+    pub fn without_metadata(mut self, key: &'static str) -> Self {
+        self.metadata.retain(|(name, _)| *name != key);
+        self
+    }
+
+    pub fn bytes(&self) -> Vec<u8> {
+        let (inputs, outputs) = (self.input_length, self.output_length);
+        let node = |op: &str, input: [&str; 2], output: &str| NodeProto {
+            name: op.into(),
+            op_type: op.into(),
+            input: input.map(String::from).into(),
+            output: vec![output.into()],
+            ..NodeProto::default()
+        };
+        let graph = GraphProto {
+            name: "test".into(),
+            node: vec![
+                node("MatMul", [self.input_name, "weights"], "product"),
+                node("Add", ["product", "bias"], self.output_name),
+            ],
+            initializer: vec![
+                tensor("weights", &[inputs, outputs], vec![self.weight; inputs * outputs]),
+                tensor("bias", &[1, outputs], self.bias.clone()),
+            ],
+            input: vec![(self.port)(self.input_name, inputs)],
+            output: vec![(self.port)(self.output_name, outputs)],
+            ..GraphProto::default()
+        };
+        let entry =
+            |(key, value): &(&str, String)| StringStringEntryProto { key: key.to_string(), value: value.clone() };
+        ModelProto {
+            ir_version: 8,
+            opset_import: vec![OperatorSetIdProto { domain: String::new(), version: self.opset }],
+            graph: Some(graph),
+            metadata_props: self.metadata.iter().map(entry).collect(),
+            ..ModelProto::default()
+        }
+        .encode_to_vec()
+    }
+
+    pub fn file(&self) -> ActorFile {
+        ActorFile { origin: "test.onnx".into(), bytes: self.bytes().into() }
+    }
+}
+
+fn tensor(name: &str, shape: &[usize], values: Vec<f32>) -> TensorProto {
+    TensorProto {
+        name: name.into(),
+        dims: shape.iter().map(|size| *size as i64).collect(),
+        data_type: DataType::Float as i32,
+        float_data: values,
+        ..TensorProto::default()
+    }
+}
+
+/// Evaluates the networks of [`ActorRecipe`]: they return their bias, plus the weight times the sum
+/// of the inputs.
+pub struct BiasEngine;
+
+impl Engine for BiasEngine {
+    fn load(&self, model: &[u8], input_length: usize) -> Result<Box<dyn Network>, String> {
+        let model = ModelProto::decode(model).map_err(|error| error.to_string())?;
+        let weights = model.graph.map(|graph| graph.initializer).unwrap_or_default();
+        let find = |name: &str| weights.iter().find(|tensor| tensor.name == name).map(|tensor| &tensor.float_data);
+        let bias = find("bias").ok_or("expected a tensor \"bias\"")?.clone();
+        let weight = find("weights").and_then(|weights| weights.first()).copied().unwrap_or_default();
+        Ok(Box::new(BiasNetwork::new(input_length, bias, weight)))
+    }
+}
+
+struct BiasNetwork {
+    input_length: usize,
+    rows: usize,
+    input: Vec<f32>,
+    output: Vec<f32>,
+    bias: Vec<f32>,
+    weight: f32,
+}
+
+impl BiasNetwork {
+    fn new(input_length: usize, bias: Vec<f32>, weight: f32) -> Self {
+        let (input, output) = (vec![0.0; MAX_USERS * input_length], Vec::with_capacity(MAX_USERS * bias.len()));
+        Self { input_length, rows: 1, input, output, bias, weight }
+    }
+}
+
+impl Network for BiasNetwork {
+    fn engine(&self) -> &'static str {
+        "bias"
+    }
+
+    fn set_rows(&mut self, rows: usize) -> Result<(), PolicyError> {
+        assert!((1..=MAX_USERS).contains(&rows), "{rows} rows");
+        self.rows = rows;
+        Ok(())
+    }
+
+    fn input_mut(&mut self) -> &mut [f32] {
+        &mut self.input[..self.rows * self.input_length]
+    }
+
+    fn run(&mut self) -> Result<&[f32], PolicyError> {
+        self.output.clear();
+        for row in self.input.chunks_exact(self.input_length).take(self.rows) {
+            let added = self.weight * row.iter().sum::<f32>();
+            self.output.extend(self.bias.iter().map(|bias| bias + added));
+        }
+        Ok(&self.output)
+    }
+}
+
+/// Whatever the network, its nine rolls and nine yaws have this value.
+pub struct FixedEngine(pub f32);
+
+impl Engine for FixedEngine {
+    fn load(&self, _: &[u8], input_length: usize) -> Result<Box<dyn Network>, String> {
+        let bias = vec![self.0; 18];
+        Ok(Box::new(BiasNetwork::new(input_length, bias, 0.0)))
+    }
+}
+
+/// A policy by its name; learned ones with an actor that fits. Those of `residual` and `lstm`
+/// depend on their input.
+pub fn build(kind: PolicyKind, scenario: &Scenario) -> Result<Box<dyn Policy>, BuildError> {
+    let recipe = match kind {
+        PolicyKind::Residual => ActorRecipe { weight: 0.02, ..ActorRecipe::compact([-0.3, -0.2, -1.0]) },
+        PolicyKind::Lstm => ActorRecipe { weight: 0.02, ..ActorRecipe::displacements([0.1, -0.1]) },
+        _ => ActorRecipe::fitting(scenario),
+    };
+    build_with(kind, scenario, &recipe.file())
+}
+
+/// A policy by its name, learned ones with this actor.
+pub fn build_with(kind: PolicyKind, scenario: &Scenario, actor: &ActorFile) -> Result<Box<dyn Policy>, BuildError> {
+    policy::build(kind, scenario, &Resources { actor: Some(actor), engine: &BiasEngine, monotonic_ns })
+}
+
+/// Loads an actor with the test's engine.
+pub fn load_actor(file: &ActorFile, scenario: &Scenario) -> Result<Actor, ActorError> {
+    Actor::load(file, scenario, &BiasEngine)
+}
+
+fn monotonic_ns() -> u64 {
+    static START: std::sync::OnceLock<std::time::Instant> = std::sync::OnceLock::new();
+    START.get_or_init(std::time::Instant::now).elapsed().as_nanos() as u64
+}

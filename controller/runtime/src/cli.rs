@@ -1,0 +1,131 @@
+//! The flags of the controller, for its own program and for the `heliostat` command line.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, bail};
+use heliostat_bus::{AccessRole, BusArgs};
+use heliostat_core::{capabilities::Force, policy::PolicyKind};
+use heliostat_models::{ActorSource, EngineChoice};
+use heliostat_proto::Room;
+use heliostat_scenario::ScenarioArgs;
+use heliostat_service::{EndArgs, LogArgs, MetricsArgs, output};
+
+use crate::{
+    config::{NodeConfig, Pace},
+    machine::MachineArgs,
+    node,
+    report::summary::Summary,
+    room_runtime::{
+        cache_warmer::KeepWarm,
+        decision_loop::{DecideIn, DecisionSettings},
+    },
+};
+
+/// Run the controller: it receives reports and publishes mirror commands.
+///
+/// Without --listen or --connect it connects to tcp/127.0.0.1:7447, where sim-node listens by
+/// default.
+#[derive(Clone, Debug, clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    scenario: ScenarioArgs,
+    #[command(flatten)]
+    bus: BusArgs,
+    /// Policy that decides the mirror angles
+    #[arg(long, value_enum, default_value_t = PolicyKind::Ddpg)]
+    policy: PolicyKind,
+    /// ONNX file of a learned policy, in place of the built-in one
+    #[arg(long, value_name = "FILE")]
+    model: Option<PathBuf>,
+    /// Engine of learned policies: `auto` (dense for graphs of dense layers, otherwise the embedded
+    /// one), `dense`, or the embedded one by its name (`tract`, or `ort` in builds with ONNX Runtime)
+    #[arg(long, default_value_t = EngineChoice::Auto)]
+    engine: EngineChoice,
+    /// Serve these rooms too (comma-separated), with the same scenario and over the same session
+    #[arg(long, value_name = "ROOM", value_delimiter = ',')]
+    also_room: Vec<String>,
+    /// Where decisions are made
+    #[arg(long, value_enum, default_value_t = DecisionSettings::default().decide_in)]
+    decide_in: DecideIn,
+    /// Warm up the processor's caches on the room's thread: `expected` (shortly before each report,
+    /// for a slow policy in a process of one room) or `off`
+    #[arg(long, value_name = "WHEN", default_value_t = DecisionSettings::default().keep_warm)]
+    keep_warm: KeepWarm,
+    /// Command mirrors whose range does not reach all of the floor
+    #[arg(long)]
+    accept_small_range: bool,
+    /// Send angles of a `paper` channel mode to real mirrors, which they do not aim
+    #[arg(long)]
+    force_paper_angles: bool,
+    #[command(flatten)]
+    machine: MachineArgs,
+    #[command(flatten)]
+    metrics: MetricsArgs,
+    #[command(flatten)]
+    log: LogArgs,
+    /// Take time from the reports, for a room that runs in lockstep; the same reports then give the
+    /// same commands
+    #[arg(long)]
+    lockstep: bool,
+    #[command(flatten)]
+    end: EndArgs,
+    /// Print the summary as one JSON object on the last line
+    #[arg(long)]
+    json: bool,
+}
+
+impl Args {
+    /// The configuration that the flags describe.
+    ///
+    /// # Errors
+    /// If a flag or the scenario is invalid.
+    pub fn node_config(&self) -> anyhow::Result<NodeConfig> {
+        let source = self.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
+        source.check_used_by(self.policy).context("--model names the file of a learned policy")?;
+        let bus = self.bus.config_or_connect(&[AccessRole::Controller])?;
+        if bus.is_authenticated() && !self.also_room.is_empty() {
+            bail!(
+                "--also-room: a certificate gives rights in one room only; start one controller with --tls for each room"
+            );
+        }
+        let rooms: Vec<&str> =
+            std::iter::once(bus.room.name()).chain(self.also_room.iter().map(String::as_str)).collect();
+        if let Some(twice) = rooms.iter().enumerate().find(|(index, room)| rooms[..*index].contains(room)) {
+            bail!("--also-room {}: this room is already named; name each room once", twice.1);
+        }
+        Ok(NodeConfig {
+            scenario: self.scenario.load_arrays()?,
+            bus,
+            also_rooms: self.also_room.iter().map(|name| Room::new(name)).collect::<Result<_, _>>()?,
+            decisions: DecisionSettings { decide_in: self.decide_in, keep_warm: self.keep_warm },
+            policy: self.policy,
+            model: self.model.clone(),
+            engine: self.engine,
+            force: Force { small_range: self.accept_small_range, paper_angles: self.force_paper_angles },
+            pace: if self.lockstep { Pace::Lockstep } else { Pace::Live },
+            run_for: self.end.seconds,
+            metrics: self.metrics,
+        })
+    }
+}
+
+/// Runs a controller until Ctrl-C, SIGTERM, the end of its time or of its parent, and prints its
+/// summary.
+///
+/// # Errors
+/// If it cannot start; the message states what to do.
+pub fn run(args: Args) -> anyhow::Result<()> {
+    let config = args.node_config()?;
+    args.log.start();
+    let stop = args.end.stop()?;
+    // Before any other thread starts: later threads inherit the settings.
+    let machine = args.machine.obtain();
+    machine.iter().for_each(|granted| tracing::info!("{granted}"));
+    let summary = Summary { machine, ..node::run(&config, &stop)? };
+    if args.json {
+        output::line(serde_json::to_string(&summary)?)?
+    } else {
+        output::line(summary)?
+    }
+    Ok(())
+}

@@ -1,0 +1,68 @@
+//! What a controller process needs to start.
+
+use std::{path::PathBuf, time::Duration};
+
+use heliostat_bus::BusConfig;
+use heliostat_core::{capabilities::Force, policy::PolicyKind};
+use heliostat_models::{ActorSource, BuildError, EngineChoice};
+use heliostat_proto::Room;
+use heliostat_scenario::Scenario;
+use heliostat_service::MetricsArgs;
+
+use crate::room_runtime::decision_loop::DecisionSettings;
+
+/// The source of time and epochs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Pace {
+    /// UTC; the first command chooses an epoch above UTC in ms.
+    #[default]
+    Live,
+    /// The time of the reports; the epoch is 1. The same reports give the same commands, bit for
+    /// bit.
+    Lockstep,
+}
+
+/// The configuration of a controller process.
+#[derive(Clone, Debug)]
+pub struct NodeConfig {
+    /// The room.
+    pub scenario: Scenario,
+    /// The endpoints, and the name of the first room.
+    pub bus: BusConfig,
+    /// Further rooms to serve, all with the same scenario and over the same session.
+    pub also_rooms: Vec<Room>,
+    /// Where decisions are made, and whether the caches are kept warm.
+    pub decisions: DecisionSettings,
+    /// The policy.
+    pub policy: PolicyKind,
+    /// The actor's file in place of the built-in one.
+    pub model: Option<PathBuf>,
+    /// The engine of learned policies.
+    pub engine: EngineChoice,
+    /// Live or lockstep.
+    pub pace: Pace,
+    /// Mismatches between array and scenario that the operator accepts.
+    pub force: Force,
+    /// When to end without a signal.
+    pub run_for: Option<Duration>,
+    /// Where metrics are served.
+    pub metrics: MetricsArgs,
+}
+
+impl NodeConfig {
+    /// Where the actor of the policy comes from.
+    pub fn actor(&self) -> ActorSource {
+        self.model.clone().map_or(ActorSource::Shipped, ActorSource::Path)
+    }
+
+    /// Checks that the policy can be built from the file of its actor, if one is given.
+    ///
+    /// # Errors
+    /// The file is missing, or does not fit the policy or the room.
+    pub fn check_model(&self) -> Result<(), BuildError> {
+        match &self.model {
+            Some(_) => self.engine.build(self.policy, &self.scenario, &self.actor()).map(drop),
+            None => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,131 @@
+//! The controller's metrics, made by the status loop.
+
+use heliostat_core::core::Stage;
+use heliostat_proto::messages::fault;
+use heliostat_service::{Histogram, Page};
+
+use super::summary::RoomReport;
+
+/// Names of an array's fault bits.
+const FAULTS: [(u32, &str); 6] = [
+    (fault::LINK, "link"),
+    (fault::MIRROR, "mirror"),
+    (fault::TEMPERATURE, "temperature"),
+    (fault::SUPPLY, "supply"),
+    (fault::CALIBRATION, "calibration"),
+    (fault::CLOCK, "clock"),
+];
+
+/// The page of all rooms.
+pub fn page(rooms: &[RoomReport<'_>]) -> Page {
+    let mut page = Page::default();
+    page.build_info("controller", env!("CARGO_PKG_VERSION"));
+    rooms.iter().for_each(|room| add_room(&mut page, room));
+    page
+}
+
+fn add_room(page: &mut Page, report: &RoomReport<'_>) {
+    let summary = report.summary;
+    let room = ("room", report.room.name());
+    let policy = [room, ("policy", summary.policy.as_str())];
+    page.gauge("heliostat_policy_info", "Name of the policy in use; the value is always 1", &policy, 1.0);
+    page.gauge("heliostat_epoch", "Epoch of the commands", &[room], summary.epoch as f64);
+    for (name, help, value) in [
+        (
+            "heliostat_decisions",
+            "Decisions on position reports: commands, and decisions to send none",
+            summary.decisions,
+        ),
+        ("heliostat_commands", "Commands given to the transport", summary.commands),
+        ("heliostat_commands_unsent", "Commands that the transport refused", summary.unsent),
+        (
+            "heliostat_reports_dropped",
+            "Reports superseded by a newer one or dropped from a full queue",
+            summary.dropped,
+        ),
+        (
+            "heliostat_policy_stalls",
+            "Policy timeouts: status checks at which the policy had not returned for 0.1 s",
+            summary.unanswered,
+        ),
+        ("heliostat_room_sources", "Sources that owned the room, in succession", summary.sources),
+    ] {
+        page.counter(name, help, &[room], value);
+    }
+    add_times(page, report);
+    for (cause, count) in &summary.fallbacks {
+        let labels = [room, ("cause", cause.as_str())];
+        page.counter("heliostat_fallbacks", "Decisions in a degraded mode, by cause", &labels, *count);
+    }
+    for (name, count) in &summary.refused {
+        let (stream, reason) = name.split_once(':').unwrap_or((name.as_str(), ""));
+        let labels = [room, ("stream", stream), ("reason", reason)];
+        page.counter("heliostat_refused", "Messages refused, by stream and reason", &labels, *count);
+    }
+    let standby = f64::from(u8::from(summary.standby));
+    page.gauge("heliostat_standby", "1 while the array follows another controller", &[room], standby);
+    let unfit = f64::from(u8::from(summary.unfit.is_some()));
+    page.gauge("heliostat_array_unfit", "1 while the array does not fit the scenario", &[room], unfit);
+    let absent = f64::from(u8::from(summary.driver_absent));
+    page.gauge("heliostat_driver_absent", "1 while no driver receives the commands to an array", &[room], absent);
+    let differs = f64::from(u8::from(summary.geometry_differs));
+    page.gauge("heliostat_geometry_differs", "1 while the room announces another geometry", &[room], differs);
+    for (event, count) in &summary.epoch_events {
+        let help = "Changes of the epoch or of the standby, by kind";
+        page.counter("heliostat_epoch_events", help, &[room, ("event", event.as_str())], *count);
+    }
+    for (reason, count) in &summary.users {
+        let help = "Users without a measured gain or beyond the policy's capacity, one for each decision";
+        page.counter("heliostat_users_limited", help, &[room, ("reason", reason.as_str())], *count);
+    }
+    for (stream, count) in &summary.missed {
+        let help = "Reports that did not arrive, by the gaps in their sequence numbers";
+        page.counter("heliostat_reports_missed", help, &[room, ("stream", stream.as_str())], *count);
+    }
+    for (by, count) in [("range", summary.clipped.range), ("slew", summary.clipped.slew)] {
+        let help = "Axis angles changed by a limit of range or slew rate";
+        page.counter("heliostat_angles_limited", help, &[room, ("by", by)], count);
+    }
+    if let Some(belief) = &summary.belief {
+        let help = "Positions in reports that were compared with the belief's predictions";
+        page.counter("heliostat_belief_reports", help, &[room], belief.reports);
+        let help =
+            "Mean normalised innovation squared of these positions since the start; 2 if the covariance is right";
+        page.gauge("heliostat_belief_innovation_mean", help, &[room], belief.innovation_mean);
+    }
+    for array in &summary.arrays {
+        let help = "Of several arrays: 1 while the array receives the commands of this controller";
+        let commanded = f64::from(u8::from(array.commanded));
+        page.gauge("heliostat_array_commanded", help, &[room, ("array", array.name.as_str())], commanded);
+    }
+    if let Some(array) = &summary.array {
+        for (bit, name) in FAULTS {
+            let value = f64::from(u8::from(array.faults & bit != 0));
+            let help = "1 while the array reports this fault";
+            page.gauge("heliostat_array_fault", help, &[room, ("fault", name)], value);
+        }
+        let (unusable, refused) = (array.unusable as f64, array.refused);
+        page.gauge("heliostat_array_unusable_mirrors", "Mirrors that do not follow commands", &[room], unusable);
+        page.counter(
+            "heliostat_array_refused",
+            "Commands that the array has refused since its start",
+            &[room],
+            refused,
+        );
+    }
+}
+
+fn add_times(page: &mut Page, report: &RoomReport<'_>) {
+    let (room, times) = (("room", report.room.name()), report.times);
+    let help = "From the arrival of a position report to the end of the command's publication";
+    page.histogram("heliostat_decision_seconds", help, &[room], Histogram::of_ns(times.decision()));
+    let help = "From the measurement of the positions to the decision";
+    page.histogram("heliostat_information_age_seconds", help, &[room], Histogram::of_ns(times.age()));
+    for stage in Stage::ALL {
+        let (named, caused) = ([room, ("stage", stage.name())], [room, ("cause", stage.name())]);
+        let help = "Duration of one stage of a decision";
+        page.histogram("heliostat_stage_seconds", help, &named, Histogram::of_ns(times.stage(stage)));
+        let help = "Decisions longer than 0.5 ms, by their longest stage";
+        page.counter("heliostat_decision_misses", help, &caused, times.over_budget_by(stage));
+    }
+}

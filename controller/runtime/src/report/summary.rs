@@ -1,0 +1,382 @@
+//! The final report of a controller, as one JSON object or as a table.
+
+mod table;
+
+use std::collections::BTreeMap;
+
+use heliostat_core::{
+    belief::innovations::Innovations,
+    capabilities::Unfit,
+    core::{Controller, DegradedMode, Stage},
+    policy::Tally,
+    refusal::Stream,
+    tenure::{Standing, TenureEvent},
+};
+use heliostat_proto::{MirrorTelemetry, Quantiles, Room, array_keys::array_name};
+use serde::{Deserialize, Serialize};
+
+use super::stage_times::{PolicyTimes, StageTimes};
+
+/// The report on one run.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Summary {
+    /// The policy in charge at the end.
+    pub policy: String,
+    /// The inference engine of this policy, if it is learned.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub engine: Option<String>,
+    /// The figures of each policy that was in charge.
+    #[serde(default)]
+    pub policies: BTreeMap<String, PolicySummary>,
+    /// The epoch of the commands.
+    pub epoch: u64,
+    /// Decisions on position reports: commands, and decisions to send none.
+    pub decisions: u64,
+    /// Commands given.
+    pub commands: u64,
+    /// Decisions of more than 0.5 ms.
+    pub over_budget: u64,
+    /// The same, by the stage that took longest.
+    pub over_budget_by: BTreeMap<String, u64>,
+    /// From the entry of the callback to the end of the publication.
+    pub decision_us: Quantiles,
+    /// The same, stage by stage.
+    pub stages_us: BTreeMap<String, Quantiles>,
+    /// From the sampling of the positions to the decision.
+    pub age_us: Quantiles,
+    /// Decisions in a degraded mode, by mode.
+    pub fallbacks: BTreeMap<String, u64>,
+    /// Messages refused, by stream and reason.
+    pub refused: BTreeMap<String, u64>,
+    /// Users without a measured gain or without a place in the policy, one for each decision.
+    #[serde(default)]
+    pub users: BTreeMap<String, u64>,
+    /// Changes of the epoch or of the standby, by kind.
+    #[serde(default)]
+    pub epoch_events: BTreeMap<String, u64>,
+    /// The array follows another controller: commands are withheld.
+    #[serde(default)]
+    pub standby: bool,
+    /// Why the array receives no commands, if it does not fit the scenario.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub unfit: Option<String>,
+    /// Commands are sent, and no driver or simulator receives those to an array.
+    #[serde(default)]
+    pub driver_absent: bool,
+    /// The room announces another geometry than that of this controller.
+    #[serde(default)]
+    pub geometry_differs: bool,
+    /// Reports that did not arrive, by stream, from the gaps in their sequence numbers.
+    #[serde(default)]
+    pub missed: BTreeMap<String, u64>,
+    /// Axis values that the limits changed.
+    pub clipped: ClippedSummary,
+    /// From the last telemetry of the arrays; absent before the first.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub array: Option<ArraySummary>,
+    /// Array by array, where a room has several.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub arrays: Vec<ArrayStanding>,
+    /// The belief against the position reports; absent where `control.belief` names no filter.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub belief: Option<BeliefSummary>,
+    /// Sources that owned the room, in succession.
+    pub sources: u64,
+    /// Commands that the transport refused.
+    pub unsent: u64,
+    /// Position reports superseded by a newer one before a decision, and payloads dropped
+    /// because too many waited.
+    pub dropped: u64,
+    /// Policy timeouts: status checks at which the policy had not returned for 0.1 s.
+    pub unanswered: u64,
+    /// Cache warm-ups between reports.
+    pub cache_warm_ups: u64,
+    /// Requests to the operating system, granted or not.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub machine: Vec<String>,
+    /// Room by room, where there are several; the other fields are then their sums.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty", default)]
+    pub rooms: BTreeMap<String, Summary>,
+    /// The last problem; empty while there is none.
+    pub last_problem: String,
+}
+
+/// The figures of one policy.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PolicySummary {
+    /// Decisions on position reports while it was in charge.
+    pub decisions: u64,
+    /// Commands with its own angles.
+    pub commands: u64,
+    /// Commands while it was in charge with angles of the fallback or of a degraded action.
+    pub fallbacks: u64,
+    /// Axis values of its own that the limits changed.
+    pub clipped: ClippedSummary,
+    /// From the entry of the callback to the end of the publication, while it was in charge.
+    pub decision_us: Quantiles,
+}
+
+impl PolicySummary {
+    fn of(tally: &Tally) -> Self {
+        let Tally { decisions, commands, fallbacks, clipped, .. } = *tally;
+        let clipped = ClippedSummary { range: clipped.range, slew: clipped.slew };
+        Self { decisions, commands, fallbacks, clipped, decision_us: Quantiles::default() }
+    }
+
+    /// Adds the counts of another room; the times are added apart.
+    fn add(&mut self, other: &Self) {
+        self.decisions += other.decisions;
+        self.commands += other.commands;
+        self.fallbacks += other.fallbacks;
+        self.clipped.range += other.clipped.range;
+        self.clipped.slew += other.clipped.slew;
+    }
+}
+
+/// One room's part of a report.
+#[derive(Clone, Copy)]
+pub struct RoomReport<'a> {
+    /// The room.
+    pub room: &'a Room,
+    /// Its report.
+    pub summary: &'a Summary,
+    /// Its times since the start.
+    pub times: &'a StageTimes,
+    /// The decision times of each of its policies.
+    pub policy_times: &'a PolicyTimes,
+}
+
+/// Whether one of several arrays is commanded.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ArrayStanding {
+    /// The array, by the part of its keys.
+    pub name: String,
+    /// Whether the last decision gave it a command.
+    pub commanded: bool,
+    /// The epoch of the commands to it.
+    pub epoch: u64,
+    /// Commands are sent, and no driver or simulator receives those to this array.
+    #[serde(default)]
+    pub driver_absent: bool,
+}
+
+impl ArrayStanding {
+    fn of(controller: &Controller, array: usize) -> Self {
+        let (name, epoch) = (array_name(array), controller.tenure(array).epoch());
+        Self { name, commanded: controller.is_commanded(array), epoch, driver_absent: false }
+    }
+}
+
+/// The state of the arrays by their telemetry.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ArraySummary {
+    /// Bits of [`heliostat_proto::messages::fault`].
+    pub faults: u32,
+    /// Mirrors that do not follow commands.
+    pub unusable: u64,
+    /// Commands that it has refused since its start.
+    pub refused: u64,
+}
+
+impl ArraySummary {
+    /// The sum of all arrays; `None` without telemetry.
+    fn of<'a>(telemetry: impl Iterator<Item = &'a MirrorTelemetry>) -> Option<Self> {
+        let one = |telemetry: &MirrorTelemetry| Self {
+            faults: telemetry.faults,
+            unusable: telemetry.unusable.len() as u64,
+            refused: telemetry.counters.refused(),
+        };
+        telemetry.map(one).reduce(|here, there| Self {
+            faults: here.faults | there.faults,
+            unusable: here.unusable + there.unusable,
+            refused: here.refused + there.refused,
+        })
+    }
+}
+
+/// How well the predictions of the belief agreed with the position reports.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct BeliefSummary {
+    /// Reported positions of known users.
+    pub reports: u64,
+    /// Mean normalised innovation squared of these positions; 2 if the belief's covariance is right.
+    pub innovation_mean: f64,
+}
+
+impl BeliefSummary {
+    fn of(innovations: Innovations) -> Self {
+        let Innovations { count, sum } = innovations;
+        Self { reports: count, innovation_mean: sum / count.max(1) as f64 }
+    }
+
+    /// The summary of both, by their numbers of reports.
+    fn with(self, other: Self) -> Self {
+        let sum = |summary: Self| summary.innovation_mean * summary.reports as f64;
+        Self::of(Innovations { count: self.reports + other.reports, sum: sum(self) + sum(other) })
+    }
+}
+
+/// Axis values that the limits changed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ClippedSummary {
+    /// Values outside the range.
+    pub range: u64,
+    /// Values beyond the slew limit.
+    pub slew: u64,
+}
+
+impl Summary {
+    /// The counters of the core; [`Summary::add_times`] adds the times.
+    pub fn of(controller: &Controller) -> Self {
+        let counters = controller.counters();
+        let arrays = 0..controller.arrays();
+        let foreign = ("array:foreign-source".to_string(), counters.foreign_arrays);
+        let refused = controller.inbox().refused().named().chain([foreign]);
+        Self {
+            policy: controller.policy_name().into(),
+            engine: controller.engine_name().map(str::to_owned),
+            policies: controller
+                .tallies()
+                .iter()
+                .map(|tally| (tally.policy.clone(), PolicySummary::of(tally)))
+                .collect(),
+            epoch: controller.epoch(),
+            decisions: counters.decisions,
+            commands: counters.commands,
+            fallbacks: nonzero(DegradedMode::ALL.map(|mode| (mode.name(), counters.degraded(mode)))),
+            refused: nonzero(refused),
+            users: nonzero([("unmeasured", counters.unmeasured_users), ("unserved", counters.unserved_users)]),
+            epoch_events: nonzero(TenureEvent::ALL.map(|event| (event.name(), counters.tenure(event)))),
+            standby: arrays.clone().any(|array| controller.tenure(array).standing() == Standing::Standby),
+            unfit: controller.unfit().map(describe_unfit),
+            missed: Stream::ALL.map(|stream| (stream.name().into(), controller.inbox().missed(stream))).into(),
+            clipped: ClippedSummary { range: counters.clipped.range, slew: counters.clipped.slew },
+            array: ArraySummary::of(arrays.clone().filter_map(|array| controller.inbox().telemetry(array))),
+            arrays: arrays
+                .filter(|_| controller.arrays() > 1)
+                .map(|array| ArrayStanding::of(controller, array))
+                .collect(),
+            belief: controller.innovations().map(BeliefSummary::of),
+            sources: controller.inbox().sources(),
+            ..Self::default()
+        }
+    }
+
+    /// The report on all rooms, from the report and the times of each.
+    pub fn of_rooms(rooms: &[RoomReport<'_>]) -> Self {
+        if let [room] = rooms {
+            return room.summary.clone();
+        }
+        let (mut all, mut times, mut policy_times) = (Self::default(), StageTimes::new(), PolicyTimes::default());
+        for room in rooms {
+            all.add(room.summary);
+            times.absorb(&mut room.times.clone());
+            policy_times.add_all(room.policy_times);
+            all.rooms.insert(room.room.to_string(), room.summary.clone());
+        }
+        all.add_times(&times, &policy_times);
+        all
+    }
+
+    /// Adds another room's counts.
+    fn add(&mut self, other: &Self) {
+        self.policy.clone_from(&other.policy);
+        self.engine.clone_from(&other.engine);
+        self.epoch = self.epoch.max(other.epoch);
+        for (here, there) in [
+            (&mut self.decisions, other.decisions),
+            (&mut self.commands, other.commands),
+            (&mut self.unsent, other.unsent),
+            (&mut self.dropped, other.dropped),
+            (&mut self.unanswered, other.unanswered),
+            (&mut self.cache_warm_ups, other.cache_warm_ups),
+            (&mut self.sources, other.sources),
+            (&mut self.clipped.range, other.clipped.range),
+            (&mut self.clipped.slew, other.clipped.slew),
+        ] {
+            *here += there;
+        }
+        for (here, there) in [
+            (&mut self.fallbacks, &other.fallbacks),
+            (&mut self.refused, &other.refused),
+            (&mut self.missed, &other.missed),
+            (&mut self.users, &other.users),
+            (&mut self.epoch_events, &other.epoch_events),
+        ] {
+            there.iter().for_each(|(name, count)| *here.entry(name.clone()).or_default() += count);
+        }
+        for (name, policy) in &other.policies {
+            self.policies.entry(name.clone()).or_default().add(policy);
+        }
+        self.belief = match (self.belief, other.belief) {
+            (Some(here), Some(there)) => Some(here.with(there)),
+            (here, there) => here.or(there),
+        };
+        self.standby |= other.standby;
+        self.driver_absent |= other.driver_absent;
+        self.geometry_differs |= other.geometry_differs;
+        if other.unfit.is_some() {
+            self.unfit.clone_from(&other.unfit);
+        }
+        if !other.last_problem.is_empty() {
+            self.last_problem.clone_from(&other.last_problem);
+        }
+    }
+
+    /// Sets which arrays have no driver, by index.
+    pub fn set_without_driver(&mut self, without_driver: &[usize]) {
+        self.driver_absent = !without_driver.is_empty();
+        for (index, array) in self.arrays.iter_mut().enumerate() {
+            array.driver_absent = without_driver.contains(&index);
+        }
+    }
+
+    /// Adds the times.
+    pub fn add_times(&mut self, times: &StageTimes, policy_times: &PolicyTimes) {
+        for (name, policy) in &mut self.policies {
+            policy.decision_us = policy_times.decision_us(name);
+        }
+        self.over_budget = times.over_budget();
+        self.over_budget_by = nonzero(Stage::ALL.map(|stage| (stage.name(), times.over_budget_by(stage))));
+        self.decision_us = times.decision_us();
+        self.stages_us = Stage::ALL.map(|stage| (stage.name().to_string(), times.stage_us(stage))).into();
+        self.age_us = times.age_us();
+    }
+}
+
+/// The counts above zero, by name.
+fn nonzero(counts: impl IntoIterator<Item = (impl Into<String>, u64)>) -> BTreeMap<String, u64> {
+    counts.into_iter().filter(|(_, count)| *count > 0).map(|(name, count)| (name.into(), count)).collect()
+}
+
+/// The mismatch, and the flag of the command line that accepts it, where there is one.
+fn describe_unfit(unfit: &Unfit) -> String {
+    let advice = match unfit {
+        Unfit::Shape { .. } => "",
+        Unfit::Range { .. } => ", or accept the range with --accept-small-range",
+        Unfit::PaperAngles => ", or send them all the same with --force-paper-angles",
+    };
+    format!("{unfit}{advice}")
+}
+
+#[cfg(test)]
+mod tests {
+    use heliostat_core::{core::Timing, policy::Fixed};
+    use heliostat_scenario::Scenario;
+
+    use super::*;
+
+    #[test]
+    fn the_report_leaves_out_counts_of_zero() {
+        let scenario = Scenario::builtin("specular").expect("a built-in scenario");
+        let policy = Box::new(Fixed::flat(scenario.mirror_count()));
+        let mut controller = Controller::new(&scenario, scenario.channel_model().expect("valid"), policy, 1);
+        let Summary { fallbacks, refused, users, epoch_events, .. } = Summary::of(&controller);
+        assert_eq!([fallbacks, refused, users, epoch_events], [const { BTreeMap::new() }; 4]);
+        // Without a position report there is nothing to observe.
+        controller.poll_command(0, Timing::InTime, &mut |_| {});
+        let summary = Summary::of(&controller);
+        assert_eq!(summary.fallbacks, BTreeMap::from([("held".to_owned(), 1)]));
+        assert!(summary.to_string().contains("\nfallbacks: held 1\nrefused: none\n"), "{summary}");
+    }
+}

@@ -1,0 +1,50 @@
+//! Memory into which the payloads of each stream are decoded.
+
+use heliostat_core::{inbox::Message, refusal::Stream};
+use heliostat_proto::{
+    ChannelReport, CodecError, MirrorTelemetry, ObstacleReport, OrientationReport, UserReport, decode_into,
+};
+
+use crate::room_runtime::inlet::Inlet;
+
+/// One message of each stream.
+pub(super) struct MessageBuffers {
+    users: UserReport,
+    channel: ChannelReport,
+    obstacles: ObstacleReport,
+    telemetry: MirrorTelemetry,
+    orientation: OrientationReport,
+}
+
+impl MessageBuffers {
+    /// Buffers with memory for all users.
+    pub fn new() -> Self {
+        Self {
+            users: UserReport::buffer(),
+            channel: ChannelReport::buffer(),
+            obstacles: ObstacleReport::default(),
+            telemetry: MirrorTelemetry::default(),
+            orientation: OrientationReport::buffer(),
+        }
+    }
+
+    /// Decodes a payload into the buffer of its stream.
+    ///
+    /// # Errors
+    /// If the payload is no valid message of the stream.
+    pub fn decode(&mut self, Inlet { stream, array }: Inlet, payload: &[u8]) -> Result<Message<'_>, CodecError> {
+        match stream {
+            Stream::Users => decode_into(&mut self.users, payload).map(|()| Message::Users(&mut self.users)),
+            Stream::Channel => decode_into(&mut self.channel, payload).map(|()| Message::Channel(&mut self.channel)),
+            Stream::Obstacles => {
+                decode_into(&mut self.obstacles, payload).map(|()| Message::Obstacles(&mut self.obstacles))
+            }
+            Stream::Telemetry => {
+                decode_into(&mut self.telemetry, payload).map(|()| Message::Telemetry(array, &mut self.telemetry))
+            }
+            Stream::Orientation => {
+                decode_into(&mut self.orientation, payload).map(|()| Message::Orientation(&mut self.orientation))
+            }
+        }
+    }
+}

@@ -1,0 +1,137 @@
+//! Whether each array has a driver or a simulator that receives the commands.
+//!
+//! None of this is in the decision path.
+
+use std::{
+    collections::BTreeSet,
+    sync::{Arc, Mutex},
+    time::{Duration, Instant},
+};
+
+use heliostat_bus::{Bus, Presence, Subscription};
+use heliostat_core::core::Controller;
+use heliostat_proto::{
+    NodeKind, Stamp,
+    keys::{parse_alive, parse_driver_alive},
+};
+
+use super::locks::lock;
+
+/// Time without telemetry and without a liveliness token after which the driver is absent. A
+/// driver publishes telemetry at least 10 times a second.
+const ABSENT_AFTER: Duration = Duration::from_secs(2);
+
+/// Watches the liveliness tokens of drivers and simulators, and the telemetry.
+pub struct DriverPresence {
+    tokens: Arc<Mutex<BTreeSet<Token>>>,
+    /// One for each array.
+    detectors: Vec<AbsenceDetector>,
+}
+
+/// The array of a driver, and its source; a simulator drives every array of its room.
+type Token = (Option<usize>, u64);
+
+/// Detects that commands are sent for a while without any sign of a driver.
+#[derive(Clone, Debug, Default)]
+struct AbsenceDetector {
+    telemetry: Option<Stamp>,
+    /// Since when there is no sign of a driver although commands were sent.
+    since: Option<Instant>,
+}
+
+impl DriverPresence {
+    /// Subscribes to the tokens of a room with this number of arrays.
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub fn open(bus: &Bus, arrays: usize) -> anyhow::Result<(Self, Subscription)> {
+        let tokens: Arc<Mutex<BTreeSet<Token>>> = Arc::default();
+        let present = Arc::clone(&tokens);
+        let subscription = bus.watch(&bus.room().all_alive(), move |key, presence| {
+            let Some(token) = token(key) else { return };
+            match presence {
+                Presence::Alive => lock(&present).insert(token),
+                Presence::Gone => lock(&present).remove(&token),
+            };
+        })?;
+        Ok((Self { tokens, detectors: vec![AbsenceDetector::default(); arrays] }, subscription))
+    }
+
+    /// The arrays without a driver that receives the commands of a controller, by index.
+    pub fn absent(&mut self, now: Instant, controller: &Controller) -> Vec<usize> {
+        let tokens = lock(&self.tokens).clone();
+        let commands = controller.counters().commands;
+        let is_absent = |(array, detector): (usize, &mut AbsenceDetector)| {
+            let telemetry = controller.inbox().telemetry(array).map(|telemetry| telemetry.stamp);
+            detector.is_absent(now, drives(&tokens, array), telemetry, commands).then_some(array)
+        };
+        self.detectors.iter_mut().enumerate().filter_map(is_absent).collect()
+    }
+}
+
+/// The token of a driver or a simulator; `None` for other processes.
+fn token(key: &str) -> Option<Token> {
+    let driver = parse_driver_alive(key).map(|(array, source)| (Some(array), source));
+    driver.or_else(|| parse_alive(key).filter(|(node, _)| *node == NodeKind::SimNode).map(|(_, source)| (None, source)))
+}
+
+/// Whether a process with one of these tokens drives an array.
+fn drives(tokens: &BTreeSet<Token>, array: usize) -> bool {
+    tokens.iter().any(|(driven, _)| driven.is_none_or(|driven| driven == array))
+}
+
+impl AbsenceDetector {
+    /// `telemetry` is the stamp of the latest one, `commands` the number of commands so far.
+    fn is_absent(&mut self, now: Instant, has_token: bool, telemetry: Option<Stamp>, commands: u64) -> bool {
+        let has_news = std::mem::replace(&mut self.telemetry, telemetry) != telemetry;
+        if has_token || has_news || commands == 0 {
+            self.since = None;
+            return false;
+        }
+        now.saturating_duration_since(*self.since.get_or_insert(now)) >= ABSENT_AFTER
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use heliostat_proto::Room;
+
+    use super::*;
+
+    fn stamp(sequence: u64) -> Option<Stamp> {
+        Some(Stamp { sequence, ..Stamp::default() })
+    }
+
+    #[test]
+    fn a_driver_drives_its_array_and_a_simulator_every_one() {
+        let room = Room::new("lab").expect("a valid name");
+        let of = |key: String| token(&key).into_iter().collect::<BTreeSet<Token>>();
+        let driven = |tokens: &BTreeSet<Token>| [0, 1, 2].map(|array| drives(tokens, array));
+        assert_eq!(driven(&of(room.alive(NodeKind::Driver, 7))), [true, false, false]);
+        assert_eq!(driven(&of(room.array(1).driver_alive(7))), [false, true, false]);
+        assert_eq!(driven(&of(room.alive(NodeKind::SimNode, 7))), [true; 3]);
+        assert_eq!(driven(&of(room.alive(NodeKind::Viewer, 7))), [false; 3]);
+    }
+
+    #[test]
+    fn a_driver_is_absent_after_commands_without_token_and_telemetry_for_a_while() {
+        let (mut detector, start) = (AbsenceDetector::default(), Instant::now());
+        assert!(!detector.is_absent(start, false, None, 1));
+        assert!(!detector.is_absent(start + ABSENT_AFTER / 2, false, None, 9));
+        assert!(detector.is_absent(start + ABSENT_AFTER, false, None, 20));
+        assert!(!detector.is_absent(start + ABSENT_AFTER, true, None, 20), "a token appeared");
+    }
+
+    #[test]
+    fn a_driver_with_telemetry_or_a_controller_without_commands_lacks_nothing() {
+        let (mut detector, start) = (AbsenceDetector::default(), Instant::now());
+        for step in 0..10 {
+            assert!(!detector.is_absent(start + step * ABSENT_AFTER, false, stamp(u64::from(step)), 5));
+        }
+        let last = start + 10 * ABSENT_AFTER;
+        assert!(!detector.is_absent(last, false, stamp(9), 5));
+        assert!(detector.is_absent(last + ABSENT_AFTER, false, stamp(9), 5), "the telemetry ended");
+        let mut idle = AbsenceDetector::default();
+        assert!(!idle.is_absent(start, false, None, 0) && !idle.is_absent(last, false, None, 0));
+    }
+}

@@ -1,0 +1,101 @@
+//! Publishes the belief about the users and the state of the decision core, after a command was
+//! sent and never before it.
+
+use heliostat_bus::{Bus, BusError, Class, Publisher};
+use heliostat_core::core::{Controller, memory::Memory};
+use heliostat_proto::{BeliefReport, ControllerMemory, Message, Nanos, Stamp, encode};
+
+/// Shortest time between two belief reports, of position reports: 20 Hz is the rate at which viewers
+/// receive a frame.
+const BELIEF_INTERVAL_NS: Nanos = 50_000_000;
+
+/// Shortest time between two states, of position reports: the longest part of a recording that a
+/// replay cannot compare.
+const MEMORY_INTERVAL_NS: Nanos = 1_000_000_000;
+
+/// Publishes both messages of one room.
+pub struct StatePublisher {
+    belief: Stream<BeliefReport>,
+    memory: Stream<ControllerMemory>,
+}
+
+/// A message, its publisher, and when it was due last.
+struct Stream<T> {
+    message: T,
+    publisher: Publisher,
+    payload: Vec<u8>,
+    interval_ns: Nanos,
+    last_ns: Option<Nanos>,
+}
+
+impl StatePublisher {
+    /// A publisher for the bus's room. `source` is the id of this controller.
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub fn open(bus: &Bus, source: u64) -> Result<Self, BusError> {
+        let stamp = Stamp { source, ..Stamp::default() };
+        let (belief, memory) = (bus.room().belief(), bus.room().controller_memory());
+        let (belief, memory) = (bus.publisher(&belief, Class::LowDrop)?, bus.publisher(&memory, Class::LowDrop)?);
+        Ok(Self {
+            belief: Stream::new(BeliefReport { stamp, ..BeliefReport::buffer() }, belief, BELIEF_INTERVAL_NS),
+            memory: Stream::new(ControllerMemory { stamp, ..Default::default() }, memory, MEMORY_INTERVAL_NS),
+        })
+    }
+
+    /// Publishes what is due after the in-time decision that the controller made at `now`.
+    pub fn after_decision(&mut self, controller: &mut Controller, now: Nanos) {
+        let Some(report) = controller.inbox().users() else { return };
+        let (tick, report_ns) = (report.tick, report.stamp.time_ns);
+        if self.belief.is_due(report_ns) && controller.report_beliefs(now, &mut self.belief.message) {
+            let stamp = &mut self.belief.message.stamp;
+            (stamp.sequence, stamp.time_ns) = (stamp.sequence + 1, now);
+            self.belief.publish();
+        }
+        if self.memory.is_due(report_ns) {
+            self.publish_memory(controller, tick, now);
+        }
+    }
+
+    /// Publishes the state, with the inputs since the one before. A number is left out where inputs
+    /// are missing, or where the state is not published: it has no subscriber, or commands are not
+    /// the controller's.
+    fn publish_memory(&mut self, controller: &mut Controller, tick: u64, now: Nanos) {
+        let Stream { message, publisher, .. } = &mut self.memory;
+        let is_complete = controller.take_inputs(&mut message.inputs);
+        message.stamp.sequence += 1 + u64::from(!is_complete);
+        message.stamp.time_ns = now;
+        (message.epoch, message.tick) = (controller.epoch(), tick);
+        let is_of_use = message.epoch > 0 && controller.unfit().is_none();
+        if !is_of_use || !publisher.has_subscribers().unwrap_or(false) {
+            return;
+        }
+        if let Ok(state) = Memory::to_bytes(&controller.memory()) {
+            message.state = state;
+            self.memory.publish();
+        }
+    }
+}
+
+impl<T: Message> Stream<T> {
+    fn new(message: T, publisher: Publisher, interval_ns: Nanos) -> Self {
+        Self { message, publisher, payload: Vec::new(), interval_ns, last_ns: None }
+    }
+
+    /// Whether the interval has passed at a report of this time; a clock that steps ends it too.
+    fn is_due(&mut self, report_ns: Nanos) -> bool {
+        let is_due = self.last_ns.is_none_or(|last_ns| report_ns.abs_diff(last_ns) >= self.interval_ns);
+        if is_due {
+            self.last_ns = Some(report_ns);
+        }
+        is_due
+    }
+
+    /// A message that does not encode, or that the transport refuses, is lost like one on the
+    /// network.
+    fn publish(&mut self) {
+        if encode(&self.message, &mut self.payload).is_ok() {
+            let _ = self.publisher.put(&self.payload);
+        }
+    }
+}

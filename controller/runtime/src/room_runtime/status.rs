@@ -1,0 +1,360 @@
+//! The status report of one room, twice a second, for operators. No decision depends on it.
+
+use heliostat_core::{
+    core::{Counters, DegradedMode, Stage},
+    refusal::{LastRefusal, Refusal, Stream, TelemetrySizes},
+    tenure::{Standing, Tenure, TenureEvent},
+};
+use heliostat_proto::{Nanos, NodeKind, NodeStatus, Stamp, array_keys::array_name};
+use heliostat_service::clock::utc_ns;
+
+use super::{decision_loop::DecisionLoop, policy_swap::SwapCounters, undecodable::UndecodableCounts};
+use crate::report::{stage_times::StageTimes, summary::Summary};
+
+/// What to do about commands without a receiver.
+const DRIVER_ABSENT: &str = "there is no telemetry, and no liveliness token of a driver or simulator; start one, with an endpoint in common with this controller";
+
+/// The reporting node.
+#[derive(Clone, Debug)]
+pub struct Identity {
+    /// Random id of this instance.
+    pub source: u64,
+    /// When it started.
+    pub started_ns: Nanos,
+    /// Hash of the scenario.
+    pub scenario: String,
+}
+
+/// Composes reports, and keeps the counters of the last one.
+pub struct Reporter {
+    identity: Identity,
+    sequence: u64,
+    decisions: u64,
+    refused: u64,
+    failed: u64,
+    unsent: u64,
+    orders_refused: u64,
+    policy_warnings: u64,
+    foreign_arrays: u64,
+    undecodable: u64,
+    epoch_events: [u64; TenureEvent::ALL.len()],
+    unfit: Option<String>,
+    conditions: Conditions,
+    last_problem: String,
+}
+
+/// What is wrong in the room outside the decision loop.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Conditions {
+    /// Indices of the arrays of which there is no sign of a driver, although commands are sent.
+    pub without_driver: Vec<usize>,
+    /// Why the room's geometry is not that of this controller.
+    pub geometry: Option<String>,
+    /// Payloads that did not decode, of the topics that the decision loop does not receive.
+    pub undecodable: UndecodableCounts,
+}
+
+/// What went wrong since the last status.
+pub enum Problem {
+    /// The array receives no commands, or another sender interferes.
+    Alarm(String),
+    /// Anything else.
+    Warning(String),
+}
+
+/// A copy of the counters, taken while the decision loop is locked.
+pub struct Snapshot {
+    /// Counters and names.
+    pub summary: Summary,
+    /// What went wrong since the last snapshot.
+    pub problem: Option<Problem>,
+    now: Nanos,
+    state: String,
+    swaps: SwapCounters,
+}
+
+impl Reporter {
+    /// A reporter before its first report.
+    pub fn new(identity: Identity) -> Self {
+        Self {
+            identity,
+            sequence: 0,
+            decisions: 0,
+            refused: 0,
+            failed: 0,
+            unsent: 0,
+            orders_refused: 0,
+            policy_warnings: 0,
+            foreign_arrays: 0,
+            undecodable: 0,
+            epoch_events: [0; TenureEvent::ALL.len()],
+            unfit: None,
+            conditions: Conditions::default(),
+            last_problem: String::new(),
+        }
+    }
+
+    /// Copies the counters; the decision loop is locked meanwhile.
+    pub fn take_snapshot(
+        &mut self,
+        decision_loop: &DecisionLoop,
+        swaps: SwapCounters,
+        conditions: Conditions,
+    ) -> Snapshot {
+        let controller = &decision_loop.controller;
+        let mut summary = Summary::of(controller);
+        summary.unsent = decision_loop.unsent();
+        summary.dropped = decision_loop.superseded();
+        summary.cache_warm_ups = decision_loop.cache_warm_ups();
+        summary.refused.extend(conditions.undecodable.named());
+        // Of several arrays, the first that follows another controller.
+        let mut tenures = (0..controller.arrays()).map(|array| controller.tenure(array));
+        let tenure = tenures.find(|tenure| tenure.standing() == Standing::Standby).unwrap_or(controller.tenure(0));
+        let undecodable = conditions.undecodable.clone();
+        let problem = self
+            .new_alarm(&summary, controller.counters(), tenure)
+            .or_else(|| self.new_condition(conditions, controller.arrays()))
+            .or_else(|| self.new_problem(decision_loop, &swaps).map(Problem::Warning))
+            .or_else(|| self.new_undecodable(&undecodable).map(Problem::Warning));
+        if let Some(Problem::Alarm(problem) | Problem::Warning(problem)) = &problem {
+            self.last_problem.clone_from(problem);
+        }
+        summary.last_problem.clone_from(&self.last_problem);
+        summary.set_without_driver(&self.conditions.without_driver);
+        summary.geometry_differs = self.conditions.geometry.is_some();
+        let state = self.state(&summary);
+        self.decisions = summary.decisions;
+        Snapshot { summary, problem, now: decision_loop.room_time_ns(), state, swaps }
+    }
+
+    /// The report for a snapshot, with the times since the start.
+    pub fn report(&mut self, snapshot: &Snapshot, times: &StageTimes) -> NodeStatus {
+        self.sequence += 1;
+        let summary = &snapshot.summary;
+        let own = [
+            ("decisions", summary.decisions),
+            ("commands", summary.commands),
+            ("over_budget", times.over_budget()),
+            ("unsent", summary.unsent),
+            ("dropped", summary.dropped),
+            ("unanswered", summary.unanswered),
+            ("clipped_range", summary.clipped.range),
+            ("clipped_slew", summary.clipped.slew),
+            ("sources", summary.sources),
+            ("epoch", summary.epoch),
+            ("standby", u64::from(summary.standby)),
+            ("array_unfit", u64::from(summary.unfit.is_some())),
+            ("driver_absent", self.conditions.without_driver.len() as u64),
+            ("geometry_differs", u64::from(summary.geometry_differs)),
+            ("policies_switched", snapshot.swaps.replaced),
+            ("policies_refused", snapshot.swaps.refused),
+        ];
+        let own = own.into_iter().map(|(name, count)| (name.to_string(), count));
+        let within = times.decisions_within().map(|(edge_us, count)| (format!("decision_us_le:{edge_us}"), count));
+        let named = |prefix: &'static str| move |(name, count): (&String, &u64)| (format!("{prefix}{name}"), *count);
+        let fallbacks = summary.fallbacks.iter().map(named("fallback:"));
+        let refused = summary.refused.iter().map(named("refused:"));
+        let epochs = summary.epoch_events.iter().map(named("epoch:"));
+        let missed = summary.missed.iter().map(named("missed:"));
+        let users = summary.users.iter().map(named("users:"));
+        let absent = summary.arrays.iter().filter(|array| array.driver_absent);
+        let absent = absent.map(|array| (format!("driver_absent:{}", array.name), 1));
+        // A replay evaluates the network by the same engine.
+        let engine = summary.engine.iter().map(|name| (format!("engine:{name}"), 1));
+        let stages = Stage::ALL.map(|stage| (stage.name().to_string(), times.stage_us(stage)));
+        let totals = [("decision".to_string(), times.decision_us()), ("age".to_string(), times.age_us())];
+        NodeStatus {
+            stamp: Stamp { source: self.identity.source, sequence: self.sequence, time_ns: snapshot.now },
+            state: snapshot.state.clone(),
+            policy: summary.policy.clone(),
+            counters: own
+                .chain(within)
+                .chain(fallbacks)
+                .chain(refused)
+                .chain(epochs)
+                .chain(missed)
+                .chain(users)
+                .chain(engine)
+                .chain(absent)
+                .collect(),
+            timings: totals.into_iter().chain(stages).collect(),
+            last_problem: summary.last_problem.clone(),
+            ..self.blank()
+        }
+    }
+
+    /// The report while the policy does not return, from the last summary.
+    pub fn report_stall(&self, summary: &Summary) -> NodeStatus {
+        NodeStatus {
+            stamp: Stamp { source: self.identity.source, sequence: self.sequence, time_ns: utc_ns() },
+            state: "no answer from the policy".into(),
+            policy: summary.policy.clone(),
+            counters: vec![("unanswered".into(), summary.unanswered)],
+            last_problem: summary.last_problem.clone(),
+            ..self.blank()
+        }
+    }
+
+    fn blank(&self) -> NodeStatus {
+        NodeStatus {
+            node: NodeKind::Controller,
+            name: format!("controller-{:08x}", self.identity.source >> 32),
+            software: env!("CARGO_PKG_VERSION").into(),
+            scenario: self.identity.scenario.clone(),
+            started_ns: self.identity.started_ns,
+            ..NodeStatus::default()
+        }
+    }
+
+    fn state(&self, summary: &Summary) -> String {
+        let state = match summary {
+            _ if summary.unfit.is_some() => "no commands: the array does not fit",
+            _ if summary.standby => "standby",
+            _ if summary.decisions == 0 => "waiting for position reports",
+            _ if summary.decisions == self.decisions => "position reports stopped",
+            _ if summary.driver_absent => {
+                return describe_absence(&self.conditions.without_driver, summary.arrays.len().max(1));
+            }
+            _ => "running",
+        };
+        state.into()
+    }
+
+    /// A new reason for which the array receives no commands, or a sign of another sender.
+    fn new_alarm(&mut self, summary: &Summary, counters: &Counters, tenure: &Tenure) -> Option<Problem> {
+        let unfit_before = std::mem::replace(&mut self.unfit, summary.unfit.clone());
+        if unfit_before != self.unfit {
+            return Some(match &self.unfit {
+                Some(unfit) => Problem::Alarm(format!("the array receives no commands: {unfit}")),
+                None => Problem::Warning("the array fits the scenario: it receives commands again".into()),
+            });
+        }
+        let events = TenureEvent::ALL.map(|event| counters.tenure(event));
+        let before = std::mem::replace(&mut self.epoch_events, events);
+        let rose = TenureEvent::ALL.into_iter().filter(|event| events[*event as usize] > before[*event as usize]);
+        if let Some(event) = rose.max_by_key(|event| is_alarm(*event)) {
+            let text = describe_event(event, tenure);
+            return Some(if is_alarm(event) { Problem::Alarm(text) } else { Problem::Warning(text) });
+        }
+        let foreign_before = std::mem::replace(&mut self.foreign_arrays, counters.foreign_arrays);
+        (foreign_before < counters.foreign_arrays).then(|| {
+            Problem::Warning(
+                "an announcement of an array that is not followed is refused: expected one driver in a room; stop the other"
+                    .into(),
+            )
+        })
+    }
+
+    /// A condition that began or ended; a second one is reported at the next snapshot.
+    fn new_condition(&mut self, now: Conditions, arrays: usize) -> Option<Problem> {
+        let before = std::mem::replace(&mut self.conditions.without_driver, now.without_driver);
+        let without_driver = &self.conditions.without_driver;
+        if before != *without_driver {
+            return Some(Problem::Warning(if without_driver.is_empty() {
+                "a driver is in the room and receives the commands".into()
+            } else {
+                format!("{}: {DRIVER_ABSENT}", describe_absence(without_driver, arrays))
+            }));
+        }
+        let before = std::mem::replace(&mut self.conditions.geometry, now.geometry);
+        if before == self.conditions.geometry {
+            return None;
+        }
+        let ended = || "the room announces no other geometry than this controller".into();
+        Some(Problem::Warning(self.conditions.geometry.clone().unwrap_or_else(ended)))
+    }
+
+    /// The most serious problem since the last snapshot.
+    fn new_problem(&mut self, decision_loop: &DecisionLoop, swaps: &SwapCounters) -> Option<String> {
+        let controller = &decision_loop.controller;
+        let counters = controller.counters();
+        let failed = counters.degraded(DegradedMode::PolicyFailed) + counters.degraded(DegradedMode::Held);
+        let rose = |before: &mut u64, after: u64| std::mem::replace(before, after) < after;
+        let failed_rose = rose(&mut self.failed, failed);
+        let unsent_rose = rose(&mut self.unsent, decision_loop.unsent());
+        let refused_rose = rose(&mut self.refused, controller.inbox().refused().total());
+        let order_refused = rose(&mut self.orders_refused, swaps.refused);
+        let policy_warned = rose(&mut self.policy_warnings, swaps.warnings);
+        if failed_rose && let Some(failure) = controller.last_failure() {
+            return Some(format!("policy {}: {failure}", controller.policy_name()));
+        }
+        if unsent_rose {
+            return Some("a command could not be sent: the session is closed".into());
+        }
+        if order_refused {
+            return swaps.last_refusal.clone();
+        }
+        if policy_warned {
+            return swaps.last_warning.clone();
+        }
+        refused_rose.then(|| describe_refusal(decision_loop)).flatten()
+    }
+
+    /// The last payload that did not decode, if there are more than at the last report of one.
+    fn new_undecodable(&mut self, counts: &UndecodableCounts) -> Option<String> {
+        let before = std::mem::replace(&mut self.undecodable, counts.total());
+        counts.last().filter(|_| before < counts.total()).map(str::to_owned)
+    }
+}
+
+/// Which commands reach no driver, in a room with this number of arrays.
+fn describe_absence(without_driver: &[usize], arrays: usize) -> String {
+    let all = "no driver receives the commands";
+    if without_driver.len() == arrays {
+        return all.into();
+    }
+    let names: Vec<String> = without_driver.iter().map(|array| array_name(*array)).collect();
+    format!("{all} to {}", names.join(" and "))
+}
+
+fn is_alarm(event: TenureEvent) -> bool {
+    !matches!(event, TenureEvent::Resumed | TenureEvent::TookOver)
+}
+
+fn describe_event(event: TenureEvent, tenure: &Tenure) -> String {
+    let epoch = tenure.epoch();
+    match event {
+        TenureEvent::Superseded => format!(
+            "another controller (epoch {}) has superseded this one (epoch {epoch}): commands are withheld until the array accepts none of the other; stop one of the two, or keep this one as a reserve",
+            tenure.followed_epoch().unwrap_or_default()
+        ),
+        TenureEvent::Resumed => format!("standby has ended: the array follows no higher epoch than {epoch}"),
+        TenureEvent::TookOver => {
+            format!(
+                "this controller takes over with the new epoch {epoch}: it has just started, or the array accepted no command of another"
+            )
+        }
+        TenureEvent::LockedOut => format!(
+            "the array refused every command for 1 s; the new epoch {epoch} is used. Look for another sender of commands in the room"
+        ),
+        TenureEvent::ForeignSequence => format!(
+            "the array applied a command of this controller's epoch that it did not send; the new epoch {epoch} is used. Look for another sender of commands in the room"
+        ),
+        TenureEvent::ClocksDiffer => {
+            "the array refused every command for 1 s as expired: synchronise the clocks of controller and driver".into()
+        }
+    }
+}
+
+fn describe_refusal(decision_loop: &DecisionLoop) -> Option<String> {
+    let inbox = decision_loop.controller.inbox();
+    let LastRefusal { stream, array, refusal, sizes } = inbox.refused().last()?;
+    let (name, owner) = match stream {
+        Stream::Telemetry => (format!("telemetry of {}", array_name(array)), inbox.array_source(array)),
+        _ => (stream.name().to_owned(), inbox.source()),
+    };
+    Some(match (refusal, decision_loop.last_malformed()) {
+        (Refusal::ForeignSource, _) => format!(
+            "a second source {:016x} reports {name} in this room, which source {:016x} owns; it is refused",
+            inbox.refused().last_foreign_source().unwrap_or_default(),
+            owner.unwrap_or_default()
+        ),
+        (Refusal::WrongMirrorCount, _) if let Some(TelemetrySizes { roll, yaw, expected }) = sizes => format!(
+            "{name} refused: it has {roll} roll and {yaw} yaw angles, expected {expected} of each; \
+             start its driver with the size that the scenario gives {}",
+            array_name(array)
+        ),
+        (_, Some(error)) if refusal == Refusal::from(error) => format!("{name}: {error}"),
+        _ => format!("{name} refused: {refusal}"),
+    })
+}

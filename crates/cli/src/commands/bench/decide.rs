@@ -1,0 +1,397 @@
+//! `heliostat bench decide | policies | mirrors | users`: the decision without transport, from the payload of a
+//! position report to the payload of the command, in one process.
+//!
+//! Between decisions the thread sleeps, as a controller does between reports, so the caches lose
+//! their contents as they do there. A decision counts from the moment the thread is awake, or from
+//! its due time if the previous decision was still running.
+
+use std::io::Write;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result};
+use clap::ValueEnum;
+use heliostat_controller::report::stage_times::{StageStamps, StageTimes};
+use heliostat_core::core::{Controller, Decision, Stage};
+use heliostat_core::inbox::Message;
+use heliostat_core::policy::{Actor, Policy, PolicyKind};
+use heliostat_models::{ActorSource, EngineChoice};
+use heliostat_proto::{ArrayState, MirrorTelemetry, Stamp, UserReport, decode_into, encode};
+use heliostat_scenario::{Scenario, ScenarioArgs};
+
+use super::pace::{Block, PaceArgs, Plan, Turn};
+use super::rows::{Row, Table, Times, Varied};
+use super::walkers::Walkers;
+
+/// Unmeasured decisions at the start.
+const WARM_UP: usize = 200;
+/// Reports between two messages of telemetry.
+const TELEMETRY_TICKS: u64 = 5;
+/// Cache warm-ups before each report, as in the controller.
+const WARM_UPS: u32 = 2;
+/// The cache warm-ups end this long before the report is due, as in the controller.
+const WARM_UP_MARGIN: Duration = Duration::from_micros(50);
+
+/// Flags that the benchmarks of the decision share.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    scenario: ScenarioArgs,
+    #[command(flatten)]
+    pace: PaceArgs,
+    /// Policy that decides [default: ddpg for decide, fixed-point for mirrors and users, all for
+    /// policies]
+    #[arg(long, value_enum)]
+    policy: Option<PolicyKind>,
+    /// ONNX file of a learned policy, instead of the built-in one
+    #[arg(long, value_name = "FILE", requires = "policy")]
+    model: Option<PathBuf>,
+    /// Engine of learned policies: auto, dense, or the embedded one by its name (tract, or ort in
+    /// builds with ONNX Runtime) [default: auto; decide measures every engine that runs the actor]
+    #[arg(long)]
+    engine: Option<EngineChoice>,
+    /// Whether caches are warmed shortly before each report, as the controller does
+    #[arg(long, value_enum, value_name = "WHEN", default_value_t = KeepWarm::Off)]
+    keep_warm: KeepWarm,
+    /// Print one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+/// When caches are warmed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum KeepWarm {
+    /// Never
+    Off,
+    /// Shortly before each report
+    Expected,
+}
+
+/// What is measured: a policy in a room.
+#[derive(Clone, Copy)]
+struct Subject<'a> {
+    scenario: &'a Scenario,
+    kind: PolicyKind,
+    source: &'a ActorSource,
+    engine: EngineChoice,
+}
+
+impl Subject<'_> {
+    fn build(&self) -> Result<Box<dyn Policy>> {
+        Ok(self.engine.build(self.kind, self.scenario, self.source)?)
+    }
+}
+
+/// `decide`: one policy at several rates, beside the inference engine alone.
+pub fn decide(args: &Args) -> Result<()> {
+    let (scenario, source) = (args.scenario.load_arrays()?, args.source()?);
+    let kind = args.policy.unwrap_or(PolicyKind::Ddpg);
+    let subject = Subject { scenario: &scenario, kind, source: &source, engine: EngineChoice::Auto };
+    let engines = args.engines(&subject);
+    let mut table =
+        Table::new(args.json, "decision without transport; reference: the inference engine alone at the same rate")?;
+    for plan in args.pace.plans(&[10.0, 100.0, 1000.0, 0.0])? {
+        for engine in &engines {
+            let subject = Subject { engine: *engine, ..subject };
+            let mut reference = EngineAlone::new(&subject)?;
+            table.add(args.measure(&plan, subject, &mut reference)?)?;
+        }
+    }
+    Ok(table.finish()?)
+}
+
+/// `policies`: every policy that can decide here, beside the inference engine alone.
+pub fn policies(args: &Args) -> Result<()> {
+    let scenario = args.scenario.load_arrays()?;
+    anyhow::ensure!(args.model.is_none(), "--model: bench policies measures the built-in actors; use bench decide");
+    let engine = args.engine.unwrap_or_default();
+    let mut table =
+        Table::new(args.json, "decision without transport; reference: the inference engine alone at the same rate")?;
+    for plan in args.pace.plans(&[100.0])? {
+        for kind in PolicyKind::value_variants() {
+            let subject = Subject { scenario: &scenario, kind: *kind, source: &ActorSource::Shipped, engine };
+            if let Err(error) = subject.build() {
+                drop(writeln!(std::io::stderr(), "left out: {error}"));
+                continue;
+            }
+            let mut reference = EngineAlone::new(&Subject { engine: EngineChoice::Auto, ..subject })?;
+            table.add(args.measure(&plan, subject, &mut reference)?)?;
+        }
+    }
+    Ok(table.finish()?)
+}
+
+/// `mirrors`: the same wall divided into 49 to 4096 mirrors under a point LED; reference: 49 mirrors.
+pub fn mirrors(args: &Args) -> Result<()> {
+    let sized = |side: usize| {
+        let set = [
+            format!("mirrors.rows={side}"),
+            format!("mirrors.columns={side}"),
+            format!("mirrors.width_m={}", 2.5 / side as f64),
+            format!("mirrors.height_m={}", 1.0 / side as f64),
+            format!("mirrors.gap_m={}", 0.2 / side as f64),
+            // A panel of 25 points costs many times as much, and its image does not fit the
+            // smallest mirrors.
+            "led.side_m=0".into(),
+        ];
+        let scenario = args.scenario.load().context("bench mirrors divides the wall of one array")?;
+        Ok(scenario.with_overrides(&set)?)
+    };
+    args.growth("mirrors; reference: 49 mirrors", &[7, 10, 16, 32, 64], &sized)
+}
+
+/// `users`: 1 to 50 users; reference: one user.
+pub fn users(args: &Args) -> Result<()> {
+    let sized = |users: usize| Ok(args.scenario.load_arrays()?.with_overrides(&[format!("users.count={users}")])?);
+    args.growth("users; reference: one user", &[1, 2, 5, 10, 20, 50], &sized)
+}
+
+impl Args {
+    /// Rooms of growing size; the first is the reference.
+    fn growth(&self, of: &str, sizes: &[usize], sized: &dyn Fn(usize) -> Result<Scenario>) -> Result<()> {
+        let kind = self.policy.unwrap_or(PolicyKind::FixedPoint);
+        let (source, engine) = (self.source()?, self.engine.unwrap_or_default());
+        let mut table = Table::new(self.json, &format!("decision without transport with a growing number of {of}"))?;
+        for plan in self.pace.plans(&[100.0])? {
+            for size in sizes {
+                let [first, scenario] = [sized(sizes[0])?, sized(*size)?];
+                let subject = Subject { scenario: &scenario, kind, source: &source, engine };
+                let mut smallest = Decider::new(&Subject { scenario: &first, ..subject }, KeepWarm::Off)?;
+                table.add(self.measure(&plan, subject, &mut smallest)?)?;
+            }
+        }
+        Ok(table.finish()?)
+    }
+
+    /// The actor of the flags.
+    fn source(&self) -> Result<ActorSource> {
+        let source = self.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
+        let kind = self.policy.unwrap_or(PolicyKind::Ddpg);
+        source.check_used_by(kind).context("--model names the file of a learned policy")?;
+        Ok(source)
+    }
+
+    /// The engines to measure: the one of the flag, or all that run the actor.
+    fn engines(&self, subject: &Subject<'_>) -> Vec<EngineChoice> {
+        let all = [EngineChoice::Embedded, EngineChoice::Dense];
+        match self.engine {
+            Some(engine) => vec![engine],
+            None if subject.kind.is_learned() => {
+                let runs = |engine: &EngineChoice| Subject { engine: *engine, ..*subject }.build().is_ok();
+                let able: Vec<_> = all.into_iter().filter(runs).collect();
+                // Where none does, the error follows from a build.
+                if able.is_empty() { vec![EngineChoice::Auto] } else { able }
+            }
+            None => vec![EngineChoice::Auto],
+        }
+    }
+
+    fn measure(&self, plan: &Plan, subject: Subject<'_>, reference: &mut dyn Side) -> Result<Row> {
+        let mut decider = Decider::new(&subject, self.keep_warm)?;
+        let scenario = subject.scenario;
+        let mut compared = Times::new();
+        plan.take_turns(|turn, block| match turn {
+            Turn::Measured => go_through(&mut decider, block, &mut |_| {}),
+            Turn::Reference => go_through(reference, block, &mut |time| compared.record(time)),
+        })?;
+        let times = &decider.times;
+        let decision = times.decision_us();
+        let varied = Varied {
+            hz: plan.hz,
+            mirrors: scenario.mirror_count(),
+            users: scenario.users.count,
+            rooms: 1,
+            policy: decider.controller.policy_name().into(),
+            engine: decider.controller.engine_name().map(str::to_owned),
+        };
+        let by_stage = Stage::ALL.map(|stage| (stage.name().to_string(), times.over_budget_by(stage)));
+        let row = Row::new(varied, (decision.into(), times.over_budget(), decision.count), &compared);
+        let stages = Stage::ALL.map(|stage| (stage.name().to_string(), times.stage_us(stage)));
+        Ok(row.by_stage(by_stage.into_iter().filter(|(_, count)| *count > 0).collect(), &stages.into()))
+    }
+}
+
+/// Telemetry of each of several arrays; nothing for one.
+fn telemetry(scenario: &Scenario) -> Vec<MirrorTelemetry> {
+    let arrays = scenario.mirrors.arrays();
+    let of_array = |mirrors: usize| {
+        let (state, flat) = (ArrayState::Following, vec![0.0; mirrors]);
+        MirrorTelemetry { state, roll_commanded: flat.clone(), yaw_commanded: flat, ..Default::default() }
+    };
+    arrays.iter().filter(|_| arrays.len() > 1).map(|array| of_array(array.rows * array.columns)).collect()
+}
+
+/// One of the two sides that alternate.
+trait Side {
+    /// Prepares the next report, before the pause.
+    fn prepare(&mut self) -> Result<()>;
+    /// Waits until the report is due.
+    fn wait(&mut self, due: Instant) {
+        sleep_until(due);
+    }
+    /// Answers a report that counts from `started`.
+    fn act(&mut self, started: Instant) -> Result<()>;
+}
+
+fn sleep_until(due: Instant) {
+    std::thread::sleep(due.saturating_duration_since(Instant::now()));
+}
+
+/// Lets a side answer the reports of a block; returns their number.
+fn go_through(side: &mut dyn Side, block: Block, record: &mut dyn FnMut(Duration)) -> Result<u64> {
+    let start = Instant::now();
+    for report in 0..block.reports {
+        side.prepare()?;
+        let started = match block.interval {
+            None => Instant::now(),
+            Some(interval) => {
+                let due = start + interval.mul_f64(report as f64 + 1.0);
+                if Instant::now() > due {
+                    due
+                } else {
+                    side.wait(due);
+                    Instant::now()
+                }
+            }
+        };
+        side.act(started)?;
+        record(started.elapsed());
+        if block.interval.is_none() && Instant::now() > block.until {
+            return Ok(report + 1);
+        }
+    }
+    Ok(block.reports)
+}
+
+/// The decision core, with decoding before it and encoding after it.
+struct Decider {
+    controller: Controller,
+    walkers: Walkers,
+    /// Of each of several arrays, which are lost without it; empty for one array.
+    telemetry: Vec<MirrorTelemetry>,
+    users: usize,
+    tick: u64,
+    keep_warm: KeepWarm,
+    /// How long the last cache warm-up took.
+    warm_up_took: Duration,
+    payload: Vec<u8>,
+    report: UserReport,
+    command: Vec<u8>,
+    times: StageTimes,
+}
+
+impl Decider {
+    fn new(subject: &Subject<'_>, keep_warm: KeepWarm) -> Result<Self> {
+        let (scenario, policy) = (subject.scenario, subject.build()?);
+        let mut controller = Controller::new(scenario, scenario.channel_model()?, policy, 1);
+        controller.warm_up(0..WARM_UP);
+        let mut decider = Self {
+            controller,
+            walkers: Walkers::default(),
+            telemetry: telemetry(scenario),
+            users: scenario.users.count,
+            tick: 0,
+            keep_warm,
+            warm_up_took: Duration::ZERO,
+            payload: Vec::new(),
+            report: UserReport::default(),
+            command: Vec::new(),
+            times: StageTimes::new(),
+        };
+        for _ in 0..WARM_UP {
+            decider.prepare()?;
+            decider.act(Instant::now())?;
+        }
+        decider.times = StageTimes::new();
+        Ok(decider)
+    }
+}
+
+impl Side for Decider {
+    fn prepare(&mut self) -> Result<()> {
+        self.tick += 1;
+        // Ten simulated milliseconds from report to report, at every rate.
+        let now = self.tick * 10_000_000;
+        self.walkers.walk(1, self.tick, now, self.users);
+        if self.tick % 100 == 1 {
+            self.controller.handle_and_poll(now, Message::Obstacles(&mut self.walkers.obstacles), &mut |_| {});
+        }
+        for (array, telemetry) in self.telemetry.iter().enumerate().filter(|_| self.tick % TELEMETRY_TICKS == 1) {
+            // A copy, since the controller keeps the memory of an accepted message.
+            let stamp = Stamp { source: 2 + array as u64, sequence: self.tick, time_ns: now };
+            let mut telemetry = MirrorTelemetry { stamp, ..telemetry.clone() };
+            self.controller.handle_and_poll(now, Message::Telemetry(array, &mut telemetry), &mut |_| {});
+        }
+        self.controller.handle_and_poll(now, Message::Channel(&mut self.walkers.channel), &mut |_| {});
+        Ok(encode(&self.walkers.users, &mut self.payload)?)
+    }
+
+    fn wait(&mut self, due: Instant) {
+        let ahead = self.warm_up_took + WARM_UP_MARGIN;
+        if self.keep_warm == KeepWarm::Expected
+            && let Some(start) = due.checked_sub(ahead).filter(|start| *start > Instant::now())
+        {
+            sleep_until(start);
+            let start = Instant::now();
+            (0..WARM_UPS).for_each(|_| self.controller.warm_cache());
+            self.warm_up_took = start.elapsed();
+            while Instant::now() < due {
+                std::hint::spin_loop();
+            }
+        }
+        sleep_until(due);
+    }
+
+    fn act(&mut self, started: Instant) -> Result<()> {
+        let mut stamps = StageStamps::start(started);
+        stamps.mark(Stage::Waited);
+        decode_into(&mut self.report, &self.payload)?;
+        stamps.mark(Stage::Decoded);
+        let now = self.tick * 10_000_000;
+        let message = Message::Users(&mut self.report);
+        let decision = self.controller.handle_and_poll(now, message, &mut |stage| stamps.mark(stage));
+        let Some(decision @ Decision::Move { age_ns, .. }) = decision else {
+            anyhow::bail!("the controller gave no command for tick {}", self.tick);
+        };
+        for (_, command) in decision.commands() {
+            command.sequence = self.tick;
+            encode(command, &mut self.command)?;
+        }
+        stamps.mark(Stage::Published);
+        self.times.record(&stamps, age_ns);
+        Ok(())
+    }
+}
+
+/// The inference engine alone: on the file of the subject, else on the built-in actor of ddpg for the
+/// room, or on that of the default room if there is none.
+struct EngineAlone {
+    actor: Actor,
+}
+
+impl EngineAlone {
+    fn new(subject: &Subject<'_>) -> Result<Self> {
+        let fetch = |room: &Scenario| ActorSource::Shipped.fetch(PolicyKind::Ddpg, room);
+        let (default, own) = (Scenario::default(), subject.source);
+        let (file, room, engine) = match (own, fetch(subject.scenario)) {
+            (ActorSource::Shipped, Ok(file)) => (file, subject.scenario, EngineChoice::Auto),
+            (ActorSource::Shipped, Err(_)) => (fetch(&default)?, &default, EngineChoice::Auto),
+            _ => (own.fetch(subject.kind, subject.scenario)?, subject.scenario, subject.engine),
+        };
+        let mut actor = engine.load_actor(&file, room)?;
+        for _ in 0..WARM_UP {
+            actor.run_engine_alone()?;
+        }
+        Ok(Self { actor })
+    }
+}
+
+impl Side for EngineAlone {
+    fn prepare(&mut self) -> Result<()> {
+        Ok(())
+    }
+
+    fn act(&mut self, _: Instant) -> Result<()> {
+        Ok(self.actor.run_engine_alone()?)
+    }
+}

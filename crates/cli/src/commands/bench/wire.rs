@@ -1,0 +1,308 @@
+//! `heliostat bench loop | rooms`: from the publication of a report to the arrival of the command that answers it.
+//!
+//! This process is the room, the controller is a second one, and the reference is a third: an echo
+//! that answers each report with as many bytes as a command has, over the same session, with the
+//! same quality of service. Reports go to controller and echo alternately. A report counts from its
+//! due time.
+
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, ensure};
+use clap::ValueEnum;
+use heliostat_bus::{Bus, BusConfig, Class, Publisher, Subscription, free_loopback_endpoint};
+use heliostat_controller::report::stage_times::BUDGET;
+use heliostat_controller::report::summary::Summary;
+use heliostat_core::policy::PolicyKind;
+use heliostat_models::ActorSource;
+use heliostat_proto::{MirrorCommand, Room, decode_into, encode};
+use heliostat_scenario::{Scenario, ScenarioArgs};
+use heliostat_service::clock::utc_ns;
+
+use super::board::Board;
+use super::pace::{Block, PaceArgs, Plan, Turn};
+use super::rows::{Row, Table, Varied};
+use super::walkers::Walkers;
+use crate::commands::demo::child::ChildProcess as Part;
+
+/// Longest time until the other process answers.
+const MEET_WITHIN: Duration = Duration::from_secs(20);
+/// Longest time until a process ends.
+const END_WITHIN: Duration = Duration::from_secs(10);
+/// A report without an answer for this long is lost, and counts with this time.
+const LOST_AFTER: Duration = Duration::from_millis(500);
+/// Unmeasured reports at the start.
+const WARM_UP: u64 = 100;
+/// The wait ends with a busy-wait of this length, because a sleep ends after its due time.
+const SPIN: Duration = Duration::from_micros(100);
+
+/// Flags that the benchmarks across processes share.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    scenario: ScenarioArgs,
+    #[command(flatten)]
+    pace: PaceArgs,
+    /// Policy of the controller
+    #[arg(long, value_enum, default_value_t = PolicyKind::Ddpg)]
+    policy: PolicyKind,
+    /// Numbers of rooms that one process serves (comma-separated), instead of the benchmark's
+    /// default
+    #[arg(long, value_name = "N", value_delimiter = ',', value_parser = clap::value_parser!(u16).range(1..=512))]
+    rooms: Vec<u16>,
+    /// Endpoint of the processes, instead of a free TCP port of this machine; for example
+    /// unixsock-stream//run/bench.sock
+    #[arg(long, value_name = "ENDPOINT")]
+    endpoint: Option<String>,
+    /// Print one JSON object
+    #[arg(long)]
+    json: bool,
+    /// Flags for the controller process, after --
+    #[arg(last = true, value_name = "FLAGS")]
+    controller: Vec<String>,
+}
+
+/// `loop`: one room at several rates.
+pub fn run_loop(args: &Args) -> Result<()> {
+    args.run("loop over Zenoh; reference: an echo of the same payload sizes", &[10.0, 100.0, 1000.0, 0.0], &[1])
+}
+
+/// `rooms`: a growing number of rooms on one controller process.
+pub fn run_rooms(args: &Args) -> Result<()> {
+    let title = "loop over Zenoh with one controller process for all rooms; reference: an echo for as many";
+    args.run(title, &[100.0], &[1, 4, 16, 32, 64])
+}
+
+impl Args {
+    fn run(&self, title: &str, default_hz: &[f64], rooms: &[usize]) -> Result<()> {
+        let scenario =
+            self.scenario.load().context("the room of this benchmark has one array; bench decide takes several")?;
+        // Fails here rather than in the controller process, for whose answer the room would wait.
+        heliostat_models::build(self.policy, &scenario, &ActorSource::Shipped)?;
+        let named: Vec<usize> = self.rooms.iter().map(|rooms| usize::from(*rooms)).collect();
+        let rooms = if named.is_empty() { rooms } else { &named };
+        let mut table = Table::new(self.json, title)?;
+        for plan in self.pace.plans(default_hz)? {
+            for rooms in rooms {
+                table.add(self.measure(&plan, &scenario, *rooms)?)?;
+            }
+        }
+        Ok(table.finish()?)
+    }
+
+    fn measure(&self, plan: &Plan, scenario: &Scenario, rooms: usize) -> Result<Row> {
+        let endpoint = self.endpoint.clone().map_or_else(free_loopback_endpoint, Ok)?;
+        let bus = Bus::open(&BusConfig::new(Room::new("bench")?).listen_at(&endpoint))?;
+        let mut measured = Side::open(&bus, "measured", scenario, rooms)?;
+        let mut reference = Side::open(&bus, "reference", scenario, rooms)?;
+        let controller = Part::start("controller", &self.controller_arguments(&endpoint, &measured.names)?)?;
+        let echo = Part::start("echo", &echo_arguments(&endpoint, &reference.names, scenario)?)?;
+        for side in [&mut measured, &mut reference] {
+            side.meet()?;
+            side.go_through(Block {
+                interval: None,
+                reports: WARM_UP,
+                until: Instant::now() + Duration::from_secs(5),
+            })?;
+            side.board.begin();
+        }
+        plan.take_turns(|turn, block| match turn {
+            Turn::Measured => measured.go_through(block),
+            Turn::Reference => reference.go_through(block),
+        })?;
+        let summary: Summary =
+            serde_json::from_value(controller.finish(END_WITHIN)?).context("the controller's summary is incomplete")?;
+        echo.finish(END_WITHIN)?;
+        bus.close()?;
+
+        let varied = Varied {
+            hz: plan.hz,
+            mirrors: scenario.mirror_count(),
+            users: scenario.users.count,
+            rooms,
+            policy: summary.policy,
+            engine: summary.engine,
+        };
+        let (took, lost) = measured.board.take(LOST_AFTER);
+        let (compared, _) = reference.board.take(LOST_AFTER);
+        ensure!(took.count() > 0 && compared.count() > 0, "no report was answered");
+        let row = Row::new(varied, (took.distribution(), took.over(BUDGET), took.count()), &compared);
+        Ok(row.by_stage(summary.over_budget_by, &summary.stages_us).across_processes(lost, summary.decision_us))
+    }
+
+    fn controller_arguments(&self, endpoint: &str, rooms: &[String]) -> Result<Vec<String>> {
+        let policy = self.policy.to_possible_value().context("every policy has a name")?;
+        let mut arguments: Vec<String> = ["controller", "--connect", endpoint, "--policy", policy.get_name()]
+            .into_iter()
+            .chain(["--scenario", &self.scenario.scenario, "--room", &rooms[0]])
+            .map(String::from)
+            .collect();
+        if rooms.len() > 1 {
+            arguments.extend(["--also-room".into(), rooms[1..].join(",")]);
+        }
+        for text in &self.scenario.overrides {
+            arguments.extend(["--set".into(), text.clone()]);
+        }
+        arguments.extend(self.scenario.seed.map(|seed| format!("--seed={seed}")));
+        arguments.extend(self.controller.iter().cloned());
+        Ok(arguments)
+    }
+}
+
+fn echo_arguments(endpoint: &str, rooms: &[String], scenario: &Scenario) -> Result<Vec<String>> {
+    let angles = vec![0.1; scenario.mirror_count()];
+    let now = utc_ns();
+    let command = MirrorCommand {
+        epoch: now / 1_000_000,
+        sequence: 1000,
+        answers: 1000,
+        time_ns: now,
+        validity_ms: 200,
+        roll: angles.clone(),
+        yaw: angles,
+    };
+    let mut payload = Vec::new();
+    encode(&command, &mut payload)?;
+    let bytes = payload.len().to_string();
+    let arguments = ["bench", "echo", "--connect", endpoint, "--rooms", &rooms.join(","), "--bytes", &bytes];
+    Ok(arguments.map(String::from).into())
+}
+
+/// The rooms of one process.
+struct Side {
+    names: Vec<String>,
+    rooms: Vec<Publishers>,
+    board: Board,
+    walkers: Walkers,
+    users: usize,
+    tick: u64,
+    /// Whether the payloads are messages; the echo gets payloads of the same size with a number in
+    /// front.
+    sends_messages: bool,
+    buffers: [Vec<u8>; 3],
+    _subscriptions: Vec<Subscription>,
+}
+
+/// Publishers of one room's reports.
+struct Publishers {
+    users: Publisher,
+    channel: Publisher,
+    obstacles: Publisher,
+}
+
+impl Side {
+    fn open(bus: &Bus, name: &str, scenario: &Scenario, rooms: usize) -> Result<Self> {
+        let names: Vec<String> = (1..=rooms).map(|index| format!("{name}-{index}")).collect();
+        let board = Board::default();
+        let sends_messages = name == "measured";
+        let (mut publishers, mut subscriptions) = (Vec::new(), Vec::new());
+        for name in &names {
+            let room = Room::new(name)?;
+            publishers.push(Publishers {
+                users: bus.publisher(&room.users(), Class::RealTimeDrop)?,
+                channel: bus.publisher(&room.channel(), Class::RealTimeDrop)?,
+                obstacles: bus.publisher(&room.obstacles(), Class::RealTimeDrop)?,
+            });
+            let board = board.clone();
+            let mut command = MirrorCommand::default();
+            subscriptions.push(bus.subscribe(&room.command(), move |payload| {
+                let arrived = Instant::now();
+                let tick = if sends_messages {
+                    decode_into(&mut command, payload).ok().map(|()| command.answers)
+                } else {
+                    payload.first_chunk().map(|bytes| u64::from_le_bytes(*bytes))
+                };
+                board.answered(tick.unwrap_or_default(), arrived);
+            })?);
+        }
+        let users = scenario.users.count;
+        let (walkers, buffers) = (Walkers::default(), Default::default());
+        Ok(Self {
+            names,
+            rooms: publishers,
+            board,
+            walkers,
+            users,
+            tick: 0,
+            sends_messages,
+            buffers,
+            _subscriptions: subscriptions,
+        })
+    }
+
+    /// Sends reports to each room until it answers.
+    fn meet(&mut self) -> Result<()> {
+        let deadline = Instant::now() + MEET_WITHIN;
+        for room in 0..self.rooms.len() {
+            loop {
+                ensure!(
+                    Instant::now() < deadline,
+                    "room {} gives no answer: its process runs but receives no reports; expected an answer within {} s",
+                    self.names[room],
+                    MEET_WITHIN.as_secs()
+                );
+                self.prepare()?;
+                self.rooms[room].obstacles.put(&self.buffers[2])?;
+                self.send(room, Instant::now())?;
+                if self.board.wait(self.tick, Duration::from_millis(50)) {
+                    break;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Sends the reports of a block, room after room, spread evenly over the interval; returns
+    /// their number.
+    fn go_through(&mut self, block: Block) -> Result<u64> {
+        let rooms = self.rooms.len();
+        let start = Instant::now();
+        let mut sent = 0;
+        while sent < block.reports * rooms as u64 {
+            self.prepare()?;
+            let due = match block.interval {
+                None => Instant::now(),
+                Some(interval) => start + interval.mul_f64((sent + 1) as f64 / rooms as f64),
+            };
+            wait_until(due);
+            self.send(sent as usize % rooms, due)?;
+            sent += 1;
+            if block.interval.is_none() {
+                self.board.wait(self.tick, LOST_AFTER);
+                if Instant::now() > block.until {
+                    break;
+                }
+            }
+        }
+        self.board.wait(self.tick, LOST_AFTER);
+        Ok(sent)
+    }
+
+    /// Encodes the payloads of the next tick.
+    fn prepare(&mut self) -> Result<()> {
+        self.tick += 1;
+        self.walkers.walk(1, self.tick, utc_ns(), self.users);
+        encode(&self.walkers.users, &mut self.buffers[0])?;
+        encode(&self.walkers.channel, &mut self.buffers[1])?;
+        encode(&self.walkers.obstacles, &mut self.buffers[2])?;
+        if !self.sends_messages {
+            self.buffers[0][..8].copy_from_slice(&self.tick.to_le_bytes());
+        }
+        Ok(())
+    }
+
+    fn send(&mut self, room: usize, due: Instant) -> Result<()> {
+        self.board.sent(self.tick, room, due);
+        self.rooms[room].channel.put(&self.buffers[1])?;
+        Ok(self.rooms[room].users.put(&self.buffers[0])?)
+    }
+}
+
+fn wait_until(due: Instant) {
+    let left = due.saturating_duration_since(Instant::now());
+    if left > SPIN {
+        std::thread::sleep(left - SPIN);
+    }
+    while Instant::now() < due {
+        std::hint::spin_loop();
+    }
+}

@@ -1,0 +1,207 @@
+//! `heliostat demo`: a simulated room and a controller as two processes, displayed by this one.
+
+pub mod child;
+mod processes;
+mod summary;
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::mpsc::{self, Receiver};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail};
+use clap::ValueEnum;
+use heliostat_bus::{Bus, BusConfig, free_loopback_endpoint};
+use heliostat_core::policy::PolicyKind;
+use heliostat_models::{ActorSource, EngineChoice};
+use heliostat_proto::Room;
+use heliostat_scenario::{Scenario, ScenarioArgs};
+use heliostat_service::counted::counted;
+use heliostat_service::{Stop, duration, output, signals};
+use heliostat_ui::{Display, Operator, Page, PageArgs, ProcessOrder, View};
+
+use processes::Processes;
+
+use super::ui::policy_names;
+use crate::output::outln;
+
+/// Time limit for the two processes to connect.
+const START_LIMIT: Duration = Duration::from_secs(30);
+/// Time between two checks of the processes.
+const WATCH_EVERY: Duration = Duration::from_millis(50);
+
+/// Run a simulated room and a controller as two processes, and display them.
+///
+/// The processes connect over Zenoh on free loopback ports. A web page on loopback shows the room,
+/// and its buttons act on it; the address is printed. The terminal shows the same figures in
+/// full-screen mode (q quits), or as lines if output is not a terminal. Ctrl-C or --seconds ends
+/// the demo with a summary. Figures go to standard error, the summary to standard output.
+#[derive(Debug, clap::Args)]
+#[command(mut_arg("scenario", |argument| argument.default_value("hall")))]
+pub struct Args {
+    #[command(flatten)]
+    pub(super) scenario: ScenarioArgs,
+    /// Policy of the controller [default: fixed-point, or ddpg with --model]
+    #[arg(long, value_enum)]
+    policy: Option<PolicyKind>,
+    /// ONNX file of a learned policy, instead of the built-in one
+    #[arg(long, value_name = "FILE")]
+    model: Option<PathBuf>,
+    /// Engine of learned policies: `auto` (dense for graphs of dense layers, otherwise the embedded
+    /// one), `dense`, or the embedded one by its name (`tract`, or `ort` in builds with ONNX Runtime)
+    #[arg(long, default_value_t = EngineChoice::Auto)]
+    engine: EngineChoice,
+    /// End after this many seconds, counted from the first answered report
+    #[arg(long, value_name = "N", value_parser = duration::seconds, allow_negative_numbers = true)]
+    seconds: Option<Duration>,
+    /// Name of the room
+    #[arg(long, default_value = "demo")]
+    pub(super) room: String,
+    #[command(flatten)]
+    page: PageArgs,
+    /// Print lines instead of the full-screen view
+    #[arg(long)]
+    plain: bool,
+    /// Print the summary as one JSON object on the last line
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+pub fn run(args: Args) -> Result<()> {
+    let room = Room::new(&args.room)?;
+    let scenario = args.scenario.load_arrays()?;
+    args.check_policy(&scenario)?;
+    let stop = signals::stop_on_signals()?;
+
+    let (room_endpoint, controller_endpoint) = (free_loopback_endpoint()?, free_loopback_endpoint()?);
+    let endpoints = (room_endpoint.as_str(), controller_endpoint.as_str());
+    let mut processes = Processes::start(
+        &args.process_arguments("sim-node", &[("--listen", endpoints.0)]),
+        &args.controller_arguments(endpoints, args.policy())?,
+    )?;
+    let (room_id, controller_id) = processes.ids();
+    output::note(format_args!(
+        "scenario {}: {}, {} mirrors; sim-node is process {room_id} at {}, controller is process {} at {}; Ctrl-C ends both",
+        scenario.name,
+        counted(scenario.users.count, "user"),
+        scenario.mirrors,
+        endpoints.0,
+        controller_id.unwrap_or_default(),
+        endpoints.1
+    ));
+    let bus = Bus::open(&BusConfig::new(room.clone()).connect_to(endpoints.0).connect_to(endpoints.1))?;
+    let view = Arc::new(View::open(&bus, Some(&scenario))?);
+    let (process_orders, received_orders) = mpsc::channel();
+    let server = args.page.serve(false, || {
+        let operator = Operator::new(&bus, Some(process_orders))?;
+        Ok(Page { view: Arc::clone(&view), operator, room: args.room.clone(), policies: policy_names() })
+    })?;
+    if let Some(server) = &server {
+        output::note(server);
+    }
+    let title = server.as_ref().map_or(format!("room {room}"), |server| format!("room {room}, {server}"));
+    let watched = Watched { stop: &stop, view: &view, process_orders: received_orders, endpoints, title };
+    watch(&args, &watched, &mut processes)?;
+    drop(server);
+
+    let controllers = processes.controllers();
+    let (room_summary, controller_summary) = processes.finish()?;
+    let summary = summary::Summary::new(&room_summary, controller_summary.as_ref(), controllers)?;
+    if args.json {
+        outln!("{}", serde_json::to_string(&summary)?)?;
+    } else {
+        summary.print()?;
+    }
+    Ok(())
+}
+
+/// The inputs of the display loop.
+struct Watched<'a> {
+    stop: &'a Stop,
+    view: &'a View,
+    /// Orders of the page about the processes.
+    process_orders: Receiver<ProcessOrder>,
+    /// Endpoints of the room and of the controller.
+    endpoints: (&'a str, &'a str),
+    title: String,
+}
+
+/// Draws until the time is over, a signal or a key arrives, or a process ends.
+fn watch(args: &Args, watched: &Watched, processes: &mut Processes) -> Result<()> {
+    let opened = Instant::now();
+    let mut started: Option<Instant> = None;
+    let mut display = Display::open(args.plain || args.json, &watched.title)?;
+    let mut drawn = Instant::now();
+    while !watched.stop.is_requested() && !display.quit_requested()? {
+        std::thread::sleep(WATCH_EVERY);
+        processes.check_alive()?;
+        for order in watched.process_orders.try_iter() {
+            let policy = watched.view.policy().and_then(|name| PolicyKind::from_str(&name, true).ok());
+            processes.apply(order, || {
+                args.controller_arguments(watched.endpoints, policy.unwrap_or_else(|| args.policy()))
+            })?;
+        }
+        match started {
+            None if watched.view.is_complete() => started = Some(Instant::now()),
+            None if opened.elapsed() > START_LIMIT => {
+                bail!("the two processes run but did not connect within {} s", START_LIMIT.as_secs())
+            }
+            None => {}
+            Some(since) => {
+                if args.seconds.is_some_and(|seconds| since.elapsed() >= seconds) {
+                    break;
+                }
+                if drawn.elapsed() >= display.interval() {
+                    drawn = Instant::now();
+                    display.draw(watched.view)?;
+                }
+            }
+        }
+    }
+    Ok(())
+}
+
+impl Args {
+    /// The policy that the flags select: with a file of a learned policy that one, and otherwise the
+    /// best within the latency budget in realistic rooms (docs/learning.md).
+    pub(super) fn policy(&self) -> PolicyKind {
+        let default = if self.model.is_some() { PolicyKind::Ddpg } else { PolicyKind::FixedPoint };
+        self.policy.unwrap_or(default)
+    }
+
+    /// Builds the policy once here, so that an unsuitable actor is refused before any process
+    /// starts.
+    fn check_policy(&self, scenario: &Scenario) -> Result<()> {
+        let source = self.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
+        self.engine
+            .build(self.policy(), scenario, &source)
+            .context("nothing was started: the controller would have no policy")?;
+        Ok(())
+    }
+
+    /// The arguments of a process: its command, the shared flags, and its endpoints.
+    fn process_arguments(&self, command: &str, endpoints: &[(&str, &str)]) -> Vec<String> {
+        let mut arguments = vec![command.to_string()];
+        arguments.extend(["--scenario".into(), self.scenario.scenario.clone(), "--room".into(), self.room.clone()]);
+        for text in &self.scenario.overrides {
+            arguments.extend(["--set".into(), text.clone()]);
+        }
+        if let Some(seed) = self.scenario.seed {
+            arguments.extend(["--seed".into(), seed.to_string()]);
+        }
+        for (flag, endpoint) in endpoints {
+            arguments.extend([flag.to_string(), endpoint.to_string()]);
+        }
+        arguments
+    }
+
+    fn controller_arguments(&self, (room, controller): (&str, &str), kind: PolicyKind) -> Result<Vec<String>> {
+        let mut arguments = self.process_arguments("controller", &[("--connect", room), ("--listen", controller)]);
+        arguments.extend(["--policy".into(), kind.name(), "--engine".into(), self.engine.to_string()]);
+        if let Some(model) = self.model.as_ref().filter(|_| kind == self.policy()) {
+            arguments.extend(["--model".into(), model.display().to_string()]);
+        }
+        Ok(arguments)
+    }
+}

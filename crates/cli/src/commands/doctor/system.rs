@@ -1,0 +1,167 @@
+//! Checks of the planned run: scenario, policy, driver, ports.
+
+use std::net::TcpListener;
+use std::time::Duration;
+
+use heliostat_bus::{AccessRole, Bus, BusArgs, Reach};
+use heliostat_core::capabilities::{Examiner, Force};
+use heliostat_core::policy::Finding;
+use heliostat_models::ActorSource;
+use heliostat_proto::array_keys::array_name;
+use heliostat_proto::{Capabilities, ValidityClock, decode};
+use heliostat_room::World;
+use heliostat_scenario::Scenario;
+use heliostat_service::counted::counted;
+
+use super::args::Args;
+use super::check::Check;
+
+/// Longest time until a driver answers.
+const DRIVER_WAIT: Duration = Duration::from_secs(3);
+
+/// Limits that differ by less than this, in rad, count as equal.
+const SAME_ANGLE_RAD: f64 = 1e-4;
+
+/// All checks of the planned run.
+pub(super) fn checks(args: &Args) -> Vec<Check> {
+    let scenario = match args.scenario.load_arrays().map_err(anyhow::Error::from).and_then(|scenario| {
+        World::new(&scenario, scenario.read_trace()?.as_deref(), scenario.seed)?;
+        Ok(scenario)
+    }) {
+        Ok(scenario) => scenario,
+        Err(error) => {
+            let advice = "correct it, or start from a valid one: heliostat scenario new FILE";
+            let mut checks = vec![Check::fail("scenario", format!("{error:#}"), advice)];
+            checks.extend(args.port.iter().map(|port| check_port(*port)));
+            return checks;
+        }
+    };
+    let found = format!(
+        "{}: {} mode, {}, {} mirrors, configuration {}",
+        scenario.name,
+        scenario.channel.mode.name(),
+        counted(scenario.users.count, "user"),
+        scenario.mirrors,
+        scenario.hash()
+    );
+    let mut checks = vec![Check::ok("scenario", found), check_policy(args, &scenario)];
+    checks.extend(check_drivers(args, &scenario));
+    // A driver that is checked listens on its own port.
+    let in_use = |port: &&u16| args.connect.iter().any(|endpoint| endpoint.ends_with(&format!(":{port}")));
+    checks.extend(args.port.iter().filter(|port| !in_use(port)).map(|port| check_port(*port)));
+    checks
+}
+
+fn check_policy(args: &Args, scenario: &Scenario) -> Check {
+    let source = args.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
+    let (policy, findings) = match args.engine.build_tried(args.policy, scenario, &source) {
+        Ok(tried) => tried,
+        Err(error) => {
+            let advice = "choose a policy that needs no file (--policy fixed-point), or train an actor for this scenario: heliostat train ddpg";
+            return Check::fail("policy", format!("{error:#}"), advice);
+        }
+    };
+    let name = args.model.as_ref().map_or(policy.name().to_owned(), |path| path.display().to_string());
+    let engine = policy.engine().map_or(String::new(), |engine| format!(", engine {engine}"));
+    let mut found = format!("{name} fits the scenario{engine}");
+    let mut warnings = Vec::new();
+    for finding in findings {
+        match finding {
+            Finding::Note(note) => found.push_str(&format!("; {note}")),
+            Finding::Warning(warning) => warnings.push(warning),
+        }
+    }
+    match warnings.is_empty() {
+        true => Check::ok("policy", found),
+        false => Check::warn("policy", found, warnings.join("; ")),
+    }
+}
+
+fn check_port(port: u16) -> Check {
+    match TcpListener::bind(("127.0.0.1", port)) {
+        Ok(_) => Check::ok("port", format!("127.0.0.1:{port} is free")),
+        Err(error) => Check::fail(
+            "port",
+            format!("127.0.0.1:{port}: {error}"),
+            "end the process that listens there (ss -ltnp names it), or run with --listen tcp/127.0.0.1:PORT and the same --connect",
+        ),
+    }
+}
+
+/// One check for each array of the scenario.
+fn check_drivers(args: &Args, scenario: &Scenario) -> Vec<Check> {
+    let arrays = scenario.mirrors.arrays().len();
+    let named = |array: usize| {
+        let check = check_driver(args, scenario, array);
+        if arrays == 1 { check } else { Check { found: format!("{}: {}", array_name(array), check.found), ..check } }
+    };
+    (0..arrays).map(named).collect()
+}
+
+fn check_driver(args: &Args, scenario: &Scenario, array: usize) -> Check {
+    if args.connect.is_empty() {
+        return Check::ok("driver", "not checked: no --connect");
+    }
+    match fetch_capabilities(args, array) {
+        Ok(capabilities) => compare(array, &capabilities, scenario),
+        Err(error) => Check::fail(
+            "driver",
+            format!("{error:#}"),
+            "start the driver, and pass its endpoint and the name of its room (--connect, --room)",
+        ),
+    }
+}
+
+fn fetch_capabilities(args: &Args, array: usize) -> anyhow::Result<Capabilities> {
+    let flags =
+        BusArgs { room: args.room.clone(), connect: args.connect.clone(), tls: args.tls.clone(), ..BusArgs::default() };
+    // A query of the capabilities needs no rights of a role.
+    let config = flags.config(&AccessRole::ALL)?;
+    let room = config.room.clone();
+    let bus = Bus::open(&config.reaching(Reach::Within(DRIVER_WAIT)))?;
+    let payloads = bus.fetch(&room.array(array).capabilities(), DRIVER_WAIT)?;
+    bus.close()?;
+    match payloads.as_slice() {
+        [] => anyhow::bail!("no driver in room \"{room}\" publishes the capabilities of an array"),
+        [payload] => Ok(decode(payload)?),
+        several => anyhow::bail!("{} drivers answer in room \"{room}\"; expected one", several.len()),
+    }
+}
+
+/// Whether the array fits the scenario.
+fn compare(index: usize, array: &Capabilities, scenario: &Scenario) -> Check {
+    let found = format!("{} ({}), {} x {} mirrors", array.hardware, array.driver, array.rows, array.columns);
+    // The controller examines the capabilities in the same way.
+    let examined = scenario
+        .channel_model()
+        .map_err(anyhow::Error::from)
+        .and_then(|model| Ok(Examiner::new(scenario, &model, Force::default()).examine(index, array)?));
+    if let Err(unfit) = examined {
+        return Check::fail("driver", found, format!("{unfit:#}"));
+    }
+    let commanded_rad = scenario.control.range_deg.to_radians();
+    let reach_rad = [array.roll.min_rad, array.yaw.min_rad, -array.roll.max_rad, -array.yaw.max_rad];
+    let reach_rad = -reach_rad.into_iter().map(f64::from).fold(f64::NEG_INFINITY, f64::max);
+    if reach_rad + SAME_ANGLE_RAD < commanded_rad {
+        let advice = format!(
+            "the controller may command {:.2} degrees, but the array clamps at {:.2}: --set control.range_deg={:.2}",
+            scenario.control.range_deg,
+            reach_rad.to_degrees(),
+            (reach_rad.to_degrees() * 100.0).floor() / 100.0
+        );
+        return Check::warn("driver", found, advice);
+    }
+    let rate_hz = f64::from(array.command_rate_max_hz);
+    if rate_hz > 0.0 && rate_hz < scenario.streams.positions.rate_hz {
+        let advice = format!(
+            "it accepts {rate_hz} commands a second, but each of {} reports a second is answered: lower streams.positions.rate_hz",
+            scenario.streams.positions.rate_hz
+        );
+        return Check::warn("driver", found, advice);
+    }
+    let clock = match array.validity_clock {
+        ValidityClock::SourceTime => "",
+        ValidityClock::Arrival => ", counts validity from arrival",
+    };
+    Check::ok("driver", format!("{found}{clock}"))
+}

@@ -1,0 +1,202 @@
+//! The plots of the report, as SVG elements.
+
+use anyhow::Result;
+use heliostat_learn::comparison::{Report, Row, Spread};
+use heliostat_reproduce::draw::style::{short_number, style};
+use heliostat_reproduce::draw::svg;
+use heliostat_reproduce::figure::{Axis, Figure, Panel, Point, Series};
+use heliostat_service::printable::printable;
+use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
+
+use super::super::output::rows;
+use super::super::sweep::Sweep;
+
+/// Width of a plot, of its column of names, and height of a row and of the axis, in pixels.
+const WIDTH: u32 = 600;
+const NAMES: u32 = 190;
+const ROW: u32 = 28;
+const AXIS: u32 = 32;
+const TITLE: u32 = 30;
+/// Longest name in characters; the table has the complete one.
+const NAME_MAX: usize = 26;
+
+/// A value with its interval; NaN where there is none.
+struct Dot<'a> {
+    name: &'a str,
+    at: f64,
+    low: f64,
+    high: f64,
+}
+
+/// A figure of a row, and its title.
+type Quantity = (&'static str, fn(&Row) -> Spread);
+
+const QUANTITIES: [Quantity; 3] = [
+    ("sum rate (Mbit/s)", |row| row.sum_rate_mbps),
+    ("ratio to the oracle", |row| row.ratio_to_oracle),
+    ("QoS met (share of the users)", |row| row.qos_met),
+];
+
+/// A plot of each quantity by policy, and one of the decision times where they are measured.
+pub fn by_policy(report: &Report) -> Result<String> {
+    let mut plots = String::new();
+    for (title, quantity) in QUANTITIES {
+        let dots = rows(report).map(|(name, row)| {
+            let Spread { mean, ci95, .. } = quantity(row);
+            Dot { name, at: mean, low: mean - ci95, high: mean + ci95 }
+        });
+        plots += &draw(&format!("{title}, 95 % interval of the mean"), false, &dots.collect::<Vec<_>>())?;
+    }
+    plots += &differences(report)?;
+    let times = report.policies.iter().filter_map(|(name, row)| {
+        row.decision_us.map(|times| Dot { name, at: times.p50, low: times.p50, high: times.p99 })
+    });
+    let times: Vec<Dot> = times.filter(|dot| dot.at > 0.0).collect();
+    if !times.is_empty() {
+        plots += &draw("decision time (us), median to 99th percentile", true, &times)?;
+    }
+    Ok(plots)
+}
+
+/// A difference of a row from the first one, and the words before and after "minus that of ...".
+type Difference = ([&'static str; 2], fn(&Row) -> Option<Spread>);
+
+const DIFFERENCES: [Difference; 3] = [
+    (["sum rate", " (Mbit/s)"], |row| row.difference_mbps),
+    (["ratio to the oracle", ""], |row| row.difference_ratio),
+    (["QoS met", ""], |row| row.difference_qos_met),
+];
+
+/// The figures of each further policy minus those of the first; nothing for a single policy.
+fn differences(report: &Report) -> Result<String> {
+    let mut plots = String::new();
+    for ([figure, unit], difference) in DIFFERENCES {
+        let dots = report.policies.iter().filter_map(|(name, row)| {
+            let Spread { mean, ci95, .. } = difference(row)?;
+            Some(Dot { name, at: mean, low: mean - ci95, high: mean + ci95 })
+        });
+        let dots: Vec<Dot> = dots.collect();
+        if !dots.is_empty() {
+            let first = short_name(&report.policies[0].0);
+            plots += &draw(&format!("{figure} minus that of {first}{unit}, paired, 95 % interval"), false, &dots)?;
+        }
+    }
+    Ok(plots)
+}
+
+/// A curve of each quantity for each policy over the values of the sweep; none if a value is no number.
+pub fn over(sweep: &Sweep, reports: &[Report]) -> Result<String> {
+    let values: Result<Vec<f64>, _> = sweep.values().iter().map(|value| value.parse::<f64>()).collect();
+    let Some(values) = values.ok().filter(|values| values.iter().all(|value| value.is_finite())) else {
+        return Ok(String::new());
+    };
+    let mut plots = String::new();
+    for (title, quantity) in QUANTITIES {
+        let names = rows(&reports[0]).map(|(name, _)| name).enumerate();
+        let series = names.map(|(index, name)| {
+            let points = reports.iter().zip(&values).filter_map(|(report, x)| {
+                let spread = quantity(rows(report).nth(index)?.1);
+                let ci95 = (!spread.ci95.is_nan()).then_some(spread.ci95);
+                (!spread.mean.is_nan()).then_some(Point { x: *x, y: spread.mean, ci95, x_ci95: None })
+            });
+            // The style knows the oracle by its plain name.
+            let name = printable(name.trim_matches(['(', ')'])).into_owned();
+            let mut points: Vec<Point> = points.collect();
+            points.sort_by(|one, other| one.x.total_cmp(&other.x));
+            Series { name, points }
+        });
+        let figure = Figure {
+            room: printable(&reports[0].scenario).into_owned(),
+            title: title.into(),
+            x: Axis::linear(&printable(sweep.key())),
+            y: Axis::linear(title),
+            panels: vec![Panel { series: series.collect(), ..Panel::default() }],
+            ..Figure::default()
+        };
+        plots += &svg::draw(&figure)?;
+    }
+    Ok(plots)
+}
+
+/// Draws one row for each dot, the first at the top.
+fn draw(title: &str, is_log: bool, dots: &[Dot]) -> Result<String> {
+    let place = |value: f64| if is_log { value.max(f64::MIN_POSITIVE).log10() } else { value };
+    let [low, high] = ends(is_log, dots, place);
+    let rows = dots.len() as u32;
+    let mut out = String::new();
+    {
+        let root = SVGBackend::with_string(&mut out, (WIDTH, TITLE + rows * ROW + AXIS)).into_drawing_area();
+        root.fill(&WHITE)?;
+        let heading = ("sans-serif", 15).into_font().color(&BLACK).pos(Pos::new(HPos::Left, VPos::Center));
+        root.draw(&Text::new(title, (8, TITLE as i32 / 2), heading))?;
+        let (_, rest) = root.split_vertically(TITLE);
+        let mut chart = ChartBuilder::on(&rest)
+            .margin_right(24)
+            .x_label_area_size(AXIS)
+            .y_label_area_size(NAMES)
+            .build_cartesian_2d(low..high, 0.0..f64::from(rows))?;
+        let label = |value: &f64| match is_log {
+            false => short_number(*value),
+            true if (value - value.round()).abs() < 1e-6 => short_number(10_f64.powf(value.round())),
+            true => String::new(),
+        };
+        let ticks = if is_log { (high - low).round() as usize + 1 } else { 7 };
+        chart
+            .configure_mesh()
+            .disable_y_mesh()
+            .y_labels(0)
+            .light_line_style(TRANSPARENT)
+            .bold_line_style(RGBColor(225, 225, 225))
+            .label_style(("sans-serif", 13))
+            .x_labels(ticks)
+            .x_label_formatter(&label)
+            .draw()?;
+        for (index, dot) in dots.iter().enumerate() {
+            let [red, green, blue] = style(dot.name.trim_matches(['(', ')'])).rgb;
+            let colour = RGBColor(red, green, blue);
+            let row = f64::from(rows) - index as f64 - 0.5;
+            let middle = index as i32 * ROW as i32 + ROW as i32 / 2;
+            let font = ("sans-serif", 13).into_font().color(&BLACK).pos(Pos::new(HPos::Right, VPos::Center));
+            rest.draw(&Text::new(short_name(dot.name), (NAMES as i32 - 10, middle), font))?;
+            if dot.low.is_finite() && dot.high.is_finite() {
+                let ends = vec![(place(dot.low).max(low), row), (place(dot.high), row)];
+                chart.draw_series([PathElement::new(ends, colour.mix(0.45).stroke_width(7))])?;
+            }
+            if dot.at.is_finite() {
+                chart.draw_series([Circle::new((place(dot.at), row), 4, colour.filled())])?;
+            }
+        }
+        root.present()?;
+    }
+    Ok(out)
+}
+
+/// The ends of the axis: whole decades of a logarithmic one; a linear one contains 0.
+fn ends(is_log: bool, dots: &[Dot], place: impl Fn(f64) -> f64) -> [f64; 2] {
+    let values = dots.iter().flat_map(|dot| [dot.at, dot.low, dot.high]).filter(|value| value.is_finite()).map(place);
+    let [low, high] =
+        values.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| [low.min(value), high.max(value)]);
+    if !low.is_finite() || !high.is_finite() {
+        return [0.0, 1.0];
+    }
+    if is_log {
+        let (low, high) = (low.floor(), high.ceil());
+        return [low, high.max(low + 1.0)];
+    }
+    let (low, high) = (low.min(0.0), high.max(0.0));
+    let margin = 0.05 * (high - low);
+    let low = if low < 0.0 { low - margin } else { 0.0 };
+    [low, if high > low { high + margin } else { 1.0 }]
+}
+
+fn short_name(name: &str) -> String {
+    let name = printable(name);
+    let length = name.chars().count();
+    if length <= NAME_MAX {
+        return name.into_owned();
+    }
+    // The end of a path names its file.
+    let end: String = name.chars().skip(length + 1 - NAME_MAX).collect();
+    format!("…{end}")
+}

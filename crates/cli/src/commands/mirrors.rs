@@ -1,0 +1,135 @@
+//! Mirror angles at one instant: given, aimed at a point, of a policy, or of the oracle.
+
+use std::path::Path;
+
+use anyhow::{Context, Result, bail, ensure};
+use clap::ValueEnum;
+use heliostat_channel::solver::{Method, MinimumRates, Solver};
+use heliostat_channel::{ChannelModel, Cylinder, MirrorAngles, Vec3, decode};
+use heliostat_core::observation::{Observation, RoomState};
+use heliostat_core::policy::PolicyKind;
+use heliostat_models::{ActorSource, build};
+use heliostat_scenario::Scenario;
+use heliostat_service::counted::counted;
+use serde::Deserialize;
+
+use super::read_csv;
+
+/// One instant of a room: users and blockers.
+pub struct Instant<'a> {
+    scenario: &'a Scenario,
+    pub model: &'a ChannelModel,
+    /// The observation for a policy.
+    pub observation: Observation,
+}
+
+impl<'a> Instant<'a> {
+    /// Users at `positions`; those marked in `forced` have no direct path.
+    pub fn new(
+        scenario: &'a Scenario,
+        model: &'a ChannelModel,
+        positions: &[Vec3],
+        blockers: &[Cylinder],
+        forced: &[bool],
+    ) -> Self {
+        let mut observation = Observation::new(model, positions.len());
+        let (velocities, min_rate_bps) = (vec![Vec3::zeros(); positions.len()], scenario.min_rate_bps());
+        let state = RoomState {
+            tick: 0,
+            positions,
+            velocities: &velocities,
+            min_rate_bps: &min_rate_bps,
+            blockers,
+            forced,
+            orientations: None,
+            measured_los_gain: None,
+        };
+        observation.set_state(model, &state);
+        Self { scenario, model, observation }
+    }
+
+    /// The angles for a value of the command line.
+    pub fn angles(&self, how: &str) -> Result<MirrorAngles> {
+        let mirrors = self.model.mirrors.len();
+        let mut angles = MirrorAngles::flat(mirrors);
+        if how == "none" {
+            // Turned to the ceiling, where no user is.
+            angles.roll.fill(-std::f64::consts::FRAC_PI_2);
+        } else if how == "oracle" || how == "aimed" {
+            angles = self.oracle(0.0);
+        } else if let Some(user) = how.strip_prefix("user:") {
+            let last = self.observation.users() - 1;
+            let user = user.parse().ok().filter(|user| *user <= last);
+            let user: usize =
+                user.with_context(|| format!("mirrors {how}: expected user:N with N from 0 to {last}"))?;
+            decode::aim_at_point(self.model, &self.observation.positions[user], &mut angles);
+        } else if let Some(point) = how.strip_prefix("aim:") {
+            let place =
+                parse_position(point).with_context(|| format!("mirrors {how}: expected aim:X,Y or aim:X,Y,Z in m"))?;
+            let point = Vec3::new(place.0, place.1, place.2.unwrap_or(self.scenario.receiver.height_m));
+            ensure!(
+                point.iter().all(|coordinate| coordinate.is_finite()),
+                "mirrors {how}: expected finite numbers in m"
+            );
+            decode::aim_at_point(self.model, &point, &mut angles);
+        } else if let Ok(kind) = PolicyKind::from_str(how, false) {
+            build(kind, self.scenario, &ActorSource::Shipped)?.act(self.model, &self.observation, &mut angles)?;
+        } else if how.to_ascii_lowercase().ends_with(".onnx") {
+            // Any learned policy: the file determines the network.
+            let mut actor = build(PolicyKind::Ddpg, self.scenario, &ActorSource::Path(how.into()))?;
+            actor.act(self.model, &self.observation, &mut angles)?;
+        } else if Path::new(how).exists() {
+            angles = from_file(how, mirrors)?;
+        } else {
+            let policies: Vec<String> = PolicyKind::value_variants()
+                .iter()
+                .filter_map(|kind| Some(kind.to_possible_value()?.get_name().to_owned()))
+                .collect();
+            bail!(
+                "mirrors {how}: no such file; expected a CSV of angles, an ONNX actor (FILE.onnx), none, oracle, user:N, aim:X,Y or a policy: {}",
+                policies.join(", ")
+            );
+        }
+        Ok(angles)
+    }
+
+    /// The best angles; `qos_penalty` is the cost of each bit/s below a minimum rate, in bit/s.
+    pub fn oracle(&self, qos_penalty: f64) -> MirrorAngles {
+        let mut angles = MirrorAngles::flat(self.model.mirrors.len());
+        let minimum_rates = MinimumRates { min_rate_bps: &self.observation.min_rate_bps, qos_penalty };
+        let mut solver = Solver::new(self.observation.users(), self.model.mirrors.len());
+        solver.solve(self.model, &self.observation.scene, &minimum_rates, Method::Oracle, &mut angles);
+        angles
+    }
+}
+
+/// `X,Y` or `X,Y,Z` in m.
+pub fn parse_position(text: &str) -> Option<(f64, f64, Option<f64>)> {
+    let numbers: Vec<f64> = text.split(',').map(|part| part.trim().parse().ok()).collect::<Option<_>>()?;
+    match numbers[..] {
+        [x, y] => Some((x, y, None)),
+        [x, y, z] => Some((x, y, Some(z))),
+        _ => None,
+    }
+}
+
+/// A line of the file of angles.
+#[derive(Debug, Deserialize)]
+struct AngleRow {
+    roll_deg: f64,
+    yaw_deg: f64,
+}
+
+fn from_file(file: &str, mirrors: usize) -> Result<MirrorAngles> {
+    let rows: Vec<AngleRow> = read_csv(file, &["roll_deg", "yaw_deg"], &[])?;
+    let found = counted(rows.len(), "mirror");
+    ensure!(rows.len() == mirrors, "{file} has angles for {found}, the scenario has {mirrors}");
+    let mut angles = MirrorAngles::flat(mirrors);
+    for (index, row) in rows.iter().enumerate() {
+        let allowed = row.roll_deg.abs() <= 90.0 && row.yaw_deg.abs() <= 90.0;
+        ensure!(allowed, "{file}, mirror {index}: expected angles from -90 to 90 degrees, found {row:?}");
+        angles.roll[index] = row.roll_deg.to_radians();
+        angles.yaw[index] = row.yaw_deg.to_radians();
+    }
+    Ok(angles)
+}

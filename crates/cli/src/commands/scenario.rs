@@ -1,0 +1,123 @@
+//! `heliostat scenario`: checks a scenario file, writes a commented one, prints the effective one.
+
+use std::fs::OpenOptions;
+use std::io::Write;
+use std::path::PathBuf;
+
+use anyhow::{Context, Result, bail};
+use heliostat_room::World;
+use heliostat_scenario::{BUILTIN_NAMES, Scenario, ScenarioArgs};
+
+use crate::output::outln;
+use heliostat_service::counted::counted;
+
+/// Check, write or print a scenario.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(subcommand)]
+    action: Action,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Action {
+    /// Check a scenario file and its recorded walk, and list every problem with its line
+    Check {
+        /// The file
+        file: String,
+        /// Print the result as one JSON object
+        #[arg(long)]
+        json: bool,
+    },
+    /// Write a commented scenario file to start from
+    New {
+        /// The file to create; an existing file is not overwritten
+        file: PathBuf,
+        /// The built-in scenario to start from
+        #[arg(long, default_value = BUILTIN_NAMES[0], value_parser = BUILTIN_NAMES)]
+        from: String,
+    },
+    /// Print the effective scenario as TOML, with every key
+    Show {
+        #[command(flatten)]
+        scenario: ScenarioArgs,
+    },
+}
+
+/// Runs the subcommand.
+pub fn run(args: Args) -> Result<()> {
+    match args.action {
+        Action::Check { file, json } => check(file, json),
+        Action::New { file, from } => {
+            let mut out = OpenOptions::new().write(true).create_new(true).open(&file).with_context(|| {
+                format!(
+                    "cannot write {}: expected a file that does not exist yet, in a folder that exists",
+                    file.display()
+                )
+            })?;
+            out.write_all(Scenario::builtin_text(&from)?.as_bytes())?;
+            outln!("wrote {}; check it with: heliostat scenario check {}", file.display(), file.display())?;
+            Ok(())
+        }
+        Action::Show { scenario } => {
+            outln!("{}", scenario.load_arrays()?.to_toml().trim_end())?;
+            Ok(())
+        }
+    }
+}
+
+fn check(file: String, json: bool) -> Result<()> {
+    let args = ScenarioArgs { scenario: file, ..ScenarioArgs::default() };
+    let (scenario, problems) = problems(&args)?;
+    let valid = problems.is_empty();
+    if json {
+        let first = problems.first();
+        outln!(
+            "{}",
+            serde_json::json!({ "file": args.scenario, "valid": valid, "problem": first, "problems": problems })
+        )?;
+    } else if let Some(scenario) = scenario.filter(|_| valid) {
+        outln!(
+            "{}: valid: {} mode, {}, {} mirrors, configuration {}",
+            args.scenario,
+            scenario.channel.mode.name(),
+            counted(scenario.users.count, "user"),
+            scenario.mirrors,
+            scenario.hash()
+        )?;
+    }
+    match problems.as_slice() {
+        [] => Ok(()),
+        [problem] => bail!("{} cannot be used: {problem}", args.scenario),
+        several => bail!("{} cannot be used: {} problems\n{}", args.scenario, several.len(), several.join("\n")),
+    }
+}
+
+/// The scenario, with defaults in place of refused keys, and all problems of the file and of its
+/// recorded walk.
+fn problems(args: &ScenarioArgs) -> Result<(Option<Scenario>, Vec<String>)> {
+    let text = args.text().with_context(|| format!("{} cannot be used", args.scenario))?;
+    let checked = Scenario::check_all(&text);
+    let mut problems: Vec<String> = checked.problems.iter().map(ToString::to_string).collect();
+    let Some(mut scenario) = checked.scenario else { return Ok((None, problems)) };
+    args.find_trace(&mut scenario);
+    let trace = match scenario.read_trace() {
+        Ok(trace) => trace,
+        Err(error) => {
+            problems.push(error.to_string());
+            return Ok((Some(scenario), problems));
+        }
+    };
+    // With the default of a refused key, lines of the walk could be refused without a reason.
+    let is_certain = !checked.refused_tables.iter().any(|table| table == "users" || table == "room");
+    if let (Some(text), Some(path), true) = (&trace, &scenario.users.trace, is_certain) {
+        let of_trace = World::trace_problems(&scenario, text);
+        problems.extend(of_trace.iter().map(|problem| format!("users.trace: {path}: {problem}")));
+    }
+    if problems.is_empty()
+        && let Err(error) = World::new(&scenario, trace.as_deref(), scenario.seed)
+    {
+        // Values that do not fit together, such as an LED behind the wall of the array.
+        problems.push(error.to_string());
+    }
+    Ok((Some(scenario), problems))
+}

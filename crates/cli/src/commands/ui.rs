@@ -1,0 +1,79 @@
+//! `heliostat ui`: the page and the terminal view of a running room.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use anyhow::Result;
+use clap::ValueEnum;
+use heliostat_bus::{AccessRole, Bus, BusArgs};
+use heliostat_core::policy::PolicyKind;
+use heliostat_scenario::ViewerScenarioArgs;
+use heliostat_service::{duration, output, signals};
+use heliostat_ui::{Display, Operator, Page, PageArgs, View};
+
+/// Time between two checks for keys and signals.
+const WATCH_EVERY: Duration = Duration::from_millis(50);
+
+/// Display a running room, simulated or real, in a browser and on the terminal.
+///
+/// Connect to the room's process and to the controller, since peers do not forward messages, or to
+/// the router of both. Room and controller announce the geometry that is drawn; --scenario is for a
+/// room in which neither does. The page has the buttons of `heliostat demo`, except those that kill
+/// or restart the controller.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    scenario: ViewerScenarioArgs,
+    #[command(flatten)]
+    bus: BusArgs,
+    #[command(flatten)]
+    page: PageArgs,
+    /// Print lines instead of the full-screen view
+    #[arg(long)]
+    plain: bool,
+    /// End after this many seconds; without it, run until stopped
+    #[arg(long, value_name = "N", value_parser = duration::seconds, allow_negative_numbers = true)]
+    seconds: Option<Duration>,
+}
+
+/// Runs the command.
+pub fn run(args: Args) -> Result<()> {
+    let scenario = args.scenario.load()?;
+    let config = args.bus.config_or_connect(&[AccessRole::Operator, AccessRole::Viewer])?;
+    let stop = signals::stop_on_signals()?;
+
+    if config.identity.as_ref().is_some_and(|identity| identity.role() == AccessRole::Viewer) {
+        output::note("with the certificate of a viewer only the stop button acts; the others need that of an operator");
+    }
+    let bus = Bus::open(&config)?;
+    let view = Arc::new(View::open(&bus, scenario.as_ref())?);
+    let room = config.room.name().to_owned();
+    let server = args.page.serve(config.is_authenticated(), || {
+        let operator = Operator::new(&bus, None)?;
+        Ok(Page { view: Arc::clone(&view), operator, room: room.clone(), policies: policy_names() })
+    })?;
+    if let Some(server) = &server {
+        output::note(server);
+    }
+    let title = server.as_ref().map_or(format!("room {room}"), |server| {
+        // Without the token, which would stay on the screen.
+        format!("room {room}, page at {}", server.address())
+    });
+    let mut display = Display::open(args.plain, &title)?;
+    let (opened, mut drawn) = (Instant::now(), Instant::now());
+    let is_over = || args.seconds.is_some_and(|seconds| opened.elapsed() >= seconds);
+    while !stop.is_requested() && !display.quit_requested()? && !is_over() {
+        std::thread::sleep(WATCH_EVERY);
+        if drawn.elapsed() >= display.interval() {
+            drawn = Instant::now();
+            display.draw(&view)?;
+        }
+    }
+    Ok(())
+}
+
+/// The names of the controller's policies, for the page.
+pub fn policy_names() -> Vec<String> {
+    let values = PolicyKind::value_variants().iter().filter_map(ValueEnum::to_possible_value);
+    values.map(|value| value.get_name().to_owned()).collect()
+}

@@ -1,0 +1,38 @@
+//! `heliostat config` on the command line.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+fn config(folder: &Path, arguments: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_heliostat"));
+    command.args(["config", "--as-json", "controller", "--connect", "tcp/127.0.0.1:7447"]);
+    command.args(arguments).current_dir(folder).output().expect("the program starts")
+}
+
+#[test]
+fn the_configuration_of_a_controller_is_printed_only_where_it_can_use_its_model() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/actors/ddpg-specular-10x10.onnx");
+    let actor = fs::read(shipped).expect("it is part of the sources");
+    fs::write(folder.path().join("actor.onnx"), &actor).expect("a file");
+    fs::write(folder.path().join("cut.onnx"), &actor[..actor.len() / 2]).expect("a file");
+
+    let printed = config(folder.path(), &["--model", "actor.onnx"]);
+    assert!(printed.status.success(), "{}", String::from_utf8_lossy(&printed.stderr));
+    let document: Value = serde_json::from_slice(&printed.stdout).expect("one JSON object");
+    assert_eq!(document.pointer("/process/model"), Some(&"actor.onnx".into()), "{document}");
+
+    for (arguments, words) in [
+        (&["--model", "cut.onnx"][..], "cut.onnx is not an ONNX model"),
+        (&["--model", "missing.onnx"], "no actor at missing.onnx"),
+        (&["--model", "actor.onnx", "--set", "mirrors.rows=3"], "actor.onnx was made for"),
+    ] {
+        let refused = config(folder.path(), arguments);
+        let errors = String::from_utf8_lossy(&refused.stderr);
+        assert!(!refused.status.success() && refused.stdout.is_empty(), "{arguments:?}: {errors}");
+        assert!(errors.contains(words), "{arguments:?}: {errors}");
+    }
+}

@@ -1,0 +1,36 @@
+//! `heliostat doctor` on the command line: the check of the policy.
+
+use std::process::Command;
+
+use serde_json::Value;
+
+/// The check of the policy with these flags.
+fn policy(flags: &[&str]) -> Value {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_heliostat"));
+    let output =
+        command.args(["doctor", "--json", "--port", "17833"]).args(flags).output().expect("the program starts");
+    let report: Value = serde_json::from_slice(&output.stdout).expect("one JSON object");
+    let checks = report["checks"].as_array().expect("a list");
+    checks.iter().find(|check| check["name"] == "policy").expect("a check of the policy").clone()
+}
+
+fn text<'a>(check: &'a Value, part: &str) -> &'a str {
+    check[part].as_str().expect("text")
+}
+
+#[test]
+fn the_file_of_a_policy_is_named() {
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../models/actors/ddpg-specular-10x10.onnx");
+    let own = policy(&["--model", file]);
+    assert_eq!(text(&own, "verdict"), "ok");
+    assert!(text(&own, "found").starts_with(&format!("{file} fits the scenario, engine ")), "{own}");
+    let built_in = policy(&[]);
+    assert!(text(&built_in, "found").starts_with("ddpg fits the scenario, engine "), "{built_in}");
+}
+
+#[test]
+fn a_policy_worse_than_flat_mirrors_is_a_warning() {
+    let worse = policy(&["--policy", "ddpg-raw"]);
+    assert_eq!(text(&worse, "verdict"), "warn", "{worse}");
+    assert!(text(&worse, "advice").contains("worse than flat mirrors"), "{worse}");
+}

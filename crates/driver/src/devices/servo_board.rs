@@ -1,0 +1,163 @@
+//! A microcontroller board for servos, steppers or galvanometers, with a protocol of text lines
+//! over a serial port or a socket.
+//!
+//! docs/servo-board.md defines the protocol; `crates/driver/reference/servo_board.ino` implements the board's side.
+//! Numbers are integers in urad, mechanical, roll before yaw, mirrors in order. The board answers
+//! each line of the host with one line, terminated by a newline:
+//!
+//! | host | board | meaning |
+//! | --- | --- | --- |
+//! | `hello` | `heliostat 1 MIRRORS MIN MAX FEEDBACK` | version 1, mirrors, limits of both axes, 1 if it measures |
+//! | `set R0 Y0 R1 Y1 ...` | `ok` | turn all mirrors at once |
+//! | `get` | `at R0 Y0 R1 Y1 ...` | the measured angles |
+//! | `stop` | `ok` | stop all motion at once |
+//!
+//! A board that cannot execute a line answers `error` and the reason. It stops all motion when it
+//! has received no line for a second.
+
+use std::fmt::Write as _;
+use std::time::Duration;
+
+use heliostat_array::device::DeviceError;
+use heliostat_proto::AxisLimits;
+
+use crate::devices::board::Board;
+use crate::devices::port::{Address, Port};
+
+/// Default speed of a serial port in baud.
+pub const BAUD: u32 = 115_200;
+
+/// Timeout of an answer.
+const ANSWER_LIMIT: Duration = Duration::from_millis(500);
+
+/// Timeout of the first answer: opening the port may reset the microcontroller.
+const HELLO_LIMIT: Duration = Duration::from_secs(3);
+
+/// urad per rad.
+const URAD: f64 = 1e6;
+
+/// One board.
+pub struct ServoBoard {
+    address: Address,
+    channels: usize,
+    axis: AxisLimits,
+    measures: bool,
+    port: Option<Port>,
+    line: String,
+}
+
+impl ServoBoard {
+    /// The board at an address, with the configured mirrors and limits; a board that reports others
+    /// is refused when it is connected.
+    pub fn new(address: Address, channels: usize, axis: AxisLimits, measures: bool) -> Self {
+        Self { address, channels, axis, measures, port: None, line: String::new() }
+    }
+
+    /// Sends one line to the board and returns its answer.
+    fn ask(&mut self, line: &str, limit: Duration) -> Result<String, DeviceError> {
+        let failed = |problem: String| DeviceError::new(self.address.to_string(), problem);
+        let port = self.port.as_mut().ok_or_else(|| failed("not connected".into()))?;
+        port.write(line.as_bytes())?;
+        let answer = port.line(limit)?;
+        match answer.strip_prefix("error") {
+            Some(why) => Err(failed(format!("the board refused `{}`:{why}", line.trim_end()))),
+            None => Ok(answer),
+        }
+    }
+
+    fn confirm(&mut self, line: &str) -> Result<(), DeviceError> {
+        match self.ask(line, ANSWER_LIMIT)? {
+            answer if answer == "ok" => Ok(()),
+            answer => Err(DeviceError::new(self.address.to_string(), format!("answered {answer:?}: expected ok"))),
+        }
+    }
+
+    fn check_hello(&self, answer: &str) -> Result<(), String> {
+        let words: Vec<&str> = answer.split_whitespace().collect();
+        let ["heliostat", "1", mirrors, min, max, feedback] = words[..] else {
+            return Err(format!("answered hello with {answer:?}: expected heliostat 1 MIRRORS MIN MAX FEEDBACK"));
+        };
+        if mirrors.parse() != Ok(self.channels) {
+            return Err(format!("has {mirrors} mirrors: expected {}, as configured", self.channels));
+        }
+        let urad = |text: &str| text.parse().map(|urad: f64| urad / URAD).unwrap_or(f64::NAN);
+        let (min, max) = (urad(min), urad(max));
+        let (expected_min, expected_max) = (f64::from(self.axis.min_rad), f64::from(self.axis.max_rad));
+        // NaN, from a word that is not a number, is refused here too.
+        if !(min <= expected_min + 1.0 / URAD && max >= expected_max - 1.0 / URAD) {
+            let degrees = [min, max, expected_min, expected_max].map(f64::to_degrees);
+            let [min, max, expected_min, expected_max] = degrees;
+            return Err(format!(
+                "turns from {min:.2} to {max:.2} degrees: expected at least {expected_min:.2} to {expected_max:.2}, as configured"
+            ));
+        }
+        if self.measures && feedback != "1" {
+            return Err("does not measure: expected feedback 1, because `measures` is true in the configuration".into());
+        }
+        Ok(())
+    }
+}
+
+impl Board for ServoBoard {
+    fn channels(&self) -> usize {
+        self.channels
+    }
+
+    fn model(&self) -> &'static str {
+        "servo board"
+    }
+
+    fn axis(&self) -> AxisLimits {
+        self.axis
+    }
+
+    fn measures(&self) -> bool {
+        self.measures
+    }
+
+    fn connect(&mut self) -> Result<(), DeviceError> {
+        self.port = None;
+        let mut port = self.address.open()?;
+        port.drain()?;
+        self.port = Some(port);
+        let answer = self.ask("hello\n", HELLO_LIMIT)?;
+        self.check_hello(&answer).map_err(|problem| DeviceError::new(self.address.to_string(), problem))
+    }
+
+    fn set(&mut self, angles: &[[f64; 2]]) -> Result<(), DeviceError> {
+        let mut line = std::mem::take(&mut self.line);
+        line.clear();
+        line.push_str("set");
+        for angle in angles.iter().flatten() {
+            // Writing to a string cannot fail.
+            let _ = write!(line, " {}", (angle * URAD).round() as i64);
+        }
+        line.push('\n');
+        let done = self.confirm(&line);
+        self.line = line;
+        done
+    }
+
+    fn read(&mut self, angles: &mut [[f64; 2]]) -> Result<(), DeviceError> {
+        let answer = self.ask("get\n", ANSWER_LIMIT)?;
+        let numbers = answer.strip_prefix("at").map(|rest| {
+            rest.split_whitespace().map(str::parse::<i64>).collect::<Result<Vec<_>, _>>().unwrap_or_default()
+        });
+        match numbers {
+            Some(numbers) if numbers.len() == 2 * angles.len() => {
+                for (angle, urad) in angles.iter_mut().flatten().zip(numbers) {
+                    *angle = urad as f64 / URAD;
+                }
+                Ok(())
+            }
+            _ => {
+                let problem = format!("answered get with {answer:?}: expected at and {} numbers", 2 * angles.len());
+                Err(DeviceError::new(self.address.to_string(), problem))
+            }
+        }
+    }
+
+    fn stop(&mut self) -> Result<(), DeviceError> {
+        self.confirm("stop\n")
+    }
+}

@@ -1,0 +1,164 @@
+//! The flags of `heliostat record` and `heliostat replay`.
+
+use std::path::PathBuf;
+
+use anyhow::{Result, bail};
+use heliostat_bus::{AccessRole, BusArgs, TlsArgs};
+use heliostat_core::policy::PolicyKind;
+use heliostat_models::EngineChoice;
+use heliostat_proto::Room;
+use heliostat_scenario::ScenarioArgs;
+use heliostat_service::{EndArgs, output, signals};
+use serde::Serialize;
+
+use crate::{play, recorder, replay};
+
+/// Record all messages of a room into an MCAP file.
+///
+/// The file opens in Foxglove, and `heliostat replay` plays it back. Peers exchange messages over
+/// direct links only: connect to the room's process and to the controller, or let the controller
+/// connect to this process (--listen). Missing messages are counted by sequence number and reported
+/// at the end.
+#[derive(Clone, Debug, clap::Args)]
+pub struct RecordArgs {
+    #[command(flatten)]
+    scenario: ScenarioArgs,
+    #[command(flatten)]
+    bus: BusArgs,
+    /// The file to create; an existing file is not overwritten
+    #[arg(long, value_name = "FILE.mcap")]
+    out: PathBuf,
+    #[command(flatten)]
+    end: EndArgs,
+    /// End when every process that was seen in the room has left it
+    #[arg(long)]
+    until_empty: bool,
+    /// Print the message counts as one JSON object on the last line
+    #[arg(long)]
+    json: bool,
+}
+
+/// Play a recording into a controller, or verify its commands.
+///
+/// Without --verify, --policy and --model this process replaces the room: it publishes the recorded
+/// reports for a controller that runs elsewhere, at the recorded speed. With one of them a
+/// controller inside this process decides again, and every command is compared with the recorded
+/// one. The exit status is 1 if --verify finds a difference, and 2 if the file cannot be replayed.
+#[derive(Clone, Debug, clap::Args)]
+#[command(group = clap::ArgGroup::new("decide_again").multiple(true))]
+pub struct ReplayArgs {
+    /// The recording (MCAP)
+    file: PathBuf,
+    /// Decide again, and fail unless every compared command equals the recorded one bit for bit
+    #[arg(long, group = "decide_again")]
+    verify: bool,
+    /// Decide again with this policy instead of the recorded one
+    #[arg(long, value_enum, group = "decide_again")]
+    policy: Option<PolicyKind>,
+    /// Decide again with this ONNX file of a learned policy instead of the built-in one
+    #[arg(long, visible_alias = "actor", value_name = "FILE", group = "decide_again")]
+    model: Option<PathBuf>,
+    /// Engine of learned policies, instead of the recorded one: auto, dense, or the embedded one by
+    /// its name (tract, or ort in builds with ONNX Runtime)
+    #[arg(long, requires = "decide_again")]
+    engine: Option<EngineChoice>,
+    /// Decisions at the start of each epoch that are not compared [default: 0 for a lockstep run
+    /// recorded from its start, else 200]
+    #[arg(long, value_name = "N", requires = "decide_again")]
+    settle: Option<u64>,
+    /// Endpoint at which to listen for a controller (repeatable); without any endpoint
+    /// tcp/127.0.0.1:7447
+    #[arg(long, value_name = "ENDPOINT", conflicts_with = "decide_again")]
+    listen: Vec<String>,
+    /// Endpoint of a controller or of a router (repeatable)
+    #[arg(long, value_name = "ENDPOINT", conflicts_with = "decide_again")]
+    connect: Vec<String>,
+    /// Communicate through the Zenoh router given by --connect only
+    #[arg(long, conflicts_with = "decide_again")]
+    client: bool,
+    #[command(flatten)]
+    tls: TlsArgs,
+    /// Name of the room to publish in, instead of the recorded one
+    #[arg(long, value_name = "NAME", conflicts_with = "decide_again")]
+    room: Option<Room>,
+    /// Playback speed relative to the recorded one, 0.01 to 100
+    #[arg(long, value_name = "N", default_value_t = 1.0, value_parser = rate, conflicts_with = "decide_again")]
+    rate: f64,
+    /// Print the result as one JSON object on the last line
+    #[arg(long)]
+    json: bool,
+}
+
+/// Records until Ctrl-C, the end of its time or of the room, and prints the message counts.
+///
+/// # Errors
+/// Any error that prevents the start; a file that could not be written completely, after the counts
+/// were printed.
+pub fn record(args: RecordArgs) -> Result<()> {
+    let stop = args.end.stop()?;
+    let settings = recorder::Settings {
+        scenario: args.scenario.load_arrays()?,
+        bus: args.bus.config_or_connect(&[AccessRole::Viewer, AccessRole::Operator])?,
+        out: args.out,
+        run_for: args.end.seconds,
+        until_empty: args.until_empty,
+    };
+    let outcome = recorder::run(&settings, &stop)?;
+    print(args.json, &outcome, &outcome.account)?;
+    if let Some(failure) = &outcome.failure {
+        bail!("{}: {failure}", outcome.file.display());
+    }
+    if outcome.account.missing() > 0 {
+        output::note(format_args!("record: missing messages: {}, see the table", outcome.account.missing()));
+    }
+    Ok(())
+}
+
+/// Replays, and prints the result.
+///
+/// # Errors
+/// [`UnusableInput`](heliostat_service::exit::UnusableInput) if the recording cannot be replayed;
+/// with `--verify`, a difference.
+pub fn replay(args: ReplayArgs) -> Result<()> {
+    if !args.verify && args.policy.is_none() && args.model.is_none() {
+        return play(args);
+    }
+    let settings = replay::Settings {
+        file: args.file,
+        policy: args.policy,
+        model: args.model,
+        engine: args.engine,
+        settle: args.settle,
+    };
+    let verdict = replay::run(&settings)?;
+    print(args.json, &verdict, &verdict)?;
+    if args.verify && !verdict.is_good() {
+        bail!(
+            "{} does not replay as recorded: {}",
+            settings.file.display(),
+            verdict.first_difference.as_deref().unwrap_or("no command could be compared")
+        );
+    }
+    Ok(())
+}
+
+fn play(args: ReplayArgs) -> Result<()> {
+    let stop = signals::stop_on_signals()?;
+    let bus = BusArgs { listen: args.listen, connect: args.connect, client: args.client, tls: args.tls, room: None };
+    let settings = play::Settings { file: args.file, room: args.room, bus, rate: args.rate };
+    let playback = play::run(&settings, &stop)?;
+    print(args.json, &playback, &playback)
+}
+
+fn print(json: bool, value: &impl Serialize, text: &impl std::fmt::Display) -> Result<()> {
+    if json {
+        output::line(serde_json::to_string(value)?)?
+    } else {
+        output::line(text)?
+    }
+    Ok(())
+}
+
+fn rate(text: &str) -> Result<f64, String> {
+    text.parse().ok().filter(|rate| (0.01..=100.0).contains(rate)).ok_or_else(|| "expected 0.01 to 100".into())
+}

@@ -1,0 +1,301 @@
+//! The first pass over a recording: scenario, clock, answers by tick, and the policy of each epoch.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
+use std::path::Path;
+use std::rc::Rc;
+
+use anyhow::{Context, Result, anyhow, bail, ensure};
+use clap::ValueEnum;
+use heliostat_core::policy::{DENSE, PolicyKind};
+use heliostat_models::EngineChoice;
+use heliostat_proto::{ControllerInput, InputKind, MirrorCommand, Nanos, NodeKind, NodeStatus, Room};
+use heliostat_scenario::Scenario;
+use serde::Serialize;
+
+use crate::account::Account;
+use crate::file::open;
+use crate::received::Received;
+
+use super::schedule::{Schedule, ScheduleBuilder};
+
+/// The counter that names the engine of a learned policy begins so.
+const ENGINE_PREFIX: &str = "engine:";
+
+const NO_REPORT: &str =
+    "it holds no position report: the recorder was not connected to the room's process, or was cut before it wrote";
+
+/// A report whose time differs by more than this from its arrival is in simulated time.
+const LIVE_CLOCK_NS: u64 = 3_600_000_000_000;
+
+/// The clock of a room.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Clock {
+    /// UTC.
+    #[default]
+    Live,
+    /// Simulated time.
+    Lockstep,
+}
+
+/// The part of a recording before its first position report.
+pub(crate) struct Beginning {
+    /// The room's name.
+    pub room: Room,
+    /// The clock of the room, derived from the first report.
+    pub clock: Clock,
+    /// The payload of the capabilities of each array that announced some.
+    pub capabilities: BTreeMap<usize, Vec<u8>>,
+    /// Number of arrays in the scenario.
+    pub arrays: usize,
+}
+
+impl Beginning {
+    /// Reads a recording up to its first position report.
+    ///
+    /// # Errors
+    /// A recording that cannot be read, or holds no such report.
+    pub fn read(file: &Path) -> Result<Self> {
+        let mut reading = open(file)?;
+        let room = Room::new(&reading.header().room)?;
+        let scenario = Scenario::from_recorded_toml(&reading.header().scenario).context("its scenario")?;
+        let arrays = scenario.mirrors.arrays().len();
+        let mut capabilities = BTreeMap::new();
+        while let Some(entry) = reading.entry()? {
+            let (array, topic) = room.first_array_key(&entry.topic);
+            if topic == room.capabilities() {
+                capabilities.insert(array, entry.data);
+            } else if entry.topic == room.users()
+                && let Ok(Received::Users(report)) = Received::read(&entry.data)
+            {
+                let clock = clock_of(report.stamp.time_ns, entry.arrived_ns);
+                return Ok(Self { clock, room, capabilities, arrays });
+            }
+        }
+        bail!("{NO_REPORT}")
+    }
+}
+
+/// A recorded command without its angles.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct RecordedCommand {
+    pub epoch: u64,
+    pub time_ns: Nanos,
+    /// Its angles equal those of the command before it, as after a late decision.
+    pub is_repeat: bool,
+}
+
+/// What a replay needs to know in advance.
+pub(super) struct Plan {
+    pub scenario: Scenario,
+    pub room: Room,
+    pub clock: Clock,
+    /// Commands by the tick that they answer, in the order of arrival.
+    pub answers: HashMap<u64, VecDeque<RecordedCommand>>,
+    /// Each epoch with the sequence of its first recorded command.
+    pub epochs: BTreeMap<u64, u64>,
+    /// The inputs of the controllers that published them, by epoch.
+    pub schedules: BTreeMap<u64, Rc<Schedule>>,
+    /// The statuses of the controllers, by epoch.
+    controllers: BTreeMap<u64, ControllerHistory>,
+    pub account: Account,
+}
+
+/// The statuses of one controller.
+#[derive(Default)]
+struct ControllerHistory {
+    policies: BTreeSet<String>,
+    /// The engines of learned policies.
+    engines: BTreeSet<String>,
+    /// Decisions whose predicted latency exceeded the deadline.
+    late: u64,
+}
+
+impl Plan {
+    /// Reads a recording from its beginning to its end.
+    ///
+    /// # Errors
+    /// A recording that cannot be read, or cannot be replayed under any policy.
+    pub fn read(file: &Path) -> Result<Self> {
+        let mut reading = open(file)?;
+        let header = reading.header().clone();
+        let hash = Scenario::hash_of(&header.scenario);
+        ensure!(
+            hash == header.scenario_hash,
+            "its scenario has the hash {hash}, its header names {}: it was changed after it was made",
+            header.scenario_hash
+        );
+        let mut plan = Self {
+            scenario: Scenario::from_recorded_toml(&header.scenario).context("its scenario")?,
+            room: Room::new(&header.room)?,
+            clock: Clock::Live,
+            answers: HashMap::new(),
+            epochs: BTreeMap::new(),
+            schedules: BTreeMap::new(),
+            controllers: BTreeMap::new(),
+            account: Account::default(),
+        };
+        let mut clock = None;
+        let mut last = None;
+        let mut schedules = ScheduleBuilder::default();
+        for index in 0.. {
+            let Some(entry) = reading.entry()? else { break };
+            if !entry.topic.starts_with("heliostat/") {
+                continue;
+            }
+            let received = Received::read(&entry.data).ok();
+            let (array, _) = plan.room.first_array_key(&entry.topic);
+            plan.account.count(&entry.topic, entry.data.len(), received.as_ref().map(Received::origin));
+            if let Some((input, received)) =
+                received.as_ref().and_then(|received| Some((input_of(received)?, received)))
+            {
+                let origin = received.origin();
+                let sequence = origin.sequence.wrapping_add((array as u64) << ControllerInput::ARRAY_SHIFT);
+                schedules.add_message(index, input, origin.source, sequence);
+            }
+            match received {
+                Some(Received::Memory(memory)) => schedules.add_memory(index, memory),
+                Some(Received::Users(report)) => {
+                    clock.get_or_insert_with(|| clock_of(report.stamp.time_ns, entry.arrived_ns));
+                }
+                // Each decision has a command to the first array, unless that array gets none.
+                Some(Received::Command(command)) if array == 0 => last = Some(plan.add_command(command, last.as_ref())),
+                Some(Received::Status(status)) if status.node == NodeKind::Controller => {
+                    ensure!(
+                        status.scenario.is_empty() || status.scenario == hash,
+                        "its controller used scenario {}, it holds {hash}: the recorder did not have the --scenario, --set and --seed of the room",
+                        status.scenario
+                    );
+                    plan.add_status(status);
+                }
+                _ => {}
+            }
+        }
+        plan.schedules = schedules.build();
+        plan.clock = clock.with_context(|| NO_REPORT)?;
+        ensure!(
+            !plan.epochs.is_empty(),
+            "it holds no command: no controller was in the room, or the recorder was not connected to it"
+        );
+        Ok(plan)
+    }
+
+    /// Adds a command; `last` is the one before it.
+    fn add_command(&mut self, command: MirrorCommand, last: Option<&MirrorCommand>) -> MirrorCommand {
+        self.epochs.entry(command.epoch).or_insert(command.sequence);
+        let is_repeat = last
+            .is_some_and(|last| (last.epoch, &last.roll, &last.yaw) == (command.epoch, &command.roll, &command.yaw));
+        let answer = RecordedCommand { epoch: command.epoch, time_ns: command.time_ns, is_repeat };
+        self.answers.entry(command.answers).or_default().push_back(answer);
+        command
+    }
+
+    /// Adds the status of a controller.
+    fn add_status(&mut self, status: NodeStatus) {
+        let counter =
+            |name: &str| status.counters.iter().find(|(known, _)| known == name).map_or(0, |(_, count)| *count);
+        let history = self.controllers.entry(counter("epoch")).or_default();
+        history.late = history.late.max(counter("fallback:late"));
+        let named = status.counters.iter().filter_map(|(name, _)| name.strip_prefix(ENGINE_PREFIX));
+        history.engines.extend(named.map(str::to_owned));
+        history.policies.insert(status.policy);
+    }
+
+    /// Whether the controller of an epoch counted late decisions.
+    pub fn was_late(&self, epoch: u64) -> bool {
+        self.controllers.get(&epoch).is_some_and(|history| history.late > 0)
+    }
+
+    /// The engine on which a learned policy repeats the decisions of an epoch.
+    ///
+    /// # Errors
+    /// An engine that this build does not have.
+    pub fn engine_of(&self, epoch: u64) -> Result<EngineChoice> {
+        engine_named(self.controllers.get(&epoch).and_then(|history| history.engines.first()).map(String::as_str))
+    }
+
+    /// The policy that decided in an epoch.
+    ///
+    /// # Errors
+    /// A policy that is unknown, more than one policy, or one that this program does not have.
+    pub fn policy_of(&self, epoch: u64) -> Result<PolicyKind> {
+        let Some(ControllerHistory { policies, .. }) = self.controllers.get(&epoch) else {
+            bail!("it does not name the policy of epoch {epoch}; give it with --policy");
+        };
+        ensure!(
+            policies.len() == 1,
+            "the policy changed within epoch {epoch} ({}), and the recording does not show at which decision; replay a recording of one policy, or give one with --policy",
+            policies.iter().cloned().collect::<Vec<_>>().join(", ")
+        );
+        let name = policies.first().map_or("", String::as_str);
+        PolicyKind::from_str(name, false).map_err(|_| {
+            anyhow!("the recorded policy \"{name}\" is unknown to this program; give another with --policy")
+        })
+    }
+}
+
+/// The engine that evaluates the same network as an engine of this recorded name.
+///
+/// Recordings without a name are older than the dense engine, and a name "dense" implies a dense
+/// graph.
+fn engine_named(name: Option<&str>) -> Result<EngineChoice> {
+    match name {
+        None => Ok(EngineChoice::Embedded),
+        Some(DENSE) => Ok(EngineChoice::Auto),
+        Some(name) => name.parse().with_context(|| {
+            format!("its controller evaluated the policy on the engine {name}; give another with --engine")
+        }),
+    }
+}
+
+/// The kind of input that a message is to a controller.
+fn input_of(received: &Received) -> Option<InputKind> {
+    match received {
+        Received::Users(_) => Some(InputKind::Users),
+        Received::Channel(_) => Some(InputKind::Channel),
+        Received::Obstacles(_) => Some(InputKind::Obstacles),
+        Received::Orientation(_) => Some(InputKind::Orientation),
+        Received::Telemetry(_) => Some(InputKind::Telemetry),
+        _ => None,
+    }
+}
+
+fn clock_of(report_ns: Nanos, arrived_ns: Nanos) -> Clock {
+    if report_ns.abs_diff(arrived_ns) > LIVE_CLOCK_NS { Clock::Lockstep } else { Clock::Live }
+}
+
+#[cfg(test)]
+mod tests {
+    use heliostat_models::EMBEDDED;
+
+    use super::*;
+
+    fn plan(statuses: &[&[&str]]) -> Plan {
+        let mut plan = Plan {
+            scenario: Scenario::default(),
+            room: Room::new("test").expect("a name"),
+            clock: Clock::Live,
+            answers: HashMap::new(),
+            epochs: BTreeMap::new(),
+            schedules: BTreeMap::new(),
+            controllers: BTreeMap::new(),
+            account: Account::default(),
+        };
+        for names in statuses {
+            let counters = names.iter().map(|name| ((*name).to_owned(), 1)).chain([("epoch".to_owned(), 7)]).collect();
+            plan.add_status(NodeStatus { policy: "ddpg".into(), counters, ..NodeStatus::default() });
+        }
+        plan
+    }
+
+    #[test]
+    fn the_recorded_engine_is_used_and_the_embedded_one_for_older_recordings() {
+        let of = |statuses: &[&[&str]]| plan(statuses).engine_of(7);
+        assert_eq!(of(&[&["commands"]]).expect("older"), EngineChoice::Embedded);
+        assert_eq!(plan(&[]).engine_of(7).expect("no status"), EngineChoice::Embedded);
+        assert_eq!(of(&[&["engine:dense"], &["engine:dense"]]).expect("known"), EngineChoice::Auto);
+        assert_eq!(of(&[&["commands", &format!("engine:{EMBEDDED}")]]).expect("known"), EngineChoice::Embedded);
+        let refusal = format!("{:#}", of(&[&["engine:abacus"]]).expect_err("no such engine"));
+        assert!(["abacus", "--engine", EMBEDDED].iter().all(|word| refusal.contains(word)), "{refusal}");
+    }
+}

@@ -1,0 +1,20 @@
+//! The built-in scenarios.
+
+/// The names of the built-in scenarios; the first is the default.
+pub const BUILTIN_NAMES: [&str; 8] =
+    ["specular", "paper", "paper-calibrated", "hall", "office", "corridor", "atrium", "lab"];
+
+/// The text of a built-in scenario; `None` for a name that is not in [`BUILTIN_NAMES`].
+pub(crate) fn text(name: &str) -> Option<&'static str> {
+    match name {
+        "specular" => Some(include_str!("../../../deploy/scenarios/specular.toml")),
+        "paper" => Some(include_str!("../../../deploy/scenarios/paper.toml")),
+        "paper-calibrated" => Some(include_str!("../../../deploy/scenarios/paper-calibrated.toml")),
+        "hall" => Some(include_str!("../../../deploy/scenarios/hall.toml")),
+        "office" => Some(include_str!("../../../deploy/scenarios/office.toml")),
+        "corridor" => Some(include_str!("../../../deploy/scenarios/corridor.toml")),
+        "atrium" => Some(include_str!("../../../deploy/scenarios/atrium.toml")),
+        "lab" => Some(include_str!("../../../deploy/scenarios/lab.toml")),
+        _ => None,
+    }
+}

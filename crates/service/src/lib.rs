@@ -1,0 +1,39 @@
+//! What every process of the project shares.
+//!
+//! - [`clock`]: UTC and monotonic time in ns.
+//! - [`source_id`]: the random number by which others know one publisher.
+//! - [`stop`]: a request that a process ends, and what waits for it.
+//! - [`signals`]: Ctrl-C, SIGTERM and the end of standard input, as such a request.
+//! - [`duration`]: durations on the command line.
+//! - [`logging`]: logs to standard error, as text or as JSON.
+//! - [`output`]: text for a user on standard output and standard error.
+//! - [`printable`]: text from messages and files, made safe for a terminal.
+//! - [`process`]: memory, files and threads of this process.
+//! - [`page`]: counters, gauges and histograms of one moment, in the OpenMetrics text format.
+//! - [`exporter`]: serves the newest page under `/metrics`.
+//! - [`http`]: the HTTP server below the metrics page and the live page, with its limits.
+//! - [`exit`]: the exit codes of every program and command.
+//!
+//! The pure crates (`channel`, `scenario`, `proto`, `array`, `core`, `room`) do not depend on this
+//! crate. No decision waits for a server: each server runs on a thread of its own.
+
+pub mod clock;
+pub mod counted;
+pub mod duration;
+pub mod exit;
+pub mod exporter;
+pub mod http;
+pub mod logging;
+pub mod output;
+pub mod page;
+pub mod printable;
+pub mod process;
+pub mod signals;
+pub mod source_id;
+pub mod stop;
+
+pub use exporter::{Exporter, MetricsArgs, MetricsError};
+pub use logging::{LogArgs, LogFormat};
+pub use page::{Histogram, Page};
+pub use signals::EndArgs;
+pub use stop::Stop;

@@ -1,0 +1,284 @@
+//! Tasks: the same seed gives the same run, and actions mean what the controller's code makes of
+//! them.
+
+use heliostat_channel::{ChannelModel, MirrorAngles};
+use heliostat_core::core::Controller;
+use heliostat_core::evidence::{Evidence, FEATURES};
+use heliostat_core::observation::Observation;
+use heliostat_core::policy::{Fixed, ModelBased, Policy, PolicyError, build_fallback};
+use heliostat_environment::action::ActionForm;
+use heliostat_environment::episodes::{HeldOutEpisode, WARM};
+use heliostat_environment::held_out::best_angles;
+use heliostat_environment::sampling::Sampled;
+use heliostat_environment::task::{Dynamics, ObservationForm, Step, Task, TaskSettings};
+use heliostat_environment::{ClosedLoop, EnvironmentError};
+use heliostat_room::episode::Episode;
+use heliostat_scenario::{Fallback, Scenario};
+
+fn scenario(name: &str, overrides: &[&str]) -> Scenario {
+    let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
+    Scenario::builtin(name).unwrap().with_overrides(&overrides).unwrap()
+}
+
+fn settings() -> Vec<TaskSettings> {
+    let paper = TaskSettings {
+        observation: ObservationForm::AngleState,
+        ..TaskSettings::of_true_state(scenario("paper", &[]))
+    };
+    let office = TaskSettings {
+        action: ActionForm::Weights,
+        observation: ObservationForm::Belief,
+        ..TaskSettings::closed_loop(scenario("office", &[]))
+    };
+    vec![
+        TaskSettings::of_true_state(scenario("specular", &[])),
+        TaskSettings::closed_loop(scenario("hall", &[])),
+        paper,
+        office,
+    ]
+}
+
+/// An action whose components differ from each other and from step to step.
+fn action(step: usize, len: usize) -> Vec<f32> {
+    (0..len).map(|index| ((index * 7 + step * 3) % 11) as f32 / 10.0 - 0.5).collect()
+}
+
+/// The observation before the first step, and then each step with its observation.
+fn run(task: &mut Task, steps: usize) -> Vec<(Step, Vec<f32>)> {
+    let seen = |task: &Task| {
+        let mut seen = vec![0.0; task.observation_len()];
+        task.write_observation(&mut seen);
+        seen
+    };
+    let mut rows = vec![(Step::default(), seen(task))];
+    for index in 0..steps {
+        let step = task.step(&action(index, task.action_len())).unwrap();
+        rows.push((step, seen(task)));
+    }
+    rows
+}
+
+#[test]
+fn a_reset_task_equals_a_new_one_of_the_same_seed() {
+    for settings in settings() {
+        let mut task = Task::new(settings.clone(), 3).unwrap();
+        let first = run(&mut task, 12);
+        assert!(first.iter().all(|(step, _)| step.reward.is_finite()));
+        task.reset(4).unwrap();
+        assert_ne!(run(&mut task, 12), first);
+        task.reset(3).unwrap();
+        assert_eq!(run(&mut task, 12), first, "{}", settings.scenario.name);
+    }
+}
+
+#[test]
+fn angles_of_the_caller_give_the_run_of_a_policy_that_proposes_the_same() {
+    let scenario = scenario("hall", &[]);
+    let begin = |policy| {
+        let controller = Controller::new(&scenario, scenario.channel_model().unwrap(), policy, 1);
+        ClosedLoop::new(Episode::new(&scenario, None, 5, 1_000_000_000).unwrap(), controller)
+    };
+    let policy = || build_fallback(Fallback::Nearest, &scenario).unwrap();
+    let mut by_policy = begin(policy());
+    let mut expected = Vec::new();
+    while let Some((now, event)) = by_policy.poll_event(4_000_000_000) {
+        if by_policy.deliver(now, event, &mut |_| {}).unwrap() {
+            expected.push((now.room_ns, by_policy.room().actuator(0).angles().clone()));
+        }
+    }
+    let mut by_caller = begin(Box::new(Fixed::flat(100)));
+    let (mut caller, mut angles, mut now_ns) = (policy(), MirrorAngles::flat(100), 0);
+    for (at_ns, wanted) in &expected {
+        now_ns = by_caller.next_decision(now_ns).unwrap().room_ns;
+        caller.act(&scenario.channel_model().unwrap(), by_caller.observation(), &mut angles).unwrap();
+        by_caller.decide(&angles).unwrap();
+        assert_eq!((now_ns, by_caller.room().actuator(0).angles()), (*at_ns, wanted));
+    }
+    assert!(expected.len() > 20, "{}", expected.len());
+    assert_ne!(expected[5].1, expected[25].1);
+}
+
+/// The policy `greedy` with the same correction for all users.
+struct Corrects(ModelBased, [f32; 3]);
+
+impl Policy for Corrects {
+    fn name(&self) -> &str {
+        "corrects"
+    }
+
+    fn reads_evidence(&self) -> bool {
+        true
+    }
+
+    fn correct(&mut self, evidence: &mut Evidence) {
+        let outputs = self.1.repeat(evidence.rows().len());
+        evidence.correct(&outputs);
+    }
+
+    fn act(&mut self, model: &ChannelModel, seen: &Observation, out: &mut MirrorAngles) -> Result<(), PolicyError> {
+        self.0.act(model, seen, out)
+    }
+}
+
+#[test]
+fn corrections_of_a_learner_give_the_run_of_a_policy_that_corrects_by_the_same() {
+    let scenario = scenario("hall", &[]);
+    let begin = |row| {
+        let policy = Box::new(Corrects(ModelBased::greedy(5, 100), row));
+        let controller = Controller::new(&scenario, scenario.channel_model().unwrap(), policy, 1);
+        ClosedLoop::new(Episode::new(&scenario, None, 5, 1_000_000_000).unwrap(), controller)
+    };
+    let angles_with = |row: [f32; 3]| {
+        let mut by_policy = begin(row);
+        let mut expected = Vec::new();
+        while let Some((now, event)) = by_policy.poll_event(6_000_000_000) {
+            if by_policy.deliver(now, event, &mut |_| {}).unwrap() {
+                expected.push(by_policy.room().actuator(0).angles().clone());
+            }
+        }
+        let mut by_caller = begin([0.0; 3]);
+        let mut now_ns = 1_000_000_000;
+        for wanted in &expected {
+            now_ns = by_caller.next_decision(now_ns).unwrap().room_ns;
+            by_caller.decide_corrected(&row.repeat(5)).unwrap();
+            assert_eq!(by_caller.room().actuator(0).angles(), wanted);
+        }
+        assert!(expected.len() > 40, "{}", expected.len());
+        expected
+    };
+    // A certain tilt, and none.
+    assert_ne!(angles_with([0.4, 0.1, -1.0]), angles_with([0.0; 3]));
+}
+
+#[test]
+fn corrections_of_a_task_are_those_of_the_slots_users_and_change_the_run() {
+    let compact = TaskSettings {
+        action: ActionForm::Compact,
+        observation: ObservationForm::Evidence,
+        ..TaskSettings::closed_loop(scenario("hall", &[]))
+    };
+    let rewards_with = |row: [f32; 3]| -> Vec<f64> {
+        let mut task = Task::new(compact.clone(), 5).unwrap();
+        let mut seen = vec![0.0; task.observation_len()];
+        task.write_observation(&mut seen);
+        assert_eq!((task.action_len(), seen.len()), (30, 10 * FEATURES));
+        let used = |row: &[f32]| row.iter().any(|value| *value != 0.0);
+        let slots: Vec<bool> = seen.chunks_exact(FEATURES).map(used).collect();
+        assert_eq!(slots, [[true; 5], [false; 5]].concat(), "one row for each user");
+        let mut action = row.repeat(5);
+        // What an empty slot holds does not matter.
+        action.extend([0.7, -0.7, 0.7].repeat(5));
+        (0..40).map(|_| task.step(&action).unwrap().reward).collect()
+    };
+    assert_ne!(rewards_with([0.4, 0.1, -1.0]), rewards_with([0.0; 3]));
+    assert_eq!(rewards_with([0.0; 3]), rewards_with([0.0; 3]));
+}
+
+#[test]
+fn corrections_need_a_closed_loop() {
+    let known = TaskSettings::of_true_state(scenario("specular", &[]));
+    for settings in [
+        TaskSettings { action: ActionForm::Compact, ..known.clone() },
+        TaskSettings { observation: ObservationForm::Evidence, ..known },
+    ] {
+        let refusal = Task::new(settings, 1).err().unwrap().to_string();
+        assert!(refusal.contains("closed-loop"), "{refusal}");
+    }
+}
+
+#[test]
+fn an_episode_of_a_comparison_is_sampled_at_its_times_whatever_the_steps() {
+    let scenario = scenario("hall", &[]);
+    let episode = HeldOutEpisode::new(9, 0, 5, WARM);
+    let mut task = Task::new(TaskSettings::closed_loop(scenario.clone()), 1).unwrap();
+    assert!(task.sampling().is_none());
+    task.begin_episode(&episode).unwrap();
+    let mut steps = 0;
+    while !task.sampling().unwrap().is_over() {
+        task.step(&[0.0; 200]).unwrap();
+        steps += 1;
+    }
+    // The policy `flat` in the same episode.
+    let controller = Controller::new(&scenario, scenario.channel_model().unwrap(), Box::new(Fixed::flat(100)), 1);
+    let mut flat = ClosedLoop::new(episode.begun(&scenario, None).unwrap(), controller);
+    let mut expected = Vec::new();
+    for look_ns in episode.looks_ns() {
+        while let Some((now, event)) = flat.poll_event(look_ns) {
+            flat.deliver(now, event, &mut |_| {}).unwrap();
+        }
+        flat.advance(look_ns);
+        if episode.instants_ns.contains(&look_ns) {
+            expected.push(Sampled::of(flat.room().world(), flat.room().angles()));
+        }
+    }
+    assert_eq!(task.sampling().unwrap().samples(), expected);
+    assert!(expected.len() == 5 && steps > 20, "{steps}");
+    task.reset(1).unwrap();
+    assert!(task.sampling().is_none());
+    let mut other = Task::new(TaskSettings::of_true_state(scenario), 1).unwrap();
+    assert!(other.begin_episode(&episode).unwrap_err().to_string().contains("closed-loop"));
+}
+
+#[test]
+fn the_oracle_of_a_step_is_that_of_the_state_in_which_the_action_was_chosen() {
+    let mut settings = TaskSettings::of_true_state(scenario("specular", &[]));
+    settings.oracle = true;
+    let mut task = Task::new(settings, 2).unwrap();
+    let world = task.world().clone();
+    let mut solver = heliostat_channel::Solver::new(5, 100);
+    let best = best_angles(&mut solver, world.model(), world.scene(), world.min_rate_bps());
+    let range_rad = heliostat_core::safety::Limits::new(&task.settings().scenario.control).range_rad();
+    let action: Vec<f32> = best.roll.iter().chain(&best.yaw).map(|angle| (angle / range_rad) as f32).collect();
+    let step = task.step(&action).unwrap();
+    let oracle_mbps = step.oracle_mbps.unwrap();
+    // The action is the oracle's own, rounded to f32.
+    assert!((step.sum_rate_mbps / oracle_mbps - 1.0).abs() < 1e-4, "{step:?}");
+}
+
+#[test]
+fn an_action_of_zero_weights_is_the_balanced_assignment_and_weights_differ_from_angles() {
+    let weights =
+        TaskSettings { action: ActionForm::Weights, ..TaskSettings::of_true_state(scenario("specular", &[])) };
+    let mut task = Task::new(weights, 2).unwrap();
+    assert_eq!(task.action_len(), 10);
+    let balanced = task.step(&[0.0; 10]).unwrap();
+    let mut flat = Task::new(TaskSettings::of_true_state(scenario("specular", &[])), 2).unwrap();
+    assert_eq!(flat.action_len(), 200);
+    assert!(balanced.sum_rate_mbps > 1.2 * flat.step(&[0.0; 200]).unwrap().sum_rate_mbps);
+}
+
+#[test]
+fn actions_and_settings_outside_their_domain_are_refused_and_change_nothing() {
+    let mut task = Task::new(TaskSettings::of_true_state(scenario("specular", &[])), 2).unwrap();
+    assert!(matches!(task.step(&[0.0; 7]), Err(EnvironmentError::ActionLength { found: 7, expected: 200, .. })));
+    let mut bad = vec![0.0; 200];
+    bad[3] = f32::NAN;
+    assert!(matches!(task.step(&bad), Err(EnvironmentError::NotFinite { index: 3, .. })));
+    let mut other = Task::new(TaskSettings::of_true_state(scenario("specular", &[])), 2).unwrap();
+    assert_eq!(run(&mut task, 3), run(&mut other, 3));
+
+    let refused = |settings: TaskSettings| Task::new(settings, 1).err().unwrap().to_string();
+    let known = TaskSettings::of_true_state(scenario("specular", &[]));
+    for step_s in [0.0, f64::NAN, 1e9] {
+        let reason = refused(TaskSettings { dynamics: Dynamics::Static { step_s }, ..known.clone() });
+        assert!(reason.contains(&format!("step_s = {step_s}")), "{reason}");
+    }
+    assert!(refused(TaskSettings { settle_s: f64::NAN, ..known }).contains("settle_s = NaN"));
+    let unknown = scenario("specular", &["mismatch.level=rough"]);
+    assert!(refused(TaskSettings::of_true_state(unknown)).contains("mismatch.level"));
+}
+
+#[test]
+fn a_step_in_closed_loop_lasts_from_one_position_report_to_the_next_and_turns_the_mirrors() {
+    let scenario = scenario("hall", &[]);
+    let interval_s = 1.0 / scenario.streams.positions.rate_hz;
+    let mut task = Task::new(TaskSettings::closed_loop(scenario), 2).unwrap();
+    let (begun_s, mut rewards) = (task.world().time_s(), Vec::new());
+    for _ in 0..10 {
+        rewards.push(task.step(&vec![0.3; task.action_len()]).unwrap().reward);
+    }
+    assert!((task.world().time_s() - begun_s - 10.0 * interval_s).abs() < 1e-6, "{}", task.world().time_s() - begun_s);
+    let range_rad = heliostat_core::safety::Limits::new(&task.settings().scenario.control).range_rad();
+    assert!((task.angles().roll[0] - 0.3 * range_rad).abs() < 0.02, "{}", task.angles().roll[0]);
+    assert!(rewards.windows(2).all(|pair| pair[0] != pair[1]), "{rewards:?}");
+}

@@ -1,0 +1,361 @@
+//! `heliostat train`: trains a policy, shows its progress, and writes an actor with its card.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, bail};
+use clap::ValueEnum;
+use heliostat_core::observation::{OBSERVATION_VERSION, USERS_CAPACITY};
+use heliostat_core::policy::PolicyKind;
+use heliostat_core::policy::actor_file::key;
+use heliostat_models::shipped;
+use heliostat_scenario::{Scenario, ScenarioArgs};
+use indicatif::{ProgressBar, ProgressStyle};
+
+use crate::evaluation::{HeldOut, Score};
+use crate::learners::residual::FineTuning;
+use crate::networks::on_one_thread;
+use crate::training::card::{Card, ScoreRow, hardware};
+use crate::training::checkpoint;
+use crate::training::curve::Curve;
+use crate::training::pace::{Pace, rounded};
+use crate::training::{Algorithm, Preset, Training};
+
+/// Train a policy for a scenario and export it as an ONNX actor.
+///
+/// Ctrl-C ends the run after the current episode: it saves a checkpoint and prints the command that
+/// resumes. A resumed run gives the same actor as an uninterrupted one.
+#[derive(Clone, Debug, clap::Args)]
+pub struct TrainArgs {
+    /// Algorithm
+    #[arg(value_enum)]
+    algorithm: Algorithm,
+    #[command(flatten)]
+    scenario: ScenarioArgs,
+    /// Set of default hyperparameters
+    #[arg(long, value_enum, default_value_t = Preset::Tuned)]
+    preset: Preset,
+    /// Number of episodes, which overrides the preset
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
+    episodes: Option<u32>,
+    /// Steps in an episode, which overrides the preset
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    steps: Option<u32>,
+    /// Fine-tune a trained network of `residual` on the true future rate; --option from=FILE.onnx
+    /// gives the network, otherwise the built-in one of the seed
+    #[arg(long, value_enum, value_name = "METHOD")]
+    fine_tune: Option<FineTuning>,
+    /// Override one hyperparameter, for example exploration.start=0.2 (repeatable); an unknown key
+    /// lists all keys
+    #[arg(long = "option", value_name = "KEY=VALUE")]
+    options: Vec<String>,
+    /// Folder for the actor, its card, the learning curve and the checkpoint
+    #[arg(long, value_name = "DIR", default_value = "training")]
+    out: PathBuf,
+    /// Resume from the checkpoint in the folder
+    #[arg(long)]
+    resume: bool,
+    /// Episodes between two checkpoints with an evaluation each; the default is a tenth of all, at
+    /// most 100
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
+    every: Option<u32>,
+    /// Held-out states for each row of the final scores
+    #[arg(long, default_value_t = 200, value_parser = clap::value_parser!(u32).range(2..=100_000))]
+    states: u32,
+    /// Print one JSON object at the end instead of the progress
+    #[arg(long)]
+    json: bool,
+}
+
+/// Held-out states for each forced-blockage count during training.
+const TRAINING_STATES: usize = 24;
+
+/// Forced-blockage counts of the scores; a room with fewer users has all of them forced.
+const FORCED: [usize; 3] = [0, 2, 5];
+
+/// User counts of the final scores, in addition to the scenario's own.
+const USERS: [usize; 2] = [3, 8];
+
+/// Whether the run has to end, as Ctrl-C requests.
+type StopRequested<'a> = &'a (dyn Fn() -> bool + Sync);
+
+/// Runs the command. Where `stop_requested` returns true, it saves the run and returns an error
+/// with the command that resumes.
+///
+/// # Errors
+/// The scenario or an option is invalid, a file cannot be read or written, or the run is
+/// interrupted.
+pub fn run_train(args: TrainArgs, stop_requested: StopRequested<'_>) -> anyhow::Result<()> {
+    on_one_thread(|| train(&args, stop_requested))?
+}
+
+fn train(args: &TrainArgs, stop_requested: StopRequested<'_>) -> anyhow::Result<()> {
+    let scenario = args.scenario.load_arrays()?;
+    anyhow::ensure!(
+        args.fine_tune.is_none() || args.algorithm.policy == PolicyKind::Residual,
+        "--fine-tune with the algorithm {}: expected residual",
+        args.algorithm.name
+    );
+    let mut training = args.algorithm.begin(scenario, args.preset, &args.changes())?;
+    std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
+    let checkpoint = args.out.join("checkpoint.safetensors");
+    if args.resume {
+        checkpoint::load(&mut training, &checkpoint)?;
+    } else {
+        anyhow::ensure!(
+            !checkpoint.exists(),
+            "{} already holds a training run: resume it with --resume, or give another folder with --out",
+            args.out.display()
+        );
+    }
+    let resumed = training.episodes_done() > 0;
+    let start = Instant::now();
+    learn(&mut training, args, &checkpoint, stop_requested)?;
+    if stop_requested() {
+        bail!(interrupted(&mut training, args, &checkpoint)?);
+    }
+    let duration = (!resumed).then(|| start.elapsed());
+    if !training.learner().is_scored() {
+        return finish(&training, args, duration, &[]);
+    }
+    match final_scores(&training, args.states as usize, stop_requested)? {
+        Some(scores) => finish(&training, args, duration, &scores),
+        None => bail!(interrupted(&mut training, args, &checkpoint)?),
+    }
+}
+
+/// Saves the run, and returns the message that says how to resume it.
+fn interrupted(training: &mut Training, args: &TrainArgs, checkpoint: &Path) -> anyhow::Result<String> {
+    checkpoint::save(training, checkpoint)?;
+    Ok(format!(
+        "interrupted after {} of {} episodes; saved: {}\nresume with: {}",
+        training.episodes_done(),
+        training.run().episodes,
+        checkpoint.display(),
+        args.resuming_command(training.run().seed)
+    ))
+}
+
+impl TrainArgs {
+    /// All overrides of the preset.
+    fn changes(&self) -> Vec<String> {
+        let mut changes: Vec<String> = self.fine_tune.map(FineTuning::option).into_iter().collect();
+        changes.extend(self.options.iter().cloned());
+        changes.extend(self.episodes.map(|count| format!("episodes={count}")));
+        changes.extend(self.steps.map(|count| format!("steps={count}")));
+        changes
+    }
+
+    /// The command that repeats the run, in canonical form.
+    fn command(&self, seed: u64) -> String {
+        let preset = if self.preset == Preset::Paper { " --preset paper" } else { "" };
+        let (algorithm, scenario) = (self.algorithm.name, &self.scenario.scenario);
+        let scenario = quoted(scenario);
+        let mut command = format!("heliostat train {algorithm} --scenario {scenario} --seed {seed}{preset}");
+        let mut add = |flag: &str, value: &str| command.extend([" ", flag, " ", &quoted(value)]);
+        self.scenario.overrides.iter().for_each(|text| add("--set", text));
+        let method = self.fine_tune.and_then(|method| method.to_possible_value());
+        method.iter().for_each(|method| add("--fine-tune", method.get_name()));
+        self.options.iter().for_each(|text| add("--option", text));
+        self.episodes.iter().for_each(|count| add("--episodes", &count.to_string()));
+        self.steps.iter().for_each(|count| add("--steps", &count.to_string()));
+        command
+    }
+
+    /// The command that resumes the run in its folder.
+    fn resuming_command(&self, seed: u64) -> String {
+        let mut command = self.command(seed);
+        command.push_str(&format!(" --out {}", quoted(&self.out.to_string_lossy())));
+        command.extend(self.every.map(|every| format!(" --every {every}")));
+        command.push_str(&format!(" --states {}", self.states));
+        if self.json {
+            command.push_str(" --json");
+        }
+        command + " --resume"
+    }
+}
+
+/// A word of a shell command, in quotes where it needs them.
+fn quoted(word: &str) -> String {
+    let is_plain = |letter: char| letter.is_ascii_alphanumeric() || "-_./=,:+@%".contains(letter);
+    if !word.is_empty() && word.chars().all(is_plain) {
+        word.into()
+    } else {
+        format!("'{}'", word.replace('\'', r"'\''"))
+    }
+}
+
+/// Trains until the last episode, or until a stop is requested.
+fn learn(
+    training: &mut Training,
+    args: &TrainArgs,
+    checkpoint: &Path,
+    stop_requested: StopRequested<'_>,
+) -> anyhow::Result<()> {
+    let episodes = training.run().episodes;
+    let every = args.every.map_or((episodes / 10).clamp(1, 100), |every| every as usize);
+    let mut curve = Curve::open(&args.out.join("curve.csv"), training.episodes_done())?;
+    let bar = if args.json { ProgressBar::hidden() } else { ProgressBar::new(episodes as u64) };
+    bar.set_style(ProgressStyle::with_template("{bar:32} {pos}/{len} episodes  {msg}")?);
+    bar.set_message("solving held-out states");
+    bar.set_position(training.episodes_done() as u64);
+    let scored = training.learner().is_scored();
+    let mut states = if scored { training_states(training.scenario())? } else { HeldOut::default() };
+    let (mut pace, mut quality) = (Pace::default(), String::new());
+    while training.episodes_done() < episodes && !stop_requested() {
+        let begun = Instant::now();
+        let episode = training.run_episode()?;
+        pace.add_episode(begun.elapsed());
+        let due = episode.number % every == 0 || episode.number == episodes;
+        let begun = Instant::now();
+        let score = if due && scored { Some(states.score(|room| training.act(room))?) } else { None };
+        curve.add(&episode, score.as_ref())?;
+        bar.inc(1);
+        if due && !scored {
+            checkpoint::save(training, checkpoint)?;
+        }
+        if let Some(score) = score {
+            checkpoint::save(training, checkpoint)?;
+            pace.add_evaluation(begun.elapsed());
+            let (ratio, met) = (score.ratio_to_oracle.mean, score.qos_met);
+            quality = format!(", {ratio:.3} of the oracle, minimum rates met {met:.3}");
+        }
+        let left = episodes - episode.number;
+        let remaining = pace.remaining(left, left.div_ceil(every)).map_or("unknown".into(), rounded);
+        bar.set_message(format!("{remaining} left{quality}"));
+    }
+    if training.episodes_done() < episodes {
+        bar.abandon()
+    } else {
+        bar.finish()
+    }
+    Ok(())
+}
+
+/// The held-out states of the scores during training: rooms of the scenario with several blockage
+/// counts.
+fn training_states(scenario: &Scenario) -> anyhow::Result<HeldOut> {
+    let mut all = HeldOut::default();
+    for forced in forced_counts(scenario.users.count) {
+        all.add(&room(scenario, scenario.users.count, forced), TRAINING_STATES)?;
+    }
+    Ok(all)
+}
+
+/// [`FORCED`], limited to the number of users and without repetition.
+fn forced_counts(users: usize) -> Vec<usize> {
+    let mut counts = FORCED.map(|forced| forced.min(users)).to_vec();
+    counts.dedup();
+    counts
+}
+
+fn room(scenario: &Scenario, users: usize, forced: usize) -> Scenario {
+    let mut room = scenario.clone();
+    if users != scenario.users.count {
+        let min_rate_mbps = scenario.min_rate_bps().iter().copied().fold(0.0, f64::max) * 1e-6;
+        room.users.min_rate_mbps = heliostat_scenario::MinRate::All(min_rate_mbps);
+    }
+    (room.users.count, room.blockage.forced_users) = (users, forced);
+    room
+}
+
+/// Writes the trained actor with its card.
+fn finish(
+    training: &Training,
+    args: &TrainArgs,
+    duration: Option<Duration>,
+    scores: &[ScoreRow],
+) -> anyhow::Result<()> {
+    let (algorithm, seed) = (args.algorithm, training.run().seed);
+    let command = args.command(seed);
+    let bytes = onnx_file(training, &command, scores)?;
+    let file = shipped::file_name(algorithm.policy, training.scenario(), seed);
+    let path = args.out.join(&file);
+    std::fs::write(&path, bytes).with_context(|| format!("cannot write {}", path.display()))?;
+    let card = Card { file: &file, command: &command, algorithm, training, duration, scores };
+    let card_path = path.with_extension("md");
+    std::fs::write(&card_path, card.markdown()).with_context(|| format!("cannot write {}", card_path.display()))?;
+    if args.json {
+        println!("{}", report((&path, &command), training, duration, scores));
+    } else {
+        println!("{}", card.markdown());
+        println!("actor: {}\ncard:  {}", path.display(), card_path.display());
+    }
+    Ok(())
+}
+
+/// The scores of the trained actor; `None` where a stop is requested before the last.
+fn final_scores(
+    training: &Training,
+    states: usize,
+    stop_requested: StopRequested<'_>,
+) -> anyhow::Result<Option<Vec<ScoreRow>>> {
+    let mut users = USERS.to_vec();
+    users.push(training.scenario().users.count);
+    users.sort_unstable();
+    users.dedup();
+    let mut rows = Vec::new();
+    for &users in &users {
+        for forced in forced_counts(users) {
+            if stop_requested() {
+                return Ok(None);
+            }
+            let mut held_out = HeldOut::default();
+            held_out.add(&room(training.scenario(), users, forced), states)?;
+            let upper_bound = held_out
+                .upper_bound(|room| training.learner().best_action(room))?
+                .map(|best| (best.ratio_to_oracle, best.qos_met));
+            rows.push(ScoreRow {
+                users,
+                forced,
+                states,
+                score: held_out.score(|room| training.act(room))?,
+                upper_bound,
+            });
+        }
+    }
+    Ok(Some(rows))
+}
+
+/// The trained actor as an ONNX file with its metadata.
+fn onnx_file(training: &Training, command: &str, scores: &[ScoreRow]) -> anyhow::Result<Vec<u8>> {
+    let scenario = training.scenario();
+    let score = |row: &ScoreRow| {
+        let Score { ratio_to_oracle: ratio, qos_met, .. } = row.score;
+        format!(
+            "K={} b={}: {:.4} +- {:.4}, minimum rates met {qos_met:.3}",
+            row.users, row.forced, ratio.mean, ratio.ci95
+        )
+    };
+    let metadata = [
+        (key::OBSERVATION_VERSION, OBSERVATION_VERSION.to_string()),
+        (key::USERS_MAX, USERS_CAPACITY.to_string()),
+        (key::MIRRORS, scenario.mirror_count().to_string()),
+        (key::MODE, scenario.channel.mode.name().into()),
+        (key::GEOMETRY, scenario.geometry_hash()),
+        (key::TRAINING_COMMAND, command.into()),
+        (key::SEED, training.run().seed.to_string()),
+        (key::SCENARIO, format!("{} {}", scenario.name, scenario.hash())),
+        (key::SCORES, scores.iter().map(score).collect::<Vec<_>>().join("; ")),
+        (key::LICENCE, env!("CARGO_PKG_LICENSE").into()),
+    ];
+    let metadata = metadata.map(|(key, value)| (key.to_string(), value));
+    training.export(&metadata)
+}
+
+fn report(
+    (path, command): (&Path, &str),
+    training: &Training,
+    duration: Option<Duration>,
+    scores: &[ScoreRow],
+) -> serde_json::Value {
+    let notes: std::collections::BTreeMap<_, _> = training.learner().notes().into_iter().collect();
+    serde_json::json!({
+        "actor": path.display().to_string(),
+        "command": command,
+        "notes": notes,
+        "duration_s": duration.map(|duration| duration.as_secs_f64()),
+        "hardware": hardware(),
+        "scores": scores,
+    })
+}

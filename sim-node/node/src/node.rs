@@ -1,0 +1,314 @@
+//! The simulated room with its session, clock and counters: what live operation and lockstep share.
+
+use heliostat_array::arrivals::Arrival;
+use heliostat_array::moment::Moment;
+use heliostat_array::refusal_counts::RefusalCounts;
+use heliostat_array::stop_record;
+use heliostat_bus::Class;
+use heliostat_driver::clock::Clock;
+use heliostat_proto::array_keys::array_name;
+use heliostat_proto::{ArrayState, Counters, MirrorCommand, NodeKind, NodeStatus, Quantiles, Stamp};
+use heliostat_room::baselines::Snapshot;
+use heliostat_room::control;
+use heliostat_room::mismatch::true_room;
+use heliostat_room::reports::Reports;
+use heliostat_room::reports::schedule::Schedule;
+use heliostat_room::room::SimulatedRoom;
+use heliostat_scenario::Scenario;
+use heliostat_service::{Exporter, Page};
+
+use crate::array_node::ArrayNode;
+use crate::coverage::Coverage;
+use crate::error::NodeError;
+use crate::metrics;
+use crate::session::RoomSession;
+use crate::settings::{Pace, Settings};
+use crate::summary::{BeliefSummary, Summary, TurnoverSummary};
+use crate::tick_ledger::TickLedger;
+use crate::truth_publisher::{Measurements, TruthPublisher};
+
+/// Publications of the array's capabilities and of its safety report in Hz.
+const CAPABILITIES_HZ: f64 = 1.0;
+
+/// Publications of the status in Hz.
+const STATUS_HZ: f64 = 2.0;
+
+/// Longest text of a problem in a status, in characters.
+const PROBLEM_CHARACTERS: usize = 250;
+
+/// The simulated room with its session, clock, schedules and counters.
+pub(crate) struct Node {
+    pub room: SimulatedRoom,
+    pub reports: Reports,
+    pub session: RoomSession,
+    pub clock: Clock,
+    pub ticks: TickLedger,
+    pub refused: RefusalCounts,
+    coverage: Coverage,
+    pub telemetry: Schedule,
+    pub truth: Schedule,
+    pub status: Schedule,
+    pub capabilities: Schedule,
+    orders: u64,
+    /// One for each array of the room.
+    arrays: Vec<ArrayNode>,
+    /// Taken by the truth publisher when it is created.
+    exporter: Option<Exporter>,
+    has_exporter: bool,
+    scenario: Scenario,
+    scenario_hash: String,
+    started_ns: u64,
+}
+
+impl Node {
+    pub fn open(settings: &Settings) -> Result<Self, NodeError> {
+        // In lockstep no message may be dropped, and reports must not overtake telemetry.
+        let classes = match settings.pace {
+            Pace::Live { .. } => [Class::RealTimeDrop, Class::HighDrop],
+            Pace::Lockstep { .. } => [Class::RealTimeBlock; 2],
+        };
+        let scenario = settings.scenario.clone();
+        let exporter = settings.metrics.open()?;
+        let mut room = SimulatedRoom::new(&scenario, scenario.read_trace()?.as_deref(), scenario.seed)?;
+        if let Some(corrections) = &settings.calibration {
+            if room.arrays() > 1 {
+                return Err(NodeError::CalibrationOfSeveral { arrays: room.arrays() });
+            }
+            room.set_calibration(0, &corrections.message(Stamp { sequence: 1, ..Stamp::default() }))?;
+        }
+        let session = RoomSession::open(&settings.bus, room.arrays(), classes)?;
+        let clock = session.clock();
+        // Every role may publish under the key of the stop, only operators under that of a re-arm.
+        room.refuse_unnamed_rearm(settings.bus.is_authenticated());
+        let arrays = (0..room.arrays()).map(|array| {
+            let record = settings.record.as_ref().map(|record| {
+                let now = clock.now();
+                let (record, stop) = record.open(&settings.bus.room, array, now.room_ns);
+                if let Some(stop) = stop {
+                    tracing::warn!("{}", stop_record::advice(&settings.bus.room, &stop));
+                    room.stop(array, now, stop);
+                }
+                record
+            });
+            ArrayNode::new(array, record, settings.bus.room.to_string())
+        });
+        let arrays = arrays.collect();
+        // Halfway between two ticks: this samples the mean age of the angles, and does not delay a
+        // tick.
+        let between_ticks_ns = Schedule::new(scenario.streams.positions.rate_hz, 0).period_ns() / 2;
+        Ok(Self {
+            reports: Reports::new(&true_room(&scenario, scenario.seed).streams, scenario.seed, session.source()),
+            telemetry: Schedule::new(scenario.streams.telemetry.rate_hz, between_ticks_ns),
+            truth: Schedule::new(scenario.streams.truth.rate_hz, between_ticks_ns),
+            status: Schedule::new(STATUS_HZ, between_ticks_ns),
+            started_ns: clock.now().room_ns,
+            scenario_hash: scenario.hash(),
+            room,
+            session,
+            clock,
+            ticks: TickLedger::default(),
+            refused: RefusalCounts::default(),
+            coverage: Coverage::default(),
+            capabilities: Schedule::new(CAPABILITIES_HZ, 0),
+            orders: 0,
+            arrays,
+            has_exporter: exporter.is_some(),
+            exporter,
+            scenario,
+        })
+    }
+
+    pub fn truth_publisher(&mut self) -> Result<TruthPublisher, NodeError> {
+        TruthPublisher::new(self.room.world(), &self.session, self.scenario.geometry_toml(), self.exporter.take())
+    }
+
+    /// Gives an arrival to an array at time `at`; returns the command if it was one that was
+    /// accepted.
+    pub fn handle(&mut self, array: usize, arrival: Arrival, at: Moment) -> Option<MirrorCommand> {
+        let command = self.room.handle(array, at, arrival.content, &mut self.refused)?;
+        self.ticks.answered(command.answers, arrival.at.local_ns);
+        Some(command)
+    }
+
+    /// Records the emergency stops, before telemetry reports them; `again` repeats a write that
+    /// failed.
+    pub fn keep_latches(&mut self, again: bool) {
+        self.arrays.iter_mut().for_each(|array| array.keep_latch(&self.room, again));
+    }
+
+    /// Publishes telemetry when it is due, or when the state of an array has changed; with it the
+    /// safety report, when the latch has changed.
+    pub fn publish_telemetry(&mut self, now: Moment) -> Result<(), NodeError> {
+        self.keep_latches(false);
+        for array in self.arrays.iter_mut().filter(|array| array.has_new_latch(&self.room)) {
+            array.publish_safety(&self.room, &mut self.session, now)?;
+        }
+        let due = self.telemetry.take(now.local_ns).is_some();
+        if due {
+            self.room.advance(now.local_ns);
+        }
+        let Self { arrays, room, session, .. } = self;
+        arrays.iter_mut().try_for_each(|array| array.publish_telemetry(room, session, (now, due)))
+    }
+
+    /// Applies the orders of operators.
+    pub fn apply_orders(&mut self, now: Moment) {
+        for order in self.session.new_orders() {
+            match order {
+                Ok(order) => {
+                    self.room.advance(now.local_ns);
+                    self.orders += 1;
+                    for refusal in control::apply(&mut self.room, &order) {
+                        let problem = format!("{}: {refusal}", order.stamp.order_name());
+                        self.refused.note("control", refusal.name(), &problem);
+                    }
+                }
+                Err(error) => self.refused.note("control", error.name(), &error),
+            }
+        }
+    }
+
+    /// Refuses the orders of operators: in lockstep the seed determines the run.
+    pub fn refuse_orders(&mut self) {
+        for order in self.session.new_orders() {
+            let refusal = control::OrderRefusal::Lockstep;
+            let name = order.map(|order| order.stamp.order_name()).unwrap_or_default();
+            self.refused.note("control", refusal.name(), &format!("{name}: {refusal}"));
+        }
+    }
+
+    /// Compares the controller's beliefs with the room, which was moved on to `now`.
+    pub fn compare_beliefs(&mut self, now: Moment) {
+        self.coverage.update(now.room_ns, self.room.world(), self.session.new_beliefs());
+    }
+
+    pub fn publish_capabilities(&mut self, now: Moment) -> Result<(), NodeError> {
+        let Self { arrays, room, session, .. } = self;
+        arrays.iter_mut().try_for_each(|array| array.publish_capabilities(room, session, now))
+    }
+
+    pub fn publish_safety(&mut self, now: Moment) -> Result<(), NodeError> {
+        let Self { arrays, room, session, .. } = self;
+        arrays.iter_mut().try_for_each(|array| array.publish_safety(room, session, now))
+    }
+
+    /// The arrays that obey commands: those that no stop holds.
+    pub fn obedient(&self) -> Vec<usize> {
+        let arrays = 0..self.room.arrays();
+        arrays.filter(|array| self.room.array(*array).state() != ArrayState::Stopped).collect()
+    }
+
+    /// Whether any array follows or has followed a command.
+    fn is_commanded(&self) -> bool {
+        (0..self.room.arrays()).any(|array| self.room.array(array).followed().is_some())
+    }
+
+    pub fn snapshot(&self, now: Moment) -> Snapshot {
+        Snapshot {
+            tick: self.reports.tick(),
+            time_ns: now.room_ns,
+            commanded: self.is_commanded(),
+            ..Snapshot::new(self.room.world(), self.room.angles())
+        }
+    }
+
+    fn status_message(&self, time_ns: u64) -> NodeStatus {
+        let summary = self.summary(&Measurements::default());
+        let state_of = |array: usize| {
+            let name = if array == 0 { "array".to_owned() } else { array_name(array) };
+            format!("{name} {:?}", self.room.array(array).state()).to_lowercase()
+        };
+        let state = match self.is_commanded() {
+            false => "waiting for a controller".to_owned(),
+            true => (0..self.room.arrays()).map(state_of).collect::<Vec<_>>().join(", "),
+        };
+        let counts = [
+            ("ticks", summary.ticks),
+            ("commands", summary.commands),
+            ("lost_ticks", summary.lost_ticks),
+            ("late_ticks", summary.late_ticks),
+            ("unattended_ticks", summary.unattended_ticks),
+            ("clipped_commands", summary.clipped_commands),
+            ("orders", self.orders),
+        ];
+        let turnover = summary.turnover.map(|turnover| {
+            [("entered", turnover.entered), ("left", turnover.left), ("turned_away", turnover.turned_away)]
+        });
+        let turnover = turnover.into_iter().flatten().map(|(name, count)| (format!("users_{name}"), count));
+        let refused = summary.refused.into_iter().map(|(name, count)| (format!("refused:{name}"), count));
+        let world = self.room.world();
+        let [slowest, fastest] = world.speeds_m_s();
+        let gauges = [
+            ("power_w", world.model().budget.power_w),
+            ("speed_min_m_s", slowest),
+            ("speed_max_m_s", fastest),
+            ("forced_users", world.forced().iter().filter(|forced| **forced).count() as f64),
+            ("users", world.ids().len() as f64),
+            ("faulty_mirrors", self.room.faulty_mirrors() as f64),
+        ];
+        let us = summary.loop_us;
+        let quantiles =
+            Quantiles { count: us.count, p50: us.p50, p90: us.p90, p99: us.p99, p999: us.p999, max: us.max };
+        NodeStatus {
+            stamp: self.session.stamp(0, time_ns),
+            node: NodeKind::SimNode,
+            name: format!("{:016x}", self.session.source()),
+            software: concat!(env!("CARGO_PKG_NAME"), " ", env!("CARGO_PKG_VERSION")).to_owned(),
+            state,
+            scenario: self.scenario_hash.clone(),
+            started_ns: self.started_ns,
+            counters: counts
+                .map(|(name, count)| (name.to_owned(), count))
+                .into_iter()
+                .chain(turnover)
+                .chain(refused)
+                .collect(),
+            gauges: gauges.map(|(name, value)| (name.to_owned(), value)).to_vec(),
+            timings: vec![("loop".to_owned(), quantiles)],
+            last_problem: self.last_problem().chars().take(PROBLEM_CHARACTERS).collect(),
+            ..NodeStatus::default()
+        }
+    }
+
+    /// A stop that cannot be recorded, or the last refusal.
+    fn last_problem(&self) -> &str {
+        let record = self.arrays.iter().find_map(ArrayNode::record_problem);
+        record.unwrap_or_else(|| self.refused.last_problem())
+    }
+
+    /// The status, with the metrics of the same time if they are served.
+    pub fn status_and_metrics(&self, time_ns: u64) -> (NodeStatus, Option<Page>) {
+        let page = || {
+            let summary = self.summary(&Measurements::default());
+            metrics::page(&self.session.room_name(), &summary, &self.ticks)
+        };
+        (self.status_message(time_ns), self.has_exporter.then(page))
+    }
+
+    pub fn summary(&self, measurements: &Measurements) -> Summary {
+        let counters = |count: fn(&Counters) -> u64| -> u64 {
+            (0..self.room.arrays()).map(|array| count(self.room.array(array).counters())).sum()
+        };
+        let refused = self.refused.counts().iter().map(|(name, count)| (name.clone(), *count));
+        let mut summary = Summary {
+            scenario: self.scenario.name.clone(),
+            scenario_hash: self.scenario_hash.clone(),
+            seed: self.scenario.seed,
+            ticks: self.ticks.published_count(),
+            unattended_ticks: self.ticks.unattended(),
+            lost_ticks: self.ticks.lost(),
+            late_ticks: self.reports.late_ticks(),
+            commands: counters(|counters| counters.accepted),
+            clipped_commands: counters(|counters| counters.clipped),
+            refused: refused.collect(),
+            turnover: self.room.world().turnover().map(TurnoverSummary::from),
+            loop_us: self.ticks.distribution(),
+            belief: BeliefSummary::of(self.coverage.covered()),
+            truth_us_mean: measurements.mean_cost_s * 1e6,
+            last_problem: self.last_problem().to_owned(),
+            ..Summary::default()
+        };
+        summary.set_rates(&measurements.tally);
+        summary
+    }
+}

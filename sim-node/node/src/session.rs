@@ -1,0 +1,209 @@
+//! The session of the simulator on the bus: the arrays' sessions, the report streams, orders, and
+//! liveliness.
+
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use heliostat_bus::{Bus, BusConfig, Class, Presence, Subscription, Token};
+use heliostat_driver::clock::Clock;
+use heliostat_driver::receive_queue::ReceiveQueue;
+use heliostat_driver::session::{self, ALIVE_LIMIT, ArraySession, MessagePublisher};
+use heliostat_proto::keys::parse_alive;
+use heliostat_proto::{BeliefReport, CodecError, NodeKind, SimulatorControl, Stamp, decode};
+use heliostat_room::reports::Report;
+use heliostat_service::source_id;
+
+use crate::error::NodeError;
+
+/// Local time starts after this delay, when all declarations are complete.
+const START_DELAY: Duration = Duration::from_millis(30);
+
+/// Capacity for orders of operators; beyond it new ones are dropped.
+const ORDERS_MAX: usize = 64;
+
+/// Capacity for beliefs of a controller; beyond it new ones are dropped.
+const BELIEFS_MAX: usize = 64;
+
+/// A payload on the key of orders.
+type Order = Result<SimulatorControl, CodecError>;
+
+/// The publishers and subscriptions of the simulator.
+pub(crate) struct RoomSession {
+    bus: Bus,
+    clock: Clock,
+    source: u64,
+    /// One for each array.
+    arrays: Vec<ArraySession>,
+    other_simulators: Arc<Mutex<Vec<String>>>,
+    orders: Arc<Mutex<Vec<Order>>>,
+    beliefs: Arc<Mutex<Vec<BeliefReport>>>,
+    users: MessagePublisher,
+    channel: MessagePublisher,
+    obstacles: MessagePublisher,
+    orientation: MessagePublisher,
+    branches: MessagePublisher,
+    _declared: (Token, [Subscription; 3]),
+}
+
+/// Publishers of what only viewers receive.
+pub(crate) struct ViewerPublishers {
+    pub truth: MessagePublisher,
+    pub status: MessagePublisher,
+    pub geometry: MessagePublisher,
+}
+
+impl RoomSession {
+    /// Opens a session for so many arrays and declares everything, unless another driver or simulator
+    /// is in the room.
+    ///
+    /// `reports` and `telemetry` are their classes of transport.
+    pub fn open(config: &BusConfig, arrays: usize, [reports, telemetry]: [Class; 2]) -> Result<Self, NodeError> {
+        let bus = Bus::open(config)?;
+        let keys = config.room.clone();
+        session::check_alone(&bus, 0..arrays)?;
+        let source = source_id::random();
+        let clock = Clock::start_in(START_DELAY);
+        let other_simulators = Arc::new(Mutex::new(Vec::new()));
+        let seen = Arc::clone(&other_simulators);
+        let watch = bus.watch(&keys.alive_of(NodeKind::SimNode), move |key, presence| {
+            let other = parse_alive(key).is_some_and(|(_, id)| id != source);
+            if other && presence == Presence::Alive {
+                seen.lock().unwrap_or_else(PoisonError::into_inner).push(key.to_owned());
+            }
+        })?;
+        let orders = Arc::new(Mutex::new(Vec::new()));
+        let waiting = Arc::clone(&orders);
+        let control = bus.subscribe(&keys.simulator_control(), move |payload| {
+            let mut waiting = waiting.lock().unwrap_or_else(PoisonError::into_inner);
+            if waiting.len() < ORDERS_MAX {
+                waiting.push(decode(payload));
+            }
+        })?;
+        let beliefs = Arc::new(Mutex::new(Vec::new()));
+        let arrived = Arc::clone(&beliefs);
+        let belief = bus.subscribe(&keys.belief(), move |payload| {
+            let mut arrived = arrived.lock().unwrap_or_else(PoisonError::into_inner);
+            if let Ok(belief) = decode(payload)
+                && arrived.len() < BELIEFS_MAX
+            {
+                arrived.push(belief);
+            }
+        })?;
+        Ok(Self {
+            users: MessagePublisher::new(&bus, &keys.users(), reports)?,
+            channel: MessagePublisher::new(&bus, &keys.channel(), reports)?,
+            obstacles: MessagePublisher::new(&bus, &keys.obstacles(), reports)?,
+            orientation: MessagePublisher::new(&bus, &keys.orientation(), reports)?,
+            branches: MessagePublisher::new(&bus, &keys.branches(), reports)?,
+            arrays: (0..arrays)
+                .map(|array| ArraySession::open(&bus, array, clock, telemetry))
+                .collect::<Result<_, _>>()?,
+            _declared: (bus.announce(&keys.alive(NodeKind::SimNode, source))?, [watch, control, belief]),
+            bus,
+            clock,
+            source,
+            other_simulators,
+            orders,
+            beliefs,
+        })
+    }
+
+    /// The clock that stamps arrivals.
+    pub fn clock(&self) -> Clock {
+        self.clock
+    }
+
+    /// The random id in every stamp.
+    pub fn source(&self) -> u64 {
+        self.source
+    }
+
+    /// The queue of messages for an array.
+    pub fn received(&self, array: usize) -> &ReceiveQueue {
+        self.arrays[array].received()
+    }
+
+    /// Messages to all arrays that were dropped because a queue was full.
+    pub fn dropped(&self) -> u64 {
+        self.arrays.iter().map(|array| array.received().dropped()).sum()
+    }
+
+    /// The session of an array.
+    pub fn array(&mut self, array: usize) -> &mut ArraySession {
+        &mut self.arrays[array]
+    }
+
+    /// Publishers of truth, status and geometry, for use on another thread.
+    pub fn viewer_publishers(&self) -> Result<ViewerPublishers, NodeError> {
+        let keys = self.bus.room();
+        let publisher = |key: String| MessagePublisher::new(&self.bus, &key, Class::LowDrop);
+        Ok(ViewerPublishers {
+            truth: publisher(keys.truth())?,
+            status: publisher(keys.status(NodeKind::SimNode))?,
+            geometry: publisher(keys.geometry(NodeKind::SimNode))?,
+        })
+    }
+
+    /// Publishes a report; `before` runs between its encoding and its publication.
+    pub fn publish(&mut self, report: &Report, before: impl FnOnce()) -> Result<(), NodeError> {
+        let publisher = match report {
+            Report::Obstacles(report) => {
+                self.obstacles.encode(report)?;
+                &self.obstacles
+            }
+            Report::Orientation(report) => {
+                self.orientation.encode(report)?;
+                &self.orientation
+            }
+            Report::Branches(report) => {
+                self.branches.encode(report)?;
+                &self.branches
+            }
+            Report::Channel(report) => {
+                self.channel.encode(report)?;
+                &self.channel
+            }
+            Report::Users(report) => {
+                self.users.encode(report)?;
+                &self.users
+            }
+        };
+        before();
+        Ok(publisher.put()?)
+    }
+
+    /// The room's name.
+    pub fn room_name(&self) -> String {
+        self.bus.room().to_string()
+    }
+
+    /// Whether a controller is in the room.
+    pub fn controller_is_alive(&self) -> Result<bool, NodeError> {
+        Ok(!self.bus.alive(&self.bus.room().alive_of(NodeKind::Controller), ALIVE_LIMIT)?.is_empty())
+    }
+
+    /// Tokens of other simulators that have appeared in the room since the last call.
+    pub fn new_other_simulators(&self) -> Vec<String> {
+        std::mem::take(&mut *self.other_simulators.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// The orders of operators since the last call, with those that cannot be decoded.
+    pub fn new_orders(&self) -> Vec<Order> {
+        std::mem::take(&mut *self.orders.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// The beliefs of controllers since the last call.
+    pub fn new_beliefs(&self) -> Vec<BeliefReport> {
+        std::mem::take(&mut *self.beliefs.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// A stamp with this process as its source.
+    pub fn stamp(&self, sequence: u64, time_ns: u64) -> Stamp {
+        Stamp { source: self.source, sequence, time_ns }
+    }
+
+    /// Ends the session; other processes notice it at once.
+    pub fn close(self) -> Result<(), NodeError> {
+        Ok(self.bus.close()?)
+    }
+}

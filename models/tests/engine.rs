@@ -39,7 +39,9 @@ fn a_missing_file_says_how_to_get_one() {
     let Err(error) = build(PolicyKind::Ddpg, &scenario(&[]), &source) else { panic!("accepted") };
     assert_eq!(error, BuildError::Source(SourceError::Missing { path: "/nowhere/actor.onnx".into() }));
     let text = error.to_string();
-    assert!(["/nowhere/actor.onnx", "heliostat train", "policy fixed-point"].iter().all(|word| text.contains(word)));
+    assert!(
+        ["/nowhere/actor.onnx", "heliostat-lab train", "policy fixed-point"].iter().all(|word| text.contains(word))
+    );
 }
 
 #[test]
@@ -55,7 +57,7 @@ fn an_array_without_a_built_in_actor_is_told_what_to_do() {
     let words = [
         "ddpg with 3 x 3 mirrors in the mode specular",
         "ddpg-specular-3x3.onnx",
-        "heliostat train",
+        "heliostat-lab train",
         "give its file",
         "policy fixed-point",
     ];

@@ -82,7 +82,7 @@ impl Settings {
     }
 }
 
-/// The seed of a held-out room, which training never uses: `heliostat eval` takes its states from
+/// The seed of a held-out room, which training never uses: `heliostat-lab eval` takes its states from
 /// the rooms `index` = 0, 1, ... of the set `scenario_seed`.
 #[pyfunction]
 pub fn held_out_seed(scenario_seed: u64, index: u64) -> u64 {

@@ -128,9 +128,14 @@ def program_or_skip() -> str:
     return program
 
 
+def lab_of(program: str) -> str:
+    """The program of the laboratory, beside `heliostat`."""
+    return str(Path(program).with_name("heliostat-lab"))
+
+
 def report_of(program: str, policy: str, *arguments: str) -> tuple[Any, Any]:
     """The rows of a policy and of the oracle."""
-    command = [program, "eval", "--policies", policy, "--json", *arguments]
+    command = [lab_of(program), "eval", "--policies", policy, "--json", *arguments]
     report = json.loads(subprocess.run(command, check=True, capture_output=True).stdout)
     (row,) = report["policies"].values()
     return row, report["oracle"]

@@ -56,7 +56,7 @@ fn every_learned_policy_runs_or_names_the_training_command() {
             assert_ran(&finished.json(), policy);
         } else {
             assert!(policy != "ddpg", "{}", finished.errors);
-            let train = format!("heliostat train {policy}");
+            let train = format!("heliostat-lab train {policy}");
             assert!(finished.errors.contains(&train), "{policy}: {}", finished.errors);
         }
     }

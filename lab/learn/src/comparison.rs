@@ -1,5 +1,5 @@
 //! Policies on the same states of one scenario, with the oracle as the reference: the results of
-//! `heliostat eval`.
+//! `heliostat-lab eval`.
 //!
 //! Two kinds of comparison use the same evaluation and the same statistics:
 //!

@@ -27,7 +27,7 @@ pub mod td3;
 
 use crate::training::Algorithm;
 
-/// The algorithms that `heliostat train` knows.
+/// The algorithms that `heliostat-lab train` knows.
 pub const ALGORITHMS: &[Algorithm] = &[
     ddpg::ALGORITHM,
     ddpg_raw::ALGORITHM,

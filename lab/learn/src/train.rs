@@ -1,4 +1,4 @@
-//! `heliostat train`: trains a policy, shows its progress, and writes an actor with its card.
+//! `heliostat-lab train`: trains a policy, shows its progress, and writes an actor with its card.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -151,7 +151,7 @@ impl TrainArgs {
         let preset = if self.preset == Preset::Paper { " --preset paper" } else { "" };
         let (algorithm, scenario) = (self.algorithm.name, &self.scenario.scenario);
         let scenario = quoted(scenario);
-        let mut command = format!("heliostat train {algorithm} --scenario {scenario} --seed {seed}{preset}");
+        let mut command = format!("heliostat-lab train {algorithm} --scenario {scenario} --seed {seed}{preset}");
         let mut add = |flag: &str, value: &str| command.extend([" ", flag, " ", &quoted(value)]);
         self.scenario.overrides.iter().for_each(|text| add("--set", text));
         let method = self.fine_tune.and_then(|method| method.to_possible_value());

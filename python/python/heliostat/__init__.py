@@ -9,7 +9,7 @@
 - `heliostat.envs`: the four environments, registered with Gymnasium by the import of the package.
 - `heliostat.vector`: the same in a batch that steps on all cores.
 - `heliostat.physics`: gains, rates, maps, the decoder, the oracle and policies as functions.
-- `heliostat.evaluation`: scores on held-out rooms, as `heliostat eval` computes them.
+- `heliostat.evaluation`: scores on held-out rooms, as `heliostat-lab eval` computes them.
 - `heliostat.recording`: recordings of rooms as arrays.
 - `heliostat.export`: from a PyTorch module to a file that the controller runs.
 - `heliostat.sb3`: the batch as a vector environment of Stable-Baselines3.

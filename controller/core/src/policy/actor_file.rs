@@ -87,7 +87,7 @@ pub enum ActorError {
     /// No policy has the action.
     #[error(
         "{origin} has the unknown action {found}, expected \"{ANGLES}\", \"{COMPACT}\" or \"{DISPLACEMENTS_NAME}\": \
-         correct its metadata \"{}\", or export the actor again with `heliostat train`",
+         correct its metadata \"{}\", or export the actor again with `heliostat-lab train`",
         key::ACTION
     )]
     Action {
@@ -111,7 +111,7 @@ pub enum ActorError {
     /// The input or output has another shape or element type.
     #[error(
         "{origin}: \"{port}\" is {found}, expected f32 [1, {expected}] for users.count = {users_max} and an array of size {mirrors}; \
-         export the actor again with `heliostat train`"
+         export the actor again with `heliostat-lab train`"
     )]
     Shape {
         /// The file.
@@ -130,7 +130,7 @@ pub enum ActorError {
     /// The file has no metadata of an actor at all.
     #[error(
         "{origin} is an ONNX file without the metadata of an actor (\"{}\" and others): add the entries that \
-         `heliostat config --as-json actor` prints for the scenario, or export an actor with `heliostat train`",
+         `heliostat config --as-json actor` prints for the scenario, or export an actor with `heliostat-lab train`",
         key::OBSERVATION_VERSION
     )]
     NoMetadata {
@@ -185,7 +185,7 @@ pub enum ActorError {
     /// A metadata entry is missing or unreadable.
     #[error(
         "{origin} has no usable metadata \"{key}\" (found {found}), expected the entries that \
-         `heliostat config --as-json actor` prints; export the actor again with `heliostat train`",
+         `heliostat config --as-json actor` prints; export the actor again with `heliostat-lab train`",
         found = found.as_ref().map_or("none".to_owned(), |value| quoted(value))
     )]
     Metadata {
@@ -309,7 +309,7 @@ impl ActorInfo {
         let unfit = |what, found: String, expected: String, advice| {
             Err(ActorError::Unfit { origin: self.origin.clone(), what, found, expected, advice })
         };
-        let train = "train an actor for this scenario with `heliostat train`, or choose the policy fixed-point, which needs no file";
+        let train = "train an actor for this scenario with `heliostat-lab train`, or choose the policy fixed-point, which needs no file";
         if self.observation_version != OBSERVATION_VERSION {
             let (found, expected) = (self.observation_version.to_string(), OBSERVATION_VERSION.to_string());
             return unfit("observation version", found, expected, "train it again with this release of heliostat");
@@ -329,7 +329,7 @@ impl ActorInfo {
         let geometry = scenario.geometry_hash();
         if self.geometry != geometry {
             let advice = "room, access points, array or receiver differ from those of the training; \
-                          train an actor for them with `heliostat train`, or choose the policy fixed-point, which needs no file";
+                          train an actor for them with `heliostat-lab train`, or choose the policy fixed-point, which needs no file";
             return unfit("the optical geometry", self.geometry.clone(), geometry, advice);
         }
         Ok(())

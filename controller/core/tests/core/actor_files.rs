@@ -133,7 +133,7 @@ fn an_actor_of_another_observation_version_is_refused() {
 fn an_actor_for_another_array_is_refused() {
     let recipe = ActorRecipe::fitting(&scenario(&[]));
     let error = refusal(&recipe, &scenario(&["mirrors.rows=4"]));
-    assert_contains(&error, &["mirrors of 9", "12 (4 x 3)", "heliostat train", "policy fixed-point"]);
+    assert_contains(&error, &["mirrors of 9", "12 (4 x 3)", "heliostat-lab train", "policy fixed-point"]);
 }
 
 #[test]
@@ -153,7 +153,7 @@ fn an_actor_of_another_mode_is_refused() {
 fn an_actor_of_another_geometry_is_refused_and_one_of_another_noise_is_not() {
     let recipe = ActorRecipe::fitting(&scenario(&[]));
     let error = refusal(&recipe, &scenario(&["mirrors.centre_height_m=1.8"]));
-    assert_contains(&error, &["optical geometry", "heliostat train"]);
+    assert_contains(&error, &["optical geometry", "heliostat-lab train"]);
     let noisier = scenario(&["noise.variance_a2=1e-13", "led.power_w=1.0", "users.speed_max_m_s=1.0"]);
     assert!(load_actor(&recipe.file(), &noisier).is_ok());
 }
@@ -184,7 +184,7 @@ fn a_file_without_any_metadata_says_which_command_prints_what_is_needed() {
     let error = refusal(&recipe, &scenario);
     assert_contains(
         &error,
-        &["without the metadata of an actor", "heliostat config --as-json actor", "heliostat train"],
+        &["without the metadata of an actor", "heliostat config --as-json actor", "heliostat-lab train"],
     );
     let error = refusal(&ActorRecipe::fitting(&scenario).without_metadata(key::USERS_MAX), &scenario).to_string();
     assert!(error.contains("found none") && !error.contains("None"), "{error}");

@@ -13,7 +13,7 @@ use heliostat_sim_node::Pace;
 use serde_json::{Map, Value, json};
 
 use super::demo;
-use crate::output::outln;
+use heliostat_service::outln;
 
 /// Print the effective configuration of a process.
 ///

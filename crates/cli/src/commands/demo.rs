@@ -23,7 +23,7 @@ use heliostat_ui::{Display, Operator, Page, PageArgs, ProcessOrder, View};
 use processes::Processes;
 
 use super::ui::policy_names;
-use crate::output::outln;
+use heliostat_service::outln;
 
 /// Time limit for the two processes to connect.
 const START_LIMIT: Duration = Duration::from_secs(30);

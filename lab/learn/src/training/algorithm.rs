@@ -19,7 +19,7 @@ pub enum Preset {
     Paper,
 }
 
-/// An algorithm that `heliostat train` knows.
+/// An algorithm that `heliostat-lab train` knows.
 #[derive(Clone, Copy, Debug)]
 pub struct Algorithm {
     /// The name on the command line, which is also that of the policy.

@@ -85,7 +85,7 @@ impl Card<'_> {
         writeln!(
             text,
             "Limits: the mode `specular`, receivers that report their gains, and the belief `filter`. With another belief nothing is corrected. \
-             `heliostat eval --closed-loop --policies greedy,residual` compares it with the uncorrected belief."
+             `heliostat-lab eval --closed-loop --policies greedy,residual` compares it with the uncorrected belief."
         )
     }
 

@@ -64,11 +64,6 @@ pub fn style(name: &str) -> Style {
     }
 }
 
-/// A colour as HTML writes it.
-pub fn html([red, green, blue]: [u8; 3]) -> String {
-    format!("#{red:02X}{green:02X}{blue:02X}")
-}
-
 /// How many panels stand side by side.
 pub fn columns(panels: usize) -> usize {
     if panels == 4 { 2 } else { panels.min(3) }
@@ -135,7 +130,7 @@ mod tests {
     #[test]
     fn a_policy_keeps_its_colour_with_any_belief_and_numbers_are_short() {
         assert_eq!(style("ddpg+filter"), style("ddpg"));
-        assert_eq!(html(style("ddpg").rgb), "#0072B2");
+        assert_eq!(style("ddpg").rgb, [0x00, 0x72, 0xB2]);
         assert_eq!([0.5, 20.0, 0.0, 1e-7, 123.4].map(short_number), ["0.5", "20", "0", "1e-7", "123"]);
     }
 }

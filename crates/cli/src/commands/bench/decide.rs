@@ -1,5 +1,7 @@
-//! `heliostat bench decide | policies | mirrors | users`: the decision without transport, from the payload of a
-//! position report to the payload of the command, in one process.
+//! `heliostat bench decide`, and `heliostat-lab bench policies | mirrors | users`.
+//!
+//! They measure the decision without transport, from the payload of a position report to the payload
+//! of the command, in one process.
 //!
 //! Between decisions the thread sleeps, as a controller does between reports, so the caches lose
 //! their contents as they do there. A decision counts from the moment the thread is awake, or from

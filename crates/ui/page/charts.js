@@ -112,7 +112,7 @@ export class Charts {
 
   axis(label, extra) {
     return {
-      stroke: () => this.muted, font: FONT, label, labelFont: FONT, labelSize: label ? 14 : 0, labelGap: 0, size: 22, gap: 3,
+      stroke: () => this.muted, font: FONT, label, labelFont: FONT, labelSize: label ? 13 : 0, labelGap: 0, size: 18, gap: 2,
       grid: { stroke: () => this.grid, width: 1 }, ticks: { stroke: () => this.grid, width: 1, size: 3 }, ...extra,
     };
   }
@@ -136,7 +136,7 @@ export class Charts {
       series: [{}, ...lines.map(([, , , dash, width], line) => ({
         stroke: () => this.lines()[lines.length - 1 - line][2], dash, width, points: { show: false },
       }))],
-      axes: [this.axis("s ago", { values: (_, splits) => splits.map((x) => -x) }), this.axis("", { size: 34 })],
+      axes: [this.axis("s ago", { values: (_, splits) => splits.map((x) => -x) }), this.axis("", { size: 34, space: 16 })],
     }, data, text);
   }
 
@@ -166,7 +166,7 @@ export class Charts {
         this.axis("us", {
           splits: () => edges_us.map((_, index) => index + 0.5), values: () => edges_us.map(short), font: SMALL_FONT, grid: { show: false },
         }),
-        this.axis("%", { size: 30 }),
+        this.axis("%", { size: 26, space: 16 }),
       ],
       hooks: { draw: [(plot) => this.drawLimit(plot, within - 0.5)] },
     }, data, text);

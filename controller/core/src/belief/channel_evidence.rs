@@ -19,7 +19,6 @@ use crate::belief::{
     lit_mirrors::LitMirrors,
     occupancy::Occupancy,
     readings::{MeasuredGains, Readings},
-    residual::GainResidual,
     tilt::{self, Tilt},
 };
 
@@ -170,21 +169,6 @@ impl ChannelEvidence {
         densities.apply(ratio, 0.0, &mut weights);
         let tilted: f64 = weights.iter().sum();
         if possible > BODY_WRONG { (tilted / possible / density(ratio, (1.0, 0.0), variance)).ln() } else { 0.0 }
-    }
-
-    /// The measured gains of a user, direct and over the mirrors, beside the expected ones of the
-    /// receiver as evaluated.
-    pub fn residual(&self, user: usize, [los, irs]: [f64; 2]) -> GainResidual {
-        let expected = &self.expected;
-        let by_steering =
-            |one: &usize, other: &usize| expected.steering(user, *one).total_cmp(&expected.steering(user, *other));
-        let led = expected.leds().max_by(by_steering).unwrap_or(0);
-        GainResidual {
-            los: [los, expected.direct(user)],
-            irs: [irs, expected.gains(user, led).iter().sum()],
-            steering: if self.angles_known { expected.steering(user, led) } else { 0.0 },
-            ..GainResidual::default()
-        }
     }
 
     /// Updates the heading of a user and the map by the user's measured gains.

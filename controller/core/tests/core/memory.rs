@@ -169,7 +169,9 @@ fn states_of_earlier_layouts_are_restored() {
     let of_user = |values: usize| [&[1, 7][..], &vec![0; values]].concat();
     let common = latest[..latest.len() - 53].to_vec();
     let former = [common, of_user(161), vec![0; 50], of_user(331), vec![0]].concat();
-    assert_eq!(Memory::from_bytes(&former).unwrap().to_bytes().unwrap(), latest);
+    let mut restored = controller(&scenario, build(PolicyKind::Nearest, &scenario).unwrap());
+    restored.restore(&Memory::from_bytes(&former).unwrap()).unwrap();
+    assert_eq!(restored.memory().to_bytes().unwrap(), latest);
     let memory = of_layout(1, 57);
     assert_eq!(memory.to_bytes().unwrap(), latest);
     assert_eq!(of_layout(2, 55).to_bytes().unwrap(), latest);

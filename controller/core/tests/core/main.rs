@@ -15,6 +15,7 @@ mod observations;
 mod obstacle_maps;
 mod policies;
 mod reports;
+mod several_leds;
 mod support;
 mod tilted_receivers;
 mod users;

@@ -1,10 +1,9 @@
 //! Tasks: the same seed gives the same run, and actions mean what the controller's code makes of
 //! them.
 
-use heliostat_channel::{ChannelModel, MirrorAngles};
+use heliostat_channel::MirrorAngles;
 use heliostat_core::core::Controller;
-use heliostat_core::observation::Observation;
-use heliostat_core::policy::{Fixed, ModelBased, Policy, PolicyError, build_fallback};
+use heliostat_core::policy::{Fixed, build_fallback};
 use heliostat_environment::action::ActionForm;
 use heliostat_environment::episodes::{HeldOutEpisode, WARM};
 use heliostat_environment::held_out::best_angles;

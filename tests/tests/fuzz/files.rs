@@ -149,7 +149,6 @@ pub fn recording(input: &[u8]) {
         file: file.path().to_owned(),
         policy: Some(PolicyKind::Nearest),
         model: None,
-        engine: None,
         settle: Some(0),
     };
     if let Ok(verdict) = replay::run(&settings) {

@@ -58,7 +58,7 @@ fn every_operator_outside_dense_graphs_is_refused_by_name() {
     for operator in ["Softmax", "Concat", "Slice", "ArgMax", "ReduceSum", "Conv", "Reshape", "Pow", "Transpose"] {
         let mut model = small();
         node(&mut model, "Relu").op_type = operator.into();
-        assert_refused(&model, &["relu_2", operator, "LeakyRelu", "embedded engine"]);
+        assert_refused(&model, &["relu_2", operator, "LeakyRelu"]);
     }
     let mut model = small();
     node(&mut model, "Relu").domain = "com.example".into();
@@ -120,11 +120,6 @@ fn constants_that_are_absent_or_damaged_are_refused_by_name() {
     let mut model = small();
     tensor(&mut model, "Gemm").data_type = DataType::Float16 as i32;
     assert_refused(&model, &["Gemm", "32-bit floats"]);
-    for value in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
-        let mut model = small();
-        tensor(&mut model, "Gemm").raw_data[4..8].copy_from_slice(&value.to_le_bytes());
-        assert_refused(&model, &["Gemm_relu_2_0", "not finite"]);
-    }
     let mut slope = Chain::new(3);
     slope.node("LeakyRelu", 0, &[]).float("alpha", f32::NAN);
     assert_refused(&slope.model(3), &["LeakyRelu", "alpha = NaN"]);

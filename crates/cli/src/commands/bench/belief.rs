@@ -18,7 +18,7 @@ use heliostat_core::{
     policy::PolicyKind,
 };
 use heliostat_environment::closed_loop::message;
-use heliostat_models::{ActorSource, EngineChoice};
+use heliostat_models::{ActorSource, build};
 use heliostat_proto::{Nanos, UserReport};
 use heliostat_room::episode::{Episode, Event};
 use heliostat_scenario::Scenario;
@@ -159,7 +159,7 @@ struct Kept {
 
 /// A controller that knows the arrays of a room.
 fn controller(scenario: &Scenario, episode: &Episode) -> Result<Controller> {
-    let policy = EngineChoice::Auto.build(PolicyKind::Greedy, scenario, &ActorSource::Shipped)?;
+    let policy = build(PolicyKind::Greedy, scenario, &ActorSource::Shipped)?;
     let mut controller = Controller::new(scenario, scenario.channel_model()?, policy, 1);
     controller.warm_up(0..2);
     for (array, capabilities) in episode.capabilities().enumerate() {

@@ -32,7 +32,7 @@ pub struct SuiteArgs {
     /// policy takes part in the tasks whose rooms it fits. `all` in --policies stands for all policies
     /// of the suite, for example --policies all,own.onnx
     #[arg(long, conflicts_with_all = [
-        "scenario", "overrides", "seed", "model", "engine", "training_seed", "states", "seeds", "blocked",
+        "scenario", "overrides", "seed", "model", "training_seed", "states", "seeds", "blocked",
         "closed_loop", "beliefs", "warm", "ceilings", "unaware", "sweep", "csv", "html",
     ])]
     suite: bool,

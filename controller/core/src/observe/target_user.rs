@@ -9,13 +9,11 @@
 //! ```
 //!
 //! The amplitudes are those of the observation vector. The benefit is largest for a user in shadow
-//! whom many mirrors reach, and zero in an empty slot. Of equal users the first is taken. The Rust
-//! code and the exported graph compute the same in f32.
+//! whom many mirrors reach, and zero in an empty slot. Of equal users the first is taken.
 
-use heliostat_core::observation::{ObservationEncoder, USERS_CAPACITY};
-use heliostat_core::policy::actor_file::INPUT_NAME;
-use heliostat_onnx::graph::{Graph, Value};
 use heliostat_scenario::Scenario;
+
+use crate::observe::observation::{ObservationEncoder, USERS_CAPACITY};
 
 /// Finds the target user in an observation vector.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -35,41 +33,22 @@ impl TargetUser {
     }
 
     /// The benefit of each slot.
-    pub fn benefits(&self, vector: &[f32]) -> Vec<f32> {
+    pub fn benefits<'a>(&self, vector: &'a [f32]) -> impl Iterator<Item = f32> + 'a {
         let steering = vector[self.encoder.steering_amplitude()].chunks_exact(self.encoder.mirrors());
         let direct = &vector[self.encoder.los_amplitude()];
-        steering.zip(direct).map(|(row, direct)| row.iter().sum::<f32>() / (1.0 + direct)).collect()
+        steering.zip(direct).map(|(row, direct)| row.iter().sum::<f32>() / (1.0 + direct))
     }
 
-    /// The slot of the target user.
+    /// The slot of the target user. Does not allocate.
     pub fn slot(&self, vector: &[f32]) -> usize {
-        let benefits = self.benefits(vector);
-        (1..benefits.len()).fold(0, |best, slot| if benefits[slot] > benefits[best] { slot } else { best })
+        let larger = |best: (usize, f32), next: (usize, f32)| if next.1 > best.1 { next } else { best };
+        self.benefits(vector).enumerate().fold((0, f32::NEG_INFINITY), larger).0
     }
 
     /// Position of the target user: x and y in m.
     pub fn position(&self, vector: &[f32]) -> [f32; 2] {
         let position = &vector[self.encoder.positions()][3 * self.slot(vector)..];
         [position[0], position[1]]
-    }
-
-    /// Adds the nodes of [`TargetUser::position`]: (1, 2).
-    pub fn position_nodes(&self, graph: &mut Graph) -> Value {
-        let (slots, mirrors) = (self.encoder.users_max(), self.encoder.mirrors());
-        let steering = graph.slice(INPUT_NAME, 1, self.encoder.steering_amplitude());
-        let steering = graph.reshape(&steering, &[slots, mirrors]);
-        let total = graph.sum(&steering, 1);
-        let direct = graph.slice(INPUT_NAME, 1, self.encoder.los_amplitude());
-        let direct = graph.reshape(&direct, &[slots, 1]);
-        let one = graph.scalar(1.0);
-        let direct = graph.node("Add", &[&direct, &one]);
-        let benefit = graph.node("Div", &[&total, &direct]);
-        let benefit = graph.reshape(&benefit, &[1, slots]);
-        let slot = graph.argmax(&benefit, 1);
-        let positions = graph.slice(INPUT_NAME, 1, self.encoder.positions());
-        let positions = graph.reshape(&positions, &[slots, 3]);
-        let position = graph.gather(&positions, &slot, 0);
-        graph.slice(&position, 1, 0..2)
     }
 }
 
@@ -107,28 +86,6 @@ impl Cells {
         let scale = self.scale();
         let position = |index: usize, axis: usize| (index as f32 + 0.5) / scale[axis] - self.half_room_m[axis];
         [position(cell % self.side, 0), position(cell / self.side, 1)]
-    }
-
-    /// Adds the nodes of [`Cells::cell`] for a position (1, 2): the cell's number, (1).
-    pub fn cell_nodes(&self, graph: &mut Graph, position: &str) -> Value {
-        let half = graph.constant("half_room", &[1, 2], &self.half_room_m);
-        let scale = graph.constant("cells_per_m", &[1, 2], &self.scale());
-        let (zero, last) = (graph.scalar(0.0), graph.scalar((self.side - 1) as f32));
-        let fraction = graph.node("Add", &[position, &half]);
-        let fraction = graph.node("Mul", &[&fraction, &scale]);
-        let index = graph.node("Floor", &[&fraction]);
-        let index = graph.node("Max", &[&index, &zero]);
-        let index = graph.node("Min", &[&index, &last]);
-        let strides = graph.constant("strides", &[1, 2], &[1.0, self.side as f32]);
-        let index = graph.node("Mul", &[&index, &strides]);
-        let index = graph.sum(&index, 1);
-        // The index as a float becomes an integer as the argument of the nearest number's maximum.
-        let numbers: Vec<f32> = (0..self.count()).map(|cell| cell as f32).collect();
-        let numbers = graph.constant("cells", &[1, numbers.len()], &numbers);
-        let distance = graph.node("Sub", &[&numbers, &index]);
-        let distance = graph.node("Abs", &[&distance]);
-        let nearness = graph.node("Neg", &[&distance]);
-        graph.argmax(&nearness, 1)
     }
 
     /// Cells per metre along x and y.

@@ -2,11 +2,12 @@
 //! are mirror angles.
 
 use heliostat_channel::MirrorAngles;
-use heliostat_core::observation::{ObservationEncoder, USERS_CAPACITY};
-use heliostat_core::policy::actor_file::INPUT_NAME;
-use heliostat_core::safety::Limits;
-use heliostat_onnx::graph::{Graph, Value};
 use heliostat_scenario::Scenario;
+
+use crate::{
+    observe::observation::{ObservationEncoder, USERS_CAPACITY},
+    output::safety::Limits,
+};
 
 /// The layout of a state of positions and, where the learner reads them, angles.
 ///
@@ -53,21 +54,26 @@ impl AngleState {
 
     /// The state that an observation vector describes.
     pub fn state(&self, vector: &[f32]) -> Vec<f32> {
-        let mut state = vector[..self.encoder.min_rate().end].to_vec();
-        state[self.encoder.positions()]
-            .iter_mut()
-            .zip(self.extents())
-            .for_each(|(position, extent)| *position /= extent);
-        state[self.encoder.los_amplitude()].iter_mut().for_each(|amplitude| *amplitude = (1.0 + *amplitude).ln());
-        if self.angles {
-            state.extend(vector[self.encoder.angles()].iter().map(|angle| angle / self.range_rad));
-        }
+        let mut state = vec![0.0; self.inputs()];
+        self.write(vector, &mut state);
         state
     }
 
-    /// Divisors of the positions, slot by slot.
-    fn extents(&self) -> Vec<f32> {
-        self.extent_m.repeat(self.encoder.users_max())
+    /// Writes the state that an observation vector describes. Does not allocate.
+    ///
+    /// # Panics
+    /// If the length of `out` is not [`inputs`](Self::inputs).
+    pub fn write(&self, vector: &[f32], out: &mut [f32]) {
+        assert_eq!(out.len(), self.inputs(), "the state has another length");
+        let (users, angles) = out.split_at_mut(self.encoder.min_rate().end);
+        users.copy_from_slice(&vector[..users.len()]);
+        for (position, extent) in users[self.encoder.positions()].iter_mut().zip(self.extent_m.iter().cycle()) {
+            *position /= extent;
+        }
+        users[self.encoder.los_amplitude()].iter_mut().for_each(|amplitude| *amplitude = (1.0 + *amplitude).ln());
+        for (to, angle) in angles.iter_mut().zip(&vector[self.encoder.angles()]) {
+            *to = angle / self.range_rad;
+        }
     }
 
     /// Angles in rad from actions in [-1, 1].
@@ -75,26 +81,5 @@ impl AngleState {
         let angle = |value: &f32| f64::from(value * self.range_rad);
         let (roll, yaw) = action.split_at(self.encoder.mirrors());
         MirrorAngles { roll: roll.iter().map(angle).collect(), yaw: yaw.iter().map(angle).collect() }
-    }
-
-    /// Adds the nodes of [`AngleState::state`]: (1, inputs).
-    pub fn state_nodes(&self, graph: &mut Graph) -> Value {
-        let encoder = self.encoder;
-        let part = |graph: &mut Graph, range| graph.slice(INPUT_NAME, 1, range);
-        let present = part(graph, encoder.present());
-        let positions = part(graph, encoder.positions());
-        let extents = graph.constant("extents", &[1, encoder.positions().len()], &self.extents());
-        let positions = graph.node("Div", &[&positions, &extents]);
-        let direct = part(graph, encoder.los_amplitude());
-        let one = graph.scalar(1.0);
-        let direct = graph.node("Add", &[&direct, &one]);
-        let direct = graph.node("Log", &[&direct]);
-        let min_rate = part(graph, encoder.min_rate());
-        let mut parts = vec![present, positions, direct, min_rate];
-        if self.angles {
-            let (angles, range) = (part(graph, encoder.angles()), graph.scalar(self.range_rad));
-            parts.push(graph.node("Div", &[&angles, &range]));
-        }
-        graph.concat(&parts.iter().map(String::as_str).collect::<Vec<_>>(), 1)
     }
 }

@@ -68,7 +68,8 @@ pub fn candidates() -> Candidates {
     }
     let executable = env::current_exe().and_then(fs::canonicalize).unwrap_or_default();
     let folder = executable.parent().unwrap_or(Path::new("")).to_owned();
-    let mut files: Vec<PathBuf> = [folder.join("lib"), folder.clone()].iter().flat_map(|folder| libraries(folder)).collect();
+    let mut files: Vec<PathBuf> =
+        [folder.join("lib"), folder.clone()].iter().flat_map(|folder| libraries(folder)).collect();
     let prefixes = folder.parent().map(Path::to_owned).into_iter();
     for prefix in prefixes.chain(["VIRTUAL_ENV", "CONDA_PREFIX"].into_iter().filter_map(variable)) {
         files.extend(of_python(&prefix));

@@ -19,7 +19,8 @@ pub fn names() -> impl Iterator<Item = &'static str> {
 pub fn file_name(policy: PolicyKind, scenario: &Scenario, training_seed: u64) -> String {
     let mode = scenario.channel.mode.name();
     let sizes = scenario.mirrors.arrays().iter().map(|array| format!("{}x{}", array.rows, array.columns));
-    let size = if policy.fits_any_array() { String::new() } else { format!("-{}", sizes.collect::<Vec<_>>().join("-")) };
+    let size =
+        if policy.fits_any_array() { String::new() } else { format!("-{}", sizes.collect::<Vec<_>>().join("-")) };
     let seed = if training_seed == 1 { String::new() } else { format!("-seed{training_seed}") };
     format!("{}-{mode}{size}{seed}.onnx", policy.name())
 }

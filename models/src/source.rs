@@ -71,7 +71,9 @@ pub fn read(path: &Path) -> Result<ActorFile, SourceError> {
     let mut beside = |name: &str| {
         let is_name = Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
         let read = if is_name { bytes_of(&folder.join(name)) } else { Err(ErrorKind::PermissionDenied.into()) };
-        read.map_err(|error| format!("the weights are in {name} ({error}): copy it too, or export with external_data=False"))
+        read.map_err(|error| {
+            format!("the weights are in {name} ({error}): copy it too, or export with external_data=False")
+        })
     };
     match external::inline(&mut model, &mut beside) {
         Ok(false) => Ok(ActorFile { origin, bytes: bytes.into() }),

@@ -7,16 +7,16 @@ use heliostat_core::policy::{DENSE, DenseEngine, Engine, Network, Policy, Policy
 use heliostat_models::{ActorSource, ORT, load_actor, load_actor_on_onnxruntime, onnxruntime_network};
 use heliostat_onnx::ModelProto;
 use heliostat_scenario::Scenario;
+use onnxruntime::{SIN, is_absent};
 use prost::Message;
 use rand::{RngExt, SeedableRng, seq::IndexedRandom};
 use rand_chacha::ChaCha8Rng;
-use onnxruntime::{SIN, is_absent};
 use support::scenario;
 
-mod onnxruntime;
 #[path = "../../controller/core/tests/core/dense_graphs.rs"]
 #[allow(dead_code)]
 mod dense_graphs;
+mod onnxruntime;
 #[path = "../../controller/core/tests/core/support.rs"]
 #[allow(dead_code)]
 mod support;
@@ -142,7 +142,8 @@ fn the_dense_engine_equals_onnxruntime_on_every_shipped_actor() {
             if is_absent(&file, &scenario) {
                 return;
             }
-            let mut engines = [load_actor(&file, &scenario), load_actor_on_onnxruntime(&file, &scenario)].map(Result::unwrap);
+            let mut engines =
+                [load_actor(&file, &scenario), load_actor_on_onnxruntime(&file, &scenario)].map(Result::unwrap);
             assert_eq!(engines.each_ref().map(|actor| actor.engine_name()), [DENSE, ORT]);
             let (observation, flat) = (Observation::new(&model, scenario.users.count), MirrorAngles::flat(100));
             let [dense, ort] = engines.each_mut().map(|actor| {

@@ -96,7 +96,10 @@ fn a_graph_that_is_not_dense_runs_on_onnxruntime_or_says_what_to_do() {
         Err(error) => {
             assert!(is_absent(&file, &scenario), "{error}");
             let text = error.to_string();
-            assert!(["sin.onnx", "Sin", "pip install onnxruntime", "dense"].iter().all(|word| text.contains(word)), "{text}");
+            assert!(
+                ["sin.onnx", "Sin", "pip install onnxruntime", "dense"].iter().all(|word| text.contains(word)),
+                "{text}"
+            );
         }
     }
 }

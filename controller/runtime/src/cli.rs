@@ -4,7 +4,10 @@ use std::path::PathBuf;
 
 use anyhow::{Context, bail};
 use heliostat_bus::{AccessRole, BusArgs};
-use heliostat_core::{capabilities::Force, policy::{NameParser, PolicyKind}};
+use heliostat_core::{
+    capabilities::Force,
+    policy::{NameParser, PolicyKind},
+};
 use heliostat_models::ActorSource;
 use heliostat_proto::Room;
 use heliostat_scenario::ScenarioArgs;

@@ -144,11 +144,7 @@ impl RoomRuntime {
         };
         let mut subscriptions = subscriptions::subscribe_to_arrays(bus, &arrays, &examiner)?;
         subscriptions.extend(subscriptions::subscribe_to_reports(bus, &handler)?);
-        let builder = PolicyBuilder {
-            scenario: scenario.clone(),
-            model,
-            configured: (config.policy, actor),
-        };
+        let builder = PolicyBuilder { scenario: scenario.clone(), model, configured: (config.policy, actor) };
         let (policy_swap, orders) = PolicySwap::subscribe(bus, &decision_loop, builder)?;
         subscriptions.push(orders);
         policy_swap.report(findings);

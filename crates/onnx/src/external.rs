@@ -13,10 +13,7 @@ fn is_external(tensor: &TensorProto) -> bool {
 ///
 /// # Errors
 /// That of `read`, or a part that the file does not hold.
-pub fn inline(
-    model: &mut ModelProto,
-    read: &mut dyn FnMut(&str) -> Result<Vec<u8>, String>,
-) -> Result<bool, String> {
+pub fn inline(model: &mut ModelProto, read: &mut dyn FnMut(&str) -> Result<Vec<u8>, String>) -> Result<bool, String> {
     let graph = model.graph.iter_mut();
     let mut cached: Option<(String, Vec<u8>)> = None;
     let mut found = false;
@@ -26,7 +23,8 @@ pub fn inline(
             let entries: &[StringStringEntryProto] = &tensor.external_data;
             entries.iter().find(|entry| entry.key == key).map(|entry| entry.value.clone())
         };
-        let name = entry("location").ok_or_else(|| format!("the tensor {} names no file of its values", tensor.name))?;
+        let name =
+            entry("location").ok_or_else(|| format!("the tensor {} names no file of its values", tensor.name))?;
         let number = |key: &str| entry(key).and_then(|value| value.parse::<usize>().ok());
         let (offset, length) = (number("offset").unwrap_or(0), number("length"));
         if cached.as_ref().is_none_or(|(known, _)| *known != name) {
@@ -35,7 +33,9 @@ pub fn inline(
         let bytes = cached.as_ref().map_or(&[][..], |(_, bytes)| bytes);
         let end = length.map_or(Some(bytes.len()), |length| offset.checked_add(length));
         let part = end.and_then(|end| bytes.get(offset..end));
-        tensor.raw_data = part.ok_or_else(|| format!("{name} is shorter than the tensor {} needs: copy it again", tensor.name))?.into();
+        tensor.raw_data = part
+            .ok_or_else(|| format!("{name} is shorter than the tensor {} needs: copy it again", tensor.name))?
+            .into();
         tensor.external_data.clear();
         tensor.data_location = DataLocation::Default as i32;
     }

@@ -118,12 +118,7 @@ pub fn replay(args: ReplayArgs) -> Result<()> {
     if !args.verify && args.policy.is_none() && args.model.is_none() {
         return play(args);
     }
-    let settings = replay::Settings {
-        file: args.file,
-        policy: args.policy,
-        model: args.model,
-        settle: args.settle,
-    };
+    let settings = replay::Settings { file: args.file, policy: args.policy, model: args.model, settle: args.settle };
     let verdict = replay::run(&settings)?;
     print(args.json, &verdict, &verdict)?;
     if args.verify && !verdict.is_good() {

@@ -4,8 +4,8 @@
 use clap::ValueEnum;
 use heliostat_channel::MirrorAngles;
 use heliostat_core::observation::{OBSERVATION_VERSION, USERS_CAPACITY};
-use heliostat_core::policy::{Policy, PolicyKind};
 use heliostat_core::policy::actor_file::{ActorFile, key};
+use heliostat_core::policy::{Policy, PolicyKind};
 use heliostat_learn::environment::{Environment, Rooms};
 use heliostat_learn::training::{Algorithm, Preset, Training, checkpoint};
 use heliostat_scenario::Scenario;

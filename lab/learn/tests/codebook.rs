@@ -3,8 +3,8 @@
 
 use heliostat_channel::MirrorAngles;
 use heliostat_core::observation::OBSERVATION_VERSION;
-use heliostat_core::policy::{Actor as Served, Policy};
 use heliostat_core::policy::actor_file::{ActorFile, key};
+use heliostat_core::policy::{Actor as Served, Policy};
 use heliostat_core::safety::Limits;
 use heliostat_learn::environment::codebook::{Codebook, objective_bps};
 use heliostat_learn::environment::target_user::TargetUser;

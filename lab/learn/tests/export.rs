@@ -2,8 +2,8 @@
 
 use heliostat_channel::MirrorAngles;
 use heliostat_core::observation::OBSERVATION_VERSION;
-use heliostat_core::policy::{Actor as Served, Policy};
 use heliostat_core::policy::actor_file::{ActorFile, key};
+use heliostat_core::policy::{Actor as Served, Policy};
 use heliostat_learn::environment::{Environment, Rooms};
 use heliostat_learn::export::actor::export;
 use heliostat_learn::learners::ddpg::{Ddpg, Settings};

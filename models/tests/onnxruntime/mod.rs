@@ -2,8 +2,8 @@
 //!
 //! Without it they say so and pass; where `HELIOSTAT_REQUIRE_ONNXRUNTIME` is set, they fail.
 
-use heliostat_core::policy::actor_file::{ActorFile, INPUT_NAME, OUTPUT_NAME, key};
 use heliostat_core::observation::{OBSERVATION_VERSION, ObservationEncoder};
+use heliostat_core::policy::actor_file::{ActorFile, INPUT_NAME, OUTPUT_NAME, key};
 use heliostat_models::load_actor_on_onnxruntime;
 use heliostat_onnx::graph::{Ends, Graph};
 use heliostat_scenario::Scenario;

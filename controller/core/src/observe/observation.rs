@@ -136,15 +136,17 @@ impl Observation {
     /// [`EncodeError`] where the vector has another length, or the array another size.
     pub fn of_vector(model: &ChannelModel, encoder: ObservationEncoder, vector: &[f32]) -> Result<Self, EncodeError> {
         encoder.check(0, model.mirrors.len(), vector)?;
-        let slots: Vec<usize> = (0..encoder.users_max()).filter(|slot| vector[encoder.present()][*slot] > 0.5).collect();
+        let slots: Vec<usize> =
+            (0..encoder.users_max()).filter(|slot| vector[encoder.present()][*slot] > 0.5).collect();
         let (users, mirrors) = (slots.len(), encoder.mirrors());
         let mut observation = Self::new(model, users);
         let wide = |range: Range<usize>| vector[range].iter().map(|value| f64::from(*value));
         let places: Vec<f64> = wide(encoder.positions()).collect();
-        let [los, need, steering] =
-            [encoder.los_amplitude(), encoder.min_rate(), encoder.steering_amplitude()].map(|part| wide(part).collect::<Vec<_>>());
+        let [los, need, steering] = [encoder.los_amplitude(), encoder.min_rate(), encoder.steering_amplitude()]
+            .map(|part| wide(part).collect::<Vec<_>>());
         let scale = model.budget.amplitude_scale();
-        let of_slots = |values: &[f64], factor: f64| slots.iter().map(|slot| factor * values[*slot]).collect::<Vec<_>>();
+        let of_slots =
+            |values: &[f64], factor: f64| slots.iter().map(|slot| factor * values[*slot]).collect::<Vec<_>>();
         let state = RoomState {
             tick: 0,
             positions: &slots.iter().map(|slot| Vec3::from_column_slice(&places[3 * slot..][..3])).collect::<Vec<_>>(),

@@ -116,7 +116,12 @@ impl ActorInfo {
             observation.ok_or_else(|| ActorError::Observation { origin: origin.clone(), found: quoted(name) })?;
         if !observation.actions().contains(&action.name()) {
             let expected = observation.actions().join(" or ");
-            return Err(ActorError::Combination { origin, action: action.name(), observation: observation.name(), expected });
+            return Err(ActorError::Combination {
+                origin,
+                action: action.name(),
+                observation: observation.name(),
+                expected,
+            });
         }
         let array = if observation.fits_any_array() {
             None
@@ -220,7 +225,9 @@ impl ActorInfo {
         let (rows, found) = extents(output);
         let has_rows = self.action == ActionKind::Codebook || matches!(rows, Some(None | Some(1)));
         match columns {
-            Some(columns) if !(has_rows && found == Some(columns)) => Err(self.wrong_shape(output, columns.to_string())),
+            Some(columns) if !(has_rows && found == Some(columns)) => {
+                Err(self.wrong_shape(output, columns.to_string()))
+            }
             None if found.is_none() => Err(self.wrong_shape(output, "codewords".into())),
             _ => Ok(()),
         }
@@ -253,7 +260,6 @@ impl ActorInfo {
         ActorError::Shape { origin, port, found, rows: rows.into(), columns, why, advice }
     }
 }
-
 
 /// First and last extent of a table of 32-bit floats: `None` for another type or rank; the first is
 /// `Some(None)` where it is open.

@@ -43,7 +43,9 @@ pub fn coordinates(mode: ChannelMode) -> Vec<[f32; 2]> {
         ChannelMode::Paper | ChannelMode::PaperCalibrated => [YAWS_DEG.len(), ROLLS_DEG.len()],
     };
     let middle = |index: usize, count: usize| index as f32 - 0.5 * (count - 1) as f32;
-    (0..columns * rows).map(|codeword| [middle(codeword % columns, columns), middle(codeword / columns, rows)]).collect()
+    (0..columns * rows)
+        .map(|codeword| [middle(codeword % columns, columns), middle(codeword / columns, rows)])
+        .collect()
 }
 
 fn common(mirrors: usize) -> Vec<MirrorAngles> {

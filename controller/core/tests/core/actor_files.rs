@@ -11,9 +11,7 @@ use heliostat_core::{
         weights::Head,
     },
 };
-use heliostat_onnx::{
-    TypeProto, ValueInfoProto, f32_row, f32_rows, tensor_shape_proto::dimension, type_proto::Value,
-};
+use heliostat_onnx::{TypeProto, ValueInfoProto, f32_row, f32_rows, tensor_shape_proto::dimension, type_proto::Value};
 use heliostat_scenario::Scenario;
 
 use crate::support::{ActorRecipe, FixedEngine, load_actor, model, scenario};
@@ -348,7 +346,8 @@ fn a_file_of_users_serves_any_array_and_any_number_of_users() {
         assert_eq!(angles, expected);
         assert_eq!(actor.users_max(), heliostat_proto::MAX_USERS);
     }
-    let error = load_actor(&of_users(&scenario(&[]), f32::MAX).with_metadata(key::WEIGHT_RANGE, "inf").file(), &scenario(&[]));
+    let error =
+        load_actor(&of_users(&scenario(&[]), f32::MAX).with_metadata(key::WEIGHT_RANGE, "inf").file(), &scenario(&[]));
     assert_contains(&error.err().expect("a refusal"), &[key::WEIGHT_RANGE]);
 }
 
@@ -384,7 +383,9 @@ fn kinds_that_do_not_go_together_are_refused() {
 #[test]
 fn a_file_that_holds_no_network_is_named() {
     let scenario = scenario(&[]);
-    for (bytes, words) in [(&b"version https://git-lfs"[..], "git lfs pull"), (b"<html>", "web page"), (b"", "is empty")] {
+    for (bytes, words) in
+        [(&b"version https://git-lfs"[..], "git lfs pull"), (b"<html>", "web page"), (b"", "is empty")]
+    {
         let file = ActorFile { origin: "own.onnx".into(), bytes: bytes.to_vec().into() };
         assert_contains(&load_actor(&file, &scenario).err().expect("a refusal"), &["own.onnx", words]);
     }
@@ -396,7 +397,9 @@ fn an_open_first_extent_admits_one_row_and_a_batch_does_not() {
     assert!(load_actor(&ActorRecipe { port: f32_rows, ..ActorRecipe::fitting(&scenario) }.file(), &scenario).is_ok());
     fn batch(name: &str, length: usize) -> ValueInfoProto {
         let mut port = f32_row(name, length);
-        let Some(TypeProto { value: Some(Value::TensorType(tensor)), .. }) = &mut port.r#type else { panic!("a tensor") };
+        let Some(TypeProto { value: Some(Value::TensorType(tensor)), .. }) = &mut port.r#type else {
+            panic!("a tensor")
+        };
         tensor.shape.as_mut().expect("a shape").dim[0].value = Some(dimension::Value::DimValue(4));
         port
     }

@@ -170,8 +170,7 @@ impl Args {
     /// starts.
     fn check_policy(&self, scenario: &Scenario) -> Result<()> {
         let source = self.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
-        build(self.policy(), scenario, &source)
-            .context("nothing was started: the controller would have no policy")?;
+        build(self.policy(), scenario, &source).context("nothing was started: the controller would have no policy")?;
         Ok(())
     }
 

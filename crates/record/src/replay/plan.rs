@@ -17,7 +17,6 @@ use crate::received::Received;
 
 use super::schedule::{Schedule, ScheduleBuilder};
 
-
 const NO_REPORT: &str =
     "it holds no position report: the recorder was not connected to the room's process, or was cut before it wrote";
 

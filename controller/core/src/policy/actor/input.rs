@@ -55,9 +55,7 @@ impl Input {
             ObservationKind::Codewords => {
                 Kind::Codewords(CodewordState::of(scenario), coordinates(scenario.channel.mode))
             }
-            ObservationKind::Cell => {
-                Kind::Cell(TargetUser::of(scenario), Cells::of(scenario, info.columns.isqrt()))
-            }
+            ObservationKind::Cell => Kind::Cell(TargetUser::of(scenario), Cells::of(scenario, info.columns.isqrt())),
         };
         let encoder = info.encoder(scenario.mirror_count());
         Self {

@@ -15,15 +15,8 @@ const SAME: f32 = 1e-4;
 /// Runs on one input; a dropped value may be the same by chance.
 const RUNS: usize = 4;
 /// Operators that draw random numbers.
-const DRAWING: [&str; 7] = [
-    "RandomNormal",
-    "RandomNormalLike",
-    "RandomUniform",
-    "RandomUniformLike",
-    "Multinomial",
-    "Bernoulli",
-    "Dropout",
-];
+const DRAWING: [&str; 7] =
+    ["RandomNormal", "RandomNormalLike", "RandomUniform", "RandomUniformLike", "Multinomial", "Bernoulli", "Dropout"];
 
 /// Element `index` of the fixed input of a number from 0: sin((number + 1) (index + 1)).
 pub fn fixed_input(number: usize, index: usize) -> f32 {

@@ -161,7 +161,9 @@ pub enum ActorError {
         expected: String,
     },
     /// The network cannot be evaluated at all.
-    #[error("{origin} gave no angles on {failures} of {failures} sampled observations: {example}; export the actor again")]
+    #[error(
+        "{origin} gave no angles on {failures} of {failures} sampled observations: {example}; export the actor again"
+    )]
     NoAngles {
         /// The file.
         origin: String,

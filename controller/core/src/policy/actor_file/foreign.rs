@@ -21,7 +21,8 @@ pub fn foreign(bytes: &[u8]) -> Option<String> {
     let text = bytes.trim_ascii_start();
     let is_tag = |byte: &u8| byte.is_ascii_alphabetic() || *byte == b'!' || *byte == b'?';
     if text.first() == Some(&b'<') && text.get(1).is_some_and(is_tag) {
-        let word: String = text.iter().take_while(|byte| byte.is_ascii_graphic()).take(16).map(|byte| *byte as char).collect();
+        let word: String =
+            text.iter().take_while(|byte| byte.is_ascii_graphic()).take(16).map(|byte| *byte as char).collect();
         return Some(format!("begins with {word}: it is a web page, expected an ONNX file: download the file itself"));
     }
     None
@@ -35,7 +36,10 @@ mod tests {
     fn files_that_hold_no_network_are_named_with_what_to_do() {
         for (bytes, words) in [
             (&b""[..], "is empty"),
-            (b"version https://git-lfs.github.com/spec/v1\noid", "pointer of git-lfs, expected an ONNX file: run `git lfs pull`"),
+            (
+                b"version https://git-lfs.github.com/spec/v1\noid",
+                "pointer of git-lfs, expected an ONNX file: run `git lfs pull`",
+            ),
             (b"\n <!DOCTYPE html>\n<html>", "begins with <!DOCTYPE: it is a web page"),
             (b"<html>", "begins with <html>: it is a web page"),
             (b"\x1f\x8b\x08", "gzip"),

@@ -85,7 +85,9 @@ impl Subject<'_> {
     fn build(&self) -> Result<Box<dyn Policy>> {
         match self.engine {
             Engine::Own => Ok(build(self.kind, self.scenario, self.source)?),
-            Engine::OnnxRuntime => Ok(Box::new(self.load(&self.source.fetch(self.kind, self.scenario)?)?.named(self.kind.name()))),
+            Engine::OnnxRuntime => {
+                Ok(Box::new(self.load(&self.source.fetch(self.kind, self.scenario)?)?.named(self.kind.name())))
+            }
         }
     }
 
@@ -93,7 +95,9 @@ impl Subject<'_> {
     fn engines(&self) -> Vec<Engine> {
         let on_ort = Subject { engine: Engine::OnnxRuntime, ..*self };
         match (self.kind.is_learned(), self.build()) {
-            (true, Ok(own)) if own.engine() != Some(ORT) && on_ort.build().is_ok() => vec![Engine::Own, Engine::OnnxRuntime],
+            (true, Ok(own)) if own.engine() != Some(ORT) && on_ort.build().is_ok() => {
+                vec![Engine::Own, Engine::OnnxRuntime]
+            }
             // Where none does, the error follows from a build.
             _ => vec![Engine::Own],
         }

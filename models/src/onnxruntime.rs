@@ -1,15 +1,15 @@
 //! ONNX Runtime through ort, from a shared library that is loaded when the first network needs it.
 //!
-//! Input and output tensors are allocated once for a number of rows, and bound to the session. A run
-//! executes on the calling thread.
+//! The input tensor is allocated once for a number of rows. A run executes on the calling thread; the
+//! library allocates the output. Bound tensors are no alternative: `run_binding` of ort 2.0.0-rc.15
+//! leaks at each run.
 
 use std::sync::{Mutex, PoisonError};
 
 use heliostat_core::policy::{Network, PolicyError};
 use ort::{
     environment::Environment,
-    memory::{AllocationDevice, Allocator, AllocatorType, MemoryInfo, MemoryType},
-    session::{IoBinding, Session, builder::GraphOptimizationLevel},
+    session::{Session, builder::GraphOptimizationLevel},
     value::Tensor,
 };
 
@@ -66,20 +66,13 @@ fn environment() -> Result<Environment, String> {
     Err(reason)
 }
 
-/// A session with its tensors.
+/// A session with its input.
 struct OrtNetwork {
     session: Session,
-    bound: Bound,
-    /// The extents of the output, `None` for an open one.
-    output: [Option<usize>; 2],
-    batch: Batch,
-}
-
-/// The tensors of one number of rows.
-struct Bound {
-    shape: [usize; 2],
     input: Tensor<f32>,
-    binding: IoBinding,
+    /// The shape of the input.
+    shape: [usize; 2],
+    batch: Batch,
 }
 
 impl OrtNetwork {
@@ -87,36 +80,13 @@ impl OrtNetwork {
         let builder = Session::builder(environment)?.with_optimization_level(GraphOptimizationLevel::Level3)?;
         // Handing work to another thread costs more than the work of a small network.
         let session = builder.with_intra_threads(1)?.commit_from_memory(model)?;
-        // An open extent is negative.
-        let extent = |value: Option<&i64>| value.and_then(|extent| usize::try_from(*extent).ok());
         let rows = match session.inputs().first().and_then(|port| port.dtype().tensor_shape()) {
-            Some(shape) => extent(shape.first()),
+            // An open extent is negative.
+            Some(shape) => shape.first().and_then(|rows| usize::try_from(*rows).ok()),
             None => Some(1),
         };
-        let output = match session.outputs().first().and_then(|port| port.dtype().tensor_shape()) {
-            Some(shape) if shape.len() == 2 => [extent(shape.first()), extent(shape.last())],
-            _ => [None; 2],
-        };
-        let bound = Bound::new(&session, [rows.unwrap_or(1), input_length], output)?;
-        Ok(Self { session, bound, output, batch: Batch::new(input_length, rows) })
-    }
-}
-
-impl Bound {
-    fn new(session: &Session, shape: [usize; 2], output: [Option<usize>; 2]) -> ort::Result<Self> {
-        let tensor = |shape: [usize; 2]| Tensor::<f32>::new(&Allocator::default(), shape.map(|extent| extent as i64));
-        let (input, mut binding) = (tensor(shape)?, session.create_binding()?);
-        binding.bind_input(session.inputs()[0].name(), &input)?;
-        let name = session.outputs()[0].name();
-        match output {
-            [rows, Some(columns)] => binding.bind_output(name, tensor([rows.unwrap_or(shape[0]), columns])?)?,
-            // ONNX Runtime allocates an output whose size is not known before the run.
-            _ => {
-                let memory = MemoryInfo::new(AllocationDevice::CPU, 0, AllocatorType::Device, MemoryType::CPUOutput)?;
-                binding.bind_output_to_device(name, &memory)?;
-            }
-        }
-        Ok(Self { shape, input, binding })
+        let shape = [rows.unwrap_or(1), input_length];
+        Ok(Self { session, input: tensor(shape)?, shape, batch: Batch::new(input_length, rows) })
     }
 }
 
@@ -134,18 +104,22 @@ impl Network for OrtNetwork {
     }
 
     fn run(&mut self) -> Result<&[f32], PolicyError> {
-        let Self { session, bound, output: extents, batch } = self;
+        let Self { session, input, shape: present, batch } = self;
         batch.run(|shape, values, output| {
-            if bound.shape != shape {
-                *bound = Bound::new(session, shape, *extents).map_err(failed)?;
+            if *present != shape {
+                (*input, *present) = (tensor(shape).map_err(failed)?, shape);
             }
-            bound.input.extract_tensor_mut().1.copy_from_slice(values);
-            let found = session.run_binding(&bound.binding).map_err(failed)?;
+            input.extract_tensor_mut().1.copy_from_slice(values);
+            let found = session.run(ort::inputs![&*input]).map_err(failed)?;
             let (_, found) = found[0].try_extract_tensor::<f32>().map_err(failed)?;
             output.extend_from_slice(found);
             Ok(())
         })
     }
+}
+
+fn tensor(shape: [usize; 2]) -> ort::Result<Tensor<f32>> {
+    Tensor::from_array((shape, vec![0.0_f32; shape[0] * shape[1]]))
 }
 
 fn failed(error: ort::Error) -> PolicyError {

@@ -64,7 +64,8 @@ fn one_built_in_file_serves_every_array_and_number_of_users_of_a_mode() {
     for mode in ["specular", "paper", "paper-calibrated"] {
         for (rows, columns, users) in [(10, 10, 5), (6, 14, 7), (1, 3, 1), (2, 2, 23)] {
             let overrides = [("rows", rows), ("columns", columns)].map(|(key, value)| format!("mirrors.{key}={value}"));
-            let overrides = [&overrides[..], &[format!("users.count={users}")]].concat();
+            let further = [format!("users.count={users}"), "blockage.forced_users=0".into()];
+            let overrides = [&overrides[..], &further].concat();
             let scenario = Scenario::builtin(mode).unwrap().with_overrides(&overrides).unwrap();
             let model = model(&scenario);
             let mut policy = build(PolicyKind::Ddpg, &scenario, &ActorSource::Shipped).unwrap();

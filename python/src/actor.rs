@@ -1,10 +1,10 @@
 //! Actors from other programs: a network as an ONNX file becomes a file that a controller accepts.
 
+use heliostat_core::angle_state::AngleState;
 use heliostat_core::observation::{OBSERVATION_VERSION, ObservationEncoder, USERS_CAPACITY};
 use heliostat_core::policy::actor_file::{ActionKind, ActorFile, ActorInfo, INPUT_NAME, ObservationKind, key};
 use heliostat_core::policy::fixed_input;
 use heliostat_environment::action::Head;
-use heliostat_core::angle_state::AngleState;
 use heliostat_onnx::graph::{Ends, Graph};
 use heliostat_onnx::{ModelProto, NodeProto, TensorProto};
 use prost::Message;

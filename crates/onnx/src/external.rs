@@ -1,7 +1,7 @@
 //! Tensors whose values are in a second file beside the model, as exporters write large ones.
 
 use crate::tensor_proto::DataLocation;
-use crate::{GraphProto, ModelProto, StringStringEntryProto, TensorProto};
+use crate::{ModelProto, StringStringEntryProto, TensorProto};
 
 /// Whether the values of a tensor are in a second file.
 fn is_external(tensor: &TensorProto) -> bool {
@@ -14,10 +14,10 @@ fn is_external(tensor: &TensorProto) -> bool {
 /// # Errors
 /// That of `read`, or a part that the file does not hold.
 pub fn inline(model: &mut ModelProto, read: &mut dyn FnMut(&str) -> Result<Vec<u8>, String>) -> Result<bool, String> {
-    let graph = model.graph.iter_mut();
     let mut cached: Option<(String, Vec<u8>)> = None;
     let mut found = false;
-    for tensor in graph.flat_map(|graph: &mut GraphProto| &mut graph.initializer).filter(|tensor| is_external(tensor)) {
+    let tensors = model.graph.iter_mut().flat_map(|graph| &mut graph.initializer);
+    for tensor in tensors.filter(|tensor| is_external(tensor)) {
         found = true;
         let entry = |key: &str| {
             let entries: &[StringStringEntryProto] = &tensor.external_data;
@@ -30,7 +30,7 @@ pub fn inline(model: &mut ModelProto, read: &mut dyn FnMut(&str) -> Result<Vec<u
         if cached.as_ref().is_none_or(|(known, _)| *known != name) {
             cached = Some((name.clone(), read(&name)?));
         }
-        let bytes = cached.as_ref().map_or(&[][..], |(_, bytes)| bytes);
+        let bytes = cached.as_ref().map_or(&[][..], |(_, bytes)| bytes.as_slice());
         let end = length.map_or(Some(bytes.len()), |length| offset.checked_add(length));
         let part = end.and_then(|end| bytes.get(offset..end));
         tensor.raw_data = part

@@ -125,7 +125,10 @@ def _outputs(module: Any, torch: Any, number: int, sizes: tuple[int, int]) -> li
     shape = tuple(found.shape)
     if shape != (1, outputs):
         raise ValueError(f"the module returns the shape {shape} for one observation, expected {(1, outputs)}")
-    return [float(value) for value in found[0]]
+    values = [float(value) for value in found[0]]
+    if not np.isfinite(values).all():
+        raise ValueError(f"{_name(module)} returns a value that is not finite: train it again if the training diverged")
+    return values
 
 
 def _exported(module: Any, torch: Any, inputs: int) -> bytes:

@@ -411,13 +411,13 @@ fn an_open_first_extent_admits_one_row_and_a_batch_does_not() {
 fn the_contract_lists_the_kinds_of_files() {
     let contract = include_str!("../../../../CONTRACT.md");
     for kind in ObservationKind::ALL {
-        let row = contract.lines().find(|line| line.starts_with(&format!("| `{}` |", kind.name())));
+        let row = contract.lines().find(|line| line.starts_with(&format!("| `{}`", kind.name())));
         let row = row.unwrap_or_else(|| panic!("no row of {}", kind.name()));
         assert!(kind.actions().iter().all(|action| row.contains(&format!("`{action}`"))), "{row}");
     }
     let head = Head::BALANCED;
     for action in [ActionKind::Angles, ActionKind::Weights(head), ActionKind::Codebook] {
-        let row = contract.lines().find(|line| line.starts_with(&format!("| `{}` |", action.name())));
+        let row = contract.lines().find(|line| line.starts_with(&format!("| `{}`", action.name())));
         let row = row.unwrap_or_else(|| panic!("no row of {}", action.name()));
         assert!(row.contains(&format!("`{}`", action.output())), "{row}");
     }

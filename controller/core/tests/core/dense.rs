@@ -1,13 +1,11 @@
 //! The dense engine: which graphs it reads, and which it refuses with the reason.
 
 use allocation_counter::measure;
-use heliostat_core::policy::actor_file::{ActorError, ActorFile};
-use heliostat_core::policy::{Actor, DenseEngine, DenseError, DenseNetwork, Engine, Network};
+use heliostat_core::policy::{DenseError, DenseNetwork, Network};
 use heliostat_onnx::{ModelProto, NodeProto, tensor_proto::DataType};
 use prost::Message;
 
-use crate::dense_graphs::{Chain, dense_actor, tensor, with_open_rows};
-use crate::support::{FixedEngine, scenario};
+use crate::dense_graphs::{Chain, tensor, with_open_rows};
 
 /// 3 inputs, 4 hidden values, 2 outputs.
 fn small() -> ModelProto {
@@ -151,19 +149,4 @@ fn a_run_allocates_nothing_whatever_the_rows_up_to_the_largest_number_so_far() {
     });
     assert_eq!(allocated.count_total, 0, "{allocated:?}");
     assert!(network.set_rows(0).is_err());
-}
-
-#[test]
-fn a_dense_actor_agrees_with_the_reference_and_another_output_is_refused() {
-    let scenario = scenario(&[]);
-    let file = ActorFile { origin: "dense.onnx".into(), bytes: dense_actor(&scenario).into() };
-    let compared = |engine: &dyn Engine| {
-        let mut actor = Actor::load(&file, &scenario, engine).expect("it fits");
-        actor.check_agrees_with_reference(&file, &scenario, || 0)
-    };
-    assert_eq!(compared(&DenseEngine), Ok(()));
-    let refusal = compared(&FixedEngine(0.25)).expect_err("its outputs are constant");
-    let ActorError::EnginesDisagree { engines, differing, compared, .. } = &refusal else { panic!("{refusal}") };
-    assert_eq!((engines[1], *differing, *compared), ("reference", 64, 64));
-    assert!(refusal.to_string().contains("dense.onnx"), "{refusal}");
 }

@@ -27,7 +27,7 @@
 //!   rates would train the policy to ignore those users.
 
 use candle_core::{Device, Result, Tensor};
-use heliostat_channel::{ChannelModel, MirrorAngles, Mode, decode};
+use heliostat_channel::{MirrorAngles, Mode, decode};
 use heliostat_core::observation::Summary;
 use heliostat_core::policy::PolicyKind;
 use heliostat_scenario::{ChannelMode, Scenario};

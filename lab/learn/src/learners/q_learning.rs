@@ -202,7 +202,8 @@ impl Learner for QLearning {
         let columns = all_columns(states);
         let (observation, action) = (ObservationKind::Cell, ActionKind::Codebook);
         let row = |weights: &[f32]| {
-            let value = |codeword| (0..states).map(|state| weights[state] * self.table.value(state, codeword)).sum();
+            let value =
+                |codeword| (0..states).map(|state| weights[state] * self.table.value(state, codeword)).sum::<f32>();
             Ok((0..codewords).map(value).collect())
         };
         Ok(finish(graph, &Form { observation, action, columns: &columns, metadata }, codewords, row)?)

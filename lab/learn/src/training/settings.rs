@@ -39,7 +39,7 @@ impl RunSettings {
 
 /// The domains of the hyperparameters, the same for every learner: path in the settings, smallest
 /// and largest value, and both in words.
-const DOMAINS: [(&str, f64, f64, &str); 20] = [
+const DOMAINS: [(&str, f64, f64, &str); 19] = [
     ("/episodes", 1.0, 1e9, "at least 1"),
     ("/steps", 1.0, 1e6, "1 to 1e6"),
     ("/step_s", f64::MIN_POSITIVE, 1e6, "above 0"),

@@ -257,7 +257,7 @@ impl ActorInfo {
         let is_batch = matches!(extents(port).0, Some(Some(rows)) if rows != 1);
         let advice = if is_batch { "export it with a fixed batch of 1" } else { "export the actor in this shape" };
         let (origin, port, found) = (self.origin.clone(), port.name.clone(), describe(port));
-        ActorError::Shape { origin, port, found, rows: rows.into(), columns, why, advice }
+        ActorError::Shape { origin, port, found, expected: format!("f32 [{rows}, {columns}] {why}"), advice }
     }
 }
 

@@ -90,7 +90,7 @@ pub enum ActorError {
         expected: &'static str,
     },
     /// The input or output has another shape or element type.
-    #[error("{origin}: \"{port}\" is {found}, expected f32 [{rows}, {columns}] {why}; {advice}")]
+    #[error("{origin}: \"{port}\" is {found}, expected {expected}; {advice}")]
     Shape {
         /// The file.
         origin: String,
@@ -98,12 +98,8 @@ pub enum ActorError {
         port: String,
         /// Type and shape found.
         found: String,
-        /// First extent expected.
-        rows: String,
-        /// Last extent expected.
-        columns: String,
-        /// What the expected shape follows from.
-        why: String,
+        /// Type and shape expected, and what they follow from.
+        expected: String,
         /// What to do.
         advice: &'static str,
     },

@@ -8,7 +8,9 @@ use std::time::Duration;
 
 use heliostat_bus::{Bus, BusConfig, free_loopback_endpoint};
 use heliostat_models::EMBEDDED;
-use heliostat_proto::{BranchReport, MirrorCommand, NodeStatus, OrientationReport, Room, Stamp, UserReport, codec};
+use heliostat_proto::{
+    BranchReport, LedReport, MirrorCommand, NodeStatus, OrientationReport, Room, Stamp, UserReport, codec,
+};
 use heliostat_record::account::Account;
 use heliostat_record::file::{Reading, Recording};
 use heliostat_scenario::Scenario;
@@ -218,6 +220,37 @@ fn a_room_with_reported_orientations_replays_bit_for_bit_and_not_without_them() 
     });
     assert!(reports >= 70, "{reports}");
     let other = replay(&upright, &["--policy", "fixed-point"]).wait().json();
+    assert!(other["different"].as_u64() > Some(0), "{other}");
+}
+
+#[test]
+fn a_room_with_reported_leds_replays_bit_for_bit_and_not_without_them() {
+    let setting = Setting::new();
+    let both = [
+        "--set",
+        "led.positions_m=[[-1.25,0,3],[1.25,0,3]]",
+        "--set",
+        "streams.channel.leds=gains",
+        "--set",
+        "users.mobility=seated",
+        "--set",
+        "users.orientation.model=measured",
+    ];
+    let account = setting.record(&both, &["--lockstep", "150"], &["--lockstep"]);
+    let file = setting.file();
+    let messages = |stream: &str| account["streams"][format!("heliostat/v1/demo/{stream}")]["messages"].as_u64();
+    assert!(messages("leds") >= Some(60) && messages("leds") == messages("channel"), "{account}");
+    let verdict = verified(&file);
+    assert_eq!((verdict["same"].as_u64(), verdict["different"].as_u64()), (Some(150), Some(0)), "{verdict}");
+    let without = setting.folder.path().join("without.mcap");
+    copy(&file, &without, |topic, payload| {
+        if topic.ends_with("/leds") {
+            let mut report: LedReport = codec::decode(payload).unwrap();
+            (report.users, report.gains) = (Vec::new(), Vec::new());
+            codec::encode(&report, payload).unwrap();
+        }
+    });
+    let other = replay(&without, &["--policy", "fixed-point"]).wait().json();
     assert!(other["different"].as_u64() > Some(0), "{other}");
 }
 

@@ -45,6 +45,18 @@ pub(super) struct Room<'a> {
     pub unusable: &'a [u32],
 }
 
+/// The gains over the mirrors of each user by the LED with the largest direct gain, which most often
+/// serves: for all users at once, the mirrors are turned once.
+#[derive(Clone, Debug)]
+struct Strongest {
+    /// Shape: K.
+    led: Vec<usize>,
+    /// Over each mirror. Shape: K * M.
+    gains: Vec<f64>,
+    /// If all mirrors were aimed at the user. Shape: K.
+    steering: Vec<f64>,
+}
+
 /// The gains of the selected user by one LED.
 #[derive(Clone, Debug)]
 struct Lit {
@@ -67,6 +79,7 @@ pub(super) struct ExpectedGains {
     is_tiltable: bool,
     /// Over the direct path from each LED. Shape: K * L.
     direct: Vec<f64>,
+    strongest: Strongest,
     /// By LED.
     lit: Vec<Lit>,
     /// Slopes of the directions from the user of `select` to the mirrors and to the LEDs.
@@ -88,6 +101,11 @@ impl ExpectedGains {
             leans: Vec::with_capacity(capacity),
             is_tiltable: tilt::is_single_open_detector(model),
             direct: Vec::with_capacity(capacity * model.leds.len()),
+            strongest: Strongest {
+                led: Vec::with_capacity(capacity),
+                gains: Vec::with_capacity(capacity * mirrors),
+                steering: Vec::with_capacity(capacity),
+            },
             lit: vec![Lit { is_lit: false, gains: vec![0.0; mirrors], steering: 0.0 }; model.leds.len()],
             mirror_slopes: Vec::with_capacity(mirrors),
             led_slopes: Vec::with_capacity(model.leds.len()),
@@ -114,6 +132,26 @@ impl ExpectedGains {
         for user in 0..self.positions.len() {
             let by_led = (0..model.leds.len()).map(|led| self.scene.los_gain_by(model, obstacles, user, led));
             self.direct.extend(by_led);
+        }
+        self.light_strongest(room);
+    }
+
+    /// Computes the gains of all users over the mirrors by the LED with the largest direct gain.
+    fn light_strongest(&mut self, room: &Room<'_>) {
+        let Self { scene, direct, strongest: Strongest { led, gains, steering }, lit, .. } = self;
+        led.clear();
+        for (user, direct) in direct.chunks_exact(lit.len()).enumerate() {
+            let strongest = (1..direct.len()).fold(0, |best, led| if direct[led] > direct[best] { led } else { best });
+            scene.serve_by(room.model, room.obstacles, user, strongest);
+            led.push(strongest);
+        }
+        scene.exclude_mirrors(room.unusable);
+        steering.clear();
+        steering.extend(scene.steering_gain().chunks_exact(scene.mirrors()).map(|row| row.iter().sum::<f64>()));
+        gains.clear();
+        gains.resize(scene.users() * scene.mirrors(), 0.0);
+        if let Some(angles) = room.angles {
+            scene.irs_gain_each(room.model, angles, gains);
         }
     }
 
@@ -147,13 +185,18 @@ impl ExpectedGains {
             return;
         }
         lit.is_lit = true;
-        self.scene.serve_by(room.model, room.obstacles, user, led);
-        self.scene.exclude_mirrors(room.unusable);
-        let mirrors = self.scene.mirrors();
-        lit.steering = self.scene.steering_gain()[user * mirrors..][..mirrors].iter().sum();
-        match room.angles {
-            Some(angles) => self.scene.irs_gain_each_of(room.model, angles, user, &mut lit.gains),
-            None => lit.gains.fill(0.0),
+        let (scene, mirrors) = (&mut self.scene, lit.gains.len());
+        if led == self.strongest.led[user] {
+            lit.steering = self.strongest.steering[user];
+            lit.gains.copy_from_slice(&self.strongest.gains[user * mirrors..][..mirrors]);
+        } else {
+            scene.serve_by(room.model, room.obstacles, user, led);
+            scene.exclude_mirrors(room.unusable);
+            lit.steering = scene.steering_gain()[user * mirrors..][..mirrors].iter().sum();
+            match room.angles {
+                Some(angles) => scene.irs_gain_each_of(room.model, angles, user, &mut lit.gains),
+                None => lit.gains.fill(0.0),
+            }
         }
         let open = lit.gains.iter_mut().zip(&self.mirror_open);
         open.for_each(|(gain, is_open)| *gain *= f64::from(u8::from(*is_open)));

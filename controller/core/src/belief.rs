@@ -302,15 +302,14 @@ impl Belief {
         Some(Estimate { position, velocity, position_cov_m2, velocity_var_m2_s2, heading, direct_clear })
     }
 
-    /// Probability that the direct path from some LED is clear past unreported obstacles, at a detector
-    /// that is uncovered with this probability.
+    /// Probability that neither an unreported obstacle nor a cover blocks the direct path, at a detector
+    /// that is uncovered with this probability. With several LEDs the map is left out: another LED then
+    /// serves.
     fn direct_clear(&self, position: &Vec3, uncovered: f64) -> f64 {
-        let Some(map) = &self.map else { return uncovered };
-        self.leds.iter().fold(0.0, |clear, led| {
-            let mut further = [uncovered - clear];
-            map.weigh(position, std::slice::from_ref(led), &mut further);
-            clear + further[0]
-        })
+        let (Some(map), [led]) = (&self.map, &self.leds[..]) else { return uncovered };
+        let mut clear = [uncovered];
+        map.weigh(position, std::slice::from_ref(led), &mut clear);
+        clear[0]
     }
 
     /// The probability of each heading of a user of the last report.

@@ -78,3 +78,31 @@ fn receiver(model: &ChannelModel) -> String {
         branches => format!("{} branches", branches.len()),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(overrides: &[&str]) -> Vec<String> {
+        let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
+        let scenario = Scenario::builtin("hall").unwrap().with_overrides(&overrides).unwrap();
+        let found = conditions(&scenario, &scenario.channel_model().unwrap());
+        found.iter().map(ToString::to_string).collect()
+    }
+
+    #[test]
+    fn each_method_that_does_not_apply_is_named_with_its_key() {
+        assert!(of(&[]).is_empty(), "{:?}", of(&[]));
+        for (change, key) in [
+            ("blockage.bodies=false", "blockage.bodies = false"),
+            ("receiver.preset=angle-diversity", "7 branches"),
+            ("receiver.fov_deg=60", "a field of view of 60 degrees"),
+            ("streams.channel.noise_relative=0.2", "streams.channel.noise_relative = 0.2"),
+            ("users.mobility=gauss-markov", "gauss-markov"),
+        ] {
+            let found = of(&[change]);
+            assert!(found.len() == 1 && found[0].contains(key), "{change}: {found:?}");
+        }
+        assert_eq!(of(&["control.belief=none", "blockage.bodies=false"]).len(), 1, "no filter, no methods");
+    }
+}

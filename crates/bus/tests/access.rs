@@ -14,7 +14,7 @@ use heliostat_proto::{NodeKind, Room};
 use zenoh::Wait;
 
 /// Every key of the contract, and a key outside of it.
-const KEYS: [&str; 33] = [
+const KEYS: [&str; 34] = [
     "users",
     "channel",
     "obstacles",

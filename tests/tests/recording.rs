@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use heliostat_bus::{Bus, BusConfig, free_loopback_endpoint};
-use heliostat_proto::{BranchReport, MirrorCommand, OrientationReport, Room, Stamp, UserReport, codec};
+use heliostat_proto::{BranchReport, LedReport, MirrorCommand, OrientationReport, Room, Stamp, UserReport, codec};
 use heliostat_record::account::Account;
 use heliostat_record::file::{Reading, Recording};
 use heliostat_scenario::Scenario;
@@ -199,6 +199,37 @@ fn a_room_with_reported_orientations_replays_bit_for_bit_and_not_without_them() 
     });
     assert!(reports >= 70, "{reports}");
     let other = replay(&upright, &["--policy", "fixed-point"]).wait().json();
+    assert!(other["different"].as_u64() > Some(0), "{other}");
+}
+
+#[test]
+fn a_room_with_reported_leds_replays_bit_for_bit_and_not_without_them() {
+    let setting = Setting::new();
+    let both = [
+        "--set",
+        "led.positions_m=[[-1.25,0,3],[1.25,0,3]]",
+        "--set",
+        "streams.channel.leds=gains",
+        "--set",
+        "users.mobility=seated",
+        "--set",
+        "users.orientation.model=measured",
+    ];
+    let account = setting.record(&both, &["--lockstep", "150"], &["--lockstep"]);
+    let file = setting.file();
+    let messages = |stream: &str| account["streams"][format!("heliostat/v1/demo/{stream}")]["messages"].as_u64();
+    assert!(messages("leds") >= Some(60) && messages("leds") == messages("channel"), "{account}");
+    let verdict = verified(&file);
+    assert_eq!((verdict["same"].as_u64(), verdict["different"].as_u64()), (Some(150), Some(0)), "{verdict}");
+    let without = setting.folder.path().join("without.mcap");
+    copy(&file, &without, |topic, payload| {
+        if topic.ends_with("/leds") {
+            let mut report: LedReport = codec::decode(payload).unwrap();
+            (report.users, report.gains) = (Vec::new(), Vec::new());
+            codec::encode(&report, payload).unwrap();
+        }
+    });
+    let other = replay(&without, &["--policy", "fixed-point"]).wait().json();
     assert!(other["different"].as_u64() > Some(0), "{other}");
 }
 

@@ -92,6 +92,7 @@ pub fn scenario(input: &[u8]) {
             Event::Obstacles(report) => encode(report, &mut payload),
             Event::Orientation(report) => encode(report, &mut payload),
             Event::Branches(report) => encode(report, &mut payload),
+            Event::Leds(report) => encode(report, &mut payload),
         };
         encoded.unwrap_or_else(|error| panic!("{error}: {event:?}"));
     }
@@ -183,6 +184,7 @@ fn write_recording(script: &mut Script<'_>, file: &tempfile::NamedTempFile) {
             Kind::ObstacleReport => room.obstacles(),
             Kind::OrientationReport => room.orientation(),
             Kind::BranchReport => room.branches(),
+            Kind::LedReport => room.leds(),
             Kind::MirrorCommand => room.command(),
             Kind::MirrorTelemetry => room.telemetry(),
             Kind::Capabilities => room.capabilities(),

@@ -226,6 +226,7 @@ fn input_of(received: &Received) -> Option<InputKind> {
         Received::Channel(_) => Some(InputKind::Channel),
         Received::Obstacles(_) => Some(InputKind::Obstacles),
         Received::Orientation(_) => Some(InputKind::Orientation),
+        Received::Leds(_) => Some(InputKind::Leds),
         Received::Telemetry(_) => Some(InputKind::Telemetry),
         _ => None,
     }

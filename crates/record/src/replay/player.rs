@@ -169,6 +169,7 @@ impl<'a> Player<'a> {
             topic if *topic == room.channel() => InputKind::Channel,
             topic if *topic == room.obstacles() => InputKind::Obstacles,
             topic if *topic == room.orientation() => InputKind::Orientation,
+            topic if *topic == room.leds() => InputKind::Leds,
             topic if *topic == room.telemetry() => InputKind::Telemetry,
             topic if *topic == room.controller_memory() => {
                 self.keep_memory(&entry.data);

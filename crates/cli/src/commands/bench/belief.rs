@@ -42,11 +42,18 @@ pub struct Args {
 /// A room: its name in the output, its built-in scenario, and what is overridden.
 type Room = (&'static str, &'static str, &'static [&'static str]);
 
+const TWO_LEDS: &str = "led.positions_m=[[-1.25,0,3],[1.25,0,3]]";
+const FOUR_LEDS: &str = "led.positions_m=[[-1.25,-1.25,3],[1.25,-1.25,3],[-1.25,1.25,3],[1.25,1.25,3]]";
+
 /// The rooms.
-const ROOMS: [Room; 5] = [
+const ROOMS: [Room; 9] = [
     ("hall", "hall", &[]),
     ("hall, 10 users", "hall", &["users.count=10"]),
     ("hall, seated and tilted", "hall", &["users.mobility=seated", "users.orientation.model=measured"]),
+    ("hall, 2 LEDs", "hall", &[TWO_LEDS]),
+    ("hall, 4 LEDs", "hall", &[FOUR_LEDS]),
+    ("seated, tilted, 2 LEDs", "hall", &[TWO_LEDS, "users.mobility=seated", "users.orientation.model=measured"]),
+    ("seated, tilted, 4 LEDs", "hall", &[FOUR_LEDS, "users.mobility=seated", "users.orientation.model=measured"]),
     ("office", "office", &[]),
     ("atrium", "atrium", &[]),
 ];

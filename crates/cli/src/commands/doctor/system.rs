@@ -4,6 +4,7 @@ use std::net::TcpListener;
 use std::time::Duration;
 
 use heliostat_bus::{AccessRole, Bus, BusArgs, Reach};
+use heliostat_core::belief::conditions::{Condition, conditions};
 use heliostat_core::capabilities::{Examiner, Force};
 use heliostat_core::policy::Finding;
 use heliostat_models::{ActorSource, build_tried};
@@ -44,12 +45,28 @@ pub(super) fn checks(args: &Args) -> Vec<Check> {
         scenario.mirrors,
         scenario.hash()
     );
-    let mut checks = vec![Check::ok("scenario", found), check_policy(args, &scenario)];
+    let mut checks = vec![Check::ok("scenario", found)];
+    checks.extend(check_belief(&scenario));
+    checks.push(check_policy(args, &scenario));
     checks.extend(check_drivers(args, &scenario));
     // A driver that is checked listens on its own port.
     let in_use = |port: &&u16| args.connect.iter().any(|endpoint| endpoint.ends_with(&format!(":{port}")));
     checks.extend(args.port.iter().filter(|port| !in_use(port)).map(|port| check_port(*port)));
     checks
+}
+
+/// The methods of the belief that do not apply to the room.
+fn check_belief(scenario: &Scenario) -> Vec<Check> {
+    let Ok(model) = scenario.channel_model() else { return Vec::new() };
+    let found = conditions(scenario, &model);
+    if found.is_empty() {
+        return vec![Check::ok("belief", "every method applies to the room")];
+    }
+    let warning = |condition: Condition| {
+        let found = format!("{} does not apply: {}", condition.method, condition.because);
+        Check::warn("belief", found, condition.consequence)
+    };
+    found.into_iter().map(warning).collect()
 }
 
 fn check_policy(args: &Args, scenario: &Scenario) -> Check {

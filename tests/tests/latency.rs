@@ -322,7 +322,7 @@ fn nan_output(graph: &mut Graph, present: &str, _: usize) {
 /// Outputs small angles after more than the time limit of a policy, 0.1 s, also on a fast processor.
 fn slow(graph: &mut Graph, present: &str, outputs: usize) {
     const WIDTH: usize = 10_000;
-    const LAYERS: usize = 60_000;
+    const LAYERS: usize = 30_000;
     let wide = graph.constant("wide", &[outputs, WIDTH], &vec![1e-3; outputs * WIDTH]);
     let mut value = graph.node("MatMul", &[present, &wide]);
     for _ in 0..LAYERS {
@@ -350,8 +350,9 @@ fn an_actor_with_nan_output_triggers_the_configured_fallback() {
             assert!(command.roll.iter().chain(&command.yaw).all(|angle| angle.is_finite()), "{answer}");
         }
         let (_, controller) = pair.end();
-        // A decision that a busy machine makes late does not ask the policy.
-        let late = controller.pointer("/fallbacks/late").and_then(Value::as_f64).unwrap_or(0.0);
+        // A decision that a busy machine makes late does not ask the policy. It repeats the last
+        // command, and is held where there is none.
+        let late = controller.pointer("/fallbacks/late").and_then(Value::as_f64).filter(|_| moves).unwrap_or(0.0);
         let failed = number(&controller, &format!("/fallbacks/{cause}"));
         assert_eq!(failed + late, number(&controller, "/decisions"), "{controller}");
         // No command is credited to the policy.

@@ -11,9 +11,11 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use clap::ValueEnum;
+use heliostat_channel::MirrorAngles;
 use heliostat_controller::report::stage_times::{StageStamps, StageTimes};
 use heliostat_core::core::{Controller, Decision, Stage};
 use heliostat_core::inbox::Message;
+use heliostat_core::observation::Observation;
 use heliostat_core::policy::{Actor, NameParser, Policy, PolicyKind, actor_file::ActorFile};
 use heliostat_models::{ActorSource, ORT, build, load_actor, load_actor_on_onnxruntime};
 use heliostat_proto::{ArrayState, MirrorTelemetry, Stamp, UserReport, decode_into, encode};
@@ -389,7 +391,10 @@ impl EngineAlone {
             Some(file) => file,
             None => ActorSource::Shipped.fetch(PolicyKind::Ddpg, subject.scenario)?,
         };
-        let mut actor = subject.load(&file)?;
+        let (mut actor, model) = (subject.load(&file)?, subject.scenario.channel_model()?);
+        // The network then has its input of a decision, with a row for each user where it has rows.
+        let observation = Observation::new(&model, subject.scenario.users.count);
+        actor.act(&model, &observation, &mut MirrorAngles::flat(observation.mirrors()))?;
         for _ in 0..WARM_UP {
             actor.run_engine_alone()?;
         }

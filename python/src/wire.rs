@@ -19,7 +19,7 @@ use crate::error::guarded;
 create_exception!(heliostat, Refused, PyValueError, "A payload or a message that the contract does not allow.");
 
 /// Kinds by the last part of their key, with that of a control named after its receiver.
-pub const KINDS: [(&str, Kind); 19] = [
+pub const KINDS: [(&str, Kind); 20] = [
     ("users", Kind::UserReport),
     ("channel", Kind::ChannelReport),
     ("obstacles", Kind::ObstacleReport),

@@ -355,6 +355,18 @@ macro_rules! message_table {
                 /// One entry for each user whose receiver reports its branches.
                 users: Vec<UserBranches> where at_most(MAX_USERS),
             }
+
+            /// Which LEDs the users' receivers detect.
+            message LedReport(kind: 22, name: "LED report", key: leds = "leds") {
+                /// Source, sequence, time of the measurement.
+                stamp: Stamp,
+                /// Number of the tick of the measurement.
+                tick: u64,
+                /// One entry for each user whose receiver identifies LEDs.
+                users: Vec<UserLeds> where at_most(MAX_USERS),
+                /// The direct paths from which these receivers detect light.
+                gains: Vec<LedGain> where at_most(MAX_LED_GAINS),
+            }
         }
     };
 }

@@ -21,6 +21,7 @@ fn decodes_or_refuses(payload: &[u8]) -> Result<(), TestCaseError> {
     one::<ObstacleReport>(payload)?;
     one::<OrientationReport>(payload)?;
     one::<BranchReport>(payload)?;
+    one::<LedReport>(payload)?;
     one::<MirrorCommand>(payload)?;
     one::<MirrorTelemetry>(payload)?;
     one::<NodeStatus>(payload)?;

@@ -61,7 +61,11 @@ const ORIENTATION_REPORT: &str = "\
 const BRANCH_REPORT: &str = "\
     0113f0bdf3d589cf959a12ac0280cffea7a4deb2c318e807010302000000000000803e020000003f0000003e";
 
-const ALL: [&str; 19] = [
+const LED_REPORT: &str = "\
+    0116f0bdf3d589cf959a12ac0280cffea7a4deb2c318e80702030101010401000002030000\
+    00803e03010000003f";
+
+const ALL: [&str; 20] = [
     USER_REPORT,
     CHANNEL_REPORT,
     OBSTACLE_REPORT,
@@ -81,6 +85,7 @@ const ALL: [&str; 19] = [
     CONTROLLER_MEMORY,
     ORIENTATION_REPORT,
     BRANCH_REPORT,
+    LED_REPORT,
 ];
 
 fn check_bytes<T: Message + PartialEq + std::fmt::Debug>(message: &T, bytes: &str) {
@@ -109,6 +114,7 @@ fn each_message_has_the_bytes_of_version_1() {
     check_bytes(&controller_memory(), CONTROLLER_MEMORY);
     check_bytes(&orientation_report(), ORIENTATION_REPORT);
     check_bytes(&branch_report(), BRANCH_REPORT);
+    check_bytes(&led_report(), LED_REPORT);
 }
 
 /// The numbers of each enumeration are those in CONTRACT.md.

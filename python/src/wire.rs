@@ -19,7 +19,7 @@ use crate::error::guarded;
 create_exception!(heliostat, Refused, PyValueError, "A payload or a message that the contract does not allow.");
 
 /// Kinds by the last part of their key, with that of a control named after its receiver.
-pub const KINDS: [(&str, Kind); 19] = [
+pub const KINDS: [(&str, Kind); 20] = [
     ("users", Kind::UserReport),
     ("channel", Kind::ChannelReport),
     ("obstacles", Kind::ObstacleReport),
@@ -39,6 +39,7 @@ pub const KINDS: [(&str, Kind); 19] = [
     ("memory", Kind::ControllerMemory),
     ("orientation", Kind::OrientationReport),
     ("branches", Kind::BranchReport),
+    ("leds", Kind::LedReport),
 ];
 
 /// Refuses a payload or a message.
@@ -57,7 +58,7 @@ macro_rules! for_kind {
         for_kind!($kind, $function $arguments, [
             UserReport ChannelReport ObstacleReport MirrorCommand MirrorTelemetry NodeStatus RoomTruth Capabilities
             EmergencyStop Calibration SimulatorControl ControllerControl Rearm SafetyReport RoomGeometry BeliefReport
-            ControllerMemory OrientationReport BranchReport
+            ControllerMemory OrientationReport BranchReport LedReport
         ])
     };
 }
@@ -105,6 +106,7 @@ pub fn keys<'py>(py: Python<'py>, room: &str, node: &str, source: u64, array: i6
         ("obstacles", room.obstacles()),
         ("orientation", room.orientation()),
         ("branches", room.branches()),
+        ("leds", room.leds()),
         ("stop", room.stop()),
         ("rearm", room.rearm()),
         ("command", own.command()),

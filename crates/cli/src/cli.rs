@@ -2,6 +2,7 @@
 
 use anyhow::Result;
 use clap::{CommandFactory, Parser, Subcommand};
+use heliostat_models::library::LibraryArgs;
 use heliostat_service::exit::UnusableInput;
 
 use crate::commands::{self, bench, completions, config, demo, doctor, keys, link, scenario, stop, ui};
@@ -14,6 +15,8 @@ use crate::commands::{self, bench, completions, config, demo, doctor, keys, link
 #[derive(Debug, Parser)]
 #[command(name = "heliostat", version, arg_required_else_help = true)]
 pub struct Cli {
+    #[command(flatten)]
+    library: LibraryArgs,
     #[command(subcommand)]
     command: Command,
 }
@@ -56,7 +59,9 @@ pub fn run() -> Result<()> {
     if let Some(advice) = commands::advice(&words) {
         return Err(UnusableInput::new(advice).into());
     }
-    match Cli::parse().command {
+    let Cli { library, command } = Cli::parse();
+    library.apply();
+    match command {
         Command::Demo(args) => demo::run(args),
         Command::Ui(args) => ui::run(args),
         Command::Controller(args) => heliostat_controller::cli::run(args),

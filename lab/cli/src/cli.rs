@@ -3,6 +3,7 @@
 use anyhow::Result;
 use clap::{CommandFactory, Parser, Subcommand};
 use heliostat::commands::completions;
+use heliostat_models::library::LibraryArgs;
 
 use crate::commands::{bench, calibrate, eval, map, report, trace};
 
@@ -14,6 +15,8 @@ use crate::commands::{bench, calibrate, eval, map, report, trace};
 #[derive(Debug, Parser)]
 #[command(name = "heliostat-lab", version, arg_required_else_help = true)]
 pub struct Cli {
+    #[command(flatten)]
+    library: LibraryArgs,
     #[command(subcommand)]
     command: Command,
 }
@@ -42,7 +45,9 @@ enum Command {
 /// # Errors
 /// Those of the command.
 pub fn run() -> Result<()> {
-    match Cli::parse().command {
+    let Cli { library, command } = Cli::parse();
+    library.apply();
+    match command {
         Command::Train(args) => {
             let stop = heliostat_service::signals::stop_on_signals()?;
             heliostat_learn::run_train(args, &|| stop.is_requested())

@@ -41,6 +41,7 @@ pub(crate) struct RoomSession {
     channel: MessagePublisher,
     obstacles: MessagePublisher,
     orientation: MessagePublisher,
+    leds: MessagePublisher,
     branches: MessagePublisher,
     _declared: (Token, [Subscription; 3]),
 }
@@ -95,6 +96,7 @@ impl RoomSession {
             obstacles: MessagePublisher::new(&bus, &keys.obstacles(), reports)?,
             orientation: MessagePublisher::new(&bus, &keys.orientation(), reports)?,
             branches: MessagePublisher::new(&bus, &keys.branches(), reports)?,
+            leds: MessagePublisher::new(&bus, &keys.leds(), reports)?,
             arrays: (0..arrays)
                 .map(|array| ArraySession::open(&bus, array, clock, telemetry))
                 .collect::<Result<_, _>>()?,
@@ -158,6 +160,10 @@ impl RoomSession {
             Report::Branches(report) => {
                 self.branches.encode(report)?;
                 &self.branches
+            }
+            Report::Leds(report) => {
+                self.leds.encode(report)?;
+                &self.leds
             }
             Report::Channel(report) => {
                 self.channel.encode(report)?;

@@ -25,7 +25,7 @@ for kind, text in SAMPLES.items():
         assert refused(payload[:length], kind), (kind, length)
     assert refused(payload + b"\0", kind), kind
     assert refused(b"\2" + payload[1:], kind), kind
-    assert refused(payload, kind % 19 + 1), kind
+    assert refused(payload, kind % 21 + 1), kind
 
 command = decode(bytes.fromhex(SAMPLES[4]), 4)
 assert command == {"epoch": 7, "sequence": 300, "answers": 1000, "time_ns": 1767323045678000000, "validity_ms": 200,

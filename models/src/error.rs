@@ -41,6 +41,14 @@ pub enum SourceError {
         /// The system's message.
         message: String,
     },
+    /// The weights are in a second file, which cannot be read.
+    #[error("{}: {message}", path.display())]
+    Weights {
+        /// The file.
+        path: PathBuf,
+        /// The second file, and what to do.
+        message: String,
+    },
 }
 
 /// Why a policy cannot be built for a room.

@@ -1,36 +1,69 @@
-//! ONNX Runtime through ort, from the shared library that ORT_DYLIB_PATH names.
+//! ONNX Runtime through ort, from a shared library that is loaded when the first network needs it.
+//!
+//! The input tensor is allocated once for a number of rows. A run executes on the calling thread; the
+//! library allocates the output. Bound tensors are no alternative: `run_binding` of ort 2.0.0-rc.15
+//! leaks at each run.
 
 use std::sync::{Mutex, PoisonError};
 
-use heliostat_core::policy::actor_file::OUTPUT_NAME;
-use heliostat_core::policy::{Engine, Network, PolicyError};
+use heliostat_core::policy::{Network, PolicyError};
 use ort::{
     environment::Environment,
     session::{Session, builder::GraphOptimizationLevel},
     value::Tensor,
 };
 
-use crate::batch::Batch;
+use crate::{
+    batch::Batch,
+    library::{self, ORT},
+};
 
-/// The name of this engine.
-pub const ORT: &str = "ort";
+/// Why a network cannot be built.
+pub enum Refusal {
+    /// No library was found, or the one that was named does not load; text after "ONNX Runtime,".
+    NoLibrary(String),
+    /// ONNX Runtime's own message.
+    Network(String),
+}
 
-/// Builds networks with ONNX Runtime.
-#[derive(Clone, Copy, Debug)]
-pub struct OnnxRuntime;
-
-impl Engine for OnnxRuntime {
-    fn load(&self, model: &[u8], input_length: usize) -> Result<Box<dyn Network>, String> {
-        let session = session(model).map_err(|error| error.to_string())?;
-        let rows = match session.inputs().first().and_then(|input| input.dtype().tensor_shape()) {
-            // An open extent is negative.
-            Some(shape) => shape.first().and_then(|rows| usize::try_from(*rows).ok()),
-            None => Some(1),
-        };
-        let batch = Batch::new(input_length, rows);
-        let input = tensor([rows.unwrap_or(1), input_length]).map_err(|error| error.to_string())?;
-        Ok(Box::new(OrtNetwork { session, input, shape: [rows.unwrap_or(1), input_length], batch }))
+/// Builds the network of an ONNX model with rows of `input_length` values.
+///
+/// # Errors
+/// [`Refusal`].
+pub fn load(model: &[u8], input_length: usize) -> Result<Box<dyn Network>, Refusal> {
+    let environment = environment().map_err(Refusal::NoLibrary)?;
+    match OrtNetwork::new(&environment, model, input_length) {
+        Ok(network) => Ok(Box::new(network)),
+        Err(error) => Err(Refusal::Network(one_line(&error))),
     }
+}
+
+/// The environment of the process, which loads the library at the first call.
+fn environment() -> Result<Environment, String> {
+    static ENVIRONMENT: Mutex<Option<Environment>> = Mutex::new(None);
+    let mut environment = ENVIRONMENT.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(environment) = environment.as_ref() {
+        return Ok(environment.clone());
+    }
+    let library::Candidates { files, named_by } = library::candidates();
+    let mut reasons = Vec::new();
+    for file in &files {
+        // The path is given first: ort panics where it searches by itself and finds none.
+        match ort::init_from(file) {
+            Ok(builder) => {
+                let built = builder.with_telemetry(false).build().map_err(|error| one_line(&error))?;
+                return Ok(environment.insert(built).clone());
+            }
+            Err(error) => reasons.push(error.to_string()),
+        }
+    }
+    // The last candidate is a name for the system's loader, which says only that it found none.
+    let reason = match (named_by, reasons.split_last()) {
+        (Some(by), Some((reason, _))) => format!("which {by} names, does not load ({reason})"),
+        (None, Some((_, [first, ..]))) => format!("which does not load ({first})"),
+        _ => "which was not found".into(),
+    };
+    Err(reason)
 }
 
 /// A session with its input.
@@ -40,6 +73,21 @@ struct OrtNetwork {
     /// The shape of the input.
     shape: [usize; 2],
     batch: Batch,
+}
+
+impl OrtNetwork {
+    fn new(environment: &Environment, model: &[u8], input_length: usize) -> ort::Result<Self> {
+        let builder = Session::builder(environment)?.with_optimization_level(GraphOptimizationLevel::Level3)?;
+        // Handing work to another thread costs more than the work of a small network.
+        let session = builder.with_intra_threads(1)?.commit_from_memory(model)?;
+        let rows = match session.inputs().first().and_then(|port| port.dtype().tensor_shape()) {
+            // An open extent is negative.
+            Some(shape) => shape.first().and_then(|rows| usize::try_from(*rows).ok()),
+            None => Some(1),
+        };
+        let shape = [rows.unwrap_or(1), input_length];
+        Ok(Self { session, input: tensor(shape)?, shape, batch: Batch::new(input_length, rows) })
+    }
 }
 
 impl Network for OrtNetwork {
@@ -62,8 +110,8 @@ impl Network for OrtNetwork {
                 (*input, *present) = (tensor(shape).map_err(failed)?, shape);
             }
             input.extract_tensor_mut().1.copy_from_slice(values);
-            let outputs = session.run(ort::inputs![&*input]).map_err(failed)?;
-            let (_, found) = outputs[OUTPUT_NAME].try_extract_tensor::<f32>().map_err(failed)?;
+            let found = session.run(ort::inputs![&*input]).map_err(failed)?;
+            let (_, found) = found[0].try_extract_tensor::<f32>().map_err(failed)?;
             output.extend_from_slice(found);
             Ok(())
         })
@@ -75,21 +123,10 @@ fn tensor(shape: [usize; 2]) -> ort::Result<Tensor<f32>> {
 }
 
 fn failed(error: ort::Error) -> PolicyError {
-    PolicyError::Inference { message: error.to_string() }
+    PolicyError::Inference { message: one_line(&error) }
 }
 
-fn session(model: &[u8]) -> ort::Result<Session> {
-    let builder = Session::builder(&environment()?)?.with_optimization_level(GraphOptimizationLevel::Level3)?;
-    // Handing work to another thread costs more than the work of a small network.
-    builder.with_intra_threads(1)?.commit_from_memory(model)
-}
-
-/// The environment of the engine. A process can create it only once, so all networks share it.
-fn environment() -> ort::Result<Environment> {
-    static ENVIRONMENT: Mutex<Option<Environment>> = Mutex::new(None);
-    let mut environment = ENVIRONMENT.lock().unwrap_or_else(PoisonError::into_inner);
-    if let Some(environment) = environment.as_ref() {
-        return Ok(environment.clone());
-    }
-    Ok(environment.insert(ort::init().with_telemetry(false).build()?).clone())
+/// The message of an error without line breaks.
+fn one_line(error: &ort::Error) -> String {
+    error.to_string().split_whitespace().collect::<Vec<_>>().join(" ")
 }

@@ -14,14 +14,15 @@ pub fn names() -> impl Iterator<Item = &'static str> {
     ACTORS.iter().map(|(name, _)| *name)
 }
 
-/// The file name of an actor: `<policy>-<mode>-<rows>x<columns>.onnx`, with `-seedN` before the dot
-/// for training seeds other than 1.
+/// The file name of an actor: `<policy>-<mode>-<rows>x<columns>.onnx`, without the size for a policy
+/// whose file serves any array, and with `-seedN` before the dot for training seeds other than 1.
 pub fn file_name(policy: PolicyKind, scenario: &Scenario, training_seed: u64) -> String {
     let mode = scenario.channel.mode.name();
-    let sizes: Vec<_> =
-        scenario.mirrors.arrays().iter().map(|array| format!("{}x{}", array.rows, array.columns)).collect();
+    let sizes = scenario.mirrors.arrays().iter().map(|array| format!("{}x{}", array.rows, array.columns));
+    let size =
+        if policy.fits_any_array() { String::new() } else { format!("-{}", sizes.collect::<Vec<_>>().join("-")) };
     let seed = if training_seed == 1 { String::new() } else { format!("-seed{training_seed}") };
-    format!("{}-{mode}-{}{seed}.onnx", policy.name(), sizes.join("-"))
+    format!("{}-{mode}{size}{seed}.onnx", policy.name())
 }
 
 /// The built-in actor for a scenario.

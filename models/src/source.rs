@@ -1,11 +1,13 @@
 //! Where the file of a learned policy comes from.
 
 use std::fs::File;
-use std::io::{ErrorKind, Read};
-use std::path::{Path, PathBuf};
+use std::io::{self, ErrorKind, Read};
+use std::path::{Component, Path, PathBuf};
 
 use heliostat_core::policy::{PolicyKind, actor_file::ActorFile};
+use heliostat_onnx::{ModelProto, external};
 use heliostat_scenario::Scenario;
+use prost::Message;
 
 pub use crate::error::{BuildError, SourceError};
 use crate::shipped;
@@ -51,19 +53,41 @@ impl ActorSource {
     }
 }
 
-/// Reads the file of an actor.
+/// Reads the file of an actor. Weights in a second file beside it become part of the bytes.
 ///
 /// # Errors
-/// [`SourceError::Missing`] or [`SourceError::Unreadable`].
+/// [`SourceError::Missing`], [`SourceError::Unreadable`], or [`SourceError::Weights`] where the
+/// second file is missing.
 pub fn read(path: &Path) -> Result<ActorFile, SourceError> {
-    let mut bytes = Vec::new();
-    let unreadable = |message| Err(SourceError::Unreadable { path: path.into(), message });
-    match File::open(path).and_then(|file| file.take(BYTES_MAX + 1).read_to_end(&mut bytes)) {
-        Ok(length) if length as u64 > BYTES_MAX => {
-            unreadable(format!("it is longer than {} MiB, expected a shorter ONNX file", BYTES_MAX >> 20))
-        }
-        Ok(_) => Ok(ActorFile { origin: path.display().to_string(), bytes: bytes.into() }),
-        Err(error) if error.kind() == ErrorKind::NotFound => Err(SourceError::Missing { path: path.into() }),
-        Err(error) => unreadable(error.to_string()),
+    let bytes = match bytes_of(path) {
+        Ok(bytes) => bytes,
+        Err(error) if error.kind() == ErrorKind::NotFound => return Err(SourceError::Missing { path: path.into() }),
+        Err(error) => return Err(SourceError::Unreadable { path: path.into(), message: error.to_string() }),
+    };
+    let origin = path.display().to_string();
+    // A file that is no model is refused with what it is.
+    let Ok(mut model) = ModelProto::decode(&bytes[..]) else { return Ok(ActorFile { origin, bytes: bytes.into() }) };
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let mut beside = |name: &str| {
+        let is_name = Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
+        let read = if is_name { bytes_of(&folder.join(name)) } else { Err(ErrorKind::PermissionDenied.into()) };
+        read.map_err(|error| {
+            format!("the weights are in {name} ({error}): copy it too, or export with external_data=False")
+        })
+    };
+    match external::inline(&mut model, &mut beside) {
+        Ok(false) => Ok(ActorFile { origin, bytes: bytes.into() }),
+        Ok(true) => Ok(ActorFile { origin, bytes: model.encode_to_vec().into() }),
+        Err(message) => Err(SourceError::Weights { path: path.into(), message }),
     }
+}
+
+fn bytes_of(path: &Path) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    let length = File::open(path)?.take(BYTES_MAX + 1).read_to_end(&mut bytes)?;
+    if length as u64 > BYTES_MAX {
+        let message = format!("it is longer than {} MiB, expected a shorter ONNX file", BYTES_MAX >> 20);
+        return Err(io::Error::new(ErrorKind::FileTooLarge, message));
+    }
+    Ok(bytes)
 }

@@ -1,22 +1,22 @@
-//! The dense engine beside the embedded one.
+//! The dense engine beside ONNX Runtime.
 
-use allocation_counter::measure;
 use dense_graphs::{Chain, with_open_rows};
 use heliostat_channel::MirrorAngles;
 use heliostat_core::observation::Observation;
-use heliostat_core::policy::actor_file::{ActorError, ActorFile};
 use heliostat_core::policy::{DENSE, DenseEngine, Engine, Network, Policy, PolicyKind};
-use heliostat_models::{ActorSource, EMBEDDED, EngineChoice, embedded_network, load_actor};
+use heliostat_models::{ActorSource, ORT, load_actor, load_actor_on_onnxruntime, onnxruntime_network};
 use heliostat_onnx::ModelProto;
 use heliostat_scenario::Scenario;
+use onnxruntime::{SIN, is_absent};
 use prost::Message;
 use rand::{RngExt, SeedableRng, seq::IndexedRandom};
 use rand_chacha::ChaCha8Rng;
-use support::{ActorRecipe, scenario};
+use support::scenario;
 
 #[path = "../../controller/core/tests/core/dense_graphs.rs"]
 #[allow(dead_code)]
 mod dense_graphs;
+mod onnxruntime;
 #[path = "../../controller/core/tests/core/support.rs"]
 #[allow(dead_code)]
 mod support;
@@ -101,7 +101,7 @@ fn outputs(network: &mut dyn Network, rows: usize, input: &[f32]) -> Vec<f32> {
 }
 
 #[test]
-fn dense_equals_the_embedded_engine_on_random_networks_of_every_operator_and_any_rows() {
+fn dense_equals_onnxruntime_on_random_networks_of_every_operator_and_any_rows() {
     let mut compared = 0;
     for (index, first) in NODES.iter().cycle().take(6 * NODES.len()).enumerate() {
         let mut rng = ChaCha8Rng::seed_from_u64(index as u64);
@@ -109,7 +109,13 @@ fn dense_equals_the_embedded_engine_on_random_networks_of_every_operator_and_any
         let model = if index % 2 == 0 { model } else { with_open_rows(model) };
         let file = model.encode_to_vec();
         let mut dense = DenseEngine.load(&file, length).unwrap_or_else(|refusal| panic!("{first}: {refusal}"));
-        let mut embedded = embedded_network(&file, length).unwrap_or_else(|refusal| panic!("{first}: {refusal}"));
+        let mut embedded = match onnxruntime_network(&file, length) {
+            Ok(network) => network,
+            Err(refusal) => {
+                assert!(is_absent(&SIN.actor(&scenario(&[])), &scenario(&[])), "{first}: {refusal}");
+                return;
+            }
+        };
         for rows in [1, 5, 2, 64, 3] {
             let input: Vec<f32> = (0..rows * length).map(|_| rng.random_range(-2.0..2.0)).collect();
             let ours = outputs(dense.as_mut(), rows, &input);
@@ -126,75 +132,28 @@ fn dense_equals_the_embedded_engine_on_random_networks_of_every_operator_and_any
 }
 
 #[test]
-fn the_choice_of_the_engine_is_followed_and_auto_takes_the_dense_one_where_it_can() {
-    let scenario = scenario(&[]);
-    let file = ActorRecipe::fitting(&scenario).file();
-    let engine = |choice: EngineChoice| choice.load_actor(&file, &scenario).expect("both read it").engine_name();
-    assert_eq!(engine(EngineChoice::Auto), DENSE);
-    assert_eq!(engine(EngineChoice::Dense), DENSE);
-    assert_eq!(engine(EngineChoice::Embedded), EMBEDDED);
-    let room = Scenario::default();
-    let policy = EngineChoice::Auto.build(PolicyKind::Ddpg, &room, &ActorSource::Shipped).expect("it is built in");
-    assert_eq!(policy.engine(), Some(EMBEDDED), "the decoder in the graph is not dense");
-    let refusal = EngineChoice::Dense.build(PolicyKind::Ddpg, &room, &ActorSource::Shipped).err().expect("not dense");
-    let refusal = refusal.to_string();
-    assert!(
-        ["built-in actor", "dense graph", "embedded engine"].iter().all(|word| refusal.contains(word)),
-        "{refusal}"
-    );
-    let direct = EngineChoice::Dense.build(PolicyKind::Flat, &room, &ActorSource::Shipped).expect("it reads no file");
-    assert_eq!(direct.engine(), None);
-}
-
-/// An actor whose network is the recipe's, with nodes before its output.
-fn extended(recipe: &ActorRecipe, operators: &[(&str, Option<f32>)]) -> ActorFile {
-    let mut model = ModelProto::decode(&recipe.bytes()[..]).expect("just written");
-    let graph = model.graph.as_mut().expect("a graph");
-    let output = graph.output[0].name.clone();
-    for (index, (operator, operand)) in operators.iter().enumerate() {
-        let last = graph.node.last_mut().expect("the recipe has nodes");
-        last.output[0] = format!("value_{index}");
-        let mut node = last.clone();
-        (node.name, node.op_type) = (format!("added_{index}"), (*operator).into());
-        (node.input, node.output) = (vec![format!("value_{index}")], vec![output.clone()]);
-        if let Some(value) = operand {
-            let name = format!("operand_{index}");
-            let tensor =
-                heliostat_onnx::TensorProto { name: name.clone(), dims: vec![1, 1], ..graph.initializer[0].clone() };
-            graph.initializer.push(heliostat_onnx::TensorProto { float_data: vec![*value], ..tensor });
-            node.input.push(name);
+fn the_dense_engine_equals_onnxruntime_on_every_shipped_actor() {
+    use PolicyKind::{Analytic, Ddpg, DdpgRaw, Dql, QLearning, Sarsa};
+    for mode in ["specular", "paper", "paper-calibrated"] {
+        let scenario = Scenario::builtin(mode).unwrap();
+        let model = support::model(&scenario);
+        for kind in [Ddpg, DdpgRaw, Analytic, Dql, QLearning, Sarsa] {
+            let Ok(file) = ActorSource::Shipped.fetch(kind, &scenario) else { continue };
+            if is_absent(&file, &scenario) {
+                return;
+            }
+            let mut engines =
+                [load_actor(&file, &scenario), load_actor_on_onnxruntime(&file, &scenario)].map(Result::unwrap);
+            assert_eq!(engines.each_ref().map(|actor| actor.engine_name()), [DENSE, ORT]);
+            let (observation, flat) = (Observation::new(&model, scenario.users.count), MirrorAngles::flat(100));
+            let [dense, ort] = engines.each_mut().map(|actor| {
+                let mut angles = flat.clone();
+                actor.act(&model, &observation, &mut angles).unwrap();
+                angles
+            });
+            let pairs = dense.roll.iter().chain(&dense.yaw).zip(ort.roll.iter().chain(&ort.yaw));
+            let worst = pairs.map(|(dense, ort)| (dense - ort).abs()).fold(0.0, f64::max);
+            assert!(worst < 1e-5, "{}: {worst}", file.origin);
         }
-        graph.node.push(node);
     }
-    ActorFile { origin: "extended.onnx".into(), bytes: model.encode_to_vec().into() }
-}
-
-/// 0/0 in each output; tract's hyperbolic tangent of NaN is finite.
-const HIDDEN_NAN: [(&str, Option<f32>); 3] = [("Mul", Some(0.0)), ("Div", Some(0.0)), ("Tanh", None)];
-
-#[test]
-fn an_actor_whose_nan_one_engine_hides_is_refused_on_every_choice() {
-    let scenario = scenario(&[]);
-    let recipe = ActorRecipe::fitting(&scenario);
-    let sound = extended(&recipe, &[("Mul", Some(0.5)), ("Tanh", None)]);
-    assert_eq!(load_actor(&sound, &scenario).expect("both agree").engine_name(), DENSE);
-    let hidden = extended(&recipe, &HIDDEN_NAN);
-    for choice in [EngineChoice::Auto, EngineChoice::Dense, EngineChoice::Embedded] {
-        let refusal = choice.load_actor(&hidden, &scenario).err().expect("NaN is hidden");
-        let ActorError::EnginesDisagree { engines, differing, compared, .. } = &refusal else { panic!("{refusal}") };
-        assert_eq!((*engines, *differing, *compared), ([DENSE, EMBEDDED], 64, 64));
-        let text = refusal.to_string();
-        assert!(["extended.onnx", DENSE, EMBEDDED, "64 of 64", "NaN"].iter().all(|word| text.contains(word)), "{text}");
-    }
-}
-
-#[test]
-fn a_decision_on_the_dense_engine_allocates_nothing() {
-    let scenario = scenario(&["mirrors.rows=10", "mirrors.columns=10"]);
-    let model = support::model(&scenario);
-    let mut actor = load_actor(&ActorRecipe::fitting(&scenario).file(), &scenario).unwrap();
-    assert_eq!(actor.engine_name(), DENSE);
-    let (observation, mut angles) = (Observation::new(&model, 3), MirrorAngles::flat(100));
-    actor.act(&model, &observation, &mut angles).unwrap();
-    assert_eq!(measure(|| actor.act(&model, &observation, &mut angles).unwrap()).count_total, 0);
 }

@@ -1,35 +1,33 @@
-//! Learned policies on the real inference engine.
+//! Learned policies on their engines, and what they allocate.
 
-use std::panic;
 use std::path::Path;
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::thread;
 
 use allocation_counter::measure;
 use heliostat_channel::MirrorAngles;
 use heliostat_core::observation::Observation;
 use heliostat_core::policy::actor_file::ActorFile;
-use heliostat_core::policy::{Policy, PolicyKind};
+use heliostat_core::policy::{Actor, DENSE, Policy, PolicyKind};
 use heliostat_models::{
-    ActorSource, BuildError, EngineChoice, SourceError, build, embedded_network, load_actor, source,
+    ActorSource, BuildError, ORT, SourceError, build, load_actor, load_actor_on_onnxruntime, source,
 };
-use heliostat_onnx::{GraphProto, ModelProto};
 use heliostat_scenario::Scenario;
-use prost::Message;
+use onnxruntime::{SIN, is_absent};
 use support::{ActorRecipe, model, scenario};
 
+mod onnxruntime;
 #[path = "../../controller/core/tests/core/support.rs"]
 #[allow(dead_code)]
 mod support;
 
 #[test]
-fn an_actor_acts_on_the_engine() {
+fn an_actor_acts_on_the_dense_engine() {
     let scenario = scenario(&[]);
     let model = model(&scenario);
     let mut actor = load_actor(&ActorRecipe::fitting(&scenario).file(), &scenario).unwrap();
     let mut angles = MirrorAngles::flat(9);
     actor.act(&model, &Observation::new(&model, 3), &mut angles).unwrap();
     assert!(angles.roll.iter().chain(&angles.yaw).all(|angle| *angle == 0.25));
+    assert_eq!(actor.engine_name(), DENSE);
 }
 
 #[test]
@@ -49,16 +47,33 @@ fn a_folder_is_no_file() {
 
 #[test]
 fn an_array_without_a_built_in_actor_is_told_what_to_do() {
-    let Err(error) = build(PolicyKind::Ddpg, &scenario(&[]), &ActorSource::Shipped) else { panic!("accepted") };
+    let Err(error) = build(PolicyKind::DdpgRaw, &scenario(&[]), &ActorSource::Shipped) else { panic!("accepted") };
     let text = error.to_string();
     let words = [
-        "ddpg with 3 x 3 mirrors in the mode specular",
-        "ddpg-specular-3x3.onnx",
+        "ddpg-raw with 3 x 3 mirrors in the mode specular",
+        "ddpg-raw-specular-3x3.onnx",
         "heliostat train",
         "give its file",
         "policy fixed-point",
     ];
     assert!(words.iter().all(|word| text.contains(word)), "{text}");
+}
+
+#[test]
+fn one_built_in_file_serves_every_array_and_number_of_users_of_a_mode() {
+    for mode in ["specular", "paper", "paper-calibrated"] {
+        for (rows, columns, users) in [(10, 10, 5), (6, 14, 7), (1, 3, 1), (2, 2, 23)] {
+            let overrides = [("rows", rows), ("columns", columns)].map(|(key, value)| format!("mirrors.{key}={value}"));
+            let further = [format!("users.count={users}"), "blockage.forced_users=0".into()];
+            let overrides = [&overrides[..], &further].concat();
+            let scenario = Scenario::builtin(mode).unwrap().with_overrides(&overrides).unwrap();
+            let model = model(&scenario);
+            let mut policy = build(PolicyKind::Ddpg, &scenario, &ActorSource::Shipped).unwrap();
+            let mut angles = MirrorAngles::flat(rows * columns);
+            policy.act(&model, &Observation::new(&model, users), &mut angles).unwrap();
+            assert_eq!(policy.engine(), Some(DENSE), "{mode}");
+        }
+    }
 }
 
 #[test]
@@ -68,85 +83,58 @@ fn a_file_for_a_policy_that_reads_none_is_refused() {
     assert!(refusal.contains("fixed-point, which reads none"), "{refusal}");
 }
 
-/// The refusal of the embedded engine for a small network after a change.
-fn embedded_refusal(change: fn(&mut GraphProto)) -> String {
-    let recipe = ActorRecipe::fitting(&scenario(&[]));
-    let mut model = ModelProto::decode(&recipe.bytes()[..]).unwrap();
-    change(model.graph.as_mut().unwrap());
-    let network = embedded_network(&model.encode_to_vec(), recipe.input_length);
-    let mut network = match network {
-        Ok(network) => network,
-        Err(refusal) => return refusal,
-    };
-    network.run().expect_err("a refusal at the load or at the first run").to_string()
+#[test]
+fn a_graph_that_is_not_dense_runs_on_onnxruntime_or_says_what_to_do() {
+    let scenario = scenario(&[]);
+    let file = SIN.actor(&scenario);
+    match load_actor(&file, &scenario) {
+        Ok(mut actor) => {
+            assert_eq!(actor.engine_name(), ORT);
+            let (model, mut angles) = (model(&scenario), MirrorAngles::flat(9));
+            actor.act(&model, &Observation::new(&model, 3), &mut angles).unwrap();
+            assert!(angles.roll.iter().all(|angle| (angle - 0.25_f64.sin()).abs() < 1e-6), "{angles:?}");
+        }
+        Err(error) => {
+            assert!(is_absent(&file, &scenario), "{error}");
+            let text = error.to_string();
+            assert!(
+                ["sin.onnx", "Sin", "pip install onnxruntime", "dense"].iter().all(|word| text.contains(word)),
+                "{text}"
+            );
+        }
+    }
 }
 
-/// A panic would print the frames of the engine into the log of an operator.
+/// Allocations of one decision.
+fn allocations(actor: &mut Actor, scenario: &Scenario) -> (u64, u64) {
+    let (model, mirrors) = (model(scenario), scenario.mirror_count());
+    let (observation, mut angles) = (Observation::new(&model, scenario.users.count), MirrorAngles::flat(mirrors));
+    (0..20).for_each(|_| actor.act(&model, &observation, &mut angles).unwrap());
+    let found = measure(|| actor.act(&model, &observation, &mut angles).unwrap());
+    (found.count_total, found.bytes_total)
+}
+
 #[test]
-fn a_graph_whose_output_no_node_computes_is_refused_without_a_panic() {
-    static PANICS: AtomicUsize = AtomicUsize::new(0);
-    let before = panic::take_hook();
-    panic::set_hook(Box::new(move |info| {
-        if thread::current().name() == Some("refused graphs") {
-            PANICS.fetch_add(1, Ordering::Relaxed);
-        }
-        before(info);
-    }));
-    let refusals = || {
-        [
-            embedded_refusal(|graph| graph.node.clear()),
-            embedded_refusal(|graph| {
-                graph.node.clear();
-                graph.output = graph.input.clone();
-            }),
-            embedded_refusal(|graph| graph.node[1].output[0] = "other".into()),
-            embedded_refusal(|graph| graph.output.clear()),
-        ]
-    };
-    let refusals = thread::Builder::new().name("refused graphs".into()).spawn(refusals).unwrap().join().unwrap();
-    assert_eq!(PANICS.load(Ordering::Relaxed), 0);
-    for refusal in refusals {
-        assert!(refusal.contains("output"), "{refusal}");
+fn a_decision_of_a_shipped_actor_allocates_nothing() {
+    let scenario = Scenario::default();
+    for kind in [PolicyKind::Ddpg, PolicyKind::DdpgRaw, PolicyKind::Dql, PolicyKind::QLearning, PolicyKind::Sarsa] {
+        let file = ActorSource::Shipped.fetch(kind, &scenario).unwrap();
+        let mut actor = load_actor(&file, &scenario).unwrap();
+        assert_eq!((actor.engine_name(), allocations(&mut actor, &scenario)), (DENSE, (0, 0)), "{}", file.origin);
     }
 }
 
 #[test]
-fn an_operator_of_another_domain_is_refused_by_the_embedded_engine() {
-    let refusal = embedded_refusal(|graph| graph.node[1].domain = "com.example".into());
-    assert!(refusal.contains("Add") && refusal.contains("com.example"), "{refusal}");
-}
-
-/// Allocations of one run of the embedded engine on a network, and their bytes.
-fn engine_allocations(file: &ActorFile, scenario: &Scenario) -> (u64, u64) {
-    let mut actor = EngineChoice::Embedded.load_actor(file, scenario).unwrap();
-    (0..20).for_each(|_| actor.run_engine_alone().unwrap());
-    let run = measure(|| actor.run_engine_alone().unwrap());
-    (run.count_total, run.bytes_total)
-}
-
-#[test]
-fn only_the_embedded_engine_allocates_in_a_decision() {
-    let scenario = scenario(&["mirrors.rows=10", "mirrors.columns=10"]);
-    let (model, file) = (model(&scenario), ActorRecipe::fitting(&scenario).file());
-    let (alone, _) = engine_allocations(&file, &scenario);
-    let mut actor = EngineChoice::Embedded.load_actor(&file, &scenario).unwrap();
-    let (observation, mut angles) = (Observation::new(&model, 3), MirrorAngles::flat(100));
-    (0..20).for_each(|_| actor.act(&model, &observation, &mut angles).unwrap());
-    let decision = measure(|| actor.act(&model, &observation, &mut angles).unwrap()).count_total;
-    println!("the inference engine allocates {alone} times a run of the test's network");
-    assert!(alone > 0 && decision == alone, "engine alone {alone}, a decision {decision}");
-}
-
-/// The engine's own allocations for the shipped actor; a dependency's, and printed for the results
-/// page.
-#[test]
-fn allocations_for_the_shipped_actor_do_not_grow() {
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("actors/ddpg-specular-10x10.onnx");
-    let file = source::read(&file).unwrap();
-    let scenario = Scenario::builtin("specular").unwrap();
-    let (count, bytes) = engine_allocations(&file, &scenario);
-    println!("the inference engine allocates {count} times a run of the shipped actor, {bytes} bytes in all");
-    assert_eq!((count, bytes), engine_allocations(&file, &scenario));
+fn the_allocations_of_a_decision_on_onnxruntime_are_the_same_each_time() {
+    let scenario = Scenario::default();
+    let file = ActorSource::Shipped.fetch(PolicyKind::Ddpg, &scenario).unwrap();
+    if is_absent(&file, &scenario) {
+        return;
+    }
+    let mut actor = load_actor_on_onnxruntime(&file, &scenario).unwrap();
+    let found = allocations(&mut actor, &scenario);
+    println!("a decision on ONNX Runtime allocates {} times in this process, {} bytes in all", found.0, found.1);
+    assert_eq!(found, allocations(&mut actor, &scenario));
 }
 
 /// Resident memory of this process in bytes.
@@ -157,15 +145,12 @@ fn resident_bytes() -> f64 {
     1024.0 * line.trim_end_matches("kB").trim().parse::<f64>().expect("a number of kB")
 }
 
-/// Resident memory after each of 30 parts of so many decisions of the shipped actor: its slope in
-/// bytes a decision by least squares, and the standard error.
+/// Resident memory after each of 30 parts of so many decisions: its slope in bytes a decision by
+/// least squares, and the standard error.
 #[cfg(target_os = "linux")]
-fn resident_slope(decisions: usize) -> (f64, f64) {
+fn resident_slope(actor: &mut Actor, scenario: &Scenario, decisions: usize) -> (f64, f64) {
     const PARTS: usize = 30;
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("actors/ddpg-specular-10x10.onnx");
-    let scenario = Scenario::builtin("specular").unwrap();
-    let model = model(&scenario);
-    let mut actor = load_actor(&source::read(&file).unwrap(), &scenario).unwrap();
+    let model = model(scenario);
     let (observation, mut angles) = (Observation::new(&model, scenario.users.count), MirrorAngles::flat(100));
     let mut decide = |count: usize| (0..count).for_each(|_| actor.act(&model, &observation, &mut angles).unwrap());
     decide(2000);
@@ -184,11 +169,20 @@ fn resident_slope(decisions: usize) -> (f64, f64) {
     (slope, (residual / (PARTS - 2) as f64 / spread).sqrt())
 }
 
+/// The actor of `ddpg` on ONNX Runtime, which could leak; `None` without the library.
+#[cfg(target_os = "linux")]
+fn on_onnxruntime(scenario: &Scenario) -> Option<Actor> {
+    let file: ActorFile = ActorSource::Shipped.fetch(PolicyKind::Ddpg, scenario).unwrap();
+    (!is_absent(&file, scenario)).then(|| load_actor_on_onnxruntime(&file, scenario).unwrap())
+}
+
 /// The bound allows for the other tests of this process, which run at the same time.
 #[cfg(target_os = "linux")]
 #[test]
 fn decisions_do_not_fill_the_memory() {
-    let (slope, error) = resident_slope(30_000);
+    let scenario = Scenario::default();
+    let Some(mut actor) = on_onnxruntime(&scenario) else { return };
+    let (slope, error) = resident_slope(&mut actor, &scenario, 30_000);
     println!("resident memory grows by {slope:.3} +- {error:.3} bytes a decision");
     assert!(slope < 32.0, "{slope} bytes a decision");
 }
@@ -198,7 +192,9 @@ fn decisions_do_not_fill_the_memory() {
 #[test]
 #[ignore = "takes minutes"]
 fn a_million_decisions_do_not_fill_the_memory() {
-    let (slope, error) = resident_slope(1_000_000);
+    let scenario = Scenario::default();
+    let Some(mut actor) = on_onnxruntime(&scenario) else { return };
+    let (slope, error) = resident_slope(&mut actor, &scenario, 1_000_000);
     println!("resident memory grows by {slope:.4} +- {error:.4} bytes a decision");
     assert!(slope < 1.0, "{slope} bytes a decision");
 }

@@ -172,6 +172,8 @@ enumerations! {
         SilenceDecision = 7 "silence-decision",
         /// It accepted an orientation report.
         Orientation = 8 "orientation",
+        /// It accepted an LED report.
+        Leds = 9 "leds",
     }
 
     /// Kind of process that takes part in a room.

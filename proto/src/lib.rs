@@ -59,15 +59,15 @@ pub use error::CodecError;
 pub use keys::{Room, RoomError};
 pub use kind::Kind;
 pub use limits::{
-    CLOCK_LEAD_MAX_NS, MAX_ARRAYS, MAX_BRANCHES, MAX_ENTRIES, MAX_GEOMETRY, MAX_INPUTS, MAX_MIRRORS, MAX_OBSTACLES,
-    MAX_PAYLOAD, MAX_STATE, MAX_STOPS, MAX_TEXT, MAX_USERS, Nanos, VERSION,
+    CLOCK_LEAD_MAX_NS, MAX_ARRAYS, MAX_BRANCHES, MAX_ENTRIES, MAX_GEOMETRY, MAX_INPUTS, MAX_LED_GAINS, MAX_MIRRORS,
+    MAX_OBSTACLES, MAX_PAYLOAD, MAX_STATE, MAX_STOPS, MAX_TEXT, MAX_USERS, Nanos, VERSION,
 };
 pub use messages::{
     BeliefReport, BranchReport, Calibration, Capabilities, ChannelReport, ControllerControl, ControllerMemory,
-    EmergencyStop, MirrorCommand, MirrorTelemetry, NodeStatus, ObstacleReport, OrientationReport, Rearm, RoomGeometry,
-    RoomTruth, SafetyReport, SimulatorControl, StopRepetition, StopReport, UserReport,
+    EmergencyStop, LedReport, MirrorCommand, MirrorTelemetry, NodeStatus, ObstacleReport, OrientationReport, Rearm,
+    RoomGeometry, RoomTruth, SafetyReport, SimulatorControl, StopRepetition, StopReport, UserReport,
 };
 pub use structures::{
-    AxisLimits, ControllerInput, Counters, LatchedStopReport, MirrorFault, Obstacle, Quantiles, Stamp, StopName,
-    SumRates, TruthUser, UserBelief, UserBranches, UserChannel, UserOrientation, UserState,
+    AxisLimits, ControllerInput, Counters, LatchedStopReport, LedGain, MirrorFault, Obstacle, Quantiles, Stamp,
+    StopName, SumRates, TruthUser, UserBelief, UserBranches, UserChannel, UserLeds, UserOrientation, UserState,
 };

@@ -12,6 +12,9 @@ pub const MAX_USERS: usize = 64;
 /// Largest number of branches of one receiver.
 pub const MAX_BRANCHES: usize = 16;
 
+/// Largest number of gains in one LED report: of 64 users by 64 LEDs.
+pub const MAX_LED_GAINS: usize = 4096;
+
 /// Largest number of mirror arrays in one room.
 pub const MAX_ARRAYS: usize = 16;
 

@@ -13,11 +13,12 @@ use crate::fields::{
 };
 use crate::kind::Kind;
 use crate::limits::{
-    MAX_ENTRIES, MAX_GEOMETRY, MAX_INPUTS, MAX_MIRRORS, MAX_OBSTACLES, MAX_STATE, MAX_STOPS, MAX_TEXT, MAX_USERS, Nanos,
+    MAX_ENTRIES, MAX_GEOMETRY, MAX_INPUTS, MAX_LED_GAINS, MAX_MIRRORS, MAX_OBSTACLES, MAX_STATE, MAX_STOPS, MAX_TEXT,
+    MAX_USERS, Nanos,
 };
 use crate::structures::{
-    AxisLimits, ControllerInput, Counters, LatchedStopReport, MirrorFault, Obstacle, Quantiles, Stamp, StopName,
-    SumRates, TruthUser, UserBelief, UserBranches, UserChannel, UserOrientation, UserState,
+    AxisLimits, ControllerInput, Counters, LatchedStopReport, LedGain, MirrorFault, Obstacle, Quantiles, Stamp,
+    StopName, SumRates, TruthUser, UserBelief, UserBranches, UserChannel, UserLeds, UserOrientation, UserState,
 };
 use crate::table::message_table;
 
@@ -101,6 +102,14 @@ impl OrientationReport {
     /// An empty report with memory for the largest number of users, to decode into.
     pub fn buffer() -> Self {
         Self { users: Vec::with_capacity(MAX_USERS), ..Self::default() }
+    }
+}
+
+impl LedReport {
+    /// An empty report with memory for the largest number of users and gains, to decode into.
+    pub fn buffer() -> Self {
+        let (users, gains) = (Vec::with_capacity(MAX_USERS), Vec::with_capacity(MAX_LED_GAINS));
+        Self { users, gains, ..Self::default() }
     }
 }
 

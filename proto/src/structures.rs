@@ -88,6 +88,29 @@ structures! {
         irs_gain: Vec<f32> where at_most(MAX_BRANCHES) and not_negative,
     } requires { same_length(irs_gain, los_gain) }
 
+    /// What one user's receiver tells about LEDs.
+    #[derive(Copy)]
+    structure UserLeds in users {
+        /// Number of the user, as in [`UserState::user`].
+        user: u32,
+        /// Index of the LED that serves the user, in the order of the scenario; none where no direct path
+        /// is clear, or where it is unknown.
+        serving: Option<u32>,
+        /// Whether the receiver measures each LED: it then detects no LED without an entry in `gains`.
+        measures_each: bool,
+    }
+
+    /// Measured channel gain of the direct path from one LED to one user.
+    #[derive(Copy)]
+    structure LedGain in gains {
+        /// Number of the user, as in [`UserState::user`].
+        user: u32,
+        /// Index of the LED, in the order of the scenario.
+        led: u32,
+        /// Channel gain, dimensionless.
+        los_gain: f32 where not_negative,
+    }
+
     /// How one user holds the receiver.
     #[derive(Copy)]
     structure UserOrientation in users {

@@ -8,7 +8,7 @@
 //! # How to write a message
 //! ```text
 //! /// Battery charge of a tracker.
-//! message BatteryReport(kind: 22, name: "battery report", key: battery = "battery") {
+//! message BatteryReport(kind: 23, name: "battery report", key: battery = "battery") {
 //!     /// Source, sequence, time of the measurement.
 //!     stamp: Stamp,
 //!     /// Charge of each cell, from 0 to 1.
@@ -387,6 +387,18 @@ macro_rules! message_table {
                 operator: String,
                 /// Reason for the stop.
                 reason: String,
+            }
+
+            /// Which LEDs the users' receivers detect.
+            message LedReport(kind: 22, name: "LED report", key: leds = "leds") {
+                /// Source, sequence, time of the measurement.
+                stamp: Stamp,
+                /// Number of the tick of the measurement.
+                tick: u64,
+                /// One entry for each user whose receiver identifies LEDs.
+                users: Vec<UserLeds> where at_most(MAX_USERS),
+                /// The direct paths from which these receivers detect light.
+                gains: Vec<LedGain> where at_most(MAX_LED_GAINS),
             }
         }
     };

@@ -58,7 +58,7 @@ fn a_memory_has_known_inputs_and_a_bounded_state() {
     assert_eq!(encode(&longer, &mut payload), Err(refused));
     let mut payload = encoded(&ControllerMemory { inputs: vec![ControllerInput::default()], ..Default::default() });
     assert_eq!(payload[8], 0, "the number of the input follows the header, an empty stamp, two numbers, a length");
-    payload[8] = 9;
+    payload[8] = 10;
     assert_eq!(refusal::<ControllerMemory>(&payload).name(), "malformed");
     assert_eq!(Room::new("demo").expect("a valid name").controller_memory(), "heliostat/v1/demo/controller/memory");
 }

@@ -23,6 +23,7 @@ fn decodes_or_refuses(payload: &[u8]) -> Result<(), TestCaseError> {
     one::<BranchReport>(payload)?;
     one::<StopReport>(payload)?;
     one::<StopRepetition>(payload)?;
+    one::<LedReport>(payload)?;
     one::<MirrorCommand>(payload)?;
     one::<MirrorTelemetry>(payload)?;
     one::<NodeStatus>(payload)?;

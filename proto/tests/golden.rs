@@ -68,7 +68,11 @@ const STOP_REPORT: &str = "\
 const STOP_REPETITION: &str = "\
     0115f0bdf3d589cf959a12ac0280cffea7a4deb2c318070103616e6e0474657374";
 
-const ALL: [&str; 21] = [
+const LED_REPORT: &str = "\
+    0116f0bdf3d589cf959a12ac0280cffea7a4deb2c318e80702030101010401000002030000\
+    00803e03010000003f";
+
+const ALL: [&str; 22] = [
     USER_REPORT,
     CHANNEL_REPORT,
     OBSTACLE_REPORT,
@@ -90,6 +94,7 @@ const ALL: [&str; 21] = [
     BRANCH_REPORT,
     STOP_REPORT,
     STOP_REPETITION,
+    LED_REPORT,
 ];
 
 fn check_bytes<T: Message + PartialEq + std::fmt::Debug>(message: &T, bytes: &str) {
@@ -120,6 +125,7 @@ fn each_message_has_the_bytes_of_version_1() {
     check_bytes(&branch_report(), BRANCH_REPORT);
     check_bytes(&stop_report(), STOP_REPORT);
     check_bytes(&stop_repetition(), STOP_REPETITION);
+    check_bytes(&led_report(), LED_REPORT);
 }
 
 /// The numbers of each enumeration are those in CONTRACT.md.

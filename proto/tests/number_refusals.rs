@@ -224,3 +224,19 @@ fn a_branch_has_one_gain_of_each_path() {
     assert_eq!(refusal::<BranchReport>(&fewer).name(), "bad-length");
     assert_eq!(Room::new("demo").expect("a valid name").branches(), "heliostat/v1/demo/branches");
 }
+
+#[test]
+fn a_led_report_has_as_many_gains_as_users_and_leds_allow() {
+    let with = |gains: Vec<LedGain>| {
+        encode(&LedReport { gains, ..led_report() }, &mut Vec::new()).map_err(|error| error.name())
+    };
+    let gain = LedGain { user: 3, led: 63, los_gain: 1e-6 };
+    assert_eq!(with(vec![gain; MAX_LED_GAINS]), Ok(()));
+    assert_eq!(with(vec![gain; MAX_LED_GAINS + 1]), Err("bad-length"));
+    assert_eq!(with(vec![LedGain { los_gain: -1e-6, ..gain }]), Err("implausible"));
+    assert_eq!(with(vec![LedGain { los_gain: f32::NAN, ..gain }]), Err("not-finite"));
+    let users = vec![UserLeds::default(); MAX_USERS + 1];
+    let report = LedReport { users, ..led_report() };
+    assert_eq!(encode(&report, &mut Vec::new()).map_err(|error| error.name()), Err("bad-length"));
+    assert_eq!(Room::new("demo").expect("a valid name").leds(), "heliostat/v1/demo/leds");
+}

@@ -25,7 +25,7 @@ for kind, text in SAMPLES.items():
         assert refused(payload[:length], kind), (kind, length)
     assert refused(payload + b"\0", kind), kind
     assert refused(b"\2" + payload[1:], kind), kind
-    assert refused(payload, kind % 21 + 1), kind
+    assert refused(payload, kind % 22 + 1), kind
 
 command = decode(bytes.fromhex(SAMPLES[4]), 4)
 assert command == {"epoch": 7, "sequence": 300, "answers": 1000, "time_ns": 1767323045678000000, "validity_ms": 200,
@@ -45,7 +45,7 @@ for wrong in [dict(command, yaw=[0.0]), dict(command, roll=[math.nan, 0.0]), dic
         pass
 memory = decode(bytes.fromhex(SAMPLES[17]), 17)
 assert memory["state"] == bytes([1, 2, 255]) and memory["inputs"][1]["input"] == 4, memory
-for wrong in [dict(memory, state=bytes(786433)), dict(memory, inputs=[dict(memory["inputs"][0], input=9)])]:
+for wrong in [dict(memory, state=bytes(786433)), dict(memory, inputs=[dict(memory["inputs"][0], input=10)])]:
     try:
         encode(wrong, 17)
         raise AssertionError(wrong.keys())
@@ -67,6 +67,14 @@ for wrong in [{"los_gain": [0.5]}, {"irs_gain": [0.5, -0.125]}, {"los_gain": [0.
         raise AssertionError(wrong)
     except Refused:
         pass
+leds = decode(bytes.fromhex(SAMPLES[22]), 22)
+assert leds["users"][1] == {"user": 4, "serving": 0, "measures_each": False}, leds
+assert leds["gains"][1] == {"user": 3, "led": 1, "los_gain": 0.5}, leds
+try:
+    encode(dict(leds, gains=[dict(leds["gains"][0], los_gain=-0.5)]), 22)
+    raise AssertionError("a negative gain")
+except Refused:
+    pass
 geometry = decode(bytes.fromhex(SAMPLES[15]), 15)
 assert geometry["scenario"] == "[room]\nheight_m = 2.5\n", geometry
 longest = dict(geometry, scenario="x" * 16384)

@@ -28,6 +28,7 @@ fn any_refusal(kind: Kind, payload: &[u8]) -> Option<CodecError> {
         Kind::BranchReport => decode::<BranchReport>(payload).err(),
         Kind::StopReport => decode::<StopReport>(payload).err(),
         Kind::StopRepetition => decode::<StopRepetition>(payload).err(),
+        Kind::LedReport => decode::<LedReport>(payload).err(),
     }
 }
 
@@ -54,7 +55,7 @@ fn a_wrong_kind_is_refused_with_both_names() {
     let error = refusal::<MirrorCommand>(&encoded(&user_report()));
     assert_eq!(error, CodecError::WrongKind { found: Kind::UserReport, expected: Kind::MirrorCommand });
     assert_eq!(error.to_string(), "payload of the kind \"user report\": expected \"mirror command\"");
-    for number in [0, 22, 255] {
+    for number in [0, 23, 255] {
         assert_eq!(refusal::<UserReport>(&[VERSION, number]), CodecError::UnknownKind { found: number });
     }
 }

@@ -1,11 +1,11 @@
 //! Actors from other programs: a network as an ONNX file becomes a file that a controller accepts.
 
+use heliostat_core::angle_state::AngleState;
 use heliostat_core::observation::{OBSERVATION_VERSION, ObservationEncoder, USERS_CAPACITY};
-use heliostat_core::policy::actor_file::{ActorFile, ActorInfo, INPUT_NAME, OUTPUT_NAME, key};
+use heliostat_core::policy::actor_file::{ActionKind, ActorFile, ActorInfo, INPUT_NAME, ObservationKind, key};
+use heliostat_core::policy::fixed_input;
 use heliostat_environment::action::Head;
-use heliostat_environment::angle_state::AngleState;
-use heliostat_environment::decoder_graph::{Observed, decode};
-use heliostat_onnx::graph::{Ends, Graph, Value};
+use heliostat_onnx::graph::{Ends, Graph};
 use heliostat_onnx::{ModelProto, NodeProto, TensorProto};
 use prost::Message;
 use pyo3::prelude::*;
@@ -40,11 +40,11 @@ impl Part {
         Ok(Self { nodes: graph.node, constants: graph.initializer, input, output })
     }
 
-    /// Adds the network after the value `seen`; returns its output within [-1, 1].
-    fn add(mut self, graph: &mut Graph, seen: &str) -> Value {
+    /// Adds the network after the input of the file, and the factor after its output within [-1, 1].
+    fn add(mut self, graph: &mut Graph, factor: f32) {
         let rename = |name: &mut String| {
             if *name == self.input {
-                *name = seen.into();
+                *name = INPUT_NAME.into();
             } else if !name.is_empty() {
                 name.insert_str(0, PREFIX);
             }
@@ -54,21 +54,29 @@ impl Part {
         }
         self.constants.iter_mut().for_each(|constant| rename(&mut constant.name));
         graph.insert(self.nodes, self.constants);
-        let output = format!("{PREFIX}{}", self.output);
         let (low, high) = (graph.scalar(-1.0), graph.scalar(1.0));
-        let bounded = graph.node("Max", &[&output, &low]);
-        graph.node("Min", &[&bounded, &high])
+        let bounded = graph.node("Clip", &[&format!("{PREFIX}{}", self.output), &low, &high]);
+        if factor != 1.0 {
+            let factor = graph.scalar(factor);
+            graph.node("Mul", &[&bounded, &factor]);
+        }
     }
 }
 
-/// Puts a network with actions in [-1, 1] between the observation and the angles, with the metadata
-/// that a controller needs.
+/// The fixed input of a number from 0 to 3 for a network with this many inputs, by which a
+/// controller verifies its engine.
+#[pyfunction]
+pub fn check_input(number: usize, inputs: usize) -> Vec<f32> {
+    (0..inputs).map(|index| fixed_input(number, index)).collect()
+}
+
+/// Adds the names and metadata that a controller needs to a network with actions in [-1, 1].
 ///
 /// `network`: an ONNX file with one input and one output of shape (1, n), opset 17 or lower.
 /// `action`: "angles" or "weights". `observation`: "flat" or "paper". `slots`: slots of the
-/// observation.
+/// observation. `check`: the outputs of the trainer's own network for [`check_input`].
 #[pyfunction]
-#[pyo3(signature = (network, scenario, action, observation, slots))]
+#[pyo3(signature = (network, scenario, action, observation, slots, check))]
 pub fn finish_actor<'py>(
     py: Python<'py>,
     network: &[u8],
@@ -76,70 +84,70 @@ pub fn finish_actor<'py>(
     action: &str,
     observation: &str,
     slots: usize,
+    check: Vec<Vec<f32>>,
 ) -> PyResult<Bound<'py, PyBytes>> {
-    let bytes = guarded(|| finished(network, scenario, (action, observation), slots))?;
+    let bytes = guarded(|| {
+        let form = Form::new(scenario, (action, observation), slots)?;
+        let bytes = form.file(Part::read(network)?, scenario, &check);
+        // The checks of a controller, so that a file that it would refuse is not written.
+        let file = ActorFile { origin: "the exported network".into(), bytes: bytes.clone().into() };
+        ActorInfo::read(&file).and_then(|info| info.check_fits(&scenario.inner)).map_err(refused)?;
+        Ok(bytes)
+    })?;
     Ok(PyBytes::new(py, &bytes))
 }
 
-/// The bytes of the finished file.
-fn finished(
-    network: &[u8],
-    scenario: &Scenario,
-    (action, observation): (&str, &str),
+/// Encoder and decoder of the file.
+struct Form {
+    observation: ObservationKind,
+    action: ActionKind,
+    inputs: usize,
+    outputs: usize,
     slots: usize,
-) -> PyResult<Vec<u8>> {
-    let bytes = angles(Part::read(network)?, scenario, (action, observation), slots)?;
-    // The checks of a controller, so that a file that it would refuse is not written.
-    let file = ActorFile { origin: "the exported network".into(), bytes: bytes.clone().into() };
-    ActorInfo::read(&file).and_then(|info| info.check_fits(&scenario.inner)).map_err(refused)?;
-    Ok(bytes)
+    /// What the bounded output is multiplied by.
+    factor: f32,
 }
 
-/// The file of a network for the angles of all mirrors, or for one weight per user.
-fn angles(part: Part, scenario: &Scenario, (action, observation): (&str, &str), slots: usize) -> PyResult<Vec<u8>> {
-    let room = &scenario.inner;
-    let encoder = ObservationEncoder::new(slots, room.mirror_count());
-    let mut graph = Graph::default();
-    let seen = match observation {
-        "flat" => INPUT_NAME.to_owned(),
-        "paper" if slots == USERS_CAPACITY => AngleState::of(room, true).state_nodes(&mut graph),
-        other => {
-            return Err(refused(format!(
-                "observation = {other:?}: a controller gives an actor the observation \"flat\" or, for up to \
-                 {USERS_CAPACITY} users, \"paper\""
-            )));
-        }
-    };
-    let bounded = part.add(&mut graph, &seen);
-    if action == "weights" {
-        let model = room.channel_model().map_err(refused)?;
-        let (arrays, leds) = (model.mirrors.arrays().len(), model.leds.len());
-        if arrays != 1 || leds != 1 {
-            return Err(refused(format!(
-                "a room with {arrays} arrays and {leds} access points: the decoder in a file is for one of each; \
-                 train in an environment with action=\"angles\""
-            )));
-        }
-        let observed = Observed::new(&mut graph, encoder);
-        let actions = graph.reshape(&bounded, &[slots, 1]);
-        decode(&mut graph, &model, &observed, (&actions, Head::BALANCED));
-    } else {
-        let range = graph.scalar(scenario.range() as f32);
-        graph.node("Mul", &[&bounded, &range]);
+impl Form {
+    fn new(scenario: &Scenario, (action, observation): (&str, &str), slots: usize) -> PyResult<Self> {
+        let room = &scenario.inner;
+        let mirrors = room.mirror_count();
+        let (observation, inputs) = match observation {
+            "flat" => (ObservationKind::Flat, ObservationEncoder::new(slots, mirrors).len()),
+            "paper" if slots == USERS_CAPACITY => (ObservationKind::Paper, AngleState::of(room, true).inputs()),
+            other => {
+                return Err(refused(format!(
+                    "observation = {other:?}: a controller gives an actor the observation \"flat\" or, for up to \
+                     {USERS_CAPACITY} users, \"paper\""
+                )));
+            }
+        };
+        let (action, outputs, factor) = match action {
+            "weights" => (ActionKind::Weights(Head::BALANCED), slots, 1.0),
+            _ => (ActionKind::Angles, 2 * mirrors, scenario.range() as f32),
+        };
+        Ok(Self { observation, action, inputs, outputs, slots, factor })
     }
-    let entry = |key: &str, value: String| (key.to_owned(), value);
-    let metadata = [
-        entry(key::OBSERVATION_VERSION, OBSERVATION_VERSION.to_string()),
-        entry(key::USERS_MAX, slots.to_string()),
-        entry(key::MIRRORS, room.mirror_count().to_string()),
-        entry(key::MODE, room.channel.mode.name().to_owned()),
-        entry(key::GEOMETRY, room.geometry_hash()),
-        entry(key::SCENARIO, room.name.clone()),
-    ];
-    let ends = Ends {
-        name: "heliostat-python-actor",
-        input: (INPUT_NAME, encoder.len()),
-        output: (OUTPUT_NAME, 2 * room.mirror_count()),
-    };
-    Ok(graph.finish(&ends, &metadata))
+
+    fn file(&self, part: Part, scenario: &Scenario, check: &[Vec<f32>]) -> Vec<u8> {
+        let room = &scenario.inner;
+        let mut graph = Graph::default();
+        part.add(&mut graph, self.factor);
+        let expected = |value: &f32| (self.factor * value.clamp(-1.0, 1.0)).to_string();
+        let line = |values: &Vec<f32>| values.iter().map(expected).collect::<Vec<_>>().join(" ");
+        let entry = |key: &str, value: String| (key.to_owned(), value);
+        let mut metadata = vec![
+            entry(key::OBSERVATION_VERSION, OBSERVATION_VERSION.to_string()),
+            entry(key::OBSERVATION, self.observation.name().to_owned()),
+            entry(key::USERS_MAX, self.slots.to_string()),
+            entry(key::MIRRORS, room.mirror_count().to_string()),
+            entry(key::MODE, room.channel.mode.name().to_owned()),
+            entry(key::GEOMETRY, room.geometry_hash()),
+            entry(key::SCENARIO, room.name.clone()),
+            entry(key::CHECK, check.iter().map(line).collect::<Vec<_>>().join("; ")),
+        ];
+        metadata.extend(self.action.entries());
+        let (input, output) = ((INPUT_NAME, self.inputs), (self.action.output(), self.outputs));
+        graph.finish(&Ends { name: "heliostat-python-actor", input, output }, &metadata)
+    }
 }

@@ -31,7 +31,9 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<policy::Policy>()?;
     module.add_class::<station::Station>()?;
     module.add_class::<recording::Recording>()?;
+    module.add_function(wrap_pyfunction!(actor::check_input, module)?)?;
     module.add_function(wrap_pyfunction!(actor::finish_actor, module)?)?;
+    module.add_function(wrap_pyfunction!(policy::use_onnxruntime, module)?)?;
     module.add_function(wrap_pyfunction!(settings::held_out_seed, module)?)?;
     module.add_function(wrap_pyfunction!(settings::oracle_samples, module)?)?;
     module.add_function(wrap_pyfunction!(policy::policy_names, module)?)?;

@@ -1,7 +1,7 @@
 //! The policies of the controller, by name or from an ONNX file.
 //!
-//! A graph of dense layers runs on the controller's dense engine, another file on the reference
-//! evaluation that verifies engines: the package has no inference library.
+//! A file runs on the engines of the controller: a chain of dense layers in Rust, another graph on
+//! ONNX Runtime, whose shared library the package `onnxruntime` brings.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -10,8 +10,8 @@ use heliostat_channel::{ChannelModel, MirrorAngles};
 use heliostat_core::observation::{Observation, RoomState};
 use heliostat_core::policy::{self, Actor, PolicyKind};
 use heliostat_core::safety::Limits;
-use heliostat_models::{ActorSource, build, load_actor};
-use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
+use heliostat_models::{ActorSource, build, library, load_actor};
+use numpy::{PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 
 use crate::arrays::{AnglePair, angles, cylinders, few_users, numbers, pair, positions};
@@ -25,7 +25,7 @@ pub fn policy_names() -> Vec<String> {
 }
 
 enum Kind {
-    /// A network from the observation to the angles.
+    /// A learned policy.
     Actor(Box<Actor>),
     Other(Box<dyn policy::Policy>),
 }
@@ -36,6 +36,14 @@ impl Kind {
             Self::Actor(actor) => actor.as_mut(),
             Self::Other(policy) => policy.as_mut(),
         }
+    }
+}
+
+/// Uses this shared library of ONNX Runtime, unless the environment names another.
+#[pyfunction]
+pub fn use_onnxruntime(path: std::path::PathBuf) {
+    if library::candidates().named_by.is_none() {
+        library::choose(path);
     }
 }
 
@@ -120,18 +128,14 @@ impl Policy {
         Ok(pair(py, angles))
     }
 
-    /// Roll and yaw that an actor's network gives for a flat observation, without limits.
+    /// Roll and yaw of a learned policy for an observation vector, without limits.
     fn answer<'py>(&self, py: Python<'py>, observation: PyReadonlyArray1<'py, f32>) -> PyResult<AnglePair<'py>> {
         let mut policy = self.policy.lock().unwrap_or_else(PoisonError::into_inner);
         let Kind::Actor(actor) = &mut *policy else {
-            return Err(refused("only an actor with angles as its output reads an observation; use act"));
+            return Err(refused("only a learned policy reads an observation; use act"));
         };
-        let expected = actor.info().encoder().len();
-        if observation.len() != expected {
-            return Err(refused(format!("an observation of length {}, expected {expected}", observation.len())));
-        }
         let mut angles = MirrorAngles::flat(self.model.mirrors.len());
-        guarded(|| actor.answer(observation.as_slice()?, &mut angles).map_err(refused))?;
+        guarded(|| actor.answer(&self.model, observation.as_slice()?, &mut angles).map_err(refused))?;
         Ok(pair(py, angles))
     }
 

@@ -19,7 +19,7 @@ use crate::error::guarded;
 create_exception!(heliostat, Refused, PyValueError, "A payload or a message that the contract does not allow.");
 
 /// Kinds by the last part of their key, with that of a control named after its receiver.
-pub const KINDS: [(&str, Kind); 21] = [
+pub const KINDS: [(&str, Kind); 22] = [
     ("users", Kind::UserReport),
     ("channel", Kind::ChannelReport),
     ("obstacles", Kind::ObstacleReport),
@@ -41,6 +41,7 @@ pub const KINDS: [(&str, Kind); 21] = [
     ("branches", Kind::BranchReport),
     ("stops", Kind::StopReport),
     ("stop_repetition", Kind::StopRepetition),
+    ("leds", Kind::LedReport),
 ];
 
 /// Refuses a payload or a message.
@@ -59,7 +60,7 @@ macro_rules! for_kind {
         for_kind!($kind, $function $arguments, [
             UserReport ChannelReport ObstacleReport MirrorCommand MirrorTelemetry NodeStatus RoomTruth Capabilities
             EmergencyStop Calibration SimulatorControl ControllerControl Rearm SafetyReport RoomGeometry BeliefReport
-            ControllerMemory OrientationReport BranchReport StopReport StopRepetition
+            ControllerMemory OrientationReport BranchReport StopReport StopRepetition LedReport
         ])
     };
 }
@@ -107,6 +108,7 @@ pub fn keys<'py>(py: Python<'py>, room: &str, node: &str, source: u64, array: i6
         ("obstacles", room.obstacles()),
         ("orientation", room.orientation()),
         ("branches", room.branches()),
+        ("leds", room.leds()),
         ("stop", room.stop()),
         ("rearm", room.rearm()),
         ("command", own.command()),

@@ -82,7 +82,7 @@ class Observer:
         self.sequence = 0
         self.latest: dict[str, dict[str, Any]] = {}
         self.counts: dict[str, int] = {}
-        names = ("users", "telemetry", "safety", "obstacles", "channel", "orientation")
+        names = ("users", "telemetry", "safety", "obstacles", "channel", "orientation", "leds")
         listened = {name: self.keys[name] for name in names}
         listened["status"] = f"heliostat/v1/{room}/status/*"
         self.subscribers = [self.session.declare_subscriber(key, self._note(name)) for name, key in listened.items()]

@@ -102,10 +102,6 @@ def test_networks_that_no_controller_accepts_are_refused_with_the_reason(tmp_pat
     for settings, reason in refused:
         with pytest.raises(ValueError, match=reason):
             heliostat.export_onnx(module_of(env, torch), heliostat.HeliostatEnv(**settings), path)
-    leds: dict[str, Any] = {"led.positions_m": [[-1.0, 0.0, 3.0], [1.0, 0.0, 3.0]]}
-    several = heliostat.HeliostatEnv(action="weights", overrides=leds)
-    with pytest.raises(ValueError, match="2 access points"):
-        heliostat.export_onnx(module_of(several, torch), several, path)
     diverged = module_of(env, torch)
     with torch.no_grad():
         diverged[0].weight[0, 0] = float("nan")
@@ -115,9 +111,59 @@ def test_networks_that_no_controller_accepts_are_refused_with_the_reason(tmp_pat
     path.write_bytes(b"no network")
     with pytest.raises(ValueError, match="not an ONNX model"):
         heliostat.Policy(str(path))
+    path.write_bytes(b"<!DOCTYPE html>")
+    with pytest.raises(ValueError, match="it is a web page"):
+        heliostat.Policy(str(path))
     heliostat.export_onnx(module_of(env, torch), env, path)
     with pytest.raises(ValueError, match="optical geometry"):
         heliostat.Policy(str(path), overrides={"room.height_m": 3.2})
+
+
+class Sampling:
+    """Makes modules that sample, as during a training."""
+
+    @staticmethod
+    def module(env: Any, torch: Any) -> Any:
+        class Noisy(torch.nn.Module):  # type: ignore[misc]
+            def __init__(self) -> None:
+                super().__init__()
+                self.mean = module_of(env, torch)
+
+            def forward(self, observation: Any, deterministic: bool = False) -> Any:
+                mean = self.mean(observation)
+                return mean if deterministic else torch.tanh(mean + 0.3 * torch.randn_like(mean))
+
+        return Noisy()
+
+
+def test_what_is_no_module_of_actions_is_refused_with_what_to_pass(tmp_path: Path) -> None:
+    torch = torch_or_skip()
+    env = heliostat.HeliostatEnv()
+    noisy = Sampling.module(env, torch)
+
+    class Drawing(torch.nn.Module):  # type: ignore[misc]
+        def forward(self, observation: Any) -> Any:
+            return noisy(observation)
+
+    class Several(torch.nn.Module):  # type: ignore[misc]
+        def forward(self, observation: Any) -> Any:
+            return observation[:, :200], 0.0, 0.0
+
+    with pytest.raises(ValueError, match="Drawing samples: .*deterministic"):
+        heliostat.export_onnx(Drawing(), env, tmp_path / "own.onnx")
+    with pytest.raises(ValueError, match=r"Several returns 3 values: .*ppo\.py"):
+        heliostat.export_onnx(Several(), env, tmp_path / "own.onnx")
+    with pytest.raises(TypeError, match="expected a torch.nn.Module, found <lambda>"):
+        heliostat.export_onnx(lambda seen: seen, env, tmp_path / "own.onnx")
+    with pytest.raises(ValueError, match="on the device meta: pass module.cpu"):
+        heliostat.export_onnx(torch.nn.Linear(1370, 200, device="meta"), env, tmp_path / "own.onnx")
+    assert not (tmp_path / "own.onnx").exists()
+    # The deterministic action of a module that has one.
+    policy = heliostat.Policy(str(heliostat.export_onnx(noisy, env, tmp_path / "own.onnx")))
+    observation, _ = env.reset(seed=1)
+    with torch.no_grad():
+        expected = noisy.mean(torch.from_numpy(observation)[None])[0].numpy() * env.scenario.range_rad
+    assert np.concatenate(policy.answer(observation)) == pytest.approx(expected, abs=2e-5)
 
 
 def program_or_skip() -> str:

@@ -55,7 +55,9 @@ def test_reports_have_a_tick_a_stamp_and_the_time_of_the_measurement() -> None:
         gains = {"user": 3, "los_gain": 0.0, "irs_gain": 1e-6, "sinr": 42.5}
         tracker.publish("channel", {"tick": tracker.ticks, "users": [gains]})
         tracker.publish("orientation", {"users": [{"user": 3, "quaternion": [0.5, -0.5, 0.5, 0.5]}]})
-        wait_until("other reports", lambda: {"obstacles", "channel", "orientation"} <= room.latest.keys())
+        leds = {"user": 3, "serving": 0, "measures_each": False}
+        tracker.publish("leds", {"tick": 1, "users": [leds], "gains": []})
+        wait_until("other reports", lambda: {"obstacles", "channel", "orientation", "leds"} <= room.latest.keys())
         with pytest.raises(ValueError, match="expected channel"):
             tracker.publish("command", {})
 

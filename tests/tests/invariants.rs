@@ -49,8 +49,8 @@ const BANS: [(&str, &[&str]); 9] = [
 ];
 
 /// What the decision core, the room and the libraries below them may not need.
-const PURE: [&str; 11] =
-    ["zenoh*", "ctrlc", "axum*", "hyper*", "ureq*", "tokio", "tract*", "ort", "ort-*", "candle*", "heliostat-bus"];
+const PURE: [&str; 10] =
+    ["zenoh*", "ctrlc", "axum*", "hyper*", "ureq*", "tokio", "ort", "ort-*", "candle*", "heliostat-bus"];
 
 /// A foreign library and the only package of the workspace that may name it.
 const SINGLE_USERS: [(&str, &str); 8] = [

@@ -288,14 +288,19 @@ fn the_last_command_is_repeated_for_a_silent_room_if_so_configured() {
     assert!(summary["commands"].as_u64() > summary["decisions"].as_u64(), "{summary}");
 }
 
-/// An actor for the default room; `layers` map the current angles, of shape (1, 2 M), to the
-/// output, whose node comes last.
+/// An actor for the default room; `layers` map the presence of the last user, once for each of 2 M
+/// angles, to the output, whose node comes last.
 fn actor(layers: impl FnOnce(&mut Graph, &str, usize)) -> Vec<u8> {
     let scenario = Scenario::builtin("specular").unwrap();
     let encoder = ObservationEncoder::new(USERS_CAPACITY, scenario.mirror_count());
     let mut graph = Graph::default();
-    let angles = graph.slice(INPUT_NAME, 1, encoder.angles());
-    layers(&mut graph, &angles, encoder.angles().len());
+    let (inputs, outputs) = (encoder.len(), encoder.angles().len());
+    let mut weights = vec![0.0; inputs * outputs];
+    let last = encoder.present().start + scenario.users.count - 1;
+    weights[last * outputs..][..outputs].fill(1.0);
+    let weights = graph.constant("weights", &[inputs, outputs], &weights);
+    let present = graph.node("MatMul", &[INPUT_NAME, &weights]);
+    layers(&mut graph, &present, outputs);
     let metadata = [
         (key::OBSERVATION_VERSION, OBSERVATION_VERSION.to_string()),
         (key::USERS_MAX, USERS_CAPACITY.to_string()),
@@ -303,34 +308,29 @@ fn actor(layers: impl FnOnce(&mut Graph, &str, usize)) -> Vec<u8> {
         (key::MODE, scenario.channel.mode.name().to_owned()),
         (key::GEOMETRY, scenario.geometry_hash()),
     ];
-    let (input, output) = ((INPUT_NAME, encoder.len()), (OUTPUT_NAME, encoder.angles().len()));
+    let (input, output) = ((INPUT_NAME, inputs), (OUTPUT_NAME, outputs));
     graph.finish(&Ends { name: "test", input, output }, &metadata.map(|(key, value)| (key.to_owned(), value)))
 }
 
-/// Outputs NaN: the logarithm of the current angles less 100.
-fn nan_output(graph: &mut Graph, angles: &str, _: usize) {
-    let far = graph.scalar(-100.0);
-    let below = graph.node("Add", &[angles, &far]);
-    graph.node("Log", &[&below]);
+/// Outputs NaN where the last user is absent: 0 times 1/0.
+fn nan_output(graph: &mut Graph, present: &str, _: usize) {
+    let [one, zero] = [1.0, 0.0].map(|value| graph.scalar(value));
+    let inverse = graph.node("Div", &[&one, present]);
+    graph.node("Mul", &[&inverse, &zero]);
 }
 
-/// Outputs small angles after more than the time limit of a policy, 0.1 s, also on a fast processor:
-/// products of large matrices that depend on the input.
-fn slow(graph: &mut Graph, angles: &str, outputs: usize) {
-    const SIZE: usize = 1000;
-    let column = graph.constant("column", &[SIZE, 1], &vec![0.01; SIZE]);
-    let row = graph.constant("row", &[outputs, SIZE], &vec![0.01; outputs * SIZE]);
-    let spread = graph.node("MatMul", &[angles, &row]);
-    let mut matrix = graph.node("MatMul", &[&column, &spread]);
-    for _ in 0..32 {
-        let product = graph.node("MatMul", &[&matrix, &matrix]);
-        matrix = graph.node("Tanh", &[&product]);
+/// Outputs small angles after more than the time limit of a policy, 0.1 s, also on a fast processor.
+fn slow(graph: &mut Graph, present: &str, outputs: usize) {
+    const WIDTH: usize = 10_000;
+    const LAYERS: usize = 30_000;
+    let wide = graph.constant("wide", &[outputs, WIDTH], &vec![1e-3; outputs * WIDTH]);
+    let mut value = graph.node("MatMul", &[present, &wide]);
+    for _ in 0..LAYERS {
+        value = graph.node("Tanh", &[&value]);
     }
-    let first = graph.slice(&matrix, 0, 0..1);
-    let few = graph.slice(&first, 1, 0..outputs);
-    let turned = graph.scalar(0.1);
-    let turned = graph.node("Add", &[&few, &turned]);
-    graph.node("Tanh", &[&turned]);
+    let narrow = graph.constant("narrow", &[WIDTH, outputs], &vec![1e-4; WIDTH * outputs]);
+    let value = graph.node("MatMul", &[&value, &narrow]);
+    graph.node("Tanh", &[&value]);
 }
 
 #[test]
@@ -340,7 +340,9 @@ fn an_actor_with_nan_output_triggers_the_configured_fallback() {
     std::fs::write(&file, actor(nan_output)).unwrap();
     for (answer, cause, moves) in [("fixed-point", "policy-failed", true), ("hold", "held", false)] {
         let set = format!("control.fallback={answer}");
-        let pair = Pair::start(&[], &["--set", &set, "--model", file.to_str().unwrap()]);
+        // The room has one user fewer than the controller's scenario, in which the actor is tried.
+        let fewer = ["--set", "users.count=4"];
+        let pair = Pair::start(&fewer, &["--set", &set, "--model", file.to_str().unwrap()]);
         let observer = pair.observer();
         wait_until("failures", || observer.counter(NodeKind::Controller, &format!("fallback:{cause}")) > 50);
         assert_eq!(observer.counter(NodeKind::Controller, "commands") > 0, moves, "{answer}");
@@ -348,8 +350,9 @@ fn an_actor_with_nan_output_triggers_the_configured_fallback() {
             assert!(command.roll.iter().chain(&command.yaw).all(|angle| angle.is_finite()), "{answer}");
         }
         let (_, controller) = pair.end();
-        // A decision that a busy machine makes late does not ask the policy.
-        let late = controller.pointer("/fallbacks/late").and_then(Value::as_f64).unwrap_or(0.0);
+        // A decision that a busy machine makes late does not ask the policy. It repeats the last
+        // command, and is held where there is none.
+        let late = controller.pointer("/fallbacks/late").and_then(Value::as_f64).filter(|_| moves).unwrap_or(0.0);
         let failed = number(&controller, &format!("/fallbacks/{cause}"));
         assert_eq!(failed + late, number(&controller, "/decisions"), "{controller}");
         // No command is credited to the policy.

@@ -7,8 +7,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use heliostat_bus::{Bus, BusConfig, free_loopback_endpoint};
-use heliostat_models::EMBEDDED;
-use heliostat_proto::{BranchReport, MirrorCommand, NodeStatus, OrientationReport, Room, Stamp, UserReport, codec};
+use heliostat_proto::{BranchReport, LedReport, MirrorCommand, OrientationReport, Room, Stamp, UserReport, codec};
 use heliostat_record::account::Account;
 use heliostat_record::file::{Reading, Recording};
 use heliostat_scenario::Scenario;
@@ -162,33 +161,15 @@ fn a_lockstep_run_replays_bit_for_bit_and_a_changed_one_does_not() {
 }
 
 #[test]
-fn a_learned_policy_replays_bit_for_bit_on_the_recorded_engine_and_not_on_the_other() {
+fn a_learned_policy_replays_bit_for_bit_with_its_file() {
     let setting = Setting::new();
     let actor = setting.folder.path().join("dense.onnx");
     fs::write(&actor, dense_graphs::dense_actor(&Scenario::default())).unwrap();
     let actor = text(&actor);
     setting.record(&[], &["--lockstep", "100"], &["--lockstep", "--policy", "ddpg", "--model", &actor]);
     let file = setting.file();
-    let replayed = |arguments: &[&str]| {
-        let verdict = replay(&file, &[&["--model", &actor], arguments].concat()).wait().json();
-        (verdict["same"].as_u64().unwrap(), verdict["different"].as_u64().unwrap())
-    };
-    assert_eq!(replayed(&[]), (100, 0));
-    assert_eq!(replayed(&["--engine", "dense"]), (100, 0));
-    let (same, different) = replayed(&["--engine", EMBEDDED]);
-    assert!(different > 50 && same + different == 100, "{same} same, {different} different");
-
-    // An older controller names no engine: it evaluated every network by the embedded one.
-    let older = setting.folder.path().join("older.mcap");
-    copy(&file, &older, |topic, payload| {
-        if topic.starts_with("heliostat/") && topic.ends_with("/status/controller") {
-            let mut status: NodeStatus = codec::decode(payload).unwrap();
-            status.counters.retain(|(name, _)| !name.starts_with("engine:"));
-            codec::encode(&status, payload).unwrap();
-        }
-    });
-    let verdict = replay(&older, &["--model", &actor]).wait().json();
-    assert_eq!(verdict["different"].as_u64(), Some(different), "{verdict}");
+    let verdict = replay(&file, &["--model", &actor]).wait().json();
+    assert_eq!((verdict["same"].as_u64(), verdict["different"].as_u64()), (Some(100), Some(0)), "{verdict}");
 }
 
 #[test]
@@ -218,6 +199,37 @@ fn a_room_with_reported_orientations_replays_bit_for_bit_and_not_without_them() 
     });
     assert!(reports >= 70, "{reports}");
     let other = replay(&upright, &["--policy", "fixed-point"]).wait().json();
+    assert!(other["different"].as_u64() > Some(0), "{other}");
+}
+
+#[test]
+fn a_room_with_reported_leds_replays_bit_for_bit_and_not_without_them() {
+    let setting = Setting::new();
+    let both = [
+        "--set",
+        "led.positions_m=[[-1.25,0,3],[1.25,0,3]]",
+        "--set",
+        "streams.channel.leds=gains",
+        "--set",
+        "users.mobility=seated",
+        "--set",
+        "users.orientation.model=measured",
+    ];
+    let account = setting.record(&both, &["--lockstep", "150"], &["--lockstep"]);
+    let file = setting.file();
+    let messages = |stream: &str| account["streams"][format!("heliostat/v1/demo/{stream}")]["messages"].as_u64();
+    assert!(messages("leds") >= Some(60) && messages("leds") == messages("channel"), "{account}");
+    let verdict = verified(&file);
+    assert_eq!((verdict["same"].as_u64(), verdict["different"].as_u64()), (Some(150), Some(0)), "{verdict}");
+    let without = setting.folder.path().join("without.mcap");
+    copy(&file, &without, |topic, payload| {
+        if topic.ends_with("/leds") {
+            let mut report: LedReport = codec::decode(payload).unwrap();
+            (report.users, report.gains) = (Vec::new(), Vec::new());
+            codec::encode(&report, payload).unwrap();
+        }
+    });
+    let other = replay(&without, &["--policy", "fixed-point"]).wait().json();
     assert!(other["different"].as_u64() > Some(0), "{other}");
 }
 

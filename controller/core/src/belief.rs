@@ -23,11 +23,13 @@
 //! - `readings`, `densities`, `elementary`: measured gains, and how probable they are.
 //! - `independence`: how much a measurement of a user who stays at a place counts.
 //! - [`occupancy`]: where unreported obstacles stand, by measured gains.
+//! - [`conditions`]: where a method does not apply to a room.
 //! - [`angle_history`]: the angles of the mirrors at the time of a measurement.
 
 pub mod angle_history;
 pub(crate) mod body;
 mod channel_evidence;
+pub mod conditions;
 pub mod covered;
 mod densities;
 mod device;
@@ -51,13 +53,14 @@ mod track;
 mod tracks;
 
 use heliostat_channel::{ChannelModel, Vec3, blockage::Cylinder, mirrors::MirrorAngles};
-use heliostat_proto::{ChannelReport, MirrorCommand, Nanos, UserReport, UserState};
+use heliostat_proto::{ChannelReport, LedReport, MirrorCommand, Nanos, UserReport, UserState};
 use heliostat_scenario::Scenario;
 
 use angle_history::AngleHistory;
 use body::Body;
 use channel_evidence::{Beliefs, Bodies, ChannelEvidence};
 use device::DeviceSettings;
+use expected::Room;
 use heading::{HEADING_KNOWN, HEADINGS};
 use independence::independent_share;
 use innovations::{Innovations, normalised_squared};
@@ -65,7 +68,7 @@ use motion::{MotionEstimate, Sighting, WalkPriors};
 use noise::NoiseLevel;
 use occupancy::Occupancy;
 use posture::Posture;
-use readings::{MeasuredGains, Readings};
+use readings::{LedReadings, MeasuredGains, Readings};
 use track::{Track, reported_velocity};
 use tracks::Tracks;
 
@@ -119,6 +122,7 @@ pub struct Belief {
     angles: MirrorAngles,
     evidence: ChannelEvidence,
     readings: Readings,
+    led_readings: LedReadings,
     /// The body of each user of a channel report, where the heading is known.
     bodies: Vec<Option<Cylinder>>,
     /// Absent where there are no unreported obstacles.
@@ -151,6 +155,7 @@ impl Belief {
             angles: MirrorAngles::flat(model.mirrors.len()),
             evidence: ChannelEvidence::new(model, readings, capacity),
             readings,
+            led_readings: LedReadings::new(model.leds.len()),
             bodies: Vec::with_capacity(capacity),
             leds: model.leds.iter().map(|led| led.position).collect(),
             map: Occupancy::new(scenario),
@@ -168,12 +173,14 @@ impl Belief {
         self.history.handle_command(command);
     }
 
-    /// Takes an accepted channel report. `obstacles` are those of the latest survey, and `unusable`
-    /// the mirrors that do not follow. Does not allocate.
+    /// Takes an accepted channel report, and the LED report of the same time, if there is one.
+    /// `obstacles` are those of the latest survey, and `unusable` the mirrors that do not follow. Does
+    /// not allocate.
     pub fn handle_channel(
         &mut self,
         model: &ChannelModel,
         report: &ChannelReport,
+        leds: Option<&LedReport>,
         obstacles: &[Cylinder],
         unusable: &[u32],
     ) {
@@ -191,7 +198,8 @@ impl Belief {
         }
         let at = (report.stamp.time_ns, signed_s(report.stamp.time_ns, self.last_ns));
         let angles = self.history.at(report.stamp.time_ns, &mut self.angles).then_some(&self.angles);
-        let Self { tracks, evidence, bodies, directions, map, body, posture, devices, undecided, .. } = self;
+        let Self { tracks, evidence, bodies, directions, map, body, posture, devices, undecided, led_readings, .. } =
+            self;
         let tracks = tracks.present_mut();
         undecided.clear();
         let places = tracks.iter().map(|track| {
@@ -199,7 +207,8 @@ impl Belief {
             undecided.push(posture.undecided(place.held));
             place
         });
-        evidence.expect(model, places, obstacles, angles, unusable);
+        let room = Room { model, obstacles, angles, unusable };
+        evidence.expect(&room, places);
         bodies.clear();
         bodies.extend(tracks.iter().zip(evidence.positions()).map(|(track, position)| {
             let heading = track.heading.mean(directions);
@@ -210,13 +219,14 @@ impl Belief {
         let bodies = body.as_ref().map(|shape| Bodies { shape, directions, known: bodies });
         for (user, track) in tracks.iter_mut().enumerate() {
             let Some(measured) = track.measured(user, report) else { continue };
-            let measured = MeasuredGains { los: f64::from(measured.los_gain), irs: f64::from(measured.irs_gain) };
+            let (los, irs) = (f64::from(measured.los_gain), f64::from(measured.irs_gain));
+            let measured = MeasuredGains { los, irs, leds: led_readings.of(leds, track.user) };
             let [u, v] = track.motion.estimate(0.0).velocity_m_s;
             let independent = independent_share(u.hypot(v), self.readings.interval_s);
             let Track { heading, covered, tilt, .. } = track;
             let undecided = undecided[user].map(|polar_rad| (tilt, polar_rad));
             let beliefs = Beliefs { heading, covered, undecided, independent };
-            evidence.examine(model, user, measured, bodies.as_ref(), beliefs, map.as_mut());
+            evidence.examine(&room, user, measured, bodies.as_ref(), beliefs, map.as_mut());
         }
         map.iter_mut().for_each(Occupancy::finish_report);
         self.decide_posture();
@@ -292,15 +302,14 @@ impl Belief {
         Some(Estimate { position, velocity, position_cov_m2, velocity_var_m2_s2, heading, direct_clear })
     }
 
-    /// Probability that the direct path from some LED is clear past unreported obstacles, at a detector
-    /// that is uncovered with this probability.
+    /// Probability that neither an unreported obstacle nor a cover blocks the direct path, at a detector
+    /// that is uncovered with this probability. With several LEDs the map is left out: another LED then
+    /// serves.
     fn direct_clear(&self, position: &Vec3, uncovered: f64) -> f64 {
-        let Some(map) = &self.map else { return uncovered };
-        self.leds.iter().fold(0.0, |clear, led| {
-            let mut further = [uncovered - clear];
-            map.weigh(position, std::slice::from_ref(led), &mut further);
-            clear + further[0]
-        })
+        let (Some(map), [led]) = (&self.map, &self.leds[..]) else { return uncovered };
+        let mut clear = [uncovered];
+        map.weigh(position, std::slice::from_ref(led), &mut clear);
+        clear[0]
     }
 
     /// The probability of each heading of a user of the last report.

@@ -222,7 +222,8 @@ impl Controller {
                     self.arrays[array].handle_telemetry(now, telemetry, &mut self.counters);
                 }
             }
-            (Stream::Obstacles, Ok(())) | (_, Err(_)) => {}
+            // The next channel report is compared with them.
+            (Stream::Obstacles | Stream::Leds, Ok(())) | (_, Err(_)) => {}
         }
         Due::Nothing
     }

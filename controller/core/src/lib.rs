@@ -79,5 +79,5 @@ mod output;
 pub mod policy;
 
 pub use input::{inbox, refusal, sequence};
-pub use observe::{observation, observer, selection, slots};
+pub use observe::{angle_state, codeword_state, observation, observer, selection, slots, target_user};
 pub use output::{capabilities, guard, outcome, safety, tenure};

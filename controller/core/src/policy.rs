@@ -25,9 +25,10 @@ mod removed;
 mod sine_cosine;
 mod tally;
 mod warm_up;
+pub mod weights;
 mod with_fallback;
 
-pub use actor::{Actor, Finding};
+pub use actor::{Actor, Finding, fixed_input};
 pub use dense::{DENSE, DenseEngine, DenseError, DenseNetwork};
 pub use engine::{Engine, Network};
 pub use fixed::Fixed;

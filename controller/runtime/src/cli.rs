@@ -8,7 +8,7 @@ use heliostat_core::{
     capabilities::Force,
     policy::{NameParser, PolicyKind},
 };
-use heliostat_models::{ActorSource, EngineChoice};
+use heliostat_models::ActorSource;
 use heliostat_proto::Room;
 use heliostat_scenario::ScenarioArgs;
 use heliostat_service::{EndArgs, LogArgs, MetricsArgs, output};
@@ -40,10 +40,6 @@ pub struct Args {
     /// ONNX file of a learned policy, in place of the built-in one
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
-    /// Engine of learned policies: `auto` (dense for graphs of dense layers, otherwise the embedded
-    /// one), `dense`, or the embedded one by its name (`tract`, or `ort` in builds with ONNX Runtime)
-    #[arg(long, default_value_t = EngineChoice::Auto)]
-    engine: EngineChoice,
     /// Serve these rooms too (comma-separated), with the same scenario and over the same session
     #[arg(long, value_name = "ROOM", value_delimiter = ',')]
     also_room: Vec<String>,
@@ -103,7 +99,6 @@ impl Args {
             decisions: DecisionSettings { decide_in: self.decide_in, keep_warm: self.keep_warm },
             policy: self.policy,
             model: self.model.clone(),
-            engine: self.engine,
             force: Force { small_range: self.accept_small_range, paper_angles: self.force_paper_angles },
             pace: if self.lockstep { Pace::Lockstep } else { Pace::Live },
             run_for: self.end.seconds,

@@ -4,7 +4,7 @@ use std::{path::PathBuf, time::Duration};
 
 use heliostat_bus::BusConfig;
 use heliostat_core::{capabilities::Force, policy::PolicyKind};
-use heliostat_models::{ActorSource, BuildError, EngineChoice};
+use heliostat_models::{ActorSource, BuildError, build};
 use heliostat_proto::Room;
 use heliostat_scenario::Scenario;
 use heliostat_service::MetricsArgs;
@@ -37,8 +37,6 @@ pub struct NodeConfig {
     pub policy: PolicyKind,
     /// The actor's file in place of the built-in one.
     pub model: Option<PathBuf>,
-    /// The engine of learned policies.
-    pub engine: EngineChoice,
     /// Live or lockstep.
     pub pace: Pace,
     /// Mismatches between array and scenario that the operator accepts.
@@ -61,7 +59,7 @@ impl NodeConfig {
     /// The file is missing, or does not fit the policy or the room.
     pub fn check_model(&self) -> Result<(), BuildError> {
         match &self.model {
-            Some(_) => self.engine.build(self.policy, &self.scenario, &self.actor()).map(drop),
+            Some(_) => build(self.policy, &self.scenario, &self.actor()).map(drop),
             None => Ok(()),
         }
     }

@@ -41,6 +41,7 @@ use std::{
 use anyhow::Context;
 use heliostat_bus::{Bus, BusError, Class, Publisher, Subscription, Token};
 use heliostat_core::{capabilities::Examiner, core::Controller, tenure::Tenure};
+use heliostat_models::build_tried;
 use heliostat_proto::{Nanos, NodeKind, NodeStatus, Room, encode};
 use heliostat_service::{clock::utc_ns, source_id};
 
@@ -109,7 +110,7 @@ impl RoomRuntime {
             Pace::Lockstep => (RoomClock::Lockstep { newest_ns: 0 }, Tenure::lockstep(1), Class::RealTimeBlock),
         };
         let actor = config.actor();
-        let (policy, findings) = config.engine.build_tried(config.policy, scenario, &actor)?;
+        let (policy, findings) = build_tried(config.policy, scenario, &actor)?;
         let model = scenario.channel_model()?;
         let examiner = Examiner::new(scenario, &model, config.force);
         let mut controller = Controller::new(scenario, model.clone(), policy, 0).with_tenure(tenure).with_journal();
@@ -148,12 +149,7 @@ impl RoomRuntime {
         };
         let mut subscriptions = subscriptions::subscribe_to_arrays(bus, &arrays, &examiner)?;
         subscriptions.extend(subscriptions::subscribe_to_reports(bus, &handler)?);
-        let builder = PolicyBuilder {
-            scenario: scenario.clone(),
-            model,
-            configured: (config.policy, actor),
-            engine: config.engine,
-        };
+        let builder = PolicyBuilder { scenario: scenario.clone(), model, configured: (config.policy, actor) };
         let (policy_swap, orders) = PolicySwap::subscribe(bus, &decision_loop, builder)?;
         subscriptions.push(orders);
         policy_swap.report(findings);

@@ -21,7 +21,7 @@ use serde_json::{Value, json};
 /// What the holder of a certificate may do in its room.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum AccessRole {
-    /// Reports positions, channel gains, also of branches, obstacles and orientations.
+    /// Reports positions, channel gains, also of branches and LEDs, obstacles and orientations.
     Tracker,
     /// Commands the mirrors.
     Controller,
@@ -98,7 +98,8 @@ impl AccessRole {
 
     /// Keys on which it may publish.
     pub fn publishes(self, room: &Room) -> Vec<String> {
-        let reports = || [room.users(), room.channel(), room.obstacles(), room.orientation(), room.branches()];
+        let reports =
+            || [room.users(), room.channel(), room.obstacles(), room.orientation(), room.branches(), room.leds()];
         let arrays = || [room.array(0), room.later_arrays()];
         let reported = || {
             arrays().into_iter().flat_map(|keys| [keys.telemetry(), keys.capabilities(), keys.safety(), keys.stops()])

@@ -14,7 +14,7 @@ use heliostat_proto::{NodeKind, Room};
 use zenoh::Wait;
 
 /// Every key of the contract, and a key outside of it.
-const KEYS: [&str; 37] = [
+const KEYS: [&str; 38] = [
     "users",
     "channel",
     "obstacles",
@@ -40,6 +40,7 @@ const KEYS: [&str; 37] = [
     "geometry/driver",
     "orientation",
     "branches",
+    "leds",
     "status/driver-1",
     "mirrors-1/command",
     "mirrors-15/telemetry",
@@ -59,7 +60,7 @@ const RIGHTS_OF_ALL: &str = "mirrors/stop-repetition mirrors-1/stop-repetition";
 
 /// The keys on which each role may publish, written down independently of the program.
 const RIGHTS: [(AccessRole, &str); 8] = [
-    (AccessRole::Tracker, "users channel obstacles orientation branches mirrors/stop status/tracker"),
+    (AccessRole::Tracker, "users channel obstacles orientation branches leds mirrors/stop status/tracker"),
     (
         AccessRole::Controller,
         "mirrors/command mirrors-1/command mirrors/stop status/controller geometry/controller controller/belief \
@@ -72,7 +73,7 @@ const RIGHTS: [(AccessRole, &str); 8] = [
     ),
     (
         AccessRole::Simulator,
-        "users channel obstacles orientation branches truth mirrors/telemetry mirrors/capabilities mirrors/safety \
+        "users channel obstacles orientation branches leds truth mirrors/telemetry mirrors/capabilities mirrors/safety \
          mirrors-15/telemetry mirrors-1/capabilities mirrors-1/safety mirrors/stops mirrors-1/stops mirrors/stop \
          status/sim-node status/tracker geometry/sim-node",
     ),

@@ -168,6 +168,15 @@ impl Scene {
         &self.los_blocked
     }
 
+    /// Replaces the steering gains until the next update. Shape: K M, user by user. Units:
+    /// dimensionless.
+    ///
+    /// # Panics
+    /// When `gains` has another length.
+    pub fn set_steering_gain(&mut self, gains: &[f64]) {
+        self.steering_gain.copy_from_slice(gains);
+    }
+
     /// Replaces the line-of-sight gains by measured ones until the next update. Shape: K. Units:
     /// dimensionless.
     ///

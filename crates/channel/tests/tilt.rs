@@ -282,7 +282,8 @@ fn a_user_served_by_a_given_led_has_the_gains_of_a_room_with_that_led_alone() {
     let (users, blockers) = (random.positions(6), random.blockers(&[]));
     let held: Vec<_> = (0..6).map(|_| random.orientation()).collect();
     let mut scene = Scene::new(&both, 6);
-    scene.update_turned(&both, &users, &held, &blockers, &[false; 6]);
+    scene.place_turned(&both, &users, &held, &blockers);
+    let (angles, mut gains, mut gains_alone) = (MirrorAngles::flat(100), vec![0.0; 100], vec![0.0; 600]);
     for index in 0..2 {
         let alone = Room { leds: vec![room.leds[index].clone()], ..room.clone() }.model();
         let mut expected = Scene::new(&alone, 6);
@@ -292,5 +293,14 @@ fn a_user_served_by_a_given_led_has_the_gains_of_a_room_with_that_led_alone() {
         assert_eq!(scene.steering_gain(), expected.steering_gain(), "LED {index}");
         assert_eq!(scene.irs_path_clear(), expected.irs_path_clear(), "LED {index}");
         assert_eq!(scene.serving(), [index; 6]);
+        expected.irs_gain_each(&alone, &angles, &mut gains_alone);
+        for user in 0..6 {
+            scene.irs_gain_each_of(&both, &angles, user, &mut gains);
+            assert_eq!(gains, gains_alone[user * 100..][..100], "LED {index}, user {user}");
+            let other = scene.los_gain_by(&both, &blockers, user, 1 - index);
+            scene.serve_by(&both, &blockers, user, 1 - index);
+            assert_eq!(other, scene.los_gain()[user], "the direct gain of the LED that does not serve");
+            scene.serve_by(&both, &blockers, user, index);
+        }
     }
 }

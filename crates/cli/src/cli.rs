@@ -2,6 +2,7 @@
 
 use anyhow::Result;
 use clap::{CommandFactory, Parser, Subcommand};
+use heliostat_models::library::LibraryArgs;
 
 use crate::commands::{
     bench, calibrate, completions, config, demo, doctor, eval, keys, link, map, results, scenario, stop, trace, ui,
@@ -14,6 +15,8 @@ use crate::commands::{
 #[derive(Debug, Parser)]
 #[command(name = "heliostat", version, arg_required_else_help = true)]
 pub struct Cli {
+    #[command(flatten)]
+    library: LibraryArgs,
     #[command(subcommand)]
     command: Command,
 }
@@ -57,7 +60,9 @@ enum Command {
 
 /// Reads the command line and runs the command.
 pub fn run() -> Result<()> {
-    match Cli::parse().command {
+    let Cli { library, command } = Cli::parse();
+    library.apply();
+    match command {
         Command::Demo(args) => demo::run(args),
         Command::Ui(args) => ui::run(args),
         Command::Controller(args) => heliostat_controller::cli::run(args),

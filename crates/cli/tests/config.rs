@@ -15,7 +15,7 @@ fn config(folder: &Path, arguments: &[&str]) -> Output {
 #[test]
 fn the_configuration_of_a_controller_is_printed_only_where_it_can_use_its_model() {
     let folder = tempfile::tempdir().expect("a folder");
-    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/actors/ddpg-specular-10x10.onnx");
+    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/actors/ddpg-specular.onnx");
     let actor = fs::read(shipped).expect("it is part of the sources");
     fs::write(folder.path().join("actor.onnx"), &actor).expect("a file");
     fs::write(folder.path().join("cut.onnx"), &actor[..actor.len() / 2]).expect("a file");
@@ -28,7 +28,7 @@ fn the_configuration_of_a_controller_is_printed_only_where_it_can_use_its_model(
     for (arguments, words) in [
         (&["--model", "cut.onnx"][..], "cut.onnx is not an ONNX model"),
         (&["--model", "missing.onnx"], "no actor at missing.onnx"),
-        (&["--model", "actor.onnx", "--set", "mirrors.rows=3"], "actor.onnx was made for"),
+        (&["--model", "actor.onnx", "--set", "channel.mode=paper"], "actor.onnx was made for"),
     ] {
         let refused = config(folder.path(), arguments);
         let errors = String::from_utf8_lossy(&refused.stderr);

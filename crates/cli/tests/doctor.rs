@@ -20,7 +20,7 @@ fn text<'a>(check: &'a Value, part: &str) -> &'a str {
 
 #[test]
 fn the_file_of_a_policy_is_named() {
-    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../models/actors/ddpg-specular-10x10.onnx");
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../models/actors/ddpg-specular.onnx");
     let own = policy(&["--model", file]);
     assert_eq!(text(&own, "verdict"), "ok");
     assert!(text(&own, "found").starts_with(&format!("{file} fits the scenario, engine ")), "{own}");

@@ -249,7 +249,7 @@ fn a_closed_output_is_not_an_error() {
 
 #[test]
 fn an_onnx_actor_gives_the_angles() {
-    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../models/actors/ddpg-specular-10x10.onnx");
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../models/actors/ddpg-specular.onnx");
     let users = ["--user", "1,1", "--user", "-1,0.5"];
     let rate = |angles: &str| number(&link(&[&users[..], &["--angles", angles]].concat())["sum_rate_mbps"]);
     assert_eq!(rate(file), rate("ddpg"));

@@ -102,7 +102,7 @@ fn a_map_has_the_same_scale_on_both_axes_and_states_it() {
 
 #[test]
 fn an_onnx_actor_gives_the_angles() {
-    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../models/actors/ddpg-specular-10x10.onnx");
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../models/actors/ddpg-specular.onnx");
     let [own, built_in] = [file, "ddpg"].map(|array| map(&["--array", array]).0);
     for name in ["min", "mean", "max"] {
         assert_eq!(figure(&own, name), figure(&built_in, name), "{name}");

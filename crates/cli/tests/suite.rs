@@ -29,21 +29,21 @@ fn a_leaderboard_is_written_task_by_task_and_a_second_run_continues() {
     suite("flat", "lab", &[]);
     let first = page();
     assert!(first.contains("## Not finished") && first.contains("hall-later"), "{first}");
-    // The built-in actors are for other arrays than that of the lab.
+    // The built-in actor is for another array than that of the lab.
     let command = "heliostat eval --scenario lab --closed-loop --states 2 --seeds 2 --policies greedy,flat\n";
     assert!(first.contains(command), "{first}");
 
-    let second = suite("flat,ddpg", "lab,hall", &["--resume", "--json"]);
+    let second = suite("flat,ddpg-raw", "lab,hall", &["--resume", "--json"]);
     assert!(errors(&second).contains("lab: finished before"), "{}", errors(&second));
     let board: Value = serde_json::from_slice(&second.stdout).expect("one JSON object");
     let standings = board["standings"].as_array().expect("an array");
     let tasks: Vec<_> = standings.iter().map(|row| (row["policy"].as_str(), row["tasks"].as_u64())).collect();
-    let expected = [("(oracle)", 2), ("greedy", 2), ("flat", 2), ("ddpg", 1)];
+    let expected = [("(oracle)", 2), ("greedy", 2), ("flat", 2), ("ddpg-raw", 1)];
     assert_eq!(tasks, expected.map(|(policy, tasks)| (Some(policy), Some(tasks))));
     let flat = &standings[2];
     assert!(flat["difference_ratio"]["mean"].as_f64() < Some(0.0), "{flat}");
     assert!(flat["outage_time"]["mean"].as_f64() > Some(0.0) && flat["decision_p99_us"].is_f64(), "{flat}");
-    for row in ["| greedy | 2 | ", "| ddpg | 1 | "] {
+    for row in ["| greedy | 2 | ", "| ddpg-raw | 1 | "] {
         assert!(page().contains(row), "{row} is missing in:\n{}", page());
     }
     // Each task is the command that the page prints.
@@ -70,7 +70,7 @@ fn unknown_tasks_and_flags_of_a_single_comparison_are_refused() {
     assert!(refusal(&["--scenario", "hall"]).contains("cannot be used with"));
     assert!(refusal(&["--resume"]).contains("--out"));
     assert!(refusal(&["--out", "no/board.md"]).contains("expected a file in a folder that exists"));
-    let unfit = refusal(&["--tasks", "lab", "--policies", "ddpg"]);
+    let unfit = refusal(&["--tasks", "lab", "--policies", "ddpg-raw"]);
     assert!(unfit.contains("fits none") && unfit.contains("not that of lab: no actor is built in"), "{unfit}");
     let missing = refusal(&["--tasks", "lab", "--policies", "missing.onnx"]);
     assert!(missing.contains("no actor at missing.onnx") && !missing.contains("fits none"), "{missing}");

@@ -43,7 +43,7 @@ fn rows(out: &Path) -> usize {
 }
 
 fn actor(out: &Path) -> Vec<u8> {
-    std::fs::read(out.join("ddpg-specular-3x3-seed7.onnx")).expect("an actor")
+    std::fs::read(out.join("ddpg-specular-seed7.onnx")).expect("an actor")
 }
 
 fn errors(output: &Output) -> String {
@@ -63,7 +63,7 @@ fn interrupt(out: &Path, signal: &str) -> String {
     assert!(sent.success());
     let output = child.wait_with_output().expect("it ends");
     assert_eq!(output.status.code(), Some(FAILURE.into()), "{}", errors(&output));
-    assert!(!out.join("ddpg-specular-3x3-seed7.onnx").exists());
+    assert!(!out.join("ddpg-specular-seed7.onnx").exists());
     errors(&output)
 }
 

@@ -1,4 +1,4 @@
-//! The protobuf messages of ONNX files, a builder of graphs, and a reference evaluation.
+//! The protobuf messages of ONNX files, and a builder of graphs.
 //!
 //! `src/generated.rs` is generated from `proto/onnx.proto3`, the definition that ONNX 1.23.2
 //! publishes under the licence Apache-2.0. That file documents every message and field.
@@ -16,8 +16,8 @@
 //! # Ok::<(), prost::DecodeError>(())
 //! ```
 
+pub mod external;
 pub mod graph;
-pub mod reference;
 pub mod standard;
 pub mod tensor;
 

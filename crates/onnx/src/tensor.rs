@@ -1,4 +1,4 @@
-//! Tensors of an ONNX file as shapes and values, and the search for values that are not finite.
+//! Tensors of an ONNX file as shapes and values, and the search for weights that diverged.
 
 use crate::tensor_proto::DataType;
 use crate::{AttributeProto, GraphProto, ModelProto, NodeProto, TensorProto};
@@ -47,10 +47,10 @@ fn raw<const N: usize, T>(bytes: &[u8], convert: fn([u8; N]) -> T) -> Vec<T> {
     bytes.as_chunks::<N>().0.iter().map(|chunk| convert(*chunk)).collect()
 }
 
-/// The name of the first tensor or attribute of a file that holds a NaN or an infinite value.
+/// The name of the first tensor or attribute of a file that holds NaN or infinity.
 ///
-/// Engines differ in the treatment of such values. Some operators of some engines even return
-/// finite results for them, so that a defect of the weights does not show in the output.
+/// Some operators of some engines return finite results for them, so that a defect of the weights
+/// does not show in the output. Minus infinity is legitimate: attention networks mask with it.
 pub fn first_not_finite(model: &ModelProto) -> Option<String> {
     let functions = model.functions.iter().flat_map(|function| &function.node);
     model.graph.as_ref().and_then(in_graph).or_else(|| functions.into_iter().find_map(in_node))
@@ -59,7 +59,7 @@ pub fn first_not_finite(model: &ModelProto) -> Option<String> {
 fn in_graph(graph: &GraphProto) -> Option<String> {
     let sparse = graph.sparse_initializer.iter().filter_map(|tensor| tensor.values.as_ref());
     let mut tensors = graph.initializer.iter().chain(sparse);
-    let named = tensors.find(|tensor| !is_finite(tensor)).map(|tensor| tensor.name.clone());
+    let named = tensors.find(|tensor| !is_sound(tensor)).map(|tensor| tensor.name.clone());
     named.or_else(|| graph.node.iter().find_map(in_node))
 }
 
@@ -72,7 +72,7 @@ fn in_attribute(node: &NodeProto, attribute: &AttributeProto) -> Option<String> 
     let mut tensors =
         attribute.t.iter().chain(&attribute.tensors).chain(sparse.filter_map(|tensor| tensor.values.as_ref()));
     let mut floats = attribute.floats.iter().chain([&attribute.f]);
-    if !tensors.all(is_finite) || !floats.all(|value| value.is_finite()) {
+    if !tensors.all(is_sound) || !floats.all(|value| is_weight(*value)) {
         // A constant is known by the name of its output.
         let name = node.output.first().filter(|name| !name.is_empty()).unwrap_or(&node.name);
         return Some(format!("{name} ({} of the operator {})", attribute.name, node.op_type));
@@ -80,23 +80,30 @@ fn in_attribute(node: &NodeProto, attribute: &AttributeProto) -> Option<String> 
     attribute.g.iter().chain(&attribute.graphs).find_map(in_graph)
 }
 
-/// Whether all values of a tensor are finite; tensors of integers are.
-fn is_finite(tensor: &TensorProto) -> bool {
+/// Whether a value is a weight or a mask.
+fn is_weight(value: impl Into<f64>) -> bool {
+    let value = value.into();
+    value.is_finite() || value == f64::NEG_INFINITY
+}
+
+/// Whether all values of a tensor are weights or masks; tensors of integers are.
+fn is_sound(tensor: &TensorProto) -> bool {
     let raw_data = &tensor.raw_data;
-    // The exponents of the formats of 16 bits; all ones mean NaN or infinity.
+    // The exponents of the formats of 16 bits; all ones mean NaN or infinity. The second pattern is
+    // minus infinity.
     let half = |mask: u16| {
         let stored = tensor.int32_data.iter().map(move |value| *value as u16);
         let mut values = stored.chain(raw(raw_data, u16::from_le_bytes));
-        values.all(|bits| bits & mask != mask)
+        values.all(|bits| bits & mask != mask || bits == mask | 0x8000)
     };
     match DataType::try_from(tensor.data_type) {
         Ok(DataType::Float) => {
-            tensor.float_data.iter().all(|value| value.is_finite())
-                && raw(raw_data, f32::from_le_bytes).iter().all(|value| value.is_finite())
+            tensor.float_data.iter().all(|value| is_weight(*value))
+                && raw(raw_data, f32::from_le_bytes).iter().all(|value| is_weight(*value))
         }
         Ok(DataType::Double) => {
-            tensor.double_data.iter().all(|value| value.is_finite())
-                && raw(raw_data, f64::from_le_bytes).iter().all(|value| value.is_finite())
+            tensor.double_data.iter().all(|value| is_weight(*value))
+                && raw(raw_data, f64::from_le_bytes).iter().all(|value| is_weight(*value))
         }
         Ok(DataType::Float16) => half(0x7c00),
         Ok(DataType::Bfloat16) => half(0x7f80),
@@ -123,9 +130,10 @@ mod tests {
     }
 
     #[test]
-    fn the_tensor_with_a_value_that_is_not_finite_is_named() {
+    fn the_tensor_with_nan_or_infinity_is_named_and_a_mask_is_not() {
         assert_eq!(first_not_finite(&file([1.0, -2.0])), None);
-        for value in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+        assert_eq!(first_not_finite(&file([1.0, f32::NEG_INFINITY])), None, "a mask");
+        for value in [f32::NAN, f32::INFINITY] {
             assert_eq!(first_not_finite(&file([1.0, value])).as_deref(), Some("head.weight"));
         }
     }
@@ -158,8 +166,9 @@ mod tests {
             (DataType::Bfloat16, 0x7fc0_u16.to_le_bytes().to_vec(), 0x3f80_u16.to_le_bytes().to_vec()),
         ];
         for (format, bad, good) in formats {
-            assert!(!is_finite(&tensor(format, bad)) && is_finite(&tensor(format, good)), "{format:?}");
+            assert!(!is_sound(&tensor(format, bad)) && is_sound(&tensor(format, good)), "{format:?}");
         }
-        assert!(is_finite(&tensor(DataType::Int64, vec![0xff; 8])));
+        assert!(is_sound(&tensor(DataType::Float16, 0xfc00_u16.to_le_bytes().to_vec())), "minus infinity");
+        assert!(is_sound(&tensor(DataType::Int64, vec![0xff; 8])));
     }
 }

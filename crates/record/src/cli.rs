@@ -5,7 +5,6 @@ use std::path::PathBuf;
 use anyhow::{Result, bail};
 use heliostat_bus::{AccessRole, BusArgs, TlsArgs};
 use heliostat_core::policy::{NameParser, PolicyKind};
-use heliostat_models::EngineChoice;
 use heliostat_proto::Room;
 use heliostat_scenario::ScenarioArgs;
 use heliostat_service::{EndArgs, output, signals};
@@ -58,10 +57,6 @@ pub struct ReplayArgs {
     /// Decide again with this ONNX file of a learned policy instead of the built-in one
     #[arg(long, visible_alias = "actor", value_name = "FILE", group = "decide_again")]
     model: Option<PathBuf>,
-    /// Engine of learned policies, instead of the recorded one: auto, dense, or the embedded one by
-    /// its name (tract, or ort in builds with ONNX Runtime)
-    #[arg(long, requires = "decide_again")]
-    engine: Option<EngineChoice>,
     /// Decisions at the start of each epoch that are not compared [default: 0 for a lockstep run
     /// recorded from its start, else 200]
     #[arg(long, value_name = "N", requires = "decide_again")]
@@ -123,13 +118,7 @@ pub fn replay(args: ReplayArgs) -> Result<()> {
     if !args.verify && args.policy.is_none() && args.model.is_none() {
         return play(args);
     }
-    let settings = replay::Settings {
-        file: args.file,
-        policy: args.policy,
-        model: args.model,
-        engine: args.engine,
-        settle: args.settle,
-    };
+    let settings = replay::Settings { file: args.file, policy: args.policy, model: args.model, settle: args.settle };
     let verdict = replay::run(&settings)?;
     print(args.json, &verdict, &verdict)?;
     if args.verify && !verdict.is_good() {

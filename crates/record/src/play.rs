@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, ensure};
 use heliostat_bus::{AccessRole, Bus, BusArgs, Class, Publisher, Token};
 use heliostat_proto::{
-    BranchReport, Capabilities, ChannelReport, Message, MirrorCommand, MirrorTelemetry, Nanos, NodeKind,
+    BranchReport, Capabilities, ChannelReport, LedReport, Message, MirrorCommand, MirrorTelemetry, Nanos, NodeKind,
     ObstacleReport, OrientationReport, Room, Stamp, UserReport, decode, encode,
 };
 use heliostat_service::clock::utc_ns;
@@ -155,6 +155,7 @@ fn outlets(bus: &Bus, recorded: &Room, arrays: usize, clock: Clock) -> Result<Ha
         (recorded.obstacles(), room.obstacles(), Outlet::Obstacles),
         (recorded.orientation(), room.orientation(), Outlet::Orientation),
         (recorded.branches(), room.branches(), Outlet::Branches),
+        (recorded.leds(), room.leds(), Outlet::Leds),
     ];
     let of_arrays = (0..arrays).flat_map(|array| {
         let (from, to) = (recorded.array(array), room.array(array));
@@ -174,6 +175,7 @@ enum Outlet {
     Obstacles,
     Orientation,
     Branches,
+    Leds,
     Telemetry,
     Capabilities,
 }
@@ -340,6 +342,7 @@ impl Outlet {
             Self::Obstacles => moved(payload, start, |report: &mut ObstacleReport| &mut report.stamp),
             Self::Orientation => moved(payload, start, |report: &mut OrientationReport| &mut report.stamp),
             Self::Branches => moved(payload, start, |report: &mut BranchReport| &mut report.stamp),
+            Self::Leds => moved(payload, start, |report: &mut LedReport| &mut report.stamp),
             Self::Telemetry => moved(payload, start, |telemetry: &mut MirrorTelemetry| &mut telemetry.stamp),
             Self::Capabilities => moved(payload, start, |array: &mut Capabilities| &mut array.stamp),
         }

@@ -2,9 +2,9 @@
 
 use heliostat_proto::{
     BeliefReport, BranchReport, Calibration, Capabilities, ChannelReport, CodecError, ControllerControl,
-    ControllerMemory, EmergencyStop, Kind, Message, MirrorCommand, MirrorTelemetry, Nanos, NodeStatus, ObstacleReport,
-    OrientationReport, Rearm, RoomGeometry, RoomTruth, SafetyReport, SimulatorControl, Stamp, StopRepetition,
-    StopReport, UserReport, codec::kind_of, decode,
+    ControllerMemory, EmergencyStop, Kind, LedReport, Message, MirrorCommand, MirrorTelemetry, Nanos, NodeStatus,
+    ObstacleReport, OrientationReport, Rearm, RoomGeometry, RoomTruth, SafetyReport, SimulatorControl, Stamp,
+    StopRepetition, StopReport, UserReport, codec::kind_of, decode,
 };
 
 /// A decoded payload; kinds that are only recorded keep their stamp alone.
@@ -18,6 +18,8 @@ pub enum Received {
     Obstacles(ObstacleReport),
     /// How users hold their receivers.
     Orientation(OrientationReport),
+    /// Which LEDs the users' receivers detect.
+    Leds(LedReport),
     /// A command to an array.
     Command(MirrorCommand),
     /// Telemetry of an array.
@@ -61,6 +63,7 @@ impl Received {
             Kind::ChannelReport => decode(payload).map(Self::Channel),
             Kind::ObstacleReport => decode(payload).map(Self::Obstacles),
             Kind::OrientationReport => decode(payload).map(Self::Orientation),
+            Kind::LedReport => decode(payload).map(Self::Leds),
             Kind::BranchReport => stamped::<BranchReport>(payload, |message| message.stamp),
             Kind::MirrorCommand => decode(payload).map(Self::Command),
             Kind::MirrorTelemetry => decode(payload).map(Self::Telemetry),
@@ -91,6 +94,7 @@ impl Received {
             Self::Channel(report) => report.stamp,
             Self::Obstacles(report) => report.stamp,
             Self::Orientation(report) => report.stamp,
+            Self::Leds(report) => report.stamp,
             Self::Telemetry(telemetry) => telemetry.stamp,
             Self::Status(status) => status.stamp,
             Self::Truth(truth) => truth.stamp,

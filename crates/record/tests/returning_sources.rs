@@ -8,7 +8,7 @@ use std::path::Path;
 use heliostat_core::core::{Controller, Due, Timing, WARM_UP_RUNS};
 use heliostat_core::inbox::Message;
 use heliostat_core::policy::PolicyKind;
-use heliostat_models::{ActorSource, EngineChoice};
+use heliostat_models::{ActorSource, build};
 use heliostat_proto::{
     ControllerMemory, Message as Encoded, MirrorCommand, Nanos, NodeKind, Room, Stamp, UserReport, UserState, encode,
 };
@@ -44,7 +44,7 @@ impl RecordedRoom {
             contract: "1".into(),
             ..Header::default()
         };
-        let policy = EngineChoice::Auto.build(POLICY, scenario, &ActorSource::Shipped).unwrap();
+        let policy = build(POLICY, scenario, &ActorSource::Shipped).unwrap();
         let mut controller = Controller::new(scenario, scenario.channel_model().unwrap(), policy, EPOCH).with_journal();
         controller.warm_up(0..WARM_UP_RUNS);
         let recording = Recording::create(File::create_new(file).unwrap(), &header).unwrap();
@@ -102,7 +102,7 @@ fn scenario() -> Scenario {
 }
 
 fn replay(file: &Path) -> Verdict {
-    let settings = Settings { file: file.to_owned(), policy: Some(POLICY), model: None, engine: None, settle: None };
+    let settings = Settings { file: file.to_owned(), policy: Some(POLICY), model: None, settle: None };
     run(&settings).unwrap()
 }
 

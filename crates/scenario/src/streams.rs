@@ -56,6 +56,29 @@ pub struct ChannelStream {
     /// Whether the gains of each branch of the receivers are reported as well.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub branches: bool,
+    /// What is reported of the LEDs that the receivers detect.
+    #[serde(skip_serializing_if = "LedIdentity::is_none")]
+    pub leds: LedIdentity,
+}
+
+/// What a receiver tells about the LEDs that it detects.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum LedIdentity {
+    /// Nothing.
+    #[default]
+    None,
+    /// The LED that serves it.
+    Serving,
+    /// That, and the gain of the direct path from each LED.
+    Gains,
+}
+
+impl LedIdentity {
+    /// Whether no report has any of it.
+    pub fn is_none(&self) -> bool {
+        *self == Self::None
+    }
 }
 
 /// A direct gain within this many standard deviations of the noise counts as none.
@@ -73,6 +96,7 @@ impl Default for ChannelStream {
             loss: 0.0,
             loss_burst_reports: 0.0,
             branches: false,
+            leds: LedIdentity::None,
         }
     }
 }

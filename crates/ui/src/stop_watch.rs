@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 
 use heliostat_bus::{Bus, Presence, Subscription};
 use heliostat_proto::keys::parse_driver_alive;
+use heliostat_proto::messages::fault;
 use heliostat_proto::stop_hold::{HeldStop, StopHold};
 use heliostat_proto::{
     ArrayState, EmergencyStop, MAX_ARRAYS, Message, MirrorTelemetry, RoomGeometry, SafetyReport, StopName, StopReport,
@@ -97,6 +98,8 @@ struct SeenArray {
     /// Arrival of its first report.
     first: Option<Instant>,
     state: Dated<ArrayState>,
+    /// Arrival of the last telemetry of a stopped device, and its source.
+    device_stopped: Dated<u64>,
     safety: Dated<SafetyReport>,
     stops: Dated<StopReport>,
     hold: StopHold,
@@ -127,7 +130,15 @@ impl SeenArray {
             return Standing::Free;
         }
         let counts = |at: &Instant, age_max: Duration| at.elapsed() < age_max && since.is_none_or(|since| *at >= since);
-        if let Some((_, report)) = self.stops.as_ref().filter(|(at, _)| counts(at, REPORT_AGE_MAX)) {
+        // A report from before `since` counts if telemetry has confirmed it meanwhile.
+        let is_confirmed = |report: &StopReport| {
+            let telemetry = self.device_stopped.filter(|(_, source)| *source == report.stamp.source);
+            report.device_stopped && telemetry.is_some_and(|(at, _)| counts(&at, TELEMETRY_AGE_MAX))
+        };
+        let is_fresh = |(at, report): &&(Instant, StopReport)| {
+            counts(at, REPORT_AGE_MAX) || (at.elapsed() < REPORT_AGE_MAX && is_confirmed(report))
+        };
+        if let Some((_, report)) = self.stops.as_ref().filter(is_fresh) {
             let is_latched = |name: StopName| report.stops.iter().any(|stop| stop.name() == name);
             return match (held.all(is_latched), report.device_stopped) {
                 (false, _) => Standing::Moving,
@@ -292,8 +303,12 @@ impl StopWatch {
         for keys in [room.array(0), room.later_arrays()] {
             subscriptions.push(watch.subscribe(bus, &keys.telemetry(), |seen, array, report: MirrorTelemetry| {
                 let seen = seen.array(array);
-                seen.hold.handle_state(report.stamp.source, report.state == ArrayState::Stopped);
-                seen.state = Some((Instant::now(), report.state));
+                let (now, is_stopped) = (Instant::now(), report.state == ArrayState::Stopped);
+                seen.hold.handle_state(report.stamp.source, is_stopped);
+                seen.state = Some((now, report.state));
+                if is_stopped && report.faults & fault::STOP == 0 {
+                    seen.device_stopped = Some((now, report.stamp.source));
+                }
             })?);
             subscriptions.push(watch.subscribe(bus, &keys.safety(), |seen, array, report: SafetyReport| {
                 let seen = seen.array(array);

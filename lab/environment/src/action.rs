@@ -3,54 +3,14 @@
 //! - **Angles**: roll of each mirror, then yaw of each, as a share of the range of an axis: 2 M
 //!   values in [-1, 1].
 //! - **Weights**: u_k in [-1, 1] for each slot of the observation. The decoder weight is
-//!   w_k = b_k exp(c u_k), and [`decode`] turns weights into
-//!   angles.
+//!   w_k = b_k exp(c u_k), and the controller's own [`Head`] turns weights into angles.
 
-use heliostat_channel::decode::decode;
 use heliostat_channel::{ChannelModel, MirrorAngles};
-use heliostat_core::observation::{Observation, ObservationEncoder, Summary};
-use serde::{Deserialize, Serialize};
+use heliostat_core::observation::{Observation, ObservationEncoder};
+use heliostat_core::policy::weights::Seen as Chosen;
+pub use heliostat_core::policy::weights::{BaselineWeight, Head};
 
 use crate::error::EnvironmentError;
-
-/// The baseline weight b_k, which is the decoder weight for an action of zero.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum BaselineWeight {
-    /// b_k = 1.
-    Uniform,
-    /// b_k = q_k, the balanced weight of [`Summary::LogWeight`].
-    Balanced,
-}
-
-/// The map from actions u_k in [-1, 1] to decoder weights w_k = b_k exp(c u_k).
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Head {
-    /// The baseline weight b_k.
-    #[serde(rename = "prior")]
-    pub baseline_weight: BaselineWeight,
-    /// The constant c.
-    pub range: f32,
-}
-
-impl Head {
-    /// The map of an environment with one weight per user: an action of zero is the balanced
-    /// weight.
-    pub const BALANCED: Self = Self { baseline_weight: BaselineWeight::Balanced, range: 2.0 };
-
-    /// The decoder weights of all slots of an observation vector; zero in empty slots.
-    pub fn weights(self, encoder: ObservationEncoder, vector: &[f32], actions: &[f32]) -> impl Iterator<Item = f32> {
-        let column = |column: Summary| vector[encoder.column(column as usize)].iter();
-        let slots = column(Summary::Present).zip(column(Summary::LogWeight));
-        actions.iter().zip(slots).map(move |(action, (present, balanced))| {
-            let log_baseline = match self.baseline_weight {
-                BaselineWeight::Uniform => 0.0,
-                BaselineWeight::Balanced => *balanced,
-            };
-            (self.range * action + log_baseline).exp() * present
-        })
-    }
-}
 
 /// The form of an action.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -112,14 +72,10 @@ impl ActionDecoder {
                 scale(yaw, &mut out.yaw);
             }
             ActionForm::Weights => {
-                self.weights.clear();
-                self.weights.resize(seen.observation.users(), 0.0);
-                let weights = Head::BALANCED.weights(self.encoder, seen.vector, &self.bounded);
-                for (user, weight) in seen.chosen.iter().zip(weights) {
-                    self.weights[*user] = f64::from(weight);
-                }
-                if !self.weights.is_empty() {
-                    decode(seen.model, &seen.observation.scene, &self.weights, out);
+                let Seen { model, observation, chosen, vector } = seen;
+                if observation.users() > 0 {
+                    let seen = Chosen { observation, chosen, encoder: self.encoder, vector };
+                    Head::BALANCED.decode(model, seen, &self.bounded, &mut self.weights, out);
                 }
             }
         }

@@ -142,6 +142,7 @@ pub fn message(event: &mut Event, names_unusable: bool) -> Option<Message<'_>> {
         Event::Obstacles(report) => Message::Obstacles(report),
         Event::Orientation(report) => Message::Orientation(report),
         Event::Channel(report) => Message::Channel(report),
+        Event::Leds(report) => Message::Leds(report),
         Event::Branches(_) => return None,
         Event::Users(report) => Message::Users(report),
     };

@@ -9,15 +9,12 @@
 //! - [`closed_loop`]: a room whose reports are late and noisy, with the decision core.
 //! - [`held_out`]: rooms that training never uses, and the oracle on them.
 //! - [`episodes`], [`sampling`]: the episodes of a comparison in closed loop, and their rates.
-//! - [`decoder_graph`]: the decoder as nodes of an exported graph.
-//! - [`action`], [`angle_state`], [`believed`]: what an action means, and what a learner observes.
+//! - [`action`], [`believed`]: what an action means, and what a learner observes.
 //! - [`task`]: one of these rooms, with a form of action and observation, as steps of a learner.
 
 pub mod action;
-pub mod angle_state;
 pub mod believed;
 pub mod closed_loop;
-pub mod decoder_graph;
 pub mod episodes;
 pub mod error;
 pub mod held_out;

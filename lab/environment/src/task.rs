@@ -27,6 +27,7 @@ use std::sync::Arc;
 
 use heliostat_channel::solver::Solver;
 use heliostat_channel::{ChannelModel, MirrorAngles};
+use heliostat_core::angle_state::AngleState;
 use heliostat_core::core::Controller;
 use heliostat_core::observation::{Observation, ObservationEncoder, USERS_CAPACITY};
 use heliostat_core::policy::Fixed;
@@ -36,7 +37,6 @@ use heliostat_room::World;
 use heliostat_room::episode::Episode;
 
 use crate::action::{ActionDecoder, Seen};
-use crate::angle_state::AngleState;
 use crate::believed;
 use crate::closed_loop::ClosedLoop;
 use crate::episodes::HeldOutEpisode;

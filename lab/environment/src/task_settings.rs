@@ -25,7 +25,7 @@ pub enum ObservationForm {
     /// The vector of [`heliostat_core::observation`], which an exported actor reads.
     Vector,
     /// The paper's state: presence, positions, gains, minimum rates and angles
-    /// ([`AngleState`](crate::angle_state::AngleState)).
+    /// ([`AngleState`](heliostat_core::angle_state::AngleState)).
     AngleState,
     /// One row for each slot: [`believed`](crate::believed).
     Belief,

@@ -38,6 +38,7 @@ use anyhow::ensure;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::{Serialize, Serializer};
 
+use heliostat_core::belief::conditions::{Condition, conditions};
 use heliostat_environment::EnvironmentError;
 
 pub use belief_quality::BeliefQuality;
@@ -70,6 +71,9 @@ pub struct Report {
     pub users: usize,
     /// Users whose direct path is forced off.
     pub blocked: usize,
+    /// Closed loop: the methods of the controller's belief that do not apply to the room.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub conditions: Vec<Condition>,
     /// The oracle with minimum rates, on the true states.
     pub oracle: Row,
     /// The policies, in the order of the settings.
@@ -129,6 +133,8 @@ pub fn compare_under(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<R
     };
     bar.finish_and_clear();
     let names = settings.policies.iter().map(|evaluated| evaluated.name().to_owned());
+    let is_closed = settings.mode == Loop::ClosedLoop;
+    let conditions = if is_closed { conditions(scenario, &scenario.channel_model()?) } else { Vec::new() };
     Ok(Report {
         scenario: scenario.name.clone(),
         configuration: scenario.hash(),
@@ -139,6 +145,7 @@ pub fn compare_under(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<R
         seeds: settings.seeds,
         users: scenario.users.count,
         blocked: scenario.blockage.forced_users,
+        conditions,
         oracle,
         policies: names.zip(policies).collect(),
         beliefs,

@@ -9,7 +9,7 @@
 
 pub mod codebook;
 pub mod features;
-pub mod target_user;
 
-pub use heliostat_environment::{angle_state, room};
+pub use heliostat_core::{angle_state, target_user};
+pub use heliostat_environment::room;
 pub use room::{Environment, Outcome, Reward, RewardForm, Rooms};

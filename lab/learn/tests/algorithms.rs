@@ -4,8 +4,8 @@
 use clap::ValueEnum;
 use heliostat_channel::MirrorAngles;
 use heliostat_core::observation::{OBSERVATION_VERSION, USERS_CAPACITY};
-use heliostat_core::policy::PolicyKind;
 use heliostat_core::policy::actor_file::{ActorFile, key};
+use heliostat_core::policy::{Policy, PolicyKind};
 use heliostat_learn::environment::{Environment, Rooms};
 use heliostat_learn::training::{Algorithm, Preset, Training, checkpoint};
 use heliostat_scenario::Scenario;
@@ -109,7 +109,7 @@ fn exported_graphs_give_the_learners_angles() {
                 let room = Rooms::Randomised.draw(&scenario, &mut rng);
                 let environment = Environment::new(&room, None, rng.random()).expect("a valid room");
                 let expected = training.act(&environment).expect("angles");
-                served.answer(environment.vector(), &mut got).expect("angles");
+                served.act(environment.model(), environment.observation(), &mut got).expect("angles");
                 let pairs =
                     |one: &[f64], other: &[f64]| one.iter().zip(other).map(|(a, b)| (a - b).abs()).collect::<Vec<_>>();
                 let (roll, yaw) = (pairs(&expected.roll, &got.roll), pairs(&expected.yaw, &got.yaw));

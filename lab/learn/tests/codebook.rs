@@ -1,10 +1,10 @@
-//! Learners that choose among the codewords of a codebook: graph and learner, the upper bound, and
+//! Learners that choose among the codewords of a codebook: file and learner, the upper bound, and
 //! learning.
 
 use heliostat_channel::MirrorAngles;
 use heliostat_core::observation::OBSERVATION_VERSION;
-use heliostat_core::policy::Actor as Served;
 use heliostat_core::policy::actor_file::{ActorFile, key};
+use heliostat_core::policy::{Actor as Served, Policy};
 use heliostat_core::safety::Limits;
 use heliostat_learn::environment::codebook::{Codebook, objective_bps};
 use heliostat_learn::environment::target_user::TargetUser;
@@ -52,7 +52,7 @@ fn served(training: &Training) -> Served {
 
 /// Whether the benefits of two users are so close that rounding may order them either way.
 fn near_tie(target_user: &TargetUser, vector: &[f32]) -> bool {
-    let mut benefits = target_user.benefits(vector);
+    let mut benefits: Vec<f32> = target_user.benefits(vector).collect();
     benefits.sort_by(|a, b| b.total_cmp(a));
     benefits[0] > 0.0 && benefits[0] - benefits[1] < 1e-5 * benefits[0]
 }
@@ -67,7 +67,7 @@ fn differences(training: &Training) -> usize {
         let room = Rooms::Randomised.draw(scenario, &mut rng);
         let environment = Environment::new(&room, None, rng.random()).expect("a valid room");
         let expected = training.act(&environment).expect("angles");
-        served.answer(environment.vector(), &mut got).expect("angles");
+        served.act(environment.model(), environment.observation(), &mut got).expect("angles");
         let pairs = expected.roll.iter().chain(&expected.yaw).zip(got.roll.iter().chain(&got.yaw));
         let difference = pairs.map(|(expected, got)| (expected - got).abs()).fold(0.0, f64::max);
         difference > 1e-6 && !near_tie(&target_user, environment.vector())
@@ -76,11 +76,11 @@ fn differences(training: &Training) -> usize {
 }
 
 #[test]
-fn the_graph_gives_the_learners_angles() {
-    on_one_thread(graphs_give_the_learners_angles).expect("a thread");
+fn the_file_gives_the_learners_angles() {
+    on_one_thread(files_give_the_learners_angles).expect("a thread");
 }
 
-fn graphs_give_the_learners_angles() {
+fn files_give_the_learners_angles() {
     for name in ["specular", "paper-calibrated"] {
         for algorithm in ALGORITHMS {
             let training = trained(algorithm, &small(name, &[]), &["episodes=12", "steps=40", "exploration.end=0.5"]);

@@ -251,6 +251,13 @@ pub fn stop_repetition() -> StopRepetition {
     StopRepetition { stamp: stamp(), stop_source: 7, stop_sequence: 1, operator: "ann".into(), reason: "test".into() }
 }
 
+pub fn led_report() -> LedReport {
+    let user = UserLeds { user: 3, serving: Some(1), measures_each: true };
+    let users = vec![user, UserLeds { user: 4, serving: Some(0), measures_each: false }];
+    let gains = [(0, 0.25), (1, 0.5)].map(|(led, los_gain)| LedGain { user: 3, led, los_gain });
+    LedReport { stamp: stamp(), tick: 1000, users, gains: gains.to_vec() }
+}
+
 pub fn encoded<T: Message>(message: &T) -> Vec<u8> {
     let mut payload = Vec::new();
     encode(message, &mut payload).expect("the sample is valid");
@@ -281,6 +288,7 @@ pub fn payloads() -> Vec<(&'static str, Vec<u8>)> {
         ("branch report", encoded(&branch_report())),
         ("stop report", encoded(&stop_report())),
         ("stop repetition", encoded(&stop_repetition())),
+        ("LED report", encoded(&led_report())),
     ]
 }
 

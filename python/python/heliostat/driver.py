@@ -118,7 +118,10 @@ class Device(ABC):
 
     @abstractmethod
     def stop(self) -> None:
-        """Stops all motion at once; an exception means that it may not have stopped."""
+        """Stops all motion at once; an exception means that it may not have stopped.
+
+        It is also called while the device is not connected, and again after each connection.
+        """
 
     def connect(self) -> None:
         """Connects and initialises the device; called at the start and after each failure."""

@@ -10,15 +10,17 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ._checks import POINTS_MAX, integer, real
-from ._core import Channel, Scenario
+from ._core import Channel, Scenario, use_onnxruntime
 from ._core import Policy as _Policy
 from .scenario import Value, load_scenario
 from .tables import LinkResult
@@ -107,8 +109,9 @@ class Room:
 class Policy:
     """A policy of the controller by its name, or an actor from the path of its ONNX file.
 
-    A learned policy by its name is the actor that is built in for the room, of training seed 1. A graph of dense layers
-    runs on the controller's dense engine. Another file runs on a reference evaluation, which is slow and meant for checks.
+    A learned policy by its name is the actor that is built in for the room, of training seed 1. A file runs on the engines
+    of the controller, with equal angles: a chain of dense layers in Rust, another graph on ONNX Runtime, which
+    `pip install "heliostat[ort]"` brings.
     """
 
     def __init__(
@@ -119,6 +122,7 @@ class Policy:
     ) -> None:
         self.name = name
         self.scenario = load_scenario(scenario, overrides)
+        _find_onnxruntime()
         self._policy = _Policy(self.scenario, name)
 
     def act(
@@ -132,8 +136,17 @@ class Policy:
         )
 
     def answer(self, observation: ArrayLike) -> Angles:
-        """The angles that an actor gives for a flat observation, without the controller's limits."""
+        """The angles that a learned policy gives for a flat observation, without the controller's limits."""
         return self._policy.answer(np.ascontiguousarray(real("observation", observation), np.float32))
+
+
+def _find_onnxruntime() -> None:
+    """Names the shared library of the package onnxruntime, which is not imported for it."""
+    package = importlib.util.find_spec("onnxruntime")
+    for folder in package.submodule_search_locations or [] if package else []:
+        for library in sorted(Path(folder, "capi").glob("*onnxruntime.*")):
+            if library.suffix == ".dll" or library.suffix == ".dylib" or ".so" in library.name:
+                use_onnxruntime(str(library))
 
 
 def decode(

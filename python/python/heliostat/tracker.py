@@ -91,12 +91,12 @@ class Tracker:
         return self._tick
 
     def publish(self, name: str, fields: Mapping[str, Any], time_ns: int | None = None) -> None:
-        """Publishes `channel`, `branches`, `obstacles` or `orientation` with the fields of CONTRACT.md but the stamp.
+        """Publishes `channel`, `branches`, `leds`, `obstacles` or `orientation` with the fields of CONTRACT.md but the stamp.
 
         A channel report has the tick of its measurement, which `report` returned. Raises `Refused` as `report` does.
         """
-        if name not in ("channel", "branches", "obstacles", "orientation"):
-            raise ValueError(f"message {name!r}: expected channel, branches, obstacles or orientation")
+        if name not in ("channel", "branches", "leds", "obstacles", "orientation"):
+            raise ValueError(f"message {name!r}: expected channel, branches, leds, obstacles or orientation")
         self._peer.publish(name, fields, time_ns)
 
     def _publish_status(self) -> None:

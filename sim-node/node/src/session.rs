@@ -66,6 +66,7 @@ pub(crate) struct RoomSession {
     channel: MessagePublisher,
     obstacles: MessagePublisher,
     orientation: MessagePublisher,
+    leds: MessagePublisher,
     branches: MessagePublisher,
     _declared: (Token, [Subscription; 3]),
 }
@@ -127,6 +128,7 @@ impl RoomSession {
             obstacles: MessagePublisher::new(&bus, &keys.obstacles(), reports)?,
             orientation: MessagePublisher::new(&bus, &keys.orientation(), reports)?,
             branches: MessagePublisher::new(&bus, &keys.branches(), reports)?,
+            leds: MessagePublisher::new(&bus, &keys.leds(), reports)?,
             arrays,
             stopped,
             _declared: (bus.announce(&keys.alive(NodeKind::SimNode, source))?, [watch, control, belief]),
@@ -194,6 +196,10 @@ impl RoomSession {
             Report::Branches(report) => {
                 self.branches.encode(report)?;
                 &self.branches
+            }
+            Report::Leds(report) => {
+                self.leds.encode(report)?;
+                &self.leds
             }
             Report::Channel(report) => {
                 self.channel.encode(report)?;

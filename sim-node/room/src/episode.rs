@@ -47,8 +47,8 @@
 use heliostat_array::moment::Moment;
 use heliostat_array::rules::Refusal;
 use heliostat_proto::{
-    BranchReport, Capabilities, ChannelReport, MirrorCommand, MirrorTelemetry, ObstacleReport, OrientationReport,
-    Stamp, UserReport,
+    BranchReport, Capabilities, ChannelReport, LedReport, MirrorCommand, MirrorTelemetry, ObstacleReport,
+    OrientationReport, Stamp, UserReport,
 };
 use heliostat_scenario::Scenario;
 
@@ -76,6 +76,8 @@ pub enum Event {
     Orientation(OrientationReport),
     /// The channel gains of each branch of the users' receivers.
     Branches(BranchReport),
+    /// Which LEDs the users' receivers detect.
+    Leds(LedReport),
 }
 
 impl From<Report> for Event {
@@ -86,6 +88,7 @@ impl From<Report> for Event {
             Report::Obstacles(report) => Self::Obstacles(report),
             Report::Orientation(report) => Self::Orientation(report),
             Report::Branches(report) => Self::Branches(report),
+            Report::Leds(report) => Self::Leds(report),
         }
     }
 }
@@ -218,6 +221,7 @@ mod tests {
                     Event::Obstacles(_) => 'o',
                     Event::Orientation(_) => 'h',
                     Event::Branches(_) => 'b',
+                    Event::Leds(_) => 'l',
                     Event::Channel(_) => 'c',
                     Event::Users(_) => 'u',
                 };

@@ -51,6 +51,10 @@ pub enum Purpose {
     BranchNoise,
     /// Measurement noise of the branches that does not depend on the gain.
     BranchReceiverNoise,
+    /// Measurement noise of the gains of each LED.
+    LedNoise,
+    /// Measurement noise of the LEDs that does not depend on the gain.
+    LedReceiverNoise,
 }
 
 impl Purpose {
@@ -76,6 +80,8 @@ impl Purpose {
             Self::ChannelLoss => 17,
             Self::BranchNoise => 18,
             Self::BranchReceiverNoise => 19,
+            Self::LedNoise => 20,
+            Self::LedReceiverNoise => 21,
         }
     }
 }

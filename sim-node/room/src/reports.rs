@@ -3,7 +3,7 @@
 //!
 //! A sample is taken when it is due and released one latency later; its stamp has the time of the
 //! sample. Reports that are released at the same instant are ordered: obstacles, orientations,
-//! branches, channel, positions, because the positions complete a tick.
+//! branches, LEDs, channel, positions, because the positions complete a tick.
 //!
 //! - [`schedule`]: when the samples of a stream are due.
 //! - [`receiver`]: how a receiver measures a gain.
@@ -14,10 +14,10 @@ use std::collections::BTreeMap;
 use heliostat_array::moment::Moment;
 use heliostat_channel::{Cylinder, MirrorAngles, Orientation};
 use heliostat_proto::{
-    BranchReport, ChannelReport, Obstacle, ObstacleReport, OrientationReport, Stamp, UserBranches, UserChannel,
-    UserOrientation, UserReport, UserState,
+    BranchReport, ChannelReport, LedGain, LedReport, Obstacle, ObstacleReport, OrientationReport, Stamp, UserBranches,
+    UserChannel, UserLeds, UserOrientation, UserReport, UserState,
 };
-use heliostat_scenario::Streams;
+use heliostat_scenario::{LedIdentity, Streams};
 
 use self::losses::Losses;
 use self::receiver::Receivers;
@@ -43,6 +43,8 @@ pub enum Report {
     Orientation(OrientationReport),
     /// The channel gains of each branch of the users' receivers.
     Branches(BranchReport),
+    /// Which LEDs the users' receivers detect.
+    Leds(LedReport),
     /// The users' channel gains and SINR.
     Channel(ChannelReport),
     /// The users' positions and velocities; completes a tick.
@@ -69,6 +71,7 @@ pub struct Reports {
     position_noise: RoomRng,
     receivers: Receivers,
     branch_receivers: Receivers,
+    led_receivers: Receivers,
     position_losses: Losses,
     channel_losses: Losses,
     orientation_noise: RoomRng,
@@ -97,6 +100,7 @@ impl Reports {
             position_noise: random::stream(seed, Purpose::PositionNoise, 0),
             receivers: Receivers::new(channel, seed, [Purpose::ChannelNoise, Purpose::ReceiverNoise]),
             branch_receivers: Receivers::new(channel, seed, [Purpose::BranchNoise, Purpose::BranchReceiverNoise]),
+            led_receivers: Receivers::new(channel, seed, [Purpose::LedNoise, Purpose::LedReceiverNoise]),
             position_losses: Losses::new(positions.loss, positions.loss_burst_reports, seed, Purpose::PositionLoss),
             channel_losses: Losses::new(channel.loss, channel.loss_burst_reports, seed, Purpose::ChannelLoss),
             orientation_noise: random::stream(seed, Purpose::OrientationNoise, 0),
@@ -151,9 +155,11 @@ impl Reports {
         if self.channel.take(now.local_ns).is_some() {
             let report = self.channel_report(now, world, angles);
             let branches = self.settings.channel.branches.then(|| self.branch_report(report.stamp, world, angles));
+            let leds = (!self.settings.channel.leds.is_none()).then(|| self.led_report(report.stamp, world));
             let release_ns = now.local_ns + latency_ns(self.settings.channel.latency_ms);
             if !self.channel_losses.next_is_lost() {
                 branches.into_iter().for_each(|branches| self.queue(release_ns, Report::Branches(branches)));
+                leds.into_iter().for_each(|leds| self.queue(release_ns, Report::Leds(leds)));
                 self.queue(release_ns, Report::Channel(report));
             }
         }
@@ -257,6 +263,28 @@ impl Reports {
         BranchReport { stamp, tick: self.tick, users: users.collect() }
     }
 
+    /// The LEDs that the receivers detect at the time of a channel report with this stamp. Each LED is
+    /// measured with noise of its own; a gain that can come from a blocked path is not detected.
+    fn led_report(&mut self, stamp: Stamp, world: &World) -> LedReport {
+        let (scene, model, settings) = (world.scene(), world.model(), &self.settings.channel);
+        let measures_each = settings.leds == LedIdentity::Gains;
+        let is_detected = |gain: f64| gain > settings.detectable_gain();
+        let (mut users, mut gains) = (Vec::new(), Vec::new());
+        for (index, user) in world.ids().iter().enumerate() {
+            let serving = is_detected(scene.los_gain()[index]).then(|| scene.serving()[index] as u32);
+            users.push(UserLeds { user: *user, serving, measures_each });
+            let is_forced = world.forced()[index];
+            for led in (0..model.leds.len()).filter(|_| measures_each) {
+                let gain = if is_forced { 0.0 } else { scene.los_gain_by(model, world.blockers(), index, led) };
+                let gain = self.led_receivers.measure(gain);
+                if is_detected(gain) {
+                    gains.push(LedGain { user: *user, led: led as u32, los_gain: gain as f32 });
+                }
+            }
+        }
+        LedReport { stamp, tick: self.tick, users, gains }
+    }
+
     fn stamp(&self, sequence: u64, now: Moment) -> Stamp {
         Stamp { source: self.source, sequence, time_ns: now.room_ns }
     }
@@ -266,8 +294,9 @@ impl Reports {
             Report::Obstacles(report) => (0, report.stamp.sequence),
             Report::Orientation(report) => (1, report.stamp.sequence),
             Report::Branches(report) => (2, report.stamp.sequence),
-            Report::Channel(report) => (3, report.stamp.sequence),
-            Report::Users(report) => (4, report.stamp.sequence),
+            Report::Leds(report) => (3, report.stamp.sequence),
+            Report::Channel(report) => (4, report.stamp.sequence),
+            Report::Users(report) => (5, report.stamp.sequence),
         };
         self.waiting.insert(ReleaseOrder { release_ns, rank, sequence }, report);
     }

@@ -2,7 +2,7 @@
 
 use heliostat_array::moment::Moment;
 use heliostat_channel::{Combining, Orientation};
-use heliostat_proto::{BranchReport, ChannelReport, OrientationReport, UserReport};
+use heliostat_proto::{BranchReport, ChannelReport, LedReport, OrientationReport, UserReport};
 use heliostat_room::SimulatedRoom;
 use heliostat_room::reports::{Report, Reports};
 use heliostat_scenario::Scenario;
@@ -83,18 +83,19 @@ fn each_stream_has_its_own_rate_and_latency_and_stamps_have_the_sample_time() {
 #[test]
 fn positions_are_the_last_report_of_an_instant() {
     let settings = ["streams.obstacles.rate_hz=50", "streams.orientation.rate_hz=50"];
-    let reports = run(&[&settings[..], &BRANCHES].concat(), 100);
+    let reports = run(&[&settings[..], &BRANCHES, &LEDS].concat(), 100);
     let rank = |report: &Report| match report {
         Report::Obstacles(_) => 0,
         Report::Orientation(_) => 1,
         Report::Branches(_) => 2,
-        Report::Channel(_) => 3,
-        Report::Users(_) => 4,
+        Report::Leds(_) => 3,
+        Report::Channel(_) => 4,
+        Report::Users(_) => 5,
     };
     let order: Vec<(u64, i32)> = reports.iter().map(|(at, report)| (*at, rank(report))).collect();
     assert!(order.is_sorted(), "{order:?}");
-    assert_eq!(order[..5], [(0, 0), (0, 1), (0, 2), (0, 3), (0, 4)]);
-    assert_eq!(order[5..8], [(10 * MS, 2), (10 * MS, 3), (10 * MS, 4)]);
+    assert_eq!(order[..6], [0, 1, 2, 3, 4, 5].map(|rank| (0, rank)));
+    assert_eq!(order[6..10], [2, 3, 4, 5].map(|rank| (10 * MS, rank)));
 }
 
 #[test]
@@ -340,6 +341,62 @@ fn branch_reports_do_not_change_the_other_reports() {
     let noise = ["streams.channel.noise_relative=0.1", "streams.channel.noise_gain=1e-8", "streams.channel.loss=0.1"];
     let without = run(&[&["receiver.preset=angle-diversity"], &noise[..]].concat(), 2000);
     let with = run(&[&BRANCHES[..], &noise].concat(), 2000);
+    assert_eq!(channels(&without), channels(&with));
+    assert_eq!(users(&without), users(&with));
+    assert_eq!(with.len(), without.len() + channels(&with).len());
+}
+
+/// Two LEDs, of which the receivers report the gains.
+const LEDS: [&str; 2] = ["led.positions_m=[[-1,0,3],[1,0,3]]", "streams.channel.leds=gains"];
+
+fn leds(reports: &[(u64, Report)]) -> Vec<&LedReport> {
+    reports.iter().filter_map(|(_, report)| if let Report::Leds(r) = report { Some(r) } else { None }).collect()
+}
+
+#[test]
+fn receivers_report_the_gain_of_each_led_past_bodies_and_obstacles() {
+    let overrides = LEDS.map(String::from);
+    let scenario = Scenario::builtin("specular").unwrap().with_overrides(&overrides).unwrap();
+    let mut room = SimulatedRoom::new(&scenario, None, 3).unwrap();
+    let reports = run(&LEDS, 500);
+    let mut blocked = 0;
+    for (report, (_, channel)) in leds(&reports).into_iter().zip(channels(&reports)) {
+        assert_eq!((report.stamp, report.tick), (channel.stamp, channel.tick));
+        room.advance(report.stamp.time_ns);
+        let world = room.world();
+        for (index, (user, measured)) in report.users.iter().zip(&channel.users).enumerate() {
+            let gain = |led: u32| {
+                let found = report.gains.iter().find(|gain| (gain.user, gain.led) == (user.user, led));
+                found.map_or(0.0, |gain| gain.los_gain)
+            };
+            let by_led = |led: usize| world.scene().los_gain_by(world.model(), world.blockers(), index, led);
+            assert_eq!([gain(0), gain(1)], [by_led(0) as f32, by_led(1) as f32]);
+            assert_eq!(user.serving.map_or(0.0, gain), measured.los_gain);
+            assert!(gain(0).max(gain(1)) == measured.los_gain, "the serving LED is the strongest one");
+            blocked += u32::from(gain(0) == 0.0 || gain(1) == 0.0);
+        }
+    }
+    assert!(blocked > 0, "some path is blocked");
+}
+
+#[test]
+fn led_reports_name_the_serving_led_alone_where_gains_are_not_measured_and_none_below_the_noise() {
+    let serving = run(&[LEDS[0], "streams.channel.leds=serving"], 100);
+    let reports = leds(&serving);
+    assert!(
+        reports.iter().all(|report| report.gains.is_empty() && report.users.iter().all(|user| !user.measures_each))
+    );
+    assert!(reports.iter().flat_map(|report| &report.users).any(|user| user.serving.is_some()));
+    let noisy = run(&[&LEDS[..], &["streams.channel.noise_gain=1e-3"]].concat(), 100);
+    assert!(leds(&noisy).iter().flat_map(|report| &report.users).all(|user| user.serving.is_none()));
+    assert!(leds(&run(&LEDS[..1], 100)).is_empty());
+}
+
+#[test]
+fn led_reports_do_not_change_the_other_reports() {
+    let noise = ["streams.channel.noise_relative=0.1", "streams.channel.noise_gain=1e-8", "streams.channel.loss=0.1"];
+    let without = run(&[&LEDS[..1], &noise[..]].concat(), 2000);
+    let with = run(&[&LEDS[..], &noise].concat(), 2000);
     assert_eq!(channels(&without), channels(&with));
     assert_eq!(users(&without), users(&with));
     assert_eq!(with.len(), without.len() + channels(&with).len());

@@ -1,7 +1,7 @@
 //! Payloads that no process of the room would publish.
 
 use heliostat_proto::{
-    ArrayState, Calibration, Capabilities, ChannelReport, ControllerControl, EmergencyStop, MirrorCommand,
+    ArrayState, Calibration, Capabilities, ChannelReport, ControllerControl, EmergencyStop, LedReport, MirrorCommand,
     MirrorTelemetry, NodeKind, ObstacleReport, OrientationReport, Rearm, SafetyReport, SimulatorControl, Stamp,
     UserChannel, UserReport,
 };
@@ -36,6 +36,7 @@ fn valid_payloads(room: &FaultRoom) -> Vec<(String, Vec<u8>)> {
         (keys.channel(), encoded(&ChannelReport { stamp, ..ChannelReport::default() })),
         (keys.obstacles(), encoded(&ObstacleReport { stamp, ..ObstacleReport::default() })),
         (keys.orientation(), encoded(&OrientationReport { stamp, ..OrientationReport::default() })),
+        (keys.leds(), encoded(&LedReport { stamp, ..LedReport::default() })),
         (keys.command(), encoded(&room.witness.command())),
         (keys.telemetry(), encoded(&room.witness.telemetry())),
         (keys.capabilities(), encoded(&room.witness.capabilities())),

@@ -10,7 +10,7 @@ use heliostat_core::policy::actor_file::ActorFile;
 use heliostat_core::policy::{Policy, PolicyKind};
 use heliostat_driver::Device;
 use heliostat_driver::config::Config;
-use heliostat_models::{ActorSource, load_actor};
+use heliostat_models::{ActorSource, library, load_actor};
 use heliostat_proto::*;
 use heliostat_record::account::Account;
 use heliostat_record::file::{Header, Recording};
@@ -92,6 +92,7 @@ pub fn scenario(input: &[u8]) {
             Event::Obstacles(report) => encode(report, &mut payload),
             Event::Orientation(report) => encode(report, &mut payload),
             Event::Branches(report) => encode(report, &mut payload),
+            Event::Leds(report) => encode(report, &mut payload),
         };
         encoded.unwrap_or_else(|error| panic!("{error}: {event:?}"));
     }
@@ -149,7 +150,6 @@ pub fn recording(input: &[u8]) {
         file: file.path().to_owned(),
         policy: Some(PolicyKind::Nearest),
         model: None,
-        engine: None,
         settle: Some(0),
     };
     if let Ok(verdict) = replay::run(&settings) {
@@ -186,6 +186,7 @@ fn write_recording(script: &mut Script<'_>, file: &tempfile::NamedTempFile) {
             Kind::BranchReport => room.branches(),
             Kind::StopReport => room.stops(),
             Kind::StopRepetition => room.stop_repetition(),
+            Kind::LedReport => room.leds(),
             Kind::MirrorCommand => room.command(),
             Kind::MirrorTelemetry => room.telemetry(),
             Kind::Capabilities => room.capabilities(),
@@ -203,6 +204,8 @@ fn write_recording(script: &mut Script<'_>, file: &tempfile::NamedTempFile) {
 /// The file of an actor: a network that is loaded answers with finite angles or an error.
 pub fn actor(input: &[u8]) {
     let mut script = Script::new(input);
+    // The readers of this workspace are tested, not the library of ONNX Runtime.
+    library::choose("none".into());
     let scenario = Scenario::builtin("specular").expect("valid");
     let bytes = match whole_file(input) {
         Some(bytes) => bytes.to_vec(),

@@ -96,6 +96,7 @@ impl<'s, 'a> Forge<'s, 'a> {
             Kind::ChannelReport => encode(&self.channel(), out),
             Kind::ObstacleReport => encode(&self.obstacles(), out),
             Kind::OrientationReport => encode(&self.orientation(), out),
+            Kind::LedReport => encode(&LedReport { stamp: self.stamp(), ..example_of() }, out),
             Kind::BranchReport => encode(&BranchReport { stamp: self.stamp(), ..example_of() }, out),
             Kind::MirrorCommand => encode(&self.command(), out),
             Kind::MirrorTelemetry => encode(&self.telemetry(), out),

@@ -32,7 +32,7 @@ impl Tally {
     }
 
     fn position(kind: Kind) -> usize {
-        usize::from(kind.number()) - 1
+        Kind::ALL.into_iter().position(|other| other == kind).expect("each kind is in the list")
     }
 }
 

@@ -13,14 +13,14 @@
 mod serving;
 mod tilt_decision;
 
-use heliostat_channel::{ChannelModel, MirrorArray, Vec3, blockage, blockage::Cylinder, mirrors::MirrorAngles};
+use heliostat_channel::{ChannelModel, MirrorArray, Vec3, blockage, blockage::Cylinder};
 
 use crate::belief::{
     body::Body,
     covered::Covered,
     densities::{Densities, density},
     elementary::{exp, ln},
-    expected::{Direct, ExpectedGains, HeldPlace},
+    expected::{Direct, ExpectedGains, HeldPlace, Room},
     heading::{HEADINGS, Heading},
     lit_mirrors::LitMirrors,
     occupancy::Occupancy,
@@ -35,7 +35,7 @@ use serving::Serving;
 const SPREAD: f64 = 0.2;
 
 /// The same of a measured direct gain of a tilted receiver.
-const SPREAD_OF_DIRECT: f64 = 0.08;
+pub(super) const SPREAD_OF_DIRECT: f64 = 0.08;
 
 /// The same where receivers may be upright or tilted: the spread of received power and of the tilt
 /// of detectors in their devices adds to it.
@@ -79,8 +79,6 @@ pub(super) struct ChannelEvidence {
     expected: ExpectedGains,
     /// The mirrors with light for one user.
     lit: LitMirrors,
-    /// Whether the bodies of other users leave the path to each mirror clear. Shape: M.
-    clear: Vec<bool>,
     others: Vec<Cylinder>,
     /// A point in the middle of each column of mirrors.
     columns: Vec<Vec3>,
@@ -93,33 +91,31 @@ pub(super) struct ChannelEvidence {
     /// Variance of the gain for each heading, by the spread of the angles of held devices.
     held_variance: [f64; HEADINGS],
     serving: Serving,
+    /// The LED that serves the user at each possible heading.
+    served_by: [usize; HEADINGS],
     /// The LED with the most light for the user over the mirrors.
     brightest: usize,
     led_positions: Vec<Vec3>,
-    /// Whether the angles of the mirrors were known.
-    angles_known: bool,
     readings: Readings,
 }
 
 impl ChannelEvidence {
     /// Buffers for this many users.
     pub fn new(model: &ChannelModel, readings: Readings, capacity: usize) -> Self {
-        let mirrors = model.mirrors.len();
         let columns = columns(model);
         Self {
             expected: ExpectedGains::new(model, capacity),
             lit: LitMirrors::new(model),
-            clear: vec![false; mirrors],
             others: Vec::with_capacity(capacity),
             unobstructed: vec![1.0; columns.len()],
             by_heading: vec![0.0; HEADINGS * columns.len()],
             shares: vec![0.0; columns.len()],
             held_variance: [0.0; HEADINGS],
             serving: Serving::new(model),
+            served_by: [0; HEADINGS],
             brightest: 0,
             led_positions: model.leds.iter().map(|led| led.position).collect(),
             columns,
-            angles_known: false,
             readings,
         }
     }
@@ -134,52 +130,45 @@ impl ChannelEvidence {
         self.expected.positions()
     }
 
-    /// Computes the expected gains of users at these places, without bodies; `angles` are those of
-    /// the mirrors, where they are known.
-    pub fn expect(
-        &mut self,
-        model: &ChannelModel,
-        places: impl Iterator<Item = HeldPlace>,
-        obstacles: &[Cylinder],
-        angles: Option<&MirrorAngles>,
-        unusable: &[u32],
-    ) {
-        self.angles_known = angles.is_some();
-        self.expected.update(model, places, obstacles, angles, unusable);
+    /// Computes the expected direct gains of users at these places, without bodies.
+    pub fn expect(&mut self, room: &Room<'_>, places: impl Iterator<Item = HeldPlace>) {
+        self.expected.update(room, places);
     }
 
     /// Updates what is believed about a user, and the map, by the user's measured gains.
     pub fn examine(
         &mut self,
-        model: &ChannelModel,
+        room: &Room<'_>,
         user: usize,
-        measured: MeasuredGains,
+        measured: MeasuredGains<'_>,
         bodies: Option<&Bodies<'_>>,
         Beliefs { heading, covered, undecided, independent }: Beliefs<'_>,
         mut map: Option<&mut Occupancy>,
     ) {
+        let model = room.model;
         self.mask_others(model, user, bodies);
         let position = self.expected.positions()[user];
         if let Some(map) = &mut map {
             map.trace(&position, &self.led_positions, &self.columns);
             map.clear_columns(&mut self.unobstructed);
         }
-        self.serving.begin(|led| map.as_ref().map_or(1.0, |map| map.clear_direct(led)));
+        let unobstructed = |led: usize| map.as_ref().map_or(1.0, |map| map.clear_direct(led));
+        self.serving.begin(measured.leds, &self.readings, unobstructed);
         if let (Some(bodies), Some((tilt, polar_rad))) = (bodies, undecided) {
             tilt.handle_log_ratio(self.tilt_log_ratio(model, (user, polar_rad), measured, bodies, heading));
         }
         covered.predict();
         let open = 1.0 - covered.probability();
         if let Some(bodies) = bodies {
-            let likelihood = self.likelihood(model, user, (bodies, heading), open, measured);
+            let likelihood = self.likelihood(room, user, (bodies, heading), open, measured);
             heading.handle_likelihood(&likelihood);
         } else {
-            self.without_bodies(user, open, measured);
+            self.without_bodies(room, user, open, measured);
         }
         let known = bodies.is_some().then_some(&*heading);
         self.examine_direct(model, user, (known, open), (measured, covered), map.as_deref_mut());
-        if let (Some(map), true) = (map, self.angles_known) {
-            self.examine_reflected(user, known, (measured, independent), map);
+        if let (Some(map), Some(_)) = (map, room.angles) {
+            self.examine_reflected(known, (measured, independent), map);
         }
     }
 
@@ -190,7 +179,7 @@ impl ChannelEvidence {
         model: &ChannelModel,
         user: usize,
         (heading, open): (Option<&Heading>, f64),
-        (measured, covered): (MeasuredGains, &mut Covered),
+        (measured, covered): (MeasuredGains<'_>, &mut Covered),
         mut map: Option<&mut Occupancy>,
     ) {
         if !self.readings.shows(self.expected.strongest(user)) {
@@ -223,9 +212,8 @@ impl ChannelEvidence {
     /// Takes what the measured gain over the mirrors shows of obstacles.
     fn examine_reflected(
         &mut self,
-        user: usize,
         heading: Option<&Heading>,
-        (measured, independent): (MeasuredGains, f64),
+        (measured, independent): (MeasuredGains<'_>, f64),
         map: &mut Occupancy,
     ) {
         self.shares.fill(0.0);
@@ -235,7 +223,7 @@ impl ChannelEvidence {
             self.shares.iter_mut().zip(row).for_each(|(share, gain)| *share += probability * gain);
         }
         let expected: f64 = self.shares.iter().sum();
-        if expected > SERVED * self.expected.steering(user, self.brightest) {
+        if expected > SERVED * self.expected.steering(self.brightest) {
             let shares = self.shares.iter().map(|gain| gain / expected);
             let (ratio, noise) = (measured.irs / expected, self.readings.gain_variance / expected.powi(2));
             let by_heading = heading.map_or(0.0, |heading| self.variance_by_heading(heading, expected));
@@ -255,9 +243,7 @@ impl ChannelEvidence {
         self.others.clear();
         let known = bodies.map_or(&[][..], |bodies| bodies.known);
         self.others.extend(known.iter().enumerate().filter(|(other, _)| *other != user).filter_map(|(_, body)| *body));
-        model.mirrors.visible_from(&self.expected.positions()[user], &self.others, &mut self.clear);
-        self.expected.select(model, user, &self.clear, &self.others);
-        self.lit.select(model, &self.expected, user);
+        self.expected.select(model, user, &self.others);
     }
 
     /// Sums the gains of the selected user by an LED over each column, past the body of a heading.
@@ -283,11 +269,14 @@ impl ChannelEvidence {
         sums.iter().zip(&self.unobstructed).map(|(sum, clear)| sum * clear).sum()
     }
 
-    /// The LED with the most light for a user over the mirrors, of the receiver as evaluated and
-    /// without a body, and that gain.
+    /// The lit LED with the most light for the selected user over the mirrors, of the receiver as evaluated
+    /// and without a body, and that gain.
     fn brightest(&mut self) -> (usize, f64) {
-        let mut brightest = (0, 0.0);
+        let mut brightest = (self.expected.lit().next().unwrap_or(0), 0.0);
         for led in self.expected.leds() {
+            if !self.expected.is_lit(led) {
+                continue;
+            }
             self.sum_columns((0, led), None, None);
             let gain = self.past_obstacles(0);
             if gain > brightest.1 {
@@ -301,32 +290,33 @@ impl ChannelEvidence {
     /// is not covered.
     fn likelihood(
         &mut self,
-        model: &ChannelModel,
+        room: &Room<'_>,
         user: usize,
         (bodies, heading): (&Bodies<'_>, &Heading),
         open: f64,
-        measured: MeasuredGains,
+        measured: MeasuredGains<'_>,
     ) -> [f64; HEADINGS] {
         let position = self.expected.positions()[user];
         let tilts = bodies.directions.each_ref().map(|direction| self.expected.tilt(user, direction));
         for (index, _) in heading.possible() {
             let own = bodies.shape.behind(&position, &bodies.directions[index]);
-            self.expect_direct(model, (user, index), &own, tilts[index].as_ref());
+            self.expect_direct(room.model, (user, index), &own, tilts[index].as_ref());
         }
         let mut likelihood = self.likelihood_of_direct(user, Some(heading), open, measured);
+        self.light(room, user, Some(heading));
         // A heading that becomes possible by this measurement must not have the gains of another user.
         self.by_heading.fill(0.0);
         self.held_variance.fill(0.0);
         let (brightest, without_body) = self.brightest();
         self.brightest = brightest;
-        let is_served = self.angles_known && without_body > SERVED * self.expected.steering(user, brightest);
-        let slopes = self.expected.mean_slopes(user, brightest);
+        let is_served = room.angles.is_some() && without_body > SERVED * self.expected.steering(brightest);
+        let slopes = self.expected.mean_slopes(brightest);
         let mut reflected = Densities::default();
         for (index, _) in heading.possible() {
             let tilt = tilts[index].as_ref();
-            if self.angles_known {
+            if room.angles.is_some() {
                 let own = bodies.shape.behind(&Vec3::zeros(), &bodies.directions[index]);
-                self.sum_columns((index, self.serving_led(user, index)), Some(&own), tilt);
+                self.sum_columns((index, self.served_by[index]), Some(&own), tilt);
             }
             if is_served {
                 let held = tilt.map_or(0.0, |tilt| tilt.factor_variance(slopes));
@@ -340,13 +330,14 @@ impl ChannelEvidence {
     }
 
     /// Which LED serves, and the gain over each column, where bodies block no light.
-    fn without_bodies(&mut self, user: usize, open: f64, measured: MeasuredGains) {
+    fn without_bodies(&mut self, room: &Room<'_>, user: usize, open: f64, measured: MeasuredGains) {
         for led in self.expected.leds() {
             let direct = self.expected.direct(user, led);
             self.expect_direct_gain(user, (led, 0), Direct { gain: direct, variance: 0.0 }, false);
         }
         self.likelihood_of_direct(user, None, open, measured);
-        self.brightest = self.serving_led(user, 0);
+        self.light(room, user, None);
+        self.brightest = self.served_by[0];
         self.sum_columns((0, self.brightest), None, None);
     }
 
@@ -380,23 +371,31 @@ impl ChannelEvidence {
         user: usize,
         heading: Option<&Heading>,
         open: f64,
-        measured: MeasuredGains,
+        measured: MeasuredGains<'_>,
     ) -> [f64; HEADINGS] {
         let mut likelihood = [1.0; HEADINGS];
         let reference = self.expected.strongest(user);
         if self.readings.shows(reference) {
             let readings = self.readings;
             possible(heading).for_each(|(index, _)| self.serving.weigh(index, open, |gain| readings.shows(gain)));
-            let share = readings.shows(measured.los).then_some((measured.los / reference, SPREAD_OF_DIRECT));
-            self.serving.measure(share);
+            self.serving.measure(Some(measured.los).filter(|los| readings.shows(*los)), reference, SPREAD_OF_DIRECT);
             possible(heading).for_each(|(index, _)| likelihood[index] = self.serving.likelihood(index));
         }
         likelihood
     }
 
-    /// The LED that serves a user at a heading.
-    fn serving_led(&self, user: usize, heading: usize) -> usize {
-        self.serving.led(heading).unwrap_or_else(|| self.expected.steering_led(user))
+    /// Finds the LED that serves a user at each possible heading, and computes the gains over the mirrors by
+    /// these LEDs alone.
+    fn light(&mut self, room: &Room<'_>, user: usize, heading: Option<&Heading>) {
+        let mut by_steering = None;
+        for (index, _) in possible(heading) {
+            let led = self.serving.led(index);
+            let led =
+                led.unwrap_or_else(|| *by_steering.get_or_insert_with(|| self.expected.light_by_steering(room, user)));
+            self.expected.light(room, user, led);
+            self.served_by[index] = led;
+        }
+        self.lit.select(room.model, &self.expected, user);
     }
 }
 

@@ -25,7 +25,7 @@ pub(super) struct LitMirrors {
     squared: Vec<f64>,
     /// Slopes of that direction; see [`tilt::slopes`].
     slopes: Vec<[f64; 2]>,
-    /// By LED. Shape: leds * lit mirrors.
+    /// By LED, of those that are lit. Shape: leds * lit mirrors.
     gains: Vec<f64>,
     /// What is left of the gains of one LED.
     left: Vec<f64>,
@@ -54,11 +54,11 @@ impl LitMirrors {
         }
     }
 
-    /// Lists the mirrors with an expected gain for the user at any LED.
+    /// Lists the mirrors with an expected gain for the selected user by any lit LED.
     pub fn select(&mut self, model: &ChannelModel, expected: &ExpectedGains, user: usize) {
         let Self { lit, x, y, rise, squared, slopes, gains, left, .. } = self;
         lit.clear();
-        let is_lit = |mirror: &usize| expected.leds().any(|led| expected.gains(user, led)[*mirror] > 0.0);
+        let is_lit = |mirror: &usize| expected.lit().any(|led| expected.gains(led)[*mirror] > 0.0);
         lit.extend((0..model.mirrors.len()).filter(is_lit));
         let position: &Vec3 = &expected.positions()[user];
         self.height_m = position.z;
@@ -73,9 +73,10 @@ impl LitMirrors {
             slopes.push(tilt::slopes(position, &model.mirrors.positions()[*mirror]));
         }
         gains.clear();
-        for led in expected.leds() {
-            let of_led = expected.gains(user, led);
-            gains.extend(lit.iter().map(|mirror| of_led[*mirror]));
+        gains.resize(expected.leds().len() * lit.len(), 0.0);
+        for led in expected.lit() {
+            let of_led = expected.gains(led);
+            gains[led * lit.len()..].iter_mut().zip(&*lit).for_each(|(gain, mirror)| *gain = of_led[*mirror]);
         }
         left.clear();
         left.resize(lit.len(), 0.0);
@@ -131,7 +132,12 @@ mod tests {
     use heliostat_scenario::Scenario;
 
     use super::*;
-    use crate::belief::{body::Body, expected::HeldPlace, heading::Heading, posture::Held};
+    use crate::belief::{
+        body::Body,
+        expected::{HeldPlace, Room},
+        heading::Heading,
+        posture::Held,
+    };
 
     #[test]
     fn the_light_past_a_body_is_that_of_the_visible_mirrors() {
@@ -154,7 +160,10 @@ mod tests {
                 angles.roll[mirror] = -normal.z.asin();
                 angles.yaw[mirror] = (-normal.x).atan2(-normal.y);
             }
-            expected.update(&model, std::iter::once(held), &[], Some(&angles), &[]);
+            let room = Room { model: &model, obstacles: &[], angles: Some(&angles), unusable: &[] };
+            expected.update(&room, std::iter::once(held));
+            expected.select(&model, 0, &[]);
+            expected.light(&room, 0, 0);
             lit.select(&model, &expected, 0);
             assert!(lit.lit.len() > 50, "the mirrors are aimed at the user: {}", lit.lit.len());
             for index in 0..36 {
@@ -170,7 +179,7 @@ mod tests {
                         let slopes = tilt::slopes(&position, &model.mirrors.positions()[mirror]);
                         tilt.map_or(1.0, |tilt| tilt.factor(slopes))
                     };
-                    let direct: f64 = mirrors.map(|mirror| expected.gains(0, 0)[mirror] * factor(mirror)).sum();
+                    let direct: f64 = mirrors.map(|mirror| expected.gains(0)[mirror] * factor(mirror)).sum();
                     assert!(
                         (sum - direct).abs() <= 1e-12 * direct,
                         "heading {index}, column {column}: {sum}, {direct}"

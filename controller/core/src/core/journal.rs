@@ -30,6 +30,7 @@ impl Journal {
             Stream::Obstacles => InputKind::Obstacles,
             Stream::Telemetry => InputKind::Telemetry,
             Stream::Orientation => InputKind::Orientation,
+            Stream::Leds => InputKind::Leds,
         };
         let source = stamp.source;
         let sequence = stamp.sequence.wrapping_add((array as u64) << ControllerInput::ARRAY_SHIFT);

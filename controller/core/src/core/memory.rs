@@ -19,14 +19,14 @@ use super::{
 };
 use crate::{
     belief::memory::{AbsentMemory, DeviceMemory, LaterMemories, TiltMemory},
-    input::inbox::memory::{ArrayInboxMemory, InboxMemory, OrientationMemory},
+    input::inbox::memory::{ArrayInboxMemory, InboxMemory, LedMemory, OrientationMemory},
     observe::observer::memory::ObserverMemory,
     output::{guard::GuardMemory, safety::check_finite},
     policy::FallbackMemory,
 };
 
 /// Number of the layout of [`Memory`]. Raise it when a field of any part changes.
-const LAYOUT: u32 = 6;
+const LAYOUT: u32 = 7;
 /// The layout that ends before the orientations.
 const LAYOUT_WITHOUT_ORIENTATIONS: u32 = 1;
 /// The layout that ends before the arrays and the tilted receivers.
@@ -37,6 +37,8 @@ const LAYOUT_WITHOUT_DEVICES: u32 = 3;
 const LAYOUT_WITHOUT_POSITIONS: u32 = 4;
 /// The layout that ends before the number of absent users.
 const LAYOUT_WITHOUT_ABSENT: u32 = 5;
+/// The layout that ends before the LED reports.
+const LAYOUT_WITHOUT_LEDS: u32 = 6;
 
 /// What policies of earlier versions kept of channel reports, and of positions, for each user. It is
 /// read, so that their recordings replay under another policy, and written empty.
@@ -73,6 +75,8 @@ pub struct Memory {
     former_positions: FormerPositions,
     /// Which users are absent from the last report; after all fields of the fifth layout.
     absent: AbsentMemory,
+    /// The latest LED report; after all fields of the sixth layout.
+    leds: LedMemory,
 }
 
 /// The state of one of several arrays.
@@ -120,7 +124,7 @@ impl Memory {
         let found = bytes.first().map_or(0, |byte| u32::from(*byte));
         match found {
             LAYOUT => Ok(decode_state(bytes)?),
-            LAYOUT_WITHOUT_ORIENTATIONS..=LAYOUT_WITHOUT_ABSENT => {
+            LAYOUT_WITHOUT_ORIENTATIONS..=LAYOUT_WITHOUT_LEDS => {
                 let mut complete = bytes.to_vec();
                 if found == LAYOUT_WITHOUT_ORIENTATIONS {
                     complete.extend(encode_state(&OrientationMemory::default())?);
@@ -136,7 +140,10 @@ impl Memory {
                 if found <= LAYOUT_WITHOUT_POSITIONS {
                     complete.extend(encode_state(&FormerPositions::default())?);
                 }
-                complete.extend(encode_state(&AbsentMemory::default())?);
+                if found <= LAYOUT_WITHOUT_ABSENT {
+                    complete.extend(encode_state(&AbsentMemory::default())?);
+                }
+                complete.extend(encode_state(&LedMemory::default())?);
                 Ok(Self { layout: LAYOUT, ..decode_state(&complete)? })
             }
             _ => Err(MemoryError::Layout { found }),
@@ -185,6 +192,7 @@ impl Controller {
             devices: self.observer.device_memory(),
             former_positions: FormerPositions::new(),
             absent: self.observer.absent_memory(),
+            leds: self.inbox.led_memory(),
             angles_rad: [self.observation.angles.roll.clone(), self.observation.angles.yaw.clone()],
         }
     }
@@ -208,7 +216,7 @@ impl Controller {
         if !self.arrays[0].limits.restore_axes(memory.axes_rad) {
             return Err(other("range of the mirrors"));
         }
-        if !self.inbox.restore(&memory.inbox, &memory.orientation) {
+        if !self.inbox.restore(&memory.inbox, &memory.orientation) || !self.inbox.restore_leds(&memory.leds) {
             return Err(other("reports"));
         }
         let later = LaterMemories { tilt: &memory.tilt, devices: &memory.devices, absent: memory.absent };

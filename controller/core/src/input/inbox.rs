@@ -22,7 +22,7 @@ mod rules;
 mod slot;
 
 use heliostat_proto::{
-    ChannelReport, MirrorTelemetry, Nanos, NodeKind, ObstacleReport, OrientationReport, Stamp, UserReport,
+    ChannelReport, LedReport, MirrorTelemetry, Nanos, NodeKind, ObstacleReport, OrientationReport, Stamp, UserReport,
 };
 use heliostat_scenario::Scenario;
 
@@ -48,6 +48,8 @@ pub enum Message<'a> {
     Telemetry(usize, &'a mut MirrorTelemetry),
     /// How the users hold their receivers.
     Orientation(&'a mut OrientationReport),
+    /// Which LEDs the users' receivers detect.
+    Leds(&'a mut LedReport),
 }
 
 impl Message<'_> {
@@ -59,6 +61,7 @@ impl Message<'_> {
             Self::Obstacles(_) => Stream::Obstacles,
             Self::Telemetry(..) => Stream::Telemetry,
             Self::Orientation(_) => Stream::Orientation,
+            Self::Leds(_) => Stream::Leds,
         }
     }
 
@@ -70,6 +73,7 @@ impl Message<'_> {
             Self::Obstacles(report) => &report.stamp,
             Self::Telemetry(_, report) => &report.stamp,
             Self::Orientation(report) => &report.stamp,
+            Self::Leds(report) => &report.stamp,
         }
     }
 
@@ -89,6 +93,7 @@ pub struct Inbox {
     channel: Slot<ChannelReport>,
     obstacles: Slot<ObstacleReport>,
     orientation: Slot<OrientationReport>,
+    leds: Slot<LedReport>,
     /// The sequence numbers of each stream about the room, in the order of [`Stream::ALL`].
     tracks: [SequenceTrack; Stream::ALL.len()],
     /// The telemetry of each array.
@@ -110,6 +115,7 @@ impl Inbox {
             channel: Slot { report: ChannelReport::buffer(), filled: false },
             obstacles: Slot::default(),
             orientation: Slot { report: OrientationReport::buffer(), filled: false },
+            leds: Slot { report: LedReport::buffer(), filled: false },
             tracks: Default::default(),
             arrays: arrays_of(scenario),
             unusable: Vec::with_capacity(scenario.mirror_count()),
@@ -190,6 +196,13 @@ impl Inbox {
     /// How the users hold their receivers, unless the report is too old at `now`.
     pub fn orientation(&self, now: Nanos) -> Option<&OrientationReport> {
         self.last_orientation().filter(|report| now.saturating_sub(report.stamp.time_ns) <= self.rules.age_max_ns)
+    }
+
+    /// The LEDs that the receivers detect, if the latest report of them is of the time of the latest
+    /// measured gains.
+    pub fn leds(&self) -> Option<&LedReport> {
+        let channel_ns = self.channel.get()?.stamp.time_ns;
+        self.leds.get().filter(|report| report.stamp.time_ns == channel_ns)
     }
 
     /// The latest telemetry of an array.
@@ -320,6 +333,7 @@ impl Inbox {
         self.channel.forget();
         self.obstacles.forget();
         self.orientation.forget();
+        self.leds.forget();
     }
 
     fn keep(&mut self, message: Message<'_>) {
@@ -332,6 +346,7 @@ impl Inbox {
                 self.collect_unusable();
             }
             Message::Orientation(report) => self.orientation.keep(report),
+            Message::Leds(report) => self.leds.keep(report),
         }
     }
 
@@ -353,6 +368,7 @@ impl Inbox {
                 None => Err(Refusal::WrongMirrorCount),
             },
             Message::Orientation(report) => check_orientation(report),
+            Message::Leds(report) => self.rules.check_leds(report),
         }
     }
 }

@@ -17,11 +17,14 @@ pub enum Stream {
     Telemetry,
     /// How the users hold their receivers.
     Orientation,
+    /// Which LEDs the users' receivers detect.
+    Leds,
 }
 
 impl Stream {
     /// All streams, in the order of their counters.
-    pub const ALL: [Self; 5] = [Self::Users, Self::Channel, Self::Obstacles, Self::Telemetry, Self::Orientation];
+    pub const ALL: [Self; 6] =
+        [Self::Users, Self::Channel, Self::Obstacles, Self::Telemetry, Self::Orientation, Self::Leds];
 
     /// The name in counters and messages.
     pub fn name(self) -> &'static str {
@@ -31,6 +34,7 @@ impl Stream {
             Self::Obstacles => "obstacles",
             Self::Telemetry => "telemetry",
             Self::Orientation => "orientation",
+            Self::Leds => "leds",
         }
     }
 }

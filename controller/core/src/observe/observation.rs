@@ -129,6 +129,43 @@ impl Observation {
         }
     }
 
+    /// The observation that a vector describes: the users of the slots with a presence of 1.
+    /// Velocities are zero.
+    ///
+    /// # Errors
+    /// [`EncodeError`] where the vector has another length, or the array another size.
+    pub fn of_vector(model: &ChannelModel, encoder: ObservationEncoder, vector: &[f32]) -> Result<Self, EncodeError> {
+        encoder.check(0, model.mirrors.len(), vector)?;
+        let slots: Vec<usize> =
+            (0..encoder.users_max()).filter(|slot| vector[encoder.present()][*slot] > 0.5).collect();
+        let (users, mirrors) = (slots.len(), encoder.mirrors());
+        let mut observation = Self::new(model, users);
+        let wide = |range: Range<usize>| vector[range].iter().map(|value| f64::from(*value));
+        let places: Vec<f64> = wide(encoder.positions()).collect();
+        let [los, need, steering] = [encoder.los_amplitude(), encoder.min_rate(), encoder.steering_amplitude()]
+            .map(|part| wide(part).collect::<Vec<_>>());
+        let scale = model.budget.amplitude_scale();
+        let of_slots =
+            |values: &[f64], factor: f64| slots.iter().map(|slot| factor * values[*slot]).collect::<Vec<_>>();
+        let state = RoomState {
+            tick: 0,
+            positions: &slots.iter().map(|slot| Vec3::from_column_slice(&places[3 * slot..][..3])).collect::<Vec<_>>(),
+            orientations: None,
+            velocities: &vec![Vec3::zeros(); users],
+            min_rate_bps: &of_slots(&need, model.budget.bandwidth_hz / users.max(1) as f64),
+            blockers: &[],
+            forced: &vec![false; users],
+            measured_los_gain: Some(&of_slots(&los, 1.0 / scale)),
+        };
+        observation.set_state(model, &state);
+        let gains = slots.iter().flat_map(|slot| &steering[slot * mirrors..][..mirrors]).map(|gain| gain / scale);
+        observation.scene.set_steering_gain(&gains.collect::<Vec<_>>());
+        let angles: Vec<f64> = wide(encoder.angles()).collect();
+        observation.angles.roll.copy_from_slice(&angles[..mirrors]);
+        observation.angles.yaw.copy_from_slice(&angles[mirrors..]);
+        Ok(observation)
+    }
+
     /// The same, with memory for `users_max` users.
     pub fn with_capacity(model: &ChannelModel, users: usize, users_max: usize) -> Self {
         let mut observation = Self::new(model, users_max);

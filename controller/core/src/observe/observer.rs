@@ -132,7 +132,7 @@ impl Observer {
     pub fn handle_channel(&mut self, model: &ChannelModel, inbox: &Inbox) {
         let Some(report) = inbox.last_channel() else { return };
         self.place_obstacles(inbox);
-        self.prediction.handle_channel(model, report, &self.blockers, inbox.unusable());
+        self.prediction.handle_channel(model, report, inbox.leds(), &self.blockers, inbox.unusable());
     }
 
     /// Notes a command that was given.

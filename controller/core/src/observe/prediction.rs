@@ -1,7 +1,9 @@
 //! Where a user is while a command is in force, by `control.belief`.
 
 use heliostat_channel::{ChannelModel, Orientation, Vec3, blockage::Cylinder};
-use heliostat_proto::{ChannelReport, MAX_USERS, MirrorCommand, Nanos, OrientationReport, UserReport, UserState};
+use heliostat_proto::{
+    ChannelReport, LedReport, MAX_USERS, MirrorCommand, Nanos, OrientationReport, UserReport, UserState,
+};
 use heliostat_scenario::{self as scenario, Scenario};
 use serde::{Deserialize, Serialize};
 
@@ -127,11 +129,12 @@ impl Prediction {
         &mut self,
         model: &ChannelModel,
         report: &ChannelReport,
+        leds: Option<&LedReport>,
         obstacles: &[Cylinder],
         unusable: &[u32],
     ) {
         if let Method::Filter(belief) = &mut self.method {
-            belief.handle_channel(model, report, obstacles, unusable);
+            belief.handle_channel(model, report, leds, obstacles, unusable);
         }
     }
 

@@ -30,6 +30,11 @@ impl Selection {
         }
     }
 
+    /// Number of slots.
+    pub fn users_max(&self) -> usize {
+        self.users_max
+    }
+
     /// The user in each slot.
     pub fn slots(&self) -> &[u32] {
         self.slots.ids()

@@ -1,54 +1,58 @@
-//! The learned policy: an ONNX network whose last layers are the geometric decoder, so that its
-//! output is angles.
+//! The learned policy: an encoder, an ONNX network and a decoder.
 //!
-//! The inference engine is behind [`Engine`]. It may copy its input and allocate at each run. The
-//! actor writes into one input buffer that it keeps.
+//! The metadata of the file names encoder and decoder ([`actor_file`](super::actor_file)); the
+//! network runs on an [`Engine`]. The actor does not allocate in a decision; an inference library
+//! may.
 
-mod agreement;
+mod input;
+mod output;
 mod samples;
 mod trial;
+mod verification;
 
 use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
 use heliostat_scenario::Scenario;
 
 use super::{
-    actor_file::{ActorError, ActorFile, ActorInfo},
+    actor_file::{ActionKind, ActorError, ActorFile, ActorInfo, ObservationKind},
     engine::{Engine, Network},
     proposal::{Policy, PolicyError, PolicyMemory},
 };
-use crate::{
-    observe::{
-        observation::{Observation, ObservationEncoder},
-        selection::Selection,
-    },
-    output::safety::check_finite,
-};
+use crate::observe::observation::{EncodeError, Observation};
+use input::Input;
+use output::Output;
 
 pub use trial::Finding;
+pub use verification::fixed_input;
 
 /// An actor that fits the room, ready to run.
 pub struct Actor {
     name: String,
     info: ActorInfo,
-    encoder: ObservationEncoder,
-    selection: Selection,
+    input: Input,
     network: Box<dyn Network>,
+    output: Output,
+    /// Whether the outputs for fixed inputs are those in the metadata.
+    is_verified: bool,
 }
 
 impl Actor {
-    /// Checks that an actor fits the room, and builds its network.
+    /// Checks that an actor fits the room, builds its network and verifies it.
     ///
     /// # Errors
     /// [`ActorError`] with the value found and the value expected.
     pub fn load(file: &ActorFile, scenario: &Scenario, engine: &dyn Engine) -> Result<Self, ActorError> {
         let info = ActorInfo::read(file)?;
         info.check_fits(scenario)?;
-        let encoder = info.encoder();
-        let network = engine
-            .load(&file.bytes, encoder.len())
+        let mut network = engine
+            .load(&file.bytes, info.columns)
             .map_err(|message| ActorError::Engine { origin: file.origin.clone(), message })?;
-        let selection = Selection::new(encoder.users_max());
-        Ok(Self { name: "actor".into(), info, encoder, selection, network })
+        let (input, output) = (Input::new(&info, scenario), Output::new(&info, scenario)?);
+        // Memory for every number of rows. A model that excludes this one is refused in the trial.
+        let _ = network.set_rows(input.rows_max());
+        let mut actor = Self { name: "actor".into(), info, input, network, output, is_verified: false };
+        actor.is_verified = actor.verify(file)?;
+        Ok(actor)
     }
 
     /// The same actor under the name of a policy, for summaries.
@@ -66,16 +70,22 @@ impl Actor {
         self.network.engine()
     }
 
-    /// Runs the network on a ready-made vector: roll then yaw of each mirror in rad.
+    /// The angles for an observation vector.
     ///
     /// # Errors
-    /// [`PolicyError`] where the engine fails or an output is not finite.
-    ///
-    /// # Panics
-    /// If the length of `vector` is not that of the encoder.
-    pub fn answer(&mut self, vector: &[f32], out: &mut MirrorAngles) -> Result<(), PolicyError> {
+    /// [`PolicyError`] where the vector has another length, or as [`act`](Policy::act).
+    pub fn answer(&mut self, model: &ChannelModel, vector: &[f32], out: &mut MirrorAngles) -> Result<(), PolicyError> {
+        let encoder = self.info.vector_encoder(model.mirrors.len());
+        if (self.info.observation, self.info.action) != (ObservationKind::Flat, ActionKind::Angles) {
+            let observation = Observation::of_vector(model, encoder, vector)?;
+            return self.act(model, &observation, out);
+        }
+        if vector.len() != encoder.len() {
+            return Err(EncodeError::Buffer { found: vector.len(), expected: encoder.len() }.into());
+        }
+        self.network.set_rows(1)?;
         self.network.input_mut().copy_from_slice(vector);
-        self.run(out)
+        output::split_angles(self.network.run()?, out)
     }
 
     /// Runs the network on its last input and discards the output: the cost of the engine alone,
@@ -85,20 +95,6 @@ impl Actor {
     /// [`PolicyError`] where the engine fails.
     pub fn run_engine_alone(&mut self) -> Result<(), PolicyError> {
         self.network.run().map(drop)
-    }
-
-    /// Runs the network on its present input.
-    fn run(&mut self, out: &mut MirrorAngles) -> Result<(), PolicyError> {
-        let angles = self.network.run()?;
-        let (roll, yaw) = angles
-            .split_at_checked(self.info.mirrors)
-            .filter(|(_, yaw)| yaw.len() == self.info.mirrors)
-            .ok_or_else(|| PolicyError::Inference {
-                message: format!("the output of the network has a length of {}", angles.len()),
-            })?;
-        widen(roll, &mut out.roll);
-        widen(yaw, &mut out.yaw);
-        Ok(check_finite(out)?)
     }
 }
 
@@ -113,9 +109,9 @@ impl Policy for Actor {
         observation: &Observation,
         out: &mut MirrorAngles,
     ) -> Result<(), PolicyError> {
-        let chosen = self.selection.choose(observation).iter().copied();
-        self.encoder.encode_users(model, observation, chosen, self.network.input_mut())?;
-        self.run(out)
+        self.input.encode(model, observation, self.network.as_mut())?;
+        let values = self.network.run()?;
+        self.output.decode(model, self.input.seen(observation), values, out)
     }
 
     fn engine(&self) -> Option<&'static str> {
@@ -123,7 +119,7 @@ impl Policy for Actor {
     }
 
     fn users_max(&self) -> usize {
-        self.encoder.users_max()
+        self.input.users_max()
     }
 
     fn warm_cache(&mut self, model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) {
@@ -132,16 +128,10 @@ impl Policy for Actor {
     }
 
     fn memory(&self) -> PolicyMemory {
-        PolicyMemory { users: self.selection.slots().to_vec(), ..PolicyMemory::default() }
+        PolicyMemory { users: self.input.selection().slots().to_vec(), ..PolicyMemory::default() }
     }
 
     fn restore(&mut self, memory: &PolicyMemory) {
-        self.selection.set_slots(&memory.users);
-    }
-}
-
-fn widen(values: &[f32], out: &mut [f64]) {
-    for (out, value) in out.iter_mut().zip(values) {
-        *out = f64::from(*value);
+        self.input.selection_mut().set_slots(&memory.users);
     }
 }

@@ -1,224 +1,38 @@
 //! The metadata of an actor's ONNX file, and whether the actor fits a room; read before the network
 //! is built.
 //!
-//! The inference engine returns no metadata, so the file is parsed with its protobuf types. Every
-//! refusal names the file, the value found, the value expected and what to do.
+//! A file is an observation kind, an action kind and a network between them ([`ObservationKind`],
+//! [`ActionKind`]); the network alone is in the graph. Every refusal names the file, the value
+//! found, the value expected and what to do.
+
+mod error;
+mod foreign;
+mod kind;
+mod metadata;
 
 use std::borrow::Cow;
 
 use heliostat_onnx::{
-    ModelProto, ValueInfoProto, describe,
-    standard::{VersionError, check_versions},
-    tensor::first_not_finite,
+    GraphProto, ModelProto, ValueInfoProto, describe, f32_extents, standard::check_versions, tensor::first_not_finite,
 };
 use heliostat_scenario::Scenario;
 use prost::Message;
-use thiserror::Error;
 
-use super::removed::{Removed, removed};
-use crate::observe::observation::{OBSERVATION_VERSION, ObservationEncoder};
+use super::removed::removed;
+use crate::observe::observation::{OBSERVATION_VERSION, ObservationEncoder, USERS_CAPACITY};
+use metadata::{MetadataReader, quoted};
 
-/// Longest text of a file that a message repeats, in characters.
-const QUOTED_MAX: usize = 64;
+pub use error::ActorError;
+pub use kind::{ActionKind, CODEBOOK, ObservationKind, WEIGHTS};
+pub use metadata::key;
 
 /// Name of the network's only input.
 pub const INPUT_NAME: &str = "observation";
-/// Name of the network's only output.
+/// Name of the only output of a network that gives the angles.
 pub const OUTPUT_NAME: &str = "angles";
 
 /// The action of a network that gives the angles; that of a file without an entry.
 pub const ANGLES: &str = "angles";
-
-/// The keys of the metadata that every actor carries.
-pub mod key {
-    /// Beginning of all keys.
-    pub const PREFIX: &str = "heliostat.";
-    /// Version of the observation's layout.
-    pub const OBSERVATION_VERSION: &str = "heliostat.observation_version";
-    /// Largest number of users.
-    pub const USERS_MAX: &str = "heliostat.users_max";
-    /// Number of mirrors.
-    pub const MIRRORS: &str = "heliostat.mirrors";
-    /// What the output is: [`ANGLES`](super::ANGLES), also where the entry is missing.
-    pub const ACTION: &str = "heliostat.action";
-    /// Channel mode that the actor was trained in.
-    pub const MODE: &str = "heliostat.mode";
-    /// Hash of the optical geometry.
-    pub const GEOMETRY: &str = "heliostat.geometry";
-    /// Command that made the file.
-    pub const TRAINING_COMMAND: &str = "heliostat.training_command";
-    /// Seed of the training.
-    pub const SEED: &str = "heliostat.seed";
-    /// Scenario of the training.
-    pub const SCENARIO: &str = "heliostat.scenario";
-    /// Scores on held-out states.
-    pub const SCORES: &str = "heliostat.scores";
-    /// Licence of the weights.
-    pub const LICENCE: &str = "heliostat.licence";
-}
-
-/// Why an actor cannot be used.
-#[derive(Clone, Debug, PartialEq, Eq, Error)]
-pub enum ActorError {
-    /// The bytes are not an ONNX model.
-    #[error("{origin} is not an ONNX model: {message}")]
-    NotOnnx {
-        /// The file.
-        origin: String,
-        /// Why.
-        message: String,
-    },
-    /// The version of the format or of the operators is not known.
-    #[error("{origin} has {unknown}")]
-    Version {
-        /// The file.
-        origin: String,
-        /// The version found and those expected.
-        unknown: VersionError,
-    },
-    /// No policy has the action.
-    #[error(
-        "{origin} has the unknown action {found}, expected \"{ANGLES}\": \
-         correct its metadata \"{}\", or export the actor again with `heliostat train`",
-        key::ACTION
-    )]
-    Action {
-        /// The file.
-        origin: String,
-        /// The action found.
-        found: String,
-    },
-    /// The action was removed.
-    #[error("{origin}: {removed}")]
-    RemovedAction {
-        /// The file.
-        origin: String,
-        /// What was removed.
-        removed: Removed,
-    },
-    /// Inputs or outputs have other names or another number.
-    #[error("{origin} has {side} {found:?}, expected exactly one, \"{expected}\"")]
-    Ports {
-        /// The file.
-        origin: String,
-        /// "inputs" or "outputs".
-        side: &'static str,
-        /// The names found.
-        found: Vec<String>,
-        /// The name expected.
-        expected: &'static str,
-    },
-    /// The input or output has another shape or element type.
-    #[error(
-        "{origin}: \"{port}\" is {found}, expected f32 [1, {expected}] for users.count = {users_max} and an array of size {mirrors}; \
-         export the actor again with `heliostat train`"
-    )]
-    Shape {
-        /// The file.
-        origin: String,
-        /// The input or output.
-        port: &'static str,
-        /// Type and shape found.
-        found: String,
-        /// Length expected.
-        expected: usize,
-        /// Users by the metadata.
-        users_max: usize,
-        /// Mirrors by the metadata.
-        mirrors: usize,
-    },
-    /// The file has no metadata of an actor at all.
-    #[error(
-        "{origin} is an ONNX file without the metadata of an actor (\"{}\" and others): add the entries that \
-         `heliostat config --as-json actor` prints for the scenario, or export an actor with `heliostat train`",
-        key::OBSERVATION_VERSION
-    )]
-    NoMetadata {
-        /// The file.
-        origin: String,
-    },
-    /// A tensor holds a value that is not finite.
-    #[error(
-        "{origin}: the tensor {tensor} holds a value that is not finite, expected finite weights; \
-         export the actor again, or train it again if the training diverged"
-    )]
-    NotFinite {
-        /// The file.
-        origin: String,
-        /// The tensor's name.
-        tensor: String,
-    },
-    /// The engine computes other angles than the reference evaluation.
-    #[error(
-        "{origin}: the inference engine and the reference evaluation give other angles on {differing} of {compared} \
-         observations ({example}), expected equal ones; check the network for invalid operations such as 0/0, and \
-         export it again with other operators"
-    )]
-    Disagrees {
-        /// The file.
-        origin: String,
-        /// Observations on which the angles differ.
-        differing: usize,
-        /// Observations compared.
-        compared: usize,
-        /// One of the differences.
-        example: String,
-    },
-    /// Two engines compute other angles.
-    #[error(
-        "{origin}: the engines {} and {} give other angles on {differing} of {compared} observations ({example}), \
-         expected equal ones; check the network for invalid operations such as 0/0, and export it again",
-        engines[0], engines[1]
-    )]
-    EnginesDisagree {
-        /// The file.
-        origin: String,
-        /// The names of the engines, or of the reference evaluation.
-        engines: [&'static str; 2],
-        /// Observations on which the angles differ.
-        differing: usize,
-        /// Observations compared.
-        compared: usize,
-        /// One of the differences.
-        example: String,
-    },
-    /// A metadata entry is missing or unreadable.
-    #[error(
-        "{origin} has no usable metadata \"{key}\" (found {found}), expected the entries that \
-         `heliostat config --as-json actor` prints; export the actor again with `heliostat train`",
-        found = found.as_ref().map_or("none".to_owned(), |value| quoted(value))
-    )]
-    Metadata {
-        /// The file.
-        origin: String,
-        /// The entry.
-        key: &'static str,
-        /// The value found.
-        found: Option<String>,
-    },
-    /// The actor was made for something else.
-    #[error("{origin} was made for {what} {found}, expected {expected} as in this room; {advice}")]
-    Unfit {
-        /// The file.
-        origin: String,
-        /// What differs.
-        what: &'static str,
-        /// The actor's value.
-        found: String,
-        /// The room's value.
-        expected: String,
-        /// What to do.
-        advice: &'static str,
-    },
-    /// The inference engine refused the network.
-    #[error("{origin}: the inference engine refused the network: {message}")]
-    Engine {
-        /// The file.
-        origin: String,
-        /// The engine's message.
-        message: String,
-    },
-}
 
 /// The bytes of an actor and where they came from.
 #[derive(Clone, Debug)]
@@ -230,19 +44,26 @@ pub struct ActorFile {
 }
 
 /// The metadata of an actor.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct ActorInfo {
     origin: String,
     /// Version of the observation's layout.
     pub observation_version: u32,
+    /// What the network reads.
+    pub observation: ObservationKind,
+    /// What the network gives.
+    pub action: ActionKind,
     /// Largest number of users.
     pub users_max: usize,
-    /// Number of mirrors.
-    pub mirrors: usize,
+    /// Number of mirrors and hash of the optical geometry it was trained in; `None` for a file that
+    /// serves any array and room.
+    pub array: Option<(usize, String)>,
     /// Channel mode it was trained in.
     pub mode: String,
-    /// Hash of the optical geometry it was trained in.
-    pub geometry: String,
+    /// First extent of the input; `None` where it is open.
+    pub rows: Option<usize>,
+    /// Values of a row of the input.
+    pub columns: usize,
     /// Every metadata entry, in the file's order.
     pub entries: Vec<(String, String)>,
 }
@@ -254,44 +75,72 @@ impl ActorInfo {
     /// [`ActorError`] where the bytes are not an ONNX model, or a model that no controller can run.
     pub fn read(file: &ActorFile) -> Result<Self, ActorError> {
         let origin = file.origin.clone();
+        if let Some(what) = foreign::foreign(&file.bytes) {
+            return Err(ActorError::Foreign { origin, what });
+        }
         let not_onnx = |message: String| ActorError::NotOnnx { origin: origin.clone(), message };
         let model = ModelProto::decode(file.bytes.as_ref()).map_err(|error| not_onnx(error.to_string()))?;
         let (versions, not_finite) = (check_versions(&model), first_not_finite(&model));
         let graph = model.graph.ok_or_else(|| not_onnx("it holds no graph".into()))?;
         versions.map_err(|unknown| ActorError::Version { origin: origin.clone(), unknown })?;
         if let Some(tensor) = not_finite {
-            return Err(ActorError::NotFinite { origin: file.origin.clone(), tensor });
+            return Err(ActorError::NotFinite { origin, tensor });
         }
         let entries: Vec<_> = model.metadata_props.into_iter().map(|entry| (entry.key, entry.value)).collect();
         if !entries.iter().any(|(key, _)| key.starts_with(key::PREFIX)) {
-            return Err(ActorError::NoMetadata { origin: file.origin.clone() });
+            return Err(ActorError::NoMetadata { origin });
         }
-        let reader = MetadataReader { origin: &file.origin, entries: &entries };
-        if let Some(action) = reader.find(key::ACTION).filter(|action| *action != ANGLES) {
-            return Err(match removed(action) {
-                Some(removed) => ActorError::RemovedAction { origin: origin.clone(), removed },
-                None => ActorError::Action { origin: origin.clone(), found: quoted(action) },
+        let mut info = Self::of_entries(&file.origin, &entries)?;
+        info.check_ports(&graph)?;
+        Ok(info)
+    }
+
+    /// What the metadata says, before the ports of the graph are known.
+    fn of_entries(origin: &str, entries: &[(String, String)]) -> Result<Self, ActorError> {
+        let reader = MetadataReader { origin, entries };
+        let origin = origin.to_owned();
+        let action = match reader.find(key::ACTION).map_or(ANGLES, String::as_str) {
+            ANGLES => ActionKind::Angles,
+            WEIGHTS => ActionKind::Weights(reader.head()?),
+            CODEBOOK => ActionKind::Codebook,
+            other => {
+                return Err(match removed(other) {
+                    Some(removed) => ActorError::RemovedAction { origin, removed },
+                    None => ActorError::Action { origin, found: quoted(other) },
+                });
+            }
+        };
+        let name = reader.find(key::OBSERVATION).map_or(ObservationKind::Flat.name(), String::as_str);
+        let observation = ObservationKind::ALL.into_iter().find(|kind| kind.name() == name);
+        let observation =
+            observation.ok_or_else(|| ActorError::Observation { origin: origin.clone(), found: quoted(name) })?;
+        if !observation.actions().contains(&action.name()) {
+            let expected = observation.actions().join(" or ");
+            return Err(ActorError::Combination {
+                origin,
+                action: action.name(),
+                observation: observation.name(),
+                expected,
             });
         }
-        let info = Self {
-            observation_version: reader.number(key::OBSERVATION_VERSION)?,
-            users_max: reader.number(key::USERS_MAX)?,
-            mirrors: reader.number(key::MIRRORS)?,
-            mode: reader.text(key::MODE)?,
-            geometry: reader.text(key::GEOMETRY)?,
-            entries: entries.clone(),
-            origin: file.origin.clone(),
+        let array = if observation.fits_any_array() {
+            None
+        } else {
+            Some((reader.number(key::MIRRORS)?, reader.text(key::GEOMETRY)?))
         };
-        // Weights may be listed as inputs too, in files written for old versions of the format.
-        let is_weight = |port: &&ValueInfoProto| graph.initializer.iter().any(|weight| weight.name == port.name);
-        let inputs: Vec<_> = graph.input.iter().filter(|port| !is_weight(port)).collect();
-        let outputs: Vec<_> = graph.output.iter().collect();
-        // An input of another version has another length. `check_fits` refuses it by its version.
-        if info.observation_version == OBSERVATION_VERSION {
-            info.check_port("inputs", INPUT_NAME, &inputs, info.encoder().len())?;
-        }
-        info.check_port("outputs", OUTPUT_NAME, &outputs, 2 * info.mirrors)?;
-        Ok(info)
+        let users_max = observation.users_max().map_or_else(|| reader.number(key::USERS_MAX), Ok)?;
+        Ok(Self {
+            observation_version: reader.number(key::OBSERVATION_VERSION)?,
+            mode: reader.text(key::MODE)?,
+            observation,
+            action,
+            users_max,
+            array,
+            rows: None,
+            columns: 0,
+            entries: entries.to_vec(),
+            origin,
+        })
     }
 
     /// Where the file came from, for messages.
@@ -299,9 +148,20 @@ impl ActorInfo {
         &self.origin
     }
 
-    /// The encoder that fills this actor's input.
-    pub fn encoder(&self) -> ObservationEncoder {
-        ObservationEncoder::new(self.users_max, self.mirrors)
+    /// A metadata entry.
+    pub fn entry(&self, key: &str) -> Option<&str> {
+        self.entries.iter().find(|(name, _)| name == key).map(|(_, value)| value.as_str())
+    }
+
+    /// The encoder of the observation vector, for an array of this size.
+    pub fn encoder(&self, mirrors: usize) -> ObservationEncoder {
+        ObservationEncoder::new(self.users_max, mirrors)
+    }
+
+    /// The layout of the observation vector that describes a room to this actor.
+    pub fn vector_encoder(&self, mirrors: usize) -> ObservationEncoder {
+        let is_any = self.observation.fits_any_array();
+        ObservationEncoder::new(if is_any { USERS_CAPACITY } else { self.users_max }, mirrors)
     }
 
     /// Checks that the actor fits a room.
@@ -317,9 +177,10 @@ impl ActorInfo {
             let (found, expected) = (self.observation_version.to_string(), OBSERVATION_VERSION.to_string());
             return unfit("observation version", found, expected, "train it again with this release of heliostat");
         }
-        if self.mirrors != scenario.mirror_count() {
+        let mirrors = self.array.as_ref().map(|(mirrors, _)| *mirrors);
+        if let Some(mirrors) = mirrors.filter(|mirrors| *mirrors != scenario.mirror_count()) {
             let expected = format!("{} ({})", scenario.mirror_count(), scenario.mirrors);
-            return unfit("a number of mirrors of", self.mirrors.to_string(), expected, train);
+            return unfit("a number of mirrors of", mirrors.to_string(), expected, train);
         }
         if scenario.users.count > self.users_max {
             let found = self.users_max.to_string();
@@ -330,63 +191,81 @@ impl ActorInfo {
             return unfit("the channel mode", self.mode.clone(), mode.into(), train);
         }
         let geometry = scenario.geometry_hash();
-        if self.geometry != geometry {
+        if let Some((_, found)) = self.array.as_ref().filter(|(_, found)| *found != geometry) {
             let advice = "room, access points, array or receiver differ from those of the training; \
                           train an actor for them with `heliostat train`, or choose the policy fixed-point, which needs no file";
-            return unfit("the optical geometry", self.geometry.clone(), geometry, advice);
+            return unfit("the optical geometry", found.clone(), geometry, advice);
         }
         Ok(())
     }
 
-    fn check_port(
+    /// Checks inputs and outputs, and notes the shape of the input.
+    fn check_ports(&mut self, graph: &GraphProto) -> Result<(), ActorError> {
+        // Weights may be listed as inputs too, in files written for old versions of the format.
+        let is_weight = |port: &&ValueInfoProto| graph.initializer.iter().any(|weight| weight.name == port.name);
+        let inputs: Vec<_> = graph.input.iter().filter(|port| !is_weight(port)).collect();
+        let input = self.only_port("inputs", INPUT_NAME, &inputs)?;
+        let output = self.only_port("outputs", self.action.output(), &graph.output.iter().collect::<Vec<_>>())?;
+        let mirrors = self.array.as_ref().map_or(0, |(mirrors, _)| *mirrors);
+        let columns = self.observation.columns(self.users_max, mirrors);
+        let (rows, found) = extents(input);
+        // An input of another version has another length. `check_fits` refuses it by its version.
+        let is_present = self.observation_version == OBSERVATION_VERSION;
+        let has_rows = self.observation == ObservationKind::Codewords || matches!(rows, Some(None | Some(1)));
+        let found = found.filter(|found| !is_present || (has_rows && columns.admit(*found)));
+        self.columns = found.ok_or_else(|| self.wrong_shape(input, columns.text()))?;
+        self.rows = rows.flatten();
+        let columns = match self.action {
+            ActionKind::Angles => Some(2 * mirrors),
+            ActionKind::Weights(_) if self.observation == ObservationKind::Users => Some(1),
+            ActionKind::Weights(_) => Some(self.users_max),
+            // The codebook belongs to the room: the length is checked at the load.
+            ActionKind::Codebook => None,
+        };
+        let (rows, found) = extents(output);
+        let has_rows = self.action == ActionKind::Codebook || matches!(rows, Some(None | Some(1)));
+        match columns {
+            Some(columns) if !(has_rows && found == Some(columns)) => {
+                Err(self.wrong_shape(output, columns.to_string()))
+            }
+            None if found.is_none() => Err(self.wrong_shape(output, "codewords".into())),
+            _ => Ok(()),
+        }
+    }
+
+    fn only_port<'a>(
         &self,
         side: &'static str,
         expected: &'static str,
-        ports: &[&ValueInfoProto],
-        length: usize,
-    ) -> Result<(), ActorError> {
-        let [port] = ports else { return Err(self.wrong_ports(side, expected, ports)) };
-        if port.name != expected {
-            return Err(self.wrong_ports(side, expected, ports));
+        ports: &[&'a ValueInfoProto],
+    ) -> Result<&'a ValueInfoProto, ActorError> {
+        match ports {
+            [port] if port.name == expected => Ok(port),
+            _ => {
+                let found = ports.iter().map(|port| port.name.clone()).collect();
+                Err(ActorError::Ports { origin: self.origin.clone(), side, found, expected })
+            }
         }
-        let found = describe(port);
-        if found == format!("f32 [1, {length}]") {
-            return Ok(());
-        }
-        let (origin, users_max, mirrors) = (self.origin.clone(), self.users_max, self.mirrors);
-        Err(ActorError::Shape { origin, port: expected, found, expected: length, users_max, mirrors })
     }
 
-    fn wrong_ports(&self, side: &'static str, expected: &'static str, ports: &[&ValueInfoProto]) -> ActorError {
-        let found = ports.iter().map(|port| port.name.clone()).collect();
-        ActorError::Ports { origin: self.origin.clone(), side, found, expected }
+    fn wrong_shape(&self, port: &ValueInfoProto, columns: String) -> ActorError {
+        let rows = if self.observation == ObservationKind::Users { "rows" } else { "1" };
+        let why = match &self.array {
+            Some((mirrors, _)) => format!("for users.count = {} and an array of size {mirrors}", self.users_max),
+            None => format!("for the observation {}", self.observation.name()),
+        };
+        let is_batch = matches!(extents(port).0, Some(Some(rows)) if rows != 1);
+        let advice = if is_batch { "export it with a fixed batch of 1" } else { "export the actor in this shape" };
+        let (origin, port, found) = (self.origin.clone(), port.name.clone(), describe(port));
+        ActorError::Shape { origin, port, found, expected: format!("f32 [{rows}, {columns}] {why}"), advice }
     }
 }
 
-/// The beginning of a text of a file, in quotation marks and without control characters.
-fn quoted(text: &str) -> String {
-    format!("{:?}", text.chars().take(QUOTED_MAX).collect::<String>())
-}
-
-struct MetadataReader<'a> {
-    origin: &'a str,
-    entries: &'a [(String, String)],
-}
-
-impl MetadataReader<'_> {
-    fn find(&self, key: &str) -> Option<&String> {
-        self.entries.iter().find(|(name, _)| name == key).map(|(_, value)| value)
-    }
-
-    fn text(&self, key: &'static str) -> Result<String, ActorError> {
-        self.find(key).cloned().ok_or_else(|| self.unusable(key))
-    }
-
-    fn number<T: std::str::FromStr>(&self, key: &'static str) -> Result<T, ActorError> {
-        self.find(key).and_then(|value| value.parse().ok()).ok_or_else(|| self.unusable(key))
-    }
-
-    fn unusable(&self, key: &'static str) -> ActorError {
-        ActorError::Metadata { origin: self.origin.into(), key, found: self.find(key).cloned() }
+/// First and last extent of a table of 32-bit floats: `None` for another type or rank; the first is
+/// `Some(None)` where it is open.
+fn extents(port: &ValueInfoProto) -> (Option<Option<usize>>, Option<usize>) {
+    match f32_extents(port).as_deref() {
+        Some([rows, columns]) => (Some(*rows), *columns),
+        _ => (None, None),
     }
 }

@@ -80,8 +80,7 @@ impl DenseNetwork {
     /// Reads a dense graph whose input has rows of `input_length` values.
     ///
     /// # Errors
-    /// [`DenseError`] with the node that is not dense, the tensor that does not fit, or the value
-    /// that is not finite.
+    /// [`DenseError`] with the node that is not dense, or the tensor that does not fit.
     pub fn read(model: &[u8], input_length: usize) -> Result<Self, DenseError> {
         let model = ModelProto::decode(model).map_err(|error| DenseError::NotOnnx { message: error.to_string() })?;
         let layers = graph::read(&model, input_length)?;

@@ -153,6 +153,12 @@ impl PolicyKind {
         matches!(self.recipe(), Learned)
     }
 
+    /// Whether the shipped file of a learned policy serves any array and any number of users: its
+    /// network is applied to each user.
+    pub fn fits_any_array(self) -> bool {
+        matches!(self, Self::Ddpg | Self::Analytic)
+    }
+
     /// The names of all learned policies, separated by commas.
     pub fn learned_names() -> String {
         let learned = Self::value_variants().iter().filter(|kind| kind.is_learned());

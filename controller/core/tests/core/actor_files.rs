@@ -2,14 +2,16 @@
 
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
-use heliostat_channel::MirrorAngles;
+use heliostat_channel::{ChannelModel, MirrorAngles, Vec3, decode::decode};
 use heliostat_core::{
-    observation::Observation,
+    observation::{Observation, ObservationEncoder, RoomState, Summary},
     policy::{
         Actor, Engine, Network, Policy, PolicyError,
-        actor_file::{ANGLES, ActorError, ActorFile, key},
+        actor_file::{ANGLES, ActionKind, ActorError, ActorFile, ObservationKind, WEIGHTS, key},
+        weights::Head,
     },
 };
+use heliostat_onnx::{TypeProto, ValueInfoProto, f32_row, f32_rows, tensor_shape_proto::dimension, type_proto::Value};
 use heliostat_scenario::Scenario;
 
 use crate::support::{ActorRecipe, FixedEngine, load_actor, model, scenario};
@@ -46,7 +48,7 @@ fn bytes_that_are_not_onnx_are_refused() {
     for bytes in [&b"not a network"[..], b"", &[0xff; 64]] {
         let file = ActorFile { origin: "junk.onnx".into(), bytes: bytes.to_vec().into() };
         let Err(error) = load_actor(&file, &scenario) else { panic!("accepted") };
-        assert!(matches!(error, ActorError::NotOnnx { .. }), "{error}");
+        assert!(matches!(error, ActorError::NotOnnx { .. } | ActorError::Foreign { .. }), "{error}");
         assert_contains(&error, &["junk.onnx"]);
     }
 }
@@ -75,9 +77,12 @@ fn an_unknown_action_is_named_with_the_known_ones() {
     let scenario = scenario(&[]);
     let with = |action: &str| ActorRecipe::fitting(&scenario).with_metadata(key::ACTION, action);
     assert!(load_actor(&with("angles").file(), &scenario).is_ok());
-    for action in ["COMPACT", "weights", ""] {
+    for action in ["COMPACT", ""] {
         let error = refusal(&with(action), &scenario);
-        assert_contains(&error, &[&format!("unknown action \"{action}\""), "\"angles\"", "heliostat.action"]);
+        assert_contains(
+            &error,
+            &[&format!("unknown action \"{action}\""), "\"angles\"", "\"codebook\"", "heliostat.action"],
+        );
     }
     for action in ["compact", "displacements"] {
         assert_contains(&refusal(&with(action), &scenario), &[&format!("the action {action} was removed"), "weights"]);
@@ -164,16 +169,16 @@ fn an_output_that_is_not_finite_is_an_error() {
     let recipe = ActorRecipe::fitting(&scenario);
     let mut actor = Actor::load(&recipe.file(), &scenario, &FixedEngine(f32::INFINITY)).unwrap();
     let vector = vec![0.0; recipe.input_length];
-    let error = actor.answer(&vector, &mut MirrorAngles::flat(9)).unwrap_err();
+    let error = actor.answer(&model(&scenario), &vector, &mut MirrorAngles::flat(9)).unwrap_err();
     assert!(error.to_string().contains("mirror 0"), "{error}");
 }
 
 #[test]
-fn a_file_with_weights_that_are_not_finite_is_refused_with_the_name_of_the_tensor() {
+fn a_file_with_nan_or_infinite_weights_is_refused_with_the_name_of_the_tensor() {
     let scenario = scenario(&[]);
     for bias in [f32::NAN, f32::INFINITY] {
         let error = refusal(&ActorRecipe { bias: vec![bias; 18], ..ActorRecipe::fitting(&scenario) }, &scenario);
-        assert_contains(&error, &["test.onnx", "tensor bias", "not finite"]);
+        assert_contains(&error, &["test.onnx", "tensor bias", "NaN or infinity"]);
     }
 }
 
@@ -233,31 +238,188 @@ fn a_slow_network_is_tried_only_once() {
     let scenario = scenario(&[]);
     let file = ActorRecipe::fitting(&scenario).file();
     let mut actor = Actor::load(&file, &scenario, &CountingEngine).unwrap();
-    actor.try_out(&file, &scenario, slow_clock).unwrap();
-    assert_eq!(RUNS.load(Relaxed), 1);
-    actor.try_out(&file, &scenario, || 0).unwrap();
-    assert!(RUNS.load(Relaxed) > 8, "{RUNS:?}");
+    let verified = RUNS.load(Relaxed);
+    actor.try_out(&scenario, slow_clock).unwrap();
+    assert_eq!(RUNS.load(Relaxed), verified + 1);
+    actor.try_out(&scenario, || 0).unwrap();
+    assert!(RUNS.load(Relaxed) > verified + 8, "{RUNS:?}");
+}
+
+/// A network whose outputs differ from run to run.
+struct SamplingEngine;
+
+impl Engine for SamplingEngine {
+    fn load(&self, _: &[u8], input_length: usize) -> Result<Box<dyn Network>, String> {
+        Ok(Box::new(Sampling(vec![0.0; input_length], [0.25; 18])))
+    }
+}
+
+struct Sampling(Vec<f32>, [f32; 18]);
+
+impl Network for Sampling {
+    fn engine(&self) -> &'static str {
+        "sampling"
+    }
+
+    fn set_rows(&mut self, _: usize) -> Result<(), PolicyError> {
+        Ok(())
+    }
+
+    fn input_mut(&mut self) -> &mut [f32] {
+        &mut self.0
+    }
+
+    fn run(&mut self) -> Result<&[f32], PolicyError> {
+        self.1[7] += 1e-6;
+        Ok(&self.1)
+    }
 }
 
 #[test]
-fn an_engine_that_computes_other_angles_than_the_file_is_refused() {
+fn a_network_that_samples_is_refused() {
     let scenario = scenario(&[]);
     let file = ActorRecipe::fitting(&scenario).file();
-    let mut actor = Actor::load(&file, &scenario, &FixedEngine(0.5)).unwrap();
-    let error = actor.try_out(&file, &scenario, || 0).unwrap_err();
-    assert_contains(&error, &["test.onnx", "8 of 8 observations", "0.5 by the engine", "0.25 by the reference"]);
+    let error = Actor::load(&file, &scenario, &SamplingEngine).err().expect("a refusal");
+    assert_contains(&error, &["test.onnx", "two runs on one observation differ", "export the mean"]);
 }
 
 #[test]
-fn the_contract_lists_action_version_and_output_of_a_file() {
-    let contract = include_str!("../../../../CONTRACT.md");
-    let recipe = ActorRecipe::fitting(&scenario(&[]));
-    let row = contract.lines().find(|line| line.starts_with("| angles |")).expect("a row of the kind");
-    let [_, _, action, version, output, ..] = row.split('|').map(str::trim).collect::<Vec<_>>()[..] else {
-        panic!("{row}")
+fn outputs_for_fixed_inputs_are_compared_with_those_of_the_trainer() {
+    let scenario = scenario(&[]);
+    let line = |first: &str| format!("{first} {}", ["0.25"; 17].join(" "));
+    let check = |lines: [&str; 4]| {
+        let recipe = ActorRecipe::fitting(&scenario).with_metadata(key::CHECK, &lines.map(line).join("; "));
+        let file = recipe.file();
+        let actor = load_actor(&file, &scenario);
+        actor.map(|mut actor| actor.try_out(&scenario, || 0).unwrap())
     };
-    let entry = |wanted| recipe.metadata.iter().find(|(name, _)| *name == wanted).map(|(_, value)| value.as_str());
-    assert_eq!(Some(version), entry(key::OBSERVATION_VERSION));
-    assert!(action.contains(&format!("`{ANGLES}`")), "{row}");
-    assert!(output.starts_with(&format!("`{}`", recipe.output_name)), "{row}");
+    let findings = check(["0.25"; 4]).expect("equal outputs");
+    assert!(!format!("{findings:?}").contains("not verified"), "{findings:?}");
+    let findings = load_actor(&ActorRecipe::fitting(&scenario).file(), &scenario).unwrap().try_out(&scenario, || 0);
+    assert!(format!("{findings:?}").contains("not verified"), "{findings:?}");
+    let error = check(["0.25", "0.25", "0.2502", "0.25"]).expect_err("another output");
+    assert_contains(&error, &["output 0", "fixed input 2", "0.25 on the engine bias", "0.2502", key::CHECK]);
+    assert!(check(["nan", "0.25", "0.25", "0.25"]).is_err() && check(["0.25 0.25", "", "", ""]).is_err());
+}
+
+#[test]
+fn an_actor_without_angles_on_any_observation_is_refused() {
+    let scenario = scenario(&[]);
+    let file = ActorRecipe::fitting(&scenario).file();
+    let mut actor = Actor::load(&file, &scenario, &FixedEngine(f32::INFINITY)).unwrap();
+    let error = actor.try_out(&scenario, || 0).unwrap_err();
+    assert_contains(&error, &["test.onnx", "no angles on 32 of 32", "mirror 0"]);
+}
+
+/// A file with rows of users and the map from actions to weights.
+fn of_users(scenario: &Scenario, bias: f32) -> ActorRecipe {
+    let recipe = ActorRecipe {
+        output_name: WEIGHTS,
+        input_length: Summary::COLUMNS,
+        output_length: 1,
+        bias: vec![bias],
+        port: f32_rows,
+        ..ActorRecipe::fitting(scenario)
+    };
+    let recipe = recipe.with_metadata(key::OBSERVATION, "users").with_metadata(key::ACTION, WEIGHTS);
+    recipe.without_metadata(key::USERS_MAX).without_metadata(key::MIRRORS).without_metadata(key::GEOMETRY)
+}
+
+#[test]
+fn a_file_of_users_serves_any_array_and_any_number_of_users() {
+    let recipe = of_users(&scenario(&[]), 0.5);
+    for overrides in [&["users.count=1"][..], &["mirrors.rows=6", "users.count=17"]] {
+        let scenario = scenario(overrides);
+        let model = model(&scenario);
+        let mut actor = load_actor(&recipe.file(), &scenario).unwrap();
+        let (mut angles, mut balanced) = (MirrorAngles::flat(scenario.mirror_count()), Vec::new());
+        let mut observation = Observation::new(&model, scenario.users.count);
+        samples(&scenario, &model, &mut observation);
+        actor.act(&model, &observation, &mut angles).unwrap();
+        // Equal actions change all weights by one factor, so that the balanced weights decide.
+        let encoder = ObservationEncoder::new(scenario.users.count, scenario.mirror_count());
+        let mut vector = vec![0.0; encoder.len()];
+        encoder.encode(&model, &observation, &mut vector).unwrap();
+        balanced.extend(vector[encoder.column(Summary::LogWeight as usize)].iter().map(|log| f64::from(log.exp())));
+        let mut expected = angles.clone();
+        decode(&model, &observation.scene, &balanced, &mut expected);
+        assert_eq!(angles, expected);
+        assert_eq!(actor.users_max(), heliostat_proto::MAX_USERS);
+    }
+    let error =
+        load_actor(&of_users(&scenario(&[]), f32::MAX).with_metadata(key::WEIGHT_RANGE, "inf").file(), &scenario(&[]));
+    assert_contains(&error.err().expect("a refusal"), &[key::WEIGHT_RANGE]);
+}
+
+/// Users on a diagonal of the room.
+fn samples(scenario: &Scenario, model: &ChannelModel, observation: &mut Observation) {
+    let users = scenario.users.count;
+    let place = |user: usize| Vec3::new(1.5 - 0.1 * user as f64, 0.15 * user as f64 - 1.0, 0.85);
+    let state = RoomState {
+        tick: 0,
+        positions: &(0..users).map(place).collect::<Vec<_>>(),
+        orientations: None,
+        velocities: &vec![Vec3::zeros(); users],
+        min_rate_bps: &vec![1e6; users],
+        blockers: &[],
+        forced: &vec![false; users],
+        measured_los_gain: None,
+    };
+    observation.set_state(model, &state);
+}
+
+#[test]
+fn kinds_that_do_not_go_together_are_refused() {
+    let scenario = scenario(&[]);
+    let with = |observation: &str, action: &str| {
+        let recipe = ActorRecipe::fitting(&scenario).with_metadata(key::OBSERVATION, observation);
+        refusal(&recipe.with_metadata(key::ACTION, action), &scenario)
+    };
+    assert_contains(&with("users", "angles"), &["\"angles\"", "\"users\"", "expected weights"]);
+    assert_contains(&with("cell", "weights"), &["\"weights\"", "\"cell\"", "expected codebook"]);
+    assert_contains(&with("pixels", "angles"), &["unknown observation \"pixels\"", "codewords", key::OBSERVATION]);
+}
+
+#[test]
+fn a_file_that_holds_no_network_is_named() {
+    let scenario = scenario(&[]);
+    for (bytes, words) in
+        [(&b"version https://git-lfs"[..], "git lfs pull"), (b"<html>", "web page"), (b"", "is empty")]
+    {
+        let file = ActorFile { origin: "own.onnx".into(), bytes: bytes.to_vec().into() };
+        assert_contains(&load_actor(&file, &scenario).err().expect("a refusal"), &["own.onnx", words]);
+    }
+}
+
+#[test]
+fn an_open_first_extent_admits_one_row_and_a_batch_does_not() {
+    let scenario = scenario(&[]);
+    assert!(load_actor(&ActorRecipe { port: f32_rows, ..ActorRecipe::fitting(&scenario) }.file(), &scenario).is_ok());
+    fn batch(name: &str, length: usize) -> ValueInfoProto {
+        let mut port = f32_row(name, length);
+        let Some(TypeProto { value: Some(Value::TensorType(tensor)), .. }) = &mut port.r#type else {
+            panic!("a tensor")
+        };
+        tensor.shape.as_mut().expect("a shape").dim[0].value = Some(dimension::Value::DimValue(4));
+        port
+    }
+    let error = refusal(&ActorRecipe { port: batch, ..ActorRecipe::fitting(&scenario) }, &scenario);
+    assert_contains(&error, &["f32 [4, 122]", "f32 [1, 122]", "fixed batch of 1"]);
+}
+
+#[test]
+fn the_contract_lists_the_kinds_of_files() {
+    let (_, contract) = include_str!("../../../../CONTRACT.md").split_once("## 8. Actor files").expect("the section");
+    for kind in ObservationKind::ALL {
+        let row = contract.lines().find(|line| line.starts_with(&format!("| `{}`", kind.name())));
+        let row = row.unwrap_or_else(|| panic!("no row of {}", kind.name()));
+        assert!(kind.actions().iter().all(|action| row.contains(&format!("`{action}`"))), "{row}");
+    }
+    let head = Head::BALANCED;
+    for action in [ActionKind::Angles, ActionKind::Weights(head), ActionKind::Codebook] {
+        let row = contract.lines().find(|line| line.starts_with(&format!("| `{}`", action.name())));
+        let row = row.unwrap_or_else(|| panic!("no row of {}", action.name()));
+        assert!(row.contains(&format!("`{}`", action.output())), "{row}");
+    }
+    assert!(contract.contains(key::CHECK) && contract.contains(key::WEIGHT_RANGE) && contract.contains(ANGLES));
 }

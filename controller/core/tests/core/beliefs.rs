@@ -124,7 +124,7 @@ fn direct_clear(los_gain: f32, overrides: &[&str]) -> f64 {
         belief.handle_users(&UserReport { stamp, tick, users: vec![user] });
         let measured = UserChannel { user: 7, los_gain, irs_gain: 0.0, sinr: 0.0 };
         let channel = ChannelReport { stamp, tick, users: vec![measured] };
-        belief.handle_channel(&model, &channel, &[], &[]);
+        belief.handle_channel(&model, &channel, None, &[], &[]);
     }
     belief.estimate(7, 0.0).unwrap().direct_clear
 }
@@ -197,11 +197,11 @@ fn a_restored_belief_knows_the_mirrors_of_a_late_measurement() {
     let stamp = Stamp { source: 1, sequence: 61, time_ns: 2000 * MS };
     let measured = UserChannel { user: 7, los_gain: 1e-6, irs_gain: 0.0, sinr: 0.0 };
     let channel = ChannelReport { stamp, tick: 20, users: vec![measured] };
-    [&mut first, &mut second].into_iter().for_each(|belief| belief.handle_channel(&model, &channel, &[], &[]));
+    [&mut first, &mut second].into_iter().for_each(|belief| belief.handle_channel(&model, &channel, None, &[], &[]));
     let heading = |belief: &Belief| belief.heading_distribution(7).copied().unwrap();
     assert_eq!(heading(&second), heading(&first));
     // Without its commands, a belief does not know the angles of the mirrors.
-    unknown.handle_channel(&model, &channel, &[], &[]);
+    unknown.handle_channel(&model, &channel, None, &[], &[]);
     assert_ne!(heading(&unknown), heading(&first));
 }
 

@@ -91,6 +91,7 @@ pub fn tensor<'a>(model: &'a mut ModelProto, prefix: &str) -> &'a mut TensorProt
 }
 
 /// The file of an actor for a scenario: a dense network with two hidden layers.
+#[allow(dead_code)]
 pub fn dense_actor(scenario: &Scenario) -> Vec<u8> {
     let encoder = ObservationEncoder::new(USERS_CAPACITY, scenario.mirror_count());
     let (inputs, outputs) = (encoder.len(), 2 * scenario.mirror_count());

@@ -155,11 +155,11 @@ fn states_of_earlier_layouts_are_restored() {
     };
     (1..=5).for_each(|number| drop(plain(&mut first, number)));
     let latest = first.memory().to_bytes().unwrap();
-    // Behind the fifth layout: no absent user. Behind the fourth one: no position. Behind the third
-    // one: no device. Behind the second one: no array, no evidence of tilted receivers, and the
+    // Behind the sixth layout: no LED report, no sequence number of one. Behind the fifth one: no
+    // absent user. Behind the fourth one: no position. Behind the third one: no device. Behind the second one: no array, no evidence of tilted receivers, and the
     // readings in 50 bytes: no user, six sums and no time. Before them, one byte each: no
     // orientation report, no sequence number of one.
-    assert_eq!(latest[latest.len() - 57..], [0; 57]);
+    assert_eq!(latest[latest.len() - 59..], [0; 59]);
     let of_layout = |layout: u8, missing: usize| {
         let mut bytes = latest[..latest.len() - missing].to_vec();
         bytes[0] = layout;
@@ -167,17 +167,18 @@ fn states_of_earlier_layouts_are_restored() {
     };
     // What removed policies kept of a user is left out: 161 bytes of readings, 331 of positions.
     let of_user = |values: usize| [&[1, 7][..], &vec![0; values]].concat();
-    let common = latest[..latest.len() - 53].to_vec();
-    let former = [common, of_user(161), vec![0; 50], of_user(331), vec![0]].concat();
+    let common = latest[..latest.len() - 55].to_vec();
+    let former = [common, of_user(161), vec![0; 50], of_user(331), vec![0; 3]].concat();
     let mut restored = controller(&scenario, build(PolicyKind::Nearest, &scenario).unwrap());
     restored.restore(&Memory::from_bytes(&former).unwrap()).unwrap();
     assert_eq!(restored.memory().to_bytes().unwrap(), latest);
-    let memory = of_layout(1, 57);
+    let memory = of_layout(1, 59);
     assert_eq!(memory.to_bytes().unwrap(), latest);
-    assert_eq!(of_layout(2, 55).to_bytes().unwrap(), latest);
-    assert_eq!(of_layout(3, 3).to_bytes().unwrap(), latest);
-    assert_eq!(of_layout(4, 2).to_bytes().unwrap(), latest);
-    assert_eq!(of_layout(5, 1).to_bytes().unwrap(), latest);
+    assert_eq!(of_layout(2, 57).to_bytes().unwrap(), latest);
+    assert_eq!(of_layout(3, 5).to_bytes().unwrap(), latest);
+    assert_eq!(of_layout(4, 4).to_bytes().unwrap(), latest);
+    assert_eq!(of_layout(5, 3).to_bytes().unwrap(), latest);
+    assert_eq!(of_layout(6, 2).to_bytes().unwrap(), latest);
     let mut second = controller(&scenario, build(PolicyKind::Nearest, &scenario).unwrap());
     second.restore(&memory).unwrap();
     assert_eq!(plain(&mut second, 6), plain(&mut first, 6));

@@ -49,7 +49,7 @@ fn unobstructed(overrides: &[&str], held: Orientation, share: f64) -> f64 {
         let user = UserState { user: 7, position_m, ..UserState::default() };
         belief.handle_users(&UserReport { stamp, tick, users: vec![user] });
         let measured = UserChannel { user: 7, los_gain, irs_gain: share as f32 * irs_gain, ..UserChannel::default() };
-        belief.handle_channel(&model, &ChannelReport { stamp, tick, users: vec![measured] }, &[], &[]);
+        belief.handle_channel(&model, &ChannelReport { stamp, tick, users: vec![measured] }, None, &[], &[]);
     }
     let mut columns = vec![1.0; scenario.mirrors.columns()];
     assert!(belief.unobstructed(&PLACE, &mut columns), "the map exists");

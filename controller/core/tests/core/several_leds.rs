@@ -1,8 +1,11 @@
 //! Rooms with several LEDs: the gain of the serving LED shows what blocks the others.
 
 use heliostat_channel::{ChannelModel, Cylinder, Orientation, Scene, Vec3};
-use heliostat_core::belief::Belief;
-use heliostat_proto::{ChannelReport, Stamp, UserChannel, UserReport, UserState};
+use heliostat_core::{
+    belief::Belief,
+    inbox::{Inbox, Message},
+};
+use heliostat_proto::{ChannelReport, LedGain, LedReport, Stamp, UserChannel, UserLeds, UserReport, UserState};
 use heliostat_scenario::Scenario;
 
 use crate::support::MS;
@@ -25,6 +28,16 @@ fn direct_gains(model: &ChannelModel, held: &[(Vec3, Orientation)], blockers: &[
 
 /// A belief after ten reports, 100 ms apart, of these places and direct gains.
 fn reported(scenario: &Scenario, model: &ChannelModel, places: &[Vec3], gains: &[f64]) -> Belief {
+    reported_with(scenario, model, (places, gains), None)
+}
+
+/// The same with what the receivers tell about LEDs.
+fn reported_with(
+    scenario: &Scenario,
+    model: &ChannelModel,
+    (places, gains): (&[Vec3], &[f64]),
+    leds: Option<&LedReport>,
+) -> Belief {
     let mut belief = Belief::new(scenario, model, 64);
     for tick in 1..=10 {
         let stamp = Stamp { source: 1, sequence: tick, time_ns: tick * 100 * MS };
@@ -35,7 +48,7 @@ fn reported(scenario: &Scenario, model: &ChannelModel, places: &[Vec3], gains: &
         belief.handle_users(&UserReport { stamp, tick, users: (0..).zip(places).map(user).collect() });
         let entry = |(user, gain): (u32, &f64)| UserChannel { user, los_gain: *gain as f32, ..UserChannel::default() };
         let channel = ChannelReport { stamp, tick, users: (0..).zip(gains).map(entry).collect() };
-        belief.handle_channel(model, &channel, &[], &[]);
+        belief.handle_channel(model, &channel, leds, &[], &[]);
     }
     belief
 }
@@ -89,4 +102,44 @@ fn tilted_receivers_are_noticed_under_several_leds() {
         let is_tilted = belief.orientation(0, 0.0, (&Vec3::x(), 0.0)) != Orientation::UPRIGHT;
         assert_eq!(is_tilted, polar_deg > 0.0, "a polar angle of {polar_deg} degrees");
     }
+}
+
+/// A report of a user's receiver with these gains of each LED.
+fn led_report(gains: &[f64]) -> LedReport {
+    let gain = |(led, gain): (u32, &f64)| LedGain { user: 0, led, los_gain: *gain as f32 };
+    let users = vec![UserLeds { user: 0, serving: None, measures_each: true }];
+    LedReport { users, gains: (0..).zip(gains).map(gain).collect(), ..LedReport::default() }
+}
+
+#[test]
+fn the_gains_of_both_leds_show_the_heading_that_one_of_them_leaves_open() {
+    let scenario = hall(&["blockage.body_height_m=0.9", "blockage.obstacles_per_m2=0.0", "control.tilt={}"]);
+    let model = scenario.channel_model().unwrap();
+    let (place, towards) = (Vec3::new(0.4, 1.1, 0.85), Vec3::new(0.6, 0.8, 0.0));
+    let held = Orientation::from_polar_azimuth(41.39_f64.to_radians(), (-towards.y).atan2(-towards.x));
+    let mut scene = Scene::new(&model, 1);
+    scene.place_turned(&model, &[place], &[held], &[]);
+    let gains = [0, 1].map(|led| scene.los_gain_by(&model, &[], 0, led));
+    let los = gains[0].max(gains[1]);
+    let certainty = |leds: Option<&LedReport>| {
+        let belief = reported_with(&scenario, &model, (&[place], &[los]), leds);
+        belief.estimate(0, 0.0).unwrap().heading.dot(&towards)
+    };
+    let [one, both] = [certainty(None), certainty(Some(&led_report(&gains)))];
+    assert!(both > 0.9 && one < 0.8, "{one} {both}");
+}
+
+#[test]
+fn an_led_report_belongs_to_the_channel_report_of_its_time() {
+    let mut inbox = Inbox::new(&hall(&[]));
+    let stamp = |sequence: u64, time_ms: u64| Stamp { source: 1, sequence, time_ns: time_ms * MS };
+    for (sequence, led_ms, channel_ms) in [(1, 1000, 1000), (2, 1100, 1200)] {
+        let mut leds = LedReport { stamp: stamp(sequence, led_ms), ..led_report(&[1e-6, 2e-6]) };
+        let mut channel = ChannelReport { stamp: stamp(sequence, channel_ms), ..ChannelReport::default() };
+        inbox.accept(1200 * MS, Message::Leds(&mut leds)).unwrap();
+        inbox.accept(1200 * MS, Message::Channel(&mut channel)).unwrap();
+        assert_eq!(inbox.leds().is_some(), led_ms == channel_ms);
+    }
+    let mut unknown = LedReport { stamp: stamp(3, 1200), ..led_report(&[1e-6, 2e-6, 3e-6]) };
+    assert!(inbox.accept(1200 * MS, Message::Leds(&mut unknown)).is_err(), "the room has two LEDs");
 }

@@ -38,7 +38,7 @@ fn report(belief: &mut Belief, model: &ChannelModel, gains: &[f64], tick: u64) {
     belief.handle_users(&UserReport { stamp, tick, users: (0..).zip(&SEATS).map(user).collect() });
     let measured = |(user, gain): (u32, &f64)| UserChannel { user, los_gain: *gain as f32, ..UserChannel::default() };
     let channel = ChannelReport { stamp, tick, users: (0..).zip(gains).map(measured).collect() };
-    belief.handle_channel(model, &channel, &[], &[]);
+    belief.handle_channel(model, &channel, None, &[], &[]);
 }
 
 fn headings(belief: &Belief) -> Vec<Vec3> {

@@ -20,7 +20,7 @@ use heliostat_core::{
     core::WARM_UP_RUNS,
     policy::{Finding, Policy, PolicyKind, warm_up},
 };
-use heliostat_models::{ActorSource, EngineChoice};
+use heliostat_models::{ActorSource, build_tried};
 use heliostat_proto::{ControllerControl, decode};
 use heliostat_scenario::Scenario;
 
@@ -63,8 +63,6 @@ pub struct PolicyBuilder {
     /// The policy of the command line and the source of its actor; other policies use built-in
     /// actors.
     pub configured: (PolicyKind, ActorSource),
-    /// The engine of learned policies.
-    pub engine: EngineChoice,
 }
 
 impl PolicyBuilder {
@@ -76,7 +74,7 @@ impl PolicyBuilder {
         let kind = PolicyKind::find(name, || unknown(name))?;
         let (configured, source) = &self.configured;
         let source = if kind == *configured { source } else { &ActorSource::Shipped };
-        let tried = self.engine.build_tried(kind, &self.scenario, source);
+        let tried = build_tried(kind, &self.scenario, source);
         let (mut policy, findings) = tried.map_err(|error| error.to_string())?;
         warm_up(&mut [policy.as_mut()], &self.model, self.scenario.users.count, warm_up_runs());
         Ok((policy, findings))
@@ -180,12 +178,7 @@ mod tests {
 
     fn builder(scenario: Scenario) -> PolicyBuilder {
         let model = scenario.channel_model().expect("a built-in scenario");
-        PolicyBuilder {
-            scenario,
-            model,
-            configured: (PolicyKind::Ddpg, ActorSource::Shipped),
-            engine: EngineChoice::Auto,
-        }
+        PolicyBuilder { scenario, model, configured: (PolicyKind::Ddpg, ActorSource::Shipped) }
     }
 
     #[test]
@@ -209,7 +202,9 @@ mod tests {
         let mut scenario = Scenario::default();
         let array = scenario.mirrors.first_mut();
         (array.rows, array.columns) = (6, 9);
-        let refusal = builder(scenario).build("ddpg").err().expect("no file for 6 x 9 mirrors");
+        let refusal = builder(scenario.clone()).build("ddpg-raw").err().expect("no file for 6 x 9 mirrors");
         assert!(refusal.contains("6x9"), "{refusal}");
+        let (policy, _) = builder(scenario).build("ddpg").expect("its file serves any array");
+        assert_eq!(policy.engine(), Some("dense"));
     }
 }

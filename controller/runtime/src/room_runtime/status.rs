@@ -171,7 +171,6 @@ impl Reporter {
         let users = summary.users.iter().map(named("users:"));
         let absent = summary.arrays.iter().filter(|array| array.driver_absent);
         let absent = absent.map(|array| (format!("driver_absent:{}", array.name), 1));
-        // A replay evaluates the network by the same engine.
         let engine = summary.engine.iter().map(|name| (format!("engine:{name}"), 1));
         let stages = Stage::ALL.map(|stage| (stage.name().to_string(), times.stage_us(stage)));
         let totals = [("decision".to_string(), times.decision_us()), ("age".to_string(), times.age_us())];

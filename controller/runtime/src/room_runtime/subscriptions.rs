@@ -44,6 +44,7 @@ pub fn subscribe_to_reports(bus: &Bus, handler: &PayloadHandler) -> anyhow::Resu
     let reports = [
         (Stream::Obstacles.into(), room.obstacles()),
         (Stream::Orientation.into(), room.orientation()),
+        (Stream::Leds.into(), room.leds()),
         (Stream::Channel.into(), room.channel()),
         (Stream::Users.into(), room.users()),
     ];

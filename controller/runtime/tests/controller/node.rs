@@ -51,7 +51,6 @@ impl Rig {
             decisions: DecisionSettings::default(),
             policy: PolicyKind::Nearest,
             model: None,
-            engine: Default::default(),
             pace: Pace::Lockstep,
             run_for: Some(4 * PATIENCE),
             metrics: MetricsArgs::default(),

@@ -95,6 +95,24 @@ impl Scene {
         );
     }
 
+    /// The same for one user. Shape of `out`: M.
+    ///
+    /// # Panics
+    /// When `angles` or `out` does not have one entry per mirror, or when there is no such user.
+    pub fn irs_gain_each_of(&self, model: &ChannelModel, angles: &MirrorAngles, user: usize, out: &mut [f64]) {
+        assert_eq!(out.len(), self.mirrors, "one gain per mirror");
+        out.fill(0.0);
+        with_widest_simd(
+            #[inline(always)]
+            || {
+                for first in (0..self.mirrors).step_by(BLOCK) {
+                    let block = self.turn(model, angles, first, user);
+                    self.each_of_block(model, &block, user, &mut out[first..][..block.lanes]);
+                }
+            },
+        );
+    }
+
     /// Calls `finish` with each user's gains per branch and writes the returned values.
     #[inline(always)]
     fn evaluate(

@@ -5,8 +5,9 @@ use super::visibility::mark_visible;
 use crate::blockage::{Cylinder, blocks};
 use crate::geometry::Vec3;
 use crate::los::unit_gain;
-use crate::model::ChannelModel;
+use crate::model::{ChannelModel, Detector, Panel};
 use crate::orientation::Orientation;
+use crate::receiver::BRANCHES_MAX;
 use crate::simd::with_widest_simd;
 
 impl Scene {
@@ -26,7 +27,7 @@ impl Scene {
         for held in self.detectors.chunks_exact_mut(self.branches) {
             held.copy_from_slice(&model.detectors);
         }
-        self.update_paths(model, (users, forced), blockers, None);
+        self.update_paths(model, users, blockers, forced);
     }
 
     /// The same for receivers that the users hold in these orientations. Shape of `orientations`: K.
@@ -46,24 +47,26 @@ impl Scene {
         forced: &[bool],
     ) {
         self.hold(model, orientations);
-        self.update_paths(model, (users, forced), blockers, None);
+        self.update_paths(model, users, blockers, forced);
     }
 
-    /// The same, where one LED serves all users, whichever is the strongest: for receivers of unknown
-    /// orientation. [`Scene::serve_by`] then changes the LED.
+    /// Places the receivers that the users hold in these orientations, without any gain: for receivers of
+    /// unknown orientation, which any LED may serve. [`Scene::serve_by`] then computes the gains of one user.
     ///
     /// # Panics
-    /// As [`Scene::update_turned`], and when there is no such LED.
-    pub fn update_turned_by(
+    /// As [`Scene::update_turned`].
+    pub fn place_turned(
         &mut self,
         model: &ChannelModel,
         users: &[Vec3],
         orientations: &[Orientation],
         blockers: &[Cylinder],
-        led: usize,
     ) {
         self.hold(model, orientations);
-        self.update_paths(model, (users, &[]), blockers, Some(led));
+        with_widest_simd(
+            #[inline(always)]
+            || self.place(model, users, blockers),
+        );
     }
 
     /// Turns the detectors of each user.
@@ -75,39 +78,37 @@ impl Scene {
         }
     }
 
-    /// Computes all tables for the detectors as they are, for the strongest LED of each user or for
-    /// this one, which no force blocks.
-    fn update_paths(
-        &mut self,
-        model: &ChannelModel,
-        (users, forced): (&[Vec3], &[bool]),
-        blockers: &[Cylinder],
-        led: Option<usize>,
-    ) {
-        assert!(led.is_some() || forced.len() == self.users, "one flag per user");
-        assert_eq!(model.mirrors.len(), self.mirrors, "the scene was made for another array");
-        assert_eq!(model.leds.len() * self.mirrors, self.led_path_clear.len(), "the scene was made for other LEDs");
-        self.positions.copy_from_slice(users);
+    /// Computes all tables for the detectors as they are.
+    fn update_paths(&mut self, model: &ChannelModel, users: &[Vec3], blockers: &[Cylinder], forced: &[bool]) {
+        assert!(forced.len() == self.users, "one flag per user");
         with_widest_simd(
             #[inline(always)]
             || {
-                for (led, clear) in self.led_path_clear.chunks_exact_mut(self.mirrors).enumerate() {
-                    mark_visible(clear, &model.mirrors, &model.leds[led].position, blockers);
-                }
-                for user in 0..self.users {
+                self.place(model, users, blockers);
+                for (user, forced) in forced.iter().enumerate() {
                     let pairs = user * self.mirrors..(user + 1) * self.mirrors;
                     mark_visible(&mut self.irs_path_clear[pairs], &model.mirrors, &self.positions[user], blockers);
-                    let forced = led.is_none() && forced[user];
-                    let led = led.unwrap_or_else(|| self.choose_led(model, blockers, user, forced));
-                    self.set_led(model, blockers, (user, led), forced);
+                    let led = self.choose_led(model, blockers, user, *forced);
+                    self.set_led(model, blockers, (user, led), *forced);
                 }
             },
         );
     }
 
+    /// Places the users, and marks the mirrors that are visible from each LED.
+    #[inline(always)]
+    fn place(&mut self, model: &ChannelModel, users: &[Vec3], blockers: &[Cylinder]) {
+        assert_eq!(model.mirrors.len(), self.mirrors, "the scene was made for another array");
+        assert_eq!(model.leds.len() * self.mirrors, self.led_path_clear.len(), "the scene was made for other LEDs");
+        self.positions.copy_from_slice(users);
+        for (led, clear) in self.led_path_clear.chunks_exact_mut(self.mirrors).enumerate() {
+            mark_visible(clear, &model.mirrors, &model.leds[led].position, blockers);
+        }
+    }
+
     /// Serves one user by this LED until the next update, whichever LED is the strongest: for a
-    /// receiver of unknown orientation. `blockers` are those of the update; mirrors that were excluded
-    /// are not.
+    /// receiver of unknown orientation. `blockers` are those of the update or of
+    /// [`Scene::place_turned`]; mirrors that were excluded are not.
     ///
     /// # Panics
     /// When there is no such user or LED.
@@ -176,6 +177,22 @@ impl Scene {
         best.0
     }
 
+    /// The line-of-sight gain of a user by any LED, combined over the branches; 0 where a blocker is before
+    /// the LED. `blockers` are those of the update; no force blocks the path.
+    ///
+    /// # Panics
+    /// When there is no such user or LED.
+    pub fn los_gain_by(&self, model: &ChannelModel, blockers: &[Cylinder], user: usize, led: usize) -> f64 {
+        let position = &self.positions[user];
+        if is_blocked(model, blockers, led, position) {
+            return 0.0;
+        }
+        let mut gains = [0.0; BRANCHES_MAX];
+        let gains = &mut gains[..self.branches];
+        direct_gains(&model.panels[led], &self.detectors[user * self.branches..][..self.branches], position, gains);
+        self.combining.combine(gains)
+    }
+
     /// The combined line-of-sight gain of a user by an LED; 0 where the path is blocked.
     #[inline(always)]
     fn unblocked_direct(
@@ -195,13 +212,19 @@ impl Scene {
     /// Writes the line-of-sight gain of each branch without blockage.
     #[inline(always)]
     fn direct(&mut self, model: &ChannelModel, user: usize, led: usize) {
-        let panel = &model.panels[led];
         let branches = user * self.branches..(user + 1) * self.branches;
-        for (out, detector) in self.los_clear[branches.clone()].iter_mut().zip(&self.detectors[branches]) {
-            let branch = (&detector.normal, detector.fov_cosine);
-            let gain = |point| unit_gain(point, panel.order, branch, &self.positions[user]);
-            *out = panel.front * detector.concentrator_gain * panel.points.iter().map(gain).sum::<f64>();
-        }
+        let detectors = &self.detectors[branches.clone()];
+        direct_gains(&model.panels[led], detectors, &self.positions[user], &mut self.los_clear[branches]);
+    }
+}
+
+/// Writes the line-of-sight gain of each branch at a position, without blockage.
+#[inline(always)]
+fn direct_gains(panel: &Panel, detectors: &[Detector], position: &Vec3, gains: &mut [f64]) {
+    for (out, detector) in gains.iter_mut().zip(detectors) {
+        let branch = (&detector.normal, detector.fov_cosine);
+        let gain = |point| unit_gain(point, panel.order, branch, position);
+        *out = panel.front * detector.concentrator_gain * panel.points.iter().map(gain).sum::<f64>();
     }
 }
 

@@ -13,7 +13,7 @@ use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use heliostat_bus::{Bus, BusConfig, free_loopback_endpoint};
 use heliostat_core::policy::{NameParser, PolicyKind};
-use heliostat_models::{ActorSource, EngineChoice};
+use heliostat_models::{ActorSource, build, library};
 use heliostat_proto::Room;
 use heliostat_scenario::{Scenario, ScenarioArgs};
 use heliostat_service::counted::counted;
@@ -47,10 +47,6 @@ pub struct Args {
     /// ONNX file of a learned policy, instead of the built-in one
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
-    /// Engine of learned policies: `auto` (dense for graphs of dense layers, otherwise the embedded
-    /// one), `dense`, or the embedded one by its name (`tract`, or `ort` in builds with ONNX Runtime)
-    #[arg(long, default_value_t = EngineChoice::Auto)]
-    engine: EngineChoice,
     /// End after this many seconds, counted from the first answered report
     #[arg(long, value_name = "N", value_parser = duration::seconds, allow_negative_numbers = true)]
     seconds: Option<Duration>,
@@ -174,9 +170,7 @@ impl Args {
     /// starts.
     fn check_policy(&self, scenario: &Scenario) -> Result<()> {
         let source = self.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
-        self.engine
-            .build(self.policy(), scenario, &source)
-            .context("nothing was started: the controller would have no policy")?;
+        build(self.policy(), scenario, &source).context("nothing was started: the controller would have no policy")?;
         Ok(())
     }
 
@@ -198,7 +192,10 @@ impl Args {
 
     fn controller_arguments(&self, (room, controller): (&str, &str), kind: PolicyKind) -> Result<Vec<String>> {
         let mut arguments = self.process_arguments("controller", &[("--connect", room), ("--listen", controller)]);
-        arguments.extend(["--policy".into(), kind.name(), "--engine".into(), self.engine.to_string()]);
+        arguments.extend(["--policy".into(), kind.name()]);
+        if let Some(library) = library::chosen() {
+            arguments.extend(["--onnxruntime".into(), library.display().to_string()]);
+        }
         if let Some(model) = self.model.as_ref().filter(|_| kind == self.policy()) {
             arguments.extend(["--model".into(), model.display().to_string()]);
         }

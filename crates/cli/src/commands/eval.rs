@@ -12,7 +12,7 @@ use std::time::Duration;
 use anyhow::{Result, ensure};
 use clap::Parser;
 use heliostat_learn::comparison::{EvaluatedPolicy, Known, Loop, Settings, compare};
-use heliostat_models::{ActorSource, EngineChoice};
+use heliostat_models::ActorSource;
 use heliostat_scenario::{Belief, Scenario, ScenarioArgs};
 use heliostat_service::duration::seconds;
 
@@ -45,10 +45,6 @@ pub struct Args {
     /// ONNX file of the policy ddpg, instead of the built-in ones
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
-    /// Engine of learned policies: `auto` (dense for graphs of dense layers, otherwise the embedded
-    /// one), `dense`, or the embedded one by its name (`tract`, or `ort` in builds with ONNX Runtime)
-    #[arg(long, default_value_t = EngineChoice::Auto)]
-    engine: EngineChoice,
     /// Use the built-in actor of this training seed only, instead of all
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     training_seed: Option<u32>,
@@ -120,11 +116,11 @@ impl Args {
         let mut policies = Vec::new();
         for (index, name) in self.policies.iter().enumerate() {
             ensure!(!self.policies[..index].contains(name), "--policies names {name} twice");
-            policies.push(EvaluatedPolicy::parse(name, &actor)?.on(self.engine));
+            policies.push(EvaluatedPolicy::parse(name, &actor)?);
         }
         if self.policies.is_empty() {
             policies = DEFAULT_POLICIES
-                .map(|name| EvaluatedPolicy::parse(name, &actor).map(|policy| policy.on(self.engine)))
+                .map(|name| EvaluatedPolicy::parse(name, &actor))
                 .into_iter()
                 .collect::<Result<_, _>>()?;
             policies.retain(|evaluated| self.model.is_some() || evaluated.fits(&scenario));

@@ -5,6 +5,7 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
+use heliostat_core::belief::conditions::conditions;
 use heliostat_room::World;
 use heliostat_scenario::{BUILTIN_NAMES, Scenario, ScenarioArgs};
 
@@ -20,7 +21,8 @@ pub struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum Action {
-    /// Check a scenario file and its recorded walk, and list every problem with its line
+    /// Check a scenario file and its recorded walk. Lists every problem with its line, and the methods of
+    /// the controller's belief that do not apply to the room
     Check {
         /// The file
         file: String,
@@ -69,11 +71,17 @@ fn check(file: String, json: bool) -> Result<()> {
     let args = ScenarioArgs { scenario: file, ..ScenarioArgs::default() };
     let (scenario, problems) = problems(&args)?;
     let valid = problems.is_empty();
+    let conditions = match &scenario {
+        Some(scenario) if valid => conditions(scenario, &scenario.channel_model()?),
+        _ => Vec::new(),
+    };
     if json {
         let first = problems.first();
         outln!(
             "{}",
-            serde_json::json!({ "file": args.scenario, "valid": valid, "problem": first, "problems": problems })
+            serde_json::json!({
+                "file": args.scenario, "valid": valid, "problem": first, "problems": problems, "conditions": conditions
+            })
         )?;
     } else if let Some(scenario) = scenario.filter(|_| valid) {
         outln!(
@@ -84,6 +92,7 @@ fn check(file: String, json: bool) -> Result<()> {
             scenario.mirrors,
             scenario.hash()
         )?;
+        conditions.iter().try_for_each(|condition| outln!("belief: {condition}"))?;
     }
     match problems.as_slice() {
         [] => Ok(()),

@@ -3,8 +3,8 @@
 use heliostat_core::core::{Controller, Due, Timing};
 use heliostat_core::inbox::Message;
 use heliostat_proto::{
-    ChannelReport, InputKind, MirrorCommand, MirrorTelemetry, Nanos, ObstacleReport, OrientationReport, UserReport,
-    decode,
+    ChannelReport, InputKind, LedReport, MirrorCommand, MirrorTelemetry, Nanos, ObstacleReport, OrientationReport,
+    UserReport, decode,
 };
 
 use super::inputs::{Input, cloned, handle};
@@ -68,6 +68,7 @@ fn time_of(input: InputKind, data: &[u8]) -> Option<Nanos> {
         InputKind::Channel => decode::<ChannelReport>(data).ok()?.stamp,
         InputKind::Obstacles => decode::<ObstacleReport>(data).ok()?.stamp,
         InputKind::Orientation => decode::<OrientationReport>(data).ok()?.stamp,
+        InputKind::Leds => decode::<LedReport>(data).ok()?.stamp,
         InputKind::Telemetry => decode::<MirrorTelemetry>(data).ok()?.stamp,
         _ => return None,
     };

@@ -17,6 +17,7 @@ pub(super) fn handle(controller: &mut Controller, (input, array): Input, data: &
         InputKind::Orientation => {
             (Stream::Orientation, pass(controller, data, now, |report| Message::Orientation(report)))
         }
+        InputKind::Leds => (Stream::Leds, pass(controller, data, now, |report| Message::Leds(report))),
         InputKind::Telemetry => {
             (Stream::Telemetry, pass(controller, data, now, |report| Message::Telemetry(array, report)))
         }

@@ -6,8 +6,7 @@ use std::rc::Rc;
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use clap::ValueEnum;
-use heliostat_core::policy::{DENSE, PolicyKind, removed};
-use heliostat_models::EngineChoice;
+use heliostat_core::policy::{PolicyKind, removed};
 use heliostat_proto::{ControllerInput, InputKind, MirrorCommand, Nanos, NodeKind, NodeStatus, Room};
 use heliostat_scenario::Scenario;
 use serde::Serialize;
@@ -17,9 +16,6 @@ use crate::file::open;
 use crate::received::Received;
 
 use super::schedule::{Schedule, ScheduleBuilder};
-
-/// The counter that names the engine of a learned policy begins so.
-const ENGINE_PREFIX: &str = "engine:";
 
 const NO_REPORT: &str =
     "it holds no position report: the recorder was not connected to the room's process, or was cut before it wrote";
@@ -105,8 +101,6 @@ pub(super) struct Plan {
 #[derive(Default)]
 struct ControllerHistory {
     policies: BTreeSet<String>,
-    /// The engines of learned policies.
-    engines: BTreeSet<String>,
     /// Decisions whose predicted latency exceeded the deadline.
     late: u64,
 }
@@ -196,22 +190,12 @@ impl Plan {
             |name: &str| status.counters.iter().find(|(known, _)| known == name).map_or(0, |(_, count)| *count);
         let history = self.controllers.entry(counter("epoch")).or_default();
         history.late = history.late.max(counter("fallback:late"));
-        let named = status.counters.iter().filter_map(|(name, _)| name.strip_prefix(ENGINE_PREFIX));
-        history.engines.extend(named.map(str::to_owned));
         history.policies.insert(status.policy);
     }
 
     /// Whether the controller of an epoch counted late decisions.
     pub fn was_late(&self, epoch: u64) -> bool {
         self.controllers.get(&epoch).is_some_and(|history| history.late > 0)
-    }
-
-    /// The engine on which a learned policy repeats the decisions of an epoch.
-    ///
-    /// # Errors
-    /// An engine that this build does not have.
-    pub fn engine_of(&self, epoch: u64) -> Result<EngineChoice> {
-        engine_named(self.controllers.get(&epoch).and_then(|history| history.engines.first()).map(String::as_str))
     }
 
     /// The policy that decided in an epoch.
@@ -235,20 +219,6 @@ impl Plan {
     }
 }
 
-/// The engine that evaluates the same network as an engine of this recorded name.
-///
-/// Recordings without a name are older than the dense engine, and a name "dense" implies a dense
-/// graph.
-fn engine_named(name: Option<&str>) -> Result<EngineChoice> {
-    match name {
-        None => Ok(EngineChoice::Embedded),
-        Some(DENSE) => Ok(EngineChoice::Auto),
-        Some(name) => name.parse().with_context(|| {
-            format!("its controller evaluated the policy on the engine {name}; give another with --engine")
-        }),
-    }
-}
-
 /// The kind of input that a message is to a controller.
 fn input_of(received: &Received) -> Option<InputKind> {
     match received {
@@ -256,6 +226,7 @@ fn input_of(received: &Received) -> Option<InputKind> {
         Received::Channel(_) => Some(InputKind::Channel),
         Received::Obstacles(_) => Some(InputKind::Obstacles),
         Received::Orientation(_) => Some(InputKind::Orientation),
+        Received::Leds(_) => Some(InputKind::Leds),
         Received::Telemetry(_) => Some(InputKind::Telemetry),
         _ => None,
     }
@@ -263,40 +234,4 @@ fn input_of(received: &Received) -> Option<InputKind> {
 
 fn clock_of(report_ns: Nanos, arrived_ns: Nanos) -> Clock {
     if report_ns.abs_diff(arrived_ns) > LIVE_CLOCK_NS { Clock::Lockstep } else { Clock::Live }
-}
-
-#[cfg(test)]
-mod tests {
-    use heliostat_models::EMBEDDED;
-
-    use super::*;
-
-    fn plan(statuses: &[&[&str]]) -> Plan {
-        let mut plan = Plan {
-            scenario: Scenario::default(),
-            room: Room::new("test").expect("a name"),
-            clock: Clock::Live,
-            answers: HashMap::new(),
-            epochs: BTreeMap::new(),
-            schedules: BTreeMap::new(),
-            controllers: BTreeMap::new(),
-            account: Account::default(),
-        };
-        for names in statuses {
-            let counters = names.iter().map(|name| ((*name).to_owned(), 1)).chain([("epoch".to_owned(), 7)]).collect();
-            plan.add_status(NodeStatus { policy: "ddpg".into(), counters, ..NodeStatus::default() });
-        }
-        plan
-    }
-
-    #[test]
-    fn the_recorded_engine_is_used_and_the_embedded_one_for_older_recordings() {
-        let of = |statuses: &[&[&str]]| plan(statuses).engine_of(7);
-        assert_eq!(of(&[&["commands"]]).expect("older"), EngineChoice::Embedded);
-        assert_eq!(plan(&[]).engine_of(7).expect("no status"), EngineChoice::Embedded);
-        assert_eq!(of(&[&["engine:dense"], &["engine:dense"]]).expect("known"), EngineChoice::Auto);
-        assert_eq!(of(&[&["commands", &format!("engine:{EMBEDDED}")]]).expect("known"), EngineChoice::Embedded);
-        let refusal = format!("{:#}", of(&[&["engine:abacus"]]).expect_err("no such engine"));
-        assert!(["abacus", "--engine", EMBEDDED].iter().all(|word| refusal.contains(word)), "{refusal}");
-    }
 }

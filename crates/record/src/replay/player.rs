@@ -8,7 +8,7 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use heliostat_core::capabilities::{Examiner, Force};
 use heliostat_core::core::{Controller, Timing, WARM_UP_RUNS};
-use heliostat_models::{ActorSource, EngineChoice};
+use heliostat_models::{ActorSource, build};
 use heliostat_proto::{
     Capabilities, ControllerInput, InputKind, MirrorCommand, NodeKind, SafetyReport, UserReport, decode,
 };
@@ -85,12 +85,7 @@ impl<'a> Player<'a> {
         };
         let scenario = &self.plan.scenario;
         let source = self.settings.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
-        let engine = match self.settings.engine {
-            Some(engine) => engine,
-            None if kind.is_learned() => self.plan.engine_of(epoch).with_context(|| unusable(&self.settings.file))?,
-            None => EngineChoice::Auto,
-        };
-        let policy = engine.build(kind, scenario, &source)?;
+        let policy = build(kind, scenario, &source)?;
         let mut controller = Controller::new(scenario, scenario.channel_model()?, policy, epoch);
         controller.warm_up(0..WARM_UP_RUNS);
         for (array, capabilities) in &self.arrays {
@@ -176,6 +171,7 @@ impl<'a> Player<'a> {
             topic if *topic == room.channel() => InputKind::Channel,
             topic if *topic == room.obstacles() => InputKind::Obstacles,
             topic if *topic == room.orientation() => InputKind::Orientation,
+            topic if *topic == room.leds() => InputKind::Leds,
             topic if *topic == room.telemetry() => InputKind::Telemetry,
             topic if *topic == room.controller_memory() => {
                 self.keep_memory(&entry.data);

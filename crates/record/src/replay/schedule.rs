@@ -107,6 +107,7 @@ impl Schedule {
             | InputKind::Channel
             | InputKind::Obstacles
             | InputKind::Orientation
+            | InputKind::Leds
             | InputKind::Telemetry => {
                 let entry = messages.get(&(kind, source, sequence)).copied();
                 self.named.extend(entry);

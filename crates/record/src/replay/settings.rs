@@ -3,7 +3,6 @@
 use std::path::{Path, PathBuf};
 
 use heliostat_core::policy::PolicyKind;
-use heliostat_models::EngineChoice;
 use heliostat_service::exit::UnusableInput;
 
 /// Decisions that are not compared when earlier inputs of the controller are unknown: two seconds
@@ -19,8 +18,6 @@ pub struct Settings {
     pub policy: Option<PolicyKind>,
     /// The actor's file, instead of the built-in one.
     pub model: Option<PathBuf>,
-    /// The engine of learned policies, instead of the recorded one.
-    pub engine: Option<EngineChoice>,
     /// Decisions at the start of each epoch that are not compared, instead of none or [`SETTLE`].
     pub settle: Option<u64>,
 }

@@ -8,7 +8,7 @@ use heliostat_channel::MirrorAngles;
 use heliostat_core::observation::Observation;
 use heliostat_core::policy::{Policy, PolicyKind};
 use heliostat_core::safety::Limits;
-use heliostat_models::{ActorSource, EngineChoice, SourceError, source};
+use heliostat_models::{ActorSource, SourceError, build, source};
 use heliostat_room::World;
 use heliostat_scenario::{Belief, Scenario};
 use thiserror::Error;
@@ -39,8 +39,6 @@ enum Origin {
 pub struct EvaluatedPolicy {
     name: String,
     origin: Origin,
-    /// Evaluates a learned policy.
-    engine: EngineChoice,
     /// Replaces the scenario's belief.
     belief: Option<Belief>,
     /// Replaces reports and belief by the true room.
@@ -68,12 +66,7 @@ impl EvaluatedPolicy {
             let kind = PolicyKind::find(name, unknown).map_err(UnknownPolicy)?;
             Origin::Kind(kind, if kind == PolicyKind::Ddpg { ddpg.clone() } else { ActorSource::Shipped })
         };
-        Ok(Self { name: name.into(), origin, engine: EngineChoice::Auto, belief: None, known: None, unaware: false })
-    }
-
-    /// The same policy on this engine, if it is learned.
-    pub fn on(self, engine: EngineChoice) -> Self {
-        Self { engine, ..self }
+        Ok(Self { name: name.into(), origin, belief: None, known: None, unaware: false })
     }
 
     /// The names of all policies.
@@ -207,7 +200,7 @@ impl EvaluatedPolicy {
     /// A new policy; its random choices come from `seed`.
     pub(super) fn build(&self, scenario: &Scenario, seed: u64) -> anyhow::Result<Box<dyn Policy>> {
         match &self.origin {
-            Origin::Kind(kind, actor) => Ok(self.engine.build(*kind, &Scenario { seed, ..scenario.clone() }, actor)?),
+            Origin::Kind(kind, actor) => Ok(build(*kind, &Scenario { seed, ..scenario.clone() }, actor)?),
             Origin::Codebook => Ok(Box::new(BestCodeword::new(scenario)?)),
         }
     }

@@ -42,7 +42,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_actor_fits_a_room_and_agrees_with_the_reference() {
+    fn every_actor_fits_a_room_and_is_verified() {
         use PolicyKind::{Analytic, Ddpg, DdpgRaw, Dql, QLearning, Sarsa};
         let mut tried = 0;
         for mode in ["specular", "paper-calibrated"] {
@@ -52,8 +52,8 @@ mod tests {
                     let actor = source(kind, &scenario, seed);
                     assert!(matches!(actor, ActorSource::Bytes(_)), "{kind:?} {mode} {seed}");
                     let (_, findings) = build_tried(kind, &scenario, &actor).expect("it fits");
-                    let differs = |finding: &Finding| format!("{finding:?}").contains("reference");
-                    assert!(!findings.iter().any(differs), "{kind:?} {mode} {seed}: {findings:?}");
+                    let is_note = |finding: &Finding| matches!(finding, Finding::Note(_));
+                    assert!(!findings.iter().any(is_note), "{kind:?} {mode} {seed}: {findings:?}");
                     tried += 1;
                 }
             }

@@ -16,16 +16,12 @@
 use heliostat_channel::solver::QOS_PENALTY;
 use heliostat_channel::{ChannelModel, MirrorAngles};
 use heliostat_core::observation::Observation;
-use heliostat_core::policy::codewords::{YAWS_DEG, codewords};
+pub use heliostat_core::policy::codewords::GRID;
+use heliostat_core::policy::codewords::{codewords, coordinates};
 use heliostat_core::policy::{Policy, PolicyError};
-use heliostat_onnx::graph::{Graph, Value};
 use heliostat_scenario::{ChannelMode, Scenario};
 
 use super::room::{Environment, Outcome, Reward};
-
-/// Points of the grid along each side of the room, in `specular`; `lab/learn/experiments.md` has other
-/// numbers.
-pub const GRID: usize = 12;
 
 /// The actions of a learner; each codeword has the angles of all mirrors.
 #[derive(Clone, Debug, PartialEq)]
@@ -43,17 +39,11 @@ impl Codebook {
     /// The scenario describes no channel.
     pub fn of(scenario: &Scenario) -> anyhow::Result<Self> {
         let model = scenario.channel_model()?;
-        let (columns, kind) = match scenario.channel.mode {
-            ChannelMode::Specular => (GRID, "the array aimed at a point of a 12 x 12 grid"),
-            ChannelMode::Paper | ChannelMode::PaperCalibrated => (YAWS_DEG.len(), "5 x 5 angles common to all mirrors"),
+        let kind = match scenario.channel.mode {
+            ChannelMode::Specular => "the array aimed at a point of a 12 x 12 grid",
+            ChannelMode::Paper | ChannelMode::PaperCalibrated => "5 x 5 angles common to all mirrors",
         };
-        let codewords = codewords(scenario, &model, GRID);
-        let rows = codewords.len() / columns;
-        let middle = |index: usize, count: usize| index as f32 - 0.5 * (count - 1) as f32;
-        let coordinates = (0..codewords.len())
-            .map(|codeword| [middle(codeword % columns, columns), middle(codeword / columns, rows)])
-            .collect();
-        Ok(Self { codewords, coordinates, kind })
+        Ok(Self { codewords: codewords(scenario, &model), coordinates: coordinates(scenario.channel.mode), kind })
     }
 
     /// The angles of each codeword.
@@ -98,18 +88,6 @@ impl Codebook {
             }
         }
         best.0
-    }
-
-    /// Adds the nodes that choose the codeword with the largest of `values` (1, codewords): its
-    /// angles, (1, 2 mirrors).
-    pub fn choose_nodes(&self, graph: &mut Graph, values: &str) -> Value {
-        let angles =
-            |codeword: &MirrorAngles| codeword.roll.iter().chain(&codeword.yaw).map(|angle| *angle as f32).collect();
-        let rows: Vec<Vec<f32>> = self.codewords.iter().map(angles).collect();
-        let shape = [rows.len(), rows[0].len()];
-        let book = graph.constant("codebook", &shape, &rows.concat());
-        let best = graph.argmax(values, 1);
-        graph.gather(&book, &best, 0)
     }
 }
 

@@ -1,7 +1,7 @@
 //! Training without reinforcement: gradient ascent of the reward through the channel.
 //!
 //! The paper has no such algorithm. This learner shows what the network can reach without trial and
-//! error. Features, rounds, weights and decoder are those of [`super::ddpg`]; critic, exploration
+//! error. Features, weights and decoder are those of [`super::ddpg`]; critic, exploration
 //! and replay do not exist. The methods `step` and `update` of [`Analytic`] are the complete
 //! algorithm. Each step takes a batch of rooms, computes the reward as a differentiable function of
 //! the actions, and follows its gradient. [`crate::environment::features`] defines the terms.
@@ -27,7 +27,7 @@
 //!   rates would train the policy to ignore those users.
 
 use candle_core::{Device, Result, Tensor};
-use heliostat_channel::{ChannelModel, MirrorAngles, Mode, decode};
+use heliostat_channel::{MirrorAngles, Mode, decode};
 use heliostat_core::observation::Summary;
 use heliostat_core::policy::PolicyKind;
 use heliostat_scenario::{ChannelMode, Scenario};
@@ -62,8 +62,6 @@ pub const ALGORITHM: Algorithm = Algorithm {
 pub struct Settings {
     /// The map from actions to decoder weights.
     pub head: Head,
-    /// Number of rounds of the network.
-    pub rounds: usize,
     /// Learning rate of the first episode.
     pub rate: f64,
     /// Learning rate at the end of the run over that at its start.
@@ -80,10 +78,10 @@ pub struct Settings {
 impl Settings {
     /// The hyperparameters of the shipped actors.
     pub fn new(seed: u64, mode: ChannelMode) -> Self {
-        let ddpg::Settings { head, rounds, run, .. } = ddpg::Settings::tuned(seed, mode);
+        let ddpg::Settings { head, run, .. } = ddpg::Settings::tuned(seed, mode);
         let reward = Reward { form: RewardForm::Shortfall, lambda: 30.0, margin: 1.5 };
         let run = RunSettings { reward, rooms: Rooms::Mixed, episodes: 60, ..run };
-        Self { head, rounds, rate: 1e-3, rate_end: 0.05, batch: 16, exponent: [8.0, 64.0], run }
+        Self { head, rate: 1e-3, rate_end: 0.05, batch: 16, exponent: [8.0, 64.0], run }
     }
 }
 
@@ -116,7 +114,7 @@ impl Analytic {
         );
         let layout = Layout::of(scenario);
         let tuned = ddpg::Settings::tuned(settings.run.seed, scenario.channel.mode);
-        let actor = Actor::new(layout, tuned.encoder, (settings.head, settings.rounds), rng)?;
+        let actor = Actor::new(layout, tuned.encoder, settings.head, rng)?;
         Ok(Self { adam: Adam::new(&actor.network), actor, settings })
     }
 
@@ -164,8 +162,8 @@ impl Learner for Analytic {
         vec![part("actor", &mut self.actor.network), part("actor", &mut self.adam)]
     }
 
-    fn export(&self, model: &ChannelModel, metadata: &[(String, String)]) -> anyhow::Result<Vec<u8>> {
-        Ok(export(&self.actor, model, metadata)?)
+    fn export(&self, metadata: &[(String, String)]) -> anyhow::Result<Vec<u8>> {
+        Ok(export(&self.actor, metadata)?)
     }
 }
 

@@ -44,17 +44,15 @@
 //! 11. **Critic with decoded actions.** In addition to the actions, the critic reads the amplitude
 //!     that each user has under them, by the smooth decoder ([`crate::networks::actor`]). The
 //!     effect of weights on amplitudes is known and need not be learned.
-//! 12. **Rounds.** The network is applied once, as in the paper. Option `rounds=2` applies it again
-//!     with the amplitudes that its first output gives.
-//! 13. **Centred actions** in the critic: weights that differ by a common factor decode to the same
+//! 12. **Centred actions** in the critic: weights that differ by a common factor decode to the same
 //!     angles.
-//! 14. **lambda = 10.** In `specular` lambda is 30, minimum rates are multiplied by 1.25, and half
+//! 13. **lambda = 10.** In `specular` lambda is 30, minimum rates are multiplied by 1.25, and half
 //!     of the rooms have no bodies. With the paper's lambda of 1 the policy does not serve users in
 //!     deep shadow.
-//! 15. **Learning rates.** 5e-4 (actor) and 1e-3 (critic), decaying to 5e-5 and 1e-4 over the run
+//! 14. **Learning rates.** 5e-4 (actor) and 1e-3 (critic), decaying to 5e-5 and 1e-4 over the run
 //!     of 300 episodes.
 
-use heliostat_channel::{ChannelModel, MirrorAngles};
+use heliostat_channel::MirrorAngles;
 use heliostat_core::policy::PolicyKind;
 use heliostat_scenario::{ChannelMode, Scenario};
 use rand_chacha::ChaCha8Rng;
@@ -96,8 +94,6 @@ pub struct Settings {
     pub encoder: Encoder,
     /// The map from actions to decoder weights.
     pub head: Head,
-    /// Number of rounds of the actor's network.
-    pub rounds: usize,
     /// The quantity that the critic predicts.
     pub value: Value,
     /// The critic's inputs that depend on the action.
@@ -131,7 +127,6 @@ impl Settings {
         Self {
             encoder: Encoder::Mlp,
             head: Head { baseline_weight: BaselineWeight::Uniform, range: 4.0 },
-            rounds: 1,
             value: Value::Total,
             sight: Sight::Actions,
             gamma: 0.9,
@@ -157,7 +152,6 @@ impl Settings {
         Self {
             encoder: Encoder::PerUser,
             head: Head { baseline_weight: BaselineWeight::Balanced, range: 2.0 },
-            rounds: 1,
             value: Value::EachUser,
             sight: Sight::Decoded,
             gamma: 0.0,
@@ -199,9 +193,9 @@ impl Ddpg {
     /// # Errors
     /// Two settings contradict each other.
     pub fn new(scenario: &Scenario, settings: Settings, rng: &mut ChaCha8Rng) -> anyhow::Result<Self> {
-        let Settings { encoder, head, rounds, value, sight, .. } = settings;
+        let Settings { encoder, head, value, sight, .. } = settings;
         let layout = Layout::of(scenario);
-        let actor = Actor::new(layout, encoder, (head, rounds), rng)?;
+        let actor = Actor::new(layout, encoder, head, rng)?;
         let critic = Critic::new(layout, encoder, (value, sight, head.range), rng)?;
         Ok(Self {
             actor_target: actor.copy()?,
@@ -287,7 +281,7 @@ impl Learner for Ddpg {
         ]
     }
 
-    fn export(&self, model: &ChannelModel, metadata: &[(String, String)]) -> anyhow::Result<Vec<u8>> {
-        Ok(export(&self.actor, model, metadata)?)
+    fn export(&self, metadata: &[(String, String)]) -> anyhow::Result<Vec<u8>> {
+        Ok(export(&self.actor, metadata)?)
     }
 }

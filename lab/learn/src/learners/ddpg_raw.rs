@@ -22,17 +22,16 @@
 //! help.
 
 use candle_core::{Device, Tensor};
-use heliostat_channel::{ChannelModel, MirrorAngles};
+use heliostat_channel::MirrorAngles;
 use heliostat_core::policy::PolicyKind;
-use heliostat_core::policy::actor_file::{INPUT_NAME, OUTPUT_NAME};
-use heliostat_onnx::graph::{Ends, Graph};
+use heliostat_core::policy::actor_file::{ActionKind, ObservationKind};
 use heliostat_scenario::Scenario;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
 use crate::environment::angle_state::AngleState;
 use crate::environment::room::{Environment, Outcome, Rooms};
-use crate::export::network::{Column, NetworkNodes};
+use crate::export::dense::{Form, Tail, all_columns, export};
 use crate::networks::adam::Adam;
 use crate::networks::layers::{Encoder, Network, Shape, soft_update};
 use crate::training::algorithm::{Algorithm, start};
@@ -224,18 +223,10 @@ impl Learner for DdpgRaw {
         ]
     }
 
-    /// In the graph: the state, the network, and the angles.
-    fn export(&self, _: &ChannelModel, metadata: &[(String, String)]) -> anyhow::Result<Vec<u8>> {
-        let mut graph = Graph::default();
-        let state = self.layout.state_nodes(&mut graph);
-        let nodes = NetworkNodes::new(&mut graph, &self.actor)?;
-        let columns: Vec<Column> = (0..self.layout.inputs()).map(|input| vec![(input, 1.0)]).collect();
-        let entry = nodes.entry(&mut graph, &columns)?;
-        let raw = nodes.plain(&mut graph, &entry, &state);
-        let action = graph.node("Tanh", &[&raw]);
-        let range = graph.scalar(self.layout.range_rad);
-        graph.node("Mul", &[&action, &range]);
-        let (input, output) = ((INPUT_NAME, self.layout.encoder().len()), (OUTPUT_NAME, self.layout.outputs()));
-        Ok(graph.finish(&Ends { name: "heliostat-raw-actor", input, output }, metadata))
+    fn export(&self, metadata: &[(String, String)]) -> anyhow::Result<Vec<u8>> {
+        let columns = all_columns(self.layout.inputs());
+        let (observation, action) = (ObservationKind::Paper, ActionKind::Angles);
+        let form = Form { observation, action, columns: &columns, metadata };
+        Ok(export(&self.actor, &form, Tail::Tanh(self.layout.range_rad))?)
     }
 }

@@ -15,7 +15,7 @@
 //!    evaluated at once. A value learned for one codeword then carries over to codewords nearby.
 //! 3. **State.** The position of the [target user](crate::environment::target_user) in the
 //!    codebook's steps, then presence, positions, direct gains and minimum rates
-//!    ([`crate::environment::angle_state`]). The state does not include the current angles. Without
+//!    ([`CodewordState`]). The state does not include the current angles. Without
 //!    actuator dynamics the optimal action does not depend on them.
 //! 4. **Reward.** The reward minus that of flat mirrors, over the bandwidth. The shortfall is
 //!    penalised instead of the met minimum rate, as in [`super::ddpg`].
@@ -25,19 +25,18 @@
 //!    because each update evaluates all codewords in all next states.
 
 use candle_core::{Device, Result, Tensor};
-use heliostat_channel::{ChannelModel, MirrorAngles};
+use heliostat_channel::MirrorAngles;
+use heliostat_core::codeword_state::{CodewordState, POSITION};
 use heliostat_core::policy::PolicyKind;
-use heliostat_core::policy::actor_file::{INPUT_NAME, OUTPUT_NAME};
-use heliostat_onnx::graph::{Ends, Graph};
+use heliostat_core::policy::actor_file::{ActionKind, ObservationKind};
 use heliostat_scenario::Scenario;
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use crate::environment::angle_state::AngleState;
-use crate::environment::codebook::{Codebook, GRID};
+use crate::environment::codebook::Codebook;
 use crate::environment::room::{Environment, Outcome};
-use crate::environment::target_user::TargetUser;
+use crate::export::dense::{Form, Tail, all_columns, export};
 use crate::networks::adam::Adam;
 use crate::networks::layers::{Encoder, Network, Shape, soft_update};
 use crate::training::algorithm::{Algorithm, start};
@@ -113,7 +112,7 @@ impl AsRef<RunSettings> for Settings {
 pub struct Dql {
     settings: Settings,
     codebook: Codebook,
-    layout: StateLayout,
+    layout: CodewordState,
     /// Coordinates of the codewords in the codebook's grid, (codewords, 2).
     coordinates: Tensor,
     network: Network,
@@ -130,7 +129,7 @@ impl Dql {
     pub fn new(scenario: &Scenario, settings: Settings, rng: &mut ChaCha8Rng) -> anyhow::Result<Self> {
         settings.exploration.check_choices()?;
         anyhow::ensure!(settings.steps_per_update > 0, "steps_per_update = 0: expected 1 or more");
-        let (codebook, layout) = (Codebook::of(scenario)?, StateLayout::of(scenario));
+        let (codebook, layout) = (Codebook::of(scenario)?, CodewordState::of(scenario));
         let inputs = layout.inputs() + POSITION;
         let shape = Shape { encoder: Encoder::Mlp, slots: 1, inputs, hidden: settings.hidden, outputs: 1 };
         let network = Network::new(shape, rng)?;
@@ -230,77 +229,9 @@ impl Learner for Dql {
         ]
     }
 
-    /// In the graph: the state, the values of all codewords, the index of the largest, and that
-    /// codeword's angles.
-    fn export(&self, _: &ChannelModel, metadata: &[(String, String)]) -> anyhow::Result<Vec<u8>> {
-        let (mut graph, inputs) = (Graph::default(), self.layout.inputs());
-        let state = self.layout.state_nodes(&mut graph);
-        let constant = |graph: &mut Graph, name: &str, tensor: &Tensor| -> Result<String> {
-            let shape = if tensor.rank() == 1 { vec![1, tensor.elem_count()] } else { tensor.dims().to_vec() };
-            Ok(graph.constant(name, &shape, &tensor.flatten_all()?.to_vec1::<f32>()?))
-        };
-        let first = self.network.layer("first");
-        let weight = constant(&mut graph, "first.weight", &first.weight.narrow(0, 0, inputs)?)?;
-        // The codeword's part of the first layer does not depend on the state.
-        let of_codeword =
-            self.coordinates.matmul(&first.weight.narrow(0, inputs, POSITION)?)?.broadcast_add(&first.bias)?;
-        let of_codeword = constant(&mut graph, "first.entries", &of_codeword)?;
-        let of_state = graph.node("MatMul", &[&state, &weight]);
-        let mut values = graph.node("Add", &[&of_codeword, &of_state]);
-        for name in ["second", "head"] {
-            let layer = self.network.layer(name);
-            let weight = constant(&mut graph, &format!("{name}.weight"), &layer.weight)?;
-            let bias = constant(&mut graph, &format!("{name}.bias"), &layer.bias)?;
-            let hidden = graph.node("Relu", &[&values]);
-            let product = graph.node("MatMul", &[&hidden, &weight]);
-            values = graph.node("Add", &[&product, &bias]);
-        }
-        let values = graph.reshape(&values, &[1, self.codebook.codewords().len()]);
-        self.codebook.choose_nodes(&mut graph, &values);
-        let encoder = self.layout.target_user.encoder();
-        let (input, output) = ((INPUT_NAME, encoder.len()), (OUTPUT_NAME, 2 * encoder.mirrors()));
-        Ok(graph.finish(&Ends { name: "heliostat-deep-q", input, output }, metadata))
-    }
-}
-
-/// Coordinates of a codeword in its codebook, and of a user on the floor.
-const POSITION: usize = 2;
-
-/// The state that an observation vector describes.
-#[derive(Clone, Copy, Debug)]
-struct StateLayout {
-    target_user: TargetUser,
-    users: AngleState,
-    /// Steps of the codebook's grid per metre, along x and y.
-    steps_per_m: [f32; 2],
-}
-
-impl StateLayout {
-    fn of(scenario: &Scenario) -> Self {
-        let extents_m = [scenario.room.length_x_m, scenario.room.length_y_m];
-        Self {
-            target_user: TargetUser::of(scenario),
-            users: AngleState::of(scenario, false),
-            steps_per_m: extents_m.map(|extent_m| (GRID as f64 / extent_m) as f32),
-        }
-    }
-
-    fn inputs(&self) -> usize {
-        POSITION + self.users.inputs()
-    }
-
-    fn state(&self, vector: &[f32]) -> Vec<f32> {
-        let [x, y] = self.target_user.position(vector);
-        let mut state = vec![x * self.steps_per_m[0], y * self.steps_per_m[1]];
-        state.extend(self.users.state(vector));
-        state
-    }
-
-    fn state_nodes(&self, graph: &mut Graph) -> String {
-        let position = self.target_user.position_nodes(graph);
-        let steps = graph.constant("steps_per_m", &[1, POSITION], &self.steps_per_m);
-        let position = graph.node("Mul", &[&position, &steps]);
-        let users = self.users.state_nodes(graph);
-        graph.concat(&[&position, &users], 1)
+    fn export(&self, metadata: &[(String, String)]) -> anyhow::Result<Vec<u8>> {
+        let columns = all_columns(self.layout.inputs() + POSITION);
+        let (observation, action) = (ObservationKind::Codewords, ActionKind::Codebook);
+        Ok(export(&self.network, &Form { observation, action, columns: &columns, metadata }, Tail::Plain)?)
     }
 }

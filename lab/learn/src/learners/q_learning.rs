@@ -28,10 +28,10 @@
 //!    not generalise to codewords nearby.
 //! 7. **Episodes.** There are 1000 episodes of 80 steps of one second.
 
-use heliostat_channel::{ChannelModel, MirrorAngles};
+use heliostat_channel::MirrorAngles;
 use heliostat_core::policy::PolicyKind;
-use heliostat_core::policy::actor_file::{INPUT_NAME, OUTPUT_NAME};
-use heliostat_onnx::graph::{Ends, Graph};
+use heliostat_core::policy::actor_file::{ActionKind, INPUT_NAME, ObservationKind};
+use heliostat_onnx::graph::Graph;
 use heliostat_scenario::{ChannelMode, Scenario};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
@@ -41,6 +41,7 @@ use super::table::Table;
 use crate::environment::codebook::{Codebook, GRID};
 use crate::environment::room::{Environment, Outcome};
 use crate::environment::target_user::{Cells, TargetUser};
+use crate::export::dense::{Form, all_columns, finish};
 use crate::training::algorithm::{Algorithm, start};
 use crate::training::exploration::{Exploration, Kind};
 use crate::training::learner::{Episode, Learner, Part, part};
@@ -193,17 +194,18 @@ impl Learner for QLearning {
         vec![part("table", &mut self.table)]
     }
 
-    /// In the graph: the target user's cell, that row of the table, the index of the largest value,
-    /// and that codeword's angles.
-    fn export(&self, _: &ChannelModel, metadata: &[(String, String)]) -> anyhow::Result<Vec<u8>> {
+    fn export(&self, metadata: &[(String, String)]) -> anyhow::Result<Vec<u8>> {
+        let (states, codewords) = (self.table.states(), self.table.codewords());
         let mut graph = Graph::default();
-        let position = self.target_user.position_nodes(&mut graph);
-        let state = self.cells.cell_nodes(&mut graph, &position);
-        let values = graph.constant("table", &[self.table.states(), self.table.codewords()], self.table.values());
-        let row = graph.gather(&values, &state, 0);
-        self.codebook.choose_nodes(&mut graph, &row);
-        let encoder = self.target_user.encoder();
-        let (input, output) = ((INPUT_NAME, encoder.len()), (OUTPUT_NAME, 2 * encoder.mirrors()));
-        Ok(graph.finish(&Ends { name: "heliostat-table", input, output }, metadata))
+        let values = graph.constant("table", &[states, codewords], self.table.values());
+        graph.node("MatMul", &[INPUT_NAME, &values]);
+        let columns = all_columns(states);
+        let (observation, action) = (ObservationKind::Cell, ActionKind::Codebook);
+        let row = |weights: &[f32]| {
+            let value =
+                |codeword| (0..states).map(|state| weights[state] * self.table.value(state, codeword)).sum::<f32>();
+            Ok((0..codewords).map(value).collect())
+        };
+        Ok(finish(graph, &Form { observation, action, columns: &columns, metadata }, codewords, row)?)
     }
 }

@@ -1,10 +1,9 @@
 //! The actor of the learners with one weight per user: from the state of a room to one action u_k
-//! in [-1, 1] per user, in one or several rounds.
+//! in [-1, 1] per user.
 //!
-//! In each round the network reads three inputs per user: the features, the action of the round
-//! before, and the amplitude that the user gets under the actions of all users. The first round
-//! starts from actions of zero and the amplitudes of the balanced weights. Users interact through
-//! this amplitude only.
+//! The network reads three inputs per user: the features, an action and an amplitude. The action is
+//! zero, and the amplitude is that of the balanced weights. The critic reads the same inputs with
+//! the actions of the actor.
 //!
 //! The amplitude comes from a smooth decoder. Its soft assignment of mirror m to user k is
 //! proportional to (w_k a_km)^8; the true decoder assigns the mirror to the user with the largest
@@ -12,7 +11,8 @@
 //! another. [`crate::environment::features`] defines the terms.
 
 use candle_core::{Device, Result, Tensor};
-use heliostat_channel::{MirrorAngles, decode, sharing};
+use heliostat_channel::{MirrorAngles, sharing};
+use heliostat_core::policy::weights::Seen;
 use rand::Rng;
 
 use super::layers::{Encoder, Network, Shape};
@@ -142,7 +142,7 @@ impl States {
     pub fn amplitude(&self, actions: &Tensor, range: f32) -> Result<Tensor> {
         let weight = (actions * f64::from(EXPONENT * range))?.exp()?.mul(&self.present)?;
         // (w_k a_km)^8 is the product of exp(8 c u_k) and the power with the baseline weight. The
-        // large table of powers is computed once for all rounds.
+        // large table of powers is computed once for all actions.
         let total = (weight.unsqueeze(1)?.matmul(&self.powers)? + f64::from(POWER_FLOOR))?;
         // Through the logarithm: the gradient of a quotient squares its divisor, which underflows
         // in f32.
@@ -161,8 +161,6 @@ pub struct Actor {
     pub layout: Layout,
     /// The map from its actions to decoder weights.
     pub head: Head,
-    /// Number of rounds, each one application of the network.
-    pub rounds: usize,
 }
 
 impl Actor {
@@ -170,10 +168,10 @@ impl Actor {
     ///
     /// # Errors
     /// Errors of candle, when memory runs out.
-    pub fn new(layout: Layout, encoder: Encoder, (head, rounds): (Head, usize), rng: &mut impl Rng) -> Result<Self> {
+    pub fn new(layout: Layout, encoder: Encoder, head: Head, rng: &mut impl Rng) -> Result<Self> {
         let slots = layout.slots();
         let shape = Shape { encoder, slots, inputs: ACTOR_INPUTS, hidden: HIDDEN, outputs: slots };
-        Ok(Self { network: Network::new(shape, rng)?, layout, head, rounds })
+        Ok(Self { network: Network::new(shape, rng)?, layout, head })
     }
 
     /// Actions in [-1, 1], (batch, slots); zero in empty slots.
@@ -184,18 +182,12 @@ impl Actor {
         self.raw(states)?.tanh()?.mul(&states.present)
     }
 
-    /// Outputs of the last round before tanh, (batch, slots), without meaning in empty slots.
+    /// Outputs before tanh, (batch, slots), without meaning in empty slots.
     ///
     /// # Errors
     /// Errors of candle, when shapes differ.
     pub fn raw(&self, states: &States) -> Result<Tensor> {
-        let mut raw = self.network.forward(&states.first_round()?)?;
-        for _ in 1..self.rounds {
-            let actions = raw.tanh()?.mul(&states.present)?;
-            let amplitude = states.amplitude(&actions, self.head.range)?.mul(&states.present)?;
-            raw = self.network.forward(&states.with_columns(&[&actions, &amplitude])?)?;
-        }
-        Ok(raw)
+        self.network.forward(&states.first_round()?)
     }
 
     /// One action per slot, from the row of one state.
@@ -218,11 +210,12 @@ impl Actor {
 
     /// The mirror angles that the decoder gives for these actions in a room.
     pub fn decode(&self, environment: &Environment, actions: &[f32]) -> MirrorAngles {
-        let seen = environment.observation();
-        let weights = self.layout.weights(environment.vector(), actions, self.head);
-        let weights: Vec<f64> = weights[..seen.users()].iter().map(|&weight| f64::from(weight)).collect();
-        let mut angles = MirrorAngles::flat(seen.mirrors());
-        decode::decode(environment.model(), &seen.scene, &weights, &mut angles);
+        let observation = environment.observation();
+        let chosen: Vec<usize> = (0..observation.users()).collect();
+        let (encoder, vector) = (self.layout.encoder, environment.vector());
+        let seen = Seen { observation, chosen: &chosen, encoder, vector };
+        let mut angles = MirrorAngles::flat(observation.mirrors());
+        self.head.decode(environment.model(), seen, actions, &mut Vec::new(), &mut angles);
         angles
     }
 

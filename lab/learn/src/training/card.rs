@@ -3,8 +3,6 @@
 use std::fmt::Write;
 use std::time::Duration;
 
-use heliostat_core::observation::OBSERVATION_VERSION;
-
 use super::algorithm::Algorithm;
 use super::run::Training;
 use crate::evaluation::{Estimate, Score};
@@ -53,20 +51,24 @@ impl Card<'_> {
     fn write(&self, text: &mut String) -> std::fmt::Result {
         let scenario = self.training.scenario();
         writeln!(text, "# {}\n", self.file)?;
-        writeln!(
-            text,
-            "Turns the {} mirrors ({}) of an array for 1 to 10 users, channel mode `{}`. Input: the observation vector, version {OBSERVATION_VERSION}. \
-             Output: roll and yaw of each mirror in radians. The graph holds the complete computation between the two.\n",
-            scenario.mirror_count(),
-            scenario.mirrors,
-            scenario.channel.mode.name()
-        )?;
+        let mode = scenario.channel.mode.name();
+        let any = self.algorithm.policy.fits_any_array();
+        if any {
+            writeln!(text, "Serves every array and any number of users in the channel mode `{mode}`.\n")?;
+        } else {
+            let (count, mirrors) = (scenario.mirror_count(), &scenario.mirrors);
+            writeln!(text, "Turns the {count} mirrors ({mirrors}) of an array, channel mode `{mode}`.\n")?;
+        }
         self.write_training(text)?;
         self.write_scores(text)?;
+        let room = if any {
+            "A controller uses it in other rooms too."
+        } else {
+            "A controller refuses it for another geometry."
+        };
         writeln!(
             text,
-            "\nLimits: one access point, the geometry named above, true positions and gains without delay. A controller refuses the \
-             actor for another geometry."
+            "\nTrained and scored with the geometry named above, with true positions and gains without delay. {room}"
         )
     }
 

@@ -1,6 +1,6 @@
 //! The interface of a learner. [`crate::training::run`] has the loop that calls it.
 
-use heliostat_channel::{ChannelModel, MirrorAngles};
+use heliostat_channel::MirrorAngles;
 use rand_chacha::ChaCha8Rng;
 
 use super::store::Persistent;
@@ -71,7 +71,7 @@ pub trait Learner {
     ///
     /// # Errors
     /// Errors of the networks.
-    fn export(&self, model: &ChannelModel, metadata: &[(String, String)]) -> anyhow::Result<Vec<u8>>;
+    fn export(&self, metadata: &[(String, String)]) -> anyhow::Result<Vec<u8>>;
 }
 
 /// A part of the state, for [`Learner::state`].

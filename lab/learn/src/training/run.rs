@@ -118,7 +118,7 @@ impl Training {
     /// # Errors
     /// As [`Learner::export`].
     pub fn export(&self, metadata: &[(String, String)]) -> anyhow::Result<Vec<u8>> {
-        self.learner.export(&self.scenario.channel_model()?, metadata)
+        self.learner.export(metadata)
     }
 
     /// Writes everything that the next episode depends on; settings and scenario excepted.

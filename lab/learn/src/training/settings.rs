@@ -39,7 +39,7 @@ impl RunSettings {
 
 /// The domains of the hyperparameters, the same for every learner: path in the settings, smallest
 /// and largest value, and both in words.
-const DOMAINS: [(&str, f64, f64, &str); 20] = [
+const DOMAINS: [(&str, f64, f64, &str); 19] = [
     ("/episodes", 1.0, 1e9, "at least 1"),
     ("/steps", 1.0, 1e6, "1 to 1e6"),
     ("/step_s", f64::MIN_POSITIVE, 1e6, "above 0"),
@@ -47,7 +47,6 @@ const DOMAINS: [(&str, f64, f64, &str); 20] = [
     ("/replay", 1.0, 1e8, "1 to 1e8"),
     ("/warm_up", 0.0, 1e8, "0 to 1e8"),
     ("/steps_per_update", 1.0, 1e6, "1 to 1e6"),
-    ("/rounds", 1.0, 16.0, "1 to 16"),
     ("/cells", 1.0, 1000.0, "1 to 1000"),
     ("/gamma", 0.0, 1.0 - f64::EPSILON, "at least 0 and below 1"),
     ("/tau", f64::MIN_POSITIVE, 1.0, "above 0 and at most 1"),

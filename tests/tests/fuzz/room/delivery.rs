@@ -27,6 +27,7 @@ impl Room {
             Kind::OrientationReport => {
                 self.report::<OrientationReport>(Stream::Orientation, &payload, |report| Report::Orientation(report))
             }
+            Kind::LedReport => self.report::<LedReport>(Stream::Leds, &payload, |report| Report::Leds(report)),
             Kind::MirrorTelemetry => {
                 self.report::<MirrorTelemetry>(Stream::Telemetry, &payload, |report| Report::Telemetry(0, report))
             }

@@ -31,7 +31,7 @@ impl ChannelEvidence {
         &mut self,
         model: &ChannelModel,
         (user, polar_rad): (usize, f64),
-        measured: MeasuredGains,
+        measured: MeasuredGains<'_>,
         bodies: &Bodies<'_>,
         heading: &Heading,
     ) -> f64 {
@@ -39,20 +39,28 @@ impl ChannelEvidence {
         if !self.readings.shows(reference) || !self.readings.shows(measured.los) {
             return 0.0;
         }
-        let ratio = measured.los / reference;
         let variance = self.readings.gain_variance / reference.powi(2) + SPREAD_OF_DEVICES.powi(2);
         let (facing, polar) = (Facing { model, user, bodies, heading }, polar_rad.sin_cos());
         let possible = self.weigh_tilted(facing, |_| None, variance);
-        let of_led = |led: usize| {
-            let share = self.expected.direct(user, led) / reference;
-            self.serving.of_led(led) / possible * density(ratio, (share, 0.0), variance)
+        let upright = if self.serving.measures_each() {
+            self.total_density(measured.los, reference) / possible
+        } else {
+            let of_led = |led: usize| {
+                let share = self.expected.direct(user, led) / reference;
+                self.serving.of_led(led) / possible * density(measured.los / reference, (share, 0.0), variance)
+            };
+            self.expected.leds().map(of_led).sum()
         };
-        let upright: f64 = self.expected.leds().map(of_led).sum();
         self.weigh_tilted(facing, |index| Some(Tilt::towards_face(polar, &bodies.directions[index])), variance);
-        self.serving.measure(Some((ratio, 0.0)));
-        let tilted: f64 = (0..HEADINGS).map(|index| self.serving.served(index)).sum();
+        let tilted = self.total_density(measured.los, reference);
         self.serving.clear();
         if possible > BODY_WRONG { (tilted / possible / upright).ln() } else { 0.0 }
+    }
+
+    /// The density of the measured gains, summed over the weighed headings.
+    fn total_density(&mut self, los: f64, reference: f64) -> f64 {
+        self.serving.measure(Some(los), reference, 0.0);
+        (0..HEADINGS).map(|index| self.serving.served(index)).sum()
     }
 
     /// Weighs each LED at the headings at which the user's body leaves some path clear, for a receiver
@@ -83,7 +91,7 @@ impl ChannelEvidence {
             if is_any_clear {
                 possible += probability;
                 self.serving.weigh(index, 1.0, |gain| readings.shows(gain));
-                self.serving.normalise(index, probability);
+                self.serving.scale(index, probability);
             }
         }
         possible

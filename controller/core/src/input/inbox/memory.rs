@@ -32,6 +32,13 @@ pub struct OrientationMemory {
     track: SequenceTrack,
 }
 
+/// The latest LED report and its sequence numbers.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct LedMemory {
+    report: Payload,
+    track: SequenceTrack,
+}
+
 /// Owner, latest telemetry and sequence numbers of an array after the first.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct ArrayInboxMemory {
@@ -88,6 +95,17 @@ impl Inbox {
         OrientationMemory { report: Payload::of(&self.orientation), track: self.tracks[Stream::Orientation as usize] }
     }
 
+    /// The present state of the LED reports.
+    pub fn led_memory(&self) -> LedMemory {
+        LedMemory { report: Payload::of(&self.leds), track: self.tracks[Stream::Leds as usize] }
+    }
+
+    /// Replaces the state of the LED reports; false where the report is not one of this scenario.
+    pub fn restore_leds(&mut self, memory: &LedMemory) -> bool {
+        self.tracks[Stream::Leds as usize] = memory.track;
+        memory.report.restore(&mut self.leds) && self.check_restored()
+    }
+
     /// The present state of an array after the first.
     pub fn array_memory(&self, array: usize) -> ArrayInboxMemory {
         let array = &self.arrays[array];
@@ -128,6 +146,7 @@ impl Inbox {
             self.channel.filled.then(|| check_channel(&self.channel.report)),
             self.obstacles.filled.then(|| check_obstacles(&self.obstacles.report)),
             self.orientation.filled.then(|| check_orientation(&self.orientation.report)),
+            self.leds.filled.then(|| self.rules.check_leds(&self.leds.report)),
         ]
         .into_iter()
         .flatten();

@@ -1,7 +1,7 @@
 //! The rules for the content and the time of a report.
 
 use heliostat_proto::{
-    CLOCK_LEAD_MAX_NS, ChannelReport, Nanos, ObstacleReport, OrientationReport, Stamp, UserReport, UserState,
+    CLOCK_LEAD_MAX_NS, ChannelReport, LedReport, Nanos, ObstacleReport, OrientationReport, Stamp, UserReport, UserState,
 };
 use heliostat_scenario::Scenario;
 
@@ -20,6 +20,7 @@ pub(super) struct Rules {
     half_x_m: f64,
     half_y_m: f64,
     height_m: f64,
+    leds: usize,
     /// A report older than this is refused.
     pub age_max_ns: Nanos,
     /// An owner without an accepted report for this time can be replaced.
@@ -34,6 +35,7 @@ impl Rules {
             half_x_m: scenario.room.length_x_m / 2.0,
             half_y_m: scenario.room.length_y_m / 2.0,
             height_m: scenario.room.height_m,
+            leds: scenario.led.positions_m.len(),
             age_max_ns: nanoseconds(scenario.control.report_age_max_ms),
             source_timeout_ns: nanoseconds(scenario.control.source_timeout_ms),
         }
@@ -67,6 +69,16 @@ impl Rules {
             x.hypot(y) <= SPEED_MAX_M_S
         };
         plausible(report.users.iter().all(|user| user.min_rate_bps >= 0.0 && moves(user)))
+    }
+
+    /// Checks the users and the LEDs of a report: each LED must be one of the scenario.
+    pub fn check_leds(&self, report: &LedReport) -> Result<(), Refusal> {
+        check_distinct(report.users.iter().map(|user| user.user))?;
+        let is_led = |led: u32| (led as usize) < self.leds;
+        plausible(
+            report.users.iter().all(|user| user.serving.is_none_or(is_led))
+                && report.gains.iter().all(|gain| is_led(gain.led) && (0.0..=1.0).contains(&gain.los_gain)),
+        )
     }
 }
 

@@ -27,8 +27,7 @@ pub enum DenseError {
     },
     /// An operator is not part of dense graphs.
     #[error(
-        "the node {node} has the operator {operator}, which is not part of a dense graph: expected one of {SUPPORTED}; \
-         evaluate this file by the embedded engine"
+        "the node {node} has the operator {operator}, which is not part of a dense graph: expected one of {SUPPORTED}"
     )]
     Operator {
         /// The node's name.
@@ -37,7 +36,7 @@ pub enum DenseError {
         operator: String,
     },
     /// An operator of dense graphs is used in another way.
-    #[error("the node {node} ({operator}) has {found}, expected {expected}; evaluate this file by the embedded engine")]
+    #[error("the node {node} ({operator}) has {found}, expected {expected}")]
     Node {
         /// The node's name.
         node: String,
@@ -47,11 +46,5 @@ pub enum DenseError {
         found: String,
         /// What was expected.
         expected: String,
-    },
-    /// A constant holds a value that is not finite.
-    #[error("the tensor {tensor} holds a value that is not finite, expected finite weights; export or train it again")]
-    NotFinite {
-        /// The tensor.
-        tensor: String,
     },
 }

@@ -156,7 +156,7 @@ impl<'a> Call<'a> {
         self.attribute(name).is_some_and(|attribute| attribute.i != 0)
     }
 
-    /// An input of 32-bit floats that are finite; `None` where it is absent.
+    /// An input of 32-bit floats; `None` where it is absent.
     fn floats(&self, index: usize) -> Result<Option<Floats>, DenseError> {
         let proto = match self.inputs.get(index) {
             None | Some(Input::Absent) => return Ok(None),
@@ -167,10 +167,6 @@ impl<'a> Call<'a> {
             let found = format!("the tensor \"{}\" of another type or length", proto.name);
             return Err(self.refused(found, "32-bit floats, as many as the shape holds"));
         };
-        if values.iter().any(|value| !value.is_finite()) {
-            let name = if proto.name.is_empty() { self.node.input[index].clone() } else { proto.name.clone() };
-            return Err(DenseError::NotFinite { tensor: format!("\"{name}\"") });
-        }
         Ok(Some(Floats { shape, values }))
     }
 

@@ -2,7 +2,7 @@
 
 use heliostat_core::{inbox::Message, refusal::Stream};
 use heliostat_proto::{
-    ChannelReport, CodecError, MirrorTelemetry, ObstacleReport, OrientationReport, UserReport, decode_into,
+    ChannelReport, CodecError, LedReport, MirrorTelemetry, ObstacleReport, OrientationReport, UserReport, decode_into,
 };
 
 use crate::room_runtime::inlet::Inlet;
@@ -14,6 +14,7 @@ pub(super) struct MessageBuffers {
     obstacles: ObstacleReport,
     telemetry: MirrorTelemetry,
     orientation: OrientationReport,
+    leds: LedReport,
 }
 
 impl MessageBuffers {
@@ -25,6 +26,7 @@ impl MessageBuffers {
             obstacles: ObstacleReport::default(),
             telemetry: MirrorTelemetry::default(),
             orientation: OrientationReport::buffer(),
+            leds: LedReport::buffer(),
         }
     }
 
@@ -45,6 +47,7 @@ impl MessageBuffers {
             Stream::Orientation => {
                 decode_into(&mut self.orientation, payload).map(|()| Message::Orientation(&mut self.orientation))
             }
+            Stream::Leds => decode_into(&mut self.leds, payload).map(|()| Message::Leds(&mut self.leds)),
         }
     }
 }

@@ -18,7 +18,7 @@ use heliostat_core::{
     policy::PolicyKind,
 };
 use heliostat_environment::closed_loop::message;
-use heliostat_models::{ActorSource, EngineChoice};
+use heliostat_models::{ActorSource, build};
 use heliostat_proto::{Nanos, UserReport};
 use heliostat_room::episode::{Episode, Event};
 use heliostat_scenario::Scenario;
@@ -42,11 +42,18 @@ pub struct Args {
 /// A room: its name in the output, its built-in scenario, and what is overridden.
 type Room = (&'static str, &'static str, &'static [&'static str]);
 
+const TWO_LEDS: &str = "led.positions_m=[[-1.25,0,3],[1.25,0,3]]";
+const FOUR_LEDS: &str = "led.positions_m=[[-1.25,-1.25,3],[1.25,-1.25,3],[-1.25,1.25,3],[1.25,1.25,3]]";
+
 /// The rooms.
-const ROOMS: [Room; 5] = [
+const ROOMS: [Room; 9] = [
     ("hall", "hall", &[]),
     ("hall, 10 users", "hall", &["users.count=10"]),
     ("hall, seated and tilted", "hall", &["users.mobility=seated", "users.orientation.model=measured"]),
+    ("hall, 2 LEDs", "hall", &[TWO_LEDS]),
+    ("hall, 4 LEDs", "hall", &[FOUR_LEDS]),
+    ("seated, tilted, 2 LEDs", "hall", &[TWO_LEDS, "users.mobility=seated", "users.orientation.model=measured"]),
+    ("seated, tilted, 4 LEDs", "hall", &[FOUR_LEDS, "users.mobility=seated", "users.orientation.model=measured"]),
     ("office", "office", &[]),
     ("atrium", "atrium", &[]),
 ];
@@ -159,7 +166,7 @@ struct Kept {
 
 /// A controller that knows the arrays of a room.
 fn controller(scenario: &Scenario, episode: &Episode) -> Result<Controller> {
-    let policy = EngineChoice::Auto.build(PolicyKind::Greedy, scenario, &ActorSource::Shipped)?;
+    let policy = build(PolicyKind::Greedy, scenario, &ActorSource::Shipped)?;
     let mut controller = Controller::new(scenario, scenario.channel_model()?, policy, 1);
     controller.warm_up(0..2);
     for (array, capabilities) in episode.capabilities().enumerate() {

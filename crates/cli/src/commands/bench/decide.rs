@@ -11,11 +11,13 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use clap::ValueEnum;
+use heliostat_channel::MirrorAngles;
 use heliostat_controller::report::stage_times::{StageStamps, StageTimes};
 use heliostat_core::core::{Controller, Decision, Stage};
 use heliostat_core::inbox::Message;
-use heliostat_core::policy::{Actor, NameParser, Policy, PolicyKind};
-use heliostat_models::{ActorSource, EngineChoice};
+use heliostat_core::observation::Observation;
+use heliostat_core::policy::{Actor, NameParser, Policy, PolicyKind, actor_file::ActorFile};
+use heliostat_models::{ActorSource, ORT, build, load_actor, load_actor_on_onnxruntime};
 use heliostat_proto::{ArrayState, MirrorTelemetry, Stamp, UserReport, decode_into, encode};
 use heliostat_scenario::{Scenario, ScenarioArgs};
 
@@ -46,10 +48,6 @@ pub struct Args {
     /// ONNX file of a learned policy, instead of the built-in one
     #[arg(long, value_name = "FILE", requires = "policy")]
     model: Option<PathBuf>,
-    /// Engine of learned policies: auto, dense, or the embedded one by its name (tract, or ort in
-    /// builds with ONNX Runtime) [default: auto; decide measures every engine that runs the actor]
-    #[arg(long)]
-    engine: Option<EngineChoice>,
     /// Whether caches are warmed shortly before each report, as the controller does
     #[arg(long, value_enum, value_name = "WHEN", default_value_t = KeepWarm::Off)]
     keep_warm: KeepWarm,
@@ -73,12 +71,45 @@ struct Subject<'a> {
     scenario: &'a Scenario,
     kind: PolicyKind,
     source: &'a ActorSource,
-    engine: EngineChoice,
+    engine: Engine,
+}
+
+/// What evaluates a learned policy.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Engine {
+    /// What the controller uses.
+    Own,
+    /// ONNX Runtime, even for a chain of dense layers.
+    OnnxRuntime,
 }
 
 impl Subject<'_> {
     fn build(&self) -> Result<Box<dyn Policy>> {
-        Ok(self.engine.build(self.kind, self.scenario, self.source)?)
+        match self.engine {
+            Engine::Own => Ok(build(self.kind, self.scenario, self.source)?),
+            Engine::OnnxRuntime => {
+                Ok(Box::new(self.load(&self.source.fetch(self.kind, self.scenario)?)?.named(self.kind.name())))
+            }
+        }
+    }
+
+    /// The engines that run the actor: that of the controller, and ONNX Runtime beside it.
+    fn engines(&self) -> Vec<Engine> {
+        let on_ort = Subject { engine: Engine::OnnxRuntime, ..*self };
+        match (self.kind.is_learned(), self.build()) {
+            (true, Ok(own)) if own.engine() != Some(ORT) && on_ort.build().is_ok() => {
+                vec![Engine::Own, Engine::OnnxRuntime]
+            }
+            // Where none does, the error follows from a build.
+            _ => vec![Engine::Own],
+        }
+    }
+
+    fn load(&self, file: &ActorFile) -> Result<Actor> {
+        match self.engine {
+            Engine::Own => Ok(load_actor(file, self.scenario)?),
+            Engine::OnnxRuntime => Ok(load_actor_on_onnxruntime(file, self.scenario)?),
+        }
     }
 }
 
@@ -86,8 +117,8 @@ impl Subject<'_> {
 pub fn decide(args: &Args) -> Result<()> {
     let (scenario, source) = (args.scenario.load_arrays()?, args.source()?);
     let kind = args.policy.unwrap_or(PolicyKind::Ddpg);
-    let subject = Subject { scenario: &scenario, kind, source: &source, engine: EngineChoice::Auto };
-    let engines = args.engines(&subject);
+    let subject = Subject { scenario: &scenario, kind, source: &source, engine: Engine::Own };
+    let engines = subject.engines();
     let mut table =
         Table::new(args.json, "decision without transport; reference: the inference engine alone at the same rate")?;
     for plan in args.pace.plans(&[10.0, 100.0, 1000.0, 0.0])? {
@@ -104,7 +135,7 @@ pub fn decide(args: &Args) -> Result<()> {
 pub fn policies(args: &Args) -> Result<()> {
     let scenario = args.scenario.load_arrays()?;
     anyhow::ensure!(args.model.is_none(), "--model: bench policies measures the built-in actors; use bench decide");
-    let engine = args.engine.unwrap_or_default();
+    let engine = Engine::Own;
     let mut table =
         Table::new(args.json, "decision without transport; reference: the inference engine alone at the same rate")?;
     for plan in args.pace.plans(&[100.0])? {
@@ -114,7 +145,7 @@ pub fn policies(args: &Args) -> Result<()> {
                 drop(writeln!(std::io::stderr(), "left out: {error}"));
                 continue;
             }
-            let mut reference = EngineAlone::new(&Subject { engine: EngineChoice::Auto, ..subject })?;
+            let mut reference = EngineAlone::new(&subject)?;
             table.add(args.measure(&plan, subject, &mut reference)?)?;
         }
     }
@@ -150,7 +181,7 @@ impl Args {
     /// Rooms of growing size; the first is the reference.
     fn growth(&self, of: &str, sizes: &[usize], sized: &dyn Fn(usize) -> Result<Scenario>) -> Result<()> {
         let kind = self.policy.unwrap_or(PolicyKind::FixedPoint);
-        let (source, engine) = (self.source()?, self.engine.unwrap_or_default());
+        let (source, engine) = (self.source()?, Engine::Own);
         let mut table = Table::new(self.json, &format!("decision without transport with a growing number of {of}"))?;
         for plan in self.pace.plans(&[100.0])? {
             for size in sizes {
@@ -169,21 +200,6 @@ impl Args {
         let kind = self.policy.unwrap_or(PolicyKind::Ddpg);
         source.check_used_by(kind).context("--model names the file of a learned policy")?;
         Ok(source)
-    }
-
-    /// The engines to measure: the one of the flag, or all that run the actor.
-    fn engines(&self, subject: &Subject<'_>) -> Vec<EngineChoice> {
-        let all = [EngineChoice::Embedded, EngineChoice::Dense];
-        match self.engine {
-            Some(engine) => vec![engine],
-            None if subject.kind.is_learned() => {
-                let runs = |engine: &EngineChoice| Subject { engine: *engine, ..*subject }.build().is_ok();
-                let able: Vec<_> = all.into_iter().filter(runs).collect();
-                // Where none does, the error follows from a build.
-                if able.is_empty() { vec![EngineChoice::Auto] } else { able }
-            }
-            None => vec![EngineChoice::Auto],
-        }
     }
 
     fn measure(&self, plan: &Plan, subject: Subject<'_>, reference: &mut dyn Side) -> Result<Row> {
@@ -363,22 +379,22 @@ impl Side for Decider {
     }
 }
 
-/// The inference engine alone: on the file of the subject, else on the built-in actor of ddpg for the
-/// room, or on that of the default room if there is none.
+/// The inference engine alone: on the file of the subject, else on the built-in actor of ddpg.
 struct EngineAlone {
     actor: Actor,
 }
 
 impl EngineAlone {
     fn new(subject: &Subject<'_>) -> Result<Self> {
-        let fetch = |room: &Scenario| ActorSource::Shipped.fetch(PolicyKind::Ddpg, room);
-        let (default, own) = (Scenario::default(), subject.source);
-        let (file, room, engine) = match (own, fetch(subject.scenario)) {
-            (ActorSource::Shipped, Ok(file)) => (file, subject.scenario, EngineChoice::Auto),
-            (ActorSource::Shipped, Err(_)) => (fetch(&default)?, &default, EngineChoice::Auto),
-            _ => (own.fetch(subject.kind, subject.scenario)?, subject.scenario, subject.engine),
+        let own = subject.source.fetch(subject.kind, subject.scenario).ok().filter(|_| subject.kind.is_learned());
+        let file = match own {
+            Some(file) => file,
+            None => ActorSource::Shipped.fetch(PolicyKind::Ddpg, subject.scenario)?,
         };
-        let mut actor = engine.load_actor(&file, room)?;
+        let (mut actor, model) = (subject.load(&file)?, subject.scenario.channel_model()?);
+        // The network then has its input of a decision, with a row for each user where it has rows.
+        let observation = Observation::new(&model, subject.scenario.users.count);
+        actor.act(&model, &observation, &mut MirrorAngles::flat(observation.mirrors()))?;
         for _ in 0..WARM_UP {
             actor.run_engine_alone()?;
         }

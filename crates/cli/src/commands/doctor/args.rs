@@ -4,7 +4,6 @@ use std::path::PathBuf;
 
 use heliostat_bus::TlsArgs;
 use heliostat_core::policy::{NameParser, PolicyKind};
-use heliostat_models::EngineChoice;
 use heliostat_scenario::ScenarioArgs;
 
 /// Check what a run needs: scenario, policy, driver, ports, clock, permissions, processors.
@@ -21,10 +20,6 @@ pub struct Args {
     /// ONNX file of a learned policy, instead of the built-in one
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
-    /// Engine of learned policies: `auto` (dense for graphs of dense layers, otherwise the embedded
-    /// one), `dense`, or the embedded one by its name (`tract`, or `ort` in builds with ONNX Runtime)
-    #[arg(long, default_value_t = EngineChoice::Auto)]
-    pub engine: EngineChoice,
     /// Name of the room [default: the room of --tls, or demo]
     #[arg(long, value_name = "NAME")]
     pub room: Option<String>,

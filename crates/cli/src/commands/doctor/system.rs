@@ -4,9 +4,10 @@ use std::net::TcpListener;
 use std::time::Duration;
 
 use heliostat_bus::{AccessRole, Bus, BusArgs, Reach};
+use heliostat_core::belief::conditions::{Condition, conditions};
 use heliostat_core::capabilities::{Examiner, Force};
 use heliostat_core::policy::Finding;
-use heliostat_models::ActorSource;
+use heliostat_models::{ActorSource, build_tried};
 use heliostat_proto::array_keys::array_name;
 use heliostat_proto::{Capabilities, ValidityClock, decode};
 use heliostat_room::World;
@@ -44,7 +45,9 @@ pub(super) fn checks(args: &Args) -> Vec<Check> {
         scenario.mirrors,
         scenario.hash()
     );
-    let mut checks = vec![Check::ok("scenario", found), check_policy(args, &scenario)];
+    let mut checks = vec![Check::ok("scenario", found)];
+    checks.extend(check_belief(&scenario));
+    checks.push(check_policy(args, &scenario));
     checks.extend(check_drivers(args, &scenario));
     // A driver that is checked listens on its own port.
     let in_use = |port: &&u16| args.connect.iter().any(|endpoint| endpoint.ends_with(&format!(":{port}")));
@@ -52,9 +55,23 @@ pub(super) fn checks(args: &Args) -> Vec<Check> {
     checks
 }
 
+/// The methods of the belief that do not apply to the room.
+fn check_belief(scenario: &Scenario) -> Vec<Check> {
+    let Ok(model) = scenario.channel_model() else { return Vec::new() };
+    let found = conditions(scenario, &model);
+    if found.is_empty() {
+        return vec![Check::ok("belief", "every method applies to the room")];
+    }
+    let warning = |condition: Condition| {
+        let found = format!("{} does not apply: {}", condition.method, condition.because);
+        Check::warn("belief", found, condition.consequence)
+    };
+    found.into_iter().map(warning).collect()
+}
+
 fn check_policy(args: &Args, scenario: &Scenario) -> Check {
     let source = args.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
-    let (policy, findings) = match args.engine.build_tried(args.policy, scenario, &source) {
+    let (policy, findings) = match build_tried(args.policy, scenario, &source) {
         Ok(tried) => tried,
         Err(error) => {
             let advice = "choose a policy that needs no file (--policy fixed-point), or train an actor for this scenario: heliostat train ddpg";

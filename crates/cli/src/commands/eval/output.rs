@@ -71,7 +71,8 @@ pub fn print_table(report: &Report) -> io::Result<()> {
     outln!("blocked: mean rate of a user without direct path, in Mbit/s")?;
     print_differences(report)?;
     print_outages(report)?;
-    print_beliefs(report)
+    print_beliefs(report)?;
+    report.conditions.iter().try_for_each(|condition| outln!("belief: {condition}"))
 }
 
 /// Prints number and lengths of the outages in closed loop.

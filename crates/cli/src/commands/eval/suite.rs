@@ -32,7 +32,7 @@ pub struct SuiteArgs {
     /// policy takes part in the tasks whose rooms it fits. `all` in --policies stands for all policies
     /// of the suite, for example --policies all,own.onnx
     #[arg(long, conflicts_with_all = [
-        "scenario", "overrides", "seed", "model", "engine", "training_seed", "states", "seeds", "blocked",
+        "scenario", "overrides", "seed", "model", "training_seed", "states", "seeds", "blocked",
         "closed_loop", "beliefs", "warm", "ceilings", "unaware", "sweep", "csv", "html",
     ])]
     suite: bool,
@@ -161,16 +161,16 @@ mod tests {
     #[test]
     fn policies_take_part_in_the_tasks_whose_rooms_they_fit() {
         let args = SuiteArgs { suite: true, quick: true, tasks: Vec::new(), out: None, resume: false };
-        let named = ["ddpg", "flat"].map(String::from);
+        let named = ["ddpg-raw", "flat"].map(String::from);
         for (task, arguments) in steps_of(&args, &named, &room_of).unwrap() {
             let learned = !["two-arrays", "office", "atrium", "corridor", "lab"].contains(&task.name);
-            let expected = if learned { "greedy,ddpg,flat" } else { "greedy,flat" };
+            let expected = if learned { "greedy,ddpg-raw,flat" } else { "greedy,flat" };
             assert_eq!(arguments.last().map(String::as_str), Some(expected), "{}", task.name);
         }
         let only = SuiteArgs { tasks: vec!["office".into()], ..args };
         let refusal = steps_of(&only, &named, &room_of).unwrap_err().to_string();
-        assert!(refusal.contains("policy ddpg fits none"), "{refusal}");
+        assert!(refusal.contains("policy ddpg-raw fits none"), "{refusal}");
         let all = steps_of(&only, &[], &room_of).unwrap().swap_remove(0).1.pop().unwrap();
-        assert!(all.starts_with("greedy,oracle,") && !all.contains("ddpg"), "{all}");
+        assert!(all.starts_with("greedy,oracle,") && all.contains("ddpg") && !all.contains("ddpg-raw"), "{all}");
     }
 }

@@ -1,0 +1,55 @@
+//! The tests that need the library of ONNX Runtime.
+//!
+//! Without it they say so and pass; where `HELIOSTAT_REQUIRE_ONNXRUNTIME` is set, they fail.
+
+use heliostat_core::observation::{OBSERVATION_VERSION, ObservationEncoder};
+use heliostat_core::policy::actor_file::{ActorFile, INPUT_NAME, OUTPUT_NAME, key};
+use heliostat_models::load_actor_on_onnxruntime;
+use heliostat_onnx::graph::{Ends, Graph};
+use heliostat_scenario::Scenario;
+
+/// Whether the library is absent. Prints that the test is left out.
+///
+/// # Panics
+/// If it is required.
+pub fn is_absent(file: &ActorFile, scenario: &Scenario) -> bool {
+    let refusal = match load_actor_on_onnxruntime(file, scenario) {
+        Ok(_) => return false,
+        Err(refusal) => refusal.to_string(),
+    };
+    assert!(refusal.contains("pip install onnxruntime"), "{refusal}");
+    let required = std::env::var_os("HELIOSTAT_REQUIRE_ONNXRUNTIME").is_some_and(|value| value == "1");
+    assert!(!required, "HELIOSTAT_REQUIRE_ONNXRUNTIME is set, and {refusal}");
+    println!("ignored: {refusal}");
+    true
+}
+
+/// A graph that is not dense: one operator on 0.25 in each output.
+pub struct Operator(&'static str);
+
+/// The sine of 0.25.
+pub const SIN: Operator = Operator("Sin");
+
+impl Operator {
+    /// The actor for a room.
+    pub fn actor(&self, scenario: &Scenario) -> ActorFile {
+        let (mirrors, users_max) = (scenario.mirror_count(), 4);
+        let encoder = ObservationEncoder::new(users_max, mirrors);
+        let mut graph = Graph::default();
+        let weights = graph.constant("weights", &[encoder.len(), 2 * mirrors], &vec![0.0; encoder.len() * 2 * mirrors]);
+        let product = graph.node("MatMul", &[INPUT_NAME, &weights]);
+        let quarter = graph.scalar(0.25);
+        let sum = graph.node("Add", &[&product, &quarter]);
+        graph.node(self.0, &[&sum]);
+        let metadata = [
+            (key::OBSERVATION_VERSION, OBSERVATION_VERSION.to_string()),
+            (key::USERS_MAX, users_max.to_string()),
+            (key::MIRRORS, mirrors.to_string()),
+            (key::MODE, scenario.channel.mode.name().to_owned()),
+            (key::GEOMETRY, scenario.geometry_hash()),
+        ];
+        let metadata = metadata.map(|(key, value)| (key.to_owned(), value));
+        let ends = Ends { name: "test", input: (INPUT_NAME, encoder.len()), output: (OUTPUT_NAME, 2 * mirrors) };
+        ActorFile { origin: "sin.onnx".into(), bytes: graph.finish(&ends, &metadata).into() }
+    }
+}

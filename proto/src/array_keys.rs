@@ -99,6 +99,16 @@ impl ArrayKeys {
         self.own(self.room.safety())
     }
 
+    /// Key of [`StopReport`](crate::StopReport).
+    pub fn stops(&self) -> String {
+        self.own(self.room.stops())
+    }
+
+    /// Key of [`StopRepetition`](crate::StopRepetition).
+    pub fn stop_repetition(&self) -> String {
+        self.own(self.room.stop_repetition())
+    }
+
     /// Key of the [`NodeStatus`](crate::NodeStatus) of a driver of this array.
     pub fn driver_status(&self) -> String {
         let start = self.room.all_status();

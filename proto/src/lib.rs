@@ -14,6 +14,9 @@
 //! - [`keys`]: the name of a room, and the key of each message; [`array_keys`]: the keys of each
 //!   mirror array.
 //!
+//! - [`stop_hold`]: which emergency stops an array still has to report, for each process that holds
+//!   one.
+//!
 //! # Example
 //! ```
 //! use heliostat_proto::{MirrorCommand, Room, decode, encode};
@@ -45,6 +48,7 @@ pub mod keys;
 mod kind;
 mod limits;
 pub mod messages;
+pub mod stop_hold;
 mod structures;
 mod table;
 
@@ -56,14 +60,14 @@ pub use keys::{Room, RoomError};
 pub use kind::Kind;
 pub use limits::{
     CLOCK_LEAD_MAX_NS, MAX_ARRAYS, MAX_BRANCHES, MAX_ENTRIES, MAX_GEOMETRY, MAX_INPUTS, MAX_LED_GAINS, MAX_MIRRORS,
-    MAX_OBSTACLES, MAX_PAYLOAD, MAX_STATE, MAX_TEXT, MAX_USERS, Nanos, VERSION,
+    MAX_OBSTACLES, MAX_PAYLOAD, MAX_STATE, MAX_STOPS, MAX_TEXT, MAX_USERS, Nanos, VERSION,
 };
 pub use messages::{
     BeliefReport, BranchReport, Calibration, Capabilities, ChannelReport, ControllerControl, ControllerMemory,
     EmergencyStop, LedReport, MirrorCommand, MirrorTelemetry, NodeStatus, ObstacleReport, OrientationReport, Rearm,
-    RoomGeometry, RoomTruth, SafetyReport, SimulatorControl, UserReport,
+    RoomGeometry, RoomTruth, SafetyReport, SimulatorControl, StopRepetition, StopReport, UserReport,
 };
 pub use structures::{
-    AxisLimits, ControllerInput, Counters, LedGain, MirrorFault, Obstacle, Quantiles, Stamp, SumRates, TruthUser,
-    UserBelief, UserBranches, UserChannel, UserLeds, UserOrientation, UserState,
+    AxisLimits, ControllerInput, Counters, LatchedStopReport, LedGain, MirrorFault, Obstacle, Quantiles, Stamp,
+    StopName, SumRates, TruthUser, UserBelief, UserBranches, UserChannel, UserLeds, UserOrientation, UserState,
 };

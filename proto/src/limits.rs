@@ -43,5 +43,8 @@ pub const MAX_INPUTS: usize = 4096;
 /// Longest state in a [`ControllerMemory`](crate::ControllerMemory) in bytes.
 pub const MAX_STATE: usize = 786_432;
 
+/// Largest number of emergency stops that an array lists, and of the released ones that it names.
+pub const MAX_STOPS: usize = 16;
+
 /// Room time in ns: UTC since 1970 in live operation, simulated time in lockstep.
 pub type Nanos = u64;

@@ -13,12 +13,12 @@ use crate::fields::{
 };
 use crate::kind::Kind;
 use crate::limits::{
-    MAX_ENTRIES, MAX_GEOMETRY, MAX_INPUTS, MAX_LED_GAINS, MAX_MIRRORS, MAX_OBSTACLES, MAX_STATE, MAX_TEXT, MAX_USERS,
-    Nanos,
+    MAX_ENTRIES, MAX_GEOMETRY, MAX_INPUTS, MAX_LED_GAINS, MAX_MIRRORS, MAX_OBSTACLES, MAX_STATE, MAX_STOPS, MAX_TEXT,
+    MAX_USERS, Nanos,
 };
 use crate::structures::{
-    AxisLimits, ControllerInput, Counters, LedGain, MirrorFault, Obstacle, Quantiles, Stamp, SumRates, TruthUser,
-    UserBelief, UserBranches, UserChannel, UserLeds, UserOrientation, UserState,
+    AxisLimits, ControllerInput, Counters, LatchedStopReport, LedGain, MirrorFault, Obstacle, Quantiles, Stamp,
+    StopName, SumRates, TruthUser, UserBelief, UserBranches, UserChannel, UserLeds, UserOrientation, UserState,
 };
 use crate::table::message_table;
 
@@ -80,6 +80,8 @@ pub mod fault {
     pub const CALIBRATION: u32 = 1 << 4;
     /// The clocks of driver and controller differ by more than the validity of a command.
     pub const CLOCK: u32 = 1 << 5;
+    /// A latched stop that the device has not executed.
+    pub const STOP: u32 = 1 << 6;
 }
 
 impl UserReport {
@@ -157,6 +159,34 @@ impl ControllerInput {
     /// Index of the array, and the sequence number in the stamp, of an input that is telemetry.
     pub fn of_array(&self) -> (usize, u64) {
         ((self.sequence >> Self::ARRAY_SHIFT) as usize, self.sequence & ((1 << Self::ARRAY_SHIFT) - 1))
+    }
+}
+
+impl EmergencyStop {
+    /// The name of a stop.
+    pub fn name(&self) -> StopName {
+        StopName { source: self.stamp.source, sequence: self.stamp.sequence }
+    }
+}
+
+impl StopRepetition {
+    /// The name of the stop that it repeats.
+    pub fn name(&self) -> StopName {
+        StopName { source: self.stop_source, sequence: self.stop_sequence }
+    }
+}
+
+impl Rearm {
+    /// The name of the stop that it releases.
+    pub fn name(&self) -> StopName {
+        StopName { source: self.stop_source, sequence: self.stop_sequence }
+    }
+}
+
+impl SafetyReport {
+    /// The name of the stop that was latched last; `None` where none is in force.
+    pub fn name(&self) -> Option<StopName> {
+        self.stopped.then_some(StopName { source: self.stop_source, sequence: self.stop_sequence })
     }
 }
 

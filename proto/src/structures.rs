@@ -121,6 +121,30 @@ structures! {
         quaternion: [f32; 4],
     } requires { is_rotation(quaternion) }
 
+    /// Name of an emergency stop: source and sequence number of its first message.
+    #[derive(Copy, Eq, PartialOrd, Ord, Hash)]
+    structure StopName in released {
+        /// Source of the stop; 0 for a stop without sender.
+        source: u64,
+        /// Sequence number of the stop; 0 for a stop without sender.
+        sequence: u64,
+    }
+
+    /// An emergency stop that an array has latched.
+    #[derive(Eq)]
+    structure LatchedStopReport in stops {
+        /// Source of the stop; 0 for a stop without sender.
+        source: u64,
+        /// Sequence number of the stop; 0 for a stop without sender.
+        sequence: u64,
+        /// When it arrived at the array, in ns.
+        arrived_ns: Nanos,
+        /// Name of the operator who sent it.
+        operator: String,
+        /// Reason for it.
+        reason: String,
+    }
+
     /// An upright cylinder that stands on the floor and blocks light.
     #[derive(Copy)]
     structure Obstacle in obstacles {
@@ -285,6 +309,19 @@ structures! {
         /// Indices of the mirrors; empty where a share is drawn, or where the fault concerns the
         /// array as a whole.
         mirrors: Vec<u32> where at_most(MAX_MIRRORS),
+    }
+}
+
+impl LatchedStopReport {
+    /// The name of the stop.
+    pub fn name(&self) -> StopName {
+        StopName { source: self.source, sequence: self.sequence }
+    }
+}
+
+impl std::fmt::Display for StopName {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{:016x}/{}", self.source, self.sequence)
     }
 }
 

@@ -8,7 +8,7 @@
 //! # How to write a message
 //! ```text
 //! /// Battery charge of a tracker.
-//! message BatteryReport(kind: 20, name: "battery report", key: battery = "battery") {
+//! message BatteryReport(kind: 23, name: "battery report", key: battery = "battery") {
 //!     /// Source, sequence, time of the measurement.
 //!     stamp: Stamp,
 //!     /// Charge of each cell, from 0 to 1.
@@ -354,6 +354,39 @@ macro_rules! message_table {
                 tick: u64,
                 /// One entry for each user whose receiver reports its branches.
                 users: Vec<UserBranches> where at_most(MAX_USERS),
+            }
+
+            /// All emergency stops in force at an array, and whether its device has executed them.
+            #[derive(Eq)]
+            message StopReport(kind: 20, name: "stop report", key: stops = "mirrors/stops") {
+                /// Source, sequence, time.
+                stamp: Stamp,
+                /// Whether the device has executed a stop since the last of these arrived, and still
+                /// answers; false without a stop.
+                device_stopped: bool,
+                /// The stops in force, in the order of their arrival.
+                stops: Vec<LatchedStopReport> where at_most(MAX_STOPS),
+                /// The names of stops that a re-arm released here, the latest last.
+                released: Vec<StopName> where at_most(MAX_STOPS),
+                /// Why the device has not executed the stop; empty where it has, and without a stop.
+                problem: String,
+            }
+
+            /// A stop that a process holds, again for an array that has not reported it.
+            #[derive(Eq)]
+            message StopRepetition(
+                kind: 21, name: "stop repetition", key: stop_repetition = "mirrors/stop-repetition"
+            ) {
+                /// Source, sequence, time of the process that repeats the stop.
+                stamp: Stamp,
+                /// Source of the stop.
+                stop_source: u64,
+                /// Sequence number of the stop.
+                stop_sequence: u64,
+                /// Name of the operator who sent the stop.
+                operator: String,
+                /// Reason for the stop.
+                reason: String,
             }
 
             /// Which LEDs the users' receivers detect.

@@ -21,6 +21,8 @@ fn decodes_or_refuses(payload: &[u8]) -> Result<(), TestCaseError> {
     one::<ObstacleReport>(payload)?;
     one::<OrientationReport>(payload)?;
     one::<BranchReport>(payload)?;
+    one::<StopReport>(payload)?;
+    one::<StopRepetition>(payload)?;
     one::<LedReport>(payload)?;
     one::<MirrorCommand>(payload)?;
     one::<MirrorTelemetry>(payload)?;

@@ -61,11 +61,18 @@ const ORIENTATION_REPORT: &str = "\
 const BRANCH_REPORT: &str = "\
     0113f0bdf3d589cf959a12ac0280cffea7a4deb2c318e807010302000000000000803e020000003f0000003e";
 
+const STOP_REPORT: &str = "\
+    0114f0bdf3d589cf959a12ac0280cffea7a4deb2c3180001f0bdf3d589cf959a12ac0280cffea7a4deb2c31803616e6e0474657374010701\
+    076e6f206c696e6b";
+
+const STOP_REPETITION: &str = "\
+    0115f0bdf3d589cf959a12ac0280cffea7a4deb2c318070103616e6e0474657374";
+
 const LED_REPORT: &str = "\
     0116f0bdf3d589cf959a12ac0280cffea7a4deb2c318e80702030101010401000002030000\
     00803e03010000003f";
 
-const ALL: [&str; 20] = [
+const ALL: [&str; 22] = [
     USER_REPORT,
     CHANNEL_REPORT,
     OBSTACLE_REPORT,
@@ -85,6 +92,8 @@ const ALL: [&str; 20] = [
     CONTROLLER_MEMORY,
     ORIENTATION_REPORT,
     BRANCH_REPORT,
+    STOP_REPORT,
+    STOP_REPETITION,
     LED_REPORT,
 ];
 
@@ -114,6 +123,8 @@ fn each_message_has_the_bytes_of_version_1() {
     check_bytes(&controller_memory(), CONTROLLER_MEMORY);
     check_bytes(&orientation_report(), ORIENTATION_REPORT);
     check_bytes(&branch_report(), BRANCH_REPORT);
+    check_bytes(&stop_report(), STOP_REPORT);
+    check_bytes(&stop_repetition(), STOP_REPETITION);
     check_bytes(&led_report(), LED_REPORT);
 }
 

@@ -26,6 +26,8 @@ fn any_refusal(kind: Kind, payload: &[u8]) -> Option<CodecError> {
         Kind::ControllerMemory => decode::<ControllerMemory>(payload).err(),
         Kind::OrientationReport => decode::<OrientationReport>(payload).err(),
         Kind::BranchReport => decode::<BranchReport>(payload).err(),
+        Kind::StopReport => decode::<StopReport>(payload).err(),
+        Kind::StopRepetition => decode::<StopRepetition>(payload).err(),
         Kind::LedReport => decode::<LedReport>(payload).err(),
     }
 }

@@ -118,7 +118,7 @@ impl Device for PyDevice {
             }
             let bit = |name: &str, bit: u32| answer.getattr(name)?.is_truthy().map(|set| if set { bit } else { 0 });
             let faults = bit("temperature_fault", fault::TEMPERATURE)? | bit("supply_fault", fault::SUPPLY)?;
-            Ok(Health { temperature_c, faults, broken })
+            Ok(Health { temperature_c, faults, broken, problem: None })
         })
     }
 
@@ -217,24 +217,25 @@ impl Station {
         let name = stop_record::file_name(&room, array);
         let store = PyStore { name: store.call_method1("open", (name,))?.extract()?, object: store.unbind() };
         let now = moment(now);
-        let (record, stop_at_start) = StopRecord::open(store, start_armed, now.room_ns);
+        let (record, latch_at_start) = StopRecord::open(store, start_armed, now.room_ns);
         let raised = Raised::default();
         let mut kit = Kit::new(PyDevice { object: device, capabilities, travel_rad, raised: Arc::clone(&raised) });
         // Every role may publish under the key of the stop, only operators under that of the
         // re-arm.
         kit.refuse_unnamed_rearm(authenticated);
-        let advice = stop_at_start.as_ref().map(|stop| stop_record::advice(&room, stop));
-        let rules = Rules::new(kit, (record, stop_at_start), Identity { source, array, software }, now);
+        let advice = stop_record::advice(&room, &latch_at_start);
+        let rules = Rules::new(kit, (record, latch_at_start), Identity { source, array, software }, now);
         Ok(Self { received: Mutex::default(), rules: Mutex::new(rules), raised, advice })
     }
 
-    /// Adds a message to the queue; `of` is command, stop, rearm or calibration. Any thread may
-    /// call it.
+    /// Adds a message to the queue; `of` is command, stop, stop_repetition, rearm or calibration. Any
+    /// thread may call it.
     fn receive(&self, of: &str, payload: &[u8], now: (u64, u64)) -> PyResult<()> {
         let content = match of {
             "command" => Content::Command(decode(payload)),
             "stop" => Content::Stop(decode(payload)),
             "rearm" => Content::Rearm(decode(payload)),
+            "stop_repetition" => Content::Repetition(decode(payload)),
             "calibration" => Content::Calibration(decode(payload)),
             _ => return Err(PyValueError::new_err(format!("unknown message {of:?}"))),
         };
@@ -269,6 +270,7 @@ impl Station {
                 let (name, payload) = match report {
                     Report::Telemetry(telemetry) => ("telemetry", payload(&telemetry)?),
                     Report::Safety(safety) => ("safety", payload(&safety)?),
+                    Report::Stops(stops) => ("stops", payload(&stops)?),
                     Report::Capabilities(capabilities) => ("capabilities", payload(&capabilities)?),
                     Report::Status(status) => ("status", payload(&status)?),
                 };
@@ -278,10 +280,9 @@ impl Station {
         })
     }
 
-    /// When the next telemetry is due, in local time.
-    #[getter]
-    fn telemetry_ns(&self) -> PyResult<u64> {
-        Ok(self.rules()?.telemetry_ns())
+    /// Whether a report is due at this local time, so that no further message is handled before it.
+    fn is_report_due(&self, local_ns: u64) -> PyResult<bool> {
+        Ok(self.rules()?.is_report_due(local_ns))
     }
 
     /// When `advance` must be called if no message arrives, in local time.
@@ -296,13 +297,13 @@ impl Station {
         self.advice.as_deref()
     }
 
-    /// The stop in force, or an empty text.
+    /// The stops in force, or an empty text.
     #[getter]
     fn stop(&self) -> PyResult<String> {
         let rules = self.rules()?;
-        Ok(rules.kit().array().latch().stop().map_or_else(String::new, |stop| {
-            format!("{:016x}/{}, operator {:?}: {:?}", stop.source, stop.sequence, stop.operator, stop.reason)
-        }))
+        let stops = rules.kit().array().latch().stops().iter();
+        let texts = stops.map(|stop| format!("{}, operator {:?}: {:?}", stop.name(), stop.operator, stop.reason));
+        Ok(texts.collect::<Vec<_>>().join("; "))
     }
 
     /// The state of the array: parked, following, holding or stopped.

@@ -19,7 +19,7 @@ use crate::error::guarded;
 create_exception!(heliostat, Refused, PyValueError, "A payload or a message that the contract does not allow.");
 
 /// Kinds by the last part of their key, with that of a control named after its receiver.
-pub const KINDS: [(&str, Kind); 20] = [
+pub const KINDS: [(&str, Kind); 22] = [
     ("users", Kind::UserReport),
     ("channel", Kind::ChannelReport),
     ("obstacles", Kind::ObstacleReport),
@@ -39,6 +39,8 @@ pub const KINDS: [(&str, Kind); 20] = [
     ("memory", Kind::ControllerMemory),
     ("orientation", Kind::OrientationReport),
     ("branches", Kind::BranchReport),
+    ("stops", Kind::StopReport),
+    ("stop_repetition", Kind::StopRepetition),
     ("leds", Kind::LedReport),
 ];
 
@@ -58,7 +60,7 @@ macro_rules! for_kind {
         for_kind!($kind, $function $arguments, [
             UserReport ChannelReport ObstacleReport MirrorCommand MirrorTelemetry NodeStatus RoomTruth Capabilities
             EmergencyStop Calibration SimulatorControl ControllerControl Rearm SafetyReport RoomGeometry BeliefReport
-            ControllerMemory OrientationReport BranchReport LedReport
+            ControllerMemory OrientationReport BranchReport StopReport StopRepetition LedReport
         ])
     };
 }
@@ -114,6 +116,8 @@ pub fn keys<'py>(py: Python<'py>, room: &str, node: &str, source: u64, array: i6
         ("capabilities", own.capabilities()),
         ("calibration", own.calibration()),
         ("safety", own.safety()),
+        ("stops", own.stops()),
+        ("stop_repetition", own.stop_repetition()),
         ("status", status),
         ("alive", alive),
         ("drivers", own.drivers_alive()),

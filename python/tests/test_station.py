@@ -122,7 +122,7 @@ def driven(tmp_path: Path) -> Driven:
 
 
 def test_a_command_turns_the_mirrors_within_their_limits_and_ends_in_the_park_position(driven: Driven) -> None:
-    assert driven.reports.keys() == {"telemetry", "safety", "capabilities", "status"}
+    assert driven.reports.keys() == {"telemetry", "safety", "stops", "capabilities", "status"}
     driven.command(roll=[1.0, -1.0])
     telemetry = driven.telemetry()
     assert (telemetry["state"], telemetry["answers"], telemetry["counters"]["clipped"]) == (FOLLOWING, 5, 1)
@@ -158,7 +158,7 @@ def test_payloads_that_are_no_messages_are_counted_and_turn_nothing(driven: Driv
     not_a_number = bytes.fromhex("010407ac02e80780cffea7a4deb2c318c801020000003e000000bf02000000000000c07f")
     for payload in (b"", b"\2\4", b"\1\4\7", not_a_number):
         driven.station.receive("command", payload, driven.now)
-    for name in ("stop", "rearm", "calibration"):
+    for name in ("stop", "stop_repetition", "rearm", "calibration"):
         driven.station.receive(name, b"\1", driven.now)
     telemetry = driven.telemetry()
     assert telemetry["counters"]["rejected"] == 4 and telemetry["state"] == PARKED and driven.mirrors.turns == turns

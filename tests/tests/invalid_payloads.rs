@@ -126,7 +126,7 @@ fn the_controller_counts_invalid_payloads_about_arrays_and_names_the_last() {
         ("capabilities", "capabilities of mirrors", room.array(0).capabilities()),
         ("safety", "safety of mirrors", room.array(0).safety()),
         ("stop", "stop", room.stop()),
-        ("rearm", "rearm", room.rearm()),
+        ("stops", "stops of mirrors", room.array(0).stops()),
         ("geometry", "geometry", geometry),
     ];
     let problem = || observer.status(NodeKind::Controller).map(|status| status.last_problem).unwrap_or_default();

@@ -164,13 +164,13 @@ fn a_stop_survives_the_end_of_the_driver_and_no_mirror_turns_until_the_rearm() {
         room.command(0.25, |_| {});
         room.observer.telemetry().is_some_and(|telemetry| telemetry.counters.stopped > before + 3)
     });
-    assert_eq!(room.orders(), ["hello", "stop"], "the board receives no angles");
+    assert_eq!(room.orders(), ["stop", "hello", "stop"], "the board receives no angles");
     assert!(driver.errors().contains("the array starts stopped by ann"), "{}", driver.errors());
     assert!(driver.errors().contains("heliostat rearm --room kept"), "{}", driver.errors());
     room.rearm(0xabc, 1);
     wait_until("a parked array", || room.telemetry_state() == Some(ArrayState::Parked));
     room.follow();
-    assert_eq!(room.orders().get(2).map(String::as_str), Some("set 0 0"), "it parks first");
+    assert_eq!(room.orders().get(3).map(String::as_str), Some("set 0 0"), "it parks first");
 }
 
 #[test]

@@ -14,7 +14,7 @@
 //!    [`handle_safety`](Controller::handle_safety),
 //!    [`handle_unfit_node`](Controller::handle_unfit_node),
 //!    [`handle_stop_order`](Controller::handle_stop_order) and
-//!    [`handle_rearm`](Controller::handle_rearm) for the array;
+//!    [`handle_stops`](Controller::handle_stops) for the array;
 //! 3. the `poll_*` method that `handle_message` names by [`Due`]:
 //!    [`poll_command`](Controller::poll_command) or
 //!    [`poll_stale_command`](Controller::poll_stale_command). Several messages may be handled

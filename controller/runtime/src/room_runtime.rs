@@ -9,6 +9,7 @@
 //! | [`command_sender`] | numbers, encodes and publishes commands | the thread that decides, or the main thread |
 //! | [`state_publisher`] | publishes belief and state after a command | the thread that decides |
 //! | [`watchdog`] | acts for a policy that does not return | the main thread |
+//! | `stop_repeater` | repeats held stops to arrays that have not reported them | the main thread |
 //!
 //! `policy_swap` replaces the policy on a thread of its own. Rooms share a session and nothing
 //! else, so a room that floods, fails or stands by leaves the others alone. The main thread
@@ -26,6 +27,7 @@ pub mod receive_queue;
 pub mod room_clock;
 pub mod state_publisher;
 mod status;
+mod stop_repeater;
 mod subscriptions;
 mod undecodable;
 pub mod watchdog;
@@ -60,6 +62,7 @@ use receive_queue::ReceiveQueue;
 use room_clock::RoomClock;
 use state_publisher::StatePublisher;
 use status::{Conditions, Identity, Problem, Reporter};
+use stop_repeater::StopRepeater;
 use subscriptions::Arrays;
 use undecodable::Decoder;
 use watchdog::{POLICY_TIMEOUT, Watchdog};
@@ -71,6 +74,7 @@ pub struct RoomRuntime {
     queue: Arc<ReceiveQueue>,
     sender: Arc<CommandSender>,
     watchdog: Arc<Watchdog>,
+    repeater: StopRepeater,
     policy_swap: PolicySwap,
     /// The room's thread, if decisions need one.
     thread: Option<JoinHandle<()>>,
@@ -122,6 +126,7 @@ impl RoomRuntime {
         });
         let sender = CommandSender::new(outlets.collect::<Result<Vec<_>, BusError>>()?);
         let watchdog = Watchdog::new(scenario.control.when_unanswered, sender.arrays());
+        let repeater = StopRepeater::open(bus, sender.arrays(), source)?;
         let (sender, watchdog) = (Arc::new(sender), Arc::new(watchdog));
         let shared = (Arc::clone(&sender), Arc::clone(&watchdog));
         let states = StatePublisher::open(bus, source)?;
@@ -161,6 +166,7 @@ impl RoomRuntime {
             queue,
             sender,
             watchdog,
+            repeater,
             policy_swap,
             thread,
             declared: Some((subscriptions, token)),
@@ -190,8 +196,10 @@ impl RoomRuntime {
         RoomReport { room: &self.room, summary: &self.summary, times: &self.times, policy_times: &self.policy_times }
     }
 
-    /// Executes the action for absent reports or for a policy timeout, if that is due.
+    /// Executes the action for absent reports or for a policy timeout, if that is due. Repeats held
+    /// stops.
     pub fn handle_timeouts(&mut self) {
+        self.repeater.repeat(&self.watchdog);
         if let Some(mut decision_loop) = try_lock(&self.decision_loop) {
             self.watchdog.on_idle();
             decision_loop.handle_timeout();

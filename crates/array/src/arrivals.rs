@@ -2,8 +2,6 @@
 
 use std::collections::VecDeque;
 
-use heliostat_proto::StopAction;
-
 use crate::content::Content;
 use crate::moment::Moment;
 
@@ -30,15 +28,15 @@ pub struct Arrivals {
 impl Arrivals {
     /// Adds a message.
     pub fn push(&mut self, at: Moment, content: Content) {
-        let target = if matches!(content, Content::Stop(_)) { &mut self.stops } else { &mut self.others };
+        let target = if content.concerns_stops() { &mut self.stops } else { &mut self.others };
         let arrival = Arrival { at, content };
         if target.len() == CAPACITY {
             self.dropped += 1;
             // Undecodable payloads and re-arms on the key of the stop must not displace a stop.
-            let least = target.iter().position(|queued| !is_stop(queued));
+            let least = target.iter().position(|queued| !queued.content.is_stop());
             match least {
                 Some(index) => drop(target.remove(index)),
-                None if matches!(arrival.content, Content::Stop(_)) && !is_stop(&arrival) => return,
+                None if arrival.content.concerns_stops() && !arrival.content.is_stop() => return,
                 None => drop(target.pop_front()),
             }
         }
@@ -56,14 +54,9 @@ impl Arrivals {
     }
 }
 
-/// Whether the message stops the array.
-fn is_stop(arrival: &Arrival) -> bool {
-    matches!(&arrival.content, Content::Stop(Ok(order)) if order.action == StopAction::Stop)
-}
-
 #[cfg(test)]
 mod tests {
-    use heliostat_proto::{EmergencyStop, MirrorCommand};
+    use heliostat_proto::{EmergencyStop, MirrorCommand, StopAction};
 
     use super::*;
 
@@ -98,6 +91,9 @@ mod tests {
         }
         queue.push(Moment::simulated(9), Content::Stop(Ok(rearm)));
         let all: Vec<Arrival> = std::iter::from_fn(|| queue.pop()).collect();
-        assert!(all.len() == CAPACITY && all.iter().all(is_stop), "a queue of stops admits no re-arm");
+        assert!(
+            all.len() == CAPACITY && all.iter().all(|queued| queued.content.is_stop()),
+            "a queue of stops admits no re-arm"
+        );
     }
 }

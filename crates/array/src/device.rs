@@ -1,5 +1,8 @@
 //! The trait that hardware implements; `Kit` does everything else.
 
+use std::fmt;
+use std::sync::Arc;
+
 use heliostat_channel::MirrorAngles;
 use heliostat_proto::Capabilities;
 use thiserror::Error;
@@ -32,6 +35,30 @@ pub struct Health {
     pub faults: u32,
     /// Mirrors that the hardware reports as not following, ascending.
     pub broken: Vec<u32>,
+    /// The present failure of a part of the hardware.
+    pub problem: Option<DeviceError>,
+}
+
+/// Wakes the thread that runs the kit, after a change of a device that has threads of its own.
+#[derive(Clone)]
+pub struct Waker(Arc<dyn Fn() + Send + Sync>);
+
+impl Waker {
+    /// A waker that calls a function; it must neither wait nor call the device.
+    pub fn new(wake: impl Fn() + Send + Sync + 'static) -> Self {
+        Self(Arc::new(wake))
+    }
+
+    /// Wakes the thread.
+    pub fn wake(&self) {
+        (self.0)();
+    }
+}
+
+impl fmt::Debug for Waker {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Waker")
+    }
 }
 
 /// Mirrors that can be turned: on a serial port, on a board, in a simulation.
@@ -81,10 +108,34 @@ pub trait Device {
         Ok(Health::default())
     }
 
-    /// Stops all motion at once.
+    /// Sets the waker of the thread that makes these calls. A device without threads of its own needs
+    /// none.
+    fn set_waker(&mut self, _waker: Waker) {}
+
+    /// How often the hardware was connected, where the device connects it on threads of its own.
+    fn connections(&self) -> Option<u64> {
+        None
+    }
+
+    /// Prepares a measurement that is due within some milliseconds.
+    fn request_measurement(&mut self) {}
+
+    /// Stops all motion at once. The kit also calls it while the device does not answer.
+    ///
+    /// A device with threads of its own returns without waiting for the hardware;
+    /// [`has_stopped`](Self::has_stopped) then tells when it has stopped.
     ///
     /// # Errors
     /// [`DeviceError`] if the motion may not have stopped; the kit stops it again as soon as it
     /// answers.
     fn stop(&mut self, now: Moment) -> Result<(), DeviceError>;
+
+    /// Whether all hardware has executed the last [`stop`](Self::stop), and still answers. Without
+    /// threads of its own a device has done so when `stop` returned.
+    ///
+    /// # Errors
+    /// [`DeviceError`] names a part of the hardware that does not execute it.
+    fn has_stopped(&mut self) -> Result<bool, DeviceError> {
+        Ok(true)
+    }
 }

@@ -31,14 +31,15 @@
 //!                    +--------- a call of the device failed ------+
 //! ```
 //!
-//! The fail-safe default is the park position: mirrors for which no command is valid are parked,
-//! and a device that could not be stopped is stopped again as soon as it answers.
+//! The fail-safe default is the park position: mirrors for which no command is valid are parked.
+//! A stop goes to the device in both states, and again after each reconnection. A stop that is
+//! latched is not yet a device that has stopped: [`Kit::device_stopped`] tells them apart.
 
 use heliostat_channel::MirrorAngles;
 use heliostat_proto::messages::fault;
 use heliostat_proto::{
     ArrayState, Calibration, Capabilities, EmergencyStop, MirrorCommand, MirrorTelemetry, Rearm, SafetyReport, Stamp,
-    StopAction,
+    StopAction, StopRepetition, StopReport,
 };
 
 use crate::calibration::{Correction, Unfit};
@@ -55,6 +56,12 @@ const PAUSE_MIN_NS: u64 = 100_000_000;
 
 /// Longest pause before a reconnection in ns.
 const PAUSE_MAX_NS: u64 = 5_000_000_000;
+
+/// The same while the array is stopped.
+const PAUSE_MAX_STOPPED_NS: u64 = 500_000_000;
+
+/// Longest problem in a stop report in characters; a character has at most four bytes.
+const PROBLEM_CHARACTERS: usize = 250;
 
 /// The connection to the device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -76,6 +83,8 @@ pub struct Kit<D> {
     link: Link,
     connections: u64,
     last_problem: Option<DeviceError>,
+    /// Whether the device has executed a stop since the last one was latched, and answers.
+    device_stopped: bool,
     /// When angles were last applied to the device.
     applied: Moment,
     corrected: MirrorAngles,
@@ -99,6 +108,7 @@ impl<D: Device> Kit<D> {
             link: Link::Down { retry_at_ns: 0, pause_ns: PAUSE_MIN_NS },
             connections: 0,
             last_problem: None,
+            device_stopped: false,
             applied: Moment::default(),
             corrected: flat.clone(),
             measured: flat,
@@ -120,9 +130,10 @@ impl<D: Device> Kit<D> {
         {
             match self.device.connect(now) {
                 Ok(()) => self.connected(now),
-                Err(problem) => self.lost(now, problem, (2 * pause_ns).min(PAUSE_MAX_NS)),
+                Err(problem) => self.lost(now, problem, 2 * pause_ns),
             }
         }
+        self.update_device_stopped(now);
     }
 
     /// Handles an arrival of any kind; returns the command if it was one that was accepted.
@@ -144,6 +155,8 @@ impl<D: Device> Kit<D> {
                 }
             }
             Content::Stop(Err(error)) => refused.note("stop", error.name(), &error),
+            Content::Repetition(Ok(order)) => self.handle_repetition(at, &order),
+            Content::Repetition(Err(error)) => refused.note("stop-repetition", error.name(), &error),
             Content::Rearm(Ok(order)) => {
                 if let Err(refusal) = self.handle_rearm(at, &order) {
                     refused.note("rearm", refusal.name(), &refusal);
@@ -183,6 +196,7 @@ impl<D: Device> Kit<D> {
     ///
     /// Every stop stops the device again, because an earlier one may not have reached it.
     pub fn stop(&mut self, now: Moment, stop: LatchedStop) {
+        self.device_stopped &= self.array.latch().covers(stop.name());
         self.array.stop(stop);
         self.halt(now);
     }
@@ -194,8 +208,7 @@ impl<D: Device> Kit<D> {
     pub fn handle_stop(&mut self, now: Moment, order: &EmergencyStop) -> Result<(), RearmRefusal> {
         if order.action == StopAction::Stop {
             // Before a reconnection, which would turn the mirrors.
-            self.array.handle_stop(now, order)?;
-            self.halt(now);
+            self.stop(now, LatchedStop::new(order, now.room_ns));
             return Ok(());
         }
         self.advance(now);
@@ -203,18 +216,26 @@ impl<D: Device> Kit<D> {
             return Err(RearmRefusal::Unnamed);
         }
         self.array.handle_stop(now, order)?;
-        self.apply_target(now);
+        self.apply_release(now);
         Ok(())
+    }
+
+    /// Applies the repetition of a stop.
+    pub fn handle_repetition(&mut self, now: Moment, order: &StopRepetition) {
+        if self.array.handle_repetition(now, order) {
+            self.device_stopped = false;
+            self.halt(now);
+        }
     }
 
     /// Applies a re-arm that names the stop.
     ///
     /// # Errors
-    /// [`RearmRefusal`]: it names another stop, or none is latched.
+    /// [`RearmRefusal`]: no stop of this name is latched.
     pub fn handle_rearm(&mut self, now: Moment, order: &Rearm) -> Result<(), RearmRefusal> {
         self.advance(now);
         self.array.handle_rearm(order)?;
-        self.apply_target(now);
+        self.apply_release(now);
         Ok(())
     }
 
@@ -251,7 +272,11 @@ impl<D: Device> Kit<D> {
             .filter(|mirror| self.follow_check.is_unusable(*mirror) || health.broken.contains(&(*mirror as u32)))
             .map(|mirror| mirror as u32)
             .collect();
-        let is_down = self.link != Link::Up;
+        let is_lost = health.faults & fault::LINK != 0 && health.broken.len() == self.capabilities.mirrors();
+        let is_down = self.link != Link::Up || is_lost;
+        if let Some(problem) = health.problem {
+            self.last_problem = Some(problem);
+        }
         let bit = |set: bool, bit: u32| if set { bit } else { 0 };
         MirrorTelemetry {
             stamp,
@@ -270,7 +295,8 @@ impl<D: Device> Kit<D> {
                 | health.faults
                 | bit(is_down, fault::LINK)
                 | bit(!unusable.is_empty(), fault::MIRROR)
-                | bit(self.calibration_refused, fault::CALIBRATION),
+                | bit(self.calibration_refused, fault::CALIBRATION)
+                | bit(self.array.state() == ArrayState::Stopped && !self.device_stopped, fault::STOP),
             counters: *self.array.counters(),
             temperature_c: health.temperature_c,
             roll_commanded: single(&self.array.target().roll),
@@ -286,7 +312,33 @@ impl<D: Device> Kit<D> {
         Capabilities { stamp, ..self.capabilities.clone() }
     }
 
-    /// The emergency stop in force, and the bounds on commands.
+    /// The emergency stops in force, and whether the device has executed them.
+    pub fn stops(&self, stamp: Stamp) -> StopReport {
+        let stops: Vec<_> = self.array.latch().stops().iter().map(LatchedStop::report).collect();
+        let is_open = !stops.is_empty() && !self.device_stopped;
+        let problem = self.last_problem.as_ref().map(ToString::to_string).filter(|_| is_open);
+        StopReport {
+            stamp,
+            device_stopped: self.device_stopped,
+            stops,
+            released: self.array.released().collect(),
+            problem: problem.map(|problem| problem.chars().take(PROBLEM_CHARACTERS).collect()).unwrap_or_default(),
+        }
+    }
+
+    /// Whether a stop is latched that the device has executed.
+    pub fn device_stopped(&self) -> bool {
+        self.device_stopped
+    }
+
+    /// Prepares the measurement for telemetry that is due within some milliseconds.
+    pub fn request_measurement(&mut self) {
+        if self.link == Link::Up {
+            self.device.request_measurement();
+        }
+    }
+
+    /// The emergency stop that was latched last, and the bounds on commands.
     pub fn safety(&self, stamp: Stamp) -> SafetyReport {
         let stop = self.array.latch().stop();
         let bounds = self.array.limits().bounds;
@@ -337,7 +389,7 @@ impl<D: Device> Kit<D> {
 
     /// How often the device was connected.
     pub fn connections(&self) -> u64 {
-        self.connections
+        self.device.connections().unwrap_or(self.connections)
     }
 
     /// Applies the corrected target to the device if it is connected.
@@ -351,16 +403,39 @@ impl<D: Device> Kit<D> {
         }
     }
 
-    /// Stops the device; the angles at which the mirrors came to rest become the target.
+    /// Applies the target if the last stop was released.
+    fn apply_release(&mut self, now: Moment) {
+        if self.array.state() != ArrayState::Stopped {
+            self.device_stopped = false;
+            self.apply_target(now);
+        }
+    }
+
+    /// Stops the device, also one that does not answer; that one is connected at the next step.
     fn halt(&mut self, now: Moment) {
-        if self.link != Link::Up {
+        match (self.device.stop(now), &mut self.link) {
+            (Ok(()), Link::Up) => self.update_device_stopped(now),
+            (Err(problem), Link::Up) => self.lost(now, problem, PAUSE_MIN_NS),
+            (_, Link::Down { retry_at_ns, pause_ns }) => {
+                *retry_at_ns = (*retry_at_ns).min(now.local_ns);
+                *pause_ns = (*pause_ns).min(PAUSE_MAX_STOPPED_NS);
+            }
+        }
+    }
+
+    /// Learns whether the device of a stopped array has stopped; the angles at which the mirrors came
+    /// to rest then become the target.
+    fn update_device_stopped(&mut self, now: Moment) {
+        if self.array.state() != ArrayState::Stopped || self.link != Link::Up {
+            self.device_stopped = false;
             return;
         }
-        if let Err(problem) = self.device.stop(now) {
-            self.lost(now, problem, PAUSE_MIN_NS);
-            return;
-        }
-        if self.device.measure(now, &mut self.measured) == Ok(true) {
+        let before = self.device_stopped;
+        self.device_stopped = self.device.has_stopped().unwrap_or_else(|problem| {
+            self.last_problem = Some(problem);
+            false
+        });
+        if self.device_stopped && !before && self.device.measure(now, &mut self.measured) == Ok(true) {
             self.correction.undo(&mut self.measured);
             self.array.set_target(&self.measured);
         }
@@ -377,6 +452,9 @@ impl<D: Device> Kit<D> {
     }
 
     fn lost(&mut self, now: Moment, problem: DeviceError, pause_ns: u64) {
+        let is_stopped = self.array.state() == ArrayState::Stopped;
+        let pause_ns = pause_ns.min(if is_stopped { PAUSE_MAX_STOPPED_NS } else { PAUSE_MAX_NS });
+        self.device_stopped = false;
         self.link = Link::Down { retry_at_ns: now.local_ns.saturating_add(pause_ns), pause_ns };
         self.follow_check.pause();
         self.last_problem = Some(problem);

@@ -1,15 +1,14 @@
-//! The latch of the emergency stop, and the text that keeps it over a restart.
+//! The latch of the emergency stops, and the text that keeps it over a restart.
 //!
 //! A latched stop has a name: source and sequence number of the message that caused it. A re-arm of
-//! kind 13 releases the stop that it names. A re-arm of kind 9 releases it by its time, which must
-//! be later than that of the stop. The time of a stop is at most its arrival, so a stop from a fast
-//! clock can be released.
+//! kind 13 releases the stop that it names. A re-arm of kind 9 releases each stop whose time is
+//! earlier. The time of a stop is at most its arrival, so a stop from a fast clock can be released.
 //!
 //! ```toml
-//! version = 1
+//! version = 2
 //! stopped = true
 //!
-//! [stop]                       # absent where stopped is false
+//! [[stops]]                    # absent where stopped is false
 //! source = "123456789abcdef0"  # hexadecimal
 //! sequence = "300"             # texts, because TOML has no unsigned integers of 64 bits
 //! time_ns = "1767323045678000000"
@@ -18,14 +17,17 @@
 //! reason = "test"
 //! ```
 
-use heliostat_proto::{EmergencyStop, MAX_TEXT, Nanos, Rearm};
+use heliostat_proto::{EmergencyStop, LatchedStopReport, MAX_STOPS, MAX_TEXT, Nanos, StopName, StopRepetition};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::refusal::RearmRefusal;
 
 /// Version of the text.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
+
+/// The version with a single stop, as the table `[stop]`.
+const VERSION_OF_ONE: u32 = 1;
 
 /// An emergency stop in force.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
@@ -58,6 +60,24 @@ impl LatchedStop {
         }
     }
 
+    /// The stop of a repetition that arrived at this time.
+    pub fn repeated(order: &StopRepetition, arrived_ns: Nanos) -> Self {
+        let StopName { source, sequence } = order.name();
+        let (operator, reason) = (order.operator.clone(), order.reason.clone());
+        Self { source, sequence, time_ns: arrived_ns, arrived_ns, operator, reason }
+    }
+
+    /// Its name.
+    pub fn name(&self) -> StopName {
+        StopName { source: self.source, sequence: self.sequence }
+    }
+
+    /// The stop as a stop report lists it.
+    pub fn report(&self) -> LatchedStopReport {
+        let Self { source, sequence, arrived_ns, operator, reason, .. } = self.clone();
+        LatchedStopReport { source, sequence, arrived_ns, operator, reason }
+    }
+
     /// A stop without sender, as at a start in state stopped.
     pub fn without_sender(reason: &str, now_ns: Nanos) -> Self {
         let end = (0..=reason.len().min(MAX_TEXT)).rev().find(|at| reason.is_char_boundary(*at)).unwrap_or(0);
@@ -71,10 +91,14 @@ impl LatchedStop {
     }
 }
 
-/// The latch: a stop, or none.
+/// The latch: the stops in force, in the order of their arrival.
+///
+/// Stops of different senders are held side by side. A later stop of one sender replaces its
+/// earlier one. When there are more senders than [`MAX_STOPS`], one stop without sender stands for
+/// those that are not listed.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Latch {
-    stop: Option<LatchedStop>,
+    stops: Vec<LatchedStop>,
 }
 
 /// Why a text is not the state of a latch.
@@ -100,10 +124,16 @@ pub enum LatchTextError {
         hint: &'static str,
     },
     /// The state and the stop contradict each other.
-    #[error("stopped is {stopped}: expected a table [stop] if and only if it is true")]
+    #[error("stopped is {stopped}: expected at least one stop if and only if it is true")]
     Contradiction {
         /// The state.
         stopped: bool,
+    },
+    /// There are more stops than a latch holds.
+    #[error("{found} stops: expected at most {MAX_STOPS}")]
+    TooMany {
+        /// Their number.
+        found: usize,
     },
     /// A text is too long for a message.
     #[error("{key} has {found} bytes: expected at most {MAX_TEXT}")]
@@ -122,6 +152,8 @@ struct LatchText {
     stopped: bool,
     #[serde(skip_serializing_if = "Option::is_none")]
     stop: Option<StopText>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    stops: Vec<StopText>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -138,40 +170,69 @@ struct StopText {
 impl Latch {
     /// A latch with a stop.
     pub fn stopped(stop: LatchedStop) -> Self {
-        Self { stop: Some(stop) }
+        Self { stops: vec![stop] }
     }
 
-    /// The stop in force.
+    /// The stop that arrived last.
     pub fn stop(&self) -> Option<&LatchedStop> {
-        self.stop.as_ref()
+        self.stops.last()
     }
 
-    /// Latches a stop. It replaces the name of an earlier one, and never makes its time earlier.
+    /// The stops in force, in the order of their arrival.
+    pub fn stops(&self) -> &[LatchedStop] {
+        &self.stops
+    }
+
+    /// The same latch after a restart at `now_ns`.
+    pub fn restored(self, now_ns: Nanos) -> Self {
+        Self { stops: self.stops.into_iter().map(|stop| stop.restored(now_ns)).collect() }
+    }
+
+    /// Latches a stop, and never makes the time of one that it replaces earlier.
     pub(crate) fn engage(&mut self, mut stop: LatchedStop) {
-        stop.time_ns = stop.time_ns.max(self.stop.as_ref().map_or(0, |earlier| earlier.time_ns));
-        self.stop = Some(stop);
+        if let Some(held) = self.stops.iter_mut().find(|held| held.name() == stop.name()) {
+            held.time_ns = held.time_ns.max(stop.time_ns);
+            return;
+        }
+        if let Some(index) = self.stops.iter().position(|held| held.source == stop.source) {
+            stop.time_ns = stop.time_ns.max(self.stops.remove(index).time_ns);
+        }
+        let named = self.stops.iter().filter(|held| held.name() != StopName::default()).count();
+        // The last place is that of a stop without sender.
+        if named + 1 < MAX_STOPS || stop.name() == StopName::default() {
+            self.stops.push(stop);
+            return;
+        }
+        let reason = format!("more stops than an array can list; one is {} of {:?}", stop.name(), stop.operator);
+        let unlisted = LatchedStop::without_sender(&reason, stop.arrived_ns);
+        self.engage(LatchedStop { time_ns: stop.time_ns, ..unlisted });
     }
 
-    /// Releases the stop that the re-arm names.
-    pub(crate) fn release(&mut self, order: &Rearm) -> Result<(), RearmRefusal> {
-        let stop = self.stop.as_ref().ok_or(RearmRefusal::NotStopped)?;
-        let (found_source, found_sequence) = (order.stop_source, order.stop_sequence);
-        let (source_id, sequence) = (stop.source, stop.sequence);
-        if (found_source, found_sequence) != (source_id, sequence) {
-            return Err(RearmRefusal::OtherStop { found_source, found_sequence, source_id, sequence });
-        }
-        self.stop = None;
+    /// Whether a repetition adds nothing: the stop, or a later one of its sender, is latched.
+    pub(crate) fn covers(&self, name: StopName) -> bool {
+        self.stops
+            .iter()
+            .any(|held| held.name() == name || (held.source == name.source && held.sequence > name.sequence))
+    }
+
+    /// Releases the stop of this name.
+    pub(crate) fn release(&mut self, name: StopName) -> Result<(), RearmRefusal> {
+        let latest = self.stop().ok_or(RearmRefusal::NotStopped)?.name();
+        let index = self.stops.iter().position(|stop| stop.name() == name);
+        self.stops.remove(index.ok_or(RearmRefusal::OtherStop { found: name, latest })?);
         Ok(())
     }
 
-    /// Releases the stop by a re-arm of kind 9, which names none.
-    pub(crate) fn release_by_time(&mut self, found_ns: Nanos) -> Result<(), RearmRefusal> {
-        let stopped_ns = self.stop.as_ref().ok_or(RearmRefusal::NotStopped)?.time_ns;
+    /// Releases the stops that are earlier than a re-arm of kind 9, which names none; returns their
+    /// names.
+    pub(crate) fn release_by_time(&mut self, found_ns: Nanos) -> Result<Vec<StopName>, RearmRefusal> {
+        let earliest = self.stops.iter().map(|stop| stop.time_ns).min();
+        let stopped_ns = earliest.ok_or(RearmRefusal::NotStopped)?;
         if found_ns <= stopped_ns {
             return Err(RearmRefusal::TooEarly { found_ns, stopped_ns });
         }
-        self.stop = None;
-        Ok(())
+        let released = self.stops.extract_if(.., |stop| stop.time_ns < found_ns);
+        Ok(released.map(|stop| stop.name()).collect())
     }
 
     /// The text that [`Latch::parse`] reads.
@@ -179,15 +240,8 @@ impl Latch {
     /// # Panics
     /// Never: every latch can be written as TOML.
     pub fn to_toml(&self) -> String {
-        let stop = self.stop.as_ref().map(|stop| StopText {
-            source: format!("{:016x}", stop.source),
-            sequence: stop.sequence.to_string(),
-            time_ns: stop.time_ns.to_string(),
-            arrived_ns: stop.arrived_ns.to_string(),
-            operator: stop.operator.clone(),
-            reason: stop.reason.clone(),
-        });
-        let text = LatchText { version: VERSION, stopped: stop.is_some(), stop };
+        let stops: Vec<StopText> = self.stops.iter().map(StopText::of).collect();
+        let text = LatchText { version: VERSION, stopped: !stops.is_empty(), stop: None, stops };
         toml::to_string(&text).expect("texts and numbers of 32 bits can be written as TOML")
     }
 
@@ -196,18 +250,35 @@ impl Latch {
     /// # Errors
     /// [`LatchTextError`]: the state is unknown, so the array must start stopped.
     pub fn parse(text: &str) -> Result<Self, LatchTextError> {
-        let LatchText { version, stopped, stop } = toml::from_str(text)?;
-        if version != VERSION {
-            return Err(LatchTextError::Version { found: version });
-        }
-        if stopped != stop.is_some() {
+        let LatchText { version, stopped, stop, stops } = toml::from_str(text)?;
+        let stops = match version {
+            VERSION_OF_ONE if stops.is_empty() => stop.into_iter().collect(),
+            VERSION if stop.is_none() => stops,
+            VERSION | VERSION_OF_ONE => return Err(LatchTextError::Contradiction { stopped }),
+            found => return Err(LatchTextError::Version { found }),
+        };
+        if stopped == stops.is_empty() {
             return Err(LatchTextError::Contradiction { stopped });
         }
-        Ok(Self { stop: stop.map(StopText::read).transpose()? })
+        if stops.len() > MAX_STOPS {
+            return Err(LatchTextError::TooMany { found: stops.len() });
+        }
+        Ok(Self { stops: stops.into_iter().map(StopText::read).collect::<Result<_, _>>()? })
     }
 }
 
 impl StopText {
+    fn of(stop: &LatchedStop) -> Self {
+        Self {
+            source: format!("{:016x}", stop.source),
+            sequence: stop.sequence.to_string(),
+            time_ns: stop.time_ns.to_string(),
+            arrived_ns: stop.arrived_ns.to_string(),
+            operator: stop.operator.clone(),
+            reason: stop.reason.clone(),
+        }
+    }
+
     fn read(self) -> Result<LatchedStop, LatchTextError> {
         let number = |key, text: String, radix, hint| {
             u64::from_str_radix(&text, radix).map_err(|_| LatchTextError::Number { key, text, hint })
@@ -245,7 +316,10 @@ mod tests {
 
     #[test]
     fn a_written_state_can_be_read_with_any_numbers_and_texts() {
-        for latch in [Latch::default(), Latch::stopped(stop()), Latch::stopped(LatchedStop::default())] {
+        let mut both = Latch::stopped(stop());
+        both.engage(LatchedStop { source: 5, ..stop() });
+        assert_eq!(both.stops().len(), 2);
+        for latch in [Latch::default(), Latch::stopped(stop()), Latch::stopped(LatchedStop::default()), both] {
             assert_eq!(Latch::parse(&latch.to_toml()).unwrap(), latch, "{}", latch.to_toml());
         }
     }
@@ -263,11 +337,13 @@ mod tests {
             assert_ne!(changed, text, "{from}");
             Latch::parse(&changed).unwrap_err().to_string()
         };
-        assert!(wrong("version = 1", "version = 2").contains("version 2: expected 1"));
-        assert!(wrong("stopped = true", "stopped = false").contains("expected a table [stop]"));
+        assert!(wrong("version = 2", "version = 3").contains("version 3: expected 2"));
+        assert!(wrong("stopped = true", "stopped = false").contains("expected at least one stop"));
         assert!(wrong("\"ffffffffffffffff\"", "\"-1\"").contains("invalid source \"-1\""));
         assert!(wrong("stopped = true", "stopped = true\narmed = true").contains("armed"));
         assert!(Latch::parse("version = 1\nstopped = true\n").is_err());
+        let former = text.replace("version = 2", "version = 1").replace("[[stops]]", "[stop]");
+        assert_eq!(Latch::parse(&former).unwrap(), Latch::stopped(stop()), "a record of the former version");
         let long = Latch::stopped(LatchedStop { reason: "x".repeat(MAX_TEXT + 1), ..LatchedStop::default() });
         assert!(Latch::parse(&long.to_toml()).unwrap_err().to_string().contains("1025 bytes"));
     }
@@ -276,5 +352,42 @@ mod tests {
     fn a_reason_is_cut_at_the_limit_of_a_message() {
         let stop = LatchedStop::without_sender(&"é".repeat(MAX_TEXT), 7);
         assert_eq!((stop.reason.len(), stop.source, stop.sequence, stop.time_ns), (MAX_TEXT, 0, 0, 7));
+    }
+
+    /// A latch with the stops of so many senders.
+    fn latch_of(senders: u64) -> Latch {
+        let mut latch = Latch::default();
+        (1..=senders).for_each(|source| latch.engage(LatchedStop { source, time_ns: source, ..stop() }));
+        latch
+    }
+
+    #[test]
+    fn each_stop_stays_until_it_is_released_by_its_name() {
+        let mut latch = latch_of(2);
+        latch.engage(LatchedStop { source: 1, sequence: 7, time_ns: 0, ..stop() });
+        let names: Vec<_> = latch.stops().iter().map(|stop| (stop.source, stop.sequence)).collect();
+        assert_eq!(names, [(2, u64::MAX), (1, 7)], "a later stop of a sender replaces its earlier one");
+        assert!(
+            latch.covers(StopName { source: 1, sequence: 6 }) && !latch.covers(StopName { source: 3, sequence: 1 })
+        );
+        assert!(latch.release(StopName { source: 1, sequence: u64::MAX }).is_err());
+        latch.release(StopName { source: 1, sequence: 7 }).unwrap();
+        assert_eq!(latch.stops().len(), 1);
+        assert_eq!(latch.release_by_time(2).unwrap_err().name(), "too-early");
+        assert_eq!(latch.release_by_time(3).unwrap(), [StopName { source: 2, sequence: u64::MAX }]);
+        assert_eq!(latch, Latch::default());
+    }
+
+    #[test]
+    fn more_stops_than_the_list_holds_leave_one_that_has_to_be_released() {
+        let mut latch = latch_of(3 * MAX_STOPS as u64);
+        assert_eq!(latch.stops().len(), MAX_STOPS);
+        for source in 1..MAX_STOPS as u64 {
+            latch.release(StopName { source, sequence: u64::MAX }).unwrap();
+        }
+        let left = latch.stop().expect("the unlisted stops hold the array");
+        assert!(left.name() == StopName::default() && left.reason.contains("more stops"), "{left:?}");
+        latch.release(StopName::default()).unwrap();
+        assert_eq!(latch.stop(), None);
     }
 }

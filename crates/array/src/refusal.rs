@@ -1,6 +1,6 @@
 //! Why an array refuses a command or a re-arm.
 
-use heliostat_proto::Nanos;
+use heliostat_proto::{Nanos, StopName};
 use thiserror::Error;
 
 /// Why a command is refused.
@@ -106,27 +106,20 @@ pub enum RearmRefusal {
     /// There is nothing to release.
     #[error("a re-arm of an array that is not stopped: nothing to release")]
     NotStopped,
-    /// It names a stop that is not the latched one.
-    #[error(
-        "a re-arm of stop {found_source:016x}/{found_sequence}: expected {source_id:016x}/{sequence}, \
-         the latched stop in the safety report"
-    )]
+    /// It names a stop that is not latched.
+    #[error("a re-arm of stop {found}: expected {latest}, or another stop in the stop report")]
     OtherStop {
-        /// Source in the re-arm.
-        found_source: u64,
-        /// Sequence number in the re-arm.
-        found_sequence: u64,
-        /// Source of the latched stop.
-        source_id: u64,
-        /// Sequence number of the latched stop.
-        sequence: u64,
+        /// The name in the re-arm.
+        found: StopName,
+        /// The name of the stop that was latched last.
+        latest: StopName,
     },
     /// A re-arm of kind 9 that is not later than the stop.
     #[error("a re-arm of time {found_ns} ns: expected later than {stopped_ns} ns, the time of the latched stop")]
     TooEarly {
         /// Time of the re-arm.
         found_ns: Nanos,
-        /// Time of the latched stop.
+        /// Time of the earliest latched stop.
         stopped_ns: Nanos,
     },
     /// A re-arm of kind 9 where only a named one counts.

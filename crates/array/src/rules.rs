@@ -20,7 +20,7 @@
 //!           |                           +-----------------------+
 //!           |                               command accepted
 //!           |
-//!           |  re-arm that releases it       +---------+
+//!           |  last stop released            +---------+
 //!           +--------------------------------| Stopped |<---- stop, in any state
 //!                                            +---------+
 //! ```
@@ -52,14 +52,18 @@
 //! arrival. Clocks may differ by [`CLOCK_LEAD_MAX_NS`] before a time counts as in the future. An
 //! array without a synchronised clock counts from arrival alone.
 //!
-//! Every stop is obeyed. The latch keeps the name and the time of the last one, see [`Latch`]. It
-//! survives a restart if the caller keeps [`Array::latch`] and passes it to [`Array::stop`].
+//! Every stop is obeyed. The latch keeps the stops of all senders, see [`Latch`]; the array is
+//! stopped until each of them is released. It survives a restart if the caller keeps
+//! [`Array::latch`] and passes its stops to [`Array::stop`]. A repetition of a stop that was
+//! released here is ignored: its sender has not seen the release.
+
+use std::collections::VecDeque;
 
 use heliostat_channel::MirrorAngles;
 use heliostat_proto::messages::fault;
 use heliostat_proto::{
-    ArrayState, CLOCK_LEAD_MAX_NS, Capabilities, Counters, EmergencyStop, MirrorCommand, Rearm, StopAction,
-    ValidityClock,
+    ArrayState, CLOCK_LEAD_MAX_NS, Capabilities, Counters, EmergencyStop, MAX_STOPS, MirrorCommand, Rearm, StopAction,
+    StopName, StopRepetition, ValidityClock,
 };
 
 use crate::bounds::{self, Bounds};
@@ -123,6 +127,8 @@ pub struct Array {
     followed: Option<Followed>,
     valid_until_ns: u64,
     latch: Latch,
+    /// Names of the stops that a re-arm released, the latest last.
+    released: VecDeque<StopName>,
     target: MirrorAngles,
     counters: Counters,
     faults: u32,
@@ -137,6 +143,7 @@ impl Array {
             followed: None,
             valid_until_ns: 0,
             latch: Latch::default(),
+            released: VecDeque::with_capacity(MAX_STOPS),
             target: MirrorAngles::flat(limits.mirrors),
             counters: Counters::default(),
             faults: 0,
@@ -185,11 +192,13 @@ impl Array {
 
     /// Latches a stop, in any state.
     pub fn stop(&mut self, stop: LatchedStop) {
+        self.released.retain(|name| *name != stop.name());
         self.latch.engage(stop);
         self.state = ArrayState::Stopped;
     }
 
-    /// Applies a stop, or a re-arm by time, which arrived at `now`. A re-arm parks the array.
+    /// Applies a stop, or a re-arm by time, which arrived at `now`. The array parks when the last
+    /// stop is released.
     ///
     /// # Errors
     /// [`RearmRefusal`]: a re-arm that releases nothing.
@@ -197,21 +206,48 @@ impl Array {
         match order.action {
             StopAction::Stop => self.stop(LatchedStop::new(order, now.room_ns)),
             StopAction::Rearm => {
-                self.latch.release_by_time(order.stamp.time_ns)?;
-                self.park();
+                for name in self.latch.release_by_time(order.stamp.time_ns)? {
+                    self.note_release(name);
+                }
             }
         }
         Ok(())
     }
 
-    /// Applies a re-arm that names the stop; the array parks.
+    /// Applies the repetition of a stop; false where it adds nothing: the stop is latched, or was
+    /// released here.
+    pub fn handle_repetition(&mut self, now: Moment, order: &StopRepetition) -> bool {
+        let name = order.name();
+        let is_new = !self.latch.covers(name) && !self.released.contains(&name);
+        if is_new {
+            self.stop(LatchedStop::repeated(order, now.room_ns));
+        }
+        is_new
+    }
+
+    /// Applies a re-arm that names the stop; the array parks when no other one is latched.
     ///
     /// # Errors
-    /// [`RearmRefusal`]: it names another stop, or none is latched.
+    /// [`RearmRefusal`]: no stop of this name is latched.
     pub fn handle_rearm(&mut self, order: &Rearm) -> Result<(), RearmRefusal> {
-        self.latch.release(order)?;
-        self.park();
+        self.latch.release(order.name())?;
+        self.note_release(order.name());
         Ok(())
+    }
+
+    /// Names of the stops that a re-arm released, the latest last.
+    pub fn released(&self) -> impl Iterator<Item = StopName> {
+        self.released.iter().copied()
+    }
+
+    fn note_release(&mut self, name: StopName) {
+        if self.released.len() == MAX_STOPS {
+            self.released.pop_front();
+        }
+        self.released.push_back(name);
+        if self.latch.stop().is_none() {
+            self.park();
+        }
     }
 
     /// Sets the target to the angles at which stopped mirrors came to rest.
@@ -249,7 +285,7 @@ impl Array {
         self.state
     }
 
-    /// The emergency stop in force, if there is one.
+    /// The emergency stops in force.
     pub fn latch(&self) -> &Latch {
         &self.latch
     }

@@ -6,20 +6,22 @@
 //! record of its emergency stop, and gives the reports that the contract requires of a driver. The
 //! calling order is:
 //!
-//! 1. [`Station::handle`] for each message, until the telemetry is due ([`Station::telemetry_ns`]):
-//!    neither a flood nor a slow device delays it.
-//! 2. [`Station::advance`]: it holds, parks, reconnects and records the stop, before telemetry reports
-//!    the stop and after the device has stopped.
+//! 1. [`Station::handle`] for each message, until a report is due ([`Station::is_report_due`]): a
+//!    flood delays neither telemetry nor the record of a stop.
+//! 2. [`Station::advance`]: it holds, parks, reconnects and records the stop, before a report names
+//!    the stop.
 //! 3. [`Station::poll_report`], and publish what it returns, until it returns `None`.
 //! 4. Wait for a message until [`Station::next_ns`] at the latest, and continue with step 1.
 
 use heliostat_proto::array_keys::array_name;
-use heliostat_proto::{ArrayState, Capabilities, MirrorTelemetry, NodeKind, NodeStatus, SafetyReport, Stamp};
+use heliostat_proto::{
+    ArrayState, Capabilities, MirrorTelemetry, NodeKind, NodeStatus, SafetyReport, Stamp, StopReport,
+};
 
 use crate::arrivals::Arrival;
 use crate::device::Device;
 use crate::kit::Kit;
-use crate::latch::{Latch, LatchedStop};
+use crate::latch::Latch;
 use crate::moment::Moment;
 use crate::refusal_counts::RefusalCounts;
 use crate::stop_record::{RecordError, StopRecord, StopStore};
@@ -29,6 +31,9 @@ const TELEMETRY_NS: u64 = 50_000_000;
 
 /// Time between two publications of the capabilities, of the safety report and of the status, in ns.
 const ANNOUNCEMENT_NS: u64 = 1_000_000_000;
+
+/// Time from the request of a measurement to the telemetry that shows it, in ns.
+const MEASURED_WITHIN_NS: u64 = 10_000_000;
 
 /// The identity of a driver in its messages.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -48,6 +53,8 @@ pub enum Report {
     Telemetry(MirrorTelemetry),
     /// Under the key of the array's safety report, and as the answer to queries of it.
     Safety(SafetyReport),
+    /// Under the key of the array's stop report, and as the answer to queries of it.
+    Stops(StopReport),
     /// Under the key of the array's capabilities, and as the answer to queries of it.
     Capabilities(Capabilities),
     /// Under the key of the driver's status.
@@ -80,25 +87,28 @@ pub struct Station<D, S> {
     refused: RefusalCounts,
     telemetry: Timer,
     safety: Timer,
+    stops: Timer,
     capabilities: Timer,
     status: Timer,
-    /// The state in the last telemetry.
-    published_state: ArrayState,
+    /// Whether the measurement for the next telemetry is requested.
+    is_measuring: bool,
+    /// The state in the last telemetry, and whether its device had executed a stop.
+    published_state: (ArrayState, bool),
     /// The latch in the last safety report.
     published_latch: Latch,
+    /// The latch in the last stop report, and whether the device had executed it.
+    published_stops: (Latch, bool),
 }
 
 impl<D: Device, S: StopStore> Station<D, S> {
-    /// A station that starts now, stopped if there is a stop at the start. All reports are due.
+    /// A station that starts now, stopped if the latch at the start has a stop. All reports are due.
     pub fn new(
         mut kit: Kit<D>,
-        (record, stop_at_start): (StopRecord<S>, Option<LatchedStop>),
+        (record, latch_at_start): (StopRecord<S>, Latch),
         identity: Identity,
         now: Moment,
     ) -> Self {
-        if let Some(stop) = stop_at_start {
-            kit.stop(now, stop);
-        }
+        latch_at_start.stops().iter().for_each(|stop| kit.stop(now, stop.clone()));
         Self {
             kit,
             record,
@@ -107,10 +117,13 @@ impl<D: Device, S: StopStore> Station<D, S> {
             refused: RefusalCounts::default(),
             telemetry: Timer::default(),
             safety: Timer::default(),
+            stops: Timer::default(),
             capabilities: Timer::default(),
             status: Timer::default(),
-            published_state: ArrayState::Parked,
+            is_measuring: false,
+            published_state: (ArrayState::Parked, false),
             published_latch: Latch::default(),
+            published_stops: (Latch::default(), false),
         }
     }
 
@@ -131,6 +144,10 @@ impl<D: Device, S: StopStore> Station<D, S> {
     /// [`RecordError`] for each attempt that failed; the stop is in force all the same.
     pub fn advance(&mut self, now: Moment) -> Result<(), RecordError> {
         self.kit.advance(now);
+        if !self.is_measuring && now.local_ns >= self.measurement_ns() {
+            self.is_measuring = true;
+            self.kit.request_measurement();
+        }
         let again = now.local_ns >= self.safety.due_ns;
         self.record.keep(self.kit.array().latch(), again)
     }
@@ -145,10 +162,21 @@ impl<D: Device, S: StopStore> Station<D, S> {
             self.published_latch.clone_from(self.kit.array().latch());
             return Some(Report::Safety(self.kit.safety(stamp)));
         }
-        if is_due(&self.telemetry) || self.published_state != self.kit.array().state() {
+        let is_stopped = self.kit.device_stopped();
+        if is_due(&self.stops)
+            || self.published_stops.1 != is_stopped
+            || self.published_stops.0 != *self.kit.array().latch()
+        {
+            let stamp = self.stops.publish(source, now, ANNOUNCEMENT_NS);
+            self.published_stops = (self.kit.array().latch().clone(), is_stopped);
+            return Some(Report::Stops(self.kit.stops(stamp)));
+        }
+        if is_due(&self.telemetry) || self.published_state != (self.kit.array().state(), is_stopped) {
             let stamp = self.telemetry.publish(source, now, TELEMETRY_NS);
             let telemetry = self.kit.telemetry(now, stamp);
-            self.published_state = self.kit.array().state();
+            // A measurement can show that the device is lost.
+            self.published_state = (self.kit.array().state(), self.kit.device_stopped());
+            self.is_measuring = false;
             return Some(Report::Telemetry(telemetry));
         }
         if is_due(&self.capabilities) {
@@ -162,15 +190,28 @@ impl<D: Device, S: StopStore> Station<D, S> {
         None
     }
 
-    /// When the next telemetry is due, in local time.
-    pub fn telemetry_ns(&self) -> u64 {
-        self.telemetry.due_ns
+    /// Whether telemetry is due at this local time, or the latch has changed: no further message is
+    /// handled before the reports.
+    pub fn is_report_due(&self, local_ns: u64) -> bool {
+        local_ns >= self.telemetry.due_ns || self.published_latch != *self.kit.array().latch()
+    }
+
+    /// When the measurement for the next telemetry is requested.
+    fn measurement_ns(&self) -> u64 {
+        self.telemetry.due_ns.saturating_sub(MEASURED_WITHIN_NS)
     }
 
     /// When [`Station::advance`] must be called if no message arrives, in local time.
     pub fn next_ns(&self) -> u64 {
-        let reports = [self.telemetry, self.safety, self.capabilities, self.status].map(|timer| timer.due_ns);
-        reports.into_iter().chain(self.kit.next_ns()).min().unwrap_or_default()
+        let timers = [self.telemetry, self.safety, self.stops, self.capabilities, self.status];
+        let measurement = (!self.is_measuring).then(|| self.measurement_ns());
+        let due = timers.into_iter().map(|timer| timer.due_ns).chain(measurement);
+        due.chain(self.kit.next_ns()).min().unwrap_or_default()
+    }
+
+    /// The device with the rules, for functions beyond the contract.
+    pub fn kit_mut(&mut self) -> &mut Kit<D> {
+        &mut self.kit
     }
 
     /// The device with the rules.

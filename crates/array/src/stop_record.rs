@@ -10,8 +10,8 @@ use thiserror::Error;
 
 use crate::latch::{Latch, LatchedStop};
 
-/// Longest record in bytes: two texts at their limit, each character escaped.
-pub const RECORD_MAX: u64 = 64 * 1024;
+/// Longest record in bytes: two texts at their limit for each stop, each character escaped.
+pub const RECORD_MAX: u64 = 1024 * 1024;
 
 /// Where the text of a record is kept, such as a file.
 pub trait StopStore {
@@ -57,12 +57,12 @@ pub struct StopRecord<S> {
 }
 
 impl<S: StopStore> StopRecord<S> {
-    /// Opens the record; returns the stop with which the array starts, if it starts stopped.
+    /// Opens the record; returns the latch with which the array starts.
     /// `start_armed` declares a start without a record safe.
     ///
     /// An array whose state cannot be recorded starts stopped too: otherwise a later stop would be
     /// lost at the next start.
-    pub fn open(mut store: S, start_armed: bool, now_ns: Nanos) -> (Self, Option<LatchedStop>) {
+    pub fn open(mut store: S, start_armed: bool, now_ns: Nanos) -> (Self, Latch) {
         let stopped = |reason: String| Latch::stopped(LatchedStop::without_sender(&reason, now_ns));
         let name = store.name();
         let mut latch = match store.read() {
@@ -74,22 +74,21 @@ impl<S: StopStore> StopRecord<S> {
             Ok(None) => stopped(format!("the last state is unknown: there is no {name}")),
             Err(problem) => stopped(format!("the last state is unknown: cannot read {name}: {problem}")),
         };
-        if let Some(stop) = latch.stop() {
-            latch = Latch::stopped(stop.clone().restored(now_ns));
-        }
+        latch = latch.restored(now_ns);
         let mut record = Self { store: Some(store), tried: latch.clone(), problem: None };
         if let Err(error) = record.write(&latch)
             && latch.stop().is_none()
         {
             latch = stopped(error.to_string());
         }
-        (record, latch.stop().cloned())
+        (record, latch)
     }
 
     /// A record that keeps nothing; each start is stopped, for this reason.
-    pub fn without_store(reason: &str, now_ns: Nanos) -> (Self, LatchedStop) {
+    pub fn without_store(reason: &str, now_ns: Nanos) -> (Self, Latch) {
         let stop = LatchedStop::without_sender(&format!("the last state is unknown: {reason}"), now_ns);
-        (Self { store: None, tried: Latch::stopped(stop.clone()), problem: None }, stop)
+        let latch = Latch::stopped(stop);
+        (Self { store: None, tried: latch.clone(), problem: None }, latch)
     }
 
     /// Writes the state if it differs from the one written last; `again` repeats a write that
@@ -129,8 +128,13 @@ pub fn file_name(room: &Room, array: usize) -> String {
     format!("{room}{of_array}.stop.toml")
 }
 
-/// Why an array starts stopped, and how it is released.
-pub fn advice(room: &Room, stop: &LatchedStop) -> String {
+/// Why an array starts stopped, and how it is released; `None` if it does not.
+pub fn advice(room: &Room, latch: &Latch) -> Option<String> {
+    let all = latch.stops().iter().map(|stop| advice_of(room, stop));
+    all.reduce(|all, one| format!("{all}\n{one}"))
+}
+
+fn advice_of(room: &Room, stop: &LatchedStop) -> String {
     // Escaped: both texts can come from any process of the room.
     let [operator, reason] = [&stop.operator, &stop.reason].map(|text| text.escape_debug().to_string());
     let by = if operator.is_empty() { operator } else { format!(" by {operator}") };

@@ -27,6 +27,10 @@ fn at(ms: u64) -> Moment {
 struct Mirror {
     angles: Option<MirrorAngles>,
     stops: u32,
+    /// It does not connect, and does not turn.
+    is_broken: bool,
+    /// It executes a stop later, on a thread of its own.
+    is_slow: bool,
 }
 
 impl Device for Mirror {
@@ -41,10 +45,11 @@ impl Device for Mirror {
     }
 
     fn connect(&mut self, _now: Moment) -> Result<(), DeviceError> {
-        Ok(())
+        if self.is_broken { Err(DeviceError::new("mirror", "broken")) } else { Ok(()) }
     }
 
-    fn apply(&mut self, _now: Moment, angles: &MirrorAngles) -> Result<(), DeviceError> {
+    fn apply(&mut self, now: Moment, angles: &MirrorAngles) -> Result<(), DeviceError> {
+        self.connect(now)?;
         self.angles = Some(angles.clone());
         Ok(())
     }
@@ -59,6 +64,10 @@ impl Device for Mirror {
     fn stop(&mut self, _now: Moment) -> Result<(), DeviceError> {
         self.stops += 1;
         Ok(())
+    }
+
+    fn has_stopped(&mut self) -> Result<bool, DeviceError> {
+        Ok(!self.is_slow)
     }
 }
 
@@ -108,7 +117,7 @@ fn a_device_that_connects_to_a_stopped_array_is_stopped_and_receives_no_angles()
     let mut kit = Kit::new(Mirror::default());
     kit.stop(at(0), LatchedStop::without_sender("the last state is unknown", at(0).room_ns));
     kit.advance(at(0));
-    assert_eq!((kit.connections(), kit.device().stops, kit.device().angles.is_none()), (1, 1, true));
+    assert_eq!((kit.connections(), kit.device().stops, kit.device().angles.is_none()), (1, 2, true));
     assert_eq!(kit.telemetry(at(1), Stamp::default()).state, ArrayState::Stopped);
     kit.handle_rearm(at(2), &Rearm::default()).unwrap();
     assert!(kit.device().angles.is_some(), "the device parks");
@@ -121,6 +130,47 @@ fn a_stop_before_the_connection_is_obeyed_without_a_turn_of_the_mirrors() {
     kit.advance(at(1));
     assert_eq!(kit.connections(), 1);
     assert!(kit.device().stops >= 1 && kit.device().angles.is_none(), "the device is stopped and not turned");
+}
+
+#[test]
+fn a_stop_goes_to_a_device_in_every_state_of_its_link() {
+    let mut kit = Kit::new(Mirror { is_broken: true, ..Mirror::default() });
+    kit.advance(at(0));
+    kit.handle_stop(at(1), &stop(1)).unwrap();
+    assert_eq!((kit.connections(), kit.device().stops), (0, 1), "it is written to a device that did not connect");
+    let report = kit.stops(Stamp::default());
+    assert_eq!((report.device_stopped, report.stops.len()), (false, 1));
+    assert!(report.problem.contains("broken"), "{report:?}");
+    assert_eq!(kit.telemetry(at(1), Stamp::default()).faults & fault::STOP, fault::STOP);
+    kit.device_mut().is_broken = false;
+    kit.advance(at(1));
+    assert_eq!((kit.connections(), kit.device().stops), (1, 2), "again when the link returns, without a pause");
+    let report = kit.stops(Stamp::default());
+    assert!(report.device_stopped && report.problem.is_empty(), "{report:?}");
+    assert_eq!(kit.telemetry(at(2), Stamp::default()).faults & fault::STOP, 0);
+}
+
+#[test]
+fn a_stop_is_latched_before_its_device_has_executed_it() {
+    let mut kit = following();
+    kit.device_mut().is_slow = true;
+    kit.handle_stop(at(1), &stop(1)).unwrap();
+    assert_eq!((kit.array().state(), kit.device_stopped()), (ArrayState::Stopped, false));
+    kit.advance(at(2));
+    assert!(!kit.device_stopped());
+    kit.device_mut().is_slow = false;
+    kit.advance(at(3));
+    assert!(kit.device_stopped());
+    kit.handle_stop(at(4), &stop(1)).unwrap();
+    assert!(kit.device_stopped(), "a stop that arrives again is executed again, and changes no report");
+    kit.device_mut().is_slow = true;
+    kit.handle_stop(at(5), &stop(2)).unwrap();
+    assert!(!kit.device_stopped(), "another stop has to be executed");
+    kit.device_mut().is_slow = false;
+    kit.advance(at(6));
+    kit.handle_rearm(at(7), &Rearm { stop_source: 7, stop_sequence: 2, ..Rearm::default() }).unwrap();
+    let released = kit.stops(Stamp::default());
+    assert!(!released.device_stopped && released.stops.is_empty() && released.released.len() == 1, "{released:?}");
 }
 
 #[test]

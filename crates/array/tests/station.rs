@@ -81,6 +81,7 @@ fn reports(station: &mut Station<Mirror, Memory>, at_ms: u64) -> Vec<(&'static s
     due.map(|report| match report {
         Report::Telemetry(telemetry) => ("telemetry", telemetry.stamp.sequence),
         Report::Safety(safety) => ("safety", safety.stamp.sequence),
+        Report::Stops(stops) => ("stops", stops.stamp.sequence),
         Report::Capabilities(capabilities) => ("capabilities", capabilities.stamp.sequence),
         Report::Status(status) => ("status", status.stamp.sequence),
     })
@@ -97,13 +98,18 @@ fn stop(station: &mut Station<Mirror, Memory>, at_ms: u64) {
 fn reports_are_due_at_the_start_at_their_intervals_and_at_each_change() {
     let mut station = start(&Memory::default());
     station.advance(Moment::simulated(0)).unwrap();
-    assert_eq!(reports(&mut station, 0), [("safety", 1), ("telemetry", 1), ("capabilities", 1), ("status", 1)]);
-    assert_eq!((reports(&mut station, 49), station.next_ns(), station.telemetry_ns()), (vec![], 50 * MS, 50 * MS));
+    let all = [("safety", 1), ("stops", 1), ("telemetry", 1), ("capabilities", 1), ("status", 1)];
+    assert_eq!(reports(&mut station, 0), all);
+    assert_eq!((reports(&mut station, 39), station.next_ns()), (vec![], 40 * MS), "the request of a measurement");
+    station.advance(Moment::simulated(40 * MS)).unwrap();
+    assert_eq!((reports(&mut station, 49), station.next_ns()), (vec![], 50 * MS));
     assert_eq!(reports(&mut station, 50), [("telemetry", 2)]);
+    assert!(!station.is_report_due(60 * MS));
     stop(&mut station, 60);
-    assert_eq!(reports(&mut station, 60), [("safety", 2), ("telemetry", 3)], "the stop before the state");
+    assert!(station.is_report_due(60 * MS), "no further message is handled before the stop is recorded and reported");
+    assert_eq!(reports(&mut station, 60), [("safety", 2), ("stops", 2), ("telemetry", 3)], "the stop before the state");
     assert_eq!(reports(&mut station, 1000), [("telemetry", 4), ("capabilities", 2), ("status", 2)]);
-    assert_eq!(reports(&mut station, 1060), [("safety", 3), ("telemetry", 5)]);
+    assert_eq!(reports(&mut station, 1060), [("safety", 3), ("stops", 3), ("telemetry", 5)]);
 }
 
 #[test]

@@ -4,7 +4,9 @@ use heliostat_array::bounds::Bounds;
 use heliostat_array::latch::{Latch, LatchedStop};
 use heliostat_array::moment::Moment;
 use heliostat_array::rules::{Array, Limits, RearmRefusal, Refusal};
-use heliostat_proto::{ArrayState, EmergencyStop, MirrorCommand, Rearm, Stamp, StopAction, ValidityClock};
+use heliostat_proto::{
+    ArrayState, EmergencyStop, MirrorCommand, Rearm, Stamp, StopAction, StopName, StopRepetition, ValidityClock,
+};
 
 const MS: u64 = 1_000_000;
 const UTC: u64 = 1_800_000_000_000_000_000;
@@ -90,7 +92,8 @@ fn a_named_rearm_releases_its_stop_and_no_other() {
     array.handle_stop(at(2), &order(StopAction::Stop, 2, 2)).unwrap();
     for (found_source, found_sequence) in [(5, 1), (5, 3), (4, 2), (0, 0)] {
         let refusal = array.handle_rearm(&rearm(found_source, found_sequence)).unwrap_err();
-        assert_eq!(refusal, RearmRefusal::OtherStop { found_source, found_sequence, source_id: 5, sequence: 2 });
+        let found = StopName { source: found_source, sequence: found_sequence };
+        assert_eq!(refusal, RearmRefusal::OtherStop { found, latest: StopName { source: 5, sequence: 2 } });
         assert_eq!((refusal.name(), array.state()), ("other-stop", ArrayState::Stopped));
     }
     array.handle_rearm(&rearm(5, 2)).unwrap();
@@ -120,4 +123,36 @@ fn a_stop_without_sender_is_named_by_zeros() {
     array.stop(LatchedStop::without_sender("the last state is unknown", at(1).room_ns));
     array.handle_rearm(&rearm(0, 0)).unwrap();
     assert_eq!(array.state(), ArrayState::Parked);
+}
+
+fn repetition(stop_source: u64, stop_sequence: u64) -> StopRepetition {
+    StopRepetition { stop_source, stop_sequence, ..StopRepetition::default() }
+}
+
+#[test]
+fn the_stops_of_two_operators_are_released_one_by_one() {
+    let mut array = array();
+    array.handle_stop(at(1), &order(StopAction::Stop, 1, 1)).unwrap();
+    let stamp = Stamp { source: 6, ..order(StopAction::Stop, 1, 2).stamp };
+    array.handle_stop(at(2), &EmergencyStop { stamp, ..order(StopAction::Stop, 1, 2) }).unwrap();
+    array.handle_rearm(&rearm(6, 1)).unwrap();
+    assert_eq!(array.state(), ArrayState::Stopped, "the first stop is in force");
+    assert_eq!(array.latch().stop().map(|stop| stop.source), Some(5));
+    array.handle_rearm(&rearm(5, 1)).unwrap();
+    assert_eq!(array.state(), ArrayState::Parked);
+}
+
+#[test]
+fn a_repetition_stops_an_array_that_does_not_know_of_the_stop_and_no_other() {
+    let mut array = array();
+    assert!(array.handle_repetition(at(1), &repetition(5, 1)));
+    assert_eq!(array.state(), ArrayState::Stopped);
+    assert!(!array.handle_repetition(at(2), &repetition(5, 1)), "it is latched");
+    array.handle_stop(at(3), &order(StopAction::Stop, 2, 3)).unwrap();
+    assert!(!array.handle_repetition(at(4), &repetition(5, 1)), "a later stop of the same sender is latched");
+    array.handle_rearm(&rearm(5, 2)).unwrap();
+    assert!(!array.handle_repetition(at(5), &repetition(5, 2)), "it was released here");
+    assert_eq!(array.state(), ArrayState::Parked);
+    array.handle_stop(at(6), &order(StopAction::Stop, 2, 6)).unwrap();
+    assert_eq!(array.state(), ArrayState::Stopped, "a stop is obeyed, whatever its name");
 }

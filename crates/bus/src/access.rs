@@ -101,7 +101,9 @@ impl AccessRole {
         let reports =
             || [room.users(), room.channel(), room.obstacles(), room.orientation(), room.branches(), room.leds()];
         let arrays = || [room.array(0), room.later_arrays()];
-        let reported = || arrays().into_iter().flat_map(|keys| [keys.telemetry(), keys.capabilities(), keys.safety()]);
+        let reported = || {
+            arrays().into_iter().flat_map(|keys| [keys.telemetry(), keys.capabilities(), keys.safety(), keys.stops()])
+        };
         let commands = || arrays().map(|keys| keys.command());
         let calibrations = || arrays().map(|keys| keys.calibration());
         let mut keys = match self {
@@ -121,8 +123,9 @@ impl AccessRole {
             Self::Viewer => Vec::new(),
             Self::Router => return vec![room.everything()],
         };
-        // Every process that belongs to the room may stop the array.
+        // Every process that belongs to the room may stop the arrays, and repeat a stop.
         keys.push(room.stop());
+        keys.extend(arrays().map(|keys| keys.stop_repetition()));
         keys.extend(self.nodes().iter().map(|node| room.status(*node)));
         if self.nodes().contains(&NodeKind::Driver) {
             keys.push(room.later_arrays().driver_status());
@@ -148,7 +151,7 @@ impl AccessRole {
         match self {
             Self::Driver | Self::Simulator => {
                 let arrays = [room.array(0), room.later_arrays()];
-                arrays.iter().flat_map(|keys| [keys.capabilities(), keys.safety()]).collect()
+                arrays.iter().flat_map(|keys| [keys.capabilities(), keys.safety(), keys.stops()]).collect()
             }
             _ => Vec::new(),
         }

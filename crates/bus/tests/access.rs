@@ -14,7 +14,7 @@ use heliostat_proto::{NodeKind, Room};
 use zenoh::Wait;
 
 /// Every key of the contract, and a key outside of it.
-const KEYS: [&str; 34] = [
+const KEYS: [&str; 38] = [
     "users",
     "channel",
     "obstacles",
@@ -48,8 +48,15 @@ const KEYS: [&str; 34] = [
     "mirrors-1/calibration",
     "mirrors-1/safety",
     "mirrors-1/stop",
+    "mirrors/stops",
+    "mirrors-1/stops",
+    "mirrors/stop-repetition",
+    "mirrors-1/stop-repetition",
     "something/else",
 ];
+
+/// The keys on which every role may publish besides those of [`RIGHTS`].
+const RIGHTS_OF_ALL: &str = "mirrors/stop-repetition mirrors-1/stop-repetition";
 
 /// The keys on which each role may publish, written down independently of the program.
 const RIGHTS: [(AccessRole, &str); 8] = [
@@ -62,12 +69,12 @@ const RIGHTS: [(AccessRole, &str); 8] = [
     (
         AccessRole::Driver,
         "mirrors/telemetry mirrors/capabilities mirrors/safety mirrors-15/telemetry mirrors-1/capabilities \
-         mirrors-1/safety mirrors/stop status/driver status/driver-1",
+         mirrors-1/safety mirrors/stops mirrors-1/stops mirrors/stop status/driver status/driver-1",
     ),
     (
         AccessRole::Simulator,
         "users channel obstacles orientation branches leds truth mirrors/telemetry mirrors/capabilities mirrors/safety \
-         mirrors-15/telemetry mirrors-1/capabilities mirrors-1/safety mirrors/stop \
+         mirrors-15/telemetry mirrors-1/capabilities mirrors-1/safety mirrors/stops mirrors-1/stops mirrors/stop \
          status/sim-node status/tracker geometry/sim-node",
     ),
     (AccessRole::Operator, "mirrors/stop mirrors/rearm sim/control controller/control status/viewer"),
@@ -152,6 +159,11 @@ fn words(text: &str) -> BTreeSet<String> {
     text.split_whitespace().map(str::to_owned).collect()
 }
 
+/// The keys of a role, with those of every role.
+fn all_rights(own: &str) -> BTreeSet<String> {
+    words(own).into_iter().chain(words(RIGHTS_OF_ALL)).collect()
+}
+
 #[test]
 fn a_listening_peer_accepts_from_each_role_only_its_own_keys() {
     let _turn = common::turn();
@@ -161,7 +173,7 @@ fn a_listening_peer_accepts_from_each_role_only_its_own_keys() {
     let received = Received::everything(&driver);
     for (role, rights) in RIGHTS {
         let sender = keys.open(role, |config| config.connect_to(&endpoint));
-        assert_eq!(received.from(&sender), words(rights), "{role}");
+        assert_eq!(received.from(&sender), all_rights(rights), "{role}");
         sender.close().expect("the session closes");
     }
 }
@@ -174,7 +186,7 @@ fn a_connecting_peer_accepts_from_each_role_only_its_own_keys() {
         let endpoint = common::tls_endpoint();
         let sender = keys.open(role, |config| config.listen_at(&endpoint));
         let viewer = keys.open(AccessRole::Viewer, |config| config.connect_to(&endpoint));
-        assert_eq!(Received::everything(&viewer).from(&sender), words(rights), "{role}");
+        assert_eq!(Received::everything(&viewer).from(&sender), all_rights(rights), "{role}");
     }
 }
 
@@ -187,7 +199,7 @@ fn a_router_forwards_from_each_role_only_its_own_keys() {
     let received = Received::everything(&viewer);
     for (role, rights) in RIGHTS {
         let sender = keys.client(role, &endpoint);
-        assert_eq!(received.from(&sender), words(rights), "{role}");
+        assert_eq!(received.from(&sender), all_rights(rights), "{role}");
         sender.close().expect("the session closes");
     }
     common::close(router);
@@ -202,8 +214,11 @@ fn every_role_receives_every_key_of_its_room() {
         let endpoint = common::tls_endpoint();
         // The roles that may publish between them every key.
         let publishing = [AccessRole::Simulator, AccessRole::Checker, AccessRole::Operator];
-        let expected: BTreeSet<String> =
-            RIGHTS.iter().filter(|(sender, _)| publishing.contains(sender)).flat_map(|(_, keys)| words(keys)).collect();
+        let expected: BTreeSet<String> = RIGHTS
+            .iter()
+            .filter(|(sender, _)| publishing.contains(sender))
+            .flat_map(|(_, keys)| all_rights(keys))
+            .collect();
         let peer = keys.open(role, |config| config.listen_at(&endpoint));
         let client = keys.client(role, &router_endpoint);
         for (receiver, connect) in [(&peer, false), (&client, true)] {
@@ -313,7 +328,7 @@ fn expect_no_right(foreign: &zenoh::Session, receiving: &Bus, member: &Bus, name
         foreign.put(format!("heliostat/v1/{room}/{key}"), FOREIGN).wait().expect("the session is open");
     }
     // What both members publish after that arrives, and nothing else does.
-    assert_eq!(received.from(member), words("mirrors/stop status/viewer"), "{name}");
+    assert_eq!(received.from(member), all_rights("mirrors/stop status/viewer"), "{name}");
     Received::everything(member).from(receiving);
     assert_eq!(receiving.alive(&room.all_alive(), Duration::from_secs(1)), Ok(Vec::new()), "{name}");
     assert_eq!(*found.lock().expect("no callback panics"), BTreeSet::new(), "{name}");
@@ -369,7 +384,7 @@ fn without_a_valid_certificate_of_the_room_a_process_sends_and_receives_nothing(
         keys.open(AccessRole::Viewer, |config| config.connect_to(&endpoint)),
         keys.client(AccessRole::Viewer, &router_endpoint),
     ]) {
-        assert_eq!(received.from(&sender), words("mirrors/stop status/viewer"));
+        assert_eq!(received.from(&sender), all_rights("mirrors/stop status/viewer"));
     }
     common::close(router);
 }

@@ -60,6 +60,7 @@ pub fn run(config: &BusConfig, array: usize) -> Result<Report> {
         driver: session.capabilities.driver.clone(),
         mirrors: session.capabilities.mirrors(),
         findings,
+        device_problem: session.device_problem(),
     };
     session.close()?;
     Ok(report)

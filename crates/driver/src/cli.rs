@@ -28,7 +28,7 @@ enum Command {
     /// Send valid and invalid messages to a driver and report which rules of the contract it keeps
     ///
     /// The mirrors move. No controller may run in the room during the check. The exit status is 1
-    /// if a rule is broken.
+    /// if a rule is broken, or if the device does not answer.
     ///
     /// An array that starts stopped because its last state is unknown is re-armed first. A stop of
     /// an operator stays in force: the check then ends with an error.
@@ -139,6 +139,9 @@ fn check_driver(args: &CheckArgs) -> Result<()> {
         output::line(serde_json::to_string_pretty(&report)?)?
     } else {
         output::text(&report)?
+    }
+    if let Some(problem) = &report.device_problem {
+        bail!("the device of room \"{}\" did not answer during the check: {problem}", report.room);
     }
     let broken = report.broken().count();
     ensure!(broken == 0, "the driver of room \"{}\" breaks {} of the contract", report.room, counted(broken, "rule"));

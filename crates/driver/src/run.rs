@@ -1,8 +1,12 @@
 //! The loop of a driver process: a kit with a session and a clock.
+//!
+//! Its thread handles orders, records stops and publishes reports. A device with threads of its own,
+//! such as the boards of this crate, never makes it wait.
 
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use heliostat_array::device::Device;
+use heliostat_array::device::{Device, Waker};
 use heliostat_array::kit::Kit;
 use heliostat_array::latch::Latch;
 use heliostat_array::station::{Identity, Report, Station};
@@ -79,17 +83,20 @@ pub fn run<D: Device>(mut kit: Kit<D>, settings: &Settings, stop: &Stop) -> Resu
     check_alone(&bus, array..array + 1)?;
     let clock = Clock::start_in(Duration::ZERO);
     let source = source_id::random();
-    let (record, stop_at_start) = settings.record.open(bus.room(), array, clock.now().room_ns);
+    let (record, latch_at_start) = settings.record.open(bus.room(), array, clock.now().room_ns);
     // Every role may publish under the key of the stop, only operators under that of the re-arm.
     kit.refuse_unnamed_rearm(settings.bus.is_authenticated());
-    if let Some(latched) = &stop_at_start {
-        tracing::warn!("{}", advice(bus.room(), latched));
+    if let Some(latched) = advice(bus.room(), &latch_at_start) {
+        tracing::warn!("{latched}");
     }
     let software = concat!(env!("CARGO_PKG_NAME"), " ", env!("CARGO_PKG_VERSION")).to_owned();
     let identity = Identity { source, array, software };
+    let session = ArraySession::open(&bus, array, clock, Class::HighDrop)?;
+    let received = Arc::clone(session.received());
+    kit.device_mut().set_waker(Waker::new(move || received.wake()));
     let mut driver = Driver {
-        station: Station::new(kit, (record, stop_at_start), identity, clock.now()),
-        session: ArraySession::open(&bus, array, clock, Class::HighDrop)?,
+        station: Station::new(kit, (record, latch_at_start), identity, clock.now()),
+        session,
         status: MessagePublisher::new(&bus, &bus.room().array(array).driver_status(), Class::LowDrop)?,
         room: bus.room().to_string(),
         exporter,
@@ -149,7 +156,7 @@ impl<D: Device> Driver<D> {
         let mut next = self.session.received().pop_until(wake);
         while let Some(arrival) = next {
             self.station.handle(arrival);
-            let is_due = clock.local_ns() >= self.station.telemetry_ns();
+            let is_due = self.station.is_report_due(clock.local_ns());
             next = if is_due { None } else { self.session.received().pop() };
         }
         self.station.set_dropped(self.session.received().dropped());
@@ -166,6 +173,7 @@ impl<D: Device> Driver<D> {
                 }
                 self.session.publish_safety(safety)
             }
+            Report::Stops(stops) => self.session.publish_stops(stops),
             Report::Capabilities(capabilities) => self.session.publish_capabilities(capabilities),
             Report::Status(status) => {
                 self.show();

@@ -7,7 +7,9 @@ use std::time::Duration;
 
 use heliostat_array::content::Content;
 use heliostat_bus::{Bus, BusError, Class, Publisher, Service, Subscription};
-use heliostat_proto::{Capabilities, CodecError, Message, MirrorTelemetry, NodeKind, SafetyReport, decode, encode};
+use heliostat_proto::{
+    Capabilities, CodecError, Message, MirrorTelemetry, NodeKind, SafetyReport, StopReport, decode, encode,
+};
 use thiserror::Error;
 
 use crate::clock::Clock;
@@ -115,12 +117,13 @@ pub struct ArraySession {
     telemetry: MessagePublisher,
     capabilities: AnsweringPublisher,
     safety: AnsweringPublisher,
-    _subscriptions: [Subscription; 4],
+    stops: AnsweringPublisher,
+    _subscriptions: [Subscription; 5],
 }
 
 impl ArraySession {
     /// Declares subscriptions and publishers of the array with this index; `class` is that of
-    /// telemetry, capabilities and safety reports.
+    /// telemetry, capabilities, safety and stop reports.
     ///
     /// # Errors
     /// A transport that fails.
@@ -137,6 +140,7 @@ impl ArraySession {
         let subscriptions = [
             subscribe(keys.command(), |payload| Content::Command(decode(payload)))?,
             subscribe(room.stop(), |payload| Content::Stop(decode(payload)))?,
+            subscribe(keys.stop_repetition(), |payload| Content::Repetition(decode(payload)))?,
             subscribe(room.rearm(), |payload| Content::Rearm(decode(payload)))?,
             subscribe(keys.calibration(), |payload| Content::Calibration(decode(payload)))?,
         ];
@@ -145,12 +149,13 @@ impl ArraySession {
             telemetry: MessagePublisher::new(bus, &keys.telemetry(), class)?,
             capabilities: AnsweringPublisher::new(bus, &keys.capabilities(), class)?,
             safety: AnsweringPublisher::new(bus, &keys.safety(), class)?,
+            stops: AnsweringPublisher::new(bus, &keys.stops(), class)?,
             _subscriptions: subscriptions,
         })
     }
 
     /// The queue of received messages.
-    pub fn received(&self) -> &ReceiveQueue {
+    pub fn received(&self) -> &Arc<ReceiveQueue> {
         &self.received
     }
 
@@ -169,6 +174,14 @@ impl ArraySession {
     /// A transport that fails, or capabilities that violate the contract.
     pub fn publish_capabilities(&mut self, capabilities: &Capabilities) -> Result<(), SessionError> {
         self.capabilities.publish(capabilities)
+    }
+
+    /// Publishes a stop report, and answers queries with it from now on.
+    ///
+    /// # Errors
+    /// A transport that fails, or a report that violates the contract.
+    pub fn publish_stops(&mut self, stops: &StopReport) -> Result<(), SessionError> {
+        self.stops.publish(stops)
     }
 
     /// Publishes a safety report, and answers queries with it from now on.

@@ -37,12 +37,11 @@ impl StopRecordSettings {
         Self { directory: given.or_else(of_unit).or_else(of_user), start_armed }
     }
 
-    /// Opens the record of the array of a room with this index; returns the stop with which the array
-    /// starts, if it starts stopped.
-    pub fn open(&self, room: &Room, array: usize, now_ns: Nanos) -> (StopRecord, Option<LatchedStop>) {
+    /// Opens the record of the array of a room with this index; returns the latch with which the array
+    /// starts.
+    pub fn open(&self, room: &Room, array: usize, now_ns: Nanos) -> (StopRecord, Latch) {
         let Some(directory) = &self.directory else {
-            let (record, stop) = StopRecord::without_store("no folder for it is given (--state DIR)", now_ns);
-            return (record, Some(stop));
+            return StopRecord::without_store("no folder for it is given (--state DIR)", now_ns);
         };
         let file = StopFile { path: directory.join(stop_record::file_name(room, array)) };
         StopRecord::open(file, self.start_armed, now_ns)

@@ -26,6 +26,8 @@ use heliostat_service::Stop;
 struct Exact {
     capabilities: Capabilities,
     angles: MirrorAngles,
+    /// It fails after so many turns.
+    turns: u32,
 }
 
 impl Exact {
@@ -42,7 +44,7 @@ impl Exact {
             park_after_ms: 300,
             ..Capabilities::default()
         };
-        Self { capabilities, angles: MirrorAngles::flat(3) }
+        Self { capabilities, angles: MirrorAngles::flat(3), turns: u32::MAX }
     }
 }
 
@@ -56,6 +58,7 @@ impl Device for Exact {
     }
 
     fn apply(&mut self, _now: Moment, angles: &MirrorAngles) -> Result<(), DeviceError> {
+        self.turns = self.turns.checked_sub(1).ok_or_else(|| DeviceError::new("exact", "turn raised"))?;
         self.angles.clone_from(angles);
         Ok(())
     }
@@ -94,6 +97,15 @@ fn a_driver_with_the_kit_keeps_every_rule() {
         checked("kept", |bus, stop| drop(run::run(Kit::new(Exact::new()), &Settings::new(bus), stop).unwrap()));
     assert!(report.findings.iter().all(|finding| finding.verdict == Verdict::Kept), "{report}");
     assert_eq!((report.mirrors, report.hardware.as_str()), (3, "exact"));
+}
+
+#[test]
+fn a_device_that_fails_is_named_beside_the_rules_that_it_breaks() {
+    let mut device = Exact::new();
+    device.turns = 3;
+    let report = checked("failing", |bus, stop| drop(run::run(Kit::new(device), &Settings::new(bus), stop).unwrap()));
+    assert!(broken(&report).len() > 1, "{report}");
+    assert!(report.device_problem.as_ref().is_some_and(|problem| problem.contains("turn raised")), "{report}");
 }
 
 #[test]
@@ -199,13 +211,13 @@ fn flawed(flaw: Flaw, bus: &BusConfig, stop: &Stop) {
         }
         sequence += 1;
         let stamp = Stamp { source: 1, sequence, time_ns: now.room_ns };
-        let mut telemetry = kit.telemetry(now, stamp);
-        (telemetry.epoch, telemetry.applied_sequence) = reported;
-        session.publish_telemetry(&telemetry).unwrap();
         if flaw != Flaw::PublishesNoSafety && (Instant::now() >= announcement || *kit.array().latch() != latch) {
             latch.clone_from(kit.array().latch());
             session.publish_safety(&kit.safety(stamp)).unwrap();
         }
+        let mut telemetry = kit.telemetry(now, stamp);
+        (telemetry.epoch, telemetry.applied_sequence) = reported;
+        session.publish_telemetry(&telemetry).unwrap();
         if Instant::now() >= announcement {
             announcement += Duration::from_secs(1);
             session.publish_capabilities(&Capabilities { stamp, ..announced.clone() }).unwrap();
@@ -251,8 +263,15 @@ fn each_driver_with_a_flaw_fails_exactly_the_rules_that_it_breaks() {
 fn a_driver_without_safety_reports_is_not_judged_by_the_rules_that_need_them() {
     let report = checked("older", |bus, stop| flawed(Flaw::PublishesNoSafety, &bus, stop));
     let not_judged = report.findings.iter().filter(|finding| finding.verdict == Verdict::NotJudged);
-    let expected =
-        ["safety-report", "named-rearm", "epoch-bound", "sequence-bound", "validity-bound", "calibration-bound"];
+    let expected = [
+        "safety-report",
+        "stop-report",
+        "named-rearm",
+        "epoch-bound",
+        "sequence-bound",
+        "validity-bound",
+        "calibration-bound",
+    ];
     assert_eq!(not_judged.map(|finding| finding.rule).collect::<Vec<_>>(), expected, "{report}");
     assert_eq!(broken(&report), [""; 0], "{report}");
 }

@@ -31,6 +31,24 @@ fn received<T: Clone + PartialEq>(log: &Mutex<Vec<T>>, expected: &[T]) -> Vec<T>
     log.lock().unwrap().clone()
 }
 
+/// Waits until a value is there.
+fn until<T>(what: &str, mut find: impl FnMut() -> Option<T>) -> T {
+    let begun = Instant::now();
+    loop {
+        match find() {
+            Some(found) => return found,
+            None => assert!(begun.elapsed() < Duration::from_secs(60), "{what} has not come"),
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+/// The problem of a wall whose boards do not answer.
+fn refusal(mut device: Wall) -> String {
+    device.connect(NOW).unwrap();
+    until("a problem", || device.health(NOW).unwrap().problem).to_string()
+}
+
 /// A PlayzerX on a pseudo-terminal: splits frames by their length and answers pings.
 fn playzerx(answer: &'static str) -> (String, Arc<Mutex<Vec<Vec<u8>>>>, impl Sized) {
     let pty = nix::pty::openpty(None, None).unwrap();
@@ -68,11 +86,6 @@ fn a_playzerx_receives_the_bytes_of_its_published_protocol() {
         roll: vec![roll_deg.to_radians()],
         yaw: vec![yaw_deg.to_radians()],
     };
-    device.apply(NOW, &to(0.0, 0.0)).unwrap();
-    device.apply(NOW, &to(-5.0, 5.0)).unwrap();
-    // x: half of the range is 3071.25, 0xbff; y: -0.4 of it is 1228.5, 0x4cd.
-    device.apply(NOW, &to(-2.0, 2.5)).unwrap();
-    device.stop(NOW).unwrap();
     let expected: Vec<Vec<u8>> = [
         &b"plp\x05\n"[..],
         b"pli\x08usb\n",
@@ -85,6 +98,16 @@ fn a_playzerx_receives_the_bytes_of_its_published_protocol() {
     ]
     .map(<[u8]>::to_vec)
     .to_vec();
+    // Later angles replace those that were not sent yet.
+    device.apply(NOW, &to(0.0, 0.0)).unwrap();
+    received(&frames, &expected[..5]);
+    device.apply(NOW, &to(-5.0, 5.0)).unwrap();
+    received(&frames, &expected[..6]);
+    // x: half of the range is 3071.25, 0xbff; y: -0.4 of it is 1228.5, 0x4cd.
+    device.apply(NOW, &to(-2.0, 2.5)).unwrap();
+    received(&frames, &expected[..7]);
+    device.stop(NOW).unwrap();
+    until("a stop", || device.has_stopped().unwrap().then_some(()));
     assert_eq!(received(&frames, &expected), expected);
     let mut nowhere = to(0.0, 0.0);
     assert_eq!(device.measure(NOW, &mut nowhere), Ok(false), "no acknowledgement, so nothing is measured");
@@ -94,10 +117,9 @@ fn a_playzerx_receives_the_bytes_of_its_published_protocol() {
 #[test]
 fn another_device_on_the_port_is_refused_by_its_answer() {
     let (path, _frames, _open) = playzerx("hello\n");
-    let mut device = wall(&format!(
+    let error = refusal(wall(&format!(
         "rows = 1\ncolumns = 1\n[[boards]]\nkind = \"playzerx\"\naddress = \"serial:{path}\"\nrange_deg = 5.0\nmirrors = [0]"
-    ));
-    let error = device.connect(NOW).unwrap_err().to_string();
+    )));
     assert!(error.contains("\"hello\"") && error.contains("pl-ok"), "{error}");
 }
 
@@ -144,11 +166,14 @@ fn a_servo_board_receives_angles_in_the_order_of_its_channels() {
     device.connect(NOW).unwrap();
     let angles = MirrorAngles { roll: vec![0.1, 0.2], yaw: vec![-0.3, 0.4] };
     device.apply(NOW, &angles).unwrap();
+    let expected = ["hello", "set 200000 400000 100000 -300000", "get", "stop"].map(str::to_owned);
+    received(&log, &expected[..2]);
+    device.request_measurement();
     let mut measured = MirrorAngles::flat(2);
-    assert_eq!(device.measure(NOW, &mut measured), Ok(true));
+    until("a measurement", || (device.measure(NOW, &mut measured) == Ok(true)).then_some(()));
     assert_eq!(measured, angles);
     device.stop(NOW).unwrap();
-    let expected = ["hello", "set 200000 400000 100000 -300000", "get", "stop"].map(str::to_owned);
+    until("a stop", || device.has_stopped().unwrap().then_some(()));
     assert_eq!(received(&log, &expected), expected);
 }
 
@@ -158,7 +183,7 @@ fn a_board_with_other_limits_than_configured_is_refused() {
     let wide = format!(
         "rows = 1\ncolumns = 2\n[[boards]]\nkind = \"servo-board\"\naddress = \"tcp:{address}\"\nmin_deg = -40.0\nmax_deg = 30.0\nmirrors = [0, 1]"
     );
-    let error = wall(&wide).connect(NOW).unwrap_err().to_string();
+    let error = refusal(wall(&wide));
     assert!(error.contains("-30.00 to 30.00") && error.contains("-40.00"), "{error}");
 }
 
@@ -168,27 +193,33 @@ fn a_lost_device_is_a_fault_and_receives_the_target_after_its_reconnection() {
     let (address, log) = servo_board(2);
     let mut kit = Kit::new(servos(&address, "[0, 1]"));
     let at = |ms: u64| Moment { local_ns: ms * 1_000_000, room_ns: NOW.room_ns + ms * 1_000_000 };
-    kit.advance(at(0));
-    assert_eq!(kit.connections(), 1);
+    let start = Instant::now();
+    let now = || at(start.elapsed().as_millis() as u64);
+    until("a connection", || {
+        kit.advance(now());
+        (kit.connections() == 1 && log.lock().unwrap().len() == 2).then_some(())
+    });
     let command = MirrorCommand {
         epoch: 1,
         sequence: 1,
-        time_ns: NOW.room_ns,
+        time_ns: now().room_ns,
         validity_ms: 10_000,
         roll: vec![0.25; 2],
         yaw: vec![0.125; 2],
         ..MirrorCommand::default()
     };
-    kit.handle_command(at(1), &command).unwrap();
-    let telemetry = kit.telemetry(at(2), Stamp::default());
-    assert_eq!((telemetry.state, telemetry.faults & fault::LINK), (ArrayState::Fault, fault::LINK));
+    kit.handle_command(now(), &command).unwrap();
+    let telemetry = until("a fault", || {
+        Some(kit.telemetry(now(), Stamp::default())).filter(|telemetry| telemetry.state == ArrayState::Fault)
+    });
+    assert_eq!((telemetry.faults & fault::LINK, telemetry.unusable), (fault::LINK, vec![0, 1]));
     assert!(telemetry.roll_measured.is_empty() && kit.last_problem().is_some());
-    kit.advance(at(50));
-    assert_eq!(kit.connections(), 1, "no reconnection before the pause ends");
-    kit.advance(at(150));
-    assert_eq!(kit.connections(), 2);
-    let last = log.lock().unwrap().last().cloned();
-    assert_eq!(last.as_deref(), Some("set 250000 125000 250000 125000"));
+    until("another connection", || (kit.connections() == 2).then_some(()));
+    let target = "set 250000 125000 250000 125000";
+    until("the target", || (log.lock().unwrap().last().map(String::as_str) == Some(target)).then_some(()));
+    until("the end of the fault", || {
+        (kit.telemetry(now(), Stamp::default()).state == ArrayState::Following).then_some(())
+    });
 }
 
 /// The reference sketch, built for this host, on a pseudo-terminal; `None` without a C++ compiler,
@@ -224,16 +255,18 @@ fn the_driver_turns_the_mirrors_of_the_reference_sketch() {
     device.connect(NOW).unwrap();
     let to = |roll: f64, yaw: f64| MirrorAngles { roll: vec![0.0, 0.0, 0.0, roll], yaw: vec![0.0, 0.0, 0.0, yaw] };
     device.apply(NOW, &to(0.1, -0.2)).unwrap();
-    let far = device.apply(NOW, &to(1.0, 0.0)).unwrap_err().to_string();
+    let mut lines = BufReader::new(board.stderr.take().unwrap()).lines().map_while(Result::ok);
+    let mut output: Vec<String> = lines.by_ref().take(8).collect();
+    device.apply(NOW, &to(1.0, 0.0)).unwrap();
+    let far = until("a refusal", || device.health(NOW).unwrap().problem).to_string();
     assert!(far.contains("not 8 numbers within the limits"), "{far}");
     device.stop(NOW).unwrap();
+    output.extend(lines.by_ref().take(8));
     board.kill().unwrap();
-    let mut output = String::new();
-    board.stderr.take().unwrap().read_to_string(&mut output).unwrap();
     board.wait().unwrap();
     // 637 us per rad around 1500 us: roll and yaw of the last mirror are pins 8 and 9, and a stop
     // ends the pulses.
-    let pulses: Vec<&str> = output.lines().collect();
+    let pulses: Vec<&str> = output.iter().map(String::as_str).collect();
     assert_eq!(pulses.len(), 16, "{pulses:?}");
     assert_eq!(
         (pulses[0], pulses[6], pulses[7], pulses[8], pulses[15]),

@@ -4,7 +4,7 @@ use heliostat_proto::{
     BeliefReport, BranchReport, Calibration, Capabilities, ChannelReport, CodecError, ControllerControl,
     ControllerMemory, EmergencyStop, Kind, LedReport, Message, MirrorCommand, MirrorTelemetry, Nanos, NodeStatus,
     ObstacleReport, OrientationReport, Rearm, RoomGeometry, RoomTruth, SafetyReport, SimulatorControl, Stamp,
-    UserReport, codec::kind_of, decode,
+    StopRepetition, StopReport, UserReport, codec::kind_of, decode,
 };
 
 /// A decoded payload; kinds that are only recorded keep their stamp alone.
@@ -76,6 +76,8 @@ impl Received {
             Kind::ControllerControl => stamped::<ControllerControl>(payload, |message| message.stamp),
             Kind::Rearm => stamped::<Rearm>(payload, |message| message.stamp),
             Kind::SafetyReport => stamped::<SafetyReport>(payload, |message| message.stamp),
+            Kind::StopReport => stamped::<StopReport>(payload, |message| message.stamp),
+            Kind::StopRepetition => stamped::<StopRepetition>(payload, |message| message.stamp),
             Kind::RoomGeometry => decode(payload).map(Self::Geometry),
             Kind::BeliefReport => decode(payload).map(Self::Belief),
             Kind::ControllerMemory => decode(payload).map(Self::Memory),

@@ -2,7 +2,8 @@
 //!
 //! Each server runs on one thread of its own, so that no client can delay the rest of the process.
 //! Every wait for a client is bounded by [`Limits`]: for a request's headers, for its body, for the
-//! next request, and for the client to read an answer.
+//! next request, and for the client to read an answer. When all places are taken, the connection that
+//! has waited longest for its client ends.
 
 use std::io;
 use std::net::{SocketAddr, TcpListener};
@@ -13,7 +14,10 @@ use std::time::Duration;
 
 use axum::Router;
 use axum::http::StatusCode;
+use axum::middleware::from_fn;
+use hyper::body::Incoming;
 use hyper::server::conn::http1;
+use hyper::service::{Service, service_fn};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::server::graceful::GracefulShutdown;
 use hyper_util::service::TowerToHyperService;
@@ -25,6 +29,7 @@ use tower_http::limit::RequestBodyLimitLayer;
 use tower_http::timeout::TimeoutLayer;
 
 use crate::stop::Stop;
+use crate::waiting::{self, Answers, Connections};
 
 /// Bytes that hyper buffers for each direction of a connection; also the longest head of a request.
 const BUFFER_MAX: usize = 16 * 1024;
@@ -46,7 +51,8 @@ pub struct Limits {
     pub stall: Duration,
     /// Longest body of a request in bytes; the status is 413 beyond it.
     pub body_bytes: usize,
-    /// Connections at the same time; further ones wait in the operating system's queue.
+    /// Connections at the same time; for a further one the oldest ends that waits for its client. If all
+    /// are being answered, the further one waits.
     pub connections: usize,
     /// Longest wait at the end for answers that are being sent.
     pub shutdown: Duration,
@@ -91,7 +97,9 @@ pub fn serve(name: &str, listener: TcpListener, router: Router, limits: Limits, 
     };
     let router = router
         .layer(RequestBodyLimitLayer::new(limits.body_bytes))
-        .layer(TimeoutLayer::with_status_code(StatusCode::REQUEST_TIMEOUT, limits.answer));
+        .layer(TimeoutLayer::with_status_code(StatusCode::REQUEST_TIMEOUT, limits.answer))
+        // Outermost: the limit recognises its own error at its depth alone.
+        .layer(from_fn(waiting::note));
     let until = stop.clone();
     let serve = move || runtime.block_on(accept(listener, router, limits, until));
     let thread = std::thread::Builder::new().name(name.to_owned()).spawn(serve)?;
@@ -138,36 +146,50 @@ async fn accept(listener: tokio::net::TcpListener, router: Router, limits: Limit
         .max_buf_size(BUFFER_MAX)
         // Scripts often compare the names of headers with regard to case.
         .title_case_headers(true);
+    let mut connections = Connections::default();
     loop {
         let next = tokio::select! {
             () = stop.requested() => break,
-            next = next_connection(&listener, &free) => next,
+            next = next_connection(&listener, &free, &mut connections) => next,
         };
         let Ok((stream, place)) = next else {
             tokio::time::sleep(ACCEPT_PAUSE).await;
             continue;
         };
-        let service = TowerToHyperService::new(router.clone());
+        let answers = Answers::default();
+        let (router, noted) = (TowerToHyperService::new(router.clone()), answers.clone());
+        let service = service_fn(move |mut request: hyper::Request<Incoming>| {
+            request.extensions_mut().insert(noted.clone());
+            router.call(request)
+        });
         let connection = http.serve_connection(TokioIo::new(bounded(stream, limits.stall)), service);
         let connection = graceful.watch(connection);
-        tokio::spawn(async move {
+        let task = tokio::spawn(async move {
             // An error is a client that is gone or broke a limit; the next one is served all the same.
             let _ = connection.await;
             drop(place);
         });
+        connections.add(answers, task.abort_handle());
     }
     drop(listener);
     // Whatever is not finished by then ends with the runtime.
     let _ = tokio::time::timeout(limits.shutdown, graceful.shutdown()).await;
 }
 
-/// The next connection, once there is a place for it.
+/// The next connection, with a place for it.
 async fn next_connection(
     listener: &tokio::net::TcpListener,
     free: &Arc<Semaphore>,
+    connections: &mut Connections,
 ) -> io::Result<(TcpStream, OwnedSemaphorePermit)> {
-    let place = Arc::clone(free).acquire_owned().await.map_err(io::Error::other)?;
     let (stream, _) = listener.accept().await?;
+    let place = match Arc::clone(free).try_acquire_owned() {
+        Ok(place) => place,
+        Err(_) => {
+            connections.end_waiting();
+            Arc::clone(free).acquire_owned().await.map_err(io::Error::other)?
+        }
+    };
     Ok((stream, place))
 }
 

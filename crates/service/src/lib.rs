@@ -31,6 +31,7 @@ pub mod process;
 pub mod signals;
 pub mod source_id;
 pub mod stop;
+mod waiting;
 
 pub use exporter::{Exporter, MetricsArgs, MetricsError};
 pub use logging::{LogArgs, LogFormat};

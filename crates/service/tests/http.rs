@@ -177,3 +177,38 @@ fn the_end_lets_answers_finish_and_closes_the_port() {
     assert!(TcpStream::connect(address).is_err(), "the port is closed");
     drop(idle);
 }
+
+#[test]
+fn half_sent_requests_that_hold_every_place_make_room_for_a_complete_one() {
+    let hour = Duration::from_secs(3600);
+    let server = start(hello(), Limits { connections: 3, headers: hour, answer: hour, stall: hour, ..limits() });
+    let answered = exchange_one(&connect(server.address()), "GET / HTTP/1.1\r\nHost: localhost\r\n\r\n");
+    assert!(answered.ends_with("hello"), "{answered}");
+    let half_sent =
+        ["", "GET / HTTP/1.1\r\nHost: loc", "POST /echo HTTP/1.1\r\nHost: localhost\r\nContent-Length: 9\r\n\r\nfew"];
+    let held: Vec<TcpStream> = half_sent
+        .iter()
+        .cycle()
+        .take(12)
+        .map(|text| {
+            let mut stream = connect(server.address());
+            stream.write_all(text.as_bytes()).expect("the server listens");
+            stream
+        })
+        .collect();
+    assert_eq!(get_root(server.address()), "hello");
+    drop(held);
+}
+
+/// Sends a request and reads its answer, of a known end, on a connection that stays open.
+fn exchange_one(mut stream: &TcpStream, bytes: &str) -> String {
+    stream.write_all(bytes.as_bytes()).expect("the server reads");
+    let mut answer = String::new();
+    while !answer.ends_with("hello") {
+        let mut chunk = [0; 256];
+        let count = stream.read(&mut chunk).expect("an answer");
+        assert!(count > 0, "the connection was closed after {answer:?}");
+        answer.push_str(&String::from_utf8_lossy(&chunk[..count]));
+    }
+    answer
+}

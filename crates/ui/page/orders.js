@@ -10,6 +10,8 @@ const OWN_MESSAGE_MS = 10000;
 export class Orders {
   constructor(plan) {
     this.plan = plan;
+    // The names of the stops that the page shows: a re-arm releases these and no others.
+    this.stops = [];
     this.status = document.getElementById("order-status");
     const select = document.getElementById("policy");
     select.replaceChildren(...plan.policies.map((name) => new Option(name, name)));
@@ -17,7 +19,7 @@ export class Orders {
     this.on("stick", () => ({ order: "stick", share: 0.25 }));
     this.on("release", () => ({ order: "release" }));
     this.on("stop", () => ({ order: "stop" }));
-    this.on("rearm", () => ({ order: "rearm" }));
+    this.on("rearm", () => ({ order: "rearm", stops: this.stops }));
     this.on("kill", () => ({ order: "kill-controller" }));
     this.on("restart", () => ({ order: "restart-controller" }));
     this.power = this.group("power", POWERS_W.map((watts) => [`${watts} W`, watts]), (watts) => ({ order: "power", watts }));
@@ -33,6 +35,8 @@ export class Orders {
   // Shows the published state.
   update(now) {
     this.answers(now.orders);
+    this.stops = now.stop.stops.map((stop) => stop.name);
+    document.getElementById("rearm").textContent = this.stops.length > 1 ? `re-arm all ${this.stops.length}` : "re-arm";
     const pressed = (buttons, value) => {
       for (const [button, of] of buttons) button.setAttribute("aria-pressed", String(value != null && Math.abs(of - value) < 1e-6));
     };
@@ -77,7 +81,7 @@ export class Orders {
   }
 
   async send(order) {
-    const what = Object.values(order).join(" ");
+    const what = order.order;
     try {
       const answer = await fetch("/order", {
         method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(order),

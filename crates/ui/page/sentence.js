@@ -49,23 +49,31 @@ export function sentence(now, age, shown, frame) {
   return now.users.length === 0 ? usersIn(now.users) : `${mirrorsIn(now.sum_mbps)} ${usersIn(now.users)}`;
 }
 
+// Who ordered a stop, why, and since when the page knows of it.
+function orderedBy({ name, operator, reason, age_s }) {
+  return `Ordered by ${operator || `stop ${name}`}${reason ? ` (${reason})` : ""}, ${seconds(age_s)} ago.`;
+}
+
+const asSentence = (text) => `${text[0].toUpperCase()}${text.slice(1)}.`;
+
 // The banner: `null`, or its text and kind. `silence` is the time since the last event of the server in s.
 export function banner(now, silence, arrayAge) {
   if (now === null) return silence > 3 ? { kind: "bad", text: "No connection to the server of this page." } : null;
   if (silence > STALE_S) {
     return { kind: "bad", text: `No connection to the server of this page for ${seconds(silence)}. Everything below is old.` };
   }
-  const { phase, since_s, operator, reason } = now.stop;
-  const by = operator ? ` Ordered by ${operator}${reason ? ` (${reason})` : ""}.` : "";
+  const { phase, since_s, stops, problems } = now.stop;
+  const by = stops.length ? ` ${stops.map(orderedBy).join(" ")}` : "";
+  const open = problems.length ? ` ${problems.map(asSentence).join(" ")}` : "";
   switch (phase) {
-    case "requested": return { kind: "bad", text: "Stop requested. The array has not confirmed it yet." };
+    case "requested": return { kind: "bad", text: `Stop requested. The array has not confirmed it yet.${open}` };
     case "unconfirmed":
-      return { kind: "bad", text: `The array has not confirmed the stop for ${seconds(since_s)}. If the mirrors move, cut their power supply. Only the array can end this warning.` };
+      return { kind: "bad", text: `The array has not confirmed the stop for ${seconds(since_s)}.${open || " No array reports: cut the power of the mirrors."}${by} Only the arrays can end this warning.` };
     case "confirmed":
       if (arrayAge > STALE_S) {
         return { kind: "bad", text: `The array confirmed the stop, but has not reported for ${seconds(arrayAge)}: its state is unknown.${by}` };
       }
-      return { kind: "stop", text: `The array has confirmed the stop: it follows no commands.${by} Re-arm releases it.` };
+      return { kind: "stop", text: `The array has confirmed the stop: its device has executed it.${by} Re-arm releases ${stops.length > 1 ? `these ${stops.length} stops` : "it"}.` };
     case "released": return { kind: "good", text: "The stop is released: the array has confirmed it." };
     default: return null;
   }

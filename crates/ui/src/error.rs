@@ -66,6 +66,23 @@ pub enum UiError {
     /// A re-arm of an array that reports no stop.
     #[error("no emergency stop is latched: expected a stopped array; nothing was sent")]
     NotStopped,
+    /// A stop that not every array has confirmed.
+    #[error(
+        "the stop is not confirmed after {waited:?}: {}",
+        if arrays.is_empty() { "no array reports: check --room and --connect, and cut the power of the mirrors".into() } else { arrays.join("; ") }
+    )]
+    StopUnconfirmed {
+        /// How long it waited.
+        waited: Duration,
+        /// What is open, array by array.
+        arrays: Vec<String>,
+    },
+    /// A re-arm that names no stop although there are several.
+    #[error("{} stops are in force: {}; name one with --stop, or release each with --all", stops.len(), stops.join("; "))]
+    SeveralStops {
+        /// The stops in words.
+        stops: Vec<String>,
+    },
     /// An order that telemetry did not confirm.
     #[error(
         "the array did not confirm the {order} within {waited:?}: expected telemetry with its new state; \

@@ -1,6 +1,7 @@
 //! The orders that a page can give.
 
-use serde::Deserialize;
+use heliostat_proto::StopName;
+use serde::{Deserialize, Deserializer};
 
 /// An order of the page.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -35,8 +36,11 @@ pub enum Order {
     Release,
     /// Emergency stop.
     Stop,
-    /// End of the emergency stop.
-    Rearm,
+    /// End of emergency stops.
+    Rearm {
+        /// Names of the stops that the page displayed.
+        stops: Vec<StopLabel>,
+    },
     /// Kill the controller's process.
     KillController,
     /// Start a new controller after the previous one was killed.
@@ -50,4 +54,26 @@ pub enum ProcessOrder {
     KillController,
     /// Start a controller if none runs.
     RestartController,
+}
+
+/// The name of a stop in an order, as the page displays it: source in hexadecimal, a slash, sequence.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct StopLabel(pub StopName);
+
+impl std::str::FromStr for StopLabel {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let expected = || format!("invalid stop \"{text}\": expected SOURCE/SEQUENCE, for example 0000000000000003/4");
+        let (source, sequence) = text.split_once('/').ok_or_else(expected)?;
+        let source = u64::from_str_radix(source, 16).map_err(|_| expected())?;
+        Ok(Self(StopName { source, sequence: sequence.parse().map_err(|_| expected())? }))
+    }
+}
+
+impl<'de> Deserialize<'de> for StopLabel {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let text = String::deserialize(deserializer)?;
+        text.parse().map_err(serde::de::Error::custom)
+    }
 }

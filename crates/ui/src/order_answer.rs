@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use heliostat_proto::{ArrayState, NodeKind, NodeStatus};
+use heliostat_proto::{NodeKind, NodeStatus, StopName};
 use heliostat_service::printable::printable;
 use serde::Serialize;
 
@@ -45,8 +45,10 @@ impl Answer {
 pub(crate) struct Reported {
     pub controller: Option<(Instant, NodeStatus)>,
     pub simulator: Option<(Instant, NodeStatus)>,
-    /// Each array with the arrival of its telemetry.
-    pub arrays: Vec<(Instant, ArrayState)>,
+    /// Whether every array for which a stop is held has stopped.
+    pub is_stopped: bool,
+    /// The stops that are held for any array.
+    pub held_stops: Vec<StopName>,
     pub controller_alive: bool,
     /// Whether the room has an array: a live process of one, or telemetry.
     pub array_present: bool,
@@ -69,7 +71,7 @@ impl View {
             array_present: arrays.iter().any(|(at, _)| at.elapsed() < REPORTING)
                 || is_alive(NodeKind::SimNode)
                 || is_alive(NodeKind::Driver),
-            arrays,
+            ..Reported::default()
         }
     }
 }
@@ -90,9 +92,9 @@ impl Published {
     pub fn answer(&self, now: &Reported) -> Option<Answer> {
         let is_done = match &self.order {
             Order::Policy { name } => return self.policy(name, now),
-            Order::Stop | Order::Rearm if !now.array_present => return Some(Answer::Absent),
-            Order::Stop => self.array(now, |state| state == ArrayState::Stopped),
-            Order::Rearm => self.array(now, |state| state != ArrayState::Stopped),
+            Order::Stop | Order::Rearm { .. } if !now.array_present => return Some(Answer::Absent),
+            Order::Stop => now.is_stopped,
+            Order::Rearm { stops } => !stops.iter().any(|stop| now.held_stops.contains(&stop.0)),
             Order::KillController => !now.controller_alive,
             Order::RestartController => now.controller_alive,
             Order::Power { .. }
@@ -104,10 +106,6 @@ impl Published {
             }
         };
         is_done.then_some(Answer::Done)
-    }
-
-    fn array(&self, now: &Reported, is_done: impl Fn(ArrayState) -> bool) -> bool {
-        !now.arrays.is_empty() && now.arrays.iter().all(|(at, state)| *at > self.at && is_done(*state))
     }
 
     fn policy(&self, name: &str, now: &Reported) -> Option<Answer> {
@@ -163,6 +161,8 @@ fn gauge(status: &NodeStatus, name: &str) -> Option<f64> {
 mod tests {
     use heliostat_proto::Stamp;
 
+    use crate::order::StopLabel;
+
     use super::*;
 
     fn tag(source: u64, sequence: u64) -> String {
@@ -216,23 +216,22 @@ mod tests {
     }
 
     #[test]
-    fn only_telemetry_after_a_stop_confirms_it() {
+    fn only_the_reports_of_the_arrays_answer_a_stop_and_a_rearm() {
+        let present = || Reported { array_present: true, ..Reported::default() };
         let order = published(Order::Stop);
-        let answer = |at, state| {
-            order.answer(&Reported { arrays: vec![(at, state)], array_present: true, ..Reported::default() })
-        };
-        let after = order.at + Duration::from_millis(1);
-        assert_eq!(answer(order.at, ArrayState::Stopped), None);
-        assert_eq!(answer(after, ArrayState::Following), None);
-        assert_eq!(answer(after, ArrayState::Stopped), Some(Answer::Done));
+        assert_eq!(order.answer(&present()), None);
+        assert_eq!(order.answer(&Reported { is_stopped: true, ..present() }), Some(Answer::Done));
+        let (one, other) = (StopName { source: 3, sequence: 4 }, StopName { source: 5, sequence: 1 });
+        let order = published(Order::Rearm { stops: vec![StopLabel(one)] });
+        assert_eq!(order.answer(&Reported { held_stops: vec![one], ..present() }), None);
+        assert_eq!(order.answer(&Reported { held_stops: vec![other], ..present() }), Some(Answer::Done));
     }
 
     #[test]
     fn a_stop_or_a_rearm_in_a_room_without_an_array_is_answered_at_once() {
-        for order in [Order::Stop, Order::Rearm] {
+        for order in [Order::Stop, Order::Rearm { stops: Vec::new() }] {
             let order = published(order);
             assert_eq!(order.answer(&Reported::default()), Some(Answer::Absent));
-            assert_eq!(order.answer(&Reported { array_present: true, ..Reported::default() }), None);
         }
     }
 

@@ -50,6 +50,13 @@ impl OrderPublisher {
         Ok(self.publisher.put(&payload)?)
     }
 
+    /// Publishes a message again, with the stamp that it has.
+    pub fn publish_again<M: Message>(&self, message: &M) -> Result<(), UiError> {
+        let mut payload = Vec::new();
+        codec::encode(message, &mut payload)?;
+        Ok(self.publisher.put(&payload)?)
+    }
+
     fn await_subscriber(&self) -> Result<bool, UiError> {
         let deadline = Instant::now() + DISCOVERY_LIMIT;
         loop {

@@ -8,7 +8,7 @@
 
 use std::sync::mpsc::Sender;
 use std::sync::{Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use heliostat_bus::{Bus, Token};
 use heliostat_proto::{ControllerControl, FaultKind, MAX_USERS, MirrorFault, NodeKind, SimulatorControl};
@@ -16,6 +16,7 @@ use heliostat_service::printable::printable;
 use heliostat_service::source_id;
 
 use crate::order::{Order, ProcessOrder};
+use crate::order_answer::Reported;
 use crate::order_log::{OrderFigures, OrderLog};
 use crate::order_publisher::OrderPublisher;
 use crate::stop_state::{StopFigures, StopState};
@@ -84,32 +85,44 @@ impl Operator {
     /// - [`UiError::NoProcessControl`] if the processes were started separately.
     /// - [`UiError::NoReceiver`] if the order was published without a subscriber.
     /// - [`UiError::NotStopped`] for a re-arm of an array that reports no stop.
-    /// - [`UiError::Unconfirmed`] for a stop that the array did not confirm.
+    /// - [`UiError::StopUnconfirmed`] for a stop that not every array confirmed.
     /// - [`UiError::Bus`] if the session is closed.
     pub fn send(&self, order: &Order, view: &View) -> Result<u64, UiError> {
-        let id = self.log.begin(order, view.reported());
-        if *order == Order::Stop {
-            self.stop_state().order_stop(Instant::now());
-        }
+        let id = self.log.begin(order, self.reported(view));
         let sent = order.check().and_then(|()| self.publish(order, id));
-        // Telemetry can confirm a stop at any later time.
-        if let Err(error) = &sent
-            && !matches!(error, UiError::Unconfirmed { .. })
-        {
-            self.log.refused(id, error.to_string());
+        if let Err(error) = &sent {
+            let is_answered = match error {
+                // The arrays can confirm a stop at any later time.
+                UiError::StopUnconfirmed { .. } => true,
+                // The log answers that no array is present.
+                UiError::NoReceiver(_) => {
+                    matches!(order, Order::Stop | Order::Rearm { .. }) && !view.reported().array_present
+                }
+                _ => false,
+            };
+            if !is_answered {
+                self.log.refused(id, error.to_string());
+            }
         }
         sent.map(|()| id)
     }
 
     /// The last orders and their answers, newest first.
     pub fn answers(&self, view: &View) -> Vec<OrderFigures> {
-        self.log.review(&view.reported())
+        self.log.review(&self.reported(view))
     }
 
-    /// The emergency stop, as far as the array confirmed it.
+    /// The emergency stop, as far as the arrays confirmed it. Held stops are repeated when that is due.
     pub fn stop_figures(&self) -> StopFigures {
-        let (array, safety) = self.stop.reported();
-        self.stop_state().update(array, safety)
+        self.stop.repeat();
+        self.stop_state().update(&self.stop.room_stops())
+    }
+
+    /// What the processes and arrays report, as far as it answers orders.
+    fn reported(&self, view: &View) -> Reported {
+        let room = self.stop.room_stops();
+        let held_stops = room.stops.iter().map(|stop| stop.name).collect();
+        Reported { is_stopped: room.is_confirmed(), held_stops, ..view.reported() }
     }
 
     fn stop_state(&self) -> MutexGuard<'_, StopState> {
@@ -131,10 +144,9 @@ impl Operator {
             Order::Stick { share } => self.set_fault(id, FaultKind::Stuck, *share),
             Order::Release => self.set_fault(id, FaultKind::Healed, 1.0),
             Order::Stop => self.stop.stop_and_confirm(BUTTON, STOP_LIMIT).map(drop),
-            Order::Rearm => {
-                self.stop.rearm(BUTTON)?;
-                self.stop_state().order_rearm(Instant::now());
-                Ok(())
+            Order::Rearm { stops } => {
+                let names: Vec<_> = stops.iter().map(|stop| stop.0).collect();
+                self.stop.rearm(&names, BUTTON)
             }
             Order::KillController => self.control_processes(ProcessOrder::KillController, "kill the controller"),
             Order::RestartController => {
@@ -177,7 +189,7 @@ impl Order {
             Self::Stick { share } => format!("jam {:.0} % of the mirrors", share * 100.0),
             Self::Release => "release the jammed mirrors".into(),
             Self::Stop => "stop".into(),
-            Self::Rearm => "re-arm".into(),
+            Self::Rearm { .. } => "re-arm".into(),
             Self::KillController => "kill the controller".into(),
             Self::RestartController => "restart the controller".into(),
         }

@@ -274,7 +274,7 @@ async fn order(State(Shared { page, .. }): State<Shared>, headers: HeaderMap, bo
     // Sending blocks while it waits for a subscriber.
     match http::unblock(move || page.operator.send(&order, &page.view)).await {
         Ok(Ok(id)) => reply(StatusCode::ACCEPTED, JSON, format!("{{\"id\":{id}}}")),
-        Ok(Err(error @ (UiError::NoReceiver(_) | UiError::Unconfirmed { .. }))) => {
+        Ok(Err(error @ (UiError::NoReceiver(_) | UiError::StopUnconfirmed { .. }))) => {
             reply(StatusCode::SERVICE_UNAVAILABLE, TEXT, error.to_string())
         }
         Ok(Err(error)) => reply(StatusCode::UNPROCESSABLE_ENTITY, TEXT, error.to_string()),

@@ -1,12 +1,11 @@
-//! The emergency stop as the page shows it: only telemetry of the array confirms a stop or a release.
+//! The emergency stop as the page shows it: only the reports of the arrays confirm a stop or a release.
 
 use std::time::{Duration, Instant};
 
-use heliostat_proto::{ArrayState, SafetyReport};
 use heliostat_service::printable::printable;
 use serde::Serialize;
 
-use crate::view::Dated;
+use crate::stop_switch::RoomStops;
 
 /// After this time without a confirmation, the page warns.
 const CONFIRM_LIMIT: Duration = Duration::from_secs(1);
@@ -22,12 +21,27 @@ pub enum StopPhase {
     None,
     /// Ordered less than a second ago, and not confirmed.
     Requested,
-    /// Ordered more than a second ago, and not confirmed.
+    /// Held for more than a second, and not confirmed by every array for which it is held.
     Unconfirmed,
-    /// The last telemetry of the array reports a stop.
+    /// Every array for which a stop is held reports that its device has executed it.
     Confirmed,
-    /// The array reported the end of a stop some seconds ago.
+    /// The last stop ended some seconds ago.
     Released,
+}
+
+/// A stop that is held or in force.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct StopFigure {
+    /// Its name, as an order to re-arm repeats it.
+    pub name: String,
+    /// Name of the operator who ordered it.
+    pub operator: String,
+    /// The operator's reason.
+    pub reason: String,
+    /// Time in s for which the page knows of it.
+    pub age_s: f64,
+    /// Indices of the arrays for which it is held.
+    pub arrays: Vec<usize>,
 }
 
 /// The emergency stop.
@@ -37,141 +51,125 @@ pub struct StopFigures {
     pub phase: StopPhase,
     /// Time in this phase in s; for an unconfirmed stop, the time since the order.
     pub since_s: f64,
-    /// Age in s of the report that confirms the stop; absent without one.
+    /// Age in s of the oldest telemetry of the arrays that confirm the stop; absent without one.
     pub report_age_s: Option<f64>,
-    /// Name of the operator who ordered the stop, as the array reports it.
-    pub operator: String,
-    /// The operator's reason.
-    pub reason: String,
+    /// All stops, in the order in which they became known.
+    pub stops: Vec<StopFigure>,
+    /// What is open, array by array.
+    pub problems: Vec<String>,
 }
 
-/// Follows the orders of the page and the reports of an array.
+/// Follows the phases of a stop.
 #[derive(Debug, Default)]
 pub(crate) struct StopState {
-    /// When the page ordered the last stop, unless the array answered a re-arm after it.
-    ordered: Option<Instant>,
-    /// When the page published a re-arm after that stop.
-    rearmed: Option<Instant>,
-    stopped: Option<Instant>,
-    released: Option<Instant>,
+    /// The present phase of a stop, and its beginning.
+    phase: Option<(StopPhase, Instant)>,
+    /// When a stop was first held without a confirmation.
+    open: Option<Instant>,
 }
 
 impl StopState {
-    /// Notes that the page orders a stop.
-    pub fn order_stop(&mut self, at: Instant) {
-        (self.ordered, self.rearmed) = (Some(at), None);
-    }
-
-    /// Notes that a re-arm was published. It ends the warning of an unconfirmed stop only together
-    /// with telemetry from after it: an array that is silent may still obey the stop, or ignore it.
-    pub fn order_rearm(&mut self, at: Instant) {
-        self.rearmed = Some(at);
-    }
-
-    /// The stop at this instant, from the last telemetry and the last safety report.
-    pub fn update(&mut self, array: Dated<ArrayState>, safety: Dated<SafetyReport>) -> StopFigures {
+    /// The stop at this instant.
+    pub fn update(&mut self, room: &RoomStops) -> StopFigures {
         let now = Instant::now();
         let since = |at: Instant| now.saturating_duration_since(at);
-        let is_stopped = array.is_some_and(|(_, state)| state == ArrayState::Stopped);
-        let is_answered = |rearmed| array.is_some_and(|(at, _)| at > rearmed && !is_stopped);
-        if self.rearmed.is_some_and(is_answered) {
-            (self.ordered, self.rearmed) = (None, None);
-        }
-        let ordered = self.ordered;
-        match (is_stopped, self.stopped) {
-            (true, None) => (self.stopped, self.released) = (Some(now), None),
-            (false, Some(_)) => (self.stopped, self.released) = (None, Some(now)),
-            _ => {}
-        }
-        // A report from before the order does not show its effect.
-        let open = ordered.filter(|ordered| array.is_none_or(|(at, _)| at <= *ordered) || !is_stopped);
-        // The array confirmed the order, and a re-arm of another operator released it.
-        let open = open.filter(|ordered| self.released.is_none_or(|released| released < *ordered));
-        let (phase, begun) = match (self.stopped, open, self.released) {
-            (Some(stopped), ..) => (StopPhase::Confirmed, stopped),
-            (_, Some(ordered), _) if since(ordered) < CONFIRM_LIMIT => (StopPhase::Requested, ordered),
-            (_, Some(ordered), _) => (StopPhase::Unconfirmed, ordered),
-            (.., Some(released)) if since(released) < RELEASED_SHOWN => (StopPhase::Released, released),
-            _ => return StopFigures::default(),
+        let is_held = !room.stops.is_empty() || room.ordered.is_some();
+        let is_confirmed = is_held && room.is_confirmed();
+        self.open = if is_held && !is_confirmed { self.open.or(Some(now)) } else { None };
+        let phase = match (is_held, is_confirmed) {
+            (true, true) => Some(StopPhase::Confirmed),
+            (true, false) => {
+                let begun = room.ordered.or(self.open).unwrap_or(now);
+                let is_new = since(begun) < CONFIRM_LIMIT;
+                Some(if is_new { StopPhase::Requested } else { StopPhase::Unconfirmed })
+            }
+            (false, _) => match self.phase {
+                Some((StopPhase::Released, at)) if since(at) >= RELEASED_SHOWN => None,
+                Some(_) => Some(StopPhase::Released),
+                None => None,
+            },
         };
-        let report = safety.filter(|(_, report)| phase == StopPhase::Confirmed && report.stopped);
-        let text = |text: &dyn Fn(&SafetyReport) -> &str| {
-            report.as_ref().map(|(_, report)| printable(text(report)).into_owned()).unwrap_or_default()
-        };
+        self.phase = phase.map(|phase| match self.phase {
+            Some((before, at)) if before == phase => (phase, at),
+            _ => (phase, now),
+        });
+        let Some((phase, at)) = self.phase else { return StopFigures::default() };
+        let begun = if phase == StopPhase::Unconfirmed { room.ordered.or(self.open).unwrap_or(at) } else { at };
+        let stops = room.stops.iter().map(|stop| StopFigure {
+            name: stop.name.to_string(),
+            operator: printable(&stop.operator).into_owned(),
+            reason: printable(&stop.reason).into_owned(),
+            age_s: since(stop.known).as_secs_f64(),
+            arrays: stop.arrays.clone(),
+        });
         StopFigures {
             phase,
             since_s: since(begun).as_secs_f64(),
-            report_age_s: array.filter(|_| phase == StopPhase::Confirmed).map(|(at, _)| since(at).as_secs_f64()),
-            operator: text(&|report| &report.operator),
-            reason: text(&|report| &report.reason),
+            report_age_s: room.reported.filter(|_| is_confirmed).map(|at| since(at).as_secs_f64()),
+            stops: stops.collect(),
+            problems: room.problems(),
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use heliostat_proto::StopName;
+
     use super::*;
+    use crate::stop_watch::{ShownStop, Standing};
 
     fn ago(ms: u64) -> Instant {
         Instant::now() - Duration::from_millis(ms)
     }
 
-    /// The state after a stop that was ordered so long ago.
-    fn ordered(ms: u64) -> StopState {
+    /// A room with a stop, of which the second array has this standing.
+    fn room(ordered_ms: Option<u64>, second: Standing) -> RoomStops {
+        let known = ago(ordered_ms.unwrap_or(0));
+        let (name, operator, reason) = (StopName { source: 3, sequence: 4 }, "ann".to_owned(), "test".to_owned());
+        RoomStops {
+            stops: vec![ShownStop { name, operator, reason, arrays: vec![0, 1], known }],
+            standings: vec![(0, Standing::Stopped), (1, second)],
+            reported: Some(ago(10)),
+            ordered: ordered_ms.map(ago),
+            has_geometry: true,
+        }
+    }
+
+    #[test]
+    fn an_order_is_requested_then_unconfirmed_until_every_array_has_stopped() {
         let mut state = StopState::default();
-        state.order_stop(ago(ms));
-        state
-    }
-
-    fn phase(state: &mut StopState, array: Dated<ArrayState>) -> StopPhase {
-        state.update(array, None).phase
-    }
-
-    #[test]
-    fn an_order_is_requested_then_unconfirmed_until_telemetry_confirms_it() {
-        let moving = Some((ago(0), ArrayState::Following));
-        assert_eq!(phase(&mut StopState::default(), moving), StopPhase::None);
-        assert_eq!(phase(&mut ordered(100), moving), StopPhase::Requested);
-        let mut state = ordered(1500);
-        assert_eq!(phase(&mut state, moving), StopPhase::Unconfirmed);
-        assert_eq!(phase(&mut state, None), StopPhase::Unconfirmed);
-        assert_eq!(phase(&mut state, Some((ago(10), ArrayState::Stopped))), StopPhase::Confirmed);
+        assert_eq!(state.update(&RoomStops::default()).phase, StopPhase::None);
+        assert_eq!(state.update(&room(Some(100), Standing::Silent)).phase, StopPhase::Requested);
+        let figures = state.update(&room(Some(1500), Standing::Silent));
+        assert_eq!(
+            (figures.phase, figures.problems),
+            (StopPhase::Unconfirmed, vec!["array 1 does not answer: cut its power".to_owned()])
+        );
+        for standing in [Standing::Moving, Standing::Unknown, Standing::Latched { problem: "no link".into() }] {
+            assert_eq!(state.update(&room(Some(1500), standing)).phase, StopPhase::Unconfirmed);
+        }
+        let figures = state.update(&room(Some(1500), Standing::Stopped));
+        assert_eq!((figures.phase, figures.stops[0].name.as_str()), (StopPhase::Confirmed, "0000000000000003/4"));
+        assert_eq!(state.update(&RoomStops::default()).phase, StopPhase::Released);
     }
 
     #[test]
-    fn the_end_of_a_stop_is_reported_by_the_array_only() {
-        let mut state = ordered(50);
-        assert_eq!(phase(&mut state, Some((ago(0), ArrayState::Stopped))), StopPhase::Confirmed);
-        state.order_rearm(ago(0));
-        assert_eq!(phase(&mut state, Some((ago(0), ArrayState::Stopped))), StopPhase::Confirmed);
-        assert_eq!(phase(&mut state, Some((ago(0), ArrayState::Following))), StopPhase::Released);
+    fn a_room_of_an_unknown_number_of_arrays_is_not_confirmed() {
+        let unknown = RoomStops { has_geometry: false, ..room(Some(1500), Standing::Stopped) };
+        let figures = StopState::default().update(&unknown);
+        assert_eq!((figures.phase, figures.problems.len()), (StopPhase::Unconfirmed, 1));
     }
 
     #[test]
-    fn a_rearm_that_no_telemetry_answers_leaves_the_warning_of_an_unconfirmed_stop() {
-        let mut state = ordered(3000);
-        let before = Some((ago(2000), ArrayState::Following));
-        assert_eq!(phase(&mut state, before), StopPhase::Unconfirmed);
-        state.order_rearm(ago(1000));
-        assert_eq!(phase(&mut state, before), StopPhase::Unconfirmed);
-        assert_eq!(phase(&mut state, None), StopPhase::Unconfirmed);
-        assert_eq!(phase(&mut state, Some((ago(500), ArrayState::Following))), StopPhase::None);
-        // A stop after the re-arm is open again.
-        state.order_stop(ago(0));
-        assert_eq!(phase(&mut state, Some((ago(500), ArrayState::Following))), StopPhase::Requested);
+    fn an_order_without_any_array_is_open() {
+        let room = RoomStops { ordered: Some(ago(2000)), ..RoomStops::default() };
+        assert_eq!(StopState::default().update(&room).phase, StopPhase::Unconfirmed);
     }
 
     #[test]
-    fn a_release_by_another_operator_does_not_reopen_the_order() {
-        let mut state = ordered(3000);
-        assert_eq!(phase(&mut state, Some((ago(0), ArrayState::Stopped))), StopPhase::Confirmed);
-        assert_eq!(phase(&mut state, Some((ago(0), ArrayState::Following))), StopPhase::Released);
-    }
-
-    #[test]
-    fn the_age_of_the_confirmation_is_known() {
-        let figures = StopState::default().update(Some((ago(2000), ArrayState::Stopped)), None);
-        assert_eq!(figures.phase, StopPhase::Confirmed);
-        assert!(figures.report_age_s.is_some_and(|age| age >= 2.0), "{figures:?}");
+    fn a_stop_that_the_page_did_not_order_is_warned_of_too() {
+        let mut state = StopState { open: Some(ago(1200)), phase: None };
+        assert_eq!(state.update(&room(None, Standing::Silent)).phase, StopPhase::Unconfirmed);
     }
 }

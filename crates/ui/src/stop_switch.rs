@@ -1,33 +1,32 @@
 //! The emergency stop of a room's arrays, and its release.
 //!
-//! A stop is obeyed by every array, from every sender. A re-arm names the stop that it releases, as
-//! the array's safety report gives it. An array that publishes no safety report receives the re-arm
-//! that belongs to the first messages of the contract, which is compared by time. Both orders concern
-//! every array of the room, and only the telemetry of every array that is present confirms them.
+//! A stop is obeyed by every array, from every sender. It is repeated, by its name, to each array that
+//! has not reported it. A room is stopped when every array of its announced geometry, and every array
+//! that was ever seen, reports the stop and that its device executed it, see [`Standing`]. A re-arm
+//! names each stop that it releases. An array that publishes no safety report receives the re-arm that
+//! belongs to the first messages of the contract, which is compared by time.
 
-use std::collections::{BTreeMap, BTreeSet};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use heliostat_bus::{Bus, Subscription};
-use heliostat_proto::{ArrayState, EmergencyStop, MirrorTelemetry, Rearm, SafetyReport, StopAction, codec};
+use heliostat_bus::{Bus, Class, Publisher, Subscription};
+use heliostat_proto::{EmergencyStop, MAX_ARRAYS, Rearm, Stamp, StopAction, StopName, StopRepetition, codec};
+use heliostat_service::clock::utc_ns;
 use heliostat_service::source_id;
 
 use crate::UiError;
 use crate::order_publisher::OrderPublisher;
-use crate::view::Dated;
+use crate::stop_watch::{Seen, ShownStop, Standing, StopWatch};
 
-/// A report older than this does not show the state of the array.
-const REPORT_AGE_MAX: Duration = Duration::from_secs(3);
-/// Without telemetry for this time, an array that published some has left, and its last safety report
-/// no longer counts.
-const TELEMETRY_AGE_MAX: Duration = Duration::from_millis(1500);
-/// Time to wait for a safety report; an array publishes one each second.
-const SAFETY_LIMIT: Duration = Duration::from_millis(1500);
-/// Each array publishes telemetry at least once in this time.
-const TELEMETRY_WITHIN: Duration = Duration::from_millis(250);
-/// Time after which an order is repeated if the array did not confirm it.
+/// Time after which a stop or a re-arm is repeated.
 const REPEAT_AFTER: Duration = Duration::from_millis(200);
+
+/// The geometry of a room is announced each second, and so is a safety report.
+const ANNOUNCED_WITHIN: Duration = Duration::from_millis(1500);
+
+/// What is open where no process announces the geometry of the room.
+const UNKNOWN_ARRAYS: &str = "no process announces how many arrays the room has, and one that was not seen can move: connect to its controller or router";
 
 /// Stops the arrays of a room and releases them.
 pub struct StopSwitch {
@@ -35,251 +34,290 @@ pub struct StopSwitch {
     operator: String,
     stop: OrderPublisher,
     rearm: OrderPublisher,
-    seen: Arc<Watched>,
-    _subscriptions: [Subscription; 4],
+    repetitions: Repetitions,
+    opened: Instant,
+    seen: Arc<StopWatch>,
+    own: Mutex<Option<OwnStop>>,
+    _subscriptions: Vec<Subscription>,
 }
 
-/// What an array reported last, with arrival times.
-#[derive(Clone, Default)]
-struct SeenArray {
-    state: Dated<ArrayState>,
-    safety: Dated<SafetyReport>,
+/// The last stop of this process.
+#[derive(Clone, Debug)]
+struct OwnStop {
+    order: EmergencyStop,
+    at: Instant,
+    /// Whether any array was known for which it is held.
+    is_held: bool,
 }
 
-/// What each array reported last.
-#[derive(Default)]
-struct Seen {
-    arrays: BTreeMap<usize, SeenArray>,
-    /// When the first telemetry arrived.
-    first: Option<Instant>,
+/// The publishers of repetitions.
+struct Repetitions {
+    arrays: Vec<Publisher>,
+    sequences: Mutex<BTreeMap<usize, u64>>,
+    last: Mutex<Option<Instant>>,
 }
 
-#[derive(Default)]
-struct Watched {
-    seen: Mutex<Seen>,
-    changed: Condvar,
+/// What an operator is shown of the stops of a room.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct RoomStops {
+    /// The stops that are held.
+    pub stops: Vec<ShownStop>,
+    /// What each array does about them.
+    pub standings: Vec<(usize, Standing)>,
+    /// When the oldest of the arrays reported last.
+    pub reported: Option<Instant>,
+    /// When this process ordered a stop that is still held.
+    pub ordered: Option<Instant>,
+    /// Whether the number of arrays of the room is known.
+    pub has_geometry: bool,
+}
+
+impl RoomStops {
+    /// Whether every array for which a stop is held has stopped.
+    pub fn is_confirmed(&self) -> bool {
+        let is_open = self.standings.iter().any(|(_, standing)| standing.is_open());
+        self.has_geometry && !is_open && self.standings.iter().any(|(_, standing)| *standing == Standing::Stopped)
+    }
+
+    /// What is open, array by array.
+    pub fn problems(&self) -> Vec<String> {
+        let unknown = (!self.has_geometry && !self.stops.is_empty()).then(|| UNKNOWN_ARRAYS.to_owned());
+        self.standings.iter().filter_map(|(array, standing)| standing.problem(*array)).chain(unknown).collect()
+    }
 }
 
 impl StopSwitch {
-    /// A switch for the array in the room of a session; `operator` is the name in the orders.
+    /// A switch for the arrays in the room of a session; `operator` is the name in the orders.
     ///
     /// # Errors
     /// [`UiError::Bus`] if the session is closed.
     pub fn new(bus: &Bus, operator: &str) -> Result<Self, UiError> {
         let room = bus.room();
-        let seen: Arc<Watched> = Arc::default();
-        let (first, later) = (room.array(0), room.later_arrays());
-        let subscriptions = [
-            watch_telemetry(bus, &first.telemetry(), &seen)?,
-            watch_safety(bus, &first.safety(), &seen)?,
-            watch_telemetry(bus, &later.telemetry(), &seen)?,
-            watch_safety(bus, &later.safety(), &seen)?,
-        ];
+        let (seen, subscriptions) = StopWatch::open(bus)?;
+        let publisher = |array| bus.publisher(&room.array(array).stop_repetition(), Class::RealTimeBlock);
         Ok(Self {
             source: source_id::random(),
             operator: operator.to_owned(),
             stop: OrderPublisher::new(bus, "array", &room.stop())?,
             rearm: OrderPublisher::new(bus, "array", &room.rearm())?,
+            repetitions: Repetitions {
+                arrays: (0..MAX_ARRAYS).map(publisher).collect::<Result<_, _>>()?,
+                sequences: Mutex::default(),
+                last: Mutex::default(),
+            },
+            opened: Instant::now(),
             seen,
+            own: Mutex::default(),
             _subscriptions: subscriptions,
         })
     }
 
-    /// What the arrays reported last: the state and a safety report, with their arrival times. Of
-    /// several arrays the state is stopped where all are, and the report is one with a stop.
-    pub(crate) fn reported(&self) -> (Dated<ArrayState>, Dated<SafetyReport>) {
+    /// The stops of the room, and what each array does about them.
+    pub(crate) fn room_stops(&self) -> RoomStops {
         let seen = self.seen.lock();
-        let arrays = seen.present();
-        let is_stopped = |array: &&SeenArray| array.state.is_some_and(|(_, state)| state == ArrayState::Stopped);
-        let moving = arrays.iter().copied().find(|array| !is_stopped(array));
-        let oldest = arrays.iter().copied().min_by_key(|array| array.state.map(|(at, _)| at));
-        let state = moving.or(oldest).and_then(|array| array.state);
-        let has_stop = |array: &&SeenArray| array.safety.as_ref().is_some_and(|(_, report)| report.stopped);
-        let report = arrays.iter().copied().find(has_stop).or(arrays.first().copied());
-        (state, report.and_then(|array| array.safety.clone()))
+        let stops = seen.stops();
+        let standings = if stops.is_empty() { Vec::new() } else { seen.standings(None) };
+        let (reported, has_geometry) = (seen.oldest_report(), seen.has_geometry());
+        drop(seen);
+        let own = self.own.lock().unwrap_or_else(PoisonError::into_inner);
+        let is_open = |own: &&OwnStop| !own.is_held || stops.iter().any(|stop| stop.name == own.order.name());
+        let ordered = own.as_ref().filter(is_open).map(|own| own.at);
+        RoomStops { stops, standings, reported, ordered, has_geometry }
     }
 
-    /// Publishes a stop.
+    /// The number of arrays of the room, where no process announces it.
+    pub fn expect(&self, arrays: usize) {
+        self.seen.expect(arrays);
+    }
+
+    /// All stops that are held or in force; waits until every array has published them.
+    pub fn stops(&self) -> Vec<ShownStop> {
+        self.seen.wait(ANNOUNCED_WITHIN, Seen::is_complete);
+        self.seen.lock().stops()
+    }
+
+    /// Whether the last stop of this process is held for any array.
+    pub fn is_own_held(&self) -> bool {
+        self.room_stops().ordered.is_some()
+    }
+
+    /// Publishes a stop; one of this process that is still held is published again, by its name.
     ///
     /// # Errors
     /// [`UiError::NoReceiver`] if no array subscribes to it, [`UiError::Bus`] if the session is
     /// closed, [`UiError::Codec`] if the reason is too long.
-    pub fn stop(&self, reason: &str) -> Result<(), UiError> {
-        self.send(StopAction::Stop, reason)
+    pub fn stop(&self, reason: &str) -> Result<EmergencyStop, UiError> {
+        let held: Vec<StopName> = self.seen.lock().stops().iter().map(|stop| stop.name).collect();
+        let mut own = self.own.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(own) = own.as_mut().filter(|own| held.contains(&own.order.name())) {
+            own.at = Instant::now();
+            self.seen.order(&own.order);
+            self.stop.publish_again(&own.order)?;
+            return Ok(own.order.clone());
+        }
+        let mut sent = None;
+        let result = self.stop.publish(self.source, |stamp| {
+            let (operator, reason) = (self.operator.clone(), reason.to_owned());
+            let order = EmergencyStop { stamp, action: StopAction::Stop, operator, reason };
+            // Before it is published, so that the first report of an array finds it.
+            self.seen.order(&order);
+            sent = Some(order.clone());
+            order
+        });
+        let order = sent.unwrap_or_default();
+        let is_held = !self.seen.lock().stops().is_empty();
+        *own = Some(OwnStop { order: order.clone(), at: Instant::now(), is_held });
+        result.map(|()| order)
     }
 
-    /// Publishes a re-arm of the stop that the array reports.
+    /// Repeats each held stop to the arrays that have not reported it, if that is due.
+    pub fn repeat(&self) {
+        let mut last = self.repetitions.last.lock().unwrap_or_else(PoisonError::into_inner);
+        if last.is_some_and(|last| last.elapsed() < REPEAT_AFTER) {
+            return;
+        }
+        *last = Some(Instant::now());
+        if let Some(own) = self.own.lock().unwrap_or_else(PoisonError::into_inner).as_mut().filter(|own| !own.is_held) {
+            // The first array has appeared after the order.
+            self.seen.order(&own.order);
+            own.is_held = !self.seen.lock().stops().is_empty();
+        }
+        let unreported = self.seen.lock().unreported();
+        for (array, held, is_older) in unreported {
+            let stamp = Stamp { source: held.name.source, sequence: held.name.sequence, time_ns: held.since_ns };
+            // A closed session shows at the next order.
+            if is_older {
+                let (operator, reason) = (held.operator, held.reason);
+                let _ = self.stop.publish_again(&EmergencyStop { stamp, action: StopAction::Stop, operator, reason });
+                continue;
+            }
+            let mut sequences = self.repetitions.sequences.lock().unwrap_or_else(PoisonError::into_inner);
+            let sequence = sequences.entry(array).or_default();
+            *sequence += 1;
+            let repetition = StopRepetition {
+                stamp: Stamp { source: self.source, sequence: *sequence, time_ns: utc_ns() },
+                stop_source: held.name.source,
+                stop_sequence: held.name.sequence,
+                operator: held.operator,
+                reason: held.reason,
+            };
+            let mut payload = Vec::new();
+            if codec::encode(&repetition, &mut payload).is_ok()
+                && let Some(publisher) = self.repetitions.arrays.get(array)
+            {
+                let _ = publisher.put(&payload);
+            }
+        }
+    }
+
+    /// Stops the arrays, and repeats the stop until each has reported that its device executed it;
+    /// returns the time that this took.
     ///
     /// # Errors
-    /// [`UiError::NotStopped`] if the array reports no stop; otherwise as [`StopSwitch::stop`].
-    pub fn rearm(&self, reason: &str) -> Result<(), UiError> {
-        self.rearm_of(&self.await_safety(), reason)
+    /// [`UiError::StopUnconfirmed`] names each array that has not, after `limit`; otherwise as
+    /// [`StopSwitch::stop`].
+    pub fn stop_and_confirm(&self, reason: &str, limit: Duration) -> Result<Duration, UiError> {
+        let begun = Instant::now();
+        let sent = self.stop(reason);
+        let own = self.own.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let Some(OwnStop { order, .. }) = own.filter(|_| !matches!(sent, Err(UiError::Bus(_) | UiError::Codec(_))))
+        else {
+            return sent.map(|_| begun.elapsed());
+        };
+        let name = order.name();
+        let is_stopped = |seen: &Seen| {
+            let standings = seen.standings(Some(begun));
+            let all = standings.iter().all(|(_, standing)| *standing == Standing::Stopped);
+            all && seen.has_array() && seen.is_held_everywhere(name)
+        };
+        let mut confirmed: Option<Duration> = None;
+        loop {
+            let is_confirmed = self.seen.wait(REPEAT_AFTER, is_stopped);
+            confirmed = if is_confirmed { confirmed.or(Some(begun.elapsed())) } else { None };
+            let is_complete = self.seen.lock().has_geometry();
+            if let Some(took) = confirmed.filter(|_| is_complete) {
+                return Ok(took);
+            }
+            let is_unknown = confirmed.is_some() && self.opened.elapsed() > ANNOUNCED_WITHIN;
+            if begun.elapsed() >= limit || is_unknown {
+                return Err(self.unconfirmed(begun, limit, sent.err()));
+            }
+            if is_confirmed {
+                // The geometry may name an array that has not reported yet.
+                self.seen.wait(REPEAT_AFTER.min(limit), Seen::has_geometry);
+            } else {
+                self.seen.order(&order);
+                self.stop.publish_again(&order)?;
+                self.repeat();
+            }
+        }
     }
 
-    /// Publishes a re-arm of each stop in the reports; without a report, one that is compared by
-    /// time.
-    fn rearm_of(&self, reports: &[SafetyReport], reason: &str) -> Result<(), UiError> {
-        if reports.is_empty() {
-            return self.send(StopAction::Rearm, reason);
+    fn unconfirmed(&self, begun: Instant, waited: Duration, sent: Option<UiError>) -> UiError {
+        let seen = self.seen.lock();
+        let open = |(array, standing): &(usize, Standing)| match standing {
+            Standing::Free => Some(format!("another operator has released the stop at array {array}")),
+            standing => standing.problem(*array),
+        };
+        let mut arrays: Vec<String> = seen.standings(Some(begun)).iter().filter_map(open).collect();
+        if !seen.has_geometry() && seen.has_array() {
+            arrays.push(UNKNOWN_ARRAYS.to_owned());
         }
-        let stops: BTreeSet<(u64, u64)> = reports
-            .iter()
-            .filter(|report| report.stopped)
-            .map(|report| (report.stop_source, report.stop_sequence))
-            .collect();
-        if stops.is_empty() {
-            return Err(UiError::NotStopped);
+        match sent {
+            Some(error) if arrays.is_empty() => error,
+            _ => UiError::StopUnconfirmed { waited, arrays },
         }
-        stops.into_iter().try_for_each(|(stop_source, stop_sequence)| {
+    }
+
+    /// Publishes a re-arm of each of these stops.
+    ///
+    /// # Errors
+    /// [`UiError::NotStopped`] if there is none; otherwise as [`StopSwitch::stop`].
+    pub fn rearm(&self, names: &[StopName], reason: &str) -> Result<(), UiError> {
+        // An array of the first messages has no name for its stop.
+        let has_unnamed = self.seen.lock().older().iter().any(Option::is_none);
+        if has_unnamed {
+            self.stop.publish(self.source, |stamp| EmergencyStop {
+                stamp,
+                action: StopAction::Rearm,
+                operator: self.operator.clone(),
+                reason: reason.to_owned(),
+            })?;
+        } else if names.is_empty() {
+            let has_array = self.seen.lock().has_array();
+            return Err(if has_array { UiError::NotStopped } else { UiError::NoReceiver("array") });
+        }
+        names.iter().try_for_each(|name| {
             self.rearm.publish(self.source, |stamp| Rearm {
                 stamp,
-                stop_source,
-                stop_sequence,
+                stop_source: name.source,
+                stop_sequence: name.sequence,
                 operator: self.operator.clone(),
                 reason: reason.to_owned(),
             })
         })
     }
 
-    /// Stops the array, and repeats the stop until telemetry confirms it; returns the time that
-    /// this took.
-    ///
-    /// # Errors
-    /// [`UiError::Unconfirmed`] after `limit`; otherwise as [`StopSwitch::stop`].
-    pub fn stop_and_confirm(&self, reason: &str, limit: Duration) -> Result<Duration, UiError> {
-        self.repeat_until(limit, "stop", |state| state == ArrayState::Stopped, || self.stop(reason))
-    }
-
-    /// Releases the array, and repeats the re-arm until telemetry confirms it; returns the time
-    /// that this took, and the report with the released stop.
-    ///
-    /// All repetitions name the same stop, so that a stop that arrives meanwhile stays in force.
+    /// Releases stops, and repeats the re-arm until no array reports them; returns the time that this
+    /// took. A stop that arrives meanwhile stays in force.
     ///
     /// # Errors
     /// [`UiError::Unconfirmed`] after `limit`; otherwise as [`StopSwitch::rearm`].
-    pub fn rearm_and_confirm(
-        &self,
-        reason: &str,
-        limit: Duration,
-    ) -> Result<(Duration, Option<SafetyReport>), UiError> {
-        let named = self.await_safety();
-        if !named.is_empty() && named.iter().all(|report| !report.stopped) {
-            return Err(UiError::NotStopped);
-        }
-        let is_released = |state| state != ArrayState::Stopped;
-        let took = self.repeat_until(limit, "re-arm", is_released, || self.rearm_of(&named, reason))?;
-        Ok((took, named.into_iter().find(|report| report.stopped)))
-    }
-
-    fn send(&self, action: StopAction, reason: &str) -> Result<(), UiError> {
-        self.stop.publish(self.source, |stamp| EmergencyStop {
-            stamp,
-            action,
-            operator: self.operator.clone(),
-            reason: reason.to_owned(),
-        })
-    }
-
-    fn repeat_until(
-        &self,
-        limit: Duration,
-        order: &'static str,
-        is_done: impl Fn(ArrayState) -> bool,
-        send: impl Fn() -> Result<(), UiError>,
-    ) -> Result<Duration, UiError> {
+    pub fn rearm_and_confirm(&self, names: &[StopName], reason: &str, limit: Duration) -> Result<Duration, UiError> {
         let begun = Instant::now();
+        let is_released = |seen: &Seen| {
+            let is_named = |stop: &ShownStop| names.contains(&stop.name);
+            !seen.stops().iter().any(is_named) && !seen.older().iter().any(Option::is_none)
+        };
         loop {
-            let sent = Instant::now();
-            let result = send();
-            let confirms = |seen: &Seen| {
-                let is_confirmed =
-                    |array: &&SeenArray| array.state.is_some_and(|(at, state)| at >= sent && is_done(state));
-                let arrays = seen.present();
-                !arrays.is_empty() && arrays.iter().all(is_confirmed)
-            };
-            if self.seen.wait(REPEAT_AFTER, confirms) {
-                let took = begun.elapsed();
-                // Another array may not have reported yet.
-                let first = self.seen.lock().first.map_or(Duration::ZERO, |first| first.elapsed());
-                std::thread::sleep(TELEMETRY_WITHIN.saturating_sub(first));
-                if confirms(&self.seen.lock()) {
-                    return Ok(took);
-                }
+            let sent = self.rearm(names, reason);
+            if self.seen.wait(REPEAT_AFTER, is_released) && self.seen.lock().has_array() {
+                return Ok(begun.elapsed());
             }
             if begun.elapsed() >= limit {
-                result?;
-                return Err(UiError::Unconfirmed { order, waited: limit });
+                sent?;
+                return Err(UiError::Unconfirmed { order: "re-arm", waited: limit });
             }
         }
-    }
-
-    /// The safety reports of the arrays that publish some and have not left.
-    fn await_safety(&self) -> Vec<SafetyReport> {
-        let has_left = |array: &SeenArray| array.state.is_some_and(|(at, _)| at.elapsed() > TELEMETRY_AGE_MAX);
-        let is_fresh = |array: &SeenArray| {
-            !has_left(array) && array.safety.as_ref().is_some_and(|(at, _)| at.elapsed() < REPORT_AGE_MAX)
-        };
-        let arrays = |seen: &Seen| -> Vec<SeenArray> {
-            seen.arrays.values().filter(|array| !has_left(array)).cloned().collect()
-        };
-        self.seen.wait(SAFETY_LIMIT, |seen| {
-            let arrays = arrays(seen);
-            !arrays.is_empty() && arrays.iter().all(is_fresh)
-        });
-        let reporting = arrays(&self.seen.lock()).into_iter().filter(is_fresh);
-        reporting.filter_map(|array| Some(array.safety?.1)).collect()
-    }
-}
-
-impl Seen {
-    /// The arrays whose telemetry is recent; all known ones where there is none such.
-    fn present(&self) -> Vec<&SeenArray> {
-        let is_recent = |array: &&SeenArray| array.state.is_some_and(|(at, _)| at.elapsed() < TELEMETRY_AGE_MAX);
-        let recent: Vec<&SeenArray> = self.arrays.values().filter(is_recent).collect();
-        if recent.is_empty() { self.arrays.values().collect() } else { recent }
-    }
-}
-
-fn watch_telemetry(bus: &Bus, keys: &str, seen: &Arc<Watched>) -> Result<Subscription, UiError> {
-    let (room, seen) = (bus.room().clone(), Arc::clone(seen));
-    Ok(bus.subscribe_keyed(keys, move |key, payload| {
-        if let Ok(report) = codec::decode::<MirrorTelemetry>(payload) {
-            let (now, (array, _)) = (Instant::now(), room.first_array_key(key));
-            seen.note(|seen| {
-                seen.first.get_or_insert(now);
-                seen.arrays.entry(array).or_default().state = Some((now, report.state));
-            });
-        }
-    })?)
-}
-
-fn watch_safety(bus: &Bus, keys: &str, seen: &Arc<Watched>) -> Result<Subscription, UiError> {
-    let (room, seen) = (bus.room().clone(), Arc::clone(seen));
-    Ok(bus.subscribe_keyed(keys, move |key, payload| {
-        if let Ok(report) = codec::decode::<SafetyReport>(payload) {
-            let (now, (array, _)) = (Instant::now(), room.first_array_key(key));
-            seen.note(|seen| seen.arrays.entry(array).or_default().safety = Some((now, report)));
-        }
-    })?)
-}
-
-impl Watched {
-    fn lock(&self) -> MutexGuard<'_, Seen> {
-        // Each report replaces a complete slot, so a poisoned lock protects consistent data.
-        self.seen.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn note(&self, set: impl FnOnce(&mut Seen)) {
-        set(&mut self.lock());
-        self.changed.notify_all();
-    }
-
-    /// Waits until the condition holds, at most `limit`; returns whether it holds.
-    fn wait(&self, limit: Duration, holds: impl Fn(&Seen) -> bool) -> bool {
-        let (seen, _) = self
-            .changed
-            .wait_timeout_while(self.lock(), limit, |seen| !holds(seen))
-            .unwrap_or_else(PoisonError::into_inner);
-        holds(&seen)
     }
 }

@@ -1,149 +1,269 @@
-//! The emergency stop and its release, against an array of this test.
+//! The emergency stop and its release, against arrays of this test.
 
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use heliostat_bus::{Bus, BusConfig, Class, Publisher, Subscription, free_loopback_endpoint};
 use heliostat_proto::{
-    ArrayState, EmergencyStop, MirrorTelemetry, Rearm, Room, SafetyReport, StopAction, decode, encode,
+    ArrayState, EmergencyStop, LatchedStopReport, Message, MirrorTelemetry, NodeKind, Rearm, Room, RoomGeometry, Stamp,
+    StopAction, StopName, StopRepetition, StopReport, decode, encode,
 };
 use heliostat_ui::{StopSwitch, UiError};
 
 /// Time limit for an action that takes milliseconds on an idle machine.
 const TIME_LIMIT: Duration = Duration::from_secs(30);
 
-/// An array that obeys stops; it ignores the first `deaf` of them.
-struct Array {
-    rearms: Arc<Mutex<Vec<Rearm>>>,
-    legacy_rearms: Arc<Mutex<u32>>,
-    ignores_rearms: Arc<AtomicBool>,
-    bus: Bus,
-    safety: Publisher,
-    _subscriptions: Vec<Subscription>,
+/// Time limit for what has to fail.
+const SHORT: Duration = Duration::from_secs(3);
+
+/// How an array treats a stop.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Manner {
+    Stops,
+    /// It obeys repetitions only.
+    Deaf,
+    /// Its device does not execute the stop.
+    Latches,
+    /// It publishes telemetry alone, as the first drivers did.
+    Older,
 }
 
-fn publish<M: heliostat_proto::Message>(publisher: &Publisher, message: &M) {
+#[derive(Default)]
+struct State {
+    stops: Vec<StopName>,
+    sequence: u64,
+    rearms: Vec<Rearm>,
+    unnamed: u32,
+}
+
+/// An array that obeys stops.
+struct Array {
+    state: Arc<Mutex<State>>,
+    _subscriptions: Vec<Subscription>,
+    reporter: Reporter,
+}
+
+#[derive(Clone)]
+struct Reporter {
+    manner: Manner,
+    telemetry: Arc<Publisher>,
+    stops: Arc<Publisher>,
+    /// Announces the geometry of the room, where there is one.
+    geometry: Option<(Arc<Publisher>, usize)>,
+}
+
+impl Reporter {
+    fn report(&self, state: &mut State) {
+        if let Some((geometry, arrays)) = &self.geometry {
+            let walls = ["+y", "-x", "+x"].into_iter().take(*arrays);
+            let mirrors = walls.map(|wall| format!("[[mirrors]]\nrows = 1\ncolumns = 1\nwall = \"{wall}\"\n"));
+            publish(geometry, &RoomGeometry { scenario: mirrors.collect(), ..RoomGeometry::default() });
+        }
+        state.sequence += 1;
+        let stamp = Stamp { source: 9, sequence: state.sequence, time_ns: 0 };
+        let is_stopped = !state.stops.is_empty();
+        if self.manner != Manner::Older {
+            let latched = |name: &StopName| LatchedStopReport {
+                source: name.source,
+                sequence: name.sequence,
+                operator: "ann".into(),
+                ..LatchedStopReport::default()
+            };
+            let device_stopped = is_stopped && self.manner != Manner::Latches;
+            let problem = if is_stopped && !device_stopped { "no link".to_owned() } else { String::new() };
+            let stops = state.stops.iter().map(latched).collect();
+            publish(&self.stops, &StopReport { stamp, device_stopped, stops, problem, ..StopReport::default() });
+        }
+        let state = if is_stopped { ArrayState::Stopped } else { ArrayState::Parked };
+        publish(&self.telemetry, &MirrorTelemetry { stamp, state, ..MirrorTelemetry::default() });
+    }
+}
+
+fn publish<M: Message>(publisher: &Publisher, message: &M) {
     let mut payload = Vec::new();
     encode(message, &mut payload).unwrap();
     publisher.put(&payload).unwrap();
 }
 
-fn state(state: ArrayState) -> MirrorTelemetry {
-    MirrorTelemetry { state, ..Default::default() }
-}
-
 impl Array {
-    fn new(room: &str, endpoint: &str, deaf: u32) -> Self {
-        let bus = Bus::open(&BusConfig::new(Room::new(room).unwrap()).listen_at(endpoint)).unwrap();
-        let telemetry = Arc::new(bus.publisher(&bus.room().telemetry(), Class::HighDrop).unwrap());
-        let safety = bus.publisher(&bus.room().safety(), Class::HighDrop).unwrap();
-        let (rearms, legacy_rearms) = (Arc::<Mutex<Vec<Rearm>>>::default(), Arc::<Mutex<u32>>::default());
-        let (named, legacy) = (Arc::clone(&rearms), Arc::clone(&legacy_rearms));
-        let on_rearm = Arc::clone(&telemetry);
-        let ignores_rearms = Arc::<AtomicBool>::default();
-        let ignores = Arc::clone(&ignores_rearms);
-        let mut ignored = 0;
+    fn new(bus: &Bus, index: usize, manner: Manner, arrays: Option<usize>) -> Self {
+        let (room, keys) = (bus.room(), bus.room().array(index));
+        let publisher = |key: &str| Arc::new(bus.publisher(key, Class::HighDrop).unwrap());
+        let (telemetry, stops) = (publisher(&keys.telemetry()), publisher(&keys.stops()));
+        let geometry = arrays.map(|arrays| (publisher(&room.geometry(NodeKind::SimNode)), arrays));
+        let reporter = Reporter { manner, telemetry, stops, geometry };
+        let state: Arc<Mutex<State>> = Arc::default();
+        let on = |apply: fn(&mut State, &[u8], Manner)| {
+            let (state, reporter) = (Arc::clone(&state), reporter.clone());
+            move |payload: &[u8]| {
+                let mut state = state.lock().unwrap();
+                apply(&mut state, payload, reporter.manner);
+                reporter.report(&mut state);
+            }
+        };
         let subscriptions = vec![
-            bus.subscribe(&bus.room().stop(), move |payload| match decode::<EmergencyStop>(payload).unwrap().action {
-                StopAction::Stop if ignored < deaf => ignored += 1,
-                StopAction::Stop => publish(&telemetry, &state(ArrayState::Stopped)),
-                StopAction::Rearm => {
-                    *legacy.lock().unwrap() += 1;
-                    publish(&telemetry, &state(ArrayState::Parked));
-                }
-            })
-            .unwrap(),
-            bus.subscribe(&bus.room().rearm(), move |payload| {
-                named.lock().unwrap().push(decode(payload).unwrap());
-                let ignores = ignores.load(Ordering::Relaxed);
-                publish(&on_rearm, &state(if ignores { ArrayState::Stopped } else { ArrayState::Parked }));
-            })
-            .unwrap(),
+            bus.subscribe(
+                &room.stop(),
+                on(|state, payload, manner| {
+                    let order: EmergencyStop = decode(payload).unwrap();
+                    match order.action {
+                        StopAction::Stop if manner != Manner::Deaf => latch(state, order.name()),
+                        StopAction::Stop => {}
+                        StopAction::Rearm => {
+                            state.unnamed += 1;
+                            state.stops.clear();
+                        }
+                    }
+                }),
+            ),
+            bus.subscribe(
+                &keys.stop_repetition(),
+                on(|state, payload, manner| {
+                    let order: StopRepetition = decode(payload).unwrap();
+                    if manner != Manner::Older {
+                        latch(state, order.name());
+                    }
+                }),
+            ),
+            bus.subscribe(
+                &room.rearm(),
+                on(|state, payload, _| {
+                    let order: Rearm = decode(payload).unwrap();
+                    state.stops.retain(|name| *name != order.name());
+                    state.rearms.push(order);
+                }),
+            ),
         ];
-        Self { rearms, legacy_rearms, ignores_rearms, bus, safety, _subscriptions: subscriptions }
+        Self { state, _subscriptions: subscriptions.into_iter().map(Result::unwrap).collect(), reporter }
+    }
+
+    fn report(&self) {
+        self.reporter.report(&mut self.state.lock().unwrap());
+    }
+
+    fn stops(&self) -> Vec<StopName> {
+        self.state.lock().unwrap().stops.clone()
     }
 }
 
-fn switch(room: &str, endpoint: &str) -> (Bus, StopSwitch) {
-    let bus = Bus::open(&BusConfig::new(Room::new(room).unwrap()).connect_to(endpoint)).unwrap();
+fn latch(state: &mut State, name: StopName) {
+    if !state.stops.contains(&name) {
+        state.stops.push(name);
+    }
+}
+
+/// Arrays of these manners in a room, and a switch of an operator.
+fn arrays(room: &str, manners: &[Manner]) -> (Vec<Array>, StopSwitch, (Bus, Bus)) {
+    announced(room, manners, Some(manners.len()))
+}
+
+/// The same in a room that announces so many arrays.
+fn announced(room: &str, manners: &[Manner], count: Option<usize>) -> (Vec<Array>, StopSwitch, (Bus, Bus)) {
+    let endpoint = free_loopback_endpoint().unwrap();
+    let config = BusConfig::new(Room::new(room).unwrap());
+    let own = Bus::open(&config.clone().listen_at(&endpoint)).unwrap();
+    let arrays: Vec<Array> =
+        manners.iter().enumerate().map(|(index, manner)| Array::new(&own, index, *manner, count)).collect();
+    let bus = Bus::open(&config.connect_to(&endpoint)).unwrap();
     let switch = StopSwitch::new(&bus, "ann").unwrap();
-    (bus, switch)
+    (arrays, switch, (own, bus))
+}
+
+/// The arrays that are not confirmed as stopped.
+fn unconfirmed(switch: &StopSwitch) -> Vec<String> {
+    match switch.stop_and_confirm("test", SHORT).unwrap_err() {
+        UiError::StopUnconfirmed { arrays, .. } => arrays,
+        error => panic!("{error}"),
+    }
 }
 
 #[test]
-fn a_stop_is_repeated_until_telemetry_confirms_it() {
-    let endpoint = free_loopback_endpoint().unwrap();
-    let _array = Array::new("repeat", &endpoint, 2);
-    let (_bus, switch) = switch("repeat", &endpoint);
+fn a_stop_is_confirmed_by_every_array_and_released_by_its_name() {
+    let (arrays, switch, _sessions) = arrays("both", &[Manner::Stops, Manner::Stops]);
+    switch.stop_and_confirm("test", TIME_LIMIT).unwrap();
+    let stops = switch.stops();
+    assert_eq!((stops.len(), stops[0].arrays.clone()), (1, vec![0, 1]));
+    assert!(arrays.iter().all(|array| array.stops() == [stops[0].name]));
+    switch.rearm_and_confirm(&[stops[0].name], "clear", TIME_LIMIT).unwrap();
+    let rearm = arrays[0].state.lock().unwrap().rearms[0].clone();
+    assert_eq!((rearm.name(), &*rearm.operator, &*rearm.reason), (stops[0].name, "ann", "clear"));
+}
+
+#[test]
+fn a_stop_is_repeated_by_its_name_to_an_array_that_has_not_reported_it() {
+    let (arrays, switch, _sessions) = arrays("deaf", &[Manner::Stops, Manner::Deaf]);
+    arrays.iter().for_each(Array::report);
+    switch.stop_and_confirm("test", TIME_LIMIT).unwrap();
+    assert_eq!(arrays[0].stops(), arrays[1].stops());
+    assert_eq!(arrays[0].stops().len(), 1, "a repetition has no name of its own");
+}
+
+#[test]
+fn an_array_that_is_silent_or_whose_device_does_not_stop_is_named() {
+    let (live, switch, _sessions) = arrays("silent", &[Manner::Stops, Manner::Latches]);
+    let latched = "array 1 has latched the stop, but its device has not executed it (no link): cut its power";
+    assert_eq!(unconfirmed(&switch), [latched]);
+    drop(live);
+    let silent = ["array 0 does not answer: cut its power", "array 1 does not answer: cut its power"];
+    assert_eq!(unconfirmed(&switch), silent);
+}
+
+#[test]
+fn an_array_of_the_announced_geometry_that_was_never_seen_is_named() {
+    let (_arrays, switch, _sessions) = announced("absent", &[Manner::Stops], Some(2));
+    assert_eq!(unconfirmed(&switch), ["array 1 does not answer: cut its power"]);
+}
+
+#[test]
+fn a_room_that_announces_no_geometry_is_not_called_stopped_unless_the_operator_knows_its_arrays() {
+    let (_arrays, switch, _sessions) = announced("unknown", &[Manner::Stops], None);
+    let open = unconfirmed(&switch);
+    assert!(open.len() == 1 && open[0].starts_with("no process announces how many arrays"), "{open:?}");
+    switch.expect(1);
     switch.stop_and_confirm("test", TIME_LIMIT).unwrap();
 }
 
 #[test]
 fn a_stop_without_an_array_is_reported() {
-    let endpoint = free_loopback_endpoint().unwrap();
-    let _other = Bus::open(&BusConfig::new(Room::new("nothing").unwrap()).listen_at(&endpoint)).unwrap();
-    let (_bus, switch) = switch("nothing", &endpoint);
+    let (_arrays, switch, _sessions) = arrays("nothing", &[]);
     let error = switch.stop_and_confirm("test", Duration::from_millis(100)).unwrap_err();
     assert!(matches!(error, UiError::NoReceiver("array")), "{error}");
 }
 
 #[test]
-fn a_rearm_names_the_stop_in_the_safety_report() {
-    let endpoint = free_loopback_endpoint().unwrap();
-    let array = Array::new("named", &endpoint, 0);
-    let (_bus, switch) = switch("named", &endpoint);
-    switch.stop_and_confirm("test", TIME_LIMIT).unwrap();
-    publish(&array.safety, &SafetyReport { stopped: true, stop_source: 7, stop_sequence: 9, ..Default::default() });
-    switch.rearm_and_confirm("clear", TIME_LIMIT).unwrap();
-    let rearm = array.rearms.lock().unwrap()[0].clone();
-    assert_eq!((rearm.stop_source, rearm.stop_sequence), (7, 9));
-    assert_eq!((&*rearm.operator, &*rearm.reason), ("ann", "clear"));
-    assert_eq!(*array.legacy_rearms.lock().unwrap(), 0);
-    drop(array.bus);
+fn a_driver_that_does_not_report_its_device_is_said_to_do_so_and_gets_the_rearm_of_the_first_messages() {
+    let (arrays, switch, _sessions) = arrays("older", &[Manner::Older]);
+    let unknown = unconfirmed(&switch);
+    assert!(unknown[0].starts_with("array 0 has latched the stop; its driver does not report"), "{unknown:?}");
+    arrays[0].report();
+    switch.rearm_and_confirm(&[], "clear", TIME_LIMIT).unwrap();
+    assert!(arrays[0].state.lock().unwrap().unnamed > 0 && arrays[0].stops().is_empty());
 }
 
 #[test]
-fn a_stop_that_arrives_during_a_rearm_stays_in_force() {
-    let endpoint = free_loopback_endpoint().unwrap();
-    let array = Array::new("later", &endpoint, 0);
-    let (_bus, switch) = switch("later", &endpoint);
+fn a_stop_of_another_operator_stays_in_force() {
+    let (arrays, switch, _sessions) = arrays("others", &[Manner::Stops]);
     switch.stop_and_confirm("test", TIME_LIMIT).unwrap();
-    publish(&array.safety, &SafetyReport { stopped: true, stop_source: 7, stop_sequence: 1, ..Default::default() });
-    array.ignores_rearms.store(true, Ordering::Relaxed);
-    let later = SafetyReport { stopped: true, stop_source: 8, stop_sequence: 1, ..Default::default() };
-    let error = std::thread::scope(|scope| {
-        let rearm = scope.spawn(|| switch.rearm_and_confirm("clear", Duration::from_secs(3)));
-        while array.rearms.lock().unwrap().is_empty() {
-            std::thread::sleep(Duration::from_millis(5));
-        }
-        publish(&array.safety, &later);
-        rearm.join().unwrap().unwrap_err()
-    });
-    assert!(matches!(error, UiError::Unconfirmed { .. }), "{error}");
-    let rearms = array.rearms.lock().unwrap();
-    assert!(rearms.len() > 1 && rearms.iter().all(|rearm| rearm.stop_source == 7), "{rearms:?}");
-}
-
-#[test]
-fn an_array_without_safety_reports_gets_the_rearm_of_the_first_messages() {
-    let endpoint = free_loopback_endpoint().unwrap();
-    let array = Array::new("legacy", &endpoint, 0);
-    let (_bus, switch) = switch("legacy", &endpoint);
-    switch.stop_and_confirm("test", TIME_LIMIT).unwrap();
-    switch.rearm_and_confirm("clear", TIME_LIMIT).unwrap();
-    assert_eq!(*array.legacy_rearms.lock().unwrap(), 1);
-    assert!(array.rearms.lock().unwrap().is_empty());
+    let own = switch.stops()[0].name;
+    let other = StopName { source: 77, sequence: 1 };
+    latch(&mut arrays[0].state.lock().unwrap(), other);
+    arrays[0].report();
+    switch.rearm_and_confirm(&[own], "clear", TIME_LIMIT).unwrap();
+    assert_eq!(arrays[0].stops(), [other]);
+    assert_eq!(switch.stops().iter().map(|stop| stop.name).collect::<Vec<_>>(), [other]);
 }
 
 #[test]
 fn a_rearm_of_an_array_that_is_not_stopped_sends_nothing() {
-    let endpoint = free_loopback_endpoint().unwrap();
-    let array = Array::new("moving", &endpoint, 0);
-    let (_bus, switch) = switch("moving", &endpoint);
-    switch.stop_and_confirm("test", TIME_LIMIT).unwrap();
-    publish(&array.safety, &SafetyReport::default());
-    let error = switch.rearm("clear").unwrap_err();
-    assert!(matches!(error, UiError::NotStopped), "{error}");
-    assert!(array.rearms.lock().unwrap().is_empty());
+    let (arrays, switch, _sessions) = arrays("moving", &[Manner::Stops]);
+    let begun = Instant::now();
+    // Until its first report the array is not known.
+    loop {
+        arrays[0].report();
+        match switch.rearm(&[], "clear").unwrap_err() {
+            UiError::NotStopped => break,
+            error => assert!(begun.elapsed() < TIME_LIMIT, "{error}"),
+        }
+    }
+    assert!(arrays[0].state.lock().unwrap().rearms.is_empty());
 }

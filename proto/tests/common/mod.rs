@@ -235,6 +235,22 @@ pub fn branch_report() -> BranchReport {
     BranchReport { stamp: stamp(), tick: 1000, users: vec![user] }
 }
 
+pub fn stop_report() -> StopReport {
+    let stop = LatchedStopReport {
+        source: 0x1234_5678_9abc_def0,
+        sequence: 300,
+        arrived_ns: TIME_NS,
+        operator: "ann".into(),
+        reason: "test".into(),
+    };
+    let released = vec![StopName { source: 7, sequence: 1 }];
+    StopReport { stamp: stamp(), device_stopped: false, stops: vec![stop], released, problem: "no link".into() }
+}
+
+pub fn stop_repetition() -> StopRepetition {
+    StopRepetition { stamp: stamp(), stop_source: 7, stop_sequence: 1, operator: "ann".into(), reason: "test".into() }
+}
+
 pub fn led_report() -> LedReport {
     let user = UserLeds { user: 3, serving: Some(1), measures_each: true };
     let users = vec![user, UserLeds { user: 4, serving: Some(0), measures_each: false }];
@@ -270,6 +286,8 @@ pub fn payloads() -> Vec<(&'static str, Vec<u8>)> {
         ("controller memory", encoded(&controller_memory())),
         ("orientation report", encoded(&orientation_report())),
         ("branch report", encoded(&branch_report())),
+        ("stop report", encoded(&stop_report())),
+        ("stop repetition", encoded(&stop_repetition())),
         ("LED report", encoded(&led_report())),
     ]
 }

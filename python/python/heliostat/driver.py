@@ -118,7 +118,10 @@ class Device(ABC):
 
     @abstractmethod
     def stop(self) -> None:
-        """Stops all motion at once; an exception means that it may not have stopped."""
+        """Stops all motion at once; an exception means that it may not have stopped.
+
+        It is also called while the device is not connected, and again after each connection.
+        """
 
     def connect(self) -> None:
         """Connects and initialises the device; called at the start and after each failure."""
@@ -274,10 +277,10 @@ def run(
 
             peer.subscribe(name, handle)
 
-        for name in ("command", "stop", "rearm", "calibration"):
+        for name in ("command", "stop", "stop_repetition", "rearm", "calibration"):
             receive(name)
         latest: dict[str, bytes] = {}
-        for name in ("capabilities", "safety"):
+        for name in ("capabilities", "safety", "stops"):
             peer.answer(name, latest)
         peer.announce()
         shown, more = _Shown(station.stop), False
@@ -287,7 +290,7 @@ def run(
                 received.wait(max(0.0, 1e-9 * wait_ns))
                 received.clear()
             more = station.handle_received()
-            while more and now()[0] < station.telemetry_ns:
+            while more and not station.is_report_due(now()[0]):
                 more = station.handle_received()
             instant = now()
             station.advance(instant)

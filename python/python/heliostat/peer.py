@@ -44,6 +44,7 @@ _QUALITY = {
     "telemetry": (zenoh.Priority.DATA_HIGH, True),
     "capabilities": (zenoh.Priority.DATA_HIGH, True),
     "safety": (zenoh.Priority.DATA_HIGH, True),
+    "stops": (zenoh.Priority.DATA_HIGH, True),
     "status": (zenoh.Priority.DATA_LOW, False),
 }
 _REPORTS = (zenoh.Priority.REAL_TIME, True)

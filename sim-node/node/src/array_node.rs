@@ -15,12 +15,13 @@ pub(crate) struct ArrayNode {
     telemetry_sequence: u64,
     capabilities_sequence: u64,
     safety_sequence: u64,
+    stops_sequence: u64,
     /// The emergency stop on disk.
     record: Option<StopRecord>,
-    /// The state in the last telemetry.
-    published_state: ArrayState,
-    /// The latch in the last safety report; `None` before the first.
-    published_latch: Option<Latch>,
+    /// The state in the last telemetry, and whether the mirrors had executed a stop.
+    published_state: (ArrayState, bool),
+    /// The latch in the last reports, and whether the mirrors had executed it; `None` before the first.
+    published_latch: Option<(Latch, bool)>,
     /// Name of the room, for the log.
     room_name: String,
 }
@@ -32,8 +33,9 @@ impl ArrayNode {
             telemetry_sequence: 0,
             capabilities_sequence: 0,
             safety_sequence: 0,
+            stops_sequence: 0,
             record,
-            published_state: ArrayState::Parked,
+            published_state: (ArrayState::Parked, false),
             published_latch: None,
             room_name,
         }
@@ -53,9 +55,10 @@ impl ArrayNode {
         self.record.as_ref().and_then(StopRecord::problem)
     }
 
-    /// Whether the latch differs from the one in the last safety report.
+    /// Whether the latch, or what the mirrors have executed of it, differs from the last reports.
     pub fn has_new_latch(&self, room: &SimulatedRoom) -> bool {
-        self.published_latch.as_ref() != Some(room.array(self.index).latch())
+        let (latch, is_executed) = (room.array(self.index).latch(), room.device_stopped(self.index));
+        self.published_latch.as_ref().is_none_or(|published| published.0 != *latch || published.1 != is_executed)
     }
 
     /// Publishes telemetry when it is `due`, or when the array's state has changed.
@@ -65,7 +68,7 @@ impl ArrayNode {
         session: &mut RoomSession,
         (now, due): (Moment, bool),
     ) -> Result<(), NodeError> {
-        let state = room.array(self.index).state();
+        let state = (room.array(self.index).state(), room.device_stopped(self.index));
         if !due && state == self.published_state {
             return Ok(());
         }
@@ -84,6 +87,7 @@ impl ArrayNode {
         Ok(session.array(self.index).publish_capabilities(&room.capabilities(self.index, stamp))?)
     }
 
+    /// Publishes the safety report and the stop report.
     pub fn publish_safety(
         &mut self,
         room: &SimulatedRoom,
@@ -92,11 +96,13 @@ impl ArrayNode {
     ) -> Result<(), NodeError> {
         let stamp = next_stamp(&mut self.safety_sequence, session, now);
         let latch = room.array(self.index).latch();
-        if self.published_latch.as_ref().is_some_and(|published| published != latch) {
+        if self.published_latch.as_ref().is_some_and(|published| published.0 != *latch) {
             stop_record::log_change(&self.room_name, latch);
         }
-        self.published_latch = Some(latch.clone());
-        Ok(session.array(self.index).publish_safety(&room.safety(self.index, stamp))?)
+        self.published_latch = Some((latch.clone(), room.device_stopped(self.index)));
+        session.array(self.index).publish_safety(&room.safety(self.index, stamp))?;
+        let stamp = next_stamp(&mut self.stops_sequence, session, now);
+        Ok(session.array(self.index).publish_stops(&room.stops(self.index, stamp))?)
     }
 }
 

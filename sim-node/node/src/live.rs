@@ -115,7 +115,8 @@ fn next_event_ns(node: &Node) -> u64 {
     next.min(node.reports.next_sample_ns()).min(node.reports.next_release_ns())
 }
 
+/// Sleeps until a local time; a stop that arrives ends the sleep.
 fn sleep_until(node: &Node, local_ns: u64) {
     let left = node.clock.instant_at(local_ns.min(node.clock.local_ns() + as_ns(SLEEP_MAX)));
-    std::thread::sleep(left.saturating_duration_since(Instant::now()));
+    node.session.wait_for_stop(left);
 }

@@ -83,11 +83,11 @@ impl Node {
         let arrays = (0..room.arrays()).map(|array| {
             let record = settings.record.as_ref().map(|record| {
                 let now = clock.now();
-                let (record, stop) = record.open(&settings.bus.room, array, now.room_ns);
-                if let Some(stop) = stop {
-                    tracing::warn!("{}", stop_record::advice(&settings.bus.room, &stop));
-                    room.stop(array, now, stop);
+                let (record, latch) = record.open(&settings.bus.room, array, now.room_ns);
+                if let Some(advice) = stop_record::advice(&settings.bus.room, &latch) {
+                    tracing::warn!("{advice}");
                 }
+                latch.stops().iter().for_each(|stop| room.stop(array, now, stop.clone()));
                 record
             });
             ArrayNode::new(array, record, settings.bus.room.to_string())

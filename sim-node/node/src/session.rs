@@ -1,9 +1,10 @@
 //! The session of the simulator on the bus: the arrays' sessions, the report streams, orders, and
 //! liveliness.
 
-use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
+use heliostat_array::Waker;
 use heliostat_bus::{Bus, BusConfig, Class, Presence, Subscription, Token};
 use heliostat_driver::clock::Clock;
 use heliostat_driver::receive_queue::ReceiveQueue;
@@ -27,6 +28,28 @@ const BELIEFS_MAX: usize = 64;
 /// A payload on the key of orders.
 type Order = Result<SimulatorControl, CodecError>;
 
+/// Wakes the loop of the simulator.
+#[derive(Debug, Default)]
+struct Alarm {
+    is_raised: Mutex<bool>,
+    raised: Condvar,
+}
+
+impl Alarm {
+    fn raise(&self) {
+        *self.is_raised.lock().unwrap_or_else(PoisonError::into_inner) = true;
+        self.raised.notify_one();
+    }
+
+    /// Waits until it is raised, or until an instant; then it is not raised.
+    fn wait(&self, until: Instant) {
+        let left = until.saturating_duration_since(Instant::now());
+        let guard = self.is_raised.lock().unwrap_or_else(PoisonError::into_inner);
+        let waited = self.raised.wait_timeout_while(guard, left, |is_raised| !*is_raised);
+        *waited.unwrap_or_else(PoisonError::into_inner).0 = false;
+    }
+}
+
 /// The publishers and subscriptions of the simulator.
 pub(crate) struct RoomSession {
     bus: Bus,
@@ -34,6 +57,8 @@ pub(crate) struct RoomSession {
     source: u64,
     /// One for each array.
     arrays: Vec<ArraySession>,
+    /// Set when a stop has arrived for any array.
+    stopped: Arc<Alarm>,
     other_simulators: Arc<Mutex<Vec<String>>>,
     orders: Arc<Mutex<Vec<Order>>>,
     beliefs: Arc<Mutex<Vec<BeliefReport>>>,
@@ -90,6 +115,13 @@ impl RoomSession {
                 arrived.push(belief);
             }
         })?;
+        let stopped = Arc::<Alarm>::default();
+        let arrays: Vec<ArraySession> =
+            (0..arrays).map(|array| ArraySession::open(&bus, array, clock, telemetry)).collect::<Result<_, _>>()?;
+        for array in &arrays {
+            let alarm = Arc::clone(&stopped);
+            array.received().set_on_stop(Waker::new(move || alarm.raise()));
+        }
         Ok(Self {
             users: MessagePublisher::new(&bus, &keys.users(), reports)?,
             channel: MessagePublisher::new(&bus, &keys.channel(), reports)?,
@@ -97,9 +129,8 @@ impl RoomSession {
             orientation: MessagePublisher::new(&bus, &keys.orientation(), reports)?,
             branches: MessagePublisher::new(&bus, &keys.branches(), reports)?,
             leds: MessagePublisher::new(&bus, &keys.leds(), reports)?,
-            arrays: (0..arrays)
-                .map(|array| ArraySession::open(&bus, array, clock, telemetry))
-                .collect::<Result<_, _>>()?,
+            arrays,
+            stopped,
             _declared: (bus.announce(&keys.alive(NodeKind::SimNode, source))?, [watch, control, belief]),
             bus,
             clock,
@@ -118,6 +149,11 @@ impl RoomSession {
     /// The random id in every stamp.
     pub fn source(&self) -> u64 {
         self.source
+    }
+
+    /// Waits until an instant, or until a stop arrives.
+    pub fn wait_for_stop(&self, until: Instant) {
+        self.stopped.wait(until);
     }
 
     /// The queue of messages for an array.

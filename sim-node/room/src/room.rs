@@ -9,7 +9,7 @@ use heliostat_array::moment::Moment;
 use heliostat_array::refusal_counts::RefusalCounts;
 use heliostat_array::rules::{Array, Refusal};
 use heliostat_channel::MirrorAngles;
-use heliostat_proto::{Calibration, Capabilities, MirrorCommand, MirrorTelemetry, SafetyReport, Stamp};
+use heliostat_proto::{Calibration, Capabilities, MirrorCommand, MirrorTelemetry, SafetyReport, Stamp, StopReport};
 use heliostat_scenario::Scenario;
 
 use crate::mirrors::SimulatedMirrors;
@@ -163,7 +163,17 @@ impl SimulatedRoom {
         self.kits[array].capabilities(stamp)
     }
 
-    /// The emergency stop in force on an array, and its bounds on commands.
+    /// The emergency stops in force on an array, and whether its mirrors have stopped.
+    pub fn stops(&self, array: usize, stamp: Stamp) -> StopReport {
+        self.kits[array].stops(stamp)
+    }
+
+    /// Whether the mirrors of an array have executed the stop that is latched.
+    pub fn device_stopped(&self, array: usize) -> bool {
+        self.kits[array].device_stopped()
+    }
+
+    /// The emergency stop that was latched last on an array, and its bounds on commands.
     pub fn safety(&self, array: usize, stamp: Stamp) -> SafetyReport {
         self.kits[array].safety(stamp)
     }

@@ -23,6 +23,8 @@ pub enum Behaviour {
     Silent,
     /// It closes each connection.
     Absent,
+    /// It executes no stop.
+    RefusesStops,
 }
 
 #[derive(Default)]
@@ -113,6 +115,13 @@ fn serve(stream: &TcpStream, mirrors: usize, state: &State) -> std::io::Result<(
             Ok(_) if line.ends_with('\n') => {
                 match state.behaviour() {
                     Behaviour::Prompt => {}
+                    Behaviour::RefusesStops if line.trim() != "stop" => {}
+                    Behaviour::RefusesStops => {
+                        let mut writer = stream;
+                        writer.write_all(b"error busy\n")?;
+                        line.clear();
+                        continue;
+                    }
                     Behaviour::Slow(delay) => thread::sleep(delay),
                     Behaviour::Silent => {
                         line.clear();

@@ -184,6 +184,8 @@ fn write_recording(script: &mut Script<'_>, file: &tempfile::NamedTempFile) {
             Kind::ObstacleReport => room.obstacles(),
             Kind::OrientationReport => room.orientation(),
             Kind::BranchReport => room.branches(),
+            Kind::StopReport => room.stops(),
+            Kind::StopRepetition => room.stop_repetition(),
             Kind::LedReport => room.leds(),
             Kind::MirrorCommand => room.command(),
             Kind::MirrorTelemetry => room.telemetry(),

@@ -109,6 +109,8 @@ impl<'s, 'a> Forge<'s, 'a> {
             Kind::ControllerControl => encode(&self.controller_control(), out),
             Kind::Rearm => encode(&self.rearm(), out),
             Kind::SafetyReport => encode(&self.safety(), out),
+            Kind::StopReport => encode(&StopReport { stamp: self.stamp(), ..example_of() }, out),
+            Kind::StopRepetition => encode(&StopRepetition { stamp: self.stamp(), ..example_of() }, out),
             Kind::RoomGeometry => encode(&self.geometry(), out),
             Kind::BeliefReport => encode(&self.belief(), out),
             Kind::ControllerMemory => encode(&self.memory(), out),

@@ -17,6 +17,7 @@ use heliostat_core::core::Controller;
 use heliostat_core::policy::PolicyKind;
 use heliostat_core::tenure::Tenure;
 use heliostat_models::ActorSource;
+use heliostat_proto::stop_hold::HeldStop;
 use heliostat_proto::*;
 use heliostat_room::SimulatedRoom;
 use heliostat_scenario::Scenario;
@@ -212,6 +213,17 @@ impl Room {
         self.deliver(Kind::Capabilities);
         encode(&self.kit.safety(stamp), &mut self.payload).expect("the kit's safety report is valid");
         self.deliver(Kind::SafetyReport);
+        encode(&self.kit.stops(stamp), &mut self.payload).expect("the kit's stop report is valid");
+        self.deliver(Kind::StopReport);
+        // The controller repeats what the array has not reported.
+        let held: Vec<HeldStop> = self.controller.unreported_stops(0).cloned().collect();
+        for HeldStop { name, operator, reason, .. } in held {
+            let (stop_source, stop_sequence) = (name.source, name.sequence);
+            let stamp = self.stamp(OPERATOR);
+            let repetition = StopRepetition { stamp, stop_source, stop_sequence, operator, reason };
+            encode(&repetition, &mut self.payload).expect("a held stop is valid");
+            self.deliver(Kind::StopRepetition);
+        }
     }
 
     /// The tracker reports, the controller decides, the array applies and reports; bits of `lost`
@@ -254,7 +266,10 @@ impl Room {
     fn attack(&mut self, script: &mut Script<'_>) {
         let kind = Kind::ALL[script.below(Kind::ALL.len())];
         let genuine = Genuine {
-            source: if matches!(kind, Kind::MirrorTelemetry | Kind::Capabilities | Kind::SafetyReport) {
+            source: if matches!(
+                kind,
+                Kind::MirrorTelemetry | Kind::Capabilities | Kind::SafetyReport | Kind::StopReport
+            ) {
                 ARRAY
             } else {
                 TRACKER

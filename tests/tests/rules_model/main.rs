@@ -1,8 +1,8 @@
 //! A model of the rules for stops, epochs and ownership: every order of events in a small room.
 //!
 //! [stateright](https://docs.rs/stateright) visits every state that the model can reach. The model
-//! runs the real code: the kit of `heliostat-array` with its latch and bounds, and the tenure and
-//! the stop latch of `heliostat-core`. Only clocks, network and operators are abstract:
+//! runs the real code: the kit of `heliostat-array` with its latch and bounds, and the tenure of
+//! `heliostat-core` and the hold of stops of `heliostat-proto`. [`stops`] models two arrays. Only clocks, network and operators are abstract:
 //!
 //! - Two controllers start, crash and start again, with a right clock or one a day ahead.
 //! - One array crashes and starts again; only the record of its latch survives.
@@ -24,6 +24,7 @@ mod events;
 mod model;
 mod parts;
 mod room;
+mod stops;
 
 use events::Budgets;
 use model::{Model, NO_LOCKOUT, ONE_LEADER, STOPPED};

@@ -7,8 +7,8 @@ use heliostat_array::moment::Moment;
 use heliostat_array::rules::{Array, Followed};
 use heliostat_array::{Device, DeviceError, Kit};
 use heliostat_channel::MirrorAngles;
-use heliostat_core::guard::StopLatch;
 use heliostat_core::tenure::{Evidence, Tenure};
+use heliostat_proto::stop_hold::StopHold;
 use heliostat_proto::*;
 
 /// UTC at the start of the model.
@@ -61,18 +61,19 @@ impl Device for Hardware {
 #[derive(Clone, Debug)]
 pub struct Driver {
     pub kit: Kit<Hardware>,
+    /// Which start of the driver it is: the source of its reports.
+    pub source: u64,
 }
 
 impl Driver {
     /// Starts at a round as the driver does, with the latch of its record.
-    pub fn start(now: Moment, hardware: Hardware, latch: &Latch) -> Self {
+    pub fn start(now: Moment, hardware: Hardware, latch: &Latch, source: u64) -> Self {
         let mut kit = Kit::new(hardware);
         let record = Latch::parse(&latch.to_toml()).expect("the record can be read");
-        if let Some(stop) = record.stop() {
-            kit.stop(now, stop.clone().restored(now.room_ns));
-        }
+        let record = record.restored(now.room_ns);
+        record.stops().iter().for_each(|stop| kit.stop(now, stop.clone()));
         kit.advance(now);
-        Self { kit }
+        Self { kit, source }
     }
 
     /// What the telemetry shows.
@@ -93,7 +94,9 @@ impl Driver {
         let Followed { epoch, sequence, .. } = array.followed().copied().unwrap_or_default();
         let angles = [array.target().roll[0], self.kit.device().roll].map(f64::to_bits);
         let state = array.state() as u32;
-        (state, epoch, sequence, array.changes_at_ns(), array.latch().clone(), angles, self.evidence())
+        let released: Vec<StopName> = array.released().collect();
+        let stop = (array.latch().clone(), released, self.kit.device_stopped(), self.source);
+        (state, epoch, sequence, array.changes_at_ns(), stop, angles, self.evidence())
     }
 }
 
@@ -115,7 +118,7 @@ pub struct Controller {
     /// Which start of which controller it is.
     pub source: u64,
     pub tenure: Tenure,
-    pub stop: StopLatch,
+    pub stop: StopHold,
     /// How far its clock is ahead.
     pub ahead_ns: u64,
     /// Whether the latest telemetry shows a stop.
@@ -126,7 +129,7 @@ pub struct Controller {
 
 impl Controller {
     pub fn start(source: u64, tenure: Tenure, ahead_ns: u64) -> Self {
-        let stop = StopLatch::default();
+        let stop = StopHold::default();
         Self { source, tenure, stop, ahead_ns, array_stopped: false, sequence: 0, last_epoch: 0 }
     }
 
@@ -138,7 +141,6 @@ impl Controller {
     /// A report arrives: the command that answers it.
     pub fn handle_report(&mut self, now: Moment) -> Option<MirrorCommand> {
         let time_ns = self.clock_ns(now);
-        self.stop.handle_time(time_ns);
         if self.stop.is_stopped() || self.array_stopped {
             return None;
         }
@@ -159,10 +161,8 @@ impl Controller {
     }
 
     fn key(&self) -> impl Hash + PartialEq + use<> {
-        // The fields of the latch are private; its text shows all of them.
-        let stop = format!("{:?}", self.stop);
         let numbers = (self.source, self.ahead_ns, self.array_stopped, self.sequence, self.last_epoch);
-        (self.tenure.clone(), stop, numbers)
+        (self.tenure.clone(), self.stop.clone(), numbers)
     }
 }
 

@@ -26,8 +26,9 @@ pub struct State {
     record: Latch,
     pub controllers: [Option<Controller>; 2],
     pub held: Option<Packet>,
-    /// Starts of controllers so far.
+    /// Starts of controllers so far, and of the driver.
     started: u64,
+    driver_starts: u64,
     /// The angle of the mirror since a stop that no operator has released.
     pub stopped_at: Option<u64>,
     /// The controller that was obeyed in each epoch.
@@ -40,7 +41,7 @@ impl Hash for State {
         (self.round, self.left, &self.driver, self.hardware.roll.to_bits(), &self.record).hash(state);
         // The text of a packet shows all of it; few states have one.
         (&self.controllers, self.held.as_ref().map(|packet| format!("{packet:?}"))).hash(state);
-        (self.started, self.stopped_at, &self.obeyed, self.has_two_leaders).hash(state);
+        (self.started, self.driver_starts, self.stopped_at, &self.obeyed, self.has_two_leaders).hash(state);
     }
 }
 
@@ -56,6 +57,7 @@ impl State {
             controllers: [None, None],
             held: None,
             started: 0,
+            driver_starts: 0,
             stopped_at: None,
             obeyed: BTreeMap::new(),
             has_two_leaders: false,
@@ -106,10 +108,11 @@ impl State {
         let mut is_released = false;
         self.drive(|driver| {
             let is_applied = driver.kit.handle_stop(now, order).is_ok();
-            is_released = is_applied && order.action == StopAction::Rearm;
+            let is_free = driver.kit.array().state() != ArrayState::Stopped;
+            is_released = is_applied && is_free && order.action == StopAction::Rearm;
         });
         for controller in self.controllers.iter_mut().flatten() {
-            controller.stop.handle_order(controller.clock_ns(now), order);
+            controller.stop.order(now.room_ns, order);
         }
         self.note_order(order.action == StopAction::Stop, is_released);
     }
@@ -117,10 +120,10 @@ impl State {
     pub fn order_rearm(&mut self, order: &Rearm) {
         let now = self.now();
         let mut is_released = false;
-        self.drive(|driver| is_released = driver.kit.handle_rearm(now, order).is_ok());
-        for controller in self.controllers.iter_mut().flatten() {
-            controller.stop.handle_rearm(order);
-        }
+        self.drive(|driver| {
+            let is_applied = driver.kit.handle_rearm(now, order).is_ok();
+            is_released = is_applied && driver.kit.array().state() != ArrayState::Stopped;
+        });
         self.note_order(false, is_released);
     }
 
@@ -146,12 +149,32 @@ impl State {
         }
         let Some(driver) = &mut self.driver else { return };
         let evidence = driver.evidence();
-        let safety = driver.kit.safety(Stamp { time_ns: now.room_ns, ..Stamp::default() });
+        let stamp = Stamp { source: driver.source, sequence: u64::from(self.round), time_ns: now.room_ns };
+        let (safety, stops) = (driver.kit.safety(stamp), driver.kit.stops(stamp));
         for place in 0..2 {
             self.meet(fate, count + place, Packet::Telemetry(place, evidence));
             if let Some(controller) = &mut self.controllers[place] {
-                controller.stop.handle_safety(&safety);
+                controller.stop.handle_stops(&stops);
                 controller.tenure.handle_announced_epoch(safety.epoch);
+            }
+        }
+        self.repeat_stops();
+    }
+
+    /// Each controller repeats the stops that the array has not reported.
+    fn repeat_stops(&mut self) {
+        let now = self.now();
+        let held = self.controllers.iter().flatten().flat_map(|controller| controller.stop.unreported());
+        let names: Vec<StopName> = held.map(|held| held.name).collect();
+        for StopName { source, sequence } in names {
+            let order = StopRepetition { stop_source: source, stop_sequence: sequence, ..StopRepetition::default() };
+            let mut is_latched = false;
+            self.drive(|driver| {
+                driver.kit.handle_repetition(now, &order);
+                is_latched = driver.kit.array().state() == ArrayState::Stopped;
+            });
+            if is_latched {
+                self.stopped_at.get_or_insert(self.roll());
             }
         }
     }
@@ -184,7 +207,8 @@ impl State {
 
     pub fn start_array(&mut self, model: &Model) {
         let latch = if model.forgets_latch { Latch::default() } else { self.record.clone() };
-        self.driver = Some(Driver::start(self.now(), self.hardware.clone(), &latch));
+        self.driver_starts += 1;
+        self.driver = Some(Driver::start(self.now(), self.hardware.clone(), &latch, self.driver_starts));
     }
 
     /// The order that releases the stop in force.

@@ -1,6 +1,7 @@
 //! Messages about an array other than its telemetry, and this controller's standing towards it.
 
-use heliostat_proto::{Capabilities, EmergencyStop, Nanos, Rearm, SafetyReport};
+use heliostat_proto::stop_hold::HeldStop;
+use heliostat_proto::{Capabilities, EmergencyStop, Nanos, SafetyReport, StopReport, ValidityClock};
 
 use super::Controller;
 use crate::output::{capabilities::Unfit, tenure::Tenure};
@@ -39,6 +40,7 @@ impl Controller {
             self.count_foreign_array();
             return false;
         }
+        self.inbox.set_clock(array, capabilities.validity_clock == ValidityClock::SourceTime);
         let is_fit = verdict.is_ok();
         let output = &mut self.arrays[array];
         output.guard.set_verdict(verdict);
@@ -69,14 +71,29 @@ impl Controller {
         self.arrays.iter_mut().for_each(|array| array.guard.set_unfit_node(unfit.clone()));
     }
 
-    /// Applies an operator's stop or re-arm order that arrived at `now`. It concerns all arrays.
+    /// Holds an operator's stop that arrived at `now`. It concerns all arrays.
     pub fn handle_stop_order(&mut self, now: Nanos, order: &EmergencyStop) {
         self.arrays.iter_mut().for_each(|array| array.guard.handle_stop_order(now, order));
     }
 
-    /// Applies an operator's re-arm that names its stop.
-    pub fn handle_rearm(&mut self, rearm: &Rearm) {
-        self.arrays.iter_mut().for_each(|array| array.guard.handle_rearm(rearm));
+    /// Applies the stops that an array reports. False for an array that is not followed.
+    pub fn handle_stops(&mut self, array: usize, report: &StopReport) -> bool {
+        if !self.admits_array(array, report.stamp.source) {
+            self.count_foreign_array();
+            return false;
+        }
+        self.arrays[array].guard.handle_stops(report);
+        true
+    }
+
+    /// The stops that are held for an array.
+    pub fn stops(&self, array: usize) -> &[HeldStop] {
+        self.arrays[array].guard.stops().stops()
+    }
+
+    /// The stops that an array has not reported; the caller repeats them.
+    pub fn unreported_stops(&self, array: usize) -> impl Iterator<Item = &HeldStop> {
+        self.arrays[array].guard.stops().unreported()
     }
 
     /// In a replay: the next decision gives no command to the arrays whose bits are set, whatever

@@ -135,7 +135,10 @@ impl Inbox {
             .check_content(&message)
             .and_then(|()| self.check_source(now, (stream, array), stamp.source))
             .and_then(|()| self.track(stream, array).check(now, &stamp, self.rules.source_timeout_ns))
-            .and_then(|()| self.rules.check_time(now, &stamp));
+            .and_then(|()| match self.has_clock(stream, array) {
+                true => self.rules.check_time(now, &stamp),
+                false => Ok(()),
+            });
         match checked {
             Ok(()) => {
                 self.track_mut(stream, array).on_accepted(now, &stamp);
@@ -241,6 +244,16 @@ impl Inbox {
     /// How many sources have owned the room, in succession.
     pub fn sources(&self) -> u64 {
         self.sources
+    }
+
+    /// Sets whether an array has a synchronised clock, by its capabilities: the time of its telemetry is
+    /// checked only then.
+    pub fn set_clock(&mut self, array: usize, has_clock: bool) {
+        self.arrays[array].has_clock = has_clock;
+    }
+
+    fn has_clock(&self, stream: Stream, array: usize) -> bool {
+        stream != Stream::Telemetry || self.arrays[array].has_clock
     }
 
     /// A process has left: its source owns nothing, its reports are discarded, and its delayed

@@ -1,7 +1,10 @@
 //! Whether a command may be given, and under which epoch: the array's fit, the operator's stop, and
 //! the tenure of this controller.
 
-use heliostat_proto::{ArrayState, EmergencyStop, MirrorTelemetry, Nanos, Rearm, SafetyReport, StopAction};
+use heliostat_proto::stop_hold::StopHold;
+use heliostat_proto::{
+    ArrayState, EmergencyStop, MirrorTelemetry, Nanos, SafetyReport, Stamp, StopAction, StopName, StopReport,
+};
 
 use serde::{Deserialize, Serialize};
 
@@ -11,17 +14,13 @@ use crate::output::{
     tenure::{Evidence, Tenure},
 };
 
-/// A safety report without a stop, sampled this long after a stop arrived, shows that the array is
-/// not stopped. It covers the difference of the clocks and the time that the order needs.
-const STOP_REPORTED_WITHIN_NS: Nanos = 1_000_000_000;
-
 /// The flags that a decision reads before it gives a command.
 #[derive(Clone, Debug)]
 pub(crate) struct Guard {
     unfit: Option<Unfit>,
     /// A node whose mirrors must not receive the scenario's angles.
     unfit_node: Option<Unfit>,
-    stop: StopLatch,
+    stops: StopHold,
     pub tenure: Tenure,
     /// Validity of a command by the scenario, in ms.
     own_validity_ms: u32,
@@ -32,8 +31,18 @@ pub(crate) struct Guard {
 /// The state of a guard, as a recording holds it: without tenure and fit.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(crate) struct GuardMemory {
-    stop: StopLatch,
+    stop: StopMemory,
     validity_max_ms: u32,
+}
+
+/// A held stop in the state of a guard. A replay repeats the recorded decisions, so one name is enough.
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+struct StopMemory {
+    stopped: bool,
+    /// Source and sequence number.
+    name: (u64, u64),
+    /// When it arrived, twice: the layout has two times.
+    times_ns: (Nanos, Nanos),
 }
 
 impl Guard {
@@ -41,7 +50,7 @@ impl Guard {
         Self {
             unfit: None,
             unfit_node: None,
-            stop: StopLatch::default(),
+            stops: StopHold::default(),
             tenure,
             own_validity_ms,
             validity_max_ms: u32::MAX,
@@ -49,11 +58,23 @@ impl Guard {
     }
 
     pub fn memory(&self) -> GuardMemory {
-        GuardMemory { stop: self.stop, validity_max_ms: self.validity_max_ms }
+        let held = self.stops.stops().first();
+        let stop = held.map_or_else(StopMemory::default, |held| StopMemory {
+            stopped: true,
+            name: (held.name.source, held.name.sequence),
+            times_ns: (held.since_ns, held.since_ns),
+        });
+        GuardMemory { stop, validity_max_ms: self.validity_max_ms }
     }
 
     pub fn restore(&mut self, memory: &GuardMemory) {
-        (self.stop, self.validity_max_ms) = (memory.stop, memory.validity_max_ms);
+        self.validity_max_ms = memory.validity_max_ms;
+        self.stops = StopHold::default();
+        let StopMemory { stopped, name: (source, sequence), times_ns: (since_ns, _) } = memory.stop;
+        if stopped {
+            let stamp = Stamp { source, sequence, time_ns: since_ns };
+            self.stops.order(since_ns, &EmergencyStop { stamp, action: StopAction::Stop, ..EmergencyStop::default() });
+        }
     }
 
     /// Stores the result of an examination of the array.
@@ -83,9 +104,8 @@ impl Guard {
         telemetry: Option<&MirrorTelemetry>,
         counters: &mut Counters,
     ) -> Result<u64, DegradedMode> {
-        self.stop.handle_time(now);
         let is_stopped = telemetry.is_some_and(|report| report.state == ArrayState::Stopped);
-        if self.unfit().is_some() || self.stop.is_stopped() || is_stopped {
+        if self.unfit().is_some() || self.stops.is_stopped() || is_stopped {
             return Err(DegradedMode::Withheld);
         }
         let (epoch, event) = self.tenure.permit(now);
@@ -95,23 +115,29 @@ impl Guard {
 
     /// Compares the tenure with telemetry.
     pub fn handle_telemetry(&mut self, now: Nanos, telemetry: &MirrorTelemetry, counters: &mut Counters) {
+        self.stops.handle_state(telemetry.stamp.source, telemetry.state == ArrayState::Stopped);
         let event = self.tenure.handle_telemetry(now, Evidence::from(telemetry));
         event.into_iter().for_each(|event| counters.count_tenure(event));
     }
 
-    /// Applies a stop or re-arm order that arrived at `now`.
+    /// Holds a stop that arrived at `now`. A re-arm changes nothing: the array has to report it.
     pub fn handle_stop_order(&mut self, now: Nanos, order: &EmergencyStop) {
-        self.stop.handle_order(now, order);
+        self.stops.order(now, order);
     }
 
-    /// Applies a re-arm that names its stop.
-    pub fn handle_rearm(&mut self, rearm: &Rearm) {
-        self.stop.handle_rearm(rearm);
+    /// Applies the stops that the array reports.
+    pub fn handle_stops(&mut self, report: &StopReport) {
+        self.stops.handle_stops(report);
+    }
+
+    /// The stops that are held.
+    pub fn stops(&self) -> &StopHold {
+        &self.stops
     }
 
     /// Applies the bounds and the stop that the array reports.
     pub fn handle_safety(&mut self, report: &SafetyReport) {
-        self.stop.handle_safety(report);
+        self.stops.handle_safety(report);
         self.tenure.handle_announced_epoch(report.epoch);
         // A bound of 0 would forbid every command, so it is not one.
         if report.validity_max_ms > 0 {
@@ -120,137 +146,49 @@ impl Guard {
     }
 }
 
-/// The latch of the emergency stop, by the rules of a driver.
-///
-/// A re-arm releases it that names the latched stop, or that is later than it. A safety report of
-/// the array without a stop releases it too, for the array is the authority.
-#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
-pub struct StopLatch {
-    stopped: bool,
-    /// Source and sequence of the latched stop.
-    name: (u64, u64),
-    /// Time of the last stop, at most the time of its arrival.
-    stopped_ns: Nanos,
-    /// When the last stop arrived.
-    arrived_ns: Nanos,
-}
-
-impl StopLatch {
-    /// Whether a stop is latched.
-    pub fn is_stopped(&self) -> bool {
-        self.stopped
-    }
-
-    /// Applies a stop or re-arm order that arrived at `now`.
-    pub fn handle_order(&mut self, now: Nanos, order: &EmergencyStop) {
-        let stamp = &order.stamp;
-        match order.action {
-            StopAction::Stop => {
-                self.stopped = true;
-                self.name = (stamp.source, stamp.sequence);
-                // A stop from a clock that is ahead must not outlast every re-arm.
-                self.stopped_ns = self.stopped_ns.max(stamp.time_ns.min(now));
-                self.arrived_ns = now;
-            }
-            StopAction::Rearm => self.stopped &= stamp.time_ns <= self.stopped_ns,
-        }
-    }
-
-    /// Bounds the times of the latch by `now`: a clock that was ahead and is corrected must not
-    /// keep the stop in force until the time that it showed.
-    pub fn handle_time(&mut self, now: Nanos) {
-        self.stopped_ns = self.stopped_ns.min(now);
-        self.arrived_ns = self.arrived_ns.min(now);
-    }
-
-    /// Applies a re-arm that names its stop.
-    pub fn handle_rearm(&mut self, rearm: &Rearm) {
-        self.stopped &= (rearm.stop_source, rearm.stop_sequence) != self.name;
-    }
-
-    /// Applies a safety report of the array.
-    pub fn handle_safety(&mut self, report: &SafetyReport) {
-        let is_later = report.stamp.time_ns > self.arrived_ns.saturating_add(STOP_REPORTED_WITHIN_NS);
-        self.stopped &= report.stopped || !is_later;
+/// The name of a stop in a message about the stop itself.
+pub fn describe_stop(name: StopName, operator: &str, reason: &str) -> String {
+    match (name == StopName::default(), operator.is_empty()) {
+        (true, _) => format!("a stop without sender ({reason:?})"),
+        (false, true) => format!("the stop {name} ({reason:?})"),
+        (false, false) => format!("the stop of {operator} ({reason:?})"),
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use heliostat_proto::Stamp;
-
     use super::*;
 
     const S: Nanos = 1_000_000_000;
 
-    fn order(action: StopAction, time_ns: Nanos) -> EmergencyStop {
-        EmergencyStop { stamp: Stamp { source: 3, sequence: 4, time_ns }, action, ..EmergencyStop::default() }
-    }
-
-    /// A latch that was stopped at 10 s by a clock that shows `time_ns`.
-    fn stopped(time_ns: Nanos) -> StopLatch {
-        let mut latch = StopLatch::default();
-        latch.handle_order(10 * S, &order(StopAction::Stop, time_ns));
-        assert!(latch.is_stopped());
-        latch
+    fn order(action: StopAction) -> EmergencyStop {
+        EmergencyStop { stamp: Stamp { source: 3, sequence: 4, time_ns: 0 }, action, ..EmergencyStop::default() }
     }
 
     #[test]
-    fn a_stop_is_latched_and_a_stopped_array_receives_no_commands() {
+    fn a_stopped_array_receives_no_commands_until_it_has_reported_and_dropped_the_stop() {
         let mut guard = Guard::new(Tenure::fixed(7), 200);
         let mut counters = Counters::default();
         let mut permit =
             |guard: &mut Guard, telemetry: Option<&MirrorTelemetry>| guard.permit(S, telemetry, &mut counters);
         assert_eq!(permit(&mut guard, None), Ok(7));
-        guard.handle_stop_order(10, &order(StopAction::Stop, 10));
-        guard.handle_stop_order(10, &order(StopAction::Rearm, 10));
-        assert_eq!(permit(&mut guard, None), Err(DegradedMode::Withheld));
-        guard.handle_stop_order(11, &order(StopAction::Rearm, 11));
+        guard.handle_stop_order(10, &order(StopAction::Stop));
+        guard.handle_stop_order(11, &order(StopAction::Rearm));
+        assert_eq!(permit(&mut guard, None), Err(DegradedMode::Withheld), "the array has not released it");
+        let safety = |sequence, stopped| SafetyReport {
+            stamp: Stamp { source: 9, sequence, time_ns: 0 },
+            stopped,
+            stop_source: 3,
+            stop_sequence: 4,
+            ..SafetyReport::default()
+        };
+        guard.handle_safety(&safety(1, false));
+        assert_eq!(permit(&mut guard, None), Err(DegradedMode::Withheld), "the array does not know of it");
+        guard.handle_safety(&safety(2, true));
+        guard.handle_safety(&safety(3, false));
         assert_eq!(permit(&mut guard, None), Ok(7));
         let stopped = MirrorTelemetry { state: ArrayState::Stopped, ..MirrorTelemetry::default() };
         assert_eq!(permit(&mut guard, Some(&stopped)), Err(DegradedMode::Withheld));
-    }
-
-    #[test]
-    fn a_stop_from_a_clock_that_is_ahead_is_released_by_a_later_re_arm() {
-        let mut latch = stopped(3600 * S);
-        latch.handle_order(20 * S, &order(StopAction::Rearm, 20 * S));
-        assert!(!latch.is_stopped());
-    }
-
-    #[test]
-    fn a_clock_that_is_set_back_does_not_keep_a_stop_in_force() {
-        let report = SafetyReport { stamp: Stamp { time_ns: 3 * S, ..Stamp::default() }, ..SafetyReport::default() };
-        let mut latch = stopped(10 * S);
-        latch.handle_safety(&report);
-        assert!(latch.is_stopped(), "the report is older than the stop");
-        latch.handle_time(S);
-        latch.handle_safety(&report);
-        assert!(!latch.is_stopped());
-    }
-
-    #[test]
-    fn a_re_arm_releases_the_stop_that_it_names_and_no_other() {
-        let mut latch = stopped(10 * S);
-        latch.handle_rearm(&Rearm { stop_source: 3, stop_sequence: 5, ..Rearm::default() });
-        assert!(latch.is_stopped());
-        latch.handle_rearm(&Rearm { stop_source: 3, stop_sequence: 4, ..Rearm::default() });
-        assert!(!latch.is_stopped());
-    }
-
-    #[test]
-    fn the_array_releases_a_latch_that_it_does_not_share() {
-        let report = |stopped, time_ns| SafetyReport {
-            stamp: Stamp { time_ns, ..Stamp::default() },
-            stopped,
-            ..SafetyReport::default()
-        };
-        let mut latch = stopped(10 * S);
-        latch.handle_safety(&report(false, 10 * S + 1));
-        latch.handle_safety(&report(true, 13 * S));
-        assert!(latch.is_stopped(), "a report from before the stop, and one of the stop");
-        latch.handle_safety(&report(false, 12 * S));
-        assert!(!latch.is_stopped());
     }
 
     #[test]

@@ -10,8 +10,8 @@ use heliostat_core::{
     tenure::Tenure,
 };
 use heliostat_proto::{
-    ArrayState, AxisLimits, Capabilities, ControllerInput, EmergencyStop, InputKind, MirrorCommand, MirrorTelemetry,
-    Nanos, NodeKind, Rearm, SafetyReport, Stamp, StopAction,
+    ArrayState, AxisLimits, Capabilities, ControllerInput, EmergencyStop, InputKind, LatchedStopReport, MirrorCommand,
+    MirrorTelemetry, Nanos, NodeKind, SafetyReport, Stamp, StopAction, StopReport, ValidityClock,
 };
 use heliostat_scenario::Scenario;
 
@@ -134,18 +134,50 @@ fn mirrors_of_a_stopped_array_are_left_out_and_the_other_array_continues() {
 }
 
 #[test]
-fn a_stop_and_its_re_arm_concern_every_array() {
+fn a_stop_concerns_every_array_until_each_has_reported_and_dropped_it() {
     let scenario = two_arrays();
     let (mut controller, mut room) = (controller(&scenario, Box::new(Reaching)), Room::new(&scenario));
-    controller.handle_stop_order(Room::time(0), &stop(Room::time(0)));
+    let order = stop(Room::time(0));
+    controller.handle_stop_order(Room::time(0), &order);
     assert_eq!(decide(&mut controller, &mut room, 1).1, []);
     assert_eq!(controller.counters().degraded(DegradedMode::Withheld), 2);
-    // A report of the second array without a stop releases that array alone.
-    let stamp = Stamp { source: DRIVERS[1], sequence: 1, time_ns: Room::time(0) + 1_001 * MS };
-    controller.handle_safety(1, &SafetyReport { stamp, ..SafetyReport::default() });
-    assert_eq!(arrays_of(&decide(&mut controller, &mut room, 2).1), [1]);
-    controller.handle_rearm(&Rearm { stop_source: 5, stop_sequence: 1, ..Rearm::default() });
-    assert_eq!(arrays_of(&decide(&mut controller, &mut room, 3).1), [0, 1]);
+    let mut sequence = 0;
+    let mut stops = |controller: &mut Controller, array: usize, is_latched: bool| {
+        sequence += 1;
+        let stamp = Stamp { source: DRIVERS[array], sequence, time_ns: Room::time(0) };
+        let latched = LatchedStopReport {
+            source: order.stamp.source,
+            sequence: order.stamp.sequence,
+            ..LatchedStopReport::default()
+        };
+        let stops = if is_latched { vec![latched] } else { Vec::new() };
+        assert!(controller.handle_stops(array, &StopReport { stamp, stops, ..StopReport::default() }));
+    };
+    stops(&mut controller, 1, false);
+    assert_eq!(decide(&mut controller, &mut room, 2).1, [], "the second array has not reported the stop");
+    stops(&mut controller, 1, true);
+    stops(&mut controller, 1, false);
+    assert_eq!(arrays_of(&decide(&mut controller, &mut room, 3).1), [1]);
+    stops(&mut controller, 0, true);
+    stops(&mut controller, 0, false);
+    assert_eq!(arrays_of(&decide(&mut controller, &mut room, 4).1), [0, 1]);
+}
+
+#[test]
+fn an_array_that_counts_validity_from_arrival_is_not_judged_by_its_clock() {
+    let scenario = two_arrays();
+    let (mut controller, mut room) = (controller(&scenario, Box::new(Reaching)), Room::new(&scenario));
+    let behind = |controller: &mut Controller, array: usize, state: ArrayState| {
+        let mut telemetry = telemetry(array, 1, 0, state);
+        telemetry.stamp.time_ns -= 3_600_000 * MS;
+        controller.handle_message(Room::time(0), Message::Telemetry(array, &mut telemetry));
+    };
+    let stamp = Stamp { source: DRIVERS[0], sequence: 1, time_ns: 5 };
+    let capabilities = Capabilities { stamp, validity_clock: ValidityClock::Arrival, ..Capabilities::default() };
+    assert!(controller.handle_capabilities(0, &capabilities, Ok(())));
+    behind(&mut controller, 0, ArrayState::Stopped);
+    behind(&mut controller, 1, ArrayState::Stopped);
+    assert_eq!(arrays_of(&decide(&mut controller, &mut room, 1).1), [1], "only the first telemetry is accepted");
 }
 
 #[test]

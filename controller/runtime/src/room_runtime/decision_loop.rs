@@ -26,10 +26,11 @@ use std::{
 
 use heliostat_core::{
     core::{Controller, Decision, Due, Stage, Timing},
+    inbox::Message,
     policy::Policy,
     refusal::{Refusal, Stream},
 };
-use heliostat_proto::{CodecError, Nanos};
+use heliostat_proto::{ArrayState, CodecError, Nanos};
 
 use super::{
     cache_warmer::{Action, CacheWarmer, KeepWarm},
@@ -167,6 +168,13 @@ impl DecisionLoop {
         if inlet.stream == Stream::Telemetry {
             let (epoch, sequence) = self.sender.last_sent(inlet.array);
             self.controller.handle_sent(inlet.array, epoch, sequence);
+        }
+        if let Message::Telemetry(array, telemetry) = &message
+            && *array < self.controller.arrays()
+            && self.controller.admits_array(*array, telemetry.stamp.source)
+        {
+            let is_stopped = telemetry.state == ArrayState::Stopped;
+            self.watchdog.handle_state(*array, telemetry.stamp.source, is_stopped);
         }
         let now = self.clock.at_arrival(message.stamp().time_ns);
         match self.controller.handle_message(now, message) {

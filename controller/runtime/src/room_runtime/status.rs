@@ -1,18 +1,25 @@
 //! The status report of one room, twice a second, for operators. No decision depends on it.
 
 use heliostat_core::{
-    core::{Counters, DegradedMode, Stage},
+    core::{Controller, Counters, DegradedMode, Stage},
+    guard::describe_stop,
     refusal::{LastRefusal, Refusal, Stream, TelemetrySizes},
     tenure::{Standing, Tenure, TenureEvent},
 };
-use heliostat_proto::{Nanos, NodeKind, NodeStatus, Stamp, array_keys::array_name};
-use heliostat_service::clock::utc_ns;
+use heliostat_proto::{Nanos, NodeKind, NodeStatus, Stamp, array_keys::array_name, stop_hold::HeldStop};
+use heliostat_service::{clock::utc_ns, printable::printable};
 
 use super::{decision_loop::DecisionLoop, policy_swap::SwapCounters, undecodable::UndecodableCounts};
 use crate::report::{stage_times::StageTimes, summary::Summary};
 
 /// What to do about commands without a receiver.
 const DRIVER_ABSENT: &str = "there is no telemetry, and no liveliness token of a driver or simulator; start one, with an endpoint in common with this controller";
+
+/// Stops in the state of a status; a text of the contract has at most 1024 bytes.
+const STOPS_SHOWN: usize = 3;
+
+/// Characters of an operator's name and reason in it.
+const STOP_CHARACTERS: usize = 30;
 
 /// The reporting node.
 #[derive(Clone, Debug)]
@@ -40,6 +47,8 @@ pub struct Reporter {
     epoch_events: [u64; TenureEvent::ALL.len()],
     unfit: Option<String>,
     conditions: Conditions,
+    /// The stops that withhold commands, in words; empty for none.
+    stops: String,
     last_problem: String,
 }
 
@@ -90,6 +99,7 @@ impl Reporter {
             epoch_events: [0; TenureEvent::ALL.len()],
             unfit: None,
             conditions: Conditions::default(),
+            stops: String::new(),
             last_problem: String::new(),
         }
     }
@@ -111,8 +121,10 @@ impl Reporter {
         let mut tenures = (0..controller.arrays()).map(|array| controller.tenure(array));
         let tenure = tenures.find(|tenure| tenure.standing() == Standing::Standby).unwrap_or(controller.tenure(0));
         let undecodable = conditions.undecodable.clone();
+        let stops_before = std::mem::replace(&mut self.stops, describe_stops(controller));
         let problem = self
             .new_alarm(&summary, controller.counters(), tenure)
+            .or_else(|| self.new_stops(&stops_before))
             .or_else(|| self.new_condition(conditions, controller.arrays()))
             .or_else(|| self.new_problem(decision_loop, &swaps).map(Problem::Warning))
             .or_else(|| self.new_undecodable(&undecodable).map(Problem::Warning));
@@ -207,6 +219,7 @@ impl Reporter {
 
     fn state(&self, summary: &Summary) -> String {
         let state = match summary {
+            _ if !self.stops.is_empty() => return self.stops.clone(),
             _ if summary.unfit.is_some() => "no commands: the array does not fit",
             _ if summary.standby => "standby",
             _ if summary.decisions == 0 => "waiting for position reports",
@@ -242,6 +255,15 @@ impl Reporter {
                     .into(),
             )
         })
+    }
+
+    /// A stop that began or ended.
+    fn new_stops(&self, before: &str) -> Option<Problem> {
+        if before == self.stops {
+            return None;
+        }
+        let text = if self.stops.is_empty() { "no stop withholds commands any longer" } else { &self.stops };
+        Some(Problem::Warning(text.to_owned()))
     }
 
     /// A condition that began or ended; a second one is reported at the next snapshot.
@@ -294,6 +316,44 @@ impl Reporter {
         let before = std::mem::replace(&mut self.undecodable, counts.total());
         counts.last().filter(|_| before < counts.total()).map(str::to_owned)
     }
+}
+
+/// The stops that withhold commands; those of a part of the arrays with their names.
+fn describe_stops(controller: &Controller) -> String {
+    let arrays = 0..controller.arrays();
+    let mut texts: Vec<(String, Vec<usize>)> = Vec::new();
+    for array in arrays.clone() {
+        for HeldStop { name, operator, reason, since_ns, .. } in controller.stops(array) {
+            let [operator, reason] = [operator, reason].map(|text| shortened(text));
+            let text = format!("{} since {}", describe_stop(*name, &operator, &reason), clock_time(*since_ns));
+            match texts.iter_mut().find(|(known, _)| *known == text) {
+                Some((_, arrays)) => arrays.push(array),
+                None => texts.push((text, vec![array])),
+            }
+        }
+    }
+    let parts: Vec<String> = texts
+        .into_iter()
+        .take(STOPS_SHOWN)
+        .map(|(text, held)| match held.len() == arrays.len() {
+            true => text,
+            false => {
+                format!("{text} from {}", held.iter().map(|array| array_name(*array)).collect::<Vec<_>>().join(" and "))
+            }
+        })
+        .collect();
+    if parts.is_empty() { String::new() } else { format!("withheld by {}", parts.join("; ")) }
+}
+
+/// A text of another process, made printable and short enough for a status.
+fn shortened(text: &str) -> String {
+    printable(text).chars().take(STOP_CHARACTERS).collect()
+}
+
+/// The time of day of a time in UTC.
+fn clock_time(time_ns: Nanos) -> String {
+    let seconds = time_ns / 1_000_000_000 % 86_400;
+    format!("{:02}:{:02}:{:02} UTC", seconds / 3600, seconds / 60 % 60, seconds % 60)
 }
 
 /// Which commands reach no driver, in a room with this number of arrays.

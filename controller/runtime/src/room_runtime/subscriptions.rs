@@ -7,7 +7,7 @@ use std::{
 
 use heliostat_bus::{Bus, Presence, Subscription};
 use heliostat_core::{capabilities::Examiner, refusal::Stream};
-use heliostat_proto::{Capabilities, EmergencyStop, Rearm, SafetyReport, keys::parse_alive};
+use heliostat_proto::{Capabilities, EmergencyStop, SafetyReport, StopReport, keys::parse_alive};
 use heliostat_service::clock::utc_ns;
 
 use super::{
@@ -80,8 +80,9 @@ pub fn subscribe_to_arrays(bus: &Bus, arrays: &Arrays, examiner: &Examiner) -> a
         subscriptions.push(subscribe_to_capabilities(bus, array, arrays, examiner.clone())?);
     }
     subscriptions.push(watch_nodes(bus, &arrays.decision_loop, examiner.clone())?);
-    subscriptions.extend(subscribe_to_stops(bus, arrays)?);
+    subscriptions.push(subscribe_to_stops(bus, arrays)?);
     for array in indices {
+        subscriptions.push(subscribe_to_stop_reports(bus, array, arrays)?);
         subscriptions.push(subscribe_to_safety(bus, array, arrays)?);
     }
     Ok(subscriptions)
@@ -113,25 +114,30 @@ fn subscribe_to_capabilities(
     Ok(bus.subscribe(&key, examine)?)
 }
 
-/// The watchdog has latches of its own, because the decision loop can be locked when an order
+/// The watchdog holds stops of its own, because the decision loop can be locked when an order
 /// arrives.
-fn subscribe_to_stops(bus: &Bus, arrays: &Arrays) -> anyhow::Result<[Subscription; 2]> {
-    let room = bus.room();
-    let Arrays { decision_loop: on_stop, watchdog, decoder } = arrays.clone();
-    let stops = bus.subscribe(&room.stop(), move |payload| {
+fn subscribe_to_stops(bus: &Bus, arrays: &Arrays) -> anyhow::Result<Subscription> {
+    let Arrays { decision_loop, watchdog, decoder } = arrays.clone();
+    Ok(bus.subscribe(&bus.room().stop(), move |payload| {
         let Some(order) = decoder.decode::<EmergencyStop>("stop", None, payload) else { return };
-        watchdog.update_stop(|latch| latch.handle_order(utc_ns(), &order));
-        let decision_loop = &mut lock(&on_stop);
+        watchdog.update_stops(|hold| hold.order(utc_ns(), &order));
+        let decision_loop = &mut lock(&decision_loop);
         let now = decision_loop.room_time_ns();
         decision_loop.controller.handle_stop_order(now, &order);
-    })?;
-    let Arrays { decision_loop: on_rearm, watchdog, decoder } = arrays.clone();
-    let rearms = bus.subscribe(&room.rearm(), move |payload| {
-        let Some(rearm) = decoder.decode::<Rearm>("rearm", None, payload) else { return };
-        watchdog.update_stop(|latch| latch.handle_rearm(&rearm));
-        lock(&on_rearm).controller.handle_rearm(&rearm);
-    })?;
-    Ok([stops, rearms])
+    })?)
+}
+
+fn subscribe_to_stop_reports(bus: &Bus, array: usize, arrays: &Arrays) -> anyhow::Result<Subscription> {
+    let key = bus.room().array(array).stops();
+    let Arrays { decision_loop, watchdog, decoder } = arrays.clone();
+    let report = move |payload: &[u8]| {
+        let Some(report) = decoder.decode::<StopReport>("stops", Some(array), payload) else { return };
+        if lock(&decision_loop).controller.handle_stops(array, &report) {
+            watchdog.update_array(array, |hold| hold.handle_stops(&report));
+        }
+    };
+    bus.fetch(&key, ANNOUNCED_WITHIN)?.iter().for_each(|payload| report(payload));
+    Ok(bus.subscribe(&key, report)?)
 }
 
 fn subscribe_to_safety(bus: &Bus, array: usize, arrays: &Arrays) -> anyhow::Result<Subscription> {
@@ -140,7 +146,7 @@ fn subscribe_to_safety(bus: &Bus, array: usize, arrays: &Arrays) -> anyhow::Resu
     let report = move |payload: &[u8]| {
         let Some(report) = decoder.decode::<SafetyReport>("safety", Some(array), payload) else { return };
         if lock(&decision_loop).controller.handle_safety(array, &report) {
-            watchdog.handle_safety(array, &report);
+            watchdog.update_array(array, |hold| hold.handle_safety(&report));
         }
     };
     // The first epoch must be above the one that the array follows.

@@ -17,14 +17,24 @@ use std::{
     time::{Duration, Instant},
 };
 
-use heliostat_core::guard::StopLatch;
-use heliostat_proto::SafetyReport;
+use heliostat_proto::stop_hold::{HeldStop, StopHold};
 use heliostat_scenario::DegradedAction;
 
 use super::{command_sender::OnBehalf, locks::lock};
 
 /// Timeout of a policy. No policy for a room with a deadline takes so long.
 pub const POLICY_TIMEOUT: Duration = Duration::from_millis(100);
+
+/// An array whose last telemetry is older than this is absent.
+const PRESENT: Duration = Duration::from_secs(1);
+
+/// The stops that are held for one array.
+#[derive(Clone, Debug, Default)]
+struct HeldArray {
+    hold: StopHold,
+    /// Arrival of its last telemetry.
+    heard: Option<Instant>,
+}
 
 /// Watches the decision loop of one room.
 pub struct Watchdog {
@@ -33,7 +43,7 @@ pub struct Watchdog {
     /// Counts the begin and end of each decision.
     progress: AtomicU64,
     /// One for each array.
-    stops: Mutex<Vec<StopLatch>>,
+    stops: Mutex<Vec<HeldArray>>,
     stall: Mutex<StallDetector>,
 }
 
@@ -46,7 +56,7 @@ impl Watchdog {
             DegradedAction::Park => Some(OnBehalf::Park),
             DegradedAction::Policy | DegradedAction::Fallback | DegradedAction::Hold => None,
         };
-        let stops = Mutex::new(vec![StopLatch::default(); arrays]);
+        let stops = Mutex::new(vec![HeldArray::default(); arrays]);
         Self { action, progress: AtomicU64::new(0), stops, stall: Mutex::default() }
     }
 
@@ -55,19 +65,35 @@ impl Watchdog {
         self.progress.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Applies a message about the emergency stop, which concerns all arrays.
-    pub fn update_stop(&self, apply: impl Fn(&mut StopLatch)) {
-        lock(&self.stops).iter_mut().for_each(apply);
+    /// Applies a stop, which concerns all arrays.
+    pub fn update_stops(&self, apply: impl Fn(&mut StopHold)) {
+        lock(&self.stops).iter_mut().for_each(|array| apply(&mut array.hold));
     }
 
-    /// Applies a safety report of an array.
-    pub fn handle_safety(&self, array: usize, report: &SafetyReport) {
-        lock(&self.stops)[array].handle_safety(report);
+    /// Applies a report of an array.
+    pub fn update_array(&self, array: usize, apply: impl Fn(&mut StopHold)) {
+        apply(&mut lock(&self.stops)[array].hold);
+    }
+
+    /// Applies the state in telemetry of an array.
+    pub fn handle_state(&self, array: usize, source: u64, is_stopped: bool) {
+        if let Some(array) = lock(&self.stops).get_mut(array) {
+            array.heard = Some(Instant::now());
+            array.hold.handle_state(source, is_stopped);
+        }
+    }
+
+    /// The stops that an array has not reported; whether it is a present array that understands no
+    /// repetition.
+    pub fn unreported(&self, array: usize) -> (Vec<HeldStop>, bool) {
+        let array = &lock(&self.stops)[array];
+        let is_present = array.heard.is_some_and(|heard| heard.elapsed() < PRESENT);
+        (array.hold.unreported().cloned().collect(), is_present && !array.hold.has_stop_reports())
     }
 
     /// Whether an array is stopped.
     pub fn is_stopped(&self, array: usize) -> bool {
-        lock(&self.stops)[array].is_stopped()
+        lock(&self.stops)[array].hold.is_stopped()
     }
 
     /// The decision loop was free.
@@ -79,7 +105,7 @@ impl Watchdog {
     /// that are not stopped, if one is due.
     pub fn on_busy(&self, at: Instant) -> Option<OnBehalf> {
         let is_stalled = lock(&self.stall).is_stalled(at, self.progress.load(Ordering::Relaxed));
-        self.action.filter(|_| is_stalled && !lock(&self.stops).iter().all(StopLatch::is_stopped))
+        self.action.filter(|_| is_stalled && !lock(&self.stops).iter().all(|array| array.hold.is_stopped()))
     }
 
     /// What happens while the policy does not return, for messages.
@@ -114,7 +140,7 @@ impl StallDetector {
 
 #[cfg(test)]
 mod tests {
-    use heliostat_proto::{EmergencyStop, Stamp, StopAction};
+    use heliostat_proto::EmergencyStop;
 
     use super::*;
 
@@ -134,24 +160,17 @@ mod tests {
     }
 
     #[test]
-    fn no_command_is_due_while_the_array_is_stopped() {
+    fn no_command_is_due_while_all_arrays_are_stopped_and_each_stop_is_due_for_repetition() {
         let watchdog = Watchdog::new(DegradedAction::LastGood, 2);
-        let order = |action, time_ns| {
-            let stamp = Stamp { time_ns, ..Stamp::default() };
-            let order = EmergencyStop { stamp, action, ..EmergencyStop::default() };
-            watchdog.update_stop(|latch| latch.handle_order(time_ns, &order));
-        };
-        order(StopAction::Stop, 5);
+        watchdog.update_stops(|hold| hold.order(5, &EmergencyStop::default()));
         assert_eq!(after_a_stall(&watchdog), None);
-        order(StopAction::Rearm, 5);
-        assert_eq!(after_a_stall(&watchdog), None, "a re-arm as old as the stop");
-        // A report of one array releases that array.
-        let stamp = Stamp { time_ns: 5_000_000_000, ..Stamp::default() };
-        watchdog.handle_safety(1, &SafetyReport { stamp, ..SafetyReport::default() });
+        assert_eq!(watchdog.unreported(1).0.len(), 1);
+        // The second array has it by its state alone, and then drops it.
+        watchdog.handle_state(1, 7, true);
+        assert_eq!((watchdog.unreported(0).0.len(), watchdog.unreported(1).0.len()), (1, 0));
+        watchdog.handle_state(1, 7, false);
         assert!(after_a_stall(&watchdog).is_some());
         assert_eq!([0, 1].map(|array| watchdog.is_stopped(array)), [true, false]);
-        order(StopAction::Rearm, 6);
-        assert_eq!([0, 1].map(|array| watchdog.is_stopped(array)), [false, false]);
     }
 
     #[test]

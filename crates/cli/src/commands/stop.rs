@@ -1,15 +1,25 @@
 //! `heliostat stop` and `heliostat rearm`: the emergency stop from the command line.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-use anyhow::Result;
+use anyhow::{Result, ensure};
 use heliostat_bus::{AccessRole, Bus, BusArgs};
-use heliostat_proto::SafetyReport;
-use heliostat_service::{duration, output};
-use heliostat_ui::StopSwitch;
+use heliostat_proto::StopName;
+use heliostat_service::printable::printable;
+use heliostat_service::{EndArgs, duration, output};
+use heliostat_ui::{ShownStop, StopLabel, StopSwitch, UiError};
 use serde_json::json;
 
-/// Stop all mirrors of a room at once, and wait until telemetry confirms it.
+/// Time between two looks at a held stop.
+const HOLD_INTERVAL: Duration = Duration::from_millis(50);
+
+/// Stop all mirrors of a room at once, and wait until every array confirms it.
+///
+/// An array confirms that its device has executed the stop. Every array of the announced geometry has to,
+/// and every array that was seen. Otherwise the exit status is 1, and each other array is named: cut the
+/// power of an array that does not answer. The status is 1 too where no process announces how many arrays
+/// the room has: connect to its controller or router, or give --arrays. The status is 1 too for a driver that does not report whether
+/// its device executed the stop.
 ///
 /// The stop stays in force, also over a restart of the driver, until an operator releases it with
 /// `heliostat rearm`. Connect to the process that drives the mirrors, or to its router.
@@ -17,16 +27,32 @@ use serde_json::json;
 pub struct StopArgs {
     #[command(flatten)]
     order: OrderArgs,
+    /// Number of arrays of the room, where no controller or simulator announces it
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=16))]
+    arrays: Option<u8>,
+    /// Do not end: repeat the stop to each array that has not reported it, also when it returns after
+    /// minutes, until it is released
+    #[arg(long)]
+    hold: bool,
+    #[command(flatten)]
+    end: EndArgs,
 }
 
-/// Release the emergency stop of a room, and wait until telemetry confirms it.
+/// Release an emergency stop of a room, and wait until the arrays confirm it.
 ///
-/// The re-arm names the stop that the array reports, so it does not release a later one. The
-/// mirrors park; then they follow the next valid command.
+/// The re-arm names the stop, so it releases no other one. With several stops in force, name one, or
+/// release each with --all. When the last one is released, the mirrors park; then they follow the next
+/// valid command.
 #[derive(Debug, clap::Args)]
 pub struct RearmArgs {
     #[command(flatten)]
     order: OrderArgs,
+    /// Name of the stop, as the list of several stops prints it
+    #[arg(long, value_name = "SOURCE/SEQUENCE", conflicts_with = "all")]
+    stop: Option<StopLabel>,
+    /// Release every stop that is in force, each by its name
+    #[arg(long)]
+    all: bool,
 }
 
 #[derive(Debug, clap::Args)]
@@ -52,8 +78,28 @@ pub fn stop(args: StopArgs) -> Result<()> {
     let OrderArgs { reason, timeout, .. } = &args.order;
     // Every role may stop the array, so any certificate of the folder serves.
     let (bus, switch) = args.order.join(&[&[AccessRole::Operator], &AccessRole::ALL[..]].concat())?;
-    let took = switch.stop_and_confirm(reason, *timeout)?;
-    args.order.report(&bus, "stopped", took, None)?;
+    if let Some(arrays) = args.arrays {
+        switch.expect(arrays.into());
+    }
+    let stopped = switch.stop_and_confirm(reason, *timeout);
+    if !args.hold {
+        args.order.report(&bus, "stopped", stopped?, &[])?;
+        drop(switch);
+        return Ok(bus.close()?);
+    }
+    match &stopped {
+        Ok(took) => args.order.report(&bus, "stopped", *took, &[])?,
+        Err(error) => output::note(format_args!("heliostat stop: {error}; the stop is held: end with Ctrl-C")),
+    }
+    let end = args.end.stop()?;
+    let until = args.end.seconds.map(|seconds| Instant::now() + seconds);
+    while !end.wait_for(HOLD_INTERVAL) && until.is_none_or(|until| Instant::now() < until) {
+        switch.repeat();
+        if !switch.is_own_held() {
+            output::note(format_args!("heliostat stop: the stop is released"));
+            break;
+        }
+    }
     drop(switch);
     Ok(bus.close()?)
 }
@@ -62,10 +108,29 @@ pub fn stop(args: StopArgs) -> Result<()> {
 pub fn rearm(args: RearmArgs) -> Result<()> {
     let OrderArgs { reason, timeout, .. } = &args.order;
     let (bus, switch) = args.order.join(&[AccessRole::Operator])?;
-    let (took, stop) = switch.rearm_and_confirm(reason, *timeout)?;
-    args.order.report(&bus, "released", took, stop)?;
+    let stops = switch.stops();
+    let named: Vec<ShownStop> = match (&args.stop, args.all) {
+        (Some(StopLabel(name)), _) => {
+            let found: Vec<_> = stops.into_iter().filter(|stop| stop.name == *name).collect();
+            ensure!(!found.is_empty(), "the stop {name} is not in force; nothing was sent");
+            found
+        }
+        (None, false) if stops.len() > 1 => {
+            return Err(UiError::SeveralStops { stops: stops.iter().map(in_words).collect() }.into());
+        }
+        _ => stops,
+    };
+    let names: Vec<StopName> = named.iter().map(|stop| stop.name).collect();
+    let took = switch.rearm_and_confirm(&names, reason, *timeout)?;
+    args.order.report(&bus, "released", took, &named)?;
     drop(switch);
     Ok(bus.close()?)
+}
+
+fn in_words(ShownStop { name, operator, reason, arrays, .. }: &ShownStop) -> String {
+    let arrays: Vec<String> = arrays.iter().map(usize::to_string).collect();
+    let (operator, reason) = (printable(operator), printable(reason));
+    format!("{name} of {operator} ({reason:?}) at array {}", arrays.join(", "))
 }
 
 impl OrderArgs {
@@ -77,23 +142,24 @@ impl OrderArgs {
         Ok((bus, switch))
     }
 
-    fn report(&self, bus: &Bus, outcome: &str, took: Duration, stop: Option<SafetyReport>) -> Result<()> {
+    fn report(&self, bus: &Bus, outcome: &str, took: Duration, stops: &[ShownStop]) -> Result<()> {
         let (room, took_ms) = (bus.room().name(), took.as_secs_f64() * 1e3);
         if self.json {
-            let stop = stop.map(|SafetyReport { stop_source, stop_sequence, operator, reason, .. }| {
+            let stops = stops.iter().map(|ShownStop { name, operator, reason, .. }| {
                 json!({
-                    "source": format!("{stop_source:016x}"),
-                    "sequence": stop_sequence,
+                    "source": format!("{:016x}", name.source),
+                    "sequence": name.sequence,
                     "operator": operator,
                     "reason": reason,
                 })
             });
-            output::line(json!({ "room": room, "array": outcome, "confirmed_after_ms": took_ms, "stop": stop }))?;
+            let stops: Vec<_> = stops.collect();
+            output::line(json!({ "room": room, "array": outcome, "confirmed_after_ms": took_ms, "stops": stops }))?;
             return Ok(());
         }
-        output::line(format_args!("the array of room {room} is {outcome}, confirmed after {took_ms:.1} ms"))?;
-        if let Some(SafetyReport { stop_source, stop_sequence, operator, reason, .. }) = stop {
-            output::line(format_args!("the stop: {stop_source:016x}/{stop_sequence} of {operator:?}: {reason:?}"))?;
+        output::line(format_args!("the arrays of room {room} are {outcome}, confirmed after {took_ms:.1} ms"))?;
+        for ShownStop { name, operator, reason, .. } in stops {
+            output::line(format_args!("the stop: {name} of {operator:?}: {reason:?}"))?;
         }
         Ok(())
     }

@@ -43,6 +43,8 @@ pub struct Report {
     pub mirrors: usize,
     /// Every rule, in the order of the check.
     pub findings: Vec<Finding>,
+    /// Why the device did not answer during the check; rules can be broken for this reason alone.
+    pub device_problem: Option<String>,
 }
 
 impl Report {
@@ -70,6 +72,9 @@ impl fmt::Display for Report {
             };
             writeln!(f, "{word:<7} {rule:<18} {requirement}")?;
             writeln!(f, "{:27}{evidence}", "")?;
+        }
+        if let Some(problem) = &self.device_problem {
+            writeln!(f, "the device did not answer during the check: {problem}; repair it, then check again")?;
         }
         let broken: Vec<&str> = self.broken().map(|finding| finding.rule).collect();
         match broken.len() {

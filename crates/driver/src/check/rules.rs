@@ -24,7 +24,7 @@ const STATUSES: usize = 2;
 /// A verdict with its evidence, or the reason why the rule was not judged.
 type Rule = (&'static str, &'static str, fn(&mut TestSession) -> Result<Outcome>);
 
-const RULES: [Rule; 25] = [
+const RULES: [Rule; 26] = [
     ("capabilities", "published each second, and in answer to queries", capabilities),
     ("telemetry", "at least ten per second, for all mirrors, with consecutive sequence numbers", telemetry),
     ("status", "a node status about once a second, from the source of the telemetry", status),
@@ -45,6 +45,7 @@ const RULES: [Rule; 25] = [
     ("orphaned-stop", "a stop stays latched when its sender has left the room", safety_rules::orphaned_stop),
     ("calibration", "a valid calibration is used; an invalid one is refused with fault bit 16", calibration),
     ("safety-report", "a safety report each second, at each stop, and in answer to queries", safety_rules::report),
+    ("stop-report", "a stop report names each stop, and that the device has executed it", safety_rules::stop_report),
     ("named-rearm", "a re-arm releases the stop that it names, also one with a future time", safety_rules::named_rearm),
     ("epoch-bound", "an epoch beyond the bound is refused as rejected, and locks nothing out", bound_rules::epoch),
     ("sequence-bound", "a sequence beyond the bound is refused as rejected", bound_rules::sequence),

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use anyhow::{Context, Result};
-use heliostat_proto::{ArrayState, Counters, SafetyReport, StopAction};
+use heliostat_proto::{ArrayState, Counters, SafetyReport, StopAction, StopReport};
 use heliostat_service::clock::utc_ns;
 
 use super::judging::{Outcome, not_judged, shows, verdict};
@@ -98,6 +98,36 @@ pub fn report(session: &mut TestSession) -> Result<Outcome> {
     )
 }
 
+/// Stop reports name the stops of two senders, and that the device has executed them; each is released
+/// by its name.
+pub fn stop_report(session: &mut TestSession) -> Result<Outcome> {
+    let Some(first) = session.fetch_stops()? else {
+        return not_judged("not supported: the driver publishes no stop report");
+    };
+    let one = session.send_stop(StopAction::Stop, utc_ns())?;
+    let two = session.send_stop_of_another(utc_ns())?;
+    let names = |report: &StopReport| -> Vec<(u64, u64)> {
+        report.stops.iter().map(|stop| (stop.source, stop.sequence)).collect()
+    };
+    let held = session.stop_report(|report| names(report) == [one, two] && report.device_stopped);
+    let problem = session.fetch_stops()?.map(|report| report.problem).unwrap_or_default();
+    let before = session.count();
+    session.send_rearm(one.0, one.1)?;
+    let kept = session.stop_report(|report| names(report) == [two]).is_some();
+    let stayed = session.inspect(|received| {
+        received.telemetry[before..].iter().all(|telemetry| telemetry.state == ArrayState::Stopped)
+    });
+    let parked = release(session, two)?;
+    let cleared = session.stop_report(|report| report.stops.is_empty() && !report.device_stopped).is_some();
+    verdict(
+        first.stops.is_empty() && held.is_some() && kept && stayed && parked && cleared,
+        format!(
+            "two stops held and executed {}, one released {kept}, still stopped {stayed}, parked after the other {parked}; {problem}",
+            held.is_some()
+        ),
+    )
+}
+
 /// A stop from a clock one hour ahead is released by its name, and by no other name.
 pub fn named_rearm(session: &mut TestSession) -> Result<Outcome> {
     if session.safety.is_none() {
@@ -127,7 +157,6 @@ pub fn named_rearm(session: &mut TestSession) -> Result<Outcome> {
     )
 }
 
-/// Releases a stop by its name; whether the array parks.
 /// Releases the stop in force: by a re-arm of kind 9, or by its name in a room with keys, where a
 /// driver refuses kind 9.
 fn rearm_unnamed(session: &mut TestSession) -> Result<()> {
@@ -139,6 +168,7 @@ fn rearm_unnamed(session: &mut TestSession) -> Result<()> {
     session.send_rearm(report.stop_source, report.stop_sequence)
 }
 
+/// Releases a stop by its name; whether the array parks.
 fn release(session: &mut TestSession, (source, sequence): (u64, u64)) -> Result<bool> {
     let from = session.count();
     session.send_rearm(source, sequence)?;

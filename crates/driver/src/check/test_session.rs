@@ -9,7 +9,8 @@ use anyhow::{Context, Result, ensure};
 use heliostat_bus::{Bus, BusError, Class, Publisher, Subscription};
 use heliostat_proto::{
     ArrayKeys, ArrayState, Calibration, Capabilities, CodecError, Counters, EmergencyStop, Message, MirrorCommand,
-    MirrorTelemetry, Nanos, NodeKind, NodeStatus, Rearm, SafetyReport, Stamp, StopAction, decode, encode,
+    MirrorTelemetry, Nanos, NodeKind, NodeStatus, Rearm, SafetyReport, Stamp, StopAction, StopReport, decode, encode,
+    messages::fault,
 };
 
 use heliostat_service::{clock::utc_ns, source_id};
@@ -34,6 +35,8 @@ pub struct Received {
     pub capabilities: Vec<Capabilities>,
     /// Published safety reports.
     pub safety: Vec<SafetyReport>,
+    /// Published stop reports.
+    pub stops: Vec<StopReport>,
     /// Statuses of drivers and simulators, with the kind of node that their key names.
     pub statuses: Vec<(NodeKind, Result<NodeStatus, CodecError>)>,
 }
@@ -106,7 +109,14 @@ impl TestSession {
                 shared.1.notify_all();
             }
         })?;
-        let mut subscriptions = vec![telemetry, announced, safety];
+        let shared = Arc::clone(&received);
+        let stops = bus.subscribe(&keys.stops(), move |payload| {
+            if let Ok(stops) = decode(payload) {
+                lock(&shared).stops.push(stops);
+                shared.1.notify_all();
+            }
+        })?;
+        let mut subscriptions = vec![telemetry, announced, safety, stops];
         let statuses = [(NodeKind::Driver, keys.driver_status()), (NodeKind::SimNode, room.status(NodeKind::SimNode))];
         for (node, key) in statuses {
             let shared = Arc::clone(&received);
@@ -250,6 +260,13 @@ impl TestSession {
         Ok((stamp.source, stamp.sequence))
     }
 
+    /// Publishes a stop of another sender; returns source and sequence of it.
+    pub fn send_stop_of_another(&self, time_ns: Nanos) -> Result<(u64, u64)> {
+        let stamp = self.stop_stamp(self.source ^ 1, time_ns);
+        self.stops.put(&stop_message(stamp, StopAction::Stop)?)?;
+        Ok((stamp.source, stamp.sequence))
+    }
+
     /// Publishes a re-arm that names a stop.
     pub fn send_rearm(&self, stop_source: u64, stop_sequence: u64) -> Result<()> {
         let stamp = self.stop_stamp(self.source, utc_ns());
@@ -270,6 +287,29 @@ impl TestSession {
     /// The answer of the driver to a query of its safety report.
     pub fn fetch_safety(&self) -> Result<Option<SafetyReport>> {
         fetch(&self.bus, &self.keys.safety())
+    }
+
+    /// The answer of the driver to a query of its stop report; `None` for a driver older than this
+    /// message.
+    pub fn fetch_stops(&self) -> Result<Option<StopReport>> {
+        let published = self.inspect(|received| received.stops.last().cloned());
+        Ok(if published.is_some() { fetch(&self.bus, &self.keys.stops())? } else { None })
+    }
+
+    /// Waits until the latest stop report fits.
+    pub fn stop_report(&self, fits: impl Fn(&StopReport) -> bool) -> Option<StopReport> {
+        self.wait(ANSWER_TIMEOUT, |received| received.stops.last().filter(|report| fits(report)).cloned())
+    }
+
+    /// What the driver says of its device, if telemetry has shown that it does not answer.
+    pub fn device_problem(&self) -> Option<String> {
+        self.inspect(|received| {
+            let is_lost = |telemetry: &MirrorTelemetry| telemetry.faults & fault::LINK != 0;
+            let problems = received.statuses.iter().rev().filter_map(|(_, status)| status.as_ref().ok());
+            let problem = problems.map(|status| &status.last_problem).find(|problem| !problem.is_empty());
+            let unknown = || "its status names no problem".to_owned();
+            received.telemetry.iter().any(is_lost).then(|| problem.cloned().unwrap_or_else(unknown))
+        })
     }
 
     /// Does the same as another process, whose liveliness token disappears once the driver shows

@@ -10,12 +10,14 @@
 //!
 //! Source: the manufacturer's page "PlayzerX USB Serial Protocol".
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use heliostat_array::device::DeviceError;
 use heliostat_proto::AxisLimits;
 
-use crate::devices::board::Board;
+use crate::devices::board::{self, Board};
+use crate::devices::interrupt::Interrupt;
 use crate::devices::port::{Address, Port};
 
 /// Default speed of the port in baud; it has no effect on USB.
@@ -30,8 +32,12 @@ const SAMPLE_RATES: std::ops::RangeInclusive<u32> = 50..=50_000;
 /// Timeout of the answer to a ping.
 const ANSWER_LIMIT: Duration = Duration::from_secs(1);
 
+/// The frame that clears the queue: the mirror holds the last sample.
+const STOP: &[u8] = b"plc\x05\n";
+
 /// One device.
 pub struct PlayzerX {
+    interrupt: Option<Arc<Interrupt>>,
     address: Address,
     range_rad: f64,
     sample_rate_hz: u32,
@@ -51,14 +57,12 @@ impl PlayzerX {
         if !SAMPLE_RATES.contains(&sample_rate_hz) {
             return Err(format!("invalid sample_rate_hz {sample_rate_hz}: expected 50 to 50000"));
         }
-        Ok(Self { address, range_rad, sample_rate_hz, port: None })
+        Ok(Self { interrupt: None, address, range_rad, sample_rate_hz, port: None })
     }
 
-    fn write(&mut self, bytes: &[u8]) -> Result<(), DeviceError> {
-        match &mut self.port {
-            Some(port) => port.write(bytes),
-            None => Err(DeviceError::new(self.address.to_string(), "not connected")),
-        }
+    fn port(&mut self) -> Result<&mut Port, DeviceError> {
+        let address = &self.address;
+        self.port.as_mut().ok_or_else(|| DeviceError::new(address.to_string(), "not connected"))
     }
 }
 
@@ -85,10 +89,14 @@ impl Board for PlayzerX {
         false
     }
 
+    fn attach(&mut self, interrupt: Arc<Interrupt>) {
+        self.interrupt = Some(interrupt);
+    }
+
     /// Pings the device, selects USB and the sample rate, and clears its queue.
     fn connect(&mut self) -> Result<(), DeviceError> {
         self.port = None;
-        let mut port = self.address.open()?;
+        let mut port = board::open(&self.address, &self.interrupt, STOP)?;
         port.drain()?;
         port.write(&frame(b'p', &[]))?;
         let answer = port.line(ANSWER_LIMIT)?;
@@ -109,7 +117,9 @@ impl Board for PlayzerX {
         let [roll, yaw] = angles[0];
         let (x, y) = (code(yaw / self.range_rad), code(roll / self.range_rad));
         let sample = [(x & 0xff) as u8, ((x >> 8) << 4) as u8 | (y & 0x0f) as u8, (y >> 4) as u8];
-        self.write(&frame(b'D', &sample))
+        let port = self.port()?;
+        // Where a stop was ordered, this sample is not sent.
+        port.write_motion(&frame(b'D', &sample)).map(drop)
     }
 
     fn read(&mut self, _angles: &mut [[f64; 2]]) -> Result<(), DeviceError> {
@@ -118,7 +128,7 @@ impl Board for PlayzerX {
 
     /// Clears the queue; the mirror holds the last sample.
     fn stop(&mut self) -> Result<(), DeviceError> {
-        self.write(&frame(b'c', &[]))
+        self.port()?.write(STOP)
     }
 }
 
@@ -145,6 +155,7 @@ mod tests {
     #[test]
     fn frames_are_those_of_the_published_table() {
         assert_eq!(frame(b'p', &[]), b"plp\x05\n");
+        assert_eq!(frame(b'c', &[]), STOP);
         assert_eq!(frame(b'i', b"usb"), b"pli\x08usb\n");
         assert_eq!(frame(b'r', &[0x10, 0x27, 0]), b"plr\x08\x10\x27\x00\n");
         assert_eq!(frame(b'D', &[1, 2, 3]), b"plD\x08\x01\x02\x03\n");

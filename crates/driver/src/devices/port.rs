@@ -1,23 +1,34 @@
-//! A serial port or a socket, read line by line.
+//! A serial port or a socket, read line by line, without a wait that has no bound.
+//!
+//! A stop does not wait for the answer to an earlier line: [`Interrupt`] wakes a port that waits,
+//! and the port writes the board's stop line at once.
 
 use std::fs::{File, OpenOptions};
 use std::io::{ErrorKind, Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
+use std::os::fd::AsFd;
 use std::os::unix::fs::OpenOptionsExt;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use heliostat_array::device::DeviceError;
 use nix::fcntl::OFlag;
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::termios::{self, BaudRate, SetArg, SpecialCharacterIndices};
+
+use crate::devices::interrupt::Interrupt;
 
 /// Timeout of a socket connection.
 const CONNECT_LIMIT: Duration = Duration::from_secs(2);
 
-/// Timeout of a write to a socket.
+/// Timeout of a write.
 const WRITE_LIMIT: Duration = Duration::from_millis(500);
 
-/// Timeout of one read of a socket; a line may need several reads.
-const READ_SLICE: Duration = Duration::from_millis(20);
+/// A device that sends for longer than this without a question is refused.
+const DRAIN_LIMIT: Duration = Duration::from_millis(200);
+
+/// A device that has sent nothing for this time has no more to say.
+const DRAIN_PAUSE: Duration = Duration::from_millis(20);
 
 /// Largest length of a line in bytes.
 const LINE_MAX: usize = 64 * 1024;
@@ -57,11 +68,12 @@ impl Address {
         }
     }
 
-    /// Opens it.
+    /// Opens it. When `interrupt` asks for a stop, the port writes `stop_line`; if it already does,
+    /// this is the first line.
     ///
     /// # Errors
     /// [`DeviceError`] with the error of the operating system.
-    pub fn open(&self) -> Result<Port, DeviceError> {
+    pub fn open(&self, interrupt: &Arc<Interrupt>, stop_line: &'static [u8]) -> Result<Port, DeviceError> {
         let failed = |problem: &dyn ToString| DeviceError::new(self.to_string(), problem.to_string());
         let stream: Box<dyn Stream> = match self {
             Self::Serial { path, baud } => Box::new(open_serial(path, *baud).map_err(|error| failed(&error))?),
@@ -69,18 +81,18 @@ impl Address {
                 let mut found = host.to_socket_addrs().map_err(|error| failed(&error))?;
                 let address = found.next().ok_or_else(|| failed(&"unknown host: check the name in the address"))?;
                 let stream = TcpStream::connect_timeout(&address, CONNECT_LIMIT).map_err(|error| failed(&error))?;
-                let set = stream
-                    .set_nodelay(true)
-                    .and_then(|()| stream.set_read_timeout(Some(READ_SLICE)))
-                    .and_then(|()| stream.set_write_timeout(Some(WRITE_LIMIT)));
+                let set = stream.set_nodelay(true).and_then(|()| stream.set_nonblocking(true));
                 set.map_err(|error| failed(&error))?;
                 Box::new(stream)
             }
         };
-        // Without data a serial port reads 0 bytes and a socket times out; a socket reads 0 bytes
-        // when it is closed.
+        // Without data a serial port reads 0 bytes; a socket reads 0 bytes when it is closed.
         let ends = matches!(self, Self::Tcp(_));
-        Ok(Port { stream, ends, name: self.to_string(), pending: Vec::new() })
+        let interrupt = Arc::clone(interrupt);
+        let (name, pending) = (self.to_string(), Vec::new());
+        let mut port = Port { stream, ends, name, pending, interrupt, stop_line, stops: 0, unanswered: 0 };
+        port.write_stop()?;
+        Ok(port)
     }
 }
 
@@ -93,19 +105,22 @@ impl std::fmt::Display for Address {
     }
 }
 
-/// Opens a serial port for raw bytes: eight bits, no parity, no flow control, reads of at most 0.1
-/// s.
+/// Opens a serial port for raw bytes: eight bits, no parity, no flow control, no waiting.
 fn open_serial(path: &str, baud: u32) -> std::io::Result<File> {
     let speed = SPEEDS.iter().find(|(known, _)| *known == baud).map(|(_, speed)| *speed);
     let known = || SPEEDS.map(|(baud, _)| baud.to_string()).join(", ");
     let speed = speed
         .ok_or_else(|| std::io::Error::other(format!("invalid speed of {baud} baud: expected one of {}", known())))?;
-    let port = OpenOptions::new().read(true).write(true).custom_flags(OFlag::O_NOCTTY.bits()).open(path)?;
+    let port = OpenOptions::new()
+        .read(true)
+        .write(true)
+        .custom_flags((OFlag::O_NOCTTY | OFlag::O_NONBLOCK).bits())
+        .open(path)?;
     let mut settings = termios::tcgetattr(&port)?;
     termios::cfmakeraw(&mut settings);
     termios::cfsetspeed(&mut settings, speed)?;
     settings.control_chars[SpecialCharacterIndices::VMIN as usize] = 0;
-    settings.control_chars[SpecialCharacterIndices::VTIME as usize] = 1;
+    settings.control_chars[SpecialCharacterIndices::VTIME as usize] = 0;
     termios::tcsetattr(&port, SetArg::TCSANOW, &settings)?;
     Ok(port)
 }
@@ -122,9 +137,9 @@ const SPEEDS: [(u32, BaudRate); 8] = [
     (921_600, BaudRate::B921600),
 ];
 
-trait Stream: Read + Write + Send {}
+trait Stream: Read + Write + Send + AsFd {}
 
-impl<T: Read + Write + Send> Stream for T {}
+impl<T: Read + Write + Send + AsFd> Stream for T {}
 
 /// An open connection to a device.
 pub struct Port {
@@ -134,22 +149,44 @@ pub struct Port {
     name: String,
     /// Bytes read beyond the last line.
     pending: Vec<u8>,
+    interrupt: Arc<Interrupt>,
+    stop_line: &'static [u8],
+    /// The number of the stop that was written last.
+    stops: u64,
+    /// Stop lines that were written out of turn; the device answers them later.
+    unanswered: usize,
 }
 
 impl Port {
-    /// Writes all bytes.
+    /// Writes all bytes; a stop that was ordered before goes first.
     ///
     /// # Errors
-    /// [`DeviceError`] if the device is disconnected or does not accept them.
+    /// [`DeviceError`] if the device is disconnected or does not accept them in time.
     pub fn write(&mut self, bytes: &[u8]) -> Result<(), DeviceError> {
-        let written = self.stream.write_all(bytes).and_then(|()| self.stream.flush());
-        written.map_err(|error| DeviceError::new(&self.name, error))
+        if bytes == self.stop_line {
+            self.stops = self.interrupt.ordered();
+        } else {
+            self.write_stop()?;
+        }
+        self.write_bytes(bytes)
+    }
+
+    /// Writes a line that moves mirrors, unless a stop was ordered; returns whether it was written.
+    ///
+    /// # Errors
+    /// As [`Port::write`].
+    pub fn write_motion(&mut self, bytes: &[u8]) -> Result<bool, DeviceError> {
+        let is_stopped = self.write_stop()?;
+        if !is_stopped {
+            self.write_bytes(bytes)?;
+        }
+        Ok(!is_stopped)
     }
 
     /// The next line without its end; waits for it at most `limit`.
     ///
     /// # Errors
-    /// [`DeviceError`] if no line arrives in time, or the device is disconnected.
+    /// [`DeviceError`] if none arrives in time, or the device is disconnected.
     pub fn line(&mut self, limit: Duration) -> Result<String, DeviceError> {
         let deadline = Instant::now() + limit;
         loop {
@@ -160,22 +197,41 @@ impl Port {
             if Instant::now() >= deadline || self.pending.len() > LINE_MAX {
                 return Err(DeviceError::new(&self.name, format!("no answer within {} ms", limit.as_millis())));
             }
-            self.fill()?;
+            self.fill(deadline)?;
         }
+    }
+
+    /// Takes the number of stop lines that were written out of turn and not yet answered; the caller reads
+    /// their answers.
+    pub fn take_unanswered(&mut self) -> usize {
+        std::mem::take(&mut self.unanswered)
     }
 
     /// Discards all bytes received so far.
     ///
     /// # Errors
-    /// [`DeviceError`] if the device is disconnected.
+    /// [`DeviceError`] if the device is disconnected, or sends without end.
     pub fn drain(&mut self) -> Result<(), DeviceError> {
-        while self.fill()? > 0 {}
+        let deadline = Instant::now() + DRAIN_LIMIT;
+        let mut quiet_at = Instant::now() + DRAIN_PAUSE;
+        while Instant::now() < quiet_at {
+            if Instant::now() >= deadline {
+                let problem = "sends without a question: expected a device that answers lines; disconnect it";
+                return Err(DeviceError::new(&self.name, problem));
+            }
+            if self.fill(quiet_at)? > 0 {
+                quiet_at = Instant::now() + DRAIN_PAUSE;
+            }
+        }
         self.pending.clear();
         Ok(())
     }
 
-    /// Reads the available bytes, with a short wait; returns their number.
-    fn fill(&mut self) -> Result<usize, DeviceError> {
+    /// Reads the available bytes, and waits for them until a time at the latest; returns their
+    /// number. An interrupt ends the wait.
+    fn fill(&mut self, until: Instant) -> Result<usize, DeviceError> {
+        self.wait(PollFlags::POLLIN, until)?;
+        self.write_stop()?;
         let mut bytes = [0; 1024];
         match self.stream.read(&mut bytes) {
             Ok(0) if self.ends => Err(DeviceError::new(&self.name, "the device closed the connection")),
@@ -183,12 +239,57 @@ impl Port {
                 self.pending.extend_from_slice(&bytes[..count]);
                 Ok(count)
             }
-            Err(error)
-                if matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted) =>
-            {
-                Ok(0)
+            Err(error) if is_transient(&error) => Ok(0),
+            Err(error) => Err(DeviceError::new(&self.name, error)),
+        }
+    }
+
+    /// Writes the stop line if a stop was ordered since it was written last; returns whether it did.
+    fn write_stop(&mut self) -> Result<bool, DeviceError> {
+        let ordered = self.interrupt.ordered();
+        let is_due = ordered > self.stops;
+        if is_due {
+            self.stops = ordered;
+            self.unanswered += 1;
+            self.write_bytes(self.stop_line)?;
+        }
+        Ok(is_due)
+    }
+
+    fn write_bytes(&mut self, mut bytes: &[u8]) -> Result<(), DeviceError> {
+        let deadline = Instant::now() + WRITE_LIMIT;
+        while !bytes.is_empty() {
+            match self.stream.write(bytes) {
+                Ok(0) => return Err(DeviceError::new(&self.name, "the device closed the connection")),
+                Ok(count) => bytes = &bytes[count..],
+                Err(error) if !is_transient(&error) => return Err(DeviceError::new(&self.name, error)),
+                Err(_) if Instant::now() >= deadline => {
+                    let problem = format!("does not accept bytes within {} ms", WRITE_LIMIT.as_millis());
+                    return Err(DeviceError::new(&self.name, problem));
+                }
+                Err(_) => self.wait(PollFlags::POLLOUT, deadline)?,
+            }
+        }
+        Ok(())
+    }
+
+    /// Waits until the device is ready, an interrupt arrives or the time has come.
+    fn wait(&self, ready: PollFlags, until: Instant) -> Result<(), DeviceError> {
+        let left = until.saturating_duration_since(Instant::now());
+        // Rounded up, so that no wait of less than a millisecond is a busy one.
+        let left = PollTimeout::try_from(left + Duration::from_micros(999)).unwrap_or(PollTimeout::MAX);
+        let mut descriptors =
+            [PollFd::new(self.stream.as_fd(), ready), PollFd::new(self.interrupt.as_fd(), PollFlags::POLLIN)];
+        match poll(&mut descriptors, left) {
+            Ok(_) | Err(nix::errno::Errno::EINTR) => {
+                self.interrupt.clear();
+                Ok(())
             }
             Err(error) => Err(DeviceError::new(&self.name, error)),
         }
     }
+}
+
+fn is_transient(error: &std::io::Error) -> bool {
+    matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted)
 }

@@ -16,12 +16,14 @@
 //! has received no line for a second.
 
 use std::fmt::Write as _;
+use std::sync::Arc;
 use std::time::Duration;
 
 use heliostat_array::device::DeviceError;
 use heliostat_proto::AxisLimits;
 
-use crate::devices::board::Board;
+use crate::devices::board::{self, Board};
+use crate::devices::interrupt::Interrupt;
 use crate::devices::port::{Address, Port};
 
 /// Default speed of a serial port in baud.
@@ -30,14 +32,19 @@ pub const BAUD: u32 = 115_200;
 /// Timeout of an answer.
 const ANSWER_LIMIT: Duration = Duration::from_millis(500);
 
-/// Timeout of the first answer: opening the port may reset the microcontroller.
-const HELLO_LIMIT: Duration = Duration::from_secs(3);
+/// Timeout of the first answer, for opening the port may reset the microcontroller, and of the
+/// answer to a stop.
+const LONG_LIMIT: Duration = Duration::from_secs(3);
+
+/// The line that stops a board.
+const STOP: &str = "stop\n";
 
 /// urad per rad.
 const URAD: f64 = 1e6;
 
 /// One board.
 pub struct ServoBoard {
+    interrupt: Option<Arc<Interrupt>>,
     address: Address,
     channels: usize,
     axis: AxisLimits,
@@ -50,26 +57,40 @@ impl ServoBoard {
     /// The board at an address, with the configured mirrors and limits; a board that reports others
     /// is refused when it is connected.
     pub fn new(address: Address, channels: usize, axis: AxisLimits, measures: bool) -> Self {
-        Self { address, channels, axis, measures, port: None, line: String::new() }
+        Self { interrupt: None, address, channels, axis, measures, port: None, line: String::new() }
     }
 
-    /// Sends one line to the board and returns its answer.
+    /// Sends one line to the board and returns its answer. The answers to stops that the port wrote
+    /// before come first.
     fn ask(&mut self, line: &str, limit: Duration) -> Result<String, DeviceError> {
-        let failed = |problem: String| DeviceError::new(self.address.to_string(), problem);
-        let port = self.port.as_mut().ok_or_else(|| failed("not connected".into()))?;
-        port.write(line.as_bytes())?;
+        self.port()?.write(line.as_bytes())?;
+        self.answer(line, limit)
+    }
+
+    fn port(&mut self) -> Result<&mut Port, DeviceError> {
+        let address = &self.address;
+        self.port.as_mut().ok_or_else(|| DeviceError::new(address.to_string(), "not connected"))
+    }
+
+    /// The answer to the line that was written last.
+    fn answer(&mut self, line: &str, limit: Duration) -> Result<String, DeviceError> {
+        let port = self.port()?;
+        for _ in 0..port.take_unanswered() {
+            port.line(LONG_LIMIT)?;
+        }
         let answer = port.line(limit)?;
         match answer.strip_prefix("error") {
-            Some(why) => Err(failed(format!("the board refused `{}`:{why}", line.trim_end()))),
+            Some(why) => {
+                let problem = format!("the board refused `{}`:{why}", line.trim_end());
+                Err(DeviceError::new(self.address.to_string(), problem))
+            }
             None => Ok(answer),
         }
     }
 
-    fn confirm(&mut self, line: &str) -> Result<(), DeviceError> {
-        match self.ask(line, ANSWER_LIMIT)? {
-            answer if answer == "ok" => Ok(()),
-            answer => Err(DeviceError::new(self.address.to_string(), format!("answered {answer:?}: expected ok"))),
-        }
+    fn check_ok(&self, answer: &str) -> Result<(), DeviceError> {
+        let problem = || format!("answered {answer:?}: expected ok");
+        if answer == "ok" { Ok(()) } else { Err(DeviceError::new(self.address.to_string(), problem())) }
     }
 
     fn check_hello(&self, answer: &str) -> Result<(), String> {
@@ -115,12 +136,22 @@ impl Board for ServoBoard {
         self.measures
     }
 
+    fn attach(&mut self, interrupt: Arc<Interrupt>) {
+        self.interrupt = Some(interrupt);
+    }
+
     fn connect(&mut self) -> Result<(), DeviceError> {
         self.port = None;
-        let mut port = self.address.open()?;
+        let mut port = board::open(&self.address, &self.interrupt, STOP.as_bytes())?;
         port.drain()?;
+        let is_stop_first = port.take_unanswered() > 0;
+        port.write(b"hello\n")?;
+        let mut answer = port.line(LONG_LIMIT)?;
+        // A slow board answers the stop that was the first line only now.
+        if is_stop_first && !answer.starts_with("heliostat") {
+            answer = port.line(LONG_LIMIT)?;
+        }
         self.port = Some(port);
-        let answer = self.ask("hello\n", HELLO_LIMIT)?;
         self.check_hello(&answer).map_err(|problem| DeviceError::new(self.address.to_string(), problem))
     }
 
@@ -133,9 +164,15 @@ impl Board for ServoBoard {
             let _ = write!(line, " {}", (angle * URAD).round() as i64);
         }
         line.push('\n');
-        let done = self.confirm(&line);
+        let written = self.port().and_then(|port| port.write_motion(line.as_bytes()));
+        let answer = match written {
+            Ok(true) => self.answer(&line, ANSWER_LIMIT).and_then(|answer| self.check_ok(&answer)),
+            // A stop was ordered: these angles are not sent.
+            Ok(false) => Ok(()),
+            Err(problem) => Err(problem),
+        };
         self.line = line;
-        done
+        answer
     }
 
     fn read(&mut self, angles: &mut [[f64; 2]]) -> Result<(), DeviceError> {
@@ -158,6 +195,7 @@ impl Board for ServoBoard {
     }
 
     fn stop(&mut self) -> Result<(), DeviceError> {
-        self.confirm("stop\n")
+        let answer = self.ask(STOP, LONG_LIMIT)?;
+        self.check_ok(&answer)
     }
 }

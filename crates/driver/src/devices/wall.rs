@@ -1,13 +1,19 @@
 //! Several boards as one array: the assignment of channels to mirrors.
+//!
+//! Each board has a thread and a connection of its own, see [`BoardLink`]. No call of the wall waits
+//! for a board. A board that does not answer is a fault of its mirrors, and the other boards follow,
+//! park and stop.
 
-use heliostat_array::device::{Device, DeviceError};
+use heliostat_array::device::{Device, DeviceError, Health, Waker};
 use heliostat_array::moment::Moment;
 use heliostat_channel::MirrorAngles;
 use heliostat_proto::codec::Message;
+use heliostat_proto::messages::fault;
 use heliostat_proto::{AxisLimits, Capabilities, Feedback, MAX_MIRRORS, ValidityClock};
 use heliostat_service::counted::counted;
 
 use crate::devices::board::Board;
+use crate::devices::board_link::BoardLink;
 
 /// A board and the mirrors of its channels, in the order of the channels.
 pub struct Mounted {
@@ -15,15 +21,12 @@ pub struct Mounted {
     pub board: Box<dyn Board>,
     /// Index of the mirror at each channel.
     pub mirrors: Vec<usize>,
-    /// A buffer for the angles of its channels.
-    angles: Vec<[f64; 2]>,
 }
 
 impl Mounted {
     /// A board and the indices of its mirrors.
     pub fn new(board: Box<dyn Board>, mirrors: Vec<usize>) -> Self {
-        let angles = vec![[0.0; 2]; mirrors.len()];
-        Self { board, mirrors, angles }
+        Self { board, mirrors }
     }
 }
 
@@ -43,10 +46,20 @@ pub struct Layout {
     pub clock: ValidityClock,
 }
 
+/// A board behind its link.
+struct Linked {
+    link: BoardLink,
+    model: &'static str,
+    axis: AxisLimits,
+    measures: bool,
+    mirrors: Vec<usize>,
+    angles: Vec<[f64; 2]>,
+}
+
 /// An array made of boards.
 pub struct Wall {
     layout: Layout,
-    boards: Vec<Mounted>,
+    boards: Vec<Linked>,
 }
 
 impl Wall {
@@ -63,7 +76,7 @@ impl Wall {
             ));
         }
         let mut turned = vec![0; count];
-        for (index, Mounted { board, mirrors, .. }) in boards.iter().enumerate() {
+        for (index, Mounted { board, mirrors }) in boards.iter().enumerate() {
             if board.channels() != mirrors.len() {
                 let (channels, mirrors) = (counted(board.channels(), "channel"), counted(mirrors.len(), "mirror"));
                 return Err(format!(
@@ -78,7 +91,8 @@ impl Wall {
         if let Some(mirror) = turned.iter().position(|channels| *channels != 1) {
             return Err(format!("mirror {mirror} is turned by {} channels: expected one", turned[mirror]));
         }
-        let wall = Self { layout, boards };
+        let boards = boards.into_iter().map(Linked::new).collect::<Result<_, _>>();
+        let wall = Self { layout, boards: boards.map_err(|error| format!("a board gets no connection: {error}"))? };
         let AxisLimits { min_rad, max_rad, .. } = wall.announced();
         // False too where one of them is not a number.
         let has_range = min_rad < max_rad;
@@ -93,7 +107,7 @@ impl Wall {
 
     /// The limits that all boards have in common.
     fn common(&self) -> AxisLimits {
-        let axes: Vec<AxisLimits> = self.boards.iter().map(|mounted| mounted.board.axis()).collect();
+        let axes: Vec<AxisLimits> = self.boards.iter().map(|board| board.axis).collect();
         let slowest = axes.iter().map(|axis| axis.slew_rad_s).filter(|slew| *slew > 0.0).reduce(f32::min);
         AxisLimits {
             min_rad: axes.iter().map(|axis| axis.min_rad).fold(f32::NEG_INFINITY, f32::max),
@@ -111,13 +125,21 @@ impl Wall {
     }
 
     fn measures(&self) -> bool {
-        self.boards.iter().all(|mounted| mounted.board.measures())
+        self.boards.iter().all(|board| board.measures)
+    }
+}
+
+impl Linked {
+    fn new(Mounted { board, mirrors }: Mounted) -> std::io::Result<Self> {
+        let (model, axis, measures) = (board.model(), board.axis(), board.measures());
+        let angles = vec![[0.0; 2]; mirrors.len()];
+        Ok(Self { link: BoardLink::new(board)?, model, axis, measures, mirrors, angles })
     }
 }
 
 impl Device for Wall {
     fn capabilities(&self) -> Capabilities {
-        let mut models: Vec<&str> = self.boards.iter().map(|mounted| mounted.board.model()).collect();
+        let mut models: Vec<&str> = self.boards.iter().map(|board| board.model).collect();
         models.dedup();
         let axis = self.announced();
         Capabilities {
@@ -140,26 +162,34 @@ impl Device for Wall {
         [[min_rad, max_rad].map(f64::from); 2]
     }
 
+    /// Starts the threads of the boards, which connect them and keep them connected.
     fn connect(&mut self, _now: Moment) -> Result<(), DeviceError> {
-        self.boards.iter_mut().try_for_each(|mounted| mounted.board.connect())
+        self.boards.iter_mut().try_for_each(|board| board.link.start())
     }
 
     fn apply(&mut self, _now: Moment, angles: &MirrorAngles) -> Result<(), DeviceError> {
-        for Mounted { board, mirrors, angles: channels } in &mut self.boards {
+        for Linked { link, mirrors, angles: channels, .. } in &mut self.boards {
             for (channel, mirror) in channels.iter_mut().zip(mirrors) {
                 *channel = [angles.roll[*mirror], angles.yaw[*mirror]];
             }
-            board.set(channels)?;
+            link.set(channels);
         }
         Ok(())
     }
 
+    fn request_measurement(&mut self) {
+        self.boards.iter().for_each(|board| board.link.request());
+    }
+
+    /// The angles that all boards measured last; false while one of them does not answer.
     fn measure(&mut self, _now: Moment, into: &mut MirrorAngles) -> Result<bool, DeviceError> {
         if !self.measures() {
             return Ok(false);
         }
-        for Mounted { board, mirrors, angles } in &mut self.boards {
-            board.read(angles)?;
+        for Linked { link, mirrors, angles, .. } in &mut self.boards {
+            if !link.measured(angles) {
+                return Ok(false);
+            }
             for ([roll, yaw], mirror) in angles.iter().zip(mirrors) {
                 (into.roll[*mirror], into.yaw[*mirror]) = (*roll, *yaw);
             }
@@ -167,9 +197,36 @@ impl Device for Wall {
         Ok(true)
     }
 
-    /// Stops every board, also after one has failed.
+    /// The mirrors of boards that do not answer are broken.
+    fn health(&mut self, _now: Moment) -> Result<Health, DeviceError> {
+        let mut health = Health::default();
+        for Linked { link, mirrors, .. } in &self.boards {
+            let (is_up, problem) = link.state();
+            if !is_up {
+                health.faults |= fault::LINK;
+                health.broken.extend(mirrors.iter().map(|mirror| *mirror as u32));
+                health.problem = problem.or(health.problem);
+            }
+        }
+        health.broken.sort_unstable();
+        Ok(health)
+    }
+
+    fn set_waker(&mut self, waker: Waker) {
+        self.boards.iter().for_each(|board| board.link.set_waker(waker.clone()));
+    }
+
+    fn connections(&self) -> Option<u64> {
+        Some(self.boards.iter().map(|board| board.link.connections()).sum())
+    }
+
     fn stop(&mut self, _now: Moment) -> Result<(), DeviceError> {
-        let stopped: Vec<_> = self.boards.iter_mut().map(|mounted| mounted.board.stop()).collect();
-        stopped.into_iter().collect()
+        self.boards.iter().for_each(|board| board.link.stop());
+        Ok(())
+    }
+
+    /// Whether every board has stopped. The first that does not answer is named.
+    fn has_stopped(&mut self) -> Result<bool, DeviceError> {
+        self.boards.iter().try_fold(true, |all, board| Ok(board.link.has_stopped()? && all))
     }
 }

@@ -150,9 +150,11 @@ impl<'a> Player<'a> {
             }
             return Ok(());
         }
-        if *topic == room.rearm() {
-            if let Ok(rearm) = decode(&entry.data) {
-                self.epochs_running().for_each(|epoch_replay| epoch_replay.controller.handle_rearm(&rearm));
+        if *topic == room.stops() {
+            if let Ok(report) = decode(&entry.data) {
+                self.epochs_running().for_each(|epoch_replay| {
+                    epoch_replay.controller.handle_stops(array, &report);
+                });
             }
             return Ok(());
         }

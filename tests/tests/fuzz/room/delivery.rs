@@ -58,13 +58,11 @@ impl Room {
             Kind::RoomGeometry => consume(&payload, |report: RoomGeometry| {
                 drop(Scenario::from_geometry_toml(&report.scenario));
             }),
-            Kind::Rearm => {
-                let order = decode::<Rearm>(&payload);
-                if let Ok(order) = &order {
-                    self.controller.handle_rearm(order);
-                }
-                self.array(order, Content::Rearm)
-            }
+            Kind::Rearm => self.array(decode(&payload), Content::Rearm),
+            Kind::StopRepetition => self.array(decode(&payload), Content::Repetition),
+            Kind::StopReport => consume(&payload, |report: StopReport| {
+                self.controller.handle_stops(0, &report);
+            }),
             Kind::SafetyReport => consume(&payload, |report: SafetyReport| {
                 self.controller.handle_safety(0, &report);
             }),

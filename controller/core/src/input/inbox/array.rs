@@ -20,11 +20,14 @@ pub(super) struct ArrayInbox {
     pub lost: Option<u64>,
     pub telemetry: Slot<MirrorTelemetry>,
     pub track: SequenceTrack,
+    /// Its driver has a synchronised clock.
+    pub has_clock: bool,
 }
 
 impl ArrayInbox {
     pub fn new(first: usize, mirrors: usize) -> Self {
-        Self { first, mirrors, owner: None, lost: None, telemetry: Slot::default(), track: SequenceTrack::default() }
+        let (telemetry, track) = (Slot::default(), SequenceTrack::default());
+        Self { first, mirrors, owner: None, lost: None, telemetry, track, has_clock: true }
     }
 
     /// Whether telemetry is of an array of this shape.

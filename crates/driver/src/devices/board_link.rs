@@ -1,0 +1,264 @@
+//! The thread and the connection of one board: it takes angles and stops without a wait, and keeps
+//! what the board measured last.
+//!
+//! ```text
+//!   caller:  set, stop, request      board thread:  connect -> stop -> set -> read
+//!         \___________ [`Mail`] ___________/          (each with a bounded wait)
+//! ```
+//!
+//! The thread reads the order of a stop before each `set`. A stop that arrives while it waits for an
+//! answer is written at once, see [`Interrupt`]. While a stop is in force, the first line of each new
+//! connection is the stop.
+
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use heliostat_array::device::{DeviceError, Waker};
+
+use crate::devices::board::Board;
+use crate::devices::interrupt::Interrupt;
+
+/// First pause before a reconnection; it doubles with each failure.
+const PAUSE_MIN: Duration = Duration::from_millis(100);
+
+/// Longest pause before a reconnection.
+const PAUSE_MAX: Duration = Duration::from_secs(5);
+
+/// The same while a stop is in force.
+const PAUSE_MAX_STOPPED: Duration = Duration::from_millis(500);
+
+/// What the caller asks of a board, and what its thread has learned.
+#[derive(Debug, Default)]
+struct Mail {
+    /// The latest angles, with a number that counts them.
+    target: (u64, Vec<[f64; 2]>),
+    /// A stop is in force: no angles are sent.
+    is_stopped: bool,
+    /// The number of the stop that the board has executed on its present connection.
+    executed: u64,
+    is_read_due: bool,
+    /// The angles that the board measured last on its present connection.
+    measured: Option<Vec<[f64; 2]>>,
+    is_up: bool,
+    connections: u64,
+    /// The last failure.
+    problem: Option<DeviceError>,
+    is_closed: bool,
+    waker: Option<Waker>,
+}
+
+#[derive(Debug, Default)]
+struct Mailbox {
+    mail: Mutex<Mail>,
+    filled: Condvar,
+}
+
+/// One board, with a thread of its own.
+pub struct BoardLink {
+    mailbox: Arc<Mailbox>,
+    interrupt: Arc<Interrupt>,
+    /// Until its thread is started.
+    board: Option<Box<dyn Board>>,
+}
+
+/// A call of the board that is due.
+enum Call {
+    Connect,
+    Stop(u64),
+    Set(u64, Vec<[f64; 2]>),
+    Read,
+}
+
+impl BoardLink {
+    /// A link to a board; [`BoardLink::start`] connects it.
+    ///
+    /// # Errors
+    /// The operating system provides no pair of sockets for the interrupt.
+    pub fn new(mut board: Box<dyn Board>) -> std::io::Result<Self> {
+        let interrupt = Arc::new(Interrupt::new()?);
+        board.attach(Arc::clone(&interrupt));
+        Ok(Self { mailbox: Arc::default(), interrupt, board: Some(board) })
+    }
+
+    /// Starts the thread of the board, if it does not run yet.
+    ///
+    /// # Errors
+    /// No thread can be started.
+    pub fn start(&mut self) -> Result<(), DeviceError> {
+        let Some(board) = self.board.take() else { return Ok(()) };
+        let name = board.model();
+        let link = LinkThread {
+            mailbox: Arc::clone(&self.mailbox),
+            interrupt: Arc::clone(&self.interrupt),
+            board,
+            pause: PAUSE_MIN,
+            retry_at: Instant::now(),
+            applied: 0,
+        };
+        let thread = std::thread::Builder::new().name("board".into()).spawn(move || link.run());
+        thread.map(drop).map_err(|error| DeviceError::new(name, error))
+    }
+
+    /// The board turns to these angles as soon as it can; later angles replace them. They end a stop.
+    pub fn set(&self, angles: &[[f64; 2]]) {
+        let mut mail = self.mailbox.lock();
+        mail.target.0 += 1;
+        mail.target.1.clear();
+        mail.target.1.extend_from_slice(angles);
+        mail.is_stopped = false;
+        self.mailbox.filled.notify_one();
+    }
+
+    /// The board stops as soon as it can, and receives no angles until [`BoardLink::set`].
+    pub fn stop(&self) {
+        let mut mail = self.mailbox.lock();
+        mail.is_stopped = true;
+        // Under the lock: no `set` is taken between the two.
+        self.interrupt.order();
+        self.mailbox.filled.notify_one();
+    }
+
+    /// Asks for a measurement.
+    pub fn request(&self) {
+        self.mailbox.lock().is_read_due = true;
+        self.mailbox.filled.notify_one();
+    }
+
+    /// Whether the board has executed the last stop, and answers.
+    ///
+    /// # Errors
+    /// Why it does not answer.
+    pub fn has_stopped(&self) -> Result<bool, DeviceError> {
+        let mail = self.mailbox.lock();
+        match &mail.problem {
+            Some(problem) if !mail.is_up => Err(problem.clone()),
+            _ => Ok(mail.is_up && mail.is_stopped && mail.executed == self.interrupt.ordered()),
+        }
+    }
+
+    /// Writes the angles that the board measured last; false if there are none.
+    pub fn measured(&self, into: &mut [[f64; 2]]) -> bool {
+        let mail = self.mailbox.lock();
+        let measured = mail.measured.as_ref().filter(|angles| angles.len() == into.len());
+        measured.map(|angles| into.copy_from_slice(angles)).is_some()
+    }
+
+    /// Whether the board answers, and its last failure.
+    pub fn state(&self) -> (bool, Option<DeviceError>) {
+        let mail = self.mailbox.lock();
+        (mail.is_up, mail.problem.clone())
+    }
+
+    /// How often the board was connected.
+    pub fn connections(&self) -> u64 {
+        self.mailbox.lock().connections
+    }
+
+    /// Sets what the thread calls after each change of its state.
+    pub fn set_waker(&self, waker: Waker) {
+        self.mailbox.lock().waker = Some(waker);
+    }
+}
+
+impl Drop for BoardLink {
+    fn drop(&mut self) {
+        // The thread ends after its present call, which is bounded; the caller does not wait.
+        self.mailbox.lock().is_closed = true;
+        self.mailbox.filled.notify_one();
+    }
+}
+
+impl Mailbox {
+    fn lock(&self) -> MutexGuard<'_, Mail> {
+        // Each change of the mail is complete before the lock is released.
+        self.mail.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+struct LinkThread {
+    mailbox: Arc<Mailbox>,
+    interrupt: Arc<Interrupt>,
+    board: Box<dyn Board>,
+    pause: Duration,
+    retry_at: Instant,
+    /// The number of the angles that were sent last on the present connection.
+    applied: u64,
+}
+
+impl LinkThread {
+    fn run(mut self) {
+        while let Some(call) = self.next_call() {
+            let done = match &call {
+                Call::Connect => self.board.connect(),
+                Call::Stop(_) => self.board.stop(),
+                Call::Set(_, angles) => self.board.set(angles),
+                Call::Read => self.read(),
+            };
+            self.note(&call, done);
+        }
+    }
+
+    /// Waits for the next call; `None` when the link is closed.
+    fn next_call(&self) -> Option<Call> {
+        let mut mail = self.mailbox.lock();
+        loop {
+            if mail.is_closed {
+                return None;
+            }
+            let now = Instant::now();
+            let mut wait = Duration::MAX;
+            if !mail.is_up {
+                let longest = if mail.is_stopped { PAUSE_MAX_STOPPED } else { PAUSE_MAX };
+                wait = self.retry_at.saturating_duration_since(now).min(longest);
+                if wait == Duration::ZERO {
+                    return Some(Call::Connect);
+                }
+            } else if mail.is_stopped && mail.executed < self.interrupt.ordered() {
+                return Some(Call::Stop(self.interrupt.ordered()));
+            } else if !mail.is_stopped && mail.target.0 > self.applied {
+                return Some(Call::Set(mail.target.0, mail.target.1.clone()));
+            } else if mail.is_read_due && self.board.measures() {
+                mail.is_read_due = false;
+                return Some(Call::Read);
+            }
+            mail = match wait {
+                Duration::MAX => self.mailbox.filled.wait(mail).unwrap_or_else(PoisonError::into_inner),
+                _ => self.mailbox.filled.wait_timeout(mail, wait).unwrap_or_else(PoisonError::into_inner).0,
+            };
+        }
+    }
+
+    fn read(&mut self) -> Result<(), DeviceError> {
+        let mut angles = vec![[0.0; 2]; self.board.channels()];
+        self.board.read(&mut angles)?;
+        self.mailbox.lock().measured = Some(angles);
+        Ok(())
+    }
+
+    /// Notes the result of a call.
+    fn note(&mut self, call: &Call, done: Result<(), DeviceError>) {
+        let mut mail = self.mailbox.lock();
+        match (call, done) {
+            (_, Err(problem)) => {
+                let is_first = mail.is_up;
+                self.pause = if is_first { PAUSE_MIN } else { (2 * self.pause).min(PAUSE_MAX) };
+                self.retry_at = Instant::now() + self.pause;
+                (mail.is_up, mail.measured, mail.executed) = (false, None, 0);
+                mail.problem = Some(problem);
+            }
+            (Call::Connect, Ok(())) => {
+                (mail.is_up, mail.executed) = (true, 0);
+                mail.connections += 1;
+                self.applied = 0;
+            }
+            (Call::Stop(number), Ok(())) => mail.executed = *number,
+            (Call::Set(number, _), Ok(())) => self.applied = *number,
+            (Call::Read, Ok(())) => return,
+        }
+        let waker = mail.waker.clone().filter(|_| !matches!(call, Call::Set(..)) || !mail.is_up);
+        drop(mail);
+        if let Some(waker) = waker {
+            waker.wake();
+        }
+    }
+}

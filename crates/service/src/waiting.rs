@@ -1,0 +1,113 @@
+//! Which connections of a server wait for their clients.
+//!
+//! A connection waits until the request with its body has arrived, and again after the answer. When
+//! all places are taken, the one that has waited longest makes room: clients that hold half-sent
+//! requests delay no other client.
+
+use std::pin::Pin;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::task::{Context, Poll};
+
+use axum::body::{Body, Bytes, HttpBody};
+use axum::extract::Request;
+use axum::middleware::Next;
+use axum::response::Response;
+use hyper::body::{Frame, SizeHint};
+use tokio::task::AbortHandle;
+
+/// The requests of a connection that are being answered.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Answers(Arc<AtomicUsize>);
+
+impl Answers {
+    fn begin(&self) -> Answering {
+        self.0.fetch_add(1, Ordering::SeqCst);
+        Answering(self.clone())
+    }
+
+    fn is_waiting(&self) -> bool {
+        self.0.load(Ordering::SeqCst) == 0
+    }
+}
+
+/// A request that is being answered.
+#[derive(Debug)]
+struct Answering(Answers);
+
+impl Drop for Answering {
+    fn drop(&mut self) {
+        self.0.0.fetch_sub(1, Ordering::SeqCst);
+    }
+}
+
+/// The open connections, the oldest first.
+#[derive(Debug, Default)]
+pub(crate) struct Connections(Vec<(Answers, AbortHandle)>);
+
+impl Connections {
+    /// Adds a connection, and forgets those that have ended.
+    pub fn add(&mut self, answers: Answers, connection: AbortHandle) {
+        self.0.retain(|(_, connection)| !connection.is_finished());
+        self.0.push((answers, connection));
+    }
+
+    /// Ends the oldest connection that waits for its client, if there is one.
+    pub fn end_waiting(&mut self) {
+        self.0.retain(|(_, connection)| !connection.is_finished());
+        if let Some(index) = self.0.iter().position(|(answers, _)| answers.is_waiting()) {
+            self.0.remove(index).1.abort();
+        }
+    }
+}
+
+type Slot = Arc<Mutex<Option<Answering>>>;
+
+/// Notes that a request has arrived with its body, until its answer is sent.
+pub(crate) async fn note(request: Request, next: Next) -> Response {
+    let Some(answers) = request.extensions().get::<Answers>().cloned() else { return next.run(request).await };
+    let slot = Slot::default();
+    let request = if request.body().is_end_stream() {
+        *slot.lock().unwrap_or_else(PoisonError::into_inner) = Some(answers.begin());
+        request
+    } else {
+        let arriving = Some((answers, Arc::clone(&slot)));
+        request.map(|body| Body::new(Noted { body, arriving, _answering: None }))
+    };
+    let response = next.run(request).await;
+    response.map(|body| Body::new(Noted { body, arriving: None, _answering: Some(slot) }))
+}
+
+/// A body whose end is noted.
+struct Noted {
+    body: Body,
+    /// Of a request: where its end is noted.
+    arriving: Option<(Answers, Slot)>,
+    /// Of an answer: until it is sent.
+    _answering: Option<Slot>,
+}
+
+impl HttpBody for Noted {
+    type Data = Bytes;
+    type Error = axum::Error;
+
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
+        let polled = Pin::new(&mut self.body).poll_frame(context);
+        let is_over = matches!(polled, Poll::Ready(None)) || (polled.is_ready() && self.body.is_end_stream());
+        if is_over && let Some((answers, slot)) = self.arriving.take() {
+            *slot.lock().unwrap_or_else(PoisonError::into_inner) = Some(answers.begin());
+        }
+        polled
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.body.is_end_stream()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        self.body.size_hint()
+    }
+}

@@ -1,0 +1,334 @@
+//! The promise of the emergency stop across processes: no operator is told that a room is stopped
+//! while a mirror can move, and a stop reaches each array, whenever it returns.
+
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use heliostat_bus::{Bus, BusConfig, Class, Publisher, Subscription, free_loopback_endpoint};
+use heliostat_proto::{
+    ArrayState, EmergencyStop, Message, MirrorTelemetry, NodeStatus, Rearm, Room, Stamp, StopReport, UserReport,
+    UserState, decode, encode,
+};
+use heliostat_service::clock::utc_ns;
+use heliostat_tests::faults::{Behaviour, LoopbackBoard};
+use heliostat_tests::{Ended, Process, wait_until};
+
+/// Six mirrors on one wall, then eight on another.
+const TWO: &str =
+    "name = \"two\"\n[[mirrors]]\nrows = 2\ncolumns = 3\n[[mirrors]]\nrows = 2\ncolumns = 4\nwall = \"-x\"\n";
+
+/// What was published last.
+#[derive(Clone, Debug, Default)]
+struct Latest {
+    telemetry: [Option<MirrorTelemetry>; 2],
+    stops: [Option<StopReport>; 2],
+    controller: Option<NodeStatus>,
+}
+
+/// A controller, two drivers with a board each, and a tracker of this test.
+struct TwoArrays {
+    room: String,
+    folder: tempfile::TempDir,
+    boards: [LoopbackBoard; 2],
+    drivers: [Option<Process>; 2],
+    endpoints: [String; 2],
+    of_controller: String,
+    _controller: Process,
+    bus: Bus,
+    latest: Arc<Mutex<Latest>>,
+    is_ended: Arc<AtomicBool>,
+    _subscriptions: Vec<Subscription>,
+}
+
+impl TwoArrays {
+    fn start(room: &str) -> Self {
+        let folder = tempfile::tempdir().expect("a folder");
+        let boards = [LoopbackBoard::start(6), LoopbackBoard::start(8)];
+        let scenario = folder.path().join("two.toml");
+        std::fs::write(&scenario, TWO).expect("a writable folder");
+        for (array, board) in boards.iter().enumerate() {
+            std::fs::write(config(folder.path(), array), board.configuration()).expect("a writable folder");
+        }
+        let endpoint = || free_loopback_endpoint().expect("a free port");
+        let (endpoints, of_controller) = ([endpoint(), endpoint()], endpoint());
+        let scenario = scenario.to_str().expect("a path in UTF-8").to_owned();
+        let set = ["--set", "control.validity_ms=10000", "--policy", "fixed-point", "--exit-with-parent"];
+        let flags = ["controller", "--scenario", &scenario, "--room", room, "--listen", &of_controller];
+        let connect = ["--connect", &endpoints[0], "--connect", &endpoints[1]];
+        let controller = Process::heliostat(&[&flags[..], &connect, &set].concat());
+        let config = BusConfig::new(Room::new(room).expect("a valid name"));
+        let config = config.connect_to(&endpoints[0]).connect_to(&endpoints[1]).connect_to(&of_controller);
+        let bus = Bus::open(&config).expect("the bus opens");
+        let latest: Arc<Mutex<Latest>> = Arc::default();
+        let subscriptions = subscribe(&bus, &latest);
+        let is_ended = Arc::new(AtomicBool::new(false));
+        let mut room = Self {
+            room: room.to_owned(),
+            folder,
+            boards,
+            drivers: [None, None],
+            endpoints,
+            of_controller,
+            _controller: controller,
+            bus,
+            latest,
+            is_ended,
+            _subscriptions: subscriptions,
+        };
+        room.report_users();
+        room.start_driver(0);
+        room.start_driver(1);
+        room.wait_for([ArrayState::Following; 2]);
+        room
+    }
+
+    /// Reports users, so that the controller commands, until the end.
+    fn report_users(&self) {
+        let publisher = self.bus.publisher(&self.bus.room().users(), Class::RealTimeDrop).expect("a valid key");
+        let is_ended = Arc::clone(&self.is_ended);
+        std::thread::spawn(move || {
+            let mut tick = 0;
+            while !is_ended.load(Ordering::SeqCst) {
+                tick += 1;
+                let stamp = Stamp { source: 7, sequence: tick, time_ns: utc_ns() };
+                let users = vec![UserState { position_m: [0.5, 0.5, 0.85], min_rate_bps: 1e6, ..UserState::default() }];
+                let mut payload = Vec::new();
+                encode(&UserReport { stamp, tick, users }, &mut payload).expect("a sound report");
+                drop(publisher.put(&payload));
+                std::thread::sleep(Duration::from_millis(20));
+            }
+        });
+    }
+
+    fn start_driver(&mut self, array: usize) {
+        let (config, state) = (config(self.folder.path(), array), self.folder.path().display().to_string());
+        let index = array.to_string();
+        let flags = ["driver", "run", "--config", &config, "--state", &state, "--start-armed", "--array", &index];
+        let own = ["--room", &self.room, "--listen", &self.endpoints[array], "--exit-with-parent"];
+        self.drivers[array] = Some(Process::heliostat(&[&flags[..], &own].concat()));
+    }
+
+    fn driver(&mut self, array: usize) -> &mut Process {
+        self.drivers[array].as_mut().expect("it was started")
+    }
+
+    fn latest(&self) -> Latest {
+        self.latest.lock().expect("no callback panics").clone()
+    }
+
+    fn states(&self) -> [Option<ArrayState>; 2] {
+        self.latest().telemetry.map(|telemetry| telemetry.map(|telemetry| telemetry.state))
+    }
+
+    fn wait_for(&self, states: [ArrayState; 2]) {
+        wait_until("the states of both arrays", || self.states() == states.map(Some));
+    }
+
+    /// The names of the stops that an array reports.
+    fn operators(&self, array: usize) -> Vec<String> {
+        let stops = self.latest().stops[array].clone().map(|report| report.stops).unwrap_or_default();
+        stops.into_iter().map(|stop| stop.operator).collect()
+    }
+
+    /// Runs `heliostat stop` or `heliostat rearm`.
+    fn order(&self, order: &str, flags: &[&str]) -> Ended {
+        let own = [order, "--room", &self.room, "--timeout", "4"];
+        let [first, second] = &self.endpoints;
+        let connect = ["--connect", first, "--connect", second, "--connect", &self.of_controller];
+        Process::heliostat(&[&own[..], &connect, flags].concat()).wait()
+    }
+}
+
+impl Drop for TwoArrays {
+    fn drop(&mut self) {
+        self.is_ended.store(true, Ordering::SeqCst);
+    }
+}
+
+fn config(folder: &Path, array: usize) -> String {
+    folder.join(format!("array-{array}.toml")).display().to_string()
+}
+
+fn subscribe(bus: &Bus, latest: &Arc<Mutex<Latest>>) -> Vec<Subscription> {
+    let mut subscriptions = Vec::new();
+    for array in [0, 1] {
+        let keys = bus.room().array(array);
+        let kept = Arc::clone(latest);
+        subscriptions.push(bus.subscribe(&keys.telemetry(), move |payload| {
+            kept.lock().expect("no callback panics").telemetry[array] = decode(payload).ok();
+        }));
+        let kept = Arc::clone(latest);
+        subscriptions.push(bus.subscribe(&keys.stops(), move |payload| {
+            kept.lock().expect("no callback panics").stops[array] = decode(payload).ok();
+        }));
+    }
+    let kept = Arc::clone(latest);
+    subscriptions.push(bus.subscribe(&bus.room().status(heliostat_proto::NodeKind::Controller), move |payload| {
+        kept.lock().expect("no callback panics").controller = decode(payload).ok();
+    }));
+    subscriptions.into_iter().collect::<Result<_, _>>().expect("valid keys")
+}
+
+#[test]
+fn a_room_with_an_absent_array_is_not_called_stopped_and_the_array_gets_the_stop_when_it_returns() {
+    let mut room = TwoArrays::start("absent");
+    room.driver(1).kill();
+    let stopped = room.order("stop", &["--operator", "ann", "--reason", "person on the ladder"]);
+    let refusal = stopped.refusal();
+    assert!(refusal.contains("array 1 does not answer: cut its power"), "{refusal}");
+    assert!(!refusal.contains("array 0"), "{refusal}");
+    wait_until("the first array stopped", || room.states()[0] == Some(ArrayState::Stopped));
+    // The command has ended; the controller holds the stop.
+    room.start_driver(1);
+    wait_until("the stop at the array that returned", || room.operators(1) == ["ann"]);
+    wait_until("a controller that names the stop", || {
+        let state = room.latest().controller.map(|status| status.state).unwrap_or_default();
+        state.starts_with("withheld by the stop of ann (\"person on the ladder\") since ")
+    });
+    let accepted =
+        |room: &TwoArrays| room.latest().telemetry[1].as_ref().map_or(0, |telemetry| telemetry.counters.accepted);
+    assert_eq!(accepted(&room), 0, "it followed no command before the stop");
+    assert!(room.order("stop", &[]).status.success(), "now every array has stopped");
+    let released = room.order("rearm", &["--all"]);
+    assert!(released.status.success(), "{}", released.errors);
+    room.wait_for([ArrayState::Following; 2]);
+}
+
+#[test]
+fn a_frozen_driver_is_named_and_stopped_as_soon_as_it_continues() {
+    let mut room = TwoArrays::start("frozen");
+    room.driver(1).signal("STOP");
+    let stopped = room.order("stop", &["--operator", "ann"]);
+    assert!(stopped.refusal().contains("array 1 does not answer: cut its power"), "{}", stopped.errors);
+    room.driver(1).signal("CONT");
+    wait_until("the stop at the array that continued", || room.operators(1) == ["ann"]);
+    room.wait_for([ArrayState::Stopped; 2]);
+    room.boards[1].longest_pause();
+    wait_until("stop reports of both devices", || {
+        room.latest().stops.iter().flatten().filter(|report| report.device_stopped).count() == 2
+    });
+}
+
+#[test]
+fn an_array_whose_board_refuses_the_stop_or_hangs_up_is_named() {
+    let room = TwoArrays::start("refusing");
+    for behaviour in [Behaviour::RefusesStops, Behaviour::Absent] {
+        room.boards[1].behave(behaviour);
+        let stopped = room.order("stop", &[]);
+        let open = "array 1 has latched the stop, but its device has not executed it";
+        assert!(stopped.refusal().contains(open), "{behaviour:?}: {}", stopped.errors);
+        assert!(!stopped.errors.contains("array 0"), "{}", stopped.errors);
+    }
+    room.boards[1].behave(Behaviour::Prompt);
+    let stopped = room.order("stop", &[]);
+    assert!(stopped.status.success(), "{}", stopped.errors);
+}
+
+#[test]
+fn the_stops_of_two_operators_are_listed_and_released_one_by_one() {
+    let room = TwoArrays::start("operators");
+    for operator in ["ann", "bob"] {
+        assert!(room.order("stop", &["--operator", operator, "--reason", "ladder"]).status.success());
+    }
+    wait_until("both stops", || room.operators(0) == ["ann", "bob"] && room.operators(1) == ["ann", "bob"]);
+    let several = room.order("rearm", &[]);
+    let refusal = several.refusal();
+    assert!(
+        refusal.contains("2 stops are in force") && refusal.contains("of ann") && refusal.contains("--all"),
+        "{refusal}"
+    );
+    let stops = room.latest().stops[0].clone().expect("a report").stops;
+    let name = stops[1].name().to_string();
+    assert!(room.order("rearm", &["--stop", &name]).status.success());
+    wait_until("one stop", || room.operators(0) == ["ann"] && room.operators(1) == ["ann"]);
+    room.wait_for([ArrayState::Stopped; 2]);
+    let released = room.order("rearm", &["--all"]);
+    assert!(released.status.success(), "{}", released.errors);
+    room.wait_for([ArrayState::Following; 2]);
+}
+
+#[test]
+fn a_stop_that_reaches_only_the_controller_reaches_the_arrays_through_it() {
+    let room = TwoArrays::start("one-way");
+    // This session is connected to the controller alone, and peers do not forward messages.
+    let config = BusConfig::new(Room::new("one-way").expect("a valid name"));
+    let bus = Bus::open(&config.connect_to(&room.of_controller)).expect("the bus opens");
+    let publisher = bus.publisher(&bus.room().stop(), Class::RealTimeBlock).expect("a valid key");
+    let stamp = Stamp { source: 0xabc, sequence: 1, time_ns: utc_ns() };
+    let order = EmergencyStop { stamp, operator: "eve".into(), reason: "smoke".into(), ..EmergencyStop::default() };
+    let mut payload = Vec::new();
+    encode(&order, &mut payload).expect("a sound stop");
+    wait_until("the stop at both arrays", || {
+        // The first messages of a session may find no subscriber.
+        publisher.put(&payload).expect("the session is open");
+        room.operators(0) == ["eve"] && room.operators(1) == ["eve"]
+    });
+    drop(bus);
+    let released = room.order("rearm", &[]);
+    assert!(released.output.contains("0000000000000abc/1 of \"eve\""), "{} {}", released.output, released.errors);
+    room.wait_for([ArrayState::Following; 2]);
+}
+
+/// Prints how long a stop takes from its publication to the report that the device has executed it.
+#[test]
+fn the_latency_of_a_stop_at_a_simulated_array_and_at_a_driver_is_printed() {
+    let room = TwoArrays::start("latency");
+    let driven = latencies(&room.bus, 0);
+    let endpoint = free_loopback_endpoint().expect("a free port");
+    let set = ["--set", "streams.positions.rate_hz=10", "--set", "streams.telemetry.rate_hz=10"];
+    let flags = ["sim-node", "--room", "simulated", "--listen", &endpoint, "--exit-with-parent"];
+    let _sim = Process::heliostat(&[&flags[..], &set].concat());
+    let config = BusConfig::new(Room::new("simulated").expect("a valid name")).connect_to(&endpoint);
+    let bus = Bus::open(&config).expect("the bus opens");
+    let simulated = latencies(&bus, 0);
+    for (name, mut times) in [("driver run", driven), ("simulated array at 10 reports/s", simulated)] {
+        times.sort_unstable();
+        let (p50, max) = (times[times.len() / 2], times[times.len() - 1]);
+        eprintln!("{name}: p50 {:.2} ms, max {:.2} ms of {}", ms(p50), ms(max), times.len());
+    }
+}
+
+fn ms(duration: Duration) -> f64 {
+    1e3 * duration.as_secs_f64()
+}
+
+/// Times from a stop to the report of an array that its device has executed it.
+fn latencies(bus: &Bus, array: usize) -> Vec<Duration> {
+    let (sender, reports) = std::sync::mpsc::channel::<(Instant, StopReport)>();
+    let _subscription = bus
+        .subscribe(&bus.room().array(array).stops(), move |payload| {
+            drop(sender.send((Instant::now(), decode(payload).expect("a sound report"))));
+        })
+        .expect("a valid key");
+    let publisher = |key: String| bus.publisher(&key, Class::RealTimeBlock).expect("a valid key");
+    let (stops, rearms) = (publisher(bus.room().stop()), publisher(bus.room().rearm()));
+    let put = |publisher: &Publisher, payload: Vec<u8>| publisher.put(&payload).expect("the session is open");
+    let until = |is: &dyn Fn(&StopReport) -> bool| loop {
+        let (at, report) = reports.recv_timeout(Duration::from_secs(60)).expect("a report");
+        if is(&report) {
+            return at;
+        }
+    };
+    until(&|_| true);
+    let time = |sequence: u64| {
+        let stamp = Stamp { source: 0xabc, sequence, time_ns: utc_ns() };
+        let begun = Instant::now();
+        put(&stops, encoded(&EmergencyStop { stamp, ..EmergencyStop::default() }));
+        let stopped = until(&|report| report.device_stopped);
+        let (stop_source, stop_sequence) = (stamp.source, stamp.sequence);
+        put(&rearms, encoded(&Rearm { stamp, stop_source, stop_sequence, ..Rearm::default() }));
+        until(&|report| report.stops.is_empty());
+        // Not in step with the reports of the room.
+        std::thread::sleep(Duration::from_millis(20 + 7 * (sequence % 13)));
+        stopped - begun
+    };
+    (1..=60).map(time).collect()
+}
+
+fn encoded<M: Message>(message: &M) -> Vec<u8> {
+    let mut payload = Vec::new();
+    encode(message, &mut payload).expect("a sound message");
+    payload
+}

@@ -78,7 +78,7 @@ fn another_room_works_and_an_actor_of_another_shape_is_refused() {
     assert_complete(&demo(&other));
 
     let odd = ["--set", "mirrors.rows=6", "--set", "mirrors.columns=9"];
-    let learned = ["demo", "--policy", "ddpg", "--seconds", "3", "--json"];
+    let learned = ["demo", "--policy", "ddpg-raw", "--seconds", "3", "--json"];
     let arguments: Vec<&str> = learned.into_iter().chain(odd).collect();
     let ended = Process::heliostat(&arguments).wait();
     let refusal = ended.refusal();

@@ -141,11 +141,11 @@ def test_what_is_no_module_of_actions_is_refused_with_what_to_pass(tmp_path: Pat
     env = heliostat.HeliostatEnv()
     noisy = Sampling.module(env, torch)
 
-    class Drawing(torch.nn.Module):  # type: ignore[misc]
+    class Drawing(torch.nn.Module):  # type: ignore[misc, name-defined]
         def forward(self, observation: Any) -> Any:
             return noisy(observation)
 
-    class Several(torch.nn.Module):  # type: ignore[misc]
+    class Several(torch.nn.Module):  # type: ignore[misc, name-defined]
         def forward(self, observation: Any) -> Any:
             return observation[:, :200], 0.0, 0.0
 

@@ -92,8 +92,8 @@ def test_learned_policies_are_built_in_by_name() -> None:
     assert {"ddpg", "greedy"} <= set(heliostat.policy_names())
     with pytest.raises(ValueError, match="the policy residual was removed .docs/learning.md.: use fixed-point"):
         heliostat.Policy("residual")
-    with pytest.raises(ValueError, match="no actor is built in for ddpg"):
-        heliostat.Policy("ddpg", overrides={"mirrors.rows": 3})
+    with pytest.raises(ValueError, match="no actor is built in for ddpg-raw"):
+        heliostat.Policy("ddpg-raw", overrides={"mirrors.rows": 3})
 
 
 def test_a_map_has_the_rates_of_its_points() -> None:

@@ -10,7 +10,7 @@ use thiserror::Error;
 pub enum SourceError {
     /// The file does not exist.
     #[error(
-        "no actor at {}, expected an ONNX file: train one with `heliostat train`, give another file, \
+        "no actor at {}, expected an ONNX file: train one with `heliostat-lab train`, give another file, \
          or choose the policy fixed-point, which needs no file", path.display()
     )]
     Missing {
@@ -20,7 +20,7 @@ pub enum SourceError {
     /// No actor is built in for this array and mode.
     #[error(
         "no actor is built in for {policy} with {room} (it would be {expected}); built in: {available}. \
-         Train one with `heliostat train {policy}` for this scenario and give its file, or choose the policy fixed-point, \
+         Train one with `heliostat-lab train {policy}` for this scenario and give its file, or choose the policy fixed-point, \
          which needs no file"
     )]
     NotShipped {

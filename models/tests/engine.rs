@@ -7,7 +7,6 @@ use std::thread;
 
 use allocation_counter::measure;
 use heliostat_channel::MirrorAngles;
-use heliostat_core::evidence::FEATURES;
 use heliostat_core::observation::Observation;
 use heliostat_core::policy::actor_file::ActorFile;
 use heliostat_core::policy::{Policy, PolicyKind};
@@ -39,7 +38,9 @@ fn a_missing_file_says_how_to_get_one() {
     let Err(error) = build(PolicyKind::Ddpg, &scenario(&[]), &source) else { panic!("accepted") };
     assert_eq!(error, BuildError::Source(SourceError::Missing { path: "/nowhere/actor.onnx".into() }));
     let text = error.to_string();
-    assert!(["/nowhere/actor.onnx", "heliostat train", "policy fixed-point"].iter().all(|word| text.contains(word)));
+    assert!(
+        ["/nowhere/actor.onnx", "heliostat-lab train", "policy fixed-point"].iter().all(|word| text.contains(word))
+    );
 }
 
 #[test]
@@ -55,7 +56,7 @@ fn an_array_without_a_built_in_actor_is_told_what_to_do() {
     let words = [
         "ddpg with 3 x 3 mirrors in the mode specular",
         "ddpg-specular-3x3.onnx",
-        "heliostat train",
+        "heliostat-lab train",
         "give its file",
         "policy fixed-point",
     ];
@@ -71,9 +72,10 @@ fn a_file_for_a_policy_that_reads_none_is_refused() {
 
 /// The refusal of the embedded engine for a small network after a change.
 fn embedded_refusal(change: fn(&mut GraphProto)) -> String {
-    let mut model = ModelProto::decode(&ActorRecipe::compact([0.0; 3]).bytes()[..]).unwrap();
+    let recipe = ActorRecipe::fitting(&scenario(&[]));
+    let mut model = ModelProto::decode(&recipe.bytes()[..]).unwrap();
     change(model.graph.as_mut().unwrap());
-    let network = embedded_network(&model.encode_to_vec(), FEATURES);
+    let network = embedded_network(&model.encode_to_vec(), recipe.input_length);
     let mut network = match network {
         Ok(network) => network,
         Err(refusal) => return refusal,

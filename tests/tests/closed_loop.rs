@@ -82,7 +82,7 @@ fn another_room_works_and_an_actor_of_another_shape_is_refused() {
     let arguments: Vec<&str> = learned.into_iter().chain(odd).collect();
     let ended = Process::heliostat(&arguments).wait();
     let refusal = ended.refusal();
-    assert!(refusal.contains("nothing was started") && refusal.contains("heliostat train ddpg"), "{refusal}");
+    assert!(refusal.contains("nothing was started") && refusal.contains("heliostat-lab train ddpg"), "{refusal}");
     assert!(refusal.contains("fixed-point"), "it names a policy that needs no training: {refusal}");
 
     let with_model: Vec<&str> = odd.into_iter().chain(["--policy", "fixed-point"]).collect();

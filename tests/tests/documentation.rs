@@ -2,7 +2,7 @@
 //! exist.
 //!
 //! Bash runs each fenced block marked `sh`, block after block in one folder for each file, with the
-//! built `heliostat` first on the path and the repository's folders beside it. `sh until-stopped`
+//! built programs first on the path and the repository's folders beside it. `sh until-stopped`
 //! marks commands that run until Ctrl-C: they run side by side for two seconds. `sh no-run` marks
 //! commands that cannot run here; the text beside it says why. In a tested file, a command in any
 //! other block fails the test.
@@ -53,7 +53,7 @@ fn blocks(text: &str) -> Vec<Block> {
 }
 
 fn is_command(line: &str) -> bool {
-    line.trim_start().starts_with("heliostat ")
+    ["heliostat ", "heliostat-lab "].iter().any(|program| line.trim_start().starts_with(program))
 }
 
 /// The command without its comment, for two seconds in the background.
@@ -64,7 +64,7 @@ fn stopped_soon(line: &str) -> String {
 
 /// Links the repository's folders into a folder, so that a command can name them.
 fn stage(folder: &TempDir) {
-    for name in ["deploy", "docs", "examples", "models", "tests"] {
+    for name in ["deploy", "docs", "examples", "lab", "models", "tests"] {
         symlink(root().join(name), folder.path().join(name)).expect("a fresh folder takes a link");
     }
 }

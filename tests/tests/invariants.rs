@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use heliostat_tests::packages::Packages;
 
 /// Packages from the lowest to the highest layer. A package depends only on packages in earlier rows.
-const LAYERS: [&str; 20] = [
+const LAYERS: [&str; 21] = [
     "heliostat-channel",
     "heliostat-scenario",
     "heliostat-proto",
@@ -29,11 +29,26 @@ const LAYERS: [&str; 20] = [
     "heliostat-ui",
     "heliostat-reproduce",
     "heliostat",
+    "heliostat-lab",
     "heliostat-tests",
 ];
 
 /// A package, and what it may not need, directly or through other packages. `*` ends a prefix.
-const BANS: [(&str, &[&str]); 9] = [
+const BANS: [(&str, &[&str]); 10] = [
+    (
+        "heliostat",
+        &[
+            "heliostat-learn",
+            "heliostat-environment",
+            "heliostat-reproduce",
+            "candle*",
+            "plotly*",
+            "plotters*",
+            "csv*",
+            "statrs",
+            "rayon*",
+        ],
+    ),
     (
         "heliostat-controller",
         &["heliostat-sim-node", "heliostat-room", "heliostat-driver", "heliostat-learn", "candle*"],

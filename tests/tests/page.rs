@@ -65,7 +65,7 @@ fn requests_of_other_origins_are_refused() {
     let page = setting.request("GET", "/", &[host], "");
     assert!(page.starts_with("HTTP/1.1 200") && page.contains("<title>Heliostat</title>"), "{page}");
     assert!(page.contains("Content-Security-Policy: default-src 'none'; script-src 'self'"), "{page}");
-    assert!(setting.request("GET", "/plotly.js", &[host], "").contains("plotly.js v"));
+    assert!(setting.request("GET", "/vendor/uPlot.iife.min.js", &[host], "").contains("uPlot (v"));
     assert!(setting.request("GET", "/room.json", &[host], "").contains("\"fixed-point\""));
     assert!(setting.request("GET", "/", &[("Host", "example.org")], "").starts_with("HTTP/1.1 403"));
 
@@ -113,6 +113,15 @@ fn a_port_in_use_is_replaced_and_reported() {
     assert!(!none.errors().contains("the page is at"), "{}", none.errors());
 }
 
+/// The number of pixels of a canvas that have one of the colours.
+const DRAWN: &str = "(selector, colours) => {
+    const canvas = document.querySelector(selector);
+    if (!canvas || !canvas.width || !canvas.height) return 0;
+    const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
+    const has = (at) => colours.some((colour) => colour.every((value, index) => data[at + index] === value));
+    return Array.from({ length: data.length / 4 }, (_, pixel) => 4 * pixel).filter(has).length;
+}";
+
 #[test]
 fn every_button_acts_on_the_running_system() {
     let setting = Setting::new(&["--policy", "greedy", "--set", "blockage.forced_users=2"]);
@@ -123,6 +132,11 @@ fn every_button_acts_on_the_running_system() {
     wait_until("a page that shows the room", || browser.text("#chip-array") == "following");
     wait_until("a drawn room", || browser.run("return document.getElementById('room').room.frames > 3") == true);
     assert_eq!(browser.run("return document.documentElement.dataset.view"), "3d", "the browser has no WebGL");
+    // The colours of the policy greedy, and of decisions within and over the limit.
+    for (chart, colours) in [("sum-chart", "[[17, 119, 51]]"), ("latency-chart", "[[86, 180, 233], [213, 94, 0]]")] {
+        let drawn = format!("return ({DRAWN})('#{chart} canvas', {colours})");
+        wait_until("a drawn chart", || browser.run(&drawn).as_u64().is_some_and(|pixels| pixels > 20));
+    }
     let foreign =
         "return performance.getEntriesByType('resource').filter(one => !one.name.startsWith(location.origin)).length";
     assert_eq!(browser.run(foreign), 0, "the page loads from another server");

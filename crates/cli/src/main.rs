@@ -1,13 +1,7 @@
-//! The command line of Heliostat.
+//! The program `heliostat`.
 
 use std::process::ExitCode;
 
-use heliostat_service::exit;
-
-mod cli;
-mod commands;
-mod output;
-
 fn main() -> ExitCode {
-    exit::run("heliostat", cli::run)
+    heliostat::main()
 }

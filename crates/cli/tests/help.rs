@@ -9,7 +9,7 @@ fn heliostat(arguments: &[&str]) -> Output {
 #[test]
 fn every_command_has_a_help_text() {
     let commands =
-        ["demo", "controller", "sim-node", "train", "eval", "link", "map", "bench", "scenario", "calibrate", "trace"];
+        ["demo", "controller", "sim-node", "driver", "ui", "link", "bench", "scenario", "record", "replay", "doctor"];
     let overview = String::from_utf8(heliostat(&["--help"]).stdout).expect("text");
     for command in commands {
         assert!(overview.contains(command), "{command} is missing in: {overview}");
@@ -20,13 +20,19 @@ fn every_command_has_a_help_text() {
 
 #[test]
 fn a_help_text_states_what_a_flag_requires() {
-    for (command, expected) in [
-        ("sim-node", "--start-armed With --state: start parked"),
-        ("eval", "to the first measured instant of an episode, at least 0.01"),
-    ] {
-        let help = String::from_utf8(heliostat(&[command, "--help"]).stdout).expect("text");
-        let words = help.split_whitespace().collect::<Vec<_>>().join(" ");
-        assert!(words.contains(expected), "{expected} is missing in: {help}");
+    let help = String::from_utf8(heliostat(&["sim-node", "--help"]).stdout).expect("text");
+    let words = help.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(words.contains("--start-armed With --state: start parked"), "{help}");
+}
+
+#[test]
+fn a_command_of_the_laboratory_names_the_command_that_replaces_it() {
+    for command in ["train ddpg --seed 3", "eval", "reproduce --help", "map", "trace import", "calibrate", "bench env"]
+    {
+        let ended = heliostat(&command.split(' ').collect::<Vec<_>>());
+        let errors = String::from_utf8(ended.stderr).expect("text");
+        assert_eq!((ended.status.code(), ended.stdout.len(), errors.lines().count()), (Some(2), 0, 1), "{errors}");
+        assert!(errors.contains(&format!("cargo run --release -p heliostat-lab -- {command}`")), "{errors}");
     }
 }
 

@@ -47,7 +47,7 @@ struct RunArgs {
     /// TOML file of the boards and their mirrors
     #[arg(long, value_name = "FILE")]
     config: PathBuf,
-    /// Correct the mirrors' mounting with this file of `heliostat calibrate`
+    /// Correct the mirrors' mounting with this file of `heliostat-lab calibrate`
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
     /// Keep the emergency stop over a restart, in one file per room in this folder [default:

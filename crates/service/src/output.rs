@@ -8,6 +8,13 @@ use std::io::{self, Write};
 
 use crate::printable::printable_lines;
 
+/// `println!` that returns an error instead of a panic when the reader has closed the pipe.
+#[macro_export]
+macro_rules! outln {
+    () => { $crate::output::line("") };
+    ($($argument:tt)*) => { $crate::output::line(format_args!($($argument)*)) };
+}
+
 /// Writes a text and a line end to standard output.
 ///
 /// # Errors

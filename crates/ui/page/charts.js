@@ -3,12 +3,12 @@ import { RedrawLimiter } from "./redraw.js";
 
 const SPAN_S = 90;
 const KEEP_EVERY_S = 0.2;
-const CONFIG = { displayModeBar: false, responsive: false };
-const FONT = { family: "system-ui, sans-serif", size: 11 };
+const FONT = "11px system-ui, sans-serif";
+const SMALL_FONT = "9px system-ui, sans-serif";
 
 // One colour for each policy, the same in every report and figure.
 const POLICY_COLOURS = {
-  actor: "#0072b2", ddpg: "#0072b2", analytic: "#56b4e9", "ddpg-basis": "#009e73", "ddpg-raw": "#cc79a7", dql: "#d55e00",
+  actor: "#0072b2", ddpg: "#0072b2", analytic: "#56b4e9", "ddpg-raw": "#cc79a7", dql: "#d55e00",
   "q-learning": "#e69f00", sarsa: "#f0e442", greedy: "#117733", "fixed-point": "#44aa99", nearest: "#882255", random: "#999999",
 };
 
@@ -24,6 +24,7 @@ export class Charts {
     this.budget = plan.budget_us;
     this.sum = document.getElementById("sum-chart");
     this.latency = document.getElementById("latency-chart");
+    this.sumPlot = this.latencyPlot = null;
     this.past = plan.history.map(([time_s, sum]) => ({ time_s, ...sum }));
     this.policy = "";
     this.redraw = new RedrawLimiter(500);
@@ -55,10 +56,10 @@ export class Charts {
 
   lines() {
     return [
-      ["policy", this.policy || "policy", POLICY_COLOURS[this.policy] ?? "#0072b2", "solid", 2.5],
-      ["no_irs", "no IRS", "#bbbbbb", "solid", 1.5],
-      ["flat", "flat", this.flat, "dot", 1.5],
-      ["oracle", "oracle", this.ink, "dash", 1.2],
+      ["policy", this.policy || "policy", POLICY_COLOURS[this.policy] ?? "#0072b2", [], 2.5],
+      ["no_irs", "no IRS", "#bbbbbb", [], 1.5],
+      ["flat", "flat", this.flat, [2, 3], 1.5],
+      ["oracle", "oracle", this.ink, [6, 4], 1.2],
     ];
   }
 
@@ -80,57 +81,112 @@ export class Charts {
     });
   }
 
-  layout(chart, extra) {
+  // A plot in an element; `tip` gives the text for the index under the pointer.
+  plot(element, options, data, tip) {
+    const bubble = Object.assign(document.createElement("output"), { className: "tip", hidden: true });
+    const plot = new uPlot({
+      width: element.clientWidth, height: element.clientHeight, padding: [4, 6, 0, 0],
+      legend: { show: false }, cursor: { y: false, drag: { x: false, y: false }, points: { show: false } },
+      ...options,
+      hooks: {
+        ...options.hooks,
+        setCursor: [(self) => {
+          const { idx, left } = self.cursor;
+          bubble.hidden = idx == null || left < 0;
+          if (bubble.hidden) return;
+          bubble.textContent = tip(idx);
+          bubble.style.left = `${Math.max(0, Math.min(left + 44, element.clientWidth - bubble.offsetWidth))}px`;
+        }],
+      },
+    }, data, element);
+    element.append(bubble);
+    return plot;
+  }
+
+  show(plot, element, data) {
+    if (plot.width !== element.clientWidth || plot.height !== element.clientHeight) {
+      plot.setSize({ width: element.clientWidth, height: element.clientHeight });
+    }
+    plot.setData(data);
+  }
+
+  axis(label, extra) {
     return {
-      width: chart.clientWidth, height: chart.clientHeight,
-      margin: { l: 34, r: 6, t: 4, b: 30 }, font: { ...FONT, color: this.muted }, showlegend: false,
-      paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", hovermode: "x unified",
-      hoverlabel: { bgcolor: this.grid, font: { color: this.ink } }, uirevision: "kept", ...extra,
+      stroke: () => this.muted, font: FONT, label, labelFont: FONT, labelSize: label ? 13 : 0, labelGap: 0, size: 18, gap: 2,
+      grid: { stroke: () => this.grid, width: 1 }, ticks: { stroke: () => this.grid, width: 1, size: 3 }, ...extra,
     };
   }
 
-  axis(title, extra) {
-    return { title: { text: title, standoff: 4 }, gridcolor: this.grid, zeroline: false, fixedrange: true, ...extra };
+  // The vertical axis starts at 0.
+  fromZero() {
+    return { range: (_, __, most) => [0, most > 0 ? 1.05 * most : 1] };
   }
 
   drawSum(now_s) {
-    const x = this.past.map((point) => point.time_s - now_s);
-    const traces = this.lines().reverse().map(([key, name, color, dash, width]) => ({
-      type: "scatter", mode: "lines", name, x, y: this.past.map((point) => point[key]), line: { color, dash, width },
-      hovertemplate: "%{y:.1f} Mbit/s",
-    }));
-    const layout = this.layout(this.sum, {
-      xaxis: this.axis("s ago", { range: [-SPAN_S, 0] }),
-      yaxis: this.axis("", { rangemode: "tozero" }),
-    });
-    Plotly.react(this.sum, traces, layout, CONFIG);
+    const lines = this.lines().reverse();
+    const data = [this.past.map((point) => point.time_s - now_s), ...lines.map(([key]) => this.past.map((point) => point[key] ?? null))];
+    if (this.sumPlot) return this.show(this.sumPlot, this.sum, data);
+    const text = (index) => {
+      const [x, ...rates] = this.sumPlot.data.map((values) => values[index]);
+      const named = this.lines().reverse().map(([, name], line) => (rates[line] == null ? "" : `${name} ${rates[line].toFixed(1)}`));
+      return [`${(-x).toFixed(0)} s ago`, ...named.filter(Boolean).reverse()].join(" · ");
+    };
+    this.sumPlot = this.plot(this.sum, {
+      scales: { x: { time: false, range: [-SPAN_S, 0] }, y: this.fromZero() },
+      series: [{}, ...lines.map(([, , , dash, width], line) => ({
+        stroke: () => this.lines()[lines.length - 1 - line][2], dash, width, points: { show: false },
+      }))],
+      axes: [this.axis("s ago", { values: (_, splits) => splits.map((x) => -x) }), this.axis("", { size: 34, space: 16 })],
+    }, data, text);
   }
 
   drawLatency({ edges_us, counts }) {
     const total = counts.reduce((sum, count) => sum + count, 0);
     const within = edges_us.filter((edge) => edge <= this.budget).length;
+    const shares = counts.map((count) => (total ? (100 * count) / total : 0));
+    const data = [
+      counts.map((_, index) => index),
+      shares.map((share, index) => (index < within ? share : null)),
+      shares.map((share, index) => (index < within ? null : share)),
+    ];
+    if (this.latencyPlot) return this.show(this.latencyPlot, this.latency, data);
     const short = (edge) => (edge % 1000 ? String(edge) : `${edge / 1000}k`);
-    const trace = {
-      type: "bar", x: counts.map((_, index) => index), y: counts.map((count) => (total ? (100 * count) / total : 0)),
-      marker: { color: counts.map((_, index) => (index < within ? "#56b4e9" : "#d55e00")) },
-      customdata: counts.map((_, index) => (index < edges_us.length ? `up to ${edges_us[index]} us` : `over ${edges_us.at(-1)} us`)),
-      hovertemplate: "%{customdata}: %{y:.2f} %<extra></extra>",
+    const bars = uPlot.paths.bars({ size: [0.92, Infinity] });
+    const series = (colour) => ({ stroke: colour, fill: colour, width: 0, paths: bars, points: { show: false } });
+    const text = (index) => {
+      const [, ...halves] = this.latencyPlot.data;
+      const bucket = index < edges_us.length ? `up to ${edges_us[index]} us` : `over ${edges_us.at(-1)} us`;
+      return `${bucket}: ${(halves[0][index] ?? halves[1][index] ?? 0).toFixed(2)} %`;
     };
-    // The edges lie between the buckets, and so does the time limit.
-    const line = within - 0.5;
-    const layout = this.layout(this.latency, {
-      bargap: 0.08, hovermode: "closest",
-      xaxis: this.axis("us", {
-        tickvals: edges_us.map((_, index) => index + 0.5), ticktext: edges_us.map(short), tickangle: 0, tickfont: { size: 9 },
-        showgrid: false, range: [-0.5, Math.max(1, counts.length) - 0.5],
-      }),
-      yaxis: this.axis("%", { rangemode: "tozero" }),
-      shapes: [{ type: "line", x0: line, x1: line, yref: "paper", y0: 0, y1: 1, line: { color: this.ink, width: 2 } }],
-      annotations: [{
-        x: line, yref: "paper", y: 1, xanchor: "left", yanchor: "top", showarrow: false, xshift: 4,
-        text: `${this.budget / 1000} ms`, font: { color: this.ink },
-      }],
-    });
-    Plotly.react(this.latency, [trace], layout, CONFIG);
+    this.latencyPlot = this.plot(this.latency, {
+      scales: { x: { time: false, range: [-0.5, Math.max(1, counts.length) - 0.5] }, y: this.fromZero() },
+      series: [{}, series("#56b4e9"), series("#d55e00")],
+      axes: [
+        // The edges lie between the buckets.
+        this.axis("us", {
+          splits: () => edges_us.map((_, index) => index + 0.5), values: () => edges_us.map(short), font: SMALL_FONT, grid: { show: false },
+        }),
+        this.axis("%", { size: 26, space: 16 }),
+      ],
+      hooks: { draw: [(plot) => this.drawLimit(plot, within - 0.5)] },
+    }, data, text);
+  }
+
+  // The time limit lies between two buckets.
+  drawLimit(plot, at) {
+    const { ctx, bbox } = plot;
+    const x = Math.round(plot.valToPos(at, "x", true));
+    ctx.save();
+    ctx.strokeStyle = ctx.fillStyle = this.ink;
+    ctx.lineWidth = 2 * uPlot.pxRatio;
+    ctx.font = `${11 * uPlot.pxRatio}px system-ui, sans-serif`;
+    ctx.textAlign = "left";
+    ctx.textBaseline = "top";
+    ctx.beginPath();
+    ctx.moveTo(x, bbox.top);
+    ctx.lineTo(x, bbox.top + bbox.height);
+    ctx.stroke();
+    ctx.fillText(`${this.budget / 1000} ms`, x + 4 * uPlot.pxRatio, bbox.top);
+    ctx.restore();
   }
 }

@@ -1,7 +1,5 @@
 //! The files of the page, built into the program. The page loads nothing from other servers.
 
-use std::sync::LazyLock;
-
 /// A file of the page.
 pub(crate) struct Asset {
     pub path: &'static str,
@@ -9,8 +7,8 @@ pub(crate) struct Asset {
     pub text: &'static str,
 }
 
-/// All files except Plotly.
-static ASSETS: [Asset; 24] = [
+/// All files.
+static ASSETS: [Asset; 27] = [
     Asset { path: "/", media: "text/html; charset=utf-8", text: include_str!("../page/index.html") },
     Asset { path: "/page.css", media: "text/css; charset=utf-8", text: include_str!("../page/page.css") },
     Asset { path: "/camera.js", media: JAVASCRIPT, text: include_str!("../page/camera.js") },
@@ -47,6 +45,21 @@ static ASSETS: [Asset; 24] = [
         media: "text/plain; charset=utf-8",
         text: include_str!("../page/vendor/three.LICENSE"),
     },
+    Asset {
+        path: "/vendor/uPlot.iife.min.js",
+        media: JAVASCRIPT,
+        text: include_str!("../page/vendor/uPlot.iife.min.js"),
+    },
+    Asset {
+        path: "/vendor/uPlot.min.css",
+        media: "text/css; charset=utf-8",
+        text: include_str!("../page/vendor/uPlot.min.css"),
+    },
+    Asset {
+        path: "/vendor/uPlot.LICENSE",
+        media: "text/plain; charset=utf-8",
+        text: include_str!("../page/vendor/uPlot.LICENSE"),
+    },
 ];
 
 /// The media type of scripts.
@@ -57,26 +70,9 @@ pub(crate) fn find(path: &str) -> Option<&'static Asset> {
     ASSETS.iter().find(|asset| asset.path == path)
 }
 
-/// Plotly's script, extracted from the script tags that the `plotly` crate returns.
-pub(crate) fn plotly() -> &'static str {
-    static SCRIPT: LazyLock<String> = LazyLock::new(|| {
-        let tags = plotly::Plot::offline_js_sources();
-        let script = tags.split_once('>').and_then(|(_, rest)| rest.split_once("</script>"));
-        script.map(|(script, _)| script.to_owned()).unwrap_or_default()
-    });
-    &SCRIPT
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn plotly_is_extracted_completely() {
-        let script = plotly();
-        assert!(script.trim_start().starts_with("/**\n* plotly.js v"));
-        assert!(script.len() > 1_000_000 && script.contains("scatter3d") && script.contains("mesh3d"));
-    }
 
     #[test]
     fn the_vendored_files_have_the_version_and_the_licence_of_their_description() {
@@ -86,7 +82,13 @@ mod tests {
             row.split("| 0.").nth(1).and_then(|rest| rest.split('.').next()).expect("a version 0.REVISION.0");
         let core = find("/vendor/three.core.min.js").expect("vendored").text;
         assert!(core.contains(&format!("const t=\"{revision}\"")), "not revision {revision}");
-        assert!(find("/vendor/three.LICENSE").expect("vendored").text.starts_with("The MIT License"));
+        let row = description.lines().find(|line| line.contains("uPlot.iife.min.js")).expect("a row");
+        let version = row.split(" | ").nth(2).expect("a version");
+        let charts = find("/vendor/uPlot.iife.min.js").expect("vendored").text;
+        assert!(charts.contains(&format!("(v{version})")), "not version {version}");
+        for licence in ["/vendor/three.LICENSE", "/vendor/uPlot.LICENSE"] {
+            assert!(find(licence).expect("vendored").text.starts_with("The MIT License"), "{licence}");
+        }
     }
 
     #[test]
@@ -103,8 +105,8 @@ mod tests {
     #[test]
     fn the_page_refers_to_no_other_server() {
         for asset in &ASSETS {
-            // Names of namespaces, and the link of a licence.
-            let text = asset.text.replace("http://www.w3.org/", "");
+            // Names of namespaces, and the origin that a vendored file states in a comment.
+            let text = asset.text.replace("http://www.w3.org/", "").replace("https://github.com/leeoniya/uPlot", "");
             assert!(!text.contains("http://") && !text.contains("https://"), "{}", asset.path);
             assert!(!text.contains("//cdn"), "{}", asset.path);
         }

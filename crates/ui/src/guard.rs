@@ -17,7 +17,7 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
 /// Headers of every answer. They allow scripts, connections and images of this origin only, and
-/// inline styles, which Plotly sets by script.
+/// inline styles, which the charts set by script.
 const HEADERS: [(HeaderName, HeaderValue); 6] = [
     (
         HeaderName::from_static("content-security-policy"),

@@ -33,7 +33,7 @@ use heliostat_service::http::{self, Limits};
 use serde::Serialize;
 
 use crate::UiError;
-use crate::assets::{self, JAVASCRIPT};
+use crate::assets;
 use crate::figures::SumFigures;
 use crate::floor::FloorMaps;
 use crate::guard;
@@ -190,7 +190,6 @@ fn router(shared: Shared, gate: Option<Gate>) -> Router {
         .route("/live", get(live))
         .route("/room.json", get(room))
         .route("/floor.json", get(floor))
-        .route("/plotly.js", get(async || reply(StatusCode::OK, JAVASCRIPT, assets::plotly())))
         .fallback(file)
         .method_not_allowed_fallback(other_method)
         .with_state(shared);

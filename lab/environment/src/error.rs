@@ -21,13 +21,13 @@ pub enum EnvironmentError {
     /// Users come and go, where their number must be fixed.
     #[error(
         "users.arrivals: training and held-out states need a fixed number of users; remove the arrivals, or measure \
-         them with `heliostat eval --closed-loop`"
+         them with `heliostat-lab eval --closed-loop`"
     )]
     Arrivals,
     /// The true room differs from the assumed one, where a learner sees the true one.
     #[error(
         "mismatch.level: training and held-out states show the true room to the policy; expected \"none\", or \
-         measure the mismatch with `heliostat eval --closed-loop`"
+         measure the mismatch with `heliostat-lab eval --closed-loop`"
     )]
     Mismatch,
     /// The array refused a command.

@@ -1,4 +1,4 @@
-//! `heliostat calibrate`: the mounting of each mirror, estimated from commanded angles and measured
+//! `heliostat-lab calibrate`: the mounting of each mirror, estimated from commanded angles and measured
 //! gains.
 //!
 //! Detectors stand at five known positions of an empty room. One mirror at a time is aimed at each

@@ -13,7 +13,7 @@
 //! - [`evaluation`]: held-out states, the ratio to the oracle, and confidence intervals.
 //! - [`comparison`]: policies on the same states, static and in closed loop.
 //! - [`calibrate`](mod@calibrate): the mounting of real mirrors from measured gains.
-//! - [`train`]: the `heliostat train` command.
+//! - [`train`]: the `heliostat-lab train` command.
 
 pub mod calibrate;
 pub mod comparison;

@@ -15,7 +15,7 @@ use crate::training;
 
 /// Reproduce the figures of the paper, with a verdict for each of its statements.
 ///
-/// Writes a self-contained report.html, and SVG, CSV and JSON files for each figure. Finished parts
+/// Writes report.md, and SVG, CSV and JSON files for each figure. Finished parts
 /// are stored in DIR/parts: an interrupted run continues, and only parts with changed inputs are
 /// computed again.
 #[derive(Debug, clap::Args)]
@@ -235,22 +235,22 @@ mod tests {
     #[test]
     fn the_command_of_a_report_is_the_given_one() {
         for given in ["--mode paper,specular", "--scenario hall.toml", "--finished", "--train-missing"] {
-            let args = ReproduceArgs::of_command(&format!("heliostat reproduce all --out DIR {given} {CHANGED}"));
+            let args = ReproduceArgs::of_command(&format!("heliostat-lab reproduce all --out DIR {given} {CHANGED}"));
             assert_eq!(format!("{:?}", ReproduceArgs::of_command(&command_of_report(&args))), format!("{args:?}"));
         }
         assert_eq!(
-            command_of_report(&ReproduceArgs::of_command("heliostat reproduce map --out /tmp --json")),
-            "heliostat reproduce map --out DIR"
+            command_of_report(&ReproduceArgs::of_command("heliostat-lab reproduce map --out /tmp --json")),
+            "heliostat-lab reproduce map --out DIR"
         );
     }
 
     #[test]
     fn the_command_of_a_figure_names_its_room_and_keeps_the_other_flags() {
         let all = ReproduceArgs::of_command(&format!(
-            "heliostat reproduce all --out DIR --mode paper,specular --train-missing {CHANGED}"
+            "heliostat-lab reproduce all --out DIR --mode paper,specular --train-missing {CHANGED}"
         ));
         let one = ReproduceArgs::of_command(&format!(
-            "heliostat reproduce map --out DIR --mode specular --train-missing {CHANGED}"
+            "heliostat-lab reproduce map --out DIR --mode specular --train-missing {CHANGED}"
         ));
         let command = of_figure("map", &all.rooms().unwrap()[1]);
         assert_eq!(format!("{:?}", ReproduceArgs::of_command(&command)), format!("{one:?}"));
@@ -262,8 +262,8 @@ mod tests {
         let file = folder.path().join("hall.toml").display().to_string();
         std::fs::write(&file, heliostat_scenario::Scenario::builtin_text("specular").unwrap()).unwrap();
         let args =
-            ReproduceArgs::of_command(&format!("heliostat reproduce all --out DIR --scenario {file} --finished"));
+            ReproduceArgs::of_command(&format!("heliostat-lab reproduce all --out DIR --scenario {file} --finished"));
         let command = of_figure("inference", &args.rooms().unwrap()[0]);
-        assert_eq!(command, format!("heliostat reproduce inference --out DIR --scenario {file}"));
+        assert_eq!(command, format!("heliostat-lab reproduce inference --out DIR --scenario {file}"));
     }
 }

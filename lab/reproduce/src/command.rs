@@ -10,7 +10,7 @@ pub fn of_figure(id: &str, room: &Room) -> String {
 
 /// The command up to its flags.
 pub(crate) fn begun(what: &str) -> String {
-    format!("heliostat reproduce {what} --out DIR")
+    format!("heliostat-lab reproduce {what} --out DIR")
 }
 
 /// A word quoted for a shell. A pair of braces without content is literal in every shell.

@@ -1,5 +1,4 @@
-//! docs/results/reproduction.md: the last documented run as text and tables, rendered from
-//! docs/results/reproduction.json only.
+//! A report as text and tables in Markdown, which is also docs/results/reproduction.md.
 
 use std::fmt::Write;
 
@@ -59,7 +58,7 @@ fn rounded(value: f64) -> f64 {
     format!("{value:.3e}").parse().unwrap_or(value)
 }
 
-/// The file that the document is rendered from.
+/// The report as JSON, beside the document.
 ///
 /// # Errors
 /// None expected: every number in a report is finite.
@@ -67,19 +66,19 @@ pub fn json(report: &Report) -> Result<String> {
     Ok(serde_json::to_string_pretty(report)? + "\n")
 }
 
-/// The document.
-pub fn markdown(report: &Report) -> String {
+/// The document; with `pictures` it shows the SVG files in its folder.
+pub fn markdown(report: &Report, pictures: bool) -> String {
     let mut text = String::new();
-    write(report, &mut text).expect("writing into a string does not fail");
+    write(report, pictures, &mut text).expect("writing into a string does not fail");
     text
 }
 
-fn write(report: &Report, text: &mut String) -> std::fmt::Result {
+fn write(report: &Report, pictures: bool, text: &mut String) -> std::fmt::Result {
     let meta = &report.meta;
     writeln!(text, "# Reproduction of the paper's figures\n")?;
     writeln!(
         text,
-        "Made by the command below from `docs/results/reproduction.json`; do not edit. [physics.md](../physics.md) explains the interpretation of the paper. The command also writes a report with the plots, interactive and as SVG.\n"
+        "Made by the command below; do not edit. docs/physics.md explains the interpretation of the paper. The command also writes the plots as SVG.\n"
     )?;
     writeln!(text, "```\n{} --write-docs docs/results\n```\n", meta.command)?;
     let commits = meta.commits.join(", ");
@@ -99,6 +98,9 @@ fn write(report: &Report, text: &mut String) -> std::fmt::Result {
             writeln!(text, "## {}\n", figure.title)?;
         }
         writeln!(text, "### {}: {}\n", figure.id, figure.room)?;
+        if pictures {
+            writeln!(text, "![{} in {}]({}.svg)\n", figure.title, figure.room, figure.stem())?;
+        }
         // Lines that the previous room has already are omitted.
         let is_repeated = |line: &&String| last.is_some_and(|last| last.id == figure.id && last.caption.contains(line));
         let lines: Vec<&String> = figure.caption.iter().filter(|line| !is_repeated(line)).collect();

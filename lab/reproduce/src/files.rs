@@ -1,4 +1,4 @@
-//! The files of a report: the page, and SVG, CSV and JSON for each figure.
+//! The files of a report: the text, and SVG, CSV and JSON for each figure.
 
 use std::path::Path;
 
@@ -7,7 +7,10 @@ use anyhow::{Context, Result};
 use crate::draw::svg;
 use crate::figure::Figure;
 use crate::report::Report;
-use crate::{page, store};
+use crate::{document, store};
+
+/// The text of a report, which shows the SVG files beside it.
+pub const REPORT: &str = "report.md";
 
 /// Writes all files of a report into a folder.
 ///
@@ -21,7 +24,7 @@ pub fn write(report: &Report, out: &Path) -> Result<()> {
         store::write(&file("json"), &serde_json::to_vec(figure)?)?;
     }
     store::write(&out.join("report.json"), &serde_json::to_vec(report)?)?;
-    store::write(&out.join("report.html"), page::html(report).as_bytes())
+    store::write(&out.join(REPORT), document::markdown(&document::reduced(report), true).as_bytes())
 }
 
 /// One line for each point; for a floor one for each cell.

@@ -14,7 +14,7 @@
 //! - [`run`]: estimate, progress, and the computation of the parts.
 //! - [`command`]: the command that reproduces a figure.
 //! - [`claims`]: the statements of the paper, each with a verdict.
-//! - [`report`], [`files`], [`page`], [`document`]: the result, its files, the page, and
+//! - [`report`], [`files`], [`document`]: the result, its files, and its text, which is also
 //!   docs/results/reproduction.md.
 //! - [`figure`](mod@figure), [`draw`], [`statistics`], [`machine`], [`over_floor`](mod@over_floor):
 //!   shared by the modules above.
@@ -31,7 +31,6 @@ pub mod files;
 pub mod job;
 pub mod machine;
 pub mod over_floor;
-pub mod page;
 pub mod part;
 pub mod plan;
 pub mod report;

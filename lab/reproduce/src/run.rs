@@ -1,12 +1,11 @@
-//! One run of `heliostat reproduce`: checks, computation of the parts, report.
+//! One run of `heliostat-lab reproduce`: checks, computation of the parts, report.
 
-use std::fs;
 use std::io::IsTerminal;
 use std::io::Write;
 use std::path::Path;
 use std::time::Duration;
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Result, ensure};
 use heliostat_learn::networks::on_one_thread;
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -29,7 +28,7 @@ use crate::{files, machine, training};
 pub fn run_reproduce(args: ReproduceArgs) -> Result<()> {
     let report = reproduce(&args)?;
     let kept = report.parts.iter().filter(|part| part.kept).count();
-    let page = args.out.join("report.html");
+    let page = args.out.join(files::REPORT);
     if args.json {
         let summary = serde_json::json!({
             "page": page, "parts": report.parts.len(), "kept": kept, "claims": report.claims, "left_out": report.left_out, "meta": report.meta,
@@ -181,10 +180,6 @@ fn commits(parts: &[Origin]) -> Vec<String> {
 
 fn write_docs(report: &Report, folder: &Path) -> Result<()> {
     let report = document::reduced(report);
-    let json = folder.join("reproduction.json");
-    crate::store::write(&json, document::json(&report)?.as_bytes())?;
-    // The document is rendered from the file, so that it can be rendered again.
-    let text = fs::read_to_string(&json).with_context(|| format!("cannot read {}", json.display()))?;
-    let report = serde_json::from_str(&text)?;
-    crate::store::write(&folder.join("reproduction.md"), document::markdown(&report).as_bytes())
+    crate::store::write(&folder.join("reproduction.json"), document::json(&report)?.as_bytes())?;
+    crate::store::write(&folder.join("reproduction.md"), document::markdown(&report, false).as_bytes())
 }

@@ -1,4 +1,4 @@
-//! The policy ddpg for rooms without a built-in actor, trained by `heliostat train`.
+//! The policy ddpg for rooms without a built-in actor, trained by `heliostat-lab train`.
 
 use std::fs;
 use std::io::Write;
@@ -13,7 +13,7 @@ use heliostat_scenario::Scenario;
 
 use crate::plan::Room;
 
-/// `heliostat train` by its own flags.
+/// `heliostat-lab train` by its own flags.
 #[derive(Parser)]
 struct Train {
     #[command(flatten)]
@@ -43,7 +43,7 @@ pub fn provide(room: &Room, out: &Path, train: bool) -> Result<()> {
     if !train {
         bail!(
             "room {} has no trained actor: none is built in for channel mode {} with {} mirrors in this geometry; give --train-missing to train one \
-             now (some minutes), or build in one that you train with `heliostat train ddpg`",
+             now (some minutes), or build in one that you train with `heliostat-lab train ddpg`",
             room.name,
             room.scenario.channel.mode.name(),
             room.scenario.mirrors

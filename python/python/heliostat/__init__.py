@@ -9,7 +9,7 @@
 - `heliostat.envs`: the four environments, registered with Gymnasium by the import of the package.
 - `heliostat.vector`: the same in a batch that steps on all cores.
 - `heliostat.physics`: gains, rates, maps, the decoder, the oracle and policies as functions.
-- `heliostat.evaluation`: scores on held-out rooms, as `heliostat eval` computes them.
+- `heliostat.evaluation`: scores on held-out rooms, as `heliostat-lab eval` computes them.
 - `heliostat.recording`: recordings of rooms as arrays.
 - `heliostat.export`: from a PyTorch module to a file that the controller runs.
 - `heliostat.sb3`: the batch as a vector environment of Stable-Baselines3.
@@ -20,7 +20,7 @@ and rates are in Mbit/s.
 """
 
 from . import envs as envs
-from ._core import BELIEF_COLUMNS, BUILTIN_SCENARIOS, EVIDENCE_FEATURES, __version__, held_out_seed, policy_names
+from ._core import BELIEF_COLUMNS, BUILTIN_SCENARIOS, __version__, held_out_seed, policy_names
 from .envs import HeliostatEnv
 from .evaluation import Score, evaluate
 from .export import export_onnx
@@ -32,7 +32,6 @@ from .vector import HeliostatVectorEnv
 __all__ = [
     "BELIEF_COLUMNS",
     "BUILTIN_SCENARIOS",
-    "EVIDENCE_FEATURES",
     "HeliostatEnv",
     "HeliostatVectorEnv",
     "Policy",

@@ -12,7 +12,7 @@ SEED_MAX = 2**64 - 1
 """Largest seed of a room."""
 
 POINTS_MAX = 4_000_000
-"""Most points of a map, as for `heliostat map`."""
+"""Most points of a map, as for `heliostat-lab map`."""
 
 STATES_MAX = 1_000_000
 """Most states of all seeds of a comparison."""

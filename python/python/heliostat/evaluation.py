@@ -1,4 +1,4 @@
-"""Scores on held-out rooms: the same rooms, users and oracle as `heliostat eval`."""
+"""Scores on held-out rooms: the same rooms, users and oracle as `heliostat-lab eval`."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ class Score:
 def evaluate(act: Act, env: HeliostatEnv | Any, states: int = 100, seeds: int = 1) -> Score:
     """The score of `act`, from an observation to an action.
 
-    The states are those of `heliostat eval --states STATES --seeds SEEDS` for the scenario of `env`: in a static room
-    one by one, without a step between; in a closed loop those of `heliostat eval --closed-loop`, at sampling times
+    The states are those of `heliostat-lab eval --states STATES --seeds SEEDS` for the scenario of `env`: in a static room
+    one by one, without a step between; in a closed loop those of `heliostat-lab eval --closed-loop`, at sampling times
     between which `act` decides for each position report. Any wrappers of Gymnasium that change observations or
     actions apply. Settings of `env` other than scenario, dynamics, action and observation do not matter.
     """

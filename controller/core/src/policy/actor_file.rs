@@ -15,6 +15,7 @@ use heliostat_scenario::Scenario;
 use prost::Message;
 use thiserror::Error;
 
+use super::removed::{Removed, removed};
 use crate::observe::observation::{OBSERVATION_VERSION, ObservationEncoder};
 
 /// Longest text of a file that a message repeats, in characters.
@@ -25,15 +26,8 @@ pub const INPUT_NAME: &str = "observation";
 /// Name of the network's only output.
 pub const OUTPUT_NAME: &str = "angles";
 
-/// Name of the only output of a network with the compact action.
-pub const CORRECTIONS_NAME: &str = "corrections";
-/// The action of a network that corrects the belief.
-pub const COMPACT: &str = "compact";
 /// The action of a network that gives the angles; that of a file without an entry.
 pub const ANGLES: &str = "angles";
-
-/// Action and name of the only output of a network that predicts places.
-pub const DISPLACEMENTS_NAME: &str = "displacements";
 
 /// The keys of the metadata that every actor carries.
 pub mod key {
@@ -45,9 +39,7 @@ pub mod key {
     pub const USERS_MAX: &str = "heliostat.users_max";
     /// Number of mirrors.
     pub const MIRRORS: &str = "heliostat.mirrors";
-    /// What the output is: [`COMPACT`](super::COMPACT),
-    /// [`DISPLACEMENTS_NAME`](super::DISPLACEMENTS_NAME), or [`ANGLES`](super::ANGLES) where the
-    /// entry is missing.
+    /// What the output is: [`ANGLES`](super::ANGLES), also where the entry is missing.
     pub const ACTION: &str = "heliostat.action";
     /// Channel mode that the actor was trained in.
     pub const MODE: &str = "heliostat.mode";
@@ -86,8 +78,8 @@ pub enum ActorError {
     },
     /// No policy has the action.
     #[error(
-        "{origin} has the unknown action {found}, expected \"{ANGLES}\", \"{COMPACT}\" or \"{DISPLACEMENTS_NAME}\": \
-         correct its metadata \"{}\", or export the actor again with `heliostat train`",
+        "{origin} has the unknown action {found}, expected \"{ANGLES}\": \
+         correct its metadata \"{}\", or export the actor again with `heliostat-lab train`",
         key::ACTION
     )]
     Action {
@@ -95,6 +87,14 @@ pub enum ActorError {
         origin: String,
         /// The action found.
         found: String,
+    },
+    /// The action was removed.
+    #[error("{origin}: {removed}")]
+    RemovedAction {
+        /// The file.
+        origin: String,
+        /// What was removed.
+        removed: Removed,
     },
     /// Inputs or outputs have other names or another number.
     #[error("{origin} has {side} {found:?}, expected exactly one, \"{expected}\"")]
@@ -111,7 +111,7 @@ pub enum ActorError {
     /// The input or output has another shape or element type.
     #[error(
         "{origin}: \"{port}\" is {found}, expected f32 [1, {expected}] for users.count = {users_max} and an array of size {mirrors}; \
-         export the actor again with `heliostat train`"
+         export the actor again with `heliostat-lab train`"
     )]
     Shape {
         /// The file.
@@ -130,7 +130,7 @@ pub enum ActorError {
     /// The file has no metadata of an actor at all.
     #[error(
         "{origin} is an ONNX file without the metadata of an actor (\"{}\" and others): add the entries that \
-         `heliostat config --as-json actor` prints for the scenario, or export an actor with `heliostat train`",
+         `heliostat config --as-json actor` prints for the scenario, or export an actor with `heliostat-lab train`",
         key::OBSERVATION_VERSION
     )]
     NoMetadata {
@@ -185,7 +185,7 @@ pub enum ActorError {
     /// A metadata entry is missing or unreadable.
     #[error(
         "{origin} has no usable metadata \"{key}\" (found {found}), expected the entries that \
-         `heliostat config --as-json actor` prints; export the actor again with `heliostat train`",
+         `heliostat config --as-json actor` prints; export the actor again with `heliostat-lab train`",
         found = found.as_ref().map_or("none".to_owned(), |value| quoted(value))
     )]
     Metadata {
@@ -267,8 +267,11 @@ impl ActorInfo {
             return Err(ActorError::NoMetadata { origin: file.origin.clone() });
         }
         let reader = MetadataReader { origin: &file.origin, entries: &entries };
-        if let Some(action) = reader.find(key::ACTION).filter(|action| ![ANGLES, COMPACT].contains(&action.as_str())) {
-            return Err(ActorError::Action { origin: origin.clone(), found: quoted(action) });
+        if let Some(action) = reader.find(key::ACTION).filter(|action| *action != ANGLES) {
+            return Err(match removed(action) {
+                Some(removed) => ActorError::RemovedAction { origin: origin.clone(), removed },
+                None => ActorError::Action { origin: origin.clone(), found: quoted(action) },
+            });
         }
         let info = Self {
             observation_version: reader.number(key::OBSERVATION_VERSION)?,
@@ -309,7 +312,7 @@ impl ActorInfo {
         let unfit = |what, found: String, expected: String, advice| {
             Err(ActorError::Unfit { origin: self.origin.clone(), what, found, expected, advice })
         };
-        let train = "train an actor for this scenario with `heliostat train`, or choose the policy fixed-point, which needs no file";
+        let train = "train an actor for this scenario with `heliostat-lab train`, or choose the policy fixed-point, which needs no file";
         if self.observation_version != OBSERVATION_VERSION {
             let (found, expected) = (self.observation_version.to_string(), OBSERVATION_VERSION.to_string());
             return unfit("observation version", found, expected, "train it again with this release of heliostat");
@@ -329,7 +332,7 @@ impl ActorInfo {
         let geometry = scenario.geometry_hash();
         if self.geometry != geometry {
             let advice = "room, access points, array or receiver differ from those of the training; \
-                          train an actor for them with `heliostat train`, or choose the policy fixed-point, which needs no file";
+                          train an actor for them with `heliostat-lab train`, or choose the policy fixed-point, which needs no file";
             return unfit("the optical geometry", self.geometry.clone(), geometry, advice);
         }
         Ok(())
@@ -361,7 +364,7 @@ impl ActorInfo {
 }
 
 /// The beginning of a text of a file, in quotation marks and without control characters.
-pub(super) fn quoted(text: &str) -> String {
+fn quoted(text: &str) -> String {
     format!("{:?}", text.chars().take(QUOTED_MAX).collect::<String>())
 }
 

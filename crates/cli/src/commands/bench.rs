@@ -1,18 +1,14 @@
 //! `heliostat bench`: times and rates, each beside a reference measured in the same run.
+//!
+//! `heliostat-lab bench` has the other benchmarks, some of which measure with the modules here.
 
-mod belief;
 mod board;
-mod decide;
-mod demo;
+pub mod decide;
 mod echo;
-mod env;
-mod moving;
-mod oracle;
-mod pace;
-mod room;
-mod rows;
+pub mod pace;
+pub mod rows;
 mod walkers;
-mod wire;
+pub mod wire;
 
 use anyhow::Result;
 
@@ -25,28 +21,10 @@ pub struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum What {
-    /// Environment steps a second on one core, beside a straightforward scalar implementation
-    Env(env::Args),
-    /// Time of one solution of the oracle, without and with minimum rates, beside the model-based
-    /// policies
-    Oracle(oracle::Args),
     /// The decision without transport at several rates, beside the inference engine alone
     Decide(decide::Args),
-    /// The belief for each report and the observation, beside one evaluation of the channel model
-    Belief(belief::Args),
     /// From report to command between two processes, beside an echo over the same transport
     Loop(wire::Args),
-    /// The decision with 49 to 4096 mirrors
-    Mirrors(decide::Args),
-    /// The decision with 1 to 50 users
-    Users(decide::Args),
-    /// From report to command with 1 to 64 rooms on one controller process, beside an echo
-    Rooms(wire::Args),
-    /// The decision of every policy, beside the inference engine alone
-    Policies(decide::Args),
-    /// Decisions over 0.5 ms of the demo, beside those of the policy hold, on a quiet and on a busy
-    /// machine
-    Demo(demo::Args),
     /// The echo process, which loop and rooms start
     #[command(hide = true)]
     Echo(echo::Args),
@@ -55,16 +33,8 @@ enum What {
 /// Runs the benchmark.
 pub fn run(args: Args) -> Result<()> {
     match args.what {
-        What::Env(args) => env::run(&args),
-        What::Oracle(args) => oracle::run(&args),
         What::Decide(args) => decide::decide(&args),
-        What::Belief(args) => belief::run(&args),
         What::Loop(args) => wire::run_loop(&args),
-        What::Mirrors(args) => decide::mirrors(&args),
-        What::Users(args) => decide::users(&args),
-        What::Rooms(args) => wire::run_rooms(&args),
-        What::Policies(args) => decide::policies(&args),
-        What::Demo(args) => demo::run(&args),
         What::Echo(args) => echo::run(&args),
     }
 }

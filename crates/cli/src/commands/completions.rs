@@ -8,7 +8,7 @@ use anyhow::{Context, Result};
 use clap::Command;
 use clap_complete::Shell;
 
-use crate::output::outln;
+use heliostat_service::outln;
 
 /// Print the completion script for a shell.
 ///

@@ -9,9 +9,9 @@ use anyhow::{Result, bail};
 
 use heliostat_service::counted::counted;
 
-use crate::output::outln;
 pub use args::Args;
 use check::{Check, Verdict};
+use heliostat_service::outln;
 
 /// Runs the command.
 pub fn run(args: Args) -> Result<()> {

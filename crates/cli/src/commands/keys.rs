@@ -7,7 +7,7 @@ use heliostat_bus::{AccessRole, Certificate, keys};
 use heliostat_proto::Room;
 use serde_json::{Value, json};
 
-use crate::output::outln;
+use heliostat_service::outln;
 
 /// Make, renew and list the certificates of a room, for --tls.
 ///

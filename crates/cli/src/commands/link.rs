@@ -11,11 +11,11 @@ use heliostat_channel::solver::QOS_PENALTY;
 use heliostat_room::World;
 use heliostat_scenario::{MinRate, Scenario, ScenarioArgs, USERS_MAX};
 use heliostat_service::counted::counted;
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
 use super::mirrors::{Instant, parse_position};
-use super::read_csv;
-use crate::output::outln;
+use super::number_table;
+use heliostat_service::outln;
 
 /// Compute the link budget of users at given positions, for given mirror angles.
 #[derive(Debug, clap::Args)]
@@ -108,7 +108,7 @@ pub fn run(args: Args) -> Result<()> {
 }
 
 /// A line of the file of users.
-#[derive(Debug, Deserialize)]
+#[derive(Debug)]
 struct UserRow {
     x: f64,
     y: f64,
@@ -124,7 +124,10 @@ impl UserRow {
 
 fn user_rows(args: &Args, scenario: &Scenario) -> Result<Vec<UserRow>> {
     let rows: Vec<UserRow> = match &args.users {
-        Some(file) => read_csv(file, &["x", "y"], &["z", "heading_deg"])?,
+        Some(file) => number_table::read(file, &["x", "y"], &["z", "heading_deg"])?
+            .into_iter()
+            .filter_map(|row| Some(UserRow { x: row[0]?, y: row[1]?, z: row[2], heading_deg: row[3] }))
+            .collect(),
         None => args.user.iter().map(|text| parse_user(text)).collect::<Result<_>>()?,
     };
     ensure!(!rows.is_empty(), "no users: give a CSV with at least one line after the header, or --user X,Y");
@@ -177,26 +180,19 @@ fn set_user_count(scenario: &mut Scenario, count: usize) -> Result<()> {
 }
 
 /// A line of the file of obstacles.
-#[derive(Debug, Deserialize)]
-struct ObstacleRow {
-    x: f64,
-    y: f64,
-    radius: f64,
-    height: f64,
-}
-
 /// Obstacles and bodies, each with its name in the report.
 fn blockers(args: &Args, scenario: &Scenario, rows: &[UserRow]) -> Result<(Vec<Cylinder>, Vec<String>)> {
     let mut blockers: Vec<Cylinder> = match args.obstacles.as_str() {
         "none" => Vec::new(),
         "seed" => World::new(scenario, scenario.read_trace()?.as_deref(), scenario.seed)?.obstacles().to_vec(),
-        file => read_csv::<ObstacleRow>(file, &["x", "y", "radius", "height"], &[])?
+        file => number_table::read(file, &["x", "y", "radius", "height"], &[])?
             .into_iter()
-            .map(|row| {
-                let finite = [row.x, row.y, row.radius, row.height].iter().all(|value| value.is_finite());
-                let valid = finite && row.radius > 0.0 && row.height >= 0.0;
-                ensure!(valid, "in {file}: invalid obstacle {row:?}; expected x, y, radius > 0 and height >= 0 in m");
-                Ok(Cylinder { x_m: row.x, y_m: row.y, radius_m: row.radius, height_m: row.height })
+            .filter_map(|row| Some(Cylinder { x_m: row[0]?, y_m: row[1]?, radius_m: row[2]?, height_m: row[3]? }))
+            .map(|one| {
+                let finite = [one.x_m, one.y_m, one.radius_m, one.height_m].iter().all(|value| value.is_finite());
+                let valid = finite && one.radius_m > 0.0 && one.height_m >= 0.0;
+                ensure!(valid, "in {file}: invalid obstacle {one:?}; expected x, y, radius > 0 and height >= 0 in m");
+                Ok(one)
             })
             .collect::<Result<_>>()?,
     };

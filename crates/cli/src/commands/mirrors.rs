@@ -7,17 +7,17 @@ use clap::ValueEnum;
 use heliostat_channel::solver::{Method, MinimumRates, Solver};
 use heliostat_channel::{ChannelModel, Cylinder, MirrorAngles, Vec3, decode};
 use heliostat_core::observation::{Observation, RoomState};
-use heliostat_core::policy::PolicyKind;
+use heliostat_core::policy::{PolicyKind, removed};
 use heliostat_models::{ActorSource, build};
 use heliostat_scenario::Scenario;
 use heliostat_service::counted::counted;
-use serde::Deserialize;
 
-use super::read_csv;
+use super::number_table;
 
 /// One instant of a room: users and blockers.
 pub struct Instant<'a> {
     scenario: &'a Scenario,
+    /// The channel of the room.
     pub model: &'a ChannelModel,
     /// The observation for a policy.
     pub observation: Observation,
@@ -80,6 +80,8 @@ impl<'a> Instant<'a> {
             actor.act(self.model, &self.observation, &mut angles)?;
         } else if Path::new(how).exists() {
             angles = from_file(how, mirrors)?;
+        } else if let Some(removed) = removed(how) {
+            bail!("mirrors {how}: {removed}");
         } else {
             let policies: Vec<String> = PolicyKind::value_variants()
                 .iter()
@@ -113,23 +115,20 @@ pub fn parse_position(text: &str) -> Option<(f64, f64, Option<f64>)> {
     }
 }
 
-/// A line of the file of angles.
-#[derive(Debug, Deserialize)]
-struct AngleRow {
-    roll_deg: f64,
-    yaw_deg: f64,
-}
-
 fn from_file(file: &str, mirrors: usize) -> Result<MirrorAngles> {
-    let rows: Vec<AngleRow> = read_csv(file, &["roll_deg", "yaw_deg"], &[])?;
+    let rows = number_table::read(file, &["roll_deg", "yaw_deg"], &[])?;
+    let rows: Vec<[f64; 2]> = rows.into_iter().filter_map(|row| Some([row[0]?, row[1]?])).collect();
     let found = counted(rows.len(), "mirror");
     ensure!(rows.len() == mirrors, "{file} has angles for {found}, the scenario has {mirrors}");
     let mut angles = MirrorAngles::flat(mirrors);
-    for (index, row) in rows.iter().enumerate() {
-        let allowed = row.roll_deg.abs() <= 90.0 && row.yaw_deg.abs() <= 90.0;
-        ensure!(allowed, "{file}, mirror {index}: expected angles from -90 to 90 degrees, found {row:?}");
-        angles.roll[index] = row.roll_deg.to_radians();
-        angles.yaw[index] = row.yaw_deg.to_radians();
+    for (index, [roll_deg, yaw_deg]) in rows.iter().enumerate() {
+        let allowed = roll_deg.abs() <= 90.0 && yaw_deg.abs() <= 90.0;
+        ensure!(
+            allowed,
+            "{file}, mirror {index}: expected angles from -90 to 90 degrees, found {roll_deg} and {yaw_deg}"
+        );
+        angles.roll[index] = roll_deg.to_radians();
+        angles.yaw[index] = yaw_deg.to_radians();
     }
     Ok(angles)
 }

@@ -8,8 +8,8 @@ use anyhow::{Context, Result, bail};
 use heliostat_room::World;
 use heliostat_scenario::{BUILTIN_NAMES, Scenario, ScenarioArgs};
 
-use crate::output::outln;
 use heliostat_service::counted::counted;
+use heliostat_service::outln;
 
 /// Check, write or print a scenario.
 #[derive(Debug, clap::Args)]

@@ -24,7 +24,6 @@ pub fn style(name: &str) -> Style {
         "exhaustive" => 0xC08A00,
         "ddpg" | "actor" => 0x0072B2,
         "analytic" => 0x56B4E9,
-        "ddpg-basis" => 0x009E73,
         "ddpg-raw" => 0xCC79A7,
         "dql" => 0xD55E00,
         "q-learning" => 0xE69F00,
@@ -62,11 +61,6 @@ pub fn style(name: &str) -> Style {
         },
         points_only: matches!(policy, "user" | "LED"),
     }
-}
-
-/// A colour as HTML writes it.
-pub fn html([red, green, blue]: [u8; 3]) -> String {
-    format!("#{red:02X}{green:02X}{blue:02X}")
 }
 
 /// How many panels stand side by side.
@@ -135,7 +129,7 @@ mod tests {
     #[test]
     fn a_policy_keeps_its_colour_with_any_belief_and_numbers_are_short() {
         assert_eq!(style("ddpg+filter"), style("ddpg"));
-        assert_eq!(html(style("ddpg").rgb), "#0072B2");
+        assert_eq!(style("ddpg").rgb, [0x00, 0x72, 0xB2]);
         assert_eq!([0.5, 20.0, 0.0, 1e-7, 123.4].map(short_number), ["0.5", "20", "0", "1e-7", "123"]);
     }
 }

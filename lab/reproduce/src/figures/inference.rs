@@ -178,7 +178,7 @@ mod tests {
     fn figure_of(times_us: &[[f64; 2]], load: f64) -> Figure {
         let seeds = times_us.len();
         let args = ReproduceArgs::of_command(&format!(
-            "heliostat reproduce inference --out DIR --mode paper --training-seeds {seeds}"
+            "heliostat-lab reproduce inference --out DIR --mode paper --training-seeds {seeds}"
         ));
         let rooms = args.rooms().unwrap();
         let parts = parts(&rooms[0], &args.plan(args.effort())).unwrap();

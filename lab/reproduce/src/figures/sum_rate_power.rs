@@ -7,12 +7,14 @@ use heliostat_scenario::Scenario;
 use indicatif::ProgressBar;
 
 use super::finished_parts::{Done, groups, intervals, series};
-use crate::draw::interactive::PANELS_MAX;
 use crate::figure::{Axis, Figure, Panel, Quoted, Series};
 use crate::job::{Job, Power};
 use crate::part::{Curve, Measured, Part};
 use crate::plan::{Plan, Room};
 use crate::statistics::over_seeds;
+
+/// Largest number of panels in the figure.
+const PANELS_MAX: usize = 8;
 
 /// The id on the command line.
 pub const ID: &str = "sum-rate-power";

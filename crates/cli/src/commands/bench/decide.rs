@@ -1,5 +1,7 @@
-//! `heliostat bench decide | policies | mirrors | users`: the decision without transport, from the payload of a
-//! position report to the payload of the command, in one process.
+//! `heliostat bench decide`, and `heliostat-lab bench policies | mirrors | users`.
+//!
+//! They measure the decision without transport, from the payload of a position report to the payload
+//! of the command, in one process.
 //!
 //! Between decisions the thread sleeps, as a controller does between reports, so the caches lose
 //! their contents as they do there. A decision counts from the moment the thread is awake, or from
@@ -14,7 +16,7 @@ use clap::ValueEnum;
 use heliostat_controller::report::stage_times::{StageStamps, StageTimes};
 use heliostat_core::core::{Controller, Decision, Stage};
 use heliostat_core::inbox::Message;
-use heliostat_core::policy::{Actor, Policy, PolicyKind};
+use heliostat_core::policy::{Actor, NameParser, Policy, PolicyKind};
 use heliostat_models::{ActorSource, EngineChoice};
 use heliostat_proto::{ArrayState, MirrorTelemetry, Stamp, UserReport, decode_into, encode};
 use heliostat_scenario::{Scenario, ScenarioArgs};
@@ -41,7 +43,7 @@ pub struct Args {
     pace: PaceArgs,
     /// Policy that decides [default: ddpg for decide, fixed-point for mirrors and users, all for
     /// policies]
-    #[arg(long, value_enum)]
+    #[arg(long, value_enum, value_parser = NameParser::<PolicyKind>::default())]
     policy: Option<PolicyKind>,
     /// ONNX file of a learned policy, instead of the built-in one
     #[arg(long, value_name = "FILE", requires = "policy")]

@@ -10,7 +10,7 @@ use heliostat_bus::{Bus, BusConfig, Class};
 use heliostat_proto::Room;
 use heliostat_service::{Stop, signals};
 
-use crate::output::outln;
+use heliostat_service::outln;
 
 /// Between two checks whether the end has been requested.
 const LOOK_EVERY: Duration = Duration::from_secs(1);

@@ -9,7 +9,7 @@ use hdrhistogram::Histogram;
 use heliostat_proto::Quantiles;
 use serde::Serialize;
 
-use crate::output::outln;
+use heliostat_service::outln;
 
 /// Longest time that is recorded exactly, in ns; longer times count as this.
 const LONGEST_NS: u64 = 60_000_000_000;
@@ -48,8 +48,10 @@ impl Times {
 /// A distribution of times in us.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Distribution {
+    /// The median.
     pub p50: f64,
     p90: f64,
+    /// The 99th percentile.
     pub p99: f64,
     p999: f64,
     max: f64,

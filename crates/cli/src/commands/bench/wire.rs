@@ -1,4 +1,5 @@
-//! `heliostat bench loop | rooms`: from the publication of a report to the arrival of the command that answers it.
+//! `heliostat bench loop` and `heliostat-lab bench rooms`: from the publication of a report to the
+//! arrival of the command that answers it.
 //!
 //! This process is the room, the controller is a second one, and the reference is a third: an echo
 //! that answers each report with as many bytes as a command has, over the same session, with the

@@ -9,6 +9,8 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 
+use crate::programs;
+
 /// Number of lines of standard error that are kept for an error message.
 const LAST_LINES: usize = 12;
 
@@ -22,10 +24,9 @@ pub struct ChildProcess {
 }
 
 impl ChildProcess {
-    /// Starts this program with other arguments; the child ends when its standard input closes.
+    /// Starts `heliostat` with other arguments; the child ends when its standard input closes.
     pub fn start(name: &'static str, arguments: &[String]) -> Result<Self> {
-        let program = std::env::current_exe().context("cannot find this program's own file")?;
-        let mut command = Command::new(program);
+        let mut command = Command::new(programs::heliostat()?);
         command
             .args(arguments)
             .args(["--exit-with-parent", "--json"])

@@ -10,7 +10,7 @@ use heliostat_service::printable::printable;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::output::outln;
+use heliostat_service::outln;
 
 /// Mean sum rates in Mbit/s over the same instants.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]

@@ -57,7 +57,7 @@ fn check_policy(args: &Args, scenario: &Scenario) -> Check {
     let (policy, findings) = match args.engine.build_tried(args.policy, scenario, &source) {
         Ok(tried) => tried,
         Err(error) => {
-            let advice = "choose a policy that needs no file (--policy fixed-point), or train an actor for this scenario: heliostat train ddpg";
+            let advice = "choose a policy that needs no file (--policy fixed-point), or train an actor for this scenario: heliostat-lab train ddpg";
             return Check::fail("policy", format!("{error:#}"), advice);
         }
     };

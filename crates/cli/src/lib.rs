@@ -1,0 +1,19 @@
+//! The command line of Heliostat, and what the command line of the laboratory shares with it.
+//!
+//! - [`cli`]: the commands and their help.
+//! - [`commands`]: one module for each command; [`commands::bench`] and [`commands::mirrors`] are also
+//!   for `heliostat-lab`.
+//! - [`programs`]: the two programs as processes.
+
+pub mod cli;
+pub mod commands;
+pub mod programs;
+
+use std::process::ExitCode;
+
+use heliostat_service::exit;
+
+/// Runs the program `heliostat`.
+pub fn main() -> ExitCode {
+    exit::run(programs::HELIOSTAT, cli::run)
+}

@@ -1,0 +1,266 @@
+//! A comparison as one HTML file: tables, and plots as SVG elements. The file refers to no other one.
+
+mod plots;
+
+use std::fmt::Write;
+use std::path::Path;
+
+use anyhow::Result;
+use heliostat_learn::comparison::{Loop, Report, Row, Spread};
+use heliostat_reproduce::command::quoted;
+use heliostat_reproduce::draw::style::short_number;
+use heliostat_reproduce::machine;
+use heliostat_scenario::Scenario;
+use heliostat_service::printable::{printable, printable_lines};
+
+use super::output::{BELIEF_NOTE, belief_columns, interval, number, rows, signed};
+use super::sweep::Sweep;
+use crate::commands::whole_file;
+
+/// A file that can be written.
+pub struct Destination<'a> {
+    file: &'a Path,
+}
+
+impl<'a> Destination<'a> {
+    /// Checks that the file can be written. An existing file keeps its content, and a new one is not
+    /// left behind.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn new(file: &'a Path) -> Result<Self> {
+        whole_file::check_writable(file)?;
+        Ok(Self { file })
+    }
+
+    /// Writes the report of a comparison, or of one comparison for each value of a sweep.
+    ///
+    /// # Errors
+    /// A plot that cannot be drawn, or a file that cannot be written.
+    pub fn write(&self, scenario: &Scenario, sweep: Option<&Sweep>, reports: &[Report]) -> Result<()> {
+        let page = page(&command(), scenario, sweep, reports)?;
+        whole_file::write(self.file, page.as_bytes())
+    }
+}
+
+/// The command line of this process.
+fn command() -> String {
+    let arguments = std::env::args_os().skip(1);
+    let words = arguments.map(|word| quoted(&word.to_string_lossy()));
+    [heliostat::programs::LAB.to_owned()].into_iter().chain(words).collect::<Vec<_>>().join(" ")
+}
+
+/// Text from a file or a flag, for the page.
+fn text(text: &str) -> String {
+    escape(&printable(text))
+}
+
+fn page(command: &str, scenario: &Scenario, sweep: Option<&Sweep>, reports: &[Report]) -> Result<String> {
+    let first = &reports[0];
+    let title = format!("Policies in {}", text(&first.scenario));
+    let mut page = String::new();
+    writeln!(
+        page,
+        "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" content=\"width=device-width\">\n\
+         <title>{title}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<h1>{title}</h1>"
+    )?;
+    write_origin(&mut page, command, first, sweep)?;
+    if let Some(sweep) = sweep {
+        writeln!(
+            page,
+            "<h2>Over {}</h2>\n<div class=\"plots\">{}</div>",
+            text(sweep.key()),
+            plots::over(sweep, reports)?
+        )?;
+    }
+    for (index, report) in reports.iter().enumerate() {
+        if let Some(sweep) = sweep {
+            writeln!(page, "<h2>{} = {}</h2>", text(sweep.key()), text(&sweep.values()[index]))?;
+        }
+        write_table(&mut page, report)?;
+        write_beliefs(&mut page, report)?;
+        writeln!(page, "<div class=\"plots\">{}</div>", plots::by_policy(report)?)?;
+    }
+    write_notes(&mut page, first)?;
+    let effective = escape(&printable_lines(&scenario.to_toml()));
+    let which = if sweep.is_some() { " of the first value" } else { "" };
+    writeln!(
+        page,
+        "<h2>Scenario</h2>\n<details><summary>The effective scenario{which}</summary><pre>{effective}</pre></details>"
+    )?;
+    writeln!(page, "</body>\n</html>")?;
+    Ok(page)
+}
+
+fn write_origin(page: &mut String, command: &str, report: &Report, sweep: Option<&Sweep>) -> std::fmt::Result {
+    let mode = match report.mode {
+        Loop::Static => "static: exact states, mirrors that turn at once",
+        Loop::ClosedLoop => "closed loop: reports, delays, noise and mirrors of the scenario",
+    };
+    let last_seed = report.seed.wrapping_add(report.seeds as u64 - 1);
+    let mut rows = vec![
+        ("scenario", format!("{}, configuration {}", report.scenario, report.configuration)),
+        ("comparison", mode.to_owned()),
+        ("users", format!("{}, {} with a blocked direct path", report.users, report.blocked)),
+        ("seeds", format!("{} to {last_seed}: {} states for each", report.seed, report.states)),
+        ("made", machine::now()),
+        ("program", format!("heliostat-lab {}, commit {}", env!("CARGO_PKG_VERSION"), machine::COMMIT)),
+        ("machine", machine::hardware()),
+    ];
+    if let Some(sweep) = sweep {
+        rows[2].1 += "; at the first value of the sweep";
+        rows.insert(2, ("sweep", format!("{} = {}", sweep.key(), sweep.values().join(", "))));
+    }
+    writeln!(page, "<table class=\"meta\">\n<tr><th>command</th><td><code>{}</code></td></tr>", text(command))?;
+    for (name, value) in rows {
+        writeln!(page, "<tr><th>{name}</th><td>{}</td></tr>", text(&value))?;
+    }
+    writeln!(page, "</table>")
+}
+
+/// A column of the table: its heading, and the text of a row's cell.
+type Column = (String, Box<dyn Fn(&Row) -> String>);
+
+fn columns(report: &Report) -> Vec<Column> {
+    let spread = |heading: &str, digits: usize, value: fn(&Row) -> Spread| -> Column {
+        (heading.into(), Box::new(move |row| interval(value(row), digits)))
+    };
+    let mut columns = vec![spread("sum rate (Mbit/s)", 1, |row| row.sum_rate_mbps)];
+    if let Some((first, _)) = report.policies.first().filter(|_| report.policies.len() > 1) {
+        let mut push = |unit: &str, digits: usize, value: fn(&Row) -> Option<Spread>| {
+            let cell = move |row: &Row| value(row).map_or("-".into(), |spread| signed(spread, digits));
+            columns.push((format!("difference to {first} ({unit})"), Box::new(cell)));
+        };
+        push("Mbit/s", 1, |row| row.difference_mbps);
+        push("ratio", 3, |row| row.difference_ratio);
+        push("QoS met", 3, |row| row.difference_qos_met);
+    }
+    columns.extend([
+        spread("ratio to the oracle", 3, |row| row.ratio_to_oracle),
+        ("ratio, p5".into(), Box::new(|row| number(row.ratio_to_oracle.p5, 3))),
+        spread("QoS met", 3, |row| row.qos_met),
+        spread("Jain", 3, |row| row.jain),
+        spread("blocked (Mbit/s)", 2, |row| row.blocked_rate_mbps),
+        ("BER".into(), Box::new(|row| exponent(row.ber))),
+    ]);
+    let time = |value: Option<f64>| value.map_or("-".into(), short_number);
+    columns.push(("decision time p50 (us)".into(), Box::new(move |row| time(row.decision_us.map(|times| times.p50)))));
+    columns.push(("p99 (us)".into(), Box::new(move |row| time(row.decision_us.map(|times| times.p99)))));
+    columns.push(("trained".into(), Box::new(|row| row.training_seeds.map_or("-".into(), |seeds| seeds.to_string()))));
+    columns
+}
+
+/// A spread of a tiny number.
+fn exponent(spread: Spread) -> String {
+    if spread.ci95.is_nan() {
+        format!("{:.2e}", spread.mean)
+    } else {
+        format!("{:.2e} ±{:.1e}", spread.mean, spread.ci95)
+    }
+}
+
+fn write_table(page: &mut String, report: &Report) -> std::fmt::Result {
+    let columns = columns(report);
+    let headings = columns.iter().map(|(heading, _)| format!("<th>{}</th>", text(heading))).collect::<String>();
+    writeln!(page, "<div class=\"wide\"><table class=\"figures\">\n<tr><th>policy</th>{headings}</tr>")?;
+    for (name, row) in rows(report) {
+        let cells = columns.iter().map(|(_, cell)| format!("<td>{}</td>", cell(row))).collect::<String>();
+        writeln!(page, "<tr><th>{}</th>{cells}</tr>", text(name))?;
+    }
+    writeln!(page, "</table></div>")
+}
+
+fn write_beliefs(page: &mut String, report: &Report) -> std::fmt::Result {
+    if report.beliefs.is_empty() {
+        return Ok(());
+    }
+    let columns = belief_columns();
+    let headings = columns.iter().map(|(heading, _)| format!("<th>{}</th>", text(heading))).collect::<String>();
+    writeln!(page, "<div class=\"wide\"><table class=\"figures\">\n<tr><th>belief</th>{headings}</tr>")?;
+    for (name, quality) in &report.beliefs {
+        let cells = columns.iter().map(|(_, cell)| format!("<td>{}</td>", cell(quality))).collect::<String>();
+        writeln!(page, "<tr><th>{}</th>{cells}</tr>", text(name))?;
+    }
+    writeln!(page, "</table></div>")
+}
+
+fn write_notes(page: &mut String, report: &Report) -> std::fmt::Result {
+    writeln!(page, "<h2>How to read this</h2>\n<ul>")?;
+    for note in [
+        "±: half the width of the 95 % confidence interval of the mean, by Student's t. A single state has no interval.",
+        "Difference: the figure minus that of the first policy, state by state. Its interval is narrower than that of two means, because \
+         both policies meet the same states. An interval that does not contain 0 is a difference beyond the variation of the states.",
+        "Ratio: to the sum rate of the oracle with minimum rates, state by state; p5: its 5th percentile over the states.",
+        "QoS met: share of the users whose minimum rate is met. Jain: Jain's fairness index of the rates. BER: with on-off keying.",
+        "Blocked: mean rate of a user without a direct path. Trained: number of training seeds; the interval includes their spread.",
+    ] {
+        writeln!(page, "<li>{}</li>", escape(note))?;
+    }
+    if report.policies.iter().any(|(_, row)| row.decision_us.is_some()) {
+        let of = match report.mode {
+            Loop::Static => "the policy alone, encoding included",
+            Loop::ClosedLoop => "belief, observation and policy",
+        };
+        writeln!(page, "<li>Decision time: of {of}, on this machine.</li>")?;
+    }
+    if !report.beliefs.is_empty() {
+        writeln!(page, "<li>Belief, against the truth at the predicted instant: {}.</li>", escape(BELIEF_NOTE))?;
+    }
+    writeln!(page, "</ul>")
+}
+
+/// A text for an element or an attribute of the page.
+fn escape(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+const STYLE: &str = "
+body { font: 15px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 1280px; padding: 0 1.5rem; color: #222; }
+h1 { font-size: 1.7rem; } h2 { margin-top: 2.5rem; border-bottom: 1px solid #ccc; }
+table { border-collapse: collapse; font-size: 0.9rem; } td, th { text-align: left; vertical-align: top; padding: 0.3rem 0.7rem; }
+.meta th { color: #666; font-weight: normal; } code { background: #f2f2f2; padding: 0 0.25em; border-radius: 3px; }
+.wide { overflow-x: auto; } .figures td, .figures th { border-bottom: 1px solid #ddd; white-space: nowrap; } .figures td { text-align: right; }
+.figures tr:first-child th { white-space: normal; vertical-align: bottom; }
+.plots { display: flex; flex-wrap: wrap; align-items: flex-start; gap: 1rem; margin: 1.5rem 0; } .plots svg { max-width: 100%; height: auto; }
+pre { overflow-x: auto; }
+";
+
+#[cfg(test)]
+mod tests {
+    use heliostat_learn::comparison::{EvaluatedPolicy, Settings, compare};
+
+    use super::*;
+
+    fn report_of(policies: &[&str]) -> (Scenario, Report) {
+        let room = ["mirrors.rows=2", "mirrors.columns=3", "users.count=2", "name=\"<b>lab</b>\""].map(String::from);
+        let scenario = Scenario::from_toml_with("", &room).expect("a scenario");
+        let actor = heliostat_models::ActorSource::Shipped;
+        let policies = policies.iter().map(|name| EvaluatedPolicy::parse(name, &actor).expect("a policy")).collect();
+        let settings = Settings {
+            warm: Settings::WARM,
+            scenario: scenario.clone(),
+            policies,
+            states: 3,
+            seeds: 2,
+            mode: Loop::Static,
+            training_seed: None,
+        };
+        let report = compare(&settings).expect("a report");
+        (scenario, report)
+    }
+
+    #[test]
+    fn text_from_flags_and_files_cannot_become_elements_of_the_page() {
+        let (scenario, mut report) = report_of(&["flat", "nearest"]);
+        for (name, _) in &mut report.policies {
+            *name = format!("<script>{name}</script>&\u{1b}[2J.onnx");
+        }
+        let sweep: Sweep = "name=<i>a</i>,<i>b</i>".parse().expect("a sweep");
+        let reports = [report.clone(), report];
+        let page = page("heliostat-lab eval '<u>'", &scenario, Some(&sweep), &reports).expect("a page");
+        for element in ["<script", "<b>lab", "<i>", "<u>", "\u{1b}"] {
+            assert!(!page.contains(element), "{element} in\n{page}");
+        }
+        assert!(page.contains("&lt;script&gt;flat&lt;/script&gt;&amp;\\u001b[2J.onnx"), "{page}");
+    }
+}

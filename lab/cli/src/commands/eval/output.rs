@@ -1,0 +1,259 @@
+//! A comparison as tables and as CSV.
+
+use std::io;
+
+use anyhow::Result;
+use heliostat_learn::comparison::{BeliefQuality, Loop, Report, Row, Spread};
+
+use heliostat_service::counted::counted;
+
+use super::sweep::Sweep;
+use heliostat_service::outln;
+
+/// The oracle's row, then those of the policies.
+pub(super) fn rows(report: &Report) -> impl Iterator<Item = (&str, &Row)> {
+    let policies = report.policies.iter().map(|(name, row)| (name.as_str(), row));
+    std::iter::once(("(oracle)", &report.oracle)).chain(policies)
+}
+
+/// Width of the column of names.
+fn name_width(report: &Report) -> usize {
+    rows(report).map(|(name, _)| name.len()).max().unwrap_or(0).max(22)
+}
+
+/// Prints a comparison.
+pub fn print_table(report: &Report) -> io::Result<()> {
+    let loop_name = if report.mode == Loop::ClosedLoop { "closed loop" } else { "static" };
+    outln!(
+        "{}, {loop_name}: {}, {} with a blocked direct path; {}",
+        report.scenario,
+        counted(report.users, "user"),
+        report.blocked,
+        states_and_seeds(report)
+    )?;
+    let width = name_width(report);
+    outln!(
+        "{:<width$} {:>7} {:>13} {:>13} {:>6} {:>12} {:>12} {:>13} {:>18} {:>8} {:>8}",
+        "",
+        "trained",
+        "Mbit/s",
+        "ratio",
+        "p5",
+        "QoS met",
+        "Jain",
+        "blocked",
+        "BER",
+        "p50 (us)",
+        "p99 (us)"
+    )?;
+    for (name, row) in rows(report) {
+        let (rate, ratio) = (row.sum_rate_mbps, row.ratio_to_oracle);
+        let time = |time: Option<f64>| time.map_or("-".into(), |time| format!("{time:.0}"));
+        outln!(
+            "{name:<width$} {:>7} {:>13} {:>13} {:>6} {:>12} {:>12} {:>13} {:>18} {:>8} {:>8}",
+            row.training_seeds.map_or("-".into(), |seeds| seeds.to_string()),
+            interval(rate, 1),
+            interval(ratio, 3),
+            number(ratio.p5, 3),
+            interval(row.qos_met, 3),
+            interval(row.jain, 3),
+            interval(row.blocked_rate_mbps, 2),
+            ber(row.ber),
+            time(row.decision_us.map(|times| times.p50)),
+            time(row.decision_us.map(|times| times.p99)),
+        )?;
+    }
+    note_on_seeds(report)?;
+    outln!("trained: number of training seeds of a learned policy; the interval includes their spread")?;
+    outln!(
+        "±: half the width of the 95 % confidence interval of the mean; ratio: to the sum rate of the oracle with minimum rates; p5: its 5th percentile"
+    )?;
+    outln!("blocked: mean rate of a user without direct path, in Mbit/s")?;
+    print_differences(report)?;
+    print_outages(report)?;
+    print_beliefs(report)
+}
+
+/// Prints number and lengths of the outages in closed loop.
+fn print_outages(report: &Report) -> io::Result<()> {
+    let mut rows = rows(report).filter_map(|(name, row)| Some((name, row.outages?))).peekable();
+    if rows.peek().is_none() {
+        return Ok(());
+    }
+    outln!("\noutages: times in which a user is below the minimum rate, sampled every 20 ms")?;
+    let width = name_width(report);
+    outln!("{:<width$} {:>18} {:>15} {:>19}", "", "per user minute", "median (s)", "95th percentile (s)")?;
+    for (name, outages) in rows {
+        outln!(
+            "{name:<width$} {:>18} {:>15} {:>19}",
+            number(outages.per_user_minute, 2),
+            number(outages.p50_s, 2),
+            number(outages.p95_s, 2)
+        )?;
+    }
+    Ok(())
+}
+
+/// Prints the paired differences of the policies from the first one, if there are several.
+fn print_differences(report: &Report) -> io::Result<()> {
+    let [(first, _), others @ ..] = &report.policies[..] else { return Ok(()) };
+    if others.is_empty() {
+        return Ok(());
+    }
+    outln!("\ndifference to {first}, paired state by state")?;
+    let width = name_width(report);
+    outln!("{:<width$} {:>15} {:>15} {:>15}", "", "Mbit/s", "ratio", "QoS met")?;
+    for (name, row) in others {
+        let cell = |difference: Option<Spread>, digits| signed(difference.unwrap_or(Spread::MISSING), digits);
+        outln!(
+            "{name:<width$} {:>15} {:>15} {:>15}",
+            cell(row.difference_mbps, 1),
+            cell(row.difference_ratio, 3),
+            cell(row.difference_qos_met, 3)
+        )?;
+    }
+    Ok(())
+}
+
+/// Prints the quality of each belief about the users.
+fn print_beliefs(report: &Report) -> io::Result<()> {
+    if report.beliefs.is_empty() {
+        return Ok(());
+    }
+    let columns = belief_columns();
+    outln!("\nbelief about the users, against the truth at the predicted instant")?;
+    let headings = columns.iter().map(|(heading, _)| format!("{heading:>18}")).collect::<Vec<_>>();
+    let width = name_width(report);
+    outln!("{:<width$} {}", "", headings.join(" "))?;
+    for (name, quality) in &report.beliefs {
+        let cells = columns.iter().map(|(_, cell)| format!("{:>18}", cell(quality))).collect::<Vec<_>>();
+        outln!("{name:<width$} {}", cells.join(" "))?;
+    }
+    outln!("{BELIEF_NOTE}")
+}
+
+/// How to read the columns of [`belief_columns`].
+pub(super) const BELIEF_NOTE: &str = "place: distance on the floor; heading: of users who walk, and of users who stand \
+     (below 0.05 m/s); in 50 %, in 95 %: share of true places within the ellipse that should contain this share";
+
+/// A column about beliefs: its heading, and the text of a cell.
+type BeliefColumn = (&'static str, fn(&BeliefQuality) -> String);
+
+/// The columns about beliefs.
+pub(super) fn belief_columns() -> [BeliefColumn; 6] {
+    [
+        ("place, median (cm)", |quality| number(quality.place_error_median_cm, 1)),
+        ("place, mean (cm)", |quality| interval(quality.place_error_cm, 1)),
+        ("walking (deg)", |quality| interval(quality.heading_error_walking_deg, 1)),
+        ("standing (deg)", |quality| interval(quality.heading_error_standing_deg, 1)),
+        ("in 50 %", |quality| interval(quality.coverage_50, 3)),
+        ("in 95 %", |quality| interval(quality.coverage_95, 3)),
+    ]
+}
+
+/// Prints ratio and QoS met of every policy, then their sum rates, one line for each value of the
+/// key.
+pub fn print_sweep(sweep: &Sweep, reports: &[Report]) -> io::Result<()> {
+    let Some(first) = reports.first() else { return Ok(()) };
+    outln!("ratio to the oracle with minimum rates, and share of minimum rates met; {}", states_and_seeds(first))?;
+    note_on_seeds(first)?;
+    print_columns(sweep, reports, |row| {
+        (number(row.qos_met.mean, 3), format!("{} {}", interval(row.ratio_to_oracle, 3), number(row.qos_met.mean, 3)))
+    })?;
+    outln!("sum rate in Mbit/s")?;
+    print_columns(sweep, reports, |row| (number(row.sum_rate_mbps.mean, 1), interval(row.sum_rate_mbps, 1)))
+}
+
+/// Prints a column for the oracle and one for each policy; `cell` returns the text for each of the
+/// two.
+fn print_columns(sweep: &Sweep, reports: &[Report], cell: impl Fn(&Row) -> (String, String)) -> io::Result<()> {
+    let width = |name: &str| name.len().max(18);
+    let header = reports.iter().take(1).flat_map(|report| &report.policies);
+    let header: Vec<String> = header.map(|(name, _)| format!("{name:>0$}", width(name))).collect();
+    outln!("{:>24} {:>8} {}", sweep.key(), "(oracle)", header.join(" "))?;
+    for (value, report) in sweep.values().iter().zip(reports) {
+        let cells = report.policies.iter().map(|(name, row)| format!("{:>1$}", cell(row).1, width(name)));
+        outln!("{value:>24} {:>8} {}", cell(&report.oracle).0, cells.collect::<Vec<_>>().join(" "))?;
+    }
+    Ok(())
+}
+
+fn states_and_seeds(report: &Report) -> String {
+    let states = counted(report.states, "state");
+    match report.seeds {
+        1 => format!("{states} of the seed {}", report.seed),
+        seeds => format!("{states} for each of {seeds} seeds from {}", report.seed),
+    }
+}
+
+/// Says why a figure has no interval.
+fn note_on_seeds(report: &Report) -> io::Result<()> {
+    if report.oracle.sum_rate_mbps.ci95.is_nan() {
+        outln!("one seed gives no confidence interval: use --seeds 2 or more")?;
+    }
+    Ok(())
+}
+
+fn ber(spread: Spread) -> String {
+    match (spread.mean.is_nan(), spread.ci95.is_nan()) {
+        (true, _) => "-".into(),
+        (false, true) => format!("{:.2e}", spread.mean),
+        (false, false) => format!("{:.2e} ±{:.1e}", spread.mean, spread.ci95),
+    }
+}
+
+/// A mean with half the width of its interval, or without it where it is missing.
+pub(super) fn interval(spread: Spread, digits: usize) -> String {
+    if spread.ci95.is_nan() {
+        return number(spread.mean, digits);
+    }
+    format!("{:.digits$} ±{:.digits$}", spread.mean, spread.ci95)
+}
+
+/// A difference with its sign, and half the width of its interval.
+pub(super) fn signed(spread: Spread, digits: usize) -> String {
+    format!("{}{}", if spread.mean >= 0.0 { "+" } else { "" }, interval(spread, digits))
+}
+
+/// A number, or a dash for NaN.
+pub(super) fn number(value: f64, digits: usize) -> String {
+    if value.is_nan() { "-".into() } else { format!("{value:.digits$}") }
+}
+
+/// A CSV file with a line for each policy; in a sweep the first column is the value of the key.
+pub fn csv(sweep: Option<&Sweep>, reports: &[Report]) -> Result<Vec<u8>> {
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    let mut header: Vec<String> = sweep.map(|sweep| sweep.key().to_owned()).into_iter().collect();
+    header.push("policy".into());
+    for (name, _) in reports.iter().take(1).flat_map(|report| spreads(&report.oracle)) {
+        header.extend(["mean", "ci95", "p5"].map(|part| format!("{name}_{part}")));
+    }
+    header.extend(["decision_us_p50", "decision_us_p99", "training_seeds"].map(String::from));
+    writer.write_record(&header)?;
+    for (index, report) in reports.iter().enumerate() {
+        for (name, row) in rows(report) {
+            let figures = spreads(row).into_iter().flat_map(|(_, spread)| [spread.mean, spread.ci95, spread.p5]);
+            let times = row.decision_us.map_or([f64::NAN; 2], |times| [times.p50, times.p99]);
+            let trained = row.training_seeds.map_or(f64::NAN, |seeds| seeds as f64);
+            let cells = figures.chain(times).chain([trained]);
+            let cells = cells.map(|value| if value.is_nan() { String::new() } else { value.to_string() });
+            let value = sweep.map(|sweep| sweep.values()[index].clone());
+            writer.write_record(value.into_iter().chain([name.to_owned()]).chain(cells))?;
+        }
+    }
+    Ok(writer.into_inner()?)
+}
+
+/// The figures of a row by name.
+fn spreads(row: &Row) -> Vec<(&'static str, Spread)> {
+    let mut spreads = vec![
+        ("sum_rate_mbps", row.sum_rate_mbps),
+        ("ratio_to_oracle", row.ratio_to_oracle),
+        ("qos_met", row.qos_met),
+        ("jain", row.jain),
+        ("blocked_rate_mbps", row.blocked_rate_mbps),
+        ("ber", row.ber),
+    ];
+    spreads.extend(row.outage_time.map(|outage| ("outage_time", outage)));
+    spreads
+}

@@ -1,0 +1,182 @@
+//! `heliostat-lab report FILE.toml`: runs the commands behind a page of results and writes the page.
+//!
+//! A report is data ([`definition`]): sections, each with one command, its tables and the bounds it is
+//! held to. Each command runs in a process of its own, exactly as the page prints it, so that a reader
+//! who repeats it gets the same measurement. Finished sections are kept as JSON beside the page
+//! ([`archive`]); [`page`] renders the page from them alone.
+
+mod archive;
+mod bound;
+mod definition;
+mod page;
+mod summary;
+mod table;
+
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
+use std::time::Instant;
+
+use anyhow::{Context, Result, bail, ensure};
+use clap::Parser;
+use heliostat::programs;
+use heliostat_reproduce::machine;
+use heliostat_service::{outln, output};
+
+use super::{json_command, whole_file};
+use archive::{Archive, Finished};
+use definition::{Definition, Section};
+
+/// Run the commands of a report, and write its page as Markdown.
+///
+/// A report is a TOML file; lab/reports has those of the project. Each section is one command. The page
+/// is written again after each finished section, with a JSON file of the same name beside it. A run
+/// that was interrupted continues with --resume.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The report (TOML)
+    #[arg(value_name = "FILE")]
+    file: PathBuf,
+    /// Fewer states, seeds and seconds: checks that every command works; the figures mean little
+    #[arg(long)]
+    quick: bool,
+    /// The Markdown file to write [default: the report's name with .md, in this folder]
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// Run only these sections, by their names (comma-separated); --check shows the names
+    #[arg(long, value_name = "SECTION,..", value_delimiter = ',')]
+    only: Vec<String>,
+    /// Replace a word of the report's commands, for example policies=greedy,own.onnx (repeatable)
+    #[arg(long, value_name = "NAME=VALUE", value_parser = word)]
+    word: Vec<(String, String)>,
+    /// Keep the sections that the same command finished at the same commit
+    #[arg(long)]
+    resume: bool,
+    /// Check the file, print each section's name and command, and run nothing
+    #[arg(long)]
+    check: bool,
+}
+
+fn word(text: &str) -> Result<(String, String), String> {
+    let parts = text.split_once('=').ok_or("expected NAME=VALUE")?;
+    Ok((parts.0.into(), parts.1.into()))
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// An invalid report or section, a file that cannot be read or written, or a command that fails.
+pub fn run(args: Args) -> Result<()> {
+    let definition = Definition::read(&args.file, &args.word)?;
+    let names: Vec<&str> = definition.sections.iter().map(|section| section.name.as_str()).collect();
+    for name in &args.only {
+        ensure!(names.contains(&name.as_str()), "--only {name}: expected one of {}", names.join(", "));
+    }
+    let chosen = |section: &&Section| args.only.is_empty() || args.only.contains(&section.name);
+    let mut steps = Vec::new();
+    for section in definition.sections.iter().filter(chosen) {
+        let arguments = definition.arguments(section, args.quick)?;
+        check_command(&arguments).with_context(|| format!("in section {}", section.name))?;
+        steps.push((section, arguments));
+    }
+    if args.check {
+        return steps
+            .iter()
+            .try_for_each(|(section, arguments)| Ok(outln!("{:<18} {}", section.name, page::command(arguments))?));
+    }
+    let out = args.out.clone().unwrap_or_else(|| PathBuf::from(&definition.name).with_extension("md"));
+    let kept = archive::beside(&out)?;
+    let mut archive = match args.resume {
+        true => Archive::resume(&kept, &definition.name, args.quick)?,
+        false => Archive::new(&definition.name, args.quick),
+    };
+    for (index, (section, arguments)) in steps.iter().enumerate() {
+        let step = format!("{} of {}: {}", index + 1, steps.len(), section.name);
+        if archive.holds(&section.name, arguments, machine::COMMIT) {
+            output::note(format_args!("{step}: finished before"));
+            continue;
+        }
+        output::note(format_args!("{step}: {}", page::command(arguments)));
+        archive.put(measure(section, arguments).with_context(|| {
+            format!("section {} did not finish; --resume continues with it, after the finished ones", section.name)
+        })?);
+        write(&definition, &archive, &out, &kept)?;
+    }
+    write(&definition, &archive, &out, &kept)?;
+    outln!("written: {} and {}", out.display(), kept.display())?;
+    Ok(())
+}
+
+fn write(definition: &Definition, archive: &Archive, out: &Path, kept: &Path) -> Result<()> {
+    archive.write(kept)?;
+    whole_file::write(out, page::write(definition, archive)?.as_bytes())
+}
+
+/// Refuses a command that its program would refuse.
+fn check_command(arguments: &[String]) -> Result<()> {
+    let words = with_json(arguments);
+    let parsed = match arguments.first().map(String::as_str) {
+        Some(programs::HELIOSTAT) => heliostat::cli::Cli::try_parse_from(words).map(drop),
+        Some(programs::LAB) => crate::cli::Cli::try_parse_from(words).map(drop),
+        other => bail!("command {other:?}: expected {} or {}", programs::HELIOSTAT, programs::LAB),
+    };
+    parsed.with_context(|| page::command(arguments))
+}
+
+/// The arguments with `--json` in front of those that are passed on to another process.
+fn with_json(arguments: &[String]) -> Vec<String> {
+    let end = arguments.iter().position(|word| word == "--").unwrap_or(arguments.len());
+    let (own, passed_on) = arguments.split_at(end);
+    own.iter().cloned().chain(["--json".into()]).chain(passed_on.iter().cloned()).collect()
+}
+
+/// Runs one section's command and keeps its JSON object.
+fn measure(section: &Section, arguments: &[String]) -> Result<Finished> {
+    let (made, start) = (machine::now(), Instant::now());
+    let program = if arguments[0] == programs::LAB { programs::own_file() } else { programs::heliostat() };
+    let output = json_command::json(program?, &with_json(arguments)[1..], Stdio::inherit());
+    Ok(Finished {
+        section: section.name.clone(),
+        arguments: arguments.to_vec(),
+        made,
+        commit: machine::COMMIT.into(),
+        machine: machine::hardware(),
+        load: machine::load(),
+        seconds: start.elapsed().as_secs_f64(),
+        output: output.with_context(|| page::command(arguments))?,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn json_stands_before_the_flags_of_another_process() {
+        let words = |text: &str| text.split(' ').map(String::from).collect::<Vec<_>>();
+        assert_eq!(with_json(&words("bench loop -- --pin 1")), words("bench loop --json -- --pin 1"));
+        assert_eq!(with_json(&words("bench loop")), words("bench loop --json"));
+    }
+
+    #[test]
+    fn every_report_of_the_project_is_valid_and_the_programs_accept_its_commands() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../reports");
+        let mut count = 0;
+        for file in std::fs::read_dir(folder).expect("the reports").flatten().map(|entry| entry.path()) {
+            let definition = Definition::read(&file, &[]).unwrap_or_else(|error| panic!("{error:#}"));
+            for (section, quick) in definition.sections.iter().flat_map(|section| [(section, false), (section, true)]) {
+                let arguments = definition.arguments(section, quick).expect("words are known");
+                check_command(&arguments).unwrap_or_else(|error| panic!("{}: {error:#}", section.name));
+                count += 1;
+            }
+        }
+        assert!(count >= 150, "only {count} commands were checked");
+    }
+
+    #[test]
+    fn a_command_of_another_program_or_with_an_unknown_flag_is_refused() {
+        for command in ["ls", "heliostat eval", "heliostat-lab eval --sweeep users.count=1"] {
+            let words: Vec<String> = command.split(' ').map(str::to_owned).collect();
+            assert!(check_command(&words).is_err(), "{command}");
+        }
+    }
+}

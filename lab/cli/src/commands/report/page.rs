@@ -1,0 +1,201 @@
+//! A report in Markdown, made from the finished sections and nothing else.
+
+use std::fmt::Write;
+
+use anyhow::{Context, Result};
+use heliostat_reproduce::command::quoted;
+use serde_json::Value;
+
+use super::archive::{Archive, Finished};
+use super::definition::{Definition, Section};
+use super::summary;
+use super::table::{grid, markdown, rows};
+
+/// The page; it lists unfinished sections at the end.
+///
+/// # Errors
+/// A finished section whose JSON object is not that of its command.
+pub fn write(definition: &Definition, archive: &Archive) -> Result<String> {
+    let (mut sections, mut bounds, mut missing) = (String::new(), Vec::new(), Vec::new());
+    for section in &definition.sections {
+        match archive.find(&section.name) {
+            Some(finished) => write_section(definition, section, finished, &mut sections)
+                .and_then(|()| judge(section, finished, &mut bounds))
+                .with_context(|| format!("in section {}", section.name))?,
+            None => missing.push(section.name.as_str()),
+        }
+    }
+    let mut text = format!("# {}\n\n{}\n\n", definition.title, definition.about);
+    if archive.quick {
+        text.push_str("**A quick run: it shows that every command works. Its figures mean little.**\n\n");
+    }
+    if !bounds.is_empty() {
+        bounds.insert(0, ["section", "bound", "found", "verdict"].map(String::from).to_vec());
+        text.push_str("## Bounds\n\n\"Found\" is the figure nearest to the limit, or farthest beyond it.\n\n");
+        writeln!(text, "{}", grid(&bounds))?;
+    }
+    for one in &definition.summary {
+        text.push_str(&summary::write(one, definition, archive).with_context(|| format!("in {}", one.title))?);
+    }
+    text.push_str(&sections);
+    if !missing.is_empty() {
+        writeln!(text, "## Not finished\n\n{}", missing.join(", "))?;
+    }
+    Ok(text.trim_end().to_owned() + "\n")
+}
+
+fn write_section(definition: &Definition, section: &Section, finished: &Finished, text: &mut String) -> Result<()> {
+    let Finished { arguments, made, commit, machine, load, seconds, output, .. } = finished;
+    let load = load.map_or(String::new(), |load| format!(", load {load:.1}"));
+    writeln!(text, "## {}\n\n{}\n\n```\n{}\n```\n", section.title, section.about, command(arguments))?;
+    writeln!(text, "{}{made}, commit {commit}, {machine}{load}, {seconds:.0} s.\n", states(output))?;
+    for table in &section.tables {
+        let rows = rows(output, &table.rows, arguments)?;
+        let named = !output.pointer(&table.rows).is_some_and(Value::is_array) || output["sweep"].is_string();
+        writeln!(text, "{}", markdown(&rows, definition.columns(&table.columns)?, named))?;
+    }
+    Ok(())
+}
+
+fn judge(section: &Section, finished: &Finished, bounds: &mut Vec<Vec<String>>) -> Result<()> {
+    for bound in &section.bounds {
+        let pointer = bound.rows.as_ref().or(section.tables.first().map(|table| &table.rows)).context("no rows")?;
+        let verdict = bound.judge(&rows(&finished.output, pointer, &finished.arguments)?)?;
+        let met = if verdict.met { "met" } else { "not met" };
+        bounds.push(vec![section.title.clone(), bound.what.clone(), significant(verdict.worst), met.into()]);
+    }
+    Ok(())
+}
+
+/// A command line for a shell.
+pub fn command(arguments: &[String]) -> String {
+    arguments.iter().map(|word| quoted(word)).collect::<Vec<_>>().join(" ")
+}
+
+/// The states and seeds behind the figures of `eval` and `calibrate`.
+fn states(output: &Value) -> String {
+    let report = output.pointer("/reports/0/report").unwrap_or(output);
+    let number = |name: &str| report[name].as_u64();
+    match (number("states"), number("seeds"), number("seed")) {
+        (Some(states), Some(seeds), Some(seed)) => format!("States per seed: {states}. Seeds: {seeds}, from {seed}. "),
+        _ => String::new(),
+    }
+}
+
+/// Four significant digits.
+fn significant(value: f64) -> String {
+    if value.abs() < 1e-9 {
+        return "0".into();
+    }
+    let digits = (3 - value.abs().log10().floor() as i32).clamp(0, 9) as usize;
+    let text = format!("{value:.digits$}");
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    const REPORT: &str = r#"
+        name = "example"
+        title = "An example"
+        about = "Times in us."
+        columns.time = ["p50 | /p50 | .1"]
+        columns.change = ["ratio, difference | /policies/greedy/ratio | ±2"]
+        columns.mean = ["sections | /sections | text", "ratio | /ratio | ±2", "largest p99 | /us/p99 | .0"]
+        [[summary]]
+        title = "Changes"
+        about = "Differences."
+        of = "changes"
+        columns = "change"
+        [[summary]]
+        title = "Standings"
+        about = "Means."
+        of = "rows"
+        columns = "mean"
+        [[section]]
+        name = "first"
+        title = "The loop"
+        about = "What is measured."
+        command = "heliostat bench loop"
+        quick = "--seconds 1"
+        tables = [{ rows = "/rows", columns = "time" }]
+        bound = [{ what = "p50 at most 2", at = "/p50", at_most = 2.0 }]
+        [[section]]
+        name = "plain"
+        title = "Plain"
+        about = "A room."
+        command = "heliostat-lab eval --policies greedy"
+        tables = [{ rows = "/policies", columns = "mean" }]
+        [[section]]
+        name = "rough"
+        title = "Rough"
+        about = "A room."
+        command = "heliostat-lab eval --policies greedy"
+        base = "plain"
+        tables = [{ rows = "/policies", columns = "mean" }]
+        [[section]]
+        name = "last"
+        title = "Last"
+        about = "Not run."
+        command = "heliostat bench decide"
+        tables = [{ rows = "/rows", columns = "time" }]
+    "#;
+
+    fn finished(section: &str, output: Value) -> Finished {
+        Finished {
+            section: section.into(),
+            arguments: ["heliostat", "bench", "loop", "--seconds", "1"].map(String::from).into(),
+            made: "2026-11-22T12:00:00Z".into(),
+            commit: "abc".into(),
+            machine: "2 cores".into(),
+            load: Some(1.25),
+            seconds: 3.2,
+            output,
+        }
+    }
+
+    #[test]
+    fn a_page_holds_command_origin_tables_verdicts_and_what_is_missing() {
+        let room = |ratio: f64, p99: f64| {
+            let row = |ratio: f64| json!({ "ratio": { "mean": ratio, "ci95": 0.03 }, "us": { "p99": p99 } });
+            json!({ "oracle": row(1.0), "policies": { "greedy": row(ratio) } })
+        };
+        let mut archive = Archive::new("example", true);
+        archive.put(finished("first", json!({ "rows": [{ "p50": 2.31 }] })));
+        archive.put(finished("rough", room(0.5, 7.0)));
+        archive.put(finished("plain", room(0.9, 3.0)));
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("example.toml");
+        std::fs::write(&file, REPORT).unwrap();
+        let definition = Definition::read(&file, &[]).unwrap();
+        let text = write(&definition, &archive).unwrap();
+        for expected in [
+            "# An example\n\nTimes in us.\n\n**A quick run",
+            "| The loop | p50 at most 2 | 2.31 | not met |\n\n## Changes\n\nDifferences.\n",
+            "|  | ratio, difference |\n| --- | --- |\n| Rough, compared with Plain | -0.40 ± 0.04 |\n",
+            "| (oracle) | 2 | 1.00 ± 0.03 | 7 |\n| greedy | 2 | 0.70 ± 0.03 | 7 |\n",
+            "## The loop\n\nWhat is measured.\n\n```\nheliostat bench loop --seconds 1\n```\n",
+            "2026-11-22T12:00:00Z, commit abc, 2 cores, load 1.2, 3 s.\n\n| p50 |\n| --- |\n| 2.3 |\n",
+            "## Not finished\n\nlast\n",
+        ] {
+            assert!(text.contains(expected), "{expected} is missing in:\n{text}");
+        }
+    }
+
+    #[test]
+    fn figures_of_verdicts_have_four_digits() {
+        for (value, expected) in [
+            (0.0, "0"),
+            (-1e-17, "0"),
+            (1.23456, "1.235"),
+            (0.00087654, "0.0008765"),
+            (672.4, "672.4"),
+            (12345.6, "12346"),
+        ] {
+            assert_eq!(significant(value), expected);
+        }
+    }
+}

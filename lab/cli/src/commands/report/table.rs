@@ -1,0 +1,213 @@
+//! Tables in Markdown from the JSON objects of commands.
+
+use anyhow::{Context, Result, ensure};
+use serde::Deserialize;
+use serde_json::Value;
+
+/// Name of the oracle's row.
+pub const ORACLE: &str = "(oracle)";
+/// JSON pointer of the policies of `eval`, whose order is that of the command.
+const POLICIES: &str = "/policies";
+/// JSON pointer of the comparisons of `eval --sweep`.
+const SWEEP: &str = "/reports";
+
+/// One row by its name: the policy, the belief or the room, or nothing where rows have no names.
+pub type Row = (String, Value);
+
+/// One column: `TITLE | JSON POINTER | FORM` in a file.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(try_from = "String")]
+pub struct Column {
+    /// Its heading.
+    pub title: String,
+    /// JSON pointer of its figure within a row.
+    pub at: String,
+    /// How the figure is written.
+    pub form: Form,
+}
+
+/// How a figure is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Form {
+    /// `text`: as it stands.
+    Text,
+    /// `.N`: a number with N digits after the point.
+    Number(usize),
+    /// `±N`: `mean` and `ci95` of an object with N digits after the point.
+    Interval(usize),
+}
+
+impl TryFrom<String> for Column {
+    type Error = anyhow::Error;
+
+    fn try_from(text: String) -> Result<Self> {
+        let expected = || format!("column \"{text}\": expected TITLE | /POINTER | FORM, where FORM is text, .N or ±N");
+        let parts: Vec<&str> = text.split(" | ").collect();
+        let [title, at, form] = parts[..] else { anyhow::bail!(expected()) };
+        ensure!(at.starts_with('/'), expected());
+        let form = match (form, form.strip_prefix('.'), form.strip_prefix('±')) {
+            ("text", ..) => Form::Text,
+            (_, Some(digits), _) => Form::Number(digits.parse().with_context(expected)?),
+            (_, _, Some(digits)) => Form::Interval(digits.parse().with_context(expected)?),
+            _ => anyhow::bail!(expected()),
+        };
+        Ok(Self { title: title.into(), at: at.into(), form })
+    }
+}
+
+/// The rows at a JSON pointer: those of an array, of an object by name, or of a sweep.
+///
+/// # Errors
+/// The JSON object of another command.
+pub fn rows(output: &Value, pointer: &str, arguments: &[String]) -> Result<Vec<Row>> {
+    let found = output.pointer(pointer).with_context(|| format!("the output has nothing at {pointer}"))?;
+    match found {
+        Value::Array(reports) if pointer == SWEEP => {
+            let swept = |report: &Value| {
+                let rows = rows(&report["report"], POLICIES, arguments)?;
+                let value = cell(&report["value"], Form::Text);
+                Ok(rows.into_iter().map(move |(name, row)| (format!("{value}: {name}"), row)))
+            };
+            Ok(reports.iter().map(swept).collect::<Result<Vec<_>>>()?.into_iter().flatten().collect())
+        }
+        Value::Array(rows) => {
+            let name = |row: &Value| row["policy"].as_str().or(row["room"].as_str()).unwrap_or_default().to_owned();
+            Ok(rows.iter().map(|row| (name(row), row.clone())).collect())
+        }
+        Value::Object(named) => {
+            let mut rows: Vec<Row> = named.iter().map(|(name, row)| (name.clone(), row.clone())).collect();
+            rows.sort_by_key(|(name, _)| rank(name, arguments));
+            if pointer == POLICIES {
+                rows.insert(0, (ORACLE.into(), output["oracle"].clone()));
+            }
+            Ok(rows)
+        }
+        _ => anyhow::bail!("the output has neither an array nor an object at {pointer}"),
+    }
+}
+
+/// The place of a row: a variant of a policy follows the policy whose name it begins with, in the order
+/// of the command, first those of the beliefs.
+fn rank(name: &str, arguments: &[String]) -> (usize, usize, usize) {
+    let listed = |flag: &str| {
+        let names = arguments.iter().skip_while(|word| *word != flag).nth(1);
+        names.map_or(Vec::new(), |names| names.split(',').collect::<Vec<_>>())
+    };
+    let (policies, beliefs) = (listed("--policies"), listed("--beliefs"));
+    let policy = policies.iter().enumerate().filter(|(_, policy)| name.starts_with(**policy));
+    let policy = policy.max_by_key(|(_, policy)| policy.len()).map_or(policies.len(), |(index, _)| index);
+    let belief = beliefs.iter().position(|belief| name == *belief || name.ends_with(&format!("+{belief}")));
+    (policy, belief.unwrap_or(beliefs.len()), name.len())
+}
+
+/// A table in Markdown; rows with names have these in the first column.
+pub fn markdown(rows: &[Row], columns: &[Column], named: bool) -> String {
+    let titles = columns.iter().map(|column| column.title.clone());
+    let first = |name: &str| named.then(|| name.to_owned());
+    let mut lines = vec![first("").into_iter().chain(titles).collect::<Vec<_>>()];
+    for (name, row) in rows {
+        let cells = columns.iter().map(|column| cell(row.pointer(&column.at).unwrap_or(&Value::Null), column.form));
+        lines.push(first(name).into_iter().chain(cells).collect());
+    }
+    grid(&lines)
+}
+
+/// A figure as text; a dash where it does not exist.
+fn cell(value: &Value, form: Form) -> String {
+    let number = |value: &Value, digits: usize| value.as_f64().map(|number| format!("{number:.digits$}"));
+    let text = match form {
+        Form::Text => match value {
+            Value::Null => None,
+            Value::String(text) => Some(text.clone()),
+            Value::Number(number) => Some(number.to_string().trim_end_matches(".0").to_owned()),
+            other => Some(other.to_string()),
+        },
+        Form::Number(digits) => number(value, digits),
+        Form::Interval(digits) => number(&value["mean"], digits).map(|mean| match number(&value["ci95"], digits) {
+            Some(half) => format!("{mean} ± {half}"),
+            None => mean,
+        }),
+    };
+    text.unwrap_or_else(|| "-".into())
+}
+
+/// A Markdown table; the first line is its heading.
+pub fn grid(lines: &[Vec<String>]) -> String {
+    let mut text = String::new();
+    for (index, line) in lines.iter().enumerate() {
+        text.push_str(&format!("| {} |\n", line.join(" | ")));
+        if index == 0 {
+            text.push_str(&format!("|{}\n", " --- |".repeat(line.len())));
+        }
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    fn columns(columns: &[&str]) -> Vec<Column> {
+        columns.iter().map(|text| Column::try_from((*text).to_owned()).expect("a column")).collect()
+    }
+
+    fn arguments(text: &str) -> Vec<String> {
+        text.split(' ').map(String::from).collect()
+    }
+
+    fn report(ratio: f64) -> Value {
+        let row = |ratio: f64| json!({ "ratio": { "mean": ratio, "ci95": 0.01 }, "us": { "p50": 7.4 } });
+        let policies = json!({ "flat": row(ratio / 2.0), "greedy": row(ratio), "greedy-unaware": row(ratio) });
+        json!({ "oracle": { "ratio": { "mean": 1.0, "ci95": null } }, "policies": policies })
+    }
+
+    #[test]
+    fn policies_come_in_the_order_of_the_command_each_before_its_variants() {
+        let rows = rows(&report(0.9), POLICIES, &arguments("eval --policies greedy,flat")).unwrap();
+        let expected = "|  | ratio | p50 |\n| --- | --- | --- |\n| (oracle) | 1.00 | - |\n| greedy | 0.90 ± 0.01 | 7 |\n\
+                        | greedy-unaware | 0.90 ± 0.01 | 7 |\n| flat | 0.45 ± 0.01 | 7 |\n";
+        assert_eq!(markdown(&rows, &columns(&["ratio | /ratio | ±2", "p50 | /us/p50 | .0"]), true), expected);
+    }
+
+    #[test]
+    fn beliefs_and_the_policies_on_them_come_in_the_order_of_the_command() {
+        let output = json!({
+            "oracle": {}, "beliefs": { "filter": {}, "none": {}, "constant-velocity": {} },
+            "policies": { "flat": {}, "greedy+filter": {}, "greedy+none": {}, "greedy+true": {}, "greedy+constant-velocity": {} },
+        });
+        let words = arguments("eval --beliefs filter,constant-velocity,none --policies greedy,flat");
+        let names = |pointer: &str| -> Vec<String> {
+            rows(&output, pointer, &words).unwrap().into_iter().map(|(name, _)| name).collect()
+        };
+        assert_eq!(names("/beliefs"), ["filter", "constant-velocity", "none"]);
+        let of_greedy = ["filter", "constant-velocity", "none", "true"].map(|belief| format!("greedy+{belief}"));
+        assert_eq!(names(POLICIES), [&[ORACLE.to_owned()], &of_greedy[..], &["flat".to_owned()]].concat());
+    }
+
+    #[test]
+    fn a_sweep_has_a_row_for_each_value_and_policy() {
+        let swept = |value: &str| json!({ "value": value, "report": report(0.8) });
+        let output = json!({ "sweep": "users.count", "reports": [swept("1"), swept("2")] });
+        let rows = rows(&output, SWEEP, &arguments("eval --policies greedy,flat")).unwrap();
+        assert_eq!((rows.len(), rows[0].0.as_str(), rows[5].0.as_str()), (8, "1: (oracle)", "2: greedy"));
+    }
+
+    #[test]
+    fn text_has_no_needless_decimal_and_a_missing_figure_is_a_dash() {
+        for (value, expected) in [(json!(100.0), "100"), (json!(0.5), "0.5"), (json!(true), "true"), (Value::Null, "-")]
+        {
+            assert_eq!(cell(&value, Form::Text), expected);
+        }
+    }
+
+    #[test]
+    fn other_columns_and_the_output_of_another_command_are_refused() {
+        for text in ["ratio", "ratio | ratio | .2", "ratio | /ratio | 2", "ratio | /ratio | .x"] {
+            let error = Column::try_from(text.to_owned()).unwrap_err().to_string();
+            assert!(error.contains("expected TITLE | /POINTER | FORM"), "{error}");
+        }
+        assert!(rows(&json!({ "rows": 1 }), "/rows", &[]).is_err() && rows(&json!({}), POLICIES, &[]).is_err());
+    }
+}

@@ -1,0 +1,263 @@
+//! `heliostat-lab trace import`: reads a data set, chooses users, and fits them into a room.
+
+use std::fs::File;
+use std::io::BufReader;
+use std::path::PathBuf;
+
+use anyhow::{Context, Result, anyhow, ensure};
+use clap::ValueEnum;
+use heliostat_room::walks::formats::{Source, WalkFormat, read};
+use heliostat_room::walks::placement::{Fit, place};
+use heliostat_room::walks::selection::{Choice, Presence, select};
+use heliostat_room::walks::tracks::{Collected, Collector, Kept, Rectangle};
+use heliostat_room::world::walker::Floor;
+use heliostat_scenario::{BUILTIN_NAMES, Scenario, ScenarioArgs};
+use heliostat_service::exit::UnusableInput;
+
+use super::report::{ImportReport, print};
+use super::written::write_trace;
+use crate::commands::whole_file;
+
+/// Read pedestrians' walks from a data set, and write them as a recorded walk for a room.
+///
+/// The scenario's floor is the room: by default the walks are centred on it, and made smaller where
+/// they do not fit. The scenario's users.count is the number of users. All of them are present from
+/// the beginning to the end of the written walk. The report lists what was read, what was refused,
+/// and how to use the file.
+///
+/// Formats: eth-ucy is obsmat.txt (frame id x z y vx vz vy) or text of "frame id x y". atc is a day
+/// of the ATC shopping centre. thor-magni is the CSV of a run, of which the helmets are read. csv
+/// has a header with time, user, x, y (s, m) and optionally heading_deg, in any order. Data sets are
+/// not included: obtain them from their authors, and observe their licences.
+#[derive(Debug, clap::Args)]
+pub struct ImportArgs {
+    /// The file of the data set
+    file: PathBuf,
+    /// Its format
+    #[arg(long, value_enum)]
+    format: FormatName,
+    /// The room: a scenario file (TOML) or the name of a built-in scenario
+    #[arg(long, visible_alias = "room", value_name = "SCENARIO", default_value = BUILTIN_NAMES[0])]
+    scenario: String,
+    /// Override a key of the scenario, for example --set room.length_x_m=8 (repeatable)
+    #[arg(long = "set", value_name = "TABLE.KEY=VALUE")]
+    overrides: Vec<String>,
+    /// The recorded walk to write (CSV)
+    #[arg(long, value_name = "FILE.csv")]
+    out: PathBuf,
+    #[command(flatten)]
+    reading: Reading,
+    #[command(flatten)]
+    choosing: Choosing,
+    /// How the walks are scaled to the floor
+    #[arg(long, value_enum, default_value = "shrink")]
+    fit: FitName,
+    /// Distance of the scaled walks from the walls in m
+    #[arg(long, value_name = "M", default_value_t = 0.3, value_parser = not_negative, allow_negative_numbers = true)]
+    margin_m: f64,
+    /// Print the report as one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+/// Which rows are used.
+#[derive(Debug, clap::Args)]
+struct Reading {
+    /// Factor on all positions, for a file in other units: 0.01 for cm
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = positive, allow_negative_numbers = true)]
+    scale: f64,
+    /// Frames per second of the frame numbers of eth-ucy [default: their smallest step is 0.4 s]
+    #[arg(long, value_name = "HZ", value_parser = positive, allow_negative_numbers = true)]
+    frame_rate_hz: Option<f64>,
+    /// Use rows from this time on, in s after the first row
+    #[arg(long, value_name = "S", default_value_t = f64::NEG_INFINITY, hide_default_value = true, allow_negative_numbers = true)]
+    from_s: f64,
+    /// Use rows up to this time, in s after the first row
+    #[arg(long, value_name = "S", default_value_t = f64::INFINITY, hide_default_value = true, allow_negative_numbers = true)]
+    to_s: f64,
+    /// Use positions in this rectangle, in m after --scale; a track ends where it leaves it
+    #[arg(long, value_name = "X_MIN,Y_MIN,X_MAX,Y_MAX", value_parser = rectangle, allow_hyphen_values = true)]
+    crop: Option<Rectangle>,
+    /// A longer time without a position ends a track, in s
+    #[arg(long, value_name = "S", default_value_t = 1.0, value_parser = positive, allow_negative_numbers = true)]
+    max_gap_s: f64,
+}
+
+/// Which users, for how long.
+#[derive(Debug, clap::Args)]
+struct Choosing {
+    /// Number of users [default: users.count of the scenario]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    users: Option<u32>,
+    /// Which pedestrians become users
+    #[arg(long, value_enum, default_value = "together")]
+    select: PresenceName,
+    /// Duration of the walk in s [default: as long as all users are present]
+    #[arg(long, value_name = "S", value_parser = positive, allow_negative_numbers = true)]
+    duration_s: Option<f64>,
+    /// Resample at this rate [default: the recorded times]
+    #[arg(long, value_name = "HZ", value_parser = rate, allow_negative_numbers = true)]
+    rate_hz: Option<f64>,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum FormatName {
+    /// ETH and UCY: obsmat.txt, or frame id x y
+    EthUcy,
+    /// ATC shopping centre: one file for each day
+    Atc,
+    /// THÖR-MAGNI: one file for each run
+    ThorMagni,
+    /// CSV with a header of time, user, x, y and optionally heading_deg, in any order
+    Csv,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum PresenceName {
+    /// Pedestrians who were present at the same time, over the longest such time
+    Together,
+    /// The longest tracks; each begins at 0 s, whenever it was recorded
+    Longest,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum FitName {
+    /// Centred; smaller where they do not fit
+    Shrink,
+    /// Centred; as large as fits
+    Fill,
+    /// Centred; as large as fits along x and along y, which changes shapes
+    Stretch,
+    /// Positions are in the room frame, and stay as they are
+    None,
+}
+
+/// Reads, chooses, places, writes, and prints the report.
+pub fn run(args: &ImportArgs) -> Result<()> {
+    let unusable = || UnusableInput::new(format!("{} cannot be imported", args.file.display()));
+    let scenario = scenario(args)?;
+    let floor = Floor { length_x_m: scenario.room.length_x_m, length_y_m: scenario.room.length_y_m };
+    whole_file::check_writable(&args.out)?;
+    let collected = collect(args).with_context(unusable)?;
+    let choice = choice(args, &scenario);
+    let mut selected = select(&collected.tracks, &choice)
+        .map_err(|error| anyhow!("{error}: choose fewer --users, --select longest, or another --max-gap-s or --crop"))
+        .with_context(unusable)?;
+    let recorded = selected.users.clone();
+    let placement = place(&mut selected.users, &floor, args.fit.into(), args.margin_m)
+        .map_err(|error| anyhow!("{error}: choose another --fit, --crop, --scale or --margin-m"))
+        .with_context(unusable)?;
+    write_trace(&selected.users, &floor, &args.out)?;
+    let report = ImportReport {
+        file: args.file.display().to_string(),
+        out: args.out.display().to_string(),
+        scenario: args.scenario.clone(),
+        overrides: args.overrides.clone(),
+        collected,
+        presence: choice.presence,
+        selected,
+        recorded,
+        placement,
+    };
+    print(&report, args.json)
+}
+
+fn scenario(args: &ImportArgs) -> Result<Scenario> {
+    let (scenario, overrides) = (args.scenario.clone(), args.overrides.clone());
+    Ok(ScenarioArgs { scenario, overrides, seed: None }.load_arrays()?)
+}
+
+fn collect(args: &ImportArgs) -> Result<Collected> {
+    let reading = &args.reading;
+    let kept = Kept {
+        scale: reading.scale,
+        from_s: reading.from_s,
+        to_s: reading.to_s,
+        crop: reading.crop,
+        max_gap_s: reading.max_gap_s,
+        ..Kept::default()
+    };
+    let mut collector = Collector::new(kept);
+    let source = Source { format: args.format.into(), frame_rate_hz: reading.frame_rate_hz };
+    let input = BufReader::new(File::open(&args.file)?);
+    read(source, input, &mut |row| collector.add(row))?;
+    let collected = collector.finish();
+    let counts = collected.counts;
+    ensure!(
+        counts.beyond == 0,
+        "too many positions: expected at most {}; choose a time range with --from-s and --to-s, or a --crop",
+        kept.positions_max
+    );
+    let first = collected.refusals.first().map_or(String::new(), |refusal| {
+        format!("; refused rows: {}, the first in line {}: {}", counts.refused, refusal.line, refusal.reason)
+    });
+    let left_out = counts.out_of_range + counts.cropped;
+    ensure!(counts.kept > 0, "no position is left: {left_out} outside the time range or the crop{first}");
+    Ok(collected)
+}
+
+fn choice(args: &ImportArgs, scenario: &Scenario) -> Choice {
+    Choice {
+        users: args.choosing.users.map_or(scenario.users.count, |users| users as usize),
+        presence: args.choosing.select.into(),
+        duration_s: args.choosing.duration_s,
+        rate_hz: args.choosing.rate_hz,
+    }
+}
+
+impl From<FormatName> for WalkFormat {
+    fn from(name: FormatName) -> Self {
+        match name {
+            FormatName::EthUcy => Self::EthUcy,
+            FormatName::Atc => Self::Atc,
+            FormatName::ThorMagni => Self::ThorMagni,
+            FormatName::Csv => Self::Csv,
+        }
+    }
+}
+
+impl From<PresenceName> for Presence {
+    fn from(name: PresenceName) -> Self {
+        match name {
+            PresenceName::Together => Self::Together,
+            PresenceName::Longest => Self::Longest,
+        }
+    }
+}
+
+impl From<FitName> for Fit {
+    fn from(name: FitName) -> Self {
+        match name {
+            FitName::Shrink => Self::Shrink,
+            FitName::Fill => Self::Fill,
+            FitName::Stretch => Self::Stretch,
+            FitName::None => Self::None,
+        }
+    }
+}
+
+fn number(text: &str, expected: &str, is_valid: impl Fn(f64) -> bool) -> Result<f64, String> {
+    text.parse().ok().filter(|value| is_valid(*value)).ok_or_else(|| format!("expected {expected}"))
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    number(text, "a number above 0", |value| value > 0.0 && value.is_finite())
+}
+
+fn not_negative(text: &str) -> Result<f64, String> {
+    number(text, "a number of 0 or more", |value| value >= 0.0 && value.is_finite())
+}
+
+fn rate(text: &str) -> Result<f64, String> {
+    number(text, "0.1 to 1000", |value| (0.1..=1000.0).contains(&value))
+}
+
+fn rectangle(text: &str) -> Result<Rectangle, String> {
+    let numbers: Option<Vec<f64>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
+    match numbers.as_deref() {
+        Some(&[x_min, y_min, x_max, y_max]) if x_min < x_max && y_min < y_max => {
+            Ok(Rectangle { min_m: [x_min, y_min], max_m: [x_max, y_max] })
+        }
+        _ => Err("expected four numbers X_MIN,Y_MIN,X_MAX,Y_MAX with X_MIN < X_MAX and Y_MIN < Y_MAX".into()),
+    }
+}

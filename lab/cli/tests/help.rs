@@ -1,0 +1,50 @@
+//! Help texts and refusals of the command line.
+
+use std::process::{Command, Output, Stdio};
+
+fn lab(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_heliostat-lab")).args(arguments).output().expect("the program starts")
+}
+
+#[test]
+fn every_command_has_a_help_text() {
+    let overview = String::from_utf8(lab(&["--help"]).stdout).expect("text");
+    for command in ["train", "eval", "reproduce", "report", "map", "trace", "calibrate", "bench"] {
+        assert!(overview.contains(command), "{command} is missing in: {overview}");
+        let help = lab(&[command, "--help"]);
+        assert!(help.status.success() && help.stdout.len() > 200, "{command}");
+    }
+}
+
+#[test]
+fn a_help_text_states_what_a_flag_requires() {
+    let help = String::from_utf8(lab(&["eval", "--help"]).stdout).expect("text");
+    let words = help.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(words.contains("to the first measured instant of an episode, at least 0.01"), "{help}");
+}
+
+#[test]
+fn every_command_refuses_an_invalid_duration_in_the_same_words() {
+    for arguments in
+        [&["bench", "env", "--seconds"][..], &["bench", "demo", "--seconds"], &["eval", "--closed-loop", "--warm"]]
+    {
+        for value in ["x", "-1", "0", "1e9", "nan"] {
+            let ended = lab(&[arguments, &[value]].concat());
+            let errors = String::from_utf8_lossy(&ended.stderr);
+            let expected = format!("invalid duration \"{value}\": expected seconds between 0.01 and 10000000");
+            assert!(errors.contains(&expected), "{arguments:?} {value}: {errors}");
+            assert_eq!(ended.status.code(), Some(2), "{arguments:?} {value}");
+        }
+    }
+}
+
+/// As of `heliostat-lab ... | head -0`.
+#[test]
+fn a_closed_output_is_not_an_error() {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_heliostat-lab"));
+    command.args(["bench", "env", "--seconds", "0.01", "--json"]).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut program = command.spawn().expect("the program starts");
+    drop(program.stdout.take());
+    let ended = program.wait_with_output().expect("it ends");
+    assert!(ended.status.success() && ended.stderr.is_empty(), "{}", String::from_utf8_lossy(&ended.stderr));
+}

@@ -1,0 +1,111 @@
+//! `heliostat-lab trace`: a data set becomes a recorded walk that a room plays.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use tempfile::TempDir;
+
+fn heliostat(folder: &TempDir, arguments: &str) -> Output {
+    let program = Command::new(env!("CARGO_BIN_EXE_heliostat-lab"))
+        .args(arguments.split_whitespace())
+        .current_dir(folder.path())
+        .output();
+    program.expect("the program starts")
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8(bytes.to_vec()).expect("text")
+}
+
+/// Two pedestrians of an ETH/UCY file who walk 8 m along x, the second one 2 s later, and two bad rows.
+fn folder() -> TempDir {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut rows = String::new();
+    for step in 0..21 {
+        let x = 0.4 * f64::from(step);
+        rows += &format!("{:.7e} 1.0 {x:.7e} 0.0 0.0 1.0 0.0 0.0\n", 780.0 + 10.0 * f64::from(step));
+    }
+    rows += "bad 1.0 0.0 0.0 0.0 0.0 0.0 0.0\n";
+    for step in 0..21 {
+        let x = 8.0 - 0.4 * f64::from(step);
+        rows += &format!("{:.7e} 2.0 {x:.7e} 0.0 2.0 1.0 0.0 0.0\n", 830.0 + 10.0 * f64::from(step));
+    }
+    rows += "780 2.0 0.0 0.0 0.0 0.0 0.0 0.0\n";
+    fs::write(folder.path().join("obsmat.txt"), rows).expect("written");
+    folder
+}
+
+const IMPORT: &str = "trace import obsmat.txt --format eth-ucy --users 2 --out walk.csv";
+
+#[test]
+fn the_report_names_what_was_read_refused_chosen_and_how_to_use_the_file() {
+    let folder = folder();
+    let imported = heliostat(&folder, IMPORT);
+    assert!(imported.status.success(), "{}", text(&imported.stderr));
+    let report = text(&imported.stdout);
+    for part in [
+        "42 used",
+        "2 rows refused",
+        "line 22: invalid frame `bad`",
+        "line 44: time 31.2 s of 2 is not after",
+        "2 in 2 tracks",
+        "2.50 positions a second",
+        "x 0.00 to 8.00 m, y 0.00 to 2.00 m",
+        "together from 2.00 s after the first row",
+        "median 1.00 m/s",
+        "--set users.count=2 --set users.trace=walk.csv",
+    ] {
+        assert!(report.contains(part), "{part} is missing in:\n{report}");
+    }
+    let json = heliostat(&folder, &format!("{IMPORT} --json"));
+    let report: serde_json::Value = serde_json::from_slice(&json.stdout).expect("one JSON object");
+    assert_eq!((&report["read"]["refused_rows"], &report["selected"]["duration_s"]), (&2.into(), &6.0.into()));
+    // The walk is as long as the part in which both are present.
+    let walk = fs::read_to_string(folder.path().join("walk.csv")).expect("the walk");
+    assert_eq!(walk.lines().last().map(|row| row.starts_with("6,")), Some(true), "{walk}");
+}
+
+#[test]
+fn a_room_plays_an_imported_walk() {
+    let folder = folder();
+    assert!(heliostat(&folder, &format!("{IMPORT} --rate-hz 10 --scenario hall")).status.success());
+    let room = "[users]\ncount = 2\ntrace = \"walk.csv\"\n";
+    fs::write(folder.path().join("room.toml"), room).expect("written");
+    let check = heliostat(&folder, "scenario check room.toml");
+    assert!(check.status.success(), "{}", text(&check.stderr));
+}
+
+#[test]
+fn a_walk_that_is_imported_again_in_the_room_frame_is_the_same_file() {
+    let folder = folder();
+    assert!(heliostat(&folder, IMPORT).status.success());
+    let again = heliostat(&folder, "trace import walk.csv --format csv --fit none --users 2 --out again.csv");
+    assert!(again.status.success(), "{}", text(&again.stderr));
+    let read = |name: &str| fs::read_to_string(folder.path().join(name)).expect("a walk");
+    assert_eq!(read("walk.csv"), read("again.csv"));
+}
+
+#[test]
+fn a_file_that_cannot_be_used_is_refused_with_the_reason_and_nothing_is_written() {
+    let folder = folder();
+    for (arguments, expected) in [
+        ("obsmat.txt --format csv", "missing column time: expected the header time,user,x,y"),
+        ("obsmat.txt --format atc", "refused rows: 44, the first in line 1: number of columns 1: expected 8"),
+        ("obsmat.txt --format eth-ucy --users 3", "at most 2; expected 3: choose fewer --users"),
+        ("obsmat.txt --format eth-ucy --users 2 --duration-s 9", "last 6.00 s; expected 9 s"),
+        ("obsmat.txt --format eth-ucy --users 2 --fit none", "expected points within 5 m x 5 m"),
+        ("obsmat.txt --format eth-ucy --from-s 1000", "no position is left: 42 outside"),
+        ("obsmat.txt --format eth-ucy --crop 1,1,0,0", "expected four numbers X_MIN,Y_MIN,X_MAX,Y_MAX"),
+        ("absent.txt --format eth-ucy", "absent.txt cannot be imported: No such file"),
+    ] {
+        let refused = heliostat(&folder, &format!("trace import {arguments} --out none.csv"));
+        let message = text(&refused.stderr);
+        assert_eq!(refused.status.code(), Some(2), "{arguments}: {message}");
+        assert!(message.contains(expected), "{expected} is missing in: {message}");
+    }
+    let export = heliostat(&folder, "trace export obsmat.txt --out none.csv");
+    let message = text(&export.stderr);
+    assert!(export.status.code() == Some(2) && message.contains("obsmat.txt cannot be exported"), "{message}");
+    assert!(!Path::new(&folder.path().join("none.csv")).exists());
+}

@@ -1,0 +1,91 @@
+//! `heliostat-lab train` on the command line: an interrupted run is saved and resumes to the same actor.
+#![cfg(unix)]
+
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+
+use heliostat_service::exit::FAILURE;
+use tempfile::TempDir;
+
+const SETTINGS: [&str; 20] = [
+    "train",
+    "ddpg",
+    "--set",
+    "mirrors.rows=3",
+    "--set",
+    "mirrors.columns=3",
+    "--seed",
+    "7",
+    "--episodes",
+    "40",
+    "--steps",
+    "10",
+    "--every",
+    "1000",
+    "--states",
+    "2",
+    // So that the run learns from the second episode.
+    "--option",
+    "batch=8",
+    "--option",
+    "warm_up=20",
+];
+
+fn train(out: &Path) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_heliostat-lab"));
+    command.args(SETTINGS).arg("--out").arg(out).arg("--json").stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
+}
+
+/// Rows of the learning curve, the header included.
+fn rows(out: &Path) -> usize {
+    std::fs::read_to_string(out.join("curve.csv")).map_or(0, |text| text.lines().count())
+}
+
+fn actor(out: &Path) -> Vec<u8> {
+    std::fs::read(out.join("ddpg-specular-3x3-seed7.onnx")).expect("an actor")
+}
+
+fn errors(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+/// Interrupts a run after some episodes with a signal, and returns its messages.
+fn interrupt(out: &Path, signal: &str) -> String {
+    let mut child = train(out).spawn().expect("the program starts");
+    let started = std::time::Instant::now();
+    while rows(out) < 3 {
+        assert!(started.elapsed().as_secs() < 120, "no episode");
+        assert!(child.try_wait().expect("a child").is_none(), "the run ended before the signal");
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    let sent = Command::new("kill").args([signal, &child.id().to_string()]).status().expect("kill");
+    assert!(sent.success());
+    let output = child.wait_with_output().expect("it ends");
+    assert_eq!(output.status.code(), Some(FAILURE.into()), "{}", errors(&output));
+    assert!(!out.join("ddpg-specular-3x3-seed7.onnx").exists());
+    errors(&output)
+}
+
+#[test]
+fn an_interrupted_run_is_saved_and_the_printed_command_resumes_it_to_the_same_actor() {
+    let folder = TempDir::new().expect("a folder");
+    let whole = folder.path().join("whole");
+    let output = train(&whole).output().expect("the program starts");
+    assert!(output.status.success(), "{}", errors(&output));
+
+    for signal in ["-INT", "-TERM"] {
+        let parts = folder.path().join(format!("parts of{signal}"));
+        let messages = interrupt(&parts, signal);
+        let saved = parts.join("checkpoint.safetensors");
+        assert!(saved.exists() && messages.contains(&format!("saved: {}", saved.display())), "{messages}");
+        let resume = messages.lines().find_map(|line| line.strip_prefix("resume with: heliostat ")).expect("a command");
+        let resumed = Command::new("sh")
+            .args(["-c", &format!("exec \"$0\" {resume}"), env!("CARGO_BIN_EXE_heliostat-lab")])
+            .output()
+            .expect("a shell");
+        assert!(resumed.status.success(), "{resume}: {}", errors(&resumed));
+        assert!(actor(&parts) == actor(&whole), "{signal}: the resumed run gave another actor");
+        assert_eq!(rows(&parts), rows(&whole));
+    }
+}

@@ -72,8 +72,8 @@ fn a_room_plays_an_imported_walk() {
     assert!(heliostat(&folder, &format!("{IMPORT} --rate-hz 10 --scenario hall")).status.success());
     let room = "[users]\ncount = 2\ntrace = \"walk.csv\"\n";
     fs::write(folder.path().join("room.toml"), room).expect("written");
-    let check = heliostat(&folder, "scenario check room.toml");
-    assert!(check.status.success(), "{}", text(&check.stderr));
+    let played = heliostat(&folder, "map --scenario room.toml --array flat --at-seconds 1 --step-cm 50");
+    assert!(played.status.success(), "{}", text(&played.stderr));
 }
 
 #[test]

@@ -79,7 +79,8 @@ fn an_interrupted_run_is_saved_and_the_printed_command_resumes_it_to_the_same_ac
         let messages = interrupt(&parts, signal);
         let saved = parts.join("checkpoint.safetensors");
         assert!(saved.exists() && messages.contains(&format!("saved: {}", saved.display())), "{messages}");
-        let resume = messages.lines().find_map(|line| line.strip_prefix("resume with: heliostat ")).expect("a command");
+        let resume = messages.lines().find_map(|line| line.strip_prefix("resume with: heliostat-lab "));
+        let resume = resume.expect("a command");
         let resumed = Command::new("sh")
             .args(["-c", &format!("exec \"$0\" {resume}"), env!("CARGO_BIN_EXE_heliostat-lab")])
             .output()

@@ -91,7 +91,7 @@ impl Board {
         let mut inner = self.lock();
         let silent = inner.waiting.iter().flatten().count() as u64;
         (0..silent).for_each(|_| inner.times.record(lost_after));
-        (std::mem::replace(&mut inner.times, Times::new()), silent + inner.superseded)
+        (std::mem::take(&mut inner.times), silent + inner.superseded)
     }
 
     fn lock(&self) -> MutexGuard<'_, Inner> {

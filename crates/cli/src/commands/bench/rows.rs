@@ -17,6 +17,12 @@ const LONGEST_NS: u64 = 60_000_000_000;
 /// A histogram of times.
 pub struct Times(Histogram<u64>);
 
+impl Default for Times {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
 impl Times {
     /// An empty histogram with all its memory.
     pub fn new() -> Self {

@@ -27,7 +27,7 @@ pub struct Definition {
     pub columns: BTreeMap<String, Vec<Column>>,
     /// What sections have that do not state it themselves.
     #[serde(default)]
-    default: Default,
+    default: Defaults,
     /// Tables over several sections, in front of them.
     #[serde(default)]
     pub summary: Vec<Summary>,
@@ -38,7 +38,7 @@ pub struct Definition {
 
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-struct Default {
+struct Defaults {
     full: String,
     quick: String,
     tables: Vec<Table>,
@@ -122,7 +122,7 @@ impl Definition {
             let word = definition.words.get_mut(name);
             *word.with_context(|| format!("--word {name}: the report has no such word"))? = value.clone();
         }
-        let Default { full, quick, tables } = definition.default.clone();
+        let Defaults { full, quick, tables } = definition.default.clone();
         for section in &mut definition.sections {
             section.full.get_or_insert_with(|| full.clone());
             section.quick.get_or_insert_with(|| quick.clone());
@@ -174,8 +174,8 @@ impl Definition {
             text = text.replace(&format!("{{{name}}}"), value);
         }
         // `{}` and `{key=value}` are values of a scenario key.
-        let braced = text.split('{').skip(1).filter_map(|rest| Some(rest.split_once('}')?.0));
-        if let Some(word) = braced.filter(|inside| !inside.is_empty() && !inside.contains('=')).next() {
+        let mut braced = text.split('{').skip(1).filter_map(|rest| Some(rest.split_once('}')?.0));
+        if let Some(word) = braced.find(|inside| !inside.is_empty() && !inside.contains('=')) {
             let known: Vec<&str> = self.words.keys().map(String::as_str).collect();
             bail!("unknown word {{{word}}}; expected one of {}", known.join(", "));
         }

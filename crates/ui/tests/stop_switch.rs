@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use heliostat_bus::{Bus, BusConfig, Class, Publisher, Subscription, free_loopback_endpoint};
+use heliostat_bus::{Bus, BusConfig, Class, Publisher, Subscription, private_endpoint};
 use heliostat_proto::{
     ArrayState, EmergencyStop, MirrorTelemetry, Rearm, Room, SafetyReport, StopAction, decode, encode,
 };
@@ -73,7 +73,7 @@ fn switch(room: &str, endpoint: &str) -> (Bus, StopSwitch) {
 
 #[test]
 fn a_stop_is_repeated_until_telemetry_confirms_it() {
-    let endpoint = free_loopback_endpoint().unwrap();
+    let endpoint = private_endpoint().unwrap();
     let _array = Array::new("repeat", &endpoint, 2);
     let (_bus, switch) = switch("repeat", &endpoint);
     switch.stop_and_confirm("test", TIME_LIMIT).unwrap();
@@ -81,7 +81,7 @@ fn a_stop_is_repeated_until_telemetry_confirms_it() {
 
 #[test]
 fn a_stop_without_an_array_is_reported() {
-    let endpoint = free_loopback_endpoint().unwrap();
+    let endpoint = private_endpoint().unwrap();
     let _other = Bus::open(&BusConfig::new(Room::new("nothing").unwrap()).listen_at(&endpoint)).unwrap();
     let (_bus, switch) = switch("nothing", &endpoint);
     let error = switch.stop_and_confirm("test", Duration::from_millis(100)).unwrap_err();
@@ -90,7 +90,7 @@ fn a_stop_without_an_array_is_reported() {
 
 #[test]
 fn a_rearm_names_the_stop_in_the_safety_report() {
-    let endpoint = free_loopback_endpoint().unwrap();
+    let endpoint = private_endpoint().unwrap();
     let array = Array::new("named", &endpoint, 0);
     let (_bus, switch) = switch("named", &endpoint);
     switch.stop_and_confirm("test", TIME_LIMIT).unwrap();
@@ -105,7 +105,7 @@ fn a_rearm_names_the_stop_in_the_safety_report() {
 
 #[test]
 fn a_stop_that_arrives_during_a_rearm_stays_in_force() {
-    let endpoint = free_loopback_endpoint().unwrap();
+    let endpoint = private_endpoint().unwrap();
     let array = Array::new("later", &endpoint, 0);
     let (_bus, switch) = switch("later", &endpoint);
     switch.stop_and_confirm("test", TIME_LIMIT).unwrap();
@@ -127,7 +127,7 @@ fn a_stop_that_arrives_during_a_rearm_stays_in_force() {
 
 #[test]
 fn an_array_without_safety_reports_gets_the_rearm_of_the_first_messages() {
-    let endpoint = free_loopback_endpoint().unwrap();
+    let endpoint = private_endpoint().unwrap();
     let array = Array::new("legacy", &endpoint, 0);
     let (_bus, switch) = switch("legacy", &endpoint);
     switch.stop_and_confirm("test", TIME_LIMIT).unwrap();
@@ -138,7 +138,7 @@ fn an_array_without_safety_reports_gets_the_rearm_of_the_first_messages() {
 
 #[test]
 fn a_rearm_of_an_array_that_is_not_stopped_sends_nothing() {
-    let endpoint = free_loopback_endpoint().unwrap();
+    let endpoint = private_endpoint().unwrap();
     let array = Array::new("moving", &endpoint, 0);
     let (_bus, switch) = switch("moving", &endpoint);
     switch.stop_and_confirm("test", TIME_LIMIT).unwrap();

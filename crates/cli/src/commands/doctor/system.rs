@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use heliostat_bus::{AccessRole, Bus, BusArgs, Reach};
 use heliostat_core::capabilities::{Examiner, Force};
-use heliostat_core::policy::Finding;
+use heliostat_core::policy::{Finding, PolicyKind};
 use heliostat_models::ActorSource;
 use heliostat_proto::array_keys::array_name;
 use heliostat_proto::{Capabilities, ValidityClock, decode};
@@ -54,7 +54,8 @@ pub(super) fn checks(args: &Args) -> Vec<Check> {
 
 fn check_policy(args: &Args, scenario: &Scenario) -> Check {
     let source = args.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
-    let (policy, findings) = match args.engine.build_tried(args.policy, scenario, &source) {
+    let kind = PolicyKind::selected(args.policy, args.model.is_some());
+    let (policy, findings) = match args.engine.build_tried(kind, scenario, &source) {
         Ok(tried) => tried,
         Err(error) => {
             let advice = "choose a policy that needs no file (--policy fixed-point), or train an actor for this scenario: heliostat-lab train ddpg";

@@ -1,4 +1,4 @@
-//! The Python codec of CONTRACT.md, run unchanged on the golden bytes.
+//! The Python codec of the contract, run unchanged on the golden bytes.
 
 mod common;
 
@@ -8,7 +8,10 @@ use std::process::{Command, Stdio};
 
 use common::*;
 
-/// Checks of the document's codec on each sample.
+/// The codec that CONTRACT.md links to.
+const CODEC: &str = include_str!("../contract.py");
+
+/// Checks of the codec on each sample.
 const CHECKS: &str = r#"
 def refused(payload, kind):
     try:
@@ -89,15 +92,8 @@ for wrong, kind in [(dict(geometry, scenario="x" * 16385), 15),
 print("valid")
 "#;
 
-/// The first Python block of the document.
-fn code() -> &'static str {
-    let document = include_str!("../../CONTRACT.md");
-    let (_, rest) = document.split_once("```python\n").expect("CONTRACT.md has Python code");
-    rest.split_once("```").expect("the code block has an end").0
-}
-
 #[test]
-fn the_codec_of_the_contract_document_decodes_and_encodes_the_golden_bytes() {
+fn the_codec_of_the_contract_decodes_and_encodes_the_golden_bytes() {
     let python = Command::new("python3").args(["-I", "-"]).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn();
     let mut python = match python {
         Ok(python) => python,
@@ -107,7 +103,7 @@ fn the_codec_of_the_contract_document_decodes_and_encodes_the_golden_bytes() {
             return;
         }
     };
-    let mut script = code().to_owned();
+    let mut script = CODEC.to_owned();
     script.push_str("\nSAMPLES = {\n");
     for (_, payload) in payloads() {
         writeln!(script, "    {}: \"{}\",", payload[1], hex(&payload)).expect("a string takes any text");
@@ -118,6 +114,6 @@ fn the_codec_of_the_contract_document_decodes_and_encodes_the_golden_bytes() {
     input.write_all(script.as_bytes()).expect("python3 reads the script");
     drop(input);
     let output = python.wait_with_output().expect("python3 exits");
-    assert!(output.status.success(), "the code in CONTRACT.md fails; its error is printed above");
+    assert!(output.status.success(), "proto/contract.py fails; its error is printed above");
     assert_eq!(String::from_utf8_lossy(&output.stdout).trim(), "valid");
 }

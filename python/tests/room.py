@@ -8,7 +8,9 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import time
+import uuid
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -26,8 +28,10 @@ needs_program = pytest.mark.skipif(
 )
 
 
-def free_endpoint(protocol: str = "tcp") -> str:
-    """An endpoint on this machine that is free now."""
+def free_endpoint(protocol: str = "unixsock-stream" if hasattr(socket, "AF_UNIX") else "tcp") -> str:
+    """An endpoint on this machine: a Unix socket that no other process takes, or a port that is free now."""
+    if protocol == "unixsock-stream":
+        return f"{protocol}/{tempfile.gettempdir()}/heliostat-{uuid.uuid4()}.sock"
     with socket.socket() as one:
         one.bind(("127.0.0.1", 0))
         return f"{protocol}/127.0.0.1:{one.getsockname()[1]}"

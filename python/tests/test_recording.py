@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 import os
-import socket
 import subprocess
 from pathlib import Path
 
 import heliostat
 import numpy as np
 import pytest
+from room import free_endpoint
 
 OVERRIDES = ("--set", "streams.channel.rate_hz=5")
-
-
-def free_address() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +20,7 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if program is None:
         pytest.skip("HELIOSTAT_PROGRAM names no program")
     file = tmp_path_factory.mktemp("recording") / "room.mcap"
-    room, recorder = free_address(), free_address()
+    room, recorder = free_endpoint(), free_endpoint()
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     scenario = ["--scenario", "hall", *OVERRIDES]
     commands = [

@@ -17,8 +17,9 @@ impl PageServer {
     /// # Panics
     /// When the page is not served within the time limit.
     pub fn start(arguments: &[&str]) -> Self {
-        let port = free_loopback_port().expect("a free port");
-        Self { process: serve(port, arguments), port }
+        // `ui` takes another port if this one is in use by then.
+        let (process, port) = serve(free_loopback_port().expect("a free port"), arguments);
+        Self { process, port }
     }
 
     /// Starts another server on the same port, after [`kill`](Self::kill).
@@ -26,7 +27,9 @@ impl PageServer {
     /// # Panics
     /// As [`PageServer::start`].
     pub fn restart(&mut self, arguments: &[&str]) {
-        self.process = serve(self.port, arguments);
+        let (process, port) = serve(self.port, arguments);
+        assert_eq!(port, self.port, "{}", process.errors());
+        self.process = process;
     }
 
     /// Kills the server.
@@ -55,11 +58,21 @@ pub fn choose_theme(browser: &Browser, theme: &str) {
     });
 }
 
-fn serve(port: u16, arguments: &[&str]) -> Process {
-    let process = Process::heliostat(&[&["ui", "--plain", "--ui-port", &port.to_string()], arguments].concat());
-    let served = format!("the page is at {}", url(port));
-    wait_until("the address of the page", || process.errors().contains(&served));
-    process
+/// A server of the page, and the port that it prints.
+fn serve(port: u16, arguments: &[&str]) -> (Process, u16) {
+    let mut process = Process::heliostat(&[&["ui", "--plain", "--ui-port", &port.to_string()], arguments].concat());
+    let mut bound = None;
+    wait_until("the address of the page", || {
+        assert!(process.is_running(), "the server of the page ended: {}", process.errors());
+        bound = printed_port(&process.errors());
+        bound.is_some()
+    });
+    (process, bound.expect("waited for"))
+}
+
+fn printed_port(errors: &str) -> Option<u16> {
+    let (_, address) = errors.split_once("the page is at http://127.0.0.1:")?;
+    address.split_once('/')?.0.parse().ok()
 }
 
 fn url(port: u16) -> String {

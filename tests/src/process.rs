@@ -24,7 +24,7 @@ impl Process {
     /// # Panics
     /// When the program is not built or does not start.
     pub fn heliostat(arguments: &[&str]) -> Self {
-        Self::program("heliostat", arguments)
+        Self::heliostat_under(&[], &[], arguments)
     }
 
     /// The same, for tests that may lose no message: on a busy machine Zenoh waits up to a second
@@ -44,6 +44,7 @@ impl Process {
     /// When the program is not built or does not start.
     pub fn heliostat_under(wrapper: &[&str], variables: &[(&str, &str)], arguments: &[&str]) -> Self {
         let path = built("heliostat");
+        let arguments = &in_test_room(arguments)[..];
         match wrapper {
             [] => Self::start(&path, arguments, variables),
             [first, rest @ ..] => {
@@ -192,6 +193,22 @@ fn collect(mut stream: impl Read + Send + 'static, into: &Arc<Mutex<String>>) ->
             text.push('\n');
         }
     })
+}
+
+/// The room of a process that names none. It reports 100 times a second, so that a test waits for many
+/// reports in a short time.
+const TEST_SCENARIO: &str = "specular";
+
+/// The arguments of a process, with the scenario of the tests where they name none.
+fn in_test_room<'a>(arguments: &[&'a str]) -> Vec<&'a str> {
+    let runs_a_room = matches!(arguments, ["sim-node" | "controller" | "demo" | "record", ..]);
+    let sets_a_room = matches!(arguments, ["ui", ..]) && arguments.contains(&"--set");
+    let names_one = arguments.iter().any(|argument| argument.starts_with("--scenario"));
+    let mut all = arguments.to_vec();
+    if (runs_a_room || sets_a_room) && !names_one {
+        all.splice(1..1, ["--scenario", TEST_SCENARIO]);
+    }
+    all
 }
 
 /// The folder of the workspace.

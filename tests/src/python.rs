@@ -16,9 +16,11 @@ pub fn python() -> Option<String> {
     }
     assert!(
         std::env::var_os("HELIOSTAT_REQUIRE_PYTHON").is_none(),
-        "{python} has no driver kit, which is required where HELIOSTAT_REQUIRE_PYTHON is set"
+        "{python} cannot import heliostat.driver, which is required where HELIOSTAT_REQUIRE_PYTHON is set"
     );
-    println!("skipped: {python} has no driver kit (pip install \"./python[zenoh]\"; HELIOSTAT_PYTHON names another)");
+    println!(
+        "skipped: {python} cannot import heliostat.driver (pip install \"./python[zenoh]\"; HELIOSTAT_PYTHON names another)"
+    );
     None
 }
 

@@ -1,6 +1,6 @@
 //! Commands without a driver: the controller reports it, and so do viewers.
 
-use heliostat_bus::free_loopback_endpoint;
+use heliostat_bus::private_endpoint;
 use heliostat_proto::{NodeKind, Stamp, UserReport, UserState, encode};
 use heliostat_service::clock::utc_ns;
 use heliostat_tests::{Process, RoomObserver, wait_until};
@@ -19,7 +19,7 @@ fn report(observer: &RoomObserver, sequence: u64) {
 
 #[test]
 fn commands_without_a_driver_are_reported_until_one_is_there() {
-    let (at, driver_at) = (free_loopback_endpoint().unwrap(), free_loopback_endpoint().unwrap());
+    let (at, driver_at) = (private_endpoint().unwrap(), private_endpoint().unwrap());
     let controller = Process::heliostat(&[
         "controller",
         "--policy",

@@ -1,7 +1,7 @@
 //! Users who enter and leave while a controller process runs: each report is answered, and the
 //! answer to the first report with a new user already serves it.
 
-use heliostat_bus::{Bus, BusConfig, Class, Publisher, free_loopback_endpoint};
+use heliostat_bus::{Bus, BusConfig, Class, Publisher, private_endpoint};
 use heliostat_proto::{ChannelReport, MirrorCommand, NodeKind, Room, Stamp, UserChannel, UserReport, UserState, codec};
 use heliostat_service::clock::utc_ns;
 use heliostat_tests::{Process, RoomObserver, wait_until};
@@ -59,7 +59,7 @@ fn answer(crowd: &mut Crowd, observer: &RoomObserver, ids: &[u32]) -> MirrorComm
 
 #[test]
 fn a_tracker_may_report_other_users_with_every_report() {
-    let endpoint = free_loopback_endpoint().expect("a free port");
+    let endpoint = private_endpoint().expect("an endpoint");
     // The first reports may wait for a policy that is not in the processor's caches.
     let patient = ["--set", "control.deadline_ms=1000"];
     let controller = ["controller", "--listen", &endpoint, "--policy", "fixed-point", "--exit-with-parent", "--json"];
@@ -99,7 +99,7 @@ fn a_tracker_may_report_other_users_with_every_report() {
 
 /// The summary of a simulated room with fast arrivals, in lockstep with a controller.
 fn simulated(policy: &str) -> serde_json::Value {
-    let endpoint = free_loopback_endpoint().expect("a free port");
+    let endpoint = private_endpoint().expect("an endpoint");
     let arrivals = [
         "--set",
         "users.arrivals.rate_per_min=120",

@@ -5,7 +5,7 @@ use std::net::SocketAddr;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use heliostat_bus::{Bus, BusConfig, Subscription, free_loopback_endpoint, free_loopback_port};
+use heliostat_bus::{Bus, BusConfig, Subscription, free_loopback_port, private_endpoint};
 use heliostat_proto::{BeliefReport, MirrorCommand, Room, RoomTruth, codec};
 use heliostat_tests::{Browser, PageServer, Process, wait_until};
 
@@ -22,7 +22,7 @@ struct Setting {
 
 impl Setting {
     fn new(settings: &[&str]) -> Self {
-        let endpoints = [(); 2].map(|()| free_loopback_endpoint().expect("a free port"));
+        let endpoints = [(); 2].map(|()| private_endpoint().expect("an endpoint"));
         let metrics = [(); 2].map(|()| SocketAddr::from(([127, 0, 0, 1], free_loopback_port().expect("a free port"))));
         let [room_at, controller_at] = endpoints.each_ref().map(String::as_str);
         let [room_page, controller_page] = metrics.map(|address| address.to_string());

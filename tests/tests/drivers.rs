@@ -3,7 +3,7 @@
 
 use std::time::Duration;
 
-use heliostat_bus::{BusConfig, free_loopback_endpoint};
+use heliostat_bus::{BusConfig, private_endpoint};
 use heliostat_proto::{ArrayState, MirrorCommand, MirrorTelemetry, Rearm, Room, Stamp, UserReport, UserState, encode};
 use heliostat_service::clock::utc_ns;
 use heliostat_tests::{Process, PythonExample, RoomObserver, python, wait_until};
@@ -29,7 +29,7 @@ fn check(arguments: &[&str]) -> Vec<(String, String)> {
 
 #[test]
 fn the_simulated_array_keeps_every_rule() {
-    let endpoint = free_loopback_endpoint().unwrap();
+    let endpoint = private_endpoint().unwrap();
     let _room = Process::heliostat(&["sim-node", "--room", "sim", "--listen", &endpoint, "--exit-with-parent"]);
     let verdicts = check(&["--connect", &endpoint, "heliostat/v1/sim/mirrors/command"]);
     assert!(verdicts.len() > 15 && verdicts.iter().all(|(_, verdict)| verdict == "kept"), "{verdicts:?}");
@@ -37,7 +37,7 @@ fn the_simulated_array_keeps_every_rule() {
 
 #[test]
 fn a_check_of_an_empty_room_is_refused() {
-    let endpoint = free_loopback_endpoint().unwrap();
+    let endpoint = private_endpoint().unwrap();
     let ended = Process::heliostat(&["driver", "check", "--room", "empty", "--listen", &endpoint]).wait();
     assert!(ended.refusal().contains("no driver in room \"empty\""), "{}", ended.errors);
 }
@@ -45,7 +45,7 @@ fn a_check_of_an_empty_room_is_refused() {
 #[test]
 fn a_driver_in_python_keeps_every_rule() {
     let Some(python) = python() else { return };
-    let endpoint = free_loopback_endpoint().unwrap();
+    let endpoint = private_endpoint().unwrap();
     let _driver = python_driver(&python, "python", &[&endpoint]);
     let verdicts = check(&["--listen", &endpoint, "--room", "python"]);
     assert!(verdicts.iter().all(|(_, verdict)| verdict == "kept"), "{verdicts:?}");
@@ -77,7 +77,7 @@ fn acknowledges(telemetry: &MirrorTelemetry, command: &MirrorCommand) -> bool {
 #[test]
 fn a_driver_in_python_follows_the_controller() {
     let Some(python) = python() else { return };
-    let (of_controller, of_tracker) = (free_loopback_endpoint().unwrap(), free_loopback_endpoint().unwrap());
+    let (of_controller, of_tracker) = (private_endpoint().unwrap(), private_endpoint().unwrap());
     // A busy machine delays the check of a command.
     let set = ["--set", "mirrors.rows=2", "--set", "mirrors.columns=3", "--set", "control.validity_ms=10000"];
     let flags = ["controller", "--room", "driven", "--listen", &of_controller, "--policy", "fixed-point"];

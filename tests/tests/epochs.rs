@@ -1,6 +1,6 @@
 //! Forged and foreign messages, and several controllers in one room: commands continue.
 
-use heliostat_bus::free_loopback_endpoint;
+use heliostat_bus::private_endpoint;
 use heliostat_proto::{
     ArrayState, AxisLimits, Capabilities, MirrorCommand, MirrorTelemetry, NodeKind, Stamp, UserReport, codec,
 };
@@ -18,7 +18,7 @@ struct Setting {
 
 impl Setting {
     fn new() -> Self {
-        let free = || free_loopback_endpoint().expect("a free port");
+        let free = || private_endpoint().expect("an endpoint");
         let room_endpoint = free();
         let room = Process::heliostat(&["sim-node", "--listen", &room_endpoint, "--exit-with-parent", "--json"]);
         Self { room_endpoint, controller_endpoints: [free(), free()], room }
@@ -189,7 +189,7 @@ fn an_array_that_does_not_fit_receives_no_commands_until_it_announces_other_capa
         observer.publish(&key, &encoded(&narrow));
         last_problem(&observer).contains("the array receives no commands: the array \"narrow\" turns from")
     });
-    assert!(counter(&observer, "fallback:withheld") > 0);
+    wait_until("a withheld command", || counter(&observer, "fallback:withheld") > 0);
     assert!(controller.is_running());
     wait_until("a fit", || counter(&observer, "array_unfit") == 0);
     wait_for_accepted(&observer);

@@ -132,7 +132,7 @@ struct Scene {
 impl Scene {
     /// Starts viewers, in a namespace if there is a link to one.
     fn start(viewers: usize, link: Option<&Link>) -> Self {
-        let mut setup = Setup::new(Array::Simulated);
+        let mut setup = Setup::new(Array::Simulated).over_tcp();
         let session = setup.session();
         let mut endpoints = session.connect.clone();
         if let Some(link) = link {

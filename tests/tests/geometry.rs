@@ -1,7 +1,7 @@
 //! The geometry that room and controller announce: viewers draw it without a scenario file, and a
 //! controller of another room reports the difference.
 
-use heliostat_bus::free_loopback_endpoint;
+use heliostat_bus::private_endpoint;
 use heliostat_proto::NodeKind;
 use heliostat_tests::{Process, RoomObserver, wait_until};
 use serde_json::Value;
@@ -42,7 +42,7 @@ fn mirrors(ui: &Process) -> usize {
 
 #[test]
 fn a_viewer_without_a_scenario_draws_the_announced_room_and_follows_its_changes() {
-    let (room_at, controller_at) = (free_loopback_endpoint().unwrap(), free_loopback_endpoint().unwrap());
+    let (room_at, controller_at) = (private_endpoint().unwrap(), private_endpoint().unwrap());
     let room = simulator(&room_at, &[&ROOM[..], &["--set", "room.length_x_m=8"]].concat());
     let ui = viewer(&[&room_at, &controller_at]);
     wait_until("the announced room", || mirrors(&ui) == 20);
@@ -59,7 +59,7 @@ fn a_viewer_without_a_scenario_draws_the_announced_room_and_follows_its_changes(
 
 #[test]
 fn a_viewer_draws_the_announcement_of_a_controller_without_a_simulator() {
-    let (room_at, controller_at) = (free_loopback_endpoint().unwrap(), free_loopback_endpoint().unwrap());
+    let (room_at, controller_at) = (private_endpoint().unwrap(), private_endpoint().unwrap());
     let _controller = controller(&room_at, &controller_at, &ROOM);
     let ui = viewer(&[&controller_at]);
     wait_until("the controller's room", || mirrors(&ui) == 20);
@@ -68,7 +68,7 @@ fn a_viewer_draws_the_announcement_of_a_controller_without_a_simulator() {
 
 #[test]
 fn a_viewer_of_a_room_without_announcements_says_that_it_draws_the_default_scenario() {
-    let ui = viewer(&[&free_loopback_endpoint().unwrap()]);
+    let ui = viewer(&[&private_endpoint().unwrap()]);
     wait_until("a note about the default", || {
         ui.errors().contains("no process announces the geometry of the room: the picture shows the scenario specular")
     });
@@ -77,7 +77,7 @@ fn a_viewer_of_a_room_without_announcements_says_that_it_draws_the_default_scena
 
 #[test]
 fn a_controller_of_another_room_reports_the_first_key_that_differs_once() {
-    let (room_at, controller_at) = (free_loopback_endpoint().unwrap(), free_loopback_endpoint().unwrap());
+    let (room_at, controller_at) = (private_endpoint().unwrap(), private_endpoint().unwrap());
     let _room = simulator(&room_at, &["--set", "room.height_m=3.5"]);
     let controller = controller(&room_at, &controller_at, &[]);
     let observer = RoomObserver::connect("demo", &[&controller_at]);

@@ -3,7 +3,7 @@
 
 use std::time::Instant;
 
-use heliostat_bus::free_loopback_endpoint;
+use heliostat_bus::private_endpoint;
 use heliostat_proto::{ControllerControl, FaultKind, MirrorFault, NodeKind, SimulatorControl, Stamp, codec};
 use heliostat_tests::{Process, RoomObserver, wait_until};
 
@@ -30,7 +30,7 @@ fn forced(observer: &RoomObserver) -> usize {
 
 #[test]
 fn values_beyond_their_domain_are_refused_and_the_room_goes_on() {
-    let endpoint = free_loopback_endpoint().expect("a port");
+    let endpoint = private_endpoint().expect("a port");
     let sim = Process::heliostat(&["sim-node", "--listen", &endpoint, "--exit-with-parent", "--json"]);
     let observer = RoomObserver::connect("demo", &[&endpoint]);
     wait_until("the first truth", || observer.truth().is_some());
@@ -60,7 +60,7 @@ fn values_beyond_their_domain_are_refused_and_the_room_goes_on() {
 
 #[test]
 fn the_largest_order_does_not_stop_the_ticks_of_a_large_array() {
-    let endpoint = free_loopback_endpoint().expect("a port");
+    let endpoint = private_endpoint().expect("a port");
     let size =
         ["mirrors.rows=64", "mirrors.columns=64", "mirrors.width_m=0.02", "mirrors.height_m=0.02", "mirrors.gap_m=0"];
     let mut arguments = vec!["sim-node", "--listen", &endpoint, "--exit-with-parent", "--json"];
@@ -77,9 +77,9 @@ fn the_largest_order_does_not_stop_the_ticks_of_a_large_array() {
 
 #[test]
 fn control_characters_of_a_message_do_not_reach_a_log_or_a_summary() {
-    let endpoint = free_loopback_endpoint().expect("a port");
+    let endpoint = private_endpoint().expect("a port");
     let sim = Process::heliostat(&["sim-node", "--listen", &endpoint, "--exit-with-parent"]);
-    let at_controller = free_loopback_endpoint().expect("a port");
+    let at_controller = private_endpoint().expect("a port");
     let controller = Process::heliostat(&[
         "controller",
         "--policy",

@@ -1,7 +1,7 @@
 //! Invalid payloads on every subscribed key: no process crashes, and each payload is counted by its
 //! cause.
 
-use heliostat_bus::free_loopback_endpoint;
+use heliostat_bus::private_endpoint;
 use heliostat_proto::{
     ChannelReport, EmergencyStop, MirrorCommand, MirrorTelemetry, NodeKind, Obstacle, ObstacleReport, Stamp,
     UserChannel, UserReport, UserState, codec,
@@ -44,7 +44,7 @@ fn encoded<T: codec::Message>(message: &T) -> Vec<u8> {
 
 /// A room, a controller, and an observer that has received commands.
 fn running() -> (Process, Process, RoomObserver) {
-    let (room, controller) = (free_loopback_endpoint().expect("a port"), free_loopback_endpoint().expect("a port"));
+    let (room, controller) = (private_endpoint().expect("a port"), private_endpoint().expect("a port"));
     let sim = Process::heliostat(&["sim-node", "--listen", &room, "--exit-with-parent", "--json"]);
     let central = Process::heliostat(&[
         "controller",

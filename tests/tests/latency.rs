@@ -5,7 +5,7 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use heliostat_bus::{Bus, BusConfig, free_loopback_endpoint};
+use heliostat_bus::{Bus, BusConfig, private_endpoint};
 use heliostat_core::observation::{OBSERVATION_VERSION, ObservationEncoder, USERS_CAPACITY};
 use heliostat_core::policy::actor_file::{INPUT_NAME, OUTPUT_NAME, key};
 use heliostat_onnx::graph::{Ends, Graph};
@@ -64,7 +64,7 @@ struct Pair {
 impl Pair {
     fn start(room_flags: &[&str], controller_flags: &[&str]) -> Self {
         let turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
-        let endpoints = [free_loopback_endpoint().unwrap(), free_loopback_endpoint().unwrap()];
+        let endpoints = [private_endpoint().unwrap(), private_endpoint().unwrap()];
         let common = ["--exit-with-parent", "--json"];
         let room: Vec<&str> =
             ["sim-node", "--listen", &endpoints[0]].iter().chain(&common).chain(room_flags).copied().collect();
@@ -183,7 +183,7 @@ fn a_slow_policy_is_warmed_up_for_each_report_and_every_decision_is_counted() {
 
 #[test]
 fn one_process_serves_rooms_that_do_not_mix() {
-    let endpoint = free_loopback_endpoint().unwrap();
+    let endpoint = private_endpoint().unwrap();
     let rooms = ["north", "south", "west"];
     // The controller listens, since three rooms connect to it; the rooms have different users by their
     // seeds.

@@ -1,10 +1,10 @@
 //! Two lockstep runs with the same seed are equal bit for bit across processes.
 
-use heliostat_bus::free_loopback_endpoint;
+use heliostat_bus::private_endpoint;
 use heliostat_tests::Process;
 
 fn hash(policy: &str, seed: &str) -> String {
-    let endpoint = free_loopback_endpoint().expect("a free port");
+    let endpoint = private_endpoint().expect("an endpoint");
     let room = Process::heliostat(&["sim-node", "--lockstep", "300", "--seed", seed, "--listen", &endpoint, "--json"]);
     let controller = Process::heliostat(&[
         "controller",

@@ -6,7 +6,7 @@ use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::path::Path;
 
-use heliostat_bus::{free_loopback_endpoint, free_loopback_port};
+use heliostat_bus::{free_loopback_port, private_endpoint};
 use heliostat_tests::{Process, wait_until};
 
 fn free_address() -> SocketAddr {
@@ -56,7 +56,7 @@ fn names_of_dashboard() -> BTreeSet<String> {
 #[test]
 fn the_dashboard_uses_metrics_that_a_running_room_serves() {
     let (room_at, controller_at) = (free_address(), free_address());
-    let endpoint = free_loopback_endpoint().expect("a free port");
+    let endpoint = private_endpoint().expect("an endpoint");
     let (room_text, controller_text) = (room_at.to_string(), controller_at.to_string());
     let room =
         Process::heliostat(&["sim-node", "--listen", &endpoint, "--metrics-listen", &room_text, "--exit-with-parent"]);
@@ -123,7 +123,7 @@ fn the_dashboard_uses_metrics_that_a_running_room_serves() {
 #[test]
 fn a_driver_serves_metrics_and_logs_as_json() {
     let (metrics_at, board_at) = (free_address(), free_address());
-    let endpoint = free_loopback_endpoint().expect("a free port");
+    let endpoint = private_endpoint().expect("an endpoint");
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("array.toml");
     // Nothing answers at the board's address, which the driver reports and tries again.

@@ -6,8 +6,8 @@ use std::process::Command;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use heliostat_bus::{Bus, BusConfig, free_loopback_endpoint};
-use heliostat_proto::{BranchReport, LedReport, MirrorCommand, OrientationReport, Room, Stamp, UserReport, codec};
+use heliostat_bus::{Bus, BusConfig, private_endpoint};
+use heliostat_proto::{BranchReport, LedReport, MirrorCommand, NodeStatus, OrientationReport, Room, Stamp, UserReport, codec};
 use heliostat_record::account::Account;
 use heliostat_record::file::{Reading, Recording};
 use heliostat_scenario::Scenario;
@@ -34,8 +34,8 @@ impl Setting {
     fn new() -> Self {
         Self {
             folder: TempDir::new().unwrap(),
-            room_at: free_loopback_endpoint().unwrap(),
-            recorder_at: free_loopback_endpoint().unwrap(),
+            room_at: private_endpoint().unwrap(),
+            recorder_at: private_endpoint().unwrap(),
         }
     }
 
@@ -56,8 +56,9 @@ impl Setting {
 
     fn recorder_arguments(&self) -> Vec<String> {
         let file = text(&self.file());
-        let arguments = ["record", "--connect", &self.room_at, "--listen", &self.recorder_at, "--json", "--out", &file];
-        arguments.map(str::to_owned).into()
+        let room = ["record", "--scenario", "specular"];
+        let arguments = ["--connect", &self.room_at, "--listen", &self.recorder_at, "--json", "--out", &file];
+        room.iter().chain(&arguments).map(|&argument| argument.to_owned()).collect()
     }
 
     /// A recorder that is connected to the room.
@@ -150,7 +151,7 @@ fn a_lockstep_run_replays_bit_for_bit_and_a_changed_one_does_not() {
     assert_eq!(ended.status.code(), Some(2), "{} {}", ended.output, ended.errors);
 
     // Playback into a controller process.
-    let endpoint = free_loopback_endpoint().unwrap();
+    let endpoint = private_endpoint().unwrap();
     let player = replay(&file, &["--listen", &endpoint]);
     let arguments =
         ["controller", "--lockstep", "--policy", "fixed-point", "--connect", &endpoint, "--exit-with-parent"];
@@ -244,7 +245,7 @@ fn gains_of_branches_are_recorded_and_played_back() {
     let verdict = verified(&file);
     assert_eq!((verdict["same"].as_u64(), verdict["different"].as_u64()), (Some(60), Some(0)), "{verdict}");
 
-    let (endpoint, of_controller) = (free_loopback_endpoint().unwrap(), free_loopback_endpoint().unwrap());
+    let (endpoint, of_controller) = (private_endpoint().unwrap(), private_endpoint().unwrap());
     let config = BusConfig::new(Room::new("demo").unwrap()).connect_to(&endpoint);
     let player = replay(&file, &["--listen", &endpoint]);
     let bus = Bus::open(&config).unwrap();
@@ -287,7 +288,7 @@ fn a_live_recording_replays_after_the_first_decisions() {
     assert_eq!(verdict["compared"], account["streams"]["heliostat/v1/demo/mirrors/command"]["messages"], "{verdict}");
 
     // Playback at double speed into one controller, twice.
-    let endpoint = free_loopback_endpoint().unwrap();
+    let endpoint = private_endpoint().unwrap();
     let arguments = ["controller", "--policy", "fixed-point", "--connect", &endpoint, "--exit-with-parent"];
     let controller = Process::heliostat(&arguments);
     for _ in 0..2 {
@@ -401,7 +402,7 @@ fn a_failed_recording_or_replay_is_reported_with_the_cause() {
     assert!(refused.refusal().contains("does not exist yet"), "{}", refused.errors);
     assert_eq!(fs::read_to_string(&taken).unwrap(), "something");
 
-    let unused = free_loopback_endpoint().unwrap();
+    let unused = private_endpoint().unwrap();
     let empty = folder.path().join("empty-room.mcap");
     let alone = Process::heliostat(&["record", "--seconds", "1", "--connect", &unused, "--out", &text(&empty)]).wait();
     assert!(alone.refusal().contains("nothing was received"), "{}", alone.errors);

@@ -1,6 +1,6 @@
 //! Processes that are killed, restarted, or find another process in their role.
 
-use heliostat_bus::free_loopback_endpoint;
+use heliostat_bus::private_endpoint;
 use heliostat_proto::{ArrayState, NodeKind};
 use heliostat_tests::{Process, RoomObserver, programs, wait_until};
 
@@ -13,8 +13,8 @@ struct Setting {
 impl Setting {
     fn new() -> Self {
         Self {
-            room_endpoint: free_loopback_endpoint().expect("a free port"),
-            controller_endpoint: free_loopback_endpoint().expect("a free port"),
+            room_endpoint: private_endpoint().expect("an endpoint"),
+            controller_endpoint: private_endpoint().expect("an endpoint"),
         }
     }
 
@@ -126,7 +126,7 @@ fn a_second_simulator_in_the_room_is_refused() {
     let _room = setting.room();
     let observer = setting.observer();
     wait_until("the first simulator", || observer.users().is_some());
-    let elsewhere = free_loopback_endpoint().expect("a free port");
+    let elsewhere = private_endpoint().expect("an endpoint");
     let second = Process::heliostat(&["sim-node", "--listen", &elsewhere, "--connect", &setting.room_endpoint]).wait();
     assert!(second.refusal().contains("another sim-node is in room \"demo\""), "{}", second.errors);
 }

@@ -5,7 +5,7 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use heliostat_bus::free_loopback_endpoint;
+use heliostat_bus::private_endpoint;
 use heliostat_proto::{ControllerMemory, InputKind, codec};
 use heliostat_record::account::Account;
 use heliostat_record::file::{Reading, Recording};
@@ -25,7 +25,7 @@ struct Setting {
 impl Setting {
     /// Starts room and controller, and waits until the belief has a past.
     fn new(settings: &[&'static str], policy: &str) -> Self {
-        let endpoints = [free_loopback_endpoint().unwrap(), free_loopback_endpoint().unwrap()];
+        let endpoints = [private_endpoint().unwrap(), private_endpoint().unwrap()];
         let [room_at, controller_at] = &endpoints;
         let filter = ["--scenario", "hall", "--set", "control.belief=\"filter\""];
         let settings = [&filter[..], settings].concat();

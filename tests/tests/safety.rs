@@ -6,7 +6,7 @@ use std::net::TcpListener;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
-use heliostat_bus::{BusConfig, free_loopback_endpoint};
+use heliostat_bus::{BusConfig, private_endpoint};
 use heliostat_proto::messages::fault;
 use heliostat_proto::{
     ArrayState, Calibration, EmergencyStop, Message, MirrorCommand, NodeKind, Rearm, Room, Stamp, StopAction, encode,
@@ -57,7 +57,7 @@ struct DrivenRoom {
 
 impl DrivenRoom {
     fn new(room: &str) -> Self {
-        let endpoint = free_loopback_endpoint().expect("a free port");
+        let endpoint = private_endpoint().expect("an endpoint");
         let (address, lines) = board();
         let folder = tempfile::tempdir().expect("a folder");
         let config = format!(
@@ -289,7 +289,7 @@ fn a_simulated_room_keeps_its_stop_where_a_folder_is_given_and_starts_parked_oth
     let folder = tempfile::tempdir().expect("a folder");
     let state = folder.path().display().to_string();
     let start = |flags: &[&str]| {
-        let endpoint = free_loopback_endpoint().expect("a free port");
+        let endpoint = private_endpoint().expect("an endpoint");
         let all = [&["sim-node", "--room", "sim", "--listen", &endpoint, "--exit-with-parent"], flags].concat();
         let process = Process::heliostat(&all);
         let observer = RoomObserver::connect("sim", &[&endpoint]);

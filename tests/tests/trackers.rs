@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::{Command, ExitStatus};
 use std::time::{Duration, Instant};
 
-use heliostat_bus::{BusConfig, free_loopback_endpoint};
+use heliostat_bus::{BusConfig, private_endpoint};
 use heliostat_proto::{ArrayState, Room};
 use heliostat_tests::{Process, PythonExample, RoomObserver, python, wait_until};
 
@@ -23,12 +23,12 @@ fn end(example: &mut PythonExample) -> ExitStatus {
 #[test]
 fn a_controller_answers_a_tracker_in_python_whose_users_enter_and_leave() {
     let Some(python) = python() else { return };
-    let (of_controller, of_viewer) = (free_loopback_endpoint().unwrap(), free_loopback_endpoint().unwrap());
+    let (of_controller, of_viewer) = (private_endpoint().unwrap(), private_endpoint().unwrap());
     let flags = ["controller", "--room", "tracked", "--listen", &of_controller, "--policy", "fixed-point"];
     let _controller = Process::heliostat(&[&flags[..], &["--set", "users.count=3", "--exit-with-parent"]].concat());
     let room = BusConfig::new(Room::new("tracked").unwrap());
     let viewer = RoomObserver::join(&room.listen_at(&of_viewer).connect_to(&of_controller));
-    let flags = ["--room", "tracked", "--connect", &of_controller, "--connect", &of_viewer, "--seconds", "60"];
+    let flags = ["--room", "tracked", "--connect", &of_controller, "--connect", &of_viewer, "--seconds", "600"];
     let mut tracker = PythonExample::start(&python, "tracker.py", &flags);
     let (mut answered, mut counts) = (Vec::new(), Vec::new());
     wait_until("reports of two and of three users, and answers to twenty reports", || {
@@ -65,7 +65,7 @@ fn tutorial(file: &Path) -> (String, [String; 3]) {
     let page = page.expect("the tutorial is there");
     let scenario = page.split("<<'END'\n").nth(1).and_then(|rest| rest.split("END\n").next()).expect("a scenario");
     fs::write(file, scenario).expect("writable");
-    let endpoints = [(); 3].map(|()| free_loopback_endpoint().unwrap());
+    let endpoints = [(); 3].map(|()| private_endpoint().unwrap());
     let named = ["tcp/127.0.0.1:17701", "tcp/127.0.0.1:17702", "tcp/127.0.0.1:17703"];
     let page = named.iter().zip(&endpoints).fold(page, |page, (named, free)| page.replace(named, free));
     (page.replace("room.toml", file.to_str().expect("a plain path")), endpoints)

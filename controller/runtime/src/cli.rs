@@ -34,9 +34,9 @@ pub struct Args {
     scenario: ScenarioArgs,
     #[command(flatten)]
     bus: BusArgs,
-    /// Policy that decides the mirror angles
-    #[arg(long, value_enum, value_parser = NameParser::<PolicyKind>::default(), default_value_t = PolicyKind::Ddpg)]
-    policy: PolicyKind,
+    /// Policy that decides the mirror angles [default: fixed-point, or ddpg with --model]
+    #[arg(long, value_enum, value_parser = NameParser::<PolicyKind>::default())]
+    policy: Option<PolicyKind>,
     /// ONNX file of a learned policy, in place of the built-in one
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
@@ -50,6 +50,9 @@ pub struct Args {
     /// for a slow policy in a process of one room) or `off`
     #[arg(long, value_name = "WHEN", default_value_t = DecisionSettings::default().keep_warm)]
     keep_warm: KeepWarm,
+    /// Begin the statistics of times with the report of this tick: a benchmark warms up before it
+    #[arg(long, value_name = "TICK", default_value_t = 0, hide = true)]
+    times_from_tick: u64,
     /// Command mirrors whose range does not reach all of the floor
     #[arg(long)]
     accept_small_range: bool,
@@ -80,7 +83,8 @@ impl Args {
     /// If a flag or the scenario is invalid.
     pub fn node_config(&self) -> anyhow::Result<NodeConfig> {
         let source = self.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
-        source.check_used_by(self.policy).context("--model names the file of a learned policy")?;
+        let policy = PolicyKind::selected(self.policy, self.model.is_some());
+        source.check_used_by(policy).context("--model names the file of a learned policy")?;
         let bus = self.bus.config_or_connect(&[AccessRole::Controller])?;
         if bus.is_authenticated() && !self.also_room.is_empty() {
             bail!(
@@ -96,8 +100,12 @@ impl Args {
             scenario: self.scenario.load_arrays()?,
             bus,
             also_rooms: self.also_room.iter().map(|name| Room::new(name)).collect::<Result<_, _>>()?,
-            decisions: DecisionSettings { decide_in: self.decide_in, keep_warm: self.keep_warm },
-            policy: self.policy,
+            decisions: DecisionSettings {
+                decide_in: self.decide_in,
+                keep_warm: self.keep_warm,
+                times_from_tick: self.times_from_tick,
+            },
+            policy,
             model: self.model.clone(),
             force: Force { small_range: self.accept_small_range, paper_angles: self.force_paper_angles },
             pace: if self.lockstep { Pace::Lockstep } else { Pace::Live },

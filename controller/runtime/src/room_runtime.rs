@@ -20,7 +20,7 @@ pub mod command_sender;
 pub mod decision_loop;
 mod driver_presence;
 mod geometry;
-pub mod inlet;
+pub mod input_channel;
 mod locks;
 mod policy_swap;
 pub mod receive_queue;
@@ -121,17 +121,17 @@ impl RoomRuntime {
 
         let settings = config.decisions.among(1 + config.also_rooms.len());
         let arrays = scenario.mirrors.arrays().iter().enumerate();
-        let outlets = arrays.map(|(index, array)| {
+        let publishers = arrays.map(|(index, array)| {
             Ok((bus.publisher(&room.array(index).command(), class)?, array.rows * array.columns))
         });
-        let sender = CommandSender::new(outlets.collect::<Result<Vec<_>, BusError>>()?);
+        let sender = CommandSender::new(publishers.collect::<Result<Vec<_>, BusError>>()?);
         let watchdog = Watchdog::new(scenario.control.when_unanswered, sender.arrays());
         let repeater = StopRepeater::open(bus, sender.arrays(), source)?;
         let (sender, watchdog) = (Arc::new(sender), Arc::new(watchdog));
         let shared = (Arc::clone(&sender), Arc::clone(&watchdog));
         let states = StatePublisher::open(bus, source)?;
         let decision_loop = DecisionLoop::new(controller, clock, deadline(config), shared, states);
-        let decision_loop = Arc::new(Mutex::new(decision_loop.with_cache_warm_up(settings.keep_warm)));
+        let decision_loop = Arc::new(Mutex::new(decision_loop.with_settings(settings)));
         let queue = Arc::new(ReceiveQueue::default());
         let thread = settings.has_thread().then(|| spawn(&room, &decision_loop, &queue)).transpose()?;
 

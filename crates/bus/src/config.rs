@@ -1,8 +1,6 @@
 //! Endpoints of a session, and the settings of Zenoh for short delays.
 
-use std::net::TcpListener;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
 use heliostat_proto::Room;
@@ -349,43 +347,6 @@ impl BusArgs {
 
 /// Name of the reliability of a connection in the metadata of an endpoint.
 const RELIABILITY: &str = "rel";
-
-/// Ports below the ephemeral ranges of Linux, macOS and Windows, so that no outgoing connection and
-/// no listener at port 0 gets one.
-const PORTS_BELOW_EPHEMERAL: std::ops::Range<u16> = 20_000..32_768;
-
-/// Number of ports that one process takes before those of the next process id.
-const PORTS_A_PROCESS: u32 = 8;
-
-/// A TCP port on 127.0.0.1 that is free at the time of the call, and another one at each call. It is
-/// below the ephemeral range, so that no outgoing connection takes it in the meantime. Processes that
-/// start at the same time begin at different ports, because their process ids differ.
-///
-/// # Errors
-/// [`BusError::NoFreePort`].
-pub fn free_loopback_port() -> Result<u16, BusError> {
-    static CALLS: AtomicU32 = AtomicU32::new(0);
-    let span = u32::from(PORTS_BELOW_EPHEMERAL.end - PORTS_BELOW_EPHEMERAL.start);
-    let first = std::process::id().wrapping_mul(PORTS_A_PROCESS);
-    let mut last = None;
-    for _ in 0..100 {
-        let offset = first.wrapping_add(CALLS.fetch_add(1, Ordering::Relaxed)) % span;
-        let port = PORTS_BELOW_EPHEMERAL.start + u16::try_from(offset).expect("below the span of a u16 range");
-        match TcpListener::bind(("127.0.0.1", port)) {
-            Ok(_) => return Ok(port),
-            Err(error) => last = Some(error),
-        }
-    }
-    Err(BusError::NoFreePort { problem: last.map(|error| error.to_string()).unwrap_or_default() })
-}
-
-/// An endpoint on 127.0.0.1, at a [`free_loopback_port`].
-///
-/// # Errors
-/// [`BusError::NoFreePort`].
-pub fn free_loopback_endpoint() -> Result<String, BusError> {
-    free_loopback_port().map(|port| format!("tcp/127.0.0.1:{port}"))
-}
 
 fn check_endpoint(text: &str) -> Result<(), BusError> {
     let refuse = |problem: String| Err(BusError::InvalidEndpoint { endpoint: text.to_owned(), problem });

@@ -69,7 +69,7 @@ pub enum BusError {
         problem: String,
     },
     /// Another process listens at the endpoint.
-    #[error("endpoint {endpoint} is in use: another process listens there; stop it, or listen at another port")]
+    #[error("endpoint {endpoint} is in use: another process listens there; stop it, or listen at another endpoint")]
     EndpointInUse {
         /// The endpoint.
         endpoint: String,

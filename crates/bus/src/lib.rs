@@ -36,16 +36,15 @@ mod bounded_session;
 mod certificate;
 mod config;
 mod error;
+mod free_endpoint;
 pub mod keys;
 mod session;
 mod tls;
 
 pub use access::{AccessRole, UnknownRole, access_control};
 pub use certificate::Certificate;
-pub use config::{
-    BusArgs, BusConfig, DEFAULT_ENDPOINT, DEFAULT_TLS_ENDPOINT, Reach, Role, TlsArgs, free_loopback_endpoint,
-    free_loopback_port,
-};
+pub use config::{BusArgs, BusConfig, DEFAULT_ENDPOINT, DEFAULT_TLS_ENDPOINT, Reach, Role, TlsArgs};
 pub use error::{BusError, KeyError};
+pub use free_endpoint::{free_loopback_endpoint, free_loopback_port, private_endpoint};
 pub use session::{Bus, Class, Presence, Publisher, Service, Subscription, Token};
 pub use tls::Identity;

@@ -341,10 +341,10 @@ fn open_error(config: &BusConfig, message: &str) -> BusError {
         mentioned.cloned().unwrap_or_else(|| endpoints.join(", "))
     };
     let concerns_listening = !config.listen.is_empty() && problem.contains("listener");
+    // A port is in use; a Unix socket is locked by the process that listens at it.
+    let is_taken = problem.contains("in use") || problem.contains("acquire lock");
     match config.reach {
-        _ if concerns_listening && problem.contains("in use") => {
-            BusError::EndpointInUse { endpoint: named(&config.listen) }
-        }
+        _ if concerns_listening && is_taken => BusError::EndpointInUse { endpoint: named(&config.listen) },
         _ if concerns_listening => {
             BusError::CannotListen { endpoint: named(&config.listen), problem: problem.to_owned() }
         }

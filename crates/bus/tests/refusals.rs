@@ -38,12 +38,14 @@ fn endpoints_are_checked_before_a_session_opens() {
 
 #[test]
 fn an_endpoint_in_use_is_named() {
-    let endpoint = free_loopback_endpoint().expect("a free port");
-    let first = Bus::open(&config().listen_at(&endpoint)).expect("a free port");
-    let error = refusal(&config().listen_at(&endpoint));
-    assert_eq!(error, BusError::EndpointInUse { endpoint: endpoint.clone() });
-    assert!(error.to_string().contains("stop it, or listen at another port"), "{error}");
-    drop(first);
+    for endpoint in [free_loopback_endpoint(), private_endpoint()] {
+        let endpoint = endpoint.expect("an endpoint");
+        let first = Bus::open(&config().listen_at(&endpoint)).expect("a free endpoint");
+        let error = refusal(&config().listen_at(&endpoint));
+        assert_eq!(error, BusError::EndpointInUse { endpoint: endpoint.clone() });
+        assert!(error.to_string().contains("stop it, or listen at another endpoint"), "{error}");
+        drop(first);
+    }
 }
 
 #[test]

@@ -20,7 +20,7 @@ fn client(room: &str, endpoint: &str) -> Bus {
 fn clients_of_the_deployed_router_receive_messages_of_their_room_only() {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../deploy/router/router.json5");
     let mut config = zenoh::Config::from_file(&file).expect("the router's configuration is valid");
-    let endpoint = free_loopback_endpoint().expect("a free port");
+    let endpoint = private_endpoint().expect("an endpoint");
     config.insert_json5("listen/endpoints", &format!("[{endpoint:?}]")).expect("a list of endpoints");
     let router = zenoh::open(config).wait().expect("the router opens");
 

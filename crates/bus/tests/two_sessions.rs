@@ -23,7 +23,7 @@ fn connecting(endpoint: &str) -> Bus {
 }
 
 fn pair() -> (Bus, Bus) {
-    let endpoint = free_loopback_endpoint().expect("a free port");
+    let endpoint = private_endpoint().expect("an endpoint");
     let first = listening(&endpoint);
     let second = connecting(&endpoint);
     (first, second)
@@ -170,7 +170,7 @@ fn tokens_disappear_with_their_session() {
 
 #[test]
 fn a_connecting_peer_may_start_first_and_reconnects() {
-    let endpoint = free_loopback_endpoint().expect("a free port");
+    let endpoint = private_endpoint().expect("an endpoint");
     let early = connecting(&endpoint);
     let key = early.room().users();
     let (_subscription, receiver) = subscribed(&early, &key);
@@ -206,7 +206,7 @@ fn services_answer_until_they_are_dropped() {
 
 #[test]
 fn a_stop_published_right_before_the_close_arrives() {
-    let endpoint = free_loopback_endpoint().expect("a free port");
+    let endpoint = private_endpoint().expect("an endpoint");
     let receiving = listening(&endpoint);
     let (_subscription, receiver) = subscribed(&receiving, &room().stop());
     for number in 0..20_u8 {

@@ -13,6 +13,24 @@ fn config(folder: &Path, arguments: &[&str]) -> Output {
 }
 
 #[test]
+fn the_processes_of_a_room_have_the_defaults_of_the_demo() {
+    let defaults = |process: &[&str]| -> (Value, Value) {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_heliostat"));
+        let printed = command.args(["config", "--as-json"]).args(process).output().expect("the program starts");
+        assert!(printed.status.success(), "{}", String::from_utf8_lossy(&printed.stderr));
+        let document: Value = serde_json::from_slice(&printed.stdout).expect("one JSON object");
+        (document["scenario_hash"].clone(), document["process"]["policy"].clone())
+    };
+    let (scenario, policy) = defaults(&["demo"]);
+    assert_eq!(
+        defaults(&["demo", "--scenario", "hall", "--policy", "fixed-point"]),
+        (scenario.clone(), policy.clone())
+    );
+    assert_eq!(defaults(&["controller", "--connect", "tcp/127.0.0.1:7447"]), (scenario.clone(), policy));
+    assert_eq!(defaults(&["sim-node", "--listen", "tcp/127.0.0.1:7447"]).0, scenario);
+}
+
+#[test]
 fn the_configuration_of_a_controller_is_printed_only_where_it_can_use_its_model() {
     let folder = tempfile::tempdir().expect("a folder");
     let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/actors/ddpg-specular.onnx");

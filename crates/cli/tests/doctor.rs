@@ -24,7 +24,9 @@ fn the_file_of_a_policy_is_named() {
     let own = policy(&["--model", file]);
     assert_eq!(text(&own, "verdict"), "ok");
     assert!(text(&own, "found").starts_with(&format!("{file} fits the scenario, engine ")), "{own}");
-    let built_in = policy(&[]);
+    let default = policy(&[]);
+    assert!(text(&default, "found").starts_with("fixed-point fits the scenario"), "{default}");
+    let built_in = policy(&["--policy", "ddpg"]);
     assert!(text(&built_in, "found").starts_with("ddpg fits the scenario, engine "), "{built_in}");
 }
 

@@ -9,7 +9,7 @@ use heliostat_array::content::Content;
 use heliostat_array::latch::{Latch, LatchedStop};
 use heliostat_array::moment::Moment;
 use heliostat_array::refusal_counts::RefusalCounts;
-use heliostat_bus::{Bus, BusConfig, Class, Presence, free_loopback_endpoint};
+use heliostat_bus::{Bus, BusConfig, Class, Presence, private_endpoint};
 use heliostat_channel::MirrorAngles;
 use heliostat_driver::check::{self, Report, Verdict};
 use heliostat_driver::clock::Clock;
@@ -75,7 +75,7 @@ impl Device for Exact {
 
 /// Checks the driver that `drive` runs, in a separate room.
 fn checked(room: &str, drive: impl FnOnce(BusConfig, &Stop) + Send) -> Report {
-    let endpoint = free_loopback_endpoint().unwrap();
+    let endpoint = private_endpoint().unwrap();
     let config = BusConfig::new(Room::new(room).unwrap());
     let stop = Stop::default();
     std::thread::scope(|scope| {
@@ -278,7 +278,7 @@ fn a_driver_without_safety_reports_is_not_judged_by_the_rules_that_need_them() {
 
 #[test]
 fn an_array_that_an_operator_stopped_is_not_checked() {
-    let endpoint = free_loopback_endpoint().unwrap();
+    let endpoint = private_endpoint().unwrap();
     let config = BusConfig::new(Room::new("stopped").unwrap());
     let stop = Stop::default();
     let mut kit = Kit::new(Exact::new());

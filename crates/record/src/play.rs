@@ -102,7 +102,7 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Playback> {
     };
     let _subscriptions = (0..arrays).map(subscribe).collect::<Result<Vec<_>, _>>()?;
     let mut player = Player {
-        outlets: outlets(&bus, &recorded_room, arrays, clock)?,
+        channels: channels(&bus, &recorded_room, arrays, clock)?,
         present: BTreeMap::new(),
         recorded_room: recorded_room.clone(),
         arrays,
@@ -146,30 +146,36 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Playback> {
 }
 
 /// The publisher for each recorded key; the room may have another name than the recorded one.
-fn outlets(bus: &Bus, recorded: &Room, arrays: usize, clock: Clock) -> Result<HashMap<String, (Publisher, Outlet)>> {
+fn channels(
+    bus: &Bus,
+    recorded: &Room,
+    arrays: usize,
+    clock: Clock,
+) -> Result<HashMap<String, (Publisher, OutputChannel)>> {
     let class = if clock == Clock::Live { Class::RealTimeDrop } else { Class::RealTimeBlock };
     let room = bus.room();
     let keys = [
-        (recorded.users(), room.users(), Outlet::Users),
-        (recorded.channel(), room.channel(), Outlet::Channel),
-        (recorded.obstacles(), room.obstacles(), Outlet::Obstacles),
-        (recorded.orientation(), room.orientation(), Outlet::Orientation),
-        (recorded.branches(), room.branches(), Outlet::Branches),
-        (recorded.leds(), room.leds(), Outlet::Leds),
+        (recorded.users(), room.users(), OutputChannel::Users),
+        (recorded.channel(), room.channel(), OutputChannel::Channel),
+        (recorded.obstacles(), room.obstacles(), OutputChannel::Obstacles),
+        (recorded.orientation(), room.orientation(), OutputChannel::Orientation),
+        (recorded.branches(), room.branches(), OutputChannel::Branches),
+        (recorded.leds(), room.leds(), OutputChannel::Leds),
     ];
     let of_arrays = (0..arrays).flat_map(|array| {
         let (from, to) = (recorded.array(array), room.array(array));
         [
-            (from.telemetry(), to.telemetry(), Outlet::Telemetry),
-            (from.capabilities(), to.capabilities(), Outlet::Capabilities),
+            (from.telemetry(), to.telemetry(), OutputChannel::Telemetry),
+            (from.capabilities(), to.capabilities(), OutputChannel::Capabilities),
         ]
     });
-    let publisher = |(from, to, outlet): (String, String, Outlet)| Ok((from, (bus.publisher(&to, class)?, outlet)));
+    let publisher =
+        |(from, to, channel): (String, String, OutputChannel)| Ok((from, (bus.publisher(&to, class)?, channel)));
     keys.into_iter().chain(of_arrays).map(publisher).collect()
 }
 
 #[derive(Clone, Copy, Debug)]
-enum Outlet {
+enum OutputChannel {
     Users,
     Channel,
     Obstacles,
@@ -203,7 +209,7 @@ impl Start {
 
 struct Player {
     /// By the recorded key.
-    outlets: HashMap<String, (Publisher, Outlet)>,
+    channels: HashMap<String, (Publisher, OutputChannel)>,
     /// Liveliness tokens of the played sources: a controller releases the room when they are gone.
     present: BTreeMap<u64, Token>,
     recorded_room: Room,
@@ -231,7 +237,7 @@ impl Player {
             }
             return Ok(());
         }
-        if !self.outlets.contains_key(&entry.topic) {
+        if !self.channels.contains_key(&entry.topic) {
             return Ok(());
         }
         let received = Received::read(&entry.data).ok();
@@ -242,8 +248,8 @@ impl Player {
             }
         }
         let start = (self.playback.clock == Clock::Live).then(|| self.wait_for(entry));
-        let (publisher, outlet) = &self.outlets[&entry.topic];
-        let payload = start.and_then(|start| outlet.moved(&entry.data, &start));
+        let (publisher, channel) = &self.channels[&entry.topic];
+        let payload = start.and_then(|start| channel.moved(&entry.data, &start));
         // An unreadable payload is played as recorded.
         publisher.put(payload.as_deref().unwrap_or(&entry.data))?;
         if let Some(Received::Users(report)) = received {
@@ -325,7 +331,7 @@ impl Player {
     }
 }
 
-impl Outlet {
+impl OutputChannel {
     /// A payload with its stamp shifted to the playback time; `None` if it cannot be decoded.
     fn moved(self, payload: &[u8], start: &Start) -> Option<Vec<u8>> {
         fn moved<T: Message>(payload: &[u8], start: &Start, stamp: fn(&mut T) -> &mut Stamp) -> Option<Vec<u8>> {

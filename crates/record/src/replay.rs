@@ -16,6 +16,7 @@
 //! first state on. Without such states, the first [`SETTLE`] decisions of an epoch are replayed but
 //! not compared. A lockstep epoch recorded from its first command needs neither.
 
+mod comparison;
 mod epoch;
 mod inputs;
 mod plan;
@@ -23,7 +24,6 @@ mod player;
 mod schedule;
 mod scheduled;
 mod settings;
-mod tally;
 mod verdict;
 
 use anyhow::{Context, Result};

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::bounded_file::read_text;
-use crate::builtin::BUILTIN_NAMES;
+use crate::builtin::{BUILTIN_NAMES, DEFAULT_SCENARIO};
 use crate::error::ScenarioError;
 use crate::scenario::Scenario;
 
@@ -11,7 +11,7 @@ use crate::scenario::Scenario;
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct ScenarioArgs {
     /// Scenario file (TOML), or a built-in one: specular, paper, paper-calibrated, hall, office, corridor, atrium, lab
-    #[arg(long, value_name = "FILE", default_value = BUILTIN_NAMES[0])]
+    #[arg(long, value_name = "FILE", default_value = DEFAULT_SCENARIO)]
     pub scenario: String,
     /// Override any key of the scenario, for example --set blockage.forced_users=2 (repeatable)
     #[arg(long = "set", value_name = "TABLE.KEY=VALUE")]
@@ -44,7 +44,7 @@ impl ViewerScenarioArgs {
         if self.scenario.is_none() && self.overrides.is_empty() {
             return Ok(None);
         }
-        let scenario = self.scenario.clone().unwrap_or_else(|| BUILTIN_NAMES[0].into());
+        let scenario = self.scenario.clone().unwrap_or_else(|| DEFAULT_SCENARIO.into());
         let args = ScenarioArgs { scenario, overrides: self.overrides.clone(), seed: self.seed };
         args.load_arrays().map(Some)
     }

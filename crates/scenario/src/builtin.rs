@@ -1,6 +1,13 @@
 //! The built-in scenarios.
 
-/// The names of the built-in scenarios; the first is the default.
+/// The scenario of a command that runs or judges a room, where no other is named: a realistic one.
+pub const DEFAULT_SCENARIO: &str = "hall";
+
+/// The scenario of training, benchmarks, link budgets and calibration, where no other is named: the
+/// room of the built-in actors of `ddpg`, with reports at 100 Hz.
+pub const STUDY_SCENARIO: &str = "specular";
+
+/// The names of the built-in scenarios; the file of the first has every key.
 pub const BUILTIN_NAMES: [&str; 8] =
     ["specular", "paper", "paper-calibrated", "hall", "office", "corridor", "atrium", "lab"];
 

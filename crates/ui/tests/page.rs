@@ -5,7 +5,7 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpStream};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use heliostat_bus::{Bus, BusConfig, free_loopback_endpoint};
+use heliostat_bus::{Bus, BusConfig, private_endpoint};
 use heliostat_proto::Room;
 use heliostat_scenario::Scenario;
 use heliostat_ui::{Operator, Page, Place, Server, UiError, View};
@@ -35,7 +35,7 @@ impl Setting {
         let set = ["rows=32", "columns=32", "width_m=0.1", "height_m=0.04", "gap_m=0.005"];
         let set = set.map(|text| format!("mirrors.{text}"));
         let scenario = Scenario::builtin("specular").unwrap().with_overrides(&set).unwrap();
-        let endpoint = free_loopback_endpoint().unwrap();
+        let endpoint = private_endpoint().unwrap();
         let bus = Bus::open(&BusConfig::new(Room::new(room).unwrap()).listen_at(&endpoint)).unwrap();
         let view = Arc::new(View::open(&bus, Some(&scenario)).unwrap());
         let operator = Operator::new(&bus, None).unwrap();

@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use heliostat_bus::{Bus, BusConfig, Class, Publisher, Subscription, free_loopback_endpoint};
+use heliostat_bus::{Bus, BusConfig, Class, Publisher, Subscription, private_endpoint};
 use heliostat_proto::{
     ArrayState, EmergencyStop, LatchedStopReport, Message, MirrorTelemetry, NodeKind, Rearm, Room, RoomGeometry, Stamp,
     StopAction, StopName, StopRepetition, StopReport, decode, encode,
@@ -159,7 +159,7 @@ fn arrays(room: &str, manners: &[Manner]) -> (Vec<Array>, StopSwitch, (Bus, Bus)
 
 /// The same in a room that announces so many arrays.
 fn announced(room: &str, manners: &[Manner], count: Option<usize>) -> (Vec<Array>, StopSwitch, (Bus, Bus)) {
-    let endpoint = free_loopback_endpoint().unwrap();
+    let endpoint = private_endpoint().unwrap();
     let config = BusConfig::new(Room::new(room).unwrap());
     let own = Bus::open(&config.clone().listen_at(&endpoint)).unwrap();
     let arrays: Vec<Array> =

@@ -4,9 +4,15 @@ use std::process::{Command, Output};
 
 use serde_json::Value;
 
+/// The arguments, in the small room of the studies unless they name another.
+fn in_small_room<'a>(arguments: &[&'a str]) -> Vec<&'a str> {
+    let room: &[&str] = if arguments.contains(&"--scenario") { &[] } else { &["--scenario", "specular"] };
+    [room, arguments].concat()
+}
+
 fn eval(arguments: &[&str]) -> Output {
-    let arguments = ["eval"].iter().chain(arguments);
-    Command::new(env!("CARGO_BIN_EXE_heliostat-lab")).args(arguments).output().expect("the program starts")
+    let mut command = Command::new(env!("CARGO_BIN_EXE_heliostat-lab"));
+    command.arg("eval").args(in_small_room(arguments)).output().expect("the program starts")
 }
 
 fn report(arguments: &[&str]) -> Value {

@@ -14,7 +14,8 @@ fn heliostat(arguments: &[&str]) -> Output {
 fn map(arguments: &[&str]) -> (Value, String) {
     let folder = TempDir::new().expect("a folder");
     let out = folder.path().join("map.svg");
-    let common = ["map", "--json", "--step-cm", "20", "--out", out.to_str().expect("a plain path")];
+    let common =
+        ["map", "--scenario", "specular", "--json", "--step-cm", "20", "--out", out.to_str().expect("a plain path")];
     let output = heliostat(&[&common, arguments].concat());
     assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
     let figures = serde_json::from_slice(&output.stdout).expect("one JSON object");

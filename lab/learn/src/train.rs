@@ -7,7 +7,7 @@ use anyhow::{Context, bail};
 use heliostat_core::observation::{OBSERVATION_VERSION, USERS_CAPACITY};
 use heliostat_core::policy::{NameParser, actor_file::key};
 use heliostat_models::shipped;
-use heliostat_scenario::{Scenario, ScenarioArgs};
+use heliostat_scenario::{STUDY_SCENARIO, Scenario, ScenarioArgs};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::evaluation::{HeldOut, Score};
@@ -23,6 +23,7 @@ use crate::training::{Algorithm, Preset, Training};
 /// Ctrl-C ends the run after the current episode: it saves a checkpoint and prints the command that
 /// resumes. A resumed run gives the same actor as an uninterrupted one.
 #[derive(Clone, Debug, clap::Args)]
+#[command(mut_arg("scenario", |argument| argument.default_value(STUDY_SCENARIO)))]
 pub struct TrainArgs {
     /// Algorithm
     #[arg(value_enum, value_parser = NameParser::<Algorithm>::default())]

@@ -308,7 +308,7 @@ impl Node {
             last_problem: self.last_problem().to_owned(),
             ..Summary::default()
         };
-        summary.set_rates(&measurements.tally);
+        summary.set_rates(&measurements.counters);
         summary
     }
 }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
-use heliostat_room::baselines::Tally;
+use heliostat_room::baselines::RateCounters;
 use heliostat_room::world::arrivals::Turnover;
 use heliostat_service::printable::printable;
 use serde::Serialize;
@@ -117,19 +117,19 @@ pub struct Summary {
 
 impl Summary {
     /// Sets the mean rates and shares from the computed instants.
-    pub fn set_rates(&mut self, tally: &Tally) {
-        let mean = tally.mean_sum_rates_bps();
-        self.truth_samples = tally.samples;
-        self.sum_rate_mbps = (tally.samples > 0).then_some(SumRatesMbps {
+    pub fn set_rates(&mut self, counters: &RateCounters) {
+        let mean = counters.mean_sum_rates_bps();
+        self.truth_samples = counters.samples;
+        self.sum_rate_mbps = (counters.samples > 0).then_some(SumRatesMbps {
             policy: mean.policy * 1e-6,
             no_irs: mean.no_irs * 1e-6,
             flat: mean.flat * 1e-6,
             oracle: mean.oracle * 1e-6,
         });
-        self.blocked_users_mean = tally.blocked_users_mean();
-        if tally.samples > 0 {
+        self.blocked_users_mean = counters.blocked_users_mean();
+        if counters.samples > 0 {
             self.ratio_to_oracle = (mean.oracle > 0.0).then(|| mean.policy / mean.oracle);
-            let (met, met_oracle) = tally.qos_met();
+            let (met, met_oracle) = counters.qos_met();
             self.qos_met = Some(met);
             self.qos_met_oracle = Some(met_oracle);
         }

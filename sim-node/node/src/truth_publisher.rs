@@ -8,7 +8,7 @@ use std::thread::JoinHandle;
 use std::time::Instant;
 
 use heliostat_proto::{NodeStatus, RoomGeometry, RoomTruth, Stamp, TruthUser};
-use heliostat_room::baselines::{Baselines, Measured, Snapshot, Tally};
+use heliostat_room::baselines::{Baselines, Measured, RateCounters, Snapshot};
 use heliostat_room::reports;
 use heliostat_room::world::World;
 use heliostat_service::{Exporter, Page};
@@ -26,7 +26,7 @@ const GEOMETRY_EVERY: u64 = 2;
 /// Computes the reference rates and publishes truth, status and metrics.
 pub(crate) struct TruthPublisher {
     baselines: Baselines,
-    tally: Tally,
+    counters: RateCounters,
     cost_s: f64,
     source: u64,
     publishers: ViewerPublishers,
@@ -42,7 +42,7 @@ pub(crate) struct TruthPublisher {
 /// The results of all computed instants.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Measurements {
-    pub tally: Tally,
+    pub counters: RateCounters,
     /// Mean time to compute one instant, in s.
     pub mean_cost_s: f64,
 }
@@ -57,7 +57,7 @@ impl TruthPublisher {
     ) -> Result<Self, NodeError> {
         Ok(Self {
             baselines: Baselines::new(world),
-            tally: Tally::default(),
+            counters: RateCounters::default(),
             cost_s: 0.0,
             source: session.source(),
             publishers: session.viewer_publishers()?,
@@ -69,13 +69,13 @@ impl TruthPublisher {
         })
     }
 
-    /// Computes an instant and publishes it; it counts in the tally once the array has accepted a
+    /// Computes an instant and publishes it; the instant counts once the array has accepted a
     /// command.
     pub fn truth(&mut self, at: &Snapshot) -> Result<&Measured, NodeError> {
         let begun = Instant::now();
         let measured = self.baselines.measure(at);
         if at.commanded {
-            self.tally.add(measured);
+            self.counters.add(measured);
             self.cost_s += begun.elapsed().as_secs_f64();
         }
         if self.exporter.is_some() {
@@ -99,7 +99,7 @@ impl TruthPublisher {
         self.status_sequence += 1;
         status.stamp.source = self.source;
         status.stamp.sequence = self.status_sequence;
-        let mean = self.tally.mean_sum_rates_bps();
+        let mean = self.counters.mean_sum_rates_bps();
         let rates = [
             ("policy_mbps", mean.policy),
             ("no_irs_mbps", mean.no_irs),
@@ -107,7 +107,7 @@ impl TruthPublisher {
             ("oracle_mbps", mean.oracle),
         ];
         // Without an instant there is no mean.
-        let rates = rates.into_iter().filter(|_| self.tally.samples > 0);
+        let rates = rates.into_iter().filter(|_| self.counters.samples > 0);
         status.gauges.extend(rates.map(|(name, bps)| (name.to_owned(), bps * 1e-6)));
         if self.status_sequence % GEOMETRY_EVERY == 1 {
             self.announce_geometry(status.stamp.time_ns)?;
@@ -124,7 +124,7 @@ impl TruthPublisher {
     }
 
     pub fn measurements(&self) -> Measurements {
-        Measurements { tally: self.tally, mean_cost_s: self.cost_s / self.tally.samples.max(1) as f64 }
+        Measurements { counters: self.counters, mean_cost_s: self.cost_s / self.counters.samples.max(1) as f64 }
     }
 
     /// Continues on a separate thread.

@@ -169,7 +169,7 @@ impl Baselines {
 
 /// Sums over instants.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Tally {
+pub struct RateCounters {
     /// Instants.
     pub samples: u64,
     users: u64,
@@ -179,7 +179,7 @@ pub struct Tally {
     blocked: u64,
 }
 
-impl Tally {
+impl RateCounters {
     /// Adds one instant to the sums.
     pub fn add(&mut self, measured: &Measured) {
         self.samples += 1;
@@ -235,11 +235,11 @@ mod tests {
         let scenario = Scenario::builtin("specular").unwrap().with_overrides(&overrides.map(String::from)).unwrap();
         let mut world = World::new(&scenario, None, 1).unwrap();
         let flat = MirrorAngles::flat(100);
-        let (mut baselines, mut tally, mut sizes) = (Baselines::new(&world), Tally::default(), Vec::new());
+        let (mut baselines, mut counters, mut sizes) = (Baselines::new(&world), RateCounters::default(), Vec::new());
         loop {
             let at = Snapshot::new(&world, &flat);
             let measured = baselines.measure(&at).clone();
-            tally.add(&measured);
+            counters.add(&measured);
             sizes.push(measured.rates_bps.len());
             if sizes.last() == Some(&0) {
                 assert_eq!(measured.sum_rates_bps, SumRates::default());
@@ -249,6 +249,6 @@ mod tests {
             world.step(1.0);
         }
         assert!(sizes.len() > 3 && sizes[0] == 12, "{sizes:?}");
-        assert!(tally.mean_sum_rates_bps().oracle > 0.0 && tally.qos_met().1 <= 1.0);
+        assert!(counters.mean_sum_rates_bps().oracle > 0.0 && counters.qos_met().1 <= 1.0);
     }
 }

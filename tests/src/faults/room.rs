@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::thread;
 use std::time::Duration;
 
-use heliostat_bus::{AccessRole, BusConfig, Identity, free_loopback_endpoint};
+use heliostat_bus::{AccessRole, BusConfig, Identity, free_loopback_endpoint, private_endpoint};
 use heliostat_proto::{ArrayState, Room};
 use heliostat_service::clock::utc_ns;
 use tempfile::TempDir;
@@ -93,12 +93,12 @@ pub struct Setup {
 }
 
 impl Setup {
-    /// A room on this machine, with direct links.
+    /// A room on this machine, with direct links over Unix sockets.
     ///
     /// # Panics
-    /// When no port is free.
+    /// When there is no endpoint.
     pub fn new(array: Array) -> Self {
-        let endpoint = || free_loopback_endpoint().expect("a free port");
+        let endpoint = || private_endpoint().expect("an endpoint");
         Self {
             array,
             of_array: Launch::default(),
@@ -110,6 +110,17 @@ impl Setup {
         }
     }
 
+    /// The same with links over TCP, for a fault of the network.
+    ///
+    /// # Panics
+    /// When no port is free.
+    #[must_use]
+    pub fn over_tcp(mut self) -> Self {
+        let endpoint = || free_loopback_endpoint().expect("a free port");
+        (self.array_endpoint, self.controller_endpoint) = (endpoint(), endpoint());
+        self
+    }
+
     /// With the keys in a folder, which it makes.
     ///
     /// # Panics
@@ -117,9 +128,8 @@ impl Setup {
     #[must_use]
     pub fn secured_by(mut self, keys: &Path) -> Self {
         make_keys(keys);
-        let encrypted = |endpoint: &str| endpoint.replace("tcp/", "tls/");
-        self.array_endpoint = encrypted(&self.array_endpoint);
-        self.controller_endpoint = encrypted(&self.controller_endpoint);
+        let encrypted = || free_loopback_endpoint().expect("a free port").replace("tcp/", "tls/");
+        (self.array_endpoint, self.controller_endpoint) = (encrypted(), encrypted());
         let flags = ["--tls", keys.to_str().expect("the path is text")];
         self.of_array = self.of_array.flags(&flags);
         self.of_controller = self.of_controller.flags(&flags);
@@ -139,10 +149,11 @@ impl Setup {
     ///
     /// # Panics
     /// As for [`Setup::start`].
-    pub fn start_with_proxy(mut self) -> FaultRoom {
-        let proxy = Proxy::start(&self.array_endpoint);
-        self.link_endpoint = Some(proxy.endpoint().to_owned());
-        FaultRoom::start(self, Some(proxy))
+    pub fn start_with_proxy(self) -> FaultRoom {
+        let mut setup = self.over_tcp();
+        let proxy = Proxy::start(&setup.array_endpoint);
+        setup.link_endpoint = Some(proxy.endpoint().to_owned());
+        FaultRoom::start(setup, Some(proxy))
     }
 
     /// A session with direct links to array and controller, and the rights of a viewer.
@@ -236,7 +247,7 @@ impl FaultRoom {
 
     /// A second controller in the room.
     pub fn second_controller(&self) -> Process {
-        let endpoint = free_loopback_endpoint().expect("a free port");
+        let endpoint = private_endpoint().expect("an endpoint");
         start_controller(&Setup { controller_endpoint: endpoint, ..self.setup.clone() })
     }
 

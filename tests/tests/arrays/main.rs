@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::time::Duration;
 
-use heliostat_bus::{BusConfig, Class, free_loopback_endpoint};
+use heliostat_bus::{BusConfig, Class, private_endpoint};
 use heliostat_proto::{ArrayState, MirrorCommand, Room};
 use heliostat_service::Stop;
 use heliostat_tests::{Process, wait_until};
@@ -16,7 +16,7 @@ mod room;
 /// The programs of a simulated room with two arrays.
 fn simulated(room: &str, folder: &Path) -> (Process, Process, [String; 2]) {
     let file = scenario_file(folder);
-    let endpoints = [free_loopback_endpoint().expect("a free port"), free_loopback_endpoint().expect("a free port")];
+    let endpoints = [private_endpoint().expect("an endpoint"), private_endpoint().expect("an endpoint")];
     let shared = ["--scenario", &file, "--room", room, "--listen"];
     let sim = [&["sim-node"], &shared[..], &[&endpoints[0], "--exit-with-parent"]].concat();
     let policy = ["--connect", &endpoints[0], "--policy", "fixed-point", "--exit-with-parent"];
@@ -53,7 +53,7 @@ fn each_array_follows_its_own_commands_and_one_stop_stops_both() {
 #[test]
 fn the_second_array_of_a_simulated_room_keeps_every_rule() {
     let folder = tempfile::tempdir().expect("a folder");
-    let (file, endpoint) = (scenario_file(folder.path()), free_loopback_endpoint().expect("a free port"));
+    let (file, endpoint) = (scenario_file(folder.path()), private_endpoint().expect("an endpoint"));
     let _sim = Process::heliostat(&[
         "sim-node",
         "--scenario",
@@ -78,9 +78,9 @@ fn the_second_array_of_a_simulated_room_keeps_every_rule() {
 
 /// The hash of a run in lockstep, recorded to a file.
 fn lockstep(folder: &Path, seed: &str, recording: &str) -> String {
-    let (file, endpoint) = (scenario_file(folder), free_loopback_endpoint().expect("a free port"));
+    let (file, endpoint) = (scenario_file(folder), private_endpoint().expect("an endpoint"));
     // Both other processes connect to the recorder, so that it receives the first tick.
-    let of_recorder = free_loopback_endpoint().expect("a free port");
+    let of_recorder = private_endpoint().expect("an endpoint");
     let shared = ["--scenario", &file, "--seed", seed, "--room", "paced"];
     let flags = ["record", "--exit-with-parent", "--out", recording, "--listen", &of_recorder];
     let recorder = Process::heliostat(&[&flags[..], &shared].concat());
@@ -109,7 +109,7 @@ fn two_arrays_in_lockstep_are_the_same_again_and_a_recording_is_verified() {
 
     // Played back into a controller process: both arrays are answered as recorded.
     let file = scenario_file(folder.path());
-    let of_player = free_loopback_endpoint().expect("a free port");
+    let of_player = private_endpoint().expect("an endpoint");
     let player = Process::heliostat(&["replay", &recording("first.mcap"), "--listen", &of_player, "--json"]);
     let flags = ["controller", "--lockstep", "--policy", "greedy", "--room", "paced", "--scenario", &file];
     let _controller = Process::heliostat(&[&flags[..], &["--connect", &of_player, "--exit-with-parent"]].concat());
@@ -121,7 +121,7 @@ fn two_arrays_in_lockstep_are_the_same_again_and_a_recording_is_verified() {
 fn two_drivers_share_a_room_and_the_end_of_one_leaves_the_other_commanded() {
     let folder = tempfile::tempdir().expect("a folder");
     let file = scenario_file(folder.path());
-    let endpoints: Vec<String> = (0..3).map(|_| free_loopback_endpoint().expect("a free port")).collect();
+    let endpoints: Vec<String> = (0..3).map(|_| private_endpoint().expect("an endpoint")).collect();
     let [first, second, of_controller] = &endpoints[..] else { unreachable!("three endpoints") };
     let config = || BusConfig::new(Room::new("driven").expect("a valid name"));
     let stops = [Stop::default(), Stop::default()];

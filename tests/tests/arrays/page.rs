@@ -1,6 +1,6 @@
 //! The live page of a room with two arrays, in a browser.
 
-use heliostat_bus::{Bus, BusConfig, Class, free_loopback_endpoint};
+use heliostat_bus::{Bus, BusConfig, Class, private_endpoint};
 use heliostat_proto::Room;
 use heliostat_service::Stop;
 use heliostat_tests::{Browser, PageServer, Process, wait_until};
@@ -60,7 +60,7 @@ fn both_arrays_are_drawn_and_obey_the_buttons_of_the_page() {
 fn the_page_names_the_array_whose_driver_has_left() {
     let folder = tempfile::tempdir().expect("a folder");
     let file = scenario_file(folder.path());
-    let endpoints: Vec<String> = (0..3).map(|_| free_loopback_endpoint().expect("a free port")).collect();
+    let endpoints: Vec<String> = (0..3).map(|_| private_endpoint().expect("an endpoint")).collect();
     let [first, second, of_controller] = &endpoints[..] else { unreachable!("three endpoints") };
     let config = || BusConfig::new(Room::new("shown").expect("a valid name"));
     let [both, later, tracker_stop] = [Stop::default(), Stop::default(), Stop::default()];

@@ -62,7 +62,7 @@ fn the_array_parks_while_no_command_arrives() {
 fn a_link_between_two_hosts_that_was_down_for_3_s_is_used_again() {
     let Some(link) = Link::create() else { return };
     measure("a_link_between_two_hosts_that_was_down_for_3_s_is_used_again", || {
-        let mut setup = Setup::new(Array::Simulated);
+        let mut setup = Setup::new(Array::Simulated).over_tcp();
         let (_, port) = setup.array_endpoint.rsplit_once(':').expect("an endpoint ends in a port");
         let [host, for_witness] =
             [link.address(), link.witness_address()].map(|address| format!("tcp/{address}:{port}"));
@@ -82,7 +82,7 @@ fn a_link_between_two_hosts_that_was_down_for_3_s_is_used_again() {
 fn silent_connections_do_not_delay_a_new_controller() {
     measure("silent_connections_do_not_delay_a_new_controller", || {
         let mut silent = Vec::new();
-        Setup::new(Array::Simulated).start().undergo(|room| {
+        Setup::new(Array::Simulated).over_tcp().start().undergo(|room| {
             let address = room.setup_mut().array_endpoint.trim_start_matches("tcp/").to_owned();
             silent.extend((0..400).map_while(|_| TcpStream::connect(&address).ok()));
             room.controller.kill();

@@ -1,6 +1,6 @@
 //! Room, controller and server of the page as processes of their own, and what the page shows.
 
-use heliostat_bus::free_loopback_endpoint;
+use heliostat_bus::private_endpoint;
 use heliostat_tests::{Browser, PageServer, Process, wait_until};
 
 /// Room, controller and page.
@@ -18,7 +18,7 @@ impl Setting {
 
     /// The same with settings of the room's scenario, which the other processes share.
     pub fn with(set: &[&str]) -> Self {
-        let endpoints = [(); 2].map(|()| free_loopback_endpoint().expect("a free port"));
+        let endpoints = [(); 2].map(|()| private_endpoint().expect("an endpoint"));
         let [at_room, at_controller] = endpoints.each_ref().map(String::as_str);
         let room = Process::heliostat(&[&["sim-node", "--listen", at_room], set].concat());
         let join = ["controller", "--policy", "greedy", "--connect", at_room, "--listen", at_controller];

@@ -38,7 +38,7 @@
 //!   each fail in one of them only. The pause doubles from the third attempt on, up to
 //!   [`PAUSE_MAX`] times.
 //! - **Epochs are unique**: each controller uses only epochs with its own remainder modulo
-//!   [`EPOCH_SLOTS`]. Two controllers that choose at the same time so differ.
+//!   [`EPOCH_SLOTS`]. Two controllers that choose at the same time choose different epochs.
 //!
 //! The latest telemetry alone counts: an epoch that one message claims is forgotten with the next.
 //! Nothing here ends a process.
@@ -48,8 +48,8 @@ use heliostat_proto::{ArrayState, MirrorTelemetry, Nanos};
 /// Time without an accepted command after which a controller takes a new epoch, in ns.
 pub const PATIENCE_NS: Nanos = 1_000_000_000;
 
-/// Each controller uses the epochs with one remainder modulo this number. A new epoch so exceeds
-/// its base by at most this number of ms.
+/// Each controller uses only the epochs with its own remainder modulo this number. A new epoch is
+/// the first of them above its base, so it exceeds the base by at most this number of ms.
 pub const EPOCH_SLOTS: u64 = 1024;
 
 /// Longest pause between two attempts, in units of [`PATIENCE_NS`].

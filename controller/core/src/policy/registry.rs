@@ -134,6 +134,15 @@ impl<T: Policy + 'static> Boxed for T {
 }
 
 impl PolicyKind {
+    /// The policy where no other is named: the best within the latency budget in realistic rooms.
+    pub const DEFAULT: Self = Self::FixedPoint;
+
+    /// The policy that the flags of a command select: the named one, or else `ddpg` with a file of a
+    /// learned policy, and [`DEFAULT`](Self::DEFAULT) without.
+    pub fn selected(named: Option<Self>, has_file: bool) -> Self {
+        named.unwrap_or(if has_file { Self::Ddpg } else { Self::DEFAULT })
+    }
+
     /// The name on the command line and in file names.
     pub fn name(self) -> String {
         self.to_possible_value().map(|value| value.get_name().to_owned()).expect("every policy has a name")

@@ -35,7 +35,7 @@ use heliostat_proto::{ArrayState, CodecError, Nanos};
 use super::{
     cache_warmer::{Action, CacheWarmer, KeepWarm},
     command_sender::CommandSender,
-    inlet::Inlet,
+    input_channel::InputChannel,
     locks::{lock, try_lock},
     receive_queue::{ReceiveQueue, Wake},
     room_clock::RoomClock,
@@ -69,6 +69,8 @@ pub struct DecisionSettings {
     pub decide_in: DecideIn,
     /// Whether the room's thread warms up the caches.
     pub keep_warm: KeepWarm,
+    /// The statistics of times begin with the report of this tick.
+    pub times_from_tick: u64,
 }
 
 impl DecisionSettings {
@@ -86,7 +88,7 @@ impl DecisionSettings {
 
 impl Default for DecisionSettings {
     fn default() -> Self {
-        Self { decide_in: DecideIn::Auto, keep_warm: KeepWarm::Expected }
+        Self { decide_in: DecideIn::Auto, keep_warm: KeepWarm::Expected, times_from_tick: 0 }
     }
 }
 
@@ -115,6 +117,7 @@ pub struct DecisionLoop {
     unsent: u64,
     superseded: u64,
     last_malformed: Option<CodecError>,
+    times_from_tick: u64,
 }
 
 impl DecisionLoop {
@@ -144,30 +147,32 @@ impl DecisionLoop {
             unsent: 0,
             superseded: 0,
             last_malformed: None,
+            times_from_tick: 0,
         }
     }
 
-    /// Warms up caches if the settings ask for it, except in lockstep, which has no deadline.
-    pub fn with_cache_warm_up(mut self, keep_warm: KeepWarm) -> Self {
-        self.warmer = CacheWarmer::new(keep_warm == KeepWarm::Expected && self.clock == RoomClock::Utc);
+    /// Applies the settings. In lockstep, which has no deadline, no caches are warmed up.
+    pub fn with_settings(mut self, settings: DecisionSettings) -> Self {
+        self.warmer = CacheWarmer::new(settings.keep_warm == KeepWarm::Expected && self.clock == RoomClock::Utc);
+        self.times_from_tick = settings.times_from_tick;
         self
     }
 
     /// Decodes a payload and passes it to the core; `entered` is when its callback was entered.
-    pub fn handle_payload(&mut self, inlet: Inlet, payload: &[u8], entered: Instant) {
+    pub fn handle_payload(&mut self, channel: InputChannel, payload: &[u8], entered: Instant) {
         let mut stamps = StageStamps::start(entered);
         stamps.mark(Stage::Waited);
-        let message = match self.buffers.decode(inlet, payload) {
+        let message = match self.buffers.decode(channel, payload) {
             Ok(message) => message,
             Err(error) => {
-                self.controller.handle_malformed((inlet.stream, inlet.array), Refusal::from(&error));
+                self.controller.handle_malformed((channel.stream, channel.array), Refusal::from(&error));
                 self.last_malformed = Some(error);
                 return;
             }
         };
-        if inlet.stream == Stream::Telemetry {
-            let (epoch, sequence) = self.sender.last_sent(inlet.array);
-            self.controller.handle_sent(inlet.array, epoch, sequence);
+        if channel.stream == Stream::Telemetry {
+            let (epoch, sequence) = self.sender.last_sent(channel.array);
+            self.controller.handle_sent(channel.array, epoch, sequence);
         }
         if let Message::Telemetry(array, telemetry) = &message
             && *array < self.controller.arrays()
@@ -199,15 +204,15 @@ impl DecisionLoop {
         let timing = self.timing(stamps.waited(started));
         let now = self.clock.now();
         let decision = self.controller.poll_command(now, timing, &mut |stage| stamps.mark(stage));
-        let age_ns = match &decision {
-            Decision::Move { age_ns, .. } => Some(*age_ns),
-            Decision::Hold(_) => None,
+        let measured_age_ns = match &decision {
+            Decision::Move { command, age_ns, .. } if command.answers >= self.times_from_tick => Some(*age_ns),
+            Decision::Move { .. } | Decision::Hold(_) => None,
         };
         let sent = send(&self.sender, decision);
         stamps.mark(Stage::Published);
         self.watchdog.on_progress();
         self.unsent += u64::from(!sent);
-        if let Some(age_ns) = age_ns {
+        if let Some(age_ns) = measured_age_ns {
             self.times.record(&stamps, age_ns);
         }
         let ended = Instant::now();
@@ -304,21 +309,21 @@ pub struct PayloadHandler {
 
 impl PayloadHandler {
     /// Handles a payload in the callback that was entered at `entered`.
-    pub fn handle(&self, inlet: Inlet, payload: &[u8], entered: Instant) {
+    pub fn handle(&self, channel: InputChannel, payload: &[u8], entered: Instant) {
         let at_once: Option<MutexGuard<'_, DecisionLoop>> = match self.decide_in {
             DecideIn::Callback => Some(lock(&self.decision_loop)),
             DecideIn::Thread => None,
             // The room's thread drains the queue under the lock. A new payload therefore cannot
             // overtake a queued one.
             DecideIn::Auto if !self.queue.is_empty() => None,
-            DecideIn::Auto => try_lock(&self.decision_loop).filter(|held| !held.is_for_thread(inlet.stream, entered)),
+            DecideIn::Auto => try_lock(&self.decision_loop).filter(|held| !held.is_for_thread(channel.stream, entered)),
         };
         match at_once {
             Some(mut decision_loop) => {
-                decision_loop.handle_payload(inlet, payload, entered);
+                decision_loop.handle_payload(channel, payload, entered);
                 decision_loop.decide();
             }
-            None => self.queue.push(inlet, payload, entered),
+            None => self.queue.push(channel, payload, entered),
         }
     }
 }
@@ -350,10 +355,10 @@ pub fn run(decision_loop: &Mutex<DecisionLoop>, queue: &ReceiveQueue) {
 fn drain(queue: &ReceiveQueue, decision_loop: &mut DecisionLoop) {
     decision_loop.warmer.on_arrival();
     while let Some(arrival) = queue.pop() {
-        if arrival.inlet.stream == Stream::Users {
+        if arrival.channel.stream == Stream::Users {
             decision_loop.warmer.on_wait(arrival.entered.elapsed());
         }
-        decision_loop.handle_payload(arrival.inlet, &arrival.payload, arrival.entered);
+        decision_loop.handle_payload(arrival.channel, &arrival.payload, arrival.entered);
         queue.recycle(arrival.payload);
     }
     decision_loop.decide();

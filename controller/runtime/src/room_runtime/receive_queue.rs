@@ -12,7 +12,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use super::{inlet::Inlet, locks::lock};
+use super::{input_channel::InputChannel, locks::lock};
 
 /// Most payloads that wait.
 const CAPACITY: usize = 64;
@@ -23,7 +23,7 @@ const BUFFER_MAX: usize = 1 << 16;
 /// One received payload.
 pub struct Arrival {
     /// The stream to which it belongs.
-    pub inlet: Inlet,
+    pub channel: InputChannel,
     /// The payload.
     pub payload: Vec<u8>,
     /// When the callback was entered.
@@ -60,14 +60,14 @@ pub enum Wake {
 
 impl ReceiveQueue {
     /// Appends a payload.
-    pub fn push(&self, inlet: impl Into<Inlet>, payload: &[u8], entered: Instant) {
+    pub fn push(&self, channel: impl Into<InputChannel>, payload: &[u8], entered: Instant) {
         let mut state = lock(&self.state);
         let oldest = if state.waiting.len() == CAPACITY { state.waiting.pop_front() } else { None };
         state.dropped += u64::from(oldest.is_some());
         let mut buffer = oldest.map(|arrival| arrival.payload).or_else(|| state.spare.pop()).unwrap_or_default();
         buffer.clear();
         buffer.extend_from_slice(payload);
-        state.waiting.push_back(Arrival { inlet: inlet.into(), payload: buffer, entered });
+        state.waiting.push_back(Arrival { channel: channel.into(), payload: buffer, entered });
         self.has_arrival.store(true, Ordering::Relaxed);
         drop(state);
         self.filled.notify_one();

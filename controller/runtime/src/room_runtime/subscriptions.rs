@@ -12,7 +12,7 @@ use heliostat_service::clock::utc_ns;
 
 use super::{
     decision_loop::{DecisionLoop, PayloadHandler},
-    inlet::Inlet,
+    input_channel::InputChannel,
     locks::lock,
     undecodable::Decoder,
     watchdog::Watchdog,
@@ -40,7 +40,8 @@ pub fn subscribe_to_reports(bus: &Bus, handler: &PayloadHandler) -> anyhow::Resu
     let room = bus.room();
     // Positions come last, so that the other reports are there when the first decision is due.
     let arrays = 0..lock(&handler.decision_loop).controller.arrays();
-    let telemetry = arrays.map(|array| (Inlet { stream: Stream::Telemetry, array }, room.array(array).telemetry()));
+    let telemetry =
+        arrays.map(|array| (InputChannel { stream: Stream::Telemetry, array }, room.array(array).telemetry()));
     let reports = [
         (Stream::Obstacles.into(), room.obstacles()),
         (Stream::Orientation.into(), room.orientation()),
@@ -49,9 +50,9 @@ pub fn subscribe_to_reports(bus: &Bus, handler: &PayloadHandler) -> anyhow::Resu
         (Stream::Users.into(), room.users()),
     ];
     let mut subscriptions = Vec::new();
-    for (inlet, key) in telemetry.chain(reports) {
+    for (channel, key) in telemetry.chain(reports) {
         let handler = handler.clone();
-        let callback = move |payload: &[u8]| handler.handle(inlet, payload, Instant::now());
+        let callback = move |payload: &[u8]| handler.handle(channel, payload, Instant::now());
         subscriptions.push(bus.subscribe(&key, callback)?);
     }
     let decision_loop = Arc::clone(&handler.decision_loop);

@@ -26,7 +26,7 @@ use super::ui::policy_names;
 use heliostat_service::outln;
 
 /// Time limit for the two processes to connect.
-const START_LIMIT: Duration = Duration::from_secs(30);
+const START_LIMIT: Duration = Duration::from_secs(60);
 /// Time between two checks of the processes.
 const WATCH_EVERY: Duration = Duration::from_millis(50);
 
@@ -37,7 +37,6 @@ const WATCH_EVERY: Duration = Duration::from_millis(50);
 /// full-screen mode (q quits), or as lines if output is not a terminal. Ctrl-C or --seconds ends
 /// the demo with a summary. Figures go to standard error, the summary to standard output.
 #[derive(Debug, clap::Args)]
-#[command(mut_arg("scenario", |argument| argument.default_value("hall")))]
 pub struct Args {
     #[command(flatten)]
     pub(super) scenario: ScenarioArgs,
@@ -159,11 +158,9 @@ fn watch(args: &Args, watched: &Watched, processes: &mut Processes) -> Result<()
 }
 
 impl Args {
-    /// The policy that the flags select: with a file of a learned policy that one, and otherwise the
-    /// best within the latency budget in realistic rooms (docs/learning.md).
+    /// The policy that the flags select.
     pub(super) fn policy(&self) -> PolicyKind {
-        let default = if self.model.is_some() { PolicyKind::Ddpg } else { PolicyKind::FixedPoint };
-        self.policy.unwrap_or(default)
+        PolicyKind::selected(self.policy, self.model.is_some())
     }
 
     /// Builds the policy once here, so that an unsuitable actor is refused before any process

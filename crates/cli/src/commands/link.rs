@@ -9,7 +9,7 @@ use heliostat_channel::link::ber_ook;
 use heliostat_channel::mirrors::MirrorAngles;
 use heliostat_channel::solver::QOS_PENALTY;
 use heliostat_room::World;
-use heliostat_scenario::{MinRate, Scenario, ScenarioArgs, USERS_MAX};
+use heliostat_scenario::{MinRate, STUDY_SCENARIO, Scenario, ScenarioArgs, USERS_MAX};
 use heliostat_service::counted::counted;
 use serde::Serialize;
 
@@ -19,6 +19,7 @@ use heliostat_service::outln;
 
 /// Compute the link budget of users at given positions, for given mirror angles.
 #[derive(Debug, clap::Args)]
+#[command(mut_arg("scenario", |argument| argument.default_value(STUDY_SCENARIO)))]
 pub struct Args {
     #[command(flatten)]
     scenario: ScenarioArgs,

@@ -14,13 +14,13 @@ use heliostat_proto::{
 };
 use heliostat_scenario::{Belief, DegradedAction};
 
+use super::comparison::Comparison;
 use super::epoch::EpochReplay;
 use super::inputs::{Input, cloned};
 use super::plan::{Clock, Plan, RecordedCommand};
 use super::schedule::EntryIndex;
 use super::scheduled::{Decided, Offered, Place, Progress, Tail};
 use super::settings::{SETTLE, Settings, unusable};
-use super::tally::Tally;
 use super::verdict::Verdict;
 use crate::file::{Entry, PRESENCE_TOPIC, Presence, Reading};
 use crate::received::Received;
@@ -45,7 +45,7 @@ pub(super) struct Player<'a> {
     /// Messages after the last step of the current controller's schedule.
     tail: Vec<Tail>,
     policies: BTreeMap<u64, String>,
-    verdict: Tally,
+    verdict: Comparison,
     /// Why a recorded state was not restored.
     unrestored: Option<String>,
 }
@@ -69,7 +69,7 @@ impl<'a> Player<'a> {
             read: 0,
             tail: Vec::new(),
             policies: BTreeMap::new(),
-            verdict: Tally::default(),
+            verdict: Comparison::default(),
             unrestored: None,
         };
         player.current = player.start_from(0)?;
@@ -393,7 +393,7 @@ impl<'a> Player<'a> {
     /// The result, after the last entry.
     pub fn finish(mut self, file: &Path, reading: &Reading<BufReader<File>>) -> Verdict {
         self.keep_problem();
-        let tally = self.verdict;
+        let verdict = self.verdict;
         let header = reading.header();
         Verdict {
             file: file.to_owned(),
@@ -403,16 +403,16 @@ impl<'a> Player<'a> {
             clock: self.plan.clock,
             complete: reading.account().is_some(),
             account: self.plan.account,
-            reports: tally.reports,
-            unanswered: tally.unanswered,
-            compared: tally.compared,
-            not_counted: tally.not_counted,
-            same: tally.same,
-            different: tally.compared - tally.not_counted - tally.same,
-            held: tally.held,
-            without_report: tally.without_report(),
-            largest_difference_rad: tally.largest_difference_rad,
-            first_difference: tally.first_difference,
+            reports: verdict.reports,
+            unanswered: verdict.unanswered,
+            compared: verdict.compared,
+            not_counted: verdict.not_counted,
+            same: verdict.same,
+            different: verdict.compared - verdict.not_counted - verdict.same,
+            held: verdict.held,
+            without_report: verdict.without_report(),
+            largest_difference_rad: verdict.largest_difference_rad,
+            first_difference: verdict.first_difference,
             unrestored: self.unrestored,
         }
     }

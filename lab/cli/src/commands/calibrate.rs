@@ -8,7 +8,7 @@ use heliostat_learn::calibrate::{Method, Row, Settings, Study, study};
 use heliostat_learn::comparison::EvaluatedPolicy;
 use heliostat_learn::evaluation::Estimate;
 use heliostat_models::ActorSource;
-use heliostat_scenario::ScenarioArgs;
+use heliostat_scenario::{STUDY_SCENARIO, ScenarioArgs};
 use heliostat_service::counted::counted;
 
 use heliostat_service::outln;
@@ -21,6 +21,7 @@ use heliostat_service::outln;
 /// come from the scenario's actuator; the noise comes from its receiver and from
 /// streams.channel.noise_relative.
 #[derive(Debug, clap::Args)]
+#[command(mut_arg("scenario", |argument| argument.default_value(STUDY_SCENARIO)))]
 pub struct Args {
     #[command(flatten)]
     scenario: ScenarioArgs,

@@ -5,7 +5,7 @@ use heliostat_proto::{
     ChannelReport, CodecError, LedReport, MirrorTelemetry, ObstacleReport, OrientationReport, UserReport, decode_into,
 };
 
-use crate::room_runtime::inlet::Inlet;
+use crate::room_runtime::input_channel::InputChannel;
 
 /// One message of each stream.
 pub(super) struct MessageBuffers {
@@ -34,7 +34,11 @@ impl MessageBuffers {
     ///
     /// # Errors
     /// If the payload is no valid message of the stream.
-    pub fn decode(&mut self, Inlet { stream, array }: Inlet, payload: &[u8]) -> Result<Message<'_>, CodecError> {
+    pub fn decode(
+        &mut self,
+        InputChannel { stream, array }: InputChannel,
+        payload: &[u8],
+    ) -> Result<Message<'_>, CodecError> {
         match stream {
             Stream::Users => decode_into(&mut self.users, payload).map(|()| Message::Users(&mut self.users)),
             Stream::Channel => decode_into(&mut self.channel, payload).map(|()| Message::Channel(&mut self.channel)),

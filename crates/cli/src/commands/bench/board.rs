@@ -10,7 +10,8 @@ use super::rows::Times;
 pub struct Board(Arc<(Mutex<Inner>, Condvar)>);
 
 struct Inner {
-    /// Room and due time of each report, from tick 1 on; none once it is answered or superseded.
+    /// Room and due time of each report, from tick 1 on; none if it is answered, superseded or was
+    /// never sent.
     waiting: Vec<Option<(usize, Instant)>>,
     /// No report before this index is waiting.
     oldest: usize,
@@ -75,9 +76,11 @@ impl Board {
         }
     }
 
-    /// Clears all measurements; reports that still wait do not count as lost.
-    pub fn begin(&self) {
+    /// Clears all measurements and goes on at this tick. Reports that still wait do not count as
+    /// lost.
+    pub fn begin(&self, tick: u64) {
         let mut inner = self.lock();
+        inner.waiting.resize(tick as usize - 1, None);
         inner.times = Times::new();
         inner.superseded = 0;
         inner.oldest = inner.waiting.len();
@@ -120,12 +123,16 @@ mod tests {
     }
 
     #[test]
-    fn reports_before_begin_do_not_count() {
+    fn only_reports_after_begin_count() {
         let board = Board::default();
         board.sent(1, 0, Instant::now());
-        board.begin();
+        board.begin(1000);
         board.answered(1, Instant::now());
         let (times, lost) = board.take(Duration::from_millis(500));
         assert_eq!((times.count(), lost), (0, 0));
+        board.sent(1000, 0, Instant::now());
+        board.answered(1000, Instant::now());
+        let (times, lost) = board.take(Duration::from_millis(500));
+        assert_eq!((times.count(), lost), (1, 0));
     }
 }

@@ -21,7 +21,7 @@ use heliostat_core::observation::Observation;
 use heliostat_core::policy::{Actor, NameParser, Policy, PolicyKind, actor_file::ActorFile};
 use heliostat_models::{ActorSource, ORT, build, load_actor, load_actor_on_onnxruntime};
 use heliostat_proto::{ArrayState, MirrorTelemetry, Stamp, UserReport, decode_into, encode};
-use heliostat_scenario::{Scenario, ScenarioArgs};
+use heliostat_scenario::{STUDY_SCENARIO, Scenario, ScenarioArgs};
 
 use super::pace::{Block, PaceArgs, Plan, Turn};
 use super::rows::{Row, Table, Times, Varied};
@@ -38,6 +38,7 @@ const WARM_UP_MARGIN: Duration = Duration::from_micros(50);
 
 /// Flags that the benchmarks of the decision share.
 #[derive(Debug, clap::Args)]
+#[command(mut_arg("scenario", |argument| argument.default_value(STUDY_SCENARIO)))]
 pub struct Args {
     #[command(flatten)]
     scenario: ScenarioArgs,

@@ -16,7 +16,7 @@ use heliostat_controller::report::summary::Summary;
 use heliostat_core::policy::PolicyKind;
 use heliostat_models::ActorSource;
 use heliostat_proto::{MirrorCommand, Room, decode_into, encode};
-use heliostat_scenario::{Scenario, ScenarioArgs};
+use heliostat_scenario::{STUDY_SCENARIO, Scenario, ScenarioArgs};
 use heliostat_service::clock::utc_ns;
 
 use super::board::Board;
@@ -33,11 +33,15 @@ const END_WITHIN: Duration = Duration::from_secs(10);
 const LOST_AFTER: Duration = Duration::from_millis(500);
 /// Unmeasured reports at the start.
 const WARM_UP: u64 = 100;
+/// Tick of the first measured report, at which the controller's statistics begin. Earlier ticks
+/// belong to the warm-up. The users have walked 113 full circles by then, so that they do not jump.
+const MEASURED_FROM: u64 = 71_000;
 /// The wait ends with a busy-wait of this length, because a sleep ends after its due time.
 const SPIN: Duration = Duration::from_micros(100);
 
 /// Flags that the benchmarks across processes share.
 #[derive(Debug, clap::Args)]
+#[command(mut_arg("scenario", |argument| argument.default_value(STUDY_SCENARIO)))]
 pub struct Args {
     #[command(flatten)]
     scenario: ScenarioArgs,
@@ -104,7 +108,7 @@ impl Args {
                 reports: WARM_UP,
                 until: Instant::now() + Duration::from_secs(5),
             })?;
-            side.board.begin();
+            side.begin()?;
         }
         plan.take_turns(|turn, block| match turn {
             Turn::Measured => measured.go_through(block),
@@ -140,6 +144,7 @@ impl Args {
         if rooms.len() > 1 {
             arguments.extend(["--also-room".into(), rooms[1..].join(",")]);
         }
+        arguments.push(format!("--times-from-tick={MEASURED_FROM}"));
         for text in &self.scenario.overrides {
             arguments.extend(["--set".into(), text.clone()]);
         }
@@ -249,6 +254,14 @@ impl Side {
                 }
             }
         }
+        Ok(())
+    }
+
+    /// Ends the warm-up: what follows is measured, here and in the controller.
+    fn begin(&mut self) -> Result<()> {
+        ensure!(self.tick < MEASURED_FROM, "the warm-up took {} reports, expected below {MEASURED_FROM}", self.tick);
+        self.tick = MEASURED_FROM - 1;
+        self.board.begin(MEASURED_FROM);
         Ok(())
     }
 

@@ -14,9 +14,9 @@ use heliostat_scenario::ScenarioArgs;
 pub struct Args {
     #[command(flatten)]
     pub scenario: ScenarioArgs,
-    /// Policy of the planned run
-    #[arg(long, value_enum, value_parser = NameParser::<PolicyKind>::default(), default_value_t = PolicyKind::Ddpg)]
-    pub policy: PolicyKind,
+    /// Policy of the planned run [default: fixed-point, or ddpg with --model]
+    #[arg(long, value_enum, value_parser = NameParser::<PolicyKind>::default())]
+    pub policy: Option<PolicyKind>,
     /// ONNX file of a learned policy, instead of the built-in one
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,

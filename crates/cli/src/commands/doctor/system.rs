@@ -6,7 +6,7 @@ use std::time::Duration;
 use heliostat_bus::{AccessRole, Bus, BusArgs, Reach};
 use heliostat_core::belief::conditions::{Condition, conditions};
 use heliostat_core::capabilities::{Examiner, Force};
-use heliostat_core::policy::Finding;
+use heliostat_core::policy::{Finding, PolicyKind};
 use heliostat_models::{ActorSource, build_tried};
 use heliostat_proto::array_keys::array_name;
 use heliostat_proto::{Capabilities, ValidityClock, decode};
@@ -71,7 +71,8 @@ fn check_belief(scenario: &Scenario) -> Vec<Check> {
 
 fn check_policy(args: &Args, scenario: &Scenario) -> Check {
     let source = args.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
-    let (policy, findings) = match build_tried(args.policy, scenario, &source) {
+    let kind = PolicyKind::selected(args.policy, args.model.is_some());
+    let (policy, findings) = match build_tried(kind, scenario, &source) {
         Ok(tried) => tried,
         Err(error) => {
             let advice = "choose a policy that needs no file (--policy fixed-point), or train an actor for this scenario: heliostat-lab train ddpg";

@@ -9,7 +9,7 @@ use super::verdict::difference;
 
 /// Counts of a replay, and the commands that wait for their counterpart.
 #[derive(Default)]
-pub(super) struct Tally {
+pub(super) struct Comparison {
     pub reports: u64,
     pub unanswered: u64,
     pub compared: u64,
@@ -37,7 +37,7 @@ fn comparable(array: usize, command: MirrorCommand) -> MirrorCommand {
     if array == 0 { command } else { MirrorCommand { epoch: 0, sequence: 0, ..command } }
 }
 
-impl Tally {
+impl Comparison {
     /// Takes a command of this process to an array.
     pub fn add_ours(&mut self, array: usize, command: MirrorCommand, counts: bool, clock: Clock) {
         let command = comparable(array, command);

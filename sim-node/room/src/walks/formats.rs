@@ -22,7 +22,7 @@ mod columns;
 mod frames;
 mod thor_magni;
 
-use std::io::{BufRead, Error, Read};
+use std::io::{BufRead, Error, ErrorKind, Read};
 
 use thiserror::Error;
 
@@ -168,10 +168,15 @@ impl<R: BufRead> Lines<R> {
     fn next(&mut self) -> Result<Option<(u64, &str)>, ReadError> {
         loop {
             self.text.clear();
-            if self.input.by_ref().take(LINE_BYTES_MAX).read_line(&mut self.text)? == 0 {
-                return Ok(None);
+            match self.input.by_ref().take(LINE_BYTES_MAX).read_line(&mut self.text) {
+                Ok(0) => return Ok(None),
+                Ok(_) => self.line += 1,
+                Err(error) if error.kind() == ErrorKind::InvalidData => {
+                    let text = format!("line {} is not UTF-8: expected a text in UTF-8", self.line + 1);
+                    return Err(ReadError::Text(text));
+                }
+                Err(error) => return Err(error.into()),
             }
-            self.line += 1;
             if self.text.len() as u64 == LINE_BYTES_MAX {
                 let expected = format!("less than {} KiB, as a text file has", LINE_BYTES_MAX >> 10);
                 return Err(ReadError::Long { line: self.line, what: "the line does not end", expected });

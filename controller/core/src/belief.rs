@@ -128,8 +128,7 @@ pub struct Belief {
     bodies: Vec<Option<Cylinder>>,
     /// Absent where there are no unreported obstacles.
     map: Option<Occupancy>,
-    /// The place of the LED, in a room with one.
-    led: Option<Vec3>,
+    leds: Vec<Vec3>,
     innovations: Innovations,
     /// Those of the last channel report, where they are kept.
     residuals: Vec<GainResidual>,
@@ -162,7 +161,7 @@ impl Belief {
             evidence: ChannelEvidence::new(model, readings, capacity),
             readings,
             bodies: Vec::with_capacity(capacity),
-            led: channel_evidence::single_led(model),
+            leds: model.leds.iter().map(|led| led.position).collect(),
             map: Occupancy::new(scenario),
             innovations: Innovations::default(),
             residuals: Vec::with_capacity(capacity),
@@ -239,13 +238,11 @@ impl Belief {
         for (user, track) in tracks.iter_mut().enumerate() {
             let Some(measured) = track.measured(user, report) else { continue };
             let measured = MeasuredGains { los: f64::from(measured.los_gain), irs: f64::from(measured.irs_gain) };
-            if let (Some(bodies), Some(polar_rad)) = (&bodies, undecided[user]) {
-                let of_user = evidence.tilt_log_ratio(model, (user, polar_rad), measured, bodies, &track.heading);
-                track.tilt.handle_log_ratio(of_user);
-            }
             let [u, v] = track.motion.estimate(0.0).velocity_m_s;
             let independent = independent_share(u.hypot(v), self.readings.interval_s);
-            let beliefs = Beliefs { heading: &mut track.heading, covered: &mut track.covered, independent };
+            let Track { heading, covered, tilt, .. } = track;
+            let undecided = undecided[user].map(|polar_rad| (tilt, polar_rad));
+            let beliefs = Beliefs { heading, covered, undecided, independent };
             evidence.examine(model, user, measured, bodies.as_ref(), beliefs, map.as_mut());
         }
         map.iter_mut().for_each(Occupancy::finish_report);
@@ -330,13 +327,20 @@ impl Belief {
             track.motion.estimate(ahead_s);
         let position = Vec3::new(x, y, track.height.mean_m());
         let heading = self.heading(track, u.hypot(v));
-        let mut direct_clear = [1.0 - track.covered.probability()];
-        if let (Some(map), Some(led)) = (&self.map, &self.led) {
-            map.weigh(&position, std::slice::from_ref(led), &mut direct_clear);
-        }
-        let [direct_clear] = direct_clear;
+        let direct_clear = self.direct_clear(&position, 1.0 - track.covered.probability());
         let velocity = Vec3::new(u, v, 0.0);
         Some(Estimate { position, velocity, position_cov_m2, velocity_var_m2_s2, heading, direct_clear })
+    }
+
+    /// Probability that the direct path from some LED is clear past unreported obstacles, at a detector
+    /// that is uncovered with this probability.
+    fn direct_clear(&self, position: &Vec3, uncovered: f64) -> f64 {
+        let Some(map) = &self.map else { return uncovered };
+        self.leds.iter().fold(0.0, |clear, led| {
+            let mut further = [uncovered - clear];
+            map.weigh(position, std::slice::from_ref(led), &mut further);
+            clear + further[0]
+        })
     }
 
     /// The probability of each heading of a user of the last report.

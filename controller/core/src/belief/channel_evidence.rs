@@ -6,6 +6,12 @@
 //! heading the expected gain over the mirrors, with the angles in force at the time of the
 //! measurement, is compared with the measured one; for a tilted receiver the direct gain is
 //! compared as well. What bodies do not explain, obstacles do.
+//!
+//! With several LEDs the direct gain also shows which LED serves: see [`serving`]. The gain over the
+//! mirrors is compared with that by the LED which most probably serves at each heading.
+
+mod serving;
+mod tilt_decision;
 
 use heliostat_channel::{ChannelModel, MirrorArray, Vec3, blockage, blockage::Cylinder, mirrors::MirrorAngles};
 
@@ -14,14 +20,16 @@ use crate::belief::{
     covered::Covered,
     densities::{Densities, density},
     elementary::{exp, ln},
-    expected::{ExpectedGains, HeldPlace},
+    expected::{Direct, ExpectedGains, HeldPlace},
     heading::{HEADINGS, Heading},
     lit_mirrors::LitMirrors,
     occupancy::Occupancy,
+    posture::TiltEvidence,
     readings::{MeasuredGains, Readings},
     residual::GainResidual,
-    tilt::{self, Tilt},
+    tilt::Tilt,
 };
+use serving::Serving;
 
 /// Standard deviation of a measured gain over the mirrors relative to the expected one: the error
 /// of the estimated place changes what each mirror contributes.
@@ -48,6 +56,9 @@ const SERVED: f64 = 0.02;
 pub(super) struct Beliefs<'a> {
     pub heading: &'a mut Heading,
     pub covered: &'a mut Covered,
+    /// Whether the receiver is tilted, and the polar angle in rad that it then has, where
+    /// measurements decide it.
+    pub undecided: Option<(&'a mut TiltEvidence, f64)>,
     /// Share of an independent measurement as which one of the gain over the mirrors counts.
     pub independent: f64,
 }
@@ -82,8 +93,10 @@ pub(super) struct ChannelEvidence {
     shares: Vec<f64>,
     /// Variance of the gain for each heading, by the spread of the angles of held devices.
     held_variance: [f64; HEADINGS],
-    /// Whether a user has no direct path at each heading; false for a heading that was not possible.
-    dark: [bool; HEADINGS],
+    serving: Serving,
+    /// The LED with the most light for the user over the mirrors.
+    brightest: usize,
+    led_positions: Vec<Vec3>,
     /// Whether the angles of the mirrors were known.
     angles_known: bool,
     readings: Readings,
@@ -103,7 +116,9 @@ impl ChannelEvidence {
             by_heading: vec![0.0; HEADINGS * columns.len()],
             shares: vec![0.0; columns.len()],
             held_variance: [0.0; HEADINGS],
-            dark: [false; HEADINGS],
+            serving: Serving::new(model),
+            brightest: 0,
+            led_positions: model.leds.iter().map(|led| led.position).collect(),
             columns,
             angles_known: false,
             readings,
@@ -134,125 +149,110 @@ impl ChannelEvidence {
         self.expected.update(model, places, obstacles, angles, unusable);
     }
 
-    /// Logarithm of the likelihood ratio of a receiver that is tilted towards the face by `polar_rad`
-    /// to an upright one, by a measured direct gain; 0 where the gain shows nothing. In a room with
-    /// one LED, for receivers that are evaluated upright.
-    pub fn tilt_log_ratio(
-        &self,
-        model: &ChannelModel,
-        (user, polar_rad): (usize, f64),
-        measured: MeasuredGains,
-        bodies: &Bodies<'_>,
-        heading: &Heading,
-    ) -> f64 {
-        let upright = self.expected.direct(user);
-        let [led] = &model.leds[..] else { return 0.0 };
-        if !self.readings.shows(upright) || !self.readings.shows(measured.los) {
-            return 0.0;
-        }
-        let position = &self.expected.positions()[user];
-        let slopes = tilt::slopes(position, &led.position);
-        let ratio = measured.los / upright;
-        let variance = self.readings.gain_variance / upright.powi(2) + SPREAD_OF_DEVICES.powi(2);
-        let (mut possible, polar) = (0.0, polar_rad.sin_cos());
-        let (mut weights, mut densities) = ([0.0; HEADINGS], Densities::default());
-        for (index, probability) in heading.possible() {
-            let direction = &bodies.directions[index];
-            if blockage::blocks(&bodies.shape.behind(position, direction), &led.position, position) {
-                continue;
-            }
-            let tilt = Tilt::towards_face(polar, direction);
-            let variance = variance + tilt.factor_variance(slopes);
-            possible += probability;
-            weights[index] = probability;
-            densities.expect(index, tilt.factor(slopes), variance);
-        }
-        densities.apply(ratio, 0.0, &mut weights);
-        let tilted: f64 = weights.iter().sum();
-        if possible > BODY_WRONG { (tilted / possible / density(ratio, (1.0, 0.0), variance)).ln() } else { 0.0 }
-    }
-
     /// The measured gains of a user, direct and over the mirrors, beside the expected ones of the
     /// receiver as evaluated.
     pub fn residual(&self, user: usize, [los, irs]: [f64; 2]) -> GainResidual {
         let expected = &self.expected;
-        let by_steering =
-            |one: &usize, other: &usize| expected.steering(user, *one).total_cmp(&expected.steering(user, *other));
-        let led = expected.leds().max_by(by_steering).unwrap_or(0);
+        let led = expected.steering_led(user);
         GainResidual {
-            los: [los, expected.direct(user)],
+            los: [los, expected.strongest(user)],
             irs: [irs, expected.gains(user, led).iter().sum()],
             steering: if self.angles_known { expected.steering(user, led) } else { 0.0 },
             ..GainResidual::default()
         }
     }
 
-    /// Updates the heading of a user and the map by the user's measured gains.
+    /// Updates what is believed about a user, and the map, by the user's measured gains.
     pub fn examine(
         &mut self,
         model: &ChannelModel,
         user: usize,
         measured: MeasuredGains,
         bodies: Option<&Bodies<'_>>,
-        Beliefs { heading, covered, independent }: Beliefs<'_>,
+        Beliefs { heading, covered, undecided, independent }: Beliefs<'_>,
         mut map: Option<&mut Occupancy>,
     ) {
         self.mask_others(model, user, bodies);
         let position = self.expected.positions()[user];
-        let led = single_led(model);
-        let mut unobstructed = 1.0;
         if let Some(map) = &mut map {
-            map.trace(&position, led.as_ref(), &self.columns);
+            map.trace(&position, &self.led_positions, &self.columns);
             map.clear_columns(&mut self.unobstructed);
-            if led.is_some() {
-                unobstructed = map.clear_direct();
-            }
+        }
+        self.serving.begin(|led| map.as_ref().map_or(1.0, |map| map.clear_direct(led)));
+        if let (Some(bodies), Some((tilt, polar_rad))) = (bodies, undecided) {
+            tilt.handle_log_ratio(self.tilt_log_ratio(model, (user, polar_rad), measured, bodies, heading));
         }
         covered.predict();
-        let is_open = 1.0 - covered.probability();
-        let is_clear = self.readings.shows(measured.los);
-        // Probability that no body blocks the direct path.
-        let mut past_bodies = 1.0;
+        let open = 1.0 - covered.probability();
         if let Some(bodies) = bodies {
-            let clear = unobstructed * is_open;
-            let likelihood = self.likelihood(model, user, (bodies, heading), clear, measured);
+            let likelihood = self.likelihood(model, user, (bodies, heading), open, measured);
             heading.handle_likelihood(&likelihood);
-            let dark = heading.possible().filter(|(index, _)| self.dark[*index]);
-            past_bodies -= dark.map(|(_, probability)| probability).sum::<f64>();
-            if self.others.iter().any(|body| is_blocked(model, body, &position)) {
-                past_bodies *= BODY_WRONG;
-            }
-            past_bodies = past_bodies.clamp(BODY_WRONG, 1.0 - BODY_WRONG);
         } else {
-            self.sum_columns((0, 0), None, None);
+            self.without_bodies(user, open, measured);
         }
-        let is_modelled = self.readings.shows(self.expected.direct(user));
-        if is_modelled {
-            covered.handle_direct(is_clear, past_bodies * unobstructed);
+        let known = bodies.is_some().then_some(&*heading);
+        self.examine_direct(model, user, (known, open), (measured, covered), map.as_deref_mut());
+        if let (Some(map), true) = (map, self.angles_known) {
+            self.examine_reflected(user, known, (measured, independent), map);
         }
-        let Some(map) = map else { return };
-        if led.is_some() && is_modelled {
-            map.handle_direct(is_clear, past_bodies * is_open);
-        }
-        if !self.angles_known {
+    }
+
+    /// Takes what the measured direct gain shows of a covered detector and of obstacles. `heading` is
+    /// absent where bodies block no light.
+    fn examine_direct(
+        &mut self,
+        model: &ChannelModel,
+        user: usize,
+        (heading, open): (Option<&Heading>, f64),
+        (measured, covered): (MeasuredGains, &mut Covered),
+        mut map: Option<&mut Occupancy>,
+    ) {
+        if !self.readings.shows(self.expected.strongest(user)) {
             return;
         }
+        let mut clear = 0.0;
+        for led in self.expected.leds() {
+            let past_bodies = self.past_bodies(model, (user, led), heading);
+            clear += (1.0 - clear) * (past_bodies * self.serving.unobstructed(led));
+            if let Some(map) = map.as_deref_mut().filter(|_| self.readings.shows(self.expected.direct(user, led))) {
+                let shown = self.serving.shown(led, possible(heading));
+                map.handle_direct(led, shown, past_bodies * open);
+            }
+        }
+        covered.handle_direct(self.readings.shows(measured.los), clear);
+    }
+
+    /// Probability that no body blocks the path from an LED to a user.
+    fn past_bodies(&self, model: &ChannelModel, (user, led): (usize, usize), heading: Option<&Heading>) -> f64 {
+        let Some(heading) = heading else { return 1.0 };
+        let dark = heading.possible().filter(|(index, _)| self.serving.is_dark(led, *index));
+        let mut past_bodies = 1.0 - dark.map(|(_, probability)| probability).sum::<f64>();
+        let (led, position) = (&model.leds[led].position, &self.expected.positions()[user]);
+        if self.others.iter().any(|body| blockage::blocks(body, led, position)) {
+            past_bodies *= BODY_WRONG;
+        }
+        past_bodies.clamp(BODY_WRONG, 1.0 - BODY_WRONG)
+    }
+
+    /// Takes what the measured gain over the mirrors shows of obstacles.
+    fn examine_reflected(
+        &mut self,
+        user: usize,
+        heading: Option<&Heading>,
+        (measured, independent): (MeasuredGains, f64),
+        map: &mut Occupancy,
+    ) {
         self.shares.fill(0.0);
         let columns = self.columns.len();
-        let mut add = |index: usize, probability: f64| {
+        for (index, probability) in possible(heading) {
             let row = &self.by_heading[index * columns..][..columns];
             self.shares.iter_mut().zip(row).for_each(|(share, gain)| *share += probability * gain);
-        };
-        if bodies.is_some() {
-            heading.possible().for_each(|(index, probability)| add(index, probability));
-        } else {
-            add(0, 1.0);
         }
         let expected: f64 = self.shares.iter().sum();
-        if expected > SERVED * self.expected.steering(user, 0) {
+        if expected > SERVED * self.expected.steering(user, self.brightest) {
             let shares = self.shares.iter().map(|gain| gain / expected);
             let (ratio, noise) = (measured.irs / expected, self.readings.gain_variance / expected.powi(2));
-            let by_heading = if bodies.is_some() { self.variance_by_heading(heading, expected) } else { 0.0 };
+            let by_heading = heading.map_or(0.0, |heading| self.variance_by_heading(heading, expected));
             map.handle_reflected(
                 shares,
                 #[inline(always)]
@@ -311,45 +311,36 @@ impl ChannelEvidence {
         brightest
     }
 
-    /// The likelihood of each possible heading of a user.
+    /// The likelihood of each possible heading of a user; `open` is the probability that the detector
+    /// is not covered.
     fn likelihood(
         &mut self,
         model: &ChannelModel,
         user: usize,
         (bodies, heading): (&Bodies<'_>, &Heading),
-        direct_clear: f64,
+        open: f64,
         measured: MeasuredGains,
     ) -> [f64; HEADINGS] {
         let position = self.expected.positions()[user];
+        let tilts = bodies.directions.each_ref().map(|direction| self.expected.tilt(user, direction));
+        for (index, _) in heading.possible() {
+            let own = bodies.shape.behind(&position, &bodies.directions[index]);
+            self.expect_direct(model, (user, index), &own, tilts[index].as_ref());
+        }
+        let mut likelihood = self.likelihood_of_direct(user, Some(heading), open, measured);
         // A heading that becomes possible by this measurement must not have the gains of another user.
         self.by_heading.fill(0.0);
         self.held_variance.fill(0.0);
         let (brightest, without_body) = self.brightest();
+        self.brightest = brightest;
         let is_served = self.angles_known && without_body > SERVED * self.expected.steering(user, brightest);
-        let reference = self.expected.direct(user);
         let slopes = self.expected.mean_slopes(user, brightest);
-        let is_clear = self.readings.shows(measured.los);
-        self.dark.fill(false);
-        let mut likelihood = [1.0; HEADINGS];
-        let (mut direct, mut reflected) = (Densities::default(), Densities::default());
+        let mut reflected = Densities::default();
         for (index, _) in heading.possible() {
-            let direction = &bodies.directions[index];
-            let own = bodies.shape.behind(&position, direction);
-            let tilt = self.expected.tilt(user, direction);
-            let served = self.expected.served(model, user, &own, tilt.as_ref());
-            self.dark[index] = served.direct <= 0.0;
-            if self.readings.shows(reference) {
-                let shows = self.readings.shows(served.direct);
-                let clear = if shows { direct_clear.clamp(BODY_WRONG, 1.0 - BODY_WRONG) } else { BODY_WRONG };
-                likelihood[index] *= if is_clear { clear } else { 1.0 - clear };
-                if is_clear && tilt.is_some() {
-                    let variance = (served.variance + self.readings.gain_variance) / reference.powi(2);
-                    direct.expect(index, served.direct / reference, variance);
-                }
-            }
+            let tilt = tilts[index].as_ref();
             if self.angles_known {
-                let own = bodies.shape.behind(&Vec3::zeros(), direction);
-                self.sum_columns((index, served.led), Some(&own), tilt.as_ref());
+                let own = bodies.shape.behind(&Vec3::zeros(), &bodies.directions[index]);
+                self.sum_columns((index, self.serving_led(user, index)), Some(&own), tilt);
             }
             if is_served {
                 let held = tilt.map_or(0.0, |tilt| tilt.factor_variance(slopes));
@@ -358,10 +349,76 @@ impl ChannelEvidence {
                 reflected.expect(index, self.past_obstacles(index) / without_body, variance);
             }
         }
-        direct.apply(measured.los / reference, SPREAD_OF_DIRECT, &mut likelihood);
         reflected.apply(measured.irs / without_body, SPREAD, &mut likelihood);
         likelihood
     }
+
+    /// Which LED serves, and the gain over each column, where bodies block no light.
+    fn without_bodies(&mut self, user: usize, open: f64, measured: MeasuredGains) {
+        for led in self.expected.leds() {
+            let direct = self.expected.direct(user, led);
+            self.expect_direct_gain(user, (led, 0), Direct { gain: direct, variance: 0.0 }, false);
+        }
+        self.likelihood_of_direct(user, None, open, measured);
+        self.brightest = self.serving_led(user, 0);
+        self.sum_columns((0, self.brightest), None, None);
+    }
+
+    /// Notes the direct gains that are expected of a user at a heading.
+    fn expect_direct(
+        &mut self,
+        model: &ChannelModel,
+        (user, heading): (usize, usize),
+        own: &Cylinder,
+        tilt: Option<&Tilt>,
+    ) {
+        for led in self.expected.leds() {
+            let direct = self.expected.past_body(model, (user, led), own, tilt);
+            self.expect_direct_gain(user, (led, heading), direct, tilt.is_some());
+        }
+    }
+
+    fn expect_direct_gain(&mut self, user: usize, (led, heading): (usize, usize), direct: Direct, is_tilted: bool) {
+        self.serving.expect(led, heading, direct.gain);
+        // The density by one LED of an upright receiver is the same at all headings.
+        if is_tilted || self.expected.leds().len() > 1 {
+            let reference = self.expected.strongest(user);
+            let variance = (direct.variance + self.readings.gain_variance) / reference.powi(2);
+            self.serving.expect_share(led, heading, direct.gain / reference, variance);
+        }
+    }
+
+    /// The likelihood of each heading by the measured direct gain.
+    fn likelihood_of_direct(
+        &mut self,
+        user: usize,
+        heading: Option<&Heading>,
+        open: f64,
+        measured: MeasuredGains,
+    ) -> [f64; HEADINGS] {
+        let mut likelihood = [1.0; HEADINGS];
+        let reference = self.expected.strongest(user);
+        if self.readings.shows(reference) {
+            let readings = self.readings;
+            possible(heading).for_each(|(index, _)| self.serving.weigh(index, open, |gain| readings.shows(gain)));
+            let share = readings.shows(measured.los).then_some((measured.los / reference, SPREAD_OF_DIRECT));
+            self.serving.measure(share);
+            possible(heading).for_each(|(index, _)| likelihood[index] = self.serving.likelihood(index));
+        }
+        likelihood
+    }
+
+    /// The LED that serves a user at a heading.
+    fn serving_led(&self, user: usize, heading: usize) -> usize {
+        self.serving.led(heading).unwrap_or_else(|| self.expected.steering_led(user))
+    }
+}
+
+/// The headings that are worth an examination, with their probability; the first one stands for all
+/// where bodies block no light.
+fn possible(heading: Option<&Heading>) -> impl Iterator<Item = (usize, f64)> {
+    let any = heading.is_none().then_some((0, 1.0));
+    heading.into_iter().flat_map(Heading::possible).chain(any)
 }
 
 /// A point in the middle of each column of mirrors, array after array.
@@ -371,14 +428,4 @@ pub(super) fn columns(model: &ChannelModel) -> Vec<Vec3> {
         array.positions()[array.rows() / 2 * columns..][..columns].to_vec()
     };
     model.mirrors.arrays().iter().flat_map(middle_row).collect()
-}
-
-/// The place of the LED, in a room with one.
-pub(super) fn single_led(model: &ChannelModel) -> Option<Vec3> {
-    (model.leds.len() == 1).then(|| model.leds[0].position)
-}
-
-/// Whether a body blocks the paths from all LEDs to a point.
-fn is_blocked(model: &ChannelModel, body: &Cylinder, position: &Vec3) -> bool {
-    model.leds.iter().all(|led| blockage::blocks(body, &led.position, position))
 }

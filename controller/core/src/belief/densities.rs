@@ -11,6 +11,7 @@ const SPREAD_OF_CLEAR: f64 = 0.05;
 const UNEXPLAINED: f64 = 0.1;
 
 /// What is expected of one measurement at each heading, in arrays that vectorise.
+#[derive(Clone, Debug)]
 pub(super) struct Densities {
     expected: [f64; HEADINGS],
     variance: [f64; HEADINGS],

@@ -1,8 +1,8 @@
 //! The gains that the model expects at the places and angles of a measurement, without bodies.
 //!
 //! The receiver of a user whose heading is not certain is evaluated upright, and
-//! [`tilt`](super::tilt) turns it for each heading. The strongest LED may then be another one at
-//! each heading, so the gains of every LED are kept.
+//! [`tilt`](super::tilt) turns it for each heading. Another LED may serve at each heading, so the
+//! gains of every LED are kept.
 
 use heliostat_channel::{
     ChannelModel, MirrorArray, Orientation, Scene, Vec3, blockage, blockage::Cylinder, mirrors::MirrorAngles,
@@ -23,12 +23,12 @@ pub(super) struct HeldPlace {
     pub heading: Vec3,
 }
 
-/// The LED that serves a user, and its direct gain past the user's body with the variance.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Served {
-    /// Index for [`ExpectedGains::turn`].
-    pub led: usize,
-    pub direct: f64,
+/// The direct gain of a user past the user's body.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Direct {
+    /// Zero where the path is blocked.
+    pub gain: f64,
+    /// By the spread of the angles at which the device is held.
     pub variance: f64,
 }
 
@@ -53,11 +53,8 @@ pub(super) struct ExpectedGains {
     leans: Vec<Option<Lean>>,
     /// Whether the gains of a tilted receiver follow from those of an upright one.
     is_tiltable: bool,
-    forced: Vec<bool>,
-    /// By LED, or the first entry for the LEDs that `scene` chooses.
+    /// By LED.
     lit: Vec<Lit>,
-    /// Entries of `lit` in use.
-    leds: usize,
     /// Slopes of the directions from the user of `select` to the mirrors and to the LEDs.
     mirror_slopes: Vec<[f64; 2]>,
     led_slopes: Vec<[f64; 2]>,
@@ -75,9 +72,7 @@ impl ExpectedGains {
             orientations: Vec::with_capacity(capacity),
             leans: Vec::with_capacity(capacity),
             is_tiltable: tilt::is_single_open_detector(model),
-            forced: Vec::with_capacity(capacity),
             lit: vec![Lit::new(capacity, mirrors); model.leds.len()],
-            leds: 1,
             mirror_slopes: Vec::with_capacity(mirrors),
             led_slopes: Vec::with_capacity(model.leds.len()),
             led_open: Vec::with_capacity(model.leds.len()),
@@ -104,17 +99,11 @@ impl ExpectedGains {
             self.leans.push(lean);
         }
         let users = self.positions.len();
-        self.forced.clear();
-        self.forced.resize(users, false);
         self.scene.resize(users);
-        self.leds = if self.leans.iter().any(Option::is_some) { model.leds.len() } else { 1 };
-        if self.leds > 1 {
-            self.scene.update_turned_by(model, &self.positions, &self.orientations, obstacles, 0);
-        } else {
-            self.scene.update_turned(model, &self.positions, &self.orientations, obstacles, &self.forced);
-        }
-        for (led, lit) in self.lit[..self.leds].iter_mut().enumerate() {
-            if led > 0 {
+        for (led, lit) in self.lit.iter_mut().enumerate() {
+            if led == 0 {
+                self.scene.update_turned_by(model, &self.positions, &self.orientations, obstacles, led);
+            } else {
                 (0..users).for_each(|user| self.scene.serve_by(model, obstacles, user, led));
             }
             self.scene.exclude_mirrors(unusable);
@@ -130,7 +119,7 @@ impl ExpectedGains {
     /// Prepares a user: the gains over mirrors that `clear` does not mark become 0. `others` are
     /// the known bodies of other users.
     pub fn select(&mut self, model: &ChannelModel, user: usize, clear: &[bool], others: &[Cylinder]) {
-        for lit in &mut self.lit[..self.leds] {
+        for lit in &mut self.lit {
             let mirrors = clear.len();
             let gains = lit.gains[user * mirrors..][..mirrors].iter_mut().zip(clear);
             gains.for_each(|(gain, clear)| *gain *= f64::from(u8::from(*clear)));
@@ -140,9 +129,9 @@ impl ExpectedGains {
         self.led_open.clear();
         self.led_open.extend(model.leds.iter().map(|led| !is_blocked(&led.position)));
         self.led_slopes.clear();
+        self.led_slopes.extend(model.leds.iter().map(|led| tilt::slopes(&position, &led.position)));
         self.mirror_slopes.clear();
         if self.leans[user].is_some() {
-            self.led_slopes.extend(model.leds.iter().map(|led| tilt::slopes(&position, &led.position)));
             let mirrors = model.mirrors.arrays().iter().flat_map(MirrorArray::positions);
             self.mirror_slopes.extend(mirrors.map(|mirror| tilt::slopes(&position, mirror)));
         }
@@ -153,14 +142,24 @@ impl ExpectedGains {
         self.leans[user].map(|lean| Tilt::of(&lean, heading))
     }
 
-    /// The largest direct gain of a user, of the receiver as evaluated.
-    pub fn direct(&self, user: usize) -> f64 {
-        self.lit[..self.leds].iter().map(|lit| lit.direct[user]).fold(0.0, f64::max)
+    /// The direct gain of a user by an LED, of the receiver as evaluated.
+    pub fn direct(&self, user: usize, led: usize) -> f64 {
+        self.lit[led].direct[user]
     }
 
-    /// The entries of [`Self::gains`].
+    /// The largest direct gain of a user, of the receiver as evaluated.
+    pub fn strongest(&self, user: usize) -> f64 {
+        self.lit.iter().map(|lit| lit.direct[user]).fold(0.0, f64::max)
+    }
+
+    /// All LEDs.
     pub fn leds(&self) -> std::ops::Range<usize> {
-        0..self.leds
+        0..self.lit.len()
+    }
+
+    /// Slopes of the direction from the selected user to an LED.
+    pub fn led_slopes(&self, led: usize) -> [f64; 2] {
+        self.led_slopes[led]
     }
 
     /// The gains of a user over each mirror by an LED, of the receiver as evaluated. Shape: M.
@@ -174,29 +173,40 @@ impl ExpectedGains {
         self.lit[led].steering[user]
     }
 
-    /// The LED that serves the selected user, whose body and receiver are these. Without a direct
-    /// path it is the LED with the largest steering gain.
-    pub fn served(&self, model: &ChannelModel, user: usize, own: &Cylinder, tilt: Option<&Tilt>) -> Served {
-        let position = &self.positions[user];
-        let Some(tilt) = tilt else {
-            let blocked = model.leds.iter().all(|led| blockage::blocks(own, &led.position, position));
-            return Served { led: 0, direct: if blocked { 0.0 } else { self.lit[0].direct[user] }, variance: 0.0 };
-        };
-        let mut best = Served { led: 0, direct: 0.0, variance: 0.0 };
-        for (led, lit) in self.lit[..self.leds].iter().enumerate() {
-            let direct = lit.direct[user] * tilt.factor(self.led_slopes[led]);
-            let is_open = self.led_open[led] && !blockage::blocks(own, &model.leds[led].position, position);
-            if direct > best.direct && is_open {
-                let variance = lit.direct[user].powi(2) * tilt.factor_variance(self.led_slopes[led]);
-                best = Served { led, direct, variance };
-            }
+    /// The LED with the largest steering gain for a user, which serves where no direct path is clear.
+    pub fn steering_led(&self, user: usize) -> usize {
+        let by_steering =
+            |one: &usize, other: &usize| self.steering(user, *one).total_cmp(&self.steering(user, *other));
+        self.leds().max_by(by_steering).unwrap_or(0)
+    }
+
+    /// Whether the path from an LED to the selected user is clear past the user's `own` body and the
+    /// known bodies of others.
+    ///
+    /// With one LED and an upright receiver the bodies of others are left out: they say nothing of
+    /// the heading.
+    pub fn is_clear(&self, model: &ChannelModel, (user, led): (usize, usize), own: &Cylinder, is_tilted: bool) -> bool {
+        let counts_others = is_tilted || self.lit.len() > 1;
+        (self.led_open[led] || !counts_others)
+            && !blockage::blocks(own, &model.leds[led].position, &self.positions[user])
+    }
+
+    /// The direct gain of the selected user by an LED, past bodies, of a receiver that is tilted so.
+    pub fn past_body(
+        &self,
+        model: &ChannelModel,
+        (user, led): (usize, usize),
+        own: &Cylinder,
+        tilt: Option<&Tilt>,
+    ) -> Direct {
+        if !self.is_clear(model, (user, led), own, tilt.is_some()) {
+            return Direct::default();
         }
-        if best.direct == 0.0 {
-            let by_steering =
-                |one: &usize, other: &usize| self.steering(user, *one).total_cmp(&self.steering(user, *other));
-            best.led = self.leds().max_by(by_steering).unwrap_or(0);
-        }
-        best
+        let direct = self.direct(user, led);
+        let Some(tilt) = tilt else { return Direct { gain: direct, variance: 0.0 } };
+        let gain = direct * tilt.factor(self.led_slopes[led]);
+        let variance = direct.powi(2) * tilt.factor_variance(self.led_slopes[led]);
+        if gain > 0.0 { Direct { gain, variance } } else { Direct::default() }
     }
 
     /// The mean slopes of the directions from the selected user to the mirrors, weighted by their

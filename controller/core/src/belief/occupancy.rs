@@ -64,8 +64,8 @@ pub struct Occupancy {
     mean: f64,
     /// The next row to relax.
     row: usize,
-    /// The path of the present measurement to the LED.
-    direct: Fan,
+    /// The paths of the present measurement to the LEDs, [`LANES`] in each fan.
+    direct: Vec<Fan>,
     /// Those to the columns of mirrors, [`LANES`] in each fan.
     reflected: Vec<Fan>,
     /// How much each cell influences the expected share of the light; see [`Fan::influence`].
@@ -105,7 +105,7 @@ impl Occupancy {
             probability: vec![mean; cells],
             mean,
             row: 0,
-            direct: Fan::with_capacity(cells),
+            direct: vec![Fan::with_capacity(cells); scenario.led.positions_m.len().div_ceil(LANES)],
             reflected: vec![Fan::with_capacity(cells); scenario.mirrors.columns().div_ceil(LANES)],
             influence: vec![0.0; cells],
             influential: Vec::with_capacity(cells),
@@ -138,24 +138,25 @@ impl Occupancy {
         self.suspects.clear();
     }
 
-    /// Lists the cells near the paths from a user to the LED, if there is one, and to the columns
-    /// of mirrors, for the methods about a measurement.
-    pub fn trace(&mut self, from: &Vec3, led: Option<&Vec3>, columns: &[Vec3]) {
+    /// Lists the cells near the paths from a user to the LEDs and to the columns of mirrors, for the
+    /// methods about a measurement.
+    pub fn trace(&mut self, from: &Vec3, leds: &[Vec3], columns: &[Vec3]) {
         let Self { grid, direct, reflected, .. } = self;
         with_widest_simd(
             #[inline(always)]
             || {
-                direct.trace(grid, from, led.map_or(&[], std::slice::from_ref));
-                for (fan, columns) in reflected.iter_mut().zip(columns.chunks(LANES)) {
-                    fan.trace(grid, from, columns);
+                for (fans, points) in [(direct, leds), (reflected, columns)] {
+                    for (fan, points) in fans.iter_mut().zip(points.chunks(LANES)) {
+                        fan.trace(grid, from, points);
+                    }
                 }
             },
         );
     }
 
-    /// Probability that no unreported obstacle blocks the path to the LED.
-    pub fn clear_direct(&self) -> f64 {
-        f64::from(self.direct.clear(&self.probability)[0])
+    /// Probability that no unreported obstacle blocks the path to an LED.
+    pub fn clear_direct(&self, led: usize) -> f64 {
+        f64::from(self.direct[led / LANES].clear(&self.probability)[led % LANES])
     }
 
     /// Writes the probability that no unreported obstacle blocks the path to each column.
@@ -193,16 +194,18 @@ impl Occupancy {
         }
     }
 
-    /// Takes whether the path to the LED was clear; `otherwise` is the probability that bodies
-    /// leave it clear.
-    pub fn handle_direct(&mut self, is_clear: bool, otherwise: f64) {
+    /// Takes how far the path to an LED was shown as clear, and how far as blocked, each from 0 to 1;
+    /// `otherwise` is the probability that bodies leave it clear.
+    pub fn handle_direct(&mut self, led: usize, [clear, blocked]: [f64; 2], otherwise: f64) {
         let Self { direct, probability, influence, influential, .. } = self;
-        let mut clear: Lanes = [0.0; LANES];
-        clear[0] = otherwise as f32 * direct.clear(probability)[0];
-        direct.influence(probability, &clear, |cell, of_cell| add(influence, influential, (cell, of_cell)));
-        self.update(f64::from(clear[0]), |expected| {
-            let clear = expected.clamp(0.0, 1.0);
-            UNEXPLAINED + (1.0 - 2.0 * UNEXPLAINED) * if is_clear { clear } else { 1.0 - clear }
+        let (fan, lane) = (&direct[led / LANES], led % LANES);
+        let mut lanes: Lanes = [0.0; LANES];
+        lanes[lane] = otherwise as f32 * fan.clear(probability)[lane];
+        fan.influence(probability, &lanes, |cell, of_cell| add(influence, influential, (cell, of_cell)));
+        self.update(f64::from(lanes[lane]), |expected| {
+            let expected = expected.clamp(0.0, 1.0);
+            let likelihood = |share: f64| UNEXPLAINED + (1.0 - 2.0 * UNEXPLAINED) * share;
+            clear * likelihood(expected) + blocked * likelihood(1.0 - expected) + 0.5 * (1.0 - clear - blocked)
         });
     }
 
@@ -288,13 +291,13 @@ mod tests {
     }
 
     fn handle_direct(map: &mut Occupancy, from: &Vec3, is_clear: bool, otherwise: f64) {
-        map.trace(from, Some(&LED), &[]);
-        map.handle_direct(is_clear, otherwise);
+        map.trace(from, &[LED], &[]);
+        map.handle_direct(0, if is_clear { [1.0, 0.0] } else { [0.0, 1.0] }, otherwise);
     }
 
     fn clear_probability(map: &mut Occupancy, from: &Vec3, to: Vec3) -> f64 {
-        map.trace(from, Some(&to), &[]);
-        map.clear_direct()
+        map.trace(from, &[to], &[]);
+        map.clear_direct(0)
     }
 
     fn probability(map: &Occupancy, x: f64, y: f64) -> f64 {
@@ -346,7 +349,7 @@ mod tests {
         let (mut map, at) = (map(), device(0.0, -1.0));
         let columns = [Vec3::new(-1.0, 2.5, 1.5), Vec3::new(1.0, 2.5, 1.5)];
         // All of the light of the left column arrives, and none of the right one.
-        map.trace(&at, None, &columns);
+        map.trace(&at, &[LED], &columns);
         for (shares, measured) in [([1.0, 0.0], 1.0), ([0.5, 0.5], 0.5)] {
             for _ in 0..5 {
                 let density = |expected: f64| (-0.5 * ((measured - expected) / 0.1_f64).powi(2)).exp() + 0.05;

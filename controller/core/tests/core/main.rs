@@ -17,6 +17,7 @@ mod obstacle_maps;
 mod policies;
 mod reports;
 mod residual;
+mod several_leds;
 mod support;
 mod tilted_receivers;
 mod users;

@@ -3,10 +3,8 @@
 use std::{fmt, str::FromStr};
 
 use heliostat_core::policy::{
-    self, Actor, DENSE, DenseEngine, Engine, Finding, Policy, PolicyKind, Resources,
+    self, Actor, DENSE, DenseEngine, Finding, Policy, PolicyKind, Resources,
     actor_file::{ActorError, ActorFile},
-    compact_file::{CompactError, RowKind},
-    load_rows,
 };
 use heliostat_scenario::Scenario;
 use thiserror::Error;
@@ -28,9 +26,7 @@ const EMBEDDED_ENGINES: [(&str, &str); 3] = [
 /// Which engine evaluates a learned policy.
 ///
 /// A dense graph is evaluated on 64 observations by both engines when it is loaded, whichever is
-/// chosen. An actor on which they disagree is refused. A network that reads one row for each user
-/// is evaluated by the chosen engine and by the reference evaluation of `heliostat_onnx`, and
-/// refused where they disagree.
+/// chosen. An actor on which they disagree is refused.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum EngineChoice {
     /// The dense engine for dense graphs, the embedded one for all others.
@@ -104,9 +100,6 @@ impl EngineChoice {
         source.check_used_by(kind)?;
         if kind.is_learned() {
             let file = source.fetch(kind, scenario)?;
-            if let Some(rows) = kind.rows(&file) {
-                return self.load_rows(rows, kind, (&file, scenario));
-            }
             return Ok(Box::new(self.load_policy(kind, &file, scenario)?));
         }
         let resources = Resources { actor: None, engine: &EmbeddedEngine, monotonic_ns };
@@ -129,10 +122,6 @@ impl EngineChoice {
             return Ok((self.build(kind, scenario, source)?, Vec::new()));
         }
         let file = source.fetch(kind, scenario)?;
-        if let Some(rows) = kind.rows(&file) {
-            // Its load compares the engine with the reference evaluation.
-            return Ok((self.load_rows(rows, kind, (&file, scenario))?, Vec::new()));
-        }
         let mut actor = self.load_policy(kind, &file, scenario)?;
         let findings = actor.try_out(&file, scenario, monotonic_ns).map_err(policy::BuildError::from)?;
         Ok((Box::new(actor), findings))
@@ -140,24 +129,6 @@ impl EngineChoice {
 
     fn load_policy(self, kind: PolicyKind, file: &ActorFile, scenario: &Scenario) -> Result<Actor, BuildError> {
         Ok(self.load_actor(file, scenario).map_err(policy::BuildError::from)?.named(kind.name()))
-    }
-
-    fn load_rows(
-        self,
-        rows: &'static RowKind,
-        kind: PolicyKind,
-        room: (&ActorFile, &Scenario),
-    ) -> Result<Box<dyn Policy>, BuildError> {
-        let load = |engine: &dyn Engine| load_rows(rows, kind, room, engine);
-        let policy = match self {
-            Self::Embedded => load(&EmbeddedEngine),
-            Self::Dense => load(&DenseEngine),
-            Self::Auto => match load(&DenseEngine) {
-                Err(CompactError::Engine { .. }) => load(&EmbeddedEngine),
-                loaded => loaded,
-            },
-        };
-        Ok(policy.map_err(policy::BuildError::from)?)
     }
 
     /// Loads an actor for a room, and compares the engines where its graph is dense.

@@ -19,7 +19,7 @@ pub enum ActorSource {
     /// The built-in actor for the scenario's mode and array, of training seed 1.
     #[default]
     Shipped,
-    /// The built-in actor of another training seed.
+    /// The built-in actor of a training seed.
     ShippedSeed(u32),
     /// A file.
     Path(PathBuf),

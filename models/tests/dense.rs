@@ -189,34 +189,6 @@ fn an_actor_whose_nan_one_engine_hides_is_refused_on_every_choice() {
 }
 
 #[test]
-fn a_network_of_rows_whose_nan_one_engine_hides_is_refused_on_every_choice() {
-    let scenario = scenario(&[]);
-    for (kind, recipe) in [
-        (PolicyKind::Residual, ActorRecipe::compact([0.1, 0.2, 0.3])),
-        (PolicyKind::Lstm, ActorRecipe::displacements([0.1, 0.2])),
-    ] {
-        let build = |choice: EngineChoice, operators: &[(&str, Option<f32>)]| {
-            let source = ActorSource::Bytes(extended(&recipe, operators));
-            choice.build_tried(kind, &scenario, &source).map(|(policy, _)| policy.engine())
-        };
-        let sound = [("Mul", Some(0.5)), ("Tanh", None)];
-        assert_eq!(build(EngineChoice::Auto, &sound).expect("both agree"), Some(DENSE));
-        assert_eq!(build(EngineChoice::Embedded, &sound).expect("both agree"), Some(EMBEDDED));
-        // No dense operator: the embedded engine evaluates it.
-        let other = [("Mul", Some(0.5)), ("Sin", None)];
-        assert!(build(EngineChoice::Dense, &other).is_err());
-        assert_eq!(build(EngineChoice::Auto, &other).expect("both know it"), Some(EMBEDDED));
-        for (choice, engine) in
-            [(EngineChoice::Auto, DENSE), (EngineChoice::Dense, DENSE), (EngineChoice::Embedded, EMBEDDED)]
-        {
-            let refusal = build(choice, &HIDDEN_NAN).expect_err("NaN is hidden").to_string();
-            let evaluated = format!("the engine {engine} ");
-            assert!(["extended.onnx", &evaluated].iter().all(|word| refusal.contains(word)), "{choice}: {refusal}");
-        }
-    }
-}
-
-#[test]
 fn a_decision_on_the_dense_engine_allocates_nothing() {
     let scenario = scenario(&["mirrors.rows=10", "mirrors.columns=10"]);
     let model = support::model(&scenario);

@@ -7,7 +7,6 @@ use std::thread;
 
 use allocation_counter::measure;
 use heliostat_channel::MirrorAngles;
-use heliostat_core::evidence::FEATURES;
 use heliostat_core::observation::Observation;
 use heliostat_core::policy::actor_file::ActorFile;
 use heliostat_core::policy::{Policy, PolicyKind};
@@ -71,9 +70,10 @@ fn a_file_for_a_policy_that_reads_none_is_refused() {
 
 /// The refusal of the embedded engine for a small network after a change.
 fn embedded_refusal(change: fn(&mut GraphProto)) -> String {
-    let mut model = ModelProto::decode(&ActorRecipe::compact([0.0; 3]).bytes()[..]).unwrap();
+    let recipe = ActorRecipe::fitting(&scenario(&[]));
+    let mut model = ModelProto::decode(&recipe.bytes()[..]).unwrap();
     change(model.graph.as_mut().unwrap());
-    let network = embedded_network(&model.encode_to_vec(), FEATURES);
+    let network = embedded_network(&model.encode_to_vec(), recipe.input_length);
     let mut network = match network {
         Ok(network) => network,
         Err(refusal) => return refusal,

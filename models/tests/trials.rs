@@ -108,7 +108,7 @@ fn an_operator_without_a_reference_is_noted() {
 
 #[test]
 fn every_built_in_actor_agrees_with_the_reference() {
-    use PolicyKind::{Analytic, Ddpg, DdpgBasis, DdpgRaw, Dql, QLearning, Residual, Sarsa};
+    use PolicyKind::{Analytic, Ddpg, DdpgRaw, Dql, QLearning, Sarsa};
     let mut tried = 0;
     let overrides = |shape: &str| {
         let (rows, columns) = shape.split_once('x').unwrap();
@@ -117,24 +117,17 @@ fn every_built_in_actor_agrees_with_the_reference() {
     for (mode, shape) in [("specular", "10x10"), ("specular", "7x7"), ("paper", "10x10"), ("paper-calibrated", "10x10")]
     {
         let scenario = Scenario::builtin(mode).and_then(|room| room.with_overrides(&overrides(shape))).unwrap();
-        for kind in [Ddpg, DdpgRaw, DdpgBasis, Analytic, Dql, QLearning, Sarsa] {
-            for seed in shipped::training_seeds(kind, &scenario) {
+        for kind in [Ddpg, DdpgRaw, Analytic, Dql, QLearning, Sarsa] {
+            if shipped::find(kind, &scenario, 1).is_ok() {
                 let started = Instant::now();
-                let (policy, findings) = build_tried(kind, &scenario, &ActorSource::ShippedSeed(seed)).unwrap();
-                println!("{} {mode} {shape} seed {seed}: {:.0?} {findings:?}", policy.name(), started.elapsed());
+                let (policy, findings) = build_tried(kind, &scenario, &ActorSource::Shipped).unwrap();
+                println!("{} {mode} {shape}: {:.0?} {findings:?}", policy.name(), started.elapsed());
                 let differ = |finding: &Finding| format!("{finding:?}").contains("reference");
                 assert!(!findings.iter().any(differ), "{findings:?}");
                 assert!(kind != Ddpg || findings.is_empty(), "{mode} {shape}: {findings:?}");
                 tried += 1;
             }
         }
-    }
-    // One for all rooms.
-    let room = Scenario::builtin("hall").unwrap();
-    for seed in shipped::training_seeds(Residual, &room) {
-        let (policy, findings) = build_tried(Residual, &room, &ActorSource::ShippedSeed(seed)).unwrap();
-        assert!(policy.name() == "residual" && findings.is_empty(), "{findings:?}");
-        tried += 1;
     }
     assert_eq!(tried, shipped::names().count());
 }

@@ -151,7 +151,7 @@ def checkpoint(folder: Path, name: str) -> SAC:
 
 def evaluated(program: str, path: Path, scenario: str, arguments: argparse.Namespace) -> dict[str, Any]:
     """The report of `heliostat eval` in closed loop for the file and other policies."""
-    policies = f"{path},greedy,fixed-point,ddpg,residual,nearest,flat"
+    policies = f"{path},greedy,fixed-point,ddpg,nearest,flat"
     command = [program, "eval", "--scenario", scenario, "--closed-loop", "--policies", policies, "--json"]
     command += ["--states", str(arguments.states), "--seeds", str(arguments.seeds)]
     done = subprocess.run(command, check=True, capture_output=True, text=True)
@@ -228,7 +228,7 @@ def compared(arguments: argparse.Namespace, path: Path, scenario: str, own: heli
     """The exported file beside other policies, and in the demo."""
     found = evaluated(arguments.program, path, scenario, arguments)
     lines = ["", "## The exported file beside other policies", "", "```"]
-    lines += [f"heliostat eval --scenario {scenario} --closed-loop --policies own.onnx,greedy,fixed-point,ddpg,residual,nearest,flat "
+    lines += [f"heliostat eval --scenario {scenario} --closed-loop --policies own.onnx,greedy,fixed-point,ddpg,nearest,flat "
               f"--states {arguments.states} --seeds {arguments.seeds}", "```", ""]
     lines += ["A figure is a mean with half the width of its 95 % interval.", ""]
     lines += ["| policy | sum rate, Mbit/s | ratio to the oracle | minimum rates met |", "| --- | --- | --- | --- |"]

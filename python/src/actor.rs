@@ -1,18 +1,12 @@
 //! Actors from other programs: a network as an ONNX file becomes a file that a controller accepts.
 
-use heliostat_core::correction::Correction;
-use heliostat_core::evidence::{EVIDENCE_VERSION, FEATURES};
 use heliostat_core::observation::{OBSERVATION_VERSION, ObservationEncoder, USERS_CAPACITY};
-use heliostat_core::policy::actor_file::{
-    ActorFile, ActorInfo, COMPACT, CORRECTIONS_NAME, INPUT_NAME, OUTPUT_NAME, key,
-};
-use heliostat_core::policy::compact_file::CORRECTIONS;
+use heliostat_core::policy::actor_file::{ActorFile, ActorInfo, INPUT_NAME, OUTPUT_NAME, key};
 use heliostat_environment::action::Head;
 use heliostat_environment::angle_state::AngleState;
 use heliostat_environment::decoder_graph::{Observed, decode};
 use heliostat_onnx::graph::{Ends, Graph, Value};
 use heliostat_onnx::{ModelProto, NodeProto, TensorProto};
-use heliostat_scenario::Scenario as Room;
 use prost::Message;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
@@ -70,9 +64,9 @@ impl Part {
 /// Puts a network with actions in [-1, 1] between the observation and the angles, with the metadata
 /// that a controller needs.
 ///
-/// `network`: an ONNX file with one input and one output of shape (1, n), opset 17 or lower; with
-/// the action "compact" of shape (rows, n). `action`: "angles", "weights" or "compact".
-/// `observation`: "flat" or "paper"; "evidence" with "compact". `slots`: slots of the observation.
+/// `network`: an ONNX file with one input and one output of shape (1, n), opset 17 or lower.
+/// `action`: "angles" or "weights". `observation`: "flat" or "paper". `slots`: slots of the
+/// observation.
 #[pyfunction]
 #[pyo3(signature = (network, scenario, action, observation, slots))]
 pub fn finish_actor<'py>(
@@ -94,18 +88,10 @@ fn finished(
     (action, observation): (&str, &str),
     slots: usize,
 ) -> PyResult<Vec<u8>> {
-    let (room, part) = (&scenario.inner, Part::read(network)?);
-    let bytes = match action {
-        "compact" => corrections(part, room)?,
-        _ => angles(part, scenario, (action, observation), slots)?,
-    };
+    let bytes = angles(Part::read(network)?, scenario, (action, observation), slots)?;
     // The checks of a controller, so that a file that it would refuse is not written.
     let file = ActorFile { origin: "the exported network".into(), bytes: bytes.clone().into() };
-    if action == "compact" {
-        CORRECTIONS.check(&file).map_err(refused)?;
-    } else {
-        ActorInfo::read(&file).and_then(|info| info.check_fits(room)).map_err(refused)?;
-    }
+    ActorInfo::read(&file).and_then(|info| info.check_fits(&scenario.inner)).map_err(refused)?;
     Ok(bytes)
 }
 
@@ -156,22 +142,4 @@ fn angles(part: Part, scenario: &Scenario, (action, observation): (&str, &str), 
         output: (OUTPUT_NAME, 2 * room.mirror_count()),
     };
     Ok(graph.finish(&ends, &metadata))
-}
-
-/// The file of a network that corrects the belief, row by row.
-fn corrections(part: Part, room: &Room) -> PyResult<Vec<u8>> {
-    let mut graph = Graph::default();
-    part.add(&mut graph, INPUT_NAME);
-    let entry = |key: &str, value: String| (key.to_owned(), value);
-    let metadata = [
-        entry(key::ACTION, COMPACT.to_owned()),
-        entry(key::OBSERVATION_VERSION, EVIDENCE_VERSION.to_string()),
-        entry(key::SCENARIO, room.name.clone()),
-    ];
-    let ends = Ends {
-        name: "heliostat-python-corrections",
-        input: (INPUT_NAME, FEATURES),
-        output: (CORRECTIONS_NAME, Correction::VALUES),
-    };
-    Ok(graph.finish_rows(&ends, &metadata))
 }

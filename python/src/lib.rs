@@ -44,7 +44,6 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("ARRAYS_MAX", heliostat_proto::MAX_ARRAYS)?;
     module.add("STOP_RECORD_MAX", heliostat_array::stop_record::RECORD_MAX)?;
     module.add("Refused", module.py().get_type::<wire::Refused>())?;
-    module.add("EVIDENCE_FEATURES", heliostat_core::evidence::FEATURES)?;
     module.add("INSTANTS", heliostat_environment::episodes::INSTANTS)?;
     module.add("BELIEF_COLUMNS", heliostat_environment::believed::COLUMNS.to_vec())?;
     module.add("BUILTIN_SCENARIOS", heliostat_scenario::BUILTIN_NAMES.to_vec())?;

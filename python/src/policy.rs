@@ -57,19 +57,17 @@ impl Policy {
         let (kind, source) = if name.ends_with(".onnx") {
             (PolicyKind::Ddpg, ActorSource::Path(name.into()))
         } else {
-            let kind = PolicyKind::from_str(name, false).map_err(|_| {
+            let unknown = || {
                 let known = policy_names().join(", ");
-                refused(format!("unknown policy {name:?}: expected {known}, or the path of a file FILE.onnx"))
-            })?;
-            (kind, ActorSource::Shipped)
+                format!("unknown policy {name:?}: expected {known}, or the path of a file FILE.onnx")
+            };
+            (PolicyKind::find(name, unknown).map_err(refused)?, ActorSource::Shipped)
         };
         guarded(|| {
             let file = if kind.is_learned() { Some(source.fetch(kind, room).map_err(refused)?) } else { None };
             let policy = match &file {
-                Some(file) if kind.rows(file).is_none() => {
-                    Kind::Actor(Box::new(load_actor(file, room).map_err(refused)?))
-                }
-                _ => Kind::Other(build(kind, room, &source).map_err(refused)?),
+                Some(file) => Kind::Actor(Box::new(load_actor(file, room).map_err(refused)?)),
+                None => Kind::Other(build(kind, room, &source).map_err(refused)?),
             };
             Ok(Self {
                 model: room.channel_model().map_err(refused)?,

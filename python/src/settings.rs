@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use heliostat_channel::MirrorAngles;
+use heliostat_core::policy::removed;
 use heliostat_environment::action::ActionForm;
 use heliostat_environment::episodes::{HeldOutEpisode, WARM, held_out_episodes};
 use heliostat_environment::room::{Reward, RewardForm};
@@ -25,6 +26,9 @@ pub struct Settings {
 /// The value of a setting by its name.
 fn choice<T: Copy>(setting: &str, name: &str, known: &[(&str, T)]) -> PyResult<T> {
     known.iter().find(|(found, _)| *found == name).map(|(_, value)| *value).ok_or_else(|| {
+        if let Some(removed) = removed(name) {
+            return refused(format!("{setting} = {name:?}: {removed}"));
+        }
         let names: Vec<String> = known.iter().map(|(name, _)| format!("{name:?}")).collect();
         refused(format!("{setting} = {name:?}: expected {}", names.join(", ")))
     })
@@ -54,15 +58,13 @@ impl Settings {
             dynamics,
             &[("static", Dynamics::Static { step_s }), ("closed-loop", Dynamics::ClosedLoop)],
         )?;
-        let actions =
-            [("angles", ActionForm::Angles), ("weights", ActionForm::Weights), ("compact", ActionForm::Compact)];
+        let actions = [("angles", ActionForm::Angles), ("weights", ActionForm::Weights)];
         let action = choice("action", action, &actions)?;
         let forms = [
             ("flat", ObservationForm::Vector),
             ("dict", ObservationForm::Vector),
             ("paper", ObservationForm::AngleState),
             ("belief", ObservationForm::Belief),
-            ("evidence", ObservationForm::Evidence),
         ];
         let observation = choice("observation", observation, &forms)?;
         let form =

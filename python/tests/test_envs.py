@@ -54,13 +54,6 @@ def test_the_checker_of_gymnasium_accepts_each_default(name: str) -> None:
     env.close()
 
 
-@pytest.mark.parametrize("name", ["heliostat/Hall-v0", "heliostat/Office-v0"])
-def test_the_checker_of_gymnasium_accepts_corrections_of_the_belief(name: str) -> None:
-    env = gymnasium.make(name, action="compact", observation="evidence")
-    check_env(env.unwrapped, skip_render_check=True)
-    assert env.action_space.shape == (3 * env.unwrapped.slots,)  # type: ignore[attr-defined]
-
-
 def test_the_parts_of_a_flat_observation_have_names() -> None:
     env = make()
     flat, _ = env.reset(seed=1)
@@ -185,9 +178,9 @@ def test_users_may_come_and_go_in_closed_loop() -> None:
         ({"overrides": {"users.cout": 3}}, "cout"),
         ({"overrides": {"users.count": 0}}, "users.count = 0"),
         ({"overrides": {"users.count": 20}}, "20 users, expected at most 10"),
-        ({"action": "angle"}, 'action = "angle": expected "angles", "weights", "compact"'),
-        ({"action": "compact"}, 'action = "compact": expected dynamics = "closed-loop"'),
-        ({"observation": "evidence"}, 'observation = "evidence": expected dynamics'),
+        ({"action": "angle"}, 'action = "angle": expected "angles", "weights"'),
+        ({"action": "compact"}, "the action compact was removed .docs/learning.md.: use weights or angles"),
+        ({"observation": "evidence"}, "the observation evidence was removed .docs/learning.md.: use belief"),
         ({"observation": "all"}, "observation = "),
         ({"reward": "none"}, "reward = "),
         ({"dynamics": "slow"}, "dynamics = "),

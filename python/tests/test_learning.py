@@ -98,7 +98,6 @@ def test_networks_that_no_controller_accepts_are_refused_with_the_reason(tmp_pat
         heliostat.export_onnx(torch.nn.Linear(1370, 7), env, path)
     refused: list[tuple[dict[str, Any], str]] = [
         ({"observation": "belief"}, 'observation = .belief.: expected "flat" or "paper"'),
-        ({"action": "compact", "dynamics": "closed-loop"}, 'observation = .flat.: expected "evidence"'),
     ]
     for settings, reason in refused:
         with pytest.raises(ValueError, match=reason):
@@ -141,7 +140,6 @@ FORMS = [
     ("heliostat/Static-v0", {"action": "weights"}),
     ("heliostat/Hall-v0", {}),
     ("heliostat/Hall-v0", {"action": "weights"}),
-    ("heliostat/Hall-v0", {"action": "compact", "observation": "evidence"}),
 ]
 
 
@@ -149,18 +147,11 @@ def exported(name: str, settings: Any, torch: Any, path: Path) -> tuple[heliosta
     """An environment with a network for it, which is in the file, and its actions."""
     env = gymnasium.make(name, **settings).unwrapped
     assert isinstance(env, heliostat.HeliostatEnv)
-    if env.action_form == "compact":
-        torch.manual_seed(3)
-        module = torch.nn.Sequential(torch.nn.Linear(heliostat.EVIDENCE_FEATURES, 16), torch.nn.ReLU(), torch.nn.Linear(16, 3))
-        with torch.no_grad():
-            # Certain enough that some corrections count.
-            module[2].bias[:] = torch.tensor([0.2, 0.0, -1.0])
-    else:
-        module = module_of(env, torch)
+    module = module_of(env, torch)
     heliostat.export_onnx(module, env, path)
 
     def act(observation: Any) -> Any:
-        rows = torch.from_numpy(observation).reshape(env.slots if env.action_form == "compact" else 1, -1)
+        rows = torch.from_numpy(observation).reshape(1, -1)
         with torch.no_grad():
             return module(rows).numpy().ravel()
 
@@ -183,31 +174,29 @@ def test_the_command_line_gives_an_exported_network_the_same_score(name: str, se
 def test_a_score_in_closed_loop_is_that_of_the_command_line() -> None:
     program = program_or_skip()
     arguments = ("--closed-loop", "--scenario", "hall", "--states", "30", "--seeds", "2")
-    compact = {"action": "compact", "observation": "evidence"}
-    for policy, settings in [("flat", {}), ("greedy", compact)]:
-        env = gymnasium.make("heliostat/Hall-v0", **settings)  # type: ignore[arg-type]
-        nothing = np.zeros(env.action_space.shape or (), np.float32)
-        env.reset(seed=4)
-        score = heliostat.evaluate(lambda _, nothing=nothing: nothing, env, states=30, seeds=2)  # type: ignore[misc]
-        row, oracle = report_of(program, policy, *arguments)
-        assert score.states == 60
-        for figure in ("ratio_to_oracle", "sum_rate_mbps", "qos_met"):
-            assert getattr(score, figure) == pytest.approx(row[figure]["mean"], rel=1e-9), (policy, figure)
-        assert score.oracle_mbps == pytest.approx(oracle["sum_rate_mbps"]["mean"], rel=1e-9)
-        # The environment is as it was.
-        fresh = gymnasium.make("heliostat/Hall-v0", **settings)  # type: ignore[arg-type]
-        fresh.reset(seed=4)
-        assert np.array_equal(env.step(nothing)[0], fresh.step(nothing)[0])
+    env = gymnasium.make("heliostat/Hall-v0")
+    flat = np.zeros(env.action_space.shape or (), np.float32)
+    env.reset(seed=4)
+    score = heliostat.evaluate(lambda _: flat, env, states=30, seeds=2)
+    row, oracle = report_of(program, "flat", *arguments)
+    assert score.states == 60
+    for figure in ("ratio_to_oracle", "sum_rate_mbps", "qos_met"):
+        assert getattr(score, figure) == pytest.approx(row[figure]["mean"], rel=1e-9), figure
+    assert score.oracle_mbps == pytest.approx(oracle["sum_rate_mbps"]["mean"], rel=1e-9)
+    # The environment is as it was.
+    fresh = gymnasium.make("heliostat/Hall-v0")
+    fresh.reset(seed=4)
+    assert np.array_equal(env.step(flat)[0], fresh.step(flat)[0])
 
 
-@pytest.mark.parametrize("settings", [{}, {"action": "weights"}, {"action": "compact", "observation": "evidence"}])
+@pytest.mark.parametrize("settings", [{}, {"action": "weights"}])
 def test_an_exported_network_moves_the_mirrors_of_the_demo(settings: Any, tmp_path: Path) -> None:
     torch, program = torch_or_skip(), program_or_skip()
     exported("heliostat/Hall-v0", settings, torch, tmp_path / "own.onnx")
     command = [program, "demo", "--scenario", "hall", "--model", str(tmp_path / "own.onnx"), "--seconds", "3"]
     shown = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     rates = dict(re.findall(r"^(\S.*?)\s{2,}(\d+\.\d\d)\s+\d\.\d+$", shown, re.MULTILINE))
-    own, flat = (float(rate) for name, rate in rates.items() if name in ("ddpg", "residual", "flat"))
+    own, flat = (float(rate) for name, rate in rates.items() if name in ("ddpg", "flat"))
     assert own != flat, shown
     assert int(re.search(r"commands (\d+)", shown)[1]) > 10, shown  # type: ignore[index]
 
@@ -216,12 +205,9 @@ CHECKED: list[dict[str, Any]] = [
     {},
     *({"action": action, "observation": form} for action in ("angles", "weights") for form in ("flat", "belief", "dict")),
 ]
-COMPACT: list[tuple[str, dict[str, Any]]] = [
-    (name, {"action": "compact", "observation": "evidence"}) for name in ("heliostat/Hall-v0", "heliostat/Office-v0")
-]
 
 
-@pytest.mark.parametrize(("name", "settings"), [(name, form) for name in heliostat.envs.IDS for form in CHECKED] + COMPACT)
+@pytest.mark.parametrize(("name", "settings"), [(name, form) for name in heliostat.envs.IDS for form in CHECKED])
 def test_the_checker_of_stable_baselines_accepts_each_environment(name: str, settings: dict[str, Any]) -> None:
     torch_or_skip()
     checker = pytest.importorskip("stable_baselines3.common.env_checker", exc_type=ImportError)

@@ -20,7 +20,6 @@ ENVIRONMENTS: list[tuple[str, dict[str, Any]]] = [
     ("heliostat/Static-v0", {"action": "weights"}),
     ("heliostat/Hall-v0", {}),
     ("heliostat/Hall-v0", {"action": "weights"}),
-    ("heliostat/Hall-v0", {"action": "compact", "observation": "evidence"}),
     ("heliostat/Office-v0", {}),
     ("heliostat/Paper-v0", {}),
 ]

@@ -22,7 +22,6 @@
 //!   past bodies.
 //! - `readings`, `densities`, `elementary`: measured gains, and how probable they are.
 //! - `independence`: how much a measurement of a user who stays at a place counts.
-//! - [`residual`]: measured gains beside the expected ones, where a policy reads them.
 //! - [`occupancy`]: where unreported obstacles stand, by measured gains.
 //! - [`angle_history`]: the angles of the mirrors at the time of a measurement.
 
@@ -47,7 +46,6 @@ pub mod noise;
 pub mod occupancy;
 pub(crate) mod posture;
 mod readings;
-pub mod residual;
 mod tilt;
 mod track;
 mod tracks;
@@ -68,7 +66,6 @@ use noise::NoiseLevel;
 use occupancy::Occupancy;
 use posture::Posture;
 use readings::{MeasuredGains, Readings};
-use residual::GainResidual;
 use track::{Track, reported_velocity};
 use tracks::Tracks;
 
@@ -108,8 +105,6 @@ pub struct Belief {
     velocity_noise: NoiseLevel,
     first_noise: [NoiseLevel; 2],
     tracks: Tracks,
-    /// The users of the last report whose numbers belonged to other users before it.
-    renumbered: Vec<u32>,
     last_ns: Nanos,
     /// A channel report of a larger age is not accepted.
     report_age_max_ns: Nanos,
@@ -130,9 +125,6 @@ pub struct Belief {
     map: Option<Occupancy>,
     leds: Vec<Vec3>,
     innovations: Innovations,
-    /// Those of the last channel report, where they are kept.
-    residuals: Vec<GainResidual>,
-    keeps_residuals: bool,
 }
 
 impl Belief {
@@ -148,7 +140,6 @@ impl Belief {
             velocity_noise,
             first_noise: [position_noise, velocity_noise],
             tracks: Tracks::new(capacity),
-            renumbered: Vec::with_capacity(capacity),
             last_ns: 0,
             report_age_max_ns: (scenario.control.report_age_max_ms * 1e6) as Nanos,
             body: Body::new(&scenario.blockage),
@@ -164,8 +155,6 @@ impl Belief {
             leds: model.leds.iter().map(|led| led.position).collect(),
             map: Occupancy::new(scenario),
             innovations: Innovations::default(),
-            residuals: Vec::with_capacity(capacity),
-            keeps_residuals: false,
         }
     }
 
@@ -188,7 +177,6 @@ impl Belief {
         obstacles: &[Cylinder],
         unusable: &[u32],
     ) {
-        self.residuals.clear();
         let only_direct =
             self.map.is_none() && self.tracks.present().iter().all(|track| self.is_heading_certain(track));
         if only_direct {
@@ -199,9 +187,7 @@ impl Belief {
                     track.covered.handle_direct(self.readings.shows(f64::from(measured.los_gain)), 1.0);
                 }
             }
-            if !self.keeps_residuals {
-                return;
-            }
+            return;
         }
         let at = (report.stamp.time_ns, signed_s(report.stamp.time_ns, self.last_ns));
         let angles = self.history.at(report.stamp.time_ns, &mut self.angles).then_some(&self.angles);
@@ -214,19 +200,6 @@ impl Belief {
             place
         });
         evidence.expect(model, places, obstacles, angles, unusable);
-        if self.keeps_residuals {
-            let measured = |(user, track): (usize, &Track)| Some((user, *track.measured(user, report)?));
-            self.residuals.extend(tracks.iter().enumerate().filter_map(measured).map(|(user, measured)| {
-                GainResidual {
-                    user: measured.user,
-                    los_shown: self.readings.shows(f64::from(measured.los_gain)),
-                    ..evidence.residual(user, [measured.los_gain, measured.irs_gain].map(f64::from))
-                }
-            }));
-        }
-        if only_direct {
-            return;
-        }
         bodies.clear();
         bodies.extend(tracks.iter().zip(evidence.positions()).map(|(track, position)| {
             let heading = track.heading.mean(directions);
@@ -262,17 +235,6 @@ impl Belief {
         true
     }
 
-    /// Keeps the residuals of each channel report from now on, or does not.
-    pub fn keep_residuals(&mut self, keeps: bool) {
-        self.keeps_residuals = keeps;
-        self.residuals.clear();
-    }
-
-    /// The residuals of the last channel report, where they are kept.
-    pub fn residuals(&self) -> &[GainResidual] {
-        &self.residuals
-    }
-
     /// Whether all obstacles are reported, so that no map of others is kept.
     pub fn knows_obstacles(&self) -> bool {
         self.map.is_none()
@@ -296,7 +258,6 @@ impl Belief {
     pub fn handle_users(&mut self, report: &UserReport) {
         let time_ns = report.stamp.time_ns;
         self.tracks.begin_report();
-        self.renumbered.clear();
         for (slot, user) in report.users.iter().enumerate() {
             let known = self.tracks.former(slot, user.user, time_ns);
             let seen_ns = known.and_then(|track| track.seen_ns()).unwrap_or(self.last_ns);
@@ -307,9 +268,8 @@ impl Belief {
             let mut track = known.unwrap_or_else(|| self.new_track(user.user));
             self.learn_noise(&track, user, time_ns);
             // Any interval may be behind the first report of a user.
-            if self.correct(&mut track, user, elapsed_s) && known.is_some() {
-                self.renumbered.push(user.user);
-            } else if let Some(squared) = innovation {
+            let is_another = self.correct(&mut track, user, elapsed_s);
+            if let Some(squared) = innovation.filter(|_| !is_another) {
                 self.innovations.add(squared);
             }
             track.remember(user, time_ns);
@@ -357,11 +317,6 @@ impl Belief {
     /// component in m/s.
     pub fn noise(&self) -> [f64; 2] {
         [self.position_noise.deviation(), self.velocity_noise.deviation()]
-    }
-
-    /// The users of the last report whose numbers belonged to other users before it.
-    pub fn renumbered(&self) -> &[u32] {
-        &self.renumbered
     }
 
     fn new_track(&self, user: u32) -> Track {

@@ -20,8 +20,7 @@
 //!    [`poll_stale_command`](Controller::poll_stale_command). Several messages may be handled
 //!    before one poll; the poll then decides for the newest tick. A learner that proposes angles
 //!    itself polls [`poll_observation`](Controller::poll_observation), then
-//!    [`poll_proposed`](Controller::poll_proposed), or
-//!    [`poll_corrected`](Controller::poll_corrected) where it corrects the belief.
+//!    [`poll_proposed`](Controller::poll_proposed).
 //!    [`handle_and_poll`](Controller::handle_and_poll) does both steps for one message;
 //! 4. [`poll_timeout_command`](Controller::poll_timeout_command) again and again, at intervals
 //!    shorter than the validity of a command, so that the controller also acts when reports are
@@ -158,12 +157,9 @@ impl Controller {
         let observation = Observation::with_capacity(&model, scenario.users.count, MAX_USERS);
         let mirrors = model.mirrors.len();
         let validity_ms = scenario.control.validity_ms.round() as u32;
-        let mut observer = Observer::new(scenario, &model);
-        observer.keep_evidence(policy.reads_evidence());
-        observer.keep_walks(policy.reads_walks());
         Self {
             inbox: Inbox::new(scenario),
-            observer,
+            observer: Observer::new(scenario, &model),
             proposed: observation.angles.clone(),
             is_proposed: false,
             observation,
@@ -329,8 +325,6 @@ impl Controller {
     /// Replaces the policy, and returns the former one. The new policy should have had its
     /// start-up warm-up.
     pub fn replace_policy(&mut self, policy: Box<dyn Policy>) -> Box<dyn Policy> {
-        self.observer.keep_evidence(policy.reads_evidence());
-        self.observer.keep_walks(policy.reads_walks());
         self.policy.replace_policy(policy)
     }
 }

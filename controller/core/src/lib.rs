@@ -79,5 +79,5 @@ mod output;
 pub mod policy;
 
 pub use input::{inbox, refusal, sequence};
-pub use observe::{correction, evidence, observation, observer, selection, slots, walk_history};
+pub use observe::{observation, observer, selection, slots};
 pub use output::{capabilities, guard, outcome, safety, tenure};

@@ -1,10 +1,7 @@
 //! From the inbox to the observation that a policy reads.
 
-pub mod correction;
-pub mod evidence;
 pub mod observation;
 pub mod observer;
 pub mod prediction;
 pub mod selection;
 pub mod slots;
-pub mod walk_history;

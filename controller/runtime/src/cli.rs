@@ -4,7 +4,10 @@ use std::path::PathBuf;
 
 use anyhow::{Context, bail};
 use heliostat_bus::{AccessRole, BusArgs};
-use heliostat_core::{capabilities::Force, policy::PolicyKind};
+use heliostat_core::{
+    capabilities::Force,
+    policy::{NameParser, PolicyKind},
+};
 use heliostat_models::{ActorSource, EngineChoice};
 use heliostat_proto::Room;
 use heliostat_scenario::ScenarioArgs;
@@ -32,7 +35,7 @@ pub struct Args {
     #[command(flatten)]
     bus: BusArgs,
     /// Policy that decides the mirror angles
-    #[arg(long, value_enum, default_value_t = PolicyKind::Ddpg)]
+    #[arg(long, value_enum, value_parser = NameParser::<PolicyKind>::default(), default_value_t = PolicyKind::Ddpg)]
     policy: PolicyKind,
     /// ONNX file of a learned policy, in place of the built-in one
     #[arg(long, value_name = "FILE")]

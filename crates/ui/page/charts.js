@@ -8,7 +8,7 @@ const FONT = { family: "system-ui, sans-serif", size: 11 };
 
 // One colour for each policy, the same in every report and figure.
 const POLICY_COLOURS = {
-  actor: "#0072b2", ddpg: "#0072b2", analytic: "#56b4e9", "ddpg-basis": "#009e73", "ddpg-raw": "#cc79a7", dql: "#d55e00",
+  actor: "#0072b2", ddpg: "#0072b2", analytic: "#56b4e9", "ddpg-raw": "#cc79a7", dql: "#d55e00",
   "q-learning": "#e69f00", sarsa: "#f0e442", greedy: "#117733", "fixed-point": "#44aa99", nearest: "#882255", random: "#999999",
 };
 

@@ -38,14 +38,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     };
     let weights = TaskSettings { action: ActionForm::Weights, ..TaskSettings::of_true_state(of("specular")?) };
     let hall = TaskSettings::closed_loop(of("hall")?);
-    let corrections =
-        TaskSettings { action: ActionForm::Compact, observation: ObservationForm::Evidence, ..hall.clone() };
     for (name, settings) in [
         ("static", TaskSettings::of_true_state(of("specular")?)),
         ("static with weights", weights),
         ("hall", hall.clone()),
         ("hall with weights", TaskSettings { action: ActionForm::Weights, ..hall.clone() }),
-        ("hall with corrections", corrections),
         ("office", TaskSettings::closed_loop(of("office")?)),
         ("paper", paper),
     ] {

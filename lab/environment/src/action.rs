@@ -5,12 +5,9 @@
 //! - **Weights**: u_k in [-1, 1] for each slot of the observation. The decoder weight is
 //!   w_k = b_k exp(c u_k), and [`decode`] turns weights into
 //!   angles.
-//! - **Compact**: corrections of the belief for each slot, which the decision core decodes
-//!   ([`Correction`]); the policy `greedy` then decides.
 
 use heliostat_channel::decode::decode;
 use heliostat_channel::{ChannelModel, MirrorAngles};
-use heliostat_core::correction::Correction;
 use heliostat_core::observation::{Observation, ObservationEncoder, Summary};
 use serde::{Deserialize, Serialize};
 
@@ -62,8 +59,6 @@ pub enum ActionForm {
     Angles,
     /// One weight per slot, by [`Head::BALANCED`].
     Weights,
-    /// [`Correction::VALUES`] numbers per slot, in closed loop only.
-    Compact,
 }
 
 /// The observation in which an action was chosen.
@@ -86,29 +81,12 @@ pub(crate) struct ActionDecoder {
     /// Components within [-1, 1].
     bounded: Vec<f32>,
     weights: Vec<f64>,
-    /// Corrections of all users of the observation, row-major.
-    corrections: Vec<f32>,
-}
-
-/// What an action asks for.
-pub(crate) enum Decoded<'a> {
-    /// The angles that the decoder wrote.
-    Angles,
-    /// Corrections of all users of the observation, row-major.
-    Corrections(&'a [f32]),
 }
 
 impl ActionDecoder {
     /// For the vectors of an encoder and axes of this range in rad.
     pub fn new(form: ActionForm, encoder: ObservationEncoder, range_rad: f64) -> Self {
-        Self {
-            form,
-            encoder,
-            range_rad: range_rad as f32,
-            bounded: Vec::new(),
-            weights: Vec::new(),
-            corrections: Vec::new(),
-        }
+        Self { form, encoder, range_rad: range_rad as f32, bounded: Vec::new(), weights: Vec::new() }
     }
 
     /// Number of components of an action.
@@ -116,18 +94,11 @@ impl ActionDecoder {
         match self.form {
             ActionForm::Angles => 2 * self.encoder.mirrors(),
             ActionForm::Weights => self.encoder.users_max(),
-            ActionForm::Compact => Correction::VALUES * self.encoder.users_max(),
         }
     }
 
-    /// Decodes an action. Components beyond [-1, 1] count as the nearest bound. `out` receives the
-    /// angles in rad of an action that gives angles.
-    pub fn decode(
-        &mut self,
-        seen: Seen<'_>,
-        action: &[f32],
-        out: &mut MirrorAngles,
-    ) -> Result<Decoded<'_>, EnvironmentError> {
+    /// Decodes an action into angles in rad. Components beyond [-1, 1] count as the nearest bound.
+    pub fn decode(&mut self, seen: Seen<'_>, action: &[f32], out: &mut MirrorAngles) -> Result<(), EnvironmentError> {
         self.check(action)?;
         self.bounded.clear();
         self.bounded.extend(action.iter().map(|value| value.clamp(-1.0, 1.0)));
@@ -151,16 +122,8 @@ impl ActionDecoder {
                     decode(seen.model, &seen.observation.scene, &self.weights, out);
                 }
             }
-            ActionForm::Compact => {
-                self.corrections.clear();
-                self.corrections.resize(Correction::VALUES * seen.observation.users(), 0.0);
-                let (users, _) = self.corrections.as_chunks_mut::<{ Correction::VALUES }>();
-                let (slots, _) = self.bounded.as_chunks();
-                seen.chosen.iter().zip(slots).for_each(|(user, values)| users[*user] = *values);
-                return Ok(Decoded::Corrections(&self.corrections));
-            }
         }
-        Ok(Decoded::Angles)
+        Ok(())
     }
 
     /// Checks the length, and that all components are finite.
@@ -169,7 +132,6 @@ impl ActionDecoder {
             let meaning = match self.form {
                 ActionForm::Angles => "roll of each mirror, then yaw of each, over the range of an axis",
                 ActionForm::Weights => "one weight for each slot of the observation",
-                ActionForm::Compact => "three numbers for each slot of the observation",
             };
             return Err(EnvironmentError::ActionLength { found: action.len(), expected: self.len(), meaning });
         }

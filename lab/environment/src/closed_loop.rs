@@ -127,17 +127,6 @@ impl ClosedLoop {
         let decision = self.controller.poll_proposed(observed, now.room_ns, angles);
         command(decision, now, (&mut self.episode, &mut self.command_sequence))
     }
-
-    /// Lets the policy decide on the belief with these corrections, for the decision that is due;
-    /// no effect where none is. See [`Controller::poll_corrected`].
-    ///
-    /// # Errors
-    /// [`EnvironmentError::Refused`].
-    pub fn decide_corrected(&mut self, corrections: &[f32]) -> Result<(), EnvironmentError> {
-        let Some((now, observed)) = self.due.take() else { return Ok(()) };
-        let decision = self.controller.poll_corrected(observed, now.room_ns, corrections);
-        command(decision, now, (&mut self.episode, &mut self.command_sequence))
-    }
 }
 
 /// The message of an event; `None` for one that no controller reads. Without `names_unusable`

@@ -17,7 +17,6 @@ pub mod action;
 pub mod angle_state;
 pub mod believed;
 pub mod closed_loop;
-mod corrected;
 pub mod decoder_graph;
 pub mod episodes;
 pub mod error;

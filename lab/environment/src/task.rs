@@ -28,19 +28,17 @@ use std::sync::Arc;
 use heliostat_channel::solver::Solver;
 use heliostat_channel::{ChannelModel, MirrorAngles};
 use heliostat_core::core::Controller;
-use heliostat_core::evidence::{Evidence, FEATURES};
 use heliostat_core::observation::{Observation, ObservationEncoder, USERS_CAPACITY};
-use heliostat_core::policy::{Fixed, Policy};
+use heliostat_core::policy::Fixed;
 use heliostat_core::safety::Limits;
 use heliostat_core::selection::Selection;
 use heliostat_room::World;
 use heliostat_room::episode::Episode;
 
-use crate::action::{ActionDecoder, Decoded, Seen};
+use crate::action::{ActionDecoder, Seen};
 use crate::angle_state::AngleState;
 use crate::believed;
 use crate::closed_loop::ClosedLoop;
-use crate::corrected::CorrectedGreedy;
 use crate::episodes::HeldOutEpisode;
 use crate::error::EnvironmentError;
 use crate::held_out::{best_angles, met};
@@ -111,11 +109,7 @@ impl Room {
 /// An episode with a controller in whose place the learner decides.
 fn begun(settings: &TaskSettings, episode: Episode) -> Result<Box<ClosedLoop>, EnvironmentError> {
     let scenario = &settings.scenario;
-    let policy: Box<dyn Policy> = if settings.reads_evidence() {
-        Box::new(CorrectedGreedy::new(scenario))
-    } else {
-        Box::new(Fixed::flat(scenario.mirror_count()))
-    };
+    let policy = Box::new(Fixed::flat(scenario.mirror_count()));
     let controller = Controller::new(scenario, scenario.channel_model()?, policy, 1);
     Ok(Box::new(ClosedLoop::new(episode, controller)))
 }
@@ -244,7 +238,7 @@ impl Task {
         let observation = self.room.observation();
         let vector = self.room.vector().unwrap_or(&self.vector);
         let seen = Seen { model: &self.model, observation, chosen: &self.chosen, vector };
-        let decoded = self.decoder.decode(seen, action, &mut self.angles)?;
+        self.decoder.decode(seen, action, &mut self.angles)?;
         let step = match &mut self.room {
             Room::Static { environment, step_s } => {
                 // The mirrors turn at once.
@@ -258,10 +252,7 @@ impl Task {
                 Step { oracle_mbps, ..step }
             }
             Room::Closed { inner, now_ns } => {
-                match decoded {
-                    Decoded::Angles => inner.decide(&self.angles)?,
-                    Decoded::Corrections(corrections) => inner.decide_corrected(corrections)?,
-                }
+                inner.decide(&self.angles)?;
                 *now_ns = match &mut self.sampling {
                     Some(sampling) => sampling.advance(inner, *now_ns)?,
                     None => inner.next_decision(*now_ns)?.room_ns,
@@ -303,7 +294,6 @@ impl Task {
             ObservationForm::Vector => self.encoder.len(),
             ObservationForm::AngleState => self.angle_state.inputs(),
             ObservationForm::Belief => self.encoder.users_max() * believed::COLUMNS.len(),
-            ObservationForm::Evidence => self.encoder.users_max() * FEATURES,
         }
     }
 
@@ -322,15 +312,6 @@ impl Task {
                     Room::Closed { inner, now_ns } => Some((inner.controller(), *now_ns)),
                 };
                 believed::write((&self.model, self.room.observation()), controller, &self.chosen, out);
-            }
-            ObservationForm::Evidence => {
-                assert_eq!(out.len(), self.observation_len(), "the buffer has another length");
-                out.fill(0.0);
-                let Room::Closed { inner, .. } = &self.room else { return };
-                let rows = inner.controller().observer().evidence().map_or(&[][..], Evidence::rows);
-                for (slot, user) in out.chunks_exact_mut(FEATURES).zip(&self.chosen) {
-                    rows.get(*user).into_iter().for_each(|row| slot.copy_from_slice(row));
-                }
             }
         }
     }

@@ -29,9 +29,6 @@ pub enum ObservationForm {
     AngleState,
     /// One row for each slot: [`believed`](crate::believed).
     Belief,
-    /// The row of [`heliostat_core::evidence`] for each slot, which a network with the compact
-    /// action reads; in closed loop only.
-    Evidence,
 }
 
 /// The settings of a task.
@@ -75,11 +72,6 @@ impl TaskSettings {
         Self { dynamics: Dynamics::ClosedLoop, ..Self::of_true_state(scenario) }
     }
 
-    /// Whether the core keeps the evidence by which a learner corrects the belief.
-    pub(crate) fn reads_evidence(&self) -> bool {
-        self.action == ActionForm::Compact || self.observation == ObservationForm::Evidence
-    }
-
     pub(crate) fn check(&self) -> Result<(), EnvironmentError> {
         let refuse =
             |name, value: f64, expected| Err(EnvironmentError::Setting { name, value: value.to_string(), expected });
@@ -87,14 +79,6 @@ impl TaskSettings {
             && !(step_s > 0.0 && step_s <= 86_400.0)
         {
             return refuse("step_s", step_s, "seconds above 0, up to 86400");
-        }
-        if matches!(self.dynamics, Dynamics::Static { .. }) && self.reads_evidence() {
-            let (name, value) = match self.action {
-                ActionForm::Compact => ("action", "\"compact\""),
-                _ => ("observation", "\"evidence\""),
-            };
-            let expected = "dynamics = \"closed-loop\": a true state needs no correction";
-            return Err(EnvironmentError::Setting { name, value: value.into(), expected });
         }
         if !(0.0..=86_400.0).contains(&self.settle_s) {
             return refuse("settle_s", self.settle_s, "0 to 86400 seconds");

@@ -1,11 +1,9 @@
 //! Tasks: the same seed gives the same run, and actions mean what the controller's code makes of
 //! them.
 
-use heliostat_channel::{ChannelModel, MirrorAngles};
+use heliostat_channel::MirrorAngles;
 use heliostat_core::core::Controller;
-use heliostat_core::evidence::{Evidence, FEATURES};
-use heliostat_core::observation::Observation;
-use heliostat_core::policy::{Fixed, ModelBased, Policy, PolicyError, build_fallback};
+use heliostat_core::policy::{Fixed, build_fallback};
 use heliostat_environment::action::ActionForm;
 use heliostat_environment::episodes::{HeldOutEpisode, WARM};
 use heliostat_environment::held_out::best_angles;
@@ -96,94 +94,6 @@ fn angles_of_the_caller_give_the_run_of_a_policy_that_proposes_the_same() {
     }
     assert!(expected.len() > 20, "{}", expected.len());
     assert_ne!(expected[5].1, expected[25].1);
-}
-
-/// The policy `greedy` with the same correction for all users.
-struct Corrects(ModelBased, [f32; 3]);
-
-impl Policy for Corrects {
-    fn name(&self) -> &str {
-        "corrects"
-    }
-
-    fn reads_evidence(&self) -> bool {
-        true
-    }
-
-    fn correct(&mut self, evidence: &mut Evidence) {
-        let outputs = self.1.repeat(evidence.rows().len());
-        evidence.correct(&outputs);
-    }
-
-    fn act(&mut self, model: &ChannelModel, seen: &Observation, out: &mut MirrorAngles) -> Result<(), PolicyError> {
-        self.0.act(model, seen, out)
-    }
-}
-
-#[test]
-fn corrections_of_a_learner_give_the_run_of_a_policy_that_corrects_by_the_same() {
-    let scenario = scenario("hall", &[]);
-    let begin = |row| {
-        let policy = Box::new(Corrects(ModelBased::greedy(5, 100), row));
-        let controller = Controller::new(&scenario, scenario.channel_model().unwrap(), policy, 1);
-        ClosedLoop::new(Episode::new(&scenario, None, 5, 1_000_000_000).unwrap(), controller)
-    };
-    let angles_with = |row: [f32; 3]| {
-        let mut by_policy = begin(row);
-        let mut expected = Vec::new();
-        while let Some((now, event)) = by_policy.poll_event(6_000_000_000) {
-            if by_policy.deliver(now, event, &mut |_| {}).unwrap() {
-                expected.push(by_policy.room().actuator(0).angles().clone());
-            }
-        }
-        let mut by_caller = begin([0.0; 3]);
-        let mut now_ns = 1_000_000_000;
-        for wanted in &expected {
-            now_ns = by_caller.next_decision(now_ns).unwrap().room_ns;
-            by_caller.decide_corrected(&row.repeat(5)).unwrap();
-            assert_eq!(by_caller.room().actuator(0).angles(), wanted);
-        }
-        assert!(expected.len() > 40, "{}", expected.len());
-        expected
-    };
-    // A certain tilt, and none.
-    assert_ne!(angles_with([0.4, 0.1, -1.0]), angles_with([0.0; 3]));
-}
-
-#[test]
-fn corrections_of_a_task_are_those_of_the_slots_users_and_change_the_run() {
-    let compact = TaskSettings {
-        action: ActionForm::Compact,
-        observation: ObservationForm::Evidence,
-        ..TaskSettings::closed_loop(scenario("hall", &[]))
-    };
-    let rewards_with = |row: [f32; 3]| -> Vec<f64> {
-        let mut task = Task::new(compact.clone(), 5).unwrap();
-        let mut seen = vec![0.0; task.observation_len()];
-        task.write_observation(&mut seen);
-        assert_eq!((task.action_len(), seen.len()), (30, 10 * FEATURES));
-        let used = |row: &[f32]| row.iter().any(|value| *value != 0.0);
-        let slots: Vec<bool> = seen.chunks_exact(FEATURES).map(used).collect();
-        assert_eq!(slots, [[true; 5], [false; 5]].concat(), "one row for each user");
-        let mut action = row.repeat(5);
-        // What an empty slot holds does not matter.
-        action.extend([0.7, -0.7, 0.7].repeat(5));
-        (0..40).map(|_| task.step(&action).unwrap().reward).collect()
-    };
-    assert_ne!(rewards_with([0.4, 0.1, -1.0]), rewards_with([0.0; 3]));
-    assert_eq!(rewards_with([0.0; 3]), rewards_with([0.0; 3]));
-}
-
-#[test]
-fn corrections_need_a_closed_loop() {
-    let known = TaskSettings::of_true_state(scenario("specular", &[]));
-    for settings in [
-        TaskSettings { action: ActionForm::Compact, ..known.clone() },
-        TaskSettings { observation: ObservationForm::Evidence, ..known },
-    ] {
-        let refusal = Task::new(settings, 1).err().unwrap().to_string();
-        assert!(refusal.contains("closed-loop"), "{refusal}");
-    }
 }
 
 #[test]

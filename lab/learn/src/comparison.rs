@@ -9,7 +9,7 @@
 //!   reports that are sparse, late and noisy, and its commands turn mirrors with their dynamics.
 //!   The oracle observes the true state, and its mirrors turn at once.
 //!
-//! A learned policy is evaluated once per built-in actor; actors differ in their training seed.
+//! A learned policy is evaluated once for each training seed with an actor.
 //! Each actor is evaluated on every state. The confidence interval includes variation across states
 //! and across training seeds.
 //!
@@ -30,6 +30,7 @@ mod settings;
 mod stale_aim;
 mod static_states;
 mod tracked_user;
+mod trained;
 
 use std::time::Duration;
 

@@ -5,14 +5,10 @@
 //! - [`features`], [`angle_state`]: the observation vector as inputs of a network.
 //! - [`target_user`]: the user whom the mirrors can help most, as the state of the codebook
 //!   learners.
-//! - [`reported`]: rooms that a controller knows by reports only, for `residual` and `lstm`;
-//!   [`outlook`]: what other corrections would give in them.
 //! - [`codebook`]: the codewords, which are the actions of the codebook learners.
 
 pub mod codebook;
 pub mod features;
-pub mod outlook;
-pub mod reported;
 pub mod target_user;
 
 pub use heliostat_environment::{angle_state, room};

@@ -1,11 +1,8 @@
 //! The learners, one file each, and the table of algorithms.
 //!
 //! - [`ddpg`]: DDPG with one weight for each user as the action.
-//! - [`td3`], [`sac`], [`ppo`]: newer algorithms with the same action.
-//! - [`ddpg_raw`], [`ddpg_basis`]: DDPG with the angles of all mirrors as the action.
+//! - [`ddpg_raw`]: DDPG with the angles of all mirrors as the action.
 //! - [`analytic`]: the network of `ddpg`, trained by the gradient through the channel.
-//! - [`residual`]: corrections of the belief by channel residuals, for any room.
-//! - [`lstm`]: predictions of positions by the last reports, for any room.
 //! - [`dql`]: deep Q-learning on a codebook of angles.
 //! - [`q_learning`], [`sarsa`]: tabular learning on the codebook; [`table`] is the table.
 //!
@@ -13,17 +10,11 @@
 
 pub mod analytic;
 pub mod ddpg;
-pub mod ddpg_basis;
 pub mod ddpg_raw;
 pub mod dql;
-pub mod lstm;
-pub mod ppo;
 pub mod q_learning;
-pub mod residual;
-pub mod sac;
 pub mod sarsa;
 pub mod table;
-pub mod td3;
 
 use crate::training::Algorithm;
 
@@ -31,13 +22,7 @@ use crate::training::Algorithm;
 pub const ALGORITHMS: &[Algorithm] = &[
     ddpg::ALGORITHM,
     ddpg_raw::ALGORITHM,
-    ddpg_basis::ALGORITHM,
-    td3::ALGORITHM,
-    sac::ALGORITHM,
-    ppo::ALGORITHM,
     analytic::ALGORITHM,
-    residual::ALGORITHM,
-    lstm::ALGORITHM,
     dql::ALGORITHM,
     q_learning::ALGORITHM,
     sarsa::ALGORITHM,

@@ -4,10 +4,7 @@
 pub mod actor;
 pub mod adam;
 pub mod critic;
-pub mod gaussian;
 pub mod layers;
-pub mod lstm;
-pub mod patterns;
 
 pub use adam::Adam;
 pub use layers::{Encoder, Linear, Network, Shape, assign, soft_update};

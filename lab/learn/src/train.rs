@@ -4,16 +4,13 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
-use clap::ValueEnum;
 use heliostat_core::observation::{OBSERVATION_VERSION, USERS_CAPACITY};
-use heliostat_core::policy::PolicyKind;
-use heliostat_core::policy::actor_file::key;
+use heliostat_core::policy::{NameParser, actor_file::key};
 use heliostat_models::shipped;
 use heliostat_scenario::{Scenario, ScenarioArgs};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::evaluation::{HeldOut, Score};
-use crate::learners::residual::FineTuning;
 use crate::networks::on_one_thread;
 use crate::training::card::{Card, ScoreRow, hardware};
 use crate::training::checkpoint;
@@ -28,7 +25,7 @@ use crate::training::{Algorithm, Preset, Training};
 #[derive(Clone, Debug, clap::Args)]
 pub struct TrainArgs {
     /// Algorithm
-    #[arg(value_enum)]
+    #[arg(value_enum, value_parser = NameParser::<Algorithm>::default())]
     algorithm: Algorithm,
     #[command(flatten)]
     scenario: ScenarioArgs,
@@ -41,10 +38,6 @@ pub struct TrainArgs {
     /// Steps in an episode, which overrides the preset
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     steps: Option<u32>,
-    /// Fine-tune a trained network of `residual` on the true future rate; --option from=FILE.onnx
-    /// gives the network, otherwise the built-in one of the seed
-    #[arg(long, value_enum, value_name = "METHOD")]
-    fine_tune: Option<FineTuning>,
     /// Override one hyperparameter, for example exploration.start=0.2 (repeatable); an unknown key
     /// lists all keys
     #[arg(long = "option", value_name = "KEY=VALUE")]
@@ -91,11 +84,6 @@ pub fn run_train(args: TrainArgs, stop_requested: StopRequested<'_>) -> anyhow::
 
 fn train(args: &TrainArgs, stop_requested: StopRequested<'_>) -> anyhow::Result<()> {
     let scenario = args.scenario.load_arrays()?;
-    anyhow::ensure!(
-        args.fine_tune.is_none() || args.algorithm.policy == PolicyKind::Residual,
-        "--fine-tune with the algorithm {}: expected residual",
-        args.algorithm.name
-    );
     let mut training = args.algorithm.begin(scenario, args.preset, &args.changes())?;
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
     let checkpoint = args.out.join("checkpoint.safetensors");
@@ -115,9 +103,6 @@ fn train(args: &TrainArgs, stop_requested: StopRequested<'_>) -> anyhow::Result<
         bail!(interrupted(&mut training, args, &checkpoint)?);
     }
     let duration = (!resumed).then(|| start.elapsed());
-    if !training.learner().is_scored() {
-        return finish(&training, args, duration, &[]);
-    }
     match final_scores(&training, args.states as usize, stop_requested)? {
         Some(scores) => finish(&training, args, duration, &scores),
         None => bail!(interrupted(&mut training, args, &checkpoint)?),
@@ -139,8 +124,7 @@ fn interrupted(training: &mut Training, args: &TrainArgs, checkpoint: &Path) -> 
 impl TrainArgs {
     /// All overrides of the preset.
     fn changes(&self) -> Vec<String> {
-        let mut changes: Vec<String> = self.fine_tune.map(FineTuning::option).into_iter().collect();
-        changes.extend(self.options.iter().cloned());
+        let mut changes = self.options.clone();
         changes.extend(self.episodes.map(|count| format!("episodes={count}")));
         changes.extend(self.steps.map(|count| format!("steps={count}")));
         changes
@@ -154,8 +138,6 @@ impl TrainArgs {
         let mut command = format!("heliostat train {algorithm} --scenario {scenario} --seed {seed}{preset}");
         let mut add = |flag: &str, value: &str| command.extend([" ", flag, " ", &quoted(value)]);
         self.scenario.overrides.iter().for_each(|text| add("--set", text));
-        let method = self.fine_tune.and_then(|method| method.to_possible_value());
-        method.iter().for_each(|method| add("--fine-tune", method.get_name()));
         self.options.iter().for_each(|text| add("--option", text));
         self.episodes.iter().for_each(|count| add("--episodes", &count.to_string()));
         self.steps.iter().for_each(|count| add("--steps", &count.to_string()));
@@ -199,8 +181,7 @@ fn learn(
     bar.set_style(ProgressStyle::with_template("{bar:32} {pos}/{len} episodes  {msg}")?);
     bar.set_message("solving held-out states");
     bar.set_position(training.episodes_done() as u64);
-    let scored = training.learner().is_scored();
-    let mut states = if scored { training_states(training.scenario())? } else { HeldOut::default() };
+    let mut states = training_states(training.scenario())?;
     let (mut pace, mut quality) = (Pace::default(), String::new());
     while training.episodes_done() < episodes && !stop_requested() {
         let begun = Instant::now();
@@ -208,12 +189,9 @@ fn learn(
         pace.add_episode(begun.elapsed());
         let due = episode.number % every == 0 || episode.number == episodes;
         let begun = Instant::now();
-        let score = if due && scored { Some(states.score(|room| training.act(room))?) } else { None };
+        let score = if due { Some(states.score(|room| training.act(room))?) } else { None };
         curve.add(&episode, score.as_ref())?;
         bar.inc(1);
-        if due && !scored {
-            checkpoint::save(training, checkpoint)?;
-        }
         if let Some(score) = score {
             checkpoint::save(training, checkpoint)?;
             pace.add_evaluation(begun.elapsed());

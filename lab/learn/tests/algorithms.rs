@@ -32,13 +32,8 @@ fn begin(algorithm: Algorithm, mode: &str, seed: u64) -> Training {
 fn short(algorithm: Algorithm) -> &'static [&'static str] {
     match algorithm.name {
         "ddpg" | "ddpg-raw" => &["warm_up=10", "batch=8", "replay=20"],
-        "ddpg-basis" => &["warm_up=10", "batch=8", "replay=20", "td3=true", "gamma=0.5"],
-        "td3" => &["warm_up=10", "batch=8", "replay=20"],
-        "sac" => &["warm_up=10", "batch=8", "replay=20", "gamma=0.5"],
-        "ppo" => &["room_count=2", "batch=8", "epochs=2", "gamma=0.5"],
         "analytic" => &["batch=3"],
         "dql" => &["warm_up=10", "batch=8", "replay=20", "steps_per_update=2"],
-        "residual" | "lstm" => &["room_count=1", "room_s=2", "batch=32"],
         _ => &[],
     }
 }
@@ -100,10 +95,7 @@ fn a_resumed_run_equals_an_uninterrupted_run() {
 
 #[test]
 fn exported_graphs_give_the_learners_angles() {
-    // The graphs of residual and lstm give corrections; lab/learn/tests/residual.rs and lstm.rs
-    // evaluate them.
-    let gives_angles = |algorithm: &&Algorithm| !["residual", "lstm"].contains(&algorithm.name);
-    for algorithm in Algorithm::value_variants().iter().filter(gives_angles) {
+    for algorithm in Algorithm::value_variants() {
         for mode in ["specular", "paper-calibrated"] {
             let mut training = begin(*algorithm, mode, 5);
             run(&mut training, EPISODES);

@@ -20,7 +20,7 @@ and rates are in Mbit/s.
 """
 
 from . import envs as envs
-from ._core import BELIEF_COLUMNS, BUILTIN_SCENARIOS, EVIDENCE_FEATURES, __version__, held_out_seed, policy_names
+from ._core import BELIEF_COLUMNS, BUILTIN_SCENARIOS, __version__, held_out_seed, policy_names
 from .envs import HeliostatEnv
 from .evaluation import Score, evaluate
 from .export import export_onnx
@@ -32,7 +32,6 @@ from .vector import HeliostatVectorEnv
 __all__ = [
     "BELIEF_COLUMNS",
     "BUILTIN_SCENARIOS",
-    "EVIDENCE_FEATURES",
     "HeliostatEnv",
     "HeliostatVectorEnv",
     "Policy",

@@ -14,7 +14,6 @@ _Bool: TypeAlias = NDArray[np.bool_]
 __version__: str
 BELIEF_COLUMNS: list[str]
 BUILTIN_SCENARIOS: list[str]
-EVIDENCE_FEATURES: int
 INSTANTS: int
 KINDS: dict[str, int]
 STOP_RECORD_MAX: int

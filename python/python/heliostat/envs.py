@@ -116,14 +116,10 @@ class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
         overrides: keys of the scenario as "users.count", with their values.
         dynamics: "static" (true state, instant mirrors) or "closed-loop" (reports, belief, mirror dynamics). A step
             of a closed loop is the time between two position reports.
-        action: "angles" (roll of each mirror, then yaw of each, over the range of an axis), "weights" (one for each
-            slot; the decoder computes the angles) or, in closed loop, "compact" (three numbers for each slot, which
-            correct the belief about how the user holds the receiver; the policy greedy then decides). All components
-            are in [-1, 1].
+        action: "angles" (roll of each mirror, then yaw of each, over the range of an axis) or "weights" (one for each
+            slot; the decoder computes the angles). All components are in [-1, 1].
         observation: "flat" (the vector that the controller gives to an actor), "dict" (its parts by name, with the
-            mask of the slots), "belief" (one row of `heliostat.BELIEF_COLUMNS` for each slot), "paper" or, in closed
-            loop, "evidence" (one row of `heliostat.EVIDENCE_FEATURES` values for each slot, as the action "compact"
-            needs; zeros in an empty slot).
+            mask of the slots), "belief" (one row of `heliostat.BELIEF_COLUMNS` for each slot) or "paper".
         reward: "shortfall" (a rate below the minimum is penalised) or "printed" (as in the paper).
         penalty: weight of the penalty.
         margin: factor on the minimum rates in the penalty.

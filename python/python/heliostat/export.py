@@ -16,8 +16,8 @@ from .envs import HeliostatEnv
 _OPSET = 17
 
 
-_OBSERVATIONS = {"angles": ("flat", "paper"), "weights": ("flat", "paper"), "compact": ("evidence",)}
-"""The observations that the controller can give to a network with each action."""
+_OBSERVATIONS = ("flat", "paper")
+"""The observations that the controller can give to a network."""
 
 
 def export_onnx(module: Any, env: HeliostatEnv | Any, path: str | os.PathLike[str]) -> Path:
@@ -27,28 +27,21 @@ def export_onnx(module: Any, env: HeliostatEnv | Any, path: str | os.PathLike[st
     nearest bound, as in the environment. The environment has the action "angles" or "weights", and the observation
     "flat" or "paper". With the action "weights" the file holds the decoder too.
 
-    With the action "compact" and the observation "evidence", `module` maps rows of `EVIDENCE_FEATURES` values, (k, n),
-    to rows of three numbers, (k, 3): one row for each user. The file then serves any number of users, any array and
-    any room.
-
     Needs PyTorch. Raises `ValueError` for a module whose file no controller accepts.
     """
     inner = getattr(env, "unwrapped", env)
     if not isinstance(inner, HeliostatEnv):
         raise TypeError(f"expected an environment of heliostat, found {type(inner).__name__}")
     action, observation = inner.action_form, inner.observation_form
-    known = _OBSERVATIONS[action]
-    if observation not in known:
-        names = " or ".join(f'"{name}"' for name in known)
-        raise ValueError(f"observation = {observation!r}: expected {names}, which the controller gives a network "
-                         f"with the action {action!r}")
+    if observation not in _OBSERVATIONS:
+        names = " or ".join(f'"{name}"' for name in _OBSERVATIONS)
+        raise ValueError(f"observation = {observation!r}: expected {names}, which the controller gives a network")
     try:
         import onnx as _  # For the exporter of PyTorch.
         import torch
     except ImportError as problem:
         raise ImportError('export_onnx needs PyTorch and onnx: pip install "heliostat[export]"') from problem
-    rows = inner.slots if action == "compact" else 1
-    inputs, outputs = (int(np.prod(space.shape or ())) // rows for space in (inner.observation_space, inner.action_space))
+    inputs, outputs = (int(np.prod(space.shape or ())) for space in (inner.observation_space, inner.action_space))
     file = io.BytesIO()
     was_training = module.training
     module.eval()
@@ -57,18 +50,16 @@ def export_onnx(module: Any, env: HeliostatEnv | Any, path: str | os.PathLike[st
             # PyTorch announces that this exporter will be replaced by one that needs further
             # packages.
             warnings.simplefilter("ignore", DeprecationWarning)
-            example = torch.zeros(rows, inputs)
-            found, expected = tuple(module(example).shape), (rows, outputs)
+            example = torch.zeros(1, inputs)
+            found, expected = tuple(module(example).shape), (1, outputs)
             if found != expected:
-                what = "one observation" if rows == 1 else f"rows of the shape {tuple(example.shape)}"
-                raise ValueError(f"the module returns the shape {found} for {what}, expected {expected}")
+                raise ValueError(f"the module returns the shape {found} for one observation, expected {expected}")
             torch.onnx.export(
                 module,
                 (example,),
                 file,
                 input_names=["input"],
                 output_names=["output"],
-                dynamic_axes={"input": {0: "rows"}} if action == "compact" else None,
                 opset_version=_OPSET,
                 dynamo=False,
             )

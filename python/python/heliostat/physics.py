@@ -107,9 +107,8 @@ class Room:
 class Policy:
     """A policy of the controller by its name, or an actor from the path of its ONNX file.
 
-    A learned policy by its name is the actor that is built in for the room, of training seed 1. `residual` corrects a
-    belief, so that with true positions it decides as `greedy`. A graph of dense layers runs on the controller's dense
-    engine. Another file runs on a reference evaluation, which is slow and meant for checks.
+    A learned policy by its name is the actor that is built in for the room, of training seed 1. A graph of dense layers
+    runs on the controller's dense engine. Another file runs on a reference evaluation, which is slow and meant for checks.
     """
 
     def __init__(

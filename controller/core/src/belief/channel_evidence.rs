@@ -26,7 +26,6 @@ use crate::belief::{
     occupancy::Occupancy,
     posture::TiltEvidence,
     readings::{MeasuredGains, Readings},
-    residual::GainResidual,
     tilt::Tilt,
 };
 use serving::Serving;
@@ -147,19 +146,6 @@ impl ChannelEvidence {
     ) {
         self.angles_known = angles.is_some();
         self.expected.update(model, places, obstacles, angles, unusable);
-    }
-
-    /// The measured gains of a user, direct and over the mirrors, beside the expected ones of the
-    /// receiver as evaluated.
-    pub fn residual(&self, user: usize, [los, irs]: [f64; 2]) -> GainResidual {
-        let expected = &self.expected;
-        let led = expected.steering_led(user);
-        GainResidual {
-            los: [los, expected.strongest(user)],
-            irs: [irs, expected.gains(user, led).iter().sum()],
-            steering: if self.angles_known { expected.steering(user, led) } else { 0.0 },
-            ..GainResidual::default()
-        }
     }
 
     /// Updates what is believed about a user, and the map, by the user's measured gains.

@@ -10,7 +10,7 @@ use super::{
     array_output::{copy_narrowed, copy_widened},
 };
 use crate::{
-    observe::observer::{Correctable, LosSource},
+    observe::observer::LosSource,
     output::{
         outcome::{Decision, DegradedMode, Stage, Timing},
         safety::Clipped,
@@ -46,23 +46,6 @@ impl Controller {
         self.proposed.roll.copy_from_slice(&angles.roll);
         self.proposed.yaw.copy_from_slice(&angles.yaw);
         self.is_proposed = true;
-        self.decide(observed, now, &mut |_| {})
-    }
-
-    /// Decides as [`poll_command`](Self::poll_command), with the corrections of the caller in place
-    /// of the policy's. Shape of `corrections`: K *
-    /// [`Correction::VALUES`](crate::correction::Correction::VALUES), row-major.
-    ///
-    /// No effect of the corrections where the policy does not read evidence.
-    pub fn poll_corrected(&mut self, observed: Observed, now: Nanos, corrections: &[f32]) -> Decision<'_> {
-        let Self { model, inbox, observer, observation, .. } = self;
-        let correct = &mut |part: Correctable<'_>| {
-            if let Correctable::Receivers(evidence) = part {
-                evidence.correct(corrections);
-            }
-        };
-        observer.observe(model, inbox, (now, correct), observation);
-        self.observe_arrays();
         self.decide(observed, now, &mut |_| {})
     }
 
@@ -105,10 +88,9 @@ impl Controller {
         self.execute((due.action, due.mode), tick, now, mark)
     }
 
-    /// Fills the observation, with the corrections of the policy.
+    /// Fills the observation.
     pub(super) fn fill_observation(&mut self, now: Nanos) -> Option<LosSource> {
-        let Self { model, inbox, observer, observation, policy, .. } = self;
-        observer.observe(model, inbox, (now, &mut |part| policy.correct(part)), observation)
+        self.observer.observe(&self.model, &self.inbox, now, &mut self.observation)
     }
 
     /// The action for a report without users: no angle is better than the last one.

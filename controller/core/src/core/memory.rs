@@ -7,7 +7,7 @@
 //! because each decision that reads one makes it.
 
 use heliostat_channel::MirrorAngles;
-use heliostat_proto::{ControllerInput, MirrorCommand, StateError, decode, decode_state, encode, encode_state};
+use heliostat_proto::{ControllerInput, MirrorCommand, Nanos, StateError, decode, decode_state, encode, encode_state};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -20,9 +20,8 @@ use super::{
 use crate::{
     belief::memory::{AbsentMemory, DeviceMemory, LaterMemories, TiltMemory},
     input::inbox::memory::{ArrayInboxMemory, InboxMemory, OrientationMemory},
-    observe::{evidence::EvidenceMemory, observer::memory::ObserverMemory, walk_history::WalkMemory},
-    output::guard::GuardMemory,
-    output::safety::check_finite,
+    observe::observer::memory::ObserverMemory,
+    output::{guard::GuardMemory, safety::check_finite},
     policy::FallbackMemory,
 };
 
@@ -30,14 +29,19 @@ use crate::{
 const LAYOUT: u32 = 6;
 /// The layout that ends before the orientations.
 const LAYOUT_WITHOUT_ORIENTATIONS: u32 = 1;
-/// The layout that ends before the arrays, the tilted receivers and the residuals.
+/// The layout that ends before the arrays and the tilted receivers.
 const LAYOUT_WITHOUT_ARRAYS: u32 = 2;
 /// The layout that ends before the devices.
 const LAYOUT_WITHOUT_DEVICES: u32 = 3;
-/// The layout that ends before the last reports about the users.
-const LAYOUT_WITHOUT_WALKS: u32 = 4;
+/// The layout that ends before the positions of former policies.
+const LAYOUT_WITHOUT_POSITIONS: u32 = 4;
 /// The layout that ends before the number of absent users.
 const LAYOUT_WITHOUT_ABSENT: u32 = 5;
+
+/// What policies of earlier versions kept of channel reports, and of positions, for each user. It is
+/// read, so that their recordings replay under another policy, and written empty.
+type FormerReadings = (Vec<(u32, Nanos, [f64; 5], [[f64; 5]; 3])>, [f64; 6], Nanos);
+type FormerPositions = Vec<(u32, usize, [(Nanos, [f64; 2], [f64; 2]); 10])>;
 
 /// The state of a controller.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -62,13 +66,11 @@ pub struct Memory {
     arrays: Vec<ArrayMemory>,
     /// What is believed about tilted receivers.
     tilt: TiltMemory,
-    /// The history of the channel residuals.
-    evidence: EvidenceMemory,
+    former_readings: FormerReadings,
     /// What orientation reports have shown of devices; after all fields of the third layout.
     devices: DeviceMemory,
-    /// The last reports about the users, where the policy predicts places; after all fields of the
-    /// fourth layout.
-    walks: WalkMemory,
+    /// After all fields of the fourth layout.
+    former_positions: FormerPositions,
     /// Which users are absent from the last report; after all fields of the fifth layout.
     absent: AbsentMemory,
 }
@@ -126,13 +128,13 @@ impl Memory {
                 if found <= LAYOUT_WITHOUT_ARRAYS {
                     complete.extend(encode_state(&Vec::<ArrayMemory>::new())?);
                     complete.extend(encode_state(&TiltMemory::default())?);
-                    complete.extend(encode_state(&EvidenceMemory::default())?);
+                    complete.extend(encode_state(&FormerReadings::default())?);
                 }
                 if found <= LAYOUT_WITHOUT_DEVICES {
                     complete.extend(encode_state(&DeviceMemory::default())?);
                 }
-                if found <= LAYOUT_WITHOUT_WALKS {
-                    complete.extend(encode_state(&WalkMemory::default())?);
+                if found <= LAYOUT_WITHOUT_POSITIONS {
+                    complete.extend(encode_state(&FormerPositions::default())?);
                 }
                 complete.extend(encode_state(&AbsentMemory::default())?);
                 Ok(Self { layout: LAYOUT, ..decode_state(&complete)? })
@@ -179,9 +181,9 @@ impl Controller {
             arrays: several.map(array).collect(),
             orientation: self.inbox.orientation_memory(),
             tilt: self.observer.tilt_memory(),
-            evidence: self.observer.evidence_memory(),
+            former_readings: FormerReadings::default(),
             devices: self.observer.device_memory(),
-            walks: self.observer.walk_memory(),
+            former_positions: FormerPositions::new(),
             absent: self.observer.absent_memory(),
             angles_rad: [self.observation.angles.roll.clone(), self.observation.angles.yaw.clone()],
         }
@@ -213,12 +215,6 @@ impl Controller {
         if !self.observer.restore(&memory.observer, later) {
             return Err(other("belief"));
         }
-        if !self.observer.restore_evidence(&memory.evidence) {
-            return Err(other("history of the channel residuals"));
-        }
-        if !self.observer.restore_walks(&memory.walks) {
-            return Err(other("last reports about the users"));
-        }
         self.policy.restore(&memory.policy);
         self.arrays[0].guard.restore(&memory.guard);
         self.arrays[0].commanded_ns = memory.has_command.then_some(command.time_ns);
@@ -228,6 +224,7 @@ impl Controller {
         self.observation.set_angles(&angles);
         Ok(())
     }
+
     /// Replaces the states of several arrays.
     fn restore_arrays(&mut self, memories: &[ArrayMemory]) -> Result<(), MemoryError> {
         let other = |part| MemoryError::Scenario { part };

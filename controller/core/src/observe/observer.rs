@@ -19,16 +19,12 @@
 //! the age of the report, the settling time of the mirrors, and half of the interval until the next
 //! report. No user is predicted to leave the room.
 //!
-//! A policy that predicts places itself replaces the place of each user ([`WalkHistory`]), whatever
-//! the belief; headings and gains stay those of the belief.
-//!
 //! With the filter, measured gains show headings and unreported obstacles. The gain of the direct
 //! path is then that of the model at the predicted place, or 0 where it is blocked: by the latest
 //! measurement where all obstacles are reported, and otherwise by what the filter believes.
 
 mod beliefs;
 pub mod memory;
-mod places;
 
 use heliostat_channel::{ChannelModel, Orientation, Vec3, blockage::Cylinder};
 use heliostat_proto::{
@@ -37,19 +33,12 @@ use heliostat_proto::{
 use heliostat_scenario::Scenario;
 
 use crate::{
-    belief::{
-        Belief, Estimate,
-        body::Body,
-        heading::HEADING_KNOWN,
-        posture::{self, Posture},
-    },
+    belief::{Belief, Estimate, body::Body, heading::HEADING_KNOWN, posture::Posture},
     input::inbox::Inbox,
     observe::{
-        evidence::{Believed, Evidence},
         observation::{Observation, RoomState},
         prediction::{Predicted, Prediction},
         slots::Slots,
-        walk_history::WalkHistory,
     },
 };
 
@@ -86,24 +75,7 @@ pub struct Observer {
     unobstructed: Vec<f64>,
     /// All false: blockage of unknown cause shows in measured gains.
     forced: Vec<bool>,
-    /// Slot by slot.
-    estimates: Vec<Option<Estimate>>,
-    /// Absent where the policy corrects nothing.
-    evidence: Option<Evidence>,
-    /// Absent where the policy predicts no places.
-    walks: Option<WalkHistory>,
 }
-
-/// A part of the belief that a policy may change for an observation.
-pub enum Correctable<'a> {
-    /// Where the users are while the command is in force.
-    Places(&'a mut WalkHistory),
-    /// How they hold their receivers.
-    Receivers(&'a mut Evidence),
-}
-
-/// Writes the predictions and corrections of a policy for the rows of an observation.
-pub type Correct<'a> = &'a mut dyn FnMut(Correctable<'_>);
 
 /// Where the gains of the direct paths came from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -138,24 +110,7 @@ impl Observer {
             blockers: Vec::with_capacity(MAX_OBSTACLES + MAX_USERS),
             unobstructed: vec![1.0; model.mirrors.columns()],
             forced: Vec::with_capacity(MAX_USERS),
-            estimates: Vec::with_capacity(MAX_USERS),
-            evidence: None,
-            walks: None,
         }
-    }
-
-    /// Keeps the evidence that a policy corrects the belief by, or does not. Allocates where it
-    /// begins; no effect where it continues.
-    pub fn keep_evidence(&mut self, keeps: bool) {
-        if keeps != self.evidence.is_some() {
-            self.evidence = keeps.then(Evidence::default);
-            self.prediction.keep_residuals(keeps);
-        }
-    }
-
-    /// The evidence of the last observation; absent where the policy corrects nothing.
-    pub fn evidence(&self) -> Option<&Evidence> {
-        self.evidence.as_ref()
     }
 
     /// Extends the prediction by the settling time of the mirrors, in s, where users are predicted.
@@ -166,10 +121,6 @@ impl Observer {
     /// Takes an accepted position report. Call it once for each, before [`observe`](Self::observe).
     pub fn handle_users(&mut self, report: &UserReport) {
         self.prediction.handle_users(report);
-        let renumbered = self.prediction.belief().map_or(&[][..], Belief::renumbered);
-        self.evidence.iter_mut().for_each(|evidence| evidence.forget_users(renumbered));
-        self.walks.iter_mut().for_each(|walks| walks.forget_users(renumbered));
-        self.walks.iter_mut().for_each(|walks| walks.handle_users(report));
     }
 
     /// Takes an accepted orientation report. Call it once for each.
@@ -182,9 +133,6 @@ impl Observer {
         let Some(report) = inbox.last_channel() else { return };
         self.place_obstacles(inbox);
         self.prediction.handle_channel(model, report, &self.blockers, inbox.unusable());
-        if let (Some(evidence), Some(belief)) = (&mut self.evidence, self.prediction.belief()) {
-            evidence.handle_channel(report.stamp.time_ns, belief.residuals());
-        }
     }
 
     /// Notes a command that was given.
@@ -214,25 +162,21 @@ impl Observer {
         self.prediction.forget();
         self.slots.clear();
         self.headings.clear();
-        self.evidence.iter_mut().for_each(Evidence::forget);
-        self.walks.iter_mut().for_each(WalkHistory::forget);
     }
 
     /// Fills an observation from the latest reports at `now`; `None` without a position report.
-    /// `correct` may correct the belief about each user, where walks or evidence are kept.
     ///
     /// Does not allocate.
     pub fn observe(
         &mut self,
         model: &ChannelModel,
         inbox: &Inbox,
-        (now, correct): (Nanos, Correct<'_>),
+        now: Nanos,
         into: &mut Observation,
     ) -> Option<LosSource> {
         let report = inbox.users()?;
         let age_s = now.saturating_sub(report.stamp.time_ns) as f64 * 1e-9;
         self.place_users(report, age_s);
-        self.predict_places(age_s, correct);
         let held = inbox.orientation(now);
         self.orientations.clear();
         let users = self.slots.ids().iter().zip(self.headings.iter().zip(&self.velocities));
@@ -241,7 +185,6 @@ impl Observer {
             let believed = self.prediction.orientation(*user, age_s, motion);
             believed.unwrap_or_else(|| self.posture.of(held, *user, motion))
         }));
-        self.correct(model, held, correct);
         let is_tilted = self.orientations.iter().any(|held| *held != Orientation::UPRIGHT);
         self.place_blockers(inbox);
         into.set_state(
@@ -280,14 +223,12 @@ impl Observer {
         self.direct_clear.clear();
         self.min_rate_bps.clear();
         self.forced.clear();
-        self.estimates.clear();
         for (slot, id) in slots.ids().iter().enumerate() {
             let same_place = report.users.get(slot).filter(|user| user.user == *id);
             let Some(user) = same_place.or_else(|| report.users.iter().find(|user| user.user == *id)) else { continue };
             let Predicted { position, velocity, estimate } = prediction.predict(user, age_s);
             self.positions.push(position);
             self.velocities.push(velocity);
-            self.estimates.push(estimate);
             self.direct_clear.push(estimate.map(|estimate| estimate.direct_clear));
             match estimate {
                 Some(estimate) => headings[slot] = direction(&estimate),
@@ -296,22 +237,6 @@ impl Observer {
             }
             self.min_rate_bps.push(f64::from(user.min_rate_bps));
             self.forced.push(false);
-        }
-    }
-
-    /// Lets the policy correct the orientations that are not in this report.
-    fn correct(&mut self, model: &ChannelModel, held: Option<&OrientationReport>, correct: Correct<'_>) {
-        let Some(evidence) = &mut self.evidence else { return };
-        evidence.begin();
-        for ((user, estimate), orientation) in self.slots.ids().iter().zip(&self.estimates).zip(&self.orientations) {
-            let Some(estimate) = *estimate else { return };
-            evidence.add(model, &Believed { user: *user, estimate, orientation: *orientation });
-        }
-        correct(Correctable::Receivers(evidence));
-        let is_reported = |user: &u32| posture::reported(held, *user).is_some();
-        evidence.discard_where(self.slots.ids().iter().map(is_reported));
-        for (orientation, correction) in self.orientations.iter_mut().zip(evidence.corrections()) {
-            *orientation = correction.orientation(*orientation);
         }
     }
 

@@ -122,16 +122,6 @@ impl Prediction {
         self.lead.ahead_s(0.0)
     }
 
-    /// Half of the lengths of the room along x and y in m.
-    pub fn half_room_m(&self) -> [f64; 2] {
-        self.lead.half_room_m
-    }
-
-    /// The nearest position within the room.
-    pub fn within_room(&self, position: Vec3) -> Vec3 {
-        self.lead.within_room(position)
-    }
-
     /// Takes an accepted channel report; see [`Belief::handle_channel`].
     pub fn handle_channel(
         &mut self,
@@ -181,13 +171,6 @@ impl Prediction {
         match &self.method {
             Method::Filter(belief) => Some(belief),
             Method::AsReported | Method::ConstantVelocity => None,
-        }
-    }
-
-    /// Keeps the residuals of each channel report from now on, or does not.
-    pub fn keep_residuals(&mut self, keeps: bool) {
-        if let Method::Filter(belief) = &mut self.method {
-            belief.keep_residuals(keeps);
         }
     }
 

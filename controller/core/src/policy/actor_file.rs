@@ -15,6 +15,7 @@ use heliostat_scenario::Scenario;
 use prost::Message;
 use thiserror::Error;
 
+use super::removed::{Removed, removed};
 use crate::observe::observation::{OBSERVATION_VERSION, ObservationEncoder};
 
 /// Longest text of a file that a message repeats, in characters.
@@ -25,15 +26,8 @@ pub const INPUT_NAME: &str = "observation";
 /// Name of the network's only output.
 pub const OUTPUT_NAME: &str = "angles";
 
-/// Name of the only output of a network with the compact action.
-pub const CORRECTIONS_NAME: &str = "corrections";
-/// The action of a network that corrects the belief.
-pub const COMPACT: &str = "compact";
 /// The action of a network that gives the angles; that of a file without an entry.
 pub const ANGLES: &str = "angles";
-
-/// Action and name of the only output of a network that predicts places.
-pub const DISPLACEMENTS_NAME: &str = "displacements";
 
 /// The keys of the metadata that every actor carries.
 pub mod key {
@@ -45,9 +39,7 @@ pub mod key {
     pub const USERS_MAX: &str = "heliostat.users_max";
     /// Number of mirrors.
     pub const MIRRORS: &str = "heliostat.mirrors";
-    /// What the output is: [`COMPACT`](super::COMPACT),
-    /// [`DISPLACEMENTS_NAME`](super::DISPLACEMENTS_NAME), or [`ANGLES`](super::ANGLES) where the
-    /// entry is missing.
+    /// What the output is: [`ANGLES`](super::ANGLES), also where the entry is missing.
     pub const ACTION: &str = "heliostat.action";
     /// Channel mode that the actor was trained in.
     pub const MODE: &str = "heliostat.mode";
@@ -86,7 +78,7 @@ pub enum ActorError {
     },
     /// No policy has the action.
     #[error(
-        "{origin} has the unknown action {found}, expected \"{ANGLES}\", \"{COMPACT}\" or \"{DISPLACEMENTS_NAME}\": \
+        "{origin} has the unknown action {found}, expected \"{ANGLES}\": \
          correct its metadata \"{}\", or export the actor again with `heliostat train`",
         key::ACTION
     )]
@@ -95,6 +87,14 @@ pub enum ActorError {
         origin: String,
         /// The action found.
         found: String,
+    },
+    /// The action was removed.
+    #[error("{origin}: {removed}")]
+    RemovedAction {
+        /// The file.
+        origin: String,
+        /// What was removed.
+        removed: Removed,
     },
     /// Inputs or outputs have other names or another number.
     #[error("{origin} has {side} {found:?}, expected exactly one, \"{expected}\"")]
@@ -267,8 +267,11 @@ impl ActorInfo {
             return Err(ActorError::NoMetadata { origin: file.origin.clone() });
         }
         let reader = MetadataReader { origin: &file.origin, entries: &entries };
-        if let Some(action) = reader.find(key::ACTION).filter(|action| ![ANGLES, COMPACT].contains(&action.as_str())) {
-            return Err(ActorError::Action { origin: origin.clone(), found: quoted(action) });
+        if let Some(action) = reader.find(key::ACTION).filter(|action| *action != ANGLES) {
+            return Err(match removed(action) {
+                Some(removed) => ActorError::RemovedAction { origin: origin.clone(), removed },
+                None => ActorError::Action { origin: origin.clone(), found: quoted(action) },
+            });
         }
         let info = Self {
             observation_version: reader.number(key::OBSERVATION_VERSION)?,
@@ -361,7 +364,7 @@ impl ActorInfo {
 }
 
 /// The beginning of a text of a file, in quotation marks and without control characters.
-pub(super) fn quoted(text: &str) -> String {
+fn quoted(text: &str) -> String {
     format!("{:?}", text.chars().take(QUOTED_MAX).collect::<String>())
 }
 

@@ -13,7 +13,7 @@ use crate::observe::{observation::Observation, slots::Slots};
 
 /// Passes of single mirror moves after the fixed point; docs/evaluation.md compares the result with
 /// the oracle.
-pub(super) const GREEDY_PASSES: usize = 3;
+const GREEDY_PASSES: usize = 3;
 
 /// The damped fixed point over the users' weights, started from the last solution, with or without
 /// single mirror moves after it; or the oracle.

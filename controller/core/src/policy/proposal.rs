@@ -10,11 +10,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::{
-    observe::{
-        evidence::Evidence,
-        observation::{EncodeError, Observation},
-        walk_history::WalkHistory,
-    },
+    observe::observation::{EncodeError, Observation},
     output::safety::NotFinite,
 };
 
@@ -40,24 +36,6 @@ pub trait Policy: Send {
         observation: &Observation,
         out: &mut MirrorAngles,
     ) -> Result<(), PolicyError>;
-
-    /// Whether it corrects the belief by evidence from channel reports; the core then keeps it.
-    fn reads_evidence(&self) -> bool {
-        false
-    }
-
-    /// Corrects the belief about the users, before their observation is made for
-    /// [`act`](Self::act). A failure is returned by that call.
-    fn correct(&mut self, _: &mut Evidence) {}
-
-    /// Whether it predicts the places of users by their last reports; the core then keeps these.
-    fn reads_walks(&self) -> bool {
-        false
-    }
-
-    /// Predicts the places of the users, before their observation is made for [`act`](Self::act). A
-    /// failure is returned by that call.
-    fn predict(&mut self, _: &mut WalkHistory) {}
 
     /// The largest number of users that it serves; it leaves out the others of an observation.
     fn users_max(&self) -> usize {

@@ -1,16 +1,15 @@
 //! The table of policies: names, help texts, and how each policy is built for a room.
 
 use clap::ValueEnum;
-use heliostat_channel::{ChannelError, solver::SolverError};
+use heliostat_channel::solver::SolverError;
 use heliostat_scenario::{Fallback, Scenario};
 use thiserror::Error;
 
 use super::actor::Actor;
 use super::actor_file::{ActorError, ActorFile};
-use super::compact_file::{CORRECTIONS, CompactError, DISPLACEMENTS, RowKind};
-use super::corrected::Corrected;
 use super::engine::Engine;
 use super::proposal::{Policy, TimeSource};
+use super::removed::removed;
 use crate::output::safety::Limits;
 use Recipe::{Direct, Learned};
 
@@ -20,17 +19,11 @@ pub enum BuildError {
     /// The actor is missing or does not fit.
     #[error(transparent)]
     Actor(#[from] ActorError),
-    /// The compact actor is of another kind.
-    #[error(transparent)]
-    Compact(#[from] CompactError),
     /// The search space is too large, or continuous.
     #[error(
         "an exhaustive search cannot run here: {0}; use the policy oracle, which gives the same assignments in small rooms"
     )]
     Search(SolverError),
-    /// The scenario describes no channel.
-    #[error(transparent)]
-    Channel(#[from] ChannelError),
     /// A learned policy was to be built without its file.
     #[error("policy {policy} is learned: expected the file of its actor, found none")]
     ActorExpected {
@@ -74,22 +67,8 @@ policies! {
     /// Learned: DDPG with one weight per user (ONNX, as all learned policies)
     #[value(alias = "actor")]
     Ddpg: Learned,
-    /// Learned: greedy on a belief that a network corrects by channel residuals; one file for any
-    /// room
-    Residual: Learned,
-    /// Learned: greedy on positions that an LSTM predicts from the last reports; one file for any
-    /// room
-    Lstm: Learned,
     /// Learned: DDPG on the angles of all mirrors, as in the paper
     DdpgRaw: Learned,
-    /// Learned: as ddpg-raw, with a critic that reads smooth patterns of the angles
-    DdpgBasis: Learned,
-    /// Learned: TD3 with one weight per user
-    Td3: Learned,
-    /// Learned: SAC with one weight per user
-    Sac: Learned,
-    /// Learned: PPO with one weight per user
-    Ppo: Learned,
     /// Learned: by the gradient through the channel model
     Analytic: Learned,
     /// Learned: deep Q-learning on a codebook of angles
@@ -111,8 +90,6 @@ policies! {
     SineCosine: Direct(|room| super::sine_cosine::SineCosine::new(room.scenario, room.monotonic_ns).boxed()),
     /// Metaheuristic: particle swarm optimisation on the angles of all mirrors
     Pso: Direct(|room| super::pso::Pso::new(room.scenario, room.monotonic_ns).boxed()),
-    /// Model-based: each mirror takes the entry of its codebook that serves the user assigned to it
-    MirrorCodebook: Direct(|room| super::mirror_codebook::MirrorCodebook::new(room.scenario)?.boxed()),
     /// Each mirror serves the user with the largest steering gain
     Nearest: Direct(|_| super::nearest::Nearest::new().boxed()),
     /// One random draw per mirror, the same for the complete run
@@ -162,26 +139,18 @@ impl PolicyKind {
         self.to_possible_value().map(|value| value.get_name().to_owned()).expect("every policy has a name")
     }
 
+    /// The policy of a name, or why there is none: the sentence about a removed policy, otherwise
+    /// what `unknown` returns.
+    ///
+    /// # Errors
+    /// That text.
+    pub fn find(name: &str, unknown: impl FnOnce() -> String) -> Result<Self, String> {
+        Self::from_str(name, false).map_err(|_| removed(name).map_or_else(unknown, |removed| removed.to_string()))
+    }
+
     /// Whether the policy is a trained network, stored as an ONNX file.
     pub fn is_learned(self) -> bool {
         matches!(self.recipe(), Learned)
-    }
-
-    /// Whether the policy is a network that corrects the belief about one user at a time, so that
-    /// its file fits any room.
-    pub fn fits_any_room(self) -> bool {
-        matches!(self, Self::Residual | Self::Lstm)
-    }
-
-    /// What the network in the file of a learned policy is applied to: a row of each user, or, for
-    /// `None`, the complete observation. The file decides under the name of any policy but
-    /// `residual` and `lstm`.
-    pub fn rows(self, file: &ActorFile) -> Option<&'static RowKind> {
-        match self {
-            Self::Residual => Some(&CORRECTIONS),
-            Self::Lstm => Some(&DISPLACEMENTS),
-            _ => RowKind::of(file),
-        }
     }
 
     /// The names of all learned policies, separated by commas.
@@ -200,9 +169,6 @@ pub fn build(kind: PolicyKind, scenario: &Scenario, resources: &Resources<'_>) -
     match kind.recipe() {
         Learned => {
             let actor = resources.actor.ok_or_else(|| BuildError::ActorExpected { policy: kind.name() })?;
-            if let Some(rows) = kind.rows(actor) {
-                return Ok(load_rows(rows, kind, (actor, scenario), resources.engine)?);
-            }
             Actor::load(actor, scenario, resources.engine)?.named(kind.name()).boxed()
         }
         Direct(build) => build(&RoomFacts {
@@ -213,21 +179,6 @@ pub fn build(kind: PolicyKind, scenario: &Scenario, resources: &Resources<'_>) -
             monotonic_ns: resources.monotonic_ns,
         }),
     }
-}
-
-/// Loads a policy whose network is applied to a row of each user, for a room, under the name of
-/// `kind`.
-///
-/// # Errors
-/// [`CompactError`] where the file is of another kind, or the engine refuses it.
-pub fn load_rows(
-    rows: &'static RowKind,
-    kind: PolicyKind,
-    (file, scenario): (&ActorFile, &Scenario),
-    engine: &dyn Engine,
-) -> Result<Box<dyn Policy>, CompactError> {
-    let size = (scenario.users.count, scenario.mirror_count());
-    Ok(Box::new(Corrected::load(rows, file, size, engine)?.named(kind.name())))
 }
 
 /// Builds the policy that decides when another fails; `None` for `hold`, which publishes no

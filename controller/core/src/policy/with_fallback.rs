@@ -8,10 +8,7 @@ use super::{
     tally::Tallies,
     warm_up::warm_up,
 };
-use crate::{
-    observe::{observation::Observation, observer::Correctable},
-    output::safety,
-};
+use crate::{observe::observation::Observation, output::safety};
 
 /// The policy of a room, its fallback, and its last failure.
 pub struct WithFallback {
@@ -66,19 +63,6 @@ impl WithFallback {
     pub fn replace_policy(&mut self, policy: Box<dyn Policy>) -> Box<dyn Policy> {
         self.tallies.switch_to(policy.name());
         std::mem::replace(&mut self.policy, policy)
-    }
-
-    /// Whether the policy corrects the belief by evidence from channel reports.
-    pub fn reads_evidence(&self) -> bool {
-        self.policy.reads_evidence()
-    }
-
-    /// Lets the policy correct a part of the belief.
-    pub fn correct(&mut self, part: Correctable<'_>) {
-        match part {
-            Correctable::Places(walks) => self.policy.predict(walks),
-            Correctable::Receivers(evidence) => self.policy.correct(evidence),
-        }
     }
 
     /// Lets the policy propose angles, or the fallback if the policy fails.

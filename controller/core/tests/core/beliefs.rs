@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use heliostat_channel::{Vec3, blockage::Cylinder};
+use heliostat_channel::{MirrorAngles, Vec3, blockage::Cylinder, decode::aim_at_point};
 use heliostat_core::belief::{Belief, memory::LaterMemories};
 use heliostat_core::inbox::Message;
 use heliostat_core::policy::PolicyKind;
@@ -147,7 +147,7 @@ fn a_path_that_the_converter_cannot_resolve_shows_nothing() {
 }
 
 /// A belief in a room with this many rows and columns of mirrors, where reports may be late. Before each
-/// of 60 reports, 0.1 s apart, a command turned the mirrors.
+/// of 60 reports, 0.1 s apart, a command turned the mirrors: to the user, and flat from the 31st on.
 fn commanded([rows, columns]: [usize; 2]) -> (Scenario, Belief) {
     let mirrors = [format!("mirrors.rows={rows}"), format!("mirrors.columns={columns}")];
     let late = ["control.belief=\"filter\"", "control.report_age_max_ms=10000"];
@@ -155,15 +155,17 @@ fn commanded([rows, columns]: [usize; 2]) -> (Scenario, Belief) {
     let scenario = scenario(&[&[&mirrors[0][..], &mirrors[1]], &late[..], &small].concat());
     let model = scenario.channel_model().unwrap();
     let mut belief = Belief::new(&scenario, &model, 64);
-    belief.keep_residuals(true);
+    let mut aimed = MirrorAngles::flat(rows * columns);
+    aim_at_point(&model, &Vec3::new(1.0, 0.5, 0.85), &mut aimed);
     for tick in 1..=60 {
         let time_ns = tick * 100 * MS;
-        let angles = vec![0.01 * tick as f32; rows * columns];
+        let turned = if tick <= 30 { 1.0 } else { 0.0 };
+        let angles = |aimed: &[f64]| aimed.iter().map(|angle| (turned * angle) as f32).collect();
         belief.handle_command(&MirrorCommand {
             time_ns: time_ns - 50 * MS,
             validity_ms: 400,
-            roll: angles.clone(),
-            yaw: angles,
+            roll: angles(&aimed.roll),
+            yaw: angles(&aimed.yaw),
             ..MirrorCommand::default()
         });
         let user = UserState { user: 7, position_m: [1.0, 0.5, 0.85], ..UserState::default() };
@@ -178,16 +180,29 @@ fn a_restored_belief_knows_the_mirrors_of_a_late_measurement() {
     let (scenario, mut first) = commanded([3, 3]);
     let model = scenario.channel_model().unwrap();
     let mut second = Belief::new(&scenario, &model, 64);
-    second.keep_residuals(true);
     let (tilt, devices, absent) = (&first.tilt_memory(), &first.device_memory(), first.absent_memory());
     assert!(second.restore(&first.memory(), LaterMemories { tilt, devices, absent }));
+    // Later commands displace those before the measurement.
+    let mut unknown = first.clone();
+    for command in 0..200 {
+        unknown.handle_command(&MirrorCommand {
+            time_ns: 7000 * MS + command,
+            validity_ms: 400,
+            roll: vec![0.0; 9],
+            yaw: vec![0.0; 9],
+            ..MirrorCommand::default()
+        });
+    }
     // A measurement of 4 s before the last report.
     let stamp = Stamp { source: 1, sequence: 61, time_ns: 2000 * MS };
-    let measured = UserChannel { user: 7, los_gain: 1e-6, irs_gain: 1e-6, sinr: 0.0 };
+    let measured = UserChannel { user: 7, los_gain: 1e-6, irs_gain: 0.0, sinr: 0.0 };
     let channel = ChannelReport { stamp, tick: 20, users: vec![measured] };
     [&mut first, &mut second].into_iter().for_each(|belief| belief.handle_channel(&model, &channel, &[], &[]));
-    assert!(first.residuals()[0].steering > 0.0, "the angles of the mirrors are known");
-    assert_eq!(second.residuals(), first.residuals());
+    let heading = |belief: &Belief| belief.heading_distribution(7).copied().unwrap();
+    assert_eq!(heading(&second), heading(&first));
+    // Without its commands, a belief does not know the angles of the mirrors.
+    unknown.handle_channel(&model, &channel, &[], &[]);
+    assert_ne!(heading(&unknown), heading(&first));
 }
 
 #[test]

@@ -4,7 +4,7 @@ use clap::ValueEnum;
 use heliostat_channel::{ChannelModel, MirrorAngles, Vec3};
 use heliostat_core::{
     observation::{Observation, RoomState},
-    policy::{MirrorCodebook, Policy, PolicyKind},
+    policy::{NameParser, PolicyKind, removed},
 };
 use heliostat_scenario::Scenario;
 
@@ -182,19 +182,25 @@ fn a_time_budget_ends_the_search() {
 }
 
 #[test]
-fn each_mirror_takes_an_entry_of_its_codebook_and_the_rate_is_near_that_of_free_angles() {
-    for mode in ["specular", "paper-calibrated"] {
-        let scenario = large(&[&format!("channel.mode={mode}")]);
-        let (model, observation) = observe(&scenario);
-        let mut policy = MirrorCodebook::new(&scenario).unwrap();
-        let mut angles = MirrorAngles::flat(scenario.mirror_count());
-        policy.act(&model, &observation, &mut angles).unwrap();
-        for mirror in 0..scenario.mirror_count() {
-            let taken = [angles.roll[mirror], angles.yaw[mirror]];
-            assert!(policy.entries(mirror).any(|entry| entry == taken), "{mode}, mirror {mirror}: {taken:?}");
-        }
+fn a_removed_policy_is_named_with_what_to_use_wherever_its_name_is_read() {
+    let sentence = "the policy residual was removed (docs/learning.md): use fixed-point";
+    assert_eq!(removed("residual").map(|removed| removed.to_string()).as_deref(), Some(sentence));
+    assert_eq!(PolicyKind::find("residual", || unreachable!()), Err(sentence.into()));
+    assert_eq!(PolicyKind::find("residuals", || "unknown".into()), Err("unknown".into()));
+    assert_eq!(PolicyKind::find("greedy", || unreachable!()), Ok(PolicyKind::Greedy));
+    let command = clap::Command::new("test")
+        .arg(clap::Arg::new("policy").long("policy").value_parser(NameParser::<PolicyKind>::default()));
+    let given = |name| command.clone().try_get_matches_from(["test", "--policy", name]);
+    assert!(given("greedy").is_ok());
+    let refused = given("residual").unwrap_err();
+    assert!(refused.to_string().contains(sentence) && refused.exit_code() == 2, "{refused}");
+    let unknown = given("residuals").unwrap_err().to_string();
+    assert!(unknown.contains("fixed-point") && unknown.contains("greedy"), "{unknown}");
+}
+
+#[test]
+fn no_policy_has_the_name_of_a_removed_one() {
+    for kind in PolicyKind::value_variants() {
+        assert_eq!(removed(&kind.name()), None, "{kind:?}");
     }
-    let scenario = large(&[]);
-    let [codebook, greedy] = [PolicyKind::MirrorCodebook, PolicyKind::Greedy].map(|kind| sum_rate(kind, &scenario));
-    assert!((0.9..1.02).contains(&(codebook / greedy)), "{codebook} {greedy}");
 }

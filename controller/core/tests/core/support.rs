@@ -3,21 +3,16 @@
 use heliostat_channel::{ChannelModel, MirrorAngles, Orientation};
 use heliostat_core::{
     core::{Controller, Decision, DegradedMode},
-    correction::Correction,
-    evidence::{EVIDENCE_VERSION, FEATURES},
     inbox::Message,
     observation::{OBSERVATION_VERSION, Observation, ObservationEncoder},
     policy::{
         self, Actor, BuildError, Engine, Network, Policy, PolicyError, PolicyKind, Resources,
-        actor_file::{
-            ActorError, ActorFile, COMPACT, CORRECTIONS_NAME, DISPLACEMENTS_NAME, INPUT_NAME, OUTPUT_NAME, key,
-        },
+        actor_file::{ActorError, ActorFile, INPUT_NAME, OUTPUT_NAME, key},
     },
-    walk_history::{DISPLACEMENT_VALUES, WALK_VALUES, WALK_VERSION},
 };
 use heliostat_onnx::{
     GraphProto, ModelProto, NodeProto, OperatorSetIdProto, StringStringEntryProto, TensorProto, ValueInfoProto,
-    f32_row, f32_rows, tensor_proto::DataType,
+    f32_row, tensor_proto::DataType,
 };
 use heliostat_proto::{
     ChannelReport, MAX_USERS, MirrorCommand, Nanos, Obstacle, ObstacleReport, OrientationReport, Stamp, UserChannel,
@@ -197,36 +192,6 @@ impl ActorRecipe {
         }
     }
 
-    /// A compact actor that answers these corrections for every user.
-    pub fn compact(bias: [f32; Correction::VALUES]) -> Self {
-        Self {
-            input_name: INPUT_NAME,
-            output_name: CORRECTIONS_NAME,
-            input_length: FEATURES,
-            output_length: Correction::VALUES,
-            bias: bias.to_vec(),
-            weight: 0.0,
-            metadata: vec![(key::ACTION, COMPACT.into()), (key::OBSERVATION_VERSION, EVIDENCE_VERSION.to_string())],
-            port: f32_rows,
-            opset: 17,
-        }
-    }
-
-    /// An actor that moves every user from the Gauss-Markov prediction by this in m.
-    pub fn displacements(bias: [f32; DISPLACEMENT_VALUES]) -> Self {
-        Self {
-            output_name: DISPLACEMENTS_NAME,
-            input_length: WALK_VALUES,
-            output_length: DISPLACEMENT_VALUES,
-            bias: bias.to_vec(),
-            metadata: vec![
-                (key::ACTION, DISPLACEMENTS_NAME.into()),
-                (key::OBSERVATION_VERSION, WALK_VERSION.to_string()),
-            ],
-            ..Self::compact([0.0; Correction::VALUES])
-        }
-    }
-
     pub fn with_metadata(mut self, key: &'static str, value: &str) -> Self {
         self.metadata.retain(|(name, _)| *name != key);
         self.metadata.push((key, value.into()));
@@ -354,15 +319,9 @@ impl Engine for FixedEngine {
     }
 }
 
-/// A policy by its name; learned ones with an actor that fits. Those of `residual` and `lstm`
-/// depend on their input.
+/// A policy by its name; learned ones with an actor that fits.
 pub fn build(kind: PolicyKind, scenario: &Scenario) -> Result<Box<dyn Policy>, BuildError> {
-    let recipe = match kind {
-        PolicyKind::Residual => ActorRecipe { weight: 0.02, ..ActorRecipe::compact([-0.3, -0.2, -1.0]) },
-        PolicyKind::Lstm => ActorRecipe { weight: 0.02, ..ActorRecipe::displacements([0.1, -0.1]) },
-        _ => ActorRecipe::fitting(scenario),
-    };
-    build_with(kind, scenario, &recipe.file())
+    build_with(kind, scenario, &ActorRecipe::fitting(scenario).file())
 }
 
 /// A policy by its name, learned ones with this actor.

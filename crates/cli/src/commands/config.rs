@@ -2,11 +2,8 @@
 
 use anyhow::{Context, Result};
 use heliostat_bus::{BusConfig, Reach, Role};
-use heliostat_core::correction::Correction;
-use heliostat_core::evidence::{EVIDENCE_VERSION, FEATURES};
 use heliostat_core::observation::{OBSERVATION_VERSION, ObservationEncoder, USERS_CAPACITY};
-use heliostat_core::policy::actor_file::{COMPACT, CORRECTIONS_NAME, INPUT_NAME, OUTPUT_NAME, key};
-use heliostat_core::policy::compact_file::DISPLACEMENTS;
+use heliostat_core::policy::actor_file::{INPUT_NAME, OUTPUT_NAME, key};
 use heliostat_proto::Room;
 use heliostat_scenario::{Scenario, ScenarioArgs};
 use heliostat_sim_node::Pace;
@@ -114,18 +111,6 @@ fn actor(scenario: &Scenario, users_max: usize) -> Map<String, Value> {
             "steering_amplitude": part(encoder.steering_amplitude()),
             "angles": part(encoder.angles()),
             "summary": part(encoder.summary()),
-        },
-        // The other kind of actor: a row for each user, in any room.
-        "compact": {
-            "input": { "name": INPUT_NAME, "type": "f32", "shape": ["rows", FEATURES] },
-            "output": { "name": CORRECTIONS_NAME, "type": "f32", "shape": ["rows", Correction::VALUES] },
-            "metadata": { key::ACTION: COMPACT, key::OBSERVATION_VERSION: EVIDENCE_VERSION.to_string() },
-        },
-        // The same for a network that predicts places.
-        "displacements": {
-            "input": { "name": INPUT_NAME, "type": "f32", "shape": ["rows", DISPLACEMENTS.inputs] },
-            "output": { "name": DISPLACEMENTS.output.0, "type": "f32", "shape": ["rows", DISPLACEMENTS.output.1] },
-            "metadata": { key::ACTION: DISPLACEMENTS.action, key::OBSERVATION_VERSION: DISPLACEMENTS.version.to_string() },
         },
     });
     match document {

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use heliostat_bus::{Bus, BusConfig, free_loopback_endpoint};
-use heliostat_core::policy::PolicyKind;
+use heliostat_core::policy::{NameParser, PolicyKind};
 use heliostat_models::{ActorSource, EngineChoice};
 use heliostat_proto::Room;
 use heliostat_scenario::{Scenario, ScenarioArgs};
@@ -42,7 +42,7 @@ pub struct Args {
     #[command(flatten)]
     pub(super) scenario: ScenarioArgs,
     /// Policy of the controller [default: fixed-point, or ddpg with --model]
-    #[arg(long, value_enum)]
+    #[arg(long, value_enum, value_parser = NameParser::<PolicyKind>::default())]
     policy: Option<PolicyKind>,
     /// ONNX file of a learned policy, instead of the built-in one
     #[arg(long, value_name = "FILE")]

@@ -12,7 +12,6 @@ pub(super) mod document;
 pub(super) mod pages;
 pub(super) mod steps;
 pub(super) mod table;
-mod training;
 
 use std::path::PathBuf;
 
@@ -44,10 +43,6 @@ pub struct Args {
     /// Keep the sections that the same command finished at the same commit
     #[arg(long)]
     resume: bool,
-    /// Train the actors that the page evaluates and that the folder `training` lacks; a run that was
-    /// interrupted continues. Without it, sections about missing actors are left out
-    #[arg(long)]
-    train: bool,
     /// Print each section's name and command, and run nothing
     #[arg(long)]
     list: bool,
@@ -80,10 +75,7 @@ pub fn run(args: Args) -> Result<()> {
     };
     let mut steps = Vec::new();
     for section in sections {
-        let arguments = section.arguments(args.quick);
-        if training::provide(section.name, &arguments, (args.train, args.quick))? {
-            steps.push((section, arguments));
-        }
+        steps.push((section, section.arguments(args.quick)));
     }
     steps::run(&steps, &mut archive, |archive| {
         archive.write(&kept)?;

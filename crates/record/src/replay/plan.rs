@@ -6,7 +6,7 @@ use std::rc::Rc;
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use clap::ValueEnum;
-use heliostat_core::policy::{DENSE, PolicyKind};
+use heliostat_core::policy::{DENSE, PolicyKind, removed};
 use heliostat_models::EngineChoice;
 use heliostat_proto::{ControllerInput, InputKind, MirrorCommand, Nanos, NodeKind, NodeStatus, Room};
 use heliostat_scenario::Scenario;
@@ -228,8 +228,9 @@ impl Plan {
             policies.iter().cloned().collect::<Vec<_>>().join(", ")
         );
         let name = policies.first().map_or("", String::as_str);
-        PolicyKind::from_str(name, false).map_err(|_| {
-            anyhow!("the recorded policy \"{name}\" is unknown to this program; give another with --policy")
+        PolicyKind::from_str(name, false).map_err(|_| match removed(name) {
+            Some(removed) => anyhow!("its {}: give another with --policy", removed.fact()),
+            None => anyhow!("the recorded policy \"{name}\" is unknown to this program; give another with --policy"),
         })
     }
 }

@@ -8,12 +8,12 @@ use heliostat_channel::MirrorAngles;
 use heliostat_core::observation::Observation;
 use heliostat_core::policy::{Policy, PolicyKind};
 use heliostat_core::safety::Limits;
-use heliostat_models::{ActorSource, EngineChoice, SourceError, shipped, source};
+use heliostat_models::{ActorSource, EngineChoice, SourceError, source};
 use heliostat_room::World;
 use heliostat_scenario::{Belief, Scenario};
 use thiserror::Error;
 
-use super::ceiling::Known;
+use super::{ceiling::Known, trained};
 use crate::environment::codebook::BestCodeword;
 use crate::environment::room::observe;
 
@@ -25,11 +25,8 @@ const UNAWARE_SUFFIX: &str = "-unaware";
 
 /// No policy has this name.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
-#[error("unknown policy \"{name}\": expected {}, or the path of a file FILE.onnx", EvaluatedPolicy::names().join(", "))]
-pub struct UnknownPolicy {
-    /// The unknown name.
-    pub name: String,
-}
+#[error("{0}")]
+pub struct UnknownPolicy(String);
 
 #[derive(Clone, Debug)]
 enum Origin {
@@ -57,14 +54,18 @@ impl EvaluatedPolicy {
     /// policy of that name.
     ///
     /// # Errors
-    /// [`UnknownPolicy`], which lists the known names.
+    /// [`UnknownPolicy`], which lists the known names, or says what to use for a removed one.
     pub fn parse(name: &str, ddpg: &ActorSource) -> Result<Self, UnknownPolicy> {
         let origin = if name == CODEBOOK {
             Origin::Codebook
         } else if name.ends_with(".onnx") {
             Origin::Kind(PolicyKind::Ddpg, ActorSource::Path(PathBuf::from(name)))
         } else {
-            let kind = PolicyKind::from_str(name, false).map_err(|_| UnknownPolicy { name: name.into() })?;
+            let unknown = || {
+                let known = Self::names().join(", ");
+                format!("unknown policy \"{name}\": expected {known}, or the path of a file FILE.onnx")
+            };
+            let kind = PolicyKind::find(name, unknown).map_err(UnknownPolicy)?;
             Origin::Kind(kind, if kind == PolicyKind::Ddpg { ddpg.clone() } else { ActorSource::Shipped })
         };
         Ok(Self { name: name.into(), origin, engine: EngineChoice::Auto, belief: None, known: None, unaware: false })
@@ -132,19 +133,19 @@ impl EvaluatedPolicy {
         &self.name
     }
 
-    /// The same policy once for each training seed with a built-in actor, or for the given seed
+    /// The same policy once for each training seed with an actor, or for the given seed
     /// only. A policy that is not learned, or comes from a file, is returned unchanged.
     pub(super) fn trainings(&self, scenario: &Scenario, only: Option<u32>) -> Vec<Self> {
         let Origin::Kind(kind, ActorSource::Shipped) = self.origin else { return vec![self.clone()] };
         let seeds = match only {
             _ if !kind.is_learned() => vec![],
             Some(seed) => vec![seed],
-            None => shipped::training_seeds(kind, scenario),
+            None => trained::seeds(kind, scenario),
         };
         if seeds.is_empty() {
             return vec![self.clone()];
         }
-        let of_seed = |seed| Self { origin: Origin::Kind(kind, ActorSource::ShippedSeed(seed)), ..self.clone() };
+        let of_seed = |seed| Self { origin: Origin::Kind(kind, trained::source(kind, scenario, seed)), ..self.clone() };
         seeds.into_iter().map(of_seed).collect()
     }
 

@@ -199,10 +199,6 @@ impl Ddpg {
     /// # Errors
     /// Two settings contradict each other.
     pub fn new(scenario: &Scenario, settings: Settings, rng: &mut ChaCha8Rng) -> anyhow::Result<Self> {
-        anyhow::ensure!(
-            settings.exploration.kind != Kind::Patterns,
-            "exploration.kind = \"patterns\" applies to actions that are angles: expected additive or epsilon-greedy"
-        );
         let Settings { encoder, head, rounds, value, sight, .. } = settings;
         let layout = Layout::of(scenario);
         let actor = Actor::new(layout, encoder, (head, rounds), rng)?;

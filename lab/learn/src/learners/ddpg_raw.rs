@@ -18,31 +18,25 @@
 //!    range. The first update waits for 500 transitions.
 //!
 //! Almost all outputs saturate at their bounds, and the sum rate is below that of flat mirrors.
-//! This learner is a reference for the paper's description; [`super::ddpg_basis`] and
-//! [`super::ddpg`] list the changes that help.
-//!
-//! Option `td3` adds the three changes of TD3 (Fujimoto and others, 2018): the smaller of two
-//! critics as the target, noise on the target's action, and a delayed update of the actor.
+//! This learner is a reference for the paper's description; [`super::ddpg`] lists the changes that
+//! help.
 
 use candle_core::{Device, Tensor};
 use heliostat_channel::{ChannelModel, MirrorAngles};
 use heliostat_core::policy::PolicyKind;
 use heliostat_core::policy::actor_file::{INPUT_NAME, OUTPUT_NAME};
 use heliostat_onnx::graph::{Ends, Graph};
-use heliostat_scenario::{Mirrors, Scenario};
-use rand::Rng;
+use heliostat_scenario::Scenario;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use super::td3::{ACTOR_DELAY, smoothed};
 use crate::environment::angle_state::AngleState;
 use crate::environment::room::{Environment, Outcome, Rooms};
 use crate::export::network::{Column, NetworkNodes};
 use crate::networks::adam::Adam;
 use crate::networks::layers::{Encoder, Network, Shape, soft_update};
-use crate::networks::patterns::Basis;
 use crate::training::algorithm::{Algorithm, start};
-use crate::training::exploration::{Exploration, Kind, normal};
+use crate::training::exploration::{Exploration, Kind};
 use crate::training::learner::{Episode, Learner, Part, part};
 use crate::training::replay::Replay;
 use crate::training::settings::RunSettings;
@@ -60,25 +54,9 @@ pub const ALGORITHM: Algorithm = Algorithm {
     },
 };
 
-/// The critic's view of an action.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Sight {
-    /// All angles.
-    Angles,
-    /// The coefficients of smooth patterns of angles ([`Basis`]).
-    Patterns,
-}
-
 /// The hyperparameters of a training run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
-    /// The critic's view of an action.
-    pub sight: Sight,
-    /// Patterns along each side of the array, for critic and exploration.
-    pub patterns: usize,
-    /// Whether the current angles are part of the state.
-    pub angles_in_state: bool,
     /// Discount factor gamma.
     pub gamma: f64,
     /// Weight tau of the trained network in each update of its target network.
@@ -87,15 +65,6 @@ pub struct Settings {
     pub actor_rate: f64,
     /// Learning rate of the critic.
     pub critic_rate: f64,
-    /// Learning rates at the end of the run over those at its start.
-    pub rate_end: f64,
-    /// Largest norm of a gradient; 0 is no limit.
-    pub clip: f64,
-    /// Weight of the mean squared output before tanh in the actor's loss; it keeps outputs off
-    /// their bounds.
-    pub saturation: f64,
-    /// The three changes of TD3.
-    pub td3: bool,
     /// Transitions in a minibatch.
     pub batch: usize,
     /// Capacity of the replay buffer.
@@ -113,17 +82,10 @@ impl Settings {
     /// The paper's hyperparameters.
     pub fn new(seed: u64) -> Self {
         Self {
-            sight: Sight::Angles,
-            patterns: 3,
-            angles_in_state: true,
             gamma: 0.9,
             tau: 0.01,
             actor_rate: 1e-3,
             critic_rate: 1e-2,
-            rate_end: 1.0,
-            clip: 0.0,
-            saturation: 0.0,
-            td3: false,
             batch: 32,
             replay: 10_000,
             warm_up: 500,
@@ -139,25 +101,17 @@ impl AsRef<RunSettings> for Settings {
     }
 }
 
-/// DDPG on all angles with its state between two steps; also the learner of [`super::ddpg_basis`].
+/// DDPG on all angles with its state between two steps.
 pub struct DdpgRaw {
     settings: Settings,
     layout: AngleState,
-    basis: Basis,
     actor: Network,
     actor_target: Network,
     actor_adam: Adam,
-    critics: Vec<Critic>,
+    critic: Network,
+    critic_target: Network,
+    critic_adam: Adam,
     replay: Replay,
-    /// Updates of the critics.
-    updates: usize,
-}
-
-/// One of one or two critics.
-struct Critic {
-    network: Network,
-    target: Network,
-    adam: Adam,
 }
 
 impl DdpgRaw {
@@ -166,121 +120,72 @@ impl DdpgRaw {
     /// # Errors
     /// Errors of candle.
     pub fn new(scenario: &Scenario, settings: Settings, rng: &mut ChaCha8Rng) -> anyhow::Result<Self> {
-        let layout = AngleState::of(scenario, settings.angles_in_state);
-        let Mirrors { rows, columns, .. } = *scenario.mirrors.first();
-        let basis = Basis::new(rows, columns, settings.patterns)?;
+        let layout = AngleState::of(scenario, true);
         let (inputs, outputs) = (layout.inputs(), layout.outputs());
         let plain = |inputs, hidden, outputs| Shape { encoder: Encoder::Mlp, slots: 1, inputs, hidden, outputs };
         let actor = Network::new(plain(inputs, [128, 64], outputs), rng)?;
-        let seen = if settings.sight == Sight::Angles { outputs } else { basis.modes() };
-        let critic = |rng: &mut ChaCha8Rng| {
-            let network = Network::new(plain(inputs + seen, [256, 128], 1), rng)?;
-            let adam = Adam::new(&network).clipped(settings.clip);
-            Ok::<_, candle_core::Error>(Critic { target: network.copy()?, network, adam })
-        };
-        let critics = (0..if settings.td3 { 2 } else { 1 }).map(|_| critic(rng)).collect::<Result<_, _>>()?;
+        let critic = Network::new(plain(inputs + outputs, [256, 128], 1), rng)?;
         let next = if settings.gamma > 0.0 { inputs } else { 0 };
         let needed = settings.warm_up.max(settings.batch);
         Ok(Self {
             actor_target: actor.copy()?,
-            actor_adam: Adam::new(&actor).clipped(settings.clip),
-            critics,
+            actor_adam: Adam::new(&actor),
+            critic_target: critic.copy()?,
+            critic_adam: Adam::new(&critic),
             replay: Replay::new(settings.replay, needed, [inputs, outputs, 1, next]),
             actor,
+            critic,
             layout,
-            basis,
             settings,
-            updates: 0,
         })
     }
 
-    /// Actions in [-1, 1] for a batch of states, and the outputs before tanh.
-    fn actions(network: &Network, states: &Tensor) -> candle_core::Result<(Tensor, Tensor)> {
-        let raw = network.forward_rows(states)?;
-        Ok((raw.tanh()?, raw))
+    /// Actions in [-1, 1] for a batch of states.
+    fn actions(network: &Network, states: &Tensor) -> candle_core::Result<Tensor> {
+        network.forward_rows(states)?.tanh()
     }
 
     /// The action for one state, without exploration.
     fn action(&self, state: &[f32]) -> candle_core::Result<Vec<f32>> {
         let states = Tensor::from_slice(state, (1, state.len()), &Device::Cpu)?;
-        Self::actions(&self.actor, &states)?.0.squeeze(0)?.to_vec1()
+        Self::actions(&self.actor, &states)?.squeeze(0)?.to_vec1()
     }
 
-    fn explore(&self, magnitude: f64, action: &mut [f32], rng: &mut impl Rng) -> candle_core::Result<()> {
-        if self.settings.exploration.kind != Kind::Patterns {
-            self.settings.exploration.apply(magnitude, action, rng);
-            return Ok(());
-        }
-        let each = magnitude / ((self.basis.modes() / 2) as f64).sqrt();
-        let coefficients: Vec<f32> = (0..self.basis.modes()).map(|_| (each * normal(rng)) as f32).collect();
-        for (value, noise) in action.iter_mut().zip(self.basis.sum(&coefficients)?) {
-            *value = (*value + noise).clamp(-1.0, 1.0);
-        }
-        Ok(())
-    }
-
-    /// One update of critics, actor and targets from a minibatch.
+    /// One update of critic, actor and targets from a minibatch.
     fn update(&mut self, episode: &mut Episode<'_>) -> candle_core::Result<()> {
-        let Settings { batch, gamma, tau, actor_rate, critic_rate, rate_end, saturation, td3, .. } = self.settings;
+        let Settings { batch, gamma, tau, actor_rate, critic_rate, .. } = self.settings;
         let inputs = self.layout.inputs();
-        // Both learning rates decay geometrically over the run.
-        let decay = rate_end.powf(episode.progress());
 
-        // Critics: minimise the mean of [Q(s, a) - r - gamma Q'(s', mu'(s'))]^2.
+        // Critic: minimise the mean of [Q(s, a) - r - gamma Q'(s', mu'(s'))]^2.
         let [states, actions, rewards, next] = self.replay.sample(batch, episode.rng);
         let states = Tensor::from_vec(states, (batch, inputs), &Device::Cpu)?;
         let actions = Tensor::from_vec(actions, (batch, self.layout.outputs()), &Device::Cpu)?;
         let mut target = Tensor::from_vec(rewards, batch, &Device::Cpu)?;
         if gamma > 0.0 {
-            let next = self.next_value(&Tensor::from_vec(next, (batch, inputs), &Device::Cpu)?, episode.rng)?;
-            target = (target + (next.detach() * gamma)?)?;
+            let next = Tensor::from_vec(next, (batch, inputs), &Device::Cpu)?;
+            let next_value = value(&self.critic_target, &next, &Self::actions(&self.actor_target, &next)?)?;
+            target = (target + (next_value.detach() * gamma)?)?;
         }
-        for index in 0..self.critics.len() {
-            let error = (self.value(&self.critics[index].network, &states, &actions)? - &target)?;
-            let gradients = error.sqr()?.mean_all()?.backward()?;
-            let Critic { network, adam, .. } = &mut self.critics[index];
-            adam.step(network, &gradients, critic_rate * decay)?;
-        }
-        self.updates += 1;
-        if td3 && !self.updates.is_multiple_of(ACTOR_DELAY) {
-            return Ok(());
-        }
+        let error = (value(&self.critic, &states, &actions)? - target)?;
+        let gradients = error.sqr()?.mean_all()?.backward()?;
+        self.critic_adam.step(&self.critic, &gradients, critic_rate)?;
 
         // Actor: maximise the mean of Q(s, mu(s)).
-        let (actions, raw) = Self::actions(&self.actor, &states)?;
-        let value = self.value(&self.critics[0].network.frozen(), &states, &actions)?.mean_all()?;
-        let loss = ((raw.sqr()?.mean_all()? * saturation)? - value)?;
-        self.actor_adam.step(&self.actor, &loss.backward()?, actor_rate * decay)?;
+        let value = value(&self.critic.frozen(), &states, &Self::actions(&self.actor, &states)?)?.mean_all()?;
+        self.actor_adam.step(&self.actor, &value.neg()?.backward()?, actor_rate)?;
 
         // Targets: without a discounted value they are not used.
         if gamma > 0.0 {
             soft_update(&self.actor_target, &self.actor, tau)?;
-            for Critic { network, target, .. } in &self.critics {
-                soft_update(target, network, tau)?;
-            }
+            soft_update(&self.critic_target, &self.critic, tau)?;
         }
         Ok(())
     }
+}
 
-    /// The prediction of a critic, (batch).
-    fn value(&self, critic: &Network, states: &Tensor, actions: &Tensor) -> candle_core::Result<Tensor> {
-        let seen = match self.settings.sight {
-            Sight::Angles => actions.clone(),
-            Sight::Patterns => self.basis.project(actions)?,
-        };
-        critic.forward_rows(&Tensor::cat(&[states, &seen], 1)?)?.squeeze(1)
-    }
-
-    /// The value of the next states by the target networks, (batch).
-    fn next_value(&self, next: &Tensor, rng: &mut impl Rng) -> candle_core::Result<Tensor> {
-        let mut actions = Self::actions(&self.actor_target, next)?.0;
-        if self.settings.td3 {
-            actions = smoothed(&actions, rng)?;
-        }
-        let mut values = self.critics.iter().map(|critic| self.value(&critic.target, next, &actions));
-        let first = values.next().expect("there is a critic")?;
-        values.try_fold(first, |least, value| least.minimum(&value?))
-    }
+/// The prediction of a critic, (batch).
+fn value(critic: &Network, states: &Tensor, actions: &Tensor) -> candle_core::Result<Tensor> {
+    critic.forward_rows(&Tensor::cat(&[states, actions], 1)?)?.squeeze(1)
 }
 
 impl Learner for DdpgRaw {
@@ -289,7 +194,7 @@ impl Learner for DdpgRaw {
         let room = &mut episode.rooms[0];
         let state = self.layout.state(room.vector());
         let mut action = self.action(&state)?;
-        self.explore(exploration.magnitude(episode.index, episode.count), &mut action, episode.rng)?;
+        exploration.apply(exploration.magnitude(episode.index, episode.count), &mut action, episode.rng);
         let users = room.users();
         let mut rewards = vec![0.0; users];
         let outcome = room.act(&self.layout.angles(&action), run.reward, &mut rewards);
@@ -308,18 +213,15 @@ impl Learner for DdpgRaw {
     }
 
     fn state(&mut self) -> Vec<Part<'_>> {
-        let mut parts = vec![
+        vec![
             part("actor", &mut self.actor),
             part("actor_target", &mut self.actor_target),
             part("actor", &mut self.actor_adam),
-        ];
-        for (index, Critic { network, target, adam }) in self.critics.iter_mut().enumerate() {
-            parts.push(part(&format!("critic.{index}"), network));
-            parts.push(part(&format!("critic_target.{index}"), target));
-            parts.push(part(&format!("critic.{index}"), adam));
-        }
-        parts.extend([part("replay", &mut self.replay), part("updates", &mut self.updates)]);
-        parts
+            part("critic", &mut self.critic),
+            part("critic_target", &mut self.critic_target),
+            part("critic", &mut self.critic_adam),
+            part("replay", &mut self.replay),
+        ]
     }
 
     /// In the graph: the state, the network, and the angles.

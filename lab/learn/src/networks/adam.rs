@@ -8,7 +8,6 @@ use crate::training::store::{Persistent, Store};
 /// Adam with its state in plain vectors, so that a checkpoint holds all of it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Adam {
-    clip: f64,
     step: u64,
     first_moment: Vec<Vec<f32>>,
     second_moment: Vec<Vec<f32>>,
@@ -22,13 +21,7 @@ impl Adam {
     pub fn new(network: &impl AsRef<[Linear]>) -> Self {
         let zeros: Vec<Vec<f32>> =
             parameters(network.as_ref()).iter().map(|tensor| vec![0.0; tensor.elem_count()]).collect();
-        Self { clip: 0.0, step: 0, first_moment: zeros.clone(), second_moment: zeros }
-    }
-
-    /// The same optimiser, which scales gradients down to this norm over all parameters; 0 is no
-    /// limit.
-    pub fn clipped(self, clip: f64) -> Self {
-        Self { clip, ..self }
+        Self { step: 0, first_moment: zeros.clone(), second_moment: zeros }
     }
 
     /// One step down the gradient at a learning rate.
@@ -41,14 +34,12 @@ impl Adam {
         let [beta1, beta2] = Self::BETA;
         let rate = (learning_rate * power(beta2).sqrt() / power(beta1)) as f32;
         let (beta1, beta2) = (beta1 as f32, beta2 as f32);
-        let factor = self.factor(network, gradients)?;
         for (index, parameter) in parameters(network.as_ref()).into_iter().enumerate() {
             let Some(gradient) = gradients.get(parameter) else { continue };
             let gradient = gradient.flatten_all()?.to_vec1::<f32>()?;
             let mut value = parameter.flatten_all()?.to_vec1::<f32>()?;
             let moments = self.first_moment[index].iter_mut().zip(&mut self.second_moment[index]);
             for ((value, gradient), (first, second)) in value.iter_mut().zip(&gradient).zip(moments) {
-                let gradient = factor * gradient;
                 *first = beta1 * *first + (1.0 - beta1) * gradient;
                 *second = beta2 * *second + (1.0 - beta2) * gradient * gradient;
                 *value -= rate * *first / (second.sqrt() + Self::EPSILON);
@@ -56,18 +47,6 @@ impl Adam {
             assign(parameter, &Tensor::from_vec(value, parameter.shape(), &Device::Cpu)?)?;
         }
         Ok(())
-    }
-
-    /// The factor that scales the gradients down to the allowed norm.
-    fn factor(&self, network: &impl AsRef<[Linear]>, gradients: &GradStore) -> Result<f32> {
-        if self.clip == 0.0 {
-            return Ok(1.0);
-        }
-        let mut squared = 0.0;
-        for gradient in parameters(network.as_ref()).into_iter().filter_map(|parameter| gradients.get(parameter)) {
-            squared += f64::from(gradient.sqr()?.sum_all()?.to_scalar::<f32>()?);
-        }
-        Ok((self.clip / squared.sqrt().max(self.clip)) as f32)
     }
 }
 

@@ -5,10 +5,8 @@ use rand::Rng;
 use serde::{Deserialize, Serialize};
 
 use super::actor::{ACTOR_INPUTS, States};
-use super::adam::Adam;
-use super::layers::{Encoder, Network, Shape, soft_update};
+use super::layers::{Encoder, Network, Shape};
 use crate::environment::features::Layout;
-use crate::training::learner::{Part, part};
 
 /// The quantity that the critic predicts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -122,84 +120,4 @@ impl Critic {
 /// The mean over the present users of values (batch, slots); values (batch) unchanged.
 fn over_users(states: &States, values: Tensor) -> Result<Tensor> {
     if values.rank() == 2 { states.mean_present(&values) } else { Ok(values) }
-}
-
-/// Two critics with their targets, of which the smaller prediction counts: clipped double
-/// Q-learning (Fujimoto and others, 2018, section 4.2), which TD3 and SAC have.
-pub struct TwinCritics {
-    critics: [Critic; 2],
-    targets: [Critic; 2],
-    adams: [Adam; 2],
-}
-
-impl TwinCritics {
-    /// Two critics of each user's part of the reward, which read the decoded actions.
-    ///
-    /// # Errors
-    /// As [`Critic::new`].
-    pub fn new(layout: Layout, range: f32, rng: &mut impl Rng) -> anyhow::Result<Self> {
-        let mut critic = || Critic::new(layout, Encoder::PerUser, (Value::EachUser, Sight::Decoded, range), rng);
-        let critics = [critic()?, critic()?];
-        let targets = [critics[0].copy()?, critics[1].copy()?];
-        let adams = [Adam::new(&critics[0].network), Adam::new(&critics[1].network)];
-        Ok(Self { critics, targets, adams })
-    }
-
-    /// The first critic, without gradients of its parameters.
-    pub fn first(&self) -> Critic {
-        self.critics[0].frozen()
-    }
-
-    /// The smaller mean prediction of both critics without gradients of their parameters: (batch).
-    ///
-    /// # Errors
-    /// Errors of candle, when shapes differ.
-    pub fn least_mean(&self, states: &States, actions: &Tensor) -> Result<Tensor> {
-        let [one, other] = &self.critics;
-        one.frozen().mean_value(states, actions)?.minimum(&other.frozen().mean_value(states, actions)?)
-    }
-
-    /// The smaller prediction of both targets for each user, without gradients: (batch, slots).
-    ///
-    /// # Errors
-    /// Errors of candle, when shapes differ.
-    pub fn target(&self, next: &States, actions: &Tensor) -> Result<Tensor> {
-        let [one, other] = &self.targets;
-        Ok(one.value(next, actions)?.minimum(&other.value(next, actions)?)?.detach())
-    }
-
-    /// One step of both critics towards `target` (batch, slots), by the mean squared error.
-    ///
-    /// # Errors
-    /// Errors of candle, when shapes differ.
-    pub fn update(&mut self, states: &States, actions: &Tensor, target: &Tensor, rate: f64) -> Result<()> {
-        for (critic, adam) in self.critics.iter().zip(&mut self.adams) {
-            let error = (critic.value(states, actions)? - target)?;
-            adam.step(&critic.network, &error.sqr()?.mean_all()?.backward()?, rate)?;
-        }
-        Ok(())
-    }
-
-    /// Moves both targets towards their critics.
-    ///
-    /// # Errors
-    /// Errors of candle.
-    pub fn follow(&self, tau: f64) -> Result<()> {
-        for (target, critic) in self.targets.iter().zip(&self.critics) {
-            soft_update(&target.network, &critic.network, tau)?;
-        }
-        Ok(())
-    }
-
-    /// Its state, for a checkpoint.
-    pub fn state(&mut self) -> Vec<Part<'_>> {
-        let mut parts = Vec::new();
-        let all = self.critics.iter_mut().zip(&mut self.targets).zip(&mut self.adams);
-        for (index, ((critic, target), adam)) in all.enumerate() {
-            parts.push(part(&format!("critic.{index}"), &mut critic.network));
-            parts.push(part(&format!("critic_target.{index}"), &mut target.network));
-            parts.push(part(&format!("critic.{index}"), adam));
-        }
-        parts
-    }
 }

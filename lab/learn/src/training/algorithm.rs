@@ -47,21 +47,15 @@ impl Algorithm {
             "--preset paper: {} has one preset only; expected no --preset, or --preset tuned",
             self.name
         );
-        if self.policy.fits_any_room() {
-            return (self.start)(scenario, preset, options);
-        }
         let leds = scenario.led.positions_m.len();
         ensure!(
             leds == 1,
             "led.positions_m lists {leds} access points: expected 1, because an actor of {} serves one",
             self.name
         );
-        let one_array = scenario.require_one_array().with_context(|| {
-            format!(
-                "an actor of {} is trained in a room with one array; those of residual and lstm serve several",
-                self.name
-            )
-        })?;
+        let one_array = scenario
+            .require_one_array()
+            .with_context(|| format!("an actor of {} is trained in a room with one array", self.name))?;
         (self.start)(one_array, preset, options)
     }
 }

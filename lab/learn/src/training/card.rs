@@ -3,7 +3,6 @@
 use std::fmt::Write;
 use std::time::Duration;
 
-use heliostat_core::evidence::EVIDENCE_VERSION;
 use heliostat_core::observation::OBSERVATION_VERSION;
 
 use super::algorithm::Algorithm;
@@ -54,9 +53,6 @@ impl Card<'_> {
     fn write(&self, text: &mut String) -> std::fmt::Result {
         let scenario = self.training.scenario();
         writeln!(text, "# {}\n", self.file)?;
-        if !self.training.learner().is_scored() {
-            return self.write_compact(text);
-        }
         writeln!(
             text,
             "Turns the {} mirrors ({}) of an array for 1 to 10 users, channel mode `{}`. Input: the observation vector, version {OBSERVATION_VERSION}. \
@@ -71,21 +67,6 @@ impl Card<'_> {
             text,
             "\nLimits: one access point, the geometry named above, true positions and gains without delay. A controller refuses the \
              actor for another geometry."
-        )
-    }
-
-    /// The card of a compact actor, which fits every room.
-    fn write_compact(&self, text: &mut String) -> std::fmt::Result {
-        writeln!(
-            text,
-            "Corrects the belief about each user by channel residuals; the model-based solver then acts. One file serves any room, array and \
-             number of users. Input: rows of version {EVIDENCE_VERSION}. Output: rows of corrections.\n"
-        )?;
-        self.write_training(text)?;
-        writeln!(
-            text,
-            "Limits: the mode `specular`, receivers that report their gains, and the belief `filter`. With another belief nothing is corrected. \
-             `heliostat eval --closed-loop --policies greedy,residual` compares it with the uncorrected belief."
         )
     }
 

@@ -14,9 +14,6 @@ pub enum Kind {
     Additive,
     /// With a probability equal to the magnitude, all components are drawn uniformly from [-1, 1].
     EpsilonGreedy,
-    /// Gaussian noise in smooth patterns over the array, for actions that are angles
-    /// ([`crate::networks::patterns::Basis`]); the magnitude is its standard deviation.
-    Patterns,
 }
 
 /// An exploration whose magnitude decays over the episodes.
@@ -40,7 +37,7 @@ impl Exploration {
     /// Explores around an action; its components stay within [-1, 1].
     pub fn apply(&self, magnitude: f64, actions: &mut [f32], rng: &mut impl Rng) {
         match self.kind {
-            Kind::Additive | Kind::Patterns => {
+            Kind::Additive => {
                 for action in actions {
                     *action = (*action + (magnitude * normal(rng)) as f32).clamp(-1.0, 1.0);
                 }

@@ -42,12 +42,6 @@ pub trait Learner {
         1
     }
 
-    /// Whether static states with the true room show its quality; false for a policy that differs
-    /// from others only in a room that reports show.
-    fn is_scored(&self) -> bool {
-        true
-    }
-
     /// One step: acts in each room, lets time pass, and learns. Returns the outcome in each room.
     ///
     /// # Errors

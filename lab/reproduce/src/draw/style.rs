@@ -24,7 +24,6 @@ pub fn style(name: &str) -> Style {
         "exhaustive" => 0xC08A00,
         "ddpg" | "actor" => 0x0072B2,
         "analytic" => 0x56B4E9,
-        "ddpg-basis" => 0x009E73,
         "ddpg-raw" => 0xCC79A7,
         "dql" => 0xD55E00,
         "q-learning" => 0xE69F00,

@@ -9,9 +9,7 @@ use crate::belief::{
     Belief,
     memory::{AbsentMemory, DeviceMemory, LaterMemories, TiltMemory},
 };
-use crate::observe::evidence::{Evidence, EvidenceMemory};
 use crate::observe::prediction::PredictionMemory;
-use crate::observe::walk_history::{WalkHistory, WalkMemory};
 
 /// Everything that an observer keeps from one report to the next.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -24,26 +22,6 @@ pub struct ObserverMemory {
 }
 
 impl Observer {
-    /// The state of the evidence; empty where none is kept.
-    pub fn evidence_memory(&self) -> EvidenceMemory {
-        self.evidence.as_ref().map(Evidence::memory).unwrap_or_default()
-    }
-
-    /// Replaces the state of the evidence, where it is kept; false where it is none.
-    pub fn restore_evidence(&mut self, memory: &EvidenceMemory) -> bool {
-        self.evidence.as_mut().is_none_or(|evidence| evidence.restore(memory))
-    }
-
-    /// The last reports about the users; empty where none are kept.
-    pub fn walk_memory(&self) -> WalkMemory {
-        self.walks.as_ref().map(WalkHistory::memory).unwrap_or_default()
-    }
-
-    /// Replaces the last reports about the users, where they are kept; false where they are none.
-    pub fn restore_walks(&mut self, memory: &WalkMemory) -> bool {
-        self.walks.as_mut().is_none_or(|walks| walks.restore(memory))
-    }
-
     /// The present state.
     pub fn memory(&self) -> ObserverMemory {
         ObserverMemory {

@@ -14,7 +14,7 @@ use clap::ValueEnum;
 use heliostat_controller::report::stage_times::{StageStamps, StageTimes};
 use heliostat_core::core::{Controller, Decision, Stage};
 use heliostat_core::inbox::Message;
-use heliostat_core::policy::{Actor, Policy, PolicyKind};
+use heliostat_core::policy::{Actor, NameParser, Policy, PolicyKind};
 use heliostat_models::{ActorSource, EngineChoice};
 use heliostat_proto::{ArrayState, MirrorTelemetry, Stamp, UserReport, decode_into, encode};
 use heliostat_scenario::{Scenario, ScenarioArgs};
@@ -41,7 +41,7 @@ pub struct Args {
     pace: PaceArgs,
     /// Policy that decides [default: ddpg for decide, fixed-point for mirrors and users, all for
     /// policies]
-    #[arg(long, value_enum)]
+    #[arg(long, value_enum, value_parser = NameParser::<PolicyKind>::default())]
     policy: Option<PolicyKind>,
     /// ONNX file of a learned policy, instead of the built-in one
     #[arg(long, value_name = "FILE", requires = "policy")]

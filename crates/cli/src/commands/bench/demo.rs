@@ -26,7 +26,7 @@ const BUSY_MARGIN: Duration = Duration::from_secs(20);
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Policies (comma-separated); hold always runs, as the reference
-    #[arg(long, value_enum, value_name = "A,B,C", value_delimiter = ',', default_values_t = [PolicyKind::FixedPoint, PolicyKind::Residual, PolicyKind::Greedy])]
+    #[arg(long, value_enum, value_name = "A,B,C", value_delimiter = ',', default_values_t = [PolicyKind::FixedPoint, PolicyKind::Greedy])]
     policies: Vec<PolicyKind>,
     /// Numbers of busy processes beside the demo (comma-separated) [default: 0 and the number of
     /// processors]

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use heliostat_bus::TlsArgs;
-use heliostat_core::policy::PolicyKind;
+use heliostat_core::policy::{NameParser, PolicyKind};
 use heliostat_models::EngineChoice;
 use heliostat_scenario::ScenarioArgs;
 
@@ -16,7 +16,7 @@ pub struct Args {
     #[command(flatten)]
     pub scenario: ScenarioArgs,
     /// Policy of the planned run
-    #[arg(long, value_enum, default_value_t = PolicyKind::Ddpg)]
+    #[arg(long, value_enum, value_parser = NameParser::<PolicyKind>::default(), default_value_t = PolicyKind::Ddpg)]
     pub policy: PolicyKind,
     /// ONNX file of a learned policy, instead of the built-in one
     #[arg(long, value_name = "FILE")]

@@ -171,6 +171,6 @@ mod tests {
         let refusal = steps_of(&only, &named, &room_of).unwrap_err().to_string();
         assert!(refusal.contains("policy ddpg fits none"), "{refusal}");
         let all = steps_of(&only, &[], &room_of).unwrap().swap_remove(0).1.pop().unwrap();
-        assert!(all.starts_with("greedy,residual,") && !all.contains("ddpg"), "{all}");
+        assert!(all.starts_with("greedy,oracle,") && !all.contains("ddpg"), "{all}");
     }
 }

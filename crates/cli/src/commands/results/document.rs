@@ -7,7 +7,7 @@ use heliostat_reproduce::command::quoted;
 use serde_json::Value;
 
 use super::archive::{Archive, Finished};
-use super::pages::{Page, Section, Training, trainings};
+use super::pages::{Page, Section};
 use super::table::grid;
 
 /// The page; it lists unfinished sections at the end.
@@ -77,9 +77,7 @@ fn write_section(
     let Finished { arguments, made, commit, machine, load, seconds, output, .. } = finished;
     let load = load.map_or(String::new(), |load| format!(", load {load:.1}"));
     writeln!(text, "## {}\n\n{}\n", section.title, section.about)?;
-    let before = trainings(arguments).into_iter().map(Training::arguments);
-    let commands: Vec<String> = before.map(|training| command(&training)).chain([command(arguments)]).collect();
-    writeln!(text, "```\n{}\n```\n", commands.join("\n"))?;
+    writeln!(text, "```\n{}\n```\n", command(arguments))?;
     writeln!(text, "{}{made}, commit {commit}, {machine}{load}, {seconds:.0} s.\n", states(output))?;
     writeln!(text, "{}", section.layout.markdown(output, arguments, section.columns)?)?;
     let rows = section.layout.rows(output, arguments)?;

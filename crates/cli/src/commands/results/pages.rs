@@ -1,15 +1,13 @@
 //! The results pages as data: what each section runs, shows and promises.
 
 mod actuators;
-mod anchors;
 mod combinations;
 mod evaluation;
 mod latency;
-mod learning;
 mod page;
 mod rooms;
 
-pub use page::{Page, Section, Training};
+pub use page::{Page, Section};
 
 /// The pages by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -20,10 +18,6 @@ pub enum PageName {
     Rooms,
     /// Each mobility model with each orientation and each mismatch, in the scenario hall
     Combinations,
-    /// A learned correction of the belief, beside the best model-based policy
-    Learning,
-    /// Newer algorithms from the literature, beside the best model-based policy
-    Anchors,
     /// What each property of the mirrors' drives costs, and calibration
     Actuators,
     /// Decision, loop, mirrors, users, rooms and policies, each beside a reference of the same run
@@ -37,21 +31,10 @@ impl PageName {
             Self::Evaluation => &evaluation::PAGE,
             Self::Rooms => &rooms::PAGE,
             Self::Combinations => &combinations::PAGE,
-            Self::Learning => &learning::PAGE,
-            Self::Anchors => &anchors::PAGE,
             Self::Actuators => &actuators::PAGE,
             Self::Latency => &latency::PAGE,
         }
     }
-}
-
-/// The training runs whose actors a command evaluates, in the order in which they are run.
-pub fn trainings(arguments: &[String]) -> Vec<&'static Training> {
-    all_trainings().filter(|training| training.is_evaluated_by(arguments)).collect()
-}
-
-fn all_trainings() -> impl Iterator<Item = &'static Training> {
-    learning::TRAININGS.iter().chain(&anchors::TRAININGS)
 }
 
 #[cfg(test)]
@@ -77,25 +60,7 @@ mod tests {
                     let parsed = Cli::try_parse_from(words);
                     assert!(parsed.is_ok(), "{}, {}: {}", page.name, section.name, parsed.unwrap_err());
                 }
-                for training in trainings(&section.arguments(false)) {
-                    let words = ["heliostat".to_owned()].into_iter().chain(training.arguments());
-                    let parsed = Cli::try_parse_from(words);
-                    assert!(parsed.is_ok(), "{}, {}: {}", page.name, training.name, parsed.unwrap_err());
-                }
             }
-        }
-    }
-
-    #[test]
-    fn every_actor_of_a_page_has_a_training_run_and_every_run_an_evaluation() {
-        let sections = learning::PAGE.sections.iter().chain(anchors::PAGE.sections);
-        let commands: Vec<Vec<String>> = sections.map(|section| section.arguments(false)).collect();
-        for training in all_trainings() {
-            assert!(commands.iter().any(|arguments| training.is_evaluated_by(arguments)), "{}", training.name);
-        }
-        for arguments in &commands {
-            let files = arguments.iter().flat_map(|word| word.split(',')).filter(|word| word.ends_with(".onnx"));
-            assert_eq!(files.count(), trainings(arguments).len(), "{arguments:?}");
         }
     }
 

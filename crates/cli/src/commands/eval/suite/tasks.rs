@@ -12,24 +12,17 @@ pub const REFERENCE: &str = "greedy";
 
 /// The policies that `all` stands for. `exhaustive` is for rooms with a few mirrors, and `hold`
 /// without an earlier policy is `flat`.
-pub const POLICIES: [&str; 23] = [
+pub const POLICIES: [&str; 16] = [
     REFERENCE,
-    "residual",
-    "lstm",
     "oracle",
     "fixed-point",
     "ddpg",
-    "td3",
-    "sac",
-    "ppo",
     "analytic",
     "nearest",
-    "mirror-codebook",
     "codebook",
     "dql",
     "q-learning",
     "sarsa",
-    "ddpg-basis",
     "ddpg-raw",
     "pso",
     "sine-cosine",

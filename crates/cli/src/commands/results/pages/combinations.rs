@@ -27,7 +27,7 @@ macro_rules! section {
                 concat!("The scenario `hall` with: ", $walks, ", ", $receivers, $room, "."),
                 concat!(
                     "eval --scenario hall --closed-loop --ceilings --training-seed 1 --beliefs filter,constant-velocity ",
-                    "--policies greedy,fixed-point,residual",
+                    "--policies greedy,fixed-point",
                     $move,
                     $hold,
                     $differ

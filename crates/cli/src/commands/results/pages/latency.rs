@@ -223,11 +223,6 @@ pub static PAGE: Page = Page {
             &[],
         ),
         decision(["decide-greedy", "Decision, greedy", "bench decide --policy greedy --hz 100,0"], PACED, &[]),
-        decision(
-            ["decide-residual", "Decision, residual", "bench decide --policy residual --hz 100,0"],
-            "The same on each engine that evaluates the network.",
-            &[],
-        ),
         section(
             ["belief", "Belief and observation", "bench belief"],
             "What reports and an observation cost while caches are warm. The reference is one evaluation of the channel model.",

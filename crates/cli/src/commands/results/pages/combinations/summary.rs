@@ -1,4 +1,4 @@
-//! The summary of the page `combinations`: four matrices of mobility and orientation by mismatch.
+//! The summary of the page `combinations`: three matrices of mobility and orientation by mismatch.
 
 use std::fmt::Write;
 
@@ -12,16 +12,16 @@ use super::super::page::Section;
 /// The values of `mismatch.level` in the order of the sections, and of the columns.
 pub(super) const MISMATCHES: [&str; 3] = ["none", "typical", "rough"];
 
-const POLICIES: [&str; 3] = ["greedy", "fixed-point", "residual"];
+const POLICIES: [&str; 2] = ["greedy", "fixed-point"];
 const FIGURE: Form = Form::Interval(3);
 
 /// What a matrix shows of a finished section.
 type Cell = fn(&Finished) -> Result<String>;
 
-const MATRICES: [(&str, &str, Cell); 4] = [
+const MATRICES: [(&str, &str, Cell); 3] = [
     (
         "Ratio (minimum rates met)",
-        "The highest ratio to the oracle of the three policies with the filter's belief. In parentheses: the share of minimum \
+        "The highest ratio to the oracle of both policies with the filter's belief. In parentheses: the share of minimum \
          rates that this policy meets.",
         best,
     ),
@@ -34,11 +34,6 @@ const MATRICES: [(&str, &str, Cell); 4] = [
             let mean = lost["mean"].as_f64().context("expected a mean")?;
             Ok(cell(&json!({ "mean": -mean, "ci95": lost["ci95"] }), FIGURE))
         },
-    ),
-    (
-        "What the learned correction adds",
-        "The ratio of `residual` minus that of `greedy`, both with the filter, paired state by state.",
-        |section| Ok(cell(difference(section, "residual+filter")?, FIGURE)),
     ),
     (
         "What reports and belief lose",
@@ -133,7 +128,6 @@ mod tests {
                 "greedy+constant-velocity": row(0.7, -0.2),
                 "greedy+true-future": row(0.98, 0.08),
                 "fixed-point+filter": row(0.92, 0.02),
-                "residual+filter": row(0.89, -0.01),
             },
         });
         Finished {
@@ -155,7 +149,7 @@ mod tests {
         archive.put(finished("seated-orientation-rough"));
         let text = write(PAGE.sections, &archive).unwrap();
         let line = |figure: &str| format!("\n| Seated, orientation | - | - | {figure} |\n");
-        let expected = ["0.920 ± 0.004 (0.460 ± 0.004)", "0.200 ± 0.004", "-0.010 ± 0.004", "0.080 ± 0.004"];
+        let expected = ["0.920 ± 0.004 (0.460 ± 0.004)", "0.200 ± 0.004", "0.080 ± 0.004"];
         let mut rest = text.as_str();
         for figure in expected {
             rest = rest.split_once(&line(figure)).unwrap_or_else(|| panic!("{figure} is missing in:\n{text}")).1;

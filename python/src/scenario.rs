@@ -33,7 +33,7 @@ impl Scenario {
         let text = if BUILTIN_NAMES.contains(&source) {
             Checked::builtin_text(source).map_err(refused)?.to_owned()
         } else if Path::new(source).extension().is_some_and(|extension| extension == "toml") {
-            std::fs::read_to_string(source).map_err(|error| refused(format!("{source}: {error}")))?
+            heliostat_scenario::read_text(Path::new(source)).map_err(|error| refused(format!("{source}: {error}")))?
         } else {
             let known = BUILTIN_NAMES.join(", ");
             return Err(refused(format!(

@@ -106,7 +106,9 @@ fn the_controller_counts_invalid_payloads_by_cause() {
     refuse("duplicate-user", &|report| report.users[4].user = 0);
     refuse("stale", &|report| report.stamp.time_ns -= 10_000_000_000);
     refuse("from-future", &|report| report.stamp.time_ns += 10_000_000_000);
-    refuse("outside-room", &|report| report.users[0].position_m = [99.0, 0.0, 0.85]);
+    refuse("outside-room", &|report| {
+        report.users.iter_mut().for_each(|user| user.position_m = [99.0, 0.0, 0.85]);
+    });
     refuse("out-of-order", &|report| report.stamp.sequence = 1);
     assert!(!observer.status(NodeKind::Controller).expect("received").last_problem.is_empty());
 

@@ -204,7 +204,11 @@ pub enum KeyError {
         path: PathBuf,
     },
     /// Every user of the machine may read the private key.
-    #[error("{}: every user of this machine can read or change this private key; expected chmod 600", path.display())]
+    #[error(
+        "{}: every user of this machine can read or change this private key; expected chmod 600 or 640, or for a \
+         secret that a container mounts defaultMode: 0440",
+        path.display()
+    )]
     ReadableByOthers {
         /// The private key.
         path: PathBuf,

@@ -7,13 +7,50 @@ use std::path::Path;
 /// Longest text in bytes: a recorded walk of some 2 million samples.
 const BYTES_MAX: u64 = 64 << 20;
 
-/// Reads a file of at most [`BYTES_MAX`] bytes.
-pub(crate) fn read_text(path: &Path) -> io::Result<String> {
-    let mut text = String::new();
-    File::open(path)?.take(BYTES_MAX + 1).read_to_string(&mut text)?;
-    if text.len() as u64 > BYTES_MAX {
+/// Reads a text file of at most 64 MiB, without the byte order mark that some editors write.
+///
+/// # Errors
+/// What the operating system reports, a longer file, or the place of the first byte that is not
+/// UTF-8.
+pub fn read_text(path: &Path) -> io::Result<String> {
+    let mut bytes = Vec::new();
+    File::open(path)?.take(BYTES_MAX + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > BYTES_MAX {
         let message = format!("it is longer than {} MiB: expected a shorter text file", BYTES_MAX >> 20);
         return Err(io::Error::new(io::ErrorKind::FileTooLarge, message));
     }
-    Ok(text)
+    let text =
+        String::from_utf8(bytes).map_err(|error| not_utf8(error.as_bytes(), error.utf8_error().valid_up_to()))?;
+    Ok(text.strip_prefix('\u{feff}').map(str::to_owned).unwrap_or(text))
+}
+
+/// The place of the first invalid byte, both counted from 1.
+fn not_utf8(bytes: &[u8], valid: usize) -> io::Error {
+    let before = &bytes[..valid];
+    let line = 1 + before.iter().filter(|byte| **byte == b'\n').count();
+    let in_line = before.iter().rev().take_while(|byte| **byte != b'\n').count();
+    let message = format!(
+        "it is not UTF-8 at line {line}, byte {}: expected a text in UTF-8; save it again in this encoding",
+        in_line + 1
+    );
+    io::Error::new(io::ErrorKind::InvalidData, message)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(bytes: &[u8]) -> io::Result<String> {
+        let file = tempfile::NamedTempFile::new().expect("a file");
+        std::fs::write(file.path(), bytes).expect("written");
+        read_text(file.path())
+    }
+
+    #[test]
+    fn a_byte_that_is_not_utf8_is_named_by_its_place_and_a_byte_order_mark_is_left_out() {
+        let message = |bytes: &[u8]| read(bytes).expect_err("refused").to_string();
+        assert!(message(b"name = \"\xfc\"").contains("line 1, byte 9"));
+        assert!(message(b"a\n\nb\xe4").contains("line 3, byte 2"));
+        assert_eq!(read(b"\xef\xbb\xbfa = 1\r\n").expect("text"), "a = 1\r\n");
+    }
 }

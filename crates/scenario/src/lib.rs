@@ -52,6 +52,7 @@ mod trace;
 mod user_orientation;
 
 pub use args::{ScenarioArgs, ViewerScenarioArgs};
+pub use bounded_file::read_text;
 pub use builtin::{BUILTIN_NAMES, DEFAULT_SCENARIO, STUDY_SCENARIO};
 pub use check::{MIRRORS_MAX, POWER_W, SPEED_M_S, USERS_MAX};
 pub use error::ScenarioError;

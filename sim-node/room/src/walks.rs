@@ -6,7 +6,7 @@
 //! 4. [`placement`] moves and scales the walks onto the floor of a room.
 //! 5. [`text`] writes the CSV that [`crate::world::trace`] plays.
 //!
-//! [`figures`] describes what was read. No function opens a file.
+//! [`figures`] describes what was read, [`plausibility`] what is unusual about it. No function opens a file.
 //!
 //! # Example
 //! ```
@@ -15,14 +15,16 @@
 //!
 //! let text = "time,user,x,y\n0,a,0,0\n0.5,a,1,0\n";
 //! let mut collector = Collector::new(Kept::default());
-//! read(Source { format: WalkFormat::Csv, frame_rate_hz: None }, text.as_bytes(), &mut |row| collector.add(row))?;
+//! read(&Source::of(WalkFormat::Csv), text.as_bytes(), &mut |row| collector.add(row))?;
 //! assert_eq!(collector.finish().tracks[0].duration_s(), 0.5);
 //! # Ok::<(), heliostat_room::walks::formats::ReadError>(())
 //! ```
 
+mod dialect;
 pub mod figures;
 pub mod formats;
 pub mod placement;
+pub mod plausibility;
 pub mod rows;
 pub mod selection;
 pub mod text;

@@ -3,7 +3,9 @@
 //! A report is checked in this order:
 //!
 //! 1. **Content**: the number of mirrors must be that of the scenario, each user must appear once,
-//!    and values must be physically possible in the room. The number of users is free.
+//!    and values must be physically possible in the room. The number of users is free. Users whose
+//!    position, speed or minimum rate is impossible are left out of an accepted report and counted;
+//!    a report that names only such users is refused.
 //! 2. **Source**: the first source whose report is accepted owns the room. Reports of another
 //!    source are refused until no report of the owner was accepted for `control.source_timeout_ms`.
 //!    When the owner changes, the former owner's reports are discarded, so two rooms are never
@@ -23,11 +25,12 @@ mod slot;
 
 use heliostat_proto::{
     ChannelReport, LedReport, MirrorTelemetry, Nanos, NodeKind, ObstacleReport, OrientationReport, Stamp, UserReport,
+    UserState,
 };
 use heliostat_scenario::Scenario;
 
 use crate::input::{
-    refusal::{Refusal, Refused, Stream},
+    refusal::{Found, LeftOut, Refusal, Refused, Stream},
     sequence::SequenceTrack,
 };
 use array::ArrayInbox;
@@ -150,13 +153,8 @@ impl Inbox {
                 if array < self.arrays.len() {
                     self.track_mut(stream, array).on_refused(&stamp);
                 }
-                match &message {
-                    Message::Telemetry(_, report) if refusal == Refusal::WrongMirrorCount => {
-                        let sizes = self.arrays.get(array).map(|array| array.sizes(report));
-                        self.refused.count_sizes((stream, array), sizes);
-                    }
-                    _ => self.refused.count((stream, array), refusal),
-                }
+                let found = self.found(now, &message, refusal);
+                self.refused.count_found((stream, array), refusal, found);
             }
         }
         checked
@@ -338,7 +336,17 @@ impl Inbox {
 
     fn keep(&mut self, message: Message<'_>) {
         match message {
-            Message::Users(report) => self.users.keep(report),
+            Message::Users(report) => {
+                let (rules, refused) = (&self.rules, &mut self.refused);
+                report.users.retain(|user| {
+                    let checked = rules.check_user(user);
+                    if let Err(refusal) = checked {
+                        refused.count_left_out(LeftOut { user: user.user, refusal, position_m: user.position_m });
+                    }
+                    checked.is_ok()
+                });
+                self.users.keep(report);
+            }
             Message::Channel(report) => self.channel.keep(report),
             Message::Obstacles(report) => self.obstacles.keep(report),
             Message::Telemetry(array, report) => {
@@ -355,6 +363,26 @@ impl Inbox {
         if self.arrays.len() > 1 {
             self.unusable.clear();
             self.unusable.extend(self.arrays.iter().flat_map(ArrayInbox::unusable));
+        }
+    }
+
+    /// The value for which a message is refused.
+    fn found(&self, now: Nanos, message: &Message<'_>, refusal: Refusal) -> Found {
+        match (refusal, message) {
+            (Refusal::WrongMirrorCount, Message::Telemetry(array, report)) => {
+                self.arrays.get(*array).map_or(Found::Nothing, |array| Found::Sizes(array.sizes(report)))
+            }
+            (Refusal::Stale | Refusal::FromFuture, message) => {
+                let sampled_ns = message.stamp().time_ns;
+                let age_s = now.abs_diff(sampled_ns) as f64 / 1e9;
+                Found::AgeS(if now < sampled_ns { -age_s } else { age_s })
+            }
+            (Refusal::OutsideRoom, Message::Users(report)) => {
+                let is_outside = |user: &&UserState| self.rules.check_user(user) == Err(Refusal::OutsideRoom);
+                let outside = report.users.iter().find(is_outside);
+                outside.map_or(Found::Nothing, |user| Found::Position(user.position_m))
+            }
+            _ => Found::Nothing,
         }
     }
 

@@ -156,7 +156,7 @@ impl fmt::Display for Refusal {
 }
 
 /// The last message that was refused.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LastRefusal {
     /// Its stream.
     pub stream: Stream,
@@ -164,8 +164,22 @@ pub struct LastRefusal {
     pub array: usize,
     /// Why.
     pub refusal: Refusal,
+    /// The value that was refused.
+    pub found: Found,
+}
+
+/// The value of a message for which it was refused, for the operator.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Found {
+    /// The reason says it all.
+    #[default]
+    Nothing,
     /// The sizes of telemetry of another number of mirrors.
-    pub sizes: Option<TelemetrySizes>,
+    Sizes(TelemetrySizes),
+    /// How much older than the clock of this machine the sample is, in s; negative for one from the future.
+    AgeS(f64),
+    /// A position outside the room, in m.
+    Position([f32; 3]),
 }
 
 /// The sizes of telemetry, and the one expected.
@@ -180,24 +194,53 @@ pub struct TelemetrySizes {
 }
 
 /// The counters of refusals, and the last refusal.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Refused {
     counts: [[u64; Refusal::ALL.len()]; Stream::ALL.len()],
     last: Option<LastRefusal>,
     last_foreign_source: Option<u64>,
+    left_out: u64,
+    last_left_out: Option<LeftOut>,
+}
+
+/// A user whom a report of positions names, and who was left out.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LeftOut {
+    /// The user.
+    pub user: u32,
+    /// Why.
+    pub refusal: Refusal,
+    /// The reported position in m.
+    pub position_m: [f32; 3],
 }
 
 impl Refused {
     /// Counts one refusal of a stream, and of an array for telemetry.
     pub fn count(&mut self, (stream, array): (Stream, usize), refusal: Refusal) {
         self.counts[stream as usize][refusal as usize] += 1;
-        self.last = Some(LastRefusal { stream, array, refusal, sizes: None });
+        self.last = Some(LastRefusal { stream, array, refusal, found: Found::Nothing });
     }
 
-    /// Counts telemetry of another number of mirrors, and keeps its sizes.
-    pub(crate) fn count_sizes(&mut self, place: (Stream, usize), sizes: Option<TelemetrySizes>) {
-        self.count(place, Refusal::WrongMirrorCount);
-        self.last = self.last.map(|last| LastRefusal { sizes, ..last });
+    /// Counts one refusal, and keeps the value that was refused.
+    pub(crate) fn count_found(&mut self, place: (Stream, usize), refusal: Refusal, found: Found) {
+        self.count(place, refusal);
+        self.last = self.last.map(|last| LastRefusal { found, ..last });
+    }
+
+    /// Counts a user who was left out of an accepted report.
+    pub(crate) fn count_left_out(&mut self, left_out: LeftOut) {
+        self.left_out += 1;
+        self.last_left_out = Some(left_out);
+    }
+
+    /// Users who were left out of accepted reports of positions.
+    pub fn left_out(&self) -> u64 {
+        self.left_out
+    }
+
+    /// The last user who was left out.
+    pub fn last_left_out(&self) -> Option<LeftOut> {
+        self.last_left_out
     }
 
     /// Counts a report of a source that does not own the room, and keeps its id.

@@ -6,7 +6,7 @@ use heliostat_core::{
     inbox::Message,
     observation::Observation,
     policy::{Policy, PolicyError, PolicyKind},
-    refusal::{LastRefusal, Refusal, Stream, TelemetrySizes},
+    refusal::{Found, LastRefusal, Refusal, Stream, TelemetrySizes},
     tenure::Tenure,
 };
 use heliostat_proto::{
@@ -335,9 +335,9 @@ fn a_refusal_of_telemetry_has_the_array_and_the_sizes() {
     let last = |controller: &Controller| controller.inbox().refused().last().expect("a refusal");
     let mut of_first = telemetry(0, 1, 1, ArrayState::Following);
     receive(&mut controller, Room::time(1), Message::Telemetry(1, &mut of_first));
-    let sizes = Some(TelemetrySizes { roll: 4, yaw: 4, expected: 6 });
+    let found = Found::Sizes(TelemetrySizes { roll: 4, yaw: 4, expected: 6 });
     let (stream, refusal) = (Stream::Telemetry, Refusal::WrongMirrorCount);
-    assert_eq!(last(&controller), LastRefusal { stream, array: 1, refusal, sizes });
+    assert_eq!(last(&controller), LastRefusal { stream, array: 1, refusal, found });
     controller.handle_malformed((stream, 1), Refusal::Truncated);
-    assert_eq!(last(&controller), LastRefusal { stream, array: 1, refusal: Refusal::Truncated, sizes: None });
+    assert_eq!(last(&controller), LastRefusal { stream, array: 1, refusal: Refusal::Truncated, found: Found::Nothing });
 }

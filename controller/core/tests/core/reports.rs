@@ -4,9 +4,9 @@ use heliostat_core::{
     core::{Controller, DegradedMode},
     inbox::Message,
     policy::Fixed,
-    refusal::{Refusal, Stream},
+    refusal::{Found, LeftOut, Refusal, Stream},
 };
-use heliostat_proto::{ArrayState, MirrorTelemetry, NodeKind, Obstacle, Stamp, UserReport};
+use heliostat_proto::{ArrayState, MirrorTelemetry, NodeKind, Obstacle, Stamp, UserReport, UserState};
 
 use crate::support::{MS, Outcome, Room, SOURCE, controller, receive, scenario};
 
@@ -187,13 +187,39 @@ fn orientations_are_refused_for_the_reasons_of_the_other_reports() {
 }
 
 #[test]
+fn a_user_with_impossible_values_is_left_out_and_the_others_are_served() {
+    let (mut controller, mut room) = flat(&[]);
+    let mut report = room.positions(1);
+    let all = report.users.len();
+    report.users[0].position_m[0] = 3.6;
+    let (user, position_m) = (report.users[0].user, report.users[0].position_m);
+    receive(&mut controller, Room::time(1), Message::Users(&mut report)).command();
+    let kept: Vec<u32> = controller.inbox().users().expect("accepted").users.iter().map(|user| user.user).collect();
+    assert!(kept.len() == all - 1 && !kept.contains(&user), "{kept:?}");
+    let refused = controller.inbox().refused();
+    let expected = LeftOut { user, refusal: Refusal::OutsideRoom, position_m };
+    assert_eq!((refused.left_out(), refused.last_left_out(), refused.total()), (1, Some(expected), 0));
+    // Speeds and minimum rates are those of one user too.
+    for change in [(|user| user.min_rate_bps = -1.0) as fn(&mut UserState), |user| user.velocity_m_s[1] = 101.0] {
+        let mut report = room.positions(2);
+        change(&mut report.users[1]);
+        receive(&mut controller, Room::time(2), Message::Users(&mut report));
+        assert_eq!(controller.inbox().users().expect("accepted").users.len(), all - 1);
+    }
+    assert_eq!(controller.inbox().refused().last_left_out().expect("one").refusal, Refusal::Implausible);
+}
+
+#[test]
 fn physically_impossible_values_are_refused() {
     let (mut controller, mut room) = flat(&[]);
     let now = Room::time(1);
     let mut outside = room.positions(1);
-    outside.users[1].position_m[0] = 3.6;
+    outside.users.iter_mut().for_each(|user| user.position_m[0] = 3.6);
     assert_eq!(receive(&mut controller, now, Message::Users(&mut outside)), Outcome::Nothing);
     assert_eq!(refused(&controller, Stream::Users, Refusal::OutsideRoom), 1);
+    let last = controller.inbox().refused().last().expect("a refusal");
+    let Found::Position([x, ..]) = last.found else { panic!("{last:?}") };
+    assert_eq!(x, 3.6);
 
     receive(&mut controller, now, Message::Channel(&mut room.gains(1, -1e-9)));
     assert_eq!(refused(&controller, Stream::Channel, Refusal::Implausible), 1);

@@ -48,7 +48,8 @@ pub struct Summary {
     pub fallbacks: BTreeMap<String, u64>,
     /// Messages refused, by stream and reason.
     pub refused: BTreeMap<String, u64>,
-    /// Users without a measured gain or without a place in the policy, one for each decision.
+    /// Users without a measured gain or without a place in the policy, one for each decision, and
+    /// users whom an accepted report names with impossible values, one for each report.
     #[serde(default)]
     pub users: BTreeMap<String, u64>,
     /// Changes of the epoch or of the standby, by kind.
@@ -245,7 +246,11 @@ impl Summary {
             commands: counters.commands,
             fallbacks: nonzero(DegradedMode::ALL.map(|mode| (mode.name(), counters.degraded(mode)))),
             refused: nonzero(refused),
-            users: nonzero([("unmeasured", counters.unmeasured_users), ("unserved", counters.unserved_users)]),
+            users: nonzero([
+                ("left-out", controller.inbox().refused().left_out()),
+                ("unmeasured", counters.unmeasured_users),
+                ("unserved", counters.unserved_users),
+            ]),
             epoch_events: nonzero(TenureEvent::ALL.map(|event| (event.name(), counters.tenure(event)))),
             standby: arrays.clone().any(|array| controller.tenure(array).standing() == Standing::Standby),
             unfit: controller.unfit().map(describe_unfit),

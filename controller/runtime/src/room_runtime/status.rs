@@ -3,7 +3,7 @@
 use heliostat_core::{
     core::{Controller, Counters, DegradedMode, Stage},
     guard::describe_stop,
-    refusal::{LastRefusal, Refusal, Stream, TelemetrySizes},
+    refusal::{Found, LastRefusal, LeftOut, Refusal, Stream, TelemetrySizes},
     tenure::{Standing, Tenure, TenureEvent},
 };
 use heliostat_proto::{Nanos, NodeKind, NodeStatus, Stamp, array_keys::array_name, stop_hold::HeldStop};
@@ -38,6 +38,11 @@ pub struct Reporter {
     sequence: u64,
     decisions: u64,
     refused: u64,
+    /// Refused reports of positions at the last snapshot.
+    refused_positions: u64,
+    /// Whether reports of positions were refused since the last snapshot.
+    has_refused_positions: bool,
+    left_out: u64,
     failed: u64,
     unsent: u64,
     orders_refused: u64,
@@ -90,6 +95,9 @@ impl Reporter {
             sequence: 0,
             decisions: 0,
             refused: 0,
+            refused_positions: 0,
+            has_refused_positions: false,
+            left_out: 0,
             failed: 0,
             unsent: 0,
             orders_refused: 0,
@@ -134,6 +142,9 @@ impl Reporter {
         summary.last_problem.clone_from(&self.last_problem);
         summary.set_without_driver(&self.conditions.without_driver);
         summary.geometry_differs = self.conditions.geometry.is_some();
+        let refused = controller.inbox().refused();
+        let positions = Refusal::ALL.into_iter().map(|reason| refused.get(Stream::Users, reason)).sum();
+        self.has_refused_positions = std::mem::replace(&mut self.refused_positions, positions) < positions;
         let state = self.state(&summary);
         self.decisions = summary.decisions;
         Snapshot { summary, problem, now: decision_loop.room_time_ns(), state, swaps }
@@ -222,7 +233,8 @@ impl Reporter {
             _ if !self.stops.is_empty() => return self.stops.clone(),
             _ if summary.unfit.is_some() => "no commands: the array does not fit",
             _ if summary.standby => "standby",
-            _ if summary.decisions == 0 => "waiting for position reports",
+            _ if summary.decisions == 0 && !self.has_refused_positions => "waiting for position reports",
+            _ if summary.decisions == self.decisions && self.has_refused_positions => "position reports refused",
             _ if summary.decisions == self.decisions => "position reports stopped",
             _ if summary.driver_absent => {
                 return describe_absence(&self.conditions.without_driver, summary.arrays.len().max(1));
@@ -308,7 +320,13 @@ impl Reporter {
         if policy_warned {
             return swaps.last_warning.clone();
         }
-        refused_rose.then(|| describe_refusal(decision_loop)).flatten()
+        if refused_rose {
+            return describe_refusal(decision_loop);
+        }
+        // The first of a series; the counter shows the others.
+        let refused = controller.inbox().refused();
+        let left_out_before = std::mem::replace(&mut self.left_out, refused.left_out());
+        (left_out_before == 0).then(|| refused.last_left_out().map(describe_left_out)).flatten()
     }
 
     /// The last payload that did not decode, if there are more than at the last report of one.
@@ -397,7 +415,7 @@ fn describe_event(event: TenureEvent, tenure: &Tenure) -> String {
 
 fn describe_refusal(decision_loop: &DecisionLoop) -> Option<String> {
     let inbox = decision_loop.controller.inbox();
-    let LastRefusal { stream, array, refusal, sizes } = inbox.refused().last()?;
+    let LastRefusal { stream, array, refusal, found } = inbox.refused().last()?;
     let (name, owner) = match stream {
         Stream::Telemetry => (format!("telemetry of {}", array_name(array)), inbox.array_source(array)),
         _ => (stream.name().to_owned(), inbox.source()),
@@ -408,12 +426,35 @@ fn describe_refusal(decision_loop: &DecisionLoop) -> Option<String> {
             inbox.refused().last_foreign_source().unwrap_or_default(),
             owner.unwrap_or_default()
         ),
-        (Refusal::WrongMirrorCount, _) if let Some(TelemetrySizes { roll, yaw, expected }) = sizes => format!(
+        (Refusal::WrongMirrorCount, _) if let Found::Sizes(TelemetrySizes { roll, yaw, expected }) = found => format!(
             "{name} refused: it has {roll} roll and {yaw} yaw angles, expected {expected} of each; \
              start its driver with the size that the scenario gives {}",
             array_name(array)
         ),
         (_, Some(error)) if refusal == Refusal::from(error) => format!("{name}: {error}"),
+        (Refusal::Stale, _) if let Found::AgeS(age_s) = found => {
+            format!(
+                "{name} refused: a report is {age_s:.1} s old; check the clocks of its sender and of this controller"
+            )
+        }
+        (Refusal::FromFuture, _) if let Found::AgeS(age_s) = found => format!(
+            "{name} refused: a report is {:.1} s ahead of this controller's clock; check the clocks of both",
+            -age_s
+        ),
+        (Refusal::OutsideRoom, _) if let Found::Position(position_m) = found => {
+            format!("{name} refused: {}", describe_outside(position_m))
+        }
         _ => format!("{name} refused: {refusal}"),
     })
+}
+
+fn describe_outside([x, y, z]: [f32; 3]) -> String {
+    format!("({x:.1}, {y:.1}, {z:.1}) is outside the room: positions are in m, in the frame of the room")
+}
+
+fn describe_left_out(LeftOut { user, refusal, position_m }: LeftOut) -> String {
+    match refusal {
+        Refusal::OutsideRoom => format!("user {user} is left out: {}", describe_outside(position_m)),
+        _ => format!("user {user} is left out: speed or minimum rate is {refusal}"),
+    }
 }

@@ -61,7 +61,7 @@ fn add_speeds(points: &[TrackPoint], speeds: &mut Vec<f64>) {
 }
 
 /// The nearest-rank percentile; `None` of no values.
-fn percentile(values: &mut [f64], share: f64) -> Option<f64> {
+pub(super) fn percentile(values: &mut [f64], share: f64) -> Option<f64> {
     let rank = (share * values.len() as f64).ceil() as usize;
     let index = rank.max(1).checked_sub(1).filter(|index| *index < values.len())?;
     Some(*values.select_nth_unstable_by(index, f64::total_cmp).1)

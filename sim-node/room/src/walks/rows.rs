@@ -35,9 +35,10 @@ pub(super) fn refusal(line: u64, reason: String) -> RowRefusal {
     RowRefusal { line, reason }
 }
 
-/// A finite number in a cell.
+/// A finite number in a cell, with a point or a comma as decimal mark.
 pub(super) fn number(line: u64, column: &str, text: &str) -> Result<f64, RowRefusal> {
-    let value = text.parse::<f64>().ok().filter(|value| value.is_finite());
+    let with_point = || text.replacen(',', ".", 1).parse::<f64>().ok();
+    let value = text.parse::<f64>().ok().or_else(with_point).filter(|value| value.is_finite());
     value.ok_or_else(|| {
         let found: String = text.chars().take(QUOTED).collect();
         refusal(line, format!("invalid {column} `{found}`: expected a finite number"))

@@ -8,6 +8,9 @@ use crate::walks::rows::{Row, RowRefusal};
 /// Positions that are kept unless another number is given: some 400 MB.
 const POSITIONS_MAX: u64 = 5_000_000;
 
+/// Largest number of intervals that are kept for the usual one.
+const INTERVALS_MAX: usize = 10_000;
+
 /// Largest number of refused rows that are named.
 const REFUSALS_NAMED_MAX: usize = 1000;
 
@@ -146,6 +149,8 @@ pub struct Collected {
     pub pedestrians: usize,
     /// The first 1000 refused rows.
     pub refusals: Vec<RowRefusal>,
+    /// The first intervals between two rows of one pedestrian in s, gaps included.
+    pub intervals_s: Vec<f64>,
 }
 
 /// A pedestrian of whom a row was read.
@@ -190,6 +195,11 @@ impl Collector {
                 row.time_s, row.pedestrian
             );
             return Err(RowRefusal { line: row.line, reason });
+        }
+        if let Some(last_s) = before.map(|pedestrian| pedestrian.last_s)
+            && self.collected.intervals_s.len() < INTERVALS_MAX
+        {
+            self.collected.intervals_s.push(row.time_s - last_s);
         }
         let track = before
             .and_then(|pedestrian| pedestrian.track.filter(|_| row.time_s - pedestrian.last_s <= self.kept.max_gap_s));

@@ -21,7 +21,11 @@ use crate::world::walker::{Floor, Walker};
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum TraceError {
     /// The first line that is neither empty nor a comment is not the header.
-    #[error("line {line}: invalid header `{found}`: expected `time,user,x,y` or `time,user,x,y,heading_deg`")]
+    #[error(
+        "line {line}: invalid header `{}`: expected `time,user,x,y` or `time,user,x,y,heading_deg`; \
+         `heliostat-lab trace import --format csv` makes such a file from other columns and separators",
+        found.escape_debug()
+    )]
     Header {
         /// Line number, from 1.
         line: usize,
@@ -259,6 +263,8 @@ fn times(users: &[Vec<Sample>]) -> [f64; 2] {
 /// Reads the samples of each user, and reports each problem; stops where `report` returns false.
 fn read(text: &str, users: usize, floor: &Floor, report: &mut dyn FnMut(TraceError) -> bool) -> Vec<Vec<Sample>> {
     let mut samples: Vec<Vec<Sample>> = vec![Vec::new(); users];
+    // Editors and spreadsheets write a byte order mark.
+    let text = text.trim_start_matches('\u{feff}');
     let lines = text.lines().enumerate().map(|(index, row)| (index + 1, row.trim()));
     let mut rows = lines.filter(|(_, row)| !row.is_empty() && !row.starts_with('#'));
     let mut columns = COLUMNS.len() - 1;

@@ -52,23 +52,27 @@ impl Rules {
         Ok(())
     }
 
-    /// Checks the users, positions and speeds of a report.
+    /// Checks the users of a report, and that at least one of several entries is usable.
     pub fn check_users(&self, report: &UserReport) -> Result<(), Refusal> {
         check_distinct(report.users.iter().map(|user| user.user))?;
-        let inside = |position: &[f32; 3]| {
-            let [x, y, z] = position.map(f64::from);
-            x.abs() <= self.half_x_m + OUTSIDE_MARGIN_M
-                && y.abs() <= self.half_y_m + OUTSIDE_MARGIN_M
-                && (-OUTSIDE_MARGIN_M..=self.height_m).contains(&z)
-        };
-        if !report.users.iter().all(|user| inside(&user.position_m)) {
+        let mut entries = report.users.iter().map(|user| self.check_user(user));
+        match entries.next() {
+            Some(Err(first)) if entries.all(|entry| entry.is_err()) => Err(first),
+            _ => Ok(()),
+        }
+    }
+
+    /// Checks position, speed and minimum rate of one user.
+    pub fn check_user(&self, user: &UserState) -> Result<(), Refusal> {
+        let [x, y, z] = user.position_m.map(f64::from);
+        let is_inside = x.abs() <= self.half_x_m + OUTSIDE_MARGIN_M
+            && y.abs() <= self.half_y_m + OUTSIDE_MARGIN_M
+            && (-OUTSIDE_MARGIN_M..=self.height_m).contains(&z);
+        if !is_inside {
             return Err(Refusal::OutsideRoom);
         }
-        let moves = |user: &UserState| {
-            let [x, y] = user.velocity_m_s.map(f64::from);
-            x.hypot(y) <= SPEED_MAX_M_S
-        };
-        plausible(report.users.iter().all(|user| user.min_rate_bps >= 0.0 && moves(user)))
+        let [x, y] = user.velocity_m_s.map(f64::from);
+        plausible(user.min_rate_bps >= 0.0 && x.hypot(y) <= SPEED_MAX_M_S)
     }
 
     /// Checks the users and the LEDs of a report: each LED must be one of the scenario.

@@ -6,8 +6,9 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, anyhow, ensure};
 use clap::ValueEnum;
-use heliostat_room::walks::formats::{Source, WalkFormat, read};
+use heliostat_room::walks::formats::{ColumnMap, ReadError, Source, WalkFormat, read};
 use heliostat_room::walks::placement::{Fit, place};
+use heliostat_room::walks::plausibility::{is_mostly_refused, warnings};
 use heliostat_room::walks::selection::{Choice, Presence, select};
 use heliostat_room::walks::tracks::{Collected, Collector, Kept, Rectangle};
 use heliostat_room::world::walker::Floor;
@@ -26,9 +27,14 @@ use crate::commands::whole_file;
 /// and how to use the file.
 ///
 /// Formats: eth-ucy is obsmat.txt (frame id x z y vx vz vy) or text of "frame id x y". atc is a day
-/// of the ATC shopping centre. thor-magni is the CSV of a run, of which the helmets are read. csv
-/// has a header with time, user, x, y (s, m) and optionally heading_deg, in any order. Data sets are
-/// not included: obtain them from their authors, and observe their licences.
+/// of the ATC shopping centre. experiment is text of "id frame x y z" in cm, as archives of experiments
+/// with pedestrians have it. thor-magni is the file of a run of THÖR-MAGNI or THÖR, of which the helmets
+/// are read. csv has a header with time, user, x, y (s, m) and optionally heading_deg, in any order;
+/// --columns names others. Commas, semicolons, tabs and decimal commas are recognised. Data sets are not
+/// included: obtain them from their authors, and observe their licences.
+///
+/// Warnings name what is unusual: speeds, intervals, extents, short tracks, many refused rows. The exit
+/// status is 2 where more than half of the rows are refused.
 #[derive(Debug, clap::Args)]
 pub struct ImportArgs {
     /// The file of the data set
@@ -66,9 +72,17 @@ struct Reading {
     /// Factor on all positions, for a file in other units: 0.01 for cm
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = positive, allow_negative_numbers = true)]
     scale: f64,
-    /// Frames per second of the frame numbers of eth-ucy [default: their smallest step is 0.4 s]
+    /// Frames per second, where times are frame numbers [default: the usual step of eth-ucy is 0.4 s; an experiment
+    /// names its rate]
     #[arg(long, value_name = "HZ", value_parser = positive, allow_negative_numbers = true)]
     frame_rate_hz: Option<f64>,
+    /// Unit of the times of atc, thor-magni and csv
+    #[arg(long, value_enum, default_value = "s", conflicts_with = "frame_rate_hz")]
+    time_unit: TimeUnit,
+    /// Columns of csv: names in the header, or numbers from 1 for a file without header, for example
+    /// "time=Timestamp [s],user=Person ID,x=X [m],y=Y [m]"
+    #[arg(long, value_name = "COLUMN=NAME,...", value_parser = ColumnMap::parse)]
+    columns: Option<ColumnMap>,
     /// Use rows from this time on, in s after the first row
     #[arg(long, value_name = "S", default_value_t = f64::NEG_INFINITY, hide_default_value = true, allow_negative_numbers = true)]
     from_s: f64,
@@ -106,10 +120,24 @@ enum FormatName {
     EthUcy,
     /// ATC shopping centre: one file for each day
     Atc,
-    /// THÖR-MAGNI: one file for each run
+    /// Experiments with pedestrians: id frame x y z in cm, or in m where a comment names x/m
+    Experiment,
+    /// THÖR-MAGNI or THÖR: one file for each run
     ThorMagni,
     /// CSV with a header of time, user, x, y and optionally heading_deg, in any order
     Csv,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum TimeUnit {
+    /// Seconds
+    S,
+    /// Milliseconds
+    Ms,
+    /// Microseconds
+    Us,
+    /// Nanoseconds
+    Ns,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -140,8 +168,14 @@ pub fn run(args: &ImportArgs) -> Result<()> {
     whole_file::check_writable(&args.out)?;
     let collected = collect(args).with_context(unusable)?;
     let choice = choice(args, &scenario);
+    let warnings = warnings(&collected);
     let mut selected = select(&collected.tracks, &choice)
-        .map_err(|error| anyhow!("{error}: choose fewer --users, --select longest, or another --max-gap-s or --crop"))
+        .map_err(|error| {
+            let causes: String = warnings.iter().map(|warning| format!("; {warning}")).collect();
+            let units = if warnings.is_empty() { "" } else { ", --time-unit, --frame-rate-hz or --scale" };
+            let advice = "choose fewer --users, --select longest, or another --max-gap-s or --crop";
+            anyhow!("{error}{causes}: {advice}{units}")
+        })
         .with_context(unusable)?;
     let recorded = selected.users.clone();
     let placement = place(&mut selected.users, &floor, args.fit.into(), args.margin_m)
@@ -154,6 +188,7 @@ pub fn run(args: &ImportArgs) -> Result<()> {
         scenario: args.scenario.clone(),
         overrides: args.overrides.clone(),
         collected,
+        warnings,
         presence: choice.presence,
         selected,
         recorded,
@@ -178,9 +213,18 @@ fn collect(args: &ImportArgs) -> Result<Collected> {
         ..Kept::default()
     };
     let mut collector = Collector::new(kept);
-    let source = Source { format: args.format.into(), frame_rate_hz: reading.frame_rate_hz };
+    let source = Source {
+        format: args.format.into(),
+        frame_rate_hz: reading.frame_rate_hz,
+        time_unit_s: reading.time_unit.seconds(),
+        columns: reading.columns.clone().unwrap_or_default(),
+    };
+    ensure!(
+        reading.columns.is_none() || source.format == WalkFormat::Csv,
+        "--columns was given: expected the format csv, because the other formats have fixed columns"
+    );
     let input = BufReader::new(File::open(&args.file)?);
-    read(source, input, &mut |row| collector.add(row))?;
+    read(&source, input, &mut |row| collector.add(row)).map_err(advised)?;
     let collected = collector.finish();
     let counts = collected.counts;
     ensure!(
@@ -193,7 +237,17 @@ fn collect(args: &ImportArgs) -> Result<Collected> {
     });
     let left_out = counts.out_of_range + counts.cropped;
     ensure!(counts.kept > 0, "no position is left: {left_out} outside the time range or the crop{first}");
+    ensure!(!is_mostly_refused(&collected), "most rows are refused: expected rows of the format{first}");
     Ok(collected)
+}
+
+/// The error with the flag that helps.
+fn advised(error: ReadError) -> anyhow::Error {
+    match error {
+        ReadError::Header { .. } => anyhow!("{error}: name them with --columns time=NAME,user=NAME,x=NAME,y=NAME"),
+        ReadError::FrameRate => anyhow!("{error}, or give --frame-rate-hz"),
+        other => other.into(),
+    }
 }
 
 fn choice(args: &ImportArgs, scenario: &Scenario) -> Choice {
@@ -210,8 +264,20 @@ impl From<FormatName> for WalkFormat {
         match name {
             FormatName::EthUcy => Self::EthUcy,
             FormatName::Atc => Self::Atc,
+            FormatName::Experiment => Self::Experiment,
             FormatName::ThorMagni => Self::ThorMagni,
             FormatName::Csv => Self::Csv,
+        }
+    }
+}
+
+impl TimeUnit {
+    fn seconds(self) -> f64 {
+        match self {
+            Self::S => 1.0,
+            Self::Ms => 1e-3,
+            Self::Us => 1e-6,
+            Self::Ns => 1e-9,
         }
     }
 }

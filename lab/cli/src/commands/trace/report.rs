@@ -23,6 +23,8 @@ pub(super) struct ImportReport {
     pub scenario: String,
     pub overrides: Vec<String>,
     pub collected: Collected,
+    /// What is unusual about the file.
+    pub warnings: Vec<String>,
     pub presence: Presence,
     pub selected: Selected,
     /// The users' tracks before they were placed.
@@ -36,6 +38,9 @@ pub(super) fn print(report: &ImportReport, json: bool) -> Result<()> {
         return Ok(outln!("{}", json_of(report))?);
     }
     print_read(&report.file, &report.collected)?;
+    for warning in &report.warnings {
+        outln!("  warning     {warning}")?;
+    }
     print_selected(report)?;
     outln!("wrote {}; use it with:", report.out)?;
     Ok(outln!("  {}", usage(report))?)
@@ -134,6 +139,7 @@ fn json_of(report: &ImportReport) -> Value {
             "rate_hz": rate_hz(tracks),
             "area_m": bounds(tracks).map(|area| json!({ "min": area.min_m, "max": area.max_m })),
             "speed": speed(speeds(tracks)),
+            "warnings": report.warnings,
         },
         "selected": {
             "users": report.selected.users.len(),

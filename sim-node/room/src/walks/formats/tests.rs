@@ -4,14 +4,14 @@ use super::*;
 
 type Rows = Vec<Result<Row, RowRefusal>>;
 
-fn rows(source: Source, text: &str) -> Result<Rows, ReadError> {
+fn rows(source: &Source, text: &str) -> Result<Rows, ReadError> {
     let mut rows = Vec::new();
     read(source, text.as_bytes(), &mut |row| rows.push(row))?;
     Ok(rows)
 }
 
-fn of(format: WalkFormat) -> Source {
-    Source { format, frame_rate_hz: None }
+fn of(format: WalkFormat) -> &'static Source {
+    Box::leak(Box::new(Source::of(format)))
 }
 
 /// Time, pedestrian and position of each row that can be used.
@@ -35,7 +35,8 @@ fn eth_ucy_takes_the_third_and_fifth_column_and_frames_of_0_4_s() {
     let found = positions(&read);
     assert_eq!((found[0].1, found[0].2), ("1", [8.4568443, 3.5880664]));
     assert!((found[1].0 - found[0].0 - 0.4).abs() < 1e-9 && (found[2].0 - found[0].0 - 1.2).abs() < 1e-9);
-    let at_25_hz = rows(Source { frame_rate_hz: Some(25.0), ..of(WalkFormat::EthUcy) }, OBSMAT).expect("readable");
+    let at_25_hz =
+        rows(&Source { frame_rate_hz: Some(25.0), ..Source::of(WalkFormat::EthUcy) }, OBSMAT).expect("readable");
     assert_eq!(positions(&at_25_hz)[0].0, 31.2);
     let four = rows(of(WalkFormat::EthUcy), "0\t3\t1.5\t-2\n10\t3\t1.6\t-2\n").expect("readable");
     assert_eq!(positions(&four), [(0.0, "3", [1.5, -2.0]), (0.4, "3", [1.6, -2.0])]);
@@ -99,4 +100,71 @@ fn a_file_without_rows_or_columns_is_refused_with_what_is_expected() {
     let mut latin = Vec::from(*b"0,0,1,2\n");
     latin.push(0xff);
     assert!(read(of(WalkFormat::Atc), &latin[..], &mut |_| {}).is_err());
+}
+
+#[test]
+fn the_most_frequent_step_of_a_pedestrian_is_the_annotation_interval() {
+    let text = "0 1 0 0\n0 2 5 0\n10 1 1 0\n11 2 6 0\n20 1 2 0\n20 2 7 0\n30 1 3 0\n30 2 8 0\n";
+    let read = rows(of(WalkFormat::EthUcy), text).expect("readable");
+    let times: Vec<f64> = positions(&read).iter().map(|(time_s, _, _)| *time_s).collect();
+    assert!((times[7] - 1.2).abs() < 1e-9 && (times[3] - 0.44).abs() < 1e-9, "{times:?}");
+}
+
+#[test]
+fn separators_and_decimal_commas_are_recognised() {
+    for (format, text) in [
+        (WalkFormat::EthUcy, "0,3,1.5,-2\n10,3,1.6,-2\n"),
+        (WalkFormat::EthUcy, "0;3;1,5;-2\n10;3;1,6;-2\n"),
+        (WalkFormat::Csv, "\u{feff}time;user;x;y\r\n0,0;3;1,5;-2\r\n0,4;3;1,6;-2\r\n"),
+        (WalkFormat::Csv, "time\tuser\tx\ty\n0\t3\t1.5\t-2\n0.4\t3\t1.6\t-2\n"),
+        (WalkFormat::Csv, "\"\",\"time\",\"user\",\"x\",\"y\"\n\"1\",0,3,1.5,-2\n\"2\",0.4,3,1.6,-2\n"),
+    ] {
+        let read = rows(of(format), text).expect("readable");
+        assert_eq!(positions(&read), [(0.0, "3", [1.5, -2.0]), (0.4, "3", [1.6, -2.0])], "{text}");
+    }
+    let thousands = rows(of(WalkFormat::Csv), "time;user;x;y\n0;3;1,234.5;0\n").expect("readable");
+    assert_eq!(refusals(&thousands), [(2, "invalid x `1,234.5`: expected a finite number")]);
+}
+
+#[test]
+fn an_experiment_has_the_pedestrian_first_and_its_rate_and_unit_in_comments() {
+    let text = "# framerate: 16.00 fps\n# ID FR X Y Z\n3\t0\t150\t-200\t175\n3\t16\t160\t-200\t175\n";
+    let expected = [(0.0, "3", [1.5, -2.0]), (1.0, "3", [1.6, -2.0])];
+    assert_eq!(positions(&rows(of(WalkFormat::Experiment), text).expect("readable")), expected);
+    let in_m = "# framerate: 16\n# id frame x/m y/m\n3 0 1.5 -2\n3 16 1.6 -2\n";
+    assert_eq!(positions(&rows(of(WalkFormat::Experiment), in_m).expect("readable")), expected);
+    let without = rows(of(WalkFormat::Experiment), "3 0 150 -200 175\n").expect_err("no rate").to_string();
+    assert!(without.contains("the frame rate is not known"), "{without}");
+    let as_eth = rows(of(WalkFormat::EthUcy), text).expect("read");
+    assert!(refusals(&as_eth)[0].1.contains("the layout id frame x y z of the format experiment"));
+}
+
+#[test]
+fn a_lost_marker_of_thor_enters_no_mean() {
+    let text = "NO_OF_FRAMES\t2\nTIME_STAMP\t2024-05-01, 10:00:00\nFrame\tTime\tHelmet_1 - 1 X\tHelmet_1 - 1 Y\t\
+                Helmet_1 - 2 X\tHelmet_1 - 2 Y\n1\t0\t2040\t0\t0.000\t0.000\n2\t0.4\t0\t0\t0\t0\n";
+    let read = rows(of(WalkFormat::ThorMagni), text).expect("readable");
+    assert_eq!(positions(&read), [(0.0, "Helmet_1", [2.04, 0.0])]);
+}
+
+#[test]
+fn columns_of_a_csv_are_mapped_by_name_or_by_number_and_times_have_a_unit() {
+    let map = |text: &str| ColumnMap::parse(text).expect("a map");
+    let named = Source {
+        columns: map("time=Timestamp [ms],user=Person ID,x=X [m],y=Y [m]"),
+        time_unit_s: 1e-3,
+        ..Source::of(WalkFormat::Csv)
+    };
+    let text = "Timestamp [ms],Person ID,X [m],Y [m]\n400,3,1.5,-2\n";
+    let expected = [(0.4, "3", [1.5, -2.0])];
+    assert_eq!(positions(&rows(&named, text).expect("readable")), expected);
+    let numbered = Source { columns: map("time=1,user=2,x=3,y=4"), time_unit_s: 1e-3, ..Source::of(WalkFormat::Csv) };
+    assert_eq!(positions(&rows(&numbered, "400,3,1.5,-2\n").expect("readable")), expected);
+    let missing = rows(of(WalkFormat::Csv), text).expect_err("no such columns").to_string();
+    assert!(missing.contains("missing column time") && missing.contains("`Person ID`"), "{missing}");
+    let beyond = Source { columns: map("time=1,user=2,x=3,y=5"), ..Source::of(WalkFormat::Csv) };
+    assert!(rows(&beyond, "0,3,1.5,-2\n").expect_err("no fifth").to_string().contains("number 5 (y)"));
+    for wrong in ["time", "when=1", "time=0", "time=", "time=1,time=2"] {
+        assert!(ColumnMap::parse(wrong).expect_err("refused").contains("expected time=COLUMN"), "{wrong}");
+    }
 }

@@ -2,8 +2,8 @@
 //!
 //! A body whose name begins with `Helmet_` is a pedestrian; robots and carried objects are not
 //! read. A body has the columns `NAME Centroid_X` and `NAME Centroid_Y`, and for each marker
-//! `NAME - 1 X` and so on. An empty cell and `NaN` mean that the body was not tracked in this
-//! frame. The rotation matrices (`R0` to `R8`) are not read: the axes of a helmet are not
+//! `NAME - 1 X` and so on. An empty cell, `NaN`, and zeros in all coordinates mean that the point was
+//! not tracked in this frame. The rotation matrices (`R0` to `R8`) are not read: the axes of a helmet are not
 //! documented with the columns.
 
 use std::collections::BTreeMap;
@@ -80,8 +80,13 @@ impl Body {
             if point.iter().any(|cell| cell.is_empty() || cell.eq_ignore_ascii_case("nan")) {
                 continue;
             }
-            for (sum, cell) in sum_mm.iter_mut().zip(point) {
-                *sum += number(line, &self.name, cell)?;
+            let at_mm = [number(line, &self.name, point[0])?, number(line, &self.name, point[1])?];
+            // The older THÖR writes zeros for a lost marker.
+            if at_mm == [0.0, 0.0] {
+                continue;
+            }
+            for (sum, coordinate) in sum_mm.iter_mut().zip(at_mm) {
+                *sum += coordinate;
             }
             count += 1.0;
         }

@@ -1,0 +1,63 @@
+//! How the cells of a line are separated: by white space, tabs, commas or semicolons.
+
+/// The separator of a text, recognised at its first row.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Separator {
+    Whitespace,
+    Tab,
+    Comma,
+    Semicolon,
+}
+
+impl Separator {
+    /// The separator of a row. A semicolon comes first, because a European spreadsheet that writes
+    /// it uses the comma as decimal mark. A tab comes before the comma for the same reason.
+    pub(super) fn of(row: &str) -> Self {
+        [(';', Self::Semicolon), ('\t', Self::Tab), (',', Self::Comma)]
+            .into_iter()
+            .find(|(mark, _)| row.contains(*mark))
+            .map_or(Self::Whitespace, |(_, separator)| separator)
+    }
+
+    /// The cells of a row, without white space and quotation marks around them.
+    pub(super) fn cells(self, row: &str) -> Vec<&str> {
+        fn bare(cell: &str) -> &str {
+            cell.trim().trim_matches('"')
+        }
+        match self {
+            Self::Whitespace => row.split_whitespace().collect(),
+            Self::Tab => row.split('\t').map(bare).collect(),
+            Self::Comma => row.split(',').map(bare).collect(),
+            Self::Semicolon => row.split(';').map(bare).collect(),
+        }
+    }
+
+    /// The name for a message.
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Self::Whitespace => "white space",
+            Self::Tab => "tabs",
+            Self::Comma => "commas",
+            Self::Semicolon => "semicolons",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_row_shows_the_separator() {
+        for (row, separator, cells) in [
+            ("7.8e2  1\t2.5", Separator::Tab, vec!["7.8e2  1", "2.5"]),
+            ("7.8e2  1 2.5", Separator::Whitespace, vec!["7.8e2", "1", "2.5"]),
+            ("0, 1 ,\"x\"", Separator::Comma, vec!["0", "1", "x"]),
+            ("0,4;1;2,5", Separator::Semicolon, vec!["0,4", "1", "2,5"]),
+            ("0,4\t\t2,5", Separator::Tab, vec!["0,4", "", "2,5"]),
+        ] {
+            assert_eq!(Separator::of(row), separator, "{row}");
+            assert_eq!(separator.cells(row), cells, "{row}");
+        }
+    }
+}

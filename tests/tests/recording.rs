@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use heliostat_bus::{Bus, BusConfig, private_endpoint};
-use heliostat_proto::{BranchReport, LedReport, MirrorCommand, NodeStatus, OrientationReport, Room, Stamp, UserReport, codec};
+use heliostat_proto::{BranchReport, LedReport, MirrorCommand, OrientationReport, Room, Stamp, UserReport, codec};
 use heliostat_record::account::Account;
 use heliostat_record::file::{Reading, Recording};
 use heliostat_scenario::Scenario;

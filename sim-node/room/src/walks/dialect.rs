@@ -31,16 +31,6 @@ impl Separator {
             Self::Semicolon => row.split(';').map(bare).collect(),
         }
     }
-
-    /// The name for a message.
-    pub(super) fn name(self) -> &'static str {
-        match self {
-            Self::Whitespace => "white space",
-            Self::Tab => "tabs",
-            Self::Comma => "commas",
-            Self::Semicolon => "semicolons",
-        }
-    }
 }
 
 #[cfg(test)]

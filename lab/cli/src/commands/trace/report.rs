@@ -118,7 +118,8 @@ fn usage(report: &ImportReport) -> String {
 }
 
 fn json_of(report: &ImportReport) -> Value {
-    let Collected { tracks, counts, first_s, pedestrians: pedestrians_read, refusals } = &report.collected;
+    let Collected { tracks, counts, first_s, pedestrians: pedestrians_read, refusals, intervals_s: _ } =
+        &report.collected;
     let starts_s: Vec<f64> = report.selected.starts_s.iter().map(|start_s| start_s - first_s).collect();
     let speed = |figures: Option<SpeedFigures>| {
         figures.map(|speeds| json!({ "median_m_s": speeds.median_m_s, "p95_m_s": speeds.p95_m_s }))

@@ -73,8 +73,7 @@ fn scenario() -> Scenario {
 /// The tracks of a text, as `trace import --format csv --max-gap-s 10` reads them.
 fn imported(text: &str) -> Vec<Track> {
     let mut collector = Collector::new(Kept { max_gap_s: 10.0, ..Kept::default() });
-    let source = Source { format: WalkFormat::Csv, frame_rate_hz: None };
-    read(source, text.as_bytes(), &mut |row| collector.add(row)).expect("readable");
+    read(&Source::of(WalkFormat::Csv), text.as_bytes(), &mut |row| collector.add(row)).expect("readable");
     collector.finish().tracks
 }
 

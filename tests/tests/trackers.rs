@@ -92,7 +92,7 @@ fn the_commands_of_the_tutorial_control_an_array() {
     let _page = heliostat("heliostat ui", &["--plain", "--no-ui"]);
     let (_tracker, _driver) = (example("tracker.py"), example("driver.py"));
     let released = heliostat("heliostat rearm", &["--timeout", "25"]).wait();
-    assert!(released.output.contains("is released"), "{} {}", released.output, released.errors);
+    assert!(released.output.contains("are released"), "{} {}", released.output, released.errors);
     // The operator's endpoint is free again, and the driver connects to it.
     let room = BusConfig::new(Room::new("own").unwrap());
     let operator = RoomObserver::join(&room.listen_at(&of_operator).connect_to(&of_controller));

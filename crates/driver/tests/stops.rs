@@ -251,7 +251,8 @@ fn a_dead_board_keeps_no_healthy_one_from_following_or_stopping() {
         until("an array that has stopped", || observer.is_device_stopped().then_some(()));
         let first = returned.lock().unwrap().first().cloned();
         assert_eq!((first.as_deref(), received(&returned, "set")), (Some("stop"), 0));
-        assert_eq!(after_stop(&log), ["stop"], "no angles after the stop");
+        let lines = after_stop(&log);
+        assert!(lines.iter().all(|line| line == "stop"), "no angles after the stop: {lines:?}");
     });
 }
 

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::{Result, bail, ensure};
 use clap::ValueEnum;
+use heliostat_models::ActorSource;
 use heliostat_scenario::ScenarioArgs;
 
 use crate::command;
@@ -11,7 +12,6 @@ use crate::effort::Effort;
 use crate::figures::Kind;
 use crate::plan::{Plan, Room};
 use crate::report::LeftOut;
-use crate::training;
 
 /// Reproduce the figures of the paper, with a verdict for each of its statements.
 ///
@@ -53,11 +53,8 @@ pub struct ReproduceArgs {
     /// Numbers of blocked users in sum-rate-power and outage
     #[arg(long, value_name = "B,..", value_delimiter = ',', default_values_t = BLOCKED)]
     pub blocked: Vec<usize>,
-    /// Train the policy ddpg for rooms without a built-in actor
-    #[arg(long)]
-    pub train_missing: bool,
     /// Report the finished parts only, and list the missing ones
-    #[arg(long, conflicts_with = "train_missing")]
+    #[arg(long)]
     pub finished: bool,
     /// Also write reproduction.json and reproduction.md into this folder
     #[arg(long, value_name = "DIR")]
@@ -152,15 +149,10 @@ impl ReproduceArgs {
             let scenario = arguments.load()?;
             let name = scenario.name.clone();
             ensure!(rooms.iter().all(|room| room.name != name), "--mode names {name} twice");
-            let actor = training::source(&scenario, &self.out);
+            let actor = ActorSource::Shipped;
             rooms.push(Room { name, scenario, actor, flags });
         }
         Ok(rooms)
-    }
-
-    /// Whether any figure needs a trained actor of ddpg.
-    pub fn needs_actor(&self) -> bool {
-        self.what != What::SumRateIterations
     }
 
     /// The figures for each room, and those that do not apply to a room.
@@ -209,8 +201,8 @@ fn flags(args: &ReproduceArgs, rooms: Option<(&str, &str)>) -> String {
     if args.blocked != BLOCKED {
         add("blocked", &args.blocked.iter().map(usize::to_string).collect::<Vec<_>>().join(","));
     }
-    for (given, flag) in [(args.quick, " --quick"), (args.train_missing, " --train-missing")] {
-        flags.push_str(if given { flag } else { "" });
+    if args.quick {
+        flags.push_str(" --quick");
     }
     flags
 }
@@ -234,7 +226,7 @@ mod tests {
 
     #[test]
     fn the_command_of_a_report_is_the_given_one() {
-        for given in ["--mode paper,specular", "--scenario hall.toml", "--finished", "--train-missing"] {
+        for given in ["--mode paper,specular", "--scenario hall.toml", "--finished"] {
             let args = ReproduceArgs::of_command(&format!("heliostat-lab reproduce all --out DIR {given} {CHANGED}"));
             assert_eq!(format!("{:?}", ReproduceArgs::of_command(&command_of_report(&args))), format!("{args:?}"));
         }
@@ -247,11 +239,10 @@ mod tests {
     #[test]
     fn the_command_of_a_figure_names_its_room_and_keeps_the_other_flags() {
         let all = ReproduceArgs::of_command(&format!(
-            "heliostat-lab reproduce all --out DIR --mode paper,specular --train-missing {CHANGED}"
+            "heliostat-lab reproduce all --out DIR --mode paper,specular {CHANGED}"
         ));
-        let one = ReproduceArgs::of_command(&format!(
-            "heliostat-lab reproduce map --out DIR --mode specular --train-missing {CHANGED}"
-        ));
+        let one =
+            ReproduceArgs::of_command(&format!("heliostat-lab reproduce map --out DIR --mode specular {CHANGED}"));
         let command = of_figure("map", &all.rooms().unwrap()[1]);
         assert_eq!(format!("{:?}", ReproduceArgs::of_command(&command)), format!("{one:?}"));
     }

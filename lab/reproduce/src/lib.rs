@@ -39,7 +39,6 @@ pub mod run;
 mod sources;
 pub mod statistics;
 pub mod store;
-mod training;
 pub mod verdict;
 
 pub use args::ReproduceArgs;

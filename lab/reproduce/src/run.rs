@@ -18,7 +18,7 @@ use crate::part::Part;
 use crate::plan::Room;
 use crate::report::{LeftOut, Meta, Report, Source, duration_text};
 use crate::store::{Origin, Store};
-use crate::{files, machine, training};
+use crate::{files, machine};
 
 /// Runs the command.
 ///
@@ -65,9 +65,6 @@ pub fn reproduce(args: &ReproduceArgs) -> Result<Report> {
     let store = Store::open(&args.out)?;
     if let Some(folder) = &args.write_docs {
         ensure!(folder.is_dir(), "--write-docs {}: expected an existing folder", folder.display());
-    }
-    if args.needs_actor() {
-        rooms.iter().try_for_each(|room| training::provide(room, &args.out, args.train_missing))?;
     }
     let mut done: Vec<(Kind, &Room, Vec<Done>)> = Vec::new();
     if args.finished {

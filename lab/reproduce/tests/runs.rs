@@ -134,8 +134,6 @@ fn invalid_arguments_are_refused_before_the_start() {
     assert!(mirrors.contains("mirrors.rows"), "{mirrors}");
     let not_applicable = refusal("ber-snr", out, &["--mode", "paper"]);
     assert!(not_applicable.contains("law of reflection"), "{not_applicable}");
-    let untrained = refusal("inference", out, &["--mode", "specular", "--set", "mirrors.rows=8"]);
-    assert!(untrained.contains("--train-missing") && untrained.contains("heliostat-lab train ddpg"), "{untrained}");
     let twice = refusal("map", out, &["--mode", "paper,paper"]);
     assert!(twice.contains("twice"), "{twice}");
     let file = out.join("file");

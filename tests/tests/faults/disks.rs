@@ -5,7 +5,7 @@ use std::process::Command;
 use heliostat_proto::ArrayState;
 use heliostat_tests::faults::{Array, Launch, Setup};
 
-use crate::stops::{rearm, stop};
+use crate::stops::{rearm_all, stop};
 use crate::{measure, wait_s};
 
 /// A program under which no file grows beyond this size in KiB, and a write beyond it fails instead
@@ -47,7 +47,8 @@ fn a_stop_that_cannot_be_recorded_is_obeyed_and_outlives_the_driver() {
             room.restart_array();
             wait_s(2.0);
             assert_eq!(room.witness.state(), Some(ArrayState::Stopped), "the next driver does not know of the stop");
-            rearm(room, &operator);
+            // The driver starts stopped, because its record is gone, and the controller repeats the stop.
+            rearm_all(room, &operator);
         })
     });
 }

@@ -1,6 +1,6 @@
 //! Emergency stops of foreign senders, and their release.
 
-use heliostat_proto::{ArrayState, EmergencyStop, Rearm, StopAction};
+use heliostat_proto::{ArrayState, EmergencyStop, Rearm, SafetyReport, StopAction};
 use heliostat_tests::faults::{Array, Attacker, FaultRoom, Setup};
 use heliostat_tests::wait_until;
 
@@ -26,7 +26,11 @@ fn rearm_for(room: &FaultRoom) -> Rearm {
     let source = room.witness.telemetry().stamp.source;
     let stopped = || room.witness.safety().filter(|safety| safety.stopped && safety.stamp.source == source);
     wait_until("a safety report of the stop", || stopped().is_some());
-    let safety = stopped().expect("received");
+    naming(&stopped().expect("received"))
+}
+
+/// The re-arm of the stop in a safety report.
+fn naming(safety: &SafetyReport) -> Rearm {
     let (stop_source, stop_sequence) = (safety.stop_source, safety.stop_sequence);
     Rearm { stamp: Attacker::stamp(1), stop_source, stop_sequence, ..Rearm::default() }
 }
@@ -34,6 +38,18 @@ fn rearm_for(room: &FaultRoom) -> Rearm {
 /// Releases the stop in force.
 pub fn rearm(room: &FaultRoom, operator: &Attacker) {
     operator.publish(&operator.room().rearm(), &rearm_for(room));
+}
+
+/// Releases every stop in force, one after the other: a re-arm releases the stop that it names.
+pub fn rearm_all(room: &FaultRoom, operator: &Attacker) {
+    wait_until("an array without a stop", || {
+        let source = room.witness.telemetry().stamp.source;
+        let report = room.witness.safety().filter(|safety| safety.stopped && safety.stamp.source == source);
+        if let Some(safety) = report {
+            operator.publish(&operator.room().rearm(), &naming(&safety));
+        }
+        room.witness.state() != Some(ArrayState::Stopped)
+    });
 }
 
 #[test]

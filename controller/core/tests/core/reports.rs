@@ -132,7 +132,7 @@ fn a_late_report_of_a_source_that_has_left_is_refused_until_the_source_returns()
 }
 
 #[test]
-fn a_report_of_a_speed_that_no_user_has_is_refused() {
+fn a_user_with_a_speed_that_no_user_has_is_left_out() {
     let (mut controller, mut room) = flat(&[]);
     let mut outcome = |tick: u64, velocity_m_s: [f32; 2]| {
         let mut report = room.positions(tick);
@@ -140,9 +140,9 @@ fn a_report_of_a_speed_that_no_user_has_is_refused() {
         receive(&mut controller, Room::time(tick), Message::Users(&mut report))
     };
     assert_eq!(outcome(1, [60.0, -80.0]).command().answers, 1);
-    assert_eq!(outcome(2, [0.0, 100.5]), Outcome::Nothing);
-    assert_eq!(outcome(3, [-1e38, 1e38]), Outcome::Nothing);
-    assert_eq!(refused(&controller, Stream::Users, Refusal::Implausible), 2);
+    assert_eq!(outcome(2, [0.0, 100.5]).command().answers, 2);
+    assert_eq!(outcome(3, [-1e38, 1e38]).command().answers, 3);
+    assert_eq!(controller.inbox().refused().left_out(), 2);
 }
 
 #[test]

@@ -91,8 +91,8 @@ impl BoardLink {
             mailbox: Arc::clone(&self.mailbox),
             interrupt: Arc::clone(&self.interrupt),
             board,
-            pause: PAUSE_MIN,
-            retry_at: Instant::now(),
+            pause: Duration::ZERO,
+            failed_at: Instant::now(),
             applied: 0,
         };
         let thread = std::thread::Builder::new().name("board".into()).spawn(move || link.run());
@@ -175,12 +175,19 @@ impl Mailbox {
     }
 }
 
+/// What is left of a pause before the next connection; a stop in force shortens the pause.
+fn pause_left(pause: Duration, is_stopped: bool, since_failure: Duration) -> Duration {
+    let longest = if is_stopped { PAUSE_MAX_STOPPED } else { PAUSE_MAX };
+    pause.min(longest).saturating_sub(since_failure)
+}
+
 struct LinkThread {
     mailbox: Arc<Mailbox>,
     interrupt: Arc<Interrupt>,
     board: Box<dyn Board>,
+    /// The pause before the next connection, and when it began. A stop shortens it.
     pause: Duration,
-    retry_at: Instant,
+    failed_at: Instant,
     /// The number of the angles that were sent last on the present connection.
     applied: u64,
 }
@@ -208,8 +215,7 @@ impl LinkThread {
             let now = Instant::now();
             let mut wait = Duration::MAX;
             if !mail.is_up {
-                let longest = if mail.is_stopped { PAUSE_MAX_STOPPED } else { PAUSE_MAX };
-                wait = self.retry_at.saturating_duration_since(now).min(longest);
+                wait = pause_left(self.pause, mail.is_stopped, now.saturating_duration_since(self.failed_at));
                 if wait == Duration::ZERO {
                     return Some(Call::Connect);
                 }
@@ -241,8 +247,8 @@ impl LinkThread {
         match (call, done) {
             (_, Err(problem)) => {
                 let is_first = mail.is_up;
-                self.pause = if is_first { PAUSE_MIN } else { (2 * self.pause).min(PAUSE_MAX) };
-                self.retry_at = Instant::now() + self.pause;
+                self.pause = if is_first { PAUSE_MIN } else { (2 * self.pause).clamp(PAUSE_MIN, PAUSE_MAX) };
+                self.failed_at = Instant::now();
                 (mail.is_up, mail.measured, mail.executed) = (false, None, 0);
                 mail.problem = Some(problem);
             }
@@ -260,5 +266,18 @@ impl LinkThread {
         if let Some(waker) = waker {
             waker.wake();
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stop_shortens_a_pause_that_has_begun() {
+        let since = Duration::from_millis(600);
+        assert_eq!(pause_left(PAUSE_MAX, false, since), PAUSE_MAX - since);
+        assert_eq!(pause_left(PAUSE_MAX, true, since), Duration::ZERO);
+        assert_eq!(pause_left(PAUSE_MIN, true, Duration::ZERO), PAUSE_MIN);
     }
 }

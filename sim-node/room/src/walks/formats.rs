@@ -203,7 +203,11 @@ fn bare(line: &str) -> &str {
 fn read_atc(input: impl BufRead, receive: Receive<'_>) -> Result<(), ReadError> {
     let (mut lines, mut separator) = (Lines::new(input), None);
     while let Some((line, text)) = lines.next()? {
-        let separator = *separator.get_or_insert_with(|| Separator::of(text));
+        let separator = *separator.get_or_insert_with(|| match Separator::of(text) {
+            // Eight columns with white space are the layout of ETH/UCY.
+            Separator::Whitespace => Separator::Comma,
+            other => other,
+        });
         receive(atc_row(line, &separator.cells(text)));
     }
     if separator.is_none() { Err(ReadError::Empty) } else { Ok(()) }

@@ -1,6 +1,6 @@
 //! A builder of ONNX graphs: nodes, constants and metadata.
 //!
-//! Files carry opset 17 and IR version 8, which tract and ONNX Runtime both read.
+//! Files carry opset 17 and IR version 8, which ONNX Runtime reads.
 //!
 //! ```
 //! use heliostat_onnx::graph::{Ends, Graph};
@@ -86,9 +86,7 @@ impl Graph {
     }
 
     /// For each column of a table, the row with the largest value, the first of equal ones;
-    /// (columns).
-    ///
-    /// Computed by pooling, which tract runs faster than ArgMax along this axis.
+    /// (columns). Computed by pooling.
     pub fn best_row(&mut self, input: &str, [rows, columns]: [usize; 2]) -> Value {
         let image = self.reshape(input, &[1, 1, rows, columns]);
         let window = integers("kernel_shape", &[rows as i64, 1]);

@@ -1,6 +1,6 @@
 // Jain's fairness index of rates: (sum r)^2 / (n sum r^2). It is 1 where all rates are equal, and 1/n where
 // one user has everything. `null` without rates, or while one is unknown; 1 where all are 0, as in the tables of
-// `heliostat eval`. Source: Jain, Chiu and Hawe, DEC-TR-301, 1984.
+// `heliostat-lab eval`. Source: Jain, Chiu and Hawe, DEC-TR-301, 1984.
 export function jain(rates) {
   if (rates.length === 0 || rates.includes(null)) return null;
   const sum = rates.reduce((total, rate) => total + rate, 0);

@@ -40,7 +40,7 @@ export class Outages {
   }
 }
 
-// The quantile of sorted values, linear between them, as in the tables of `heliostat eval`; 0 without values.
+// The quantile of sorted values, linear between them, as in the tables of `heliostat-lab eval`; 0 without values.
 function quantile(sorted, share) {
   if (sorted.length === 0) return 0;
   const place = share * (sorted.length - 1);

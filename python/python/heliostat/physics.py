@@ -111,7 +111,7 @@ class Policy:
 
     A learned policy by its name is the actor that is built in for the room, of training seed 1. A file runs on the engines
     of the controller, with equal angles: a chain of dense layers in Rust, another graph on ONNX Runtime, which
-    `pip install "heliostat[ort]"` brings.
+    `pip install onnxruntime` brings.
     """
 
     def __init__(

@@ -12,6 +12,7 @@ const BYTES_MAX: u64 = 64 << 20;
 /// # Errors
 /// What the operating system reports, a longer file, or the place of the first byte that is not
 /// UTF-8.
+#[allow(clippy::disallowed_methods, reason = "the one place that reads the files of a flag or a scenario")]
 pub fn read_text(path: &Path) -> io::Result<String> {
     let mut bytes = Vec::new();
     File::open(path)?.take(BYTES_MAX + 1).read_to_end(&mut bytes)?;

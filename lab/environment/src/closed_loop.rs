@@ -4,8 +4,7 @@
 //! controller decides in zero simulated time. Either the policy of the core decides
 //! ([`ClosedLoop::deliver`]), or the caller does: [`ClosedLoop::next_decision`] returns at the next
 //! position report, [`ClosedLoop::observation`] is then what a policy would read, and
-//! [`ClosedLoop::decide`] commands the angles of the caller. [`ClosedLoop::decide_corrected`] takes
-//! corrections of the belief instead.
+//! [`ClosedLoop::decide`] commands the angles of the caller.
 
 use heliostat_array::moment::Moment;
 use heliostat_channel::MirrorAngles;

@@ -16,7 +16,7 @@ pub struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum Action {
-    Import(import::ImportArgs),
+    Import(Box<import::ImportArgs>),
     Export(export::ExportArgs),
 }
 

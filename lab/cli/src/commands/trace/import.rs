@@ -80,7 +80,7 @@ struct Reading {
     #[arg(long, value_enum, default_value = "s", conflicts_with = "frame_rate_hz")]
     time_unit: TimeUnit,
     /// Columns of csv: names in the header, or numbers from 1 for a file without header, for example
-    /// "time=Timestamp [s],user=Person ID,x=X [m],y=Y [m]"
+    /// "time=Timestamp,user=Person ID,x=X,y=Y"
     #[arg(long, value_name = "COLUMN=NAME,...", value_parser = ColumnMap::parse)]
     columns: Option<ColumnMap>,
     /// Use rows from this time on, in s after the first row

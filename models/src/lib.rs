@@ -22,5 +22,6 @@ mod time;
 pub use engine::{build, build_tried, load_actor, load_actor_on_onnxruntime, onnxruntime_network};
 pub use error::{BuildError, SourceError};
 pub use library::ORT;
+pub use onnxruntime::BareSession;
 pub use source::ActorSource;
 pub use time::monotonic_ns;

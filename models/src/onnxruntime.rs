@@ -75,11 +75,47 @@ struct OrtNetwork {
     batch: Batch,
 }
 
+/// A session with its settings.
+fn session(environment: &Environment, model: &[u8]) -> ort::Result<Session> {
+    let builder = Session::builder(environment)?.with_optimization_level(GraphOptimizationLevel::Level3)?;
+    // Handing work to another thread costs more than the work of a small network.
+    builder.with_intra_threads(1)?.commit_from_memory(model)
+}
+
+/// `Session::run` alone on an input of zeros: the reference for the cost of [`Network`] around it.
+pub struct BareSession {
+    session: Session,
+    input: Tensor<f32>,
+}
+
+impl BareSession {
+    /// A session of a model, with this number of rows where the model leaves it open.
+    ///
+    /// # Errors
+    /// No library, or its own message where it refuses the model.
+    pub fn new(model: &[u8], rows: usize) -> Result<Self, String> {
+        let session = session(&environment()?, model).map_err(|error| one_line(&error))?;
+        let shape = session.inputs().first().and_then(|port| port.dtype().tensor_shape());
+        let extents = shape.map(|shape| shape.iter().map(|extent| usize::try_from(*extent).unwrap_or(rows)).collect());
+        let [rows, columns] = extents.unwrap_or_else(Vec::new)[..] else {
+            return Err("the input of the model is no matrix: expected [rows, columns]".into());
+        };
+        let input = tensor([rows, columns]).map_err(|error| one_line(&error))?;
+        Ok(Self { session, input })
+    }
+
+    /// One run.
+    ///
+    /// # Errors
+    /// [`PolicyError::Inference`].
+    pub fn run(&mut self) -> Result<(), PolicyError> {
+        self.session.run(ort::inputs![&self.input]).map(drop).map_err(failed)
+    }
+}
+
 impl OrtNetwork {
     fn new(environment: &Environment, model: &[u8], input_length: usize) -> ort::Result<Self> {
-        let builder = Session::builder(environment)?.with_optimization_level(GraphOptimizationLevel::Level3)?;
-        // Handing work to another thread costs more than the work of a small network.
-        let session = builder.with_intra_threads(1)?.commit_from_memory(model)?;
+        let session = session(environment, model)?;
         let rows = match session.inputs().first().and_then(|port| port.dtype().tensor_shape()) {
             // An open extent is negative.
             Some(shape) => shape.first().and_then(|rows| usize::try_from(*rows).ok()),

@@ -4,7 +4,9 @@ use std::io::{self, Cursor, Read, Seek, SeekFrom, Write};
 use std::sync::{Arc, Mutex};
 
 use heliostat_record::account::Account;
-use heliostat_record::file::{Entry, Header, Reading, Recording, RecordingError, Storage};
+use heliostat_record::file::{self, Entry, Header, Reading, Recording, RecordingError, Storage};
+use mcap::records::{Metadata, Record};
+use mcap::{Compression, WriteOptions};
 
 const KEY: &str = "heliostat/v1/a/users";
 
@@ -186,4 +188,52 @@ fn a_file_that_is_not_a_recording_is_refused_with_the_reason() {
     let later = Header { contract: "2".into(), ..header() };
     Recording::create(disk.clone(), &later).unwrap().finish(&Account::default()).unwrap();
     assert!(refusal(&disk.bytes()).contains("version 2 of the contract"), "a recording from the future");
+}
+
+/// Ten messages as other tools write them: in compressed chunks, or with the metadata at the end.
+fn rewritten(compression: Option<Compression>, metadata_first: bool) -> tempfile::NamedTempFile {
+    let disk = Disk::new(usize::MAX);
+    let mut recording = Recording::create(disk.clone(), &header()).unwrap();
+    (0..10).for_each(|index| recording.payload(KEY, 100 + index, index, &payload(index)).unwrap());
+    recording.finish(&Account::default()).unwrap();
+    let bytes = disk.bytes();
+    let records = mcap::read::LinearReader::new(&bytes).unwrap().map(Result::unwrap);
+    let metadata: Vec<Metadata> =
+        records.filter_map(|record| if let Record::Metadata(found) = record { Some(found) } else { None }).collect();
+    let file = tempfile::NamedTempFile::new().unwrap();
+    let mut writer = WriteOptions::new().compression(compression).create(file.reopen().unwrap()).unwrap();
+    let mut write_metadata = |writer: &mut mcap::Writer<_>| {
+        metadata.iter().for_each(|metadata| writer.write_metadata(metadata).unwrap());
+    };
+    if metadata_first {
+        write_metadata(&mut writer);
+    }
+    for message in mcap::MessageStream::new(&bytes).unwrap() {
+        writer.write(&message.unwrap()).unwrap();
+    }
+    if !metadata_first {
+        write_metadata(&mut writer);
+    }
+    writer.finish().unwrap();
+    file
+}
+
+#[test]
+fn a_file_that_other_tools_compressed_or_rewrote_is_read() {
+    for (compression, metadata_first) in [
+        (None, true),
+        (None, false),
+        (Some(Compression::Zstd), true),
+        (Some(Compression::Lz4), true),
+        (Some(Compression::Zstd), false),
+    ] {
+        let file = rewritten(compression, metadata_first);
+        let mut reading = file::open(file.path()).unwrap();
+        assert_eq!(*reading.header(), header(), "{compression:?}");
+        let mut entries = Vec::new();
+        while let Some(entry) = reading.entry().unwrap() {
+            entries.push(entry);
+        }
+        assert_first(&entries, 10);
+    }
 }

@@ -109,3 +109,62 @@ fn a_file_that_cannot_be_used_is_refused_with_the_reason_and_nothing_is_written(
     assert!(export.status.code() == Some(2) && message.contains("obsmat.txt cannot be exported"), "{message}");
     assert!(!Path::new(&folder.path().join("none.csv")).exists());
 }
+
+#[test]
+fn a_recording_with_old_names_in_its_scenario_is_exported() {
+    let folder = folder();
+    let golden = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/golden.mcap");
+    let exported = heliostat(&folder, &format!("trace export {golden} --out golden.csv"));
+    assert!(exported.status.success(), "{}", text(&exported.stderr));
+}
+
+/// A walk at 1.2 m/s of each of three pedestrians, as rows by a format of the test.
+fn walk(row: impl Fn(u32, u32, f64, f64) -> String) -> String {
+    let rows = (0..31).flat_map(|step| (1..=3).map(move |pedestrian| (step, pedestrian)));
+    rows.map(|(step, pedestrian)| row(step, pedestrian, 0.48 * f64::from(step) - 7.0, f64::from(pedestrian)) + "\n")
+        .collect()
+}
+
+#[test]
+fn what_is_unusual_about_a_file_is_named() {
+    let folder = folder();
+    let write = |name: &str, text: String| fs::write(folder.path().join(name), text).expect("written");
+    write("frames.txt", walk(|step, who, x, y| format!("{} {who} {x:.3} {y}", 6 * step)));
+    write("swapped.txt", walk(|step, who, x, y| format!("{who} {} {x:.3} {y}", 10 * step)));
+    write("ms.csv", format!("time,user,x,y\n{}", walk(|step, who, x, y| format!("{},{who},{x:.3},{y}", 400 * step))));
+    let import = |arguments: &str| heliostat(&folder, &format!("trace import {arguments} --users 3 --out walk.csv"));
+    for (arguments, warning) in [
+        ("frames.txt --format eth-ucy", None),
+        ("frames.txt --format eth-ucy --frame-rate-hz 25", Some("median speed 2.00 m/s")),
+        ("swapped.txt --format experiment --frame-rate-hz 25 --scale 100", None),
+        ("ms.csv --format csv --time-unit ms", None),
+    ] {
+        let imported = import(arguments);
+        let report = text(&imported.stdout);
+        assert!(imported.status.success(), "{arguments}: {}", text(&imported.stderr));
+        let found = report.lines().find(|line| line.trim_start().starts_with("warning"));
+        assert_eq!(found.is_some(), warning.is_some(), "{arguments}: {report}");
+        assert!(warning.is_none_or(|warning| report.contains(warning)), "{arguments}: {report}");
+    }
+    let refused = import("ms.csv --format csv");
+    let message = text(&refused.stderr);
+    assert!(refused.status.code() == Some(2) && message.contains("are the times in ms?"), "{message}");
+    assert!(message.contains("--time-unit"), "{message}");
+}
+
+#[test]
+fn columns_with_other_names_are_shown_and_can_be_named() {
+    let folder = folder();
+    let rows = walk(|step, who, x, y| format!("{:.1},{who},{x:.3},{y}", 0.4 * f64::from(step)));
+    fs::write(folder.path().join("log.csv"), format!("Seconds,Person,X [m],Y [m]\n{rows}")).expect("written");
+    let refused = heliostat(&folder, "trace import log.csv --format csv --users 3 --out walk.csv");
+    let message = text(&refused.stderr);
+    assert!(message.contains("`X [m]`") && message.contains("--columns time=NAME"), "{message}");
+    let program = Command::new(env!("CARGO_BIN_EXE_heliostat-lab"))
+        .args(["trace", "import", "log.csv", "--format", "csv", "--users", "3", "--out", "walk.csv"])
+        .args(["--columns", "time=Seconds,user=Person,x=X [m],y=Y [m]"])
+        .current_dir(folder.path())
+        .output()
+        .expect("the program starts");
+    assert!(program.status.success(), "{}", text(&program.stderr));
+}

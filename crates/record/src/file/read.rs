@@ -21,8 +21,17 @@ const RECORD_MAX: usize = 64 << 20;
 /// # Errors
 /// [`RecordingError::Read`], [`RecordingError::Foreign`] or [`RecordingError::Version`].
 pub fn open(file: &Path) -> Result<Reading<BufReader<File>>, RecordingError> {
-    let file = File::open(file).map_err(|error| RecordingError::Open(error.to_string()))?;
-    Reading::open(BufReader::new(file))
+    let source = || {
+        let file = File::open(file).map_err(|error| RecordingError::Open(error.to_string()))?;
+        Ok::<_, RecordingError>(BufReader::new(file))
+    };
+    match Reading::open(source()?) {
+        Err(RecordingError::Foreign) => {
+            let header = Reading::new(source()?).later_header()?;
+            Reading { header, ..Reading::new(source()?) }.of_this_version()
+        }
+        reading => reading,
+    }
 }
 
 /// One message of a file.
@@ -51,6 +60,16 @@ impl<R: Read> Reading<R> {
     /// # Errors
     /// [`RecordingError::Read`], [`RecordingError::Foreign`] or [`RecordingError::Version`].
     pub fn open(source: R) -> Result<Self, RecordingError> {
+        let mut reading = Self::new(source);
+        while reading.header.room.is_empty() {
+            if !matches!(reading.step()?, Step::Other) {
+                return Err(RecordingError::Foreign);
+            }
+        }
+        reading.of_this_version()
+    }
+
+    fn new(source: R) -> Self {
         // A chunk is checked before any message in it is used: half a chunk counts as none.
         let options = LinearReaderOptions::default()
             .with_skip_end_magic(true)
@@ -58,16 +77,24 @@ impl<R: Read> Reading<R> {
             .with_record_length_limit(RECORD_MAX);
         let header = Header::default();
         let reader = LinearReader::new_with_options(options);
-        let mut reading = Self { source, reader, header, topics: HashMap::new(), account: None };
-        while reading.header.room.is_empty() {
-            if !matches!(reading.step()?, Step::Other) {
-                return Err(RecordingError::Foreign);
+        Self { source, reader, header, topics: HashMap::new(), account: None }
+    }
+
+    /// The header of a file that has it behind its messages, as other tools may write it.
+    fn later_header(mut self) -> Result<Header, RecordingError> {
+        while !matches!(self.step()?, Step::End) {
+            if !self.header.room.is_empty() {
+                return Ok(self.header);
             }
         }
-        if reading.header.contract != VERSION.to_string() {
-            return Err(RecordingError::Version { found: reading.header.contract });
+        Err(RecordingError::Foreign)
+    }
+
+    fn of_this_version(self) -> Result<Self, RecordingError> {
+        if self.header.contract == VERSION.to_string() {
+            return Ok(self);
         }
-        Ok(reading)
+        Err(RecordingError::Version { found: self.header.contract })
     }
 
     /// The data known when the recording started.

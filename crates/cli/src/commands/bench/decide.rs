@@ -14,12 +14,12 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use heliostat_channel::MirrorAngles;
-use heliostat_controller::report::stage_times::{StageStamps, StageTimes};
+use heliostat_controller::report::stage_times::{BUDGET, StageStamps, StageTimes};
 use heliostat_core::core::{Controller, Decision, Stage};
 use heliostat_core::inbox::Message;
 use heliostat_core::observation::Observation;
 use heliostat_core::policy::{Actor, NameParser, Policy, PolicyKind, actor_file::ActorFile};
-use heliostat_models::{ActorSource, ORT, build, load_actor, load_actor_on_onnxruntime};
+use heliostat_models::{ActorSource, BareSession, ORT, build, load_actor, load_actor_on_onnxruntime};
 use heliostat_proto::{ArrayState, MirrorTelemetry, Stamp, UserReport, decode_into, encode};
 use heliostat_scenario::{STUDY_SCENARIO, Scenario, ScenarioArgs};
 
@@ -130,8 +130,34 @@ pub fn decide(args: &Args) -> Result<()> {
             let mut reference = EngineAlone::new(&subject)?;
             table.add(args.measure(&plan, subject, &mut reference)?)?;
         }
+        if engines.contains(&Engine::OnnxRuntime) {
+            table.add(overhead(&plan, &Subject { engine: Engine::OnnxRuntime, ..subject })?)?;
+        }
     }
     Ok(table.finish()?)
+}
+
+/// The network on ONNX Runtime beside `Session::run` alone on the same file.
+fn overhead(plan: &Plan, subject: &Subject<'_>) -> Result<Row> {
+    let file = subject.source.fetch(subject.kind, subject.scenario)?;
+    let (scenario, mut measured, mut compared) = (subject.scenario, Times::new(), Times::new());
+    let mut network = EngineAlone::new(subject)?;
+    let mut bare = Bare(BareSession::new(&file.bytes, scenario.users.count).map_err(anyhow::Error::msg)?);
+    (0..WARM_UP).try_for_each(|_| bare.act(Instant::now()))?;
+    plan.take_turns(|turn, block| match turn {
+        Turn::Measured => go_through(&mut network, block, &mut |time| measured.record(time)),
+        Turn::Reference => go_through(&mut bare, block, &mut |time| compared.record(time)),
+    })?;
+    let varied = Varied {
+        hz: plan.hz,
+        mirrors: scenario.mirror_count(),
+        users: scenario.users.count,
+        rooms: 1,
+        policy: "network of the file; reference: Session::run".into(),
+        engine: Some(ORT.into()),
+    };
+    let over = measured.over(BUDGET);
+    Ok(Row::new(varied, (measured.distribution(), over, measured.count()), &compared))
 }
 
 /// `policies`: every policy that can decide here, beside the inference engine alone.
@@ -402,6 +428,19 @@ impl EngineAlone {
             actor.run_engine_alone()?;
         }
         Ok(Self { actor })
+    }
+}
+
+/// `Session::run` of ONNX Runtime alone.
+struct Bare(BareSession);
+
+impl Side for Bare {
+    fn prepare(&mut self) -> Result<()> {
+        Ok(())
+    }
+
+    fn act(&mut self, _: Instant) -> Result<()> {
+        Ok(self.0.run()?)
     }
 }
 

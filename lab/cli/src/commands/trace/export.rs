@@ -100,7 +100,7 @@ fn users<R: Read>(mut reading: Reading<R>) -> Result<Recorded> {
             geometry = Some(decode::<RoomGeometry>(&entry.data)?.scenario);
         }
     }
-    let scenario = Scenario::from_toml(geometry.as_ref().unwrap_or(&header.scenario))?;
+    let scenario = Scenario::from_recorded_toml(geometry.as_ref().unwrap_or(&header.scenario))?;
     let floor = Floor { length_x_m: scenario.room.length_x_m, length_y_m: scenario.room.length_y_m };
     let (is_true, collected) = positions.finish();
     let mut users = collected.tracks;

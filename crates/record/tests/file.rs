@@ -202,7 +202,7 @@ fn rewritten(compression: Option<Compression>, metadata_first: bool) -> tempfile
         records.filter_map(|record| if let Record::Metadata(found) = record { Some(found) } else { None }).collect();
     let file = tempfile::NamedTempFile::new().unwrap();
     let mut writer = WriteOptions::new().compression(compression).create(file.reopen().unwrap()).unwrap();
-    let mut write_metadata = |writer: &mut mcap::Writer<_>| {
+    let write_metadata = |writer: &mut mcap::Writer<_>| {
         metadata.iter().for_each(|metadata| writer.write_metadata(metadata).unwrap());
     };
     if metadata_first {

@@ -153,7 +153,7 @@ fn overhead(plan: &Plan, subject: &Subject<'_>) -> Result<Row> {
         mirrors: scenario.mirror_count(),
         users: scenario.users.count,
         rooms: 1,
-        policy: "network of the file; reference: Session::run".into(),
+        policy: "on Session::run".into(),
         engine: Some(ORT.into()),
     };
     let over = measured.over(BUDGET);

@@ -274,7 +274,8 @@ impl Belief {
             let elapsed_s = time_ns.saturating_sub(seen_ns) as f64 * 1e-9;
             let [x, y, _] = user.position_m.map(f64::from);
             let noise_m = self.position_noise.deviation();
-            let innovation = known.map(|track| normalised_squared(&track.motion.estimate(elapsed_s), [x, y], noise_m));
+            let innovation =
+                known.and_then(|track| normalised_squared(&track.motion.estimate(elapsed_s), [x, y], noise_m));
             let mut track = known.unwrap_or_else(|| self.new_track(user.user));
             self.learn_noise(&track, user, time_ns);
             // Any interval may be behind the first report of a user.

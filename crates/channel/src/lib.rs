@@ -38,6 +38,7 @@ pub mod diffuse;
 pub mod domain;
 pub mod emitter;
 pub mod error;
+pub mod floor_normal;
 pub mod geometry;
 pub mod link;
 pub mod los;

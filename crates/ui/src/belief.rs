@@ -1,5 +1,6 @@
 //! Where the controller believes a user to be, as drawn.
 
+use heliostat_channel::floor_normal::{principal_axes, squared_radius};
 use heliostat_proto::{BeliefReport, Nanos, UserBelief};
 use serde::Serialize;
 
@@ -30,13 +31,9 @@ impl Belief {
         Some(Self::at(belief, moved_s.clamp(-MOVED_MAX_S, MOVED_MAX_S)))
     }
 
-    /// The principal axes of the covariance are the square roots of its eigenvalues; the squared
-    /// distance in these units has a chi-squared distribution with two degrees of freedom.
     fn at(belief: &UserBelief, moved_s: f64) -> Self {
-        let [xx, xy, yy] = [belief.xx_m2, belief.xy_m2, belief.yy_m2].map(f64::from);
-        let (mean, half_spread) = (0.5 * (xx + yy), (0.5 * (xx - yy)).hypot(xy));
-        let scale = -2.0 * (1.0 - PROBABILITY).ln();
-        let semi_axis = |variance: f64| millimetres((scale * variance.max(0.0)).sqrt());
+        let (deviations_m, angle_rad) = principal_axes([belief.xx_m2, belief.xy_m2, belief.yy_m2].map(f64::from));
+        let radius = squared_radius(PROBABILITY).sqrt();
         let certainty = f64::from(belief.heading_certainty);
         let (sin, cos) = f64::from(belief.heading_rad).sin_cos();
         let at_m = [0, 1].map(|axis| {
@@ -44,8 +41,8 @@ impl Belief {
         });
         Self {
             at_m,
-            semi_axes_m: [semi_axis(mean + half_spread), semi_axis(mean - half_spread)],
-            angle_rad: millimetres(0.5 * (2.0 * xy).atan2(xx - yy)),
+            semi_axes_m: deviations_m.map(|deviation| millimetres(radius * deviation)),
+            angle_rad: millimetres(angle_rad),
             heading: [certainty * cos, certainty * sin].map(millimetres),
         }
     }

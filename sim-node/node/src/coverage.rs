@@ -6,7 +6,8 @@
 
 use std::collections::VecDeque;
 
-use heliostat_proto::{BeliefReport, Nanos, UserBelief};
+use heliostat_channel::floor_normal::{squared_distance, squared_radius};
+use heliostat_proto::{BeliefReport, Nanos};
 use heliostat_room::world::World;
 
 /// Probabilities of the ellipses.
@@ -82,25 +83,20 @@ impl Coverage {
             let (Some(from), Some(to)) = (place(before), place(after)) else { continue };
             let truth = [0, 1].map(|axis| from[axis] + part * (to[axis] - from[axis]));
             self.covered.places += 1;
-            let squared = squared_distance(user, truth);
+            let covariance_m2 = [user.xx_m2, user.xy_m2, user.yy_m2].map(f64::from);
+            let away_m = [0, 1].map(|axis| truth[axis] - f64::from(user.position_m[axis]));
+            let Some(squared) = squared_distance(away_m, covariance_m2) else { continue };
             for (count, probability) in self.covered.inside.iter_mut().zip(PROBABILITIES) {
-                // The squared distance has a chi-squared distribution with two degrees of freedom.
-                *count += u64::from(squared <= -2.0 * (1.0 - probability).ln());
+                *count += u64::from(squared <= squared_radius(probability));
             }
         }
     }
 }
 
-/// d' C^-1 d for the deviation d of the truth from the believed place with the covariance C.
-fn squared_distance(user: &UserBelief, truth: [f64; 2]) -> f64 {
-    let [xx, xy, yy] = [user.xx_m2, user.xy_m2, user.yy_m2].map(f64::from);
-    let [dx, dy] = [0, 1].map(|axis| truth[axis] - f64::from(user.position_m[axis]));
-    let squared = (yy * dx * dx - 2.0 * xy * dx * dy + xx * dy * dy) / (xx * yy - xy * xy);
-    if squared.is_nan() { f64::INFINITY } else { squared }
-}
-
 #[cfg(test)]
 mod tests {
+    use heliostat_proto::UserBelief;
+
     use super::*;
 
     fn coverage(times_ms: &[u64]) -> Coverage {

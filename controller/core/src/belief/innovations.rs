@@ -1,5 +1,7 @@
 //! How well the predicted positions agree with the reported ones.
 
+use heliostat_channel::floor_normal::squared_distance;
+
 use crate::belief::motion::MotionEstimate;
 
 /// Normalised innovation squared of the position reports of known users since the start. A report that
@@ -26,11 +28,10 @@ impl Innovations {
 }
 
 /// The normalised innovation squared of the reported x and y in m, whose noise has this standard
-/// deviation in m.
-pub(super) fn normalised_squared(predicted: &MotionEstimate, reported_m: [f64; 2], noise_m: f64) -> f64 {
+/// deviation in m; `None` where S is not positive definite.
+pub(super) fn normalised_squared(predicted: &MotionEstimate, reported_m: [f64; 2], noise_m: f64) -> Option<f64> {
     let [xx, xy, yy] = predicted.position_cov_m2;
     let noise = noise_m * noise_m;
-    let (xx, yy) = (xx + noise, yy + noise);
-    let [dx, dy] = [0, 1].map(|axis| reported_m[axis] - predicted.position_m[axis]);
-    (yy * dx * dx - 2.0 * xy * dx * dy + xx * dy * dy) / (xx * yy - xy * xy)
+    let away_m = [0, 1].map(|axis| reported_m[axis] - predicted.position_m[axis]);
+    squared_distance(away_m, [xx + noise, xy, yy + noise])
 }

@@ -6,6 +6,7 @@
 //! part in its decision times. The same pairs of truth and belief make a picture of an episode.
 
 use heliostat_channel::Vec3;
+use heliostat_channel::floor_normal::{squared_distance, squared_radius};
 use heliostat_core::belief::Estimate;
 use heliostat_core::core::Controller;
 use heliostat_room::world::World;
@@ -15,12 +16,6 @@ use super::tracked_user::TrackedUser;
 
 /// Below this true speed in m/s a user stands.
 const STANDING_M_S: f64 = 0.05;
-
-/// The squared distance from the mean, in standard deviations, within which a normal distribution
-/// in the plane has a share: -2 ln(1 - share).
-fn ellipse(share: f64) -> f64 {
-    -2.0 * (1.0 - share).ln()
-}
 
 /// What the controller believed about a user.
 #[derive(Clone, Copy, Debug)]
@@ -114,22 +109,14 @@ impl Errors {
             let stands = truth.velocity[0].hypot(truth.velocity[1]) < STANDING_M_S;
             if stands { self.standing_deg.push(error_deg) } else { self.walking_deg.push(error_deg) }
         }
-        if let Some(distance2) = believed.estimate.and_then(|estimate| distance2(&estimate, &truth.position)) {
+        let away_m = [away.x, away.y];
+        let squared = believed.estimate.and_then(|estimate| squared_distance(away_m, estimate.position_cov_m2));
+        if let Some(squared) = squared {
             for (share, within) in [(0.5, &mut self.within_50), (0.95, &mut self.within_95)] {
-                within.push(f64::from(u8::from(distance2 <= ellipse(share))));
+                within.push(f64::from(u8::from(squared <= squared_radius(share))));
             }
         }
     }
-}
-
-/// The squared Mahalanobis distance on the floor of a place from an estimate; `None` where the
-/// covariance is singular.
-fn distance2(estimate: &Estimate, place: &Vec3) -> Option<f64> {
-    let away = place - estimate.position;
-    let [xx, xy, yy] = estimate.position_cov_m2;
-    let determinant = xx * yy - xy * xy;
-    let weighted = away.x * away.x * yy - 2.0 * away.x * away.y * xy + away.y * away.y * xx;
-    (determinant > 0.0).then(|| weighted / determinant)
 }
 
 #[cfg(test)]
@@ -143,18 +130,6 @@ mod tests {
     fn truth(position: [f64; 2], direction: [f64; 2], speed: f64) -> Walker {
         let velocity = direction.map(|component| component * speed);
         Walker { position: Vec3::new(position[0], position[1], 0.9), direction, velocity }
-    }
-
-    #[test]
-    fn distances_are_in_standard_deviations_along_the_axes_of_the_ellipse() {
-        let place = Vec3::new(1.3, 2.0, 9.0);
-        assert!((distance2(&estimate([0.09, 0.0, 1.0]), &place).unwrap() - 1.0).abs() < 1e-9);
-        // The inverse of [[2, 1], [1, 2]] is [[2, -1], [-1, 2]] / 3.
-        let oblique = distance2(&estimate([2.0, 1.0, 2.0]), &Vec3::new(2.0, 3.0, 0.0)).unwrap();
-        assert!((oblique - 2.0 / 3.0).abs() < 1e-9, "{oblique}");
-        assert_eq!(distance2(&estimate([1.0, 1.0, 1.0]), &place), None);
-        // Tables of the chi-squared distribution with two degrees of freedom.
-        assert!((ellipse(0.5) - 1.386_294).abs() < 1e-6 && (ellipse(0.95) - 5.991_465).abs() < 1e-6);
     }
 
     #[test]

@@ -1,8 +1,10 @@
 //! A user of an episode as it is and as the controller believes it to be, for a picture.
 
 use heliostat_channel::Vec3;
+use heliostat_channel::floor_normal::{principal_axes, squared_radius};
 use heliostat_core::belief::Estimate;
 use heliostat_room::world::walker::Walker;
+use nalgebra::{Rotation2, Vector2};
 
 /// A user at an instant, and what the controller predicted for this instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -38,19 +40,13 @@ impl TrackedUser {
     }
 
     /// The edge of the ellipse that contains the true place with this probability, as points in m.
-    ///
-    /// mean + sqrt(-2 ln(1 - probability)) L (cos a, sin a), with the Cholesky factor L of the
-    /// covariance.
     pub fn ellipse(&self, probability: f64, points: usize) -> Vec<[f64; 2]> {
-        let [xx, xy, yy] = self.covariance_m2;
-        let along = xx.max(0.0).sqrt();
-        let across = if along > 0.0 { xy / along } else { 0.0 };
-        let rest = (yy - across * across).max(0.0).sqrt();
-        let scale = (-2.0 * (1.0 - probability).ln()).sqrt();
+        let (deviations_m, angle) = principal_axes(self.covariance_m2);
+        let [along, across] = deviations_m.map(|deviation| squared_radius(probability).sqrt() * deviation);
+        let turn = Rotation2::new(angle);
         let point = |index: usize| {
             let (sine, cosine) = (index as f64 / points as f64 * std::f64::consts::TAU).sin_cos();
-            let away = [along * cosine, across * cosine + rest * sine];
-            [0, 1].map(|axis| self.believed_m[axis] + scale * away[axis])
+            (Vector2::from(self.believed_m) + turn * Vector2::new(along * cosine, across * sine)).into()
         };
         (0..=points).map(point).collect()
     }
@@ -58,6 +54,8 @@ impl TrackedUser {
 
 #[cfg(test)]
 mod tests {
+    use heliostat_channel::floor_normal::squared_distance;
+
     use super::*;
 
     #[test]
@@ -76,7 +74,7 @@ mod tests {
         assert_eq!(edge.len(), 17);
         for [x, y] in edge {
             let [x, y] = [x - 1.0, y + 2.0];
-            let squared = (x * x * yy - 2.0 * x * y * xy + y * y * xx) / (xx * yy - xy * xy);
+            let squared = squared_distance([x, y], [xx, xy, yy]).expect("a positive definite covariance");
             // The table of the chi-squared distribution with two degrees of freedom.
             assert!((squared - 5.991_465).abs() < 1e-5, "{squared}");
         }

@@ -30,6 +30,12 @@ pub const MAX_ENTRIES: usize = 256;
 /// Longest text in bytes of UTF-8.
 pub const MAX_TEXT: usize = 1024;
 
+/// The beginning of a text, as long as a message may hold it.
+pub fn cut(text: &str) -> &str {
+    let end = (0..=text.len().min(MAX_TEXT)).rev().find(|at| text.is_char_boundary(*at));
+    &text[..end.unwrap_or(0)]
+}
+
 /// Largest lead of a sender's clock in ns. A receiver refuses a message whose time is later than
 /// this.
 pub const CLOCK_LEAD_MAX_NS: Nanos = 50_000_000;

@@ -13,8 +13,8 @@ use crate::fields::{
 };
 use crate::kind::Kind;
 use crate::limits::{
-    MAX_ENTRIES, MAX_GEOMETRY, MAX_INPUTS, MAX_LED_GAINS, MAX_MIRRORS, MAX_OBSTACLES, MAX_STATE, MAX_STOPS, MAX_TEXT,
-    MAX_USERS, Nanos,
+    MAX_ENTRIES, MAX_GEOMETRY, MAX_INPUTS, MAX_LED_GAINS, MAX_MIRRORS, MAX_OBSTACLES, MAX_STATE, MAX_STOPS, MAX_USERS,
+    Nanos, cut,
 };
 use crate::structures::{
     AxisLimits, ControllerInput, Counters, LatchedStopReport, LedGain, MirrorFault, Obstacle, Quantiles, Stamp,
@@ -188,14 +188,30 @@ impl SafetyReport {
     pub fn name(&self) -> Option<StopName> {
         self.stopped.then_some(StopName { source: self.stop_source, sequence: self.stop_sequence })
     }
+
+    /// That stop, as a stop report lists it.
+    pub fn stop(&self) -> Option<LatchedStopReport> {
+        let name = self.name()?;
+        let (operator, reason) = (self.operator.clone(), self.reason.clone());
+        let StopName { source, sequence } = name;
+        Some(LatchedStopReport { source, sequence, arrived_ns: self.stopped_ns, operator, reason })
+    }
+}
+
+impl StopReport {
+    /// Whether the array has latched a stop: its list has the name, or is full, and a stop without
+    /// sender stands for those that it cannot list.
+    pub fn is_latched(&self, name: StopName) -> bool {
+        let has = |name: StopName| self.stops.iter().any(|stop| stop.name() == name);
+        has(name) || (self.stops.len() == MAX_STOPS && has(StopName::default()))
+    }
 }
 
 impl NodeStatus {
     /// Sets the latest problem, cut to the length that a message may hold.
     pub fn set_problem(&mut self, problem: &str) {
-        let end = (0..=problem.len().min(MAX_TEXT)).rev().find(|at| problem.is_char_boundary(*at)).unwrap_or(0);
         self.last_problem.clear();
-        self.last_problem.push_str(&problem[..end]);
+        self.last_problem.push_str(cut(problem));
     }
 }
 

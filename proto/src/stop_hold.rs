@@ -13,6 +13,9 @@
 //!
 //! Sequence numbers, names and sources decide; times of two hosts are never compared.
 //!
+//! A stop concerns every array of a room. A process that learns of one from the report of an array,
+//! because it started later, holds it for the other arrays too: see [`unknown_stops`].
+//!
 //! | the array publishes | a stop is reported by | and dropped by |
 //! | --- | --- | --- |
 //! | stop reports | its name in the list | a later report without it, or with it among the released ones |
@@ -21,7 +24,7 @@
 
 use crate::limits::Nanos;
 use crate::messages::{EmergencyStop, SafetyReport, StopReport};
-use crate::structures::{Stamp, StopName};
+use crate::structures::{LatchedStopReport, Stamp, StopName};
 
 /// Largest number of stops that are held for one array; the room is stopped by any of them.
 const HELD_MAX: usize = 64;
@@ -63,6 +66,19 @@ pub struct StopHold {
     detail: Detail,
     /// Source and sequence number of the latest report of that detail.
     latest: (u64, u64),
+    /// The names that the latest stop report lists as released.
+    released: Vec<StopName>,
+}
+
+/// The stops of a report that are held for no array: each array has to [`learn`](StopHold::learn) them.
+pub fn unknown_stops<'a>(
+    reported: &[LatchedStopReport],
+    holds: impl Iterator<Item = &'a StopHold> + Clone,
+) -> Vec<LatchedStopReport> {
+    let is_held = |name: StopName| holds.clone().any(|hold| hold.stops.iter().any(|held| held.name == name));
+    // A stop without sender belongs to the process that started with it.
+    let is_unknown = |stop: &&LatchedStopReport| stop.name() != StopName::default() && !is_held(stop.name());
+    reported.iter().filter(is_unknown).cloned().collect()
 }
 
 impl StopHold {
@@ -73,12 +89,20 @@ impl StopHold {
         }
     }
 
-    /// Applies a stop report of the array.
-    pub fn handle_stops(&mut self, report: &StopReport) {
+    /// Holds a stop that another array reports, unless this array has released it.
+    pub fn learn(&mut self, stop: &LatchedStopReport) {
+        if !self.released.contains(&stop.name()) {
+            self.hold(stop.arrived_ns, stop.name(), &stop.operator, &stop.reason);
+        }
+    }
+
+    /// Applies a stop report of the array; false for one that is older than the latest.
+    pub fn handle_stops(&mut self, report: &StopReport) -> bool {
         if !self.is_newer(Detail::Stops, &report.stamp) {
-            return;
+            return false;
         }
         let source = report.stamp.source;
+        self.released.clone_from(&report.released);
         let latched = |name: &StopName| report.stops.iter().any(|stop| stop.name() == *name);
         // A sender's later stop replaces its earlier one.
         let superseded = |name: &StopName| {
@@ -103,12 +127,14 @@ impl StopHold {
         }
         let place = |held: &HeldStop| report.stops.iter().position(|stop| stop.name() == held.name);
         self.stops.sort_by_key(|held| place(held).unwrap_or(usize::MAX));
+        true
     }
 
-    /// Applies a safety report; one of an array that publishes stop reports changes nothing.
-    pub fn handle_safety(&mut self, report: &SafetyReport) {
+    /// Applies a safety report; false for one that is older than the latest, or of an array that
+    /// publishes stop reports.
+    pub fn handle_safety(&mut self, report: &SafetyReport) -> bool {
         if !self.is_newer(Detail::Safety, &report.stamp) {
-            return;
+            return false;
         }
         let source = report.stamp.source;
         match report.name() {
@@ -118,6 +144,7 @@ impl StopHold {
             }
             None => self.stops.retain(|held| held.reported_by != Some(source) && held.name != StopName::default()),
         }
+        true
     }
 
     /// Applies the state in telemetry; that of an array that publishes more changes nothing.
@@ -154,6 +181,7 @@ impl StopHold {
     /// No report about the array counts any longer, because it has left.
     pub fn forget_reports(&mut self) {
         (self.detail, self.latest) = (Detail::Telemetry, (0, 0));
+        self.released.clear();
         for held in &mut self.stops {
             (held.reported_by, held.seen_stopped) = (None, false);
         }
@@ -189,7 +217,6 @@ impl StopHold {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::structures::LatchedStopReport;
 
     const STOP: StopName = StopName { source: 3, sequence: 4 };
     const OTHER: StopName = StopName { source: 5, sequence: 1 };
@@ -271,6 +298,22 @@ mod tests {
         assert_eq!(hold.unreported().count(), 0);
         hold.handle_stops(&stops(10, 1, &[], &[]));
         assert_eq!(hold.unreported().map(|held| held.name).collect::<Vec<_>>(), [STOP], "but no stop without sender");
+    }
+
+    #[test]
+    fn a_stop_that_one_array_reports_is_learned_for_each_array_that_has_not_released_it() {
+        let (mut first, mut second) = (StopHold::default(), StopHold::default());
+        let report = stops(9, 1, &[STOP, StopName::default()], &[]);
+        let unknown = unknown_stops(&report.stops, [&first, &second].into_iter());
+        assert_eq!(unknown.iter().map(|stop| stop.name()).collect::<Vec<_>>(), [STOP]);
+        first.handle_stops(&report);
+        second.learn(&unknown[0]);
+        assert_eq!(second.unreported().count(), 1);
+        assert!(unknown_stops(&report.stops, [&first, &second].into_iter()).is_empty(), "it is known");
+        let mut released = StopHold::default();
+        released.handle_stops(&stops(10, 1, &[], &[STOP]));
+        released.learn(&unknown[0]);
+        assert!(!released.is_stopped(), "the array has released it");
     }
 
     #[test]

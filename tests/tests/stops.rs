@@ -35,7 +35,8 @@ struct TwoArrays {
     drivers: [Option<Process>; 2],
     endpoints: [String; 2],
     of_controller: String,
-    _controller: Process,
+    scenario: String,
+    controller: Process,
     bus: Bus,
     latest: Arc<Mutex<Latest>>,
     is_ended: Arc<AtomicBool>,
@@ -54,10 +55,7 @@ impl TwoArrays {
         let endpoint = || free_loopback_endpoint().expect("a free port");
         let (endpoints, of_controller) = ([endpoint(), endpoint()], endpoint());
         let scenario = scenario.to_str().expect("a path in UTF-8").to_owned();
-        let set = ["--set", "control.validity_ms=10000", "--policy", "fixed-point", "--exit-with-parent"];
-        let flags = ["controller", "--scenario", &scenario, "--room", room, "--listen", &of_controller];
-        let connect = ["--connect", &endpoints[0], "--connect", &endpoints[1]];
-        let controller = Process::heliostat(&[&flags[..], &connect, &set].concat());
+        let controller = start_controller(room, &scenario, &endpoints, &of_controller);
         let config = BusConfig::new(Room::new(room).expect("a valid name"));
         let config = config.connect_to(&endpoints[0]).connect_to(&endpoints[1]).connect_to(&of_controller);
         let bus = Bus::open(&config).expect("the bus opens");
@@ -71,7 +69,8 @@ impl TwoArrays {
             drivers: [None, None],
             endpoints,
             of_controller,
-            _controller: controller,
+            scenario,
+            controller,
             bus,
             latest,
             is_ended,
@@ -147,6 +146,13 @@ impl Drop for TwoArrays {
     }
 }
 
+fn start_controller(room: &str, scenario: &str, endpoints: &[String; 2], own: &str) -> Process {
+    let set = ["--set", "control.validity_ms=10000", "--policy", "fixed-point", "--exit-with-parent"];
+    let flags = ["controller", "--scenario", scenario, "--room", room, "--listen", own];
+    let connect = ["--connect", &endpoints[0], "--connect", &endpoints[1]];
+    Process::heliostat(&[&flags[..], &connect, &set].concat())
+}
+
 fn config(folder: &Path, array: usize) -> String {
     folder.join(format!("array-{array}.toml")).display().to_string()
 }
@@ -193,6 +199,23 @@ fn a_room_with_an_absent_array_is_not_called_stopped_and_the_array_gets_the_stop
     assert!(room.order("stop", &[]).status.success(), "now every array has stopped");
     let released = room.order("rearm", &["--all"]);
     assert!(released.status.success(), "{}", released.errors);
+    room.wait_for([ArrayState::Following; 2]);
+}
+
+#[test]
+fn a_controller_that_starts_after_the_stop_holds_it_for_an_array_that_was_absent() {
+    let mut room = TwoArrays::start("restarted");
+    room.driver(1).kill();
+    assert!(!room.order("stop", &["--operator", "ann"]).status.success());
+    wait_until("the first array stopped", || room.operators(0) == ["ann"]);
+    // The stop is known to the first array alone.
+    room.controller.kill();
+    room.controller = start_controller(&room.room, &room.scenario, &room.endpoints, &room.of_controller);
+    room.start_driver(1);
+    wait_until("the stop at the array that returned", || room.operators(1) == ["ann"]);
+    room.wait_for([ArrayState::Stopped; 2]);
+    let absent = room.order("rearm", &["--all"]);
+    assert!(absent.status.success(), "{}", absent.errors);
     room.wait_for([ArrayState::Following; 2]);
 }
 

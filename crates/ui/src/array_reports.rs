@@ -40,42 +40,43 @@ impl ArrayReports {
     /// Mirrors of an array without telemetry are flat. The state is the first in the order fault,
     /// stopped, parked, holding, following that any array has. Counters are sums.
     pub fn joint(&self, arrays: &MirrorArrays) -> Option<MirrorTelemetry> {
-        if arrays.arrays().len() > 1 {
-            return self.join(arrays);
-        }
-        // Telemetry of another shape is shown too, for its state and its faults.
-        let mut first = self.fresh().filter(|(array, _)| **array == 0);
-        first.next().map(|(_, (_, telemetry))| telemetry.clone())
+        join(arrays, &self.fresh().map(|(array, (_, telemetry))| (*array, telemetry)).collect())
     }
 
-    fn join(&self, arrays: &MirrorArrays) -> Option<MirrorTelemetry> {
-        let fresh: BTreeMap<usize, &MirrorTelemetry> =
-            self.fresh().map(|(array, (_, telemetry))| (*array, telemetry)).collect();
-        let mut joint =
-            fresh.values().next().map(|first| MirrorTelemetry { stamp: first.stamp, ..Default::default() })?;
-        joint.state = fresh.values().map(|telemetry| telemetry.state).max_by_key(|state| severity(*state))?;
-        for (index, (array, mirrors)) in arrays.ranges().enumerate() {
-            let telemetry = fresh.get(&index).filter(|telemetry| telemetry.check_mirrors(array.len()).is_ok());
-            let axes = |commanded: fn(&MirrorTelemetry) -> [&Vec<f32>; 2]| {
-                let given =
-                    telemetry.and_then(|telemetry| commanded(telemetry).into_iter().find(|axis| !axis.is_empty()));
-                given.cloned().unwrap_or_else(|| vec![0.0; mirrors.len()])
-            };
-            joint.roll_commanded.extend(axes(|telemetry| [&telemetry.roll_commanded, &telemetry.roll_commanded]));
-            joint.yaw_commanded.extend(axes(|telemetry| [&telemetry.yaw_commanded, &telemetry.yaw_commanded]));
-            joint.roll_measured.extend(axes(|telemetry| [&telemetry.roll_measured, &telemetry.roll_commanded]));
-            joint.yaw_measured.extend(axes(|telemetry| [&telemetry.yaw_measured, &telemetry.yaw_commanded]));
-            let Some(telemetry) = telemetry else { continue };
-            joint.faults |= telemetry.faults;
-            joint.counters = sum(&joint.counters, &telemetry.counters);
-            joint.unusable.extend(telemetry.unusable.iter().map(|mirror| mirrors.start as u32 + mirror));
-        }
-        Some(joint)
+    /// The same with the last telemetry of each array, of any age.
+    pub fn last_joint(&self, arrays: &MirrorArrays) -> Option<MirrorTelemetry> {
+        join(arrays, &self.0.iter().map(|(array, (_, telemetry))| (*array, telemetry)).collect())
     }
 
     fn fresh(&self) -> impl Iterator<Item = (&usize, &(Instant, MirrorTelemetry))> {
         self.0.iter().filter(|(_, (at, _))| at.elapsed() < EXPIRY)
     }
+}
+
+fn join(arrays: &MirrorArrays, reports: &BTreeMap<usize, &MirrorTelemetry>) -> Option<MirrorTelemetry> {
+    if arrays.arrays().len() == 1 {
+        // Telemetry of another shape is shown too, for its state and its faults.
+        return reports.get(&0).map(|telemetry| (*telemetry).clone());
+    }
+    let mut joint =
+        reports.values().next().map(|first| MirrorTelemetry { stamp: first.stamp, ..Default::default() })?;
+    joint.state = reports.values().map(|telemetry| telemetry.state).max_by_key(|state| severity(*state))?;
+    for (index, (array, mirrors)) in arrays.ranges().enumerate() {
+        let telemetry = reports.get(&index).filter(|telemetry| telemetry.check_mirrors(array.len()).is_ok());
+        let axes = |commanded: fn(&MirrorTelemetry) -> [&Vec<f32>; 2]| {
+            let given = telemetry.and_then(|telemetry| commanded(telemetry).into_iter().find(|axis| !axis.is_empty()));
+            given.cloned().unwrap_or_else(|| vec![0.0; mirrors.len()])
+        };
+        joint.roll_commanded.extend(axes(|telemetry| [&telemetry.roll_commanded, &telemetry.roll_commanded]));
+        joint.yaw_commanded.extend(axes(|telemetry| [&telemetry.yaw_commanded, &telemetry.yaw_commanded]));
+        joint.roll_measured.extend(axes(|telemetry| [&telemetry.roll_measured, &telemetry.roll_commanded]));
+        joint.yaw_measured.extend(axes(|telemetry| [&telemetry.yaw_measured, &telemetry.yaw_commanded]));
+        let Some(telemetry) = telemetry else { continue };
+        joint.faults |= telemetry.faults;
+        joint.counters = sum(&joint.counters, &telemetry.counters);
+        joint.unusable.extend(telemetry.unusable.iter().map(|mirror| mirrors.start as u32 + mirror));
+    }
+    Some(joint)
 }
 
 fn severity(state: ArrayState) -> u8 {

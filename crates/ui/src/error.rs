@@ -83,15 +83,15 @@ pub enum UiError {
         /// The stops in words.
         stops: Vec<String>,
     },
-    /// An order that telemetry did not confirm.
+    /// A re-arm that not every array has confirmed.
     #[error(
-        "the array did not confirm the {order} within {waited:?}: expected telemetry with its new state; \
-         check --room and --connect, and stop the mirrors at their power supply if they move"
+        "the re-arm is not confirmed after {waited:?}: {}",
+        if arrays.is_empty() { "no array reports: check --room and --connect".into() } else { arrays.join("; ") }
     )]
-    Unconfirmed {
-        /// Stop or re-arm.
-        order: &'static str,
+    RearmUnconfirmed {
         /// How long it waited.
         waited: Duration,
+        /// What is open, array by array.
+        arrays: Vec<String>,
     },
 }

@@ -354,6 +354,7 @@ fn fault_names(bits: u32) -> Vec<&'static str> {
         (fault::SUPPLY, "supply"),
         (fault::CALIBRATION, "calibration"),
         (fault::CLOCK, "clock"),
+        (fault::STOP, "stop"),
     ];
     names.into_iter().filter(|(bit, _)| bits & bit != 0).map(|(_, name)| name).collect()
 }

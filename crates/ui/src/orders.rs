@@ -7,7 +7,7 @@
 //!   receives a [`ProcessOrder`] over a channel, if there is one.
 
 use std::sync::mpsc::Sender;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use heliostat_bus::{Bus, Token};
@@ -47,17 +47,17 @@ pub struct Operator {
 }
 
 impl Operator {
-    /// An operator in the room of a session. `processes` leads to the program that started the
+    /// An operator in the room of a session and its view. `processes` leads to the program that started the
     /// processes; `None` if they were started separately.
     ///
     /// # Errors
     /// [`UiError::Bus`] if the session is closed.
-    pub fn new(bus: &Bus, processes: Option<Sender<ProcessOrder>>) -> Result<Self, UiError> {
+    pub fn new(bus: &Bus, view: &View, processes: Option<Sender<ProcessOrder>>) -> Result<Self, UiError> {
         let room = bus.room();
         let source = source_id::random();
         Ok(Self {
             source,
-            stop: StopSwitch::new(bus, "heliostat ui")?,
+            stop: StopSwitch::of(bus, "heliostat ui", Arc::clone(&view.stops))?,
             simulator: OrderPublisher::new(bus, "simulated room", &room.simulator_control())?,
             controller: OrderPublisher::new(bus, "controller", &room.controller_control())?,
             processes,

@@ -5,6 +5,8 @@ use std::sync::Arc;
 
 use crate::View;
 use crate::orders::Operator;
+use crate::scene::Plan;
+use crate::shown_room::GeometrySource;
 
 /// The data of the page and its connection to the room.
 pub struct Page {
@@ -19,12 +21,14 @@ pub struct Page {
 }
 
 impl Page {
-    /// Identifies this server and its room: it changes with a new process, and with the plan.
+    /// Identifies this server and its room: it changes with a new process, and with the plan. The
+    /// process that announces the geometry may change: an open page keeps its last picture.
     pub(crate) fn id(&self) -> String {
         let mut hasher = DefaultHasher::new();
         self.operator.source().hash(&mut hasher);
         // Serialization of a plan cannot fail: it holds only numbers, texts and lists.
-        serde_json::to_string(&self.view.plan(&self.room)).unwrap_or_default().hash(&mut hasher);
+        let plan = Plan { geometry_source: GeometrySource::Default, ..self.view.plan(&self.room) };
+        serde_json::to_string(&plan).unwrap_or_default().hash(&mut hasher);
         format!("{:016x}", hasher.finish())
     }
 }

@@ -16,7 +16,7 @@ use crate::View;
 use crate::belief::Belief;
 use crate::blocked_area::blocked_area;
 use crate::shown_room::{GeometrySource, ShownRoom};
-use crate::view::Received;
+use crate::view::{Dated, Received};
 
 /// Below this speed in m/s a user keeps the previous heading.
 const WALKING_M_S: f64 = 0.05;
@@ -163,7 +163,7 @@ impl FrameBuilder {
         let blockers: Vec<Cylinder> = obstacles.iter().chain(bodies.iter().flatten()).copied().collect();
         let angles = angles(room.model.mirrors.len(), telemetry.as_ref());
         let mut serves = state.serve(&users, &blockers, &angles);
-        let unknown = if telemetry.is_some() { self.unknown_mirrors(&room) } else { Vec::new() };
+        let unknown = self.unknown_mirrors(&room);
         unknown.iter().for_each(|mirror| serves[*mirror as usize] = -1);
         let serving = state.scene.serving();
         let budget = self.view.budget(&room.model);
@@ -207,22 +207,29 @@ impl FrameBuilder {
         }
     }
 
-    /// The mirrors of the arrays without recent telemetry: nothing is known about their angles.
+    /// The mirrors of the arrays without recent telemetry, while another array has it: nothing is known
+    /// about their angles.
     fn unknown_mirrors(&self, room: &ShownRoom) -> Vec<u32> {
         let arrays = &room.model.mirrors;
         let silent = self.view.received().arrays.silent(arrays.arrays().len());
+        if silent.len() == arrays.arrays().len() {
+            return Vec::new();
+        }
         let ranges = arrays.ranges().enumerate().filter(|(index, _)| silent.contains(index));
         ranges.flat_map(|(_, (_, mirrors))| mirrors.map(|mirror| mirror as u32)).collect()
     }
 
-    /// The latest users, obstacles and telemetry.
+    /// The latest users, obstacles and telemetry. Where no process reports users any longer, the last
+    /// picture stays; the page marks how old it is.
     fn latest(
         &self,
         room: &ShownRoom,
         headings: &mut BTreeMap<u32, Vec3>,
     ) -> (Vec<ObservedUser>, Vec<Cylinder>, Option<MirrorTelemetry>) {
         let received = self.view.received();
-        let telemetry = received.arrays.joint(&room.model.mirrors);
+        let is_over = Received::fresh(&received.truth).is_none() && Received::fresh(&received.users).is_none();
+        let last = || received.arrays.last_joint(&room.model.mirrors).filter(|_| is_over);
+        let telemetry = received.arrays.joint(&room.model.mirrors).or_else(last);
         let cylinder = |obstacle: &heliostat_proto::Obstacle| Cylinder {
             x_m: f64::from(obstacle.x_m),
             y_m: f64::from(obstacle.y_m),
@@ -232,7 +239,7 @@ impl FrameBuilder {
         let belief = Received::fresh(&received.belief);
         let belief_of = |user, drawn_ns| belief.and_then(|report| Belief::of(report, user, drawn_ns));
         let point = |position: [f32; 3]| Vec3::from(position.map(f64::from));
-        if let Some(truth) = Received::fresh(&received.truth) {
+        if let Some(truth) = shown(&received.truth, is_over) {
             let observed = |user: &heliostat_proto::TruthUser| {
                 let (sin, cos) = f64::from(user.heading_rad).sin_cos();
                 ObservedUser {
@@ -247,11 +254,11 @@ impl FrameBuilder {
             let users = truth.users.iter().map(observed).collect();
             return (users, truth.obstacles.iter().map(cylinder).collect(), telemetry);
         }
-        let obstacles = Received::fresh(&received.obstacles).map_or(&[][..], |report| &report.obstacles);
+        let obstacles = shown(&received.obstacles, is_over).map_or(&[][..], |report| &report.obstacles);
         let obstacles = obstacles.iter().map(cylinder).collect();
-        let Some(report) = Received::fresh(&received.users) else { return (Vec::new(), obstacles, telemetry) };
+        let Some(report) = shown(&received.users, is_over) else { return (Vec::new(), obstacles, telemetry) };
         headings.retain(|number, _| report.users.iter().any(|user| user.user == *number));
-        let gains = Received::fresh(&received.channel).map_or(&[][..], |report| &report.users);
+        let gains = shown(&received.channel, is_over).map_or(&[][..], |report| &report.users);
         let users = report.users.iter().map(|user| {
             let heading = headings.entry(user.user).or_insert_with(Vec3::zeros);
             let [x, y] = user.velocity_m_s.map(f64::from);
@@ -296,6 +303,12 @@ impl FrameState {
         };
         (0..mirrors).map(best).collect()
     }
+}
+
+/// A message that is not old; of any age in a room that is over.
+fn shown<T>(message: &Dated<T>, is_over: bool) -> Option<&T> {
+    let last = message.as_ref().filter(|_| is_over).map(|(_, message)| message);
+    Received::fresh(message).or(last)
 }
 
 fn body(scenario: &Scenario, user: &ObservedUser) -> Option<Cylinder> {

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use heliostat_service::printable::printable;
 use serde::Serialize;
 
-use crate::stop_switch::RoomStops;
+use crate::stop_watch::{RoomStops, ShownStop, Standing};
 
 /// After this time without a confirmation, the page warns.
 const CONFIRM_LIMIT: Duration = Duration::from_secs(1);
@@ -42,6 +42,24 @@ pub struct StopFigure {
     pub age_s: f64,
     /// Indices of the arrays for which it is held.
     pub arrays: Vec<usize>,
+    /// Indices of those that have stopped.
+    pub stopped: Vec<usize>,
+}
+
+impl StopFigure {
+    /// The stops of a room.
+    pub(crate) fn of(room: &RoomStops) -> Vec<Self> {
+        let has_stopped = |array: &usize| room.standings.contains(&(*array, Standing::Stopped));
+        let figure = |stop: &ShownStop| Self {
+            name: stop.name.to_string(),
+            operator: printable(&stop.operator).into_owned(),
+            reason: printable(&stop.reason).into_owned(),
+            age_s: stop.known.elapsed().as_secs_f64(),
+            arrays: stop.arrays.clone(),
+            stopped: stop.arrays.iter().copied().filter(has_stopped).collect(),
+        };
+        room.stops.iter().map(figure).collect()
+    }
 }
 
 /// The emergency stop.
@@ -57,6 +75,8 @@ pub struct StopFigures {
     pub stops: Vec<StopFigure>,
     /// What is open, array by array.
     pub problems: Vec<String>,
+    /// Indices of the arrays that no stop holds while one holds another array.
+    pub free: Vec<usize>,
 }
 
 /// Follows the phases of a stop.
@@ -95,19 +115,13 @@ impl StopState {
         });
         let Some((phase, at)) = self.phase else { return StopFigures::default() };
         let begun = if phase == StopPhase::Unconfirmed { room.ordered.or(self.open).unwrap_or(at) } else { at };
-        let stops = room.stops.iter().map(|stop| StopFigure {
-            name: stop.name.to_string(),
-            operator: printable(&stop.operator).into_owned(),
-            reason: printable(&stop.reason).into_owned(),
-            age_s: since(stop.known).as_secs_f64(),
-            arrays: stop.arrays.clone(),
-        });
         StopFigures {
             phase,
             since_s: since(begun).as_secs_f64(),
             report_age_s: room.reported.filter(|_| is_confirmed).map(|at| since(at).as_secs_f64()),
-            stops: stops.collect(),
+            stops: StopFigure::of(room),
             problems: room.problems(),
+            free: room.free(),
         }
     }
 }
@@ -117,7 +131,6 @@ mod tests {
     use heliostat_proto::StopName;
 
     use super::*;
-    use crate::stop_watch::{ShownStop, Standing};
 
     fn ago(ms: u64) -> Instant {
         Instant::now() - Duration::from_millis(ms)

@@ -10,23 +10,20 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use heliostat_bus::{Bus, Class, Publisher, Subscription};
-use heliostat_proto::{EmergencyStop, MAX_ARRAYS, Rearm, Stamp, StopAction, StopName, StopRepetition, codec};
+use heliostat_bus::{Bus, Class, Publisher};
+use heliostat_proto::{EmergencyStop, MAX_ARRAYS, Rearm, Stamp, StopAction, StopName, StopRepetition, codec, cut};
 use heliostat_service::clock::utc_ns;
 use heliostat_service::source_id;
 
 use crate::UiError;
 use crate::order_publisher::OrderPublisher;
-use crate::stop_watch::{Seen, ShownStop, Standing, StopWatch};
+use crate::stop_watch::{RoomStops, Seen, ShownStop, Standing, StopWatch, UNKNOWN_ARRAYS};
 
 /// Time after which a stop or a re-arm is repeated.
 const REPEAT_AFTER: Duration = Duration::from_millis(200);
 
 /// The geometry of a room is announced each second, and so is a safety report.
 const ANNOUNCED_WITHIN: Duration = Duration::from_millis(1500);
-
-/// What is open where no process announces the geometry of the room.
-const UNKNOWN_ARRAYS: &str = "no process announces how many arrays the room has, and one that was not seen can move: connect to its controller or router";
 
 /// Stops the arrays of a room and releases them.
 pub struct StopSwitch {
@@ -38,7 +35,6 @@ pub struct StopSwitch {
     opened: Instant,
     seen: Arc<StopWatch>,
     own: Mutex<Option<OwnStop>>,
-    _subscriptions: Vec<Subscription>,
 }
 
 /// The last stop of this process.
@@ -57,43 +53,18 @@ struct Repetitions {
     last: Mutex<Option<Instant>>,
 }
 
-/// What an operator is shown of the stops of a room.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct RoomStops {
-    /// The stops that are held.
-    pub stops: Vec<ShownStop>,
-    /// What each array does about them.
-    pub standings: Vec<(usize, Standing)>,
-    /// When the oldest of the arrays reported last.
-    pub reported: Option<Instant>,
-    /// When this process ordered a stop that is still held.
-    pub ordered: Option<Instant>,
-    /// Whether the number of arrays of the room is known.
-    pub has_geometry: bool,
-}
-
-impl RoomStops {
-    /// Whether every array for which a stop is held has stopped.
-    pub fn is_confirmed(&self) -> bool {
-        let is_open = self.standings.iter().any(|(_, standing)| standing.is_open());
-        self.has_geometry && !is_open && self.standings.iter().any(|(_, standing)| *standing == Standing::Stopped)
-    }
-
-    /// What is open, array by array.
-    pub fn problems(&self) -> Vec<String> {
-        let unknown = (!self.has_geometry && !self.stops.is_empty()).then(|| UNKNOWN_ARRAYS.to_owned());
-        self.standings.iter().filter_map(|(array, standing)| standing.problem(*array)).chain(unknown).collect()
-    }
-}
-
 impl StopSwitch {
     /// A switch for the arrays in the room of a session; `operator` is the name in the orders.
     ///
     /// # Errors
     /// [`UiError::Bus`] if the session is closed.
     pub fn new(bus: &Bus, operator: &str) -> Result<Self, UiError> {
+        Self::of(bus, operator, StopWatch::open(bus)?)
+    }
+
+    /// The same with the arrays that a view watches.
+    pub(crate) fn of(bus: &Bus, operator: &str, seen: Arc<StopWatch>) -> Result<Self, UiError> {
         let room = bus.room();
-        let (seen, subscriptions) = StopWatch::open(bus)?;
         let publisher = |array| bus.publisher(&room.array(array).stop_repetition(), Class::RealTimeBlock);
         Ok(Self {
             source: source_id::random(),
@@ -108,21 +79,16 @@ impl StopSwitch {
             opened: Instant::now(),
             seen,
             own: Mutex::default(),
-            _subscriptions: subscriptions,
         })
     }
 
     /// The stops of the room, and what each array does about them.
     pub(crate) fn room_stops(&self) -> RoomStops {
-        let seen = self.seen.lock();
-        let stops = seen.stops();
-        let standings = if stops.is_empty() { Vec::new() } else { seen.standings(None) };
-        let (reported, has_geometry) = (seen.oldest_report(), seen.has_geometry());
-        drop(seen);
+        let room = self.seen.room();
         let own = self.own.lock().unwrap_or_else(PoisonError::into_inner);
-        let is_open = |own: &&OwnStop| !own.is_held || stops.iter().any(|stop| stop.name == own.order.name());
+        let is_open = |own: &&OwnStop| !own.is_held || room.stops.iter().any(|stop| stop.name == own.order.name());
         let ordered = own.as_ref().filter(is_open).map(|own| own.at);
-        RoomStops { stops, standings, reported, ordered, has_geometry }
+        RoomStops { ordered, ..room }
     }
 
     /// The number of arrays of the room, where no process announces it.
@@ -141,23 +107,18 @@ impl StopSwitch {
         self.room_stops().ordered.is_some()
     }
 
-    /// Publishes a stop; one of this process that is still held is published again, by its name.
+    /// Publishes a stop with a name of its own, which replaces an earlier one of this process: a re-arm
+    /// that is on its way releases the stop that its operator saw, and not this one.
     ///
     /// # Errors
     /// [`UiError::NoReceiver`] if no array subscribes to it, [`UiError::Bus`] if the session is
-    /// closed, [`UiError::Codec`] if the reason is too long.
+    /// closed, [`UiError::Codec`] if it cannot be encoded.
     pub fn stop(&self, reason: &str) -> Result<EmergencyStop, UiError> {
-        let held: Vec<StopName> = self.seen.lock().stops().iter().map(|stop| stop.name).collect();
         let mut own = self.own.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(own) = own.as_mut().filter(|own| held.contains(&own.order.name())) {
-            own.at = Instant::now();
-            self.seen.order(&own.order);
-            self.stop.publish_again(&own.order)?;
-            return Ok(own.order.clone());
-        }
         let mut sent = None;
         let result = self.stop.publish(self.source, |stamp| {
-            let (operator, reason) = (self.operator.clone(), reason.to_owned());
+            // A text that is too long must not keep a stop back.
+            let (operator, reason) = (cut(&self.operator).to_owned(), cut(reason).to_owned());
             let order = EmergencyStop { stamp, action: StopAction::Stop, operator, reason };
             // Before it is published, so that the first report of an array finds it.
             self.seen.order(&order);
@@ -246,8 +207,12 @@ impl StopSwitch {
                 // The geometry may name an array that has not reported yet.
                 self.seen.wait(REPEAT_AFTER.min(limit), Seen::has_geometry);
             } else {
+                // An array that has appeared meanwhile is held too. A stop of kind 9 would also stop the
+                // arrays again at which an operator has released it.
                 self.seen.order(&order);
-                self.stop.publish_again(&order)?;
+                if self.seen.lock().is_empty() {
+                    self.stop.publish_again(&order)?;
+                }
                 self.repeat();
             }
         }
@@ -271,19 +236,26 @@ impl StopSwitch {
 
     /// Publishes a re-arm of each of these stops.
     ///
+    /// An array of the first messages has no name for its stop. Its re-arm releases all stops of all
+    /// arrays, so it is sent only with the names of all.
+    ///
     /// # Errors
     /// [`UiError::NotStopped`] if there is none; otherwise as [`StopSwitch::stop`].
     pub fn rearm(&self, names: &[StopName], reason: &str) -> Result<(), UiError> {
-        // An array of the first messages has no name for its stop.
-        let has_unnamed = self.seen.lock().older().iter().any(Option::is_none);
-        if has_unnamed {
+        let seen = self.seen.lock();
+        let unnamed = seen.unnamed();
+        let names_all = seen.stops().iter().all(|stop| names.contains(&stop.name));
+        // One that has just appeared may publish its stop reports yet.
+        let is_unnamed = !unnamed.is_empty() && unnamed.iter().all(|array| seen.is_settled(*array));
+        drop(seen);
+        if is_unnamed && names_all {
             self.stop.publish(self.source, |stamp| EmergencyStop {
                 stamp,
                 action: StopAction::Rearm,
                 operator: self.operator.clone(),
                 reason: reason.to_owned(),
             })?;
-        } else if names.is_empty() {
+        } else if names.is_empty() && unnamed.is_empty() {
             let has_array = self.seen.lock().has_array();
             return Err(if has_array { UiError::NotStopped } else { UiError::NoReceiver("array") });
         }
@@ -302,13 +274,11 @@ impl StopSwitch {
     /// took. A stop that arrives meanwhile stays in force.
     ///
     /// # Errors
-    /// [`UiError::Unconfirmed`] after `limit`; otherwise as [`StopSwitch::rearm`].
+    /// [`UiError::RearmUnconfirmed`] names each array that has not released them, after `limit`; otherwise
+    /// as [`StopSwitch::rearm`].
     pub fn rearm_and_confirm(&self, names: &[StopName], reason: &str, limit: Duration) -> Result<Duration, UiError> {
         let begun = Instant::now();
-        let is_released = |seen: &Seen| {
-            let is_named = |stop: &ShownStop| names.contains(&stop.name);
-            !seen.stops().iter().any(is_named) && !seen.older().iter().any(Option::is_none)
-        };
+        let is_released = |seen: &Seen| seen.unreleased(names).is_empty();
         loop {
             let sent = self.rearm(names, reason);
             if self.seen.wait(REPEAT_AFTER, is_released) && self.seen.lock().has_array() {
@@ -316,7 +286,7 @@ impl StopSwitch {
             }
             if begun.elapsed() >= limit {
                 sent?;
-                return Err(UiError::Unconfirmed { order: "re-arm", waited: limit });
+                return Err(UiError::RearmUnconfirmed { waited: limit, arrays: self.seen.lock().unreleased(names) });
             }
         }
     }

@@ -10,10 +10,10 @@ use std::time::{Duration, Instant};
 use heliostat_bus::{Bus, Presence, Subscription};
 use heliostat_proto::keys::parse_driver_alive;
 use heliostat_proto::messages::fault;
-use heliostat_proto::stop_hold::{HeldStop, StopHold};
+use heliostat_proto::stop_hold::{HeldStop, StopHold, unknown_stops};
 use heliostat_proto::{
-    ArrayState, EmergencyStop, MAX_ARRAYS, Message, MirrorTelemetry, RoomGeometry, SafetyReport, StopName, StopReport,
-    codec,
+    ArrayState, EmergencyStop, LatchedStopReport, MAX_ARRAYS, Message, MirrorTelemetry, RoomGeometry, SafetyReport,
+    StopName, StopReport, codec,
 };
 use heliostat_scenario::Scenario;
 use heliostat_service::printable::printable;
@@ -30,6 +30,9 @@ const TELEMETRY_AGE_MAX: Duration = Duration::from_millis(1500);
 
 /// A driver that publishes stop reports has published one after this time of telemetry.
 const STOPS_WITHIN: Duration = Duration::from_millis(1500);
+
+/// What is open where no process announces the geometry of the room.
+pub(crate) const UNKNOWN_ARRAYS: &str = "no process announces how many arrays the room has, and one that was not seen can move: connect to its controller or router";
 
 /// What an array does about the stops that are held for it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -92,6 +95,41 @@ pub struct ShownStop {
     pub known: Instant,
 }
 
+/// What an operator is shown of the stops of a room.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct RoomStops {
+    /// The stops that are held.
+    pub stops: Vec<ShownStop>,
+    /// What each array does about them.
+    pub standings: Vec<(usize, Standing)>,
+    /// When the oldest of the arrays reported last.
+    pub reported: Option<Instant>,
+    /// When this process ordered a stop that is still held.
+    pub ordered: Option<Instant>,
+    /// Whether the number of arrays of the room is known.
+    pub has_geometry: bool,
+}
+
+impl RoomStops {
+    /// Whether every array for which a stop is held has stopped.
+    pub fn is_confirmed(&self) -> bool {
+        let is_open = self.standings.iter().any(|(_, standing)| standing.is_open());
+        self.has_geometry && !is_open && self.standings.iter().any(|(_, standing)| *standing == Standing::Stopped)
+    }
+
+    /// The arrays for which no stop is held, while one is held for another array.
+    pub fn free(&self) -> Vec<usize> {
+        let free = |(array, standing): &(usize, Standing)| (*standing == Standing::Free).then_some(*array);
+        self.standings.iter().filter_map(free).collect()
+    }
+
+    /// What is open, array by array.
+    pub fn problems(&self) -> Vec<String> {
+        let unknown = (!self.has_geometry && !self.stops.is_empty()).then(|| UNKNOWN_ARRAYS.to_owned());
+        self.standings.iter().filter_map(|(array, standing)| standing.problem(*array)).chain(unknown).collect()
+    }
+}
+
 /// What an array reported last, with arrival times.
 #[derive(Clone, Debug, Default)]
 struct SeenArray {
@@ -115,9 +153,15 @@ pub(crate) struct Seen {
     known: BTreeMap<StopName, Instant>,
 }
 
+/// Watches the arrays of a room; the view, the page and the command line share what it has seen.
+pub(crate) struct StopWatch {
+    state: Arc<WatchState>,
+    _subscriptions: Vec<Subscription>,
+}
+
 /// [`Seen`], with a signal for each change.
 #[derive(Debug, Default)]
-pub(crate) struct StopWatch {
+struct WatchState {
     seen: Mutex<Seen>,
     changed: Condvar,
 }
@@ -139,20 +183,23 @@ impl SeenArray {
             counts(at, REPORT_AGE_MAX) || (at.elapsed() < REPORT_AGE_MAX && is_confirmed(report))
         };
         if let Some((_, report)) = self.stops.as_ref().filter(is_fresh) {
-            let is_latched = |name: StopName| report.stops.iter().any(|stop| stop.name() == name);
-            return match (held.all(is_latched), report.device_stopped) {
+            return match (held.all(|name| report.is_latched(name)), report.device_stopped) {
                 (false, _) => Standing::Moving,
                 (true, true) => Standing::Stopped,
                 (true, false) => Standing::Latched { problem: report.problem.clone() },
             };
         }
-        // A driver that publishes stop reports answers with one.
-        let is_older = self.stops.is_none() && self.first.is_some_and(|first| first.elapsed() > STOPS_WITHIN);
+        let is_older = self.stops.is_none() && self.is_settled();
         match self.state.filter(|(at, _)| counts(at, TELEMETRY_AGE_MAX)) {
             Some((_, ArrayState::Stopped)) if is_older => Standing::Unknown,
             Some(_) => Standing::Moving,
             None => Standing::Silent,
         }
+    }
+
+    /// Whether stop reports of its driver would have arrived.
+    fn is_settled(&self) -> bool {
+        self.first.is_some_and(|first| first.elapsed() > STOPS_WITHIN)
     }
 
     /// Whether its driver is present and publishes no stop reports.
@@ -229,13 +276,39 @@ impl Seen {
         self.arrays.iter().flat_map(of).collect()
     }
 
-    /// Whether a present array without stop reports is stopped, and by which safety report.
-    pub fn older(&self) -> Vec<Option<SafetyReport>> {
-        let of = |seen: &SeenArray| {
+    /// The present arrays that are stopped and publish neither stop reports nor safety reports.
+    pub fn unnamed(&self) -> Vec<usize> {
+        let is_unnamed = |seen: &SeenArray| {
             let is_stopped = seen.state.is_some_and(|(_, state)| state == ArrayState::Stopped);
-            (is_stopped && seen.is_older()).then(|| seen.safety.clone().map(|(_, report)| report))
+            is_stopped && seen.is_older() && seen.safety.is_none()
         };
-        self.arrays.values().filter_map(of).collect()
+        self.arrays.iter().filter(|(_, seen)| is_unnamed(seen)).map(|(array, _)| *array).collect()
+    }
+
+    /// Whether an array has been seen for so long that its stop reports would have arrived.
+    pub fn is_settled(&self, array: usize) -> bool {
+        self.arrays.get(&array).is_some_and(SeenArray::is_settled)
+    }
+
+    /// What is open of a release of these stops, array by array.
+    pub fn unreleased(&self, names: &[StopName]) -> Vec<String> {
+        let unnamed = self.unnamed();
+        let of = |(array, seen): (&usize, &SeenArray)| {
+            let is_held = seen.hold.stops().iter().any(|held| names.contains(&held.name));
+            let is_silent = seen.state.is_none_or(|(at, _)| at.elapsed() >= TELEMETRY_AGE_MAX);
+            match (unnamed.contains(array), is_held, is_silent) {
+                (true, ..) => Some(format!("array {array} knows no names of stops: release all with --all")),
+                (false, true, true) => Some(format!("array {array} does not answer: it stays stopped")),
+                (false, true, false) => Some(format!("array {array} has not released the stop")),
+                (false, false, _) => None,
+            }
+        };
+        self.arrays.iter().filter_map(of).collect()
+    }
+
+    /// Whether no array is known.
+    pub fn is_empty(&self) -> bool {
+        self.expected() == 0
     }
 
     /// Whether any array reports.
@@ -272,6 +345,32 @@ impl Seen {
         seen
     }
 
+    fn handle_stops(&mut self, array: usize, report: StopReport) {
+        self.handle_reported(array, &report.stops, |hold| hold.handle_stops(&report));
+        self.array(array).stops = Some((Instant::now(), report));
+    }
+
+    fn handle_safety(&mut self, array: usize, report: SafetyReport) {
+        self.handle_reported(array, report.stop().as_slice(), |hold| hold.handle_safety(&report));
+        self.array(array).safety = Some((Instant::now(), report));
+    }
+
+    /// Applies a report; a stop in it that was not known concerns all arrays.
+    fn handle_reported(
+        &mut self,
+        array: usize,
+        reported: &[LatchedStopReport],
+        apply: impl FnOnce(&mut StopHold) -> bool,
+    ) {
+        self.array(array);
+        let unknown = unknown_stops(reported, self.arrays.values().map(|seen| &seen.hold));
+        if apply(&mut self.array(array).hold) {
+            for stop in &unknown {
+                self.arrays.values_mut().for_each(|seen| seen.hold.learn(stop));
+            }
+        }
+    }
+
     fn note_names(&mut self) {
         let now = Instant::now();
         let names: BTreeSet<StopName> =
@@ -296,12 +395,12 @@ impl StopWatch {
     ///
     /// # Errors
     /// [`UiError::Bus`] if the session is closed.
-    pub fn open(bus: &Bus) -> Result<(Arc<Self>, Vec<Subscription>), UiError> {
-        let watch: Arc<Self> = Arc::default();
+    pub fn open(bus: &Bus) -> Result<Arc<Self>, UiError> {
+        let state: Arc<WatchState> = Arc::default();
         let mut subscriptions = Vec::new();
         let room = bus.room();
         for keys in [room.array(0), room.later_arrays()] {
-            subscriptions.push(watch.subscribe(bus, &keys.telemetry(), |seen, array, report: MirrorTelemetry| {
+            subscriptions.push(state.subscribe(bus, &keys.telemetry(), |seen, array, report: MirrorTelemetry| {
                 let seen = seen.array(array);
                 let (now, is_stopped) = (Instant::now(), report.state == ArrayState::Stopped);
                 seen.hold.handle_state(report.stamp.source, is_stopped);
@@ -310,50 +409,27 @@ impl StopWatch {
                     seen.device_stopped = Some((now, report.stamp.source));
                 }
             })?);
-            subscriptions.push(watch.subscribe(bus, &keys.safety(), |seen, array, report: SafetyReport| {
-                let seen = seen.array(array);
-                seen.hold.handle_safety(&report);
-                seen.safety = Some((Instant::now(), report));
-            })?);
-            subscriptions.push(watch.subscribe(bus, &keys.stops(), |seen, array, report: StopReport| {
-                let seen = seen.array(array);
-                seen.hold.handle_stops(&report);
-                seen.stops = Some((Instant::now(), report));
-            })?);
+            subscriptions.push(state.subscribe(bus, &keys.safety(), Seen::handle_safety)?);
+            subscriptions.push(state.subscribe(bus, &keys.stops(), Seen::handle_stops)?);
         }
-        subscriptions.push(watch.subscribe(bus, &room.all_geometry(), |seen, _, report: RoomGeometry| {
+        subscriptions.push(state.subscribe(bus, &room.all_geometry(), |seen, _, report: RoomGeometry| {
             if let Ok(scenario) = Scenario::from_geometry_toml(&report.scenario) {
                 seen.announced = seen.announced.max(scenario.mirrors.arrays().len());
                 seen.add_arrays(seen.announced);
             }
         })?);
-        let present = Arc::clone(&watch);
+        let present = Arc::clone(&state);
         subscriptions.push(bus.watch(&room.all_alive(), move |key, presence| {
             if let Some((array, _)) = parse_driver_alive(key).filter(|_| presence == Presence::Alive) {
                 present.note(|seen| seen.add_arrays(array + 1));
             }
         })?);
-        Ok((watch, subscriptions))
-    }
-
-    fn subscribe<M: Message + 'static>(
-        self: &Arc<Self>,
-        bus: &Bus,
-        keys: &str,
-        note: fn(&mut Seen, usize, M),
-    ) -> Result<Subscription, UiError> {
-        let (room, watch) = (bus.room().clone(), Arc::clone(self));
-        Ok(bus.subscribe_keyed(keys, move |key, payload| {
-            if let Ok(report) = codec::decode::<M>(payload) {
-                let (array, _) = room.first_array_key(key);
-                watch.note(|seen| note(seen, array, report));
-            }
-        })?)
+        Ok(Arc::new(Self { state, _subscriptions: subscriptions }))
     }
 
     /// Expects so many arrays, as if a geometry announced them.
     pub fn expect(&self, arrays: usize) {
-        self.note(|seen| {
+        self.state.note(|seen| {
             seen.announced = seen.announced.max(arrays);
             seen.add_arrays(seen.announced);
         });
@@ -361,10 +437,48 @@ impl StopWatch {
 
     /// Holds a stop for every array.
     pub fn order(&self, order: &EmergencyStop) {
-        self.note(|seen| seen.order(Instant::now(), order));
+        self.state.note(|seen| seen.order(Instant::now(), order));
+    }
+
+    /// The stops of the room, and what each array does about them.
+    pub fn room(&self) -> RoomStops {
+        let seen = self.lock();
+        let stops = seen.stops();
+        let standings = if stops.is_empty() { Vec::new() } else { seen.standings(None) };
+        let (reported, has_geometry) = (seen.oldest_report(), seen.has_geometry());
+        RoomStops { stops, standings, reported, ordered: None, has_geometry }
     }
 
     pub fn lock(&self) -> MutexGuard<'_, Seen> {
+        self.state.lock()
+    }
+
+    /// Waits until the condition holds, at most `limit`; returns whether it holds.
+    pub fn wait(&self, limit: Duration, holds: impl Fn(&Seen) -> bool) -> bool {
+        let WatchState { changed, .. } = &*self.state;
+        let waited = changed.wait_timeout_while(self.lock(), limit, |seen| !holds(seen));
+        let (seen, _) = waited.unwrap_or_else(PoisonError::into_inner);
+        holds(&seen)
+    }
+}
+
+impl WatchState {
+    fn subscribe<M: Message + 'static>(
+        self: &Arc<Self>,
+        bus: &Bus,
+        keys: &str,
+        note: fn(&mut Seen, usize, M),
+    ) -> Result<Subscription, UiError> {
+        let (room, state) = (bus.room().clone(), Arc::clone(self));
+        Ok(bus.subscribe_keyed(keys, move |key, payload| {
+            if let Ok(report) = codec::decode::<M>(payload) {
+                let (array, _) = room.first_array_key(key);
+                state.note(|seen| note(seen, array, report));
+            }
+        })?)
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Seen> {
         // Each change is complete before the lock is released.
         self.seen.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -375,14 +489,5 @@ impl StopWatch {
         seen.note_names();
         drop(seen);
         self.changed.notify_all();
-    }
-
-    /// Waits until the condition holds, at most `limit`; returns whether it holds.
-    pub fn wait(&self, limit: Duration, holds: impl Fn(&Seen) -> bool) -> bool {
-        let (seen, _) = self
-            .changed
-            .wait_timeout_while(self.lock(), limit, |seen| !holds(seen))
-            .unwrap_or_else(PoisonError::into_inner);
-        holds(&seen)
     }
 }

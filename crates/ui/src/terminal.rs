@@ -19,7 +19,7 @@ use ratatui::termion::{AsyncReader, async_stdin};
 use crate::figures::Figures;
 use crate::{UiError, View};
 use drawing::draw;
-use texts::line;
+use texts::{line, stops};
 
 /// The output of the figures.
 pub enum Display {
@@ -32,6 +32,8 @@ pub enum Display {
 /// Output by lines.
 #[derive(Debug, Default)]
 pub struct Lines {
+    /// The stops that were printed last.
+    stops: Vec<String>,
     /// The notes that were printed last.
     notes: Vec<String>,
     /// The line that was printed last.
@@ -89,12 +91,12 @@ impl Display {
     /// # Errors
     /// [`UiError::Terminal`] if the terminal is closed.
     pub fn draw(&mut self, view: &View) -> Result<(), UiError> {
-        let figures = view.figures();
+        let (figures, stops) = (view.figures(), stops(&view.stops.room()));
         match self {
-            Self::Lines(lines) => lines.next(&figures).iter().for_each(output::note),
+            Self::Lines(lines) => lines.next(&figures, &stops).iter().for_each(output::note),
             Self::Screen(screen) => {
                 let history = view.history();
-                screen.terminal.draw(|frame| draw(frame, &screen.title, &figures, &history))?;
+                screen.terminal.draw(|frame| draw(frame, &screen.title, (&figures, &stops), &history))?;
             }
         }
         Ok(())
@@ -117,11 +119,19 @@ impl Display {
 }
 
 impl Lines {
-    /// The notes, if they have changed, and the figures, unless their line is the one before.
-    fn next(&mut self, figures: &Figures) -> Vec<String> {
+    /// The stops and the notes, if they have changed, and the figures, unless their line is the one
+    /// before.
+    fn next(&mut self, figures: &Figures, stops: &[String]) -> Vec<String> {
         let mut lines = Vec::new();
+        if self.stops != stops {
+            lines.extend_from_slice(stops);
+            if stops.is_empty() {
+                lines.push("no stop is in force".to_owned());
+            }
+            self.stops = stops.to_vec();
+        }
         if self.notes != figures.notes {
-            lines.clone_from(&figures.notes);
+            lines.extend_from_slice(&figures.notes);
             self.notes.clone_from(&figures.notes);
         }
         let line = line(figures);
@@ -143,11 +153,12 @@ impl Drop for Screen {
 
 #[cfg(test)]
 mod tests {
-    use heliostat_proto::Quantiles;
+    use heliostat_proto::{Quantiles, StopName};
     use ratatui::backend::TestBackend;
 
     use super::*;
     use crate::figures::{ArrayFigures, Count, NodeFigures, Origin, SumFigures, TimeFigures, UserFigures};
+    use crate::stop_watch::{RoomStops, ShownStop, Standing};
 
     fn figures(users: u32) -> Figures {
         let user = |user: u32| UserFigures {
@@ -187,10 +198,14 @@ mod tests {
     }
 
     fn drawn(width: u16, height: u16, figures: &Figures) -> String {
+        drawn_with(width, height, figures, &[])
+    }
+
+    fn drawn_with(width: u16, height: u16, figures: &Figures, stops: &[String]) -> String {
         let mut terminal = Terminal::new(TestBackend::new(width, height)).expect("a backend in memory");
         let sum = figures.sum_mbps.unwrap_or_default();
         terminal
-            .draw(|frame| draw(frame, "room demo", figures, &[(0.0, sum), (9.0, sum)]))
+            .draw(|frame| draw(frame, "room demo", (figures, stops), &[(0.0, sum), (9.0, sum)]))
             .expect("drawing into memory does not fail");
         terminal.backend().to_string()
     }
@@ -252,12 +267,54 @@ mod tests {
     #[test]
     fn a_line_is_not_repeated_while_nothing_changes() {
         let mut lines = Lines::default();
-        assert_eq!(lines.next(&Figures::default()), ["no messages from the room"]);
-        assert!(lines.next(&Figures::default()).is_empty());
+        assert_eq!(lines.next(&Figures::default(), &[]), ["no messages from the room"]);
+        assert!(lines.next(&Figures::default(), &[]).is_empty());
         let running = figures(2);
-        assert_eq!(lines.next(&running).len(), 2, "a note and a line");
-        assert!(lines.next(&running).is_empty());
-        assert_eq!(lines.next(&Figures::default()), ["no messages from the room"]);
+        assert_eq!(lines.next(&running, &[]).len(), 2, "a note and a line");
+        assert!(lines.next(&running, &[]).is_empty());
+        let stops = stops(&room());
+        assert_eq!(lines.next(&running, &stops), stops);
+        assert!(lines.next(&running, &stops).is_empty());
+        assert_eq!(lines.next(&running, &[]), ["no stop is in force"]);
+        assert_eq!(lines.next(&Figures::default(), &[]), ["no messages from the room"]);
+    }
+
+    /// A room with two stops, of which the second array has executed none.
+    fn room() -> RoomStops {
+        let stop = |source, operator: &str, arrays: &[usize]| ShownStop {
+            name: StopName { source, sequence: 4 },
+            operator: operator.into(),
+            reason: "person on the ladder".into(),
+            arrays: arrays.to_vec(),
+            known: std::time::Instant::now(),
+        };
+        RoomStops {
+            stops: vec![stop(3, "ann", &[0, 1]), stop(5, "b\u{1b}ob", &[0])],
+            standings: vec![(0, Standing::Stopped), (1, Standing::Silent), (2, Standing::Free)],
+            has_geometry: true,
+            ..RoomStops::default()
+        }
+    }
+
+    #[test]
+    fn the_stops_are_listed_with_the_arrays_that_have_executed_them() {
+        let stops = stops(&room());
+        let expected = [
+            "array 0 of 0, 1 has stopped: stop 0000000000000003/4 of ann (person on the ladder)",
+            "array 0 has stopped: stop 0000000000000005/4 of b\\u001bob (person on the ladder)",
+            "array 1 does not answer: cut its power",
+            "array 2 is not stopped: no stop holds it",
+        ];
+        assert_eq!(stops, expected);
+        let screen = drawn_with(100, 24, &figures(5), &stops);
+        check(&screen, &expected);
+        check(&screen, &USERS);
+        check(
+            &drawn_with(60, 15, &figures(5), &stops),
+            &["has stopped: stop 0000000000000003/4 of ann", "oracle     50.00"],
+        );
+        let many: Vec<String> = (0..9).map(|number| format!("stop {number}")).collect();
+        check(&drawn_with(80, 24, &figures(5), &many), &["stop 0", "5 more", "oracle     50.00"]);
     }
 
     #[test]

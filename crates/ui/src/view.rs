@@ -21,6 +21,7 @@ use crate::array_reports::ArrayReports;
 use crate::latency::Window;
 use crate::problems::Problems;
 use crate::shown_room::{Announcements, GeometrySource, RoomChooser, ShownRoom};
+use crate::stop_watch::StopWatch;
 
 pub use crate::expiry::EXPIRY;
 
@@ -71,6 +72,8 @@ pub struct View {
     pub(crate) opened: Instant,
     chooser: RoomChooser,
     received: Arc<Mutex<Received>>,
+    /// The emergency stops; the switch of the page uses the same.
+    pub(crate) stops: Arc<StopWatch>,
     _subscriptions: Vec<Subscription>,
 }
 
@@ -85,7 +88,8 @@ impl View {
         let chooser = RoomChooser::new(scenario)?;
         let received: Arc<Mutex<Received>> = Arc::default();
         let subscriptions = subscribe(bus, &received)?;
-        Ok(Self { opened: Instant::now(), chooser, received, _subscriptions: subscriptions })
+        let stops = StopWatch::open(bus)?;
+        Ok(Self { opened: Instant::now(), chooser, received, stops, _subscriptions: subscriptions })
     }
 
     /// Whether messages of the room and of a controller have arrived.

@@ -38,7 +38,7 @@ impl Setting {
         let endpoint = private_endpoint().unwrap();
         let bus = Bus::open(&BusConfig::new(Room::new(room).unwrap()).listen_at(&endpoint)).unwrap();
         let view = Arc::new(View::open(&bus, Some(&scenario)).unwrap());
-        let operator = Operator::new(&bus, None).unwrap();
+        let operator = Operator::new(&bus, &view, None).unwrap();
         let page = Page { view, operator, room: room.to_owned(), policies: Vec::new() };
         Ok(Self { server: Server::start(page, place)?, _bus: bus })
     }

@@ -1,5 +1,6 @@
 //! The emergency stop and its release, against arrays of this test.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -36,9 +37,10 @@ struct State {
     unnamed: u32,
 }
 
-/// An array that obeys stops.
+/// An array that obeys stops, and reports until it is dropped.
 struct Array {
     state: Arc<Mutex<State>>,
+    is_over: Arc<AtomicBool>,
     _subscriptions: Vec<Subscription>,
     reporter: Reporter,
 }
@@ -82,7 +84,8 @@ impl Reporter {
 fn publish<M: Message>(publisher: &Publisher, message: &M) {
     let mut payload = Vec::new();
     encode(message, &mut payload).unwrap();
-    publisher.put(&payload).unwrap();
+    // At the end of a test its session is closed.
+    drop(publisher.put(&payload));
 }
 
 impl Array {
@@ -127,14 +130,24 @@ impl Array {
             ),
             bus.subscribe(
                 &room.rearm(),
-                on(|state, payload, _| {
+                on(|state, payload, manner| {
                     let order: Rearm = decode(payload).unwrap();
-                    state.stops.retain(|name| *name != order.name());
+                    if manner != Manner::Older {
+                        state.stops.retain(|name| *name != order.name());
+                    }
                     state.rearms.push(order);
                 }),
             ),
         ];
-        Self { state, _subscriptions: subscriptions.into_iter().map(Result::unwrap).collect(), reporter }
+        let is_over = Arc::new(AtomicBool::new(false));
+        let (over, reported, regular) = (Arc::clone(&is_over), Arc::clone(&state), reporter.clone());
+        std::thread::spawn(move || {
+            while !over.load(Ordering::SeqCst) {
+                regular.report(&mut reported.lock().unwrap());
+                std::thread::sleep(Duration::from_millis(50));
+            }
+        });
+        Self { state, is_over, _subscriptions: subscriptions.into_iter().map(Result::unwrap).collect(), reporter }
     }
 
     fn report(&self) {
@@ -143,6 +156,12 @@ impl Array {
 
     fn stops(&self) -> Vec<StopName> {
         self.state.lock().unwrap().stops.clone()
+    }
+}
+
+impl Drop for Array {
+    fn drop(&mut self) {
+        self.is_over.store(true, Ordering::SeqCst);
     }
 }
 
@@ -235,9 +254,72 @@ fn a_driver_that_does_not_report_its_device_is_said_to_do_so_and_gets_the_rearm_
     let (arrays, switch, _sessions) = arrays("older", &[Manner::Older]);
     let unknown = unconfirmed(&switch);
     assert!(unknown[0].starts_with("array 0 has latched the stop; its driver does not report"), "{unknown:?}");
-    arrays[0].report();
-    switch.rearm_and_confirm(&[], "clear", TIME_LIMIT).unwrap();
+    let names: Vec<_> = switch.stops().iter().map(|stop| stop.name).collect();
+    switch.rearm_and_confirm(&names, "clear", TIME_LIMIT).unwrap();
     assert!(arrays[0].state.lock().unwrap().unnamed > 0 && arrays[0].stops().is_empty());
+}
+
+#[test]
+fn the_rearm_of_the_first_messages_is_sent_only_with_the_names_of_all_stops() {
+    let (arrays, switch, _sessions) = arrays("mixed", &[Manner::Stops, Manner::Older]);
+    unconfirmed(&switch);
+    let other = StopName { source: 77, sequence: 1 };
+    latch(&mut arrays[0].state.lock().unwrap(), other);
+    arrays.iter().for_each(Array::report);
+    let stops = || switch.stops().iter().map(|stop| stop.name).collect::<Vec<_>>();
+    let own = stops().into_iter().find(|name| *name != other).unwrap();
+    let open = match switch.rearm_and_confirm(&[own], "clear", SHORT).unwrap_err() {
+        UiError::RearmUnconfirmed { arrays, .. } => arrays,
+        error => panic!("{error}"),
+    };
+    assert!(open.iter().any(|open| open.contains("array 1 knows no names of stops: release all")), "{open:?}");
+    assert_eq!(arrays[0].stops(), [other], "the stop of the other operator stays");
+    assert_eq!(arrays[1].state.lock().unwrap().unnamed, 0);
+    arrays.iter().for_each(Array::report);
+    switch.rearm_and_confirm(&stops(), "clear", TIME_LIMIT).unwrap();
+    assert!(arrays.iter().all(|array| array.stops().is_empty()));
+}
+
+#[test]
+fn each_press_has_a_name_of_its_own_so_that_no_rearm_on_its_way_releases_it() {
+    let (arrays, switch, _sessions) = arrays("pressed", &[Manner::Stops]);
+    switch.stop_and_confirm("test", TIME_LIMIT).unwrap();
+    let first = arrays[0].stops()[0];
+    let pressed = switch.stop("test").unwrap().name();
+    assert!(pressed.source == first.source && pressed.sequence > first.sequence, "{first} {pressed}");
+}
+
+#[test]
+fn a_stop_that_one_array_reports_is_repeated_to_an_array_that_appears_later() {
+    let (live, switch, (own, _bus)) = announced("later", &[Manner::Stops], Some(2));
+    let other = StopName { source: 77, sequence: 1 };
+    latch(&mut live[0].state.lock().unwrap(), other);
+    live[0].report();
+    assert_eq!(switch.stops()[0].arrays, [0, 1], "a stop concerns every array");
+    let later = Array::new(&own, 1, Manner::Deaf, None);
+    let begun = Instant::now();
+    while later.stops() != [other] {
+        assert!(begun.elapsed() < TIME_LIMIT, "the stop has not come");
+        later.report();
+        switch.repeat();
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+#[test]
+fn a_rearm_names_the_array_that_does_not_answer() {
+    let (_arrays, switch, _sessions) = announced("half", &[Manner::Stops], Some(2));
+    unconfirmed(&switch);
+    let name = switch.stops()[0].name;
+    let open = switch.rearm_and_confirm(&[name], "clear", SHORT).unwrap_err().to_string();
+    assert!(open.contains("array 1 does not answer: it stays stopped") && !open.contains("array 0"), "{open}");
+}
+
+#[test]
+fn a_reason_that_is_too_long_keeps_no_stop_back() {
+    let (arrays, switch, _sessions) = arrays("long", &[Manner::Stops]);
+    switch.stop_and_confirm(&"é".repeat(3000), TIME_LIMIT).unwrap();
+    assert_eq!(arrays[0].stops().len(), 1);
 }
 
 #[test]

@@ -145,6 +145,5 @@ HELIOSTAT_WRITE_FAULTS=1 HELIOSTAT_FAULT_RUNS=3 cargo test --release -p heliosta
 Faults in network namespaces need root, and shifted clocks a C compiler; these tests are skipped where it is missing.
 `HELIOSTAT_REQUIRE_NETNS=1` and `HELIOSTAT_REQUIRE_CXX=1` make its absence a failure. `tests/tests/frozen_viewers.rs` has sharper bounds
 for frozen viewers: at most one lost command, a median stop within 100 ms, and each stop within 1 s.
-`tests/tests/stops.rs` and `crates/driver/tests/stops.rs` have the faults during an emergency stop: absent and frozen drivers,
-boards that are dead, slow, silent, chatty or refuse the stop, and a stop that reaches the controller alone.
+Faults during an emergency stop have a [table of their own](stop-faults.md).
 ";

@@ -3,7 +3,7 @@
 use heliostat_tests::{Browser, wait_until};
 use serde_json::Value;
 
-use crate::setting::{Setting, banner, is_live};
+use crate::setting::{Setting, banner, drawn, is_live};
 
 /// Texts of all state chips that are green.
 fn green(browser: &Browser) -> Vec<Value> {
@@ -30,8 +30,20 @@ fn a_process_that_dies_leaves_no_green_state_and_no_current_figure() {
     wait_until("no mirrors that follow", || green(&browser).is_empty());
     assert!(!is_stale(&browser, "room-card"), "the room still reports");
 
+    browser.run("window.loaded_before = true");
+    let users = "return document.getElementById('room').room.motion.to?.users.length ?? 0";
+    let shown = browser.run(users);
+    assert_ne!(shown, 0);
     setting.room.kill();
     wait_until("a stale room", || is_stale(&browser, "room-card") && is_stale(&browser, "rates"));
+    // Its messages are no longer current for the server, and the page keeps its last picture.
+    wait_until("a server without the room", || {
+        browser.run("return fetch('/room.json').then((answer) => answer.json())")["geometry_source"] == "controller"
+    });
+    let drawn = drawn(&browser);
+    browser.run("document.getElementById('room').room.isDirty = true");
+    wait_until("another picture", || crate::setting::drawn(&browser) > drawn);
+    assert_eq!((browser.run("return window.loaded_before"), browser.run(users)), (Value::Bool(true), shown));
     let sentence = browser.text("#sentence");
     assert!(sentence.contains("has not reported for") && sentence.contains("unknown"), "{sentence}");
     assert!(browser.text("#chip-array").starts_with("no report for"), "{}", browser.text("#chip-array"));

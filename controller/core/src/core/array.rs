@@ -1,7 +1,7 @@
 //! Messages about an array other than its telemetry, and this controller's standing towards it.
 
-use heliostat_proto::stop_hold::HeldStop;
-use heliostat_proto::{Capabilities, EmergencyStop, Nanos, SafetyReport, StopReport, ValidityClock};
+use heliostat_proto::stop_hold::{HeldStop, unknown_stops};
+use heliostat_proto::{Capabilities, EmergencyStop, LatchedStopReport, Nanos, SafetyReport, StopReport, ValidityClock};
 
 use super::Controller;
 use crate::output::{capabilities::Unfit, tenure::Tenure};
@@ -60,7 +60,10 @@ impl Controller {
             self.count_foreign_array();
             return false;
         }
-        self.arrays[array].guard.handle_safety(report);
+        let unknown = self.unknown_stops(report.stop().as_slice());
+        if self.arrays[array].guard.handle_safety(report) {
+            self.learn_stops(&unknown);
+        }
         let validities_ms = self.arrays.iter().map(|array| array.guard.validity_ms());
         self.command.validity_ms = validities_ms.min().unwrap_or_default();
         true
@@ -76,14 +79,27 @@ impl Controller {
         self.arrays.iter_mut().for_each(|array| array.guard.handle_stop_order(now, order));
     }
 
-    /// Applies the stops that an array reports. False for an array that is not followed.
+    /// Applies the stops that an array reports; one that was not known concerns all arrays. False for an array that is not followed.
     pub fn handle_stops(&mut self, array: usize, report: &StopReport) -> bool {
         if !self.admits_array(array, report.stamp.source) {
             self.count_foreign_array();
             return false;
         }
-        self.arrays[array].guard.handle_stops(report);
+        let unknown = self.unknown_stops(&report.stops);
+        if self.arrays[array].guard.handle_stops(report) {
+            self.learn_stops(&unknown);
+        }
         true
+    }
+
+    fn unknown_stops(&self, reported: &[LatchedStopReport]) -> Vec<LatchedStopReport> {
+        unknown_stops(reported, self.arrays.iter().map(|array| array.guard.stops()))
+    }
+
+    fn learn_stops(&mut self, unknown: &[LatchedStopReport]) {
+        for stop in unknown {
+            self.arrays.iter_mut().for_each(|array| array.guard.learn_stop(stop));
+        }
     }
 
     /// The stops that are held for an array.

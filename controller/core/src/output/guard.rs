@@ -3,7 +3,8 @@
 
 use heliostat_proto::stop_hold::StopHold;
 use heliostat_proto::{
-    ArrayState, EmergencyStop, MirrorTelemetry, Nanos, SafetyReport, Stamp, StopAction, StopName, StopReport,
+    ArrayState, EmergencyStop, LatchedStopReport, MirrorTelemetry, Nanos, SafetyReport, Stamp, StopAction, StopName,
+    StopReport,
 };
 
 use serde::{Deserialize, Serialize};
@@ -125,9 +126,14 @@ impl Guard {
         self.stops.order(now, order);
     }
 
-    /// Applies the stops that the array reports.
-    pub fn handle_stops(&mut self, report: &StopReport) {
-        self.stops.handle_stops(report);
+    /// Holds a stop that another array reports.
+    pub fn learn_stop(&mut self, stop: &LatchedStopReport) {
+        self.stops.learn(stop);
+    }
+
+    /// Applies the stops that the array reports; false for a report that is older than the latest.
+    pub fn handle_stops(&mut self, report: &StopReport) -> bool {
+        self.stops.handle_stops(report)
     }
 
     /// The stops that are held.
@@ -135,14 +141,15 @@ impl Guard {
         &self.stops
     }
 
-    /// Applies the bounds and the stop that the array reports.
-    pub fn handle_safety(&mut self, report: &SafetyReport) {
-        self.stops.handle_safety(report);
+    /// Applies the bounds and the stop that the array reports; false where its stop reports count.
+    pub fn handle_safety(&mut self, report: &SafetyReport) -> bool {
+        let is_newer = self.stops.handle_safety(report);
         self.tenure.handle_announced_epoch(report.epoch);
         // A bound of 0 would forbid every command, so it is not one.
         if report.validity_max_ms > 0 {
             self.validity_max_ms = report.validity_max_ms;
         }
+        is_newer
     }
 }
 

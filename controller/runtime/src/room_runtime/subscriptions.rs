@@ -134,7 +134,7 @@ fn subscribe_to_stop_reports(bus: &Bus, array: usize, arrays: &Arrays) -> anyhow
     let report = move |payload: &[u8]| {
         let Some(report) = decoder.decode::<StopReport>("stops", Some(array), payload) else { return };
         if lock(&decision_loop).controller.handle_stops(array, &report) {
-            watchdog.update_array(array, |hold| hold.handle_stops(&report));
+            watchdog.handle_stops(array, &report);
         }
     };
     bus.fetch(&key, ANNOUNCED_WITHIN)?.iter().for_each(|payload| report(payload));
@@ -147,7 +147,7 @@ fn subscribe_to_safety(bus: &Bus, array: usize, arrays: &Arrays) -> anyhow::Resu
     let report = move |payload: &[u8]| {
         let Some(report) = decoder.decode::<SafetyReport>("safety", Some(array), payload) else { return };
         if lock(&decision_loop).controller.handle_safety(array, &report) {
-            watchdog.update_array(array, |hold| hold.handle_safety(&report));
+            watchdog.handle_safety(array, &report);
         }
     };
     // The first epoch must be above the one that the array follows.

@@ -17,7 +17,8 @@ use std::{
     time::{Duration, Instant},
 };
 
-use heliostat_proto::stop_hold::{HeldStop, StopHold};
+use heliostat_proto::stop_hold::{HeldStop, StopHold, unknown_stops};
+use heliostat_proto::{LatchedStopReport, SafetyReport, StopReport};
 use heliostat_scenario::DegradedAction;
 
 use super::{command_sender::OnBehalf, locks::lock};
@@ -70,9 +71,25 @@ impl Watchdog {
         lock(&self.stops).iter_mut().for_each(|array| apply(&mut array.hold));
     }
 
-    /// Applies a report of an array.
-    pub fn update_array(&self, array: usize, apply: impl Fn(&mut StopHold)) {
-        apply(&mut lock(&self.stops)[array].hold);
+    /// Applies a stop report of an array.
+    pub fn handle_stops(&self, array: usize, report: &StopReport) {
+        self.handle_reported(array, &report.stops, |hold| hold.handle_stops(report));
+    }
+
+    /// Applies a safety report of an array.
+    pub fn handle_safety(&self, array: usize, report: &SafetyReport) {
+        self.handle_reported(array, report.stop().as_slice(), |hold| hold.handle_safety(report));
+    }
+
+    /// Applies a report; a stop in it that was not known concerns all arrays.
+    fn handle_reported(&self, array: usize, reported: &[LatchedStopReport], apply: impl FnOnce(&mut StopHold) -> bool) {
+        let stops = &mut *lock(&self.stops);
+        let unknown = unknown_stops(reported, stops.iter().map(|array| &array.hold));
+        if apply(&mut stops[array].hold) {
+            for stop in &unknown {
+                stops.iter_mut().for_each(|array| array.hold.learn(stop));
+            }
+        }
     }
 
     /// Applies the state in telemetry of an array.

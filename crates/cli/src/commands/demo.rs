@@ -89,7 +89,7 @@ pub fn run(args: Args) -> Result<()> {
     let view = Arc::new(View::open(&bus, Some(&scenario))?);
     let (process_orders, received_orders) = mpsc::channel();
     let server = args.page.serve(false, || {
-        let operator = Operator::new(&bus, Some(process_orders))?;
+        let operator = Operator::new(&bus, &view, Some(process_orders))?;
         Ok(Page { view: Arc::clone(&view), operator, room: args.room.clone(), policies: policy_names() })
     })?;
     if let Some(server) = &server {

@@ -49,7 +49,7 @@ pub fn run(args: Args) -> Result<()> {
     let view = Arc::new(View::open(&bus, scenario.as_ref())?);
     let room = config.room.name().to_owned();
     let server = args.page.serve(config.is_authenticated(), || {
-        let operator = Operator::new(&bus, None)?;
+        let operator = Operator::new(&bus, &view, None)?;
         Ok(Page { view: Arc::clone(&view), operator, room: room.clone(), policies: policy_names() })
     })?;
     if let Some(server) = &server {

@@ -16,6 +16,8 @@ const USER_BAR: u16 = 20;
 const SUM_BAR: u16 = 14;
 /// Width of times and counts in characters.
 const TIMES_WIDTH: u16 = 38;
+/// Most rows about emergency stops.
+const STOP_ROWS: usize = 5;
 /// Rows of the sum rates with their title.
 const SUM_ROWS: u16 = 5;
 /// Rows of the times with their title.
@@ -27,18 +29,26 @@ const WIDE: u16 = 76;
 const GOOD: Color = Color::Rgb(0x00, 0x9E, 0x73);
 const BAD: Color = Color::Rgb(0xD5, 0x5E, 0x00);
 
-/// Draws the view.
-pub(super) fn draw(frame: &mut Frame, title: &str, figures: &Figures, history: &[(f64, SumFigures)]) {
+/// Draws the view: the figures, and the lines about emergency stops.
+pub(super) fn draw(
+    frame: &mut Frame,
+    title: &str,
+    (figures, stops): (&Figures, &[String]),
+    history: &[(f64, SumFigures)],
+) {
     let Rect { width, height, .. } = frame.area();
     let (is_wide, problems) = (width >= WIDE, problems(figures));
     let problem_rows = (problems.len() as u16).min(if height >= 24 { 2 } else { 1 });
     let users = u16::try_from(figures.users.len()).unwrap_or(u16::MAX).saturating_add(1);
     let counts = if is_wide { TIME_ROWS + figures.counts.len().div_ceil(2) as u16 } else { 0 };
-    let users = users.min(height.saturating_sub(3 + problem_rows + counts.max(SUM_ROWS)).max(2));
-    let rows = [Constraint::Length(2), Constraint::Length(users), Constraint::Fill(1)];
+    let most = if height >= 24 { STOP_ROWS } else { 1 };
+    let stops = stop_lines(stops, most);
+    let stop_rows = stops.len() as u16;
+    let users = users.min(height.saturating_sub(3 + stop_rows + problem_rows + counts.max(SUM_ROWS)).max(2));
+    let rows = [Constraint::Length(2 + stop_rows), Constraint::Length(users), Constraint::Fill(1)];
     let foot = [Constraint::Length(problem_rows), Constraint::Length(1)];
     let areas = Layout::vertical(rows.into_iter().chain(foot)).split(frame.area());
-    frame.render_widget(heading(title, figures), areas[0]);
+    frame.render_widget(heading(title, figures, stops), areas[0]);
     draw_users(frame, areas[1], figures);
     if is_wide {
         let columns = [Constraint::Fill(1), Constraint::Length(TIMES_WIDTH)];
@@ -69,7 +79,16 @@ fn legend(is_wide: bool) -> Line<'static> {
     Line::from_iter(std::iter::once(Span::from("q quits  ").dim()).chain(colours))
 }
 
-fn heading(title: &str, figures: &Figures) -> Paragraph<'static> {
+/// The lines about emergency stops, at most so many.
+fn stop_lines(stops: &[String], most: usize) -> Vec<Line<'static>> {
+    let hidden = stops.len().saturating_sub(most);
+    // The last row counts the lines for which there is no row.
+    let shown = if hidden > 0 && most > 1 { most - 1 } else { most };
+    let rest = (hidden > 0 && most > 1).then(|| format!("{} more", hidden + 1));
+    stops.iter().take(shown).cloned().chain(rest).map(|text| Line::from(text).fg(BAD).bold()).collect()
+}
+
+fn heading(title: &str, figures: &Figures, stops: Vec<Line<'static>>) -> Paragraph<'static> {
     let state = figures.array.state.as_str();
     let is_normal = matches!(state, "following" | "holding");
     let unusable = match figures.array.unusable {
@@ -77,14 +96,15 @@ fn heading(title: &str, figures: &Figures) -> Paragraph<'static> {
         some => format!(", {some} of {} mirrors unusable", figures.array.mirrors),
     };
     let controller = if figures.controller_alive { "" } else { "  no controller" };
-    Paragraph::new(vec![
+    let lines = [
         Line::from(vec![Span::from("Heliostat  ").bold(), Span::from(title.to_owned()).dim()]),
         Line::from(vec![
             Span::from(format!("policy {}  tick {}  mirrors ", figures.policy, figures.tick)),
             Span::from(format!("{state}{unusable}")).fg(if is_normal { GOOD } else { BAD }),
             Span::from(controller).fg(BAD),
         ]),
-    ])
+    ];
+    Paragraph::new(lines.into_iter().chain(stops).collect::<Vec<_>>())
 }
 
 fn draw_users(frame: &mut Frame, area: Rect, figures: &Figures) {

@@ -2,13 +2,35 @@
 
 use ratatui::style::Color;
 
+use heliostat_service::printable::printable;
+
 use crate::figures::{Figures, Origin, SumFigures, TimeFigures};
+use crate::stop_state::StopFigure;
+use crate::stop_watch::RoomStops;
 
 /// The Okabe-Ito palette, which is distinguishable with colour-vision deficiency.
 pub(super) const POLICY: Color = Color::Rgb(0x56, 0xB4, 0xE9);
 pub(super) const FLAT: Color = Color::Rgb(0xCC, 0x79, 0xA7);
 pub(super) const NO_IRS: Color = Color::Rgb(0x99, 0x99, 0x99);
 pub(super) const ORACLE: Color = Color::Rgb(0xF0, 0xE4, 0x42);
+
+/// The emergency stops, each with the arrays that have stopped, then what is open.
+pub(super) fn stops(room: &RoomStops) -> Vec<String> {
+    let indices = |arrays: &[usize]| arrays.iter().map(usize::to_string).collect::<Vec<_>>().join(", ");
+    let line = |stop: &StopFigure| {
+        let StopFigure { name, operator, reason, arrays, stopped, .. } = stop;
+        let by = if operator.is_empty() { String::new() } else { format!(" of {operator}") };
+        let stopped = match stopped.len() {
+            0 => "no array has stopped".to_owned(),
+            count if count == arrays.len() => format!("array {} has stopped", indices(stopped)),
+            _ => format!("array {} of {} has stopped", indices(stopped), indices(arrays)),
+        };
+        format!("{stopped}: stop {name}{by} ({reason})")
+    };
+    let free = room.free().into_iter().map(|array| format!("array {array} is not stopped: no stop holds it"));
+    let open = room.problems().into_iter().chain(free).map(|text| printable(&text).into_owned());
+    StopFigure::of(room).iter().map(line).chain(open).collect()
+}
 
 /// The figures in one line.
 pub(super) fn line(figures: &Figures) -> String {

@@ -85,6 +85,8 @@ pub struct Kit<D> {
     last_problem: Option<DeviceError>,
     /// Whether the device has executed a stop since the last one was latched, and answers.
     device_stopped: bool,
+    /// Why it has not; a problem from before the last stop counts only while the link is down.
+    stop_problem: Option<DeviceError>,
     /// When angles were last applied to the device.
     applied: Moment,
     corrected: MirrorAngles,
@@ -109,6 +111,7 @@ impl<D: Device> Kit<D> {
             connections: 0,
             last_problem: None,
             device_stopped: false,
+            stop_problem: None,
             applied: Moment::default(),
             corrected: flat.clone(),
             measured: flat,
@@ -196,7 +199,9 @@ impl<D: Device> Kit<D> {
     ///
     /// Every stop stops the device again, because an earlier one may not have reached it.
     pub fn stop(&mut self, now: Moment, stop: LatchedStop) {
-        self.device_stopped &= self.array.latch().covers(stop.name());
+        if !self.array.latch().covers(stop.name()) {
+            self.await_device();
+        }
         self.array.stop(stop);
         self.halt(now);
     }
@@ -223,7 +228,7 @@ impl<D: Device> Kit<D> {
     /// Applies the repetition of a stop.
     pub fn handle_repetition(&mut self, now: Moment, order: &StopRepetition) {
         if self.array.handle_repetition(now, order) {
-            self.device_stopped = false;
+            self.await_device();
             self.halt(now);
         }
     }
@@ -316,7 +321,7 @@ impl<D: Device> Kit<D> {
     pub fn stops(&self, stamp: Stamp) -> StopReport {
         let stops: Vec<_> = self.array.latch().stops().iter().map(LatchedStop::report).collect();
         let is_open = !stops.is_empty() && !self.device_stopped;
-        let problem = self.last_problem.as_ref().map(ToString::to_string).filter(|_| is_open);
+        let problem = self.stop_problem.as_ref().map(ToString::to_string).filter(|_| is_open);
         StopReport {
             stamp,
             device_stopped: self.device_stopped,
@@ -411,6 +416,14 @@ impl<D: Device> Kit<D> {
         }
     }
 
+    /// A stop was latched that the device has not executed yet.
+    fn await_device(&mut self) {
+        self.device_stopped = false;
+        if self.link == Link::Up {
+            self.stop_problem = None;
+        }
+    }
+
     /// Stops the device, also one that does not answer; that one is connected at the next step.
     fn halt(&mut self, now: Moment) {
         match (self.device.stop(now), &mut self.link) {
@@ -432,6 +445,7 @@ impl<D: Device> Kit<D> {
         }
         let before = self.device_stopped;
         self.device_stopped = self.device.has_stopped().unwrap_or_else(|problem| {
+            self.stop_problem = Some(problem.clone());
             self.last_problem = Some(problem);
             false
         });
@@ -457,6 +471,7 @@ impl<D: Device> Kit<D> {
         self.device_stopped = false;
         self.link = Link::Down { retry_at_ns: now.local_ns.saturating_add(pause_ns), pause_ns };
         self.follow_check.pause();
+        self.stop_problem = Some(problem.clone());
         self.last_problem = Some(problem);
     }
 

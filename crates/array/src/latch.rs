@@ -17,7 +17,7 @@
 //! reason = "test"
 //! ```
 
-use heliostat_proto::{EmergencyStop, LatchedStopReport, MAX_STOPS, MAX_TEXT, Nanos, StopName, StopRepetition};
+use heliostat_proto::{EmergencyStop, LatchedStopReport, MAX_STOPS, MAX_TEXT, Nanos, StopName, StopRepetition, cut};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -80,8 +80,7 @@ impl LatchedStop {
 
     /// A stop without sender, as at a start in state stopped.
     pub fn without_sender(reason: &str, now_ns: Nanos) -> Self {
-        let end = (0..=reason.len().min(MAX_TEXT)).rev().find(|at| reason.is_char_boundary(*at)).unwrap_or(0);
-        Self { time_ns: now_ns, arrived_ns: now_ns, reason: reason[..end].to_owned(), ..Self::default() }
+        Self { time_ns: now_ns, arrived_ns: now_ns, reason: cut(reason).to_owned(), ..Self::default() }
     }
 
     /// The same stop after a restart at `now_ns`: a clock that was set back must not delay a re-arm.
@@ -208,11 +207,16 @@ impl Latch {
         self.engage(LatchedStop { time_ns: stop.time_ns, ..unlisted });
     }
 
-    /// Whether a repetition adds nothing: the stop, or a later one of its sender, is latched.
+    /// Whether a repetition adds nothing: the stop, or a later one of its sender, is latched, or the list
+    /// is full, and a stop without sender stands for those that are not in it.
     pub(crate) fn covers(&self, name: StopName) -> bool {
-        self.stops
-            .iter()
-            .any(|held| held.name() == name || (held.source == name.source && held.sequence > name.sequence))
+        let is_full = self.stops.len() == MAX_STOPS && self.has(StopName::default());
+        let is_later = |held: &LatchedStop| held.source == name.source && held.sequence > name.sequence;
+        is_full || self.has(name) || self.stops.iter().any(is_later)
+    }
+
+    fn has(&self, name: StopName) -> bool {
+        self.stops.iter().any(|held| held.name() == name)
     }
 
     /// Releases the stop of this name.
@@ -382,10 +386,12 @@ mod tests {
     fn more_stops_than_the_list_holds_leave_one_that_has_to_be_released() {
         let mut latch = latch_of(3 * MAX_STOPS as u64);
         assert_eq!(latch.stops().len(), MAX_STOPS);
+        assert!(latch.covers(StopName { source: 40, sequence: 1 }), "a repetition adds nothing to a full list");
         for source in 1..MAX_STOPS as u64 {
             latch.release(StopName { source, sequence: u64::MAX }).unwrap();
         }
         let left = latch.stop().expect("the unlisted stops hold the array");
+        assert!(!latch.covers(StopName { source: 40, sequence: 1 }), "a repetition finds a place again");
         assert!(left.name() == StopName::default() && left.reason.contains("more stops"), "{left:?}");
         latch.release(StopName::default()).unwrap();
         assert_eq!(latch.stop(), None);

@@ -92,13 +92,20 @@ impl<S: StopStore> StopRecord<S> {
     }
 
     /// Writes the state if it differs from the one written last; `again` repeats a write that
-    /// failed.
+    /// failed, and writes a stop again whose record was lost or changed meanwhile.
     ///
     /// # Errors
     /// [`RecordError`]: the present state is not in the store.
     pub fn keep(&mut self, latch: &Latch, again: bool) -> Result<(), RecordError> {
-        let is_due = *latch != self.tried || (again && self.problem.is_some());
+        let is_due = *latch != self.tried || (again && (self.problem.is_some() || self.is_lost(latch)));
         if is_due { self.write(latch) } else { Ok(()) }
+    }
+
+    /// Whether the store no longer has the stops. A lost record without a stop needs no care: it makes
+    /// the next start a stopped one, or the first.
+    fn is_lost(&mut self, latch: &Latch) -> bool {
+        let Some(store) = self.store.as_mut().filter(|_| latch.stop().is_some()) else { return false };
+        store.read().ok().flatten().is_none_or(|text| text != latch.to_toml())
     }
 
     /// Why the present state is not in the store.

@@ -5,6 +5,7 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpListener;
 use std::os::fd::AsRawFd;
 use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -22,13 +23,14 @@ fn wall(text: &str) -> Wall {
     toml::from_str::<Config>(text).expect("the file is valid").wall().expect("the array is valid")
 }
 
-/// Waits until the emulated device has received what is expected; returns what it received.
+/// Waits until the emulated device has received as much as expected; returns so much of what it received. A
+/// stopped device receives the stop again and again.
 fn received<T: Clone + PartialEq>(log: &Mutex<Vec<T>>, expected: &[T]) -> Vec<T> {
     let begun = Instant::now();
-    while log.lock().unwrap().as_slice() != expected && begun.elapsed() < Duration::from_secs(5) {
+    while log.lock().unwrap().len() < expected.len() && begun.elapsed() < Duration::from_secs(5) {
         std::thread::sleep(Duration::from_millis(5));
     }
-    log.lock().unwrap().clone()
+    log.lock().unwrap().iter().take(expected.len()).cloned().collect()
 }
 
 /// Waits until a value is there.
@@ -51,6 +53,11 @@ fn refusal(mut device: Wall) -> String {
 
 /// A PlayzerX on a pseudo-terminal: splits frames by their length and answers pings.
 fn playzerx(answer: &'static str) -> (String, Arc<Mutex<Vec<Vec<u8>>>>, impl Sized) {
+    playzerx_until(answer, Arc::default())
+}
+
+/// The same; it answers no ping while the flag is set.
+fn playzerx_until(answer: &'static str, silent: Arc<AtomicBool>) -> (String, Arc<Mutex<Vec<Vec<u8>>>>, impl Sized) {
     let pty = nix::pty::openpty(None, None).unwrap();
     let path = std::fs::read_link(format!("/proc/self/fd/{}", pty.slave.as_raw_fd())).unwrap();
     let frames = Arc::new(Mutex::new(Vec::new()));
@@ -64,7 +71,7 @@ fn playzerx(answer: &'static str) -> (String, Arc<Mutex<Vec<Vec<u8>>>>, impl Siz
             while bytes.len() >= 4 && bytes.len() >= usize::from(bytes[3]) {
                 let frame: Vec<u8> = bytes.drain(..usize::from(bytes[3])).collect();
                 assert!(frame.starts_with(b"pl") && frame.ends_with(b"\n"), "{frame:?}");
-                if frame[2] == b'p' {
+                if frame[2] == b'p' && !silent.load(Ordering::SeqCst) {
                     device.write_all(answer.as_bytes()).unwrap();
                 }
                 log.lock().unwrap().push(frame);
@@ -95,6 +102,7 @@ fn a_playzerx_receives_the_bytes_of_its_published_protocol() {
         b"plD\x08\xff\xf0\x00\n",
         b"plD\x08\xff\xbd\x4c\n",
         b"plc\x05\n",
+        b"plp\x05\n",
     ]
     .map(<[u8]>::to_vec)
     .to_vec();
@@ -112,6 +120,23 @@ fn a_playzerx_receives_the_bytes_of_its_published_protocol() {
     let mut nowhere = to(0.0, 0.0);
     assert_eq!(device.measure(NOW, &mut nowhere), Ok(false), "no acknowledgement, so nothing is measured");
     assert_eq!(device.capabilities().feedback, Feedback::OpenLoop);
+}
+
+#[test]
+fn a_playzerx_has_stopped_only_when_it_answers_after_the_stop() {
+    let silent = Arc::new(AtomicBool::new(false));
+    let (path, _frames, _open) = playzerx_until("pl-ok\n", Arc::clone(&silent));
+    let mut device = wall(&format!(
+        "rows = 1\ncolumns = 1\n[[boards]]\nkind = \"playzerx\"\naddress = \"serial:{path}\"\nrange_deg = 5.0\nmirrors = [0]"
+    ));
+    device.connect(NOW).unwrap();
+    until("a connection", || (device.connections() == Some(1)).then_some(()));
+    silent.store(true, Ordering::SeqCst);
+    device.stop(NOW).unwrap();
+    let problem = until("a problem", || device.has_stopped().err());
+    assert!(problem.to_string().contains("no answer"), "{problem}");
+    silent.store(false, Ordering::SeqCst);
+    until("a stop", || device.has_stopped().is_ok_and(|has_stopped| has_stopped).then_some(()));
 }
 
 #[test]

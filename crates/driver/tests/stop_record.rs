@@ -144,3 +144,19 @@ fn what_is_no_regular_file_of_the_size_of_a_record_is_an_unknown_state() {
     let reason = reason(next_start(folder.path()));
     assert!(reason.contains("at most 1048576 bytes") && reason.len() < 1024, "{reason}");
 }
+
+#[test]
+fn a_stop_whose_record_is_lost_while_it_is_in_force_is_recorded_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let state = folder.path().join("state");
+    let (mut record, _) = open(&settings(&state, true));
+    record.keep(&stop(), false).unwrap();
+    for damage in [
+        |state: &Path| fs::remove_dir_all(state).unwrap(),
+        |state: &Path| fs::write(state.join("lab.stop.toml"), Latch::default().to_toml()).unwrap(),
+    ] {
+        damage(&state);
+        record.keep(&stop(), true).unwrap();
+        assert_eq!(next_start(&state).as_ref(), stop().stop());
+    }
+}

@@ -38,13 +38,24 @@ type Log = Arc<Mutex<Vec<String>>>;
 
 /// Starts a board of one mirror at an address.
 fn board(listener: TcpListener, manner: Manner) -> Log {
+    board_until(listener, manner, Arc::default())
+}
+
+/// The same; it closes each connection while the flag is set.
+fn board_until(listener: TcpListener, manner: Manner, hangs_up: Arc<AtomicBool>) -> Log {
     let log = Log::default();
     let received = Arc::clone(&log);
     std::thread::spawn(move || {
         for stream in listener.incoming().map_while(Result::ok) {
-            let log = Arc::clone(&received);
+            let (log, hangs_up, closed) = (Arc::clone(&received), Arc::clone(&hangs_up), stream.try_clone());
             // The driver may close the connection at any time.
             std::thread::spawn(move || drop(serve(stream, manner, &log)));
+            std::thread::spawn(move || {
+                while !hangs_up.load(Ordering::SeqCst) {
+                    std::thread::sleep(Duration::from_millis(5));
+                }
+                drop(closed.map(|stream| stream.shutdown(std::net::Shutdown::Both)));
+            });
         }
     });
     log
@@ -281,6 +292,53 @@ fn a_slow_board_delays_neither_the_latch_nor_the_stop_at_another_board() {
         for log in [&slow, &prompt] {
             assert!(after_stop(log).iter().all(|line| !line.starts_with("set")), "{:?}", log.lock().unwrap());
         }
+    });
+}
+
+#[test]
+fn a_stop_that_is_repeated_to_a_slow_board_is_written_once_and_executed() {
+    let folder = tempfile::tempdir().unwrap();
+    let (slow, address) = listener();
+    let log = board(slow, Manner::Slow(Duration::from_millis(450)));
+    driven("repeated", folder.path(), &[&address], |observer| {
+        until("angles", || {
+            observer.command(1);
+            (received(&log, "set") > 0).then_some(())
+        });
+        observer.stop();
+        until("a latched stop", || observer.latched());
+        // While the board has not answered the first one.
+        for _ in 0..20 {
+            observer.stop();
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        until("a device that has stopped", || observer.is_device_stopped().then_some(()));
+        let lines = received(&log, "stop");
+        assert!(lines <= 10, "each line delays the answer: {lines} lines");
+    });
+}
+
+#[test]
+fn a_stopped_board_that_hangs_up_is_reported_and_stopped_when_it_returns() {
+    let folder = tempfile::tempdir().unwrap();
+    let (first, address) = listener();
+    let hang_up = Arc::new(AtomicBool::new(false));
+    let log = board_until(first, Manner::Prompt, Arc::clone(&hang_up));
+    driven("hangs-up", folder.path(), &[&address], |observer| {
+        until("angles", || {
+            observer.command(1);
+            (received(&log, "set") > 0).then_some(())
+        });
+        observer.stop();
+        until("a device that has stopped", || observer.is_device_stopped().then_some(()));
+        hang_up.store(true, Ordering::SeqCst);
+        let report = until("a report of the board that is gone", || {
+            observer.latched().filter(|report| !report.device_stopped && !report.problem.is_empty())
+        });
+        assert!(report.problem.contains(&address), "{report:?}");
+        hang_up.store(false, Ordering::SeqCst);
+        until("a device that has stopped again", || observer.is_device_stopped().then_some(()));
+        assert!(after_stop(&log).iter().all(|line| line == "stop" || line == "hello"), "{:?}", log.lock().unwrap());
     });
 }
 

@@ -34,11 +34,12 @@ pub trait Board: Send {
     /// [`DeviceError`] if no device answers, or another kind of device.
     fn connect(&mut self) -> Result<(), DeviceError>;
 
-    /// Turns all its mirrors, at once if the hardware can do that.
+    /// Turns all its mirrors, at once if the hardware can do that. False if a stop that was ordered
+    /// meanwhile was sent in place of the angles.
     ///
     /// # Errors
     /// [`DeviceError`] if the board did not accept the angles.
-    fn set(&mut self, angles: &[[f64; 2]]) -> Result<(), DeviceError>;
+    fn set(&mut self, angles: &[[f64; 2]]) -> Result<bool, DeviceError>;
 
     /// Reads the measured angles; called only if it measures.
     ///

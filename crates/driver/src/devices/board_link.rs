@@ -27,6 +27,10 @@ const PAUSE_MAX: Duration = Duration::from_secs(5);
 /// The same while a stop is in force.
 const PAUSE_MAX_STOPPED: Duration = Duration::from_millis(500);
 
+/// Time after which a stopped board gets the stop again: the answer shows that it is still there, and one
+/// that has restarted meanwhile is stopped too.
+const STOP_AGAIN: Duration = Duration::from_millis(500);
+
 /// What the caller asks of a board, and what its thread has learned.
 #[derive(Debug, Default)]
 struct Mail {
@@ -94,6 +98,7 @@ impl BoardLink {
             pause: Duration::ZERO,
             failed_at: Instant::now(),
             applied: 0,
+            stopped_at: Instant::now(),
         };
         let thread = std::thread::Builder::new().name("board".into()).spawn(move || link.run());
         thread.map(drop).map_err(|error| DeviceError::new(name, error))
@@ -112,9 +117,13 @@ impl BoardLink {
     /// The board stops as soon as it can, and receives no angles until [`BoardLink::set`].
     pub fn stop(&self) {
         let mut mail = self.mailbox.lock();
+        // One that the board has not answered yet is not repeated: each line would delay the answer.
+        let is_pending = mail.is_stopped && mail.executed < self.interrupt.ordered();
         mail.is_stopped = true;
-        // Under the lock: no `set` is taken between the two.
-        self.interrupt.order();
+        if !is_pending {
+            // Under the lock: no `set` is taken between the two.
+            self.interrupt.order();
+        }
         self.mailbox.filled.notify_one();
     }
 
@@ -190,16 +199,18 @@ struct LinkThread {
     failed_at: Instant,
     /// The number of the angles that were sent last on the present connection.
     applied: u64,
+    /// When the board executed a stop last.
+    stopped_at: Instant,
 }
 
 impl LinkThread {
     fn run(mut self) {
         while let Some(call) = self.next_call() {
             let done = match &call {
-                Call::Connect => self.board.connect(),
-                Call::Stop(_) => self.board.stop(),
+                Call::Connect => self.board.connect().map(|()| true),
+                Call::Stop(_) => self.board.stop().map(|()| true),
                 Call::Set(_, angles) => self.board.set(angles),
-                Call::Read => self.read(),
+                Call::Read => self.read().map(|()| true),
             };
             self.note(&call, done);
         }
@@ -226,6 +237,11 @@ impl LinkThread {
             } else if mail.is_read_due && self.board.measures() {
                 mail.is_read_due = false;
                 return Some(Call::Read);
+            } else if mail.is_stopped {
+                wait = STOP_AGAIN.saturating_sub(now.saturating_duration_since(self.stopped_at));
+                if wait == Duration::ZERO {
+                    return Some(Call::Stop(self.interrupt.ordered()));
+                }
             }
             mail = match wait {
                 Duration::MAX => self.mailbox.filled.wait(mail).unwrap_or_else(PoisonError::into_inner),
@@ -241,8 +257,8 @@ impl LinkThread {
         Ok(())
     }
 
-    /// Notes the result of a call.
-    fn note(&mut self, call: &Call, done: Result<(), DeviceError>) {
+    /// Notes the result of a call; false for one in place of which the port wrote a stop.
+    fn note(&mut self, call: &Call, done: Result<bool, DeviceError>) {
         let mut mail = self.mailbox.lock();
         match (call, done) {
             (_, Err(problem)) => {
@@ -252,14 +268,22 @@ impl LinkThread {
                 (mail.is_up, mail.measured, mail.executed) = (false, None, 0);
                 mail.problem = Some(problem);
             }
-            (Call::Connect, Ok(())) => {
+            (Call::Connect, Ok(_)) => {
                 (mail.is_up, mail.executed) = (true, 0);
                 mail.connections += 1;
                 self.applied = 0;
             }
-            (Call::Stop(number), Ok(())) => mail.executed = *number,
-            (Call::Set(number, _), Ok(())) => self.applied = *number,
-            (Call::Read, Ok(())) => return,
+            (Call::Stop(number), Ok(_)) => {
+                self.stopped_at = Instant::now();
+                mail.executed = *number;
+            }
+            (Call::Set(number, _), Ok(is_sent)) => {
+                // Angles that a stop has displaced are due again if they are still valid after it.
+                if is_sent {
+                    self.applied = *number;
+                }
+            }
+            (Call::Read, Ok(_)) => return,
         }
         let waker = mail.waker.clone().filter(|_| !matches!(call, Call::Set(..)) || !mail.is_up);
         drop(mail);

@@ -4,7 +4,7 @@
 //! and y as 12-bit numbers, 0 to 4095 for -1 to +1 of the mirror's range, in three bytes: low eight
 //! bits of x; high four bits of x and low four of y; high eight bits of y. The device applies
 //! queued samples at the sample rate and does not acknowledge them, so no angle is measured. Only a
-//! ping is answered, with the line `pl-ok`.
+//! ping is answered, with the line `pl-ok`; it follows each stop.
 //!
 //! Here x is yaw and y is roll. With an empty queue the device holds the last sample.
 //!
@@ -98,13 +98,7 @@ impl Board for PlayzerX {
         self.port = None;
         let mut port = board::open(&self.address, &self.interrupt, STOP)?;
         port.drain()?;
-        port.write(&frame(b'p', &[]))?;
-        let answer = port.line(ANSWER_LIMIT)?;
-        if answer != "pl-ok" {
-            let problem =
-                format!("answered a ping with {answer:?}: expected \"pl-ok\"; connect a PlayzerX to this port");
-            return Err(DeviceError::new(self.address.to_string(), problem));
-        }
+        ping(&mut port, &self.address)?;
         let [low, middle, high, _] = self.sample_rate_hz.to_le_bytes();
         port.write(&frame(b'i', b"usb"))?;
         port.write(&frame(b'r', &[low, middle, high]))?;
@@ -113,23 +107,37 @@ impl Board for PlayzerX {
         Ok(())
     }
 
-    fn set(&mut self, angles: &[[f64; 2]]) -> Result<(), DeviceError> {
+    fn set(&mut self, angles: &[[f64; 2]]) -> Result<bool, DeviceError> {
         let [roll, yaw] = angles[0];
         let (x, y) = (code(yaw / self.range_rad), code(roll / self.range_rad));
         let sample = [(x & 0xff) as u8, ((x >> 8) << 4) as u8 | (y & 0x0f) as u8, (y >> 4) as u8];
         let port = self.port()?;
-        // Where a stop was ordered, this sample is not sent.
-        port.write_motion(&frame(b'D', &sample)).map(drop)
+        port.write_motion(&frame(b'D', &sample))
     }
 
     fn read(&mut self, _angles: &mut [[f64; 2]]) -> Result<(), DeviceError> {
         Err(DeviceError::new(self.address.to_string(), "a PlayzerX does not measure"))
     }
 
-    /// Clears the queue; the mirror holds the last sample.
+    /// Clears the queue; the mirror holds the last sample. The answer to a ping shows that the device
+    /// has read the frame before it.
     fn stop(&mut self) -> Result<(), DeviceError> {
-        self.port()?.write(STOP)
+        let address = self.address.clone();
+        let port = self.port()?;
+        port.write(STOP)?;
+        ping(port, &address)
     }
+}
+
+/// Sends a ping, and waits for its answer.
+fn ping(port: &mut Port, address: &Address) -> Result<(), DeviceError> {
+    port.write(&frame(b'p', &[]))?;
+    let answer = port.line(ANSWER_LIMIT)?;
+    if answer == "pl-ok" {
+        return Ok(());
+    }
+    let problem = format!("answered a ping with {answer:?}: expected \"pl-ok\"; connect a PlayzerX to this port");
+    Err(DeviceError::new(address.to_string(), problem))
 }
 
 /// The code of an axis at a share of its range from -1 to 1.

@@ -155,7 +155,7 @@ impl Board for ServoBoard {
         self.check_hello(&answer).map_err(|problem| DeviceError::new(self.address.to_string(), problem))
     }
 
-    fn set(&mut self, angles: &[[f64; 2]]) -> Result<(), DeviceError> {
+    fn set(&mut self, angles: &[[f64; 2]]) -> Result<bool, DeviceError> {
         let mut line = std::mem::take(&mut self.line);
         line.clear();
         line.push_str("set");
@@ -166,9 +166,9 @@ impl Board for ServoBoard {
         line.push('\n');
         let written = self.port().and_then(|port| port.write_motion(line.as_bytes()));
         let answer = match written {
-            Ok(true) => self.answer(&line, ANSWER_LIMIT).and_then(|answer| self.check_ok(&answer)),
+            Ok(true) => self.answer(&line, ANSWER_LIMIT).and_then(|answer| self.check_ok(&answer)).map(|()| true),
             // A stop was ordered: these angles are not sent.
-            Ok(false) => Ok(()),
+            Ok(false) => Ok(false),
             Err(problem) => Err(problem),
         };
         self.line = line;

@@ -30,6 +30,24 @@ fn a_process_that_dies_leaves_no_green_state_and_no_current_figure() {
     wait_until("no mirrors that follow", || green(&browser).is_empty());
     assert!(!is_stale(&browser, "room-card"), "the room still reports");
 
+    setting.room.kill();
+    wait_until("a stale room", || is_stale(&browser, "room-card") && is_stale(&browser, "rates"));
+    let sentence = browser.text("#sentence");
+    assert!(sentence.contains("has not reported for") && sentence.contains("unknown"), "{sentence}");
+    assert!(browser.text("#chip-array").starts_with("no report for"), "{}", browser.text("#chip-array"));
+
+    setting.server.kill();
+    wait_until("a banner", || banner(&browser).contains("No connection to the server"));
+    assert_eq!(green(&browser), Vec::<Value>::new());
+    for part in ["room-card", "rates", "sums", "times", "counters"] {
+        assert!(is_stale(&browser, part), "{part} looks current without a server");
+    }
+}
+
+#[test]
+fn the_last_picture_stays_when_the_process_of_the_room_ends() {
+    let mut setting = Setting::new();
+    let Some(browser) = setting.browser(&[]) else { return };
     browser.run("window.loaded_before = true");
     let users = "return document.getElementById('room').room.motion.to?.users.length ?? 0";
     let shown = browser.run(users);
@@ -44,16 +62,6 @@ fn a_process_that_dies_leaves_no_green_state_and_no_current_figure() {
     browser.run("document.getElementById('room').room.isDirty = true");
     wait_until("another picture", || crate::setting::drawn(&browser) > drawn);
     assert_eq!((browser.run("return window.loaded_before"), browser.run(users)), (Value::Bool(true), shown));
-    let sentence = browser.text("#sentence");
-    assert!(sentence.contains("has not reported for") && sentence.contains("unknown"), "{sentence}");
-    assert!(browser.text("#chip-array").starts_with("no report for"), "{}", browser.text("#chip-array"));
-
-    setting.server.kill();
-    wait_until("a banner", || banner(&browser).contains("No connection to the server"));
-    assert_eq!(green(&browser), Vec::<Value>::new());
-    for part in ["room-card", "rates", "sums", "times", "counters"] {
-        assert!(is_stale(&browser, part), "{part} looks current without a server");
-    }
 }
 
 #[test]

@@ -385,7 +385,7 @@ fn describe_absence(without_driver: &[usize], arrays: usize) -> String {
 }
 
 fn is_alarm(event: TenureEvent) -> bool {
-    !matches!(event, TenureEvent::Resumed | TenureEvent::TookOver)
+    !matches!(event, TenureEvent::Resumed | TenureEvent::TookOver | TenureEvent::StoodBy)
 }
 
 fn describe_event(event: TenureEvent, tenure: &Tenure) -> String {
@@ -398,7 +398,7 @@ fn describe_event(event: TenureEvent, tenure: &Tenure) -> String {
         TenureEvent::Resumed => format!("standby has ended: the array follows no higher epoch than {epoch}"),
         TenureEvent::TookOver => {
             format!(
-                "this controller takes over with the new epoch {epoch}: it has just started, or the array accepted no command of another"
+                "this controller takes over with the new epoch {epoch}: the array accepted no command of another, or the other has left"
             )
         }
         TenureEvent::LockedOut => format!(
@@ -410,6 +410,16 @@ fn describe_event(event: TenureEvent, tenure: &Tenure) -> String {
         TenureEvent::ClocksDiffer => {
             "the array refused every command for 1 s as expired: synchronise the clocks of controller and driver".into()
         }
+        TenureEvent::StoodBy => {
+            let followed = match tenure.followed_epoch().filter(|epoch| *epoch > 0) {
+                Some(epoch) => format!("the array follows another controller (epoch {epoch})"),
+                None => "started with --standby".into(),
+            };
+            format!("{followed}: this one stands by, and takes over when reports stay without an accepted command")
+        }
+        TenureEvent::Contested => format!(
+            "the former leader still commands after the takeover (epoch {epoch}): the array refuses it. Look for a slow controller, or a link that loses its commands"
+        ),
     }
 }
 

@@ -411,7 +411,9 @@ impl Tenure {
             watch.has_left &= !is_answered;
             return None;
         }
-        self.takeover = Some(Takeover { refused: shown.refused, accepted: shown.accepted });
+        // A leader whose token has ended may command until its successor is obeyed.
+        let is_certain = watch.has_left;
+        self.takeover = (!is_certain).then_some(Takeover { refused: shown.refused, accepted: shown.accepted });
         self.renew(now, shown);
         self.lead();
         Some(TenureEvent::TookOver)

@@ -385,14 +385,15 @@ fn describe_absence(without_driver: &[usize], arrays: usize) -> String {
 }
 
 fn is_alarm(event: TenureEvent) -> bool {
-    !matches!(event, TenureEvent::Resumed | TenureEvent::TookOver | TenureEvent::StoodBy)
+    use TenureEvent::{Resumed, StoodBy, Superseded, TookOver};
+    !matches!(event, Resumed | StoodBy | Superseded | TookOver)
 }
 
 fn describe_event(event: TenureEvent, tenure: &Tenure) -> String {
     let epoch = tenure.epoch();
     match event {
         TenureEvent::Superseded => format!(
-            "another controller (epoch {}) has superseded this one (epoch {epoch}): commands are withheld until the array accepts none of the other; stop one of the two, or keep this one as a reserve",
+            "another controller (epoch {}) has superseded this one (epoch {epoch}), which stands by: it takes over when reports stay without an accepted command",
             tenure.followed_epoch().unwrap_or_default()
         ),
         TenureEvent::Resumed => format!("standby has ended: the array follows no higher epoch than {epoch}"),

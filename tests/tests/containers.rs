@@ -180,6 +180,7 @@ fn the_units_start_restart_after_a_kill_and_stop_in_an_orderly_way() {
         "heliostat-controller@studio",
         "heliostat-sim-node@foyer",
         "heliostat-controller@foyer",
+        "heliostat-standby@foyer",
     ];
     let complaints = host.shell(&format!(
         "cd /etc/systemd/system && systemd-analyze verify {} 2>&1",

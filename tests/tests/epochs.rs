@@ -258,25 +258,59 @@ fn a_forged_command_of_a_higher_epoch_locks_out_no_controller() {
 }
 
 #[test]
-fn two_controllers_do_not_fight_and_the_one_in_standby_takes_over() {
+fn a_controller_that_starts_beside_another_stands_by_and_takes_over_when_it_is_killed() {
+    let setting = Setting::new();
+    let mut first = setting.controller(0);
+    let observer = setting.observer();
+    let epoch = telemetry(&observer).epoch;
+    let second = setting.controller(1);
+    let of_second = RoomObserver::connect("demo", &[&setting.room_endpoint, &setting.controller_endpoints[1]]);
+    let state = |observer: &RoomObserver| observer.status(NodeKind::Controller).map(|status| status.state);
+    wait_until("a second controller in standby", || state(&of_second).is_some_and(|state| state == "standby"));
+    wait_for_accepted(&observer);
+    assert_eq!(telemetry(&observer).epoch, epoch, "the first one commands without interruption");
+
+    first.kill();
+    wait_until("an array that follows the second controller", || telemetry(&of_second).epoch > epoch);
+    wait_for_accepted(&of_second);
+    wait_until("a second controller that runs", || state(&of_second).is_some_and(|state| state == "running"));
+    let summary = second.end().json();
+    let events = |name: &str| summary["epoch_events"][name].as_u64();
+    assert_eq!((events("stood-by"), events("took-over")), (Some(1), Some(1)), "{summary}");
+    drop(setting.room);
+}
+
+#[test]
+fn a_controller_that_ends_hands_over_to_the_standby_that_it_is_connected_to() {
     let setting = Setting::new();
     let first = setting.controller(0);
     let observer = setting.observer();
-    let first_epoch = telemetry(&observer).epoch;
-    let mut second = setting.controller(1);
-    wait_until("an array that follows the second controller", || telemetry(&observer).epoch > first_epoch);
     let epoch = telemetry(&observer).epoch;
-    let state = || observer.status(NodeKind::Controller).map(|status| status.state).unwrap_or_default();
-    wait_until("a first controller in standby", || state() == "standby");
-    std::thread::sleep(std::time::Duration::from_secs(4));
-    assert_eq!(telemetry(&observer).epoch, epoch, "the second one commands without interruption");
-    wait_for_accepted(&observer);
-
-    second.kill();
-    wait_until("an array that follows the first controller", || telemetry(&observer).epoch > epoch);
-    wait_for_accepted(&observer);
-    wait_until("a first controller that runs", || state() == "running");
+    let endpoints = [&setting.room_endpoint, &setting.controller_endpoints[0]].map(String::as_str);
+    let second = Process::heliostat(&[
+        "controller",
+        "--standby",
+        "--policy",
+        "nearest",
+        "--connect",
+        endpoints[0],
+        "--connect",
+        endpoints[1],
+        "--listen",
+        &setting.controller_endpoints[1],
+        "--exit-with-parent",
+        "--json",
+    ]);
+    let of_second = RoomObserver::connect("demo", &[&setting.room_endpoint, &setting.controller_endpoints[1]]);
+    wait_until("a second controller in standby", || {
+        of_second.status(NodeKind::Controller).is_some_and(|status| status.state == "standby")
+    });
     let summary = first.end().json();
+    // Its end waits for the takeover, which its telemetry shows.
+    assert_eq!(summary["epoch_events"]["superseded"].as_u64(), Some(1), "{summary}");
+    assert!(telemetry(&of_second).epoch > epoch);
+    wait_for_accepted(&of_second);
+    let summary = second.end().json();
     assert_eq!(summary["epoch_events"]["took-over"].as_u64(), Some(1), "{summary}");
     drop(setting.room);
 }

@@ -72,36 +72,6 @@ fn the_array_parks_when_the_controller_is_killed_and_follows_the_next_one() {
 }
 
 #[test]
-fn a_superseded_controller_stands_by_and_names_its_successor() {
-    let setting = Setting::new();
-    let _room = setting.room();
-    let first = setting.controller();
-    let observer = setting.observer();
-    observer.wait_for_commands();
-    let second = Process::heliostat(&[
-        "controller",
-        "--policy",
-        "flat",
-        "--connect",
-        &setting.room_endpoint,
-        "--exit-with-parent",
-        "--json",
-    ]);
-    wait_until("a controller in standby", || {
-        observer.status(NodeKind::Controller).is_some_and(|status| status.state == "standby")
-    });
-    let status = observer.status(NodeKind::Controller).expect("received");
-    assert!(status.last_problem.contains("another controller (epoch"), "{}", status.last_problem);
-    wait_until("an array that follows the second controller", || {
-        observer.telemetry().is_some_and(|array| array.state == ArrayState::Following)
-    });
-    assert!(second.end().json()["commands"].as_u64() > Some(0));
-    let ended = first.end();
-    assert!(ended.json()["epoch_events"]["superseded"].as_u64() > Some(0), "{}", ended.output);
-    assert!(ended.errors.contains("ERROR"), "a standby is logged as an error: {}", ended.errors);
-}
-
-#[test]
 fn the_controller_serves_a_simulator_that_comes_back() {
     let setting = Setting::new();
     let mut room = setting.room();

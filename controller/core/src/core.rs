@@ -235,6 +235,7 @@ impl Controller {
 
     /// A source has left: another source may own the room at once.
     pub fn handle_source_lost(&mut self, node: NodeKind, source: u64) {
+        self.note_controller(node, source, false);
         for (index, array) in self.arrays.iter_mut().enumerate() {
             if publishes(node, Stream::Telemetry) && self.inbox.array_source(index) == Some(source) {
                 array.handle_source_lost();
@@ -245,6 +246,7 @@ impl Controller {
 
     /// A source is alive, perhaps again.
     pub fn handle_source_found(&mut self, node: NodeKind, source: u64) {
+        self.note_controller(node, source, true);
         self.inbox.handle_source_found(node, source);
     }
 

@@ -65,6 +65,11 @@ pub struct Args {
     metrics: MetricsArgs,
     #[command(flatten)]
     log: LogArgs,
+    /// Stand by from the start. RANK is the number of reports without an accepted command after which
+    /// this controller takes over [default: by source id among the controllers that it sees]. Without
+    /// this flag, a controller stands by if the array follows another one
+    #[arg(long, value_name = "RANK", conflicts_with = "lockstep", value_parser = clap::value_parser!(u8).range(1..=16))]
+    standby: Option<Option<u8>>,
     /// Take time from the reports, for a room that runs in lockstep; the same reports then give the
     /// same commands
     #[arg(long)]
@@ -109,6 +114,7 @@ impl Args {
             model: self.model.clone(),
             force: Force { small_range: self.accept_small_range, paper_angles: self.force_paper_angles },
             pace: if self.lockstep { Pace::Lockstep } else { Pace::Live },
+            standby: self.standby,
             run_for: self.end.seconds,
             metrics: self.metrics,
         })

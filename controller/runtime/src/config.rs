@@ -39,6 +39,8 @@ pub struct NodeConfig {
     pub model: Option<PathBuf>,
     /// Live or lockstep.
     pub pace: Pace,
+    /// Stand by from the start, with this rank or the rank by source ids.
+    pub standby: Option<Option<u8>>,
     /// Mismatches between array and scenario that the operator accepts.
     pub force: Force,
     /// When to end without a signal.

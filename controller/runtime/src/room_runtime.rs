@@ -40,7 +40,11 @@ use std::{
 
 use anyhow::Context;
 use heliostat_bus::{Bus, BusError, Class, Publisher, Subscription, Token};
-use heliostat_core::{capabilities::Examiner, core::Controller, tenure::Tenure};
+use heliostat_core::{
+    capabilities::Examiner,
+    core::Controller,
+    tenure::{Standing, Tenure},
+};
 use heliostat_models::build_tried;
 use heliostat_proto::{Nanos, NodeKind, NodeStatus, Room, encode};
 use heliostat_service::{clock::utc_ns, source_id};
@@ -66,6 +70,9 @@ use stop_repeater::StopRepeater;
 use subscriptions::Arrays;
 use undecodable::Decoder;
 use watchdog::{POLICY_TIMEOUT, Watchdog};
+
+/// Longest wait of a controller that ends for a standby that takes over.
+const HAND_OVER: Duration = Duration::from_millis(500);
 
 /// A room that is being served.
 pub struct RoomRuntime {
@@ -105,7 +112,14 @@ impl RoomRuntime {
         let source = source_id::random();
         let interval_ns = (1e9 / scenario.streams.positions.rate_hz) as Nanos;
         let (clock, tenure, class) = match config.pace {
-            Pace::Live => (RoomClock::Utc, Tenure::live(source, interval_ns), Class::RealTimeDrop),
+            Pace::Live => {
+                let tenure = Tenure::live(source, interval_ns);
+                let tenure = match config.standby {
+                    Some(rank) => tenure.in_reserve(rank),
+                    None => tenure,
+                };
+                (RoomClock::Utc, tenure, Class::RealTimeDrop)
+            }
             // The room waits for each command, so a dropped command would stop it.
             Pace::Lockstep => (RoomClock::Lockstep { newest_ns: 0 }, Tenure::lockstep(1), Class::RealTimeBlock),
         };
@@ -250,9 +264,12 @@ impl RoomRuntime {
         self.summary.add_times(&self.times, &self.policy_times);
     }
 
-    /// Stops serving: unsubscribes, ends the room's thread, and withdraws the liveliness token.
+    /// Stops serving: withdraws the liveliness token, waits for a standby to take over, unsubscribes,
+    /// and ends the room's thread.
     pub fn close(&mut self) {
         let Some((subscriptions, token)) = self.declared.take() else { return };
+        drop(token);
+        self.hand_over();
         drop(subscriptions);
         self.queue.close();
         self.check_status();
@@ -262,7 +279,24 @@ impl RoomRuntime {
             // An error means that the thread panicked, which the panic hook has reported.
             let _ = thread.join();
         }
-        drop(token);
+    }
+
+    /// Commands on until a standby does, so that no report lacks an answer.
+    fn hand_over(&self) {
+        let ends = Instant::now() + HAND_OVER;
+        while Instant::now() < ends {
+            let Some(decision_loop) = lock_within(&self.decision_loop, POLICY_TIMEOUT) else { return };
+            let controller = &decision_loop.controller;
+            let awaits = |array| {
+                let tenure = controller.tenure(array);
+                tenure.has_peers() && tenure.standing() == Standing::Leading
+            };
+            if !(0..controller.arrays()).any(awaits) {
+                return;
+            }
+            drop(decision_loop);
+            std::thread::sleep(HAND_OVER / 100);
+        }
     }
 
     fn report_stall(&mut self) {

@@ -1,7 +1,9 @@
 //! Messages about an array other than its telemetry, and this controller's standing towards it.
 
 use heliostat_proto::stop_hold::{HeldStop, unknown_stops};
-use heliostat_proto::{Capabilities, EmergencyStop, LatchedStopReport, Nanos, SafetyReport, StopReport, ValidityClock};
+use heliostat_proto::{
+    Capabilities, EmergencyStop, LatchedStopReport, Nanos, NodeKind, SafetyReport, StopReport, ValidityClock,
+};
 
 use super::Controller;
 use crate::output::{capabilities::Unfit, tenure::Tenure};
@@ -126,6 +128,13 @@ impl Controller {
     /// Whether this controller commands an array or stands by.
     pub fn tenure(&self, array: usize) -> &Tenure {
         &self.arrays[array].guard.tenure
+    }
+
+    /// Notes that another controller is in the room or has left it.
+    pub(super) fn note_controller(&mut self, node: NodeKind, source: u64, is_present: bool) {
+        if node == NodeKind::Controller {
+            self.arrays.iter_mut().for_each(|array| array.guard.tenure.handle_controller(source, is_present));
+        }
     }
 
     /// Whether the last decision gave a command to an array, unless it gave none at all.

@@ -9,27 +9,38 @@
 //! ```text
 //!                                    locked out: a new epoch
 //!                                        +------+
-//!                                        |      v      telemetry: a higher epoch
-//!         +---------+ first command  +---------+-------------------------------->+---------+
-//! ------->| Waiting |--------------->| Leading |                                 | Standby |
-//!         +---------+                +---------+<--------------------------------+---------+
-//!                                      telemetry no longer shows a higher epoch, or is
-//!                                      absent: the same epoch;
-//!                                      the array accepts no command: a new epoch
+//!             first report, no           |      v      telemetry: a higher epoch
+//!         +---------+ valid command   +---------+-------------------------------->+---------+
+//! ------->| Waiting |---------------->| Leading |                                 | Standby |
+//!         +---------+                 +---------+<--------------------------------+---------+
+//!              |                        reports without an accepted command, or      ^
+//!              |                        the leader has left: a new epoch             |
+//!              |                        no higher epoch, or no telemetry: the same   |
+//!              +---------------------------------------------------------------------+
+//!                 first report, and the array follows another controller
 //! ```
 //!
 //! | standing | commands |
 //! | --- | --- |
 //! | Waiting | the first one chooses an epoch above UTC and above every epoch that the array reported |
 //! | Leading | sent |
-//! | Standby | withheld |
+//! | Standby | withheld; the belief about the users goes on |
 //!
-//! - **A start takes over**: the first epoch of a controller may be too low, because telemetry came
-//!   after its first command. Before the array has obeyed it, it answers one higher epoch by a new
-//!   epoch of its own, and stands by from the second on.
-//! - **Standby ends** with a new epoch when reports arrive that this controller would answer, and
-//!   the array has accepted no command for [`PATIENCE_NS`] plus a spread that differs between
-//!   controllers. While the commands of another controller are accepted, it stands by.
+//! - **A start beside a leader stands by**: at the first report the array follows a valid command of
+//!   another controller. Otherwise the controller leads. The telemetry of an array that was commanded
+//!   before is awaited for [`FIRST_TELEMETRY_NS`] at most. Its first epoch may be too low, because
+//!   telemetry came after its first command. Before the array has obeyed it, it answers one higher
+//!   epoch by a new epoch of its own, and stands by from the second on.
+//! - **Takeover**: a report is unanswered if telemetry that came half a report interval or more after
+//!   it shows no further accepted command. After as many unanswered reports in sequence as its rank,
+//!   a standby takes a new epoch and answers the report that is due. A leader whose liveliness token
+//!   has ended counts as one unanswered report. The rank is 1 plus the number of other standbys with
+//!   a lower source id, or given by the operator.
+//! - **Contested takeover**: if the array then refuses commands of a lower epoch, the former leader
+//!   was not gone. Each such takeover in sequence adds one to the reports that must be unanswered, up
+//!   to [`BACK_OFF_MAX`].
+//! - **Last resort**: telemetry that is too sparse to judge reports ends a standby too, when the array
+//!   has accepted no command for [`PATIENCE_NS`] plus a spread that differs between controllers.
 //! - **Locked out**: a leading controller sends commands, the array accepts none for
 //!   [`PATIENCE_NS`], and its counters of refusals rise. Or telemetry shows a sequence in its own
 //!   epoch that it never sent: another sender uses the epoch. A new epoch ends both.
@@ -38,7 +49,8 @@
 //!   each fail in one of them only. The pause doubles from the third attempt on, up to
 //!   [`PAUSE_MAX`] times.
 //! - **Epochs are unique**: each controller uses only epochs with its own remainder modulo
-//!   [`EPOCH_SLOTS`]. Two controllers that choose at the same time choose different epochs.
+//!   [`EPOCH_SLOTS`], which also names the leader. Two controllers that choose at the same time choose
+//!   different epochs.
 //!
 //! The latest telemetry alone counts: an epoch that one message claims is forgotten with the next.
 //! Nothing here ends a process.
@@ -61,6 +73,21 @@ const TELEMETRY_TIMEOUT_NS: Nanos = 1_000_000_000;
 /// Commands that must have been due before a new epoch, so that one lost message is no reason.
 const DUE_MIN: u8 = 3;
 
+/// Most unanswered reports that contested takeovers add to the rank.
+pub const BACK_OFF_MAX: u8 = 8;
+
+/// A pause of the reports, in report intervals, after which the observation of the leader begins again.
+const WATCH_GAP: u64 = 3;
+
+/// Longest wait of a start for telemetry: twice the longest interval between two messages.
+pub const FIRST_TELEMETRY_NS: Nanos = 200_000_000;
+
+/// Accepted commands after which a takeover is no longer contested.
+const SETTLED: u64 = 8;
+
+/// Other controllers that are known; the rank counts no more.
+const PEERS_MAX: usize = 16;
+
 /// How the epoch is chosen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum Rule {
@@ -69,7 +96,7 @@ enum Rule {
     /// One epoch; stands by while another sender's commands are followed.
     Lockstep,
     /// As in the diagram.
-    Live { slot: u64, gap_ns: Nanos },
+    Live { source: u64, interval_ns: Nanos },
 }
 
 /// Whether the controller commands.
@@ -91,7 +118,7 @@ pub enum TenureEvent {
     /// Telemetry shows no higher epoch, or is absent: standby ends, with the same epoch.
     Resumed,
     /// A new epoch: the controller has just started, or it ends a standby in which the array
-    /// accepted no command.
+    /// accepted no command or the leader left.
     TookOver,
     /// The array refused every command: a new epoch.
     LockedOut,
@@ -99,12 +126,24 @@ pub enum TenureEvent {
     ForeignSequence,
     /// The array refused every command as expired: the clocks differ. The epoch stays.
     ClocksDiffer,
+    /// The array follows another controller at the first report: standby begins.
+    StoodBy,
+    /// The former leader still commands after a takeover.
+    Contested,
 }
 
 impl TenureEvent {
     /// All events, in the order of their counters.
-    pub const ALL: [Self; 6] =
-        [Self::Superseded, Self::Resumed, Self::TookOver, Self::LockedOut, Self::ForeignSequence, Self::ClocksDiffer];
+    pub const ALL: [Self; 8] = [
+        Self::Superseded,
+        Self::Resumed,
+        Self::TookOver,
+        Self::LockedOut,
+        Self::ForeignSequence,
+        Self::ClocksDiffer,
+        Self::StoodBy,
+        Self::Contested,
+    ];
 
     /// The name in counters.
     pub fn name(self) -> &'static str {
@@ -115,6 +154,8 @@ impl TenureEvent {
             Self::LockedOut => "locked-out",
             Self::ForeignSequence => "foreign-sequence",
             Self::ClocksDiffer => "clocks-differ",
+            Self::StoodBy => "stood-by",
+            Self::Contested => "contested",
         }
     }
 }
@@ -134,6 +175,8 @@ pub struct Evidence {
     pub expired: u64,
     /// An emergency stop is latched.
     pub stopped: bool,
+    /// The last command is valid.
+    pub following: bool,
 }
 
 impl From<&MirrorTelemetry> for Evidence {
@@ -146,6 +189,7 @@ impl From<&MirrorTelemetry> for Evidence {
             refused: counters.rejected.saturating_add(counters.old_epoch).saturating_add(counters.old_sequence),
             expired: counters.expired,
             stopped: telemetry.state == ArrayState::Stopped,
+            following: telemetry.state == ArrayState::Following,
         }
     }
 }
@@ -161,11 +205,41 @@ struct Unaccepted {
     before: Evidence,
 }
 
+/// What a standby has seen of the leader.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
+struct Watch {
+    /// The report whose answer is awaited, and the commands accepted until then.
+    awaited: Option<(Nanos, u64)>,
+    /// The last report.
+    last_ns: Nanos,
+    /// Reports without an accepted command, in sequence.
+    unanswered: u8,
+    /// The liveliness token of the leader has ended.
+    has_left: bool,
+}
+
+/// The evidence at a takeover, until it is settled or contested.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+struct Takeover {
+    refused: u64,
+    accepted: u64,
+}
+
 /// The epoch of one controller.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Tenure {
     rule: Rule,
     standing: Standing,
+    /// The rank that the operator gave.
+    rank: Option<u8>,
+    /// A standby from the start, whatever the array follows.
+    is_reserve: bool,
+    /// Source ids of the other controllers in the room.
+    peers: Vec<u64>,
+    watch: Watch,
+    takeover: Option<Takeover>,
+    /// Contested takeovers in sequence.
+    back_off: u8,
     epoch: u64,
     /// Highest sequence number sent in this epoch.
     sent: u64,
@@ -186,6 +260,12 @@ impl Tenure {
         Self {
             rule: Rule::Fixed,
             standing: Standing::Leading,
+            rank: None,
+            is_reserve: false,
+            peers: Vec::new(),
+            watch: Watch::default(),
+            takeover: None,
+            back_off: 0,
             epoch,
             sent: 0,
             seen: None,
@@ -204,8 +284,13 @@ impl Tenure {
     /// For a live room, in which a report is due every `interval_ns`. `source` is the random id of
     /// the controller.
     pub fn live(source: u64, interval_ns: Nanos) -> Self {
-        let gap_ns = interval_ns.saturating_mul(3).saturating_add(PATIENCE_NS / 4);
-        Self { rule: Rule::Live { slot: source % EPOCH_SLOTS, gap_ns }, standing: Standing::Waiting, ..Self::fixed(0) }
+        Self { rule: Rule::Live { source, interval_ns }, standing: Standing::Waiting, ..Self::fixed(0) }
+    }
+
+    /// Stands by from the start, with this rank from 1, or the rank by source ids.
+    #[must_use]
+    pub fn in_reserve(self, rank: Option<u8>) -> Self {
+        Self { rank, is_reserve: true, ..self }
     }
 
     /// Whether the controller commands.
@@ -236,23 +321,33 @@ impl Tenure {
         }
     }
 
+    /// Whether another controller is in the room.
+    pub fn has_peers(&self) -> bool {
+        !self.peers.is_empty()
+    }
+
+    /// Another controller is in the room, or has left it.
+    pub fn handle_controller(&mut self, peer: u64, is_present: bool) {
+        let Rule::Live { source, .. } = self.rule else { return };
+        if peer == source {
+            return;
+        }
+        self.peers.retain(|known| *known != peer);
+        if is_present && self.peers.len() < PEERS_MAX {
+            self.peers.push(peer);
+        }
+        self.watch.has_left |= !is_present && self.standing == Standing::Standby && self.leads(peer);
+    }
+
     /// A command is due at `now`: its epoch, or `None` in standby.
     ///
-    /// The event is the end of a standby because telemetry is absent.
+    /// The event is the begin or the end of a standby.
     pub fn permit(&mut self, now: Nanos) -> (Option<u64>, Option<TenureEvent>) {
-        let mut event = None;
-        match self.standing {
-            Standing::Waiting => {
-                self.epoch = self.first_epoch(now);
-                self.is_new = true;
-                self.standing = Standing::Leading;
-            }
-            Standing::Standby if !self.is_current(now) => {
-                self.standing = Standing::Leading;
-                event = Some(TenureEvent::Resumed);
-            }
-            Standing::Leading | Standing::Standby => {}
-        }
+        let event = match self.standing {
+            Standing::Waiting => self.start(now),
+            Standing::Standby => self.watch_leader(now),
+            Standing::Leading => None,
+        };
         self.note_due(now);
         ((self.standing == Standing::Leading).then_some(self.epoch), event)
     }
@@ -275,6 +370,111 @@ impl Tenure {
         }
     }
 
+    /// The first report: leads, or stands by for the controller that the array follows. The telemetry
+    /// of an array that was commanded before is awaited.
+    fn start(&mut self, now: Nanos) -> Option<TenureEvent> {
+        let (first_ns, _) = *self.watch.awaited.get_or_insert((now, 0));
+        if self.seen.is_none() && self.announced > 0 && now.abs_diff(first_ns) < FIRST_TELEMETRY_NS {
+            return None;
+        }
+        let is_led = self.is_current(now) && self.seen.is_some_and(|(_, evidence)| evidence.following);
+        if is_led || self.is_reserve {
+            self.stand_by();
+            return Some(TenureEvent::StoodBy);
+        }
+        self.lead_first(now);
+        None
+    }
+
+    /// A report is due in standby: judges whether the leader has answered the awaited one.
+    fn watch_leader(&mut self, now: Nanos) -> Option<TenureEvent> {
+        if !self.is_current(now) {
+            return Some(self.resume(now));
+        }
+        let (Rule::Live { interval_ns, .. }, Some((shown_ns, shown))) = (self.rule, self.seen) else { return None };
+        let rank = self.rank();
+        let watch = &mut self.watch;
+        let since_last_ns = now.abs_diff(std::mem::replace(&mut watch.last_ns, now));
+        let is_paused = shown.stopped || since_last_ns > interval_ns.saturating_mul(WATCH_GAP);
+        let Some((since_ns, accepted)) = watch.awaited.filter(|_| !is_paused) else {
+            watch.awaited = Some((now, shown.accepted));
+            watch.unanswered = 0;
+            return None;
+        };
+        let is_answered = shown.accepted > accepted;
+        if shown_ns >= since_ns.saturating_add(interval_ns / 2) {
+            watch.unanswered = if is_answered { 0 } else { watch.unanswered.saturating_add(1) };
+            watch.awaited = Some((now, shown.accepted));
+        }
+        if watch.unanswered + u8::from(watch.has_left) < rank {
+            // An answer that came before the token ended shows no leader.
+            watch.has_left &= !is_answered;
+            return None;
+        }
+        // A leader whose token has ended may command until its successor is obeyed.
+        let is_certain = watch.has_left;
+        self.takeover = (!is_certain).then_some(Takeover { refused: shown.refused, accepted: shown.accepted });
+        self.renew(now, shown);
+        self.lead();
+        Some(TenureEvent::TookOver)
+    }
+
+    /// Unanswered reports after which this standby takes over.
+    fn rank(&self) -> u8 {
+        let Rule::Live { source, .. } = self.rule else { return u8::MAX };
+        let is_before = |peer: &&u64| **peer < source && !self.leads(**peer);
+        let rank = self.rank.unwrap_or_else(|| 1 + self.peers.iter().filter(is_before).count() as u8);
+        rank.max(1).saturating_add(self.back_off)
+    }
+
+    /// Whether the array follows a controller with this source id, by its epoch.
+    fn leads(&self, peer: u64) -> bool {
+        self.followed_epoch().is_some_and(|epoch| epoch % EPOCH_SLOTS == peer % EPOCH_SLOTS)
+    }
+
+    fn stand_by(&mut self) {
+        self.standing = Standing::Standby;
+        self.unaccepted = None;
+        self.watch = Watch::default();
+    }
+
+    fn lead(&mut self) {
+        self.standing = Standing::Leading;
+        self.unaccepted = None;
+    }
+
+    fn lead_first(&mut self, now: Nanos) {
+        self.epoch = self.first_epoch(now);
+        self.is_new = true;
+        self.lead();
+    }
+
+    /// Ends a standby with the own epoch, if there is one.
+    fn resume(&mut self, now: Nanos) -> TenureEvent {
+        if self.epoch == 0 {
+            self.lead_first(now);
+            return TenureEvent::TookOver;
+        }
+        self.lead();
+        TenureEvent::Resumed
+    }
+
+    /// Whether a takeover proves to be contested.
+    fn is_contested(&mut self, evidence: Evidence) -> bool {
+        let Some(Takeover { refused, accepted }) = self.takeover.filter(|_| evidence.epoch == self.epoch) else {
+            return false;
+        };
+        let is_contested = evidence.refused > refused;
+        if is_contested {
+            self.back_off = BACK_OFF_MAX.min(self.back_off + 1);
+            self.takeover = None;
+        } else if evidence.accepted >= accepted + SETTLED {
+            self.back_off = 0;
+            self.takeover = None;
+        }
+        is_contested
+    }
+
     fn compare_leading(&mut self, now: Nanos, evidence: Evidence) -> Option<TenureEvent> {
         let is_foreign = self.is_foreign_sequence(evidence);
         let is_superseded = evidence.epoch > self.epoch;
@@ -285,13 +485,15 @@ impl Tenure {
             return Some(TenureEvent::TookOver);
         }
         if is_superseded || (is_foreign && self.rule == Rule::Lockstep) {
-            self.standing = Standing::Standby;
-            self.unaccepted = None;
+            self.stand_by();
             return Some(TenureEvent::Superseded);
         }
         if is_foreign {
             self.renew(now, evidence);
             return Some(TenureEvent::ForeignSequence);
+        }
+        if self.is_contested(evidence) {
+            return Some(TenureEvent::Contested);
         }
         let before = self.unaccepted_for(now, 0)?;
         if evidence.refused > before.refused {
@@ -303,15 +505,13 @@ impl Tenure {
     }
 
     fn compare_standby(&mut self, now: Nanos, evidence: Evidence) -> Option<TenureEvent> {
-        if evidence.epoch <= self.epoch && !self.is_foreign_sequence(evidence) {
-            self.standing = Standing::Leading;
-            self.unaccepted = None;
-            return Some(TenureEvent::Resumed);
+        if self.epoch > 0 && evidence.epoch <= self.epoch && !self.is_foreign_sequence(evidence) {
+            return Some(self.resume(now));
         }
-        let Rule::Live { slot, .. } = self.rule else { return None };
-        self.unaccepted_for(now, slot * 1_000_000)?;
+        let Rule::Live { source, .. } = self.rule else { return None };
+        self.unaccepted_for(now, source % EPOCH_SLOTS * 1_000_000)?;
         self.renew(now, evidence);
-        self.standing = Standing::Leading;
+        self.lead();
         Some(TenureEvent::TookOver)
     }
 
@@ -327,7 +527,8 @@ impl Tenure {
 
     /// Counts a command that is due. A pause of the reports, and a step of the clock, begin again.
     fn note_due(&mut self, now: Nanos) {
-        let Rule::Live { gap_ns, .. } = self.rule else { return };
+        let Rule::Live { interval_ns, .. } = self.rule else { return };
+        let gap_ns = interval_ns.saturating_mul(3).saturating_add(PATIENCE_NS / 4);
         let Some((_, before)) = self.seen else { return };
         match &mut self.unaccepted {
             Some(unaccepted) if now.checked_sub(unaccepted.last_ns).is_some_and(|gap| gap <= gap_ns) => {
@@ -369,8 +570,8 @@ impl Tenure {
 
     /// The lowest epoch of this controller above a base; `None` where there is none.
     fn above(&self, base: u64) -> Option<u64> {
-        let Rule::Live { slot, .. } = self.rule else { return base.checked_add(1) };
+        let Rule::Live { source, .. } = self.rule else { return base.checked_add(1) };
         let next = base.checked_add(1)?;
-        next.checked_add((slot + EPOCH_SLOTS - next % EPOCH_SLOTS) % EPOCH_SLOTS)
+        next.checked_add((source % EPOCH_SLOTS + EPOCH_SLOTS - next % EPOCH_SLOTS) % EPOCH_SLOTS)
     }
 }

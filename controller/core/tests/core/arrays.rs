@@ -219,8 +219,8 @@ fn each_array_has_an_epoch_of_its_own() {
     let scenario = two_arrays();
     let room_of = controller(&scenario, Box::new(Reaching)).with_tenure(Tenure::live(3, 10 * MS));
     let (mut controller, mut room) = (room_of, Room::new(&scenario));
-    // The second array follows another controller, with a higher epoch than any by the clock.
-    let mut followed = telemetry(1, 1, 1, ArrayState::Following);
+    // The second array followed another controller, with a higher epoch than any by the clock.
+    let mut followed = telemetry(1, 1, 1, ArrayState::Parked);
     followed.epoch = 1 << 50;
     receive(&mut controller, Room::time(1), Message::Telemetry(1, &mut followed));
     report(&mut controller, 0, 1, 1, ArrayState::Parked);

@@ -385,20 +385,21 @@ fn describe_absence(without_driver: &[usize], arrays: usize) -> String {
 }
 
 fn is_alarm(event: TenureEvent) -> bool {
-    !matches!(event, TenureEvent::Resumed | TenureEvent::TookOver)
+    use TenureEvent::{Resumed, StoodBy, Superseded, TookOver};
+    !matches!(event, Resumed | StoodBy | Superseded | TookOver)
 }
 
 fn describe_event(event: TenureEvent, tenure: &Tenure) -> String {
     let epoch = tenure.epoch();
     match event {
         TenureEvent::Superseded => format!(
-            "another controller (epoch {}) has superseded this one (epoch {epoch}): commands are withheld until the array accepts none of the other; stop one of the two, or keep this one as a reserve",
+            "another controller (epoch {}) has superseded this one (epoch {epoch}), which stands by: it takes over when reports stay without an accepted command",
             tenure.followed_epoch().unwrap_or_default()
         ),
         TenureEvent::Resumed => format!("standby has ended: the array follows no higher epoch than {epoch}"),
         TenureEvent::TookOver => {
             format!(
-                "this controller takes over with the new epoch {epoch}: it has just started, or the array accepted no command of another"
+                "this controller takes over with the new epoch {epoch}: the array accepted no command of another, or the other has left"
             )
         }
         TenureEvent::LockedOut => format!(
@@ -410,6 +411,16 @@ fn describe_event(event: TenureEvent, tenure: &Tenure) -> String {
         TenureEvent::ClocksDiffer => {
             "the array refused every command for 1 s as expired: synchronise the clocks of controller and driver".into()
         }
+        TenureEvent::StoodBy => {
+            let followed = match tenure.followed_epoch().filter(|epoch| *epoch > 0) {
+                Some(epoch) => format!("the array follows another controller (epoch {epoch})"),
+                None => "started with --standby".into(),
+            };
+            format!("{followed}: this one stands by, and takes over when reports stay without an accepted command")
+        }
+        TenureEvent::Contested => format!(
+            "the former leader still commands after the takeover (epoch {epoch}): the array refuses it. Look for a slow controller, or a link that loses its commands"
+        ),
     }
 }
 

@@ -74,6 +74,38 @@ impl Browser {
         Some(browser)
     }
 
+    /// The handle of the tab that scripts and clicks reach.
+    ///
+    /// # Panics
+    /// When the browser refuses.
+    pub fn tab(&self) -> String {
+        let handle: Value = ureq::get(format!("{}/window", self.session))
+            .call()
+            .and_then(|mut answer| answer.body_mut().read_json())
+            .unwrap_or_else(|error| panic!("no tab: {error}"));
+        handle["value"].as_str().expect("a handle").to_owned()
+    }
+
+    /// Opens an address in another tab, which scripts and clicks then reach; returns its handle.
+    ///
+    /// # Panics
+    /// When the browser refuses.
+    pub fn open_tab(&self, url: &str) -> String {
+        let opened = self.command("window/new", &json!({ "type": "tab" }));
+        let tab = opened["handle"].as_str().expect("a handle").to_owned();
+        self.switch_to(&tab);
+        self.command("url", &json!({ "url": url }));
+        tab
+    }
+
+    /// Lets scripts and clicks reach another tab.
+    ///
+    /// # Panics
+    /// When there is no such tab.
+    pub fn switch_to(&self, tab: &str) {
+        self.command("window", &json!({ "handle": tab }));
+    }
+
     /// Clicks the element of a CSS selector, once it exists and is enabled.
     ///
     /// # Panics

@@ -6,6 +6,8 @@ import { View3D } from "./view3d.js";
 
 export const SWITCHES = ["wall", "beams", "paths", "heat", "belief"];
 const HEAT_EVERY_MS = 1000;
+// A map that is not there by then is given up.
+const HEAT_LIMIT_MS = 4000;
 
 export class Room {
   constructor(element, plan) {
@@ -62,7 +64,7 @@ export class Room {
     let map = null;
     if (this.shown.heat) {
       try {
-        const answer = await fetch(`/floor.json?mirrors=${this.shown.wall ? 1 : 0}`);
+        const answer = await fetch(`floor.json?mirrors=${this.shown.wall ? 1 : 0}`, { signal: AbortSignal.timeout(HEAT_LIMIT_MS) });
         if (answer.ok) map = await answer.json();
       } catch {
         // Without a connection there is no map; the banner says so.

@@ -15,7 +15,7 @@ use zenoh::sample::{Sample, SampleKind};
 use crate::bounded_session::BoundedSession;
 use crate::config::{BusConfig, Reach};
 use crate::error::BusError;
-use crate::tls_check::{TlsCheck, connections, first_problem};
+use crate::tls_check::{TlsCheck, accepts, connections, first_problem};
 
 /// Time between two looks for a connection.
 const CONNECTED_EVERY: Duration = Duration::from_millis(20);
@@ -121,6 +121,11 @@ impl Bus {
             std::thread::sleep(CONNECTED_EVERY);
         }
         true
+    }
+
+    /// Whether any process accepts connections at an endpoint of the configuration.
+    pub fn has_listener(config: &BusConfig) -> bool {
+        config.connect.iter().any(|endpoint| accepts(endpoint))
     }
 
     /// Looks now for the reason why a TLS connection to an endpoint of the configuration fails.

@@ -90,6 +90,20 @@ pub(crate) fn connections(session: &zenoh::Session) -> usize {
     info.peers_zid().wait().count() + info.routers_zid().wait().count()
 }
 
+/// Whether a process accepts connections at an endpoint. One of a protocol without connections may.
+pub(crate) fn accepts(endpoint: &str) -> bool {
+    let Ok(parsed) = endpoint.parse::<EndPoint>() else { return false };
+    let address = parsed.address().as_str().to_owned();
+    match parsed.protocol().as_str() {
+        "tcp" | "tls" => {
+            let found = address.to_socket_addrs().ok().and_then(|mut found| found.next());
+            found.is_some_and(|at| TcpStream::connect_timeout(&at, STEP_LIMIT).is_ok())
+        }
+        "unixsock-stream" => std::os::unix::net::UnixStream::connect(address).is_ok(),
+        _ => true,
+    }
+}
+
 /// The first fault of the endpoints that answer.
 pub(crate) fn first_problem(identity: &Identity, endpoints: &[String]) -> Option<String> {
     endpoints.iter().find_map(|endpoint| problem(identity, endpoint))

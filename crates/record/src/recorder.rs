@@ -137,8 +137,12 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Outcome> {
     while let Ok(item) = queue.try_recv() {
         writer.take(item);
     }
+    let refused = bus.connection_problem();
     bus.close()?;
     let mut outcome = writer.finish(dropped.load(Ordering::Relaxed));
+    if outcome.account.messages() == 0 && refused.is_some() {
+        outcome.failure = refused;
+    }
     if let Some(mut ring) = ring {
         if outcome.file.exists()
             && let Err(error) = ring.close(Instant::now())

@@ -16,7 +16,10 @@ export class Live {
     const worker = new SharedWorker("worker.js", { type: "module" });
     // Without the worker, for example because the browser cannot load it, the tab has a stream of its own.
     worker.onerror = () => { if (!this.isReached) this.own(); };
-    worker.port.onmessage = ({ data }) => this.take(data.kind, data.text);
+    worker.port.onmessage = ({ data }) => {
+      document.documentElement.dataset.stream = "shared";
+      this.take(data.kind, data.text);
+    };
     addEventListener("pageshow", () => worker.port.postMessage("here"));
     addEventListener("pagehide", () => worker.port.postMessage("gone"));
     worker.port.postMessage("here");
@@ -24,6 +27,7 @@ export class Live {
 
   // A stream of this tab alone.
   own() {
+    document.documentElement.dataset.stream = "own";
     new Stream((kind, text) => this.take(kind, text));
   }
 

@@ -2,11 +2,12 @@
 import { Stream } from "./stream.js";
 
 const tabs = new Set();
+// The newest of the events that are sent on a change only, for a tab that comes later.
+const last = new Map();
 let stream = null;
-let mode = null;
 
 function deliver(kind, text) {
-  if (kind === "mode") mode = text;
+  if (kind === "mode" || kind === "log") last.set(kind, text);
   for (const port of tabs) port.postMessage({ kind, text });
 }
 
@@ -16,5 +17,5 @@ onconnect = ({ ports: [port] }) => {
     else tabs.add(port);
     stream ??= new Stream(deliver);
   };
-  if (mode) port.postMessage({ kind: "mode", text: mode });
+  for (const [kind, text] of last) port.postMessage({ kind, text });
 };

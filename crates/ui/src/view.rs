@@ -71,6 +71,8 @@ pub struct View {
     pub(crate) opened: Instant,
     chooser: RoomChooser,
     received: Arc<Mutex<Received>>,
+    /// The session, for the reason of a connection that fails.
+    bus: Bus,
     _subscriptions: Vec<Subscription>,
 }
 
@@ -85,7 +87,8 @@ impl View {
         let chooser = RoomChooser::new(scenario)?;
         let received: Arc<Mutex<Received>> = Arc::default();
         let subscriptions = subscribe(bus, &received)?;
-        Ok(Self { opened: Instant::now(), chooser, received, _subscriptions: subscriptions })
+        let bus = bus.enter(bus.room().clone());
+        Ok(Self { opened: Instant::now(), chooser, received, bus, _subscriptions: subscriptions })
     }
 
     /// Whether messages of the room and of a controller have arrived.
@@ -101,9 +104,10 @@ impl View {
     }
 
     /// What the user should know about the room: differing scenarios, an unknown geometry, commands
-    /// without a driver.
+    /// without a driver, a connection that fails because of a certificate.
     pub fn notes(&self) -> Vec<String> {
         let (room, mut notes) = self.chooser.choose(self.announcements());
+        notes.extend(self.bus.connection_problem());
         if room.source == GeometrySource::Default && notes.is_empty() && self.opened.elapsed() > ANNOUNCED_WITHIN {
             notes.push(format!(
                 "no process announces the geometry of the room: the picture shows the scenario {}; give --scenario FILE",

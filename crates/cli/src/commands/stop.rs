@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail, ensure};
-use heliostat_bus::{AccessRole, Bus, BusArgs};
+use heliostat_bus::{AccessRole, Bus, BusArgs, BusConfig};
 use heliostat_proto::StopName;
 use heliostat_service::printable::printable;
 use heliostat_service::{EndArgs, duration, output};
@@ -141,18 +141,36 @@ impl OrderArgs {
     fn join(&self, roles: &[AccessRole], waits: bool) -> Result<(Bus, StopSwitch)> {
         let config = self.bus.config_or_connect(roles)?;
         let bus = Bus::open(&config)?;
-        if config.listen.is_empty() && !waits && !bus.wait_connected(CONNECTED_WITHIN) {
-            let endpoints = config.connect.join(", ");
-            let reason =
-                Bus::find_connection_problem(&config).unwrap_or_else(|| format!("no process answers at {endpoints}"));
-            bail!(
-                "{reason}. Nothing was sent: give --connect the endpoint of the controller, of the driver or of their router"
-            );
+        if config.listen.is_empty() && !waits {
+            self.check_connected(&bus, &config)?;
         }
         let user = || std::env::var("USER").unwrap_or_else(|_| "operator".into());
         let operator = self.operator.clone().unwrap_or_else(user);
         let switch = StopSwitch::new(&bus, &operator)?;
         Ok((bus, switch))
+    }
+
+    /// Fails without a connection: soon where no process listens, and after the timeout where one accepts
+    /// connections, for it may be slow.
+    fn check_connected(&self, bus: &Bus, config: &BusConfig) -> Result<()> {
+        if bus.wait_connected(CONNECTED_WITHIN) {
+            return Ok(());
+        }
+        let endpoints = config.connect.join(", ");
+        let reason = match Bus::find_connection_problem(config) {
+            Some(problem) => problem,
+            None if Bus::has_listener(config) => {
+                output::note(format_args!("the process at {endpoints} accepts connections and has not answered yet"));
+                if bus.wait_connected(self.timeout) {
+                    return Ok(());
+                }
+                format!("the process at {endpoints} does not answer as a process of a room")
+            }
+            None => format!("no process answers at {endpoints}"),
+        };
+        bail!(
+            "{reason}. Nothing was sent: give --connect the endpoint of the controller, of the driver or of their router"
+        )
     }
 
     fn report(&self, bus: &Bus, outcome: &str, took: Duration, stops: &[ShownStop]) -> Result<()> {

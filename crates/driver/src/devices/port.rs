@@ -263,7 +263,7 @@ impl Port {
         is_answer: impl Fn(&str) -> bool,
     ) -> Result<String, DeviceError> {
         let begun = Instant::now();
-        let (mut repeat_at, mut quiet_since) = (begun, begun);
+        let (mut repeat_at, mut sent_at, mut talks_since) = (begun, begun, begun);
         // The answers to stops before the first question come before its answer.
         let expected = std::mem::take(&mut self.unanswered);
         let (mut asked, mut others, mut other) = (0, 0, None);
@@ -286,10 +286,15 @@ impl Port {
                 self.write(question)?;
                 (asked, repeat_at) = (asked + 1, now + REPEAT);
             }
-            if self.fill(repeat_at.min(now + QUIET))? == 0 {
-                quiet_since = Instant::now();
-            } else if quiet_since.elapsed() > TALK_LIMIT {
-                return Err(self.endless());
+            if self.fill(repeat_at.min(now + QUIET))? > 0 {
+                let now = Instant::now();
+                if now.duration_since(sent_at) > QUIET {
+                    talks_since = now;
+                }
+                sent_at = now;
+                if now.duration_since(talks_since) > TALK_LIMIT {
+                    return Err(self.endless());
+                }
             }
         }
     }

@@ -112,7 +112,11 @@ impl Browser {
     /// When that takes longer than the time limit.
     pub fn click(&self, selector: &str) {
         wait_until(&format!("{selector} that can be clicked"), || {
-            let enabled = format!("return document.querySelector({selector:?})?.disabled === false");
+            // In the middle of the window, where no bar of the page lies above it.
+            let enabled = format!(
+                "const element = document.querySelector({selector:?}); element?.scrollIntoView({{ block: 'center' }}); \
+                 return element?.disabled === false"
+            );
             self.run(&enabled) == true && self.element(selector, "click", &json!({})).is_some()
         });
     }

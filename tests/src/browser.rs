@@ -74,13 +74,49 @@ impl Browser {
         Some(browser)
     }
 
+    /// The handle of the tab that scripts and clicks reach.
+    ///
+    /// # Panics
+    /// When the browser refuses.
+    pub fn tab(&self) -> String {
+        let handle: Value = ureq::get(format!("{}/window", self.session))
+            .call()
+            .and_then(|mut answer| answer.body_mut().read_json())
+            .unwrap_or_else(|error| panic!("no tab: {error}"));
+        handle["value"].as_str().expect("a handle").to_owned()
+    }
+
+    /// Opens an address in another tab, which scripts and clicks then reach; returns its handle.
+    ///
+    /// # Panics
+    /// When the browser refuses.
+    pub fn open_tab(&self, url: &str) -> String {
+        let opened = self.command("window/new", &json!({ "type": "tab" }));
+        let tab = opened["handle"].as_str().expect("a handle").to_owned();
+        self.switch_to(&tab);
+        self.command("url", &json!({ "url": url }));
+        tab
+    }
+
+    /// Lets scripts and clicks reach another tab.
+    ///
+    /// # Panics
+    /// When there is no such tab.
+    pub fn switch_to(&self, tab: &str) {
+        self.command("window", &json!({ "handle": tab }));
+    }
+
     /// Clicks the element of a CSS selector, once it exists and is enabled.
     ///
     /// # Panics
     /// When that takes longer than the time limit.
     pub fn click(&self, selector: &str) {
         wait_until(&format!("{selector} that can be clicked"), || {
-            let enabled = format!("return document.querySelector({selector:?})?.disabled === false");
+            // In the middle of the window, where no bar of the page lies above it.
+            let enabled = format!(
+                "const element = document.querySelector({selector:?}); element?.scrollIntoView({{ block: 'center' }}); \
+                 return element?.disabled === false"
+            );
             self.run(&enabled) == true && self.element(selector, "click", &json!({})).is_some()
         });
     }

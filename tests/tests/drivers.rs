@@ -36,6 +36,28 @@ fn the_simulated_array_keeps_every_rule() {
 }
 
 #[test]
+fn a_configuration_that_no_device_can_have_ends_the_driver_at_once() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("array.toml");
+    for (address, expected) in [
+        ("serial:/dev/ttyUSB0@250000", "invalid speed \"250000\""),
+        ("serial:.", "expected a serial port"),
+        ("tcp:127.0.0.1:board", "expected a number from 1 to 65535"),
+    ] {
+        let board = format!(
+            "kind = \"servo-board\"\naddress = \"{address}\"\nmin_deg = -30.0\nmax_deg = 30.0\nmirrors = [0]\n"
+        );
+        std::fs::write(&file, format!("rows = 1\ncolumns = 1\n[[boards]]\n{board}")).expect("a file");
+        let endpoint = private_endpoint().expect("an endpoint");
+        let ended =
+            Process::heliostat(&["driver", "run", "--config", &file.display().to_string(), "--listen", &endpoint])
+                .wait();
+        assert_eq!(ended.status.code(), Some(2), "{}", ended.errors);
+        assert!(ended.errors.contains(expected), "{}", ended.errors);
+    }
+}
+
+#[test]
 fn a_check_of_an_empty_room_is_refused() {
     let endpoint = private_endpoint().unwrap();
     let ended = Process::heliostat(&["driver", "check", "--room", "empty", "--listen", &endpoint]).wait();

@@ -103,6 +103,26 @@ fn requests_of_other_origins_are_refused() {
 }
 
 #[test]
+fn a_page_behind_a_proxy_says_whether_orders_are_accepted() {
+    let public = "https://mirrors.example.org";
+    let setting = Setting::new(&["--policy", "flat", "--ui-origin", &format!("{public}/lab/room1/")]);
+    assert!(setting.demo.errors().contains("through a proxy at https://mirrors.example.org/lab/room1/"));
+    let json = ("Content-Type", "application/json");
+    for host in [setting.host.as_str(), "mirrors.example.org"] {
+        let check = |origin: &str| setting.request("POST", "/check", &[("Host", host), ("Origin", origin)], "");
+        assert!(setting.request("GET", "/", &[("Host", host)], "").starts_with("HTTP/1.1 200"), "{host}");
+        assert!(check(public).starts_with("HTTP/1.1 204"), "{host}: {}", check(public));
+        let refused = check("https://other.example.org");
+        assert!(
+            refused.starts_with("HTTP/1.1 403") && refused.contains("--ui-origin https://other.example.org"),
+            "{refused}"
+        );
+        let headers = [("Host", host), json, ("Origin", public)];
+        assert!(setting.request("POST", "/order", &headers, "{}").starts_with("HTTP/1.1 422"), "{host}");
+    }
+}
+
+#[test]
 fn a_port_in_use_is_replaced_and_reported() {
     let in_use = std::net::TcpListener::bind(("127.0.0.1", 0)).expect("a free port");
     let port = in_use.local_addr().expect("bound").port().to_string();
@@ -164,9 +184,14 @@ fn every_button_acts_on_the_running_system() {
 
     browser.click("#stick");
     wait_until("stuck mirrors", || gauge(observer, "faulty_mirrors") == Some(25.0));
-    wait_until("their number on the page", || browser.text("#chip-array").contains("25 of 100 unusable"));
+    wait_until("their number on the page", || browser.text("#label-mirrors") == "Mirrors (25 jammed)");
+    // The state and the picture have one source: what the driver has found.
+    let drawn = "const { unusable } = document.getElementById('room').room.motion.to; \
+                 return document.getElementById('chip-array').textContent.includes(`, ${unusable.length} of 100 unusable`)";
+    wait_until("the same number of unusable mirrors in the state and in the picture", || browser.run(drawn) == true);
     browser.click("#release");
     wait_until("mirrors that follow", || gauge(observer, "faulty_mirrors") == Some(0.0));
+    wait_until("a state without them", || browser.text("#chip-array") == "following");
 
     browser.click("#kill");
     wait_until("a parked array", || array().state == ArrayState::Parked);
@@ -180,6 +205,7 @@ fn every_button_acts_on_the_running_system() {
     browser.press("#stop", "\u{E007}");
     wait_until("a stopped array", || array().state == ArrayState::Stopped);
     wait_until("the state on the page", || browser.text("#chip-array").starts_with("stopped"));
+    wait_until("a policy that is idle", || browser.text("#chip-policy") == "fixed-point (idle)");
     browser.click("#rearm");
     wait_until("an array that follows again", || array().state == ArrayState::Following);
     // The answers are those of the processes, and no message outlives its cause.

@@ -106,6 +106,44 @@ fn copy(from: &Path, to: &Path, mut change: impl FnMut(&str, &mut Vec<u8>)) {
 }
 
 #[test]
+fn a_ring_keeps_complete_files_around_a_stop_and_a_second_run_continues_it() {
+    let setting = Setting::new();
+    let room = setting.room(&[]);
+    let ring = ["--ring-mb", "8", "--around-fault", "1"];
+    let names = || -> Vec<String> {
+        let entries = fs::read_dir(setting.folder.path()).unwrap();
+        let mut names: Vec<String> =
+            entries.map(|entry| entry.unwrap().file_name().to_string_lossy().into_owned()).collect();
+        names.sort();
+        names
+    };
+    let mut recorder = setting.recorder(&ring);
+    let controller = setting.controller(&[]);
+    wait_until("two files", || names().len() > 2);
+    let stopped = Process::heliostat(&["stop", "--connect", &setting.room_at]).wait();
+    assert!(stopped.status.success(), "{}", stopped.errors);
+    wait_until("the stop", || recorder.errors().contains("is in the state stopped: the files around it are kept"));
+    wait_until("files around the stop", || names().iter().filter(|name| name.contains("-fault")).count() > 1);
+    // A power failure ends one run, and an operator the other.
+    recorder.kill();
+    let before = names();
+    let recorder = setting.recorder(&ring);
+    wait_until("another file", || names().len() > before.len() + 1);
+    let summary = recorder.end().json();
+    let files: Vec<PathBuf> = serde_json::from_value(summary["files"].clone()).expect("a list of files");
+    assert_eq!(files.len(), names().len(), "the files of both runs: {summary}");
+    let mut messages = 0;
+    for file in &files {
+        let mut reading = Reading::open(File::open(file).unwrap()).expect("a complete recording");
+        while reading.entry().expect("readable").is_some() {
+            messages += 1;
+        }
+    }
+    assert!(messages > 100, "{messages} messages in {files:?}");
+    drop((controller, room));
+}
+
+#[test]
 fn a_lockstep_run_replays_bit_for_bit_and_a_changed_one_does_not() {
     let setting = Setting::new();
     let account = setting.record(&[], &["--lockstep", "150"], &["--lockstep"]);

@@ -296,6 +296,21 @@ fn a_stop_that_reaches_only_the_controller_reaches_the_arrays_through_it() {
 
 /// Prints how long a stop takes from its publication to the report that the device has executed it.
 #[test]
+fn a_stop_at_an_endpoint_without_a_process_says_that_nothing_was_sent() {
+    let endpoint = free_loopback_endpoint().expect("a free port");
+    for order in ["stop", "rearm"] {
+        let ended = Process::heliostat(&[order, "--connect", &endpoint]).wait();
+        let refusal = ended.refusal();
+        assert!(refusal.contains(&format!("no process answers at {endpoint}. Nothing was sent")), "{order}: {refusal}");
+    }
+    // A process of another kind accepts connections there.
+    let other = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");
+    let endpoint = format!("tcp/{}", other.local_addr().expect("bound"));
+    let ended = Process::heliostat(&["stop", "--timeout", "1", "--connect", &endpoint]).wait();
+    assert!(ended.refusal().contains("does not answer as a process of a room"), "{}", ended.errors);
+}
+
+#[test]
 fn the_latency_of_a_stop_at_a_simulated_array_and_at_a_driver_is_printed() {
     let room = TwoArrays::start("latency");
     let driven = latencies(&room.bus, 0);

@@ -50,14 +50,17 @@ pub fn run(config: &NodeConfig, stop: &Stop) -> anyhow::Result<Summary> {
         }
         let has_reports = rooms.iter().any(|room| room.summary().decisions > 0);
         if !has_reports && !has_warned && started.elapsed() > SILENCE {
-            tracing::warn!("{}", no_reports(config));
+            // The check of a TLS connection has logged its reason.
+            if bus.connection_problem().is_none() {
+                tracing::warn!("{}", no_reports(config));
+            }
             has_warned = true;
         }
     }
     rooms.iter_mut().for_each(RoomRuntime::close);
     let mut summary = Summary::of_rooms(&rooms.iter().map(RoomRuntime::report).collect::<Vec<_>>());
     if summary.decisions == 0 && summary.last_problem.is_empty() {
-        summary.last_problem = no_reports(config);
+        summary.last_problem = bus.connection_problem().unwrap_or_else(|| no_reports(config));
     }
     drop(rooms);
     bus.close()?;

@@ -47,7 +47,7 @@ use heliostat_core::{
 };
 use heliostat_models::build_tried;
 use heliostat_proto::{Nanos, NodeKind, NodeStatus, Room, encode};
-use heliostat_service::{clock::utc_ns, source_id};
+use heliostat_service::{clock::utc_ns, log_limit::LogLimit, source_id};
 
 use crate::{
     config::{NodeConfig, Pace},
@@ -99,6 +99,7 @@ pub struct RoomRuntime {
     policy_times: PolicyTimes,
     /// As of the last status check.
     summary: Summary,
+    log_limit: LogLimit,
 }
 
 impl RoomRuntime {
@@ -192,6 +193,7 @@ impl RoomRuntime {
             times: StageTimes::new(),
             policy_times: PolicyTimes::default(),
             summary: Summary::default(),
+            log_limit: LogLimit::default(),
         })
     }
 
@@ -251,10 +253,8 @@ impl RoomRuntime {
         }
         self.policy_times.add(&snapshot.summary.policy, &self.spare_times);
         self.times.absorb(&mut self.spare_times);
-        match &snapshot.problem {
-            Some(Problem::Alarm(problem)) => tracing::error!(room = %self.room, "{problem}"),
-            Some(Problem::Warning(problem)) => tracing::warn!(room = %self.room, "{problem}"),
-            None => {}
+        if let Some(problem) = &snapshot.problem {
+            self.log(problem, snapshot.occurrences);
         }
         snapshot.summary.dropped += self.queue.dropped();
         snapshot.summary.unanswered = self.summary.unanswered;
@@ -302,10 +302,25 @@ impl RoomRuntime {
     fn report_stall(&mut self) {
         let (policy, meanwhile) = (&self.summary.policy, self.watchdog.description());
         let problem = format!("policy {policy} has timed out; {meanwhile}");
-        tracing::warn!(room = %self.room, "{problem}");
+        self.log(&Problem::Warning(problem.clone()), 1);
         self.summary.unanswered += 1;
         self.summary.last_problem = problem;
         self.publish_status(&self.reporter.report_stall(&self.summary));
+    }
+
+    /// Logs a change of state, or a problem that occurred so often unless one like it was logged just
+    /// before.
+    fn log(&mut self, problem: &Problem, occurrences: u64) {
+        let (Problem::Alarm(text) | Problem::Warning(text)) = problem;
+        let line = match occurrences {
+            0 => Some(text.clone()),
+            _ => self.log_limit.line(Instant::now(), text, occurrences),
+        };
+        let Some(line) = line else { return };
+        match problem {
+            Problem::Alarm(_) => tracing::error!(room = %self.room, "{line}"),
+            Problem::Warning(_) => tracing::warn!(room = %self.room, "{line}"),
+        }
     }
 
     fn publish_status(&self, report: &NodeStatus) {

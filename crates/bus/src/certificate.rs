@@ -41,10 +41,18 @@ impl Certificate {
             .map_err(|error| KeyError::CannotRead { path: path.into(), problem: error.to_string() })?;
         let refuse = |problem: String| KeyError::NotACertificate { path: path.into(), problem };
         let (_, pem) = x509_parser::pem::parse_x509_pem(&text).map_err(|error| refuse(error.to_string()))?;
-        let parsed = pem.parse_x509().map_err(|error| refuse(error.to_string()))?;
+        Self::from_der(&pem.contents).map_err(refuse)
+    }
+
+    /// Reads a certificate in DER format.
+    ///
+    /// # Errors
+    /// What is wrong with it.
+    pub(crate) fn from_der(bytes: &[u8]) -> Result<Self, String> {
+        let (_, parsed) = x509_parser::parse_x509_certificate(bytes).map_err(|error| error.to_string())?;
         let common_name = parsed.subject().iter_common_name().next().and_then(|name| name.as_str().ok());
         Ok(Self {
-            common_name: common_name.ok_or_else(|| refuse("it has no common name".to_owned()))?.to_owned(),
+            common_name: common_name.ok_or("it has no common name")?.to_owned(),
             hosts: hosts(&parsed),
             expires: date(&parsed.validity().not_after),
             own_key_id: key_id(&parsed, |extension| match extension {
@@ -79,6 +87,15 @@ impl Certificate {
             return Err(KeyError::Expired { path: path.into(), expires: self.expires.clone() });
         }
         Ok(())
+    }
+
+    /// Why it is not valid now, as a predicate.
+    pub(crate) fn time_fault(&self) -> Option<String> {
+        let now_s = unix_s(SystemTime::now());
+        if now_s < self.validity_s.0 {
+            return Some("is not valid yet, by the clock of this machine".to_owned());
+        }
+        (now_s > self.validity_s.1).then(|| format!("expired on {}", self.expires))
     }
 
     /// End of its validity.

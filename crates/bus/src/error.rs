@@ -92,6 +92,12 @@ pub enum BusError {
         /// Duration of the wait in ms.
         waited_ms: u64,
     },
+    /// A process answers, and the TLS connection to it fails.
+    #[error("{problem}")]
+    Untrusted {
+        /// The endpoint and what is wrong with a certificate.
+        problem: String,
+    },
     /// The session could not be opened for another reason.
     #[error("the Zenoh session cannot be opened: {problem}")]
     Open {

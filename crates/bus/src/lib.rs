@@ -40,6 +40,7 @@ mod free_endpoint;
 pub mod keys;
 mod session;
 mod tls;
+mod tls_check;
 
 pub use access::{AccessRole, UnknownRole, access_control};
 pub use certificate::Certificate;

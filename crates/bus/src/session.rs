@@ -1,6 +1,7 @@
 //! A Zenoh session in a room, and its declarations.
 
-use std::time::Duration;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use heliostat_proto::Room;
 use zenoh::Wait;
@@ -14,6 +15,10 @@ use zenoh::sample::{Sample, SampleKind};
 use crate::bounded_session::BoundedSession;
 use crate::config::{BusConfig, Reach};
 use crate::error::BusError;
+use crate::tls_check::{TlsCheck, accepts, connections, first_problem};
+
+/// Time between two looks for a connection.
+const CONNECTED_EVERY: Duration = Duration::from_millis(20);
 
 /// Zenoh must be compiled so that the close of a connection does not wait for the other side. See
 /// `.cargo/config.toml`, which sets both variables to 0.
@@ -78,6 +83,8 @@ pub enum Presence {
 pub struct Bus {
     session: BoundedSession,
     room: Room,
+    /// Of a session with keys that connects.
+    check: Option<Arc<TlsCheck>>,
 }
 
 impl Bus {
@@ -99,13 +106,42 @@ impl Bus {
             );
         }
         let session = zenoh::open(zenoh_config).wait().map_err(|error| open_error(config, &error.to_string()))?;
-        Ok(Self { session: BoundedSession::new(session), room: config.room.clone() })
+        let check = config.identity.clone().filter(|_| !config.connect.is_empty());
+        let check = check.map(|identity| TlsCheck::start(session.clone(), identity, config.connect.clone()));
+        Ok(Self { session: BoundedSession::new(session), room: config.room.clone(), check: check.map(Arc::new) })
+    }
+
+    /// Waits until this session is connected to another process, at most `limit`; returns whether it is.
+    pub fn wait_connected(&self, limit: Duration) -> bool {
+        let begun = Instant::now();
+        while connections(&self.session) == 0 {
+            if begun.elapsed() >= limit {
+                return false;
+            }
+            std::thread::sleep(CONNECTED_EVERY);
+        }
+        true
+    }
+
+    /// Whether any process accepts connections at an endpoint of the configuration.
+    pub fn has_listener(config: &BusConfig) -> bool {
+        config.connect.iter().any(|endpoint| accepts(endpoint))
+    }
+
+    /// Looks now for the reason why a TLS connection to an endpoint of the configuration fails.
+    pub fn find_connection_problem(config: &BusConfig) -> Option<String> {
+        config.identity.as_ref().and_then(|identity| first_problem(identity, &config.connect))
+    }
+
+    /// Why a TLS connection of this session fails, if the other side answers: the fault of a certificate.
+    pub fn connection_problem(&self) -> Option<String> {
+        self.check.as_ref()?.problem()
     }
 
     /// The same session in another room; [`close`](Self::close) closes it for all rooms.
     #[must_use]
     pub fn enter(&self, room: Room) -> Self {
-        Self { session: self.session.clone(), room }
+        Self { session: self.session.clone(), room, check: self.check.clone() }
     }
 
     /// Room that gives the keys.
@@ -348,10 +384,16 @@ fn open_error(config: &BusConfig, message: &str) -> BusError {
         _ if concerns_listening => {
             BusError::CannotListen { endpoint: named(&config.listen), problem: problem.to_owned() }
         }
-        Reach::Within(limit) if problem.contains("nable to connect") => BusError::CannotReach {
-            endpoints: config.connect.join(", "),
-            waited_ms: u64::try_from(limit.as_millis()).unwrap_or(u64::MAX),
-        },
+        Reach::Within(limit) if problem.contains("nable to connect") => {
+            let untrusted = config.identity.as_ref().and_then(|identity| first_problem(identity, &config.connect));
+            match untrusted {
+                Some(problem) => BusError::Untrusted { problem },
+                None => BusError::CannotReach {
+                    endpoints: config.connect.join(", "),
+                    waited_ms: u64::try_from(limit.as_millis()).unwrap_or(u64::MAX),
+                },
+            }
+        }
         _ => BusError::Open { problem: problem.to_owned() },
     }
 }

@@ -77,6 +77,27 @@ impl Identity {
         self.role
     }
 
+    /// Folder of its files.
+    pub(crate) fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// File of its certificate.
+    pub(crate) fn certificate(&self) -> PathBuf {
+        self.folder.join(certificate_file(self.role))
+    }
+
+    /// File of its private key.
+    pub(crate) fn private_key(&self) -> PathBuf {
+        self.folder.join(key_file(self.role))
+    }
+
+    /// Whether the authority of its folder signed a certificate.
+    pub(crate) fn signs(&self, certificate: &Certificate) -> bool {
+        let authority = Certificate::read(&self.folder.join(AUTHORITY_CERTIFICATE));
+        authority.is_ok_and(|authority| authority.own_key_id == certificate.signing_key_id)
+    }
+
     /// Settings of Zenoh for mutual authentication and access control, with values in JSON.
     pub(crate) fn zenoh_settings(&self) -> Vec<(String, String)> {
         let file = |name: &str| format!("{:?}", self.folder.join(name).display().to_string());

@@ -395,14 +395,52 @@ fn a_process_does_not_connect_to_a_listener_with_an_expired_or_foreign_certifica
     let (keys, other, expired) = (Keys::new(), Keys::new(), Keys::new());
     expired.adopt(&keys);
     expired.expire();
-    for (folder, role) in [(other.folder(), AccessRole::Driver), (expired.folder(), AccessRole::Driver)] {
-        let endpoint = common::tls_endpoint();
-        let _listener = common::foreign_listener(folder, role, &endpoint);
-        let viewer =
-            keys.config(AccessRole::Viewer).connect_to(&endpoint).reaching(Reach::Within(Duration::from_secs(2)));
-        let error = Bus::open(&viewer).err().expect("the certificate of the listener is refused");
-        assert!(matches!(error, BusError::CannotReach { .. }), "{error}");
+    for (folder, host, expected) in [
+        (other.folder(), "127.0.0.1", "another authority than"),
+        (expired.folder(), "127.0.0.1", "the certificate of 127.0.0.1 expired on 20"),
+        // Its certificate is valid for other hosts.
+        (keys.folder(), "127.0.0.2", "the certificate of 127.0.0.2 names localhost, 127.0.0.1, ::1: issue it with"),
+    ] {
+        let endpoint = common::tls_endpoint().replace("127.0.0.1", host);
+        let _listener = common::foreign_listener(folder, AccessRole::Driver, &endpoint);
+        let viewer = keys.config(AccessRole::Viewer).connect_to(&endpoint);
+        let error = Bus::open(&viewer.clone().reaching(Reach::Within(Duration::from_secs(2))));
+        let error = error.err().expect("the certificate of the listener is refused");
+        assert!(matches!(error, BusError::Untrusted { .. }), "{error}");
+        assert!(error.to_string().contains(&endpoint) && error.to_string().contains(expected), "{error}");
+        // A session that waits for its peer finds the same.
+        let waiting = Bus::open(&viewer).expect("it waits");
+        let deadline = Instant::now() + LIMIT;
+        let found = loop {
+            if let Some(found) = waiting.connection_problem() {
+                break found;
+            }
+            assert!(Instant::now() < deadline, "no reason is found at {host}");
+            std::thread::sleep(Duration::from_millis(20));
+        };
+        assert!(found.contains(expected), "{found}");
     }
+}
+
+#[test]
+fn an_endpoint_without_tls_or_without_a_process_is_told_apart() {
+    let _turn = common::turn();
+    let keys = Keys::new();
+    let plain = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");
+    let endpoint = format!("tls/{}", plain.local_addr().expect("bound"));
+    std::thread::spawn(move || {
+        for mut stream in plain.incoming().map_while(Result::ok) {
+            // The other side may have gone.
+            std::io::Write::write_all(&mut stream, b"no TLS record at all\n").ok();
+        }
+    });
+    let open = |endpoint: &str| {
+        let viewer = keys.config(AccessRole::Viewer).connect_to(endpoint);
+        Bus::open(&viewer.reaching(Reach::Within(Duration::from_secs(1)))).err().expect("no session")
+    };
+    let error = open(&endpoint);
+    assert!(error.to_string().contains("the TLS handshake failed"), "{error}");
+    assert!(matches!(open(&common::tls_endpoint()), BusError::CannotReach { .. }));
 }
 
 #[test]

@@ -8,9 +8,11 @@ use heliostat_array::Kit;
 use heliostat_bus::{AccessRole, BusArgs};
 use heliostat_proto::{MAX_ARRAYS, Room, Stamp};
 use heliostat_service::counted::counted;
+use heliostat_service::exit::UnusableInput;
 use heliostat_service::{EndArgs, LogArgs, MetricsArgs, output};
 
 use crate::config::Config;
+use crate::devices::wall::Wall;
 use crate::stop_record::StopRecordSettings;
 use crate::{calibration_store, check, run};
 
@@ -90,7 +92,7 @@ struct CheckArgs {
 /// Runs the command.
 ///
 /// # Errors
-/// A file that describes no array, a transport that fails, or a room with another driver. For the
+/// [`UnusableInput`] for a file that describes no array; a transport that fails, or a room with another driver. For the
 /// check: a driver that is absent or breaks a rule.
 pub fn run(args: Args) -> Result<()> {
     match args.command {
@@ -100,12 +102,7 @@ pub fn run(args: Args) -> Result<()> {
 }
 
 fn drive(args: &RunArgs) -> Result<()> {
-    let wall = Config::load(&args.config)?.wall().with_context(|| format!("in {}", args.config.display()))?;
-    let mut kit = Kit::new(wall);
-    if let Some(file) = &args.calibration {
-        let corrections = calibration_store::load(file)?.message(Stamp { sequence: 1, ..Stamp::default() });
-        kit.set_calibration(&corrections).with_context(|| format!("in {}", file.display()))?;
-    }
+    let kit = kit(args).context(UnusableInput::new("the driver cannot start with this configuration"))?;
     let bus = args.bus.config_or_connect(&[AccessRole::Driver])?;
     let stop = args.end.stop()?;
     args.log.start();
@@ -125,6 +122,17 @@ fn drive(args: &RunArgs) -> Result<()> {
         output::text(summary)?
     }
     Ok(())
+}
+
+/// The array of the configuration, with its calibration. No device is opened yet.
+fn kit(args: &RunArgs) -> Result<Kit<Wall>> {
+    let wall = Config::load(&args.config)?.wall().with_context(|| format!("in {}", args.config.display()))?;
+    let mut kit = Kit::new(wall);
+    if let Some(file) = &args.calibration {
+        let corrections = calibration_store::load(file)?.message(Stamp { sequence: 1, ..Stamp::default() });
+        kit.set_calibration(&corrections).with_context(|| format!("in {}", file.display()))?;
+    }
+    Ok(kit)
 }
 
 fn check_driver(args: &CheckArgs) -> Result<()> {

@@ -97,8 +97,17 @@ impl Config {
     /// The array that the file describes; no device is opened yet.
     ///
     /// # Errors
-    /// Boards, addresses or mirrors that do not fit together.
+    /// Boards, addresses or mirrors that do not fit together, or that no device can have.
     pub fn wall(&self) -> Result<Wall> {
+        let reserve = self.calibration_reserve_deg;
+        ensure!(reserve >= 0.0, "invalid calibration_reserve_deg {reserve}: expected 0 or more");
+        for (index, board) in self.boards.iter().enumerate() {
+            ensure!(
+                !self.boards[..index].iter().any(|other| other.port() == board.port()),
+                "two boards have the address \"{}\": expected one board with all its mirrors, or another address",
+                board.port()
+            );
+        }
         let layout = Layout {
             rows: self.rows,
             columns: self.columns,
@@ -112,6 +121,15 @@ impl Config {
 }
 
 impl BoardConfig {
+    /// The address without a speed.
+    fn port(&self) -> &str {
+        match self {
+            Self::Playzerx { address, .. } | Self::ServoBoard { address, .. } => {
+                address.rsplit_once('@').map_or(address, |(port, _)| port)
+            }
+        }
+    }
+
     fn mount(&self) -> Result<Mounted> {
         let address = |text: &str, baud| Address::parse(text, baud).map_err(|problem| anyhow!(problem));
         Ok(match self {
@@ -185,6 +203,36 @@ mod tests {
     }
 
     #[test]
+    fn an_address_that_can_never_be_opened_is_refused_when_the_file_is_read() {
+        let problem = |to: &str| {
+            let refused = wall(&TWO_BOARDS.replace("serial:/dev/ttyACM0", to)).err();
+            format!("{:#}", refused.unwrap_or_else(|| panic!("{to} was accepted")))
+        };
+        assert!(problem("usb:1").contains("expected serial:PATH"));
+        for (address, expected) in [
+            ("serial:", "expected serial:PATH"),
+            ("serial:@9600", "expected serial:PATH"),
+            ("serial:/dev/ttyACM0@250000", "invalid speed \"250000\""),
+            ("serial:/dev/ttyACM0@0", "9600, 19200, 38400, 57600, 115200"),
+            ("serial:/dev/ttyACM0@fast", "invalid speed \"fast\""),
+            ("serial:/dev/ttyACM0@", "invalid speed \"\""),
+            ("serial:.", "expected a serial port"),
+            ("tcp:127.0.0.1", "expected serial:PATH"),
+            ("tcp::9000", "expected serial:PATH"),
+            ("tcp:127.0.0.1:0", "invalid port \"0\""),
+            ("tcp:127.0.0.1:70000", "expected a number from 1 to 65535"),
+            ("tcp:[::1]:", "invalid port"),
+        ] {
+            let found = problem(address);
+            assert!(found.contains(expected), "{address}: {found}");
+        }
+        for address in ["serial:/dev/ttyACM0@57600", "serial:ttyACM0", "tcp:[::1]:9001", "tcp:board.local:9000"] {
+            wall(&TWO_BOARDS.replace("serial:/dev/ttyACM0", address))
+                .unwrap_or_else(|error| panic!("{address}: {error:#}"));
+        }
+    }
+
+    #[test]
     fn errors_name_the_board_or_mirror_that_does_not_fit() {
         let problem = |from: &str, to: &str| format!("{:#}", wall(&TWO_BOARDS.replace(from, to)).err().expect(to));
         assert!(problem("mirrors = [2]", "mirrors = [1]").contains("mirror 1 is turned by 2 channels"));
@@ -193,7 +241,12 @@ mod tests {
         assert!(problem("mirrors = [2]", "mirrors = [7]").contains("unknown mirror 7"));
         assert!(problem("mirrors = [2]", "mirrors = [2, 2]").contains("1 channel but 2 mirrors"));
         assert!(problem("columns = 3", "columns = 4").contains("mirror 3 is turned by 0 channels"));
-        assert!(problem("serial:/dev/ttyACM0", "usb:1").contains("expected serial:PATH"));
+        assert!(
+            problem("calibration_reserve_deg = 1.0", "calibration_reserve_deg = -1.0").contains("expected 0 or more")
+        );
+        assert!(problem("max_deg = 30.0", "max_deg = nan").contains("expected min_deg below"));
+        let same = problem("tcp:127.0.0.1:9000", "serial:/dev/ttyACM0@115200");
+        assert!(same.contains("two boards have the address \"serial:/dev/ttyACM0\""), "{same}");
         assert!(problem("range_deg", "range_degrees").contains("range_degrees"));
         assert!(problem("range_deg = 5.0", "range_deg = 0.5").contains("no range is left"));
     }

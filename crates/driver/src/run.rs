@@ -12,6 +12,7 @@ use heliostat_array::latch::Latch;
 use heliostat_array::station::{Identity, Report, Station};
 use heliostat_array::stop_record::advice;
 use heliostat_bus::{Bus, BusConfig, BusError, Class};
+use heliostat_service::log_limit::LogLimit;
 use heliostat_service::{Exporter, MetricsArgs, MetricsError, Stop, source_id};
 use thiserror::Error;
 
@@ -102,13 +103,14 @@ pub fn run<D: Device>(mut kit: Kit<D>, settings: &Settings, stop: &Stop) -> Resu
         exporter,
         logged_latch: Latch::default(),
         logged_problem: String::new(),
+        log_limit: LogLimit::default(),
     };
     let token = bus.announce(&bus.room().array(array).driver_alive(source))?;
     while !stop.is_requested() && end.is_none_or(|end| Instant::now() < end) {
         driver.handle_received(clock);
         let now = clock.now();
         if let Err(error) = driver.station.advance(now) {
-            tracing::error!("{error}");
+            driver.log(&error.to_string());
         }
         while let Some(report) = driver.station.poll_report(now) {
             driver.publish(&report)?;
@@ -147,6 +149,7 @@ struct Driver<D> {
     logged_latch: Latch,
     /// The problem that was logged last.
     logged_problem: String,
+    log_limit: LogLimit,
 }
 
 impl<D: Device> Driver<D> {
@@ -188,13 +191,20 @@ impl<D: Device> Driver<D> {
         let summary = self.summary();
         if self.logged_problem != summary.last_problem {
             if !summary.last_problem.is_empty() {
-                tracing::warn!("{}", summary.last_problem);
+                self.log(&summary.last_problem);
             }
             self.logged_problem.clone_from(&summary.last_problem);
         }
         if let Some(exporter) = &self.exporter {
             let state = self.station.kit().array().state();
             exporter.publish(metrics::page(&self.room, &summary, state, self.station.is_recorded()));
+        }
+    }
+
+    /// Logs a problem, unless one like it was logged just before.
+    fn log(&mut self, problem: &str) {
+        if let Some(line) = self.log_limit.line(Instant::now(), problem, 1) {
+            tracing::warn!("{line}");
         }
     }
 

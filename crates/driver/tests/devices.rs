@@ -2,11 +2,11 @@
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Write};
-use std::net::TcpListener;
+use std::net::{TcpListener, TcpStream};
 use std::os::fd::AsRawFd;
 use std::process::{Child, Command, Stdio};
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, mpsc};
 use std::time::{Duration, Instant};
 
 use heliostat_array::moment::Moment;
@@ -15,7 +15,7 @@ use heliostat_driver::config::Config;
 use heliostat_driver::devices::wall::Wall;
 use heliostat_driver::{Device, Kit};
 use heliostat_proto::messages::fault;
-use heliostat_proto::{ArrayState, Feedback, MirrorCommand, Stamp};
+use heliostat_proto::{ArrayState, Feedback, MirrorCommand, MirrorTelemetry, Stamp};
 
 const NOW: Moment = Moment { local_ns: 0, room_ns: 1_800_000_000_000_000_000 };
 
@@ -64,7 +64,7 @@ fn playzerx_until(answer: &'static str, silent: Arc<AtomicBool>) -> (String, Arc
     let log = Arc::clone(&frames);
     let mut device = File::from(pty.master);
     std::thread::spawn(move || {
-        let mut bytes = Vec::new();
+        let (mut bytes, mut is_greeted) = (Vec::new(), false);
         let mut chunk = [0; 256];
         while let Ok(count) = device.read(&mut chunk) {
             bytes.extend_from_slice(&chunk[..count]);
@@ -73,6 +73,10 @@ fn playzerx_until(answer: &'static str, silent: Arc<AtomicBool>) -> (String, Arc
                 assert!(frame.starts_with(b"pl") && frame.ends_with(b"\n"), "{frame:?}");
                 if frame[2] == b'p' && !silent.load(Ordering::SeqCst) {
                     device.write_all(answer.as_bytes()).unwrap();
+                    // The driver asks an idle device with the same frame.
+                    if std::mem::replace(&mut is_greeted, true) {
+                        continue;
+                    }
                 }
                 log.lock().unwrap().push(frame);
             }
@@ -158,7 +162,7 @@ fn servo_board(lines: usize) -> (String, Arc<Mutex<Vec<String>>>) {
         for stream in listener.incoming() {
             let stream = stream.unwrap();
             let mut out = stream.try_clone().unwrap();
-            let mut at = "0 0 0 0".to_owned();
+            let (mut at, mut is_greeted) = ("0 0 0 0".to_owned(), false);
             for line in BufReader::new(stream).lines().take(lines).map_while(Result::ok) {
                 let answer = match line.split_once(' ').map_or((line.as_str(), ""), |parts| parts) {
                     ("hello", _) => "heliostat 1 2 -523599 523599 1".to_owned(),
@@ -170,8 +174,12 @@ fn servo_board(lines: usize) -> (String, Arc<Mutex<Vec<String>>>) {
                     ("stop", _) => "ok".to_owned(),
                     _ => "error unknown".to_owned(),
                 };
-                lines_received.lock().unwrap().push(line);
-                writeln!(out, "{answer}").unwrap();
+                // The driver asks an idle board with the same line.
+                if line != "hello" || !std::mem::replace(&mut is_greeted, true) {
+                    lines_received.lock().unwrap().push(line);
+                }
+                // The driver may have closed the connection.
+                writeln!(out, "{answer}").ok();
             }
         }
     });
@@ -245,6 +253,103 @@ fn a_lost_device_is_a_fault_and_receives_the_target_after_its_reconnection() {
     until("the end of the fault", || {
         (kit.telemetry(now(), Stamp::default()).state == ArrayState::Following).then_some(())
     });
+}
+
+/// A board with two mirrors on a socket that answers as `serve` does; and how often it was opened.
+fn scripted(serve: impl Fn(TcpStream) + Send + 'static) -> (Wall, Arc<AtomicUsize>) {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    let opened = Arc::new(AtomicUsize::new(0));
+    let count = Arc::clone(&opened);
+    std::thread::spawn(move || {
+        for stream in listener.incoming().map_while(Result::ok) {
+            count.fetch_add(1, Ordering::SeqCst);
+            serve(stream);
+        }
+    });
+    let device = wall(&format!(
+        "rows = 1\ncolumns = 2\n[[boards]]\nkind = \"servo-board\"\naddress = \"tcp:{address}\"\nmin_deg = -30.0\nmax_deg = 30.0\nmirrors = [0, 1]"
+    ));
+    (device, opened)
+}
+
+const HELLO_ANSWER: &[u8] = b"heliostat 1 2 -523599 523599 0\n";
+
+#[test]
+fn a_board_that_restarts_when_it_is_opened_is_asked_until_it_answers() {
+    let (sent, lines) = mpsc::channel();
+    let (mut device, opened) = scripted(move |stream| {
+        let mut out = stream.try_clone().unwrap();
+        let mut asked = 0;
+        for line in BufReader::new(stream).lines().map_while(Result::ok) {
+            asked += usize::from(line == "hello");
+            let answer: &[u8] = match (line.as_str(), asked) {
+                // The boot loader discards the first question, and the sketch prints before it runs.
+                ("hello", 1) => b"boot: 3 servos\ncalibrating",
+                ("hello", 2) => b"\nerror unknown line\n",
+                ("hello", _) => HELLO_ANSWER,
+                _ => b"ok\n",
+            };
+            sent.send(line).unwrap();
+            out.write_all(answer).unwrap();
+        }
+    });
+    device.connect(NOW).unwrap();
+    device.apply(NOW, &MirrorAngles { roll: vec![0.1, 0.2], yaw: vec![0.0; 2] }).unwrap();
+    assert_eq!(lines.iter().find(|line| line != "hello").as_deref(), Some("set 100000 0 200000 0"));
+    assert_eq!((opened.load(Ordering::SeqCst), device.connections()), (1, Some(1)));
+    device.stop(NOW).unwrap();
+    until("a stop", || device.has_stopped().unwrap().then_some(()));
+    assert_eq!(device.health(NOW).unwrap().problem, None);
+}
+
+#[test]
+fn an_idle_board_that_is_lost_is_a_fault_without_a_command() {
+    // It answers `hello` and the park position, and then nothing, on the first connection only.
+    let first = AtomicBool::new(true);
+    let (device, opened) = scripted(move |stream| {
+        let answered = if first.swap(false, Ordering::SeqCst) { 2 } else { usize::MAX };
+        let mut out = stream.try_clone().unwrap();
+        for (index, line) in BufReader::new(stream).lines().map_while(Result::ok).enumerate() {
+            let answer = if line == "hello" { HELLO_ANSWER } else { b"ok\n" };
+            if index < answered {
+                out.write_all(answer).unwrap();
+            }
+        }
+    });
+    let mut kit = Kit::new(device);
+    let start = Instant::now();
+    let mut telemetry = || {
+        let ms = start.elapsed().as_millis() as u64;
+        let now = Moment { local_ns: ms * 1_000_000, room_ns: NOW.room_ns + ms * 1_000_000 };
+        kit.advance(now);
+        (kit.telemetry(now, Stamp::default()), kit.connections())
+    };
+    let is_parked = |telemetry: &MirrorTelemetry| telemetry.state == ArrayState::Parked && telemetry.faults == 0;
+    until("a parked array", || Some(telemetry()).filter(|(telemetry, _)| is_parked(telemetry)));
+    let (lost, _) = until("a fault", || Some(telemetry()).filter(|(lost, _)| lost.faults & fault::LINK != 0));
+    assert_eq!((lost.state, lost.unusable), (ArrayState::Fault, vec![0, 1]));
+    let (_, connections) = until("its return", || Some(telemetry()).filter(|(found, _)| is_parked(found)));
+    assert_eq!((connections, opened.load(Ordering::SeqCst)), (2, 2));
+}
+
+#[test]
+fn a_board_that_sends_lines_of_its_own_is_refused_also_if_it_answers() {
+    let (device, _) = scripted(|stream| {
+        let mut out = stream.try_clone().unwrap();
+        out.write_all(b"temperature 21.5\r\n").unwrap();
+        std::thread::spawn(move || {
+            while out.write_all(b"temperature 21.5\r\n").is_ok() {
+                std::thread::sleep(Duration::from_millis(20));
+            }
+        });
+        let mut out = stream.try_clone().unwrap();
+        for _ in BufReader::new(stream).lines().map_while(Result::ok) {
+            out.write_all(HELLO_ANSWER).ok();
+        }
+    });
+    let error = refusal(device);
+    assert!(error.contains("sends without a question"), "{error}");
 }
 
 /// The reference sketch, built for this host, on a pseudo-terminal; `None` without a C++ compiler,

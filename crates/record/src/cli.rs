@@ -1,15 +1,17 @@
 //! The flags of `heliostat record` and `heliostat replay`.
 
 use std::path::PathBuf;
+use std::time::Duration;
 
 use anyhow::{Result, bail};
 use heliostat_bus::{AccessRole, BusArgs, TlsArgs};
 use heliostat_core::policy::{NameParser, PolicyKind};
 use heliostat_proto::Room;
 use heliostat_scenario::ScenarioArgs;
-use heliostat_service::{EndArgs, output, signals};
+use heliostat_service::{EndArgs, duration, output, signals};
 use serde::Serialize;
 
+use crate::ring::Bounds;
 use crate::{play, recorder, replay};
 
 /// Record all messages of a room into an MCAP file.
@@ -27,6 +29,14 @@ pub struct RecordArgs {
     /// The file to create; an existing file is not overwritten
     #[arg(long, value_name = "FILE.mcap")]
     out: PathBuf,
+    /// Keep a ring of files FILE-0001.mcap, FILE-0002.mcap ... of at most this many MB together: the oldest
+    /// are deleted. Files around a fault or a stop are named FILE-0007-fault.mcap and stay, as many MB at
+    /// most. A later run with the same FILE continues the ring
+    #[arg(long, value_name = "MB", value_parser = clap::value_parser!(u32).range(8..))]
+    ring_mb: Option<u32>,
+    /// Seconds before and after a fault or a stop whose files stay
+    #[arg(long, value_name = "N", default_value = "30", value_parser = duration::seconds, requires = "ring_mb")]
+    around_fault: Duration,
     #[command(flatten)]
     end: EndArgs,
     /// End when every process that was seen in the room has left it
@@ -97,6 +107,7 @@ pub fn record(args: RecordArgs) -> Result<()> {
         out: args.out,
         run_for: args.end.seconds,
         until_empty: args.until_empty,
+        ring: args.ring_mb.map(|mb| Bounds { bytes: u64::from(mb) * 1_000_000, around_fault: args.around_fault }),
     };
     let outcome = recorder::run(&settings, &stop)?;
     print(args.json, &outcome, &outcome.account)?;

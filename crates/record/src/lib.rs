@@ -6,6 +6,7 @@
 //!
 //! - [`recorder`]: from the bus through a queue into a file; a slow disk does not slow the room
 //!   down.
+//! - `ring`: files of bounded size together, and those around a fault.
 //! - [`mod@file`]: the file format, written in complete chunks and readable up to the last of them.
 //! - [`received`]: a payload, decoded.
 //! - [`account`]: counts of received, missing and unreadable messages.
@@ -27,6 +28,8 @@ pub mod received;
 pub mod recorder;
 #[cfg(feature = "live")]
 pub mod replay;
+#[cfg(feature = "live")]
+mod ring;
 #[cfg(feature = "live")]
 pub mod scene;
 #[cfg(feature = "live")]

@@ -3,8 +3,8 @@
 //! Callbacks copy each payload into a queue, and one thread writes. Payloads are dropped and
 //! counted while the queue is full: the room never waits for its recorder.
 
-use std::fs::OpenOptions;
-use std::path::PathBuf;
+use std::fs::{File, OpenOptions};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, SyncSender, TrySendError, sync_channel};
@@ -21,6 +21,7 @@ use serde::Serialize;
 use crate::account::Account;
 use crate::file::{Header, PRESENCE_TOPIC, Presence, Recording, RecordingError, Storage, Topic};
 use crate::received::Received;
+use crate::ring::{Bounds, FaultWatch, Ring};
 use crate::scene::Scene;
 use crate::series::Series;
 
@@ -52,13 +53,18 @@ pub struct Settings {
     pub run_for: Option<Duration>,
     /// Whether to end when every process that was seen in the room has left it.
     pub until_empty: bool,
+    /// Bounds of a ring of files in place of one file.
+    pub ring: Option<Bounds>,
 }
 
 /// The result of a recording.
 #[derive(Clone, Debug, Serialize)]
 pub struct Outcome {
-    /// The file.
+    /// The file, or the last one of a ring.
     pub file: PathBuf,
+    /// The files of a ring, oldest first.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub files: Vec<PathBuf>,
     /// Counts of received and missing messages.
     #[serde(flatten)]
     pub account: Account,
@@ -80,12 +86,19 @@ enum Item {
 /// # Errors
 /// A bus or a file that cannot be opened. A later write error is reported in the [`Outcome`].
 pub fn run(settings: &Settings, stop: &Stop) -> Result<Outcome> {
-    let out = &settings.out;
-    let file = OpenOptions::new().write(true).create_new(true).open(out).with_context(|| {
-        format!("cannot create {}: expected a file that does not exist yet, in a folder that exists", out.display())
-    })?;
     let started = Instant::now();
-    let mut writer = RoomWriter::create(file, settings)?;
+    let cannot_create = |out: &Path| {
+        format!("cannot create {}: expected a file that does not exist yet, in a folder that exists", out.display())
+    };
+    let mut ring = match settings.ring {
+        Some(bounds) => Some(Ring::open(&settings.out, bounds, started).with_context(|| cannot_create(&settings.out))?),
+        None => None,
+    };
+    let (file, out) = match &mut ring {
+        Some(ring) => (ring.create(started), ring.path()),
+        None => (OpenOptions::new().write(true).create_new(true).open(&settings.out), settings.out.clone()),
+    };
+    let mut writer = RoomWriter::create(file.with_context(|| cannot_create(&out))?, settings, out)?;
     let (sender, queue) = sync_channel(QUEUE);
     let dropped = Arc::new(AtomicU64::new(0));
     let bus = Bus::open(&settings.bus).context("cannot join the room")?;
@@ -104,7 +117,7 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Outcome> {
         enqueue(&tokens, Item::Presence { arrived_ns: utc_ns(), presence }, &tokens_dropped);
     })?;
     let token = bus.announce(&room.alive(NodeKind::Viewer, source))?;
-    output::note(format_args!("record: room {room} into {}", out.display()));
+    output::note(format_args!("record: room {room} into {}", writer.out.display()));
 
     let deadline = settings.run_for.map(|run_for| started + run_for);
     while !writer.has_failed() && !stop.is_requested() && deadline.is_none_or(|deadline| Instant::now() < deadline) {
@@ -116,13 +129,48 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Outcome> {
             Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {}
         }
         writer.flush_if_due();
+        if let Some(ring) = &mut ring {
+            turn(ring, &mut writer);
+        }
     }
     drop((received, seen, token));
     while let Ok(item) = queue.try_recv() {
         writer.take(item);
     }
+    let refused = bus.connection_problem();
     bus.close()?;
-    Ok(writer.finish(dropped.load(Ordering::Relaxed)))
+    let mut outcome = writer.finish(dropped.load(Ordering::Relaxed));
+    if outcome.account.messages() == 0 && refused.is_some() {
+        outcome.failure = refused;
+    }
+    if let Some(mut ring) = ring {
+        if outcome.file.exists()
+            && let Err(error) = ring.close(Instant::now())
+        {
+            outcome.problems.push(format!("an old file of the ring cannot be deleted: {error}"));
+        }
+        outcome.files = ring.files();
+        outcome.file = outcome.files.last().cloned().unwrap_or(outcome.file);
+    }
+    Ok(outcome)
+}
+
+/// Begins the next file of a ring if that is due, and keeps those around a fault.
+fn turn(ring: &mut Ring, writer: &mut RoomWriter<File>) {
+    let now = Instant::now();
+    for fault in std::mem::take(&mut writer.faults) {
+        output::note(format_args!("record: {fault}: the files around it are kept"));
+        ring.note_fault(now);
+    }
+    if writer.has_failed() || !ring.is_due(writer.bytes(), now) {
+        return;
+    }
+    if let Err(error) = writer.next_file(|| {
+        ring.close(now)?;
+        Ok((ring.create(now)?, ring.path()))
+    }) {
+        writer.failure = Some(format!("the next file cannot be begun: {error}"));
+    }
 }
 
 fn enqueue(queue: &SyncSender<Item>, item: Item, dropped: &AtomicU64) {
@@ -138,19 +186,25 @@ struct RoomWriter<S: Storage> {
     recording: Option<Recording<S>>,
     scene: Scene,
     series: Series,
+    /// Of all files.
     account: Account,
+    /// Of the present file.
+    file_account: Account,
+    header: Header,
+    fault_watch: FaultWatch,
+    /// Faults that began since they were taken last, in words.
+    faults: Vec<String>,
     present: Vec<u64>,
     was_present: bool,
     flushed: Instant,
     room: Room,
-    scenario_hash: String,
     out: PathBuf,
     problems: Vec<String>,
     failure: Option<String>,
 }
 
 impl<S: Storage> RoomWriter<S> {
-    fn create(storage: S, settings: &Settings) -> Result<Self> {
+    fn create(storage: S, settings: &Settings, out: PathBuf) -> Result<Self> {
         let scenario = &settings.scenario;
         let header = Header {
             room: settings.bus.room.to_string(),
@@ -166,12 +220,15 @@ impl<S: Storage> RoomWriter<S> {
             scene: Scene::new(scenario)?,
             series: Series::default(),
             account: Account::default(),
+            file_account: Account::default(),
+            fault_watch: FaultWatch::default(),
+            faults: Vec::new(),
             present: Vec::new(),
             was_present: false,
             flushed: Instant::now(),
             room: settings.bus.room.clone(),
-            scenario_hash: header.scenario_hash,
-            out: settings.out.clone(),
+            out,
+            header,
             problems: Vec::new(),
             failure: None,
         })
@@ -216,6 +273,7 @@ impl<S: Storage> RoomWriter<S> {
         let origin = received.as_ref().map(Received::origin);
         recording.payload(key, arrived_ns, origin.map_or(arrived_ns, |origin| origin.time_ns), payload)?;
         self.account.count(key, payload.len(), origin);
+        self.file_account.count(key, payload.len(), origin);
         let Some(received) = received else { return Ok(()) };
         self.check_scenario(&received);
         if let Received::Geometry(geometry) = &received {
@@ -223,6 +281,9 @@ impl<S: Storage> RoomWriter<S> {
         }
         self.series.update(&received, arrived_ns, |topic, data| recording.derived(topic, arrived_ns, data))?;
         let (array, _) = self.room.first_array_key(key);
+        if let Received::Telemetry(telemetry) = &received {
+            self.faults.extend(self.fault_watch.update(array, telemetry));
+        }
         if self.scene.update(&received, array, arrived_ns) {
             let data = self.scene.draw(arrived_ns).to_vec();
             recording.derived(&self.scene.topic(), arrived_ns, &data)?;
@@ -243,12 +304,12 @@ impl<S: Storage> RoomWriter<S> {
     /// replayed.
     fn check_scenario(&mut self, received: &Received) {
         let Received::Status(status) = received else { return };
-        if status.scenario.is_empty() || status.scenario == self.scenario_hash {
+        if status.scenario.is_empty() || status.scenario == self.header.scenario_hash {
             return;
         }
         let problem = format!(
             "{} uses scenario {}, the recording holds {}; give record the --scenario, --set and --seed of the room",
-            status.node, status.scenario, self.scenario_hash
+            status.node, status.scenario, self.header.scenario_hash
         );
         if !self.problems.contains(&problem) {
             self.report(problem);
@@ -274,6 +335,22 @@ impl<S: Storage> RoomWriter<S> {
         } else {
             None
         }
+    }
+
+    /// Length of the present file in bytes.
+    fn bytes(&self) -> u64 {
+        self.recording.as_ref().map_or(0, Recording::bytes)
+    }
+
+    /// Closes the present file, and continues in the one that `open` gives.
+    fn next_file(&mut self, open: impl FnOnce() -> std::io::Result<(S, PathBuf)>) -> Result<()> {
+        let Some(recording) = self.recording.take() else { return Ok(()) };
+        recording.finish(&std::mem::take(&mut self.file_account))?;
+        let (storage, out) = open()?;
+        self.header.started_ns = utc_ns().to_string();
+        self.recording = Some(Recording::create(storage, &self.header)?);
+        self.out = out;
+        Ok(())
     }
 
     fn flush_if_due(&mut self) {
@@ -303,14 +380,21 @@ impl<S: Storage> RoomWriter<S> {
             self.report(problem.to_owned());
         }
         if let Some(recording) = self.recording.take() {
-            let finished = recording.finish(&self.account);
+            self.file_account.dropped = dropped;
+            let finished = recording.finish(&self.file_account);
             self.failure = finished.err().map(|error| error.to_string()).or(self.failure);
         }
         if self.account.messages() == 0 {
             // An empty file would block the next attempt, since files are not overwritten.
             let _ = std::fs::remove_file(&self.out);
         }
-        Outcome { file: self.out, account: self.account, problems: self.problems, failure: self.failure }
+        Outcome {
+            file: self.out,
+            files: Vec::new(),
+            account: self.account,
+            problems: self.problems,
+            failure: self.failure,
+        }
     }
 }
 
@@ -334,8 +418,10 @@ mod tests {
             out: PathBuf::new(),
             run_for: None,
             until_empty: false,
+            ring: None,
         };
-        let mut writer = RoomWriter::create(tempfile::tempfile().expect("a file"), &settings).expect("writable");
+        let file = tempfile::tempfile().expect("a file");
+        let mut writer = RoomWriter::create(file, &settings, PathBuf::new()).expect("writable");
         let mut mirrors_after = |key: String, scenario: String| {
             let mut payload = Vec::new();
             encode(&RoomGeometry { stamp: Stamp::default(), scenario }, &mut payload).expect("it fits");

@@ -6,6 +6,7 @@
 //! - [`signals`]: Ctrl-C, SIGTERM and the end of standard input, as such a request.
 //! - [`duration`]: durations on the command line.
 //! - [`logging`]: logs to standard error, as text or as JSON.
+//! - [`log_limit`]: bounds the lines of a lasting problem.
 //! - [`output`]: text for a user on standard output and standard error.
 //! - [`printable`]: text from messages and files, made safe for a terminal.
 //! - [`process`]: memory, files and threads of this process.
@@ -23,6 +24,7 @@ pub mod duration;
 pub mod exit;
 pub mod exporter;
 pub mod http;
+pub mod log_limit;
 pub mod logging;
 pub mod output;
 pub mod page;

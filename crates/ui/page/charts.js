@@ -16,7 +16,7 @@ const TIPS = {
   no_irs: "No IRS: the sum rate of the same users at the same time without the mirrors (without an intelligent reflecting surface).",
   flat: "Flat: the sum rate with all mirrors flat against the wall.",
   oracle: "Oracle: the sum rate at the best angles that a search with the true positions finds. No controller knows these positions.",
-  policy: "The sum rate with the mirrors as they are, under the policy in use.",
+  policy: "The sum rate with the mirrors as they are: under the policy in use, or parked, stopped or without a driver.",
 };
 
 export class Charts {
@@ -41,7 +41,9 @@ export class Charts {
   }
 
   update(now) {
-    this.policy = now.policy || this.policy;
+    // A policy has its name on the rates only while the mirrors follow it.
+    const isFollowed = ["following", "holding"].some((state) => now.array.state.startsWith(state));
+    this.policy = isFollowed ? now.policy || this.policy : now.array.state.split(",")[0];
     if (now.sum_mbps && now.origin !== "no-data") {
       const newest = this.past.at(-1);
       if (!newest || now.time_s - newest.time_s >= KEEP_EVERY_S) this.past.push({ time_s: now.time_s, ...now.sum_mbps });

@@ -21,7 +21,10 @@ export function chips(now, ages) {
     chip("chip-policy", now.policy || "–", "old");
     chip("chip-controller", isGone ? "gone" : silent("controller"), "bad");
   } else {
-    chip("chip-policy", now.policy || "–");
+    // A policy turns the mirrors only while they follow it.
+    const isIdle = now.policy && !["following", "holding"].some((state) => now.array.state.startsWith(state));
+    chip("chip-policy", isIdle ? `${now.policy} (idle)` : now.policy || "–", isIdle ? "old" : "");
+    setTitle(at("chip-policy"), isIdle ? `The mirrors do not follow the policy: ${now.array.state}.` : "");
     chip("chip-controller", "alive", "good");
   }
   const stuck = now.array.unusable ? `, ${now.array.unusable} of ${now.array.mirrors} unusable` : "";
@@ -67,7 +70,7 @@ function fill(row, user, rate, largest) {
   const [name, path, figure, minimum, , bar] = row.cells;
   const below = rate !== null && rate < user.min_rate_mbps;
   setText(name.lastChild, String(user.user));
-  setText(path, user.forced ? "blocked (order)" : user.blocked ? "blocked" : "clear");
+  setText(path, user.blocked === null ? "unknown" : user.forced ? "blocked (order)" : user.blocked ? "blocked" : "clear");
   setText(figure, rate === null ? "unknown" : rate.toFixed(rate < 100 ? 2 : 1));
   setClass(figure, below ? "number bad" : "number");
   setText(minimum, below ? `${user.min_rate_mbps.toFixed(1)} not met` : user.min_rate_mbps.toFixed(1));
@@ -90,10 +93,11 @@ function outageLengths(outage) {
 
 function list(element, entries) {
   while (element.children.length > entries.length) element.lastChild.remove();
-  entries.forEach(([name, value, state], index) => {
-    if (!element.children[index]) element.insertAdjacentHTML("beforeend", "<div><dt></dt><dd></dd></div>");
+  entries.forEach(([name, value, state, meaning], index) => {
+    if (!element.children[index]) element.insertAdjacentHTML("beforeend", '<div><dt><dfn tabindex="0"></dfn></dt><dd></dd></div>');
     const [term, figure] = element.children[index].children;
-    setText(term, name);
+    setText(term.firstChild, name);
+    setTitle(term.firstChild, meaning);
     setText(figure, value);
     setClass(figure, state ?? "");
   });
@@ -115,8 +119,9 @@ function quantiles(times) {
 // Counters, times, faults and problems.
 export function counters(now) {
   quantiles(now.times);
-  const faults = ["faults", now.array.faults.join(", ") || "none", now.array.faults.length ? "bad" : ""];
-  const counts = now.counts.map((count) => [count.name, String(count.value), count.is_problem && count.value > 0 ? "bad" : ""]);
+  const meaning = "Faults that the arrays report now: link, mirror, temperature, supply, calibration, clock, or a stop that is not executed.";
+  const faults = ["faults", now.array.faults.join(", ") || "none", now.array.faults.length ? "bad" : "", meaning];
+  const counts = now.counts.map((count) => [count.name, count.value === null ? "–" : String(count.value), count.is_problem && count.value > 0 ? "bad" : "", count.meaning]);
   list(at("counts"), [...counts, faults]);
   const problems = now.nodes.filter((node) => node.problem).map((node) => `${node.node}: ${node.problem}`);
   setText(at("problem"), [...now.notes, ...problems].join("; "));

@@ -1,31 +1,46 @@
 // The connection to the server: events, and a reload when another server or another room answers.
-
-const RETRY_MS = 1000;
+import { Stream } from "./stream.js";
 
 export class Live {
+  // `handlers` has `figures`, `frame`, `log`, `mode` ("live" or "polled") and `problem`, a text of the server.
   constructor(page, handlers) {
     this.page = page;
     this.handlers = handlers;
-    this.open();
+    this.isReached = false;
+    if (typeof SharedWorker === "function") this.share();
+    else this.own();
   }
 
-  open() {
-    this.source = new EventSource("/live");
-    this.source.addEventListener("figures", (event) => {
-      const now = JSON.parse(event.data);
-      // Plan, policies and past rates belong to another server or room.
-      if (now.page !== this.page) {
-        this.source.close();
-        location.reload();
-        return;
-      }
-      this.handlers.figures(now);
-    });
-    this.source.addEventListener("frame", (event) => this.handlers.frame(JSON.parse(event.data)));
-    // A browser does not retry after every error.
-    this.source.addEventListener("error", () => {
-      if (this.source.readyState !== EventSource.CLOSED) return;
-      setTimeout(() => this.open(), RETRY_MS);
-    });
+  // One stream for all tabs of this page.
+  share() {
+    const worker = new SharedWorker("worker.js", { type: "module" });
+    // Without the worker, for example because the browser cannot load it, the tab has a stream of its own.
+    worker.onerror = () => { if (!this.isReached) this.own(); };
+    worker.port.onmessage = ({ data }) => {
+      document.documentElement.dataset.stream = "shared";
+      this.take(data.kind, data.text);
+    };
+    addEventListener("pageshow", () => worker.port.postMessage("here"));
+    addEventListener("pagehide", () => worker.port.postMessage("gone"));
+    worker.port.postMessage("here");
+  }
+
+  // A stream of this tab alone.
+  own() {
+    document.documentElement.dataset.stream = "own";
+    new Stream((kind, text) => this.take(kind, text));
+  }
+
+  take(kind, text) {
+    this.isReached = true;
+    if (kind === "figures") this.figures(JSON.parse(text));
+    else if (kind === "frame" || kind === "log") this.handlers[kind](JSON.parse(text));
+    else this.handlers[kind](text);
+  }
+
+  figures(now) {
+    // Plan, policies and past rates belong to another server or room.
+    if (now.page !== this.page) location.reload();
+    else this.handlers.figures(now);
   }
 }

@@ -6,6 +6,8 @@ const SPEEDS = [["0 m/s", 0], ["0.5 m/s", 0.5], ["2 m/s", 2], ["4 m/s", 4]];
 const BLOCKED_MAX = 8;
 // A message of the page itself, for example without a connection, is shown this long.
 const OWN_MESSAGE_MS = 10000;
+// An order without an answer of the server ends after this time.
+const ORDER_LIMIT_MS = 6000;
 
 export class Orders {
   constructor(plan) {
@@ -25,6 +27,7 @@ export class Orders {
     this.power = this.group("power", POWERS_W.map((watts) => [`${watts} W`, watts]), (watts) => ({ order: "power", watts }));
     this.speed = this.group("speed", SPEEDS, (max_m_s) => ({ order: "speed", max_m_s }));
     this.blocked = [];
+    this.jammed = document.getElementById("label-mirrors");
     if (!plan.controls_processes) {
       for (const id of ["kill", "restart"]) document.getElementById(id).title = "only `heliostat demo` can kill or restart the processes that it started";
     }
@@ -42,12 +45,14 @@ export class Orders {
     };
     const count = Math.min(now.users.length, BLOCKED_MAX);
     if (this.blocked.length !== count + 1) {
-      const choices = Array.from({ length: count + 1 }, (_, users) => [users ? String(users) : "no user", users]);
+      const choices = Array.from({ length: count + 1 }, (_, users) => [users ? `${users} ${users === 1 ? "user" : "users"}` : "no user", users]);
       this.blocked = this.group("blocked", choices, (users) => ({ order: "blocked", users }));
     }
     pressed(this.blocked, now.users.filter((user) => user.forced).length);
     pressed(this.power, now.power_w);
     pressed(this.speed, now.speed_m_s);
+    const jammed = now.jammed ? `Mirrors (${now.jammed} jammed)` : "Mirrors";
+    if (this.jammed.textContent !== jammed) this.jammed.textContent = jammed;
     const simulated = now.origin === "simulated";
     for (const [button] of [...this.power, ...this.speed, ...this.blocked]) button.disabled = !simulated;
     const enable = (id, enabled) => { document.getElementById(id).disabled = !enabled; };
@@ -83,13 +88,27 @@ export class Orders {
   async send(order) {
     const what = order.order;
     try {
-      const answer = await fetch("/order", {
-        method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(order),
+      const answer = await fetch("order", {
+        method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(order), signal: AbortSignal.timeout(ORDER_LIMIT_MS),
       });
       // The next event has the answer of the receiver to an order that reached the server.
       this.own(answer.ok || answer.status === 503 || answer.status === 422 ? null : `refused: ${await answer.text()}`);
     } catch (error) {
-      this.own(`not sent: ${what}: ${error.message}`);
+      const reason = error.name === "TimeoutError" ? `no answer of the server within ${ORDER_LIMIT_MS / 1000} s` : error.message;
+      const advice = what === "stop" ? "; run `heliostat stop`, or cut the power of the mirrors" : "";
+      this.own(`not confirmed: ${what}: ${reason}${advice}`);
+    }
+  }
+
+  // Whether the server accepts orders from this address, before one is needed.
+  async check() {
+    const refused = document.getElementById("refused");
+    try {
+      const answer = await fetch("check", { method: "POST", signal: AbortSignal.timeout(ORDER_LIMIT_MS) });
+      refused.hidden = answer.ok;
+      if (!answer.ok) refused.textContent = `This page cannot send orders, STOP neither. ${await answer.text()}`;
+    } catch {
+      // Without a connection the banner says so.
     }
   }
 

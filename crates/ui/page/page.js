@@ -9,6 +9,7 @@ import { presentUsers } from "./geometry.js";
 import { banner, sentence } from "./sentence.js";
 import { chips, counters, users } from "./figures.js";
 import { heatGradient } from "./heat.js";
+import { openEvents, showEvents } from "./events.js";
 
 const at = (id) => document.getElementById(id);
 const setText = (element, text) => { if (element.textContent !== text) element.textContent = text; };
@@ -36,6 +37,9 @@ function showBanner(now, ages) {
 // sentence and table agree.
 const SHOW_EVERY_MS = 250;
 
+// A server that does not answer by then is given up.
+const START_LIMIT_MS = 15000;
+
 // What depends on the age of the figures, several times a second.
 function showAges(state) {
   const { now, ages, room, frame } = state;
@@ -56,12 +60,21 @@ function showHeat(map) {
   if (map) setText(at("heat-max"), `${map.max_mbps.toFixed(0)} Mbit/s`);
 }
 
+async function loadPlan() {
+  const answer = await fetch("room.json", { signal: AbortSignal.timeout(START_LIMIT_MS) });
+  if (!answer.ok) throw new Error(await answer.text());
+  return answer.json();
+}
+
 async function start() {
-  const plan = await (await fetch("/room.json")).json();
-  setText(at("where"), `room ${plan.room}, scenario ${plan.scenario}`);
+  const plan = await loadPlan();
+  const where = `room ${plan.room}, scenario ${plan.scenario}`;
+  setText(at("where"), where);
   at("heat-bar").style.background = heatGradient;
   const room = new Room(at("room"), plan);
   const [charts, orders] = [new Charts(plan), new Orders(plan)];
+  orders.check();
+  openEvents();
   const parts = [room, charts, orders];
   const retheme = () => applyTheme(parts);
   retheme();
@@ -90,6 +103,12 @@ async function start() {
       orders.update(now);
       charts.update(now);
       show();
+    },
+    log: showEvents,
+    mode: (mode) => setText(at("where"), mode === "polled" ? `${where}; slower, because other rooms of this site are open` : where),
+    problem: (text) => {
+      at("refused").hidden = false;
+      setText(at("refused"), `The server sends no figures: ${text}`);
     },
     frame: (frame) => {
       // The next figures load the page again.

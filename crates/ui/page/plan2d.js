@@ -75,8 +75,9 @@ export class Plan2D {
     for (const user of frame.users) {
       const led = this.plan.leds_m[user.led];
       if (!led) continue;
-      if (user.blocked) this.line([led, user.at_m], this.colours.edge, 0.02, 0.9, [0.08, 0.08]);
-      else this.line([led, user.at_m], LIGHT, 0.03, 1);
+      // A path that no process reports is not drawn.
+      if (user.blocked === true) this.line([led, user.at_m], this.colours.edge, 0.02, 0.9, [0.08, 0.08]);
+      else if (user.blocked === false) this.line([led, user.at_m], LIGHT, 0.03, 1);
     }
   }
 

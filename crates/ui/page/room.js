@@ -5,7 +5,13 @@ import { Plan2D } from "./plan2d.js";
 import { View3D } from "./view3d.js";
 
 export const SWITCHES = ["wall", "beams", "paths", "heat", "belief"];
+// A machine that needs longer than this for a picture draws fewer, so that orders and the rest of the page stay fast.
+const SLOW_MS = 80;
+// Its pause after a picture, as a multiple of the time for it.
+const PAUSE = 2;
 const HEAT_EVERY_MS = 1000;
+// A map that is not there by then is given up.
+const HEAT_LIMIT_MS = 4000;
 
 export class Room {
   constructor(element, plan) {
@@ -15,6 +21,7 @@ export class Room {
     this.isDirty = true;
     // Pictures drawn since the start, for tests.
     this.frames = 0;
+    this.nextDraw = 0;
     const changed = () => { this.isDirty = true; };
     const bounds = boundsOf(plan);
     this.view = View3D.create(element, plan, bounds, changed) ?? new Plan2D(element, plan);
@@ -62,7 +69,7 @@ export class Room {
     let map = null;
     if (this.shown.heat) {
       try {
-        const answer = await fetch(`/floor.json?mirrors=${this.shown.wall ? 1 : 0}`);
+        const answer = await fetch(`floor.json?mirrors=${this.shown.wall ? 1 : 0}`, { signal: AbortSignal.timeout(HEAT_LIMIT_MS) });
         if (answer.ok) map = await answer.json();
       } catch {
         // Without a connection there is no map; the banner says so.
@@ -80,11 +87,17 @@ export class Room {
     const seconds = Math.min(0.25, (now - this.last) / 1000);
     this.last = now;
     const isTurning = this.view.step(seconds);
-    if (this.isDirty || isTurning || this.wasMoving) {
+    if (now >= this.nextDraw && (this.isDirty || isTurning || this.wasMoving)) {
       // One more picture after the last change shows its end.
       this.wasMoving = this.motion.isMoving(now);
       this.isDirty = false;
       this.draw(now, seconds);
+      const begun = performance.now();
+      // The second callback runs after the picture was painted.
+      requestAnimationFrame(() => requestAnimationFrame((painted) => {
+        const took = painted - begun;
+        this.nextDraw = took > SLOW_MS ? painted + PAUSE * took : 0;
+      }));
     }
     requestAnimationFrame((next) => this.tick(next));
   }

@@ -203,8 +203,9 @@ export class RoomScene {
     for (const user of frame.users) {
       const led = this.plan.leds_m[user.led];
       if (!led) continue;
-      if (user.blocked) this.dashed.add(led, user.at_m, this.colours.edge);
-      else this.direct.add(led, user.at_m, LIGHT);
+      // A path that no process reports is not drawn.
+      if (user.blocked === true) this.dashed.add(led, user.at_m, this.colours.edge);
+      else if (user.blocked === false) this.direct.add(led, user.at_m, LIGHT);
     }
     if (shown.beams && shown.wall) {
       frame.serves.forEach((index, mirror) => {

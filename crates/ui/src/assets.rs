@@ -8,11 +8,12 @@ pub(crate) struct Asset {
 }
 
 /// All files.
-static ASSETS: [Asset; 27] = [
+static ASSETS: [Asset; 30] = [
     Asset { path: "/", media: "text/html; charset=utf-8", text: include_str!("../page/index.html") },
     Asset { path: "/page.css", media: "text/css; charset=utf-8", text: include_str!("../page/page.css") },
     Asset { path: "/camera.js", media: JAVASCRIPT, text: include_str!("../page/camera.js") },
     Asset { path: "/charts.js", media: JAVASCRIPT, text: include_str!("../page/charts.js") },
+    Asset { path: "/events.js", media: JAVASCRIPT, text: include_str!("../page/events.js") },
     Asset { path: "/fairness.js", media: JAVASCRIPT, text: include_str!("../page/fairness.js") },
     Asset { path: "/figures.js", media: JAVASCRIPT, text: include_str!("../page/figures.js") },
     Asset { path: "/geometry.js", media: JAVASCRIPT, text: include_str!("../page/geometry.js") },
@@ -29,6 +30,8 @@ static ASSETS: [Asset; 27] = [
     Asset { path: "/sentence.js", media: JAVASCRIPT, text: include_str!("../page/sentence.js") },
     Asset { path: "/shapes.js", media: JAVASCRIPT, text: include_str!("../page/shapes.js") },
     Asset { path: "/stale.js", media: JAVASCRIPT, text: include_str!("../page/stale.js") },
+    Asset { path: "/stream.js", media: JAVASCRIPT, text: include_str!("../page/stream.js") },
+    Asset { path: "/worker.js", media: JAVASCRIPT, text: include_str!("../page/worker.js") },
     Asset { path: "/view3d.js", media: JAVASCRIPT, text: include_str!("../page/view3d.js") },
     Asset {
         path: "/vendor/three.module.min.js",
@@ -99,6 +102,14 @@ mod tests {
                 let Some(name) = name.split('"').next().filter(|name| name.ends_with(".js")) else { continue };
                 assert!(find(&format!("{folder}/{name}")).is_some(), "{} imports {name}", asset.path);
             }
+        }
+    }
+
+    #[test]
+    fn the_page_works_below_any_path_of_a_site() {
+        for asset in ASSETS.iter().filter(|asset| !asset.path.starts_with("/vendor/")) {
+            let absolute = ["\"/", "'/", "`/", "url(/"].into_iter().find(|start| asset.text.contains(start));
+            assert_eq!(absolute, None, "{} names a path of its host: expected a relative one", asset.path);
         }
     }
 

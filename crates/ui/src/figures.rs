@@ -15,6 +15,7 @@ use serde::Serialize;
 
 use crate::View;
 use crate::latency::Histogram;
+use crate::scene::unusable_mirrors;
 use crate::view::{EXPIRY, Received};
 
 /// Where the figures come from.
@@ -37,8 +38,8 @@ pub struct UserFigures {
     pub user: u32,
     /// Position of the detector in m.
     pub position_m: [f32; 3],
-    /// Whether the direct path is blocked.
-    pub blocked: bool,
+    /// Whether the direct path is blocked; absent where no process reports it.
+    pub blocked: Option<bool>,
     /// Whether it is blocked by order.
     pub forced: bool,
     /// Rate in Mbit/s; 0 where it is unknown.
@@ -78,7 +79,7 @@ pub struct ArrayFigures {
     pub state: String,
     /// Number of mirrors.
     pub mirrors: usize,
-    /// Mirrors that do not follow commands, as reported by the driver or by the simulator.
+    /// Mirrors that do not follow commands, as the picture shows them.
     pub unusable: usize,
     /// Names of the faults.
     pub faults: Vec<&'static str>,
@@ -109,10 +110,12 @@ pub struct TimeFigures {
 pub struct Count {
     /// Name.
     pub name: String,
-    /// Value.
-    pub value: u64,
+    /// Value; absent before the first report of its process.
+    pub value: Option<u64>,
     /// Whether a value above 0 is a problem.
     pub is_problem: bool,
+    /// What it counts.
+    pub meaning: &'static str,
 }
 
 /// Time since the last message of each process in s; absent before the first.
@@ -157,6 +160,8 @@ pub struct Figures {
     pub counts: Vec<Count>,
     /// Optical power in W, if the room reports it.
     pub power_w: Option<f64>,
+    /// Mirrors that the room jams by order, if it reports them.
+    pub jammed: Option<u64>,
     /// Highest walking speed in m/s, if the room reports it.
     pub speed_m_s: Option<f64>,
     /// The hash of the drawn geometry, as in the plan: another one needs another plan.
@@ -175,8 +180,13 @@ impl View {
         let silent: Vec<String> =
             received.arrays.silent(model.mirrors.arrays().len()).into_iter().map(array_name).collect();
         let (origin, tick, users) = users(model, &received);
+        let unusable = unusable_mirrors(&received, &room).len();
         let controller = received.fresh_status(NodeKind::Controller.name());
         let room = received.fresh_status(NodeKind::SimNode.name());
+        // Counters and times count since the start of their process. They stay when it is silent, and the
+        // page shows their age.
+        let last = |node: NodeKind| received.statuses.get(node.name()).map(|(_, status)| status);
+        let [last_controller, last_room] = [NodeKind::Controller, NodeKind::SimNode].map(last);
         let gauge = |name: &str| {
             let gauges = room.map_or(&[][..], |room| &room.gauges);
             gauges.iter().find(|(gauge, _)| gauge == name).map(|(_, value)| *value)
@@ -189,17 +199,14 @@ impl View {
             controller_alive: received.alive.iter().any(|(node, _)| *node == NodeKind::Controller.name()),
             sum_mbps: sum(&received, &users),
             users,
-            array: array(
-                (model.mirrors.len(), &silent),
-                telemetry.as_ref(),
-                gauge("faulty_mirrors").unwrap_or(0.0) as usize,
-            ),
+            array: array((model.mirrors.len(), unusable), &silent, telemetry.as_ref()),
             nodes: received.statuses.iter().map(|(name, (at, status))| node(&received, name, *at, status)).collect(),
             ages_s: ages(&received),
-            times: vec![time("decision", controller), time("loop", room), time("age", controller)],
+            times: vec![time("decision", last_controller), time("loop", last_room), time("age", last_controller)],
             latency: received.latency.histogram(),
-            counts: counts(controller, room, telemetry.as_ref(), received.unreadable),
+            counts: counts(last_controller, last_room, telemetry.as_ref(), received.unreadable),
             power_w: gauge("power_w"),
+            jammed: gauge("faulty_mirrors").map(|count| count as u64),
             speed_m_s: gauge("speed_max_m_s"),
             geometry,
             notes,
@@ -219,7 +226,7 @@ fn users(model: &ChannelModel, received: &Received) -> (Origin, u64, Vec<UserFig
         let user = |user: &heliostat_proto::TruthUser| UserFigures {
             user: user.user,
             position_m: user.position_m,
-            blocked: user.los_blocked,
+            blocked: Some(user.los_blocked),
             forced: user.forced,
             rate_mbps: user.rate_bps * 1e-6,
             is_rate_known: true,
@@ -235,7 +242,7 @@ fn users(model: &ChannelModel, received: &Received) -> (Origin, u64, Vec<UserFig
         UserFigures {
             user: user.user,
             position_m: user.position_m,
-            blocked: gains.is_some_and(|gains| gains.los_gain == 0.0),
+            blocked: gains.map(|gains| gains.los_gain == 0.0),
             forced: false,
             rate_mbps: gains.map_or(0.0, |gains| rate(gains.sinr) * 1e-6) as f32,
             is_rate_known: gains.is_some(),
@@ -245,8 +252,9 @@ fn users(model: &ChannelModel, received: &Received) -> (Origin, u64, Vec<UserFig
     (Origin::Measured, report.tick, report.users.iter().map(user).collect())
 }
 
-/// The figures of all arrays: their number of mirrors, and the names of those without telemetry.
-fn array((mirrors, silent): (usize, &[String]), telemetry: Option<&MirrorTelemetry>, faulty: usize) -> ArrayFigures {
+/// The figures of all arrays: their number of mirrors and of unusable ones, and the names of the arrays
+/// without telemetry.
+fn array((mirrors, unusable): (usize, usize), silent: &[String], telemetry: Option<&MirrorTelemetry>) -> ArrayFigures {
     let Some(telemetry) = telemetry else {
         return ArrayFigures { state: "no telemetry".into(), mirrors, ..ArrayFigures::default() };
     };
@@ -258,7 +266,7 @@ fn array((mirrors, silent): (usize, &[String]), telemetry: Option<&MirrorTelemet
             format!("{state}, no telemetry of {}", silent.join(" and "))
         },
         mirrors,
-        unusable: telemetry.unusable.len().max(faulty),
+        unusable,
         faults: fault_names(telemetry.faults),
     }
 }
@@ -313,27 +321,57 @@ fn counts(
     unreadable: u64,
 ) -> Vec<Count> {
     let of = |status: Option<&NodeStatus>, counter: &str| {
-        let counters = status.map_or(&[][..], |status| &status.counters);
+        let counters = &status?.counters;
+        // A controller that waits for its policy publishes few counters; the others are unknown.
+        if status.is_some_and(|status| status.node == NodeKind::Controller)
+            && !counters.iter().any(|(name, _)| name == "decisions")
+        {
+            return None;
+        }
         let matching = counters.iter().filter(|(name, _)| match counter.strip_suffix('*') {
             Some(start) => name.starts_with(start),
             None => name == counter,
         });
-        matching.map(|(_, count)| count).sum::<u64>()
+        Some(matching.map(|(_, count)| count).sum::<u64>())
     };
     // The array counts since its own start, also what earlier controllers sent.
-    let refused = array.map_or(0, |array| array.counters.refused());
+    let refused = array.map(|array| array.counters.refused());
+    let decisions = of(controller, "decisions");
     let all = [
-        ("decisions", of(controller, "decisions"), false),
-        ("commands", of(controller, "commands"), false),
-        ("over 0.5 ms", of(controller, "over_budget"), true),
-        ("ticks lost", of(room, "lost_ticks"), true),
-        ("ticks late", of(room, "late_ticks"), true),
-        ("fallbacks", of(controller, "fallback:*"), true),
-        ("reports refused", of(controller, "refused:*"), true),
-        ("array refused", refused, true),
-        ("unreadable", unreadable, true),
+        ("decisions", decisions, false, "Decisions of the controller on position reports, since its start."),
+        ("commands", of(controller, "commands"), false, "Commands that the controller sent, one for each array."),
+        ("over 0.5 ms", of(controller, "over_budget"), true, "Decisions that took longer than the budget of 0.5 ms."),
+        (
+            "modelled",
+            of(controller, "modelled"),
+            false,
+            "Decisions on modelled gains: no receiver has ever reported gains in this room.",
+        ),
+        ("ticks lost", of(room, "lost_ticks"), true, "Ticks of the simulated room that its clock skipped."),
+        ("ticks late", of(room, "late_ticks"), true, "Ticks of the simulated room that began late."),
+        (
+            "fallbacks",
+            of(controller, "fallback:*"),
+            true,
+            "Decisions without the policy's own angles or on incomplete reports: see `fallback:` in the log and docs/faults.md.",
+        ),
+        (
+            "reports refused",
+            of(controller, "refused:*"),
+            true,
+            "Messages that the controller refused, for example for their age or their place.",
+        ),
+        ("array refused", refused, true, "Commands that the arrays refused, for example during a stop."),
+        ("unreadable", Some(unreadable), true, "Messages of the room that this page cannot decode."),
     ];
-    all.map(|(name, value, is_problem)| Count { name: name.into(), value, is_problem }).into()
+    let all = all.into_iter().map(|(name, value, is_problem, meaning)| Count {
+        name: name.into(),
+        value,
+        is_problem,
+        meaning,
+    });
+    // Shown where it counts anything: a room with receivers never has it.
+    all.filter(|count| count.name != "modelled" || count.value.is_some_and(|value| value > 0)).collect()
 }
 
 fn state_name(state: ArrayState) -> &'static str {

@@ -28,8 +28,15 @@ pub struct FloorMap {
     pub rows: usize,
     /// Rate at the height of the detectors in Mbit/s, row by row from the smallest x and y.
     pub rate_mbps: Vec<f64>,
-    /// The largest rate of the map, in Mbit/s.
+    /// The rate at the end of the scale in Mbit/s: it only grows, so colours stay comparable.
     pub max_mbps: f64,
+}
+
+#[derive(Default)]
+struct Kept {
+    maps: [Option<(Instant, FloorMap)>; 2],
+    /// The geometry of the scale, and its end in Mbit/s.
+    scale: (String, f64),
 }
 
 /// Computes the maps of a view.
@@ -37,7 +44,7 @@ pub struct FloorMaps {
     view: Arc<View>,
     frames: FrameBuilder,
     /// The last map with the mirrors, and the last one without.
-    kept: Mutex<[Option<(Instant, FloorMap)>; 2]>,
+    kept: Mutex<Kept>,
 }
 
 impl View {
@@ -72,16 +79,20 @@ impl FloorMaps {
         }
         // The lock is held while computing, so that pages share one computation.
         let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
-        let slot = &mut kept[usize::from(with_mirrors)];
-        if let Some((_, map)) = slot.as_ref().filter(|(at, _)| at.elapsed() < KEPT) {
+        let slot = usize::from(with_mirrors);
+        if let Some((_, map)) = kept.maps[slot].as_ref().filter(|(at, _)| at.elapsed() < KEPT) {
             return Some(map.clone());
         }
-        let map = self.compute(with_mirrors);
-        *slot = Some((Instant::now(), map.clone()));
+        let (geometry, mut map) = self.compute(with_mirrors);
+        let so_far = if kept.scale.0 == geometry { kept.scale.1 } else { 0.0 };
+        map.max_mbps = so_far.max(round_above(map.max_mbps));
+        kept.scale = (geometry, map.max_mbps);
+        kept.maps[slot] = Some((Instant::now(), map.clone()));
         Some(map)
     }
 
-    fn compute(&self, with_mirrors: bool) -> FloorMap {
+    /// The hash of the geometry, and the map with its largest rate.
+    fn compute(&self, with_mirrors: bool) -> (String, FloorMap) {
         let now = self.frames.optical_state();
         let (model, room, budget) = (&now.room.model, &now.room.scenario.room, self.view.budget(&now.room.model));
         let height_m = now.room.scenario.receiver.height_m;
@@ -109,10 +120,31 @@ impl FloorMaps {
         };
         let rate_mbps: Vec<f64> = (0..columns * rows).map(&mut rate).collect();
         let max_mbps = rate_mbps.iter().copied().fold(0.0, f64::max);
-        FloorMap { columns, rows, rate_mbps, max_mbps }
+        (now.room.id.clone(), FloorMap { columns, rows, rate_mbps, max_mbps })
     }
+}
+
+/// The next of 1, 2, 5, 10, 20, 50 ... that is not below a rate.
+fn round_above(rate: f64) -> f64 {
+    if rate <= 0.0 {
+        return 0.0;
+    }
+    let decade = 10_f64.powf(rate.log10().floor());
+    [1.0, 2.0, 5.0].into_iter().map(|step| step * decade).find(|step| *step >= rate).unwrap_or(10.0 * decade)
 }
 
 fn hundredths(value: f64) -> f64 {
     (value * 100.0).round() / 100.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_end_of_the_scale_is_a_round_rate_above_the_largest() {
+        for (rate, end) in [(0.0, 0.0), (0.3, 0.5), (1.0, 1.0), (13.7, 20.0), (20.1, 50.0), (51.0, 100.0)] {
+            assert!((round_above(rate) - end).abs() < 1e-9, "{rate}: {}", round_above(rate));
+        }
+    }
 }

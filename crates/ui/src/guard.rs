@@ -3,18 +3,22 @@
 //! Any page that is open in the browser can send requests to this address. Three measures prevent
 //! misuse:
 //!
-//! - The `Host` header must hold an IP address or `localhost`. A name that an attacker resolves to
-//!   this machine (DNS rebinding) is refused.
-//! - The `Origin` header of an order must be the address of this page.
+//! - The `Host` header must hold an IP address, `localhost`, the name of this machine, or that of a
+//!   public address ([`PublicAddress`]). Another name that an attacker resolves to this machine (DNS
+//!   rebinding) is refused.
+//! - The `Origin` header of an order must be the address of this page, or a public address.
 //! - The headers forbid the page to load from, send to, or be framed by other origins.
 
-use std::net::IpAddr;
+use std::net::{IpAddr, SocketAddr};
+use std::str::FromStr;
+use std::sync::Arc;
 
-use axum::extract::Request;
+use axum::extract::{Request, State};
 use axum::http::header::{HOST, HeaderName, HeaderValue, ORIGIN};
 use axum::http::{Method, StatusCode};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
+use heliostat_service::printable::printable;
 
 /// Headers of every answer. They allow scripts, connections and images of this origin only, and
 /// inline styles, which the charts set by script.
@@ -22,7 +26,7 @@ const HEADERS: [(HeaderName, HeaderValue); 6] = [
     (
         HeaderName::from_static("content-security-policy"),
         HeaderValue::from_static(
-            "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; connect-src 'self'; \
+            "default-src 'none'; script-src 'self'; worker-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; connect-src 'self'; \
              base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
         ),
     ),
@@ -33,10 +37,143 @@ const HEADERS: [(HeaderName, HeaderValue); 6] = [
     (HeaderName::from_static("cache-control"), HeaderValue::from_static("no-store")),
 ];
 
+/// An address at which a proxy serves the page: `https://HOST[:PORT]`, with the path of the page.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PublicAddress {
+    scheme: &'static str,
+    /// Host and port, without the default port of the scheme.
+    host: String,
+    path: String,
+}
+
+impl FromStr for PublicAddress {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let expected = || format!("invalid address \"{text}\": expected https://HOST or https://HOST:PORT");
+        let schemes = [("https", "443"), ("http", "80")];
+        let (scheme, default_port, rest) = schemes
+            .into_iter()
+            .find_map(|(scheme, port)| Some((scheme, port, text.strip_prefix(scheme)?.strip_prefix("://")?)))
+            .ok_or_else(expected)?;
+        let (host, path) = rest.split_once('/').unwrap_or((rest, ""));
+        let host = without_port(&folded(host), default_port);
+        if host.is_empty() || host.contains(['@', '?', '#', ' ', '*', ',']) || path.contains(['?', '#', ' ']) {
+            return Err(expected());
+        }
+        Ok(Self { scheme, host, path: path.to_owned() })
+    }
+}
+
+impl std::fmt::Display for PublicAddress {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}://{}/{}", self.scheme, self.host, self.path)
+    }
+}
+
+/// The hosts and origins of one page.
+#[derive(Clone, Debug)]
+pub(crate) struct Guard {
+    /// The names of this machine, in lower case.
+    names: Vec<String>,
+    public: Vec<PublicAddress>,
+    /// An address that works.
+    address: String,
+}
+
+impl Guard {
+    /// The guard of a page that listens at an address of a machine with this name.
+    pub fn new(address: SocketAddr, machine: Option<String>, public: Vec<PublicAddress>) -> Self {
+        let machine = machine.map(|name| folded(&name)).unwrap_or_default();
+        // A name with a domain has its first label in the local network.
+        let label = machine.split('.').next().unwrap_or_default().to_owned();
+        let is_name = |name: &&str| !name.is_empty();
+        let mut names: Vec<String> =
+            [&machine, &label].map(String::as_str).into_iter().filter(is_name).map(str::to_owned).collect();
+        names.extend(Some(label).filter(|label| !label.is_empty()).map(|label| format!("{label}.local")));
+        names.push("localhost".to_owned());
+        names.dedup();
+        let address = match (address.ip().is_unspecified(), names.first()) {
+            (true, Some(name)) => format!("http://{name}:{}/", address.port()),
+            _ => format!("http://{address}/"),
+        };
+        Self { names, public, address }
+    }
+
+    /// The reason to refuse a request with this host and this origin; `None` if it is allowed.
+    fn refusal(&self, is_read: bool, host: Option<&str>, origin: Option<&str>) -> Option<String> {
+        let Some(host) = host.map(folded).filter(|host| self.is_own(host) || self.is_public(host)) else {
+            let found = host.map(shown).unwrap_or_default();
+            return Some(format!(
+                "invalid Host \"{found}\": expected an IP address, {} or an address of --ui-origin; open {}, or start \
+                 heliostat with --ui-origin https://{found} if a proxy serves the page under this name\n",
+                self.names.join(", "),
+                self.address
+            ));
+        };
+        if is_read || origin.is_some_and(|origin| self.is_same(&host, origin)) {
+            return None;
+        }
+        let found = origin.map(shown).unwrap_or_default();
+        let remedy = match origin {
+            Some(origin) if origin.parse::<PublicAddress>().is_ok() => {
+                format!("start heliostat with --ui-origin {found} if a proxy serves the page there")
+            }
+            _ => "send orders with its buttons".to_owned(),
+        };
+        Some(format!("invalid Origin \"{found}\": expected the address of this page, {}; {remedy}\n", self.address))
+    }
+
+    /// Whether an origin is that of the page under this host.
+    fn is_same(&self, host: &str, origin: &str) -> bool {
+        let Some((scheme, of)) = origin.split_once("://") else { return false };
+        let of = folded(of);
+        let is_public = |public: &PublicAddress| public.scheme == scheme && public.host == of;
+        // A proxy may add TLS and pass the host on.
+        (of == host && ["http", "https"].contains(&scheme)) || self.public.iter().any(is_public)
+    }
+
+    /// Whether a host, with or without a port, is an IP address or a name of this machine.
+    fn is_own(&self, host: &str) -> bool {
+        let name = match host.rsplit_once(':') {
+            Some((name, port)) if !port.is_empty() && port.bytes().all(|byte| byte.is_ascii_digit()) => name,
+            _ => host,
+        };
+        let name = name.strip_suffix('.').unwrap_or(name);
+        let number = name.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')).unwrap_or(name);
+        self.names.iter().any(|own| own == name) || number.parse::<IpAddr>().is_ok()
+    }
+
+    fn is_public(&self, host: &str) -> bool {
+        self.public.iter().any(|public| {
+            let port = if public.scheme == "https" { "443" } else { "80" };
+            public.host == without_port(host, port)
+        })
+    }
+}
+
+/// A host in lower case: names of hosts have no case, and a dot at their end has no meaning.
+fn folded(host: &str) -> String {
+    let host = host.trim().to_ascii_lowercase();
+    match host.rsplit_once(':') {
+        Some((name, port)) if name.ends_with('.') => format!("{}:{port}", name.trim_end_matches('.')),
+        _ => host.trim_end_matches('.').to_owned(),
+    }
+}
+
+fn without_port(host: &str, port: &str) -> String {
+    host.strip_suffix(port).and_then(|host| host.strip_suffix(':')).unwrap_or(host).to_owned()
+}
+
+/// A header of a request, as an answer may show it.
+fn shown(header: &str) -> String {
+    printable(header).chars().take(100).collect()
+}
+
 /// Refuses a request of another origin with 403, and adds the headers to every answer.
-pub(crate) async fn check_origin(request: Request, next: Next) -> Response {
+pub(crate) async fn check_origin(State(guard): State<Arc<Guard>>, request: Request, next: Next) -> Response {
     let is_read = matches!(*request.method(), Method::GET | Method::HEAD);
-    let mut response = match refusal(is_read, header(&request, HOST), header(&request, ORIGIN)) {
+    let mut response = match guard.refusal(is_read, header(&request, HOST), header(&request, ORIGIN)) {
         Some(reason) => (StatusCode::FORBIDDEN, reason).into_response(),
         None => next.run(request).await,
     };
@@ -51,47 +188,77 @@ fn header(request: &Request, name: HeaderName) -> Option<&str> {
     value.to_str().ok()
 }
 
-/// The reason to refuse a request with this host and this origin; `None` if it is allowed.
-fn refusal(is_read: bool, host: Option<&str>, origin: Option<&str>) -> Option<&'static str> {
-    let Some(host) = host.filter(|host| is_address(host)) else {
-        return Some("invalid Host: expected an IP address or localhost; open the page under one of them\n");
-    };
-    let is_same_origin = origin.is_some_and(|origin| origin.strip_prefix("http://") == Some(host));
-    (!is_read && !is_same_origin)
-        .then_some("invalid Origin: expected the address of this page; send orders with its buttons\n")
-}
-
-/// Whether a host, with or without a port, is `localhost` or an IP address.
-fn is_address(host: &str) -> bool {
-    let name = match host.rsplit_once(':') {
-        Some((name, port)) if !port.is_empty() && port.bytes().all(|byte| byte.is_ascii_digit()) => name,
-        _ => host,
-    };
-    let number = name.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')).unwrap_or(name);
-    name == "localhost" || number.parse::<IpAddr>().is_ok()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    fn guard(public: &[&str]) -> Guard {
+        let public = public.iter().map(|address| address.parse().expect("an address")).collect();
+        Guard::new("127.0.0.1:7480".parse().expect("an address"), Some("Mirrors.lab.example".into()), public)
+    }
+
     #[test]
     fn orders_of_other_origins_are_refused() {
-        let post = |host, origin| refusal(false, Some(host), origin).is_none();
+        let post = |host, origin| guard(&[]).refusal(false, Some(host), origin).is_none();
         assert!(post("127.0.0.1:7480", Some("http://127.0.0.1:7480")));
         assert!(post("localhost:7480", Some("http://localhost:7480")));
         assert!(post("[::1]:7480", Some("http://[::1]:7480")));
+        assert!(post("Mirrors.local.:7480", Some("http://mirrors.local:7480")));
         assert!(!post("127.0.0.1:7480", None));
         assert!(!post("127.0.0.1:7480", Some("null")));
         assert!(!post("127.0.0.1:7480", Some("http://127.0.0.1:8080")));
         assert!(!post("127.0.0.1:7480", Some("http://example.org")));
+        assert!(!post("127.0.0.1:7480", Some("ftp://127.0.0.1:7480")));
     }
 
     #[test]
     fn a_name_that_resolves_to_this_machine_is_refused() {
-        let get = |host| refusal(true, Some(host), None).is_none();
+        let guard = guard(&[]);
+        let get = |host| guard.refusal(true, Some(host), None).is_none();
         assert!(get("127.0.0.1:7480") && get("localhost") && get("192.168.1.5:80") && get("[::1]:7480"));
+        for own in
+            ["localhost.:7480", "LOCALHOST:7480", "mirrors:7480", "MIRRORS", "mirrors.local.", "mirrors.lab.example:80"]
+        {
+            assert!(get(own), "{own}");
+        }
         assert!(!get("example.org:7480") && !get("127.0.0.1.example.org:7480") && !get("localhost.example.org"));
-        assert!(refusal(true, None, None).is_some());
+        assert!(!get("mirrors.example.org") && !get("mirrors.local.example.org") && !get("lab.example") && !get(""));
+        assert!(guard.refusal(true, None, None).is_some());
+        let refused = guard.refusal(true, Some("example.org:7480"), None).expect("refused");
+        assert!(refused.contains("open http://127.0.0.1:7480/"), "{refused}");
+        let nameless = Guard::new("127.0.0.1:80".parse().expect("an address"), None, Vec::new());
+        assert!(
+            nameless.refusal(true, Some(""), None).is_some() && nameless.refusal(true, Some(".local"), None).is_some()
+        );
+    }
+
+    #[test]
+    fn a_public_address_admits_its_name_and_its_orders_only() {
+        let guard = guard(&["https://Mirrors.example.org", "https://example.org:8443/lab/room1/"]);
+        let post = |host, origin| guard.refusal(false, Some(host), Some(origin));
+        for host in ["127.0.0.1:7480", "mirrors.example.org", "mirrors.example.org:443"] {
+            assert_eq!(post(host, "https://mirrors.example.org"), None, "{host}");
+        }
+        assert_eq!(post("127.0.0.1:7480", "https://example.org:8443"), None);
+        assert_eq!(post("example.org:8443", "https://example.org:8443"), None);
+        for origin in ["http://mirrors.example.org", "https://example.org", "https://other.example.org", "null"] {
+            assert!(post("127.0.0.1:7480", origin).is_some(), "{origin}");
+        }
+        assert!(post("example.org", "https://example.org").is_some());
+        let refused = post("127.0.0.1:7480", "https://lab.example.org").expect("refused");
+        assert!(refused.contains("--ui-origin https://lab.example.org"), "{refused}");
+    }
+
+    #[test]
+    fn a_public_address_has_a_scheme_and_a_host() {
+        for invalid in
+            ["mirrors.example.org", "https://", "ftp://a", "https://*", "https://a?b", "https://a,b", "https://u@a"]
+        {
+            let refused = invalid.parse::<PublicAddress>().expect_err(invalid);
+            assert!(refused.contains("expected https://HOST"), "{refused}");
+        }
+        let shown = |text: &str| text.parse::<PublicAddress>().expect(text).to_string();
+        assert_eq!(shown("https://A.example:443"), "https://a.example/");
+        assert_eq!(shown("http://a.example:8080/lab/room1/"), "http://a.example:8080/lab/room1/");
     }
 }

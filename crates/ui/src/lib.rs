@@ -11,6 +11,7 @@
 //! - [`scene`]: mirrors, users, obstacles and blocked areas for the page's 3-D view.
 //! - [`belief`]: where the controller believes a user to be, as an ellipse.
 //! - [`orders`]: the orders of the page's buttons, and their publishers.
+//! - `event_log`: what happened in the room, with times.
 //! - [`order_log`]: the answers to these orders; [`stop_state`]: how far a stop has come.
 //! - [`floor`]: the rate over the floor, for the heat map.
 //! - [`stop_switch`]: the emergency stop and its release, for the page and the command line.
@@ -22,6 +23,7 @@ mod assets;
 pub mod belief;
 mod blocked_area;
 mod error;
+mod event_log;
 mod expiry;
 pub mod figures;
 pub mod floor;
@@ -47,10 +49,11 @@ pub mod view;
 
 pub use error::UiError;
 pub use figures::Figures;
+pub use guard::PublicAddress;
 pub use order::StopLabel;
 pub use order::{Order, ProcessOrder};
 pub use orders::Operator;
-pub use page::Page;
+pub use page::{Page, PoliciesOf};
 pub use server::{PageArgs, Place, Server};
 pub use shown_room::GeometrySource;
 pub use stop_switch::StopSwitch;

@@ -15,6 +15,7 @@ use heliostat_service::Stop;
 use serde::Serialize;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 
+use crate::event_log::EventLog;
 use crate::figures::Figures;
 use crate::order_log::OrderFigures;
 use crate::page::Page;
@@ -23,6 +24,8 @@ use crate::stop_state::StopFigures;
 
 /// Time between two `figures` events.
 const FIGURES_EVERY: Duration = Duration::from_millis(100);
+/// Without a reader, the log of events is updated once in so many rounds.
+const UNREAD_ROUNDS: u32 = 10;
 /// Time between two `frame` events of a small array.
 const FRAME_EVERY: Duration = Duration::from_millis(100);
 /// Minimum time between two frames, for each mirror. A mirror takes up to 100 bytes of JSON, so
@@ -31,13 +34,17 @@ const FRAME_TIME_PER_MIRROR: Duration = Duration::from_micros(100);
 /// Maximum number of open pages.
 pub(crate) const READERS_MAX: usize = 16;
 
-/// The newest events.
+/// The newest events, as JSON.
 #[derive(Clone, Debug, Default)]
 struct Events {
-    figures: Bytes,
-    frame: Bytes,
+    figures: String,
+    frame: String,
     /// Increases with each frame; 0 before the first.
     frame_number: u64,
+    /// The log of events.
+    log: String,
+    /// Increases with each of its changes.
+    log_number: u64,
 }
 
 /// The content of an event `figures`.
@@ -63,6 +70,7 @@ pub(crate) struct Feed {
 pub(crate) struct Reader {
     newest: watch::Receiver<Events>,
     frame_number: u64,
+    log_number: u64,
     stop: Stop,
     _permit: OwnedSemaphorePermit,
 }
@@ -86,28 +94,49 @@ impl Feed {
     /// A reader for one more page; `None` if too many are open.
     pub fn reader(&self) -> Option<Reader> {
         let permit = Arc::clone(&self.permits).try_acquire_owned().ok()?;
-        Some(Reader { newest: self.newest.subscribe(), frame_number: 0, stop: self.stop.clone(), _permit: permit })
+        Some(Reader {
+            newest: self.newest.subscribe(),
+            frame_number: 0,
+            log_number: 0,
+            stop: self.stop.clone(),
+            _permit: permit,
+        })
     }
 
     fn work(&self, page: &Page) {
         let view = &page.view;
         let frames = FrameBuilder::new(Arc::clone(view));
         let mut last_frame: Option<Instant> = None;
+        let mut log = EventLog::default();
+        let mut round = 0_u32;
         while !self.stop.wait_for(FIGURES_EVERY) {
             // Follows the array without a reader too, so that a page that opens later sees it.
             let stop = page.operator.stop_figures();
-            if self.newest.receiver_count() == 0 {
+            let has_readers = self.newest.receiver_count() > 0;
+            round = round.wrapping_add(1);
+            // Without a reader the log of events goes on, at a low rate.
+            if !has_readers && !round.is_multiple_of(UNREAD_ROUNDS) {
                 continue;
             }
-            let orders = page.operator.answers(view);
-            let figures = LiveFigures { figures: view.figures(), page: &page.id(), orders, stop };
-            let figures = event("figures", &figures);
+            let (figures, orders) = (view.figures(), page.operator.answers(view));
+            let changed = log.note(&figures, &orders, &stop).then(|| log.json());
+            if let Some(log) = changed {
+                self.newest.send_if_modified(|events| {
+                    (events.log, events.log_number) = (log, events.log_number + 1);
+                    // The figures below wake the readers.
+                    false
+                });
+            }
+            if !has_readers {
+                continue;
+            }
+            let figures = json(&LiveFigures { figures, page: &page.id(), orders, stop });
             let mirrors = u32::try_from(view.shown_room().model.mirrors.len()).unwrap_or(u32::MAX);
             let frame_every = FRAME_EVERY.max(FRAME_TIME_PER_MIRROR.saturating_mul(mirrors));
             let is_due = last_frame.is_none_or(|at| at.elapsed() >= frame_every);
             let frame = is_due.then(|| {
                 last_frame = Some(Instant::now());
-                event("frame", &frames.frame())
+                json(&frames.frame())
             });
             self.newest.send_modify(|events| {
                 events.figures = figures;
@@ -121,23 +150,38 @@ impl Feed {
 }
 
 impl Reader {
-    /// Waits for the next events; `None` if the server stops.
+    /// Waits for the next events, as server-sent events; `None` if the server stops.
     pub async fn next(&mut self) -> Option<Bytes> {
+        let events = self.changed().await?;
+        let mut text = format!("event: figures\ndata: {}\n\n", events.figures);
+        if std::mem::replace(&mut self.log_number, events.log_number) != events.log_number {
+            text += &format!("event: log\ndata: {}\n\n", events.log);
+        }
+        if std::mem::replace(&mut self.frame_number, events.frame_number) != events.frame_number {
+            text += &format!("event: frame\ndata: {}\n\n", events.frame);
+        }
+        Some(text.into())
+    }
+
+    /// Waits for the next events, as one JSON object; `None` if the server stops.
+    pub async fn once(mut self) -> Option<String> {
+        let Events { figures, frame, log, .. } = self.changed().await?;
+        let parts = [("figures", figures), ("frame", frame), ("log", log)];
+        let parts = parts.into_iter().filter(|(_, json)| !json.is_empty());
+        let parts: Vec<String> = parts.map(|(name, json)| format!("\"{name}\":{json}")).collect();
+        Some(format!("{{{}}}", parts.join(",")))
+    }
+
+    async fn changed(&mut self) -> Option<Events> {
         tokio::select! {
             () = self.stop.requested() => return None,
             changed = self.newest.changed() => changed.ok()?,
         }
-        let events = self.newest.borrow_and_update();
-        if events.frame_number == self.frame_number {
-            return Some(events.figures.clone());
-        }
-        self.frame_number = events.frame_number;
-        Some([&events.figures[..], &events.frame[..]].concat().into())
+        Some(self.newest.borrow_and_update().clone())
     }
 }
 
-fn event(name: &str, data: &impl Serialize) -> Bytes {
+fn json(data: &impl Serialize) -> String {
     // Serialization of these types cannot fail: they hold only numbers, texts and lists.
-    let data = serde_json::to_string(data).unwrap_or_default();
-    format!("event: {name}\ndata: {data}\n\n").into()
+    serde_json::to_string(data).unwrap_or_default()
 }

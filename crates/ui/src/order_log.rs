@@ -16,7 +16,7 @@ use crate::order_answer::{Answer, Published, Reported};
 const ANSWER_LIMIT: Duration = Duration::from_secs(5);
 /// An order that took effect is shown this long.
 const DONE_SHOWN: Duration = Duration::from_secs(5);
-/// A refusal, or a missing answer, is shown this long unless a later order of its kind succeeds.
+/// A refusal, or a missing answer, is shown this long unless a later order is sent.
 const REFUSAL_SHOWN: Duration = Duration::from_secs(20);
 /// Maximum number of orders that are kept.
 const ENTRIES_MAX: usize = 16;
@@ -83,9 +83,14 @@ impl OrderLog {
                 entry.set(answer);
             }
         }
+        let newest = entries.last().map_or(0, |entry| entry.id);
+        // An answered order is over when a later one was sent; the log of events keeps it.
         let is_superseded = |entry: &Entry| {
             let kind = std::mem::discriminant(&entry.published.order);
-            entries.iter().any(|later| later.id > entry.id && std::mem::discriminant(&later.published.order) == kind)
+            let is_repeated = entries
+                .iter()
+                .any(|later| later.id > entry.id && std::mem::discriminant(&later.published.order) == kind);
+            is_repeated || (entry.id < newest && !entry.answer.is_open())
         };
         let shown = entries.iter().rev().filter(|entry| match entry.answer {
             Answer::Sent => true,
@@ -120,5 +125,25 @@ impl Entry {
     fn set(&mut self, answer: Answer) {
         self.answer = answer;
         self.changed = Instant::now();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_old_refusal_does_not_return_when_a_later_order_is_done() {
+        let log = OrderLog::default();
+        let refused = log.begin(&Order::Policy { name: "clairvoyant".into() }, Reported::default());
+        log.refused(refused, "there is no such policy".into());
+        let shown = |reported: &Reported| log.review(reported).into_iter().map(|order| order.what).collect::<Vec<_>>();
+        assert_eq!(shown(&Reported::default()), ["policy clairvoyant"]);
+        log.begin(&Order::Stop, Reported::default());
+        let stopped = Reported { array_present: true, is_stopped: true, ..Reported::default() };
+        assert_eq!(shown(&stopped), ["stop"]);
+        // The stop is no longer in force, so its answer is not shown; the refusal stays away too.
+        let released = Reported { array_present: true, ..Reported::default() };
+        assert_eq!(shown(&released), Vec::<String>::new());
     }
 }

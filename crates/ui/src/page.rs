@@ -3,6 +3,8 @@
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::Arc;
 
+use heliostat_scenario::Scenario;
+
 use crate::View;
 use crate::orders::Operator;
 use crate::scene::Plan;
@@ -16,9 +18,12 @@ pub struct Page {
     pub operator: Operator,
     /// Name of the room in the keys.
     pub room: String,
-    /// Names of the policies that the controller accepts.
-    pub policies: Vec<String>,
+    /// Names of the policies that a controller of a scenario accepts.
+    pub policies: PoliciesOf,
 }
+
+/// The names of the policies that fit a scenario.
+pub type PoliciesOf = Box<dyn Fn(&Scenario) -> Vec<String> + Send + Sync>;
 
 impl Page {
     /// Identifies this server and its room: it changes with a new process, and with the plan. The

@@ -3,7 +3,7 @@
 //! A status repeats the last problem of its process for ever. It counts as current while its cause
 //! is counted again and again, and some seconds after that.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
 use heliostat_proto::NodeStatus;
@@ -24,21 +24,44 @@ pub(crate) struct Problems {
 #[derive(Debug)]
 struct Occurrence {
     text: String,
-    count: u64,
+    /// The counters of problems in the last status.
+    counts: BTreeMap<String, u64>,
+    /// The counters that rose when the text appeared.
+    causes: BTreeSet<String>,
     at: Instant,
 }
 
 impl Problems {
-    /// Notes the problem of a status that arrived now.
+    /// Notes the problem of a status that arrived now. It occurs again when a counter rises that rose
+    /// when it appeared: another counter has another cause.
     pub fn take(&mut self, name: &str, status: &NodeStatus) {
         let counted = status.counters.iter().filter(|(name, _)| COUNTED.iter().any(|start| name.starts_with(start)));
-        let count = counted.map(|(_, count)| count).sum();
+        let counts: BTreeMap<String, u64> = counted.cloned().collect();
         let lasts = status.counters.iter().any(|(name, count)| *count > 0 && LASTING.contains(&name.as_str()));
-        let last = self.last.get(name);
-        let is_same = last.is_some_and(|last| last.text == status.last_problem && last.count == count);
-        if lasts || !is_same {
-            let occurrence = Occurrence { text: status.last_problem.clone(), count, at: Instant::now() };
-            self.last.insert(name.to_owned(), occurrence);
+        let last = self.last.get_mut(name);
+        let before = last.as_ref().map(|last| &last.counts);
+        let has_risen =
+            |name: &str, count: u64| before.and_then(|before| before.get(name)).is_none_or(|before| *before < count);
+        let rose: BTreeSet<String> = counts
+            .iter()
+            .filter(|(name, count)| **count > 0 && has_risen(name, **count))
+            .map(|(name, _)| name.clone())
+            .collect();
+        match last {
+            Some(last) if last.text == status.last_problem => {
+                // A cause is counted at times only after its text.
+                if last.causes.is_empty() {
+                    last.causes.clone_from(&rose);
+                }
+                if lasts || rose.iter().any(|name| last.causes.contains(name)) {
+                    last.at = Instant::now();
+                }
+                last.counts = counts;
+            }
+            _ => {
+                let text = status.last_problem.clone();
+                self.last.insert(name.to_owned(), Occurrence { text, counts, causes: rose, at: Instant::now() });
+            }
         }
     }
 
@@ -75,6 +98,20 @@ mod tests {
         age(&mut problems, CURRENT);
         problems.take(node, &stopped(2));
         assert_eq!(problems.current(node), "", "the text alone is no new problem");
+    }
+
+    #[test]
+    fn an_old_problem_does_not_return_with_another_cause() {
+        let (mut problems, node) = (Problems::default(), NodeStatus::default().node.name());
+        problems.take(node, &status("", &[("policies_refused", 0), ("fallback:withheld", 0)]));
+        let refusal =
+            |withheld| status("there is no such policy", &[("policies_refused", 1), ("fallback:withheld", withheld)]);
+        problems.take(node, &refusal(0));
+        assert_eq!(problems.current(node), "there is no such policy");
+        age(&mut problems, CURRENT);
+        // A stop withholds commands; the status still has the last text.
+        problems.take(node, &refusal(5));
+        assert_eq!(problems.current(node), "");
     }
 
     #[test]

@@ -21,10 +21,6 @@ use crate::view::{Dated, Received};
 /// Below this speed in m/s a user keeps the previous heading.
 const WALKING_M_S: f64 = 0.05;
 
-/// A mirror whose measured angle differs by more than this from its command, in rad, counts as
-/// unusable.
-const UNUSABLE_RAD: f32 = 0.1;
-
 /// The static objects.
 #[derive(Clone, Debug, Serialize)]
 pub struct Plan {
@@ -59,8 +55,8 @@ pub struct SceneUser {
     pub body_m: Option<[f64; 4]>,
     /// The LED that serves the user.
     pub led: usize,
-    /// Whether the direct path is blocked.
-    pub blocked: bool,
+    /// Whether the direct path is blocked; absent where no process reports it.
+    pub blocked: Option<bool>,
     /// The user's minimum rate in Mbit/s.
     pub min_rate_mbps: f64,
     /// Rate without the mirrors in Mbit/s, by the channel model.
@@ -121,7 +117,7 @@ struct ObservedUser {
     position: Vec3,
     /// Unit vector, or zero if unknown.
     heading: Vec3,
-    blocked: bool,
+    blocked: Option<bool>,
     belief: Option<Belief>,
 }
 
@@ -163,7 +159,10 @@ impl FrameBuilder {
         let blockers: Vec<Cylinder> = obstacles.iter().chain(bodies.iter().flatten()).copied().collect();
         let angles = angles(room.model.mirrors.len(), telemetry.as_ref());
         let mut serves = state.serve(&users, &blockers, &angles);
-        let unknown = self.unknown_mirrors(&room);
+        let (unusable, unknown) = {
+            let received = self.view.received();
+            (unusable_mirrors(&received, &room), unknown_mirrors(&received, &room))
+        };
         unknown.iter().for_each(|mirror| serves[*mirror as usize] = -1);
         let serving = state.scene.serving();
         let budget = self.view.budget(&room.model);
@@ -175,7 +174,7 @@ impl FrameBuilder {
             geometry: room.id.clone(),
             mirrors_m: (0..angles.len()).map(|index| corners(&room.model.mirrors, index, &angles)).collect(),
             serves,
-            unusable: telemetry.map(unusable).unwrap_or_default().into_iter().chain(unknown).collect(),
+            unusable,
             users: (users.iter().zip(&bodies).enumerate())
                 .map(|(index, (user, body))| SceneUser {
                     user: user.user,
@@ -207,18 +206,6 @@ impl FrameBuilder {
         }
     }
 
-    /// The mirrors of the arrays without recent telemetry, while another array has it: nothing is known
-    /// about their angles.
-    fn unknown_mirrors(&self, room: &ShownRoom) -> Vec<u32> {
-        let arrays = &room.model.mirrors;
-        let silent = self.view.received().arrays.silent(arrays.arrays().len());
-        if silent.len() == arrays.arrays().len() {
-            return Vec::new();
-        }
-        let ranges = arrays.ranges().enumerate().filter(|(index, _)| silent.contains(index));
-        ranges.flat_map(|(_, (_, mirrors))| mirrors.map(|mirror| mirror as u32)).collect()
-    }
-
     /// The latest users, obstacles and telemetry. Where no process reports users any longer, the last
     /// picture stays; the page marks how old it is.
     fn latest(
@@ -247,7 +234,7 @@ impl FrameBuilder {
                     min_rate_bps: user.min_rate_bps,
                     position: point(user.position_m),
                     heading: Vec3::new(cos, sin, 0.0),
-                    blocked: user.los_blocked,
+                    blocked: Some(user.los_blocked),
                     belief: belief_of(user.user, truth.stamp.time_ns),
                 }
             };
@@ -265,7 +252,8 @@ impl FrameBuilder {
             if x.hypot(y) > WALKING_M_S {
                 *heading = Vec3::new(x, y, 0.0).normalize();
             }
-            let blocked = gains.iter().any(|gains| gains.user == user.user && gains.los_gain == 0.0);
+            let measured = gains.iter().find(|gains| gains.user == user.user);
+            let blocked = measured.map(|gains| gains.los_gain == 0.0);
             ObservedUser {
                 user: user.user,
                 min_rate_bps: user.min_rate_bps,
@@ -293,7 +281,7 @@ impl FrameState {
             self.gains = vec![0.0; count * mirrors];
         }
         let positions: Vec<Vec3> = users.iter().map(|user| user.position).collect();
-        let blocked: Vec<bool> = users.iter().map(|user| user.blocked).collect();
+        let blocked: Vec<bool> = users.iter().map(|user| user.blocked == Some(true)).collect();
         self.scene.update(model, &positions, blockers, &blocked);
         self.scene.irs_gain_each(model, angles, &mut self.gains);
         let best = |mirror: usize| {
@@ -364,23 +352,23 @@ fn blocked_areas(shown: &ShownRoom, blockers: &[Cylinder]) -> Vec<Vec<[f64; 2]>>
     drawable.map(|corners| corners.into_iter().map(|corner| corner.map(millimetres)).collect()).collect()
 }
 
-/// The unusable mirrors: those that the driver reports, else those far from their command.
-fn unusable(telemetry: MirrorTelemetry) -> Vec<u32> {
-    if !telemetry.unusable.is_empty() {
-        return telemetry.unusable;
+/// The mirrors of the arrays without recent telemetry, while another array has some: nothing is known
+/// about their angles.
+fn unknown_mirrors(received: &Received, room: &ShownRoom) -> Vec<u32> {
+    let arrays = &room.model.mirrors;
+    let silent = received.arrays.silent(arrays.arrays().len());
+    if silent.len() == arrays.arrays().len() {
+        return Vec::new();
     }
-    let is_off = |measured: &[f32], commanded: &[f32], index: usize| {
-        measured
-            .get(index)
-            .zip(commanded.get(index))
-            .is_some_and(|(measured, commanded)| (measured - commanded).abs() > UNUSABLE_RAD)
-    };
-    let all = 0..telemetry.roll_commanded.len();
-    let far = all.filter(|index| {
-        is_off(&telemetry.roll_measured, &telemetry.roll_commanded, *index)
-            || is_off(&telemetry.yaw_measured, &telemetry.yaw_commanded, *index)
-    });
-    far.map(|index| index as u32).collect()
+    let ranges = arrays.ranges().enumerate().filter(|(index, _)| silent.contains(index));
+    ranges.flat_map(|(_, (_, mirrors))| mirrors.map(|mirror| mirror as u32)).collect()
+}
+
+/// The unusable mirrors: those that the drivers report, and those of silent arrays. Picture and figures
+/// show these.
+pub(crate) fn unusable_mirrors(received: &Received, room: &ShownRoom) -> Vec<u32> {
+    let reported = received.arrays.joint(&room.model.mirrors).map(|telemetry| telemetry.unusable);
+    reported.into_iter().flatten().chain(unknown_mirrors(received, room)).collect()
 }
 
 fn outline(cylinder: &Cylinder) -> [f64; 4] {

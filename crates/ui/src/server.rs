@@ -6,9 +6,11 @@
 //! | `/room.json` | GET | the static data and the sum rates of the last 90 s, JSON |
 //! | `/live` | GET | events `figures` (10 a second) and `frame` (at most 10 a second), JSON |
 //! | `/floor.json` | GET | the rate over the floor, JSON; `?mirrors=0` without the mirrors |
+//! | `/events.json` | GET | the next events as one JSON object, for a browser without a free connection |
 //! | `/order` | POST | an [`Order`] as JSON |
+//! | `/check` | POST | nothing; its status is that of an order from the same page |
 //!
-//! The answer to an order is 202 with its number if it was published to a subscriber, and 503 if there is none.
+//! The page uses relative paths, so it can be served below a path of another host. The answer to an order is 202 with its number if it was published to a subscriber, and 503 if there is none.
 //! The events `figures` have the answers of the receivers under these numbers. An
 //! invalid order is answered with 422 and the reason. With keys, and on any other than a loopback address, each
 //! request without the token is answered with 401.
@@ -25,7 +27,7 @@ use axum::body::{Body, Bytes};
 use axum::extract::State;
 use axum::http::header::CONTENT_TYPE;
 use axum::http::{HeaderMap, Method, StatusCode, Uri};
-use axum::middleware::{from_fn, from_fn_with_state};
+use axum::middleware::from_fn_with_state;
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use heliostat_service::Stop;
@@ -36,7 +38,7 @@ use crate::UiError;
 use crate::assets;
 use crate::figures::SumFigures;
 use crate::floor::FloorMaps;
-use crate::guard;
+use crate::guard::{self, Guard, PublicAddress};
 use crate::latency::BUDGET_US;
 use crate::live::{Feed, READERS_MAX, Reader};
 use crate::order::Order;
@@ -69,6 +71,10 @@ pub struct PageArgs {
     /// requires one
     #[arg(long, value_name = "FILE")]
     ui_token_file: Option<PathBuf>,
+    /// Address at which a proxy serves the page, for example https://mirrors.example.org: orders from
+    /// there are accepted. May be repeated. The proxy must ask for a password, or use --ui-token-file
+    #[arg(long = "ui-origin", value_name = "URL")]
+    ui_origins: Vec<PublicAddress>,
 }
 
 /// Where a page is served, and to which browsers.
@@ -83,12 +89,20 @@ pub struct Place {
     /// Whether the page requires a token on a loopback address too: with the keys of an operator,
     /// every user of this machine could otherwise give orders.
     pub authenticated: bool,
+    /// Addresses at which a proxy serves it.
+    pub public: Vec<PublicAddress>,
 }
 
 impl Place {
     /// A port of 127.0.0.1.
     pub fn loopback(port: u16) -> Self {
-        Self { address: IpAddr::V4(Ipv4Addr::LOCALHOST), port, token_file: None, authenticated: false }
+        Self {
+            address: IpAddr::V4(Ipv4Addr::LOCALHOST),
+            port,
+            token_file: None,
+            authenticated: false,
+            public: Vec::new(),
+        }
     }
 
     fn token(&self) -> Result<Option<Token>, UiError> {
@@ -114,6 +128,7 @@ pub struct Server {
     /// The requested port, if it was in use and a free one replaced it.
     replaced: Option<u16>,
     token: Option<Arc<Token>>,
+    public: Vec<PublicAddress>,
 }
 
 impl PageArgs {
@@ -131,7 +146,8 @@ impl PageArgs {
             return Ok(None);
         }
         let token_file = self.ui_token_file.clone();
-        let place = Place { address: self.ui_listen, port: self.ui_port, token_file, authenticated };
+        let public = self.ui_origins.clone();
+        let place = Place { address: self.ui_listen, port: self.ui_port, token_file, authenticated, public };
         Server::start(page()?, &place).map(Some)
     }
 }
@@ -154,12 +170,14 @@ impl Server {
         let page = Arc::new(page);
         let feed = Feed::start(Arc::clone(&page), stop.clone()).map_err(UiError::Threads)?;
         let gate = token.clone().map(|token| Gate { token, port: bound });
-        let router = router(Shared { page, feed, floor }, gate);
+        let at = SocketAddr::new(address, bound);
+        let guard = Guard::new(at, machine_name(), place.public.clone());
+        let router = router(Shared { page, feed, floor }, gate, guard);
         let limits = Limits { body_bytes: ORDER_MAX, ..Limits::default() };
         let served = http::serve("page", listener, router, limits, stop.clone());
         let http = served.inspect_err(|_| stop.request()).map_err(UiError::Threads)?;
         let replaced = (port != 0 && bound != port).then_some(port);
-        Ok(Self { http, replaced, token })
+        Ok(Self { http, replaced, token, public: place.public.clone() })
     }
 
     /// The address at which it listens.
@@ -169,25 +187,36 @@ impl Server {
 
     /// The URL to open in a browser, with the token if the page requires one.
     pub fn url(&self) -> String {
-        let token = self.token.as_ref().map(|token| format!("?token={}", token.as_str())).unwrap_or_default();
-        format!("http://{}/{token}", self.address())
+        format!("http://{}/{}", self.address(), self.query())
+    }
+
+    fn query(&self) -> String {
+        self.token.as_ref().map(|token| format!("?token={}", token.as_str())).unwrap_or_default()
     }
 }
 
 impl std::fmt::Display for Server {
-    /// The URL of the page, and the requested port if it was in use.
+    /// The URL of the page, the requested port if it was in use, and the public addresses.
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self.replaced {
-            Some(port) => write!(formatter, "the page is at {} (port {port} is in use)", self.url()),
-            None => write!(formatter, "the page is at {}", self.url()),
+        write!(formatter, "the page is at {}", self.url())?;
+        if let Some(port) = self.replaced {
+            write!(formatter, " (port {port} is in use)")?;
         }
+        self.public.iter().try_for_each(|public| write!(formatter, ", through a proxy at {public}{}", self.query()))
     }
 }
 
-fn router(shared: Shared, gate: Option<Gate>) -> Router {
+/// The name of this machine; `None` if it has none that is text.
+fn machine_name() -> Option<String> {
+    nix::unistd::gethostname().ok()?.into_string().ok()
+}
+
+fn router(shared: Shared, gate: Option<Gate>, guard: Guard) -> Router {
     let router = Router::new()
         .route("/order", post(order))
+        .route("/check", post(async || StatusCode::NO_CONTENT))
         .route("/live", get(live))
+        .route("/events.json", get(events))
         .route("/room.json", get(room))
         .route("/floor.json", get(floor))
         .fallback(file)
@@ -197,7 +226,7 @@ fn router(shared: Shared, gate: Option<Gate>) -> Router {
         Some(gate) => router.layer(from_fn_with_state(gate, token::check)),
         None => router,
     };
-    guarded.layer(from_fn(guard::check_origin))
+    guarded.layer(from_fn_with_state(Arc::new(guard), guard::check_origin))
 }
 
 /// The static data of the page, and the past sum rates.
@@ -214,18 +243,24 @@ struct RoomJson {
 }
 
 async fn room(State(Shared { page, .. }): State<Shared>) -> Response {
+    // The policies are tried against the room.
+    match http::unblock(move || room_json(&page)).await {
+        Ok(Ok(room)) => reply(StatusCode::OK, JSON, room),
+        Ok(Err(error)) => reply(StatusCode::INTERNAL_SERVER_ERROR, TEXT, error.to_string()),
+        Err(error) => reply(StatusCode::INTERNAL_SERVER_ERROR, TEXT, error.to_string()),
+    }
+}
+
+fn room_json(page: &Page) -> serde_json::Result<String> {
     let room = RoomJson {
         page: page.id(),
         plan: page.view.plan(&page.room),
-        policies: page.policies.clone(),
+        policies: (page.policies)(&page.view.shown_room().scenario),
         controls_processes: page.operator.controls_processes(),
         budget_us: BUDGET_US,
         history: page.view.history(),
     };
-    match serde_json::to_string(&room) {
-        Ok(room) => reply(StatusCode::OK, JSON, room),
-        Err(error) => reply(StatusCode::INTERNAL_SERVER_ERROR, TEXT, error.to_string()),
-    }
+    serde_json::to_string(&room)
 }
 
 async fn floor(State(Shared { floor, .. }): State<Shared>, uri: Uri) -> Response {
@@ -243,18 +278,26 @@ async fn floor(State(Shared { floor, .. }): State<Shared>, uri: Uri) -> Response
 
 /// Streams the events to a page until its connection closes.
 async fn live(State(Shared { feed, .. }): State<Shared>) -> Response {
-    let Some(reader) = feed.reader() else {
-        return reply(
-            StatusCode::SERVICE_UNAVAILABLE,
-            TEXT,
-            format!("too many open pages: expected at most {READERS_MAX}; close one and reload\n"),
-        );
-    };
+    let Some(reader) = feed.reader() else { return too_many_pages() };
     let next = async |mut reader: Reader| {
         let events = reader.next().await?;
         Some((Ok::<_, Infallible>(events), reader))
     };
     reply(StatusCode::OK, EVENTS, Body::from_stream(futures_util::stream::unfold(reader, next)))
+}
+
+/// The next events of the stream.
+async fn events(State(Shared { feed, .. }): State<Shared>) -> Response {
+    let Some(reader) = feed.reader() else { return too_many_pages() };
+    match reader.once().await {
+        Some(events) => reply(StatusCode::OK, JSON, events),
+        None => reply(StatusCode::SERVICE_UNAVAILABLE, TEXT, "the page ends\n"),
+    }
+}
+
+fn too_many_pages() -> Response {
+    let problem = format!("too many open pages: expected at most {READERS_MAX} browsers; close one\n");
+    reply(StatusCode::SERVICE_UNAVAILABLE, TEXT, problem)
 }
 
 async fn order(State(Shared { page, .. }): State<Shared>, headers: HeaderMap, body: Bytes) -> Response {

@@ -165,7 +165,7 @@ mod tests {
             user,
             rate_mbps: if user == 1 { 0.25 } else { 12.5 + user as f32 },
             is_rate_known: true,
-            blocked: user == 0,
+            blocked: Some(user == 0),
             min_rate_mbps: 1.0,
             ..UserFigures::default()
         };
@@ -191,7 +191,9 @@ mod tests {
                 TimeFigures { name: "loop", us: us(900.0) },
                 TimeFigures { name: "age", us: None },
             ],
-            counts: counts.map(|(name, value)| Count { name: name.into(), value, is_problem: true }).collect(),
+            counts: counts
+                .map(|(name, value)| Count { name: name.into(), value: Some(value), is_problem: true, meaning: "" })
+                .collect(),
             notes: vec!["no driver receives the commands".into()],
             ..Figures::default()
         }
@@ -323,7 +325,7 @@ mod tests {
         let measured = Figures { origin: Origin::Measured, sum_mbps: None, users, ..figures(0) };
         assert_eq!(line(&measured), "tick   4711  stopped  sum rate unknown: no measured gains");
         let screen = drawn(80, 24, &measured);
-        check(&screen, &["sum rate unknown", "7     0.00,  0.00 clear            unknown"]);
+        check(&screen, &["sum rate unknown", "7     0.00,  0.00 unknown          unknown"]);
         assert!(!screen.contains("below\n") && !screen.contains("0.00 %"), "{screen}");
     }
 }

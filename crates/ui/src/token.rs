@@ -103,8 +103,9 @@ pub(crate) async fn check(State(gate): State<Gate>, request: Request, next: Next
     let query = request.uri().query().unwrap_or_default();
     let given = query.split('&').find_map(|pair| pair.strip_prefix("token="));
     if given.is_some_and(|given| gate.token.is(given)) {
+        // Relative, for a page below a path of another host.
         let cookie = format!("{}={}; HttpOnly; SameSite=Strict; Path=/", gate.cookie_name(), gate.token.as_str());
-        return (StatusCode::SEE_OTHER, [(SET_COOKIE, cookie), (LOCATION, "/".to_owned())]).into_response();
+        return (StatusCode::SEE_OTHER, [(SET_COOKIE, cookie), (LOCATION, "./".to_owned())]).into_response();
     }
     if gate.admits(request.headers()) {
         return next.run(request).await;

@@ -74,6 +74,8 @@ pub struct View {
     received: Arc<Mutex<Received>>,
     /// The emergency stops; the switch of the page uses the same.
     pub(crate) stops: Arc<StopWatch>,
+    /// The session, for the reason of a connection that fails.
+    bus: Bus,
     _subscriptions: Vec<Subscription>,
 }
 
@@ -89,7 +91,8 @@ impl View {
         let received: Arc<Mutex<Received>> = Arc::default();
         let subscriptions = subscribe(bus, &received)?;
         let stops = StopWatch::open(bus)?;
-        Ok(Self { opened: Instant::now(), chooser, received, stops, _subscriptions: subscriptions })
+        let bus = bus.enter(bus.room().clone());
+        Ok(Self { opened: Instant::now(), chooser, received, stops, bus, _subscriptions: subscriptions })
     }
 
     /// Whether messages of the room and of a controller have arrived.
@@ -105,9 +108,10 @@ impl View {
     }
 
     /// What the user should know about the room: differing scenarios, an unknown geometry, commands
-    /// without a driver.
+    /// without a driver, a connection that fails because of a certificate.
     pub fn notes(&self) -> Vec<String> {
         let (room, mut notes) = self.chooser.choose(self.announcements());
+        notes.extend(self.bus.connection_problem());
         if room.source == GeometrySource::Default && notes.is_empty() && self.opened.elapsed() > ANNOUNCED_WITHIN {
             notes.push(format!(
                 "no process announces the geometry of the room: the picture shows the scenario {}; give --scenario FILE",

@@ -5,9 +5,11 @@
 //!
 //! - [`setting`]: the processes and the browser.
 //! - [`deaths`]: processes that die; [`orders`]: orders that take effect, wait or are refused.
+//! - [`tabs`]: several tabs of one browser.
 //! - [`view`]: what the page draws and says about a running room.
 
 mod deaths;
 mod orders;
 mod setting;
+mod tabs;
 mod view;

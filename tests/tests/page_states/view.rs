@@ -211,6 +211,18 @@ fn the_page_fits_a_phone_and_a_desktop_in_light_and_dark_without_errors() {
             assert!(browser.screenshot().len() > 10_000);
         }
     }
+    // STOP is in view at each size, without scrolling and at the end of the page too.
+    for (width, height) in [(390, 844), (844, 390), (1280, 800)] {
+        browser.resize(width, height);
+        for place in ["0", "document.documentElement.scrollHeight"] {
+            let visible = format!(
+                "scrollTo(0, {place}); const {{ x, y, width, height }} = document.getElementById('stop').getBoundingClientRect(); \
+                 const top = document.elementFromPoint(x + width / 2, y + height / 2); return top?.id === 'stop'"
+            );
+            wait_until("a stop button in view", || browser.run(&visible) == true);
+        }
+    }
+    browser.run("scrollTo(0, 0)");
     // The whole desktop page is visible at once.
     browser.resize(1280, 800);
     wait_until("a page without a scroll bar", || {
@@ -220,7 +232,7 @@ fn the_page_fits_a_phone_and_a_desktop_in_light_and_dark_without_errors() {
     let terms = "return [...document.querySelectorAll('dfn')].filter((term) => term.tabIndex === 0 && term.title.length > 20)\
                  .map((term) => term.textContent)";
     let terms = browser.run(terms).to_string();
-    for term in ["no IRS", "oracle", "minimum"] {
+    for term in ["no IRS", "oracle", "minimum", "fallbacks", "faults"] {
         assert!(terms.contains(term), "{terms}");
     }
     assert_eq!(browser.console_errors(), Vec::<String>::new());

@@ -64,7 +64,11 @@ impl Controller {
                 Some(_) if self.observation.users() == 0 => action = self.without_users(),
                 Some(LosSource::Measured { unmeasured }) => self.counters.unmeasured_users += unmeasured as u64,
                 Some(LosSource::Modelled) => {
-                    self.counters.count_degraded(DegradedMode::ChannelMissing);
+                    // A room without receivers never reports gains: nothing is missing there.
+                    match self.inbox.last_channel() {
+                        Some(_) => self.counters.count_degraded(DegradedMode::ChannelMissing),
+                        None => self.counters.modelled += 1,
+                    }
                     if action == DegradedAction::Policy {
                         (action, mode) = (self.actions.channel_missing, DegradedMode::ChannelMissing);
                     }

@@ -205,6 +205,8 @@ pub struct Counters {
     pub unserved_users: u64,
     /// Users with a modelled gain because the channel report lacks them, one for each decision.
     pub unmeasured_users: u64,
+    /// Decisions on modelled gains in a room that has never reported gains.
+    pub modelled: u64,
     /// Capabilities and safety reports of a source other than the array that is followed.
     pub foreign_arrays: u64,
     degraded: [u64; DegradedMode::ALL.len()],

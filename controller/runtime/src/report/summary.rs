@@ -46,6 +46,9 @@ pub struct Summary {
     pub age_us: Quantiles,
     /// Decisions in a degraded mode, by mode.
     pub fallbacks: BTreeMap<String, u64>,
+    /// Decisions on modelled gains in a room that has never reported gains.
+    #[serde(default)]
+    pub modelled: u64,
     /// Messages refused, by stream and reason.
     pub refused: BTreeMap<String, u64>,
     /// Users without a measured gain or without a place in the policy, one for each decision, and
@@ -245,6 +248,7 @@ impl Summary {
             decisions: counters.decisions,
             commands: counters.commands,
             fallbacks: nonzero(DegradedMode::ALL.map(|mode| (mode.name(), counters.degraded(mode)))),
+            modelled: counters.modelled,
             refused: nonzero(refused),
             users: nonzero([
                 ("left-out", controller.inbox().refused().left_out()),
@@ -291,6 +295,7 @@ impl Summary {
         for (here, there) in [
             (&mut self.decisions, other.decisions),
             (&mut self.commands, other.commands),
+            (&mut self.modelled, other.modelled),
             (&mut self.unsent, other.unsent),
             (&mut self.dropped, other.dropped),
             (&mut self.unanswered, other.unanswered),

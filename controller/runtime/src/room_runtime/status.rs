@@ -51,6 +51,8 @@ pub struct Reporter {
     undecodable: u64,
     epoch_events: [u64; TenureEvent::ALL.len()],
     unfit: Option<String>,
+    /// Occurrences of the problem of the present snapshot; 0 for a change of state.
+    occurrences: u64,
     conditions: Conditions,
     /// The stops that withhold commands, in words; empty for none.
     stops: String,
@@ -82,6 +84,8 @@ pub struct Snapshot {
     pub summary: Summary,
     /// What went wrong since the last snapshot.
     pub problem: Option<Problem>,
+    /// How often; 0 for a change of state.
+    pub occurrences: u64,
     now: Nanos,
     state: String,
     swaps: SwapCounters,
@@ -106,6 +110,7 @@ impl Reporter {
             undecodable: 0,
             epoch_events: [0; TenureEvent::ALL.len()],
             unfit: None,
+            occurrences: 0,
             conditions: Conditions::default(),
             stops: String::new(),
             last_problem: String::new(),
@@ -136,6 +141,7 @@ impl Reporter {
             .or_else(|| self.new_condition(conditions, controller.arrays()))
             .or_else(|| self.new_problem(decision_loop, &swaps).map(Problem::Warning))
             .or_else(|| self.new_undecodable(&undecodable).map(Problem::Warning));
+        let occurrences = std::mem::take(&mut self.occurrences);
         if let Some(Problem::Alarm(problem) | Problem::Warning(problem)) = &problem {
             self.last_problem.clone_from(problem);
         }
@@ -147,7 +153,7 @@ impl Reporter {
         self.has_refused_positions = std::mem::replace(&mut self.refused_positions, positions) < positions;
         let state = self.state(&summary);
         self.decisions = summary.decisions;
-        Snapshot { summary, problem, now: decision_loop.room_time_ns(), state, swaps }
+        Snapshot { summary, problem, occurrences, now: decision_loop.room_time_ns(), state, swaps }
     }
 
     /// The report for a snapshot, with the times since the start.
@@ -161,6 +167,7 @@ impl Reporter {
             ("unsent", summary.unsent),
             ("dropped", summary.dropped),
             ("unanswered", summary.unanswered),
+            ("modelled", summary.modelled),
             ("clipped_range", summary.clipped.range),
             ("clipped_slew", summary.clipped.slew),
             ("sources", summary.sources),
@@ -302,25 +309,32 @@ impl Reporter {
         let controller = &decision_loop.controller;
         let counters = controller.counters();
         let failed = counters.degraded(DegradedMode::PolicyFailed) + counters.degraded(DegradedMode::Held);
-        let rose = |before: &mut u64, after: u64| std::mem::replace(before, after) < after;
+        let rose = |before: &mut u64, after: u64| after.saturating_sub(std::mem::replace(before, after));
         let failed_rose = rose(&mut self.failed, failed);
         let unsent_rose = rose(&mut self.unsent, decision_loop.unsent());
         let refused_rose = rose(&mut self.refused, controller.inbox().refused().total());
         let order_refused = rose(&mut self.orders_refused, swaps.refused);
         let policy_warned = rose(&mut self.policy_warnings, swaps.warnings);
-        if failed_rose && let Some(failure) = controller.last_failure() {
+        if failed_rose > 0
+            && let Some(failure) = controller.last_failure()
+        {
+            self.occurrences = failed_rose;
             return Some(format!("policy {}: {failure}", controller.policy_name()));
         }
-        if unsent_rose {
+        if unsent_rose > 0 {
+            self.occurrences = unsent_rose;
             return Some("a command could not be sent: the session is closed".into());
         }
-        if order_refused {
+        if order_refused > 0 {
+            self.occurrences = order_refused;
             return swaps.last_refusal.clone();
         }
-        if policy_warned {
+        if policy_warned > 0 {
+            self.occurrences = policy_warned;
             return swaps.last_warning.clone();
         }
-        if refused_rose {
+        if refused_rose > 0 {
+            self.occurrences = refused_rose;
             return describe_refusal(decision_loop);
         }
         // The first of a series; the counter shows the others.
@@ -332,6 +346,7 @@ impl Reporter {
     /// The last payload that did not decode, if there are more than at the last report of one.
     fn new_undecodable(&mut self, counts: &UndecodableCounts) -> Option<String> {
         let before = std::mem::replace(&mut self.undecodable, counts.total());
+        self.occurrences = counts.total().saturating_sub(before);
         counts.last().filter(|_| before < counts.total()).map(str::to_owned)
     }
 }

@@ -22,7 +22,7 @@ use heliostat_ui::{Display, Operator, Page, PageArgs, ProcessOrder, View};
 
 use processes::Processes;
 
-use super::ui::policy_names;
+use super::ui::fitting_policies;
 use heliostat_service::outln;
 
 /// Time limit for the two processes to connect.
@@ -90,7 +90,7 @@ pub fn run(args: Args) -> Result<()> {
     let (process_orders, received_orders) = mpsc::channel();
     let server = args.page.serve(false, || {
         let operator = Operator::new(&bus, &view, Some(process_orders))?;
-        Ok(Page { view: Arc::clone(&view), operator, room: args.room.clone(), policies: policy_names() })
+        Ok(Page { view: Arc::clone(&view), operator, room: args.room.clone(), policies: fitting_policies() })
     })?;
     if let Some(server) = &server {
         output::note(server);

@@ -2,8 +2,8 @@
 
 use std::time::{Duration, Instant};
 
-use anyhow::{Result, ensure};
-use heliostat_bus::{AccessRole, Bus, BusArgs};
+use anyhow::{Result, bail, ensure};
+use heliostat_bus::{AccessRole, Bus, BusArgs, BusConfig};
 use heliostat_proto::StopName;
 use heliostat_service::printable::printable;
 use heliostat_service::{EndArgs, duration, output};
@@ -12,6 +12,9 @@ use serde_json::json;
 
 /// Time between two looks at a held stop.
 const HOLD_INTERVAL: Duration = Duration::from_millis(50);
+
+/// A process that is there accepts a connection within this time.
+const CONNECTED_WITHIN: Duration = Duration::from_millis(1200);
 
 /// Stop all mirrors of a room at once, and wait until every array confirms it.
 ///
@@ -77,7 +80,7 @@ struct OrderArgs {
 pub fn stop(args: StopArgs) -> Result<()> {
     let OrderArgs { reason, timeout, .. } = &args.order;
     // Every role may stop the array, so any certificate of the folder serves.
-    let (bus, switch) = args.order.join(&[&[AccessRole::Operator], &AccessRole::ALL[..]].concat())?;
+    let (bus, switch) = args.order.join(&[&[AccessRole::Operator], &AccessRole::ALL[..]].concat(), args.hold)?;
     if let Some(arrays) = args.arrays {
         switch.expect(arrays.into());
     }
@@ -107,7 +110,7 @@ pub fn stop(args: StopArgs) -> Result<()> {
 /// Runs `heliostat rearm`.
 pub fn rearm(args: RearmArgs) -> Result<()> {
     let OrderArgs { reason, timeout, .. } = &args.order;
-    let (bus, switch) = args.order.join(&[AccessRole::Operator])?;
+    let (bus, switch) = args.order.join(&[AccessRole::Operator], false)?;
     let stops = switch.stops();
     let named: Vec<ShownStop> = match (&args.stop, args.all) {
         (Some(StopLabel(name)), _) => {
@@ -134,12 +137,40 @@ fn in_words(ShownStop { name, operator, reason, arrays, .. }: &ShownStop) -> Str
 }
 
 impl OrderArgs {
-    fn join(&self, roles: &[AccessRole]) -> Result<(Bus, StopSwitch)> {
-        let bus = Bus::open(&self.bus.config_or_connect(roles)?)?;
+    /// Joins the room; without a connection it fails, unless the command waits for one.
+    fn join(&self, roles: &[AccessRole], waits: bool) -> Result<(Bus, StopSwitch)> {
+        let config = self.bus.config_or_connect(roles)?;
+        let bus = Bus::open(&config)?;
+        if config.listen.is_empty() && !waits {
+            self.check_connected(&bus, &config)?;
+        }
         let user = || std::env::var("USER").unwrap_or_else(|_| "operator".into());
         let operator = self.operator.clone().unwrap_or_else(user);
         let switch = StopSwitch::new(&bus, &operator)?;
         Ok((bus, switch))
+    }
+
+    /// Fails without a connection: soon where no process listens, and after the timeout where one accepts
+    /// connections, for it may be slow.
+    fn check_connected(&self, bus: &Bus, config: &BusConfig) -> Result<()> {
+        if bus.wait_connected(CONNECTED_WITHIN) {
+            return Ok(());
+        }
+        let endpoints = config.connect.join(", ");
+        let reason = match Bus::find_connection_problem(config) {
+            Some(problem) => problem,
+            None if Bus::has_listener(config) => {
+                output::note(format_args!("the process at {endpoints} accepts connections and has not answered yet"));
+                if bus.wait_connected(self.timeout) {
+                    return Ok(());
+                }
+                format!("the process at {endpoints} does not answer as a process of a room")
+            }
+            None => format!("no process answers at {endpoints}"),
+        };
+        bail!(
+            "{reason}. Nothing was sent: give --connect the endpoint of the controller, of the driver or of their router"
+        )
     }
 
     fn report(&self, bus: &Bus, outcome: &str, took: Duration, stops: &[ShownStop]) -> Result<()> {

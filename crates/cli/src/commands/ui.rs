@@ -1,15 +1,16 @@
 //! `heliostat ui`: the page and the terminal view of a running room.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use clap::ValueEnum;
 use heliostat_bus::{AccessRole, Bus, BusArgs};
 use heliostat_core::policy::PolicyKind;
-use heliostat_scenario::ViewerScenarioArgs;
+use heliostat_models::ActorSource;
+use heliostat_scenario::{Scenario, ViewerScenarioArgs};
 use heliostat_service::{duration, output, signals};
-use heliostat_ui::{Display, Operator, Page, PageArgs, View};
+use heliostat_ui::{Display, Operator, Page, PageArgs, PoliciesOf, View};
 
 /// Time between two checks for keys and signals.
 const WATCH_EVERY: Duration = Duration::from_millis(50);
@@ -50,7 +51,7 @@ pub fn run(args: Args) -> Result<()> {
     let room = config.room.name().to_owned();
     let server = args.page.serve(config.is_authenticated(), || {
         let operator = Operator::new(&bus, &view, None)?;
-        Ok(Page { view: Arc::clone(&view), operator, room: room.clone(), policies: policy_names() })
+        Ok(Page { view: Arc::clone(&view), operator, room: room.clone(), policies: fitting_policies() })
     })?;
     if let Some(server) = &server {
         output::note(server);
@@ -72,8 +73,19 @@ pub fn run(args: Args) -> Result<()> {
     Ok(())
 }
 
-/// The names of the controller's policies, for the page.
-pub fn policy_names() -> Vec<String> {
-    let values = PolicyKind::value_variants().iter().filter_map(ValueEnum::to_possible_value);
-    values.map(|value| value.get_name().to_owned()).collect()
+/// The names of the policies that a controller of the shown room accepts, for the page. Each scenario is
+/// tried once.
+pub fn fitting_policies() -> PoliciesOf {
+    let tried: Mutex<Option<(Scenario, Vec<String>)>> = Mutex::default();
+    Box::new(move |scenario| {
+        // A list is replaced as a unit.
+        let mut tried = tried.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, names)) = tried.as_ref().filter(|(known, _)| known == scenario) {
+            return names.clone();
+        }
+        let fits = |kind: &&PolicyKind| heliostat_models::build(**kind, scenario, &ActorSource::Shipped).is_ok();
+        let names: Vec<String> = PolicyKind::value_variants().iter().filter(fits).map(|kind| kind.name()).collect();
+        *tried = Some((scenario.clone(), names.clone()));
+        names
+    })
 }

@@ -34,6 +34,12 @@ pub trait Board: Send {
     /// [`DeviceError`] if no device answers, or another kind of device.
     fn connect(&mut self) -> Result<(), DeviceError>;
 
+    /// Asks a connected board that has nothing else to do whether it still answers. Nothing moves.
+    ///
+    /// # Errors
+    /// [`DeviceError`] if it does not answer, or another device does.
+    fn check(&mut self) -> Result<(), DeviceError>;
+
     /// Turns all its mirrors, at once if the hardware can do that. False if a stop that was ordered
     /// meanwhile was sent in place of the angles.
     ///

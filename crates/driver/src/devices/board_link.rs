@@ -2,7 +2,7 @@
 //! what the board measured last.
 //!
 //! ```text
-//!   caller:  set, stop, request      board thread:  connect -> stop -> set -> read
+//!   caller:  set, stop, request      board thread:  connect -> stop -> set -> read -> check
 //!         \___________ [`Mail`] ___________/          (each with a bounded wait)
 //! ```
 //!
@@ -22,7 +22,7 @@ use crate::devices::interrupt::Interrupt;
 const PAUSE_MIN: Duration = Duration::from_millis(100);
 
 /// Longest pause before a reconnection.
-const PAUSE_MAX: Duration = Duration::from_secs(5);
+const PAUSE_MAX: Duration = Duration::from_secs(2);
 
 /// The same while a stop is in force.
 const PAUSE_MAX_STOPPED: Duration = Duration::from_millis(500);
@@ -30,6 +30,9 @@ const PAUSE_MAX_STOPPED: Duration = Duration::from_millis(500);
 /// Time after which a stopped board gets the stop again: the answer shows that it is still there, and one
 /// that has restarted meanwhile is stopped too.
 const STOP_AGAIN: Duration = Duration::from_millis(500);
+/// A connected board that has not been called for this time is asked whether it still answers. With
+/// the timeout of an answer, a lost board is noticed within a second.
+const IDLE: Duration = Duration::from_millis(300);
 
 /// What the caller asks of a board, and what its thread has learned.
 #[derive(Debug, Default)]
@@ -71,6 +74,7 @@ enum Call {
     Stop(u64),
     Set(u64, Vec<[f64; 2]>),
     Read,
+    Check,
 }
 
 impl BoardLink {
@@ -97,6 +101,7 @@ impl BoardLink {
             board,
             pause: Duration::ZERO,
             failed_at: Instant::now(),
+            called_at: Instant::now(),
             applied: 0,
             stopped_at: Instant::now(),
         };
@@ -197,6 +202,8 @@ struct LinkThread {
     /// The pause before the next connection, and when it began. A stop shortens it.
     pause: Duration,
     failed_at: Instant,
+    /// When the last call ended.
+    called_at: Instant,
     /// The number of the angles that were sent last on the present connection.
     applied: u64,
     /// When the board executed a stop last.
@@ -211,7 +218,9 @@ impl LinkThread {
                 Call::Stop(_) => self.board.stop().map(|()| true),
                 Call::Set(_, angles) => self.board.set(angles),
                 Call::Read => self.read().map(|()| true),
+                Call::Check => self.board.check().map(|()| true),
             };
+            self.called_at = Instant::now();
             self.note(&call, done);
         }
     }
@@ -223,13 +232,12 @@ impl LinkThread {
             if mail.is_closed {
                 return None;
             }
-            let now = Instant::now();
-            let mut wait = Duration::MAX;
-            if !mail.is_up {
-                wait = pause_left(self.pause, mail.is_stopped, now.saturating_duration_since(self.failed_at));
+            let wait = if !mail.is_up {
+                let wait = pause_left(self.pause, mail.is_stopped, self.failed_at.elapsed());
                 if wait == Duration::ZERO {
                     return Some(Call::Connect);
                 }
+                wait
             } else if mail.is_stopped && mail.executed < self.interrupt.ordered() {
                 return Some(Call::Stop(self.interrupt.ordered()));
             } else if !mail.is_stopped && mail.target.0 > self.applied {
@@ -237,16 +245,19 @@ impl LinkThread {
             } else if mail.is_read_due && self.board.measures() {
                 mail.is_read_due = false;
                 return Some(Call::Read);
-            } else if mail.is_stopped {
-                wait = STOP_AGAIN.saturating_sub(now.saturating_duration_since(self.stopped_at));
-                if wait == Duration::ZERO {
-                    return Some(Call::Stop(self.interrupt.ordered()));
+            } else {
+                let again = match mail.is_stopped {
+                    true => STOP_AGAIN.saturating_sub(self.stopped_at.elapsed()),
+                    false => Duration::MAX,
+                };
+                let wait = again.min(IDLE.saturating_sub(self.called_at.elapsed()));
+                match (again == Duration::ZERO, wait == Duration::ZERO) {
+                    (true, _) => return Some(Call::Stop(self.interrupt.ordered())),
+                    (false, true) => return Some(Call::Check),
+                    (false, false) => wait,
                 }
-            }
-            mail = match wait {
-                Duration::MAX => self.mailbox.filled.wait(mail).unwrap_or_else(PoisonError::into_inner),
-                _ => self.mailbox.filled.wait_timeout(mail, wait).unwrap_or_else(PoisonError::into_inner).0,
             };
+            mail = self.mailbox.filled.wait_timeout(mail, wait).unwrap_or_else(PoisonError::into_inner).0;
         }
     }
 
@@ -283,7 +294,7 @@ impl LinkThread {
                     self.applied = *number;
                 }
             }
-            (Call::Read, Ok(_)) => return,
+            (Call::Read | Call::Check, Ok(_)) => return,
         }
         let waker = mail.waker.clone().filter(|_| !matches!(call, Call::Set(..)) || !mail.is_up);
         drop(mail);

@@ -29,8 +29,12 @@ const CODE_MAX: f64 = 4095.0;
 /// Sample rates of the device in Hz.
 const SAMPLE_RATES: std::ops::RangeInclusive<u32> = 50..=50_000;
 
-/// Timeout of the answer to a ping.
-const ANSWER_LIMIT: Duration = Duration::from_secs(1);
+/// Timeout of the answer to the pings of a connection, and to one ping of a connected device.
+const GREETING_LIMIT: Duration = Duration::from_secs(5);
+const ANSWER_LIMIT: Duration = Duration::from_millis(500);
+
+/// The answer to a ping.
+const ALIVE: &str = "pl-ok";
 
 /// The frame that clears the queue: the mirror holds the last sample.
 const STOP: &[u8] = b"plc\x05\n";
@@ -63,6 +67,12 @@ impl PlayzerX {
     fn port(&mut self) -> Result<&mut Port, DeviceError> {
         let address = &self.address;
         self.port.as_mut().ok_or_else(|| DeviceError::new(address.to_string(), "not connected"))
+    }
+
+    fn check_alive(&self, answer: &str) -> Result<(), DeviceError> {
+        let problem =
+            || format!("answered a ping with {answer:?}: expected \"{ALIVE}\"; connect a PlayzerX to this port");
+        if answer == ALIVE { Ok(()) } else { Err(DeviceError::new(self.address.to_string(), problem())) }
     }
 }
 
@@ -97,14 +107,24 @@ impl Board for PlayzerX {
     fn connect(&mut self) -> Result<(), DeviceError> {
         self.port = None;
         let mut port = board::open(&self.address, &self.interrupt, STOP)?;
-        port.drain()?;
-        ping(&mut port, &self.address)?;
+        let answer = port.greet(&frame(b'p', &[]), GREETING_LIMIT, |line| line == ALIVE)?;
+        self.check_alive(&answer)?;
         let [low, middle, high, _] = self.sample_rate_hz.to_le_bytes();
         port.write(&frame(b'i', b"usb"))?;
         port.write(&frame(b'r', &[low, middle, high]))?;
         port.write(&frame(b'c', &[]))?;
         self.port = Some(port);
         Ok(())
+    }
+
+    fn check(&mut self) -> Result<(), DeviceError> {
+        let port = self.port()?;
+        // It does not answer stops.
+        port.take_unanswered();
+        port.discard_early()?;
+        port.write(&frame(b'p', &[]))?;
+        let answer = port.line(ANSWER_LIMIT)?;
+        self.check_alive(&answer)
     }
 
     fn set(&mut self, angles: &[[f64; 2]]) -> Result<bool, DeviceError> {
@@ -122,22 +142,9 @@ impl Board for PlayzerX {
     /// Clears the queue; the mirror holds the last sample. The answer to a ping shows that the device
     /// has read the frame before it.
     fn stop(&mut self) -> Result<(), DeviceError> {
-        let address = self.address.clone();
-        let port = self.port()?;
-        port.write(STOP)?;
-        ping(port, &address)
+        self.port()?.write(STOP)?;
+        self.check()
     }
-}
-
-/// Sends a ping, and waits for its answer.
-fn ping(port: &mut Port, address: &Address) -> Result<(), DeviceError> {
-    port.write(&frame(b'p', &[]))?;
-    let answer = port.line(ANSWER_LIMIT)?;
-    if answer == "pl-ok" {
-        return Ok(());
-    }
-    let problem = format!("answered a ping with {answer:?}: expected \"pl-ok\"; connect a PlayzerX to this port");
-    Err(DeviceError::new(address.to_string(), problem))
 }
 
 /// The code of an axis at a share of its range from -1 to 1.

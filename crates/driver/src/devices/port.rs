@@ -7,7 +7,7 @@ use std::fs::{File, OpenOptions};
 use std::io::{ErrorKind, Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::os::fd::AsFd;
-use std::os::unix::fs::OpenOptionsExt;
+use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -24,11 +24,18 @@ const CONNECT_LIMIT: Duration = Duration::from_secs(2);
 /// Timeout of a write.
 const WRITE_LIMIT: Duration = Duration::from_millis(500);
 
-/// A device that sends for longer than this without a question is refused.
-const DRAIN_LIMIT: Duration = Duration::from_millis(200);
+/// Time between two repetitions of a first question.
+const REPEAT: Duration = Duration::from_secs(1);
+
+/// A device that sends for longer than this without an answer to the first question is refused. Some
+/// print for a second or two when they start.
+const TALK_LIMIT: Duration = Duration::from_secs(3);
 
 /// A device that has sent nothing for this time has no more to say.
-const DRAIN_PAUSE: Duration = Duration::from_millis(20);
+const QUIET: Duration = Duration::from_millis(250);
+
+/// The same after a stop that the port wrote among repeated questions: the longest time to its answer.
+const QUIET_AFTER_STOP: Duration = Duration::from_secs(3);
 
 /// Largest length of a line in bytes.
 const LINE_MAX: usize = 64 * 1024;
@@ -48,23 +55,42 @@ pub enum Address {
 }
 
 impl Address {
-    /// Parses an address; `baud` is the default speed of a serial port.
+    /// Parses an address; `baud` is the default speed of a serial port. Each address that parses can be
+    /// opened when its device is there.
     ///
     /// # Errors
     /// What is wrong with it.
     pub fn parse(text: &str, baud: u32) -> Result<Self, String> {
-        let expected = "expected serial:PATH, serial:PATH@BAUD or tcp:HOST:PORT";
+        let invalid = || format!("invalid address \"{text}\": expected serial:PATH, serial:PATH@BAUD or tcp:HOST:PORT");
         match text.split_once(':') {
-            Some(("serial", path)) if !path.is_empty() => match path.rsplit_once('@') {
-                None => Ok(Self::Serial { path: path.to_owned(), baud }),
-                Some((path, speed)) => {
-                    let baud =
-                        speed.parse().map_err(|_| format!("invalid speed \"{speed}\" in \"{text}\": {expected}"))?;
-                    Ok(Self::Serial { path: path.to_owned(), baud })
+            Some(("serial", port)) => {
+                let (path, speed) = port.rsplit_once('@').map_or((port, None), |(path, speed)| (path, Some(speed)));
+                if path.is_empty() || path.contains('\0') {
+                    return Err(invalid());
                 }
-            },
-            Some(("tcp", host)) if host.contains(':') => Ok(Self::Tcp(host.to_owned())),
-            _ => Err(format!("invalid address \"{text}\": {expected}")),
+                let baud = match speed {
+                    Some(speed) => speed.parse().ok().filter(|baud| speed_of(*baud).is_some()).ok_or_else(|| {
+                        let known: Vec<String> = SPEEDS.iter().map(|(baud, _)| baud.to_string()).collect();
+                        format!("invalid speed \"{speed}\" in \"{text}\": expected one of {} baud", known.join(", "))
+                    })?,
+                    None => baud,
+                };
+                if std::fs::metadata(path).is_ok_and(|found| !found.file_type().is_char_device()) {
+                    return Err(format!(
+                        "\"{path}\" is a file or a folder: expected a serial port, for example /dev/ttyUSB0"
+                    ));
+                }
+                Ok(Self::Serial { path: path.to_owned(), baud })
+            }
+            Some(("tcp", at)) => {
+                let (host, port) = at.rsplit_once(':').filter(|(host, _)| !host.is_empty()).ok_or_else(invalid)?;
+                if port.parse::<u16>().is_ok_and(|port| port != 0) {
+                    Ok(Self::Tcp(format!("{host}:{port}")))
+                } else {
+                    Err(format!("invalid port \"{port}\" in \"{text}\": expected a number from 1 to 65535"))
+                }
+            }
+            _ => Err(invalid()),
         }
     }
 
@@ -107,10 +133,7 @@ impl std::fmt::Display for Address {
 
 /// Opens a serial port for raw bytes: eight bits, no parity, no flow control, no waiting.
 fn open_serial(path: &str, baud: u32) -> std::io::Result<File> {
-    let speed = SPEEDS.iter().find(|(known, _)| *known == baud).map(|(_, speed)| *speed);
-    let known = || SPEEDS.map(|(baud, _)| baud.to_string()).join(", ");
-    let speed = speed
-        .ok_or_else(|| std::io::Error::other(format!("invalid speed of {baud} baud: expected one of {}", known())))?;
+    let speed = speed_of(baud).ok_or_else(|| std::io::Error::other(format!("unknown speed of {baud} baud")))?;
     let port = OpenOptions::new()
         .read(true)
         .write(true)
@@ -125,16 +148,42 @@ fn open_serial(path: &str, baud: u32) -> std::io::Result<File> {
     Ok(port)
 }
 
+fn speed_of(baud: u32) -> Option<BaudRate> {
+    SPEEDS.iter().find(|(known, _)| *known == baud).map(|(_, speed)| *speed)
+}
+
 /// Speeds of a serial port in baud.
-const SPEEDS: [(u32, BaudRate); 8] = [
+const SPEEDS: &[(u32, BaudRate)] = &[
     (9_600, BaudRate::B9600),
     (19_200, BaudRate::B19200),
     (38_400, BaudRate::B38400),
     (57_600, BaudRate::B57600),
     (115_200, BaudRate::B115200),
     (230_400, BaudRate::B230400),
+    #[cfg(target_os = "linux")]
     (460_800, BaudRate::B460800),
+    #[cfg(target_os = "linux")]
+    (500_000, BaudRate::B500000),
+    #[cfg(target_os = "linux")]
+    (576_000, BaudRate::B576000),
+    #[cfg(target_os = "linux")]
     (921_600, BaudRate::B921600),
+    #[cfg(target_os = "linux")]
+    (1_000_000, BaudRate::B1000000),
+    #[cfg(target_os = "linux")]
+    (1_152_000, BaudRate::B1152000),
+    #[cfg(target_os = "linux")]
+    (1_500_000, BaudRate::B1500000),
+    #[cfg(target_os = "linux")]
+    (2_000_000, BaudRate::B2000000),
+    #[cfg(target_os = "linux")]
+    (2_500_000, BaudRate::B2500000),
+    #[cfg(target_os = "linux")]
+    (3_000_000, BaudRate::B3000000),
+    #[cfg(target_os = "linux")]
+    (3_500_000, BaudRate::B3500000),
+    #[cfg(target_os = "linux")]
+    (4_000_000, BaudRate::B4000000),
 ];
 
 trait Stream: Read + Write + Send + AsFd {}
@@ -190,15 +239,120 @@ impl Port {
     pub fn line(&mut self, limit: Duration) -> Result<String, DeviceError> {
         let deadline = Instant::now() + limit;
         loop {
-            if let Some(end) = self.pending.iter().position(|byte| *byte == b'\n') {
-                let line: Vec<u8> = self.pending.drain(..=end).collect();
-                return Ok(String::from_utf8_lossy(&line).trim().to_owned());
+            if let Some(line) = self.received_line() {
+                return Ok(line);
             }
             if Instant::now() >= deadline || self.pending.len() > LINE_MAX {
-                return Err(DeviceError::new(&self.name, format!("no answer within {} ms", limit.as_millis())));
+                return Err(self.no_answer(limit));
             }
             self.fill(deadline)?;
         }
+    }
+
+    /// Asks a device that was just opened, until it answers: it may start because it was opened, and
+    /// then loses what it receives and prints lines of its own. The port stays open meanwhile.
+    ///
+    /// Returns the first line that is an answer, or the last other line at the end of `limit`.
+    ///
+    /// # Errors
+    /// [`DeviceError`] if no line arrives in time, the device is disconnected, or it sends without end.
+    pub fn greet(
+        &mut self,
+        question: &[u8],
+        limit: Duration,
+        is_answer: impl Fn(&str) -> bool,
+    ) -> Result<String, DeviceError> {
+        let begun = Instant::now();
+        let (mut repeat_at, mut sent_at, mut talks_since) = (begun, begun, begun);
+        // The answers to stops before the first question come before its answer.
+        let expected = std::mem::take(&mut self.unanswered);
+        let (mut asked, mut others, mut other) = (0, 0, None);
+        loop {
+            while let Some(line) = self.received_line() {
+                if !is_answer(&line) {
+                    (others, other) = (others + 1, Some(line));
+                    continue;
+                }
+                if asked > 1 || others > expected {
+                    self.settle()?;
+                }
+                return Ok(line);
+            }
+            let now = Instant::now();
+            if now >= begun + limit || self.pending.len() > LINE_MAX {
+                return other.ok_or_else(|| self.no_answer(limit));
+            }
+            if now >= repeat_at {
+                self.write(question)?;
+                (asked, repeat_at) = (asked + 1, now + REPEAT);
+            }
+            if self.fill(repeat_at.min(now + QUIET))? > 0 {
+                let now = Instant::now();
+                if now.duration_since(sent_at) > QUIET {
+                    talks_since = now;
+                }
+                sent_at = now;
+                if now.duration_since(talks_since) > TALK_LIMIT {
+                    return Err(self.endless());
+                }
+            }
+        }
+    }
+
+    /// Discards what arrives until the device has no more to say, so that no earlier line counts as the
+    /// answer to a later question.
+    fn settle(&mut self) -> Result<(), DeviceError> {
+        let pause = |stops| if stops > 0 { QUIET_AFTER_STOP } else { QUIET };
+        let begun = Instant::now();
+        let mut quiet_at = begun + pause(self.unanswered);
+        while Instant::now() < quiet_at {
+            if begun.elapsed() > TALK_LIMIT + pause(self.unanswered) {
+                return Err(self.endless());
+            }
+            let stops = self.unanswered;
+            if self.fill(quiet_at)? > 0 || self.unanswered > stops {
+                quiet_at = Instant::now() + pause(self.unanswered);
+            }
+        }
+        self.pending.clear();
+        self.unanswered = 0;
+        Ok(())
+    }
+
+    /// Discards lines that arrived before the next question: they cannot be its answer. Answers to stops
+    /// that are still to come stay.
+    ///
+    /// # Errors
+    /// [`DeviceError`] if the device is disconnected.
+    pub fn discard_early(&mut self) -> Result<(), DeviceError> {
+        if self.unanswered == 0 {
+            self.read()?;
+            self.pending.clear();
+        }
+        Ok(())
+    }
+
+    /// The first complete line among the bytes received so far.
+    fn received_line(&mut self) -> Option<String> {
+        let end = self.pending.iter().position(|byte| *byte == b'\n')?;
+        let line: Vec<u8> = self.pending.drain(..=end).collect();
+        Some(String::from_utf8_lossy(&line).trim().to_owned())
+    }
+
+    fn no_answer(&self, limit: Duration) -> DeviceError {
+        let limit = limit.as_millis();
+        let problem = match self.pending.len() {
+            0 => format!("no answer within {limit} ms"),
+            bytes => {
+                format!("no line within {limit} ms, but {bytes} bytes without an end: check the speed of the port")
+            }
+        };
+        DeviceError::new(&self.name, problem)
+    }
+
+    fn endless(&self) -> DeviceError {
+        let problem = "sends without a question: expected a device that answers lines; disconnect it";
+        DeviceError::new(&self.name, problem)
     }
 
     /// Takes the number of stop lines that were written out of turn and not yet answered; the caller reads
@@ -207,31 +361,16 @@ impl Port {
         std::mem::take(&mut self.unanswered)
     }
 
-    /// Discards all bytes received so far.
-    ///
-    /// # Errors
-    /// [`DeviceError`] if the device is disconnected, or sends without end.
-    pub fn drain(&mut self) -> Result<(), DeviceError> {
-        let deadline = Instant::now() + DRAIN_LIMIT;
-        let mut quiet_at = Instant::now() + DRAIN_PAUSE;
-        while Instant::now() < quiet_at {
-            if Instant::now() >= deadline {
-                let problem = "sends without a question: expected a device that answers lines; disconnect it";
-                return Err(DeviceError::new(&self.name, problem));
-            }
-            if self.fill(quiet_at)? > 0 {
-                quiet_at = Instant::now() + DRAIN_PAUSE;
-            }
-        }
-        self.pending.clear();
-        Ok(())
-    }
-
     /// Reads the available bytes, and waits for them until a time at the latest; returns their
     /// number. An interrupt ends the wait.
     fn fill(&mut self, until: Instant) -> Result<usize, DeviceError> {
         self.wait(PollFlags::POLLIN, until)?;
         self.write_stop()?;
+        self.read()
+    }
+
+    /// Reads the available bytes without waiting; returns their number.
+    fn read(&mut self) -> Result<usize, DeviceError> {
         let mut bytes = [0; 1024];
         match self.stream.read(&mut bytes) {
             Ok(0) if self.ends => Err(DeviceError::new(&self.name, "the device closed the connection")),

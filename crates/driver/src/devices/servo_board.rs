@@ -7,7 +7,7 @@
 //!
 //! | host | board | meaning |
 //! | --- | --- | --- |
-//! | `hello` | `heliostat 1 MIRRORS MIN MAX FEEDBACK` | version 1, mirrors, limits of both axes, 1 if it measures |
+//! | `hello` | `heliostat 1 MIRRORS MIN MAX FEEDBACK` | version 1, mirrors, limits of both axes, 1 if it measures; at the start until it is answered, and while nothing else is sent |
 //! | `set R0 Y0 R1 Y1 ...` | `ok` | turn all mirrors at once |
 //! | `get` | `at R0 Y0 R1 Y1 ...` | the measured angles |
 //! | `stop` | `ok` | stop all motion at once |
@@ -32,11 +32,16 @@ pub const BAUD: u32 = 115_200;
 /// Timeout of an answer.
 const ANSWER_LIMIT: Duration = Duration::from_millis(500);
 
-/// Timeout of the first answer, for opening the port may reset the microcontroller, and of the
-/// answer to a stop.
-const LONG_LIMIT: Duration = Duration::from_secs(3);
+/// Timeout of the first answer: opening the port may reset the microcontroller, and a boot loader
+/// discards what it receives.
+const HELLO_LIMIT: Duration = Duration::from_secs(10);
 
-/// The line that stops a board.
+/// Timeout of the answer to a stop.
+const STOP_LIMIT: Duration = Duration::from_secs(3);
+
+/// The line that asks a board what it is, with which its answer begins, and the line that stops it.
+const HELLO: &str = "hello\n";
+const HELLO_ANSWER: &str = "heliostat";
 const STOP: &str = "stop\n";
 
 /// urad per rad.
@@ -63,7 +68,9 @@ impl ServoBoard {
     /// Sends one line to the board and returns its answer. The answers to stops that the port wrote
     /// before come first.
     fn ask(&mut self, line: &str, limit: Duration) -> Result<String, DeviceError> {
-        self.port()?.write(line.as_bytes())?;
+        let port = self.port()?;
+        port.discard_early()?;
+        port.write(line.as_bytes())?;
         self.answer(line, limit)
     }
 
@@ -75,10 +82,21 @@ impl ServoBoard {
     /// The answer to the line that was written last.
     fn answer(&mut self, line: &str, limit: Duration) -> Result<String, DeviceError> {
         let port = self.port()?;
-        for _ in 0..port.take_unanswered() {
-            port.line(LONG_LIMIT)?;
+        let stops = port.take_unanswered();
+        // A slow board may answer a repeated `hello` only now.
+        let is_late = |answer: &str| answer.starts_with(HELLO_ANSWER) && line != HELLO;
+        let mut next = |limit| -> Result<String, DeviceError> {
+            loop {
+                let answer = port.line(limit)?;
+                if !is_late(&answer) {
+                    return Ok(answer);
+                }
+            }
+        };
+        for _ in 0..stops {
+            next(STOP_LIMIT)?;
         }
-        let answer = port.line(limit)?;
+        let answer = next(limit)?;
         match answer.strip_prefix("error") {
             Some(why) => {
                 let problem = format!("the board refused `{}`:{why}", line.trim_end());
@@ -91,6 +109,11 @@ impl ServoBoard {
     fn check_ok(&self, answer: &str) -> Result<(), DeviceError> {
         let problem = || format!("answered {answer:?}: expected ok");
         if answer == "ok" { Ok(()) } else { Err(DeviceError::new(self.address.to_string(), problem())) }
+    }
+
+    /// Refuses the answer to `hello` of a board that does not fit the configuration.
+    fn fits(&self, answer: &str) -> Result<(), DeviceError> {
+        self.check_hello(answer).map_err(|problem| DeviceError::new(self.address.to_string(), problem))
     }
 
     fn check_hello(&self, answer: &str) -> Result<(), String> {
@@ -143,16 +166,14 @@ impl Board for ServoBoard {
     fn connect(&mut self) -> Result<(), DeviceError> {
         self.port = None;
         let mut port = board::open(&self.address, &self.interrupt, STOP.as_bytes())?;
-        port.drain()?;
-        let is_stop_first = port.take_unanswered() > 0;
-        port.write(b"hello\n")?;
-        let mut answer = port.line(LONG_LIMIT)?;
-        // A slow board answers the stop that was the first line only now.
-        if is_stop_first && !answer.starts_with("heliostat") {
-            answer = port.line(LONG_LIMIT)?;
-        }
+        let answer = port.greet(HELLO.as_bytes(), HELLO_LIMIT, |line| line.starts_with(HELLO_ANSWER))?;
         self.port = Some(port);
-        self.check_hello(&answer).map_err(|problem| DeviceError::new(self.address.to_string(), problem))
+        self.fits(&answer)
+    }
+
+    fn check(&mut self) -> Result<(), DeviceError> {
+        let answer = self.ask(HELLO, ANSWER_LIMIT)?;
+        self.fits(&answer)
     }
 
     fn set(&mut self, angles: &[[f64; 2]]) -> Result<bool, DeviceError> {
@@ -164,7 +185,10 @@ impl Board for ServoBoard {
             let _ = write!(line, " {}", (angle * URAD).round() as i64);
         }
         line.push('\n');
-        let written = self.port().and_then(|port| port.write_motion(line.as_bytes()));
+        let written = self.port().and_then(|port| {
+            port.discard_early()?;
+            port.write_motion(line.as_bytes())
+        });
         let answer = match written {
             Ok(true) => self.answer(&line, ANSWER_LIMIT).and_then(|answer| self.check_ok(&answer)).map(|()| true),
             // A stop was ordered: these angles are not sent.
@@ -195,7 +219,7 @@ impl Board for ServoBoard {
     }
 
     fn stop(&mut self) -> Result<(), DeviceError> {
-        let answer = self.ask(STOP, LONG_LIMIT)?;
+        let answer = self.ask(STOP, STOP_LIMIT)?;
         self.check_ok(&answer)
     }
 }

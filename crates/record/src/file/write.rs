@@ -126,6 +126,11 @@ impl<S: Storage> Recording<S> {
         self.message(channel, arrived_ns, arrived_ns, data)
     }
 
+    /// Length of the file in bytes, with what waits for the end of the chunk.
+    pub fn bytes(&self) -> u64 {
+        self.complete_bytes + self.unflushed_bytes
+    }
+
     /// Closes the chunk: a later truncation of the file loses nothing written before.
     ///
     /// # Errors

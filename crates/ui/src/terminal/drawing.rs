@@ -123,9 +123,10 @@ fn draw_users(frame: &mut Frame, area: Rect, figures: &Figures) {
 fn user_row(user: &UserFigures, largest: f32) -> Row<'static> {
     let [x, y, _] = user.position_m;
     let direct = match (user.blocked, user.forced) {
-        (true, true) => "blocked (order)",
-        (true, false) => "blocked",
-        (false, _) => "clear",
+        (Some(true), true) => "blocked (order)",
+        (Some(true), false) => "blocked",
+        (Some(false), _) => "clear",
+        (None, _) => "unknown",
     };
     let (met, colour) = match (user.is_rate_known, user.is_met()) {
         (false, _) => ("", Color::Reset),
@@ -205,9 +206,15 @@ fn draw_times(frame: &mut Frame, area: Rect, figures: &Figures) {
     let columns = if figures.counts.len() > space { 2 } else { 1 };
     let in_rows = figures.counts.chunks(columns).map(|some| {
         Row::new(some.iter().flat_map(|count| {
-            let colour = if count.is_problem && count.value > 0 { BAD } else { Color::Reset };
+            let colour =
+                if count.is_problem && count.value.is_some_and(|value| value > 0) { BAD } else { Color::Reset };
             let name: String = if columns == 1 { count.name.clone() } else { count.name.chars().take(11).collect() };
-            [Line::from(name), Line::from(count.value.to_string()).right_aligned().fg(colour)]
+            [
+                Line::from(name),
+                Line::from(count.value.map_or_else(|| "-".to_owned(), |value| value.to_string()))
+                    .right_aligned()
+                    .fg(colour),
+            ]
         }))
     });
     let widths: &[u16] = if columns == 1 { &[20, 10] } else { &[11, 6, 11, 7] };

@@ -35,7 +35,7 @@ pub(super) fn stops(room: &RoomStops) -> Vec<String> {
 /// The figures in one line.
 pub(super) fn line(figures: &Figures) -> String {
     let Some(sum) = &figures.sum_mbps else { return without_rates(figures) };
-    let blocked = figures.users.iter().filter(|user| user.blocked).count();
+    let blocked = figures.users.iter().filter(|user| user.blocked == Some(true)).count();
     let others = named(sum)[1..].iter().map(|(name, rate, _)| format!("{name} {rate:.1}")).collect::<Vec<_>>();
     let others = if others.is_empty() { String::new() } else { format!(" ({})", others.join(", ")) };
     let [decision, round, ..] = &figures.times[..] else { return String::new() };

@@ -36,6 +36,9 @@ impl fmt::Display for Summary {
                 list(&self.users)
             )?;
         }
+        if self.modelled > 0 {
+            write!(formatter, "\ndecisions on modelled gains, in a room that reports none: {}", self.modelled)?;
+        }
         if let Some(BeliefSummary { reports, innovation_mean }) = self.belief {
             write!(
                 formatter,

@@ -1,7 +1,8 @@
 //! Checks of the planned run: scenario, policy, driver, ports.
 
 use std::net::TcpListener;
-use std::time::Duration;
+use std::sync::mpsc;
+use std::time::{Duration, Instant};
 
 use heliostat_bus::{AccessRole, Bus, BusArgs, Reach};
 use heliostat_core::belief::conditions::{Condition, conditions};
@@ -9,16 +10,21 @@ use heliostat_core::capabilities::{Examiner, Force};
 use heliostat_core::policy::{Finding, PolicyKind};
 use heliostat_models::{ActorSource, build_tried};
 use heliostat_proto::array_keys::array_name;
-use heliostat_proto::{Capabilities, ValidityClock, decode};
+use heliostat_proto::messages::fault;
+use heliostat_proto::{Capabilities, MirrorTelemetry, NodeStatus, ValidityClock, decode};
 use heliostat_room::World;
 use heliostat_scenario::Scenario;
 use heliostat_service::counted::counted;
+use heliostat_service::printable::printable;
 
 use super::args::Args;
 use super::check::Check;
 
 /// Longest time until a driver answers.
 const DRIVER_WAIT: Duration = Duration::from_secs(3);
+
+/// A driver publishes its status each second.
+const STATUS_WITHIN: Duration = Duration::from_millis(1200);
 
 /// Limits that differ by less than this, in rad, count as equal.
 const SAME_ANGLE_RAD: f64 = 1e-4;
@@ -120,8 +126,13 @@ fn check_driver(args: &Args, scenario: &Scenario, array: usize) -> Check {
     if args.connect.is_empty() {
         return Check::ok("driver", "not checked: no --connect");
     }
-    match fetch_capabilities(args, array) {
-        Ok(capabilities) => compare(array, &capabilities, scenario),
+    match ask_driver(args, array) {
+        Ok(DriverState { device_problem: Some(problem), .. }) => Check::fail(
+            "driver",
+            problem,
+            "check power and cable of the hardware, and the address in the driver's configuration",
+        ),
+        Ok(DriverState { capabilities, .. }) => compare(array, &capabilities, scenario),
         Err(error) => Check::fail(
             "driver",
             format!("{error:#}"),
@@ -130,18 +141,49 @@ fn check_driver(args: &Args, scenario: &Scenario, array: usize) -> Check {
     }
 }
 
-fn fetch_capabilities(args: &Args, array: usize) -> anyhow::Result<Capabilities> {
+/// What a driver reports of its array.
+struct DriverState {
+    capabilities: Capabilities,
+    /// Why its hardware does not answer.
+    device_problem: Option<String>,
+}
+
+fn ask_driver(args: &Args, array: usize) -> anyhow::Result<DriverState> {
     let flags =
         BusArgs { room: args.room.clone(), connect: args.connect.clone(), tls: args.tls.clone(), ..BusArgs::default() };
     // A query of the capabilities needs no rights of a role.
     let config = flags.config(&AccessRole::ALL)?;
     let room = config.room.clone();
     let bus = Bus::open(&config.reaching(Reach::Within(DRIVER_WAIT)))?;
-    let payloads = bus.fetch(&room.array(array).capabilities(), DRIVER_WAIT)?;
+    let (sender, reports) = mpsc::channel();
+    let statuses = sender.clone();
+    let keys = room.array(array);
+    let telemetry = bus.subscribe(&keys.telemetry(), move |payload| {
+        // The receiver is gone when both have arrived.
+        drop(decode(payload).map(|telemetry: MirrorTelemetry| sender.send((Some(telemetry.faults), None))));
+    })?;
+    let status = bus.subscribe(&keys.driver_status(), move |payload| {
+        drop(decode(payload).map(|status: NodeStatus| statuses.send((None, Some(status.last_problem)))));
+    })?;
+    let payloads = bus.fetch(&keys.capabilities(), DRIVER_WAIT)?;
+    let (mut faults, mut problem) = (None, None);
+    let until = Instant::now() + STATUS_WITHIN;
+    // The problem matters only with a fault.
+    while faults.is_none() || (faults.is_some_and(|faults| faults & fault::LINK != 0) && problem.is_none()) {
+        let Ok((new_faults, new_problem)) = reports.recv_timeout(until.saturating_duration_since(Instant::now()))
+        else {
+            break;
+        };
+        (faults, problem) = (new_faults.or(faults), new_problem.or(problem));
+    }
+    drop((telemetry, status));
     bus.close()?;
+    let device_problem = faults
+        .filter(|faults| faults & fault::LINK != 0)
+        .map(|_| format!("a device of the driver does not answer: {}", printable(&problem.unwrap_or_default())));
     match payloads.as_slice() {
         [] => anyhow::bail!("no driver in room \"{room}\" publishes the capabilities of an array"),
-        [payload] => Ok(decode(payload)?),
+        [payload] => Ok(DriverState { capabilities: decode(payload)?, device_problem }),
         several => anyhow::bail!("{} drivers answer in room \"{room}\"; expected one", several.len()),
     }
 }

@@ -1,0 +1,253 @@
+//! Why a TLS connection to another process fails.
+//!
+//! Zenoh retries a failed connection without a reason. While an endpoint has no connection, a thread
+//! makes the same handshake, reads the certificate of the other side whatever it is, and names what
+//! does not fit: host, date, authority, or this process's own certificate. No data is exchanged.
+
+use std::io::{ErrorKind, Read};
+use std::net::{TcpStream, ToSocketAddrs};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::thread;
+use std::time::Duration;
+
+use rustls::client::danger::{HandshakeSignatureValid, ServerCertVerified, ServerCertVerifier};
+use rustls::crypto::{CryptoProvider, ring, verify_tls12_signature, verify_tls13_signature};
+use rustls::pki_types::pem::PemObject;
+use rustls::pki_types::{CertificateDer, PrivateKeyDer, ServerName, UnixTime};
+use rustls::{ClientConfig, ClientConnection, DigitallySignedStruct, Error, SignatureScheme};
+use zenoh::Wait;
+use zenoh::config::EndPoint;
+
+use crate::certificate::Certificate;
+use crate::tls::Identity;
+
+/// Time that Zenoh has for a connection before the first check.
+const FIRST: Duration = Duration::from_millis(1500);
+
+/// Time between two checks while a connection is missing.
+const AGAIN: Duration = Duration::from_secs(5);
+
+/// Longest wait for the other side in each step.
+const STEP_LIMIT: Duration = Duration::from_millis(500);
+
+/// Checks the endpoints of a session while one of them has no connection, until it is dropped.
+#[derive(Debug)]
+pub(crate) struct TlsCheck {
+    problem: Arc<Mutex<Option<String>>>,
+    /// Its end ends the thread.
+    _end: Sender<()>,
+}
+
+impl TlsCheck {
+    /// Starts the thread; without one, no reason is known.
+    pub fn start(session: zenoh::Session, identity: Identity, endpoints: Vec<String>) -> Self {
+        let problem = Arc::default();
+        let (end, ended) = channel();
+        let noted = Arc::clone(&problem);
+        let watch = move || watch(&session, &identity, &endpoints, &noted, &ended);
+        if let Err(error) = thread::Builder::new().name("tls-check".into()).spawn(watch) {
+            tracing::debug!("connections are not checked: {error}");
+        }
+        Self { problem, _end: end }
+    }
+
+    /// The present reason why an endpoint has no connection.
+    pub fn problem(&self) -> Option<String> {
+        lock(&self.problem).clone()
+    }
+}
+
+fn lock(problem: &Mutex<Option<String>>) -> std::sync::MutexGuard<'_, Option<String>> {
+    // A text is replaced as a unit.
+    problem.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn watch(
+    session: &zenoh::Session,
+    identity: &Identity,
+    endpoints: &[String],
+    noted: &Mutex<Option<String>>,
+    ended: &Receiver<()>,
+) {
+    let mut wait = FIRST;
+    while ended.recv_timeout(wait) == Err(RecvTimeoutError::Timeout) {
+        wait = AGAIN;
+        let problem = if connections(session) < endpoints.len() { first_problem(identity, endpoints) } else { None };
+        let mut known = lock(noted);
+        if *known != problem {
+            if let Some(problem) = &problem {
+                tracing::warn!("{problem}");
+            }
+            *known = problem;
+        }
+    }
+}
+
+/// Number of processes to which a session is connected.
+pub(crate) fn connections(session: &zenoh::Session) -> usize {
+    let info = session.info();
+    info.peers_zid().wait().count() + info.routers_zid().wait().count()
+}
+
+/// Whether a process accepts connections at an endpoint. One of a protocol without connections may.
+pub(crate) fn accepts(endpoint: &str) -> bool {
+    let Ok(parsed) = endpoint.parse::<EndPoint>() else { return false };
+    let address = parsed.address().as_str().to_owned();
+    match parsed.protocol().as_str() {
+        "tcp" | "tls" => {
+            let found = address.to_socket_addrs().ok().and_then(|mut found| found.next());
+            found.is_some_and(|at| TcpStream::connect_timeout(&at, STEP_LIMIT).is_ok())
+        }
+        "unixsock-stream" => std::os::unix::net::UnixStream::connect(address).is_ok(),
+        _ => true,
+    }
+}
+
+/// The first fault of the endpoints that answer.
+pub(crate) fn first_problem(identity: &Identity, endpoints: &[String]) -> Option<String> {
+    endpoints.iter().find_map(|endpoint| problem(identity, endpoint))
+}
+
+/// The fault of a connection to an endpoint; `None` if there is none, or no process answers there.
+fn problem(identity: &Identity, endpoint: &str) -> Option<String> {
+    let parsed: EndPoint = endpoint.parse().ok()?;
+    if parsed.protocol().as_str() != "tls" {
+        return None;
+    }
+    let address = parsed.address().as_str().to_owned();
+    let (host, _) = address.rsplit_once(':')?;
+    let host = host.trim_start_matches('[').trim_end_matches(']');
+    let at = address.to_socket_addrs().ok()?.next()?;
+    let mut stream = TcpStream::connect_timeout(&at, STEP_LIMIT).ok()?;
+    stream.set_read_timeout(Some(STEP_LIMIT)).and_then(|()| stream.set_write_timeout(Some(STEP_LIMIT))).ok()?;
+    let seen = Arc::new(Seen::default());
+    let name = ServerName::try_from(host.to_owned()).ok()?;
+    let mut connection = ClientConnection::new(Arc::new(client(identity, &seen)?), name).ok()?;
+    let mut refused = None;
+    while connection.is_handshaking() {
+        if let Err(error) = connection.complete_io(&mut stream) {
+            refused = Some(error);
+            break;
+        }
+    }
+    let Some(certificate) = seen.certificate.get() else {
+        let error = refused.filter(|error| !matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut))?;
+        return Some(format!("{endpoint}: the TLS handshake failed ({error}): expected a process with --tls there"));
+    };
+    let fault = match Certificate::from_der(certificate) {
+        Ok(certificate) => fault(identity, host, &certificate),
+        Err(problem) => Some(format!("the certificate of {host} cannot be used: {problem}")),
+    };
+    // The other side reads the certificate of this one after the handshake.
+    fault
+        .or_else(|| alert(&mut connection, &mut stream, refused, identity, host))
+        .map(|fault| format!("{endpoint}: {fault}"))
+}
+
+/// What is wrong with the certificate of a host.
+fn fault(identity: &Identity, host: &str, certificate: &Certificate) -> Option<String> {
+    if let Some(problem) = certificate.time_fault() {
+        return Some(format!(
+            "the certificate of {host} {problem}: renew it there with `heliostat keys renew`, and restart the process"
+        ));
+    }
+    let folder = identity.folder().display();
+    if !identity.signs(certificate) {
+        return Some(format!(
+            "another authority than {folder}/ca.pem signed the certificate of {host} ({}): give both processes keys of one \
+             `heliostat keys init`",
+            certificate.common_name
+        ));
+    }
+    if certificate.room_and_role().is_none() {
+        return Some(format!(
+            "the certificate of {host} is for \"{}\", which is no role of a room: issue it with `heliostat keys issue`",
+            certificate.common_name
+        ));
+    }
+    let is_named = certificate.hosts.iter().any(|named| named.eq_ignore_ascii_case(host.trim_end_matches('.')));
+    (!is_named).then(|| {
+        format!(
+            "the certificate of {host} names {}: issue it with `heliostat keys issue --host {host}`, or connect to one of \
+             these names",
+            certificate.hosts.join(", ")
+        )
+    })
+}
+
+/// The refusal of the other side.
+fn alert(
+    connection: &mut ClientConnection,
+    stream: &mut TcpStream,
+    refused: Option<std::io::Error>,
+    identity: &Identity,
+    host: &str,
+) -> Option<String> {
+    let error = refused.or_else(|| rustls::Stream::new(connection, stream).read(&mut [0; 1]).err())?;
+    let reason = error.get_ref()?.downcast_ref::<Error>()?;
+    let Error::AlertReceived(alert) = reason else { return None };
+    Some(format!(
+        "{host} refuses the certificate {} of this process ({alert:?}): renew it with `heliostat keys renew`, and give \
+         both processes keys of one `heliostat keys init`",
+        identity.certificate().display()
+    ))
+}
+
+fn client(identity: &Identity, seen: &Arc<Seen>) -> Option<ClientConfig> {
+    let chain: Vec<_> = CertificateDer::pem_file_iter(identity.certificate()).ok()?.collect::<Result<_, _>>().ok()?;
+    let key = PrivateKeyDer::from_pem_file(identity.private_key()).ok()?;
+    let config = ClientConfig::builder_with_provider(Arc::clone(&seen.provider)).with_safe_default_protocol_versions();
+    let verifier: Arc<dyn ServerCertVerifier> = Arc::<Seen>::clone(seen);
+    config.ok()?.dangerous().with_custom_certificate_verifier(verifier).with_client_auth_cert(chain, key).ok()
+}
+
+/// Keeps the certificate of the other side. It accepts each, because nothing is sent over the connection.
+#[derive(Debug)]
+struct Seen {
+    provider: Arc<CryptoProvider>,
+    certificate: OnceLock<Vec<u8>>,
+}
+
+impl Default for Seen {
+    fn default() -> Self {
+        Self { provider: Arc::new(ring::default_provider()), certificate: OnceLock::new() }
+    }
+}
+
+impl ServerCertVerifier for Seen {
+    fn verify_server_cert(
+        &self,
+        end_entity: &CertificateDer<'_>,
+        _intermediates: &[CertificateDer<'_>],
+        _server_name: &ServerName<'_>,
+        _ocsp_response: &[u8],
+        _now: UnixTime,
+    ) -> Result<ServerCertVerified, Error> {
+        // There is one for each connection.
+        let _ = self.certificate.set(end_entity.to_vec());
+        Ok(ServerCertVerified::assertion())
+    }
+
+    fn verify_tls12_signature(
+        &self,
+        message: &[u8],
+        certificate: &CertificateDer<'_>,
+        signature: &DigitallySignedStruct,
+    ) -> Result<HandshakeSignatureValid, Error> {
+        verify_tls12_signature(message, certificate, signature, &self.provider.signature_verification_algorithms)
+    }
+
+    fn verify_tls13_signature(
+        &self,
+        message: &[u8],
+        certificate: &CertificateDer<'_>,
+        signature: &DigitallySignedStruct,
+    ) -> Result<HandshakeSignatureValid, Error> {
+        verify_tls13_signature(message, certificate, signature, &self.provider.signature_verification_algorithms)
+    }
+
+    fn supported_verify_schemes(&self) -> Vec<SignatureScheme> {
+        self.provider.signature_verification_algorithms.supported_schemes()
+    }
+}

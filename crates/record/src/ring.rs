@@ -1,0 +1,253 @@
+//! A recording of bounded size: files one after the other, of which the oldest are deleted, except those
+//! around a fault.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::fs::{self, File, OpenOptions};
+use std::io;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use heliostat_proto::messages::fault;
+use heliostat_proto::{ArrayState, MirrorTelemetry};
+
+/// Files of a full ring.
+const FILES: u64 = 8;
+
+/// Ending of the name of a file around a fault.
+const KEPT: &str = "-fault";
+
+/// Bounds of a ring.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bounds {
+    /// Largest size of the ring in bytes, and of the files around faults.
+    pub bytes: u64,
+    /// Time before and after a fault whose files are kept.
+    pub around_fault: Duration,
+}
+
+/// The files of a recording.
+#[derive(Debug)]
+pub struct Ring {
+    /// The path without number and extension.
+    base: PathBuf,
+    bounds: Bounds,
+    /// Closed files, oldest first.
+    closed: VecDeque<Closed>,
+    number: u32,
+    begun: Instant,
+    /// Until when files are kept.
+    keep_until: Option<Instant>,
+}
+
+#[derive(Debug)]
+struct Closed {
+    path: PathBuf,
+    bytes: u64,
+    ended: Option<Instant>,
+    is_kept: bool,
+}
+
+impl Ring {
+    /// A ring beside files of earlier runs, which count as its oldest.
+    ///
+    /// # Errors
+    /// The folder cannot be read.
+    pub fn open(out: &Path, bounds: Bounds, now: Instant) -> io::Result<Self> {
+        let base = out.with_extension("");
+        let folder = base.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let stem = base.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+        let mut found = BTreeMap::new();
+        for entry in fs::read_dir(folder)? {
+            let entry = entry?;
+            let name = entry.file_name().to_string_lossy().into_owned();
+            let rest = name.strip_prefix(&stem).and_then(|rest| rest.strip_prefix('-')?.strip_suffix(".mcap"));
+            let Some(rest) = rest else { continue };
+            let is_kept = rest.ends_with(KEPT);
+            let Ok(number) = rest.strip_suffix(KEPT).unwrap_or(rest).parse::<u32>() else { continue };
+            found.insert(number, Closed { path: entry.path(), bytes: entry.metadata()?.len(), ended: None, is_kept });
+        }
+        let number = found.last_key_value().map_or(0, |(number, _)| *number);
+        Ok(Self { base, bounds, closed: found.into_values().collect(), number, begun: now, keep_until: None })
+    }
+
+    /// The path of the file that is being written.
+    pub fn path(&self) -> PathBuf {
+        self.numbered("")
+    }
+
+    fn numbered(&self, ending: &str) -> PathBuf {
+        let mut name = self.base.clone().into_os_string();
+        name.push(format!("-{:04}{ending}.mcap", self.number));
+        name.into()
+    }
+
+    /// Creates the next file.
+    ///
+    /// # Errors
+    /// It cannot be created.
+    pub fn create(&mut self, now: Instant) -> io::Result<File> {
+        self.number += 1;
+        self.begun = now;
+        OpenOptions::new().write(true).create_new(true).open(self.path())
+    }
+
+    /// Whether the file of this size is to be closed.
+    pub fn is_due(&self, bytes: u64, now: Instant) -> bool {
+        let is_full = bytes >= self.bounds.bytes / FILES;
+        // Short files, so that little more is kept than the time around a fault.
+        is_full || (bytes > 0 && now.saturating_duration_since(self.begun) >= self.bounds.around_fault)
+    }
+
+    /// Notes a fault: the files around it are kept.
+    pub fn note_fault(&mut self, now: Instant) {
+        self.keep_until = Some(now + self.bounds.around_fault);
+        let around = self.bounds.around_fault;
+        for file in &mut self.closed {
+            if file.ended.is_some_and(|ended| now.saturating_duration_since(ended) <= around) {
+                keep(file);
+            }
+        }
+    }
+
+    /// Notes that the present file is closed, and deletes the oldest ones beyond the bounds.
+    ///
+    /// # Errors
+    /// A file cannot be deleted.
+    pub fn close(&mut self, now: Instant) -> io::Result<()> {
+        let path = self.path();
+        let bytes = fs::metadata(&path).map_or(0, |found| found.len());
+        let mut file = Closed { path, bytes, ended: Some(now), is_kept: false };
+        // A fault within this file, or less than its time ago.
+        if self.keep_until.is_some_and(|until| self.begun <= until) {
+            keep(&mut file);
+        }
+        self.closed.push_back(file);
+        for is_kept in [false, true] {
+            let bytes = |closed: &VecDeque<Closed>| {
+                closed.iter().filter(|file| file.is_kept == is_kept).map(|file| file.bytes).sum::<u64>()
+            };
+            // The present file has a part of the ring.
+            let most = if is_kept { self.bounds.bytes } else { self.bounds.bytes - self.bounds.bytes / FILES };
+            while bytes(&self.closed) > most {
+                let Some(oldest) = self.closed.iter().position(|file| file.is_kept == is_kept) else { break };
+                let Some(file) = self.closed.remove(oldest) else { break };
+                fs::remove_file(&file.path)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The files, oldest first.
+    pub fn files(&self) -> Vec<PathBuf> {
+        self.closed.iter().map(|file| file.path.clone()).collect()
+    }
+}
+
+/// Marks a file as kept, by its name, so that a later run keeps it too.
+fn keep(file: &mut Closed) {
+    if file.is_kept {
+        return;
+    }
+    let mut name = file.path.with_extension("").into_os_string();
+    name.push(KEPT);
+    name.push(".mcap");
+    let path = PathBuf::from(name);
+    // A file that cannot be renamed stays in the ring.
+    if fs::rename(&file.path, &path).is_ok() {
+        (file.path, file.is_kept) = (path, true);
+    }
+}
+
+/// Finds the faults of a room in what the arrays report.
+#[derive(Debug, Default)]
+pub struct FaultWatch {
+    /// Fault bits, and whether the array was stopped or had lost its device, by array.
+    last: BTreeMap<usize, (u32, bool)>,
+}
+
+impl FaultWatch {
+    /// The fault that begins with this telemetry, in words.
+    pub fn update(&mut self, array: usize, telemetry: &MirrorTelemetry) -> Option<String> {
+        let is_down = matches!(telemetry.state, ArrayState::Stopped | ArrayState::Fault);
+        // The bit of a stop comes with the state.
+        let faults = telemetry.faults & !fault::STOP;
+        let (before, was_down) = self.last.insert(array, (faults, is_down)).unwrap_or_default();
+        let new = faults & !before;
+        let state = telemetry.state.name();
+        match (new, is_down && !was_down) {
+            (0, false) => None,
+            (0, true) => Some(format!("array {array} is in the state {state}")),
+            _ => Some(format!("array {array} reports the fault bits {new}, in the state {state}")),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const BOUNDS: Bounds = Bounds { bytes: 8_000, around_fault: Duration::from_secs(10) };
+
+    fn names(folder: &Path) -> Vec<String> {
+        let entries = fs::read_dir(folder).expect("a folder");
+        let mut names: Vec<String> =
+            entries.map(|entry| entry.expect("an entry").file_name().to_string_lossy().into_owned()).collect();
+        names.sort();
+        names
+    }
+
+    /// Writes and closes so many files of a second each.
+    fn write(ring: &mut Ring, from: Instant, count: u32) {
+        for second in 0..count {
+            let now = from + Duration::from_secs(second.into());
+            ring.create(now).expect("a file").set_len(1_000).expect("a length");
+            ring.close(now + Duration::from_secs(1)).expect("closed");
+        }
+    }
+
+    #[test]
+    fn the_oldest_files_are_deleted_and_a_later_run_continues_the_ring() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (out, start) = (folder.path().join("room.mcap"), Instant::now());
+        let mut ring = Ring::open(&out, BOUNDS, start).expect("a ring");
+        write(&mut ring, start, 20);
+        let names_now = names(folder.path());
+        assert_eq!((names_now.len(), names_now[0].as_str()), (7, "room-0014.mcap"), "{names_now:?}");
+        let mut ring = Ring::open(&out, BOUNDS, start).expect("a ring");
+        write(&mut ring, start, 2);
+        let names_now = names(folder.path());
+        assert_eq!((names_now.len(), names_now[6].as_str()), (7, "room-0022.mcap"), "{names_now:?}");
+    }
+
+    #[test]
+    fn the_files_around_a_fault_are_kept_within_the_same_bound() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (out, start) = (folder.path().join("room.mcap"), Instant::now());
+        let bounds = Bounds { around_fault: Duration::from_millis(1500), ..BOUNDS };
+        let mut ring = Ring::open(&out, bounds, start).expect("a ring");
+        write(&mut ring, start, 5);
+        ring.note_fault(start + Duration::from_secs(6));
+        write(&mut ring, start + Duration::from_secs(6), 20);
+        let kept: Vec<String> = names(folder.path()).into_iter().filter(|name| name.contains(KEPT)).collect();
+        assert_eq!(kept, ["room-0005-fault.mcap", "room-0006-fault.mcap", "room-0007-fault.mcap"]);
+        for fault in 0..40 {
+            let at = start + Duration::from_secs(100 + 10 * fault);
+            ring.note_fault(at);
+            write(&mut ring, at, 1);
+        }
+        let kept = names(folder.path()).into_iter().filter(|name| name.contains(KEPT)).count();
+        assert_eq!(kept, 8, "faults without end are bounded too");
+    }
+
+    #[test]
+    fn a_fault_is_a_new_bit_or_a_new_state() {
+        let mut watch = FaultWatch::default();
+        let telemetry = |state, faults| MirrorTelemetry { state, faults, ..MirrorTelemetry::default() };
+        assert_eq!(watch.update(0, &telemetry(ArrayState::Following, 0)), None);
+        assert!(watch.update(0, &telemetry(ArrayState::Fault, fault::LINK)).is_some());
+        assert_eq!(watch.update(0, &telemetry(ArrayState::Fault, fault::LINK)), None);
+        assert_eq!(watch.update(0, &telemetry(ArrayState::Following, 0)), None);
+        assert!(watch.update(0, &telemetry(ArrayState::Stopped, fault::STOP)).is_some());
+        assert!(watch.update(1, &telemetry(ArrayState::Following, fault::MIRROR)).is_some());
+    }
+}

@@ -1,0 +1,180 @@
+//! What happened in the room, with times: changes of states, orders and their answers, stops, faults and
+//! problems. The server keeps it, so that a page that opens later shows it too.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use heliostat_service::clock::utc_ns;
+use serde::Serialize;
+
+use crate::figures::{Figures, Origin};
+use crate::order_answer::Answer;
+use crate::order_log::OrderFigures;
+use crate::stop_state::{StopFigures, StopPhase};
+
+/// Events that are kept.
+const EVENTS_MAX: usize = 100;
+
+/// One event.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(crate) struct Event {
+    /// Time in ms since 1970 UTC.
+    at_ms: u64,
+    text: String,
+    /// Whether it is a problem.
+    is_bad: bool,
+}
+
+/// The last events, and the states that the next ones are compared with.
+#[derive(Debug, Default)]
+pub(crate) struct EventLog {
+    events: VecDeque<Event>,
+    /// The state of each subject, in words.
+    states: BTreeMap<String, String>,
+}
+
+impl EventLog {
+    /// Notes what has changed since the last call; returns whether anything has.
+    pub fn note(&mut self, figures: &Figures, orders: &[OrderFigures], stop: &StopFigures) -> bool {
+        self.note_at(utc_ns() / 1_000_000, figures, orders, stop)
+    }
+
+    fn note_at(&mut self, at_ms: u64, figures: &Figures, orders: &[OrderFigures], stop: &StopFigures) -> bool {
+        let before = self.events.len().min(EVENTS_MAX);
+        let last = self.events.back().cloned();
+        let origin = match figures.origin {
+            Origin::Simulated => "simulated",
+            Origin::Measured => "measured",
+            Origin::NoData => "no data",
+        };
+        self.change(at_ms, "room", origin, figures.origin == Origin::NoData);
+        let is_moving = ["following", "holding"].iter().any(|state| figures.array.state.starts_with(state));
+        self.change(at_ms, "mirrors", &figures.array.state, !is_moving);
+        self.change(at_ms, "faults", &figures.array.faults.join(", "), !figures.array.faults.is_empty());
+        let controller = if figures.controller_alive { "alive" } else { "gone" };
+        self.change(at_ms, "controller", controller, !figures.controller_alive);
+        if !figures.policy.is_empty() {
+            self.change(at_ms, "policy", &figures.policy, false);
+        }
+        let phase = match stop.phase {
+            StopPhase::None => "",
+            StopPhase::Requested => "requested",
+            StopPhase::Unconfirmed => "not confirmed",
+            StopPhase::Confirmed => "confirmed by every array",
+            StopPhase::Released => "released",
+        };
+        let by: Vec<String> =
+            stop.stops.iter().map(|stop| format!(" ({}, {:?})", stop.operator, stop.reason)).collect();
+        self.change(at_ms, "stop", &format!("{phase}{}", by.concat()), !matches!(stop.phase, StopPhase::Released));
+        for node in &figures.nodes {
+            self.change(at_ms, &format!("problem of {}", node.node), &node.problem, true);
+        }
+        for note in &figures.notes {
+            self.change(at_ms, note, "since now", true);
+        }
+        // Oldest first.
+        for order in orders.iter().rev() {
+            let (answer, is_bad) = match &order.answer {
+                Answer::Sent => continue,
+                Answer::Done => ("done".to_owned(), false),
+                Answer::Refused(reason) => (format!("refused: {reason}"), true),
+                Answer::Missing => ("no answer".to_owned(), true),
+                Answer::Absent => ("no array is present".to_owned(), true),
+            };
+            let key = format!("order {}", order.id);
+            if self.states.get(&key) != Some(&answer) {
+                self.push(at_ms, format!("order: {}: {answer}", order.what), is_bad);
+                self.states.insert(key, answer);
+            }
+        }
+        self.states.retain(|key, _| {
+            key.strip_prefix("order ").is_none_or(|id| orders.iter().any(|order| order.id.to_string() == id))
+        });
+        self.events.len() != before || self.events.back() != last.as_ref()
+    }
+
+    /// The events as JSON, oldest first.
+    pub fn json(&self) -> String {
+        // Serialization of these types cannot fail: they hold only numbers, texts and lists.
+        serde_json::to_string(&self.events).unwrap_or_default()
+    }
+
+    /// Notes the state of a subject if it has changed; an empty one is noted as the end of the last.
+    fn change(&mut self, at_ms: u64, subject: &str, state: &str, is_bad: bool) {
+        let before = self.states.insert(subject.to_owned(), state.to_owned()).unwrap_or_default();
+        if before == state {
+            return;
+        }
+        let (text, is_bad) = match (before.as_str(), state) {
+            (_, "") => (format!("{subject}: over"), false),
+            ("", state) => (format!("{subject}: {state}"), is_bad),
+            (before, state) if subject.starts_with("problem") || subject == "stop" || before == "since now" => {
+                (format!("{subject}: {state}"), is_bad)
+            }
+            (before, state) => (format!("{subject}: {before} \u{2192} {state}"), is_bad),
+        };
+        self.push(at_ms, text, is_bad);
+    }
+
+    fn push(&mut self, at_ms: u64, text: String, is_bad: bool) {
+        if self.events.len() >= EVENTS_MAX {
+            self.events.pop_front();
+        }
+        self.events.push_back(Event { at_ms, text, is_bad });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::figures::{ArrayFigures, NodeFigures};
+
+    fn figures(state: &str, problem: &str) -> Figures {
+        Figures {
+            origin: Origin::Simulated,
+            policy: "greedy".into(),
+            controller_alive: true,
+            array: ArrayFigures { state: state.into(), ..ArrayFigures::default() },
+            nodes: vec![NodeFigures { node: "controller".into(), problem: problem.into(), ..NodeFigures::default() }],
+            ..Figures::default()
+        }
+    }
+
+    fn texts(log: &EventLog) -> Vec<(u64, &str, bool)> {
+        log.events.iter().map(|event| (event.at_ms, event.text.as_str(), event.is_bad)).collect()
+    }
+
+    #[test]
+    fn only_changes_are_events() {
+        let (mut log, no_stop) = (EventLog::default(), StopFigures::default());
+        assert!(log.note_at(1, &figures("following", ""), &[], &no_stop));
+        assert!(!log.note_at(2, &figures("following", ""), &[], &no_stop));
+        let first = texts(&log).len();
+        assert!(log.note_at(3, &figures("parked", "reports refused"), &[], &no_stop));
+        assert!(log.note_at(4, &figures("following", ""), &[], &no_stop));
+        assert_eq!(
+            texts(&log)[first..],
+            [
+                (3, "mirrors: following \u{2192} parked", true),
+                (3, "problem of controller: reports refused", true),
+                (4, "mirrors: parked \u{2192} following", false),
+                (4, "problem of controller: over", false),
+            ]
+        );
+    }
+
+    #[test]
+    fn an_order_is_an_event_when_it_is_answered_and_the_log_is_bounded() {
+        let (mut log, no_stop) = (EventLog::default(), StopFigures::default());
+        let order = |id, answer| [OrderFigures { id, what: "stop".into(), answer }];
+        log.note_at(1, &figures("following", ""), &order(1, Answer::Sent), &no_stop);
+        let first = texts(&log).len();
+        log.note_at(2, &figures("following", ""), &order(1, Answer::Done), &no_stop);
+        log.note_at(3, &figures("following", ""), &order(1, Answer::Done), &no_stop);
+        assert_eq!(texts(&log)[first..], [(2, "order: stop: done", false)]);
+        for time in 0..300 {
+            let state = if time % 2 == 0 { "parked" } else { "following" };
+            assert!(log.note_at(time, &figures(state, ""), &[], &no_stop), "a full log changes too");
+        }
+        assert_eq!(log.events.len(), EVENTS_MAX);
+    }
+}

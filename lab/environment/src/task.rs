@@ -86,9 +86,7 @@ impl Room {
 
     fn duplicate(&self, scenario: &Scenario) -> Self {
         match self {
-            Self::Static { environment, step_s } => {
-                Self::Static { environment: environment.clone(), step_s: *step_s }
-            }
+            Self::Static { environment, step_s } => Self::Static { environment: environment.clone(), step_s: *step_s },
             Self::Closed { inner, now_ns } => {
                 let inner = Box::new(inner.duplicate(scenario, idle_policy(scenario)));
                 Self::Closed { inner, now_ns: *now_ns }

@@ -3,7 +3,7 @@
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::Path;
 
-use heliostat_scenario::{BUILTIN_NAMES, Scenario as Checked};
+use heliostat_scenario::{BUILTIN_NAMES, Scenario as Checked, ScenarioArgs};
 use pyo3::prelude::*;
 
 use crate::error::{guarded, refused};
@@ -41,7 +41,10 @@ impl Scenario {
                 "unknown scenario {source:?}: expected {known}, or the path of a file FILE.toml"
             )));
         };
-        Self::checked(&text, &overrides)
+        let mut scenario = Self::checked(&text, &overrides)?;
+        let flags = ScenarioArgs { scenario: source.into(), overrides, seed: None };
+        flags.find_trace(&mut scenario.inner);
+        Ok(scenario)
     }
 
     /// The checked scenario of a text in TOML.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import threading
 import time
@@ -14,8 +15,6 @@ import numpy as np
 import pytest
 
 pytest.importorskip("zenoh")
-import os
-
 from heliostat.peer import PeerError
 from room import LIMIT_S, free_endpoint, needs_program, observer, wait_until
 
@@ -70,7 +69,7 @@ def test_a_function_commands_the_mirrors_of_a_room() -> None:
 
         def turned() -> bool:
             roll = room.latest.get("telemetry", {}).get("roll_commanded", [0.0])
-            return abs(roll[0] - 0.25 * SCENARIO.range_rad) < 1e-5
+            return bool(abs(roll[0] - 0.25 * SCENARIO.range_rad) < 1e-5)
 
         wait_until("command of the function", turned)
         wait_until("status", lambda: room.latest.get("status", {}).get("policy") == "python" or len(seen) > 100)

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium
@@ -22,7 +23,7 @@ SMALL: dict[str, Any] = {"overrides": {"mirrors.rows": 3, "mirrors.columns": 3, 
 # Generous, for a busy machine.
 LIMIT_S = 120.0
 
-COPIES = {
+COPIES: dict[str, Callable[[Any], Any]] = {
     "deepcopy": copy.deepcopy,
     "copy": copy.copy,
     "pickle": lambda value: pickle.loads(pickle.dumps(value)),
@@ -67,12 +68,13 @@ def test_a_copy_of_an_environment_continues_as_its_original(name: str, way: str)
 
 @pytest.mark.parametrize("way", ["deepcopy", "pickle"])
 def test_a_copy_includes_wrappers_and_the_specification(way: str) -> None:
-    env = gymnasium.make("heliostat/Hall-v0", max_episode_steps=4, scenario=heliostat.load_scenario("hall"))
+    env: Any = gymnasium.make("heliostat/Hall-v0", max_episode_steps=4, scenario=heliostat.load_scenario("hall"))
     env.reset(seed=3)
     env.step(actions(env, 1)[0])
     made = COPIES[way](env)
     equal_steps(env, made, 3)
-    assert env.spec is not None and gymnasium.make(COPIES[way](env.spec)).unwrapped.scenario == env.unwrapped.scenario
+    again: Any = gymnasium.make(COPIES[way](env.spec)).unwrapped
+    assert again.scenario == env.unwrapped.scenario
 
 
 @pytest.mark.parametrize("way", COPIES)
@@ -91,7 +93,7 @@ def test_a_copy_of_a_batch_continues_as_its_original_across_ends_of_episodes(
 
 
 def test_an_episode_of_a_comparison_is_copied_with_its_samples() -> None:
-    env = heliostat.HeliostatEnv("hall", dynamics="closed-loop", action="weights")
+    env: Any = heliostat.HeliostatEnv("hall", dynamics="closed-loop", action="weights")
     env.reset(options={"episode": (0, 20, 1)})
     zero = np.zeros(env.action_space.shape, np.float32)
     for _ in range(20):
@@ -163,7 +165,7 @@ def _steps(seed: int) -> float:
 
 
 def _evaluates(_: int) -> float:
-    env = heliostat.HeliostatEnv("hall", dynamics="closed-loop", action="weights")
+    env: Any = heliostat.HeliostatEnv("hall", dynamics="closed-loop", action="weights")
     zero = np.zeros(env.action_space.shape, np.float32)
     return heliostat.evaluate(lambda _: zero, env, states=20).ratio_to_oracle
 
@@ -209,7 +211,7 @@ def test_a_forked_worker_continues_with_the_batch_of_its_parent_and_forks_again(
 
 @needs_fork
 def test_a_batch_that_another_thread_steps_during_the_fork_is_refused_or_works_and_never_hangs() -> None:
-    many = heliostat.HeliostatVectorEnv("hall", num_envs=16, dynamics="closed-loop", action="weights")
+    many: Any = heliostat.HeliostatVectorEnv("hall", num_envs=16, dynamics="closed-loop", action="weights")
     many.reset(seed=3)
     action = np.zeros(many.action_space.shape, np.float32)
     ended = threading.Event()

@@ -41,6 +41,7 @@ use serde::{Serialize, Serializer};
 
 use heliostat_core::belief::conditions::{Condition, conditions};
 use heliostat_environment::EnvironmentError;
+use heliostat_scenario::Scenario;
 
 /// The rows of a comparison, and the figures of each episode.
 type Compared = (row::Rows, Vec<EpisodeRow>);
@@ -82,7 +83,8 @@ pub struct Report {
     pub users: usize,
     /// Users whose direct path is forced off.
     pub blocked: usize,
-    /// Closed loop: the methods of the controller's belief that do not apply to the room.
+    /// The promises of policies that do not hold in the room and, in closed loop, the methods of the
+    /// controller's belief that do not apply to it.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub conditions: Vec<Condition>,
     /// The oracle with minimum rates, on the true states.
@@ -166,7 +168,18 @@ pub fn compare_under(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<R
     bar.finish_and_clear();
     let names = settings.policies.iter().map(|evaluated| evaluated.name().to_owned());
     let is_closed = settings.mode == Loop::ClosedLoop;
-    let conditions = if is_closed { conditions(scenario, &scenario.channel_model()?) } else { Vec::new() };
+    let mut found = if is_closed { conditions(scenario, &scenario.channel_model()?) } else { Vec::new() };
+    for (evaluated, row) in settings.policies.iter().zip(&policies) {
+        let of_policy = evaluated
+            .conditions(scenario)
+            .into_iter()
+            .chain(is_closed.then(|| in_time(scenario, evaluated, row)).flatten());
+        for condition in of_policy {
+            if !found.contains(&condition) {
+                found.push(condition);
+            }
+        }
+    }
     Ok(Report {
         scenario: scenario.name.clone(),
         configuration: configuration(settings),
@@ -179,12 +192,28 @@ pub fn compare_under(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<R
         mirrors: if settings.without_mirrors { 0 } else { scenario.mirror_count() },
         users: scenario.users.count,
         blocked: scenario.blockage.forced_users,
-        conditions,
+        conditions: found,
         oracle,
         policies: names.zip(policies).collect(),
         beliefs,
         tracked,
         each,
+    })
+}
+
+/// A closed loop decides in zero simulated time; the condition of a policy for which this is far from
+/// the truth.
+fn in_time(scenario: &Scenario, evaluated: &EvaluatedPolicy, row: &Row) -> Option<Condition> {
+    let interval_us = 1e6 / scenario.streams.positions.rate_hz;
+    let median_us = row.decision_us?.p50;
+    (median_us > interval_us).then(|| Condition {
+        method: format!("the assumption of timely decisions of {}", evaluated.name()),
+        because: format!(
+            "its median takes longer on this machine than the {:.0} ms between two reports",
+            1e-3 * interval_us
+        ),
+        consequence: "the comparison lets it decide in no time; a controller would be late and repeat the last command"
+            .into(),
     })
 }
 

@@ -128,7 +128,7 @@ class EnvState:
 
     batch: Batch
     """The rooms; no part of the interface."""
-    generator: dict[str, Any]
+    generator: Mapping[str, Any]
     flags: dict[str, Any]
     settings: tuple[Any, ...]
 

@@ -39,9 +39,9 @@ class Score:
     fairness: float
     """Jain's fairness index of the rates."""
     fairness_ci95: float
-    outage: float
-    """Closed loop: share of the users' time below the minimum rate, at the sampling times. NaN in a static room."""
-    outage_ci95: float
+    outage: float | None
+    """Closed loop: share of the users' time below the minimum rate, at the sampling times. `None` in a static room."""
+    outage_ci95: float | None
     states: int
     """Number of states of all seeds."""
     episodes: int
@@ -77,17 +77,17 @@ def evaluate(act: Act, env: HeliostatEnv | Any, states: int = 100, seeds: int = 
         rate, oracle = group[:, 0], group[:, 3]
         return np.divide(rate, oracle, out=np.full_like(rate, np.nan), where=oracle > 0.0)
 
-    def outage(group: _Samples) -> _Samples:
-        return np.full(len(group), np.nan) if inner.is_static else 1.0 - group[:, 1]
-
-    figures = {
+    figures: dict[str, Any] = {
         **of("ratio_to_oracle", ratio, 1.0),
         **of("sum_rate_mbps", lambda group: group[:, 0]),
         **of("oracle_mbps", lambda group: group[:, 3]),
         **of("qos_met", lambda group: group[:, 1], 1.0),
         **of("fairness", lambda group: group[:, 2], 1.0),
-        **of("outage", outage, 1.0),
+        "outage": None,
+        "outage_ci95": None,
     }
+    if not inner.is_static:
+        figures |= of("outage", lambda group: 1.0 - group[:, 1], 1.0)
     count = sum(len(group) for group in groups)
     return Score(**figures, states=count, episodes=len(groups), crossing=tuple(crossing))
 

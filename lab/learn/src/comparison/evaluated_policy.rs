@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use clap::ValueEnum;
 use heliostat_channel::MirrorAngles;
+use heliostat_core::belief::conditions::Condition;
 use heliostat_core::observation::Observation;
 use heliostat_core::policy::{Policy, PolicyKind};
 use heliostat_core::safety::Limits;
@@ -195,6 +196,14 @@ impl EvaluatedPolicy {
         self.build(scenario, scenario.seed)?.act(world.model(), &seen, &mut angles)?;
         Limits::new(&scenario.control).bound(&seen.angles, f64::INFINITY, &mut angles);
         Ok(angles)
+    }
+
+    /// What the policy does not do in a room.
+    pub(super) fn conditions(&self, scenario: &Scenario) -> Vec<Condition> {
+        match &self.origin {
+            Origin::Kind(kind, _) => kind.conditions(scenario),
+            Origin::Codebook | Origin::Python(_) => Vec::new(),
+        }
     }
 
     /// Whether the policy is a random draw, which is averaged over several.

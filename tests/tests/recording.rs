@@ -174,7 +174,7 @@ fn a_learned_policy_replays_bit_for_bit_with_its_file() {
     assert_eq!((verdict["same"].as_u64(), verdict["different"].as_u64()), (Some(100), Some(0)), "{verdict}");
     // Without the file there is nothing to compare with, and the file is named by its hash.
     let hash = ActorFile { origin: String::new(), bytes: fs::read(&actor).unwrap().into() }.hash();
-    let output = Command::new(programs().join("heliostat")).args(["replay", file.as_str(), "--verify"]).output().unwrap();
+    let output = Command::new(programs().join("heliostat")).arg("replay").arg(&file).arg("--verify").output().unwrap();
     let message = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(1), "{message}");
     assert!(message.contains(&format!("SHA-256 begins with {hash}")) && message.contains("--model"), "{message}");

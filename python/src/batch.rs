@@ -4,21 +4,23 @@
 //! between. The interpreter lock is released while environments step, and several environments step
 //! on all cores.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
 use heliostat_environment::episodes::{WARM, held_out_episodes};
-use heliostat_environment::task::{Step, Task, TaskSettings};
+use heliostat_environment::task::{Dynamics, Step, Task, TaskSettings};
 use numpy::{
     PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyReadwriteArray1, PyReadwriteArray2,
     PyUntypedArrayMethods,
 };
-use pyo3::exceptions::PyRuntimeError;
+use pyo3::exceptions::{PyRuntimeError, PyTypeError};
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyDict, PyTuple};
 use rayon::prelude::*;
 
 use crate::error::{guarded, refused};
+use crate::exclusive::{Exclusive, Held};
 use crate::settings::Settings;
+use crate::threads::on_all_cores;
 
 /// Figures of a step besides the reward: sum rate in Mbit/s, share of minimum rates met, sum rate
 /// of the oracle in Mbit/s or NaN.
@@ -28,6 +30,10 @@ const FIGURES: usize = 3;
 /// seeds of neighbouring environments do not meet.
 const SEED_STEP: u64 = 0x9e37_79b9_7f4a_7c15;
 
+/// Memory for the actions of the present episodes of a batch, from which a pickled batch is made
+/// again, in components of an action.
+const ACTIONS_MAX: usize = 1 << 26;
+
 /// When an environment restarts after the end of an episode.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Autoreset {
@@ -36,7 +42,61 @@ enum Autoreset {
     Disabled,
 }
 
+impl Autoreset {
+    const NAMES: [(&str, Self); 3] =
+        [("next-step", Self::NextStep), ("same-step", Self::SameStep), ("disabled", Self::Disabled)];
+
+    fn find(name: &str) -> PyResult<Self> {
+        let found = Self::NAMES.into_iter().find(|(known, _)| *known == name).map(|(_, mode)| mode);
+        found.ok_or_else(|| refused(format!("autoreset = {name:?}: expected next-step, same-step or disabled")))
+    }
+
+    fn name(self) -> &'static str {
+        Self::NAMES.into_iter().find(|(_, mode)| *mode == self).map_or("", |(name, _)| name)
+    }
+}
+
+/// Where the present episode began.
+#[derive(Clone, Copy, FromPyObject, IntoPyObject)]
+pub enum Begin {
+    /// In the room of this seed.
+    #[pyo3(transparent)]
+    Seed(u64),
+    /// Episode `index` of a comparison with `states` states of each of `seeds` seeds.
+    #[pyo3(transparent)]
+    Episode((usize, usize, usize)),
+}
+
+/// The actions since the present episode began.
+#[derive(Clone)]
+enum Actions {
+    /// The last one: in a static room no state depends on the others.
+    Last(Vec<f32>),
+    /// All, one after the other.
+    All(Vec<f32>),
+    /// There were too many.
+    Dropped,
+}
+
+impl Actions {
+    fn none(settings: &TaskSettings) -> Self {
+        match settings.dynamics {
+            Dynamics::Static { .. } => Self::Last(Vec::new()),
+            Dynamics::ClosedLoop => Self::All(Vec::new()),
+        }
+    }
+
+    fn push(&mut self, action: &[f32], most: usize) {
+        match self {
+            Self::Last(last) => last.clone_from(&action.to_vec()),
+            Self::All(all) if all.len() + action.len() <= most => all.extend_from_slice(action),
+            Self::All(_) | Self::Dropped => *self = Self::Dropped,
+        }
+    }
+}
+
 /// One environment.
+#[derive(Clone)]
 struct Slot {
     task: Task,
     first_seed: u64,
@@ -44,12 +104,67 @@ struct Slot {
     steps: u64,
     ended: bool,
     last: Step,
+    begin: Begin,
+    actions: Actions,
+}
+
+/// An environment as a pickle holds it: first seed, episode, begin, steps, whether the episode has
+/// ended, the figures of the last step, and the actions.
+type Saved<'py> = (u64, u64, Begin, u64, bool, (f64, f64, f64, Option<f64>), Bound<'py, PyArray1<f32>>);
+
+/// The rules of a step: the restart, the length of an episode, and the memory for actions.
+#[derive(Clone, Copy)]
+struct Rules {
+    autoreset: Autoreset,
+    steps_max: u64,
+    actions_max: usize,
 }
 
 impl Slot {
     fn new(settings: Arc<TaskSettings>, seed: u64) -> PyResult<Self> {
+        let actions = Actions::none(&settings);
         let task = Task::new(settings, seed).map_err(refused)?;
-        Ok(Self { task, first_seed: seed, episode: 0, steps: 0, ended: false, last: unknown() })
+        let begin = Begin::Seed(seed);
+        Ok(Self { task, first_seed: seed, episode: 0, steps: 0, ended: false, last: unknown(), begin, actions })
+    }
+
+    /// Begins an episode of a comparison.
+    fn begin_episode(&mut self, (index, states, seeds): (usize, usize, usize)) -> PyResult<()> {
+        let TaskSettings { scenario, trace, .. } = self.task.settings();
+        let episodes = held_out_episodes(scenario, trace.as_deref(), (states, seeds), WARM).map_err(refused)?;
+        let count = episodes.len();
+        let episode = episodes.get(index).ok_or_else(|| refused(format!("episode {index} of {count}")))?;
+        self.task.begin_episode(episode).map_err(refused)?;
+        (self.steps, self.ended, self.begin) = (0, false, Begin::Episode((index, states, seeds)));
+        self.actions = Actions::none(self.task.settings());
+        Ok(())
+    }
+
+    /// The environment of a pickle: the episode begins again and its actions are repeated.
+    fn restored(settings: Arc<TaskSettings>, saved: &Saved<'_>, actions: &[f32]) -> PyResult<Self> {
+        let (first_seed, episode, begin, steps, ended, (reward, sum_rate_mbps, met, oracle_mbps), _) = *saved;
+        let mut slot = match begin {
+            Begin::Seed(seed) => Self::new(settings, seed)?,
+            Begin::Episode(place) => {
+                let mut slot = Self::new(settings, first_seed)?;
+                slot.begin_episode(place)?;
+                slot
+            }
+        };
+        let len = slot.task.action_len();
+        let is_last = matches!(slot.actions, Actions::Last(_));
+        let expected = if is_last { len * usize::from(steps > 0) } else { len * steps as usize };
+        if actions.len() != expected {
+            return Err(refused(format!("a pickle with {} components of actions: expected {expected}", actions.len())));
+        }
+        for step in 0..steps as usize {
+            let first = if is_last { 0 } else { step * len };
+            slot.task.step(&actions[first..first + len]).map_err(refused)?;
+        }
+        slot.actions = if is_last { Actions::Last(actions.to_vec()) } else { Actions::All(actions.to_vec()) };
+        (slot.first_seed, slot.episode, slot.steps, slot.ended) = (first_seed, episode, steps, ended);
+        slot.last = Step { reward, sum_rate_mbps, met, oracle_mbps };
+        Ok(slot)
     }
 
     /// Starts an episode: of this seed, or of the next one.
@@ -60,16 +175,20 @@ impl Slot {
         }
         (self.steps, self.ended, self.last) = (0, false, unknown());
         let seed = self.first_seed.wrapping_add(self.episode.wrapping_mul(SEED_STEP));
+        self.begin = Begin::Seed(seed);
+        self.actions = Actions::none(self.task.settings());
         self.task.reset(seed).map_err(refused)
     }
 
-    fn step(&mut self, action: &[f32], (autoreset, steps_max): (Autoreset, u64), out: Row<'_>) -> PyResult<()> {
+    fn step(&mut self, action: &[f32], rules: Rules, out: Row<'_>) -> PyResult<()> {
+        let Rules { autoreset, steps_max, actions_max } = rules;
         (*out.reward, *out.truncated) = (0.0, false);
         if self.ended && autoreset == Autoreset::NextStep {
             self.restart(None)?;
         } else {
             self.last = self.task.step(action).map_err(refused)?;
             self.steps += 1;
+            self.actions.push(action, actions_max);
             *out.reward = self.last.reward;
             self.ended = self.steps >= steps_max;
             *out.truncated = self.ended;
@@ -110,7 +229,7 @@ type One<'py> = (Bound<'py, PyArray1<f32>>, f64, bool, (f64, f64, f64), Bound<'p
 #[pyclass(frozen, module = "heliostat._core")]
 pub struct Batch {
     /// Empty after `close`.
-    slots: Mutex<Vec<Slot>>,
+    slots: Exclusive<Vec<Slot>>,
     settings: Arc<TaskSettings>,
     autoreset: Autoreset,
     steps_max: u64,
@@ -129,8 +248,29 @@ pub struct Batch {
 }
 
 impl Batch {
-    fn open(&self) -> PyResult<MutexGuard<'_, Vec<Slot>>> {
-        let slots = self.slots.lock().unwrap_or_else(PoisonError::into_inner);
+    /// A batch of these environments.
+    fn of_slots(settings: Arc<TaskSettings>, slots: Vec<Slot>, (autoreset, steps_max): (Autoreset, u64)) -> Self {
+        let users = &settings.scenario.users;
+        let task = &slots[0].task;
+        Self {
+            autoreset,
+            steps_max,
+            num_envs: slots.len(),
+            action_len: task.action_len(),
+            observation_len: task.observation_len(),
+            slots_max: task.encoder().users_max(),
+            users_max: users.arrivals.as_ref().map_or(users.count, |arrivals| arrivals.max_users),
+            slots: Exclusive::new(slots),
+            settings,
+        }
+    }
+
+    fn rules(&self) -> Rules {
+        Rules { autoreset: self.autoreset, steps_max: self.steps_max, actions_max: ACTIONS_MAX / self.num_envs }
+    }
+
+    fn open(&self) -> PyResult<Held<'_, Vec<Slot>>> {
+        let slots = self.slots.hold()?;
         if slots.is_empty() {
             return Err(PyRuntimeError::new_err("the environment is closed: make a new one"));
         }
@@ -159,36 +299,56 @@ impl Batch {
 impl Batch {
     #[new]
     fn new(py: Python<'_>, settings: &Settings, seeds: Vec<u64>, autoreset: &str, steps_max: u64) -> PyResult<Self> {
-        let autoreset = match autoreset {
-            "next-step" => Autoreset::NextStep,
-            "same-step" => Autoreset::SameStep,
-            "disabled" => Autoreset::Disabled,
-            other => {
-                return Err(refused(format!("autoreset = {other:?}: expected next-step, same-step or disabled")));
-            }
-        };
+        let autoreset = Autoreset::find(autoreset)?;
         if seeds.is_empty() || steps_max == 0 {
             return Err(refused("a batch needs at least one environment and one step"));
         }
         let settings = Arc::clone(&settings.inner);
-        let made = py.detach(|| {
-            guarded(|| {
-                seeds.par_iter().map(|seed| Slot::new(Arc::clone(&settings), *seed)).collect::<PyResult<Vec<_>>>()
+        let slots = py.detach(|| {
+            on_all_cores(|| {
+                guarded(|| {
+                    seeds.par_iter().map(|seed| Slot::new(Arc::clone(&settings), *seed)).collect::<PyResult<Vec<_>>>()
+                })
             })
         })?;
-        let users = &settings.scenario.users;
-        let task = &made[0].task;
-        Ok(Self {
-            autoreset,
-            steps_max,
-            num_envs: made.len(),
-            action_len: task.action_len(),
-            observation_len: task.observation_len(),
-            slots_max: task.encoder().users_max(),
-            users_max: users.arrivals.as_ref().map_or(users.count, |arrivals| arrivals.max_users),
-            slots: Mutex::new(made),
-            settings,
-        })
+        Ok(Self::of_slots(settings, slots, (autoreset, steps_max)))
+    }
+
+    /// A copy: the same actions give the same steps.
+    #[pyo3(signature = (_memo = None))]
+    fn __deepcopy__(&self, py: Python<'_>, _memo: Option<Bound<'_, PyAny>>) -> PyResult<Self> {
+        let slots = py.detach(|| {
+            let slots = self.open()?;
+            guarded(|| Ok((*slots).clone()))
+        })?;
+        Ok(Self::of_slots(Arc::clone(&self.settings), slots, (self.autoreset, self.steps_max)))
+    }
+
+    fn __copy__(&self, py: Python<'_>) -> PyResult<Self> {
+        self.__deepcopy__(py, None)
+    }
+
+    /// For pickles: settings and, of each environment, where its episode began and its actions since.
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
+        let slots = self.open()?;
+        let most = ACTIONS_MAX / self.num_envs / self.action_len;
+        let mut saved: Vec<Saved<'py>> = Vec::with_capacity(slots.len());
+        for (index, slot) in slots.iter().enumerate() {
+            let (Actions::Last(actions) | Actions::All(actions)) = &slot.actions else {
+                return Err(PyTypeError::new_err(format!(
+                    "cannot pickle environment {index}: its episode has more than {most} actions, which are not kept; \
+                     pickle it within {most} steps of a reset, copy it with copy.deepcopy, or make an equal one with \
+                     the same settings, seed and actions"
+                )));
+            };
+            let Step { reward, sum_rate_mbps, met, oracle_mbps } = slot.last;
+            let figures = (reward, sum_rate_mbps, met, oracle_mbps);
+            let actions = PyArray1::from_slice(py, actions);
+            saved.push((slot.first_seed, slot.episode, slot.begin, slot.steps, slot.ended, figures, actions));
+        }
+        let settings = Settings { inner: Arc::clone(&self.settings) }.into_pyobject(py)?.into_any();
+        let arguments = (settings, self.autoreset.name(), self.steps_max, saved).into_pyobject(py)?;
+        Ok((py.import("heliostat._core")?.getattr("restored_batch")?, arguments))
     }
 
     /// Restarts the environments for which `mask` is true, or all; `None` as a seed is the next
@@ -211,13 +371,16 @@ impl Batch {
         py.detach(|| {
             let mut slots = self.open()?;
             let rows = rows.par_chunks_exact_mut(self.observation_len);
-            guarded(|| {
-                slots.par_iter_mut().zip(rows).enumerate().try_for_each(|(index, (slot, row))| {
-                    if mask.as_ref().is_none_or(|mask| mask[index]) {
-                        slot.restart(seeds[index])?;
-                        slot.task.write_observation(row);
-                    }
-                    Ok(())
+            let slots = &mut *slots;
+            on_all_cores(|| {
+                guarded(|| {
+                    slots.par_iter_mut().zip(rows).enumerate().try_for_each(|(index, (slot, row))| {
+                        if mask.as_ref().is_none_or(|mask| mask[index]) {
+                            slot.restart(seeds[index])?;
+                            slot.task.write_observation(row);
+                        }
+                        Ok(())
+                    })
                 })
             })
         })
@@ -249,25 +412,31 @@ impl Batch {
         let (observations, last_observations) = (observations.as_slice_mut()?, last_observations.as_slice_mut()?);
         let (rewards, truncated) = (rewards.as_slice_mut()?, truncated.as_slice_mut()?);
         let (figures, rates) = (figures.as_slice_mut()?, rates.as_slice_mut()?);
-        let rules = (self.autoreset, self.steps_max);
+        let rules = self.rules();
         py.detach(|| {
             let mut slots = self.open()?;
             self.check(&slots, actions)?;
+            let slots = &mut *slots;
             let environments = slots.par_iter_mut().zip(actions.par_chunks_exact(self.action_len));
             let seen = observations.par_chunks_exact_mut(self.observation_len);
             let last = last_observations.par_chunks_exact_mut(self.observation_len);
             let results = rewards.par_iter_mut().zip(truncated.par_iter_mut());
             let shown = figures.par_chunks_exact_mut(FIGURES).zip(rates.par_chunks_exact_mut(self.users_max));
-            guarded(|| {
-                environments.zip(seen.zip(last)).zip(results.zip(shown)).try_for_each(
-                    |(((slot, action), (observation, last_observation)), ((reward, truncated), (figures, rates)))| {
-                        slot.step(
-                            action,
-                            rules,
-                            Row { observation, last_observation, reward, truncated, figures, rates },
-                        )
-                    },
-                )
+            on_all_cores(|| {
+                guarded(|| {
+                    environments.zip(seen.zip(last)).zip(results.zip(shown)).try_for_each(
+                        |(
+                            ((slot, action), (observation, last_observation)),
+                            ((reward, truncated), (figures, rates)),
+                        )| {
+                            slot.step(
+                                action,
+                                rules,
+                                Row { observation, last_observation, reward, truncated, figures, rates },
+                            )
+                        },
+                    )
+                })
             })
         })
     }
@@ -298,7 +467,7 @@ impl Batch {
             py.detach(|| {
                 let mut slots = self.open()?;
                 self.check(&slots, action)?;
-                guarded(|| slots[0].step(action, (self.autoreset, self.steps_max), row))
+                guarded(|| slots[0].step(action, self.rules(), row))
             })?;
         }
         let [sum_rate, met, oracle] = figures;
@@ -314,18 +483,13 @@ impl Batch {
         states: usize,
         seeds: usize,
     ) -> PyResult<Bound<'py, PyArray1<f32>>> {
-        let TaskSettings { scenario, trace, .. } = &*self.settings;
         let observation = PyArray1::<f32>::zeros(py, self.observation_len, false);
         let mut seen = observation.readwrite();
         let seen = seen.as_slice_mut()?;
         py.detach(|| {
             let mut slots = self.open()?;
             guarded(|| {
-                let episodes = held_out_episodes(scenario, trace.as_deref(), (states, seeds), WARM).map_err(refused)?;
-                let count = episodes.len();
-                let episode = episodes.get(index).ok_or_else(|| refused(format!("episode {index} of {count}")))?;
-                slots[0].task.begin_episode(episode).map_err(refused)?;
-                (slots[0].steps, slots[0].ended) = (0, false);
+                slots[0].begin_episode((index, states, seeds))?;
                 slots[0].task.write_observation(seen);
                 Ok(())
             })
@@ -333,14 +497,14 @@ impl Batch {
         Ok(observation)
     }
 
-    /// Whether all sampling times of the episode have passed, and sum rate in Mbit/s and share of
-    /// minimum rates met at each of them: shape (n, 2).
+    /// Whether all sampling times of the episode have passed, and sum rate in Mbit/s, share of minimum
+    /// rates met and Jain's fairness index at each of them: shape (n, 3).
     fn samples<'py>(&self, py: Python<'py>) -> PyResult<(bool, Bound<'py, PyArray2<f64>>)> {
         let slots = self.open()?;
         let sampling = slots[0].task.sampling().ok_or_else(|| refused("no episode of a comparison has begun"))?;
-        let rows: Vec<f64> = sampling.samples().iter().flat_map(|row| [row.sum_rate_mbps, row.met]).collect();
-        let count = rows.len() / 2;
-        Ok((sampling.is_over(), PyArray1::from_vec(py, rows).reshape([count, 2])?))
+        let rows: Vec<f64> = sampling.samples().iter().flat_map(|row| [row.sum_rate_mbps, row.met, row.jain]).collect();
+        let count = rows.len() / 3;
+        Ok((sampling.is_over(), PyArray1::from_vec(py, rows).reshape([count, 3])?))
     }
 
     /// The true state of one environment, for pictures and analysis: arrays by name.
@@ -388,8 +552,8 @@ impl Batch {
 
     /// Whether `close` was called.
     #[getter]
-    fn closed(&self) -> bool {
-        self.slots.lock().unwrap_or_else(PoisonError::into_inner).is_empty()
+    fn closed(&self) -> PyResult<bool> {
+        Ok(self.slots.hold()?.is_empty())
     }
 
     /// The hash of the scenario's optical geometry.
@@ -399,9 +563,33 @@ impl Batch {
     }
 
     /// Frees the environments; later calls are refused.
-    fn close(&self) {
-        self.slots.lock().unwrap_or_else(PoisonError::into_inner).clear();
+    fn close(&self) -> PyResult<()> {
+        self.slots.hold()?.clear();
+        Ok(())
     }
+}
+
+/// The batch of a pickle.
+#[pyfunction]
+pub fn restored_batch(
+    py: Python<'_>,
+    settings: &Settings,
+    autoreset: &str,
+    steps_max: u64,
+    saved: Vec<Saved<'_>>,
+) -> PyResult<Batch> {
+    if saved.is_empty() {
+        return Err(refused("a pickle of a batch without environments"));
+    }
+    let settings = Arc::clone(&settings.inner);
+    let mut slots = Vec::with_capacity(saved.len());
+    for one in &saved {
+        py.check_signals()?;
+        let actions = one.6.readonly();
+        let actions = actions.as_slice()?;
+        slots.push(guarded(|| Slot::restored(Arc::clone(&settings), one, actions))?);
+    }
+    Ok(Batch::of_slots(settings, slots, (Autoreset::find(autoreset)?, steps_max)))
 }
 
 fn check_shape(found: &[usize], expected: [usize; 2], name: &str) -> PyResult<()> {

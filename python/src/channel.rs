@@ -18,6 +18,7 @@ const PAIRS_MAX: usize = 1 << 25;
 /// decoder and the oracle.
 #[pyclass(frozen, module = "heliostat._core")]
 pub struct Channel {
+    scenario: heliostat_scenario::Scenario,
     model: ChannelModel,
     min_rate_bps: Vec<f64>,
 }
@@ -47,7 +48,12 @@ impl Channel {
     #[new]
     fn new(scenario: &Scenario) -> PyResult<Self> {
         let model = guarded(|| scenario.inner.channel_model().map_err(refused))?;
-        Ok(Self { model, min_rate_bps: scenario.inner.min_rate_bps() })
+        Ok(Self { scenario: scenario.inner.clone(), model, min_rate_bps: scenario.inner.min_rate_bps() })
+    }
+
+    /// For pickles and copies.
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> (Bound<'py, PyAny>, (Scenario,)) {
+        (slf.get_type().into_any(), (Scenario { inner: slf.get().scenario.clone() },))
     }
 
     /// Number of mirrors.

@@ -3,19 +3,20 @@
 //! A file runs on the engines of the controller: a chain of dense layers in Rust, another graph on
 //! ONNX Runtime, whose shared library the package `onnxruntime` brings.
 
-use std::sync::{Mutex, PoisonError};
-
 use clap::ValueEnum;
 use heliostat_channel::{ChannelModel, MirrorAngles};
 use heliostat_core::observation::{Observation, RoomState};
-use heliostat_core::policy::{self, Actor, PolicyKind};
+use heliostat_core::policy::actor_file::ActorFile;
+use heliostat_core::policy::{self, Actor, PolicyKind, PolicyMemory};
 use heliostat_core::safety::Limits;
 use heliostat_models::{ActorSource, build, library, load_actor};
 use numpy::{PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
+use pyo3::types::PyBytes;
 
 use crate::arrays::{AnglePair, angles, cylinders, few_users, numbers, pair, positions};
 use crate::error::{guarded, refused};
+use crate::exclusive::Exclusive;
 use crate::scenario::Scenario;
 
 /// The names of all policies; a learned one is the actor that is built in for the room.
@@ -50,10 +51,59 @@ pub fn use_onnxruntime(path: std::path::PathBuf) {
 /// A policy for a scenario's room: from users and obstacles to mirror angles.
 #[pyclass(frozen, module = "heliostat._core")]
 pub struct Policy {
+    scenario: heliostat_scenario::Scenario,
+    name: String,
+    /// The file of a learned policy.
+    file: Option<ActorFile>,
     model: ChannelModel,
     min_rate_bps: Vec<f64>,
     limits: Limits,
-    policy: Mutex<Kind>,
+    policy: Exclusive<Kind>,
+}
+
+impl Policy {
+    /// A policy, with the file of a learned one.
+    fn with_file(room: &heliostat_scenario::Scenario, name: &str, file: Option<ActorFile>) -> PyResult<Self> {
+        let policy = match &file {
+            Some(file) => Kind::Actor(Box::new(load_actor(file, room).map_err(refused)?)),
+            None => Kind::Other(build(found(name)?, room, &ActorSource::Shipped).map_err(refused)?),
+        };
+        Ok(Self {
+            scenario: room.clone(),
+            name: name.into(),
+            file,
+            model: room.channel_model().map_err(refused)?,
+            min_rate_bps: room.min_rate_bps(),
+            limits: Limits::new(&room.control),
+            policy: Exclusive::new(policy),
+        })
+    }
+}
+
+/// The policy of a name.
+fn found(name: &str) -> PyResult<PolicyKind> {
+    let unknown = || {
+        let known = policy_names().join(", ");
+        format!("unknown policy {name:?}: expected {known}, or the path of a file FILE.onnx")
+    };
+    PolicyKind::find(name, unknown).map_err(refused)
+}
+
+/// The policy of a pickle: with the bytes of its file, and its memory as JSON.
+#[pyfunction]
+pub fn restored_policy(
+    scenario: &Scenario,
+    name: &str,
+    file: Option<(String, Vec<u8>)>,
+    memory: &str,
+) -> PyResult<Policy> {
+    let memory: PolicyMemory = serde_json::from_str(memory).map_err(refused)?;
+    guarded(|| {
+        let file = file.map(|(origin, bytes)| ActorFile { origin, bytes: bytes.into() });
+        let policy = Policy::with_file(&scenario.inner, name, file)?;
+        policy.policy.hold()?.as_policy().restore(&memory);
+        Ok(policy)
+    })
 }
 
 #[pymethods]
@@ -65,25 +115,25 @@ impl Policy {
         let (kind, source) = if name.ends_with(".onnx") {
             (PolicyKind::Ddpg, ActorSource::Path(name.into()))
         } else {
-            let unknown = || {
-                let known = policy_names().join(", ");
-                format!("unknown policy {name:?}: expected {known}, or the path of a file FILE.onnx")
-            };
-            (PolicyKind::find(name, unknown).map_err(refused)?, ActorSource::Shipped)
+            (found(name)?, ActorSource::Shipped)
         };
         guarded(|| {
             let file = if kind.is_learned() { Some(source.fetch(kind, room).map_err(refused)?) } else { None };
-            let policy = match &file {
-                Some(file) => Kind::Actor(Box::new(load_actor(file, room).map_err(refused)?)),
-                None => Kind::Other(build(kind, room, &source).map_err(refused)?),
-            };
-            Ok(Self {
-                model: room.channel_model().map_err(refused)?,
-                min_rate_bps: room.min_rate_bps(),
-                limits: Limits::new(&room.control),
-                policy: Mutex::new(policy),
-            })
+            Self::with_file(room, name, file)
         })
+    }
+
+    /// For pickles and copies.
+    #[expect(clippy::type_complexity, reason = "the arguments of restored_policy")]
+    fn __reduce__<'py>(
+        &self,
+        py: Python<'py>,
+    ) -> PyResult<(Bound<'py, PyAny>, (Scenario, String, Option<(String, Bound<'py, PyBytes>)>, String))> {
+        let memory = self.policy.hold()?.as_policy().memory();
+        let file = self.file.as_ref().map(|file| (file.origin.clone(), PyBytes::new(py, &file.bytes)));
+        let memory = serde_json::to_string(&memory).map_err(refused)?;
+        let arguments = (Scenario { inner: self.scenario.clone() }, self.name.clone(), file, memory);
+        Ok((py.import("heliostat._core")?.getattr("restored_policy")?, arguments))
     }
 
     /// Roll and yaw of each mirror in rad, within the controller's range, for users at `positions`
@@ -119,7 +169,7 @@ impl Policy {
             guarded(|| {
                 let mut observation = Observation::new(&self.model, users);
                 observation.set_state(&self.model, &state);
-                let mut policy = self.policy.lock().unwrap_or_else(PoisonError::into_inner);
+                let mut policy = self.policy.hold()?;
                 policy.as_policy().act(&self.model, &observation, &mut angles).map_err(refused)?;
                 self.limits.bound(&observation.angles, f64::INFINITY, &mut angles);
                 Ok(())
@@ -130,7 +180,7 @@ impl Policy {
 
     /// Roll and yaw of a learned policy for an observation vector, without limits.
     fn answer<'py>(&self, py: Python<'py>, observation: PyReadonlyArray1<'py, f32>) -> PyResult<AnglePair<'py>> {
-        let mut policy = self.policy.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut policy = self.policy.hold()?;
         let Kind::Actor(actor) = &mut *policy else {
             return Err(refused("only a learned policy reads an observation; use act"));
         };

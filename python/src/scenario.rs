@@ -1,8 +1,9 @@
 //! Scenarios: built-in ones by name, files by path, with overrides.
 
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::Path;
 
-use heliostat_scenario::{BUILTIN_NAMES, Scenario as Checked};
+use heliostat_scenario::{BUILTIN_NAMES, Scenario as Checked, ScenarioArgs};
 use pyo3::prelude::*;
 
 use crate::error::{guarded, refused};
@@ -40,7 +41,10 @@ impl Scenario {
                 "unknown scenario {source:?}: expected {known}, or the path of a file FILE.toml"
             )));
         };
-        Self::checked(&text, &overrides)
+        let mut scenario = Self::checked(&text, &overrides)?;
+        let flags = ScenarioArgs { scenario: source.into(), overrides, seed: None };
+        flags.find_trace(&mut scenario.inner);
+        Ok(scenario)
     }
 
     /// The checked scenario of a text in TOML.
@@ -107,6 +111,21 @@ impl Scenario {
     fn tables<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let text = serde_json::to_string(&self.inner).map_err(refused)?;
         py.import("json")?.call_method1("loads", (text,))
+    }
+
+    /// For pickles: the effective configuration.
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, (String,))> {
+        Ok((slf.get_type().getattr("of_toml")?, (slf.get().to_toml(),)))
+    }
+
+    fn __eq__(&self, other: &Bound<'_, PyAny>) -> bool {
+        other.cast::<Self>().is_ok_and(|other| other.get().inner == self.inner)
+    }
+
+    fn __hash__(&self) -> u64 {
+        let mut hasher = DefaultHasher::new();
+        self.inner.hash().hash(&mut hasher);
+        hasher.finish()
     }
 
     fn __repr__(&self) -> String {

@@ -8,14 +8,17 @@ use heliostat_environment::action::ActionForm;
 use heliostat_environment::episodes::{HeldOutEpisode, WARM, held_out_episodes};
 use heliostat_environment::room::{Reward, RewardForm};
 use heliostat_environment::sampling::Sampled;
+use heliostat_environment::statistics::Spread;
 use heliostat_environment::task::{Dynamics, ObservationForm, TaskSettings};
 use heliostat_room::World;
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
+use pyo3::types::PyTuple;
 use rayon::prelude::*;
 
 use crate::error::{guarded, refused};
 use crate::scenario::Scenario;
+use crate::threads::on_all_cores;
 
 /// What an environment is: scenario, dynamics, forms of action and observation, reward.
 #[pyclass(frozen, module = "heliostat._core")]
@@ -53,35 +56,99 @@ impl Settings {
         settle_s: f64,
         oracle: bool,
     ) -> PyResult<Self> {
-        let dynamics = choice(
-            "dynamics",
-            dynamics,
-            &[("static", Dynamics::Static { step_s }), ("closed-loop", Dynamics::ClosedLoop)],
-        )?;
-        let actions = [("angles", ActionForm::Angles), ("weights", ActionForm::Weights)];
-        let action = choice("action", action, &actions)?;
-        let forms = [
-            ("flat", ObservationForm::Vector),
-            ("dict", ObservationForm::Vector),
-            ("paper", ObservationForm::AngleState),
-            ("belief", ObservationForm::Belief),
-        ];
-        let observation = choice("observation", observation, &forms)?;
-        let form =
-            choice("reward", reward, &[("shortfall", RewardForm::Shortfall), ("printed", RewardForm::AsPrinted)])?;
         let trace = guarded(|| scenario.inner.read_trace().map_err(refused))?;
-        let inner = TaskSettings {
-            scenario: scenario.inner.clone(),
-            trace,
-            dynamics,
-            action,
-            observation,
-            reward: Reward { form, lambda: penalty, margin },
-            settle_s,
-            oracle,
-        };
-        Ok(Self { inner: Arc::new(inner) })
+        let text = (scenario, trace);
+        settings_of(text, (dynamics, action, observation, reward), (penalty, margin, step_s, settle_s), oracle)
     }
+
+    /// A copy, which equals the settings.
+    #[pyo3(signature = (_memo = None))]
+    fn __deepcopy__(&self, _memo: Option<Bound<'_, PyAny>>) -> Self {
+        Self { inner: Arc::clone(&self.inner) }
+    }
+
+    /// For pickles: with the text of a recorded walk, which another machine may not have.
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
+        let TaskSettings { scenario, trace, dynamics, action, observation, reward, settle_s, oracle } = &*self.inner;
+        let (dynamics, step_s) = match dynamics {
+            Dynamics::Static { step_s } => ("static", *step_s),
+            Dynamics::ClosedLoop => ("closed-loop", 1.0),
+        };
+        let action = name_of(*action, &ACTIONS);
+        let observation = name_of(*observation, &OBSERVATIONS);
+        let form = name_of(reward.form, &REWARDS);
+        let scenario = Scenario { inner: scenario.clone() }.into_pyobject(py)?.into_any();
+        let arguments = (
+            scenario,
+            trace,
+            (dynamics, action, observation, form),
+            (reward.lambda, reward.margin, step_s, *settle_s),
+            *oracle,
+        );
+        Ok((py.import("heliostat._core")?.getattr("restored_settings")?, arguments.into_pyobject(py)?))
+    }
+}
+
+/// The settings of a pickle.
+#[pyfunction]
+pub fn restored_settings(
+    scenario: &Scenario,
+    trace: Option<String>,
+    names: (String, String, String, String),
+    numbers: (f64, f64, f64, f64),
+    oracle: bool,
+) -> PyResult<Settings> {
+    let (dynamics, action, observation, reward) = &names;
+    settings_of((scenario, trace), (dynamics, action, observation, reward), numbers, oracle)
+}
+
+const ACTIONS: [(&str, ActionForm); 2] = [("angles", ActionForm::Angles), ("weights", ActionForm::Weights)];
+
+const OBSERVATIONS: [(&str, ObservationForm); 4] = [
+    ("flat", ObservationForm::Vector),
+    ("dict", ObservationForm::Vector),
+    ("paper", ObservationForm::AngleState),
+    ("belief", ObservationForm::Belief),
+];
+
+const REWARDS: [(&str, RewardForm); 2] = [("shortfall", RewardForm::Shortfall), ("printed", RewardForm::AsPrinted)];
+
+/// The form of an action by its name.
+pub fn action_form(name: &str) -> PyResult<ActionForm> {
+    choice("action", name, &ACTIONS)
+}
+
+/// The name of a value of a setting.
+fn name_of<T: PartialEq + Copy>(value: T, known: &[(&'static str, T)]) -> &'static str {
+    known.iter().find(|(_, found)| *found == value).map_or("", |(name, _)| name)
+}
+
+/// The checked settings of names and numbers.
+fn settings_of(
+    (scenario, trace): (&Scenario, Option<String>),
+    (dynamics, action, observation, reward): (&str, &str, &str, &str),
+    (penalty, margin, step_s, settle_s): (f64, f64, f64, f64),
+    oracle: bool,
+) -> PyResult<Settings> {
+    let dynamics = choice(
+        "dynamics",
+        dynamics,
+        &[("static", Dynamics::Static { step_s }), ("closed-loop", Dynamics::ClosedLoop)],
+    )?;
+    let action = choice("action", action, &ACTIONS)?;
+    let observation = choice("observation", observation, &OBSERVATIONS)?;
+    let form = choice("reward", reward, &REWARDS)?;
+    let inner = TaskSettings {
+        scenario: scenario.inner.clone(),
+        trace,
+        dynamics,
+        action,
+        observation,
+        reward: Reward { form, lambda: penalty, margin },
+        settle_s,
+        oracle,
+    };
+    Ok(Settings { inner: Arc::new(inner) })
 }
 
 /// The seed of a held-out room, which training never uses: `heliostat-lab eval` takes its states from
@@ -91,8 +158,17 @@ pub fn held_out_seed(scenario_seed: u64, index: u64) -> u64 {
     heliostat_environment::held_out::held_out_seed(scenario_seed, index)
 }
 
-/// Sum rate in Mbit/s and share of minimum rates met of the oracle at each sampling time of each
-/// episode of a comparison in closed loop, in the order of the episodes: shape (n, 2).
+/// Mean, half the width of the 95 % interval, and whether this interval reaches beyond the bounds, of a
+/// quantity in independent groups; NaN is a missing value. The statistics are those of `heliostat-lab eval`.
+#[pyfunction]
+pub fn spread(groups: Vec<Vec<f64>>, low: f64, high: f64) -> (f64, f64, bool) {
+    let spread = Spread::of(&[groups]).within(low, high);
+    (spread.mean, spread.ci95, spread.crosses_bound)
+}
+
+/// Sum rate in Mbit/s, share of minimum rates met and Jain's fairness index of the oracle at each
+/// sampling time of each episode of a comparison in closed loop, in the order of the episodes: shape
+/// (n, 3).
 #[pyfunction]
 pub fn oracle_samples<'py>(
     py: Python<'py>,
@@ -102,22 +178,24 @@ pub fn oracle_samples<'py>(
 ) -> PyResult<Bound<'py, PyArray2<f64>>> {
     let room = &scenario.inner;
     let samples = py.detach(|| {
-        guarded(|| {
-            let trace = room.read_trace().map_err(refused)?;
-            let episodes = held_out_episodes(room, trace.as_deref(), (states, seeds), WARM).map_err(refused)?;
-            let solve = |episode: &HeldOutEpisode| {
-                let mut rows = Vec::new();
-                let look = |world: &World, angles: &MirrorAngles| {
-                    let Sampled { sum_rate_mbps, met } = Sampled::of(world, angles);
-                    rows.extend([sum_rate_mbps, met]);
+        on_all_cores(|| {
+            guarded(|| {
+                let trace = room.read_trace().map_err(refused)?;
+                let episodes = held_out_episodes(room, trace.as_deref(), (states, seeds), WARM).map_err(refused)?;
+                let solve = |episode: &HeldOutEpisode| {
+                    let mut rows = Vec::new();
+                    let look = |world: &World, angles: &MirrorAngles| {
+                        let Sampled { sum_rate_mbps, met, jain } = Sampled::of(world, angles);
+                        rows.extend([sum_rate_mbps, met, jain]);
+                    };
+                    episode.solve(room, trace.as_deref(), look).map_err(refused)?;
+                    Ok(rows)
                 };
-                episode.solve(room, trace.as_deref(), look).map_err(refused)?;
-                Ok(rows)
-            };
-            let rows: PyResult<Vec<Vec<f64>>> = episodes.par_iter().map(solve).collect();
-            Ok(rows?.concat())
+                let rows: PyResult<Vec<Vec<f64>>> = episodes.par_iter().map(solve).collect();
+                Ok(rows?.concat())
+            })
         })
     })?;
-    let count = samples.len() / 2;
-    PyArray1::from_vec(py, samples).reshape([count, 2])
+    let count = samples.len() / 3;
+    PyArray1::from_vec(py, samples).reshape([count, 3])
 }

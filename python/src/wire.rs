@@ -122,6 +122,7 @@ pub fn keys<'py>(py: Python<'py>, room: &str, node: &str, source: u64, array: i6
         ("alive", alive),
         ("drivers", own.drivers_alive()),
         ("simulators", room.alive_of(NodeKind::SimNode)),
+        ("processes", room.all_alive()),
     ] {
         keys.set_item(name, key)?;
     }

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import os
 import pkgutil
 import re
+import subprocess
 from pathlib import Path
 from typing import Any
 
 import heliostat
 import pytest
+from room import needs_program
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -26,6 +29,26 @@ def test_the_blocks_of_a_guide_run(page: str, count: int, printed: str, capsys: 
     for block in blocks:
         exec(compile(block, page, "exec"), names)
     assert printed in capsys.readouterr().out
+
+
+@needs_program
+def test_the_study_gives_a_figure_and_a_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    pytest.importorskip("matplotlib")
+    page = (DOCS / "tutorials" / "own-study.md").read_text(encoding="utf-8")
+    (command,) = re.findall(r"```sh\n(.*?)```", page, re.DOTALL)
+    (script,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    programs = Path(os.environ["HELIOSTAT_PROGRAM"]).parent
+    monkeypatch.setenv("PATH", f"{programs}{os.pathsep}{os.environ['PATH']}")
+    subprocess.run(["bash", "-c", command], check=True, capture_output=True, timeout=1200)
+    exec(compile(script, "own-study.md", "exec"), {})
+    assert "commit" in capsys.readouterr().out
+    assert (tmp_path / "study.pdf").read_bytes().startswith(b"%PDF")
+    assert "<svg" in (tmp_path / "study.svg").read_text(encoding="utf-8")
+    table = (tmp_path / "study.tex").read_text(encoding="utf-8")
+    rows = [line for line in table.splitlines() if line.endswith(r"\\") and "policy" not in line]
+    assert len(rows) == 4 * 2 * 3 and any(line.startswith("0 & 3 & oracle & ") for line in rows), table
+    assert "nan" not in table
 
 
 def test_each_public_name_has_a_docstring() -> None:

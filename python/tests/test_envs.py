@@ -73,7 +73,7 @@ def test_an_episode_of_a_comparison_ends_with_its_samples() -> None:
         _, _, _, truncated, info = env.step(np.zeros(200, np.float32))
         steps += 1
     # 20 states of the first episode, and the other 10 here; about one in a quarter of a second.
-    assert info["samples"].shape == (10, 2) and 30 < steps < 45
+    assert info["samples"].shape == (10, 3) and 30 < steps < 45
     env.reset(seed=1)
     assert not env.step(np.zeros(200, np.float32))[3]
     with pytest.raises(ValueError, match="episode 2 of 2"):

@@ -39,7 +39,8 @@ def test_a_score_is_that_of_the_held_out_rooms_and_leaves_the_environment_as_it_
     env = heliostat.HeliostatEnv()
     seen, _ = env.reset(seed=4)
     score = heliostat.evaluate(zero, env, states=5)
-    assert score.states == 5 and 0.2 < score.ratio_to_oracle < 0.95
+    assert score.states == score.episodes == 5 and 0.2 < score.ratio_to_oracle < 0.95
+    assert score.ratio_to_oracle_ci95 > 0.0 and score.outage is None and 0.0 < score.fairness <= 1.0
     assert score == heliostat.evaluate(zero, env, states=5)
     fresh = heliostat.HeliostatEnv()
     fresh.reset(seed=4)
@@ -233,6 +234,14 @@ def test_a_score_in_closed_loop_is_that_of_the_command_line() -> None:
     assert score.states == 60
     for figure in ("ratio_to_oracle", "sum_rate_mbps", "qos_met"):
         assert getattr(score, figure) == pytest.approx(row[figure]["mean"], rel=1e-9), figure
+        assert getattr(score, f"{figure}_ci95") == pytest.approx(row[figure]["ci95"], rel=1e-6), figure
+    for own, figure in (("fairness", "jain"), ("outage", "outage_time")):
+        assert getattr(score, own) == pytest.approx(row[figure]["mean"], rel=1e-9), figure
+        assert getattr(score, f"{own}_ci95") == pytest.approx(row[figure]["ci95"], rel=1e-6), figure
+    crossing = {name for name, value in row.items() if isinstance(value, dict) and value.get("crosses_bound")}
+    names = {"fairness": "jain", "outage": "outage_time", "oracle_mbps": ""}
+    assert {names.get(name, name) for name in score.crossing} - {""} == crossing - {"blocked_rate_mbps", "ber"}
+    assert score.episodes == 4
     assert score.oracle_mbps == pytest.approx(oracle["sum_rate_mbps"]["mean"], rel=1e-9)
     # The environment is as it was.
     fresh = gymnasium.make("heliostat/Hall-v0")

@@ -76,6 +76,24 @@ def test_the_truth_of_a_recording_agrees_with_the_physics(path: Path) -> None:
     assert truth["rate_mbps"][open_].mean() > truth["rate_mbps"][~open_].mean() or open_.all()
 
 
+@pytest.mark.parametrize("library", ["pandas", "polars"])
+def test_a_table_of_a_recording_is_a_data_frame(path: Path, library: str) -> None:
+    pytest.importorskip(library)
+    recording = heliostat.Recording(path)
+    frame, truth = recording.frame("truth", library=library), recording.truth()
+    assert len(frame) == len(truth["user"]) > 0
+    np.testing.assert_array_equal(frame["position_y_m"].to_numpy(), truth["position_m"][:, 1])
+    np.testing.assert_array_equal(frame["time_ns"].to_numpy(), truth["time_ns"])
+    commands = recording.frame("commands", library=library)
+    np.testing.assert_array_equal(commands["roll_7"].to_numpy(), recording.commands()["roll"][:, 7])
+    assert {"velocity_x_m_s", "velocity_y_m_s"} <= set(recording.frame("reports", library=library).columns)
+    assert len(recording.frame("decisions", library=library)) > 0
+    with pytest.raises(ValueError, match="expected reports, channels, truth"):
+        recording.frame("angles")
+    with pytest.raises(ValueError, match="pandas"):
+        recording.frame("truth", library="spark")
+
+
 def test_an_array_that_no_room_has_is_refused(path: Path) -> None:
     recording = heliostat.Recording(path)
     for read in (recording.commands, recording.telemetry, recording.decisions):

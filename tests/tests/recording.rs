@@ -7,6 +7,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use heliostat_bus::{Bus, BusConfig, private_endpoint};
+use heliostat_core::policy::actor_file::ActorFile;
 use heliostat_proto::{BranchReport, LedReport, MirrorCommand, OrientationReport, Room, Stamp, UserReport, codec};
 use heliostat_record::account::Account;
 use heliostat_record::file::{Reading, Recording};
@@ -209,6 +210,13 @@ fn a_learned_policy_replays_bit_for_bit_with_its_file() {
     let file = setting.file();
     let verdict = replay(&file, &["--model", &actor]).wait().json();
     assert_eq!((verdict["same"].as_u64(), verdict["different"].as_u64()), (Some(100), Some(0)), "{verdict}");
+    // Without the file there is nothing to compare with, and the file is named by its hash.
+    let hash = ActorFile { origin: String::new(), bytes: fs::read(&actor).unwrap().into() }.hash();
+    let output = Command::new(programs().join("heliostat")).arg("replay").arg(&file).arg("--verify").output().unwrap();
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(1), "{message}");
+    assert!(message.contains(&format!("SHA-256 begins with {hash}")) && message.contains("--model"), "{message}");
+    assert!(output.stdout.is_empty() && message.trim().lines().count() == 1, "{message}");
 }
 
 #[test]

@@ -185,6 +185,29 @@ impl Controller {
         }
     }
 
+    /// A copy with a new policy of the same kind, which continues from the present state. From then
+    /// on both give the same commands for the same inputs.
+    pub fn duplicate(&self, scenario: &Scenario, policy: Box<dyn Policy>) -> Self {
+        Self {
+            model: self.model.clone(),
+            inbox: self.inbox.clone(),
+            observer: self.observer.clone(),
+            observation: self.observation.clone(),
+            policy: self.policy.duplicate(policy, policy::build_fallback(scenario.control.fallback, scenario)),
+            actions: self.actions,
+            arrays: self.arrays.clone(),
+            repeated: self.repeated,
+            last_report: self.last_report,
+            interval_s: self.interval_s,
+            proposed: self.proposed.clone(),
+            is_proposed: self.is_proposed,
+            command: self.command.clone(),
+            parts: self.parts.clone(),
+            journal: self.journal.clone(),
+            counters: self.counters,
+        }
+    }
+
     /// Chooses epochs by this tenure, as in a room with other controllers.
     pub fn with_tenure(mut self, tenure: Tenure) -> Self {
         self.arrays.iter_mut().for_each(|array| array.guard.tenure = tenure.clone());

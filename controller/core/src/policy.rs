@@ -11,6 +11,7 @@
 mod actor;
 pub mod actor_file;
 pub mod codewords;
+mod conditions;
 mod dense;
 mod engine;
 mod exhaustive;

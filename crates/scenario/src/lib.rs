@@ -30,6 +30,7 @@
 
 mod args;
 mod array_check;
+mod blame;
 mod bounded_file;
 mod build;
 mod builtin;

@@ -33,6 +33,17 @@ pub enum MismatchLevel {
     Rough,
 }
 
+impl MismatchLevel {
+    /// The name in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::Typical => "typical",
+            Self::Rough => "rough",
+        }
+    }
+}
+
 /// A part of the room that may differ.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]

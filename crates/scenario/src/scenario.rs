@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
+use crate::blame;
 use crate::builtin;
 use crate::error::ScenarioError;
 use crate::lines::line_of;
@@ -93,18 +94,24 @@ impl Scenario {
         Renames(RENAMES).refuse(&table).map_err(|error| with_line(error, text))?;
         // Parsed without the overrides, so that an error in the file states its line.
         let parsed: Self = toml::from_str(text).map_err(in_file)?;
+        let of_file = parsed.check();
         if overrides.is_empty() {
-            parsed.check().map_err(|error| with_line(error, text))?;
+            let blamed = |error| with_line(blame::of_written(error, &table, &blame::keys(&table)), text);
+            of_file.map_err(blamed)?;
             return Ok(parsed);
         }
+        // The keys of a file that is valid alone, such as a built-in one, are not at fault.
+        let mut written = if of_file.is_ok() { Vec::new() } else { blame::keys(&table) };
+        written.extend(overrides.iter().map(|text| blame::key_of_override(text)));
         for text in overrides {
             overrides::apply(&mut table, text)?;
         }
         Renames(RENAMES).refuse(&table)?;
         let scenario: Self = table
+            .clone()
             .try_into()
             .map_err(|error: toml::de::Error| parse_error(&format!("--set {}", overrides.join(" --set ")), &error))?;
-        scenario.check()?;
+        scenario.check().map_err(|error| blame::of_written(error, &table, &written))?;
         Ok(scenario)
     }
 

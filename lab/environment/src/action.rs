@@ -23,8 +23,10 @@ pub enum ActionForm {
 
 /// The observation in which an action was chosen.
 #[derive(Clone, Copy)]
-pub(crate) struct Seen<'a> {
+pub struct Seen<'a> {
+    /// The channel that the controller assumes.
     pub model: &'a ChannelModel,
+    /// The observation.
     pub observation: &'a Observation,
     /// Index in the observation of each slot's user.
     pub chosen: &'a [usize],
@@ -34,7 +36,7 @@ pub(crate) struct Seen<'a> {
 
 /// Turns actions into angles; its buffers are reused.
 #[derive(Clone, Debug)]
-pub(crate) struct ActionDecoder {
+pub struct ActionDecoder {
     form: ActionForm,
     encoder: ObservationEncoder,
     range_rad: f32,
@@ -50,6 +52,7 @@ impl ActionDecoder {
     }
 
     /// Number of components of an action.
+    #[expect(clippy::len_without_is_empty, reason = "an action has components")]
     pub fn len(&self) -> usize {
         match self.form {
             ActionForm::Angles => 2 * self.encoder.mirrors(),
@@ -58,6 +61,9 @@ impl ActionDecoder {
     }
 
     /// Decodes an action into angles in rad. Components beyond [-1, 1] count as the nearest bound.
+    ///
+    /// # Errors
+    /// As [`check`](Self::check).
     pub fn decode(&mut self, seen: Seen<'_>, action: &[f32], out: &mut MirrorAngles) -> Result<(), EnvironmentError> {
         self.check(action)?;
         self.bounded.clear();
@@ -83,6 +89,9 @@ impl ActionDecoder {
     }
 
     /// Checks the length, and that all components are finite.
+    ///
+    /// # Errors
+    /// [`EnvironmentError::ActionLength`] and [`EnvironmentError::NotFinite`].
     pub fn check(&self, action: &[f32]) -> Result<(), EnvironmentError> {
         if action.len() != self.len() {
             let meaning = match self.form {

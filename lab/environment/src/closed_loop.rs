@@ -11,8 +11,10 @@ use heliostat_channel::MirrorAngles;
 use heliostat_core::core::{Controller, Decision, DegradedMode, Due, Observed, Stage};
 use heliostat_core::inbox::Message;
 use heliostat_core::observation::Observation;
+use heliostat_core::policy::Policy;
 use heliostat_room::SimulatedRoom;
 use heliostat_room::episode::{Episode, Event};
+use heliostat_scenario::Scenario;
 
 use crate::error::EnvironmentError;
 
@@ -44,6 +46,17 @@ impl ClosedLoop {
     /// The same, with telemetry that names the mirrors that do not follow, or leaves them unnamed.
     pub fn naming_unusable(self, names_unusable: bool) -> Self {
         Self { names_unusable, ..self }
+    }
+
+    /// A copy whose controller has this policy of the same kind; both continue alike.
+    pub fn duplicate(&self, scenario: &Scenario, policy: Box<dyn Policy>) -> Self {
+        Self {
+            episode: self.episode.clone(),
+            controller: self.controller.duplicate(scenario, policy),
+            command_sequence: self.command_sequence,
+            names_unusable: self.names_unusable,
+            due: self.due,
+        }
     }
 
     /// The controller.

@@ -9,7 +9,10 @@
 //! - [`closed_loop`]: a room whose reports are late and noisy, with the decision core.
 //! - [`held_out`]: rooms that training never uses, and the oracle on them.
 //! - [`episodes`], [`sampling`]: the episodes of a comparison in closed loop, and their rates.
+//! - [`statistics`], [`outage`]: means with intervals, and outages, of a comparison.
 //! - [`action`], [`believed`]: what an action means, and what a learner observes.
+//! - [`function_policy`]: a function of a user, which sees the same and acts in the same forms, as a
+//!   policy of the controller.
 //! - [`task`]: one of these rooms, with a form of action and observation, as steps of a learner.
 
 pub mod action;
@@ -17,9 +20,12 @@ pub mod believed;
 pub mod closed_loop;
 pub mod episodes;
 pub mod error;
+pub mod function_policy;
 pub mod held_out;
+pub mod outage;
 pub mod room;
 pub mod sampling;
+pub mod statistics;
 pub mod task;
 mod task_settings;
 

@@ -74,6 +74,7 @@ pub struct Outcome {
 }
 
 /// A simulated room with the learner's buffers.
+#[derive(Clone)]
 pub struct Environment {
     world: World,
     encoder: ObservationEncoder,

@@ -1,6 +1,7 @@
 //! The rates of a room in closed loop at the sampling times of an episode.
 
 use heliostat_channel::MirrorAngles;
+use heliostat_channel::link::jain;
 use heliostat_room::World;
 
 use crate::closed_loop::ClosedLoop;
@@ -15,6 +16,8 @@ pub struct Sampled {
     pub sum_rate_mbps: f64,
     /// Share of users whose minimum rate is met; NaN without users.
     pub met: f64,
+    /// Jain's fairness index of the rates; NaN without users.
+    pub jain: f64,
 }
 
 impl Sampled {
@@ -23,7 +26,8 @@ impl Sampled {
         let mut rates_bps = vec![0.0; world.scene().users()];
         world.scene().rates_bps(world.model(), angles, &mut rates_bps);
         let sum_rate_mbps = 1e-6 * rates_bps.iter().sum::<f64>();
-        Self { sum_rate_mbps, met: met(&rates_bps, world.min_rate_bps()) }
+        let jain = if rates_bps.is_empty() { f64::NAN } else { jain(&rates_bps) };
+        Self { sum_rate_mbps, met: met(&rates_bps, world.min_rate_bps()), jain }
     }
 }
 

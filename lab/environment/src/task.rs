@@ -35,6 +35,7 @@ use heliostat_core::safety::Limits;
 use heliostat_core::selection::Selection;
 use heliostat_room::World;
 use heliostat_room::episode::Episode;
+use heliostat_scenario::Scenario;
 
 use crate::action::{ActionDecoder, Seen};
 use crate::believed;
@@ -83,6 +84,16 @@ impl Room {
         }
     }
 
+    fn duplicate(&self, scenario: &Scenario) -> Self {
+        match self {
+            Self::Static { environment, step_s } => Self::Static { environment: environment.clone(), step_s: *step_s },
+            Self::Closed { inner, now_ns } => {
+                let inner = Box::new(inner.duplicate(scenario, idle_policy(scenario)));
+                Self::Closed { inner, now_ns: *now_ns }
+            }
+        }
+    }
+
     fn world(&self) -> &World {
         match self {
             Self::Static { environment, .. } => environment.world(),
@@ -106,11 +117,15 @@ impl Room {
     }
 }
 
+/// The policy of a controller in whose place the learner decides.
+fn idle_policy(scenario: &Scenario) -> Box<Fixed> {
+    Box::new(Fixed::flat(scenario.mirror_count()))
+}
+
 /// An episode with a controller in whose place the learner decides.
 fn begun(settings: &TaskSettings, episode: Episode) -> Result<Box<ClosedLoop>, EnvironmentError> {
     let scenario = &settings.scenario;
-    let policy = Box::new(Fixed::flat(scenario.mirror_count()));
-    let controller = Controller::new(scenario, scenario.channel_model()?, policy, 1);
+    let controller = Controller::new(scenario, scenario.channel_model()?, idle_policy(scenario), 1);
     Ok(Box::new(ClosedLoop::new(episode, controller)))
 }
 
@@ -136,6 +151,31 @@ pub struct Task {
     sampling: Option<Sampling>,
 }
 
+/// A copy continues as the original: the same actions give the same observations and rewards.
+impl Clone for Task {
+    fn clone(&self) -> Self {
+        let Self { settings, room, model, encoder, angle_state, selection, chosen, vector, .. } = self;
+        let Self { decoder, limits, angles, rates_bps, solver, sampling, .. } = self;
+        Self {
+            room: room.duplicate(&settings.scenario),
+            model: model.clone(),
+            encoder: *encoder,
+            angle_state: *angle_state,
+            selection: selection.clone(),
+            chosen: chosen.clone(),
+            vector: vector.clone(),
+            decoder: decoder.clone(),
+            limits: *limits,
+            angles: angles.clone(),
+            rates_bps: rates_bps.clone(),
+            // Each solution starts from the state alone.
+            solver: solver.as_ref().map(|_| new_solver(&settings.scenario)),
+            sampling: sampling.clone(),
+            settings: Arc::clone(settings),
+        }
+    }
+}
+
 impl Task {
     /// A task in the room of a seed.
     ///
@@ -151,7 +191,7 @@ impl Task {
         });
         let encoder = ObservationEncoder::new(slots, scenario.mirror_count());
         let limits = Limits::new(&scenario.control);
-        let solver = settings.oracle.then(|| Solver::new(scenario.users.count.max(1), scenario.mirror_count()));
+        let solver = settings.oracle.then(|| new_solver(scenario));
         let mut task = Self {
             room: Room::new(&settings, seed)?,
             model: scenario.channel_model()?,
@@ -364,6 +404,10 @@ fn evaluated(outcome: Outcome, rates_bps: &[f64], world: &World) -> Step {
         met: if rates_bps.is_empty() { 1.0 } else { met(rates_bps, world.min_rate_bps()) },
         oracle_mbps: None,
     }
+}
+
+fn new_solver(scenario: &Scenario) -> Solver {
+    Solver::new(scenario.users.count.max(1), scenario.mirror_count())
 }
 
 /// Sum rate of the oracle in the present state of a world.

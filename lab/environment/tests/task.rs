@@ -70,6 +70,25 @@ fn a_reset_task_equals_a_new_one_of_the_same_seed() {
 }
 
 #[test]
+fn a_copy_continues_as_its_original() {
+    for settings in settings() {
+        let settings = TaskSettings { oracle: true, ..settings };
+        let mut task = Task::new(settings.clone(), 3).unwrap();
+        run(&mut task, 7);
+        let mut copy = task.clone();
+        let expected = run(&mut task, 12);
+        assert_eq!(run(&mut copy, 12), expected, "{}", settings.scenario.name);
+        assert_ne!(run(&mut task, 12), expected, "{}", settings.scenario.name);
+    }
+    let mut task = Task::new(TaskSettings::closed_loop(scenario("hall", &[])), 1).unwrap();
+    task.begin_episode(&HeldOutEpisode::new(9, 0, 5, WARM)).unwrap();
+    run(&mut task, 30);
+    let mut copy = task.clone();
+    assert_eq!(run(&mut copy, 20), run(&mut task, 20));
+    assert_eq!(copy.sampling().unwrap().samples(), task.sampling().unwrap().samples());
+}
+
+#[test]
 fn angles_of_the_caller_give_the_run_of_a_policy_that_proposes_the_same() {
     let scenario = scenario("hall", &[]);
     let begin = |policy| {

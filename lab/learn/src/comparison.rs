@@ -22,9 +22,10 @@ mod belief_log;
 mod belief_quality;
 mod ceiling;
 mod closed_loop;
+mod episode_row;
 mod evaluated_policy;
 pub(crate) mod evaluator;
-mod outage;
+mod python_policy;
 mod row;
 mod settings;
 mod stale_aim;
@@ -40,12 +41,18 @@ use serde::{Serialize, Serializer};
 
 use heliostat_core::belief::conditions::{Condition, conditions};
 use heliostat_environment::EnvironmentError;
+use heliostat_scenario::Scenario;
+
+/// The rows of a comparison, and the figures of each episode.
+type Compared = (row::Rows, Vec<EpisodeRow>);
 
 pub use belief_quality::BeliefQuality;
 pub use ceiling::Known;
+pub use episode_row::EpisodeRow;
 pub use evaluated_policy::{EvaluatedPolicy, UnknownPolicy};
-pub use outage::{OUTAGE_LENGTHS_S, Outages};
-pub use row::{Row, Spread, Times};
+pub use heliostat_environment::outage::{OUTAGE_LENGTHS_S, Outages};
+pub use heliostat_environment::statistics::Spread;
+pub use row::{Row, Times};
 pub use settings::{Loop, Settings};
 pub use stale_aim::kept_sinr;
 pub use tracked_user::TrackedUser;
@@ -67,11 +74,17 @@ pub struct Report {
     pub seed: u64,
     /// Number of room seeds.
     pub seeds: usize,
+    /// Independent groups of states of all seeds, from which intervals come: episodes in closed loop,
+    /// states in a static comparison.
+    pub episodes: usize,
+    /// Mirrors in the room.
+    pub mirrors: usize,
     /// Users in the room.
     pub users: usize,
     /// Users whose direct path is forced off.
     pub blocked: usize,
-    /// Closed loop: the methods of the controller's belief that do not apply to the room.
+    /// The promises of policies that do not hold in the room and, in closed loop, the methods of the
+    /// controller's belief that do not apply to it.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub conditions: Vec<Condition>,
     /// The oracle with minimum rates, on the true states.
@@ -87,6 +100,27 @@ pub struct Report {
     /// from the controller's start on.
     #[serde(skip)]
     pub tracked: Vec<TrackedUser>,
+    /// The figures of each episode.
+    #[serde(skip)]
+    pub each: Vec<EpisodeRow>,
+}
+
+/// Fewer independent groups than this give an interval that says little.
+pub const EPISODES_MIN: usize = 10;
+
+impl Report {
+    /// Whether there are too few episodes for an interval that one can rely on.
+    pub fn has_few_episodes(&self) -> bool {
+        self.episodes < EPISODES_MIN
+    }
+
+    /// The word for an independent group of states.
+    pub fn group(&self) -> &'static str {
+        match self.mode {
+            Loop::Static => "state",
+            Loop::ClosedLoop => "episode",
+        }
+    }
 }
 
 /// Compares with a progress bar on standard error.
@@ -127,30 +161,66 @@ pub fn compare_under(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<R
             training.build(scenario, scenario.seed)?;
         }
     }
-    let ((oracle, policies), beliefs, tracked) = match settings.mode {
+    let (((oracle, policies), each), beliefs, tracked) = match settings.mode {
         Loop::Static => (static_states::compare(settings, bar)?, Vec::new(), Vec::new()),
         Loop::ClosedLoop => closed_loop::compare(settings, bar)?,
     };
     bar.finish_and_clear();
     let names = settings.policies.iter().map(|evaluated| evaluated.name().to_owned());
     let is_closed = settings.mode == Loop::ClosedLoop;
-    let conditions = if is_closed { conditions(scenario, &scenario.channel_model()?) } else { Vec::new() };
+    let mut found = if is_closed { conditions(scenario, &scenario.channel_model()?) } else { Vec::new() };
+    for (evaluated, row) in settings.policies.iter().zip(&policies) {
+        let of_policy = evaluated
+            .conditions(scenario)
+            .into_iter()
+            .chain(is_closed.then(|| in_time(scenario, evaluated, row)).flatten());
+        for condition in of_policy {
+            if !found.contains(&condition) {
+                found.push(condition);
+            }
+        }
+    }
     Ok(Report {
         scenario: scenario.name.clone(),
-        configuration: scenario.hash(),
+        configuration: configuration(settings),
         channel_mode: scenario.channel.mode.name(),
         mode: settings.mode,
         states: settings.states,
         seed: scenario.seed,
         seeds: settings.seeds,
+        episodes: settings.seeds * settings.episodes(),
+        mirrors: if settings.without_mirrors { 0 } else { scenario.mirror_count() },
         users: scenario.users.count,
         blocked: scenario.blockage.forced_users,
-        conditions,
+        conditions: found,
         oracle,
         policies: names.zip(policies).collect(),
         beliefs,
         tracked,
+        each,
     })
+}
+
+/// A closed loop decides in zero simulated time; the condition of a policy for which this is far from
+/// the truth.
+fn in_time(scenario: &Scenario, evaluated: &EvaluatedPolicy, row: &Row) -> Option<Condition> {
+    let interval_us = 1e6 / scenario.streams.positions.rate_hz;
+    let median_us = row.decision_us?.p50;
+    (median_us > interval_us).then(|| Condition {
+        method: format!("the assumption of timely decisions of {}", evaluated.name()),
+        because: format!(
+            "its median takes longer on this machine than the {:.0} ms between two reports",
+            1e-3 * interval_us
+        ),
+        consequence: "the comparison lets it decide in no time; a controller would be late and repeat the last command"
+            .into(),
+    })
+}
+
+/// The hash of the effective scenario; no scenario describes a room without mirrors.
+fn configuration(settings: &Settings) -> String {
+    let hash = settings.scenario.hash();
+    if settings.without_mirrors { format!("{hash} without mirrors") } else { hash }
 }
 
 fn as_map<T: Serialize, S: Serializer>(rows: &[(String, T)], serializer: S) -> Result<S::Ok, S::Error> {

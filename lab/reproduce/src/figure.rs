@@ -42,17 +42,27 @@ pub struct Axis {
     /// The range, if it is not that of the data.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub range: Option<[f64; 2]>,
+    /// The smallest and the largest value that the quantity can have, at which intervals are cut; from 0
+    /// if absent, as for rates, shares and times.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub bounds: Option<[f64; 2]>,
 }
 
 impl Axis {
+    /// An end of the interval of a value, cut at the bounds of the quantity.
+    pub fn cut(&self, value: f64, end: f64) -> f64 {
+        let [low, high] = self.bounds.unwrap_or([0.0, f64::INFINITY]);
+        if (low..=high).contains(&value) { end.clamp(low, high) } else { end }
+    }
+
     /// A linear axis over the data.
     pub fn linear(label: &str) -> Self {
-        Self { label: label.into(), log: false, range: None }
+        Self { label: label.into(), ..Self::default() }
     }
 
     /// A logarithmic axis over a range.
     pub fn log(label: &str, range: [f64; 2]) -> Self {
-        Self { label: label.into(), log: true, range: Some(range) }
+        Self { label: label.into(), log: true, range: Some(range), bounds: None }
     }
 }
 

@@ -13,6 +13,7 @@
 - `heliostat.recording`: recordings of rooms as arrays.
 - `heliostat.export`: from a PyTorch module to a file that the controller runs.
 - `heliostat.sb3`: the batch as a vector environment of Stable-Baselines3.
+- `heliostat.controller`: a function that commands the mirrors of a room.
 - `heliostat.driver`, `heliostat.tracker`: drivers and trackers in a room; `heliostat.wire`: its messages.
 
 Angles are mechanical angles in rad, positions are in m with the origin at the centre of the floor, z up,
@@ -21,7 +22,8 @@ and rates are in Mbit/s.
 
 from . import envs as envs
 from ._core import BELIEF_COLUMNS, BUILTIN_SCENARIOS, __version__, held_out_seed, policy_names
-from .envs import HeliostatEnv
+from .controller import RunSummary, run
+from .envs import EnvState, HeliostatEnv
 from .evaluation import Score, evaluate
 from .export import export_onnx
 from .physics import Policy, Room, decode, rate_map
@@ -32,11 +34,13 @@ from .vector import HeliostatVectorEnv
 __all__ = [
     "BELIEF_COLUMNS",
     "BUILTIN_SCENARIOS",
+    "EnvState",
     "HeliostatEnv",
     "HeliostatVectorEnv",
     "Policy",
     "Recording",
     "Room",
+    "RunSummary",
     "Scenario",
     "Score",
     "__version__",
@@ -47,4 +51,5 @@ __all__ = [
     "load_scenario",
     "policy_names",
     "rate_map",
+    "run",
 ]

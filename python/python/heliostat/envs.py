@@ -13,9 +13,11 @@ bit/s/Hz. An episode never terminates; Gymnasium truncates it after `max_episode
 
 from __future__ import annotations
 
+import copy
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import gymnasium
@@ -76,6 +78,14 @@ def _episode_of(value: Any) -> tuple[int, int, int]:
     return integer("index of the episode", value[0], 0, states * seeds - 1), states, seeds
 
 
+def check_identity(state: Any, expected: tuple[Any, ...]) -> None:
+    """Refuses what is no state, and the state of another environment."""
+    if not isinstance(state, EnvState):
+        raise TypeError(f"expected a state that clone_state has returned, found {type(state).__name__}")
+    if state.settings != expected:
+        raise ValueError("the state is of an environment with another scenario or with other settings")
+
+
 class Layout:
     """The spaces of a batch, and the parts of a flat observation."""
 
@@ -106,6 +116,21 @@ class Layout:
             part = flat[..., start : start + int(np.prod(shape))].reshape(lead + shape)
             parts[name] = part.astype(np.int8) if name == "mask" else part
         return parts
+
+
+@dataclass(frozen=True)
+class EnvState:
+    """The state of an environment or of a batch, as `clone_state` returns it.
+
+    It can be kept, pickled and restored as often as needed. It holds the room, the controller's belief, the mirrors and
+    the random generators; not the settings of wrappers, such as the number of steps that `TimeLimit` has counted.
+    """
+
+    batch: Batch
+    """The rooms; no part of the interface."""
+    generator: Mapping[str, Any]
+    flags: dict[str, Any]
+    settings: tuple[Any, ...]
 
 
 class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
@@ -167,7 +192,7 @@ class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
         `options={"held_out": index}` starts in a held-out room, which training never uses; "held_out_set" is the
         seed of the comparison, that of the scenario if absent. `options={"episode": (index, states, seeds)}` starts an
         episode of a comparison in closed loop with that many states of each of that many seeds; its last step is
-        truncated, and its `info["samples"]` has sum rate in Mbit/s and share of minimum rates met at each of its
+        truncated, and its `info["samples"]` has sum rate in Mbit/s, share of minimum rates met and fairness at each of its
         sampling times.
         """
         if seed is not None:
@@ -230,6 +255,37 @@ class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
             self._window = Window(picture.shape, int(self.metadata["render_fps"]))
         self._window.show(picture)
         return None
+
+    def clone_state(self) -> EnvState:
+        """The present state, for `restore_state` of this environment or of another one with the same settings."""
+        return EnvState(
+            copy.copy(self._batch),
+            self.np_random.bit_generator.state,
+            {"is_reset": self._is_reset, "in_episode": self._in_episode},
+            self._identity(),
+        )
+
+    def restore_state(self, state: EnvState) -> None:
+        """Continues from a state: the same actions give the same observations and rewards as after `clone_state`.
+
+        Raises `ValueError` for a state of an environment with other settings.
+        """
+        check_identity(state, self._identity())
+        batch, self._batch = self._batch, copy.copy(state.batch)
+        batch.close()
+        self.np_random.bit_generator.state = state.generator
+        self._is_reset, self._in_episode = state.flags["is_reset"], state.flags["in_episode"]
+
+    def _identity(self) -> tuple[Any, ...]:
+        return (self.scenario.hash, tuple(sorted(self._settings.items())))
+
+    def __copy__(self) -> HeliostatEnv:
+        """A copy has a room of its own, as `copy.deepcopy`: two environments cannot share one room."""
+        return copy.deepcopy(self)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # A window stays with the process that opened it.
+        return {**self.__dict__, "_window": None}
 
     def state(self) -> dict[str, Any]:
         """The true state of the room: positions, blockers, headings, rates, angles. No part of the observation."""

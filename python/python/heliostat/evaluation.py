@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, TypeAlias
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._checks import states_of
-from ._core import INSTANTS, oracle_samples
+from ._core import INSTANTS, oracle_samples, spread
 from .envs import HeliostatEnv
 
 Act: TypeAlias = Callable[[Any], NDArray[np.float32]]
@@ -19,15 +20,34 @@ Act: TypeAlias = Callable[[Any], NDArray[np.float32]]
 
 @dataclass(frozen=True)
 class Score:
-    """Means over held-out states."""
+    """Means over held-out states, with the statistics of `heliostat-lab eval`.
+
+    `NAME_ci95` is half the width of the 95 % interval of a mean by Student's t over independent episodes; NaN for a
+    single one.
+    """
 
     ratio_to_oracle: float
     """Sum rate over that of the oracle with minimum rates, state by state."""
+    ratio_to_oracle_ci95: float
     sum_rate_mbps: float
+    sum_rate_mbps_ci95: float
     oracle_mbps: float
+    oracle_mbps_ci95: float
     qos_met: float
     """Share of users whose minimum rate is met."""
+    qos_met_ci95: float
+    fairness: float
+    """Jain's fairness index of the rates."""
+    fairness_ci95: float
+    outage: float | None
+    """Closed loop: share of the users' time below the minimum rate, at the sampling times. `None` in a static room."""
+    outage_ci95: float | None
     states: int
+    """Number of states of all seeds."""
+    episodes: int
+    """Independent episodes; in a static room each state is one. Below 10, the intervals say little."""
+    crossing: tuple[str, ...]
+    """The figures whose interval reaches beyond what they can be, such as an outage below 0: use more episodes."""
 
 
 def evaluate(act: Act, env: HeliostatEnv | Any, states: int = 100, seeds: int = 1) -> Score:
@@ -44,29 +64,53 @@ def evaluate(act: Act, env: HeliostatEnv | Any, states: int = 100, seeds: int = 
     states, seeds = states_of(states, seeds)
     with inner.with_other_rooms(oracle=inner.is_static):
         samples = _static if inner.is_static else _closed_loop
-        rate, met, oracle = samples(act, env, inner, states, seeds).T
-    served = oracle > 0.0
-    return Score(
-        ratio_to_oracle=float((rate[served] / oracle[served]).mean()),
-        sum_rate_mbps=float(rate.mean()),
-        oracle_mbps=float(oracle.mean()),
-        qos_met=float(np.nanmean(met)),
-        states=len(rate),
-    )
+        groups = samples(act, env, inner, states, seeds)
+    crossing = []
+
+    def of(name: str, value: Callable[[_Samples], _Samples], high: float = math.inf) -> dict[str, float]:
+        mean, ci95, crosses = spread([value(group).tolist() for group in groups], 0.0, high)
+        if crosses:
+            crossing.append(name)
+        return {name: mean, f"{name}_ci95": ci95}
+
+    def ratio(group: _Samples) -> _Samples:
+        rate, oracle = group[:, 0], group[:, 3]
+        return np.divide(rate, oracle, out=np.full_like(rate, np.nan), where=oracle > 0.0)
+
+    figures: dict[str, Any] = {
+        **of("ratio_to_oracle", ratio, 1.0),
+        **of("sum_rate_mbps", lambda group: group[:, 0]),
+        **of("oracle_mbps", lambda group: group[:, 3]),
+        **of("qos_met", lambda group: group[:, 1], 1.0),
+        **of("fairness", lambda group: group[:, 2], 1.0),
+        "outage": None,
+        "outage_ci95": None,
+    }
+    if not inner.is_static:
+        figures |= of("outage", lambda group: 1.0 - group[:, 1], 1.0)
+    count = sum(len(group) for group in groups)
+    return Score(**figures, states=count, episodes=len(groups), crossing=tuple(crossing))
 
 
-def _static(act: Act, env: Any, inner: HeliostatEnv, states: int, seeds: int) -> NDArray[np.float64]:
-    """Sum rate, share of minimum rates met and the oracle's sum rate of each state, (n, 3)."""
-    rows = []
+_Samples: TypeAlias = NDArray[np.float64]
+
+
+def _static(act: Act, env: Any, inner: HeliostatEnv, states: int, seeds: int) -> list[_Samples]:
+    """Sum rate, share of minimum rates met, fairness and the oracle's sum rate, (1, 4) for each state."""
+    groups = []
     for seed in range(seeds):
         for index in range(states):
             observation, _ = env.reset(options={"held_out": index, "held_out_set": inner.scenario.seed + seed})
             info = env.step(act(observation))[4]
-            rows.append((info["sum_rate_mbps"], info["qos_met"], info["oracle_mbps"]))
-    return np.array(rows)
+            rates = info["rates_mbps"]
+            squares = float(np.sum(rates**2))
+            # As `heliostat_channel::link::jain`: 1 where all rates are 0.
+            fairness = float(np.sum(rates)) ** 2 / (len(rates) * squares) if squares > 0.0 else 1.0
+            groups.append(np.array([[info["sum_rate_mbps"], info["qos_met"], fairness, info["oracle_mbps"]]]))
+    return groups
 
 
-def _closed_loop(act: Act, env: Any, inner: HeliostatEnv, states: int, seeds: int) -> NDArray[np.float64]:
+def _closed_loop(act: Act, env: Any, inner: HeliostatEnv, states: int, seeds: int) -> list[_Samples]:
     """The same at the sampling times of each episode."""
     samples = []
     for index in range(seeds * -(-states // INSTANTS)):
@@ -74,5 +118,6 @@ def _closed_loop(act: Act, env: Any, inner: HeliostatEnv, states: int, seeds: in
         while "samples" not in info:
             observation, _, _, _, info = env.step(act(observation))
         samples.append(info["samples"])
-    oracle = oracle_samples(inner.scenario, states, seeds)
-    return np.column_stack([np.concatenate(samples), oracle[:, 0]])
+    oracle = oracle_samples(inner.scenario, states, seeds)[:, :1]
+    ends = np.cumsum([len(one) for one in samples])[:-1]
+    return [np.hstack(pair) for pair in zip(samples, np.split(oracle, ends), strict=True)]

@@ -1,6 +1,6 @@
 """A process of a room: its flags, its session and what it publishes. It needs the extra `zenoh`.
 
-`heliostat.driver` and `heliostat.tracker` use it. The flags are those of the Rust programs.
+`heliostat.driver`, `heliostat.tracker` and `heliostat.controller` use it. The flags are those of the Rust programs.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import ipaddress
 import json
+import os
 import random
 import signal
 import stat
@@ -38,12 +39,13 @@ _SESSION = {
     "scouting/gossip/enabled": False,
     "connect/retry": {"period_init_ms": 50, "period_max_ms": 1000, "period_increase_factor": 2},
 }
-_NODES = {"driver": 2, "tracker": 3}
+_NODES = {"controller": 0, "driver": 2, "tracker": 3}
 # Quality of service by CONTRACT.md: priority, and whether a message is sent at once.
 _QUALITY = {
     "telemetry": (zenoh.Priority.DATA_HIGH, True),
     "capabilities": (zenoh.Priority.DATA_HIGH, True),
     "safety": (zenoh.Priority.DATA_HIGH, True),
+    "command": (zenoh.Priority.REAL_TIME, True),
     "stops": (zenoh.Priority.DATA_HIGH, True),
     "status": (zenoh.Priority.DATA_LOW, False),
 }
@@ -124,6 +126,7 @@ class Peer:
         except (TypeError, ValueError) as problem:
             raise PeerError(str(problem)) from problem
         self._started_ns = time.time_ns()
+        self._process = os.getpid()
         self._sequences: dict[str, int] = {}
         self._publishers: dict[str, Any] = {}
         self._declared: list[Any] = []
@@ -138,7 +141,8 @@ class Peer:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._stack.close()
+        if os.getpid() == self._process:
+            self._stack.close()
 
     @property
     def is_open(self) -> bool:
@@ -158,13 +162,33 @@ class Peer:
         """Declares the liveliness token of the process."""
         self._declared.append(self.session.liveliness().declare_token(self.keys["alive"]))
 
-    def subscribe(self, name: str, handle: Callable[[bytes], None]) -> None:
+    def _key(self, name: str, array: int | None) -> str:
+        """The key of a message; of another array than that of the process, if one is given."""
+        if array is None or array == self.array:
+            return self.keys[name]
+        return keys(self.room, self.node, self.source, array)[name]
+
+    def subscribe(self, name: str, handle: Callable[[bytes], None], array: int | None = None) -> None:
         """Calls `handle` on a thread of Zenoh with each payload of this message."""
 
         def deliver(sample: Any) -> None:
             handle(bytes(sample.payload))
 
-        self._declared.append(self.session.declare_subscriber(self.keys[name], deliver))
+        self._declared.append(self.session.declare_subscriber(self._key(name, array), deliver))
+
+    def fetch(self, name: str, within_s: float, array: int | None = None) -> list[bytes]:
+        """The latest payloads of this message that processes of the room answer with within this time."""
+        replies = self.session.get(self._key(name, array), timeout=within_s)
+        return [bytes(reply.ok.payload) for reply in replies if reply.ok is not None]
+
+    def watch(self, handle: Callable[[str, bool], None]) -> None:
+        """Calls `handle` with the key of each process of the room that is there, appears or leaves."""
+
+        def deliver(sample: Any) -> None:
+            handle(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
+
+        subscriber = self.session.liveliness().declare_subscriber(self.keys["processes"], deliver, history=True)
+        self._declared.append(subscriber)
 
     def answer(self, name: str, latest: Mapping[str, bytes]) -> None:
         """Answers queries of this message with the latest payload, if there is one."""
@@ -176,14 +200,20 @@ class Peer:
 
         self._declared.append(self.session.declare_queryable(key, reply))
 
-    def put(self, name: str, payload: bytes) -> None:
+    def put(self, name: str, payload: bytes, array: int | None = None) -> None:
         """Publishes a payload with the quality of service of this message."""
-        if name not in self._publishers:
-            priority, express = _QUALITY.get(name, _REPORTS)
-            self._publishers[name] = self.session.declare_publisher(
-                self.keys[name], priority=priority, express=express, congestion_control=zenoh.CongestionControl.DROP
+        if os.getpid() != self._process:
+            raise PeerError(
+                "the session belongs to the process before the fork: join the room in the new process, or start workers "
+                'with the method "spawn"'
             )
-        self._publishers[name].put(payload)
+        key = self._key(name, array)
+        if key not in self._publishers:
+            priority, express = _QUALITY.get(name, _REPORTS)
+            self._publishers[key] = self.session.declare_publisher(
+                key, priority=priority, express=express, congestion_control=zenoh.CongestionControl.DROP
+            )
+        self._publishers[key].put(payload)
 
     def publish(self, name: str, fields: Mapping[str, Any], time_ns: int | None = None) -> None:
         """Publishes a message with the next stamp of its key; `time_ns` is when its content was sampled."""
@@ -193,7 +223,14 @@ class Peer:
         self._sequences[name] = sequence
         self.put(name, payload)
 
-    def publish_status(self, state: str, counters: Mapping[str, int], last_problem: str = "") -> None:
+    def publish_status(
+        self,
+        state: str,
+        counters: Mapping[str, int],
+        last_problem: str = "",
+        policy: str = "",
+        scenario: str = "",
+    ) -> None:
         """Publishes the status of the process, which operators see."""
         self.publish(
             "status",
@@ -202,8 +239,8 @@ class Peer:
                 "name": f"{self.source:016x}",
                 "software": SOFTWARE,
                 "state": state,
-                "scenario": "",
-                "policy": "",
+                "scenario": scenario,
+                "policy": policy,
                 "started_ns": self._started_ns,
                 "counters": list(counters.items()),
                 "gauges": [],

@@ -6,6 +6,7 @@ UTC where the recorded processes used UTC.
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 from typing import Any
@@ -21,6 +22,18 @@ from .tables import Channels, Commands, Reports, Telemetry, Truth
 
 def _index(array: int) -> int:
     return integer("array", array, 0, ARRAYS_MAX - 1)
+
+
+_OF_ARRAYS = ("commands", "telemetry", "decisions")
+_TABLES = ("reports", "channels", "truth", *_OF_ARRAYS)
+
+
+def _component(name: str, index: int) -> str:
+    """The name of a component: of a vector with a unit by its axis, of angles by the mirror."""
+    for quantity in ("position", "velocity"):
+        if name.startswith(quantity):
+            return name.replace(quantity, f"{quantity}_{'xyz'[index]}", 1)
+    return f"{name}_{index}"
 
 
 class Recording:
@@ -88,6 +101,31 @@ class Recording:
         `min_rate_mbps`, `oracle_sum_rate_mbps`.
         """
         return self._inner.truth()
+
+    def frame(self, of: str, array: int = 0, library: str = "pandas") -> Any:
+        """A table of the recording as a data frame of pandas, or of Polars with `library="polars"`.
+
+        `of` is `reports`, `channels`, `commands`, `telemetry`, `truth` or `decisions`. A column of vectors becomes one
+        column for each component: `position_x_m`, `position_y_m`, `position_z_m`, or `roll_0`, `roll_1`, ... Times in ns
+        stay integers: `pandas.to_datetime(frame["time_ns"])` reads them. Needs the library.
+        """
+        if of not in _TABLES:
+            raise ValueError(f"table {of!r}: expected {', '.join(_TABLES)}")
+        if library not in ("pandas", "polars"):
+            raise ValueError(f'library = {library!r}: expected "pandas" or "polars"')
+        table = getattr(self, of)(array) if of in _OF_ARRAYS else getattr(self, of)()
+        columns: dict[str, NDArray[Any]] = {}
+        for name, values in table.items():
+            if values.ndim == 1:
+                columns[name] = values
+                continue
+            for index in range(values.shape[1]):
+                columns[_component(name, index)] = np.ascontiguousarray(values[:, index])
+        try:
+            frames = importlib.import_module(library)
+        except ImportError as problem:
+            raise ImportError(f"the package {library} is missing: pip install {library}") from problem
+        return frames.DataFrame(columns)
 
     def decisions(self, array: int = 0) -> dict[str, NDArray[Any]]:
         """The answered position reports: one row for each.

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy as copying
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import gymnasium
@@ -14,7 +16,7 @@ from numpy.typing import NDArray
 
 from ._checks import integer, real, seed_of
 from ._core import Batch
-from .envs import _UNLIMITED, Layout, make_settings
+from .envs import _UNLIMITED, EnvState, Layout, check_identity, make_settings
 from .rendering import draw
 from .scenario import Scenario, Value, load_scenario
 
@@ -26,6 +28,20 @@ _MODES = {
 
 NUM_ENVS_MAX = 16_384
 """Most environments of a batch; each holds a room in memory."""
+
+
+@contextmanager
+def _owned_buffers() -> Iterator[None]:
+    """Explains buffers that another thread uses: in this process, or in its parent during the fork."""
+    try:
+        yield
+    except TypeError as problem:
+        if "already borrowed" not in str(problem):
+            raise
+        raise RuntimeError(
+            "another thread uses this batch, or used it when the process was forked: give each thread a batch of its own, "
+            'make a new one in a forked process, or start workers with the method "spawn"'
+        ) from problem
 
 
 class HeliostatVectorEnv(VectorEnv[Any, Any, Any]):
@@ -78,6 +94,14 @@ class HeliostatVectorEnv(VectorEnv[Any, Any, Any]):
         self._batch = Batch(checked, seeds, _MODES[self.autoreset_mode], steps_max)
         self._layout = Layout(self._batch, observation)
         self._oracle = bool(settings.get("oracle", False))
+        self._identity = (
+            self.scenario.hash,
+            num_envs,
+            max_episode_steps,
+            self.autoreset_mode.value,
+            observation,
+            tuple(sorted(settings.items())),
+        )
         self.num_envs = num_envs
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
@@ -120,7 +144,8 @@ class HeliostatVectorEnv(VectorEnv[Any, Any, Any]):
             if not self._is_reset and not mask.all():
                 left = int(np.flatnonzero(~mask)[0])
                 raise ValueError(f"reset_mask leaves out environment {left}: the first reset must be of all environments")
-        self._batch.reset(seeds, self._seen, mask)
+        with _owned_buffers():
+            self._batch.reset(seeds, self._seen, mask)
         self._is_reset = True
         self._restarts_next[slice(None) if mask is None else mask] = False
         return self._shown(self._seen), {}
@@ -132,9 +157,10 @@ class HeliostatVectorEnv(VectorEnv[Any, Any, Any]):
         checked = np.ascontiguousarray(real("actions", actions), np.float32)
         if checked.shape != self.action_space.shape:
             raise ValueError(f"actions of shape {checked.shape}, expected {self.action_space.shape}")
-        self._batch.step(
-            checked, self._seen, self._last, self._rewards, self._truncated, self._figures, self._rates
-        )
+        with _owned_buffers():
+            self._batch.step(
+                checked, self._seen, self._last, self._rewards, self._truncated, self._figures, self._rates
+            )
         figures = {
             "sum_rate_mbps": self._figures[:, 0],
             "qos_met": self._figures[:, 1],
@@ -159,6 +185,24 @@ class HeliostatVectorEnv(VectorEnv[Any, Any, Any]):
             self._own(self._truncated),
             info,
         )
+
+    def clone_state(self) -> EnvState:
+        """The present state of all environments, for `restore_state` of this batch or of another with equal settings."""
+        flags = {"is_reset": self._is_reset, "restarts_next": self._restarts_next.copy()}
+        return EnvState(copying.copy(self._batch), self.np_random.bit_generator.state, flags, self._identity)
+
+    def restore_state(self, state: EnvState) -> None:
+        """Continues from a state: the same actions give the same steps as after `clone_state`."""
+        check_identity(state, self._identity)
+        batch, self._batch = self._batch, copying.copy(state.batch)
+        batch.close()
+        self.np_random.bit_generator.state = state.generator
+        self._is_reset = state.flags["is_reset"]
+        self._restarts_next[:] = state.flags["restarts_next"]
+
+    def __copy__(self) -> HeliostatVectorEnv:
+        """A copy has rooms of its own, as `copy.deepcopy`."""
+        return copying.deepcopy(self)
 
     def render(self) -> Any:
         """The pictures of all environments."""

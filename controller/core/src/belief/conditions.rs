@@ -1,4 +1,5 @@
-//! Where a method of the belief does not apply to a room.
+//! Where a method of the belief does not apply to a room, and other conditions that change a result
+//! without an error.
 
 use std::fmt;
 
@@ -8,15 +9,15 @@ use serde::Serialize;
 
 use crate::belief::{body::Body, channel_evidence::SPREAD_OF_DIRECT, tilt};
 
-/// A method of the belief that does not apply to a room.
+/// A method that does not apply to a room, or a promise that does not hold in it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Condition {
     /// The method.
-    pub method: &'static str,
+    pub method: String,
     /// The keys of the scenario that exclude it.
     pub because: String,
     /// What the controller does in its place, and what a user of the program can do.
-    pub consequence: &'static str,
+    pub consequence: String,
 }
 
 impl fmt::Display for Condition {
@@ -28,11 +29,35 @@ impl fmt::Display for Condition {
 /// The methods that do not apply to a valid scenario.
 pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
     let mut found = Vec::new();
-    let mut add = |applies: bool, method, because: String, consequence| {
+    let mut add = |applies: bool, method: &str, because: String, consequence: &str| {
         if !applies {
-            found.push(Condition { method, because, consequence });
+            found.push(Condition { method: method.into(), because, consequence: consequence.into() });
         }
     };
+    let (streams, age_max_ms) = (&scenario.streams, scenario.control.report_age_max_ms);
+    let positions_ms = streams.positions.latency_ms;
+    add(
+        positions_ms <= age_max_ms,
+        "any decision",
+        format!("streams.positions.latency_ms = {positions_ms}, above control.report_age_max_ms = {age_max_ms}"),
+        "every position report is too old and no command is sent; raise control.report_age_max_ms",
+    );
+    // The age of a reading just before the next one arrives.
+    let gains_ms = streams.channel.latency_ms + 1e3 / streams.channel.rate_hz;
+    add(
+        gains_ms <= age_max_ms,
+        "the use of measured gains in each decision",
+        format!(
+            "streams.channel: readings become {gains_ms:.0} ms old, above control.report_age_max_ms = {age_max_ms}"
+        ),
+        "decisions between fall back to modelled gains, which know no blocked path; raise control.report_age_max_ms, or the rate",
+    );
+    add(
+        scenario.mismatch.is_none(),
+        "the channel model of belief and policies",
+        format!("mismatch.level = \"{}\"", scenario.mismatch.level.name()),
+        "they assume the nominal room, and the oracle knows the true one, so ratios are lower; calibrate the mirrors",
+    );
     if scenario.control.belief != scenario::Belief::Filter {
         let because = format!("control.belief = \"{}\"", scenario.control.belief);
         add(false, "the filter", because, "headings, tilts and obstacles are not inferred; set it to \"filter\"");
@@ -49,6 +74,15 @@ pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
         "the tilt of a receiver by measured gains",
         format!("receiver: {}", receiver(model)),
         "an expected gain is that at the mean heading; report orientations, or use one detector that faces up with a field of view of 90 degrees",
+    );
+    add(
+        scenario.users.orientation.is_none()
+            || streams.orientation.is_some()
+            || scenario.control.tilt.is_some()
+            || (tilt::is_single_open_detector(model) && Body::new(&scenario.blockage).is_some()),
+        "the orientation of receivers that users hold",
+        "users.orientation, without streams.orientation and without control.tilt".to_owned(),
+        "every receiver counts as facing up; add the table [control.tilt], or report orientations",
     );
     let noise = scenario.streams.channel.noise_relative;
     add(
@@ -99,6 +133,9 @@ mod tests {
             ("receiver.fov_deg=60", "a field of view of 60 degrees"),
             ("streams.channel.noise_relative=0.2", "streams.channel.noise_relative = 0.2"),
             ("users.mobility=gauss-markov", "gauss-markov"),
+            ("streams.positions.latency_ms=2000", "streams.positions.latency_ms = 2000"),
+            ("streams.channel.rate_hz=0.5", "readings become 2"),
+            ("mismatch.level=typical", "mismatch.level = \"typical\""),
         ] {
             let found = of(&[change]);
             assert!(found.len() == 1 && found[0].contains(key), "{change}: {found:?}");

@@ -22,6 +22,7 @@ const LOST_AFTER_NS: Nanos = 1_000_000_000;
 const LOST_AFTER_MESSAGES: f64 = 3.0;
 
 /// One array of the room.
+#[derive(Clone)]
 pub(super) struct ArrayOutput {
     /// Its mirrors among those of the room.
     pub mirrors: Range<usize>,

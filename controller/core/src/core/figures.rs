@@ -28,6 +28,11 @@ impl Controller {
         self.policy.policy().name()
     }
 
+    /// The hash of the policy's file; `None` for a policy that is not learned.
+    pub fn policy_file_hash(&self) -> Option<&str> {
+        self.policy.policy().file_hash()
+    }
+
     /// The name of the inference engine; `None` for a policy that is not learned.
     pub fn engine_name(&self) -> Option<&'static str> {
         self.policy.policy().engine()

@@ -6,6 +6,7 @@ use heliostat_proto::{ControllerInput, InputKind, MAX_INPUTS, Nanos, Stamp};
 use crate::input::refusal::Stream;
 
 /// Inputs since they were last taken. Does not allocate after its creation.
+#[derive(Clone)]
 pub(super) struct Journal {
     inputs: Vec<ControllerInput>,
     is_complete: bool,

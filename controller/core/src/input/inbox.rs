@@ -87,6 +87,7 @@ impl Message<'_> {
 }
 
 /// The latest accepted report of each stream.
+#[derive(Clone)]
 pub struct Inbox {
     rules: Rules,
     room: Option<Owner>,

@@ -75,6 +75,7 @@ impl Summary {
 const NO_AMPLITUDE: f32 = 1e-6;
 
 /// One snapshot of the room: K users and M mirrors. Its buffers are reused from tick to tick.
+#[derive(Clone, Debug)]
 pub struct Observation {
     /// The tick that the reports belong to.
     pub tick: u64,

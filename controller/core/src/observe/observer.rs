@@ -51,6 +51,7 @@ const WALKING_M_S: f64 = 0.05;
 const STRIDE_DEVIATIONS: f64 = 4.0;
 
 /// Fills observations from the inbox; its buffers are reused and have room for [`MAX_USERS`] users.
+#[derive(Clone)]
 pub struct Observer {
     body: Option<Body>,
     prediction: Prediction,

@@ -85,6 +85,7 @@ pub struct PredictionMemory {
 }
 
 /// How users are predicted.
+#[derive(Clone)]
 enum Method {
     /// At their reported positions.
     AsReported,
@@ -95,6 +96,7 @@ enum Method {
 }
 
 /// The prediction of all users of a room.
+#[derive(Clone)]
 pub struct Prediction {
     lead: Lead,
     method: Method,

@@ -34,6 +34,8 @@ pub struct Actor {
     output: Output,
     /// Whether the outputs for fixed inputs are those in the metadata.
     is_verified: bool,
+    /// The hash of the file.
+    hash: String,
 }
 
 impl Actor {
@@ -50,7 +52,8 @@ impl Actor {
         let (input, output) = (Input::new(&info, scenario), Output::new(&info, scenario)?);
         // Memory for every number of rows. A model that excludes this one is refused in the trial.
         let _ = network.set_rows(input.rows_max());
-        let mut actor = Self { name: "actor".into(), info, input, network, output, is_verified: false };
+        let mut actor =
+            Self { name: "actor".into(), info, input, network, output, is_verified: false, hash: file.hash() };
         actor.is_verified = actor.verify(file)?;
         Ok(actor)
     }
@@ -116,6 +119,10 @@ impl Policy for Actor {
 
     fn engine(&self) -> Option<&'static str> {
         Some(self.network.engine())
+    }
+
+    fn file_hash(&self) -> Option<&str> {
+        Some(&self.hash)
     }
 
     fn users_max(&self) -> usize {

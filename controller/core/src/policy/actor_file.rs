@@ -17,6 +17,7 @@ use heliostat_onnx::{
 };
 use heliostat_scenario::Scenario;
 use prost::Message;
+use sha2::{Digest, Sha256};
 
 use super::removed::removed;
 use crate::observe::observation::{OBSERVATION_VERSION, ObservationEncoder, USERS_CAPACITY};
@@ -41,6 +42,17 @@ pub struct ActorFile {
     pub origin: String,
     /// The ONNX model.
     pub bytes: Cow<'static, [u8]>,
+}
+
+/// Hexadecimal digits of [`ActorFile::hash`].
+const HASH_DIGITS: usize = 16;
+
+impl ActorFile {
+    /// The first digits of the SHA-256 of the bytes, as `sha256sum` prints them.
+    pub fn hash(&self) -> String {
+        let digest = Sha256::digest(&self.bytes);
+        digest.iter().take(HASH_DIGITS / 2).map(|byte| format!("{byte:02x}")).collect()
+    }
 }
 
 /// The metadata of an actor.

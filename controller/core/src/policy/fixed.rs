@@ -31,6 +31,11 @@ impl Fixed {
         Self { name: "random", angles: MirrorAngles { roll: draw(), yaw: draw() } }
     }
 
+    /// The angles of each decision.
+    pub fn angles(&self) -> &MirrorAngles {
+        &self.angles
+    }
+
     fn uniform(name: &'static str, mirrors: usize, roll: f64) -> Self {
         Self { name, angles: MirrorAngles { roll: vec![roll; mirrors], yaw: vec![0.0; mirrors] } }
     }

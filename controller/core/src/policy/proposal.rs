@@ -24,6 +24,11 @@ pub trait Policy: Send {
         None
     }
 
+    /// The hash of the file of a learned policy ([`ActorFile::hash`](super::actor_file::ActorFile::hash)).
+    fn file_hash(&self) -> Option<&str> {
+        None
+    }
+
     /// Writes the angles for an observation of at least one user; `out` has the size of the model's
     /// array. The users may differ from those of the last call.
     ///
@@ -86,6 +91,14 @@ pub enum PolicyError {
     /// The search does not fit the room.
     #[error(transparent)]
     Search(#[from] SolverError),
+    /// The function of a user failed.
+    #[error("the function {name} failed: {message}")]
+    Function {
+        /// The function.
+        name: String,
+        /// What it raised, or what is wrong with its answer.
+        message: String,
+    },
     /// The inference engine failed.
     #[error("the inference engine failed: {message}")]
     Inference {

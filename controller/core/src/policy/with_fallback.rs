@@ -44,6 +44,13 @@ impl WithFallback {
         Self { tallies: Tallies::new(policy.name()), policy, fallback, last_failure: None }
     }
 
+    /// A copy with these policies of the same names, which continue from the present states.
+    pub fn duplicate(&self, policy: Box<dyn Policy>, fallback: Option<Box<dyn Policy>>) -> Self {
+        let mut copy = Self { policy, fallback, last_failure: None, tallies: self.tallies.clone() };
+        copy.restore(&self.memory());
+        copy
+    }
+
     /// The policy.
     pub fn policy(&self) -> &dyn Policy {
         self.policy.as_ref()

@@ -25,6 +25,9 @@ pub struct Summary {
     /// The inference engine of this policy, if it is learned.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub engine: Option<String>,
+    /// The hash of its file, if it is learned.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub actor: Option<String>,
     /// The figures of each policy that was in charge.
     #[serde(default)]
     pub policies: BTreeMap<String, PolicySummary>,
@@ -239,6 +242,7 @@ impl Summary {
         Self {
             policy: controller.policy_name().into(),
             engine: controller.engine_name().map(str::to_owned),
+            actor: controller.policy_file_hash().map(str::to_owned),
             policies: controller
                 .tallies()
                 .iter()
@@ -291,6 +295,7 @@ impl Summary {
     fn add(&mut self, other: &Self) {
         self.policy.clone_from(&other.policy);
         self.engine.clone_from(&other.engine);
+        self.actor.clone_from(&other.actor);
         self.epoch = self.epoch.max(other.epoch);
         for (here, there) in [
             (&mut self.decisions, other.decisions),

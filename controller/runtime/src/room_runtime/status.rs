@@ -190,6 +190,7 @@ impl Reporter {
         let absent = summary.arrays.iter().filter(|array| array.driver_absent);
         let absent = absent.map(|array| (format!("driver_absent:{}", array.name), 1));
         let engine = summary.engine.iter().map(|name| (format!("engine:{name}"), 1));
+        let actor = summary.actor.iter().map(|hash| (format!("actor:{hash}"), 1));
         let stages = Stage::ALL.map(|stage| (stage.name().to_string(), times.stage_us(stage)));
         let totals = [("decision".to_string(), times.decision_us()), ("age".to_string(), times.age_us())];
         NodeStatus {
@@ -204,6 +205,7 @@ impl Reporter {
                 .chain(missed)
                 .chain(users)
                 .chain(engine)
+                .chain(actor)
                 .chain(absent)
                 .collect(),
             timings: totals.into_iter().chain(stages).collect(),

@@ -101,6 +101,8 @@ pub(super) struct Plan {
 #[derive(Default)]
 struct ControllerHistory {
     policies: BTreeSet<String>,
+    /// The hashes of the files of learned policies.
+    actors: BTreeSet<String>,
     /// Decisions whose predicted latency exceeded the deadline.
     late: u64,
 }
@@ -190,12 +192,22 @@ impl Plan {
             |name: &str| status.counters.iter().find(|(known, _)| known == name).map_or(0, |(_, count)| *count);
         let history = self.controllers.entry(counter("epoch")).or_default();
         history.late = history.late.max(counter("fallback:late"));
+        history
+            .actors
+            .extend(status.counters.iter().filter_map(|(name, _)| name.strip_prefix("actor:").map(String::from)));
         history.policies.insert(status.policy);
     }
 
     /// Whether the controller of an epoch counted late decisions.
     pub fn was_late(&self, epoch: u64) -> bool {
         self.controllers.get(&epoch).is_some_and(|history| history.late > 0)
+    }
+
+    /// The hash of the file of the learned policy that decided in an epoch; `None` if its status does
+    /// not name it.
+    pub fn actor_of(&self, epoch: u64) -> Option<&str> {
+        let actors = &self.controllers.get(&epoch)?.actors;
+        actors.first().filter(|_| actors.len() == 1).map(String::as_str)
     }
 
     /// The policy that decided in an epoch.

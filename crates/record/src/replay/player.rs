@@ -5,9 +5,10 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use heliostat_core::capabilities::{Examiner, Force};
 use heliostat_core::core::{Controller, Timing, WARM_UP_RUNS};
+use heliostat_core::policy::Policy;
 use heliostat_models::{ActorSource, build};
 use heliostat_proto::{
     Capabilities, ControllerInput, InputKind, MirrorCommand, NodeKind, SafetyReport, UserReport, decode,
@@ -86,6 +87,7 @@ impl<'a> Player<'a> {
         let scenario = &self.plan.scenario;
         let source = self.settings.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
         let policy = build(kind, scenario, &source)?;
+        self.check_actor(epoch, policy.as_ref())?;
         let mut controller = Controller::new(scenario, scenario.channel_model()?, policy, epoch);
         controller.warm_up(0..WARM_UP_RUNS);
         for (array, capabilities) in &self.arrays {
@@ -101,6 +103,22 @@ impl<'a> Player<'a> {
         let is_known = recorded_from_start || progress.is_some();
         let settle = self.settings.settle.unwrap_or(if is_known { 0 } else { SETTLE });
         Ok(Some(EpochReplay { controller, newest_ns: 0, sequence: 0, decided: 0, settle, progress }))
+    }
+
+    /// Refuses to compare with another file of a learned policy than the recorded one, where the
+    /// caller chose neither.
+    ///
+    /// # Errors
+    /// The files differ.
+    fn check_actor(&self, epoch: u64, policy: &dyn Policy) -> Result<()> {
+        let is_chosen = self.settings.policy.is_some() || self.settings.model.is_some();
+        let (Some(recorded), Some(found)) = (self.plan.actor_of(epoch), policy.file_hash()) else { return Ok(()) };
+        ensure!(
+            is_chosen || recorded == found,
+            "{} was recorded with another actor file, whose SHA-256 begins with {recorded} (the built-in one: {found}): give it with --model",
+            self.settings.file.display()
+        );
+        Ok(())
     }
 
     /// Takes the next entry of the recording.

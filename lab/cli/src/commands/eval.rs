@@ -1,6 +1,8 @@
 //! `heliostat-lab eval`: policies on the same states, compared with the oracle.
 
+mod csv_files;
 mod html;
+mod origin;
 mod output;
 mod paths;
 mod sweep;
@@ -9,15 +11,17 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::{Result, ensure};
+use heliostat_environment::episodes::INSTANTS;
 use heliostat_learn::comparison::{EvaluatedPolicy, Known, Loop, Settings, compare};
 use heliostat_models::ActorSource;
 use heliostat_scenario::{Belief, Scenario, ScenarioArgs};
 use heliostat_service::duration::seconds;
+use serde_json::json;
 
 use super::whole_file;
 use heliostat_service::outln;
 use html::Destination;
-use sweep::Sweep;
+use sweep::{Change, Grid, Sweep};
 
 /// The default policies; the first only if an actor is built in for the room.
 const DEFAULT_POLICIES: [&str; 7] = ["ddpg", "greedy", "fixed-point", "nearest", "random", "flat", "no-irs"];
@@ -35,8 +39,9 @@ const DEFAULT_POLICIES: [&str; 7] = ["ddpg", "greedy", "fixed-point", "nearest",
 pub struct Args {
     #[command(flatten)]
     scenario: ScenarioArgs,
-    /// Policies by name, or paths of ONNX actors (FILE.onnx), separated by commas [default: ddpg if
-    /// an actor fits, greedy, fixed-point, nearest, random, flat, no-irs]
+    /// Policies by name, paths of ONNX actors (FILE.onnx), or functions in Python (FILE.py:FUNCTION),
+    /// separated by commas [default: ddpg if an actor fits, greedy, fixed-point, nearest, random, flat,
+    /// no-irs]
     #[arg(long, value_name = "A,B,C", value_delimiter = ',')]
     policies: Vec<String>,
     /// Leave out policies that have no actor for the room, instead of an error
@@ -51,6 +56,10 @@ pub struct Args {
     /// States for each room seed
     #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     states: u32,
+    /// Episodes for each room seed, in place of --states: 20 states each in closed loop, one state each
+    /// otherwise. Intervals come from episodes, so use at least 10 of all seeds together
+    #[arg(long, value_name = "N", conflicts_with = "states", value_parser = clap::value_parser!(u32).range(1..=50_000))]
+    episodes: Option<u32>,
     /// Number of room seeds, counted up from the scenario's
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     seeds: u32,
@@ -74,12 +83,16 @@ pub struct Args {
     #[arg(long, requires = "closed_loop")]
     unaware: bool,
     /// Repeat the comparison for each value of a scenario key: table.key=FIRST..LAST or
-    /// table.key=A,B,C
+    /// table.key=A,B,C; given twice, for each combination of two keys. mirrors.rows=0 is a room without
+    /// mirrors
     #[arg(long, value_name = "KEY=VALUES")]
-    sweep: Option<Sweep>,
+    sweep: Vec<Sweep>,
     /// Also write the figures to a CSV file, one line for each policy
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
+    /// Also write the figures of each episode to a CSV file, one line for each policy and episode
+    #[arg(long, value_name = "FILE")]
+    csv_episodes: Option<PathBuf>,
     /// Also write a report with tables and plots to one HTML file that needs no other file
     #[arg(long, value_name = "FILE")]
     html: Option<PathBuf>,
@@ -93,17 +106,25 @@ pub struct Args {
 }
 
 impl Args {
-    /// The room, with one more override if given.
-    fn scenario(&self, change: Option<String>) -> Result<Scenario> {
+    /// The room, with further overrides.
+    fn scenario(&self, change: Vec<String>) -> Result<Scenario> {
         let mut scenario = self.scenario.clone();
         scenario.overrides.extend(self.blocked.map(|blocked| format!("blockage.forced_users={blocked}")));
         scenario.overrides.extend(change);
         Ok(scenario.load_arrays()?)
     }
 
-    /// The settings of a comparison, with one more override of the scenario if given.
-    fn settings(&self, change: Option<String>) -> Result<Settings> {
-        let scenario = self.scenario(change)?;
+    /// The number of states for each seed.
+    fn states(&self) -> usize {
+        let each = if self.closed_loop { INSTANTS } else { 1 };
+        self.episodes.map_or(self.states as usize, |episodes| episodes as usize * each)
+    }
+
+    /// The settings of a comparison, at a point of a sweep if there is one.
+    fn settings(&self, change: Option<Change>) -> Result<Settings> {
+        let Change { overrides, without_mirrors } =
+            change.unwrap_or(Change { overrides: Vec::new(), without_mirrors: false });
+        let scenario = self.scenario(overrides)?;
         let actor = self.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
         ensure!(
             self.model.is_none()
@@ -140,10 +161,12 @@ impl Args {
             }
             believing.into_iter().chain(unaware)
         });
+        let policies = policies.chain(ceilings.into_iter().flat_map(|(present, future)| [present, future]));
         Ok(Settings {
             scenario,
-            policies: policies.chain(ceilings.into_iter().flat_map(|(present, future)| [present, future])).collect(),
-            states: self.states as usize,
+            policies: policies.map(|one| if without_mirrors { one.without_mirrors() } else { one }).collect(),
+            without_mirrors,
+            states: self.states(),
             seeds: self.seeds as usize,
             mode: if self.closed_loop { Loop::ClosedLoop } else { Loop::Static },
             warm: self.warm,
@@ -154,39 +177,44 @@ impl Args {
 
 /// Runs the command.
 pub fn run(args: Args) -> Result<()> {
-    let sweep = args.sweep.as_ref();
-    let settings: Vec<Settings> = match sweep {
+    let grid = Grid::new(&args.sweep).map_err(anyhow::Error::msg)?;
+    let grid = grid.as_ref();
+    let settings: Vec<Settings> = match grid {
         None => vec![args.settings(None)?],
         // An invalid value is refused before the work starts.
-        Some(sweep) => sweep.overrides().map(|change| args.settings(Some(change))).collect::<Result<_>>()?,
+        Some(grid) => grid.changes().map(|change| args.settings(Some(change))).collect::<Result<_>>()?,
     };
-    if let Some(file) = &args.csv {
-        whole_file::check_writable(file)?;
-    }
-    if let Some(file) = &args.paths {
+    for file in [&args.csv, &args.csv_episodes, &args.paths].into_iter().flatten() {
         whole_file::check_writable(file)?;
     }
     let html = args.html.as_deref().map(Destination::new).transpose()?;
     let reports = settings.iter().map(compare).collect::<Result<Vec<_>>>()?;
     if let Some(file) = &args.paths {
-        whole_file::write(file, paths::draw(&settings[0].scenario, &reports[0].tracked)?.as_bytes())?;
+        let drawn = paths::draw(&settings[0].scenario, &reports[0].tracked)?;
+        whole_file::write(file, origin::in_svg(&drawn, &reports[0]).as_bytes())?;
     }
     if let Some(file) = &args.csv {
-        whole_file::write(file, &output::csv(sweep, &reports)?)?;
+        whole_file::write(file, &csv_files::by_policy(grid, &reports)?)?;
+    }
+    if let Some(file) = &args.csv_episodes {
+        whole_file::write(file, &csv_files::by_episode(grid, &reports)?)?;
     }
     if let Some(html) = html {
-        html.write(&settings[0].scenario, sweep, &reports)?;
+        html.write(&settings[0].scenario, grid, &reports)?;
     }
-    match sweep {
-        None if args.json => outln!("{}", serde_json::to_string(&reports[0])?)?,
+    match grid {
+        None if args.json => outln!("{}", origin::in_json(&reports[0])?)?,
         None => output::print_table(&reports[0])?,
-        Some(sweep) if args.json => {
-            let of_values = sweep.values().iter().zip(&reports);
-            let of_values = of_values.map(|(value, report)| serde_json::json!({ "value": value, "report": report }));
-            let all: Vec<_> = of_values.collect();
-            outln!("{}", serde_json::json!({ "sweep": sweep.key(), "reports": all }))?;
+        Some(grid) if args.json => {
+            let of_points = grid.points().iter().zip(&reports).map(|(point, report)| {
+                let report = origin::in_json(report)?;
+                Ok(json!({ "value": point.join(", "), "values": point, "report": report }))
+            });
+            let reports = of_points.collect::<Result<Vec<_>>>()?;
+            let keys: Vec<&str> = grid.keys().collect();
+            outln!("{}", json!({ "sweep": keys.join(", "), "keys": keys, "reports": reports }))?;
         }
-        Some(sweep) => output::print_sweep(sweep, &reports)?,
+        Some(grid) => output::print_sweep(grid, &reports)?,
     }
     Ok(())
 }

@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::belief_log::Errors;
-use super::row::{Spread, median};
+use heliostat_environment::statistics::{Spread, median};
 
 /// The quality of a belief over the episodes of a comparison. An interval is over episodes.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -29,11 +29,11 @@ pub(super) fn quality(episodes: &[Errors]) -> BeliefQuality {
     let places = episodes.iter().flat_map(|errors| errors.place_cm.iter().copied());
     BeliefQuality {
         place_error_median_cm: median(places.collect()),
-        place_error_cm: spread(|errors| &errors.place_cm),
-        heading_error_walking_deg: spread(|errors| &errors.walking_deg),
-        heading_error_standing_deg: spread(|errors| &errors.standing_deg),
-        coverage_50: spread(|errors| &errors.within_50),
-        coverage_95: spread(|errors| &errors.within_95),
+        place_error_cm: spread(|errors| &errors.place_cm).within(0.0, f64::INFINITY),
+        heading_error_walking_deg: spread(|errors| &errors.walking_deg).within(0.0, 180.0),
+        heading_error_standing_deg: spread(|errors| &errors.standing_deg).within(0.0, 180.0),
+        coverage_50: spread(|errors| &errors.within_50).within(0.0, 1.0),
+        coverage_95: spread(|errors| &errors.within_95).within(0.0, 1.0),
     }
 }
 

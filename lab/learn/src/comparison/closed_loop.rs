@@ -16,24 +16,26 @@ use heliostat_array::moment::Moment;
 use heliostat_core::core::{Controller, DegradedMode, Stage};
 use heliostat_environment::ClosedLoop;
 use heliostat_environment::episodes::{HeldOutEpisode, OUTAGE_STEP_NS, held_out_episodes, start_ns};
+use heliostat_environment::outage::OutageLog;
 use heliostat_room::SimulatedRoom;
 use heliostat_room::episode::Event;
 use heliostat_room::world::WorldError;
 use heliostat_scenario::Scenario;
 use indicatif::ProgressBar;
 
+use super::Compared;
 use super::belief_log::BeliefLog;
 use super::belief_quality::{BeliefQuality, quality};
 use super::ceiling::Ceiling;
+use super::episode_row::{self, of_episodes};
 use super::evaluated_policy::EvaluatedPolicy;
 use super::evaluator::{Evaluator, Run, Sample};
-use super::outage::OutageLog;
-use super::row::{Rows, rows};
+use super::row::rows;
 use super::settings::{RANDOM_DRAWS, Settings};
 use super::tracked_user::TrackedUser;
 
 /// Compares at `states` sampling times of each seed.
-pub(super) fn compare(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<(Rows, Beliefs, Vec<TrackedUser>)> {
+pub(super) fn compare(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<(Compared, Beliefs, Vec<TrackedUser>)> {
     let scenario = &settings.scenario;
     let trace = scenario.read_trace()?;
     let trace = trace.as_deref();
@@ -43,7 +45,7 @@ pub(super) fn compare(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<
     bar.set_message("episodes solved by the oracle");
     let mut oracle = Vec::new();
     for episode in &episodes {
-        oracle.push(solve(scenario, trace, episode, &mut evaluator)?);
+        oracle.push(solve(settings, trace, episode, &mut evaluator)?);
         bar.inc(1);
     }
     bar.reset();
@@ -59,7 +61,8 @@ pub(super) fn compare(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<
     }
     let all = runs.iter().flatten();
     let tracked = all.map(|run| &run.tracked).find(|tracked| !tracked.is_empty()).cloned().unwrap_or_default();
-    Ok((rows(settings, &runs, &oracle), beliefs(settings, &runs), tracked))
+    let each = episode_row::rows(settings, &of_episodes(settings, &episodes), &runs, &oracle);
+    Ok(((rows(settings, &runs, &oracle), each), beliefs(settings, &runs), tracked))
 }
 
 /// The quality of each belief, by its name.
@@ -79,13 +82,16 @@ fn beliefs(settings: &Settings, runs: &[Vec<Run>]) -> Beliefs {
 
 /// The oracle's samples: it observes the true state, and its mirrors turn at once.
 fn solve(
-    scenario: &Scenario,
+    settings: &Settings,
     trace: Option<&str>,
     episode: &HeldOutEpisode,
     evaluator: &mut Evaluator,
 ) -> anyhow::Result<Vec<Sample>> {
     let mut samples = Vec::new();
-    episode.solve(scenario, trace, |world, angles| samples.push(evaluator.evaluate_world(world, angles)))?;
+    let dark = settings.dark_angles();
+    episode.solve(&settings.scenario, trace, |world, angles| {
+        samples.push(evaluator.evaluate_world(world, dark.as_ref().unwrap_or(angles)));
+    })?;
     Ok(samples)
 }
 
@@ -97,6 +103,7 @@ fn run(
 ) -> anyhow::Result<Run> {
     let scenario = evaluated.scenario(&settings.scenario);
     let trace = scenario.read_trace()?;
+    let dark = settings.dark_angles();
     // The draws are divided among the seeds.
     let draws = if evaluated.is_random() { RANDOM_DRAWS.div_ceil(settings.seeds) as u64 } else { 1 };
     let runs = (0..draws).map(|draw| {
@@ -107,7 +114,7 @@ fn run(
             let (mut samples, mut outages) = (Vec::new(), OutageLog::default());
             let mut look = |now_ns: u64, room: &SimulatedRoom| {
                 let world = room.world();
-                let sample = evaluator.evaluate_world(world, room.angles());
+                let sample = evaluator.evaluate_world(world, dark.as_ref().unwrap_or(room.angles()));
                 if episode.instants_ns.binary_search(&now_ns).is_ok() {
                     samples.push(sample);
                 }

@@ -1,19 +1,20 @@
-//! The policies of a comparison: by the controller's name, by the path of an ONNX file, or the
-//! policy that gives the upper bound of the codebook.
+//! The policies of a comparison: by the controller's name, by the path of an ONNX file, a function in
+//! Python, or the policy that gives the upper bound of the codebook.
 
 use std::path::PathBuf;
 
 use clap::ValueEnum;
 use heliostat_channel::MirrorAngles;
+use heliostat_core::belief::conditions::Condition;
 use heliostat_core::observation::Observation;
 use heliostat_core::policy::{Policy, PolicyKind};
 use heliostat_core::safety::Limits;
-use heliostat_models::{ActorSource, SourceError, build, source};
+use heliostat_models::{ActorSource, build, source};
 use heliostat_room::World;
 use heliostat_scenario::{Belief, Scenario};
 use thiserror::Error;
 
-use super::{ceiling::Known, trained};
+use super::{ceiling::Known, python_policy::PythonFunction, trained};
 use crate::environment::codebook::BestCodeword;
 use crate::environment::room::observe;
 
@@ -32,6 +33,7 @@ pub struct UnknownPolicy(String);
 enum Origin {
     Kind(PolicyKind, ActorSource),
     Codebook,
+    Python(PythonFunction),
 }
 
 /// One policy of a comparison.
@@ -56,12 +58,16 @@ impl EvaluatedPolicy {
     pub fn parse(name: &str, ddpg: &ActorSource) -> Result<Self, UnknownPolicy> {
         let origin = if name == CODEBOOK {
             Origin::Codebook
+        } else if let Some(function) = PythonFunction::parse(name) {
+            Origin::Python(function)
         } else if name.ends_with(".onnx") {
             Origin::Kind(PolicyKind::Ddpg, ActorSource::Path(PathBuf::from(name)))
         } else {
             let unknown = || {
                 let known = Self::names().join(", ");
-                format!("unknown policy \"{name}\": expected {known}, or the path of a file FILE.onnx")
+                format!(
+                    "unknown policy \"{name}\": expected {known}, the path of a file FILE.onnx, or FILE.py:FUNCTION"
+                )
             };
             let kind = PolicyKind::find(name, unknown).map_err(UnknownPolicy)?;
             Origin::Kind(kind, if kind == PolicyKind::Ddpg { ddpg.clone() } else { ActorSource::Shipped })
@@ -109,6 +115,12 @@ impl EvaluatedPolicy {
     fn is_blind(&self) -> bool {
         use PolicyKind::{Flat, Hold, NoIrs, Random};
         matches!(self.origin, Origin::Kind(Flat | Hold | NoIrs | Random, _))
+    }
+
+    /// The same row of a report in a room without mirrors, where all policies are equal.
+    pub fn without_mirrors(&self) -> Self {
+        let origin = Origin::Kind(PolicyKind::NoIrs, ActorSource::Shipped);
+        Self { origin, belief: None, known: None, ..self.clone() }
     }
 
     /// The same policy in closed loop without telemetry of unusable mirrors.
@@ -163,10 +175,11 @@ impl EvaluatedPolicy {
     /// Checks that the policy's file, if it comes from one, can be read.
     ///
     /// # Errors
-    /// [`SourceError`] where the file is missing or cannot be read.
-    pub fn check_file(&self) -> Result<(), SourceError> {
+    /// The file is missing or cannot be read.
+    pub fn check_file(&self) -> anyhow::Result<()> {
         match &self.origin {
-            Origin::Kind(_, ActorSource::Path(path)) => source::read(path).map(drop),
+            Origin::Kind(_, ActorSource::Path(path)) => Ok(source::read(path).map(drop)?),
+            Origin::Python(function) => function.check_file(),
             _ => Ok(()),
         }
     }
@@ -183,6 +196,14 @@ impl EvaluatedPolicy {
         self.build(scenario, scenario.seed)?.act(world.model(), &seen, &mut angles)?;
         Limits::new(&scenario.control).bound(&seen.angles, f64::INFINITY, &mut angles);
         Ok(angles)
+    }
+
+    /// What the policy does not do in a room.
+    pub(super) fn conditions(&self, scenario: &Scenario) -> Vec<Condition> {
+        match &self.origin {
+            Origin::Kind(kind, _) => kind.conditions(scenario),
+            Origin::Codebook | Origin::Python(_) => Vec::new(),
+        }
     }
 
     /// Whether the policy is a random draw, which is averaged over several.
@@ -202,6 +223,7 @@ impl EvaluatedPolicy {
         match &self.origin {
             Origin::Kind(kind, actor) => Ok(build(*kind, &Scenario { seed, ..scenario.clone() }, actor)?),
             Origin::Codebook => Ok(Box::new(BestCodeword::new(scenario)?)),
+            Origin::Python(function) => function.policy(&self.name, scenario),
         }
     }
 }

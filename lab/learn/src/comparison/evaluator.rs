@@ -2,10 +2,10 @@
 
 use heliostat_channel::link::{ber_ook, jain};
 use heliostat_channel::{ChannelModel, MirrorAngles, Scene};
+use heliostat_environment::outage::OutageLog;
 use heliostat_room::World;
 
 use super::belief_log::Errors;
-use super::outage::OutageLog;
 use super::tracked_user::TrackedUser;
 use crate::evaluation::held_out::met;
 

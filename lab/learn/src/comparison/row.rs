@@ -4,50 +4,13 @@
 //! state. In closed loop it is one episode, because the sampling times of an episode are not
 //! independent. Intervals come from the means of the groups.
 
+use heliostat_environment::outage::Outages;
+use heliostat_environment::statistics::{Estimate, Spread, mean, present, quantile};
 use serde::Serialize;
 
 use super::evaluated_policy::EvaluatedPolicy;
 use super::evaluator::{Run, Sample};
-use super::outage::Outages;
 use super::settings::{Loop, Settings};
-use crate::evaluation::Estimate;
-use crate::evaluation::statistics::quantile;
-
-/// A quantity over all states. In JSON a missing number, such as the rate of blocked users without
-/// such a user, is null.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Spread {
-    /// The mean.
-    pub mean: f64,
-    /// Half the width of the mean's 95 % interval by Student's t; NaN for a single group.
-    pub ci95: f64,
-    /// The 5th percentile over states.
-    pub p5: f64,
-}
-
-impl Spread {
-    /// A quantity without values.
-    pub const MISSING: Self = Self { mean: f64::NAN, ci95: f64::NAN, p5: f64::NAN };
-
-    /// The quantity from values in independent groups, of one run or of several runs on the same
-    /// groups; NaN is a missing value.
-    ///
-    /// The variance of the mean is that over groups plus, with several runs, that over runs. The
-    /// two overlap, so the interval is conservative.
-    pub fn of(runs: &[Vec<Vec<f64>>]) -> Self {
-        let count = runs.iter().map(Vec::len).max().unwrap_or(0);
-        let pooled = |index: usize| runs.iter().flat_map(|run| present(&run[index])).collect::<Vec<_>>();
-        let groups: Vec<Vec<f64>> = (0..count).map(pooled).filter(|group| !group.is_empty()).collect();
-        let means: Vec<f64> = groups.iter().map(|group| mean(group)).collect();
-        let of_runs: Vec<f64> = runs.iter().map(|run| mean(&present(&run.concat()))).collect();
-        let mut all = groups.concat();
-        all.sort_by(f64::total_cmp);
-        let interval = |means: &[f64]| Estimate::of(means).ci95;
-        let over_runs = if of_runs.len() > 1 { interval(&of_runs) } else { 0.0 };
-        let ci95 = if means.len() > 1 { interval(&means).hypot(over_runs) } else { f64::NAN };
-        Self { mean: mean(&all), ci95, p5: quantile(&all, 0.05) }
-    }
-}
 
 /// Quantiles of a policy's decision time in us.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -177,16 +140,16 @@ impl Row {
             run.iter().zip(oracle).map(ratios).collect()
         };
         Self {
-            sum_rate_mbps: spread(|sample| sample.sum_rate_mbps),
+            sum_rate_mbps: spread(|sample| sample.sum_rate_mbps).within(0.0, f64::INFINITY),
             difference_mbps: None,
             difference_ratio: None,
             difference_qos_met: None,
-            ratio_to_oracle: Spread::of(&runs.iter().map(ratios).collect::<Vec<_>>()),
-            qos_met: spread(|sample| sample.met),
-            jain: spread(|sample| sample.jain),
-            blocked_rate_mbps: spread(|sample| sample.blocked_rate_mbps),
-            ber: spread(|sample| sample.ber),
-            outage_time: (mode == Loop::ClosedLoop).then(|| spread(|sample| 1.0 - sample.met)),
+            ratio_to_oracle: Spread::of(&runs.iter().map(ratios).collect::<Vec<_>>()).within(0.0, 1.0),
+            qos_met: spread(|sample| sample.met).within(0.0, 1.0),
+            jain: spread(|sample| sample.jain).within(0.0, 1.0),
+            blocked_rate_mbps: spread(|sample| sample.blocked_rate_mbps).within(0.0, f64::INFINITY),
+            ber: spread(|sample| sample.ber).within(0.0, 1.0),
+            outage_time: (mode == Loop::ClosedLoop).then(|| spread(|sample| 1.0 - sample.met).within(0.0, 1.0)),
             outages: None,
             decision_us: None,
             training_seeds: None,
@@ -194,23 +157,8 @@ impl Row {
     }
 }
 
-fn ratio(own: &Sample, best: &Sample) -> f64 {
+pub(super) fn ratio(own: &Sample, best: &Sample) -> f64 {
     if best.sum_rate_mbps > 0.0 { own.sum_rate_mbps / best.sum_rate_mbps } else { f64::NAN }
-}
-
-/// The median; NaN without values.
-pub(super) fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    quantile(&values, 0.5)
-}
-
-/// The values that are not missing.
-fn present(values: &[f64]) -> Vec<f64> {
-    values.iter().copied().filter(|value| !value.is_nan()).collect()
-}
-
-fn mean(values: &[f64]) -> f64 {
-    values.iter().sum::<f64>() / values.len() as f64
 }
 
 #[cfg(test)]
@@ -220,21 +168,6 @@ mod tests {
     /// 97.5 % quantiles of Student's t with one and three degrees of freedom.
     const T_1: f64 = 12.706204736174694;
     const T_3: f64 = 3.18244630528371;
-
-    #[test]
-    fn intervals_come_from_groups_and_missing_values_are_ignored() {
-        let alone: Vec<Vec<f64>> = [1.0, 2.0, 3.0, 4.0].map(|value| vec![value]).into();
-        let pairs = vec![vec![1.0, 2.0], vec![3.0, 4.0]];
-        let of = |groups: &[Vec<f64>]| Spread::of(&[groups.to_vec()]);
-        let (alone, pairs) = (of(&alone), of(&pairs));
-        assert_eq!((alone.mean, pairs.mean, alone.p5), (2.5, 2.5, pairs.p5));
-        // Standard errors: sqrt(5/3) / 2 of four values, sqrt(2) / sqrt(2) of two means.
-        assert!((alone.ci95 - T_3 * (5.0_f64 / 3.0).sqrt() / 2.0).abs() < 1e-9);
-        assert!((pairs.ci95 - T_1).abs() < 1e-9);
-        let gap = of(&[vec![f64::NAN], vec![2.0], vec![4.0]]);
-        assert_eq!(gap.mean, 3.0);
-        assert!(of(&[vec![f64::NAN]]).mean.is_nan() && of(&[vec![1.0, 2.0]]).ci95.is_nan());
-    }
 
     /// Runs with one state in each group.
     fn runs(rates: &[&[f64]]) -> Vec<Vec<Vec<f64>>> {
@@ -273,16 +206,5 @@ mod tests {
         assert_eq!((one.mean, two.mean), (2.5, 2.5));
         // Over runs: a standard error of sqrt(2) / sqrt(2).
         assert!((two.ci95 - one.ci95.hypot(T_1)).abs() < 1e-9, "{one:?} {two:?}");
-    }
-
-    #[test]
-    fn the_spread_over_runs_widens_the_interval() {
-        let run = |shift: f64| [1.0, 2.0, 3.0, 4.0].map(|value| vec![value + shift]).to_vec();
-        let (one, same, apart) = (&[run(0.0)][..], &[run(0.0), run(0.0)][..], &[run(-1.0), run(1.0)][..]);
-        let [one, same, apart] = [one, same, apart].map(Spread::of);
-        assert_eq!((one.mean, one.ci95), (same.mean, same.ci95));
-        // Over runs: a standard error of sqrt(2) / sqrt(2).
-        assert_eq!(apart.mean, 2.5);
-        assert!((apart.ci95 - one.ci95.hypot(T_1)).abs() < 1e-9 && apart.p5 < one.p5);
     }
 }

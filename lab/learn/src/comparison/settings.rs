@@ -2,6 +2,9 @@
 
 use std::time::Duration;
 
+use heliostat_channel::MirrorAngles;
+use heliostat_core::policy::Fixed;
+use heliostat_core::safety::Limits;
 use heliostat_scenario::Scenario;
 use serde::Serialize;
 
@@ -42,4 +45,25 @@ pub struct Settings {
     pub warm: Duration,
     /// Training seed of the built-in actors to evaluate; `None` evaluates all of them.
     pub training_seed: Option<u32>,
+    /// A room without mirrors: the scenario's mirrors reflect no light to users, whatever the policy
+    /// or the oracle.
+    pub without_mirrors: bool,
+}
+
+impl Settings {
+    /// In a room without mirrors, the angles with which the scenario's mirrors reflect no light to users.
+    pub(super) fn dark_angles(&self) -> Option<MirrorAngles> {
+        let range_rad = Limits::new(&self.scenario.control).range_rad();
+        let mirrors = self.scenario.mirror_count();
+        self.without_mirrors.then(|| Fixed::no_irs(mirrors, range_rad).angles().clone())
+    }
+
+    /// Number of independent groups of states of each room seed: episodes in closed loop, states in
+    /// a static comparison.
+    pub fn episodes(&self) -> usize {
+        match self.mode {
+            Loop::Static => self.states,
+            Loop::ClosedLoop => self.states.div_ceil(heliostat_environment::episodes::INSTANTS),
+        }
+    }
 }

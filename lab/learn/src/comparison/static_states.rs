@@ -9,9 +9,11 @@ use heliostat_core::policy::Policy;
 use heliostat_core::safety::{Limits, check_finite};
 use indicatif::ProgressBar;
 
+use super::Compared;
+use super::episode_row::{self, of_states};
 use super::evaluated_policy::EvaluatedPolicy;
 use super::evaluator::{Evaluator, Run, Sample};
-use super::row::{Rows, rows};
+use super::row::rows;
 use super::settings::{RANDOM_DRAWS, Settings};
 use crate::environment::room::observe;
 use crate::evaluation::held_out::{best_angles, held_out_world};
@@ -20,11 +22,11 @@ use crate::evaluation::held_out::{best_angles, held_out_world};
 const WARM_UP: usize = 8;
 
 /// Compares on `states` states of each seed.
-pub(super) fn compare(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<Rows> {
+pub(super) fn compare(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<Compared> {
     let scenario = &settings.scenario;
     let mut evaluator = Evaluator::new(scenario.channel_model()?, scenario.min_rate_bps());
     let states = states(settings, bar, &evaluator)?;
-    let oracle: Vec<Vec<Sample>> = solve(&states, bar, &mut evaluator);
+    let oracle: Vec<Vec<Sample>> = solve(settings, &states, bar, &mut evaluator);
     let mut runs = Vec::new();
     bar.reset();
     bar.set_length(settings.policies.len() as u64);
@@ -36,7 +38,8 @@ pub(super) fn compare(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<
         runs.push(of_policy);
         bar.inc(1);
     }
-    Ok(rows(settings, &runs, &oracle))
+    let each = episode_row::rows(settings, &of_states(settings), &runs, &oracle);
+    Ok((rows(settings, &runs, &oracle), each))
 }
 
 fn states(settings: &Settings, bar: &ProgressBar, evaluator: &Evaluator) -> anyhow::Result<Vec<Observation>> {
@@ -59,11 +62,20 @@ fn states(settings: &Settings, bar: &ProgressBar, evaluator: &Evaluator) -> anyh
 }
 
 /// The oracle's sample in each state.
-fn solve(states: &[Observation], bar: &ProgressBar, evaluator: &mut Evaluator) -> Vec<Vec<Sample>> {
+fn solve(
+    settings: &Settings,
+    states: &[Observation],
+    bar: &ProgressBar,
+    evaluator: &mut Evaluator,
+) -> Vec<Vec<Sample>> {
     bar.reset();
     bar.set_message("states solved by the oracle");
     let mut solver: Option<Solver> = None;
+    let dark = settings.dark_angles();
     let solve = |seen: &Observation| {
+        if let Some(angles) = &dark {
+            return vec![evaluator.evaluate(&seen.scene, angles)];
+        }
         let solver = solver.get_or_insert_with(|| Solver::new(seen.users(), seen.mirrors()));
         let angles = best_angles(solver, evaluator.model(), &seen.scene, &seen.min_rate_bps);
         bar.inc(1);
@@ -94,6 +106,7 @@ fn run_once(
     evaluator: &mut Evaluator,
 ) -> anyhow::Result<Run> {
     let limits = Limits::new(&settings.scenario.control);
+    let dark = settings.dark_angles();
     let mut angles = MirrorAngles::flat(evaluator.model().mirrors.len());
     for seen in states.iter().take(WARM_UP) {
         policy.act(evaluator.model(), seen, &mut angles)?;
@@ -106,7 +119,7 @@ fn run_once(
         check_finite(&angles)?;
         // The users do not move, so the mirrors have unlimited time to turn.
         limits.bound(&seen.angles, f64::INFINITY, &mut angles);
-        run.groups.push(vec![evaluator.evaluate(&seen.scene, &angles)]);
+        run.groups.push(vec![evaluator.evaluate(&seen.scene, dark.as_ref().unwrap_or(&angles))]);
     }
     Ok(run)
 }

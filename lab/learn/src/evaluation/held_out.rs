@@ -11,8 +11,8 @@ pub(crate) use heliostat_environment::held_out::{SETTLE_S, best_angles, held_out
 use heliostat_scenario::Scenario;
 use serde::Serialize;
 
-use super::statistics::Estimate;
 use crate::environment::room::Environment;
+use heliostat_environment::statistics::Estimate;
 
 /// A score on held-out states.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]

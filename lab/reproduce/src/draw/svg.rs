@@ -71,7 +71,7 @@ impl Ranges {
         let quoted = || figure.panels.iter().flat_map(|panel| &panel.quoted);
         let floor = figure.panels.iter().find_map(|panel| panel.floor.as_ref());
         let xs = points().map(|point| point.x).chain(quoted().filter_map(|quoted| quoted.x));
-        let ys = points().flat_map(|point| [low(point), high(point)]).chain(quoted().filter_map(|quoted| quoted.y));
+        let ys = points().flat_map(|point| ends(&figure.y, point)).chain(quoted().filter_map(|quoted| quoted.y));
         match floor {
             Some(floor) => {
                 let [x, y] = floor.half_m;
@@ -82,12 +82,10 @@ impl Ranges {
     }
 }
 
-fn low(point: &Point) -> f64 {
-    point.y - point.ci95.unwrap_or(0.0)
-}
-
-fn high(point: &Point) -> f64 {
-    point.y + point.ci95.unwrap_or(0.0)
+/// The ends of the interval of a point.
+fn ends(axis: &Axis, point: &Point) -> [f64; 2] {
+    let half = point.ci95.unwrap_or(0.0);
+    [point.y - half, point.y + half].map(|end| axis.cut(point.y, end))
 }
 
 /// The axis' own range, or that of the values with a margin; a linear axis of positive values
@@ -167,8 +165,8 @@ fn draw_series(chart: &mut Chart, figure: &Figure, series: &Series) -> Result<()
     let colour = RGBColor(red, green, blue);
     let at = |x: f64, y: f64| (place(&figure.x, x), place(&figure.y, y));
     if series.points.iter().any(|point| point.ci95.is_some()) {
-        let upper = series.points.iter().map(|point| at(point.x, high(point)));
-        let lower = series.points.iter().rev().map(|point| at(point.x, low(point)));
+        let upper = series.points.iter().map(|point| at(point.x, ends(&figure.y, point)[1]));
+        let lower = series.points.iter().rev().map(|point| at(point.x, ends(&figure.y, point)[0]));
         chart.draw_series([Polygon::new(upper.chain(lower).collect::<Vec<_>>(), colour.mix(0.18).filled())])?;
     }
     // What lies below a logarithmic axis is not on it.
@@ -283,4 +281,29 @@ fn draw_legend(area: &Area, names: &[&str], quoted: bool, entries_a_row: u32) ->
         area.draw(&Text::new("quoted from the paper", (x + 32, y), font))?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_interval_is_not_drawn_beyond_the_values_that_its_quantity_can_have() {
+        let point = Point { x: 1.0, y: 0.9, ci95: Some(2.0), x_ci95: None };
+        let rate = Axis::linear("sum rate (Mbit/s)");
+        let share = Axis { bounds: Some([0.0, 1.0]), ..rate.clone() };
+        let signed = Axis { bounds: Some([f64::NEG_INFINITY, f64::INFINITY]), ..rate.clone() };
+        assert_eq!(ends(&rate, &point), [0.0, 2.9]);
+        assert_eq!(ends(&share, &point), [0.0, 1.0]);
+        assert_eq!(ends(&signed, &point), [-1.1, 2.9]);
+        let figure = Figure {
+            y: rate,
+            panels: vec![Panel {
+                series: vec![Series { name: "flat".into(), points: vec![point, Point { x: 2.0, ..point }] }],
+                ..Panel::default()
+            }],
+            ..Figure::default()
+        };
+        assert_eq!(Ranges::of(&figure).y[0], 0.0, "no negative rate on the axis");
+    }
 }

@@ -74,8 +74,16 @@ impl Timing {
         let compared = |names: &[&str], states: usize| -> Result<Vec<(String, Row)>> {
             let policies = names.iter().map(|name| EvaluatedPolicy::parse(name, actor)).collect::<Result<_, _>>()?;
             let (scenario, mode) = (scenario.clone(), Loop::Static);
-            let settings =
-                Settings { scenario, policies, states, seeds: 1, mode, training_seed: Some(1), warm: Settings::WARM };
+            let settings = Settings {
+                scenario,
+                policies,
+                states,
+                seeds: 1,
+                mode,
+                training_seed: Some(1),
+                without_mirrors: false,
+                warm: Settings::WARM,
+            };
             Ok(compare_under(&settings, &ProgressBar::hidden())?.policies)
         };
         let all = compared(names, self.slow_decisions)?;

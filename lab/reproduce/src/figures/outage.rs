@@ -76,6 +76,7 @@ impl Outage {
                 seeds: 1,
                 mode: Loop::ClosedLoop,
                 training_seed: Some(1),
+                without_mirrors: false,
             };
             let report = compare_under(&settings, &ProgressBar::hidden())?;
             let oracle = ("oracle", &report.oracle);

@@ -134,6 +134,7 @@ impl Baselines {
             seeds: 1,
             mode: Loop::Static,
             training_seed: Some(1),
+            without_mirrors: false,
             warm: Settings::WARM,
         };
         let report = compare_under(&settings, &ProgressBar::hidden())?;

@@ -74,6 +74,7 @@ impl Power {
                 seeds: 1,
                 mode: Loop::Static,
                 training_seed: Some(1),
+                without_mirrors: false,
             };
             let report = compare_under(&settings, &ProgressBar::hidden())?;
             let rows = std::iter::once(&report.oracle).chain(report.policies.iter().map(|(_, row)| row));

@@ -9,7 +9,7 @@ use crate::input::{
 };
 
 /// The latest telemetry of one array.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct ArrayInbox {
     /// Index of its first mirror among those of the room.
     pub first: usize,

@@ -11,7 +11,7 @@ pub(super) struct Owner {
 }
 
 /// The latest report of a stream; the memory stays allocated when the report is discarded.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Slot<T> {
     pub report: T,
     pub filled: bool,

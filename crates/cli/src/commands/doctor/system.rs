@@ -54,6 +54,8 @@ pub(super) fn checks(args: &Args) -> Vec<Check> {
     let mut checks = vec![Check::ok("scenario", found)];
     checks.extend(check_belief(&scenario));
     checks.push(check_policy(args, &scenario));
+    let kind = PolicyKind::selected(args.policy, args.model.is_some());
+    checks.extend(kind.conditions(&scenario).into_iter().map(|condition| warning("policy", condition)));
     checks.extend(check_drivers(args, &scenario));
     // A driver that is checked listens on its own port.
     let in_use = |port: &&u16| args.connect.iter().any(|endpoint| endpoint.ends_with(&format!(":{port}")));
@@ -68,11 +70,12 @@ fn check_belief(scenario: &Scenario) -> Vec<Check> {
     if found.is_empty() {
         return vec![Check::ok("belief", "every method applies to the room")];
     }
-    let warning = |condition: Condition| {
-        let found = format!("{} does not apply: {}", condition.method, condition.because);
-        Check::warn("belief", found, condition.consequence)
-    };
-    found.into_iter().map(warning).collect()
+    found.into_iter().map(|condition| warning("belief", condition)).collect()
+}
+
+fn warning(name: &'static str, condition: Condition) -> Check {
+    let found = format!("{} does not apply: {}", condition.method, condition.because);
+    Check::warn(name, found, condition.consequence)
 }
 
 fn check_policy(args: &Args, scenario: &Scenario) -> Check {

@@ -11,10 +11,12 @@ use heliostat_reproduce::command::quoted;
 use heliostat_reproduce::draw::style::short_number;
 use heliostat_reproduce::machine;
 use heliostat_scenario::Scenario;
+use heliostat_service::counted::counted;
 use heliostat_service::printable::{printable, printable_lines};
 
-use super::output::{BELIEF_NOTE, belief_columns, interval, number, rows, signed};
-use super::sweep::Sweep;
+use super::origin;
+use super::output::{BELIEF_NOTE, belief_columns, ber, interval, notes_on_episodes, number, rows, signed};
+use super::sweep::{Grid, Sweep};
 use crate::commands::whole_file;
 
 /// A file that can be written.
@@ -37,8 +39,8 @@ impl<'a> Destination<'a> {
     ///
     /// # Errors
     /// A plot that cannot be drawn, or a file that cannot be written.
-    pub fn write(&self, scenario: &Scenario, sweep: Option<&Sweep>, reports: &[Report]) -> Result<()> {
-        let page = page(&command(), scenario, sweep, reports)?;
+    pub fn write(&self, scenario: &Scenario, grid: Option<&Grid>, reports: &[Report]) -> Result<()> {
+        let page = page(&command(), scenario, grid, reports)?;
         whole_file::write(self.file, page.as_bytes())
     }
 }
@@ -55,7 +57,7 @@ fn text(text: &str) -> String {
     escape(&printable(text))
 }
 
-fn page(command: &str, scenario: &Scenario, sweep: Option<&Sweep>, reports: &[Report]) -> Result<String> {
+fn page(command: &str, scenario: &Scenario, grid: Option<&Grid>, reports: &[Report]) -> Result<String> {
     let first = &reports[0];
     let title = format!("Policies in {}", text(&first.scenario));
     let mut page = String::new();
@@ -64,18 +66,17 @@ fn page(command: &str, scenario: &Scenario, sweep: Option<&Sweep>, reports: &[Re
         "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" content=\"width=device-width\">\n\
          <title>{title}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<h1>{title}</h1>"
     )?;
-    write_origin(&mut page, command, first, sweep)?;
-    if let Some(sweep) = sweep {
-        writeln!(
-            page,
-            "<h2>Over {}</h2>\n<div class=\"plots\">{}</div>",
-            text(sweep.key()),
-            plots::over(sweep, reports)?
-        )?;
+    write_origin(&mut page, command, first, grid)?;
+    for note in notes_on_episodes(reports) {
+        writeln!(page, "<p class=\"note\">{}</p>", text(&note))?;
+    }
+    if let Some(grid) = grid {
+        let keys = grid.keys().collect::<Vec<_>>().join(" and ");
+        writeln!(page, "<h2>Over {}</h2>\n<div class=\"plots\">{}</div>", text(&keys), plots::over(grid, reports)?)?;
     }
     for (index, report) in reports.iter().enumerate() {
-        if let Some(sweep) = sweep {
-            writeln!(page, "<h2>{} = {}</h2>", text(sweep.key()), text(&sweep.values()[index]))?;
+        if let Some(grid) = grid {
+            writeln!(page, "<h2>{}</h2>", text(&grid.name(&grid.points()[index])))?;
         }
         write_table(&mut page, report)?;
         write_beliefs(&mut page, report)?;
@@ -83,7 +84,7 @@ fn page(command: &str, scenario: &Scenario, sweep: Option<&Sweep>, reports: &[Re
     }
     write_notes(&mut page, first)?;
     let effective = escape(&printable_lines(&scenario.to_toml()));
-    let which = if sweep.is_some() { " of the first value" } else { "" };
+    let which = if grid.is_some() { " of the first value" } else { "" };
     writeln!(
         page,
         "<h2>Scenario</h2>\n<details><summary>The effective scenario{which}</summary><pre>{effective}</pre></details>"
@@ -92,7 +93,7 @@ fn page(command: &str, scenario: &Scenario, sweep: Option<&Sweep>, reports: &[Re
     Ok(page)
 }
 
-fn write_origin(page: &mut String, command: &str, report: &Report, sweep: Option<&Sweep>) -> std::fmt::Result {
+fn write_origin(page: &mut String, command: &str, report: &Report, grid: Option<&Grid>) -> std::fmt::Result {
     let mode = match report.mode {
         Loop::Static => "static: exact states, mirrors that turn at once",
         Loop::ClosedLoop => "closed loop: reports, delays, noise and mirrors of the scenario",
@@ -103,13 +104,18 @@ fn write_origin(page: &mut String, command: &str, report: &Report, sweep: Option
         ("comparison", mode.to_owned()),
         ("users", format!("{}, {} with a blocked direct path", report.users, report.blocked)),
         ("seeds", format!("{} to {last_seed}: {} states for each", report.seed, report.states)),
+        ("episodes", format!("{}; intervals come from them", counted(report.episodes, report.group()))),
         ("made", machine::now()),
-        ("program", format!("heliostat-lab {}, commit {}", env!("CARGO_PKG_VERSION"), machine::COMMIT)),
+        ("program", format!("{}, commit {}", origin::program(), machine::COMMIT)),
         ("machine", machine::hardware()),
     ];
-    if let Some(sweep) = sweep {
+    if let Some(grid) = grid {
         rows[2].1 += "; at the first value of the sweep";
-        rows.insert(2, ("sweep", format!("{} = {}", sweep.key(), sweep.values().join(", "))));
+        let of = |sweep: &Sweep| format!("{} = {}", sweep.key(), sweep.values().join(", "));
+        rows.insert(2, ("sweep", grid.sweeps().iter().map(of).collect::<Vec<_>>().join("; ")));
+    }
+    for condition in &report.conditions {
+        rows.push(("condition", condition.to_string()));
     }
     writeln!(page, "<table class=\"meta\">\n<tr><th>command</th><td><code>{}</code></td></tr>", text(command))?;
     for (name, value) in rows {
@@ -141,22 +147,17 @@ fn columns(report: &Report) -> Vec<Column> {
         spread("QoS met", 3, |row| row.qos_met),
         spread("Jain", 3, |row| row.jain),
         spread("blocked (Mbit/s)", 2, |row| row.blocked_rate_mbps),
-        ("BER".into(), Box::new(|row| exponent(row.ber))),
+        ("BER".into(), Box::new(|row| ber(row.ber))),
     ]);
+    if report.oracle.outage_time.is_some() {
+        let outage = |row: &Row| row.outage_time.map_or("-".into(), |outage| interval(outage, 3));
+        columns.push(("outage (share of time)".into(), Box::new(outage)));
+    }
     let time = |value: Option<f64>| value.map_or("-".into(), short_number);
     columns.push(("decision time p50 (us)".into(), Box::new(move |row| time(row.decision_us.map(|times| times.p50)))));
     columns.push(("p99 (us)".into(), Box::new(move |row| time(row.decision_us.map(|times| times.p99)))));
     columns.push(("trained".into(), Box::new(|row| row.training_seeds.map_or("-".into(), |seeds| seeds.to_string()))));
     columns
-}
-
-/// A spread of a tiny number.
-fn exponent(spread: Spread) -> String {
-    if spread.ci95.is_nan() {
-        format!("{:.2e}", spread.mean)
-    } else {
-        format!("{:.2e} ±{:.1e}", spread.mean, spread.ci95)
-    }
 }
 
 fn write_table(page: &mut String, report: &Report) -> std::fmt::Result {
@@ -218,6 +219,7 @@ const STYLE: &str = "
 body { font: 15px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 1280px; padding: 0 1.5rem; color: #222; }
 h1 { font-size: 1.7rem; } h2 { margin-top: 2.5rem; border-bottom: 1px solid #ccc; }
 table { border-collapse: collapse; font-size: 0.9rem; } td, th { text-align: left; vertical-align: top; padding: 0.3rem 0.7rem; }
+.note { background: #fff4d6; border-left: 4px solid #e0a800; padding: 0.4rem 0.8rem; }
 .meta th { color: #666; font-weight: normal; } code { background: #f2f2f2; padding: 0 0.25em; border-radius: 3px; }
 .wide { overflow-x: auto; } .figures td, .figures th { border-bottom: 1px solid #ddd; white-space: nowrap; } .figures td { text-align: right; }
 .figures tr:first-child th { white-space: normal; vertical-align: bottom; }
@@ -244,6 +246,7 @@ mod tests {
             seeds: 2,
             mode: Loop::Static,
             training_seed: None,
+            without_mirrors: false,
         };
         let report = compare(&settings).expect("a report");
         (scenario, report)
@@ -255,9 +258,10 @@ mod tests {
         for (name, _) in &mut report.policies {
             *name = format!("<script>{name}</script>&\u{1b}[2J.onnx");
         }
-        let sweep: Sweep = "name=<i>a</i>,<i>b</i>".parse().expect("a sweep");
+        let sweeps = ["name=<i>a</i>,<i>b</i>".parse::<Sweep>().expect("a sweep")];
+        let grid = Grid::new(&sweeps).expect("a key").expect("a sweep");
         let reports = [report.clone(), report];
-        let page = page("heliostat-lab eval '<u>'", &scenario, Some(&sweep), &reports).expect("a page");
+        let page = page("heliostat-lab eval '<u>'", &scenario, Some(&grid), &reports).expect("a page");
         for element in ["<script", "<b>lab", "<i>", "<u>", "\u{1b}"] {
             assert!(!page.contains(element), "{element} in\n{page}");
         }

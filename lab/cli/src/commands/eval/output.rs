@@ -1,19 +1,21 @@
-//! A comparison as tables and as CSV.
+//! A comparison as tables.
 
 use std::io;
 
-use anyhow::Result;
-use heliostat_learn::comparison::{BeliefQuality, Loop, Report, Row, Spread};
+use heliostat_learn::comparison::{BeliefQuality, EPISODES_MIN, Loop, Report, Row, Spread};
 
 use heliostat_service::counted::counted;
 
-use super::sweep::Sweep;
+use super::sweep::Grid;
 use heliostat_service::outln;
+
+/// The name of the oracle's row.
+pub(super) const ORACLE: &str = "(oracle)";
 
 /// The oracle's row, then those of the policies.
 pub(super) fn rows(report: &Report) -> impl Iterator<Item = (&str, &Row)> {
     let policies = report.policies.iter().map(|(name, row)| (name.as_str(), row));
-    std::iter::once(("(oracle)", &report.oracle)).chain(policies)
+    std::iter::once((ORACLE, &report.oracle)).chain(policies)
 }
 
 /// Width of the column of names.
@@ -63,7 +65,7 @@ pub fn print_table(report: &Report) -> io::Result<()> {
             time(row.decision_us.map(|times| times.p99)),
         )?;
     }
-    note_on_seeds(report)?;
+    note_on_episodes(std::slice::from_ref(report))?;
     outln!("trained: number of training seeds of a learned policy; the interval includes their spread")?;
     outln!(
         "±: half the width of the 95 % confidence interval of the mean; ratio: to the sum rate of the oracle with minimum rates; p5: its 5th percentile"
@@ -72,7 +74,19 @@ pub fn print_table(report: &Report) -> io::Result<()> {
     print_differences(report)?;
     print_outages(report)?;
     print_beliefs(report)?;
-    report.conditions.iter().try_for_each(|condition| outln!("belief: {condition}"))
+    print_conditions(std::slice::from_ref(report))
+}
+
+/// Prints each condition of the rooms once.
+fn print_conditions(reports: &[Report]) -> io::Result<()> {
+    let mut known = Vec::new();
+    for condition in reports.iter().flat_map(|report| &report.conditions) {
+        if !known.contains(&condition) {
+            outln!("condition: {condition}")?;
+            known.push(condition);
+        }
+    }
+    Ok(())
 }
 
 /// Prints number and lengths of the outages in closed loop.
@@ -152,54 +166,113 @@ pub(super) fn belief_columns() -> [BeliefColumn; 6] {
     ]
 }
 
-/// Prints ratio and QoS met of every policy, then their sum rates, one line for each value of the
-/// key.
-pub fn print_sweep(sweep: &Sweep, reports: &[Report]) -> io::Result<()> {
+/// Prints ratio and QoS met of every policy, then their sum rates, and in closed loop the time in
+/// outage: one line for each point.
+pub fn print_sweep(grid: &Grid, reports: &[Report]) -> io::Result<()> {
     let Some(first) = reports.first() else { return Ok(()) };
     outln!("ratio to the oracle with minimum rates, and share of minimum rates met; {}", states_and_seeds(first))?;
-    note_on_seeds(first)?;
-    print_columns(sweep, reports, |row| {
+    print_columns(grid, reports, |row| {
         (number(row.qos_met.mean, 3), format!("{} {}", interval(row.ratio_to_oracle, 3), number(row.qos_met.mean, 3)))
     })?;
     outln!("sum rate in Mbit/s")?;
-    print_columns(sweep, reports, |row| (number(row.sum_rate_mbps.mean, 1), interval(row.sum_rate_mbps, 1)))
+    print_columns(grid, reports, |row| (number(row.sum_rate_mbps.mean, 1), interval(row.sum_rate_mbps, 1)))?;
+    if first.oracle.outage_time.is_some() {
+        outln!("outage: share of the users' time below the minimum rate")?;
+        let outage = |row: &Row| row.outage_time.unwrap_or(Spread::MISSING);
+        print_columns(grid, reports, |row| (number(outage(row).mean, 3), interval(outage(row), 3)))?;
+    }
+    note_on_episodes(reports)?;
+    print_conditions(reports)
 }
 
 /// Prints a column for the oracle and one for each policy; `cell` returns the text for each of the
 /// two.
-fn print_columns(sweep: &Sweep, reports: &[Report], cell: impl Fn(&Row) -> (String, String)) -> io::Result<()> {
+fn print_columns(grid: &Grid, reports: &[Report], cell: impl Fn(&Row) -> (String, String)) -> io::Result<()> {
     let width = |name: &str| name.len().max(18);
     let header = reports.iter().take(1).flat_map(|report| &report.policies);
     let header: Vec<String> = header.map(|(name, _)| format!("{name:>0$}", width(name))).collect();
-    outln!("{:>24} {:>8} {}", sweep.key(), "(oracle)", header.join(" "))?;
-    for (value, report) in sweep.values().iter().zip(reports) {
+    let keys: Vec<String> = grid.keys().map(|key| format!("{key:>24}")).collect();
+    outln!("{} {:>8} {}", keys.join(" "), ORACLE, header.join(" "))?;
+    for (point, report) in grid.points().iter().zip(reports) {
         let cells = report.policies.iter().map(|(name, row)| format!("{:>1$}", cell(row).1, width(name)));
-        outln!("{value:>24} {:>8} {}", cell(&report.oracle).0, cells.collect::<Vec<_>>().join(" "))?;
+        let values: Vec<String> = point.iter().map(|value| format!("{value:>24}")).collect();
+        outln!("{} {:>8} {}", values.join(" "), cell(&report.oracle).0, cells.collect::<Vec<_>>().join(" "))?;
     }
     Ok(())
 }
 
 fn states_and_seeds(report: &Report) -> String {
     let states = counted(report.states, "state");
-    match report.seeds {
+    let states = match report.seeds {
         1 => format!("{states} of the seed {}", report.seed),
         seeds => format!("{states} for each of {seeds} seeds from {}", report.seed),
+    };
+    match report.mode {
+        // Each state is a room of its own.
+        Loop::Static => states,
+        Loop::ClosedLoop => format!("{} with {states}", counted(report.episodes, "episode")),
     }
 }
 
-/// Says why a figure has no interval.
-fn note_on_seeds(report: &Report) -> io::Result<()> {
-    if report.oracle.sum_rate_mbps.ci95.is_nan() {
-        outln!("one seed gives no confidence interval: use --seeds 2 or more")?;
-    }
-    Ok(())
+/// Why a figure has no interval, or one that says little; nothing where all is well.
+pub(super) fn notes_on_episodes(reports: &[Report]) -> Vec<String> {
+    let mut notes = Vec::new();
+    let Some(few) = reports.iter().find(|report| report.has_few_episodes()) else {
+        return crossing(reports).into_iter().collect();
+    };
+    let is_single = few.oracle.sum_rate_mbps.ci95.is_nan();
+    let found = counted(few.episodes, few.group());
+    notes.push(if is_single {
+        format!(
+            "warning: {found} gives no confidence interval: use --episodes {EPISODES_MIN} or more, or --seeds 2 or more"
+        )
+    } else {
+        format!(
+            "warning: the intervals come from {found}; use at least {EPISODES_MIN}, for example --episodes {}",
+            EPISODES_MIN.div_ceil(few.seeds)
+        )
+    });
+    notes.extend(crossing(reports));
+    notes
 }
 
-fn ber(spread: Spread) -> String {
+/// What a marked interval means, if there is one.
+fn crossing(reports: &[Report]) -> Option<String> {
+    let of_row = |row: &Row| {
+        let spreads = [row.sum_rate_mbps, row.ratio_to_oracle, row.qos_met, row.jain, row.blocked_rate_mbps, row.ber];
+        spreads.into_iter().chain(row.outage_time).any(|spread| spread.crosses_bound)
+    };
+    let of_belief = |quality: &BeliefQuality| {
+        let errors = [quality.place_error_cm, quality.heading_error_walking_deg, quality.heading_error_standing_deg];
+        errors.into_iter().chain([quality.coverage_50, quality.coverage_95]).any(|spread| spread.crosses_bound)
+    };
+    let marked = reports.iter().any(|report| {
+        rows(report).any(|(_, row)| of_row(row)) || report.beliefs.iter().any(|(_, quality)| of_belief(quality))
+    });
+    marked.then(|| {
+        format!(
+            "{CROSSES}: the interval reaches beyond what the figure can be, such as below 0; more episodes narrow it"
+        )
+    })
+}
+
+fn note_on_episodes(reports: &[Report]) -> io::Result<()> {
+    notes_on_episodes(reports).iter().try_for_each(|note| outln!("{note}"))
+}
+
+/// Marks an interval that reaches beyond the bounds of its quantity.
+const CROSSES: &str = "*";
+
+/// The mark of an interval, or nothing.
+pub(super) fn mark(spread: Spread) -> &'static str {
+    if spread.crosses_bound { CROSSES } else { "" }
+}
+
+pub(super) fn ber(spread: Spread) -> String {
     match (spread.mean.is_nan(), spread.ci95.is_nan()) {
         (true, _) => "-".into(),
         (false, true) => format!("{:.2e}", spread.mean),
-        (false, false) => format!("{:.2e} ±{:.1e}", spread.mean, spread.ci95),
+        (false, false) => format!("{:.2e} ±{:.1e}{}", spread.mean, spread.ci95, mark(spread)),
     }
 }
 
@@ -208,7 +281,7 @@ pub(super) fn interval(spread: Spread, digits: usize) -> String {
     if spread.ci95.is_nan() {
         return number(spread.mean, digits);
     }
-    format!("{:.digits$} ±{:.digits$}", spread.mean, spread.ci95)
+    format!("{:.digits$} ±{:.digits$}{}", spread.mean, spread.ci95, mark(spread))
 }
 
 /// A difference with its sign, and half the width of its interval.
@@ -219,42 +292,4 @@ pub(super) fn signed(spread: Spread, digits: usize) -> String {
 /// A number, or a dash for NaN.
 pub(super) fn number(value: f64, digits: usize) -> String {
     if value.is_nan() { "-".into() } else { format!("{value:.digits$}") }
-}
-
-/// A CSV file with a line for each policy; in a sweep the first column is the value of the key.
-pub fn csv(sweep: Option<&Sweep>, reports: &[Report]) -> Result<Vec<u8>> {
-    let mut writer = csv::Writer::from_writer(Vec::new());
-    let mut header: Vec<String> = sweep.map(|sweep| sweep.key().to_owned()).into_iter().collect();
-    header.push("policy".into());
-    for (name, _) in reports.iter().take(1).flat_map(|report| spreads(&report.oracle)) {
-        header.extend(["mean", "ci95", "p5"].map(|part| format!("{name}_{part}")));
-    }
-    header.extend(["decision_us_p50", "decision_us_p99", "training_seeds"].map(String::from));
-    writer.write_record(&header)?;
-    for (index, report) in reports.iter().enumerate() {
-        for (name, row) in rows(report) {
-            let figures = spreads(row).into_iter().flat_map(|(_, spread)| [spread.mean, spread.ci95, spread.p5]);
-            let times = row.decision_us.map_or([f64::NAN; 2], |times| [times.p50, times.p99]);
-            let trained = row.training_seeds.map_or(f64::NAN, |seeds| seeds as f64);
-            let cells = figures.chain(times).chain([trained]);
-            let cells = cells.map(|value| if value.is_nan() { String::new() } else { value.to_string() });
-            let value = sweep.map(|sweep| sweep.values()[index].clone());
-            writer.write_record(value.into_iter().chain([name.to_owned()]).chain(cells))?;
-        }
-    }
-    Ok(writer.into_inner()?)
-}
-
-/// The figures of a row by name.
-fn spreads(row: &Row) -> Vec<(&'static str, Spread)> {
-    let mut spreads = vec![
-        ("sum_rate_mbps", row.sum_rate_mbps),
-        ("ratio_to_oracle", row.ratio_to_oracle),
-        ("qos_met", row.qos_met),
-        ("jain", row.jain),
-        ("blocked_rate_mbps", row.blocked_rate_mbps),
-        ("ber", row.ber),
-    ];
-    spreads.extend(row.outage_time.map(|outage| ("outage_time", outage)));
-    spreads
 }

@@ -1,4 +1,4 @@
-//! Several values of a scenario key: `users.count=1..10`, `noise.variance_a2=2e-15,6.5e-15,2e-14`.
+//! Several values of one or two scenario keys: `users.count=1..10`, `noise.variance_a2=2e-15,6.5e-15,2e-14`.
 
 use std::str::FromStr;
 
@@ -22,10 +22,86 @@ impl Sweep {
     pub fn values(&self) -> &[String] {
         &self.values
     }
+}
 
-    /// The changes to the scenario, one for each value.
-    pub fn overrides(&self) -> impl Iterator<Item = String> {
-        self.values.iter().map(|value| format!("{}={value}", self.key))
+/// The points of one sweep, or of each combination of two.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Grid<'a> {
+    sweeps: &'a [Sweep],
+    /// One value for each key; the last key changes fastest.
+    points: Vec<Vec<&'a str>>,
+}
+
+/// A point of a sweep as changes to a scenario.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Change {
+    /// Overrides of the form `table.key=value`.
+    pub overrides: Vec<String>,
+    /// The point has no mirrors, which no scenario describes.
+    pub without_mirrors: bool,
+}
+
+impl<'a> Grid<'a> {
+    /// `None` without a sweep.
+    ///
+    /// # Errors
+    /// More than two sweeps, two of one key, or too many points.
+    pub fn new(sweeps: &'a [Sweep]) -> Result<Option<Self>, String> {
+        let Some((first, others)) = sweeps.split_first() else { return Ok(None) };
+        if others.len() > 1 {
+            return Err(format!("--sweep is given {} times: expected at most two keys", sweeps.len()));
+        }
+        if others.iter().any(|other| other.key == first.key) {
+            return Err(format!(
+                "--sweep {} is given twice: expected another key, or all values in one list",
+                first.key
+            ));
+        }
+        let seconds: Vec<Option<&str>> = match others {
+            [other] => other.values.iter().map(|value| Some(value.as_str())).collect(),
+            _ => vec![None],
+        };
+        let of_first = |value: &'a String| seconds.iter().map(move |other| [Some(value.as_str()), *other]);
+        let points: Vec<Vec<&str>> =
+            first.values.iter().flat_map(of_first).map(|point| point.into_iter().flatten().collect()).collect();
+        if points.len() > VALUES_MAX {
+            return Err(format!("--sweep has {} combinations: expected at most {VALUES_MAX}", points.len()));
+        }
+        Ok(Some(Self { sweeps, points }))
+    }
+
+    /// The keys, one or two.
+    pub fn keys(&self) -> impl Iterator<Item = &'a str> {
+        self.sweeps.iter().map(Sweep::key)
+    }
+
+    /// The values of each key.
+    pub fn sweeps(&self) -> &'a [Sweep] {
+        self.sweeps
+    }
+
+    /// The values of the keys at each point.
+    pub fn points(&self) -> &[Vec<&'a str>] {
+        &self.points
+    }
+
+    /// The changes to the scenario at each point. A room of 0 rows or columns of mirrors has none.
+    pub fn changes(&self) -> impl Iterator<Item = Change> {
+        self.points.iter().map(|point| {
+            let mut without_mirrors = false;
+            let overrides = self.keys().zip(point).map(|(key, value)| {
+                let is_none = matches!(key, "mirrors.rows" | "mirrors.columns") && *value == "0";
+                without_mirrors |= is_none;
+                format!("{key}={}", if is_none { "1" } else { value })
+            });
+            let overrides = overrides.collect();
+            Change { overrides, without_mirrors }
+        })
+    }
+
+    /// A point in words, as `users.count = 3, led.power_w = 2`.
+    pub fn name(&self, point: &[&str]) -> String {
+        self.keys().zip(point).map(|(key, value)| format!("{key} = {value}")).collect::<Vec<_>>().join(", ")
     }
 }
 
@@ -61,13 +137,37 @@ mod tests {
     fn ranges_hold_both_ends_and_lists_keep_their_order() {
         let sweep: Sweep = "users.count=1..4".parse().expect("a range");
         assert_eq!((sweep.key(), sweep.values().len()), ("users.count", 4));
-        assert_eq!(sweep.overrides().last().as_deref(), Some("users.count=4"));
+        assert_eq!(sweep.values().last().map(String::as_str), Some("4"));
         let sweep: Sweep = "noise.variance_a2=6.5e-15, 2e-15".parse().expect("a list");
         assert_eq!(sweep.values(), ["6.5e-15", "2e-15"]);
         assert_eq!("seed=1..1000".parse::<Sweep>().expect("a range").values().len(), 1000);
         assert!("seed=0..4294967295".parse::<Sweep>().expect_err("too many").contains("at most 1000"));
         for text in ["users.count", "=1..3", "users.count=3..1", "users.count=1,,2", "users.count=a..b"] {
             assert!(text.parse::<Sweep>().is_err(), "{text}");
+        }
+    }
+
+    fn sweeps(texts: &[&str]) -> Vec<Sweep> {
+        texts.iter().map(|text| text.parse().expect("a sweep")).collect()
+    }
+
+    #[test]
+    fn two_keys_give_each_combination_and_a_room_may_have_no_mirrors() {
+        let two = sweeps(&["mirrors.rows=0,2", "users.count=1..3"]);
+        let grid = Grid::new(&two).expect("two keys").expect("a sweep");
+        assert_eq!(grid.points().len(), 6);
+        assert_eq!(grid.name(&grid.points()[5]), "mirrors.rows = 2, users.count = 3");
+        let changes: Vec<Change> = grid.changes().collect();
+        assert_eq!((changes[1].overrides[0].as_str(), changes[1].without_mirrors), ("mirrors.rows=1", true));
+        assert_eq!((changes[3].overrides[0].as_str(), changes[3].without_mirrors), ("mirrors.rows=2", false));
+        assert_eq!(Grid::new(&[]), Ok(None));
+        for (texts, part) in [
+            (&["a.b=1", "a.b=2"][..], "given twice"),
+            (&["a.b=1", "a.c=2", "a.d=3"], "at most two keys"),
+            (&["a.b=1..40", "a.c=1..40"], "1600 combinations"),
+        ] {
+            let refused = Grid::new(&sweeps(texts)).expect_err("refused");
+            assert!(refused.contains(part), "{refused}");
         }
     }
 }

@@ -3,6 +3,7 @@
 use std::fmt::Write;
 
 use anyhow::{Context, Result};
+use heliostat_learn::comparison::EPISODES_MIN;
 use heliostat_reproduce::command::quoted;
 use serde_json::Value;
 
@@ -49,6 +50,9 @@ fn write_section(definition: &Definition, section: &Section, finished: &Finished
     let load = load.map_or(String::new(), |load| format!(", load {load:.1}"));
     writeln!(text, "## {}\n\n{}\n\n```\n{}\n```\n", section.title, section.about, command(arguments))?;
     writeln!(text, "{}{made}, commit {commit}, {machine}{load}, {seconds:.0} s.\n", states(output))?;
+    for note in notes(output) {
+        writeln!(text, "{note}\n")?;
+    }
     for table in &section.tables {
         let rows = rows(output, &table.rows, arguments)?;
         let named = !output.pointer(&table.rows).is_some_and(Value::is_array) || output["sweep"].is_string();
@@ -77,9 +81,34 @@ fn states(output: &Value) -> String {
     let report = output.pointer("/reports/0/report").unwrap_or(output);
     let number = |name: &str| report[name].as_u64();
     match (number("states"), number("seeds"), number("seed")) {
-        (Some(states), Some(seeds), Some(seed)) => format!("States per seed: {states}. Seeds: {seeds}, from {seed}. "),
+        (Some(states), Some(seeds), Some(seed)) => {
+            let episodes = number("episodes").map_or(String::new(), |episodes| {
+                let few = if episodes < EPISODES_MIN as u64 { ", too few for its intervals" } else { "" };
+                format!("Episodes: {episodes}{few}. ")
+            });
+            format!("States per seed: {states}. Seeds: {seeds}, from {seed}. {episodes}")
+        }
         _ => String::new(),
     }
+}
+
+/// The methods whose conditions the rooms do not meet, and what a marked interval means.
+fn notes(output: &Value) -> Vec<String> {
+    let reports = output["reports"].as_array().map(|reports| reports.iter().map(|report| &report["report"]).collect());
+    let reports: Vec<&Value> = reports.unwrap_or_else(|| vec![output]);
+    let mut notes: Vec<String> = Vec::new();
+    for condition in reports.iter().filter_map(|report| report["conditions"].as_array()).flatten() {
+        let part = |name: &str| condition[name].as_str().unwrap_or_default();
+        let note =
+            format!("Condition: {} does not apply: {}: {}.", part("method"), part("because"), part("consequence"));
+        if !notes.contains(&note) {
+            notes.push(note);
+        }
+    }
+    if output.to_string().contains("\"crosses_bound\":true") {
+        notes.push("\\*: the interval reaches beyond what the figure can be, such as below 0.".into());
+    }
+    notes
 }
 
 /// Four significant digits.
@@ -183,6 +212,22 @@ mod tests {
         ] {
             assert!(text.contains(expected), "{expected} is missing in:\n{text}");
         }
+    }
+
+    #[test]
+    fn episodes_conditions_and_marked_intervals_are_stated_once() {
+        let condition = json!({ "method": "the filter", "because": "no gains", "consequence": "no headings" });
+        let report = json!({
+            "states": 40, "seeds": 2, "seed": 1, "episodes": 4, "conditions": [condition],
+            "oracle": { "ratio": { "mean": 0.0, "ci95": 0.1, "crosses_bound": true } },
+        });
+        let swept = json!({ "reports": [{ "report": report }, { "report": report }] });
+        assert_eq!(states(&swept), "States per seed: 40. Seeds: 2, from 1. Episodes: 4, too few for its intervals. ");
+        let found = notes(&swept);
+        assert_eq!(found.len(), 2, "{found:?}");
+        assert_eq!(found[0], "Condition: the filter does not apply: no gains: no headings.");
+        assert!(found[1].contains("beyond what the figure can be"), "{found:?}");
+        assert!(notes(&json!({ "rows": [] })).is_empty());
     }
 
     #[test]

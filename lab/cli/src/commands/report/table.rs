@@ -124,6 +124,7 @@ fn cell(value: &Value, form: Form) -> String {
         },
         Form::Number(digits) => number(value, digits),
         Form::Interval(digits) => number(&value["mean"], digits).map(|mean| match number(&value["ci95"], digits) {
+            Some(half) if value["crosses_bound"] == true => format!("{mean} ± {half}\\*"),
             Some(half) => format!("{mean} ± {half}"),
             None => mean,
         }),
@@ -192,6 +193,15 @@ mod tests {
         let output = json!({ "sweep": "users.count", "reports": [swept("1"), swept("2")] });
         let rows = rows(&output, SWEEP, &arguments("eval --policies greedy,flat")).unwrap();
         assert_eq!((rows.len(), rows[0].0.as_str(), rows[5].0.as_str()), (8, "1: (oracle)", "2: greedy"));
+    }
+
+    #[test]
+    fn an_interval_beyond_the_bounds_of_its_figure_is_marked() {
+        let of = |crosses: bool| json!({ "mean": 0.01, "ci95": 0.02, "crosses_bound": crosses });
+        assert_eq!(
+            [true, false].map(|crosses| cell(&of(crosses), Form::Interval(2))),
+            ["0.01 ± 0.02\\*", "0.01 ± 0.02"]
+        );
     }
 
     #[test]

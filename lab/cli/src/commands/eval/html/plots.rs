@@ -10,7 +10,7 @@ use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::super::output::rows;
-use super::super::sweep::Sweep;
+use super::super::sweep::Grid;
 
 /// Width of a plot, of its column of names, and height of a row and of the axis, in pixels.
 const WIDTH: u32 = 600;
@@ -32,19 +32,27 @@ struct Dot<'a> {
 /// A figure of a row, and its title.
 type Quantity = (&'static str, fn(&Row) -> Spread);
 
-const QUANTITIES: [Quantity; 3] = [
+const QUANTITIES: [Quantity; 4] = [
     ("sum rate (Mbit/s)", |row| row.sum_rate_mbps),
     ("ratio to the oracle", |row| row.ratio_to_oracle),
     ("QoS met (share of the users)", |row| row.qos_met),
+    ("outage (share of the users' time)", |row| row.outage_time.unwrap_or(Spread::MISSING)),
 ];
+
+/// The quantities that a comparison has.
+fn quantities(report: &Report) -> impl Iterator<Item = Quantity> {
+    let has = |(_, quantity): &Quantity| !quantity(&report.oracle).mean.is_nan();
+    QUANTITIES.into_iter().filter(has)
+}
 
 /// A plot of each quantity by policy, and one of the decision times where they are measured.
 pub fn by_policy(report: &Report) -> Result<String> {
     let mut plots = String::new();
-    for (title, quantity) in QUANTITIES {
+    for (title, quantity) in quantities(report) {
         let dots = rows(report).map(|(name, row)| {
-            let Spread { mean, ci95, .. } = quantity(row);
-            Dot { name, at: mean, low: mean - ci95, high: mean + ci95 }
+            let spread = quantity(row);
+            let [low, high] = spread.ends();
+            Dot { name, at: spread.mean, low, high }
         });
         plots += &draw(&format!("{title}, 95 % interval of the mean"), false, &dots.collect::<Vec<_>>())?;
     }
@@ -73,8 +81,9 @@ fn differences(report: &Report) -> Result<String> {
     let mut plots = String::new();
     for ([figure, unit], difference) in DIFFERENCES {
         let dots = report.policies.iter().filter_map(|(name, row)| {
-            let Spread { mean, ci95, .. } = difference(row)?;
-            Some(Dot { name, at: mean, low: mean - ci95, high: mean + ci95 })
+            let spread = difference(row)?;
+            let [low, high] = spread.ends();
+            Some(Dot { name, at: spread.mean, low, high })
         });
         let dots: Vec<Dot> = dots.collect();
         if !dots.is_empty() {
@@ -85,33 +94,44 @@ fn differences(report: &Report) -> Result<String> {
     Ok(plots)
 }
 
-/// A curve of each quantity for each policy over the values of the sweep; none if a value is no number.
-pub fn over(sweep: &Sweep, reports: &[Report]) -> Result<String> {
-    let values: Result<Vec<f64>, _> = sweep.values().iter().map(|value| value.parse::<f64>()).collect();
+/// A curve of each quantity for each policy over the values of the first key, in one panel for each
+/// value of a second key; none if a value of the first key is no number.
+pub fn over(grid: &Grid, reports: &[Report]) -> Result<String> {
+    let values: Result<Vec<f64>, _> = grid.points().iter().map(|point| point[0].parse::<f64>()).collect();
     let Some(values) = values.ok().filter(|values| values.iter().all(|value| value.is_finite())) else {
         return Ok(String::new());
     };
+    let seconds: Vec<Option<&str>> = match grid.sweeps() {
+        [_, second] => second.values().iter().map(|value| Some(value.as_str())).collect(),
+        _ => vec![None],
+    };
     let mut plots = String::new();
-    for (title, quantity) in QUANTITIES {
-        let names = rows(&reports[0]).map(|(name, _)| name).enumerate();
-        let series = names.map(|(index, name)| {
-            let points = reports.iter().zip(&values).filter_map(|(report, x)| {
-                let spread = quantity(rows(report).nth(index)?.1);
-                let ci95 = (!spread.ci95.is_nan()).then_some(spread.ci95);
-                (!spread.mean.is_nan()).then_some(Point { x: *x, y: spread.mean, ci95, x_ci95: None })
+    for (title, quantity) in quantities(&reports[0]) {
+        let panels = seconds.iter().map(|second| {
+            let points = || reports.iter().zip(&values).zip(grid.points());
+            let points = || points().filter(|(_, point)| point.get(1).copied() == *second).map(|(found, _)| found);
+            let series = rows(&reports[0]).enumerate().map(|(index, (name, _))| {
+                let points = points().filter_map(|(report, x)| {
+                    let spread = quantity(rows(report).nth(index)?.1);
+                    let ci95 = (!spread.ci95.is_nan()).then_some(spread.ci95);
+                    (!spread.mean.is_nan()).then_some(Point { x: *x, y: spread.mean, ci95, x_ci95: None })
+                });
+                let mut points: Vec<Point> = points.collect();
+                points.sort_by(|one, other| one.x.total_cmp(&other.x));
+                // The style knows the oracle by its plain name.
+                Series { name: printable(name.trim_matches(['(', ')'])).into_owned(), points }
             });
-            // The style knows the oracle by its plain name.
-            let name = printable(name.trim_matches(['(', ')'])).into_owned();
-            let mut points: Vec<Point> = points.collect();
-            points.sort_by(|one, other| one.x.total_cmp(&other.x));
-            Series { name, points }
+            let key = grid.keys().nth(1).unwrap_or_default();
+            let title = second.map_or(String::new(), |value| printable(&format!("{key} = {value}")).into_owned());
+            Panel { title, series: series.collect(), ..Panel::default() }
         });
+        let [low, high] = quantity(&reports[0].oracle).bounds;
         let figure = Figure {
             room: printable(&reports[0].scenario).into_owned(),
             title: title.into(),
-            x: Axis::linear(&printable(sweep.key())),
-            y: Axis::linear(title),
-            panels: vec![Panel { series: series.collect(), ..Panel::default() }],
+            x: Axis::linear(&printable(grid.keys().next().unwrap_or_default())),
+            y: Axis { bounds: low.is_finite().then_some([low, high]), ..Axis::linear(title) },
+            panels: panels.collect(),
             ..Figure::default()
         };
         plots += &svg::draw(&figure)?;

@@ -4,17 +4,17 @@
 //! rate. It ends when the user leaves or the episode ends, so the longest outages are cut off at
 //! the length of an episode.
 
-use heliostat_environment::episodes::OUTAGE_STEP_NS;
 use serde::Serialize;
 
-use crate::evaluation::statistics::quantile;
+use crate::episodes::OUTAGE_STEP_NS;
+use crate::statistics::quantile;
 
 /// Lengths in s for which [`Outages`] states the time in longer outages.
 pub const OUTAGE_LENGTHS_S: [f64; 3] = [0.1, 0.5, 2.0];
 
 /// The outages of one episode.
 #[derive(Clone, Debug, Default)]
-pub(super) struct OutageLog {
+pub struct OutageLog {
     /// Users whose outage lasts, with its number of samples.
     open: Vec<(u32, u64)>,
     /// The number of samples of each outage that has ended.
@@ -62,7 +62,7 @@ pub struct Outages {
 
 impl Outages {
     /// The distribution over episodes; `None` without a sample.
-    pub(super) fn of<'a>(logs: impl Iterator<Item = &'a OutageLog>) -> Option<Self> {
+    pub fn of<'a>(logs: impl Iterator<Item = &'a OutageLog>) -> Option<Self> {
         let step_s = OUTAGE_STEP_NS as f64 * 1e-9;
         let (mut lengths_s, mut samples) = (Vec::new(), 0);
         for log in logs {

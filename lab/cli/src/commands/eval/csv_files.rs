@@ -1,0 +1,93 @@
+//! A comparison as CSV files.
+
+use anyhow::Result;
+use heliostat_learn::comparison::{Report, Row, Spread};
+use heliostat_reproduce::machine;
+
+use super::output::{ORACLE, rows};
+use super::sweep::Grid;
+
+/// Columns that say where a line comes from.
+const ORIGIN: [&str; 3] = ["scenario", "configuration", "commit"];
+
+fn origin(report: &Report) -> [String; 3] {
+    [report.scenario.clone(), report.configuration.clone(), machine::COMMIT.into()]
+}
+
+/// The first columns: the keys of a sweep.
+fn keys(grid: Option<&Grid>) -> Vec<String> {
+    grid.map(|grid| grid.keys().map(String::from).collect()).unwrap_or_default()
+}
+
+/// The values of the keys at a point.
+fn values(grid: Option<&Grid>, index: usize) -> Vec<String> {
+    grid.map(|grid| grid.points()[index].iter().map(|value| (*value).to_owned()).collect()).unwrap_or_default()
+}
+
+fn cell(value: f64) -> String {
+    if value.is_nan() { String::new() } else { value.to_string() }
+}
+
+/// A line for each policy; in a sweep the first columns are the values of the keys.
+pub fn by_policy(grid: Option<&Grid>, reports: &[Report]) -> Result<Vec<u8>> {
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    let mut header = keys(grid);
+    header.push("policy".into());
+    for (name, _) in reports.iter().take(1).flat_map(|report| spreads(&report.oracle)) {
+        header.extend(["mean", "ci95", "p5"].map(|part| format!("{name}_{part}")));
+    }
+    header.extend(["decision_us_p50", "decision_us_p99", "training_seeds", "episodes"].map(String::from));
+    header.extend(ORIGIN.map(String::from));
+    writer.write_record(&header)?;
+    for (index, report) in reports.iter().enumerate() {
+        for (name, row) in rows(report) {
+            let figures = spreads(row).into_iter().flat_map(|(_, spread)| [spread.mean, spread.ci95, spread.p5]);
+            let times = row.decision_us.map_or([f64::NAN; 2], |times| [times.p50, times.p99]);
+            let trained = row.training_seeds.map_or(f64::NAN, |seeds| seeds as f64);
+            let cells = figures.chain(times).chain([trained, report.episodes as f64]).map(cell);
+            writer.write_record(
+                values(grid, index).into_iter().chain([name.to_owned()]).chain(cells).chain(origin(report)),
+            )?;
+        }
+    }
+    Ok(writer.into_inner()?)
+}
+
+/// A line for each policy, actor and episode; in a static comparison an episode is one state.
+pub fn by_episode(grid: Option<&Grid>, reports: &[Report]) -> Result<Vec<u8>> {
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    let mut header = keys(grid);
+    header.extend(["policy", "actor", "seed", "room_seed", "states"].map(String::from));
+    let figures = reports.iter().flat_map(|report| &report.each).take(1).flat_map(|row| &row.figures);
+    header.extend(figures.map(|(name, _)| (*name).to_owned()));
+    header.extend(ORIGIN.map(String::from));
+    writer.write_record(&header)?;
+    for (index, report) in reports.iter().enumerate() {
+        for row in &report.each {
+            let of = [
+                row.policy.clone().unwrap_or_else(|| ORACLE.into()),
+                row.actor.map_or(String::new(), |actor| actor.to_string()),
+                row.group.set.to_string(),
+                row.group.room.to_string(),
+                row.states.to_string(),
+            ];
+            let figures = row.figures.iter().map(|(_, value)| cell(*value));
+            writer.write_record(values(grid, index).into_iter().chain(of).chain(figures).chain(origin(report)))?;
+        }
+    }
+    Ok(writer.into_inner()?)
+}
+
+/// The figures of a row by name.
+fn spreads(row: &Row) -> Vec<(&'static str, Spread)> {
+    let mut spreads = vec![
+        ("sum_rate_mbps", row.sum_rate_mbps),
+        ("ratio_to_oracle", row.ratio_to_oracle),
+        ("qos_met", row.qos_met),
+        ("jain", row.jain),
+        ("blocked_rate_mbps", row.blocked_rate_mbps),
+        ("ber", row.ber),
+    ];
+    spreads.extend(row.outage_time.map(|outage| ("outage_time", outage)));
+    spreads
+}

@@ -1,0 +1,95 @@
+//! The figures of each policy in each episode, from which a reader can compute other statistics.
+
+use heliostat_environment::episodes::HeldOutEpisode;
+use heliostat_environment::held_out::held_out_seed;
+use heliostat_environment::outage::Outages;
+use heliostat_environment::statistics::{mean, present};
+
+use super::evaluator::{Run, Sample};
+use super::row::ratio;
+use super::settings::{Loop, Settings};
+
+/// A room of a comparison with its states.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Group {
+    /// The room seed of the comparison.
+    pub set: u64,
+    /// The seed of the room itself.
+    pub room: u64,
+}
+
+/// The figures of one policy in one episode, or in one state of a static comparison.
+#[derive(Clone, Debug)]
+pub struct EpisodeRow {
+    /// The policy; `None` for the oracle.
+    pub policy: Option<String>,
+    /// Index among the actors of a learned policy, from 1.
+    pub actor: Option<usize>,
+    /// The room.
+    pub group: Group,
+    /// Number of its states.
+    pub states: usize,
+    /// Figures by name; NaN is a missing value.
+    pub figures: Vec<(&'static str, f64)>,
+}
+
+/// The rooms of a comparison in closed loop.
+pub(super) fn of_episodes(settings: &Settings, episodes: &[HeldOutEpisode]) -> Vec<Group> {
+    let first = settings.scenario.seed;
+    episodes.iter().map(|episode| Group { set: first.wrapping_add(episode.set), room: episode.seed }).collect()
+}
+
+/// The rooms of a static comparison, one for each state.
+pub(super) fn of_states(settings: &Settings) -> Vec<Group> {
+    let sets = (0..settings.seeds as u64).map(|set| settings.scenario.seed.wrapping_add(set));
+    let states = settings.states as u64;
+    sets.flat_map(|set| (0..states).map(move |index| Group { set, room: held_out_seed(set, index) })).collect()
+}
+
+/// The figures of the oracle, then those of each policy.
+pub(super) fn rows(
+    settings: &Settings,
+    groups: &[Group],
+    runs: &[Vec<Run>],
+    oracle: &[Vec<Sample>],
+) -> Vec<EpisodeRow> {
+    let mut rows = Vec::new();
+    let mut push = |of: (Option<&str>, Option<usize>), samples: &[Vec<Sample>], outages: &[Option<Outages>]| {
+        for (index, (group, own)) in groups.iter().zip(samples).enumerate() {
+            let figures = figures(settings.mode, (own, &oracle[index]), outages.get(index).copied().flatten());
+            let (policy, actor) = (of.0.map(String::from), of.1);
+            rows.push(EpisodeRow { policy, actor, group: *group, states: own.len(), figures });
+        }
+    };
+    push((None, None), oracle, &[]);
+    for (evaluated, runs) in settings.policies.iter().zip(runs) {
+        for (index, run) in runs.iter().enumerate() {
+            let actor = evaluated.is_learned().then_some(index + 1);
+            // The draws of a random policy have outages of their own, and one row together.
+            let is_one = run.outages.len() == run.groups.len();
+            let outages = run.outages.iter().filter(|_| is_one).map(|log| Outages::of(std::iter::once(log)));
+            push((Some(evaluated.name()), actor), &run.groups, &outages.collect::<Vec<_>>());
+        }
+    }
+    rows
+}
+
+fn figures(mode: Loop, (own, oracle): (&[Sample], &[Sample]), outages: Option<Outages>) -> Vec<(&'static str, f64)> {
+    let of = |value: fn(&Sample) -> f64| mean(&present(&own.iter().map(value).collect::<Vec<_>>()));
+    let ratios: Vec<f64> = own.iter().zip(oracle).map(|(own, best)| ratio(own, best)).collect();
+    let mut figures = vec![
+        ("sum_rate_mbps", of(|sample| sample.sum_rate_mbps)),
+        ("ratio_to_oracle", mean(&present(&ratios))),
+        ("qos_met", of(|sample| sample.met)),
+        ("jain", of(|sample| sample.jain)),
+        ("blocked_rate_mbps", of(|sample| sample.blocked_rate_mbps)),
+        ("ber", of(|sample| sample.ber)),
+    ];
+    if mode == Loop::ClosedLoop {
+        figures.push(("outage_time", of(|sample| 1.0 - sample.met)));
+        let outage = |value: fn(&Outages) -> f64| outages.as_ref().map_or(f64::NAN, value);
+        figures.push(("outages_per_user_minute", outage(|outages| outages.per_user_minute)));
+        figures.push(("outage_p95_s", outage(|outages| outages.p95_s)));
+    }
+    figures
+}

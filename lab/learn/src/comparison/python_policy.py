@@ -1,0 +1,54 @@
+"""Answers observations by a function in Python; heliostat-lab starts it for --policies FILE.py:FUNCTION.
+
+Messages in little-endian order. Request: a length n of 4 bytes, then n numbers of 4 bytes; n = 0 begins an episode.
+Answer: a status of 1 byte, a length of 4 bytes, then the content: 0 and numbers of 4 bytes (an action), 1 and a text in
+UTF-8 (what is wrong), 2 and a text (the form of the actions; once, at the start).
+"""
+
+import importlib.util
+import os
+import struct
+import sys
+
+file, name = sys.argv[1:]
+requests = os.fdopen(os.dup(0), "rb")
+answers = os.fdopen(os.dup(1), "wb")
+# What the function prints must not be taken for an answer.
+os.dup2(2, 1)
+
+
+def answer(status, content):
+    answers.write(struct.pack("<BI", status, len(content)) + content)
+    answers.flush()
+
+
+def reason(problem):
+    return f"{type(problem).__name__}: {problem}".encode()
+
+
+try:
+    import numpy
+
+    sys.path.insert(0, os.path.dirname(os.path.abspath(file)))
+    specification = importlib.util.spec_from_file_location("policy", file)
+    module = importlib.util.module_from_spec(specification)
+    sys.modules["policy"] = module
+    specification.loader.exec_module(module)
+    act = getattr(module, name)
+    if not callable(act):
+        raise TypeError(f"{name} is no function")
+    form = getattr(act, "action", "angles")
+except BaseException as problem:  # noqa: BLE001: the reason goes to heliostat-lab
+    answer(1, reason(problem))
+    sys.exit(0)
+answer(2, str(form).encode())
+while len(head := requests.read(4)) == 4:
+    count = struct.unpack("<I", head)[0]
+    try:
+        if count == 0:
+            getattr(act, "reset", lambda: None)()
+            continue
+        action = act(numpy.frombuffer(requests.read(4 * count), "<f4").copy())
+        answer(0, numpy.ascontiguousarray(action, "<f4").reshape(-1).tobytes())
+    except Exception as problem:  # noqa: BLE001: as above
+        answer(1, reason(problem))

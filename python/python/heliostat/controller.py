@@ -1,0 +1,214 @@
+"""A function in Python that commands the mirrors of a room. It needs the extra `zenoh`.
+
+    import heliostat
+
+    def act(observation):
+        ...
+        return action
+
+    summary = heliostat.run(act, connect=["tcp/127.0.0.1:7447"], scenario="hall", seconds=60)
+
+The function sees what an environment shows with `observation="flat"`, and returns an action as for an environment. The
+decision core of the controller does the rest: it accepts or refuses reports, predicts the users, limits the angles,
+chooses the epoch and withholds commands from stopped arrays. This process does not promise 0.5 ms for a decision;
+`late` counts those that took longer than the interval of the reports.
+"""
+
+from __future__ import annotations
+
+import os
+import queue
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ._core import Commander
+from .scenario import Scenario, load_scenario
+
+_STATUS_S = 0.5
+_TICK_S = 0.05
+_ANNOUNCED_S = 0.3
+_QUEUE_MAX = 1024
+_ROOM = ("obstacles", "orientation", "leds", "channel", "users", "stop")
+
+
+@dataclass(frozen=True)
+class RunSummary:
+    """What a run has counted."""
+
+    decisions: int
+    """Decisions on position reports."""
+    commands: int
+    """Commands to arrays."""
+    late: int
+    """Decisions in which the function took longer than `control.deadline_ms`, or the interval of the reports."""
+    superseded: int
+    """Position reports that were older than another one when their turn came; the newest was answered."""
+    exceptions: int
+    """Decisions in which the function raised, or answered with a wrong shape or a value that is not finite."""
+    fallbacks: int
+    """Those of them in which the fallback of `control.fallback` decided; without one the mirrors hold."""
+    withheld: int
+    """Commands that were withheld, because the array is stopped or does not fit the scenario."""
+    standby: int
+    """Commands that were withheld, because the array follows another controller."""
+    stale: int
+    """Position reports that were too old."""
+    dropped: int
+    """Messages that were dropped, because the function took too long."""
+    last_problem: str
+    """Why the last failed decision failed, or why an array gets no command; empty without a problem."""
+
+
+def run(
+    act: Callable[[NDArray[np.float32]], Any],
+    *,
+    connect: Sequence[str] = (),
+    listen: Sequence[str] = (),
+    scenario: str | os.PathLike[str] | Scenario = "hall",
+    action: str | None = None,
+    room: str | None = None,
+    client: bool = False,
+    tls: str | os.PathLike[str] | None = None,
+    insecure: bool = False,
+    seconds: float | None = None,
+    stop: threading.Event | None = None,
+) -> RunSummary:
+    """Commands the mirrors of a room by `act` until `seconds` have passed, Ctrl-C, SIGTERM or `stop`.
+
+    Args:
+        act: from an observation, the flat vector of an environment, to an action.
+        connect: endpoints of other processes, such as `tcp/127.0.0.1:7447`.
+        listen: endpoints at which to listen.
+        scenario: what the controller assumes of the room: a built-in name, the path of a TOML file, or a `Scenario`.
+        action: "angles" or "weights", as for `HeliostatEnv`; absent: the attribute `action` of the function, or "angles".
+        room, client, tls, insecure: as in `heliostat.peer.Settings`.
+        seconds: how long it runs; absent: until it is stopped.
+        stop: ends the run when it is set.
+
+    Where `act` raises an `Exception`, or answers with a wrong shape or a value that is not finite, the decision counts in
+    `exceptions`, and the fallback that the scenario names in `control.fallback` decides. With `control.fallback = "hold"`
+    no command is sent: the array holds its angles and then parks, by its own rules. The same happens while `act` does not
+    return, and after this process ends. Other exceptions, such as `KeyboardInterrupt`, end the run.
+
+    Raises `heliostat.peer.PeerError` where the room cannot be joined.
+    """
+    from .peer import Settings, stop_on_signals
+
+    form = action if action is not None else getattr(act, "action", "angles")
+    settings = Settings(room, tuple(listen), tuple(connect), client, None if tls is None else Path(tls), insecure)
+    with stop_on_signals(stop or threading.Event()) as ended:
+        return _Run(act, load_scenario(scenario), form, settings, ended).run(seconds)
+
+
+class _Run:
+    """One run: the session, the core, and the messages between their threads."""
+
+    def __init__(
+        self, act: Callable[[Any], Any], scenario: Scenario, form: str, settings: Any, stop: threading.Event
+    ) -> None:
+        from .peer import Peer
+
+        self._act, self._stop = act, stop
+        self._late = self._dropped = 0
+        self._arrived: queue.Queue[tuple[str, int, bytes]] = queue.Queue(_QUEUE_MAX)
+        self._present: queue.Queue[tuple[str, bool]] = queue.Queue()
+        self._peer = Peer(settings, "controller", 0, stop)
+        self._core = Commander(scenario, self._call, form, self._peer.source)
+        self._scenario = scenario
+
+    def _call(self, observation: NDArray[np.float32]) -> Any:
+        begin = time.monotonic()
+        try:
+            return self._act(observation)
+        finally:
+            self._late += time.monotonic() - begin > self._core.deadline_s
+
+    def run(self, seconds: float | None) -> RunSummary:
+        """Joins the room and decides until the end."""
+        with self._peer:
+            if self._peer.is_open:
+                self._join()
+                self._serve(None if seconds is None else time.monotonic() + seconds)
+        return self.summary()
+
+    def _join(self) -> None:
+        arrays = range(self._core.arrays)
+        # The first epoch must be above the one that an array follows, and a stop must be known.
+        for array in arrays:
+            for name in ("capabilities", "safety", "stops"):
+                for payload in self._peer.fetch(name, _ANNOUNCED_S, array):
+                    self._core.receive(name, array, payload, time.time_ns())
+                self._peer.subscribe(name, self._queued(name, array), array)
+            self._peer.subscribe("telemetry", self._queued("telemetry", array), array)
+        # Positions come last, so that the other reports are there when the first decision is due.
+        for name in _ROOM:
+            self._peer.subscribe(name, self._queued(name, 0))
+        self._peer.watch(lambda key, is_alive: self._present.put((key, is_alive)))
+        self._peer.announce()
+
+    def _queued(self, name: str, array: int) -> Callable[[bytes], None]:
+        def arrive(payload: bytes) -> None:
+            try:
+                self._arrived.put_nowait((name, array, payload))
+            except queue.Full:
+                self._dropped += 1
+
+        return arrive
+
+    def _serve(self, end: float | None) -> None:
+        reported, problem = -_STATUS_S, ""
+        while not self._stop.is_set() and (end is None or time.monotonic() < end):
+            self._receive()
+            # The function is called here, for the newest report.
+            self._send(self._core.decide(time.time_ns()))
+            self._send(self._core.timeout(time.time_ns()))
+            if time.monotonic() - reported >= _STATUS_S:
+                reported = time.monotonic()
+                found = self._core.last_problem or ""
+                if found and found != problem:
+                    print(f"heliostat.run: {found}", file=sys.stderr, flush=True)
+                problem = found
+                counters = {**self._core.counters(), "late": self._late, "dropped": self._dropped}
+                self._peer.publish_status("running", counters, found, policy="python", scenario=self._scenario.hash)
+
+    def _receive(self) -> None:
+        """Gives all waiting messages to the core; waits a moment for the first one."""
+        while not self._present.empty():
+            self._core.presence(*self._present.get_nowait())
+        wait = True
+        while True:
+            try:
+                name, array, payload = self._arrived.get(block=wait, timeout=_TICK_S if wait else None)
+            except queue.Empty:
+                return
+            wait = False
+            self._send(self._core.receive(name, array, payload, time.time_ns()))
+
+    def _send(self, commands: Sequence[tuple[int, bytes]]) -> None:
+        for array, payload in commands:
+            self._peer.put("command", payload, array)
+
+    def summary(self) -> RunSummary:
+        """The counts so far."""
+        counters = self._core.counters()
+        return RunSummary(
+            decisions=counters["decisions"],
+            commands=counters["commands"],
+            late=self._late,
+            superseded=counters["superseded"],
+            exceptions=counters["exceptions"],
+            fallbacks=counters["fallbacks"],
+            withheld=counters["withheld"],
+            standby=counters["standby"],
+            stale=counters["stale"],
+            dropped=self._dropped,
+            last_problem=self._core.last_problem or "",
+        )

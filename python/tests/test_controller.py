@@ -1,0 +1,164 @@
+"""A function in Python that commands a room: what it sees, what is counted, and what happens when it fails."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import heliostat
+import numpy as np
+import pytest
+
+pytest.importorskip("zenoh")
+from heliostat.peer import PeerError
+from room import LIMIT_S, free_endpoint, needs_program, observer, wait_until
+
+SCENARIO = heliostat.load_scenario("hall")
+
+
+def _own(endpoint: str) -> str:
+    """The endpoint of the simulator beside that of the observer: peers do not pass messages on."""
+    return f"{endpoint}.room"
+
+
+@contextmanager
+def simulator(endpoint: str) -> Iterator[None]:
+    """A simulated room in real time, which the observer and the run both know."""
+    ends = ("--connect", endpoint, "--listen", _own(endpoint))
+    command = [os.environ["HELIOSTAT_PROGRAM"], "sim-node", "--scenario", "hall", *ends]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        try:
+            yield
+        finally:
+            process.terminate()
+
+
+@contextmanager
+def running(act: Any, endpoint: str, **settings: Any) -> Iterator[list[heliostat.RunSummary]]:
+    """A run in a thread; it ends with the block, and its summary is then in the list."""
+    stop, summaries = threading.Event(), []
+
+    def work() -> None:
+        summaries.append(heliostat.run(act, connect=[endpoint, _own(endpoint)], scenario=SCENARIO, stop=stop, **settings))
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    try:
+        yield summaries
+    finally:
+        stop.set()
+        thread.join(LIMIT_S)
+        assert not thread.is_alive()
+
+
+@needs_program
+def test_a_function_commands_the_mirrors_of_a_room() -> None:
+    endpoint = free_endpoint()
+    seen: list[Any] = []
+
+    def act(observation: Any) -> Any:
+        seen.append(observation.copy())
+        return np.full(200, 0.25, np.float32)
+
+    with observer(endpoint, "demo") as room, simulator(endpoint), running(act, endpoint) as summaries:
+
+        def turned() -> bool:
+            roll = room.latest.get("telemetry", {}).get("roll_commanded", [0.0])
+            return bool(abs(roll[0] - 0.25 * SCENARIO.range_rad) < 1e-5)
+
+        wait_until("command of the function", turned)
+        wait_until("status", lambda: room.latest.get("status", {}).get("policy") == "python" or len(seen) > 100)
+    summary = summaries[0]
+    env = heliostat.HeliostatEnv(SCENARIO, dynamics="closed-loop")
+    assert seen[0].shape == env.observation_space.shape and seen[0].dtype == np.float32
+    assert summary.decisions >= len(seen) > 0 and summary.commands > 0
+    assert summary.exceptions == summary.fallbacks == 0 and summary.last_problem == ""
+
+
+@needs_program
+@pytest.mark.parametrize(
+    ("answer", "part"),
+    [
+        (lambda: 1 / 0, "division by zero"),
+        (lambda: np.full(200, np.nan), "finite"),
+        (lambda: np.zeros(3), "length 3"),
+        (lambda: None, "the function python failed"),
+    ],
+)
+def test_a_function_that_fails_is_counted_and_the_fallback_turns_the_mirrors(answer: Any, part: str) -> None:
+    endpoint = free_endpoint()
+    with observer(endpoint, "demo") as room, simulator(endpoint), running(lambda _: answer(), endpoint) as summaries:
+
+        def turned() -> bool:
+            roll = room.latest.get("telemetry", {}).get("roll_commanded", [])
+            return bool(roll) and all(np.isfinite(roll)) and max(map(abs, roll)) > 0.01
+
+        wait_until("command of the fallback", turned)
+    summary = summaries[0]
+    assert summary.exceptions == summary.fallbacks > 0 and part in summary.last_problem, summary
+
+
+@needs_program
+def test_without_a_fallback_the_array_gets_no_command_of_a_failed_decision() -> None:
+    endpoint = free_endpoint()
+    scenario = heliostat.load_scenario("hall", {"control.fallback": "hold"})
+    good = threading.Event()
+    good.set()
+
+    def act(_: Any) -> Any:
+        if not good.is_set():
+            raise ValueError("no idea")
+        return np.full(200, 0.25, np.float32)
+
+    stop, summaries = threading.Event(), []
+
+    def work() -> None:
+        summaries.append(heliostat.run(act, connect=[endpoint, _own(endpoint)], scenario=scenario, stop=stop))
+
+    with observer(endpoint, "demo") as room, simulator(endpoint):
+        thread = threading.Thread(target=work)
+        thread.start()
+        try:
+
+            def roll() -> float:
+                return float(room.latest.get("telemetry", {}).get("roll_commanded", [0.0])[0])
+
+            wait_until("command", lambda: abs(roll() - 0.25 * SCENARIO.range_rad) < 1e-5)
+            good.clear()
+            # The array holds, and then parks by its own rules.
+            wait_until("parked array", lambda: roll() == 0.0)
+            good.set()
+            wait_until("command again", lambda: abs(roll() - 0.25 * SCENARIO.range_rad) < 1e-5)
+        finally:
+            stop.set()
+            thread.join(LIMIT_S)
+    assert summaries[0].exceptions > 0 and summaries[0].fallbacks == 0, summaries
+
+
+@needs_program
+def test_a_slow_function_answers_the_newest_report_and_is_counted_as_late() -> None:
+    endpoint, calls = free_endpoint(), []
+
+    def act(observation: Any) -> Any:
+        calls.append(time.monotonic())
+        time.sleep(0.35)
+        return np.zeros(200, np.float32)
+
+    with observer(endpoint, "demo"), simulator(endpoint), running(act, endpoint) as summaries:
+        wait_until("five calls", lambda: len(calls) >= 5)
+    assert summaries[0].late > 0 and summaries[0].superseded > 0, summaries
+
+
+def test_a_run_ends_after_its_time_and_wrong_settings_are_refused() -> None:
+    endpoint = free_endpoint()
+    summary = heliostat.run(lambda _: None, connect=[endpoint], seconds=0.2)
+    assert summary.decisions == summary.commands == 0
+    with pytest.raises(PeerError, match="no endpoint"):
+        heliostat.run(lambda _: None)
+    with pytest.raises(ValueError, match='"angles", "weights"'):
+        heliostat.run(lambda _: None, connect=[endpoint], action="torque", seconds=0.1)

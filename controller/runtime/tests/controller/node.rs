@@ -52,6 +52,7 @@ impl Rig {
             policy: PolicyKind::Nearest,
             model: None,
             pace: Pace::Lockstep,
+            standby: None,
             run_for: Some(4 * PATIENCE),
             metrics: MetricsArgs::default(),
         };

@@ -65,7 +65,7 @@ pub fn print_table(report: &Report) -> io::Result<()> {
             time(row.decision_us.map(|times| times.p99)),
         )?;
     }
-    note_on_episodes(std::slice::from_ref(report))?;
+    note_on_episodes(std::slice::from_ref(report), false)?;
     outln!("trained: number of training seeds of a learned policy; the interval includes their spread")?;
     outln!(
         "±: half the width of the 95 % confidence interval of the mean; ratio: to the sum rate of the oracle with minimum rates; p5: its 5th percentile"
@@ -91,19 +91,27 @@ fn print_conditions(reports: &[Report]) -> io::Result<()> {
 
 /// Prints number and lengths of the outages in closed loop.
 fn print_outages(report: &Report) -> io::Result<()> {
-    let mut rows = rows(report).filter_map(|(name, row)| Some((name, row.outages?))).peekable();
+    let mut rows = rows(report).filter_map(|(name, row)| Some((name, row.outages?, row.outage_time?))).peekable();
     if rows.peek().is_none() {
         return Ok(());
     }
     outln!("\noutages: times in which a user is below the minimum rate, sampled every 20 ms")?;
     let width = name_width(report);
-    outln!("{:<width$} {:>18} {:>15} {:>19}", "", "per user minute", "median (s)", "95th percentile (s)")?;
-    for (name, outages) in rows {
+    outln!(
+        "{:<width$} {:>18} {:>15} {:>19} {:>15}",
+        "",
+        "per user minute",
+        "median (s)",
+        "95th percentile (s)",
+        "share of time"
+    )?;
+    for (name, outages, share) in rows {
         outln!(
-            "{name:<width$} {:>18} {:>15} {:>19}",
+            "{name:<width$} {:>18} {:>15} {:>19} {:>15}",
             number(outages.per_user_minute, 2),
             number(outages.p50_s, 2),
-            number(outages.p95_s, 2)
+            number(outages.p95_s, 2),
+            interval(share, 3)
         )?;
     }
     Ok(())
@@ -181,7 +189,7 @@ pub fn print_sweep(grid: &Grid, reports: &[Report]) -> io::Result<()> {
         let outage = |row: &Row| row.outage_time.unwrap_or(Spread::MISSING);
         print_columns(grid, reports, |row| (number(outage(row).mean, 3), interval(outage(row), 3)))?;
     }
-    note_on_episodes(reports)?;
+    note_on_episodes(reports, true)?;
     print_conditions(reports)
 }
 
@@ -215,10 +223,11 @@ fn states_and_seeds(report: &Report) -> String {
 }
 
 /// Why a figure has no interval, or one that says little; nothing where all is well.
-pub(super) fn notes_on_episodes(reports: &[Report]) -> Vec<String> {
+/// The table of a sweep has fewer figures.
+pub(super) fn notes_on_episodes(reports: &[Report], is_sweep: bool) -> Vec<String> {
     let mut notes = Vec::new();
     let Some(few) = reports.iter().find(|report| report.has_few_episodes()) else {
-        return crossing(reports).into_iter().collect();
+        return crossing(reports, is_sweep).into_iter().collect();
     };
     let is_single = few.oracle.sum_rate_mbps.ci95.is_nan();
     let found = counted(few.episodes, few.group());
@@ -232,22 +241,24 @@ pub(super) fn notes_on_episodes(reports: &[Report]) -> Vec<String> {
             EPISODES_MIN.div_ceil(few.seeds)
         )
     });
-    notes.extend(crossing(reports));
+    notes.extend(crossing(reports, is_sweep));
     notes
 }
 
 /// What a marked interval means, if there is one.
-fn crossing(reports: &[Report]) -> Option<String> {
+fn crossing(reports: &[Report], is_sweep: bool) -> Option<String> {
     let of_row = |row: &Row| {
-        let spreads = [row.sum_rate_mbps, row.ratio_to_oracle, row.qos_met, row.jain, row.blocked_rate_mbps, row.ber];
-        spreads.into_iter().chain(row.outage_time).any(|spread| spread.crosses_bound)
+        let of_sweep = [row.sum_rate_mbps, row.ratio_to_oracle].into_iter().chain(row.outage_time);
+        let others = [row.qos_met, row.jain, row.blocked_rate_mbps, row.ber];
+        of_sweep.chain(others.into_iter().filter(|_| !is_sweep)).any(|spread| spread.crosses_bound)
     };
     let of_belief = |quality: &BeliefQuality| {
         let errors = [quality.place_error_cm, quality.heading_error_walking_deg, quality.heading_error_standing_deg];
         errors.into_iter().chain([quality.coverage_50, quality.coverage_95]).any(|spread| spread.crosses_bound)
     };
     let marked = reports.iter().any(|report| {
-        rows(report).any(|(_, row)| of_row(row)) || report.beliefs.iter().any(|(_, quality)| of_belief(quality))
+        rows(report).any(|(_, row)| of_row(row))
+            || !is_sweep && report.beliefs.iter().any(|(_, quality)| of_belief(quality))
     });
     marked.then(|| {
         format!(
@@ -256,8 +267,8 @@ fn crossing(reports: &[Report]) -> Option<String> {
     })
 }
 
-fn note_on_episodes(reports: &[Report]) -> io::Result<()> {
-    notes_on_episodes(reports).iter().try_for_each(|note| outln!("{note}"))
+fn note_on_episodes(reports: &[Report], is_sweep: bool) -> io::Result<()> {
+    notes_on_episodes(reports, is_sweep).iter().try_for_each(|note| outln!("{note}"))
 }
 
 /// Marks an interval that reaches beyond the bounds of its quantity.

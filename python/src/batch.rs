@@ -88,7 +88,10 @@ impl Actions {
 
     fn push(&mut self, action: &[f32], most: usize) {
         match self {
-            Self::Last(last) => last.clone_from(&action.to_vec()),
+            Self::Last(last) => {
+                last.clear();
+                last.extend_from_slice(action);
+            }
             Self::All(all) if all.len() + action.len() <= most => all.extend_from_slice(action),
             Self::All(_) | Self::Dropped => *self = Self::Dropped,
         }

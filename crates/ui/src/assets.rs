@@ -108,7 +108,9 @@ mod tests {
     #[test]
     fn the_page_works_below_any_path_of_a_site() {
         for asset in ASSETS.iter().filter(|asset| !asset.path.starts_with("/vendor/")) {
-            let absolute = ["\"/", "'/", "`/", "url(/"].into_iter().find(|start| asset.text.contains(start));
+            // The icon is a picture in its own address, with the end of an element in it.
+            let text = asset.text.replace("'/%3E", "");
+            let absolute = ["\"/", "'/", "`/", "url(/"].into_iter().find(|start| text.contains(start));
             assert_eq!(absolute, None, "{} names a path of its host: expected a relative one", asset.path);
         }
     }

@@ -106,7 +106,6 @@ fn a_playzerx_receives_the_bytes_of_its_published_protocol() {
         b"plD\x08\xff\xf0\x00\n",
         b"plD\x08\xff\xbd\x4c\n",
         b"plc\x05\n",
-        b"plp\x05\n",
     ]
     .map(<[u8]>::to_vec)
     .to_vec();

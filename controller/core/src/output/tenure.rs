@@ -27,8 +27,8 @@
 //! | Standby | withheld; the belief about the users goes on |
 //!
 //! - **A start beside a leader stands by**: at the first report the array follows a valid command of
-//!   another controller. Otherwise the controller leads. The telemetry of an array that was commanded
-//!   before is awaited for [`FIRST_TELEMETRY_NS`] at most. Its first epoch may be too low, because
+//!   another controller. Otherwise the controller leads. The first telemetry is awaited for
+//!   [`FIRST_TELEMETRY_NS`] at most. Its first epoch may be too low, because
 //!   telemetry came after its first command. Before the array has obeyed it, it answers one higher
 //!   epoch by a new epoch of its own, and stands by from the second on.
 //! - **Takeover**: a report is unanswered if telemetry that came half a report interval or more after
@@ -370,11 +370,11 @@ impl Tenure {
         }
     }
 
-    /// The first report: leads, or stands by for the controller that the array follows. The telemetry
-    /// of an array that was commanded before is awaited.
+    /// The first report after telemetry, or after the wait for it: leads, or stands by for the
+    /// controller that the array follows.
     fn start(&mut self, now: Nanos) -> Option<TenureEvent> {
         let (first_ns, _) = *self.watch.awaited.get_or_insert((now, 0));
-        if self.seen.is_none() && self.announced > 0 && now.abs_diff(first_ns) < FIRST_TELEMETRY_NS {
+        if self.seen.is_none() && now.abs_diff(first_ns) < FIRST_TELEMETRY_NS {
             return None;
         }
         let is_led = self.is_current(now) && self.seen.is_some_and(|(_, evidence)| evidence.following);

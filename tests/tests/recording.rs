@@ -110,7 +110,7 @@ fn copy(from: &Path, to: &Path, mut change: impl FnMut(&str, &mut Vec<u8>)) {
 fn a_ring_keeps_complete_files_around_a_stop_and_a_second_run_continues_it() {
     let setting = Setting::new();
     let room = setting.room(&[]);
-    let ring = ["--ring-mb", "8", "--around-fault", "1"];
+    let ring = ["--ring-mb", "8", "--around-fault", "1", "--exit-with-parent"];
     let names = || -> Vec<String> {
         let entries = fs::read_dir(setting.folder.path()).unwrap();
         let mut names: Vec<String> =

@@ -71,7 +71,7 @@ pub struct PageArgs {
     /// requires one
     #[arg(long, value_name = "FILE")]
     ui_token_file: Option<PathBuf>,
-    /// Address at which a proxy serves the page, for example https://mirrors.example.org: orders from
+    /// Address at which a proxy serves the page, for example `https://mirrors.example.org`: orders from
     /// there are accepted. May be repeated. The proxy must ask for a password, or use --ui-token-file
     #[arg(long = "ui-origin", value_name = "URL")]
     ui_origins: Vec<PublicAddress>,

@@ -31,7 +31,7 @@
 //!   [`FIRST_TELEMETRY_NS`] at most. Its first epoch may be too low, because
 //!   telemetry came after its first command. Before the array has obeyed it, it answers one higher
 //!   epoch by a new epoch of its own, and stands by from the second on.
-//! - **Takeover**: a report is unanswered if telemetry that came half a report interval or more after
+//! - **Takeover**: a report is unanswered if telemetry that came a quarter of a report interval or more after
 //!   it shows no further accepted command. After as many unanswered reports in sequence as its rank,
 //!   a standby takes a new epoch and answers the report that is due. A leader whose liveliness token
 //!   has ended counts as one unanswered report. The rank is 1 plus the number of other standbys with
@@ -402,7 +402,7 @@ impl Tenure {
             return None;
         };
         let is_answered = shown.accepted > accepted;
-        if shown_ns >= since_ns.saturating_add(interval_ns / 2) {
+        if shown_ns >= since_ns.saturating_add(interval_ns / 4) {
             watch.unanswered = if is_answered { 0 } else { watch.unanswered.saturating_add(1) };
             watch.awaited = Some((now, shown.accepted));
         }

@@ -82,6 +82,17 @@ pub mod fault {
     pub const CLOCK: u32 = 1 << 5;
     /// A latched stop that the device has not executed.
     pub const STOP: u32 = 1 << 6;
+
+    /// Each bit with its name for operators and metrics.
+    pub const NAMES: [(u32, &str); 7] = [
+        (LINK, "link"),
+        (MIRROR, "mirror"),
+        (TEMPERATURE, "temperature"),
+        (SUPPLY, "supply"),
+        (CALIBRATION, "calibration"),
+        (CLOCK, "clock"),
+        (STOP, "stop"),
+    ];
 }
 
 impl UserReport {
@@ -127,11 +138,6 @@ impl MirrorCommand {
     /// [`CodecError::WrongMirrors`].
     pub fn check_mirrors(&self, expected: usize) -> Result<(), CodecError> {
         check_mirrors(Kind::MirrorCommand, self.roll.len(), expected)
-    }
-
-    /// End of validity in ns: from this time on a driver neither applies nor follows the command.
-    pub fn expires_ns(&self) -> Nanos {
-        self.time_ns.saturating_add(u64::from(self.validity_ms) * 1_000_000)
     }
 }
 

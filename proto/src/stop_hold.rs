@@ -178,15 +178,6 @@ impl StopHold {
         self.detail == Detail::Stops
     }
 
-    /// No report about the array counts any longer, because it has left.
-    pub fn forget_reports(&mut self) {
-        (self.detail, self.latest) = (Detail::Telemetry, (0, 0));
-        self.released.clear();
-        for held in &mut self.stops {
-            (held.reported_by, held.seen_stopped) = (None, false);
-        }
-    }
-
     fn is_reported(&self, held: &HeldStop) -> bool {
         held.reported_by.is_some() || (self.detail == Detail::Telemetry && held.seen_stopped)
     }

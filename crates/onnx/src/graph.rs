@@ -85,28 +85,9 @@ impl Graph {
         self.node_with("ReduceSum", &[input, &axes], vec![integer("keepdims", 1)])
     }
 
-    /// For each column of a table, the row with the largest value, the first of equal ones;
-    /// (columns). Computed by pooling.
-    pub fn best_row(&mut self, input: &str, [rows, columns]: [usize; 2]) -> Value {
-        let image = self.reshape(input, &[1, 1, rows, columns]);
-        let window = integers("kernel_shape", &[rows as i64, 1]);
-        let best = self.node_with("MaxPool", &[&image], vec![window]);
-        // The second output of MaxPool: the index of the value in the image, row by row.
-        let index = format!("{best}_place");
-        self.nodes.last_mut().expect("just added").output.push(index.clone());
-        let width = self.indices(&[columns as i64]);
-        let row = self.node("Div", &[&index, &width]);
-        self.reshape(&row, &[columns])
-    }
-
     /// The transpose of a table.
     pub fn transpose(&mut self, input: &str) -> Value {
         self.node_with("Transpose", &[input], vec![integers("perm", &[1, 0])])
-    }
-
-    /// The first index of the maximum along an axis, which is removed.
-    pub fn argmax(&mut self, input: &str, axis: usize) -> Value {
-        self.node_with("ArgMax", &[input], vec![integer("axis", axis as i64), integer("keepdims", 0)])
     }
 
     /// The parts of a value at indices along an axis.

@@ -84,9 +84,3 @@ pub fn describe(port: &ValueInfoProto) -> String {
         .collect();
     format!("{element} [{}]", sizes.join(", "))
 }
-
-/// The name of the first output of a graph that no node computes.
-pub fn uncomputed_output(graph: &GraphProto) -> Option<&str> {
-    let computed = || graph.node.iter().flat_map(|node| &node.output);
-    graph.output.iter().map(|port| port.name.as_str()).find(|name| !computed().any(|computed| computed == name))
-}

@@ -313,8 +313,8 @@ pub struct Control {
     pub belief: Belief,
     /// Prior knowledge about walks, for the belief `filter`.
     pub walk: Walk,
-    /// How walking users are assumed to hold receivers whose orientation is not reported; absent:
-    /// facing up.
+    /// How users are assumed to hold receivers whose orientation is not reported. If absent, measured
+    /// gains decide between the default angles and receivers that face up.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tilt: Option<AssumedTilt>,
     /// Maximum number of evaluations of a metaheuristic policy per decision.

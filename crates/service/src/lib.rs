@@ -15,8 +15,7 @@
 //! - [`http`]: the HTTP server below the metrics page and the live page, with its limits.
 //! - [`exit`]: the exit codes of every program and command.
 //!
-//! The pure crates (`channel`, `scenario`, `proto`, `array`, `core`, `room`) do not depend on this
-//! crate. No decision waits for a server: each server runs on a thread of its own.
+//! The pure crates (ARCHITECTURE.md, invariant 2) do not depend on this crate. No decision waits for a server: each server runs on a thread of its own.
 
 pub mod clock;
 pub mod counted;

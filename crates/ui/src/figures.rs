@@ -9,7 +9,7 @@ use std::time::Instant;
 use heliostat_channel::ChannelModel;
 use heliostat_proto::array_keys::array_name;
 use heliostat_proto::messages::fault;
-use heliostat_proto::{ArrayState, MirrorTelemetry, NodeKind, NodeStatus, Quantiles};
+use heliostat_proto::{MirrorTelemetry, NodeKind, NodeStatus, Quantiles};
 use heliostat_service::printable::printable;
 use serde::Serialize;
 
@@ -258,7 +258,7 @@ fn array((mirrors, unusable): (usize, usize), silent: &[String], telemetry: Opti
     let Some(telemetry) = telemetry else {
         return ArrayFigures { state: "no telemetry".into(), mirrors, ..ArrayFigures::default() };
     };
-    let state = state_name(telemetry.state);
+    let state = telemetry.state.name();
     ArrayFigures {
         state: if silent.is_empty() {
             state.into()
@@ -374,25 +374,6 @@ fn counts(
     all.filter(|count| count.name != "modelled" || count.value.is_some_and(|value| value > 0)).collect()
 }
 
-fn state_name(state: ArrayState) -> &'static str {
-    match state {
-        ArrayState::Parked => "parked",
-        ArrayState::Following => "following",
-        ArrayState::Holding => "holding",
-        ArrayState::Stopped => "stopped",
-        ArrayState::Fault => "fault",
-    }
-}
-
 fn fault_names(bits: u32) -> Vec<&'static str> {
-    let names = [
-        (fault::LINK, "link"),
-        (fault::MIRROR, "mirror"),
-        (fault::TEMPERATURE, "temperature"),
-        (fault::SUPPLY, "supply"),
-        (fault::CALIBRATION, "calibration"),
-        (fault::CLOCK, "clock"),
-        (fault::STOP, "stop"),
-    ];
-    names.into_iter().filter(|(bit, _)| bits & bit != 0).map(|(_, name)| name).collect()
+    fault::NAMES.into_iter().filter(|(bit, _)| bits & bit != 0).map(|(_, name)| name).collect()
 }

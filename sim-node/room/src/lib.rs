@@ -2,8 +2,8 @@
 //! noise and latency.
 //!
 //! This crate does no I/O, reads no clock and starts no thread. Time, commands, seeds and the text
-//! of a recorded walk are arguments. It contains no control policy and shares no code with the
-//! controller.
+//! of a recorded walk are arguments. It contains no control policy and does not depend on the decision
+//! core.
 //!
 //! Data flow:
 //!

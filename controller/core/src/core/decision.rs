@@ -22,7 +22,7 @@ use crate::{
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Observed {
     action: DegradedAction,
-    /// The mode matters only where the action holds; else the policy acts.
+    /// What [`Decision::Hold`] reports; the other actions ignore it.
     mode: DegradedMode,
 }
 

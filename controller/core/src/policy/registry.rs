@@ -134,7 +134,8 @@ impl<T: Policy + 'static> Boxed for T {
 }
 
 impl PolicyKind {
-    /// The policy where no other is named: the best within the latency budget in realistic rooms.
+    /// The policy where no other is named: it needs no actor, fits every room and decides within the
+    /// latency budget.
     pub const DEFAULT: Self = Self::FixedPoint;
 
     /// The policy that the flags of a command select: the named one, or else `ddpg` with a file of a

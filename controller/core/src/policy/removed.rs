@@ -20,11 +20,13 @@ pub struct Removed {
 /// Where the reason is documented.
 const REASON: &str = "docs/learning.md";
 
+const BY_MODEL: &str = "use fixed-point, or greedy for the highest ratio";
+
 const BY_SB3: &str = "train an actor with Stable-Baselines3 (docs/python.md) and give its file, or use ddpg";
 
 const REMOVED: [Removed; 12] = [
-    policy("residual", "use fixed-point"),
-    policy("lstm", "use fixed-point"),
+    policy("residual", BY_MODEL),
+    policy("lstm", BY_MODEL),
     policy("td3", BY_SB3),
     policy("sac", BY_SB3),
     policy("ppo", BY_SB3),

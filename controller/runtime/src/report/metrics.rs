@@ -6,16 +6,6 @@ use heliostat_service::{Histogram, Page};
 
 use super::summary::RoomReport;
 
-/// Names of an array's fault bits.
-const FAULTS: [(u32, &str); 6] = [
-    (fault::LINK, "link"),
-    (fault::MIRROR, "mirror"),
-    (fault::TEMPERATURE, "temperature"),
-    (fault::SUPPLY, "supply"),
-    (fault::CALIBRATION, "calibration"),
-    (fault::CLOCK, "clock"),
-];
-
 /// The page of all rooms.
 pub fn page(rooms: &[RoomReport<'_>]) -> Page {
     let mut page = Page::default();
@@ -99,7 +89,7 @@ fn add_room(page: &mut Page, report: &RoomReport<'_>) {
         page.gauge("heliostat_array_commanded", help, &[room, ("array", array.name.as_str())], commanded);
     }
     if let Some(array) = &summary.array {
-        for (bit, name) in FAULTS {
+        for (bit, name) in fault::NAMES {
             let value = f64::from(u8::from(array.faults & bit != 0));
             let help = "1 while the array reports this fault";
             page.gauge("heliostat_array_fault", help, &[room, ("fault", name)], value);

@@ -29,8 +29,8 @@ const DEFAULT_POLICIES: [&str; 7] = ["ddpg", "greedy", "fixed-point", "nearest",
 /// Compare policies with the oracle on the same states.
 ///
 /// The oracle is the best local optimum that the solver finds from the true state. It penalises
-/// rates below the minimum. A learned policy is evaluated once per built-in actor; actors differ in
-/// their training seed. The confidence interval includes the variation across training seeds. By
+/// rates below the minimum. A learned policy is evaluated once per training seed: the shipped
+/// actor has seed 1, the others are in the folder lab/actors. The confidence interval includes the variation across training seeds. By
 /// default each policy observes exact held-out states, and its mirrors move instantly. With
 /// --closed-loop, reports and mirrors have the rate, delay, noise and dynamics of the scenario. The
 /// oracle still knows the true state and moves its mirrors instantly. The decision time is that of
@@ -50,7 +50,7 @@ pub struct Args {
     /// ONNX file of the policy ddpg, instead of the built-in ones
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
-    /// Use the built-in actor of this training seed only, instead of all
+    /// Use the actor of this training seed only, instead of all
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     training_seed: Option<u32>,
     /// States for each room seed

@@ -1,8 +1,8 @@
 //! The live page: what it serves and refuses, and in a browser, that each button acts on the
 //! running system.
 //!
-//! Effects are read from the topics, not from the page. HELIOSTAT_SCREENSHOTS=1 replaces the
-//! screenshots in docs/images.
+//! Effects are read from the topics, not from the page. The ignored test replaces the
+//! pictures in docs/images, and writes the frames of the moving one to target/page-frames.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -21,7 +21,11 @@ struct Setting {
 
 impl Setting {
     fn new(arguments: &[&str]) -> Self {
-        let always = ["demo", "--scenario", "specular", "--plain", "--ui-port", "0"];
+        Self::start(&[&["--scenario", "specular"], arguments].concat())
+    }
+
+    fn start(arguments: &[&str]) -> Self {
+        let always = ["demo", "--plain", "--ui-port", "0"];
         let all: Vec<&str> = always.iter().chain(arguments).copied().collect();
         let demo = Process::heliostat(&all);
         wait_until("the address of the page", || demo.errors().contains("the page is at http://"));
@@ -160,7 +164,6 @@ fn every_button_acts_on_the_running_system() {
     let foreign =
         "return performance.getEntriesByType('resource').filter(one => !one.name.startsWith(location.origin)).length";
     assert_eq!(browser.run(foreign), 0, "the page loads from another server");
-    take_screenshots(&browser);
 
     browser.run("document.getElementById('policy').value = 'fixed-point'");
     browser.click("#switch-policy");
@@ -218,11 +221,12 @@ fn gauge(observer: &RoomObserver, name: &str) -> Option<f64> {
     status.gauges.iter().find(|(gauge, _)| gauge == name).map(|(_, value)| *value)
 }
 
-/// Takes the screenshots of the README and the docs, if requested.
-fn take_screenshots(browser: &Browser) {
-    if std::env::var_os("HELIOSTAT_SCREENSHOTS").is_none() {
-        return;
-    }
+#[test]
+#[ignore = "replaces the pictures in docs/images"]
+fn pictures_of_the_demo_without_options() {
+    let setting = Setting::start(&[]);
+    let browser = Browser::open(&setting.url()).expect("a browser");
+    wait_until("a page that shows the room", || browser.text("#chip-array") == "following");
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/images");
     std::fs::create_dir_all(&folder).expect("a folder for screenshots");
     // The chart of the sum rates needs 90 s of history.
@@ -231,8 +235,16 @@ fn take_screenshots(browser: &Browser) {
         [("page-light", "light", 1280, 800), ("page-dark", "dark", 1280, 800), ("page-narrow", "light", 390, 844)]
     {
         browser.resize(width, height);
-        choose_theme(browser, theme);
+        choose_theme(&browser, theme);
         std::thread::sleep(std::time::Duration::from_secs(3));
         std::fs::write(folder.join(name).with_extension("png"), browser.screenshot()).expect("written");
+    }
+    // The frames of the moving picture, 8 s of the room.
+    let frames = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/page-frames");
+    std::fs::create_dir_all(&frames).expect("a folder for frames");
+    browser.resize(1100, 720);
+    for frame in 0..32 {
+        std::fs::write(frames.join(format!("{frame:02}.png")), browser.screenshot()).expect("written");
+        std::thread::sleep(std::time::Duration::from_millis(250));
     }
 }

@@ -351,7 +351,9 @@ fn counts(
         ("ticks late", of(room, "late_ticks"), true, "Ticks of the simulated room that began late."),
         (
             "fallbacks",
-            of(controller, "fallback:*"),
+            // A controller that stands by, or waits for the first telemetry, has no problem.
+            of(controller, "fallback:*")
+                .map(|all| all.saturating_sub(of(controller, "fallback:standby").unwrap_or_default())),
             true,
             "Decisions without the policy's own angles or on incomplete reports: see `fallback:` in the log and docs/faults.md.",
         ),
@@ -376,4 +378,18 @@ fn counts(
 
 fn fault_names(bits: u32) -> Vec<&'static str> {
     fault::NAMES.into_iter().filter(|(bit, _)| bits & bit != 0).map(|(_, name)| name).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_decision_in_standby_is_no_fallback() {
+        let counters = [("decisions", 9), ("fallback:late", 2), ("fallback:standby", 5)];
+        let counters = counters.map(|(name, count)| (name.to_owned(), count)).to_vec();
+        let status = NodeStatus { node: NodeKind::Controller, counters, ..NodeStatus::default() };
+        let mut shown = counts(Some(&status), None, None, 0).into_iter();
+        assert_eq!(shown.find(|count| count.name == "fallbacks").and_then(|count| count.value), Some(2));
+    }
 }

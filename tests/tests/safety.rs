@@ -78,12 +78,16 @@ impl DrivenRoom {
 
     /// Starts the driver. Its first start is declared safe, unless `declare_safe` is false.
     fn start(&self, declare_safe: bool) -> Process {
+        self.start_with(if declare_safe { &["--start-armed"] } else { &[] })
+    }
+
+    fn start_with(&self, more: &[&str]) -> Process {
         let text = |path: &Path| path.display().to_string();
         let (config, state) = (text(&self.folder.path().join("array.toml")), text(&self.state_folder()));
         let room = self.observer.room().to_string();
         let mut flags = vec!["driver", "run", "--config", &config, "--state", &state, "--room", &room];
         flags.extend(["--connect", &self.endpoint, "--exit-with-parent"]);
-        flags.extend(declare_safe.then_some("--start-armed"));
+        flags.extend(more);
         let driver = Process::heliostat(&flags);
         let before = self.observer.telemetry_count();
         wait_until("telemetry of the driver", || self.observer.telemetry_count() > before + 2);
@@ -187,7 +191,12 @@ fn an_array_whose_last_state_is_unknown_starts_stopped_and_the_command_line_rele
     let ended = Process::heliostat(&["rearm", "--room", "unknown", "--connect", &room.endpoint]).wait();
     // The driver does not listen, so this command does not reach it: a peer does not forward messages.
     assert!(ended.refusal().contains("no array received the order"), "{}", ended.errors);
-    room.rearm(0, 0);
+    driver.kill();
+    // The driver connects to the command, which waits for its report.
+    let listener = private_endpoint().expect("an endpoint");
+    let mut driver = room.start_with(&["--connect", &listener]);
+    let ended = Process::heliostat(&["rearm", "--room", "unknown", "--timeout", "60", "--listen", &listener]).wait();
+    assert!(ended.output.contains("the stop: 0000000000000000/0"), "{} {}", ended.output, ended.errors);
     room.follow();
     driver.kill();
     drop(driver);

@@ -96,8 +96,10 @@ impl StopSwitch {
         self.seen.expect(arrays);
     }
 
-    /// All stops that are held or in force; waits until every array has published them.
-    pub fn stops(&self) -> Vec<ShownStop> {
+    /// All stops that are held or in force. Waits for a first array for `limit` at most, and then until
+    /// every array has published its stops.
+    pub fn stops(&self, limit: Duration) -> Vec<ShownStop> {
+        self.seen.wait(limit, Seen::has_array);
         self.seen.wait(ANNOUNCED_WITHIN, Seen::is_complete);
         self.seen.lock().stops()
     }
@@ -274,17 +276,20 @@ impl StopSwitch {
     /// took. A stop that arrives meanwhile stays in force.
     ///
     /// # Errors
+    /// [`UiError::NotStopped`] as soon as every array that reports has published that it has no stop;
     /// [`UiError::RearmUnconfirmed`] names each array that has not released them, after `limit`; otherwise
     /// as [`StopSwitch::rearm`].
     pub fn rearm_and_confirm(&self, names: &[StopName], reason: &str, limit: Duration) -> Result<Duration, UiError> {
         let begun = Instant::now();
-        let is_released = |seen: &Seen| seen.unreleased(names).is_empty();
+        let is_released = |seen: &Seen| seen.has_array() && seen.unreleased(names).is_empty();
         loop {
             let sent = self.rearm(names, reason);
-            if self.seen.wait(REPEAT_AFTER, is_released) && self.seen.lock().has_array() {
+            // What was not sent is not confirmed: the array may not have reported its stop yet.
+            if self.seen.wait(REPEAT_AFTER, is_released) && sent.is_ok() {
                 return Ok(begun.elapsed());
             }
-            if begun.elapsed() >= limit {
+            let is_futile = matches!(sent, Err(UiError::NotStopped)) && self.seen.lock().has_published();
+            if is_futile || begun.elapsed() >= limit {
                 sent?;
                 return Err(UiError::RearmUnconfirmed { waited: limit, arrays: self.seen.lock().unreleased(names) });
             }

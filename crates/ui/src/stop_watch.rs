@@ -316,6 +316,11 @@ impl Seen {
         self.arrays.values().any(|seen| seen.first.is_some())
     }
 
+    /// Whether each array that was seen has published its stops, or publishes none.
+    pub fn has_published(&self) -> bool {
+        self.has_array() && self.arrays.values().all(|seen| seen.stops.is_some() || seen.is_settled())
+    }
+
     /// Whether every array has published its stops.
     pub fn is_complete(&self) -> bool {
         let has_reported = |array| self.arrays.get(&array).is_some_and(|seen: &SeenArray| seen.stops.is_some());

@@ -200,7 +200,7 @@ fn unconfirmed(switch: &StopSwitch) -> Vec<String> {
 fn a_stop_is_confirmed_by_every_array_and_released_by_its_name() {
     let (arrays, switch, _sessions) = arrays("both", &[Manner::Stops, Manner::Stops]);
     switch.stop_and_confirm("test", TIME_LIMIT).unwrap();
-    let stops = switch.stops();
+    let stops = switch.stops(TIME_LIMIT);
     assert_eq!((stops.len(), stops[0].arrays.clone()), (1, vec![0, 1]));
     assert!(arrays.iter().all(|array| array.stops() == [stops[0].name]));
     switch.rearm_and_confirm(&[stops[0].name], "clear", TIME_LIMIT).unwrap();
@@ -254,7 +254,7 @@ fn a_driver_that_does_not_report_its_device_is_said_to_do_so_and_gets_the_rearm_
     let (arrays, switch, _sessions) = arrays("older", &[Manner::Older]);
     let unknown = unconfirmed(&switch);
     assert!(unknown[0].starts_with("array 0 has latched the stop; its driver does not report"), "{unknown:?}");
-    let names: Vec<_> = switch.stops().iter().map(|stop| stop.name).collect();
+    let names: Vec<_> = switch.stops(TIME_LIMIT).iter().map(|stop| stop.name).collect();
     switch.rearm_and_confirm(&names, "clear", TIME_LIMIT).unwrap();
     assert!(arrays[0].state.lock().unwrap().unnamed > 0 && arrays[0].stops().is_empty());
 }
@@ -266,7 +266,7 @@ fn the_rearm_of_the_first_messages_is_sent_only_with_the_names_of_all_stops() {
     let other = StopName { source: 77, sequence: 1 };
     latch(&mut arrays[0].state.lock().unwrap(), other);
     arrays.iter().for_each(Array::report);
-    let stops = || switch.stops().iter().map(|stop| stop.name).collect::<Vec<_>>();
+    let stops = || switch.stops(TIME_LIMIT).iter().map(|stop| stop.name).collect::<Vec<_>>();
     let own = stops().into_iter().find(|name| *name != other).unwrap();
     let open = match switch.rearm_and_confirm(&[own], "clear", SHORT).unwrap_err() {
         UiError::RearmUnconfirmed { arrays, .. } => arrays,
@@ -295,7 +295,7 @@ fn a_stop_that_one_array_reports_is_repeated_to_an_array_that_appears_later() {
     let other = StopName { source: 77, sequence: 1 };
     latch(&mut live[0].state.lock().unwrap(), other);
     live[0].report();
-    assert_eq!(switch.stops()[0].arrays, [0, 1], "a stop concerns every array");
+    assert_eq!(switch.stops(TIME_LIMIT)[0].arrays, [0, 1], "a stop concerns every array");
     let later = Array::new(&own, 1, Manner::Deaf, None);
     let begun = Instant::now();
     while later.stops() != [other] {
@@ -310,7 +310,7 @@ fn a_stop_that_one_array_reports_is_repeated_to_an_array_that_appears_later() {
 fn a_rearm_names_the_array_that_does_not_answer() {
     let (_arrays, switch, _sessions) = announced("half", &[Manner::Stops], Some(2));
     unconfirmed(&switch);
-    let name = switch.stops()[0].name;
+    let name = switch.stops(TIME_LIMIT)[0].name;
     let open = switch.rearm_and_confirm(&[name], "clear", SHORT).unwrap_err().to_string();
     assert!(open.contains("array 1 does not answer: it stays stopped") && !open.contains("array 0"), "{open}");
 }
@@ -326,13 +326,13 @@ fn a_reason_that_is_too_long_keeps_no_stop_back() {
 fn a_stop_of_another_operator_stays_in_force() {
     let (arrays, switch, _sessions) = arrays("others", &[Manner::Stops]);
     switch.stop_and_confirm("test", TIME_LIMIT).unwrap();
-    let own = switch.stops()[0].name;
+    let own = switch.stops(TIME_LIMIT)[0].name;
     let other = StopName { source: 77, sequence: 1 };
     latch(&mut arrays[0].state.lock().unwrap(), other);
     arrays[0].report();
     switch.rearm_and_confirm(&[own], "clear", TIME_LIMIT).unwrap();
     assert_eq!(arrays[0].stops(), [other]);
-    assert_eq!(switch.stops().iter().map(|stop| stop.name).collect::<Vec<_>>(), [other]);
+    assert_eq!(switch.stops(TIME_LIMIT).iter().map(|stop| stop.name).collect::<Vec<_>>(), [other]);
 }
 
 #[test]
@@ -347,5 +347,7 @@ fn a_rearm_of_an_array_that_is_not_stopped_sends_nothing() {
             error => assert!(begun.elapsed() < TIME_LIMIT, "{error}"),
         }
     }
+    let error = switch.rearm_and_confirm(&[], "clear", TIME_LIMIT).unwrap_err();
+    assert!(matches!(error, UiError::NotStopped), "{error}");
     assert!(arrays[0].state.lock().unwrap().rearms.is_empty());
 }

@@ -111,7 +111,8 @@ pub fn stop(args: StopArgs) -> Result<()> {
 pub fn rearm(args: RearmArgs) -> Result<()> {
     let OrderArgs { reason, timeout, .. } = &args.order;
     let (bus, switch) = args.order.join(&[AccessRole::Operator], false)?;
-    let stops = switch.stops();
+    let begun = Instant::now();
+    let stops = switch.stops(*timeout);
     let named: Vec<ShownStop> = match (&args.stop, args.all) {
         (Some(StopLabel(name)), _) => {
             let found: Vec<_> = stops.into_iter().filter(|stop| stop.name == *name).collect();
@@ -124,7 +125,7 @@ pub fn rearm(args: RearmArgs) -> Result<()> {
         _ => stops,
     };
     let names: Vec<StopName> = named.iter().map(|stop| stop.name).collect();
-    let took = switch.rearm_and_confirm(&names, reason, *timeout)?;
+    let took = switch.rearm_and_confirm(&names, reason, timeout.saturating_sub(begun.elapsed()))?;
     args.order.report(&bus, "released", took, &named)?;
     drop(switch);
     Ok(bus.close()?)

@@ -8,6 +8,7 @@ use heliostat_bus::{AccessRole, BusArgs, TlsArgs};
 use heliostat_core::policy::{NameParser, PolicyKind};
 use heliostat_proto::Room;
 use heliostat_scenario::ScenarioArgs;
+use heliostat_service::exit::UnusableInput;
 use heliostat_service::{EndArgs, duration, output, signals};
 use serde::Serialize;
 
@@ -123,8 +124,8 @@ pub fn record(args: RecordArgs) -> Result<()> {
 /// Replays, and prints the result.
 ///
 /// # Errors
-/// [`UnusableInput`](heliostat_service::exit::UnusableInput) if the recording cannot be replayed;
-/// with `--verify`, a difference.
+/// [`UnusableInput`] if the recording cannot be replayed, or with `--verify` if no command of it can be
+/// compared; with `--verify`, a difference.
 pub fn replay(args: ReplayArgs) -> Result<()> {
     if !args.verify && args.policy.is_none() && args.model.is_none() {
         return play(args);
@@ -132,11 +133,18 @@ pub fn replay(args: ReplayArgs) -> Result<()> {
     let settings = replay::Settings { file: args.file, policy: args.policy, model: args.model, settle: args.settle };
     let verdict = replay::run(&settings)?;
     print(args.json, &verdict, &verdict)?;
+    if args.verify && verdict.is_empty() {
+        let file = settings.file.display();
+        return Err(UnusableInput::new(format!(
+            "{file} has no command that a replay can compare: it is too short, cut off, or holds no state of the controller before its commands"
+        ))
+        .into());
+    }
     if args.verify && !verdict.is_good() {
         bail!(
             "{} does not replay as recorded: {}",
             settings.file.display(),
-            verdict.first_difference.as_deref().unwrap_or("no command could be compared")
+            verdict.first_difference.as_deref().unwrap_or("a report has no command in the replay")
         );
     }
     Ok(())

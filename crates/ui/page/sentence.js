@@ -51,7 +51,7 @@ export function sentence(now, age, shown, frame) {
 
 // Who ordered a stop, why, and since when the page knows of it.
 function orderedBy({ name, operator, reason, age_s }) {
-  return `Ordered by ${operator || `stop ${name}`}${reason ? ` (${reason})` : ""}, ${seconds(age_s)} ago.`;
+  return `Ordered by ${operator || `stop ${name}`}${reason ? ` (${reason})` : ""}, known to this page for ${seconds(age_s)}.`;
 }
 
 const asSentence = (text) => `${text[0].toUpperCase()}${text.slice(1)}.`;

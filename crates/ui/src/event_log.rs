@@ -78,7 +78,7 @@ impl EventLog {
                 Answer::Done => ("done".to_owned(), false),
                 Answer::Refused(reason) => (format!("refused: {reason}"), true),
                 Answer::Missing => ("no answer".to_owned(), true),
-                Answer::Absent => ("no array is present".to_owned(), true),
+                Answer::Absent => ("no array received it".to_owned(), true),
             };
             let key = format!("order {}", order.id);
             if self.states.get(&key) != Some(&answer) {

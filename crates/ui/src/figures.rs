@@ -337,9 +337,10 @@ fn counts(
     // The array counts since its own start, also what earlier controllers sent.
     let refused = array.map(|array| array.counters.refused());
     let decisions = of(controller, "decisions");
+    let withheld = ["fallback:standby", "fallback:withheld"].into_iter().filter_map(|name| of(controller, name)).sum();
     let all = [
-        ("decisions", decisions, false, "Decisions of the controller on position reports, since its start."),
-        ("commands", of(controller, "commands"), false, "Commands that the controller sent, one for each array."),
+        ("decisions", decisions, false, "Decisions on position reports since the start of this controller."),
+        ("commands", of(controller, "commands"), false, "Commands that this controller sent, one for each array."),
         ("over 0.5 ms", of(controller, "over_budget"), true, "Decisions that took longer than the budget of 0.5 ms."),
         (
             "modelled",
@@ -347,13 +348,17 @@ fn counts(
             false,
             "Decisions on modelled gains: no receiver has ever reported gains in this room.",
         ),
-        ("ticks lost", of(room, "lost_ticks"), true, "Ticks of the simulated room that its clock skipped."),
-        ("ticks late", of(room, "late_ticks"), true, "Ticks of the simulated room that began late."),
+        (
+            "ticks lost",
+            of(room, "lost_ticks"),
+            true,
+            "Reports of the simulated room that no accepted command answered in time, also during a stop.",
+        ),
+        ("ticks late", of(room, "late_ticks"), true, "Reports of the simulated room that it published late."),
         (
             "fallbacks",
-            // A controller that stands by, or waits for the first telemetry, has no problem.
-            of(controller, "fallback:*")
-                .map(|all| all.saturating_sub(of(controller, "fallback:standby").unwrap_or_default())),
+            // Commands that are withheld for a stop or in standby are counted for each array, and are no problem.
+            of(controller, "fallback:*").map(|all| all.saturating_sub(withheld)),
             true,
             "Decisions without the policy's own angles or on incomplete reports: see `fallback:` in the log and docs/faults.md.",
         ),
@@ -385,8 +390,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_decision_in_standby_is_no_fallback() {
-        let counters = [("decisions", 9), ("fallback:late", 2), ("fallback:standby", 5)];
+    fn a_command_that_is_withheld_is_no_fallback() {
+        let counters = [("decisions", 9), ("fallback:late", 2), ("fallback:standby", 5), ("fallback:withheld", 7)];
         let counters = counters.map(|(name, count)| (name.to_owned(), count)).to_vec();
         let status = NodeStatus { node: NodeKind::Controller, counters, ..NodeStatus::default() };
         let mut shown = counts(Some(&status), None, None, 0).into_iter();

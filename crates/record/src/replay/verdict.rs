@@ -51,6 +51,11 @@ pub struct Verdict {
 }
 
 impl Verdict {
+    /// Whether no command counts, and no report lacks one.
+    pub fn is_empty(&self) -> bool {
+        self.same == 0 && self.different == 0 && self.held == 0
+    }
+
     /// Whether at least one command counts, and all that count are equal.
     pub fn is_good(&self) -> bool {
         self.same > 0 && self.different == 0 && self.held == 0

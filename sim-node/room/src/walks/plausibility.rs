@@ -3,11 +3,14 @@
 //! Users walk at 1.0 to 1.6 m/s (Weidmann, Transporttechnik der Fussgänger, 1993: mean 1.34 m/s,
 //! standard deviation 0.26 m/s).
 
-use crate::walks::figures::{bounds, percentile, speeds};
+use crate::walks::figures::{SpeedFigures, bounds, percentile, speeds};
 use crate::walks::tracks::{Collected, Track};
 
 /// Medians of the speed in m/s that need no warning. Users who stand most of the time lower the median.
 const SPEED_M_S: [f64; 2] = [0.2, 1.7];
+
+/// A larger 95th percentile in m/s is no walk and no run.
+const FAST_M_S: f64 = 5.0;
 
 /// Fewer positions than this in most tracks are no walks.
 const POSITIONS_MIN: f64 = 4.0;
@@ -78,7 +81,12 @@ fn extent(tracks: &[Track]) -> Option<String> {
 }
 
 fn speed(tracks: &[Track]) -> Option<String> {
-    let median = speeds(tracks)?.median_m_s;
+    let SpeedFigures { median_m_s: median, p95_m_s: fast } = speeds(tracks)?;
+    if fast > FAST_M_S {
+        return Some(format!(
+            "1 of 20 steps is faster than {fast:.1} m/s: are lost points in the file, as zeros or as a large number?"
+        ));
+    }
     let is_usual = (SPEED_M_S[0]..=SPEED_M_S[1]).contains(&median);
     (!is_usual).then(|| {
         format!("median speed {median:.2} m/s, while users walk at 1.0 to 1.6 m/s: check frame rate, units and columns")

@@ -15,7 +15,7 @@ use heliostat_service::counted::counted;
 use heliostat_service::printable::{printable, printable_lines};
 
 use super::origin;
-use super::output::{BELIEF_NOTE, belief_columns, ber, interval, notes_on_episodes, number, rows, signed};
+use super::output::{BELIEF_NOTE, belief_columns, ber, interval, notes_on_episodes, number, rows, signed, users};
 use super::sweep::{Grid, Sweep};
 use crate::commands::whole_file;
 
@@ -102,7 +102,7 @@ fn write_origin(page: &mut String, command: &str, report: &Report, grid: Option<
     let mut rows = vec![
         ("scenario", format!("{}, configuration {}", report.scenario, report.configuration)),
         ("comparison", mode.to_owned()),
-        ("users", format!("{}, {} with a blocked direct path", report.users, report.blocked)),
+        ("users", users(report)),
         ("seeds", format!("{} to {last_seed}: {} states for each", report.seed, report.states)),
         ("episodes", format!("{}; intervals come from them", counted(report.episodes, report.group()))),
         ("made", machine::now()),

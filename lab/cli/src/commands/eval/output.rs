@@ -23,16 +23,16 @@ fn name_width(report: &Report) -> usize {
     rows(report).map(|(name, _)| name.len()).max().unwrap_or(0).max(22)
 }
 
+/// The number of users, and of those that never have a direct path.
+pub(super) fn users(report: &Report) -> String {
+    let users = counted(report.users, "user");
+    if report.blocked == 0 { users } else { format!("{users}, {} of them never with a direct path", report.blocked) }
+}
+
 /// Prints a comparison.
 pub fn print_table(report: &Report) -> io::Result<()> {
     let loop_name = if report.mode == Loop::ClosedLoop { "closed loop" } else { "static" };
-    outln!(
-        "{}, {loop_name}: {}, {} with a blocked direct path; {}",
-        report.scenario,
-        counted(report.users, "user"),
-        report.blocked,
-        states_and_seeds(report)
-    )?;
+    outln!("{}, {loop_name}: {}; {}", report.scenario, users(report), states_and_seeds(report))?;
     let width = name_width(report);
     outln!(
         "{:<width$} {:>7} {:>13} {:>13} {:>6} {:>12} {:>12} {:>13} {:>18} {:>8} {:>8}",

@@ -35,8 +35,6 @@ type Commands = Vec<(usize, Vec<u8>)>;
 struct Inner {
     controller: Controller,
     examiner: Examiner,
-    /// Epoch and sequence number of the last command to each array.
-    sent: Vec<(u64, u64)>,
     is_due: bool,
     superseded: u64,
     unfit_nodes: Vec<u64>,
@@ -57,14 +55,10 @@ pub struct Commander {
     deadline_s: f64,
 }
 
-/// Numbers and encodes the commands of a decision.
-fn numbered(decision: Decision<'_>, sent: &mut [(u64, u64)]) -> PyResult<Commands> {
+/// Encodes the commands of a decision.
+fn encoded(decision: Decision<'_>) -> PyResult<Commands> {
     let mut commands = Commands::new();
     for (array, command) in decision.commands() {
-        let (epoch, sequence) = &mut sent[array];
-        *sequence = if *epoch == command.epoch { *sequence + 1 } else { 1 };
-        *epoch = command.epoch;
-        command.sequence = *sequence;
         let mut payload = Vec::new();
         encode(command, &mut payload).map_err(refused)?;
         commands.push((array, payload));
@@ -81,10 +75,6 @@ impl Inner {
                 decode::<$report>(payload).map(|mut report| self.controller.handle_message(now, $message(&mut report)))
             };
         }
-        if stream == Stream::Telemetry {
-            let (epoch, sequence) = self.sent[array];
-            self.controller.handle_sent(array, epoch, sequence);
-        }
         let due: Result<Due, CodecError> = match stream {
             Stream::Users => handled!(UserReport, Message::Users),
             Stream::Channel => handled!(ChannelReport, Message::Channel),
@@ -98,7 +88,7 @@ impl Inner {
                 self.superseded += u64::from(std::mem::replace(&mut self.is_due, true));
                 Ok(Commands::new())
             }
-            Ok(Due::StaleCommand) => numbered(self.controller.poll_stale_command(now), &mut self.sent),
+            Ok(Due::StaleCommand) => encoded(self.controller.poll_stale_command(now)),
             Ok(Due::Nothing) => Ok(Commands::new()),
             Err(error) => {
                 self.controller.handle_malformed(place, Refusal::from(&error));
@@ -207,7 +197,6 @@ impl Commander {
             let inner = Inner {
                 controller,
                 examiner,
-                sent: vec![(0, 0); arrays],
                 is_due: false,
                 superseded: 0,
                 unfit_nodes: Vec::new(),
@@ -258,8 +247,7 @@ impl Commander {
             if !std::mem::take(&mut inner.is_due) {
                 return Ok(Commands::new());
             }
-            let Inner { controller, sent, .. } = inner;
-            numbered(controller.poll_command(now, Timing::InTime, &mut |_| {}), sent)
+            encoded(inner.controller.poll_command(now, Timing::InTime, &mut |_| {}))
         });
         commands.map(|commands| payloads(py, commands))
     }
@@ -267,8 +255,7 @@ impl Commander {
     /// Acts where no position report has come, if that is due.
     fn timeout<'py>(&self, py: Python<'py>, now: u64) -> PyResult<Vec<(usize, Bound<'py, PyBytes>)>> {
         let commands = self.step(|inner| {
-            let Inner { controller, sent, .. } = inner;
-            controller.poll_timeout_command(now).map_or(Ok(Commands::new()), |decision| numbered(decision, sent))
+            inner.controller.poll_timeout_command(now).map_or(Ok(Commands::new()), encoded)
         });
         commands.map(|commands| payloads(py, commands))
     }

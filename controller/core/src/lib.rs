@@ -21,8 +21,7 @@
 //!
 //! # Example
 //!
-//! A caller decodes a report, handles it, polls the command that is due, numbers the command and
-//! sends it.
+//! A caller decodes a report, handles it, polls the command that is due, and sends it.
 //!
 //! ```
 //! use heliostat_core::{
@@ -49,7 +48,7 @@
 //!     payloads.push((stamp.time_ns, payload));
 //! }
 //!
-//! let (mut report, mut sent, mut sequence) = (UserReport::default(), Vec::new(), 0);
+//! let (mut report, mut sent) = (UserReport::default(), Vec::new());
 //! for (now, payload) in &payloads {
 //!     decode_into(&mut report, payload)?;
 //!     let decision = match controller.handle_message(*now, Message::Users(&mut report)) {
@@ -58,8 +57,6 @@
 //!         Due::Nothing => continue,
 //!     };
 //!     if let Decision::Move { command, .. } = decision {
-//!         sequence += 1;
-//!         command.sequence = sequence;
 //!         encode(command, &mut sent)?;
 //!     }
 //! }

@@ -6,14 +6,16 @@
 //! | [`receive_queue`] | holds payloads between callbacks and the room's thread | |
 //! | [`decision_loop`] | decodes, decides, records stage times | the transport's callback or the room's thread; the main thread for missing reports |
 //! | [`cache_warmer`] | decides when the room's thread warms up the caches | the room's thread |
-//! | [`command_sender`] | numbers, encodes and publishes commands | the thread that decides, or the main thread |
+//! | [`command_sender`] | encodes and publishes commands | the thread that decides |
 //! | [`state_publisher`] | publishes belief and state after a command | the thread that decides |
-//! | [`watchdog`] | acts for a policy that does not return | the main thread |
-//! | `stop_repeater` | repeats held stops to arrays that have not reported them | the main thread |
+//! | [`stop_repeater`] | repeats held stops to arrays that have not reported them | the main thread |
 //!
 //! `policy_swap` replaces the policy on a thread of its own. Rooms share a session and nothing
-//! else, so a room that floods, fails or stands by leaves the others alone. The main thread
-//! waits at most [`POLICY_TIMEOUT`] for the lock of the decision loop.
+//! else, so a room that floods, fails or stands by leaves the others alone.
+//!
+//! The main thread is the watchdog: it waits at most `POLICY_TIMEOUT` for the lock of the decision
+//! loop. A policy that holds the lock for longer is reported and counted, and the room gets no
+//! command until it returns.
 
 pub mod cache_warmer;
 pub mod command_sender;
@@ -27,10 +29,9 @@ pub mod receive_queue;
 pub mod room_clock;
 pub mod state_publisher;
 mod status;
-mod stop_repeater;
+pub mod stop_repeater;
 mod subscriptions;
 mod undecodable;
-pub mod watchdog;
 
 use std::{
     sync::{Arc, Mutex},
@@ -66,10 +67,12 @@ use receive_queue::ReceiveQueue;
 use room_clock::RoomClock;
 use state_publisher::StatePublisher;
 use status::{Conditions, Identity, Problem, Reporter};
-use stop_repeater::StopRepeater;
+use stop_repeater::{HeldStops, StopRepeater};
 use subscriptions::Arrays;
 use undecodable::Decoder;
-use watchdog::{POLICY_TIMEOUT, Watchdog};
+
+/// Timeout of a policy. No policy for a room with a deadline takes so long.
+const POLICY_TIMEOUT: Duration = Duration::from_millis(100);
 
 /// Longest wait of a controller that ends for a standby that takes over.
 const HAND_OVER: Duration = Duration::from_millis(500);
@@ -79,8 +82,7 @@ pub struct RoomRuntime {
     room: Room,
     decision_loop: Arc<Mutex<DecisionLoop>>,
     queue: Arc<ReceiveQueue>,
-    sender: Arc<CommandSender>,
-    watchdog: Arc<Watchdog>,
+    stops: Arc<HeldStops>,
     repeater: StopRepeater,
     policy_swap: PolicySwap,
     /// The room's thread, if decisions need one.
@@ -140,12 +142,11 @@ impl RoomRuntime {
             Ok((bus.publisher(&room.array(index).command(), class)?, array.rows * array.columns))
         });
         let sender = CommandSender::new(publishers.collect::<Result<Vec<_>, BusError>>()?);
-        let watchdog = Watchdog::new(scenario.control.when_unanswered, sender.arrays());
-        let repeater = StopRepeater::open(bus, sender.arrays(), source)?;
-        let (sender, watchdog) = (Arc::new(sender), Arc::new(watchdog));
-        let shared = (Arc::clone(&sender), Arc::clone(&watchdog));
-        let states = StatePublisher::open(bus, source)?;
-        let decision_loop = DecisionLoop::new(controller, clock, deadline(config), shared, states);
+        let arrays = controller.arrays();
+        let stops = Arc::new(HeldStops::new(arrays));
+        let repeater = StopRepeater::open(bus, arrays, source)?;
+        let published = (sender, StatePublisher::open(bus, source)?);
+        let decision_loop = DecisionLoop::new(controller, clock, deadline(config), published, Arc::clone(&stops));
         let decision_loop = Arc::new(Mutex::new(decision_loop.with_settings(settings)));
         let queue = Arc::new(ReceiveQueue::default());
         let thread = settings.has_thread().then(|| spawn(&room, &decision_loop, &queue)).transpose()?;
@@ -159,7 +160,7 @@ impl RoomRuntime {
         let decoder = Decoder::default();
         let arrays = Arrays {
             decision_loop: Arc::clone(&decision_loop),
-            watchdog: Arc::clone(&watchdog),
+            stops: Arc::clone(&stops),
             decoder: decoder.clone(),
         };
         let mut subscriptions = subscriptions::subscribe_to_arrays(bus, &arrays, &examiner)?;
@@ -179,8 +180,7 @@ impl RoomRuntime {
             room,
             decision_loop,
             queue,
-            sender,
-            watchdog,
+            stops,
             repeater,
             policy_swap,
             thread,
@@ -212,20 +212,11 @@ impl RoomRuntime {
         RoomReport { room: &self.room, summary: &self.summary, times: &self.times, policy_times: &self.policy_times }
     }
 
-    /// Executes the action for absent reports or for a policy timeout, if that is due. Repeats held
-    /// stops.
+    /// Executes the action for absent reports, if that is due. Repeats held stops.
     pub fn handle_timeouts(&mut self) {
-        self.repeater.repeat(&self.watchdog);
+        self.repeater.repeat(&self.stops);
         if let Some(mut decision_loop) = try_lock(&self.decision_loop) {
-            self.watchdog.on_idle();
             decision_loop.handle_timeout();
-            return;
-        }
-        let Some(action) = self.watchdog.on_busy(Instant::now()) else { return };
-        let now = utc_ns();
-        let mut arrays = (0..self.sender.arrays()).filter(|array| !self.watchdog.is_stopped(*array));
-        if !arrays.all(|array| self.sender.send_on_behalf(array, action, now)) {
-            tracing::warn!(room = %self.room, "the command on behalf of the policy could not be sent");
         }
     }
 
@@ -300,8 +291,9 @@ impl RoomRuntime {
     }
 
     fn report_stall(&mut self) {
-        let (policy, meanwhile) = (&self.summary.policy, self.watchdog.description());
-        let problem = format!("policy {policy} has timed out; {meanwhile}");
+        let policy = &self.summary.policy;
+        let problem =
+            format!("policy {policy} has timed out; no command is published: the array holds its angles, then parks");
         self.log(&Problem::Warning(problem.clone()), 1);
         self.summary.unanswered += 1;
         self.summary.last_problem = problem;

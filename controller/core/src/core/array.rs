@@ -14,11 +14,6 @@ impl Controller {
         self.arrays.len()
     }
 
-    /// Notes the epoch and sequence number of the last command sent to an array.
-    pub fn handle_sent(&mut self, array: usize, epoch: u64, sequence: u64) {
-        self.arrays[array].guard.tenure.handle_sent(epoch, sequence);
-    }
-
     /// Whether announcements of this source concern the array that is followed. Before the first
     /// telemetry those of every source do.
     pub fn admits_array(&self, array: usize, source: u64) -> bool {

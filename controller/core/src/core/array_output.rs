@@ -109,6 +109,14 @@ impl ArrayOutput {
         self.permit = if is_given { Ok(epoch) } else { Err(DegradedMode::Withheld) };
     }
 
+    /// Numbers the command of a decision at `now`: epoch and sequence, or `None` where the array gets
+    /// none.
+    pub fn number(&mut self, now: Nanos) -> Option<(u64, u64)> {
+        let epoch = self.permit.ok()?;
+        self.commanded_ns = Some(now);
+        Some((epoch, self.guard.tenure.next_sequence()))
+    }
+
     /// Sets `angles` to those of the mirrors: of the last command while it is valid, and otherwise
     /// of the last telemetry. Without telemetry all mirrors are flat. `interval_s` is the nominal
     /// time between commands.

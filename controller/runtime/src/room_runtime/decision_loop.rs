@@ -40,7 +40,7 @@ use super::{
     receive_queue::{ReceiveQueue, Wake},
     room_clock::RoomClock,
     state_publisher::StatePublisher,
-    watchdog::Watchdog,
+    stop_repeater::HeldStops,
 };
 use crate::report::stage_times::{StageStamps, StageTimes};
 use message_buffers::MessageBuffers;
@@ -101,8 +101,8 @@ pub struct DecisionLoop {
     /// The same of policies that were replaced since then, each with the policy's name.
     pub former_times: Vec<(String, StageTimes)>,
     clock: RoomClock,
-    sender: Arc<CommandSender>,
-    watchdog: Arc<Watchdog>,
+    sender: CommandSender,
+    stops: Arc<HeldStops>,
     warmer: CacheWarmer,
     states: StatePublisher,
     /// Decoded into, and swapped with the core's former reports.
@@ -127,8 +127,8 @@ impl DecisionLoop {
         controller: Controller,
         clock: RoomClock,
         deadline: Duration,
-        (sender, watchdog): (Arc<CommandSender>, Arc<Watchdog>),
-        states: StatePublisher,
+        (sender, states): (CommandSender, StatePublisher),
+        stops: Arc<HeldStops>,
     ) -> Self {
         Self {
             controller,
@@ -136,7 +136,7 @@ impl DecisionLoop {
             former_times: Vec::new(),
             clock,
             sender,
-            watchdog,
+            stops,
             warmer: CacheWarmer::new(false),
             states,
             buffers: MessageBuffers::new(),
@@ -170,16 +170,12 @@ impl DecisionLoop {
                 return;
             }
         };
-        if channel.stream == Stream::Telemetry {
-            let (epoch, sequence) = self.sender.last_sent(channel.array);
-            self.controller.handle_sent(channel.array, epoch, sequence);
-        }
         if let Message::Telemetry(array, telemetry) = &message
             && *array < self.controller.arrays()
             && self.controller.admits_array(*array, telemetry.stamp.source)
         {
             let is_stopped = telemetry.state == ArrayState::Stopped;
-            self.watchdog.handle_state(*array, telemetry.stamp.source, is_stopped);
+            self.stops.handle_state(*array, telemetry.stamp.source, is_stopped);
         }
         let now = self.clock.at_arrival(message.stamp().time_ns);
         match self.controller.handle_message(now, message) {
@@ -190,7 +186,7 @@ impl DecisionLoop {
             }
             Due::StaleCommand => {
                 let decision = self.controller.poll_stale_command(now);
-                self.unsent += u64::from(!send(&self.sender, decision));
+                self.unsent += u64::from(!self.sender.send(decision));
             }
             Due::Nothing => {}
         }
@@ -199,7 +195,6 @@ impl DecisionLoop {
     /// Decides for the newest tick that is due, if one is.
     pub fn decide(&mut self) {
         let Some(mut stamps) = self.due.take() else { return };
-        self.watchdog.on_progress();
         let started = Instant::now();
         let timing = self.timing(stamps.waited(started));
         let now = self.clock.now();
@@ -208,9 +203,8 @@ impl DecisionLoop {
             Decision::Move { command, age_ns, .. } if command.answers >= self.times_from_tick => Some(*age_ns),
             Decision::Move { .. } | Decision::Hold(_) => None,
         };
-        let sent = send(&self.sender, decision);
+        let sent = self.sender.send(decision);
         stamps.mark(Stage::Published);
-        self.watchdog.on_progress();
         self.unsent += u64::from(!sent);
         if let Some(age_ns) = measured_age_ns {
             self.times.record(&stamps, age_ns);
@@ -237,7 +231,7 @@ impl DecisionLoop {
     /// Executes the action for the absence of position reports, if that is due.
     pub fn handle_timeout(&mut self) {
         if let Some(decision) = self.controller.poll_timeout_command(self.clock.now()) {
-            self.unsent += u64::from(!send(&self.sender, decision));
+            self.unsent += u64::from(!self.sender.send(decision));
         }
     }
 
@@ -289,11 +283,6 @@ impl DecisionLoop {
         self.was_late = is_late;
         if is_late { Timing::Late } else { Timing::InTime }
     }
-}
-
-/// Sends the commands of a decision, if it has any; false where the transport refuses one.
-fn send(sender: &CommandSender, decision: Decision<'_>) -> bool {
-    decision.commands().fold(true, |is_sent, (array, command)| sender.send(array, command) && is_sent)
 }
 
 /// The entry of payloads: decides in the callback, or queues the payload for the room's thread.

@@ -8,14 +8,13 @@ use std::{
 use heliostat_bus::{Bus, Presence, Subscription};
 use heliostat_core::{capabilities::Examiner, refusal::Stream};
 use heliostat_proto::{Capabilities, EmergencyStop, SafetyReport, StopReport, keys::parse_alive};
-use heliostat_service::clock::utc_ns;
 
 use super::{
     decision_loop::{DecisionLoop, PayloadHandler},
     input_channel::InputChannel,
     locks::lock,
+    stop_repeater::HeldStops,
     undecodable::Decoder,
-    watchdog::Watchdog,
 };
 
 /// How long the controller waits for the announcements of an array that is already there.
@@ -26,8 +25,8 @@ const ANNOUNCED_WITHIN: Duration = Duration::from_millis(300);
 pub struct Arrays {
     /// The loop that decides for all of them.
     pub decision_loop: Arc<Mutex<DecisionLoop>>,
-    /// Knows their epochs and stops while the loop is locked.
-    pub watchdog: Arc<Watchdog>,
+    /// Their stops, which are repeated also while the loop is locked.
+    pub stops: Arc<HeldStops>,
     /// Counts the payloads that do not decode.
     pub decoder: Decoder,
 }
@@ -115,13 +114,12 @@ fn subscribe_to_capabilities(
     Ok(bus.subscribe(&key, examine)?)
 }
 
-/// The watchdog holds stops of its own, because the decision loop can be locked when an order
-/// arrives.
+/// The decision loop can be locked when an order arrives, so the order is held for repetition first.
 fn subscribe_to_stops(bus: &Bus, arrays: &Arrays) -> anyhow::Result<Subscription> {
-    let Arrays { decision_loop, watchdog, decoder } = arrays.clone();
+    let Arrays { decision_loop, stops, decoder } = arrays.clone();
     Ok(bus.subscribe(&bus.room().stop(), move |payload| {
         let Some(order) = decoder.decode::<EmergencyStop>("stop", None, payload) else { return };
-        watchdog.update_stops(|hold| hold.order(utc_ns(), &order));
+        stops.handle_order(&order);
         let decision_loop = &mut lock(&decision_loop);
         let now = decision_loop.room_time_ns();
         decision_loop.controller.handle_stop_order(now, &order);
@@ -130,11 +128,11 @@ fn subscribe_to_stops(bus: &Bus, arrays: &Arrays) -> anyhow::Result<Subscription
 
 fn subscribe_to_stop_reports(bus: &Bus, array: usize, arrays: &Arrays) -> anyhow::Result<Subscription> {
     let key = bus.room().array(array).stops();
-    let Arrays { decision_loop, watchdog, decoder } = arrays.clone();
+    let Arrays { decision_loop, stops, decoder } = arrays.clone();
     let report = move |payload: &[u8]| {
         let Some(report) = decoder.decode::<StopReport>("stops", Some(array), payload) else { return };
         if lock(&decision_loop).controller.handle_stops(array, &report) {
-            watchdog.handle_stops(array, &report);
+            stops.handle_stops(array, &report);
         }
     };
     bus.fetch(&key, ANNOUNCED_WITHIN)?.iter().for_each(|payload| report(payload));
@@ -143,11 +141,11 @@ fn subscribe_to_stop_reports(bus: &Bus, array: usize, arrays: &Arrays) -> anyhow
 
 fn subscribe_to_safety(bus: &Bus, array: usize, arrays: &Arrays) -> anyhow::Result<Subscription> {
     let key = bus.room().array(array).safety();
-    let Arrays { decision_loop, watchdog, decoder } = arrays.clone();
+    let Arrays { decision_loop, stops, decoder } = arrays.clone();
     let report = move |payload: &[u8]| {
         let Some(report) = decoder.decode::<SafetyReport>("safety", Some(array), payload) else { return };
         if lock(&decision_loop).controller.handle_safety(array, &report) {
-            watchdog.handle_safety(array, &report);
+            stops.handle_safety(array, &report);
         }
     };
     // The first epoch must be above the one that the array follows.

@@ -37,7 +37,7 @@ pub(super) struct ArrayOutput {
     /// Time in s since the mirrors received their present command.
     elapsed_s: f64,
     /// Arrival of its last telemetry; before the first, time of the first decision.
-    heard_ns: Option<Nanos>,
+    pub heard_ns: Option<Nanos>,
     /// The source of its telemetry has left.
     has_left: bool,
     /// Absent in a room with one array, which is never lost.

@@ -6,17 +6,11 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use heliostat_core::capabilities::{Examiner, Force};
-use heliostat_core::core::{Controller, Decision, DegradedMode, Due, Timing};
-use heliostat_core::inbox::Message;
-use heliostat_core::refusal::{Refusal, Stream};
+use heliostat_core::core::{DegradedMode, Timing};
+use heliostat_core::refusal::Stream;
+use heliostat_core::room_core::{Handled, Input, InputChannel, InputKey, Output, Publish, RoomCore, RoomSettings};
 use heliostat_core::tenure::Tenure;
 use heliostat_environment::function_policy::FunctionPolicy;
-use heliostat_proto::keys::parse_alive;
-use heliostat_proto::{
-    Capabilities, ChannelReport, CodecError, EmergencyStop, LedReport, MirrorTelemetry, ObstacleReport,
-    OrientationReport, SafetyReport, StopReport, UserReport, decode, encode,
-};
 use numpy::{AllowTypeChange, PyArray1, PyArrayLike1};
 use pyo3::exceptions::{PyException, PyRuntimeError};
 use pyo3::prelude::*;
@@ -32,22 +26,10 @@ type Raised = Arc<Mutex<Option<PyErr>>>;
 /// The payload of a command, with the index of its array.
 type Commands = Vec<(usize, Vec<u8>)>;
 
-struct Inner {
-    controller: Controller,
-    examiner: Examiner,
-    /// Epoch and sequence number of the last command to each array.
-    sent: Vec<(u64, u64)>,
-    is_due: bool,
-    superseded: u64,
-    unfit_nodes: Vec<u64>,
-    /// Why an array gets no command.
-    unfit: Option<String>,
-}
-
 /// A controller whose policy is a function in Python.
 #[pyclass(frozen, module = "heliostat._core")]
 pub struct Commander {
-    inner: Mutex<Inner>,
+    room: Mutex<RoomCore>,
     failures: Arc<AtomicU64>,
     raised: Raised,
     #[pyo3(get)]
@@ -57,112 +39,53 @@ pub struct Commander {
     deadline_s: f64,
 }
 
-/// Numbers and encodes the commands of a decision.
-fn numbered(decision: Decision<'_>, sent: &mut [(u64, u64)]) -> PyResult<Commands> {
-    let mut commands = Commands::new();
-    for (array, command) in decision.commands() {
-        let (epoch, sequence) = &mut sent[array];
-        *sequence = if *epoch == command.epoch { *sequence + 1 } else { 1 };
-        *epoch = command.epoch;
-        command.sequence = *sequence;
-        let mut payload = Vec::new();
-        encode(command, &mut payload).map_err(refused)?;
-        commands.push((array, payload));
+/// The commands of what a room's core published.
+struct Published(Commands);
+
+impl Publish for Published {
+    fn publish(&mut self, output: Output, payload: &[u8]) {
+        if let Output::Command(array) = output {
+            self.0.push((array, payload.to_vec()));
+        }
     }
-    Ok(commands)
 }
 
-impl Inner {
-    /// Gives a report to the core. A payload that does not decode is counted.
-    fn report(&mut self, place: (Stream, usize), payload: &[u8], now: u64) -> PyResult<Commands> {
-        let (stream, array) = place;
-        macro_rules! handled {
-            ($report:ty, $message:expr) => {
-                decode::<$report>(payload).map(|mut report| self.controller.handle_message(now, $message(&mut report)))
-            };
-        }
-        if stream == Stream::Telemetry {
-            let (epoch, sequence) = self.sent[array];
-            self.controller.handle_sent(array, epoch, sequence);
-        }
-        let due: Result<Due, CodecError> = match stream {
-            Stream::Users => handled!(UserReport, Message::Users),
-            Stream::Channel => handled!(ChannelReport, Message::Channel),
-            Stream::Obstacles => handled!(ObstacleReport, Message::Obstacles),
-            Stream::Orientation => handled!(OrientationReport, Message::Orientation),
-            Stream::Leds => handled!(LedReport, Message::Leds),
-            Stream::Telemetry => handled!(MirrorTelemetry, |report| Message::Telemetry(array, report)),
-        };
-        match due {
-            Ok(Due::Command) => {
-                self.superseded += u64::from(std::mem::replace(&mut self.is_due, true));
-                Ok(Commands::new())
-            }
-            Ok(Due::StaleCommand) => numbered(self.controller.poll_stale_command(now), &mut self.sent),
-            Ok(Due::Nothing) => Ok(Commands::new()),
-            Err(error) => {
-                self.controller.handle_malformed(place, Refusal::from(&error));
-                Ok(Commands::new())
-            }
-        }
-    }
-
-    fn handle(&mut self, name: &str, array: usize, payload: &[u8], now: u64) -> PyResult<Commands> {
-        let stream = match name {
-            "users" => Stream::Users,
-            "channel" => Stream::Channel,
-            "obstacles" => Stream::Obstacles,
-            "orientation" => Stream::Orientation,
-            "leds" => Stream::Leds,
-            "telemetry" => Stream::Telemetry,
-            "capabilities" => {
-                if let Ok(found) = decode::<Capabilities>(payload) {
-                    let verdict = self.examiner.examine(array, &found);
-                    let unfit = verdict.as_ref().err().map(ToString::to_string);
-                    if self.controller.handle_capabilities(array, &found, verdict) {
-                        self.unfit = unfit;
-                    }
-                }
-                return Ok(Commands::new());
-            }
-            "safety" => {
-                if let Ok(report) = decode::<SafetyReport>(payload) {
-                    self.controller.handle_safety(array, &report);
-                }
-                return Ok(Commands::new());
-            }
-            "stops" => {
-                if let Ok(report) = decode::<StopReport>(payload) {
-                    self.controller.handle_stops(array, &report);
-                }
-                return Ok(Commands::new());
-            }
-            "stop" => {
-                if let Ok(order) = decode::<EmergencyStop>(payload) {
-                    self.controller.handle_stop_order(now, &order);
-                }
-                return Ok(Commands::new());
-            }
-            other => return Err(refused(format!("a controller reads no message {other:?}"))),
-        };
-        self.report((stream, array), payload, now)
-    }
+/// The key of a message by its name in Python.
+fn key(name: &str, array: usize) -> PyResult<InputKey> {
+    let stream = match name {
+        "users" => Stream::Users,
+        "channel" => Stream::Channel,
+        "obstacles" => Stream::Obstacles,
+        "orientation" => Stream::Orientation,
+        "leds" => Stream::Leds,
+        "telemetry" => Stream::Telemetry,
+        "capabilities" => return Ok(InputKey::Capabilities(array)),
+        "safety" => return Ok(InputKey::Safety(array)),
+        "stops" => return Ok(InputKey::Stops(array)),
+        "stop" => return Ok(InputKey::Stop),
+        other => return Err(refused(format!("a controller reads no message {other:?}"))),
+    };
+    Ok(InputKey::Report(InputChannel { stream, array }))
 }
 
 impl Commander {
-    fn inner(&self) -> PyResult<MutexGuard<'_, Inner>> {
-        self.inner.try_lock().map_err(|_| {
+    fn room(&self) -> PyResult<MutexGuard<'_, RoomCore>> {
+        self.room.try_lock().map_err(|_| {
             PyRuntimeError::new_err("the controller is in use: call it from one thread, and not from its function")
         })
     }
 
     /// Runs a step, and then raises what the function raised.
-    fn step(&self, work: impl FnOnce(&mut Inner) -> PyResult<Commands>) -> PyResult<Commands> {
-        let mut inner = self.inner()?;
-        let done = guarded(|| work(&mut inner));
+    fn step(&self, work: impl FnOnce(&mut RoomCore, &mut Published)) -> PyResult<Commands> {
+        let mut room = self.room()?;
+        let mut published = Published(Commands::new());
+        let done = guarded(|| {
+            work(&mut room, &mut published);
+            Ok(())
+        });
         match self.raised.lock().unwrap_or_else(PoisonError::into_inner).take() {
             Some(raised) => Err(raised),
-            None => done,
+            None => done.map(|()| published.0),
         }
     }
 }
@@ -197,23 +120,12 @@ impl Commander {
         guarded(|| {
             let policy = FunctionPolicy::new("python", room, form, call);
             let failures = policy.failures();
-            let model = room.channel_model().map_err(refused)?;
             let interval_s = 1.0 / room.streams.positions.rate_hz;
             let deadline_s = if room.control.deadline_ms > 0.0 { 1e-3 * room.control.deadline_ms } else { interval_s };
-            let examiner = Examiner::new(room, &model, Force::default());
-            let tenure = Tenure::live(source, (interval_s * 1e9) as u64);
-            let controller = Controller::new(room, model, Box::new(policy), 0).with_tenure(tenure);
-            let arrays = controller.arrays();
-            let inner = Inner {
-                controller,
-                examiner,
-                sent: vec![(0, 0); arrays],
-                is_due: false,
-                superseded: 0,
-                unfit_nodes: Vec::new(),
-                unfit: None,
-            };
-            Ok(Self { inner: Mutex::new(inner), failures, raised, arrays, deadline_s })
+            let settings = RoomSettings::new(source, Tenure::live(source, (interval_s * 1e9) as u64));
+            let core = RoomCore::new(room, Box::new(policy), settings).map_err(refused)?;
+            let arrays = core.controller().arrays();
+            Ok(Self { room: Mutex::new(core), failures, raised, arrays, deadline_s })
         })
     }
 
@@ -230,58 +142,42 @@ impl Commander {
         if array >= self.arrays {
             return Ok(Vec::new());
         }
-        self.step(|inner| inner.handle(name, array, payload, now)).map(|commands| payloads(py, commands))
+        let input = Input::Payload { key: key(name, array)?, bytes: payload };
+        let commands = self.step(|room, out| {
+            if let Handled::Examination(examination) = room.handle(now, input, out) {
+                room.handle(now, examination.run(), out);
+            }
+        });
+        commands.map(|commands| payloads(py, commands))
     }
 
     /// A process has appeared or left, by its liveliness token.
     fn presence(&self, key: &str, is_alive: bool) -> PyResult<()> {
-        let mut inner = self.inner()?;
-        let Some((node, source)) = parse_alive(key) else { return Ok(()) };
-        if is_alive {
-            inner.controller.handle_source_found(node, source);
-        } else {
-            inner.controller.handle_source_lost(node, source);
-        }
-        let Err(unfit) = inner.examiner.examine_node(node) else { return Ok(()) };
-        inner.unfit_nodes.retain(|known| *known != source);
-        if is_alive {
-            inner.unfit_nodes.push(source);
-        }
-        let unfit = (!inner.unfit_nodes.is_empty()).then_some(unfit);
-        inner.controller.handle_unfit_node(unfit);
-        Ok(())
+        let input = Input::Presence { token: key, is_alive };
+        self.step(|room, out| _ = room.handle(0, input, out)).map(drop)
     }
 
     /// Decides for the newest position report, if one waits: the function is called.
     fn decide<'py>(&self, py: Python<'py>, now: u64) -> PyResult<Vec<(usize, Bound<'py, PyBytes>)>> {
-        let commands = self.step(|inner| {
-            if !std::mem::take(&mut inner.is_due) {
-                return Ok(Commands::new());
-            }
-            let Inner { controller, sent, .. } = inner;
-            numbered(controller.poll_command(now, Timing::InTime, &mut |_| {}), sent)
-        });
+        let commands = self.step(|room, out| _ = room.decide(now, Timing::InTime, &mut |_| {}, out));
         commands.map(|commands| payloads(py, commands))
     }
 
     /// Acts where no position report has come, if that is due.
     fn timeout<'py>(&self, py: Python<'py>, now: u64) -> PyResult<Vec<(usize, Bound<'py, PyBytes>)>> {
-        let commands = self.step(|inner| {
-            let Inner { controller, sent, .. } = inner;
-            controller.poll_timeout_command(now).map_or(Ok(Commands::new()), |decision| numbered(decision, sent))
-        });
+        let commands = self.step(|room, out| _ = room.handle(now, Input::Wake, out));
         commands.map(|commands| payloads(py, commands))
     }
 
     /// The counts so far, by name.
     fn counters<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let inner = self.inner()?;
-        let counters = inner.controller.counters();
+        let room = self.room()?;
+        let counters = room.controller().counters();
         let table = PyDict::new(py);
         table.set_item("decisions", counters.decisions)?;
         table.set_item("commands", counters.commands)?;
         table.set_item("exceptions", self.failures.load(Ordering::Relaxed))?;
-        table.set_item("superseded", inner.superseded)?;
+        table.set_item("superseded", room.superseded())?;
         for (name, mode) in [
             ("fallbacks", DegradedMode::PolicyFailed),
             ("held", DegradedMode::Held),
@@ -298,7 +194,9 @@ impl Commander {
     /// Why the last failed decision failed, or why an array gets no command.
     #[getter]
     fn last_problem(&self) -> PyResult<Option<String>> {
-        let inner = self.inner()?;
-        Ok(inner.unfit.clone().or_else(|| inner.controller.last_failure().map(ToString::to_string)))
+        let room = self.room()?;
+        let controller = room.controller();
+        let unfit = controller.unfit().map(ToString::to_string);
+        Ok(unfit.or_else(|| controller.last_failure().map(ToString::to_string)))
     }
 }

@@ -28,10 +28,10 @@
 //! 5. optionally, between reports, [`warm_cache`](Controller::warm_cache), which changes no later
 //!    command.
 //!
-//! The caller assigns the sequence number of each command when it sends it, from 1 in each epoch. A
-//! caller of a live room reports the last number by [`handle_sent`](Controller::handle_sent) before
-//! it passes on telemetry. Getters may be called at any time. No method waits, logs, reads a clock
-//! or, after the start-up warm-up, allocates in this project's code.
+//! A decision numbers its commands: for each array from 1 in each epoch, rising by one. The number
+//! of a command that the transport refuses is used up; an array accepts such gaps. Getters may be
+//! called at any time. No method waits, logs, reads a clock or, after the start-up warm-up,
+//! allocates in this project's code.
 //!
 //! # Stages of a decision
 //!
@@ -61,7 +61,7 @@
 //!
 //! Each degraded condition has one action and one counter. Where the table names a key, that key
 //! of the scenario's `control` table selects the action. The caller's watchdog detects and counts
-//! `unanswered`.
+//! `unanswered`, whose only action is to give no command.
 //!
 //! | condition | key | default action | counter |
 //! | --- | --- | --- | --- |
@@ -142,7 +142,7 @@ pub struct Controller {
     proposed: MirrorAngles,
     /// Whether `proposed` holds angles of the caller for the command that is due.
     is_proposed: bool,
-    /// The angles of the last command to all mirrors; its sequence number is the sender's.
+    /// The last command to all mirrors, with the number of the first array that got one.
     command: MirrorCommand,
     /// The same for each of several arrays; empty in a room with one.
     parts: Vec<ArrayCommand>,

@@ -1,9 +1,10 @@
 //! The decision core: reports and time in, mirror commands out.
 //!
 //! The core performs no I/O. It reads no clock, opens no file, starts no thread and logs nothing.
-//! The caller owns sockets, clocks and threads, and drives one [`Controller`](core::Controller) per
-//! room; [`core`] describes the calling order. The same core runs in the controller process, in
-//! lockstep, in the closed-loop evaluation and in replay.
+//! The caller owns sockets, clocks and threads, and drives one [`RoomCore`](room_core::RoomCore) per
+//! room with payloads, or its [`Controller`](core::Controller) with messages; [`room_core`] and
+//! [`core`] describe the calling orders. The same core runs in the controller process, in lockstep,
+//! in the closed-loop evaluation and in replay.
 //!
 //! ```text
 //! input               observe                      policy     output
@@ -18,11 +19,11 @@
 //! - [`capabilities`]: compares the array with the scenario. [`guard`] applies the emergency stop,
 //!   and [`tenure`] chooses the epoch and stands by for another controller.
 //! - [`core`]: connects these parts; [`outcome`] has their results.
+//! - [`room_core`]: decodes payloads for the core, and encodes what it publishes.
 //!
 //! # Example
 //!
-//! A caller decodes a report, handles it, polls the command that is due, numbers the command and
-//! sends it.
+//! A caller decodes a report, handles it, polls the command that is due, and sends it.
 //!
 //! ```
 //! use heliostat_core::{
@@ -49,7 +50,7 @@
 //!     payloads.push((stamp.time_ns, payload));
 //! }
 //!
-//! let (mut report, mut sent, mut sequence) = (UserReport::default(), Vec::new(), 0);
+//! let (mut report, mut sent) = (UserReport::default(), Vec::new());
 //! for (now, payload) in &payloads {
 //!     decode_into(&mut report, payload)?;
 //!     let decision = match controller.handle_message(*now, Message::Users(&mut report)) {
@@ -58,8 +59,6 @@
 //!         Due::Nothing => continue,
 //!     };
 //!     if let Decision::Move { command, .. } = decision {
-//!         sequence += 1;
-//!         command.sequence = sequence;
 //!         encode(command, &mut sent)?;
 //!     }
 //! }
@@ -77,6 +76,7 @@ mod input;
 mod observe;
 mod output;
 pub mod policy;
+pub mod room_core;
 
 pub use input::{inbox, refusal, sequence};
 pub use observe::{angle_state, codeword_state, observation, observer, selection, slots, target_user};

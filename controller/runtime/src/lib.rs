@@ -5,7 +5,7 @@
 //!
 //! - [`cli`], [`config`], [`machine`]: flags, and what they configure.
 //! - [`node`]: the process, with any number of rooms.
-//! - [`room_runtime`]: one room with its decision loop, receive queue, cache warmer, command sender
+//! - [`room_runtime`]: one room with its decision loop, receive queue, cache warmer
 //!   and watchdog.
 //! - [`report`]: stage times, summary and metrics.
 

@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use heliostat_bus::Bus;
+use heliostat_core::room_core::WAKE_INTERVAL_NS;
 use heliostat_proto::Room;
 use heliostat_service::Stop;
 
@@ -21,8 +22,8 @@ const STATUS_INTERVAL: Duration = Duration::from_millis(500);
 /// Time without any position report after which a warning is logged.
 const SILENCE: Duration = Duration::from_secs(3);
 
-/// Time between two checks for timeouts; several fit into the validity of a command.
-const TIMEOUT_INTERVAL: Duration = Duration::from_millis(50);
+/// Time between two wakes of the rooms.
+const WAKE_INTERVAL: Duration = Duration::from_nanos(WAKE_INTERVAL_NS);
 
 /// Runs a controller until it is stopped, and returns its summary.
 ///
@@ -80,8 +81,8 @@ fn no_reports(config: &NodeConfig) -> String {
 
 /// Waits until the rooms are due for a check; true if the node has to end instead.
 fn wait_for_stop(stop: &Stop, deadline: Option<Instant>) -> bool {
-    let left = deadline.map_or(TIMEOUT_INTERVAL, |deadline| deadline.saturating_duration_since(Instant::now()));
+    let left = deadline.map_or(WAKE_INTERVAL, |deadline| deadline.saturating_duration_since(Instant::now()));
     left.is_zero()
-        || stop.wait_for(left.min(TIMEOUT_INTERVAL))
+        || stop.wait_for(left.min(WAKE_INTERVAL))
         || deadline.is_some_and(|deadline| Instant::now() >= deadline)
 }

@@ -1,36 +1,29 @@
-//! One room of the process: builds and owns the parts that serve it, its subscriptions, and its
-//! reports.
+//! One room of the process: sockets, clock, threads, stage times and reports around the room's core,
+//! [`RoomCore`].
 //!
 //! | part | duty | runs on |
 //! | --- | --- | --- |
 //! | [`receive_queue`] | holds payloads between callbacks and the room's thread | |
-//! | [`decision_loop`] | decodes, decides, records stage times | the transport's callback or the room's thread; the main thread for missing reports |
+//! | [`decision_loop`] | passes inputs to the core, records stage times | the transport's callback or the room's thread; the main thread for missing reports |
 //! | [`cache_warmer`] | decides when the room's thread warms up the caches | the room's thread |
-//! | [`command_sender`] | numbers, encodes and publishes commands | the thread that decides, or the main thread |
-//! | [`state_publisher`] | publishes belief and state after a command | the thread that decides |
-//! | [`watchdog`] | acts for a policy that does not return | the main thread |
-//! | `stop_repeater` | repeats held stops to arrays that have not reported them | the main thread |
+//! | `transport` | has the publishers | the thread that decides; the main thread for repetitions |
 //!
 //! `policy_swap` replaces the policy on a thread of its own. Rooms share a session and nothing
-//! else, so a room that floods, fails or stands by leaves the others alone. The main thread
-//! waits at most [`POLICY_TIMEOUT`] for the lock of the decision loop.
+//! else, so a room that floods, fails or stands by leaves the others alone.
+//!
+//! The main thread is the watchdog: it waits at most `POLICY_TIMEOUT` for the lock of the decision
+//! loop. A policy that holds the lock for longer is reported and counted, and the room gets no
+//! command until it returns.
 
 pub mod cache_warmer;
-pub mod command_sender;
 pub mod decision_loop;
-mod driver_presence;
 mod geometry;
-pub mod input_channel;
 mod locks;
 mod policy_swap;
 pub mod receive_queue;
-pub mod room_clock;
-pub mod state_publisher;
 mod status;
-mod stop_repeater;
 mod subscriptions;
-mod undecodable;
-pub mod watchdog;
+mod transport;
 
 use std::{
     sync::{Arc, Mutex},
@@ -39,10 +32,9 @@ use std::{
 };
 
 use anyhow::Context;
-use heliostat_bus::{Bus, BusError, Class, Publisher, Subscription, Token};
+use heliostat_bus::{Bus, Class, Publisher, Subscription, Token};
 use heliostat_core::{
-    capabilities::Examiner,
-    core::Controller,
+    room_core::{Input, Repeater, RoomCore, RoomSettings},
     tenure::{Standing, Tenure},
 };
 use heliostat_models::build_tried;
@@ -56,20 +48,16 @@ use crate::{
         summary::{RoomReport, Summary},
     },
 };
-use command_sender::CommandSender;
 use decision_loop::{DecisionLoop, PayloadHandler};
-use driver_presence::DriverPresence;
-use geometry::GeometryExchange;
-use locks::{lock_within, try_lock};
+use geometry::GeometryComparison;
+use locks::{lock, lock_within, try_lock};
 use policy_swap::{PolicyBuilder, PolicySwap, warm_up_runs};
 use receive_queue::ReceiveQueue;
-use room_clock::RoomClock;
-use state_publisher::StatePublisher;
 use status::{Conditions, Identity, Problem, Reporter};
-use stop_repeater::StopRepeater;
-use subscriptions::Arrays;
-use undecodable::Decoder;
-use watchdog::{POLICY_TIMEOUT, Watchdog};
+use transport::{Repetitions, Transport};
+
+/// Timeout of a policy. No policy for a room with a deadline takes so long.
+const POLICY_TIMEOUT: Duration = Duration::from_millis(100);
 
 /// Longest wait of a controller that ends for a standby that takes over.
 const HAND_OVER: Duration = Duration::from_millis(500);
@@ -79,19 +67,16 @@ pub struct RoomRuntime {
     room: Room,
     decision_loop: Arc<Mutex<DecisionLoop>>,
     queue: Arc<ReceiveQueue>,
-    sender: Arc<CommandSender>,
-    watchdog: Arc<Watchdog>,
-    repeater: StopRepeater,
+    repeater: Arc<Mutex<Repeater>>,
+    repetitions: Repetitions,
     policy_swap: PolicySwap,
     /// The room's thread, if decisions need one.
     thread: Option<JoinHandle<()>>,
     /// Dropped when the room is closed.
     declared: Option<(Vec<Subscription>, Token)>,
     status: Publisher,
-    geometry: GeometryExchange,
-    driver: DriverPresence,
+    geometry: GeometryComparison,
     reporter: Reporter,
-    decoder: Decoder,
     /// Exchanged with the decision loop's times, so that its lock is held only for an instant.
     spare_times: StageTimes,
     /// Since the start.
@@ -112,40 +97,32 @@ impl RoomRuntime {
         let started_ns = utc_ns();
         let source = source_id::random();
         let interval_ns = (1e9 / scenario.streams.positions.rate_hz) as Nanos;
-        let (clock, tenure, class) = match config.pace {
+        let (tenure, class) = match config.pace {
             Pace::Live => {
                 let tenure = Tenure::live(source, interval_ns);
                 let tenure = match config.standby {
                     Some(rank) => tenure.in_reserve(rank),
                     None => tenure,
                 };
-                (RoomClock::Utc, tenure, Class::RealTimeDrop)
+                (tenure, Class::RealTimeDrop)
             }
             // The room waits for each command, so a dropped command would stop it.
-            Pace::Lockstep => (RoomClock::Lockstep { newest_ns: 0 }, Tenure::lockstep(1), Class::RealTimeBlock),
+            Pace::Lockstep => (Tenure::lockstep(1), Class::RealTimeBlock),
         };
         let actor = config.actor();
         let (policy, findings) = build_tried(config.policy, scenario, &actor)?;
-        let model = scenario.channel_model()?;
-        let examiner = Examiner::new(scenario, &model, config.force);
-        let mut controller = Controller::new(scenario, model.clone(), policy, 0).with_tenure(tenure).with_journal();
-        controller.warm_up(warm_up_runs());
+        let is_lockstep = config.pace == Pace::Lockstep;
+        let mut core =
+            RoomCore::new(scenario, policy, RoomSettings { source, tenure, is_lockstep, force: config.force })?;
+        core.warm_up(warm_up_runs());
         let room = bus.room().clone();
-        let engine = controller.engine_name();
+        let controller = core.controller();
+        let (engine, arrays) = (controller.engine_name(), controller.arrays());
         tracing::info!(policy = controller.policy_name(), engine, scenario = scenario.name, %room, "ready");
 
         let settings = config.decisions.among(1 + config.also_rooms.len());
-        let arrays = scenario.mirrors.arrays().iter().enumerate();
-        let publishers = arrays.map(|(index, array)| {
-            Ok((bus.publisher(&room.array(index).command(), class)?, array.rows * array.columns))
-        });
-        let sender = CommandSender::new(publishers.collect::<Result<Vec<_>, BusError>>()?);
-        let watchdog = Watchdog::new(scenario.control.when_unanswered, sender.arrays());
-        let repeater = StopRepeater::open(bus, sender.arrays(), source)?;
-        let (sender, watchdog) = (Arc::new(sender), Arc::new(watchdog));
-        let shared = (Arc::clone(&sender), Arc::clone(&watchdog));
-        let states = StatePublisher::open(bus, source)?;
-        let decision_loop = DecisionLoop::new(controller, clock, deadline(config), shared, states);
+        let repeater = core.repeater();
+        let decision_loop = DecisionLoop::new(core, Transport::open(bus, arrays, class)?, deadline(config));
         let decision_loop = Arc::new(Mutex::new(decision_loop.with_settings(settings)));
         let queue = Arc::new(ReceiveQueue::default());
         let thread = settings.has_thread().then(|| spawn(&room, &decision_loop, &queue)).transpose()?;
@@ -155,23 +132,15 @@ impl RoomRuntime {
             queue: Arc::clone(&queue),
             decide_in: settings.decide_in,
         };
-        // The arrays first: their announcements precede the first command.
-        let decoder = Decoder::default();
-        let arrays = Arrays {
-            decision_loop: Arc::clone(&decision_loop),
-            watchdog: Arc::clone(&watchdog),
-            decoder: decoder.clone(),
+        let mut subscriptions = subscriptions::subscribe(bus, &handler, &repeater)?;
+        let builder = PolicyBuilder {
+            scenario: scenario.clone(),
+            model: scenario.channel_model()?,
+            configured: (config.policy, actor),
         };
-        let mut subscriptions = subscriptions::subscribe_to_arrays(bus, &arrays, &examiner)?;
-        subscriptions.extend(subscriptions::subscribe_to_reports(bus, &handler)?);
-        let builder = PolicyBuilder { scenario: scenario.clone(), model, configured: (config.policy, actor) };
         let (policy_swap, orders) = PolicySwap::subscribe(bus, &decision_loop, builder)?;
         subscriptions.push(orders);
         policy_swap.report(findings);
-        let (mut geometry, announced) = GeometryExchange::open(bus, scenario, source, decoder.clone())?;
-        let (driver, tokens) = DriverPresence::open(bus, scenario.mirrors.arrays().len())?;
-        subscriptions.extend([announced, tokens]);
-        geometry.announce_if_due(started_ns);
         let token = bus.announce(&room.alive(NodeKind::Controller, source))?;
         let identity = Identity { source, started_ns, scenario: scenario.hash() };
         Ok(Self {
@@ -179,16 +148,13 @@ impl RoomRuntime {
             room,
             decision_loop,
             queue,
-            sender,
-            watchdog,
             repeater,
+            repetitions: Repetitions::open(bus, arrays)?,
             policy_swap,
             thread,
             declared: Some((subscriptions, token)),
-            geometry,
-            driver,
+            geometry: GeometryComparison::new(scenario),
             reporter: Reporter::new(identity),
-            decoder,
             spare_times: StageTimes::new(),
             times: StageTimes::new(),
             policy_times: PolicyTimes::default(),
@@ -212,41 +178,37 @@ impl RoomRuntime {
         RoomReport { room: &self.room, summary: &self.summary, times: &self.times, policy_times: &self.policy_times }
     }
 
-    /// Executes the action for absent reports or for a policy timeout, if that is due. Repeats held
-    /// stops.
+    /// Executes the action for absent reports, if that is due. Repeats held stops, and announces the
+    /// geometry.
     pub fn handle_timeouts(&mut self) {
-        self.repeater.repeat(&self.watchdog);
         if let Some(mut decision_loop) = try_lock(&self.decision_loop) {
-            self.watchdog.on_idle();
-            decision_loop.handle_timeout();
-            return;
+            decision_loop.handle(Input::Wake);
         }
-        let Some(action) = self.watchdog.on_busy(Instant::now()) else { return };
-        let now = utc_ns();
-        let mut arrays = (0..self.sender.arrays()).filter(|array| !self.watchdog.is_stopped(*array));
-        if !arrays.all(|array| self.sender.send_on_behalf(array, action, now)) {
-            tracing::warn!(room = %self.room, "the command on behalf of the policy could not be sent");
-        }
+        // Also while a policy does not return, and published without a lock.
+        let mut due = Vec::new();
+        lock(&self.repeater).repeat(utc_ns(), &mut due);
+        self.repetitions.publish(&due);
     }
 
     /// Takes the new stage times, publishes a status report, and updates the summary.
     pub fn check_status(&mut self) {
-        // Before the lock: the comparison reads text that another process wrote.
-        self.geometry.compare_newest();
-        self.geometry.announce_if_due(utc_ns());
         let Some(mut decision_loop) = lock_within(&self.decision_loop, POLICY_TIMEOUT) else {
             self.report_stall();
             return;
         };
         std::mem::swap(&mut decision_loop.times, &mut self.spare_times);
         let conditions = Conditions {
-            without_driver: self.driver.absent(Instant::now(), &decision_loop.controller),
+            without_driver: decision_loop.room.without_driver(utc_ns()),
             geometry: self.geometry.problem().map(str::to_owned),
-            undecodable: self.decoder.counts(),
         };
+        let changed = self.geometry.changed(decision_loop.room.announced_geometry(utc_ns()));
         let former = std::mem::take(&mut decision_loop.former_times);
         let mut snapshot = self.reporter.take_snapshot(&decision_loop, self.policy_swap.counters(), conditions);
         drop(decision_loop);
+        if let Some(announced) = changed {
+            // Without the lock: the comparison reads text that another process wrote.
+            self.geometry.compare(announced);
+        }
         for (policy, mut times) in former {
             self.policy_times.add(&policy, &times);
             self.times.absorb(&mut times);
@@ -286,7 +248,7 @@ impl RoomRuntime {
         let ends = Instant::now() + HAND_OVER;
         while Instant::now() < ends {
             let Some(decision_loop) = lock_within(&self.decision_loop, POLICY_TIMEOUT) else { return };
-            let controller = &decision_loop.controller;
+            let controller = decision_loop.room.controller();
             let awaits = |array| {
                 let tenure = controller.tenure(array);
                 tenure.has_peers() && tenure.standing() == Standing::Leading
@@ -300,8 +262,9 @@ impl RoomRuntime {
     }
 
     fn report_stall(&mut self) {
-        let (policy, meanwhile) = (&self.summary.policy, self.watchdog.description());
-        let problem = format!("policy {policy} has timed out; {meanwhile}");
+        let policy = &self.summary.policy;
+        let problem =
+            format!("policy {policy} has timed out; no command is published: the array holds its angles, then parks");
         self.log(&Problem::Warning(problem.clone()), 1);
         self.summary.unanswered += 1;
         self.summary.last_problem = problem;

@@ -203,7 +203,7 @@ impl Scenario {
         let no_positions = "the policy has no positions";
         without_decision("control.when_stale", control.when_stale, no_positions)?;
         without_decision("control.when_silent", control.when_silent, no_positions)?;
-        without_decision("control.when_unanswered", control.when_unanswered, "the policy does not return")?;
+        only_hold(control.when_unanswered)?;
         count("control.search_evaluations", control.search_evaluations as usize, 1..=100_000_000)?;
         within("control.search_time_us", control.search_time_us, 0.0..=60e6)
     }
@@ -270,6 +270,20 @@ fn without_decision(key: &str, action: DegradedAction, why: &str) -> Result<(), 
             invalid(key, name, &format!("expected last-good, hold or park, since {why}"))
         }
     }
+}
+
+/// The only action while the policy does not return.
+fn only_hold(action: DegradedAction) -> Result<(), ScenarioError> {
+    let name = match action {
+        DegradedAction::Hold => return Ok(()),
+        DegradedAction::LastGood => "last-good",
+        DegradedAction::Park => "park",
+        DegradedAction::Policy => "policy",
+        DegradedAction::Fallback => "fallback",
+    };
+    let expected = "expected hold, since the controller gives no command until the policy returns, and the array \
+                    holds its angles and then parks: delete the key";
+    invalid("control.when_unanswered", name, expected)
 }
 
 pub(crate) fn within(key: &str, value: f64, domain: RangeInclusive<f64>) -> Result<(), ScenarioError> {

@@ -36,6 +36,13 @@ pub const RENAMES: &[Rename] = &[
     Rename::Value { key: "users.mobility", old: "smooth-turn", new: "smooth-random" },
 ];
 
+/// Values that were removed, each with the value that replaces it in a recording. A scenario file
+/// with one is refused by the check of the key.
+pub(crate) const REMOVED: &[Rename] = &[
+    Rename::Value { key: "control.when_unanswered", old: "last-good", new: "hold" },
+    Rename::Value { key: "control.when_unanswered", old: "park", new: "hold" },
+];
+
 /// A table of renames, applied to the parsed text of a scenario.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Renames<'a>(pub &'a [Rename]);

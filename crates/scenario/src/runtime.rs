@@ -307,7 +307,7 @@ pub struct Control {
     pub when_channel_missing: DegradedAction,
     /// The action if no position report was accepted for `report_age_max_ms`.
     pub when_silent: DegradedAction,
-    /// The action at a policy timeout: the policy does not return for 0.1 s.
+    /// The action at a policy timeout, always `hold`: the policy does not return for 0.1 s.
     pub when_unanswered: DegradedAction,
     /// What the controller believes about users between two position reports.
     pub belief: Belief,

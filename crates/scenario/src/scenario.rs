@@ -10,7 +10,7 @@ use crate::lines::line_of;
 use crate::mirror_tables::MirrorTables;
 use crate::mismatch::Mismatch;
 use crate::overrides;
-use crate::renames::{RENAMES, Renames};
+use crate::renames::{REMOVED, RENAMES, Renames};
 use crate::runtime::{Actuator, Control};
 use crate::streams::Streams;
 use crate::tables::{Blockage, Channel, Led, Link, MinRate, Noise, PowerLaw, Receiver, Room, Users};
@@ -116,14 +116,15 @@ impl Scenario {
     }
 
     /// Reads the scenario of a recording, in which [`RENAMES`] replaces old keys and values by new
-    /// ones.
+    /// ones. Values that were removed are replaced too.
     ///
     /// # Errors
-    /// As [`Scenario::from_toml`], except that old names are accepted.
+    /// As [`Scenario::from_toml`], except that old names and removed values are accepted.
     pub fn from_recorded_toml(text: &str) -> Result<Self, ScenarioError> {
         let recorded = |error: toml::de::Error| parse_error("recorded scenario", &error);
         let mut table: toml::Table = toml::from_str(text).map_err(recorded)?;
         Renames(RENAMES).apply(&mut table);
+        Renames(REMOVED).apply(&mut table);
         let scenario: Self = table.try_into().map_err(recorded)?;
         scenario.check().map_err(|error| with_line(error, text))?;
         Ok(scenario)

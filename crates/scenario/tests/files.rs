@@ -219,6 +219,17 @@ fn a_recorded_scenario_is_read_and_checked() {
 }
 
 #[test]
+fn a_removed_action_for_a_policy_timeout_is_refused_in_a_file_and_read_as_hold_in_a_recording() {
+    for removed in ["last-good", "park"] {
+        let text = format!("[control]\nwhen_unanswered = \"{removed}\"\n");
+        let message = Scenario::from_toml(&text).unwrap_err().to_string();
+        let refused = format!("line 2: control.when_unanswered = {removed}: expected hold, ");
+        assert!(message.starts_with(&refused) && message.ends_with("delete the key"), "{message}");
+        assert_eq!(Scenario::from_recorded_toml(&text).unwrap(), Scenario::default());
+    }
+}
+
+#[test]
 fn every_new_name_of_a_rename_exists() {
     let effective: toml::Value = Scenario::default().to_toml().parse::<toml::Table>().unwrap().into();
     let find = |path: &str| path.split('.').try_fold(&effective, |table, key| table.get(key));

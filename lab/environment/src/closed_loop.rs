@@ -25,8 +25,6 @@ const SILENCE_NS: u64 = 60_000_000_000;
 pub struct ClosedLoop {
     episode: Episode,
     controller: Controller,
-    /// Number of the last command.
-    command_sequence: u64,
     /// Whether telemetry names the mirrors that do not follow.
     names_unusable: bool,
     /// The decision for which [`ClosedLoop::next_decision`] has observed.
@@ -40,7 +38,7 @@ impl ClosedLoop {
         for (array, capabilities) in episode.capabilities().enumerate() {
             controller.handle_capabilities(array, &capabilities, Ok(()));
         }
-        Self { episode, controller, command_sequence: 0, names_unusable: true, due: None }
+        Self { episode, controller, names_unusable: true, due: None }
     }
 
     /// The same, with telemetry that names the mirrors that do not follow, or leaves them unnamed.
@@ -53,7 +51,6 @@ impl ClosedLoop {
         Self {
             episode: self.episode.clone(),
             controller: self.controller.duplicate(scenario, policy),
-            command_sequence: self.command_sequence,
             names_unusable: self.names_unusable,
             due: self.due,
         }
@@ -92,7 +89,7 @@ impl ClosedLoop {
     ) -> Result<bool, EnvironmentError> {
         let Some(message) = message(&mut event, self.names_unusable) else { return Ok(false) };
         let Some(decision) = self.controller.handle_and_poll(now.room_ns, message, mark) else { return Ok(false) };
-        command(decision, now, (&mut self.episode, &mut self.command_sequence))?;
+        command(decision, now, &mut self.episode)?;
         Ok(true)
     }
 
@@ -137,7 +134,7 @@ impl ClosedLoop {
     pub fn decide(&mut self, angles: &MirrorAngles) -> Result<(), EnvironmentError> {
         let Some((now, observed)) = self.due.take() else { return Ok(()) };
         let decision = self.controller.poll_proposed(observed, now.room_ns, angles);
-        command(decision, now, (&mut self.episode, &mut self.command_sequence))
+        command(decision, now, &mut self.episode)
     }
 }
 
@@ -161,19 +158,12 @@ pub fn message(event: &mut Event, names_unusable: bool) -> Option<Message<'_>> {
     Some(message)
 }
 
-/// Numbers the commands of a decision and gives each to its array.
-fn command(
-    decision: Decision<'_>,
-    now: Moment,
-    (episode, sequence): (&mut Episode, &mut u64),
-) -> Result<(), EnvironmentError> {
-    match decision {
-        Decision::Hold(DegradedMode::StaleReport) => return Err(EnvironmentError::Stale),
-        Decision::Hold(_) => return Ok(()),
-        Decision::Move { .. } => *sequence += 1,
+/// Gives each command of a decision to its array.
+fn command(decision: Decision<'_>, now: Moment, episode: &mut Episode) -> Result<(), EnvironmentError> {
+    if decision == Decision::Hold(DegradedMode::StaleReport) {
+        return Err(EnvironmentError::Stale);
     }
     for (array, command) in decision.commands() {
-        command.sequence = *sequence;
         episode.handle_command(array, now, command).map_err(EnvironmentError::Refused)?;
     }
     Ok(())

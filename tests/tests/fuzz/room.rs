@@ -73,8 +73,8 @@ pub struct Room {
     room_ns: Nanos,
     /// Number of the last message of the tracker, the array and the operator.
     sequence: u64,
-    /// Epoch and sequence number of the controller's last command.
-    sent: (u64, u64),
+    /// Sequence number of the controller's last command.
+    sequence_sent: u64,
     tick: u64,
     tally: Tally,
     payload: Vec<u8>,
@@ -93,7 +93,7 @@ impl Room {
         let mut room = Self {
             kit: Kit::new(BenchDevice::new(clock, choice & 2 == 0)),
             controller: Controller::new(scenario, model.clone(), policy, 0).with_tenure(tenure),
-            sent: (0, 0),
+            sequence_sent: 0,
             simulated: simulated.clone(),
             refused: RefusalCounts::default(),
             local_ns: 0,
@@ -274,7 +274,7 @@ impl Room {
             } else {
                 TRACKER
             },
-            sequence: if kind == Kind::MirrorCommand { self.sent.1 } else { self.sequence } + 1,
+            sequence: if kind == Kind::MirrorCommand { self.sequence_sent } else { self.sequence } + 1,
             time_ns: self.room_ns,
             epoch: self.controller.epoch(),
             tick: self.tick,

@@ -112,7 +112,7 @@ impl Hash for Driver {
     }
 }
 
-/// A running controller: its tenure, its latch, its clock, and the numbering of its commands.
+/// A running controller: its tenure, its latch and its clock.
 #[derive(Clone, Debug)]
 pub struct Controller {
     /// Which start of which controller it is.
@@ -123,14 +123,12 @@ pub struct Controller {
     pub ahead_ns: u64,
     /// Whether the latest telemetry shows a stop.
     array_stopped: bool,
-    sequence: u64,
-    last_epoch: u64,
 }
 
 impl Controller {
     pub fn start(source: u64, tenure: Tenure, ahead_ns: u64) -> Self {
         let stop = StopHold::default();
-        Self { source, tenure, stop, ahead_ns, array_stopped: false, sequence: 0, last_epoch: 0 }
+        Self { source, tenure, stop, ahead_ns, array_stopped: false }
     }
 
     /// UTC by its clock.
@@ -145,13 +143,10 @@ impl Controller {
             return None;
         }
         let epoch = self.tenure.permit(time_ns).0?;
-        self.sequence = if epoch == self.last_epoch { self.sequence + 1 } else { 1 };
-        self.last_epoch = epoch;
-        self.tenure.handle_sent(epoch, self.sequence);
+        let sequence = self.tenure.next_sequence();
         // Each controller commands another angle, so that a change of the leader moves the mirror.
         let roll = vec![0.1 * self.source as f32];
-        let command =
-            MirrorCommand { epoch, sequence: self.sequence, time_ns, validity_ms: VALIDITY_MS, roll, ..COMMAND };
+        let command = MirrorCommand { epoch, sequence, time_ns, validity_ms: VALIDITY_MS, roll, ..COMMAND };
         Some(MirrorCommand { yaw: vec![0.0], ..command })
     }
 
@@ -161,8 +156,7 @@ impl Controller {
     }
 
     fn key(&self) -> impl Hash + PartialEq + use<> {
-        let numbers = (self.source, self.ahead_ns, self.array_stopped, self.sequence, self.last_epoch);
-        (self.tenure.clone(), self.stop.clone(), numbers)
+        (self.tenure.clone(), self.stop.clone(), (self.source, self.ahead_ns, self.array_stopped))
     }
 }
 

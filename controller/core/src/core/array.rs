@@ -5,18 +5,16 @@ use heliostat_proto::{
     Capabilities, EmergencyStop, LatchedStopReport, Nanos, NodeKind, SafetyReport, StopReport, ValidityClock,
 };
 
-use super::Controller;
+use super::{Controller, array_output::ArrayOutput};
 use crate::output::{capabilities::Unfit, tenure::Tenure};
+
+/// An array whose last telemetry is older than this is absent.
+const PRESENT_NS: Nanos = 1_000_000_000;
 
 impl Controller {
     /// Number of arrays of the room.
     pub fn arrays(&self) -> usize {
         self.arrays.len()
-    }
-
-    /// Notes the epoch and sequence number of the last command sent to an array.
-    pub fn handle_sent(&mut self, array: usize, epoch: u64, sequence: u64) {
-        self.arrays[array].guard.tenure.handle_sent(epoch, sequence);
     }
 
     /// Whether announcements of this source concern the array that is followed. Before the first
@@ -107,6 +105,14 @@ impl Controller {
     /// The stops that are held for an array.
     pub fn stops(&self, array: usize) -> &[HeldStop] {
         self.arrays[array].guard.stops().stops()
+    }
+
+    /// Whether an array understands repetitions of stops. One that is present without stop reports
+    /// does not.
+    pub fn understands_repetitions(&self, now: Nanos, array: usize) -> bool {
+        let ArrayOutput { heard_ns, guard, .. } = &self.arrays[array];
+        let is_heard = heard_ns.is_some_and(|heard_ns| now.abs_diff(heard_ns) < PRESENT_NS);
+        guard.stops().has_stop_reports() || !is_heard || self.inbox.telemetry(array).is_none()
     }
 
     /// The stops that an array has not reported; the caller repeats them.

@@ -37,7 +37,7 @@ pub(super) struct ArrayOutput {
     /// Time in s since the mirrors received their present command.
     elapsed_s: f64,
     /// Arrival of its last telemetry; before the first, time of the first decision.
-    heard_ns: Option<Nanos>,
+    pub heard_ns: Option<Nanos>,
     /// The source of its telemetry has left.
     has_left: bool,
     /// Absent in a room with one array, which is never lost.
@@ -107,6 +107,14 @@ impl ArrayOutput {
     pub fn repeat_permit(&mut self, is_given: bool) {
         let epoch = self.guard.tenure.epoch();
         self.permit = if is_given { Ok(epoch) } else { Err(DegradedMode::Withheld) };
+    }
+
+    /// Numbers the command of a decision at `now`: epoch and sequence, or `None` where the array gets
+    /// none.
+    pub fn number(&mut self, now: Nanos) -> Option<(u64, u64)> {
+        let epoch = self.permit.ok()?;
+        self.commanded_ns = Some(now);
+        Some((epoch, self.guard.tenure.next_sequence()))
     }
 
     /// Sets `angles` to those of the mirrors: of the last command while it is valid, and otherwise

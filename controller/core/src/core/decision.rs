@@ -168,7 +168,7 @@ impl Controller {
         mark(Stage::MadeSafe);
         let sampled_ns = self.inbox.users().map_or(now, |report| report.stamp.time_ns);
         let age_ns = now.saturating_sub(sampled_ns);
-        Decision::Move { command: &mut self.command, parts: &mut self.parts, age_ns }
+        Decision::Move { command: &self.command, parts: &self.parts, age_ns }
     }
 
     /// Lets the policy propose, or else the fallback; angles of the caller stay.
@@ -192,23 +192,25 @@ impl Controller {
         self.has_command()
     }
 
-    /// Completes the command to each array from the proposed angles.
+    /// Completes and numbers the command to each array from the proposed angles.
     fn complete_command(&mut self, tick: u64, now: Nanos) {
         let withheld = self.arrays.iter().rev().fold(0, |bits, array| bits << 1 | u64::from(array.permit.is_err()));
         self.counters.commands += self.arrays.len() as u64 - u64::from(withheld.count_ones());
         self.journal.record_command(withheld);
-        self.command.sequence = 0;
         self.command.answers = tick;
         self.command.time_ns = now;
         copy_narrowed(&self.proposed.roll, &mut self.command.roll);
         copy_narrowed(&self.proposed.yaw, &mut self.command.yaw);
         self.observation.set_angles(&self.proposed);
         self.observer.handle_command(&self.command);
-        for array in self.arrays.iter_mut().filter(|array| array.permit.is_ok()) {
-            array.commanded_ns = Some(now);
+        let mut first = None;
+        for (index, array) in self.arrays.iter_mut().enumerate() {
+            let number = array.number(now);
+            first = first.or(number);
+            if let Some(part) = self.parts.get_mut(index) {
+                part.set(&self.command, number, array.guard.validity_ms());
+            }
         }
-        for (part, array) in self.parts.iter_mut().zip(&self.arrays) {
-            part.set(&self.command, array.permit.ok(), array.guard.validity_ms());
-        }
+        self.command.sequence = first.map_or(0, |(_, sequence)| sequence);
     }
 }

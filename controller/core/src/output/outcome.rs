@@ -74,15 +74,14 @@ impl Timing {
 }
 
 /// The result of a poll.
-#[derive(Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Decision<'a> {
     /// The mirrors turn.
     Move {
-        /// The angles of all mirrors. In a room with one array this is what to send. Its sequence
-        /// number is 0: the sender assigns it.
-        command: &'a mut MirrorCommand,
+        /// The angles of all mirrors. In a room with one array this is what to send.
+        command: &'a MirrorCommand,
         /// In a room with several arrays, what to send to each; else empty.
-        parts: &'a mut [ArrayCommand],
+        parts: &'a [ArrayCommand],
         /// Age of the positions on which the decision is based, in ns.
         age_ns: Nanos,
     },
@@ -98,7 +97,7 @@ pub struct ArrayCommand {
     pub array: usize,
     /// Whether the array gets this command; else it gets none.
     pub is_given: bool,
-    /// The command. Its sequence number is 0: the sender assigns it.
+    /// The command.
     pub command: MirrorCommand,
     /// Its mirrors among those of the room.
     mirrors: Range<usize>,
@@ -116,28 +115,28 @@ impl ArrayCommand {
         if arrays.arrays().len() > 1 { ranges.map(part).collect() } else { Vec::new() }
     }
 
-    /// Takes the part of a command to all mirrors; without an epoch the array gets none. Does not
-    /// allocate.
-    pub(crate) fn set(&mut self, all: &MirrorCommand, epoch: Option<u64>, validity_ms: u32) {
-        self.is_given = epoch.is_some();
+    /// Takes the part of a command to all mirrors, with epoch and sequence of its own; without these
+    /// the array gets none. Does not allocate.
+    pub(crate) fn set(&mut self, all: &MirrorCommand, number: Option<(u64, u64)>, validity_ms: u32) {
+        self.is_given = number.is_some();
         let MirrorCommand { roll, yaw, .. } = &mut self.command;
         roll.copy_from_slice(&all.roll[self.mirrors.clone()]);
         yaw.copy_from_slice(&all.yaw[self.mirrors.clone()]);
         let (roll, yaw) = (std::mem::take(roll), std::mem::take(yaw));
-        let epoch = epoch.unwrap_or_default();
-        self.command = MirrorCommand { epoch, validity_ms, roll, yaw, ..*all };
+        let (epoch, sequence) = number.unwrap_or_default();
+        self.command = MirrorCommand { epoch, sequence, validity_ms, roll, yaw, ..*all };
     }
 }
 
 impl<'a> Decision<'a> {
     /// The commands to send, each with the index of its array.
-    pub fn commands(self) -> impl Iterator<Item = (usize, &'a mut MirrorCommand)> {
-        let (command, parts) = match self {
+    pub fn commands(&self) -> impl Iterator<Item = (usize, &'a MirrorCommand)> + use<'a> {
+        let (command, parts): (_, &[ArrayCommand]) = match *self {
             Self::Move { command, parts, .. } => (Some(command), parts),
-            Self::Hold(_) => (None, Default::default()),
+            Self::Hold(_) => (None, &[]),
         };
         let only = command.filter(|_| parts.is_empty()).map(|command| (0, command));
-        let given = parts.iter_mut().filter(|part| part.is_given).map(|part| (part.array, &mut part.command));
+        let given = parts.iter().filter(|part| part.is_given).map(|part| (part.array, &part.command));
         only.into_iter().chain(given)
     }
 }

@@ -241,8 +241,8 @@ pub struct Tenure {
     /// Contested takeovers in sequence.
     back_off: u8,
     epoch: u64,
-    /// Highest sequence number sent in this epoch.
-    sent: u64,
+    /// Sequence number of the last command in this epoch.
+    sequence: u64,
     /// The latest telemetry, and its arrival.
     seen: Option<(Nanos, Evidence)>,
     /// The epoch that the array announced before the first telemetry.
@@ -267,7 +267,7 @@ impl Tenure {
             takeover: None,
             back_off: 0,
             epoch,
-            sent: 0,
+            sequence: 0,
             seen: None,
             announced: 0,
             unaccepted: None,
@@ -313,12 +313,10 @@ impl Tenure {
         self.announced = epoch;
     }
 
-    /// Notes the sequence number of the last command sent, with its epoch; to be called before the
-    /// telemetry that can show it.
-    pub fn handle_sent(&mut self, epoch: u64, sequence: u64) {
-        if epoch == self.epoch {
-            self.sent = self.sent.max(sequence);
-        }
+    /// Numbers a command of the present epoch: from 1, rising by one.
+    pub fn next_sequence(&mut self) -> u64 {
+        self.sequence = self.sequence.saturating_add(1);
+        self.sequence
     }
 
     /// Whether another controller is in the room.
@@ -515,9 +513,9 @@ impl Tenure {
         Some(TenureEvent::TookOver)
     }
 
-    /// Whether the array applied a command of this epoch that this controller did not send.
+    /// Whether the array applied a command of this epoch that this controller did not number.
     fn is_foreign_sequence(&self, evidence: Evidence) -> bool {
-        evidence.epoch == self.epoch && evidence.applied_sequence > self.sent
+        evidence.epoch == self.epoch && evidence.applied_sequence > self.sequence
     }
 
     /// Whether the latest telemetry is recent.
@@ -562,7 +560,7 @@ impl Tenure {
         let mut candidates = bases.into_iter().filter_map(|base| self.above(base));
         if let Some(epoch) = candidates.find(|epoch| *epoch != self.epoch) {
             self.epoch = epoch;
-            self.sent = 0;
+            self.sequence = 0;
         }
         self.attempts = 6.min(self.attempts + 1);
         self.unaccepted = None;

@@ -33,7 +33,7 @@ fn a_late_decision_has_the_configured_answer() {
     let (good, outcome, _) = late_action("last-good");
     let again = outcome.command();
     assert_eq!((&again.roll, &again.yaw), (&good.roll, &good.yaw));
-    assert_eq!((again.sequence, again.answers, again.time_ns), (0, 30, Room::time(30)));
+    assert_eq!((again.sequence, again.answers, again.time_ns), (3, 30, Room::time(30)));
 
     let parked = late_action("park").1.command();
     assert!(parked.roll.iter().chain(&parked.yaw).all(|angle| *angle == 0.0));

@@ -55,14 +55,13 @@ impl Controller {
         let (epoch, event) = self.tenure.permit(now);
         self.events.extend(event);
         if let Some(epoch) = epoch {
-            let sequence = if self.sent.0 == epoch { self.sent.1 + 1 } else { 1 };
+            let sequence = self.tenure.next_sequence();
             self.sent = (epoch, sequence);
             self.accepted += u64::from(array.handle(now - self.clock_ahead_ns, epoch, sequence));
         }
     }
 
     fn telemetry(&mut self, now: Nanos, shown: Evidence) {
-        self.tenure.handle_sent(self.sent.0, self.sent.1);
         self.events.extend(self.tenure.handle_telemetry(now + self.clock_ahead_ns, shown));
     }
 }
@@ -482,10 +481,21 @@ fn a_controller_that_nothing_obeys_tries_at_growing_intervals() {
 }
 
 #[test]
+fn commands_are_numbered_from_one_in_each_epoch_without_a_gap() {
+    let mut tenure = Tenure::live(1, INTERVAL);
+    tenure.handle_telemetry(NOON, Evidence::default());
+    let first = tenure.permit(NOON).0.expect("no other controller");
+    assert_eq!([1, 2, 3].map(|_| tenure.next_sequence()), [1, 2, 3]);
+    let foreign = Evidence { epoch: first, applied_sequence: 4, ..Evidence::default() };
+    assert_eq!(tenure.handle_telemetry(NOON, foreign), Some(TenureEvent::ForeignSequence));
+    assert!(tenure.permit(NOON).0.is_some_and(|epoch| epoch > first));
+    assert_eq!([1, 2].map(|_| tenure.next_sequence()), [1, 2]);
+}
+
+#[test]
 fn a_second_controller_in_lockstep_stands_by_and_keeps_its_epoch() {
     let mut second = Tenure::lockstep(1);
-    second.handle_sent(1, 1);
-    assert_eq!(second.permit(S), (Some(1), None));
+    assert_eq!((second.permit(S), second.next_sequence()), ((Some(1), None), 1));
     let of_first = Evidence { epoch: 1, applied_sequence: 40, accepted: 40, ..Evidence::default() };
     assert_eq!(second.handle_telemetry(S, of_first), Some(TenureEvent::Superseded));
     for tick in 1..50 {

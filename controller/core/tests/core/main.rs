@@ -15,6 +15,7 @@ mod observations;
 mod obstacle_maps;
 mod policies;
 mod reports;
+mod room_core;
 mod several_leds;
 mod support;
 mod tilted_receivers;

@@ -25,7 +25,7 @@ fn a_position_report_completes_a_tick_and_a_channel_report_does_not() {
     let now = Room::time(3);
     assert_eq!(receive(&mut controller, now, Message::Channel(&mut room.gains(3, 1e-6))), Outcome::Nothing);
     let command = receive(&mut controller, now, Message::Users(&mut room.positions(3))).command();
-    assert_eq!((command.answers, command.sequence, command.epoch), (3, 0, 7));
+    assert_eq!((command.answers, command.sequence, command.epoch), (3, 1, 7));
     assert_eq!((command.time_ns, command.validity_ms), (now, 200));
     assert_eq!(controller.inbox().refused().total(), 0);
 }

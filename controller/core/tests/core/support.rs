@@ -55,6 +55,14 @@ impl Outcome {
             other => panic!("expected a command, got {other:?}"),
         }
     }
+
+    /// Without the number of the command, which a restored controller begins again.
+    pub fn unnumbered(self) -> Self {
+        match self {
+            Self::Moved(command) => Self::Moved(MirrorCommand { sequence: 0, ..command }),
+            other => other,
+        }
+    }
 }
 
 pub fn receive(controller: &mut Controller, now: Nanos, message: Message<'_>) -> Outcome {

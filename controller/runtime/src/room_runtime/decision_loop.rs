@@ -1,5 +1,5 @@
-//! From payloads to published commands: decodes, calls the core, passes commands to the sender, and
-//! records stage times.
+//! From payloads to published commands: passes inputs to the core of the room, and records stage
+//! times.
 //!
 //! There is one decision loop per room, behind a mutex. Two threads decide for reports:
 //!
@@ -17,33 +17,27 @@
 //! and to copy counters; callbacks hold it to pass on liveliness, stop orders and capabilities; the
 //! thread of policy swaps holds it to replace the policy.
 
-mod message_buffers;
-
 use std::{
     sync::{Arc, Mutex, MutexGuard},
     time::{Duration, Instant},
 };
 
 use heliostat_core::{
-    core::{Controller, Decision, Due, Stage, Timing},
-    inbox::Message,
+    core::{Stage, Timing},
     policy::Policy,
-    refusal::{Refusal, Stream},
+    refusal::Stream,
+    room_core::{Answered, Handled, Input, InputChannel, InputKey, RoomCore},
 };
-use heliostat_proto::{ArrayState, CodecError, Nanos};
+use heliostat_proto::Nanos;
+use heliostat_service::clock::utc_ns;
 
 use super::{
     cache_warmer::{Action, CacheWarmer, KeepWarm},
-    command_sender::CommandSender,
-    input_channel::InputChannel,
     locks::{lock, try_lock},
     receive_queue::{ReceiveQueue, Wake},
-    room_clock::RoomClock,
-    state_publisher::StatePublisher,
-    watchdog::Watchdog,
+    transport::Transport,
 };
 use crate::report::stage_times::{StageStamps, StageTimes};
-use message_buffers::MessageBuffers;
 
 /// A report that arrives within this time after a decision indicates a backlog. The callback then
 /// queues it for the room's thread.
@@ -94,19 +88,14 @@ impl Default for DecisionSettings {
 
 /// The decision loop of one room.
 pub struct DecisionLoop {
-    /// The decision core.
-    pub controller: Controller,
+    /// The core of the room.
+    pub room: RoomCore,
     /// Stage times since the status loop last took them.
     pub times: StageTimes,
     /// The same of policies that were replaced since then, each with the policy's name.
     pub former_times: Vec<(String, StageTimes)>,
-    clock: RoomClock,
-    sender: Arc<CommandSender>,
-    watchdog: Arc<Watchdog>,
+    transport: Transport,
     warmer: CacheWarmer,
-    states: StatePublisher,
-    /// Decoded into, and swapped with the core's former reports.
-    buffers: MessageBuffers,
     /// The stamps of the tick that is due.
     due: Option<StageStamps>,
     /// A decision whose predicted latency exceeds it is late.
@@ -114,105 +103,61 @@ pub struct DecisionLoop {
     /// Whether the last decision was made without the policy.
     was_late: bool,
     last_decision: Option<Instant>,
-    unsent: u64,
-    superseded: u64,
-    last_malformed: Option<CodecError>,
     times_from_tick: u64,
 }
 
 impl DecisionLoop {
     /// A loop around a core after its start-up warm-up. A decision whose predicted latency exceeds
     /// `deadline` is late. It warms up no caches.
-    pub fn new(
-        controller: Controller,
-        clock: RoomClock,
-        deadline: Duration,
-        (sender, watchdog): (Arc<CommandSender>, Arc<Watchdog>),
-        states: StatePublisher,
-    ) -> Self {
+    pub fn new(room: RoomCore, transport: Transport, deadline: Duration) -> Self {
         Self {
-            controller,
+            room,
             times: StageTimes::new(),
             former_times: Vec::new(),
-            clock,
-            sender,
-            watchdog,
+            transport,
             warmer: CacheWarmer::new(false),
-            states,
-            buffers: MessageBuffers::new(),
             due: None,
             deadline,
             was_late: false,
             last_decision: None,
-            unsent: 0,
-            superseded: 0,
-            last_malformed: None,
             times_from_tick: 0,
         }
     }
 
     /// Applies the settings. In lockstep, which has no deadline, no caches are warmed up.
     pub fn with_settings(mut self, settings: DecisionSettings) -> Self {
-        self.warmer = CacheWarmer::new(settings.keep_warm == KeepWarm::Expected && self.clock == RoomClock::Utc);
+        self.warmer = CacheWarmer::new(settings.keep_warm == KeepWarm::Expected && !self.room.is_lockstep());
         self.times_from_tick = settings.times_from_tick;
         self
     }
 
-    /// Decodes a payload and passes it to the core; `entered` is when its callback was entered.
-    pub fn handle_payload(&mut self, channel: InputChannel, payload: &[u8], entered: Instant) {
+    /// Passes an input to the core now.
+    pub fn handle(&mut self, input: Input<'_>) -> Handled {
+        self.room.handle(utc_ns(), input, &mut self.transport)
+    }
+
+    /// Passes a report to the core; `entered` is when its callback was entered.
+    pub fn handle_report(&mut self, channel: InputChannel, payload: &[u8], entered: Instant) {
         let mut stamps = StageStamps::start(entered);
         stamps.mark(Stage::Waited);
-        let message = match self.buffers.decode(channel, payload) {
-            Ok(message) => message,
-            Err(error) => {
-                self.controller.handle_malformed((channel.stream, channel.array), Refusal::from(&error));
-                self.last_malformed = Some(error);
-                return;
-            }
-        };
-        if channel.stream == Stream::Telemetry {
-            let (epoch, sequence) = self.sender.last_sent(channel.array);
-            self.controller.handle_sent(channel.array, epoch, sequence);
-        }
-        if let Message::Telemetry(array, telemetry) = &message
-            && *array < self.controller.arrays()
-            && self.controller.admits_array(*array, telemetry.stamp.source)
-        {
-            let is_stopped = telemetry.state == ArrayState::Stopped;
-            self.watchdog.handle_state(*array, telemetry.stamp.source, is_stopped);
-        }
-        let now = self.clock.at_arrival(message.stamp().time_ns);
-        match self.controller.handle_message(now, message) {
-            Due::Command => {
-                self.warmer.on_report(entered);
-                stamps.mark(Stage::Decoded);
-                self.superseded += u64::from(self.due.replace(stamps).is_some());
-            }
-            Due::StaleCommand => {
-                let decision = self.controller.poll_stale_command(now);
-                self.unsent += u64::from(!send(&self.sender, decision));
-            }
-            Due::Nothing => {}
+        let handled = self.handle(Input::Payload { key: InputKey::Report(channel), bytes: payload });
+        if let Handled::DecisionDue = handled {
+            self.warmer.on_report(entered);
+            stamps.mark(Stage::Decoded);
+            self.due = Some(stamps);
         }
     }
 
     /// Decides for the newest tick that is due, if one is.
     pub fn decide(&mut self) {
         let Some(mut stamps) = self.due.take() else { return };
-        self.watchdog.on_progress();
         let started = Instant::now();
         let timing = self.timing(stamps.waited(started));
-        let now = self.clock.now();
-        let decision = self.controller.poll_command(now, timing, &mut |stage| stamps.mark(stage));
-        let measured_age_ns = match &decision {
-            Decision::Move { command, age_ns, .. } if command.answers >= self.times_from_tick => Some(*age_ns),
-            Decision::Move { .. } | Decision::Hold(_) => None,
-        };
-        let sent = send(&self.sender, decision);
-        stamps.mark(Stage::Published);
-        self.watchdog.on_progress();
-        self.unsent += u64::from(!sent);
-        if let Some(age_ns) = measured_age_ns {
+        let mut mark = |stage| stamps.mark(stage);
+        let answered = self.room.decide(utc_ns(), timing, &mut mark, &mut self.transport);
+        if let Some(Answered { tick, age_ns }) = answered
+            && tick >= self.times_from_tick
+        {
             self.times.record(&stamps, age_ns);
         }
         let ended = Instant::now();
@@ -221,49 +166,30 @@ impl DecisionLoop {
             Timing::Late => self.warmer.on_late_decision(ended),
         }
         self.last_decision = Some(ended);
-        if timing == Timing::InTime {
-            self.states.after_decision(&mut self.controller, now);
-        }
+        self.room.publish_state(&mut self.transport);
     }
 
     /// Replaces the policy, and returns the former one. `fresh` is empty: the times of the former
     /// policy are kept apart.
-    pub fn replace_policy(&mut self, policy: Box<dyn Policy>, fresh: StageTimes) -> Box<dyn Policy> {
+    pub fn replace_policy(&mut self, policy: Box<dyn Policy>, fresh: StageTimes) -> Handled {
         let times = std::mem::replace(&mut self.times, fresh);
-        self.former_times.push((self.controller.policy_name().to_owned(), times));
-        self.controller.replace_policy(policy)
-    }
-
-    /// Executes the action for the absence of position reports, if that is due.
-    pub fn handle_timeout(&mut self) {
-        if let Some(decision) = self.controller.poll_timeout_command(self.clock.now()) {
-            self.unsent += u64::from(!send(&self.sender, decision));
-        }
+        self.former_times.push((self.room.controller().policy_name().to_owned(), times));
+        self.handle(Input::Policy(policy))
     }
 
     /// Room time now.
     pub fn room_time_ns(&self) -> Nanos {
-        self.clock.now()
+        self.room.room_time_ns(utc_ns())
     }
 
     /// Commands that the transport refused.
     pub fn unsent(&self) -> u64 {
-        self.unsent
-    }
-
-    /// Ticks that a newer one superseded before a decision.
-    pub fn superseded(&self) -> u64 {
-        self.superseded
+        self.transport.unsent()
     }
 
     /// Cache warm-ups so far.
     pub fn cache_warm_ups(&self) -> u64 {
         self.warmer.warm_ups()
-    }
-
-    /// The error of the last payload that did not decode.
-    pub fn last_malformed(&self) -> Option<&CodecError> {
-        self.last_malformed.as_ref()
     }
 
     /// Whether a callback has to queue a payload for the room's thread.
@@ -276,7 +202,7 @@ impl DecisionLoop {
     /// Repeats the last decision without a command.
     fn warm_cache(&mut self) {
         let started = Instant::now();
-        self.controller.warm_cache();
+        self.room.warm_cache();
         self.warmer.on_warm_up(started.elapsed());
     }
 
@@ -285,15 +211,10 @@ impl DecisionLoop {
     /// policy decides again. In lockstep the room waits.
     fn timing(&mut self, waited: Duration) -> Timing {
         let predicted = waited + self.warmer.expected_decision();
-        let is_late = self.clock == RoomClock::Utc && !self.was_late && predicted > self.deadline;
+        let is_late = !self.room.is_lockstep() && !self.was_late && predicted > self.deadline;
         self.was_late = is_late;
         if is_late { Timing::Late } else { Timing::InTime }
     }
-}
-
-/// Sends the commands of a decision, if it has any; false where the transport refuses one.
-fn send(sender: &CommandSender, decision: Decision<'_>) -> bool {
-    decision.commands().fold(true, |is_sent, (array, command)| sender.send(array, command) && is_sent)
 }
 
 /// The entry of payloads: decides in the callback, or queues the payload for the room's thread.
@@ -320,7 +241,7 @@ impl PayloadHandler {
         };
         match at_once {
             Some(mut decision_loop) => {
-                decision_loop.handle_payload(channel, payload, entered);
+                decision_loop.handle_report(channel, payload, entered);
                 decision_loop.decide();
             }
             None => self.queue.push(channel, payload, entered),
@@ -358,7 +279,7 @@ fn drain(queue: &ReceiveQueue, decision_loop: &mut DecisionLoop) {
         if arrival.channel.stream == Stream::Users {
             decision_loop.warmer.on_wait(arrival.entered.elapsed());
         }
-        decision_loop.handle_payload(arrival.channel, &arrival.payload, arrival.entered);
+        decision_loop.handle_report(arrival.channel, &arrival.payload, arrival.entered);
         queue.recycle(arrival.payload);
     }
     decision_loop.decide();

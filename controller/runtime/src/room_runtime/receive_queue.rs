@@ -12,7 +12,9 @@ use std::{
     time::{Duration, Instant},
 };
 
-use super::{input_channel::InputChannel, locks::lock};
+use heliostat_core::room_core::InputChannel;
+
+use super::locks::lock;
 
 /// Most payloads that wait.
 const CAPACITY: usize = 64;

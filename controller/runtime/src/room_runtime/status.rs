@@ -4,12 +4,13 @@ use heliostat_core::{
     core::{Controller, Counters, DegradedMode, Stage},
     guard::describe_stop,
     refusal::{Found, LastRefusal, LeftOut, Refusal, Stream, TelemetrySizes},
+    room_core::UndecodableCounts,
     tenure::{Standing, Tenure, TenureEvent},
 };
 use heliostat_proto::{Nanos, NodeKind, NodeStatus, Stamp, array_keys::array_name, stop_hold::HeldStop};
 use heliostat_service::{clock::utc_ns, printable::printable};
 
-use super::{decision_loop::DecisionLoop, policy_swap::SwapCounters, undecodable::UndecodableCounts};
+use super::{decision_loop::DecisionLoop, policy_swap::SwapCounters};
 use crate::report::{stage_times::StageTimes, summary::Summary};
 
 /// What to do about commands without a receiver.
@@ -66,8 +67,6 @@ pub struct Conditions {
     pub without_driver: Vec<usize>,
     /// Why the room's geometry is not that of this controller.
     pub geometry: Option<String>,
-    /// Payloads that did not decode, of the topics that the decision loop does not receive.
-    pub undecodable: UndecodableCounts,
 }
 
 /// What went wrong since the last status.
@@ -124,23 +123,23 @@ impl Reporter {
         swaps: SwapCounters,
         conditions: Conditions,
     ) -> Snapshot {
-        let controller = &decision_loop.controller;
+        let controller = decision_loop.room.controller();
         let mut summary = Summary::of(controller);
         summary.unsent = decision_loop.unsent();
-        summary.dropped = decision_loop.superseded();
+        summary.dropped = decision_loop.room.superseded();
         summary.cache_warm_ups = decision_loop.cache_warm_ups();
-        summary.refused.extend(conditions.undecodable.named());
+        let undecodable = decision_loop.room.undecodable();
+        summary.refused.extend(undecodable.named());
         // Of several arrays, the first that follows another controller.
         let mut tenures = (0..controller.arrays()).map(|array| controller.tenure(array));
         let tenure = tenures.find(|tenure| tenure.standing() == Standing::Standby).unwrap_or(controller.tenure(0));
-        let undecodable = conditions.undecodable.clone();
         let stops_before = std::mem::replace(&mut self.stops, describe_stops(controller));
         let problem = self
             .new_alarm(&summary, controller.counters(), tenure)
             .or_else(|| self.new_stops(&stops_before))
             .or_else(|| self.new_condition(conditions, controller.arrays()))
             .or_else(|| self.new_problem(decision_loop, &swaps).map(Problem::Warning))
-            .or_else(|| self.new_undecodable(&undecodable).map(Problem::Warning));
+            .or_else(|| self.new_undecodable(undecodable).map(Problem::Warning));
         let occurrences = std::mem::take(&mut self.occurrences);
         if let Some(Problem::Alarm(problem) | Problem::Warning(problem)) = &problem {
             self.last_problem.clone_from(problem);
@@ -308,7 +307,7 @@ impl Reporter {
 
     /// The most serious problem since the last snapshot.
     fn new_problem(&mut self, decision_loop: &DecisionLoop, swaps: &SwapCounters) -> Option<String> {
-        let controller = &decision_loop.controller;
+        let controller = decision_loop.room.controller();
         let counters = controller.counters();
         let failed = counters.degraded(DegradedMode::PolicyFailed) + counters.degraded(DegradedMode::Held);
         let rose = |before: &mut u64, after: u64| after.saturating_sub(std::mem::replace(before, after));
@@ -442,13 +441,13 @@ fn describe_event(event: TenureEvent, tenure: &Tenure) -> String {
 }
 
 fn describe_refusal(decision_loop: &DecisionLoop) -> Option<String> {
-    let inbox = decision_loop.controller.inbox();
+    let inbox = decision_loop.room.controller().inbox();
     let LastRefusal { stream, array, refusal, found } = inbox.refused().last()?;
     let (name, owner) = match stream {
         Stream::Telemetry => (format!("telemetry of {}", array_name(array)), inbox.array_source(array)),
         _ => (stream.name().to_owned(), inbox.source()),
     };
-    Some(match (refusal, decision_loop.last_malformed()) {
+    Some(match (refusal, decision_loop.room.last_malformed()) {
         (Refusal::ForeignSource, _) => format!(
             "a second source {:016x} reports {name} in this room, which source {:016x} owns; it is refused",
             inbox.refused().last_foreign_source().unwrap_or_default(),

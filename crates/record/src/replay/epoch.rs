@@ -15,8 +15,6 @@ use super::scheduled::Progress;
 pub(super) struct EpochReplay {
     pub controller: Controller,
     pub newest_ns: Nanos,
-    /// Number of the last command.
-    pub sequence: u64,
     /// Decisions so far.
     pub decided: u64,
     /// Decisions at the start that are not compared.

@@ -102,7 +102,7 @@ impl<'a> Player<'a> {
         let progress = schedule.map(|schedule| Progress::new(schedule.clone()));
         let is_known = recorded_from_start || progress.is_some();
         let settle = self.settings.settle.unwrap_or(if is_known { 0 } else { SETTLE });
-        Ok(Some(EpochReplay { controller, newest_ns: 0, sequence: 0, decided: 0, settle, progress }))
+        Ok(Some(EpochReplay { controller, newest_ns: 0, decided: 0, settle, progress }))
     }
 
     /// Refuses to compare with another file of a learned policy than the recorded one, where the
@@ -282,12 +282,11 @@ impl<'a> Player<'a> {
             self.verdict.held += u64::from(answer.is_some());
             return;
         }
-        current.sequence += 1;
-        let (sequence, counts) = (current.sequence, current.counts());
+        let counts = current.counts();
         current.decided += 1;
         let clock = if current.progress.is_some() { Clock::Live } else { clock };
         for (array, command) in commands {
-            self.verdict.add_ours(array, MirrorCommand { sequence, ..command }, counts, clock);
+            self.verdict.add_ours(array, command, counts, clock);
         }
     }
 
@@ -337,9 +336,7 @@ impl<'a> Player<'a> {
             self.verdict.held += 1;
             return;
         }
-        current.sequence += 1;
-        for (array, command) in commands {
-            let ours = MirrorCommand { sequence: current.sequence, ..command };
+        for (array, ours) in commands {
             match array {
                 0 => self.verdict.compare(&ours, theirs, counts, self.plan.clock),
                 _ => self.verdict.add_ours(array, ours, counts, self.plan.clock),

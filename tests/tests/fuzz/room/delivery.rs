@@ -92,7 +92,7 @@ impl Room {
             Due::StaleCommand => controller.poll_stale_command(now),
             Due::Nothing => return true,
         };
-        if encode_command(decision, &mut self.sent, &mut self.encoded) {
+        if encode_command(decision, &mut self.sequence_sent, &mut self.encoded) {
             self.send_command();
         }
         true
@@ -112,15 +112,13 @@ impl Room {
     /// The controller acts where reports are absent.
     pub(super) fn poll_timeout(&mut self) {
         let decision = self.controller.poll_timeout_command(self.room_ns);
-        if decision.is_some_and(|decision| encode_command(decision, &mut self.sent, &mut self.encoded)) {
+        if decision.is_some_and(|decision| encode_command(decision, &mut self.sequence_sent, &mut self.encoded)) {
             self.send_command();
         }
     }
 
     /// Sends the encoded command.
     fn send_command(&mut self) {
-        let (epoch, sequence) = self.sent;
-        self.controller.handle_sent(0, epoch, sequence);
         let command = decode(&self.encoded);
         self.array(command, Content::Command);
     }
@@ -133,13 +131,10 @@ fn consume<T: Message>(payload: &[u8], handle: impl FnOnce(T)) -> bool {
 
 /// Encodes the command of a decision; returns whether it has one.
 ///
-/// The command is numbered as the sender does, from 1 in each epoch. It must be valid for every
-/// driver.
-fn encode_command(decision: Decision<'_>, sent: &mut (u64, u64), encoded: &mut Vec<u8>) -> bool {
+/// It must be valid for every driver.
+fn encode_command(decision: Decision<'_>, sequence: &mut u64, encoded: &mut Vec<u8>) -> bool {
     let Decision::Move { command, .. } = decision else { return false };
-    let last = if sent.0 == command.epoch { sent.1 } else { 0 };
-    command.sequence = last + 1;
-    *sent = (command.epoch, command.sequence);
+    *sequence = command.sequence;
     encode(command, encoded).expect("a decided command is valid");
     let range_rad = setup().scenario.control.range_deg.to_radians();
     for angle in command.roll.iter().chain(&command.yaw) {

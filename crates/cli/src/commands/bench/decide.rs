@@ -399,7 +399,6 @@ impl Side for Decider {
             anyhow::bail!("the controller gave no command for tick {}", self.tick);
         };
         for (_, command) in decision.commands() {
-            command.sequence = self.tick;
             encode(command, &mut self.command)?;
         }
         stamps.mark(Stage::Published);

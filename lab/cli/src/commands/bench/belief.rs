@@ -179,14 +179,12 @@ fn controller(scenario: &Scenario, episode: &Episode) -> Result<Controller> {
 fn simulate(scenario: &Scenario) -> Result<Kept> {
     let mut episode = Episode::new(scenario, scenario.read_trace()?.as_deref(), scenario.seed, START_NS)?;
     let mut controller = controller(scenario, &episode)?;
-    let (mut events, mut sequence) = (Vec::new(), 0);
+    let mut events = Vec::new();
     while let Some((now, mut event)) = episode.poll_event(START_NS + KEPT_NS) {
         events.push((now.room_ns, event.clone()));
         let Some(message) = message(&mut event, true) else { continue };
         let Some(decision) = controller.handle_and_poll(now.room_ns, message, &mut |_| {}) else { continue };
-        sequence += 1;
         for (array, command) in decision.commands() {
-            command.sequence = sequence;
             episode.handle_command(array, now, command)?;
         }
     }

@@ -1,16 +1,13 @@
-//! Payloads that do not decode, of the topics that the decision loop does not receive.
+//! Payloads that do not decode, of the keys that are no streams of reports.
 //!
 //! CONTRACT.md, section 2: each of them is refused and counted.
 
-use std::{
-    collections::BTreeMap,
-    sync::{Arc, Mutex},
-};
+use std::collections::BTreeMap;
 
-use heliostat_core::refusal::Refusal;
 use heliostat_proto::{CodecError, Message, array_keys::array_name, decode};
 
-use super::locks::lock;
+use super::input::InputKey;
+use crate::input::refusal::Refusal;
 
 /// Counters of payloads that do not decode.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -37,47 +34,43 @@ impl UndecodableCounts {
         self.last.as_deref()
     }
 
-    fn count(&mut self, topic: &'static str, array: Option<usize>, error: &CodecError) {
+    /// The message of a payload; `None` where it does not decode, which is then counted.
+    pub(super) fn decode<M: Message>(&mut self, key: InputKey, payload: &[u8]) -> Option<M> {
+        decode(payload).map_err(|error| self.count(key, &error)).ok()
+    }
+
+    fn count(&mut self, key: InputKey, error: &CodecError) {
+        let (topic, array) = match key {
+            InputKey::Capabilities(array) => ("capabilities", Some(array)),
+            InputKey::Stops(array) => ("stops", Some(array)),
+            InputKey::Safety(array) => ("safety", Some(array)),
+            InputKey::Stop => ("stop", None),
+            InputKey::Geometry => ("geometry", None),
+            InputKey::Report(channel) => (channel.stream.name(), None),
+        };
         *self.counts.entry((topic, Refusal::from(error).name())).or_default() += 1;
         let of = array.map_or(String::new(), |array| format!(" of {}", array_name(array)));
         self.last = Some(format!("{topic}{of}: {error}"));
     }
 }
 
-/// Decodes payloads, and counts those that do not decode. Clones share their counters.
-#[derive(Clone, Debug, Default)]
-pub struct Decoder(Arc<Mutex<UndecodableCounts>>);
-
-impl Decoder {
-    /// The message of a payload of a topic, and of an array if the topic is one of an array; `None`
-    /// where it does not decode, which is then counted.
-    pub fn decode<M: Message>(&self, topic: &'static str, array: Option<usize>, payload: &[u8]) -> Option<M> {
-        decode(payload).map_err(|error| lock(&self.0).count(topic, array, &error)).ok()
-    }
-
-    /// The counters so far.
-    pub fn counts(&self) -> UndecodableCounts {
-        lock(&self.0).clone()
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use super::*;
     use heliostat_proto::{Capabilities, EmergencyStop, encode};
+
+    use super::*;
 
     #[test]
     fn payloads_that_do_not_decode_are_counted_by_topic_and_reason() {
-        let decoder = Decoder::default();
+        let mut counts = UndecodableCounts::default();
         let mut payload = Vec::new();
         encode(&EmergencyStop::default(), &mut payload).expect("a valid message");
-        assert!(decoder.decode::<EmergencyStop>("stop", None, &payload).is_some());
-        assert_eq!(decoder.counts(), UndecodableCounts::default());
+        assert!(counts.decode::<EmergencyStop>(InputKey::Stop, &payload).is_some());
+        assert_eq!(counts, UndecodableCounts::default());
         for cut in [1, 2] {
-            assert!(decoder.decode::<EmergencyStop>("stop", None, &payload[..payload.len() - cut]).is_none());
+            assert!(counts.decode::<EmergencyStop>(InputKey::Stop, &payload[..payload.len() - cut]).is_none());
         }
-        assert!(decoder.decode::<Capabilities>("capabilities", Some(1), &payload).is_none());
-        let counts = decoder.clone().counts();
+        assert!(counts.decode::<Capabilities>(InputKey::Capabilities(1), &payload).is_none());
         let named: Vec<_> = counts.named().collect();
         assert_eq!(named, [("capabilities:wrong-kind".into(), 1), ("stop:truncated".into(), 2)]);
         assert_eq!(counts.total(), 3);

@@ -1,69 +1,59 @@
 //! Whether each array has a driver or a simulator that receives the commands.
-//!
-//! None of this is in the decision path.
 
-use std::{
-    collections::BTreeSet,
-    sync::{Arc, Mutex},
-    time::{Duration, Instant},
-};
+use std::collections::BTreeSet;
 
-use heliostat_bus::{Bus, Presence, Subscription};
-use heliostat_core::core::Controller;
 use heliostat_proto::{
-    NodeKind, Stamp,
+    Nanos, NodeKind, Stamp,
     keys::{parse_alive, parse_driver_alive},
 };
 
-use super::locks::lock;
+use crate::core::Controller;
 
 /// Time without telemetry and without a liveliness token after which the driver is absent. A
 /// driver publishes telemetry at least 10 times a second.
-const ABSENT_AFTER: Duration = Duration::from_secs(2);
-
-/// Watches the liveliness tokens of drivers and simulators, and the telemetry.
-pub struct DriverPresence {
-    tokens: Arc<Mutex<BTreeSet<Token>>>,
-    /// One for each array.
-    detectors: Vec<AbsenceDetector>,
-}
+const ABSENT_AFTER_NS: Nanos = 2_000_000_000;
 
 /// The array of a driver, and its source; a simulator drives every array of its room.
 type Token = (Option<usize>, u64);
+
+/// The liveliness tokens of drivers and simulators, and the telemetry of each array.
+pub(super) struct Drivers {
+    tokens: BTreeSet<Token>,
+    /// One for each array.
+    detectors: Vec<AbsenceDetector>,
+}
 
 /// Detects that commands are sent for a while without any sign of a driver.
 #[derive(Clone, Debug, Default)]
 struct AbsenceDetector {
     telemetry: Option<Stamp>,
     /// Since when there is no sign of a driver although commands were sent.
-    since: Option<Instant>,
+    since_ns: Option<Nanos>,
 }
 
-impl DriverPresence {
-    /// Subscribes to the tokens of a room with this number of arrays.
-    ///
-    /// # Errors
-    /// If the session is closed.
-    pub fn open(bus: &Bus, arrays: usize) -> anyhow::Result<(Self, Subscription)> {
-        let tokens: Arc<Mutex<BTreeSet<Token>>> = Arc::default();
-        let present = Arc::clone(&tokens);
-        let subscription = bus.watch(&bus.room().all_alive(), move |key, presence| {
-            let Some(token) = token(key) else { return };
-            match presence {
-                Presence::Alive => lock(&present).insert(token),
-                Presence::Gone => lock(&present).remove(&token),
-            };
-        })?;
-        Ok((Self { tokens, detectors: vec![AbsenceDetector::default(); arrays] }, subscription))
+impl Drivers {
+    /// No driver, for so many arrays.
+    pub fn new(arrays: usize) -> Self {
+        Self { tokens: BTreeSet::new(), detectors: vec![AbsenceDetector::default(); arrays] }
+    }
+
+    /// A liveliness token appeared or ended.
+    pub fn handle_token(&mut self, key: &str, is_alive: bool) {
+        let Some(token) = token(key) else { return };
+        if is_alive {
+            self.tokens.insert(token);
+        } else {
+            self.tokens.remove(&token);
+        }
     }
 
     /// The arrays without a driver that receives the commands of a controller, by index.
-    pub fn absent(&mut self, now: Instant, controller: &Controller) -> Vec<usize> {
-        let tokens = lock(&self.tokens).clone();
+    pub fn absent(&mut self, now: Nanos, controller: &Controller) -> Vec<usize> {
         let commands = controller.counters().commands;
+        let tokens = &self.tokens;
         let is_absent = |(array, detector): (usize, &mut AbsenceDetector)| {
             let telemetry = controller.inbox().telemetry(array).map(|telemetry| telemetry.stamp);
-            detector.is_absent(now, drives(&tokens, array), telemetry, commands).then_some(array)
+            detector.is_absent(now, drives(tokens, array), telemetry, commands).then_some(array)
         };
         self.detectors.iter_mut().enumerate().filter_map(is_absent).collect()
     }
@@ -81,14 +71,17 @@ fn drives(tokens: &BTreeSet<Token>, array: usize) -> bool {
 }
 
 impl AbsenceDetector {
-    /// `telemetry` is the stamp of the latest one, `commands` the number of commands so far.
-    fn is_absent(&mut self, now: Instant, has_token: bool, telemetry: Option<Stamp>, commands: u64) -> bool {
+    /// `telemetry` is the stamp of the latest one, `commands` the number of commands so far. A clock
+    /// that steps back begins again.
+    fn is_absent(&mut self, now: Nanos, has_token: bool, telemetry: Option<Stamp>, commands: u64) -> bool {
         let has_news = std::mem::replace(&mut self.telemetry, telemetry) != telemetry;
         if has_token || has_news || commands == 0 {
-            self.since = None;
+            self.since_ns = None;
             return false;
         }
-        now.saturating_duration_since(*self.since.get_or_insert(now)) >= ABSENT_AFTER
+        let since_ns = self.since_ns.get_or_insert(now);
+        *since_ns = now.min(*since_ns);
+        now - *since_ns >= ABSENT_AFTER_NS
     }
 }
 
@@ -115,23 +108,31 @@ mod tests {
 
     #[test]
     fn a_driver_is_absent_after_commands_without_token_and_telemetry_for_a_while() {
-        let (mut detector, start) = (AbsenceDetector::default(), Instant::now());
+        let (mut detector, start) = (AbsenceDetector::default(), 7);
         assert!(!detector.is_absent(start, false, None, 1));
-        assert!(!detector.is_absent(start + ABSENT_AFTER / 2, false, None, 9));
-        assert!(detector.is_absent(start + ABSENT_AFTER, false, None, 20));
-        assert!(!detector.is_absent(start + ABSENT_AFTER, true, None, 20), "a token appeared");
+        assert!(!detector.is_absent(start + ABSENT_AFTER_NS / 2, false, None, 9));
+        assert!(detector.is_absent(start + ABSENT_AFTER_NS, false, None, 20));
+        assert!(!detector.is_absent(start + ABSENT_AFTER_NS, true, None, 20), "a token appeared");
     }
 
     #[test]
     fn a_driver_with_telemetry_or_a_controller_without_commands_lacks_nothing() {
-        let (mut detector, start) = (AbsenceDetector::default(), Instant::now());
+        let (mut detector, start) = (AbsenceDetector::default(), 7);
         for step in 0..10 {
-            assert!(!detector.is_absent(start + step * ABSENT_AFTER, false, stamp(u64::from(step)), 5));
+            assert!(!detector.is_absent(start + step * ABSENT_AFTER_NS, false, stamp(step), 5));
         }
-        let last = start + 10 * ABSENT_AFTER;
+        let last = start + 10 * ABSENT_AFTER_NS;
         assert!(!detector.is_absent(last, false, stamp(9), 5));
-        assert!(detector.is_absent(last + ABSENT_AFTER, false, stamp(9), 5), "the telemetry ended");
+        assert!(detector.is_absent(last + ABSENT_AFTER_NS, false, stamp(9), 5), "the telemetry ended");
         let mut idle = AbsenceDetector::default();
         assert!(!idle.is_absent(start, false, None, 0) && !idle.is_absent(last, false, None, 0));
+    }
+
+    #[test]
+    fn a_clock_that_steps_back_makes_no_driver_absent() {
+        let mut detector = AbsenceDetector::default();
+        assert!(!detector.is_absent(9 * ABSENT_AFTER_NS, false, None, 1));
+        assert!(!detector.is_absent(ABSENT_AFTER_NS, false, None, 1));
+        assert!(detector.is_absent(2 * ABSENT_AFTER_NS, false, None, 1));
     }
 }

@@ -1,11 +1,11 @@
 //! Memory into which the payloads of each stream are decoded.
 
-use heliostat_core::{inbox::Message, refusal::Stream};
 use heliostat_proto::{
     ChannelReport, CodecError, LedReport, MirrorTelemetry, ObstacleReport, OrientationReport, UserReport, decode_into,
 };
 
-use crate::room_runtime::input_channel::InputChannel;
+use super::input::InputChannel;
+use crate::input::{inbox::Message, refusal::Stream};
 
 /// One message of each stream.
 pub(super) struct MessageBuffers {

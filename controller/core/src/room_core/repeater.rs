@@ -1,0 +1,120 @@
+//! What a controller publishes at intervals, whether or not it decides: its geometry, and each held
+//! stop to the arrays that have not reported it.
+//!
+//! The core holds the stops; this is the list that is due for repetition. It has a lock of its own,
+//! so that a caller can repeat stops while a policy does not return: the order that then arrives is
+//! noted by [`note_order`](Repeater::note_order) until the core handles it.
+
+use heliostat_proto::{
+    EmergencyStop, Message, Nanos, RoomGeometry, Stamp, StopAction, StopRepetition, decode, encode,
+    stop_hold::{HeldStop, StopHold},
+};
+use heliostat_scenario::Scenario;
+
+use super::input::{Output, Publish};
+
+/// Time between two repetitions of a stop.
+const STOP_INTERVAL_NS: Nanos = 200_000_000;
+
+/// Time between two announcements of the geometry.
+const GEOMETRY_INTERVAL_NS: Nanos = 1_000_000_000;
+
+/// A stop that an array has not reported.
+pub(super) struct Unreported {
+    pub array: usize,
+    /// Whether the array is present and understands no repetition.
+    pub is_older: bool,
+    pub stop: HeldStop,
+}
+
+/// The geometry of this controller, and the stops that are due for repetition.
+pub struct Repeater {
+    geometry: RoomGeometry,
+    announced_ns: Option<Nanos>,
+    source: u64,
+    /// The number of the last repetition to each array.
+    sequences: Vec<u64>,
+    unreported: Vec<Unreported>,
+    /// Orders that the core has not handled yet.
+    waiting: StopHold,
+    repeated_ns: Option<Nanos>,
+}
+
+impl Repeater {
+    /// The geometry of a scenario and no stop, by a controller with this source id.
+    pub(super) fn new(source: u64, scenario: &Scenario) -> Self {
+        let stamp = Stamp { source, ..Stamp::default() };
+        Self {
+            geometry: RoomGeometry { stamp, scenario: scenario.geometry_toml() },
+            announced_ns: None,
+            source,
+            sequences: vec![0; scenario.mirrors.arrays().len()],
+            unreported: Vec::new(),
+            waiting: StopHold::default(),
+            repeated_ns: None,
+        }
+    }
+
+    /// Notes the payload of an order that arrived at `now`, before the core handles it.
+    pub fn note_order(&mut self, now: Nanos, payload: &[u8]) {
+        // The core counts a payload that does not decode.
+        if let Ok(order) = decode(payload) {
+            self.waiting.order(now, &order);
+        }
+    }
+
+    /// The core has handled the order that was noted.
+    pub(super) fn forget_orders(&mut self) {
+        self.waiting = StopHold::default();
+    }
+
+    /// Replaces the list by what the core knows.
+    pub(super) fn update(&mut self, unreported: Vec<Unreported>) {
+        self.unreported = unreported;
+    }
+
+    /// Publishes what is due at `now`: the geometry once a second, each stop at most five times.
+    pub fn repeat(&mut self, now: Nanos, out: &mut dyn Publish) {
+        let is_due = |last: Option<Nanos>, interval_ns| last.is_none_or(|last| now.abs_diff(last) >= interval_ns);
+        let mut payload = Vec::new();
+        if is_due(self.announced_ns, GEOMETRY_INTERVAL_NS) {
+            self.announced_ns = Some(now);
+            self.geometry.stamp.sequence += 1;
+            self.geometry.stamp.time_ns = now;
+            publish(Output::Geometry, &self.geometry, &mut payload, out);
+        }
+        if is_due(self.repeated_ns, STOP_INTERVAL_NS) {
+            self.repeated_ns = Some(now);
+            self.repeat_stops(now, &mut payload, out);
+        }
+    }
+
+    fn repeat_stops(&mut self, now: Nanos, payload: &mut Vec<u8>, out: &mut dyn Publish) {
+        for array in 0..self.sequences.len() {
+            let known = self.unreported.iter().filter(|unreported| unreported.array == array);
+            let known = known.map(|unreported| (&unreported.stop, unreported.is_older));
+            for (stop, is_older) in known.chain(self.waiting.stops().iter().map(|stop| (stop, false))) {
+                let HeldStop { name, since_ns, .. } = *stop;
+                let (operator, reason) = (stop.operator.clone(), stop.reason.clone());
+                if is_older {
+                    let stamp = Stamp { source: name.source, sequence: name.sequence, time_ns: since_ns };
+                    let order = EmergencyStop { stamp, action: StopAction::Stop, operator, reason };
+                    publish(Output::Stop, &order, payload, out);
+                    continue;
+                }
+                self.sequences[array] += 1;
+                let stamp = Stamp { source: self.source, sequence: self.sequences[array], time_ns: now };
+                let (stop_source, stop_sequence) = (name.source, name.sequence);
+                let repetition = StopRepetition { stamp, stop_source, stop_sequence, operator, reason };
+                publish(Output::StopRepetition(array), &repetition, payload, out);
+            }
+        }
+    }
+}
+
+/// A message that does not encode is lost like one on the network.
+fn publish<T: Message>(output: Output, message: &T, payload: &mut Vec<u8>, out: &mut dyn Publish) {
+    if encode(message, payload).is_ok() {
+        out.publish(output, payload);
+    }
+}

@@ -274,7 +274,7 @@ impl RoomRuntime {
     /// Logs a change of state, or a problem that occurred so often unless one like it was logged just
     /// before.
     fn log(&mut self, problem: &Problem, occurrences: u64) {
-        let (Problem::Alarm(text) | Problem::Warning(text)) = problem;
+        let (Problem::Alarm(text) | Problem::Warning(text) | Problem::End(text)) = problem;
         let line = match occurrences {
             0 => Some(text.clone()),
             _ => self.log_limit.line(Instant::now(), text, occurrences),
@@ -283,6 +283,7 @@ impl RoomRuntime {
         match problem {
             Problem::Alarm(_) => tracing::error!(room = %self.room, "{line}"),
             Problem::Warning(_) => tracing::warn!(room = %self.room, "{line}"),
+            Problem::End(_) => tracing::info!(room = %self.room, "{line}"),
         }
     }
 

@@ -75,6 +75,8 @@ pub enum Problem {
     Alarm(String),
     /// Anything else.
     Warning(String),
+    /// The end of a lasting one.
+    End(String),
 }
 
 /// A copy of the counters, taken while the decision loop is locked.
@@ -141,8 +143,10 @@ impl Reporter {
             .or_else(|| self.new_problem(decision_loop, &swaps).map(Problem::Warning))
             .or_else(|| self.new_undecodable(undecodable).map(Problem::Warning));
         let occurrences = std::mem::take(&mut self.occurrences);
-        if let Some(Problem::Alarm(problem) | Problem::Warning(problem)) = &problem {
-            self.last_problem.clone_from(problem);
+        match &problem {
+            Some(Problem::Alarm(problem) | Problem::Warning(problem)) => self.last_problem.clone_from(problem),
+            Some(Problem::End(_)) => self.last_problem.clear(),
+            None => {}
         }
         summary.last_problem.clone_from(&self.last_problem);
         summary.set_without_driver(&self.conditions.without_driver);
@@ -258,7 +262,7 @@ impl Reporter {
         if unfit_before != self.unfit {
             return Some(match &self.unfit {
                 Some(unfit) => Problem::Alarm(format!("the array receives no commands: {unfit}")),
-                None => Problem::Warning("the array fits the scenario: it receives commands again".into()),
+                None => Problem::End("the array fits the scenario: it receives commands again".into()),
             });
         }
         let events = TenureEvent::ALL.map(|event| counters.tenure(event));
@@ -282,8 +286,10 @@ impl Reporter {
         if before == self.stops {
             return None;
         }
-        let text = if self.stops.is_empty() { "no stop withholds commands any longer" } else { &self.stops };
-        Some(Problem::Warning(text.to_owned()))
+        Some(match self.stops.as_str() {
+            "" => Problem::End("no stop withholds commands any longer".into()),
+            stops => Problem::Warning(stops.to_owned()),
+        })
     }
 
     /// A condition that began or ended; a second one is reported at the next snapshot.
@@ -291,18 +297,20 @@ impl Reporter {
         let before = std::mem::replace(&mut self.conditions.without_driver, now.without_driver);
         let without_driver = &self.conditions.without_driver;
         if before != *without_driver {
-            return Some(Problem::Warning(if without_driver.is_empty() {
-                "a driver is in the room and receives the commands".into()
+            return Some(if without_driver.is_empty() {
+                Problem::End("a driver is in the room and receives the commands".into())
             } else {
-                format!("{}: {DRIVER_ABSENT}", describe_absence(without_driver, arrays))
-            }));
+                Problem::Warning(format!("{}: {DRIVER_ABSENT}", describe_absence(without_driver, arrays)))
+            });
         }
         let before = std::mem::replace(&mut self.conditions.geometry, now.geometry);
         if before == self.conditions.geometry {
             return None;
         }
-        let ended = || "the room announces no other geometry than this controller".into();
-        Some(Problem::Warning(self.conditions.geometry.clone().unwrap_or_else(ended)))
+        Some(match &self.conditions.geometry {
+            Some(difference) => Problem::Warning(difference.clone()),
+            None => Problem::End("the room announces no other geometry than this controller".into()),
+        })
     }
 
     /// The most serious problem since the last snapshot.

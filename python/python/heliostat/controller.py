@@ -36,6 +36,7 @@ _STATUS_S = 0.5
 _TICK_S = 0.05
 _ANNOUNCED_S = 0.3
 _QUEUE_MAX = 1024
+_SILENT_S = 2.0
 _ROOM = ("obstacles", "orientation", "leds", "channel", "users", "stop")
 
 
@@ -64,7 +65,7 @@ class RunSummary:
     dropped: int
     """Messages that were dropped, because the function took too long."""
     last_problem: str
-    """Why the last failed decision failed, or why an array gets no command; empty without a problem."""
+    """Why the last failed decision failed, or why an array or the whole room gets no command; empty without a problem."""
 
 
 def run(
@@ -118,6 +119,7 @@ class _Run:
 
         self._act, self._stop = act, stop
         self._late = self._dropped = 0
+        self._began, self._heard = time.monotonic(), False
         self._arrived: queue.Queue[tuple[str, int, bytes]] = queue.Queue(_QUEUE_MAX)
         self._present: queue.Queue[tuple[str, bool]] = queue.Queue()
         self._peer = Peer(settings, "controller", 0, stop)
@@ -172,12 +174,22 @@ class _Run:
             self._send(self._core.timeout(time.time_ns()))
             if time.monotonic() - reported >= _STATUS_S:
                 reported = time.monotonic()
-                found = self._core.last_problem or ""
+                found = self._problem()
                 if found and found != problem:
                     print(f"heliostat.run: {found}", file=sys.stderr, flush=True)
                 problem = found
                 counters = {**self._core.counters(), "late": self._late, "dropped": self._dropped}
                 self._peer.publish_status("running", counters, found, policy="python", scenario=self._scenario.hash)
+
+    def _problem(self) -> str:
+        """Why there is no command; empty without a problem."""
+        if self._core.last_problem:
+            return self._core.last_problem
+        if self._core.counters()["decisions"] > 0 or time.monotonic() - self._began < _SILENT_S:
+            return ""
+        if self._heard:
+            return "the room has not reported positions: expected a tracker or a simulator"
+        return "no process of the room answers: expected one at the endpoints of `connect`, with the same room and keys"
 
     def _receive(self) -> None:
         """Gives all waiting messages to the core; waits a moment for the first one."""
@@ -189,7 +201,7 @@ class _Run:
                 name, array, payload = self._arrived.get(block=wait, timeout=_TICK_S if wait else None)
             except queue.Empty:
                 return
-            wait = False
+            wait, self._heard = False, True
             self._send(self._core.receive(name, array, payload, time.time_ns()))
 
     def _send(self, commands: Sequence[tuple[int, bytes]]) -> None:
@@ -210,5 +222,5 @@ class _Run:
             standby=counters["standby"],
             stale=counters["stale"],
             dropped=self._dropped,
-            last_problem=self._core.last_problem or "",
+            last_problem=self._problem(),
         )

@@ -1,7 +1,7 @@
 // The figures beside the room: state chips, users, counters, times and problems.
 import { jain } from "./fairness.js";
 import { userColour } from "./geometry.js";
-import { seconds } from "./sentence.js";
+import { refusal, seconds } from "./sentence.js";
 
 const at = (id) => document.getElementById(id);
 const setText = (element, text) => { if (element.textContent !== text) element.textContent = text; };
@@ -25,7 +25,8 @@ export function chips(now, ages) {
     const isIdle = now.policy && !["following", "holding"].some((state) => now.array.state.startsWith(state));
     chip("chip-policy", isIdle ? `${now.policy} (idle)` : now.policy || "–", isIdle ? "old" : "");
     setTitle(at("chip-policy"), isIdle ? `The mirrors do not follow the policy: ${now.array.state}.` : "");
-    chip("chip-controller", "alive", "good");
+    const refusing = refusal(now);
+    chip("chip-controller", refusing ? "reports refused" : "alive", refusing ? "bad" : "good");
   }
   const stuck = now.array.unusable ? `, ${now.array.unusable} of ${now.array.mirrors} unusable` : "";
   if (ages.isStale("array")) chip("chip-array", silent("array"), "bad");

@@ -38,6 +38,9 @@ function withoutIn(users) {
   return `Without the mirrors, ${below.length} of ${users.length} users ${below.length === 1 ? "is" : "are"} below the minimum rate: ${names}.`;
 }
 
+// The controller, if it refuses the position reports; else `undefined`.
+export const refusal = (now) => now.nodes.find(({ node, state }) => node === "controller" && state === "position reports refused");
+
 // The sentence for figures of an age in s; `now` is null before the first figures.
 export function sentence(now, age, shown, frame) {
   if (now === null) return "Waiting for the first report of the room.";
@@ -45,6 +48,8 @@ export function sentence(now, age, shown, frame) {
   if (age > STALE_S || now.origin === "no-data") {
     return `The room has not reported for ${seconds(age)}: users and rates are unknown.`;
   }
+  const refusing = refusal(now);
+  if (refusing) return `The controller refuses the position reports${refusing.problem ? `: ${refusing.problem}` : "."}`;
   if (shown?.wall === false && frame) return withoutIn(frame.users);
   return now.users.length === 0 ? usersIn(now.users) : `${mirrorsIn(now.sum_mbps)} ${usersIn(now.users)}`;
 }

@@ -38,6 +38,7 @@ pub struct Reporter {
     identity: Identity,
     sequence: u64,
     decisions: u64,
+    commands: u64,
     refused: u64,
     /// Refused reports of positions at the last snapshot.
     refused_positions: u64,
@@ -99,6 +100,7 @@ impl Reporter {
             identity,
             sequence: 0,
             decisions: 0,
+            commands: 0,
             refused: 0,
             refused_positions: 0,
             has_refused_positions: false,
@@ -155,7 +157,7 @@ impl Reporter {
         let positions = Refusal::ALL.into_iter().map(|reason| refused.get(Stream::Users, reason)).sum();
         self.has_refused_positions = std::mem::replace(&mut self.refused_positions, positions) < positions;
         let state = self.state(&summary);
-        self.decisions = summary.decisions;
+        (self.decisions, self.commands) = (summary.decisions, summary.commands);
         Snapshot { summary, problem, occurrences, now: decision_loop.room_time_ns(), state, swaps }
     }
 
@@ -246,7 +248,7 @@ impl Reporter {
             _ if summary.unfit.is_some() => "no commands: the array does not fit",
             _ if summary.standby => "standby",
             _ if summary.decisions == 0 && !self.has_refused_positions => "waiting for position reports",
-            _ if summary.decisions == self.decisions && self.has_refused_positions => "position reports refused",
+            _ if summary.commands == self.commands && self.has_refused_positions => "position reports refused",
             _ if summary.decisions == self.decisions => "position reports stopped",
             _ if summary.driver_absent => {
                 return describe_absence(&self.conditions.without_driver, summary.arrays.len().max(1));

@@ -1,0 +1,132 @@
+//! What each fault does at its begin and at its end.
+
+use super::{Event, Process, World};
+use crate::clock::MS;
+use crate::plan::{DiskAfterCrash, Fault, Role, Timed};
+
+impl World {
+    pub(super) fn begin(&mut self, index: usize) {
+        let Timed { fault, .. } = self.faults[index].clone();
+        self.trace.note(self.now, || format!("begin {fault:?}"));
+        if self.network.begin(&fault) {
+            return self.update_presence();
+        }
+        match fault {
+            Fault::Crash { host, disk } => self.crash(index, self.number(host), disk),
+            Fault::Freeze { host } => {
+                let host = self.number(host);
+                self.hosts[host].frozen += 1;
+                self.update_presence();
+            }
+            Fault::ClockStep { host, ms } => self.step_clock(host, ms * MS as i64),
+            Fault::ClockRate { host, ppm } => self.change_rate(host, ppm),
+            Fault::DiskFull { array } => self.disks[array].borrow_mut().full += 1,
+            Fault::Device { array, how } => self.hardware[array].borrow_mut().begin(how),
+            Fault::SlowPolicy { controller, ms } => self.slow_policy(controller, ms, true),
+            Fault::Stop => self.operate(|operator, ctx| operator.stop(ctx)),
+            Fault::Rearm(by) => self.operate(|operator, ctx| operator.rearm(by, ctx)),
+            Fault::Attack(attack) => {
+                self.dispatch(self.number(Role::Attacker), |process, ctx| {
+                    if let Some(Process::Attacker(attacker)) = process {
+                        attacker.begin(attack, ctx);
+                    }
+                });
+            }
+            _ => {}
+        }
+    }
+
+    pub(super) fn end(&mut self, index: usize) {
+        let Timed { fault, for_ms, .. } = self.faults[index].clone();
+        self.trace.note(self.now, || format!("end {fault:?}"));
+        if self.network.end(&fault) {
+            self.release_held();
+            return self.update_presence();
+        }
+        match fault {
+            Fault::Crash { host, .. } => {
+                let host = self.number(host);
+                self.hosts[host].down -= 1;
+                self.start(host);
+            }
+            Fault::Freeze { host } => {
+                let host = self.number(host);
+                self.hosts[host].frozen -= 1;
+                self.update_presence();
+                self.drain(host);
+                self.wake(host);
+            }
+            Fault::ClockStep { host, ms } => self.step_clock(host, -ms * MS as i64),
+            Fault::ClockRate { host, ppm } => {
+                // The clock is set right again, too.
+                self.change_rate(host, -ppm);
+                self.step_clock(host, -ppm * (for_ms * MS) as i64 / 1_000_000);
+            }
+            Fault::DiskFull { array } => self.disks[array].borrow_mut().full -= 1,
+            Fault::Device { array, how } => self.hardware[array].borrow_mut().end(how),
+            Fault::SlowPolicy { controller, ms } => self.slow_policy(controller, ms, false),
+            Fault::Attack(attack) => {
+                let host = self.number(Role::Attacker);
+                if let Some(Process::Attacker(attacker)) = &mut self.hosts[host].process {
+                    attacker.end(attack);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// Ends a process without notice.
+    fn crash(&mut self, index: usize, host: usize, disk: DiskAfterCrash) {
+        self.note_loss(index, host);
+        self.hosts[host].down += 1;
+        let Some(process) = self.hosts[host].process.take() else { return };
+        if let Process::Controller(node) = &process {
+            self.check_replay(node);
+        }
+        if let Role::Array(array) = self.hosts[host].role {
+            self.disks[array].borrow_mut().crash(disk, &mut self.disk_rng);
+        }
+        let sees = vec![None; self.hosts.len()];
+        let host = &mut self.hosts[host];
+        host.waiting.clear();
+        (host.busy_until, host.wake_at, host.sees) = (0, None, sees);
+        self.update_presence();
+    }
+
+    fn step_clock(&mut self, role: Role, by_ns: i64) {
+        let host = self.number(role);
+        self.hosts[host].clock.step(self.now, by_ns);
+    }
+
+    fn change_rate(&mut self, role: Role, ppm: i64) {
+        let host = self.number(role);
+        self.hosts[host].clock.change_rate(self.now, ppm);
+        self.schedule_wake(host);
+    }
+
+    fn slow_policy(&mut self, controller: usize, ms: u64, begins: bool) {
+        let host = self.number(Role::Controller(controller));
+        let host = &mut self.hosts[host];
+        match begins {
+            true => host.slow_ms.push(ms),
+            false => host.slow_ms.retain(|known| *known != ms),
+        }
+        match &mut host.process {
+            Some(Process::Controller(node)) if begins => node.begin_slow(ms),
+            Some(Process::Controller(node)) => node.end_slow(ms),
+            _ => {}
+        }
+    }
+
+    /// Delivers what waited for links that are up again.
+    fn release_held(&mut self) {
+        for (from, to, generation, incoming) in std::mem::take(&mut self.held) {
+            if self.network.is_connected(from, to) {
+                let at = self.network.carry_surely(self.now, from, to);
+                self.schedule(at, Event::Deliver { to, generation, incoming });
+            } else {
+                self.held.push((from, to, generation, incoming));
+            }
+        }
+    }
+}

@@ -92,8 +92,8 @@ impl LatchedStop {
 
 /// The latch: the stops in force, in the order of their arrival.
 ///
-/// Stops of different senders are held side by side. A later stop of one sender replaces its
-/// earlier one. When there are more senders than [`MAX_STOPS`], one stop without sender stands for
+/// Stops of different senders are held side by side. A stop with a higher sequence number replaces the
+/// earlier one of its sender. When there are more senders than [`MAX_STOPS`], one stop without sender stands for
 /// those that are not listed.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Latch {
@@ -189,7 +189,10 @@ impl Latch {
 
     /// Latches a stop, and never makes the time of one that it replaces earlier.
     pub(crate) fn engage(&mut self, mut stop: LatchedStop) {
-        if let Some(held) = self.stops.iter_mut().find(|held| held.name() == stop.name()) {
+        // A stop that arrives late or again must not take the name of a later one of its sender: a re-arm
+        // of it would release the later one.
+        let covers = |held: &&mut LatchedStop| held.source == stop.source && held.sequence >= stop.sequence;
+        if let Some(held) = self.stops.iter_mut().find(covers) {
             held.time_ns = held.time_ns.max(stop.time_ns);
             return;
         }
@@ -361,7 +364,7 @@ mod tests {
     /// A latch with the stops of so many senders.
     fn latch_of(senders: u64) -> Latch {
         let mut latch = Latch::default();
-        (1..=senders).for_each(|source| latch.engage(LatchedStop { source, time_ns: source, ..stop() }));
+        (1..=senders).for_each(|source| latch.engage(LatchedStop { source, sequence: 5, time_ns: source, ..stop() }));
         latch
     }
 
@@ -370,15 +373,17 @@ mod tests {
         let mut latch = latch_of(2);
         latch.engage(LatchedStop { source: 1, sequence: 7, time_ns: 0, ..stop() });
         let names: Vec<_> = latch.stops().iter().map(|stop| (stop.source, stop.sequence)).collect();
-        assert_eq!(names, [(2, u64::MAX), (1, 7)], "a later stop of a sender replaces its earlier one");
+        assert_eq!(names, [(2, 5), (1, 7)], "a later stop of a sender replaces its earlier one");
+        latch.engage(LatchedStop { source: 1, sequence: 6, time_ns: 0, ..stop() });
+        assert!(latch.has(StopName { source: 1, sequence: 7 }), "an earlier one that is late does not replace it");
         assert!(
             latch.covers(StopName { source: 1, sequence: 6 }) && !latch.covers(StopName { source: 3, sequence: 1 })
         );
-        assert!(latch.release(StopName { source: 1, sequence: u64::MAX }).is_err());
+        assert!(latch.release(StopName { source: 1, sequence: 5 }).is_err());
         latch.release(StopName { source: 1, sequence: 7 }).unwrap();
         assert_eq!(latch.stops().len(), 1);
         assert_eq!(latch.release_by_time(2).unwrap_err().name(), "too-early");
-        assert_eq!(latch.release_by_time(3).unwrap(), [StopName { source: 2, sequence: u64::MAX }]);
+        assert_eq!(latch.release_by_time(3).unwrap(), [StopName { source: 2, sequence: 5 }]);
         assert_eq!(latch, Latch::default());
     }
 
@@ -388,7 +393,7 @@ mod tests {
         assert_eq!(latch.stops().len(), MAX_STOPS);
         assert!(latch.covers(StopName { source: 40, sequence: 1 }), "a repetition adds nothing to a full list");
         for source in 1..MAX_STOPS as u64 {
-            latch.release(StopName { source, sequence: u64::MAX }).unwrap();
+            latch.release(StopName { source, sequence: 5 }).unwrap();
         }
         let left = latch.stop().expect("the unlisted stops hold the array");
         assert!(!latch.covers(StopName { source: 40, sequence: 1 }), "a repetition finds a place again");

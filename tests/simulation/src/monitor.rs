@@ -13,6 +13,7 @@ use heliostat_proto::StopName;
 use crate::clock::{MS, TrueNs};
 use crate::hosts::array::SimStation;
 use crate::hosts::device::Hardware;
+use crate::plan::Setup;
 use crate::violation::{Invariant, Violation};
 use array::{ArrayMonitor, Before};
 use commands::CommandMonitor;
@@ -34,9 +35,10 @@ pub(crate) struct Tally {
 }
 
 impl Monitor {
-    pub fn new(arrays: usize, slew_rad_s: f64) -> Self {
+    pub fn new(setup: &Setup, slew_rad_s: f64) -> Self {
+        let array = || ArrayMonitor::new(setup.counts_from_arrival);
         let commands = CommandMonitor::new(slew_rad_s);
-        Self { arrays: (0..arrays).map(|_| ArrayMonitor::default()).collect(), commands, violation: None }
+        Self { arrays: (0..setup.arrays).map(|_| array()).collect(), commands, violation: None }
     }
 
     /// Notes a violation; the first one counts.

@@ -48,6 +48,12 @@ pub struct Setup {
     pub has_channel: bool,
     /// Whether all controllers but the first begin in standby, as by `--standby`.
     pub is_reserve: bool,
+    /// Whether the operator gave each standby its rank.
+    pub has_ranks: bool,
+    /// Position reports per second.
+    pub rate_hz: u64,
+    /// Whether the arrays count the validity of a command from its arrival.
+    pub counts_from_arrival: bool,
     /// Whether the belief of the controllers is the filter.
     pub has_filter: bool,
     /// The policy.
@@ -66,6 +72,9 @@ impl Setup {
             controllers: [1, 1, 2, 2, 2, 2, 3, 3][rng.random_range(0..8)],
             has_channel: rng.random_bool(0.5),
             is_reserve: rng.random_bool(0.4),
+            has_ranks: rng.random_bool(0.3),
+            rate_hz: [20, 50, 50, 100][rng.random_range(0..4)],
+            counts_from_arrival: rng.random_bool(0.2),
             has_filter: rng.random_bool(0.15),
             policy: [PolicyChoice::Nearest, PolicyChoice::Flat, PolicyChoice::FixedPoint][rng.random_range(0..3)],
             rearms_at_end: rng.random_bool(0.8),
@@ -151,10 +160,20 @@ pub enum Attack {
     ForeignUsers,
     /// A stop of a source of its own.
     ForeignStop,
+    /// Telemetry of the present source with the last epoch.
+    OwnTelemetry,
+    /// Telemetry of the present source in state stopped.
+    OwnTelemetryStopped,
+    /// Position reports of the owner whose sequence is far ahead.
+    FarUsers,
+    /// Capabilities of a foreign source and of another size.
+    ForgedCapabilities,
+    /// Safety reports of a foreign source with the last epoch.
+    ForgedSafety,
 }
 
 impl Attack {
-    const ALL: [Self; 16] = [
+    const ALL: [Self; 21] = [
         Self::Truncated,
         Self::WrongKind,
         Self::Replayed,
@@ -171,6 +190,11 @@ impl Attack {
         Self::OutsideUsers,
         Self::ForeignUsers,
         Self::ForeignStop,
+        Self::OwnTelemetry,
+        Self::OwnTelemetryStopped,
+        Self::FarUsers,
+        Self::ForgedCapabilities,
+        Self::ForgedSafety,
     ];
 }
 
@@ -226,6 +250,11 @@ pub enum Fault {
         host: Role,
         /// What becomes of the record of a stop.
         disk: DiskAfterCrash,
+    },
+    /// A controller is asked to end, and starts again at the end of the fault.
+    End {
+        /// The controller.
+        controller: usize,
     },
     /// A host does not run, and goes on at the end of the fault.
     Freeze {
@@ -305,10 +334,16 @@ const FIRST_MS: u64 = 1500;
 pub fn draw(setup: &Setup) -> Vec<Timed> {
     let mut rng = stream(setup.seed, Purpose::Plan);
     if setup.controllers > 1 && rng.random_bool(0.15) {
-        let fault = Fault::Crash { host: Role::Controller(0), disk: DiskAfterCrash::Kept };
+        // The loss of the leader alone.
+        let host = Role::Controller(0);
+        let fault = match rng.random_range(0..3) {
+            0 => Fault::Crash { host, disk: DiskAfterCrash::Kept },
+            1 => Fault::End { controller: 0 },
+            _ => Fault::Freeze { host },
+        };
         return vec![Timed { at_ms: rng.random_range(3000..4000), for_ms: 2000, fault }];
     }
-    let count = [1, 2, 2, 3, 3, 4, 5, 6, 8, 10][rng.random_range(0..10)];
+    let count = [1, 1, 2, 2, 3, 3, 4, 6, 10, 20][rng.random_range(0..10)];
     let mut faults: Vec<Timed> = (0..count).map(|_| draw_timed(setup, &mut rng)).collect();
     if rng.random_bool(0.3) {
         faults.extend(stories::draw(setup, &mut rng));
@@ -342,7 +377,7 @@ fn draw_fault(setup: &Setup, rng: &mut Rng) -> Fault {
     let host = draw_host(setup, rng);
     let array = rng.random_range(0..setup.arrays);
     let controller = rng.random_range(0..setup.controllers);
-    match rng.random_range(0..24) {
+    match rng.random_range(0..26) {
         0 => Fault::Loss { from, to, per_mille: [50, 300, 700, 1000][rng.random_range(0..4)] },
         1 => Fault::Delay { from, to, ms: [3, 20, 60, 190, 600][rng.random_range(0..5)] },
         2 => Fault::Duplicate { from, to, per_mille: [100, 500, 1000][rng.random_range(0..3)] },
@@ -370,6 +405,7 @@ fn draw_fault(setup: &Setup, rng: &mut Rng) -> Fault {
         }
         17 => Fault::SlowPolicy { controller, ms: [5, 30, 150, 700][rng.random_range(0..4)] },
         18..=20 => Fault::Stop,
+        21 => Fault::End { controller },
         _ => Fault::Attack(Attack::ALL[rng.random_range(0..Attack::ALL.len())]),
     }
 }

@@ -13,9 +13,6 @@ use crate::hosts::device::SIDE;
 use crate::monitor::commands::RANGE_DEG;
 use crate::plan::Setup;
 
-/// Position reports per second.
-const RATE_HZ: u64 = 50;
-
 /// Largest rate of the mirrors in degrees per second.
 const SLEW_DEG_PER_S: f64 = 900.0;
 
@@ -35,25 +32,25 @@ pub(crate) struct Room {
 }
 
 thread_local! {
-    static ROOMS: RefCell<BTreeMap<(usize, bool), Room>> = const { RefCell::new(BTreeMap::new()) };
+    static ROOMS: RefCell<BTreeMap<(usize, bool, u64), Room>> = const { RefCell::new(BTreeMap::new()) };
 }
 
 impl Room {
     /// The room of a setup.
     pub fn of(setup: &Setup) -> Self {
-        let key = (setup.arrays, setup.has_filter);
+        let key = (setup.arrays, setup.has_filter, setup.rate_hz);
         let room = ROOMS.with_borrow_mut(|rooms| rooms.entry(key).or_insert_with(|| Self::build(key)).clone());
         Self { policy: kind_of(setup.policy), ..room }
     }
 
-    fn build((arrays, has_filter): (usize, bool)) -> Self {
+    fn build((arrays, has_filter, rate_hz): (usize, bool, u64)) -> Self {
         let belief = if has_filter { "filter" } else { "constant-velocity" };
         let walls = ["+y", "-y"];
         let array = |wall: &str| format!("[[mirrors]]\nrows = {SIDE}\ncolumns = {SIDE}\nwall = \"{wall}\"\n");
         let mirrors: String = walls[..arrays].iter().map(|wall| array(wall)).collect();
         let text = format!(
-            "[led]\npoints_per_side = 1\n[users]\ncount = 2\n[streams.positions]\nrate_hz = {RATE_HZ}.0\n\
-             [streams.channel]\nrate_hz = {RATE_HZ}.0\n[control]\nbelief = \"{belief}\"\nfallback = \"nearest\"\n\
+            "[led]\npoints_per_side = 1\n[users]\ncount = 2\n[streams.positions]\nrate_hz = {rate_hz}.0\n\
+             [streams.channel]\nrate_hz = {rate_hz}.0\n[control]\nbelief = \"{belief}\"\nfallback = \"nearest\"\n\
              range_deg = {RANGE_DEG}\nslew_deg_per_s = {SLEW_DEG_PER_S}\n{mirrors}"
         );
         let scenario = Scenario::from_toml(&text).unwrap_or_else(|error| panic!("{text}\n{error}"));
@@ -61,7 +58,7 @@ impl Room {
         Self {
             geometry: scenario.geometry_toml().into(),
             policy: None,
-            interval_ns: 1_000_000_000 / RATE_HZ,
+            interval_ns: 1_000_000_000 / rate_hz,
             age_max_ns: (scenario.control.report_age_max_ms * 1e6) as u64,
             slew_rad_s: SLEW_DEG_PER_S.to_radians(),
             scenario: Rc::new(scenario),

@@ -12,6 +12,7 @@ use std::rc::Rc;
 use rand::RngExt;
 
 use crate::clock::{Clock, MS, TrueNs};
+use crate::hosts::adapter::Standby;
 use crate::hosts::array::ArrayNode;
 use crate::hosts::attacker::Attacker;
 use crate::hosts::controller::ControllerNode;
@@ -72,6 +73,8 @@ struct Host {
     /// Faults in force that keep it down, or frozen.
     down: u32,
     frozen: u32,
+    /// Until when a process that was asked to end goes on; its token has ended.
+    ends_by: Option<TrueNs>,
     busy_until: TrueNs,
     /// What arrived while it was frozen or busy.
     waiting: VecDeque<Incoming>,
@@ -171,6 +174,7 @@ impl World {
             source: 0,
             down: 0,
             frozen: 0,
+            ends_by: None,
             busy_until: 0,
             waiting: VecDeque::new(),
             wake_at: None,
@@ -184,11 +188,11 @@ impl World {
             faults: faults.to_vec(),
             mutation,
             hosts,
-            hardware: (0..setup.arrays).map(|_| Hardware::new(mutation)).collect(),
+            hardware: (0..setup.arrays).map(|_| Hardware::new(setup.counts_from_arrival, mutation)).collect(),
             disks: (0..setup.arrays).map(|_| Disk::new(mutation)).collect(),
             network: Network::new(setup.seed, &roles),
             held: Vec::new(),
-            monitor: Monitor::new(setup.arrays, room.slew_rad_s),
+            monitor: Monitor::new(setup, room.slew_rad_s),
             losses: Vec::new(),
             room,
             queue: BinaryHeap::new(),
@@ -253,7 +257,10 @@ impl World {
             Event::Begin(index) => self.begin(index),
             Event::End(index) => self.end(index),
             Event::Presence => self.update_presence(),
-            Event::Audit => self.audit(),
+            Event::Audit => {
+                self.audit();
+                self.end_processes();
+            }
             Event::RearmAll => self.operate(|operator, ctx| operator.rearm_all(ctx)),
         }
     }
@@ -281,8 +288,9 @@ impl World {
                     Process::Array(Box::new(ArrayNode::start(array, source, (hardware, disk), is_first, ctx)))
                 }
                 (Role::Controller(index), _) => {
-                    let is_reserve = setup.is_reserve && index > 0;
-                    let mut node = ControllerNode::start(&room, source, is_reserve, is_recorded, ctx);
+                    let rank = setup.has_ranks.then_some(index.max(1) as u8);
+                    let standby = Standby { is_reserve: setup.is_reserve && index > 0, rank };
+                    let mut node = ControllerNode::start(&room, source, standby, is_recorded, ctx);
                     slow_ms.iter().for_each(|ms| node.begin_slow(*ms));
                     Process::Controller(Box::new(node))
                 }

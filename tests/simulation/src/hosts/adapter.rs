@@ -44,6 +44,15 @@ pub(crate) enum Input {
     Wake,
 }
 
+/// How a controller stands by.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Standby {
+    /// Whether it begins in standby, as by `--standby`.
+    pub is_reserve: bool,
+    /// The rank that the operator gave.
+    pub rank: Option<u8>,
+}
+
 /// Topics and payloads that are published.
 pub(crate) type Published = Vec<(Topic, Vec<u8>)>;
 
@@ -70,11 +79,11 @@ pub(crate) struct Adapter {
 }
 
 impl Adapter {
-    /// A controller process of a room. One in reserve begins in standby.
-    pub fn new(room: &Room, source: u64, is_reserve: bool, at: Moment) -> Self {
+    /// A controller process of a room.
+    pub fn new(room: &Room, source: u64, standby: Standby, at: Moment) -> Self {
         let scenario = &*room.scenario;
         let tenure = Tenure::live(source, room.interval_ns);
-        let tenure = if is_reserve { tenure.in_reserve(None) } else { tenure };
+        let tenure = if standby.is_reserve { tenure.in_reserve(standby.rank) } else { tenure };
         let controller = Controller::new(scenario, (*room.model).clone(), policy(room), 0);
         let controller = controller.with_tenure(tenure).with_journal();
         let arrays = controller.arrays();
@@ -137,6 +146,14 @@ impl Adapter {
     /// Whether it commands every array, or stands by for every one.
     pub fn is_everywhere(&self, standing: Standing) -> bool {
         (0..self.controller.arrays()).all(|array| self.controller.tenure(array).standing() == standing)
+    }
+
+    /// Whether it leads an array, and another controller could take over: it then commands on while it ends.
+    pub fn awaits_successor(&self) -> bool {
+        (0..self.controller.arrays()).any(|array| {
+            let tenure = self.controller.tenure(array);
+            tenure.has_peers() && tenure.standing() == Standing::Leading
+        })
     }
 
     /// How often an event occurred.

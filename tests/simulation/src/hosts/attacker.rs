@@ -3,7 +3,10 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::rc::Rc;
 
-use heliostat_proto::{EmergencyStop, MirrorCommand, MirrorTelemetry, Stamp, StopAction, UserReport, decode};
+use heliostat_proto::{
+    ArrayState, Capabilities, EmergencyStop, MirrorCommand, MirrorTelemetry, SafetyReport, Stamp, StopAction,
+    UserReport, decode,
+};
 use rand::RngExt;
 
 use super::{Context, Incoming, encoded};
@@ -73,8 +76,20 @@ impl Attacker {
     fn publish(&mut self, attack: Attack, ctx: &mut Context<'_>) {
         match attack {
             Attack::Truncated | Attack::WrongKind | Attack::Replayed | Attack::Stale => self.repeat(attack, ctx),
-            Attack::ForgedTelemetry => self.forge_telemetry(ctx),
-            Attack::OutsideUsers | Attack::ForeignUsers => self.forge_users(attack, ctx),
+            Attack::ForgedTelemetry | Attack::OwnTelemetry | Attack::OwnTelemetryStopped => {
+                self.forge_telemetry(attack, ctx);
+            }
+            Attack::OutsideUsers | Attack::ForeignUsers | Attack::FarUsers => self.forge_users(attack, ctx),
+            Attack::ForgedCapabilities => {
+                let stamp = Stamp { source: self.source, sequence: 1, time_ns: ctx.at.room_ns };
+                let forged = Capabilities { stamp, rows: 7, columns: 1, ..Capabilities::default() };
+                ctx.publish(Topic::Capabilities(0), encoded(&forged));
+            }
+            Attack::ForgedSafety => {
+                let stamp = Stamp { source: self.source, sequence: 1, time_ns: ctx.at.room_ns };
+                let forged = SafetyReport { stamp, epoch: u64::MAX, validity_max_ms: 1, ..SafetyReport::default() };
+                ctx.publish(Topic::Safety(0), encoded(&forged));
+            }
             Attack::ForeignStop => {
                 self.stops += 1;
                 let stamp = Stamp { source: self.source, sequence: self.stops, time_ns: ctx.at.room_ns };
@@ -133,12 +148,18 @@ impl Attacker {
         }
     }
 
-    fn forge_telemetry(&mut self, ctx: &mut Context<'_>) {
+    fn forge_telemetry(&mut self, attack: Attack, ctx: &mut Context<'_>) {
         for (topic, kept) in self.kept.iter().filter(|(topic, _)| matches!(topic, Topic::Telemetry(_))) {
             let Some(Ok(mut report)) = kept.back().map(|(_, payload)| decode::<MirrorTelemetry>(payload)) else {
                 continue;
             };
-            (report.stamp.source, report.epoch) = (self.source, u64::MAX);
+            report.stamp.sequence += 1;
+            report.stamp.time_ns = ctx.at.room_ns;
+            match attack {
+                Attack::OwnTelemetryStopped => report.state = ArrayState::Stopped,
+                Attack::OwnTelemetry => report.epoch = u64::MAX,
+                _ => (report.stamp.source, report.epoch) = (self.source, u64::MAX),
+            }
             ctx.publish(*topic, encoded(&report));
         }
     }
@@ -151,6 +172,7 @@ impl Attacker {
                 report.stamp.sequence += 1;
                 report.users.iter_mut().for_each(|user| user.position_m = [99.0; 3]);
             }
+            Attack::FarUsers => report.stamp.sequence += 900_000,
             _ => report.stamp.source = self.source,
         }
         ctx.publish(Topic::Users, encoded(&report));

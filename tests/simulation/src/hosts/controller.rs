@@ -7,7 +7,7 @@ use heliostat_array::moment::Moment;
 use heliostat_core::tenure::{Standing, TenureEvent};
 use heliostat_proto::{MirrorCommand, UserReport, decode};
 
-use super::adapter::{Adapter, Input, Published};
+use super::adapter::{Adapter, Input, Published, Standby};
 use super::shadow::Shadow;
 use super::{Context, Incoming, Outgoing, encoded};
 use crate::clock::MS;
@@ -32,7 +32,7 @@ struct Recorded {
 pub(crate) struct ControllerNode {
     room: Room,
     source: u64,
-    is_reserve: bool,
+    standby: Standby,
     started: Moment,
     adapter: Adapter,
     /// How long each decision takes, by the faults in force.
@@ -48,13 +48,13 @@ pub(crate) struct ControllerNode {
 }
 
 impl ControllerNode {
-    pub fn start(room: &Room, source: u64, is_reserve: bool, is_recorded: bool, ctx: &mut Context<'_>) -> Self {
+    pub fn start(room: &Room, source: u64, standby: Standby, is_recorded: bool, ctx: &mut Context<'_>) -> Self {
         let mut node = Self {
             room: room.clone(),
             source,
-            is_reserve,
+            standby,
             started: ctx.at,
-            adapter: Adapter::new(room, source, is_reserve, ctx.at),
+            adapter: Adapter::new(room, source, standby, ctx.at),
             slow_ms: Vec::new(),
             recorded: is_recorded.then(Vec::new),
             shadow: is_recorded.then(|| Box::new(Shadow::new(room))),
@@ -107,7 +107,7 @@ impl ControllerNode {
     /// Passes the recorded inputs to a second process; whether it publishes the same bytes.
     pub fn replays(&self) -> bool {
         let Some(recorded) = &self.recorded else { return true };
-        let mut adapter = Adapter::new(&self.room, self.source, self.is_reserve, self.started);
+        let mut adapter = Adapter::new(&self.room, self.source, self.standby, self.started);
         let (mut outputs, mut published) = (DefaultHasher::new(), Published::new());
         for Recorded { at, decision_ns, input } in recorded {
             adapter.set_decision_ns(*decision_ns);

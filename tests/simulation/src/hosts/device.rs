@@ -37,6 +37,7 @@ pub(crate) struct Hardware {
     pub sets: u64,
     /// An angle that no driver may order.
     pub bad_angle: Option<f64>,
+    validity_clock: ValidityClock,
     /// Orders that wait for the end of a blockage: a stop, and angles after it.
     pending: (bool, Option<MirrorAngles>),
     mutation: Option<Mutation>,
@@ -46,13 +47,15 @@ pub(crate) struct Hardware {
 pub(crate) type SharedHardware = Rc<RefCell<Hardware>>;
 
 impl Hardware {
-    pub fn new(mutation: Option<Mutation>) -> SharedHardware {
+    pub fn new(counts_from_arrival: bool, mutation: Option<Mutation>) -> SharedHardware {
+        let validity_clock = if counts_from_arrival { ValidityClock::Arrival } else { ValidityClock::SourceTime };
         Rc::new(RefCell::new(Self {
             faults: Vec::new(),
             angles: MirrorAngles::flat(MIRRORS),
             is_halted: false,
             sets: 0,
             bad_angle: None,
+            validity_clock,
             pending: (false, None),
             mutation,
         }))
@@ -141,7 +144,7 @@ impl Device for SimDevice {
             roll: axis,
             yaw: axis,
             feedback: Feedback::ClosedLoop,
-            validity_clock: ValidityClock::SourceTime,
+            validity_clock: self.0.borrow().validity_clock,
             park_after_ms: PARK_AFTER_MS,
             park_rad: PARK_RAD,
             ..Capabilities::default()

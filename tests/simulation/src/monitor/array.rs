@@ -16,6 +16,7 @@ use crate::violation::Invariant;
 /// Bounds of every array of this project.
 const VALIDITY_MAX_MS: u32 = 10_000;
 const EPOCH_LEAD_MAX: u64 = 60_000;
+const EPOCH_MAX_WITHOUT_UTC: u64 = 1 << 42;
 const SEQUENCE_STEP_MAX: u64 = 1 << 32;
 
 /// A running array acts within this time: it publishes telemetry twenty times a second.
@@ -46,6 +47,8 @@ struct Valid {
 /// The models of one array.
 #[derive(Debug, Default)]
 pub(crate) struct ArrayMonitor {
+    /// Whether validity is counted from the arrival of a command.
+    counts_from_arrival: bool,
     stops: StopModel,
     /// Epoch and sequence of the command that the process followed last.
     followed: Option<(u64, u64)>,
@@ -60,6 +63,10 @@ pub(crate) struct ArrayMonitor {
 }
 
 impl ArrayMonitor {
+    pub fn new(counts_from_arrival: bool) -> Self {
+        Self { counts_from_arrival, ..Self::default() }
+    }
+
     /// A process of the array starts.
     pub fn start(&mut self, room_ns: Nanos, is_unknown: bool) {
         self.stops.start(room_ns, is_unknown);
@@ -131,12 +138,12 @@ impl ArrayMonitor {
         station: &SimStation,
         hardware: &Hardware,
     ) -> Check {
+        self.check_stop(now, station, hardware)?;
         let state = station.kit().array().state();
         let expected = self.expected_state(at.local_ns);
         if state != expected {
             return Err((Invariant::Validity, format!("the state is {state:?}, expected {expected:?}")));
         }
-        self.check_stop(now, station, hardware)?;
         if !station.kit().device_stopped() && now - self.unsound > STOPPED_WITHIN_NS {
             return Err((Invariant::StoppedArray, "the device has not executed the stop".into()));
         }
@@ -207,17 +214,22 @@ impl ArrayMonitor {
         if let Some(followed) = self.followed.filter(|followed| number <= *followed) {
             return refuse(Invariant::Numbering, format!("{number:?} came after {followed:?}"));
         }
-        if time_ns > at.room_ns + CLOCK_LEAD_MAX_NS {
+        let validity_ns = u64::from(validity_ms) * MS;
+        let has_clock = !self.counts_from_arrival;
+        if has_clock && time_ns > at.room_ns + CLOCK_LEAD_MAX_NS {
             return refuse(Invariant::Validity, "its time is in the future".into());
         }
-        let validity_ns = u64::from(validity_ms) * MS;
-        let age_ns = at.room_ns.saturating_sub(time_ns);
-        if age_ns >= validity_ns {
+        let age_ns = if has_clock { at.room_ns.saturating_sub(time_ns) } else { 0 };
+        if has_clock && age_ns >= validity_ns {
             return refuse(Invariant::Validity, format!("it had expired: {age_ns} ns old"));
         }
         let (highest, last) = self.followed.unwrap_or_default();
         let first = if highest == epoch { last } else { 0 };
-        let is_within = epoch <= highest.max(at.room_ns / MS) + EPOCH_LEAD_MAX
+        let highest_epoch = match has_clock {
+            true => highest.max(at.room_ns / MS) + EPOCH_LEAD_MAX,
+            false => EPOCH_MAX_WITHOUT_UTC.max(highest + EPOCH_LEAD_MAX),
+        };
+        let is_within = epoch <= highest_epoch
             && sequence <= first.saturating_add(SEQUENCE_STEP_MAX)
             && validity_ms <= VALIDITY_MAX_MS;
         if !is_within {

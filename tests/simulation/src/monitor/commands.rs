@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use heliostat_core::tenure::EPOCH_SLOTS;
 use heliostat_proto::{MirrorCommand, decode};
 
 use crate::clock::MS;
@@ -60,7 +61,8 @@ fn check_number(sender: Sender, last: Option<&MirrorCommand>, sent: &MirrorComma
     if sequence != expected {
         return Err((Invariant::Numbering, format!("sequence {sequence} of epoch {epoch}, expected {expected}")));
     }
-    match sender.followed {
+    // No epoch is above the last ones, which forged telemetry can claim.
+    match sender.followed.filter(|followed| *followed < u64::MAX - EPOCH_SLOTS) {
         Some(followed) if sequence == 1 && epoch <= followed => {
             Err((Invariant::Numbering, format!("the new epoch {epoch} is not above {followed}, which is followed")))
         }
@@ -86,7 +88,8 @@ fn check_angles(
     }
     let Some(last) = last else { return Ok(()) };
     let passed_ns = sent.time_ns.saturating_sub(last.time_ns);
-    if passed_ns > u64::from(last.validity_ms) * MS {
+    // After the end of validity the mirrors are where telemetry has them, or park.
+    if passed_ns > u64::from(last.validity_ms.min(sent.validity_ms)) * MS {
         return Ok(());
     }
     let reach = slew_rad_s * passed_ns as f64 * 1e-9 + ROUNDING_RAD;

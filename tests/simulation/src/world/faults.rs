@@ -4,6 +4,12 @@ use super::{Event, Process, World};
 use crate::clock::MS;
 use crate::plan::{DiskAfterCrash, Fault, Role, Timed};
 
+/// Longest time for which a controller that ends waits for a standby, in ns.
+const HAND_OVER_NS: u64 = 500 * MS;
+
+/// A standby judges by telemetry that a leader hangs: two messages of the arrays, in ns.
+const HANG_NS: u64 = 100 * MS;
+
 impl World {
     pub(super) fn begin(&mut self, index: usize) {
         let Timed { fault, .. } = self.faults[index].clone();
@@ -13,8 +19,16 @@ impl World {
         }
         match fault {
             Fault::Crash { host, disk } => self.crash(index, self.number(host), disk),
+            Fault::End { controller } => {
+                let host = self.number(Role::Controller(controller));
+                self.note_loss(index, host, 0);
+                self.hosts[host].down += 1;
+                self.hosts[host].ends_by.get_or_insert(self.now + HAND_OVER_NS);
+                self.update_presence();
+            }
             Fault::Freeze { host } => {
                 let host = self.number(host);
+                self.note_loss(index, host, HANG_NS + self.room.interval_ns);
                 self.hosts[host].frozen += 1;
                 self.update_presence();
             }
@@ -44,11 +58,8 @@ impl World {
             return self.update_presence();
         }
         match fault {
-            Fault::Crash { host, .. } => {
-                let host = self.number(host);
-                self.hosts[host].down -= 1;
-                self.start(host);
-            }
+            Fault::Crash { host, .. } => self.restart(self.number(host)),
+            Fault::End { controller } => self.restart(self.number(Role::Controller(controller))),
             Fault::Freeze { host } => {
                 let host = self.number(host);
                 self.hosts[host].frozen -= 1;
@@ -77,8 +88,34 @@ impl World {
 
     /// Ends a process without notice.
     fn crash(&mut self, index: usize, host: usize, disk: DiskAfterCrash) {
-        self.note_loss(index, host);
+        self.note_loss(index, host, 0);
         self.hosts[host].down += 1;
+        self.kill(host, disk);
+    }
+
+    /// Starts a process again, if no other fault keeps it down.
+    fn restart(&mut self, host: usize) {
+        self.hosts[host].down -= 1;
+        self.start(host);
+    }
+
+    /// Ends the controllers that were asked to, when another one is obeyed or the time is over.
+    pub(super) fn end_processes(&mut self) {
+        for host in 0..self.hosts.len() {
+            let Some(ends_by) = self.hosts[host].ends_by.filter(|_| self.hosts[host].frozen == 0) else { continue };
+            let awaits = match &self.hosts[host].process {
+                Some(Process::Controller(node)) => node.adapter().awaits_successor(),
+                _ => false,
+            };
+            if self.now >= ends_by || !awaits {
+                self.kill(host, DiskAfterCrash::Kept);
+                self.start(host);
+            }
+        }
+    }
+
+    fn kill(&mut self, host: usize, disk: DiskAfterCrash) {
+        self.hosts[host].ends_by = None;
         let Some(process) = self.hosts[host].process.take() else { return };
         if let Process::Controller(node) = &process {
             self.check_replay(node);

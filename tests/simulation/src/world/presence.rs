@@ -32,7 +32,8 @@ impl World {
     fn update_pair(&mut self, observer: usize, subject: usize, node: NodeKind) {
         let is_reached = self.network.is_connected(subject, observer) && self.hosts[subject].frozen == 0;
         let seen = self.hosts[observer].sees[subject];
-        let alive = self.hosts[subject].process.is_some().then_some(self.hosts[subject].source);
+        let has_token = self.hosts[subject].process.is_some() && self.hosts[subject].ends_by.is_none();
+        let alive = has_token.then_some(self.hosts[subject].source);
         let lost_since = self.hosts[observer].lost_since[subject];
         let sees = match lost_since {
             _ if is_reached => alive,

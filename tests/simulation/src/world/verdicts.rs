@@ -29,6 +29,8 @@ pub(super) fn end_ns(last_ns: TrueNs) -> TrueNs {
 /// The loss of a leader beside a standby, without another fault.
 pub(super) struct Loss {
     at: TrueNs,
+    /// Longest gap beyond two report intervals in ns.
+    slack_ns: u64,
 }
 
 impl World {
@@ -41,7 +43,7 @@ impl World {
         for array in 0..self.setup.arrays {
             self.judge_recovery(array, last_ns + RECOVERY_NS);
             for index in 0..self.losses.len() {
-                self.judge_gap(array, self.losses[index].at);
+                self.judge_gap(array, index);
             }
         }
         for host in 0..self.hosts.len() {
@@ -58,12 +60,13 @@ impl World {
     }
 
     /// Notes the loss of a controller that led beside a standby, if it is the only fault.
-    pub(super) fn note_loss(&mut self, index: usize, host: usize) {
-        let Timed { at_ms, .. } = self.faults[index];
+    pub(super) fn note_loss(&mut self, index: usize, host: usize, slack_ns: u64) {
+        let Timed { at_ms, for_ms, .. } = self.faults[index];
         let is_near = |(other, fault): (usize, &Timed)| {
             other != index && fault.end_ms() + ALONE_MS.0 > at_ms && fault.at_ms < at_ms + ALONE_MS.1
         };
-        let is_alone = !self.faults.iter().enumerate().any(is_near);
+        // A leader that is back at once competes with its standby.
+        let is_alone = for_ms >= ALONE_MS.1 && !self.faults.iter().enumerate().any(is_near);
         let adapter = |host: usize| match &self.hosts[host].process {
             Some(Process::Controller(node)) => Some(node.adapter()),
             _ => None,
@@ -80,16 +83,17 @@ impl World {
             !array.is_stopped() && self.now - last <= 2 * self.room.interval_ns
         });
         if is_alone && leads && has_standby && is_driven {
-            self.losses.push(Loss { at: self.now });
+            self.losses.push(Loss { at: self.now, slack_ns: slack_ns + 2 * DELAY_MAX_NS });
         }
     }
 
-    fn judge_gap(&mut self, array: usize, lost: TrueNs) {
+    fn judge_gap(&mut self, array: usize, index: usize) {
+        let Loss { at: lost, slack_ns } = self.losses[index];
         let accepted = &self.monitor.arrays[array].accepted_at;
         let next = accepted.partition_point(|at| *at <= lost);
         let Some(last) = next.checked_sub(1).map(|index| accepted[index]) else { return };
         let gap_ns = accepted.get(next).map_or(u64::MAX, |at| at - last);
-        if gap_ns > 2 * self.room.interval_ns + 2 * DELAY_MAX_NS {
+        if gap_ns > 2 * self.room.interval_ns + slack_ns {
             let text = format!("array {array} followed nothing for {} ms after the loss of the leader", gap_ns / MS);
             self.monitor.fail(self.now, (Invariant::Gap, text));
         }

@@ -191,8 +191,7 @@ impl Latch {
     pub(crate) fn engage(&mut self, mut stop: LatchedStop) {
         // A stop that arrives late or again must not take the name of a later one of its sender: a re-arm
         // of it would release the later one.
-        let covers = |held: &&mut LatchedStop| held.source == stop.source && held.sequence >= stop.sequence;
-        if let Some(held) = self.stops.iter_mut().find(covers) {
+        if let Some(held) = self.stops.iter_mut().find(|held| held.name().replaces(stop.name())) {
             held.time_ns = held.time_ns.max(stop.time_ns);
             return;
         }
@@ -214,8 +213,7 @@ impl Latch {
     /// is full, and a stop without sender stands for those that are not in it.
     pub(crate) fn covers(&self, name: StopName) -> bool {
         let is_full = self.stops.len() == MAX_STOPS && self.has(StopName::default());
-        let is_later = |held: &LatchedStop| held.source == name.source && held.sequence > name.sequence;
-        is_full || self.has(name) || self.stops.iter().any(is_later)
+        is_full || self.stops.iter().any(|held| held.name().replaces(name))
     }
 
     fn has(&self, name: StopName) -> bool {

@@ -36,7 +36,8 @@ impl StopModel {
             }
             Content::Repetition(Ok(order)) => {
                 let name = order.name();
-                if !self.covers(name) && !self.released.contains(&name) {
+                let is_later = |held: &StopName| held.source == name.source && held.sequence >= name.sequence;
+                if !self.stops.keys().chain(&self.released).any(is_later) {
                     self.insert(name, now);
                 }
             }
@@ -68,11 +69,6 @@ impl StopModel {
             kept = kept.max(held);
         }
         self.stops.insert(kept, time_ns);
-    }
-
-    /// Whether the stop, or a later one of its sender, is in force.
-    fn covers(&self, name: StopName) -> bool {
-        self.stops.keys().any(|held| held.source == name.source && held.sequence >= name.sequence)
     }
 
     fn release(&mut self, name: StopName) {

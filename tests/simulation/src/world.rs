@@ -55,7 +55,7 @@ pub struct Outcome {
 
 /// A process of one of the roles.
 enum Process {
-    Tracker(Tracker),
+    Tracker(Box<Tracker>),
     Array(Box<ArrayNode>),
     Controller(Box<ControllerNode>),
     Operator(Box<Operator>),
@@ -296,13 +296,11 @@ impl World {
                 }
                 (Role::Operator, _) => Process::Operator(Box::new(Operator::start(source, ctx))),
                 (Role::Attacker, _) => Process::Attacker(Box::new(Attacker::start(source, rng(Purpose::Attacks), ctx))),
-                _ => Process::Tracker(Tracker::start(
-                    source,
-                    room.interval_ns,
-                    setup.has_channel,
-                    rng(Purpose::Users),
-                    ctx,
-                )),
+                _ => {
+                    let rng = rng(Purpose::Users);
+                    let tracker = Tracker::start(source, room.interval_ns, setup.has_channel, rng, ctx);
+                    Process::Tracker(Box::new(tracker))
+                }
             });
         });
         self.update_presence();

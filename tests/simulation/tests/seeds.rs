@@ -5,7 +5,7 @@ use std::time::{Duration, Instant, SystemTime};
 use heliostat_simulation::{report, run_seed};
 
 /// Seeds of each run without settings.
-const SEEDS: u64 = 400;
+const SEEDS: u64 = 1000;
 
 /// The seed that alone is run.
 fn only_seed() -> Option<u64> {

@@ -21,10 +21,13 @@ const INTERVAL_NS: u64 = 20 * MS;
 /// Payloads of a topic that are kept.
 const KEPT: usize = 80;
 
+/// Payloads of a topic, each with the true time of its arrival.
+type Kept = VecDeque<(TrueNs, Rc<[u8]>)>;
+
 /// A process of an attacker.
 pub(crate) struct Attacker {
     source: u64,
-    kept: BTreeMap<Topic, VecDeque<(TrueNs, Rc<[u8]>)>>,
+    kept: BTreeMap<Topic, Kept>,
     active: Vec<Attack>,
     due_ns: u64,
     stops: u64,

@@ -7,6 +7,7 @@ pub(crate) mod controller;
 pub(crate) mod device;
 pub(crate) mod disk;
 pub(crate) mod operator;
+mod policy;
 mod shadow;
 pub(crate) mod tracker;
 

@@ -91,9 +91,14 @@ impl Monitor {
     }
 
     /// A controller sent a payload to an array.
-    pub fn sent(&mut self, now: TrueNs, sender: commands::Sender, array: usize, payload: &[u8]) {
-        let found = self.commands.sent(sender, array, payload);
+    pub fn sent(&mut self, now: TrueNs, source: u64, array: usize, payload: &[u8]) {
+        let found = self.commands.sent(source, array, payload);
         self.keep(array, now, found);
+    }
+
+    /// A controller chose an epoch for an array that follows another one, as far as it knows.
+    pub fn chose(&mut self, now: TrueNs, array: usize, epoch: u64, followed: Option<u64>) {
+        self.keep(array, now, CommandMonitor::chose(epoch, followed));
     }
 
     /// A controller handled a position report of this age, which is within the limit or not, and sent so

@@ -116,6 +116,15 @@ pub enum DeviceFault {
     Silent,
 }
 
+/// How a policy fails.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PolicyFault {
+    /// It gives no angles.
+    Fails,
+    /// An angle is not a number.
+    NotFinite,
+}
+
 /// How a re-arm names what it releases.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RearmBy {
@@ -170,10 +179,14 @@ pub enum Attack {
     ForgedCapabilities,
     /// Safety reports of a foreign source with the last epoch.
     ForgedSafety,
+    /// A command with the last sequence.
+    LastSequence,
+    /// Position reports of the owner with the last sequence.
+    LastUsers,
 }
 
 impl Attack {
-    const ALL: [Self; 21] = [
+    const ALL: [Self; 23] = [
         Self::Truncated,
         Self::WrongKind,
         Self::Replayed,
@@ -195,6 +208,8 @@ impl Attack {
         Self::FarUsers,
         Self::ForgedCapabilities,
         Self::ForgedSafety,
+        Self::LastSequence,
+        Self::LastUsers,
     ];
 }
 
@@ -294,6 +309,13 @@ pub enum Fault {
         /// How long, in ms.
         ms: u64,
     },
+    /// The policy of a controller fails.
+    Policy {
+        /// The controller.
+        controller: usize,
+        /// In which way.
+        how: PolicyFault,
+    },
     /// The operator stops the room.
     Stop,
     /// The operator releases stops that are known.
@@ -377,7 +399,7 @@ fn draw_fault(setup: &Setup, rng: &mut Rng) -> Fault {
     let host = draw_host(setup, rng);
     let array = rng.random_range(0..setup.arrays);
     let controller = rng.random_range(0..setup.controllers);
-    match rng.random_range(0..26) {
+    match rng.random_range(0..27) {
         0 => Fault::Loss { from, to, per_mille: [50, 300, 700, 1000][rng.random_range(0..4)] },
         1 => Fault::Delay { from, to, ms: [3, 20, 60, 190, 600][rng.random_range(0..5)] },
         2 => Fault::Duplicate { from, to, per_mille: [100, 500, 1000][rng.random_range(0..3)] },
@@ -406,6 +428,7 @@ fn draw_fault(setup: &Setup, rng: &mut Rng) -> Fault {
         17 => Fault::SlowPolicy { controller, ms: [5, 30, 150, 700][rng.random_range(0..4)] },
         18..=20 => Fault::Stop,
         21 => Fault::End { controller },
+        22 => Fault::Policy { controller, how: [PolicyFault::Fails, PolicyFault::NotFinite][rng.random_range(0..2)] },
         _ => Fault::Attack(Attack::ALL[rng.random_range(0..Attack::ALL.len())]),
     }
 }

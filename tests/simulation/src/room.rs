@@ -5,13 +5,11 @@ use std::collections::BTreeMap;
 use std::rc::Rc;
 
 use heliostat_channel::ChannelModel;
-use heliostat_core::policy::PolicyKind;
 use heliostat_scenario::Scenario;
 
-use crate::hosts::adapter::kind_of;
 use crate::hosts::device::SIDE;
 use crate::monitor::commands::RANGE_DEG;
-use crate::plan::Setup;
+use crate::plan::{PolicyChoice, Setup};
 
 /// Largest rate of the mirrors in degrees per second.
 const SLEW_DEG_PER_S: f64 = 900.0;
@@ -22,7 +20,7 @@ pub(crate) struct Room {
     pub scenario: Rc<Scenario>,
     pub model: Rc<ChannelModel>,
     pub geometry: Rc<str>,
-    pub policy: Option<PolicyKind>,
+    pub policy: PolicyChoice,
     /// Time between two position reports in ns.
     pub interval_ns: u64,
     /// Age in ns above which a position report is not answered.
@@ -40,7 +38,7 @@ impl Room {
     pub fn of(setup: &Setup) -> Self {
         let key = (setup.arrays, setup.has_filter, setup.rate_hz);
         let room = ROOMS.with_borrow_mut(|rooms| rooms.entry(key).or_insert_with(|| Self::build(key)).clone());
-        Self { policy: kind_of(setup.policy), ..room }
+        Self { policy: setup.policy, ..room }
     }
 
     fn build((arrays, has_filter, rate_hz): (usize, bool, u64)) -> Self {
@@ -57,7 +55,7 @@ impl Room {
         let model = scenario.channel_model().unwrap_or_else(|error| panic!("{text}\n{error}"));
         Self {
             geometry: scenario.geometry_toml().into(),
-            policy: None,
+            policy: PolicyChoice::Nearest,
             interval_ns: 1_000_000_000 / rate_hz,
             age_max_ns: (scenario.control.report_age_max_ms * 1e6) as u64,
             slew_rad_s: SLEW_DEG_PER_S.to_radians(),

@@ -5,7 +5,7 @@ mod presence;
 mod verdicts;
 
 use std::cmp::Reverse;
-use std::collections::{BinaryHeap, VecDeque};
+use std::collections::{BTreeSet, BinaryHeap, VecDeque};
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::rc::Rc;
 
@@ -49,6 +49,8 @@ pub struct Outcome {
     pub hash: u64,
     /// Commands that the arrays followed.
     pub followed: usize,
+    /// The names of the events, degraded modes and refusals that occurred.
+    pub occurred: BTreeSet<String>,
     /// The last events, where they are traced.
     pub trace: Vec<String>,
 }
@@ -140,6 +142,7 @@ pub(crate) struct World {
     held: Vec<(usize, usize, u64, Incoming)>,
     monitor: Monitor,
     losses: Vec<Loss>,
+    occurred: BTreeSet<String>,
     queue: BinaryHeap<Reverse<Scheduled>>,
     order: u64,
     now: TrueNs,
@@ -157,6 +160,7 @@ pub(crate) fn run(setup: &Setup, faults: &[Timed], mutation: Option<Mutation>, i
         violation: world.monitor.violation,
         hash: world.hash.finish(),
         followed: world.monitor.arrays.iter().map(|array| array.accepted_at.len()).sum(),
+        occurred: world.occurred,
         trace: world.trace.lines(),
     }
 }
@@ -194,6 +198,7 @@ impl World {
             held: Vec::new(),
             monitor: Monitor::new(setup, room.slew_rad_s),
             losses: Vec::new(),
+            occurred: BTreeSet::new(),
             room,
             queue: BinaryHeap::new(),
             order: 0,
@@ -444,6 +449,15 @@ impl World {
                     act(operator, ctx);
                 }
             });
+        }
+    }
+
+    /// Notes what has occurred in a process that ends.
+    fn note_occurred(&mut self, process: &Process) {
+        match process {
+            Process::Array(node) => self.occurred.extend(node.station().refused().counts().keys().cloned()),
+            Process::Controller(node) => self.occurred.extend(node.adapter().occurred()),
+            _ => {}
         }
     }
 

@@ -1,6 +1,6 @@
 //! Plans that found a defect, reduced to what it needs.
 
-use heliostat_simulation::plan::{DiskAfterCrash, Fault, RearmBy, Role, Setup, Timed};
+use heliostat_simulation::plan::{Attack, DiskAfterCrash, Fault, RearmBy, Role, Setup, Timed};
 use heliostat_simulation::run_plan;
 
 fn at(at_ms: u64, for_ms: u64, fault: Fault) -> Timed {
@@ -52,4 +52,16 @@ fn the_release_of_a_stop_ends_the_earlier_ones_of_its_sender() {
         at(5547, 0, Fault::Stop),
     ];
     holds(20027, |setup| (setup.arrays, setup.controllers) = (2, 2), &faults);
+}
+
+/// A controller whose epoch was above the followed one already fell back to an epoch by UTC, below it.
+#[test]
+fn a_new_epoch_is_above_the_followed_one_also_where_the_own_one_is() {
+    let (from, to) = (Role::Controller(0), Role::Array(0));
+    let faults = [
+        at(2000, 30, Fault::Attack(Attack::HigherEpoch)),
+        at(5000, 3000, Fault::Loss { from, to, per_mille: 1000 }),
+        at(5000, 3000, Fault::Attack(Attack::NotANumber)),
+    ];
+    holds(1, |setup| (setup.arrays, setup.controllers) = (1, 1), &faults);
 }

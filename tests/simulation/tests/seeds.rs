@@ -1,7 +1,10 @@
 //! Random plans: no invariant fails for any seed.
 
+use std::collections::BTreeSet;
 use std::time::{Duration, Instant, SystemTime};
 
+use heliostat_core::core::DegradedMode;
+use heliostat_core::tenure::TenureEvent;
 use heliostat_simulation::{report, run_seed};
 
 /// Seeds of each run without settings.
@@ -18,32 +21,80 @@ fn duration() -> Option<Duration> {
     Some(Duration::from_secs(seconds.parse().expect("HELIOSTAT_SIM_SECONDS is a number of seconds")))
 }
 
-fn check(seed: u64) {
-    if run_seed(seed, None).violation.is_some() {
+/// What occurred in a run without a violation.
+fn check(seed: u64) -> BTreeSet<String> {
+    let outcome = run_seed(seed, None);
+    if outcome.violation.is_some() {
         panic!("{}", report(seed, None).unwrap_or_else(|| format!("seed {seed} fails only sometimes")));
     }
+    outcome.occurred
 }
+
+/// Refusals that the fixed seeds have to reach.
+const REFUSALS: [&str; 25] = [
+    "command:epoch-bound",
+    "command:expired",
+    "command:from-future",
+    "command:lower-epoch",
+    "command:not-finite",
+    "command:old-sequence",
+    "command:sequence-bound",
+    "command:stopped",
+    "command:truncated",
+    "command:validity-bound",
+    "command:wrong-mirror-count",
+    "rearm:not-stopped",
+    "rearm:other-stop",
+    "rearm:too-early",
+    "stop:truncated",
+    "telemetry:foreign-source",
+    "telemetry:source-gone",
+    "telemetry:stale",
+    "users:foreign-source",
+    "users:from-future",
+    "users:out-of-order",
+    "users:outside-room",
+    "users:repeated",
+    "users:sequence-jump",
+    "users:stale",
+];
 
 #[test]
 fn no_invariant_fails_for_any_seed() {
     let begun = Instant::now();
-    let mut seeds = 0;
-    match (only_seed(), duration()) {
-        (Some(seed), _) => check(seed),
-        (None, Some(duration)) => {
-            let first = SystemTime::UNIX_EPOCH.elapsed().map_or(1, |now| now.as_micros() as u64);
-            println!("fresh seeds from {first}");
-            while begun.elapsed() < duration {
-                check(first + seeds);
-                seeds += 1;
-            }
+    let seeds = match (only_seed(), duration()) {
+        (Some(seed), _) => {
+            check(seed);
+            1
         }
+        (None, Some(duration)) => check_fresh(duration),
         (None, None) => {
-            (0..SEEDS).for_each(check);
-            seeds = SEEDS;
+            let occurred: BTreeSet<String> = (0..SEEDS).flat_map(check).collect();
+            check_reach(&occurred);
+            SEEDS
         }
-    }
+    };
     println!("{seeds} seeds, {:.1} a second", seeds as f64 / begun.elapsed().as_secs_f64());
+}
+
+/// Runs seeds of the present time; how many.
+fn check_fresh(duration: Duration) -> u64 {
+    let (begun, mut seeds) = (Instant::now(), 0);
+    let first = SystemTime::UNIX_EPOCH.elapsed().map_or(1, |now| now.as_micros() as u64);
+    println!("fresh seeds from {first}");
+    while begun.elapsed() < duration {
+        check(first + seeds);
+        seeds += 1;
+    }
+    seeds
+}
+
+/// Seeds that never reach a rule would not find its violation.
+fn check_reach(occurred: &BTreeSet<String>) {
+    let events = TenureEvent::ALL.iter().map(|event| event.name());
+    let modes = DegradedMode::ALL.iter().map(|mode| mode.name());
+    let missing: Vec<_> = events.chain(modes).chain(REFUSALS).filter(|name| !occurred.contains(*name)).collect();
+    assert!(missing.is_empty(), "no seed reaches {missing:?}");
 }
 
 #[test]

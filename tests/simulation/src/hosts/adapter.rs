@@ -10,7 +10,6 @@ use heliostat_array::moment::Moment;
 use heliostat_core::capabilities::{Examiner, Force};
 use heliostat_core::core::{Controller, Decision, DegradedMode, Due, Timing, memory::Memory};
 use heliostat_core::inbox::Message;
-use heliostat_core::policy::{DenseEngine, Fixed, Policy, PolicyKind, Resources, build};
 use heliostat_core::refusal::{Refusal, Stream};
 use heliostat_core::tenure::{Standing, Tenure, TenureEvent};
 use heliostat_proto::{
@@ -19,8 +18,9 @@ use heliostat_proto::{
 };
 
 use super::encoded;
+use super::policy::{PolicySwitch, policy};
 use crate::monitor::Tally;
-use crate::plan::PolicyChoice;
+use crate::plan::PolicyFault;
 use crate::room::Room;
 use crate::topic::Topic;
 
@@ -59,6 +59,7 @@ pub(crate) type Published = Vec<(Topic, Vec<u8>)>;
 /// A controller process without transport, clock and thread.
 pub(crate) struct Adapter {
     controller: Controller,
+    switch: PolicySwitch,
     examiner: Examiner,
     source: u64,
     geometry: Rc<str>,
@@ -81,14 +82,15 @@ pub(crate) struct Adapter {
 impl Adapter {
     /// A controller process of a room.
     pub fn new(room: &Room, source: u64, standby: Standby, at: Moment) -> Self {
-        let scenario = &*room.scenario;
+        let (scenario, switch) = (&*room.scenario, PolicySwitch::default());
         let tenure = Tenure::live(source, room.interval_ns);
         let tenure = if standby.is_reserve { tenure.in_reserve(standby.rank) } else { tenure };
-        let controller = Controller::new(scenario, (*room.model).clone(), policy(room), 0);
+        let controller = Controller::new(scenario, (*room.model).clone(), policy(room, &switch), 0);
         let controller = controller.with_tenure(tenure).with_journal();
         let arrays = controller.arrays();
         Self {
             controller,
+            switch,
             examiner: Examiner::new(scenario, &room.model, Force { small_range: true, paper_angles: false }),
             source,
             geometry: room.geometry.clone(),
@@ -123,9 +125,10 @@ impl Adapter {
         self.wake_ns
     }
 
-    /// The next decisions take so long.
-    pub fn set_decision_ns(&mut self, decision_ns: u64) {
+    /// The next decisions take so long, and fail in this way.
+    pub fn set_policy(&mut self, (decision_ns, fault): (u64, Option<PolicyFault>)) {
         self.decision_ns = decision_ns;
+        self.switch.set(fault);
     }
 
     /// What became of the position reports so far.
@@ -141,6 +144,11 @@ impl Adapter {
     /// The epoch that an array follows, as far as the telemetry shows.
     pub fn followed_epoch(&self, array: usize) -> Option<u64> {
         self.controller.tenure(array).followed_epoch()
+    }
+
+    /// The epoch of its commands to each array; 0 before the first.
+    pub fn epochs(&self) -> Vec<u64> {
+        (0..self.controller.arrays()).map(|array| self.controller.tenure(array).epoch()).collect()
     }
 
     /// Whether it commands every array, or stands by for every one.
@@ -159,6 +167,15 @@ impl Adapter {
     /// How often an event occurred.
     pub fn count(&self, event: TenureEvent) -> u64 {
         self.controller.counters().tenure(event)
+    }
+
+    /// The names of what has occurred: events of the tenure, degraded modes, refusals of reports.
+    pub fn occurred(&self) -> Vec<String> {
+        let counters = self.controller.counters();
+        let events = TenureEvent::ALL.iter().filter(|event| counters.tenure(**event) > 0).map(|event| event.name());
+        let modes = DegradedMode::ALL.iter().filter(|mode| counters.degraded(**mode) > 0).map(|mode| mode.name());
+        let refused = self.controller.inbox().refused().named().map(|(name, _)| name);
+        events.chain(modes).map(str::to_owned).chain(refused).collect()
     }
 
     /// Exchanges `into` for the inputs that the journal has; false where some are missing.
@@ -300,23 +317,4 @@ fn number(last: &mut (u64, u64), command: &mut MirrorCommand) {
     let (epoch, sequence) = *last;
     command.sequence = if command.epoch == epoch { sequence + 1 } else { 1 };
     *last = (command.epoch, command.sequence);
-}
-
-/// The policy of a room.
-pub(crate) fn policy(room: &Room) -> Box<dyn Policy> {
-    let resources = Resources { actor: None, engine: &DenseEngine, monotonic_ns: || 0 };
-    match room.policy {
-        Some(kind) => build(kind, &room.scenario, &resources)
-            .unwrap_or_else(|error| panic!("the policy {kind:?} cannot be built: {error}")),
-        None => Box::new(Fixed::flat(room.scenario.mirror_count())),
-    }
-}
-
-/// The policy that is built by its name; `None` for flat mirrors.
-pub(crate) fn kind_of(choice: PolicyChoice) -> Option<PolicyKind> {
-    match choice {
-        PolicyChoice::Nearest => Some(PolicyKind::Nearest),
-        PolicyChoice::FixedPoint => Some(PolicyKind::FixedPoint),
-        PolicyChoice::Flat => None,
-    }
 }

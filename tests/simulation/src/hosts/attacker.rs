@@ -82,7 +82,9 @@ impl Attacker {
             Attack::ForgedTelemetry | Attack::OwnTelemetry | Attack::OwnTelemetryStopped => {
                 self.forge_telemetry(attack, ctx);
             }
-            Attack::OutsideUsers | Attack::ForeignUsers | Attack::FarUsers => self.forge_users(attack, ctx),
+            Attack::OutsideUsers | Attack::ForeignUsers | Attack::FarUsers | Attack::LastUsers => {
+                self.forge_users(attack, ctx)
+            }
             Attack::ForgedCapabilities => {
                 let stamp = Stamp { source: self.source, sequence: 1, time_ns: ctx.at.room_ns };
                 let forged = Capabilities { stamp, rows: 7, columns: 1, ..Capabilities::default() };
@@ -132,6 +134,7 @@ impl Attacker {
                 Attack::HigherEpoch => (command.epoch, command.sequence) = (command.epoch + 30_000, 1),
                 Attack::LowerEpoch => (command.epoch, command.sequence) = (command.epoch.saturating_sub(5000), 1),
                 Attack::FarSequence => command.sequence += 900_000,
+                Attack::LastSequence => command.sequence = u64::MAX,
                 Attack::WildAngles => command.roll.fill(1e30),
                 Attack::LongValidity => {
                     (command.sequence, command.validity_ms) = (command.sequence + 1, u32::MAX);
@@ -176,6 +179,7 @@ impl Attacker {
                 report.users.iter_mut().for_each(|user| user.position_m = [99.0; 3]);
             }
             Attack::FarUsers => report.stamp.sequence += 900_000,
+            Attack::LastUsers => report.stamp.sequence = u64::MAX,
             _ => report.stamp.source = self.source,
         }
         ctx.publish(Topic::Users, encoded(&report));

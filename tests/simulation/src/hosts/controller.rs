@@ -12,8 +12,8 @@ use super::shadow::Shadow;
 use super::{Context, Incoming, Outgoing, encoded};
 use crate::clock::MS;
 use crate::monitor::Tally;
-use crate::monitor::commands::Sender;
 use crate::mutation::Mutation;
+use crate::plan::PolicyFault;
 use crate::room::Room;
 use crate::topic::Topic;
 use crate::violation::Invariant;
@@ -24,7 +24,7 @@ const HELD_MAX: usize = 64;
 /// An input as it is replayed.
 struct Recorded {
     at: Moment,
-    decision_ns: u64,
+    policy: (u64, Option<PolicyFault>),
     input: Input,
 }
 
@@ -37,6 +37,8 @@ pub(crate) struct ControllerNode {
     adapter: Adapter,
     /// How long each decision takes, by the faults in force.
     slow_ms: Vec<u64>,
+    /// The faults of its policy in force.
+    faults: Vec<PolicyFault>,
     /// The inputs so far, where they are replayed.
     recorded: Option<Vec<Recorded>>,
     /// A replay from each state, where inputs are recorded.
@@ -56,6 +58,7 @@ impl ControllerNode {
             started: ctx.at,
             adapter: Adapter::new(room, source, standby, ctx.at),
             slow_ms: Vec::new(),
+            faults: Vec::new(),
             recorded: is_recorded.then(Vec::new),
             shadow: is_recorded.then(|| Box::new(Shadow::new(room))),
             outputs: DefaultHasher::new(),
@@ -78,6 +81,14 @@ impl ControllerNode {
 
     pub fn end_slow(&mut self, ms: u64) {
         self.slow_ms.retain(|known| *known != ms);
+    }
+
+    pub fn begin_fault(&mut self, fault: PolicyFault) {
+        self.faults.push(fault);
+    }
+
+    pub fn end_fault(&mut self, fault: PolicyFault) {
+        self.faults.retain(|known| *known != fault);
     }
 
     pub fn handle(&mut self, incoming: &Incoming, ctx: &mut Context<'_>) {
@@ -109,8 +120,8 @@ impl ControllerNode {
         let Some(recorded) = &self.recorded else { return true };
         let mut adapter = Adapter::new(&self.room, self.source, self.standby, self.started);
         let (mut outputs, mut published) = (DefaultHasher::new(), Published::new());
-        for Recorded { at, decision_ns, input } in recorded {
-            adapter.set_decision_ns(*decision_ns);
+        for Recorded { at, policy, input } in recorded {
+            adapter.set_policy(*policy);
             adapter.handle(*at, input, &mut published);
             published.drain(..).for_each(|output| output.hash(&mut outputs));
         }
@@ -145,15 +156,23 @@ impl ControllerNode {
         let mut published = Published::new();
         let was_standby = self.adapter.is_everywhere(Standing::Standby);
         let decision_ns = self.slow_ms.iter().max().map_or(0, |ms| ms * MS);
-        self.adapter.set_decision_ns(decision_ns);
+        let policy = (decision_ns, self.faults.last().copied());
+        self.adapter.set_policy(policy);
+        self.shadow.iter().for_each(|shadow| shadow.set_fault(policy.1));
+        let epochs = self.adapter.epochs();
         self.adapter.handle(ctx.at, &input, &mut published);
+        for (array, (before, after)) in epochs.into_iter().zip(self.adapter.epochs()).enumerate() {
+            if before != after {
+                ctx.monitor.chose(ctx.now, array, after, self.adapter.followed_epoch(array));
+            }
+        }
         published.iter().for_each(|output| output.hash(&mut self.outputs));
         if let Some(Err(text)) = self.shadow.as_mut().map(|shadow| shadow.follow(&mut self.adapter, &input, &published))
         {
             ctx.monitor.fail(ctx.now, (Invariant::Replay, text));
         }
         let is_report = matches!(input, Input::Payload(Topic::Users, _));
-        self.record(ctx, decision_ns, input);
+        self.record(ctx, policy, input);
         let is_decision = published.iter().any(|(topic, _)| matches!(topic, Topic::Command(_)));
         if is_report && is_decision {
             ctx.busy_ns = decision_ns;
@@ -169,18 +188,17 @@ impl ControllerNode {
                 continue;
             }
             let payload = if ctx.mutation.is_some() { self.mutate(array, payload, ctx) } else { payload };
-            let sender = Sender { source: self.source, followed: self.adapter.followed_epoch(array) };
-            ctx.monitor.sent(ctx.now, sender, array, &payload);
+            ctx.monitor.sent(ctx.now, self.source, array, &payload);
             ticks.extend(decode::<MirrorCommand>(&payload).map(|command| command.answers));
             ctx.out.push(Outgoing { topic, payload, to: None, after_ns });
         }
         ticks
     }
 
-    fn record(&mut self, ctx: &Context<'_>, decision_ns: u64, input: Input) {
+    fn record(&mut self, ctx: &Context<'_>, policy: (u64, Option<PolicyFault>), input: Input) {
         let is_left_out = ctx.has(Mutation::InputNotRecorded) && self.reports == 40;
         if let Some(recorded) = self.recorded.as_mut().filter(|_| !is_left_out) {
-            recorded.push(Recorded { at: ctx.at, decision_ns, input });
+            recorded.push(Recorded { at: ctx.at, policy, input });
         }
     }
 

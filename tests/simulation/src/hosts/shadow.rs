@@ -10,7 +10,9 @@ use heliostat_proto::{
     StopReport, UserReport, decode,
 };
 
-use super::adapter::{Adapter, Input, policy};
+use super::adapter::{Adapter, Input};
+use super::policy::{PolicySwitch, policy};
+use crate::plan::PolicyFault;
 use crate::room::Room;
 use crate::topic::Topic;
 
@@ -20,6 +22,7 @@ const STATE_DECISIONS: u64 = 50;
 /// A second controller of the same room.
 pub(crate) struct Shadow {
     controller: Controller,
+    switch: PolicySwitch,
     inputs: Vec<ControllerInput>,
     /// Whether it has the state of the first one.
     is_known: bool,
@@ -30,8 +33,14 @@ pub(crate) struct Shadow {
 
 impl Shadow {
     pub fn new(room: &Room) -> Self {
-        let controller = Controller::new(&room.scenario, (*room.model).clone(), policy(room), 1);
-        Self { controller, inputs: Vec::new(), is_known: false, decisions: 0, compared: 0 }
+        let switch = PolicySwitch::default();
+        let controller = Controller::new(&room.scenario, (*room.model).clone(), policy(room, &switch), 1);
+        Self { controller, switch, inputs: Vec::new(), is_known: false, decisions: 0, compared: 0 }
+    }
+
+    /// The policy fails in this way.
+    pub fn set_fault(&self, fault: Option<PolicyFault>) {
+        self.switch.set(fault);
     }
 
     /// Repeats what the first controller did about an input; the difference of the commands, if there is

@@ -15,14 +15,6 @@ pub(crate) const RANGE_DEG: f32 = 68.0;
 /// Angles have single precision.
 const ROUNDING_RAD: f64 = 1e-5;
 
-/// A controller that sends a command.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Sender {
-    pub source: u64,
-    /// The epoch that the array follows, as far as the controller knows.
-    pub followed: Option<u64>,
-}
-
 /// The numbers and angles that were sent so far.
 #[derive(Debug)]
 pub(crate) struct CommandMonitor {
@@ -38,12 +30,22 @@ impl CommandMonitor {
         Self { slew_rad_s, owners: BTreeMap::new(), last: BTreeMap::new() }
     }
 
-    pub(super) fn sent(&mut self, sender: Sender, array: usize, payload: &[u8]) -> Result<(), (Invariant, String)> {
-        let source = sender.source;
+    /// A controller chose an epoch, and knows of the one that the array follows.
+    pub(super) fn chose(epoch: u64, followed: Option<u64>) -> Result<(), (Invariant, String)> {
+        // No epoch is above the last ones, which forged telemetry can claim.
+        match followed.filter(|followed| *followed < u64::MAX - EPOCH_SLOTS) {
+            Some(followed) if epoch <= followed => {
+                Err((Invariant::Numbering, format!("the epoch {epoch} was chosen, and {followed} is followed")))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    pub(super) fn sent(&mut self, source: u64, array: usize, payload: &[u8]) -> Result<(), (Invariant, String)> {
         let command: MirrorCommand =
             decode(payload).map_err(|error| (Invariant::Payload, format!("{source:x} sent {error}")))?;
         let last = self.last.get(&(source, array));
-        check_number(sender, last, &command)?;
+        check_number(last, &command)?;
         check_angles(last, &command, self.slew_rad_s)?;
         let owner = *self.owners.entry((array, command.epoch)).or_insert(source);
         if owner != source {
@@ -55,19 +57,13 @@ impl CommandMonitor {
     }
 }
 
-fn check_number(sender: Sender, last: Option<&MirrorCommand>, sent: &MirrorCommand) -> Result<(), (Invariant, String)> {
+fn check_number(last: Option<&MirrorCommand>, sent: &MirrorCommand) -> Result<(), (Invariant, String)> {
     let (epoch, sequence) = (sent.epoch, sent.sequence);
     let expected = last.filter(|last| last.epoch == epoch).map_or(1, |last| last.sequence + 1);
-    if sequence != expected {
-        return Err((Invariant::Numbering, format!("sequence {sequence} of epoch {epoch}, expected {expected}")));
+    if sequence == expected {
+        return Ok(());
     }
-    // No epoch is above the last ones, which forged telemetry can claim.
-    match sender.followed.filter(|followed| *followed < u64::MAX - EPOCH_SLOTS) {
-        Some(followed) if sequence == 1 && epoch <= followed => {
-            Err((Invariant::Numbering, format!("the new epoch {epoch} is not above {followed}, which is followed")))
-        }
-        _ => Ok(()),
-    }
+    Err((Invariant::Numbering, format!("sequence {sequence} of epoch {epoch}, expected {expected}")))
 }
 
 fn check_angles(

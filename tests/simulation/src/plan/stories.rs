@@ -14,9 +14,9 @@ pub(super) fn draw(setup: &Setup, rng: &mut Rng) -> Vec<Timed> {
     match rng.random_range(0..9) {
         // A stop that cannot be recorded, and a restart.
         0 => vec![
-            after(0, 1500, Fault::DiskFull { array }),
+            after(0, 600, Fault::DiskFull { array }),
             after(200, 0, Fault::Stop),
-            after(500, 300, Fault::Crash { host, disk: DiskAfterCrash::Kept }),
+            after(400, rng.random_range(100..500), Fault::Crash { host, disk: DiskAfterCrash::Kept }),
         ],
         // A record that is gone.
         1 => {

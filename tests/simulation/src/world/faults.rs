@@ -2,7 +2,7 @@
 
 use super::{Event, Process, World};
 use crate::clock::MS;
-use crate::plan::{DiskAfterCrash, Fault, Role, Timed};
+use crate::plan::{DiskAfterCrash, Fault, PolicyFault, Role, Timed};
 
 /// Longest time for which a controller that ends waits for a standby, in ns.
 const HAND_OVER_NS: u64 = 500 * MS;
@@ -37,6 +37,7 @@ impl World {
             Fault::DiskFull { array } => self.disks[array].borrow_mut().full += 1,
             Fault::Device { array, how } => self.hardware[array].borrow_mut().begin(how),
             Fault::SlowPolicy { controller, ms } => self.slow_policy(controller, ms, true),
+            Fault::Policy { controller, how } => self.fail_policy(controller, how, true),
             Fault::Stop => self.operate(|operator, ctx| operator.stop(ctx)),
             Fault::Rearm(by) => self.operate(|operator, ctx| operator.rearm(by, ctx)),
             Fault::Attack(attack) => {
@@ -76,6 +77,7 @@ impl World {
             Fault::DiskFull { array } => self.disks[array].borrow_mut().full -= 1,
             Fault::Device { array, how } => self.hardware[array].borrow_mut().end(how),
             Fault::SlowPolicy { controller, ms } => self.slow_policy(controller, ms, false),
+            Fault::Policy { controller, how } => self.fail_policy(controller, how, false),
             Fault::Attack(attack) => {
                 let host = self.number(Role::Attacker);
                 if let Some(Process::Attacker(attacker)) = &mut self.hosts[host].process {
@@ -117,6 +119,7 @@ impl World {
     fn kill(&mut self, host: usize, disk: DiskAfterCrash) {
         self.hosts[host].ends_by = None;
         let Some(process) = self.hosts[host].process.take() else { return };
+        self.note_occurred(&process);
         if let Process::Controller(node) = &process {
             self.check_replay(node);
         }
@@ -151,6 +154,16 @@ impl World {
         match &mut host.process {
             Some(Process::Controller(node)) if begins => node.begin_slow(ms),
             Some(Process::Controller(node)) => node.end_slow(ms),
+            _ => {}
+        }
+    }
+
+    /// A process that starts again has another policy.
+    fn fail_policy(&mut self, controller: usize, how: PolicyFault, begins: bool) {
+        let host = self.number(Role::Controller(controller));
+        match &mut self.hosts[host].process {
+            Some(Process::Controller(node)) if begins => node.begin_fault(how),
+            Some(Process::Controller(node)) => node.end_fault(how),
             _ => {}
         }
     }

@@ -47,8 +47,10 @@ impl World {
             }
         }
         for host in 0..self.hosts.len() {
-            if let Some(Process::Controller(node)) = self.hosts[host].process.take() {
-                self.check_replay(&node);
+            let Some(process) = self.hosts[host].process.take() else { continue };
+            self.note_occurred(&process);
+            if let Process::Controller(node) = &process {
+                self.check_replay(node);
             }
         }
     }

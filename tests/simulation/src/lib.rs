@@ -36,7 +36,7 @@
 //!
 //! A seed that fails prints itself, the smallest part of its plan that fails alone, and the last events.
 //!
-//! ```sh no-run
+//! ```text
 //! HELIOSTAT_SIM_SEED=123 cargo test --release -p heliostat-simulation --test seeds
 //! HELIOSTAT_SIM_SECONDS=600 cargo test --release -p heliostat-simulation --test seeds -- --nocapture
 //! ```

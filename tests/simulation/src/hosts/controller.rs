@@ -21,6 +21,9 @@ use crate::violation::Invariant;
 /// Stops that a controller holds for one array at most.
 const HELD_MAX: usize = 64;
 
+/// By how much a deliberate bug lowers an epoch.
+const LOWERED: u64 = 1 << 20;
+
 /// An input as it is replayed.
 struct Recorded {
     at: Moment,
@@ -163,7 +166,10 @@ impl ControllerNode {
         self.adapter.handle(ctx.at, &input, &mut published);
         for (array, (before, after)) in epochs.into_iter().zip(self.adapter.epochs()).enumerate() {
             if before != after {
-                ctx.monitor.chose(ctx.now, array, after, self.adapter.followed_epoch(array));
+                let followed = self.adapter.followed_epoch(array);
+                let is_lowered = ctx.has(Mutation::LowerEpochAtTakeover) && followed.is_some_and(|epoch| epoch > 0);
+                let chosen = if is_lowered { after - LOWERED } else { after };
+                ctx.monitor.chose(ctx.now, array, chosen, followed);
             }
         }
         published.iter().for_each(|output| output.hash(&mut self.outputs));
@@ -219,7 +225,7 @@ impl ControllerNode {
             Some(Mutation::SequenceSkipped) => command.sequence += self.commands / 40,
             Some(Mutation::SameEpoch) if followed > 0 && followed < command.epoch => command.epoch = followed,
             Some(Mutation::LowerEpochAtTakeover) if followed > 0 && followed < command.epoch => {
-                command.epoch -= 1 << 20
+                command.epoch -= LOWERED
             }
             Some(Mutation::OutOfRange) if is_turn => command.roll[0] = 1.3,
             Some(Mutation::SlewExceeded) if is_turn => {

@@ -15,6 +15,8 @@ pub(crate) struct Tracker {
     source: u64,
     interval_ns: u64,
     has_channel: bool,
+    /// How many faults keep the receivers silent.
+    pub silent: u32,
     due_ns: u64,
     tick: u64,
     present: Vec<u32>,
@@ -24,7 +26,7 @@ pub(crate) struct Tracker {
 impl Tracker {
     pub fn start(source: u64, interval_ns: u64, has_channel: bool, rng: Rng, ctx: &Context<'_>) -> Self {
         let due_ns = ctx.at.local_ns;
-        Self { source, interval_ns, has_channel, due_ns, tick: 0, present: vec![0, 1], rng }
+        Self { source, interval_ns, has_channel, silent: 0, due_ns, tick: 0, present: vec![0, 1], rng }
     }
 
     pub fn next_ns(&self) -> u64 {
@@ -43,7 +45,7 @@ impl Tracker {
             self.change_users();
         }
         let stamp = Stamp { source: self.source, sequence: self.tick, time_ns: ctx.at.room_ns };
-        if self.has_channel {
+        if self.has_channel && self.silent == 0 {
             let measured = |user: &u32| UserChannel { user: *user, los_gain: 1e-6, irs_gain: 1e-7, sinr: 40.0 };
             let users = self.present.iter().map(measured).collect();
             ctx.publish(Topic::Channel, encoded(&ChannelReport { stamp, tick: self.tick, users }));

@@ -11,7 +11,7 @@ pub(super) fn draw(setup: &Setup, rng: &mut Rng) -> Vec<Timed> {
     let array = rng.random_range(0..setup.arrays);
     let after = |after_ms: u64, for_ms: u64, fault: Fault| Timed { at_ms: at_ms + after_ms, for_ms, fault };
     let host = Role::Array(array);
-    match rng.random_range(0..9) {
+    match rng.random_range(0..10) {
         // A stop that cannot be recorded, and a restart.
         0 => vec![
             after(0, 600, Fault::DiskFull { array }),
@@ -62,8 +62,14 @@ pub(super) fn draw(setup: &Setup, rng: &mut Rng) -> Vec<Timed> {
             after(200, 0, Fault::Stop),
             after(1500, 0, Fault::Rearm(RearmBy::Time)),
         ],
+        // A re-arm by time from a clock that was set back.
+        7 => vec![
+            after(0, 0, Fault::Stop),
+            after(100, 1200, Fault::ClockStep { host: Role::Operator, ms: -3_600_000 }),
+            after(500, 0, Fault::Rearm(RearmBy::Time)),
+        ],
         // A leader that hangs.
-        7 => vec![after(0, 2500, Fault::Freeze { host: Role::Controller(0) })],
+        8 => vec![after(0, 2500, Fault::Freeze { host: Role::Controller(0) })],
         // Commands that arrive twice and in another order.
         _ => vec![
             after(0, 1500, Fault::Duplicate { from: Role::Controller(0), to: host, per_mille: 500 }),

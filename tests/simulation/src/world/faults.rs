@@ -38,6 +38,7 @@ impl World {
             Fault::Device { array, how } => self.hardware[array].borrow_mut().begin(how),
             Fault::SlowPolicy { controller, ms } => self.slow_policy(controller, ms, true),
             Fault::Policy { controller, how } => self.fail_policy(controller, how, true),
+            Fault::ReceiversSilent => self.silence_receivers(true),
             Fault::Stop => self.operate(|operator, ctx| operator.stop(ctx)),
             Fault::Rearm(by) => self.operate(|operator, ctx| operator.rearm(by, ctx)),
             Fault::Attack(attack) => {
@@ -78,6 +79,7 @@ impl World {
             Fault::Device { array, how } => self.hardware[array].borrow_mut().end(how),
             Fault::SlowPolicy { controller, ms } => self.slow_policy(controller, ms, false),
             Fault::Policy { controller, how } => self.fail_policy(controller, how, false),
+            Fault::ReceiversSilent => self.silence_receivers(false),
             Fault::Attack(attack) => {
                 let host = self.number(Role::Attacker);
                 if let Some(Process::Attacker(attacker)) = &mut self.hosts[host].process {
@@ -165,6 +167,14 @@ impl World {
             Some(Process::Controller(node)) if begins => node.begin_fault(how),
             Some(Process::Controller(node)) => node.end_fault(how),
             _ => {}
+        }
+    }
+
+    fn silence_receivers(&mut self, begins: bool) {
+        let host = self.number(Role::Tracker);
+        if let Some(Process::Tracker(tracker)) = &mut self.hosts[host].process {
+            // A process that has started meanwhile has no such fault.
+            tracker.silent = if begins { tracker.silent + 1 } else { tracker.silent.saturating_sub(1) };
         }
     }
 

@@ -42,6 +42,8 @@ mutations! {
     ToldAtFirstReport: ToldStopped,
     /// The operator is told "stopped" although the device has not stopped.
     ToldWithoutDevice: ToldStopped,
+    /// No process repeats a stop to an array that has not reported it.
+    StopNotRepeated: Recovery,
     /// A controller skips a sequence number.
     SequenceSkipped: Numbering,
     /// Two controllers choose the same epoch.

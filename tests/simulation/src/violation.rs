@@ -19,7 +19,7 @@ pub enum Invariant {
     Validity,
     /// Each position report gives a command or a counted reason.
     Answer,
-    /// Arrays that are not stopped follow again within 5 s after the last fault.
+    /// Arrays that are not stopped follow again within 5 s after the last fault, and a stop is confirmed.
     Recovery,
     /// The loss of the leader alone leaves a gap of at most two report intervals where there is a standby.
     Gap,

@@ -186,6 +186,9 @@ impl ControllerNode {
         let after_ns = ctx.busy_ns;
         let mut ticks = Vec::new();
         for (topic, payload) in published {
+            if ctx.has(Mutation::StopNotRepeated) && matches!(topic, Topic::Repetition(_)) {
+                continue;
+            }
             let Topic::Command(array) = topic else {
                 ctx.out.push(Outgoing { topic, payload, to: None, after_ns });
                 continue;

@@ -122,6 +122,11 @@ impl Operator {
         self.confirm(ctx);
     }
 
+    /// The stop that was ordered and is not confirmed yet.
+    pub fn unconfirmed(&self) -> Option<StopName> {
+        self.ordered.map(|ordered| ordered.name)
+    }
+
     /// Publishes a stop with a name of its own.
     pub fn stop(&mut self, ctx: &mut Context<'_>) {
         let order = EmergencyStop { action: StopAction::Stop, ..self.order(ctx) };
@@ -159,6 +164,9 @@ impl Operator {
         }
         self.wake_ns = ctx.at.local_ns + REPEAT_NS;
         self.send_rearms(ctx);
+        if ctx.has(Mutation::StopNotRepeated) {
+            return;
+        }
         for array in 0..self.arrays.len() {
             let unreported: Vec<HeldStop> = self.arrays[array].hold.unreported().cloned().collect();
             unreported.iter().for_each(|held| self.repeat(array, held, ctx));

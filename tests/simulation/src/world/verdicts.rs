@@ -6,7 +6,7 @@ use super::{Process, World};
 use crate::clock::{MS, TrueNs};
 use crate::hosts::controller::ControllerNode;
 use crate::network::DELAY_MAX_NS;
-use crate::plan::Timed;
+use crate::plan::{Fault, Timed};
 use crate::violation::Invariant;
 
 /// Arrays follow again so long after the last fault, in ns.
@@ -46,6 +46,7 @@ impl World {
                 self.judge_gap(array, index);
             }
         }
+        self.judge_confirmation();
         for host in 0..self.hosts.len() {
             let Some(process) = self.hosts[host].process.take() else { continue };
             self.note_occurred(&process);
@@ -86,6 +87,21 @@ impl World {
         });
         if is_alone && leads && has_standby && is_driven {
             self.losses.push(Loss { at: self.now, slack_ns: slack_ns + 2 * DELAY_MAX_NS });
+        }
+    }
+
+    /// A stop that nobody releases reaches every array, and is confirmed.
+    fn judge_confirmation(&mut self) {
+        let releases = |timed: &Timed| matches!(timed.fault, Fault::Rearm(_) | Fault::Attack(_));
+        if self.setup.rearms_at_end || self.faults.iter().any(releases) {
+            return;
+        }
+        let unconfirmed = self.hosts.iter().find_map(|host| match &host.process {
+            Some(Process::Operator(operator)) => operator.unconfirmed(),
+            _ => None,
+        });
+        if let Some(name) = unconfirmed {
+            self.monitor.fail(self.now, (Invariant::Recovery, format!("the stop {name} is not confirmed")));
         }
     }
 

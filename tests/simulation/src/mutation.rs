@@ -78,4 +78,6 @@ mutations! {
     ReleasedArrayStuck: Recovery,
     /// The replay lacks an input of the controller.
     InputNotRecorded: Replay,
+    /// The state of a controller is that before its last input.
+    StateOutdated: Replay,
 }

@@ -285,7 +285,8 @@ impl World {
             _ => None,
         };
         let rng = |purpose| stream(setup.seed ^ source, purpose);
-        let is_recorded = setup.seed.is_multiple_of(3) || self.mutation == Some(Mutation::InputNotRecorded);
+        let is_replay = matches!(self.mutation, Some(Mutation::InputNotRecorded | Mutation::StateOutdated));
+        let is_recorded = setup.seed.is_multiple_of(3) || is_replay;
         self.hosts[host].generation += 1;
         self.dispatch(host, |process, ctx| {
             *process = Some(match (role, &shared) {

@@ -162,18 +162,13 @@ impl ControllerNode {
         let policy = (decision_ns, self.faults.last().copied());
         self.adapter.set_policy(policy);
         self.shadow.iter().for_each(|shadow| shadow.set_fault(policy.1));
+        let outdated = ctx.has(Mutation::StateOutdated).then(|| self.adapter.memory());
         let epochs = self.adapter.epochs();
         self.adapter.handle(ctx.at, &input, &mut published);
-        for (array, (before, after)) in epochs.into_iter().zip(self.adapter.epochs()).enumerate() {
-            if before != after {
-                let followed = self.adapter.followed_epoch(array);
-                let is_lowered = ctx.has(Mutation::LowerEpochAtTakeover) && followed.is_some_and(|epoch| epoch > 0);
-                let chosen = if is_lowered { after - LOWERED } else { after };
-                ctx.monitor.chose(ctx.now, array, chosen, followed);
-            }
-        }
+        self.note_epochs(&epochs, ctx);
         published.iter().for_each(|output| output.hash(&mut self.outputs));
-        if let Some(Err(text)) = self.shadow.as_mut().map(|shadow| shadow.follow(&mut self.adapter, &input, &published))
+        if let Some(shadow) = &mut self.shadow
+            && let Err(text) = shadow.follow(&mut self.adapter, &input, &published, outdated)
         {
             ctx.monitor.fail(ctx.now, (Invariant::Replay, text));
         }
@@ -183,6 +178,23 @@ impl ControllerNode {
         if is_report && is_decision {
             ctx.busy_ns = decision_ns;
         }
+        self.publish(published, was_standby, ctx)
+    }
+
+    /// Notes the epochs that were chosen.
+    fn note_epochs(&self, before: &[u64], ctx: &mut Context<'_>) {
+        for (array, (before, after)) in before.iter().zip(self.adapter.epochs()).enumerate() {
+            if *before != after {
+                let followed = self.adapter.followed_epoch(array);
+                let is_lowered = ctx.has(Mutation::LowerEpochAtTakeover) && followed.is_some_and(|epoch| epoch > 0);
+                let chosen = if is_lowered { after - LOWERED } else { after };
+                ctx.monitor.chose(ctx.now, array, chosen, followed);
+            }
+        }
+    }
+
+    /// Publishes what the adapter gave; the ticks that the commands answer.
+    fn publish(&mut self, published: Published, was_standby: bool, ctx: &mut Context<'_>) -> Vec<u64> {
         let after_ns = ctx.busy_ns;
         let mut ticks = Vec::new();
         for (topic, payload) in published {

@@ -44,12 +44,13 @@ impl Shadow {
     }
 
     /// Repeats what the first controller did about an input; the difference of the commands, if there is
-    /// one.
+    /// one. A deliberate bug gives an outdated state.
     pub fn follow(
         &mut self,
         adapter: &mut Adapter,
         input: &Input,
         published: &[(Topic, Vec<u8>)],
+        outdated: Option<Memory>,
     ) -> Result<(), String> {
         self.announce(input);
         let mut inputs = std::mem::take(&mut self.inputs);
@@ -62,7 +63,7 @@ impl Shadow {
         if is_decision {
             self.decisions += 1;
             if !self.is_known || self.decisions.is_multiple_of(STATE_DECISIONS) {
-                self.load(&adapter.memory())?;
+                self.load(&outdated.unwrap_or_else(|| adapter.memory()))?;
             }
         }
         Ok(())

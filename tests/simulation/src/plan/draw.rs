@@ -11,9 +11,13 @@ pub fn draw(setup: &Setup) -> Vec<Timed> {
     if setup.controllers > 1 && rng.random_bool(0.15) {
         // The loss of the leader alone.
         let host = Role::Controller(0);
-        let fault = match rng.random_range(0..3) {
+        let fault = match rng.random_range(0..4) {
             0 => Fault::Crash { host, disk: DiskAfterCrash::Kept },
             1 => Fault::End { controller: 0 },
+            2 => {
+                let pairs = (0..setup.arrays).map(|array| (host, Role::Array(array))).collect();
+                Fault::Partition { pairs, holds: rng.random_bool(0.5) }
+            }
             _ => Fault::Freeze { host },
         };
         return vec![Timed { at_ms: rng.random_range(3000..4000), for_ms: 2000, fault }];

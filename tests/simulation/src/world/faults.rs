@@ -14,6 +14,9 @@ impl World {
     pub(super) fn begin(&mut self, index: usize) {
         let Timed { fault, .. } = self.faults[index].clone();
         self.trace.note(self.now, || format!("begin {fault:?}"));
+        if let Fault::Partition { pairs, .. } = &fault {
+            self.note_cut_off(index, pairs);
+        }
         if self.network.begin(&fault) {
             return self.update_presence();
         }
@@ -87,6 +90,17 @@ impl World {
                 }
             }
             _ => {}
+        }
+    }
+
+    /// Notes the loss of a controller that reaches no array.
+    fn note_cut_off(&mut self, index: usize, pairs: &[(Role, Role)]) {
+        for host in 0..self.hosts.len() {
+            let role = self.hosts[host].role;
+            let is_cut_off = |array: usize| pairs.contains(&(role, Role::Array(array)));
+            if matches!(role, Role::Controller(_)) && (0..self.setup.arrays).all(is_cut_off) {
+                self.note_loss(index, host, HANG_NS + self.room.interval_ns);
+            }
         }
     }
 

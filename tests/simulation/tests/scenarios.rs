@@ -65,3 +65,10 @@ fn a_new_epoch_is_above_the_followed_one_also_where_the_own_one_is() {
     ];
     holds(1, |setup| (setup.arrays, setup.controllers) = (1, 1), &faults);
 }
+
+/// Between the safety report and the stop report of a stop, the replay withheld a command that the
+/// controller gave.
+#[test]
+fn a_replay_from_a_state_repeats_the_command_beside_a_stop() {
+    holds(5_000_829, |_| {}, &[at(2240, 0, Fault::Stop)]);
+}

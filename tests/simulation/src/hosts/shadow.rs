@@ -120,7 +120,7 @@ impl Shadow {
             self.handle(recorded, input);
             return Ok(());
         }
-        if recorded.command && self.controller.arrays() > 1 {
+        if recorded.command {
             self.controller.repeat_withheld(recorded.sequence);
         }
         let ours = self.decide(recorded);

@@ -6,6 +6,7 @@
 //!
 //! ```toml
 //! version = 2
+//! count = 1                    # of the stops; a text that is cut off between two of them has fewer
 //! stopped = true
 //!
 //! [[stops]]                    # absent where stopped is false
@@ -128,6 +129,14 @@ pub enum LatchTextError {
         /// The state.
         stopped: bool,
     },
+    /// Stops are missing, as in a text that was cut off.
+    #[error("{found} stops: expected {expected}, the count in the text")]
+    Count {
+        /// Their number.
+        found: usize,
+        /// The count in the text.
+        expected: usize,
+    },
     /// There are more stops than a latch holds.
     #[error("{found} stops: expected at most {MAX_STOPS}")]
     TooMany {
@@ -148,6 +157,9 @@ pub enum LatchTextError {
 #[serde(deny_unknown_fields)]
 struct LatchText {
     version: u32,
+    /// Number of the stops; absent in older records. Before `stopped`, so that no cut leaves it out.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    count: Option<usize>,
     stopped: bool,
     #[serde(skip_serializing_if = "Option::is_none")]
     stop: Option<StopText>,
@@ -246,7 +258,8 @@ impl Latch {
     /// Never: every latch can be written as TOML.
     pub fn to_toml(&self) -> String {
         let stops: Vec<StopText> = self.stops.iter().map(StopText::of).collect();
-        let text = LatchText { version: VERSION, stopped: !stops.is_empty(), stop: None, stops };
+        let count = Some(stops.len());
+        let text = LatchText { version: VERSION, count, stopped: !stops.is_empty(), stop: None, stops };
         toml::to_string(&text).expect("texts and numbers of 32 bits can be written as TOML")
     }
 
@@ -255,7 +268,7 @@ impl Latch {
     /// # Errors
     /// [`LatchTextError`]: the state is unknown, so the array must start stopped.
     pub fn parse(text: &str) -> Result<Self, LatchTextError> {
-        let LatchText { version, stopped, stop, stops } = toml::from_str(text)?;
+        let LatchText { version, count, stopped, stop, stops } = toml::from_str(text)?;
         let stops = match version {
             VERSION_OF_ONE if stops.is_empty() => stop.into_iter().collect(),
             VERSION if stop.is_none() => stops,
@@ -264,6 +277,9 @@ impl Latch {
         };
         if stopped == stops.is_empty() {
             return Err(LatchTextError::Contradiction { stopped });
+        }
+        if let Some(expected) = count.filter(|count| *count != stops.len()) {
+            return Err(LatchTextError::Count { found: stops.len(), expected });
         }
         if stops.len() > MAX_STOPS {
             return Err(LatchTextError::TooMany { found: stops.len() });
@@ -332,9 +348,11 @@ mod tests {
     #[test]
     fn a_text_that_is_cut_off_or_changed_is_no_state() {
         let text = Latch::stopped(stop()).to_toml();
-        for end in 0..text.trim_end().len() {
-            if text.is_char_boundary(end) {
-                assert!(Latch::parse(&text[..end]).is_err(), "cut off at {end}: {}", &text[..end]);
+        for text in [text.clone(), latch_of(3).to_toml(), Latch::default().to_toml()] {
+            for end in 0..text.trim_end().len() {
+                if text.is_char_boundary(end) {
+                    assert!(Latch::parse(&text[..end]).is_err(), "cut off at {end}: {}", &text[..end]);
+                }
             }
         }
         let wrong = |from: &str, to: &str| {
@@ -347,7 +365,9 @@ mod tests {
         assert!(wrong("\"ffffffffffffffff\"", "\"-1\"").contains("invalid source \"-1\""));
         assert!(wrong("stopped = true", "stopped = true\narmed = true").contains("armed"));
         assert!(Latch::parse("version = 1\nstopped = true\n").is_err());
-        let former = text.replace("version = 2", "version = 1").replace("[[stops]]", "[stop]");
+        let former = text.replace("count = 1\n", "");
+        assert_eq!(Latch::parse(&former).unwrap(), Latch::stopped(stop()), "a record without a count");
+        let former = former.replace("version = 2", "version = 1").replace("[[stops]]", "[stop]");
         assert_eq!(Latch::parse(&former).unwrap(), Latch::stopped(stop()), "a record of the former version");
         let long = Latch::stopped(LatchedStop { reason: "x".repeat(MAX_TEXT + 1), ..LatchedStop::default() });
         assert!(Latch::parse(&long.to_toml()).unwrap_err().to_string().contains("1025 bytes"));

@@ -21,9 +21,10 @@
 //!
 //! A plan is a list of [`Timed`](plan::Timed) faults, drawn from the seed. Links lose, delay, repeat and
 //! reorder messages, and are cut with or without delivery afterwards. Processes crash, with or without
-//! their disk, and freeze. Clocks step and run at a wrong rate. Disks are full or tear a record. Devices fail, block, refuse
-//! angles or stops, or are silent. Policies are slow. The operator stops and re-arms, by name and by time. The
-//! attacker publishes. Some faults are drawn together, because a random plan would seldom combine them.
+//! their disk, freeze, and end in order. Clocks step and run at a wrong rate. Disks are full or tear a
+//! record. Devices fail, block, refuse angles or stops, or are silent. Policies are slow or fail.
+//! Receivers fall silent. The operator stops and re-arms, by name and by time. The attacker publishes.
+//! Some faults are drawn together, because a random plan would seldom combine them.
 //!
 //! # Invariants
 //!

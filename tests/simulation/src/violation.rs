@@ -19,9 +19,10 @@ pub enum Invariant {
     Validity,
     /// Each position report gives a command or a counted reason.
     Answer,
-    /// Arrays that are not stopped follow again within 5 s after the last fault, and a stop is confirmed.
+    /// Arrays that are not stopped follow again within 5 s after the last fault. A stop is confirmed.
     Recovery,
-    /// The loss of the leader alone leaves a gap of at most two report intervals where there is a standby.
+    /// Beside a standby, the end of the leader alone leaves a gap of at most two report intervals. A
+    /// leader that hangs or reaches no array is shown by telemetry: one interval and two messages more.
     Gap,
     /// The inputs of a controller give the same outputs again, bit for bit.
     Replay,

@@ -72,3 +72,16 @@ fn a_new_epoch_is_above_the_followed_one_also_where_the_own_one_is() {
 fn a_replay_from_a_state_repeats_the_command_beside_a_stop() {
     holds(5_000_829, |_| {}, &[at(2240, 0, Fault::Stop)]);
 }
+
+/// A record of several stops that was cut off between two of them was read as one of fewer stops.
+#[test]
+fn a_record_of_several_stops_that_is_cut_off_is_an_unknown_state() {
+    let host = Role::Array(0);
+    let faults = [
+        at(2724, 0, Fault::Stop),
+        at(2926, 300, Fault::Crash { host, disk: DiskAfterCrash::Lost }),
+        at(5353, 2235, Fault::Attack(Attack::ForeignStop)),
+        at(5457, 5242, Fault::Crash { host, disk: DiskAfterCrash::Torn }),
+    ];
+    holds(9_000_961, |_| {}, &faults);
+}

@@ -156,7 +156,8 @@ impl Adapter {
         (0..self.controller.arrays()).all(|array| self.controller.tenure(array).standing() == standing)
     }
 
-    /// Whether it leads an array, and another controller could take over: it then commands on while it ends.
+    /// Whether it leads an array, and another controller could take over: it then commands on while
+    /// it ends.
     pub fn awaits_successor(&self) -> bool {
         (0..self.controller.arrays()).any(|array| {
             let tenure = self.controller.tenure(array);

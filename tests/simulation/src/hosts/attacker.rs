@@ -1,4 +1,5 @@
-//! The attacker: publishes payloads that no honest process publishes, from those that it has received.
+//! The attacker: publishes payloads that no honest process publishes, from those that it has
+//! received.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::rc::Rc;

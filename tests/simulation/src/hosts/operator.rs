@@ -1,6 +1,7 @@
 //! The operator: stops, re-arms, and the rule by which a room counts as stopped.
 //!
-//! The rule is that of CONTRACT.md, section 5 (confirmation), as `heliostat stop` and the page apply it.
+//! The rule is that of CONTRACT.md, section 5 (confirmation), as `heliostat stop` and the page apply
+//! it.
 
 use std::rc::Rc;
 

@@ -89,9 +89,10 @@ impl StopHold {
         }
     }
 
-    /// Holds a stop that another array reports, unless this array has released it.
+    /// Holds a stop that another array reports, unless this array has released it, or a later one of its
+    /// sender.
     pub fn learn(&mut self, stop: &LatchedStopReport) {
-        if !self.released.contains(&stop.name()) {
+        if !self.released.iter().any(|released| released.replaces(stop.name())) {
             self.hold(stop.arrived_ns, stop.name(), &stop.operator, &stop.reason);
         }
     }
@@ -113,7 +114,7 @@ impl StopHold {
                 held.reported_by = Some(source);
                 return true;
             }
-            let is_dropped = report.released.contains(&held.name)
+            let is_dropped = report.released.iter().any(|released| released.replaces(held.name))
                 || held.reported_by == Some(source)
                 || superseded(&held.name)
                 // A stop without sender belongs to the process that started with it.
@@ -280,6 +281,17 @@ mod tests {
         assert!(hold.is_stopped());
         hold.handle_stops(&stops(9, 8, &[], &[OTHER, STOP]));
         assert!(!hold.is_stopped());
+    }
+
+    #[test]
+    fn the_release_of_a_stop_ends_the_earlier_ones_of_its_sender() {
+        let later = StopName { sequence: STOP.sequence + 1, ..STOP };
+        let mut hold = ordered(STOP);
+        hold.handle_stops(&stops(9, 1, &[], &[later]));
+        assert!(!hold.is_stopped());
+        let report = stops(10, 1, &[STOP, OTHER], &[]);
+        report.stops.iter().for_each(|stop| hold.learn(stop));
+        assert_eq!(hold.unreported().map(|held| held.name).collect::<Vec<_>>(), [OTHER]);
     }
 
     #[test]

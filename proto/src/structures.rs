@@ -319,6 +319,13 @@ impl LatchedStopReport {
     }
 }
 
+impl StopName {
+    /// Whether it is the other stop, or a later one of its sender, which replaces it.
+    pub fn replaces(self, other: Self) -> bool {
+        self.source == other.source && self.sequence >= other.sequence
+    }
+}
+
 impl std::fmt::Display for StopName {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{:016x}/{}", self.source, self.sequence)

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use heliostat_tests::packages::Packages;
 
 /// Packages from the lowest to the highest layer. A package depends only on packages in earlier rows.
-const LAYERS: [&str; 21] = [
+const LAYERS: [&str; 22] = [
     "heliostat-channel",
     "heliostat-scenario",
     "heliostat-proto",
@@ -17,6 +17,7 @@ const LAYERS: [&str; 21] = [
     "heliostat-array",
     "heliostat-core",
     "heliostat-room",
+    "heliostat-simulation",
     "heliostat-environment",
     "heliostat-models",
     "heliostat-learn",
@@ -34,7 +35,7 @@ const LAYERS: [&str; 21] = [
 ];
 
 /// A package, and what it may not need, directly or through other packages. `*` ends a prefix.
-const BANS: [(&str, &[&str]); 10] = [
+const BANS: [(&str, &[&str]); 11] = [
     (
         "heliostat",
         &[
@@ -56,6 +57,7 @@ const BANS: [(&str, &[&str]); 10] = [
     ("heliostat-sim-node", &["heliostat-controller", "heliostat-core", "heliostat-models", "candle*"]),
     ("heliostat-driver", &["heliostat-core", "candle*"]),
     ("heliostat-environment", &PURE),
+    ("heliostat-simulation", &PURE),
     ("heliostat-onnx", &PURE),
     ("heliostat-models", &["heliostat-bus", "heliostat-service", "zenoh*"]),
     ("heliostat-learn", &["heliostat-bus", "heliostat-service", "zenoh*"]),

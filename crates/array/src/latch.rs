@@ -6,6 +6,7 @@
 //!
 //! ```toml
 //! version = 2
+//! count = 1                    # of the stops; a text that is cut off between two of them has fewer
 //! stopped = true
 //!
 //! [[stops]]                    # absent where stopped is false
@@ -92,8 +93,8 @@ impl LatchedStop {
 
 /// The latch: the stops in force, in the order of their arrival.
 ///
-/// Stops of different senders are held side by side. A later stop of one sender replaces its
-/// earlier one. When there are more senders than [`MAX_STOPS`], one stop without sender stands for
+/// Stops of different senders are held side by side. A stop with a higher sequence number replaces the
+/// earlier one of its sender. When there are more senders than [`MAX_STOPS`], one stop without sender stands for
 /// those that are not listed.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Latch {
@@ -128,6 +129,14 @@ pub enum LatchTextError {
         /// The state.
         stopped: bool,
     },
+    /// Stops are missing, as in a text that was cut off.
+    #[error("{found} stops: expected {expected}, the count in the text")]
+    Count {
+        /// Their number.
+        found: usize,
+        /// The count in the text.
+        expected: usize,
+    },
     /// There are more stops than a latch holds.
     #[error("{found} stops: expected at most {MAX_STOPS}")]
     TooMany {
@@ -148,6 +157,9 @@ pub enum LatchTextError {
 #[serde(deny_unknown_fields)]
 struct LatchText {
     version: u32,
+    /// Number of the stops; absent in older records. Before `stopped`, so that no cut leaves it out.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    count: Option<usize>,
     stopped: bool,
     #[serde(skip_serializing_if = "Option::is_none")]
     stop: Option<StopText>,
@@ -189,7 +201,9 @@ impl Latch {
 
     /// Latches a stop, and never makes the time of one that it replaces earlier.
     pub(crate) fn engage(&mut self, mut stop: LatchedStop) {
-        if let Some(held) = self.stops.iter_mut().find(|held| held.name() == stop.name()) {
+        // A stop that arrives late or again must not take the name of a later one of its sender: a re-arm
+        // of it would release the later one.
+        if let Some(held) = self.stops.iter_mut().find(|held| held.name().replaces(stop.name())) {
             held.time_ns = held.time_ns.max(stop.time_ns);
             return;
         }
@@ -211,8 +225,7 @@ impl Latch {
     /// is full, and a stop without sender stands for those that are not in it.
     pub(crate) fn covers(&self, name: StopName) -> bool {
         let is_full = self.stops.len() == MAX_STOPS && self.has(StopName::default());
-        let is_later = |held: &LatchedStop| held.source == name.source && held.sequence > name.sequence;
-        is_full || self.has(name) || self.stops.iter().any(is_later)
+        is_full || self.stops.iter().any(|held| held.name().replaces(name))
     }
 
     fn has(&self, name: StopName) -> bool {
@@ -245,7 +258,8 @@ impl Latch {
     /// Never: every latch can be written as TOML.
     pub fn to_toml(&self) -> String {
         let stops: Vec<StopText> = self.stops.iter().map(StopText::of).collect();
-        let text = LatchText { version: VERSION, stopped: !stops.is_empty(), stop: None, stops };
+        let count = Some(stops.len());
+        let text = LatchText { version: VERSION, count, stopped: !stops.is_empty(), stop: None, stops };
         toml::to_string(&text).expect("texts and numbers of 32 bits can be written as TOML")
     }
 
@@ -254,7 +268,7 @@ impl Latch {
     /// # Errors
     /// [`LatchTextError`]: the state is unknown, so the array must start stopped.
     pub fn parse(text: &str) -> Result<Self, LatchTextError> {
-        let LatchText { version, stopped, stop, stops } = toml::from_str(text)?;
+        let LatchText { version, count, stopped, stop, stops } = toml::from_str(text)?;
         let stops = match version {
             VERSION_OF_ONE if stops.is_empty() => stop.into_iter().collect(),
             VERSION if stop.is_none() => stops,
@@ -263,6 +277,9 @@ impl Latch {
         };
         if stopped == stops.is_empty() {
             return Err(LatchTextError::Contradiction { stopped });
+        }
+        if let Some(expected) = count.filter(|count| *count != stops.len()) {
+            return Err(LatchTextError::Count { found: stops.len(), expected });
         }
         if stops.len() > MAX_STOPS {
             return Err(LatchTextError::TooMany { found: stops.len() });
@@ -331,9 +348,11 @@ mod tests {
     #[test]
     fn a_text_that_is_cut_off_or_changed_is_no_state() {
         let text = Latch::stopped(stop()).to_toml();
-        for end in 0..text.trim_end().len() {
-            if text.is_char_boundary(end) {
-                assert!(Latch::parse(&text[..end]).is_err(), "cut off at {end}: {}", &text[..end]);
+        for text in [text.clone(), latch_of(3).to_toml(), Latch::default().to_toml()] {
+            for end in 0..text.trim_end().len() {
+                if text.is_char_boundary(end) {
+                    assert!(Latch::parse(&text[..end]).is_err(), "cut off at {end}: {}", &text[..end]);
+                }
             }
         }
         let wrong = |from: &str, to: &str| {
@@ -346,7 +365,9 @@ mod tests {
         assert!(wrong("\"ffffffffffffffff\"", "\"-1\"").contains("invalid source \"-1\""));
         assert!(wrong("stopped = true", "stopped = true\narmed = true").contains("armed"));
         assert!(Latch::parse("version = 1\nstopped = true\n").is_err());
-        let former = text.replace("version = 2", "version = 1").replace("[[stops]]", "[stop]");
+        let former = text.replace("count = 1\n", "");
+        assert_eq!(Latch::parse(&former).unwrap(), Latch::stopped(stop()), "a record without a count");
+        let former = former.replace("version = 2", "version = 1").replace("[[stops]]", "[stop]");
         assert_eq!(Latch::parse(&former).unwrap(), Latch::stopped(stop()), "a record of the former version");
         let long = Latch::stopped(LatchedStop { reason: "x".repeat(MAX_TEXT + 1), ..LatchedStop::default() });
         assert!(Latch::parse(&long.to_toml()).unwrap_err().to_string().contains("1025 bytes"));
@@ -361,7 +382,7 @@ mod tests {
     /// A latch with the stops of so many senders.
     fn latch_of(senders: u64) -> Latch {
         let mut latch = Latch::default();
-        (1..=senders).for_each(|source| latch.engage(LatchedStop { source, time_ns: source, ..stop() }));
+        (1..=senders).for_each(|source| latch.engage(LatchedStop { source, sequence: 5, time_ns: source, ..stop() }));
         latch
     }
 
@@ -370,15 +391,17 @@ mod tests {
         let mut latch = latch_of(2);
         latch.engage(LatchedStop { source: 1, sequence: 7, time_ns: 0, ..stop() });
         let names: Vec<_> = latch.stops().iter().map(|stop| (stop.source, stop.sequence)).collect();
-        assert_eq!(names, [(2, u64::MAX), (1, 7)], "a later stop of a sender replaces its earlier one");
+        assert_eq!(names, [(2, 5), (1, 7)], "a later stop of a sender replaces its earlier one");
+        latch.engage(LatchedStop { source: 1, sequence: 6, time_ns: 0, ..stop() });
+        assert!(latch.has(StopName { source: 1, sequence: 7 }), "an earlier one that is late does not replace it");
         assert!(
             latch.covers(StopName { source: 1, sequence: 6 }) && !latch.covers(StopName { source: 3, sequence: 1 })
         );
-        assert!(latch.release(StopName { source: 1, sequence: u64::MAX }).is_err());
+        assert!(latch.release(StopName { source: 1, sequence: 5 }).is_err());
         latch.release(StopName { source: 1, sequence: 7 }).unwrap();
         assert_eq!(latch.stops().len(), 1);
         assert_eq!(latch.release_by_time(2).unwrap_err().name(), "too-early");
-        assert_eq!(latch.release_by_time(3).unwrap(), [StopName { source: 2, sequence: u64::MAX }]);
+        assert_eq!(latch.release_by_time(3).unwrap(), [StopName { source: 2, sequence: 5 }]);
         assert_eq!(latch, Latch::default());
     }
 
@@ -388,7 +411,7 @@ mod tests {
         assert_eq!(latch.stops().len(), MAX_STOPS);
         assert!(latch.covers(StopName { source: 40, sequence: 1 }), "a repetition adds nothing to a full list");
         for source in 1..MAX_STOPS as u64 {
-            latch.release(StopName { source, sequence: u64::MAX }).unwrap();
+            latch.release(StopName { source, sequence: 5 }).unwrap();
         }
         let left = latch.stop().expect("the unlisted stops hold the array");
         assert!(!latch.covers(StopName { source: 40, sequence: 1 }), "a repetition finds a place again");

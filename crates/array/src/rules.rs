@@ -55,7 +55,8 @@
 //! Every stop is obeyed. The latch keeps the stops of all senders, see [`Latch`]; the array is
 //! stopped until each of them is released. It survives a restart if the caller keeps
 //! [`Array::latch`] and passes its stops to [`Array::stop`]. A repetition of a stop that was
-//! released here is ignored: its sender has not seen the release.
+//! released here is ignored, and so is one of an earlier stop of its sender: the process that repeats it
+//! has not seen the release.
 
 use std::collections::VecDeque;
 
@@ -215,10 +216,10 @@ impl Array {
     }
 
     /// Applies the repetition of a stop; false where it adds nothing: the stop is latched, or was
-    /// released here.
+    /// released here, itself or by a later one of its sender.
     pub fn handle_repetition(&mut self, now: Moment, order: &StopRepetition) -> bool {
         let name = order.name();
-        let is_new = !self.latch.covers(name) && !self.released.contains(&name);
+        let is_new = !self.latch.covers(name) && !self.released.iter().any(|released| released.replaces(name));
         if is_new {
             self.stop(LatchedStop::repeated(order, now.room_ns));
         }

@@ -209,6 +209,11 @@ impl<D: Device, S: StopStore> Station<D, S> {
         due.chain(self.kit.next_ns()).min().unwrap_or_default()
     }
 
+    /// The device with the rules, for functions beyond the contract.
+    pub fn kit_mut(&mut self) -> &mut Kit<D> {
+        &mut self.kit
+    }
+
     /// The device with the rules.
     pub fn kit(&self) -> &Kit<D> {
         &self.kit

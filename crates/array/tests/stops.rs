@@ -152,6 +152,7 @@ fn a_repetition_stops_an_array_that_does_not_know_of_the_stop_and_no_other() {
     assert!(!array.handle_repetition(at(4), &repetition(5, 1)), "a later stop of the same sender is latched");
     array.handle_rearm(&rearm(5, 2)).unwrap();
     assert!(!array.handle_repetition(at(5), &repetition(5, 2)), "it was released here");
+    assert!(!array.handle_repetition(at(5), &repetition(5, 1)), "a later stop of the same sender was released here");
     assert_eq!(array.state(), ArrayState::Parked);
     array.handle_stop(at(6), &order(StopAction::Stop, 2, 6)).unwrap();
     assert_eq!(array.state(), ArrayState::Stopped, "a stop is obeyed, whatever its name");

@@ -3,6 +3,9 @@
 //! This is the only place where a process for operators decides whether a room is stopped. The page
 //! and the command line show its result.
 
+#[cfg(test)]
+mod tests;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -351,8 +354,10 @@ impl Seen {
     }
 
     fn handle_stops(&mut self, array: usize, report: StopReport) {
-        self.handle_reported(array, &report.stops, |hold| hold.handle_stops(&report));
-        self.array(array).stops = Some((Instant::now(), report));
+        // A report that arrives late must not show a device as stopped that has moved on since.
+        if self.handle_reported(array, &report.stops, |hold| hold.handle_stops(&report)) {
+            self.array(array).stops = Some((Instant::now(), report));
+        }
     }
 
     fn handle_safety(&mut self, array: usize, report: SafetyReport) {
@@ -360,20 +365,22 @@ impl Seen {
         self.array(array).safety = Some((Instant::now(), report));
     }
 
-    /// Applies a report; a stop in it that was not known concerns all arrays.
+    /// Applies a report; whether it counts. A stop in it that was not known concerns all arrays.
     fn handle_reported(
         &mut self,
         array: usize,
         reported: &[LatchedStopReport],
         apply: impl FnOnce(&mut StopHold) -> bool,
-    ) {
+    ) -> bool {
         self.array(array);
         let unknown = unknown_stops(reported, self.arrays.values().map(|seen| &seen.hold));
-        if apply(&mut self.array(array).hold) {
+        let counts = apply(&mut self.array(array).hold);
+        if counts {
             for stop in &unknown {
                 self.arrays.values_mut().for_each(|seen| seen.hold.learn(stop));
             }
         }
+        counts
     }
 
     fn note_names(&mut self) {

@@ -556,8 +556,10 @@ impl Tenure {
     fn renew(&mut self, now: Nanos, evidence: Evidence) {
         let utc_ms = now / 1_000_000;
         let (claimed, both) = (evidence.epoch, utc_ms.max(evidence.epoch));
-        let bases = if self.attempts.is_multiple_of(2) { [both, claimed, utc_ms] } else { [claimed, both, utc_ms] };
-        let mut candidates = bases.into_iter().filter_map(|base| self.above(base));
+        let bases = if self.attempts.is_multiple_of(2) { [both, claimed] } else { [claimed, both] };
+        // Where the own epoch is the lowest above the claimed one, a lower one would be refused.
+        let own = (self.epoch > claimed).then_some(self.epoch);
+        let mut candidates = bases.into_iter().chain(own).chain([utc_ms]).filter_map(|base| self.above(base));
         if let Some(epoch) = candidates.find(|epoch| *epoch != self.epoch) {
             self.epoch = epoch;
             self.sequence = 0;

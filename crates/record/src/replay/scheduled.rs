@@ -114,7 +114,8 @@ impl Progress {
                     None => self.is_known = false,
                 },
                 Step::Decide { input, now, gave_command, withheld } => {
-                    if gave_command && controller.arrays() > 1 {
+                    // A state does not say which reports of an array count for its stops.
+                    if gave_command {
                         controller.repeat_withheld(withheld);
                     }
                     let commands = decide(controller, input, now);

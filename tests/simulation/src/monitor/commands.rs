@@ -1,0 +1,94 @@
+//! The commands that controllers send: their numbers, and their angles.
+
+use std::collections::BTreeMap;
+
+use heliostat_core::tenure::EPOCH_SLOTS;
+use heliostat_proto::{MirrorCommand, decode};
+
+use crate::clock::MS;
+use crate::hosts::device::MIRRORS;
+use crate::violation::Invariant;
+
+/// Largest commanded angle in degrees, as in the scenario.
+pub(crate) const RANGE_DEG: f32 = 68.0;
+
+/// Angles have single precision.
+const ROUNDING_RAD: f64 = 1e-5;
+
+/// The numbers and angles that were sent so far.
+#[derive(Debug)]
+pub(crate) struct CommandMonitor {
+    slew_rad_s: f64,
+    /// The controller of each epoch of an array.
+    owners: BTreeMap<(usize, u64), u64>,
+    /// The last command of a controller to an array.
+    last: BTreeMap<(u64, usize), MirrorCommand>,
+}
+
+impl CommandMonitor {
+    pub fn new(slew_rad_s: f64) -> Self {
+        Self { slew_rad_s, owners: BTreeMap::new(), last: BTreeMap::new() }
+    }
+
+    /// A controller chose an epoch, and knows of the one that the array follows.
+    pub(super) fn chose(epoch: u64, followed: Option<u64>) -> Result<(), (Invariant, String)> {
+        // No epoch is above the last ones, which forged telemetry can claim.
+        match followed.filter(|followed| *followed < u64::MAX - EPOCH_SLOTS) {
+            Some(followed) if epoch <= followed => {
+                Err((Invariant::Numbering, format!("the epoch {epoch} was chosen, and {followed} is followed")))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    pub(super) fn sent(&mut self, source: u64, array: usize, payload: &[u8]) -> Result<(), (Invariant, String)> {
+        let command: MirrorCommand =
+            decode(payload).map_err(|error| (Invariant::Payload, format!("{source:x} sent {error}")))?;
+        let last = self.last.get(&(source, array));
+        check_number(last, &command)?;
+        check_angles(last, &command, self.slew_rad_s)?;
+        let owner = *self.owners.entry((array, command.epoch)).or_insert(source);
+        if owner != source {
+            let text = format!("{owner:x} and {source:x} have the same epoch {}", command.epoch);
+            return Err((Invariant::Numbering, text));
+        }
+        self.last.insert((source, array), command);
+        Ok(())
+    }
+}
+
+fn check_number(last: Option<&MirrorCommand>, sent: &MirrorCommand) -> Result<(), (Invariant, String)> {
+    let (epoch, sequence) = (sent.epoch, sent.sequence);
+    let expected = last.filter(|last| last.epoch == epoch).map_or(1, |last| last.sequence + 1);
+    if sequence == expected {
+        return Ok(());
+    }
+    Err((Invariant::Numbering, format!("sequence {sequence} of epoch {epoch}, expected {expected}")))
+}
+
+fn check_angles(
+    last: Option<&MirrorCommand>,
+    sent: &MirrorCommand,
+    slew_rad_s: f64,
+) -> Result<(), (Invariant, String)> {
+    let fault = |text: String| Err((Invariant::Payload, text));
+    if [sent.roll.len(), sent.yaw.len()] != [MIRRORS; 2] {
+        return fault(format!("a command for {} mirrors", sent.roll.len()));
+    }
+    let angles = |command: &MirrorCommand| {
+        command.roll.iter().chain(&command.yaw).map(|angle| f64::from(*angle)).collect::<Vec<_>>()
+    };
+    let largest = f64::from(RANGE_DEG).to_radians() + ROUNDING_RAD;
+    if let Some(angle) = angles(sent).into_iter().find(|angle| angle.abs() > largest) {
+        return fault(format!("a command of {angle} rad"));
+    }
+    let Some(last) = last else { return Ok(()) };
+    let passed_ns = sent.time_ns.saturating_sub(last.time_ns);
+    // After the end of validity the mirrors are where telemetry has them, or park.
+    if passed_ns > u64::from(last.validity_ms.min(sent.validity_ms)) * MS {
+        return Ok(());
+    }
+    let reach = slew_rad_s * passed_ns as f64 * 1e-9 + ROUNDING_RAD;
+    let moved = angles(last).into_iter().zip(angles(sent)).map(|(from, to)| (to - from).abs()).fold(0.0, f64::max);
+    if moved > reach { fault(format!("a mirror turns by {moved} rad, expected at most {reach}")) } else { Ok(()) }
+}

@@ -1,0 +1,87 @@
+//! Plans that found a defect, reduced to what it needs.
+
+use heliostat_simulation::plan::{Attack, DiskAfterCrash, Fault, RearmBy, Role, Setup, Timed};
+use heliostat_simulation::run_plan;
+
+fn at(at_ms: u64, for_ms: u64, fault: Fault) -> Timed {
+    Timed { at_ms, for_ms, fault }
+}
+
+/// Runs faults in the room of a seed, with changes.
+fn holds(seed: u64, change: impl FnOnce(&mut Setup), faults: &[Timed]) {
+    let mut setup = Setup::draw(seed);
+    change(&mut setup);
+    let outcome = run_plan(&setup, faults);
+    if let Some(violation) = outcome.violation {
+        panic!("{violation}\n{setup:?}\n{}", outcome.trace.join("\n"));
+    }
+}
+
+/// The stop that arrived again took the place of the later one, so that the re-arm of the earlier one
+/// released the array.
+#[test]
+fn a_stop_that_arrives_again_does_not_replace_a_later_one() {
+    let link = (Role::Operator, Role::Array(0));
+    for seed in [336, 565, 596, 1244] {
+        let faults = [
+            at(2000, 3000, Fault::Duplicate { from: link.0, to: link.1, per_mille: 1000 }),
+            at(2000, 3000, Fault::Reorder { from: link.0, to: link.1, ms: 250 }),
+            at(2100, 0, Fault::Stop),
+            at(2500, 0, Fault::Rearm(RearmBy::Name)),
+            at(2600, 0, Fault::Stop),
+            at(2620, 0, Fault::Stop),
+            at(3200, 0, Fault::Rearm(RearmBy::Name)),
+        ];
+        holds(seed, |setup| setup.arrays = 1, &faults);
+    }
+}
+
+/// Each earlier stop of the operator came back after the release of the later one, from a controller that
+/// had been cut off.
+#[test]
+fn the_release_of_a_stop_ends_the_earlier_ones_of_its_sender() {
+    let cut_off = |others: &[Role]| others.iter().map(|other| (Role::Controller(0), *other)).collect::<Vec<_>>();
+    let everyone = [Role::Tracker, Role::Array(0), Role::Array(1), Role::Controller(1), Role::Operator];
+    let faults = [
+        at(1905, 930, Fault::Crash { host: Role::Array(0), disk: DiskAfterCrash::Lost }),
+        at(2002, 2562, Fault::Partition { pairs: cut_off(&[Role::Array(1)]), holds: false }),
+        at(2174, 0, Fault::Stop),
+        at(2690, 0, Fault::Stop),
+        at(3512, 0, Fault::Stop),
+        at(4208, 5861, Fault::Partition { pairs: cut_off(&everyone), holds: false }),
+        at(5547, 0, Fault::Stop),
+    ];
+    holds(20027, |setup| (setup.arrays, setup.controllers) = (2, 2), &faults);
+}
+
+/// A controller whose epoch was above the followed one already fell back to an epoch by UTC, below it.
+#[test]
+fn a_new_epoch_is_above_the_followed_one_also_where_the_own_one_is() {
+    let (from, to) = (Role::Controller(0), Role::Array(0));
+    let faults = [
+        at(2000, 30, Fault::Attack(Attack::HigherEpoch)),
+        at(5000, 3000, Fault::Loss { from, to, per_mille: 1000 }),
+        at(5000, 3000, Fault::Attack(Attack::NotANumber)),
+    ];
+    holds(1, |setup| (setup.arrays, setup.controllers) = (1, 1), &faults);
+}
+
+/// Between the safety report and the stop report of a stop, the replay withheld a command that the
+/// controller gave.
+#[test]
+fn a_replay_from_a_state_repeats_the_command_beside_a_stop() {
+    holds(5_000_829, |_| {}, &[at(2240, 0, Fault::Stop)]);
+}
+
+/// A record of several stops that was cut off between two of them was read as one of fewer stops.
+#[test]
+fn a_record_of_several_stops_that_is_cut_off_is_an_unknown_state() {
+    let host = Role::Array(0);
+    let faults = [
+        at(2724, 0, Fault::Stop),
+        at(2926, 300, Fault::Crash { host, disk: DiskAfterCrash::Lost }),
+        at(5353, 2235, Fault::Attack(Attack::ForeignStop)),
+        at(5457, 5242, Fault::Crash { host, disk: DiskAfterCrash::Torn }),
+    ];
+    holds(9_000_961, |_| {}, &faults);
+}

@@ -152,7 +152,7 @@ fn the_sentence_says_what_is_unknown() {
         browser.run(&script).as_str().expect("a text").to_owned()
     };
     let now = |users: &str, sum: &str| {
-        format!("{{ origin: 'simulated', ages_s: {{ room: 0 }}, users: [{users}], sum_mbps: {sum} }}")
+        format!("{{ origin: 'simulated', ages_s: {{ room: 0 }}, nodes: [], users: [{users}], sum_mbps: {sum} }}")
     };
     let sum = "{ policy: 92, no_irs: 30 }";
     assert_eq!(
@@ -176,6 +176,11 @@ fn the_sentence_says_what_is_unknown() {
         sentence(&now("user(3, 2)", sum), 1.4),
         "The room has not reported for 1.4 s: users and rates are unknown."
     );
+    let refusing = now("user(3, 2)", sum).replace(
+        "nodes: []",
+        "nodes: [{ node: 'controller', state: 'position reports refused', problem: 'users: outside-room' }]",
+    );
+    assert_eq!(sentence(&refusing, 0.1), "The controller refuses the position reports: users: outside-room");
     assert!(sentence("null", 0.0).starts_with("Waiting"));
 }
 

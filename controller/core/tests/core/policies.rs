@@ -183,7 +183,8 @@ fn a_time_budget_ends_the_search() {
 
 #[test]
 fn a_removed_policy_is_named_with_what_to_use_wherever_its_name_is_read() {
-    let sentence = "the policy residual was removed (docs/learning.md): use fixed-point, or greedy for the highest ratio";
+    let sentence =
+        "the policy residual was removed (docs/learning.md): use fixed-point, or greedy for the highest ratio";
     assert_eq!(removed("residual").map(|removed| removed.to_string()).as_deref(), Some(sentence));
     assert_eq!(PolicyKind::find("residual", || unreachable!()), Err(sentence.into()));
     assert_eq!(PolicyKind::find("residuals", || "unknown".into()), Err("unknown".into()));

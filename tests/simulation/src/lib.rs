@@ -19,7 +19,7 @@
 //!
 //! # Faults
 //!
-//! A plan is a list of [`Timed`](plan::Timed) faults, drawn from the seed. Links lose, delay, repeat and
+//! A plan is a list of [`Timed`] faults, drawn from the seed. Links lose, delay, repeat and
 //! reorder messages, and are cut with or without delivery afterwards. Processes crash, with or without
 //! their disk, freeze, and end in order. Clocks step and run at a wrong rate. Disks are full or tear a
 //! record. Devices fail, block, refuse angles or stops, or are silent. Policies are slow or fail.

@@ -223,8 +223,8 @@ fn gauge(observer: &RoomObserver, name: &str) -> Option<f64> {
 
 #[test]
 #[ignore = "replaces the pictures in docs/images"]
-fn pictures_of_the_demo_without_options() {
-    let setting = Setting::start(&[]);
+fn pictures_of_the_default_demo() {
+    let setting = Setting::start(&["--scenario", "hall"]);
     let browser = Browser::open(&setting.url()).expect("a browser");
     wait_until("a page that shows the room", || browser.text("#chip-array") == "following");
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/images");

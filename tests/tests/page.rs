@@ -243,8 +243,8 @@ fn pictures_of_the_default_demo() {
     let frames = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/page-frames");
     std::fs::create_dir_all(&frames).expect("a folder for frames");
     browser.resize(1100, 720);
-    for frame in 0..32 {
+    for frame in 0..16 {
         std::fs::write(frames.join(format!("{frame:02}.png")), browser.screenshot()).expect("written");
-        std::thread::sleep(std::time::Duration::from_millis(250));
+        std::thread::sleep(std::time::Duration::from_millis(500));
     }
 }

@@ -15,7 +15,8 @@
 //!   mirror array.
 //!
 //! - [`stop_hold`]: which emergency stops an array still has to report, for each process that holds
-//!   one.
+//!   one; [`reported_stops`]: what the arrays of a room report about them, and when the room is called
+//!   stopped.
 //!
 //! # Example
 //! ```
@@ -48,6 +49,7 @@ pub mod keys;
 mod kind;
 mod limits;
 pub mod messages;
+pub mod reported_stops;
 pub mod stop_hold;
 mod structures;
 mod table;

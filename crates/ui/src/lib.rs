@@ -57,6 +57,5 @@ pub use page::{Page, PoliciesOf};
 pub use server::{PageArgs, Place, Server};
 pub use shown_room::GeometrySource;
 pub use stop_switch::StopSwitch;
-pub use stop_watch::{ShownStop, Standing};
 pub use terminal::Display;
 pub use view::View;

@@ -2,10 +2,11 @@
 
 use std::time::{Duration, Instant};
 
+use heliostat_proto::reported_stops::{RoomStop, Standing};
 use heliostat_service::printable::printable;
 use serde::Serialize;
 
-use crate::stop_watch::{RoomStops, ShownStop, Standing};
+use crate::stop_watch::RoomStops;
 
 /// After this time without a confirmation, the page warns.
 const CONFIRM_LIMIT: Duration = Duration::from_secs(1);
@@ -50,11 +51,11 @@ impl StopFigure {
     /// The stops of a room.
     pub(crate) fn of(room: &RoomStops) -> Vec<Self> {
         let has_stopped = |array: &usize| room.standings.contains(&(*array, Standing::Stopped));
-        let figure = |stop: &ShownStop| Self {
+        let figure = |stop: &RoomStop| Self {
             name: stop.name.to_string(),
             operator: printable(&stop.operator).into_owned(),
             reason: printable(&stop.reason).into_owned(),
-            age_s: stop.known.elapsed().as_secs_f64(),
+            age_s: room.now.saturating_sub(stop.known).as_secs_f64(),
             arrays: stop.arrays.clone(),
             stopped: stop.arrays.iter().copied().filter(has_stopped).collect(),
         };
@@ -118,7 +119,7 @@ impl StopState {
         StopFigures {
             phase,
             since_s: since(begun).as_secs_f64(),
-            report_age_s: room.reported.filter(|_| is_confirmed).map(|at| since(at).as_secs_f64()),
+            report_age_s: room.report_age.filter(|_| is_confirmed).map(|age| age.as_secs_f64()),
             stops: StopFigure::of(room),
             problems: room.problems(),
             free: room.free(),
@@ -138,12 +139,13 @@ mod tests {
 
     /// A room with a stop, of which the second array has this standing.
     fn room(ordered_ms: Option<u64>, second: Standing) -> RoomStops {
-        let known = ago(ordered_ms.unwrap_or(0));
+        let now = Duration::from_millis(ordered_ms.unwrap_or(0));
         let (name, operator, reason) = (StopName { source: 3, sequence: 4 }, "ann".to_owned(), "test".to_owned());
         RoomStops {
-            stops: vec![ShownStop { name, operator, reason, arrays: vec![0, 1], known }],
+            now,
+            stops: vec![RoomStop { name, operator, reason, arrays: vec![0, 1], known: Duration::ZERO }],
             standings: vec![(0, Standing::Stopped), (1, second)],
-            reported: Some(ago(10)),
+            report_age: Some(Duration::from_millis(10)),
             ordered: ordered_ms.map(ago),
             has_geometry: true,
         }

@@ -2,7 +2,7 @@
 //!
 //! A stop is obeyed by every array, from every sender. It is repeated, by its name, to each array that
 //! has not reported it. A room is stopped when every array of its announced geometry, and every array
-//! that was ever seen, reports the stop and that its device executed it, see [`Standing`]. A re-arm
+//! that was ever seen, reports the stop and that its device executed it, see [`ReportedStops`]. A re-arm
 //! names each stop that it releases. An array that publishes no safety report receives the re-arm that
 //! belongs to the first messages of the contract, which is compared by time.
 
@@ -11,13 +11,14 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use heliostat_bus::{Bus, Class, Publisher};
+use heliostat_proto::reported_stops::{ReportedStops, RoomStop, Standing};
 use heliostat_proto::{EmergencyStop, MAX_ARRAYS, Rearm, Stamp, StopAction, StopName, StopRepetition, codec, cut};
 use heliostat_service::clock::utc_ns;
 use heliostat_service::source_id;
 
 use crate::UiError;
 use crate::order_publisher::OrderPublisher;
-use crate::stop_watch::{RoomStops, Seen, ShownStop, Standing, StopWatch, UNKNOWN_ARRAYS};
+use crate::stop_watch::{RoomStops, StopWatch, UNKNOWN_ARRAYS, problem, unreleased};
 
 /// Time after which a stop or a re-arm is repeated.
 const REPEAT_AFTER: Duration = Duration::from_millis(200);
@@ -98,9 +99,9 @@ impl StopSwitch {
 
     /// All stops that are held or in force. Waits for a first array for `limit` at most, and then until
     /// every array has published its stops.
-    pub fn stops(&self, limit: Duration) -> Vec<ShownStop> {
-        self.seen.wait(limit, Seen::has_array);
-        self.seen.wait(ANNOUNCED_WITHIN, Seen::is_complete);
+    pub fn stops(&self, limit: Duration) -> Vec<RoomStop> {
+        self.seen.wait(limit, |seen, _| seen.has_array());
+        self.seen.wait(ANNOUNCED_WITHIN, |seen, _| seen.is_complete());
         self.seen.lock().stops()
     }
 
@@ -145,7 +146,7 @@ impl StopSwitch {
             self.seen.order(&own.order);
             own.is_held = !self.seen.lock().stops().is_empty();
         }
-        let unreported = self.seen.lock().unreported();
+        let unreported = self.seen.lock().unreported(self.seen.now());
         for (array, held, is_older) in unreported {
             let stamp = Stamp { source: held.name.source, sequence: held.name.sequence, time_ns: held.since_ns };
             // A closed session shows at the next order.
@@ -180,7 +181,7 @@ impl StopSwitch {
     /// [`UiError::StopUnconfirmed`] names each array that has not, after `limit`; otherwise as
     /// [`StopSwitch::stop`].
     pub fn stop_and_confirm(&self, reason: &str, limit: Duration) -> Result<Duration, UiError> {
-        let begun = Instant::now();
+        let (begun, since) = (Instant::now(), self.seen.now());
         let sent = self.stop(reason);
         let own = self.own.lock().unwrap_or_else(PoisonError::into_inner).clone();
         let Some(OwnStop { order, .. }) = own.filter(|_| !matches!(sent, Err(UiError::Bus(_) | UiError::Codec(_))))
@@ -188,11 +189,7 @@ impl StopSwitch {
             return sent.map(|_| begun.elapsed());
         };
         let name = order.name();
-        let is_stopped = |seen: &Seen| {
-            let standings = seen.standings(Some(begun));
-            let all = standings.iter().all(|(_, standing)| *standing == Standing::Stopped);
-            all && seen.has_array() && seen.is_held_everywhere(name)
-        };
+        let is_stopped = |seen: &ReportedStops, now: Duration| seen.has_stopped(name, now, since);
         let mut confirmed: Option<Duration> = None;
         loop {
             let is_confirmed = self.seen.wait(REPEAT_AFTER, is_stopped);
@@ -203,11 +200,11 @@ impl StopSwitch {
             }
             let is_unknown = confirmed.is_some() && self.opened.elapsed() > ANNOUNCED_WITHIN;
             if begun.elapsed() >= limit || is_unknown {
-                return Err(self.unconfirmed(begun, limit, sent.err()));
+                return Err(self.unconfirmed(since, limit, sent.err()));
             }
             if is_confirmed {
                 // The geometry may name an array that has not reported yet.
-                self.seen.wait(REPEAT_AFTER.min(limit), Seen::has_geometry);
+                self.seen.wait(REPEAT_AFTER.min(limit), |seen, _| seen.has_geometry());
             } else {
                 // An array that has appeared meanwhile is held too. A stop of kind 9 would also stop the
                 // arrays again at which an operator has released it.
@@ -220,13 +217,13 @@ impl StopSwitch {
         }
     }
 
-    fn unconfirmed(&self, begun: Instant, waited: Duration, sent: Option<UiError>) -> UiError {
+    fn unconfirmed(&self, since: Duration, waited: Duration, sent: Option<UiError>) -> UiError {
         let seen = self.seen.lock();
         let open = |(array, standing): &(usize, Standing)| match standing {
             Standing::Free => Some(format!("another operator has released the stop at array {array}")),
-            standing => standing.problem(*array),
+            standing => problem(*array, standing),
         };
-        let mut arrays: Vec<String> = seen.standings(Some(begun)).iter().filter_map(open).collect();
+        let mut arrays: Vec<String> = seen.standings(self.seen.now(), Some(since)).iter().filter_map(open).collect();
         if !seen.has_geometry() && seen.has_array() {
             arrays.push(UNKNOWN_ARRAYS.to_owned());
         }
@@ -244,11 +241,11 @@ impl StopSwitch {
     /// # Errors
     /// [`UiError::NotStopped`] if there is none; otherwise as [`StopSwitch::stop`].
     pub fn rearm(&self, names: &[StopName], reason: &str) -> Result<(), UiError> {
-        let seen = self.seen.lock();
-        let unnamed = seen.unnamed();
+        let (seen, now) = (self.seen.lock(), self.seen.now());
+        let unnamed = seen.unnamed(now);
         let names_all = seen.stops().iter().all(|stop| names.contains(&stop.name));
         // One that has just appeared may publish its stop reports yet.
-        let is_unnamed = !unnamed.is_empty() && unnamed.iter().all(|array| seen.is_settled(*array));
+        let is_unnamed = !unnamed.is_empty() && unnamed.iter().all(|array| seen.is_settled(*array, now));
         drop(seen);
         if is_unnamed && names_all {
             self.stop.publish(self.source, |stamp| EmergencyStop {
@@ -281,17 +278,21 @@ impl StopSwitch {
     /// as [`StopSwitch::rearm`].
     pub fn rearm_and_confirm(&self, names: &[StopName], reason: &str, limit: Duration) -> Result<Duration, UiError> {
         let begun = Instant::now();
-        let is_released = |seen: &Seen| seen.has_array() && seen.unreleased(names).is_empty();
+        let is_released =
+            |seen: &ReportedStops, now: Duration| seen.has_array() && unreleased(seen, names, now).is_empty();
         loop {
             let sent = self.rearm(names, reason);
             // What was not sent is not confirmed: the array may not have reported its stop yet.
             if self.seen.wait(REPEAT_AFTER, is_released) && sent.is_ok() {
                 return Ok(begun.elapsed());
             }
-            let is_futile = matches!(sent, Err(UiError::NotStopped)) && self.seen.lock().has_published();
+            let is_futile = matches!(sent, Err(UiError::NotStopped)) && self.seen.lock().has_published(self.seen.now());
             if is_futile || begun.elapsed() >= limit {
                 sent?;
-                return Err(UiError::RearmUnconfirmed { waited: limit, arrays: self.seen.lock().unreleased(names) });
+                return Err(UiError::RearmUnconfirmed {
+                    waited: limit,
+                    arrays: unreleased(&self.seen.lock(), names, self.seen.now()),
+                });
             }
         }
     }

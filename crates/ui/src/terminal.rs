@@ -158,7 +158,9 @@ mod tests {
 
     use super::*;
     use crate::figures::{ArrayFigures, Count, NodeFigures, Origin, SumFigures, TimeFigures, UserFigures};
-    use crate::stop_watch::{RoomStops, ShownStop, Standing};
+    use heliostat_proto::reported_stops::{RoomStop, Standing};
+
+    use crate::stop_watch::RoomStops;
 
     fn figures(users: u32) -> Figures {
         let user = |user: u32| UserFigures {
@@ -283,12 +285,12 @@ mod tests {
 
     /// A room with two stops, of which the second array has executed none.
     fn room() -> RoomStops {
-        let stop = |source, operator: &str, arrays: &[usize]| ShownStop {
+        let stop = |source, operator: &str, arrays: &[usize]| RoomStop {
             name: StopName { source, sequence: 4 },
             operator: operator.into(),
             reason: "person on the ladder".into(),
             arrays: arrays.to_vec(),
-            known: std::time::Instant::now(),
+            known: std::time::Duration::ZERO,
         };
         RoomStops {
             stops: vec![stop(3, "ann", &[0, 1]), stop(5, "b\u{1b}ob", &[0])],

@@ -1,7 +1,8 @@
 //! The whole system in one thread, in virtual time, from one seed.
 //!
-//! The production code that decides runs unchanged: the decision core behind payload bytes, the array's
-//! side of the contract, the hold of stops, the record of stops, and the replay of recorded inputs. The
+//! The production code that decides runs unchanged: the controller of a room from payloads to payloads,
+//! the array's side of the contract, the record of stops, the rule of an operator, and the replay of
+//! recorded inputs. The
 //! harness owns time, network, disks and devices. There is no thread, no sleep and no wall clock, so a
 //! seed is a complete run, and a run that fails can be repeated.
 //!
@@ -11,8 +12,8 @@
 //! | --- | --- | --- |
 //! | tracker | reports of positions, of gains in half of the seeds; users come and go | the tracker |
 //! | 1 or 2 arrays | `Station`, with its queue, stop record and rules | device, disk, transport |
-//! | 1 to 3 controllers | `Controller`, with decoding, numbering and repetition of stops | transport, threads |
-//! | operator | `StopHold`, and the rule of CONTRACT.md for "stopped" | page and command line |
+//! | 1 to 3 controllers | `RoomCore`, and a replay from the states that it publishes | transport, threads |
+//! | operator | `ReportedStops`, the rule of page and command line for "stopped" | page and command line |
 //! | attacker | truncated, foreign, stale, repeated and forged payloads | |
 //!
 //! Each host has a clock of its own: an offset, a rate, and steps of UTC.
@@ -46,6 +47,7 @@
 //! `tests/scenarios.rs`, with a name that states what holds.
 
 mod clock;
+pub mod effects;
 mod hosts;
 mod monitor;
 mod mutation;

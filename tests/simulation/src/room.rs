@@ -19,7 +19,6 @@ const SLEW_DEG_PER_S: f64 = 900.0;
 pub(crate) struct Room {
     pub scenario: Rc<Scenario>,
     pub model: Rc<ChannelModel>,
-    pub geometry: Rc<str>,
     pub policy: PolicyChoice,
     /// Time between two position reports in ns.
     pub interval_ns: u64,
@@ -54,7 +53,6 @@ impl Room {
         let scenario = Scenario::from_toml(&text).unwrap_or_else(|error| panic!("{text}\n{error}"));
         let model = scenario.channel_model().unwrap_or_else(|error| panic!("{text}\n{error}"));
         Self {
-            geometry: scenario.geometry_toml().into(),
             policy: PolicyChoice::Nearest,
             interval_ns: 1_000_000_000 / rate_hz,
             age_max_ns: (scenario.control.report_age_max_ms * 1e6) as u64,

@@ -47,8 +47,8 @@ pub struct Outcome {
     pub violation: Option<Violation>,
     /// Hash of every message that was delivered, with its time.
     pub hash: u64,
-    /// Commands that the arrays followed.
-    pub followed: usize,
+    /// When each array followed a command, in ns of true time.
+    pub accepted: Vec<Vec<u64>>,
     /// The names of the events, degraded modes and refusals that occurred.
     pub occurred: BTreeSet<String>,
     /// The last events, where they are traced.
@@ -159,7 +159,7 @@ pub(crate) fn run(setup: &Setup, faults: &[Timed], mutation: Option<Mutation>, i
     Outcome {
         violation: world.monitor.violation,
         hash: world.hash.finish(),
-        followed: world.monitor.arrays.iter().map(|array| array.accepted_at.len()).sum(),
+        accepted: world.monitor.arrays.into_iter().map(|array| array.accepted_at).collect(),
         occurred: world.occurred,
         trace: world.trace.lines(),
     }

@@ -102,6 +102,6 @@ fn one_seed_is_one_run() {
     for seed in 0..10 {
         let [first, second] = [seed, seed].map(|seed| run_seed(seed, None));
         assert_eq!(first.hash, second.hash, "seed {seed}");
-        assert!(first.followed > 0, "seed {seed}");
+        assert!(first.accepted.iter().any(|times| !times.is_empty()), "seed {seed}");
     }
 }

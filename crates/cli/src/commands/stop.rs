@@ -5,9 +5,10 @@ use std::time::{Duration, Instant};
 use anyhow::{Result, bail, ensure};
 use heliostat_bus::{AccessRole, Bus, BusArgs, BusConfig};
 use heliostat_proto::StopName;
+use heliostat_proto::reported_stops::RoomStop;
 use heliostat_service::printable::printable;
 use heliostat_service::{EndArgs, duration, output};
-use heliostat_ui::{ShownStop, StopLabel, StopSwitch, UiError};
+use heliostat_ui::{StopLabel, StopSwitch, UiError};
 use serde_json::json;
 
 /// Time between two looks at a held stop.
@@ -113,7 +114,7 @@ pub fn rearm(args: RearmArgs) -> Result<()> {
     let (bus, switch) = args.order.join(&[AccessRole::Operator], false)?;
     let begun = Instant::now();
     let stops = switch.stops(*timeout);
-    let named: Vec<ShownStop> = match (&args.stop, args.all) {
+    let named: Vec<RoomStop> = match (&args.stop, args.all) {
         (Some(StopLabel(name)), _) => {
             let found: Vec<_> = stops.into_iter().filter(|stop| stop.name == *name).collect();
             ensure!(!found.is_empty(), "the stop {name} is not in force; nothing was sent");
@@ -131,7 +132,7 @@ pub fn rearm(args: RearmArgs) -> Result<()> {
     Ok(bus.close()?)
 }
 
-fn in_words(ShownStop { name, operator, reason, arrays, .. }: &ShownStop) -> String {
+fn in_words(RoomStop { name, operator, reason, arrays, .. }: &RoomStop) -> String {
     let arrays: Vec<String> = arrays.iter().map(usize::to_string).collect();
     let (operator, reason) = (printable(operator), printable(reason));
     format!("{name} of {operator} ({reason:?}) at array {}", arrays.join(", "))
@@ -174,10 +175,10 @@ impl OrderArgs {
         )
     }
 
-    fn report(&self, bus: &Bus, outcome: &str, took: Duration, stops: &[ShownStop]) -> Result<()> {
+    fn report(&self, bus: &Bus, outcome: &str, took: Duration, stops: &[RoomStop]) -> Result<()> {
         let (room, took_ms) = (bus.room().name(), took.as_secs_f64() * 1e3);
         if self.json {
-            let stops = stops.iter().map(|ShownStop { name, operator, reason, .. }| {
+            let stops = stops.iter().map(|RoomStop { name, operator, reason, .. }| {
                 json!({
                     "source": format!("{:016x}", name.source),
                     "sequence": name.sequence,
@@ -190,7 +191,7 @@ impl OrderArgs {
             return Ok(());
         }
         output::line(format_args!("the arrays of room {room} are {outcome}, confirmed after {took_ms:.1} ms"))?;
-        for ShownStop { name, operator, reason, .. } in stops {
+        for RoomStop { name, operator, reason, .. } in stops {
             output::line(format_args!("the stop: {name} of {operator:?}: {reason:?}"))?;
         }
         Ok(())

@@ -4,6 +4,7 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 use std::rc::Rc;
 
 use heliostat_array::moment::Moment;
+use heliostat_core::room_core::Output;
 use heliostat_core::tenure::{Standing, TenureEvent};
 use heliostat_proto::{MirrorCommand, UserReport, decode};
 
@@ -126,7 +127,7 @@ impl ControllerNode {
         for Recorded { at, policy, input } in recorded {
             adapter.set_policy(*policy);
             adapter.handle(*at, input, &mut published);
-            published.drain(..).for_each(|output| output.hash(&mut outputs));
+            published.drain(..).for_each(|output| hash(&output, &mut outputs));
         }
         outputs.finish() == self.outputs.finish()
     }
@@ -161,20 +162,20 @@ impl ControllerNode {
         let decision_ns = self.slow_ms.iter().max().map_or(0, |ms| ms * MS);
         let policy = (decision_ns, self.faults.last().copied());
         self.adapter.set_policy(policy);
-        self.shadow.iter().for_each(|shadow| shadow.set_fault(policy.1));
-        let outdated = ctx.has(Mutation::StateOutdated).then(|| self.adapter.memory());
+        self.shadow.iter_mut().for_each(|shadow| shadow.set_fault(policy.1));
         let epochs = self.adapter.epochs();
         self.adapter.handle(ctx.at, &input, &mut published);
         self.note_epochs(&epochs, ctx);
-        published.iter().for_each(|output| output.hash(&mut self.outputs));
+        published.iter().for_each(|output| hash(output, &mut self.outputs));
+        let is_outdated = ctx.has(Mutation::StateOutdated);
         if let Some(shadow) = &mut self.shadow
-            && let Err(text) = shadow.follow(&mut self.adapter, &input, &published, outdated)
+            && let Err(text) = shadow.follow(ctx.at.room_ns, &input, &published, is_outdated)
         {
             ctx.monitor.fail(ctx.now, (Invariant::Replay, text));
         }
         let is_report = matches!(input, Input::Payload(Topic::Users, _));
         self.record(ctx, policy, input);
-        let is_decision = published.iter().any(|(topic, _)| matches!(topic, Topic::Command(_)));
+        let is_decision = published.iter().any(|(output, _)| matches!(output, Output::Command(_)));
         if is_report && is_decision {
             ctx.busy_ns = decision_ns;
         }
@@ -197,8 +198,9 @@ impl ControllerNode {
     fn publish(&mut self, published: Published, was_standby: bool, ctx: &mut Context<'_>) -> Vec<u64> {
         let after_ns = ctx.busy_ns;
         let mut ticks = Vec::new();
-        for (topic, payload) in published {
-            if ctx.has(Mutation::StopNotRepeated) && matches!(topic, Topic::Repetition(_)) {
+        for (output, payload) in published {
+            let Some(topic) = topic(output) else { continue };
+            if ctx.has(Mutation::StopNotRepeated) && matches!(topic, Topic::Repetition(_) | Topic::Stop) {
                 continue;
             }
             let Topic::Command(array) = topic else {
@@ -256,4 +258,19 @@ impl ControllerNode {
         }
         encoded(&command)
     }
+}
+
+/// The topic of an output that a host of the simulation receives.
+fn topic(output: Output) -> Option<Topic> {
+    match output {
+        Output::Command(array) => Some(Topic::Command(array)),
+        Output::StopRepetition(array) => Some(Topic::Repetition(array)),
+        Output::Stop => Some(Topic::Stop),
+        Output::Geometry => Some(Topic::Geometry),
+        Output::Belief | Output::Memory => None,
+    }
+}
+
+fn hash((output, payload): &(Output, Vec<u8>), into: &mut DefaultHasher) {
+    (format!("{output:?}"), payload).hash(into);
 }

@@ -1,15 +1,13 @@
-//! The operator: stops, re-arms, and the rule by which a room counts as stopped.
-//!
-//! The rule is that of CONTRACT.md, section 5 (confirmation), as `heliostat stop` and the page apply
-//! it.
+//! The operator: stops and re-arms, and is told "stopped" by the rule of the page and the command line.
 
 use std::rc::Rc;
+use std::time::Duration;
 
-use heliostat_proto::messages::fault;
-use heliostat_proto::stop_hold::{HeldStop, StopHold, unknown_stops};
+use heliostat_proto::reported_stops::{ReportedStops, RoomStop, Standing};
+use heliostat_proto::stop_hold::HeldStop;
 use heliostat_proto::{
-    ArrayState, EmergencyStop, LatchedStopReport, MirrorTelemetry, Rearm, RoomGeometry, SafetyReport, Stamp,
-    StopAction, StopName, StopRepetition, StopReport, decode,
+    EmergencyStop, MirrorTelemetry, Rearm, RoomGeometry, SafetyReport, Stamp, StopAction, StopName, StopRepetition,
+    StopReport, decode,
 };
 use heliostat_scenario::Scenario;
 
@@ -25,42 +23,12 @@ const REPEAT_NS: u64 = 200 * MS;
 /// For how long a re-arm is repeated in ns.
 const REARM_NS: u64 = 2000 * MS;
 
-/// A stop report of this age counts no longer, in ns.
-const REPORT_AGE_MAX_NS: u64 = 2500 * MS;
-
-/// Telemetry of this age counts no longer, in ns.
-const TELEMETRY_AGE_MAX_NS: u64 = 1500 * MS;
-
-/// What an array reported, with local times of arrival.
-#[derive(Clone, Default)]
-struct SeenArray {
-    /// Arrival of the last telemetry of a stopped device, and its source.
-    device_stopped: Option<(u64, u64)>,
-    stops: Option<(u64, StopReport)>,
-    hold: StopHold,
-}
-
-impl SeenArray {
-    /// Whether it has latched every stop that is held, and its device has executed them, by reports that
-    /// arrived since a time.
-    fn has_stopped(&self, now: u64, since: u64, ignores_device: bool) -> bool {
-        let Some((at, report)) = &self.stops else { return false };
-        let telemetry = self.device_stopped.filter(|(_, source)| *source == report.stamp.source);
-        let is_confirmed = telemetry.is_some_and(|(at, _)| now - at < TELEMETRY_AGE_MAX_NS && at >= since);
-        let is_fresh = now - at < REPORT_AGE_MAX_NS && (*at >= since || is_confirmed);
-        let mut held = self.hold.stops().iter().map(|held| held.name).peekable();
-        is_fresh
-            && held.peek().is_some()
-            && (report.device_stopped || ignores_device)
-            && held.all(|name| report.is_latched(name))
-    }
-}
-
 /// A stop that was ordered and not confirmed yet.
-#[derive(Clone, Copy)]
 struct Ordered {
-    name: StopName,
-    begun_ns: u64,
+    order: EmergencyStop,
+    begun: Duration,
+    /// Whether any array was known for which it is held.
+    is_held: bool,
 }
 
 /// Names that are to be released, until a local time.
@@ -72,9 +40,8 @@ struct Release {
 /// A process of an operator.
 pub(crate) struct Operator {
     source: u64,
-    arrays: Vec<SeenArray>,
-    /// Number of arrays of the announced geometry; 0 before the first.
-    announced: usize,
+    seen: ReportedStops,
+    /// The geometry that was read last.
     geometry: Rc<str>,
     ordered: Option<Ordered>,
     release: Option<Release>,
@@ -88,8 +55,7 @@ impl Operator {
         ctx.publish(Topic::Query, Vec::new());
         Self {
             source,
-            arrays: Vec::new(),
-            announced: 0,
+            seen: ReportedStops::default(),
             geometry: Rc::from(""),
             ordered: None,
             release: None,
@@ -104,20 +70,26 @@ impl Operator {
 
     pub fn handle(&mut self, incoming: &Incoming, ctx: &mut Context<'_>) {
         let Incoming::Payload { topic, payload, .. } = incoming else { return };
+        let now = Duration::from_nanos(ctx.at.local_ns);
         match topic {
-            Topic::Telemetry(array) => self.telemetry(*array, payload, ctx.at.local_ns),
+            Topic::Telemetry(array) => {
+                if let Ok(report) = decode::<MirrorTelemetry>(payload) {
+                    self.seen.handle_telemetry(now, *array, &report);
+                }
+            }
             Topic::Safety(array) => {
-                let Ok(report) = decode::<SafetyReport>(payload) else { return };
-                self.reported(*array, report.stop().as_slice(), |hold| hold.handle_safety(&report));
+                if let Ok(report) = decode::<SafetyReport>(payload) {
+                    self.seen.handle_safety(now, *array, &report);
+                }
             }
             Topic::Stops(array) => {
-                let Ok(report) = decode::<StopReport>(payload) else { return };
-                if self.reported(*array, &report.stops, |hold| hold.handle_stops(&report)) {
-                    self.arrays[*array].stops = Some((ctx.at.local_ns, report));
+                if let Ok(report) = decode::<StopReport>(payload) {
+                    self.tell_first(&report, ctx);
+                    let device_stopped = report.device_stopped || ctx.has(Mutation::ToldWithoutDevice);
+                    self.seen.handle_stops(now, *array, StopReport { device_stopped, ..report });
                 }
-                self.tell_first(ctx);
             }
-            Topic::Geometry => self.geometry(payload),
+            Topic::Geometry => self.geometry(now, payload),
             _ => {}
         }
         self.confirm(ctx);
@@ -125,23 +97,24 @@ impl Operator {
 
     /// The stop that was ordered and is not confirmed yet.
     pub fn unconfirmed(&self) -> Option<StopName> {
-        self.ordered.map(|ordered| ordered.name)
+        self.ordered.as_ref().map(|ordered| ordered.order.name())
     }
 
     /// Publishes a stop with a name of its own.
     pub fn stop(&mut self, ctx: &mut Context<'_>) {
         let order = EmergencyStop { action: StopAction::Stop, ..self.order(ctx) };
-        self.arrays.iter_mut().for_each(|seen| seen.hold.order(ctx.at.room_ns, &order));
-        self.ordered = Some(Ordered { name: order.name(), begun_ns: ctx.at.local_ns });
+        let begun = Duration::from_nanos(ctx.at.local_ns);
+        self.seen.order(begun, &order);
         ctx.publish(Topic::Stop, encoded(&order));
+        self.ordered = Some(Ordered { order, begun, is_held: !self.seen.is_empty() });
     }
 
     /// Releases the oldest stop by its name, or all stops by time.
     pub fn rearm(&mut self, by: RearmBy, ctx: &mut Context<'_>) {
         match by {
             RearmBy::Name => {
-                let oldest = self.arrays.iter().flat_map(|seen| seen.hold.stops()).min_by_key(|held| held.since_ns);
-                self.release(oldest.map(|held| held.name).into_iter().collect(), ctx);
+                let oldest = self.seen.stops().into_iter().min_by_key(|stop| stop.known);
+                self.release(oldest.map(|stop| stop.name).into_iter().collect(), ctx);
             }
             RearmBy::Time => {
                 let order = EmergencyStop { action: StopAction::Rearm, ..self.order(ctx) };
@@ -152,9 +125,7 @@ impl Operator {
 
     /// Releases every stop that is held, by its name.
     pub fn rearm_all(&mut self, ctx: &mut Context<'_>) {
-        let mut names: Vec<_> = self.arrays.iter().flat_map(|seen| seen.hold.stops()).map(|held| held.name).collect();
-        names.sort();
-        names.dedup();
+        let names = self.seen.stops().into_iter().map(|stop| stop.name).collect();
         self.release(names, ctx);
     }
 
@@ -168,9 +139,14 @@ impl Operator {
         if ctx.has(Mutation::StopNotRepeated) {
             return;
         }
-        for array in 0..self.arrays.len() {
-            let unreported: Vec<HeldStop> = self.arrays[array].hold.unreported().cloned().collect();
-            unreported.iter().for_each(|held| self.repeat(array, held, ctx));
+        let now = Duration::from_nanos(ctx.at.local_ns);
+        if let Some(ordered) = self.ordered.as_mut().filter(|ordered| !ordered.is_held) {
+            // The first array has appeared after the order.
+            self.seen.order(now, &ordered.order);
+            ordered.is_held = !self.seen.is_empty();
+        }
+        for (array, held, _) in self.seen.unreported(now) {
+            self.repeat(array, &held, ctx);
         }
     }
 
@@ -181,9 +157,8 @@ impl Operator {
 
     fn send_rearms(&mut self, ctx: &mut Context<'_>) {
         let Some(release) = self.release.take().filter(|release| ctx.at.local_ns < release.ends_ns) else { return };
-        let is_held =
-            |name: &StopName| self.arrays.iter().any(|seen| seen.hold.stops().iter().any(|held| held.name == *name));
-        for name in release.names.iter().filter(|name| is_held(name)).copied().collect::<Vec<_>>() {
+        let held: Vec<StopName> = self.seen.stops().into_iter().map(|stop| stop.name).collect();
+        for name in release.names.iter().filter(|name| held.contains(name)).copied().collect::<Vec<_>>() {
             let stamp = self.stamp(1, ctx);
             let (stop_source, stop_sequence) = (name.source, name.sequence);
             let rearm = Rearm { stamp, stop_source, stop_sequence, operator: "ann".into(), reason: "test".into() };
@@ -213,86 +188,40 @@ impl Operator {
         Stamp { source: self.source, sequence: self.sequences[key], time_ns: ctx.at.room_ns }
     }
 
-    fn telemetry(&mut self, array: usize, payload: &[u8], now: u64) {
-        let Ok(report) = decode::<MirrorTelemetry>(payload) else { return };
-        self.add_arrays(array + 1);
-        let (seen, is_stopped) = (&mut self.arrays[array], report.state == ArrayState::Stopped);
-        seen.hold.handle_state(report.stamp.source, is_stopped);
-        if is_stopped && report.faults & fault::STOP == 0 {
-            seen.device_stopped = Some((now, report.stamp.source));
-        }
-    }
-
-    fn geometry(&mut self, payload: &[u8]) {
+    fn geometry(&mut self, now: Duration, payload: &[u8]) {
         let Ok(report) = decode::<RoomGeometry>(payload) else { return };
         if *self.geometry != *report.scenario {
             if let Ok(scenario) = Scenario::from_geometry_toml(&report.scenario) {
-                self.announced = self.announced.max(scenario.mirrors.arrays().len());
+                self.seen.announce(now, scenario.mirrors.arrays().len());
             }
             self.geometry = report.scenario.into();
         }
-        self.add_arrays(self.announced);
     }
 
-    /// Adds arrays; stops that are held for another array are held for them too.
-    fn add_arrays(&mut self, count: usize) {
-        let known: Vec<HeldStop> = self.arrays.iter().flat_map(|seen| seen.hold.stops()).cloned().collect();
-        let ordered = self.ordered.map(|ordered| ordered.name);
-        while self.arrays.len() < count {
-            let mut seen = SeenArray::default();
-            let names = known.iter().map(|held| held.name).chain(ordered.filter(|_| self.arrays.is_empty()));
-            for StopName { source, sequence } in names {
-                let stamp = Stamp { source, sequence, time_ns: 0 };
-                seen.hold.order(0, &EmergencyStop { stamp, action: StopAction::Stop, ..EmergencyStop::default() });
-            }
-            self.arrays.push(seen);
-        }
-    }
-
-    /// Applies a report; a stop in it that was not known concerns all arrays.
-    fn reported(
-        &mut self,
-        array: usize,
-        reported: &[LatchedStopReport],
-        apply: impl FnOnce(&mut StopHold) -> bool,
-    ) -> bool {
-        self.add_arrays(array + 1);
-        let unknown = unknown_stops(reported, self.arrays.iter().map(|seen| &seen.hold));
-        let is_new = apply(&mut self.arrays[array].hold);
-        if is_new {
-            for stop in &unknown {
-                self.arrays.iter_mut().for_each(|seen| seen.hold.learn(stop));
-            }
-        }
-        is_new
-    }
-
-    /// Tells the operator that the room is stopped, if every array has confirmed it.
+    /// Tells the operator what the page shows of each array, and that the room is stopped.
     fn confirm(&mut self, ctx: &mut Context<'_>) {
-        let ignores_device = ctx.has(Mutation::ToldWithoutDevice);
-        for (array, seen) in self.arrays.iter().enumerate() {
-            // What the page shows of one array.
-            if seen.has_stopped(ctx.at.local_ns, 0, ignores_device) {
-                let held = seen.hold.stops().iter().map(|held| held.name);
-                held.for_each(|name| ctx.monitor.shown(ctx.now, array, name));
-            }
+        let now = Duration::from_nanos(ctx.at.local_ns);
+        let stops = self.seen.stops();
+        if stops.is_empty() {
+            return;
         }
-        let Some(Ordered { name, begun_ns }) = self.ordered else { return };
-        let has_stopped = |seen: &SeenArray| {
-            seen.has_stopped(ctx.at.local_ns, begun_ns, ignores_device)
-                && seen.hold.stops().iter().any(|held| held.name == name)
-        };
-        if self.announced > 0 && self.arrays.len() >= self.announced && self.arrays.iter().all(has_stopped) {
+        for (array, standing) in self.seen.standings(now, None) {
+            let is_held = |stop: &&RoomStop| standing == Standing::Stopped && stop.arrays.contains(&array);
+            stops.iter().filter(is_held).for_each(|stop| ctx.monitor.shown(ctx.now, array, stop.name));
+        }
+        let Some(Ordered { order, begun, .. }) = &self.ordered else { return };
+        let name = order.name();
+        if self.seen.has_geometry() && self.seen.has_stopped(name, now, *begun) {
             self.ordered = None;
             ctx.monitor.told(ctx.now, name);
         }
     }
 
     /// A deliberate bug: the first report of a stop counts.
-    fn tell_first(&mut self, ctx: &mut Context<'_>) {
-        let Some(Ordered { name, .. }) = self.ordered.filter(|_| ctx.has(Mutation::ToldAtFirstReport)) else { return };
-        let names_it = |seen: &SeenArray| seen.stops.as_ref().is_some_and(|(_, report)| report.is_latched(name));
-        if self.arrays.iter().any(names_it) {
+    fn tell_first(&mut self, report: &StopReport, ctx: &mut Context<'_>) {
+        let ordered = self.ordered.as_ref().filter(|_| ctx.has(Mutation::ToldAtFirstReport));
+        let name = ordered.map(|ordered| ordered.order.name());
+        if let Some(name) = name.filter(|name| report.is_latched(*name)) {
             self.ordered = None;
             ctx.monitor.told(ctx.now, name);
         }

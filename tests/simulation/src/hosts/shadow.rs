@@ -1,83 +1,105 @@
-//! A replay beside a controller: the inputs of its journal, from each of its states.
-//!
-//! The replay follows `heliostat replay`: it handles the messages that the journal names, repeats the
-//! decisions, and takes the recorded state again from time to time.
+//! A replay beside a controller, as `heliostat replay` does it: from the states that the controller
+//! publishes, with the inputs that they list.
+
+use std::rc::Rc;
 
 use heliostat_core::core::{Controller, Timing, memory::Memory};
 use heliostat_core::inbox::Message;
+use heliostat_core::room_core::Output;
 use heliostat_proto::{
-    ChannelReport, ControllerInput, EmergencyStop, InputKind, MirrorCommand, MirrorTelemetry, NodeKind, SafetyReport,
-    StopReport, UserReport, decode,
+    ChannelReport, ControllerInput, ControllerMemory, EmergencyStop, InputKind, MirrorCommand, MirrorTelemetry, Nanos,
+    NodeKind, SafetyReport, Stamp, StopReport, UserReport, decode,
 };
 
-use super::adapter::{Adapter, Input};
+use super::adapter::{Input, Published};
 use super::policy::{PolicySwitch, policy};
 use crate::plan::PolicyFault;
 use crate::room::Room;
 use crate::topic::Topic;
 
-/// Decisions between two states.
-const STATE_DECISIONS: u64 = 50;
+/// What the first controller handled at one time, and the commands that it gave.
+struct Handled {
+    at_ns: Nanos,
+    fault: Option<PolicyFault>,
+    input: Input,
+    commands: Vec<(usize, MirrorCommand)>,
+}
 
 /// A second controller of the same room.
 pub(crate) struct Shadow {
     controller: Controller,
     switch: PolicySwitch,
-    inputs: Vec<ControllerInput>,
+    fault: Option<PolicyFault>,
+    /// What the first controller handled since its last state.
+    handled: Vec<Handled>,
     /// Whether it has the state of the first one.
     is_known: bool,
-    decisions: u64,
-    /// Commands that were compared.
-    pub compared: u64,
+    /// The number and the state of the last message.
+    last: (u64, Rc<[u8]>),
 }
 
 impl Shadow {
     pub fn new(room: &Room) -> Self {
         let switch = PolicySwitch::default();
         let controller = Controller::new(&room.scenario, (*room.model).clone(), policy(room, &switch), 1);
-        Self { controller, switch, inputs: Vec::new(), is_known: false, decisions: 0, compared: 0 }
+        let last = (0, Rc::from([]));
+        Self { controller, switch, fault: None, handled: Vec::new(), is_known: false, last }
     }
 
-    /// The policy fails in this way.
-    pub fn set_fault(&self, fault: Option<PolicyFault>) {
-        self.switch.set(fault);
+    /// The policy fails in this way from now on.
+    pub fn set_fault(&mut self, fault: Option<PolicyFault>) {
+        self.fault = fault;
     }
 
-    /// Repeats what the first controller did about an input; the difference of the commands, if there is
-    /// one. A deliberate bug gives an outdated state.
+    /// Notes what the first controller did. At a state of it, repeats what it did since the state
+    /// before; the difference of the commands, if there is one. A deliberate bug gives an outdated
+    /// state.
     pub fn follow(
         &mut self,
-        adapter: &mut Adapter,
+        at_ns: Nanos,
         input: &Input,
-        published: &[(Topic, Vec<u8>)],
-        outdated: Option<Memory>,
+        published: &Published,
+        is_outdated: bool,
     ) -> Result<(), String> {
-        self.announce(input);
-        let mut inputs = std::mem::take(&mut self.inputs);
-        self.is_known &= adapter.take_inputs(&mut inputs);
-        for recorded in &inputs {
-            self.step(recorded, input, published)?;
-        }
-        let is_decision = inputs.iter().any(|recorded| recorded.input == InputKind::Decision && recorded.command);
-        self.inputs = inputs;
-        if is_decision {
-            self.decisions += 1;
-            if !self.is_known || self.decisions.is_multiple_of(STATE_DECISIONS) {
-                self.load(&outdated.unwrap_or_else(|| adapter.memory()))?;
-            }
-        }
-        Ok(())
+        let command = |(output, payload): &(Output, Vec<u8>)| match output {
+            Output::Command(array) => Some((*array, unnumbered(decode::<MirrorCommand>(payload).ok()?))),
+            _ => None,
+        };
+        let commands = published.iter().filter_map(command).collect();
+        self.handled.push(Handled { at_ns, fault: self.fault, input: input.clone(), commands });
+        let state = published.iter().find(|(output, _)| *output == Output::Memory);
+        let Some((_, payload)) = state else { return Ok(()) };
+        let message = decode(payload).map_err(|error| format!("the message of the state does not decode: {error}"))?;
+        self.repeat(message, is_outdated)
     }
 
-    fn load(&mut self, memory: &Memory) -> Result<(), String> {
-        let bytes = memory.to_bytes().map_err(|error| format!("the state cannot be written: {error}"))?;
-        let state = Memory::from_bytes(&bytes).map_err(|error| format!("the state cannot be read: {error}"))?;
+    fn repeat(&mut self, message: ControllerMemory, is_outdated: bool) -> Result<(), String> {
+        let (last, last_state) = std::mem::replace(&mut self.last, (message.stamp.sequence, Rc::from(&*message.state)));
+        self.is_known &= message.stamp.sequence == last + 1;
+        let mut handled = std::mem::take(&mut self.handled);
+        let mut next = 0;
+        for input in &message.inputs {
+            let Some(index) = (next..handled.len()).find(|index| is_of(&handled[*index], input)) else {
+                return Err(format!("the state lists {input:?}, which was not handled"));
+            };
+            handled[next..index].iter().for_each(|passed| self.announce(&passed.input));
+            next = index;
+            self.switch.set(handled[index].fault);
+            self.step(input, &mut handled[index])?;
+        }
+        handled[next..].iter().for_each(|passed| self.announce(&passed.input));
+        let has_former = is_outdated && !last_state.is_empty();
+        self.load(if has_former { &last_state } else { &message.state })
+    }
+
+    fn load(&mut self, state: &[u8]) -> Result<(), String> {
+        let state = Memory::from_bytes(state).map_err(|error| format!("the state cannot be read: {error}"))?;
         self.controller.restore(&state).map_err(|error| format!("the state cannot be restored: {error}"))?;
         self.is_known = true;
         Ok(())
     }
 
-    /// Messages that the journal does not name.
+    /// Messages that no state lists.
     fn announce(&mut self, input: &Input) {
         match input {
             Input::Payload(Topic::Capabilities(array), payload) => {
@@ -106,38 +128,20 @@ impl Shadow {
         }
     }
 
-    fn step(
-        &mut self,
-        recorded: &ControllerInput,
-        input: &Input,
-        published: &[(Topic, Vec<u8>)],
-    ) -> Result<(), String> {
-        let now = recorded.time_ns;
-        if !matches!(
-            recorded.input,
-            InputKind::Decision | InputKind::LateDecision | InputKind::StaleDecision | InputKind::SilenceDecision
-        ) {
-            self.handle(recorded, input);
+    fn step(&mut self, recorded: &ControllerInput, handled: &mut Handled) -> Result<(), String> {
+        if !is_decision(recorded.input) {
+            self.handle(recorded, &handled.input);
             return Ok(());
         }
         if recorded.command {
             self.controller.repeat_withheld(recorded.sequence);
         }
         let ours = self.decide(recorded);
+        let theirs = std::mem::take(&mut handled.commands);
         if !recorded.command {
             self.is_known &= ours.is_empty();
-            return Ok(());
-        }
-        let theirs = published.iter().filter_map(|(topic, payload)| match topic {
-            Topic::Command(array) => Some((*array, decode::<MirrorCommand>(payload).ok()?)),
-            _ => None,
-        });
-        let unnumbered =
-            |(array, command): (usize, MirrorCommand)| (array, MirrorCommand { epoch: 0, sequence: 0, ..command });
-        let theirs: Vec<_> = theirs.map(unnumbered).collect();
-        let ours: Vec<_> = ours.into_iter().map(unnumbered).collect();
-        self.compared += u64::from(self.is_known);
-        if self.is_known && ours != theirs {
+        } else if self.is_known && ours != theirs {
+            let now = recorded.time_ns;
             return Err(format!("the replay from a state at {now} gives {ours:?}, expected {theirs:?}"));
         }
         Ok(())
@@ -179,6 +183,41 @@ impl Shadow {
             },
             _ => self.controller.poll_command(now, Timing::InTime, &mut |_| {}),
         };
-        decision.commands().map(|(array, command)| (array, command.clone())).collect()
+        decision.commands().map(|(array, command)| (array, unnumbered(command.clone()))).collect()
+    }
+}
+
+/// A command without the numbers that a replay does not have.
+fn unnumbered(command: MirrorCommand) -> MirrorCommand {
+    MirrorCommand { epoch: 0, sequence: 0, ..command }
+}
+
+fn is_decision(input: InputKind) -> bool {
+    use InputKind::{Decision, LateDecision, SilenceDecision, StaleDecision};
+    matches!(input, Decision | LateDecision | StaleDecision | SilenceDecision)
+}
+
+/// Whether an input of a state is what was handled.
+fn is_of(handled: &Handled, input: &ControllerInput) -> bool {
+    let stamp_of = |topic: Topic, payload: &[u8]| -> Option<(InputKind, u64, Stamp)> {
+        Some(match topic {
+            Topic::Users => (InputKind::Users, 0, decode::<UserReport>(payload).ok()?.stamp),
+            Topic::Channel => (InputKind::Channel, 0, decode::<ChannelReport>(payload).ok()?.stamp),
+            Topic::Telemetry(array) => {
+                (InputKind::Telemetry, array as u64, decode::<MirrorTelemetry>(payload).ok()?.stamp)
+            }
+            _ => return None,
+        })
+    };
+    if handled.at_ns != input.time_ns {
+        return false;
+    }
+    match &handled.input {
+        _ if is_decision(input.input) => !input.command || !handled.commands.is_empty(),
+        Input::Payload(topic, payload) => stamp_of(*topic, payload).is_some_and(|(kind, array, stamp)| {
+            let sequence = stamp.sequence.wrapping_add(array << ControllerInput::ARRAY_SHIFT);
+            (kind, stamp.source, sequence) == (input.input, input.source, input.sequence)
+        }),
+        _ => false,
     }
 }

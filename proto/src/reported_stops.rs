@@ -1,0 +1,409 @@
+//! What the arrays of a room report about the emergency stops, and which stops are held for them.
+//!
+//! This is the rule by which a room is called stopped (CONTRACT.md, section 5). The page, the command
+//! line and the simulation use this type.
+//!
+//! Times are those of the process that uses it, on a clock that never steps, since any origin. An array
+//! has stopped where its last stop report is fresh, lists every stop that is held for it, and states
+//! that its device has executed them.
+//!
+//! | the array publishes | its standing, by its last reports |
+//! | --- | --- |
+//! | stop reports | [`Stopped`](Standing::Stopped), [`Latched`](Standing::Latched) or [`Moving`](Standing::Moving) |
+//! | safety reports or telemetry only | [`Unknown`](Standing::Unknown) in state *stopped*, else [`Moving`](Standing::Moving) |
+//! | nothing for some time | [`Silent`](Standing::Silent) |
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+use crate::enumerations::ArrayState;
+use crate::limits::MAX_ARRAYS;
+use crate::messages::{EmergencyStop, MirrorTelemetry, SafetyReport, StopReport, fault};
+use crate::stop_hold::{HeldStop, StopHold, unknown_stops};
+use crate::structures::{LatchedStopReport, StopName};
+
+/// A stop report is published each second, and at each change. An array without one for this time does
+/// not answer.
+const REPORT_AGE_MAX: Duration = Duration::from_millis(2500);
+
+/// Telemetry is published ten times a second.
+const TELEMETRY_AGE_MAX: Duration = Duration::from_millis(1500);
+
+/// A driver that publishes stop reports has published one after this time of telemetry.
+const STOPS_WITHIN: Duration = Duration::from_millis(1500);
+
+/// What an array does about the stops that are held for it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Standing {
+    /// No stop is held for it.
+    Free,
+    /// It has latched every stop, and its device has executed them.
+    Stopped,
+    /// It has latched every stop, and its device has not executed them.
+    Latched {
+        /// Why, as the array reports it; may be empty.
+        problem: String,
+    },
+    /// It has latched a stop; its driver publishes no stop reports.
+    Unknown,
+    /// It reports, and has not latched every stop.
+    Moving,
+    /// It does not report.
+    Silent,
+}
+
+impl Standing {
+    /// Whether the mirrors may move although a stop is held.
+    pub fn is_open(&self) -> bool {
+        !matches!(self, Self::Free | Self::Stopped)
+    }
+}
+
+/// A stop that is in force or held, with the arrays for which it is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RoomStop {
+    /// Its name.
+    pub name: StopName,
+    /// Name of the operator who sent it.
+    pub operator: String,
+    /// Reason for it.
+    pub reason: String,
+    /// Indices of the arrays for which it is held.
+    pub arrays: Vec<usize>,
+    /// When this process learned of it.
+    pub known: Duration,
+}
+
+/// What an array reported last, with arrival times.
+#[derive(Clone, Debug, Default)]
+struct ReportedArray {
+    /// Arrival of its first report.
+    first: Option<Duration>,
+    state: Option<(Duration, ArrayState)>,
+    /// Arrival of the last telemetry of a stopped device, and its source.
+    device_stopped: Option<(Duration, u64)>,
+    has_safety: bool,
+    stops: Option<(Duration, StopReport)>,
+    hold: StopHold,
+}
+
+/// What the arrays of a room reported, and what is held for them.
+#[derive(Clone, Debug, Default)]
+pub struct ReportedStops {
+    arrays: BTreeMap<usize, ReportedArray>,
+    /// Number of arrays of the largest geometry that was announced; 0 before the first.
+    announced: usize,
+    /// When each stop became known here.
+    known: BTreeMap<StopName, Duration>,
+}
+
+impl ReportedArray {
+    /// What the array does about its stops, with reports that arrived after `since` only.
+    fn standing(&self, now: Duration, since: Option<Duration>) -> Standing {
+        let mut held = self.hold.stops().iter().map(|held| held.name).peekable();
+        if held.peek().is_none() {
+            return Standing::Free;
+        }
+        let is_recent = |at: Duration, age_max: Duration| now.saturating_sub(at) < age_max;
+        let counts = |at: Duration, age_max| is_recent(at, age_max) && since.is_none_or(|since| at >= since);
+        // A report from before `since` counts if telemetry has confirmed it meanwhile.
+        let is_confirmed = |report: &StopReport| {
+            let telemetry = self.device_stopped.filter(|(_, source)| *source == report.stamp.source);
+            report.device_stopped && telemetry.is_some_and(|(at, _)| counts(at, TELEMETRY_AGE_MAX))
+        };
+        let is_fresh = |(at, report): &&(Duration, StopReport)| {
+            counts(*at, REPORT_AGE_MAX) || (is_recent(*at, REPORT_AGE_MAX) && is_confirmed(report))
+        };
+        if let Some((_, report)) = self.stops.as_ref().filter(is_fresh) {
+            return match (held.all(|name| report.is_latched(name)), report.device_stopped) {
+                (false, _) => Standing::Moving,
+                (true, true) => Standing::Stopped,
+                (true, false) => Standing::Latched { problem: report.problem.clone() },
+            };
+        }
+        let is_older = self.stops.is_none() && self.is_settled(now);
+        match self.state.filter(|(at, _)| counts(*at, TELEMETRY_AGE_MAX)) {
+            Some((_, ArrayState::Stopped)) if is_older => Standing::Unknown,
+            Some(_) => Standing::Moving,
+            None => Standing::Silent,
+        }
+    }
+
+    /// Whether stop reports of its driver would have arrived.
+    fn is_settled(&self, now: Duration) -> bool {
+        self.first.is_some_and(|first| now.saturating_sub(first) > STOPS_WITHIN)
+    }
+
+    fn is_silent(&self, now: Duration) -> bool {
+        self.state.is_none_or(|(at, _)| now.saturating_sub(at) >= TELEMETRY_AGE_MAX)
+    }
+
+    /// Whether its driver is present and publishes no stop reports.
+    fn is_older(&self, now: Duration) -> bool {
+        !self.is_silent(now) && !self.hold.has_stop_reports()
+    }
+}
+
+impl ReportedStops {
+    /// Number of arrays that have to confirm a stop: those of the announced geometry, and all that
+    /// were ever seen.
+    fn expected(&self) -> usize {
+        let seen = self.arrays.keys().next_back().map_or(0, |last| last + 1);
+        seen.max(self.announced)
+    }
+
+    /// Whether a geometry was announced.
+    pub fn has_geometry(&self) -> bool {
+        self.announced > 0
+    }
+
+    /// What each array does about the stops that are held for it. Of several reports only those that
+    /// arrived after `since` count.
+    pub fn standings(&self, now: Duration, since: Option<Duration>) -> Vec<(usize, Standing)> {
+        let standing = |array: usize| {
+            let seen = self.arrays.get(&array);
+            (array, seen.map_or(Standing::Silent, |seen| seen.standing(now, since)))
+        };
+        (0..self.expected()).map(standing).collect()
+    }
+
+    /// Whether every array holds a stop and has stopped, by reports that arrived after `since`.
+    pub fn has_stopped(&self, name: StopName, now: Duration, since: Duration) -> bool {
+        let standings = self.standings(now, Some(since));
+        let is_stopped = standings.iter().all(|(_, standing)| *standing == Standing::Stopped);
+        is_stopped && self.has_array() && self.is_held_everywhere(name)
+    }
+
+    /// All stops that are held, in the order of their arrival at the first array that has them.
+    pub fn stops(&self) -> Vec<RoomStop> {
+        let mut stops: Vec<RoomStop> = Vec::new();
+        for (array, seen) in &self.arrays {
+            for HeldStop { name, operator, reason, .. } in seen.hold.stops() {
+                match stops.iter_mut().find(|stop| stop.name == *name) {
+                    Some(stop) => stop.arrays.push(*array),
+                    None => stops.push(RoomStop {
+                        name: *name,
+                        operator: operator.clone(),
+                        reason: reason.clone(),
+                        arrays: vec![*array],
+                        known: self.known.get(name).copied().unwrap_or_default(),
+                    }),
+                }
+            }
+        }
+        stops
+    }
+
+    /// Whether a stop is held for every array that has to confirm it.
+    fn is_held_everywhere(&self, name: StopName) -> bool {
+        let holds =
+            |array| self.arrays.get(&array).is_some_and(|seen| seen.hold.stops().iter().any(|held| held.name == name));
+        (0..self.expected()).all(holds)
+    }
+
+    /// The stops that are due for repetition, with the index of the array, and whether its driver
+    /// understands none.
+    pub fn unreported(&self, now: Duration) -> Vec<(usize, HeldStop, bool)> {
+        let of = |(array, seen): (&usize, &ReportedArray)| {
+            let (array, is_older) = (*array, seen.is_older(now));
+            seen.hold.unreported().map(|held| (array, held.clone(), is_older)).collect::<Vec<_>>()
+        };
+        self.arrays.iter().flat_map(of).collect()
+    }
+
+    /// The present arrays that are stopped and publish neither stop reports nor safety reports.
+    pub fn unnamed(&self, now: Duration) -> Vec<usize> {
+        let is_unnamed = |seen: &ReportedArray| {
+            let is_stopped = seen.state.is_some_and(|(_, state)| state == ArrayState::Stopped);
+            is_stopped && seen.is_older(now) && !seen.has_safety
+        };
+        self.arrays.iter().filter(|(_, seen)| is_unnamed(seen)).map(|(array, _)| *array).collect()
+    }
+
+    /// Whether an array has been seen for so long that its stop reports would have arrived.
+    pub fn is_settled(&self, array: usize, now: Duration) -> bool {
+        self.arrays.get(&array).is_some_and(|seen| seen.is_settled(now))
+    }
+
+    /// The arrays for which any of these stops is held, and whether each reports.
+    pub fn holding(&self, names: &[StopName], now: Duration) -> Vec<(usize, bool)> {
+        let is_held = |seen: &ReportedArray| seen.hold.stops().iter().any(|held| names.contains(&held.name));
+        let holding = self.arrays.iter().filter(|(_, seen)| is_held(seen));
+        holding.map(|(array, seen)| (*array, !seen.is_silent(now))).collect()
+    }
+
+    /// Whether no array is known.
+    pub fn is_empty(&self) -> bool {
+        self.expected() == 0
+    }
+
+    /// Whether any array reports.
+    pub fn has_array(&self) -> bool {
+        self.arrays.values().any(|seen| seen.first.is_some())
+    }
+
+    /// Whether each array that was seen has published its stops, or publishes none.
+    pub fn has_published(&self, now: Duration) -> bool {
+        self.has_array() && self.arrays.values().all(|seen| seen.stops.is_some() || seen.is_settled(now))
+    }
+
+    /// Whether every array has published its stops.
+    pub fn is_complete(&self) -> bool {
+        let has_reported = |array| self.arrays.get(&array).is_some_and(|seen: &ReportedArray| seen.stops.is_some());
+        self.has_geometry() && (0..self.expected()).all(has_reported)
+    }
+
+    /// When the oldest of the arrays reported last.
+    pub fn oldest_report(&self) -> Option<Duration> {
+        self.arrays.values().filter_map(|seen| seen.state.map(|(at, _)| at)).min()
+    }
+
+    /// Holds a stop for every array.
+    pub fn order(&mut self, now: Duration, order: &EmergencyStop) {
+        self.known.entry(order.name()).or_insert(now);
+        for array in 0..self.expected() {
+            self.arrays.entry(array).or_default().hold.order(order.stamp.time_ns, order);
+        }
+        self.note_names(now);
+    }
+
+    /// The geometry of the room has so many arrays.
+    pub fn announce(&mut self, now: Duration, arrays: usize) {
+        self.announced = self.announced.max(arrays);
+        self.add_arrays(self.announced);
+        self.note_names(now);
+    }
+
+    /// A driver of this array is in the room.
+    pub fn handle_driver(&mut self, now: Duration, array: usize) {
+        self.add_arrays(array + 1);
+        self.note_names(now);
+    }
+
+    /// Telemetry of an array arrived.
+    pub fn handle_telemetry(&mut self, now: Duration, array: usize, report: &MirrorTelemetry) {
+        let (seen, is_stopped) = (self.array(now, array), report.state == ArrayState::Stopped);
+        seen.hold.handle_state(report.stamp.source, is_stopped);
+        seen.state = Some((now, report.state));
+        if is_stopped && report.faults & fault::STOP == 0 {
+            seen.device_stopped = Some((now, report.stamp.source));
+        }
+        self.note_names(now);
+    }
+
+    /// A stop report of an array arrived.
+    pub fn handle_stops(&mut self, now: Duration, array: usize, report: StopReport) {
+        // A report that arrives late must not show a device as stopped that has moved on since.
+        if self.handle_reported(now, array, &report.stops, |hold| hold.handle_stops(&report)) {
+            self.array(now, array).stops = Some((now, report));
+        }
+        self.note_names(now);
+    }
+
+    /// A safety report of an array arrived.
+    pub fn handle_safety(&mut self, now: Duration, array: usize, report: &SafetyReport) {
+        self.handle_reported(now, array, report.stop().as_slice(), |hold| hold.handle_safety(report));
+        self.array(now, array).has_safety = true;
+        self.note_names(now);
+    }
+
+    /// Adds arrays up to an index; stops that are held for another array are held for them too.
+    fn add_arrays(&mut self, count: usize) {
+        let known: Vec<EmergencyStop> = self.stops().iter().map(ordered).collect();
+        for array in 0..count.min(MAX_ARRAYS) {
+            if !self.arrays.contains_key(&array) {
+                let seen = self.arrays.entry(array).or_default();
+                known.iter().for_each(|order| seen.hold.order(0, order));
+            }
+        }
+    }
+
+    fn array(&mut self, now: Duration, array: usize) -> &mut ReportedArray {
+        self.add_arrays(array + 1);
+        let seen = self.arrays.entry(array).or_default();
+        seen.first.get_or_insert(now);
+        seen
+    }
+
+    /// Applies a report; whether it counts. A stop in it that was not known concerns all arrays.
+    fn handle_reported(
+        &mut self,
+        now: Duration,
+        array: usize,
+        reported: &[LatchedStopReport],
+        apply: impl FnOnce(&mut StopHold) -> bool,
+    ) -> bool {
+        self.array(now, array);
+        let unknown = unknown_stops(reported, self.arrays.values().map(|seen| &seen.hold));
+        let counts = apply(&mut self.array(now, array).hold);
+        if counts {
+            for stop in &unknown {
+                self.arrays.values_mut().for_each(|seen| seen.hold.learn(stop));
+            }
+        }
+        counts
+    }
+
+    fn note_names(&mut self, now: Duration) {
+        let names: BTreeSet<StopName> =
+            self.arrays.values().flat_map(|seen| seen.hold.stops().iter().map(|held| held.name)).collect();
+        self.known.retain(|name, _| names.contains(name));
+        for name in names {
+            self.known.entry(name).or_insert(now);
+        }
+    }
+}
+
+/// The order of a stop that is known from reports.
+fn ordered(stop: &RoomStop) -> EmergencyStop {
+    let mut order =
+        EmergencyStop { operator: stop.operator.clone(), reason: stop.reason.clone(), ..EmergencyStop::default() };
+    (order.stamp.source, order.stamp.sequence) = (stop.name.source, stop.name.sequence);
+    order
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::structures::Stamp;
+
+    const NOW: Duration = Duration::from_secs(100);
+
+    fn report(sequence: u64, device_stopped: bool) -> StopReport {
+        StopReport {
+            stamp: Stamp { source: 9, sequence, time_ns: 0 },
+            device_stopped,
+            stops: vec![LatchedStopReport { source: 3, sequence: 4, ..LatchedStopReport::default() }],
+            ..StopReport::default()
+        }
+    }
+
+    fn ordered() -> ReportedStops {
+        let order = EmergencyStop { stamp: Stamp { source: 3, sequence: 4, time_ns: 0 }, ..EmergencyStop::default() };
+        let mut stops = ReportedStops::default();
+        stops.announce(NOW, 1);
+        stops.order(NOW, &order);
+        stops
+    }
+
+    #[test]
+    fn a_stop_report_that_arrives_late_shows_no_device_as_stopped() {
+        let mut stops = ordered();
+        stops.handle_stops(NOW, 0, report(2, false));
+        stops.handle_stops(NOW, 0, report(1, true));
+        assert_eq!(stops.standings(NOW, None), [(0, Standing::Latched { problem: String::new() })]);
+        stops.handle_stops(NOW, 0, report(3, true));
+        assert_eq!(stops.standings(NOW, None), [(0, Standing::Stopped)]);
+    }
+
+    #[test]
+    fn an_array_without_a_fresh_report_does_not_answer() {
+        let mut stops = ordered();
+        assert_eq!(stops.standings(NOW, None), [(0, Standing::Silent)]);
+        stops.handle_stops(NOW, 0, report(1, true));
+        let later = NOW + REPORT_AGE_MAX;
+        assert_eq!(stops.standings(later - Duration::from_millis(1), None), [(0, Standing::Stopped)]);
+        assert_eq!(stops.standings(later, None), [(0, Standing::Silent)]);
+        assert!(!stops.has_stopped(StopName { source: 3, sequence: 4 }, NOW, NOW + Duration::from_millis(1)));
+    }
+}

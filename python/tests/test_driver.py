@@ -150,8 +150,13 @@ def test_settings_that_do_not_fit_are_refused_with_the_reason(settings: Settings
 
 
 def test_a_text_from_the_room_cannot_control_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
-    _log("é\x1b[2Jcleared\n")
-    assert capsys.readouterr().err == "é\\x1b[2Jcleared\\x0a\n"
+    _log("é\x1b[2Jcleared\r")
+    assert capsys.readouterr().err == "é\\u001b[2Jcleared\\u000d\n"
+
+
+def test_the_advice_about_several_stops_has_a_line_for_each(capsys: pytest.CaptureFixture[str]) -> None:
+    _log("the array starts stopped by ann: smoke\nthe array starts stopped by bob: fire")
+    assert capsys.readouterr().err.count("\n") == 2
 
 
 def test_a_wrong_command_line_ends_with_the_usage(tmp_path: Path) -> None:

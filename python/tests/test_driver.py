@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import signal
 import threading
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 pytest.importorskip("zenoh")
 from heliostat.driver import Capabilities, Device, _log, run
-from heliostat.peer import PeerError, Settings
+from heliostat.peer import PeerError, Settings, duration_s
 from room import EXAMPLES, LIMIT_S, end_by, free_endpoint, heliostat, needs_program, observer, python, wait_until
 
 SIZE = ("--rows", "2", "--columns", "3")
@@ -187,3 +188,11 @@ def test_the_driver_of_the_tutorial_keeps_every_rule(tmp_path: Path) -> None:
         assert len(found) > 20 and set(found.values()) == {"kept"}, found
         output, _ = end_by(signal.SIGTERM, driver)
     assert "turn [" in output and "stop" in output
+
+
+def test_durations_have_the_units_of_the_other_programs() -> None:
+    for text, seconds in (("2.5", 2.5), ("3s", 3.0), ("500ms", 0.5), ("2min", 120.0), ("1h", 3600.0)):
+        assert duration_s(text) == pytest.approx(seconds)
+    for wrong in ("", "x", "-1", "0", "nan", "inf", "1 s", "3m", "s", "5ms", "3000h"):
+        with pytest.raises(argparse.ArgumentTypeError, match="invalid duration .*: expected seconds between"):
+            duration_s(wrong)

@@ -10,6 +10,7 @@ import ipaddress
 import json
 import os
 import random
+import re
 import signal
 import socket
 import ssl
@@ -36,7 +37,6 @@ DEFAULT_ROOM = "demo"
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.25, 5.0
 _ALIVE_LIMIT_S = 1.0
 _SHORTEST_S, _LONGEST_S = 0.01, 1e7
-# "s" is last: it ends "ms" too.
 _UNITS_S = {"ms": 1e-3, "min": 60.0, "h": 3600.0, "s": 1.0}
 _PROBE_LIMIT_S = 0.5
 _ENCRYPTED = ("tls", "quic")
@@ -103,12 +103,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def duration_s(text: str) -> float:
     """The seconds of a text such as 2.5, 3s, 500ms, 2min or 1h, by the rule of the Rust programs; a `type` of argparse."""
-    unit, length_s = next(((unit, length_s) for unit, length_s in _UNITS_S.items() if text.endswith(unit)), ("", 1.0))
+    parts = re.fullmatch(r"([0-9.]+(?:[eE][+-]?[0-9]+)?)(ms|min|h|s)?", text)
     try:
-        seconds = float(text.removesuffix(unit)) * length_s
+        seconds = float(parts[1]) * _UNITS_S[parts[2] or "s"] if parts else 0.0
     except ValueError:
         seconds = 0.0
-    if not (_SHORTEST_S <= seconds <= _LONGEST_S and text == text.strip()):
+    if not _SHORTEST_S <= seconds <= _LONGEST_S:
         raise argparse.ArgumentTypeError(
             f'invalid duration "{text}": expected seconds between 0.01 and 10000000, for example 2.5, 2.5s, 500ms or 10min'
         )

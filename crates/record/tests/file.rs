@@ -194,7 +194,10 @@ fn a_file_that_is_not_a_recording_is_refused_with_the_reason() {
 fn a_file_of_another_kind_is_named_with_what_to_do() {
     let file = tempfile::NamedTempFile::new().unwrap();
     for (bytes, words) in [
-        (&b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n"[..], "is a pointer of git-lfs, expected a recording"),
+        (
+            &b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n"[..],
+            "is a pointer of git-lfs, expected a recording",
+        ),
         (b"", "is empty"),
     ] {
         std::fs::write(file.path(), bytes).unwrap();

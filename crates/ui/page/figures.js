@@ -127,7 +127,7 @@ function standby(controllers) {
   const lost = sum("false_takeovers");
   return [
     ["controllers", text || "none", leaders.length === 1 ? "" : "bad", "The controllers in the room, by the beginning of their source id: one leads, the others stand by."],
-    ["takeovers", String(sum("takeovers")), "", "How often a controller of the room has begun to command since its start: its first time, and each time that it took over."],
+    ["takeovers", String(sum("takeovers")), "", "How often the controllers in the room took over since their start."],
     ["false takeovers", String(lost), lost > 0 ? "bad" : "", "Takeovers after which the former leader still commanded: a slow controller, or a link that loses its commands."],
   ];
 }

@@ -21,7 +21,7 @@ pub struct ControllerFigures {
     pub name: String,
     /// Whether it stands by; else it leads.
     pub is_standby: bool,
-    /// How often it took over since its start, with the first time that it commanded.
+    /// How often it took over since its start.
     pub takeovers: u64,
     /// How often the former leader still commanded after that.
     pub false_takeovers: u64,

@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import heliostat
@@ -15,8 +16,9 @@ import numpy as np
 import pytest
 
 pytest.importorskip("zenoh")
-from heliostat.peer import PeerError
+from heliostat.peer import PeerError, Settings, connection_problem
 from room import LIMIT_S, free_endpoint, needs_program, observer, wait_until
+from room import heliostat as program
 
 SCENARIO = heliostat.load_scenario("hall")
 
@@ -163,3 +165,26 @@ def test_a_run_ends_after_its_time_and_wrong_settings_are_refused() -> None:
         heliostat.run(lambda _: None)
     with pytest.raises(ValueError, match='"angles", "weights"'):
         heliostat.run(lambda _: None, connect=[endpoint], action="torque", seconds=0.1)
+
+
+@needs_program
+def test_a_run_that_is_not_connected_names_the_fault_of_its_keys(tmp_path: Path) -> None:
+    keys, foreign = tmp_path / "keys", tmp_path / "foreign"
+    for folder in (keys, foreign):
+        assert program("keys", "init", "--room", "lab", "--out", str(folder)).returncode == 0
+    plain = free_endpoint("tcp")
+    encrypted = plain.replace("tcp/", "tls/")
+    command = [os.environ["HELIOSTAT_PROGRAM"], "sim-node", "--tls", str(keys), "--listen", encrypted]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        try:
+            of_foreign = Settings(connect=(encrypted,), tls=foreign)
+            wait_until("a listener", lambda: connection_problem(of_foreign, "controller") != "")
+            assert "does not fit" in connection_problem(of_foreign, "controller")
+            assert "encrypted connections only" in connection_problem(Settings(connect=(plain,)), "controller")
+            assert connection_problem(Settings(connect=(encrypted,), tls=keys), "controller") == ""
+            nothing = Settings(connect=(free_endpoint("tcp"),))
+            assert connection_problem(nothing, "controller") == ""
+            summary = heliostat.run(lambda _: None, connect=[plain], scenario=SCENARIO, seconds=4)
+            assert "encrypted connections only" in summary.last_problem
+        finally:
+            process.terminate()

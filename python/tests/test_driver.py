@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import signal
 import threading
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 pytest.importorskip("zenoh")
 from heliostat.driver import Capabilities, Device, _log, run
-from heliostat.peer import PeerError, Settings
+from heliostat.peer import PeerError, Settings, duration_s
 from room import EXAMPLES, LIMIT_S, end_by, free_endpoint, heliostat, needs_program, observer, python, wait_until
 
 SIZE = ("--rows", "2", "--columns", "3")
@@ -150,8 +151,13 @@ def test_settings_that_do_not_fit_are_refused_with_the_reason(settings: Settings
 
 
 def test_a_text_from_the_room_cannot_control_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
-    _log("é\x1b[2Jcleared\n")
-    assert capsys.readouterr().err == "é\\x1b[2Jcleared\\x0a\n"
+    _log("é\x1b[2Jcleared\r")
+    assert capsys.readouterr().err == "é\\u001b[2Jcleared\\u000d\n"
+
+
+def test_the_advice_about_several_stops_has_a_line_for_each(capsys: pytest.CaptureFixture[str]) -> None:
+    _log("the array starts stopped by ann: smoke\nthe array starts stopped by bob: fire")
+    assert capsys.readouterr().err.count("\n") == 2
 
 
 def test_a_wrong_command_line_ends_with_the_usage(tmp_path: Path) -> None:
@@ -182,3 +188,11 @@ def test_the_driver_of_the_tutorial_keeps_every_rule(tmp_path: Path) -> None:
         assert len(found) > 20 and set(found.values()) == {"kept"}, found
         output, _ = end_by(signal.SIGTERM, driver)
     assert "turn [" in output and "stop" in output
+
+
+def test_durations_have_the_units_of_the_other_programs() -> None:
+    for text, seconds in (("2.5", 2.5), ("3s", 3.0), ("500ms", 0.5), ("2min", 120.0), ("1h", 3600.0)):
+        assert duration_s(text) == pytest.approx(seconds)
+    for wrong in ("", "x", "-1", "0", "nan", "inf", "1 s", "3m", "s", "5ms", "3000h"):
+        with pytest.raises(argparse.ArgumentTypeError, match="invalid duration .*: expected seconds between"):
+            duration_s(wrong)

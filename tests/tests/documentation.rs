@@ -314,7 +314,19 @@ fn units_and_rooms_of_the_deployment_agree_with_the_programs() {
             fs::read_to_string(deploy.join(format!("rooms/{room}.env"))).expect("a room has an environment");
         let variables: BTreeMap<&str, &str> =
             environment.lines().filter(|line| !line.starts_with('#')).filter_map(|line| line.split_once('=')).collect();
-        for unit in ["controller", "sim-node"] {
+        for unit in ["controller", "sim-node", "standby", "driver", "page", "recorder"] {
+            // A room of many processes has a router, as foyer does.
+            let (program, words): (&str, &[&str]) = match unit {
+                "driver" | "page" | "recorder" if room == "studio" => continue,
+                "driver" => ("heliostat-driver", &["--help"]),
+                "page" | "recorder" => ("heliostat", &["--help"]),
+                _ => ("heliostat", &[]),
+            };
+            let config: &[&str] = match unit {
+                "controller" | "standby" => &["config", "controller"],
+                "sim-node" => &["config", "sim-node"],
+                _ => &[],
+            };
             let text = fs::read_to_string(deploy.join(format!("systemd/heliostat-{unit}@.service"))).expect("a unit");
             let start = text.lines().find(|line| line.starts_with("ExecStart=")).expect("a unit starts something");
             let command = start.split_whitespace().skip(1).flat_map(|word| {
@@ -332,8 +344,8 @@ fn units_and_rooms_of_the_deployment_agree_with_the_programs() {
             let here = deploy.join(format!("rooms/{room}.toml")).display().to_string();
             let arguments: Vec<String> =
                 command.map(|word| if word == scenario { here.clone() } else { word }).collect();
-            let output = Command::new(programs().join("heliostat")).args(["config", unit]).args(&arguments).output();
-            let output = output.expect("heliostat runs");
+            let output = Command::new(programs().join(program)).args(config).args(&arguments).args(words).output();
+            let output = output.expect("the program runs");
             assert!(output.status.success(), "{room}, {unit}: {}", String::from_utf8_lossy(&output.stderr));
         }
     }

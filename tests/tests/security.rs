@@ -9,6 +9,7 @@ use heliostat_proto::{
     ArrayState, EmergencyStop, Message, NodeKind, Rearm, Room, SafetyReport, Stamp, StopAction, decode, encode,
 };
 use heliostat_service::clock::utc_ns;
+use heliostat_tests::faults::LoopbackBoard;
 use heliostat_tests::{Process, RoomObserver, wait_until};
 use serde_json::Value;
 use tempfile::TempDir;
@@ -163,6 +164,50 @@ fn a_plain_process_gets_nothing_from_a_room_with_keys() {
     let viewer = keys.observer(AccessRole::Viewer, &[&room, &controller]);
     viewer.wait_for_commands();
     assert_eq!(viewer.telemetry().map(|array| array.state), Some(ArrayState::Following));
+}
+
+#[test]
+fn a_check_that_is_not_connected_names_the_fault_of_its_keys() {
+    let (keys, foreign) = (Keys::new(), Keys::new());
+    let (room, controller) = (tls_endpoint(), tls_endpoint());
+    let _processes = start(&keys, &room, &controller);
+    keys.observer(AccessRole::Viewer, &[&room, &controller]).wait_for_commands();
+    let check = |arguments: &[&str]| {
+        let ended = run(&[&["driver", "check", "--room", ROOM], arguments].concat());
+        assert_eq!(ended.status.code(), Some(1), "{}", ended.errors);
+        ended.errors
+    };
+    let refused = check(&["--connect", &room, "--tls", foreign.path()]);
+    assert!(refused.contains("another authority than"), "{refused}");
+    let plain = check(&["--connect", &room.replace("tls/", "tcp/")]);
+    assert!(plain.contains("accepts encrypted connections only") && plain.contains(&room), "{plain}");
+}
+
+#[test]
+fn an_array_in_the_controllers_process_has_the_keys_of_a_driver() {
+    let (keys, board, folder) = (Keys::new(), LoopbackBoard::start(4), tempfile::tempdir().expect("a folder"));
+    let at = |name: &str| folder.path().join(name).display().to_string();
+    std::fs::write(at("array.toml"), board.configuration()).expect("a file");
+    let (of_viewer, file, state) = (tls_endpoint(), at("array.toml"), at("state"));
+    let start = |keys: &Keys| {
+        let session = ["controller", "--tls", keys.path(), "--connect", &of_viewer, "--exit-with-parent", "--json"];
+        let array = ["--driver", &file, "--state", &state, "--start-armed"];
+        let mirrors = ["--set", "mirrors.rows=2", "--set", "mirrors.columns=2"];
+        Process::heliostat(&[&session[..], &array, &mirrors].concat())
+    };
+    let lacking = start(&keys.of("controller")).wait();
+    assert!(lacking.refusal().contains("--driver needs the keys of a driver too"), "{}", lacking.errors);
+    let identity = Identity::load(keys.folder.path(), &[AccessRole::Viewer]).expect("keys of each role");
+    let config = BusConfig::new(identity.room().clone()).secured_by(identity).listen_at(&of_viewer);
+    let viewer = RoomObserver::join(&config);
+    let process = start(&keys);
+    wait_until("a controller that knows the array, and an array that reports", || {
+        viewer.telemetry().is_some_and(|array| array.state == ArrayState::Parked)
+            && viewer.status(NodeKind::Controller).is_some_and(|status| {
+                status.counters.iter().any(|(name, count)| name == "driver_absent" && *count == 0)
+            })
+    });
+    process.end().json();
 }
 
 #[test]

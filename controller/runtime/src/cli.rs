@@ -11,7 +11,7 @@ use heliostat_core::{
 use heliostat_models::ActorSource;
 use heliostat_proto::Room;
 use heliostat_scenario::ScenarioArgs;
-use heliostat_service::{EndArgs, LogArgs, MetricsArgs, output};
+use heliostat_service::{EndArgs, LogArgs, MetricsArgs, Stop, output};
 
 use crate::{
     config::{NodeConfig, Pace},
@@ -21,6 +21,7 @@ use crate::{
     room_runtime::{
         cache_warmer::KeepWarm,
         decision_loop::{DecideIn, DecisionSettings},
+        transport::LocalArray,
     },
 };
 
@@ -121,20 +122,54 @@ impl Args {
     }
 }
 
+/// A controller that is ready to run.
+pub struct Prepared {
+    /// Its configuration.
+    pub config: NodeConfig,
+    /// Ends it.
+    pub stop: Stop,
+    /// Whether its summary is printed as JSON.
+    pub json: bool,
+    machine: Vec<String>,
+}
+
+impl Args {
+    /// Starts the log, listens for signals, and makes the requests to the operating system. Call it
+    /// before any other thread starts: later threads inherit the settings.
+    ///
+    /// # Errors
+    /// If a flag or the scenario is invalid.
+    pub fn prepare(self) -> anyhow::Result<Prepared> {
+        let config = self.node_config()?;
+        self.log.start();
+        let stop = self.end.stop()?;
+        let machine = self.machine.obtain();
+        machine.iter().for_each(|granted| tracing::info!("{granted}"));
+        Ok(Prepared { config, stop, json: self.json, machine })
+    }
+}
+
+impl Prepared {
+    /// Runs the controller until Ctrl-C, SIGTERM, the end of its time or of its parent, with the arrays
+    /// of its room that this process drives.
+    ///
+    /// # Errors
+    /// If it cannot start; the message states what to do.
+    pub fn run(&self, local: Vec<LocalArray>) -> anyhow::Result<Summary> {
+        let summary = node::run(&self.config, local, &self.stop)?;
+        Ok(Summary { machine: self.machine.clone(), ..summary })
+    }
+}
+
 /// Runs a controller until Ctrl-C, SIGTERM, the end of its time or of its parent, and prints its
 /// summary.
 ///
 /// # Errors
 /// If it cannot start; the message states what to do.
 pub fn run(args: Args) -> anyhow::Result<()> {
-    let config = args.node_config()?;
-    args.log.start();
-    let stop = args.end.stop()?;
-    // Before any other thread starts: later threads inherit the settings.
-    let machine = args.machine.obtain();
-    machine.iter().for_each(|granted| tracing::info!("{granted}"));
-    let summary = Summary { machine, ..node::run(&config, &stop)? };
-    if args.json {
+    let prepared = args.prepare()?;
+    let summary = prepared.run(Vec::new())?;
+    if prepared.json {
         output::line(serde_json::to_string(&summary)?)?
     } else {
         output::line(summary)?

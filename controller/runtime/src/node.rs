@@ -13,7 +13,7 @@ use heliostat_service::Stop;
 use crate::{
     config::NodeConfig,
     report::{metrics, summary::Summary},
-    room_runtime::RoomRuntime,
+    room_runtime::{RoomRuntime, transport::LocalArray},
 };
 
 /// Time between two status reports.
@@ -25,17 +25,19 @@ const SILENCE: Duration = Duration::from_secs(3);
 /// Time between two wakes of the rooms.
 const WAKE_INTERVAL: Duration = Duration::from_nanos(WAKE_INTERVAL_NS);
 
-/// Runs a controller until it is stopped, and returns its summary.
+/// Runs a controller until it is stopped, and returns its summary. This process drives the `local`
+/// arrays of its first room.
 ///
 /// # Errors
 /// If a policy does not fit, or the bus cannot be opened.
-pub fn run(config: &NodeConfig, stop: &Stop) -> anyhow::Result<Summary> {
+pub fn run(config: &NodeConfig, mut local: Vec<LocalArray>, stop: &Stop) -> anyhow::Result<Summary> {
     let started = Instant::now();
     let exporter = config.metrics.open()?;
     let bus = Bus::open(&config.bus).context("cannot join the room")?;
     let others = config.also_rooms.iter().map(|room| bus.enter(room.clone()));
     let rooms: Vec<Bus> = std::iter::once(bus.enter(config.bus.room.clone())).chain(others).collect();
-    let mut rooms = rooms.iter().map(|room| RoomRuntime::open(room, config)).collect::<anyhow::Result<Vec<_>>>()?;
+    let open = |room| RoomRuntime::open(room, config, std::mem::take(&mut local));
+    let mut rooms = rooms.iter().map(open).collect::<anyhow::Result<Vec<_>>>()?;
     let deadline = config.run_for.map(|run_for| started + run_for);
     let mut next_check = Instant::now() + STATUS_INTERVAL;
     let mut has_warned = false;

@@ -6,7 +6,8 @@
 //! | [`receive_queue`] | holds payloads between callbacks and the room's thread | |
 //! | [`decision_loop`] | passes inputs to the core, records stage times | the transport's callback or the room's thread; the main thread for missing reports |
 //! | [`cache_warmer`] | decides when the room's thread warms up the caches | the room's thread |
-//! | `transport` | has the publishers | the thread that decides; the main thread for repetitions |
+//! | `announcements` | holds announcements, orders and tokens until the decision loop is free | callbacks, then the thread that releases the loop |
+//! | `transport` | has the publishers, and passes commands to an array of this process | the thread that decides; the main thread for repetitions |
 //!
 //! `policy_swap` replaces the policy on a thread of its own. Rooms share a session and nothing
 //! else, so a room that floods, fails or stands by leaves the others alone.
@@ -15,6 +16,7 @@
 //! loop. A policy that holds the lock for longer is reported and counted, and the room gets no
 //! command until it returns.
 
+mod announcements;
 pub mod cache_warmer;
 pub mod decision_loop;
 mod geometry;
@@ -23,7 +25,7 @@ mod policy_swap;
 pub mod receive_queue;
 mod status;
 mod subscriptions;
-mod transport;
+pub mod transport;
 
 use std::{
     sync::{Arc, Mutex},
@@ -48,13 +50,14 @@ use crate::{
         summary::{RoomReport, Summary},
     },
 };
+use announcements::Announcements;
 use decision_loop::{DecisionLoop, PayloadHandler};
 use geometry::GeometryComparison;
 use locks::{lock, lock_within, try_lock};
 use policy_swap::{PolicyBuilder, PolicySwap, warm_up_runs};
 use receive_queue::ReceiveQueue;
 use status::{Conditions, Identity, Problem, Reporter};
-use transport::{Repetitions, Transport};
+use transport::{LocalArray, Repetitions, Transport};
 
 /// Timeout of a policy. No policy for a room with a deadline takes so long.
 const POLICY_TIMEOUT: Duration = Duration::from_millis(100);
@@ -67,6 +70,7 @@ pub struct RoomRuntime {
     room: Room,
     decision_loop: Arc<Mutex<DecisionLoop>>,
     queue: Arc<ReceiveQueue>,
+    announcements: Announcements,
     repeater: Arc<Mutex<Repeater>>,
     repetitions: Repetitions,
     policy_swap: PolicySwap,
@@ -88,11 +92,12 @@ pub struct RoomRuntime {
 }
 
 impl RoomRuntime {
-    /// Builds the policy, warms it up, and begins to serve the bus's room.
+    /// Builds the policy, warms it up, and begins to serve the bus's room, with the arrays that this
+    /// process drives.
     ///
     /// # Errors
     /// If the policy does not fit the scenario, or the session is closed.
-    pub fn open(bus: &Bus, config: &NodeConfig) -> anyhow::Result<Self> {
+    pub fn open(bus: &Bus, config: &NodeConfig, local: Vec<LocalArray>) -> anyhow::Result<Self> {
         let scenario = &config.scenario;
         let started_ns = utc_ns();
         let source = source_id::random();
@@ -122,17 +127,18 @@ impl RoomRuntime {
 
         let settings = config.decisions.among(1 + config.also_rooms.len());
         let repeater = core.repeater();
-        let decision_loop = DecisionLoop::new(core, Transport::open(bus, arrays, class)?, deadline(config));
+        let transport = Transport::open(bus, arrays, class)?.with_local(local);
+        let decision_loop = DecisionLoop::new(core, transport, deadline(config));
         let decision_loop = Arc::new(Mutex::new(decision_loop.with_settings(settings)));
         let queue = Arc::new(ReceiveQueue::default());
-        let thread = settings.has_thread().then(|| spawn(&room, &decision_loop, &queue)).transpose()?;
-
         let handler = PayloadHandler {
             decision_loop: Arc::clone(&decision_loop),
             queue: Arc::clone(&queue),
             decide_in: settings.decide_in,
+            announcements: Announcements::new(&decision_loop, &repeater),
         };
-        let mut subscriptions = subscriptions::subscribe(bus, &handler, &repeater)?;
+        let thread = settings.has_thread().then(|| spawn(&room, &handler)).transpose()?;
+        let mut subscriptions = subscriptions::subscribe(bus, &handler)?;
         let builder = PolicyBuilder {
             scenario: scenario.clone(),
             model: scenario.channel_model()?,
@@ -148,6 +154,7 @@ impl RoomRuntime {
             room,
             decision_loop,
             queue,
+            announcements: handler.announcements,
             repeater,
             repetitions: Repetitions::open(bus, arrays)?,
             policy_swap,
@@ -184,6 +191,7 @@ impl RoomRuntime {
         if let Some(mut decision_loop) = try_lock(&self.decision_loop) {
             decision_loop.handle(Input::Wake);
         }
+        self.announcements.settle();
         // Also while a policy does not return, and published without a lock.
         let mut due = Vec::new();
         lock(&self.repeater).repeat(utc_ns(), &mut due);
@@ -205,6 +213,7 @@ impl RoomRuntime {
         let former = std::mem::take(&mut decision_loop.former_times);
         let mut snapshot = self.reporter.take_snapshot(&decision_loop, self.policy_swap.counters(), conditions);
         drop(decision_loop);
+        self.announcements.settle();
         if let Some(announced) = changed {
             // Without the lock: the comparison reads text that another process wrote.
             self.geometry.compare(announced);
@@ -298,13 +307,9 @@ impl RoomRuntime {
 }
 
 /// Starts the room's thread.
-fn spawn(
-    room: &Room,
-    decision_loop: &Arc<Mutex<DecisionLoop>>,
-    queue: &Arc<ReceiveQueue>,
-) -> anyhow::Result<JoinHandle<()>> {
-    let (decision_loop, queue) = (Arc::clone(decision_loop), Arc::clone(queue));
-    let run = move || decision_loop::run(&decision_loop, &queue);
+fn spawn(room: &Room, handler: &PayloadHandler) -> anyhow::Result<JoinHandle<()>> {
+    let handler = handler.clone();
+    let run = move || decision_loop::run(&handler);
     std::thread::Builder::new().name(format!("decide-{room}")).spawn(run).context("cannot start the room's thread")
 }
 

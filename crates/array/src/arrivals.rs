@@ -48,6 +48,11 @@ impl Arrivals {
         self.stops.pop_front().or_else(|| self.others.pop_front())
     }
 
+    /// Whether no message waits.
+    pub fn is_empty(&self) -> bool {
+        self.stops.is_empty() && self.others.is_empty()
+    }
+
     /// Messages that were dropped because the queue was full.
     pub fn dropped(&self) -> u64 {
         self.dropped

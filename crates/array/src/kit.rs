@@ -83,6 +83,10 @@ pub struct Kit<D> {
     link: Link,
     connections: u64,
     last_problem: Option<DeviceError>,
+    /// Number of failures of the device so far.
+    problems: u64,
+    /// Whether the device, or all of its mirrors, did not answer when it was measured last.
+    is_absent: bool,
     /// Whether the device has executed a stop since the last one was latched, and answers.
     device_stopped: bool,
     /// Why it has not; a problem from before the last stop counts only while the link is down.
@@ -110,6 +114,8 @@ impl<D: Device> Kit<D> {
             link: Link::Down { retry_at_ns: 0, pause_ns: PAUSE_MIN_NS },
             connections: 0,
             last_problem: None,
+            problems: 0,
+            is_absent: false,
             device_stopped: false,
             stop_problem: None,
             applied: Moment::default(),
@@ -144,10 +150,11 @@ impl<D: Device> Kit<D> {
     /// Refusals are counted by kind and reason in `refused`.
     pub fn handle(&mut self, at: Moment, content: Content, refused: &mut RefusalCounts) -> Option<MirrorCommand> {
         match content {
-            Content::Command(Ok(command)) => match self.handle_command(at, &command) {
-                Ok(()) => return Some(command),
-                Err(refusal) => refused.note("command", refusal.name(), &refusal),
-            },
+            Content::Command(Ok(command)) => {
+                if self.follow(at, &command, refused) {
+                    return Some(command);
+                }
+            }
             Content::Command(Err(error)) => {
                 self.array.count_malformed();
                 refused.note("command", error.name(), &error);
@@ -177,6 +184,15 @@ impl<D: Device> Kit<D> {
             }
         }
         None
+    }
+
+    /// Handles a command like [`Kit::handle`]; returns whether it was accepted.
+    pub fn follow(&mut self, at: Moment, command: &MirrorCommand, refused: &mut RefusalCounts) -> bool {
+        let followed = self.handle_command(at, command);
+        if let Err(refusal) = &followed {
+            refused.note("command", refusal.name(), refusal);
+        }
+        followed.is_ok()
     }
 
     /// Checks a command and applies it to the device if it is accepted.
@@ -279,8 +295,9 @@ impl<D: Device> Kit<D> {
             .collect();
         let is_lost = health.faults & fault::LINK != 0 && health.broken.len() == self.capabilities.mirrors();
         let is_down = self.link != Link::Up || is_lost;
+        self.is_absent = is_down || health.problem.is_some();
         if let Some(problem) = health.problem {
-            self.last_problem = Some(problem);
+            self.note_problem(problem);
         }
         let bit = |set: bool, bit: u32| if set { bit } else { 0 };
         MirrorTelemetry {
@@ -392,6 +409,16 @@ impl<D: Device> Kit<D> {
         self.last_problem.as_ref()
     }
 
+    /// Number of failures of the device so far.
+    pub fn problems(&self) -> u64 {
+        self.problems
+    }
+
+    /// Whether a part of the device did not answer when it was measured last.
+    pub fn is_device_absent(&self) -> bool {
+        self.is_absent
+    }
+
     /// How often the device was connected.
     pub fn connections(&self) -> u64 {
         self.device.connections().unwrap_or(self.connections)
@@ -446,7 +473,7 @@ impl<D: Device> Kit<D> {
         let before = self.device_stopped;
         self.device_stopped = self.device.has_stopped().unwrap_or_else(|problem| {
             self.stop_problem = Some(problem.clone());
-            self.last_problem = Some(problem);
+            self.note_problem(problem);
             false
         });
         if self.device_stopped && !before && self.device.measure(now, &mut self.measured) == Ok(true) {
@@ -472,6 +499,11 @@ impl<D: Device> Kit<D> {
         self.link = Link::Down { retry_at_ns: now.local_ns.saturating_add(pause_ns), pause_ns };
         self.follow_check.pause();
         self.stop_problem = Some(problem.clone());
+        self.note_problem(problem);
+    }
+
+    fn note_problem(&mut self, problem: DeviceError) {
+        self.problems += 1;
         self.last_problem = Some(problem);
     }
 

@@ -8,6 +8,7 @@ use std::fmt::Display;
 pub struct RefusalCounts {
     counts: BTreeMap<String, u64>,
     last_problem: String,
+    problems: u64,
 }
 
 impl RefusalCounts {
@@ -20,6 +21,7 @@ impl RefusalCounts {
     pub fn count(&mut self, name: &str, problem: String) {
         *self.counts.entry(name.to_owned()).or_default() += 1;
         self.last_problem = problem;
+        self.problems += 1;
     }
 
     /// Sets a count that is kept elsewhere; a count of 0 has no entry.
@@ -32,6 +34,11 @@ impl RefusalCounts {
     /// The counts by name.
     pub fn counts(&self) -> &BTreeMap<String, u64> {
         &self.counts
+    }
+
+    /// Number of problems so far.
+    pub fn problems(&self) -> u64 {
+        self.problems
     }
 
     /// The text of the last problem; empty before the first.

@@ -15,7 +15,7 @@
 
 use heliostat_proto::array_keys::array_name;
 use heliostat_proto::{
-    ArrayState, Capabilities, MirrorTelemetry, NodeKind, NodeStatus, SafetyReport, Stamp, StopReport,
+    ArrayState, Capabilities, MirrorCommand, MirrorTelemetry, NodeKind, NodeStatus, SafetyReport, Stamp, StopReport,
 };
 
 use crate::arrivals::Arrival;
@@ -98,6 +98,9 @@ pub struct Station<D, S> {
     published_latch: Latch,
     /// The latch in the last stop report, and whether the device had executed it.
     published_stops: (Latch, bool),
+    /// Numbers of problems of the device and of refused messages, and whether the last one was of the
+    /// device.
+    problems: ([u64; 2], bool),
 }
 
 impl<D: Device, S: StopStore> Station<D, S> {
@@ -124,12 +127,20 @@ impl<D: Device, S: StopStore> Station<D, S> {
             published_state: (ArrayState::Parked, false),
             published_latch: Latch::default(),
             published_stops: (Latch::default(), false),
+            problems: ([0; 2], false),
         }
     }
 
     /// Handles a message.
     pub fn handle(&mut self, arrival: Arrival) {
         self.kit.handle(arrival.at, arrival.content, &mut self.refused);
+        self.order_problems();
+    }
+
+    /// Handles a command that the caller has decoded into a buffer of its own.
+    pub fn handle_command(&mut self, at: Moment, command: &MirrorCommand) {
+        self.kit.follow(at, command, &mut self.refused);
+        self.order_problems();
     }
 
     /// Sets the number of messages that were dropped before they were handled.
@@ -144,6 +155,7 @@ impl<D: Device, S: StopStore> Station<D, S> {
     /// [`RecordError`] for each attempt that failed; the stop is in force all the same.
     pub fn advance(&mut self, now: Moment) -> Result<(), RecordError> {
         self.kit.advance(now);
+        self.order_problems();
         if !self.is_measuring && now.local_ns >= self.measurement_ns() {
             self.is_measuring = true;
             self.kit.request_measurement();
@@ -171,9 +183,10 @@ impl<D: Device, S: StopStore> Station<D, S> {
             self.published_stops = (self.kit.array().latch().clone(), is_stopped);
             return Some(Report::Stops(self.kit.stops(stamp)));
         }
-        if is_due(&self.telemetry) || self.published_state != (self.kit.array().state(), is_stopped) {
+        if is_due(&self.telemetry) || self.has_changed() {
             let stamp = self.telemetry.publish(source, now, TELEMETRY_NS);
             let telemetry = self.kit.telemetry(now, stamp);
+            self.order_problems();
             // A measurement can show that the device is lost.
             self.published_state = (self.kit.array().state(), self.kit.device_stopped());
             self.is_measuring = false;
@@ -194,6 +207,11 @@ impl<D: Device, S: StopStore> Station<D, S> {
     /// handled before the reports.
     pub fn is_report_due(&self, local_ns: u64) -> bool {
         local_ns >= self.telemetry.due_ns || self.published_latch != *self.kit.array().latch()
+    }
+
+    /// Whether the state differs from the one in the last telemetry: telemetry is then due at once.
+    pub fn has_changed(&self) -> bool {
+        self.published_state != (self.kit.array().state(), self.kit.device_stopped())
     }
 
     /// When the measurement for the next telemetry is requested.
@@ -229,16 +247,27 @@ impl<D: Device, S: StopStore> Station<D, S> {
         self.record.problem().is_none()
     }
 
-    /// The last problem: of the record, of the device, or of a refused message; empty if there was
-    /// none.
+    /// The present problem of the record; else the last one of the device or of a refused message; empty
+    /// if there was none.
     pub fn last_problem(&self) -> String {
-        let record = self.record.problem().map(str::to_owned);
-        let problem = record.or_else(|| self.kit.last_problem().map(ToString::to_string));
+        let (_, is_of_device) = self.problems;
+        let of_device = self.kit.last_problem().filter(|_| is_of_device).map(ToString::to_string);
+        let problem = self.record.problem().map(str::to_owned).or(of_device);
         problem.unwrap_or_else(|| self.refused.last_problem().to_owned())
+    }
+
+    /// Notes whether the last problem is one of the device: an old one of the device does not hide a
+    /// refusal.
+    fn order_problems(&mut self) {
+        let counts = [self.kit.problems(), self.refused.problems()];
+        let ([device, refused], is_of_device) = self.problems;
+        let is_of_device = if counts[0] != device { true } else { is_of_device && counts[1] == refused };
+        self.problems = (counts, is_of_device);
     }
 
     fn status(&self, stamp: Stamp) -> NodeStatus {
         let commands = self.kit.array().counters().accepted;
+        let absent = u64::from(self.kit.is_device_absent());
         let refused = self.refused.counts().iter().map(|(name, count)| (format!("refused:{name}"), *count));
         let array = if self.identity.array == 0 { "array".to_owned() } else { array_name(self.identity.array) };
         let mut status = NodeStatus {
@@ -248,7 +277,7 @@ impl<D: Device, S: StopStore> Station<D, S> {
             software: self.identity.software.clone(),
             state: format!("{array} {}", self.kit.array().state().name()),
             started_ns: self.started_ns,
-            counters: [("commands", commands), ("connections", self.kit.connections())]
+            counters: [("commands", commands), ("connections", self.kit.connections()), ("device_absent", absent)]
                 .map(|(name, count)| (name.to_owned(), count))
                 .into_iter()
                 .chain(refused)

@@ -15,7 +15,7 @@ use zenoh::sample::{Sample, SampleKind};
 use crate::bounded_session::BoundedSession;
 use crate::config::{BusConfig, Reach};
 use crate::error::BusError;
-use crate::tls_check::{TlsCheck, accepts, connections, first_problem};
+use crate::tls_check::{TlsCheck, accepts, connections, first_encrypted, first_problem};
 
 /// Time between two looks for a connection.
 const CONNECTED_EVERY: Duration = Duration::from_millis(20);
@@ -128,9 +128,13 @@ impl Bus {
         config.connect.iter().any(|endpoint| accepts(endpoint))
     }
 
-    /// Looks now for the reason why a TLS connection to an endpoint of the configuration fails.
+    /// Looks now for the reason why a connection to an endpoint of the configuration fails although a
+    /// process answers there: the fault of a certificate, or keys that this process lacks.
     pub fn find_connection_problem(config: &BusConfig) -> Option<String> {
-        config.identity.as_ref().and_then(|identity| first_problem(identity, &config.connect))
+        match &config.identity {
+            Some(identity) => first_problem(identity, &config.connect),
+            None => first_encrypted(&config.connect),
+        }
     }
 
     /// Why a TLS connection of this session fails, if the other side answers: the fault of a certificate.

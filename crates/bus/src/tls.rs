@@ -67,6 +67,14 @@ impl Identity {
         Ok(Self { folder, room, role })
     }
 
+    /// The certificate of another role in the same folder, for a process that has both.
+    ///
+    /// # Errors
+    /// As for [`load`](Self::load).
+    pub fn of_role(&self, role: AccessRole) -> Result<Self, KeyError> {
+        Self::load(&self.folder, &[role])
+    }
+
     /// Room in which it has rights.
     pub fn room(&self) -> &Room {
         &self.room

@@ -109,6 +109,48 @@ pub(crate) fn first_problem(identity: &Identity, endpoints: &[String]) -> Option
     endpoints.iter().find_map(|endpoint| problem(identity, endpoint))
 }
 
+/// The first of these endpoints of a process without keys at which another process encrypts.
+pub(crate) fn first_encrypted(endpoints: &[String]) -> Option<String> {
+    endpoints.iter().find(|endpoint| encrypts(endpoint).unwrap_or(false)).map(|endpoint| {
+        let address = endpoint.split_once('/').map_or("", |(_, address)| address);
+        format!(
+            "{endpoint}: the process there accepts encrypted connections only: give --tls DIR, the folder of its room's \
+             keys, and --connect tls/{address}"
+        )
+    })
+}
+
+/// Whether a process answers an encrypted connection at an endpoint without encryption; `None` where
+/// nothing is known.
+fn encrypts(endpoint: &str) -> Option<bool> {
+    let parsed: EndPoint = endpoint.parse().ok()?;
+    if parsed.protocol().as_str() != "tcp" {
+        return None;
+    }
+    let seen = Arc::new(Seen::default());
+    let verifier: Arc<dyn ServerCertVerifier> = Arc::<Seen>::clone(&seen);
+    let config = ClientConfig::builder_with_provider(Arc::clone(&seen.provider)).with_safe_default_protocol_versions();
+    let config = config.ok()?.dangerous().with_custom_certificate_verifier(verifier).with_no_client_auth();
+    let name = ServerName::try_from("localhost").ok()?;
+    let mut connection = ClientConnection::new(Arc::new(config), name).ok()?;
+    let mut stream = connect(parsed.address().as_str())?;
+    // The other side shows its certificate before it asks for one.
+    while seen.certificate.get().is_none() && connection.is_handshaking() {
+        if connection.complete_io(&mut stream).is_err() {
+            break;
+        }
+    }
+    Some(seen.certificate.get().is_some())
+}
+
+/// A connection whose steps have a bound.
+fn connect(address: &str) -> Option<TcpStream> {
+    let at = address.to_socket_addrs().ok()?.next()?;
+    let stream = TcpStream::connect_timeout(&at, STEP_LIMIT).ok()?;
+    stream.set_read_timeout(Some(STEP_LIMIT)).and_then(|()| stream.set_write_timeout(Some(STEP_LIMIT))).ok()?;
+    Some(stream)
+}
+
 /// The fault of a connection to an endpoint; `None` if there is none, or no process answers there.
 fn problem(identity: &Identity, endpoint: &str) -> Option<String> {
     let parsed: EndPoint = endpoint.parse().ok()?;
@@ -118,9 +160,7 @@ fn problem(identity: &Identity, endpoint: &str) -> Option<String> {
     let address = parsed.address().as_str().to_owned();
     let (host, _) = address.rsplit_once(':')?;
     let host = host.trim_start_matches('[').trim_end_matches(']');
-    let at = address.to_socket_addrs().ok()?.next()?;
-    let mut stream = TcpStream::connect_timeout(&at, STEP_LIMIT).ok()?;
-    stream.set_read_timeout(Some(STEP_LIMIT)).and_then(|()| stream.set_write_timeout(Some(STEP_LIMIT))).ok()?;
+    let mut stream = connect(&address)?;
     let seen = Arc::new(Seen::default());
     let name = ServerName::try_from(host.to_owned()).ok()?;
     let mut connection = ClientConnection::new(Arc::new(client(identity, &seen)?), name).ok()?;

@@ -5,7 +5,7 @@ use clap::{CommandFactory, Parser, Subcommand};
 use heliostat_models::library::LibraryArgs;
 use heliostat_service::exit::UnusableInput;
 
-use crate::commands::{self, bench, completions, config, demo, doctor, keys, link, scenario, stop, ui};
+use crate::commands::{self, bench, completions, config, controller, demo, doctor, keys, link, scenario, stop, ui};
 
 /// Real-time control of a MEMS mirror array for indoor optical wireless communication (LiFi).
 ///
@@ -27,7 +27,7 @@ pub struct Cli {
 enum Command {
     Demo(demo::Args),
     Ui(ui::Args),
-    Controller(heliostat_controller::cli::Args),
+    Controller(controller::Args),
     /// Run the simulated room: users, obstacles, mirrors, reports
     SimNode(heliostat_sim_node::cli::Args),
     /// Drive real mirrors, or check a driver against the wire contract
@@ -64,7 +64,7 @@ pub fn run() -> Result<()> {
     match command {
         Command::Demo(args) => demo::run(args),
         Command::Ui(args) => ui::run(args),
-        Command::Controller(args) => heliostat_controller::cli::run(args),
+        Command::Controller(args) => controller::run(args),
         Command::SimNode(args) => heliostat_sim_node::cli::run(args),
         Command::Driver(args) => heliostat_driver::cli::run(args),
         Command::Stop(args) => stop::stop(args),

@@ -3,6 +3,7 @@
 pub mod bench;
 pub mod completions;
 pub(crate) mod config;
+pub(crate) mod controller;
 pub(crate) mod demo;
 pub(crate) mod doctor;
 pub(crate) mod keys;

@@ -3,10 +3,12 @@
 //! - [`cli`]: the commands and their help.
 //! - [`commands`]: one module for each command; [`commands::bench`] and [`commands::mirrors`] are also
 //!   for `heliostat-lab`.
+//! - `one_process`: a controller and an array in one process.
 //! - [`programs`]: the two programs as processes.
 
 pub mod cli;
 pub mod commands;
+mod one_process;
 pub mod programs;
 
 use std::process::ExitCode;

@@ -20,7 +20,7 @@ fn every_command_refuses_an_invalid_duration_in_the_same_words() {
             "stop" | "rearm" => "--timeout",
             _ => "--seconds",
         };
-        for value in ["x", "-1", "0", "1e9", "nan"] {
+        for value in ["x", "-1", "0", "1e9", "nan", "3 s", "3m"] {
             let ended = Command::new(env!("CARGO_BIN_EXE_heliostat")).args(command).args([flag, value]).output();
             let ended = ended.expect("the program starts");
             let errors = String::from_utf8_lossy(&ended.stderr);

@@ -53,6 +53,17 @@ fn scenario_new_writes_a_file_that_check_accepts() {
 }
 
 #[test]
+fn scenario_check_applies_overrides() {
+    let check = |set: &str| heliostat(&["scenario", "check", "hall", "--set", set]);
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("text");
+    let valid = check("users.count=3");
+    assert!(valid.status.success() && text(valid.stdout).contains("3 users"));
+    let refused = check("users.count=99");
+    let message = text(refused.stderr);
+    assert!(refused.status.code() == Some(1) && message.contains("users.count = 99: expected"), "{message}");
+}
+
+#[test]
 fn scenario_check_lists_every_problem_of_the_file_and_of_its_recording() {
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name).to_str().expect("a plain path").to_owned();

@@ -21,7 +21,7 @@ mod test_session;
 
 use std::time::Duration;
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, bail};
 use heliostat_bus::{Bus, BusConfig};
 use heliostat_proto::NodeKind;
 
@@ -42,11 +42,18 @@ pub fn run(config: &BusConfig, array: usize) -> Result<Report> {
     let present = |tokens: &str| Ok::<_, anyhow::Error>(!bus.alive(tokens, PRESENCE_LIMIT)?.is_empty());
     let (drivers, simulators) = (room.array(array).drivers_alive(), room.alive_of(NodeKind::SimNode));
     while !present(&drivers)? && !present(&simulators)? {
-        ensure!(
-            begun.elapsed() < PRESENCE_LIMIT,
-            "no driver in room \"{room}\": expected a liveliness token of a driver ({drivers}) or a simulator; \
-             start it with the same room, the same --array and a matching endpoint"
-        );
+        if begun.elapsed() >= PRESENCE_LIMIT {
+            let reason = Bus::find_connection_problem(config).map_or_else(
+                || {
+                    format!(
+                        "expected a liveliness token of a driver ({drivers}) or a simulator; start it with the same room, \
+                         the same --array and a matching endpoint"
+                    )
+                },
+                |problem| format!("this process is not connected: {problem}"),
+            );
+            bail!("no driver in room \"{room}\": {reason}");
+        }
         std::thread::sleep(Duration::from_millis(50));
     }
     if present(&room.alive_of(NodeKind::Controller))? {

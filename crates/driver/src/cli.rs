@@ -1,11 +1,11 @@
 //! The command line of the driver, on its own or as a command of `heliostat`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::Subcommand;
 use heliostat_array::Kit;
-use heliostat_bus::{AccessRole, BusArgs};
+use heliostat_bus::{AccessRole, BusArgs, BusConfig};
 use heliostat_proto::{MAX_ARRAYS, Room, Stamp};
 use heliostat_service::counted::counted;
 use heliostat_service::exit::UnusableInput;
@@ -44,11 +44,9 @@ struct ArrayArgs {
     array: usize,
 }
 
+/// Flags of an array that a process drives.
 #[derive(Clone, Debug, clap::Args)]
-struct RunArgs {
-    /// TOML file of the boards and their mirrors
-    #[arg(long, value_name = "FILE")]
-    config: PathBuf,
+pub struct DrivenArgs {
     /// Correct the mirrors' mounting with this file of `heliostat-lab calibrate`
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
@@ -62,6 +60,42 @@ struct RunArgs {
     start_armed: bool,
     #[command(flatten)]
     array: ArrayArgs,
+}
+
+impl DrivenArgs {
+    /// The array of a configuration file, with its calibration. No device is opened yet.
+    ///
+    /// # Errors
+    /// [`UnusableInput`]: a file that describes no array, or a calibration that does not fit it.
+    pub fn kit(&self, config: &Path) -> Result<Kit<Wall>> {
+        self.read(config).context(UnusableInput::new("the driver cannot start with this configuration"))
+    }
+
+    fn read(&self, config: &Path) -> Result<Kit<Wall>> {
+        let wall = Config::load(config)?.wall().with_context(|| format!("in {}", config.display()))?;
+        let mut kit = Kit::new(wall);
+        if let Some(file) = &self.calibration {
+            let corrections = calibration_store::load(file)?.message(Stamp { sequence: 1, ..Stamp::default() });
+            kit.set_calibration(&corrections).with_context(|| format!("in {}", file.display()))?;
+        }
+        Ok(kit)
+    }
+
+    /// The settings of its driver in a room.
+    pub fn settings(&self, bus: BusConfig) -> run::Settings {
+        let variable = |name: &str| std::env::var(name).ok();
+        let record = StopRecordSettings::of_driver(self.state.clone(), self.start_armed, variable);
+        run::Settings { record, array: self.array.array, ..run::Settings::new(bus) }
+    }
+}
+
+#[derive(Clone, Debug, clap::Args)]
+struct RunArgs {
+    /// TOML file of the boards and their mirrors
+    #[arg(long, value_name = "FILE")]
+    config: PathBuf,
+    #[command(flatten)]
+    driven: DrivenArgs,
     #[command(flatten)]
     bus: BusArgs,
     #[command(flatten)]
@@ -102,19 +136,12 @@ pub fn run(args: Args) -> Result<()> {
 }
 
 fn drive(args: &RunArgs) -> Result<()> {
-    let kit = kit(args).context(UnusableInput::new("the driver cannot start with this configuration"))?;
+    let kit = args.driven.kit(&args.config)?;
     let bus = args.bus.config_or_connect(&[AccessRole::Driver])?;
     let stop = args.end.stop()?;
     args.log.start();
     tracing::info!(room = %bus.room, config = %args.config.display(), "driver starts");
-    let record = StopRecordSettings::of_driver(args.state.clone(), args.start_armed, |name| std::env::var(name).ok());
-    let settings = run::Settings {
-        run_for: args.end.seconds,
-        metrics: args.metrics,
-        record,
-        array: args.array.array,
-        ..run::Settings::new(bus)
-    };
+    let settings = run::Settings { run_for: args.end.seconds, metrics: args.metrics, ..args.driven.settings(bus) };
     let summary = run::run(kit, &settings, &stop)?;
     if args.json {
         output::line(serde_json::to_string(&summary)?)?
@@ -122,17 +149,6 @@ fn drive(args: &RunArgs) -> Result<()> {
         output::text(summary)?
     }
     Ok(())
-}
-
-/// The array of the configuration, with its calibration. No device is opened yet.
-fn kit(args: &RunArgs) -> Result<Kit<Wall>> {
-    let wall = Config::load(&args.config)?.wall().with_context(|| format!("in {}", args.config.display()))?;
-    let mut kit = Kit::new(wall);
-    if let Some(file) = &args.calibration {
-        let corrections = calibration_store::load(file)?.message(Stamp { sequence: 1, ..Stamp::default() });
-        kit.set_calibration(&corrections).with_context(|| format!("in {}", file.display()))?;
-    }
-    Ok(kit)
 }
 
 fn check_driver(args: &CheckArgs) -> Result<()> {

@@ -5,6 +5,7 @@
 //!
 //! - [`session`], [`receive_queue`]: what an array publishes and receives.
 //! - [`run`]: the loop of a driver process; [`cli`] is its command line, [`config`] its file.
+//! - [`direct_commands`]: commands of a controller in the same process.
 //! - [`devices`]: drivers for hardware.
 //! - [`check`]: the conformance check, which tests any driver against the contract.
 //! - [`clock`]: both times of a room; [`calibration_store`]: calibration files on disk;
@@ -16,6 +17,7 @@ pub mod cli;
 pub mod clock;
 pub mod config;
 pub mod devices;
+pub mod direct_commands;
 mod metrics;
 pub mod receive_queue;
 pub mod run;

@@ -7,6 +7,7 @@ use heliostat_array::Waker;
 use heliostat_array::arrivals::{Arrival, Arrivals};
 use heliostat_array::content::Content;
 use heliostat_array::moment::Moment;
+use heliostat_proto::MirrorCommand;
 
 /// [`Arrivals`] for two threads.
 #[derive(Debug, Default)]
@@ -22,6 +23,8 @@ struct Queue {
     is_woken: bool,
     /// Called after a stop has arrived, for a thread that waits for several queues.
     on_stop: Option<Waker>,
+    /// Epoch and sequence number of the last command that this process has passed on itself.
+    passed_on: Option<(u64, u64)>,
 }
 
 impl ReceiveQueue {
@@ -29,6 +32,9 @@ impl ReceiveQueue {
     pub fn push(&self, at: Moment, content: Content) {
         let is_stop = content.is_stop();
         let mut queue = self.lock();
+        if queue.is_passed_on(&content) {
+            return;
+        }
         queue.arrivals.push(at, content);
         let on_stop = queue.on_stop.clone().filter(|_| is_stop);
         drop(queue);
@@ -36,6 +42,20 @@ impl ReceiveQueue {
         if let Some(on_stop) = on_stop {
             on_stop.wake();
         }
+    }
+
+    /// Notes a command that a controller in this process passes on without the transport. Its copy
+    /// from the transport is no arrival. Returns whether no message waits.
+    pub fn pass_on(&self, command: &MirrorCommand) -> bool {
+        let mut queue = self.lock();
+        queue.passed_on = Some((command.epoch, command.sequence));
+        queue.arrivals.is_empty()
+    }
+
+    /// Adds a command that was [passed on](Self::pass_on).
+    pub fn push_passed_on(&self, at: Moment, command: MirrorCommand) {
+        self.lock().arrivals.push(at, Content::Command(Ok(command)));
+        self.filled.notify_one();
     }
 
     /// Ends the present or the next wait for a message.
@@ -72,6 +92,18 @@ impl ReceiveQueue {
         }
     }
 
+    /// Waits until a message is there, until `deadline`, or until it is woken.
+    pub fn wait_until(&self, deadline: Instant) {
+        let mut queue = self.lock();
+        while queue.arrivals.is_empty() && !std::mem::take(&mut queue.is_woken) {
+            let left = deadline.saturating_duration_since(Instant::now());
+            if left == Duration::ZERO {
+                return;
+            }
+            queue = self.filled.wait_timeout(queue, left).unwrap_or_else(PoisonError::into_inner).0;
+        }
+    }
+
     /// Messages that were dropped because the queue was full.
     pub fn dropped(&self) -> u64 {
         self.lock().arrivals.dropped()
@@ -84,10 +116,20 @@ impl ReceiveQueue {
     }
 }
 
+impl Queue {
+    /// Whether the message is the copy of a command that this process has passed on.
+    fn is_passed_on(&self, content: &Content) -> bool {
+        match (content, self.passed_on) {
+            (Content::Command(Ok(command)), Some((epoch, sequence))) => {
+                command.epoch == epoch && command.sequence <= sequence
+            }
+            _ => false,
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use heliostat_proto::MirrorCommand;
-
     use super::*;
 
     fn command() -> Content {
@@ -102,5 +144,18 @@ mod tests {
             scope.spawn(|| queue.push(Moment::simulated(1), command()));
             assert!(queue.pop_until(Instant::now() + Duration::from_secs(30)).is_some());
         });
+    }
+
+    #[test]
+    fn the_copy_of_a_command_that_was_passed_on_is_no_arrival() {
+        let queue = ReceiveQueue::default();
+        let numbered = |epoch, sequence| MirrorCommand { epoch, sequence, ..MirrorCommand::default() };
+        assert!(queue.pass_on(&numbered(5, 8)));
+        for (epoch, sequence) in [(5, 7), (5, 8), (5, 9), (6, 1), (4, 9)] {
+            queue.push(Moment::simulated(sequence), Content::Command(Ok(numbered(epoch, sequence))));
+        }
+        assert!(!queue.pass_on(&numbered(5, 9)), "commands of other controllers wait");
+        let kept: Vec<u64> = std::iter::from_fn(|| queue.pop()).map(|arrival| arrival.at.local_ns).collect();
+        assert_eq!(kept, [9, 1, 9]);
     }
 }

@@ -1,7 +1,8 @@
 //! The loop of a driver process: a kit with a session and a clock.
 //!
 //! Its thread handles orders, records stops and publishes reports. A device with threads of its own,
-//! such as the boards of this crate, never makes it wait.
+//! such as the boards of this crate, never makes it wait. A controller in the same process gives its
+//! commands by [`ArrayDriver::direct_commands`].
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -11,15 +12,16 @@ use heliostat_array::kit::Kit;
 use heliostat_array::latch::Latch;
 use heliostat_array::station::{Identity, Report, Station};
 use heliostat_array::stop_record::advice;
-use heliostat_bus::{Bus, BusConfig, BusError, Class};
+use heliostat_bus::{Bus, BusConfig, BusError, Class, Token};
 use heliostat_service::log_limit::LogLimit;
 use heliostat_service::{Exporter, MetricsArgs, MetricsError, Stop, source_id};
 use thiserror::Error;
 
 use crate::clock::Clock;
+use crate::direct_commands::{DirectCommands, SharedStation};
 use crate::metrics;
 use crate::session::{ArraySession, MessagePublisher, SessionError, check_alone};
-use crate::stop_record::{self, StopFile, StopRecordSettings};
+use crate::stop_record::{self, StopRecordSettings};
 use crate::summary::Summary;
 
 /// Longest wait, so that a stop request takes effect soon.
@@ -76,50 +78,82 @@ impl From<BusError> for RunError {
 /// # Errors
 /// [`RunError`]: a transport that fails or is configured wrongly, another process that controls the
 /// mirrors of this room, an address at which metrics cannot be served.
-pub fn run<D: Device>(mut kit: Kit<D>, settings: &Settings, stop: &Stop) -> Result<Summary, RunError> {
+pub fn run<D: Device>(kit: Kit<D>, settings: &Settings, stop: &Stop) -> Result<Summary, RunError> {
     let end = settings.run_for.map(|duration| Instant::now() + duration);
-    let exporter = settings.metrics.open()?;
-    let Some(bus) = open(&settings.bus, stop)? else { return Ok(Summary::default()) };
-    let array = settings.array;
-    check_alone(&bus, array..array + 1)?;
-    let clock = Clock::start_in(Duration::ZERO);
-    let source = source_id::random();
-    let (record, latch_at_start) = settings.record.open(bus.room(), array, clock.now().room_ns);
-    // Every role may publish under the key of the stop, only operators under that of the re-arm.
-    kit.refuse_unnamed_rearm(settings.bus.is_authenticated());
-    if let Some(latched) = advice(bus.room(), &latch_at_start) {
-        tracing::warn!("{latched}");
+    match ArrayDriver::open(kit, settings, stop)? {
+        Some(driver) => driver.run(end, stop),
+        None => Ok(Summary::default()),
     }
-    let software = concat!(env!("CARGO_PKG_NAME"), " ", env!("CARGO_PKG_VERSION")).to_owned();
-    let identity = Identity { source, array, software };
-    let session = ArraySession::open(&bus, array, clock, Class::HighDrop)?;
-    let received = Arc::clone(session.received());
-    kit.device_mut().set_waker(Waker::new(move || received.wake()));
-    let mut driver = Driver {
-        station: Station::new(kit, (record, latch_at_start), identity, clock.now()),
-        session,
-        status: MessagePublisher::new(&bus, &bus.room().array(array).driver_status(), Class::LowDrop)?,
-        room: bus.room().to_string(),
-        exporter,
-        logged_latch: Latch::default(),
-        logged_problem: String::new(),
-        log_limit: LogLimit::default(),
-    };
-    let token = bus.announce(&bus.room().array(array).driver_alive(source))?;
-    while !stop.is_requested() && end.is_none_or(|end| Instant::now() < end) {
-        driver.handle_received(clock);
-        let now = clock.now();
-        if let Err(error) = driver.station.advance(now) {
-            driver.log(&error.to_string());
+}
+
+/// A driver that has joined its room.
+pub struct ArrayDriver<D> {
+    driver: Driver<D>,
+    bus: Bus,
+    token: Token,
+    clock: Clock,
+}
+
+impl<D: Device> ArrayDriver<D> {
+    /// Joins the room with a device; `None` when `stop` is requested before.
+    ///
+    /// # Errors
+    /// As for [`run`].
+    pub fn open(mut kit: Kit<D>, settings: &Settings, stop: &Stop) -> Result<Option<Self>, RunError> {
+        let exporter = settings.metrics.open()?;
+        let Some(bus) = open(&settings.bus, stop)? else { return Ok(None) };
+        let array = settings.array;
+        check_alone(&bus, array..array + 1)?;
+        let clock = Clock::start_in(Duration::ZERO);
+        let source = source_id::random();
+        let (record, latch_at_start) = settings.record.open(bus.room(), array, clock.now().room_ns);
+        // Every role may publish under the key of the stop, only operators under that of the re-arm.
+        kit.refuse_unnamed_rearm(settings.bus.is_authenticated());
+        if let Some(latched) = advice(bus.room(), &latch_at_start) {
+            tracing::warn!("{latched}");
         }
-        while let Some(report) = driver.station.poll_report(now) {
-            driver.publish(&report)?;
-        }
+        let software = concat!(env!("CARGO_PKG_NAME"), " ", env!("CARGO_PKG_VERSION")).to_owned();
+        let identity = Identity { source, array, software };
+        let session = ArraySession::open(&bus, array, clock, Class::HighDrop)?;
+        let received = Arc::clone(session.received());
+        kit.device_mut().set_waker(Waker::new(move || received.wake()));
+        let station = Station::new(kit, (record, latch_at_start), identity, clock.now());
+        let driver = Driver {
+            shared: Arc::new(SharedStation::new(station)),
+            session,
+            status: MessagePublisher::new(&bus, &bus.room().array(array).driver_status(), Class::LowDrop)?,
+            room: bus.room().to_string(),
+            exporter,
+            logged_latch: Latch::default(),
+            logged_problem: String::new(),
+            log_limit: LogLimit::default(),
+        };
+        let token = bus.announce(&bus.room().array(array).driver_alive(source))?;
+        Ok(Some(Self { driver, bus, token, clock }))
     }
-    let summary = driver.summary();
-    drop((driver, token));
-    bus.close()?;
-    Ok(summary)
+
+    /// The entry of commands from a controller in this process; they are handled while
+    /// [`run`](Self::run) runs.
+    pub fn direct_commands(&self) -> DirectCommands<D> {
+        DirectCommands::new(Arc::clone(&self.driver.shared), Arc::clone(self.driver.session.received()), self.clock)
+    }
+
+    /// Drives the device until `stop` is requested, or until `end`.
+    ///
+    /// # Errors
+    /// A transport that fails.
+    pub fn run(self, end: Option<Instant>, stop: &Stop) -> Result<Summary, RunError> {
+        let Self { mut driver, bus, token, clock } = self;
+        let running = driver.shared.run();
+        while !stop.is_requested() && end.is_none_or(|end| Instant::now() < end) {
+            driver.step(clock)?;
+        }
+        drop(running);
+        let summary = driver.summary();
+        drop((driver, token));
+        bus.close()?;
+        Ok(summary)
+    }
 }
 
 /// Opens a connection, and retries until the router can be reached; `None` when stopped before.
@@ -140,7 +174,7 @@ fn open(config: &BusConfig, stop: &Stop) -> Result<Option<Bus>, SessionError> {
 }
 
 struct Driver<D> {
-    station: Station<D, StopFile>,
+    shared: Arc<SharedStation<D>>,
     session: ArraySession,
     status: MessagePublisher,
     room: String,
@@ -153,26 +187,43 @@ struct Driver<D> {
 }
 
 impl<D: Device> Driver<D> {
-    /// Handles the received messages until telemetry is due; waits for the first.
-    fn handle_received(&mut self, clock: Clock) {
-        let wake = clock.instant_at(self.station.next_ns()).min(Instant::now() + SLEEP_MAX);
-        let mut next = self.session.received().pop_until(wake);
-        while let Some(arrival) = next {
-            self.station.handle(arrival);
-            let is_due = self.station.is_report_due(clock.local_ns());
-            next = if is_due { None } else { self.session.received().pop() };
+    /// Waits for a message or a due time, handles the messages until a report is due, and publishes
+    /// the reports.
+    fn step(&mut self, clock: Clock) -> Result<(), SessionError> {
+        let wake = clock.instant_at(self.shared.plan_wake()).min(Instant::now() + SLEEP_MAX);
+        let received = self.session.received();
+        received.wait_until(wake);
+        let shared = Arc::clone(&self.shared);
+        let mut station = shared.lock();
+        while let Some(arrival) = received.pop() {
+            station.handle(arrival);
+            if station.is_report_due(clock.local_ns()) {
+                break;
+            }
         }
-        self.station.set_dropped(self.session.received().dropped());
+        station.set_dropped(received.dropped());
+        let now = clock.now();
+        let advanced = station.advance(now);
+        drop(station);
+        if let Err(error) = advanced {
+            self.log(&error.to_string());
+        }
+        // Published without the lock.
+        loop {
+            let report = shared.lock().poll_report(now);
+            let Some(report) = report else { return Ok(()) };
+            self.publish(&report)?;
+        }
     }
 
     fn publish(&mut self, report: &Report) -> Result<(), SessionError> {
         match report {
             Report::Telemetry(telemetry) => self.session.publish_telemetry(telemetry),
             Report::Safety(safety) => {
-                let latch = self.station.kit().array().latch();
-                if self.logged_latch != *latch {
-                    stop_record::log_change(&self.room, latch);
-                    self.logged_latch.clone_from(latch);
+                let latch = self.shared.lock().kit().array().latch().clone();
+                if self.logged_latch != latch {
+                    stop_record::log_change(&self.room, &latch);
+                    self.logged_latch = latch;
                 }
                 self.session.publish_safety(safety)
             }
@@ -196,8 +247,10 @@ impl<D: Device> Driver<D> {
             self.logged_problem.clone_from(&summary.last_problem);
         }
         if let Some(exporter) = &self.exporter {
-            let state = self.station.kit().array().state();
-            exporter.publish(metrics::page(&self.room, &summary, state, self.station.is_recorded()));
+            let station = self.shared.lock();
+            let (state, is_recorded) = (station.kit().array().state(), station.is_recorded());
+            drop(station);
+            exporter.publish(metrics::page(&self.room, &summary, state, is_recorded));
         }
     }
 
@@ -209,13 +262,14 @@ impl<D: Device> Driver<D> {
     }
 
     fn summary(&self) -> Summary {
-        let counters = self.station.kit().array().counters();
+        let station = self.shared.lock();
+        let counters = station.kit().array().counters();
         Summary {
             commands: counters.accepted,
             clipped_commands: counters.clipped,
-            refused: self.station.refused().counts().clone(),
-            connections: self.station.kit().connections(),
-            last_problem: self.station.last_problem(),
+            refused: station.refused().counts().clone(),
+            connections: station.kit().connections(),
+            last_problem: station.last_problem(),
         }
     }
 }

@@ -57,6 +57,9 @@ pub enum RecordingError {
     /// The file cannot be read, or is not an MCAP file.
     #[error("the recording cannot be read: {0}")]
     Read(String),
+    /// A file of another kind.
+    #[error("the file {0}")]
+    OtherKind(String),
     /// An MCAP file that is not a recording of a room.
     #[error(
         "the file is not a recording of a room: its metadata \"heliostat\" is missing; expected a file made by `heliostat record`"

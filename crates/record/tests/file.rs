@@ -190,6 +190,22 @@ fn a_file_that_is_not_a_recording_is_refused_with_the_reason() {
     assert!(refusal(&disk.bytes()).contains("version 2 of the contract"), "a recording from the future");
 }
 
+#[test]
+fn a_file_of_another_kind_is_named_with_what_to_do() {
+    let file = tempfile::NamedTempFile::new().unwrap();
+    for (bytes, words) in [
+        (
+            &b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n"[..],
+            "is a pointer of git-lfs, expected a recording",
+        ),
+        (b"", "is empty"),
+    ] {
+        std::fs::write(file.path(), bytes).unwrap();
+        let refusal = heliostat_record::file::open(file.path()).err().expect("no recording").to_string();
+        assert!(refusal.starts_with("the file ") && refusal.contains(words), "{refusal}");
+    }
+}
+
 /// Ten messages as other tools write them: in compressed chunks, or with the metadata at the end.
 fn rewritten(compression: Option<Compression>, metadata_first: bool) -> tempfile::NamedTempFile {
     let disk = Disk::new(usize::MAX);

@@ -4,6 +4,8 @@ use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
 
+use crate::foreign_file::foreign_file;
+
 /// Longest text in bytes: a recorded walk of some 2 million samples.
 const BYTES_MAX: u64 = 64 << 20;
 
@@ -27,6 +29,9 @@ pub fn read_text(path: &Path) -> io::Result<String> {
 
 /// The place of the first invalid byte, both counted from 1.
 fn not_utf8(bytes: &[u8], valid: usize) -> io::Error {
+    if let Some(what) = foreign_file(bytes, "a text in UTF-8") {
+        return io::Error::new(io::ErrorKind::InvalidData, format!("it {what}"));
+    }
     let before = &bytes[..valid];
     let line = 1 + before.iter().filter(|byte| **byte == b'\n').count();
     let in_line = before.iter().rev().take_while(|byte| **byte != b'\n').count();
@@ -52,6 +57,7 @@ mod tests {
         let message = |bytes: &[u8]| read(bytes).expect_err("refused").to_string();
         assert!(message(b"name = \"\xfc\"").contains("line 1, byte 9"));
         assert!(message(b"a\n\nb\xe4").contains("line 3, byte 2"));
+        assert_eq!(message(b"\xff\xfea\0"), "it is text in UTF-16, expected a text in UTF-8: save it in UTF-8");
         assert_eq!(read(b"\xef\xbb\xbfa = 1\r\n").expect("text"), "a = 1\r\n");
     }
 }

@@ -63,6 +63,29 @@ impl Scenario {
     }
 }
 
+impl Scenario {
+    /// Checks the text of a file together with overrides of the form `table.key=value`. A key that an
+    /// override replaces is no problem of the file.
+    pub fn check_all_with(text: &str, overrides: &[String]) -> Checked {
+        let error = match Self::from_toml_with(text, overrides) {
+            _ if overrides.is_empty() => return Self::check_all(text),
+            Ok(scenario) => return checked(Vec::new(), Some(scenario), Vec::new()),
+            Err(error) => error,
+        };
+        let replaced = |text: String, set: &String| {
+            let name = set.split_once('=').map_or(set.as_str(), |(key, _)| key).trim();
+            let rest = by_name(&text, name).map(|entry| without(&text, entry));
+            rest.filter(|rest| DeTable::parse(rest).is_ok()).unwrap_or(text)
+        };
+        let of_file = Self::check_all(&overrides.iter().fold(text.to_owned(), replaced));
+        if !of_file.problems.is_empty() {
+            return of_file;
+        }
+        let problem = Problem { line: None, text: error.in_one_line() };
+        checked(vec![problem], of_file.scenario, of_file.refused_tables)
+    }
+}
+
 fn checked(mut problems: Vec<Problem>, scenario: Option<Scenario>, refused_tables: Vec<String>) -> Checked {
     problems.sort_by_key(|problem| problem.line.unwrap_or(usize::MAX));
     // A problem in one of several tables remains until its own table is removed.
@@ -199,5 +222,23 @@ mod tests {
             assert!(!problems(text).is_empty(), "{text}");
         }
         assert!(problems("[users]\ncount = 3\n").is_empty());
+    }
+
+    #[test]
+    fn an_override_repairs_or_breaks_a_file() {
+        let texts = |text: &str, overrides: &[&str]| {
+            let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
+            let problems = Scenario::check_all_with(text, &overrides).problems;
+            problems.iter().map(ToString::to_string).collect::<Vec<_>>()
+        };
+        let (sound, broken) = ("[users]\ncount = 3\n", "[users]\ncount = 99\n[room]\nheight_m = -1\n");
+        assert!(texts(sound, &["users.count=5"]).is_empty());
+        let of_override = texts(sound, &["users.count=99"]);
+        assert!(of_override.len() == 1 && of_override[0].starts_with("users.count = 99"), "{of_override:?}");
+        let of_file = texts(broken, &["users.count=5"]);
+        assert!(of_file.len() == 1 && of_file[0].starts_with("line 4: room.height_m"), "{of_file:?}");
+        assert!(texts(broken, &["users.count=5", "room.height_m=3"]).is_empty());
+        let malformed = texts(sound, &["users.count"]);
+        assert!(malformed.len() == 1 && malformed[0].contains("users.count"), "{malformed:?}");
     }
 }

@@ -3,6 +3,8 @@ import { RedrawLimiter } from "./redraw.js";
 
 const SPAN_S = 90;
 const KEEP_EVERY_S = 0.2;
+// A longer time without figures is a gap in the lines.
+const GAP_S = 2;
 const FONT = "11px system-ui, sans-serif";
 const SMALL_FONT = "9px system-ui, sans-serif";
 
@@ -18,6 +20,14 @@ const TIPS = {
   oracle: "Oracle: the sum rate at the best angles that a search with the true positions finds. No controller knows these positions.",
   policy: "The sum rate with the mirrors as they are: under the policy in use, or parked, stopped or without a driver.",
 };
+
+// The points with an empty one in each gap, so that no line crosses a time without figures.
+export function withGaps(points) {
+  return points.flatMap((point, index) => {
+    const before = points[index - 1];
+    return before && point.time_s - before.time_s > GAP_S ? [{ time_s: (before.time_s + point.time_s) / 2 }, point] : [point];
+  });
+}
 
 export class Charts {
   constructor(plan) {
@@ -126,12 +136,14 @@ export class Charts {
 
   drawSum(now_s) {
     const lines = this.lines().reverse();
-    const data = [this.past.map((point) => point.time_s - now_s), ...lines.map(([key]) => this.past.map((point) => point[key] ?? null))];
+    const points = withGaps(this.past);
+    const data = [points.map((point) => point.time_s - now_s), ...lines.map(([key]) => points.map((point) => point[key] ?? null))];
     if (this.sumPlot) return this.show(this.sumPlot, this.sum, data);
     const text = (index) => {
       const [x, ...rates] = this.sumPlot.data.map((values) => values[index]);
       const named = this.lines().reverse().map(([, name], line) => (rates[line] == null ? "" : `${name} ${rates[line].toFixed(1)}`));
-      return [`${(-x).toFixed(0)} s ago`, ...named.filter(Boolean).reverse()].join(" · ");
+      const shown = named.filter(Boolean).reverse();
+      return [`${(-x).toFixed(0)} s ago`, ...(shown.length ? shown : ["no figures"])].join(" · ");
     };
     this.sumPlot = this.plot(this.sum, {
       scales: { x: { time: false, range: [-SPAN_S, 0] }, y: this.fromZero() },

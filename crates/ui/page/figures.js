@@ -117,13 +117,28 @@ function quantiles(times) {
   });
 }
 
+// Which controller leads, which stand by, and the takeovers of those in the room.
+function standby(controllers) {
+  const short = ({ name }) => name.slice(0, 4);
+  const leaders = controllers.filter((one) => !one.is_standby);
+  const waiting = controllers.filter((one) => one.is_standby);
+  const sum = (key) => controllers.reduce((total, one) => total + one[key], 0);
+  const text = [...leaders.map((one) => `${short(one)} leads`), ...waiting.map((one) => `${short(one)} stands by`)].join(", ");
+  const lost = sum("false_takeovers");
+  return [
+    ["controllers", text || "none", leaders.length === 1 ? "" : "bad", "The controllers in the room, by the beginning of their source id: one leads, the others stand by."],
+    ["takeovers", String(sum("takeovers")), "", "How often the controllers in the room took over since their start."],
+    ["false takeovers", String(lost), lost > 0 ? "bad" : "", "Takeovers after which the former leader still commanded: a slow controller, or a link that loses its commands."],
+  ];
+}
+
 // Counters, times, faults and problems.
 export function counters(now) {
   quantiles(now.times);
   const meaning = "Faults that the arrays report now: link, mirror, temperature, supply, calibration, clock, or a stop that is not executed.";
   const faults = ["faults", now.array.faults.join(", ") || "none", now.array.faults.length ? "bad" : "", meaning];
   const counts = now.counts.map((count) => [count.name, count.value === null ? "–" : String(count.value), count.is_problem && count.value > 0 ? "bad" : "", count.meaning]);
-  list(at("counts"), [...counts, faults]);
+  list(at("counts"), [...counts, faults, ...standby(now.controllers)]);
   const problems = now.nodes.filter((node) => node.problem).map((node) => `${node.node}: ${node.problem}`);
   setText(at("problem"), [...now.notes, ...problems].join("; "));
 }

@@ -68,19 +68,22 @@ export function banner(now, silence, arrayAge) {
     return { kind: "bad", text: `No connection to the server of this page for ${seconds(silence)}. Everything below is old.` };
   }
   const { phase, since_s, stops, problems, free } = now.stop;
+  const several = now.array.arrays > 1;
+  const [who, have, their] = several ? ["The arrays", "have", "their devices have"] : ["The array", "has", "its device has"];
+  const lacking = several ? "Not every array has" : "The array has not";
   const by = stops.length ? ` ${stops.map(orderedBy).join(" ")}` : "";
   const open = problems.length ? ` ${problems.map(asSentence).join(" ")}` : "";
   const moving = free.map((array) => ` Array ${array} is not stopped: no stop holds it.`).join("");
   switch (phase) {
-    case "requested": return { kind: "bad", text: `Stop requested. The array has not confirmed it yet.${open}` };
+    case "requested": return { kind: "bad", text: `Stop requested. ${lacking} confirmed it yet.${open}` };
     case "unconfirmed":
-      return { kind: "bad", text: `The array has not confirmed the stop for ${seconds(since_s)}.${open || " No array reports: cut the power of the mirrors."}${moving}${by} Only the arrays can end this warning.` };
+      return { kind: "bad", text: `${lacking} confirmed the stop for ${seconds(since_s)}.${open || " No array reports: cut the power of the mirrors."}${moving}${by} Only the arrays can end this warning.` };
     case "confirmed":
       if (arrayAge > STALE_S) {
-        return { kind: "bad", text: `The array confirmed the stop, but has not reported for ${seconds(arrayAge)}: its state is unknown.${by}` };
+        return { kind: "bad", text: `${who} confirmed the stop, but ${have} not reported for ${seconds(arrayAge)}: ${several ? "their" : "its"} state is unknown.${by}` };
       }
-      return { kind: free.length ? "bad" : "stop", text: `The array has confirmed the stop: its device has executed it.${moving}${by} Re-arm releases ${stops.length > 1 ? `these ${stops.length} stops` : "it"}.` };
-    case "released": return { kind: "good", text: "The stop is released: the array has confirmed it." };
+      return { kind: free.length ? "bad" : "stop", text: `${who} ${have} confirmed the stop: ${their} executed it.${moving}${by} Re-arm releases ${stops.length > 1 ? `these ${stops.length} stops` : "it"}.` };
+    case "released": return { kind: "good", text: `The stop is released: ${who.toLowerCase()} ${have} confirmed it.` };
     default: return null;
   }
 }

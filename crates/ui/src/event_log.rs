@@ -63,7 +63,7 @@ impl EventLog {
             StopPhase::Released => "released",
         };
         let by: Vec<String> =
-            stop.stops.iter().map(|stop| format!(" ({}, {:?})", stop.operator, stop.reason)).collect();
+            stop.stops.iter().map(|stop| format!(" ({}, \"{}\")", stop.operator, stop.reason)).collect();
         self.change(at_ms, "stop", &format!("{phase}{}", by.concat()), !matches!(stop.phase, StopPhase::Released));
         for node in &figures.nodes {
             self.change(at_ms, &format!("problem of {}", node.node), &node.problem, true);

@@ -14,6 +14,7 @@ use heliostat_service::printable::printable;
 use serde::Serialize;
 
 use crate::View;
+use crate::controllers::ControllerFigures;
 use crate::latency::Histogram;
 use crate::scene::unusable_mirrors;
 use crate::view::{EXPIRY, Received};
@@ -77,6 +78,8 @@ pub struct ArrayFigures {
     /// Its state; "no telemetry" if none arrived recently. Of several arrays, the most serious state,
     /// then the arrays without recent telemetry.
     pub state: String,
+    /// Number of arrays.
+    pub arrays: usize,
     /// Number of mirrors.
     pub mirrors: usize,
     /// Mirrors that do not follow commands, as the picture shows them.
@@ -150,6 +153,8 @@ pub struct Figures {
     pub sum_mbps: Option<SumFigures>,
     /// The mirror array.
     pub array: ArrayFigures,
+    /// The controllers in the room, the leader first.
+    pub controllers: Vec<ControllerFigures>,
     /// The processes.
     pub nodes: Vec<NodeFigures>,
     /// Decision, loop and age.
@@ -199,8 +204,13 @@ impl View {
             controller_alive: received.alive.iter().any(|(node, _)| *node == NodeKind::Controller.name()),
             sum_mbps: sum(&received, &users),
             users,
-            array: array((model.mirrors.len(), unusable), &silent, telemetry.as_ref()),
-            nodes: received.statuses.iter().map(|(name, (at, status))| node(&received, name, *at, status)).collect(),
+            array: array(model, unusable, &silent, telemetry.as_ref()),
+            controllers: received.controllers.present(&received.alive),
+            nodes: received
+                .statuses
+                .iter()
+                .map(|(name, (at, status))| without_notes(node(&received, name, *at, status), &notes))
+                .collect(),
             ages_s: ages(&received),
             times: vec![time("decision", last_controller), time("loop", last_room), time("age", last_controller)],
             latency: received.latency.histogram(),
@@ -252,11 +262,17 @@ fn users(model: &ChannelModel, received: &Received) -> (Origin, u64, Vec<UserFig
     (Origin::Measured, report.tick, report.users.iter().map(user).collect())
 }
 
-/// The figures of all arrays: their number of mirrors and of unusable ones, and the names of the arrays
-/// without telemetry.
-fn array((mirrors, unusable): (usize, usize), silent: &[String], telemetry: Option<&MirrorTelemetry>) -> ArrayFigures {
+/// The figures of all arrays: their number of unusable mirrors, and the names of the arrays without
+/// telemetry.
+fn array(
+    model: &ChannelModel,
+    unusable: usize,
+    silent: &[String],
+    telemetry: Option<&MirrorTelemetry>,
+) -> ArrayFigures {
+    let (arrays, mirrors) = (model.mirrors.arrays().len(), model.mirrors.len());
     let Some(telemetry) = telemetry else {
-        return ArrayFigures { state: "no telemetry".into(), mirrors, ..ArrayFigures::default() };
+        return ArrayFigures { state: "no telemetry".into(), arrays, mirrors, ..ArrayFigures::default() };
     };
     let state = telemetry.state.name();
     ArrayFigures {
@@ -265,6 +281,7 @@ fn array((mirrors, unusable): (usize, usize), silent: &[String], telemetry: Opti
         } else {
             format!("{state}, no telemetry of {}", silent.join(" and "))
         },
+        arrays,
         mirrors,
         unusable,
         faults: fault_names(telemetry.faults),
@@ -289,6 +306,14 @@ fn sum_of(sum: &heliostat_proto::SumRates) -> SumFigures {
 fn node(received: &Received, name: &str, at: Instant, status: &NodeStatus) -> NodeFigures {
     let state = if at.elapsed() < EXPIRY { shown(&status.state) } else { "gone".into() };
     NodeFigures { node: name.to_owned(), state, problem: shown(received.problems.current(name)) }
+}
+
+/// The figures of a process without a problem that a note states too.
+fn without_notes(mut node: NodeFigures, notes: &[String]) -> NodeFigures {
+    if notes.iter().any(|note| note.starts_with(&node.problem)) {
+        node.problem.clear();
+    }
+    node
 }
 
 fn ages(received: &Received) -> Ages {

@@ -22,6 +22,7 @@ mod array_reports;
 mod assets;
 pub mod belief;
 mod blocked_area;
+pub mod controllers;
 mod error;
 mod event_log;
 mod expiry;

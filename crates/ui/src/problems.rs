@@ -13,7 +13,7 @@ const CURRENT: Duration = Duration::from_secs(5);
 /// Beginnings of the names of counters that rise with problems.
 const COUNTED: [&str; 6] = ["refused:", "fallback:", "missed:", "policies_refused", "unsent", "unanswered"];
 /// Counters that are above 0 as long as a problem lasts.
-const LASTING: [&str; 3] = ["array_unfit", "standby", "driver_absent"];
+const LASTING: [&str; 4] = ["array_unfit", "standby", "driver_absent", "device_absent"];
 
 /// The last problem of each process, by its name in [`Received::statuses`](crate::view::Received).
 #[derive(Debug, Default)]

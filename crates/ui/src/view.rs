@@ -18,6 +18,7 @@ use heliostat_service::printable::printable;
 
 use crate::UiError;
 use crate::array_reports::ArrayReports;
+use crate::controllers::Controllers;
 use crate::latency::Window;
 use crate::problems::Problems;
 use crate::shown_room::{Announcements, GeometrySource, RoomChooser, ShownRoom};
@@ -64,6 +65,8 @@ pub(crate) struct Received {
     pub history: VecDeque<Sample>,
     pub latency: Window,
     pub problems: Problems,
+    /// The controllers of the room.
+    pub controllers: Controllers,
     pub unreadable: u64,
 }
 
@@ -186,6 +189,9 @@ impl Received {
     fn take_status(&mut self, array: usize, status: NodeStatus) {
         let node = status.node.name();
         let name = if array == 0 { node.to_owned() } else { format!("{node}-{array}") };
+        if status.node == NodeKind::Controller {
+            self.controllers.take(&status);
+        }
         if !self.is_displayed(&name, &status) {
             return;
         }

@@ -25,9 +25,13 @@ fn a_help_text_states_what_a_flag_requires() {
 
 #[test]
 fn every_command_refuses_an_invalid_duration_in_the_same_words() {
-    for arguments in
-        [&["bench", "env", "--seconds"][..], &["bench", "demo", "--seconds"], &["eval", "--closed-loop", "--warm"]]
-    {
+    for arguments in [
+        &["bench", "env", "--seconds"][..],
+        &["bench", "demo", "--seconds"],
+        &["eval", "--closed-loop", "--warm"],
+        &["trace", "import", "walks.txt", "--max-gap-s"],
+        &["trace", "import", "walks.txt", "--duration-s"],
+    ] {
         for value in ["x", "-1", "0", "1e9", "nan"] {
             let ended = lab(&[arguments, &[value]].concat());
             let errors = String::from_utf8_lossy(&ended.stderr);

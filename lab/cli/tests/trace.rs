@@ -168,3 +168,18 @@ fn columns_with_other_names_are_shown_and_can_be_named() {
         .expect("the program starts");
     assert!(program.status.success(), "{}", text(&program.stderr));
 }
+
+#[test]
+fn a_file_of_another_kind_is_named_with_what_to_do() {
+    let folder = folder();
+    for (bytes, words) in [
+        (&b"\xff\xfet\0i\0m\0e\0"[..], "the file is text in UTF-16, expected a text in UTF-8: save it in UTF-8"),
+        (b"version https://git-lfs.github.com/spec/v1\n", "is a pointer of git-lfs"),
+        (b"", "is empty"),
+    ] {
+        fs::write(folder.path().join("walks.csv"), bytes).expect("written");
+        let refused = heliostat(&folder, "trace import walks.csv --format csv --out walk.csv");
+        let message = text(&refused.stderr);
+        assert!(refused.status.code() == Some(2) && message.contains(words), "{message}");
+    }
+}

@@ -90,3 +90,16 @@ fn an_interrupted_run_is_saved_and_the_printed_command_resumes_it_to_the_same_ac
         assert_eq!(rows(&parts), rows(&whole));
     }
 }
+
+#[test]
+fn a_scenario_that_is_missing_is_named() {
+    let folder = TempDir::new().expect("a folder");
+    for (scenario, words) in [
+        ("absent.toml", "scenario file absent.toml cannot be read"),
+        ("absent", "no file and no built-in scenario \"absent\""),
+    ] {
+        let refused = train(folder.path()).args(["--scenario", scenario]).output().expect("the program starts");
+        let message = String::from_utf8_lossy(&refused.stderr);
+        assert!(!refused.status.success() && message.contains(words), "{message}");
+    }
+}

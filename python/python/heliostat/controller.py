@@ -37,6 +37,7 @@ _TICK_S = 0.05
 _ANNOUNCED_S = 0.3
 _QUEUE_MAX = 1024
 _SILENT_S = 2.0
+_LOOK_AGAIN_S = 5.0
 _ROOM = ("obstacles", "orientation", "leds", "channel", "users", "stop")
 
 
@@ -117,7 +118,9 @@ class _Run:
     ) -> None:
         from .peer import Peer
 
-        self._act, self._stop = act, stop
+        self._act, self._stop, self._settings = act, stop, settings
+        # Why no process answers, and when to look again.
+        self._unreachable, self._look_again = "", 0.0
         self._late = self._dropped = 0
         self._began, self._heard = time.monotonic(), False
         self._arrived: queue.Queue[tuple[str, int, bytes]] = queue.Queue(_QUEUE_MAX)
@@ -189,7 +192,13 @@ class _Run:
             return ""
         if self._heard:
             return "the room has not reported positions: expected a tracker or a simulator"
-        return "no process of the room answers: expected one at the endpoints of `connect`, with the same room and keys"
+        if time.monotonic() >= self._look_again:
+            from .peer import connection_problem
+
+            self._look_again = time.monotonic() + _LOOK_AGAIN_S
+            self._unreachable = connection_problem(self._settings, "controller")
+        reason = self._unreachable or "expected one at the endpoints of `connect`, with the same room and keys"
+        return f"no process of the room answers: {reason}"
 
     def _receive(self) -> None:
         """Gives all waiting messages to the core; waits a moment for the first one."""

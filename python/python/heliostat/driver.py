@@ -323,8 +323,9 @@ class _Shown:
 
 
 def _log(text: str) -> None:
-    # Texts can come from any process of the room.
-    safe = "".join(one if one.isprintable() else f"\\x{ord(one):02x}" for one in text)
+    # Texts can come from any process of the room. Lines stay; other control characters become JSON escapes, as in the
+    # log of the Rust programs.
+    safe = "".join(one if one == "\n" or one.isprintable() else f"\\u{ord(one):04x}" for one in text)
     print(safe, file=sys.stderr, flush=True)
 
 

@@ -10,7 +10,10 @@ import ipaddress
 import json
 import os
 import random
+import re
 import signal
+import socket
+import ssl
 import stat
 import threading
 import time
@@ -33,6 +36,9 @@ SOFTWARE = f"heliostat for Python {__version__}"
 DEFAULT_ROOM = "demo"
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.25, 5.0
 _ALIVE_LIMIT_S = 1.0
+_SHORTEST_S, _LONGEST_S = 0.01, 1e7
+_UNITS_S = {"ms": 1e-3, "min": 60.0, "h": 3600.0, "s": 1.0}
+_PROBE_LIMIT_S = 0.5
 _ENCRYPTED = ("tls", "quic")
 _SESSION = {
     "scouting/multicast/enabled": False,
@@ -92,7 +98,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--client", action="store_true", help="exchange messages through the router of --connect only")
     parser.add_argument("--tls", metavar="DIR", type=Path, help="encrypt with the keys in this folder (heliostat keys)")
     parser.add_argument("--insecure", action="store_true", help="listen without --tls where other machines reach it")
-    parser.add_argument("--seconds", metavar="S", type=float, help="end after this time")
+    parser.add_argument("--seconds", metavar="S", type=duration_s, help="end after this time")
+
+
+def duration_s(text: str) -> float:
+    """The seconds of a text such as 2.5, 3s, 500ms, 2min or 1h, by the rule of the Rust programs; a `type` of argparse."""
+    parts = re.fullmatch(r"([0-9.]+(?:[eE][+-]?[0-9]+)?)(ms|min|h|s)?", text)
+    try:
+        seconds = float(parts[1]) * _UNITS_S[parts[2] or "s"] if parts else 0.0
+    except ValueError:
+        seconds = 0.0
+    if not _SHORTEST_S <= seconds <= _LONGEST_S:
+        raise argparse.ArgumentTypeError(
+            f'invalid duration "{text}": expected seconds between 0.01 and 10000000, for example 2.5, 2.5s, 500ms or 10min'
+        )
+    return seconds
 
 
 @contextmanager
@@ -248,6 +268,52 @@ class Peer:
                 "last_problem": last_problem,
             },
         )
+
+
+def connection_problem(settings: Settings, role: str) -> str:
+    """Why no connection to a process comes about that answers at an endpoint; empty where no reason is known.
+
+    It makes the handshake of TLS with the keys of the role, and exchanges no data.
+    """
+    return next((found for endpoint in settings.connect if (found := _endpoint_problem(endpoint, settings, role))), "")
+
+
+def _endpoint_problem(endpoint: str, settings: Settings, role: str) -> str:
+    protocol, _, address = endpoint.partition("/")
+    host, _, port = address.partition("#")[0].partition("?")[0].rpartition(":")
+    host = host.strip("[]")
+    keys_of = "give both processes keys of one `heliostat keys init`, or renew them with `heliostat keys renew`"
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    if protocol == "tls" and settings.tls is not None:
+        context.load_verify_locations(settings.tls / "ca.pem")
+        context.load_cert_chain(settings.tls / f"{role}.pem", settings.tls / f"{role}.key")
+    elif protocol == "tcp":
+        context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    else:
+        return ""
+    try:
+        with socket.create_connection((host, int(port)), timeout=_PROBE_LIMIT_S) as plain:
+            with context.wrap_socket(plain, server_hostname=host) as secured:
+                if protocol == "tls":
+                    # The other side reads the certificate of this one after the handshake.
+                    secured.recv(1)
+    except ssl.SSLCertVerificationError as problem:
+        return f"{endpoint}: the certificate of {host} does not fit ({problem.verify_message}): {keys_of}"
+    except ssl.SSLError as problem:
+        is_alert = "ALERT" in (problem.reason or "")
+        if protocol == "tls" and is_alert:
+            return f"{endpoint}: {host} refuses the certificate of this process ({problem.reason}): {keys_of}"
+        if not is_alert:
+            return ""
+    except (OSError, ValueError):
+        # No process answers, or one without TLS.
+        return ""
+    if protocol == "tls":
+        return ""
+    return (
+        f"{endpoint}: the process there accepts encrypted connections only: expected tls, the folder of the keys of its "
+        f"room, and the endpoint tls/{address}"
+    )
 
 
 def _open(config: zenoh.Config, stop: threading.Event) -> Any:

@@ -30,7 +30,7 @@ use heliostat_proto::{
 use heliostat_scenario::Scenario;
 
 use crate::input::{
-    refusal::{Found, LeftOut, Refusal, Refused, Stream},
+    refusal::{Found, LeftOut, Refusal, Refused, Stream, UserValues},
     sequence::SequenceTrack,
 };
 use array::ArrayInbox;
@@ -340,9 +340,11 @@ impl Inbox {
             Message::Users(report) => {
                 let (rules, refused) = (&self.rules, &mut self.refused);
                 report.users.retain(|user| {
+                    let user: &UserState = user;
                     let checked = rules.check_user(user);
                     if let Err(refusal) = checked {
-                        refused.count_left_out(LeftOut { user: user.user, refusal, position_m: user.position_m });
+                        let (user, position_m, values) = (user.user, user.position_m, UserValues::from(user));
+                        refused.count_left_out(LeftOut { user, refusal, position_m, values });
                     }
                     checked.is_ok()
                 });
@@ -382,6 +384,10 @@ impl Inbox {
                 let is_outside = |user: &&UserState| self.rules.check_user(user) == Err(Refusal::OutsideRoom);
                 let outside = report.users.iter().find(is_outside);
                 outside.map_or(Found::Nothing, |user| Found::Position(user.position_m))
+            }
+            (Refusal::Implausible, Message::Users(report)) => {
+                let mut values = report.users.iter().map(UserValues::from);
+                values.find(|values| !values.are_possible()).map_or(Found::Nothing, Found::User)
             }
             _ => Found::Nothing,
         }

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use heliostat_proto::CodecError;
+use heliostat_proto::{CodecError, UserState};
 
 /// A stream of reports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -180,6 +180,46 @@ pub enum Found {
     AgeS(f64),
     /// A position outside the room, in m.
     Position([f32; 3]),
+    /// A user's values, of which one is impossible.
+    User(UserValues),
+}
+
+/// Largest speed of a reported user in m/s: far beyond any walk and its noise, and within the bounds of
+/// a state that can be restored.
+pub const SPEED_MAX_M_S: f64 = 100.0;
+
+/// Speed and minimum rate of a reported user.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct UserValues {
+    /// Speed in m/s, at most [`SPEED_MAX_M_S`].
+    pub speed_m_s: f64,
+    /// Minimum rate in bit/s, at least 0.
+    pub min_rate_bps: f32,
+}
+
+impl From<&UserState> for UserValues {
+    fn from(user: &UserState) -> Self {
+        let [x, y] = user.velocity_m_s.map(f64::from);
+        Self { speed_m_s: x.hypot(y), min_rate_bps: user.min_rate_bps }
+    }
+}
+
+impl UserValues {
+    /// Whether a user can have them.
+    pub(crate) fn are_possible(&self) -> bool {
+        self.min_rate_bps >= 0.0 && self.speed_m_s <= SPEED_MAX_M_S
+    }
+}
+
+impl fmt::Display for UserValues {
+    /// The value that is impossible, and what was expected.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { speed_m_s, min_rate_bps } = self;
+        if *speed_m_s <= SPEED_MAX_M_S {
+            return write!(f, "a minimum rate of {min_rate_bps} bit/s: expected 0 or more");
+        }
+        write!(f, "a speed of {speed_m_s:.4} m/s: expected at most {SPEED_MAX_M_S} m/s")
+    }
 }
 
 /// The sizes of telemetry, and the one expected.
@@ -212,6 +252,8 @@ pub struct LeftOut {
     pub refusal: Refusal,
     /// The reported position in m.
     pub position_m: [f32; 3],
+    /// The other reported values.
+    pub values: UserValues,
 }
 
 impl Refused {

@@ -319,6 +319,11 @@ impl Tenure {
         self.sequence
     }
 
+    /// Number of other controllers in the room.
+    pub fn peers(&self) -> usize {
+        self.peers.len()
+    }
+
     /// Whether another controller is in the room.
     pub fn has_peers(&self) -> bool {
         !self.peers.is_empty()

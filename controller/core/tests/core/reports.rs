@@ -4,7 +4,7 @@ use heliostat_core::{
     core::{Controller, DegradedMode},
     inbox::Message,
     policy::Fixed,
-    refusal::{Found, LeftOut, Refusal, Stream},
+    refusal::{Found, LeftOut, Refusal, Stream, UserValues},
 };
 use heliostat_proto::{ArrayState, MirrorTelemetry, NodeKind, Obstacle, Stamp, UserReport, UserState};
 
@@ -193,20 +193,33 @@ fn a_user_with_impossible_values_is_left_out_and_the_others_are_served() {
     let all = report.users.len();
     report.users[0].position_m[0] = 3.6;
     let (user, position_m) = (report.users[0].user, report.users[0].position_m);
+    let values = UserValues::from(&report.users[0]);
     receive(&mut controller, Room::time(1), Message::Users(&mut report)).command();
     let kept: Vec<u32> = controller.inbox().users().expect("accepted").users.iter().map(|user| user.user).collect();
     assert!(kept.len() == all - 1 && !kept.contains(&user), "{kept:?}");
     let refused = controller.inbox().refused();
-    let expected = LeftOut { user, refusal: Refusal::OutsideRoom, position_m };
+    let expected = LeftOut { user, refusal: Refusal::OutsideRoom, position_m, values };
     assert_eq!((refused.left_out(), refused.last_left_out(), refused.total()), (1, Some(expected), 0));
     // Speeds and minimum rates are those of one user too.
-    for change in [(|user| user.min_rate_bps = -1.0) as fn(&mut UserState), |user| user.velocity_m_s[1] = 101.0] {
+    let changes: [(fn(&mut UserState), &str); 2] = [
+        (|user| user.min_rate_bps = -1.0, "a minimum rate of -1 bit/s: expected 0 or more"),
+        (|user| user.velocity_m_s = [0.0, 101.0], "a speed of 101.0000 m/s: expected at most 100 m/s"),
+    ];
+    for (change, words) in changes {
         let mut report = room.positions(2);
         change(&mut report.users[1]);
         receive(&mut controller, Room::time(2), Message::Users(&mut report));
         assert_eq!(controller.inbox().users().expect("accepted").users.len(), all - 1);
+        let last = controller.inbox().refused().last_left_out().expect("one");
+        assert_eq!((last.refusal, last.values.to_string().as_str()), (Refusal::Implausible, words));
     }
-    assert_eq!(controller.inbox().refused().last_left_out().expect("one").refusal, Refusal::Implausible);
+    // A report of this user alone is refused, with the value.
+    let mut alone = room.positions(3);
+    alone.users.truncate(1);
+    alone.users[0].velocity_m_s = [0.0, 101.0];
+    receive(&mut controller, Room::time(3), Message::Users(&mut alone));
+    let last = controller.inbox().refused().last().expect("one");
+    assert!(matches!(last.found, Found::User(UserValues { speed_m_s: 101.0, .. })), "{last:?}");
 }
 
 #[test]

@@ -64,6 +64,9 @@ pub struct Summary {
     /// The array follows another controller: commands are withheld.
     #[serde(default)]
     pub standby: bool,
+    /// Other controllers in the room.
+    #[serde(default)]
+    pub peers: u64,
     /// Why the array receives no commands, if it does not fit the scenario.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub unfit: Option<String>,
@@ -261,6 +264,7 @@ impl Summary {
             ]),
             epoch_events: nonzero(TenureEvent::ALL.map(|event| (event.name(), counters.tenure(event)))),
             standby: arrays.clone().any(|array| controller.tenure(array).standing() == Standing::Standby),
+            peers: controller.tenure(0).peers() as u64,
             unfit: controller.unfit().map(describe_unfit),
             missed: Stream::ALL.map(|stream| (stream.name().into(), controller.inbox().missed(stream))).into(),
             clipped: ClippedSummary { range: counters.clipped.range, slew: counters.clipped.slew },
@@ -328,6 +332,7 @@ impl Summary {
             (here, there) => here.or(there),
         };
         self.standby |= other.standby;
+        self.peers += other.peers;
         self.driver_absent |= other.driver_absent;
         self.geometry_differs |= other.geometry_differs;
         if other.unfit.is_some() {

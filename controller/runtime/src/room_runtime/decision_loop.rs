@@ -14,8 +14,9 @@
 //! payload came right after the last decision, or it is a position report and the room's thread
 //! keeps the caches warm. After a report has waited long for that thread, the last case is left out
 //! for a while. The main thread holds the lock to act on missing reports, to exchange stage times
-//! and to copy counters; callbacks hold it to pass on liveliness, stop orders and capabilities; the
-//! thread of policy swaps holds it to replace the policy.
+//! and to copy counters; callbacks hold it to pass on liveliness, stop orders and capabilities if it
+//! is free (see [announcements](super::announcements)); the thread of policy swaps holds it to
+//! replace the policy.
 
 use std::{
     sync::{Arc, Mutex, MutexGuard},
@@ -32,6 +33,7 @@ use heliostat_proto::Nanos;
 use heliostat_service::clock::utc_ns;
 
 use super::{
+    announcements::Announcements,
     cache_warmer::{Action, CacheWarmer, KeepWarm},
     locks::{lock, try_lock},
     receive_queue::{ReceiveQueue, Wake},
@@ -226,6 +228,8 @@ pub struct PayloadHandler {
     pub queue: Arc<ReceiveQueue>,
     /// Where decisions are made.
     pub decide_in: DecideIn,
+    /// What waits for the loop.
+    pub announcements: Announcements,
 }
 
 impl PayloadHandler {
@@ -243,6 +247,8 @@ impl PayloadHandler {
             Some(mut decision_loop) => {
                 decision_loop.handle_report(channel, payload, entered);
                 decision_loop.decide();
+                drop(decision_loop);
+                self.announcements.settle();
             }
             None => self.queue.push(channel, payload, entered),
         }
@@ -251,7 +257,8 @@ impl PayloadHandler {
 
 /// The room's thread: decides for the reports in the queue, and warms up the caches in between.
 /// Ends when the queue is closed.
-pub fn run(decision_loop: &Mutex<DecisionLoop>, queue: &ReceiveQueue) {
+pub fn run(handler: &PayloadHandler) {
+    let PayloadHandler { decision_loop, queue, announcements, .. } = handler;
     loop {
         let action = lock(decision_loop).warmer.next_action(Instant::now());
         match action {
@@ -269,6 +276,7 @@ pub fn run(decision_loop: &Mutex<DecisionLoop>, queue: &ReceiveQueue) {
             }
             Action::Spin(until) => queue.spin(until),
         }
+        announcements.settle();
     }
 }
 

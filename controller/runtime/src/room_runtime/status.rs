@@ -178,6 +178,7 @@ impl Reporter {
             ("sources", summary.sources),
             ("epoch", summary.epoch),
             ("standby", u64::from(summary.standby)),
+            ("peers", summary.peers),
             ("array_unfit", u64::from(summary.unfit.is_some())),
             ("driver_absent", self.conditions.without_driver.len() as u64),
             ("geometry_differs", u64::from(summary.geometry_differs)),
@@ -481,6 +482,9 @@ fn describe_refusal(decision_loop: &DecisionLoop) -> Option<String> {
         (Refusal::OutsideRoom, _) if let Found::Position(position_m) = found => {
             format!("{name} refused: {}", describe_outside(position_m))
         }
+        (Refusal::Implausible, _) if let Found::User(values) = found => {
+            format!("{name} refused: a user has {values}")
+        }
         _ => format!("{name} refused: {refusal}"),
     })
 }
@@ -489,9 +493,9 @@ fn describe_outside([x, y, z]: [f32; 3]) -> String {
     format!("({x:.1}, {y:.1}, {z:.1}) is outside the room: positions are in m, in the frame of the room")
 }
 
-fn describe_left_out(LeftOut { user, refusal, position_m }: LeftOut) -> String {
+fn describe_left_out(LeftOut { user, refusal, position_m, values }: LeftOut) -> String {
     match refusal {
         Refusal::OutsideRoom => format!("user {user} is left out: {}", describe_outside(position_m)),
-        _ => format!("user {user} is left out: speed or minimum rate is {refusal}"),
+        _ => format!("user {user} is left out: {values}"),
     }
 }

@@ -1,10 +1,20 @@
-//! The publishers of one room.
+//! Where a room's commands go: to arrays that this process drives, and to the publishers of the room.
 
 use heliostat_bus::{Bus, BusError, Class, Publisher};
 use heliostat_core::room_core::{Output, Publish};
 
+/// An array of the room that this process drives.
+pub struct LocalArray {
+    /// Index of the array.
+    pub array: usize,
+    /// Takes the payload of each command before it is published. Runs in the decision path, so it must
+    /// not wait.
+    pub take_command: Box<dyn FnMut(&[u8]) + Send>,
+}
+
 /// Publishes commands, belief and state.
 pub struct Transport {
+    local: Vec<LocalArray>,
     /// One for each array.
     commands: Vec<Publisher>,
     belief: Publisher,
@@ -20,11 +30,19 @@ impl Transport {
     pub fn open(bus: &Bus, arrays: usize, class: Class) -> Result<Self, BusError> {
         let publisher = |output: Output, class| bus.publisher(&output.in_room(bus.room()), class);
         Ok(Self {
+            local: Vec::new(),
             commands: (0..arrays).map(|array| publisher(Output::Command(array), class)).collect::<Result<_, _>>()?,
             belief: publisher(Output::Belief, Class::LowDrop)?,
             memory: publisher(Output::Memory, Class::LowDrop)?,
             unsent: 0,
         })
+    }
+
+    /// Passes each command to these arrays too, before it is published.
+    #[must_use]
+    pub fn with_local(mut self, local: Vec<LocalArray>) -> Self {
+        self.local = local;
+        self
     }
 
     /// Commands that the transport refused.
@@ -45,6 +63,12 @@ impl Transport {
 impl Publish for Transport {
     /// A closed session shows in the count of commands that were refused.
     fn publish(&mut self, output: Output, payload: &[u8]) {
+        if let Output::Command(commanded) = output {
+            self.local
+                .iter_mut()
+                .filter(|local| local.array == commanded)
+                .for_each(|local| (local.take_command)(payload));
+        }
         let is_sent = self.of(output).is_some_and(|publisher| publisher.put(payload).is_ok());
         self.unsent += u64::from(!is_sent && matches!(output, Output::Command(_)));
     }

@@ -58,7 +58,7 @@ impl Rig {
         };
         let stop = Stop::default();
         let stopped = stop.clone();
-        let node = thread::spawn(move || node::run(&config, &stopped));
+        let node = thread::spawn(move || node::run(&config, Vec::new(), &stopped));
         Self { bus, room, commands, stop, node, _subscription: subscription }
     }
 

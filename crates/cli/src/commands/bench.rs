@@ -5,6 +5,7 @@
 mod board;
 pub mod decide;
 mod echo;
+mod one_process;
 pub mod pace;
 pub mod rows;
 mod walkers;
@@ -24,7 +25,10 @@ enum What {
     /// The decision without transport at several rates, beside the inference engine alone
     Decide(decide::Args),
     /// From report to command between two processes, beside an echo over the same transport
-    Loop(wire::Args),
+    Loop(wire::LoopArgs),
+    /// The controller with an array in one process, which loop --driver starts
+    #[command(hide = true)]
+    OneProcess(one_process::Args),
     /// The echo process, which loop and rooms start
     #[command(hide = true)]
     Echo(echo::Args),
@@ -35,6 +39,7 @@ pub fn run(args: Args) -> Result<()> {
     match args.what {
         What::Decide(args) => decide::decide(&args),
         What::Loop(args) => wire::run_loop(&args),
+        What::OneProcess(args) => one_process::run(args),
         What::Echo(args) => echo::run(&args),
     }
 }

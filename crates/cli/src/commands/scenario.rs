@@ -26,6 +26,9 @@ enum Action {
     Check {
         /// The file
         file: String,
+        /// Override any key of the scenario, for example --set blockage.forced_users=2 (repeatable)
+        #[arg(long = "set", value_name = "TABLE.KEY=VALUE")]
+        overrides: Vec<String>,
         /// Print the result as one JSON object
         #[arg(long)]
         json: bool,
@@ -48,7 +51,7 @@ enum Action {
 /// Runs the subcommand.
 pub fn run(args: Args) -> Result<()> {
     match args.action {
-        Action::Check { file, json } => check(file, json),
+        Action::Check { file, overrides, json } => check(file, overrides, json),
         Action::New { file, from } => {
             let mut out = OpenOptions::new().write(true).create_new(true).open(&file).with_context(|| {
                 format!(
@@ -67,8 +70,8 @@ pub fn run(args: Args) -> Result<()> {
     }
 }
 
-fn check(file: String, json: bool) -> Result<()> {
-    let args = ScenarioArgs { scenario: file, ..ScenarioArgs::default() };
+fn check(file: String, overrides: Vec<String>, json: bool) -> Result<()> {
+    let args = ScenarioArgs { scenario: file, overrides, ..ScenarioArgs::default() };
     let (scenario, problems) = problems(&args)?;
     let valid = problems.is_empty();
     let conditions = match &scenario {
@@ -105,7 +108,7 @@ fn check(file: String, json: bool) -> Result<()> {
 /// recorded walk.
 fn problems(args: &ScenarioArgs) -> Result<(Option<Scenario>, Vec<String>)> {
     let text = args.text().with_context(|| format!("{} cannot be used", args.scenario))?;
-    let checked = Scenario::check_all(&text);
+    let checked = Scenario::check_all_with(&text, &args.overrides);
     let mut problems: Vec<String> = checked.problems.iter().map(ToString::to_string).collect();
     let Some(mut scenario) = checked.scenario else { return Ok((None, problems)) };
     args.find_trace(&mut scenario);

@@ -135,7 +135,7 @@ pub fn rearm(args: RearmArgs) -> Result<()> {
 fn in_words(RoomStop { name, operator, reason, arrays, .. }: &RoomStop) -> String {
     let arrays: Vec<String> = arrays.iter().map(usize::to_string).collect();
     let (operator, reason) = (printable(operator), printable(reason));
-    format!("{name} of {operator} ({reason:?}) at array {}", arrays.join(", "))
+    format!("{name} of {operator} (\"{reason}\") at array {}", arrays.join(", "))
 }
 
 impl OrderArgs {
@@ -192,8 +192,30 @@ impl OrderArgs {
         }
         output::line(format_args!("the arrays of room {room} are {outcome}, confirmed after {took_ms:.1} ms"))?;
         for RoomStop { name, operator, reason, .. } in stops {
-            output::line(format_args!("the stop: {name} of {operator:?}: {reason:?}"))?;
+            let (operator, reason) = (printable(operator), printable(reason));
+            output::line(format_args!("the stop: {name} of \"{operator}\": \"{reason}\""))?;
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Instant;
+
+    use heliostat_proto::stop_hold::StopName;
+
+    use super::*;
+
+    #[test]
+    fn a_control_character_of_a_reason_is_escaped_once() {
+        let stop = ShownStop {
+            name: StopName { source: 1, sequence: 2 },
+            operator: "ann".into(),
+            reason: "smoke\nfire".into(),
+            arrays: vec![0],
+            known: Instant::now(),
+        };
+        assert!(in_words(&stop).contains("of ann (\"smoke\\u000afire\") at array 0"), "{}", in_words(&stop));
     }
 }

@@ -2,10 +2,11 @@
 
 use std::collections::HashMap;
 use std::fs::File;
-use std::io::{BufReader, Read};
+use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
 use heliostat_proto::{Nanos, VERSION};
+use heliostat_scenario::foreign_file;
 use mcap::McapError;
 use mcap::records::{Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
@@ -19,13 +20,19 @@ const RECORD_MAX: usize = 64 << 20;
 /// Opens a recording on disk.
 ///
 /// # Errors
-/// [`RecordingError::Read`], [`RecordingError::Foreign`] or [`RecordingError::Version`].
+/// [`RecordingError::OtherKind`], [`RecordingError::Read`], [`RecordingError::Foreign`] or
+/// [`RecordingError::Version`].
 pub fn open(file: &Path) -> Result<Reading<BufReader<File>>, RecordingError> {
     let source = || {
         let file = File::open(file).map_err(|error| RecordingError::Open(error.to_string()))?;
         Ok::<_, RecordingError>(BufReader::new(file))
     };
-    match Reading::open(source()?) {
+    let mut first = source()?;
+    let beginning = first.fill_buf().map_err(|error| RecordingError::Read(error.to_string()))?;
+    if let Some(what) = foreign_file(beginning, "a recording of `heliostat record`") {
+        return Err(RecordingError::OtherKind(what));
+    }
+    match Reading::open(first) {
         Err(RecordingError::Foreign) => {
             let header = Reading::new(source()?).later_header()?;
             Reading { header, ..Reading::new(source()?) }.of_this_version()

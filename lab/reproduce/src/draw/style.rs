@@ -68,6 +68,11 @@ pub fn columns(panels: usize) -> usize {
     if panels == 4 { 2 } else { panels.min(3) }
 }
 
+/// A number of an axis with these ends, as [`short_number`]. A mark at zero that rounding moved is `0`.
+pub fn axis_number(value: f64, [low, high]: [f64; 2]) -> String {
+    short_number(if value.abs() < 1e-9 * (high - low).abs() { 0.0 } else { value })
+}
+
 /// A number of an axis: three digits, no trailing zeros, powers of ten where it is tiny or huge.
 pub fn short_number(value: f64) -> String {
     if value == 0.0 {
@@ -130,6 +135,8 @@ mod tests {
     fn a_policy_keeps_its_colour_with_any_belief_and_numbers_are_short() {
         assert_eq!(style("ddpg+filter"), style("ddpg"));
         assert_eq!(style("ddpg").rgb, [0x00, 0x72, 0xB2]);
+        assert_eq!([-5.6e-17, 0.2].map(|value| axis_number(value, [-1.0, 1.0])), ["0", "0.2"]);
+        assert_eq!(axis_number(-5.6e-17, [-1e-16, 1e-16]), "-6e-17");
         assert_eq!([0.5, 20.0, 0.0, 1e-7, 123.4].map(short_number), ["0.5", "20", "0", "1e-7", "123"]);
     }
 }

@@ -7,7 +7,7 @@ use plotters::element::DashedPathElement;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-use super::style::{QUOTED, columns, short_number, style};
+use super::style::{QUOTED, axis_number, columns, short_number, style};
 use crate::figure::{Axis, Figure, Floor, Panel, Point, Series};
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
@@ -125,11 +125,11 @@ fn draw_panel(area: &Area, figure: &Figure, panel: &Panel, ranges: &Ranges) -> R
         .x_label_area_size(42)
         .y_label_area_size(60)
         .build_cartesian_2d(ranges.x[0]..ranges.x[1], ranges.y[0]..ranges.y[1])?;
-    let label = |axis: &Axis| {
+    let label = |axis: &Axis, range: [f64; 2]| {
         let log = axis.log;
         move |value: &f64| {
             if !log {
-                short_number(*value)
+                axis_number(*value, range)
             } else if (value - value.round()).abs() < 1e-6 {
                 short_number(10_f64.powf(value.round()))
             } else {
@@ -137,7 +137,7 @@ fn draw_panel(area: &Area, figure: &Figure, panel: &Panel, ranges: &Ranges) -> R
             }
         }
     };
-    let (x_label, y_label) = (label(&figure.x), label(&figure.y));
+    let (x_label, y_label) = (label(&figure.x, ranges.x), label(&figure.y, ranges.y));
     let ticks = |range: [f64; 2], log: bool| if log { (range[1] - range[0]).round() as usize + 1 } else { 7 };
     let mut mesh = chart.configure_mesh();
     mesh.x_desc(&figure.x.label)

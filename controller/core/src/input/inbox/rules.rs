@@ -5,14 +5,10 @@ use heliostat_proto::{
 };
 use heliostat_scenario::Scenario;
 
-use crate::input::refusal::Refusal;
+use crate::input::refusal::{Refusal, UserValues};
 
 /// How far outside the room a reported position may lie, in m: a tracker's noise may exceed a wall.
 const OUTSIDE_MARGIN_M: f64 = 1.0;
-
-/// Largest speed of a reported user in m/s: far beyond any walk and its noise, and within the bounds of
-/// a state that can be restored.
-const SPEED_MAX_M_S: f64 = 100.0;
 
 /// What a scenario states about its reports.
 #[derive(Clone, Debug)]
@@ -71,8 +67,7 @@ impl Rules {
         if !is_inside {
             return Err(Refusal::OutsideRoom);
         }
-        let [x, y] = user.velocity_m_s.map(f64::from);
-        plausible(user.min_rate_bps >= 0.0 && x.hypot(y) <= SPEED_MAX_M_S)
+        plausible(UserValues::from(user).are_possible())
     }
 
     /// Checks the users and the LEDs of a report: each LED must be one of the scenario.

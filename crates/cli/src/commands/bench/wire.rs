@@ -1,5 +1,6 @@
 //! `heliostat bench loop` and `heliostat-lab bench rooms`: from the publication of a report to the
-//! arrival of the command that answers it.
+//! arrival of the command that answers it. With `loop --driver` the controller process drives the array
+//! too, and the time ends when the device gets the angles.
 //!
 //! This process is the room, the controller is a second one, and the reference is a third: an echo
 //! that answers each report with as many bytes as a command has, over the same session, with the
@@ -20,6 +21,7 @@ use heliostat_scenario::{STUDY_SCENARIO, Scenario, ScenarioArgs};
 use heliostat_service::clock::utc_ns;
 
 use super::board::Board;
+use super::one_process::{Outcome, instant_of};
 use super::pace::{Block, PaceArgs, Plan, Turn};
 use super::rows::{Row, Table, Varied};
 use super::walkers::Walkers;
@@ -66,19 +68,42 @@ pub struct Args {
     controller: Vec<String>,
 }
 
+/// Flags of `loop`.
+#[derive(Debug, clap::Args)]
+pub struct LoopArgs {
+    #[command(flatten)]
+    shared: Args,
+    /// The controller process also drives the array: measure until the device gets the angles
+    #[arg(long, conflicts_with = "rooms")]
+    driver: bool,
+}
+
 /// `loop`: one room at several rates.
-pub fn run_loop(args: &Args) -> Result<()> {
-    args.run("loop over Zenoh; reference: an echo of the same payload sizes", &[10.0, 100.0, 1000.0, 0.0], &[1])
+pub fn run_loop(args: &LoopArgs) -> Result<()> {
+    let (title, end) = match args.driver {
+        false => ("loop over Zenoh; reference: an echo of the same payload sizes", End::Command),
+        true => ("from report to device in one process; reference: an echo, there and back", End::Device),
+    };
+    args.shared.run(title, &[10.0, 100.0, 1000.0, 0.0], &[1], end)
+}
+
+/// Where a measured time ends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum End {
+    /// The command arrives in the process of the room.
+    Command,
+    /// The device of an array in the controller's process gets the angles.
+    Device,
 }
 
 /// `rooms`: a growing number of rooms on one controller process.
 pub fn run_rooms(args: &Args) -> Result<()> {
     let title = "loop over Zenoh with one controller process for all rooms; reference: an echo for as many";
-    args.run(title, &[100.0], &[1, 4, 16, 32, 64])
+    args.run(title, &[100.0], &[1, 4, 16, 32, 64], End::Command)
 }
 
 impl Args {
-    fn run(&self, title: &str, default_hz: &[f64], rooms: &[usize]) -> Result<()> {
+    fn run(&self, title: &str, default_hz: &[f64], rooms: &[usize], end: End) -> Result<()> {
         let scenario =
             self.scenario.load().context("the room of this benchmark has one array; bench decide takes several")?;
         // Fails here rather than in the controller process, for whose answer the room would wait.
@@ -88,18 +113,18 @@ impl Args {
         let mut table = Table::new(self.json, title)?;
         for plan in self.pace.plans(default_hz)? {
             for rooms in rooms {
-                table.add(self.measure(&plan, &scenario, *rooms)?)?;
+                table.add(self.measure(&plan, &scenario, *rooms, end)?)?;
             }
         }
         Ok(table.finish()?)
     }
 
-    fn measure(&self, plan: &Plan, scenario: &Scenario, rooms: usize) -> Result<Row> {
+    fn measure(&self, plan: &Plan, scenario: &Scenario, rooms: usize, end: End) -> Result<Row> {
         let endpoint = self.endpoint.clone().map_or_else(free_loopback_endpoint, Ok)?;
         let bus = Bus::open(&BusConfig::new(Room::new("bench")?).listen_at(&endpoint))?;
         let mut measured = Side::open(&bus, "measured", scenario, rooms)?;
         let mut reference = Side::open(&bus, "reference", scenario, rooms)?;
-        let controller = Part::start("controller", &self.controller_arguments(&endpoint, &measured.names)?)?;
+        let controller = Part::start("controller", &self.controller_arguments(&endpoint, &measured.names, end)?)?;
         let echo = Part::start("echo", &echo_arguments(&endpoint, &reference.names, scenario)?)?;
         for side in [&mut measured, &mut reference] {
             side.meet()?;
@@ -114,8 +139,16 @@ impl Args {
             Turn::Measured => measured.go_through(block),
             Turn::Reference => reference.go_through(block),
         })?;
-        let summary: Summary =
-            serde_json::from_value(controller.finish(END_WITHIN)?).context("the controller's summary is incomplete")?;
+        let last_line = controller.finish(END_WITHIN)?;
+        let incomplete = "the controller's summary is incomplete";
+        let (summary, device): (Summary, Option<Board>) = match end {
+            End::Command => (serde_json::from_value(last_line).context(incomplete)?, None),
+            End::Device => {
+                let outcome: Outcome = serde_json::from_value(last_line).context(incomplete)?;
+                let device = measured.device_board(&outcome.applied)?;
+                (outcome.summary, Some(device))
+            }
+        };
         echo.finish(END_WITHIN)?;
         bus.close()?;
 
@@ -127,17 +160,20 @@ impl Args {
             policy: summary.policy,
             engine: summary.engine,
         };
-        let (took, lost) = measured.board.take(LOST_AFTER);
+        let (took, lost) = device.as_ref().unwrap_or(&measured.board).take(LOST_AFTER);
         let (compared, _) = reference.board.take(LOST_AFTER);
         ensure!(took.count() > 0 && compared.count() > 0, "no report was answered");
         let row = Row::new(varied, (took.distribution(), took.over(BUDGET), took.count()), &compared);
         Ok(row.by_stage(summary.over_budget_by, &summary.stages_us).across_processes(lost, summary.decision_us))
     }
 
-    fn controller_arguments(&self, endpoint: &str, rooms: &[String]) -> Result<Vec<String>> {
+    fn controller_arguments(&self, endpoint: &str, rooms: &[String], end: End) -> Result<Vec<String>> {
         let policy = self.policy.to_possible_value().context("every policy has a name")?;
-        let mut arguments: Vec<String> = ["controller", "--connect", endpoint, "--policy", policy.get_name()]
-            .into_iter()
+        let command: &[&str] = if end == End::Device { &["bench", "one-process"] } else { &["controller"] };
+        let mut arguments: Vec<String> = command
+            .iter()
+            .copied()
+            .chain(["--connect", endpoint, "--policy", policy.get_name()])
             .chain(["--scenario", &self.scenario.scenario, "--room", &rooms[0]])
             .map(String::from)
             .collect();
@@ -181,6 +217,8 @@ struct Side {
     walkers: Walkers,
     users: usize,
     tick: u64,
+    /// Tick and due time of each report since the warm-up.
+    due: Vec<(u64, Instant)>,
     /// Whether the payloads are messages; the echo gets payloads of the same size with a number in
     /// front.
     sends_messages: bool,
@@ -229,6 +267,7 @@ impl Side {
             walkers,
             users,
             tick: 0,
+            due: Vec::new(),
             sends_messages,
             buffers,
             _subscriptions: subscriptions,
@@ -262,7 +301,19 @@ impl Side {
         ensure!(self.tick < MEASURED_FROM, "the warm-up took {} reports, expected below {MEASURED_FROM}", self.tick);
         self.tick = MEASURED_FROM - 1;
         self.board.begin(MEASURED_FROM);
+        self.due.clear();
         Ok(())
+    }
+
+    /// The same reports, answered when the device got the angles: tick and monotonic time in ns.
+    fn device_board(&self, applied: &[(u64, u64)]) -> Result<Board> {
+        let board = Board::default();
+        board.begin(MEASURED_FROM);
+        self.due.iter().for_each(|(tick, due)| board.sent(*tick, 0, *due));
+        for (tick, time_ns) in applied {
+            board.answered(*tick, instant_of(*time_ns)?);
+        }
+        Ok(board)
     }
 
     /// Sends the reports of a block, room after room, spread evenly over the interval; returns
@@ -306,6 +357,7 @@ impl Side {
 
     fn send(&mut self, room: usize, due: Instant) -> Result<()> {
         self.board.sent(self.tick, room, due);
+        self.due.push((self.tick, due));
         self.rooms[room].channel.put(&self.buffers[1])?;
         Ok(self.rooms[room].users.put(&self.buffers[0])?)
     }

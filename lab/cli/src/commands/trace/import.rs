@@ -1,10 +1,10 @@
 //! `heliostat-lab trace import`: reads a data set, chooses users, and fits them into a room.
 
 use std::fs::File;
-use std::io::BufReader;
+use std::io::{BufRead, BufReader};
 use std::path::PathBuf;
 
-use anyhow::{Context, Result, anyhow, ensure};
+use anyhow::{Context, Result, anyhow, bail, ensure};
 use clap::ValueEnum;
 use heliostat_room::walks::formats::{ColumnMap, ReadError, Source, WalkFormat, read};
 use heliostat_room::walks::placement::{Fit, place};
@@ -12,7 +12,8 @@ use heliostat_room::walks::plausibility::{is_mostly_refused, warnings};
 use heliostat_room::walks::selection::{Choice, Presence, select};
 use heliostat_room::walks::tracks::{Collected, Collector, Kept, Rectangle};
 use heliostat_room::world::walker::Floor;
-use heliostat_scenario::{BUILTIN_NAMES, Scenario, ScenarioArgs};
+use heliostat_scenario::{BUILTIN_NAMES, Scenario, ScenarioArgs, foreign_file};
+use heliostat_service::duration::{DurationError, seconds};
 use heliostat_service::exit::UnusableInput;
 
 use super::report::{ImportReport, print};
@@ -93,7 +94,7 @@ struct Reading {
     #[arg(long, value_name = "X_MIN,Y_MIN,X_MAX,Y_MAX", value_parser = rectangle, allow_hyphen_values = true)]
     crop: Option<Rectangle>,
     /// A longer time without a position ends a track, in s
-    #[arg(long, value_name = "S", default_value_t = 1.0, value_parser = positive, allow_negative_numbers = true)]
+    #[arg(long, value_name = "S", default_value = "1", value_parser = duration_s, allow_negative_numbers = true)]
     max_gap_s: f64,
 }
 
@@ -107,7 +108,7 @@ struct Choosing {
     #[arg(long, value_enum, default_value = "together")]
     select: PresenceName,
     /// Duration of the walk in s [default: as long as all users are present]
-    #[arg(long, value_name = "S", value_parser = positive, allow_negative_numbers = true)]
+    #[arg(long, value_name = "S", value_parser = duration_s, allow_negative_numbers = true)]
     duration_s: Option<f64>,
     /// Resample at this rate [default: the recorded times]
     #[arg(long, value_name = "HZ", value_parser = rate, allow_negative_numbers = true)]
@@ -223,7 +224,10 @@ fn collect(args: &ImportArgs) -> Result<Collected> {
         reading.columns.is_none() || source.format == WalkFormat::Csv,
         "--columns was given: expected the format csv, because the other formats have fixed columns"
     );
-    let input = BufReader::new(File::open(&args.file)?);
+    let mut input = BufReader::new(File::open(&args.file)?);
+    if let Some(what) = foreign_file(input.fill_buf()?, "a text in UTF-8") {
+        bail!("the file {what}");
+    }
     read(&source, input, &mut |row| collector.add(row)).map_err(advised)?;
     let collected = collector.finish();
     let counts = collected.counts;
@@ -304,6 +308,10 @@ impl From<FitName> for Fit {
 
 fn number(text: &str, expected: &str, is_valid: impl Fn(f64) -> bool) -> Result<f64, String> {
     text.parse().ok().filter(|value| is_valid(*value)).ok_or_else(|| format!("expected {expected}"))
+}
+
+fn duration_s(text: &str) -> Result<f64, DurationError> {
+    seconds(text).map(|duration| duration.as_secs_f64())
 }
 
 fn positive(text: &str) -> Result<f64, String> {

@@ -2,7 +2,7 @@
 
 use anyhow::Result;
 use heliostat_learn::comparison::{Report, Row, Spread};
-use heliostat_reproduce::draw::style::{short_number, style};
+use heliostat_reproduce::draw::style::{axis_number, short_number, style};
 use heliostat_reproduce::draw::svg;
 use heliostat_reproduce::figure::{Axis, Figure, Panel, Point, Series};
 use heliostat_service::printable::printable;
@@ -157,7 +157,7 @@ fn draw(title: &str, is_log: bool, dots: &[Dot]) -> Result<String> {
             .y_label_area_size(NAMES)
             .build_cartesian_2d(low..high, 0.0..f64::from(rows))?;
         let label = |value: &f64| match is_log {
-            false => short_number(*value),
+            false => axis_number(*value, [low, high]),
             true if (value - value.round()).abs() < 1e-6 => short_number(10_f64.powf(value.round())),
             true => String::new(),
         };

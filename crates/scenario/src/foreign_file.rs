@@ -1,0 +1,63 @@
+//! What a file is that holds something else than its user expects.
+
+/// How the bytes of some files begin, what such a file is, and what to do.
+const BEGINNINGS: [(&[u8], &str, &str); 5] = [
+    (b"version https://git-lfs", "is a pointer of git-lfs", "run `git lfs pull`"),
+    (b"\x1f\x8b", "is compressed with gzip", "unpack it"),
+    (b"PK\x03\x04", "is a zip archive", "unpack it"),
+    (b"\xff\xfe", "is text in UTF-16", "save it in UTF-8"),
+    (b"\xfe\xff", "is text in UTF-16", "save it in UTF-8"),
+];
+
+/// What a file is instead of what was expected, and what to do, from its first bytes; `None` where it may
+/// be what was expected. The sentence begins with a verb, for the name of the file before it.
+///
+/// ```
+/// use heliostat_scenario::foreign_file;
+///
+/// let found = foreign_file(b"\x1f\x8b\x08", "a recording").expect("no recording");
+/// assert_eq!(found, "is compressed with gzip, expected a recording: unpack it");
+/// ```
+pub fn foreign_file(beginning: &[u8], expected: &str) -> Option<String> {
+    if beginning.is_empty() {
+        return Some(format!("is empty, expected {expected}: copy or export it again"));
+    }
+    if let Some((_, what, advice)) = BEGINNINGS.iter().find(|(bytes, ..)| beginning.starts_with(bytes)) {
+        return Some(format!("{what}, expected {expected}: {advice}"));
+    }
+    let text = beginning.trim_ascii_start();
+    let is_tag = |byte: &u8| byte.is_ascii_alphabetic() || *byte == b'!' || *byte == b'?';
+    if text.first() == Some(&b'<') && text.get(1).is_some_and(is_tag) {
+        let word: String =
+            text.iter().take_while(|byte| byte.is_ascii_graphic()).take(16).map(|byte| *byte as char).collect();
+        return Some(format!("begins with {word}: it is a web page, expected {expected}: download the file itself"));
+    }
+    None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::foreign_file;
+
+    #[test]
+    fn files_of_other_kinds_are_named_with_what_to_do() {
+        for (bytes, words) in [
+            (&b""[..], "is empty"),
+            (
+                b"version https://git-lfs.github.com/spec/v1\noid",
+                "pointer of git-lfs, expected a table: run `git lfs pull`",
+            ),
+            (b"\n <!DOCTYPE html>\n<html>", "begins with <!DOCTYPE: it is a web page"),
+            (b"<html>", "begins with <html>: it is a web page"),
+            (b"\x1f\x8b\x08", "gzip"),
+            (b"PK\x03\x04x", "zip archive"),
+            (b"\xff\xfet\0i\0", "is text in UTF-16, expected a table: save it in UTF-8"),
+            (b"\xfe\xff\0t", "UTF-16"),
+        ] {
+            let found = foreign_file(bytes, "a table").unwrap_or_default();
+            assert!(found.contains(words), "{words}: {found}");
+        }
+        assert_eq!(foreign_file(b"\x08\x08\x12\x07pytorch", "an ONNX file"), None);
+        assert_eq!(foreign_file(b"< 3", "an ONNX file"), None);
+    }
+}

@@ -1,0 +1,85 @@
+//! The controllers of a room: which one leads, which stand by, and how often they took over.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Instant;
+
+use heliostat_proto::{NodeKind, NodeStatus};
+use serde::Serialize;
+
+use crate::view::EXPIRY;
+
+/// Counters of a controller's status: standby, takeovers, and takeovers after which the former leader
+/// still commanded.
+const STANDBY: &str = "standby";
+const TAKEOVERS: &str = "epoch:took-over";
+const FALSE_TAKEOVERS: &str = "epoch:contested";
+
+/// One controller.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct ControllerFigures {
+    /// Its source id, as 16 hexadecimal digits.
+    pub name: String,
+    /// Whether it stands by; else it leads.
+    pub is_standby: bool,
+    /// How often it took over since its start.
+    pub takeovers: u64,
+    /// How often the former leader still commanded after that.
+    pub false_takeovers: u64,
+}
+
+/// The latest status of each controller, by its source.
+#[derive(Debug, Default)]
+pub(crate) struct Controllers(BTreeMap<u64, (Instant, ControllerFigures)>);
+
+impl Controllers {
+    /// Notes the status of a controller.
+    pub fn take(&mut self, status: &NodeStatus) {
+        self.0.retain(|_, (at, _)| at.elapsed() < EXPIRY);
+        let source = status.stamp.source;
+        let counter =
+            |name: &str| status.counters.iter().find(|(counter, _)| counter == name).map_or(0, |(_, count)| *count);
+        let figures = ControllerFigures {
+            name: format!("{source:016x}"),
+            is_standby: counter(STANDBY) > 0,
+            takeovers: counter(TAKEOVERS),
+            false_takeovers: counter(FALSE_TAKEOVERS),
+        };
+        self.0.insert(source, (Instant::now(), figures));
+    }
+
+    /// The controllers that are in the room, the leader first.
+    pub fn present(&self, alive: &BTreeSet<(&'static str, u64)>) -> Vec<ControllerFigures> {
+        let is_present = |source: &u64, at: &Instant| {
+            at.elapsed() < EXPIRY && alive.contains(&(NodeKind::Controller.name(), *source))
+        };
+        let present = self.0.iter().filter(|(source, (at, _))| is_present(source, at));
+        let mut figures: Vec<_> = present.map(|(_, (_, figures))| figures.clone()).collect();
+        figures.sort_by_key(|figures| figures.is_standby);
+        figures
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use heliostat_proto::Stamp;
+
+    use super::*;
+
+    fn status(source: u64, counters: &[(&str, u64)]) -> NodeStatus {
+        let stamp = Stamp { source, ..Stamp::default() };
+        let counters = counters.iter().map(|(name, count)| ((*name).to_owned(), *count)).collect();
+        NodeStatus { stamp, counters, ..NodeStatus::default() }
+    }
+
+    #[test]
+    fn the_leader_is_first_and_one_that_has_left_is_gone() {
+        let (mut controllers, name) = (Controllers::default(), NodeKind::Controller.name());
+        controllers.take(&status(1, &[(STANDBY, 1), (TAKEOVERS, 1)]));
+        controllers.take(&status(2, &[(STANDBY, 0), (TAKEOVERS, 3), (FALSE_TAKEOVERS, 2)]));
+        let present = controllers.present(&[(name, 1), (name, 2)].into());
+        let expected =
+            ControllerFigures { name: "0000000000000002".into(), is_standby: false, takeovers: 3, false_takeovers: 2 };
+        assert_eq!((&present[0], present[1].is_standby, present.len()), (&expected, true, 2));
+        assert_eq!(controllers.present(&[(name, 1)].into()).len(), 1);
+    }
+}

@@ -131,7 +131,7 @@ class Peer:
         self._publishers: dict[str, Any] = {}
         self._declared: list[Any] = []
         self._stack = ExitStack()
-        self.session: Any = _open(config, stop)
+        self.session: Any = open_session(config, stop)
         if self.session is not None:
             self._stack.enter_context(self.session)
 
@@ -250,7 +250,7 @@ class Peer:
         )
 
 
-def _open(config: zenoh.Config, stop: threading.Event) -> Any:
+def open_session(config: zenoh.Config, stop: threading.Event) -> Any:
     """Opens a session, and retries while a router cannot be reached; `None` where a stop is requested before."""
     pause_s = _FIRST_PAUSE_S
     while not stop.is_set():

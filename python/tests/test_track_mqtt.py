@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import socket
 import subprocess
 import threading
 import time
@@ -22,8 +23,8 @@ from heliostat.track.users import Pose
 from room import free_endpoint, wait_until
 from tracked import tracked
 
-MOSQUITTO = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin")
-needs_broker = pytest.mark.skipif(MOSQUITTO is None, reason="no MQTT broker: apt-get install mosquitto")
+MOSQUITTO = shutil.which("mosquitto")
+needs_broker = pytest.mark.skipif(MOSQUITTO is None, reason="no MQTT broker in the path: apt-get install mosquitto")
 
 
 @contextmanager
@@ -31,9 +32,17 @@ def broker(folder: Path, *more: str) -> Iterator[int]:
     """A broker at a port of this machine; a connection to it shows that it listens."""
     port = int(free_endpoint("tcp").rpartition(":")[2])
     file = folder / "mosquitto.conf"
-    file.write_text("\n".join([f"listener {port} 127.0.0.1", *(more or ("allow_anonymous true",))]), encoding="utf-8")
+    # A broker that root starts would change to a user who cannot read the folder of a test.
+    lines = [f"listener {port} 127.0.0.1", "user root", *(more or ("allow_anonymous true",))]
+    file.write_text("\n".join(lines), encoding="utf-8")
+
+    def is_open() -> bool:
+        with socket.socket() as one:
+            return one.connect_ex(("127.0.0.1", port)) == 0
+
     with subprocess.Popen([str(MOSQUITTO), "-c", str(file)], stderr=subprocess.DEVNULL) as process:
         try:
+            wait_until("broker", is_open)
             yield port
         finally:
             process.terminate()

@@ -46,7 +46,7 @@ def parallel_env(agents: str = "users", max_steps: int = 600, **settings: Any) -
     return HeliostatParallelEnv(agents, max_steps, **settings)
 
 
-class HeliostatParallelEnv(ParallelEnv[str, _Array, _Array]):
+class HeliostatParallelEnv(ParallelEnv):  # type: ignore[misc]
     """A room as a parallel environment; `parallel_env` has its arguments.
 
     All agents act in each step, and all are truncated together. The observation of an empty slot is 0 in its own row,

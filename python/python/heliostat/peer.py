@@ -80,7 +80,7 @@ class Settings:
         )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: argparse._ActionsContainer) -> None:
     """Adds the flags of the room, the endpoints, the keys and the end."""
     parser.add_argument("--room", metavar="NAME", help="name of the room [default: the room of --tls, or demo]")
     parser.add_argument(

@@ -24,12 +24,14 @@ from .users import Pose
 
 try:
     import paho.mqtt.client as paho
+    from paho.mqtt.enums import CallbackAPIVersion
 except ImportError as problem:
     raise ImportError('the package paho-mqtt is missing: pip install "heliostat[zenoh,mqtt]"') from problem
 
 DEFAULT_PORT, DEFAULT_TLS_PORT = 1883, 8883
 
 _SIZE_MAX = 1 << 20
+_LONGEST_PAUSE_S = 5
 _NO_QUALITY_OF_SERVICE = 0
 
 
@@ -84,7 +86,8 @@ class Mqtt(Source):
         self._host, self._port = host, port or (DEFAULT_TLS_PORT if authority else DEFAULT_PORT)
         self.name = f"topic {layout.topic} of {self._host}:{self._port}"
         self._is_connected = False
-        self._client = paho.Client(paho.CallbackAPIVersion.VERSION2)
+        self._client = paho.Client(CallbackAPIVersion.VERSION2)
+        self._client.reconnect_delay_set(1, _LONGEST_PAUSE_S)
         if login is not None:
             self._client.username_pw_set(*login)
         if authority is not None:
@@ -115,7 +118,7 @@ class Mqtt(Source):
                 intake.problem("lost", f"the connection to the broker {address} is lost: {reason}")
 
         self._client.on_connect, self._client.on_subscribe, self._client.on_disconnect = connected, subscribed, lost
-        self._client.on_message = lambda _, __, message: self._receive(intake, message.topic, message.payload)
+        self._client.on_message = lambda _, __, message: self._receive(intake, message.topic, bytes(message.payload))
         try:
             self._client.connect_async(self._host, self._port)
         except ValueError as problem:

@@ -157,7 +157,7 @@ class Ros2(Source):
                 intake.problem("wrong-type", text)
                 return
             try:
-                message = _STORE.deserialize_cdr(bytes(sample.payload), type_name)
+                message: Any = _STORE.deserialize_cdr(bytes(sample.payload), type_name)
                 header = message.header
             except Exception as problem:  # rosbags states no exceptions; a payload comes from any process.
                 intake.problem("malformed", f"{name}: a payload that is no {type_name}: {type(problem).__name__} {problem}")

@@ -80,7 +80,9 @@ class Observer:
 
         config = zenoh.Config()
         config.insert_json5("listen/endpoints", json.dumps([endpoint]))
-        config.insert_json5("scouting/multicast/enabled", "false")
+        # As in every process of a room.
+        for kind in ("multicast", "gossip"):
+            config.insert_json5(f"scouting/{kind}/enabled", "false")
         self.session: Any = zenoh.open(config)
         self.keys = wire.keys(room, "viewer", 1, array)
         self.sequence = 0

@@ -66,7 +66,7 @@ def tracked(folder: Path, *arguments: str, scenario: str = "hall") -> Iterator[T
                 yield Tracked(room, process, False)
             return
         flags = ["--room", "tracked", "--listen", of_controller, "--connect", endpoint, "--scenario", scenario]
-        flags += ["--policy", "fixed-point", "--exit-with-parent"]
+        flags += ["--policy", "fixed-point"]
         with subprocess.Popen([program, "controller", *flags], stdout=subprocess.DEVNULL) as controller:
             try:
                 with python(*command, "--connect", of_controller, folder=folder) as process:

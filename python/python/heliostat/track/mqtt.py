@@ -85,7 +85,7 @@ class Mqtt(Source):
         self.clock = "arrival" if layout.time_s is None else "source"
         self._host, self._port = host, port or (DEFAULT_TLS_PORT if authority else DEFAULT_PORT)
         self.name = f"topic {layout.topic} of {self._host}:{self._port}"
-        self._is_connected = False
+        self._is_connected, self._refusal = False, ""
         self._client = paho.Client(CallbackAPIVersion.VERSION2)
         self._client.reconnect_delay_set(1, _LONGEST_PAUSE_S)
         if login is not None:
@@ -102,8 +102,9 @@ class Mqtt(Source):
 
         def connected(client: Any, _: Any, __: Any, reason: Any, ___: Any) -> None:
             self._is_connected = not reason.is_failure
-            if reason.is_failure:
-                intake.problem("refused-by-broker", f"the broker {address} refuses the connection: {reason}")
+            self._refusal = f"the broker {address} refuses the connection: {reason}" if reason.is_failure else ""
+            if self._refusal:
+                intake.problem("refused-by-broker", self._refusal)
             else:
                 client.subscribe(self.layout.topic, _NO_QUALITY_OF_SERVICE)
 
@@ -113,8 +114,8 @@ class Mqtt(Source):
                     intake.problem("refused-by-broker", f"the broker {address} refuses the topic {self.layout.topic}: {reason}")
 
         def lost(_: Any, __: Any, ___: Any, reason: Any, ____: Any) -> None:
-            self._is_connected = False
-            if reason.is_failure:
+            was_connected, self._is_connected = self._is_connected, False
+            if was_connected and reason.is_failure:
                 intake.problem("lost", f"the connection to the broker {address} is lost: {reason}")
 
         self._client.on_connect, self._client.on_subscribe, self._client.on_disconnect = connected, subscribed, lost
@@ -162,7 +163,7 @@ class Mqtt(Source):
     def advice(self) -> str:
         """What to check while no data arrive."""
         if not self._is_connected:
-            return f"no connection to the broker {self._host}:{self._port}"
+            return self._refusal or f"no connection to the broker {self._host}:{self._port}"
         return "the broker answers; check the topic and that the tags are on"
 
     def close(self) -> None:

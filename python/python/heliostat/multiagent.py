@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from ._checks import integer
 from ._core import BELIEF_COLUMNS
-from .envs import BOUND, HeliostatEnv
+from .envs import BOUND, RESET_OPTIONS, HeliostatEnv
 
 try:
     from pettingzoo import ParallelEnv
@@ -82,8 +82,9 @@ class HeliostatParallelEnv(ParallelEnv):  # type: ignore[misc]
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, _Array], dict[str, dict[str, Any]]]:
-        """Starts an episode, as `HeliostatEnv.reset` does."""
-        seen, info = self.env.reset(seed=seed, options=options)
+        """Starts an episode, as `HeliostatEnv.reset` does. PettingZoo requires that unknown options are ignored."""
+        known = {name: value for name, value in (options or {}).items() if name in RESET_OPTIONS}
+        seen, info = self.env.reset(seed=seed, options=known)
         self.agents, self._steps = list(self.possible_agents), 0
         return self._parts.seen(seen), {agent: dict(info) for agent in self.agents}
 

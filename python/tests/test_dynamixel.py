@@ -112,6 +112,12 @@ def test_a_chain_without_servos_and_a_port_that_is_absent_are_named() -> None:
         Dynamixel(servos.port, 1, 1, [1, 2]).connect()
     with pytest.raises(ServoError, match="/dev/absent"):
         Dynamixel("/dev/absent", 1, 1, [1, 2]).connect()
+    with chain(1, 2) as servos:
+        device = Dynamixel(servos.port, 1, 1, [1, 2])
+        with pytest.raises(ServoError, match="not connected"):
+            device.stop()
+        device.connect()
+        device.stop()
 
 
 @pytest.mark.parametrize(

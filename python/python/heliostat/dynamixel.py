@@ -17,7 +17,8 @@ import argparse
 import math
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
@@ -120,6 +121,18 @@ class Dynamixel(Device):
         if len(self._silent) == len(self._ids):
             raise ServoError(f"no servo answers at {self._port.getPortName()} with {self._baud} baud: check power and cable")
 
+    @contextmanager
+    def _exchange(self) -> Iterator[None]:
+        """One order to the SDK. After a failure the SDK would hold its port as in use for ever."""
+        if not self._port.is_open:
+            raise ServoError(f"{self._port.getPortName()}: not connected")
+        try:
+            yield
+        except (OSError, serial.SerialException, TypeError) as problem:
+            raise ServoError(f"{self._port.getPortName()}: {problem}") from problem
+        finally:
+            self._port.is_using = False
+
     def _prepare(self, servo: int) -> None:
         """Sets mode and speed of a servo whose torque is off."""
         self._silent.pop(servo, None)
@@ -137,10 +150,8 @@ class Dynamixel(Device):
     def _ask(self, servo: int, order: Callable[[], Sequence[int]]) -> int:
         """Orders until the servo answers, `_ATTEMPTS` times at most; returns the value that it states."""
         for _ in range(_ATTEMPTS):
-            try:
+            with self._exchange():
                 *value, result, error = order()
-            except (OSError, serial.SerialException, TypeError, AttributeError) as problem:
-                raise ServoError(f"{self._port.getPortName()}: {problem}") from problem
             if result == sdk.COMM_SUCCESS:
                 break
         else:
@@ -156,10 +167,8 @@ class Dynamixel(Device):
         for index, servo in enumerate(self._ids):
             value = values if isinstance(values, int) else values[index]
             group.addParam(servo, list(value.to_bytes(length, "little", signed=value < 0)))
-        try:
+        with self._exchange():
             result = group.txPacket()
-        except (OSError, serial.SerialException, TypeError, AttributeError) as problem:
-            raise ServoError(f"{self._port.getPortName()}: {problem}") from problem
         if result != sdk.COMM_SUCCESS:
             raise ServoError(f"{self._port.getPortName()}: {self._packets.getTxRxResult(result)}")
 
@@ -170,10 +179,8 @@ class Dynamixel(Device):
             group = sdk.GroupSyncRead(self._port, self._packets, address, length)
             for servo in answering:
                 group.addParam(servo)
-            try:
+            with self._exchange():
                 result = group.txRxPacket()
-            except (OSError, serial.SerialException, TypeError, AttributeError) as problem:
-                raise ServoError(f"{self._port.getPortName()}: {problem}") from problem
             if result == sdk.COMM_SUCCESS:
                 return {servo: partial(group.getData, servo) for servo in answering}
             failed += 1

@@ -69,7 +69,7 @@ def test_a_room_that_cannot_be_joined_and_no_data_end_with_status_1(capsys: pyte
     assert main(["mqtt", "--broker", "127.0.0.1", "--port", "9"]) == 1
     assert "error: no endpoint: expected --listen or --connect" in capsys.readouterr().err
     assert main(["mqtt", "--broker", "127.0.0.1", "--port", "9", "--dry-run", "--seconds", "0.5"]) == 1
-    assert "reports sent: 0" in capsys.readouterr().out
+    assert "reports made: 0" in capsys.readouterr().out
 
 
 def test_a_system_without_its_library_names_the_extra(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import signal
 import socket
 import socketserver
 import struct
@@ -18,7 +19,7 @@ import pytest
 pytest.importorskip("qtm_rt", reason="qtm-rt is not installed")
 pytest.importorskip("zenoh")
 from heliostat.track.qtm import body_names
-from room import free_endpoint, wait_until
+from room import end_by, free_endpoint, python, wait_until
 from tracked import tracked
 
 COMMAND, XML, DATA = 1, 2, 3
@@ -141,6 +142,17 @@ def test_an_absent_server_and_a_lost_connection_are_named_and_tried_again(tmp_pa
         with server(port) as qtm:
             qtm.bodies = [((1500.0, 500.0, 850.0), QUARTER_TURN)]
             run.wait_for({0: [1.5, 0.5, 0.85]})
+
+
+def test_a_dry_run_joins_no_room_and_prints_where_the_users_are(tmp_path: Path) -> None:
+    port = a_port()
+    flags = ("qtm", "--host", "127.0.0.1", "--port", str(port), "--dry-run", "--axes", "y-up", "--room-size", "8,6,3")
+    with server(port) as qtm, python("-m", "heliostat.track", *flags, folder=tmp_path) as process:
+        qtm.bodies = [((1500.0, 850.0, -200.0), (1, 0, 0, 0, 1, 0, 0, 0, 1))]
+        assert process.stdout is not None
+        assert process.stdout.readline() == "user 0 at (1.500, 0.200, 0.850) m, held (1.000, 0.000, 0.000, 0.000)\n"
+        output, _ = end_by(signal.SIGINT, process)
+        assert "reports made: " in output
 
 
 def test_the_names_of_bodies_are_in_the_order_of_the_data() -> None:

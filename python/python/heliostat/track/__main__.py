@@ -253,7 +253,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"error: {problem}", file=sys.stderr)
         return 1
     found = ", ".join(f"{kind} {count}" for kind, count in sorted(ended.problems.items()))
-    print(f"reports sent: {ended.reports}, poses: {ended.poses}" + (f", problems: {found}" if found else ""))
+    made = "made" if given.dry_run else "sent"
+    print(f"reports {made}: {ended.reports}, poses: {ended.poses}" + (f", problems: {found}" if found else ""))
     return 0 if ended.reports else 1
 
 

@@ -58,7 +58,7 @@ def configured(arguments: argparse.Namespace, settings: dict[str, Any]) -> Any:
         .learners(num_learners=0)
         .multi_agent(policies={SHARED}, policy_mapping_fn=lambda agent, *_, **__: SHARED)
         .rl_module(model_config=DefaultModelConfig(fcnet_hiddens=[64, 64], vf_share_layers=False))
-        .training(gamma=0.0, lambda_=0.0, lr=3e-4, train_batch_size_per_learner=2048, minibatch_size=512, num_epochs=4)
+        .training(gamma=0.0, lambda_=0.0, lr=3e-4, train_batch_size_per_learner=1000, minibatch_size=500, num_epochs=4)
         .debugging(seed=arguments.seed)
     )
 

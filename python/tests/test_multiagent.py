@@ -40,16 +40,17 @@ def test_users_as_agents_choose_the_weights_of_one_learner_and_see_their_own_row
     seen, _ = env.reset(seed=4)
     expected, _ = one.reset(seed=4)
     generator = np.random.default_rng(2)
+    assert env.possible_agents == ["user_0", "user_1", "user_2"] and one.slots > 3
     for step in range(1, 6):
         rows = expected.reshape(one.slots, -1)
-        for slot in range(one.slots):
-            own = seen[f"user_{slot}"].reshape(one.slots, -1)
+        assert not rows[3:].any(), "users have the first slots"
+        for slot in range(3):
+            own = seen[f"user_{slot}"].reshape(3, -1)
             np.testing.assert_array_equal(own[0], rows[slot])
-            np.testing.assert_array_equal(np.sort(own, axis=0), np.sort(rows, axis=0))
-        weights = generator.uniform(-1, 1, one.slots).astype(np.float32)
-        seen, rewards, terminations, truncations, infos = env.step(
-            {f"user_{slot}": weights[slot : slot + 1] for slot in range(one.slots)}
-        )
+            np.testing.assert_array_equal(np.sort(own, axis=0), np.sort(rows[:3], axis=0))
+        weights = np.zeros(one.slots, np.float32)
+        weights[:3] = generator.uniform(-1, 1, 3)
+        seen, rewards, terminations, truncations, infos = env.step({f"user_{slot}": weights[slot : slot + 1] for slot in range(3)})
         expected, reward, _, _, info = one.step(weights)
         assert set(rewards.values()) == {reward} and not any(terminations.values())
         assert set(truncations.values()) == {step == 5}

@@ -321,6 +321,11 @@ class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
         return self._batch.slots_max
 
     @property
+    def users_max(self) -> int:
+        """Most users who are in the room at once."""
+        return self._batch.users_max
+
+    @property
     def parts(self) -> dict[str, tuple[slice, tuple[int, ...]]]:
         """The indices and the shape of each part of a flat observation, by name."""
         return {name: (slice(first, first + int(np.prod(shape))), shape) for name, first, shape in self._layout.parts}

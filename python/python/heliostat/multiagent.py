@@ -12,7 +12,7 @@ agents choose in parts:
 
 | agents | an agent | its action | its observation |
 | --- | --- | --- | --- |
-| `users` | a slot for a user | the weight of this user | its row of `heliostat.BELIEF_COLUMNS`, then those of the others |
+| `users` | a slot that a user can have | the weight of this user | its row of `heliostat.BELIEF_COLUMNS`, then those of the others |
 | `arrays` | a mirror array | roll, then yaw of its mirrors | the users, and steering and angles of its mirrors |
 """
 
@@ -125,24 +125,26 @@ class HeliostatParallelEnv(ParallelEnv):  # type: ignore[misc]
 
 
 class _Users:
-    """The weights and the belief rows of the slots."""
+    """The weights and the belief rows of the slots that a user can have; users have the first slots."""
 
     def __init__(self, env: HeliostatEnv) -> None:
-        self.names = [f"user_{slot}" for slot in range(env.slots)]
-        length = env.slots * len(BELIEF_COLUMNS)
-        self.observations = {name: spaces.Box(-BOUND, BOUND, (length,), np.float32) for name in self.names}
+        count, columns = min(env.slots, env.users_max), len(BELIEF_COLUMNS)
+        self.names = [f"user_{slot}" for slot in range(count)]
+        self.observations = {name: spaces.Box(-BOUND, BOUND, (count * columns,), np.float32) for name in self.names}
         self.actions = {name: spaces.Box(-1.0, 1.0, (1,), np.float32) for name in self.names}
-        self._orders = [[slot, *(other for other in range(env.slots) if other != slot)] for slot in range(env.slots)]
-        self._shape = (env.slots, len(BELIEF_COLUMNS))
+        self._orders = [[slot, *(other for other in range(count) if other != slot)] for slot in range(count)]
+        self._slots, self._columns = env.slots, columns
 
     def seen(self, observation: _Array) -> dict[str, _Array]:
         """The observation of each agent: its own row first."""
-        rows = np.reshape(observation, self._shape)
+        rows = np.reshape(observation, (self._slots, self._columns))
         return {name: rows[order].reshape(-1) for name, order in zip(self.names, self._orders, strict=True)}
 
     def joined(self, actions: dict[str, _Array]) -> _Array:
         """The action of the room."""
-        return np.concatenate([np.asarray(actions[name], np.float32) for name in self.names])
+        weights = np.zeros(self._slots, np.float32)
+        weights[: len(self.names)] = [float(actions[name][0]) for name in self.names]
+        return weights
 
 
 class _Arrays:

@@ -109,6 +109,7 @@ pub fn keys<'py>(py: Python<'py>, room: &str, node: &str, source: u64, array: i6
         ("orientation", room.orientation()),
         ("branches", room.branches()),
         ("leds", room.leds()),
+        ("geometry", room.all_geometry()),
         ("stop", room.stop()),
         ("rearm", room.rearm()),
         ("command", own.command()),

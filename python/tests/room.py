@@ -80,23 +80,33 @@ class Observer:
 
         config = zenoh.Config()
         config.insert_json5("listen/endpoints", json.dumps([endpoint]))
-        config.insert_json5("scouting/multicast/enabled", "false")
+        # As in every process of a room.
+        for kind in ("multicast", "gossip"):
+            config.insert_json5(f"scouting/{kind}/enabled", "false")
         self.session: Any = zenoh.open(config)
         self.keys = wire.keys(room, "viewer", 1, array)
         self.sequence = 0
         self.latest: dict[str, dict[str, Any]] = {}
         self.counts: dict[str, int] = {}
-        names = ("users", "telemetry", "safety", "obstacles", "channel", "orientation", "leds")
+        self._statuses: dict[int, dict[str, Any]] = {}
+        names = ("users", "telemetry", "safety", "obstacles", "channel", "orientation", "leds", "command")
         listened = {name: self.keys[name] for name in names}
         listened["status"] = f"heliostat/v1/{room}/status/*"
         self.subscribers = [self.session.declare_subscriber(key, self._note(name)) for name, key in listened.items()]
 
     def _note(self, name: str) -> Callable[[Any], None]:
         def note(sample: Any) -> None:
-            self.latest[name] = wire.decode(bytes(sample.payload), wire.KINDS[name])
+            message = wire.decode(bytes(sample.payload), wire.KINDS[name])
+            self.latest[name] = message
+            if name == "status":
+                self._statuses[message["node"]] = message
             self.counts[name] = self.counts.get(name, 0) + 1
 
         return note
+
+    def status(self, node: str) -> dict[str, Any]:
+        """The latest status of a process of this kind."""
+        return self._statuses.get({"controller": 0, "tracker": 3}[node], {})
 
     def publish(self, name: str, **fields: Any) -> None:
         """Publishes an order with a stamp, or a command without one."""

@@ -133,6 +133,12 @@ fn own_driver_runs() {
     assert!(run("docs/tutorials/own-driver.md") >= 5);
 }
 
+/// Its commands in Python run in python/tests/test_track_*.py.
+#[test]
+fn own_tracker_runs() {
+    assert!(run("docs/tutorials/own-tracker.md") >= 1);
+}
+
 /// Its figure and its table are made in python/tests/test_documents.py.
 #[test]
 fn own_study_runs() {

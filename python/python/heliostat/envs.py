@@ -39,6 +39,9 @@ SETTLE_S = 20.0
 BOUND = 1e6
 """Bound of the components of an observation, beyond any value of a room: learners expect finite bounds."""
 
+RESET_OPTIONS = frozenset({"held_out", "held_out_set", "episode"})
+"""The options of a reset."""
+
 _UNLIMITED = 2**63
 
 
@@ -201,7 +204,7 @@ class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
         room_seed = seed
         if options is not None and not isinstance(options, Mapping):
             raise TypeError(f'options: expected a mapping such as {{"held_out": 0}}, found {type(options).__name__}')
-        unknown = set(options or ()) - {"held_out", "held_out_set", "episode"}
+        unknown = set(options or ()) - RESET_OPTIONS
         if unknown:
             raise ValueError(f"unknown reset options {sorted(unknown)}: expected held_out, held_out_set, episode")
         if options and "held_out" in options:
@@ -316,6 +319,11 @@ class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
     def slots(self) -> int:
         """Slots for users in an observation."""
         return self._batch.slots_max
+
+    @property
+    def users_max(self) -> int:
+        """Most users who are in the room at once."""
+        return self._batch.users_max
 
     @property
     def parts(self) -> dict[str, tuple[slice, tuple[int, ...]]]:

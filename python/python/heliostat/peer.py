@@ -86,7 +86,7 @@ class Settings:
         )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: argparse._ActionsContainer) -> None:
     """Adds the flags of the room, the endpoints, the keys and the end."""
     parser.add_argument("--room", metavar="NAME", help="name of the room [default: the room of --tls, or demo]")
     parser.add_argument(
@@ -151,7 +151,7 @@ class Peer:
         self._publishers: dict[str, Any] = {}
         self._declared: list[Any] = []
         self._stack = ExitStack()
-        self.session: Any = _open(config, stop)
+        self.session: Any = open_session(config, stop)
         if self.session is not None:
             self._stack.enter_context(self.session)
 
@@ -316,7 +316,7 @@ def _endpoint_problem(endpoint: str, settings: Settings, role: str) -> str:
     )
 
 
-def _open(config: zenoh.Config, stop: threading.Event) -> Any:
+def open_session(config: zenoh.Config, stop: threading.Event) -> Any:
     """Opens a session, and retries while a router cannot be reached; `None` where a stop is requested before."""
     pause_s = _FIRST_PAUSE_S
     while not stop.is_set():

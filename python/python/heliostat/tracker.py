@@ -50,6 +50,7 @@ class Tracker:
         self._peer = Peer(settings, "tracker", 0, stop or threading.Event())
         self._tick, self._status_ns, self._problem = 0, 0, ""
         self._refused = 0
+        self._state, self._details = "tracking", dict[str, int]()
         if self._peer.is_open:
             self._peer.announce()
 
@@ -86,7 +87,7 @@ class Tracker:
             self._refused, self._problem = self._refused + 1, str(problem)
             raise
         finally:
-            self._publish_status()
+            self.publish_status()
         self._tick += 1
         return self._tick
 
@@ -99,11 +100,20 @@ class Tracker:
             raise ValueError(f"message {name!r}: expected channel, branches, leds, obstacles or orientation")
         self._peer.publish(name, fields, time_ns)
 
-    def _publish_status(self) -> None:
+    def subscribe(self, name: str, handle: Callable[[bytes], None], array: int = 0) -> None:
+        """Calls `handle` on a thread of Zenoh with each payload of a message of the room, as `heliostat.wire` names it."""
+        self._peer.subscribe(name, handle, array)
+
+    def describe(self, state: str, problem: str, counters: Mapping[str, int]) -> None:
+        """Sets what the next status has: the activity, the latest problem, and counters of the tracking system."""
+        self._state, self._problem, self._details = state, problem or self._problem, dict(counters)
+
+    def publish_status(self) -> None:
+        """Publishes the status if a second has passed since the last one; `report` calls it."""
         if time.monotonic_ns() >= self._status_ns:
             self._status_ns = time.monotonic_ns() + _STATUS_NS
-            counters = {"reports": self._tick, "refused": self._refused}
-            self._peer.publish_status("tracking", counters, self._problem)
+            counters = {"reports": self._tick, "refused": self._refused, **self._details}
+            self._peer.publish_status(self._state, counters, self._problem)
 
 
 def parser(description: str | None = None) -> argparse.ArgumentParser:

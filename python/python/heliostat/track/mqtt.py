@@ -1,0 +1,206 @@
+"""Tags that publish their positions as JSON over MQTT, such as UWB tags. It needs the extra `mqtt`.
+
+A `Layout` states where a message has what. Two are those of makers, and each part can be set:
+
+| layout | topic | message |
+| --- | --- | --- |
+| `plain` | `heliostat/tags/+` | `{"id": "tag", "x": 1.0, "y": 0.5, "z": 0.85}`, in m; `time_s` and `quaternion` are optional |
+| `dwm1001` | `dwm/node/+/uplink/location` | gateway of Qorvo MDEK1001: the topic has the identifier, `position` is in m |
+| `pozyx` | `tags` | Pozyx Enterprise: a list of tags with `data.coordinates` in mm, and `timestamp` in s |
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import ssl
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from .bridge import Intake, Source, SourceError
+from .users import Pose
+
+try:
+    import paho.mqtt.client as paho
+    from paho.mqtt.enums import CallbackAPIVersion
+except ImportError as problem:
+    raise ImportError('the package paho-mqtt is missing: pip install "heliostat[zenoh,mqtt]"') from problem
+
+DEFAULT_PORT, DEFAULT_TLS_PORT = 1883, 8883
+
+_SIZE_MAX = 1 << 20
+_LONGEST_PAUSE_S = 5
+_NO_QUALITY_OF_SERVICE = 0
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where a message has what. A path is a list of names and indices, such as `data.coordinates.x` or `position.0`;
+    `topic:2` is the third level of the topic. `success` is the path of a flag that is false where the position is
+    unknown. `unit` is that of the position. `time_s` is the path of the time, in s since 1970."""
+
+    topic: str
+    id: str
+    position: tuple[str, str, str]
+    unit: str = "m"
+    time_s: str | None = None
+    quaternion: str | None = None
+    success: str | None = None
+
+
+LAYOUTS = {
+    "plain": Layout("heliostat/tags/+", "id", ("x", "y", "z"), time_s="time_s", quaternion="quaternion"),
+    "dwm1001": Layout("dwm/node/+/uplink/location", "topic:2", ("position.x", "position.y", "position.z")),
+    "pozyx": Layout(
+        "tags",
+        "tagId",
+        ("data.coordinates.x", "data.coordinates.y", "data.coordinates.z"),
+        unit="mm",
+        time_s="timestamp",
+        success="success",
+    ),
+}
+"""The layouts by name."""
+
+
+class Mqtt(Source):
+    """The tags of a broker.
+
+    `login` is a user name and a password. `authority` is a file of certificates with which the broker is checked; with
+    it the connection is encrypted. Raises `SourceError` for a layout that cannot be used.
+    """
+
+    def __init__(
+        self,
+        host: str,
+        layout: Layout,
+        *,
+        port: int | None = None,
+        login: tuple[str, str] | None = None,
+        authority: Path | None = None,
+    ) -> None:
+        self.layout, self.unit = layout, layout.unit
+        self.clock = "arrival" if layout.time_s is None else "source"
+        self._host, self._port = host, port or (DEFAULT_TLS_PORT if authority else DEFAULT_PORT)
+        self.name = f"topic {layout.topic} of {self._host}:{self._port}"
+        self._is_connected, self._refusal = False, ""
+        self._client = paho.Client(CallbackAPIVersion.VERSION2)
+        self._client.reconnect_delay_set(1, _LONGEST_PAUSE_S)
+        if login is not None:
+            self._client.username_pw_set(*login)
+        if authority is not None:
+            try:
+                self._client.tls_set_context(ssl.create_default_context(cafile=str(authority)))
+            except (OSError, ssl.SSLError) as problem:
+                raise SourceError(f"{authority}: {problem}; expected a file of certificates") from problem
+
+    def start(self, intake: Intake) -> None:
+        """Connects from a thread of paho, which connects again after each loss."""
+        address = f"{self._host}:{self._port}"
+
+        def connected(client: Any, _: Any, __: Any, reason: Any, ___: Any) -> None:
+            self._is_connected = not reason.is_failure
+            self._refusal = f"the broker {address} refuses the connection: {reason}" if reason.is_failure else ""
+            if self._refusal:
+                intake.problem("refused-by-broker", self._refusal)
+            else:
+                client.subscribe(self.layout.topic, _NO_QUALITY_OF_SERVICE)
+
+        def subscribed(_: Any, __: Any, ___: Any, reasons: Any, ____: Any) -> None:
+            for reason in reasons:
+                if reason.is_failure:
+                    intake.problem("refused-by-broker", f"the broker {address} refuses the topic {self.layout.topic}: {reason}")
+
+        def lost(_: Any, __: Any, ___: Any, reason: Any, ____: Any) -> None:
+            was_connected, self._is_connected = self._is_connected, False
+            if was_connected and reason.is_failure:
+                intake.problem("lost", f"the connection to the broker {address} is lost: {reason}")
+
+        self._client.on_connect, self._client.on_subscribe, self._client.on_disconnect = connected, subscribed, lost
+        self._client.on_message = lambda _, __, message: self._receive(intake, message.topic, bytes(message.payload))
+        try:
+            self._client.connect_async(self._host, self._port)
+        except ValueError as problem:
+            raise SourceError(f"broker {address}: {problem}") from problem
+        self._client.loop_start()
+
+    def _receive(self, intake: Intake, topic: str, payload: bytes) -> None:
+        try:
+            if len(payload) > _SIZE_MAX:
+                raise ValueError(f"{len(payload)} bytes, expected at most {_SIZE_MAX}")
+            read = json.loads(payload)
+            poses = [self.pose(topic, one) for one in (read if isinstance(read, list) else [read])]
+        except (ValueError, RecursionError) as problem:
+            intake.problem("malformed", f"a message of {topic} cannot be read: {problem}")
+            return
+        intake.poses([pose for pose in poses if pose is not None])
+
+    def pose(self, topic: str, message: Any) -> Pose | None:
+        """The pose of one tag; `None` if it states that its position is unknown. Raises `ValueError`."""
+        layout = self.layout
+        if layout.success is not None and _found(topic, message, layout.success) is False:
+            return None
+        values = [_found(topic, message, path) for path in layout.position]
+        x, y, z = (_number(path, value) for path, value in zip(layout.position, values, strict=True))
+        seconds = None if layout.time_s is None else _found(topic, message, layout.time_s)
+        rotation = None if layout.quaternion is None else _found(topic, message, layout.quaternion)
+        if rotation is not None and not (isinstance(rotation, list) and len(rotation) == 4):
+            raise ValueError(f"{layout.quaternion} = {rotation!r}: expected [w, x, y, z]")
+        name = _found(topic, message, layout.id)
+        if not isinstance(name, (str, int)):
+            raise ValueError(f"{layout.id} = {name!r}: expected the name of the tag")
+        at_ns = None
+        if seconds is not None:
+            number = _number(layout.time_s or "", seconds)
+            if not math.isfinite(number):
+                raise ValueError(f"{layout.time_s} = {seconds!r}: expected seconds since 1970")
+            at_ns = round(1e9 * number)
+        quaternion = None if rotation is None else [_number("quaternion", part) for part in rotation]
+        return Pose(str(name), (x, y, z), quaternion, at_ns)
+
+    def advice(self) -> str:
+        """What to check while no data arrive."""
+        if not self._is_connected:
+            return self._refusal or f"no connection to the broker {self._host}:{self._port}"
+        return "the broker answers; check the topic and that the tags are on"
+
+    def close(self) -> None:
+        """Ends the thread and the connection."""
+        self._client.disconnect()
+        self._client.loop_stop()
+
+
+def _found(topic: str, message: Any, path: str) -> Any:
+    """The value at a path, `None` if there is none."""
+    if path.startswith("topic:"):
+        levels, level = topic.split("/"), path.removeprefix("topic:")
+        return levels[int(level)] if level.isdecimal() and int(level) < len(levels) else None
+    value = message
+    for step in path.split("."):
+        if isinstance(value, dict):
+            value = value.get(step)
+        elif isinstance(value, list) and step.isdecimal() and int(step) < len(value):
+            value = value[int(step)]
+        else:
+            return None
+    return value
+
+
+def _number(path: str, value: Any) -> float:
+    """A number, or a text of one: some gateways write NaN as a text."""
+    try:
+        if isinstance(value, bool):
+            raise TypeError
+        return float(value)
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"{path} = {value!r}: expected a number") from None
+
+
+def layout_of(name: str, changes: Sequence[tuple[str, Any]]) -> Layout:
+    """A layout with other parts. Raises `SourceError` for parts that are no layout."""
+    fields = {**vars(LAYOUTS[name]), **dict(changes)}
+    if len(fields["position"]) != 3:
+        raise SourceError(f"{fields['position']}: expected the paths of x, y and z")
+    return Layout(**fields)

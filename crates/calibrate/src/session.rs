@@ -323,9 +323,11 @@ impl Session {
         Some(angles)
     }
 
-    /// The time of the next call of [`next_command`](Self::next_command) without a report.
+    /// The time of the next call of [`next_command`](Self::next_command) without a report, after one
+    /// at `now`; `Nanos::MAX` where only a report can cause a command.
     pub fn next_wake(&self, now: Nanos) -> Nanos {
-        self.timing.due_ns().max(now)
+        let due_ns = self.timing.due_ns();
+        if due_ns > now { due_ns } else { Nanos::MAX }
     }
 
     /// How far the session is.

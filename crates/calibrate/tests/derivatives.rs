@@ -70,7 +70,7 @@ fn the_smooth_light_is_that_of_the_channel_on_every_wall() {
                 let plate = Plate::of(&model.mirrors, mirror, command[0], command[1]);
                 let reflectivity = model.mirrors.reflectivity(mirror);
                 let exact = specular::gain(&model.leds[0], &plate, reflectivity, (receiver, branch), &place).unwrap();
-                assert!((smooth - exact).abs() < 0.04 * peak, "wall {wall}, mirror {mirror}, step {step}: {smooth} and {exact}");
+                assert!((smooth - exact).abs() < 0.06 * peak, "wall {wall}, mirror {mirror}, step {step}: {smooth} and {exact}");
             }
         }
         let direct = los::gain(&model.leds[0], receiver, branch, &place).unwrap();

@@ -101,7 +101,13 @@ pub fn drive(
     let limit_ns = (3.0 * 4.0 * (STAY_S + WALK_S) * 1e9) as u64;
     let (mut sequence, mut angles, mut sent_ns) = (0, MirrorAngles::default(), 0);
     let (mut now_ns, mut busy_ns) = (0, 0);
+    let mut shown = None;
     while !is_over(session) && now_ns < limit_ns {
+        let stage = (session.stage(), session.readings().len() / 50);
+        if shown != Some(stage) && std::env::var("ROOMS").is_ok() {
+            eprintln!("{:.1} s: {:?}", now_ns as f64 * 1e-9, session.progress());
+            shown = Some(stage);
+        }
         let before_ns = now_ns;
         let until_ns = session.next_wake(now_ns).min(sent_ns + REPEAT_NS).max(now_ns + 1);
         match episode.poll_event(until_ns) {

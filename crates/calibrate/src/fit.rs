@@ -37,7 +37,7 @@ const TOLERANCE: f64 = 1e-3;
 const CONVERGED: f64 = 0.01;
 
 /// Error of the smooth model at the edge of a light, as a share of the mirror's largest gain.
-pub const EDGE_ERROR: f64 = 0.04;
+pub const EDGE_ERROR: f64 = 0.07;
 
 /// Error of the direct gain's model, relative.
 const DIRECT_ERROR: f64 = 0.01;

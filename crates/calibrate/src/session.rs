@@ -353,6 +353,11 @@ impl Session {
         self.estimate.as_ref()
     }
 
+    /// Number of spots, without the place of the verification.
+    pub fn spot_count(&self) -> usize {
+        self.setup.spots.len()
+    }
+
     /// The nominal equipment, in the frame of the wall.
     pub fn optics(&self) -> &Optics {
         &self.optics

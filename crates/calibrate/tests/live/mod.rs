@@ -103,7 +103,7 @@ pub fn drive(
     let (mut now_ns, mut busy_ns) = (0, 0);
     let mut shown = None;
     while !is_over(session) && now_ns < limit_ns {
-        let stage = (session.stage(), session.readings().len() / 50);
+        let stage = (session.stage(), session.readings().len() / 5000);
         if shown != Some(stage) && std::env::var("ROOMS").is_ok() {
             eprintln!("{:.1} s: {:?}", now_ns as f64 * 1e-9, session.progress());
             shown = Some(stage);
@@ -269,6 +269,25 @@ pub fn judge(run: &Run) -> Errors {
         for axis in 0..2 {
             cover(&outcome.mirrors[*mirror].offset_deg[axis], offsets[*mirror][axis].to_degrees());
         }
+    }
+    if std::env::var("ROOMS").is_ok() {
+        let z = |measured: &Measured, truth: f64| (measured.value - truth) / measured.deviation;
+        let mean = [0, 1].map(|axis| {
+            corrected.iter().map(|mirror| outcome.mirrors[*mirror].offset_deg[axis].value - offsets[*mirror][axis].to_degrees()).sum::<f64>()
+                / corrected.len() as f64
+        });
+        let spread = [0, 1].map(|axis| {
+            corrected.iter().map(|mirror| (outcome.mirrors[*mirror].offset_deg[axis].value - offsets[*mirror][axis].to_degrees()).powi(2)).sum::<f64>()
+                / corrected.len() as f64
+        }.sqrt());
+        let said = [0, 1].map(|axis| outcome.mirrors[50].offset_deg[axis].deviation);
+        eprintln!(
+            "offsets: mean {mean:?}, rms {spread:?}, said {said:?}; led z {:?} raise z {:.2} semi z {:.2} detector {:?}",
+            [0, 1, 2].map(|axis| z(&outcome.leds_m[0][axis], truth.led.positions_m[0][axis])),
+            z(&outcome.raise_m, truth.room.height_m - scenario.room.height_m),
+            z(&outcome.semi_angle_deg, truth.led.half_power_semi_angle_deg),
+            (outcome.detector_factor, truth.receiver.area_mm2 / scenario.receiver.area_mm2),
+        );
     }
     let mut led_squares = 0.0;
     for (axis, measured) in outcome.leds_m[0].iter().enumerate() {

@@ -40,7 +40,7 @@ const CONVERGED: f64 = 0.01;
 pub const EDGE_ERROR: f64 = 0.07;
 
 /// Error of the direct gain's model, relative.
-const DIRECT_ERROR: f64 = 0.01;
+const DIRECT_ERROR: f64 = 0.02;
 
 /// One reading: the gain at a spot while one mirror was turned to it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

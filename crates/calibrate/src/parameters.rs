@@ -5,8 +5,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::optics::{LED, LOG_FACTOR, OFFSET, PLACE, QUANTITIES, Quantities, RAISE, SCALE, SEMI_ANGLE, TILT};
 
-/// Parameters of one spot: x and y of the detector, and the slopes of its normal.
-const PER_SPOT: usize = 4;
+/// Parameters of one spot: x and y of the detector, the slopes of its normal, and a factor.
+const PER_SPOT: usize = 5;
+
+/// Standard deviation of the factor of a spot, relative: errors of the model that all mirrors share at
+/// a spot, such as a shadow of the hand. Without it the absolute gains would make LEDs and offsets look
+/// surer than they are.
+const SPOT_FACTOR: f64 = 0.03;
 
 /// Ratio of the mean loss to its standard deviation in a scenario: a loss is the magnitude of a normal value.
 const MEAN_LOSS: f64 = 0.798;
@@ -152,6 +157,11 @@ impl Layout {
         self.place(spot, 2 + axis)
     }
 
+    /// The logarithm of the factor of a spot on the light of all mirrors.
+    pub fn spot_factor(&self, spot: usize) -> usize {
+        self.place(spot, 4)
+    }
+
     /// The scale error of an axis of a mirror; only where scales are estimated.
     pub fn scale(&self, mirror: usize, axis: usize) -> usize {
         self.place(self.spots, 0) + 2 * mirror + axis
@@ -164,6 +174,7 @@ impl Layout {
             (OFFSET, self.offset(mirror, 0)),
             (OFFSET + 1, self.offset(mirror, 1)),
             (LOG_FACTOR, self.log_reflectivity()),
+            (LOG_FACTOR, self.spot_factor(spot)),
         ];
         if self.has_scales {
             pairs.extend([0, 1].map(|axis| (SCALE + axis, self.scale(mirror, axis))));
@@ -219,6 +230,9 @@ impl Layout {
         all[self.raise()] = (0.0, prior.raise_m);
         all[self.log_detector()] = (0.0, prior.received);
         all[self.log_reflectivity()] = (-MEAN_LOSS * prior.reflectivity_loss, prior.reflectivity_loss);
+        for spot in 0..self.spots {
+            all[self.spot_factor(spot)] = (0.0, SPOT_FACTOR);
+        }
         for axis in 0..2 {
             all[self.shift(axis)] = (0.0, prior.shift_m);
             for (index, spot) in spots.iter().enumerate() {

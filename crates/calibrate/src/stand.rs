@@ -4,8 +4,10 @@ use std::collections::VecDeque;
 
 use heliostat_proto::Nanos;
 
-/// Reports that show whether the receiver stands.
-const RECENT: usize = 12;
+/// Fewest reports, and shortest time in ns, that show whether the receiver stands. A walk must show
+/// against the noise of the tracker.
+const RECENT: usize = 20;
+const RECENT_NS: Nanos = 2_000_000_000;
 
 /// Reports that show that the receiver has left its place.
 const LEAVING: usize = 4;
@@ -33,6 +35,8 @@ pub struct Stand {
     origin: [f64; 2],
     square: [f64; 2],
     velocity_square: f64,
+    /// Positions without their velocity.
+    unknown: f64,
     direct: Vec<f64>,
     is_standing: bool,
 }
@@ -50,7 +54,10 @@ impl Stand {
     /// Notes a position in m and a velocity in m/s, both in the wall frame.
     pub fn handle_position(&mut self, time_ns: Nanos, at: [f64; 2], velocity: [f64; 2]) -> Option<Moved> {
         self.recent.push_back((time_ns, at));
-        if self.recent.len() > RECENT {
+        let is_old = |recent: &VecDeque<(Nanos, [f64; 2])>| {
+            recent.len() > RECENT && recent.get(1).is_some_and(|(second, _)| time_ns.saturating_sub(*second) >= RECENT_NS)
+        };
+        while is_old(&self.recent) {
             self.recent.pop_front();
         }
         if self.is_standing {
@@ -66,23 +73,27 @@ impl Stand {
             self.add(at, velocity);
             return None;
         }
-        if self.recent.len() < RECENT {
+        let begun_ns = self.recent.front().map_or(time_ns, |(first, _)| *first);
+        if self.recent.len() < RECENT || time_ns.saturating_sub(begun_ns) < RECENT_NS {
             return None;
         }
-        let half = RECENT / 2;
+        let half = self.recent.len() / 2;
         let (early, late) = (mean(self.recent.iter().take(half)), mean(self.recent.iter().skip(half)));
         // The noise from differences of neighbours, which a walk hardly changes.
         let pairs = self.recent.iter().zip(self.recent.iter().skip(1));
         let squares: f64 = pairs.map(|((_, a), (_, b))| distance(*a, *b).powi(2)).sum();
-        let noise = (squares / (4.0 * (RECENT - 1) as f64)).sqrt();
+        let noise = (squares / (4.0 * (self.recent.len() - 1) as f64)).sqrt();
         if distance(early, late) > STILL_M + NOISE_FACTOR * noise * (2.0 / half as f64).sqrt() {
             return None;
         }
         self.is_standing = true;
+        // The earlier half can hold the last steps of the walk.
+        self.recent.drain(..half);
         self.origin = mean(self.recent.iter());
         for (_, at) in self.recent.clone() {
             self.add(at, [0.0; 2]);
         }
+        self.unknown = self.count;
         Some(Moved::Stands(self.mean()))
     }
 
@@ -125,7 +136,7 @@ impl Stand {
 
     /// Standard deviation of a reported velocity in m/s.
     pub fn velocity_noise_m_s(&self) -> f64 {
-        (0.5 * self.velocity_square / (self.count - RECENT as f64).max(1.0)).sqrt()
+        (0.5 * self.velocity_square / (self.count - self.unknown).max(1.0)).sqrt()
     }
 
     /// Median of the direct gain; 0 where it is blocked.
@@ -205,7 +216,7 @@ mod tests {
         let [(first, Moved::Stands(_)), (left, Moved::Left(since)), (again, Moved::Stands(at))] = changes[..] else {
             panic!("{changes:?}");
         };
-        assert!(first < 20 && (200..210).contains(&left) && again >= 220, "{changes:?}");
+        assert!(first < 40 && (200..210).contains(&left) && again >= 220, "{changes:?}");
         assert!(since >= 195 * 100_000_000, "{since}");
         assert!((at[0] - 2.0).abs() < 0.1, "{at:?}");
         assert!((stand.noise_m() - 0.05).abs() < 0.01, "{}", stand.noise_m());

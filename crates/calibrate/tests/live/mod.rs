@@ -60,7 +60,6 @@ pub struct Run {
     pub unused: u64,
     /// Room time in s while the receiver stood at its places.
     pub busy_s: f64,
-    pub session: Session,
     pub scenario: Scenario,
     pub seed: u64,
 }
@@ -87,7 +86,7 @@ pub fn run(scenario: &Scenario, trace: &str, seed: u64, faults: &Faults) -> Run 
     let mut session = Session::new(setup(scenario, capabilities)).unwrap();
     let busy_s = drive(&mut session, &mut episode, faults, |session| session.stage() == Stage::Ended);
     let outcome = session.outcome().unwrap_or_else(|| panic!("no end: {:?}", session.progress())).clone();
-    Run { outcome, unused: session.progress().unused, busy_s, session, scenario: scenario.clone(), seed }
+    Run { outcome, unused: session.progress().unused, busy_s, scenario: scenario.clone(), seed }
 }
 
 /// Delivers reports and commands until `is_over`; returns the time at the places in s.
@@ -101,13 +100,7 @@ pub fn drive(
     let limit_ns = (3.0 * 4.0 * (STAY_S + WALK_S) * 1e9) as u64;
     let (mut sequence, mut angles, mut sent_ns) = (0, MirrorAngles::default(), 0);
     let (mut now_ns, mut busy_ns) = (0, 0);
-    let mut shown = None;
     while !is_over(session) && now_ns < limit_ns {
-        let stage = (session.stage(), session.readings().len() / 5000);
-        if shown != Some(stage) && std::env::var("ROOMS").is_ok() {
-            eprintln!("{:.1} s: {:?}", now_ns as f64 * 1e-9, session.progress());
-            shown = Some(stage);
-        }
         let before_ns = now_ns;
         let until_ns = session.next_wake(now_ns).min(sent_ns + REPEAT_NS).max(now_ns + 1);
         match episode.poll_event(until_ns) {
@@ -269,25 +262,6 @@ pub fn judge(run: &Run) -> Errors {
         for axis in 0..2 {
             cover(&outcome.mirrors[*mirror].offset_deg[axis], offsets[*mirror][axis].to_degrees());
         }
-    }
-    if std::env::var("ROOMS").is_ok() {
-        let z = |measured: &Measured, truth: f64| (measured.value - truth) / measured.deviation;
-        let mean = [0, 1].map(|axis| {
-            corrected.iter().map(|mirror| outcome.mirrors[*mirror].offset_deg[axis].value - offsets[*mirror][axis].to_degrees()).sum::<f64>()
-                / corrected.len() as f64
-        });
-        let spread = [0, 1].map(|axis| {
-            corrected.iter().map(|mirror| (outcome.mirrors[*mirror].offset_deg[axis].value - offsets[*mirror][axis].to_degrees()).powi(2)).sum::<f64>()
-                / corrected.len() as f64
-        }.sqrt());
-        let said = [0, 1].map(|axis| outcome.mirrors[50].offset_deg[axis].deviation);
-        eprintln!(
-            "offsets: mean {mean:?}, rms {spread:?}, said {said:?}; led z {:?} raise z {:.2} semi z {:.2} detector {:?}",
-            [0, 1, 2].map(|axis| z(&outcome.leds_m[0][axis], truth.led.positions_m[0][axis])),
-            z(&outcome.raise_m, truth.room.height_m - scenario.room.height_m),
-            z(&outcome.semi_angle_deg, truth.led.half_power_semi_angle_deg),
-            (outcome.detector_factor, truth.receiver.area_mm2 / scenario.receiver.area_mm2),
-        );
     }
     let mut led_squares = 0.0;
     for (axis, measured) in outcome.leds_m[0].iter().enumerate() {

@@ -126,7 +126,8 @@ pub fn fit(data: Data<'_>, from: Vec<f64>) -> Estimate {
         let problem = Problem::new(data, &layout, &prior, &values);
         let (solved, _) = LevenbergMarquardt::new().with_tol(TOLERANCE).with_patience(PATIENCE).minimize(problem);
         let next = solved.values();
-        let change = next.iter().zip(&values).zip(&prior).map(|((next, last), (_, spread))| (next - last).abs() / spread);
+        let change =
+            next.iter().zip(&values).zip(&prior).map(|((next, last), (_, spread))| (next - last).abs() / spread);
         let change = change.fold(0.0, f64::max);
         values = next;
         if change < CONVERGED {
@@ -192,7 +193,8 @@ impl<'a> Problem<'a> {
     fn values(&self) -> Vec<f64> {
         let value = |(parameter, variable): (usize, &f64)| {
             let change = variable * self.prior[parameter].1;
-            let limited = if self.is_limited(parameter) { STEP_MAX_RAD * (change / STEP_MAX_RAD).tanh() } else { change };
+            let limited =
+                if self.is_limited(parameter) { STEP_MAX_RAD * (change / STEP_MAX_RAD).tanh() } else { change };
             self.anchor[parameter] + limited
         };
         self.variables.iter().enumerate().map(value).collect()
@@ -251,14 +253,15 @@ impl<'a> Problem<'a> {
             }
             spread / (self.variables[parameter] * spread / STEP_MAX_RAD).cosh().powi(2)
         };
-        let mut push = |residuals: &mut Vec<f64>, residual: f64, gradient: &[f64; QUANTITIES], pairs: &[(usize, usize)]| {
-            let (robust, factor) = huber(residual);
-            let row = residuals.len();
-            residuals.push(if plain { residual } else { robust });
-            for (quantity, parameter) in pairs {
-                jacobian[(row, *parameter)] += factor * gradient[*quantity] * slope(*parameter);
-            }
-        };
+        let mut push =
+            |residuals: &mut Vec<f64>, residual: f64, gradient: &[f64; QUANTITIES], pairs: &[(usize, usize)]| {
+                let (robust, factor) = huber(residual);
+                let row = residuals.len();
+                residuals.push(if plain { residual } else { robust });
+                for (quantity, parameter) in pairs {
+                    jacobian[(row, *parameter)] += factor * gradient[*quantity] * slope(*parameter);
+                }
+            };
         for ((reading, pairs), deviation) in self.data.readings.iter().zip(&self.pairs).zip(&self.deviations) {
             let spot = &self.data.spots[reading.spot];
             let quantities = self.layout.quantities(&values, pairs, spot.height_m);

@@ -176,8 +176,7 @@ impl Outcome {
             Measured { value: log.value.exp(), deviation: log.value.exp() * log.deviation }
         };
         let mirrors: Vec<Mirror> = (0..optics.centres.len()).map(|mirror| mirror_of(input, mirror)).collect();
-        let is_corrected =
-            |mirror: usize| matches!(mirrors[mirror].verdict, Verdict::Calibrated | Verdict::NeedsSpot);
+        let is_corrected = |mirror: usize| matches!(mirrors[mirror].verdict, Verdict::Calibrated | Verdict::NeedsSpot);
         let corrected = |mirror: usize, parameter: [usize; 2]| {
             if is_corrected(mirror) { parameter.map(|parameter| values[parameter]) } else { [0.0; 2] }
         };

@@ -55,7 +55,8 @@ impl Stand {
     pub fn handle_position(&mut self, time_ns: Nanos, at: [f64; 2], velocity: [f64; 2]) -> Option<Moved> {
         self.recent.push_back((time_ns, at));
         let is_old = |recent: &VecDeque<(Nanos, [f64; 2])>| {
-            recent.len() > RECENT && recent.get(1).is_some_and(|(second, _)| time_ns.saturating_sub(*second) >= RECENT_NS)
+            recent.len() > RECENT
+                && recent.get(1).is_some_and(|(second, _)| time_ns.saturating_sub(*second) >= RECENT_NS)
         };
         while is_old(&self.recent) {
             self.recent.pop_front();
@@ -129,7 +130,8 @@ impl Stand {
     /// Standard deviation of a reported coordinate in m.
     pub fn noise_m(&self) -> f64 {
         let mean = self.mean();
-        let variance = [0, 1].map(|axis| self.square[axis] / self.count.max(1.0) - (mean[axis] - self.origin[axis]).powi(2));
+        let variance =
+            [0, 1].map(|axis| self.square[axis] / self.count.max(1.0) - (mean[axis] - self.origin[axis]).powi(2));
         let unbiased = self.count / (self.count - 1.0).max(1.0);
         (0.5 * (variance[0] + variance[1]) * unbiased).max(0.0).sqrt()
     }

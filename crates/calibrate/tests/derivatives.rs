@@ -28,8 +28,8 @@ fn every_derivative_is_the_slope_of_the_gain() {
         let exact = optics.mirror_gain((mirror, 0), command, &variables(&quantities));
         let direct = optics.direct_gain(0, &variables(&quantities));
         assert!(exact.re > 0.0, "mirror {mirror} is dark");
-        let [of_mirror, of_direct] = [exact, direct]
-            .map(|dual| dual.eps.unwrap_generic(nalgebra::Const::<QUANTITIES>, nalgebra::U1));
+        let [of_mirror, of_direct] =
+            [exact, direct].map(|dual| dual.eps.unwrap_generic(nalgebra::Const::<QUANTITIES>, nalgebra::U1));
         for index in 0..QUANTITIES {
             let step = 1e-6;
             let at = |sign: f64| {
@@ -70,7 +70,10 @@ fn the_smooth_light_is_that_of_the_channel_on_every_wall() {
                 let plate = Plate::of(&model.mirrors, mirror, command[0], command[1]);
                 let reflectivity = model.mirrors.reflectivity(mirror);
                 let exact = specular::gain(&model.leds[0], &plate, reflectivity, (receiver, branch), &place).unwrap();
-                assert!((smooth - exact).abs() < 0.06 * peak, "wall {wall}, mirror {mirror}, step {step}: {smooth} and {exact}");
+                assert!(
+                    (smooth - exact).abs() < 0.06 * peak,
+                    "wall {wall}, mirror {mirror}, step {step}: {smooth} and {exact}"
+                );
             }
         }
         let direct = los::gain(&model.leds[0], receiver, branch, &place).unwrap();

@@ -80,8 +80,7 @@ impl Session {
                 covariance[(place, index)] = covariance[(shift, index)];
                 covariance[(index, place)] = covariance[(index, shift)];
             }
-            covariance[(place, place)] =
-                covariance[(shift, shift)] + self.spots[latest].tracked_deviation_m.powi(2);
+            covariance[(place, place)] = covariance[(shift, shift)] + self.spots[latest].tracked_deviation_m.powi(2);
         }
         self.estimate = Some(Estimate { layout, values, covariance, residuals: Vec::new() });
     }

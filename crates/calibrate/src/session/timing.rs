@@ -178,7 +178,8 @@ impl Timing {
     /// the sample of this time.
     pub fn take_lost(&mut self, time_ns: Nanos) -> Vec<Purpose> {
         let mut lost = Vec::new();
-        while let [first, second, ..] = [self.sent.front(), self.sent.get(1)].into_iter().flatten().collect::<Vec<_>>()[..]
+        while let [first, second, ..] =
+            [self.sent.front(), self.sent.get(1)].into_iter().flatten().collect::<Vec<_>>()[..]
             && second.at_ns <= time_ns
         {
             self.judged.0 += 1;

@@ -90,12 +90,7 @@ pub fn run(scenario: &Scenario, trace: &str, seed: u64, faults: &Faults) -> Run 
 }
 
 /// Delivers reports and commands until `is_over`; returns the time at the places in s.
-pub fn drive(
-    session: &mut Session,
-    episode: &mut Episode,
-    faults: &Faults,
-    is_over: impl Fn(&Session) -> bool,
-) -> f64 {
+pub fn drive(session: &mut Session, episode: &mut Episode, faults: &Faults, is_over: impl Fn(&Session) -> bool) -> f64 {
     const REPEAT_NS: u64 = 100_000_000;
     let limit_ns = (3.0 * 4.0 * (STAY_S + WALK_S) * 1e9) as u64;
     let (mut sequence, mut angles, mut sent_ns) = (0, MirrorAngles::default(), 0);

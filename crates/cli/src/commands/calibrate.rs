@@ -65,9 +65,9 @@ pub fn run(args: Args) -> Result<()> {
     save_log(&args, &session)?;
     room.release();
     run?;
-    let outcome = session.outcome().context(
-        "interrupted: nothing is written; the same command with the same --readings continues",
-    )?;
+    let outcome = session
+        .outcome()
+        .context("interrupted: nothing is written; the same command with the same --readings continues")?;
     finish(&args, &scenario, outcome, base.as_ref())?;
     Ok(bus.close()?)
 }
@@ -174,10 +174,7 @@ fn finish(
 }
 
 fn check_new(file: &Path) -> Result<()> {
-    ensure!(
-        !file.exists(),
-        UnusableInput::new(format!("{} exists already: expected a new file", file.display()))
-    );
+    ensure!(!file.exists(), UnusableInput::new(format!("{} exists already: expected a new file", file.display())));
     let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     ensure!(
         folder.is_dir(),

@@ -144,7 +144,9 @@ fn check_inside(scenario: &Scenario, place: &Place) -> Result<()> {
     let room = &scenario.room;
     let [x, y] = place.floor_m.unwrap_or_default();
     ensure!(
-        x.abs() <= 0.5 * room.length_x_m && y.abs() <= 0.5 * room.length_y_m && (0.0..room.height_m).contains(&place.height_m),
+        x.abs() <= 0.5 * room.length_x_m
+            && y.abs() <= 0.5 * room.length_y_m
+            && (0.0..room.height_m).contains(&place.height_m),
         UnusableInput::new(format!(
             "the spot {x},{y},{} is outside the room: expected a place within {} m x {} m, centred on the origin, below {} m",
             place.height_m, room.length_x_m, room.length_y_m, room.height_m

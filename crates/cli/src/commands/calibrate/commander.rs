@@ -31,7 +31,12 @@ pub struct Commander {
 
 impl Commander {
     /// Commands that begin with these angles. A takeover leads whatever the array follows.
-    pub fn new(tenure: Tenure, publisher: Publisher, (angles, validity_ms): (MirrorAngles, u32), takes_over: bool) -> Self {
+    pub fn new(
+        tenure: Tenure,
+        publisher: Publisher,
+        (angles, validity_ms): (MirrorAngles, u32),
+        takes_over: bool,
+    ) -> Self {
         Self {
             tenure,
             publisher,

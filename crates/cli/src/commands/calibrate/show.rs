@@ -85,7 +85,9 @@ pub fn outcome(args: &Args, outcome: &Outcome, is_written: bool) -> Result<()> {
     }
     let known = outcome.mirrors.iter().filter(|mirror| mirror.verdict == Verdict::Calibrated);
     let worst = known.map(|mirror| mirror.pointing_deg[0].max(mirror.pointing_deg[1])).fold(0.0, f64::max);
-    outln!("pointing       {worst:.2} degrees, the largest standard deviation of a calibrated mirror elsewhere in the room")?;
+    outln!(
+        "pointing       {worst:.2} degrees, the largest standard deviation of a calibrated mirror elsewhere in the room"
+    )?;
     for (index, led) in outcome.leds_m.iter().enumerate() {
         let [x, y, z] = led.each_ref().map(|coordinate| plus_minus(coordinate, 3));
         outln!("LED {index}          x {x}, y {y}, z {z} m")?;
@@ -95,20 +97,34 @@ pub fn outcome(args: &Args, outcome: &Outcome, is_written: bool) -> Result<()> {
     let [x, y] = outcome.shift_m.each_ref().map(|shift| plus_minus(shift, 3));
     outln!("tracker        its origin is off by x {x}, y {y} m")?;
     if let Some([position, velocity]) = outcome.tracker_noise {
-        outln!("noise          {position:.3} m of a position, {velocity:.3} m/s of a velocity, {:.1} % of a gain", 100.0 * outcome.channel_noise)?;
+        outln!(
+            "noise          {position:.3} m of a position, {velocity:.3} m/s of a velocity, {:.1} % of a gain",
+            100.0 * outcome.channel_noise
+        )?;
     }
-    outln!("detector       factor {}; reflectivity factor {}", plus_minus(&outcome.detector_factor, 3), plus_minus(&outcome.reflectivity_factor, 3))?;
+    outln!(
+        "detector       factor {}; reflectivity factor {}",
+        plus_minus(&outcome.detector_factor, 3),
+        plus_minus(&outcome.reflectivity_factor, 3)
+    )?;
     for place in &outcome.rejected_places {
-        outln!("spot {}         rejected: most mirrors contradict it -> check its height and the tracker there", place + 1)?;
+        outln!(
+            "spot {}         rejected: most mirrors contradict it -> check its height and the tracker there",
+            place + 1
+        )?;
     }
     let ratio = outcome.verification.ratio();
     outln!("verification   {} times the light of the nominal aims", plus_minus(&ratio, 3))?;
     outln!("readings       {}", outcome.readings)?;
     if is_written {
-        outln!("written        {}{}", args.out.display(), match &args.room_out {
-            Some(path) => format!(", {}", path.display()),
-            None => String::new(),
-        })?;
+        outln!(
+            "written        {}{}",
+            args.out.display(),
+            match &args.room_out {
+                Some(path) => format!(", {}", path.display()),
+                None => String::new(),
+            }
+        )?;
     }
     Ok(())
 }

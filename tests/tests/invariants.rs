@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use heliostat_tests::packages::Packages;
 
 /// Packages from the lowest to the highest layer. A package depends only on packages in earlier rows.
-const LAYERS: [&str; 22] = [
+const LAYERS: [&str; 23] = [
     "heliostat-channel",
     "heliostat-scenario",
     "heliostat-proto",
@@ -17,6 +17,7 @@ const LAYERS: [&str; 22] = [
     "heliostat-array",
     "heliostat-core",
     "heliostat-room",
+    "heliostat-calibrate",
     "heliostat-simulation",
     "heliostat-environment",
     "heliostat-models",
@@ -35,7 +36,7 @@ const LAYERS: [&str; 22] = [
 ];
 
 /// A package, and what it may not need, directly or through other packages. `*` ends a prefix.
-const BANS: [(&str, &[&str]); 11] = [
+const BANS: [(&str, &[&str]); 12] = [
     (
         "heliostat",
         &[
@@ -56,6 +57,7 @@ const BANS: [(&str, &[&str]); 11] = [
     ),
     ("heliostat-sim-node", &["heliostat-controller", "heliostat-core", "heliostat-models", "candle*"]),
     ("heliostat-driver", &["heliostat-core", "candle*"]),
+    ("heliostat-calibrate", &PURE),
     ("heliostat-environment", &PURE),
     ("heliostat-simulation", &PURE),
     ("heliostat-onnx", &PURE),

@@ -109,6 +109,22 @@ impl CalibrationFile {
         toml::to_string(self).expect("numbers and lists of numbers can be written as TOML")
     }
 
+    /// The corrections that have the effect of these, and then of those that a driver used while these
+    /// were measured.
+    ///
+    /// drive angle = gain' (gain angle + offset) + offset', with the former driver's gain' and offset'.
+    pub fn after(&self, former: &Self) -> Self {
+        let axis = |own: &AxisCorrections, former: &AxisCorrections| {
+            let pairs = own.offset_deg.iter().zip(&own.gain).zip(former.offset_deg.iter().zip(&former.gain));
+            let joined = pairs.map(|((offset, gain), (former_offset, former_gain))| {
+                (former_gain * offset + former_offset, former_gain * gain)
+            });
+            let (offset_deg, gain) = joined.unzip();
+            AxisCorrections { offset_deg, gain }
+        };
+        Self { roll: axis(&self.roll, &former.roll), yaw: axis(&self.yaw, &former.yaw), ..*self }
+    }
+
     /// The message with the same meaning.
     pub fn message(&self, stamp: Stamp) -> Calibration {
         let radians = |list: &[f64]| list.iter().map(|value| value.to_radians() as f32).collect();
@@ -126,6 +142,20 @@ impl CalibrationFile {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn joined_corrections_are_those_of_one_after_the_other() {
+        let file = |offset_deg: f64, gain: f64| {
+            let axis = AxisCorrections { offset_deg: vec![offset_deg], gain: vec![gain] };
+            CalibrationFile { rows: 1, columns: 1, roll: axis.clone(), yaw: axis }
+        };
+        let (own, former) = (file(0.5, 1.1), file(-0.2, 0.9));
+        let joined = own.after(&former);
+        let turn = |file: &CalibrationFile, angle: f64| file.yaw.gain[0] * angle + file.yaw.offset_deg[0];
+        for angle in [-10.0, 0.0, 7.0] {
+            assert!((turn(&joined, angle) - turn(&former, turn(&own, angle))).abs() < 1e-12);
+        }
+    }
 
     #[test]
     fn a_written_file_can_be_read_and_its_lists_must_fit_the_array() {

@@ -5,7 +5,9 @@ use clap::{CommandFactory, Parser, Subcommand};
 use heliostat_models::library::LibraryArgs;
 use heliostat_service::exit::UnusableInput;
 
-use crate::commands::{self, bench, completions, config, controller, demo, doctor, keys, link, scenario, stop, ui};
+use crate::commands::{
+    self, bench, calibrate, completions, config, controller, demo, doctor, keys, link, scenario, stop, ui,
+};
 
 /// Real-time control of a MEMS mirror array for indoor optical wireless communication (LiFi).
 ///
@@ -43,6 +45,7 @@ enum Command {
     Scenario(scenario::Args),
     Doctor(doctor::Args),
     Config(config::Args),
+    Calibrate(calibrate::Args),
     Record(heliostat_record::cli::RecordArgs),
     Replay(heliostat_record::cli::ReplayArgs),
     Completions(completions::CompletionArgs),
@@ -75,6 +78,7 @@ pub fn run() -> Result<()> {
         Command::Scenario(args) => scenario::run(args),
         Command::Doctor(args) => doctor::run(args),
         Command::Config(args) => config::run(args),
+        Command::Calibrate(args) => calibrate::run(args),
         Command::Record(args) => heliostat_record::cli::record(args),
         Command::Replay(args) => heliostat_record::cli::replay(args),
         Command::Completions(args) => completions::completions(args, Cli::command()),

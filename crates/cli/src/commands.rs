@@ -1,6 +1,7 @@
 //! One module for each command, and what several of them share.
 
 pub mod bench;
+pub(crate) mod calibrate;
 pub mod completions;
 pub(crate) mod config;
 pub(crate) mod controller;

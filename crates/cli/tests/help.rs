@@ -8,8 +8,20 @@ fn heliostat(arguments: &[&str]) -> Output {
 
 #[test]
 fn every_command_has_a_help_text() {
-    let commands =
-        ["demo", "controller", "sim-node", "driver", "ui", "link", "bench", "scenario", "record", "replay", "doctor"];
+    let commands = [
+        "demo",
+        "controller",
+        "sim-node",
+        "driver",
+        "ui",
+        "link",
+        "bench",
+        "scenario",
+        "record",
+        "replay",
+        "doctor",
+        "calibrate",
+    ];
     let overview = String::from_utf8(heliostat(&["--help"]).stdout).expect("text");
     for command in commands {
         assert!(overview.contains(command), "{command} is missing in: {overview}");
@@ -27,8 +39,7 @@ fn a_help_text_states_what_a_flag_requires() {
 
 #[test]
 fn a_command_of_the_laboratory_names_the_command_that_replaces_it() {
-    for command in ["train ddpg --seed 3", "eval", "reproduce --help", "map", "trace import", "calibrate", "bench env"]
-    {
+    for command in ["train ddpg --seed 3", "eval", "reproduce --help", "map", "trace import", "bench env"] {
         let ended = heliostat(&command.split(' ').collect::<Vec<_>>());
         let errors = String::from_utf8(ended.stderr).expect("text");
         assert_eq!((ended.status.code(), ended.stdout.len(), errors.lines().count()), (Some(2), 0, 1), "{errors}");

@@ -3,14 +3,13 @@
 use crate::programs::LAB;
 
 /// A command of earlier versions, and the command of the laboratory.
-const MOVED: [(&[&str], &str); 15] = [
+const MOVED: [(&[&str], &str); 14] = [
     (&["train"], "train"),
     (&["eval"], "eval"),
     (&["reproduce"], "reproduce"),
     (&["results"], "report"),
     (&["map"], "map"),
     (&["trace"], "trace"),
-    (&["calibrate"], "calibrate"),
     (&["bench", "env"], "bench env"),
     (&["bench", "oracle"], "bench oracle"),
     (&["bench", "belief"], "bench belief"),

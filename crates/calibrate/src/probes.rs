@@ -1,0 +1,123 @@
+//! Which mirror to probe next at a spot, and where.
+//!
+//! Each mirror has a grid of the deviations of its light from the prediction. While the mirror was
+//! dark, a probe goes where most of the probability fits into one window of light. Then probes go
+//! to the edges, half of the gain, where a reading says most. The axis is that of the larger
+//! deviation. Mirrors take turns, so that the latency of the reports costs no rate.
+
+use crate::grid::{Expected, Grid};
+
+/// A mirror is located at a spot when both deviations are below this, in rad.
+const TARGET_RAD: f64 = 0.15 * std::f64::consts::PI / 180.0;
+
+/// Fewest readings of a mirror at a spot.
+const READINGS_MIN: u32 = 3;
+
+/// Most readings of a mirror at a spot that shows light.
+const READINGS_MAX: u32 = 10;
+
+/// Most readings of a mirror at a spot that shows none.
+const DARK_MAX: u32 = 7;
+
+/// Share of the largest gain from which on a reading counts as light.
+const LIT_SHARE: f64 = 0.25;
+
+/// The state of a mirror at a spot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum State {
+    /// More probes are due.
+    Open,
+    /// Its light is located.
+    Located,
+    /// It showed no light here.
+    Dark,
+    /// It cannot be aimed at this spot, or is known not to follow.
+    Excluded,
+}
+
+/// One mirror at one spot.
+#[derive(Clone, Debug)]
+pub struct Job {
+    /// The deviation of the light from the prediction: roll and yaw in rad.
+    pub grid: Grid,
+    /// True angles at which the light is centred by the prediction, in rad.
+    pub aim: [f64; 2],
+    /// Angles from the centre to half of the gain, in rad: each axis upwards and downwards.
+    pub half: [[f64; 2]; 2],
+    /// The largest gain by the prediction.
+    pub peak: f64,
+    /// The state.
+    pub state: State,
+    /// Readings so far.
+    pub readings: u32,
+    /// The largest reading.
+    pub brightest: f64,
+    /// A reading is awaited.
+    pub is_pending: bool,
+    /// Probes of each axis, whose parity gives the side.
+    sides: [u32; 2],
+}
+
+impl Job {
+    /// A mirror before its first probe.
+    pub fn new(grid: Grid, aim: [f64; 2], half: [[f64; 2]; 2], peak: f64) -> Self {
+        Self {
+            grid,
+            aim,
+            half,
+            peak,
+            state: State::Open,
+            readings: 0,
+            brightest: 0.0,
+            is_pending: false,
+            sides: [0; 2],
+        }
+    }
+
+    /// Whether it showed light.
+    pub fn is_lit(&self) -> bool {
+        self.brightest > LIT_SHARE * self.peak
+    }
+
+    /// The deviation from the aim at which the next probe shall be, if the mirror's own deviation
+    /// is as the grid says: the commanded angles are aim + this - estimated offset.
+    pub fn next_probe(&mut self) -> [f64; 2] {
+        let (mean, deviation) = self.grid.moments();
+        if !self.is_lit() {
+            let half = self.half.map(|sides| 0.5 * (sides[0] + sides[1]));
+            return self.grid.best_window(half).0.map(|at| -at);
+        }
+        let axis = usize::from(deviation[1] > deviation[0]);
+        let side = (self.sides[axis] % 2) as usize;
+        self.sides[axis] += 1;
+        let mut target = mean.map(|at| -at);
+        target[axis] += if side == 0 { self.half[axis][0] } else { -self.half[axis][1] };
+        target
+    }
+
+    /// Applies a reading.
+    pub fn handle_reading(&mut self, gain: f64, expected: impl Fn([f64; 2]) -> Expected) {
+        self.grid.observe(gain, self.peak, expected);
+        self.readings += 1;
+        self.brightest = self.brightest.max(gain);
+        if self.state != State::Open {
+            return;
+        }
+        let (_, deviation) = self.grid.moments();
+        let is_located = deviation.iter().all(|deviation| *deviation < TARGET_RAD);
+        if self.is_lit() && self.readings >= READINGS_MIN && (is_located || self.readings >= READINGS_MAX) {
+            self.state = State::Located;
+        } else if !self.is_lit() && self.readings >= DARK_MAX {
+            self.state = State::Dark;
+        }
+    }
+}
+
+/// The next mirror that is open and awaits no reading, from `cursor` on, in a ring.
+pub fn next_mirror(jobs: &[Job], cursor: usize) -> Option<usize> {
+    let count = jobs.len();
+    (0..count).map(|step| (cursor + step) % count).find(|mirror| {
+        let job = &jobs[*mirror];
+        job.state == State::Open && !job.is_pending
+    })
+}

@@ -1,0 +1,61 @@
+//! What a session can continue from after an interruption.
+
+use serde::{Deserialize, Serialize};
+
+use super::{Session, SetupError, Stage};
+use crate::fit::Reading;
+use crate::parameters::Spot;
+
+/// The spots and readings of a session.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Log {
+    /// Number of mirrors.
+    pub mirrors: usize,
+    /// Places of the setup that are complete.
+    pub complete: usize,
+    /// The spots.
+    pub spots: Vec<Spot>,
+    /// The place of the setup of each spot.
+    pub places: Vec<usize>,
+    /// The readings.
+    pub readings: Vec<Reading>,
+}
+
+impl Session {
+    /// What is known so far.
+    pub fn log(&self) -> Log {
+        let complete = match self.stage {
+            Stage::Await(place) | Stage::Dark(place) | Stage::Probe(place) | Stage::Locate(place) => place,
+            Stage::Verify | Stage::Ended => self.setup.spots.len(),
+        };
+        Log {
+            mirrors: self.optics.centres.len(),
+            complete: complete.min(self.setup.spots.len()),
+            spots: self.spots.clone(),
+            places: self.places.clone(),
+            readings: self.readings.clone(),
+        }
+    }
+
+    /// Continues after the places that a log completes. Its readings at an incomplete place count
+    /// too: the receiver does not return to exactly that place, so it stands at a new spot.
+    ///
+    /// # Errors
+    /// [`SetupError::OtherLog`].
+    pub fn resume(&mut self, log: Log) -> Result<(), SetupError> {
+        let expected = self.optics.centres.len();
+        let is_valid = |reading: &Reading| reading.spot < log.spots.len() && reading.mirror < expected;
+        if log.mirrors != expected || log.places.len() != log.spots.len() || !log.readings.iter().all(is_valid) {
+            return Err(SetupError::OtherLog { found: log.mirrors, expected });
+        }
+        self.spots = log.spots;
+        self.places = log.places;
+        self.readings = log.readings;
+        self.stage = Stage::Await(log.complete.min(self.setup.spots.len()));
+        if !self.readings.is_empty() {
+            self.fit();
+        }
+        Ok(())
+    }
+}

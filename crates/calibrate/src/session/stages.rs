@@ -1,0 +1,464 @@
+//! The stages: what is commanded in each, and what its readings mean.
+
+use heliostat_channel::MirrorAngles;
+use heliostat_proto::Nanos;
+
+use super::timing::Purpose;
+use super::{Session, Stage};
+use crate::fit::Reading;
+use crate::grid::{Expected, Grid};
+use crate::optics::{OFFSET, PLACE, Quantities};
+use crate::parameters::Spot;
+use crate::probes::{self, Job, State};
+use crate::stand::{Stand, distance, median};
+
+/// Dark readings at each spot.
+const DARK_READINGS: usize = 4;
+
+/// Dark readings as long as fewer direct gains are known, for the noise of a reading.
+const DIRECT_READINGS: usize = 12;
+
+/// Roll in rad by which a mirror is turned up, away from the receiver: 12 degrees, far above the
+/// width of its light and any offset.
+const AWAY_RAD: f64 = 12.0 * std::f64::consts::PI / 180.0;
+
+/// Largest distance in m of the receiver from the stated place of a spot.
+const AT_M: f64 = 0.6;
+
+/// Least distance in m between two spots that are not stated.
+const APART_M: f64 = 0.5;
+
+/// Noise of a gain where the direct path is blocked, relative.
+const NOISE_RELATIVE: f64 = 0.05;
+
+/// Least standard deviation in m of a tracked mean: a hand is not a tripod.
+const TRACKED_MIN_M: f64 = 0.003;
+
+/// Mirrors probed first at a later spot, and the share of them that has to show light.
+const FIRST_MIRRORS: usize = 12;
+const FIRST_SHARE: f64 = 0.7;
+
+/// Prior standard deviation in m of a spot that is searched.
+const SEARCH_M: f64 = 0.3;
+
+/// Mirrors by which a spot is searched, and most readings of a search.
+const SEARCH_MIRRORS: usize = 8;
+const SEARCH_MAX: u32 = 60;
+
+/// Standard deviation in m at which a searched spot is found.
+const FOUND_M: f64 = 0.05;
+
+/// Half of the light's extent on the floor plane in m, for the search of a spot.
+const FOOTPRINT_M: [f64; 2] = [0.15, 0.12];
+
+/// Readings of each pattern of the verification.
+const VERIFY_READINGS: usize = 10;
+
+/// Readings of a mirror at the first spot and at a later one, for the estimate of the time.
+const EXPECTED_READINGS: [f64; 2] = [5.5, 3.5];
+
+/// Largest angle in rad at which the edge of a light is looked for.
+const EDGE_RAD: f64 = 12.0 * std::f64::consts::PI / 180.0;
+
+impl Session {
+    /// Whether the receiver stands at a place of the setup.
+    pub(super) fn is_at(&self, place: usize) -> bool {
+        let at = self.stand.mean();
+        match self.place_of(place).floor_m {
+            Some([x, y]) => {
+                let stated = self.optics.array().wall_from_room(&heliostat_channel::Vec3::new(x, y, 0.0));
+                distance([stated.x, stated.y], at) < AT_M
+            }
+            None => self
+                .spots
+                .iter()
+                .zip(&self.places)
+                .all(|(spot, other)| *other == place || distance(spot.tracked_m, at) > APART_M),
+        }
+    }
+
+    /// The receiver stands at a place: a new spot begins.
+    pub(super) fn arrive(&mut self, place: usize) {
+        let height_m = self.place_of(place).height_m;
+        let at = self.stand.mean();
+        let led = (0..self.optics.leds.len())
+            .max_by(|a, b| {
+                let gain = |led: usize| {
+                    let mut quantities: Quantities = [0.0; crate::optics::QUANTITIES];
+                    quantities[PLACE..PLACE + 3].copy_from_slice(&[at[0], at[1], height_m]);
+                    self.optics.direct_gain(led, &quantities)
+                };
+                gain(*a).total_cmp(&gain(*b))
+            })
+            .unwrap_or(0);
+        self.spots.push(Spot {
+            tracked_m: at,
+            tracked_deviation_m: TRACKED_MIN_M,
+            height_m,
+            led,
+            direct_gain: 0.0,
+            direct_deviation: 0.0,
+            noise_relative: NOISE_RELATIVE,
+            noise_gain: 0.0,
+        });
+        self.places.push(place);
+        self.refresh_spot();
+        self.extend_estimate();
+        let spot = self.spots.len() - 1;
+        self.dark_gains.clear();
+        self.times.clear();
+        self.is_located = false;
+        self.dark_angles = (0..self.optics.centres.len())
+            .map(|mirror| {
+                let aim = self.optics.aim((mirror, led), &self.quantities((mirror, spot))).unwrap_or_default();
+                let [roll, yaw] = self.within([aim[0] - AWAY_RAD, aim[1]]);
+                // Where the range ends, the mirror turns the other way.
+                if (roll - aim[0]).abs() < 0.7 * AWAY_RAD { self.within([aim[0] + AWAY_RAD, yaw]) } else { [roll, yaw] }
+            })
+            .collect();
+        self.stage = Stage::Dark(place);
+    }
+
+    /// The receiver has left its place at this time: readings from then on do not count.
+    pub(super) fn leave(&mut self, since: Nanos) {
+        let place = match self.stage {
+            Stage::Dark(place) | Stage::Probe(place) | Stage::Locate(place) => place,
+            Stage::Verify => self.setup.spots.len(),
+            Stage::Await(_) | Stage::Ended => return,
+        };
+        while self.times.last().is_some_and(|time| *time >= since) {
+            self.times.pop();
+            self.readings.pop();
+            self.unused += 1;
+        }
+        if self.stage == Stage::Verify {
+            self.verification = crate::outcome::Verification::default();
+        }
+        self.search = None;
+        self.jobs.iter_mut().for_each(|job| job.is_pending = false);
+        self.stage = Stage::Await(place);
+        self.stand = Stand::default();
+    }
+
+    /// What the next command is for, and its angles.
+    pub(super) fn plan(&mut self) -> Option<(Purpose, MirrorAngles)> {
+        let purpose = match self.stage {
+            Stage::Await(_) | Stage::Ended => return None,
+            Stage::Dark(_) => Purpose::Dark,
+            Stage::Probe(_) => {
+                let mirror = probes::next_mirror(&self.jobs, self.cursor)?;
+                self.cursor = (mirror + 1) % self.jobs.len();
+                let spot = self.spots.len() - 1;
+                let quantities = self.quantities((mirror, spot));
+                let job = &mut self.jobs[mirror];
+                job.is_pending = true;
+                let probe = job.next_probe();
+                let aim = job.aim;
+                let command = [0, 1].map(|axis| aim[axis] - quantities[OFFSET + axis] + probe[axis]);
+                Purpose::Probe(mirror, self.within(command))
+            }
+            Stage::Locate(_) => self.plan_search()?,
+            Stage::Verify => Purpose::Verify(self.verification.is_calibrated_next()),
+        };
+        let mut angles = MirrorAngles {
+            roll: self.dark_angles.iter().map(|angles| angles[0]).collect(),
+            yaw: self.dark_angles.iter().map(|angles| angles[1]).collect(),
+        };
+        match purpose {
+            Purpose::Dark => {}
+            Purpose::Probe(mirror, command) | Purpose::Locate(mirror, command) => {
+                (angles.roll[mirror], angles.yaw[mirror]) = command.into();
+            }
+            Purpose::Verify(is_calibrated) => {
+                for mirror in 0..angles.len() {
+                    (angles.roll[mirror], angles.yaw[mirror]) = self.verified_aim(mirror, is_calibrated).into();
+                }
+            }
+        }
+        // The mirrors are at angles that a message can carry.
+        let narrow = |angles: &mut Vec<f64>| angles.iter_mut().for_each(|angle| *angle = f64::from(*angle as f32));
+        narrow(&mut angles.roll);
+        narrow(&mut angles.yaw);
+        Some((purpose, angles))
+    }
+
+    /// A reading of a command.
+    pub(super) fn handle_reading(&mut self, time_ns: Nanos, purpose: Purpose, gain: f64) {
+        match (self.stage, purpose) {
+            (Stage::Dark(place), Purpose::Dark) => {
+                self.dark_gains.push(gain);
+                if self.dark_gains.len() >= DARK_READINGS && self.stand.direct_count() >= DIRECT_READINGS {
+                    self.begin_probes(place);
+                }
+            }
+            (Stage::Probe(place), Purpose::Probe(mirror, command)) => {
+                let gain = gain - median(&self.dark_gains);
+                self.keep(time_ns, (mirror, command), gain);
+                self.judge(mirror, command, gain);
+                self.jobs[mirror].is_pending = false;
+                self.after_probe(place);
+            }
+            (Stage::Locate(place), Purpose::Locate(mirror, command)) => {
+                let gain = gain - median(&self.dark_gains);
+                self.keep(time_ns, (mirror, command), gain);
+                self.handle_search(place, (mirror, command), gain);
+            }
+            (Stage::Verify, Purpose::Verify(is_calibrated)) => {
+                self.verification.handle_reading(is_calibrated, gain - median(&self.dark_gains));
+                if self.verification.is_complete(VERIFY_READINGS) {
+                    self.refresh_noise();
+                    self.end();
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// The reading of a command is lost.
+    pub(super) fn forget(&mut self, purpose: Purpose) {
+        if let Purpose::Probe(mirror, _) = purpose
+            && let Some(job) = self.jobs.get_mut(mirror)
+        {
+            job.is_pending = false;
+        }
+    }
+
+    /// Readings that are still to come.
+    pub(super) fn remaining_readings(&self, open: usize) -> f64 {
+        let mirrors = self.optics.centres.len() as f64;
+        let places = self.setup.spots.len();
+        let expected = |place: usize| EXPECTED_READINGS[place.min(1)];
+        let verify = (2 * VERIFY_READINGS + DARK_READINGS) as f64;
+        let later = |from: usize| (from..places).map(|place| mirrors * expected(place)).sum::<f64>() + verify;
+        match self.stage {
+            Stage::Await(place) | Stage::Dark(place) => later(place),
+            Stage::Probe(place) | Stage::Locate(place) => open as f64 * 0.6 * expected(place) + later(place + 1),
+            Stage::Verify => verify,
+            Stage::Ended => 0.0,
+        }
+    }
+
+    /// Angles within the range of the array.
+    pub(super) fn within(&self, [roll, yaw]: [f64; 2]) -> [f64; 2] {
+        let axes = [&self.setup.capabilities.roll, &self.setup.capabilities.yaw];
+        [0, 1].map(|axis| [roll, yaw][axis].clamp(axes[axis].min_rad.into(), axes[axis].max_rad.into()))
+    }
+
+    /// Brings the present spot up to date with the receiver's stand.
+    pub(super) fn refresh_spot(&mut self) {
+        let (stand, dark) = (&self.stand, &self.dark_gains);
+        let Some(spot) = self.spots.last_mut() else { return };
+        let count = stand.count().max(1.0);
+        if !self.is_located {
+            spot.tracked_m = stand.mean();
+            spot.tracked_deviation_m = (stand.noise_m() / count.sqrt()).max(TRACKED_MIN_M);
+        }
+        spot.direct_gain = stand.direct_gain();
+        spot.noise_relative = stand.direct_noise().unwrap_or(NOISE_RELATIVE);
+        spot.direct_deviation = spot.noise_relative / (stand.direct_count().max(1) as f64).sqrt();
+        let usual = median(dark);
+        let squares: f64 = dark.iter().map(|gain| (gain - usual).powi(2)).sum();
+        spot.noise_gain = (squares / dark.len().saturating_sub(1).max(1) as f64).sqrt();
+    }
+
+    fn keep(&mut self, time_ns: Nanos, (mirror, command): (usize, [f64; 2]), gain: f64) {
+        self.readings.push(Reading { spot: self.spots.len() - 1, mirror, command, gain });
+        self.times.push(time_ns);
+    }
+
+    fn begin_probes(&mut self, place: usize) {
+        self.refresh_spot();
+        self.extend_estimate();
+        if place >= self.setup.spots.len() {
+            self.stage = Stage::Verify;
+            return;
+        }
+        self.stage = Stage::Probe(place);
+        self.cursor = 0;
+        self.open_jobs();
+    }
+
+    /// New jobs for the present spot. Mirrors that are located at this place already stay so.
+    fn open_jobs(&mut self) {
+        let spot = self.spots.len() - 1;
+        let place = self.places[spot];
+        let earlier: Vec<State> = self.jobs.iter().map(|job| job.state).collect();
+        let continues = !self.is_located && spot > 0 && self.places[spot - 1] == place && !earlier.is_empty();
+        self.jobs = (0..self.optics.centres.len())
+            .map(|mirror| {
+                let mut job = self.job(mirror, spot);
+                if continues && earlier[mirror] == State::Located {
+                    job.state = State::Located;
+                }
+                if self.setup.unusable.contains(&(mirror as u32)) {
+                    job.state = State::Excluded;
+                }
+                job
+            })
+            .collect();
+    }
+
+    /// The job of a mirror at a spot, by the present estimate.
+    fn job(&self, mirror: usize, spot: usize) -> Job {
+        let led = self.spots[spot].led;
+        let quantities = self.quantities((mirror, spot));
+        let deviation = self.aim_deviation((mirror, spot));
+        let grid = Grid::normal([0.0; 2], deviation);
+        let Some(aim) = self.optics.aim((mirror, led), &quantities) else {
+            let mut job = Job::new(grid, [0.0; 2], [[0.01; 2]; 2], f64::MIN_POSITIVE);
+            job.state = State::Excluded;
+            return job;
+        };
+        let mut exact = quantities;
+        exact[OFFSET..OFFSET + 4].fill(0.0);
+        let peak = self.optics.mirror_gain((mirror, led), aim, &exact).max(f64::MIN_POSITIVE);
+        let half = [0, 1].map(|axis| {
+            [1.0, -1.0].map(|sign| {
+                let (mut inside, mut outside) = (0.0, EDGE_RAD);
+                for _ in 0..16 {
+                    let middle = 0.5 * (inside + outside);
+                    let mut at = aim;
+                    at[axis] += sign * middle;
+                    let gain = self.optics.mirror_gain((mirror, led), at, &exact);
+                    *(if gain > 0.5 * peak { &mut inside } else { &mut outside }) = middle;
+                }
+                inside.max(1e-4)
+            })
+        });
+        let mut job = Job::new(grid, aim, half, peak);
+        let command = [0, 1].map(|axis| aim[axis] - quantities[OFFSET + axis]);
+        if self.within(command) != command {
+            job.state = State::Excluded;
+        }
+        job
+    }
+
+    /// Applies a reading to the grid of its mirror.
+    fn judge(&mut self, mirror: usize, command: [f64; 2], gain: f64) {
+        let spot = self.spots.len() - 1;
+        let (led, quantities) = (self.spots[spot].led, self.quantities((mirror, spot)));
+        let (optics, peak) = (&self.optics, self.jobs[mirror].peak);
+        let (relative, additive) = (self.spots[spot].noise_relative, self.spots[spot].noise_gain);
+        self.jobs[mirror].handle_reading(gain, |[roll, yaw]| {
+            let mut at = quantities;
+            at[OFFSET] += roll;
+            at[OFFSET + 1] += yaw;
+            let gain = optics.mirror_gain((mirror, led), command, &at);
+            Expected { gain, deviation: crate::fit::deviation((relative, additive), gain, peak) }
+        });
+    }
+
+    /// What follows a reading of a probe.
+    fn after_probe(&mut self, place: usize) {
+        let first = self.jobs.iter().filter(|job| job.state != State::Excluded).take(FIRST_MIRRORS);
+        let (mut probed, mut lit, mut once) = (0, 0, true);
+        for job in first {
+            once &= job.readings == 1;
+            probed += usize::from(job.readings > 0);
+            lit += usize::from(job.is_lit());
+        }
+        let is_later = self.readings.iter().any(|reading| self.places[reading.spot] < place);
+        let is_checked = probed >= FIRST_MIRRORS && once && !self.is_located && is_later;
+        if is_checked && (lit as f64) < FIRST_SHARE * probed as f64 {
+            self.begin_search(place);
+            return;
+        }
+        if self.jobs.iter().all(|job| job.state != State::Open) {
+            self.next_place(place);
+        }
+    }
+
+    /// The next place of the setup.
+    fn next_place(&mut self, place: usize) {
+        self.refresh_spot();
+        self.refresh_noise();
+        self.fit();
+        self.stage = Stage::Await(place + 1);
+    }
+
+    /// Pools the noise of the tracker at the present stand.
+    fn refresh_noise(&mut self) {
+        let count = self.stand.count();
+        self.noise.count += count;
+        self.noise.position_square += count * self.stand.noise_m().powi(2);
+        self.noise.velocity_square += count * self.stand.velocity_noise_m_s().powi(2);
+    }
+
+    /// Searches the present spot, since few mirrors light it.
+    fn begin_search(&mut self, place: usize) {
+        let spot = self.spots.len() - 1;
+        let at = self.quantities((0, spot));
+        let mut grid = Grid::normal([at[PLACE], at[PLACE + 1]], [SEARCH_M; 2]);
+        let readings: Vec<Reading> = self.readings.iter().filter(|reading| reading.spot == spot).copied().collect();
+        for Reading { mirror, command, gain, .. } in readings {
+            self.observe_place(&mut grid, (mirror, command), gain);
+        }
+        self.search = Some((grid, 0));
+        self.stage = Stage::Locate(place);
+    }
+
+    /// The mirrors by which a spot is searched: those whose offsets are known best.
+    fn search_mirrors(&self) -> Vec<usize> {
+        let spot = self.spots.len() - 1;
+        let mut mirrors: Vec<(f64, usize)> = (0..self.jobs.len())
+            .filter(|mirror| self.jobs[*mirror].state != State::Excluded && self.is_known(*mirror))
+            .map(|mirror| {
+                let [roll, yaw] = self.aim_deviation((mirror, spot));
+                (roll.hypot(yaw), mirror)
+            })
+            .collect();
+        mirrors.sort_by(|a, b| a.0.total_cmp(&b.0));
+        mirrors.into_iter().take(SEARCH_MIRRORS).map(|(_, mirror)| mirror).collect()
+    }
+
+    fn plan_search(&mut self) -> Option<Purpose> {
+        let mirrors = self.search_mirrors();
+        let spot = self.spots.len() - 1;
+        let (grid, count) = self.search.as_ref()?;
+        let mirror = *mirrors.get(*count as usize % mirrors.len().max(1))?;
+        let (target, _) = grid.best_window(FOOTPRINT_M);
+        let mut quantities = self.quantities((mirror, spot));
+        quantities[PLACE..PLACE + 2].copy_from_slice(&target);
+        let aim = self.optics.aim((mirror, self.spots[spot].led), &quantities)?;
+        let command = [0, 1].map(|axis| aim[axis] - quantities[OFFSET + axis]);
+        Some(Purpose::Locate(mirror, self.within(command)))
+    }
+
+    fn observe_place(&self, grid: &mut Grid, (mirror, command): (usize, [f64; 2]), gain: f64) {
+        let spot = self.spots.len() - 1;
+        let (led, quantities) = (self.spots[spot].led, self.quantities((mirror, spot)));
+        let peak = self.jobs[mirror].peak;
+        let noise = (self.spots[spot].noise_relative, self.spots[spot].noise_gain);
+        grid.observe(gain, peak, |[x, y]| {
+            let mut at = quantities;
+            (at[PLACE], at[PLACE + 1]) = (x, y);
+            let gain = self.optics.mirror_gain((mirror, led), command, &at);
+            // The mirror's own deviation blurs the edge of its light.
+            Expected { gain, deviation: crate::fit::deviation(noise, gain, peak).hypot(0.15 * peak) }
+        });
+    }
+
+    fn handle_search(&mut self, place: usize, probe: (usize, [f64; 2]), gain: f64) {
+        let Some((mut grid, count)) = self.search.take() else { return };
+        self.observe_place(&mut grid, probe, gain);
+        let (mean, deviation) = grid.moments();
+        if deviation.iter().all(|deviation| *deviation < FOUND_M) {
+            self.is_located = true;
+            if let Some(spot) = self.spots.last_mut() {
+                spot.tracked_m = mean;
+                spot.tracked_deviation_m = FOUND_M;
+            }
+            self.extend_estimate();
+            self.stage = Stage::Probe(place);
+            self.open_jobs();
+        } else if count + 1 >= SEARCH_MAX {
+            let spot = self.spots.len() - 1;
+            self.rejected.push(spot);
+            self.readings.retain(|reading| reading.spot != spot);
+            self.jobs.clear();
+            self.next_place(place);
+        } else {
+            self.search = Some((grid, count + 1));
+        }
+    }
+}

@@ -1,0 +1,200 @@
+//! `heliostat calibrate`: measures the mirrors, the LEDs and the tracker's frame of a running room,
+//! over the messages of the contract alone.
+
+mod args;
+mod commander;
+mod room;
+mod show;
+
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail, ensure};
+use heliostat_bus::{AccessRole, Bus};
+use heliostat_calibrate::{Log, Outcome, Prior, Session, Setup, Stage};
+use heliostat_scenario::{ChannelMode, Scenario};
+use heliostat_service::clock::utc_ns;
+use heliostat_service::exit::UnusableInput;
+use heliostat_service::output::note;
+
+pub use args::Args;
+use room::{LiveRoom, Received};
+
+/// Longest wait for a report before the session looks at its own times again.
+const LOOK_EVERY: Duration = Duration::from_millis(20);
+
+/// Time between two files of readings, and between two lines of progress.
+const SAVE_EVERY: Duration = Duration::from_secs(2);
+const SHOW_EVERY: Duration = Duration::from_secs(5);
+
+/// Time without channel reports after which a note says so.
+const SILENCE: Duration = Duration::from_secs(3);
+
+/// Relative error of an axis' scale that is expected where scales are estimated.
+const SCALE_SPREAD: f64 = 0.01;
+
+/// Runs the command.
+///
+/// # Errors
+/// An invalid flag or file, a room that does not answer, another controller that leads, an array that
+/// is stopped, and a calibration that does not improve the light.
+pub fn run(args: Args) -> Result<()> {
+    let scenario = args.scenario.load_arrays()?;
+    ensure!(
+        scenario.channel.mode == ChannelMode::Specular,
+        UnusableInput::new(format!("channel.mode = \"{}\": expected \"specular\"", scenario.channel.mode.name()))
+    );
+    for file in [Some(&args.out), args.room_out.as_ref()].into_iter().flatten() {
+        check_new(file)?;
+    }
+    let base = args.base.as_deref().map(heliostat_driver::calibration_store::load).transpose()?;
+    let config = args.bus.config_or_connect(&[AccessRole::Controller])?;
+    let stop = args.end.stop()?;
+    let bus = Bus::open(&config)?;
+    let mut room = LiveRoom::open(&bus, &args, scenario.hash())?;
+    ensure!(
+        room.calibration_in_use() == 0 || base.is_some(),
+        "the array uses a calibration already: give its file with --base, so that the result includes it"
+    );
+    let mut session = new_session(&args, &scenario, &room)?;
+    if let Some(log) = args.readings.as_deref().filter(|file| file.exists()).map(read_log).transpose()? {
+        note(format_args!("continued: {} spots complete, {} readings", log.complete, log.readings.len()));
+        session.resume(log)?;
+    }
+    let run = drive(&args, &mut session, &mut room, &stop);
+    save_log(&args, &session)?;
+    room.release();
+    run?;
+    let outcome = session
+        .outcome()
+        .context("interrupted: nothing is written; the same command with the same --readings continues")?;
+    finish(&args, &scenario, outcome, base.as_ref())?;
+    Ok(bus.close()?)
+}
+
+fn new_session(args: &Args, scenario: &Scenario, room: &LiveRoom) -> Result<Session> {
+    let mut prior = Prior::of_level(args.level.into());
+    prior.scale = if args.scales { SCALE_SPREAD } else { 0.0 };
+    let setup = Setup {
+        model: scenario.channel_model()?,
+        array: args.array,
+        capabilities: room.capabilities().clone(),
+        prior,
+        spots: args.spots(scenario)?,
+        verify: args.verification(scenario)?,
+        user: args.user,
+        unusable: room.unusable(),
+    };
+    Ok(Session::new(setup)?)
+}
+
+/// Passes reports to the session and its commands to the array, until it ends or the process shall.
+fn drive(args: &Args, session: &mut Session, room: &mut LiveRoom, stop: &heliostat_service::Stop) -> Result<()> {
+    let begun = Instant::now();
+    let (mut saved, mut shown, mut heard) = (begun, begun, begun);
+    let (mut stage, mut complete) = (None, session.log().complete);
+    while session.stage() != Stage::Ended {
+        if stop.is_requested() || args.end.seconds.is_some_and(|limit| begun.elapsed() >= limit) {
+            return Ok(());
+        }
+        if stage != Some(session.stage()) {
+            stage = Some(session.stage());
+            show::stage(session);
+            room.set_state(&show::state(session));
+            let progress = session.log().complete;
+            if progress != complete {
+                complete = progress;
+                save_log(args, session)?;
+            }
+        }
+        let now = utc_ns();
+        let wake = Duration::from_nanos(session.next_wake(now).saturating_sub(now)).min(LOOK_EVERY);
+        match room.receive(wake)? {
+            Some(Received::Users(report)) => {
+                let ids: Vec<u32> = report.users.iter().map(|user| user.user).collect();
+                ensure!(
+                    args.user.is_some() || ids.len() <= 1,
+                    "the tracker reports the users {ids:?}: name the one who holds the receiver with --user"
+                );
+                session.handle_users(&report);
+            }
+            Some(Received::Channel(report)) => {
+                heard = Instant::now();
+                session.handle_channel(&report);
+            }
+            Some(Received::CommandDelay(delay_ns)) => session.handle_command_delay(delay_ns),
+            None => {}
+        }
+        if let Some(angles) = session.next_command(utc_ns()) {
+            room.command(angles)?;
+        }
+        if saved.elapsed() >= SAVE_EVERY {
+            saved = Instant::now();
+            save_log(args, session)?;
+            room.publish_status()?;
+        }
+        if shown.elapsed() >= SHOW_EVERY {
+            shown = Instant::now();
+            show::progress(session);
+            if heard.elapsed() >= SILENCE {
+                note("no channel report for some seconds: is the receiver switched on?");
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Writes the files if the verification allows it, and prints the result.
+fn finish(
+    args: &Args,
+    scenario: &Scenario,
+    outcome: &Outcome,
+    base: Option<&heliostat_array::calibration_file::CalibrationFile>,
+) -> Result<()> {
+    let is_improvement = outcome.verification.is_improvement();
+    if is_improvement {
+        let own = outcome.calibration();
+        let file = base.map_or(own.clone(), |base| own.after(base));
+        heliostat_driver::calibration_store::save(&file, &args.out)?;
+        if let Some(path) = &args.room_out {
+            let room = outcome.measured_room(scenario, args.array);
+            std::fs::write(path, room.to_toml()).with_context(|| format!("cannot write {}", path.display()))?;
+        }
+    }
+    show::outcome(args, outcome, is_improvement)?;
+    if !is_improvement {
+        bail!(
+            "the calibrated aims give {:.3} ± {:.3} of the light of the nominal ones at the place of the verification: \
+             expected more than 1. Nothing is written; repeat with another spot, or check the heights",
+            outcome.verification.ratio().value,
+            outcome.verification.ratio().deviation
+        );
+    }
+    Ok(())
+}
+
+fn check_new(file: &Path) -> Result<()> {
+    ensure!(!file.exists(), UnusableInput::new(format!("{} exists already: expected a new file", file.display())));
+    let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    ensure!(
+        folder.is_dir(),
+        UnusableInput::new(format!("cannot write {}: there is no folder {}", file.display(), folder.display()))
+    );
+    Ok(())
+}
+
+fn read_log(file: &Path) -> Result<Log> {
+    let text = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
+    let unusable = || UnusableInput::new(format!("{} holds no readings of a calibration", file.display()));
+    serde_json::from_str(&text).with_context(unusable)
+}
+
+fn save_log(args: &Args, session: &Session) -> Result<()> {
+    let Some(file) = &args.readings else { return Ok(()) };
+    // A complete file or the former one: the process may end at any time.
+    let partial = file.with_extension("partial");
+    let text = serde_json::to_string(&session.log())?;
+    std::fs::write(&partial, text)
+        .and_then(|()| std::fs::rename(&partial, file))
+        .with_context(|| format!("cannot write {}", file.display()))
+}

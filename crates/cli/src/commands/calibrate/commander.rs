@@ -1,0 +1,134 @@
+//! The commands of a calibration: numbered as those of a controller, and repeated for each position
+//! report, so that no standby takes the room for one without a leader.
+
+use std::collections::VecDeque;
+
+use anyhow::Result;
+use heliostat_bus::Publisher;
+use heliostat_channel::MirrorAngles;
+use heliostat_core::tenure::{Evidence, Standing, Tenure, TenureEvent};
+use heliostat_proto::{MirrorCommand, MirrorTelemetry, Nanos, encode};
+
+/// Commands whose times are remembered until telemetry shows them.
+const REMEMBERED: usize = 128;
+
+/// The commands of one array.
+pub struct Commander {
+    tenure: Tenure,
+    publisher: Publisher,
+    validity_ms: u32,
+    /// The angles of the last command.
+    angles: MirrorAngles,
+    /// Sequences and times of commands whose application telemetry has not shown.
+    sent: VecDeque<(u64, Nanos)>,
+    /// Tick of the last position report.
+    tick: u64,
+    payload: Vec<u8>,
+    /// Whether telemetry counts for the epoch; not before the first command of a takeover.
+    heeds_telemetry: bool,
+    superseded: Option<u64>,
+}
+
+impl Commander {
+    /// Commands that begin with these angles. A takeover leads whatever the array follows.
+    pub fn new(
+        tenure: Tenure,
+        publisher: Publisher,
+        (angles, validity_ms): (MirrorAngles, u32),
+        takes_over: bool,
+    ) -> Self {
+        Self {
+            tenure,
+            publisher,
+            validity_ms,
+            angles,
+            sent: VecDeque::new(),
+            tick: 0,
+            payload: Vec::new(),
+            heeds_telemetry: !takes_over,
+            superseded: None,
+        }
+    }
+
+    /// Compares telemetry; the delay in ns of the command that it shows, if it is the first to.
+    pub fn handle_telemetry(&mut self, now: Nanos, telemetry: &MirrorTelemetry) -> Option<Nanos> {
+        if self.heeds_telemetry {
+            let event = self.tenure.handle_telemetry(now, Evidence::from(telemetry));
+            if event == Some(TenureEvent::Superseded) {
+                self.superseded = Some(telemetry.epoch);
+            }
+        }
+        if telemetry.epoch != self.tenure.epoch() {
+            return None;
+        }
+        let at = self.sent.iter().position(|(sequence, _)| *sequence == telemetry.applied_sequence)?;
+        let (_, sent_ns) = self.sent[at];
+        self.sent.drain(..=at);
+        Some(telemetry.applied_ns.saturating_sub(sent_ns))
+    }
+
+    /// Another controller is in the room, or has left.
+    pub fn handle_controller(&mut self, source: u64, is_present: bool) {
+        self.tenure.handle_controller(source, is_present);
+    }
+
+    /// Answers a position report by the last angles.
+    pub fn answer(&mut self, now: Nanos, tick: u64) -> Result<()> {
+        self.tick = tick;
+        self.send(now)
+    }
+
+    /// Commands these angles.
+    pub fn command(&mut self, now: Nanos, angles: MirrorAngles) -> Result<()> {
+        self.angles = angles;
+        self.send(now)
+    }
+
+    /// Whether the array follows this process, as far as it knows.
+    pub fn is_leading(&self) -> bool {
+        self.tenure.standing() == Standing::Leading
+    }
+
+    /// Whether another controller commands the array.
+    pub fn stands_by(&self) -> bool {
+        self.tenure.standing() == Standing::Standby
+    }
+
+    /// The epoch of the controller that took the lead from this process.
+    pub fn superseded_by(&self) -> Option<u64> {
+        self.superseded
+    }
+
+    /// The epoch of the commands.
+    pub fn epoch(&self) -> u64 {
+        self.tenure.epoch()
+    }
+
+    fn send(&mut self, now: Nanos) -> Result<()> {
+        // A process that has lost the lead stays out of it: its readings would be of another's angles.
+        if self.superseded.is_some() || (self.stands_by() && self.heeds_telemetry) {
+            return Ok(());
+        }
+        let (Some(epoch), _) = self.tenure.permit(now) else { return Ok(()) };
+        self.heeds_telemetry = true;
+        let sequence = self.tenure.next_sequence();
+        let narrow = |angles: &[f64]| angles.iter().map(|angle| *angle as f32).collect();
+        let command = MirrorCommand {
+            epoch,
+            sequence,
+            answers: self.tick,
+            time_ns: now,
+            validity_ms: self.validity_ms,
+            roll: narrow(&self.angles.roll),
+            yaw: narrow(&self.angles.yaw),
+        };
+        self.payload.clear();
+        encode(&command, &mut self.payload)?;
+        self.publisher.put(&self.payload)?;
+        self.sent.push_back((sequence, now));
+        if self.sent.len() > REMEMBERED {
+            self.sent.pop_front();
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,271 @@
+//! The room of a calibration on the bus: its reports in a queue, its commands, and the status.
+
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail, ensure};
+use heliostat_bus::{Bus, Class, Presence, Publisher, Subscription, Token};
+use heliostat_channel::MirrorAngles;
+use heliostat_core::tenure::Tenure;
+use heliostat_proto::keys::parse_alive;
+use heliostat_proto::{
+    ArrayState, Capabilities, ChannelReport, Message, MirrorTelemetry, NodeKind, NodeStatus, SafetyReport, Stamp,
+    UserReport, decode, encode,
+};
+use heliostat_service::clock::{monotonic_ns, utc_ns};
+use heliostat_service::source_id;
+
+use super::args::Args;
+use super::commander::Commander;
+
+/// Longest wait for capabilities, telemetry and the lead.
+const WAIT: Duration = Duration::from_secs(5);
+
+/// Time between two queries.
+const QUERY_EVERY: Duration = Duration::from_millis(200);
+
+/// Validity of a command in ms, where the array accepts that long.
+const VALIDITY_MS: u32 = 1000;
+
+/// Reports that the queue holds; a report beyond it is dropped, as one that the network loses.
+const QUEUE: usize = 1024;
+
+/// Time for which an array keeps a command while its successor takes the lead.
+const RELEASE: Duration = Duration::from_millis(500);
+
+/// What arrives for the session.
+pub enum Received {
+    /// A position report.
+    Users(UserReport),
+    /// A channel report.
+    Channel(ChannelReport),
+    /// The time in ns from a command to its application.
+    CommandDelay(u64),
+}
+
+/// A session in the room.
+pub struct LiveRoom {
+    queue: Receiver<Received>,
+    commander: Arc<Mutex<Commander>>,
+    telemetry: Arc<Mutex<Option<MirrorTelemetry>>>,
+    capabilities: Capabilities,
+    status: Publisher,
+    shown: NodeStatus,
+    token: Option<Token>,
+    _subscriptions: Vec<Subscription>,
+}
+
+impl LiveRoom {
+    /// Joins the room and takes the lead of the array.
+    pub fn open(bus: &Bus, args: &Args, scenario_hash: String) -> Result<Self> {
+        let (room, keys) = (bus.room().clone(), bus.room().array(args.array));
+        let source = source_id::random();
+        let capabilities: Capabilities = fetch(bus, &keys.capabilities())?.context(
+            "the array does not answer: connect to the process that drives it, or to its router, and check --room",
+        )?;
+        let safety: Option<SafetyReport> = fetch(bus, &keys.safety())?;
+        let validity_ms = safety.as_ref().map_or(VALIDITY_MS, |safety| match safety.validity_max_ms {
+            0 => VALIDITY_MS,
+            most => VALIDITY_MS.min(most),
+        });
+        let [roll, yaw] = capabilities.park_rad.map(f64::from);
+        let mirrors = capabilities.mirrors();
+        let parked = MirrorAngles { roll: vec![roll; mirrors], yaw: vec![yaw; mirrors] };
+        let (sender, queue) = sync_channel(QUEUE);
+        let telemetry: Arc<Mutex<Option<MirrorTelemetry>>> = Arc::default();
+        // The latest telemetry decides about the lead, so it comes before the first command.
+        let first = Arc::clone(&telemetry);
+        let early = bus.subscribe(&keys.telemetry(), move |payload| {
+            if let Ok(telemetry) = decode(payload) {
+                *lock(&first) = Some(telemetry);
+            }
+        })?;
+        let shown = wait(|| lock(&telemetry).clone());
+        drop(early);
+        let shown = shown.context("the array publishes no telemetry: expected ten messages a second")?;
+        ensure!(shown.state != ArrayState::Stopped, "the array is stopped: release it with `heliostat rearm` first");
+        let is_led = shown.state == ArrayState::Following;
+        ensure!(
+            !is_led || args.take_over,
+            "the array follows a controller with the epoch {}: end it, or give --take-over",
+            shown.epoch
+        );
+        let interval_ns = 1_000_000_000 / 10;
+        let mut tenure = Tenure::live(source, interval_ns);
+        tenure.handle_announced_epoch(shown.epoch.max(safety.map_or(0, |safety| safety.epoch)));
+        let publisher = bus.publisher(&keys.command(), Class::RealTimeDrop)?;
+        let commander = Commander::new(tenure, publisher, (parked, validity_ms), args.take_over);
+        let commander = Arc::new(Mutex::new(commander));
+        let subscriptions = subscribe(bus, args.array, &sender, &commander, &telemetry)?;
+        let token = bus.announce(&room.alive(NodeKind::Controller, source))?;
+        let status = bus.publisher(&room.status(NodeKind::Controller), Class::LowDrop)?;
+        let shown = NodeStatus {
+            stamp: Stamp { source, ..Stamp::default() },
+            node: NodeKind::Controller,
+            name: format!("calibrate-{:08x}", source >> 32),
+            software: env!("CARGO_PKG_VERSION").into(),
+            state: "calibrating".into(),
+            scenario: scenario_hash,
+            started_ns: utc_ns(),
+            ..NodeStatus::default()
+        };
+        let live = Self {
+            queue,
+            commander,
+            telemetry,
+            capabilities,
+            status,
+            shown,
+            token: Some(token),
+            _subscriptions: subscriptions,
+        };
+        live.lead()?;
+        Ok(live)
+    }
+
+    /// Commands the park position until the array follows this process.
+    fn lead(&self) -> Result<()> {
+        let led = wait(|| {
+            let mut commander = lock(&self.commander);
+            // A failure to publish shows below, as a lead that is not gained.
+            let _ = commander.answer(utc_ns(), 0);
+            let epoch = commander.epoch();
+            let is_obeyed = lock(&self.telemetry).as_ref().is_some_and(|telemetry| telemetry.epoch == epoch);
+            (commander.stands_by() || (commander.is_leading() && is_obeyed)).then_some(commander.is_leading())
+        });
+        match led {
+            Some(true) => Ok(()),
+            Some(false) => bail!("the array follows another controller: end it, or give --take-over"),
+            None => bail!("the array accepts no command of this process: check its telemetry with `heliostat ui`"),
+        }
+    }
+
+    /// What arrives next, within a limit.
+    pub fn receive(&self, limit: Duration) -> Result<Option<Received>> {
+        if let Some(epoch) = lock(&self.commander).superseded_by() {
+            bail!("a controller with the epoch {epoch} has taken the lead: nothing is written");
+        }
+        if lock(&self.telemetry).as_ref().is_some_and(|telemetry| telemetry.state == ArrayState::Stopped) {
+            bail!("the array was stopped: release it with `heliostat rearm`, then continue with --readings");
+        }
+        match self.queue.recv_timeout(limit) {
+            Ok(received) => Ok(Some(received)),
+            Err(RecvTimeoutError::Timeout) => Ok(None),
+            Err(RecvTimeoutError::Disconnected) => bail!("the session in the room has ended"),
+        }
+    }
+
+    /// Commands these angles.
+    pub fn command(&mut self, angles: MirrorAngles) -> Result<()> {
+        lock(&self.commander).command(utc_ns(), angles)
+    }
+
+    /// What the array announces.
+    pub fn capabilities(&self) -> &Capabilities {
+        &self.capabilities
+    }
+
+    /// Sequence number of the calibration that the array uses; 0 for none.
+    pub fn calibration_in_use(&self) -> u64 {
+        lock(&self.telemetry).as_ref().map_or(0, |telemetry| telemetry.calibration)
+    }
+
+    /// Mirrors that the array reports not to follow.
+    pub fn unusable(&self) -> Vec<u32> {
+        lock(&self.telemetry).as_ref().map_or_else(Vec::new, |telemetry| telemetry.unusable.clone())
+    }
+
+    /// Sets what the status says.
+    pub fn set_state(&mut self, state: &str) {
+        state.clone_into(&mut self.shown.state);
+    }
+
+    /// Publishes the status of this process.
+    pub fn publish_status(&mut self) -> Result<()> {
+        self.shown.stamp.sequence += 1;
+        self.shown.stamp.time_ns = utc_ns();
+        self.shown.counters = vec![("epoch".into(), lock(&self.commander).epoch())];
+        let mut payload = Vec::new();
+        encode(&self.shown, &mut payload)?;
+        Ok(self.status.put(&payload)?)
+    }
+
+    /// Gives the lead back: the token is withdrawn first, and commands go on until a standby has taken
+    /// the lead, for half a second at most.
+    pub fn release(&mut self) {
+        self.token = None;
+        let begun = Instant::now();
+        while begun.elapsed() < RELEASE && lock(&self.commander).superseded_by().is_none() {
+            std::thread::sleep(QUERY_EVERY / 10);
+        }
+    }
+}
+
+fn subscribe(
+    bus: &Bus,
+    array: usize,
+    sender: &SyncSender<Received>,
+    commander: &Arc<Mutex<Commander>>,
+    telemetry: &Arc<Mutex<Option<MirrorTelemetry>>>,
+) -> Result<Vec<Subscription>> {
+    let (room, keys) = (bus.room().clone(), bus.room().array(array));
+    let (queue, answering) = (sender.clone(), Arc::clone(commander));
+    let users = bus.subscribe(&room.users(), move |payload| {
+        let Ok(report) = decode::<UserReport>(payload) else { return };
+        // The next report is answered again; a bus that is closed shows at the next command.
+        let _ = lock(&answering).answer(utc_ns(), report.tick);
+        let _ = queue.try_send(Received::Users(report));
+    })?;
+    let queue = sender.clone();
+    let channel = bus.subscribe(&room.channel(), move |payload| {
+        if let Ok(report) = decode(payload) {
+            let _ = queue.try_send(Received::Channel(report));
+        }
+    })?;
+    let (queue, comparing, latest) = (sender.clone(), Arc::clone(commander), Arc::clone(telemetry));
+    let telemetry = bus.subscribe(&keys.telemetry(), move |payload| {
+        let Ok(telemetry) = decode::<MirrorTelemetry>(payload) else { return };
+        if let Some(delay_ns) = lock(&comparing).handle_telemetry(utc_ns(), &telemetry) {
+            let _ = queue.try_send(Received::CommandDelay(delay_ns));
+        }
+        *lock(&latest) = Some(telemetry);
+    })?;
+    let watching = Arc::clone(commander);
+    let others = bus.watch(&room.alive_of(NodeKind::Controller), move |key, presence| {
+        if let Some((_, source)) = parse_alive(key) {
+            lock(&watching).handle_controller(source, presence == Presence::Alive);
+        }
+    })?;
+    Ok(vec![users, channel, telemetry, others])
+}
+
+/// Queries a message of the array until it answers, or the wait is over.
+fn fetch<T: Message>(bus: &Bus, key: &str) -> Result<Option<T>> {
+    let begun = monotonic_ns();
+    loop {
+        let found = bus.fetch(key, WAIT)?.iter().find_map(|payload| decode(payload).ok());
+        if found.is_some() || monotonic_ns() - begun >= WAIT.as_nanos() as u64 {
+            return Ok(found);
+        }
+        std::thread::sleep(QUERY_EVERY);
+    }
+}
+
+/// Waits until there is a value, for a limited time.
+fn wait<T>(mut value: impl FnMut() -> Option<T>) -> Option<T> {
+    let begun = Instant::now();
+    loop {
+        if let Some(value) = value() {
+            return Some(value);
+        }
+        if begun.elapsed() >= WAIT {
+            return None;
+        }
+        std::thread::sleep(QUERY_EVERY / 4);
+    }
+}
+
+fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
+    shared.lock().unwrap_or_else(PoisonError::into_inner)
+}

@@ -1,0 +1,145 @@
+//! What the user of `heliostat calibrate` reads.
+
+use anyhow::Result;
+use heliostat_calibrate::{Measured, Outcome, Session, Stage, Verdict};
+use heliostat_service::outln;
+use heliostat_service::output::note;
+use serde_json::json;
+
+use super::args::Args;
+
+/// Mirrors that a line names; the others are counted.
+const NAMED: usize = 12;
+
+/// Says what the holder of the receiver has to do, or what begins.
+pub fn stage(session: &Session) {
+    let place = session.place().and_then(|place| place.floor_m).unwrap_or_default();
+    let [x, y] = place;
+    match session.stage() {
+        Stage::Await(index) if index < session.spot_count() => note(format_args!(
+            "carry the receiver to spot {} of {}, x {x:.2} m, y {y:.2} m, face the mirrors and stand still",
+            index + 1,
+            session.spot_count()
+        )),
+        Stage::Await(_) => note(format_args!(
+            "carry the receiver to the place of the verification, x {x:.2} m, y {y:.2} m, and stand still"
+        )),
+        Stage::Dark(_) => note("stay: all mirrors are turned away, for the dark readings"),
+        Stage::Probe(index) => note(format_args!("stay: the mirrors are probed at spot {}", index + 1)),
+        Stage::Locate(index) => note(format_args!(
+            "stay: few mirrors light spot {}, so the spot is not where the tracker reports it; it is searched",
+            index + 1
+        )),
+        Stage::Verify => note("stay: nominal and calibrated aims are compared"),
+        Stage::Ended => note("the readings are complete"),
+    }
+}
+
+/// One line of progress.
+pub fn progress(session: &Session) {
+    let progress = session.progress();
+    let (located, mirrors) = progress.located;
+    let at_spot = match progress.stage {
+        Stage::Probe(_) => format!("{located} of {mirrors} mirrors located, "),
+        _ => String::new(),
+    };
+    note(format_args!(
+        "{at_spot}{} readings, {} reports without use, about {:.0} s without the walks",
+        progress.readings, progress.unused, progress.remaining_s
+    ));
+}
+
+/// The state of the process in a few words, for operators.
+pub fn state(session: &Session) -> String {
+    let spots = session.spot_count();
+    match session.stage() {
+        Stage::Await(index) if index < spots => format!("calibrating: waits at spot {} of {spots}", index + 1),
+        Stage::Dark(index) | Stage::Probe(index) | Stage::Locate(index) if index < spots => {
+            format!("calibrating: spot {} of {spots}", index + 1)
+        }
+        Stage::Ended => "calibrated".to_owned(),
+        _ => "calibrating: verification".to_owned(),
+    }
+}
+
+/// The result.
+pub fn outcome(args: &Args, outcome: &Outcome, is_written: bool) -> Result<()> {
+    if args.json {
+        let written = is_written.then(|| args.out.display().to_string());
+        let room = args.room_out.as_ref().filter(|_| is_written).map(|path| path.display().to_string());
+        outln!("{}", json!({ "outcome": outcome, "calibration": written, "room": room }))?;
+        return Ok(());
+    }
+    let count = |verdict| outcome.mirrors_with(verdict).len();
+    outln!("mirrors        {} of {} calibrated", count(Verdict::Calibrated), outcome.mirrors.len())?;
+    for (verdict, advice) in [
+        (Verdict::NeedsSpot, "known at the spots only: repeat with another spot, away from these"),
+        (Verdict::NotFound, "no light at any spot: stuck, covered, or mounted far off; check them"),
+        (Verdict::Inconsistent, "their readings contradict one another: check their drives"),
+        (Verdict::Unusable, "the array reports that they do not follow"),
+    ] {
+        let mirrors = outcome.mirrors_with(verdict);
+        if !mirrors.is_empty() {
+            outln!("               {} -> {advice}", list(&mirrors))?;
+        }
+    }
+    let known = outcome.mirrors.iter().filter(|mirror| mirror.verdict == Verdict::Calibrated);
+    let worst = known.map(|mirror| mirror.pointing_deg[0].max(mirror.pointing_deg[1])).fold(0.0, f64::max);
+    outln!(
+        "pointing       {worst:.2} degrees, the largest standard deviation of a calibrated mirror elsewhere in the room"
+    )?;
+    for (index, led) in outcome.leds_m.iter().enumerate() {
+        let [x, y, z] = led.each_ref().map(|coordinate| plus_minus(coordinate, 3));
+        outln!("LED {index}          x {x}, y {y}, z {z} m")?;
+    }
+    outln!("semi-angle     {} degrees", plus_minus(&outcome.semi_angle_deg, 1))?;
+    outln!("frame          {} m higher than in the scenario", plus_minus(&outcome.raise_m, 3))?;
+    let [x, y] = outcome.shift_m.each_ref().map(|shift| plus_minus(shift, 3));
+    outln!("tracker        its origin is off by x {x}, y {y} m")?;
+    if let Some([position, velocity]) = outcome.tracker_noise {
+        outln!(
+            "noise          {position:.3} m of a position, {velocity:.3} m/s of a velocity, {:.1} % of a gain",
+            100.0 * outcome.channel_noise
+        )?;
+    }
+    outln!(
+        "detector       factor {}; reflectivity factor {}",
+        plus_minus(&outcome.detector_factor, 3),
+        plus_minus(&outcome.reflectivity_factor, 3)
+    )?;
+    for place in &outcome.rejected_places {
+        outln!(
+            "spot {}         rejected: most mirrors contradict it -> check its height and the tracker there",
+            place + 1
+        )?;
+    }
+    let ratio = outcome.verification.ratio();
+    outln!("verification   {} times the light of the nominal aims", plus_minus(&ratio, 3))?;
+    outln!("readings       {}", outcome.readings)?;
+    if is_written {
+        outln!(
+            "written        {}{}",
+            args.out.display(),
+            match &args.room_out {
+                Some(path) => format!(", {}", path.display()),
+                None => String::new(),
+            }
+        )?;
+    }
+    Ok(())
+}
+
+/// The value and the 95 % interval.
+fn plus_minus(measured: &Measured, digits: usize) -> String {
+    let half = heliostat_calibrate::outcome::QUANTILE_95 * measured.deviation;
+    format!("{:.digits$} ± {half:.digits$}", measured.value)
+}
+
+/// The first indices, and how many more there are.
+fn list(mirrors: &[usize]) -> String {
+    let named: Vec<String> = mirrors.iter().take(NAMED).map(usize::to_string).collect();
+    let more = mirrors.len().saturating_sub(NAMED);
+    let rest = if more > 0 { format!(" and {more} more") } else { String::new() };
+    let word = if mirrors.len() == 1 { "mirror" } else { "mirrors" };
+    format!("{word} {}{rest}", named.join(", "))
+}

@@ -42,36 +42,6 @@ impl Setting {
 }
 
 #[test]
-fn the_array_parks_when_the_controller_is_killed_and_follows_the_next_one() {
-    let setting = Setting::new();
-    let room = setting.room();
-    let mut controller = setting.controller();
-    let observer = setting.observer();
-    observer.wait_for_commands();
-    let turned = || observer.telemetry().is_some_and(|array| array.yaw_commanded.iter().any(|yaw| *yaw != 0.0));
-    wait_until("moving mirrors", turned);
-    let first_epoch = observer.telemetry().expect("received").epoch;
-
-    controller.kill();
-    wait_until("a parked array", || observer.telemetry().is_some_and(|array| array.state == ArrayState::Parked));
-    let parked = observer.telemetry().expect("received");
-    assert!(parked.roll_commanded.iter().chain(&parked.yaw_commanded).all(|angle| *angle == 0.0), "{parked:?}");
-
-    let controller = setting.controller();
-    wait_until("an array that follows the new controller", || {
-        observer.telemetry().is_some_and(|array| array.state == ArrayState::Following && array.epoch > first_epoch)
-    });
-    observer.wait_for_commands();
-    let room_summary = room.end().json();
-    let summary = controller.end().json();
-    assert!(summary["commands"].as_u64() > Some(0), "{summary}");
-    assert!(
-        room_summary["lost_ticks"].as_u64() > Some(0),
-        "ticks without a controller are not answered: {room_summary}"
-    );
-}
-
-#[test]
 fn the_controller_serves_a_simulator_that_comes_back() {
     let setting = Setting::new();
     let mut room = setting.room();

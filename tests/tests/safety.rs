@@ -224,54 +224,6 @@ fn a_stop_that_cannot_be_recorded_stops_the_array_now_and_at_the_next_start() {
 }
 
 #[test]
-fn a_stop_one_hour_ahead_is_released_by_a_rearm_that_names_it() {
-    let mut room = DrivenRoom::new("ahead");
-    let _driver = room.start(true);
-    room.follow();
-    room.stop(1, HOUR_NS);
-    let arrived_ns = room.observer.safety().expect("a safety report").stopped_ns;
-    assert!(arrived_ns <= utc_ns(), "the time of the stop is that of its arrival");
-    room.rearm(0xabc, 2);
-    room.rearm(0xabd, 1);
-    let refused = || room.observer.counter(NodeKind::Driver, "refused:rearm:other-stop");
-    wait_until("two refused re-arms", || refused() == 2);
-    assert_eq!(room.telemetry_state(), Some(ArrayState::Stopped));
-    room.rearm(0xabc, 1);
-    wait_until("a parked array", || room.telemetry_state() == Some(ArrayState::Parked));
-    room.follow();
-}
-
-#[test]
-fn no_number_at_the_end_of_its_range_locks_the_controller_out_or_holds_the_array() {
-    let mut room = DrivenRoom::new("bounds");
-    let _driver = room.start(true);
-    room.follow();
-    let counters = |room: &DrivenRoom| room.observer.telemetry().expect("telemetry").counters;
-    let changes: [fn(&mut MirrorCommand); 4] = [
-        |command| command.epoch = u64::MAX,
-        |command| command.sequence = u64::MAX,
-        |command| command.validity_ms = u32::MAX,
-        |command| (command.epoch, command.sequence) = (6, u64::MAX),
-    ];
-    for (index, change) in changes.into_iter().enumerate() {
-        room.command(0.25, change);
-        wait_until("a refused command", || counters(&room).rejected == index as u64 + 1);
-        let before = counters(&room).accepted;
-        wait_until("a valid command of the same controller", || {
-            room.command(0.25, |_| {});
-            std::thread::sleep(std::time::Duration::from_millis(60));
-            counters(&room).accepted > before
-        });
-    }
-    let refusals = ["epoch-bound", "sequence-bound", "validity-bound"];
-    wait_until("the names of the refusals", || {
-        let counts = refusals.map(|name| room.observer.counter(NodeKind::Driver, &format!("refused:command:{name}")));
-        counts == [1, 2, 1]
-    });
-    wait_until("a parked array", || room.telemetry_state() == Some(ArrayState::Parked));
-}
-
-#[test]
 fn a_calibration_with_a_tiny_gain_turns_no_mirror_and_is_reported() {
     let mut room = DrivenRoom::new("gains");
     let _driver = room.start(true);

@@ -27,46 +27,12 @@ fn the_array_parks_while_the_clock_of_the_controller_is_1_h_ahead() {
     });
 }
 
-#[test]
-fn the_array_parks_while_the_clock_of_the_controller_is_1_h_behind() {
-    let Some(clock) = SystemClock::build() else { return };
-    measure("the_array_parks_while_the_clock_of_the_controller_is_1_h_behind", || {
-        jump(&clock, Array::Simulated, |setup| &mut setup.of_controller, -HOUR)
-    });
-}
-
-#[test]
-fn the_array_parks_while_its_clock_is_1_h_ahead() {
-    let Some(clock) = SystemClock::build() else { return };
-    measure("the_array_parks_while_its_clock_is_1_h_ahead", || {
-        jump(&clock, Array::Board, |setup| &mut setup.of_array, HOUR)
-    });
-}
-
-#[test]
-fn the_array_parks_while_its_clock_is_1_h_behind() {
-    let Some(clock) = SystemClock::build() else { return };
-    measure("the_array_parks_while_its_clock_is_1_h_behind", || {
-        jump(&clock, Array::Board, |setup| &mut setup.of_array, -HOUR)
-    });
-}
-
 fn jump_of_the_tracker(seconds: i64) -> Effect {
     Setup::new(Array::Board).start().undergo(|room| {
         room.tracker().shift_clock(seconds * 1_000_000_000);
         wait_s(3.0);
         room.tracker().shift_clock(0);
     })
-}
-
-#[test]
-fn the_array_parks_while_the_clock_of_the_tracker_is_1_h_ahead() {
-    measure("the_array_parks_while_the_clock_of_the_tracker_is_1_h_ahead", || jump_of_the_tracker(HOUR));
-}
-
-#[test]
-fn the_array_parks_while_the_clock_of_the_tracker_is_1_h_behind() {
-    measure("the_array_parks_while_the_clock_of_the_tracker_is_1_h_behind", || jump_of_the_tracker(-HOUR));
 }
 
 #[test]

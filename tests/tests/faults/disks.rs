@@ -30,25 +30,3 @@ fn a_full_disk_ends_the_recorder_and_not_the_room() {
         effect
     });
 }
-
-#[test]
-fn a_stop_that_cannot_be_recorded_is_obeyed_and_outlives_the_driver() {
-    measure("a_stop_that_cannot_be_recorded_is_obeyed_and_outlives_the_driver", || {
-        let mut setup = Setup::new(Array::Board);
-        setup.of_array = limited("unlimited");
-        let mut room = setup.start();
-        let operator = room.attacker();
-        room.undergo(|room| {
-            let process = room.array.id().to_string();
-            let full = Command::new("prlimit").args(["--pid", &process, "--fsize=0:"]).status();
-            assert!(full.expect("there is a prlimit command").success());
-            stop(room, &operator, 0);
-            room.array.kill();
-            room.restart_array();
-            wait_s(2.0);
-            assert_eq!(room.witness.state(), Some(ArrayState::Stopped), "the next driver does not know of the stop");
-            // The driver starts stopped, because its record is gone, and the controller repeats the stop.
-            rearm_all(room, &operator);
-        })
-    });
-}

@@ -11,37 +11,6 @@ use crate::{measure, wait_s};
 const FLOOD_HZ: f64 = 5000.0;
 
 #[test]
-fn reports_of_a_second_tracker_are_not_mixed() {
-    measure("reports_of_a_second_tracker_are_not_mixed", || {
-        let mut room = Setup::new(Array::Simulated).start();
-        let (attacker, source) = (room.attacker(), room.witness.users().stamp.source);
-        let report = room.witness.users();
-        let effect = room.undergo(|_| {
-            attacker.flood(&attacker.room().users(), 100.0, Duration::from_secs(3), |sequence| {
-                encoded(&UserReport { stamp: Attacker::stamp(sequence), tick: 1 << 40, ..report.clone() })
-            });
-        });
-        assert_eq!(room.witness.users().stamp.source, source);
-        assert!(room.witness.telemetry().answers < 1 << 40, "a report of the second tracker was answered");
-        effect
-    });
-}
-
-#[test]
-fn a_second_controller_and_its_end_leave_one_controller_in_charge() {
-    measure("a_second_controller_and_its_end_leave_one_controller_in_charge", || {
-        let mut room = Setup::new(Array::Simulated).start();
-        let effect = room.undergo(|room| {
-            let mut second = room.second_controller();
-            wait_s(3.0);
-            second.kill();
-        });
-        assert!(room.controller.is_running(), "{}", room.controller.errors());
-        effect
-    });
-}
-
-#[test]
 fn a_second_driver_is_refused() {
     measure("a_second_driver_is_refused", || {
         let mut room = Setup::new(Array::Board).start();

@@ -19,16 +19,6 @@ fn partition(seconds: f64) -> Effect {
 }
 
 #[test]
-fn the_array_follows_again_after_a_partition_of_1_s() {
-    measure("the_array_follows_again_after_a_partition_of_1_s", || partition(1.0));
-}
-
-#[test]
-fn the_array_parks_during_a_partition_of_3_s() {
-    measure("the_array_parks_during_a_partition_of_3_s", || partition(3.0));
-}
-
-#[test]
 fn the_array_parks_during_a_partition_of_30_s() {
     measure("the_array_parks_during_a_partition_of_30_s", || partition(30.0));
 }
@@ -44,17 +34,6 @@ fn a_connection_that_died_without_a_close_is_replaced() {
 fn closed_connections_are_opened_again() {
     measure("closed_connections_are_opened_again", || {
         Setup::new(Array::Simulated).start_with_proxy().undergo(|room| room.proxy().close_connections())
-    });
-}
-
-#[test]
-fn the_array_parks_while_no_command_arrives() {
-    measure("the_array_parks_while_no_command_arrives", || {
-        Setup::new(Array::Simulated).start_with_proxy().undergo(|room| {
-            room.proxy().block(Direction::Forward);
-            wait_s(3.0);
-            room.proxy().heal();
-        })
     });
 }
 

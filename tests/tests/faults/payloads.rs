@@ -89,33 +89,6 @@ fn oversized_payloads_on_every_key_are_refused() {
     });
 }
 
-#[test]
-fn reports_and_commands_with_a_nan_are_refused() {
-    let with_nan = |mut payload: Vec<u8>| {
-        let at = payload.windows(4).position(|bytes| bytes == MARK.to_le_bytes()).expect("the mark is there");
-        payload[at..at + 4].copy_from_slice(&f32::NAN.to_le_bytes());
-        vec![payload; 100]
-    };
-    measure("reports_and_commands_with_a_nan_are_refused", || {
-        let (room, effect) = attack(|room, attacker| {
-            let keys = attacker.room();
-            let (mut users, mut command) = (room.witness.users(), room.witness.command());
-            users.users[0].position_m[0] = MARK;
-            command.yaw[0] = MARK;
-            let gains = UserChannel { los_gain: MARK, ..UserChannel::default() };
-            let channel = ChannelReport { stamp: users.stamp, tick: users.tick, users: vec![gains; 5] };
-            attacker.publish_payloads(&keys.users(), &with_nan(encoded(&users)));
-            attacker.publish_payloads(&keys.channel(), &with_nan(encoded(&channel)));
-            attacker.publish_payloads(&keys.command(), &with_nan(encoded(&command)));
-        });
-        for stream in ["users", "channel"] {
-            let counter = format!("refused:{stream}:not-finite");
-            assert!(room.witness.counter(NodeKind::Controller, &counter) >= 100, "{counter}: {effect:?}");
-        }
-        effect
-    });
-}
-
 /// The effect of changed copies of the newest user report.
 fn users(count: u64, change: impl Fn(&mut UserReport, u64)) -> (FaultRoom, Effect) {
     attack(|room, attacker| {
@@ -126,38 +99,6 @@ fn users(count: u64, change: impl Fn(&mut UserReport, u64)) -> (FaultRoom, Effec
         };
         attacker.publish_payloads(&attacker.room().users(), &(1..=count).map(copy).collect::<Vec<_>>());
     })
-}
-
-#[test]
-fn stale_reports_of_the_tracker_are_refused() {
-    measure("stale_reports_of_the_tracker_are_refused", || {
-        let (room, effect) = users(100, |report, number| {
-            // Ahead of the reports that the tracker publishes meanwhile.
-            report.stamp.sequence += 1000 + number;
-            report.stamp.time_ns -= STALE_NS;
-        });
-        assert!(room.witness.counter(NodeKind::Controller, "refused:users:stale") >= 100, "{effect:?}");
-        effect
-    });
-}
-
-#[test]
-fn stale_reports_of_a_foreign_source_are_not_answered() {
-    measure("stale_reports_of_a_foreign_source_are_not_answered", || {
-        let (room, effect) = users(100, |report, number| {
-            report.stamp = Stamp { time_ns: utc_ns() - STALE_NS, ..Attacker::stamp(number) };
-        });
-        let answered = room.witness.counter(NodeKind::Controller, "fallback:stale-report");
-        assert_eq!(answered, 0, "{effect:?}");
-        effect
-    });
-}
-
-#[test]
-fn a_user_report_with_the_last_sequence_does_not_darken_the_room() {
-    measure("a_user_report_with_the_last_sequence_does_not_darken_the_room", || {
-        users(1, |report, _| report.stamp.sequence = u64::MAX).1
-    });
 }
 
 /// The effect of a changed copy of the newest telemetry.
@@ -171,26 +112,6 @@ fn telemetry(change: fn(&mut MirrorTelemetry)) -> Effect {
     effect
 }
 
-#[test]
-fn telemetry_with_the_last_sequence_is_refused() {
-    measure("telemetry_with_the_last_sequence_is_refused", || {
-        telemetry(|telemetry| {
-            telemetry.stamp.sequence = u64::MAX;
-            telemetry.state = ArrayState::Stopped;
-        })
-    });
-}
-
-#[test]
-fn foreign_telemetry_with_the_last_epoch_is_refused() {
-    measure("foreign_telemetry_with_the_last_epoch_is_refused", || {
-        telemetry(|telemetry| {
-            telemetry.stamp = Attacker::stamp(1);
-            telemetry.epoch = u64::MAX;
-        })
-    });
-}
-
 /// The effect of a forged command: the newest one with a change.
 fn command(change: fn(&mut MirrorCommand)) -> Effect {
     let (_, effect) = attack(|room, attacker| {
@@ -200,56 +121,6 @@ fn command(change: fn(&mut MirrorCommand)) -> Effect {
         attacker.publish(&attacker.room().command(), &command);
     });
     effect
-}
-
-#[test]
-fn a_command_with_the_last_epoch_is_refused() {
-    measure("a_command_with_the_last_epoch_is_refused", || command(|command| command.epoch = u64::MAX));
-}
-
-#[test]
-fn a_command_with_the_last_sequence_is_refused() {
-    measure("a_command_with_the_last_sequence_is_refused", || command(|command| command.sequence = u64::MAX));
-}
-
-#[test]
-fn a_controller_locked_out_by_a_sequence_takes_a_new_epoch() {
-    measure("a_controller_locked_out_by_a_sequence_takes_a_new_epoch", || {
-        command(|command| command.sequence += 900_000)
-    });
-}
-
-#[test]
-fn a_command_that_claims_to_be_valid_for_49_days_does_not_keep_the_array() {
-    measure("a_command_that_claims_to_be_valid_for_49_days_does_not_keep_the_array", || {
-        let mut room = Setup::new(Array::Simulated).start();
-        let attacker = room.attacker();
-        room.undergo(|room| {
-            room.controller.signal("STOP");
-            wait_s(0.1);
-            let last = room.witness.command();
-            let (sequence, time_ns) = (last.sequence + 1, utc_ns());
-            let forged = MirrorCommand { sequence, time_ns, validity_ms: u32::MAX, ..last };
-            attacker.publish(&attacker.room().command(), &forged);
-            wait_s(3.0);
-            room.controller.signal("CONT");
-        })
-    });
-}
-
-#[test]
-fn forged_capabilities_do_not_end_the_controller() {
-    measure("forged_capabilities_do_not_end_the_controller", || {
-        let (mut room, effect) = attack(|room, attacker| {
-            for sequence in 1..=3 {
-                let stamp = Attacker::stamp(sequence);
-                let forged = Capabilities { stamp, rows: 1, columns: 1, ..room.witness.capabilities() };
-                attacker.publish(&attacker.room().capabilities(), &forged);
-            }
-        });
-        assert!(room.controller.is_running(), "{}", room.controller.errors());
-        effect
-    });
 }
 
 #[test]

@@ -41,13 +41,6 @@ fn a_controller_ended_by_sigterm_is_replaced_by_the_next() {
 }
 
 #[test]
-fn the_array_follows_again_after_the_simulator_was_frozen() {
-    measure("the_array_follows_again_after_the_simulator_was_frozen", || {
-        Setup::new(Array::Simulated).start().undergo(|room| freeze(room, |room| &room.array, 3.0))
-    });
-}
-
-#[test]
 fn a_killed_simulator_is_served_again_after_its_restart() {
     measure("a_killed_simulator_is_served_again_after_its_restart", || {
         Setup::new(Array::Simulated).start().undergo(|room| {
@@ -58,28 +51,10 @@ fn a_killed_simulator_is_served_again_after_its_restart() {
 }
 
 #[test]
-fn the_array_follows_again_after_the_driver_was_frozen() {
-    measure("the_array_follows_again_after_the_driver_was_frozen", || {
-        Setup::new(Array::Board).start().undergo(|room| freeze(room, |room| &room.array, 3.0))
-    });
-}
-
-#[test]
 fn a_killed_driver_follows_again_after_its_restart() {
     measure("a_killed_driver_follows_again_after_its_restart", || {
         Setup::new(Array::Board).start().undergo(|room| {
             room.array.kill();
-            room.restart_array();
-        })
-    });
-}
-
-#[test]
-fn a_driver_ended_by_sigterm_follows_again_after_its_restart() {
-    measure("a_driver_ended_by_sigterm_follows_again_after_its_restart", || {
-        Setup::new(Array::Board).start().undergo(|room| {
-            let summary = room.end_array().json();
-            assert!(summary["commands"].as_u64() > Some(0), "{summary}");
             room.restart_array();
         })
     });
@@ -141,18 +116,6 @@ fn three_frozen_viewers_do_not_disturb_the_room() {
             viewers.iter().for_each(|viewer| viewer.signal("STOP"));
             wait_s(8.0);
             viewers.iter().for_each(|viewer| viewer.signal("CONT"));
-        })
-    });
-}
-
-#[test]
-fn the_array_parks_while_the_tracker_is_silent() {
-    measure("the_array_parks_while_the_tracker_is_silent", || {
-        Setup::new(Array::Board).start().undergo(|room| {
-            room.tracker().pause();
-            wait_s(3.0);
-            room.tracker().change_source();
-            room.tracker().resume();
         })
     });
 }

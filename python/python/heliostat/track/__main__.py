@@ -104,7 +104,7 @@ def _add_common(flags: argparse.ArgumentParser) -> None:
     group.add_argument("--min-rate-mbps", metavar="R", type=float, default=0.0, help="minimum rate of each user in Mbit/s")
     group.add_argument("--timeout-s", metavar="S", type=float, default=1.0, help="a body not seen for this time has left [1]")
     group = flags.add_argument_group("time")
-    group.add_argument("--rate-hz", metavar="F", type=float, default=20.0, help="most reports a second; the newest poses count [20]")
+    group.add_argument("--rate-hz", metavar="F", type=float, default=20.0, help="most reports a second; the newest count [20]")
     group.add_argument(
         "--clock", choices=CLOCKS, help="the time of a measurement: by the system in UTC, by the system with an estimated "
         "offset, or its arrival [default: what the system offers]"

@@ -10,7 +10,7 @@ use heliostat_array::station::{Identity, Report, Station};
 use heliostat_array::stop_record::{StopRecord, StopStore};
 use heliostat_array::{Device, DeviceError, Kit};
 use heliostat_channel::MirrorAngles;
-use heliostat_proto::{ArrayState, AxisLimits, Capabilities, EmergencyStop, Stamp};
+use heliostat_proto::{ArrayState, AxisLimits, Capabilities, EmergencyStop, MirrorCommand, Stamp};
 
 const MS: u64 = 1_000_000;
 
@@ -157,4 +157,58 @@ fn a_stop_that_cannot_be_recorded_is_tried_again_with_the_next_safety_report() {
     assert!(
         station.is_recorded() && memory.text.borrow().as_ref().is_some_and(|text| text.contains("sequence = \"1\""))
     );
+}
+
+/// A mirror that answers when it is told to.
+struct Late(Rc<RefCell<bool>>);
+
+impl Device for Late {
+    fn capabilities(&self) -> Capabilities {
+        Mirror.capabilities()
+    }
+
+    fn connect(&mut self, _now: Moment) -> Result<(), DeviceError> {
+        if *self.0.borrow() { Ok(()) } else { Err(DeviceError::new("port", "no answer")) }
+    }
+
+    fn apply(&mut self, _now: Moment, _angles: &MirrorAngles) -> Result<(), DeviceError> {
+        Ok(())
+    }
+
+    fn measure(&mut self, _now: Moment, _into: &mut MirrorAngles) -> Result<bool, DeviceError> {
+        Ok(false)
+    }
+
+    fn stop(&mut self, _now: Moment) -> Result<(), DeviceError> {
+        Ok(())
+    }
+}
+
+#[test]
+fn an_old_failure_of_the_device_hides_no_refusal() {
+    let (memory, is_there) = (Memory::default(), Rc::default());
+    let identity = Identity { source: 9, array: 0, software: "test".into() };
+    let record = StopRecord::open(memory, true, 0);
+    let mut station = Station::new(Kit::new(Late(Rc::clone(&is_there))), record, identity, Moment::simulated(0));
+    let absent = |station: &mut Station<Late, Memory>, now: u64| {
+        station.advance(Moment::simulated(now)).expect("recorded");
+        let reports: Vec<Report> = std::iter::from_fn(|| station.poll_report(Moment::simulated(now))).collect();
+        let counters = reports.into_iter().find_map(|report| match report {
+            Report::Status(status) => Some(status.counters),
+            _ => None,
+        });
+        counters.expect("a status").into_iter().find(|(name, _)| name == "device_absent").expect("counted").1
+    };
+    assert_eq!(absent(&mut station, 1), 1);
+    assert_eq!(station.last_problem(), "port: no answer");
+    let refused = |station: &mut Station<Late, Memory>, at: u64| {
+        let command = MirrorCommand { roll: vec![0.0; 2], yaw: vec![0.0; 2], ..MirrorCommand::default() };
+        station.handle_command(Moment::simulated(at), &command);
+    };
+    *is_there.borrow_mut() = true;
+    assert_eq!(absent(&mut station, 2000 * MS), 0, "the device has returned");
+    refused(&mut station, 2001 * MS);
+    assert!(station.last_problem().starts_with("command: "), "{}", station.last_problem());
+    assert_eq!(absent(&mut station, 4000 * MS), 0);
+    assert!(station.last_problem().starts_with("command: "), "{}", station.last_problem());
 }

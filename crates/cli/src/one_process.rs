@@ -12,7 +12,7 @@ use heliostat_bus::{AccessRole, BusConfig, Identity, Role, free_loopback_port, p
 use heliostat_controller::cli::Prepared;
 use heliostat_controller::report::summary::Summary;
 use heliostat_controller::room_runtime::decision_loop::DecideIn;
-use heliostat_controller::room_runtime::transport::LocalArray;
+use heliostat_controller::room_runtime::transport::{LocalArray, TakeCommand};
 use heliostat_driver::direct_commands::DirectCommands;
 use heliostat_driver::run::{ArrayDriver, RunError, Settings};
 use heliostat_driver::summary::Summary as DriverSummary;
@@ -50,7 +50,7 @@ pub fn run<D: Device + Send + 'static>(
     controller: &Prepared,
     kit: Kit<D>,
     settings: &Settings,
-    entry: impl FnOnce(DirectCommands<D>) -> Box<dyn FnMut(&[u8]) + Send>,
+    entry: impl FnOnce(DirectCommands<D>) -> TakeCommand,
 ) -> Result<(Summary, DriverSummary)> {
     if controller.config.decisions.decide_in == DecideIn::Callback {
         bail!(

@@ -3,13 +3,16 @@
 use heliostat_bus::{Bus, BusError, Class, Publisher};
 use heliostat_core::room_core::{Output, Publish};
 
+/// Takes the payload of each command before it is published. Runs in the decision path, so it must not
+/// wait.
+pub type TakeCommand = Box<dyn FnMut(&[u8]) + Send>;
+
 /// An array of the room that this process drives.
 pub struct LocalArray {
     /// Index of the array.
     pub array: usize,
-    /// Takes the payload of each command before it is published. Runs in the decision path, so it must
-    /// not wait.
-    pub take_command: Box<dyn FnMut(&[u8]) + Send>,
+    /// Takes its commands.
+    pub take_command: TakeCommand,
 }
 
 /// Publishes commands, belief and state.

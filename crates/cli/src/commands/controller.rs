@@ -4,7 +4,9 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
+use heliostat_controller::room_runtime::transport::TakeCommand;
 use heliostat_driver::cli::DrivenArgs;
+use heliostat_driver::direct_commands::DirectCommands;
 use heliostat_driver::run::Settings;
 use heliostat_service::{MetricsArgs, output};
 use serde_json::Value;
@@ -54,9 +56,7 @@ fn run_both(args: Args, file: &Path) -> Result<()> {
     let bus = one_process::array_session(&mut controller.config.bus, &args.driver_listen)?;
     let metrics = MetricsArgs { metrics_listen: args.driver_metrics_listen };
     let settings = Settings { metrics, ..args.driven.settings(bus) };
-    let direct = |mut entry: heliostat_driver::direct_commands::DirectCommands<_>| -> Box<dyn FnMut(&[u8]) + Send> {
-        Box::new(move |payload| entry.apply(payload))
-    };
+    let direct = |mut direct: DirectCommands<_>| -> TakeCommand { Box::new(move |payload| direct.apply(payload)) };
     let (summary, driven) = one_process::run(&controller, kit, &settings, direct)?;
     if controller.json {
         let mut json = serde_json::to_value(&summary)?;

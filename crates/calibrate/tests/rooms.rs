@@ -4,11 +4,13 @@
 //! rooms.
 
 mod live;
+mod truth;
 
 use heliostat_calibrate::session::Log;
 use heliostat_calibrate::{Session, Stage, Verdict};
 use heliostat_room::episode::Episode;
-use live::{Errors, Faults, Run, SPOTS, VERIFY, drive, judge, run, scenario, setup, walk};
+use live::{Faults, Run, SPOTS, VERIFY, drive, run, scenario, setup, walk};
+use truth::{Errors, judge};
 
 fn places() -> Vec<[f64; 2]> {
     SPOTS.into_iter().chain([VERIFY]).collect()

@@ -30,7 +30,7 @@ pub struct Errors {
 
 /// True offsets of roll and yaw in rad.
 pub fn true_offsets(scenario: &Scenario, seed: u64) -> Vec<[f64; 2]> {
-    let still = scenario.with_overrides(&["actuator.jitter_deg=0".to_owned()]).unwrap();
+    let still = scenario.with_overrides(&["actuator.jitter_deg=0".to_owned(), "users.count=1".to_owned()]).unwrap();
     let trace = walk(&[SPOTS[0]], "");
     let mut room = SimulatedRoom::new(&still, Some(&trace), seed).unwrap();
     room.advance(1_000_000_000);

@@ -118,6 +118,12 @@ fn own_room_runs() {
     assert!(run("docs/tutorials/own-room.md") >= 3);
 }
 
+/// Its calibration takes minutes of the room's time; crates/calibrate/tests runs it in virtual time.
+#[test]
+fn your_wall_runs() {
+    assert!(run("docs/tutorials/your-wall.md") >= 2);
+}
+
 #[test]
 fn own_scenario_runs() {
     assert!(run("docs/tutorials/own-scenario.md") >= 6);

@@ -8,7 +8,7 @@ use heliostat_scenario::{Mismatch, Scenario};
 use serde::Serialize;
 
 use crate::fit::Estimate;
-use crate::optics::{LOG_FACTOR, OFFSET, Optics, PLACE, QUANTITIES};
+use crate::optics::{LOG_FACTOR, Optics, PLACE, QUANTITIES};
 use crate::parameters::Spot;
 use crate::session::aim_deviation;
 use crate::stand::median;
@@ -287,7 +287,7 @@ fn mirror_of(input: &Input<'_>, mirror: usize) -> Mirror {
         let mut quantities = [0.0; QUANTITIES];
         let led = spots.first().map_or(0, |spot| spot.led);
         for (quantity, parameter) in layout.of_reading((mirror, led, 0)) {
-            if quantity < PLACE && quantity >= OFFSET || quantity == LOG_FACTOR {
+            if quantity < PLACE || quantity == LOG_FACTOR {
                 quantities[quantity] = estimate.values[parameter];
             }
         }

@@ -245,18 +245,13 @@ impl Layout {
 
     /// For each parameter its index in a layout of another number of spots, if it has one there.
     pub fn known_in(&self, other: &Self) -> Vec<Option<usize>> {
-        let mut order = vec![None; self.len()];
-        let shared = self.place(0, 0);
-        order.iter_mut().take(shared).enumerate().for_each(|(index, known)| *known = Some(index));
-        for index in shared..self.place(self.spots.min(other.spots), 0) {
-            order[index] = Some(index);
-        }
-        if self.has_scales && other.has_scales {
-            for index in self.scale(0, 0)..self.len() {
-                order[index] = Some(index - self.scale(0, 0) + other.scale(0, 0));
-            }
-        }
-        order
+        let (places, scales) = (self.place(self.spots.min(other.spots), 0), self.scale(0, 0));
+        let of = |index: usize| match index {
+            _ if index < places => Some(index),
+            _ if index >= scales && other.has_scales => Some(index - scales + other.scale(0, 0)),
+            _ => None,
+        };
+        (0..self.len()).map(of).collect()
     }
 
     /// The values of another number of spots, for a layout with one more or fewer.

@@ -166,9 +166,9 @@ impl Stand {
     fn add(&mut self, at: [f64; 2], velocity: [f64; 2]) {
         self.count += 1.0;
         self.velocity_square += velocity[0].powi(2) + velocity[1].powi(2);
-        for axis in 0..2 {
-            self.sum[axis] += at[axis];
-            self.square[axis] += (at[axis] - self.origin[axis]).powi(2);
+        for (axis, at) in at.into_iter().enumerate() {
+            self.sum[axis] += at;
+            self.square[axis] += (at - self.origin[axis]).powi(2);
         }
     }
 }

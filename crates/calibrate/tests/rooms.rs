@@ -4,11 +4,13 @@
 //! rooms.
 
 mod live;
+mod truth;
 
 use heliostat_calibrate::session::Log;
 use heliostat_calibrate::{Session, Stage, Verdict};
 use heliostat_room::episode::Episode;
-use live::{Errors, Faults, Run, SPOTS, VERIFY, drive, judge, run, scenario, setup, walk};
+use live::{Faults, Run, SPOTS, VERIFY, drive, run, scenario, setup, walk};
+use truth::{Errors, judge};
 
 fn places() -> Vec<[f64; 2]> {
     SPOTS.into_iter().chain([VERIFY]).collect()
@@ -67,7 +69,8 @@ fn latency_costs_no_report_at_100_reports_a_second() {
         let found = run(&scenario(&fast), &walk(&places(), ""), seed, &Faults::default());
         let errors = shown("100 reports/s", &found);
         assert!(errors.pointing_deg.iter().all(|error| *error < 0.15), "{errors:?}");
-        assert!((found.unused as usize) < found.outcome.readings / 4, "{} of {}", found.unused, found.outcome.readings);
+        // The mirrors settle within two reports. With a wait for each report a reading would take ten more.
+        assert!(found.unused < 2 * found.outcome.readings as u64, "{} of {}", found.unused, found.outcome.readings);
     }
 }
 

@@ -57,7 +57,7 @@ fn a_calibrated_room_has_a_higher_sum_rate_in_closed_loop() {
     let level = std::env::var("LEVEL").unwrap_or_else(|_| "rough".into());
     let count: usize = std::env::var("EPISODES").ok().and_then(|text| text.parse().ok()).unwrap_or(2);
     let mismatch = format!("mismatch.level={level}");
-    let hall = Scenario::builtin("hall").unwrap().with_overrides(&[mismatch.clone()]).unwrap();
+    let hall = Scenario::builtin("hall").unwrap().with_overrides(std::slice::from_ref(&mismatch)).unwrap();
     let places: Vec<[f64; 2]> = SPOTS.into_iter().chain([VERIFY]).collect();
     let mut sums = [0.0; 4];
     for episode in held_out_episodes(&hall, None, (20 * count, 1), WARM).unwrap() {
@@ -73,7 +73,13 @@ fn a_calibrated_room_has_a_higher_sum_rate_in_closed_loop() {
             sum_rate_mbps(&hall, &episode, (&room, Some(&calibration))),
         ];
         sums = [0, 1, 2, 3].map(|index| sums[index] + rates[index]);
-        println!("episode {}: {:?}", episode.seed, rates.map(|rate| (rate / rates[0] * 1e4).round() / 1e4));
+        let live::Run { unused, busy_s, scenario, seed, .. } = &measured;
+        println!(
+            "{}, seed {seed}: ratios {:?}; {} readings, {unused} reports without use, {busy_s:.0} s",
+            scenario.name,
+            rates.map(|rate| (rate / rates[0] * 1e4).round() / 1e4),
+            measured.outcome.readings
+        );
     }
     let [before, mirrors, after] = [1, 2, 3].map(|index| sums[index] / sums[0]);
     println!("{level}, {count} episodes: nominal {before:.4}, mirrors {mirrors:.4}, mirrors and room {after:.4}");

@@ -159,8 +159,8 @@ impl Session {
                 continue;
             }
             let (mean, _) = job.grid.moments();
-            for axis in 0..2 {
-                estimate.values[estimate.layout.offset(mirror, axis)] += mean[axis];
+            for (axis, mean) in mean.iter().enumerate() {
+                estimate.values[estimate.layout.offset(mirror, axis)] += mean;
             }
         }
         self.jobs.clear();
@@ -214,10 +214,10 @@ impl Session {
             }
             let (mean, _) = grid.moments();
             let Some(estimate) = &mut self.estimate else { return has_moved };
-            for axis in 0..2 {
+            for (axis, mean) in mean.into_iter().enumerate() {
                 let value = &mut estimate.values[estimate.layout.offset(mirror, axis)];
-                if (mean[axis] - *value).abs() > MOVED_RAD {
-                    *value = mean[axis];
+                if (mean - *value).abs() > MOVED_RAD {
+                    *value = mean;
                     has_moved = true;
                 }
             }
@@ -280,9 +280,9 @@ pub fn aim_deviation(
     let layout = &estimate.layout;
     let mut parameters: Vec<(usize, usize)> = [0, 1, 2].map(|axis| (LED + axis, layout.led(led, axis))).to_vec();
     parameters.push((RAISE, layout.raise()));
-    for axis in 0..2 {
+    for (axis, place) in places.into_iter().enumerate() {
         // A place in the tracker's frame moves with its shift.
-        parameters.push((PLACE + axis, places[axis].unwrap_or(layout.shift(axis))));
+        parameters.push((PLACE + axis, place.unwrap_or(layout.shift(axis))));
     }
     let mut gradients: Vec<(usize, [f64; 2])> = Vec::new();
     for (quantity, parameter) in parameters {

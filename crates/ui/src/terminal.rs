@@ -182,7 +182,13 @@ mod tests {
             controller_alive: true,
             users: (0..users).map(user).collect(),
             sum_mbps: Some(SumFigures { policy: 40.0, no_irs: Some(10.0), flat: Some(20.0), oracle: Some(50.0) }),
-            array: ArrayFigures { state: "stopped".into(), mirrors: 100, unusable: 25, faults: vec!["mirror"] },
+            array: ArrayFigures {
+                state: "stopped".into(),
+                arrays: 1,
+                mirrors: 100,
+                unusable: 25,
+                faults: vec!["mirror"],
+            },
             nodes: vec![NodeFigures {
                 node: "controller".into(),
                 problem: "a policy failed".into(),

@@ -203,8 +203,6 @@ impl OrderArgs {
 mod tests {
     use std::time::Instant;
 
-    use heliostat_proto::stop_hold::StopName;
-
     use super::*;
 
     #[test]

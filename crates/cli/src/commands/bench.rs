@@ -7,6 +7,7 @@ pub mod decide;
 mod echo;
 pub mod pace;
 pub mod rows;
+mod usage;
 mod walkers;
 pub mod wire;
 

@@ -42,11 +42,15 @@ fn value(page: &str, sample: &str) -> f64 {
     line.and_then(|line| line.rsplit(' ').next()?.parse().ok()).unwrap_or(f64::NAN)
 }
 
-/// Every name that the dashboard uses, in expressions and variables alike.
+/// Every name that the dashboard and the alerts use, in expressions and variables alike.
 fn names_of_dashboard() -> BTreeSet<String> {
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../deploy/grafana/heliostat.json");
-    let text = fs::read_to_string(file).expect("the dashboard is there");
-    serde_json::from_str::<serde_json::Value>(&text).expect("the dashboard is JSON");
+    let read = |file: &str| {
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../deploy").join(file);
+        fs::read_to_string(&file).unwrap_or_else(|error| panic!("{}: {error}", file.display()))
+    };
+    let dashboard = read("grafana/heliostat.json");
+    serde_json::from_str::<serde_json::Value>(&dashboard).expect("the dashboard is JSON");
+    let text = dashboard + &read("prometheus/rules.yml");
     text.split(|c: char| !c.is_ascii_alphanumeric() && c != '_')
         .filter(|word| is_metric(word))
         .map(str::to_owned)
@@ -93,12 +97,20 @@ fn the_dashboard_uses_metrics_that_a_running_room_serves() {
     assert!(value(&room_page, "heliostat_loop_seconds_count") > 0.0, "{room_page}");
 
     // Counters by cause appear with the first cause, so those names are known from the sources.
-    let by_cause = ["heliostat_fallbacks_total", "heliostat_refused_total", "heliostat_room_refused_total"];
+    let by_cause = [
+        "heliostat_fallbacks_total",
+        "heliostat_refused_total",
+        "heliostat_room_refused_total",
+        "heliostat_epoch_events_total",
+        "heliostat_stop_recorded",
+    ];
     let mut known: BTreeSet<String> = names(&room_page).union(&names(&controller_page)).cloned().collect();
     let files = [
         "controller/runtime/src/report/metrics.rs",
         "controller/runtime/src/report/metrics.rs",
         "sim-node/node/src/metrics.rs",
+        "controller/runtime/src/report/metrics.rs",
+        "crates/driver/src/metrics.rs",
     ];
     for (name, file) in by_cause.into_iter().zip(files) {
         let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(file);

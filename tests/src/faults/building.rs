@@ -7,7 +7,6 @@
 use std::path::{Path, PathBuf};
 
 use heliostat_bus::{AccessRole, BusConfig, Identity, Reach, Role};
-use heliostat_proto::NodeKind;
 use heliostat_service::clock::utc_ns;
 use tempfile::TempDir;
 
@@ -47,6 +46,8 @@ pub struct Building {
     /// The link between the hosts.
     pub cable: Cable,
     rooms: Vec<RoomProcesses>,
+    /// When the controllers of the first room were started, in ns.
+    started_ns: [u64; 2],
     routers: Vec<Process>,
     zenohd: PathBuf,
     folder: TempDir,
@@ -68,52 +69,90 @@ impl Building {
         make_keys(folder.path(), &hosts, &cable);
         let routers = [0, 1].map(|host| start_router(&zenohd, folder.path(), &hosts[host], host)).into();
         let start = |room: usize, kind: Kind| start_process(folder.path(), &hosts, room, kind);
-        let rooms = [0, 1].map(|room| RoomProcesses {
-            array: start(room, Kind::Array),
-            leader: start(room, Kind::Leader),
-            standby: start(room, Kind::Standby),
-        });
         let keys = folder.path().join(ROOMS[0]);
         let identity = Identity::load(&keys, &[AccessRole::Viewer]).expect("keys of a viewer");
         let config = BusConfig::new(identity.room().clone()).secured_by(identity);
         let config = config.connect_to(&format!("tls/{}:{PORT}", hosts[0].witness_address()));
         let config = BusConfig { role: Role::Client, ..config.reaching(Reach::Eventually) };
         let witness = Witness::connect(&config);
-        let building = Self { witness, cable, rooms: rooms.into(), routers, zenohd, folder, hosts };
-        building.wait_until_ready();
+        let mut started_ns = [0; 2];
+        let rooms = [0, 1].map(|room| {
+            let (array, leader_ns) = (start(room, Kind::Array), utc_ns());
+            let leader = start(room, Kind::Leader);
+            if room == 0 {
+                // The start of the second controller tells their statuses apart.
+                witness.wait_until_steady();
+                started_ns = [leader_ns, utc_ns()];
+            }
+            RoomProcesses { array, leader, standby: start(room, Kind::Standby) }
+        });
+        let mut building = Self { witness, cable, rooms: rooms.into(), started_ns, routers, zenohd, folder, hosts };
+        building.settle(Host::A);
         Some(building)
     }
 
-    /// Lets a fault happen, and waits until the array of the first room follows again.
+    /// Lets a fault happen, and waits until the array of the first room follows again. Before the fault
+    /// the controller of the host is in charge, and that of the other one stands by.
     ///
     /// # Panics
     /// When it does not follow again within the time limit.
-    pub fn undergo(&mut self, fault: impl FnOnce(&mut Self)) -> Effect {
-        self.wait_until_ready();
+    pub fn undergo(&mut self, leader: Host, fault: impl FnOnce(&mut Self)) -> Effect {
+        self.settle(leader);
         let (counted, begin_ns) = (self.witness.notable_counters(), utc_ns());
         fault(self);
         self.witness.effect_since(&counted, begin_ns)
     }
 
-    /// Waits until the array follows, and the standby stands by.
+    /// Waits until the array follows, the controller of this host is in charge, and the other one stands
+    /// by. On a busy machine a standby may have taken over: the controller that is wrongly in charge is
+    /// then started again.
+    ///
+    /// # Panics
+    /// When that does not happen within the time limit.
+    pub fn settle(&mut self, leader: Host) {
+        let [own, other] = [leader as usize, 1 - leader as usize];
+        for _ in 0..5 {
+            self.witness.wait_until_steady();
+            self.witness.forget_controllers();
+            wait_until("the status of both controllers", || self.is_standby().iter().all(Option::is_some));
+            let is_standby = self.is_standby();
+            if is_standby[own] == Some(false) && is_standby[other] == Some(true) {
+                return;
+            }
+            if is_standby[other] == Some(false) {
+                self.controller(other).kill();
+                self.witness.wait_until_steady();
+                self.restart_controller(if other == 0 { Host::A } else { Host::B });
+            }
+        }
+        panic!("the controller of host {leader:?} does not stay in charge");
+    }
+
+    /// Waits until the controller of a host stands by.
     ///
     /// # Panics
     /// When it does not within the time limit.
-    pub fn wait_until_ready(&self) {
-        self.witness.wait_until_steady();
-        self.wait_for_standby();
-        self.witness.wait_until_steady();
+    pub fn wait_for_standby(&self, host: Host) {
+        self.witness.forget_controllers();
+        wait_until("a standby", || self.is_standby()[host as usize] == Some(true));
     }
 
-    /// Waits until a controller of the first room reports that it stands by.
-    ///
-    /// # Panics
-    /// When none does within the time limit.
-    pub fn wait_for_standby(&self) {
-        self.witness.forget_statuses();
-        wait_until("a standby", || {
-            self.witness.status(NodeKind::Controller).is_some_and(|status| status.state == "standby")
-        });
+    /// Whether the controllers of the first room stand by; `None` without a status. A status is of the
+    /// controller that was started last before the start that it names.
+    fn is_standby(&self) -> [Option<bool>; 2] {
+        let mut found = [None; 2];
+        for (process_ns, state) in self.witness.controllers() {
+            let before = |index: &usize| self.started_ns[*index] <= process_ns;
+            if let Some(index) = (0..2).filter(before).max_by_key(|index| self.started_ns[*index]) {
+                found[index] = Some(state == "standby");
+            }
+        }
+        found
+    }
+
+    fn controller(&mut self, host: usize) -> &mut Process {
+        let room = &mut self.rooms[0];
+        if host == 0 { &mut room.leader } else { &mut room.standby }
     }
 
     /// The array of the first room.
@@ -147,14 +186,11 @@ impl Building {
         self.rooms[0].array = start_process(self.folder.path(), &self.hosts, 0, Kind::Array);
     }
 
-    /// Starts the controller on host A again, after it was killed.
-    pub fn restart_leader(&mut self) {
-        self.rooms[0].leader = start_process(self.folder.path(), &self.hosts, 0, Kind::Leader);
-    }
-
-    /// Starts the controller on host B again, after it was killed.
-    pub fn restart_standby(&mut self) {
-        self.rooms[0].standby = start_process(self.folder.path(), &self.hosts, 0, Kind::Standby);
+    /// Starts the controller of the first room on a host again, after it was killed.
+    pub fn restart_controller(&mut self, host: Host) {
+        let kind = if host == Host::A { Kind::Leader } else { Kind::Standby };
+        self.started_ns[host as usize] = utc_ns();
+        *self.controller(host as usize) = start_process(self.folder.path(), &self.hosts, 0, kind);
     }
 
     /// Kills all processes of host B.
@@ -168,7 +204,7 @@ impl Building {
     /// Starts them again.
     pub fn restart_host_b(&mut self) {
         self.restart_router(Host::B);
-        self.restart_standby();
+        self.restart_controller(Host::B);
         self.rooms[1].array = start_process(self.folder.path(), &self.hosts, 1, Kind::Array);
         self.rooms[1].leader = start_process(self.folder.path(), &self.hosts, 1, Kind::Leader);
     }

@@ -125,7 +125,7 @@ const HEAD: &str = "\
 # Faults and their effects
 
 Each row is a fault of a room of real processes over real sockets, the bound on its effect, and the measured effect. A test with the name
-in the last column causes the fault and fails if the effect exceeds the bound. The room has 100 reports a second, the default validity
+in the last column causes the fault and fails if the effect exceeds the bound. The room is `specular`: 100 reports a second, a validity
 of 200 ms, and parks 1000 ms after the end of validity.
 
 | column | meaning |

@@ -44,6 +44,8 @@ struct Received {
     capabilities: Option<Capabilities>,
     safety: Option<SafetyReport>,
     statuses: BTreeMap<&'static str, NodeStatus>,
+    /// States of the controllers by the start of their process, in ns.
+    controllers: BTreeMap<Nanos, String>,
 }
 
 /// A session that records telemetry and keeps the newest of every other message of a room.
@@ -125,9 +127,15 @@ impl Witness {
         self.with(|received| received.statuses.len())
     }
 
-    /// Forgets the statuses that were received before.
-    pub fn forget_statuses(&self) {
-        self.received.lock().expect("no callback panics").statuses.clear();
+    /// States of the controllers by the start of their process, from statuses since the last
+    /// [`Witness::forget_controllers`].
+    pub fn controllers(&self) -> BTreeMap<Nanos, String> {
+        self.with(|received| received.controllers.clone())
+    }
+
+    /// Forgets the states of the controllers.
+    pub fn forget_controllers(&self) {
+        self.received.lock().expect("no callback panics").controllers.clear();
     }
 
     /// The value of a counter in the newest status; 0 if it is absent.
@@ -229,6 +237,9 @@ impl Received {
             "safety" => keep(&mut self.safety, payload),
             _ => {
                 if let Ok(status) = codec::decode::<NodeStatus>(payload) {
+                    if status.node == NodeKind::Controller {
+                        self.controllers.insert(status.started_ns, status.state.clone());
+                    }
                     self.statuses.insert(status.node.name(), status);
                 }
             }

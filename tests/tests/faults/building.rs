@@ -13,7 +13,7 @@ fn in_building(test: &str, fault: impl Fn(&mut Building)) {
         let mut first = Some(building);
         measure(test, || -> Effect {
             let mut building = first.take().or_else(Building::start).expect("a building could be made before");
-            building.undergo(&fault)
+            building.undergo(Host::A, &fault)
         });
     }
 }
@@ -124,7 +124,7 @@ fn a_link_cut_beyond_the_lease_does_not_disturb_a_room_whose_leader_is_local() {
         building.cable.cut();
         wait_s(12.0);
         building.cable.heal();
-        building.wait_for_standby();
+        building.wait_for_standby(Host::B);
     });
 }
 
@@ -137,14 +137,6 @@ fn lost_packets_between_the_hosts_do_not_disturb_a_room_whose_leader_is_local() 
     });
 }
 
-/// Leaves the room of host A to the controller of host B.
-fn hand_over(building: &mut Building) {
-    building.leader().kill();
-    building.witness.wait_until_steady();
-    building.restart_leader();
-    building.wait_until_ready();
-}
-
 #[test]
 fn a_local_standby_takes_over_when_the_link_to_the_host_of_the_leader_is_cut() {
     let test = "a_local_standby_takes_over_when_the_link_to_the_host_of_the_leader_is_cut";
@@ -152,8 +144,7 @@ fn a_local_standby_takes_over_when_the_link_to_the_host_of_the_leader_is_cut() {
     let mut first = Some(building);
     measure(test, || {
         let mut building = first.take().or_else(Building::start).expect("a building could be made before");
-        hand_over(&mut building);
-        building.undergo(|building| {
+        building.undergo(Host::B, |building| {
             building.cable.cut();
             wait_s(3.0);
             building.cable.heal();
@@ -168,8 +159,7 @@ fn a_local_standby_takes_over_when_the_host_of_the_leader_is_lost() {
     let mut first = Some(building);
     measure(test, || {
         let mut building = first.take().or_else(Building::start).expect("a building could be made before");
-        hand_over(&mut building);
-        building.undergo(|building| {
+        building.undergo(Host::B, |building| {
             building.kill_host_b();
             wait_s(3.0);
             building.restart_host_b();

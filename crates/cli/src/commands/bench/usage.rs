@@ -24,11 +24,12 @@ pub struct Usage {
 impl Usage {
     /// The use of these processes up to now; zero where the system does not tell.
     pub fn now(controllers: &[u32], router: Option<u32>) -> Self {
-        let bytes = fs::read_to_string("/sys/class/net/lo/statistics/tx_bytes").unwrap_or_default();
+        // The files in /sys can be those of another network namespace.
+        let devices = fs::read_to_string("/proc/self/net/dev").unwrap_or_default();
         Self {
             controllers_s: controllers.iter().map(|id| processor_s(*id)).sum(),
             router_s: router.map_or(0.0, processor_s),
-            loopback_bytes: bytes.trim().parse().unwrap_or_default(),
+            loopback_bytes: sent_bytes(&devices).unwrap_or_default(),
         }
     }
 
@@ -78,6 +79,12 @@ pub struct ReportUsage {
 fn processor_s(id: u32) -> f64 {
     let stat = fs::read_to_string(format!("/proc/{id}/stat")).unwrap_or_default();
     units(&stat).map_or(0.0, |units| units / USER_HZ)
+}
+
+/// Bytes that were sent on the loopback device, in the text of /proc/PID/net/dev.
+fn sent_bytes(devices: &str) -> Option<f64> {
+    let fields = devices.lines().find_map(|line| line.trim_start().strip_prefix("lo:"))?;
+    fields.split_whitespace().nth(8)?.parse().ok()
 }
 
 /// Time in user and in kernel mode in the text of /proc/PID/stat.
@@ -135,6 +142,14 @@ mod tests {
         let stat = "7 (a) b (c) S 1 7 7 0 -1 4194560 100 0 0 0 250 50 0 0 20 0 9 0 100";
         assert_eq!(units(stat), Some(300.0));
         assert_eq!(units("7 (a) S 1"), None);
+    }
+
+    #[test]
+    fn the_sent_bytes_are_those_of_the_loopback_device() {
+        let devices =
+            "Inter-| Receive | Transmit\n  eth0: 1 2 0 0 0 0 0 0 3 4\n    lo: 10 2 0 0 0 0 0 0 30 4 0 0 0 0 0 0\n";
+        assert_eq!(sent_bytes(devices), Some(30.0));
+        assert_eq!(sent_bytes("  eth0: 1 2 0 0 0 0 0 0 3 4"), None);
     }
 
     #[test]

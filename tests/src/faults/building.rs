@@ -111,7 +111,7 @@ impl Building {
     /// When that does not happen within the time limit.
     pub fn settle(&mut self, leader: Host) {
         let [own, other] = [leader as usize, 1 - leader as usize];
-        for _ in 0..5 {
+        for _ in 0..20 {
             self.witness.wait_until_steady();
             self.witness.forget_controllers();
             wait_until("the status of both controllers", || self.is_standby().iter().all(Option::is_some));

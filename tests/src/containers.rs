@@ -13,6 +13,10 @@ use tempfile::TempDir;
 use crate::process::programs;
 use crate::wait::wait_until;
 
+mod host;
+
+pub use host::{Host, built_programs, metric};
+
 /// The Debian release of the base images in deploy/container/Containerfile.
 const RELEASE: &str = "bookworm";
 
@@ -127,14 +131,37 @@ impl Engine {
         text("docker", arguments, &output)
     }
 
+    /// Builds the images of deploy/container from a folder that holds their programs; the base image
+    /// has the name of the Debian release.
+    ///
+    /// # Panics
+    /// When a build fails.
+    pub fn build_images(&self, context: &Path) {
+        let file = crate::process::workspace().join("deploy/container/Containerfile");
+        for service in ["router", "sim-node", "controller"] {
+            let tag = format!("heliostat-{service}");
+            let words = ["build", "--build-arg", "RUST_IMAGE=debian:bookworm-slim", "--target", service, "--tag", &tag];
+            let place = ["--file", file.to_str().expect("a plain path"), context.to_str().expect("a plain path")];
+            self.docker(&[&words[..], &place].concat());
+        }
+    }
+
     /// Runs compose for deploy/container/compose.yaml with these arguments and environment variables.
     ///
     /// # Panics
     /// When it fails.
     pub fn compose(&self, variables: &[(&str, String)], arguments: &[&str]) -> String {
-        let file = crate::process::workspace().join("deploy/container/compose.yaml");
+        self.compose_file("heliostat", "deploy/container/compose.yaml", variables, arguments)
+    }
+
+    /// The same for a project and a file of the repository.
+    ///
+    /// # Panics
+    /// When it fails.
+    pub fn compose_file(&self, project: &str, file: &str, variables: &[(&str, String)], arguments: &[&str]) -> String {
+        let file = crate::process::workspace().join(file);
         let mut command = self.command(self.compose[0]);
-        command.args(&self.compose[1..]).args(["-p", "heliostat", "-f"]).arg(file).args(arguments);
+        command.args(&self.compose[1..]).args(["-p", project, "-f"]).arg(file).args(arguments);
         let output = command.envs(variables.iter().cloned()).output().expect("compose runs");
         text("compose", arguments, &output)
     }

@@ -1,6 +1,7 @@
 //! The fault campaign: rooms of real processes over real sockets, faults, and their measured effect.
 //!
 //! - [`FaultRoom`]: an array, a controller and a [`Witness`] that records telemetry and status.
+//! - [`Building`]: two hosts, each with a Zenoh router, and rooms whose standbys are on the other host.
 //! - What acts on the room: signals to its processes, a [`Proxy`] between them, a shifted
 //!   [`SystemClock`], an [`Attacker`] that publishes, a [`LoopbackBoard`] that misbehaves.
 //! - [`Effect`]: the longest gap between two accepted commands, commands lost, time to recovery.
@@ -10,6 +11,7 @@
 
 mod attacker;
 mod board;
+mod building;
 mod effect;
 mod namespace;
 pub mod page;
@@ -23,8 +25,9 @@ mod witness;
 
 pub use attacker::{Attacker, encoded};
 pub use board::{Behaviour, LoopbackBoard};
+pub use building::{Building, Host};
 pub use effect::Effect;
-pub use namespace::Link;
+pub use namespace::{Cable, Link};
 pub use promise::Promise;
 pub use proxy::{Direction, Proxy};
 pub use room::{Array, FaultRoom, Launch, Setup, make_keys};

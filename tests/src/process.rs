@@ -54,6 +54,15 @@ impl Process {
         }
     }
 
+    /// Starts a program of another project with these arguments, under another program.
+    ///
+    /// # Panics
+    /// When it does not start.
+    pub fn foreign(wrapper: &[&str], program: &Path, arguments: &[&str]) -> Self {
+        let words = [wrapper, &[program.to_str().expect("the path is text")], arguments].concat();
+        Self::start(Path::new(words[0]), &words[1..], &[])
+    }
+
     /// Starts a program of the workspace with these arguments.
     ///
     /// # Panics

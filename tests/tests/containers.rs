@@ -4,35 +4,16 @@
 //! The programs are those built beside this test: the images are built from a folder that holds them,
 //! as the head of the Containerfile describes. That the build compiles the programs is not tested.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use heliostat_bus::free_loopback_endpoint;
-use heliostat_tests::containers::{Engine, zenohd};
-use heliostat_tests::{Process, programs, wait_until};
+use heliostat_tests::containers::{Engine, Host, built_programs, metric, zenohd};
+use heliostat_tests::{Process, wait_until};
 
 const SERVICES: [&str; 3] = ["router", "sim-node", "controller"];
 
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
-}
-
-/// A folder with the programs of the images.
-fn built_programs(zenohd: &Path) -> tempfile::TempDir {
-    let folder = tempfile::tempdir().expect("a folder");
-    let own = ["heliostat-controller", "heliostat-sim-node"].map(|name| programs().join(name));
-    for program in own.iter().map(PathBuf::as_path).chain([zenohd]) {
-        let name = if program == zenohd { "zenohd".as_ref() } else { program.file_name().expect("a name") };
-        let copied = fs::copy(program, folder.path().join(name));
-        copied.unwrap_or_else(|error| panic!("{}: {error}; is it built?", program.display()));
-    }
-    folder
-}
-
-/// The value of a metric without regard to its labels; 0 where it is absent.
-fn metric(page: &str, name: &str) -> f64 {
-    let line = page.lines().find(|line| line.starts_with(&format!("{name}{{")));
-    line.and_then(|line| line.rsplit(' ').next()?.parse().ok()).unwrap_or(0.0)
 }
 
 /// Starts `heliostat` in the network of the engine.
@@ -54,13 +35,7 @@ fn the_images_run_a_room_that_answers_and_stop_in_an_orderly_way() {
     let Some(engine) = Engine::start() else { return };
     let Some(()) = engine.import_base("debian:bookworm-slim") else { return };
     let context = built_programs(&zenohd);
-    let file = root().join("deploy/container/Containerfile");
-    for service in SERVICES {
-        let tag = format!("heliostat-{service}");
-        let words = ["build", "--build-arg", "RUST_IMAGE=debian:bookworm-slim", "--target", service, "--tag", &tag];
-        let place = ["--file", file.to_str().expect("a plain path"), context.path().to_str().expect("a plain path")];
-        engine.docker(&[&words[..], &place].concat());
-    }
+    engine.build_images(context.path());
     let [router, of_controller, of_room] = [(); 3].map(|()| {
         let endpoint = free_loopback_endpoint().unwrap();
         endpoint.rsplit(':').next().expect("an endpoint has a port").to_owned()
@@ -121,59 +96,17 @@ fn the_images_run_a_room_that_answers_and_stop_in_an_orderly_way() {
     engine.compose(&variables, &["down", "--volumes"]);
 }
 
-/// A container in which systemd is the first process, with the programs and files of deploy/.
-struct Host<'a> {
-    engine: &'a Engine,
-}
-
-impl<'a> Host<'a> {
-    fn start(engine: &'a Engine, context: &Path) -> Self {
-        // As --privileged, which needs a capability that not every machine has.
-        let rights =
-            ["--cap-add=ALL", "--cap-drop=SYS_RESOURCE", "--security-opt=seccomp=unconfined", "--cgroupns=host"];
-        let folders =
-            ["--volume=/sys/fs/cgroup:/sys/fs/cgroup:rw", "--tmpfs=/run", "--tmpfs=/run/lock", "--tmpfs=/tmp"];
-        let words = ["run", "--detach", "--name=host", "--network=none", "--env=container=docker"];
-        engine.docker(&[&words[..], &rights, &folders, &["systemd", "/lib/systemd/systemd"]].concat());
-        let host = Self { engine };
-        wait_until("systemd", || host.shell("systemctl is-system-running || true") == "running");
-        host.shell("mkdir -p /etc/heliostat");
-        let copy =
-            |from: &Path, to: &str| engine.docker(&["cp", from.to_str().expect("a plain path"), &format!("host:{to}")]);
-        for (folder, to) in
-            [("rooms", "/etc/heliostat/"), ("router", "/etc/heliostat/"), ("systemd", "/etc/systemd/system/")]
-        {
-            copy(&root().join("deploy").join(folder).join("."), to);
-        }
-        copy(&context.join("."), "/usr/local/bin/");
-        host.shell("systemctl daemon-reload");
-        host
-    }
-
-    fn shell(&self, script: &str) -> String {
-        self.engine.docker(&["exec", "host", "bash", "-c", script])
-    }
-
-    fn property(&self, unit: &str, name: &str) -> String {
-        self.shell(&format!("systemctl show --property={name} --value {unit}"))
-    }
-
-    /// The number of commands that the array of a room accepted.
-    fn commands(&self, port: u16) -> f64 {
-        let get = format!(
-            "exec 3<>/dev/tcp/127.0.0.1/{port} && printf 'GET /metrics HTTP/1.0\\r\\n\\r\\n' >&3 && cat <&3 || true"
-        );
-        metric(&self.shell(&get), "heliostat_room_commands_total")
-    }
-}
-
 #[test]
 fn the_units_start_restart_after_a_kill_and_stop_in_an_orderly_way() {
     let Some(zenohd) = zenohd() else { return };
     let Some(engine) = Engine::start() else { return };
     let Some(()) = engine.import_base("systemd") else { return };
     let context = built_programs(&zenohd);
-    let host = Host::start(&engine, context.path());
+    let host = Host::start(&engine, "host", "none", context.path());
+    host.install(&root().join("deploy/rooms"), "/etc/heliostat/");
+    host.install(&root().join("deploy/router"), "/etc/heliostat/");
+    host.install(&root().join("deploy/systemd"), "/etc/systemd/system/");
+    host.shell("systemctl daemon-reload");
     let units = [
         "heliostat-router",
         "heliostat-sim-node@studio",

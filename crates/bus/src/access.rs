@@ -178,6 +178,54 @@ impl AccessRole {
     }
 }
 
+/// Zenoh's `access_control` for a router of several rooms: each process has its rights in its own room,
+/// and the routers of the building forward the messages of all rooms.
+pub(crate) fn access_control_of(rooms: &[Room]) -> Value {
+    let (mut rules, mut subjects, mut policies) = (Vec::new(), Vec::new(), Vec::new());
+    let mut forwarded: Vec<Value> = Vec::new();
+    for room in rooms {
+        let mut own = access_control(room);
+        let named = |id: &Value| Value::from(format!("{room}: {}", id.as_str().unwrap_or_default()));
+        let mut take = |list: &str| match own[list].take() {
+            Value::Array(entries) => entries,
+            _ => Vec::new(),
+        };
+        rules.extend(take("rules").into_iter().map(|mut rule| {
+            rule["id"] = named(&rule["id"]);
+            rule
+        }));
+        subjects.extend(take("subjects").into_iter().map(|mut subject| {
+            subject["id"] = named(&subject["id"]);
+            subject
+        }));
+        for mut policy in take("policies") {
+            let is_router = policy["id"] == AccessRole::Router.name();
+            policy["id"] = named(&policy["id"]);
+            for list in ["subjects", "rules"] {
+                let ids = policy[list].as_array().map(|ids| ids.iter().map(named).collect::<Vec<_>>());
+                policy[list] = Value::from(ids.unwrap_or_default());
+            }
+            if is_router {
+                forwarded.extend(policy["rules"].as_array().cloned().unwrap_or_default());
+            }
+            policies.push((is_router, policy));
+        }
+    }
+    let policies = policies.into_iter().map(|(is_router, mut policy)| {
+        if is_router {
+            policy["rules"] = Value::from(forwarded.clone());
+        }
+        policy
+    });
+    json!({
+        "enabled": true,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": subjects,
+        "policies": policies.collect::<Vec<Value>>(),
+    })
+}
+
 /// Zenoh's `access_control` for every process of a room and for its router.
 pub fn access_control(room: &Room) -> Value {
     let everything = [room.everything()];

@@ -153,6 +153,26 @@ pub enum KeyError {
         /// The file.
         path: PathBuf,
     },
+    /// Two folders have the keys of one room.
+    #[error("two folders have the keys of room \"{room}\": expected one folder for each room")]
+    SameRoom {
+        /// The room.
+        room: String,
+    },
+    /// The path cannot be part of an endpoint.
+    #[error("{}: expected a path without the characters ; # = ?, which end it in an endpoint of Zenoh", path.display())]
+    UnusablePath {
+        /// The path.
+        path: PathBuf,
+    },
+    /// There are fewer ports than rooms.
+    #[error("{rooms} rooms need as many ports from {first} on: expected a lower first port, for example 7448")]
+    NoPort {
+        /// Number of rooms.
+        rooms: usize,
+        /// The first port.
+        first: u16,
+    },
     /// The folder holds the certificate of another authority.
     #[error("{} is of another authority: expected an empty folder, or the folder of the same room", path.display())]
     ForeignFolder {

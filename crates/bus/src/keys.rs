@@ -212,11 +212,11 @@ fn generation(error: rcgen::Error) -> KeyError {
 }
 
 /// Permissions of a file for its owner only.
-const PRIVATE: u32 = 0o600;
+pub(crate) const PRIVATE: u32 = 0o600;
 /// Permissions of a file that others may read.
-const PUBLIC: u32 = 0o644;
+pub(crate) const PUBLIC: u32 = 0o644;
 
-fn create_folder(folder: &Path) -> Result<(), KeyError> {
+pub(crate) fn create_folder(folder: &Path) -> Result<(), KeyError> {
     let mut builder = fs::DirBuilder::new();
     #[cfg(unix)]
     std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
@@ -227,7 +227,7 @@ fn create_folder(folder: &Path) -> Result<(), KeyError> {
 }
 
 /// Writes a file that does not exist.
-fn write_new(path: &Path, text: &str, mode: u32) -> Result<(), KeyError> {
+pub(crate) fn write_new(path: &Path, text: &str, mode: u32) -> Result<(), KeyError> {
     if path.exists() {
         return Err(KeyError::Exists { path: path.into() });
     }

@@ -33,6 +33,7 @@
 
 mod access;
 mod bounded_session;
+mod building;
 mod certificate;
 mod config;
 mod error;
@@ -43,6 +44,7 @@ mod tls;
 mod tls_check;
 
 pub use access::{AccessRole, UnknownRole, access_control};
+pub use building::{BuildingRouter, Protocol, RoomEndpoint};
 pub use certificate::Certificate;
 pub use config::{BusArgs, BusConfig, DEFAULT_ENDPOINT, DEFAULT_TLS_ENDPOINT, Reach, Role, TlsArgs};
 pub use error::{BusError, KeyError};

@@ -108,23 +108,30 @@ impl Identity {
 
     /// Settings of Zenoh for mutual authentication and access control, with values in JSON.
     pub(crate) fn zenoh_settings(&self) -> Vec<(String, String)> {
-        let file = |name: &str| format!("{:?}", self.folder.join(name).display().to_string());
-        let (certificate, key) = (file(&certificate_file(self.role)), file(&key_file(self.role)));
-        let yes = || "true".to_owned();
-        let tls = [
-            ("root_ca_certificate", file(AUTHORITY_CERTIFICATE)),
-            ("listen_certificate", certificate.clone()),
-            ("listen_private_key", key.clone()),
-            ("connect_certificate", certificate),
-            ("connect_private_key", key),
-            ("enable_mtls", yes()),
-            ("verify_name_on_connect", yes()),
-            // Without this a connection outlives the certificate that opened it.
-            ("close_link_on_expiration", yes()),
-        ];
-        let tls = tls.into_iter().map(|(name, value)| (format!("transport/link/tls/{name}"), value));
-        tls.chain([("access_control".to_owned(), access_control(&self.room).to_string())]).collect()
+        let mut settings =
+            tls_settings(&self.folder.join(AUTHORITY_CERTIFICATE), &self.certificate(), &self.private_key());
+        settings.push(("access_control".to_owned(), access_control(&self.room).to_string()));
+        settings
     }
+}
+
+/// Settings of Zenoh for mutual authentication by these files, with values in JSON.
+pub(crate) fn tls_settings(authority: &Path, certificate: &Path, private_key: &Path) -> Vec<(String, String)> {
+    let file = |path: &Path| format!("{:?}", path.display().to_string());
+    let (certificate, key) = (file(certificate), file(private_key));
+    let yes = || "true".to_owned();
+    let tls = [
+        ("root_ca_certificate", file(authority)),
+        ("listen_certificate", certificate.clone()),
+        ("listen_private_key", key.clone()),
+        ("connect_certificate", certificate),
+        ("connect_private_key", key),
+        ("enable_mtls", yes()),
+        ("verify_name_on_connect", yes()),
+        // Without this a connection outlives the certificate that opened it.
+        ("close_link_on_expiration", yes()),
+    ];
+    tls.into_iter().map(|(name, value)| (format!("transport/link/tls/{name}"), value)).collect()
 }
 
 /// Roles that have a certificate in the folder.

@@ -115,6 +115,65 @@ impl Drop for Link {
     }
 }
 
+/// A link between two namespaces.
+pub struct Cable {
+    /// Names of the two namespaces.
+    namespaces: [String; 2],
+    /// First bytes of the addresses at both ends.
+    net: String,
+}
+
+impl Cable {
+    /// Links two namespaces.
+    ///
+    /// # Panics
+    /// When the link cannot be made, although the namespaces could.
+    pub fn between(first: &Link, second: &Link) -> Self {
+        let (number, process) = (COUNT.fetch_add(1, Ordering::SeqCst), std::process::id());
+        let net = format!("10.{}.{}", 64 + process % 128, 2 * number);
+        let [one, other] = [&first.name, &second.name];
+        let made = ip(&format!("-n {one} link add cable type veth peer name cable netns {other}"))
+            && [(one, 1), (other, 2)].iter().all(|(name, end)| {
+                ip(&format!("-n {name} addr add {net}.{end}/24 dev cable"))
+                    && ip(&format!("-n {name} link set cable up"))
+            });
+        assert!(made, "the namespaces {one} and {other} cannot be linked");
+        Self { namespaces: [one.clone(), other.clone()], net }
+    }
+
+    /// Address of an end, 0 or 1.
+    pub fn address(&self, end: usize) -> String {
+        format!("{}.{}", self.net, end + 1)
+    }
+
+    /// Interrupts the link: packets are lost in both directions.
+    pub fn cut(&self) {
+        assert!(ip(&format!("-n {} link set cable down", self.namespaces[0])), "the link cannot be set down");
+    }
+
+    /// Ends the interruption.
+    pub fn heal(&self) {
+        assert!(ip(&format!("-n {} link set cable up", self.namespaces[0])), "the link cannot be set up");
+    }
+
+    /// Loses this share of the packets in each direction, at random; `false` where that is not
+    /// possible.
+    pub fn lose(&self, percent: u32) -> bool {
+        let rules = format!(
+            "table netdev cable {{\nchain in {{\ntype filter hook ingress device \"cable\" priority 0\n\
+             numgen random mod 100 < {percent} drop\n}}\n}}\n"
+        );
+        self.namespaces.iter().all(|name| nft(&["ip", "netns", "exec", name], &rules))
+    }
+
+    /// Ends the loss of packets.
+    pub fn lose_none(&self) {
+        for name in &self.namespaces {
+            nft(&["ip", "netns", "exec", name], "delete table netdev cable\n");
+        }
+    }
+}
+
 /// Whether `nft` applies these rules; a wrapper starts it in a namespace.
 fn nft(wrapper: &[&str], rules: &str) -> bool {
     let command = [wrapper, &["nft", "-f", "-"]].concat();

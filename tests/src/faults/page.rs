@@ -125,7 +125,7 @@ const HEAD: &str = "\
 # Faults and their effects
 
 Each row is a fault of a room of real processes over real sockets, the bound on its effect, and the measured effect. A test with the name
-in the last column causes the fault and fails if the effect exceeds the bound. The room has 100 reports a second, the default validity
+in the last column causes the fault and fails if the effect exceeds the bound. The room is `specular`: 100 reports a second, a validity
 of 200 ms, and parks 1000 ms after the end of validity.
 
 | column | meaning |
@@ -145,5 +145,8 @@ HELIOSTAT_WRITE_FAULTS=1 HELIOSTAT_FAULT_RUNS=3 cargo test --release -p heliosta
 Faults in network namespaces need root, and shifted clocks a C compiler; these tests are skipped where it is missing.
 `HELIOSTAT_REQUIRE_NETNS=1` and `HELIOSTAT_REQUIRE_CXX=1` make its absence a failure. `tests/tests/frozen_viewers.rs` has sharper bounds
 for frozen viewers: at most one lost command, a median stop within 100 ms, and each stop within 1 s.
+In the group *Two hosts* each host is a network namespace with a router (`zenohd`), two rooms have TLS and access control, and all processes are
+clients of the router of their host. Array and leader of the measured room are on host A, its standby is on host B; the second room is the other way round.
+[deploy.md](deploy.md#two-hosts) sets it up. These tests need root and `zenohd`.
 Faults during an emergency stop have a [table of their own](stop-faults.md).
 ";

@@ -1,9 +1,6 @@
 //! A room of real processes: an array, a controller, and for a driver a board and a tracker.
 
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::thread;
-use std::time::Duration;
 
 use heliostat_bus::{AccessRole, BusConfig, Identity, free_loopback_endpoint, private_endpoint};
 use heliostat_proto::{ArrayState, Room};
@@ -14,25 +11,13 @@ use crate::faults::attacker::Attacker;
 use crate::faults::board::LoopbackBoard;
 use crate::faults::effect::Effect;
 use crate::faults::proxy::Proxy;
-use crate::faults::tracker::{PERIOD, Tracker};
+use crate::faults::tracker::Tracker;
 use crate::faults::witness::Witness;
 use crate::process::{Ended, Process};
 use crate::wait::wait_until;
 
 /// Name of every room of the campaign.
 const ROOM: &str = "faults";
-
-/// Before a fault, the array follows for this long.
-const STEADY_NS: u64 = 500_000_000;
-
-/// Commands accepted in that time: half of those at the rate of the reports.
-const STEADY_COMMANDS: u64 = 25;
-
-/// Commands accepted after the fault before the array counts as recovered.
-const RECOVERED_COMMANDS: u64 = 20;
-
-/// After recovery, until each process has published its status again.
-const STATUS_WAIT: Duration = Duration::from_millis(1100);
 
 /// Mirrors of the loopback board.
 const BOARD_MIRRORS: usize = 6;
@@ -197,7 +182,7 @@ impl FaultRoom {
         let witness = Witness::connect(&setup.session());
         let tracker = board.is_some().then(|| Tracker::start(&setup.session()));
         let room = Self { array, controller, witness, setup, proxy, board, tracker, folder };
-        room.wait_until_steady();
+        room.witness.wait_until_steady();
         room
     }
 
@@ -208,16 +193,11 @@ impl FaultRoom {
     /// # Panics
     /// When the array does not follow again within the time limit.
     pub fn undergo(&mut self, fault: impl FnOnce(&mut Self)) -> Effect {
-        self.wait_until_steady();
+        self.witness.wait_until_steady();
         wait_until("the status of array and controller", || self.witness.statuses() >= 2);
         let (counted, begin_ns) = (self.witness.notable_counters(), utc_ns());
         fault(self);
-        let end_ns = utc_ns();
-        wait_until("an array that follows again after the fault", || self.has_recovered(end_ns));
-        thread::sleep(STATUS_WAIT);
-        let period_ns = u64::try_from(PERIOD.as_nanos()).expect("a short time");
-        let effect = Effect::between(&self.witness.samples(), begin_ns, end_ns, period_ns);
-        Effect { counted: self.risen(&counted), ..effect }
+        self.witness.effect_since(&counted, begin_ns)
     }
 
     /// Starts the controller again, after it ended or was killed.
@@ -296,38 +276,6 @@ impl FaultRoom {
     /// When it has not within the time limit.
     pub fn wait_for_state(&self, state: ArrayState) {
         wait_until(&format!("telemetry with state {}", state.name()), || self.witness.state() == Some(state));
-    }
-
-    fn wait_until_steady(&self) {
-        wait_until("an array that follows steadily", || {
-            let samples = self.witness.samples();
-            let Some(last) = samples.last() else { return false };
-            let since = samples.partition_point(|sample| sample.seen_ns + STEADY_NS < last.seen_ns);
-            let recent = &samples[since..];
-            let follows = recent.iter().all(|sample| {
-                sample.state == ArrayState::Following && sample.source == last.source && sample.accepted_ns > 0
-            });
-            follows && last.accepted - recent[0].accepted >= STEADY_COMMANDS
-        });
-    }
-
-    fn has_recovered(&self, end_ns: u64) -> bool {
-        let samples = self.witness.samples();
-        let Some(last) = samples.last() else { return false };
-        let mut after = samples.iter().filter(|sample| sample.accepted_ns > end_ns && sample.source == last.source);
-        let first = after.next().map(|sample| sample.accepted);
-        last.state == ArrayState::Following && first.is_some_and(|first| last.accepted >= first + RECOVERED_COMMANDS)
-    }
-
-    /// Notable counters that have risen, largest first.
-    fn risen(&self, before: &BTreeMap<(String, u64), u64>) -> Vec<String> {
-        let after = self.witness.notable_counters();
-        let rise = |(key, count): (&(String, u64), &u64)| {
-            (count.saturating_sub(before.get(key).copied().unwrap_or(0)), key.0.clone())
-        };
-        let mut risen: Vec<_> = after.iter().map(rise).filter(|(count, _)| *count > 0).collect();
-        risen.sort_by(|one, other| other.cmp(one));
-        risen.into_iter().map(|(count, name)| format!("{name} {count}")).collect()
     }
 }
 

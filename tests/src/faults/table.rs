@@ -34,6 +34,7 @@ const fn fault(group: &'static str, test: &'static str, action: &'static str, pr
 
 const PROCESSES: &str = "Processes";
 const NETWORK: &str = "Network";
+const BUILDING: &str = "Two hosts";
 const DISKS: &str = "Disks";
 const CLOCKS: &str = "Clocks";
 const PAYLOADS: &str = "Payloads";
@@ -124,6 +125,92 @@ pub const FAULTS: &[Fault] = &[
         "a_peer_of_another_authority_does_not_stop_the_array",
         "a process with a certificate of another authority sends 300 stops into a room with access control",
         Follows,
+    ),
+    fault(
+        BUILDING,
+        "the_standby_of_the_other_host_replaces_a_killed_controller",
+        "the controller on host A is killed and not started again",
+        FollowsAgain(5.0),
+    ),
+    fault(
+        BUILDING,
+        "the_standby_of_the_other_host_replaces_a_frozen_controller",
+        "the controller on host A is frozen for 3 s",
+        FollowsAgain(5.0),
+    ),
+    fault(BUILDING, "a_killed_standby_does_not_disturb_the_room", "the standby on host B is killed", Follows),
+    fault(BUILDING, "a_frozen_standby_does_not_disturb_the_room", "the standby on host B is frozen for 3 s", Follows),
+    fault(
+        BUILDING,
+        "a_killed_array_is_served_again_through_its_router",
+        "the array on host A is killed and started again after 1 s",
+        FollowsAgain(5.0),
+    ),
+    fault(
+        BUILDING,
+        "a_frozen_array_is_served_again_through_its_router",
+        "the array on host A is frozen for 3 s",
+        FollowsAgain(5.0),
+    ),
+    fault(
+        BUILDING,
+        "the_room_follows_again_after_its_router_was_killed",
+        "the router of host A is killed and started again after 1 s",
+        FollowsAgain(5.0),
+    ),
+    fault(
+        BUILDING,
+        "the_room_follows_again_after_its_router_was_frozen",
+        "the router of host A is frozen for 3 s",
+        FollowsAgain(5.0),
+    ),
+    fault(
+        BUILDING,
+        "a_killed_router_of_the_other_host_does_not_disturb_the_room",
+        "the router of host B is killed and started again after 1 s",
+        Follows,
+    ),
+    fault(
+        BUILDING,
+        "a_frozen_router_of_the_other_host_does_not_disturb_the_room",
+        "the router of host B is frozen for 8 s, beyond the lease of 5 s",
+        Follows,
+    ),
+    fault(
+        BUILDING,
+        "the_loss_of_the_other_host_does_not_disturb_the_room",
+        "all processes of host B are killed and started again after 3 s",
+        Follows,
+    ),
+    fault(
+        BUILDING,
+        "a_cut_link_between_the_hosts_does_not_disturb_a_room_whose_leader_is_local",
+        "the link between the hosts is down for 3 s",
+        Follows,
+    ),
+    fault(
+        BUILDING,
+        "a_link_cut_beyond_the_lease_does_not_disturb_a_room_whose_leader_is_local",
+        "the link between the hosts is down for 12 s, until the standby stands by again",
+        FollowsAgain(5.0),
+    ),
+    fault(
+        BUILDING,
+        "lost_packets_between_the_hosts_do_not_disturb_a_room_whose_leader_is_local",
+        "10 % of the packets between the hosts are lost for 8 s",
+        Follows,
+    ),
+    fault(
+        BUILDING,
+        "a_local_standby_takes_over_when_the_link_to_the_host_of_the_leader_is_cut",
+        "the leader is the controller on host B, and the link between the hosts is down for 3 s",
+        FollowsAgain(5.0),
+    ),
+    fault(
+        BUILDING,
+        "a_local_standby_takes_over_when_the_host_of_the_leader_is_lost",
+        "the leader is the controller on host B, and all processes of host B are killed and started again after 3 s",
+        FollowsAgain(5.0),
     ),
     fault(DISKS, "a_full_disk_ends_the_recorder_and_not_the_room", "the file of a recorder can grow no more", Follows),
     fault(

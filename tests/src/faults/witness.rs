@@ -2,15 +2,18 @@
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
+use std::thread;
+use std::time::Duration;
 
 use heliostat_bus::{Bus, BusConfig, Subscription};
 use heliostat_proto::{
-    ArrayState, Capabilities, MirrorCommand, MirrorTelemetry, NodeKind, NodeStatus, Room, SafetyReport, UserReport,
-    codec,
+    ArrayState, Capabilities, MirrorCommand, MirrorTelemetry, Nanos, NodeKind, NodeStatus, Room, SafetyReport,
+    UserReport, codec,
 };
 use heliostat_service::clock::utc_ns;
 
-use crate::faults::effect::Sample;
+use crate::faults::effect::{Effect, Sample};
+use crate::faults::tracker::PERIOD;
 use crate::wait::wait_until;
 
 /// Counters of a status that report a fault.
@@ -18,6 +21,18 @@ const NOTABLE: [&str; 4] = ["dropped", "unanswered", "policies_refused", "connec
 
 /// The same by the beginning of their names.
 const NOTABLE_GROUPS: [&str; 4] = ["refused:", "fallback:", "epoch:", "missed:"];
+
+/// Before a fault, the array follows for this long.
+const STEADY_NS: u64 = 500_000_000;
+
+/// Commands accepted in that time: half of those at the rate of the reports.
+const STEADY_COMMANDS: u64 = 25;
+
+/// Commands accepted after the fault before the array counts as recovered.
+const RECOVERED_COMMANDS: u64 = 20;
+
+/// After recovery, until each process has published its status again.
+const STATUS_WAIT: Duration = Duration::from_millis(1100);
 
 /// What a witness has received.
 #[derive(Debug, Default)]
@@ -29,6 +44,8 @@ struct Received {
     capabilities: Option<Capabilities>,
     safety: Option<SafetyReport>,
     statuses: BTreeMap<&'static str, NodeStatus>,
+    /// States of the controllers by the start of their process, in ns.
+    controllers: BTreeMap<Nanos, String>,
 }
 
 /// A session that records telemetry and keeps the newest of every other message of a room.
@@ -110,6 +127,17 @@ impl Witness {
         self.with(|received| received.statuses.len())
     }
 
+    /// States of the controllers by the start of their process, from statuses since the last
+    /// [`Witness::forget_controllers`].
+    pub fn controllers(&self) -> BTreeMap<Nanos, String> {
+        self.with(|received| received.controllers.clone())
+    }
+
+    /// Forgets the states of the controllers.
+    pub fn forget_controllers(&self) {
+        self.received.lock().expect("no callback panics").controllers.clear();
+    }
+
     /// The value of a counter in the newest status; 0 if it is absent.
     pub fn counter(&self, node: NodeKind, name: &str) -> u64 {
         let counters = self.status(node).map(|status| status.counters).unwrap_or_default();
@@ -128,6 +156,56 @@ impl Witness {
             };
             received.statuses.values().flat_map(of).collect()
         })
+    }
+
+    /// Waits until the array follows again after a fault that began at `begin_ns` and ends now; returns
+    /// the effect. `counted` are the notable counters before the fault.
+    ///
+    /// # Panics
+    /// When the array does not follow again within the time limit.
+    pub fn effect_since(&self, counted: &BTreeMap<(String, u64), u64>, begin_ns: Nanos) -> Effect {
+        let end_ns = utc_ns();
+        wait_until("an array that follows again after the fault", || self.has_recovered(end_ns));
+        thread::sleep(STATUS_WAIT);
+        let period_ns = u64::try_from(PERIOD.as_nanos()).expect("a short time");
+        let effect = Effect::between(&self.samples(), begin_ns, end_ns, period_ns);
+        Effect { counted: self.risen(counted), ..effect }
+    }
+
+    /// Waits until the array follows, and has accepted commands for half a second.
+    ///
+    /// # Panics
+    /// When it does not within the time limit.
+    pub fn wait_until_steady(&self) {
+        wait_until("an array that follows steadily", || {
+            let samples = self.samples();
+            let Some(last) = samples.last() else { return false };
+            let since = samples.partition_point(|sample| sample.seen_ns + STEADY_NS < last.seen_ns);
+            let recent = &samples[since..];
+            let follows = recent.iter().all(|sample| {
+                sample.state == ArrayState::Following && sample.source == last.source && sample.accepted_ns > 0
+            });
+            follows && last.accepted - recent[0].accepted >= STEADY_COMMANDS
+        });
+    }
+
+    fn has_recovered(&self, end_ns: u64) -> bool {
+        let samples = self.samples();
+        let Some(last) = samples.last() else { return false };
+        let mut after = samples.iter().filter(|sample| sample.accepted_ns > end_ns && sample.source == last.source);
+        let first = after.next().map(|sample| sample.accepted);
+        last.state == ArrayState::Following && first.is_some_and(|first| last.accepted >= first + RECOVERED_COMMANDS)
+    }
+
+    /// Notable counters that have risen, largest first.
+    fn risen(&self, before: &BTreeMap<(String, u64), u64>) -> Vec<String> {
+        let after = self.notable_counters();
+        let rise = |(key, count): (&(String, u64), &u64)| {
+            (count.saturating_sub(before.get(key).copied().unwrap_or(0)), key.0.clone())
+        };
+        let mut risen: Vec<_> = after.iter().map(rise).filter(|(count, _)| *count > 0).collect();
+        risen.sort_by(|one, other| other.cmp(one));
+        risen.into_iter().map(|(count, name)| format!("{name} {count}")).collect()
     }
 
     fn wait_for<T>(&self, what: &str, read: impl Fn(&Received) -> Option<T>) -> T {
@@ -159,6 +237,9 @@ impl Received {
             "safety" => keep(&mut self.safety, payload),
             _ => {
                 if let Ok(status) = codec::decode::<NodeStatus>(payload) {
+                    if status.node == NodeKind::Controller {
+                        self.controllers.insert(status.started_ns, status.state.clone());
+                    }
                     self.statuses.insert(status.node.name(), status);
                 }
             }

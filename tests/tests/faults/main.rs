@@ -3,6 +3,7 @@
 //! `HELIOSTAT_WRITE_FAULTS=1` writes the measured effects to the page, and
 //! `HELIOSTAT_FAULT_RUNS=N` repeats each fault.
 
+mod building;
 mod clocks;
 mod devices;
 mod disks;

@@ -8,6 +8,7 @@ mod echo;
 mod one_process;
 pub mod pace;
 pub mod rows;
+mod usage;
 mod walkers;
 pub mod wire;
 

@@ -64,6 +64,7 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: Args) -> Result<()> {
+    let opened = Instant::now();
     let room = Room::new(&args.room)?;
     let scenario = args.scenario.load_arrays()?;
     args.check_policy(&scenario)?;
@@ -96,7 +97,7 @@ pub fn run(args: Args) -> Result<()> {
         output::note(server);
     }
     let title = server.as_ref().map_or(format!("room {room}"), |server| format!("room {room}, {server}"));
-    let watched = Watched { stop: &stop, view: &view, process_orders: received_orders, endpoints, title };
+    let watched = Watched { opened, stop: &stop, view: &view, process_orders: received_orders, endpoints, title };
     watch(&args, &watched, &mut processes)?;
     drop(server);
 
@@ -113,6 +114,8 @@ pub fn run(args: Args) -> Result<()> {
 
 /// The inputs of the display loop.
 struct Watched<'a> {
+    /// When the command began.
+    opened: Instant,
     stop: &'a Stop,
     view: &'a View,
     /// Orders of the page about the processes.
@@ -124,7 +127,6 @@ struct Watched<'a> {
 
 /// Draws until the time is over, a signal or a key arrives, or a process ends.
 fn watch(args: &Args, watched: &Watched, processes: &mut Processes) -> Result<()> {
-    let opened = Instant::now();
     let mut started: Option<Instant> = None;
     let mut display = Display::open(args.plain || args.json, &watched.title)?;
     let mut drawn = Instant::now();
@@ -138,8 +140,17 @@ fn watch(args: &Args, watched: &Watched, processes: &mut Processes) -> Result<()
             })?;
         }
         match started {
-            None if watched.view.is_complete() => started = Some(Instant::now()),
-            None if opened.elapsed() > START_LIMIT => {
+            None if watched.view.is_complete() => {
+                started = Some(Instant::now());
+                // The full-screen view occupies the terminal.
+                if matches!(display, Display::Lines(_)) {
+                    output::note(format_args!(
+                        "the mirrors answer reports, {:.2} s after the start",
+                        watched.opened.elapsed().as_secs_f64()
+                    ));
+                }
+            }
+            None if watched.opened.elapsed() > START_LIMIT => {
                 bail!("the two processes run but did not connect within {} s", START_LIMIT.as_secs())
             }
             None => {}

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use heliostat_bus::{AccessRole, Certificate, keys};
+use heliostat_bus::{AccessRole, BuildingRouter, Certificate, Protocol, RoomEndpoint, keys};
 use heliostat_proto::Room;
 use serde_json::{Value, json};
 
@@ -70,6 +70,33 @@ enum Action {
         #[arg(long)]
         json: bool,
     },
+    /// Write the files of a router that serves several rooms
+    ///
+    /// The router listens at one port for each room, in the order of --dir. It needs the router's
+    /// keys of each room, and trusts each of their authorities for all of its rooms.
+    Router {
+        /// A folder with the router's keys of a room (repeatable)
+        #[arg(long, value_name = "DIR", required = true)]
+        dir: Vec<PathBuf>,
+        /// The folder to write, to be copied to the machine of the router
+        #[arg(long, value_name = "DIR")]
+        out: PathBuf,
+        /// Where that machine has the folder, if it is another path
+        #[arg(long, value_name = "DIR")]
+        installed: Option<PathBuf>,
+        /// Port of the first room; each further room has the next one
+        #[arg(long, value_name = "PORT", default_value_t = 7448)]
+        port: u16,
+        /// Another router of the building, with its port of the first room (repeatable)
+        #[arg(long, value_name = "HOST:PORT")]
+        peer: Vec<String>,
+        /// QUIC over UDP in place of TLS over TCP, for all connections
+        #[arg(long)]
+        quic: bool,
+        /// Print the ports as one JSON object
+        #[arg(long)]
+        json: bool,
+    },
     /// List the certificates of a folder: names, roles, hosts, expiry
     Show {
         /// The folder of keys
@@ -121,6 +148,15 @@ pub fn run(args: Args) -> Result<()> {
             keys::renew(&dir, &out, keys::end_after(days.days))?;
             (out, json)
         }
+        Action::Router { dir, out, installed, port, peer, quic, json } => {
+            let protocol = if quic { Protocol::Quic } else { Protocol::Tls };
+            let installed = match installed {
+                Some(installed) => installed,
+                None => std::path::absolute(&out)?,
+            };
+            let router = BuildingRouter { folders: dir, installed, protocol, first_port: port, peers: peer };
+            return show_router(&out, &router.write(&out)?, json);
+        }
         Action::Show { dir, json } => (dir, json),
     };
     show(&folder, json)
@@ -138,6 +174,22 @@ fn show(folder: &Path, json: bool) -> Result<()> {
     for (role, certificate) in &certificates {
         let Certificate { common_name, expires, hosts, .. } = certificate;
         outln!("{role:<11} {common_name:<34} {expires:<11} {:>5}  {}", certificate.days_left(), hosts.join(", "))?;
+    }
+    Ok(())
+}
+
+fn show_router(folder: &Path, endpoints: &[RoomEndpoint], json: bool) -> Result<()> {
+    if json {
+        let rooms: Vec<Value> = endpoints
+            .iter()
+            .map(|RoomEndpoint { room, port }| json!({ "room": room.to_string(), "port": port }))
+            .collect();
+        outln!("{}", json!({ "folder": folder, "rooms": rooms }))?;
+        return Ok(());
+    }
+    outln!("{:<24} port", "room")?;
+    for RoomEndpoint { room, port } in endpoints {
+        outln!("{:<24} {port}", room.to_string())?;
     }
     Ok(())
 }

@@ -153,6 +153,7 @@ fn overhead(plan: &Plan, subject: &Subject<'_>) -> Result<Row> {
         mirrors: scenario.mirror_count(),
         users: scenario.users.count,
         rooms: 1,
+        controllers: None,
         policy: "on Session::run".into(),
         engine: Some(ORT.into()),
     };
@@ -246,6 +247,7 @@ impl Args {
             mirrors: scenario.mirror_count(),
             users: scenario.users.count,
             rooms: 1,
+            controllers: None,
             policy: decider.controller.policy_name().into(),
             engine: decider.controller.engine_name().map(str::to_owned),
         };

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use anyhow::{Result, ensure};
-use heliostat_bus::{Bus, BusConfig, Class};
+use heliostat_bus::{Bus, BusConfig, Class, Role};
 use heliostat_proto::Room;
 use heliostat_service::{Stop, signals};
 
@@ -20,6 +20,8 @@ const LOOK_EVERY: Duration = Duration::from_secs(1);
 pub struct Args {
     #[arg(long)]
     connect: String,
+    #[arg(long)]
+    client: bool,
     #[arg(long, value_delimiter = ',')]
     rooms: Vec<String>,
     #[arg(long)]
@@ -34,7 +36,8 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<()> {
     ensure!(args.bytes >= 8, "--bytes {}: expected at least 8, for the number that is echoed", args.bytes);
     let echoed = Arc::new(AtomicU64::new(0));
-    let bus = Bus::open(&BusConfig::new(Room::new("bench")?).connect_to(&args.connect))?;
+    let role = if args.client { Role::Client } else { Role::Peer };
+    let bus = Bus::open(&BusConfig { role, ..BusConfig::new(Room::new("bench")?).connect_to(&args.connect) })?;
     let mut declared = Vec::new();
     for name in &args.rooms {
         let room = Room::new(name)?;

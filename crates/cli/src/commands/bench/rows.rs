@@ -11,6 +11,8 @@ use serde::Serialize;
 
 use heliostat_service::outln;
 
+use super::usage::ReportUsage;
+
 /// Longest time that is recorded exactly, in ns; longer times count as this.
 const LONGEST_NS: u64 = 60_000_000_000;
 
@@ -79,8 +81,11 @@ pub struct Varied {
     pub mirrors: usize,
     /// Number of users.
     pub users: usize,
-    /// Rooms served by one process.
+    /// Rooms served by the controllers.
     pub rooms: usize,
+    /// Controller processes that share the rooms.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub controllers: Option<usize>,
     /// The policy.
     pub policy: String,
     /// The inference engine of a learned policy.
@@ -111,6 +116,9 @@ pub struct Row {
     /// put.
     #[serde(skip_serializing_if = "Option::is_none")]
     decision_us: Option<Distribution>,
+    /// For `loop` and `rooms`: what one report uses.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    used_a_report: Option<ReportUsage>,
 }
 
 impl Row {
@@ -129,6 +137,7 @@ impl Row {
             count,
             lost: 0,
             decision_us: None,
+            used_a_report: None,
         }
     }
 
@@ -142,8 +151,9 @@ impl Row {
 
     /// Adds the figures that only `loop` and `rooms` have.
     #[must_use]
-    pub fn across_processes(mut self, lost: u64, decision: Quantiles) -> Self {
+    pub fn across_processes(mut self, lost: u64, decision: Quantiles, used: ReportUsage) -> Self {
         self.lost = lost;
+        self.used_a_report = Some(used);
         self.decision_us = Some(decision.into());
         self
     }
@@ -187,7 +197,7 @@ impl Table {
     /// Adds a row.
     pub fn add(&mut self, row: Row) -> io::Result<()> {
         if !self.json {
-            let Varied { hz, mirrors, users, rooms, policy, engine } = &row.varied;
+            let Varied { hz, mirrors, users, rooms, policy, engine, .. } = &row.varied;
             let engine = engine.as_deref().unwrap_or("-");
             let hz = hz.map_or("unpaced".to_string(), |hz| hz.to_string());
             let (took, reference) = (&row.measured_us, &row.reference_us);
@@ -198,8 +208,14 @@ impl Table {
             let decision = row.decision_us.map_or(String::new(), |decision| {
                 format!("  (decision p50 {:.0} p99 {:.0})", decision.p50, decision.p99)
             });
+            let used = row.used_a_report.map_or(String::new(), |used| {
+                let ReportUsage { controller_us, router_us, loopback_bytes } = used;
+                format!(
+                    "  (a report: controller {controller_us:.0} us, router {router_us:.0} us, {loopback_bytes:.0} B)"
+                )
+            });
             outln!(
-                "{hz:>7}{mirrors:>8}{users:>6}{rooms:>6}  {policy:<13}{engine:<7}{:>9.1}{:>9.1}{:>9.1}{:>9.1}{:>9.1} |{:>9.1}{:>9.1} |{:>6.2}{:>6.2} |{:>8}{:>8}{by_stage}{lost}{decision}  [{}]",
+                "{hz:>7}{mirrors:>8}{users:>6}{rooms:>6}  {policy:<13}{engine:<7}{:>9.1}{:>9.1}{:>9.1}{:>9.1}{:>9.1} |{:>9.1}{:>9.1} |{:>6.2}{:>6.2} |{:>8}{:>8}{by_stage}{lost}{decision}{used}  [{}]",
                 took.p50,
                 took.p90,
                 took.p99,
@@ -244,7 +260,15 @@ mod tests {
     fn a_row_has_the_documented_json_names() {
         let mut times = Times::new();
         times.record(Duration::from_micros(50));
-        let varied = Varied { hz: None, mirrors: 100, users: 5, rooms: 1, policy: "flat".into(), engine: None };
+        let varied = Varied {
+            hz: None,
+            mirrors: 100,
+            users: 5,
+            rooms: 1,
+            policy: "flat".into(),
+            controllers: None,
+            engine: None,
+        };
         let row = Row::new(varied, (times.distribution(), 0, 1), &times);
         let json = serde_json::to_value(&row).unwrap();
         for name in ["hz", "mirrors", "users", "rooms", "policy", "over_budget", "count", "ratio_p50", "ratio_p99"] {

@@ -7,11 +7,12 @@
 //! same quality of service. Reports go to controller and echo alternately. A report counts from its
 //! due time.
 
+use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
-use heliostat_bus::{Bus, BusConfig, Class, Publisher, Subscription, free_loopback_endpoint};
+use heliostat_bus::{Bus, BusConfig, Class, Publisher, Reach, Role, Subscription, free_loopback_endpoint};
 use heliostat_controller::report::stage_times::BUDGET;
 use heliostat_controller::report::summary::Summary;
 use heliostat_core::policy::PolicyKind;
@@ -24,6 +25,7 @@ use super::board::Board;
 use super::one_process::{Outcome, instant_of};
 use super::pace::{Block, PaceArgs, Plan, Turn};
 use super::rows::{Row, Table, Varied};
+use super::usage::{Router, Usage};
 use super::walkers::Walkers;
 use crate::commands::demo::child::ChildProcess as Part;
 
@@ -56,6 +58,13 @@ pub struct Args {
     /// default
     #[arg(long, value_name = "N", value_delimiter = ',', value_parser = clap::value_parser!(u16).range(1..=512))]
     rooms: Vec<u16>,
+    /// Controller processes that share the rooms
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=64))]
+    controllers: u16,
+    /// Zenoh router (the program zenohd) through which all processes exchange their messages, instead
+    /// of direct links
+    #[arg(long, value_name = "FILE")]
+    router: Option<String>,
     /// Endpoint of the processes, instead of a free TCP port of this machine; for example
     /// unixsock-stream//run/bench.sock
     #[arg(long, value_name = "ENDPOINT")]
@@ -121,11 +130,22 @@ impl Args {
 
     fn measure(&self, plan: &Plan, scenario: &Scenario, rooms: usize, end: End) -> Result<Row> {
         let endpoint = self.endpoint.clone().map_or_else(free_loopback_endpoint, Ok)?;
-        let bus = Bus::open(&BusConfig::new(Room::new("bench")?).listen_at(&endpoint))?;
+        let router = self.router.as_ref().map(|program| Router::start(program, &endpoint)).transpose()?;
+        let config = BusConfig::new(Room::new("bench")?);
+        let config = match router {
+            Some(_) => BusConfig { role: Role::Client, ..config.connect_to(&endpoint) },
+            None => config.listen_at(&endpoint),
+        };
+        let bus =
+            Bus::open(&config.reaching(if router.is_some() { Reach::Within(MEET_WITHIN) } else { Reach::Eventually }))?;
         let mut measured = Side::open(&bus, "measured", scenario, rooms)?;
         let mut reference = Side::open(&bus, "reference", scenario, rooms)?;
-        let controller = Part::start("controller", &self.controller_arguments(&endpoint, &measured.names, end)?)?;
-        let echo = Part::start("echo", &echo_arguments(&endpoint, &reference.names, scenario)?)?;
+        let controllers = shares(&measured.names, usize::from(self.controllers))
+            .map(|names| Part::start("controller", &self.controller_arguments(&endpoint, names, end)?))
+            .collect::<Result<Vec<Part>>>()?;
+        let mut echo = echo_arguments(&endpoint, &reference.names, scenario)?;
+        echo.extend(router.iter().map(|_| "--client".to_owned()));
+        let echo = Part::start("echo", &echo)?;
         for side in [&mut measured, &mut reference] {
             side.meet()?;
             side.go_through(Block {
@@ -135,21 +155,42 @@ impl Args {
             })?;
             side.begin()?;
         }
+        let (ids, router_id) = (controllers.iter().map(Part::id).collect::<Vec<_>>(), router.as_ref().map(Router::id));
+        let (mut used, mut reports) = (Usage::default(), 0);
         plan.take_turns(|turn, block| match turn {
-            Turn::Measured => measured.go_through(block),
+            Turn::Measured => {
+                let before = Usage::now(&ids, router_id);
+                let sent = measured.go_through(block)?;
+                used += Usage::now(&ids, router_id) - before;
+                reports += sent;
+                Ok(sent)
+            }
             Turn::Reference => reference.go_through(block),
         })?;
-        let last_line = controller.finish(END_WITHIN)?;
-        let incomplete = "the controller's summary is incomplete";
-        let (summary, device): (Summary, Option<Board>) = match end {
-            End::Command => (serde_json::from_value(last_line).context(incomplete)?, None),
-            End::Device => {
-                let outcome: Outcome = serde_json::from_value(last_line).context(incomplete)?;
-                let device = measured.device_board(&outcome.applied)?;
-                (outcome.summary, Some(device))
-            }
-        };
+        let process_count = controllers.len();
+        let (mut summaries, mut device) = (Vec::new(), None);
+        for controller in controllers {
+            let last_line = controller.finish(END_WITHIN)?;
+            let incomplete = "the controller's summary is incomplete";
+            summaries.push(match end {
+                End::Command => serde_json::from_value::<Summary>(last_line).context(incomplete)?,
+                End::Device => {
+                    let outcome: Outcome = serde_json::from_value(last_line).context(incomplete)?;
+                    device = Some(measured.device_board(&outcome.applied)?);
+                    outcome.summary
+                }
+            });
+        }
         echo.finish(END_WITHIN)?;
+        let over_budget_by = summaries.iter().flat_map(|summary| &summary.over_budget_by).fold(
+            BTreeMap::new(),
+            |mut sums: BTreeMap<String, u64>, (stage, count)| {
+                *sums.entry(stage.clone()).or_default() += count;
+                sums
+            },
+        );
+        // All controllers have the same work: the times of the first stand for all.
+        let summary = summaries.swap_remove(0);
         bus.close()?;
 
         let varied = Varied {
@@ -157,6 +198,7 @@ impl Args {
             mirrors: scenario.mirror_count(),
             users: scenario.users.count,
             rooms,
+            controllers: (process_count > 1).then_some(process_count),
             policy: summary.policy,
             engine: summary.engine,
         };
@@ -164,7 +206,8 @@ impl Args {
         let (compared, _) = reference.board.take(LOST_AFTER);
         ensure!(took.count() > 0 && compared.count() > 0, "no report was answered");
         let row = Row::new(varied, (took.distribution(), took.over(BUDGET), took.count()), &compared);
-        Ok(row.by_stage(summary.over_budget_by, &summary.stages_us).across_processes(lost, summary.decision_us))
+        let row = row.by_stage(over_budget_by, &summary.stages_us);
+        Ok(row.across_processes(lost, summary.decision_us, used.of_a_report(reports)))
     }
 
     fn controller_arguments(&self, endpoint: &str, rooms: &[String], end: End) -> Result<Vec<String>> {
@@ -177,6 +220,9 @@ impl Args {
             .chain(["--scenario", &self.scenario.scenario, "--room", &rooms[0]])
             .map(String::from)
             .collect();
+        if self.router.is_some() {
+            arguments.push("--client".into());
+        }
         if rooms.len() > 1 {
             arguments.extend(["--also-room".into(), rooms[1..].join(",")]);
         }
@@ -188,6 +234,11 @@ impl Args {
         arguments.extend(self.controller.iter().cloned());
         Ok(arguments)
     }
+}
+
+/// The rooms of each of `count` processes; fewer processes where there are fewer rooms.
+fn shares(names: &[String], count: usize) -> impl Iterator<Item = &[String]> {
+    names.chunks(names.len().div_ceil(count))
 }
 
 fn echo_arguments(endpoint: &str, rooms: &[String], scenario: &Scenario) -> Result<Vec<String>> {

@@ -1,0 +1,168 @@
+//! Two hosts with a router each: processes, routers and the link between them fail.
+
+use heliostat_tests::faults::{Building, Effect, Host};
+
+use crate::{measure, wait_s};
+
+/// Time after which a service manager starts a process again, `RestartSec` of the units.
+const RESTART_S: f64 = 1.0;
+
+/// Measures a fault in a building of its own; skipped where none can be made.
+fn in_building(test: &str, fault: impl Fn(&mut Building)) {
+    if let Some(building) = Building::start() {
+        let mut first = Some(building);
+        measure(test, || -> Effect {
+            let mut building = first.take().or_else(Building::start).expect("a building could be made before");
+            building.undergo(Host::A, &fault)
+        });
+    }
+}
+
+#[test]
+fn the_standby_of_the_other_host_replaces_a_killed_controller() {
+    in_building("the_standby_of_the_other_host_replaces_a_killed_controller", |building| building.leader().kill());
+}
+
+#[test]
+fn the_standby_of_the_other_host_replaces_a_frozen_controller() {
+    in_building("the_standby_of_the_other_host_replaces_a_frozen_controller", |building| {
+        building.leader().signal("STOP");
+        wait_s(3.0);
+        building.leader().signal("CONT");
+    });
+}
+
+#[test]
+fn a_killed_standby_does_not_disturb_the_room() {
+    in_building("a_killed_standby_does_not_disturb_the_room", |building| building.standby().kill());
+}
+
+#[test]
+fn a_frozen_standby_does_not_disturb_the_room() {
+    in_building("a_frozen_standby_does_not_disturb_the_room", |building| {
+        building.standby().signal("STOP");
+        wait_s(3.0);
+        building.standby().signal("CONT");
+    });
+}
+
+#[test]
+fn a_killed_array_is_served_again_through_its_router() {
+    in_building("a_killed_array_is_served_again_through_its_router", |building| {
+        building.array().kill();
+        wait_s(RESTART_S);
+        building.restart_array();
+    });
+}
+
+#[test]
+fn a_frozen_array_is_served_again_through_its_router() {
+    in_building("a_frozen_array_is_served_again_through_its_router", |building| {
+        building.array().signal("STOP");
+        wait_s(3.0);
+        building.array().signal("CONT");
+    });
+}
+
+#[test]
+fn the_room_follows_again_after_its_router_was_killed() {
+    in_building("the_room_follows_again_after_its_router_was_killed", |building| {
+        building.router(Host::A).kill();
+        wait_s(RESTART_S);
+        building.restart_router(Host::A);
+    });
+}
+
+#[test]
+fn the_room_follows_again_after_its_router_was_frozen() {
+    in_building("the_room_follows_again_after_its_router_was_frozen", |building| {
+        building.router(Host::A).signal("STOP");
+        wait_s(3.0);
+        building.router(Host::A).signal("CONT");
+    });
+}
+
+#[test]
+fn a_killed_router_of_the_other_host_does_not_disturb_the_room() {
+    in_building("a_killed_router_of_the_other_host_does_not_disturb_the_room", |building| {
+        building.router(Host::B).kill();
+        wait_s(RESTART_S);
+        building.restart_router(Host::B);
+    });
+}
+
+#[test]
+fn a_frozen_router_of_the_other_host_does_not_disturb_the_room() {
+    in_building("a_frozen_router_of_the_other_host_does_not_disturb_the_room", |building| {
+        building.router(Host::B).signal("STOP");
+        wait_s(8.0);
+        building.router(Host::B).signal("CONT");
+    });
+}
+
+#[test]
+fn the_loss_of_the_other_host_does_not_disturb_the_room() {
+    in_building("the_loss_of_the_other_host_does_not_disturb_the_room", |building| {
+        building.kill_host_b();
+        wait_s(3.0);
+        building.restart_host_b();
+    });
+}
+
+#[test]
+fn a_cut_link_between_the_hosts_does_not_disturb_a_room_whose_leader_is_local() {
+    in_building("a_cut_link_between_the_hosts_does_not_disturb_a_room_whose_leader_is_local", |building| {
+        building.cable.cut();
+        wait_s(3.0);
+        building.cable.heal();
+    });
+}
+
+#[test]
+fn a_link_cut_beyond_the_lease_does_not_disturb_a_room_whose_leader_is_local() {
+    in_building("a_link_cut_beyond_the_lease_does_not_disturb_a_room_whose_leader_is_local", |building| {
+        building.cable.cut();
+        wait_s(12.0);
+        building.cable.heal();
+        building.wait_for_standby(Host::B);
+    });
+}
+
+#[test]
+fn lost_packets_between_the_hosts_do_not_disturb_a_room_whose_leader_is_local() {
+    in_building("lost_packets_between_the_hosts_do_not_disturb_a_room_whose_leader_is_local", |building| {
+        assert!(building.cable.lose(10), "packets cannot be lost: install nftables");
+        wait_s(8.0);
+        building.cable.lose_none();
+    });
+}
+
+#[test]
+fn a_local_standby_takes_over_when_the_link_to_the_host_of_the_leader_is_cut() {
+    let test = "a_local_standby_takes_over_when_the_link_to_the_host_of_the_leader_is_cut";
+    let Some(building) = Building::start() else { return };
+    let mut first = Some(building);
+    measure(test, || {
+        let mut building = first.take().or_else(Building::start).expect("a building could be made before");
+        building.undergo(Host::B, |building| {
+            building.cable.cut();
+            wait_s(3.0);
+            building.cable.heal();
+        })
+    });
+}
+
+#[test]
+fn a_local_standby_takes_over_when_the_host_of_the_leader_is_lost() {
+    let test = "a_local_standby_takes_over_when_the_host_of_the_leader_is_lost";
+    let Some(building) = Building::start() else { return };
+    let mut first = Some(building);
+    measure(test, || {
+        let mut building = first.take().or_else(Building::start).expect("a building could be made before");
+        building.undergo(Host::B, |building| {
+            building.kill_host_b();
+            wait_s(3.0);
+            building.restart_host_b();
+        })
+    });
+}

@@ -207,12 +207,12 @@ mod tests {
 
     #[test]
     fn a_control_character_of_a_reason_is_escaped_once() {
-        let stop = ShownStop {
+        let stop = RoomStop {
             name: StopName { source: 1, sequence: 2 },
             operator: "ann".into(),
             reason: "smoke\nfire".into(),
             arrays: vec![0],
-            known: Instant::now(),
+            known: Duration::ZERO,
         };
         assert!(in_words(&stop).contains("of ann (\"smoke\\u000afire\") at array 0"), "{}", in_words(&stop));
     }

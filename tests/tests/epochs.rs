@@ -44,11 +44,6 @@ impl Setting {
         wait_for_accepted(&observer);
         observer
     }
-
-    /// A session that reaches the first controller and not the room, as a forger of telemetry.
-    fn forger(&self) -> RoomObserver {
-        RoomObserver::connect("demo", &[&self.controller_endpoints[0]])
-    }
 }
 
 fn encoded<T: codec::Message>(message: &T) -> Vec<u8> {

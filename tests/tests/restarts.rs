@@ -1,7 +1,7 @@
 //! Processes that are killed, restarted, or find another process in their role.
 
 use heliostat_bus::private_endpoint;
-use heliostat_proto::{ArrayState, NodeKind};
+use heliostat_proto::NodeKind;
 use heliostat_tests::{Process, RoomObserver, programs, wait_until};
 
 /// The endpoints of a room and a controller.

@@ -14,8 +14,6 @@ use heliostat_proto::{
 use heliostat_service::clock::utc_ns;
 use heliostat_tests::{Process, RoomObserver, wait_until};
 
-const HOUR_NS: u64 = 3_600_000_000_000;
-
 /// A servo board of one mirror on a socket, and the lines that it received.
 fn board() -> (String, Arc<Mutex<Vec<String>>>) {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");

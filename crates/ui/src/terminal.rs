@@ -296,7 +296,7 @@ mod tests {
             operator: operator.into(),
             reason: "person on the ladder".into(),
             arrays: arrays.to_vec(),
-            known: std::time::Duration::ZERO,
+            known: Duration::ZERO,
         };
         RoomStops {
             stops: vec![stop(3, "ann", &[0, 1]), stop(5, "b\u{1b}ob", &[0])],

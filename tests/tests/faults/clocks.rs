@@ -27,14 +27,6 @@ fn the_array_parks_while_the_clock_of_the_controller_is_1_h_ahead() {
     });
 }
 
-fn jump_of_the_tracker(seconds: i64) -> Effect {
-    Setup::new(Array::Board).start().undergo(|room| {
-        room.tracker().shift_clock(seconds * 1_000_000_000);
-        wait_s(3.0);
-        room.tracker().shift_clock(0);
-    })
-}
-
 #[test]
 fn a_controller_that_started_a_day_ahead_can_be_replaced() {
     let Some(clock) = SystemClock::build() else { return };

@@ -1,11 +1,7 @@
 //! Disks that take no more bytes. A limit of the file size stands for them; it needs no rights.
 
-use std::process::Command;
-
-use heliostat_proto::ArrayState;
 use heliostat_tests::faults::{Array, Launch, Setup};
 
-use crate::stops::{rearm_all, stop};
 use crate::{measure, wait_s};
 
 /// A program under which no file grows beyond this size in KiB, and a write beyond it fails instead

@@ -5,7 +5,7 @@ use std::time::Duration;
 use heliostat_proto::{MirrorCommand, MirrorTelemetry, UserReport};
 use heliostat_tests::faults::{Array, Attacker, Effect, Launch, Setup, encoded};
 
-use crate::{measure, wait_s};
+use crate::measure;
 
 /// Messages of a flood in Hz, fifty times the rate of the reports.
 const FLOOD_HZ: f64 = 5000.0;

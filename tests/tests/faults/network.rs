@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use heliostat_bus::{AccessRole, BusConfig, Identity};
 use heliostat_proto::EmergencyStop;
-use heliostat_tests::faults::{Array, Attacker, Direction, Effect, Link, Setup, encoded, make_keys};
+use heliostat_tests::faults::{Array, Attacker, Effect, Link, Setup, encoded, make_keys};
 
 use crate::{measure, wait_s};
 

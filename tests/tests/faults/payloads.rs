@@ -1,20 +1,13 @@
 //! Payloads that no process of the room would publish.
 
 use heliostat_proto::{
-    ArrayState, Calibration, Capabilities, ChannelReport, ControllerControl, EmergencyStop, LedReport, MirrorCommand,
-    MirrorTelemetry, NodeKind, ObstacleReport, OrientationReport, Rearm, SafetyReport, SimulatorControl, Stamp,
-    UserChannel, UserReport,
+    Calibration, ChannelReport, ControllerControl, EmergencyStop, LedReport, NodeKind, ObstacleReport,
+    OrientationReport, Rearm, SafetyReport, SimulatorControl,
 };
 use heliostat_service::clock::utc_ns;
 use heliostat_tests::faults::{Array, Attacker, Effect, FaultRoom, Setup, encoded};
 
 use crate::{measure, wait_s};
-
-/// A number that occurs in a payload once, to be replaced by NaN.
-const MARK: f32 = 0.123_456_79;
-
-/// 10 s, far more than the age at which a report is stale.
-const STALE_NS: u64 = 10_000_000_000;
 
 /// Lets an attacker act on a simulated room for a second.
 fn attack(act: impl Fn(&FaultRoom, &Attacker)) -> (FaultRoom, Effect) {
@@ -87,40 +80,6 @@ fn oversized_payloads_on_every_key_are_refused() {
             payload
         })
     });
-}
-
-/// The effect of changed copies of the newest user report.
-fn users(count: u64, change: impl Fn(&mut UserReport, u64)) -> (FaultRoom, Effect) {
-    attack(|room, attacker| {
-        let copy = |number| {
-            let mut report = room.witness.users();
-            change(&mut report, number);
-            encoded(&report)
-        };
-        attacker.publish_payloads(&attacker.room().users(), &(1..=count).map(copy).collect::<Vec<_>>());
-    })
-}
-
-/// The effect of a changed copy of the newest telemetry.
-fn telemetry(change: fn(&mut MirrorTelemetry)) -> Effect {
-    let (_, effect) = attack(|room, attacker| {
-        let mut telemetry = room.witness.telemetry();
-        telemetry.stamp.time_ns = utc_ns();
-        change(&mut telemetry);
-        attacker.publish(&attacker.room().telemetry(), &telemetry);
-    });
-    effect
-}
-
-/// The effect of a forged command: the newest one with a change.
-fn command(change: fn(&mut MirrorCommand)) -> Effect {
-    let (_, effect) = attack(|room, attacker| {
-        let mut command = room.witness.command();
-        command.time_ns = utc_ns();
-        change(&mut command);
-        attacker.publish(&attacker.room().command(), &command);
-    });
-    effect
 }
 
 #[test]

@@ -6,13 +6,9 @@ use heliostat_tests::wait_until;
 
 use crate::{measure, wait_s};
 
-/// One hour in ns.
-const HOUR_NS: u64 = 3_600_000_000_000;
-
-/// Stops the array by a stop whose time is ahead by so much, and waits until it is stopped.
-pub fn stop(room: &FaultRoom, operator: &Attacker, ahead_ns: u64) {
-    let mut stop = EmergencyStop { stamp: Attacker::stamp(7), action: StopAction::Stop, ..EmergencyStop::default() };
-    stop.stamp.time_ns += ahead_ns;
+/// Stops the array, and waits until it is stopped.
+fn stop(room: &FaultRoom, operator: &Attacker) {
+    let stop = EmergencyStop { stamp: Attacker::stamp(7), action: StopAction::Stop, ..EmergencyStop::default() };
     operator.publish(&operator.room().stop(), &stop);
     room.wait_for_state(ArrayState::Stopped);
     let accepted = room.witness.telemetry().counters.accepted;
@@ -36,20 +32,8 @@ fn naming(safety: &SafetyReport) -> Rearm {
 }
 
 /// Releases the stop in force.
-pub fn rearm(room: &FaultRoom, operator: &Attacker) {
+fn rearm(room: &FaultRoom, operator: &Attacker) {
     operator.publish(&operator.room().rearm(), &rearm_for(room));
-}
-
-/// Releases every stop in force, one after the other: a re-arm releases the stop that it names.
-pub fn rearm_all(room: &FaultRoom, operator: &Attacker) {
-    wait_until("an array without a stop", || {
-        let source = room.witness.telemetry().stamp.source;
-        let report = room.witness.safety().filter(|safety| safety.stopped && safety.stamp.source == source);
-        if let Some(safety) = report {
-            operator.publish(&operator.room().rearm(), &naming(&safety));
-        }
-        room.witness.state() != Some(ArrayState::Stopped)
-    });
 }
 
 #[test]
@@ -58,7 +42,7 @@ fn a_stop_of_any_sender_is_obeyed_until_its_re_arm() {
         let mut room = Setup::new(Array::Simulated).start();
         let operator = room.attacker();
         room.undergo(|room| {
-            stop(room, &operator, 0);
+            stop(room, &operator);
             rearm(room, &operator);
         })
     });

@@ -201,8 +201,6 @@ impl OrderArgs {
 
 #[cfg(test)]
 mod tests {
-    use std::time::Instant;
-
     use super::*;
 
     #[test]

@@ -201,7 +201,7 @@ fn a_file_of_another_kind_is_named_with_what_to_do() {
         (b"", "is empty"),
     ] {
         std::fs::write(file.path(), bytes).unwrap();
-        let refusal = heliostat_record::file::open(file.path()).err().expect("no recording").to_string();
+        let refusal = file::open(file.path()).err().expect("no recording").to_string();
         assert!(refusal.starts_with("the file ") && refusal.contains(words), "{refusal}");
     }
 }

@@ -4,7 +4,6 @@ use heliostat_proto::{
     Calibration, ChannelReport, ControllerControl, EmergencyStop, LedReport, NodeKind, ObstacleReport,
     OrientationReport, Rearm, SafetyReport, SimulatorControl,
 };
-use heliostat_service::clock::utc_ns;
 use heliostat_tests::faults::{Array, Attacker, Effect, FaultRoom, Setup, encoded};
 
 use crate::{measure, wait_s};

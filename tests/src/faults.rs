@@ -29,7 +29,7 @@ pub use building::{Building, Host};
 pub use effect::Effect;
 pub use namespace::{Cable, Link};
 pub use promise::Promise;
-pub use proxy::{Direction, Proxy};
+pub use proxy::Proxy;
 pub use room::{Array, FaultRoom, Launch, Setup, make_keys};
 pub use system_clock::SystemClock;
 pub use table::{FAULTS, Fault};

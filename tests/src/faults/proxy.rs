@@ -2,7 +2,7 @@
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
-use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::Duration;
@@ -10,36 +10,18 @@ use std::time::Duration;
 /// Longest delay between a change of the proxy's state and its effect.
 const POLL: Duration = Duration::from_millis(5);
 
-/// A direction of traffic.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Direction {
-    /// From the side that connected to the side that listens.
-    Forward,
-    /// From the side that listens to the side that connected.
-    Backward,
-}
-
-impl Direction {
-    fn bit(self) -> u8 {
-        match self {
-            Self::Forward => 1,
-            Self::Backward => 2,
-        }
-    }
-}
-
 /// State that the threads of a proxy share.
 #[derive(Default)]
 struct State {
-    /// Bits of the directions that are interrupted on every connection.
-    blocked: AtomicU8,
+    /// Whether every connection is interrupted.
+    is_partitioned: AtomicBool,
     /// Open connections, each with its own interruption that never ends.
     connections: Mutex<Vec<(TcpStream, Arc<AtomicBool>)>>,
     ended: AtomicBool,
 }
 
-/// A proxy in front of one endpoint. While a direction is interrupted, the proxy reads no bytes from
-/// its sender: none are lost, as when TCP retransmits.
+/// A proxy in front of one endpoint. While it is interrupted, the proxy reads no bytes: none are
+/// lost, as when TCP retransmits.
 pub struct Proxy {
     endpoint: String,
     state: Arc<State>,
@@ -68,17 +50,12 @@ impl Proxy {
 
     /// Interrupts both directions of all connections, and accepts no new one.
     pub fn partition(&self) {
-        self.state.blocked.store(Direction::Forward.bit() | Direction::Backward.bit(), Ordering::SeqCst);
-    }
-
-    /// Interrupts one direction of all connections.
-    pub fn block(&self, direction: Direction) {
-        self.state.blocked.store(direction.bit(), Ordering::SeqCst);
+        self.state.is_partitioned.store(true, Ordering::SeqCst);
     }
 
     /// Ends an interruption.
     pub fn heal(&self) {
-        self.state.blocked.store(0, Ordering::SeqCst);
+        self.state.is_partitioned.store(false, Ordering::SeqCst);
     }
 
     /// Interrupts the present connections for ever, without closing them; new ones are not affected.
@@ -107,31 +84,31 @@ impl Drop for Proxy {
 fn accept(listener: &TcpListener, target: &str, state: &Arc<State>) {
     while !state.ended.load(Ordering::SeqCst) {
         thread::sleep(POLL);
-        if state.blocked.load(Ordering::SeqCst) == Direction::Forward.bit() | Direction::Backward.bit() {
+        if state.is_partitioned.load(Ordering::SeqCst) {
             continue;
         }
         let Ok((near, _)) = listener.accept() else { continue };
         let Ok(far) = TcpStream::connect(target) else { continue };
         let abandoned = Arc::new(AtomicBool::new(false));
         let copy = |stream: &TcpStream| stream.try_clone().expect("a socket can be copied");
-        let ends = [(copy(&near), copy(&far), Direction::Forward), (copy(&far), copy(&near), Direction::Backward)];
+        let ends = [(copy(&near), copy(&far)), (copy(&far), copy(&near))];
         let mut connections = state.connections.lock().expect("no thread panics");
         connections.extend([near, far].map(|stream| (stream, Arc::clone(&abandoned))));
-        for (from, to, direction) in ends {
+        for (from, to) in ends {
             let (state, abandoned) = (Arc::clone(state), Arc::clone(&abandoned));
-            thread::spawn(move || pump(from, to, direction, &state, &abandoned));
+            thread::spawn(move || pump(from, to, &state, &abandoned));
         }
     }
 }
 
 /// Copies bytes until one of the sockets is closed.
-fn pump(mut from: TcpStream, mut to: TcpStream, direction: Direction, state: &State, abandoned: &AtomicBool) {
+fn pump(mut from: TcpStream, mut to: TcpStream, state: &State, abandoned: &AtomicBool) {
     let mut bytes = vec![0; 64 * 1024];
     from.set_nonblocking(false).expect("a socket can be set");
     from.set_read_timeout(Some(POLL)).expect("a socket can be set");
     to.set_nodelay(true).expect("a socket can be set");
     while !state.ended.load(Ordering::SeqCst) {
-        if abandoned.load(Ordering::SeqCst) || state.blocked.load(Ordering::SeqCst) & direction.bit() != 0 {
+        if abandoned.load(Ordering::SeqCst) || state.is_partitioned.load(Ordering::SeqCst) {
             thread::sleep(POLL);
             continue;
         }

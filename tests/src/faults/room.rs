@@ -166,7 +166,7 @@ pub struct FaultRoom {
     setup: Setup,
     proxy: Option<Proxy>,
     board: Option<LoopbackBoard>,
-    tracker: Option<Tracker>,
+    _tracker: Option<Tracker>,
     folder: TempDir,
 }
 
@@ -180,8 +180,8 @@ impl FaultRoom {
         });
         let (array, controller) = (start_array(&setup, &folder), start_controller(&setup));
         let witness = Witness::connect(&setup.session());
-        let tracker = board.is_some().then(|| Tracker::start(&setup.session()));
-        let room = Self { array, controller, witness, setup, proxy, board, tracker, folder };
+        let _tracker = board.is_some().then(|| Tracker::start(&setup.session()));
+        let room = Self { array, controller, witness, setup, proxy, board, _tracker, folder };
         room.witness.wait_until_steady();
         room
     }
@@ -215,20 +215,9 @@ impl FaultRoom {
         end(&mut self.controller)
     }
 
-    /// Ends the array in order.
-    pub fn end_array(&mut self) -> Ended {
-        end(&mut self.array)
-    }
-
     /// How the processes are started, for the next start.
     pub fn setup_mut(&mut self) -> &mut Setup {
         &mut self.setup
-    }
-
-    /// A second controller in the room.
-    pub fn second_controller(&self) -> Process {
-        let endpoint = private_endpoint().expect("an endpoint");
-        start_controller(&Setup { controller_endpoint: endpoint, ..self.setup.clone() })
     }
 
     /// Another process of `heliostat`, with links to array and controller.
@@ -263,11 +252,6 @@ impl FaultRoom {
     /// When the array is simulated; the same holds for the tracker.
     pub fn board(&self) -> &LoopbackBoard {
         self.board.as_ref().expect("the room has a board")
-    }
-
-    /// The tracker beside a driver.
-    pub fn tracker(&self) -> &Tracker {
-        self.tracker.as_ref().expect("the room has a tracker")
     }
 
     /// Waits until telemetry has this state.

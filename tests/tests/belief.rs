@@ -69,6 +69,8 @@ fn the_belief_follows_each_command_and_is_near_the_truth() {
     let setting = Setting::new(&FILTER);
     let bus = setting.bus();
     let (commands, _commands) = collect::<MirrorCommand>(&bus, &bus.room().command());
+    // The first commands may precede the match of their subscription.
+    wait_until("a command", || !commands.lock().expect("received").is_empty());
     let latest = Arc::clone(&commands);
     // With each belief the newest command that had arrived before it.
     let beliefs: Arrived<(BeliefReport, u64)> = Arc::default();

@@ -162,7 +162,7 @@ mod tests {
         }
         let (mean, deviation) = grid.moments();
         assert!((mean[0] - truth[0]).abs() < 0.1 && (mean[1] - truth[1]).abs() < 0.1, "{mean:?}");
-        assert!(deviation[0] < 0.1 && deviation[1] < 0.1, "{deviation:?}");
+        assert!(deviation[0] < grid.step[0] && deviation[1] < grid.step[1], "within one cell: {deviation:?}");
     }
 
     #[test]

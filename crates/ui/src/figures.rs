@@ -308,9 +308,11 @@ fn node(received: &Received, name: &str, at: Instant, status: &NodeStatus) -> No
     NodeFigures { node: name.to_owned(), state, problem: shown(received.problems.current(name)) }
 }
 
-/// The figures of a process without a problem that a note states too.
+/// The figures of a process without a problem that a note states too, with other advice behind its
+/// colon.
 fn without_notes(mut node: NodeFigures, notes: &[String]) -> NodeFigures {
-    if notes.iter().any(|note| note.starts_with(&node.problem)) {
+    let fault = |text: &str| text.split(": ").next().unwrap_or_default().to_owned();
+    if notes.iter().any(|note| fault(note) == fault(&node.problem)) {
         node.problem.clear();
     }
     node

@@ -30,6 +30,19 @@ fn every_command_has_a_help_text() {
     }
 }
 
+/// The text of flags that two commands share would take the place of that of a command.
+#[test]
+fn a_command_is_described_and_not_its_flags() {
+    let overview = String::from_utf8(heliostat(&["--help"]).stdout).expect("text");
+    let commands = overview.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| !line.is_empty());
+    let described = commands.filter_map(|line| line.strip_prefix("  ")?.split_once("  "));
+    let described: Vec<(&str, &str)> = described.filter(|(name, _)| !name.is_empty()).collect();
+    assert!(described.len() > 10, "{overview}");
+    for (name, text) in described {
+        assert!(!text.trim().starts_with("Flags"), "{name}: {text}");
+    }
+}
+
 #[test]
 fn a_help_text_states_what_a_flag_requires() {
     let help = String::from_utf8(heliostat(&["sim-node", "--help"]).stdout).expect("text");

@@ -44,10 +44,11 @@ struct ArrayArgs {
     array: usize,
 }
 
-/// Flags of an array that a process drives.
+// No doc comment: clap would show it in place of that of the command.
 #[derive(Clone, Debug, clap::Args)]
+#[allow(missing_docs)]
 pub struct DrivenArgs {
-    /// Correct the mirrors' mounting with this file of `heliostat-lab calibrate`
+    /// Correct the mirrors' mounting with this file of `heliostat calibrate`
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
     /// Keep the emergency stop over a restart, in one file per room in this folder [default:

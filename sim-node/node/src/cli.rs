@@ -29,7 +29,7 @@ pub struct Args {
     /// gives the same run, bit for bit
     #[arg(long, value_name = "TICKS", conflicts_with = "seconds", value_parser = clap::value_parser!(u64).range(1..))]
     lockstep: Option<u64>,
-    /// Correct the mirrors' mounting with this file of `heliostat-lab calibrate`
+    /// Correct the mirrors' mounting with this file of `heliostat calibrate`
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
     /// Keep the emergency stop over a restart, in one file per room in this folder; without it the

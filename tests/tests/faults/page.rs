@@ -39,5 +39,6 @@ fn every_row_of_the_page_names_a_test_and_every_test_has_a_row() {
     }
     let page = fs::read_to_string(page::path()).expect("the page of faults");
     let rows: BTreeSet<String> = page::rows(&page).into_keys().collect();
+    assert!(page::has_present_head(&page), "docs/faults.md begins with another text than tests/src/faults/page.rs");
     assert_eq!(rows, tests(), "write docs/faults.md again with HELIOSTAT_WRITE_FAULTS=1");
 }

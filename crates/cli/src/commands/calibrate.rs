@@ -164,10 +164,9 @@ fn finish(
     show::outcome(args, outcome, is_improvement)?;
     if !is_improvement {
         bail!(
-            "the calibrated aims give {:.3} ± {:.3} of the light of the nominal ones at the place of the verification: \
+            "the calibrated aims give {} of the light of the nominal ones at the place of the verification: \
              expected more than 1. Nothing is written; repeat with another spot, or check the heights",
-            outcome.verification.ratio().value,
-            outcome.verification.ratio().deviation
+            show::plus_minus(&outcome.verification.ratio(), 3)
         );
     }
     Ok(())

@@ -1,8 +1,8 @@
 """Tracking systems as trackers of a room. Each needs its own extra besides `zenoh`.
 
-    python -m heliostat.track ros2 --topic /helmet/pose --room studio --connect tcp/127.0.0.1:7447
-    python -m heliostat.track mqtt --broker 192.168.1.5 --layout dwm1001 --connect tcp/127.0.0.1:7447
-    python -m heliostat.track qtm --host 192.168.1.6 --connect tcp/127.0.0.1:7447
+    python -m heliostat.track ros2 --topic /helmet/pose --room studio --connect tcp/127.0.0.1:17711
+    python -m heliostat.track mqtt --broker 192.168.1.5 --layout dwm1001 --connect tcp/127.0.0.1:17711
+    python -m heliostat.track qtm --host 192.168.1.6 --connect tcp/127.0.0.1:17711
 
 | source | tracking system | extra |
 | --- | --- | --- |

@@ -1,8 +1,8 @@
 """Connects a tracking system to a room: reports its bodies as users.
 
-    python -m heliostat.track ros2 --topic /helmet/pose --room studio --connect tcp/127.0.0.1:7447
-    python -m heliostat.track mqtt --broker 192.168.1.5 --layout dwm1001 --user 4F2A=0 --connect tcp/127.0.0.1:7447
-    python -m heliostat.track qtm --host 192.168.1.6 --axes y-up --origin=-1,0.5,0 --connect tcp/127.0.0.1:7447
+    python -m heliostat.track ros2 --topic /helmet/pose --room studio --connect tcp/127.0.0.1:17711
+    python -m heliostat.track mqtt --broker 192.168.1.5 --layout dwm1001 --user 4F2A=0 --connect tcp/127.0.0.1:17711
+    python -m heliostat.track qtm --host 192.168.1.6 --axes y-up --origin=-1,0.5,0 --connect tcp/127.0.0.1:17711
 
 Connect to the controller and to each viewer, since peers do not forward messages. Begin with --dry-run: it joins no room,
 and prints where each user is. Positions in a room are in m, from the centre of the floor, with z up.

@@ -130,7 +130,7 @@ pub fn outcome(args: &Args, outcome: &Outcome, is_written: bool) -> Result<()> {
 }
 
 /// The value and the 95 % interval.
-fn plus_minus(measured: &Measured, digits: usize) -> String {
+pub fn plus_minus(measured: &Measured, digits: usize) -> String {
     let half = heliostat_calibrate::outcome::QUANTILE_95 * measured.deviation;
     format!("{:.digits$} ± {half:.digits$}", measured.value)
 }

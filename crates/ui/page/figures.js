@@ -117,7 +117,7 @@ function quantiles(times) {
   });
 }
 
-// Which controller leads, which stand by, and the takeovers of those in the room.
+// Which controller leads, which stand by, and the takeovers of those in the room; nothing where one controller is alone.
 function standby(controllers) {
   const short = ({ name }) => name.slice(0, 4);
   const leaders = controllers.filter((one) => !one.is_standby);
@@ -125,6 +125,7 @@ function standby(controllers) {
   const sum = (key) => controllers.reduce((total, one) => total + one[key], 0);
   const text = [...leaders.map((one) => `${short(one)} leads`), ...waiting.map((one) => `${short(one)} stands by`)].join(", ");
   const lost = sum("false_takeovers");
+  if (controllers.length < 2 && sum("takeovers") + lost === 0) return [];
   return [
     ["controllers", text || "none", leaders.length === 1 ? "" : "bad", "The controllers in the room, by the beginning of their source id: one leads, the others stand by."],
     ["takeovers", String(sum("takeovers")), "", "How often the controllers in the room took over since their start."],

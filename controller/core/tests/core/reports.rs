@@ -201,7 +201,8 @@ fn a_user_with_impossible_values_is_left_out_and_the_others_are_served() {
     let expected = LeftOut { user, refusal: Refusal::OutsideRoom, position_m, values };
     assert_eq!((refused.left_out(), refused.last_left_out(), refused.total()), (1, Some(expected), 0));
     // Speeds and minimum rates are those of one user too.
-    let changes: [(fn(&mut UserState), &str); 2] = [
+    type Change = fn(&mut UserState);
+    let changes: [(Change, &str); 2] = [
         (|user| user.min_rate_bps = -1.0, "a minimum rate of -1 bit/s: expected 0 or more"),
         (|user| user.velocity_m_s = [0.0, 101.0], "a speed of 101.0000 m/s: expected at most 100 m/s"),
     ];

@@ -15,7 +15,7 @@
 //! keeps the caches warm. After a report has waited long for that thread, the last case is left out
 //! for a while. The main thread holds the lock to act on missing reports, to exchange stage times
 //! and to copy counters; callbacks hold it to pass on liveliness, stop orders and capabilities if it
-//! is free (see [announcements](super::announcements)); the thread of policy swaps holds it to
+//! is free (see `announcements.rs`); the thread of policy swaps holds it to
 //! replace the policy.
 
 use std::{

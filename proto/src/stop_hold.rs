@@ -89,6 +89,11 @@ impl StopHold {
         }
     }
 
+    /// Holds a stop no longer, because another holder has taken it over.
+    pub fn forget(&mut self, name: StopName) {
+        self.stops.retain(|held| held.name != name);
+    }
+
     /// Holds a stop that another array reports, unless this array has released it, or a later one of its
     /// sender.
     pub fn learn(&mut self, stop: &LatchedStopReport) {

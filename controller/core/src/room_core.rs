@@ -386,8 +386,8 @@ impl RoomCore {
             InputKey::Stop => {
                 if let Some(order) = undecodable.decode::<EmergencyStop>(key, payload) {
                     controller.handle_stop_order(room_ns, &order);
+                    self.locked_repeater().forget(order.name());
                 }
-                self.locked_repeater().forget_orders();
             }
             InputKey::Geometry => {
                 if let Some(announced) = undecodable.decode::<RoomGeometry>(key, payload) {

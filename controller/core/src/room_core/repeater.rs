@@ -6,7 +6,7 @@
 //! noted by [`note_order`](Repeater::note_order) until the core handles it.
 
 use heliostat_proto::{
-    EmergencyStop, Message, Nanos, RoomGeometry, Stamp, StopAction, StopRepetition, decode, encode,
+    EmergencyStop, Message, Nanos, RoomGeometry, Stamp, StopAction, StopName, StopRepetition, decode, encode,
     stop_hold::{HeldStop, StopHold},
 };
 use heliostat_scenario::Scenario;
@@ -63,9 +63,9 @@ impl Repeater {
         }
     }
 
-    /// The core has handled the order that was noted.
-    pub(super) fn forget_orders(&mut self) {
-        self.waiting = StopHold::default();
+    /// The core has handled the order of this name.
+    pub(super) fn forget(&mut self, name: StopName) {
+        self.waiting.forget(name);
     }
 
     /// Replaces the list by what the core knows.

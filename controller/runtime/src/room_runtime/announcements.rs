@@ -17,8 +17,8 @@ use super::{
     locks::{lock, try_lock},
 };
 
-/// Most messages that wait; beyond that the oldest is dropped. Arrays repeat their announcements, and
-/// the repeater has noted each stop.
+/// Most messages that wait; beyond that the oldest announcement is dropped, because arrays repeat
+/// theirs. No process repeats a stop order to this one, or a token.
 const CAPACITY: usize = 256;
 
 /// A message that waits for the decision loop.
@@ -85,7 +85,10 @@ impl Announcements {
     fn push(&self, announcement: Announcement) {
         let mut waiting = lock(&self.waiting);
         if waiting.len() == CAPACITY {
-            waiting.pop_front();
+            let is_repeated =
+                |one: &Announcement| matches!(one, Announcement::Payload { key, .. } if *key != InputKey::Stop);
+            let least = waiting.iter().position(is_repeated).unwrap_or_default();
+            waiting.remove(least);
         }
         waiting.push_back(announcement);
         drop(waiting);

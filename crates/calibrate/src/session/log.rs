@@ -46,7 +46,9 @@ impl Session {
     pub fn resume(&mut self, log: Log) -> Result<(), SetupError> {
         let expected = self.optics.centres.len();
         let is_valid = |reading: &Reading| reading.spot < log.spots.len() && reading.mirror < expected;
-        if log.mirrors != expected || log.places.len() != log.spots.len() || !log.readings.iter().all(is_valid) {
+        let has_leds = log.spots.iter().all(|spot| spot.led < self.optics.leds.len());
+        let fits = log.mirrors == expected && log.places.len() == log.spots.len() && has_leds;
+        if !fits || !log.readings.iter().all(is_valid) {
             return Err(SetupError::OtherLog { found: log.mirrors, expected });
         }
         self.spots = log.spots;

@@ -56,15 +56,24 @@ pub fn run(args: Args) -> Result<()> {
         room.calibration_in_use() == 0 || base.is_some(),
         "the array uses a calibration already: give its file with --base, so that the result includes it"
     );
+    ensure!(
+        room.calibration_in_use() != 0 || base.is_none(),
+        "the array uses no calibration, and --base names one: start its driver with this file, or leave --base out"
+    );
+    if let Some(base) = &base {
+        let (found, expected) = (base.rows.saturating_mul(base.columns), room.capabilities().mirrors());
+        ensure!(found == expected, "--base is for {found} mirrors: expected a file for {expected}");
+    }
     let mut session = new_session(&args, &scenario, &room)?;
     if let Some(log) = args.readings.as_deref().filter(|file| file.exists()).map(read_log).transpose()? {
         note(format_args!("continued: {} spots complete, {} readings", log.complete, log.readings.len()));
         session.resume(log)?;
     }
     let run = drive(&args, &mut session, &mut room, &stop);
-    save_log(&args, &session)?;
+    let saved = save_log(&args, &session);
     room.release();
     run?;
+    saved?;
     let outcome = session
         .outcome()
         .context("interrupted: nothing is written; the same command with the same --readings continues")?;

@@ -138,7 +138,10 @@ def run(
             is_silent = silent.lasts()
             if tracker is not None:
                 tracker.describe("no data" if is_silent else "tracking", users.problems.latest, users.problems.counts)
-                _publish(tracker, report)
+                try:
+                    _publish(tracker, report)
+                except Refused as problem:
+                    users.problems.note("refused", str(problem), _now())
             if report is not None:
                 reports += 1
                 if show is not None:

@@ -132,7 +132,7 @@ class Mqtt(Source):
                 raise ValueError(f"{len(payload)} bytes, expected at most {_SIZE_MAX}")
             read = json.loads(payload)
             poses = [self.pose(topic, one) for one in (read if isinstance(read, list) else [read])]
-        except (ValueError, RecursionError) as problem:
+        except (ValueError, RecursionError, OverflowError) as problem:
             intake.problem("malformed", f"a message of {topic} cannot be read: {problem}")
             return
         intake.poses([pose for pose in poses if pose is not None])

@@ -313,7 +313,8 @@ class Users:
             self.problems.note("too-many", text, now)
             present = dict(list(present.items())[:USERS_MAX])
         newest_ns = max((body.time_ns for body in new), default=now.utc_ns)
-        self._time_ns = max(self._time_ns, newest_ns)
+        # A clock that was set back goes on from there: reports that are ahead would be refused for so long.
+        self._time_ns = newest_ns if self._time_ns - newest_ns > LEAD_MAX_NS else max(self._time_ns, newest_ns)
         self._reported = set(present)
         self._bodies = present
         for body in present.values():

@@ -7,7 +7,7 @@ use anyhow::Result;
 use heliostat_bus::Publisher;
 use heliostat_channel::MirrorAngles;
 use heliostat_core::tenure::{Evidence, Standing, Tenure, TenureEvent};
-use heliostat_proto::{MirrorCommand, MirrorTelemetry, Nanos, encode};
+use heliostat_proto::{ArrayState, MirrorCommand, MirrorTelemetry, Nanos, encode};
 
 /// Commands whose times are remembered until telemetry shows them.
 const REMEMBERED: usize = 128;
@@ -27,6 +27,8 @@ pub struct Commander {
     /// Whether telemetry counts for the epoch; not before the first command of a takeover.
     heeds_telemetry: bool,
     superseded: Option<u64>,
+    /// Whether a stop was ordered or is in force: nothing is commanded any more.
+    stopped: bool,
 }
 
 impl Commander {
@@ -47,11 +49,13 @@ impl Commander {
             payload: Vec::new(),
             heeds_telemetry: !takes_over,
             superseded: None,
+            stopped: false,
         }
     }
 
     /// Compares telemetry; the delay in ns of the command that it shows, if it is the first to.
     pub fn handle_telemetry(&mut self, now: Nanos, telemetry: &MirrorTelemetry) -> Option<Nanos> {
+        self.stopped |= telemetry.state == ArrayState::Stopped;
         if self.heeds_telemetry {
             let event = self.tenure.handle_telemetry(now, Evidence::from(telemetry));
             if event == Some(TenureEvent::Superseded) {
@@ -65,6 +69,16 @@ impl Commander {
         let (_, sent_ns) = self.sent[at];
         self.sent.drain(..=at);
         Some(telemetry.applied_ns.saturating_sub(sent_ns))
+    }
+
+    /// A stop was ordered, whether or not the array has received it.
+    pub fn note_stop(&mut self) {
+        self.stopped = true;
+    }
+
+    /// Whether a stop was ordered or reported.
+    pub fn is_stopped(&self) -> bool {
+        self.stopped
     }
 
     /// Another controller is in the room, or has left.
@@ -105,8 +119,9 @@ impl Commander {
     }
 
     fn send(&mut self, now: Nanos) -> Result<()> {
+        // After a release the array must not get angles of before the stop.
         // A process that has lost the lead stays out of it: its readings would be of another's angles.
-        if self.superseded.is_some() || (self.stands_by() && self.heeds_telemetry) {
+        if self.stopped || self.superseded.is_some() || (self.stands_by() && self.heeds_telemetry) {
             return Ok(());
         }
         let (Some(epoch), _) = self.tenure.permit(now) else { return Ok(()) };

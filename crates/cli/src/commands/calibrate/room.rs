@@ -10,8 +10,8 @@ use heliostat_channel::MirrorAngles;
 use heliostat_core::tenure::Tenure;
 use heliostat_proto::keys::parse_alive;
 use heliostat_proto::{
-    ArrayState, Capabilities, ChannelReport, Message, MirrorTelemetry, NodeKind, NodeStatus, SafetyReport, Stamp,
-    UserReport, decode, encode,
+    ArrayState, Capabilities, ChannelReport, EmergencyStop, Message, MirrorTelemetry, Nanos, NodeKind, NodeStatus,
+    SafetyReport, Stamp, StopAction, StopRepetition, UserReport, decode, encode,
 };
 use heliostat_service::clock::{monotonic_ns, utc_ns};
 use heliostat_service::source_id;
@@ -21,6 +21,9 @@ use super::commander::Commander;
 
 /// Longest wait for capabilities, telemetry and the lead.
 const WAIT: Duration = Duration::from_secs(5);
+
+/// Age beyond which a report does not count.
+const REPORT_AGE_MAX_NS: Nanos = 1_000_000_000;
 
 /// Time between two queries.
 const QUERY_EVERY: Duration = Duration::from_millis(200);
@@ -46,6 +49,8 @@ pub enum Received {
 
 /// A session in the room.
 pub struct LiveRoom {
+    /// Source of the telemetry, and the calibration in use, at the start.
+    driver: (u64, u64),
     queue: Receiver<Received>,
     commander: Arc<Mutex<Commander>>,
     telemetry: Arc<Mutex<Option<MirrorTelemetry>>>,
@@ -91,6 +96,7 @@ impl LiveRoom {
             "the array follows a controller with the epoch {}: end it, or give --take-over",
             shown.epoch
         );
+        let driver = (shown.stamp.source, shown.calibration);
         let interval_ns = 1_000_000_000 / 10;
         let mut tenure = Tenure::live(source, interval_ns);
         tenure.handle_announced_epoch(shown.epoch.max(safety.map_or(0, |safety| safety.epoch)));
@@ -111,6 +117,7 @@ impl LiveRoom {
             ..NodeStatus::default()
         };
         let live = Self {
+            driver,
             queue,
             commander,
             telemetry,
@@ -146,8 +153,13 @@ impl LiveRoom {
         if let Some(epoch) = lock(&self.commander).superseded_by() {
             bail!("a controller with the epoch {epoch} has taken the lead: nothing is written");
         }
-        if lock(&self.telemetry).as_ref().is_some_and(|telemetry| telemetry.state == ArrayState::Stopped) {
+        if lock(&self.commander).is_stopped() {
             bail!("the array was stopped: release it with `heliostat rearm`, then continue with --readings");
+        }
+        if lock(&self.telemetry).as_ref().is_some_and(|shown| (shown.stamp.source, shown.calibration) != self.driver) {
+            bail!(
+                "the array has another driver or another calibration than at the start: begin again without these readings"
+            );
         }
         match self.queue.recv_timeout(limit) {
             Ok(received) => Ok(Some(received)),
@@ -213,13 +225,18 @@ fn subscribe(
     let (queue, answering) = (sender.clone(), Arc::clone(commander));
     let users = bus.subscribe(&room.users(), move |payload| {
         let Ok(report) = decode::<UserReport>(payload) else { return };
+        if !is_recent(&report.stamp) {
+            return;
+        }
         // The next report is answered again; a bus that is closed shows at the next command.
         let _ = lock(&answering).answer(utc_ns(), report.tick);
         let _ = queue.try_send(Received::Users(report));
     })?;
     let queue = sender.clone();
     let channel = bus.subscribe(&room.channel(), move |payload| {
-        if let Ok(report) = decode(payload) {
+        if let Ok(report) = decode::<ChannelReport>(payload)
+            && is_recent(&report.stamp)
+        {
             let _ = queue.try_send(Received::Channel(report));
         }
     })?;
@@ -237,7 +254,24 @@ fn subscribe(
             lock(&watching).handle_controller(source, presence == Presence::Alive);
         }
     })?;
-    Ok(vec![users, channel, telemetry, others])
+    let ordered = Arc::clone(commander);
+    let stops = bus.subscribe(&room.stop(), move |payload| {
+        if decode::<EmergencyStop>(payload).is_ok_and(|order| order.action == StopAction::Stop) {
+            lock(&ordered).note_stop();
+        }
+    })?;
+    let repeated = Arc::clone(commander);
+    let repetitions = bus.subscribe(&keys.stop_repetition(), move |payload| {
+        if decode::<StopRepetition>(payload).is_ok() {
+            lock(&repeated).note_stop();
+        }
+    })?;
+    Ok(vec![users, channel, telemetry, others, stops, repetitions])
+}
+
+/// Whether the time of a report is within the age that counts, and not in the future.
+fn is_recent(stamp: &Stamp) -> bool {
+    stamp.time_ns.abs_diff(utc_ns()) < REPORT_AGE_MAX_NS
 }
 
 /// Queries a message of the array until it answers, or the wait is over.

@@ -117,9 +117,9 @@ def test_poses_of_a_node_become_users_whom_a_controller_answers(tmp_path: Path) 
 
 def test_an_array_of_poses_is_one_user_for_each_place(tmp_path: Path) -> None:
     router = free_endpoint("tcp")
-    key = f"0/people/{ros2.dds_name('geometry_msgs/msg/PoseArray')}/{ros2._STORE.hash_rihs01('geometry_msgs/msg/PoseArray')}"
-    flags = ("ros2", "--topic", "/people", "--ros", router, "--user", "/people[0]=4", "--user", "/people[1]=2", "--timeout-s", "0.3")
-    with node(router, key, "people") as camera, tracked(tmp_path, *flags) as run:
+    key = f"0/bodies/{ros2.dds_name('geometry_msgs/msg/PoseArray')}/{ros2._STORE.hash_rihs01('geometry_msgs/msg/PoseArray')}"
+    flags = ("ros2", "--topic", "/bodies", "--ros", router, "--user", "/bodies[0]=4", "--user", "/bodies[1]=2", "--timeout-s", "0.3")
+    with node(router, key, "bodies") as camera, tracked(tmp_path, *flags) as run:
         camera.message = lambda: PoseArray(header(), [pose(1.0, 0.0, 1.0), pose(-1.0, 0.5, 1.2)]).serialize()
         run.wait_for({4: [1.0, 0.0, 1.0], 2: [-1.0, 0.5, 1.2]})
         camera.message = lambda: PoseArray(header(), [pose(1.5, 0.0, 1.0)]).serialize()
@@ -188,7 +188,7 @@ def test_the_mirrors_come_back_as_joint_states(tmp_path: Path) -> None:
         subscriber.undeclare()
 
 
-@pytest.mark.parametrize("topics", [[], ["/"], ["/people/*"], ["/a?b"]])
+@pytest.mark.parametrize("topics", [[], ["/"], ["/bodies/*"], ["/a?b"]])
 def test_names_that_are_no_topics_are_refused(topics: list[str]) -> None:
     with pytest.raises(SourceError, match="expected names such as"):
         ros2.Ros2(topics)

@@ -17,7 +17,7 @@ const VERIFY: [f64; 2] = [-0.28, -0.16];
 
 /// Measure the mirrors, the LEDs and the tracker's frame of a running room.
 ///
-/// One person carries one receiver to a few spots and to one more place for the verification, faces
+/// One user carries one receiver to a few spots and to one more place for the verification, faces
 /// the mirrors and stands still. The command notices where the receiver stands. It turns one mirror
 /// after the other to the receiver and reads the channel reports. Then it estimates how each mirror is
 /// mounted, where the LEDs are, and the height of the tracker's frame.

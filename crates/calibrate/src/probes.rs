@@ -20,7 +20,7 @@ const READINGS_MAX: u32 = 10;
 const DARK_MAX: u32 = 7;
 
 /// Share of the largest gain from which on a reading counts as light.
-const LIT_SHARE: f64 = 0.25;
+pub(crate) const LIT_SHARE: f64 = 0.25;
 
 /// The state of a mirror at a spot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -7,7 +7,7 @@ use crate::fit::{self, Data, Estimate, Reading};
 use crate::grid::{Expected, Grid};
 use crate::optics::{LED, OFFSET, PLACE, QUANTITIES, Quantities, RAISE};
 use crate::outcome::{self, Outcome};
-use crate::probes::State;
+use crate::probes::{LIT_SHARE, State};
 
 /// Mean square of a mirror's residuals at a spot above which they do not fit.
 const BAD_SQUARE: f64 = 6.0;
@@ -23,9 +23,6 @@ const MOVED_RAD: f64 = fit::STEP_MAX_RAD;
 
 /// Extent of the second search in prior standard deviations.
 const SEARCH_SPREAD: f64 = 1.3;
-
-/// Share of the largest gain that shows that a mirror lights a spot.
-const LIT_SHARE: f64 = 0.25;
 
 /// Step in m of the derivatives of an aim.
 const AIM_STEP_M: f64 = 1e-4;

@@ -171,6 +171,7 @@ impl Reporter {
             ("over_budget", times.over_budget()),
             ("unsent", summary.unsent),
             ("dropped", summary.dropped),
+            ("cache_warm_ups", summary.cache_warm_ups),
             ("unanswered", summary.unanswered),
             ("modelled", summary.modelled),
             ("clipped_range", summary.clipped.range),

@@ -1,7 +1,8 @@
 //! The rules of a driver for a device in Python: `heliostat_array::station` around it.
 //!
-//! The caller has the session, the clock and the thread. Messages may be received on any thread;
-//! all other methods belong to one thread, and none may be called from a method of the device.
+//! The caller has the session, the clock and the threads. Any thread may receive messages, and one may
+//! write the record of the stop meanwhile; all other methods belong to one thread, and none may be called
+//! from a method of the device.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -9,7 +10,7 @@ use heliostat_array::arrivals::Arrivals;
 use heliostat_array::content::Content;
 use heliostat_array::moment::Moment;
 use heliostat_array::station::{Identity, Report, Station as Rules};
-use heliostat_array::stop_record::{self, StopRecord, StopStore};
+use heliostat_array::stop_record::{self, RecordError, RecordTask, StopRecord, StopStore};
 use heliostat_array::{Device, DeviceError, Health, Kit};
 use heliostat_channel::MirrorAngles;
 use heliostat_proto::messages::fault;
@@ -44,7 +45,7 @@ impl PyDevice {
             work(py, self.object.bind(py)).map_err(|error| {
                 let problem = format!("{method}: {error}");
                 if !error.is_instance_of::<PyException>(py) {
-                    *self.raised.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
+                    *lock(&self.raised) = Some(error);
                 }
                 DeviceError::new(&self.capabilities.hardware, problem)
             })
@@ -157,7 +158,13 @@ impl StopStore for PyStore {
 #[pyclass(frozen, module = "heliostat._core")]
 pub struct Station {
     received: Mutex<Arrivals>,
-    rules: Mutex<Rules<PyDevice, PyStore>>,
+    rules: Mutex<Rules<PyDevice>>,
+    /// Absent while a thread writes the record.
+    store: Mutex<Option<PyStore>>,
+    /// The write of the record that is due.
+    due: Mutex<Option<RecordTask>>,
+    /// What became of the last one.
+    written: Mutex<Option<Result<(), RecordError>>>,
     raised: Raised,
     /// Why the array starts stopped, if it does.
     advice: Option<String>,
@@ -165,7 +172,7 @@ pub struct Station {
 
 impl Station {
     /// The rules, for the one thread that uses them.
-    fn rules(&self) -> PyResult<MutexGuard<'_, Rules<PyDevice, PyStore>>> {
+    fn rules(&self) -> PyResult<MutexGuard<'_, Rules<PyDevice>>> {
         self.rules.try_lock().map_err(|_| {
             PyRuntimeError::new_err(
                 "the station is in use: call it from one thread, and not from a method of the device",
@@ -174,17 +181,17 @@ impl Station {
     }
 
     /// Runs a step, and then raises what a method of the device raised.
-    fn step<T>(&self, work: impl FnOnce(&mut Rules<PyDevice, PyStore>) -> PyResult<T>) -> PyResult<T> {
+    fn step<T>(&self, work: impl FnOnce(&mut Rules<PyDevice>) -> PyResult<T>) -> PyResult<T> {
         let mut rules = self.rules()?;
         let done = guarded(|| work(&mut rules));
-        match self.raised.lock().unwrap_or_else(PoisonError::into_inner).take() {
+        match lock(&self.raised).take() {
             Some(raised) => Err(raised),
             None => done,
         }
     }
 
     fn received(&self) -> MutexGuard<'_, Arrivals> {
-        self.received.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.received)
     }
 }
 
@@ -224,8 +231,17 @@ impl Station {
         // re-arm.
         kit.refuse_unnamed_rearm(authenticated);
         let advice = stop_record::advice(&room, &latch_at_start);
-        let rules = Rules::new(kit, (record, latch_at_start), Identity { source, array, software }, now);
-        Ok(Self { received: Mutex::default(), rules: Mutex::new(rules), raised, advice })
+        let (plan, store) = record.split();
+        let rules = Rules::new(kit, (plan, latch_at_start), Identity { source, array, software }, now);
+        Ok(Self {
+            received: Mutex::default(),
+            rules: Mutex::new(rules),
+            store: Mutex::new(store),
+            due: Mutex::default(),
+            written: Mutex::default(),
+            raised,
+            advice,
+        })
     }
 
     /// Adds a message to the queue; `of` is command, stop, stop_repetition, rearm or calibration. Any
@@ -243,23 +259,44 @@ impl Station {
         Ok(())
     }
 
-    /// Handles the next message of the queue; false if there was none.
-    fn handle_received(&self) -> PyResult<bool> {
+    /// Handles the next message of the queue at a time; false if there was none.
+    fn handle_received(&self, now: (u64, u64)) -> PyResult<bool> {
         let next = self.received().pop();
         let Some(arrival) = next else { return Ok(false) };
         self.step(|rules| {
-            rules.handle(arrival);
+            rules.handle(moment(now), arrival);
             Ok(true)
         })
     }
 
-    /// Advances to a time; returns the problem if the emergency stop could not be recorded.
-    fn advance(&self, now: (u64, u64)) -> PyResult<Option<String>> {
+    /// Advances to a time; returns whether `write_record` has to be called, on any thread.
+    fn advance(&self, now: (u64, u64)) -> PyResult<bool> {
         let dropped = self.received().dropped();
-        self.step(|rules| {
+        let written = lock(&self.written).take();
+        let due = self.step(|rules| {
             rules.set_dropped(dropped);
-            Ok(rules.advance(moment(now)).err().map(|error| error.to_string()))
-        })
+            rules.advance(moment(now));
+            written.iter().for_each(|result| rules.finish_record(result));
+            Ok(rules.poll_record(moment(now)))
+        })?;
+        let is_due = due.is_some();
+        if is_due {
+            *lock(&self.due) = due;
+        }
+        Ok(is_due)
+    }
+
+    /// Writes the record of the emergency stop, and may wait for the disk; returns the problem if it could
+    /// not be written. The next `advance` takes the result.
+    fn write_record(&self) -> Option<String> {
+        let task = lock(&self.due).take()?;
+        // Taken out, because a lock must not be held while the store lets other threads run.
+        let mut store = lock(&self.store).take()?;
+        let result = task.run(&mut store);
+        *lock(&self.store) = Some(store);
+        let problem = result.as_ref().err().map(ToString::to_string);
+        *lock(&self.written) = Some(result);
+        problem
     }
 
     /// The payloads that are due, each with the name of its key.
@@ -322,6 +359,10 @@ impl Station {
     fn last_problem(&self) -> PyResult<String> {
         Ok(self.rules()?.last_problem())
     }
+}
+
+fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
+    shared.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 fn payload<T: Message>(message: &T) -> PyResult<Vec<u8>> {

@@ -36,6 +36,11 @@ def angles(*values: float) -> NDArray[np.float64]:
     return np.array(values)
 
 
+def are_measured(device: Dynamixel, expected: list[list[float]]) -> bool:
+    measured = device.measure()
+    return measured is not None and np.allclose(measured, expected, atol=STEP_RAD)
+
+
 def test_the_checksum_of_the_emulated_servos_is_that_of_the_manual() -> None:
     """The example of a ping of servo 1 in the e-Manual: FF FF FD 00 01 03 00 01 19 4E."""
     assert crc(bytes.fromhex("fffffd000103 0001")) == 0x4E19
@@ -63,7 +68,7 @@ def test_angles_reach_the_servos_of_their_axes_and_come_back_as_measured() -> No
         device.measure()
         goals = {one: servo.get(GOAL, 4) - MIDDLE for one, servo in servos.servos.items()}
         assert goals == {one: round(angle / STEP_RAD) for one, angle in ((1, 0.1), (2, 0.3), (7, -0.2), (8, -0.4))}
-        wait_until("angles", lambda: np.allclose(device.measure(), [[0.1, -0.2], [0.3, 0.4]], atol=STEP_RAD))
+        wait_until("angles", lambda: are_measured(device, [[0.1, -0.2], [0.3, 0.4]]))
         servos.servos[7].set(TEMPERATURE, 1, 70)
         device.measure()
         assert device.health().temperature_c == 70.0
@@ -96,15 +101,50 @@ def test_a_servo_that_falls_silent_makes_its_mirror_unusable_and_keeps_no_other_
         device.connect()
         servos.servos[2].is_connected = False
         device.turn(angles(0.1, 0.1), angles(0.1, 0.1))
-        wait_until("others", lambda: np.allclose(device.measure(), [[0.1, 0.1], [0.0, 0.1]], atol=STEP_RAD))
+        wait_until("others", lambda: are_measured(device, [[0.1, 0.1], [0.0, 0.1]]))
         assert list(device.health().broken) == [0]
         servos.servos[2].is_connected = True
         wait_until("return", lambda: not device.health().broken)
         device.turn(angles(0.1, 0.1), angles(0.1, 0.1))
-        wait_until("all", lambda: np.allclose(device.measure(), [[0.1, 0.1], [0.1, 0.1]], atol=STEP_RAD))
+        wait_until("all", lambda: are_measured(device, [[0.1, 0.1], [0.1, 0.1]]))
         servos.servos[3].set(ERROR, 1, 4)
         wait_until("overheating", lambda: device.health().temperature_fault)
         assert list(device.health().broken) == [1]
+
+
+def test_servos_that_do_not_answer_are_asked_one_at_a_time_so_that_a_stop_does_not_wait() -> None:
+    identifiers = range(1, 13)
+    with chain(*identifiers) as servos:
+        device = Dynamixel(servos.port, 2, 3, list(identifiers))
+        device.connect()
+        device.turn(np.zeros(6), np.zeros(6))
+        for one in list(identifiers)[:-2]:
+            servos.servos[one].is_connected = False
+        orders: list[int] = []
+        exchange = device._exchange
+
+        @contextmanager
+        def counted() -> Iterator[None]:
+            orders[-1] += 1
+            with exchange():
+                yield
+
+        device._exchange = counted  # type: ignore[method-assign]
+
+        def is_known() -> bool:
+            orders.append(0)
+            device.measure()
+            orders.append(0)
+            return list(device.health().broken) == [0, 1, 2, 3, 4]
+
+        wait_until("mirrors without an answer", is_known)
+        # A reading, and the pings up to the first silent servo, which is the only one that lets time pass.
+        assert max(orders) <= 2, orders
+        orders.append(0)
+        device._read = lambda *_: None  # type: ignore[method-assign]
+        device._silent_ns = 0
+        device.health()
+        assert orders[-1] == 1, "one silent servo, one attempt"
 
 
 def test_a_chain_without_servos_and_a_port_that_is_absent_are_named() -> None:

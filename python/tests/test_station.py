@@ -64,6 +64,7 @@ class Driven:
 
     def __init__(self, folder: Path, mirrors: Mirrors, *, armed: bool = True, authenticated: bool = False) -> None:
         self.mirrors, self.local_ns, self.sequence = mirrors, 0, 0
+        self.is_disk_slow, self.problem = False, None
         self.station = Station(
             mirrors,
             mirrors.capabilities.message(),
@@ -85,12 +86,18 @@ class Driven:
 
     def step(self, ms: float = 60) -> None:
         """Handles all messages, and then lets time pass."""
-        while self.station.handle_received():
+        while self.station.handle_received(self.now):
             pass
         self.local_ns += int(ms * MS)
-        self.problem = self.station.advance(self.now)
+        if self.station.advance(self.now) and not self.is_disk_slow:
+            self.write()
         due = self.station.reports(self.now)
         self.reports = {name: wire.decode(payload, wire.KINDS[name]) for name, payload in due}
+
+    def write(self) -> None:
+        """The disk answers."""
+        self.problem = self.station.write_record()
+        self.station.advance(self.now)
 
     def telemetry(self, ms: float = 60) -> dict[str, Any]:
         self.step(ms)
@@ -220,6 +227,23 @@ def test_a_stop_that_cannot_be_recorded_is_in_force_and_is_written_again(tmp_pat
     assert (tmp_path / "lab.stop.toml").read_text() == ""
     blocked.rmdir()
     driven.step(1000)
+    assert "ann" in (tmp_path / "lab.stop.toml").read_text() and driven.station.last_problem == ""
+
+
+def test_a_slow_disk_delays_no_stop_and_a_report_only_for_a_while(tmp_path: Path) -> None:
+    driven = Driven(tmp_path, Mirrors())
+    driven.is_disk_slow = True
+    driven.order("stop", action=0)
+    driven.step()
+    assert driven.mirrors.stops == 1 and driven.reports == {}, "the stop is not recorded yet"
+    driven.order("stop", action=0)
+    driven.step()
+    assert driven.mirrors.stops == 2, "the disk has not answered"
+    driven.step(300)
+    assert driven.reports["safety"]["stopped"] and "not recorded yet" in driven.station.last_problem
+    driven.is_disk_slow = False
+    driven.write()
+    driven.step()
     assert "ann" in (tmp_path / "lab.stop.toml").read_text() and driven.station.last_problem == ""
 
 

@@ -80,13 +80,18 @@ impl DrivenRoom {
     }
 
     fn start_with(&self, more: &[&str]) -> Process {
+        self.start_under(&[], &[], more)
+    }
+
+    /// Starts the driver by another program, with variables of its environment.
+    fn start_under(&self, wrapper: &[&str], variables: &[(&str, &str)], more: &[&str]) -> Process {
         let text = |path: &Path| path.display().to_string();
         let (config, state) = (text(&self.folder.path().join("array.toml")), text(&self.state_folder()));
         let room = self.observer.room().to_string();
         let mut flags = vec!["driver", "run", "--config", &config, "--state", &state, "--room", &room];
         flags.extend(["--connect", &self.endpoint, "--exit-with-parent"]);
         flags.extend(more);
-        let driver = Process::heliostat(&flags);
+        let driver = Process::heliostat_under(wrapper, variables, &flags);
         let before = self.observer.telemetry_count();
         wait_until("telemetry of the driver", || self.observer.telemetry_count() > before + 2);
         driver
@@ -219,6 +224,51 @@ fn a_stop_that_cannot_be_recorded_stops_the_array_now_and_at_the_next_start() {
     driver.kill();
     let _driver = room.start(true);
     assert_eq!(room.telemetry_state(), Some(ArrayState::Stopped));
+}
+
+/// A pipe that nobody reads: who writes to it waits for ever.
+#[cfg(unix)]
+fn unread_pipe(at: &Path) {
+    let made = std::process::Command::new("mkfifo").arg(at).status().expect("mkfifo runs");
+    assert!(made.success(), "mkfifo {}", at.display());
+}
+
+#[cfg(unix)]
+#[test]
+fn a_disk_that_does_not_answer_delays_no_stop_and_is_reported() {
+    let mut room = DrivenRoom::new("slow");
+    let _driver = room.start(true);
+    room.follow();
+    unread_pipe(&room.state_folder().join("slow.stop.new"));
+    for sequence in 1..4 {
+        room.stop(sequence, 0);
+        wait_until("a stopped board", || room.orders().last().is_some_and(|line| line == "stop"));
+        wait_until("a problem of the disk", || {
+            let status = room.observer.status(NodeKind::Driver);
+            status.is_some_and(|status| status.last_problem.contains("not recorded yet"))
+        });
+        room.rearm(0xabc, sequence);
+        wait_until("a parked array", || room.telemetry_state() == Some(ArrayState::Parked));
+        room.follow();
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn a_log_that_nobody_reads_delays_no_stop() {
+    let mut room = DrivenRoom::new("unread");
+    let pipe = room.folder.path().join("log");
+    unread_pipe(&pipe);
+    let wrapper = ["sh", "-c", r#"exec "$@" 2<>"$0""#, &pipe.display().to_string()];
+    // More than the pipe holds, before the array follows a command.
+    let _driver = room.start_under(&wrapper, &[("RUST_LOG", "trace")], &["--start-armed"]);
+    for sequence in 1..4 {
+        room.follow();
+        room.stop(sequence, 0);
+        wait_until("a stopped board", || room.orders().last().is_some_and(|line| line == "stop"));
+        room.rearm(0xabc, sequence);
+        wait_until("a parked array", || room.telemetry_state() == Some(ArrayState::Parked));
+    }
 }
 
 #[test]

@@ -11,7 +11,7 @@ use heliostat_core::{
 use heliostat_models::ActorSource;
 use heliostat_proto::Room;
 use heliostat_scenario::ScenarioArgs;
-use heliostat_service::{EndArgs, LogArgs, MetricsArgs, Stop, output};
+use heliostat_service::{EndArgs, LogArgs, LogGuard, MetricsArgs, Stop, output};
 
 use crate::{
     config::{NodeConfig, Pace},
@@ -131,6 +131,7 @@ pub struct Prepared {
     /// Whether its summary is printed as JSON.
     pub json: bool,
     machine: Vec<String>,
+    _log: LogGuard,
 }
 
 impl Args {
@@ -141,11 +142,11 @@ impl Args {
     /// If a flag or the scenario is invalid.
     pub fn prepare(self) -> anyhow::Result<Prepared> {
         let config = self.node_config()?;
-        self.log.start();
+        let log = self.log.start();
         let stop = self.end.stop()?;
         let machine = self.machine.obtain();
         machine.iter().for_each(|granted| tracing::info!("{granted}"));
-        Ok(Prepared { config, stop, json: self.json, machine })
+        Ok(Prepared { config, stop, json: self.json, machine, _log: log })
     }
 }
 

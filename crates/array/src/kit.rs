@@ -145,13 +145,19 @@ impl<D: Device> Kit<D> {
         self.update_device_stopped(now);
     }
 
-    /// Handles an arrival of any kind; returns the command if it was one that was accepted.
+    /// Handles a message of any kind, which arrived at the first time and is handled at the second; returns
+    /// the command if it was one that was accepted.
     ///
     /// Refusals are counted by kind and reason in `refused`.
-    pub fn handle(&mut self, at: Moment, content: Content, refused: &mut RefusalCounts) -> Option<MirrorCommand> {
+    pub fn handle(
+        &mut self,
+        (arrived, now): (Moment, Moment),
+        content: Content,
+        refused: &mut RefusalCounts,
+    ) -> Option<MirrorCommand> {
         match content {
             Content::Command(Ok(command)) => {
-                if self.follow(at, &command, refused) {
+                if self.follow((arrived, now), &command, refused) {
                     return Some(command);
                 }
             }
@@ -159,22 +165,25 @@ impl<D: Device> Kit<D> {
                 self.array.count_malformed();
                 refused.note("command", error.name(), &error);
             }
+            Content::Stop(Ok(order)) if order.action == StopAction::Stop => {
+                self.stop(now, LatchedStop::new(&order, arrived.room_ns));
+            }
             Content::Stop(Ok(order)) => {
-                if let Err(refusal) = self.handle_stop(at, &order) {
+                if let Err(refusal) = self.handle_stop(now, &order) {
                     refused.note("rearm", refusal.name(), &refusal);
                 }
             }
             Content::Stop(Err(error)) => refused.note("stop", error.name(), &error),
-            Content::Repetition(Ok(order)) => self.handle_repetition(at, &order),
+            Content::Repetition(Ok(order)) => self.handle_repetition(now, &order),
             Content::Repetition(Err(error)) => refused.note("stop-repetition", error.name(), &error),
             Content::Rearm(Ok(order)) => {
-                if let Err(refusal) = self.handle_rearm(at, &order) {
+                if let Err(refusal) = self.handle_rearm(now, &order) {
                     refused.note("rearm", refusal.name(), &refusal);
                 }
             }
             Content::Rearm(Err(error)) => refused.note("rearm", error.name(), &error),
             Content::Calibration(Ok(calibration)) => {
-                if let Err(unfit) = self.handle_calibration(at, &calibration) {
+                if let Err(unfit) = self.handle_calibration(now, &calibration) {
                     refused.note("calibration", unfit.name(), &unfit);
                 }
             }
@@ -187,8 +196,13 @@ impl<D: Device> Kit<D> {
     }
 
     /// Handles a command like [`Kit::handle`]; returns whether it was accepted.
-    pub fn follow(&mut self, at: Moment, command: &MirrorCommand, refused: &mut RefusalCounts) -> bool {
-        let followed = self.handle_command(at, command);
+    pub fn follow(
+        &mut self,
+        (arrived, now): (Moment, Moment),
+        command: &MirrorCommand,
+        refused: &mut RefusalCounts,
+    ) -> bool {
+        let followed = self.handle_waiting_command((arrived, now), command);
         if let Err(refusal) = &followed {
             refused.note("command", refusal.name(), refusal);
         }
@@ -200,8 +214,16 @@ impl<D: Device> Kit<D> {
     /// # Errors
     /// [`Refusal`]: the target does not change.
     pub fn handle_command(&mut self, now: Moment, command: &MirrorCommand) -> Result<(), Refusal> {
+        self.handle_waiting_command((now, now), command)
+    }
+
+    fn handle_waiting_command(
+        &mut self,
+        (arrived, now): (Moment, Moment),
+        command: &MirrorCommand,
+    ) -> Result<(), Refusal> {
         self.advance(now);
-        self.array.handle_command(now, command)?;
+        self.array.handle_waiting_command((arrived, now), command)?;
         self.apply_target(now);
         Ok(())
     }

@@ -49,7 +49,7 @@
 //! 6. Angles beyond the limits are clamped to them, and the command is counted as clipped.
 //!
 //! Validity starts at the time in the command, but never ends later than validity_ms after its
-//! arrival. Clocks may differ by [`CLOCK_LEAD_MAX_NS`] before a time counts as in the future. An
+//! arrival; it also ends while the command waits to be handled. Clocks may differ by [`CLOCK_LEAD_MAX_NS`] before a time counts as in the future. An
 //! array without a synchronised clock counts from arrival alone.
 //!
 //! Every stop is obeyed. The latch keeps the stops of all senders, see [`Latch`]; the array is
@@ -153,13 +153,28 @@ impl Array {
         array
     }
 
-    /// Checks a command and follows it if it is accepted.
+    /// Checks a command that arrives now, and follows it if it is accepted.
     ///
     /// # Errors
     /// [`Refusal`]: it is counted, and nothing else changes.
     pub fn handle_command(&mut self, now: Moment, command: &MirrorCommand) -> Result<(), Refusal> {
+        self.handle_waiting_command((now, now), command)
+    }
+
+    /// Checks a command that arrived at the first time and is handled at the second, and follows it if it
+    /// is accepted.
+    ///
+    /// # Errors
+    /// [`Refusal`]: it is counted, and nothing else changes.
+    pub fn handle_waiting_command(
+        &mut self,
+        (arrived, now): (Moment, Moment),
+        command: &MirrorCommand,
+    ) -> Result<(), Refusal> {
         self.advance(now.local_ns);
-        let remaining_ns = self.check(now, command).inspect_err(|refusal| self.count(refusal))?;
+        let waited_ns = now.local_ns.saturating_sub(arrived.local_ns);
+        let checked = self.check(arrived, waited_ns, command);
+        let remaining_ns = checked.inspect_err(|refusal| self.count(refusal))?;
         self.counters.accepted += 1;
         self.faults &= !fault::CLOCK;
         self.counters.late += u64::from(self.followed.is_some() && self.state != ArrayState::Following);
@@ -180,7 +195,7 @@ impl Array {
         }
         self.counters.clipped += u64::from(clipped);
         let MirrorCommand { epoch, sequence, answers, .. } = *command;
-        self.followed = Some(Followed { epoch, sequence, answers, received: now });
+        self.followed = Some(Followed { epoch, sequence, answers, received: arrived });
         self.valid_until_ns = now.local_ns.saturating_add(remaining_ns);
         self.state = ArrayState::Following;
         Ok(())
@@ -332,8 +347,8 @@ impl Array {
         self.target.yaw.fill(yaw);
     }
 
-    /// The remaining validity of an acceptable command, in ns.
-    fn check(&self, now: Moment, command: &MirrorCommand) -> Result<u64, Refusal> {
+    /// The remaining validity of an acceptable command that has waited since it arrived, in ns.
+    fn check(&self, arrived: Moment, waited_ns: u64, command: &MirrorCommand) -> Result<u64, Refusal> {
         let expected = self.limits.mirrors;
         if let Some(found) = [command.roll.len(), command.yaw.len()].into_iter().find(|found| *found != expected) {
             return Err(Refusal::WrongCount { found, expected });
@@ -354,9 +369,14 @@ impl Array {
             }
         }
         let has_clock = self.limits.clock == ValidityClock::SourceTime;
-        let remaining_ns = if has_clock { remaining_ns(now, command)? } else { validity_ns(command) };
+        let age_ns = if has_clock { age_ns(arrived, command)? } else { 0 };
+        // Without a clock every command is valid on arrival, also one of validity 0.
+        let remaining_ns = match (has_clock, waited_ns) {
+            (false, 0) => validity_ns(command),
+            _ => remaining_ns(age_ns.saturating_add(waited_ns), command)?,
+        };
         let last = self.followed.map(|followed| (followed.epoch, followed.sequence));
-        let utc_ms = bounds::utc_ms(now.room_ns).filter(|_| has_clock);
+        let utc_ms = bounds::utc_ms(arrived.room_ns).filter(|_| has_clock);
         self.limits.bounds.check(command, last, utc_ms)?;
         Ok(remaining_ns)
     }
@@ -385,13 +405,17 @@ fn validity_ns(command: &MirrorCommand) -> u64 {
     u64::from(command.validity_ms) * 1_000_000
 }
 
-/// Remaining validity of a command by its time, in ns.
-fn remaining_ns(now: Moment, command: &MirrorCommand) -> Result<u64, Refusal> {
-    let lead_ns = command.time_ns.saturating_sub(now.room_ns);
+/// Age of a command at its arrival by its time, in ns.
+fn age_ns(arrived: Moment, command: &MirrorCommand) -> Result<u64, Refusal> {
+    let lead_ns = command.time_ns.saturating_sub(arrived.room_ns);
     if lead_ns > CLOCK_LEAD_MAX_NS {
         return Err(Refusal::FromFuture { lead_ms: lead_ns as f64 * 1e-6 });
     }
-    let age_ns = now.room_ns.saturating_sub(command.time_ns);
+    Ok(arrived.room_ns.saturating_sub(command.time_ns))
+}
+
+/// Remaining validity of a command of this age, in ns.
+fn remaining_ns(age_ns: u64, command: &MirrorCommand) -> Result<u64, Refusal> {
     validity_ns(command)
         .checked_sub(age_ns)
         .filter(|remaining_ns| *remaining_ns > 0)

@@ -8,10 +8,12 @@
 //!
 //! 1. [`Station::handle`] for each message, until a report is due ([`Station::is_report_due`]): a
 //!    flood delays neither telemetry nor the record of a stop.
-//! 2. [`Station::advance`]: it holds, parks, reconnects and records the stop, before a report names
-//!    the stop.
-//! 3. [`Station::poll_report`], and publish what it returns, until it returns `None`.
-//! 4. Wait for a message until [`Station::next_ns`] at the latest, and continue with step 1.
+//! 2. [`Station::advance`]: it holds, parks and reconnects.
+//! 3. [`Station::poll_record`]: the caller runs the task, and passes the result to
+//!    [`Station::finish_record`]. A caller whose store can block does both on another thread, and goes on.
+//! 4. [`Station::poll_report`], and publish what it returns, until it returns `None`. A report that names a
+//!    new stop waits for its record.
+//! 5. Wait for a message until [`Station::next_ns`] at the latest, and continue with step 1.
 
 use heliostat_proto::array_keys::array_name;
 use heliostat_proto::{
@@ -24,7 +26,7 @@ use crate::kit::Kit;
 use crate::latch::Latch;
 use crate::moment::Moment;
 use crate::refusal_counts::RefusalCounts;
-use crate::stop_record::{RecordError, StopRecord, StopStore};
+use crate::stop_record::{RecordError, RecordPlan, RecordTask};
 
 /// Time between two telemetry messages in ns; the contract requires ten per second.
 const TELEMETRY_NS: u64 = 50_000_000;
@@ -77,11 +79,11 @@ impl Timer {
     }
 }
 
-/// A kit with the record of its stop, and the reports of a driver.
+/// A kit with the plan of its stop's record, and the reports of a driver.
 #[derive(Debug)]
-pub struct Station<D, S> {
+pub struct Station<D> {
     kit: Kit<D>,
-    record: StopRecord<S>,
+    record: RecordPlan,
     identity: Identity,
     started_ns: u64,
     refused: RefusalCounts,
@@ -101,13 +103,15 @@ pub struct Station<D, S> {
     /// Numbers of problems of the device and of refused messages, and whether the last one was of the
     /// device.
     problems: ([u64; 2], bool),
+    /// The time of the last advance.
+    local_ns: u64,
 }
 
-impl<D: Device, S: StopStore> Station<D, S> {
+impl<D: Device> Station<D> {
     /// A station that starts now, stopped if the latch at the start has a stop. All reports are due.
     pub fn new(
         mut kit: Kit<D>,
-        (record, latch_at_start): (StopRecord<S>, Latch),
+        (record, latch_at_start): (RecordPlan, Latch),
         identity: Identity,
         now: Moment,
     ) -> Self {
@@ -128,18 +132,19 @@ impl<D: Device, S: StopStore> Station<D, S> {
             published_latch: Latch::default(),
             published_stops: (Latch::default(), false),
             problems: ([0; 2], false),
+            local_ns: now.local_ns,
         }
     }
 
-    /// Handles a message.
-    pub fn handle(&mut self, arrival: Arrival) {
-        self.kit.handle(arrival.at, arrival.content, &mut self.refused);
+    /// Handles a message, which may have waited since it arrived.
+    pub fn handle(&mut self, now: Moment, arrival: Arrival) {
+        self.kit.handle((arrival.at, now), arrival.content, &mut self.refused);
         self.order_problems();
     }
 
     /// Handles a command that the caller has decoded into a buffer of its own.
     pub fn handle_command(&mut self, at: Moment, command: &MirrorCommand) {
-        self.kit.follow(at, command, &mut self.refused);
+        self.kit.follow((at, at), command, &mut self.refused);
         self.order_problems();
     }
 
@@ -148,24 +153,34 @@ impl<D: Device, S: StopStore> Station<D, S> {
         self.refused.set("dropped", dropped);
     }
 
-    /// Advances to a time, and records the emergency stop; a write that failed is repeated when the
-    /// safety report is due.
-    ///
-    /// # Errors
-    /// [`RecordError`] for each attempt that failed; the stop is in force all the same.
-    pub fn advance(&mut self, now: Moment) -> Result<(), RecordError> {
+    /// Advances to a time: the array holds, parks, or connects its device.
+    pub fn advance(&mut self, now: Moment) {
+        self.local_ns = now.local_ns;
         self.kit.advance(now);
         self.order_problems();
         if !self.is_measuring && now.local_ns >= self.measurement_ns() {
             self.is_measuring = true;
             self.kit.request_measurement();
         }
+    }
+
+    /// The write or the check of the record that is due; a write that failed is repeated when the safety
+    /// report is due. None is returned before the last one is finished.
+    pub fn poll_record(&mut self, now: Moment) -> Option<RecordTask> {
         let again = now.local_ns >= self.safety.due_ns;
-        self.record.keep(self.kit.array().latch(), again)
+        self.record.poll(self.kit.array().latch(), again, now.local_ns)
+    }
+
+    /// The task of [`poll_record`](Self::poll_record) has ended; a stop is in force even if it failed.
+    pub fn finish_record(&mut self, result: &Result<(), RecordError>) {
+        self.record.finish(result);
     }
 
     /// The next report that is due, if any.
     pub fn poll_report(&mut self, now: Moment) -> Option<Report> {
+        if self.reports_wait_until().is_some_and(|until_ns| now.local_ns < until_ns) {
+            return None;
+        }
         let source = self.identity.source;
         let is_due = |timer: &Timer| now.local_ns >= timer.due_ns;
         // Before the telemetry, so that a process that learns of a new state from it finds the stop.
@@ -206,7 +221,13 @@ impl<D: Device, S: StopStore> Station<D, S> {
     /// Whether telemetry is due at this local time, or the latch has changed: no further message is
     /// handled before the reports.
     pub fn is_report_due(&self, local_ns: u64) -> bool {
-        local_ns >= self.telemetry.due_ns || self.published_latch != *self.kit.array().latch()
+        let waits = self.reports_wait_until().is_some_and(|until_ns| local_ns < until_ns);
+        !waits && (local_ns >= self.telemetry.due_ns || self.published_latch != *self.kit.array().latch())
+    }
+
+    /// Until when reports wait for the record of the present stops, if they do.
+    fn reports_wait_until(&self) -> Option<u64> {
+        self.record.holds_until(self.kit.array().latch())
     }
 
     /// Whether the state differs from the one in the last telemetry: telemetry is then due at once.
@@ -223,8 +244,9 @@ impl<D: Device, S: StopStore> Station<D, S> {
     pub fn next_ns(&self) -> u64 {
         let timers = [self.telemetry, self.safety, self.stops, self.capabilities, self.status];
         let measurement = (!self.is_measuring).then(|| self.measurement_ns());
-        let due = timers.into_iter().map(|timer| timer.due_ns).chain(measurement);
-        due.chain(self.kit.next_ns()).min().unwrap_or_default()
+        let reports_wait_until = self.reports_wait_until().filter(|until_ns| self.local_ns < *until_ns);
+        let due = timers.into_iter().map(|timer| timer.due_ns.max(reports_wait_until.unwrap_or_default()));
+        due.chain(measurement).chain(self.kit.next_ns()).min().unwrap_or_default()
     }
 
     /// The device with the rules, for functions beyond the contract.
@@ -244,7 +266,7 @@ impl<D: Device, S: StopStore> Station<D, S> {
 
     /// Whether the present stop is in the record.
     pub fn is_recorded(&self) -> bool {
-        self.record.problem().is_none()
+        self.record.problem(self.local_ns).is_none()
     }
 
     /// The present problem of the record; else the last one of the device or of a refused message; empty
@@ -252,7 +274,7 @@ impl<D: Device, S: StopStore> Station<D, S> {
     pub fn last_problem(&self) -> String {
         let (_, is_of_device) = self.problems;
         let of_device = self.kit.last_problem().filter(|_| is_of_device).map(ToString::to_string);
-        let problem = self.record.problem().map(str::to_owned).or(of_device);
+        let problem = self.record.problem(self.local_ns).map(str::to_owned).or(of_device);
         problem.unwrap_or_else(|| self.refused.last_problem().to_owned())
     }
 

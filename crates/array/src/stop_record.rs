@@ -3,6 +3,10 @@
 //! Each array has one record. A missing, unreadable or damaged record means that the last state is
 //! unknown; the array then starts stopped. If a state cannot be written, the record is emptied, which
 //! has the same meaning. The store itself is the caller's: see [`StopStore`].
+//!
+//! A store can block, such as a disk. A thread that obeys stops therefore writes nothing: it takes a
+//! [`RecordTask`] from a [`RecordPlan`] and passes it to another thread. Reports that name a stop wait for
+//! its record, but not for ever.
 
 use heliostat_proto::array_keys::array_name;
 use heliostat_proto::{Nanos, Room};
@@ -12,6 +16,12 @@ use crate::latch::{Latch, LatchedStop};
 
 /// Longest record in bytes: two texts at their limit for each stop, each character escaped.
 pub const RECORD_MAX: u64 = 1024 * 1024;
+
+/// Longest time that reports wait for the record of the state they name, in ns.
+const REPORT_WAIT_NS: u64 = 250_000_000;
+
+/// The problem of a record whose store has not answered for so long.
+const LATE: &str = "the emergency stop is not recorded yet: its disk does not answer; do not restart the driver";
 
 /// Where the text of a record is kept, such as a file.
 pub trait StopStore {
@@ -46,14 +56,82 @@ pub struct RecordError {
     consequence: &'static str,
 }
 
-/// The record of one array.
-#[derive(Debug)]
-pub struct StopRecord<S> {
-    store: Option<S>,
+/// A write or a check of the record, for a thread that may wait for the store.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RecordTask {
+    latch: Latch,
+    /// Written even if the store has it: the state is new, or its last write failed.
+    is_due: bool,
+}
+
+impl RecordTask {
+    /// Writes the state, or checks that the store still has its stops and writes them again if not; the
+    /// result is for [`RecordPlan::finish`].
+    pub fn run<S: StopStore>(&self, store: &mut S) -> Result<(), RecordError> {
+        if self.is_due || self.is_lost(store) { write(store, &self.latch) } else { Ok(()) }
+    }
+
+    /// Whether the store no longer has the stops. A lost record without a stop needs no care: it makes
+    /// the next start a stopped one, or the first.
+    fn is_lost<S: StopStore>(&self, store: &mut S) -> bool {
+        self.latch.stop().is_some() && store.read().ok().flatten().is_none_or(|text| text != self.latch.to_toml())
+    }
+}
+
+/// Which write of a record is due, and what became of the last one; without the store, which may
+/// block.
+#[derive(Clone, Debug)]
+pub struct RecordPlan {
     /// The state that was written last, or for which this was tried.
     tried: Latch,
     /// Why the present state is not in the store.
     problem: Option<String>,
+    /// The task that was handed out and is not finished, and when this was, in local time.
+    running: Option<(RecordTask, u64)>,
+    has_store: bool,
+}
+
+impl RecordPlan {
+    /// The next write or check of the record, if one is due and none is under way. `again` repeats a write
+    /// that failed, and checks the store.
+    pub fn poll(&mut self, latch: &Latch, again: bool, local_ns: u64) -> Option<RecordTask> {
+        let is_due = *latch != self.tried || (again && self.problem.is_some());
+        let is_check = again && latch.stop().is_some();
+        if !self.has_store || self.running.is_some() || !(is_due || is_check) {
+            return None;
+        }
+        let task = RecordTask { latch: latch.clone(), is_due };
+        self.running = Some((task.clone(), local_ns));
+        Some(task)
+    }
+
+    /// The task that was handed out has ended.
+    pub fn finish(&mut self, result: &Result<(), RecordError>) {
+        if let Some((task, _)) = self.running.take() {
+            self.tried = task.latch;
+            self.problem = result.as_ref().err().map(ToString::to_string);
+        }
+    }
+
+    /// Until when a report that names this state waits for its record, in local time; `None` if it does
+    /// not wait. A store that takes longer does not delay it any more.
+    pub fn holds_until(&self, latch: &Latch) -> Option<u64> {
+        let (_, since_ns) = self.running.as_ref().filter(|_| *latch != self.tried)?;
+        Some(since_ns.saturating_add(REPORT_WAIT_NS))
+    }
+
+    /// Why the present state is not in the store.
+    pub fn problem(&self, local_ns: u64) -> Option<&str> {
+        let is_late = |(_, since_ns): &(RecordTask, u64)| local_ns >= since_ns.saturating_add(REPORT_WAIT_NS);
+        self.problem.as_deref().or_else(|| self.running.as_ref().is_some_and(is_late).then_some(LATE))
+    }
+}
+
+/// The record of one array with its store.
+#[derive(Debug)]
+pub struct StopRecord<S> {
+    plan: RecordPlan,
+    store: Option<S>,
 }
 
 impl<S: StopStore> StopRecord<S> {
@@ -75,20 +153,28 @@ impl<S: StopStore> StopRecord<S> {
             Err(problem) => stopped(format!("the last state is unknown: cannot read {name}: {problem}")),
         };
         latch = latch.restored(now_ns);
-        let mut record = Self { store: Some(store), tried: latch.clone(), problem: None };
-        if let Err(error) = record.write(&latch)
+        let written = write(&mut store, &latch);
+        let problem = written.as_ref().err().map(ToString::to_string);
+        let plan = RecordPlan { tried: latch.clone(), problem, running: None, has_store: true };
+        if let Err(error) = written
             && latch.stop().is_none()
         {
             latch = stopped(error.to_string());
         }
-        (record, latch)
+        (Self { plan, store: Some(store) }, latch)
     }
 
     /// A record that keeps nothing; each start is stopped, for this reason.
     pub fn without_store(reason: &str, now_ns: Nanos) -> (Self, Latch) {
         let stop = LatchedStop::without_sender(&format!("the last state is unknown: {reason}"), now_ns);
         let latch = Latch::stopped(stop);
-        (Self { store: None, tried: latch.clone(), problem: None }, latch)
+        let plan = RecordPlan { tried: latch.clone(), problem: None, running: None, has_store: false };
+        (Self { plan, store: None }, latch)
+    }
+
+    /// The plan and the store, for a caller that writes on a thread of its own.
+    pub fn split(self) -> (RecordPlan, Option<S>) {
+        (self.plan, self.store)
     }
 
     /// Writes the state if it differs from the one written last; `again` repeats a write that
@@ -97,35 +183,25 @@ impl<S: StopStore> StopRecord<S> {
     /// # Errors
     /// [`RecordError`]: the present state is not in the store.
     pub fn keep(&mut self, latch: &Latch, again: bool) -> Result<(), RecordError> {
-        let is_due = *latch != self.tried || (again && (self.problem.is_some() || self.is_lost(latch)));
-        if is_due { self.write(latch) } else { Ok(()) }
-    }
-
-    /// Whether the store no longer has the stops. A lost record without a stop needs no care: it makes
-    /// the next start a stopped one, or the first.
-    fn is_lost(&mut self, latch: &Latch) -> bool {
-        let Some(store) = self.store.as_mut().filter(|_| latch.stop().is_some()) else { return false };
-        store.read().ok().flatten().is_none_or(|text| text != latch.to_toml())
+        let Some((task, store)) = self.plan.poll(latch, again, 0).zip(self.store.as_mut()) else { return Ok(()) };
+        let result = task.run(store);
+        self.plan.finish(&result);
+        result
     }
 
     /// Why the present state is not in the store.
     pub fn problem(&self) -> Option<&str> {
-        self.problem.as_deref()
+        self.plan.problem(0)
     }
+}
 
-    fn write(&mut self, latch: &Latch) -> Result<(), RecordError> {
-        self.tried = latch.clone();
-        self.problem = None;
-        let Some(store) = &mut self.store else { return Ok(()) };
-        let Err(problem) = store.replace(&latch.to_toml()) else { return Ok(()) };
-        let consequence = match store.empty() {
-            Ok(()) => "the next start is stopped; free the disk, or make the folder writable",
-            Err(_) => "the next start may not know of this state: repair the disk before a restart",
-        };
-        let error = RecordError { name: store.name(), problem, consequence };
-        self.problem = Some(error.to_string());
-        Err(error)
-    }
+fn write<S: StopStore>(store: &mut S, latch: &Latch) -> Result<(), RecordError> {
+    let Err(problem) = store.replace(&latch.to_toml()) else { return Ok(()) };
+    let consequence = match store.empty() {
+        Ok(()) => "the next start is stopped; free the disk, or make the folder writable",
+        Err(_) => "the next start may not know of this state: repair the disk before a restart",
+    };
+    Err(RecordError { name: store.name(), problem, consequence })
 }
 
 /// Name of the file that keeps the stop of an array.

@@ -190,20 +190,24 @@ fn refused_rearms_are_counted_by_name() {
     let (mut kit, mut refused) = (following(), RefusalCounts::default());
     let unnamed = EmergencyStop { action: StopAction::Rearm, ..stop(1) };
     let named = |stop_sequence| Rearm { stop_source: 7, stop_sequence, ..Rearm::default() };
-    kit.handle(at(1), Content::Rearm(Ok(named(1))), &mut refused);
-    kit.handle(at(2), Content::Stop(Ok(stop(1))), &mut refused);
-    kit.handle(at(3), Content::Stop(Ok(unnamed.clone())), &mut refused);
-    kit.handle(at(4), Content::Rearm(Ok(named(2))), &mut refused);
-    kit.handle(at(5), Content::Rearm(Err(CodecError::Truncated { kind: Kind::Rearm, field: "stamp" })), &mut refused);
+    kit.handle((at(1), at(1)), Content::Rearm(Ok(named(1))), &mut refused);
+    kit.handle((at(2), at(2)), Content::Stop(Ok(stop(1))), &mut refused);
+    kit.handle((at(3), at(3)), Content::Stop(Ok(unnamed.clone())), &mut refused);
+    kit.handle((at(4), at(4)), Content::Rearm(Ok(named(2))), &mut refused);
+    kit.handle(
+        (at(5), at(5)),
+        Content::Rearm(Err(CodecError::Truncated { kind: Kind::Rearm, field: "stamp" })),
+        &mut refused,
+    );
     kit.refuse_unnamed_rearm(true);
     let late = EmergencyStop { stamp: Stamp { time_ns: at(9).room_ns, ..unnamed.stamp }, ..unnamed };
     assert_eq!(kit.handle_stop(at(6), &late), Err(RearmRefusal::Unnamed));
-    kit.handle(at(6), Content::Stop(Ok(late.clone())), &mut refused);
+    kit.handle((at(6), at(6)), Content::Stop(Ok(late.clone())), &mut refused);
     let counts = ["rearm:not-stopped", "rearm:too-early", "rearm:other-stop", "rearm:truncated", "rearm:unnamed"];
     assert!(counts.iter().all(|name| refused.counts().get(*name) == Some(&1)), "{:?}", refused.counts());
     assert_eq!(kit.array().state(), ArrayState::Stopped);
     kit.refuse_unnamed_rearm(false);
-    kit.handle(at(7), Content::Stop(Ok(late)), &mut refused);
+    kit.handle((at(7), at(7)), Content::Stop(Ok(late)), &mut refused);
     assert_eq!(kit.array().state(), ArrayState::Parked, "without authentication a re-arm of kind 9 counts");
 }
 
@@ -225,12 +229,12 @@ fn a_calibration_beyond_its_bounds_is_refused_and_turns_no_mirror() {
     for (index, gain) in [1e-38, 0.499, 2.001, 1e30, -1.0, 0.0].into_iter().enumerate() {
         let message = calibration(1 + index as u64, gain, 0.0);
         assert!(matches!(kit.handle_calibration(at(1), &message), Err(Unfit::Gain { .. })), "{gain}");
-        kit.handle(at(1), Content::Calibration(Ok(message)), &mut refused);
+        kit.handle((at(1), at(1)), Content::Calibration(Ok(message)), &mut refused);
     }
     for offset_rad in [0.21, -0.21, 1.5] {
         let message = calibration(9, 1.0, offset_rad);
         assert!(matches!(kit.handle_calibration(at(1), &message), Err(Unfit::Offset { .. })), "{offset_rad}");
-        kit.handle(at(1), Content::Calibration(Ok(message)), &mut refused);
+        kit.handle((at(1), at(1)), Content::Calibration(Ok(message)), &mut refused);
     }
     assert_eq!((refused.counts()["calibration:gain"], refused.counts()["calibration:offset"]), (6, 3));
     let telemetry = kit.telemetry(at(2), Stamp::default());

@@ -147,3 +147,17 @@ fn without_a_clock_validity_counts_from_arrival() {
     array.handle_command(at(60_001), &command(1, 2, 200_000)).unwrap();
     assert_eq!(array.parks_at_ns(), Some(60_201 * MS + HOLD_NS));
 }
+
+#[test]
+fn a_command_whose_validity_ends_while_it_waits_is_refused_with_either_clock() {
+    for clock in [ValidityClock::SourceTime, ValidityClock::Arrival] {
+        let mut array = Array::new(Limits { clock, ..*array().limits() });
+        let waiting = command(1, 1, 0);
+        let validity_ms = u64::from(waiting.validity_ms);
+        let refusal = array.handle_waiting_command((at(0), at(validity_ms)), &waiting).unwrap_err();
+        assert_eq!((refusal.name(), array.state()), ("expired", ArrayState::Parked), "{clock:?}");
+        array.handle_waiting_command((at(0), at(validity_ms - 1)), &waiting).unwrap();
+        assert_eq!(array.changes_at_ns(), Some(validity_ms * MS), "{clock:?}");
+        assert_eq!(array.followed().map(|followed| followed.received), Some(at(0)), "{clock:?}");
+    }
+}

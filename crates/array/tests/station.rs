@@ -7,7 +7,7 @@ use heliostat_array::arrivals::Arrival;
 use heliostat_array::content::Content;
 use heliostat_array::moment::Moment;
 use heliostat_array::station::{Identity, Report, Station};
-use heliostat_array::stop_record::{StopRecord, StopStore};
+use heliostat_array::stop_record::{RecordError, StopRecord, StopStore};
 use heliostat_array::{Device, DeviceError, Kit};
 use heliostat_channel::MirrorAngles;
 use heliostat_proto::{ArrayState, AxisLimits, Capabilities, EmergencyStop, MirrorCommand, Stamp};
@@ -69,13 +69,23 @@ impl StopStore for Memory {
     }
 }
 
-fn start(memory: &Memory) -> Station<Mirror, Memory> {
+fn start(memory: &Memory) -> Station<Mirror> {
     let identity = Identity { source: 9, array: 2, software: "test".into() };
-    Station::new(Kit::new(Mirror), StopRecord::open(memory.clone(), true, 0), identity, Moment::simulated(0))
+    let (record, latch) = StopRecord::open(memory.clone(), true, 0);
+    Station::new(Kit::new(Mirror), (record.split().0, latch), identity, Moment::simulated(0))
+}
+
+/// Advances to a time, and writes the record if that is due.
+fn advance<D: Device>(station: &mut Station<D>, memory: &Memory, at_ms: u64) -> Result<(), RecordError> {
+    station.advance(Moment::simulated(at_ms * MS));
+    let Some(task) = station.poll_record(Moment::simulated(at_ms * MS)) else { return Ok(()) };
+    let result = task.run(&mut memory.clone());
+    station.finish_record(&result);
+    result
 }
 
 /// The names and sequence numbers of the reports at a time.
-fn reports(station: &mut Station<Mirror, Memory>, at_ms: u64) -> Vec<(&'static str, u64)> {
+fn reports(station: &mut Station<Mirror>, at_ms: u64) -> Vec<(&'static str, u64)> {
     let now = Moment::simulated(at_ms * MS);
     let due = std::iter::from_fn(|| station.poll_report(now));
     due.map(|report| match report {
@@ -88,20 +98,22 @@ fn reports(station: &mut Station<Mirror, Memory>, at_ms: u64) -> Vec<(&'static s
     .collect()
 }
 
-fn stop(station: &mut Station<Mirror, Memory>, at_ms: u64) {
+fn stop(station: &mut Station<Mirror>, at_ms: u64) {
     let at = Moment::simulated(at_ms * MS);
-    let stamp = Stamp { source: 7, sequence: 1, time_ns: at.room_ns };
-    station.handle(Arrival { at, content: Content::Stop(Ok(EmergencyStop { stamp, ..EmergencyStop::default() })) });
+    let stamp = Stamp { source: 7, sequence: 1 + at_ms, time_ns: at.room_ns };
+    let content = Content::Stop(Ok(EmergencyStop { stamp, ..EmergencyStop::default() }));
+    station.handle(at, Arrival { at, content });
 }
 
 #[test]
 fn reports_are_due_at_the_start_at_their_intervals_and_at_each_change() {
-    let mut station = start(&Memory::default());
-    station.advance(Moment::simulated(0)).unwrap();
+    let memory = Memory::default();
+    let mut station = start(&memory);
+    advance(&mut station, &memory, 0).unwrap();
     let all = [("safety", 1), ("stops", 1), ("telemetry", 1), ("capabilities", 1), ("status", 1)];
     assert_eq!(reports(&mut station, 0), all);
     assert_eq!((reports(&mut station, 39), station.next_ns()), (vec![], 40 * MS), "the request of a measurement");
-    station.advance(Moment::simulated(40 * MS)).unwrap();
+    advance(&mut station, &memory, 40).unwrap();
     assert_eq!((reports(&mut station, 49), station.next_ns()), (vec![], 50 * MS));
     assert_eq!(reports(&mut station, 50), [("telemetry", 2)]);
     assert!(!station.is_report_due(60 * MS));
@@ -117,7 +129,8 @@ fn the_status_names_the_array_its_state_and_what_was_refused() {
     let mut station = start(&Memory::default());
     stop(&mut station, 0);
     let order = EmergencyStop { action: heliostat_proto::StopAction::Rearm, ..EmergencyStop::default() };
-    station.handle(Arrival { at: Moment::simulated(0), content: Content::Stop(Ok(order)) });
+    let at = Moment::simulated(0);
+    station.handle(at, Arrival { at, content: Content::Stop(Ok(order)) });
     station.set_dropped(3);
     let status = std::iter::from_fn(|| station.poll_report(Moment::simulated(0))).find_map(|report| match report {
         Report::Status(status) => Some(status),
@@ -135,7 +148,7 @@ fn a_stop_is_in_the_record_at_once_and_in_force_at_the_next_start() {
     let memory = Memory::default();
     let mut station = start(&memory);
     stop(&mut station, 5);
-    station.advance(Moment::simulated(5 * MS)).unwrap();
+    advance(&mut station, &memory, 5).unwrap();
     let restarted = start(&memory);
     assert_eq!(restarted.kit().array().state(), ArrayState::Stopped);
     assert_eq!(restarted.kit().array().latch().stop().map(|stop| stop.source), Some(7));
@@ -148,15 +161,44 @@ fn a_stop_that_cannot_be_recorded_is_tried_again_with_the_next_safety_report() {
     reports(&mut station, 0);
     *memory.is_full.borrow_mut() = true;
     stop(&mut station, 5);
-    let problem = station.advance(Moment::simulated(5 * MS)).unwrap_err().to_string();
+    let problem = advance(&mut station, &memory, 5).unwrap_err().to_string();
     assert!(problem.contains("the memory: it is full; the next start is stopped"), "{problem}");
     assert_eq!((station.is_recorded(), station.last_problem()), (false, problem));
-    station.advance(Moment::simulated(6 * MS)).expect("no attempt until it is due");
+    advance(&mut station, &memory, 6).expect("no attempt until it is due");
     *memory.is_full.borrow_mut() = false;
-    station.advance(Moment::simulated(1006 * MS)).unwrap();
+    advance(&mut station, &memory, 1006).unwrap();
     assert!(
-        station.is_recorded() && memory.text.borrow().as_ref().is_some_and(|text| text.contains("sequence = \"1\""))
+        station.is_recorded() && memory.text.borrow().as_ref().is_some_and(|text| text.contains("sequence = \"6\""))
     );
+}
+
+#[test]
+fn a_slow_disk_delays_no_stop_and_a_report_that_names_one_only_for_a_while() {
+    let memory = Memory::default();
+    let mut station = start(&memory);
+    advance(&mut station, &memory, 0).unwrap();
+    reports(&mut station, 0);
+    stop(&mut station, 5);
+    let at = |ms: u64| Moment::simulated(ms * MS);
+    station.advance(at(5));
+    let task = station.poll_record(at(5)).expect("a new stop is recorded");
+    assert_eq!(reports(&mut station, 5), [], "no report names a stop that is not recorded");
+    assert!(!station.is_report_due(60 * MS), "messages are handled meanwhile");
+    assert!(station.next_ns() >= 40 * MS, "nothing to do before: {}", station.next_ns());
+    stop(&mut station, 6);
+    assert_eq!(station.kit().array().latch().stops().len(), 1, "the later one of the same sender");
+    assert!(station.poll_record(at(6)).is_none(), "the disk has not answered");
+    station.advance(at(254));
+    assert!(station.is_recorded() && reports(&mut station, 254).is_empty());
+    station.advance(at(255));
+    let names: Vec<_> = reports(&mut station, 255).into_iter().map(|(name, _)| name).collect();
+    assert_eq!(names, ["safety", "stops", "telemetry"], "the disk does not answer");
+    assert!(!station.is_recorded() && station.last_problem().contains("not recorded yet"));
+    station.finish_record(&task.run(&mut memory.clone()));
+    let text = || memory.text.borrow().clone().unwrap_or_default();
+    assert!(text().contains("sequence = \"6\""), "{}", text());
+    advance(&mut station, &memory, 256).unwrap();
+    assert!(station.is_recorded() && text().contains("sequence = \"7\""), "{}", text());
 }
 
 /// A mirror that answers when it is told to.
@@ -188,10 +230,11 @@ impl Device for Late {
 fn an_old_failure_of_the_device_hides_no_refusal() {
     let (memory, is_there) = (Memory::default(), Rc::default());
     let identity = Identity { source: 9, array: 0, software: "test".into() };
-    let record = StopRecord::open(memory, true, 0);
-    let mut station = Station::new(Kit::new(Late(Rc::clone(&is_there))), record, identity, Moment::simulated(0));
-    let absent = |station: &mut Station<Late, Memory>, now: u64| {
-        station.advance(Moment::simulated(now)).expect("recorded");
+    let (record, latch) = StopRecord::open(memory.clone(), true, 0);
+    let kit = Kit::new(Late(Rc::clone(&is_there)));
+    let mut station = Station::new(kit, (record.split().0, latch), identity, Moment::simulated(0));
+    let absent = |station: &mut Station<Late>, now: u64| {
+        station.advance(Moment::simulated(now));
         let reports: Vec<Report> = std::iter::from_fn(|| station.poll_report(Moment::simulated(now))).collect();
         let counters = reports.into_iter().find_map(|report| match report {
             Report::Status(status) => Some(status.counters),
@@ -201,7 +244,7 @@ fn an_old_failure_of_the_device_hides_no_refusal() {
     };
     assert_eq!(absent(&mut station, 1), 1);
     assert_eq!(station.last_problem(), "port: no answer");
-    let refused = |station: &mut Station<Late, Memory>, at: u64| {
+    let refused = |station: &mut Station<Late>, at: u64| {
         let command = MirrorCommand { roll: vec![0.0; 2], yaw: vec![0.0; 2], ..MirrorCommand::default() };
         station.handle_command(Moment::simulated(at), &command);
     };

@@ -140,7 +140,7 @@ fn drive(args: &RunArgs) -> Result<()> {
     let kit = args.driven.kit(&args.config)?;
     let bus = args.bus.config_or_connect(&[AccessRole::Driver])?;
     let stop = args.end.stop()?;
-    args.log.start();
+    let _log = args.log.start();
     tracing::info!(room = %bus.room, config = %args.config.display(), "driver starts");
     let settings = run::Settings { run_for: args.end.seconds, metrics: args.metrics, ..args.driven.settings(bus) };
     let summary = run::run(kit, &settings, &stop)?;

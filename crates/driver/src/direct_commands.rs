@@ -6,8 +6,7 @@
 //! station if no other thread holds it and no message waits; otherwise it queues the command for the
 //! array's thread, as if it had arrived from the transport. It waits for nothing:
 //!
-//! - The array's thread holds the station while it handles messages and records a stop. The command is
-//!   then queued.
+//! - The array's thread holds the station while it handles a message. The command is then queued.
 //! - A stop that waits for the array's thread keeps every later command in the queue behind it.
 //! - After the array's thread has ended, no command turns a mirror: nothing would handle a stop.
 //!
@@ -24,11 +23,10 @@ use heliostat_proto::{MirrorCommand, decode_into};
 
 use crate::clock::Clock;
 use crate::receive_queue::ReceiveQueue;
-use crate::stop_record::StopFile;
 
 /// The station of an array, for its thread and for [`DirectCommands`].
 pub(crate) struct SharedStation<D> {
-    station: Mutex<Station<D, StopFile>>,
+    station: Mutex<Station<D>>,
     /// Local time until which the array's thread waits for a message.
     wakes_ns: AtomicU64,
     /// Whether the array's thread runs.
@@ -36,12 +34,12 @@ pub(crate) struct SharedStation<D> {
 }
 
 impl<D: Device> SharedStation<D> {
-    pub(crate) fn new(station: Station<D, StopFile>) -> Self {
+    pub(crate) fn new(station: Station<D>) -> Self {
         Self { station: Mutex::new(station), wakes_ns: AtomicU64::new(0), is_running: AtomicBool::new(false) }
     }
 
     /// The station, for the array's thread: [`DirectCommands`] hold it only while they handle a command.
-    pub(crate) fn lock(&self) -> MutexGuard<'_, Station<D, StopFile>> {
+    pub(crate) fn lock(&self) -> MutexGuard<'_, Station<D>> {
         self.station.lock().unwrap_or_else(PoisonError::into_inner)
     }
 

@@ -20,6 +20,7 @@ pub mod devices;
 pub mod direct_commands;
 mod metrics;
 pub mod receive_queue;
+mod record_thread;
 pub mod run;
 pub mod session;
 pub mod stop_record;

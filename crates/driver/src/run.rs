@@ -1,8 +1,9 @@
 //! The loop of a driver process: a kit with a session and a clock.
 //!
-//! Its thread handles orders, records stops and publishes reports. A device with threads of its own,
-//! such as the boards of this crate, never makes it wait. A controller in the same process gives its
-//! commands by [`ArrayDriver::direct_commands`].
+//! Its thread handles orders and publishes reports. It waits neither for the disk nor for the log, which
+//! have threads of their own; a device with threads of its own, such as the boards of this crate, does not make it
+//! wait either. A controller in the same process gives its commands by
+//! [`ArrayDriver::direct_commands`].
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -10,6 +11,7 @@ use std::time::{Duration, Instant};
 use heliostat_array::device::{Device, Waker};
 use heliostat_array::kit::Kit;
 use heliostat_array::latch::Latch;
+use heliostat_array::moment::Moment;
 use heliostat_array::station::{Identity, Report, Station};
 use heliostat_array::stop_record::advice;
 use heliostat_bus::{Bus, BusConfig, BusError, Class, Token};
@@ -20,6 +22,7 @@ use thiserror::Error;
 use crate::clock::Clock;
 use crate::direct_commands::{DirectCommands, SharedStation};
 use crate::metrics;
+use crate::record_thread::RecordThread;
 use crate::session::{ArraySession, MessagePublisher, SessionError, check_alone};
 use crate::stop_record::{self, StopRecordSettings};
 use crate::summary::Summary;
@@ -60,6 +63,9 @@ pub enum RunError {
     /// The session failed, or another process controls the mirrors of this room.
     #[error(transparent)]
     Session(#[from] SessionError),
+    /// The system starts no thread.
+    #[error("cannot start the thread of the stop's record: {0}")]
+    Thread(std::io::Error),
     /// Metrics cannot be served.
     #[error(transparent)]
     Metrics(#[from] MetricsError),
@@ -107,6 +113,7 @@ impl<D: Device> ArrayDriver<D> {
         let clock = Clock::start_in(Duration::ZERO);
         let source = source_id::random();
         let (record, latch_at_start) = settings.record.open(bus.room(), array, clock.now().room_ns);
+        let (plan, store) = record.split();
         // Every role may publish under the key of the stop, only operators under that of the re-arm.
         kit.refuse_unnamed_rearm(settings.bus.is_authenticated());
         if let Some(latched) = advice(bus.room(), &latch_at_start) {
@@ -117,9 +124,13 @@ impl<D: Device> ArrayDriver<D> {
         let session = ArraySession::open(&bus, array, clock, Class::HighDrop)?;
         let received = Arc::clone(session.received());
         kit.device_mut().set_waker(Waker::new(move || received.wake()));
-        let station = Station::new(kit, (record, latch_at_start), identity, clock.now());
+        let station = Station::new(kit, (plan, latch_at_start), identity, clock.now());
         let driver = Driver {
             shared: Arc::new(SharedStation::new(station)),
+            record: store
+                .map(|file| RecordThread::spawn(file, Arc::clone(session.received())))
+                .transpose()
+                .map_err(RunError::Thread)?,
             session,
             status: MessagePublisher::new(&bus, &bus.room().array(array).driver_status(), Class::LowDrop)?,
             room: bus.room().to_string(),
@@ -149,6 +160,7 @@ impl<D: Device> ArrayDriver<D> {
             driver.step(clock)?;
         }
         drop(running);
+        driver.finish_record(clock);
         let summary = driver.summary();
         drop((driver, token));
         bus.close()?;
@@ -175,6 +187,8 @@ fn open(config: &BusConfig, stop: &Stop) -> Result<Option<Bus>, SessionError> {
 
 struct Driver<D> {
     shared: Arc<SharedStation<D>>,
+    /// Absent where no state is kept.
+    record: Option<RecordThread>,
     session: ArraySession,
     status: MessagePublisher,
     room: String,
@@ -196,23 +210,46 @@ impl<D: Device> Driver<D> {
         let shared = Arc::clone(&self.shared);
         let mut station = shared.lock();
         while let Some(arrival) = received.pop() {
-            station.handle(arrival);
+            station.handle(clock.now(), arrival);
             if station.is_report_due(clock.local_ns()) {
                 break;
             }
         }
         station.set_dropped(received.dropped());
         let now = clock.now();
-        let advanced = station.advance(now);
+        station.advance(now);
         drop(station);
-        if let Err(error) = advanced {
-            self.log(&error.to_string());
-        }
+        self.keep_record(now);
         // Published without the lock.
         loop {
             let report = shared.lock().poll_report(now);
             let Some(report) = report else { return Ok(()) };
             self.publish(&report)?;
+        }
+    }
+
+    /// Learns what became of the last write of the record, and begins the one that is due.
+    fn keep_record(&mut self, now: Moment) {
+        let Some(record) = &self.record else { return };
+        let written = record.poll_written();
+        let mut station = self.shared.lock();
+        written.iter().for_each(|result| station.finish_record(result));
+        station.poll_record(now).into_iter().for_each(|task| record.begin(task));
+        drop(station);
+        if let Some(Err(error)) = written {
+            self.log(&error.to_string());
+        }
+    }
+
+    /// Waits until the present stops are in the record, or could not be written.
+    fn finish_record(&mut self, clock: Clock) {
+        let Some(record) = self.record.take() else { return };
+        let (written, file) = record.end();
+        let mut station = self.shared.lock();
+        written.iter().for_each(|result| station.finish_record(result));
+        // A stop that has arrived during the last write.
+        if let Some((task, mut file)) = station.poll_record(clock.now()).zip(file) {
+            station.finish_record(&task.run(&mut file));
         }
     }
 

@@ -198,7 +198,7 @@ fn flawed(flaw: Flaw, bus: &BusConfig, stop: &Stop) {
                 }
                 _ => {}
             }
-            if kit.handle(arrival.at, arrival.content, &mut refused).is_some() {
+            if kit.handle((arrival.at, arrival.at), arrival.content, &mut refused).is_some() {
                 reported = sent.unwrap();
             }
         }

@@ -35,7 +35,7 @@ pub mod stop;
 mod waiting;
 
 pub use exporter::{Exporter, MetricsArgs, MetricsError};
-pub use logging::{LogArgs, LogFormat};
+pub use logging::{LogArgs, LogFormat, LogGuard};
 pub use page::{Histogram, Page};
 pub use signals::EndArgs;
 pub use stop::Stop;

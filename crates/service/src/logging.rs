@@ -1,5 +1,8 @@
 //! Logs to standard error: standard output holds the summary only.
 //!
+//! A thread of its own writes the log, because a reader that does not read must not make a decision or an
+//! emergency stop wait. Lines that such a reader leaves no room for are lost, the newest first.
+//!
 //! An event is one line. Its fields may quote a message or a file, so they are made
 //! [`printable`](crate::printable).
 
@@ -7,6 +10,7 @@ use std::fmt::{self, Debug};
 use std::io::{self, IsTerminal, Write, stderr};
 
 use tracing::field::Field;
+use tracing_appender::non_blocking::{NonBlockingBuilder, WorkerGuard};
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::field::MakeExt;
 use tracing_subscriber::fmt::format::{Writer, debug_fn};
@@ -15,6 +19,9 @@ use crate::printable::{printable, printable_lines};
 
 /// What is logged unless RUST_LOG says otherwise. Zenoh warns about discovery, which is switched off.
 const DEFAULT_FILTER: &str = "warn,zenoh=error,heliostat=info";
+
+/// Most lines that wait for a slow reader.
+const LINES_MAX: usize = 10_000;
 
 /// How a line of the log is written.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
@@ -34,21 +41,30 @@ pub struct LogArgs {
     pub log_format: LogFormat,
 }
 
+/// Writes the lines that wait when it is dropped, for a second at most.
+pub struct LogGuard {
+    _writer: WorkerGuard,
+}
+
 impl LogArgs {
-    /// Starts the log. Does nothing where another part of the process has started it.
-    pub fn start(&self) {
+    /// Starts the log; it is written until the result is dropped. Does nothing where another part of the
+    /// process has started it.
+    #[must_use]
+    pub fn start(&self) -> LogGuard {
         let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(DEFAULT_FILTER));
         // A closed standard error must not end a controller.
+        let (writer, guard) = NonBlockingBuilder::default().buffered_lines_limit(LINES_MAX).finish(stderr());
         let log = tracing_subscriber::fmt().with_env_filter(filter).log_internal_errors(false);
         let started = match self.log_format {
             LogFormat::Text => log
-                .with_writer(stderr)
+                .with_writer(writer)
                 .with_ansi(stderr().is_terminal())
                 .fmt_fields(debug_fn(write_field).delimited(" "))
                 .try_init(),
-            LogFormat::Json => log.json().flatten_event(true).with_writer(|| Printable(stderr())).try_init(),
+            LogFormat::Json => log.json().flatten_event(true).with_writer(move || Printable(writer.clone())).try_init(),
         };
         drop(started);
+        LogGuard { _writer: guard }
     }
 }
 

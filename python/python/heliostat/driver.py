@@ -21,11 +21,14 @@ from __future__ import annotations
 
 import argparse
 import os
+import queue
 import sys
 import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -248,7 +251,9 @@ def run(
 
     with (
         stop_on_signals(stop or threading.Event()) as ended,
+        _Log() as log,
         Peer(settings, "driver", array, ended) as peer,
+        ThreadPoolExecutor(1, "stop record") as disk,
     ):
         if not peer.is_open:
             return {"accepted": 0}
@@ -267,7 +272,7 @@ def run(
             now=now(),
         )
         if station.advice is not None:
-            _log(station.advice)
+            log.show(station.advice)
         received = threading.Event()
 
         def receive(name: str) -> None:
@@ -283,17 +288,25 @@ def run(
         for name in ("capabilities", "safety", "stops"):
             peer.answer(name, latest)
         peer.announce()
-        shown, more = _Shown(station.stop), False
+
+
+        def write_record() -> None:
+            if problem := station.write_record():
+                log.show(problem)
+            received.set()
+
+        shown, more = _Shown(log, station.stop), False
         while not ended.is_set() and (seconds is None or now()[0] < 1e9 * seconds):
             if not more:
                 wait_ns = min(station.next_ns - now()[0], _LONGEST_WAIT_NS)
                 received.wait(max(0.0, 1e-9 * wait_ns))
                 received.clear()
-            more = station.handle_received()
+            more = station.handle_received(now())
             while more and not station.is_report_due(now()[0]):
-                more = station.handle_received()
+                more = station.handle_received(now())
             instant = now()
-            station.advance(instant)
+            if station.advance(instant):
+                disk.submit(write_record)
             for name, payload in station.reports(instant):
                 # A query that follows a publication finds it.
                 latest[name] = payload
@@ -302,31 +315,58 @@ def run(
                     shown.note_stop(station.stop)
                 if name == "status":
                     shown.note_problem(station.last_problem)
+        disk.shutdown()
+        # A stop that has arrived during the last write.
+        if station.advance(now()):
+            write_record()
         return station.counters()
+
+
+class _Log:
+    """The log on standard error, written by a thread of its own: a reader that does not read must not delay a stop.
+    Lines that such a reader leaves no room for are lost."""
+
+    def __init__(self) -> None:
+        self._lines: queue.Queue[str | None] = queue.Queue(1000)
+        self._writer = threading.Thread(target=self._write, name="log", daemon=True)
+
+    def __enter__(self) -> _Log:
+        self._writer.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._put(None)
+        self._writer.join(timeout=1)
+
+    def show(self, text: str) -> None:
+        """Texts can come from any process of the room. Lines stay; other control characters become JSON escapes, as in
+        the log of the Rust programs."""
+        self._put("".join(one if one == "\n" or one.isprintable() else f"\\u{ord(one):04x}" for one in text))
+
+    def _put(self, line: str | None) -> None:
+        with suppress(queue.Full):
+            self._lines.put_nowait(line)
+
+    def _write(self) -> None:
+        while (line := self._lines.get()) is not None:
+            print(line, file=sys.stderr, flush=True)
 
 
 class _Shown:
     """What the log has shown: each change of the stop, and once a second a new problem."""
 
-    def __init__(self, stop: str) -> None:
-        self._stop, self._problem = stop, ""
+    def __init__(self, log: _Log, stop: str) -> None:
+        self._log, self._stop, self._problem = log, stop, ""
 
     def note_stop(self, stop: str) -> None:
         if stop != self._stop:
-            _log(f"the array is stopped by {stop}" if stop else "the array is released")
+            self._log.show(f"the array is stopped by {stop}" if stop else "the array is released")
             self._stop = stop
 
     def note_problem(self, problem: str) -> None:
         if problem not in ("", self._problem):
-            _log(problem)
+            self._log.show(problem)
         self._problem = problem
-
-
-def _log(text: str) -> None:
-    # Texts can come from any process of the room. Lines stay; other control characters become JSON escapes, as in the
-    # log of the Rust programs.
-    safe = "".join(one if one == "\n" or one.isprintable() else f"\\u{ord(one):04x}" for one in text)
-    print(safe, file=sys.stderr, flush=True)
 
 
 def _state_folder() -> Path:

@@ -8,7 +8,10 @@ addresses and the units are those of the control table of the X series (protocol
 
 One packet sets the goals of all servos, and one reads positions, supply and temperatures. A stop switches the torque
 off in one packet to all, and reads back that it is off. A servo that does not answer, or that reports a hardware error,
-makes its mirror unusable; the others continue. It is asked again each second.
+makes its mirror unusable; the others continue. It is asked again about once a second.
+
+A stop waits for the exchange under way. So a measurement has one exchange, and a servo that does not answer is asked
+once, and alone.
 """
 
 from __future__ import annotations
@@ -101,7 +104,8 @@ class Dynamixel(Device):
         self._silent: dict[int, str] = {}
         self._errors: dict[int, int] = {}
         self._temperature_c: float | None = None
-        self._next_ns = 0
+        self._failed = 0
+        self._errors_ns = self._silent_ns = 0
         self._is_powered = False
 
     def connect(self) -> None:
@@ -133,23 +137,23 @@ class Dynamixel(Device):
         finally:
             self._port.is_using = False
 
-    def _prepare(self, servo: int) -> None:
-        """Sets mode and speed of a servo whose torque is off."""
+    def _prepare(self, servo: int, attempts: int = _ATTEMPTS) -> None:
+        """Sets mode and speed of a servo whose torque is off; one that does not answer comes last among the silent."""
         self._silent.pop(servo, None)
-        send, port = self._packets, self._port
+        send, port, ask = self._packets, self._port, partial(self._ask, servo, attempts=attempts)
         try:
-            self._ask(servo, lambda: send.write1ByteTxRx(port, servo, _TORQUE, 0))
-            if self._ask(servo, lambda: send.read1ByteTxRx(port, servo, _MODE)) != _POSITION_CONTROL:
-                self._ask(servo, lambda: send.write1ByteTxRx(port, servo, _MODE, _POSITION_CONTROL))
-            self._ask(servo, lambda: send.write4ByteTxRx(port, servo, _VELOCITY, self._speed))
+            ask(lambda: send.write1ByteTxRx(port, servo, _TORQUE, 0))
+            if ask(lambda: send.read1ByteTxRx(port, servo, _MODE)) != _POSITION_CONTROL:
+                ask(lambda: send.write1ByteTxRx(port, servo, _MODE, _POSITION_CONTROL))
+            ask(lambda: send.write4ByteTxRx(port, servo, _VELOCITY, self._speed))
             if self._is_powered:
-                self._ask(servo, lambda: send.write1ByteTxRx(port, servo, _TORQUE, 1))
+                ask(lambda: send.write1ByteTxRx(port, servo, _TORQUE, 1))
         except ServoError as problem:
             self._silent[servo] = str(problem)
 
-    def _ask(self, servo: int, order: Callable[[], Sequence[int]]) -> int:
-        """Orders until the servo answers, `_ATTEMPTS` times at most; returns the value that it states."""
-        for _ in range(_ATTEMPTS):
+    def _ask(self, servo: int, order: Callable[[], Sequence[int]], attempts: int = _ATTEMPTS) -> int:
+        """Orders until the servo answers, a number of times at most; returns the value that it states."""
+        for _ in range(attempts):
             with self._exchange():
                 *value, result, error = order()
             if result == sdk.COMM_SUCCESS:
@@ -172,33 +176,38 @@ class Dynamixel(Device):
         if result != sdk.COMM_SUCCESS:
             raise ServoError(f"{self._port.getPortName()}: {self._packets.getTxRxResult(result)}")
 
-    def _read(self, address: int, length: int) -> dict[int, Callable[[int, int], int]]:
-        """Reads from all servos that answer in one packet; one that has fallen silent is left out from then on."""
-        failed = 0
-        while answering := [servo for servo in self._ids if servo not in self._silent]:
-            group = sdk.GroupSyncRead(self._port, self._packets, address, length)
-            for servo in answering:
-                group.addParam(servo)
-            with self._exchange():
-                result = group.txRxPacket()
-            if result == sdk.COMM_SUCCESS:
-                return {servo: partial(group.getData, servo) for servo in answering}
-            failed += 1
-            if failed == _ATTEMPTS:
-                # A servo answers after the one before it: one that is missing keeps the later ones silent.
-                self._find_silent(answering, result)
-                failed = 0
-        raise ServoError(f"no servo answers at {self._port.getPortName()}")
+    def _read(self, address: int, length: int) -> dict[int, Callable[[int, int], int]] | None:
+        """Reads from all servos that answer in one packet; `None` if the answer is incomplete.
 
-    def _find_silent(self, servos: Sequence[int], result: int) -> None:
-        """Asks each servo alone, and leaves out those that do not answer. Raises where all of them do."""
+        After several such answers in a row a servo that has fallen silent is left out. Raises where none is left.
+        """
+        answering = [servo for servo in self._ids if servo not in self._silent]
+        if not answering:
+            raise ServoError(f"no servo answers at {self._port.getPortName()}")
+        group = sdk.GroupSyncRead(self._port, self._packets, address, length)
+        for servo in answering:
+            group.addParam(servo)
+        with self._exchange():
+            result = group.txRxPacket()
+        if result == sdk.COMM_SUCCESS:
+            self._failed = 0
+            return {servo: partial(group.getData, servo) for servo in answering}
+        self._failed += 1
+        if self._failed == _ATTEMPTS:
+            self._failed = 0
+            self._leave_out_silent(answering, result)
+        return None
+
+    def _leave_out_silent(self, servos: Sequence[int], result: int) -> None:
+        """Leaves out the first servo that does not answer: each answers after the one before it, so one that is missing
+        keeps the later ones silent. Raises where all of them answer."""
         for servo in servos:
             try:
-                self._ask(servo, partial(self._packets.ping, self._port, servo))
+                self._ask(servo, partial(self._packets.ping, self._port, servo), attempts=1)
             except ServoError as problem:
                 self._silent[servo] = str(problem)
-        if not self._silent.keys() & set(servos):
-            raise ServoError(f"{self._port.getPortName()}: {self._packets.getTxRxResult(result)}")
+                return
+        raise ServoError(f"{self._port.getPortName()}: {self._packets.getTxRxResult(result)}")
 
     def turn(self, roll: NDArray[np.float64], yaw: NDArray[np.float64]) -> None:
         """Sets the goals of all servos; switches the torque on before the first after a stop."""
@@ -212,14 +221,18 @@ class Dynamixel(Device):
         """Switches the torque of all servos off, and reads back that it is off."""
         self._is_powered = False
         self._write(_TORQUE, 1, 0)
-        powered = [servo for servo, value in self._read(_TORQUE, 1).items() if value(_TORQUE, 1) != 0]
+        while (read := self._read(_TORQUE, 1)) is None:
+            pass
+        powered = [servo for servo, value in read.items() if value(_TORQUE, 1) != 0]
         if powered or self._silent:
             texts = [f"servo {servo} keeps its torque" for servo in powered]
             raise ServoError("; ".join([*texts, *self._silent.values()]))
 
-    def measure(self) -> tuple[Sequence[float], Sequence[float]]:
+    def measure(self) -> tuple[Sequence[float], Sequence[float]] | None:
         """Measured angles; of a servo that does not answer the last one, and its mirror is unusable."""
         read = self._read(_POSITION, _STATE_LENGTH)
+        if read is None:
+            return None
         for index, servo in enumerate(self._ids):
             if servo in read:
                 position = np.uint32(read[servo](_POSITION, 4)).astype(np.int32)
@@ -229,13 +242,14 @@ class Dynamixel(Device):
         return pairs[:, 0].tolist(), pairs[:, 1].tolist()
 
     def health(self) -> Health:
-        """Temperature and errors; once a second also those servos that did not answer."""
+        """Temperature and errors; asks one of those servos again that did not answer."""
         now_ns = time.monotonic_ns()
-        if now_ns >= self._next_ns:
-            self._next_ns = now_ns + _RETRY_NS
-            for servo in list(self._silent):
-                self._prepare(servo)
-            self._errors = {servo: value(_ERROR, 1) for servo, value in self._read(_ERROR, 1).items()}
+        if self._silent and now_ns >= self._silent_ns:
+            self._silent_ns = now_ns + _RETRY_NS // len(self._silent)
+            self._prepare(next(iter(self._silent)), attempts=1)
+        elif now_ns >= self._errors_ns and (read := self._read(_ERROR, 1)) is not None:
+            self._errors_ns = now_ns + _RETRY_NS
+            self._errors = {servo: value(_ERROR, 1) for servo, value in read.items()}
         bad = {servo for servo, error in self._errors.items() if error & ~_SUPPLY} | self._silent.keys()
         return Health(
             temperature_c=self._temperature_c,

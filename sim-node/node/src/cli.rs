@@ -77,7 +77,7 @@ impl Args {
 pub fn run(args: Args) -> Result<()> {
     let settings = args.settings()?;
     let stop = args.end.stop()?;
-    args.log.start();
+    let _log = args.log.start();
     let summary = run::run(&settings, &stop)?;
     if args.json {
         output::line(serde_json::to_string(&summary)?)?

@@ -89,8 +89,8 @@ fn run_due(node: &mut Node, publisher: &mut PublisherThread, now: Moment) -> Res
 fn handle_received(node: &mut Node) {
     for array in 0..node.room.arrays() {
         while let Some(arrival) = node.session.received(array).pop() {
-            let at = arrival.at;
-            node.handle(array, arrival, at);
+            let times = (arrival.at, node.clock.now());
+            node.handle(array, arrival, times);
         }
     }
 }
@@ -101,8 +101,8 @@ fn drain(node: &mut Node) {
     while node.ticks.is_waiting() && node.clock.local_ns() < give_up_ns {
         for array in 0..node.room.arrays() {
             if let Some(arrival) = node.session.received(array).pop_until(Instant::now() + DRAIN_SLEEP) {
-                let at = arrival.at;
-                node.handle(array, arrival, at);
+                let times = (arrival.at, node.clock.now());
+                node.handle(array, arrival, times);
             }
         }
     }

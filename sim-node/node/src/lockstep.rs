@@ -102,7 +102,7 @@ fn await_answer(
                 .count("not-awaited", format!("a command answers tick {answers}: expected an answer to tick {tick}"));
             continue;
         }
-        if let Some(command) = node.handle(array, arrival, now) {
+        if let Some(command) = node.handle(array, arrival, (now, now)) {
             return Ok(Some(command));
         }
     }

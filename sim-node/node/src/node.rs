@@ -122,10 +122,10 @@ impl Node {
         TruthPublisher::new(self.room.world(), &self.session, self.scenario.geometry_toml(), self.exporter.take())
     }
 
-    /// Gives an arrival to an array at time `at`; returns the command if it was one that was
+    /// Gives an arrival to an array at a time; returns the command if it was one that was
     /// accepted.
-    pub fn handle(&mut self, array: usize, arrival: Arrival, at: Moment) -> Option<MirrorCommand> {
-        let command = self.room.handle(array, at, arrival.content, &mut self.refused)?;
+    pub fn handle(&mut self, array: usize, arrival: Arrival, times: (Moment, Moment)) -> Option<MirrorCommand> {
+        let command = self.room.handle(array, times, arrival.content, &mut self.refused)?;
         self.ticks.answered(command.answers, arrival.at.local_ns);
         Some(command)
     }

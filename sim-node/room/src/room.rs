@@ -67,17 +67,17 @@ impl SimulatedRoom {
         result
     }
 
-    /// Gives an arrival of any kind to an array; returns the command if it was one that was
-    /// accepted.
+    /// Gives a message of any kind, which arrived at the first time and is handled at the second, to an
+    /// array; returns the command if it was one that was accepted.
     pub fn handle(
         &mut self,
         array: usize,
-        at: Moment,
+        (arrived, now): (Moment, Moment),
         content: Content,
         refused: &mut RefusalCounts,
     ) -> Option<MirrorCommand> {
-        self.keep_time(at);
-        let accepted = self.kits[array].handle(at, content, refused);
+        self.keep_time(now);
+        let accepted = self.kits[array].handle((arrived, now), content, refused);
         self.join_angles();
         accepted
     }

@@ -235,6 +235,8 @@ pub struct PayloadHandler {
 impl PayloadHandler {
     /// Handles a payload in the callback that was entered at `entered`.
     pub fn handle(&self, channel: InputChannel, payload: &[u8], entered: Instant) {
+        // A stop that waits for the loop comes before the report.
+        self.announcements.settle();
         let at_once: Option<MutexGuard<'_, DecisionLoop>> = match self.decide_in {
             DecideIn::Callback => Some(lock(&self.decision_loop)),
             DecideIn::Thread => None,
@@ -265,7 +267,10 @@ pub fn run(handler: &PayloadHandler) {
             Action::Wait(limit) => match queue.wait(limit) {
                 Wake::Closed => return,
                 Wake::TimedOut => {}
-                Wake::Filled => drain(queue, &mut lock(decision_loop)),
+                Wake::Filled => {
+                    announcements.settle();
+                    drain(queue, &mut lock(decision_loop));
+                }
             },
             Action::WarmUp if queue.has_arrival() => lock(decision_loop).warmer.on_arrival(),
             Action::WarmUp => {

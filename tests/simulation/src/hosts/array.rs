@@ -18,13 +18,14 @@ use super::{Context, Incoming, Outgoing, encoded};
 use crate::mutation::Mutation;
 use crate::topic::Topic;
 
-/// The production type with simulated device and disk.
-pub(crate) type SimStation = Station<SimDevice, SimDisk>;
+/// The production type with a simulated device.
+pub(crate) type SimStation = Station<SimDevice>;
 
 /// A process of an array.
 pub(crate) struct ArrayNode {
     array: usize,
     station: SimStation,
+    disk: SimDisk,
     queue: Arrivals,
     hardware: SharedHardware,
     /// The last announcements, which answer queries.
@@ -46,12 +47,13 @@ impl ArrayNode {
         // An array that cannot record a stop starts stopped, too.
         let is_unknown = !is_first && (is_damaged || (is_full && !ctx.monitor.arrays[array].is_stopped()));
         ctx.monitor.arrays[array].start(ctx.at.room_ns, is_unknown);
-        let record = StopRecord::open(SimDisk(disk.clone()), is_first, ctx.at.room_ns);
+        let (record, latch) = StopRecord::open(SimDisk(disk.clone()), is_first, ctx.at.room_ns);
+        let (plan, _) = record.split();
         let identity = Identity { source, array, software: "simulation".into() };
         let kit = Kit::new(SimDevice(hardware.clone()));
-        let station = Station::new(kit, record, identity, ctx.at);
-        let (queue, hardware) = (Arrivals::default(), hardware.clone());
-        let mut node = Self { array, station, queue, hardware, announced: BTreeMap::new(), is_stuck: false };
+        let station = Station::new(kit, (plan, latch), identity, ctx.at);
+        let (queue, hardware, disk) = (Arrivals::default(), hardware.clone(), SimDisk(disk.clone()));
+        let mut node = Self { array, station, disk, queue, hardware, announced: BTreeMap::new(), is_stuck: false };
         node.wake(ctx);
         node
     }
@@ -106,8 +108,11 @@ impl ArrayNode {
         if ctx.has(Mutation::NotParked) && is_driven {
             return;
         }
+        self.station.advance(ctx.at);
         // A failed record is in force all the same; the monitor checks what the next start does.
-        let _ = self.station.advance(ctx.at);
+        if let Some(task) = self.station.poll_record(ctx.at) {
+            self.station.finish_record(&task.run(&mut self.disk));
+        }
         ctx.monitor.after_advance(self.array, (ctx.now, ctx.at), &self.station, &self.hardware.borrow());
     }
 
@@ -119,7 +124,7 @@ impl ArrayNode {
         }
         let is_rearm = matches!(arrival.content, Content::Rearm(_));
         if !is_dropped {
-            self.station.handle(arrival);
+            self.station.handle(ctx.at, arrival);
         }
         let is_released = is_rearm && self.station.kit().array().state() != ArrayState::Stopped;
         self.is_stuck |= ctx.has(Mutation::ReleasedArrayStuck) && is_released;

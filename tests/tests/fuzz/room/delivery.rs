@@ -104,8 +104,8 @@ impl Room {
         let content = wrap(message);
         let now = self.now();
         let simulated = Moment { local_ns: self.simulated_ns(), ..now };
-        drop(self.simulated.handle(0, simulated, content.clone(), &mut RefusalCounts::default()));
-        self.checked(|room| drop(room.kit.handle(now, content, &mut room.refused)));
+        drop(self.simulated.handle(0, (simulated, simulated), content.clone(), &mut RefusalCounts::default()));
+        self.checked(|room| drop(room.kit.handle((now, now), content, &mut room.refused)));
         is_decoded
     }
 

@@ -1,6 +1,6 @@
 //! The estimated parameters: their order, their prior spreads, and the quantities of one reading.
 
-use heliostat_scenario::{MismatchLevel, Scenario, Spreads};
+use heliostat_scenario::{Mismatch, MismatchLevel, Scenario, Spreads};
 use serde::{Deserialize, Serialize};
 
 use crate::optics::{LED, LOG_FACTOR, OFFSET, PLACE, QUANTITIES, Quantities, RAISE, SCALE, SEMI_ANGLE, TILT};
@@ -46,7 +46,7 @@ impl Prior {
     /// The spreads of a level of installation; see [`heliostat_scenario::mismatch`].
     pub fn of_level(level: MismatchLevel) -> Self {
         let level = if level == MismatchLevel::None { MismatchLevel::Typical } else { level };
-        let spreads: Spreads = heliostat_scenario::Mismatch { level, kinds: Vec::new() }.spreads();
+        let spreads: Spreads = Mismatch { level, ..Mismatch::default() }.spreads();
         Self {
             offset_rad: spreads.mirror_deg.to_radians(),
             scale: 0.0,

@@ -75,13 +75,23 @@ impl Scenario {
         within("led.side_m", self.led.side_m, 0.0..=5.0)?;
         count("led.points_per_side", self.led.points_per_side, 1..=64)?;
         count("led.positions_m (panels)", self.led.positions_m.len(), 1..=64)?;
-        for position in &self.led.positions_m {
+        let unknown = &self.mismatch.unknown_leds_m;
+        count("mismatch.unknown_leds_m", unknown.len(), 0..=64 - self.led.positions_m.len())?;
+        if !unknown.is_empty() && !self.streams.channel.leds.is_none() {
+            return invalid(
+                "mismatch.unknown_leds_m",
+                format!("{unknown:?}"),
+                "expected none while streams.channel.leds tells the LEDs apart",
+            );
+        }
+        let known = self.led.positions_m.iter().map(|position| ("led.positions_m", position));
+        for (key, position) in known.chain(unknown.iter().map(|position| ("mismatch.unknown_leds_m", position))) {
             let inside = position[0].abs() <= room.length_x_m / 2.0
                 && position[1].abs() <= room.length_y_m / 2.0
                 && (self.receiver.height_m..=room.height_m).contains(&position[2]);
             if !inside {
                 return invalid(
-                    "led.positions_m",
+                    key,
                     format!("{position:?}"),
                     "expected a position inside the room, above the receivers",
                 );

@@ -72,6 +72,10 @@ pub struct Mismatch {
     pub level: MismatchLevel,
     /// The parts that differ; empty: all.
     pub kinds: Vec<MismatchKind>,
+    /// Centres of LEDs that shine in the true room and that the controller does not know, such as those of
+    /// a neighbour, in m.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub unknown_leds_m: Vec<[f64; 3]>,
 }
 
 /// Standard deviations of the true values around the nominal ones; the [module](self) has their
@@ -106,7 +110,7 @@ pub struct Spreads {
 impl Mismatch {
     /// Whether the true room is the assumed one.
     pub fn is_none(&self) -> bool {
-        self.level == MismatchLevel::None
+        self.level == MismatchLevel::None && self.unknown_leds_m.is_empty()
     }
 
     /// The spreads of the chosen kinds; those of the other kinds are 0.
@@ -142,10 +146,11 @@ mod tests {
     #[test]
     fn only_the_chosen_kinds_differ_and_none_does_without_a_level() {
         assert_eq!(Mismatch::default().spreads(), Spreads::default());
-        let all = Mismatch { level: MismatchLevel::Typical, kinds: Vec::new() }.spreads();
-        let rough = Mismatch { level: MismatchLevel::Rough, kinds: Vec::new() }.spreads();
+        let all = Mismatch { level: MismatchLevel::Typical, ..Mismatch::default() }.spreads();
+        let rough = Mismatch { level: MismatchLevel::Rough, ..Mismatch::default() }.spreads();
         assert!(rough.mirror_deg > all.mirror_deg && all.mirror_deg > 0.0);
-        let floor = Mismatch { level: MismatchLevel::Typical, kinds: vec![MismatchKind::Floor] }.spreads();
+        let kinds = vec![MismatchKind::Floor];
+        let floor = Mismatch { level: MismatchLevel::Typical, kinds, ..Mismatch::default() }.spreads();
         assert_eq!(floor, Spreads { floor_m: all.floor_m, ..Spreads::default() });
     }
 }

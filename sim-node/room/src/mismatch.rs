@@ -47,6 +47,7 @@ pub fn true_room(nominal: &Scenario, seed: u64) -> Scenario {
     }
     room.streams.positions.noise_m *= 1.0 + spreads.tracker_excess;
     room.streams.positions.velocity_noise_m_s *= 1.0 + spreads.tracker_excess;
+    room.led.positions_m.extend(&nominal.mismatch.unknown_leds_m);
     let offset_deg = room.actuator.parameters().offset_rad.to_degrees().hypot(spreads.mirror_deg);
     room.actuator.offset_deg = Some(offset_deg);
     room
@@ -104,6 +105,18 @@ mod tests {
     fn scenario(overrides: &[&str]) -> Scenario {
         let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
         Scenario::builtin("hall").unwrap().with_overrides(&overrides).unwrap()
+    }
+
+    #[test]
+    fn an_unknown_led_shines_in_the_true_room_and_nothing_else_differs() {
+        let nominal = Scenario::builtin("hall").unwrap();
+        let with_neighbour = nominal.with_overrides(&["mismatch.unknown_leds_m=[[2.0,2.0,3.0]]".into()]).unwrap();
+        let room = true_room(&with_neighbour, 1);
+        assert_eq!(room.led.positions_m, [[0.0, 0.0, 3.0], [2.0, 2.0, 3.0]]);
+        assert_eq!((room.receiver, room.mirrors), (nominal.receiver, nominal.mirrors));
+        let told_apart = ["mismatch.unknown_leds_m=[[2,2,3]]", "streams.channel.leds=gains"].map(String::from);
+        let refusal = Scenario::builtin("hall").unwrap().with_overrides(&told_apart).unwrap_err().to_string();
+        assert!(refusal.contains("mismatch.unknown_leds_m"), "{refusal}");
     }
 
     #[test]

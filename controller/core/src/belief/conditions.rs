@@ -55,7 +55,7 @@ pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
     add(
         scenario.mismatch.is_none(),
         "the channel model of belief and policies",
-        format!("mismatch.level = \"{}\"", scenario.mismatch.level.name()),
+        mismatch(scenario),
         "they assume the nominal room, and the oracle knows the true one, so ratios are lower; calibrate the mirrors",
     );
     if scenario.control.belief != scenario::Belief::Filter {
@@ -103,6 +103,13 @@ pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
 }
 
 /// The branches of a receiver in a few words.
+fn mismatch(scenario: &Scenario) -> String {
+    match scenario.mismatch.unknown_leds_m.len() {
+        0 => format!("mismatch.level = \"{}\"", scenario.mismatch.level.name()),
+        unknown => format!("LEDs that the controller does not know: {unknown} in mismatch.unknown_leds_m"),
+    }
+}
+
 fn receiver(model: &ChannelModel) -> String {
     match &model.receiver.branches[..] {
         [only] if only.normal == heliostat_channel::Vec3::z() => {
@@ -136,6 +143,7 @@ mod tests {
             ("streams.positions.latency_ms=2000", "streams.positions.latency_ms = 2000"),
             ("streams.channel.rate_hz=0.5", "readings become 2"),
             ("mismatch.level=typical", "mismatch.level = \"typical\""),
+            ("mismatch.unknown_leds_m=[[1,1,3]]", "1 in mismatch.unknown_leds_m"),
         ] {
             let found = of(&[change]);
             assert!(found.len() == 1 && found[0].contains(key), "{change}: {found:?}");

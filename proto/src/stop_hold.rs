@@ -22,9 +22,13 @@
 //! | safety reports only | its name as the latest stop | a later report without any stop |
 //! | telemetry only | the state *stopped* | a later other state |
 
+use crate::enumerations::StopAction;
 use crate::limits::Nanos;
-use crate::messages::{EmergencyStop, SafetyReport, StopReport};
+use crate::messages::{EmergencyStop, SafetyReport, StopRepetition, StopReport};
 use crate::structures::{LatchedStopReport, Stamp, StopName};
+
+/// Time between two repetitions of a stop in ns.
+pub const STOP_REPEAT_NS: Nanos = 200_000_000;
 
 /// Largest number of stops that are held for one array; the room is stopped by any of them.
 const HELD_MAX: usize = 64;
@@ -48,6 +52,22 @@ pub struct HeldStop {
     reported_by: Option<u64>,
     /// The array was in state *stopped* while it was held.
     seen_stopped: bool,
+}
+
+impl HeldStop {
+    /// The repetition of the stop by another process, with the stamp of that process.
+    pub fn repetition(&self, stamp: Stamp) -> StopRepetition {
+        let StopName { source: stop_source, sequence: stop_sequence } = self.name;
+        let (operator, reason) = (self.operator.clone(), self.reason.clone());
+        StopRepetition { stamp, stop_source, stop_sequence, operator, reason }
+    }
+
+    /// The stop itself, for an array that understands no repetition.
+    pub fn order(&self) -> EmergencyStop {
+        let stamp = Stamp { source: self.name.source, sequence: self.name.sequence, time_ns: self.since_ns };
+        let (operator, reason) = (self.operator.clone(), self.reason.clone());
+        EmergencyStop { stamp, action: StopAction::Stop, operator, reason }
+    }
 }
 
 /// The most precise reports of the array about its stops.
@@ -84,7 +104,7 @@ pub fn unknown_stops<'a>(
 impl StopHold {
     /// Holds a stop that was ordered at `now`; a re-arm of kind 9 changes nothing.
     pub fn order(&mut self, now: Nanos, order: &EmergencyStop) {
-        if order.action == crate::StopAction::Stop {
+        if order.action == StopAction::Stop {
             self.hold(now, order.name(), &order.operator, &order.reason);
         }
     }

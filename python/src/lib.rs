@@ -52,6 +52,8 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     let kinds = wire::KINDS.map(|(name, kind)| (name, kind.number()));
     module.add("KINDS", BTreeMap::from(kinds))?;
     module.add("ARRAYS_MAX", heliostat_proto::MAX_ARRAYS)?;
+    module.add("USERS_MAX", heliostat_proto::MAX_USERS)?;
+    module.add("CLOCK_LEAD_MAX_NS", heliostat_proto::CLOCK_LEAD_MAX_NS)?;
     module.add("STOP_RECORD_MAX", heliostat_array::stop_record::RECORD_MAX)?;
     module.add("Refused", module.py().get_type::<wire::Refused>())?;
     module.add("INSTANTS", heliostat_environment::episodes::INSTANTS)?;

@@ -8,7 +8,7 @@ import socket
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -162,6 +162,25 @@ def test_a_broker_that_is_absent_is_named(tmp_path: Path) -> None:
 )
 def test_a_layout_finds_name_position_time_and_orientation(layout: str, topic: str, message: Any, pose: Pose | None) -> None:
     assert Mqtt("127.0.0.1", LAYOUTS[layout]).pose(topic, message) == pose
+
+
+def test_a_tag_that_cannot_be_read_leaves_the_others_of_its_list() -> None:
+    problems: list[str] = []
+    taken: list[list[str]] = []
+
+    class Taken:
+        def problem(self, kind: str, text: str) -> None:
+            problems.append(f"{kind}: {text}")
+
+        def poses(self, poses: Sequence[Pose]) -> None:
+            taken.append([pose.name for pose in poses])
+
+    source = Mqtt("127.0.0.1", LAYOUTS["pozyx"])
+    good, bad = pozyx("a", 1000.0, 0.0, 850.0), {"tagId": "b", "success": True, "timestamp": 1.0, "data": {}}
+    for message in ([bad, good], [bad], [], [pozyx("c", 0, 0, 0, success=False)]):
+        source._receive(Taken(), "tags", json.dumps(message).encode())  # type: ignore[arg-type]
+    assert taken == [["a"], [], []], "a list of which nothing can be read is no list without tags"
+    assert len(problems) == 2 and all("malformed: a tag in a message of tags" in one for one in problems)
 
 
 def test_an_own_layout_names_paths() -> None:

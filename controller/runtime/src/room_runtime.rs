@@ -40,7 +40,7 @@ use heliostat_core::{
     tenure::{Standing, Tenure},
 };
 use heliostat_models::build_tried;
-use heliostat_proto::{Nanos, NodeKind, NodeStatus, Room, encode};
+use heliostat_proto::{NodeKind, NodeStatus, Room, encode};
 use heliostat_service::{clock::utc_ns, log_limit::LogLimit, source_id};
 
 use crate::{
@@ -101,10 +101,9 @@ impl RoomRuntime {
         let scenario = &config.scenario;
         let started_ns = utc_ns();
         let source = source_id::random();
-        let interval_ns = (1e9 / scenario.streams.positions.rate_hz) as Nanos;
         let (tenure, class) = match config.pace {
             Pace::Live => {
-                let tenure = Tenure::live(source, interval_ns);
+                let tenure = Tenure::live(source, scenario.streams.positions.interval_ns());
                 let tenure = match config.standby {
                     Some(rank) => tenure.in_reserve(rank),
                     None => tenure,

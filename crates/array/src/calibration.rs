@@ -112,14 +112,7 @@ impl Correction {
         ];
         for ((axis, gains, offsets, range), [min, max]) in axes.into_iter().zip(travel_rad) {
             for (mirror, (gain, offset)) in gains.iter().zip(offsets).enumerate() {
-                let [least, most] = GAIN_RANGE;
-                if !(least..=most).contains(&f64::from(*gain)) {
-                    return Err(Unfit::Gain { axis, mirror, gain: *gain });
-                }
-                let bound = OFFSET_MAX_RAD + ROUNDING_RAD;
-                if !(-bound..=bound).contains(&f64::from(*offset)) {
-                    return Err(Unfit::Offset { axis, mirror, offset_rad: *offset });
-                }
+                check_correction((axis, mirror), *gain, *offset)?;
                 let ends = range.map(|end| f64::from(*gain) * end + f64::from(*offset));
                 let outside = |end: &f64| *end < min - ROUNDING_RAD || *end > max + ROUNDING_RAD;
                 if let Some(angle) = ends.into_iter().find(outside) {
@@ -149,6 +142,30 @@ impl Correction {
             correct(&mut angles.yaw, &used.yaw_gain, &used.yaw_offset_rad, back);
         }
     }
+}
+
+/// Whether a driver accepts gains and offsets, whatever its hardware.
+///
+/// # Errors
+/// [`Unfit`] of the first mirror that it would refuse.
+pub fn check_corrections(new: &Calibration) -> Result<(), Unfit> {
+    let axes = [("roll", &new.roll_gain, &new.roll_offset_rad), ("yaw", &new.yaw_gain, &new.yaw_offset_rad)];
+    axes.into_iter().try_for_each(|(axis, gains, offsets)| {
+        let mut mirrors = gains.iter().zip(offsets).enumerate();
+        mirrors.try_for_each(|(mirror, (gain, offset))| check_correction((axis, mirror), *gain, *offset))
+    })
+}
+
+fn check_correction((axis, mirror): (&'static str, usize), gain: f32, offset_rad: f32) -> Result<(), Unfit> {
+    let [least, most] = GAIN_RANGE;
+    if !(least..=most).contains(&f64::from(gain)) {
+        return Err(Unfit::Gain { axis, mirror, gain });
+    }
+    let bound = OFFSET_MAX_RAD + ROUNDING_RAD;
+    if !(-bound..=bound).contains(&f64::from(offset_rad)) {
+        return Err(Unfit::Offset { axis, mirror, offset_rad });
+    }
+    Ok(())
 }
 
 fn correct(angles: &mut [f64], gains: &[f32], offsets: &[f32], with: impl Fn(f64, f64, f64) -> f64) {

@@ -261,6 +261,11 @@ impl Session {
         }
     }
 
+    /// The number of the user who holds the receiver is known from now on.
+    pub fn set_user(&mut self, user: u32) {
+        self.setup.user = Some(user);
+    }
+
     /// Handles a position report.
     pub fn handle_users(&mut self, report: &UserReport) {
         let Some(user) = self.user_of(report.users.iter().map(|user| user.user)) else { return };

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use heliostat_array::calibration_file::CalibrationFile;
+use heliostat_service::whole_file;
 
 /// Reads a calibration file.
 ///
@@ -19,5 +20,5 @@ pub fn load(file: &Path) -> Result<CalibrationFile> {
 /// # Errors
 /// A file that cannot be written.
 pub fn save(calibration: &CalibrationFile, file: &Path) -> Result<()> {
-    std::fs::write(file, calibration.to_toml()).with_context(|| format!("cannot write {}", file.display()))
+    whole_file::write(file, calibration.to_toml().as_bytes())
 }

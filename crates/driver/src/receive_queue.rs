@@ -9,6 +9,9 @@ use heliostat_array::content::Content;
 use heliostat_array::moment::Moment;
 use heliostat_proto::MirrorCommand;
 
+/// Epochs whose commands are known as passed on: a copy can arrive after a controller has begun the next.
+const EPOCHS: usize = 4;
+
 /// [`Arrivals`] for two threads.
 #[derive(Debug, Default)]
 pub struct ReceiveQueue {
@@ -23,8 +26,9 @@ struct Queue {
     is_woken: bool,
     /// Called after a stop has arrived, for a thread that waits for several queues.
     on_stop: Option<Waker>,
-    /// Epoch and sequence number of the last command that this process has passed on itself.
-    passed_on: Option<(u64, u64)>,
+    /// The last epochs of the commands that this process has passed on itself, the latest first, each with its
+    /// last sequence number.
+    passed_on: [Option<(u64, u64)>; EPOCHS],
 }
 
 impl ReceiveQueue {
@@ -48,7 +52,10 @@ impl ReceiveQueue {
     /// from the transport is no arrival. Returns whether no message waits.
     pub fn pass_on(&self, command: &MirrorCommand) -> bool {
         let mut queue = self.lock();
-        queue.passed_on = Some((command.epoch, command.sequence));
+        if queue.passed_on[0].is_none_or(|(epoch, _)| epoch != command.epoch) {
+            queue.passed_on.rotate_right(1);
+        }
+        queue.passed_on[0] = Some((command.epoch, command.sequence));
         queue.arrivals.is_empty()
     }
 
@@ -119,12 +126,9 @@ impl ReceiveQueue {
 impl Queue {
     /// Whether the message is the copy of a command that this process has passed on.
     fn is_passed_on(&self, content: &Content) -> bool {
-        match (content, self.passed_on) {
-            (Content::Command(Ok(command)), Some((epoch, sequence))) => {
-                command.epoch == epoch && command.sequence <= sequence
-            }
-            _ => false,
-        }
+        let Content::Command(Ok(command)) = content else { return false };
+        let mut passed_on = self.passed_on.iter().flatten();
+        passed_on.any(|(epoch, sequence)| command.epoch == *epoch && command.sequence <= *sequence)
     }
 }
 
@@ -155,7 +159,10 @@ mod tests {
             queue.push(Moment::simulated(sequence), Content::Command(Ok(numbered(epoch, sequence))));
         }
         assert!(!queue.pass_on(&numbered(5, 9)), "commands of other controllers wait");
-        let kept: Vec<u64> = std::iter::from_fn(|| queue.pop()).map(|arrival| arrival.at.local_ns).collect();
-        assert_eq!(kept, [9, 1, 9]);
+        let kept = || -> Vec<u64> { std::iter::from_fn(|| queue.pop()).map(|arrival| arrival.at.local_ns).collect() };
+        assert_eq!(kept(), [9, 1, 9]);
+        queue.pass_on(&numbered(6, 1));
+        queue.push(Moment::simulated(1), Content::Command(Ok(numbered(5, 9))));
+        assert_eq!(kept(), [0; 0], "a late copy of the former epoch");
     }
 }

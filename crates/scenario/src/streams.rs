@@ -20,6 +20,13 @@ pub struct PositionStream {
     pub loss_burst_reports: f64,
 }
 
+impl PositionStream {
+    /// Time between two reports in ns.
+    pub fn interval_ns(&self) -> u64 {
+        (1e9 / self.rate_hz) as u64
+    }
+}
+
 impl Default for PositionStream {
     fn default() -> Self {
         Self {

@@ -8,6 +8,7 @@
 //! - [`logging`]: logs to standard error, as text or as JSON.
 //! - [`log_limit`]: bounds the lines of a lasting problem.
 //! - [`output`]: text for a user on standard output and standard error.
+//! - [`whole_file`]: files that are complete, or not there.
 //! - [`printable`]: text from messages and files, made safe for a terminal.
 //! - [`process`]: memory, files and threads of this process.
 //! - [`page`]: counters, gauges and histograms of one moment, in the OpenMetrics text format.
@@ -33,6 +34,7 @@ pub mod signals;
 pub mod source_id;
 pub mod stop;
 mod waiting;
+pub mod whole_file;
 
 pub use exporter::{Exporter, MetricsArgs, MetricsError};
 pub use logging::{LogArgs, LogFormat, LogGuard};

@@ -12,7 +12,8 @@ use std::time::{Duration, Instant};
 
 use heliostat_bus::{Bus, Class, Publisher};
 use heliostat_proto::reported_stops::{ReportedStops, RoomStop, Standing};
-use heliostat_proto::{EmergencyStop, MAX_ARRAYS, Rearm, Stamp, StopAction, StopName, StopRepetition, codec, cut};
+use heliostat_proto::stop_hold::STOP_REPEAT_NS;
+use heliostat_proto::{EmergencyStop, MAX_ARRAYS, Rearm, Stamp, StopAction, StopName, codec, cut};
 use heliostat_service::clock::utc_ns;
 use heliostat_service::source_id;
 
@@ -21,7 +22,7 @@ use crate::order_publisher::OrderPublisher;
 use crate::stop_watch::{RoomStops, StopWatch, UNKNOWN_ARRAYS, problem, unreleased};
 
 /// Time after which a stop or a re-arm is repeated.
-const REPEAT_AFTER: Duration = Duration::from_millis(200);
+const REPEAT_AFTER: Duration = Duration::from_nanos(STOP_REPEAT_NS);
 
 /// The geometry of a room is announced each second, and so is a safety report.
 const ANNOUNCED_WITHIN: Duration = Duration::from_millis(1500);
@@ -117,7 +118,6 @@ impl StopSwitch {
     /// [`UiError::NoReceiver`] if no array subscribes to it, [`UiError::Bus`] if the session is
     /// closed, [`UiError::Codec`] if it cannot be encoded.
     pub fn stop(&self, reason: &str) -> Result<EmergencyStop, UiError> {
-        let mut own = self.own.lock().unwrap_or_else(PoisonError::into_inner);
         let mut sent = None;
         let result = self.stop.publish(self.source, |stamp| {
             // A text that is too long must not keep a stop back.
@@ -125,13 +125,13 @@ impl StopSwitch {
             let order = EmergencyStop { stamp, action: StopAction::Stop, operator, reason };
             // Before it is published, so that the first report of an array finds it.
             self.seen.order(&order);
+            let is_held = !self.seen.lock().stops().is_empty();
+            let own = OwnStop { order: order.clone(), at: Instant::now(), is_held };
+            *self.own.lock().unwrap_or_else(PoisonError::into_inner) = Some(own);
             sent = Some(order.clone());
             order
         });
-        let order = sent.unwrap_or_default();
-        let is_held = !self.seen.lock().stops().is_empty();
-        *own = Some(OwnStop { order: order.clone(), at: Instant::now(), is_held });
-        result.map(|()| order)
+        result.map(|()| sent.unwrap_or_default())
     }
 
     /// Repeats each held stop to the arrays that have not reported it, if that is due.
@@ -148,23 +148,15 @@ impl StopSwitch {
         }
         let unreported = self.seen.lock().unreported(self.seen.now());
         for (array, held, is_older) in unreported {
-            let stamp = Stamp { source: held.name.source, sequence: held.name.sequence, time_ns: held.since_ns };
             // A closed session shows at the next order.
             if is_older {
-                let (operator, reason) = (held.operator, held.reason);
-                let _ = self.stop.publish_again(&EmergencyStop { stamp, action: StopAction::Stop, operator, reason });
+                let _ = self.stop.publish_again(&held.order());
                 continue;
             }
             let mut sequences = self.repetitions.sequences.lock().unwrap_or_else(PoisonError::into_inner);
             let sequence = sequences.entry(array).or_default();
             *sequence += 1;
-            let repetition = StopRepetition {
-                stamp: Stamp { source: self.source, sequence: *sequence, time_ns: utc_ns() },
-                stop_source: held.name.source,
-                stop_sequence: held.name.sequence,
-                operator: held.operator,
-                reason: held.reason,
-            };
+            let repetition = held.repetition(Stamp { source: self.source, sequence: *sequence, time_ns: utc_ns() });
             let mut payload = Vec::new();
             if codec::encode(&repetition, &mut payload).is_ok()
                 && let Some(publisher) = self.repetitions.arrays.get(array)

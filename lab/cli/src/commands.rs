@@ -8,4 +8,3 @@ mod json_command;
 pub mod map;
 pub mod report;
 pub mod trace;
-mod whole_file;

@@ -18,6 +18,8 @@ INSTANTS: int
 KINDS: dict[str, int]
 STOP_RECORD_MAX: int
 ARRAYS_MAX: int
+USERS_MAX: int
+CLOCK_LEAD_MAX_NS: int
 
 class Scenario:
     def __new__(cls, source: str, overrides: list[str] = ...) -> Scenario: ...

@@ -6,15 +6,12 @@
 //! noted by [`note_order`](Repeater::note_order) until the core handles it.
 
 use heliostat_proto::{
-    EmergencyStop, Message, Nanos, RoomGeometry, Stamp, StopAction, StopName, StopRepetition, decode, encode,
-    stop_hold::{HeldStop, StopHold},
+    Message, Nanos, RoomGeometry, Stamp, StopName, decode, encode,
+    stop_hold::{HeldStop, STOP_REPEAT_NS, StopHold},
 };
 use heliostat_scenario::Scenario;
 
 use super::input::{Output, Publish};
-
-/// Time between two repetitions of a stop.
-const STOP_INTERVAL_NS: Nanos = 200_000_000;
 
 /// Time between two announcements of the geometry.
 const GEOMETRY_INTERVAL_NS: Nanos = 1_000_000_000;
@@ -83,7 +80,7 @@ impl Repeater {
             self.geometry.stamp.time_ns = now;
             publish(Output::Geometry, &self.geometry, &mut payload, out);
         }
-        if is_due(self.repeated_ns, STOP_INTERVAL_NS) {
+        if is_due(self.repeated_ns, STOP_REPEAT_NS) {
             self.repeated_ns = Some(now);
             self.repeat_stops(now, &mut payload, out);
         }
@@ -94,19 +91,13 @@ impl Repeater {
             let known = self.unreported.iter().filter(|unreported| unreported.array == array);
             let known = known.map(|unreported| (&unreported.stop, unreported.is_older));
             for (stop, is_older) in known.chain(self.waiting.stops().iter().map(|stop| (stop, false))) {
-                let HeldStop { name, since_ns, .. } = *stop;
-                let (operator, reason) = (stop.operator.clone(), stop.reason.clone());
                 if is_older {
-                    let stamp = Stamp { source: name.source, sequence: name.sequence, time_ns: since_ns };
-                    let order = EmergencyStop { stamp, action: StopAction::Stop, operator, reason };
-                    publish(Output::Stop, &order, payload, out);
+                    publish(Output::Stop, &stop.order(), payload, out);
                     continue;
                 }
                 self.sequences[array] += 1;
                 let stamp = Stamp { source: self.source, sequence: self.sequences[array], time_ns: now };
-                let (stop_source, stop_sequence) = (name.source, name.sequence);
-                let repetition = StopRepetition { stamp, stop_source, stop_sequence, operator, reason };
-                publish(Output::StopRepetition(array), &repetition, payload, out);
+                publish(Output::StopRepetition(array), &stop.repetition(stamp), payload, out);
             }
         }
     }

@@ -3,6 +3,7 @@
 
 mod args;
 mod commander;
+mod readings;
 mod room;
 mod show;
 
@@ -10,14 +11,19 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail, ensure};
+use heliostat_array::calibration::check_corrections;
+use heliostat_array::calibration_file::CalibrationFile;
 use heliostat_bus::{AccessRole, Bus};
-use heliostat_calibrate::{Log, Outcome, Prior, Session, Setup, Stage};
+use heliostat_calibrate::{Outcome, Prior, Session, Setup, Stage};
+use heliostat_proto::Stamp;
 use heliostat_scenario::{ChannelMode, Scenario};
 use heliostat_service::clock::utc_ns;
 use heliostat_service::exit::UnusableInput;
 use heliostat_service::output::note;
+use heliostat_service::whole_file;
 
 pub use args::Args;
+use readings::Readings;
 use room::{LiveRoom, Received};
 
 /// Longest wait for a report before the session looks at its own times again.
@@ -51,7 +57,7 @@ pub fn run(args: Args) -> Result<()> {
     let config = args.bus.config_or_connect(&[AccessRole::Controller])?;
     let stop = args.end.stop()?;
     let bus = Bus::open(&config)?;
-    let mut room = LiveRoom::open(&bus, &args, scenario.hash())?;
+    let mut room = LiveRoom::open(&bus, &args, &scenario)?;
     ensure!(
         room.calibration_in_use() == 0 || base.is_some(),
         "the array uses a calibration already: give its file with --base, so that the result includes it"
@@ -65,12 +71,13 @@ pub fn run(args: Args) -> Result<()> {
         ensure!(found == expected, "--base is for {found} mirrors: expected a file for {expected}");
     }
     let mut session = new_session(&args, &scenario, &room)?;
-    if let Some(log) = args.readings.as_deref().filter(|file| file.exists()).map(read_log).transpose()? {
+    let readings = Readings::new(args.readings.as_deref(), &scenario, (args.array, base.as_ref()));
+    if let Some(log) = readings.load()? {
         note(format_args!("continued: {} spots complete, {} readings", log.complete, log.readings.len()));
         session.resume(log)?;
     }
-    let run = drive(&args, &mut session, &mut room, &stop);
-    let saved = save_log(&args, &session);
+    let run = drive(&args, (&mut session, &readings), &mut room, &stop);
+    let saved = readings.save(&session);
     room.release();
     run?;
     saved?;
@@ -98,8 +105,14 @@ fn new_session(args: &Args, scenario: &Scenario, room: &LiveRoom) -> Result<Sess
 }
 
 /// Passes reports to the session and its commands to the array, until it ends or the process shall.
-fn drive(args: &Args, session: &mut Session, room: &mut LiveRoom, stop: &heliostat_service::Stop) -> Result<()> {
+fn drive(
+    args: &Args,
+    (session, readings): (&mut Session, &Readings<'_>),
+    room: &mut LiveRoom,
+    stop: &heliostat_service::Stop,
+) -> Result<()> {
     let begun = Instant::now();
+    let mut user = args.user;
     let (mut saved, mut shown, mut heard) = (begun, begun, begun);
     let (mut stage, mut complete) = (None, session.log().complete);
     while session.stage() != Stage::Ended {
@@ -113,18 +126,23 @@ fn drive(args: &Args, session: &mut Session, room: &mut LiveRoom, stop: &heliost
             let progress = session.log().complete;
             if progress != complete {
                 complete = progress;
-                save_log(args, session)?;
+                readings.save(session)?;
             }
         }
         let now = utc_ns();
         let wake = Duration::from_nanos(session.next_wake(now).saturating_sub(now)).min(LOOK_EVERY);
         match room.receive(wake)? {
             Some(Received::Users(report)) => {
-                let ids: Vec<u32> = report.users.iter().map(|user| user.user).collect();
-                ensure!(
-                    args.user.is_some() || ids.len() <= 1,
-                    "the tracker reports the users {ids:?}: name the one who holds the receiver with --user"
-                );
+                if user.is_none() {
+                    let ids: Vec<u32> = report.users.iter().map(|user| user.user).collect();
+                    ensure!(
+                        ids.len() <= 1,
+                        "the tracker reports the users {ids:?}: name the one who holds the receiver with --user"
+                    );
+                    // Whoever enters later holds no receiver.
+                    user = ids.first().copied();
+                    user.into_iter().for_each(|user| session.set_user(user));
+                }
                 session.handle_users(&report);
             }
             Some(Received::Channel(report)) => {
@@ -139,7 +157,7 @@ fn drive(args: &Args, session: &mut Session, room: &mut LiveRoom, stop: &heliost
         }
         if saved.elapsed() >= SAVE_EVERY {
             saved = Instant::now();
-            save_log(args, session)?;
+            readings.save(session)?;
             room.publish_status()?;
         }
         if shown.elapsed() >= SHOW_EVERY {
@@ -154,21 +172,21 @@ fn drive(args: &Args, session: &mut Session, room: &mut LiveRoom, stop: &heliost
 }
 
 /// Writes the files if the verification allows it, and prints the result.
-fn finish(
-    args: &Args,
-    scenario: &Scenario,
-    outcome: &Outcome,
-    base: Option<&heliostat_array::calibration_file::CalibrationFile>,
-) -> Result<()> {
+fn finish(args: &Args, scenario: &Scenario, outcome: &Outcome, base: Option<&CalibrationFile>) -> Result<()> {
     let is_improvement = outcome.verification.is_improvement();
     if is_improvement {
         let own = outcome.calibration();
         let file = base.map_or(own.clone(), |base| own.after(base));
-        heliostat_driver::calibration_store::save(&file, &args.out)?;
-        if let Some(path) = &args.room_out {
-            let room = outcome.measured_room(scenario, args.array);
-            std::fs::write(path, room.to_toml()).with_context(|| format!("cannot write {}", path.display()))?;
+        check_corrections(&file.message(Stamp::default()))
+            .context("a driver would refuse the result: align this mirror by hand, and repeat. Nothing is written")?;
+        let room = args.room_out.as_ref().map(|path| (path, outcome.measured_room(scenario, args.array).to_toml()));
+        if let Some((_, text)) = &room {
+            let unusable =
+                "the measured room is no scenario: repeat without --room-out, or check the heights. Nothing is written";
+            Scenario::from_toml(text).context(unusable)?;
         }
+        heliostat_driver::calibration_store::save(&file, &args.out)?;
+        room.into_iter().try_for_each(|(path, text)| whole_file::write(path, text.as_bytes()))?;
     }
     show::outcome(args, outcome, is_improvement)?;
     if !is_improvement {
@@ -183,26 +201,5 @@ fn finish(
 
 fn check_new(file: &Path) -> Result<()> {
     ensure!(!file.exists(), UnusableInput::new(format!("{} exists already: expected a new file", file.display())));
-    let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    ensure!(
-        folder.is_dir(),
-        UnusableInput::new(format!("cannot write {}: there is no folder {}", file.display(), folder.display()))
-    );
-    Ok(())
-}
-
-fn read_log(file: &Path) -> Result<Log> {
-    let text = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
-    let unusable = || UnusableInput::new(format!("{} holds no readings of a calibration", file.display()));
-    serde_json::from_str(&text).with_context(unusable)
-}
-
-fn save_log(args: &Args, session: &Session) -> Result<()> {
-    let Some(file) = &args.readings else { return Ok(()) };
-    // A complete file or the former one: the process may end at any time.
-    let partial = file.with_extension("partial");
-    let text = serde_json::to_string(&session.log())?;
-    std::fs::write(&partial, text)
-        .and_then(|()| std::fs::rename(&partial, file))
-        .with_context(|| format!("cannot write {}", file.display()))
+    whole_file::check_writable(file).map_err(|error| UnusableInput::new(format!("{error:#}")).into())
 }

@@ -18,8 +18,8 @@ use heliostat_scenario::{Belief, Scenario, ScenarioArgs};
 use heliostat_service::duration::seconds;
 use serde_json::json;
 
-use super::whole_file;
 use heliostat_service::outln;
+use heliostat_service::whole_file;
 use html::Destination;
 use sweep::{Change, Grid, Sweep};
 

@@ -13,9 +13,9 @@ use heliostat_reproduce::over_floor::over_floor;
 use heliostat_room::World;
 use heliostat_scenario::{Scenario, ScenarioArgs};
 
-use super::whole_file;
 use heliostat::commands::mirrors::Instant;
 use heliostat_service::outln;
+use heliostat_service::whole_file;
 use picture::Picture;
 use quantity::Quantity;
 

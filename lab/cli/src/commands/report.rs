@@ -22,7 +22,9 @@ use heliostat::programs;
 use heliostat_reproduce::machine;
 use heliostat_service::{outln, output};
 
-use super::{json_command, whole_file};
+use heliostat_service::whole_file;
+
+use super::json_command;
 use archive::{Archive, Finished};
 use definition::{Definition, Section};
 

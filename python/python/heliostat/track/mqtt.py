@@ -131,11 +131,23 @@ class Mqtt(Source):
             if len(payload) > _SIZE_MAX:
                 raise ValueError(f"{len(payload)} bytes, expected at most {_SIZE_MAX}")
             read = json.loads(payload)
-            poses = [self.pose(topic, one) for one in (read if isinstance(read, list) else [read])]
-        except (ValueError, RecursionError, OverflowError) as problem:
+        except (ValueError, RecursionError) as problem:
             intake.problem("malformed", f"a message of {topic} cannot be read: {problem}")
             return
-        intake.poses([pose for pose in poses if pose is not None])
+        poses, is_readable = [], read == []
+        for one in read if isinstance(read, list) else [read]:
+            try:
+                pose = self.pose(topic, one)
+            except (ValueError, OverflowError) as problem:
+                # The other tags of the list count.
+                intake.problem("malformed", f"a tag in a message of {topic} cannot be read: {problem}")
+                continue
+            is_readable = True
+            if pose is not None:
+                poses.append(pose)
+        # A message of which nothing can be read does not say that no tag is there.
+        if is_readable:
+            intake.poses(poses)
 
     def pose(self, topic: str, message: Any) -> Pose | None:
         """The pose of one tag; `None` if it states that its position is unknown. Raises `ValueError`."""

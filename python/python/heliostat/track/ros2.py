@@ -215,6 +215,8 @@ class Ros2(Source):
 
     def _publish_joints(self, topic: str, angles: dict[str, list[float]], time_ns: int) -> None:
         with self._lock:
+            if not self._is_open.is_set():
+                return
             if topic not in self._publishers:
                 self._publishers[topic] = _Publisher(self._session, self._domain, topic, _JOINTS, self._stack)
             self._publishers[topic].publish(joint_state(angles, time_ns))
@@ -224,9 +226,10 @@ class Ros2(Source):
         self._stop.set()
         if self._thread is not None:
             self._thread.join()
-        self._is_open.clear()
         with self._lock:
-            self._stack.close()
+            self._is_open.clear()
+        # Without the lock: the session waits for callbacks, which take it.
+        self._stack.close()
 
 
 def joint_state(angles: dict[str, list[float]], time_ns: int) -> bytes:

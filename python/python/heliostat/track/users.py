@@ -17,20 +17,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .._core import CLOCK_LEAD_MAX_NS, USERS_MAX
 from ..tracker import User
 from .frame import Frame, rotation_matrix
 
 OUTSIDE_MARGIN_M = 1.0
 """How far outside the walls a position may be, in m, as for the controller: a measurement error may exceed a wall."""
 
-LEAD_MAX_NS = 50_000_000
-"""Largest lead of a time over the clock of this host, by CONTRACT.md: a controller refuses later ones."""
-
 AGE_MAX_NS = 1_000_000_000
 """Largest age of a measurement at its arrival. Older ones are of a clock that is not synchronised."""
-
-USERS_MAX = 64
-"""Most users of a report, by CONTRACT.md."""
 
 _LOWEST_M = 0.2
 _NAMES_MAX = 4096
@@ -277,7 +272,7 @@ class Users:
 
     def _is_timely(self, name: str, time_ns: int, now: Instant) -> bool:
         lead_ns = time_ns - now.utc_ns
-        if -AGE_MAX_NS <= lead_ns <= LEAD_MAX_NS:
+        if -AGE_MAX_NS <= lead_ns <= CLOCK_LEAD_MAX_NS:
             return True
         side = "ahead of" if lead_ns > 0 else "behind"
         advice = "synchronise both clocks, or use --clock aligned or --clock arrival"
@@ -314,7 +309,7 @@ class Users:
             present = dict(list(present.items())[:USERS_MAX])
         newest_ns = max((body.time_ns for body in new), default=now.utc_ns)
         # A clock that was set back goes on from there: reports that are ahead would be refused for so long.
-        self._time_ns = newest_ns if self._time_ns - newest_ns > LEAD_MAX_NS else max(self._time_ns, newest_ns)
+        self._time_ns = newest_ns if self._time_ns - newest_ns > CLOCK_LEAD_MAX_NS else max(self._time_ns, newest_ns)
         self._reported = set(present)
         self._bodies = present
         for body in present.values():

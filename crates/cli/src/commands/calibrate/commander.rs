@@ -7,7 +7,7 @@ use anyhow::Result;
 use heliostat_bus::Publisher;
 use heliostat_channel::MirrorAngles;
 use heliostat_core::tenure::{Evidence, Standing, Tenure, TenureEvent};
-use heliostat_proto::{ArrayState, MirrorCommand, MirrorTelemetry, Nanos, encode};
+use heliostat_proto::{ArrayState, MirrorCommand, MirrorTelemetry, Nanos, ValidityClock, encode};
 
 /// Commands whose times are remembered until telemetry shows them.
 const REMEMBERED: usize = 128;
@@ -24,6 +24,8 @@ pub struct Commander {
     /// Tick of the last position report.
     tick: u64,
     payload: Vec<u8>,
+    /// Whether the driver's clock follows UTC, so that its times compare with those here.
+    has_clock: bool,
     /// Whether telemetry counts for the epoch; not before the first command of a takeover.
     heeds_telemetry: bool,
     superseded: Option<u64>,
@@ -37,7 +39,7 @@ impl Commander {
         tenure: Tenure,
         publisher: Publisher,
         (angles, validity_ms): (MirrorAngles, u32),
-        takes_over: bool,
+        (clock, takes_over): (ValidityClock, bool),
     ) -> Self {
         Self {
             tenure,
@@ -47,6 +49,7 @@ impl Commander {
             sent: VecDeque::new(),
             tick: 0,
             payload: Vec::new(),
+            has_clock: clock == ValidityClock::SourceTime,
             heeds_telemetry: !takes_over,
             superseded: None,
             stopped: false,
@@ -68,7 +71,7 @@ impl Commander {
         let at = self.sent.iter().position(|(sequence, _)| *sequence == telemetry.applied_sequence)?;
         let (_, sent_ns) = self.sent[at];
         self.sent.drain(..=at);
-        Some(telemetry.applied_ns.saturating_sub(sent_ns))
+        self.has_clock.then(|| telemetry.applied_ns.saturating_sub(sent_ns))
     }
 
     /// A stop was ordered, whether or not the array has received it.

@@ -1,7 +1,7 @@
 //! The room of a calibration on the bus: its reports in a queue, its commands, and the status.
 
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail, ensure};
@@ -13,6 +13,7 @@ use heliostat_proto::{
     ArrayState, Capabilities, ChannelReport, EmergencyStop, Message, MirrorTelemetry, Nanos, NodeKind, NodeStatus,
     SafetyReport, Stamp, StopAction, StopRepetition, UserReport, decode, encode,
 };
+use heliostat_scenario::Scenario;
 use heliostat_service::clock::{monotonic_ns, utc_ns};
 use heliostat_service::source_id;
 
@@ -34,6 +35,9 @@ const VALIDITY_MS: u32 = 1000;
 /// Reports that the queue holds; a report beyond it is dropped, as one that the network loses.
 const QUEUE: usize = 1024;
 
+/// Longest time without telemetry: an array publishes ten messages a second.
+const TELEMETRY_GAP_MAX: Duration = Duration::from_secs(2);
+
 /// Time for which an array keeps a command while its successor takes the lead.
 const RELEASE: Duration = Duration::from_millis(500);
 
@@ -54,6 +58,10 @@ pub struct LiveRoom {
     queue: Receiver<Received>,
     commander: Arc<Mutex<Commander>>,
     telemetry: Arc<Mutex<Option<MirrorTelemetry>>>,
+    /// When the last telemetry arrived.
+    answered: Arc<Mutex<Instant>>,
+    /// The first other array of the room that was seen to follow commands.
+    disturbing: Arc<OnceLock<usize>>,
     capabilities: Capabilities,
     status: Publisher,
     shown: NodeStatus,
@@ -63,7 +71,7 @@ pub struct LiveRoom {
 
 impl LiveRoom {
     /// Joins the room and takes the lead of the array.
-    pub fn open(bus: &Bus, args: &Args, scenario_hash: String) -> Result<Self> {
+    pub fn open(bus: &Bus, args: &Args, scenario: &Scenario) -> Result<Self> {
         let (room, keys) = (bus.room().clone(), bus.room().array(args.array));
         let source = source_id::random();
         let capabilities: Capabilities = fetch(bus, &keys.capabilities())?.context(
@@ -97,13 +105,23 @@ impl LiveRoom {
             shown.epoch
         );
         let driver = (shown.stamp.source, shown.calibration);
-        let interval_ns = 1_000_000_000 / 10;
-        let mut tenure = Tenure::live(source, interval_ns);
+        let mut tenure = Tenure::live(source, scenario.streams.positions.interval_ns());
         tenure.handle_announced_epoch(shown.epoch.max(safety.map_or(0, |safety| safety.epoch)));
         let publisher = bus.publisher(&keys.command(), Class::RealTimeDrop)?;
-        let commander = Commander::new(tenure, publisher, (parked, validity_ms), args.take_over);
+        let commander =
+            Commander::new(tenure, publisher, (parked, validity_ms), (capabilities.validity_clock, args.take_over));
         let commander = Arc::new(Mutex::new(commander));
-        let subscriptions = subscribe(bus, args.array, &sender, &commander, &telemetry)?;
+        let answered = Arc::new(Mutex::new(Instant::now()));
+        let mut subscriptions = subscribe(bus, args.array, &sender, &commander, (&telemetry, &answered))?;
+        let disturbing: Arc<OnceLock<usize>> = Arc::default();
+        for other in (0..scenario.mirrors.arrays().len()).filter(|other| *other != args.array) {
+            let first = Arc::clone(&disturbing);
+            subscriptions.push(bus.subscribe(&bus.room().array(other).telemetry(), move |payload| {
+                if decode::<MirrorTelemetry>(payload).is_ok_and(|shown| shown.state == ArrayState::Following) {
+                    first.get_or_init(|| other);
+                }
+            })?);
+        }
         let token = bus.announce(&room.alive(NodeKind::Controller, source))?;
         let status = bus.publisher(&room.status(NodeKind::Controller), Class::LowDrop)?;
         let shown = NodeStatus {
@@ -112,7 +130,7 @@ impl LiveRoom {
             name: format!("calibrate-{:08x}", source >> 32),
             software: env!("CARGO_PKG_VERSION").into(),
             state: "calibrating".into(),
-            scenario: scenario_hash,
+            scenario: scenario.hash(),
             started_ns: utc_ns(),
             ..NodeStatus::default()
         };
@@ -121,6 +139,8 @@ impl LiveRoom {
             queue,
             commander,
             telemetry,
+            answered,
+            disturbing,
             capabilities,
             status,
             shown,
@@ -159,6 +179,16 @@ impl LiveRoom {
         if lock(&self.telemetry).as_ref().is_some_and(|shown| (shown.stamp.source, shown.calibration) != self.driver) {
             bail!(
                 "the array has another driver or another calibration than at the start: begin again without these readings"
+            );
+        }
+        ensure!(
+            lock(&self.answered).elapsed() < TELEMETRY_GAP_MAX,
+            "the array does not answer any more: check its driver, then continue with --readings"
+        );
+        if let Some(other) = self.disturbing.get() {
+            bail!(
+                "array {other} follows a controller, and its light would be in the readings: end that controller, \
+                 then continue with --readings"
             );
         }
         match self.queue.recv_timeout(limit) {
@@ -219,7 +249,7 @@ fn subscribe(
     array: usize,
     sender: &SyncSender<Received>,
     commander: &Arc<Mutex<Commander>>,
-    telemetry: &Arc<Mutex<Option<MirrorTelemetry>>>,
+    (telemetry, answered): (&Arc<Mutex<Option<MirrorTelemetry>>>, &Arc<Mutex<Instant>>),
 ) -> Result<Vec<Subscription>> {
     let (room, keys) = (bus.room().clone(), bus.room().array(array));
     let (queue, answering) = (sender.clone(), Arc::clone(commander));
@@ -241,12 +271,14 @@ fn subscribe(
         }
     })?;
     let (queue, comparing, latest) = (sender.clone(), Arc::clone(commander), Arc::clone(telemetry));
+    let answered = Arc::clone(answered);
     let telemetry = bus.subscribe(&keys.telemetry(), move |payload| {
         let Ok(telemetry) = decode::<MirrorTelemetry>(payload) else { return };
         if let Some(delay_ns) = lock(&comparing).handle_telemetry(utc_ns(), &telemetry) {
             let _ = queue.try_send(Received::CommandDelay(delay_ns));
         }
         *lock(&latest) = Some(telemetry);
+        *lock(&answered) = Instant::now();
     })?;
     let watching = Arc::clone(commander);
     let others = bus.watch(&room.alive_of(NodeKind::Controller), move |key, presence| {

@@ -17,7 +17,7 @@ use heliostat_service::printable::{printable, printable_lines};
 use super::origin;
 use super::output::{BELIEF_NOTE, belief_columns, ber, interval, notes_on_episodes, number, rows, signed, users};
 use super::sweep::{Grid, Sweep};
-use crate::commands::whole_file;
+use heliostat_service::whole_file;
 
 /// A file that can be written.
 pub struct Destination<'a> {

@@ -7,7 +7,7 @@ use anyhow::{Context, Result, ensure};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::commands::whole_file;
+use heliostat_service::whole_file;
 
 /// The finished sections of one report.
 #[derive(Clone, Debug, Serialize, Deserialize)]

@@ -16,8 +16,8 @@ use heliostat_service::exit::UnusableInput;
 use serde_json::json;
 
 use super::written::write_trace;
-use crate::commands::whole_file;
 use heliostat_service::outln;
+use heliostat_service::whole_file;
 
 /// Write the users' positions of a recording as a recorded walk.
 ///

@@ -18,7 +18,7 @@ use heliostat_service::exit::UnusableInput;
 
 use super::report::{ImportReport, print};
 use super::written::write_trace;
-use crate::commands::whole_file;
+use heliostat_service::whole_file;
 
 /// Read pedestrians' walks from a data set, and write them as a recorded walk for a room.
 ///

@@ -8,7 +8,7 @@ use heliostat_room::walks::tracks::Track;
 use heliostat_room::world::trace::Trace;
 use heliostat_room::world::walker::Floor;
 
-use crate::commands::whole_file;
+use heliostat_service::whole_file;
 
 /// Writes users' tracks as a recorded walk that a room with this floor accepts.
 pub(super) fn write_trace(users: &[Track], floor: &Floor, out: &Path) -> Result<()> {

@@ -7,6 +7,9 @@ use anyhow::{Context, Result};
 
 /// Refuses a file that cannot be written, before the work starts. It changes nothing: the file does
 /// not appear, and existing content stays. Others may check the same file at the same time.
+///
+/// # Errors
+/// A folder that does not exist, or a file that this user cannot write.
 pub fn check_writable(file: &Path) -> Result<()> {
     let refused = || format!("cannot write {}: expected a file in a folder that exists", file.display());
     if file.exists() {
@@ -17,6 +20,9 @@ pub fn check_writable(file: &Path) -> Result<()> {
 }
 
 /// Writes a file beside the final one and renames it. A pipe or device is written directly.
+///
+/// # Errors
+/// A file that cannot be written, by name.
 pub fn write(file: &Path, contents: &[u8]) -> Result<()> {
     let refused = || format!("cannot write {}", file.display());
     if file.exists() && !file.is_file() {

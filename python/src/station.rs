@@ -273,17 +273,23 @@ impl Station {
     fn advance(&self, now: (u64, u64)) -> PyResult<bool> {
         let dropped = self.received().dropped();
         let written = lock(&self.written).take();
-        let due = self.step(|rules| {
+        self.step(|rules| {
             rules.set_dropped(dropped);
-            rules.advance(moment(now));
             written.iter().for_each(|result| rules.finish_record(result));
-            Ok(rules.poll_record(moment(now)))
+            rules.advance(moment(now));
+            if let Some(task) = rules.poll_record(moment(now)) {
+                // Here, because an exception of the device must not lose it.
+                *lock(&self.due) = Some(task);
+            }
+            Ok(())
         })?;
-        let is_due = due.is_some();
-        if is_due {
-            *lock(&self.due) = due;
-        }
-        Ok(is_due)
+        Ok(lock(&self.due).is_some())
+    }
+
+    /// Whether no message waits, and the present stops are in the record or could not be written.
+    #[getter]
+    fn is_settled(&self) -> PyResult<bool> {
+        Ok(self.received().is_empty() && self.rules()?.is_settled())
     }
 
     /// Writes the record of the emergency stop, and may wait for the disk; returns the problem if it could

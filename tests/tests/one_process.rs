@@ -149,7 +149,7 @@ fn a_stop_does_not_wait_for_a_policy_that_does_not_return() {
     let setting = Setting::new();
     // A decision takes 5 s. It runs on the thread that receives the report.
     let search = ["--set", "control.search_time_us=5e6", "--set", "control.search_evaluations=100000000"];
-    let _process = setting.start(&[&search[..], &["--policy", "pso", "--keep-warm", "off"]].concat());
+    let _process = setting.start(&[&search[..], &["--policy", "pso"]].concat());
     let unanswered = || setting.observer.counter(NodeKind::Controller, "unanswered");
     let is_stopped_during_a_decision = |sequence| {
         let before = unanswered();

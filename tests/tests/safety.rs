@@ -243,14 +243,35 @@ fn a_disk_that_does_not_answer_delays_no_stop_and_is_reported() {
     for sequence in 1..4 {
         room.stop(sequence, 0);
         wait_until("a stopped board", || room.orders().last().is_some_and(|line| line == "stop"));
-        wait_until("a problem of the disk", || {
-            let status = room.observer.status(NodeKind::Driver);
-            status.is_some_and(|status| status.last_problem.contains("not recorded yet"))
-        });
         room.rearm(0xabc, sequence);
         wait_until("a parked array", || room.telemetry_state() == Some(ArrayState::Parked));
         room.follow();
     }
+    wait_until("a problem of the disk", || {
+        let status = room.observer.status(NodeKind::Driver);
+        status.is_some_and(|status| status.last_problem.contains("not recorded yet"))
+    });
+}
+
+#[cfg(unix)]
+#[test]
+fn a_driver_that_ends_obeys_a_stop_until_its_disk_has_had_its_time() {
+    let mut room = DrivenRoom::new("ending");
+    let driver = room.start(true);
+    room.follow();
+    unread_pipe(&room.state_folder().join("ending.stop.new"));
+    room.stop(1, 0);
+    room.rearm(0xabc, 1);
+    wait_until("a parked array", || room.telemetry_state() == Some(ArrayState::Parked));
+    room.follow();
+    room.lines.lock().expect("no test panics").clear();
+    driver.signal("TERM");
+    // It still serves: the disk has not answered.
+    let stamp = Stamp { source: 0xabc, sequence: 2, time_ns: utc_ns() };
+    room.send(&room.observer.room().stop(), &EmergencyStop { stamp, ..EmergencyStop::default() });
+    wait_until("a stopped board", || room.orders().last().is_some_and(|line| line == "stop"));
+    let ended = driver.wait();
+    assert!(ended.errors.contains("the last emergency stop is not recorded"), "{}", ended.errors);
 }
 
 #[cfg(unix)]

@@ -18,11 +18,7 @@ use crate::{
     machine::MachineArgs,
     node,
     report::summary::Summary,
-    room_runtime::{
-        cache_warmer::KeepWarm,
-        decision_loop::{DecideIn, DecisionSettings},
-        transport::LocalArray,
-    },
+    room_runtime::transport::LocalArray,
 };
 
 /// Run the controller: it receives reports and publishes mirror commands.
@@ -44,13 +40,6 @@ pub struct Args {
     /// Serve these rooms too (comma-separated), with the same scenario and over the same session
     #[arg(long, value_name = "ROOM", value_delimiter = ',')]
     also_room: Vec<String>,
-    /// Where decisions are made
-    #[arg(long, value_enum, default_value_t = DecisionSettings::default().decide_in)]
-    decide_in: DecideIn,
-    /// Warm up the processor's caches on the room's thread: `expected` (shortly before each report,
-    /// for a slow policy in a process of one room) or `off`
-    #[arg(long, value_name = "WHEN", default_value_t = DecisionSettings::default().keep_warm)]
-    keep_warm: KeepWarm,
     /// Begin the statistics of times with the report of this tick: a benchmark warms up before it
     #[arg(long, value_name = "TICK", default_value_t = 0, hide = true)]
     times_from_tick: u64,
@@ -106,11 +95,7 @@ impl Args {
             scenario: self.scenario.load_arrays()?,
             bus,
             also_rooms: self.also_room.iter().map(|name| Room::new(name)).collect::<Result<_, _>>()?,
-            decisions: DecisionSettings {
-                decide_in: self.decide_in,
-                keep_warm: self.keep_warm,
-                times_from_tick: self.times_from_tick,
-            },
+            times_from_tick: self.times_from_tick,
             policy,
             model: self.model.clone(),
             force: Force { small_range: self.accept_small_range, paper_angles: self.force_paper_angles },

@@ -9,8 +9,6 @@ use heliostat_proto::Room;
 use heliostat_scenario::Scenario;
 use heliostat_service::MetricsArgs;
 
-use crate::room_runtime::decision_loop::DecisionSettings;
-
 /// The source of time and epochs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Pace {
@@ -31,8 +29,8 @@ pub struct NodeConfig {
     pub bus: BusConfig,
     /// Further rooms to serve, all with the same scenario and over the same session.
     pub also_rooms: Vec<Room>,
-    /// Where decisions are made, and whether the caches are kept warm.
-    pub decisions: DecisionSettings,
+    /// The statistics of times begin with the report of this tick.
+    pub times_from_tick: u64,
     /// The policy.
     pub policy: PolicyKind,
     /// The actor's file in place of the built-in one.

@@ -74,7 +74,7 @@ pub struct RoomRuntime {
     repeater: Arc<Mutex<Repeater>>,
     repetitions: Repetitions,
     policy_swap: PolicySwap,
-    /// The room's thread, if decisions need one.
+    /// The room's thread, until it has ended.
     thread: Option<JoinHandle<()>>,
     /// Dropped when the room is closed.
     declared: Option<(Vec<Subscription>, Token)>,
@@ -124,19 +124,21 @@ impl RoomRuntime {
         let (engine, arrays) = (controller.engine_name(), controller.arrays());
         tracing::info!(policy = controller.policy_name(), engine, scenario = scenario.name, %room, "ready");
 
-        let settings = config.decisions.among(1 + config.also_rooms.len());
         let repeater = core.repeater();
         let transport = Transport::open(bus, arrays, class)?.with_local(local);
         let decision_loop = DecisionLoop::new(core, transport, deadline(config));
-        let decision_loop = Arc::new(Mutex::new(decision_loop.with_settings(settings)));
+        // The decisions of several rooms keep the caches warm, and cache warm-ups would delay them. In lockstep
+        // there is no deadline.
+        let warms_up = config.also_rooms.is_empty() && !is_lockstep;
+        let decision_loop = decision_loop.warming_up(warms_up).timed_from(config.times_from_tick);
+        let decision_loop = Arc::new(Mutex::new(decision_loop));
         let queue = Arc::new(ReceiveQueue::default());
         let handler = PayloadHandler {
             decision_loop: Arc::clone(&decision_loop),
             queue: Arc::clone(&queue),
-            decide_in: settings.decide_in,
             announcements: Announcements::new(&decision_loop, &repeater),
         };
-        let thread = settings.has_thread().then(|| spawn(&room, &handler)).transpose()?;
+        let thread = Some(spawn(&room, &handler)?);
         let mut subscriptions = subscriptions::subscribe(bus, &handler)?;
         let builder = PolicyBuilder {
             scenario: scenario.clone(),

@@ -370,11 +370,7 @@ impl Array {
         }
         let has_clock = self.limits.clock == ValidityClock::SourceTime;
         let age_ns = if has_clock { age_ns(arrived, command)? } else { 0 };
-        // Without a clock every command is valid on arrival, also one of validity 0.
-        let remaining_ns = match (has_clock, waited_ns) {
-            (false, 0) => validity_ns(command),
-            _ => remaining_ns(age_ns.saturating_add(waited_ns), command)?,
-        };
+        let remaining_ns = remaining_ns(age_ns.saturating_add(waited_ns), command)?;
         let last = self.followed.map(|followed| (followed.epoch, followed.sequence));
         let utc_ms = bounds::utc_ms(arrived.room_ns).filter(|_| has_clock);
         self.limits.bounds.check(command, last, utc_ms)?;
@@ -401,10 +397,6 @@ impl Array {
     }
 }
 
-fn validity_ns(command: &MirrorCommand) -> u64 {
-    u64::from(command.validity_ms) * 1_000_000
-}
-
 /// Age of a command at its arrival by its time, in ns.
 fn age_ns(arrived: Moment, command: &MirrorCommand) -> Result<u64, Refusal> {
     let lead_ns = command.time_ns.saturating_sub(arrived.room_ns);
@@ -416,7 +408,8 @@ fn age_ns(arrived: Moment, command: &MirrorCommand) -> Result<u64, Refusal> {
 
 /// Remaining validity of a command of this age, in ns.
 fn remaining_ns(age_ns: u64, command: &MirrorCommand) -> Result<u64, Refusal> {
-    validity_ns(command)
+    let validity_ns = u64::from(command.validity_ms) * 1_000_000;
+    validity_ns
         .checked_sub(age_ns)
         .filter(|remaining_ns| *remaining_ns > 0)
         .ok_or(Refusal::Expired { age_ms: age_ns as f64 * 1e-6, validity_ms: command.validity_ms })

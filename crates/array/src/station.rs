@@ -171,6 +171,11 @@ impl<D: Device> Station<D> {
         self.record.poll(self.kit.array().latch(), again, now.local_ns)
     }
 
+    /// Whether the present stops are in the record, or could not be written.
+    pub fn is_settled(&self) -> bool {
+        self.record.is_settled(self.kit.array().latch())
+    }
+
     /// The task of [`poll_record`](Self::poll_record) has ended; a stop is in force even if it failed.
     pub fn finish_record(&mut self, result: &Result<(), RecordError>) {
         self.record.finish(result);
@@ -264,9 +269,13 @@ impl<D: Device> Station<D> {
         &self.refused
     }
 
+    fn record_problem(&self) -> Option<&str> {
+        self.record.problem(self.kit.array().latch(), self.local_ns)
+    }
+
     /// Whether the present stop is in the record.
     pub fn is_recorded(&self) -> bool {
-        self.record.problem(self.local_ns).is_none()
+        self.record_problem().is_none()
     }
 
     /// The present problem of the record; else the last one of the device or of a refused message; empty
@@ -274,7 +283,7 @@ impl<D: Device> Station<D> {
     pub fn last_problem(&self) -> String {
         let (_, is_of_device) = self.problems;
         let of_device = self.kit.last_problem().filter(|_| is_of_device).map(ToString::to_string);
-        let problem = self.record.problem(self.local_ns).map(str::to_owned).or(of_device);
+        let problem = self.record_problem().map(str::to_owned).or(of_device);
         problem.unwrap_or_else(|| self.refused.last_problem().to_owned())
     }
 

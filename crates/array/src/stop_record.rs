@@ -88,6 +88,8 @@ pub struct RecordPlan {
     problem: Option<String>,
     /// The task that was handed out and is not finished, and when this was, in local time.
     running: Option<(RecordTask, u64)>,
+    /// Since when the present state, or one before it, is not in the store, in local time.
+    unrecorded_ns: Option<u64>,
     has_store: bool,
 }
 
@@ -95,9 +97,14 @@ impl RecordPlan {
     /// The next write or check of the record, if one is due and none is under way. `again` repeats a write
     /// that failed, and checks the store.
     pub fn poll(&mut self, latch: &Latch, again: bool, local_ns: u64) -> Option<RecordTask> {
+        if !self.has_store {
+            return None;
+        }
+        // Also under a flood of stops, each of which is new when the one before it is written.
+        self.unrecorded_ns = (*latch != self.tried).then(|| self.unrecorded_ns.unwrap_or(local_ns));
         let is_due = *latch != self.tried || (again && self.problem.is_some());
         let is_check = again && latch.stop().is_some();
-        if !self.has_store || self.running.is_some() || !(is_due || is_check) {
+        if self.running.is_some() || !(is_due || is_check) {
             return None;
         }
         let task = RecordTask { latch: latch.clone(), is_due };
@@ -116,14 +123,21 @@ impl RecordPlan {
     /// Until when a report that names this state waits for its record, in local time; `None` if it does
     /// not wait. A store that takes longer does not delay it any more.
     pub fn holds_until(&self, latch: &Latch) -> Option<u64> {
-        let (_, since_ns) = self.running.as_ref().filter(|_| *latch != self.tried)?;
+        let since_ns = self.unrecorded_ns.filter(|_| *latch != self.tried)?;
         Some(since_ns.saturating_add(REPORT_WAIT_NS))
     }
 
-    /// Why the present state is not in the store.
-    pub fn problem(&self, local_ns: u64) -> Option<&str> {
-        let is_late = |(_, since_ns): &(RecordTask, u64)| local_ns >= since_ns.saturating_add(REPORT_WAIT_NS);
-        self.problem.as_deref().or_else(|| self.running.as_ref().is_some_and(is_late).then_some(LATE))
+    /// Whether nothing is left to be written of this state.
+    pub fn is_settled(&self, latch: &Latch) -> bool {
+        !self.has_store || (*latch == self.tried && self.running.as_ref().is_none_or(|(task, _)| !task.is_due))
+    }
+
+    /// Why this state is not in the store.
+    pub fn problem(&self, latch: &Latch, local_ns: u64) -> Option<&str> {
+        let running_ns = self.running.as_ref().map(|(_, since_ns)| *since_ns);
+        let since_ns = self.unrecorded_ns.filter(|_| *latch != self.tried).or(running_ns);
+        let is_late = since_ns.is_some_and(|since_ns| local_ns >= since_ns.saturating_add(REPORT_WAIT_NS));
+        self.problem.as_deref().or(is_late.then_some(LATE))
     }
 }
 
@@ -155,7 +169,7 @@ impl<S: StopStore> StopRecord<S> {
         latch = latch.restored(now_ns);
         let written = write(&mut store, &latch);
         let problem = written.as_ref().err().map(ToString::to_string);
-        let plan = RecordPlan { tried: latch.clone(), problem, running: None, has_store: true };
+        let plan = RecordPlan { tried: latch.clone(), problem, running: None, unrecorded_ns: None, has_store: true };
         if let Err(error) = written
             && latch.stop().is_none()
         {
@@ -168,7 +182,8 @@ impl<S: StopStore> StopRecord<S> {
     pub fn without_store(reason: &str, now_ns: Nanos) -> (Self, Latch) {
         let stop = LatchedStop::without_sender(&format!("the last state is unknown: {reason}"), now_ns);
         let latch = Latch::stopped(stop);
-        let plan = RecordPlan { tried: latch.clone(), problem: None, running: None, has_store: false };
+        let plan =
+            RecordPlan { tried: latch.clone(), problem: None, running: None, unrecorded_ns: None, has_store: false };
         (Self { plan, store: None }, latch)
     }
 
@@ -191,7 +206,7 @@ impl<S: StopStore> StopRecord<S> {
 
     /// Why the present state is not in the store.
     pub fn problem(&self) -> Option<&str> {
-        self.plan.problem(0)
+        self.plan.problem.as_deref()
     }
 }
 

@@ -201,6 +201,34 @@ fn a_slow_disk_delays_no_stop_and_a_report_that_names_one_only_for_a_while() {
     assert!(station.is_recorded() && text().contains("sequence = \"7\""), "{}", text());
 }
 
+#[test]
+fn a_flood_of_stops_on_a_slow_disk_leaves_the_reports() {
+    let memory = Memory::default();
+    let mut station = start(&memory);
+    advance(&mut station, &memory, 0).unwrap();
+    reports(&mut station, 0);
+    let mut silent_ms = 0;
+    let mut longest_ms = 0;
+    // Each write takes 100 ms, and each meets a newer stop.
+    let mut task = None;
+    for at_ms in (5..3000).step_by(5) {
+        if at_ms % 40 == 5 {
+            stop(&mut station, at_ms);
+        }
+        let at = Moment::simulated(at_ms * MS);
+        if at_ms % 100 == 0
+            && let Some(task) = task.take()
+        {
+            station.finish_record(&heliostat_array::stop_record::RecordTask::run(&task, &mut memory.clone()));
+        }
+        station.advance(at);
+        task = task.or(station.poll_record(at));
+        silent_ms = if reports(&mut station, at_ms).is_empty() { silent_ms + 5 } else { 0 };
+        longest_ms = longest_ms.max(silent_ms);
+    }
+    assert!((200..=250).contains(&longest_ms), "{longest_ms} ms without a report");
+}
+
 /// A mirror that answers when it is told to.
 struct Late(Rc<RefCell<bool>>);
 

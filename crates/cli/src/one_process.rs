@@ -7,11 +7,10 @@
 
 use std::thread::{self, JoinHandle};
 
-use anyhow::{Context, Result, anyhow, bail};
+use anyhow::{Context, Result, anyhow};
 use heliostat_bus::{AccessRole, BusConfig, Identity, Role, free_loopback_port, private_endpoint};
 use heliostat_controller::cli::Prepared;
 use heliostat_controller::report::summary::Summary;
-use heliostat_controller::room_runtime::decision_loop::DecideIn;
 use heliostat_controller::room_runtime::transport::{LocalArray, TakeCommand};
 use heliostat_driver::direct_commands::DirectCommands;
 use heliostat_driver::run::{ArrayDriver, RunError, Settings};
@@ -52,11 +51,6 @@ pub fn run<D: Device + Send + 'static>(
     settings: &Settings,
     entry: impl FnOnce(DirectCommands<D>) -> TakeCommand,
 ) -> Result<(Summary, DriverSummary)> {
-    if controller.config.decisions.decide_in == DecideIn::Callback {
-        bail!(
-            "--decide-in callback with an array in the same process: a policy that does not return could delay a stop; use auto or thread"
-        );
-    }
     let driver = ArrayDriver::open(kit, settings, &controller.stop).context("the driver cannot start")?;
     let Some(driver) = driver else { return Ok(Default::default()) };
     let local = LocalArray { array: settings.array, take_command: entry(driver.direct_commands()) };

@@ -111,6 +111,11 @@ impl ReceiveQueue {
         }
     }
 
+    /// Whether no message waits.
+    pub fn is_empty(&self) -> bool {
+        self.lock().arrivals.is_empty()
+    }
+
     /// Messages that were dropped because the queue was full.
     pub fn dropped(&self) -> u64 {
         self.lock().arrivals.dropped()

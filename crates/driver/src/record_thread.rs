@@ -4,7 +4,7 @@
 use std::io;
 use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver, Sender};
-use std::thread::{Builder, JoinHandle};
+use std::thread::Builder;
 
 use heliostat_array::stop_record::{RecordError, RecordTask};
 
@@ -14,11 +14,11 @@ use crate::stop_record::StopFile;
 /// What became of a task.
 type Written = Result<(), RecordError>;
 
-/// The thread of one record.
+/// The thread of one record. It ends after the task under way when this is dropped; a disk that does not
+/// answer keeps no process from ending.
 pub(crate) struct RecordThread {
     tasks: Sender<RecordTask>,
     written: Receiver<Written>,
-    thread: JoinHandle<StopFile>,
 }
 
 impl RecordThread {
@@ -29,7 +29,7 @@ impl RecordThread {
     pub fn spawn(mut file: StopFile, array: Arc<ReceiveQueue>) -> io::Result<Self> {
         let (tasks, begun) = mpsc::channel::<RecordTask>();
         let (ended, written) = mpsc::channel();
-        let thread = Builder::new().name("stop record".into()).spawn(move || {
+        Builder::new().name("stop record".into()).spawn(move || {
             for task in begun {
                 let result = task.run(&mut file);
                 if ended.send(result).is_err() {
@@ -37,9 +37,8 @@ impl RecordThread {
                 }
                 array.wake();
             }
-            file
         })?;
-        Ok(Self { tasks, written, thread })
+        Ok(Self { tasks, written })
     }
 
     /// Begins a task; the last one has ended.
@@ -51,12 +50,5 @@ impl RecordThread {
     /// The result of a task that has ended since the last call.
     pub fn poll_written(&self) -> Option<Written> {
         self.written.try_recv().ok()
-    }
-
-    /// Waits for the task under way; returns its result, and the file.
-    pub fn end(self) -> (Option<Written>, Option<StopFile>) {
-        drop(self.tasks);
-        let file = self.thread.join().ok();
-        (self.written.try_recv().ok(), file)
     }
 }

@@ -30,6 +30,9 @@ use crate::summary::Summary;
 /// Longest wait, so that a stop request takes effect soon.
 const SLEEP_MAX: Duration = Duration::from_millis(50);
 
+/// Longest time that the end of a driver waits for the record of a stop.
+const RECORD_WITHIN: Duration = Duration::from_secs(5);
+
 /// First and longest pause before another attempt to reach the router.
 const ROUTER_PAUSES: [Duration; 2] = [Duration::from_millis(250), Duration::from_secs(5)];
 
@@ -156,11 +159,20 @@ impl<D: Device> ArrayDriver<D> {
     pub fn run(self, end: Option<Instant>, stop: &Stop) -> Result<Summary, RunError> {
         let Self { mut driver, bus, token, clock } = self;
         let running = driver.shared.run();
-        while !stop.is_requested() && end.is_none_or(|end| Instant::now() < end) {
-            driver.step(clock)?;
+        let mut ended = Ok(());
+        while ended.is_ok() && !stop.is_requested() && end.is_none_or(|end| Instant::now() < end) {
+            ended = driver.step(clock);
         }
         drop(running);
-        driver.finish_record(clock);
+        // A stop that comes now is obeyed, and in the record before the end if the disk answers.
+        let given_up = Instant::now() + RECORD_WITHIN;
+        while ended.is_ok() && !driver.is_settled() && Instant::now() < given_up {
+            ended = driver.step(clock);
+        }
+        if !driver.finish_record(clock, given_up) {
+            tracing::error!("the last emergency stop is not recorded: its disk does not answer");
+        }
+        ended?;
         let summary = driver.summary();
         drop((driver, token));
         bus.close()?;
@@ -241,15 +253,30 @@ impl<D: Device> Driver<D> {
         }
     }
 
-    /// Waits until the present stops are in the record, or could not be written.
-    fn finish_record(&mut self, clock: Clock) {
-        let Some(record) = self.record.take() else { return };
-        let (written, file) = record.end();
-        let mut station = self.shared.lock();
-        written.iter().for_each(|result| station.finish_record(result));
-        // A stop that has arrived during the last write.
-        if let Some((task, mut file)) = station.poll_record(clock.now()).zip(file) {
-            station.finish_record(&task.run(&mut file));
+    /// Whether no message waits, and the present stops are in the record or could not be written.
+    fn is_settled(&self) -> bool {
+        self.session.received().is_empty() && self.shared.lock().is_settled()
+    }
+
+    /// Handles the messages that wait, and waits until the present stops are in the record or could not be
+    /// written; false if that was not so by this time.
+    fn finish_record(&mut self, clock: Clock, given_up: Instant) -> bool {
+        loop {
+            let now = clock.now();
+            let mut station = self.shared.lock();
+            while let Some(arrival) = self.session.received().pop() {
+                station.handle(now, arrival);
+            }
+            station.advance(now);
+            drop(station);
+            self.keep_record(now);
+            if self.is_settled() {
+                return true;
+            }
+            if Instant::now() >= given_up {
+                return false;
+            }
+            self.session.received().wait_until(given_up);
         }
     }
 

@@ -10,7 +10,7 @@ use std::fmt::{self, Debug};
 use std::io::{self, IsTerminal, Write, stderr};
 
 use tracing::field::Field;
-use tracing_appender::non_blocking::{NonBlockingBuilder, WorkerGuard};
+use tracing_appender::non_blocking::{ErrorCounter, NonBlockingBuilder, WorkerGuard};
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::field::MakeExt;
 use tracing_subscriber::fmt::format::{Writer, debug_fn};
@@ -43,7 +43,18 @@ pub struct LogArgs {
 
 /// Writes the lines that wait when it is dropped, for a second at most.
 pub struct LogGuard {
-    _writer: WorkerGuard,
+    writer: Option<WorkerGuard>,
+    lost: ErrorCounter,
+}
+
+impl Drop for LogGuard {
+    fn drop(&mut self) {
+        // A reader that has made it lose lines would not read the last ones either, and the writer would
+        // then complain on standard output.
+        if self.lost.dropped_lines() > 0 {
+            self.writer.take().map(std::mem::forget);
+        }
+    }
 }
 
 impl LogArgs {
@@ -54,6 +65,7 @@ impl LogArgs {
         let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(DEFAULT_FILTER));
         // A closed standard error must not end a controller.
         let (writer, guard) = NonBlockingBuilder::default().buffered_lines_limit(LINES_MAX).finish(stderr());
+        let lost = writer.error_counter();
         let log = tracing_subscriber::fmt().with_env_filter(filter).log_internal_errors(false);
         let started = match self.log_format {
             LogFormat::Text => log
@@ -64,7 +76,7 @@ impl LogArgs {
             LogFormat::Json => log.json().flatten_event(true).with_writer(move || Printable(writer.clone())).try_init(),
         };
         drop(started);
-        LogGuard { _writer: guard }
+        LogGuard { writer: Some(guard), lost }
     }
 }
 

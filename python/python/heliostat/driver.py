@@ -27,7 +27,6 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -40,6 +39,7 @@ from ._core import ARRAYS_MAX, STOP_RECORD_MAX, Station
 from .peer import SOFTWARE, Peer, PeerError, Settings, add_arguments, stop_on_signals
 
 _LONGEST_WAIT_NS = 50_000_000
+_RECORD_WITHIN_NS = 5_000_000_000
 
 
 @dataclass(frozen=True)
@@ -253,7 +253,6 @@ def run(
         stop_on_signals(stop or threading.Event()) as ended,
         _Log() as log,
         Peer(settings, "driver", array, ended) as peer,
-        ThreadPoolExecutor(1, "stop record") as disk,
     ):
         if not peer.is_open:
             return {"accepted": 0}
@@ -288,15 +287,14 @@ def run(
         for name in ("capabilities", "safety", "stops"):
             peer.answer(name, latest)
         peer.announce()
-
-
-        def write_record() -> None:
-            if problem := station.write_record():
-                log.show(problem)
-            received.set()
-
-        shown, more = _Shown(log, station.stop), False
-        while not ended.is_set() and (seconds is None or now()[0] < 1e9 * seconds):
+        record = _Record(station, log, received)
+        shown, more, given_up_ns = _Shown(log, station.stop), False, 0
+        while True:
+            if ended.is_set() or (seconds is not None and now()[0] >= 1e9 * seconds):
+                # A stop that comes now is obeyed, and in the record before the end if the disk answers.
+                given_up_ns = given_up_ns or now()[0] + _RECORD_WITHIN_NS
+                if station.is_settled or now()[0] >= given_up_ns:
+                    break
             if not more:
                 wait_ns = min(station.next_ns - now()[0], _LONGEST_WAIT_NS)
                 received.wait(max(0.0, 1e-9 * wait_ns))
@@ -306,7 +304,7 @@ def run(
                 more = station.handle_received(now())
             instant = now()
             if station.advance(instant):
-                disk.submit(write_record)
+                record.write()
             for name, payload in station.reports(instant):
                 # A query that follows a publication finds it.
                 latest[name] = payload
@@ -315,11 +313,29 @@ def run(
                     shown.note_stop(station.stop)
                 if name == "status":
                     shown.note_problem(station.last_problem)
-        disk.shutdown()
-        # A stop that has arrived during the last write.
-        if station.advance(now()):
-            write_record()
+        if not station.is_settled:
+            log.show("the last emergency stop is not recorded: its disk does not answer")
         return station.counters()
+
+
+class _Record:
+    """Writes the record of the stop on a thread of its own: a slow disk does not delay the next stop, nor the end."""
+
+    def __init__(self, station: Station, log: _Log, done: threading.Event) -> None:
+        self._due = threading.Event()
+
+        def work() -> None:
+            while self._due.wait():
+                self._due.clear()
+                if problem := station.write_record():
+                    log.show(problem)
+                done.set()
+
+        threading.Thread(target=work, name="stop record", daemon=True).start()
+
+    def write(self) -> None:
+        """Begins the write that is due."""
+        self._due.set()
 
 
 class _Log:

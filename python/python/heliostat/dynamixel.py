@@ -244,12 +244,13 @@ class Dynamixel(Device):
     def health(self) -> Health:
         """Temperature and errors; asks one of those servos again that did not answer."""
         now_ns = time.monotonic_ns()
-        if self._silent and now_ns >= self._silent_ns:
+        if now_ns >= self._errors_ns:
+            if (read := self._read(_ERROR, 1)) is not None:
+                self._errors_ns = now_ns + _RETRY_NS
+                self._errors = {servo: value(_ERROR, 1) for servo, value in read.items()}
+        elif self._silent and now_ns >= self._silent_ns:
             self._silent_ns = now_ns + _RETRY_NS // len(self._silent)
             self._prepare(next(iter(self._silent)), attempts=1)
-        elif now_ns >= self._errors_ns and (read := self._read(_ERROR, 1)) is not None:
-            self._errors_ns = now_ns + _RETRY_NS
-            self._errors = {servo: value(_ERROR, 1) for servo, value in read.items()}
         bad = {servo for servo, error in self._errors.items() if error & ~_SUPPLY} | self._silent.keys()
         return Health(
             temperature_c=self._temperature_c,

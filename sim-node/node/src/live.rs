@@ -89,8 +89,9 @@ fn run_due(node: &mut Node, publisher: &mut PublisherThread, now: Moment) -> Res
 fn handle_received(node: &mut Node) {
     for array in 0..node.room.arrays() {
         while let Some(arrival) = node.session.received(array).pop() {
-            let times = (arrival.at, node.clock.now());
-            node.handle(array, arrival, times);
+            // The mirrors have their own time line: the wait for this loop is no wait of the array.
+            let at = arrival.at;
+            node.handle(array, arrival, (at, at));
         }
     }
 }
@@ -101,8 +102,8 @@ fn drain(node: &mut Node) {
     while node.ticks.is_waiting() && node.clock.local_ns() < give_up_ns {
         for array in 0..node.room.arrays() {
             if let Some(arrival) = node.session.received(array).pop_until(Instant::now() + DRAIN_SLEEP) {
-                let times = (arrival.at, node.clock.now());
-                node.handle(array, arrival, times);
+                let at = arrival.at;
+                node.handle(array, arrival, (at, at));
             }
         }
     }

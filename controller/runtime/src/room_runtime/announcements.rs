@@ -9,7 +9,7 @@ use std::{
     sync::{Arc, Mutex},
 };
 
-use heliostat_core::room_core::{Handled, Input, InputKey, Repeater};
+use heliostat_core::room_core::{Examination, Handled, Input, InputKey, Repeater};
 use heliostat_service::clock::utc_ns;
 
 use super::{
@@ -25,15 +25,21 @@ const CAPACITY: usize = 256;
 enum Announcement {
     Payload { key: InputKey, bytes: Vec<u8> },
     Presence { token: String, is_alive: bool },
+    Unexamined(Box<Examination>),
     Examined(Input<'static>),
 }
 
 impl Announcement {
+    fn is_unexamined(&self) -> bool {
+        matches!(self, Self::Unexamined(_))
+    }
+
     fn input(&mut self) -> Input<'_> {
         match self {
             Self::Payload { key, bytes } => Input::Payload { key: *key, bytes },
             Self::Presence { token, is_alive } => Input::Presence { token, is_alive: *is_alive },
             Self::Examined(input) => std::mem::replace(input, Input::Wake),
+            Self::Unexamined(_) => Input::Wake,
         }
     }
 }
@@ -71,15 +77,30 @@ impl Announcements {
     pub fn settle(&self) {
         while !lock(&self.waiting).is_empty() {
             let Some(mut decision_loop) = try_lock(&self.decision_loop) else { return };
-            let Some(mut next) = lock(&self.waiting).pop_front() else { return };
-            let handled = decision_loop.handle(next.input());
+            self.settle_in(&mut decision_loop);
             drop(decision_loop);
-            if let Handled::Examination(examination) = handled {
-                // It takes long, so it does not hold the lock.
-                let examined = Announcement::Examined(examination.run());
-                lock(&self.waiting).push_front(examined);
+            // It takes long, so it does not hold the lock.
+            let Some(Announcement::Unexamined(examination)) = self.take(|one| one.is_unexamined()) else { return };
+            let examined = Announcement::Examined(examination.run());
+            lock(&self.waiting).push_front(examined);
+        }
+    }
+
+    /// Handles what waits for a loop that this thread has, such as a stop before the report that the loop
+    /// decides for. What takes long waits for [`settle`](Self::settle).
+    pub fn settle_in(&self, decision_loop: &mut DecisionLoop) {
+        while let Some(mut next) = self.take(|one| !one.is_unexamined()) {
+            if let Handled::Examination(examination) = decision_loop.handle(next.input()) {
+                lock(&self.waiting).push_back(Announcement::Unexamined(examination));
             }
         }
+    }
+
+    /// The first of these that waits.
+    fn take(&self, is_wanted: impl Fn(&Announcement) -> bool) -> Option<Announcement> {
+        let mut waiting = lock(&self.waiting);
+        let index = waiting.iter().position(is_wanted)?;
+        waiting.remove(index)
     }
 
     fn push(&self, announcement: Announcement) {

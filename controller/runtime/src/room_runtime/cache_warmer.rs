@@ -28,9 +28,7 @@
 mod estimators;
 
 use std::{
-    fmt,
     ops::RangeInclusive,
-    str::FromStr,
     time::{Duration, Instant},
 };
 
@@ -68,39 +66,6 @@ const WAIT_MAX: Duration = *WORTH_STARTING.start();
 /// Reports without cache warm-ups after one that waited too long. At most one of so many reports then
 /// waits on a machine that stays busy.
 const PAUSE_REPORTS: u32 = 128;
-
-/// Whether the room's thread warms up the caches.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum KeepWarm {
-    /// Never.
-    Off,
-    /// Before each expected report.
-    Expected,
-}
-
-impl FromStr for KeepWarm {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        match text {
-            "off" => Ok(Self::Off),
-            "expected" => Ok(Self::Expected),
-            _ if text.parse::<f64>().is_ok() => {
-                Err("a pause between warm-ups is no longer accepted: use \"expected\" or \"off\"".into())
-            }
-            _ => Err("expected \"expected\" or \"off\"".into()),
-        }
-    }
-}
-
-impl fmt::Display for KeepWarm {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str(match self {
-            Self::Off => "off",
-            Self::Expected => "expected",
-        })
-    }
-}
 
 /// What the room's thread does next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -348,19 +313,5 @@ mod tests {
         };
         assert_eq!([200, 300, 6000].map(|us| worthwhile(us * US, false)), [false, true, false]);
         assert_eq!([100, 200, 6000].map(|us| worthwhile(us * US, true)), [false, true, false]);
-    }
-
-    #[test]
-    fn keep_warm_is_parsed_and_a_removed_value_is_refused_with_advice() {
-        for keep_warm in [KeepWarm::Off, KeepWarm::Expected] {
-            assert_eq!(keep_warm.to_string().parse(), Ok(keep_warm));
-        }
-        for removed in ["0", "50", "1000", "-1"] {
-            let refusal = removed.parse::<KeepWarm>().unwrap_err();
-            assert!(refusal.contains("no longer accepted") && refusal.contains("use \"expected\""), "{refusal}");
-        }
-        for wrong in ["often", ""] {
-            assert!(wrong.parse::<KeepWarm>().is_err(), "{wrong}");
-        }
     }
 }

@@ -9,7 +9,7 @@
 //!   decides. A tick that a newer one supersedes then costs no decision. This thread also warms up
 //!   the caches for a slow policy (see [cache warmer](super::cache_warmer)).
 //!
-//! [`PayloadHandler::handle`] chooses. By default the callback decides. It queues the payload for
+//! [`PayloadHandler::handle`] chooses. The callback decides if it can. It queues the payload for
 //! the room's thread in four cases: the queue is not empty, another thread holds the lock, the
 //! payload came right after the last decision, or it is a position report and the room's thread
 //! keeps the caches warm. After a report has waited long for that thread, the last case is left out
@@ -19,7 +19,7 @@
 //! replace the policy.
 
 use std::{
-    sync::{Arc, Mutex, MutexGuard},
+    sync::{Arc, Mutex},
     time::{Duration, Instant},
 };
 
@@ -34,7 +34,7 @@ use heliostat_service::clock::utc_ns;
 
 use super::{
     announcements::Announcements,
-    cache_warmer::{Action, CacheWarmer, KeepWarm},
+    cache_warmer::{Action, CacheWarmer},
     locks::{lock, try_lock},
     receive_queue::{ReceiveQueue, Wake},
     transport::Transport,
@@ -44,49 +44,6 @@ use crate::report::stage_times::{StageStamps, StageTimes};
 /// A report that arrives within this time after a decision indicates a backlog. The callback then
 /// queues it for the room's thread.
 const BACKLOG_GAP: Duration = Duration::from_micros(50);
-
-/// Where a room's decisions are made.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub enum DecideIn {
-    /// In the callback; on the room's thread during a backlog, while the room is busy, or if its
-    /// caches are kept warm
-    Auto,
-    /// In the callback that receives the report, on the transport's thread; a backlog waits in the
-    /// transport
-    Callback,
-    /// On the room's thread
-    Thread,
-}
-
-/// Where decisions are made, and whether the caches are kept warm.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct DecisionSettings {
-    /// Where.
-    pub decide_in: DecideIn,
-    /// Whether the room's thread warms up the caches.
-    pub keep_warm: KeepWarm,
-    /// The statistics of times begin with the report of this tick.
-    pub times_from_tick: u64,
-}
-
-impl DecisionSettings {
-    /// The settings in a process of this number of rooms. The decisions of several rooms keep the
-    /// caches warm, and cache warm-ups would delay them.
-    pub fn among(self, rooms: usize) -> Self {
-        Self { keep_warm: if rooms > 1 { KeepWarm::Off } else { self.keep_warm }, ..self }
-    }
-
-    /// Whether a room needs a thread.
-    pub fn has_thread(self) -> bool {
-        self.decide_in != DecideIn::Callback
-    }
-}
-
-impl Default for DecisionSettings {
-    fn default() -> Self {
-        Self { decide_in: DecideIn::Auto, keep_warm: KeepWarm::Expected, times_from_tick: 0 }
-    }
-}
 
 /// The decision loop of one room.
 pub struct DecisionLoop {
@@ -126,10 +83,15 @@ impl DecisionLoop {
         }
     }
 
-    /// Applies the settings. In lockstep, which has no deadline, no caches are warmed up.
-    pub fn with_settings(mut self, settings: DecisionSettings) -> Self {
-        self.warmer = CacheWarmer::new(settings.keep_warm == KeepWarm::Expected && !self.room.is_lockstep());
-        self.times_from_tick = settings.times_from_tick;
+    /// Whether the room's thread warms up the caches for a slow policy.
+    pub fn warming_up(mut self, warms_up: bool) -> Self {
+        self.warmer = CacheWarmer::new(warms_up);
+        self
+    }
+
+    /// The statistics of times begin with the report of this tick.
+    pub fn timed_from(mut self, tick: u64) -> Self {
+        self.times_from_tick = tick;
         self
     }
 
@@ -226,8 +188,6 @@ pub struct PayloadHandler {
     pub decision_loop: Arc<Mutex<DecisionLoop>>,
     /// The queue of the room's thread.
     pub queue: Arc<ReceiveQueue>,
-    /// Where decisions are made.
-    pub decide_in: DecideIn,
     /// What waits for the loop.
     pub announcements: Announcements,
 }
@@ -235,18 +195,12 @@ pub struct PayloadHandler {
 impl PayloadHandler {
     /// Handles a payload in the callback that was entered at `entered`.
     pub fn handle(&self, channel: InputChannel, payload: &[u8], entered: Instant) {
-        // A stop that waits for the loop comes before the report.
-        self.announcements.settle();
-        let at_once: Option<MutexGuard<'_, DecisionLoop>> = match self.decide_in {
-            DecideIn::Callback => Some(lock(&self.decision_loop)),
-            DecideIn::Thread => None,
-            // The room's thread drains the queue under the lock. A new payload therefore cannot
-            // overtake a queued one.
-            DecideIn::Auto if !self.queue.is_empty() => None,
-            DecideIn::Auto => try_lock(&self.decision_loop).filter(|held| !held.is_for_thread(channel.stream, entered)),
-        };
-        match at_once {
+        // The room's thread drains the queue under the lock. A new payload therefore cannot overtake a queued
+        // one.
+        let free = if self.queue.is_empty() { try_lock(&self.decision_loop) } else { None };
+        match free.filter(|held| !held.is_for_thread(channel.stream, entered)) {
             Some(mut decision_loop) => {
+                self.announcements.settle_in(&mut decision_loop);
                 decision_loop.handle_report(channel, payload, entered);
                 decision_loop.decide();
                 drop(decision_loop);
@@ -268,8 +222,9 @@ pub fn run(handler: &PayloadHandler) {
                 Wake::Closed => return,
                 Wake::TimedOut => {}
                 Wake::Filled => {
-                    announcements.settle();
-                    drain(queue, &mut lock(decision_loop));
+                    let mut decision_loop = lock(decision_loop);
+                    announcements.settle_in(&mut decision_loop);
+                    drain(queue, &mut decision_loop);
                 }
             },
             Action::WarmUp if queue.has_arrival() => lock(decision_loop).warmer.on_arrival(),
@@ -296,22 +251,4 @@ fn drain(queue: &ReceiveQueue, decision_loop: &mut DecisionLoop) {
         queue.recycle(arrival.payload);
     }
     decision_loop.decide();
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn rooms_that_share_a_process_do_not_warm_up_caches() {
-        let settings = DecisionSettings::default();
-        let kept_warm = [1, 2].map(|rooms| settings.among(rooms).keep_warm);
-        assert_eq!(kept_warm, [KeepWarm::Expected, KeepWarm::Off]);
-    }
-
-    #[test]
-    fn only_decisions_in_the_callback_need_no_thread() {
-        let has_thread = |decide_in| DecisionSettings { decide_in, ..DecisionSettings::default() }.has_thread();
-        assert_eq!([DecideIn::Auto, DecideIn::Callback, DecideIn::Thread].map(has_thread), [true, false, true]);
-    }
 }

@@ -12,7 +12,6 @@ use heliostat_controller::{
     config::{NodeConfig, Pace},
     node,
     report::summary::Summary,
-    room_runtime::decision_loop::DecisionSettings,
 };
 use heliostat_core::policy::PolicyKind;
 use heliostat_proto::{MirrorCommand, Room as RoomName, UserReport, decode, encode};
@@ -48,7 +47,7 @@ impl Rig {
             scenario,
             bus: BusConfig::new(name).connect_to(&endpoint),
             also_rooms: Vec::new(),
-            decisions: DecisionSettings::default(),
+            times_from_tick: 0,
             policy: PolicyKind::Nearest,
             model: None,
             pace: Pace::Lockstep,

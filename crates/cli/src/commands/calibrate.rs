@@ -71,7 +71,7 @@ pub fn run(args: Args) -> Result<()> {
         ensure!(found == expected, "--base is for {found} mirrors: expected a file for {expected}");
     }
     let mut session = new_session(&args, &scenario, &room)?;
-    let readings = Readings::new(args.readings.as_deref(), &scenario, (args.array, base.as_ref()));
+    let readings = Readings::new(args.readings.as_deref(), (bus.room(), &scenario), (args.array, base.as_ref()));
     if let Some(log) = readings.load()? {
         note(format_args!("continued: {} spots complete, {} readings", log.complete, log.readings.len()));
         session.resume(log)?;

@@ -5,6 +5,7 @@ use std::path::Path;
 use anyhow::{Context, Result, ensure};
 use heliostat_array::calibration_file::CalibrationFile;
 use heliostat_calibrate::{Log, Session};
+use heliostat_proto::Room;
 use heliostat_scenario::Scenario;
 use heliostat_service::exit::UnusableInput;
 use heliostat_service::whole_file;
@@ -13,9 +14,11 @@ use serde::{Deserialize, Serialize};
 /// What readings belong to: with another room, array or calibration they would be misread.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
 struct Origin {
+    room: String,
     scenario: String,
     array: usize,
-    base: Option<CalibrationFile>,
+    /// As text, because numbers may be rounded on their way through JSON.
+    base: Option<String>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -33,8 +36,13 @@ pub struct Readings<'a> {
 
 impl<'a> Readings<'a> {
     /// The file for readings of this room, and of this array with the calibration that it uses.
-    pub fn new(file: Option<&'a Path>, scenario: &Scenario, (array, base): (usize, Option<&CalibrationFile>)) -> Self {
-        Self { file, of: Origin { scenario: scenario.hash(), array, base: base.cloned() } }
+    pub fn new(
+        file: Option<&'a Path>,
+        (room, scenario): (&Room, &Scenario),
+        (array, base): (usize, Option<&CalibrationFile>),
+    ) -> Self {
+        let (room, scenario, base) = (room.to_string(), scenario.hash(), base.map(CalibrationFile::to_toml));
+        Self { file, of: Origin { room, scenario, array, base } }
     }
 
     /// The readings of the file, if it exists.
@@ -48,6 +56,7 @@ impl<'a> Readings<'a> {
         let Saved { of, log } = serde_json::from_str(&text).with_context(unusable)?;
         let name = file.display();
         for (what, is_same) in [
+            ("--room", of.room == self.of.room),
             ("scenario", of.scenario == self.of.scenario),
             ("--array", of.array == self.of.array),
             ("--base", of.base == self.of.base),
@@ -80,6 +89,8 @@ impl<'a> Readings<'a> {
 
 #[cfg(test)]
 mod tests {
+    use heliostat_array::calibration_file::AxisCorrections;
+
     use super::*;
 
     #[test]
@@ -88,9 +99,20 @@ mod tests {
         let file = folder.path().join("readings.json");
         let hall = Scenario::builtin("hall").expect("a scenario");
         let lab = Scenario::builtin("lab").expect("a scenario");
-        let axis = heliostat_array::calibration_file::AxisCorrections { offset_deg: vec![0.1], gain: vec![1.0] };
+        let axis = AxisCorrections { offset_deg: vec![0.1], gain: vec![1.0] };
         let base = CalibrationFile { rows: 1, columns: 1, roll: axis.clone(), yaw: axis };
-        let open = |scenario, array, base| Readings::new(Some(&file), scenario, (array, base));
+        let digits = [0.123_456_789_012_345_67, 0.1 + 0.2, 1.0 / 3.0, 2.0 / 7.0].map(|offset| 1.7 * offset);
+        let axis = AxisCorrections { offset_deg: digits.to_vec(), gain: digits.map(|digit| 1.0 / digit).to_vec() };
+        let precise = CalibrationFile { rows: 2, columns: 2, roll: axis.clone(), yaw: axis };
+        let rooms = ["hall", "north"].map(|name| Room::new(name).expect("a room"));
+        let open = |scenario, array, base| Readings::new(Some(&file), (&rooms[0], scenario), (array, base));
+        std::fs::write(
+            &file,
+            serde_json::to_vec(&Saved { of: open(&hall, 0, Some(&precise)).of, log: Log::default() }).expect("JSON"),
+        )
+        .expect("a file");
+        assert!(open(&hall, 0, Some(&precise)).load().expect("the same to the last digit").is_some());
+        std::fs::remove_file(&file).expect("a file");
         assert!(open(&hall, 0, None).load().expect("no file").is_none());
         let saved = Saved { of: open(&hall, 0, None).of, log: Log { mirrors: 100, ..Log::default() } };
         std::fs::write(&file, serde_json::to_vec(&saved).expect("JSON")).expect("a file");
@@ -103,5 +125,7 @@ mod tests {
             let refusal = other.load().expect_err(what).to_string();
             assert!(refusal.contains(&format!("another {what}")), "{refusal}");
         }
+        let elsewhere = Readings::new(Some(&file), (&rooms[1], &hall), (0, None)).load().expect_err("another room");
+        assert!(elsewhere.to_string().contains("another --room"), "{elsewhere}");
     }
 }

@@ -14,7 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 pytest.importorskip("zenoh")
-from heliostat.driver import Capabilities, Device, _log, run
+from heliostat.driver import Capabilities, Device, _Log, run
 from heliostat.peer import PeerError, Settings, duration_s
 from room import EXAMPLES, LIMIT_S, end_by, free_endpoint, heliostat, needs_program, observer, python, wait_until
 
@@ -151,12 +151,14 @@ def test_settings_that_do_not_fit_are_refused_with_the_reason(settings: Settings
 
 
 def test_a_text_from_the_room_cannot_control_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
-    _log("é\x1b[2Jcleared\r")
+    with _Log() as log:
+        log.show("é\x1b[2Jcleared\r")
     assert capsys.readouterr().err == "é\\u001b[2Jcleared\\u000d\n"
 
 
 def test_the_advice_about_several_stops_has_a_line_for_each(capsys: pytest.CaptureFixture[str]) -> None:
-    _log("the array starts stopped by ann: smoke\nthe array starts stopped by bob: fire")
+    with _Log() as log:
+        log.show("the array starts stopped by ann: smoke\nthe array starts stopped by bob: fire")
     assert capsys.readouterr().err.count("\n") == 2
 
 

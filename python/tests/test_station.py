@@ -64,7 +64,8 @@ class Driven:
 
     def __init__(self, folder: Path, mirrors: Mirrors, *, armed: bool = True, authenticated: bool = False) -> None:
         self.mirrors, self.local_ns, self.sequence = mirrors, 0, 0
-        self.is_disk_slow, self.problem = False, None
+        self.is_disk_slow = False
+        self.problem: str | None = None
         self.station = Station(
             mirrors,
             mirrors.capabilities.message(),

@@ -51,8 +51,8 @@ impl Drop for LogGuard {
     fn drop(&mut self) {
         // A reader that has made it lose lines would not read the last ones either, and the writer would
         // then complain on standard output.
-        if self.lost.dropped_lines() > 0 {
-            self.writer.take().map(std::mem::forget);
+        if let Some(writer) = self.writer.take().filter(|_| self.lost.dropped_lines() > 0) {
+            std::mem::forget(writer);
         }
     }
 }

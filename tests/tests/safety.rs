@@ -226,7 +226,7 @@ fn a_stop_that_cannot_be_recorded_stops_the_array_now_and_at_the_next_start() {
     assert_eq!(room.telemetry_state(), Some(ArrayState::Stopped));
 }
 
-/// A pipe that nobody reads: who writes to it waits for ever.
+/// A pipe without a reader: a process that writes to it waits for ever.
 #[cfg(unix)]
 fn unread_pipe(at: &Path) {
     let made = std::process::Command::new("mkfifo").arg(at).status().expect("mkfifo runs");
@@ -276,7 +276,7 @@ fn a_driver_that_ends_obeys_a_stop_until_its_disk_has_had_its_time() {
 
 #[cfg(unix)]
 #[test]
-fn a_log_that_nobody_reads_delays_no_stop() {
+fn a_log_without_a_reader_delays_no_stop() {
     let mut room = DrivenRoom::new("unread");
     let pipe = room.folder.path().join("log");
     unread_pipe(&pipe);

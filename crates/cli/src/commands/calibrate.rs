@@ -139,7 +139,7 @@ fn drive(
                         ids.len() <= 1,
                         "the tracker reports the users {ids:?}: name the one who holds the receiver with --user"
                     );
-                    // Whoever enters later holds no receiver.
+                    // A user who enters later holds no receiver.
                     user = ids.first().copied();
                     user.into_iter().for_each(|user| session.set_user(user));
                 }

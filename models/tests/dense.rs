@@ -5,18 +5,16 @@ use heliostat_channel::MirrorAngles;
 use heliostat_core::observation::Observation;
 use heliostat_core::policy::{DENSE, DenseEngine, Engine, Network, Policy, PolicyKind};
 use heliostat_models::{ActorSource, ORT, load_actor, load_actor_on_onnxruntime, onnxruntime_network};
+use heliostat_needs::needs;
 use heliostat_onnx::ModelProto;
 use heliostat_scenario::Scenario;
-use onnxruntime::{SIN, is_absent};
 use prost::Message;
 use rand::{RngExt, SeedableRng, seq::IndexedRandom};
 use rand_chacha::ChaCha8Rng;
-use support::scenario;
 
 #[path = "../../controller/core/tests/core/dense_graphs.rs"]
 #[allow(dead_code)]
 mod dense_graphs;
-mod onnxruntime;
 #[path = "../../controller/core/tests/core/support.rs"]
 #[allow(dead_code)]
 mod support;
@@ -100,6 +98,7 @@ fn outputs(network: &mut dyn Network, rows: usize, input: &[f32]) -> Vec<f32> {
     network.run().expect("it runs").to_vec()
 }
 
+#[needs("onnxruntime")]
 #[test]
 fn dense_equals_onnxruntime_on_random_networks_of_every_operator_and_any_rows() {
     let mut compared = 0;
@@ -109,13 +108,7 @@ fn dense_equals_onnxruntime_on_random_networks_of_every_operator_and_any_rows() 
         let model = if index % 2 == 0 { model } else { with_open_rows(model) };
         let file = model.encode_to_vec();
         let mut dense = DenseEngine.load(&file, length).unwrap_or_else(|refusal| panic!("{first}: {refusal}"));
-        let mut embedded = match onnxruntime_network(&file, length) {
-            Ok(network) => network,
-            Err(refusal) => {
-                assert!(is_absent(&SIN.actor(&scenario(&[])), &scenario(&[])), "{first}: {refusal}");
-                return;
-            }
-        };
+        let mut embedded = onnxruntime_network(&file, length).unwrap_or_else(|refusal| panic!("{first}: {refusal}"));
         for rows in [1, 5, 2, 64, 3] {
             let input: Vec<f32> = (0..rows * length).map(|_| rng.random_range(-2.0..2.0)).collect();
             let ours = outputs(dense.as_mut(), rows, &input);
@@ -131,6 +124,7 @@ fn dense_equals_onnxruntime_on_random_networks_of_every_operator_and_any_rows() 
     assert!(compared > 10_000, "{compared}");
 }
 
+#[needs("onnxruntime")]
 #[test]
 fn the_dense_engine_equals_onnxruntime_on_every_shipped_actor() {
     use PolicyKind::{Analytic, Ddpg, DdpgRaw, Dql, QLearning, Sarsa};
@@ -139,9 +133,6 @@ fn the_dense_engine_equals_onnxruntime_on_every_shipped_actor() {
         let model = support::model(&scenario);
         for kind in [Ddpg, DdpgRaw, Analytic, Dql, QLearning, Sarsa] {
             let Ok(file) = ActorSource::Shipped.fetch(kind, &scenario) else { continue };
-            if is_absent(&file, &scenario) {
-                return;
-            }
             let mut engines =
                 [load_actor(&file, &scenario), load_actor_on_onnxruntime(&file, &scenario)].map(Result::unwrap);
             assert_eq!(engines.each_ref().map(|actor| actor.engine_name()), [DENSE, ORT]);

@@ -10,8 +10,9 @@ use heliostat_core::policy::{Actor, DENSE, Policy, PolicyKind};
 use heliostat_models::{
     ActorSource, BuildError, ORT, SourceError, build, load_actor, load_actor_on_onnxruntime, source,
 };
+use heliostat_needs::needs;
 use heliostat_scenario::Scenario;
-use onnxruntime::{SIN, is_absent};
+use onnxruntime::SIN;
 use support::{ActorRecipe, model, scenario};
 
 mod onnxruntime;
@@ -97,7 +98,6 @@ fn a_graph_that_is_not_dense_runs_on_onnxruntime_or_says_what_to_do() {
             assert!(angles.roll.iter().all(|angle| (angle - 0.25_f64.sin()).abs() < 1e-6), "{angles:?}");
         }
         Err(error) => {
-            assert!(is_absent(&file, &scenario), "{error}");
             let text = error.to_string();
             assert!(
                 ["sin.onnx", "Sin", "pip install onnxruntime", "dense"].iter().all(|word| text.contains(word)),
@@ -126,13 +126,11 @@ fn a_decision_of_a_shipped_actor_allocates_nothing() {
     }
 }
 
+#[needs("onnxruntime")]
 #[test]
 fn the_allocations_of_a_decision_on_onnxruntime_are_the_same_each_time() {
     let scenario = Scenario::default();
     let file = ActorSource::Shipped.fetch(PolicyKind::Ddpg, &scenario).unwrap();
-    if is_absent(&file, &scenario) {
-        return;
-    }
     let mut actor = load_actor_on_onnxruntime(&file, &scenario).unwrap();
     let found = allocations(&mut actor, &scenario);
     println!("a decision on ONNX Runtime allocates {} times in this process, {} bytes in all", found.0, found.1);
@@ -171,19 +169,20 @@ fn resident_slope(actor: &mut Actor, scenario: &Scenario, decisions: usize) -> (
     (slope, (residual / (PARTS - 2) as f64 / spread).sqrt())
 }
 
-/// The actor of `ddpg` on ONNX Runtime, which could leak; `None` without the library.
+/// The actor of `ddpg` on ONNX Runtime, which could leak.
 #[cfg(target_os = "linux")]
-fn on_onnxruntime(scenario: &Scenario) -> Option<Actor> {
+fn on_onnxruntime(scenario: &Scenario) -> Actor {
     let file: ActorFile = ActorSource::Shipped.fetch(PolicyKind::Ddpg, scenario).unwrap();
-    (!is_absent(&file, scenario)).then(|| load_actor_on_onnxruntime(&file, scenario).unwrap())
+    load_actor_on_onnxruntime(&file, scenario).unwrap()
 }
 
 /// The bound allows for the other tests of this process, which run at the same time.
 #[cfg(target_os = "linux")]
+#[needs("onnxruntime")]
 #[test]
 fn decisions_do_not_fill_the_memory() {
     let scenario = Scenario::default();
-    let Some(mut actor) = on_onnxruntime(&scenario) else { return };
+    let mut actor = on_onnxruntime(&scenario);
     let (slope, error) = resident_slope(&mut actor, &scenario, 30_000);
     println!("resident memory grows by {slope:.3} +- {error:.3} bytes a decision");
     assert!(slope < 32.0, "{slope} bytes a decision");
@@ -195,7 +194,7 @@ fn decisions_do_not_fill_the_memory() {
 #[ignore = "takes minutes"]
 fn a_million_decisions_do_not_fill_the_memory() {
     let scenario = Scenario::default();
-    let Some(mut actor) = on_onnxruntime(&scenario) else { return };
+    let mut actor = on_onnxruntime(&scenario);
     let (slope, error) = resident_slope(&mut actor, &scenario, 1_000_000);
     println!("resident memory grows by {slope:.4} +- {error:.4} bytes a decision");
     assert!(slope < 1.0, "{slope} bytes a decision");

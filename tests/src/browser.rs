@@ -8,9 +8,6 @@ use serde_json::{Value, json};
 
 use crate::wait::wait_until;
 
-/// If set, a missing browser is a failure.
-const REQUIRED: &str = "HELIOSTAT_REQUIRE_BROWSER";
-
 /// Flags for a run as root, without a graphics card, and without requests other than the page's.
 const FLAGS: [&str; 11] = [
     "--headless",
@@ -35,12 +32,11 @@ pub struct Browser {
 }
 
 impl Browser {
-    /// Opens a page in a browser with an empty profile; `None`, with a message, if no browser is
-    /// installed.
+    /// Opens a page in a browser with an empty profile.
     ///
     /// # Panics
-    /// When a browser is required and missing, or does not start.
-    pub fn open(url: &str) -> Option<Self> {
+    /// When the browser does not start.
+    pub fn open(url: &str) -> Self {
         Self::open_with(url, &[])
     }
 
@@ -48,16 +44,10 @@ impl Browser {
     ///
     /// # Panics
     /// As [`Browser::open`].
-    pub fn open_with(url: &str, more: &[&str]) -> Option<Self> {
-        let driver = Command::new("chromedriver").arg("--port=0").stdout(Stdio::piped()).stderr(Stdio::null()).spawn();
-        let mut driver = match driver {
-            Ok(driver) => driver,
-            Err(_) if std::env::var_os(REQUIRED).is_none() => {
-                eprintln!("SKIPPED: there is no chromedriver (Debian: apt-get install chromium chromium-driver)");
-                return None;
-            }
-            Err(error) => panic!("{REQUIRED} is set, but chromedriver does not start: {error}"),
-        };
+    pub fn open_with(url: &str, more: &[&str]) -> Self {
+        let mut command = Command::new("chromedriver");
+        command.arg("--port=0").stdout(Stdio::piped()).stderr(Stdio::null());
+        let mut driver = command.spawn().expect("chromedriver starts");
         let port = announced_port(&mut driver);
         let profile = tempfile::tempdir().expect("a temporary folder");
         let mut flags: Vec<String> = FLAGS.map(String::from).into();
@@ -71,7 +61,7 @@ impl Browser {
         let id = session["sessionId"].as_str().expect("a session has an id");
         let browser = Self { driver, session: format!("{sessions}/{id}"), _profile: profile };
         browser.command("url", &json!({ "url": url }));
-        Some(browser)
+        browser
     }
 
     /// The handle of the tab that scripts and clicks reach.

@@ -33,13 +33,12 @@ pub struct Engine {
 static ALONE: Mutex<()> = Mutex::new(());
 
 impl Engine {
-    /// Starts an engine. `None`, with the reason on standard output, where one is impossible and
-    /// not required.
+    /// Starts an engine.
     ///
     /// # Panics
-    /// When it is impossible and HELIOSTAT_REQUIRE_CONTAINERS is set.
-    pub fn start() -> Option<Self> {
-        or_skip(Self::compose_words().and_then(Self::started))
+    /// When it is impossible.
+    pub fn start() -> Self {
+        Self::compose_words().and_then(Self::started).unwrap_or_else(|reason| panic!("{reason}"))
     }
 
     fn started(compose: Vec<&'static str>) -> Result<Self, String> {
@@ -112,14 +111,13 @@ impl Engine {
     }
 
     /// A base image of Debian with systemd, under this name; made once, and kept in the target
-    /// folder. `None`, with the reason on standard output, where it cannot be made and is not required.
+    /// folder.
     ///
     /// # Panics
-    /// When it cannot be made and HELIOSTAT_REQUIRE_CONTAINERS is set.
-    pub fn import_base(&self, name: &str) -> Option<()> {
-        or_skip(base()).map(|file| {
-            self.docker(&["import", file.to_str().expect("a plain path"), name]);
-        })
+    /// When it cannot be made.
+    pub fn import_base(&self, name: &str) {
+        let file = base().unwrap_or_else(|reason| panic!("{reason}"));
+        self.docker(&["import", file.to_str().expect("a plain path"), name]);
     }
 
     /// Runs `docker` with these arguments, and returns its standard output.
@@ -188,36 +186,17 @@ impl Drop for Engine {
     }
 }
 
-/// The value, or `None` with the reason on standard output.
+/// The router `zenohd` that HELIOSTAT_ZENOHD names, or the one on the path.
 ///
 /// # Panics
-/// When there is no value and HELIOSTAT_REQUIRE_CONTAINERS is set.
-fn or_skip<T>(found: Result<T, String>) -> Option<T> {
-    match found {
-        Ok(value) => Some(value),
-        Err(reason) => {
-            let is_required = std::env::var_os("HELIOSTAT_REQUIRE_CONTAINERS").is_some();
-            assert!(!is_required, "{reason}, and HELIOSTAT_REQUIRE_CONTAINERS is set");
-            println!("skipped: {reason}");
-            None
-        }
-    }
-}
-
-/// The router `zenohd` that HELIOSTAT_ZENOHD names, or the one on the path. `None`, with the reason on
-/// standard output, where there is none and it is not required.
-///
-/// # Panics
-/// When there is none and HELIOSTAT_REQUIRE_CONTAINERS is set.
-pub fn zenohd() -> Option<PathBuf> {
+/// When there is none.
+pub fn zenohd() -> PathBuf {
     let named = std::env::var_os("HELIOSTAT_ZENOHD").map(PathBuf::from);
     let path = std::env::var_os("PATH").unwrap_or_default();
     let found =
         named.or_else(|| std::env::split_paths(&path).map(|folder| folder.join("zenohd")).find(|file| file.is_file()));
     let is_it = found.filter(|file| runs(Command::new(file).arg("--version")));
-    or_skip(is_it.ok_or_else(|| {
-        "there is no zenohd: docs/deploy.md has the command that builds it; HELIOSTAT_ZENOHD names the file".into()
-    }))
+    is_it.expect("zenohd on the path or named by HELIOSTAT_ZENOHD: docs/deploy.md has the command that builds it")
 }
 
 /// The archive of the base image.

@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use heliostat_bus::{Bus, BusConfig, Subscription, free_loopback_port, private_endpoint};
+use heliostat_needs::needs;
 use heliostat_proto::{BeliefReport, MirrorCommand, Room, RoomTruth, codec};
 use heliostat_tests::{Browser, PageServer, Process, wait_until};
 
@@ -146,6 +147,7 @@ fn the_metrics_compare_the_belief_with_the_reports_and_the_truth() {
     assert!(summary["belief"]["places"].as_u64() > Some(500), "{summary}");
 }
 
+#[needs("browser")]
 #[test]
 fn the_page_draws_the_belief_of_each_user_until_it_is_switched_off() {
     let setting = Setting::new(&FILTER);
@@ -153,7 +155,7 @@ fn the_page_draws_the_belief_of_each_user_until_it_is_switched_off() {
     let server = PageServer::start(&[&["--connect", room_at, "--connect", controller_at][..], &FILTER].concat());
     let url = server.url();
     for flags in [&[][..], &["--disable-gpu", "--disable-3d-apis"]] {
-        let Some(browser) = Browser::open_with(&url, flags) else { return };
+        let browser = Browser::open_with(&url, flags);
         let users = "return document.getElementById('room').room?.motion.to?.users ?? []";
         let believed = || {
             browser.run(users).as_array().is_some_and(|users| {

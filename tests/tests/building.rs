@@ -7,6 +7,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use heliostat_needs::needs;
 use heliostat_tests::containers::{Engine, Host, built_programs, metric, zenohd};
 use heliostat_tests::{programs, wait_until};
 
@@ -47,11 +48,12 @@ fn wait_for_role(host: &Host, port: u16, is_standby: bool) {
     });
 }
 
+#[needs("containers")]
 #[test]
 fn the_units_of_two_hosts_run_two_rooms_and_a_standby_replaces_a_stopped_controller() {
-    let Some(zenohd) = zenohd() else { return };
-    let Some(engine) = Engine::start() else { return };
-    let Some(()) = engine.import_base("systemd") else { return };
+    let zenohd = zenohd();
+    let engine = Engine::start();
+    engine.import_base("systemd");
     let (context, keys) = (built_programs(&zenohd), make_keys());
     engine.docker(&["network", "create", "cable"]);
     let hosts = ["host-a", "host-b"].map(|name| {
@@ -63,10 +65,8 @@ fn the_units_of_two_hosts_run_two_rooms_and_a_standby_replaces_a_stopped_control
     // Not every container can: it needs a file system with access control lists, or a mount of its own.
     let probe = "systemd-run --quiet --wait --collect -p DynamicUser=yes -p LoadCredential=probe:/etc/hostname \
                  sh -c 'cat $CREDENTIALS_DIRECTORY/probe' && echo readable || true";
-    if !hosts[0].shell(probe).contains("readable") {
-        println!("skipped: systemd in a container of this machine passes no credentials to a dynamic user");
-        return;
-    }
+    let is_readable = hosts[0].shell(probe).contains("readable");
+    assert!(is_readable, "systemd in a container of this machine passes no credentials to a dynamic user");
     for (host, name) in hosts.iter().zip(["A", "B"]) {
         let script = commands("on both hosts") + &commands(&format!("on host {name}"));
         // Root's own commands need no sudo, which the base image lacks.
@@ -102,11 +102,12 @@ fn the_units_of_two_hosts_run_two_rooms_and_a_standby_replaces_a_stopped_control
     }
 }
 
+#[needs("containers")]
 #[test]
 fn the_compose_file_runs_two_rooms_on_two_networks_and_a_cut_cable_parks_no_room_with_a_local_leader() {
-    let Some(zenohd) = zenohd() else { return };
-    let Some(engine) = Engine::start() else { return };
-    let Some(()) = engine.import_base("debian:bookworm-slim") else { return };
+    let zenohd = zenohd();
+    let engine = Engine::start();
+    engine.import_base("debian:bookworm-slim");
     let (context, folder) = (built_programs(&zenohd), make_keys());
     engine.build_images(context.path());
     let keys = folder.path().join("building-keys");

@@ -1,12 +1,13 @@
 //! The images and units of deploy/ in a container engine: they start, answer, restart and stop.
 //!
-//! A test that cannot run here says why, and passes; HELIOSTAT_REQUIRE_CONTAINERS makes that a failure.
+//! They run where HELIOSTAT_REQUIRE names `containers`: they take minutes, and a Debian mirror.
 //! The programs are those built beside this test: the images are built from a folder that holds them,
 //! as the head of the Containerfile describes. That the build compiles the programs is not tested.
 
 use std::path::{Path, PathBuf};
 
 use heliostat_bus::free_loopback_endpoint;
+use heliostat_needs::needs;
 use heliostat_tests::containers::{Engine, Host, built_programs, metric, zenohd};
 use heliostat_tests::{Process, wait_until};
 
@@ -29,11 +30,12 @@ fn order(engine: &Engine, command: &str, router: &str) -> String {
     ended.output + &ended.errors
 }
 
+#[needs("containers")]
 #[test]
 fn the_images_run_a_room_that_answers_and_stop_in_an_orderly_way() {
-    let Some(zenohd) = zenohd() else { return };
-    let Some(engine) = Engine::start() else { return };
-    let Some(()) = engine.import_base("debian:bookworm-slim") else { return };
+    let zenohd = zenohd();
+    let engine = Engine::start();
+    engine.import_base("debian:bookworm-slim");
     let context = built_programs(&zenohd);
     engine.build_images(context.path());
     let [router, of_controller, of_room] = [(); 3].map(|()| {
@@ -96,11 +98,12 @@ fn the_images_run_a_room_that_answers_and_stop_in_an_orderly_way() {
     engine.compose(&variables, &["down", "--volumes"]);
 }
 
+#[needs("containers")]
 #[test]
 fn the_units_start_restart_after_a_kill_and_stop_in_an_orderly_way() {
-    let Some(zenohd) = zenohd() else { return };
-    let Some(engine) = Engine::start() else { return };
-    let Some(()) = engine.import_base("systemd") else { return };
+    let zenohd = zenohd();
+    let engine = Engine::start();
+    engine.import_base("systemd");
     let context = built_programs(&zenohd);
     let host = Host::start(&engine, "host", "none", context.path());
     host.install(&root().join("deploy/rooms"), "/etc/heliostat/");

@@ -4,6 +4,7 @@
 use std::time::Duration;
 
 use heliostat_bus::{BusConfig, private_endpoint};
+use heliostat_needs::needs;
 use heliostat_proto::{ArrayState, MirrorCommand, MirrorTelemetry, Rearm, Room, Stamp, UserReport, UserState, encode};
 use heliostat_service::clock::utc_ns;
 use heliostat_tests::{Process, PythonExample, RoomObserver, python, wait_until};
@@ -64,9 +65,10 @@ fn a_check_of_an_empty_room_is_refused() {
     assert!(ended.refusal().contains("no driver in room \"empty\""), "{}", ended.errors);
 }
 
+#[needs("python-package")]
 #[test]
 fn a_driver_in_python_keeps_every_rule() {
-    let Some(python) = python() else { return };
+    let python = python();
     let endpoint = private_endpoint().unwrap();
     let _driver = python_driver(&python, "python", &[&endpoint]);
     let verdicts = check(&["--listen", &endpoint, "--room", "python"]);
@@ -96,9 +98,10 @@ fn acknowledges(telemetry: &MirrorTelemetry, command: &MirrorCommand) -> bool {
         && telemetry.yaw_commanded == command.yaw
 }
 
+#[needs("python-package")]
 #[test]
 fn a_driver_in_python_follows_the_controller() {
-    let Some(python) = python() else { return };
+    let python = python();
     let (of_controller, of_tracker) = (private_endpoint().unwrap(), private_endpoint().unwrap());
     // A busy machine delays the check of a command.
     let set = ["--set", "mirrors.rows=2", "--set", "mirrors.columns=3", "--set", "control.validity_ms=10000"];

@@ -5,6 +5,7 @@
 
 use std::time::Duration;
 
+use heliostat_needs::needs;
 use heliostat_tests::Process;
 use heliostat_tests::faults::Link;
 use serde_json::Value;
@@ -42,10 +43,9 @@ fn keys(host: &str) -> (TempDir, String) {
     (folder, keys)
 }
 
-/// Runs a simulated room in a namespace and a controller outside; `None`, with a message, where
-/// that is not possible and not required.
-fn run(protocol: &str, percent: u32) -> Option<Run> {
-    let link = Link::create()?;
+/// Runs a simulated room in a namespace and a controller outside.
+fn run(protocol: &str, percent: u32) -> Run {
+    let link = Link::create();
     let (_folder, keys) = keys(&link.address());
     let security = if protocol == "tcp" { vec!["--insecure"] } else { vec!["--tls", &keys] };
     let endpoint = format!("{protocol}/{}:7447", link.address());
@@ -56,24 +56,18 @@ fn run(protocol: &str, percent: u32) -> Option<Run> {
     let controller = ["controller", "--policy", "nearest", "--connect", &endpoint, "--exit-with-parent", "--json"];
     let _controller = Process::heliostat(&[&controller[..], &security].concat());
     std::thread::sleep(Duration::from_secs(2));
-    if percent > 0 && !link.lose(percent) {
-        assert!(
-            std::env::var_os("HELIOSTAT_REQUIRE_NETNS").is_none(),
-            "packets cannot be lost, which HELIOSTAT_REQUIRE_NETNS requires: install nftables"
-        );
-        println!("skipped: packets cannot be lost (this needs nft)");
-        return None;
-    }
-    Some(Run::of(&room.wait().json()))
+    assert!(percent == 0 || link.lose(percent), "packets cannot be lost");
+    Run::of(&room.wait().json())
 }
 
+#[needs("network-namespaces")]
 #[test]
 fn quic_answers_more_reports_than_tcp_on_a_network_that_loses_packets() {
     if std::env::var_os(TABLE).is_some() {
         println!("| transport | packets lost | ticks lost | loop p50 | loop p99 |");
         for percent in [0, 1, 3, 10] {
             for protocol in ["tcp", "tls", "quic"] {
-                let Some(Run { lost_percent, loop_p50_ms, loop_p99_ms }) = run(protocol, percent) else { return };
+                let Run { lost_percent, loop_p50_ms, loop_p99_ms } = run(protocol, percent);
                 println!(
                     "| {protocol} | {percent} % | {lost_percent:.1} % | {loop_p50_ms:.1} ms | {loop_p99_ms:.0} ms |"
                 );
@@ -81,7 +75,7 @@ fn quic_answers_more_reports_than_tcp_on_a_network_that_loses_packets() {
         }
         return;
     }
-    let (Some(tcp), Some(quic)) = (run("tcp", 10), run("quic", 10)) else { return };
+    let (tcp, quic) = (run("tcp", 10), run("quic", 10));
     println!("tcp {tcp:?}, quic {quic:?}");
     assert!(quic.lost_percent < 0.7 * tcp.lost_percent, "tcp {tcp:?}, quic {quic:?}");
     assert!(quic.loop_p99_ms < tcp.loop_p99_ms, "tcp {tcp:?}, quic {quic:?}");

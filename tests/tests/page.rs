@@ -8,6 +8,7 @@ use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::path::Path;
 
+use heliostat_needs::needs;
 use heliostat_proto::{ArrayState, NodeKind};
 use heliostat_tests::{Browser, Process, RoomObserver, choose_theme, wait_until};
 
@@ -146,10 +147,11 @@ const DRAWN: &str = "(selector, colours) => {
     return Array.from({ length: data.length / 4 }, (_, pixel) => 4 * pixel).filter(has).length;
 }";
 
+#[needs("browser")]
 #[test]
 fn every_button_acts_on_the_running_system() {
     let setting = Setting::new(&["--policy", "greedy", "--set", "blockage.forced_users=2"]);
-    let Some(browser) = Browser::open(&setting.url()) else { return };
+    let browser = Browser::open(&setting.url());
     let observer = &setting.observer;
     let policy = || observer.status(NodeKind::Controller).map(|status| status.policy).unwrap_or_default();
     let array = || observer.telemetry().expect("received before");
@@ -225,7 +227,7 @@ fn gauge(observer: &RoomObserver, name: &str) -> Option<f64> {
 #[ignore = "replaces the pictures in docs/images"]
 fn pictures_of_the_default_demo() {
     let setting = Setting::start(&["--scenario", "hall"]);
-    let browser = Browser::open(&setting.url()).expect("a browser");
+    let browser = Browser::open(&setting.url());
     wait_until("a page that shows the room", || browser.text("#chip-array") == "following");
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/images");
     std::fs::create_dir_all(&folder).expect("a folder for screenshots");

@@ -6,6 +6,7 @@ use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
+use heliostat_needs::needs;
 use heliostat_tests::{programs, wait_until};
 
 const TO_ALTERNATE_SCREEN: &str = "\u{1b}[?1049h";
@@ -23,8 +24,7 @@ struct Terminal {
 }
 
 impl Terminal {
-    /// `None` without the program `script`, unless CI requires it.
-    fn start() -> Option<Self> {
+    fn start() -> Self {
         let heliostat = programs().join("heliostat");
         let silent = TcpListener::bind(("127.0.0.1", 0)).expect("a free port");
         let endpoint = format!("tcp/{}", silent.local_addr().expect("bound"));
@@ -36,14 +36,7 @@ impl Terminal {
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn();
-        let mut script = match script {
-            Ok(script) => script,
-            Err(error) if std::env::var_os("CI").is_some() => panic!("script is required where CI is set: {error}"),
-            Err(error) => {
-                println!("skipped: script cannot be run: {error}");
-                return None;
-            }
-        };
+        let mut script = script.expect("script runs");
         let mut stdout = script.stdout.take().expect("piped");
         let output: Arc<Mutex<Vec<u8>>> = Arc::default();
         let kept = Arc::clone(&output);
@@ -53,7 +46,7 @@ impl Terminal {
                 kept.lock().expect("no reader panics").extend(&bytes[..count]);
             }
         });
-        Some(Self { script, output, _silent: silent })
+        Self { script, output, _silent: silent }
     }
 
     fn text(&self) -> String {
@@ -84,6 +77,7 @@ impl Drop for Terminal {
     }
 }
 
+#[needs("script")]
 #[test]
 fn the_terminal_is_restored_after_q_ctrl_c_and_sigterm() {
     type End = fn(&mut Terminal);
@@ -97,7 +91,7 @@ fn the_terminal_is_restored_after_q_ctrl_c_and_sigterm() {
         ("SIGTERM", by_signal),
     ];
     for (name, end) in ends {
-        let Some(mut terminal) = Terminal::start() else { return };
+        let mut terminal = Terminal::start();
         wait_until("the full-screen view", || terminal.text().contains("q quits"));
         assert!(terminal.text().contains(TO_ALTERNATE_SCREEN));
         end(&mut terminal);

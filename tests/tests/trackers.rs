@@ -7,6 +7,7 @@ use std::process::{Command, ExitStatus};
 use std::time::{Duration, Instant};
 
 use heliostat_bus::{BusConfig, private_endpoint};
+use heliostat_needs::needs;
 use heliostat_proto::{ArrayState, Room};
 use heliostat_tests::{Process, PythonExample, RoomObserver, python, wait_until};
 
@@ -20,9 +21,10 @@ fn end(example: &mut PythonExample) -> ExitStatus {
     status.expect("waited for")
 }
 
+#[needs("python-package")]
 #[test]
 fn a_controller_answers_a_tracker_in_python_whose_users_enter_and_leave() {
-    let Some(python) = python() else { return };
+    let python = python();
     let (of_controller, of_viewer) = (private_endpoint().unwrap(), private_endpoint().unwrap());
     let flags = ["controller", "--room", "tracked", "--listen", &of_controller, "--policy", "fixed-point"];
     let _controller = Process::heliostat(&[&flags[..], &["--set", "users.count=3", "--exit-with-parent"]].concat());
@@ -71,9 +73,10 @@ fn tutorial(file: &Path) -> (String, [String; 3]) {
     (page.replace("room.toml", file.to_str().expect("a plain path")), endpoints)
 }
 
+#[needs("python-package")]
 #[test]
 fn the_commands_of_the_tutorial_control_an_array() {
-    let Some(python) = python() else { return };
+    let python = python();
     let folder = tempfile::tempdir().expect("a folder");
     let (page, [of_controller, _, of_operator]) = tutorial(&folder.path().join("own.toml"));
     let words = |start: &str| -> Vec<String> {

@@ -267,6 +267,8 @@ impl Layout {
 
 /// The nominal equipment that a scenario names, and its prior.
 pub fn prior_of(scenario: &Scenario) -> Prior {
-    let level = if scenario.mismatch.is_none() { MismatchLevel::Rough } else { scenario.mismatch.level };
-    Prior::of_level(level)
+    match scenario.mismatch.level {
+        MismatchLevel::None => Prior::of_level(MismatchLevel::Rough),
+        level => Prior::of_level(level),
+    }
 }

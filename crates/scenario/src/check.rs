@@ -76,7 +76,8 @@ impl Scenario {
         count("led.points_per_side", self.led.points_per_side, 1..=64)?;
         count("led.positions_m (panels)", self.led.positions_m.len(), 1..=64)?;
         let unknown = &self.mismatch.unknown_leds_m;
-        count("mismatch.unknown_leds_m", unknown.len(), 0..=64 - self.led.positions_m.len())?;
+        let leds = self.led.positions_m.len() + unknown.len();
+        count("mismatch.unknown_leds_m (with led.positions_m)", leds, 1..=64)?;
         if !unknown.is_empty() && !self.streams.channel.leds.is_none() {
             return invalid(
                 "mismatch.unknown_leds_m",

@@ -78,10 +78,14 @@ pub enum ScenarioError {
 }
 
 impl ScenarioError {
-    /// The message in one line. Of a parser's message this is the last line, which gives the reason.
+    /// The message in one line. Of a parser's message this is the last line that gives a reason; lines
+    /// after it name the tables that hold the value.
     pub fn in_one_line(&self) -> String {
         match self {
-            Self::Parse { origin, message } => format!("{origin}: {}", message.lines().last().unwrap_or_default()),
+            Self::Parse { origin, message } => {
+                let reason = message.lines().rfind(|line| !line.starts_with("in `")).unwrap_or_default();
+                format!("{origin}: {reason}")
+            }
             other => other.to_string(),
         }
     }

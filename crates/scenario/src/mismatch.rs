@@ -108,9 +108,13 @@ pub struct Spreads {
 }
 
 impl Mismatch {
-    /// Whether the true room is the assumed one.
-    pub fn is_none(&self) -> bool {
-        self.level == MismatchLevel::None && self.unknown_leds_m.is_empty()
+    /// The first key by which the true room differs from the assumed one.
+    pub fn key(&self) -> Option<&'static str> {
+        match (self.level, self.unknown_leds_m.is_empty()) {
+            (MismatchLevel::None, true) => None,
+            (MismatchLevel::None, false) => Some("mismatch.unknown_leds_m"),
+            _ => Some("mismatch.level"),
+        }
     }
 
     /// The spreads of the chosen kinds; those of the other kinds are 0.

@@ -240,5 +240,13 @@ mod tests {
         assert!(texts(broken, &["users.count=5", "room.height_m=3"]).is_empty());
         let malformed = texts(sound, &["users.count"]);
         assert!(malformed.len() == 1 && malformed[0].contains("users.count"), "{malformed:?}");
+        for (refused, reason) in [
+            ("streams.channel.leds=all", "expected one of `none`, `serving`, `gains`"),
+            ("mismatch.unknown_leds_m=[[0,0]]", "invalid length 2"),
+            ("users.count=many", "expected usize"),
+        ] {
+            let problems = texts(sound, &[refused]);
+            assert!(problems.len() == 1 && problems[0].contains(reason), "{refused}: {problems:?}");
+        }
     }
 }

@@ -2,6 +2,7 @@
 
 use std::process::{Command, Output};
 
+use heliostat_needs::needs;
 use serde_json::Value;
 
 /// The arguments, in the small room of the studies unless they name another.
@@ -438,17 +439,9 @@ fn a_table_states_its_episodes_and_warns_where_they_are_few_or_an_interval_reach
     assert_eq!((&of_states["states"], &of_states["episodes"]), (&3.into(), &6.into()));
 }
 
+#[needs("numpy")]
 #[test]
 fn a_function_in_python_is_compared_with_the_built_in_policies_state_by_state() {
-    let python = std::env::var("HELIOSTAT_PYTHON").unwrap_or_else(|_| "python3".into());
-    if Command::new(&python).args(["-c", "import numpy"]).output().map_or(true, |run| !run.status.success()) {
-        assert!(
-            std::env::var_os("HELIOSTAT_REQUIRE_PYTHON").is_none(),
-            "{python} cannot import numpy, which is required where HELIOSTAT_REQUIRE_PYTHON is set"
-        );
-        eprintln!("skipped: {python} cannot import numpy (HELIOSTAT_PYTHON names another)");
-        return;
-    }
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("mine.py");
     std::fs::write(

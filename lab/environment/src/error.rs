@@ -26,10 +26,10 @@ pub enum EnvironmentError {
     Arrivals,
     /// The true room differs from the assumed one, where a learner sees the true one.
     #[error(
-        "mismatch.level: training and held-out states show the true room to the policy; expected \"none\", or \
-         measure the mismatch with `heliostat-lab eval --closed-loop`"
+        "{0}: training and held-out states show the true room to the policy; expected no mismatch, or measure it with \
+         `heliostat-lab eval --closed-loop`"
     )]
-    Mismatch,
+    Mismatch(&'static str),
     /// The array refused a command.
     #[error("the array refused a command: {0:?}; this is a fault of the environment, please report it")]
     Refused(Refusal),

@@ -187,7 +187,7 @@ pub fn check_known(scenario: &Scenario) -> Result<(), EnvironmentError> {
     if scenario.users.arrivals.is_some() {
         return Err(EnvironmentError::Arrivals);
     }
-    if scenario.mismatch.is_none() { Ok(()) } else { Err(EnvironmentError::Mismatch) }
+    scenario.mismatch.key().map_or(Ok(()), |key| Err(EnvironmentError::Mismatch(key)))
 }
 
 /// Copies the true state of a world into an observation of the same size.

@@ -195,6 +195,8 @@ fn actions_and_settings_outside_their_domain_are_refused_and_change_nothing() {
     assert!(refused(TaskSettings { settle_s: f64::NAN, ..known }).contains("settle_s = NaN"));
     let unknown = scenario("specular", &["mismatch.level=rough"]);
     assert!(refused(TaskSettings::of_true_state(unknown)).contains("mismatch.level"));
+    let unknown = scenario("specular", &["mismatch.unknown_leds_m=[[1,1,3]]"]);
+    assert!(refused(TaskSettings::of_true_state(unknown)).contains("mismatch.unknown_leds_m"));
 }
 
 #[test]

@@ -1,28 +1,9 @@
-//! The tests that need the library of ONNX Runtime.
-//!
-//! Without it they say so and pass; where `HELIOSTAT_REQUIRE_ONNXRUNTIME` is set, they fail.
+//! Graphs that only ONNX Runtime runs.
 
 use heliostat_core::observation::{OBSERVATION_VERSION, ObservationEncoder};
 use heliostat_core::policy::actor_file::{ActorFile, INPUT_NAME, OUTPUT_NAME, key};
-use heliostat_models::load_actor_on_onnxruntime;
 use heliostat_onnx::graph::{Ends, Graph};
 use heliostat_scenario::Scenario;
-
-/// Whether the library is absent. Prints that the test is left out.
-///
-/// # Panics
-/// If it is required.
-pub fn is_absent(file: &ActorFile, scenario: &Scenario) -> bool {
-    let refusal = match load_actor_on_onnxruntime(file, scenario) {
-        Ok(_) => return false,
-        Err(refusal) => refusal.to_string(),
-    };
-    assert!(refusal.contains("pip install onnxruntime"), "{refusal}");
-    let required = std::env::var_os("HELIOSTAT_REQUIRE_ONNXRUNTIME").is_some_and(|value| value == "1");
-    assert!(!required, "HELIOSTAT_REQUIRE_ONNXRUNTIME is set, and {refusal}");
-    println!("ignored: {refusal}");
-    true
-}
 
 /// A graph that is not dense: one operator on 0.25 in each output.
 pub struct Operator(&'static str);

@@ -22,7 +22,7 @@ const SEMI_ANGLE_MAX_DEG: f64 = 89.0;
 /// far from walls and ceiling as the nominal ones.
 pub fn true_room(nominal: &Scenario, seed: u64) -> Scenario {
     let mut room = nominal.clone();
-    if nominal.mismatch.is_none() {
+    if nominal.mismatch.key().is_none() {
         return room;
     }
     let spreads = nominal.mismatch.spreads();

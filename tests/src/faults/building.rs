@@ -56,14 +56,13 @@ pub struct Building {
 }
 
 impl Building {
-    /// Starts everything, and waits until the array follows and a standby stands by. `None`, with a
-    /// message, where namespaces or `zenohd` are missing and not required.
+    /// Starts everything, and waits until the array follows and a standby stands by.
     ///
     /// # Panics
     /// When the array does not follow within the time limit.
-    pub fn start() -> Option<Self> {
-        let zenohd = zenohd()?;
-        let hosts = [Link::create()?, Link::create()?];
+    pub fn start() -> Self {
+        let zenohd = zenohd();
+        let hosts = [Link::create(), Link::create()];
         let cable = Cable::between(&hosts[0], &hosts[1]);
         let folder = tempfile::tempdir().expect("a folder");
         make_keys(folder.path(), &hosts, &cable);
@@ -88,7 +87,7 @@ impl Building {
         });
         let mut building = Self { witness, cable, rooms: rooms.into(), started_ns, routers, zenohd, folder, hosts };
         building.settle(Host::A);
-        Some(building)
+        building
     }
 
     /// Lets a fault happen, and waits until the array of the first room follows again. Before the fault

@@ -148,8 +148,8 @@ Measured on MACHINE. The tests write this page:
 HELIOSTAT_WRITE_FAULTS=1 HELIOSTAT_FAULT_RUNS=3 cargo test --release -p heliostat-tests --test faults
 ```
 
-Faults in network namespaces need root, and shifted clocks a C compiler; these tests are skipped where these are missing.
-`HELIOSTAT_REQUIRE_NETNS=1` and `HELIOSTAT_REQUIRE_CXX=1` make their absence a failure. `tests/tests/frozen_viewers.rs` has sharper bounds
+Faults in network namespaces need root, and shifted clocks a C compiler; these tests are ignored where these are missing.
+`HELIOSTAT_REQUIRE=network-namespaces,cc` makes their absence a failure. `tests/tests/frozen_viewers.rs` has sharper bounds
 for frozen viewers: at most one lost command more than 1.5 times those lost before, a median stop within 100 ms, and each stop within 1 s.
 In the group *Two hosts* each host is a network namespace with a router (`zenohd`), two rooms have TLS and access control, and all processes are
 clients of the router of their host. Array and leader of the measured room are on host A, its standby is on host B; the second room is the other way round.

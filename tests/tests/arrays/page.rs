@@ -1,6 +1,7 @@
 //! The live page of a room with two arrays, in a browser.
 
 use heliostat_bus::{Bus, BusConfig, Class, private_endpoint};
+use heliostat_needs::needs;
 use heliostat_proto::Room;
 use heliostat_service::Stop;
 use heliostat_tests::{Browser, PageServer, Process, wait_until};
@@ -26,12 +27,13 @@ fn shown(browser: &Browser, what: &str) -> Value {
     browser.run(&format!("const room = document.getElementById('room').room; return {what}"))
 }
 
+#[needs("browser")]
 #[test]
 fn both_arrays_are_drawn_and_obey_the_buttons_of_the_page() {
     let folder = tempfile::tempdir().expect("a folder");
     let (_sim, _controller, [of_sim, of_controller]) = simulated("drawn", folder.path());
     let server = page("drawn", &[&of_sim, &of_controller]);
-    let Some(browser) = Browser::open(&server.url()) else { return };
+    let browser = Browser::open(&server.url());
     wait_until("two arrays that follow", || arrays(&browser) == (true, "following".into()));
     wait_until("a drawn room", || shown(&browser, "room.frames > 3") == true);
     assert_eq!(shown(&browser, "room.view.content.plan.arrays"), json!([6, 8]));
@@ -56,6 +58,7 @@ fn both_arrays_are_drawn_and_obey_the_buttons_of_the_page() {
     assert_eq!(browser.console_errors(), Vec::<String>::new());
 }
 
+#[needs("browser")]
 #[test]
 fn the_page_names_the_array_whose_driver_has_left() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -87,7 +90,7 @@ fn the_page_names_the_array_whose_driver_has_left() {
             }
         });
         let server = page("shown", &[first, second, of_controller]);
-        let Some(browser) = Browser::open(&server.url()) else { return };
+        let browser = Browser::open(&server.url());
         wait_until("two arrays that follow", || arrays(&browser) == (true, "following".into()));
         let unusable = || shown(&browser, "room.motion.to?.unusable");
         wait_until("a frame in which every mirror is usable", || unusable() == json!([]));

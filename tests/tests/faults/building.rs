@@ -1,5 +1,6 @@
 //! Two hosts with a router each: processes, routers and the link between them fail.
 
+use heliostat_needs::needs;
 use heliostat_tests::faults::{Building, Effect, Host};
 
 use crate::{measure, wait_s};
@@ -7,22 +8,18 @@ use crate::{measure, wait_s};
 /// Time after which a service manager starts a process again, `RestartSec` of the units.
 const RESTART_S: f64 = 1.0;
 
-/// Measures a fault in a building of its own; skipped where none can be made.
+/// Measures a fault in a building of its own.
 fn in_building(test: &str, fault: impl Fn(&mut Building)) {
-    if let Some(building) = Building::start() {
-        let mut first = Some(building);
-        measure(test, || -> Effect {
-            let mut building = first.take().or_else(Building::start).expect("a building could be made before");
-            building.undergo(Host::A, &fault)
-        });
-    }
+    measure(test, || -> Effect { Building::start().undergo(Host::A, &fault) });
 }
 
+#[needs("router", "network-namespaces")]
 #[test]
 fn the_standby_of_the_other_host_replaces_a_killed_controller() {
     in_building("the_standby_of_the_other_host_replaces_a_killed_controller", |building| building.leader().kill());
 }
 
+#[needs("router", "network-namespaces")]
 #[test]
 fn the_standby_of_the_other_host_replaces_a_frozen_controller() {
     in_building("the_standby_of_the_other_host_replaces_a_frozen_controller", |building| {
@@ -32,11 +29,13 @@ fn the_standby_of_the_other_host_replaces_a_frozen_controller() {
     });
 }
 
+#[needs("router", "network-namespaces")]
 #[test]
 fn a_killed_standby_does_not_disturb_the_room() {
     in_building("a_killed_standby_does_not_disturb_the_room", |building| building.standby().kill());
 }
 
+#[needs("router", "network-namespaces")]
 #[test]
 fn a_frozen_standby_does_not_disturb_the_room() {
     in_building("a_frozen_standby_does_not_disturb_the_room", |building| {
@@ -46,6 +45,7 @@ fn a_frozen_standby_does_not_disturb_the_room() {
     });
 }
 
+#[needs("router", "network-namespaces")]
 #[test]
 fn a_killed_array_is_served_again_through_its_router() {
     in_building("a_killed_array_is_served_again_through_its_router", |building| {
@@ -55,6 +55,7 @@ fn a_killed_array_is_served_again_through_its_router() {
     });
 }
 
+#[needs("router", "network-namespaces")]
 #[test]
 fn a_frozen_array_is_served_again_through_its_router() {
     in_building("a_frozen_array_is_served_again_through_its_router", |building| {
@@ -64,6 +65,7 @@ fn a_frozen_array_is_served_again_through_its_router() {
     });
 }
 
+#[needs("router", "network-namespaces")]
 #[test]
 fn the_room_follows_again_after_its_router_was_killed() {
     in_building("the_room_follows_again_after_its_router_was_killed", |building| {
@@ -73,6 +75,7 @@ fn the_room_follows_again_after_its_router_was_killed() {
     });
 }
 
+#[needs("router", "network-namespaces")]
 #[test]
 fn the_room_follows_again_after_its_router_was_frozen() {
     in_building("the_room_follows_again_after_its_router_was_frozen", |building| {
@@ -82,6 +85,7 @@ fn the_room_follows_again_after_its_router_was_frozen() {
     });
 }
 
+#[needs("router", "network-namespaces")]
 #[test]
 fn a_killed_router_of_the_other_host_does_not_disturb_the_room() {
     in_building("a_killed_router_of_the_other_host_does_not_disturb_the_room", |building| {
@@ -91,6 +95,7 @@ fn a_killed_router_of_the_other_host_does_not_disturb_the_room() {
     });
 }
 
+#[needs("router", "network-namespaces")]
 #[test]
 fn a_frozen_router_of_the_other_host_does_not_disturb_the_room() {
     in_building("a_frozen_router_of_the_other_host_does_not_disturb_the_room", |building| {
@@ -100,6 +105,7 @@ fn a_frozen_router_of_the_other_host_does_not_disturb_the_room() {
     });
 }
 
+#[needs("router", "network-namespaces")]
 #[test]
 fn the_loss_of_the_other_host_does_not_disturb_the_room() {
     in_building("the_loss_of_the_other_host_does_not_disturb_the_room", |building| {
@@ -109,6 +115,7 @@ fn the_loss_of_the_other_host_does_not_disturb_the_room() {
     });
 }
 
+#[needs("router", "network-namespaces")]
 #[test]
 fn a_cut_link_between_the_hosts_does_not_disturb_a_room_whose_leader_is_local() {
     in_building("a_cut_link_between_the_hosts_does_not_disturb_a_room_whose_leader_is_local", |building| {
@@ -118,6 +125,7 @@ fn a_cut_link_between_the_hosts_does_not_disturb_a_room_whose_leader_is_local() 
     });
 }
 
+#[needs("router", "network-namespaces")]
 #[test]
 fn a_link_cut_beyond_the_lease_does_not_disturb_a_room_whose_leader_is_local() {
     in_building("a_link_cut_beyond_the_lease_does_not_disturb_a_room_whose_leader_is_local", |building| {
@@ -128,6 +136,7 @@ fn a_link_cut_beyond_the_lease_does_not_disturb_a_room_whose_leader_is_local() {
     });
 }
 
+#[needs("router", "network-namespaces")]
 #[test]
 fn lost_packets_between_the_hosts_do_not_disturb_a_room_whose_leader_is_local() {
     in_building("lost_packets_between_the_hosts_do_not_disturb_a_room_whose_leader_is_local", |building| {
@@ -140,7 +149,7 @@ fn lost_packets_between_the_hosts_do_not_disturb_a_room_whose_leader_is_local() 
 #[test]
 fn a_local_standby_takes_over_when_the_link_to_the_host_of_the_leader_is_cut() {
     let test = "a_local_standby_takes_over_when_the_link_to_the_host_of_the_leader_is_cut";
-    let Some(building) = Building::start() else { return };
+    let building = Building::start();
     let mut first = Some(building);
     measure(test, || {
         let mut building = first.take().or_else(Building::start).expect("a building could be made before");
@@ -155,7 +164,7 @@ fn a_local_standby_takes_over_when_the_link_to_the_host_of_the_leader_is_cut() {
 #[test]
 fn a_local_standby_takes_over_when_the_host_of_the_leader_is_lost() {
     let test = "a_local_standby_takes_over_when_the_host_of_the_leader_is_lost";
-    let Some(building) = Building::start() else { return };
+    let building = Building::start();
     let mut first = Some(building);
     measure(test, || {
         let mut building = first.take().or_else(Building::start).expect("a building could be made before");

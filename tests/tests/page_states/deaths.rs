@@ -1,5 +1,6 @@
 //! Processes that die: nothing on the page may look current afterwards.
 
+use heliostat_needs::needs;
 use heliostat_tests::{Browser, wait_until};
 use serde_json::Value;
 
@@ -15,10 +16,11 @@ fn is_stale(browser: &Browser, part: &str) -> bool {
     browser.run(&format!("return document.getElementById('{part}').classList.contains('stale')")) == true
 }
 
+#[needs("browser")]
 #[test]
 fn a_process_that_dies_leaves_no_green_state_and_no_current_figure() {
     let mut setting = Setting::new();
-    let Some(browser) = setting.browser(&[]) else { return };
+    let browser = setting.browser(&[]);
     wait_until("green states", || green(&browser).len() == 2);
     assert!(!is_stale(&browser, "room-card") && !is_stale(&browser, "times") && banner(&browser).is_empty());
     let sentence = browser.text("#sentence");
@@ -44,10 +46,11 @@ fn a_process_that_dies_leaves_no_green_state_and_no_current_figure() {
     }
 }
 
+#[needs("browser")]
 #[test]
 fn the_last_picture_stays_when_the_process_of_the_room_ends() {
     let mut setting = Setting::new();
-    let Some(browser) = setting.browser(&[]) else { return };
+    let browser = setting.browser(&[]);
     browser.run("window.loaded_before = true");
     let users = "return document.getElementById('room').room.motion.to?.users.length ?? 0";
     let shown = browser.run(users);
@@ -64,20 +67,22 @@ fn the_last_picture_stays_when_the_process_of_the_room_ends() {
     assert_eq!((browser.run("return window.loaded_before"), browser.run(users)), (Value::Bool(true), shown));
 }
 
+#[needs("browser")]
 #[test]
 fn the_death_of_the_server_alone_makes_everything_stale() {
     let mut setting = Setting::new();
-    let Some(browser) = setting.browser(&[]) else { return };
+    let browser = setting.browser(&[]);
     setting.server.kill();
     wait_until("a banner", || banner(&browser).contains("No connection to the server"));
     wait_until("no green state", || green(&browser).is_empty());
     assert!(browser.text("#sentence").contains("unknown"), "{}", browser.text("#sentence"));
 }
 
+#[needs("browser")]
 #[test]
 fn another_server_on_the_same_port_reloads_the_page() {
     let mut setting = Setting::new();
-    let Some(browser) = setting.browser(&[]) else { return };
+    let browser = setting.browser(&[]);
     browser.run("window.loaded_before = true");
     setting.server.kill();
     wait_until("a banner", || banner(&browser).contains("No connection"));

@@ -2,6 +2,7 @@
 
 use std::time::{Duration, Instant};
 
+use heliostat_needs::needs;
 use heliostat_tests::{Browser, wait_until};
 
 use crate::setting::{Setting, banner, is_live};
@@ -15,10 +16,11 @@ fn order(browser: &Browser, order: &str) {
     browser.run(&script);
 }
 
+#[needs("browser")]
 #[test]
 fn the_banner_says_whether_the_array_confirmed_a_stop() {
     let setting = Setting::new();
-    let Some(browser) = setting.browser(&[]) else { return };
+    let browser = setting.browser(&[]);
     browser.click("#stop");
     wait_until("a confirmation", || banner(&browser).contains("has confirmed the stop"));
     assert_eq!(browser.text("#chip-array"), "stopped");
@@ -47,10 +49,11 @@ fn the_banner_says_whether_the_array_confirmed_a_stop() {
     wait_until("a late confirmation", || banner(&browser).contains("has confirmed the stop"));
 }
 
+#[needs("browser")]
 #[test]
 fn a_stop_without_an_array_is_answered_at_once_and_a_rearm_keeps_the_warning() {
     let mut setting = Setting::new();
-    let Some(browser) = setting.browser(&[]) else { return };
+    let browser = setting.browser(&[]);
     setting.room.kill();
     wait_until("an array that has left", || browser.text("#chip-array").starts_with("no report for"));
     let status = || browser.text("#order-status");
@@ -77,10 +80,11 @@ fn a_stop_without_an_array_is_answered_at_once_and_a_rearm_keeps_the_warning() {
     assert_eq!(status(), format!("re-arm: {absent}"));
 }
 
+#[needs("browser")]
 #[test]
 fn a_refused_order_is_shown_as_refused_until_another_takes_effect() {
     let setting = Setting::new();
-    let Some(browser) = setting.browser(&[]) else { return };
+    let browser = setting.browser(&[]);
     let status = || browser.text("#order-status");
     order(&browser, r#"{ order: "policy", name: "clairvoyant" }"#);
     wait_until("a refusal with its reason", || {

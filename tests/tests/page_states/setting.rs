@@ -28,11 +28,11 @@ impl Setting {
     }
 
     /// A browser that shows the running room.
-    pub fn browser(&self, flags: &[&str]) -> Option<Browser> {
-        let browser = Browser::open_with(&self.server.url(), flags)?;
+    pub fn browser(&self, flags: &[&str]) -> Browser {
+        let browser = Browser::open_with(&self.server.url(), flags);
         wait_until("a page that shows the room", || is_live(&browser));
         wait_until("a drawn room", || drawn(&browser) > 3);
-        Some(browser)
+        browser
     }
 
     /// Starts another server on the port of the one that was killed.

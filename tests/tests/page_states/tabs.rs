@@ -1,13 +1,15 @@
 //! Several tabs of one browser, and of several rooms below one host.
 
+use heliostat_needs::needs;
 use heliostat_tests::wait_until;
 
 use crate::setting::{Setting, is_live};
 
+#[needs("browser")]
 #[test]
 fn seven_tabs_share_one_stream_and_each_sends_orders() {
     let setting = Setting::new();
-    let Some(browser) = setting.browser(&[]) else { return };
+    let browser = setting.browser(&[]);
     let first = browser.tab();
     let tabs: Vec<String> = (0..6).map(|_| browser.open_tab(&setting.server.url())).collect();
     for tab in [&first, &tabs[0], &tabs[5]] {
@@ -23,10 +25,11 @@ fn seven_tabs_share_one_stream_and_each_sends_orders() {
     assert_eq!(browser.console_errors().iter().filter(|error| !error.contains("422")).count(), 0);
 }
 
+#[needs("browser")]
 #[test]
 fn more_rooms_than_a_host_has_connections_for_are_polled_and_receive_orders() {
     let setting = Setting::new();
-    let Some(browser) = setting.browser(&[]) else { return };
+    let browser = setting.browser(&[]);
     // Pages of other rooms of this host announce their streams in the same way.
     browser.run(
         "window.rooms = [1, 2, 3, 4].map((room) => { const channel = new BroadcastChannel('heliostat-streams'); \

@@ -2,15 +2,17 @@
 
 use std::collections::BTreeSet;
 
+use heliostat_needs::needs;
 use heliostat_tests::{choose_theme, wait_until};
 use serde_json::Value;
 
 use crate::setting::{Setting, drawn};
 
+#[needs("browser")]
 #[test]
 fn the_camera_keeps_its_place_while_pictures_are_drawn() {
     let setting = Setting::new();
-    let Some(browser) = setting.browser(&[]) else { return };
+    let browser = setting.browser(&[]);
     let eye = || browser.run("return document.getElementById('room').room.view.eye");
     let before = eye();
     browser.press("#room", "\u{E012}\u{E013}+");
@@ -31,10 +33,11 @@ fn the_camera_keeps_its_place_while_pictures_are_drawn() {
     wait_until("another view", || eye() != turned);
 }
 
+#[needs("browser")]
 #[test]
 fn users_who_are_present_have_different_colours_and_keep_them() {
     let setting = Setting::with(&["--set", "users.count=17"]);
-    let Some(browser) = setting.browser(&[]) else { return };
+    let browser = setting.browser(&[]);
     let swatches = "return [...document.querySelectorAll('#users .swatch')].map((swatch) => swatch.style.background)";
     let colours = || -> Vec<String> { serde_json::from_value(browser.run(swatches)).expect("a list of texts") };
     wait_until("all users", || colours().len() == 17);
@@ -56,11 +59,12 @@ fn users_who_are_present_have_different_colours_and_keep_them() {
     assert_eq!(found, serde_json::json!([64, 64, true, true]));
 }
 
+#[needs("browser")]
 #[test]
 fn the_switches_show_what_the_one_channel_model_computes() {
     // Users who stand: figures and frames of different instants then agree.
     let setting = Setting::with(&["--set", "blockage.forced_users=2"]);
-    let Some(browser) = setting.browser(&[]) else { return };
+    let browser = setting.browser(&[]);
     browser.click("#speed [data-value='0']");
     let without = "const { to } = document.getElementById('room').room.motion; \
                    return to.users.reduce((sum, user) => sum + user.without_mirrors_mbps, 0)";
@@ -93,10 +97,11 @@ fn the_switches_show_what_the_one_channel_model_computes() {
     wait_until("paths", || browser.run("return document.getElementById('room').room.motion.paths.size") == 5);
 }
 
+#[needs("browser")]
 #[test]
 fn an_outage_lasts_from_a_rate_below_the_minimum_to_the_next_one_above_it() {
     let setting = Setting::new();
-    let Some(browser) = setting.browser(&[]) else { return };
+    let browser = setting.browser(&[]);
     let script = "return import('/outages.js').then(({ Outages }) => { \
            const outages = new Outages(); \
            const at = (time_s, rate_mbps) => \
@@ -120,10 +125,11 @@ fn an_outage_lasts_from_a_rate_below_the_minimum_to_the_next_one_above_it() {
     assert_eq!(browser.run(script), serde_json::json!([3, 2, 3.8, 4]));
 }
 
+#[needs("browser")]
 #[test]
 fn the_fairness_index_is_that_of_the_rates_in_the_table() {
     let setting = Setting::with(&["--set", "blockage.forced_users=2"]);
-    let Some(browser) = setting.browser(&[]) else { return };
+    let browser = setting.browser(&[]);
     let script = "return import('/fairness.js').then(({ jain }) => \
            [jain([5, 5, 5, 5]), jain([8, 0, 0, 0]), jain([1, 2, 3]), jain([0, 0]), jain([]), jain([2, null])])";
     assert_eq!(browser.run(script), serde_json::json!([1, 0.25, 36.0 / 42.0, 1, null, null]));
@@ -139,10 +145,11 @@ fn the_fairness_index_is_that_of_the_rates_in_the_table() {
     });
 }
 
+#[needs("browser")]
 #[test]
 fn the_sentence_says_what_is_unknown() {
     let setting = Setting::new();
-    let Some(browser) = setting.browser(&[]) else { return };
+    let browser = setting.browser(&[]);
     let sentence = |now: &str, age: f64| {
         let script = format!(
             "return import('/sentence.js').then(({{ sentence }}) => {{ \
@@ -184,10 +191,11 @@ fn the_sentence_says_what_is_unknown() {
     assert!(sentence("null", 0.0).starts_with("Waiting"));
 }
 
+#[needs("browser")]
 #[test]
 fn a_browser_without_webgl_shows_a_plan() {
     let setting = Setting::new();
-    let Some(browser) = setting.browser(&["--disable-gpu", "--disable-3d-apis"]) else { return };
+    let browser = setting.browser(&["--disable-gpu", "--disable-3d-apis"]);
     assert_eq!(browser.run("return document.documentElement.dataset.view"), "2d");
     let first = drawn(&browser);
     wait_until("more pictures", || drawn(&browser) > first + 5);
@@ -198,10 +206,11 @@ fn a_browser_without_webgl_shows_a_plan() {
     assert_eq!(browser.console_errors(), Vec::<String>::new());
 }
 
+#[needs("browser")]
 #[test]
 fn the_page_fits_a_phone_and_a_desktop_in_light_and_dark_without_errors() {
     let setting = Setting::new();
-    let Some(browser) = setting.browser(&[]) else { return };
+    let browser = setting.browser(&[]);
     for (width, height) in [(390, 844), (1280, 800), (1920, 1080)] {
         browser.resize(width, height);
         for theme in ["light", "dark"] {

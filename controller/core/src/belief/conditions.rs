@@ -4,7 +4,7 @@
 use std::fmt;
 
 use heliostat_channel::ChannelModel;
-use heliostat_scenario::{self as scenario, MobilityModel, Scenario};
+use heliostat_scenario::{self as scenario, MismatchLevel, MobilityModel, Scenario};
 use serde::Serialize;
 
 use crate::belief::{body::Body, channel_evidence::SPREAD_OF_DIRECT, tilt};
@@ -52,11 +52,18 @@ pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
         ),
         "decisions between fall back to modelled gains, which know no blocked path; raise control.report_age_max_ms, or the rate",
     );
+    let mismatch = &scenario.mismatch;
     add(
-        scenario.mismatch.is_none(),
+        mismatch.level == MismatchLevel::None,
         "the channel model of belief and policies",
-        mismatch(scenario),
+        format!("mismatch.level = \"{}\"", mismatch.level.name()),
         "they assume the nominal room, and the oracle knows the true one, so ratios are lower; calibrate the mirrors",
+    );
+    add(
+        mismatch.unknown_leds_m.is_empty(),
+        "the channel model of belief and policies",
+        format!("LEDs that the controller does not know: {} in mismatch.unknown_leds_m", mismatch.unknown_leds_m.len()),
+        "their light counts as another heading or LED, so ratios are lower; name each LED in led.positions_m",
     );
     if scenario.control.belief != scenario::Belief::Filter {
         let because = format!("control.belief = \"{}\"", scenario.control.belief);
@@ -103,13 +110,6 @@ pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
 }
 
 /// The branches of a receiver in a few words.
-fn mismatch(scenario: &Scenario) -> String {
-    match scenario.mismatch.unknown_leds_m.len() {
-        0 => format!("mismatch.level = \"{}\"", scenario.mismatch.level.name()),
-        unknown => format!("LEDs that the controller does not know: {unknown} in mismatch.unknown_leds_m"),
-    }
-}
-
 fn receiver(model: &ChannelModel) -> String {
     match &model.receiver.branches[..] {
         [only] if only.normal == heliostat_channel::Vec3::z() => {
@@ -148,6 +148,7 @@ mod tests {
             let found = of(&[change]);
             assert!(found.len() == 1 && found[0].contains(key), "{change}: {found:?}");
         }
+        assert_eq!(of(&["mismatch.level=rough", "mismatch.unknown_leds_m=[[1,1,3]]"]).len(), 2);
         assert_eq!(of(&["control.belief=none", "blockage.bodies=false"]).len(), 1, "no filter, no methods");
     }
 }

@@ -44,7 +44,7 @@ impl Exact {
             roll: axis,
             yaw: axis,
             feedback: Feedback::ClosedLoop,
-            park_after_ms: 3000,
+            park_after_ms: 1000,
             ..Capabilities::default()
         };
         Self { capabilities, angles: MirrorAngles::flat(3), turns: u32::MAX }

@@ -95,7 +95,8 @@ fn a_room_with_keys_answers_reports_and_only_an_operator_releases_a_stop() {
     wait_until("an array that follows", || state() == Some(ArrayState::Following));
 
     let viewers_folder = keys.of("viewer");
-    let order = |name: &str, keys: &Keys| run(&[name, "--tls", keys.path(), "--connect", &room, "--json"]);
+    let order =
+        |name: &str, keys: &Keys| run(&[name, "--tls", keys.path(), "--connect", &room, "--timeout", "60", "--json"]);
     assert_eq!(order("stop", &viewers_folder).json()["array"], "stopped");
     wait_until("a stopped array", || state() == Some(ArrayState::Stopped));
 
@@ -163,7 +164,9 @@ fn a_plain_process_gets_nothing_from_a_room_with_keys() {
     assert!(stranger.status(NodeKind::SimNode).is_none() && stranger.truth().is_none());
     let viewer = keys.observer(AccessRole::Viewer, &[&room, &controller]);
     viewer.wait_for_commands();
-    assert_eq!(viewer.telemetry().map(|array| array.state), Some(ArrayState::Following));
+    wait_until("an array that follows", || {
+        viewer.telemetry().is_some_and(|array| array.state == ArrayState::Following)
+    });
 }
 
 #[test]

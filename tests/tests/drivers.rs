@@ -11,7 +11,7 @@ use serde_json::Value;
 
 /// The example driver of 2 x 3 mirrors.
 fn python_driver(python: &str, room: &str, endpoints: &[&str]) -> PythonExample {
-    let own = ["--room", room, "--rows", "2", "--columns", "3", "--seconds", "60"];
+    let own = ["--room", room, "--rows", "2", "--columns", "3", "--seconds", "600"];
     let connect = endpoints.iter().flat_map(|endpoint| ["--connect", endpoint]);
     PythonExample::start(python, "driver.py", &own.into_iter().chain(connect).collect::<Vec<_>>())
 }
@@ -31,6 +31,9 @@ fn check(arguments: &[&str]) -> Vec<(String, String)> {
 fn the_simulated_array_keeps_every_rule() {
     let endpoint = private_endpoint().unwrap();
     let _room = Process::heliostat(&["sim-node", "--room", "sim", "--listen", &endpoint, "--exit-with-parent"]);
+    // The check waits for a driver for some seconds only.
+    let observer = RoomObserver::connect("sim", &[&endpoint]);
+    wait_until("telemetry", || observer.telemetry().is_some());
     let verdicts = check(&["--connect", &endpoint, "heliostat/v1/sim/mirrors/command"]);
     assert!(verdicts.len() > 15 && verdicts.iter().all(|(_, verdict)| verdict == "kept"), "{verdicts:?}");
 }
@@ -67,8 +70,11 @@ fn a_check_of_an_empty_room_is_refused() {
 #[test]
 fn a_driver_in_python_keeps_every_rule() {
     let Some(python) = python() else { return };
-    let endpoint = private_endpoint().unwrap();
-    let _driver = python_driver(&python, "python", &[&endpoint]);
+    let (endpoint, of_observer) = (private_endpoint().unwrap(), private_endpoint().unwrap());
+    let observer = RoomObserver::join(&BusConfig::new(Room::new("python").unwrap()).listen_at(&of_observer));
+    let _driver = python_driver(&python, "python", &[&endpoint, &of_observer]);
+    // The check waits for a driver for some seconds only.
+    wait_until("telemetry", || observer.telemetry().is_some());
     let verdicts = check(&["--listen", &endpoint, "--room", "python"]);
     assert!(verdicts.iter().all(|(_, verdict)| verdict == "kept"), "{verdicts:?}");
 }

@@ -193,8 +193,8 @@ fn valid_orders_of_an_operator_change_the_room_and_invalid_ones_are_counted() {
     let (node, stop) = start(settings("orders", &endpoint, live(LONGEST_MS)));
     let bus = Bus::open(&BusConfig::new(Room::new("orders").unwrap()).connect_to(&endpoint)).unwrap();
     let keys = bus.room().clone();
-    let seen = std::sync::Arc::new(std::sync::Mutex::new((Vec::new(), Vec::new())));
-    let (truths, statuses) = (std::sync::Arc::clone(&seen), std::sync::Arc::clone(&seen));
+    let seen = Arc::new(Mutex::new((Vec::new(), Vec::new())));
+    let (truths, statuses) = (Arc::clone(&seen), Arc::clone(&seen));
     let _truth = bus.subscribe(&keys.truth(), move |payload| {
         truths.lock().unwrap().0.push(decode::<RoomTruth>(payload).unwrap());
     });

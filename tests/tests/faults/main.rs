@@ -48,7 +48,7 @@ fn without_pause(fault: &Fault, mut run: impl FnMut() -> Effect) -> Effect {
         let longest = pauses.longest();
         match fault.promise.check(&effect) {
             Err(problem) if longest > PAUSE_MAX => {
-                println!("measured again, the machine paused for {longest:?}: {problem}")
+                println!("measured again, the machine paused for {longest:?}: {problem}");
             }
             _ => return effect,
         }

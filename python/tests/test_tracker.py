@@ -12,7 +12,7 @@ from heliostat import wire
 pytest.importorskip("zenoh")
 from heliostat.peer import PeerError, Settings
 from heliostat.tracker import Tracker, User
-from room import EXAMPLES, end_by, free_endpoint, observer, python, wait_until
+from room import EXAMPLES, LIMIT_S, end_by, free_endpoint, observer, python, wait_until
 
 
 def test_the_example_reports_users_who_enter_and_leave_until_ctrl_c(tmp_path: Path) -> None:
@@ -35,7 +35,7 @@ def test_the_example_reports_users_who_enter_and_leave_until_ctrl_c(tmp_path: Pa
 def test_the_example_ends_after_its_time_without_a_controller(tmp_path: Path) -> None:
     example = (EXAMPLES / "tracker.py", "--connect", free_endpoint(), "--seconds", "0.5")
     with python(*example, folder=tmp_path) as tracker:
-        output, errors = tracker.communicate(timeout=30)
+        output, errors = tracker.communicate(timeout=LIMIT_S)
         assert tracker.returncode == 0 and "reports sent:" in output, errors
 
 

@@ -66,7 +66,8 @@ def tracked(folder: Path, *arguments: str, scenario: str = "hall") -> Iterator[T
                 yield Tracked(room, process, False)
             return
         flags = ["--room", "tracked", "--listen", of_controller, "--connect", endpoint, "--scenario", scenario]
-        flags += ["--policy", "fixed-point"]
+        # A pause of a busy machine makes no report stale.
+        flags += ["--policy", "fixed-point", "--set", "control.report_age_max_ms=60000"]
         with subprocess.Popen([program, "controller", *flags], stdout=subprocess.DEVNULL) as controller:
             try:
                 with python(*command, "--connect", of_controller, folder=folder) as process:

@@ -4,6 +4,7 @@
 //! - [`RoomObserver`]: a session that receives the messages of a room.
 //! - [`Browser`]: a browser with one page.
 //! - [`PageServer`]: a server of the live page.
+//! - [`Pauses`]: the longest pause of the machine.
 //! - [`PythonExample`]: an example in Python as a process.
 //! - [`containers`]: a container engine with base images.
 //! - [`faults`]: rooms of processes, faults, and the measurement of their effects.
@@ -17,6 +18,7 @@ pub mod faults;
 mod live_page;
 mod observer;
 pub mod packages;
+mod pauses;
 mod process;
 mod python;
 mod wait;
@@ -24,6 +26,7 @@ mod wait;
 pub use browser::Browser;
 pub use live_page::{PageServer, choose_theme};
 pub use observer::RoomObserver;
+pub use pauses::Pauses;
 pub use process::{Ended, Process, programs};
 pub use python::{PythonExample, python};
 pub use wait::wait_until;

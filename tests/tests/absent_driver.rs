@@ -54,8 +54,9 @@ fn commands_without_a_driver_are_reported_until_one_is_there() {
     let room = Process::heliostat(&["sim-node", "--listen", &driver_at, "--exit-with-parent"]);
     wait_until("the end of the absence", || absent() == 0);
     wait_until("commands", || observer.counter(NodeKind::Controller, "commands") > 0);
-    drop(room);
+    // The room is there until the end, so that the absence does not return.
     let ended = controller.end();
+    drop(room);
     assert_eq!(ended.errors.matches("no driver receives the commands: there is").count(), 1, "{}", ended.errors);
     assert_eq!(ended.json()["driver_absent"], false);
 }

@@ -60,8 +60,8 @@ fn answer(crowd: &mut Crowd, observer: &RoomObserver, ids: &[u32]) -> MirrorComm
 #[test]
 fn a_tracker_may_report_other_users_with_every_report() {
     let endpoint = private_endpoint().expect("an endpoint");
-    // The first reports may wait for a policy that is not in the processor's caches.
-    let patient = ["--set", "control.deadline_ms=1000"];
+    // The first reports may wait for a policy that is not in the processor's caches, and a busy machine pauses.
+    let patient = ["--set", "control.deadline_ms=60000", "--set", "control.report_age_max_ms=60000"];
     let controller = ["controller", "--listen", &endpoint, "--policy", "fixed-point", "--exit-with-parent", "--json"];
     let controller = Process::heliostat(&[&controller[..], &patient].concat());
     let observer = RoomObserver::connect("demo", &[&endpoint]);

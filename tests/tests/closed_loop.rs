@@ -3,12 +3,12 @@
 use heliostat_tests::Process;
 use serde_json::Value;
 
-/// The summary of 3 s at 20 reports/s: a busy machine that stalls for less than the 50 ms between two
+/// The summary of 8 s at 20 reports/s: a busy machine that stalls for less than the 50 ms between two
 /// reports drops none of them.
 fn demo(arguments: &[&str]) -> Value {
     let specular: &[&str] = if arguments.contains(&"--scenario") { &[] } else { &["--scenario", "specular"] };
     let rate = ["--set", "streams.positions.rate_hz=20", "--set", "streams.channel.rate_hz=20"];
-    let all = [&["demo", "--seconds", "3", "--json"], &rate[..], specular, arguments].concat();
+    let all = [&["demo", "--seconds", "8", "--json"], &rate[..], specular, arguments].concat();
     Process::heliostat(&all).wait().json()
 }
 

@@ -60,8 +60,10 @@ fn the_images_run_a_room_that_answers_and_stop_in_an_orderly_way() {
     let commands =
         || engine.get(&of_room, "/metrics").map_or(0.0, |page| metric(&page, "heliostat_room_commands_total"));
     wait_until("commands that the array accepts", || commands() > 10.0);
-    let page = engine.get(&of_controller, "/metrics").expect("the controller serves its metrics");
-    assert!(metric(&page, "heliostat_decisions_total") > 10.0, "{page}");
+    wait_until("decisions on the page of the controller", || {
+        let page = engine.get(&of_controller, "/metrics");
+        page.is_some_and(|page| metric(&page, "heliostat_decisions_total") > 10.0)
+    });
 
     let scenario = root().join("deploy/rooms/studio.toml");
     let flags = ["ui", "--room", "studio", "--plain", "--client", "--connect", &router, "--ui-port", "0", "--scenario"];

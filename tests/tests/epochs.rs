@@ -42,6 +42,7 @@ impl Setting {
     fn observer(&self) -> RoomObserver {
         let observer = RoomObserver::connect("demo", &[&self.room_endpoint, &self.controller_endpoints[0]]);
         wait_for_accepted(&observer);
+        wait_until("a command and a user report", || observer.command().0 > 0 && observer.users().is_some());
         observer
     }
 }
@@ -231,7 +232,7 @@ fn a_controller_that_ends_hands_over_to_the_standby_that_it_is_connected_to() {
     let summary = first.end().json();
     // Its end waits for the takeover, which its telemetry shows.
     assert_eq!(summary["epoch_events"]["superseded"].as_u64(), Some(1), "{summary}");
-    assert!(telemetry(&of_second).epoch > epoch);
+    wait_until("a higher epoch", || of_second.telemetry().is_some_and(|array| array.epoch > epoch));
     wait_for_accepted(&of_second);
     let summary = second.end().json();
     assert_eq!(summary["epoch_events"]["took-over"].as_u64(), Some(1), "{summary}");

@@ -2,6 +2,8 @@
 
 use std::io::Write;
 use std::net::{TcpListener, TcpStream};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use heliostat_bus::free_loopback_endpoint;
@@ -12,21 +14,24 @@ const TIMEOUTS: (&str, &str) =
     ("HELIOSTAT_ZENOH", "transport/unicast/open_timeout=60000;transport/unicast/accept_timeout=60000");
 
 /// Generous limit of an end that Zenoh would delay by 10 s.
-const END_LIMIT: Duration = Duration::from_secs(5);
+const END_LIMIT: Duration = Duration::from_secs(9);
 
-/// A process that accepts connections and sends these bytes; its endpoint.
-fn foreign_listener(greeting: &'static [u8]) -> String {
+/// A process that accepts connections and sends these bytes; its endpoint, and the number of connections.
+fn foreign_listener(greeting: &'static [u8]) -> (String, Arc<AtomicUsize>) {
     let listener = TcpListener::bind(("127.0.0.1", 0)).expect("a free port");
     let endpoint = format!("tcp/{}", listener.local_addr().expect("bound"));
+    let connections = Arc::<AtomicUsize>::default();
+    let count = Arc::clone(&connections);
     std::thread::spawn(move || {
         let mut kept = Vec::new();
         for mut stream in listener.incoming().map_while(Result::ok) {
             // The other side may have closed the connection because of the first bytes.
             let _ = stream.write_all(greeting);
             kept.push(stream);
+            count.fetch_add(1, Ordering::SeqCst);
         }
     });
-    endpoint
+    (endpoint, connections)
 }
 
 /// Ends a process by SIGTERM; the time that it took.
@@ -42,7 +47,7 @@ fn end_of(process: Process) -> Duration {
 fn a_listener_that_is_no_zenoh_peer_does_not_delay_the_end_of_a_process() {
     // A frame of the length 65535 that never comes, and a text of another protocol.
     for greeting in [&b""[..], b"\xff\xff", b"HTTP/1.1 400 Bad Request\r\n\r\n"] {
-        let foreign = foreign_listener(greeting);
+        let (foreign, connections) = foreign_listener(greeting);
         let own = free_loopback_endpoint().expect("a free port");
         let arguments: [&[&str]; 3] = [
             &["controller", "--policy", "flat", "--connect", &foreign],
@@ -50,8 +55,10 @@ fn a_listener_that_is_no_zenoh_peer_does_not_delay_the_end_of_a_process() {
             &["ui", "--plain", "--no-ui", "--connect", &foreign],
         ];
         for arguments in arguments {
+            let before = connections.load(Ordering::SeqCst);
             let process = Process::heliostat_under(&[], &[TIMEOUTS], arguments);
-            // Until it listens for signals and has begun to connect.
+            wait_until("a connection", || connections.load(Ordering::SeqCst) > before);
+            // Until it listens for signals.
             std::thread::sleep(Duration::from_secs(1));
             let took = end_of(process);
             assert!(took < END_LIMIT, "{arguments:?} with {greeting:?} ended after {took:?}");

@@ -14,7 +14,7 @@ use heliostat_needs::needs;
 use heliostat_proto::{ArrayState, EmergencyStop, MirrorTelemetry, NodeKind, Stamp, StopAction, codec};
 use heliostat_service::clock::utc_ns;
 use heliostat_tests::faults::{Array, FaultRoom, Launch, Link, Setup};
-use heliostat_tests::{Process, wait_until};
+use heliostat_tests::{Pauses, Process, wait_until};
 use tempfile::TempDir;
 
 /// Setting of the viewers: in ms, the time after which the others end a silent connection.
@@ -31,6 +31,12 @@ const STOP_LIMIT: Duration = Duration::from_millis(100);
 
 /// Time limit for every stop, on a machine that also runs other tests.
 const SLOWEST_STOP: Duration = Duration::from_millis(1000);
+
+/// A pause of the machine above this time explains late stops and lost commands.
+const PAUSE_MAX: Duration = Duration::from_millis(150);
+
+/// Scenes that are played, while a pause of the machine explains what was observed.
+const SCENES_MAX: usize = 4;
 
 /// Only one of these tests runs at a time: each measures delays.
 static ALONE: Mutex<()> = Mutex::new(());
@@ -163,7 +169,10 @@ impl Scene {
     }
 
     /// Observes the room before and after an accident, and compares.
-    fn undergo(mut self, accident: impl FnOnce(&[Process])) {
+    ///
+    /// # Errors
+    /// What the accident delays.
+    fn undergo(mut self, accident: impl FnOnce(&[Process])) -> Result<(), String> {
         let before = self.operator.observe(WATCHED);
         accident(&self.viewers);
         let after = self.operator.observe(WATCHED);
@@ -177,9 +186,31 @@ impl Scene {
             after.median_stop()
         );
         // Each stop costs about one command, and a busy machine loses some without any accident.
-        assert!(after.lost <= 1 + before.lost + before.lost / 2, "commands are lost: {after:?}, and before {before:?}");
-        assert!(after.median_stop() <= STOP_LIMIT, "stops are late: {after:?}");
-        assert!(after.slowest_stop() <= SLOWEST_STOP, "a stop is late: {after:?}");
+        if after.lost > 1 + before.lost + before.lost / 2 {
+            return Err(format!("commands are lost: {after:?}, and before {before:?}"));
+        }
+        // A slow machine is slow before the accident too.
+        if after.median_stop() > STOP_LIMIT.max(2 * before.median_stop()) {
+            return Err(format!("stops are late: {after:?}, and before {before:?}"));
+        }
+        if after.slowest_stop() > SLOWEST_STOP {
+            return Err(format!("a stop is late: {after:?}"));
+        }
+        Ok(())
+    }
+}
+
+/// Plays a scene, and another one where a pause of the machine explains what the first one shows.
+fn play(viewers: usize, link: Option<&Link>, accident: impl Fn(&[Process])) {
+    for scene in 1..=SCENES_MAX {
+        let pauses = Pauses::start();
+        let Err(problem) = Scene::start(viewers, link).undergo(&accident) else { return };
+        let longest = pauses.longest();
+        assert!(longest > PAUSE_MAX && scene < SCENES_MAX, "{problem}");
+        println!("played again, the machine paused for {longest:?}: {problem}");
+        if let Some(link) = link {
+            link.heal();
+        }
     }
 }
 
@@ -190,13 +221,13 @@ fn freeze(viewers: &[Process]) {
 #[test]
 fn three_frozen_viewers_delay_neither_commands_nor_stops() {
     let _alone = ALONE.lock();
-    Scene::start(3, None).undergo(freeze);
+    play(3, None, freeze);
 }
 
 #[test]
 fn fifteen_frozen_viewers_delay_neither_commands_nor_stops() {
     let _alone = ALONE.lock();
-    Scene::start(15, None).undergo(freeze);
+    play(15, None, freeze);
 }
 
 #[needs("network-namespaces")]
@@ -204,5 +235,5 @@ fn fifteen_frozen_viewers_delay_neither_commands_nor_stops() {
 fn four_viewers_without_a_link_delay_neither_commands_nor_stops() {
     let _alone = ALONE.lock();
     let link = Link::create();
-    Scene::start(4, Some(&link)).undergo(|_| link.cut());
+    play(4, Some(&link), |_| link.cut());
 }

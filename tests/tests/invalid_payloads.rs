@@ -95,13 +95,16 @@ fn the_controller_counts_invalid_payloads_by_cause() {
         users,
     };
     let five: Vec<UserState> = (0..5).map(user).collect();
-    // Each report is built when it is published, so that its stamp is current.
+    // Each report is built when it is published, so that its stamp is current. After a pause of a busy machine
+    // it is stale, and another one is published.
     let refuse = |name: &str, change: &dyn Fn(&mut UserReport)| {
-        let mut report = later(1_000_000, five.clone());
-        change(&mut report);
-        observer.publish(&room.users(), &encoded(&report));
         let counter = format!("refused:users:{name}");
-        wait_until(&counter, || observer.counter(NodeKind::Controller, &counter) > 0);
+        wait_until(&counter, || {
+            let mut report = later(1_000_000, five.clone());
+            change(&mut report);
+            observer.publish(&room.users(), &encoded(&report));
+            observer.counter(NodeKind::Controller, &counter) > 0
+        });
     };
     refuse("duplicate-user", &|report| report.users[4].user = 0);
     refuse("stale", &|report| report.stamp.time_ns -= 10_000_000_000);

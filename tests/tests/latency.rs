@@ -112,7 +112,9 @@ enum WarmUps {
 
 /// Runs until 300 commands, and until a cache warm-up where one is expected.
 fn counts_order_and_stages(controller_flags: &[&str], warm_ups: WarmUps) {
-    let pair = Pair::start(&[], controller_flags);
+    // A busy machine delays reports and commands.
+    let patient = ["--set", "control.validity_ms=10000", "--set", "control.report_age_max_ms=10000"];
+    let pair = Pair::start(&[], &[controller_flags, &patient].concat());
     let listener = Listener::connect("demo", &pair.endpoints());
     wait_until("300 commands", || listener.commands() >= 300);
     if warm_ups == WarmUps::Some {
@@ -201,6 +203,9 @@ fn one_process_serves_rooms_that_do_not_mix() {
         "south,west",
         "--policy",
         "nearest",
+        // A pause of a busy machine is no silence.
+        "--set",
+        "control.report_age_max_ms=5000",
         "--exit-with-parent",
         "--json",
     ]);
@@ -224,7 +229,7 @@ fn one_process_serves_rooms_that_do_not_mix() {
 
     // One room stops; the others continue.
     sims.remove(0).kill();
-    wait_until("a silence that is counted", || observers[0].counter(NodeKind::Controller, "fallback:silence") == 1);
+    wait_until("a silence that is counted", || observers[0].counter(NodeKind::Controller, "fallback:silence") > 0);
     observers[1..].iter().for_each(RoomObserver::wait_for_commands);
     assert_eq!(observers[1].counter(NodeKind::Controller, "fallback:silence"), 0);
 
@@ -287,7 +292,7 @@ fn the_last_command_is_repeated_for_a_silent_room_if_so_configured() {
         repeated.is_some()
     });
     assert!(repeated.unwrap().yaw.iter().any(|angle| *angle != 0.0), "the mirrors stay where they were at tick {last}");
-    wait_until("a silence that is counted", || observer.counter(NodeKind::Controller, "fallback:silence") == 1);
+    wait_until("a silence that is counted", || observer.counter(NodeKind::Controller, "fallback:silence") > 0);
     let summary = pair.controller.end().json();
     assert!(summary["commands"].as_u64() > summary["decisions"].as_u64(), "{summary}");
 }
@@ -404,8 +409,9 @@ fn a_policy_without_an_answer_is_reported_and_the_array_holds() {
     let pair = Pair::start(&[], &[&["--model", file.to_str().unwrap()], &brief[..]].concat());
     let observer = pair.observer();
     wait_until("unanswered checks", || observer.counter(NodeKind::Controller, "unanswered") > 0);
-    let problem = observer.status(NodeKind::Controller).unwrap().last_problem;
-    assert!(problem.contains("has timed out"), "{problem}");
+    wait_until("the name of the problem", || {
+        observer.status(NodeKind::Controller).is_some_and(|status| status.last_problem.contains("has timed out"))
+    });
     wait_until("a command", || observer.command().0 > 0);
     // The last command expires before the next one.
     wait_until("holding mirrors", || {

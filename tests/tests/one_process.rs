@@ -110,10 +110,12 @@ fn the_array_follows_stops_and_keeps_its_stop_over_a_restart() {
     assert!(unexpected.is_empty(), "{summary}");
     assert!(summary["driver"]["commands"].as_u64() >= Some(20), "{summary}");
 
+    let ended = setting.observer.safety().map(|safety| safety.stamp.source);
     let restarted = setting.start(&[]);
     wait_until("a restarted array that knows its stop", || {
         setting.observer.safety().is_some_and(|safety| {
-            safety.stopped && safety.stop_source == 77 && safety.reason == "smoke" && safety.stamp.sequence < 20
+            let is_new = Some(safety.stamp.source) != ended;
+            is_new && safety.stopped && safety.stop_source == 77 && safety.reason == "smoke"
         })
     });
     setting.wait_until_stopped();

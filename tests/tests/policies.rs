@@ -13,8 +13,17 @@ const LEARNED: [&str; 6] = ["ddpg", "ddpg-raw", "analytic", "dql", "q-learning",
 const SMALL: [&str; 6] = ["--set", "mirrors.rows=3", "--set", "mirrors.columns=3", "--set", "users.count=3"];
 
 fn demo(policy: &str, more: &[&str]) -> Process {
-    let first = ["demo", "--scenario", "specular", "--policy", policy, "--seconds", "0.6", "--json"];
-    Process::heliostat(&[&first[..], more].concat())
+    let first = ["demo", "--scenario", "specular", "--policy", policy, "--seconds", "2", "--json"];
+    // A slow machine answers each report before the next one, and no decision is late.
+    let slow = [
+        "--set",
+        "streams.positions.rate_hz=20",
+        "--set",
+        "streams.channel.rate_hz=20",
+        "--set",
+        "control.deadline_ms=1000",
+    ];
+    Process::heliostat(&[&first[..], &slow, more].concat())
 }
 
 fn assert_ran(summary: &Value, policy: &str) {

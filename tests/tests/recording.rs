@@ -6,7 +6,7 @@ use std::process::Command;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use heliostat_bus::{Bus, BusConfig, private_endpoint};
+use heliostat_bus::{Bus, BusConfig, Class, private_endpoint};
 use heliostat_core::policy::actor_file::ActorFile;
 use heliostat_proto::{BranchReport, LedReport, MirrorCommand, OrientationReport, Room, Stamp, UserReport, codec};
 use heliostat_record::account::Account;
@@ -77,8 +77,8 @@ impl Setting {
         let recorder = self.recorder(&[both, &["--until-empty"]].concat());
         let controller = self.controller(&[both, controller_arguments].concat());
         room.wait().json();
-        // The controller detects the missing reports.
-        std::thread::sleep(Duration::from_millis(1500));
+        // The controller detects the missing reports, after a pause of a busy machine too.
+        std::thread::sleep(Duration::from_secs(4));
         // The controller publishes its status at its end at the latest; the status names the
         // policy.
         controller.end().json();
@@ -299,6 +299,8 @@ fn gains_of_branches_are_recorded_and_played_back() {
     let kept = Arc::clone(&played);
     let _subscription =
         bus.subscribe(&bus.room().branches(), move |payload| kept.lock().unwrap().push(payload.to_vec())).unwrap();
+    let commands = bus.publisher(&bus.room().command(), Class::RealTimeBlock).unwrap();
+    wait_until("a connection to the player", || commands.has_subscribers().unwrap());
     let arguments = ["controller", "--lockstep", "--policy", "fixed-point", "--connect", &endpoint, "--listen"];
     let ends = [of_controller.as_str(), "--exit-with-parent"];
     let _controller = Process::heliostat(&[&arguments[..], &ends, &branches].concat());
@@ -320,7 +322,7 @@ fn gains_of_branches_are_recorded_and_played_back() {
 fn a_live_recording_replays_after_the_first_decisions() {
     let setting = Setting::new();
     // After the room has ended, the controller publishes one more command, which answers no report.
-    let account = setting.record(&["--set", "control.when_silent=\"park\""], &["--seconds", "5"], &[]);
+    let account = setting.record(&["--set", "control.when_silent=\"park\""], &["--seconds", "8"], &[]);
     assert_eq!(account["problems"].as_array().map(Vec::len), Some(0), "{account}");
     let mut unprompted = 0;
     let mut reading = Reading::open(File::open(setting.file()).unwrap()).unwrap();

@@ -3,7 +3,7 @@
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use heliostat_bus::private_endpoint;
 use heliostat_proto::{ControllerMemory, InputKind, codec};
@@ -91,11 +91,14 @@ fn copy(from: &Path, to: &Path, mut keep: impl FnMut(&str, &mut Vec<u8>) -> bool
 fn a_recording_of_a_running_controller_with_a_filter_replays_bit_for_bit() {
     let setting = Setting::new(&[], "greedy");
     let file = setting.file("room.mcap");
+    let begun = Instant::now();
     let recorder = setting.recorder(&file);
     std::thread::sleep(Duration::from_secs(9));
     let account = recorder.end().json();
     let memories = account["streams"]["heliostat/v1/demo/controller/memory"]["messages"].as_u64();
-    assert!((5..=15).contains(&memories.expect("states were recorded")), "{account}");
+    // About one each second; the recording may take longer than the sleep.
+    let most = begun.elapsed().as_secs() + 6;
+    assert!((5..=most).contains(&memories.expect("states were recorded")), "{account}");
     let _folder = setting.end();
     let verdict = assert_replays(&file, "greedy");
 
@@ -166,11 +169,11 @@ fn recordings_of_users_who_come_and_go_replay_also_when_the_recorder_is_killed()
     let setting = Setting::new(&arrivals, "fixed-point");
     let file = setting.file("room.mcap");
     let recorder = setting.recorder(&file);
-    std::thread::sleep(Duration::from_secs(4));
+    std::thread::sleep(Duration::from_secs(6));
     recorder.end().json();
     let killed = setting.file("killed.mcap");
     let mut recorder = setting.recorder(&killed);
-    std::thread::sleep(Duration::from_secs(5));
+    std::thread::sleep(Duration::from_secs(8));
     recorder.kill();
     let _folder = setting.end();
     assert_eq!(assert_replays(&file, "fixed-point")["complete"], true);

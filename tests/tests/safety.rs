@@ -9,7 +9,8 @@ use std::sync::{Arc, Mutex};
 use heliostat_bus::{BusConfig, private_endpoint};
 use heliostat_proto::messages::fault;
 use heliostat_proto::{
-    ArrayState, Calibration, EmergencyStop, Message, MirrorCommand, NodeKind, Rearm, Room, Stamp, StopAction, encode,
+    ArrayState, Calibration, EmergencyStop, Message, MirrorCommand, NodeKind, Rearm, Room, SafetyReport, Stamp,
+    StopAction, encode,
 };
 use heliostat_service::clock::utc_ns;
 use heliostat_tests::{Process, RoomObserver, wait_until};
@@ -132,6 +133,18 @@ impl DrivenRoom {
         self.observer.telemetry().map(|telemetry| telemetry.state)
     }
 
+    /// Waits until telemetry has this state; after a start a board may not be connected yet.
+    fn wait_for_state(&self, state: ArrayState) {
+        wait_until(&format!("telemetry with state {}", state.name()), || self.telemetry_state() == Some(state));
+    }
+
+    /// Waits until the record on disk says whether the array is stopped.
+    fn wait_for_record(&self, stopped: bool) {
+        let file = self.state_folder().join(format!("{}.stop.toml", self.observer.room()));
+        let line = format!("stopped = {stopped}");
+        wait_until("the record of the stop", || fs::read_to_string(&file).is_ok_and(|record| record.contains(&line)));
+    }
+
     /// Stops the array; the clock of the sender is ahead by `lead_ns`.
     fn stop(&self, sequence: u64, lead_ns: u64) {
         let stamp = Stamp { source: 0xabc, sequence, time_ns: utc_ns() + lead_ns };
@@ -162,33 +175,45 @@ fn a_stop_survives_the_end_of_the_driver_and_no_mirror_turns_until_the_rearm() {
     let mut driver = room.start(true);
     room.follow();
     room.stop(1, 0);
+    room.wait_for_record(true);
     driver.kill();
     room.lines.lock().expect("no test panics").clear();
+    let killed = room.observer.safety().expect("a safety report").stamp.source;
     let driver = room.start(true);
     let safety = || room.observer.safety().expect("a safety report");
-    wait_until("a report of the recorded stop", || safety().stopped && safety().operator == "ann");
-    assert_eq!((safety().stop_source, safety().stop_sequence, safety().reason.as_str()), (0xabc, 1, "smoke"));
-    assert_eq!(room.telemetry_state(), Some(ArrayState::Stopped));
+    wait_until("a report of the recorded stop", || safety().stamp.source != killed && safety().stopped);
+    let SafetyReport { stop_source, stop_sequence, operator, reason, .. } = safety();
+    assert_eq!((stop_source, stop_sequence, operator.as_str(), reason.as_str()), (0xabc, 1, "ann", "smoke"));
+    room.wait_for_state(ArrayState::Stopped);
     let before = room.observer.telemetry().expect("telemetry").counters.stopped;
     wait_until("refused commands", || {
         room.command(0.25, |_| {});
         room.observer.telemetry().is_some_and(|telemetry| telemetry.counters.stopped > before + 3)
     });
-    assert_eq!(room.orders(), ["stop", "hello", "stop"], "the board receives no angles");
-    assert!(driver.errors().contains("the array starts stopped by ann"), "{}", driver.errors());
-    assert!(driver.errors().contains("heliostat rearm --room kept"), "{}", driver.errors());
+    // A stopped board receives the stop again and again.
+    wait_until("a stopped board", || room.orders().len() >= 3);
+    let orders = room.orders();
+    assert_eq!(orders[0], "stop");
+    assert!(orders.iter().all(|line| line == "stop" || line == "hello"), "the board receives no angles: {orders:?}");
+    wait_until("advice in the log", || {
+        let errors = driver.errors();
+        errors.contains("the array starts stopped by ann") && errors.contains("heliostat rearm --room kept")
+    });
     room.rearm(0xabc, 1);
     wait_until("a parked array", || room.telemetry_state() == Some(ArrayState::Parked));
     room.follow();
-    assert_eq!(room.orders().get(3).map(String::as_str), Some("set 0 0"), "it parks first");
+    let orders = room.orders();
+    let first = orders.iter().find(|line| line.starts_with("set")).map(String::as_str);
+    assert_eq!(first, Some("set 0 0"), "it parks first");
 }
 
 #[test]
 fn an_array_whose_last_state_is_unknown_starts_stopped_and_the_command_line_releases_it() {
     let mut room = DrivenRoom::new("unknown");
     let mut driver = room.start(false);
-    assert_eq!(room.telemetry_state(), Some(ArrayState::Stopped));
-    let safety = room.observer.safety().expect("a safety report");
+    room.wait_for_state(ArrayState::Stopped);
+    wait_until("a safety report", || room.observer.safety().is_some());
+    let safety = room.observer.safety().expect("received");
     assert_eq!((safety.stop_source, safety.stop_sequence), (0, 0));
     assert!(safety.reason.contains("the last state is unknown"), "{safety:?}");
     let ended = Process::heliostat(&["rearm", "--room", "unknown", "--connect", &room.endpoint]).wait();
@@ -201,14 +226,17 @@ fn an_array_whose_last_state_is_unknown_starts_stopped_and_the_command_line_rele
     let ended = Process::heliostat(&["rearm", "--room", "unknown", "--timeout", "60", "--listen", &listener]).wait();
     assert!(ended.output.contains("the stop: 0000000000000000/0"), "{} {}", ended.output, ended.errors);
     room.follow();
+    room.wait_for_record(false);
     driver.kill();
     drop(driver);
     let mut driver = room.start(false);
-    assert_eq!(room.telemetry_state(), Some(ArrayState::Parked), "the re-arm is recorded");
+    // The re-arm is recorded.
+    room.wait_for_state(ArrayState::Parked);
     driver.kill();
     fs::write(room.state_folder().join("unknown.stop.toml"), "version = 1\nstopped = fal").expect("a file");
     let _driver = room.start(true);
-    assert_eq!(room.telemetry_state(), Some(ArrayState::Stopped), "a damaged record is an unknown state");
+    // A damaged record is an unknown state.
+    room.wait_for_state(ArrayState::Stopped);
 }
 
 #[test]
@@ -223,7 +251,7 @@ fn a_stop_that_cannot_be_recorded_stops_the_array_now_and_at_the_next_start() {
     assert!(driver.errors().contains("the next start is stopped"), "{}", driver.errors());
     driver.kill();
     let _driver = room.start(true);
-    assert_eq!(room.telemetry_state(), Some(ArrayState::Stopped));
+    room.wait_for_state(ArrayState::Stopped);
 }
 
 /// A pipe without a reader: a process that writes to it waits for ever.
@@ -297,8 +325,8 @@ fn a_calibration_with_a_tiny_gain_turns_no_mirror_and_is_reported() {
     let mut room = DrivenRoom::new("gains");
     let _driver = room.start(true);
     room.follow();
-    let turned = room.orders().last().cloned();
-    assert_eq!(turned.as_deref(), Some("set 250000 0"));
+    let is_turned = || room.orders().last().is_some_and(|line| line == "set 250000 0");
+    wait_until("a turned mirror", is_turned);
     let stamp = Stamp { source: 9, sequence: 1, time_ns: utc_ns() };
     let calibration = Calibration {
         stamp,
@@ -311,9 +339,12 @@ fn a_calibration_with_a_tiny_gain_turns_no_mirror_and_is_reported() {
     wait_until("the fault bit of the calibration", || {
         room.observer.telemetry().is_some_and(|telemetry| telemetry.faults & fault::CALIBRATION != 0)
     });
-    let telemetry = room.observer.telemetry().expect("telemetry");
-    assert_eq!((telemetry.calibration, room.orders().last().cloned()), (0, turned));
-    assert!((telemetry.roll_measured[0] - 0.25).abs() < 1e-4, "{telemetry:?}");
+    let telemetry = || room.observer.telemetry().expect("telemetry");
+    assert_eq!(telemetry().calibration, 0);
+    wait_until("the measured angle", || {
+        telemetry().roll_measured.first().is_some_and(|roll| (roll - 0.25).abs() < 1e-4)
+    });
+    assert!(is_turned(), "{:?}", room.orders());
     wait_until("the name of the refusal", || room.observer.counter(NodeKind::Driver, "refused:calibration:gain") == 1);
 }
 
@@ -340,6 +371,8 @@ fn a_simulated_room_keeps_its_stop_where_a_folder_is_given_and_starts_parked_oth
         observer.publish(&observer.room().stop(), &payload);
         state_of(&observer) == ArrayState::Stopped
     });
+    let record = folder.path().join("sim.stop.toml");
+    wait_until("the record", || fs::read_to_string(&record).is_ok_and(|record| record.contains("stopped = true")));
     room.kill();
     let (_room, observer, endpoint) = start(&["--state", &state, "--start-armed"]);
     assert_eq!(state_of(&observer), ArrayState::Stopped);

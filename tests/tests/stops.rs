@@ -133,7 +133,12 @@ impl TwoArrays {
 
     /// Runs `heliostat stop` or `heliostat rearm`.
     fn order(&self, order: &str, flags: &[&str]) -> Ended {
-        let own = [order, "--room", &self.room, "--timeout", "4"];
+        self.order_within("12", order, flags)
+    }
+
+    /// The same with a time limit in s.
+    fn order_within(&self, seconds: &str, order: &str, flags: &[&str]) -> Ended {
+        let own = [order, "--room", &self.room, "--timeout", seconds];
         let [first, second] = &self.endpoints;
         let connect = ["--connect", first, "--connect", second, "--connect", &self.of_controller];
         Process::heliostat(&[&own[..], &connect, flags].concat()).wait()
@@ -193,6 +198,8 @@ fn a_room_with_an_absent_array_is_not_called_stopped_and_the_array_gets_the_stop
         let state = room.latest().controller.map(|status| status.state).unwrap_or_default();
         state.starts_with("withheld by the stop of ann (\"person on the ladder\") since ")
     });
+    // The telemetry of the driver that was killed shows an array that follows.
+    room.wait_for([ArrayState::Stopped; 2]);
     let accepted =
         |room: &TwoArrays| room.latest().telemetry[1].as_ref().map_or(0, |telemetry| telemetry.counters.accepted);
     assert_eq!(accepted(&room), 0, "it followed no command before the stop");
@@ -223,7 +230,8 @@ fn a_controller_that_starts_after_the_stop_holds_it_for_an_array_that_was_absent
 fn a_frozen_driver_is_named_and_stopped_as_soon_as_it_continues() {
     let mut room = TwoArrays::start("frozen");
     room.driver(1).signal("STOP");
-    let stopped = room.order("stop", &["--operator", "ann"]);
+    // Less than the lease of a connection.
+    let stopped = room.order_within("4", "stop", &["--operator", "ann"]);
     assert!(stopped.refusal().contains("array 1 does not answer: cut its power"), "{}", stopped.errors);
     room.driver(1).signal("CONT");
     wait_until("the stop at the array that continued", || room.operators(1) == ["ann"]);

@@ -12,8 +12,8 @@ use heliostat_tests::{programs, wait_until};
 const TO_ALTERNATE_SCREEN: &str = "\u{1b}[?1049h";
 const TO_MAIN_SCREEN: &str = "\u{1b}[?1049l";
 
-/// Generous limit of the restoration, which may not wait for the close of the session.
-const RESTORE_LIMIT: Duration = Duration::from_secs(5);
+/// Generous limit of the restoration, which may not wait for the close of the session: up to 10 s.
+const RESTORE_LIMIT: Duration = Duration::from_secs(9);
 
 /// `heliostat ui` and then `stty` in a pseudo-terminal.
 struct Terminal {

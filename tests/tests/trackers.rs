@@ -94,7 +94,7 @@ fn the_commands_of_the_tutorial_control_an_array() {
     let _controller = heliostat("heliostat controller", &["--exit-with-parent"]);
     let _page = heliostat("heliostat ui", &["--plain", "--no-ui"]);
     let (_tracker, _driver) = (example("tracker.py"), example("driver.py"));
-    let released = heliostat("heliostat rearm", &["--timeout", "25"]).wait();
+    let released = heliostat("heliostat rearm", &["--timeout", "100"]).wait();
     assert!(released.output.contains("are released"), "{} {}", released.output, released.errors);
     // The operator's endpoint is free again, and the driver connects to it.
     let room = BusConfig::new(Room::new("own").unwrap());

@@ -254,7 +254,10 @@ fn expect_presence(holder: &Bus, observer: &Bus, role: AccessRole, nodes: &[Node
     while !expected.is_subset(&present()) {
         assert!(Instant::now() < deadline, "{role}: {:?} in place of {expected:?}", present());
     }
-    assert_eq!(present(), expected, "{role}");
+    // On a busy machine an answer may come after its time.
+    while present() != expected {
+        assert!(Instant::now() < deadline, "{role}: {:?} in place of {expected:?}", present());
+    }
     drop(tokens);
     while !present().is_empty() {
         assert!(Instant::now() < deadline, "{role}: withdrawn tokens are present: {:?}", present());
@@ -298,10 +301,10 @@ fn only_the_roles_that_drive_mirrors_answer_queries() {
             Received::everything(&asking).from(&answering);
             let ask = |key: &String| asking.fetch(key, Duration::from_secs(1)).expect("a valid key").len();
             if is_driver {
-                wait_until("an answer", || ask(&keys[0]) == 1 && ask(&keys[3]) == 1);
+                wait_until("answers of a driver", || keys.each_ref().map(ask) == [1, 1, 0, 1]);
+            } else {
+                assert_eq!(keys.each_ref().map(ask), [0; 4], "{role}");
             }
-            let expected = if is_driver { [1, 1, 0, 1] } else { [0; 4] };
-            assert_eq!(keys.each_ref().map(ask), expected, "{role}");
         }
     }
     common::close(router);
@@ -347,7 +350,8 @@ fn a_certificate_of_the_authority_with_another_name_gives_no_right() {
     // The name of another room, and names that only resemble a role of this one.
     for name in ["heliostat-hall-operator", "heliostat-lab-operators", "heliostat-lab-*", "HELIOSTAT-LAB-OPERATOR"] {
         let folder = keys.of_name(name);
-        let open = |endpoint| common::foreign(Some((folder.path(), AccessRole::Operator)), keys.folder(), endpoint);
+        let open =
+            |endpoint| common::foreign(LIMIT, Some((folder.path(), AccessRole::Operator)), keys.folder(), endpoint);
         expect_no_right(&open(&endpoint).expect("the authority signed it"), &driver, &viewer, name);
         expect_no_right(&open(&router_endpoint).expect("the authority signed it"), &clients[0], &clients[1], name);
     }
@@ -372,7 +376,7 @@ fn without_a_valid_certificate_of_the_room_a_process_sends_and_receives_nothing(
         ("with another authority", Some((other.folder(), AccessRole::Operator)), &other),
     ] {
         for endpoint in [&endpoint, &router_endpoint] {
-            let opened = common::foreign(identity, authority.folder(), endpoint);
+            let opened = common::foreign(common::REFUSAL_LIMIT, identity, authority.folder(), endpoint);
             assert!(opened.is_err(), "a process {name} opens a session at {endpoint}");
         }
     }
@@ -404,7 +408,7 @@ fn a_process_does_not_connect_to_a_listener_with_an_expired_or_foreign_certifica
         let endpoint = common::tls_endpoint().replace("127.0.0.1", host);
         let _listener = common::foreign_listener(folder, AccessRole::Driver, &endpoint);
         let viewer = keys.config(AccessRole::Viewer).connect_to(&endpoint);
-        let error = Bus::open(&viewer.clone().reaching(Reach::Within(Duration::from_secs(2))));
+        let error = Bus::open(&viewer.clone().reaching(Reach::Within(Duration::from_secs(5))));
         let error = error.err().expect("the certificate of the listener is refused");
         assert!(matches!(error, BusError::Untrusted { .. }), "{error}");
         assert!(error.to_string().contains(&endpoint) && error.to_string().contains(expected), "{error}");
@@ -436,7 +440,7 @@ fn an_endpoint_without_tls_or_without_a_process_is_told_apart() {
     });
     let open = |endpoint: &str| {
         let viewer = keys.config(AccessRole::Viewer).connect_to(endpoint);
-        Bus::open(&viewer.reaching(Reach::Within(Duration::from_secs(1)))).err().expect("no session")
+        Bus::open(&viewer.reaching(Reach::Within(Duration::from_secs(3)))).err().expect("no session")
     };
     let error = open(&endpoint);
     assert!(error.to_string().contains("the TLS handshake failed"), "{error}");
@@ -449,7 +453,7 @@ fn a_connection_ends_when_its_certificate_expires() {
     let keys = Keys::new();
     let brief = Keys::new();
     brief.adopt(&keys);
-    brief.expire_in(Duration::from_secs(4));
+    brief.expire_in(Duration::from_secs(12));
     let endpoint = common::tls_endpoint();
     let driver = keys.open(AccessRole::Driver, |config| config.listen_at(&endpoint));
     let viewer = brief.open(AccessRole::Viewer, |config| config.connect_to(&endpoint));

@@ -152,7 +152,8 @@ fn keys_of_one_room_open_no_session_at_the_port_of_another_and_give_no_right_in_
     assert!(building.open("tls", ("studio", AccessRole::Operator), foyer).is_err());
     // A session of the studio publishes on keys of the foyer.
     let folder = building.folder.path().join("studio");
-    let foreign = common::foreign(Some((&folder, AccessRole::Operator)), &folder, &format!("tls/127.0.0.1:{studio}"));
+    let router = format!("tls/127.0.0.1:{studio}");
+    let foreign = common::foreign(LIMIT, Some((&folder, AccessRole::Operator)), &folder, &router);
     let foreign = foreign.expect("the keys of the studio");
     let array = building.open("tls", ("foyer", AccessRole::Driver), foyer).expect("the router answers");
     let operator = building.open("tls", ("foyer", AccessRole::Operator), foyer).expect("the router answers");

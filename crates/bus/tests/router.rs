@@ -8,7 +8,7 @@ use heliostat_bus::*;
 use heliostat_proto::{NodeKind, Room};
 use zenoh::Wait;
 
-const LIMIT: Duration = Duration::from_secs(20);
+const LIMIT: Duration = Duration::from_secs(60);
 
 fn client(room: &str, endpoint: &str) -> Bus {
     let room = Room::new(room).expect("a valid name");

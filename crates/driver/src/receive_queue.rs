@@ -151,7 +151,7 @@ mod tests {
         assert!(queue.pop_until(Instant::now() + Duration::from_millis(5)).is_none());
         std::thread::scope(|scope| {
             scope.spawn(|| queue.push(Moment::simulated(1), command()));
-            assert!(queue.pop_until(Instant::now() + Duration::from_secs(30)).is_some());
+            assert!(queue.pop_until(Instant::now() + Duration::from_secs(60)).is_some());
         });
     }
 

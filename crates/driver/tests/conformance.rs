@@ -22,6 +22,9 @@ use heliostat_proto::{
 };
 use heliostat_service::Stop;
 
+/// Longest wait for something that happens soon.
+const LIMIT: Duration = Duration::from_secs(60);
+
 /// Mirrors that are always at their commanded angles.
 struct Exact {
     capabilities: Capabilities,
@@ -41,7 +44,7 @@ impl Exact {
             roll: axis,
             yaw: axis,
             feedback: Feedback::ClosedLoop,
-            park_after_ms: 300,
+            park_after_ms: 1000,
             ..Capabilities::default()
         };
         Self { capabilities, angles: MirrorAngles::flat(3), turns: u32::MAX }
@@ -73,6 +76,16 @@ impl Device for Exact {
     }
 }
 
+/// Waits for the token of a driver: the check waits for it for some seconds only.
+fn wait_for_driver(config: &BusConfig) {
+    let Ok(bus) = Bus::open(config) else { return };
+    let begun = Instant::now();
+    let drivers = bus.room().array(0).drivers_alive();
+    while begun.elapsed() < LIMIT && bus.alive(&drivers, LIMIT).is_ok_and(|tokens| tokens.is_empty()) {
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
 /// Checks the driver that `drive` runs, in a separate room.
 fn checked(room: &str, drive: impl FnOnce(BusConfig, &Stop) + Send) -> Report {
     let endpoint = private_endpoint().unwrap();
@@ -81,7 +94,9 @@ fn checked(room: &str, drive: impl FnOnce(BusConfig, &Stop) + Send) -> Report {
     std::thread::scope(|scope| {
         let driver = config.clone().listen_at(&endpoint);
         scope.spawn(|| drive(driver, &stop));
-        let report = check::run(&config.connect_to(&endpoint), 0);
+        let config = config.connect_to(&endpoint);
+        wait_for_driver(&config);
+        let report = check::run(&config, 0);
         stop.request();
         report.unwrap()
     })
@@ -288,7 +303,9 @@ fn an_array_that_an_operator_stopped_is_not_checked() {
     let settings = Settings { record, ..Settings::new(config.clone().listen_at(&endpoint)) };
     std::thread::scope(|scope| {
         scope.spawn(|| run::run(kit, &settings, &stop).unwrap());
-        let refusal = check::run(&config.connect_to(&endpoint), 0);
+        let config = config.connect_to(&endpoint);
+        wait_for_driver(&config);
+        let refusal = check::run(&config, 0);
         stop.request();
         let refusal = format!("{:#}", refusal.unwrap_err());
         assert!(refusal.contains("stopped by \"ann\"") && refusal.contains("heliostat rearm"), "{refusal}");

@@ -12,10 +12,10 @@ use heliostat_proto::{
 use heliostat_ui::{StopSwitch, UiError};
 
 /// Time limit for an action that takes milliseconds on an idle machine.
-const TIME_LIMIT: Duration = Duration::from_secs(30);
+const TIME_LIMIT: Duration = Duration::from_secs(60);
 
-/// Time limit for what has to fail.
-const SHORT: Duration = Duration::from_secs(3);
+/// Time limit for what has to fail; the arrays that do not fail answer within it on a busy machine too.
+const SHORT: Duration = Duration::from_secs(8);
 
 /// How an array treats a stop.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -16,8 +16,9 @@ const SETTINGS: [&str; 20] = [
     "mirrors.columns=3",
     "--seed",
     "7",
+    // Many, so that the signal comes before the last one.
     "--episodes",
-    "40",
+    "160",
     "--steps",
     "10",
     "--every",

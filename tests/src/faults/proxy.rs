@@ -142,12 +142,18 @@ mod tests {
             }
         });
         let stream = TcpStream::connect(proxy.endpoint().strip_prefix("tcp/").unwrap()).unwrap();
-        stream.set_read_timeout(Some(Duration::from_millis(300))).unwrap();
         (proxy, stream)
     }
 
-    fn answer(stream: &mut TcpStream, byte: u8) -> Option<u8> {
+    /// Longest wait for an answer that comes, and the wait for one that does not.
+    const LIMITS: [Duration; 2] = [Duration::from_secs(60), Duration::from_millis(300)];
+
+    /// Time within which the threads of a proxy see an order.
+    const SEEN: Duration = Duration::from_millis(500);
+
+    fn answer(stream: &mut TcpStream, byte: u8, limit: Duration) -> Option<u8> {
         let mut read = [0];
+        stream.set_read_timeout(Some(limit)).unwrap();
         stream.write_all(&[byte]).ok()?;
         stream.read_exact(&mut read).ok().map(|()| read[0])
     }
@@ -155,21 +161,22 @@ mod tests {
     #[test]
     fn an_interruption_loses_no_byte_and_abandoned_connections_stay_open() {
         let (proxy, mut stream) = counting();
-        assert_eq!(answer(&mut stream, 1), Some(2));
+        let [long, short] = LIMITS;
+        assert_eq!(answer(&mut stream, 1, long), Some(2));
         proxy.partition();
-        thread::sleep(10 * POLL);
-        assert_eq!(answer(&mut stream, 2), None);
+        thread::sleep(SEEN);
+        assert_eq!(answer(&mut stream, 2, short), None);
         proxy.heal();
         let mut read = [0];
+        stream.set_read_timeout(Some(long)).unwrap();
         stream.read_exact(&mut read).unwrap();
         assert_eq!(read, [3], "the byte of before");
         proxy.abandon_connections();
-        thread::sleep(10 * POLL);
-        assert_eq!(answer(&mut stream, 5), None);
+        thread::sleep(SEEN);
+        assert_eq!(answer(&mut stream, 5, short), None);
         let mut new = TcpStream::connect(proxy.endpoint().strip_prefix("tcp/").unwrap()).unwrap();
-        new.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
-        assert_eq!(answer(&mut new, 7), Some(8));
+        assert_eq!(answer(&mut new, 7, long), Some(8));
         proxy.close_connections();
-        assert_eq!(answer(&mut new, 7), None);
+        assert_eq!(answer(&mut new, 7, long), None);
     }
 }

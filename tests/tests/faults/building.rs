@@ -13,13 +13,13 @@ fn in_building(test: &str, fault: impl Fn(&mut Building)) {
     measure(test, || -> Effect { Building::start().undergo(Host::A, &fault) });
 }
 
-#[needs("router", "network-namespaces")]
+#[needs("network-namespaces", "router")]
 #[test]
 fn the_standby_of_the_other_host_replaces_a_killed_controller() {
     in_building("the_standby_of_the_other_host_replaces_a_killed_controller", |building| building.leader().kill());
 }
 
-#[needs("router", "network-namespaces")]
+#[needs("network-namespaces", "router")]
 #[test]
 fn the_standby_of_the_other_host_replaces_a_frozen_controller() {
     in_building("the_standby_of_the_other_host_replaces_a_frozen_controller", |building| {
@@ -29,13 +29,13 @@ fn the_standby_of_the_other_host_replaces_a_frozen_controller() {
     });
 }
 
-#[needs("router", "network-namespaces")]
+#[needs("network-namespaces", "router")]
 #[test]
 fn a_killed_standby_does_not_disturb_the_room() {
     in_building("a_killed_standby_does_not_disturb_the_room", |building| building.standby().kill());
 }
 
-#[needs("router", "network-namespaces")]
+#[needs("network-namespaces", "router")]
 #[test]
 fn a_frozen_standby_does_not_disturb_the_room() {
     in_building("a_frozen_standby_does_not_disturb_the_room", |building| {
@@ -45,7 +45,7 @@ fn a_frozen_standby_does_not_disturb_the_room() {
     });
 }
 
-#[needs("router", "network-namespaces")]
+#[needs("network-namespaces", "router")]
 #[test]
 fn a_killed_array_is_served_again_through_its_router() {
     in_building("a_killed_array_is_served_again_through_its_router", |building| {
@@ -55,7 +55,7 @@ fn a_killed_array_is_served_again_through_its_router() {
     });
 }
 
-#[needs("router", "network-namespaces")]
+#[needs("network-namespaces", "router")]
 #[test]
 fn a_frozen_array_is_served_again_through_its_router() {
     in_building("a_frozen_array_is_served_again_through_its_router", |building| {
@@ -65,7 +65,7 @@ fn a_frozen_array_is_served_again_through_its_router() {
     });
 }
 
-#[needs("router", "network-namespaces")]
+#[needs("network-namespaces", "router")]
 #[test]
 fn the_room_follows_again_after_its_router_was_killed() {
     in_building("the_room_follows_again_after_its_router_was_killed", |building| {
@@ -75,7 +75,7 @@ fn the_room_follows_again_after_its_router_was_killed() {
     });
 }
 
-#[needs("router", "network-namespaces")]
+#[needs("network-namespaces", "router")]
 #[test]
 fn the_room_follows_again_after_its_router_was_frozen() {
     in_building("the_room_follows_again_after_its_router_was_frozen", |building| {
@@ -85,7 +85,7 @@ fn the_room_follows_again_after_its_router_was_frozen() {
     });
 }
 
-#[needs("router", "network-namespaces")]
+#[needs("network-namespaces", "router")]
 #[test]
 fn a_killed_router_of_the_other_host_does_not_disturb_the_room() {
     in_building("a_killed_router_of_the_other_host_does_not_disturb_the_room", |building| {
@@ -95,7 +95,7 @@ fn a_killed_router_of_the_other_host_does_not_disturb_the_room() {
     });
 }
 
-#[needs("router", "network-namespaces")]
+#[needs("network-namespaces", "router")]
 #[test]
 fn a_frozen_router_of_the_other_host_does_not_disturb_the_room() {
     in_building("a_frozen_router_of_the_other_host_does_not_disturb_the_room", |building| {
@@ -105,7 +105,7 @@ fn a_frozen_router_of_the_other_host_does_not_disturb_the_room() {
     });
 }
 
-#[needs("router", "network-namespaces")]
+#[needs("network-namespaces", "router")]
 #[test]
 fn the_loss_of_the_other_host_does_not_disturb_the_room() {
     in_building("the_loss_of_the_other_host_does_not_disturb_the_room", |building| {
@@ -115,7 +115,7 @@ fn the_loss_of_the_other_host_does_not_disturb_the_room() {
     });
 }
 
-#[needs("router", "network-namespaces")]
+#[needs("network-namespaces", "router")]
 #[test]
 fn a_cut_link_between_the_hosts_does_not_disturb_a_room_whose_leader_is_local() {
     in_building("a_cut_link_between_the_hosts_does_not_disturb_a_room_whose_leader_is_local", |building| {
@@ -125,7 +125,7 @@ fn a_cut_link_between_the_hosts_does_not_disturb_a_room_whose_leader_is_local() 
     });
 }
 
-#[needs("router", "network-namespaces")]
+#[needs("network-namespaces", "router")]
 #[test]
 fn a_link_cut_beyond_the_lease_does_not_disturb_a_room_whose_leader_is_local() {
     in_building("a_link_cut_beyond_the_lease_does_not_disturb_a_room_whose_leader_is_local", |building| {
@@ -136,7 +136,7 @@ fn a_link_cut_beyond_the_lease_does_not_disturb_a_room_whose_leader_is_local() {
     });
 }
 
-#[needs("router", "network-namespaces")]
+#[needs("network-namespaces", "router")]
 #[test]
 fn lost_packets_between_the_hosts_do_not_disturb_a_room_whose_leader_is_local() {
     in_building("lost_packets_between_the_hosts_do_not_disturb_a_room_whose_leader_is_local", |building| {
@@ -146,14 +146,12 @@ fn lost_packets_between_the_hosts_do_not_disturb_a_room_whose_leader_is_local() 
     });
 }
 
+#[needs("network-namespaces", "router")]
 #[test]
 fn a_local_standby_takes_over_when_the_link_to_the_host_of_the_leader_is_cut() {
     let test = "a_local_standby_takes_over_when_the_link_to_the_host_of_the_leader_is_cut";
-    let building = Building::start();
-    let mut first = Some(building);
     measure(test, || {
-        let mut building = first.take().or_else(Building::start).expect("a building could be made before");
-        building.undergo(Host::B, |building| {
+        Building::start().undergo(Host::B, |building| {
             building.cable.cut();
             wait_s(3.0);
             building.cable.heal();
@@ -161,14 +159,12 @@ fn a_local_standby_takes_over_when_the_link_to_the_host_of_the_leader_is_cut() {
     });
 }
 
+#[needs("network-namespaces", "router")]
 #[test]
 fn a_local_standby_takes_over_when_the_host_of_the_leader_is_lost() {
     let test = "a_local_standby_takes_over_when_the_host_of_the_leader_is_lost";
-    let building = Building::start();
-    let mut first = Some(building);
     measure(test, || {
-        let mut building = first.take().or_else(Building::start).expect("a building could be made before");
-        building.undergo(Host::B, |building| {
+        Building::start().undergo(Host::B, |building| {
             building.kill_host_b();
             wait_s(3.0);
             building.restart_host_b();

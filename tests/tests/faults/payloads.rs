@@ -5,6 +5,7 @@ use heliostat_proto::{
     OrientationReport, Rearm, SafetyReport, SimulatorControl,
 };
 use heliostat_tests::faults::{Array, Attacker, Effect, FaultRoom, Setup, encoded};
+use heliostat_tests::wait_until;
 
 use crate::{measure, wait_s};
 
@@ -125,7 +126,7 @@ fn an_unknown_policy_is_refused_by_the_controller() {
                 attacker.publish(&attacker.room().controller_control(), &order);
             }
         });
-        assert!(room.witness.counter(NodeKind::Controller, "policies_refused") > 0, "{effect:?}");
+        wait_until("a refusal", || room.witness.counter(NodeKind::Controller, "policies_refused") > 0);
         effect
     });
 }

@@ -22,27 +22,31 @@ fn a_process_that_dies_leaves_no_green_state_and_no_current_figure() {
     let mut setting = Setting::new();
     let browser = setting.browser(&[]);
     wait_until("green states", || green(&browser).len() == 2);
-    assert!(!is_stale(&browser, "room-card") && !is_stale(&browser, "times") && banner(&browser).is_empty());
-    let sentence = browser.text("#sentence");
-    assert!(sentence.contains("Mbit/s") && sentence.contains("minimum rate"), "{sentence}");
+    wait_until("a page without a stale part", || {
+        let sentence = browser.text("#sentence");
+        let is_told = sentence.contains("Mbit/s") && sentence.contains("minimum rate");
+        is_told && !is_stale(&browser, "room-card") && !is_stale(&browser, "times") && banner(&browser).is_empty()
+    });
 
     setting.controller.kill();
     wait_until("no green controller", || !green(&browser).iter().any(|chip| chip == "alive"));
     wait_until("stale decision times", || is_stale(&browser, "times"));
     wait_until("no mirrors that follow", || green(&browser).is_empty());
-    assert!(!is_stale(&browser, "room-card"), "the room still reports");
+    wait_until("a room that still reports", || !is_stale(&browser, "room-card"));
 
     setting.room.kill();
     wait_until("a stale room", || is_stale(&browser, "room-card") && is_stale(&browser, "rates"));
-    let sentence = browser.text("#sentence");
-    assert!(sentence.contains("has not reported for") && sentence.contains("unknown"), "{sentence}");
-    assert!(browser.text("#chip-array").starts_with("no report for"), "{}", browser.text("#chip-array"));
+    wait_until("a sentence about the silence", || {
+        let sentence = browser.text("#sentence");
+        sentence.contains("has not reported for") && sentence.contains("unknown")
+    });
+    wait_until("an array without a report", || browser.text("#chip-array").starts_with("no report for"));
 
     setting.server.kill();
     wait_until("a banner", || banner(&browser).contains("No connection to the server"));
-    assert_eq!(green(&browser), Vec::<Value>::new());
+    wait_until("no green state", || green(&browser).is_empty());
     for part in ["room-card", "rates", "sums", "times", "counters"] {
-        assert!(is_stale(&browser, part), "{part} looks current without a server");
+        wait_until(&format!("{part} that looks stale without a server"), || is_stale(&browser, part));
     }
 }
 
@@ -75,7 +79,7 @@ fn the_death_of_the_server_alone_makes_everything_stale() {
     setting.server.kill();
     wait_until("a banner", || banner(&browser).contains("No connection to the server"));
     wait_until("no green state", || green(&browser).is_empty());
-    assert!(browser.text("#sentence").contains("unknown"), "{}", browser.text("#sentence"));
+    wait_until("a sentence that says so", || browser.text("#sentence").contains("unknown"));
 }
 
 #[needs("browser")]
@@ -91,5 +95,5 @@ fn another_server_on_the_same_port_reloads_the_page() {
     wait_until("a page of the new server", || {
         browser.run("return window.loaded_before === undefined") == true && is_live(&browser)
     });
-    assert_eq!(banner(&browser), "");
+    wait_until("no banner", || banner(&browser).is_empty());
 }

@@ -23,7 +23,7 @@ fn the_banner_says_whether_the_array_confirmed_a_stop() {
     let browser = setting.browser(&[]);
     browser.click("#stop");
     wait_until("a confirmation", || banner(&browser).contains("has confirmed the stop"));
-    assert_eq!(browser.text("#chip-array"), "stopped");
+    wait_until("a state of the array", || browser.text("#chip-array") == "stopped");
     let named = || banner(&browser).contains("heliostat ui (button)");
     wait_until("the operator", named);
     browser.click("#rearm");
@@ -77,7 +77,7 @@ fn a_stop_without_an_array_is_answered_at_once_and_a_rearm_keeps_the_warning() {
         std::thread::sleep(Duration::from_millis(100));
     }
     wait_until("the same warning", || banner(&browser).contains(warning));
-    assert_eq!(status(), format!("re-arm: {absent}"));
+    wait_until("the outcome of the re-arm", || status() == format!("re-arm: {absent}"));
 }
 
 #[needs("browser")]

@@ -19,7 +19,7 @@ use heliostat_service::{MetricsArgs, Stop};
 
 use crate::support::{Room, scenario};
 
-const PATIENCE: Duration = Duration::from_secs(20);
+const PATIENCE: Duration = Duration::from_secs(60);
 
 /// A node in lockstep, and the bus of the room that it serves.
 struct Rig {
@@ -96,7 +96,7 @@ fn hostile_payloads_are_counted_by_name_and_decisions_continue() {
     let (mut other_version, mut trailing) = (sound.clone(), sound.clone());
     other_version[0] = 9;
     trailing.push(0);
-    let users = rig.bus.publisher(&name.users(), Class::RealTimeDrop).unwrap();
+    let users = rig.bus.publisher(&name.users(), Class::RealTimeBlock).unwrap();
     for payload in [&other_version[..], &trailing[..], &sound[..sound.len() / 2], b"", &[1, 77, 3]] {
         users.put(payload).unwrap();
         thread::sleep(Duration::from_millis(20));

@@ -1,4 +1,5 @@
-//! Several values of one or two scenario keys: `users.count=1..10`, `noise.variance_a2=2e-15,6.5e-15,2e-14`.
+//! Several values of one or two scenario keys: `users.count=1..10`, `noise.variance_a2=2e-15,6.5e-15,2e-14`,
+//! `led.positions_m=[[0,0,3]],[[1,0,3],[-1,0,3]]`.
 
 use std::str::FromStr;
 
@@ -117,7 +118,7 @@ impl FromStr for Sweep {
                 let range = number(first)?..=number(last)?;
                 range.take(VALUES_MAX + 1).map(|value| value.to_string()).collect()
             }
-            None => values.split(',').map(|value| value.trim().to_owned()).collect(),
+            None => listed(values),
         };
         if values.len() > VALUES_MAX {
             return Err(format!("too many values: expected at most {VALUES_MAX}"));
@@ -127,6 +128,21 @@ impl FromStr for Sweep {
         }
         Ok(Self { key: key.trim().into(), values })
     }
+}
+
+/// The values between commas; commas within brackets or quotation marks belong to a value.
+fn listed(text: &str) -> Vec<String> {
+    let (mut depth, mut is_quoted) = (0_usize, false);
+    let parts = text.split(|character| {
+        match character {
+            '"' => is_quoted = !is_quoted,
+            '[' | '{' if !is_quoted => depth += 1,
+            ']' | '}' if !is_quoted => depth = depth.saturating_sub(1),
+            _ => {}
+        }
+        character == ',' && depth == 0 && !is_quoted
+    });
+    parts.map(|value| value.trim().to_owned()).collect()
 }
 
 #[cfg(test)]
@@ -140,6 +156,8 @@ mod tests {
         assert_eq!(sweep.values().last().map(String::as_str), Some("4"));
         let sweep: Sweep = "noise.variance_a2=6.5e-15, 2e-15".parse().expect("a list");
         assert_eq!(sweep.values(), ["6.5e-15", "2e-15"]);
+        let sweep: Sweep = "led.positions_m=[[0,0,3]],[[1,0,3],[-1,0,3]]".parse().expect("a list of lists");
+        assert_eq!(sweep.values(), ["[[0,0,3]]", "[[1,0,3],[-1,0,3]]"]);
         assert_eq!("seed=1..1000".parse::<Sweep>().expect("a range").values().len(), 1000);
         assert!("seed=0..4294967295".parse::<Sweep>().expect_err("too many").contains("at most 1000"));
         for text in ["users.count", "=1..3", "users.count=3..1", "users.count=1,,2", "users.count=a..b"] {

@@ -92,7 +92,7 @@ impl Monitor {
 
     /// A controller sent a payload to an array.
     pub fn sent(&mut self, now: TrueNs, source: u64, array: usize, payload: &[u8]) {
-        let found = self.commands.sent(source, array, payload);
+        let found = self.commands.sent(now, source, array, payload);
         self.keep(array, now, found);
     }
 

@@ -73,6 +73,28 @@ fn a_replay_from_a_state_repeats_the_command_beside_a_stop() {
     holds(5_000_829, |_| {}, &[at(2240, 0, Fault::Stop)]);
 }
 
+/// The replay took a forged report, which the controller had refused, for the real one with its number.
+#[test]
+fn a_replay_repeats_the_real_one_of_two_reports_with_one_number() {
+    let faults = [
+        at(1535, 92, Fault::Crash { host: Role::Array(0), disk: DiskAfterCrash::Kept }),
+        at(3284, 264, Fault::Attack(Attack::OutsideUsers)),
+        at(3499, 533, Fault::Freeze { host: Role::Controller(1) }),
+    ];
+    holds(1_795_656_660_707_793, |_| {}, &faults);
+}
+
+/// The check of angles took no time to have passed where the clock of the controller was set back by an hour.
+#[test]
+fn a_controller_whose_clock_is_set_back_turns_parked_mirrors() {
+    let faults = [
+        at(2830, 5942, Fault::ClockStep { host: Role::Controller(0), ms: 3_600_000 }),
+        at(4458, 6080, Fault::Crash { host: Role::Controller(1), disk: DiskAfterCrash::Kept }),
+        at(5317, 1006, Fault::ClockStep { host: Role::Tracker, ms: 3_600_000 }),
+    ];
+    holds(1_795_656_659_685_390, |_| {}, &faults);
+}
+
 /// A record of several stops that was cut off between two of them was read as one of fewer stops.
 #[test]
 fn a_record_of_several_stops_that_is_cut_off_is_an_unknown_state() {

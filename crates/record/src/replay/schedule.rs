@@ -7,6 +7,7 @@
 //! the next state.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
+use std::iter;
 use std::rc::Rc;
 
 use heliostat_proto::{ControllerInput, ControllerMemory, InputKind, Nanos};
@@ -34,6 +35,9 @@ pub(super) struct Schedule {
     pub steps: Vec<Step>,
     /// The entries that the steps name.
     named: HashSet<EntryIndex>,
+    /// The later messages with the number of a message, where there are some. A forged message may be before
+    /// the one that the controller accepted.
+    others: HashMap<EntryIndex, Vec<EntryIndex>>,
     /// The last sequence number of each stream and source in the steps.
     last: HashMap<Sender, u64>,
 }
@@ -42,6 +46,11 @@ impl Schedule {
     /// Whether a step names this entry.
     pub fn names(&self, entry: EntryIndex) -> bool {
         self.named.contains(&entry)
+    }
+
+    /// The messages with the number of that of a step, in the order of the recording.
+    pub fn candidates(&self, entry: EntryIndex) -> impl Iterator<Item = EntryIndex> {
+        iter::once(entry).chain(self.others.get(&entry).into_iter().flatten().copied())
     }
 
     /// Whether a message is later than all messages of its source in the steps: the controller may
@@ -64,15 +73,18 @@ fn sender(input: InputKind, source: u64, sequence: u64) -> Sender {
 #[derive(Default)]
 pub(super) struct ScheduleBuilder {
     messages: HashMap<(InputKind, u64, u64), EntryIndex>,
+    others: HashMap<EntryIndex, Vec<EntryIndex>>,
     memories: Vec<(EntryIndex, ControllerMemory)>,
 }
 
 impl ScheduleBuilder {
     /// Notes a report or a telemetry message, with its sequence number as a [`ControllerInput`] has
-    /// it. Of messages with one number the first counts: a
-    /// controller refuses the others.
+    /// it. Of messages with one number a controller accepts one.
     pub fn add_message(&mut self, entry: EntryIndex, input: InputKind, source: u64, sequence: u64) {
-        self.messages.entry((input, source, sequence)).or_insert(entry);
+        let first = *self.messages.entry((input, source, sequence)).or_insert(entry);
+        if first != entry {
+            self.others.entry(first).or_default().push(entry);
+        }
     }
 
     /// Notes the inputs of a memory message; its state is read when the step is replayed.
@@ -91,7 +103,7 @@ impl ScheduleBuilder {
             if former.is_none_or(|former| stamp.sequence.checked_sub(former) != Some(1)) {
                 schedule.steps.push(Step::Gap);
             }
-            memory.inputs.iter().for_each(|input| schedule.add(input, &self.messages));
+            memory.inputs.iter().for_each(|input| schedule.add(input, &self));
             schedule.steps.push(Step::Load { entry: *entry });
             schedule.named.insert(*entry);
         }
@@ -100,7 +112,7 @@ impl ScheduleBuilder {
 }
 
 impl Schedule {
-    fn add(&mut self, input: &ControllerInput, messages: &HashMap<(InputKind, u64, u64), EntryIndex>) {
+    fn add(&mut self, input: &ControllerInput, builder: &ScheduleBuilder) {
         let ControllerInput { input: kind, source, sequence, time_ns: now, command: gave_command } = *input;
         match kind {
             InputKind::Users
@@ -109,7 +121,11 @@ impl Schedule {
             | InputKind::Orientation
             | InputKind::Leds
             | InputKind::Telemetry => {
-                let entry = messages.get(&(kind, source, sequence)).copied();
+                let entry = builder.messages.get(&(kind, source, sequence)).copied();
+                if let Some((first, others)) = entry.and_then(|entry| builder.others.get_key_value(&entry)) {
+                    self.named.extend(others);
+                    self.others.insert(*first, others.clone());
+                }
                 self.named.extend(entry);
                 self.last.insert(sender(kind, source, sequence), sequence);
                 self.steps.push(Step::Handle { entry, now });
@@ -162,7 +178,8 @@ mod tests {
             Step::Load { entry: 6 },
         ];
         assert_eq!(schedule.steps, expected);
-        assert!(schedule.names(1) && !schedule.names(3), "a repeated number is refused");
+        assert!(schedule.names(1) && schedule.names(3), "a number may be that of two messages");
+        assert_eq!(schedule.candidates(1).collect::<Vec<_>>(), [1, 3]);
         assert!(!schedule.is_later(InputKind::Users, 5, 10) && schedule.is_later(InputKind::Users, 5, 11));
     }
 }

@@ -50,6 +50,15 @@ pub(super) struct Decided {
     pub counts: bool,
 }
 
+/// What became of the message of a step.
+enum Passed {
+    Handled,
+    /// The recording does not have it.
+    Missing,
+    /// It comes later in the recording.
+    Unread,
+}
+
 /// A message of a step.
 struct Waiting {
     input: Input,
@@ -103,15 +112,10 @@ impl Progress {
             match step {
                 Step::Gap => self.is_known = false,
                 Step::Handle { entry: None, .. } => self.is_known = false,
-                Step::Handle { entry: Some(entry), now } => match self.waiting.remove(&entry) {
-                    Some(Waiting { input, source, data }) => {
-                        // The recorded controller accepted the message, so it knew that its source
-                        // was alive. The recorder may have missed its return, or received it later.
-                        controller.handle_source_found(publisher(input.0), source);
-                        handle(controller, input, &data, now);
-                    }
-                    None if entry > read => return decisions,
-                    None => self.is_known = false,
+                Step::Handle { entry: Some(entry), now } => match self.pass(controller, entry, now, read) {
+                    Passed::Unread => return decisions,
+                    Passed::Missing => self.is_known = false,
+                    Passed::Handled => {}
                 },
                 Step::Decide { input, now, gave_command, withheld } => {
                     // A state does not say which reports of an array count for its stops.
@@ -136,6 +140,30 @@ impl Progress {
             self.next += 1;
         }
         decisions
+    }
+
+    /// Passes the message of a step. Where the controller refuses it, passes the next one with its number.
+    fn pass(&mut self, controller: &mut Controller, entry: EntryIndex, now: Nanos, read: EntryIndex) -> Passed {
+        let schedule = Rc::clone(&self.schedule);
+        let mut passed = Passed::Missing;
+        for candidate in schedule.candidates(entry) {
+            match self.waiting.remove(&candidate) {
+                Some(Waiting { input, source, data }) => {
+                    // The recorded controller accepted the message, so it knew that its source
+                    // was alive. The recorder may have missed its return, or received it later.
+                    controller.handle_source_found(publisher(input.0), source);
+                    let refused = controller.inbox().refused().total();
+                    handle(controller, input, &data, now);
+                    passed = Passed::Handled;
+                    if controller.inbox().refused().total() == refused {
+                        break;
+                    }
+                }
+                None if candidate > read => return Passed::Unread,
+                None => {}
+            }
+        }
+        passed
     }
 
     fn load(&mut self, controller: &mut Controller, data: &[u8]) {

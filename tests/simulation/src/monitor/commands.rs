@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use heliostat_core::tenure::EPOCH_SLOTS;
 use heliostat_proto::{MirrorCommand, decode};
 
-use crate::clock::MS;
+use crate::clock::{MS, TrueNs};
 use crate::hosts::device::MIRRORS;
 use crate::violation::Invariant;
 
@@ -21,8 +21,8 @@ pub(crate) struct CommandMonitor {
     slew_rad_s: f64,
     /// The controller of each epoch of an array.
     owners: BTreeMap<(usize, u64), u64>,
-    /// The last command of a controller to an array.
-    last: BTreeMap<(u64, usize), MirrorCommand>,
+    /// The last command of a controller to an array, and when it was sent.
+    last: BTreeMap<(u64, usize), (TrueNs, MirrorCommand)>,
 }
 
 impl CommandMonitor {
@@ -41,18 +41,28 @@ impl CommandMonitor {
         }
     }
 
-    pub(super) fn sent(&mut self, source: u64, array: usize, payload: &[u8]) -> Result<(), (Invariant, String)> {
+    pub(super) fn sent(
+        &mut self,
+        now: TrueNs,
+        source: u64,
+        array: usize,
+        payload: &[u8],
+    ) -> Result<(), (Invariant, String)> {
         let command: MirrorCommand =
             decode(payload).map_err(|error| (Invariant::Payload, format!("{source:x} sent {error}")))?;
         let last = self.last.get(&(source, array));
-        check_number(last, &command)?;
-        check_angles(last, &command, self.slew_rad_s)?;
+        check_number(last.map(|(_, last)| last), &command)?;
+        // A clock that was set back says nothing about the time that has passed.
+        let passed = |(sent, last): &(TrueNs, MirrorCommand)| {
+            command.time_ns.checked_sub(last.time_ns).unwrap_or(now.saturating_sub(*sent))
+        };
+        check_angles(last.map(|last| (&last.1, passed(last))), &command, self.slew_rad_s)?;
         let owner = *self.owners.entry((array, command.epoch)).or_insert(source);
         if owner != source {
             let text = format!("{owner:x} and {source:x} have the same epoch {}", command.epoch);
             return Err((Invariant::Numbering, text));
         }
-        self.last.insert((source, array), command);
+        self.last.insert((source, array), (now, command));
         Ok(())
     }
 }
@@ -66,8 +76,9 @@ fn check_number(last: Option<&MirrorCommand>, sent: &MirrorCommand) -> Result<()
     Err((Invariant::Numbering, format!("sequence {sequence} of epoch {epoch}, expected {expected}")))
 }
 
+/// Checks a command beside the last one and the time since then.
 fn check_angles(
-    last: Option<&MirrorCommand>,
+    last: Option<(&MirrorCommand, u64)>,
     sent: &MirrorCommand,
     slew_rad_s: f64,
 ) -> Result<(), (Invariant, String)> {
@@ -82,8 +93,7 @@ fn check_angles(
     if let Some(angle) = angles(sent).into_iter().find(|angle| angle.abs() > largest) {
         return fault(format!("a command of {angle} rad"));
     }
-    let Some(last) = last else { return Ok(()) };
-    let passed_ns = sent.time_ns.saturating_sub(last.time_ns);
+    let Some((last, passed_ns)) = last else { return Ok(()) };
     // After the end of validity the mirrors are where telemetry has them, or park.
     if passed_ns > u64::from(last.validity_ms.min(sent.validity_ms)) * MS {
         return Ok(());

@@ -1,5 +1,5 @@
-//! A source whose liveliness token ends and returns: the replay follows it again, as the recorded
-//! controller did.
+//! Messages that a recorded controller accepted although a source ended, or another message has their
+//! number: the replay accepts the same ones.
 #![cfg(feature = "live")]
 
 use std::fs::File;
@@ -80,6 +80,17 @@ impl RecordedRoom {
         }
     }
 
+    /// A report with the stamp of the next one, of a user outside the room, which the controller refuses.
+    fn forge(&mut self, tick: u64) {
+        let now = 1_000_000_000 + tick * 100_000_000;
+        let stamp = Stamp { source: TRACKER, sequence: tick, time_ns: now };
+        let user = UserState { user: 3, position_m: [1e3, 0.5, 0.9], ..UserState::default() };
+        let mut report = UserReport { stamp, tick, users: vec![user] };
+        let users = self.room.users();
+        self.write(&users, now, &report);
+        assert_eq!(self.controller.handle_message(now, Message::Users(&mut report)), Due::Nothing);
+    }
+
     fn write_memory(&mut self, tick: u64, sequence: u64) {
         let now = 1_000_000_000 + tick * 100_000_000;
         let mut inputs = Vec::new();
@@ -136,6 +147,23 @@ fn a_listed_input_is_accepted_where_the_recorder_missed_the_return_of_its_source
             room.write_presence(1_000_000_000 + tick * 100_000_000, false);
         }
         // The recorder started after the first commands.
+        room.report(tick, 100 + tick);
+        if tick % 10 == 0 {
+            room.write_memory(tick, tick / 10);
+        }
+    }
+    room.recording.finish(&Account::default()).unwrap();
+    let verdict = replay(&file);
+    assert_eq!((verdict.same, verdict.different, verdict.held), (REPORTS - 10, 0, 0), "{verdict:?}");
+}
+
+#[test]
+fn a_refused_message_with_the_number_of_an_accepted_one_changes_no_replay() {
+    let folder = TempDir::new().unwrap();
+    let file = folder.path().join("forged.mcap");
+    let mut room = RecordedRoom::new(&file, &scenario(), 0);
+    for tick in 1..=REPORTS {
+        room.forge(tick);
         room.report(tick, 100 + tick);
         if tick % 10 == 0 {
             room.write_memory(tick, tick / 10);

@@ -53,7 +53,9 @@ struct Operator {
 /// What an operator observed during a time.
 #[derive(Debug)]
 struct Observed {
-    /// User reports for which no command arrived in time.
+    /// User reports.
+    reported: u64,
+    /// Those for which no command arrived in time.
     lost: u64,
     /// Times from the order of a stop to telemetry that reports it.
     stops: Vec<Duration>,
@@ -102,7 +104,8 @@ impl Operator {
         assert_eq!(before.epoch, after.epoch, "the controller is the same");
         let arrived = |telemetry: &MirrorTelemetry| telemetry.counters.accepted + telemetry.counters.stopped;
         let reported = after.answers - before.answers;
-        Observed { lost: reported.saturating_sub(arrived(&after) - arrived(&before)), stops }
+        let lost = reported.saturating_sub(arrived(&after) - arrived(&before));
+        Observed { reported, lost, stops }
     }
 
     fn order(&mut self, action: StopAction) -> Instant {
@@ -185,8 +188,9 @@ impl Scene {
             before.median_stop(),
             after.median_stop()
         );
-        // Each stop costs about one command, and a busy machine loses some without any accident.
-        if after.lost > 1 + before.lost + before.lost / 2 {
+        // Each stop costs about one command, and a busy machine loses some without any accident. A close that
+        // blocks for Zenoh's 10 s loses three quarters.
+        if after.lost > before.lost + after.reported / 4 {
             return Err(format!("commands are lost: {after:?}, and before {before:?}"));
         }
         // A slow machine is slow before the accident too.

@@ -4,6 +4,7 @@
 //! write the record of the stop meanwhile; all other methods belong to one thread, and none may be called
 //! from a method of the device.
 
+use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use heliostat_array::arrivals::Arrivals;
@@ -379,4 +380,10 @@ fn payload<T: Message>(message: &T) -> PyResult<Vec<u8>> {
 
 fn moment((local_ns, room_ns): (u64, u64)) -> Moment {
     Moment { local_ns, room_ns }
+}
+
+/// The folder of the stop records of a driver that is given none, by environment variables.
+#[pyfunction]
+pub(crate) fn stop_record_folder(variables: HashMap<String, String>) -> Option<String> {
+    stop_record::default_folder(|name| variables.get(name).cloned()).map(|folder| folder.display().to_string())
 }

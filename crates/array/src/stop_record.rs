@@ -8,6 +8,8 @@
 //! [`RecordTask`] from a [`RecordPlan`] and passes it to another thread. Reports that name a stop wait for
 //! its record, but not for ever.
 
+use std::path::{Path, PathBuf};
+
 use heliostat_proto::array_keys::array_name;
 use heliostat_proto::{Nanos, Room};
 use thiserror::Error;
@@ -19,6 +21,21 @@ pub const RECORD_MAX: u64 = 1024 * 1024;
 
 /// Longest time that reports wait for the record of the state they name, in ns.
 const REPORT_WAIT_NS: u64 = 250_000_000;
+
+/// Longest time that the end of a driver waits for the record of a stop, in ns.
+pub const END_WAIT_NS: u64 = 5_000_000_000;
+
+/// The folder of the records of a driver that is given none, by environment variables: `$STATE_DIRECTORY`,
+/// which systemd sets, else `heliostat` in `$XDG_STATE_HOME` or in `~/.local/state`; `None` without these.
+pub fn default_folder(variable: impl Fn(&str) -> Option<String>) -> Option<PathBuf> {
+    let set = |name: &str| variable(name).filter(|value| !value.is_empty());
+    // systemd separates several folders by colons.
+    let of_unit = set("STATE_DIRECTORY").and_then(|list| list.split(':').next().map(PathBuf::from));
+    of_unit.or_else(|| {
+        let folder = set("XDG_STATE_HOME").map(PathBuf::from);
+        folder.or_else(|| Some(Path::new(&set("HOME")?).join(".local/state"))).map(|state| state.join("heliostat"))
+    })
+}
 
 /// The problem of a record whose store has not answered for so long.
 const LATE: &str = "the emergency stop is not recorded yet: its disk does not answer; do not restart the driver";

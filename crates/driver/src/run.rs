@@ -13,7 +13,7 @@ use heliostat_array::kit::Kit;
 use heliostat_array::latch::Latch;
 use heliostat_array::moment::Moment;
 use heliostat_array::station::{Identity, Report, Station};
-use heliostat_array::stop_record::advice;
+use heliostat_array::stop_record::{END_WAIT_NS, advice};
 use heliostat_bus::{Bus, BusConfig, BusError, Class, Token};
 use heliostat_service::log_limit::LogLimit;
 use heliostat_service::{Exporter, MetricsArgs, MetricsError, Stop, source_id};
@@ -29,9 +29,6 @@ use crate::summary::Summary;
 
 /// Longest wait, so that a stop request takes effect soon.
 const SLEEP_MAX: Duration = Duration::from_millis(50);
-
-/// Longest time that the end of a driver waits for the record of a stop.
-const RECORD_WITHIN: Duration = Duration::from_secs(5);
 
 /// First and longest pause before another attempt to reach the router.
 const ROUTER_PAUSES: [Duration; 2] = [Duration::from_millis(250), Duration::from_secs(5)];
@@ -165,7 +162,7 @@ impl<D: Device> ArrayDriver<D> {
         }
         drop(running);
         // A stop that comes now is obeyed, and in the record before the end if the disk answers.
-        let given_up = Instant::now() + RECORD_WITHIN;
+        let given_up = Instant::now() + Duration::from_nanos(END_WAIT_NS);
         while ended.is_ok() && !driver.is_settled() && Instant::now() < given_up {
             ended = driver.step(clock);
         }

@@ -24,17 +24,9 @@ pub struct StopRecordSettings {
 }
 
 impl StopRecordSettings {
-    /// The folder of a driver: the one given, else `$STATE_DIRECTORY`, which systemd sets, else
-    /// `heliostat` in `$XDG_STATE_HOME` or in `~/.local/state`.
+    /// The folder of a driver: the one given, else that of [`stop_record::default_folder`].
     pub fn of_driver(given: Option<PathBuf>, start_armed: bool, variable: impl Fn(&str) -> Option<String>) -> Self {
-        let set = |name: &str| variable(name).filter(|value| !value.is_empty());
-        // systemd separates several folders by colons.
-        let of_unit = || set("STATE_DIRECTORY").and_then(|list| list.split(':').next().map(PathBuf::from));
-        let of_user = || {
-            let folder = set("XDG_STATE_HOME").map(PathBuf::from);
-            folder.or_else(|| Some(Path::new(&set("HOME")?).join(".local/state"))).map(|state| state.join("heliostat"))
-        };
-        Self { directory: given.or_else(of_unit).or_else(of_user), start_armed }
+        Self { directory: given.or_else(|| stop_record::default_folder(variable)), start_armed }
     }
 
     /// Opens the record of the array of a room with this index; returns the latch with which the array

@@ -35,11 +35,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ._core import ARRAYS_MAX, STOP_RECORD_MAX, Station
+from ._core import ARRAYS_MAX, STOP_RECORD_END_WAIT_NS, STOP_RECORD_MAX, Station, stop_record_folder
 from .peer import SOFTWARE, Peer, PeerError, Settings, add_arguments, stop_on_signals
 
 _LONGEST_WAIT_NS = 50_000_000
-_RECORD_WITHIN_NS = 5_000_000_000
 
 
 @dataclass(frozen=True)
@@ -292,7 +291,7 @@ def run(
         while True:
             if ended.is_set() or (seconds is not None and now()[0] >= 1e9 * seconds):
                 # A stop that comes now is obeyed, and in the record before the end if the disk answers.
-                given_up_ns = given_up_ns or now()[0] + _RECORD_WITHIN_NS
+                given_up_ns = given_up_ns or now()[0] + STOP_RECORD_END_WAIT_NS
                 if station.is_settled or now()[0] >= given_up_ns:
                     break
             if not more:
@@ -387,11 +386,6 @@ class _Shown:
 
 def _state_folder() -> Path:
     """The folder of the record where no flag names one."""
-    if of_unit := os.environ.get("STATE_DIRECTORY"):
-        # systemd separates several folders by colons.
-        return Path(of_unit.split(":")[0])
-    if of_user := os.environ.get("XDG_STATE_HOME"):
-        return Path(of_user) / "heliostat"
-    if home := os.environ.get("HOME"):
-        return Path(home) / ".local/state/heliostat"
+    if folder := stop_record_folder(dict(os.environ)):
+        return Path(folder)
     raise PeerError("no folder for the record of the emergency stop: expected --state DIR")

@@ -4,11 +4,13 @@ use heliostat_tests::Process;
 use serde_json::Value;
 
 /// The summary of 8 s at 20 reports/s: a busy machine that stalls for less than the 50 ms between two
-/// reports drops none of them.
+/// reports drops none of them, and a stall of some seconds lets no command expire.
 fn demo(arguments: &[&str]) -> Value {
     let specular: &[&str] = if arguments.contains(&"--scenario") { &[] } else { &["--scenario", "specular"] };
-    let rate = ["--set", "streams.positions.rate_hz=20", "--set", "streams.channel.rate_hz=20"];
-    let all = [&["demo", "--seconds", "8", "--json"], &rate[..], specular, arguments].concat();
+    let rates = ["streams.positions.rate_hz=20", "streams.channel.rate_hz=20"];
+    let patience = ["control.validity_ms=10000", "control.report_age_max_ms=10000"];
+    let set: Vec<&str> = rates.into_iter().chain(patience).flat_map(|change| ["--set", change]).collect();
+    let all = [&["demo", "--seconds", "8", "--json"], &set[..], specular, arguments].concat();
     Process::heliostat(&all).wait().json()
 }
 

@@ -15,7 +15,7 @@ pub struct StreamAccount {
     pub messages: u64,
     /// Size of the written payloads in bytes.
     pub bytes: u64,
-    /// Sources that published on the key, one after the other; for commands, epochs.
+    /// Sources that published on the key; for commands, epochs.
     pub sources: u64,
     /// Messages that a source numbered and that did not arrive.
     pub missing: u64,
@@ -33,9 +33,13 @@ pub struct Account {
     /// Payloads that were received and dropped, because the queue to the disk was full. They count
     /// as missing when a later message of their stream arrives.
     pub dropped: u64,
+    /// The last number of each source of a key, the source that was heard last at the end.
     #[serde(skip)]
-    last: BTreeMap<String, Origin>,
+    last: BTreeMap<String, Vec<Origin>>,
 }
+
+/// Sources of a key whose last number is kept.
+const SOURCES_MAX: usize = 64;
 
 impl Account {
     /// Counts a payload on a key; `origin` is `None` if the payload could not be decoded.
@@ -47,15 +51,19 @@ impl Account {
             stream.unreadable += 1;
             return;
         };
-        match self.last.get(key) {
-            Some(last) if last.source == origin.source && origin.sequence <= last.sequence => {
+        let known = entry(&mut self.last, key);
+        match known.iter().rposition(|last| last.source == origin.source) {
+            Some(index) if origin.sequence <= known[index].sequence => {
                 stream.out_of_order += 1;
                 return;
             }
-            Some(last) if last.source == origin.source => stream.missing += origin.sequence - last.sequence - 1,
-            _ => stream.sources += 1,
+            Some(index) => stream.missing += origin.sequence - known.remove(index).sequence - 1,
+            None => stream.sources += 1,
         }
-        *entry(&mut self.last, key) = origin;
+        if known.len() == SOURCES_MAX {
+            known.remove(0);
+        }
+        known.push(origin);
     }
 
     /// Payloads written.
@@ -106,9 +114,9 @@ mod tests {
     #[test]
     fn gaps_are_counted_by_source() {
         let mut account = Account::default();
-        // Joined at 5; 7 and 8 are lost; 9 comes twice; then another source starts at 1, and its 2
+        // Joined at 5; 7 and 8 are lost; 9 comes twice; another source begins meanwhile at 1, and its 2
         // to 4 are lost.
-        for (source, sequence) in [(1, 5), (1, 6), (1, 9), (1, 9), (1, 8), (2, 1), (2, 5)] {
+        for (source, sequence) in [(1, 5), (1, 6), (2, 1), (1, 9), (1, 9), (2, 5), (1, 8)] {
             account.count("users", 10, Some(Origin { source, sequence, time_ns: 0 }));
         }
         account.count("users", 3, None);

@@ -38,7 +38,12 @@ export class Charts {
     this.past = plan.history.map(([time_s, sum]) => ({ time_s, ...sum }));
     this.policy = "";
     this.redraw = new RedrawLimiter(500);
-    const observer = new ResizeObserver(() => this.redraw.reset());
+    const observer = new ResizeObserver(() => {
+      this.redraw.reset();
+      // Figures that are stale bring no redraw.
+      this.fit(this.sumPlot, this.sum);
+      this.fit(this.latencyPlot, this.latency);
+    });
     for (const chart of [this.sum, this.latency]) observer.observe(chart);
   }
 
@@ -115,10 +120,14 @@ export class Charts {
     return plot;
   }
 
-  show(plot, element, data) {
-    if (plot.width !== element.clientWidth || plot.height !== element.clientHeight) {
+  fit(plot, element) {
+    if (plot && (plot.width !== element.clientWidth || plot.height !== element.clientHeight)) {
       plot.setSize({ width: element.clientWidth, height: element.clientHeight });
     }
+  }
+
+  show(plot, element, data) {
+    this.fit(plot, element);
     plot.setData(data);
   }
 

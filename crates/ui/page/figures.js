@@ -47,7 +47,8 @@ export function users(now, shown, frame, outages) {
     rows.delete(String(user.user));
     if (body.rows[index] !== row) body.insertBefore(row, body.rows[index] ?? null);
     fill(row, user, rateOf(user), largest);
-    const outage = outages.of(user.user);
+    // The outages are those with the mirrors.
+    const outage = shown.wall ? outages.of(user.user) : null;
     setText(row.cells[4], outageText(outage));
     setTitle(row.cells[4], outageLengths(outage));
   });

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, TypeAlias
@@ -13,6 +14,8 @@ from numpy.typing import NDArray
 from ._checks import states_of
 from ._core import INSTANTS, oracle_samples, spread
 from .envs import HeliostatEnv
+
+_EPISODES_FEW = 10
 
 Act: TypeAlias = Callable[[Any], NDArray[np.float32]]
 """From an observation to an action."""
@@ -88,6 +91,11 @@ def evaluate(act: Act, env: HeliostatEnv | Any, states: int = 100, seeds: int = 
     }
     if not inner.is_static:
         figures |= of("outage", lambda group: 1.0 - group[:, 1], 1.0)
+    if len(groups) < _EPISODES_FEW:
+        warnings.warn(
+            f"the intervals come from {len(groups)} episodes; use at least {_EPISODES_FEW}: states, seeds or both larger",
+            stacklevel=2,
+        )
     count = sum(len(group) for group in groups)
     return Score(**figures, states=count, episodes=len(groups), crossing=tuple(crossing))
 

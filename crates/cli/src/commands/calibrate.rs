@@ -53,14 +53,16 @@ pub fn run(args: Args) -> Result<()> {
     for file in [Some(&args.out), args.room_out.as_ref()].into_iter().flatten() {
         check_new(file)?;
     }
-    let base = args.base.as_deref().map(heliostat_driver::calibration_store::load).transpose()?;
+    let file = args.base.as_deref().filter(|file| *file != Path::new("none"));
+    let base = file.map(heliostat_driver::calibration_store::load).transpose()?;
     let config = args.bus.config_or_connect(&[AccessRole::Controller])?;
     let stop = args.end.stop()?;
     let bus = Bus::open(&config)?;
     let mut room = LiveRoom::open(&bus, &args, &scenario)?;
     ensure!(
-        room.calibration_in_use() == 0 || base.is_some(),
-        "the array uses a calibration already: give its file with --base, so that the result includes it"
+        room.calibration_in_use() == 0 || args.base.is_some(),
+        "the array uses a calibration already: give its file with --base, so that the result includes it; or \
+         --base none, if it is the one without effect that `heliostat driver check` leaves"
     );
     ensure!(
         room.calibration_in_use() != 0 || base.is_none(),

@@ -2,6 +2,7 @@
 //! answers.
 
 use std::cell::Cell;
+use std::collections::BTreeSet;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -17,6 +18,9 @@ use heliostat_service::{clock::utc_ns, source_id};
 
 /// Timeout of an answer, for a driver that never answers.
 pub const ANSWER_TIMEOUT: Duration = Duration::from_secs(4);
+
+/// Telemetry messages within which each driver of the array has reported.
+const SOURCES_WITHIN: usize = 10;
 
 /// Time between two queries to the driver.
 const QUERY_INTERVAL: Duration = Duration::from_millis(50);
@@ -157,10 +161,23 @@ impl TestSession {
         // now.
         session.epoch = first.epoch.max(utc_ns() / 1_000_000) + 1;
         session.safety = session.wait(ANSWER_TIMEOUT, |received| received.safety.last().cloned());
+        session.expect_one_driver()?;
         if first.state == ArrayState::Stopped {
             session.release_start()?;
         }
         Ok(session)
+    }
+
+    /// Refuses an array that two drivers report: one would break the rules by the messages of the other.
+    fn expect_one_driver(&self) -> Result<()> {
+        // A driver that publishes less is judged later.
+        let _ = self.wait(ANSWER_TIMEOUT, |received| (received.telemetry.len() >= SOURCES_WITHIN).then_some(()));
+        let sources = self.inspect(|received| {
+            received.telemetry.iter().map(|telemetry| telemetry.stamp.source).collect::<BTreeSet<u64>>()
+        });
+        let named = sources.iter().map(|source| format!("{source:016x}")).collect::<Vec<_>>().join(", ");
+        ensure!(sources.len() == 1, "{} drivers report this array (sources {named}): end all but one", sources.len());
+        Ok(())
     }
 
     /// Re-arms an array that started stopped; a stop with a sender stays in force.

@@ -60,8 +60,9 @@ pub struct Args {
     /// Estimate the scale of each axis too, not only its offset
     #[arg(long)]
     pub scales: bool,
-    /// The calibration that the array uses now; the result includes it
-    #[arg(long, value_name = "FILE")]
+    /// The calibration that the array uses now; the result includes it. `none`: it changes no angle, as the one
+    /// that `heliostat driver check` leaves
+    #[arg(long, value_name = "FILE|none")]
     pub base: Option<PathBuf>,
     /// Take the lead from a controller that commands the array now
     #[arg(long)]

@@ -9,7 +9,7 @@ use std::ops::Range;
 use toml::de::{DeTable, DeValue};
 
 use crate::error::ScenarioError;
-use crate::scenario::Scenario;
+use crate::scenario::{Scenario, in_words};
 
 /// Largest number of problems that are listed.
 const PROBLEMS_MAX: usize = 50;
@@ -107,7 +107,7 @@ fn examined(text: &str, error: &ScenarioError) -> (Problem, Option<Range<usize>>
 /// A problem of the parser, which knows a place in the text but no key.
 fn of_parser(text: &str, error: &ScenarioError) -> (Problem, Option<Range<usize>>) {
     let refused = toml::from_str::<Scenario>(text).err();
-    let Some((message, place)) = refused.and_then(|error| Some((error.message().to_owned(), error.span()?.start)))
+    let Some((message, place)) = refused.and_then(|error| Some((in_words(error.message()), error.span()?.start)))
     else {
         return (Problem { line: None, text: error.in_one_line() }, None);
     };
@@ -243,7 +243,7 @@ mod tests {
         for (refused, reason) in [
             ("streams.channel.leds=all", "expected one of `none`, `serving`, `gains`"),
             ("mismatch.unknown_leds_m=[[0,0]]", "invalid length 2"),
-            ("users.count=many", "expected usize"),
+            ("users.count=many", "expected a whole number from 0"),
         ] {
             let problems = texts(sound, &[refused]);
             assert!(problems.len() == 1 && problems[0].contains(reason), "{refused}: {problems:?}");

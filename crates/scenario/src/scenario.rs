@@ -215,7 +215,17 @@ fn short_hash(text: &str) -> String {
 }
 
 pub(crate) fn parse_error(origin: &str, error: &toml::de::Error) -> ScenarioError {
-    ScenarioError::Parse { origin: origin.into(), message: error.to_string().trim_end().into() }
+    ScenarioError::Parse { origin: origin.into(), message: in_words(error.to_string().trim_end()) }
+}
+
+/// A message of the parser with words in place of the names of Rust's number types.
+pub(crate) fn in_words(message: &str) -> String {
+    let whole = ["usize", "u64", "u32", "u16", "u8"].map(|name| (name, "a whole number from 0"));
+    let real = ["f64", "f32"].map(|name| (name, "a number"));
+    let named = whole.into_iter().chain(real);
+    named.fold(message.to_owned(), |text, (name, words)| {
+        text.replace(&format!("expected {name}"), &format!("expected {words}"))
+    })
 }
 
 /// Adds the line of the refused key, if the file sets it.

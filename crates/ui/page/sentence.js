@@ -56,6 +56,7 @@ export function sentence(now, age, shown, frame) {
 
 // Who ordered a stop, why, and since when the page knows of it.
 function orderedBy({ name, operator, reason, age_s }) {
+  if (/^0+\/0$/.test(name)) return `The array started stopped${reason ? ` (${reason})` : ""}.`;
   return `Ordered by ${operator || `stop ${name}`}${reason ? ` (${reason})` : ""}, known to this page for ${seconds(age_s)}.`;
 }
 
@@ -83,7 +84,8 @@ export function banner(now, silence, arrayAge) {
         return { kind: "bad", text: `${who} confirmed the stop, but ${have} not reported for ${seconds(arrayAge)}: ${several ? "their" : "its"} state is unknown.${by}` };
       }
       return { kind: free.length ? "bad" : "stop", text: `${who} ${have} confirmed the stop: ${their} executed it.${moving}${by} Re-arm releases ${stops.length > 1 ? `these ${stops.length} stops` : "it"}.` };
-    case "released": return { kind: "good", text: `The stop is released: ${who.toLowerCase()} ${have} confirmed it.` };
+    // A state that contradicts it comes from a second driver, or from a stop that follows.
+    case "released": return now.array.state.includes("stopped") ? null : { kind: "good", text: `The stop is released: ${who.toLowerCase()} ${have} confirmed it.` };
     default: return null;
   }
 }

@@ -244,12 +244,14 @@ fn limits(session: &mut TestSession) -> Result<Outcome> {
     let at = |angles: &[f32], end: f32| angles.iter().all(|angle| f64::from((angle - end).abs()) < ROUNDING_RAD);
     let clamped = at(&telemetry.roll_commanded, roll.max_rad) && at(&telemetry.yaw_commanded, yaw.min_rad);
     let counts = counted == Counters { accepted: 1, clipped: 1, ..Counters::default() };
-    let (first_roll, first_yaw) = (telemetry.roll_commanded.first(), telemetry.yaw_commanded.first());
+    let first = |angles: &[f32]| angles.first().map_or("no angle".to_owned(), |angle| format!("{angle:.3}"));
     verdict(
         clamped && counts,
         format!(
-            "{}; {first_roll:?} and {first_yaw:?} rad for {:.3} and {:.3}",
+            "{}; {} and {} rad for {:.3} and {:.3}",
             evidence(&counted, &telemetry),
+            first(&telemetry.roll_commanded),
+            first(&telemetry.yaw_commanded),
             wide.roll[0],
             wide.yaw[0]
         ),

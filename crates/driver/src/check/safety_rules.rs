@@ -72,7 +72,10 @@ pub fn orphaned_stop(session: &mut TestSession) -> Result<Outcome> {
     let parked = session.telemetry(from, |telemetry| telemetry.state == ArrayState::Parked).is_some();
     verdict(
         released.is_none() && refused && parked,
-        format!("new state {released:?}, command refused {refused}, parked by the re-arm of another process {parked}"),
+        format!(
+            "stopped on {}, command refused {refused}, parked by the re-arm of another process {parked}",
+            released.is_none()
+        ),
     )
 }
 

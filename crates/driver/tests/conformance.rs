@@ -76,12 +76,12 @@ impl Device for Exact {
     }
 }
 
-/// Waits for the token of a driver: the check waits for it for some seconds only.
-fn wait_for_driver(config: &BusConfig) {
+/// Waits for the tokens of so many drivers: the check waits for one for some seconds only.
+fn wait_for_drivers(config: &BusConfig, count: usize) {
     let Ok(bus) = Bus::open(config) else { return };
     let begun = Instant::now();
     let drivers = bus.room().array(0).drivers_alive();
-    while begun.elapsed() < LIMIT && bus.alive(&drivers, LIMIT).is_ok_and(|tokens| tokens.is_empty()) {
+    while begun.elapsed() < LIMIT && bus.alive(&drivers, LIMIT).is_ok_and(|tokens| tokens.len() < count) {
         std::thread::sleep(Duration::from_millis(20));
     }
 }
@@ -95,7 +95,7 @@ fn checked(room: &str, drive: impl FnOnce(BusConfig, &Stop) + Send) -> Report {
         let driver = config.clone().listen_at(&endpoint);
         scope.spawn(|| drive(driver, &stop));
         let config = config.connect_to(&endpoint);
-        wait_for_driver(&config);
+        wait_for_drivers(&config, 1);
         let report = check::run(&config, 0);
         stop.request();
         report.unwrap()
@@ -304,10 +304,31 @@ fn an_array_that_an_operator_stopped_is_not_checked() {
     std::thread::scope(|scope| {
         scope.spawn(|| run::run(kit, &settings, &stop).unwrap());
         let config = config.connect_to(&endpoint);
-        wait_for_driver(&config);
+        wait_for_drivers(&config, 1);
         let refusal = check::run(&config, 0);
         stop.request();
         let refusal = format!("{:#}", refusal.unwrap_err());
         assert!(refusal.contains("stopped by \"ann\"") && refusal.contains("heliostat rearm"), "{refusal}");
+    });
+}
+
+#[test]
+fn an_array_with_two_drivers_is_not_checked() {
+    let endpoints = [private_endpoint().unwrap(), private_endpoint().unwrap()];
+    let config = BusConfig::new(Room::new("two").unwrap());
+    let both = endpoints.iter().fold(config.clone(), |config, endpoint| config.connect_to(endpoint));
+    let stop = Stop::default();
+    std::thread::scope(|scope| {
+        for endpoint in &endpoints {
+            // They do not see each other when they start.
+            let settings = Settings::new(config.clone().listen_at(endpoint));
+            let stop = &stop;
+            scope.spawn(move || run::run(Kit::new(Exact::new()), &settings, stop).unwrap());
+        }
+        wait_for_drivers(&both, 2);
+        let refusal = check::run(&both, 0);
+        stop.request();
+        let refusal = format!("{:#}", refusal.unwrap_err());
+        assert!(refusal.contains("2 drivers report this array"), "{refusal}");
     });
 }

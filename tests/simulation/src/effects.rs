@@ -7,7 +7,9 @@
 use rand::RngExt;
 
 use crate::clock::{MS, TrueNs};
-use crate::plan::{Attack, DeviceFault, DiskAfterCrash, Fault, PolicyFault, RearmBy, Role, Setup, Timed, last_end_ns};
+use crate::plan::{
+    Attack, DeviceFault, DiskAfterCrash, Fault, OptionalReports, PolicyFault, RearmBy, Role, Setup, Timed, last_end_ns,
+};
 use crate::random::{Purpose, stream};
 use crate::violation::Violation;
 use crate::world;
@@ -52,6 +54,7 @@ impl Case {
             has_ranks: false,
             rate_hz: RATE_HZ,
             counts_from_arrival: false,
+            reports: OptionalReports::default(),
             rearms_at_end: true,
             ..Setup::draw(seed)
         };

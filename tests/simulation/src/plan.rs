@@ -38,6 +38,25 @@ pub enum PolicyChoice {
     FixedPoint,
 }
 
+/// Reports that a room may have beside positions and gains.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct OptionalReports {
+    /// A tracker sees the obstacles.
+    pub obstacles: bool,
+    /// Users report how they hold their receivers.
+    pub orientation: bool,
+    /// Receivers identify LEDs.
+    pub leds: bool,
+}
+
+impl OptionalReports {
+    fn draw(seed: u64) -> Self {
+        let mut rng = stream(seed, Purpose::Reports);
+        let [obstacles, orientation, leds] = [0; 3].map(|_| rng.random_bool(0.25));
+        Self { obstacles, orientation, leds }
+    }
+}
+
 /// The room of a run.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Setup {
@@ -49,6 +68,8 @@ pub struct Setup {
     pub controllers: usize,
     /// Whether receivers report their gains.
     pub has_channel: bool,
+    /// What else is reported.
+    pub reports: OptionalReports,
     /// Whether all controllers but the first begin in standby, as by `--standby`.
     pub is_reserve: bool,
     /// Whether the operator gave each standby its rank.
@@ -74,6 +95,7 @@ impl Setup {
             arrays: if rng.random_bool(0.7) { 1 } else { 2 },
             controllers: [1, 1, 2, 2, 2, 2, 3, 3][rng.random_range(0..8)],
             has_channel: rng.random_bool(0.5),
+            reports: OptionalReports::draw(seed),
             is_reserve: rng.random_bool(0.4),
             has_ranks: rng.random_bool(0.3),
             rate_hz: [20, 50, 50, 100][rng.random_range(0..4)],

@@ -16,6 +16,7 @@ pub(crate) enum Purpose {
     Users,
     Attacks,
     Disk,
+    Reports,
 }
 
 /// The stream of a seed for a purpose.

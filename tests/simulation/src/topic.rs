@@ -7,6 +7,9 @@ use crate::plan::Role;
 pub(crate) enum Topic {
     Users,
     Channel,
+    Obstacles,
+    Orientation,
+    Leds,
     Command(usize),
     Telemetry(usize),
     Capabilities(usize),
@@ -34,6 +37,9 @@ impl Topic {
                 self,
                 Self::Users
                     | Self::Channel
+                    | Self::Obstacles
+                    | Self::Orientation
+                    | Self::Leds
                     | Self::Telemetry(_)
                     | Self::Capabilities(_)
                     | Self::Safety(_)
@@ -46,7 +52,15 @@ impl Topic {
             Role::Attacker => {
                 matches!(
                     self,
-                    Self::Users | Self::Channel | Self::Command(_) | Self::Telemetry(_) | Self::Stop | Self::Rearm
+                    Self::Users
+                        | Self::Channel
+                        | Self::Obstacles
+                        | Self::Orientation
+                        | Self::Leds
+                        | Self::Command(_)
+                        | Self::Telemetry(_)
+                        | Self::Stop
+                        | Self::Rearm
                 )
             }
         }

@@ -304,7 +304,7 @@ impl World {
                 (Role::Attacker, _) => Process::Attacker(Box::new(Attacker::start(source, rng(Purpose::Attacks), ctx))),
                 _ => {
                     let rng = rng(Purpose::Users);
-                    let tracker = Tracker::start(source, room.interval_ns, setup.has_channel, rng, ctx);
+                    let tracker = Tracker::start(source, room.interval_ns, &setup, rng, ctx);
                     Process::Tracker(Box::new(tracker))
                 }
             });

@@ -1,6 +1,6 @@
 //! Plans that found a defect, reduced to what it needs.
 
-use heliostat_simulation::plan::{Attack, DiskAfterCrash, Fault, RearmBy, Role, Setup, Timed};
+use heliostat_simulation::plan::{Attack, DiskAfterCrash, Fault, OptionalReports, RearmBy, Role, Setup, Timed};
 use heliostat_simulation::run_plan;
 
 fn at(at_ms: u64, for_ms: u64, fault: Fault) -> Timed {
@@ -9,7 +9,8 @@ fn at(at_ms: u64, for_ms: u64, fault: Fault) -> Timed {
 
 /// Runs faults in the room of a seed, with changes.
 fn holds(seed: u64, change: impl FnOnce(&mut Setup), faults: &[Timed]) {
-    let mut setup = Setup::draw(seed);
+    // The reports with which the defect was found.
+    let mut setup = Setup { reports: OptionalReports::default(), ..Setup::draw(seed) };
     change(&mut setup);
     let outcome = run_plan(&setup, faults);
     if let Some(violation) = outcome.violation {

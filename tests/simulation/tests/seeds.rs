@@ -8,7 +8,7 @@ use heliostat_core::tenure::TenureEvent;
 use heliostat_simulation::{report, run_seed};
 
 /// Seeds of each run without settings.
-const SEEDS: u64 = 1000;
+const SEEDS: u64 = 2000;
 
 /// The seed that alone is run.
 fn only_seed() -> Option<u64> {
@@ -77,6 +77,9 @@ fn no_invariant_fails_for_any_seed() {
     println!("{seeds} seeds, {:.1} a second", seeds as f64 / begun.elapsed().as_secs_f64());
 }
 
+/// Seeds between two lines about the progress.
+const PROGRESS_EVERY: u64 = 10_000;
+
 /// Runs seeds of the present time; how many.
 fn check_fresh(duration: Duration) -> u64 {
     let (begun, mut seeds) = (Instant::now(), 0);
@@ -85,6 +88,9 @@ fn check_fresh(duration: Duration) -> u64 {
     while begun.elapsed() < duration {
         check(first + seeds);
         seeds += 1;
+        if seeds.is_multiple_of(PROGRESS_EVERY) {
+            println!("{seeds} seeds after {:.0} s", begun.elapsed().as_secs_f64());
+        }
     }
     seeds
 }

@@ -189,6 +189,9 @@ fn key(topic: Topic) -> Option<InputKey> {
     match topic {
         Topic::Users => Some(report(Stream::Users)),
         Topic::Channel => Some(report(Stream::Channel)),
+        Topic::Obstacles => Some(report(Stream::Obstacles)),
+        Topic::Orientation => Some(report(Stream::Orientation)),
+        Topic::Leds => Some(report(Stream::Leds)),
         Topic::Telemetry(array) => Some(InputKey::Report(InputChannel { stream: Stream::Telemetry, array })),
         Topic::Capabilities(array) => Some(InputKey::Capabilities(array)),
         Topic::Safety(array) => Some(InputKey::Safety(array)),

@@ -7,8 +7,9 @@ use heliostat_core::core::{Controller, Timing, memory::Memory};
 use heliostat_core::inbox::Message;
 use heliostat_core::room_core::Output;
 use heliostat_proto::{
-    ChannelReport, ControllerInput, ControllerMemory, EmergencyStop, InputKind, MirrorCommand, MirrorTelemetry, Nanos,
-    NodeKind, SafetyReport, Stamp, StopReport, UserReport, decode,
+    ChannelReport, ControllerInput, ControllerMemory, EmergencyStop, InputKind, LedReport, MirrorCommand,
+    MirrorTelemetry, Nanos, NodeKind, ObstacleReport, OrientationReport, SafetyReport, Stamp, StopReport, UserReport,
+    decode,
 };
 
 use super::adapter::{Input, Published};
@@ -171,6 +172,21 @@ impl Shadow {
                     self.controller.handle_message(now, Message::Channel(&mut report));
                 }
             }
+            Topic::Obstacles => {
+                if let Ok(mut report) = decode::<ObstacleReport>(payload) {
+                    self.controller.handle_message(now, Message::Obstacles(&mut report));
+                }
+            }
+            Topic::Orientation => {
+                if let Ok(mut report) = decode::<OrientationReport>(payload) {
+                    self.controller.handle_message(now, Message::Orientation(&mut report));
+                }
+            }
+            Topic::Leds => {
+                if let Ok(mut report) = decode::<LedReport>(payload) {
+                    self.controller.handle_message(now, Message::Leds(&mut report));
+                }
+            }
             Topic::Telemetry(array) => {
                 if let Ok(mut report) = decode::<MirrorTelemetry>(payload) {
                     self.controller.handle_message(now, Message::Telemetry(*array, &mut report));
@@ -211,6 +227,9 @@ fn is_of(handled: &Handled, input: &ControllerInput) -> bool {
         Some(match topic {
             Topic::Users => (InputKind::Users, 0, decode::<UserReport>(payload).ok()?.stamp),
             Topic::Channel => (InputKind::Channel, 0, decode::<ChannelReport>(payload).ok()?.stamp),
+            Topic::Obstacles => (InputKind::Obstacles, 0, decode::<ObstacleReport>(payload).ok()?.stamp),
+            Topic::Orientation => (InputKind::Orientation, 0, decode::<OrientationReport>(payload).ok()?.stamp),
+            Topic::Leds => (InputKind::Leds, 0, decode::<LedReport>(payload).ok()?.stamp),
             Topic::Telemetry(array) => {
                 (InputKind::Telemetry, array as u64, decode::<MirrorTelemetry>(payload).ok()?.stamp)
             }

@@ -136,40 +136,37 @@ fn a_source_that_returns_in_a_recording_is_followed_again() {
     assert_eq!((verdict.same, verdict.different, verdict.held), (REPORTS, 0, 0), "{verdict:?}");
 }
 
-#[test]
-fn a_listed_input_is_accepted_where_the_recorder_missed_the_return_of_its_source() {
+/// The verdict on a live recording whose recorder started after the first commands; `before` comes before
+/// each report.
+fn live(before: impl Fn(&mut RecordedRoom, u64)) -> (u64, u64, u64) {
     let folder = TempDir::new().unwrap();
     let file = folder.path().join("live.mcap");
     let mut room = RecordedRoom::new(&file, &scenario(), 0);
     for tick in 1..=REPORTS {
+        before(&mut room, tick);
+        room.report(tick, 100 + tick);
+        if tick % 10 == 0 {
+            room.write_memory(tick, tick / 10);
+        }
+    }
+    room.recording.finish(&Account::default()).unwrap();
+    let verdict = replay(&file);
+    println!("{verdict:?}");
+    (verdict.same, verdict.different, verdict.held)
+}
+
+#[test]
+fn a_listed_input_is_accepted_where_the_recorder_missed_the_return_of_its_source() {
+    let flap = |room: &mut RecordedRoom, tick| {
         if tick == FLAP {
             room.flap();
             room.write_presence(1_000_000_000 + tick * 100_000_000, false);
         }
-        // The recorder started after the first commands.
-        room.report(tick, 100 + tick);
-        if tick % 10 == 0 {
-            room.write_memory(tick, tick / 10);
-        }
-    }
-    room.recording.finish(&Account::default()).unwrap();
-    let verdict = replay(&file);
-    assert_eq!((verdict.same, verdict.different, verdict.held), (REPORTS - 10, 0, 0), "{verdict:?}");
+    };
+    assert_eq!(live(flap), (REPORTS - 10, 0, 0));
 }
 
 #[test]
 fn a_refused_message_with_the_number_of_an_accepted_one_changes_no_replay() {
-    let folder = TempDir::new().unwrap();
-    let file = folder.path().join("forged.mcap");
-    let mut room = RecordedRoom::new(&file, &scenario(), 0);
-    for tick in 1..=REPORTS {
-        room.forge(tick);
-        room.report(tick, 100 + tick);
-        if tick % 10 == 0 {
-            room.write_memory(tick, tick / 10);
-        }
-    }
-    room.recording.finish(&Account::default()).unwrap();
-    let verdict = replay(&file);
-    assert_eq!((verdict.same, verdict.different, verdict.held), (REPORTS - 10, 0, 0), "{verdict:?}");
+    assert_eq!(live(RecordedRoom::forge), (REPORTS - 10, 0, 0));
 }

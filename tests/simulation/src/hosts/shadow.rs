@@ -162,37 +162,24 @@ impl Shadow {
         self.controller.handle_source_found(node, recorded.source);
         let now = recorded.time_ns;
         match topic {
-            Topic::Users => {
-                if let Ok(mut report) = decode::<UserReport>(payload) {
-                    self.controller.handle_message(now, Message::Users(&mut report));
-                }
-            }
-            Topic::Channel => {
-                if let Ok(mut report) = decode::<ChannelReport>(payload) {
-                    self.controller.handle_message(now, Message::Channel(&mut report));
-                }
-            }
-            Topic::Obstacles => {
-                if let Ok(mut report) = decode::<ObstacleReport>(payload) {
-                    self.controller.handle_message(now, Message::Obstacles(&mut report));
-                }
-            }
-            Topic::Orientation => {
-                if let Ok(mut report) = decode::<OrientationReport>(payload) {
-                    self.controller.handle_message(now, Message::Orientation(&mut report));
-                }
-            }
-            Topic::Leds => {
-                if let Ok(mut report) = decode::<LedReport>(payload) {
-                    self.controller.handle_message(now, Message::Leds(&mut report));
-                }
-            }
-            Topic::Telemetry(array) => {
-                if let Ok(mut report) = decode::<MirrorTelemetry>(payload) {
-                    self.controller.handle_message(now, Message::Telemetry(*array, &mut report));
-                }
-            }
+            Topic::Users => self.pass(now, payload, |report| Message::Users(report)),
+            Topic::Channel => self.pass(now, payload, |report| Message::Channel(report)),
+            Topic::Obstacles => self.pass(now, payload, |report| Message::Obstacles(report)),
+            Topic::Orientation => self.pass(now, payload, |report| Message::Orientation(report)),
+            Topic::Leds => self.pass(now, payload, |report| Message::Leds(report)),
+            Topic::Telemetry(array) => self.pass(now, payload, |report| Message::Telemetry(*array, report)),
             _ => {}
+        }
+    }
+
+    fn pass<T: heliostat_proto::Message>(
+        &mut self,
+        now: Nanos,
+        payload: &[u8],
+        message: impl for<'a> Fn(&'a mut T) -> Message<'a>,
+    ) {
+        if let Ok(mut report) = decode::<T>(payload) {
+            self.controller.handle_message(now, message(&mut report));
         }
     }
 

@@ -332,8 +332,7 @@ impl Player {
 }
 
 impl OutputChannel {
-    /// A payload with its stamp shifted to the playback time, and telemetry without the epoch of the recorded
-    /// controller; `None` if it cannot be decoded.
+    /// A payload with its stamp shifted to the playback time; `None` if it cannot be decoded.
     fn moved(self, payload: &[u8], start: &Start) -> Option<Vec<u8>> {
         fn moved<T: Message>(payload: &[u8], start: &Start, stamp: fn(&mut T) -> &mut Stamp) -> Option<Vec<u8>> {
             let mut message: T = decode(payload).ok()?;
@@ -350,11 +349,7 @@ impl OutputChannel {
             Self::Orientation => moved(payload, start, |report: &mut OrientationReport| &mut report.stamp),
             Self::Branches => moved(payload, start, |report: &mut BranchReport| &mut report.stamp),
             Self::Leds => moved(payload, start, |report: &mut LedReport| &mut report.stamp),
-            Self::Telemetry => moved(payload, start, |telemetry: &mut MirrorTelemetry| {
-                // The recorded controller is not here: one that starts now leads.
-                telemetry.epoch = 0;
-                &mut telemetry.stamp
-            }),
+            Self::Telemetry => moved(payload, start, |telemetry: &mut MirrorTelemetry| &mut telemetry.stamp),
             Self::Capabilities => moved(payload, start, |array: &mut Capabilities| &mut array.stamp),
         }
     }

@@ -24,9 +24,7 @@
 //!    [`handle_and_poll`](Controller::handle_and_poll) does both steps for one message;
 //! 4. [`poll_timeout_command`](Controller::poll_timeout_command) again and again, at intervals
 //!    shorter than the validity of a command, so that the controller also acts when reports are
-//!    absent;
-//! 5. optionally, between reports, [`warm_cache`](Controller::warm_cache), which changes no later
-//!    command.
+//!    absent.
 //!
 //! A decision numbers its commands: for each array from 1 in each epoch, rising by one. The number
 //! of a command that the transport refuses is used up; an array accepts such gaps. Getters may be
@@ -89,7 +87,6 @@
 //!   `park_after_ms` after the last validity ends. The action `park` differs: it sends a valid
 //!   command with zero roll and yaw.
 //! - *Start-up warm-up*: runs of the policy on a synthetic room before the first report.
-//! - *Cache warm-up*: a repetition of the last decision between two reports.
 
 mod array;
 mod array_output;
@@ -324,21 +321,6 @@ impl Controller {
         self.journal.record_decision(InputKind::SilenceDecision, now);
         self.update_permits(now);
         Some(self.execute((self.actions.silent, DegradedMode::Silence), 0, now, &mut |_| {}))
-    }
-
-    /// Cache warm-up: repeats observation and inference of the last decision, so that code and data
-    /// stay in the processor's caches.
-    ///
-    /// No later command depends on it. It does nothing before the first decision.
-    pub fn warm_cache(&mut self) {
-        if self.command.answers == 0 {
-            return;
-        }
-        let observed = self.fill_observation(self.command.time_ns);
-        if observed.is_some() && self.observation.users() > 0 {
-            // The next decision overwrites this proposal before it reads it.
-            self.policy.warm_cache(&self.model, &self.observation, &mut self.proposed);
-        }
     }
 
     /// Start-up warm-up: policy and fallback decide for a synthetic room, once for each item of

@@ -210,11 +210,6 @@ impl RoomCore {
         self.controller.warm_up(runs);
     }
 
-    /// The cache warm-up: [`Controller::warm_cache`].
-    pub fn warm_cache(&mut self) {
-        self.controller.warm_cache();
-    }
-
     /// Handles an input that arrived at `now`. Does not allocate for reports, after the start-up
     /// warm-up.
     pub fn handle(&mut self, now: Nanos, input: Input<'_>, out: &mut dyn Publish) -> Handled {

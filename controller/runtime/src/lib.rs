@@ -5,8 +5,7 @@
 //!
 //! - [`cli`], [`config`], [`machine`]: flags, and what they configure.
 //! - [`node`]: the process, with any number of rooms.
-//! - [`room_runtime`]: one room with its decision loop, receive queue, cache warmer
-//!   and watchdog.
+//! - [`room_runtime`]: one room with its decision loop, receive queue and watchdog.
 //! - [`report`]: stage times, summary and metrics.
 
 pub mod cli;

@@ -5,7 +5,6 @@
 //! | --- | --- | --- |
 //! | [`receive_queue`] | holds payloads between callbacks and the room's thread | |
 //! | [`decision_loop`] | passes inputs to the core, records stage times | the transport's callback or the room's thread; the main thread for missing reports |
-//! | [`cache_warmer`] | decides when the room's thread warms up the caches | the room's thread |
 //! | `announcements` | holds announcements, orders and tokens until the decision loop is free | callbacks, then the thread that releases the loop |
 //! | `transport` | has the publishers, and passes commands to an array of this process | the thread that decides; the main thread for repetitions |
 //!
@@ -17,7 +16,6 @@
 //! command until it returns.
 
 mod announcements;
-pub mod cache_warmer;
 pub mod decision_loop;
 mod geometry;
 mod locks;
@@ -127,10 +125,7 @@ impl RoomRuntime {
         let repeater = core.repeater();
         let transport = Transport::open(bus, arrays, class)?.with_local(local);
         let decision_loop = DecisionLoop::new(core, transport, deadline(config));
-        // The decisions of several rooms keep the caches warm, and cache warm-ups would delay them. In lockstep
-        // there is no deadline.
-        let warms_up = config.also_rooms.is_empty() && !is_lockstep;
-        let decision_loop = decision_loop.warming_up(warms_up).timed_from(config.times_from_tick);
+        let decision_loop = decision_loop.timed_from(config.times_from_tick);
         let decision_loop = Arc::new(Mutex::new(decision_loop));
         let queue = Arc::new(ReceiveQueue::default());
         let handler = PayloadHandler {

@@ -38,8 +38,7 @@ fn assert_complete(row: &Value) {
 
 #[test]
 fn decisions_are_counted_and_each_miss_has_its_stage() {
-    let rows =
-        rows(&["decide", "--policy", "nearest", "--hz", "1000,0", "--decisions", "600", "--keep-warm", "expected"]);
+    let rows = rows(&["decide", "--policy", "nearest", "--hz", "1000,0", "--decisions", "600"]);
     assert_eq!(rows.len(), 2);
     for row in &rows {
         assert_complete(row);

@@ -129,11 +129,6 @@ impl Policy for Actor {
         self.input.users_max()
     }
 
-    fn warm_cache(&mut self, model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) {
-        // An actor keeps slots only, and the next decision reports a failure.
-        let _ = self.act(model, observation, out);
-    }
-
     fn memory(&self) -> PolicyMemory {
         PolicyMemory { users: self.input.selection().slots().to_vec(), ..PolicyMemory::default() }
     }

@@ -23,8 +23,6 @@ pub struct ModelBased {
     solver: Solver,
     /// The users of the solver's weights.
     slots: Slots,
-    /// A copy of the solver's start during a cache warm-up.
-    saved: Start,
 }
 
 impl ModelBased {
@@ -45,7 +43,7 @@ impl ModelBased {
 
     fn new(name: &'static str, method: Method, users: usize, mirrors: usize) -> Self {
         let solver = Solver::with_capacity(users, MAX_USERS, mirrors);
-        Self { name, method, saved: solver.start_buffer(), solver, slots: Slots::of(users) }
+        Self { name, method, solver, slots: Slots::of(users) }
     }
 }
 
@@ -66,20 +64,6 @@ impl Policy for ModelBased {
         let minimum_rates = MinimumRates { min_rate_bps: &observation.min_rate_bps, qos_penalty: QOS_PENALTY };
         self.solver.solve(model, &observation.scene, &minimum_rates, self.method, out);
         Ok(())
-    }
-
-    fn warm_cache(&mut self, model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) {
-        if self.method == Method::Oracle {
-            // The search takes longer than a tick, so it would delay the next report.
-            return;
-        }
-        if self.slots.ids() != observation.ids {
-            // The weights of the users to come must not be lost.
-            return;
-        }
-        self.solver.copy_start(&mut self.saved);
-        let _ = self.act(model, observation, out);
-        self.solver.set_start(&self.saved);
     }
 
     fn memory(&self) -> PolicyMemory {

@@ -58,9 +58,4 @@ impl Policy for Nearest {
         }
         Ok(())
     }
-
-    fn warm_cache(&mut self, model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) {
-        // The policy has no memory, and the next decision reports a failure.
-        let _ = self.act(model, observation, out);
-    }
 }

@@ -47,13 +47,6 @@ pub trait Policy: Send {
         MAX_USERS
     }
 
-    /// Runs the code of [`act`](Self::act) so that code and data stay in the processor's caches,
-    /// without an effect on later proposals.
-    ///
-    /// The contents of `out` are then unspecified. The default does nothing, as suits a policy with
-    /// memory that it cannot restore.
-    fn warm_cache(&mut self, _: &ChannelModel, _: &Observation, _out: &mut MirrorAngles) {}
-
     /// Everything that later proposals depend on besides later observations; the default suits a
     /// policy without memory.
     fn memory(&self) -> PolicyMemory {

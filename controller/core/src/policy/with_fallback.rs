@@ -102,11 +102,6 @@ impl WithFallback {
         }
     }
 
-    /// Runs the policy's code without an effect on later proposals.
-    pub fn warm_cache(&mut self, model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) {
-        self.policy.warm_cache(model, observation, out);
-    }
-
     /// Lets both decide for a synthetic room of `users` users, once for each item of `runs`.
     pub fn warm_up(&mut self, model: &ChannelModel, users: usize, runs: impl Iterator) {
         let mut policies: Vec<&mut dyn Policy> = vec![self.policy.as_mut()];

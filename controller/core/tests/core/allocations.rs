@@ -142,20 +142,6 @@ fn users_who_come_and_go_do_not_make_the_decision_allocate() {
 }
 
 #[test]
-fn cache_warm_ups_do_not_allocate() {
-    let scenario = large();
-    for kind in [PolicyKind::FixedPoint, PolicyKind::Greedy, PolicyKind::Nearest] {
-        let mut controller = controller(&scenario, build(kind, &scenario).unwrap());
-        let mut scratch = Scratch::default();
-        for (index, payloads) in payloads(&scenario).iter().enumerate().take(5) {
-            tick(&mut controller, &mut scratch, index as u64 + 1, payloads);
-        }
-        controller.warm_cache();
-        assert_eq!(measure(|| controller.warm_cache()).count_total, 0, "{kind:?}");
-    }
-}
-
-#[test]
 fn the_counter_sees_allocations() {
     assert_eq!(measure(|| drop(std::hint::black_box(vec![1u8; 100]))).count_total, 1);
 }

@@ -1,15 +1,13 @@
-//! What the core does when there is no time, no report or no actor; and that cache warm-ups leave
-//! no trace.
+//! What the core does when there is no time, no report or no actor.
 
 use heliostat_core::{
     core::{Controller, Decision, DegradedMode, Timing},
     inbox::Message,
     policy::{PolicyError, PolicyKind},
 };
-use heliostat_proto::{MirrorCommand, Nanos};
-use heliostat_scenario::Scenario;
+use heliostat_proto::MirrorCommand;
 
-use crate::support::{ActorRecipe, MS, Outcome, Room, Scripted, build, build_with, controller, scenario};
+use crate::support::{MS, Outcome, Room, Scripted, build, controller, scenario};
 
 /// Two ticks in time, then one that is late.
 fn late_action(action: &str) -> (MirrorCommand, Outcome, Controller) {
@@ -118,33 +116,5 @@ fn a_report_ends_the_silence() {
         assert!(controller.poll_timeout_command(Room::time(tick) + 50 * MS).is_none());
         controller.poll_timeout_command(Room::time(tick) + 150 * MS);
         assert_eq!(controller.counters().degraded(DegradedMode::Silence), silences);
-    }
-}
-
-/// The commands of a walk, with so many cache warm-ups after each.
-fn walk(scenario: &Scenario, kind: PolicyKind, warm_ups: usize) -> Vec<MirrorCommand> {
-    let source = ActorRecipe::fitting(scenario).file();
-    let mut controller = controller(scenario, build_with(kind, scenario, &source).unwrap());
-    controller.warm_cache();
-    let mut room = Room::new(scenario);
-    let one = |tick: Nanos| {
-        let command = room.tick(&mut controller, 7 * tick).command();
-        (0..warm_ups).for_each(|_| controller.warm_cache());
-        command
-    };
-    (1..=30).map(one).collect()
-}
-
-#[test]
-fn cache_warm_ups_change_no_later_command() {
-    let ahead = scenario(&["control.belief=constant-velocity", "control.slew_deg_per_s=600"]);
-    for scenario in [scenario(&[]), ahead] {
-        for kind in [PolicyKind::Ddpg, PolicyKind::FixedPoint, PolicyKind::Greedy, PolicyKind::Nearest] {
-            assert_eq!(walk(&scenario, kind, 0), walk(&scenario, kind, 3), "{kind:?}");
-        }
-    }
-    let scenario = Scenario::builtin("paper").unwrap().with_overrides(&["users.count=3".into()]).unwrap();
-    for kind in [PolicyKind::FixedPoint, PolicyKind::Nearest] {
-        assert_eq!(walk(&scenario, kind, 0), walk(&scenario, kind, 3), "{kind:?}");
     }
 }

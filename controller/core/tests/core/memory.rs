@@ -89,11 +89,8 @@ fn a_restored_controller_gives_the_same_commands_with_each_belief_and_policy() {
             second.restore(&Memory::from_bytes(&bytes).unwrap()).unwrap();
             for number in 41..=80 {
                 let sequence = room.sequence;
-                // A cache warm-up changes no later command, whatever has arrived since the last
-                // one.
                 let (now, users) = (Room::time(number), users(number));
                 measure(&mut room, &mut first, number);
-                first.warm_cache();
                 let expected = receive(&mut first, now, Message::Users(&mut room.positions_of(number, &users)));
                 room.sequence = sequence;
                 let expected = expected.unnumbered();

@@ -71,7 +71,6 @@ fn a_report_without_users_repeats_the_last_angles_and_is_flat_before_any() {
         let command = tick(&mut controller, &mut room, number, ids).command();
         assert_eq!((command.answers, command.roll), (number, vec![roll; 9]));
     }
-    controller.warm_cache();
     assert_eq!(controller.counters().degraded(DegradedMode::ChannelMissing), 0);
 }
 

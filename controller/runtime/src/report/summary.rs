@@ -99,8 +99,6 @@ pub struct Summary {
     pub dropped: u64,
     /// Policy timeouts: status checks at which the policy had not returned for 0.1 s.
     pub unanswered: u64,
-    /// Cache warm-ups between reports.
-    pub cache_warm_ups: u64,
     /// Requests to the operating system, granted or not.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub machine: Vec<String>,
@@ -308,7 +306,6 @@ impl Summary {
             (&mut self.unsent, other.unsent),
             (&mut self.dropped, other.dropped),
             (&mut self.unanswered, other.unanswered),
-            (&mut self.cache_warm_ups, other.cache_warm_ups),
             (&mut self.sources, other.sources),
             (&mut self.clipped.range, other.clipped.range),
             (&mut self.clipped.slew, other.clipped.slew),

@@ -6,17 +6,14 @@
 //! - the transport's callback, which needs no other thread to be woken. While it decides, further
 //!   payloads wait in the transport, and the oldest report gets the first decision;
 //! - the room's thread ([`run`]), which empties the [receive queue](super::receive_queue) before it
-//!   decides. A tick that a newer one supersedes then costs no decision. This thread also warms up
-//!   the caches for a slow policy (see [cache warmer](super::cache_warmer)).
+//!   decides. A tick that a newer one supersedes then costs no decision.
 //!
 //! [`PayloadHandler::handle`] chooses. The callback decides if it can. It queues the payload for
-//! the room's thread in four cases: the queue is not empty, another thread holds the lock, the
-//! payload came right after the last decision, or it is a position report and the room's thread
-//! keeps the caches warm. After a report has waited long for that thread, the last case is left out
-//! for a while. The main thread holds the lock to act on missing reports, to exchange stage times
-//! and to copy counters; callbacks hold it to pass on liveliness, stop orders and capabilities if it
-//! is free (see `announcements.rs`); the thread of policy swaps holds it to
-//! replace the policy.
+//! the room's thread in three cases: the queue is not empty, another thread holds the lock, or the
+//! payload came right after the last decision. The main thread holds the lock to act on missing
+//! reports, to exchange stage times and to copy counters; callbacks hold it to pass on liveliness,
+//! stop orders and capabilities if it is free (see `announcements.rs`); the thread of policy swaps
+//! holds it to replace the policy.
 
 use std::{
     sync::{Arc, Mutex},
@@ -26,7 +23,6 @@ use std::{
 use heliostat_core::{
     core::{Stage, Timing},
     policy::Policy,
-    refusal::Stream,
     room_core::{Answered, Handled, Input, InputChannel, InputKey, RoomCore},
 };
 use heliostat_proto::Nanos;
@@ -34,9 +30,8 @@ use heliostat_service::clock::utc_ns;
 
 use super::{
     announcements::Announcements,
-    cache_warmer::{Action, CacheWarmer},
     locks::{lock, try_lock},
-    receive_queue::{ReceiveQueue, Wake},
+    receive_queue::ReceiveQueue,
     transport::Transport,
 };
 use crate::report::stage_times::{StageStamps, StageTimes};
@@ -44,6 +39,9 @@ use crate::report::stage_times::{StageStamps, StageTimes};
 /// A report that arrives within this time after a decision indicates a backlog. The callback then
 /// queues it for the room's thread.
 const BACKLOG_GAP: Duration = Duration::from_micros(50);
+
+/// Share of the newest decision in the mean duration: alpha of RFC 6298, section 2.
+const NEWEST_SHARE: f64 = 0.125;
 
 /// The decision loop of one room.
 pub struct DecisionLoop {
@@ -54,7 +52,9 @@ pub struct DecisionLoop {
     /// The same of policies that were replaced since then, each with the policy's name.
     pub former_times: Vec<(String, StageTimes)>,
     transport: Transport,
-    warmer: CacheWarmer,
+    /// Exponentially weighted mean duration of the policy's decisions, by which the next one is
+    /// predicted; none before the first.
+    mean_decision: Option<Duration>,
     /// The stamps of the tick that is due.
     due: Option<StageStamps>,
     /// A decision whose predicted latency exceeds it is late.
@@ -67,26 +67,20 @@ pub struct DecisionLoop {
 
 impl DecisionLoop {
     /// A loop around a core after its start-up warm-up. A decision whose predicted latency exceeds
-    /// `deadline` is late. It warms up no caches.
+    /// `deadline` is late.
     pub fn new(room: RoomCore, transport: Transport, deadline: Duration) -> Self {
         Self {
             room,
             times: StageTimes::new(),
             former_times: Vec::new(),
             transport,
-            warmer: CacheWarmer::new(false),
+            mean_decision: None,
             due: None,
             deadline,
             was_late: false,
             last_decision: None,
             times_from_tick: 0,
         }
-    }
-
-    /// Whether the room's thread warms up the caches for a slow policy.
-    pub fn warming_up(mut self, warms_up: bool) -> Self {
-        self.warmer = CacheWarmer::new(warms_up);
-        self
     }
 
     /// The statistics of times begin with the report of this tick.
@@ -106,7 +100,6 @@ impl DecisionLoop {
         stamps.mark(Stage::Waited);
         let handled = self.handle(Input::Payload { key: InputKey::Report(channel), bytes: payload });
         if let Handled::DecisionDue = handled {
-            self.warmer.on_report(entered);
             stamps.mark(Stage::Decoded);
             self.due = Some(stamps);
         }
@@ -125,9 +118,11 @@ impl DecisionLoop {
             self.times.record(&stamps, age_ns);
         }
         let ended = Instant::now();
-        match timing {
-            Timing::InTime => self.warmer.on_decision(ended - started, ended),
-            Timing::Late => self.warmer.on_late_decision(ended),
+        if timing == Timing::InTime {
+            let took = ended - started;
+            self.mean_decision = Some(
+                self.mean_decision.map_or(took, |mean| mean.mul_f64(1.0 - NEWEST_SHARE) + took.mul_f64(NEWEST_SHARE)),
+            );
         }
         self.last_decision = Some(ended);
         self.room.publish_state(&mut self.transport);
@@ -151,30 +146,16 @@ impl DecisionLoop {
         self.transport.unsent()
     }
 
-    /// Cache warm-ups so far.
-    pub fn cache_warm_ups(&self) -> u64 {
-        self.warmer.warm_ups()
-    }
-
-    /// Whether a callback has to queue a payload for the room's thread.
-    fn is_for_thread(&self, stream: Stream, entered: Instant) -> bool {
-        let is_kept_warm = stream == Stream::Users && self.warmer.is_worthwhile();
-        let is_backlog = self.last_decision.is_some_and(|ended| entered.saturating_duration_since(ended) < BACKLOG_GAP);
-        is_kept_warm || is_backlog
-    }
-
-    /// Repeats the last decision without a command.
-    fn warm_cache(&mut self) {
-        let started = Instant::now();
-        self.room.warm_cache();
-        self.warmer.on_warm_up(started.elapsed());
+    /// Whether a payload came right after the last decision.
+    fn is_backlog(&self, entered: Instant) -> bool {
+        self.last_decision.is_some_and(|ended| entered.saturating_duration_since(ended) < BACKLOG_GAP)
     }
 
     /// A decision is late if its predicted latency exceeds the deadline: the waiting time plus the
     /// mean duration of earlier decisions. Two consecutive decisions are never late, so that the
     /// policy decides again. In lockstep the room waits.
     fn timing(&mut self, waited: Duration) -> Timing {
-        let predicted = waited + self.warmer.expected_decision();
+        let predicted = waited + self.mean_decision.unwrap_or_default();
         let is_late = !self.room.is_lockstep() && !self.was_late && predicted > self.deadline;
         self.was_late = is_late;
         if is_late { Timing::Late } else { Timing::InTime }
@@ -198,7 +179,7 @@ impl PayloadHandler {
         // The room's thread drains the queue under the lock. A new payload therefore cannot overtake a queued
         // one.
         let free = if self.queue.is_empty() { try_lock(&self.decision_loop) } else { None };
-        match free.filter(|held| !held.is_for_thread(channel.stream, entered)) {
+        match free.filter(|held| !held.is_backlog(entered)) {
             Some(mut decision_loop) => {
                 self.announcements.settle_in(&mut decision_loop);
                 decision_loop.handle_report(channel, payload, entered);
@@ -211,42 +192,21 @@ impl PayloadHandler {
     }
 }
 
-/// The room's thread: decides for the reports in the queue, and warms up the caches in between.
-/// Ends when the queue is closed.
+/// The room's thread: decides for the reports in the queue. Ends when the queue is closed.
 pub fn run(handler: &PayloadHandler) {
     let PayloadHandler { decision_loop, queue, announcements, .. } = handler;
-    loop {
-        let action = lock(decision_loop).warmer.next_action(Instant::now());
-        match action {
-            Action::Wait(limit) => match queue.wait(limit) {
-                Wake::Closed => return,
-                Wake::TimedOut => {}
-                Wake::Filled => {
-                    let mut decision_loop = lock(decision_loop);
-                    announcements.settle_in(&mut decision_loop);
-                    drain(queue, &mut decision_loop);
-                }
-            },
-            Action::WarmUp if queue.has_arrival() => lock(decision_loop).warmer.on_arrival(),
-            Action::WarmUp => {
-                // A thread that holds the lock is deciding, which warms more than a cache warm-up.
-                if let Some(mut decision_loop) = try_lock(decision_loop) {
-                    decision_loop.warm_cache();
-                }
-            }
-            Action::Spin(until) => queue.spin(until),
-        }
+    while queue.wait() {
+        let mut held = lock(decision_loop);
+        announcements.settle_in(&mut held);
+        drain(queue, &mut held);
+        drop(held);
         announcements.settle();
     }
 }
 
 /// Handles all waiting payloads, then decides for the newest tick.
 fn drain(queue: &ReceiveQueue, decision_loop: &mut DecisionLoop) {
-    decision_loop.warmer.on_arrival();
     while let Some(arrival) = queue.pop() {
-        if arrival.channel.stream == Stream::Users {
-            decision_loop.warmer.on_wait(arrival.entered.elapsed());
-        }
         decision_loop.handle_report(arrival.channel, &arrival.payload, arrival.entered);
         queue.recycle(arrival.payload);
     }

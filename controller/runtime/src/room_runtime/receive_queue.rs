@@ -5,11 +5,8 @@
 
 use std::{
     collections::VecDeque,
-    sync::{
-        Condvar, Mutex, PoisonError,
-        atomic::{AtomicBool, Ordering},
-    },
-    time::{Duration, Instant},
+    sync::{Condvar, Mutex, PoisonError},
+    time::Instant,
 };
 
 use heliostat_core::room_core::InputChannel;
@@ -37,8 +34,6 @@ pub struct Arrival {
 pub struct ReceiveQueue {
     state: Mutex<State>,
     filled: Condvar,
-    /// Whether a payload or the end arrived since the last wait; readable without the lock.
-    has_arrival: AtomicBool,
 }
 
 #[derive(Default)]
@@ -47,17 +42,6 @@ struct State {
     spare: Vec<Vec<u8>>,
     dropped: u64,
     closed: bool,
-}
-
-/// Why a wait ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Wake {
-    /// Payloads wait.
-    Filled,
-    /// The time limit passed.
-    TimedOut,
-    /// The queue is closed.
-    Closed,
 }
 
 impl ReceiveQueue {
@@ -70,7 +54,6 @@ impl ReceiveQueue {
         buffer.clear();
         buffer.extend_from_slice(payload);
         state.waiting.push_back(Arrival { channel: channel.into(), payload: buffer, entered });
-        self.has_arrival.store(true, Ordering::Relaxed);
         drop(state);
         self.filled.notify_one();
     }
@@ -100,46 +83,13 @@ impl ReceiveQueue {
     /// Ends the room's thread.
     pub fn close(&self) {
         lock(&self.state).closed = true;
-        self.has_arrival.store(true, Ordering::Relaxed);
         self.filled.notify_one();
     }
 
-    /// Waits for a payload or the end, at most for `limit` if there is one.
-    pub fn wait(&self, limit: Option<Duration>) -> Wake {
-        let mut state = lock(&self.state);
-        self.has_arrival.store(false, Ordering::Relaxed);
-        loop {
-            if state.closed {
-                return Wake::Closed;
-            }
-            if !state.waiting.is_empty() {
-                return Wake::Filled;
-            }
-            let Some(limit) = limit else {
-                state = self.filled.wait(state).unwrap_or_else(PoisonError::into_inner);
-                continue;
-            };
-            let (again, timeout) = self.filled.wait_timeout(state, limit).unwrap_or_else(PoisonError::into_inner);
-            state = again;
-            if timeout.timed_out() && state.waiting.is_empty() && !state.closed {
-                return Wake::TimedOut;
-            }
-        }
-    }
-
-    /// Whether a payload or the end arrived since the last [`wait`](Self::wait).
-    pub fn has_arrival(&self) -> bool {
-        self.has_arrival.load(Ordering::Relaxed)
-    }
-
-    /// Waits for an arrival without idling, at most until `until`: an idle processor lets its
-    /// caches go cold.
-    ///
-    /// Other threads that are ready to run get the processor.
-    pub fn spin(&self, until: Instant) {
-        while !self.has_arrival() && Instant::now() < until {
-            std::thread::yield_now();
-        }
+    /// Waits for a payload; false once the queue is closed.
+    pub fn wait(&self) -> bool {
+        let waits = |state: &mut State| state.waiting.is_empty() && !state.closed;
+        !self.filled.wait_while(lock(&self.state), waits).unwrap_or_else(PoisonError::into_inner).closed
     }
 }
 
@@ -193,24 +143,11 @@ mod tests {
     }
 
     #[test]
-    fn a_spinning_thread_notices_an_arrival() {
-        let (queue, soon) = (ReceiveQueue::default(), Instant::now() + Duration::from_millis(1));
-        queue.spin(soon);
-        assert!(Instant::now() >= soon, "nothing arrived");
-        let limit = Instant::now() + Duration::from_secs(60);
-        std::thread::scope(|scope| {
-            scope.spawn(|| queue.push(Stream::Users, &[1], Instant::now()));
-            queue.spin(limit);
-        });
-        assert!(Instant::now() < limit, "the arrival went unnoticed");
-    }
-
-    #[test]
     fn closing_the_queue_ends_a_wait() {
         let queue = ReceiveQueue::default();
         std::thread::scope(|scope| {
             scope.spawn(|| queue.close());
-            assert_eq!(queue.wait(None), Wake::Closed);
+            assert!(!queue.wait());
         });
     }
 }

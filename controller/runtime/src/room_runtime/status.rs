@@ -131,7 +131,6 @@ impl Reporter {
         let mut summary = Summary::of(controller);
         summary.unsent = decision_loop.unsent();
         summary.dropped = decision_loop.room.superseded();
-        summary.cache_warm_ups = decision_loop.cache_warm_ups();
         let undecodable = decision_loop.room.undecodable();
         summary.refused.extend(undecodable.named());
         // Of several arrays, the first that follows another controller.
@@ -171,7 +170,6 @@ impl Reporter {
             ("over_budget", times.over_budget()),
             ("unsent", summary.unsent),
             ("dropped", summary.dropped),
-            ("cache_warm_ups", summary.cache_warm_ups),
             ("unanswered", summary.unanswered),
             ("modelled", summary.modelled),
             ("clipped_range", summary.clipped.range),

@@ -13,8 +13,8 @@ impl fmt::Display for Summary {
         writeln!(formatter, "policy {} at the end, epoch {}", self.policy, self.epoch)?;
         writeln!(
             formatter,
-            "decisions {}, commands {}, unsent {}, dropped {}, cache warm-ups {}",
-            self.decisions, self.commands, self.unsent, self.dropped, self.cache_warm_ups
+            "decisions {}, commands {}, unsent {}, dropped {}",
+            self.decisions, self.commands, self.unsent, self.dropped
         )?;
         writeln!(formatter, "over 0.5 ms: {}, by longest stage:{}", self.over_budget, list(&self.over_budget_by))?;
         writeln!(formatter, "{:<12}{:>10}{:>10}{:>10}{:>10}{:>10}", "time in us", "p50", "p90", "p99", "p99.9", "max")?;

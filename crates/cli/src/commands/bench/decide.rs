@@ -31,10 +31,6 @@ use super::walkers::Walkers;
 const WARM_UP: usize = 200;
 /// Reports between two messages of telemetry.
 const TELEMETRY_TICKS: u64 = 5;
-/// Cache warm-ups before each report, as in the controller.
-const WARM_UPS: u32 = 2;
-/// The cache warm-ups end this long before the report is due, as in the controller.
-const WARM_UP_MARGIN: Duration = Duration::from_micros(50);
 
 /// Flags that the benchmarks of the decision share.
 #[derive(Debug, clap::Args)]
@@ -51,21 +47,9 @@ pub struct Args {
     /// ONNX file of a learned policy, instead of the built-in one
     #[arg(long, value_name = "FILE", requires = "policy")]
     model: Option<PathBuf>,
-    /// Whether caches are warmed shortly before each report, as the controller does
-    #[arg(long, value_enum, value_name = "WHEN", default_value_t = KeepWarm::Off)]
-    keep_warm: KeepWarm,
     /// Print one JSON object
     #[arg(long)]
     json: bool,
-}
-
-/// When caches are warmed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum KeepWarm {
-    /// Never
-    Off,
-    /// Shortly before each report
-    Expected,
 }
 
 /// What is measured: a policy in a room.
@@ -217,7 +201,7 @@ impl Args {
             for size in sizes {
                 let [first, scenario] = [sized(sizes[0])?, sized(*size)?];
                 let subject = Subject { scenario: &scenario, kind, source: &source, engine };
-                let mut smallest = Decider::new(&Subject { scenario: &first, ..subject }, KeepWarm::Off)?;
+                let mut smallest = Decider::new(&Subject { scenario: &first, ..subject })?;
                 table.add(self.measure(&plan, subject, &mut smallest)?)?;
             }
         }
@@ -233,7 +217,7 @@ impl Args {
     }
 
     fn measure(&self, plan: &Plan, subject: Subject<'_>, reference: &mut dyn Side) -> Result<Row> {
-        let mut decider = Decider::new(&subject, self.keep_warm)?;
+        let mut decider = Decider::new(&subject)?;
         let scenario = subject.scenario;
         let mut compared = Times::new();
         plan.take_turns(|turn, block| match turn {
@@ -272,10 +256,6 @@ fn telemetry(scenario: &Scenario) -> Vec<MirrorTelemetry> {
 trait Side {
     /// Prepares the next report, before the pause.
     fn prepare(&mut self) -> Result<()>;
-    /// Waits until the report is due.
-    fn wait(&mut self, due: Instant) {
-        sleep_until(due);
-    }
     /// Answers a report that counts from `started`.
     fn act(&mut self, started: Instant) -> Result<()>;
 }
@@ -296,7 +276,7 @@ fn go_through(side: &mut dyn Side, block: Block, record: &mut dyn FnMut(Duration
                 if Instant::now() > due {
                     due
                 } else {
-                    side.wait(due);
+                    sleep_until(due);
                     Instant::now()
                 }
             }
@@ -318,9 +298,6 @@ struct Decider {
     telemetry: Vec<MirrorTelemetry>,
     users: usize,
     tick: u64,
-    keep_warm: KeepWarm,
-    /// How long the last cache warm-up took.
-    warm_up_took: Duration,
     payload: Vec<u8>,
     report: UserReport,
     command: Vec<u8>,
@@ -328,7 +305,7 @@ struct Decider {
 }
 
 impl Decider {
-    fn new(subject: &Subject<'_>, keep_warm: KeepWarm) -> Result<Self> {
+    fn new(subject: &Subject<'_>) -> Result<Self> {
         let (scenario, policy) = (subject.scenario, subject.build()?);
         let mut controller = Controller::new(scenario, scenario.channel_model()?, policy, 1);
         controller.warm_up(0..WARM_UP);
@@ -338,8 +315,6 @@ impl Decider {
             telemetry: telemetry(scenario),
             users: scenario.users.count,
             tick: 0,
-            keep_warm,
-            warm_up_took: Duration::ZERO,
             payload: Vec::new(),
             report: UserReport::default(),
             command: Vec::new(),
@@ -371,22 +346,6 @@ impl Side for Decider {
         }
         self.controller.handle_and_poll(now, Message::Channel(&mut self.walkers.channel), &mut |_| {});
         Ok(encode(&self.walkers.users, &mut self.payload)?)
-    }
-
-    fn wait(&mut self, due: Instant) {
-        let ahead = self.warm_up_took + WARM_UP_MARGIN;
-        if self.keep_warm == KeepWarm::Expected
-            && let Some(start) = due.checked_sub(ahead).filter(|start| *start > Instant::now())
-        {
-            sleep_until(start);
-            let start = Instant::now();
-            (0..WARM_UPS).for_each(|_| self.controller.warm_cache());
-            self.warm_up_took = start.elapsed();
-            while Instant::now() < due {
-                std::hint::spin_loop();
-            }
-        }
-        sleep_until(due);
     }
 
     fn act(&mut self, started: Instant) -> Result<()> {

@@ -10,6 +10,7 @@
 //! - [`probes`]: which mirror is probed next, and where.
 //! - [`optics`]: the light of one mirror with its derivatives.
 //! - [`mod@fit`]: the joint estimate and its covariance.
+//! - [`places`]: where the receiver stands, unless places are named.
 //! - [`outcome`]: corrections, the measured room, and how sure both are.
 //!
 //! # Identifiability
@@ -25,6 +26,7 @@ pub mod grid;
 pub mod optics;
 pub mod outcome;
 pub mod parameters;
+pub mod places;
 pub mod probes;
 pub mod session;
 pub mod stand;

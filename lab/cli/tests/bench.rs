@@ -88,7 +88,7 @@ fn a_growing_number_of_users_is_measured_for_several_arrays_and_a_wall_is_divide
     assert!(!rows.is_empty() && rows.iter().all(|row| number(row, "/mirrors") == 14.0), "{rows:?}");
     for (arguments, advice) in [
         (&["bench", "mirrors"][..], "divides the wall of one array"),
-        (&["calibrate", "--array", "2", "--seeds", "1", "--states", "1"], "expected an index from 0 to 1"),
+        (&["calibrate", "--array", "2", "--seeds", "1", "--episodes", "1"], "expected an index from 0 to 1"),
     ] {
         let output = Command::new(env!("CARGO_BIN_EXE_heliostat-lab")).args(arguments).args(scenario).output();
         let output = output.expect("the program starts");

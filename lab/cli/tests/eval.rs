@@ -329,8 +329,8 @@ fn stuck_mirrors_lower_the_rate_and_an_unaware_policy_meets_fewer_minimum_rates(
 
 #[test]
 fn one_seed_has_no_interval_and_the_table_says_so() {
-    let calibrate = ["calibrate", "--seeds", "1", "--states", "2", "--mounting-deg", "1"];
-    let small = ["--set", "mirrors.rows=2", "--set", "mirrors.columns=2"];
+    let calibrate = ["calibrate", "--seeds", "1", "--episodes", "1", "--set", "mismatch.level=rough"];
+    let small = ["--set", "mirrors.rows=4", "--set", "mirrors.columns=4"];
     let run = |arguments: &[&str]| Command::new(env!("CARGO_BIN_EXE_heliostat-lab")).args(arguments).output();
     for output in [
         eval(&["--policies", "flat", "--states", "2", "--seeds", "1", "--closed-loop"]),

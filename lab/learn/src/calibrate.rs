@@ -1,176 +1,48 @@
-//! `heliostat-lab calibrate`: the mounting of each mirror, estimated from commanded angles and measured
-//! gains.
+//! `heliostat-lab calibrate`: how well `heliostat calibrate` measures a room, and what that is worth.
 //!
-//! Detectors stand at five known positions of an empty room. One mirror at a time is aimed at each
-//! detector, and all others at the ceiling:
-//!
-//! 1. **Find** the light. The search starts at the aim by the law of reflection and goes outwards
-//!    until the detector is lit.
-//! 2. **Centre** it. Scans along yaw and roll, in both directions, have centroids at the angles at
-//!    which the light is centred. The same scans in the model of an exact mirror give the true
-//!    angles, so that an asymmetry of the lit region cancels.
-//! 3. **Fit** drive = gain * true + offset for each axis over the detectors, which is the
-//!    contract's calibration.
-//!
-//! A mirror whose light is found at no detector keeps gain 1 and offset 0. Corrections are limited
-//! to the travel of the drives beyond the range that they announce. The simulator takes the place
-//! of the room ([`mod@bench`]). The estimate does not read the mounting that the simulator drew;
-//! [`Study`] compares the two.
+//! Each episode is a room of its own, whose equipment differs from the scenario as `mismatch.level`
+//! says. The session of `heliostat calibrate` runs in it in virtual time ([`live`]). The truth of the
+//! simulated room judges the result ([`truth`]). Then the same episode runs three times in closed loop:
+//! as assumed, with the corrections of the mirrors, and with the measured room too. All rates are
+//! relative to the oracle in the true room.
 
-pub mod bench;
-pub mod locate;
-pub mod worth;
+pub mod live;
+pub mod truth;
 
-use anyhow::{Context, ensure};
-use heliostat_array::calibration::{GAIN_RANGE, OFFSET_MAX_RAD};
-use heliostat_array::calibration_file::{AxisCorrections, CalibrationFile};
-use heliostat_proto::AxisLimits;
-use heliostat_scenario::{ChannelMode, Mirrors, Scenario};
-use indicatif::ProgressBar;
+use anyhow::ensure;
+use heliostat_array::calibration_file::CalibrationFile;
+use heliostat_core::core::Controller;
+use heliostat_core::policy::PolicyKind;
+use heliostat_environment::closed_loop::ClosedLoop;
+use heliostat_environment::episodes::{HeldOutEpisode, INSTANTS, WARM, held_out_episodes, start_ns};
+use heliostat_environment::sampling::Sampled;
+use heliostat_models::{ActorSource, build};
+use heliostat_proto::Stamp;
+use heliostat_room::SimulatedRoom;
+use heliostat_room::episode::Episode;
+use heliostat_scenario::{ChannelMode, MismatchLevel, Scenario};
 use serde::Serialize;
 
-use crate::comparison::{EvaluatedPolicy, progress_bar};
+use crate::comparison::progress_bar;
 use crate::evaluation::Estimate;
-use bench::Bench;
-use locate::{centre, find, fit};
-use worth::Evaluation;
+use truth::judge;
 
-/// Standard deviation of a mirror's true angles below which only an offset is estimated, in rad.
-const SPREAD_RAD: f64 = 2.0 * std::f64::consts::PI / 180.0;
-
-/// The method of a measurement.
-#[derive(Clone, Copy, Debug)]
-pub struct Method {
-    /// Averaging time of a reading in s.
-    pub dwell_s: f64,
-    /// Half the width of the search on each axis in rad.
-    pub search_rad: f64,
-}
-
-/// The calibration of one array.
-#[derive(Clone, Debug)]
-pub struct Outcome {
-    /// The corrections.
-    pub file: CalibrationFile,
-    /// Number of readings.
-    pub readings: u64,
-    /// Time in s that the readings take in a real room.
-    pub seconds: f64,
-    /// Mirrors whose light was found at no detector, ascending.
-    pub unfound: Vec<usize>,
-    /// Mirrors whose correction was limited to the travel of the drives, ascending.
-    pub limited: Vec<usize>,
-}
-
-/// Calibrates the array of a scenario with one array, as a seed mounts it.
-///
-/// `index` is that of the array in its room, which determines its mounting too.
-///
-/// # Errors
-/// The scenario describes no room, its channel mode has no spot of light, or the drives do not
-/// answer.
-pub fn calibrate(
-    scenario: &Scenario,
-    (index, seed): (usize, u64),
-    method: &Method,
-    bar: &ProgressBar,
-) -> anyhow::Result<Outcome> {
-    ensure!(
-        scenario.channel.mode == ChannelMode::Specular,
-        "channel.mode = \"{}\" has no spot of light: expected \"specular\"",
-        scenario.channel.mode.name()
-    );
-    let mut bench = Bench::new(scenario, (index, seed), method.dwell_s)?;
-    let mirrors = scenario.mirror_count();
-    let mut axes = [AxisCorrections::none(mirrors), AxisCorrections::none(mirrors)];
-    let (mut unfound, mut limited) = (Vec::new(), Vec::new());
-    for mirror in 0..mirrors {
-        let aims = measure(&mut bench, mirror, method.search_rad);
-        if aims.is_empty() {
-            unfound.push(mirror);
-        }
-        let ranges = [bench.capabilities().roll, bench.capabilities().yaw];
-        for (axis, corrections) in axes.iter_mut().enumerate().filter(|_| !aims.is_empty()) {
-            let of = |which: fn(&Aim) -> [f64; 2]| aims.iter().map(|aim| which(aim)[axis]).collect::<Vec<_>>();
-            let (gain, offset) = fit(&of(|aim| aim.truth), &of(|aim| aim.drive), SPREAD_RAD);
-            let fitted = (rounded(gain), offset);
-            let (gain, offset) = within(fitted, &ranges[axis], bench.travel_rad()[axis]);
-            if (gain, offset) != fitted && limited.last() != Some(&mirror) {
-                limited.push(mirror);
-            }
-            (corrections.gain[mirror], corrections.offset_deg[mirror]) = (gain, rounded(offset.to_degrees()));
-        }
-        bar.inc(1);
-    }
-    if let Some(failure) = bench.take_failure() {
-        return Err(failure).context("the array did not answer");
-    }
-    let [roll, yaw] = axes;
-    let Mirrors { rows, columns, .. } = *scenario.mirrors.first();
-    let file = CalibrationFile { rows, columns, roll, yaw };
-    Ok(Outcome { file, readings: bench.readings(), seconds: bench.seconds(), unfound, limited })
-}
-
-/// Angles at which a mirror's light is centred on a detector: roll and yaw in rad.
-struct Aim {
-    /// The angles of an exact mirror.
-    truth: [f64; 2],
-    /// The angles of the drive's command.
-    drive: [f64; 2],
-}
-
-/// Finds the light of a mirror at each detector; the mean error so far is the start of the next
-/// search.
-fn measure(bench: &mut Bench, mirror: usize, search_rad: f64) -> Vec<Aim> {
-    let mut aims: Vec<Aim> = Vec::new();
-    for pair in bench.pairs(mirror) {
-        let off = |axis: usize| {
-            let sum: f64 = aims.iter().map(|aim| aim.drive[axis] - aim.truth[axis]).sum();
-            sum / aims.len().max(1) as f64
-        };
-        let start = [pair.aim[0] + off(0), pair.aim[1] + off(1)];
-        let Some(lit) = find(bench, &pair, start, search_rad) else { continue };
-        let drive = centre(bench, &pair, lit);
-        let truth = centre(&mut bench.expected(), &pair, pair.aim);
-        aims.push(Aim { truth, drive });
-    }
-    aims
-}
-
-/// Rounds to five decimals, far finer than any drive.
-fn rounded(value: f64) -> f64 {
-    (value * 1e5).round() / 1e5
-}
-
-/// The correction with its offset limited to that of a calibration, and to the drives' travel at
-/// both ends of the announced range.
-fn within((gain, offset): (f64, f64), range: &AxisLimits, [least, most]: [f64; 2]) -> (f64, f64) {
-    let low = (least - gain * f64::from(range.min_rad)).max(-OFFSET_MAX_RAD);
-    let high = (most - gain * f64::from(range.max_rad)).min(OFFSET_MAX_RAD);
-    if low <= high && (GAIN_RANGE[0]..=GAIN_RANGE[1]).contains(&gain) {
-        (gain, offset.clamp(low, high))
-    } else {
-        within((1.0, offset), range, [least, most])
-    }
-}
-
-/// The settings of a study: the loss by mounting errors, and the gain by calibration.
+/// The settings of a study.
 #[derive(Clone, Debug)]
 pub struct Settings {
-    /// The room; its seed is the first one.
+    /// The room as the controller assumes it; `mismatch.level` says how far true rooms differ, and its
+    /// seed is the first one.
     pub scenario: Scenario,
-    /// Index of the array that is calibrated; the room has no other one meanwhile.
+    /// Index of the array that is calibrated; the room has no other one.
     pub array: usize,
-    /// Standard deviations of each axis' mounting error in degrees.
-    pub mounting_deg: Vec<f64>,
-    /// Number of consecutive seeds; each is a separate array.
+    /// Number of consecutive seeds.
     pub seeds: usize,
-    /// States of each seed.
-    pub states: usize,
+    /// Episodes of each seed, each a room of its own.
+    pub episodes: usize,
     /// The policy.
-    pub policy: EvaluatedPolicy,
-    /// The method of the measurement.
-    pub method: Method,
+    pub policy: PolicyKind,
+    /// Position and channel reports a second during a calibration.
+    pub reports_hz: f64,
 }
 
 /// The result of a study.
@@ -180,126 +52,219 @@ pub struct Study {
     pub scenario: String,
     /// Hash of the effective scenario.
     pub configuration: String,
-    /// Index of the calibrated array; the sum rates are those of this array alone.
+    /// Index of the calibrated array; all rates are those of this array alone.
     pub array: usize,
     /// Name of the policy.
     pub policy: String,
     /// The first seed.
     pub seed: u64,
-    /// Number of seeds, each a separate array.
+    /// Number of seeds.
     pub seeds: usize,
-    /// States of each seed.
+    /// Episodes in all, each a room of its own.
+    pub episodes: usize,
+    /// Sampling times of each seed.
     pub states: usize,
-    /// One row for each mounting error.
-    pub rows: Vec<Row>,
+    /// Position and channel reports a second during a calibration.
+    pub reports_hz: f64,
+    /// Whether the rooms do not differ from the scenario.
+    pub is_as_described: bool,
+    /// Means over all rooms, in one row.
+    pub rows: [Row; 1],
+    /// Every room.
+    pub rooms: Vec<Room>,
 }
 
-/// One mounting error: means over arrays with 95 % intervals.
+/// One room.
+#[derive(Clone, Debug, Serialize)]
+pub struct Room {
+    /// Its seed.
+    pub seed: u64,
+    /// Channel reports that served as readings.
+    pub readings: usize,
+    /// Room time in s while the receiver stood at its places.
+    pub seconds: f64,
+    /// Root mean square errors of roll and yaw at held-out places in degrees.
+    pub pointing_deg: [f64; 2],
+    /// Root mean square error of the LEDs' coordinates in cm.
+    pub led_cm: f64,
+    /// Error of the height of the tracker's frame in cm.
+    pub frame_cm: f64,
+    /// 95 % intervals that contain the truth, and all.
+    pub covered: [usize; 2],
+    /// Mirrors without a correction.
+    pub uncorrected: usize,
+    /// Spots that most mirrors contradict.
+    pub rejected_spots: usize,
+    /// Whether the calibrated aims give more light: otherwise nothing is written, and the room stays as
+    /// assumed.
+    pub written: bool,
+    /// Sum rate of the room as assumed, over that of the oracle.
+    pub assumed_ratio: f64,
+    /// The same with the corrections of the mirrors.
+    pub mirrors_ratio: f64,
+    /// The same with the measured room too.
+    pub calibrated_ratio: f64,
+}
+
+/// Means over rooms with 95 % intervals.
 #[derive(Clone, Debug, Serialize)]
 pub struct Row {
-    /// Standard deviation of each axis' mounting error in degrees.
-    pub mounting_deg: f64,
-    /// Sum rate in Mbit/s without mounting error.
-    pub exact_mbps: Estimate,
-    /// Sum rate in Mbit/s with the mounting error.
-    pub uncalibrated_mbps: Estimate,
-    /// Sum rate in Mbit/s after calibration.
-    pub calibrated_mbps: Estimate,
-    /// Sum rate with the mounting error over that without, array by array.
-    pub uncalibrated_ratio: Estimate,
-    /// Sum rate after calibration over that without error, array by array.
+    /// Readings of a calibration.
+    pub readings: Estimate,
+    /// Room time in s while the receiver stood at its places.
+    pub seconds: Estimate,
+    /// Root mean square error of roll at held-out places in degrees.
+    pub roll_deg: Estimate,
+    /// The same of yaw.
+    pub yaw_deg: Estimate,
+    /// Root mean square error of the LEDs' coordinates in cm.
+    pub led_cm: Estimate,
+    /// Error of the height of the tracker's frame in cm.
+    pub frame_cm: Estimate,
+    /// Share of the 95 % intervals that contain the truth.
+    pub coverage: f64,
+    /// Mirrors without a correction.
+    pub uncorrected: Estimate,
+    /// Rooms whose calibration is written.
+    pub written: usize,
+    /// Sum rate of the room as assumed, over that of the oracle.
+    pub assumed_ratio: Estimate,
+    /// The same with the corrections of the mirrors.
+    pub mirrors_ratio: Estimate,
+    /// The same with the measured room too.
     pub calibrated_ratio: Estimate,
-    /// Readings for an array.
-    pub readings: f64,
-    /// Time for an array in a real room, in s.
-    pub seconds: f64,
-    /// Mirrors of an array whose light was found at no detector.
-    pub unfound: f64,
-    /// Mirrors of an array whose correction was limited to the travel of the drives.
-    pub limited: f64,
+    /// The last ratio minus the first one, room by room.
+    pub difference_ratio: Estimate,
+    /// Rooms in which this difference is negative.
+    pub worse: usize,
 }
 
-/// One array: its sum rates without error, as mounted and after calibration, and its calibration.
-type OneArray = ([f64; 3], Outcome);
-
-/// Runs a study with a progress bar on standard error; returns the calibration of the first array
-/// too.
+/// Runs a study with a progress bar on standard error.
 ///
 /// # Errors
-/// As [`calibrate`]; the policy cannot be built for the room.
-pub fn study(settings: &Settings) -> anyhow::Result<(Study, CalibrationFile)> {
-    ensure!(settings.seeds > 0 && settings.states > 0, "a study needs at least one seed and one state");
-    let scenario = &settings.scenario.with_array_alone(settings.array)?;
+/// A scenario that cannot be calibrated, a policy that cannot be built for it, or a calibration without
+/// end.
+pub fn study(settings: &Settings) -> anyhow::Result<Study> {
+    ensure!(settings.seeds > 0 && settings.episodes > 0, "a study needs at least one seed and one episode");
+    let scenario = settings.scenario.with_array_alone(settings.array)?;
+    let mode = scenario.channel.mode;
+    ensure!(
+        mode == ChannelMode::Specular,
+        "channel.mode = \"{}\" has no spot of light: expected \"specular\"",
+        mode.name()
+    );
+    let states = settings.episodes * INSTANTS;
+    let episodes = held_out_episodes(&scenario, scenario.read_trace()?.as_deref(), (states, settings.seeds), WARM)?;
     let bar = progress_bar()?;
-    bar.set_length((settings.mounting_deg.len() * settings.seeds * scenario.mirror_count()) as u64);
-    let mut rows = Vec::new();
-    let mut first = None;
-    for mounting_deg in &settings.mounting_deg {
-        bar.set_message(format!("mirrors, mounted to {mounting_deg} degrees"));
-        let mounted = mounted(scenario, *mounting_deg, scenario.actuator.scale_error_relative)?;
-        let arrays = (0..settings.seeds as u64).map(|set| one(settings, (scenario, &mounted), set, &bar));
-        let arrays: Vec<OneArray> = arrays.collect::<anyhow::Result<_>>()?;
-        first = first.or_else(|| arrays.first().map(|(_, outcome)| outcome.file.clone()));
-        rows.push(Row::of(*mounting_deg, &arrays));
+    bar.set_length(episodes.len() as u64);
+    bar.set_message("rooms");
+    let mut rooms = Vec::new();
+    for episode in &episodes {
+        rooms.push(room(settings, &scenario, episode)?);
+        bar.inc(1);
     }
     bar.finish_and_clear();
-    let study = Study {
+    Ok(Study {
         scenario: scenario.name.clone(),
         configuration: settings.scenario.hash(),
         array: settings.array,
-        policy: settings.policy.name().to_owned(),
+        policy: settings.policy.name(),
         seed: scenario.seed,
         seeds: settings.seeds,
-        states: settings.states,
-        rows,
+        episodes: rooms.len(),
+        states,
+        reports_hz: settings.reports_hz,
+        is_as_described: scenario.mismatch.level == MismatchLevel::None,
+        rows: [Row::of(&rooms)],
+        rooms,
+    })
+}
+
+/// Calibrates the room of an episode, and runs the episode in closed loop without and with the result.
+fn room(settings: &Settings, scenario: &Scenario, episode: &HeldOutEpisode) -> anyhow::Result<Room> {
+    let rates = ["channel", "positions"].map(|stream| format!("streams.{stream}.rate_hz={}", settings.reports_hz));
+    // The same seed is the same equipment.
+    let carried = live::with_receiver(&scenario.with_overrides(&rates)?)?;
+    let run = live::run(&carried, &live::walk(&carried, ""), episode.seed, |_| {})?;
+    let errors = judge(&run.outcome, &carried, episode.seed)?;
+    let written = run.outcome.verification.is_improvement();
+    let calibration = run.outcome.calibration();
+    let mut oracle = 0.0;
+    let trace = scenario.read_trace()?;
+    episode.solve(scenario, trace.as_deref(), |world, angles| oracle += Sampled::of(world, angles).sum_rate_mbps)?;
+    let ratio = |assumed: &Scenario, calibration: Option<&CalibrationFile>| {
+        Ok::<f64, anyhow::Error>(sum_rate(settings.policy, (scenario, assumed), episode, calibration)? / oracle)
     };
-    Ok((study, first.context("a study needs at least one mounting error")?))
+    let assumed_ratio = ratio(scenario, None)?;
+    let [mirrors_ratio, calibrated_ratio] = if written {
+        let measured = run.outcome.measured_room(scenario, 0);
+        [ratio(scenario, Some(&calibration))?, ratio(&measured, Some(&calibration))?]
+    } else {
+        [assumed_ratio; 2]
+    };
+    Ok(Room {
+        seed: episode.seed,
+        readings: run.outcome.readings,
+        seconds: run.busy_s,
+        pointing_deg: errors.pointing_deg,
+        led_cm: errors.led_m * 100.0,
+        frame_cm: errors.frame_m * 100.0,
+        covered: errors.covered,
+        uncorrected: scenario.mirror_count() - errors.corrected,
+        rejected_spots: run.outcome.rejected_places.len(),
+        written,
+        assumed_ratio,
+        mirrors_ratio,
+        calibrated_ratio,
+    })
 }
 
-fn mounted(scenario: &Scenario, offset_deg: f64, scale_error: Option<f64>) -> anyhow::Result<Scenario> {
-    let scale_error = scale_error.unwrap_or(0.0);
-    let keys = [("offset_deg", offset_deg), ("scale_error_relative", scale_error)];
-    Ok(scenario.with_overrides(&keys.map(|(key, value)| format!("actuator.{key}={value:?}")))?)
-}
-
-fn one(
-    settings: &Settings,
-    (scenario, mounted): (&Scenario, &Scenario),
-    set: u64,
-    bar: &ProgressBar,
-) -> anyhow::Result<OneArray> {
-    let seed = scenario.seed.wrapping_add(set);
-    let drawn = (settings.array, seed);
-    let exact = self::mounted(scenario, 0.0, None)?;
-    let mut evaluation = Evaluation::new(&exact, &settings.policy, seed, settings.states)?;
-    let outcome = calibrate(mounted, drawn, &settings.method, bar)?;
-    let rates = [
-        evaluation.sum_rate_mbps(&exact, drawn, None)?,
-        evaluation.sum_rate_mbps(mounted, drawn, None)?,
-        evaluation.sum_rate_mbps(mounted, drawn, Some(&outcome.file))?,
-    ];
-    Ok((rates, outcome))
+/// The sum of the sum rates at the sampling times of an episode, for a controller that assumes the
+/// second room, with or without corrections of the array.
+fn sum_rate(
+    policy: PolicyKind,
+    (scenario, assumed): (&Scenario, &Scenario),
+    episode: &HeldOutEpisode,
+    calibration: Option<&CalibrationFile>,
+) -> anyhow::Result<f64> {
+    let mut room = SimulatedRoom::new(scenario, scenario.read_trace()?.as_deref(), episode.seed)?;
+    if let Some(file) = calibration {
+        room.set_calibration(0, &file.message(Stamp { source: 1, sequence: 1, time_ns: 0 }))?;
+    }
+    let inner = Episode::of_room(room, scenario, episode.seed, start_ns());
+    let policy = build(policy, assumed, &ActorSource::Shipped)?;
+    let mut closed = ClosedLoop::new(inner, Controller::new(assumed, assumed.channel_model()?, policy, 1));
+    let mut sum = 0.0;
+    for instant in &episode.instants_ns {
+        while let Some((now, event)) = closed.poll_event(*instant) {
+            closed.deliver(now, event, &mut |_| {})?;
+        }
+        closed.advance(*instant);
+        sum += Sampled::of(closed.room().world(), closed.room().angles()).sum_rate_mbps;
+    }
+    Ok(sum)
 }
 
 impl Row {
-    fn of(mounting_deg: f64, arrays: &[OneArray]) -> Self {
-        let estimate = |value: fn(&[f64; 3]) -> f64| {
-            Estimate::of(&arrays.iter().map(|(rates, _)| value(rates)).collect::<Vec<_>>())
-        };
-        let mean = |value: fn(&Outcome) -> f64| {
-            arrays.iter().map(|(_, outcome)| value(outcome)).sum::<f64>() / arrays.len() as f64
-        };
+    fn of(rooms: &[Room]) -> Self {
+        let over_rooms = |value: &dyn Fn(&Room) -> f64| Estimate::of(&rooms.iter().map(value).collect::<Vec<_>>());
+        let difference = |room: &Room| room.calibrated_ratio - room.assumed_ratio;
+        let covered = [0, 1].map(|index| rooms.iter().map(|room| room.covered[index]).sum::<usize>());
         Self {
-            mounting_deg,
-            exact_mbps: estimate(|rates| rates[0]),
-            uncalibrated_mbps: estimate(|rates| rates[1]),
-            calibrated_mbps: estimate(|rates| rates[2]),
-            uncalibrated_ratio: estimate(|rates| rates[1] / rates[0]),
-            calibrated_ratio: estimate(|rates| rates[2] / rates[0]),
-            readings: mean(|outcome| outcome.readings as f64),
-            seconds: mean(|outcome| outcome.seconds),
-            unfound: mean(|outcome| outcome.unfound.len() as f64),
-            limited: mean(|outcome| outcome.limited.len() as f64),
+            readings: over_rooms(&|room| room.readings as f64),
+            seconds: over_rooms(&|room| room.seconds),
+            roll_deg: over_rooms(&|room| room.pointing_deg[0]),
+            yaw_deg: over_rooms(&|room| room.pointing_deg[1]),
+            led_cm: over_rooms(&|room| room.led_cm),
+            frame_cm: over_rooms(&|room| room.frame_cm),
+            coverage: covered[0] as f64 / covered[1] as f64,
+            uncorrected: over_rooms(&|room| room.uncorrected as f64),
+            written: rooms.iter().filter(|room| room.written).count(),
+            assumed_ratio: over_rooms(&|room| room.assumed_ratio),
+            mirrors_ratio: over_rooms(&|room| room.mirrors_ratio),
+            calibrated_ratio: over_rooms(&|room| room.calibrated_ratio),
+            difference_ratio: over_rooms(&difference),
+            worse: rooms.iter().filter(|room| difference(room) < 0.0).count(),
         }
     }
 }

@@ -12,7 +12,7 @@
 //! - [`export`]: ONNX graphs.
 //! - [`evaluation`]: held-out states, the ratio to the oracle, and confidence intervals.
 //! - [`comparison`]: policies on the same states, static and in closed loop.
-//! - [`calibrate`](mod@calibrate): the mounting of real mirrors from measured gains.
+//! - [`calibrate`](mod@calibrate): how well a calibration measures rooms, and what it is worth.
 //! - [`train`]: the `heliostat-lab train` command.
 
 pub mod calibrate;

@@ -1,55 +1,44 @@
-//! `heliostat-lab calibrate`: estimates the mounting error of each mirror from commanded angles and
-//! measured gains.
-
-use std::path::{Path, PathBuf};
+//! `heliostat-lab calibrate`: how well `heliostat calibrate` measures rooms, and what that is worth.
 
 use anyhow::{Result, ensure};
-use heliostat_learn::calibrate::{Method, Row, Settings, Study, study};
-use heliostat_learn::comparison::EvaluatedPolicy;
+use heliostat_core::policy::{NameParser, PolicyKind};
+use heliostat_learn::calibrate::{Row, Settings, Study, study};
 use heliostat_learn::evaluation::Estimate;
-use heliostat_models::ActorSource;
-use heliostat_scenario::{STUDY_SCENARIO, ScenarioArgs};
+use heliostat_scenario::ScenarioArgs;
 use heliostat_service::counted::counted;
 
 use heliostat_service::outln;
 
-/// Estimate the mounting error of each mirror from measured gains.
+/// Rates of reports that the receivers and trackers of a room may have, per second.
+const REPORTS_HZ: std::ops::RangeInclusive<f64> = 1.0..=1000.0;
+
+/// Measure how well `heliostat calibrate` calibrates simulated rooms, and what it is worth.
 ///
-/// The array is simulated: its axes have random mounting errors. Detectors at five known positions
-/// measure one mirror after the other. The output compares the sum rate without mounting error,
-/// with it, and after calibration. Settling time, slew rate, jitter, hysteresis and quantisation
-/// come from the scenario's actuator; the noise comes from its receiver and from
-/// streams.channel.noise_relative.
+/// Each episode is a room of its own, whose mirrors, LEDs, floor and tracker differ from the scenario as
+/// mismatch.level says. The procedure of `heliostat calibrate` runs in it in virtual time: one user
+/// carries one receiver to three spots and a place for the verification. The truth of the room judges
+/// the result. Then the policy serves the room as assumed, with the corrections of the mirrors, and with
+/// the measured room too; the ratios are those of the sum rate to the oracle in the true room. Losses
+/// and latency of reports, and the drives, come from the scenario.
 #[derive(Debug, clap::Args)]
-#[command(mut_arg("scenario", |argument| argument.default_value(STUDY_SCENARIO)))]
 pub struct Args {
     #[command(flatten)]
     scenario: ScenarioArgs,
-    /// Index of the array, from 0; the other arrays of the room are covered meanwhile
+    /// Index of the array, from 0; the room has no other one meanwhile
     #[arg(long, value_name = "N", default_value_t = 0)]
     array: usize,
-    /// Mounting errors to simulate: standard deviation of each axis in degrees, separated by commas
-    #[arg(long, value_name = "A,B", value_delimiter = ',', default_value = "1,2")]
-    mounting_deg: Vec<f64>,
-    /// Number of arrays for each mounting error; seeds count up from the scenario's
-    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    /// Number of seeds, counted up from the scenario's
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     seeds: u32,
-    /// States for the sum rate of each array
-    #[arg(long, value_name = "N", default_value_t = 50, value_parser = clap::value_parser!(u32).range(1..=100_000))]
-    states: u32,
-    /// Policy by name, or path of an ONNX actor
-    #[arg(long, value_name = "POLICY", default_value = "fixed-point")]
-    policy: String,
-    /// Averaging time of a reading in ms
-    #[arg(long, value_name = "MS", default_value_t = 1.0)]
-    dwell_ms: f64,
-    /// Search range on each axis in degrees
-    #[arg(long, value_name = "DEG", default_value_t = 8.0)]
-    search_deg: f64,
-    /// Write the calibration of the first array of the first mounting error, for --calibration of
-    /// sim-node and driver run
-    #[arg(long, value_name = "FILE")]
-    out: Option<PathBuf>,
+    /// Episodes of each seed, each a room of its own
+    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    episodes: u32,
+    /// Policy that serves the rooms
+    #[arg(long, default_value = "greedy", value_parser = NameParser::<PolicyKind>::default())]
+    policy: PolicyKind,
+    /// Position and channel reports a second during a calibration
+    #[arg(long, value_name = "HZ", default_value_t = 20.0)]
+    reports_hz: f64,
     /// Print one JSON object
     #[arg(long)]
     json: bool,
@@ -58,91 +47,64 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// An invalid scenario or flag, a file that cannot be written.
+/// An invalid scenario or flag, or a calibration without end.
 pub fn run(args: Args) -> Result<()> {
-    for (flag, value, most) in [("--dwell-ms", args.dwell_ms, 1e4), ("--search-deg", args.search_deg, 30.0)] {
-        ensure!(value > 0.0 && value <= most, "{flag} {value}: expected more than 0 and at most {most}");
-    }
-    if let Some(out) = &args.out {
-        ensure!(!out.exists(), "{} exists already; expected a new file", out.display());
-        let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        ensure!(folder.is_dir(), "cannot write {}: there is no folder {}", out.display(), folder.display());
-    }
-    let settings = Settings {
+    ensure!(
+        REPORTS_HZ.contains(&args.reports_hz),
+        "--reports-hz {}: expected {} to {}",
+        args.reports_hz,
+        REPORTS_HZ.start(),
+        REPORTS_HZ.end()
+    );
+    let study = study(&Settings {
         scenario: args.scenario.load_arrays()?,
         array: args.array,
-        mounting_deg: args.mounting_deg,
         seeds: args.seeds as usize,
-        states: args.states as usize,
-        policy: EvaluatedPolicy::parse(&args.policy, &ActorSource::Shipped)?,
-        method: Method { dwell_s: args.dwell_ms * 1e-3, search_rad: args.search_deg.to_radians() },
-    };
-    let (study, file) = study(&settings)?;
-    if let Some(out) = &args.out {
-        heliostat_driver::calibration_store::save(&file, out)?;
-    }
+        episodes: args.episodes as usize,
+        policy: args.policy,
+        reports_hz: args.reports_hz,
+    })?;
     if args.json {
         outln!("{}", serde_json::to_string(&study)?)?;
-    } else {
-        print(&study)?;
-        if let Some(out) = &args.out {
-            outln!(
-                "written: {}, the array of seed {} mounted to {} degrees",
-                out.display(),
-                study.seed,
-                study.rows[0].mounting_deg
-            )?;
-        }
+        return Ok(());
     }
-    Ok(())
+    print(&study)
 }
 
 fn print(study: &Study) -> Result<()> {
-    let Study { scenario, policy, seed, seeds, states, rows, .. } = study;
+    let Study { scenario, policy, seed, seeds, reports_hz, rows: [row], rooms, .. } = study;
     outln!(
-        "{scenario}, {policy}: sum rate in Mbit/s over {} (seeds from {seed}) with {} each; {}",
-        counted(*seeds, "array"),
-        counted(*states, "state"),
-        match seeds {
-            1 => "one seed gives no confidence interval: use --seeds 2 or more",
+        "{scenario}, {policy}, {reports_hz} reports/s: {} ({} from {seed}); {}",
+        counted(rooms.len(), "room"),
+        counted(*seeds, "seed"),
+        match rooms.len() {
+            1 => "one room gives no confidence interval: use --seeds 2 or more",
             _ => "± is the 95 % confidence interval of the mean",
         }
     )?;
-    outln!(
-        "{:>8} {:>14} {:>14} {:>14} {:>15} {:>15} {:>9} {:>8} {:>9} {:>8}",
-        "mounting",
-        "no error",
-        "uncalibrated",
-        "calibrated",
-        "ratio uncal.",
-        "ratio cal.",
-        "readings",
-        "seconds",
-        "not found",
-        "limited"
-    )?;
-    for row in rows {
-        let Row { exact_mbps, uncalibrated_mbps, calibrated_mbps, uncalibrated_ratio, calibrated_ratio, .. } = row;
-        outln!(
-            "{:>6} ° {:>14} {:>14} {:>14} {:>15} {:>15} {:>9.0} {:>8.0} {:>9.1} {:>8.1}",
-            row.mounting_deg,
-            plus_minus(exact_mbps, 1),
-            plus_minus(uncalibrated_mbps, 1),
-            plus_minus(calibrated_mbps, 1),
-            plus_minus(uncalibrated_ratio, 3),
-            plus_minus(calibrated_ratio, 3),
-            row.readings,
-            row.seconds,
-            row.unfound,
-            row.limited,
-        )?;
+    if study.is_as_described {
+        outln!("  mismatch.level is none: the rooms are as described; --set mismatch.level=rough draws others")?;
     }
-    outln!(
-        "ratio: to the sum rate of the same array without mounting error; readings and seconds: for one array in real time"
-    )?;
-    outln!(
-        "not found: mirrors without a reading at any position; limited: mirrors whose correction exceeds the range of the drives"
-    )?;
+    let Row { readings, seconds, roll_deg, yaw_deg, led_cm, frame_cm, uncorrected, .. } = row;
+    let lines = [
+        ("readings", plus_minus(readings, 0)),
+        ("time at the places, s", plus_minus(seconds, 0)),
+        ("error of roll at held-out places, degrees", plus_minus(roll_deg, 3)),
+        ("error of yaw at held-out places, degrees", plus_minus(yaw_deg, 3)),
+        ("error of the LEDs' coordinates, cm", plus_minus(led_cm, 2)),
+        ("error of the frame's height, cm", plus_minus(frame_cm, 2)),
+        ("95 % intervals that hold the truth", format!("{:.3}", row.coverage)),
+        ("mirrors without correction", plus_minus(uncorrected, 1)),
+        ("calibrations written", format!("{} of {}", row.written, rooms.len())),
+        ("ratio to the oracle, as assumed", plus_minus(&row.assumed_ratio, 3)),
+        ("ratio with corrected mirrors", plus_minus(&row.mirrors_ratio, 3)),
+        ("ratio with corrected mirrors and measured room", plus_minus(&row.calibrated_ratio, 3)),
+        ("difference, room by room", plus_minus(&row.difference_ratio, 3)),
+        ("rooms that became worse", format!("{} of {}", row.worse, rooms.len())),
+    ];
+    for (name, value) in lines {
+        outln!("  {name:<48} {value}")?;
+    }
     Ok(())
 }
 

@@ -5,15 +5,10 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, ensure};
 use heliostat_bus::BusArgs;
 use heliostat_calibrate::Place;
+use heliostat_calibrate::places::{default_spots, default_verification};
 use heliostat_scenario::{MismatchLevel, Scenario, ScenarioArgs};
 use heliostat_service::EndArgs;
 use heliostat_service::exit::UnusableInput;
-
-/// Spots without a flag, in a wide triangle, as shares of half the room along x and y.
-const SPOTS: [[f64; 2]; 3] = [[-0.6, 0.3], [0.56, 0.4], [0.08, -0.56]];
-
-/// The place of the verification without a flag, as a share of half the room.
-const VERIFY: [f64; 2] = [-0.28, -0.16];
 
 /// Measure the mirrors, the LEDs and the tracker's frame of a running room.
 ///
@@ -108,7 +103,7 @@ impl Args {
             }
         }
         if self.spots.is_empty() {
-            spots = SPOTS.map(|share| at(scenario, share)).to_vec();
+            spots = default_spots(scenario);
         }
         spots.iter().try_for_each(|spot| check_inside(scenario, spot))?;
         Ok(spots)
@@ -116,15 +111,10 @@ impl Args {
 
     /// The place of the verification.
     pub fn verification(&self, scenario: &Scenario) -> Result<Place> {
-        let verify = self.verify.as_deref().map_or_else(|| Ok(at(scenario, VERIFY)), place)?;
+        let verify = self.verify.as_deref().map_or_else(|| Ok(default_verification(scenario)), place)?;
         check_inside(scenario, &verify)?;
         Ok(verify)
     }
-}
-
-fn at(scenario: &Scenario, share: [f64; 2]) -> Place {
-    let half = [0.5 * scenario.room.length_x_m, 0.5 * scenario.room.length_y_m];
-    Place { floor_m: Some([0, 1].map(|axis| share[axis] * half[axis])), height_m: scenario.receiver.height_m }
 }
 
 /// Reads X,Y,Z in m.
@@ -171,8 +161,8 @@ mod tests {
     #[test]
     fn spots_outside_the_room_are_refused() {
         let scenario = Scenario::builtin("hall").unwrap();
-        for share in SPOTS.into_iter().chain([VERIFY]) {
-            check_inside(&scenario, &at(&scenario, share)).unwrap();
+        for place in default_spots(&scenario).iter().chain([&default_verification(&scenario)]) {
+            check_inside(&scenario, place).unwrap();
         }
         assert!(check_inside(&scenario, &place("2.6,0,0.85").unwrap()).is_err());
         assert!(check_inside(&scenario, &place("0,0,3.2").unwrap()).is_err());

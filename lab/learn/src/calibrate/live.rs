@@ -1,0 +1,166 @@
+//! A calibration against the simulated room in virtual time: one user carries one receiver from spot to
+//! spot, reports arrive as late and noisy as the scenario says, and commands turn simulated mirrors.
+
+use std::fmt::Write;
+
+use anyhow::{Context, ensure};
+use heliostat_array::moment::Moment;
+use heliostat_calibrate::places::{default_spots, default_verification};
+use heliostat_calibrate::{Outcome, Place, Prior, Session, Setup, Stage};
+use heliostat_channel::MirrorAngles;
+use heliostat_proto::{Capabilities, MirrorCommand, UserReport};
+use heliostat_room::episode::{Episode, Event};
+use heliostat_scenario::{MismatchLevel, Scenario};
+
+/// Time at each spot in s.
+const STAY_S: f64 = 120.0;
+
+/// Time of a walk between two spots in s.
+const WALK_S: f64 = 4.0;
+
+/// A room in which the walk takes three times as long ends a session that does not.
+const PATIENCE: f64 = 3.0;
+
+/// Time between two commands with the same angles in ns.
+const REPEAT_NS: u64 = 100_000_000;
+
+/// Validity of a command in ms.
+const VALIDITY_MS: u32 = 400;
+
+/// The room of a calibration: one receiver that is carried, and no obstacles.
+///
+/// # Errors
+/// A room that does not exist with one user.
+pub fn with_receiver(scenario: &Scenario) -> anyhow::Result<Scenario> {
+    let changes = ["blockage.obstacles_per_m2=0", "users.count=1", "users.trace=walk.csv"];
+    Ok(scenario.with_overrides(&changes.map(String::from))?)
+}
+
+/// The places of a calibration: the spots, then that of the verification.
+pub fn places(scenario: &Scenario) -> Vec<Place> {
+    default_spots(scenario).into_iter().chain([default_verification(scenario)]).collect()
+}
+
+/// The recorded walk of the receiver, whose holder faces the mirrors; further rows are those of other
+/// users.
+pub fn walk(scenario: &Scenario, others: &str) -> String {
+    let inward =
+        scenario.channel_model().map_or(heliostat_channel::Vec3::y(), |model| -model.mirrors.arrays()[0].inward());
+    let heading_deg = inward.y.atan2(inward.x).to_degrees();
+    let mut csv = String::from("time,user,x,y,heading_deg\n");
+    for (index, place) in places(scenario).iter().enumerate() {
+        let [x, y] = place.floor_m.unwrap_or_default();
+        let begin = index as f64 * (STAY_S + WALK_S);
+        // A string takes every text.
+        let _ = writeln!(csv, "{begin},0,{x},{y},{heading_deg}\n{},0,{x},{y},{heading_deg}", begin + STAY_S);
+    }
+    csv + others
+}
+
+/// What a run gives.
+pub struct Run {
+    /// The result.
+    pub outcome: Outcome,
+    /// Channel reports that served no reading.
+    pub unused: u64,
+    /// Room time in s while the receiver stood at its places.
+    pub busy_s: f64,
+}
+
+/// The session for a room with one array; it expects the deviations of the scenario's own level, or
+/// rough ones.
+///
+/// # Errors
+/// A scenario that describes no room, or that no session can calibrate.
+pub fn session(scenario: &Scenario, capabilities: Capabilities) -> anyhow::Result<Session> {
+    let level = match scenario.mismatch.level {
+        MismatchLevel::None => MismatchLevel::Rough,
+        level => level,
+    };
+    Ok(Session::new(Setup {
+        model: scenario.channel_model()?,
+        array: 0,
+        capabilities,
+        prior: Prior::of_level(level),
+        spots: default_spots(scenario),
+        verify: default_verification(scenario),
+        user: Some(0),
+        unusable: Vec::new(),
+    })?)
+}
+
+/// Runs a session to its end in the room of this seed. `tracker` may change position reports on their
+/// way.
+///
+/// # Errors
+/// Those of [`session`], and a session that does not end.
+pub fn run(scenario: &Scenario, trace: &str, seed: u64, tracker: fn(&mut UserReport)) -> anyhow::Result<Run> {
+    let mut episode = Episode::new(scenario, Some(trace), seed, 0)?;
+    let capabilities = episode.capabilities().next().context("a room without an array")?;
+    let mut session = session(scenario, capabilities)?;
+    let busy_s = drive(&mut session, &mut episode, tracker, |session| session.stage() == Stage::Ended)?;
+    let progress = session.progress();
+    let outcome =
+        session.outcome().with_context(|| format!("the calibration of seed {seed} has no end: {progress:?}"))?;
+    Ok(Run { outcome: outcome.clone(), unused: progress.unused, busy_s })
+}
+
+/// Delivers reports and commands until `is_over`, or until the receiver has been carried round for too
+/// long; returns the time at the places in s.
+///
+/// # Errors
+/// A command that the array refuses.
+pub fn drive(
+    session: &mut Session,
+    episode: &mut Episode,
+    tracker: fn(&mut UserReport),
+    is_over: impl Fn(&Session) -> bool,
+) -> anyhow::Result<f64> {
+    let limit_ns = (PATIENCE * 4.0 * (STAY_S + WALK_S) * 1e9) as u64;
+    let (mut sequence, mut angles, mut sent_ns) = (0, MirrorAngles::default(), 0);
+    let (mut now_ns, mut busy_ns) = (0, 0);
+    while !is_over(session) && now_ns < limit_ns {
+        let before_ns = now_ns;
+        let until_ns = session.next_wake(now_ns).min(sent_ns + REPEAT_NS).max(now_ns + 1);
+        match episode.poll_event(until_ns) {
+            Some((at, event)) => {
+                now_ns = now_ns.max(at.room_ns);
+                match event {
+                    Event::Users(mut report) => {
+                        tracker(&mut report);
+                        session.handle_users(&report);
+                    }
+                    Event::Channel(report) => session.handle_channel(&report),
+                    _ => {}
+                }
+            }
+            None => {
+                now_ns = until_ns;
+                episode.advance(now_ns);
+            }
+        }
+        if !matches!(session.stage(), Stage::Await(_)) {
+            busy_ns += now_ns - before_ns;
+        }
+        let next = session.next_command(now_ns);
+        if next.is_some() || (now_ns >= sent_ns + REPEAT_NS && !angles.is_empty()) {
+            angles = next.unwrap_or(angles);
+            (sequence, sent_ns) = (sequence + 1, now_ns);
+            let narrow = |list: &[f64]| list.iter().map(|angle| *angle as f32).collect();
+            let command = MirrorCommand {
+                epoch: 1,
+                sequence,
+                answers: 0,
+                time_ns: now_ns,
+                validity_ms: VALIDITY_MS,
+                roll: narrow(&angles.roll),
+                yaw: narrow(&angles.yaw),
+            };
+            let refused = episode.handle_command(0, Moment::simulated(now_ns), &command);
+            ensure!(refused.is_ok(), "the simulated array refuses a command: {refused:?}");
+        } else if angles.is_empty() {
+            sent_ns = now_ns;
+        }
+    }
+    Ok(busy_ns as f64 * 1e-9)
+}

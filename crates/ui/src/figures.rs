@@ -161,6 +161,8 @@ pub struct Figures {
     pub times: Vec<TimeFigures>,
     /// Histogram of the decision times of the last 30 s.
     pub latency: Histogram,
+    /// Why many of these decisions took longer than the budget, as far as their stages show it.
+    pub late: Option<String>,
     /// Counters of decisions, commands and problems.
     pub counts: Vec<Count>,
     /// Optical power in W, if the room reports it.
@@ -214,6 +216,7 @@ impl View {
             ages_s: ages(&received),
             times: vec![time("decision", last_controller), time("loop", last_room), time("age", last_controller)],
             latency: received.latency.histogram(),
+            late: received.latency.late(),
             counts: counts(last_controller, last_room, telemetry.as_ref(), received.unreadable),
             power_w: gauge("power_w"),
             jammed: gauge("faulty_mirrors").map(|count| count as u64),

@@ -16,7 +16,9 @@ export class Orders {
     this.stops = [];
     this.status = document.getElementById("order-status");
     const select = document.getElementById("policy");
-    select.replaceChildren(...plan.policies.map((name) => new Option(name, name)));
+    select.replaceChildren(...plan.policies.map(({ name, description }) => Object.assign(new Option(name, name), { title: description })));
+    select.addEventListener("change", () => this.describe(select.value));
+    this.describe(select.value);
     this.on("switch-policy", () => ({ order: "policy", name: select.value }));
     this.on("stick", () => ({ order: "stick", share: 0.25 }));
     this.on("release", () => ({ order: "release" }));
@@ -68,9 +70,16 @@ export class Orders {
     }
   }
 
+      this.describe(select.value);
   on(id, order) {
     document.getElementById(id).addEventListener("click", () => this.send(order()));
   }
+  // What the chosen policy does.
+  describe(policy) {
+    const chosen = this.plan.policies.find(({ name }) => name === policy);
+    document.getElementById("policy-help").textContent = chosen ? `${chosen.name}: ${chosen.description}.` : "";
+  }
+
 
   group(id, choices, order) {
     const buttons = choices.map(([name, value]) => {

@@ -7,7 +7,7 @@ import { Outages } from "./outages.js";
 import { Room } from "./room.js";
 import { presentUsers } from "./geometry.js";
 import { banner, sentence } from "./sentence.js";
-import { chips, counters, users } from "./figures.js";
+import { chips, counters, problems, users } from "./figures.js";
 import { heatGradient } from "./heat.js";
 import { openEvents, showEvents } from "./events.js";
 
@@ -101,6 +101,7 @@ async function start() {
       users(now, room.shown, state.frame, outages);
       counters(now);
       orders.update(now);
+      problems(now);
       charts.update(now);
       show();
     },

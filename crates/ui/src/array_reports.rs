@@ -10,12 +10,34 @@ use crate::expiry::EXPIRY;
 
 /// The latest telemetry of each array, by its index, with the arrival times.
 #[derive(Debug, Default)]
-pub(crate) struct ArrayReports(BTreeMap<usize, (Instant, MirrorTelemetry)>);
+pub(crate) struct ArrayReports {
+    latest: BTreeMap<usize, (Instant, MirrorTelemetry)>,
+    /// The source before the present one of each array, and its last report.
+    replaced: BTreeMap<usize, (Instant, u64)>,
+    /// The two sources of an array that report in turn, and when this was seen last.
+    shared: BTreeMap<usize, (Instant, [u64; 2])>,
+}
 
 impl ArrayReports {
     /// Keeps telemetry that arrives now.
     pub fn note(&mut self, array: usize, telemetry: MirrorTelemetry) {
-        self.0.insert(array, (Instant::now(), telemetry));
+        let (now, source) = (Instant::now(), telemetry.stamp.source);
+        let last = self.latest.insert(array, (now, telemetry));
+        let Some((at, before)) = last.map(|(at, last)| (at, last.stamp.source)).filter(|(_, last)| *last != source)
+        else {
+            return;
+        };
+        // A driver that replaces another one reports after it. Of two drivers, the former reports again.
+        let replaced = self.replaced.insert(array, (at, before));
+        if replaced.is_some_and(|(at, former)| former == source && at.elapsed() < EXPIRY) {
+            self.shared.insert(array, (now, [source.min(before), source.max(before)]));
+        }
+    }
+
+    /// The arrays that two sources report at present, with these sources.
+    pub fn shared(&self) -> Vec<(usize, [u64; 2])> {
+        let fresh = self.shared.iter().filter(|(_, (at, _))| at.elapsed() < EXPIRY);
+        fresh.map(|(array, (_, sources))| (*array, *sources)).collect()
     }
 
     /// State and arrival of the telemetry of each array that is not old.
@@ -25,7 +47,7 @@ impl ArrayReports {
 
     /// Arrival of the oldest telemetry that is not old, else of the newest.
     pub fn at(&self) -> Option<Instant> {
-        self.fresh().map(|(_, (at, _))| *at).min().or_else(|| self.0.values().map(|(at, _)| *at).max())
+        self.fresh().map(|(_, (at, _))| *at).min().or_else(|| self.latest.values().map(|(at, _)| *at).max())
     }
 
     /// The arrays without telemetry that is not old, in a room of so many arrays.
@@ -45,11 +67,11 @@ impl ArrayReports {
 
     /// The same with the last telemetry of each array, of any age.
     pub fn last_joint(&self, arrays: &MirrorArrays) -> Option<MirrorTelemetry> {
-        join(arrays, &self.0.iter().map(|(array, (_, telemetry))| (*array, telemetry)).collect())
+        join(arrays, &self.latest.iter().map(|(array, (_, telemetry))| (*array, telemetry)).collect())
     }
 
     fn fresh(&self) -> impl Iterator<Item = (&usize, &(Instant, MirrorTelemetry))> {
-        self.0.iter().filter(|(_, (at, _))| at.elapsed() < EXPIRY)
+        self.latest.iter().filter(|(_, (at, _))| at.elapsed() < EXPIRY)
     }
 }
 

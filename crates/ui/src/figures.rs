@@ -16,6 +16,7 @@ use serde::Serialize;
 use crate::View;
 use crate::controllers::ControllerFigures;
 use crate::latency::Histogram;
+use crate::notes::follows_from;
 use crate::scene::unusable_mirrors;
 use crate::view::{EXPIRY, Received};
 
@@ -203,7 +204,7 @@ impl View {
             origin,
             tick,
             policy: controller.map(|controller| shown(&controller.policy)).unwrap_or_default(),
-            controller_alive: received.alive.iter().any(|(node, _)| *node == NodeKind::Controller.name()),
+            controller_alive: received.is_controller_alive(),
             sum_mbps: sum(&received, &users),
             users,
             array: array(model, unusable, &silent, telemetry.as_ref()),
@@ -312,10 +313,10 @@ fn node(received: &Received, name: &str, at: Instant, status: &NodeStatus) -> No
 }
 
 /// The figures of a process without a problem that a note states too, with other advice behind its
-/// colon.
+/// colon, or that follows from a note.
 fn without_notes(mut node: NodeFigures, notes: &[String]) -> NodeFigures {
     let fault = |text: &str| text.split(": ").next().unwrap_or_default().to_owned();
-    if notes.iter().any(|note| fault(note) == fault(&node.problem)) {
+    if notes.iter().any(|note| fault(note) == fault(&node.problem)) || follows_from(notes, &node.problem) {
         node.problem.clear();
     }
     node

@@ -83,7 +83,7 @@ function fill(row, user, rate, largest) {
 
 function outageText(outage) {
   if (outage === null) return "–";
-  return outage.share === 0 ? "none" : `${(100 * outage.share).toFixed(0)} %, up to ${outage.longest_s.toFixed(1)} s`;
+  return outage.share === 0 ? "none" : `${(100 * outage.share).toFixed(0)} %, ${outage.longest_s.toFixed(1)} s`;
 }
 
 // The lengths of the outages in the last minute.
@@ -128,7 +128,7 @@ function standby(controllers) {
   const lost = sum("false_takeovers");
   if (controllers.length < 2 && sum("takeovers") + lost === 0) return [];
   return [
-    ["controllers", text || "none", leaders.length === 1 ? "" : "bad", "The controllers in the room, by the beginning of their source id: one leads, the others stand by."],
+    ["controllers", text || "none", leaders.length === 1 ? "wide" : "wide bad", "The controllers in the room, by the beginning of their source id: one leads, the others stand by."],
     ["takeovers", String(sum("takeovers")), "", "How often the controllers in the room took over since their start."],
     ["false takeovers", String(lost), lost > 0 ? "bad" : "", "Takeovers after which the former leader still commanded: a slow controller, or a link that loses its commands."],
   ];

@@ -47,8 +47,9 @@ export class Orders {
     };
     const count = Math.min(now.users.length, BLOCKED_MAX);
     if (this.blocked.length !== count + 1) {
-      const choices = Array.from({ length: count + 1 }, (_, users) => [users ? `${users} ${users === 1 ? "user" : "users"}` : "no user", users]);
+      const choices = Array.from({ length: count + 1 }, (_, users) => [users ? `${users}` : "none", users]);
       this.blocked = this.group("blocked", choices, (users) => ({ order: "blocked", users }));
+      for (const [button, users] of this.blocked) button.ariaLabel = `${users || "no"} ${users === 1 ? "user" : "users"}`;
     }
     pressed(this.blocked, now.users.filter((user) => user.forced).length);
     pressed(this.power, now.power_w);
@@ -56,10 +57,12 @@ export class Orders {
     const jammed = now.jammed ? `Mirrors (${now.jammed} jammed)` : "Mirrors";
     if (this.jammed.textContent !== jammed) this.jammed.textContent = jammed;
     const simulated = now.origin === "simulated";
-    for (const [button] of [...this.power, ...this.speed, ...this.blocked]) button.disabled = !simulated;
+    const ofSimulator = [...this.power, ...this.speed, ...this.blocked].map(([button]) => button);
+    for (const button of [...ofSimulator, document.getElementById("stick"), document.getElementById("release")]) {
+      button.disabled = !simulated;
+      button.title = simulated ? "" : "only a simulated room takes this order";
+    }
     const enable = (id, enabled) => { document.getElementById(id).disabled = !enabled; };
-    enable("stick", simulated);
-    enable("release", simulated);
     enable("kill", this.plan.controls_processes && now.controller_alive);
     enable("restart", this.plan.controls_processes && !now.controller_alive);
     enable("switch-policy", now.controller_alive);
@@ -67,19 +70,19 @@ export class Orders {
     if (now.policy && now.policy !== this.policy) {
       this.policy = now.policy;
       if (document.activeElement !== select) select.value = now.policy;
+      this.describe(select.value);
     }
   }
 
-      this.describe(select.value);
-  on(id, order) {
-    document.getElementById(id).addEventListener("click", () => this.send(order()));
-  }
   // What the chosen policy does.
   describe(policy) {
     const chosen = this.plan.policies.find(({ name }) => name === policy);
     document.getElementById("policy-help").textContent = chosen ? `${chosen.name}: ${chosen.description}.` : "";
   }
 
+  on(id, order) {
+    document.getElementById(id).addEventListener("click", () => this.send(order()));
+  }
 
   group(id, choices, order) {
     const buttons = choices.map(([name, value]) => {
@@ -143,7 +146,7 @@ export class Orders {
       text = `${what}: ${WORDS[answer]}${reason ? `: ${reason}` : ""}`;
       state = answer === "done" ? "good" : answer === "sent" ? "" : "bad";
     }
-    if (this.status.textContent !== text) this.status.textContent = text;
+    if (this.status.textContent !== text) this.status.textContent = this.status.title = text;
     if (this.status.className !== state) this.status.className = state;
   }
 }

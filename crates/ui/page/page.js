@@ -70,6 +70,7 @@ async function start() {
   const plan = await loadPlan();
   const where = `room ${plan.room}, scenario ${plan.scenario}`;
   setText(at("where"), where);
+  at("where").title = where;
   at("heat-bar").style.background = heatGradient;
   const room = new Room(at("room"), plan);
   const [charts, orders] = [new Charts(plan), new Orders(plan)];
@@ -100,8 +101,8 @@ async function start() {
       state.ages.take(now);
       users(now, room.shown, state.frame, outages);
       counters(now);
-      orders.update(now);
       problems(now);
+      orders.update(now);
       charts.update(now);
       show();
     },

@@ -12,26 +12,30 @@ use crate::expiry::EXPIRY;
 #[derive(Debug, Default)]
 pub(crate) struct ArrayReports {
     latest: BTreeMap<usize, (Instant, MirrorTelemetry)>,
-    /// The source before the present one of each array, and its last report.
-    replaced: BTreeMap<usize, (Instant, u64)>,
+    /// The sources that reported each array lately, with their last report.
+    sources: BTreeMap<usize, BTreeMap<u64, (Instant, ArrayState)>>,
     /// The two sources of an array that report in turn, and when this was seen last.
     shared: BTreeMap<usize, (Instant, [u64; 2])>,
 }
 
 impl ArrayReports {
-    /// Keeps telemetry that arrives now.
-    pub fn note(&mut self, array: usize, telemetry: MirrorTelemetry) {
+    /// Keeps telemetry that arrives now. Of an array that two sources report, the state is the more serious
+    /// one: it does not alternate, and a driver that is stopped is not hidden by one that moves its mirrors.
+    pub fn note(&mut self, array: usize, mut telemetry: MirrorTelemetry) {
         let (now, source) = (Instant::now(), telemetry.stamp.source);
-        let last = self.latest.insert(array, (now, telemetry));
-        let Some((at, before)) = last.map(|(at, last)| (at, last.stamp.source)).filter(|(_, last)| *last != source)
-        else {
-            return;
-        };
+        let sources = self.sources.entry(array).or_default();
+        sources.retain(|_, (at, _)| at.elapsed() < EXPIRY);
+        let is_known = sources.insert(source, (now, telemetry.state)).is_some();
+        let before = self.latest.get(&array).map(|(_, last)| last.stamp.source).filter(|before| *before != source);
         // A driver that replaces another one reports after it. Of two drivers, the former reports again.
-        let replaced = self.replaced.insert(array, (at, before));
-        if replaced.is_some_and(|(at, former)| former == source && at.elapsed() < EXPIRY) {
+        if let Some(before) = before.filter(|_| is_known) {
             self.shared.insert(array, (now, [source.min(before), source.max(before)]));
         }
+        if self.shared.get(&array).is_some_and(|(at, _)| at.elapsed() < EXPIRY) {
+            let states = sources.values().map(|(_, state)| *state);
+            telemetry.state = states.max_by_key(|state| severity(*state)).unwrap_or(telemetry.state);
+        }
+        self.latest.insert(array, (now, telemetry));
     }
 
     /// The arrays that two sources report at present, with these sources.
@@ -152,5 +156,29 @@ mod tests {
         assert_eq!((joint.roll_measured, joint.unusable), (vec![0.25, 0.25, 0.5, 0.5, 0.5], vec![1, 3]));
         assert!(reports.silent(2).is_empty());
         assert_eq!((joint.state, joint.counters.accepted), (ArrayState::Stopped, 10));
+    }
+
+    #[test]
+    fn the_state_of_an_array_with_two_drivers_is_the_more_serious_one() {
+        let from = |source, state| {
+            let mut telemetry = telemetry(state, 2, 0.0);
+            telemetry.stamp.source = source;
+            telemetry
+        };
+        let mut reports = ArrayReports::default();
+        let mut states = Vec::new();
+        for (source, state) in [
+            (7, ArrayState::Stopped),
+            (8, ArrayState::Following),
+            (7, ArrayState::Stopped),
+            (8, ArrayState::Following),
+            (8, ArrayState::Following),
+        ] {
+            reports.note(0, from(source, state));
+            states.extend(reports.states().iter().map(|(_, state)| *state));
+        }
+        use ArrayState::{Following, Stopped};
+        assert_eq!(states, [Stopped, Following, Stopped, Stopped, Stopped]);
+        assert_eq!(reports.shared(), [(0, [7, 8])]);
     }
 }

@@ -160,6 +160,7 @@ mod tests {
 
     #[test]
     fn the_state_of_an_array_with_two_drivers_is_the_more_serious_one() {
+        use ArrayState::{Following, Stopped};
         let from = |source, state| {
             let mut telemetry = telemetry(state, 2, 0.0);
             telemetry.stamp.source = source;
@@ -167,17 +168,10 @@ mod tests {
         };
         let mut reports = ArrayReports::default();
         let mut states = Vec::new();
-        for (source, state) in [
-            (7, ArrayState::Stopped),
-            (8, ArrayState::Following),
-            (7, ArrayState::Stopped),
-            (8, ArrayState::Following),
-            (8, ArrayState::Following),
-        ] {
+        for (source, state) in [(7, Stopped), (8, Following), (7, Stopped), (8, Following), (8, Following)] {
             reports.note(0, from(source, state));
             states.extend(reports.states().iter().map(|(_, state)| *state));
         }
-        use ArrayState::{Following, Stopped};
         assert_eq!(states, [Stopped, Following, Stopped, Stopped, Stopped]);
         assert_eq!(reports.shared(), [(0, [7, 8])]);
     }

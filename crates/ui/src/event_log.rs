@@ -73,7 +73,7 @@ impl EventLog {
         let known = |stop: &StopFigure| {
             [&stop.operator, &stop.reason].into_iter().filter(|text| !text.is_empty()).cloned().collect()
         };
-        let by = stop.stops.iter().map(|stop| known(stop)).filter(|known: &Vec<String>| !known.is_empty());
+        let by = stop.stops.iter().map(known).filter(|known: &Vec<String>| !known.is_empty());
         let by: String = by.map(|known| format!(" ({})", known.join(": "))).collect();
         self.change(at_ms, "stop", &format!("{phase}{by}"), !matches!(stop.phase, StopPhase::Released));
         for node in &figures.nodes {

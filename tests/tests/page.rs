@@ -239,6 +239,8 @@ fn pictures_of_the_default_demo() {
     {
         browser.resize(width, height);
         choose_theme(&browser, theme);
+        // Without the ring of the focus.
+        browser.run("document.activeElement.blur()");
         std::thread::sleep(std::time::Duration::from_secs(3));
         std::fs::write(folder.join(name).with_extension("png"), browser.screenshot()).expect("written");
     }

@@ -49,6 +49,7 @@ export class Charts {
 
   theme(dark) {
     this.ink = dark ? "#e9ecef" : "#1a1e23";
+    this.card = dark ? "#181d23cc" : "#ffffffcc";
     this.grid = dark ? "#2e3740" : "#e2e6ea";
     this.muted = dark ? "#a0aab5" : "#59626d";
     this.flat = dark ? "#999999" : "#666666";
@@ -209,7 +210,12 @@ export class Charts {
     ctx.moveTo(x, bbox.top);
     ctx.lineTo(x, bbox.top + bbox.height);
     ctx.stroke();
-    ctx.fillText(`${this.budget / 1000} ms`, x + 4 * uPlot.pxRatio, bbox.top);
+    // Legible before the bars too.
+    const limit = `${this.budget / 1000} ms`;
+    ctx.fillStyle = this.card;
+    ctx.fillRect(x + 2 * uPlot.pxRatio, bbox.top, ctx.measureText(limit).width + 4 * uPlot.pxRatio, 13 * uPlot.pxRatio);
+    ctx.fillStyle = this.ink;
+    ctx.fillText(limit, x + 4 * uPlot.pxRatio, bbox.top);
     ctx.restore();
   }
 }

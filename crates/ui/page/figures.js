@@ -1,7 +1,7 @@
 // The figures beside the room: state chips, users, counters, times and problems.
 import { jain } from "./fairness.js";
 import { userColour } from "./geometry.js";
-import { refusal, seconds } from "./sentence.js";
+import { asSentence, refusal, seconds } from "./sentence.js";
 
 const at = (id) => document.getElementById(id);
 const setText = (element, text) => { if (element.textContent !== text) element.textContent = text; };
@@ -83,7 +83,7 @@ function fill(row, user, rate, largest) {
 
 function outageText(outage) {
   if (outage === null) return "–";
-  return outage.share === 0 ? "none" : `${(100 * outage.share).toFixed(0)} %, up to ${outage.longest_s.toFixed(1)} s`;
+  return outage.share === 0 ? "none" : `${(100 * outage.share).toFixed(0)} %, ${outage.longest_s.toFixed(1)} s`;
 }
 
 // The lengths of the outages in the last minute.
@@ -128,19 +128,32 @@ function standby(controllers) {
   const lost = sum("false_takeovers");
   if (controllers.length < 2 && sum("takeovers") + lost === 0) return [];
   return [
-    ["controllers", text || "none", leaders.length === 1 ? "" : "bad", "The controllers in the room, by the beginning of their source id: one leads, the others stand by."],
+    ["controllers", text || "none", leaders.length === 1 ? "wide" : "wide bad", "The controllers in the room, by the beginning of their source id: one leads, the others stand by."],
     ["takeovers", String(sum("takeovers")), "", "How often the controllers in the room took over since their start."],
     ["false takeovers", String(lost), lost > 0 ? "bad" : "", "Takeovers after which the former leader still commanded: a slow controller, or a link that loses its commands."],
   ];
 }
 
-// Counters, times, faults and problems.
+// What is wrong, each line with what to do: the notes about the room, then the problems of its processes. What the
+// banner or the answer to an order already says is left out.
+export function problems(now) {
+  const isSaid = ({ problem }) => (now.stop.stops.length > 0 && /^withheld by |emergency stop is latched/.test(problem))
+    || now.orders.some(({ reason }) => reason && problem.endsWith(reason));
+  const ofProcesses = now.nodes.filter((node) => node.problem && !isSaid(node)).map((node) => `${node.node}: ${node.problem}`);
+  const lines = [...now.notes, ...ofProcesses].map(asSentence);
+  const list = at("problem");
+  list.hidden = lines.length === 0;
+  while (list.children.length > lines.length) list.lastChild.remove();
+  lines.forEach((line, index) => setText(list.children[index] ?? list.appendChild(document.createElement("li")), line));
+}
+
+// Counters, times and faults.
 export function counters(now) {
   quantiles(now.times);
+  at("late").hidden = now.late == null;
+  setText(at("late"), now.late ?? "");
   const meaning = "Faults that the arrays report now: link, mirror, temperature, supply, calibration, clock, or a stop that is not executed.";
   const faults = ["faults", now.array.faults.join(", ") || "none", now.array.faults.length ? "bad" : "", meaning];
   const counts = now.counts.map((count) => [count.name, count.value === null ? "–" : String(count.value), count.is_problem && count.value > 0 ? "bad" : "", count.meaning]);
   list(at("counts"), [...counts, faults, ...standby(now.controllers)]);
-  const problems = now.nodes.filter((node) => node.problem).map((node) => `${node.node}: ${node.problem}`);
-  setText(at("problem"), [...now.notes, ...problems].join("; "));
 }

@@ -16,7 +16,9 @@ export class Orders {
     this.stops = [];
     this.status = document.getElementById("order-status");
     const select = document.getElementById("policy");
-    select.replaceChildren(...plan.policies.map((name) => new Option(name, name)));
+    select.replaceChildren(...plan.policies.map(({ name, description }) => Object.assign(new Option(name, name), { title: description })));
+    select.addEventListener("change", () => this.describe(select.value));
+    this.describe(select.value);
     this.on("switch-policy", () => ({ order: "policy", name: select.value }));
     this.on("stick", () => ({ order: "stick", share: 0.25 }));
     this.on("release", () => ({ order: "release" }));
@@ -45,8 +47,9 @@ export class Orders {
     };
     const count = Math.min(now.users.length, BLOCKED_MAX);
     if (this.blocked.length !== count + 1) {
-      const choices = Array.from({ length: count + 1 }, (_, users) => [users ? `${users} ${users === 1 ? "user" : "users"}` : "no user", users]);
+      const choices = Array.from({ length: count + 1 }, (_, users) => [users ? `${users}` : "none", users]);
       this.blocked = this.group("blocked", choices, (users) => ({ order: "blocked", users }));
+      for (const [button, users] of this.blocked) button.ariaLabel = `${users || "no"} ${users === 1 ? "user" : "users"}`;
     }
     pressed(this.blocked, now.users.filter((user) => user.forced).length);
     pressed(this.power, now.power_w);
@@ -54,10 +57,12 @@ export class Orders {
     const jammed = now.jammed ? `Mirrors (${now.jammed} jammed)` : "Mirrors";
     if (this.jammed.textContent !== jammed) this.jammed.textContent = jammed;
     const simulated = now.origin === "simulated";
-    for (const [button] of [...this.power, ...this.speed, ...this.blocked]) button.disabled = !simulated;
+    const ofSimulator = [...this.power, ...this.speed, ...this.blocked].map(([button]) => button);
+    for (const button of [...ofSimulator, document.getElementById("stick"), document.getElementById("release")]) {
+      button.disabled = !simulated;
+      button.title = simulated ? "" : "only a simulated room takes this order";
+    }
     const enable = (id, enabled) => { document.getElementById(id).disabled = !enabled; };
-    enable("stick", simulated);
-    enable("release", simulated);
     enable("kill", this.plan.controls_processes && now.controller_alive);
     enable("restart", this.plan.controls_processes && !now.controller_alive);
     enable("switch-policy", now.controller_alive);
@@ -65,7 +70,14 @@ export class Orders {
     if (now.policy && now.policy !== this.policy) {
       this.policy = now.policy;
       if (document.activeElement !== select) select.value = now.policy;
+      this.describe(select.value);
     }
+  }
+
+  // What the chosen policy does.
+  describe(policy) {
+    const chosen = this.plan.policies.find(({ name }) => name === policy);
+    document.getElementById("policy-help").textContent = chosen ? `${chosen.name}: ${chosen.description}.` : "";
   }
 
   on(id, order) {
@@ -134,7 +146,7 @@ export class Orders {
       text = `${what}: ${WORDS[answer]}${reason ? `: ${reason}` : ""}`;
       state = answer === "done" ? "good" : answer === "sent" ? "" : "bad";
     }
-    if (this.status.textContent !== text) this.status.textContent = text;
+    if (this.status.textContent !== text) this.status.textContent = this.status.title = text;
     if (this.status.className !== state) this.status.className = state;
   }
 }

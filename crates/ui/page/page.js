@@ -7,7 +7,7 @@ import { Outages } from "./outages.js";
 import { Room } from "./room.js";
 import { presentUsers } from "./geometry.js";
 import { banner, sentence } from "./sentence.js";
-import { chips, counters, users } from "./figures.js";
+import { chips, counters, problems, users } from "./figures.js";
 import { heatGradient } from "./heat.js";
 import { openEvents, showEvents } from "./events.js";
 
@@ -70,6 +70,7 @@ async function start() {
   const plan = await loadPlan();
   const where = `room ${plan.room}, scenario ${plan.scenario}`;
   setText(at("where"), where);
+  at("where").title = where;
   at("heat-bar").style.background = heatGradient;
   const room = new Room(at("room"), plan);
   const [charts, orders] = [new Charts(plan), new Orders(plan)];
@@ -100,6 +101,7 @@ async function start() {
       state.ages.take(now);
       users(now, room.shown, state.frame, outages);
       counters(now);
+      problems(now);
       orders.update(now);
       charts.update(now);
       show();

@@ -24,6 +24,7 @@ function usersIn(users) {
   const rest = unknown ? ` The rate of ${unknown} ${of} is unknown.` : "";
   if (below === users.length) return `${below === 1 ? "The user is" : `All ${below} users are`} below the minimum rate.`;
   if (below > 0) return `${below} ${of} ${below === 1 ? "is" : "are"} below the minimum rate.${rest}`;
+  if (unknown === users.length) return "No receiver reports the gains of its user.";
   if (unknown) return rest.trim();
   return users.length === 1 ? "The user has the minimum rate." : `All ${users.length} users have their minimum rate.`;
 }
@@ -60,7 +61,7 @@ function orderedBy({ name, operator, reason, age_s }) {
   return `Ordered by ${operator || `stop ${name}`}${reason ? ` (${reason})` : ""}, known to this page for ${seconds(age_s)}.`;
 }
 
-const asSentence = (text) => `${text[0].toUpperCase()}${text.slice(1)}.`;
+export const asSentence = (text) => `${text[0].toUpperCase()}${text.slice(1)}.`;
 
 // The banner: `null`, or its text and kind. `silence` is the time since the last event of the server in s.
 export function banner(now, silence, arrayAge) {

@@ -10,12 +10,38 @@ use crate::expiry::EXPIRY;
 
 /// The latest telemetry of each array, by its index, with the arrival times.
 #[derive(Debug, Default)]
-pub(crate) struct ArrayReports(BTreeMap<usize, (Instant, MirrorTelemetry)>);
+pub(crate) struct ArrayReports {
+    latest: BTreeMap<usize, (Instant, MirrorTelemetry)>,
+    /// The sources that reported each array lately, with their last report.
+    sources: BTreeMap<usize, BTreeMap<u64, (Instant, ArrayState)>>,
+    /// The two sources of an array that report in turn, and when this was seen last.
+    shared: BTreeMap<usize, (Instant, [u64; 2])>,
+}
 
 impl ArrayReports {
-    /// Keeps telemetry that arrives now.
-    pub fn note(&mut self, array: usize, telemetry: MirrorTelemetry) {
-        self.0.insert(array, (Instant::now(), telemetry));
+    /// Keeps telemetry that arrives now. Of an array that two sources report, the state is the more serious
+    /// one: it does not alternate, and a driver that is stopped is not hidden by one that moves its mirrors.
+    pub fn note(&mut self, array: usize, mut telemetry: MirrorTelemetry) {
+        let (now, source) = (Instant::now(), telemetry.stamp.source);
+        let sources = self.sources.entry(array).or_default();
+        sources.retain(|_, (at, _)| at.elapsed() < EXPIRY);
+        let is_known = sources.insert(source, (now, telemetry.state)).is_some();
+        let before = self.latest.get(&array).map(|(_, last)| last.stamp.source).filter(|before| *before != source);
+        // A driver that replaces another one reports after it. Of two drivers, the former reports again.
+        if let Some(before) = before.filter(|_| is_known) {
+            self.shared.insert(array, (now, [source.min(before), source.max(before)]));
+        }
+        if self.shared.get(&array).is_some_and(|(at, _)| at.elapsed() < EXPIRY) {
+            let states = sources.values().map(|(_, state)| *state);
+            telemetry.state = states.max_by_key(|state| severity(*state)).unwrap_or(telemetry.state);
+        }
+        self.latest.insert(array, (now, telemetry));
+    }
+
+    /// The arrays that two sources report at present, with these sources.
+    pub fn shared(&self) -> Vec<(usize, [u64; 2])> {
+        let fresh = self.shared.iter().filter(|(_, (at, _))| at.elapsed() < EXPIRY);
+        fresh.map(|(array, (_, sources))| (*array, *sources)).collect()
     }
 
     /// State and arrival of the telemetry of each array that is not old.
@@ -25,7 +51,7 @@ impl ArrayReports {
 
     /// Arrival of the oldest telemetry that is not old, else of the newest.
     pub fn at(&self) -> Option<Instant> {
-        self.fresh().map(|(_, (at, _))| *at).min().or_else(|| self.0.values().map(|(at, _)| *at).max())
+        self.fresh().map(|(_, (at, _))| *at).min().or_else(|| self.latest.values().map(|(at, _)| *at).max())
     }
 
     /// The arrays without telemetry that is not old, in a room of so many arrays.
@@ -45,11 +71,11 @@ impl ArrayReports {
 
     /// The same with the last telemetry of each array, of any age.
     pub fn last_joint(&self, arrays: &MirrorArrays) -> Option<MirrorTelemetry> {
-        join(arrays, &self.0.iter().map(|(array, (_, telemetry))| (*array, telemetry)).collect())
+        join(arrays, &self.latest.iter().map(|(array, (_, telemetry))| (*array, telemetry)).collect())
     }
 
     fn fresh(&self) -> impl Iterator<Item = (&usize, &(Instant, MirrorTelemetry))> {
-        self.0.iter().filter(|(_, (at, _))| at.elapsed() < EXPIRY)
+        self.latest.iter().filter(|(_, (at, _))| at.elapsed() < EXPIRY)
     }
 }
 
@@ -130,5 +156,23 @@ mod tests {
         assert_eq!((joint.roll_measured, joint.unusable), (vec![0.25, 0.25, 0.5, 0.5, 0.5], vec![1, 3]));
         assert!(reports.silent(2).is_empty());
         assert_eq!((joint.state, joint.counters.accepted), (ArrayState::Stopped, 10));
+    }
+
+    #[test]
+    fn the_state_of_an_array_with_two_drivers_is_the_more_serious_one() {
+        use ArrayState::{Following, Stopped};
+        let from = |source, state| {
+            let mut telemetry = telemetry(state, 2, 0.0);
+            telemetry.stamp.source = source;
+            telemetry
+        };
+        let mut reports = ArrayReports::default();
+        let mut states = Vec::new();
+        for (source, state) in [(7, Stopped), (8, Following), (7, Stopped), (8, Following), (8, Following)] {
+            reports.note(0, from(source, state));
+            states.extend(reports.states().iter().map(|(_, state)| *state));
+        }
+        assert_eq!(states, [Stopped, Following, Stopped, Stopped, Stopped]);
+        assert_eq!(reports.shared(), [(0, [7, 8])]);
     }
 }

@@ -9,10 +9,13 @@ use serde::Serialize;
 use crate::figures::{Figures, Origin};
 use crate::order_answer::Answer;
 use crate::order_log::OrderFigures;
-use crate::stop_state::{StopFigures, StopPhase};
+use crate::stop_state::{StopFigure, StopFigures, StopPhase};
 
 /// Events that are kept.
 const EVENTS_MAX: usize = 100;
+/// A problem that a process reports again within this time is no new event: two that take turns would
+/// fill the log.
+const REPEATED_MS: u64 = 60_000;
 
 /// One event.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -30,6 +33,10 @@ pub(crate) struct EventLog {
     events: VecDeque<Event>,
     /// The state of each subject, in words.
     states: BTreeMap<String, String>,
+    /// The problems of each process without their numbers, and when they were reported last.
+    problems: BTreeMap<String, u64>,
+    /// The notes about the room at the last call.
+    notes: Vec<String>,
 }
 
 impl EventLog {
@@ -62,14 +69,28 @@ impl EventLog {
             StopPhase::Confirmed => "confirmed by every array",
             StopPhase::Released => "released",
         };
-        let by: Vec<String> =
-            stop.stops.iter().map(|stop| format!(" ({}, \"{}\")", stop.operator, stop.reason)).collect();
-        self.change(at_ms, "stop", &format!("{phase}{}", by.concat()), !matches!(stop.phase, StopPhase::Released));
+        // A stop of a start has no operator, and one of the button no reason.
+        let known = |stop: &StopFigure| {
+            [&stop.operator, &stop.reason].into_iter().filter(|text| !text.is_empty()).cloned().collect()
+        };
+        let by = stop.stops.iter().map(known).filter(|known: &Vec<String>| !known.is_empty());
+        let by: String = by.map(|known| format!(" ({})", known.join(": "))).collect();
+        self.change(at_ms, "stop", &format!("{phase}{by}"), !matches!(stop.phase, StopPhase::Released));
         for node in &figures.nodes {
-            self.change(at_ms, &format!("problem of {}", node.node), &node.problem, true);
+            let subject = format!("problem of {}", node.node);
+            let words: String = node.problem.chars().filter(|symbol| !symbol.is_ascii_digit()).collect();
+            let last = if words.is_empty() { None } else { self.problems.insert(format!("{subject}: {words}"), at_ms) };
+            if last.is_none_or(|last| at_ms - last >= REPEATED_MS) {
+                self.change(at_ms, &subject, &node.problem, true);
+            }
         }
-        for note in &figures.notes {
-            self.change(at_ms, note, "since now", true);
+        self.problems.retain(|_, last| at_ms - *last < REPEATED_MS);
+        let notes = std::mem::replace(&mut self.notes, figures.notes.clone());
+        for note in figures.notes.iter().filter(|note| !notes.contains(note)) {
+            self.push(at_ms, note.clone(), true);
+        }
+        for note in notes.iter().filter(|note| !figures.notes.contains(note)) {
+            self.push(at_ms, format!("over: {note}"), false);
         }
         // Oldest first.
         for order in orders.iter().rev() {
@@ -107,7 +128,7 @@ impl EventLog {
         let (text, is_bad) = match (before.as_str(), state) {
             (_, "") => (format!("{subject}: over"), false),
             ("", state) => (format!("{subject}: {state}"), is_bad),
-            (before, state) if subject.starts_with("problem") || subject == "stop" || before == "since now" => {
+            (_, state) if subject.starts_with("problem") || subject == "stop" => {
                 (format!("{subject}: {state}"), is_bad)
             }
             (before, state) => (format!("{subject}: {before} \u{2192} {state}"), is_bad),
@@ -160,6 +181,66 @@ mod tests {
                 (4, "problem of controller: over", false),
             ]
         );
+    }
+
+    #[test]
+    fn a_stop_is_an_event_with_what_is_known_of_its_sender() {
+        let mut log = EventLog::default();
+        let stop = |operator: &str, reason: &str| StopFigures {
+            phase: StopPhase::Confirmed,
+            stops: vec![StopFigure { operator: operator.into(), reason: reason.into(), ..StopFigure::default() }],
+            ..StopFigures::default()
+        };
+        log.note_at(1, &figures("stopped", ""), &[], &StopFigures::default());
+        let first = texts(&log).len();
+        for (time, operator, reason) in [(2, "ann", "ladder"), (3, "ann", ""), (4, "", "no record"), (5, "", "")] {
+            log.note_at(time, &figures("stopped", ""), &[], &stop(operator, reason));
+        }
+        let by = [
+            "stop: confirmed by every array (ann: ladder)",
+            "stop: confirmed by every array (ann)",
+            "stop: confirmed by every array (no record)",
+            "stop: confirmed by every array",
+        ];
+        assert_eq!(texts(&log)[first..].iter().map(|(_, text, _)| *text).collect::<Vec<_>>(), by);
+    }
+
+    #[test]
+    fn problems_that_take_turns_do_not_fill_the_log() {
+        let (mut log, no_stop) = (EventLog::default(), StopFigures::default());
+        log.note_at(1, &figures("following", ""), &[], &no_stop);
+        let first = texts(&log).len();
+        for time in 0..50 {
+            let problem = if time % 2 == 0 { format!("a report is {time}.5 s old") } else { "two sources".to_owned() };
+            log.note_at(1000 * time, &figures("following", &problem), &[], &no_stop);
+        }
+        log.note_at(50_000, &figures("following", ""), &[], &no_stop);
+        log.note_at(51_000, &figures("following", "two sources"), &[], &no_stop);
+        log.note_at(200_000, &figures("following", "two sources"), &[], &no_stop);
+        let expected = [
+            (0, "problem of controller: a report is 0.5 s old", true),
+            (1000, "problem of controller: two sources", true),
+            (50_000, "problem of controller: over", false),
+            (200_000, "problem of controller: two sources", true),
+        ];
+        assert_eq!(texts(&log)[first..], expected);
+    }
+
+    #[test]
+    fn a_note_is_an_event_when_it_begins_and_when_it_ends_each_time() {
+        let (mut log, no_stop) = (EventLog::default(), StopFigures::default());
+        let note = "no driver receives the commands";
+        let with = |notes: &[&str]| Figures {
+            notes: notes.iter().map(|note| (*note).to_owned()).collect(),
+            ..figures("following", "")
+        };
+        log.note_at(1, &with(&[]), &[], &no_stop);
+        let first = texts(&log).len();
+        for (time, notes) in [(2, &[note][..]), (3, &[note]), (4, &[]), (5, &[note])] {
+            log.note_at(time, &with(notes), &[], &no_stop);
+        }
+        let over = format!("over: {note}");
+        assert_eq!(texts(&log)[first..], [(2, note, true), (4, over.as_str(), false), (5, note, true)]);
     }
 
     #[test]

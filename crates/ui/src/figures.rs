@@ -16,6 +16,7 @@ use serde::Serialize;
 use crate::View;
 use crate::controllers::ControllerFigures;
 use crate::latency::Histogram;
+use crate::notes::follows_from;
 use crate::scene::unusable_mirrors;
 use crate::view::{EXPIRY, Received};
 
@@ -161,6 +162,8 @@ pub struct Figures {
     pub times: Vec<TimeFigures>,
     /// Histogram of the decision times of the last 30 s.
     pub latency: Histogram,
+    /// Why many of these decisions took longer than the budget, as far as their stages show it.
+    pub late: Option<String>,
     /// Counters of decisions, commands and problems.
     pub counts: Vec<Count>,
     /// Optical power in W, if the room reports it.
@@ -201,7 +204,7 @@ impl View {
             origin,
             tick,
             policy: controller.map(|controller| shown(&controller.policy)).unwrap_or_default(),
-            controller_alive: received.alive.iter().any(|(node, _)| *node == NodeKind::Controller.name()),
+            controller_alive: received.is_controller_alive(),
             sum_mbps: sum(&received, &users),
             users,
             array: array(model, unusable, &silent, telemetry.as_ref()),
@@ -214,6 +217,7 @@ impl View {
             ages_s: ages(&received),
             times: vec![time("decision", last_controller), time("loop", last_room), time("age", last_controller)],
             latency: received.latency.histogram(),
+            late: received.latency.late(),
             counts: counts(last_controller, last_room, telemetry.as_ref(), received.unreadable),
             power_w: gauge("power_w"),
             jammed: gauge("faulty_mirrors").map(|count| count as u64),
@@ -309,10 +313,10 @@ fn node(received: &Received, name: &str, at: Instant, status: &NodeStatus) -> No
 }
 
 /// The figures of a process without a problem that a note states too, with other advice behind its
-/// colon.
+/// colon, or that follows from a note.
 fn without_notes(mut node: NodeFigures, notes: &[String]) -> NodeFigures {
     let fault = |text: &str| text.split(": ").next().unwrap_or_default().to_owned();
-    if notes.iter().any(|note| fault(note) == fault(&node.problem)) {
+    if notes.iter().any(|note| fault(note) == fault(&node.problem)) || follows_from(notes, &node.problem) {
         node.problem.clear();
     }
     node

@@ -1,9 +1,9 @@
-//! The histogram of decision times over the last 30 s.
+//! The histogram of decision times over the last 30 s, and what the stages show about the late ones.
 //!
 //! A controller publishes a cumulative histogram since its start, as counters named [`BUCKET`] and
 //! an upper edge in us. The difference of two statuses is the histogram between them.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::time::{Duration, Instant};
 
 use heliostat_proto::NodeStatus;
@@ -11,6 +11,14 @@ use serde::Serialize;
 
 /// Prefix of the counters of the histogram; the upper edge in us follows.
 const BUCKET: &str = "decision_us_le:";
+/// Prefix of the counters of decisions over the budget; the name of their longest stage follows.
+const OVER: &str = "over_budget_by:";
+/// The stages in which a decision waits for a thread or for the transport, and not for the policy.
+const WAITING: [&str; 2] = ["wait", "publish"];
+/// Fewer decisions over the budget are not explained, nor a smaller share of all.
+const LATE_MIN: u64 = 10;
+/// One decision in so many.
+const LATE_SHARE: u64 = 100;
 /// Time limit of a decision in us.
 pub(crate) const BUDGET_US: u64 = 500;
 /// Span of the histogram.
@@ -39,6 +47,8 @@ struct Counted {
     total: u64,
     /// Upper edge in us and the number of decisions up to it, ascending.
     within: Vec<(u64, u64)>,
+    /// Decisions over the budget, by their longest stage.
+    over: BTreeMap<String, u64>,
 }
 
 impl Window {
@@ -58,10 +68,46 @@ impl Window {
         if self.seen.back().is_some_and(|last| last.source != source) {
             self.seen.clear();
         }
-        self.seen.push_back(Counted { at: now, source, total, within });
+        let stage = |(name, count): &(String, u64)| Some((name.strip_prefix(OVER)?.to_owned(), *count));
+        let over = status.counters.iter().filter_map(stage).collect();
+        self.seen.push_back(Counted { at: now, source, total, within, over });
         while self.seen.front().is_some_and(|first| now - first.at > WINDOW) {
             self.seen.pop_front();
         }
+    }
+
+    /// Where the late decisions of the window spent most of their time, and the likely cause; `None` if
+    /// there are few of them.
+    ///
+    /// Load is named where most of them waited for a thread or for the transport, while more than half of
+    /// all decisions were within the budget: a policy that is too slow delays them all.
+    pub fn late(&self) -> Option<String> {
+        let last = self.seen.back()?;
+        let first = self.seen.front().filter(|_| self.seen.len() > 1);
+        let since = |now: u64, of: fn(&Counted) -> u64| now.saturating_sub(first.map_or(0, of));
+        let mut by: Vec<(&str, u64)> = last
+            .over
+            .iter()
+            .map(|(stage, count)| {
+                let before = first.and_then(|first| first.over.get(stage)).copied().unwrap_or(0);
+                (stage.as_str(), count.saturating_sub(before))
+            })
+            .filter(|(_, count)| *count > 0)
+            .collect();
+        by.sort_by_key(|(_, count)| std::cmp::Reverse(*count));
+        let (late, all) = (by.iter().map(|(_, count)| count).sum::<u64>(), since(last.total, |first| first.total));
+        if late < LATE_MIN || late * LATE_SHARE < all {
+            return None;
+        }
+        let waiting: u64 = by.iter().filter(|(stage, _)| WAITING.contains(stage)).map(|(_, count)| count).sum();
+        let stages: Vec<String> = by.iter().map(|(stage, count)| format!("{stage} {count}")).collect();
+        let stages =
+            format!("{late} of {all} decisions took longer than 0.5 ms; longest stage: {}.", stages.join(", "));
+        Some(if 2 * waiting > late && 2 * late < all {
+            format!("{stages} Likely cause: other load on the controller's machine. End other programs there.")
+        } else {
+            stages
+        })
     }
 
     /// The histogram of the window; empty without a controller.
@@ -115,5 +161,33 @@ mod tests {
         window.take(&status(1, [1000, 2000], 3000));
         window.take(&status(2, [3, 5], 9));
         assert_eq!(window.histogram().counts, [3, 2, 4]);
+    }
+
+    fn late_status(total: u64, over: &[(&str, u64)]) -> NodeStatus {
+        let mut status = status(1, [total / 2, total], total);
+        status.counters.extend(over.iter().map(|(stage, count)| (format!("{OVER}{stage}"), *count)));
+        status
+    }
+
+    #[test]
+    fn load_is_named_where_late_decisions_waited_and_the_policy_is_fast() {
+        let late = |before: &[(&str, u64)], after: &[(&str, u64)]| {
+            let mut window = Window::default();
+            window.take(&late_status(1000, before));
+            window.take(&late_status(1100, after));
+            window.late()
+        };
+        let text = late(&[("publish", 500)], &[("infer", 4), ("publish", 520), ("wait", 10)]).expect("34 of 100");
+        assert!(
+            text.starts_with(
+                "34 of 100 decisions took longer than 0.5 ms; longest stage: publish 20, wait 10, infer 4."
+            )
+        );
+        assert!(text.contains("Likely cause: other load on the controller's machine"), "{text}");
+        let slow = late(&[], &[("infer", 34)]).expect("34 of 100");
+        assert!(slow.contains("longest stage: infer 34") && !slow.contains("load"), "{slow}");
+        let all = late(&[], &[("wait", 60), ("infer", 40)]).expect("100 of 100");
+        assert!(!all.contains("load"), "the policy delays them all: {all}");
+        assert_eq!(late(&[("wait", 500)], &[("wait", 509)]), None, "few are late");
     }
 }

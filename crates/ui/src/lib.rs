@@ -11,6 +11,7 @@
 //! - [`scene`]: mirrors, users, obstacles and blocked areas for the page's 3-D view.
 //! - [`belief`]: where the controller believes a user to be, as an ellipse.
 //! - [`orders`]: the orders of the page's buttons, and their publishers.
+//! - `notes`: what is wrong in the room and lasts, with what to do.
 //! - `event_log`: what happened in the room, with times.
 //! - [`order_log`]: the answers to these orders; [`stop_state`]: how far a stop has come.
 //! - [`floor`]: the rate over the floor, for the heat map.
@@ -31,6 +32,7 @@ pub mod floor;
 pub mod guard;
 mod latency;
 mod live;
+mod notes;
 mod order;
 mod order_answer;
 pub mod order_log;
@@ -54,7 +56,7 @@ pub use guard::PublicAddress;
 pub use order::StopLabel;
 pub use order::{Order, ProcessOrder};
 pub use orders::Operator;
-pub use page::{Page, PoliciesOf};
+pub use page::{Page, PoliciesOf, PolicyChoice};
 pub use server::{PageArgs, Place, Server};
 pub use shown_room::GeometrySource;
 pub use stop_switch::StopSwitch;

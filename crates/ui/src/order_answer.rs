@@ -67,7 +67,7 @@ impl View {
         Reported {
             controller: status(NodeKind::Controller),
             simulator: status(NodeKind::SimNode),
-            controller_alive: is_alive(NodeKind::Controller),
+            controller_alive: received.is_controller_alive(),
             array_present: arrays.iter().any(|(at, _)| at.elapsed() < REPORTING)
                 || is_alive(NodeKind::SimNode)
                 || is_alive(NodeKind::Driver),

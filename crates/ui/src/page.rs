@@ -4,6 +4,7 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::Arc;
 
 use heliostat_scenario::Scenario;
+use serde::Serialize;
 
 use crate::View;
 use crate::orders::Operator;
@@ -18,12 +19,21 @@ pub struct Page {
     pub operator: Operator,
     /// Name of the room in the keys.
     pub room: String,
-    /// Names of the policies that a controller of a scenario accepts.
+    /// The policies that a controller of a scenario accepts.
     pub policies: PoliciesOf,
 }
 
-/// The names of the policies that fit a scenario.
-pub type PoliciesOf = Box<dyn Fn(&Scenario) -> Vec<String> + Send + Sync>;
+/// The policies that fit a scenario.
+pub type PoliciesOf = Box<dyn Fn(&Scenario) -> Vec<PolicyChoice> + Send + Sync>;
+
+/// A policy that the operator can choose.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct PolicyChoice {
+    /// Its name in an order.
+    pub name: String,
+    /// What it does, in one line.
+    pub description: String,
+}
 
 impl Page {
     /// Identifies this server and its room: it changes with a new process, and with the plan. The

@@ -42,7 +42,7 @@ use crate::guard::{self, Guard, PublicAddress};
 use crate::latency::BUDGET_US;
 use crate::live::{Feed, READERS_MAX, Reader};
 use crate::order::Order;
-use crate::page::Page;
+use crate::page::{Page, PolicyChoice};
 use crate::scene::Plan;
 use crate::token::{self, Gate, Token};
 
@@ -236,7 +236,7 @@ struct RoomJson {
     page: String,
     #[serde(flatten)]
     plan: Plan,
-    policies: Vec<String>,
+    policies: Vec<PolicyChoice>,
     controls_processes: bool,
     budget_us: u64,
     history: Vec<(f64, SumFigures)>,

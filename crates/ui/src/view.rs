@@ -14,7 +14,6 @@ use heliostat_proto::{
     SumRates, UserReport, codec,
 };
 use heliostat_scenario::Scenario;
-use heliostat_service::printable::printable;
 
 use crate::UiError;
 use crate::array_reports::ArrayReports;
@@ -110,21 +109,25 @@ impl View {
         self.received().statuses.get(NodeKind::Controller.name()).map(|(_, status)| status.policy.clone())
     }
 
-    /// What the user should know about the room: differing scenarios, an unknown geometry, commands
-    /// without a driver, a connection that fails because of a certificate.
+    /// What the user should know about the room: two drivers of one array, missing processes, differing
+    /// scenarios, an unknown geometry, a connection that fails because of a certificate.
     pub fn notes(&self) -> Vec<String> {
-        let (room, mut notes) = self.chooser.choose(self.announcements());
-        notes.extend(self.bus.connection_problem());
-        if room.source == GeometrySource::Default && notes.is_empty() && self.opened.elapsed() > ANNOUNCED_WITHIN {
+        let (room, of_geometry) = self.chooser.choose(self.announcements());
+        let mut notes = self.received().notes(room.model.mirrors.arrays().len(), self.opened);
+        let is_explained = !of_geometry.is_empty();
+        notes.extend(of_geometry);
+        let connection = self.bus.connection_problem();
+        if room.source == GeometrySource::Default
+            && !is_explained
+            && connection.is_none()
+            && self.opened.elapsed() > ANNOUNCED_WITHIN
+        {
             notes.push(format!(
                 "no process announces the geometry of the room: the picture shows the scenario {}; give --scenario FILE",
                 room.scenario.name
             ));
         }
-        let controller = NodeKind::Controller.name();
-        if let Some(status) = self.received().fresh_status(controller) {
-            notes.extend(absent_drivers(status, room.model.mirrors.arrays().len()));
-        }
+        notes.extend(connection);
         notes
     }
 
@@ -238,18 +241,6 @@ fn subscribe(bus: &Bus, received: &Arc<Mutex<Received>>) -> Result<Vec<Subscript
         })?,
         alive,
     ])
-}
-
-/// Which commands reach no driver, by the status of a controller of so many arrays.
-fn absent_drivers(status: &NodeStatus, arrays: usize) -> Option<String> {
-    let count = |(name, count): &(String, u64)| (name == "driver_absent").then_some(*count);
-    let absent = status.counters.iter().find_map(count).filter(|count| *count > 0)?;
-    let name = |(name, _): &(String, u64)| Some(name.strip_prefix("driver_absent:")?.to_owned());
-    let names: Vec<String> = status.counters.iter().filter_map(name).collect();
-    if names.is_empty() || absent == arrays as u64 {
-        return Some("no driver receives the commands: start a driver or a simulator".into());
-    }
-    Some(format!("no driver receives the commands to {}: start its driver", printable(&names.join(" and "))))
 }
 
 /// Keeps the status of each process.

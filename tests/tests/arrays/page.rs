@@ -103,13 +103,13 @@ fn the_page_names_the_array_whose_driver_has_left() {
         wait_until("mirrors of unknown angles", || unusable() == json!([6, 7, 8, 9, 10, 11, 12, 13]));
         assert_eq!(shown(&browser, "room.motion.to.serves.slice(6)"), json!([-1, -1, -1, -1, -1, -1, -1, -1]));
         wait_until("a note about the driver", || {
-            browser.text("#problem").matches("no driver receives the commands to mirrors-1").count() == 1
+            browser.text("#problem").matches("No driver receives the commands to mirrors-1").count() == 1
         });
 
         let _driver = drive_second(&both);
         wait_until("two arrays that follow again", || arrays(&browser) == (true, "following".into()));
         wait_until("usable mirrors", || unusable() == json!([]));
-        wait_until("no note about the driver", || !browser.text("#problem").contains("no driver"));
+        wait_until("no note about the driver", || !browser.text("#problem").contains("No driver"));
         browser.click("#stop");
         wait_until("two arrays that have confirmed the stop", || {
             browser.text("#banner").starts_with("The arrays have confirmed the stop: their devices have executed it.")

@@ -1,7 +1,8 @@
 //! Room, controller and server of the page as processes of their own, and what the page shows.
 
-use heliostat_bus::private_endpoint;
-use heliostat_tests::{Browser, PageServer, Process, wait_until};
+use heliostat_bus::{BusConfig, private_endpoint};
+use heliostat_proto::Room;
+use heliostat_tests::{Browser, PageServer, Process, RoomObserver, wait_until};
 
 /// Room, controller and page.
 pub struct Setting {
@@ -18,12 +19,27 @@ impl Setting {
 
     /// The same with settings of the room's scenario, which the other processes share.
     pub fn with(set: &[&str]) -> Self {
+        Self::seen_by(set, &[])
+    }
+
+    /// The same with an observer whose messages reach all processes.
+    pub fn observed() -> (Self, RoomObserver) {
+        let of_observer = private_endpoint().expect("an endpoint");
+        let setting = Self::seen_by(&[], &["--connect", &of_observer]);
+        let room = BusConfig::new(Room::new("demo").expect("a valid name")).listen_at(&of_observer);
+        let [at_room, at_controller] = setting.endpoints.each_ref().map(String::as_str);
+        let observer = RoomObserver::join(&room.connect_to(at_room).connect_to(at_controller));
+        (setting, observer)
+    }
+
+    /// The processes, with more flags of the page's server.
+    fn seen_by(set: &[&str], server: &[&str]) -> Self {
         let endpoints = [(); 2].map(|()| private_endpoint().expect("an endpoint"));
         let [at_room, at_controller] = endpoints.each_ref().map(String::as_str);
         let room = Process::heliostat(&[&["sim-node", "--listen", at_room], set].concat());
         let join = ["controller", "--policy", "greedy", "--connect", at_room, "--listen", at_controller];
         let controller = Process::heliostat(&[&join, set].concat());
-        let server = PageServer::start(&[&["--connect", at_room, "--connect", at_controller], set].concat());
+        let server = PageServer::start(&[&["--connect", at_room, "--connect", at_controller], server, set].concat());
         Self { room, controller, server, endpoints }
     }
 

@@ -180,6 +180,10 @@ fn the_sentence_says_what_is_unknown() {
         "The rates are unknown. The rate of 1 of 2 users is unknown."
     );
     assert_eq!(
+        sentence(&now("user(3, 0, false), user(7, 5, false)", "null"), 0.1),
+        "The rates are unknown. No receiver reports the gains of its user."
+    );
+    assert_eq!(
         sentence(&now("user(3, 2)", sum), 1.4),
         "The room has not reported for 1.4 s: users and rates are unknown."
     );

@@ -186,6 +186,8 @@ impl Reporter {
         ];
         let own = own.into_iter().map(|(name, count)| (name.to_string(), count));
         let within = times.decisions_within().map(|(edge_us, count)| (format!("decision_us_le:{edge_us}"), count));
+        let over = Stage::ALL.map(|stage| (format!("over_budget_by:{}", stage.name()), times.over_budget_by(stage)));
+        let over = over.into_iter().filter(|(_, count)| *count > 0);
         let named = |prefix: &'static str| move |(name, count): (&String, &u64)| (format!("{prefix}{name}"), *count);
         let fallbacks = summary.fallbacks.iter().map(named("fallback:"));
         let refused = summary.refused.iter().map(named("refused:"));
@@ -204,6 +206,7 @@ impl Reporter {
             policy: summary.policy.clone(),
             counters: own
                 .chain(within)
+                .chain(over)
                 .chain(fallbacks)
                 .chain(refused)
                 .chain(epochs)

@@ -10,7 +10,7 @@ use heliostat_core::policy::PolicyKind;
 use heliostat_models::ActorSource;
 use heliostat_scenario::{Scenario, ViewerScenarioArgs};
 use heliostat_service::{duration, output, signals};
-use heliostat_ui::{Display, Operator, Page, PageArgs, PoliciesOf, View};
+use heliostat_ui::{Display, Operator, Page, PageArgs, PoliciesOf, PolicyChoice, View};
 
 /// Time between two checks for keys and signals.
 const WATCH_EVERY: Duration = Duration::from_millis(50);
@@ -73,19 +73,24 @@ pub fn run(args: Args) -> Result<()> {
     Ok(())
 }
 
-/// The names of the policies that a controller of the shown room accepts, for the page. Each scenario is
-/// tried once.
+/// The policies that a controller of the shown room accepts, with their help texts, for the page. Each
+/// scenario is tried once.
 pub fn fitting_policies() -> PoliciesOf {
-    let tried: Mutex<Option<(Scenario, Vec<String>)>> = Mutex::default();
+    let tried: Mutex<Option<(Scenario, Vec<PolicyChoice>)>> = Mutex::default();
     Box::new(move |scenario| {
         // A list is replaced as a unit.
         let mut tried = tried.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((_, names)) = tried.as_ref().filter(|(known, _)| known == scenario) {
-            return names.clone();
+        if let Some((_, policies)) = tried.as_ref().filter(|(known, _)| known == scenario) {
+            return policies.clone();
         }
         let fits = |kind: &&PolicyKind| heliostat_models::build(**kind, scenario, &ActorSource::Shipped).is_ok();
-        let names: Vec<String> = PolicyKind::value_variants().iter().filter(fits).map(|kind| kind.name()).collect();
-        *tried = Some((scenario.clone(), names.clone()));
-        names
+        let choice = |kind: &PolicyKind| {
+            let value = kind.to_possible_value()?;
+            let description = value.get_help().map(ToString::to_string).unwrap_or_default();
+            Some(PolicyChoice { name: value.get_name().to_owned(), description })
+        };
+        let policies: Vec<PolicyChoice> = PolicyKind::value_variants().iter().filter(fits).filter_map(choice).collect();
+        *tried = Some((scenario.clone(), policies.clone()));
+        policies
     })
 }

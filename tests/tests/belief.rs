@@ -35,6 +35,16 @@ impl Setting {
         Self { room, controller, endpoints, metrics }
     }
 
+    /// The check of this name, of a room in operation.
+    fn doctor(&self, name: &str) -> serde_json::Value {
+        let [room_at, controller_at] = self.endpoints.each_ref().map(String::as_str);
+        let free = free_loopback_port().expect("a free port").to_string();
+        let doctor = ["doctor", "--json", "--connect", room_at, "--connect", controller_at, "--port", &free];
+        let report = Process::heliostat(&[&doctor[..], &FILTER].concat()).wait().json();
+        let checks = report["checks"].as_array().expect("a list of checks");
+        checks.iter().find(|check| check["name"] == name).unwrap_or_else(|| panic!("{name}: {report}")).clone()
+    }
+
     fn bus(&self) -> Bus {
         let config = BusConfig::new(Room::new("demo").expect("valid"));
         Bus::open(&self.endpoints.iter().fold(config, |config, at| config.connect_to(at))).expect("the bus opens")
@@ -169,16 +179,29 @@ fn a_tracker_with_twice_the_stated_noise_shows_in_metrics_status_summary_and_doc
     wait_until("the noise in the status", || {
         reported().is_some_and(|noise| noise.position_m > 1.7 * noise.position_stated_m)
     });
-    let [room_at, controller_at] = setting.endpoints.each_ref().map(String::as_str);
-    let free = free_loopback_port().expect("a free port").to_string();
-    let doctor = ["doctor", "--json", "--connect", room_at, "--connect", controller_at, "--port", &free];
-    let report = Process::heliostat(&[&doctor[..], &FILTER].concat()).wait().json();
-    let checks = report["checks"].as_array().expect("a list of checks");
-    let tracker = checks.iter().find(|check| check["name"] == "tracker").expect("a check of the tracker");
+    let tracker = setting.doctor("tracker");
     assert_eq!(tracker["verdict"], "warn", "{tracker}");
     assert!(tracker["advice"].as_str().is_some_and(|advice| advice.contains("streams.positions.noise_m=0.")));
     let summary = setting.controller.end().json();
     assert!(summary["belief"]["noise"]["position_m"].as_f64() > Some(0.08), "{summary}");
+}
+
+#[test]
+fn mirrors_out_of_place_are_a_problem_of_the_controller_with_the_time_since_when() {
+    let out_of_place = ["--set", "actuator.offset_deg=2", "--set", "streams.channel.rate_hz=50"];
+    let setting = Setting::new(&[&FILTER[..], &out_of_place].concat());
+    let observer = RoomObserver::connect("demo", &setting.endpoints.each_ref().map(String::as_str));
+    let problem = || observer.status(NodeKind::Controller).map_or(String::new(), |status| status.last_problem);
+    wait_until("a problem of the light", || problem().starts_with("the mirrors bring 0."));
+    assert!(problem().contains(" of the expected light since ") && problem().contains("heliostat calibrate"));
+    let light = setting.doctor("light");
+    assert_eq!(light["verdict"], "warn", "{light}");
+    let page = fetch(setting.metrics[1]);
+    assert!(value(&page, "heliostat_light_ratio{room=\"demo\",of=\"mirrors\"}") < 0.8, "{page}");
+    assert_eq!(value(&page, "heliostat_light_off{room=\"demo\",of=\"mirrors\"}"), 1.0, "{page}");
+    assert_eq!(value(&page, "heliostat_light_off{room=\"demo\",of=\"led-0\"}"), 0.0, "{page}");
+    let summary = setting.controller.end().json();
+    assert_eq!(summary["light"][0]["of"], "mirrors", "{summary}");
 }
 
 #[needs("browser")]

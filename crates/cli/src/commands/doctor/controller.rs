@@ -28,8 +28,10 @@ fn ask_controller(args: &Args) -> anyhow::Result<Option<NodeStatus>> {
     let (sender, statuses) = mpsc::channel();
     let key = bus.room().status(NodeKind::Controller);
     let subscription = bus.subscribe(&key, move |payload| {
-        // The receiver is gone after the first status.
-        drop(decode(payload).map(|status: NodeStatus| sender.send(status)));
+        if let Ok(status) = decode::<NodeStatus>(payload) {
+            // The receiver is gone after the first one.
+            sender.send(status).ok();
+        }
     })?;
     let status = statuses.recv_timeout(STATUS_WITHIN).ok();
     drop(subscription);

@@ -45,6 +45,7 @@ pub mod codec;
 mod enumerations;
 mod error;
 mod fields;
+pub mod gauges;
 pub mod keys;
 mod kind;
 mod limits;

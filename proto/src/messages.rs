@@ -214,6 +214,11 @@ impl StopReport {
 }
 
 impl NodeStatus {
+    /// The present value with this name.
+    pub fn gauge(&self, name: &str) -> Option<f64> {
+        self.gauges.iter().find(|(gauge, _)| gauge == name).map(|(_, value)| *value)
+    }
+
     /// Sets the latest problem, cut to the length that a message may hold.
     pub fn set_problem(&mut self, problem: &str) {
         self.last_problem.clear();

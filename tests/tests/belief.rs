@@ -7,8 +7,9 @@ use std::time::Duration;
 
 use heliostat_bus::{Bus, BusConfig, Subscription, free_loopback_port, private_endpoint};
 use heliostat_needs::needs;
-use heliostat_proto::{BeliefReport, MirrorCommand, Room, RoomTruth, codec};
-use heliostat_tests::{Browser, PageServer, Process, wait_until};
+use heliostat_proto::gauges::TrackerNoise;
+use heliostat_proto::{BeliefReport, MirrorCommand, NodeKind, Room, RoomTruth, codec};
+use heliostat_tests::{Browser, PageServer, Process, RoomObserver, wait_until};
 
 const FILTER: [&str; 6] =
     ["--scenario", "hall", "--set", "control.belief=\"filter\"", "--set", "streams.positions.rate_hz=50"];
@@ -32,6 +33,16 @@ impl Setting {
         let join = ["controller", "--policy", "greedy", "--connect", room_at, "--listen", controller_at];
         let controller = both(&[&join[..], &["--json", "--metrics-listen", &controller_page]].concat());
         Self { room, controller, endpoints, metrics }
+    }
+
+    /// The check of this name, of a room in operation.
+    fn doctor(&self, name: &str) -> serde_json::Value {
+        let [room_at, controller_at] = self.endpoints.each_ref().map(String::as_str);
+        let free = free_loopback_port().expect("a free port").to_string();
+        let doctor = ["doctor", "--json", "--connect", room_at, "--connect", controller_at, "--port", &free];
+        let report = Process::heliostat(&[&doctor[..], &FILTER].concat()).wait().json();
+        let checks = report["checks"].as_array().expect("a list of checks");
+        checks.iter().find(|check| check["name"] == name).unwrap_or_else(|| panic!("{name}: {report}")).clone()
     }
 
     fn bus(&self) -> Bus {
@@ -154,6 +165,45 @@ fn the_metrics_compare_the_belief_with_the_reports_and_the_truth() {
     assert!(summary["belief"]["places"].as_u64() > Some(500), "{summary}");
 }
 
+#[test]
+fn a_tracker_with_twice_the_stated_noise_shows_in_metrics_status_summary_and_doctor() {
+    let rough = ["--set", "mismatch.level=rough", "--set", "mismatch.kinds=[\"tracker\"]"];
+    let setting = Setting::new(&[&FILTER[..], &rough].concat());
+    let noise = |by: &str| {
+        let sample = format!("heliostat_tracker_position_noise_metres{{room=\"demo\",by=\"{by}\"}}");
+        value(&fetch(setting.metrics[1]), &sample)
+    };
+    wait_until("twice the stated noise", || noise("belief") > 1.7 * noise("scenario"));
+    let observer = RoomObserver::connect("demo", &setting.endpoints.each_ref().map(String::as_str));
+    let reported = || observer.status(NodeKind::Controller).as_ref().and_then(TrackerNoise::of);
+    wait_until("the noise in the status", || {
+        reported().is_some_and(|noise| noise.position_m > 1.7 * noise.position_stated_m)
+    });
+    let tracker = setting.doctor("tracker");
+    assert_eq!(tracker["verdict"], "warn", "{tracker}");
+    assert!(tracker["advice"].as_str().is_some_and(|advice| advice.contains("streams.positions.noise_m=0.")));
+    let summary = setting.controller.end().json();
+    assert!(summary["belief"]["noise"]["position_m"].as_f64() > Some(0.08), "{summary}");
+}
+
+#[test]
+fn mirrors_out_of_place_are_a_problem_of_the_controller_with_the_time_since_when() {
+    let out_of_place = ["--set", "actuator.offset_deg=2", "--set", "streams.channel.rate_hz=50"];
+    let setting = Setting::new(&[&FILTER[..], &out_of_place].concat());
+    let observer = RoomObserver::connect("demo", &setting.endpoints.each_ref().map(String::as_str));
+    let problem = || observer.status(NodeKind::Controller).map_or(String::new(), |status| status.last_problem);
+    wait_until("a problem of the light", || problem().starts_with("the mirrors bring 0."));
+    assert!(problem().contains(" of the expected light since ") && problem().contains("heliostat calibrate"));
+    let light = setting.doctor("light");
+    assert_eq!(light["verdict"], "warn", "{light}");
+    let page = fetch(setting.metrics[1]);
+    assert!(value(&page, "heliostat_light_ratio{room=\"demo\",of=\"mirrors\"}") < 0.8, "{page}");
+    assert_eq!(value(&page, "heliostat_light_off{room=\"demo\",of=\"mirrors\"}"), 1.0, "{page}");
+    assert_eq!(value(&page, "heliostat_light_off{room=\"demo\",of=\"led-0\"}"), 0.0, "{page}");
+    let summary = setting.controller.end().json();
+    assert_eq!(summary["light"][0]["of"], "mirrors", "{summary}");
+}
+
 #[needs("browser")]
 #[test]
 fn the_page_draws_the_belief_of_each_user_until_it_is_switched_off() {
@@ -192,6 +242,8 @@ fn the_page_draws_the_belief_of_each_user_until_it_is_switched_off() {
             })
         };
         wait_until("a heading of a walking user", heading);
+        wait_until("the noise of the tracker", || browser.text("#counts").contains("cm (stated 5.0)"));
+        wait_until("the light of served users", || browser.text("#counts").contains("light received"));
         let is_3d = browser.run("return document.documentElement.dataset.view") == "3d";
         assert_eq!(is_3d, flags.is_empty());
         let drawn = "const { users } = document.getElementById('room').room.view.content; \

@@ -81,10 +81,11 @@ fn the_dashboard_uses_metrics_that_a_running_room_serves() {
         "json",
         "--exit-with-parent",
     ]);
-    wait_until("rates and decisions on both pages", || {
+    wait_until("rates, decisions and light on both pages", || {
         value(&fetch(controller_at), "heliostat_decisions_total") > 10.0
             && value(&fetch(room_at), "heliostat_sum_rate_bps{room=\"demo\",angles=\"oracle\"}") > 0.0
             && value(&fetch(room_at), "heliostat_room_commands_total") > 10.0
+            && value(&fetch(controller_at), "heliostat_light_off") >= 0.0
     });
     let (room_page, controller_page) = (fetch(room_at), fetch(controller_at));
     for (page, process) in [(&room_page, &room), (&controller_page, &controller)] {

@@ -220,8 +220,7 @@ fn every_button_acts_on_the_running_system() {
 }
 
 fn gauge(observer: &RoomObserver, name: &str) -> Option<f64> {
-    let status = observer.status(NodeKind::SimNode)?;
-    status.gauges.iter().find(|(gauge, _)| gauge == name).map(|(_, value)| *value)
+    observer.status(NodeKind::SimNode)?.gauge(name)
 }
 
 #[test]

@@ -21,6 +21,7 @@
 //! - `expected`, `tilt`, `lit_mirrors`: the gains that the model expects, also of tilted receivers and
 //!   past bodies.
 //! - `readings`, `densities`, `elementary`: measured gains, and how probable they are.
+//! - [`light`]: whether served users receive the light that is expected.
 //! - `independence`: how much a measurement of a user who stays at a place counts.
 //! - [`occupancy`]: where unreported obstacles stand, by measured gains.
 //! - [`conditions`]: where a method does not apply to a room.
@@ -41,6 +42,7 @@ mod holding;
 mod hypothesis;
 mod independence;
 pub mod innovations;
+pub mod light;
 mod lit_mirrors;
 pub mod memory;
 pub mod motion;
@@ -64,6 +66,7 @@ use expected::Room;
 use heading::{HEADING_KNOWN, HEADINGS};
 use independence::independent_share;
 use innovations::{Innovations, normalised_squared};
+use light::LightWatch;
 use motion::{MotionEstimate, Sighting, WalkPriors};
 use noise::NoiseLevel;
 use occupancy::Occupancy;
@@ -129,6 +132,7 @@ pub struct Belief {
     map: Option<Occupancy>,
     leds: Vec<Vec3>,
     innovations: Innovations,
+    light: LightWatch,
 }
 
 impl Belief {
@@ -160,6 +164,7 @@ impl Belief {
             leds: model.leds.iter().map(|led| led.position).collect(),
             map: Occupancy::new(scenario),
             innovations: Innovations::default(),
+            light: LightWatch::new(model.leds.len()),
         }
     }
 
@@ -194,12 +199,14 @@ impl Belief {
                     track.covered.handle_direct(self.readings.shows(f64::from(measured.los_gain)), 1.0);
                 }
             }
-            return;
+            if !self.light.is_due(report.stamp.time_ns) {
+                return;
+            }
         }
         let at = (report.stamp.time_ns, signed_s(report.stamp.time_ns, self.last_ns));
         let angles = self.history.at(report.stamp.time_ns, &mut self.angles).then_some(&self.angles);
-        let Self { tracks, evidence, bodies, directions, map, body, posture, devices, undecided, led_readings, .. } =
-            self;
+        let Self { tracks, evidence, bodies, directions, map, body, posture, devices, undecided, .. } = self;
+        let (light, led_readings) = (&mut self.light, &mut self.led_readings);
         let tracks = tracks.present_mut();
         undecided.clear();
         let places = tracks.iter().map(|track| {
@@ -223,10 +230,16 @@ impl Belief {
             let measured = MeasuredGains { los, irs, leds: led_readings.of(leds, track.user) };
             let [u, v] = track.motion.estimate(0.0).velocity_m_s;
             let independent = independent_share(u.hypot(v), self.readings.interval_s);
-            let Track { heading, covered, tilt, .. } = track;
+            // Where only the direct paths count, the gains over the mirrors change a copy.
+            let mut copy = *track;
+            let Track { heading, covered, tilt, .. } = if only_direct { &mut copy } else { track };
             let undecided = undecided[user].map(|polar_rad| (tilt, polar_rad));
             let beliefs = Beliefs { heading, covered, undecided, independent };
-            evidence.examine(&room, user, measured, bodies.as_ref(), beliefs, map.as_mut());
+            let received = evidence.examine(&room, user, measured, bodies.as_ref(), beliefs, map.as_mut());
+            light.handle(received, report.stamp.time_ns);
+        }
+        if only_direct {
+            return;
         }
         map.iter_mut().for_each(Occupancy::finish_report);
         self.decide_posture();
@@ -255,11 +268,17 @@ impl Belief {
         self.innovations
     }
 
+    /// How the light of served users compares with the expected one.
+    pub fn light(&self) -> &LightWatch {
+        &self.light
+    }
+
     /// Forgets all users, since another source reports from now on.
     pub fn forget(&mut self) {
         self.tracks.clear();
         self.history.clear();
         self.posture.decide(std::iter::empty());
+        self.light.clear();
         self.map.iter_mut().for_each(Occupancy::clear);
         [self.position_noise, self.velocity_noise] = self.first_noise;
     }
@@ -326,7 +345,12 @@ impl Belief {
     /// Estimated standard deviations of a reported coordinate in m and of a reported velocity
     /// component in m/s.
     pub fn noise(&self) -> [f64; 2] {
-        [self.position_noise.deviation(), self.velocity_noise.deviation()]
+        [&self.position_noise, &self.velocity_noise].map(NoiseLevel::deviation)
+    }
+
+    /// The same as the scenario states them, within the bounds of the estimate.
+    pub fn stated_noise(&self) -> [f64; 2] {
+        self.first_noise.each_ref().map(NoiseLevel::deviation)
     }
 
     fn new_track(&self, user: u32) -> Track {

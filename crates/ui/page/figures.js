@@ -147,6 +147,24 @@ export function problems(now) {
   lines.forEach((line, index) => setText(list.children[index] ?? list.appendChild(document.createElement("li")), line));
 }
 
+// The noise that the belief has learned, beside the one that the scenario states.
+function trackerNoise(noise) {
+  if (!noise) return [];
+  const positions = `${(100 * noise.position_m).toFixed(1)} cm (stated ${(100 * noise.position_stated_m).toFixed(1)})`;
+  const velocities = `${noise.velocity_m_s.toFixed(2)} m/s (${noise.velocity_stated_m_s.toFixed(2)})`;
+  const meaning = "Standard deviation of a reported coordinate and of a reported velocity component, as the belief learns it from the reports, and as the scenario states it.";
+  return [["tracker noise", `${positions}, ${velocities}`, "", meaning]];
+}
+
+// The light of served users as a share of the expected one: of the mirrors, and of each LED.
+function servedLight(light) {
+  if (light.length === 0) return [];
+  const text = light.map(({ of, ratio }) => `${of} ${ratio.toFixed(2)}`).join(", ");
+  const isOff = light.some((one) => one.off_since_s !== undefined);
+  const meaning = "Median of the light that served users receive, as a share of the light that the controller expects at the present angles: over the mirrors, and from each LED.";
+  return [["light received", text, isOff ? "bad" : "", meaning]];
+}
+
 // Counters, times and faults.
 export function counters(now) {
   quantiles(now.times);
@@ -155,5 +173,5 @@ export function counters(now) {
   const meaning = "Faults that the arrays report now: link, mirror, temperature, supply, calibration, clock, or a stop that is not executed.";
   const faults = ["faults", now.array.faults.join(", ") || "none", now.array.faults.length ? "bad" : "", meaning];
   const counts = now.counts.map((count) => [count.name, count.value === null ? "–" : String(count.value), count.is_problem && count.value > 0 ? "bad" : "", count.meaning]);
-  list(at("counts"), [...counts, faults, ...standby(now.controllers)]);
+  list(at("counts"), [...counts, faults, ...trackerNoise(now.tracker_noise), ...servedLight(now.light), ...standby(now.controllers)]);
 }

@@ -8,6 +8,7 @@ use std::time::Instant;
 
 use heliostat_channel::ChannelModel;
 use heliostat_proto::array_keys::array_name;
+use heliostat_proto::gauges::{ServedLight, TrackerNoise};
 use heliostat_proto::messages::fault;
 use heliostat_proto::{MirrorTelemetry, NodeKind, NodeStatus, Quantiles};
 use heliostat_service::printable::printable;
@@ -172,6 +173,10 @@ pub struct Figures {
     pub jammed: Option<u64>,
     /// Highest walking speed in m/s, if the room reports it.
     pub speed_m_s: Option<f64>,
+    /// The noise of the tracker, if the controller learns it.
+    pub tracker_noise: Option<TrackerNoise>,
+    /// The light of served users, if the controller compares it with the expected one.
+    pub light: Vec<ServedLight>,
     /// The hash of the drawn geometry, as in the plan: another one needs another plan.
     pub geometry: String,
     /// What the user should know about the room; see [`View::notes`].
@@ -195,10 +200,7 @@ impl View {
         // page shows their age.
         let last = |node: NodeKind| received.statuses.get(node.name()).map(|(_, status)| status);
         let [last_controller, last_room] = [NodeKind::Controller, NodeKind::SimNode].map(last);
-        let gauge = |name: &str| {
-            let gauges = room.map_or(&[][..], |room| &room.gauges);
-            gauges.iter().find(|(gauge, _)| gauge == name).map(|(_, value)| *value)
-        };
+        let gauge = |name: &str| room.and_then(|room| room.gauge(name));
         Figures {
             time_s: self.opened.elapsed().as_secs_f64(),
             origin,
@@ -222,6 +224,8 @@ impl View {
             power_w: gauge("power_w"),
             jammed: gauge("faulty_mirrors").map(|count| count as u64),
             speed_m_s: gauge("speed_max_m_s"),
+            tracker_noise: last_controller.and_then(TrackerNoise::of),
+            light: last_controller.map(ServedLight::all_of).unwrap_or_default(),
             geometry,
             notes,
         }

@@ -52,8 +52,7 @@ impl View {
     pub(crate) fn budget(&self, model: &ChannelModel) -> LinkBudget {
         let received = self.received();
         let status = received.statuses.get(NodeKind::SimNode.name());
-        let gauges = status.map_or(&[][..], |(_, status)| &status.gauges);
-        let power = gauges.iter().find(|(name, _)| name == "power_w").map(|(_, watts)| *watts);
+        let power = status.and_then(|(_, status)| status.gauge("power_w"));
         let mut budget = model.budget.clone();
         budget.power_w = power.filter(|watts| *watts > 0.0).unwrap_or(budget.power_w);
         budget

@@ -130,12 +130,12 @@ impl Published {
         if let Some(refusal) = self.refusal(status) {
             return Some(refusal);
         }
-        let is = |name: &str, value: f64| gauge(status, name).is_some_and(|gauge| (gauge - value).abs() < TOLERANCE);
+        let is = |name: &str, value: f64| status.gauge(name).is_some_and(|gauge| (gauge - value).abs() < TOLERANCE);
         let is_done = match &self.order {
             Order::Power { watts } => is("power_w", f64::from(*watts)),
             Order::Speed { max_m_s } => is("speed_max_m_s", f64::from(*max_m_s)),
             Order::Blocked { users } => is("forced_users", f64::from(*users)),
-            Order::Stick { .. } => gauge(status, "faulty_mirrors").is_some_and(|count| count > 0.0),
+            Order::Stick { .. } => status.gauge("faulty_mirrors").is_some_and(|count| count > 0.0),
             Order::Release => is("faulty_mirrors", 0.0),
             _ => false,
         };
@@ -151,10 +151,6 @@ impl Published {
 
 fn count(status: &NodeStatus, name: &str) -> u64 {
     status.counters.iter().find(|(counter, _)| counter == name).map_or(0, |(_, count)| *count)
-}
-
-fn gauge(status: &NodeStatus, name: &str) -> Option<f64> {
-    status.gauges.iter().find(|(gauge, _)| gauge == name).map(|(_, value)| *value)
 }
 
 #[cfg(test)]

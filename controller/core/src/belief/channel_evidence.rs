@@ -10,6 +10,7 @@
 //! With several LEDs the direct gain also shows which LED serves: see [`serving`]. The gain over the
 //! mirrors is compared with that by the LED which most probably serves at each heading.
 
+mod served_light;
 mod serving;
 mod tilt_decision;
 
@@ -22,6 +23,7 @@ use crate::belief::{
     elementary::{exp, ln},
     expected::{Direct, ExpectedGains, HeldPlace, Room},
     heading::{HEADINGS, Heading},
+    light::Received,
     lit_mirrors::LitMirrors,
     occupancy::Occupancy,
     posture::TiltEvidence,
@@ -135,7 +137,8 @@ impl ChannelEvidence {
         self.expected.update(room, places);
     }
 
-    /// Updates what is believed about a user, and the map, by the user's measured gains.
+    /// Updates what is believed about a user, and the map, by the user's measured gains. Returns the measured
+    /// light relative to the expected one.
     pub fn examine(
         &mut self,
         room: &Room<'_>,
@@ -144,7 +147,7 @@ impl ChannelEvidence {
         bodies: Option<&Bodies<'_>>,
         Beliefs { heading, covered, undecided, independent }: Beliefs<'_>,
         mut map: Option<&mut Occupancy>,
-    ) {
+    ) -> Received {
         let model = room.model;
         self.mask_others(model, user, bodies);
         let position = self.expected.positions()[user];
@@ -166,10 +169,12 @@ impl ChannelEvidence {
             self.without_bodies(room, user, open, measured);
         }
         let known = bodies.is_some().then_some(&*heading);
+        let received = self.received(user, known, measured);
         self.examine_direct(model, user, (known, open), (measured, covered), map.as_deref_mut());
         if let (Some(map), Some(_)) = (map, room.angles) {
             self.examine_reflected(known, (measured, independent), map);
         }
+        received
     }
 
     /// Takes what the measured direct gain shows of a covered detector and of obstacles. `heading` is

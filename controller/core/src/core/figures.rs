@@ -1,11 +1,11 @@
 //! What a controller shows of itself: reports, counters, figures, the last observation and the
 //! belief.
 
-use heliostat_proto::{BeliefReport, Nanos};
+use heliostat_proto::{BeliefReport, Nanos, gauges::TrackerNoise};
 
 use super::Controller;
 use crate::{
-    belief::{Belief, innovations::Innovations},
+    belief::{Belief, innovations::Innovations, light::LightWatch},
     input::inbox::Inbox,
     observe::{observation::Observation, observer::Observer},
     output::outcome::Counters,
@@ -52,6 +52,21 @@ impl Controller {
     /// names no filter.
     pub fn innovations(&self) -> Option<Innovations> {
         self.observer.belief().map(Belief::innovations)
+    }
+
+    /// The noise of the tracker; absent where `control.belief` names no filter.
+    pub fn tracker_noise(&self) -> Option<TrackerNoise> {
+        self.observer.belief().map(|belief| {
+            let ([position_m, velocity_m_s], stated) = (belief.noise(), belief.stated_noise());
+            let [position_stated_m, velocity_stated_m_s] = stated;
+            TrackerNoise { position_m, position_stated_m, velocity_m_s, velocity_stated_m_s }
+        })
+    }
+
+    /// How the light of served users compares with the expected one; absent where `control.belief` names
+    /// no filter.
+    pub fn light(&self) -> Option<&LightWatch> {
+        self.observer.belief().map(Belief::light)
     }
 
     /// The last observation, with the angles of the last command.

@@ -1,7 +1,7 @@
 //! The controller's metrics, made by the status loop.
 
 use heliostat_core::core::Stage;
-use heliostat_proto::messages::fault;
+use heliostat_proto::{gauges::ServedLight, messages::fault};
 use heliostat_service::{Histogram, Page};
 
 use super::summary::RoomReport;
@@ -83,6 +83,25 @@ fn add_room(page: &mut Page, report: &RoomReport<'_>) {
         let help =
             "Mean normalised innovation squared of these positions since the start; 2 if the covariance is right";
         page.gauge("heliostat_belief_innovation_mean", help, &[room], belief.innovation_mean);
+    }
+    if let Some(noise) = summary.belief.and_then(|belief| belief.noise) {
+        for (by, position_m, velocity_m_s) in [
+            ("belief", noise.position_m, noise.velocity_m_s),
+            ("scenario", noise.position_stated_m, noise.velocity_stated_m_s),
+        ] {
+            let labels = [room, ("by", by)];
+            let help = "Standard deviation of a reported coordinate: learned by the belief, stated by the scenario";
+            page.gauge("heliostat_tracker_position_noise_metres", help, &labels, position_m);
+            let help = "Standard deviation of a reported velocity component: learned, stated";
+            page.gauge("heliostat_tracker_velocity_noise_metres_per_second", help, &labels, velocity_m_s);
+        }
+    }
+    for ServedLight { of, ratio, off_since_s } in &summary.light {
+        let labels = [room, ("of", of.as_str())];
+        let help = "Median of the measured light of served users relative to the expected one";
+        page.gauge("heliostat_light_ratio", help, &labels, *ratio);
+        let off = f64::from(u8::from(off_since_s.is_some()));
+        page.gauge("heliostat_light_off", "1 while it is not the expected light", &labels, off);
     }
     for array in &summary.arrays {
         let help = "Of several arrays: 1 while the array receives the commands of this controller";

@@ -5,14 +5,18 @@ mod table;
 use std::collections::BTreeMap;
 
 use heliostat_core::{
-    belief::innovations::Innovations,
+    belief::{innovations::Innovations, light::LightWatch},
     capabilities::Unfit,
     core::{Controller, DegradedMode, Stage},
     policy::Tally,
     refusal::Stream,
     tenure::{Standing, TenureEvent},
 };
-use heliostat_proto::{MirrorTelemetry, Quantiles, Room, array_keys::array_name};
+use heliostat_proto::{
+    MirrorTelemetry, Quantiles, Room,
+    array_keys::array_name,
+    gauges::{ServedLight, TrackerNoise},
+};
 use serde::{Deserialize, Serialize};
 
 use super::stage_times::{PolicyTimes, StageTimes};
@@ -90,6 +94,9 @@ pub struct Summary {
     /// The belief against the position reports; absent where `control.belief` names no filter.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub belief: Option<BeliefSummary>,
+    /// The light of served users, of the mirrors and of each LED that was measured; empty for several rooms.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub light: Vec<ServedLight>,
     /// Sources that owned the room, in succession.
     pub sources: u64,
     /// Commands that the transport refused.
@@ -202,25 +209,31 @@ impl ArraySummary {
     }
 }
 
-/// How well the predictions of the belief agreed with the position reports.
+/// How well the predictions of the belief agreed with the position reports, and their noise.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct BeliefSummary {
     /// Reported positions of known users.
     pub reports: u64,
     /// Mean normalised innovation squared of these positions; 2 if the belief's covariance is right.
     pub innovation_mean: f64,
+    /// The noise of the tracker; absent from the sum of several rooms, since each has its own.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub noise: Option<TrackerNoise>,
 }
 
 impl BeliefSummary {
-    fn of(innovations: Innovations) -> Self {
-        let Innovations { count, sum } = innovations;
-        Self { reports: count, innovation_mean: sum / count.max(1) as f64 }
+    fn of(controller: &Controller) -> Option<Self> {
+        controller.innovations().map(|of| Self { noise: controller.tracker_noise(), ..Self::mean(of) })
+    }
+
+    fn mean(Innovations { count, sum }: Innovations) -> Self {
+        Self { reports: count, innovation_mean: sum / count.max(1) as f64, noise: None }
     }
 
     /// The summary of both, by their numbers of reports.
     fn with(self, other: Self) -> Self {
         let sum = |summary: Self| summary.innovation_mean * summary.reports as f64;
-        Self::of(Innovations { count: self.reports + other.reports, sum: sum(self) + sum(other) })
+        Self::mean(Innovations { count: self.reports + other.reports, sum: sum(self) + sum(other) })
     }
 }
 
@@ -271,7 +284,8 @@ impl Summary {
                 .filter(|_| controller.arrays() > 1)
                 .map(|array| ArrayStanding::of(controller, array))
                 .collect(),
-            belief: controller.innovations().map(BeliefSummary::of),
+            belief: BeliefSummary::of(controller),
+            light: controller.light().map(served_light).unwrap_or_default(),
             sources: controller.inbox().sources(),
             ..Self::default()
         }
@@ -359,6 +373,18 @@ impl Summary {
         self.stages_us = Stage::ALL.map(|stage| (stage.name().to_string(), times.stage_us(stage))).into();
         self.age_us = times.age_us();
     }
+}
+
+/// The light of which anything was measured.
+fn served_light(watch: &LightWatch) -> Vec<ServedLight> {
+    let leds = watch.leds().iter().enumerate().map(|(index, level)| (format!("led-{index}"), level));
+    let all = [("mirrors".to_owned(), watch.mirrors())].into_iter().chain(leds);
+    let measured = all.filter(|(_, level)| level.count() > 0);
+    let light = measured.map(|(of, level)| {
+        let off_since_s = level.off_since_ns().map(|since_ns| since_ns as f64 * 1e-9);
+        ServedLight { of, ratio: level.ratio(), off_since_s }
+    });
+    light.collect()
 }
 
 /// The counts above zero, by name.

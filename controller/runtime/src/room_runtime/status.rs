@@ -7,7 +7,9 @@ use heliostat_core::{
     room_core::UndecodableCounts,
     tenure::{Standing, Tenure, TenureEvent},
 };
-use heliostat_proto::{Nanos, NodeKind, NodeStatus, Stamp, array_keys::array_name, stop_hold::HeldStop};
+use heliostat_proto::{
+    Nanos, NodeKind, NodeStatus, Stamp, array_keys::array_name, gauges::ServedLight, stop_hold::HeldStop,
+};
 use heliostat_service::{clock::utc_ns, printable::printable};
 
 use super::{decision_loop::DecisionLoop, policy_swap::SwapCounters};
@@ -56,6 +58,8 @@ pub struct Reporter {
     /// Occurrences of the problem of the present snapshot; 0 for a change of state.
     occurrences: u64,
     conditions: Conditions,
+    /// Of what the light is not the expected one.
+    off_light: Vec<String>,
     /// The stops that withhold commands, in words; empty for none.
     stops: String,
     last_problem: String,
@@ -115,6 +119,7 @@ impl Reporter {
             unfit: None,
             occurrences: 0,
             conditions: Conditions::default(),
+            off_light: Vec::new(),
             stops: String::new(),
             last_problem: String::new(),
         }
@@ -141,6 +146,7 @@ impl Reporter {
             .new_alarm(&summary, controller.counters(), tenure)
             .or_else(|| self.new_stops(&stops_before))
             .or_else(|| self.new_condition(conditions, controller.arrays()))
+            .or_else(|| self.new_light(&summary.light))
             .or_else(|| self.new_problem(decision_loop, &swaps).map(Problem::Warning))
             .or_else(|| self.new_undecodable(undecodable).map(Problem::Warning));
         let occurrences = std::mem::take(&mut self.occurrences);
@@ -199,6 +205,8 @@ impl Reporter {
         let engine = summary.engine.iter().map(|name| (format!("engine:{name}"), 1));
         let actor = summary.actor.iter().map(|hash| (format!("actor:{hash}"), 1));
         let stages = Stage::ALL.map(|stage| (stage.name().to_string(), times.stage_us(stage)));
+        let noise = summary.belief.and_then(|belief| belief.noise).into_iter().flat_map(|noise| noise.gauges());
+        let noise = noise.map(|(name, value)| (name.to_owned(), value));
         let totals = [("decision".to_string(), times.decision_us()), ("age".to_string(), times.age_us())];
         NodeStatus {
             stamp: Stamp { source: self.identity.source, sequence: self.sequence, time_ns: snapshot.now },
@@ -216,6 +224,7 @@ impl Reporter {
                 .chain(actor)
                 .chain(absent)
                 .collect(),
+            gauges: noise.chain(summary.light.iter().flat_map(ServedLight::gauges)).collect(),
             timings: totals.into_iter().chain(stages).collect(),
             last_problem: summary.last_problem.clone(),
             ..self.blank()
@@ -316,6 +325,20 @@ impl Reporter {
             Some(difference) => Problem::Warning(difference.clone()),
             None => Problem::End("the room announces no other geometry than this controller".into()),
         })
+    }
+
+    /// Light that is not the expected one any longer, or is again.
+    fn new_light(&mut self, light: &[ServedLight]) -> Option<Problem> {
+        let is_known = |one: &&ServedLight| self.off_light.contains(&one.of);
+        let begun = light.iter().find(|one| one.off_since_s.is_some() && !is_known(one));
+        if let Some(one) = begun {
+            self.off_light.push(one.of.clone());
+            let since = clock_time((one.off_since_s.unwrap_or_default() * 1e9) as Nanos);
+            return Some(Problem::Warning(format!("{one} since {since}: {}", one.advice())));
+        }
+        let ended = light.iter().find(|one| one.off_since_s.is_none() && is_known(one))?;
+        self.off_light.retain(|of| *of != ended.of);
+        Some(Problem::End(format!("{ended} again")))
     }
 
     /// The most serious problem since the last snapshot.

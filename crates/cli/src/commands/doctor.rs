@@ -2,6 +2,7 @@
 
 mod args;
 mod check;
+mod controller;
 mod machine;
 mod system;
 

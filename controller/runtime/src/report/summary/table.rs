@@ -39,11 +39,17 @@ impl fmt::Display for Summary {
         if self.modelled > 0 {
             write!(formatter, "\ndecisions on modelled gains, in a room that reports none: {}", self.modelled)?;
         }
-        if let Some(BeliefSummary { reports, innovation_mean }) = self.belief {
+        if let Some(BeliefSummary { reports, innovation_mean, noise }) = self.belief {
             write!(
                 formatter,
                 "\nbelief: mean normalised innovation squared {innovation_mean:.2} over {reports} reported positions"
             )?;
+            if let Some(noise) = noise {
+                write!(formatter, "\ntracker noise: {noise}")?;
+            }
+        }
+        for light in &self.light {
+            write!(formatter, "\n{light}")?;
         }
         if !self.epoch_events.is_empty() {
             write!(formatter, "\nchanges of the epoch:{}", list(&self.epoch_events))?;

@@ -19,12 +19,13 @@ use heliostat_service::printable::printable;
 
 use super::args::Args;
 use super::check::Check;
+use super::controller;
 
 /// Longest time until a driver answers.
 const DRIVER_WAIT: Duration = Duration::from_secs(3);
 
-/// A driver publishes its status each second.
-const STATUS_WITHIN: Duration = Duration::from_millis(1200);
+/// A driver publishes its status each second, and a controller twice.
+pub(super) const STATUS_WITHIN: Duration = Duration::from_millis(1200);
 
 /// Limits that differ by less than this, in rad, count as equal.
 const SAME_ANGLE_RAD: f64 = 1e-4;
@@ -57,6 +58,7 @@ pub(super) fn checks(args: &Args) -> Vec<Check> {
     let kind = PolicyKind::selected(args.policy, args.model.is_some());
     checks.extend(kind.conditions(&scenario).into_iter().map(|condition| warning("policy", condition)));
     checks.extend(check_drivers(args, &scenario));
+    checks.extend(controller::checks(args));
     // A driver that is checked listens on its own port.
     let in_use = |port: &&u16| args.connect.iter().any(|endpoint| endpoint.ends_with(&format!(":{port}")));
     checks.extend(args.port.iter().filter(|port| !in_use(port)).map(|port| check_port(*port)));
@@ -144,6 +146,13 @@ fn check_driver(args: &Args, scenario: &Scenario, array: usize) -> Check {
     }
 }
 
+/// The session of the checks; none of them publishes, so the rights of any role do.
+pub(super) fn open_bus(args: &Args) -> anyhow::Result<Bus> {
+    let flags =
+        BusArgs { room: args.room.clone(), connect: args.connect.clone(), tls: args.tls.clone(), ..BusArgs::default() };
+    Ok(Bus::open(&flags.config(&AccessRole::ALL)?.reaching(Reach::Within(DRIVER_WAIT)))?)
+}
+
 /// What a driver reports of its array.
 struct DriverState {
     capabilities: Capabilities,
@@ -152,12 +161,8 @@ struct DriverState {
 }
 
 fn ask_driver(args: &Args, array: usize) -> anyhow::Result<DriverState> {
-    let flags =
-        BusArgs { room: args.room.clone(), connect: args.connect.clone(), tls: args.tls.clone(), ..BusArgs::default() };
-    // A query of the capabilities needs no rights of a role.
-    let config = flags.config(&AccessRole::ALL)?;
-    let room = config.room.clone();
-    let bus = Bus::open(&config.reaching(Reach::Within(DRIVER_WAIT)))?;
+    let bus = open_bus(args)?;
+    let room = bus.room().clone();
     let (sender, reports) = mpsc::channel();
     let statuses = sender.clone();
     let keys = room.array(array);

@@ -1,0 +1,116 @@
+//! Whether served users receive the light that the belief expects.
+//!
+//! The ratio of a measured gain to the expected one, at the angles in force, differs from 1 by errors of
+//! position and heading, by bodies, by unreported obstacles and by noise. A mirror that is dirty, stuck or
+//! out of place, and an LED that was moved or dimmed, change it for all users and for long. The watch
+//! follows the median of these ratios, which neither one user nor a short time upsets. It corrects
+//! nothing: no decision depends on it.
+
+use heliostat_proto::Nanos;
+
+/// Change of the logarithm of the median with each ratio: at 50 ratios a second a loss of a quarter of
+/// the light shows after some 10 s.
+const STEP: f64 = 5e-4;
+
+/// A median whose logarithm is further from 0 is not the expected light: below 0.78, or above 1.28.
+const OFF: f64 = 0.25;
+
+/// The expected light has returned when the logarithm is within this.
+const ON: f64 = 0.17;
+
+/// Time between two ratios of users whose gains over the mirrors show the belief nothing, in ns.
+const SELDOM_NS: Nanos = 1_000_000_000;
+
+/// The median of measured gains relative to expected ones.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LightLevel {
+    log_ratio: f64,
+    count: u64,
+    off_since_ns: Option<Nanos>,
+}
+
+impl LightLevel {
+    /// The median ratio; 1 before the first measurement.
+    pub fn ratio(&self) -> f64 {
+        self.log_ratio.exp()
+    }
+
+    /// Number of ratios.
+    pub fn count(&self) -> u64 {
+        self.count
+    }
+
+    /// Since when the light is not the expected one, in ns.
+    pub fn off_since_ns(&self) -> Option<Nanos> {
+        self.off_since_ns
+    }
+
+    fn handle(&mut self, ratio: f64, time_ns: Nanos) {
+        self.log_ratio += if ratio > self.ratio() { STEP } else { -STEP };
+        self.count += 1;
+        let off = self.log_ratio.abs();
+        if off > OFF {
+            self.off_since_ns.get_or_insert(time_ns);
+        } else if off < ON {
+            self.off_since_ns = None;
+        }
+    }
+}
+
+/// The measured light of one user relative to the expected one.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Received {
+    /// By which LED, and over the mirrors; absent where the mirrors do not serve the user.
+    pub mirrors: Option<(usize, f64)>,
+    /// By which LED, and over its direct path; absent where it may be blocked.
+    pub direct: Option<(usize, f64)>,
+}
+
+/// The light over the mirrors and from each LED.
+#[derive(Clone, Debug)]
+pub struct LightWatch {
+    mirrors: LightLevel,
+    leds: Vec<LightLevel>,
+    next_ns: Nanos,
+}
+
+impl LightWatch {
+    pub(super) fn new(leds: usize) -> Self {
+        Self { mirrors: LightLevel::default(), leds: vec![LightLevel::default(); leds], next_ns: 0 }
+    }
+
+    /// The light over the mirrors, relative to that of the LED over its direct path.
+    pub fn mirrors(&self) -> &LightLevel {
+        &self.mirrors
+    }
+
+    /// The light over the direct path from each LED.
+    pub fn leds(&self) -> &[LightLevel] {
+        &self.leds
+    }
+
+    /// Whether a measurement at this time counts that the belief itself does not need.
+    pub(super) fn is_due(&mut self, time_ns: Nanos) -> bool {
+        let is_due = time_ns >= self.next_ns;
+        if is_due {
+            self.next_ns = time_ns + SELDOM_NS;
+        }
+        is_due
+    }
+
+    pub(super) fn handle(&mut self, received: Received, time_ns: Nanos) {
+        if let Some((led, ratio)) = received.mirrors {
+            // The mirrors reflect what the LED emits.
+            self.mirrors.handle(ratio / self.leds[led].ratio(), time_ns);
+        }
+        if let Some((led, ratio)) = received.direct {
+            self.leds[led].handle(ratio, time_ns);
+        }
+    }
+
+    /// Starts again, since another source reports from now on.
+    pub(super) fn clear(&mut self) {
+        self.mirrors = LightLevel::default();
+        self.leds.fill(LightLevel::default());
+    }
+}

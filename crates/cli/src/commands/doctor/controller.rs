@@ -1,0 +1,82 @@
+//! What a running controller has learned about its room.
+
+use std::sync::mpsc;
+
+use heliostat_proto::gauges::{ServedLight, TrackerNoise};
+use heliostat_proto::{NodeKind, NodeStatus, decode};
+
+use super::args::Args;
+use super::check::Check;
+use super::system::{STATUS_WITHIN, open_bus};
+
+/// A tracker is noisier than stated if a learned deviation is larger than the stated one by this factor.
+const NOISIER: f64 = 1.5;
+
+/// The checks by the status of a controller; none where no controller is in the room.
+pub(super) fn checks(args: &Args) -> Vec<Check> {
+    if args.connect.is_empty() {
+        return Vec::new();
+    }
+    // The check of the driver reports a session that does not open.
+    let Ok(Some(status)) = ask_controller(args) else { return Vec::new() };
+    let tracker = TrackerNoise::of(&status);
+    tracker.iter().map(check_tracker).chain(ServedLight::all_of(&status).iter().map(check_light)).collect()
+}
+
+fn ask_controller(args: &Args) -> anyhow::Result<Option<NodeStatus>> {
+    let bus = open_bus(args)?;
+    let (sender, statuses) = mpsc::channel();
+    let key = bus.room().status(NodeKind::Controller);
+    let subscription = bus.subscribe(&key, move |payload| {
+        if let Ok(status) = decode::<NodeStatus>(payload) {
+            // The receiver is gone after the first one.
+            sender.send(status).ok();
+        }
+    })?;
+    let status = statuses.recv_timeout(STATUS_WITHIN).ok();
+    drop(subscription);
+    bus.close()?;
+    Ok(status)
+}
+
+/// Whether the reports have the noise that the scenario states.
+fn check_tracker(noise: &TrackerNoise) -> Check {
+    let found = noise.to_string();
+    let TrackerNoise { position_m, position_stated_m, velocity_m_s, velocity_stated_m_s } = *noise;
+    let noisier = |learned: f64, stated: f64| learned > NOISIER * stated;
+    if !noisier(position_m, position_stated_m) && !noisier(velocity_m_s, velocity_stated_m_s) {
+        return Check::ok("tracker", found);
+    }
+    let advice = format!(
+        "the reports are noisier than the scenario states: improve the tracker, or state its noise: \
+         --set streams.positions.noise_m={position_m:.3} --set streams.positions.velocity_noise_m_s={velocity_m_s:.3}"
+    );
+    Check::warn("tracker", found, advice)
+}
+
+/// Whether served users receive the light that the controller expects.
+fn check_light(light: &ServedLight) -> Check {
+    match light.off_since_s {
+        None => Check::ok("light", light.to_string()),
+        Some(_) => Check::warn("light", light.to_string(), light.advice()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::check::Verdict;
+    use super::*;
+
+    #[test]
+    fn a_tracker_with_twice_the_stated_noise_is_a_warning_with_the_learned_one() {
+        let noise = |position_m| TrackerNoise {
+            position_m,
+            position_stated_m: 0.05,
+            velocity_m_s: 0.1,
+            velocity_stated_m_s: 0.1,
+        };
+        let (stated, doubled) = (check_tracker(&noise(0.06)), check_tracker(&noise(0.1)));
+        assert_eq!((stated.verdict, doubled.verdict), (Verdict::Ok, Verdict::Warn));
+        assert!(doubled.advice.contains("streams.positions.noise_m=0.100"), "{}", doubled.advice);
+    }
+}

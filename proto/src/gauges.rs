@@ -1,0 +1,140 @@
+//! Gauges in the status of a controller that other processes read by their names.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use crate::messages::NodeStatus;
+
+/// Standard deviations of one axis of a tracker's reports.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct TrackerNoise {
+    /// Of a coordinate in m, as the belief learned it.
+    pub position_m: f64,
+    /// The same as the scenario states it.
+    pub position_stated_m: f64,
+    /// Of a velocity component in m/s, as the belief learned it.
+    pub velocity_m_s: f64,
+    /// The same as the scenario states it.
+    pub velocity_stated_m_s: f64,
+}
+
+impl TrackerNoise {
+    /// The names of the gauges, in the order of the fields.
+    const NAMES: [&'static str; 4] = [
+        "tracker_position_noise_m",
+        "tracker_position_noise_stated_m",
+        "tracker_velocity_noise_m_s",
+        "tracker_velocity_noise_stated_m_s",
+    ];
+
+    /// Name and value of each gauge.
+    pub fn gauges(&self) -> [(&'static str, f64); 4] {
+        let Self { position_m, position_stated_m, velocity_m_s, velocity_stated_m_s } = *self;
+        let values = [position_m, position_stated_m, velocity_m_s, velocity_stated_m_s];
+        std::array::from_fn(|index| (Self::NAMES[index], values[index]))
+    }
+
+    /// The noise in a status; `None` where its controller learns none.
+    pub fn of(status: &NodeStatus) -> Option<Self> {
+        let [position_m, position_stated_m, velocity_m_s, velocity_stated_m_s] =
+            Self::NAMES.map(|name| status.gauge(name));
+        Some(Self {
+            position_m: position_m?,
+            position_stated_m: position_stated_m?,
+            velocity_m_s: velocity_m_s?,
+            velocity_stated_m_s: velocity_stated_m_s?,
+        })
+    }
+}
+
+impl fmt::Display for TrackerNoise {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { position_m, position_stated_m, velocity_m_s, velocity_stated_m_s } = self;
+        write!(
+            formatter,
+            "positions {position_m:.3} m (stated {position_stated_m:.3}), \
+             velocities {velocity_m_s:.3} m/s (stated {velocity_stated_m_s:.3})"
+        )
+    }
+}
+
+/// The light that served users receive over the mirrors, or from one LED over its direct path.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ServedLight {
+    /// `mirrors`, or `led-` and the index of the LED.
+    pub of: String,
+    /// Median of the measured light relative to the expected one.
+    pub ratio: f64,
+    /// The time of the room in s since which it is not the expected light; absent while it is.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub off_since_s: Option<f64>,
+}
+
+impl ServedLight {
+    /// Beginning of the names of the gauges, and their ends: of the ratio, and of the time.
+    const NAME: [&'static str; 3] = ["light:", ":ratio", ":off_since_s"];
+
+    /// Name and value of each gauge.
+    pub fn gauges(&self) -> impl Iterator<Item = (String, f64)> {
+        let [start, ratio, since] = Self::NAME;
+        let name = |end: &str| format!("{start}{}{end}", self.of);
+        [Some((name(ratio), self.ratio)), self.off_since_s.map(|since_s| (name(since), since_s))].into_iter().flatten()
+    }
+
+    /// All light in a status.
+    pub fn all_of(status: &NodeStatus) -> Vec<Self> {
+        let [start, end, since] = Self::NAME;
+        let of = |(name, ratio): &(String, f64)| {
+            let of = name.strip_prefix(start)?.strip_suffix(end)?;
+            let off_since_s = status.gauge(&format!("{start}{of}{since}"));
+            Some(Self { of: of.to_owned(), ratio: *ratio, off_since_s })
+        };
+        status.gauges.iter().filter_map(of).collect()
+    }
+
+    /// What to do where it is not the expected light.
+    pub fn advice(&self) -> &'static str {
+        match self.of.as_str() {
+            "mirrors" => {
+                "clean the mirrors, look for mirrors that do not follow, then measure again: heliostat calibrate"
+            }
+            _ => {
+                "look for an LED that was moved or dimmed, and for covered receivers, then measure again: heliostat calibrate"
+            }
+        }
+    }
+}
+
+impl fmt::Display for ServedLight {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.of.strip_prefix("led-") {
+            Some(index) => write!(formatter, "LED {index} brings"),
+            None => write!(formatter, "the {} bring", self.of),
+        }?;
+        write!(formatter, " {:.2} of the expected light", self.ratio)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_noise_is_read_from_the_gauges_that_it_wrote() {
+        let noise =
+            TrackerNoise { position_m: 0.1, position_stated_m: 0.05, velocity_m_s: 0.2, velocity_stated_m_s: 0.3 };
+        let gauges = noise.gauges().map(|(name, value)| (name.to_owned(), value));
+        let status = NodeStatus { gauges: gauges.to_vec(), ..NodeStatus::default() };
+        assert_eq!(TrackerNoise::of(&status), Some(noise));
+        assert_eq!(TrackerNoise::of(&NodeStatus { gauges: gauges[1..].to_vec(), ..status }), None);
+    }
+
+    #[test]
+    fn the_light_is_read_from_the_gauges_that_it_wrote() {
+        let light = |of: &str, ratio, off_since_s| ServedLight { of: of.into(), ratio, off_since_s };
+        let all = vec![light("mirrors", 0.6, Some(12.0)), light("led-0", 1.0, None)];
+        let gauges = all.iter().flat_map(ServedLight::gauges).collect();
+        assert_eq!(ServedLight::all_of(&NodeStatus { gauges, ..NodeStatus::default() }), all);
+    }
+}

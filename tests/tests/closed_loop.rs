@@ -1,6 +1,8 @@
 //! The demo: two processes connected by the contract, mirrors that follow the users.
 
-use heliostat_tests::Process;
+use std::process::Command;
+
+use heliostat_tests::{Process, wait_until};
 use serde_json::Value;
 
 /// The summary of 8 s at 20 reports/s: a busy machine that stalls for less than the 50 ms between two
@@ -96,4 +98,21 @@ fn an_invalid_scenario_is_refused_before_any_process_starts() {
     let ended = Process::heliostat(&["demo", "--set", "mirrors.reflectivity=2"]).wait();
     assert!(ended.refusal().contains("mirrors.reflectivity = 2"), "{}", ended.errors);
     assert!(!ended.errors.contains("is process"), "{}", ended.errors);
+}
+
+#[test]
+fn a_demo_whose_process_is_killed_names_it_prints_what_the_other_measured_and_fails() {
+    for (killed, measured) in [("controller", "loop_us"), ("sim-node", "decision_us")] {
+        let mut demo = Process::heliostat(&["demo", "--json", "--policy", "fixed-point"]);
+        wait_until("answered reports", || demo.errors().contains("the mirrors answer reports"));
+        let errors = demo.errors();
+        let (_, rest) = errors.split_once(&format!("{killed} is process ")).expect("the process is named");
+        let process = rest.split_whitespace().next().expect("an id");
+        assert!(Command::new("kill").args(["-KILL", process]).status().unwrap().success());
+        let ended = demo.wait_mut();
+        assert_eq!(ended.status.code(), Some(1), "{}", ended.errors);
+        assert!(ended.errors.contains(&format!("the {killed} process ended early (signal: 9")), "{}", ended.errors);
+        let summary: Value = serde_json::from_str(ended.output.trim()).expect("a summary");
+        assert!(number(&summary, &format!("/{measured}/p50")) > 0.0, "{summary}");
+    }
 }

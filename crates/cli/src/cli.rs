@@ -5,6 +5,7 @@ use clap::{CommandFactory, Parser, Subcommand};
 use heliostat_models::library::LibraryArgs;
 use heliostat_service::exit::UnusableInput;
 
+use crate::arguments::parsed;
 use crate::commands::{
     self, bench, calibrate, completions, config, controller, demo, doctor, keys, link, scenario, stop, ui,
 };
@@ -62,7 +63,7 @@ pub fn run() -> Result<()> {
     if let Some(advice) = commands::advice(&words) {
         return Err(UnusableInput::new(advice).into());
     }
-    let Cli { library, command } = Cli::parse();
+    let Cli { library, command } = parsed();
     library.apply();
     match command {
         Command::Demo(args) => demo::run(args),

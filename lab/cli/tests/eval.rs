@@ -256,7 +256,9 @@ fn the_default_policies_are_those_that_fit() {
 #[test]
 fn an_unknown_policy_is_refused_with_the_known_ones() {
     let message = refusal(&["--policies", "greedy,gredy"]);
-    assert!(message.contains("\"gredy\"") && message.contains("fixed-point"), "{message}");
+    assert!(message.contains("\"gredy\"") && message.ends_with("; a similar name exists: greedy\n"), "{message}");
+    let message = refusal(&["--policies", "greedy", "--set", "users.cont=3"]);
+    assert!(message.contains("unknown field `cont`") && message.contains("a similar name exists: count"), "{message}");
     let message = refusal(&["--policies", "nowhere.onnx"]);
     assert!(message.contains("nowhere.onnx") && message.contains("heliostat-lab train"), "{message}");
     let message = refusal(&["--policies", "ddpg-raw", "--set", "mirrors.rows=2", "--set", "mirrors.columns=5"]);

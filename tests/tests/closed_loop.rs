@@ -2,6 +2,7 @@
 
 use std::process::Command;
 
+use heliostat_bus::private_endpoint;
 use heliostat_tests::{Process, wait_until};
 use serde_json::Value;
 
@@ -115,4 +116,40 @@ fn a_demo_whose_process_is_killed_names_it_prints_what_the_other_measured_and_fa
         let summary: Value = serde_json::from_str(ended.output.trim()).expect("a summary");
         assert!(number(&summary, &format!("/{measured}/p50")) > 0.0, "{summary}");
     }
+}
+
+#[test]
+fn the_status_of_a_room_is_healthy_while_its_mirrors_follow_and_names_a_stop_or_a_missing_process() {
+    let [room_at, controller_at] = [private_endpoint().unwrap(), private_endpoint().unwrap()];
+    let status = |arguments: &[&str]| {
+        Process::heliostat(&[&["status", "--connect", &room_at, "--connect", &controller_at], arguments].concat())
+            .wait()
+    };
+    let alone = status(&[]);
+    assert!(alone.refusal().contains("Give --connect the endpoints of the room's process"), "{}", alone.errors);
+    let slow = ["--set", "streams.positions.rate_hz=20", "--set", "control.validity_ms=10000"];
+    let both = |arguments: &[&str]| Process::heliostat(&[arguments, &["--exit-with-parent"], &slow].concat());
+    let _room = both(&["sim-node", "--listen", &room_at]);
+    wait_until("a missing controller to be named", || {
+        let ended = status(&[]);
+        ended.output.contains("problem      no controller: ") && ended.status.code() == Some(1)
+    });
+    let _controller =
+        both(&["controller", "--connect", &room_at, "--listen", &controller_at, "--policy", "fixed-point"]);
+    // A busy machine delays reports, which is a problem for as long as a process reports it.
+    let mut text = String::new();
+    wait_until("a healthy room", || {
+        let ended = status(&[]);
+        text = ended.output;
+        ended.status.success()
+    });
+    for part in [": healthy", " leads\n", "array        following, 100 mirrors", "stops        none"] {
+        assert!(text.contains(part), "{part} in {text}");
+    }
+    assert!(Process::heliostat(&["stop", "--connect", &room_at]).wait().status.success());
+    let stopped = status(&["--json"]);
+    let found: Value = serde_json::from_str(stopped.output.trim()).expect("one JSON object");
+    assert_eq!((stopped.status.code(), found["is_healthy"].as_bool()), (Some(1), Some(false)), "{found}");
+    let problems = found["problems"].as_array().expect("a list");
+    assert!(problems.iter().any(|problem| problem == "the array does not follow: stopped"), "{found}");
 }

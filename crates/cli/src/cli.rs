@@ -7,7 +7,7 @@ use heliostat_service::exit::UnusableInput;
 
 use crate::arguments::parsed;
 use crate::commands::{
-    self, bench, calibrate, completions, config, controller, demo, doctor, keys, link, scenario, stop, ui,
+    self, bench, calibrate, completions, config, controller, demo, doctor, keys, link, scenario, status, stop, ui,
 };
 
 /// Real-time control of a MEMS mirror array for indoor optical wireless communication (LiFi).
@@ -30,6 +30,7 @@ pub struct Cli {
 enum Command {
     Demo(demo::Args),
     Ui(ui::Args),
+    Status(status::Args),
     Controller(controller::Args),
     /// Run the simulated room: users, obstacles, mirrors, reports
     SimNode(heliostat_sim_node::cli::Args),
@@ -68,6 +69,7 @@ pub fn run() -> Result<()> {
     match command {
         Command::Demo(args) => demo::run(args),
         Command::Ui(args) => ui::run(args),
+        Command::Status(args) => status::run(args),
         Command::Controller(args) => controller::run(args),
         Command::SimNode(args) => heliostat_sim_node::cli::run(args),
         Command::Driver(args) => heliostat_driver::cli::run(args),

@@ -179,7 +179,7 @@ fn a_misspelt_scenario_or_key_is_refused_with_the_similar_name_and_without_a_fla
         assert!(message.ends_with(hint), "{message}");
     }
     let misspelt = "users.cont=3".to_string();
-    let message = Scenario::default().with_overrides(&[misspelt.clone()]).unwrap_err().to_string();
+    let message = Scenario::default().with_overrides(std::slice::from_ref(&misspelt)).unwrap_err().to_string();
     assert!(message.starts_with("users.cont=3: unknown field `cont`"), "{message}");
     assert!(message.contains("; a similar name exists: count"), "{message}");
     let args = ScenarioArgs { overrides: vec![misspelt], ..of("hall") };

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 use heliostat_bus::{Bus, Subscription};
-use heliostat_proto::{ArrayState, UserReport, codec};
+use heliostat_proto::{ArrayState, Stamp, UserReport, codec};
 use heliostat_service::counted::counted;
 use serde::Serialize;
 
@@ -17,9 +17,15 @@ use crate::{UiError, View};
 /// The position reports of a room since a subscription.
 pub struct ReportCount {
     begun: Instant,
-    /// By source: reports, and the first and the last sequence number.
-    counts: Arc<Mutex<BTreeMap<u64, (u64, u64, u64)>>>,
+    sources: Arc<Mutex<BTreeMap<u64, OfSource>>>,
     _subscription: Subscription,
+}
+
+/// The reports of one source.
+struct OfSource {
+    count: u64,
+    first_sequence: u64,
+    last_sequence: u64,
 }
 
 /// The state of a room.
@@ -47,23 +53,26 @@ impl ReportCount {
     /// # Errors
     /// [`UiError::Bus`] if the session is closed.
     pub fn open(bus: &Bus) -> Result<Self, UiError> {
-        let counts: Arc<Mutex<BTreeMap<u64, (u64, u64, u64)>>> = Arc::default();
-        let of_subscription = Arc::clone(&counts);
+        let sources: Arc<Mutex<BTreeMap<u64, OfSource>>> = Arc::default();
+        let of_subscription = Arc::clone(&sources);
         let subscription = bus.subscribe(&bus.room().users(), move |payload| {
-            let Ok(report) = codec::decode::<UserReport>(payload) else { return };
-            let mut counts = of_subscription.lock().unwrap_or_else(PoisonError::into_inner);
-            let sequence = report.stamp.sequence;
-            let (count, first, last) = counts.entry(report.stamp.source).or_insert((0, sequence, sequence));
-            (*count, *first, *last) = (*count + 1, sequence.min(*first), sequence.max(*last));
+            let Ok(UserReport { stamp: Stamp { source, sequence, .. }, .. }) = codec::decode(payload) else { return };
+            let mut sources = of_subscription.lock().unwrap_or_else(PoisonError::into_inner);
+            let new = OfSource { count: 0, first_sequence: sequence, last_sequence: sequence };
+            let OfSource { count, first_sequence, last_sequence } = sources.entry(source).or_insert(new);
+            *count += 1;
+            *first_sequence = sequence.min(*first_sequence);
+            *last_sequence = sequence.max(*last_sequence);
         })?;
-        Ok(Self { begun: Instant::now(), counts, _subscription: subscription })
+        Ok(Self { begun: Instant::now(), sources, _subscription: subscription })
     }
 
     /// Reports a second, and missing reports.
     fn rate_and_missing(&self) -> (f64, u64) {
-        let counts = self.counts.lock().unwrap_or_else(PoisonError::into_inner);
-        let all: u64 = counts.values().map(|(count, ..)| count).sum();
-        let missing = counts.values().map(|(count, first, last)| (last - first + 1).saturating_sub(*count)).sum();
+        let sources = self.sources.lock().unwrap_or_else(PoisonError::into_inner);
+        let all: u64 = sources.values().map(|source| source.count).sum();
+        let sent = |source: &OfSource| source.last_sequence - source.first_sequence + 1;
+        let missing = sources.values().map(|source| sent(source).saturating_sub(source.count)).sum();
         (all as f64 / self.begun.elapsed().as_secs_f64().max(1e-3), missing)
     }
 }

@@ -128,6 +128,20 @@ impl Recording {
         py.detach(|| guarded(|| Self::read(path)))
     }
 
+    /// Number of messages.
+    #[getter]
+    fn messages(&self) -> usize {
+        self.messages.len()
+    }
+
+    /// Time from the first message to the last in s.
+    #[getter]
+    fn duration_s(&self) -> f64 {
+        let arrived = self.messages.iter().map(|message| message.arrived_ns);
+        let (first, last) = (arrived.clone().min().unwrap_or(0), arrived.max().unwrap_or(0));
+        (last - first) as f64 * 1e-9
+    }
+
     /// One row for each user of each position report.
     fn reports<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let reports = self.of(|received| match received {

@@ -1,9 +1,8 @@
 //! Scenarios: built-in ones by name, files by path, with overrides.
 
 use std::hash::{DefaultHasher, Hash, Hasher};
-use std::path::Path;
 
-use heliostat_scenario::{BUILTIN_NAMES, Scenario as Checked, ScenarioArgs};
+use heliostat_scenario::{Scenario as Checked, ScenarioArgs};
 use pyo3::prelude::*;
 
 use crate::error::{guarded, refused};
@@ -31,19 +30,9 @@ impl Scenario {
     #[new]
     #[pyo3(signature = (source, overrides = Vec::new()))]
     fn new(source: &str, overrides: Vec<String>) -> PyResult<Self> {
-        let text = if BUILTIN_NAMES.contains(&source) {
-            Checked::builtin_text(source).map_err(refused)?.to_owned()
-        } else if Path::new(source).extension().is_some_and(|extension| extension == "toml") {
-            heliostat_scenario::read_text(Path::new(source)).map_err(|error| refused(format!("{source}: {error}")))?
-        } else {
-            let known = BUILTIN_NAMES.join(", ");
-            return Err(refused(format!(
-                "unknown scenario {source:?}: expected {known}, or the path of a file FILE.toml"
-            )));
-        };
-        let mut scenario = Self::checked(&text, &overrides)?;
-        let flags = ScenarioArgs { scenario: source.into(), overrides, seed: None };
-        flags.find_trace(&mut scenario.inner);
+        let named = ScenarioArgs { scenario: source.into(), overrides, seed: None };
+        let mut scenario = Self::checked(&named.text().map_err(refused)?, &named.overrides)?;
+        named.find_trace(&mut scenario.inner);
         Ok(scenario)
     }
 

@@ -174,8 +174,8 @@ def test_users_may_come_and_go_in_closed_loop() -> None:
 @pytest.mark.parametrize(
     ("keywords", "reason"),
     [
-        ({"scenario": "hal"}, 'unknown scenario "hal": expected specular'),
-        ({"overrides": {"users.cout": 3}}, "cout"),
+        ({"scenario": "hal"}, 'no built-in scenario "hal": .* a similar name exists: hall'),
+        ({"overrides": {"users.cout": 3}}, "^users.cout=3: unknown field `cout`.* a similar name exists: count"),
         ({"overrides": {"users.count": 0}}, "users.count = 0"),
         ({"overrides": {"users.count": 20}}, "20 users, expected at most 10"),
         ({"action": "angle"}, 'action = "angle": expected "angles", "weights"'),

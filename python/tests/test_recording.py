@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 from pathlib import Path
 
@@ -39,6 +40,7 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_recording_has_the_reports_commands_and_decisions_of_its_room(path: Path) -> None:
     recording = heliostat.Recording(path)
+    assert re.fullmatch(r"<Recording of room 'demo': \d{3,} messages in \d+\.\d s>", repr(recording)), repr(recording)
     assert recording.account is not None and recording.scenario().name == "hall"
     assert recording.scenario().tables()["streams"]["channel"]["rate_hz"] == 5.0
     reports = recording.reports()

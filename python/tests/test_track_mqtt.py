@@ -18,7 +18,7 @@ import pytest
 paho: Any = pytest.importorskip("paho.mqtt.client", reason="paho-mqtt is not installed")
 pytest.importorskip("zenoh")
 from heliostat.track.bridge import SourceError
-from heliostat.track.mqtt import LAYOUTS, Layout, Mqtt, layout_of
+from heliostat.track.mqtt import LAYOUTS, Layout, Mqtt, address_of, layout_of
 from heliostat.track.users import Pose
 from room import free_endpoint, wait_until
 from tracked import tracked
@@ -46,6 +46,33 @@ def broker(folder: Path, *more: str) -> Iterator[int]:
             yield port
         finally:
             process.terminate()
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("192.168.1.5", ("192.168.1.5", None)),
+        ("broker.local:1884", ("broker.local", 1884)),
+        ("mqtt://broker.local:1884/", ("broker.local", 1884)),
+        ("[::1]:1884", ("::1", 1884)),
+        ("fe80::7", ("fe80::7", None)),
+    ],
+)
+def test_an_address_of_a_broker_may_have_a_port(text: str, expected: tuple[str, int | None]) -> None:
+    assert address_of(text) == expected
+    assert f"{expected[0]}:{expected[1] or 1883}" in Mqtt(text, LAYOUTS["plain"]).name
+
+
+@pytest.mark.parametrize("text", ["", "broker:", "broker:0", "broker:mqtt", "broker:70000", "https://broker", "broker/topic", "[::1"])
+def test_an_address_that_is_none_is_refused_with_the_forms(text: str) -> None:
+    with pytest.raises(SourceError, match="expected HOST, HOST:PORT"):
+        Mqtt(text, LAYOUTS["plain"])
+
+
+def test_two_ports_of_a_broker_are_refused() -> None:
+    with pytest.raises(SourceError, match="the port 1885 is given too"):
+        Mqtt("broker:1884", LAYOUTS["plain"], port=1885)
+    assert Mqtt("broker:1884", LAYOUTS["plain"], port=1884).name.endswith("broker:1884")
 
 
 class Gateway:

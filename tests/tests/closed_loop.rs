@@ -1,6 +1,9 @@
 //! The demo: two processes connected by the contract, mirrors that follow the users.
 
-use heliostat_tests::Process;
+use std::process::Command;
+
+use heliostat_bus::private_endpoint;
+use heliostat_tests::{Process, wait_until};
 use serde_json::Value;
 
 /// The summary of 8 s at 20 reports/s: a busy machine that stalls for less than the 50 ms between two
@@ -96,4 +99,57 @@ fn an_invalid_scenario_is_refused_before_any_process_starts() {
     let ended = Process::heliostat(&["demo", "--set", "mirrors.reflectivity=2"]).wait();
     assert!(ended.refusal().contains("mirrors.reflectivity = 2"), "{}", ended.errors);
     assert!(!ended.errors.contains("is process"), "{}", ended.errors);
+}
+
+#[test]
+fn a_demo_whose_process_is_killed_names_it_prints_what_the_other_measured_and_fails() {
+    for (killed, measured) in [("controller", "loop_us"), ("sim-node", "decision_us")] {
+        let mut demo = Process::heliostat(&["demo", "--json", "--policy", "fixed-point"]);
+        wait_until("answered reports", || demo.errors().contains("the mirrors answer reports"));
+        let errors = demo.errors();
+        let (_, rest) = errors.split_once(&format!("{killed} is process ")).expect("the process is named");
+        let process = rest.split_whitespace().next().expect("an id");
+        assert!(Command::new("kill").args(["-KILL", process]).status().unwrap().success());
+        let ended = demo.wait_mut();
+        assert_eq!(ended.status.code(), Some(1), "{}", ended.errors);
+        assert!(ended.errors.contains(&format!("the {killed} process ended early (signal: 9")), "{}", ended.errors);
+        let summary: Value = serde_json::from_str(ended.output.trim()).expect("a summary");
+        assert!(number(&summary, &format!("/{measured}/p50")) > 0.0, "{summary}");
+    }
+}
+
+#[test]
+fn the_status_of_a_room_is_healthy_while_its_mirrors_follow_and_names_a_stop_or_a_missing_process() {
+    let [room_at, controller_at] = [private_endpoint().unwrap(), private_endpoint().unwrap()];
+    let status = |arguments: &[&str]| {
+        Process::heliostat(&[&["status", "--connect", &room_at, "--connect", &controller_at], arguments].concat())
+            .wait()
+    };
+    let alone = status(&[]);
+    assert!(alone.refusal().contains("Give --connect the endpoints of the room's process"), "{}", alone.errors);
+    let slow = ["--set", "streams.positions.rate_hz=20", "--set", "control.validity_ms=10000"];
+    let both = |arguments: &[&str]| Process::heliostat(&[arguments, &["--exit-with-parent"], &slow].concat());
+    let _room = both(&["sim-node", "--listen", &room_at]);
+    wait_until("a missing controller to be named", || {
+        let ended = status(&[]);
+        ended.output.contains("problem      no controller: ") && ended.status.code() == Some(1)
+    });
+    let _controller =
+        both(&["controller", "--connect", &room_at, "--listen", &controller_at, "--policy", "fixed-point"]);
+    // A busy machine delays reports, which is a problem for as long as a process reports it.
+    let mut text = String::new();
+    wait_until("a healthy room", || {
+        let ended = status(&[]);
+        text = ended.output;
+        ended.status.success()
+    });
+    for part in [": healthy", " leads\n", "array        following, 100 mirrors", "stops        none"] {
+        assert!(text.contains(part), "{part} in {text}");
+    }
+    assert!(Process::heliostat(&["stop", "--connect", &room_at]).wait().status.success());
+    let stopped = status(&["--json"]);
+    let found: Value = serde_json::from_str(stopped.output.trim()).expect("one JSON object");
+    assert_eq!((stopped.status.code(), found["is_healthy"].as_bool()), (Some(1), Some(false)), "{found}");
+    let problems = found["problems"].as_array().expect("a list");
+    assert!(problems.iter().any(|problem| problem == "the array does not follow: stopped"), "{found}");
 }

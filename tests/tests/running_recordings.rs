@@ -1,12 +1,12 @@
 //! Recordings of a room and a controller that were running before the recorder: a replay compares
-//! commands from the first recorded state of the controller on.
+//! commands from the first recorded state of the controller on, and a new controller answers a playback.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use heliostat_bus::private_endpoint;
-use heliostat_proto::{ControllerMemory, InputKind, codec};
+use heliostat_proto::{ControllerMemory, InputKind, MirrorTelemetry, UserReport, codec};
 use heliostat_record::account::Account;
 use heliostat_record::file::{Reading, Recording};
 use heliostat_tests::{Process, wait_until};
@@ -85,6 +85,58 @@ fn copy(from: &Path, to: &Path, mut keep: impl FnMut(&str, &mut Vec<u8>) -> bool
         }
     }
     recording.finish(&Account::default()).unwrap();
+}
+
+/// The counts of a playback into a controller that starts with it: position reports, and answers.
+fn play(file: &Path, controller: &[&str]) -> (u64, u64) {
+    let endpoint = private_endpoint().unwrap();
+    let player = Process::heliostat(&["replay", &file.to_string_lossy(), "--listen", &endpoint, "--json"]);
+    let arguments = ["controller", "--policy", "fixed-point", "--connect", &endpoint, "--exit-with-parent"];
+    let controller = Process::heliostat(&[&arguments[..], controller].concat());
+    let playback = player.wait().json();
+    controller.end();
+    let count = |name: &str| playback[name].as_u64().expect("a count");
+    (count("reports"), count("answered"))
+}
+
+#[test]
+fn a_new_controller_answers_the_playback_of_a_recording_that_began_while_another_one_led() {
+    let setting = Setting::new(&[], "fixed-point");
+    let file = setting.file("room.mcap");
+    let recorder = setting.recorder(&file);
+    wait_until("a recording of some seconds", || file.metadata().unwrap().len() > 400_000);
+    recorder.end().json();
+    let _folder = setting.end();
+    let (reports, answered) = play(&file, &[]);
+    assert!(reports > 20 && answered > reports / 2, "{answered} of {reports}");
+
+    // The recorded controller had a clock that is a day ahead.
+    let ahead = file.with_file_name("ahead.mcap");
+    let mut first = None;
+    copy(&file, &ahead, |_, payload| {
+        if let Ok(mut telemetry) = codec::decode::<MirrorTelemetry>(payload) {
+            first.get_or_insert(telemetry.epoch);
+            telemetry.epoch += 24 * 3600 * 1000;
+            codec::encode(&telemetry, payload).unwrap();
+        }
+        true
+    });
+    assert!(first > Some(0), "the recording began while the array followed a controller");
+    let (reports, answered) = play(&ahead, &[]);
+    assert!(reports > 20 && answered > reports / 2, "{answered} of {reports}");
+}
+
+#[test]
+fn a_new_lockstep_controller_answers_the_second_half_of_a_recording() {
+    let folder = TempDir::new().unwrap();
+    let half = folder.path().join("half.mcap");
+    let mut begun = false;
+    copy(&Path::new(env!("CARGO_MANIFEST_DIR")).join("data/golden.mcap"), &half, |topic, payload| {
+        begun |= codec::decode::<UserReport>(payload).is_ok_and(|report| report.tick > 60);
+        begun || topic.ends_with("capabilities")
+    });
+    let array = ["--set", "mirrors.rows=5", "--set", "mirrors.columns=5"];
+    assert_eq!(play(&half, &[&["--lockstep", "--scenario", "specular"], &array[..]].concat()), (60, 60));
 }
 
 #[test]

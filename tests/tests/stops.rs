@@ -188,7 +188,10 @@ fn a_room_with_an_absent_array_is_not_called_stopped_and_the_array_gets_the_stop
     room.driver(1).kill();
     let stopped = room.order("stop", &["--operator", "ann", "--reason", "person on the ladder"]);
     let refusal = stopped.refusal();
-    assert!(refusal.contains("array 1 does not answer: cut its power"), "{refusal}");
+    assert!(
+        refusal.contains("array 1 does not answer: cut its power. The stop was sent, and stays in force"),
+        "{refusal}"
+    );
     assert!(!refusal.contains("array 0"), "{refusal}");
     wait_until("the first array stopped", || room.states()[0] == Some(ArrayState::Stopped));
     // The command has ended; the controller holds the stop.
@@ -310,6 +313,7 @@ fn a_stop_at_an_endpoint_without_a_process_says_that_nothing_was_sent() {
         let ended = Process::heliostat(&[order, "--connect", &endpoint]).wait();
         let refusal = ended.refusal();
         assert!(refusal.contains(&format!("no process answers at {endpoint}. Nothing was sent")), "{order}: {refusal}");
+        assert!(refusal.trim().ends_with("To stop the mirrors now, cut their power"), "{refusal}");
     }
     // A process of another kind accepts connections there.
     let other = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");

@@ -5,8 +5,9 @@ use clap::{CommandFactory, Parser, Subcommand};
 use heliostat_models::library::LibraryArgs;
 use heliostat_service::exit::UnusableInput;
 
+use crate::arguments::parsed;
 use crate::commands::{
-    self, bench, calibrate, completions, config, controller, demo, doctor, keys, link, scenario, stop, ui,
+    self, bench, calibrate, completions, config, controller, demo, doctor, keys, link, scenario, status, stop, ui,
 };
 
 /// Real-time control of a MEMS mirror array for indoor optical wireless communication (LiFi).
@@ -29,6 +30,7 @@ pub struct Cli {
 enum Command {
     Demo(demo::Args),
     Ui(ui::Args),
+    Status(status::Args),
     Controller(controller::Args),
     /// Run the simulated room: users, obstacles, mirrors, reports
     SimNode(heliostat_sim_node::cli::Args),
@@ -62,11 +64,12 @@ pub fn run() -> Result<()> {
     if let Some(advice) = commands::advice(&words) {
         return Err(UnusableInput::new(advice).into());
     }
-    let Cli { library, command } = Cli::parse();
+    let Cli { library, command } = parsed();
     library.apply();
     match command {
         Command::Demo(args) => demo::run(args),
         Command::Ui(args) => ui::run(args),
+        Command::Status(args) => status::run(args),
         Command::Controller(args) => controller::run(args),
         Command::SimNode(args) => heliostat_sim_node::cli::run(args),
         Command::Driver(args) => heliostat_driver::cli::run(args),

@@ -13,6 +13,7 @@ pub mod mirrors;
 mod moved;
 mod number_table;
 pub(crate) mod scenario;
+pub(crate) mod status;
 pub(crate) mod stop;
 pub(crate) mod ui;
 

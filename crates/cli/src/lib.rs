@@ -1,11 +1,12 @@
 //! The command line of Heliostat, and what the command line of the laboratory shares with it.
 //!
-//! - [`cli`]: the commands and their help.
+//! - [`cli`]: the commands and their help; [`arguments`]: the command line as their arguments.
 //! - [`commands`]: one module for each command; [`commands::bench`] and [`commands::mirrors`] are also
 //!   for `heliostat-lab`.
 //! - `one_process`: a controller and an array in one process.
 //! - [`programs`]: the two programs as processes.
 
+pub mod arguments;
 pub mod cli;
 pub mod commands;
 mod one_process;

@@ -20,6 +20,7 @@ fn every_command_has_a_help_text() {
         "record",
         "replay",
         "doctor",
+        "status",
         "calibrate",
     ];
     let overview = String::from_utf8(heliostat(&["--help"]).stdout).expect("text");

@@ -133,6 +133,14 @@ pub fn replay(args: ReplayArgs) -> Result<()> {
     let settings = replay::Settings { file: args.file, policy: args.policy, model: args.model, settle: args.settle };
     let verdict = replay::run(&settings)?;
     print(args.json, &verdict, &verdict)?;
+    if !args.verify {
+        let (file, scenario) = (settings.file.display(), &verdict.scenario);
+        output::note(format_args!(
+            "replay: commands are compared, not rates: the recorded gains are those of the recorded commands. For rates over the recorded walk: \
+             heliostat-lab trace export {file} --out walk.csv; then heliostat-lab eval --closed-loop --scenario {scenario}, \
+             with the --set that trace export prints, and --policies RECORDED,OTHER"
+        ));
+    }
     if args.verify && verdict.is_empty() {
         let file = settings.file.display();
         return Err(UnusableInput::new(format!(

@@ -2,7 +2,10 @@
 //!
 //! A lockstep recording is played in lockstep: each report waits for its command, and the commands
 //! are compared. A live recording is played at the recorded speed or a multiple of it, with its
-//! stamps shifted to the present, so that no report is too old.
+//! stamps shifted to the present, so that no report is too old. In both, the played arrays obey the
+//! controllers of the playback (`played_array.rs`).
+
+mod played_array;
 
 use std::collections::{BTreeMap, HashMap, btree_map};
 use std::fmt;
@@ -19,6 +22,8 @@ use heliostat_proto::{
 use heliostat_service::clock::utc_ns;
 use heliostat_service::{Stop, output};
 use serde::Serialize;
+
+use played_array::PlayedArray;
 
 use crate::file::{self, Entry};
 use crate::received::Received;
@@ -75,8 +80,9 @@ pub struct Playback {
 /// that cannot be opened, a controller that does not join, a lockstep report that is not answered.
 pub fn run(settings: &Settings, stop: &Stop) -> Result<Playback> {
     let unusable = || replay::unusable(&settings.file);
-    let Beginning { room: recorded_room, clock, capabilities, arrays } =
+    let Beginning { room: recorded_room, clock, capabilities, mirrors } =
         Beginning::read(&settings.file).with_context(unusable)?;
+    let arrays = mirrors.len();
     ensure!(
         clock == Clock::Live || settings.rate == 1.0,
         "--rate {}: this is a lockstep recording, where each report waits for its answer; expected no --rate",
@@ -105,7 +111,7 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Playback> {
         channels: channels(&bus, &recorded_room, arrays, clock)?,
         present: BTreeMap::new(),
         recorded_room: recorded_room.clone(),
-        arrays,
+        arrays: mirrors.into_iter().map(PlayedArray::new).collect(),
         answers,
         rate: settings.rate,
         start: None,
@@ -213,7 +219,7 @@ struct Player {
     /// Liveliness tokens of the played sources: a controller releases the room when they are gone.
     present: BTreeMap<u64, Token>,
     recorded_room: Room,
-    arrays: usize,
+    arrays: Vec<PlayedArray>,
     /// Commands, each with the index of its array.
     answers: Receiver<(usize, MirrorCommand)>,
     rate: f64,
@@ -249,7 +255,14 @@ impl Player {
         }
         let start = (self.playback.clock == Clock::Live).then(|| self.wait_for(entry));
         let (publisher, channel) = &self.channels[&entry.topic];
-        let payload = start.and_then(|start| channel.moved(&entry.data, &start));
+        let mut payload = start.and_then(|start| channel.moved(&entry.data, &start));
+        if let OutputChannel::Telemetry = channel {
+            let recorded = payload.as_deref().unwrap_or(&entry.data);
+            payload = decode::<MirrorTelemetry>(recorded).ok().and_then(|mut telemetry| {
+                self.arrays[array].update(&mut telemetry);
+                encoded(&telemetry)
+            });
+        }
         // An unreadable payload is played as recorded.
         publisher.put(payload.as_deref().unwrap_or(&entry.data))?;
         if let Some(Received::Users(report)) = received {
@@ -289,8 +302,11 @@ impl Player {
         let deadline = Instant::now() + limit;
         loop {
             match self.answers.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
-                // A report counts once, whatever the number of arrays.
-                Ok((array, _)) => self.playback.answered += u64::from(array == 0),
+                Ok((array, command)) => {
+                    self.arrays[array].handle_command(&command);
+                    // A report counts once, whatever the number of arrays.
+                    self.playback.answered += u64::from(array == 0);
+                }
                 Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => return,
             }
         }
@@ -307,9 +323,10 @@ impl Player {
     fn await_answer(&mut self, tick: u64) -> Result<()> {
         let mut deadline = Instant::now() + ANSWER_WAIT;
         let mut answers = 0;
-        while answers < self.arrays {
+        while answers < self.arrays.len() {
             let left = deadline.saturating_duration_since(Instant::now());
             let Ok((array, command)) = self.answers.recv_timeout(left) else { break };
+            self.arrays[array].handle_command(&command);
             if command.answers != tick {
                 continue;
             }
@@ -338,9 +355,7 @@ impl OutputChannel {
             let mut message: T = decode(payload).ok()?;
             let stamp = stamp(&mut message);
             stamp.time_ns = start.played_ns(stamp.time_ns);
-            let mut out = Vec::new();
-            encode(&message, &mut out).ok()?;
-            Some(out)
+            encoded(&message)
         }
         match self {
             Self::Users => moved(payload, start, |report: &mut UserReport| &mut report.stamp),
@@ -353,6 +368,13 @@ impl OutputChannel {
             Self::Capabilities => moved(payload, start, |array: &mut Capabilities| &mut array.stamp),
         }
     }
+}
+
+/// The payload of a message; `None` if it cannot be encoded.
+fn encoded(message: &impl Message) -> Option<Vec<u8>> {
+    let mut payload = Vec::new();
+    encode(message, &mut payload).ok()?;
+    Some(payload)
 }
 
 impl fmt::Display for Playback {

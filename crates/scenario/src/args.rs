@@ -70,6 +70,9 @@ impl ScenarioArgs {
             ScenarioError::Parse { origin, message } if origin == "scenario" => {
                 ScenarioError::Parse { origin: self.scenario.clone(), message }
             }
+            ScenarioError::Parse { message, .. } => {
+                ScenarioError::Parse { origin: format!("--set {}", overrides.join(" --set ")), message }
+            }
             other => other,
         };
         let mut scenario = Scenario::from_toml_with(&self.text()?, &overrides).map_err(in_file)?;

@@ -1,8 +1,11 @@
 //! Why a scenario cannot be used: what was wrong, where, and what was expected.
 
+use std::path::Path;
+
 use thiserror::Error;
 
 use crate::builtin::BUILTIN_NAMES;
+use crate::similar::{hint, similar};
 
 /// Why a scenario cannot be used; each message states what was wrong, where, and what was expected.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -17,7 +20,7 @@ pub enum ScenarioError {
         message: String,
     },
     /// The file cannot be read.
-    #[error("scenario file {path} cannot be read: {message}")]
+    #[error("scenario file {path} cannot be read: {message}{}", builtin(path))]
     Read {
         /// The file.
         path: String,
@@ -68,8 +71,9 @@ pub enum ScenarioError {
     },
     /// There is no built-in scenario of this name.
     #[error(
-        "no file and no built-in scenario \"{name}\": expected the path of a TOML file, or one of {}",
-        BUILTIN_NAMES.join(", ")
+        "no file and no built-in scenario \"{name}\": expected the path of a TOML file, or one of {}{}",
+        BUILTIN_NAMES.join(", "),
+        hint(name, BUILTIN_NAMES)
     )]
     UnknownBuiltin {
         /// The name given.
@@ -89,6 +93,13 @@ impl ScenarioError {
             other => other.to_string(),
         }
     }
+}
+
+/// The built-in scenario that a path may mean.
+fn builtin(path: &str) -> String {
+    let name = Path::new(path).file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
+    let similar = similar(name, BUILTIN_NAMES);
+    similar.map(|name| format!("; the built-in scenario {name} is named without folder and suffix")).unwrap_or_default()
 }
 
 fn place(line: &Option<usize>) -> String {

@@ -12,7 +12,7 @@
 //! - [`runtime`]: actuators and limits of the controller.
 //! - [`streams`]: rates, latencies, noise, resolution and losses of the reports.
 //! - [`mismatch`]: how the true room differs from the assumed one.
-//! - [`renames`]: old names of keys and values.
+//! - [`renames`]: old names of keys and values; [`similar`]: known names that resemble a misspelt one.
 //!
 //! [`Scenario::channel_model`] converts degrees and square millimetres to the types of
 //! `heliostat-channel`.
@@ -48,6 +48,7 @@ mod problems;
 pub mod renames;
 pub mod runtime;
 mod scenario;
+pub mod similar;
 pub mod streams;
 pub mod tables;
 mod trace;

@@ -12,6 +12,7 @@ use crate::mismatch::Mismatch;
 use crate::overrides;
 use crate::renames::{REMOVED, RENAMES, Renames};
 use crate::runtime::{Actuator, Control};
+use crate::similar::hint;
 use crate::streams::Streams;
 use crate::tables::{Blockage, Channel, Led, Link, MinRate, Noise, PowerLaw, Receiver, Room, Users};
 
@@ -107,10 +108,8 @@ impl Scenario {
             overrides::apply(&mut table, text)?;
         }
         Renames(RENAMES).refuse(&table)?;
-        let scenario: Self = table
-            .clone()
-            .try_into()
-            .map_err(|error: toml::de::Error| parse_error(&format!("--set {}", overrides.join(" --set ")), &error))?;
+        let scenario: Self =
+            table.clone().try_into().map_err(|error: toml::de::Error| parse_error(&overrides.join(", "), &error))?;
         scenario.check().map_err(|error| blame::of_written(error, &table, &written))?;
         Ok(scenario)
     }
@@ -218,14 +217,24 @@ pub(crate) fn parse_error(origin: &str, error: &toml::de::Error) -> ScenarioErro
     ScenarioError::Parse { origin: origin.into(), message: in_words(error.to_string().trim_end()) }
 }
 
-/// A message of the parser with words in place of the names of Rust's number types.
+/// A message of the parser with words in place of the names of Rust's number types, and with the
+/// known name that an unknown one resembles.
 pub(crate) fn in_words(message: &str) -> String {
+    let message = &message.split('\n').map(with_similar_name).collect::<Vec<_>>().join("\n");
     let whole = ["usize", "u64", "u32", "u16", "u8"].map(|name| (name, "a whole number from 0"));
     let real = ["f64", "f32"].map(|name| (name, "a number"));
     let named = whole.into_iter().chain(real);
     named.fold(message.to_owned(), |text, (name, words)| {
         text.replace(&format!("expected {name}"), &format!("expected {words}"))
     })
+}
+
+/// A line about an unknown name, followed by the known one that it resembles.
+fn with_similar_name(line: &str) -> String {
+    let mut names = line.split('`').skip(1).step_by(2);
+    let is_about_name = line.starts_with("unknown ") && line.contains(", expected ");
+    let hint = names.next().filter(|_| is_about_name).map(|unknown| hint(unknown, names)).unwrap_or_default();
+    format!("{line}{hint}")
 }
 
 /// Adds the line of the refused key, if the file sets it.

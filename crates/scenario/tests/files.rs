@@ -167,6 +167,28 @@ fn overrides_reach_any_key() {
 }
 
 #[test]
+fn a_misspelt_scenario_or_key_is_refused_with_the_similar_name_and_without_a_flag() {
+    let of = |scenario: &str| ScenarioArgs { scenario: scenario.into(), ..ScenarioArgs::default() };
+    for (named, hint) in [
+        ("hal", "; a similar name exists: hall"),
+        ("hall.toml", "; the built-in scenario hall is named without folder and suffix"),
+        ("./hall", "; the built-in scenario hall is named without folder and suffix"),
+        ("nowhere/kitchen.toml", "(os error 2)"),
+    ] {
+        let message = of(named).load_arrays().unwrap_err().to_string();
+        assert!(message.ends_with(hint), "{message}");
+    }
+    let misspelt = "users.cont=3".to_string();
+    let message = Scenario::default().with_overrides(std::slice::from_ref(&misspelt)).unwrap_err().to_string();
+    assert!(message.starts_with("users.cont=3: unknown field `cont`"), "{message}");
+    assert!(message.contains("; a similar name exists: count"), "{message}");
+    let args = ScenarioArgs { overrides: vec![misspelt], ..of("hall") };
+    assert!(args.load_arrays().unwrap_err().to_string().starts_with("--set users.cont=3: "));
+    let message = Scenario::from_toml("[users]\ncont = 3\n").unwrap_err().to_string();
+    assert!(message.contains("; a similar name exists: count"), "{message}");
+}
+
+#[test]
 fn invalid_overrides_are_refused_by_name() {
     for (text, named) in [
         ("blockage.forced=2", "forced"),

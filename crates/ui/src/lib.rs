@@ -17,7 +17,7 @@
 //! - [`floor`]: the rate over the floor, for the heat map.
 //! - [`stop_switch`]: the emergency stop and its release, for the page and the command line.
 //! - [`server`]: the HTTP server of the page; [`guard`] refuses requests from other pages.
-//! - [`terminal`]: the same figures on a terminal, or as plain lines.
+//! - [`terminal`]: the same figures on a terminal, or as plain lines; [`status`]: once, with what is wrong.
 
 mod array_reports;
 mod assets;
@@ -43,6 +43,7 @@ mod problems;
 pub mod scene;
 pub mod server;
 mod shown_room;
+pub mod status;
 pub mod stop_state;
 pub mod stop_switch;
 mod stop_watch;

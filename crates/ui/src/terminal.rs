@@ -2,7 +2,7 @@
 //! terminal.
 
 mod drawing;
-mod texts;
+pub(crate) mod texts;
 
 use std::io::{self, IsTerminal, Stdout, Write};
 use std::time::Duration;

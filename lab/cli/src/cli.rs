@@ -2,6 +2,7 @@
 
 use anyhow::Result;
 use clap::{CommandFactory, Parser, Subcommand};
+use heliostat::arguments::parsed;
 use heliostat::commands::completions;
 use heliostat_models::library::LibraryArgs;
 
@@ -45,7 +46,7 @@ enum Command {
 /// # Errors
 /// Those of the command.
 pub fn run() -> Result<()> {
-    let Cli { library, command } = Cli::parse();
+    let Cli { library, command } = parsed();
     library.apply();
     match command {
         Command::Train(args) => {

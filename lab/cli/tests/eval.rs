@@ -150,6 +150,7 @@ fn every_policy_and_belief_has_paired_differences_from_the_first_row() {
             ("difference_ratio", "ratio_to_oracle"),
             ("difference_qos_met", "qos_met"),
             ("difference_mbps", "sum_rate_mbps"),
+            ("difference_outage_time", "outage_time"),
         ] {
             let expected = mean(&compared, name, figure) - mean(&compared, first, figure);
             let found = &compared["policies"][name][difference];
@@ -162,6 +163,7 @@ fn every_policy_and_belief_has_paired_differences_from_the_first_row() {
         panic!("no differences in {table}")
     };
     assert!(differences.contains("greedy+filter") && differences.contains(" +0."), "{table}");
+    assert!(differences.lines().nth(1).is_some_and(|heads| heads.ends_with("QoS met          outage")), "{table}");
 }
 
 #[test]
@@ -254,7 +256,9 @@ fn the_default_policies_are_those_that_fit() {
 #[test]
 fn an_unknown_policy_is_refused_with_the_known_ones() {
     let message = refusal(&["--policies", "greedy,gredy"]);
-    assert!(message.contains("\"gredy\"") && message.contains("fixed-point"), "{message}");
+    assert!(message.contains("\"gredy\"") && message.ends_with("; a similar name exists: greedy\n"), "{message}");
+    let message = refusal(&["--policies", "greedy", "--set", "users.cont=3"]);
+    assert!(message.contains("unknown field `cont`") && message.contains("a similar name exists: count"), "{message}");
     let message = refusal(&["--policies", "nowhere.onnx"]);
     assert!(message.contains("nowhere.onnx") && message.contains("heliostat-lab train"), "{message}");
     let message = refusal(&["--policies", "ddpg-raw", "--set", "mirrors.rows=2", "--set", "mirrors.columns=5"]);
@@ -404,6 +408,11 @@ fn two_keys_give_each_combination_with_its_outage_and_a_room_without_mirrors() {
     assert!(figures[0].starts_with("mirrors.rows,blockage.forced_users,policy,sum_rate_mbps_mean"), "{}", figures[0]);
     assert!(figures[0].ends_with("episodes,scenario,configuration,commit"), "{}", figures[0]);
     assert_eq!(figures.len(), 1 + 4 * 3);
+    let column = figures[0].split(',').position(|name| name == "difference_outage_time_mean").expect("differences");
+    let of = |policy: &str| figures.iter().find(|line| line.starts_with(&format!("3,2,{policy},"))).expect("a line");
+    let cell = |policy: &str| of(policy).split(',').nth(column).expect("a cell");
+    let expected = &reports[3]["report"]["policies"]["flat"]["difference_outage_time"]["mean"];
+    assert_eq!((cell("greedy"), cell("flat").parse().ok()), ("", expected.as_f64()), "{figures:?}");
     let each = lines(&episodes);
     assert!(each[0].starts_with("mirrors.rows,blockage.forced_users,policy,actor,seed,room_seed,states,sum_rate_mbps"));
     assert_eq!(each.len(), 1 + 4 * 3 * 2, "a line for each point, policy and episode");
@@ -419,6 +428,7 @@ fn two_keys_give_each_combination_with_its_outage_and_a_room_without_mirrors() {
     assert!(page.contains("<p class=\"note\">warning: the intervals come from 2 episodes"), "{page}");
     let text = String::from_utf8(eval(&flags).stdout).expect("text");
     assert!(text.contains("outage: share of the users' time") && text.contains("2 episodes with 20 states"), "{text}");
+    assert!(text.contains("difference to greedy, paired: outage"), "{text}");
     let message = refusal(&[&flags[..], &["--sweep", "seed=1,2"]].concat());
     assert!(message.contains("at most two keys"), "{message}");
 }

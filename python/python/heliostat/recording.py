@@ -45,6 +45,10 @@ class Recording:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self._inner = _Recording(os.fspath(path))
 
+    def __repr__(self) -> str:
+        name, messages, duration_s = self._inner.room, self._inner.messages, self._inner.duration_s
+        return f"<Recording of room {name!r}: {messages} messages in {duration_s:.1f} s>"
+
     @property
     def room(self) -> str:
         """The name of the room."""

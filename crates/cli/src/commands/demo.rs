@@ -35,7 +35,8 @@ const WATCH_EVERY: Duration = Duration::from_millis(50);
 /// The processes connect over Zenoh on free loopback ports. A web page on loopback shows the room,
 /// and its buttons act on it; the address is printed. The terminal shows the same figures in
 /// full-screen mode (q quits), or as lines if output is not a terminal. Ctrl-C or --seconds ends
-/// the demo with a summary. Figures go to standard error, the summary to standard output.
+/// the demo with a summary. Where a process ends early, the summary covers the other one, and the
+/// exit status is 1. Figures go to standard error, the summary to standard output.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -98,18 +99,22 @@ pub fn run(args: Args) -> Result<()> {
     }
     let title = server.as_ref().map_or(format!("room {room}"), |server| format!("room {room}, {server}"));
     let watched = Watched { opened, stop: &stop, view: &view, process_orders: received_orders, endpoints, title };
-    watch(&args, &watched, &mut processes)?;
+    let outcome = watch(&args, &watched, &mut processes);
     drop(server);
 
     let controllers = processes.controllers();
-    let (room_summary, controller_summary) = processes.finish()?;
-    let summary = summary::Summary::new(&room_summary, controller_summary.as_ref(), controllers)?;
-    if args.json {
-        outln!("{}", serde_json::to_string(&summary)?)?;
-    } else {
-        summary.print()?;
+    let (room_summary, controller_summary) = processes.finish();
+    // Without any command there is nothing to sum up.
+    if outcome.is_ok() || view.is_complete() {
+        let of_controller = controller_summary.as_ref().and_then(|summary| summary.as_ref().ok());
+        let summary = summary::Summary::new(room_summary.as_ref().ok(), of_controller, controllers)?;
+        if args.json {
+            outln!("{}", serde_json::to_string(&summary)?)?;
+        } else {
+            summary.print()?;
+        }
     }
-    Ok(())
+    outcome.and(room_summary.map(drop)).and(controller_summary.map_or(Ok(()), |summary| summary.map(drop)))
 }
 
 /// The inputs of the display loop.

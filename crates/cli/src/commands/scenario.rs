@@ -24,7 +24,7 @@ enum Action {
     /// Check a scenario file and its recorded walk. Lists every problem with its line, and the methods of
     /// the controller's belief that do not apply to the room
     Check {
-        /// The file
+        /// The file, or the name of a built-in one
         file: String,
         /// Override any key of the scenario, for example --set blockage.forced_users=2 (repeatable)
         #[arg(long = "set", value_name = "TABLE.KEY=VALUE")]
@@ -43,6 +43,9 @@ enum Action {
     },
     /// Print the effective scenario as TOML, with every key
     Show {
+        /// The file, or the name of a built-in one: the same as --scenario
+        #[arg(conflicts_with = "scenario")]
+        file: Option<String>,
         #[command(flatten)]
         scenario: ScenarioArgs,
     },
@@ -63,7 +66,8 @@ pub fn run(args: Args) -> Result<()> {
             outln!("wrote {}; check it with: heliostat scenario check {}", file.display(), file.display())?;
             Ok(())
         }
-        Action::Show { scenario } => {
+        Action::Show { file, scenario } => {
+            let scenario = ScenarioArgs { scenario: file.unwrap_or(scenario.scenario), ..scenario };
             outln!("{}", scenario.load_arrays()?.to_toml().trim_end())?;
             Ok(())
         }

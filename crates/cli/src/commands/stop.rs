@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use anyhow::{Result, bail, ensure};
+use anyhow::{Result, anyhow, ensure};
 use heliostat_bus::{AccessRole, Bus, BusArgs, BusConfig};
 use heliostat_proto::StopName;
 use heliostat_proto::reported_stops::RoomStop;
@@ -85,7 +85,7 @@ pub fn stop(args: StopArgs) -> Result<()> {
     if let Some(arrays) = args.arrays {
         switch.expect(arrays.into());
     }
-    let stopped = switch.stop_and_confirm(reason, *timeout);
+    let stopped = switch.stop_and_confirm(reason, *timeout).map_err(with_reach);
     if !args.hold {
         args.order.report(&bus, "stopped", stopped?, &[])?;
         drop(switch);
@@ -106,6 +106,17 @@ pub fn stop(args: StopArgs) -> Result<()> {
     }
     drop(switch);
     Ok(bus.close()?)
+}
+
+/// An error of a stop; of an unconfirmed one with what this command cannot see.
+fn with_reach(error: UiError) -> anyhow::Error {
+    match error {
+        error @ UiError::StopUnconfirmed { .. } => anyhow!(
+            "{error}. The stop was sent, and stays in force where it arrived. Reports come only from the processes in \
+             --connect: with the endpoint of its driver, heliostat status shows what an array does"
+        ),
+        error => error.into(),
+    }
 }
 
 /// Runs `heliostat rearm`.
@@ -138,41 +149,43 @@ fn in_words(RoomStop { name, operator, reason, arrays, .. }: &RoomStop) -> Strin
     format!("{name} of {operator} (\"{reason}\") at array {}", arrays.join(", "))
 }
 
+/// The reason why there is no connection: soon where no process listens, and after the limit where one
+/// accepts connections, for it may be slow.
+pub(super) fn check_connected(bus: &Bus, config: &BusConfig, limit: Duration) -> Result<(), String> {
+    if bus.wait_connected(CONNECTED_WITHIN) {
+        return Ok(());
+    }
+    let endpoints = config.connect.join(", ");
+    Err(match Bus::find_connection_problem(config) {
+        Some(problem) => problem,
+        None if Bus::has_listener(config) => {
+            output::note(format_args!("the process at {endpoints} accepts connections and has not answered yet"));
+            if bus.wait_connected(limit) {
+                return Ok(());
+            }
+            format!("the process at {endpoints} does not answer as a process of a room")
+        }
+        None => format!("no process answers at {endpoints}"),
+    })
+}
+
 impl OrderArgs {
     /// Joins the room; without a connection it fails, unless the command waits for one.
     fn join(&self, roles: &[AccessRole], waits: bool) -> Result<(Bus, StopSwitch)> {
         let config = self.bus.config_or_connect(roles)?;
         let bus = Bus::open(&config)?;
         if config.listen.is_empty() && !waits {
-            self.check_connected(&bus, &config)?;
+            check_connected(&bus, &config, self.timeout).map_err(|reason| {
+                anyhow!(
+                    "{reason}. Nothing was sent, and nothing is known about the arrays: give --connect the endpoint of the \
+                     controller, of the driver or of their router. To stop the mirrors now, cut their power"
+                )
+            })?;
         }
         let user = || std::env::var("USER").unwrap_or_else(|_| "operator".into());
         let operator = self.operator.clone().unwrap_or_else(user);
         let switch = StopSwitch::new(&bus, &operator)?;
         Ok((bus, switch))
-    }
-
-    /// Fails without a connection: soon where no process listens, and after the timeout where one accepts
-    /// connections, for it may be slow.
-    fn check_connected(&self, bus: &Bus, config: &BusConfig) -> Result<()> {
-        if bus.wait_connected(CONNECTED_WITHIN) {
-            return Ok(());
-        }
-        let endpoints = config.connect.join(", ");
-        let reason = match Bus::find_connection_problem(config) {
-            Some(problem) => problem,
-            None if Bus::has_listener(config) => {
-                output::note(format_args!("the process at {endpoints} accepts connections and has not answered yet"));
-                if bus.wait_connected(self.timeout) {
-                    return Ok(());
-                }
-                format!("the process at {endpoints} does not answer as a process of a room")
-            }
-            None => format!("no process answers at {endpoints}"),
-        };
-        bail!(
-            "{reason}. Nothing was sent: give --connect the endpoint of the controller, of the driver or of their router"
-        )
     }
 
     fn report(&self, bus: &Bus, outcome: &str, took: Duration, stops: &[RoomStop]) -> Result<()> {

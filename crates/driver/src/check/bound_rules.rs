@@ -7,7 +7,7 @@ use anyhow::Result;
 use heliostat_proto::messages::fault;
 use heliostat_proto::{Counters, MirrorCommand, MirrorTelemetry, SafetyReport};
 
-use super::judging::{Outcome, evidence, not_judged, refused, shows, verdict};
+use super::judging::{Outcome, conditions, evidence, not_judged, refused, shows, verdict};
 use super::report::Verdict;
 use super::safety_rules::NOT_SUPPORTED;
 use super::test_session::{TestSession, bytes};
@@ -74,6 +74,8 @@ pub fn calibration(session: &mut TestSession) -> Result<Outcome> {
         refusals.push((gain, offset_rad, cleared && session.telemetry(from, flagged).is_some()));
     }
     session.calibrate(mirrors, 1.0, 0.0)?;
-    let evidence = refusals.iter().map(|(gain, offset, kept)| format!("gain {gain:e} with offset {offset}: {kept}"));
-    verdict(refusals.iter().all(|(_, _, kept)| *kept), format!("refused: {}", evidence.collect::<Vec<_>>().join(", ")))
+    let named =
+        |(gain, offset, kept): &(f32, f64, bool)| (format!("gain {gain:e} with offset {offset} is refused"), *kept);
+    let refusals: Vec<(String, bool)> = refusals.iter().map(named).collect();
+    conditions(&refusals.iter().map(|(name, kept)| (name.as_str(), *kept)).collect::<Vec<_>>(), "")
 }

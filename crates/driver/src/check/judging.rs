@@ -17,6 +17,18 @@ pub fn verdict(kept: bool, evidence: String) -> Result<Outcome> {
     Ok((if kept { Verdict::Kept } else { Verdict::Broken }, evidence))
 }
 
+/// Kept if every condition holds: the evidence then names them, otherwise only those that are
+/// violated. `observed` follows them where it is not empty.
+pub fn conditions(conditions: &[(&str, bool)], observed: &str) -> Result<Outcome> {
+    let violated: Vec<&str> = conditions.iter().filter(|(_, holds)| !holds).map(|(name, _)| *name).collect();
+    let named = match violated.as_slice() {
+        [] => conditions.iter().map(|(name, _)| *name).collect::<Vec<_>>().join(", "),
+        violated => format!("violated: {}", violated.join("; ")),
+    };
+    let observed = if observed.is_empty() { String::new() } else { format!(" ({observed})") };
+    verdict(violated.is_empty(), format!("{named}{observed}"))
+}
+
 /// Not judged, with the reason.
 pub fn not_judged(why: &str) -> Result<Outcome> {
     Ok((Verdict::NotJudged, why.to_owned()))
@@ -34,7 +46,8 @@ pub fn refused(session: &mut TestSession, payloads: &[Vec<u8>], expected: Counte
     // park.
     let unchanged =
         unchanged || (after.state == ArrayState::Parked && after.applied_sequence == before.applied_sequence);
-    verdict(counted == expected && unchanged, format!("{evidence}; mirrors and command unchanged {unchanged}"))
+    let counted = counted == expected;
+    conditions(&[("counted as required", counted), ("mirrors and command are unchanged", unchanged)], &evidence)
 }
 
 /// Whether telemetry reports the command and its angles.
@@ -68,4 +81,17 @@ pub fn evidence(counted: &Counters, telemetry: &MirrorTelemetry) -> String {
         all.iter().filter(|(_, count)| *count > 0).map(|(name, count)| format!("{name} +{count}")).collect();
     let changed = if changed.is_empty() { "no counter changed".to_owned() } else { changed.join(", ") };
     format!("{changed}; {:?} {}/{}", telemetry.state, telemetry.epoch, telemetry.applied_sequence).to_lowercase()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_broken_rule_names_the_conditions_that_are_violated_and_no_other() {
+        let both = conditions(&[("it parks", true), ("it follows", true)], "").expect("an outcome");
+        assert_eq!(both, (Verdict::Kept, "it parks, it follows".to_owned()));
+        let one = conditions(&[("it parks", false), ("it follows", true)], "following 7/1").expect("an outcome");
+        assert_eq!(one, (Verdict::Broken, "violated: it parks (following 7/1)".to_owned()));
+    }
 }

@@ -10,7 +10,7 @@ use heliostat_proto::{
 
 use heliostat_service::clock::utc_ns;
 
-use super::judging::{Outcome, ROUNDING_RAD, aims, evidence, not_judged, refused, shows, verdict};
+use super::judging::{Outcome, ROUNDING_RAD, aims, conditions, evidence, not_judged, refused, shows, verdict};
 use super::report::Finding;
 use super::test_session::{ANSWER_TIMEOUT, Received, TestSession, bytes};
 use super::{bound_rules, safety_rules};
@@ -79,11 +79,7 @@ fn capabilities(session: &mut TestSession) -> Result<Outcome> {
     let same = announced.is_some_and(|announced| {
         heliostat_proto::Capabilities { stamp: session.capabilities.stamp, ..announced } == session.capabilities
     });
-    let word = |holds: bool| if holds { "yes" } else { "no" };
-    verdict(
-        same && session.answered,
-        format!("published alike {}, in answer to a query {}", word(same), word(session.answered)),
-    )
+    conditions(&[("published without a change", same), ("in answer to a query", session.answered)], "")
 }
 
 /// The rate of messages by their time stamps; 0 for fewer than two.
@@ -106,8 +102,15 @@ fn telemetry(session: &mut TestSession) -> Result<Outcome> {
         let rate_hz = best_hz(received).max(rate_hz(recent));
         (recent.len(), complete, recent.windows(2).filter(gap).count(), received.undecodable.len(), rate_hz)
     });
-    let kept = many.is_some() && complete && gaps == 0 && undecodable == 0;
-    verdict(kept, format!("{count} messages at {rate_hz:.1} Hz, {gaps} gaps, {undecodable} undecodable"))
+    conditions(
+        &[
+            ("at least ten per second", many.is_some()),
+            ("of all mirrors", complete),
+            ("without gaps", gaps == 0),
+            ("decodable", undecodable == 0),
+        ],
+        &format!("{count} messages at {rate_hz:.1} Hz, {gaps} gaps, {undecodable} undecodable"),
+    )
 }
 
 fn status(session: &mut TestSession) -> Result<Outcome> {
@@ -127,9 +130,17 @@ fn follow(session: &mut TestSession) -> Result<Outcome> {
     let (roll, yaw) = session.angles_at(0.6);
     let command = session.command(roll, yaw);
     let (counted, telemetry) = session.send_and_count(&[bytes(&command)?])?;
-    let kept =
-        counted.accepted == 1 && shows(&telemetry, &command) && telemetry.received_ns > 0 && telemetry.applied_ns > 0;
-    verdict(kept, evidence(&counted, &telemetry))
+    conditions(
+        &[
+            ("the command is accepted", counted.accepted == 1),
+            ("telemetry names it, with its angles", shows(&telemetry, &command)),
+            (
+                "telemetry has the times of its arrival and application",
+                telemetry.received_ns > 0 && telemetry.applied_ns > 0,
+            ),
+        ],
+        &evidence(&counted, &telemetry),
+    )
 }
 
 fn measured(session: &mut TestSession) -> Result<Outcome> {
@@ -230,10 +241,13 @@ fn future(session: &mut TestSession) -> Result<Outcome> {
     let next = session.command(0.0, 0.0);
     let (_, after) = session.send_and_count(&[bytes(&next)?])?;
     let cleared = after.faults & fault::CLOCK == 0;
-    let kept = counted == Counters { expired: 1, ..Counters::default() } && flagged && cleared;
-    verdict(
-        kept,
-        format!("{}; bit set {flagged}, cleared by a valid command {cleared}", evidence(&counted, &telemetry)),
+    conditions(
+        &[
+            ("counted as expired", counted == Counters { expired: 1, ..Counters::default() }),
+            ("the fault bit is set", flagged),
+            ("a valid command clears it", cleared),
+        ],
+        &evidence(&counted, &telemetry),
     )
 }
 
@@ -293,12 +307,15 @@ fn one_silence(session: &mut TestSession) -> Result<(Outcome, bool)> {
         .as_ref()
         .is_some_and(|telemetry| at(&telemetry.roll_commanded, park_roll) && at(&telemetry.yaw_commanded, park_yaw));
     let is_skipped = held == 0 && parked.is_some() && u128::from(longest_ns) >= park_after.as_nanos();
-    let outcome = verdict(
-        counted.accepted == 1 && held > 0 && !moved && at_park,
-        format!(
-            "holding in {held} messages, moved while holding {moved}; parked {}, at its park position {at_park}",
-            parked.is_some()
-        ),
+    let outcome = conditions(
+        &[
+            ("the command is accepted", counted.accepted == 1),
+            ("the array holds after its validity", held > 0),
+            ("no mirror moves while it holds", !moved),
+            ("it parks", parked.is_some()),
+            ("at its park position", at_park),
+        ],
+        &format!("holding in {held} messages"),
     )?;
     Ok((outcome, is_skipped || counted.expired > 0))
 }
@@ -323,7 +340,10 @@ fn flood(session: &mut TestSession) -> Result<Outcome> {
     let applied = session.telemetry(from, |telemetry| telemetry.applied_sequence == last);
     let alive = session.telemetry(session.count(), |_| true).is_some();
     let counted = session.last().counters.accepted - before.accepted;
-    verdict(applied.is_some() && alive, format!("{counted} of {FLOOD} applied, the last of them {}", applied.is_some()))
+    conditions(
+        &[("the last command is applied", applied.is_some()), ("telemetry continues", alive)],
+        &format!("{counted} of {FLOOD} applied"),
+    )
 }
 
 fn calibration(session: &mut TestSession) -> Result<Outcome> {
@@ -347,8 +367,13 @@ fn calibration(session: &mut TestSession) -> Result<Outcome> {
         .telemetry(from, |telemetry| telemetry.faults & fault::CALIBRATION != 0 && telemetry.calibration == cleared);
     let (far, recovered) = (far.is_some(), recovered.is_some());
     session.calibrate(mirrors, 1.0, 0.0)?;
-    verdict(
-        taken && size && recovered && far,
-        format!("used {taken}; refused for another size {size}, beyond the hardware {far}; used again {recovered}"),
+    conditions(
+        &[
+            ("a valid one is used", taken),
+            ("one of another size is refused", size),
+            ("a valid one is used again", recovered),
+            ("one beyond the hardware is refused", far),
+        ],
+        "",
     )
 }

@@ -6,7 +6,7 @@ use anyhow::{Context, Result};
 use heliostat_proto::{ArrayState, Counters, SafetyReport, StopAction, StopReport};
 use heliostat_service::clock::utc_ns;
 
-use super::judging::{Outcome, not_judged, shows, verdict};
+use super::judging::{Outcome, conditions, not_judged, shows, verdict};
 use super::test_session::{TestSession, bytes};
 
 /// Observation time of a stop after its sender has left.
@@ -41,11 +41,14 @@ pub fn stop(session: &mut TestSession) -> Result<Outcome> {
     let command = session.command(roll, yaw);
     let (counted, after) = session.send_and_count(&[bytes(&command)?])?;
     let follows = counted.accepted == 1 && shows(&after, &command);
-    verdict(
-        latched && ignored && parked && follows,
-        format!(
-            "commands refused {latched}, early re-arm ignored {ignored}, parked by a later one {parked}, follows again {follows}"
-        ),
+    conditions(
+        &[
+            ("a command is refused while stopped, and moves no mirror", latched),
+            ("an early re-arm is ignored", ignored),
+            ("a later re-arm parks the array", parked),
+            ("the next command is followed", follows),
+        ],
+        "",
     )
 }
 
@@ -70,12 +73,13 @@ pub fn orphaned_stop(session: &mut TestSession) -> Result<Outcome> {
     let from = session.count();
     rearm_unnamed(session)?;
     let parked = session.telemetry(from, |telemetry| telemetry.state == ArrayState::Parked).is_some();
-    verdict(
-        released.is_none() && refused && parked,
-        format!(
-            "stopped on {}, command refused {refused}, parked by the re-arm of another process {parked}",
-            released.is_none()
-        ),
+    conditions(
+        &[
+            ("the array stays stopped", released.is_none()),
+            ("a command is refused", refused),
+            ("the re-arm of another process parks the array", parked),
+        ],
+        "",
     )
 }
 
@@ -92,12 +96,15 @@ pub fn report(session: &mut TestSession) -> Result<Outcome> {
     let answered = session.fetch_safety()?.is_some_and(|report| names(&report));
     let parked = release(session, stop)?;
     let cleared = session.fetch_safety()?.is_some_and(|report| !report.stopped);
-    verdict(
-        periodic && named && answered && parked && cleared,
-        format!(
-            "published {periodic}, names a new stop {named}, in answer to a query {answered}; \
-             reports the release {cleared}"
-        ),
+    conditions(
+        &[
+            ("published", periodic),
+            ("a report names a new stop", named),
+            ("the answer to a query names it", answered),
+            ("a re-arm by its name parks the array", parked),
+            ("the answer to a query reports the release", cleared),
+        ],
+        "",
     )
 }
 
@@ -122,12 +129,16 @@ pub fn stop_report(session: &mut TestSession) -> Result<Outcome> {
     });
     let parked = release(session, two)?;
     let cleared = session.stop_report(|report| report.stops.is_empty() && !report.device_stopped).is_some();
-    verdict(
-        first.stops.is_empty() && held.is_some() && kept && stayed && parked && cleared,
-        format!(
-            "two stops held and executed {}, one released {kept}, still stopped {stayed}, parked after the other {parked}; {problem}",
-            held.is_some()
-        ),
+    conditions(
+        &[
+            ("no stop is reported before the first", first.stops.is_empty()),
+            ("two stops are held, and executed by the device", held.is_some()),
+            ("the release of one is reported", kept),
+            ("the array is still stopped then", stayed),
+            ("the release of the other parks it", parked),
+            ("the last report has no stop", cleared),
+        ],
+        &problem,
     )
 }
 
@@ -151,12 +162,14 @@ pub fn named_rearm(session: &mut TestSession) -> Result<Outcome> {
     let command = session.command(roll, yaw);
     let (_, after) = session.send_and_count(&[bytes(&command)?])?;
     let follows = shows(&after, &command);
-    verdict(
-        stopped && kept && parked && follows,
-        format!(
-            "a stop one hour ahead obeyed {stopped}, other names refused {kept}, released by its name {parked}, \
-             follows again {follows}"
-        ),
+    conditions(
+        &[
+            ("a stop one hour ahead is obeyed", stopped),
+            ("re-arms by other names release nothing", kept),
+            ("a re-arm by its name parks the array", parked),
+            ("the next command is followed", follows),
+        ],
+        "",
     )
 }
 

@@ -42,8 +42,8 @@ pub(crate) struct Beginning {
     pub clock: Clock,
     /// The payload of the capabilities of each array that announced some.
     pub capabilities: BTreeMap<usize, Vec<u8>>,
-    /// Number of arrays in the scenario.
-    pub arrays: usize,
+    /// Number of mirrors of each array in the scenario.
+    pub mirrors: Vec<usize>,
 }
 
 impl Beginning {
@@ -55,7 +55,7 @@ impl Beginning {
         let mut reading = open(file)?;
         let room = Room::new(&reading.header().room)?;
         let scenario = Scenario::from_recorded_toml(&reading.header().scenario).context("its scenario")?;
-        let arrays = scenario.mirrors.arrays().len();
+        let mirrors = scenario.mirrors.arrays().iter().map(|array| array.rows * array.columns).collect();
         let mut capabilities = BTreeMap::new();
         while let Some(entry) = reading.entry()? {
             let (array, topic) = room.first_array_key(&entry.topic);
@@ -65,7 +65,7 @@ impl Beginning {
                 && let Ok(Received::Users(report)) = Received::read(&entry.data)
             {
                 let clock = clock_of(report.stamp.time_ns, entry.arrived_ns);
-                return Ok(Self { clock, room, capabilities, arrays });
+                return Ok(Self { clock, room, capabilities, mirrors });
             }
         }
         bail!("{NO_REPORT}")

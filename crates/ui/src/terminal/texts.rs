@@ -15,7 +15,7 @@ pub(super) const NO_IRS: Color = Color::Rgb(0x99, 0x99, 0x99);
 pub(super) const ORACLE: Color = Color::Rgb(0xF0, 0xE4, 0x42);
 
 /// The emergency stops, each with the arrays that have stopped, then what is open.
-pub(super) fn stops(room: &RoomStops) -> Vec<String> {
+pub(crate) fn stops(room: &RoomStops) -> Vec<String> {
     let indices = |arrays: &[usize]| arrays.iter().map(usize::to_string).collect::<Vec<_>>().join(", ");
     let line = |stop: &StopFigure| {
         let StopFigure { name, operator, reason, arrays, stopped, .. } = stop;
@@ -61,12 +61,12 @@ pub(super) fn named(sum: &SumFigures) -> Vec<(&'static str, f64, Color)> {
     all.into_iter().filter_map(|(name, rate, colour)| Some((name, rate?, colour))).collect()
 }
 
-pub(super) fn time(of: &TimeFigures, which: fn(&heliostat_proto::Quantiles) -> f64) -> String {
+pub(crate) fn time(of: &TimeFigures, which: fn(&heliostat_proto::Quantiles) -> f64) -> String {
     of.us.as_ref().map_or("-".into(), |us| format!("{:.0} us", which(us)))
 }
 
 /// Why there are no sum rates.
-pub(super) fn without_rates(figures: &Figures) -> String {
+pub(crate) fn without_rates(figures: &Figures) -> String {
     match figures.origin {
         Origin::NoData => "no messages from the room".into(),
         Origin::Simulated | Origin::Measured => {

@@ -1,6 +1,7 @@
 //! `heliostat-lab eval`: policies on the same states, compared with the oracle.
 
 mod csv_files;
+mod differences;
 mod html;
 mod origin;
 mod output;

@@ -11,7 +11,7 @@ use heliostat_core::policy::{Policy, PolicyKind};
 use heliostat_core::safety::Limits;
 use heliostat_models::{ActorSource, build, source};
 use heliostat_room::World;
-use heliostat_scenario::{Belief, Scenario};
+use heliostat_scenario::{Belief, Scenario, similar};
 use thiserror::Error;
 
 use super::{ceiling::Known, python_policy::PythonFunction, trained};
@@ -64,9 +64,10 @@ impl EvaluatedPolicy {
             Origin::Kind(PolicyKind::Ddpg, ActorSource::Path(PathBuf::from(name)))
         } else {
             let unknown = || {
-                let known = Self::names().join(", ");
+                let names = Self::names();
+                let (known, hint) = (names.join(", "), similar::hint(name, names.iter().map(String::as_str)));
                 format!(
-                    "unknown policy \"{name}\": expected {known}, the path of a file FILE.onnx, or FILE.py:FUNCTION"
+                    "unknown policy \"{name}\": expected {known}, the path of a file FILE.onnx, or FILE.py:FUNCTION{hint}"
                 )
             };
             let kind = PolicyKind::find(name, unknown).map_err(UnknownPolicy)?;

@@ -34,6 +34,7 @@ pub(super) fn rows(settings: &Settings, runs: &[Vec<Run>], oracle: &[Vec<Sample>
             difference_mbps: minus_first(|own, _| own.sum_rate_mbps),
             difference_ratio: minus_first(ratio),
             difference_qos_met: minus_first(|own, _| own.met),
+            difference_outage_time: (settings.mode == Loop::ClosedLoop).then(|| minus_first(outage)).flatten(),
             ..Row::new(own, oracle, (evaluated, settings.mode))
         }
     });
@@ -82,6 +83,10 @@ pub struct Row {
     /// Share of minimum rates met minus that of the first policy, state by state.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub difference_qos_met: Option<Spread>,
+    /// Closed loop: share of the users' time below their minimum rate minus that of the first policy,
+    /// state by state.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub difference_outage_time: Option<Spread>,
     /// Ratio of the sum rate to that of the oracle with minimum rates, state by state; missing
     /// where no user can be served.
     pub ratio_to_oracle: Spread,
@@ -144,17 +149,23 @@ impl Row {
             difference_mbps: None,
             difference_ratio: None,
             difference_qos_met: None,
+            difference_outage_time: None,
             ratio_to_oracle: Spread::of(&runs.iter().map(ratios).collect::<Vec<_>>()).within(0.0, 1.0),
             qos_met: spread(|sample| sample.met).within(0.0, 1.0),
             jain: spread(|sample| sample.jain).within(0.0, 1.0),
             blocked_rate_mbps: spread(|sample| sample.blocked_rate_mbps).within(0.0, f64::INFINITY),
             ber: spread(|sample| sample.ber).within(0.0, 1.0),
-            outage_time: (mode == Loop::ClosedLoop).then(|| spread(|sample| 1.0 - sample.met).within(0.0, 1.0)),
+            outage_time: (mode == Loop::ClosedLoop).then(|| spread(|sample| outage(sample, sample)).within(0.0, 1.0)),
             outages: None,
             decision_us: None,
             training_seeds: None,
         }
     }
+}
+
+/// Share of the users below their minimum rate.
+fn outage(own: &Sample, _: &Sample) -> f64 {
+    1.0 - own.met
 }
 
 pub(super) fn ratio(own: &Sample, best: &Sample) -> f64 {

@@ -133,7 +133,7 @@ def _open_ros2(given: argparse.Namespace) -> Source:
 
 
 def _mqtt(flags: argparse.ArgumentParser) -> None:
-    flags.add_argument("--broker", metavar="HOST", required=True, help="address of the MQTT broker")
+    flags.add_argument("--broker", metavar="HOST[:PORT]", required=True, help="address of the MQTT broker")
     flags.add_argument("--port", metavar="N", type=int, help="[default: 1883, with --broker-authority 8883]")
     flags.add_argument("--layout", choices=("plain", "dwm1001", "pozyx"), default="plain", help="layout of the messages [plain]")
     flags.add_argument("--topic", metavar="NAME", help="topic of the messages [default: that of the layout]")

@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 from .bridge import Intake, Source, SourceError
 from .users import Pose
@@ -68,13 +69,13 @@ LAYOUTS = {
 class Mqtt(Source):
     """The tags of a broker.
 
-    `login` is a user name and a password. `authority` is a file of certificates with which the broker is checked; with
-    it the connection is encrypted. Raises `SourceError` for a layout that cannot be used.
+    `broker` is its address: HOST, HOST:PORT, or mqtt://HOST:PORT. `login` is a user name and a password. `authority` is a file of certificates with which the broker is checked; with
+    it the connection is encrypted. Raises `SourceError` for an address or a file that cannot be used.
     """
 
     def __init__(
         self,
-        host: str,
+        broker: str,
         layout: Layout,
         *,
         port: int | None = None,
@@ -83,7 +84,10 @@ class Mqtt(Source):
     ) -> None:
         self.layout, self.unit = layout, layout.unit
         self.clock = "arrival" if layout.time_s is None else "source"
-        self._host, self._port = host, port or (DEFAULT_TLS_PORT if authority else DEFAULT_PORT)
+        self._host, in_address = address_of(broker)
+        if None not in (port, in_address) and port != in_address:
+            raise SourceError(f"broker {broker}: the port {port} is given too; expected one of the two")
+        self._port = port or in_address or (DEFAULT_TLS_PORT if authority else DEFAULT_PORT)
         self.name = f"topic {layout.topic} of {self._host}:{self._port}"
         self._is_connected, self._refusal = False, ""
         self._client = paho.Client(CallbackAPIVersion.VERSION2)
@@ -208,6 +212,22 @@ def _number(path: str, value: Any) -> float:
         return float(value)
     except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{path} = {value!r}: expected a number") from None
+
+
+def address_of(broker: str) -> tuple[str, int | None]:
+    """Host and port of a broker; `None` where the address has no port. Raises `SourceError`."""
+    place = broker.removeprefix("mqtt://").removesuffix("/")
+    # An IPv6 address without brackets has colons, and no port.
+    if place.count(":") > 1 and not place.startswith("["):
+        place = f"[{place}]"
+    try:
+        parts = urlsplit(f"//{place}")
+        host, port, is_place = parts.hostname, parts.port, parts.netloc == place
+    except ValueError:
+        host, port, is_place = None, None, False
+    if not host or port == 0 or not is_place or "@" in place or place.endswith(":"):
+        raise SourceError(f'broker "{broker}": expected HOST, HOST:PORT with a port from 1 to 65535, or mqtt://HOST:PORT')
+    return host, port
 
 
 def layout_of(name: str, changes: Sequence[tuple[str, Any]]) -> Layout:

@@ -61,11 +61,11 @@ impl Processes {
         self.controllers
     }
 
-    /// Ends both, and returns their summaries; `None` for a killed controller.
-    pub fn finish(self) -> Result<(Value, Option<Value>)> {
+    /// Ends both, and returns the summary of each, or how it ended; `None` for a controller that was
+    /// killed by order.
+    pub fn finish(self) -> (Result<Value>, Option<Result<Value>>) {
         // The room ends first, so that no tick counts as lost because the controller has ended.
-        let room = self.room.finish(END_LIMIT)?;
-        let controller = self.controller.map(|controller| controller.finish(END_LIMIT)).transpose()?;
-        Ok((room, controller))
+        let room = self.room.finish(END_LIMIT);
+        (room, self.controller.map(|controller| controller.finish(END_LIMIT)))
     }
 }

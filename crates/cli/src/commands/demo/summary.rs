@@ -69,6 +69,36 @@ struct ControllerPart {
     last_problem: String,
 }
 
+impl RoomPart {
+    /// Prints the mean rates; those of the mirrors are credited to a policy.
+    fn print_rates(&self, credited: &str) -> io::Result<()> {
+        let share = |value: Option<f64>| value.map_or("-".to_string(), |value| format!("{value:.3}"));
+        outln!()?;
+        outln!("{:<26}{:>9}{:>14}", "sum rate", "Mbit/s", "of the oracle")?;
+        if self.sum_rate_mbps.is_none() {
+            outln!("{credited:<26}{:>9}", "unknown")?;
+        }
+        let named = |rates: &SumRates| {
+            [
+                (credited, rates.policy),
+                ("no IRS", rates.no_irs),
+                ("flat", rates.flat),
+                ("oracle with QoS", rates.oracle),
+            ]
+            .map(|(name, rate)| (name, rate, rates.oracle))
+        };
+        for (name, rate, oracle) in self.sum_rate_mbps.iter().flat_map(named) {
+            outln!("{name:<26}{rate:>9.2}{:>14}", share((oracle > 0.0).then(|| rate / oracle)))?;
+        }
+        outln!(
+            "share of users with their minimum rate: {} (oracle {})",
+            share(self.qos_met),
+            share(self.qos_met_oracle)
+        )?;
+        outln!("blocked users: {:.2} on average", self.blocked_users_mean)
+    }
+}
+
 /// Least share of the commands of a policy that shares the credit for the rates. A stalled machine
 /// causes single fallbacks, which do not change a mean.
 const CREDITED_MIN: f64 = 0.02;
@@ -113,9 +143,10 @@ impl ControllerPart {
 /// Both, as one object.
 #[derive(Clone, Debug, Serialize)]
 pub struct Summary {
+    /// `None` if its process ended early.
     #[serde(flatten)]
-    room: RoomPart,
-    /// Of the last controller; `None` if it was killed by order.
+    room: Option<RoomPart>,
+    /// Of the last controller; `None` if it was killed by order, or ended early.
     #[serde(flatten)]
     controller: Option<ControllerPart>,
     /// Controllers that were started: the figures of the room cover all of them.
@@ -123,9 +154,9 @@ pub struct Summary {
 }
 
 impl Summary {
-    /// Joins the summaries of the two processes.
-    pub fn new(room: &Value, controller: Option<&Value>, controllers_started: u64) -> Result<Self> {
-        let room = RoomPart::deserialize(room).context("the summary of sim-node is incomplete")?;
+    /// Joins the summaries of the two processes; one of them may have ended without its summary.
+    pub fn new(room: Option<&Value>, controller: Option<&Value>, controllers_started: u64) -> Result<Self> {
+        let room = room.map(RoomPart::deserialize).transpose().context("the summary of sim-node is incomplete")?;
         let controller = controller.map(ControllerPart::deserialize).transpose();
         let controller = controller.context("the summary of the controller is incomplete")?;
         Ok(Self { room, controller, controllers_started })
@@ -144,19 +175,23 @@ impl Summary {
 
     /// Prints a table.
     pub fn print(&self) -> io::Result<()> {
-        let (room, controller) = (&self.room, self.controller.as_ref());
-        let share = |value: Option<f64>| value.map_or("-".to_string(), |value| format!("{value:.3}"));
+        let (room, controller) = (self.room.as_ref(), self.controller.as_ref());
         let credited = controller.map(ControllerPart::credited);
         let policies = credited.as_ref().map_or("unknown (the controller was killed)".into(), |names| names.join(", "));
-        outln!("{} (seed {}), policy {policies}", room.scenario, room.seed)?;
-        outln!(
-            "ticks {}, commands {}, lost {}, late {}, unattended {}",
-            room.ticks,
-            room.commands,
-            room.lost_ticks,
-            room.late_ticks,
-            room.unattended_ticks
-        )?;
+        match room {
+            Some(room) => {
+                outln!("{} (seed {}), policy {policies}", room.scenario, room.seed)?;
+                outln!(
+                    "ticks {}, commands {}, lost {}, late {}, unattended {}",
+                    room.ticks,
+                    room.commands,
+                    room.lost_ticks,
+                    room.late_ticks,
+                    room.unattended_ticks
+                )?;
+            }
+            None => outln!("policy {policies}; ticks, loop and rates are unknown: sim-node ended without its summary")?,
+        }
         if let Some(note) = self.several_controllers() {
             outln!("{note}")?;
         }
@@ -164,7 +199,7 @@ impl Summary {
         outln!("{:<26}{:>9}{:>9}{:>9}{:>9}{:>9}", "time in us", "p50", "p90", "p99", "p99.9", "max")?;
         let times = [
             ("decision", controller.map(|controller| &controller.decision_us)),
-            ("loop: report to mirrors", Some(&room.loop_us)),
+            ("loop: report to mirrors", room.map(|room| &room.loop_us)),
             ("age of the positions", controller.map(|controller| &controller.age_us)),
         ];
         for (name, time) in times.into_iter().filter_map(|(name, time)| Some((name, time?))) {
@@ -182,8 +217,6 @@ impl Summary {
             let ClippedSummary { range, slew } = controller.clipped;
             outln!("angles limited: {range} by range, {slew} by slew")?;
         }
-        outln!()?;
-        outln!("{:<26}{:>9}{:>14}", "sum rate", "Mbit/s", "of the oracle")?;
         // One mean covers the complete run, so it is credited to one policy only if no other acted.
         let credited = match credited.as_deref() {
             _ if self.controllers_started > 1 => "policies of all controllers",
@@ -191,41 +224,24 @@ impl Summary {
             Some(_) => "all of these policies",
             None => "policy",
         };
-        if room.sum_rate_mbps.is_none() {
-            outln!("{credited:<26}{:>9}", "unknown")?;
-        }
-        let named = |rates: &SumRates| {
-            [
-                (credited, rates.policy),
-                ("no IRS", rates.no_irs),
-                ("flat", rates.flat),
-                ("oracle with QoS", rates.oracle),
-            ]
-            .map(|(name, rate)| (name, rate, rates.oracle))
-        };
-        for (name, rate, oracle) in room.sum_rate_mbps.iter().flat_map(named) {
-            outln!("{name:<26}{rate:>9.2}{:>14}", share((oracle > 0.0).then(|| rate / oracle)))?;
-        }
-        outln!(
-            "share of users with their minimum rate: {} (oracle {})",
-            share(room.qos_met),
-            share(room.qos_met_oracle)
-        )?;
-        outln!("blocked users: {:.2} on average", room.blocked_users_mean)?;
+        room.map_or(Ok(()), |room| room.print_rates(credited))?;
         for (what, counts) in [
-            ("users", Some(&room.turnover)),
+            ("users", room.map(|room| &room.turnover)),
             ("users limited, summed over decisions", controller.map(|controller| &controller.users)),
             ("fallbacks", controller.map(|controller| &controller.fallbacks)),
             ("refused by the controller", controller.map(|controller| &controller.refused)),
-            ("refused by the room", Some(&room.refused)),
+            ("refused by the room", room.map(|room| &room.refused)),
         ] {
             if let Some(counts) = counts.filter(|counts| !counts.is_empty()) {
                 outln!("{what}:{}", list(counts))?;
             }
         }
-        let problem = controller.map_or("", |controller| controller.last_problem.as_str());
-        for (node, problem) in [("controller", problem), ("sim-node", room.last_problem.as_str())] {
-            if !problem.is_empty() {
+        let problems = [
+            ("controller", controller.map(|controller| &controller.last_problem)),
+            ("sim-node", room.map(|room| &room.last_problem)),
+        ];
+        for (node, problem) in problems {
+            if let Some(problem) = problem.filter(|problem| !problem.is_empty()) {
                 outln!("last problem of {node}: {}", printable(problem))?;
             }
         }
@@ -244,7 +260,7 @@ mod tests {
     #[test]
     fn the_summary_tells_the_figures_of_the_last_controller_from_those_of_all() {
         let room = serde_json::to_value(heliostat_sim_node::Summary::default()).expect("a summary has a JSON form");
-        let of = |controllers| Summary::new(&room, None, controllers).expect("a complete summary");
+        let of = |controllers| Summary::new(Some(&room), None, controllers).expect("a complete summary");
         assert_eq!(of(1).several_controllers(), None);
         let note = of(2).several_controllers().expect("a note");
         assert!(note.starts_with("2 controllers were started: ticks, commands"), "{note}");

@@ -4,6 +4,7 @@ use anyhow::Result;
 use heliostat_learn::comparison::{Report, Row, Spread};
 use heliostat_reproduce::machine;
 
+use super::differences::Difference;
 use super::output::{ORACLE, rows};
 use super::sweep::Grid;
 
@@ -33,7 +34,7 @@ pub fn by_policy(grid: Option<&Grid>, reports: &[Report]) -> Result<Vec<u8>> {
     let mut writer = csv::Writer::from_writer(Vec::new());
     let mut header = keys(grid);
     header.push("policy".into());
-    for (name, _) in reports.iter().take(1).flat_map(|report| spreads(&report.oracle)) {
+    for (name, _) in reports.iter().take(1).flat_map(|report| spreads(report, &report.oracle)) {
         header.extend(["mean", "ci95", "p5"].map(|part| format!("{name}_{part}")));
     }
     header.extend(["decision_us_p50", "decision_us_p99", "training_seeds", "episodes"].map(String::from));
@@ -41,7 +42,8 @@ pub fn by_policy(grid: Option<&Grid>, reports: &[Report]) -> Result<Vec<u8>> {
     writer.write_record(&header)?;
     for (index, report) in reports.iter().enumerate() {
         for (name, row) in rows(report) {
-            let figures = spreads(row).into_iter().flat_map(|(_, spread)| [spread.mean, spread.ci95, spread.p5]);
+            let figures =
+                spreads(report, row).into_iter().flat_map(|(_, spread)| [spread.mean, spread.ci95, spread.p5]);
             let times = row.decision_us.map_or([f64::NAN; 2], |times| [times.p50, times.p99]);
             let trained = row.training_seeds.map_or(f64::NAN, |seeds| seeds as f64);
             let cells = figures.chain(times).chain([trained, report.episodes as f64]).map(cell);
@@ -78,8 +80,8 @@ pub fn by_episode(grid: Option<&Grid>, reports: &[Report]) -> Result<Vec<u8>> {
     Ok(writer.into_inner()?)
 }
 
-/// The figures of a row by name.
-fn spreads(row: &Row) -> Vec<(&'static str, Spread)> {
+/// The figures of a row by name; the oracle and the first policy have no differences.
+fn spreads(report: &Report, row: &Row) -> Vec<(&'static str, Spread)> {
     let mut spreads = vec![
         ("sum_rate_mbps", row.sum_rate_mbps),
         ("ratio_to_oracle", row.ratio_to_oracle),
@@ -89,5 +91,6 @@ fn spreads(row: &Row) -> Vec<(&'static str, Spread)> {
         ("ber", row.ber),
     ];
     spreads.extend(row.outage_time.map(|outage| ("outage_time", outage)));
+    spreads.extend(Difference::all(report).map(|one| (one.key, (one.of)(row).unwrap_or(Spread::MISSING))));
     spreads
 }

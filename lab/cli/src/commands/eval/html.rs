@@ -14,8 +14,9 @@ use heliostat_scenario::Scenario;
 use heliostat_service::counted::counted;
 use heliostat_service::printable::{printable, printable_lines};
 
+use super::differences::Difference;
 use super::origin;
-use super::output::{BELIEF_NOTE, belief_columns, ber, interval, notes_on_episodes, number, rows, signed, users};
+use super::output::{BELIEF_NOTE, belief_columns, ber, difference, interval, notes_on_episodes, number, rows, users};
 use super::sweep::{Grid, Sweep};
 use heliostat_service::whole_file;
 
@@ -132,14 +133,11 @@ fn columns(report: &Report) -> Vec<Column> {
         (heading.into(), Box::new(move |row| interval(value(row), digits)))
     };
     let mut columns = vec![spread("sum rate (Mbit/s)", 1, |row| row.sum_rate_mbps)];
-    if let Some((first, _)) = report.policies.first().filter(|_| report.policies.len() > 1) {
-        let mut push = |unit: &str, digits: usize, value: fn(&Row) -> Option<Spread>| {
-            let cell = move |row: &Row| value(row).map_or("-".into(), |spread| signed(spread, digits));
-            columns.push((format!("difference to {first} ({unit})"), Box::new(cell)));
-        };
-        push("Mbit/s", 1, |row| row.difference_mbps);
-        push("ratio", 3, |row| row.difference_ratio);
-        push("QoS met", 3, |row| row.difference_qos_met);
+    if let Some((first, _)) = report.policies.first() {
+        columns.extend(Difference::all(report).map(|one| -> Column {
+            let heading = format!("difference to {first} ({})", one.heading);
+            (heading, Box::new(move |row: &Row| difference(row, &one)))
+        }));
     }
     columns.extend([
         spread("ratio to the oracle", 3, |row| row.ratio_to_oracle),

@@ -6,6 +6,7 @@ use heliostat_learn::comparison::{BeliefQuality, EPISODES_MIN, Loop, Report, Row
 
 use heliostat_service::counted::counted;
 
+use super::differences::Difference;
 use super::sweep::Grid;
 use heliostat_service::outln;
 
@@ -119,23 +120,25 @@ fn print_outages(report: &Report) -> io::Result<()> {
 
 /// Prints the paired differences of the policies from the first one, if there are several.
 fn print_differences(report: &Report) -> io::Result<()> {
+    let differences: Vec<Difference> = Difference::all(report).collect();
     let [(first, _), others @ ..] = &report.policies[..] else { return Ok(()) };
-    if others.is_empty() {
+    if differences.is_empty() {
         return Ok(());
     }
     outln!("\ndifference to {first}, paired state by state")?;
     let width = name_width(report);
-    outln!("{:<width$} {:>15} {:>15} {:>15}", "", "Mbit/s", "ratio", "QoS met")?;
+    let headings: Vec<String> = differences.iter().map(|one| format!("{:>15}", one.heading)).collect();
+    outln!("{:<width$} {}", "", headings.join(" "))?;
     for (name, row) in others {
-        let cell = |difference: Option<Spread>, digits| signed(difference.unwrap_or(Spread::MISSING), digits);
-        outln!(
-            "{name:<width$} {:>15} {:>15} {:>15}",
-            cell(row.difference_mbps, 1),
-            cell(row.difference_ratio, 3),
-            cell(row.difference_qos_met, 3)
-        )?;
+        let cells: Vec<String> = differences.iter().map(|one| format!("{:>15}", difference(row, one))).collect();
+        outln!("{name:<width$} {}", cells.join(" "))?;
     }
     Ok(())
+}
+
+/// A difference of a row, or a dash for the oracle and the first policy.
+pub(super) fn difference(row: &Row, one: &Difference) -> String {
+    (one.of)(row).map_or("-".into(), |spread| signed(spread, one.digits))
 }
 
 /// Prints the quality of each belief about the users.
@@ -174,8 +177,8 @@ pub(super) fn belief_columns() -> [BeliefColumn; 6] {
     ]
 }
 
-/// Prints ratio and QoS met of every policy, then their sum rates, and in closed loop the time in
-/// outage: one line for each point.
+/// Prints ratio and QoS met of every policy, then their sum rates, in closed loop the time in outage,
+/// and the paired differences: one line for each point.
 pub fn print_sweep(grid: &Grid, reports: &[Report]) -> io::Result<()> {
     let Some(first) = reports.first() else { return Ok(()) };
     outln!("ratio to the oracle with minimum rates, and share of minimum rates met; {}", states_and_seeds(first))?;
@@ -188,6 +191,11 @@ pub fn print_sweep(grid: &Grid, reports: &[Report]) -> io::Result<()> {
         outln!("outage: share of the users' time below the minimum rate")?;
         let outage = |row: &Row| row.outage_time.unwrap_or(Spread::MISSING);
         print_columns(grid, reports, |row| (number(outage(row).mean, 3), interval(outage(row), 3)))?;
+    }
+    let reference = first.policies.first().map_or("", |(name, _)| name.as_str());
+    for one in Difference::all(first) {
+        outln!("difference to {reference}, paired: {}", one.figure)?;
+        print_columns(grid, reports, |row| (difference(row, &one), difference(row, &one)))?;
     }
     note_on_episodes(reports, true)?;
     print_conditions(reports)
@@ -296,7 +304,7 @@ pub(super) fn interval(spread: Spread, digits: usize) -> String {
 }
 
 /// A difference with its sign, and half the width of its interval.
-pub(super) fn signed(spread: Spread, digits: usize) -> String {
+fn signed(spread: Spread, digits: usize) -> String {
     format!("{}{}", if spread.mean >= 0.0 { "+" } else { "" }, interval(spread, digits))
 }
 

@@ -9,6 +9,7 @@ use heliostat_service::printable::printable;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
+use super::super::differences::Difference;
 use super::super::output::rows;
 use super::super::sweep::Grid;
 
@@ -67,28 +68,19 @@ pub fn by_policy(report: &Report) -> Result<String> {
     Ok(plots)
 }
 
-/// A difference of a row from the first one, and the words before and after "minus that of ...".
-type Difference = ([&'static str; 2], fn(&Row) -> Option<Spread>);
-
-const DIFFERENCES: [Difference; 3] = [
-    (["sum rate", " (Mbit/s)"], |row| row.difference_mbps),
-    (["ratio to the oracle", ""], |row| row.difference_ratio),
-    (["QoS met", ""], |row| row.difference_qos_met),
-];
-
 /// The figures of each further policy minus those of the first; nothing for a single policy.
 fn differences(report: &Report) -> Result<String> {
     let mut plots = String::new();
-    for ([figure, unit], difference) in DIFFERENCES {
+    for Difference { figure, of, .. } in Difference::all(report) {
         let dots = report.policies.iter().filter_map(|(name, row)| {
-            let spread = difference(row)?;
+            let spread = of(row)?;
             let [low, high] = spread.ends();
             Some(Dot { name, at: spread.mean, low, high })
         });
         let dots: Vec<Dot> = dots.collect();
         if !dots.is_empty() {
             let first = short_name(&report.policies[0].0);
-            plots += &draw(&format!("{figure} minus that of {first}{unit}, paired, 95 % interval"), false, &dots)?;
+            plots += &draw(&format!("{figure}: minus that of {first}, paired, 95 % interval"), false, &dots)?;
         }
     }
     Ok(plots)

@@ -1,0 +1,54 @@
+//! `heliostat status`: the state of a running room, once.
+
+use std::thread;
+use std::time::Duration;
+
+use anyhow::{Result, bail};
+use heliostat_bus::{AccessRole, Bus, BusArgs};
+use heliostat_service::counted::counted;
+use heliostat_service::outln;
+use heliostat_ui::View;
+use heliostat_ui::status::{ReportCount, RoomStatus};
+
+use super::stop::check_connected;
+
+/// Each process publishes its status once a second.
+const OBSERVED: Duration = Duration::from_millis(1300);
+
+/// Print the state of a running room once: controllers, arrays, stops, reports, problems.
+///
+/// It observes the room for about a second. The exit status is 0 if a controller leads, reports arrive
+/// without gaps, every array follows, no stop is in force and no process reports a problem; otherwise 1.
+/// Connect to the room's process and to the controller, or to the router of both. `heliostat ui` shows the
+/// same figures continuously; `heliostat doctor` checks a machine before a run.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    bus: BusArgs,
+    /// Print the state as one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+pub fn run(args: Args) -> Result<()> {
+    let config = args.bus.config_or_connect(&[AccessRole::Viewer, AccessRole::Operator])?;
+    let bus = Bus::open(&config)?;
+    if let Err(reason) = check_connected(&bus, &config, OBSERVED) {
+        bail!("{reason}. Give --connect the endpoints of the room's process and of the controller, or of their router");
+    }
+    let (view, reports) = (View::open(&bus, None)?, ReportCount::open(&bus)?);
+    thread::sleep(OBSERVED);
+    let status = RoomStatus::new(config.room.name(), &view, &reports);
+    if args.json {
+        outln!("{}", serde_json::to_string(&status)?)?;
+    } else {
+        outln!("{}", status.to_string().trim_end())?;
+    }
+    drop((view, reports));
+    bus.close()?;
+    match status.problems.len() {
+        0 => Ok(()),
+        count => bail!("room {}: {}", status.room, counted(count, "problem")),
+    }
+}

@@ -1,0 +1,62 @@
+//! The array of a playback: its mirrors move as recorded, and it obeys the controllers of the playback.
+//!
+//! Recorded telemetry names the command of a recorded controller, for which a controller of the
+//! playback would stand by. The command, the state and the counters in played telemetry are
+//! therefore those of [`Array`] after the commands of the playback. Angles, faults and stops are
+//! the recorded ones.
+
+use std::f64::consts::FRAC_PI_2;
+
+use heliostat_array::bounds::Bounds;
+use heliostat_array::moment::Moment;
+use heliostat_array::rules::{Array, Limits};
+use heliostat_proto::{ArrayState, MirrorCommand, MirrorTelemetry, ValidityClock};
+use heliostat_service::clock::{monotonic_ns, utc_ns};
+
+/// An array that is played.
+pub struct PlayedArray {
+    array: Array,
+}
+
+impl PlayedArray {
+    /// An array of this number of mirrors that has accepted no command.
+    pub fn new(mirrors: usize) -> Self {
+        let limits = Limits {
+            mirrors,
+            roll_rad: [-FRAC_PI_2, FRAC_PI_2],
+            yaw_rad: [-FRAC_PI_2, FRAC_PI_2],
+            park_rad: [0.0; 2],
+            // The mirrors move as recorded: they do not park in addition.
+            hold_ns: u64::MAX,
+            // A lockstep controller has no UTC.
+            clock: ValidityClock::Arrival,
+            bounds: Bounds::default(),
+        };
+        Self { array: Array::new(limits) }
+    }
+
+    /// Follows a command of the playback if the rules of an array accept it.
+    pub fn handle_command(&mut self, command: &MirrorCommand) {
+        // A refused command is counted, as telemetry reports it.
+        let _ = self.array.handle_command(now(), command);
+    }
+
+    /// Replaces the recorded command, state and counters in telemetry.
+    pub fn update(&mut self, telemetry: &mut MirrorTelemetry) {
+        self.array.advance(now().local_ns);
+        let followed = self.array.followed().copied().unwrap_or_default();
+        telemetry.epoch = followed.epoch;
+        telemetry.applied_sequence = followed.sequence;
+        telemetry.answers = followed.answers;
+        telemetry.received_ns = followed.received.room_ns;
+        telemetry.applied_ns = followed.received.room_ns;
+        telemetry.counters = *self.array.counters();
+        if !matches!(telemetry.state, ArrayState::Stopped | ArrayState::Fault) {
+            telemetry.state = self.array.state();
+        }
+    }
+}
+
+fn now() -> Moment {
+    Moment { local_ns: monotonic_ns(), room_ns: utc_ns() }
+}

@@ -1,28 +1,24 @@
 //! The status report of one room, twice a second, for operators. No decision depends on it.
 
+mod describe;
+
 use heliostat_core::{
-    core::{Controller, Counters, DegradedMode, Stage},
-    guard::describe_stop,
-    refusal::{Found, LastRefusal, LeftOut, Refusal, Stream, TelemetrySizes},
+    core::{Counters, DegradedMode, Stage},
+    refusal::{Refusal, Stream},
     room_core::UndecodableCounts,
     tenure::{Standing, Tenure, TenureEvent},
 };
-use heliostat_proto::{
-    Nanos, NodeKind, NodeStatus, Stamp, array_keys::array_name, gauges::ServedLight, stop_hold::HeldStop,
-};
-use heliostat_service::{clock::utc_ns, printable::printable};
+use heliostat_proto::{Nanos, NodeKind, NodeStatus, Stamp, gauges::ServedLight};
+use heliostat_service::clock::utc_ns;
 
 use super::{decision_loop::DecisionLoop, policy_swap::SwapCounters};
 use crate::report::{stage_times::StageTimes, summary::Summary};
+use describe::{
+    clock_time, describe_absence, describe_event, describe_left_out, describe_refusal, describe_stops, is_alarm,
+};
 
 /// What to do about commands without a receiver.
 const DRIVER_ABSENT: &str = "there is no telemetry, and no liveliness token of a driver or simulator; start one, with an endpoint in common with this controller";
-
-/// Stops in the state of a status; a text of the contract has at most 1024 bytes.
-const STOPS_SHOWN: usize = 3;
-
-/// Characters of an operator's name and reason in it.
-const STOP_CHARACTERS: usize = 30;
 
 /// The reporting node.
 #[derive(Clone, Debug)]
@@ -385,142 +381,5 @@ impl Reporter {
         let before = std::mem::replace(&mut self.undecodable, counts.total());
         self.occurrences = counts.total().saturating_sub(before);
         counts.last().filter(|_| before < counts.total()).map(str::to_owned)
-    }
-}
-
-/// The stops that withhold commands; those of a part of the arrays with their names.
-fn describe_stops(controller: &Controller) -> String {
-    let arrays = 0..controller.arrays();
-    let mut texts: Vec<(String, Vec<usize>)> = Vec::new();
-    for array in arrays.clone() {
-        for HeldStop { name, operator, reason, since_ns, .. } in controller.stops(array) {
-            let [operator, reason] = [operator, reason].map(|text| shortened(text));
-            let text = format!("{} since {}", describe_stop(*name, &operator, &reason), clock_time(*since_ns));
-            match texts.iter_mut().find(|(known, _)| *known == text) {
-                Some((_, arrays)) => arrays.push(array),
-                None => texts.push((text, vec![array])),
-            }
-        }
-    }
-    let parts: Vec<String> = texts
-        .into_iter()
-        .take(STOPS_SHOWN)
-        .map(|(text, held)| match held.len() == arrays.len() {
-            true => text,
-            false => {
-                format!("{text} from {}", held.iter().map(|array| array_name(*array)).collect::<Vec<_>>().join(" and "))
-            }
-        })
-        .collect();
-    if parts.is_empty() { String::new() } else { format!("withheld by {}", parts.join("; ")) }
-}
-
-/// A text of another process, made printable and short enough for a status.
-fn shortened(text: &str) -> String {
-    printable(text).chars().take(STOP_CHARACTERS).collect()
-}
-
-/// The time of day of a time in UTC.
-fn clock_time(time_ns: Nanos) -> String {
-    let seconds = time_ns / 1_000_000_000 % 86_400;
-    format!("{:02}:{:02}:{:02} UTC", seconds / 3600, seconds / 60 % 60, seconds % 60)
-}
-
-/// Which commands reach no driver, in a room with this number of arrays.
-fn describe_absence(without_driver: &[usize], arrays: usize) -> String {
-    let all = "no driver receives the commands";
-    if without_driver.len() == arrays {
-        return all.into();
-    }
-    let names: Vec<String> = without_driver.iter().map(|array| array_name(*array)).collect();
-    format!("{all} to {}", names.join(" and "))
-}
-
-fn is_alarm(event: TenureEvent) -> bool {
-    use TenureEvent::{Resumed, StoodBy, Superseded, TookOver};
-    !matches!(event, Resumed | StoodBy | Superseded | TookOver)
-}
-
-fn describe_event(event: TenureEvent, tenure: &Tenure) -> String {
-    let epoch = tenure.epoch();
-    match event {
-        TenureEvent::Superseded => format!(
-            "another controller (epoch {}) has superseded this one (epoch {epoch}), which stands by: it takes over when reports stay without an accepted command",
-            tenure.followed_epoch().unwrap_or_default()
-        ),
-        TenureEvent::Resumed => format!("standby has ended: the array follows no higher epoch than {epoch}"),
-        TenureEvent::TookOver => {
-            format!(
-                "this controller takes over with the new epoch {epoch}: the array accepted no command of another, or the other has left"
-            )
-        }
-        TenureEvent::LockedOut => format!(
-            "the array refused every command for 1 s; the new epoch {epoch} is used. Look for another sender of commands in the room"
-        ),
-        TenureEvent::ForeignSequence => format!(
-            "the array applied a command of this controller's epoch that it did not send; the new epoch {epoch} is used. Look for another sender of commands in the room"
-        ),
-        TenureEvent::ClocksDiffer => {
-            "the array refused every command for 1 s as expired: synchronise the clocks of controller and driver".into()
-        }
-        TenureEvent::StoodBy => {
-            let followed = match tenure.followed_epoch().filter(|epoch| *epoch > 0) {
-                Some(epoch) => format!("the array follows another controller (epoch {epoch})"),
-                None => "started with --standby".into(),
-            };
-            format!("{followed}: this one stands by, and takes over when reports stay without an accepted command")
-        }
-        TenureEvent::Contested => format!(
-            "the former leader still commands after the takeover (epoch {epoch}): the array refuses it. Look for a slow controller, or a link that loses its commands"
-        ),
-    }
-}
-
-fn describe_refusal(decision_loop: &DecisionLoop) -> Option<String> {
-    let inbox = decision_loop.room.controller().inbox();
-    let LastRefusal { stream, array, refusal, found } = inbox.refused().last()?;
-    let (name, owner) = match stream {
-        Stream::Telemetry => (format!("telemetry of {}", array_name(array)), inbox.array_source(array)),
-        _ => (stream.name().to_owned(), inbox.source()),
-    };
-    Some(match (refusal, decision_loop.room.last_malformed()) {
-        (Refusal::ForeignSource, _) => format!(
-            "a second source {:016x} reports {name} in this room, which source {:016x} owns; it is refused",
-            inbox.refused().last_foreign_source().unwrap_or_default(),
-            owner.unwrap_or_default()
-        ),
-        (Refusal::WrongMirrorCount, _) if let Found::Sizes(TelemetrySizes { roll, yaw, expected }) = found => format!(
-            "{name} refused: it has {roll} roll and {yaw} yaw angles, expected {expected} of each; \
-             start its driver with the size that the scenario gives {}",
-            array_name(array)
-        ),
-        (_, Some(error)) if refusal == Refusal::from(error) => format!("{name}: {error}"),
-        (Refusal::Stale, _) if let Found::AgeS(age_s) = found => {
-            format!(
-                "{name} refused: a report is {age_s:.1} s old; check the clocks of its sender and of this controller"
-            )
-        }
-        (Refusal::FromFuture, _) if let Found::AgeS(age_s) = found => format!(
-            "{name} refused: a report is {:.1} s ahead of this controller's clock; check the clocks of both",
-            -age_s
-        ),
-        (Refusal::OutsideRoom, _) if let Found::Position(position_m) = found => {
-            format!("{name} refused: {}", describe_outside(position_m))
-        }
-        (Refusal::Implausible, _) if let Found::User(values) = found => {
-            format!("{name} refused: a user has {values}")
-        }
-        _ => format!("{name} refused: {refusal}"),
-    })
-}
-
-fn describe_outside([x, y, z]: [f32; 3]) -> String {
-    format!("({x:.1}, {y:.1}, {z:.1}) is outside the room: positions are in m, in the frame of the room")
-}
-
-fn describe_left_out(LeftOut { user, refusal, position_m, values }: LeftOut) -> String {
-    match refusal {
-        Refusal::OutsideRoom => format!("user {user} is left out: {}", describe_outside(position_m)),
-        _ => format!("user {user} is left out: {values}"),
     }
 }

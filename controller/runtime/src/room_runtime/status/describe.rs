@@ -1,0 +1,159 @@
+//! The texts of a controller's status: stops, absent drivers, events of the tenure, refused reports.
+
+use heliostat_core::{
+    core::Controller,
+    guard::describe_stop,
+    refusal::{Found, LastRefusal, LeftOut, Refusal, Stream, TelemetrySizes},
+    tenure::{Tenure, TenureEvent},
+};
+use heliostat_proto::{Nanos, array_keys::array_name, stop_hold::HeldStop};
+use heliostat_service::printable::printable;
+
+use super::super::decision_loop::DecisionLoop;
+
+/// Stops in the state of a status; a text of the contract has at most 1024 bytes.
+const STOPS_SHOWN: usize = 3;
+
+/// Characters of an operator's name and reason in it.
+const STOP_CHARACTERS: usize = 30;
+
+/// The stops that withhold commands; those of a part of the arrays with their names.
+pub(super) fn describe_stops(controller: &Controller) -> String {
+    let arrays = 0..controller.arrays();
+    let mut texts: Vec<(String, Vec<usize>)> = Vec::new();
+    for array in arrays.clone() {
+        for HeldStop { name, operator, reason, since_ns, .. } in controller.stops(array) {
+            let [operator, reason] = [operator, reason].map(|text| shortened(text));
+            let text = format!("{} since {}", describe_stop(*name, &operator, &reason), clock_time(*since_ns));
+            match texts.iter_mut().find(|(known, _)| *known == text) {
+                Some((_, arrays)) => arrays.push(array),
+                None => texts.push((text, vec![array])),
+            }
+        }
+    }
+    let parts: Vec<String> = texts
+        .into_iter()
+        .take(STOPS_SHOWN)
+        .map(|(text, held)| match held.len() == arrays.len() {
+            true => text,
+            false => {
+                format!("{text} from {}", held.iter().map(|array| array_name(*array)).collect::<Vec<_>>().join(" and "))
+            }
+        })
+        .collect();
+    if parts.is_empty() { String::new() } else { format!("withheld by {}", parts.join("; ")) }
+}
+
+/// A text of another process, made printable and short enough for a status.
+fn shortened(text: &str) -> String {
+    printable(text).chars().take(STOP_CHARACTERS).collect()
+}
+
+/// The time of day of a time in UTC.
+pub(super) fn clock_time(time_ns: Nanos) -> String {
+    let seconds = time_ns / 1_000_000_000 % 86_400;
+    format!("{:02}:{:02}:{:02} UTC", seconds / 3600, seconds / 60 % 60, seconds % 60)
+}
+
+/// Which commands reach no driver, in a room with this number of arrays.
+pub(super) fn describe_absence(without_driver: &[usize], arrays: usize) -> String {
+    let all = "no driver receives the commands";
+    if without_driver.len() == arrays {
+        return all.into();
+    }
+    let names: Vec<String> = without_driver.iter().map(|array| array_name(*array)).collect();
+    format!("{all} to {}", names.join(" and "))
+}
+
+/// Whether an event leaves the room without commands, or shows another sender.
+pub(super) fn is_alarm(event: TenureEvent) -> bool {
+    use TenureEvent::{Resumed, StoodBy, Superseded, TookOver};
+    !matches!(event, Resumed | StoodBy | Superseded | TookOver)
+}
+
+/// An event of the tenure, with what to do.
+pub(super) fn describe_event(event: TenureEvent, tenure: &Tenure) -> String {
+    let epoch = tenure.epoch();
+    match event {
+        TenureEvent::Superseded => format!(
+            "another controller (epoch {}) has superseded this one (epoch {epoch}), which stands by: it takes over when reports stay without an accepted command",
+            tenure.followed_epoch().unwrap_or_default()
+        ),
+        TenureEvent::Resumed => format!("standby has ended: the array follows no higher epoch than {epoch}"),
+        TenureEvent::TookOver => {
+            format!(
+                "this controller takes over with the new epoch {epoch}: the array accepted no command of another, or the other has left"
+            )
+        }
+        TenureEvent::LockedOut => format!(
+            "the array refused every command for 1 s; the new epoch {epoch} is used. Look for another sender of commands in the room"
+        ),
+        TenureEvent::ForeignSequence => format!(
+            "the array applied a command of this controller's epoch that it did not send; the new epoch {epoch} is used. Look for another sender of commands in the room"
+        ),
+        TenureEvent::ClocksDiffer => {
+            "the array refused every command for 1 s as expired: synchronise the clocks of controller and driver".into()
+        }
+        TenureEvent::StoodBy => {
+            let followed = match tenure.followed_epoch().filter(|epoch| *epoch > 0) {
+                Some(epoch) => format!("the array follows another controller (epoch {epoch})"),
+                None => "started with --standby".into(),
+            };
+            format!("{followed}: this one stands by, and takes over when reports stay without an accepted command")
+        }
+        TenureEvent::Contested => format!(
+            "the former leader still commands after the takeover (epoch {epoch}): the array refuses it. Look for a slow controller, or a link that loses its commands"
+        ),
+    }
+}
+
+/// The last refused report, with what to do.
+pub(super) fn describe_refusal(decision_loop: &DecisionLoop) -> Option<String> {
+    let inbox = decision_loop.room.controller().inbox();
+    let LastRefusal { stream, array, refusal, found } = inbox.refused().last()?;
+    let (name, owner) = match stream {
+        Stream::Telemetry => (format!("telemetry of {}", array_name(array)), inbox.array_source(array)),
+        _ => (stream.name().to_owned(), inbox.source()),
+    };
+    Some(match (refusal, decision_loop.room.last_malformed()) {
+        (Refusal::ForeignSource, _) => format!(
+            "a second source {:016x} reports {name} in this room, which source {:016x} owns; it is refused",
+            inbox.refused().last_foreign_source().unwrap_or_default(),
+            owner.unwrap_or_default()
+        ),
+        (Refusal::WrongMirrorCount, _) if let Found::Sizes(TelemetrySizes { roll, yaw, expected }) = found => format!(
+            "{name} refused: it has {roll} roll and {yaw} yaw angles, expected {expected} of each; \
+             start its driver with the size that the scenario gives {}",
+            array_name(array)
+        ),
+        (_, Some(error)) if refusal == Refusal::from(error) => format!("{name}: {error}"),
+        (Refusal::Stale, _) if let Found::AgeS(age_s) = found => {
+            format!(
+                "{name} refused: a report is {age_s:.1} s old; check the clocks of its sender and of this controller"
+            )
+        }
+        (Refusal::FromFuture, _) if let Found::AgeS(age_s) = found => format!(
+            "{name} refused: a report is {:.1} s ahead of this controller's clock; check the clocks of both",
+            -age_s
+        ),
+        (Refusal::OutsideRoom, _) if let Found::Position(position_m) = found => {
+            format!("{name} refused: {}", describe_outside(position_m))
+        }
+        (Refusal::Implausible, _) if let Found::User(values) = found => {
+            format!("{name} refused: a user has {values}")
+        }
+        _ => format!("{name} refused: {refusal}"),
+    })
+}
+
+fn describe_outside([x, y, z]: [f32; 3]) -> String {
+    format!("({x:.1}, {y:.1}, {z:.1}) is outside the room: positions are in m, in the frame of the room")
+}
+
+/// A user of an accepted report who is left out.
+pub(super) fn describe_left_out(LeftOut { user, refusal, position_m, values }: LeftOut) -> String {
+    match refusal {
+        Refusal::OutsideRoom => format!("user {user} is left out: {}", describe_outside(position_m)),
+        _ => format!("user {user} is left out: {values}"),
+    }
+}

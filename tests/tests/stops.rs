@@ -305,7 +305,6 @@ fn a_stop_that_reaches_only_the_controller_reaches_the_arrays_through_it() {
     room.wait_for([ArrayState::Following; 2]);
 }
 
-/// Prints how long a stop takes from its publication to the report that the device has executed it.
 #[test]
 fn a_stop_at_an_endpoint_without_a_process_says_that_nothing_was_sent() {
     let endpoint = free_loopback_endpoint().expect("a free port");
@@ -322,6 +321,7 @@ fn a_stop_at_an_endpoint_without_a_process_says_that_nothing_was_sent() {
     assert!(ended.refusal().contains("does not answer as a process of a room"), "{}", ended.errors);
 }
 
+/// Prints how long a stop takes from its publication to the report that the device has executed it.
 #[test]
 fn the_latency_of_a_stop_at_a_simulated_array_and_at_a_driver_is_printed() {
     let room = TwoArrays::start("latency");

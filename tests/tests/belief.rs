@@ -191,15 +191,20 @@ fn mirrors_out_of_place_are_a_problem_of_the_controller_with_the_time_since_when
     let out_of_place = ["--set", "actuator.offset_deg=2", "--set", "streams.channel.rate_hz=50"];
     let setting = Setting::new(&[&FILTER[..], &out_of_place].concat());
     let observer = RoomObserver::connect("demo", &setting.endpoints.each_ref().map(String::as_str));
-    let problem = || observer.status(NodeKind::Controller).map_or(String::new(), |status| status.last_problem);
-    wait_until("a problem of the light", || problem().starts_with("the mirrors bring 0."));
-    assert!(problem().contains(" of the expected light since ") && problem().contains("heliostat calibrate"));
+    let mut problem = String::new();
+    wait_until("a problem of the light", || {
+        problem = observer.status(NodeKind::Controller).map_or(String::new(), |status| status.last_problem);
+        problem.starts_with("the mirrors bring 0.")
+    });
+    assert!(problem.contains(" of the expected light since ") && problem.contains("heliostat calibrate"), "{problem}");
     let light = setting.doctor("light");
     assert_eq!(light["verdict"], "warn", "{light}");
+    let led = "heliostat_light_off{room=\"demo\",of=\"led-0\"}";
+    wait_until("enough ratios of the LED", || fetch(setting.metrics[1]).contains(led));
     let page = fetch(setting.metrics[1]);
     assert!(value(&page, "heliostat_light_ratio{room=\"demo\",of=\"mirrors\"}") < 0.8, "{page}");
     assert_eq!(value(&page, "heliostat_light_off{room=\"demo\",of=\"mirrors\"}"), 1.0, "{page}");
-    assert_eq!(value(&page, "heliostat_light_off{room=\"demo\",of=\"led-0\"}"), 0.0, "{page}");
+    assert_eq!(value(&page, led), 0.0, "{page}");
     let summary = setting.controller.end().json();
     assert_eq!(summary["light"][0]["of"], "mirrors", "{summary}");
 }

@@ -110,6 +110,8 @@ pub struct Belief {
     position_noise: NoiseLevel,
     velocity_noise: NoiseLevel,
     first_noise: [NoiseLevel; 2],
+    /// Standard deviations of a coordinate in m and of a velocity component in m/s, as the scenario states them.
+    stated_noise: [f64; 2],
     tracks: Tracks,
     last_ns: Nanos,
     /// A channel report of a larger age is not accepted.
@@ -147,6 +149,7 @@ impl Belief {
             position_noise,
             velocity_noise,
             first_noise: [position_noise, velocity_noise],
+            stated_noise: [streams.noise_m, streams.velocity_noise_m_s],
             tracks: Tracks::new(capacity),
             last_ns: 0,
             report_age_max_ns: (scenario.control.report_age_max_ms * 1e6) as Nanos,
@@ -348,9 +351,9 @@ impl Belief {
         [&self.position_noise, &self.velocity_noise].map(NoiseLevel::deviation)
     }
 
-    /// The same as the scenario states them, within the bounds of the estimate.
+    /// The same as the scenario states them.
     pub fn stated_noise(&self) -> [f64; 2] {
-        self.first_noise.each_ref().map(NoiseLevel::deviation)
+        self.stated_noise
     }
 
     fn new_track(&self, user: u32) -> Track {

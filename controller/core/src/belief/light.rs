@@ -18,6 +18,13 @@ const OFF: f64 = 0.25;
 /// The expected light has returned when the logarithm is within this.
 const ON: f64 = 0.17;
 
+/// The logarithm of the median stays within this. The ratio of dead mirrors is far below any other one: without a
+/// bound, the median would need as long to return as they were dead.
+const FARTHEST: f64 = 1.0;
+
+/// Ratios before which the median cannot show light that is not the expected one.
+const ENOUGH: u64 = (OFF / STEP) as u64;
+
 /// Time between two ratios of users whose gains over the mirrors show the belief nothing, in ns.
 const SELDOM_NS: Nanos = 1_000_000_000;
 
@@ -35,9 +42,9 @@ impl LightLevel {
         self.log_ratio.exp()
     }
 
-    /// Number of ratios.
-    pub fn count(&self) -> u64 {
-        self.count
+    /// Whether there were enough ratios to show light that is not the expected one.
+    pub fn is_known(&self) -> bool {
+        self.count >= ENOUGH
     }
 
     /// Since when the light is not the expected one, in ns.
@@ -46,7 +53,8 @@ impl LightLevel {
     }
 
     fn handle(&mut self, ratio: f64, time_ns: Nanos) {
-        self.log_ratio += if ratio > self.ratio() { STEP } else { -STEP };
+        let step = if ratio > self.ratio() { STEP } else { -STEP };
+        self.log_ratio = (self.log_ratio + step).clamp(-FARTHEST, FARTHEST);
         self.count += 1;
         let off = self.log_ratio.abs();
         if off > OFF {
@@ -112,5 +120,37 @@ impl LightWatch {
     pub(super) fn clear(&mut self) {
         self.mirrors = LightLevel::default();
         self.leds.fill(LightLevel::default());
+        self.next_ns = 0;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A watch of one LED after so many reports that show this ratio of the light over the mirrors.
+    fn after(mut watch: LightWatch, reports: u64, ratio: f64) -> LightWatch {
+        for report in 0..reports {
+            watch.handle(Received { mirrors: Some((0, ratio)), direct: None }, report);
+        }
+        watch
+    }
+
+    #[test]
+    fn the_light_of_mirrors_that_were_dead_for_an_hour_returns_within_a_minute() {
+        const RATE: u64 = 50;
+        let dead = after(LightWatch::new(1), 3600 * RATE, 0.0);
+        assert!(dead.mirrors().off_since_ns().is_some() && dead.mirrors().ratio() > 0.3);
+        let repaired = after(dead, 60 * RATE, 1.01);
+        assert!(repaired.mirrors().off_since_ns().is_none(), "{:?}", repaired.mirrors());
+    }
+
+    #[test]
+    fn a_level_is_known_when_it_could_have_shown_a_loss() {
+        let watch = after(LightWatch::new(1), ENOUGH - 1, 0.5);
+        assert!(!watch.mirrors().is_known() && watch.mirrors().off_since_ns().is_none());
+        let watch = after(watch, 2, 0.5);
+        assert!(watch.mirrors().is_known() && watch.mirrors().off_since_ns().is_some());
+        assert!(!watch.leds()[0].is_known());
     }
 }

@@ -375,11 +375,11 @@ impl Summary {
     }
 }
 
-/// The light of which anything was measured.
+/// The light of which enough was measured to show a loss.
 fn served_light(watch: &LightWatch) -> Vec<ServedLight> {
     let leds = watch.leds().iter().enumerate().map(|(index, level)| (format!("led-{index}"), level));
     let all = [("mirrors".to_owned(), watch.mirrors())].into_iter().chain(leds);
-    let measured = all.filter(|(_, level)| level.count() > 0);
+    let measured = all.filter(|(_, level)| level.is_known());
     let light = measured.map(|(of, level)| {
         let off_since_s = level.off_since_ns().map(|since_ns| since_ns as f64 * 1e-9);
         ServedLight { of, ratio: level.ratio(), off_since_s }

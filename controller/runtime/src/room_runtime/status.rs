@@ -59,6 +59,22 @@ pub struct Reporter {
     /// The stops that withhold commands, in words; empty for none.
     stops: String,
     last_problem: String,
+    /// What it is about.
+    last_subject: Subject,
+}
+
+/// What a problem is about: its end clears no other one.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+enum Subject {
+    /// Whether the array fits the scenario.
+    Fit,
+    Stops,
+    Driver,
+    Geometry,
+    /// The light of the mirrors, or of an LED.
+    Light(String),
+    #[default]
+    Other,
 }
 
 /// What is wrong in the room outside the decision loop.
@@ -118,6 +134,7 @@ impl Reporter {
             off_light: Vec::new(),
             stops: String::new(),
             last_problem: String::new(),
+            last_subject: Subject::Other,
         }
     }
 
@@ -143,14 +160,18 @@ impl Reporter {
             .or_else(|| self.new_stops(&stops_before))
             .or_else(|| self.new_condition(conditions, controller.arrays()))
             .or_else(|| self.new_light(&summary.light))
-            .or_else(|| self.new_problem(decision_loop, &swaps).map(Problem::Warning))
-            .or_else(|| self.new_undecodable(undecodable).map(Problem::Warning));
+            .or_else(|| self.new_problem(decision_loop, &swaps).map(warning))
+            .or_else(|| self.new_undecodable(undecodable).map(warning));
         let occurrences = std::mem::take(&mut self.occurrences);
         match &problem {
-            Some(Problem::Alarm(problem) | Problem::Warning(problem)) => self.last_problem.clone_from(problem),
-            Some(Problem::End(_)) => self.last_problem.clear(),
-            None => {}
+            Some((subject, Problem::Alarm(problem) | Problem::Warning(problem))) => {
+                self.last_problem.clone_from(problem);
+                self.last_subject.clone_from(subject);
+            }
+            Some((subject, Problem::End(_))) if *subject == self.last_subject => self.last_problem.clear(),
+            Some((_, Problem::End(_))) | None => {}
         }
+        let problem = problem.map(|(_, problem)| problem);
         summary.last_problem.clone_from(&self.last_problem);
         summary.set_without_driver(&self.conditions.without_driver);
         summary.geometry_differs = self.conditions.geometry.is_some();
@@ -267,24 +288,26 @@ impl Reporter {
     }
 
     /// A new reason for which the array receives no commands, or a sign of another sender.
-    fn new_alarm(&mut self, summary: &Summary, counters: &Counters, tenure: &Tenure) -> Option<Problem> {
+    fn new_alarm(&mut self, summary: &Summary, counters: &Counters, tenure: &Tenure) -> Option<(Subject, Problem)> {
         let unfit_before = std::mem::replace(&mut self.unfit, summary.unfit.clone());
         if unfit_before != self.unfit {
-            return Some(match &self.unfit {
+            let problem = match &self.unfit {
                 Some(unfit) => Problem::Alarm(format!("the array receives no commands: {unfit}")),
                 None => Problem::End("the array fits the scenario: it receives commands again".into()),
-            });
+            };
+            return Some((Subject::Fit, problem));
         }
         let events = TenureEvent::ALL.map(|event| counters.tenure(event));
         let before = std::mem::replace(&mut self.epoch_events, events);
         let rose = TenureEvent::ALL.into_iter().filter(|event| events[*event as usize] > before[*event as usize]);
         if let Some(event) = rose.max_by_key(|event| is_alarm(*event)) {
             let text = describe_event(event, tenure);
-            return Some(if is_alarm(event) { Problem::Alarm(text) } else { Problem::Warning(text) });
+            let problem = if is_alarm(event) { Problem::Alarm(text) } else { Problem::Warning(text) };
+            return Some((Subject::Other, problem));
         }
         let foreign_before = std::mem::replace(&mut self.foreign_arrays, counters.foreign_arrays);
         (foreign_before < counters.foreign_arrays).then(|| {
-            Problem::Warning(
+            warning(
                 "an announcement of an array that is not followed is refused: expected one driver in a room; stop the other"
                     .into(),
             )
@@ -292,49 +315,53 @@ impl Reporter {
     }
 
     /// A stop that began or ended.
-    fn new_stops(&self, before: &str) -> Option<Problem> {
+    fn new_stops(&self, before: &str) -> Option<(Subject, Problem)> {
         if before == self.stops {
             return None;
         }
-        Some(match self.stops.as_str() {
+        let problem = match self.stops.as_str() {
             "" => Problem::End("no stop withholds commands any longer".into()),
             stops => Problem::Warning(stops.to_owned()),
-        })
+        };
+        Some((Subject::Stops, problem))
     }
 
     /// A condition that began or ended; a second one is reported at the next snapshot.
-    fn new_condition(&mut self, now: Conditions, arrays: usize) -> Option<Problem> {
+    fn new_condition(&mut self, now: Conditions, arrays: usize) -> Option<(Subject, Problem)> {
         let before = std::mem::replace(&mut self.conditions.without_driver, now.without_driver);
         let without_driver = &self.conditions.without_driver;
         if before != *without_driver {
-            return Some(if without_driver.is_empty() {
+            let problem = if without_driver.is_empty() {
                 Problem::End("a driver is in the room and receives the commands".into())
             } else {
                 Problem::Warning(format!("{}: {DRIVER_ABSENT}", describe_absence(without_driver, arrays)))
-            });
+            };
+            return Some((Subject::Driver, problem));
         }
         let before = std::mem::replace(&mut self.conditions.geometry, now.geometry);
         if before == self.conditions.geometry {
             return None;
         }
-        Some(match &self.conditions.geometry {
+        let problem = match &self.conditions.geometry {
             Some(difference) => Problem::Warning(difference.clone()),
             None => Problem::End("the room announces no other geometry than this controller".into()),
-        })
+        };
+        Some((Subject::Geometry, problem))
     }
 
     /// Light that is not the expected one any longer, or is again.
-    fn new_light(&mut self, light: &[ServedLight]) -> Option<Problem> {
+    fn new_light(&mut self, light: &[ServedLight]) -> Option<(Subject, Problem)> {
         let is_known = |one: &&ServedLight| self.off_light.contains(&one.of);
         let begun = light.iter().find(|one| one.off_since_s.is_some() && !is_known(one));
         if let Some(one) = begun {
             self.off_light.push(one.of.clone());
             let since = clock_time((one.off_since_s.unwrap_or_default() * 1e9) as Nanos);
-            return Some(Problem::Warning(format!("{one} since {since}: {}", one.advice())));
+            let problem = Problem::Warning(format!("{one} since {since}: {}", one.advice()));
+            return Some((Subject::Light(one.of.clone()), problem));
         }
         let ended = light.iter().find(|one| one.off_since_s.is_none() && is_known(one))?;
         self.off_light.retain(|of| *of != ended.of);
-        Some(Problem::End(format!("{ended} again")))
+        Some((Subject::Light(ended.of.clone()), Problem::End(format!("{ended} again"))))
     }
 
     /// The most serious problem since the last snapshot.
@@ -382,4 +409,9 @@ impl Reporter {
         self.occurrences = counts.total().saturating_sub(before);
         counts.last().filter(|_| before < counts.total()).map(str::to_owned)
     }
+}
+
+/// A problem of which no end is reported.
+fn warning(text: String) -> (Subject, Problem) {
+    (Subject::Other, Problem::Warning(text))
 }

@@ -12,6 +12,9 @@ use super::system::{STATUS_WITHIN, open_bus};
 /// A tracker is noisier than stated if a learned deviation is larger than the stated one by this factor.
 const NOISIER: f64 = 1.5;
 
+/// The belief learns no smaller deviation, in m and in m/s: exact reports stay regular.
+const LEAST: f64 = 1e-3;
+
 /// The checks by the status of a controller; none where no controller is in the room.
 pub(super) fn checks(args: &Args) -> Vec<Check> {
     if args.connect.is_empty() {
@@ -43,7 +46,7 @@ fn ask_controller(args: &Args) -> anyhow::Result<Option<NodeStatus>> {
 fn check_tracker(noise: &TrackerNoise) -> Check {
     let found = noise.to_string();
     let TrackerNoise { position_m, position_stated_m, velocity_m_s, velocity_stated_m_s } = *noise;
-    let noisier = |learned: f64, stated: f64| learned > NOISIER * stated;
+    let noisier = |learned: f64, stated: f64| learned > NOISIER * stated.max(LEAST);
     if !noisier(position_m, position_stated_m) && !noisier(velocity_m_s, velocity_stated_m_s) {
         return Check::ok("tracker", found);
     }

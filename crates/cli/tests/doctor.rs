@@ -1,17 +1,24 @@
-//! `heliostat doctor` on the command line: the check of the policy.
+//! `heliostat doctor` on the command line: the checks of the policy and of the controller.
 
 use std::process::Command;
 
+use heliostat_bus::{Bus, BusConfig, private_endpoint};
+use heliostat_proto::Room;
 use serde_json::Value;
 
 /// The check of the policy with these flags.
 fn policy(flags: &[&str]) -> Value {
+    check("policy", flags)
+}
+
+/// The check of this name with these flags.
+fn check(name: &str, flags: &[&str]) -> Value {
     let mut command = Command::new(env!("CARGO_BIN_EXE_heliostat"));
     let output =
         command.args(["doctor", "--json", "--port", "17833"]).args(flags).output().expect("the program starts");
     let report: Value = serde_json::from_slice(&output.stdout).expect("one JSON object");
     let checks = report["checks"].as_array().expect("a list");
-    checks.iter().find(|check| check["name"] == "policy").expect("a check of the policy").clone()
+    checks.iter().find(|check| check["name"] == name).expect("a check of this name").clone()
 }
 
 fn text<'a>(check: &'a Value, part: &str) -> &'a str {
@@ -35,4 +42,15 @@ fn a_policy_worse_than_flat_mirrors_is_a_warning() {
     let worse = policy(&["--policy", "ddpg-raw"]);
     assert_eq!(text(&worse, "verdict"), "warn", "{worse}");
     assert!(text(&worse, "advice").contains("worse than flat mirrors"), "{worse}");
+}
+
+#[test]
+fn a_room_whose_controller_does_not_answer_has_a_line_that_says_so() {
+    let endpoint = private_endpoint().expect("a free address");
+    let room = Room::new("doctor-alone").expect("a valid name");
+    let bus = Bus::open(&BusConfig::new(room).listen_at(&endpoint)).expect("a session");
+    let controller = check("controller", &["--room", "doctor-alone", "--connect", &endpoint]);
+    assert_eq!(text(&controller, "verdict"), "ok");
+    assert_eq!(text(&controller, "found"), "no controller answered: add its endpoint to --connect");
+    bus.close().expect("closed");
 }

@@ -14,12 +14,13 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
+use heliostat_array::moment::Moment;
 use heliostat_bus::{AccessRole, Bus, BusArgs, Class, Publisher, Token};
 use heliostat_proto::{
     BranchReport, Capabilities, ChannelReport, LedReport, Message, MirrorCommand, MirrorTelemetry, Nanos, NodeKind,
     ObstacleReport, OrientationReport, Room, Stamp, UserReport, decode, encode,
 };
-use heliostat_service::clock::utc_ns;
+use heliostat_service::clock::{monotonic_ns, utc_ns};
 use heliostat_service::{Stop, output};
 use serde::Serialize;
 
@@ -115,6 +116,7 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Playback> {
         answers,
         rate: settings.rate,
         start: None,
+        played_ns: 0,
         decided: HashMap::new(),
         recorded: HashMap::new(),
         playback: Playback { file: settings.file.clone(), clock, ..Playback::default() },
@@ -224,6 +226,8 @@ struct Player {
     answers: Receiver<(usize, MirrorCommand)>,
     rate: f64,
     start: Option<Start>,
+    /// The latest time of played positions and telemetry.
+    played_ns: Nanos,
     /// Lockstep answers that wait for the recorded ones, by array and tick.
     decided: HashMap<(usize, u64), MirrorCommand>,
     /// Recorded commands that came before their report, by array and tick.
@@ -252,14 +256,18 @@ impl Player {
             if let btree_map::Entry::Vacant(place) = self.present.entry(source) {
                 place.insert(bus.announce(&bus.room().alive(NodeKind::Tracker, source))?);
             }
+            if let Received::Users(_) | Received::Telemetry(_) = received {
+                self.played_ns = self.played_ns.max(received.origin().time_ns);
+            }
         }
         let start = (self.playback.clock == Clock::Live).then(|| self.wait_for(entry));
+        let now = self.now();
         let (publisher, channel) = &self.channels[&entry.topic];
         let mut payload = start.and_then(|start| channel.moved(&entry.data, &start));
         if let OutputChannel::Telemetry = channel {
             let recorded = payload.as_deref().unwrap_or(&entry.data);
             payload = decode::<MirrorTelemetry>(recorded).ok().and_then(|mut telemetry| {
-                self.arrays[array].update(&mut telemetry);
+                self.arrays[array].update(now, &mut telemetry);
                 encoded(&telemetry)
             });
         }
@@ -272,6 +280,14 @@ impl Player {
             }
         }
         Ok(())
+    }
+
+    /// The time of the arrays: simulated in lockstep, where a pause of this process must change nothing.
+    fn now(&self) -> Moment {
+        match self.playback.clock {
+            Clock::Lockstep => Moment::simulated(self.played_ns),
+            Clock::Live => Moment { local_ns: monotonic_ns(), room_ns: utc_ns() },
+        }
     }
 
     fn compare(&mut self, ours: &MirrorCommand, theirs: &MirrorCommand) {
@@ -303,7 +319,8 @@ impl Player {
         loop {
             match self.answers.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
                 Ok((array, command)) => {
-                    self.arrays[array].handle_command(&command);
+                    let now = self.now();
+                    self.arrays[array].handle_command(now, &command);
                     // A report counts once, whatever the number of arrays.
                     self.playback.answered += u64::from(array == 0);
                 }
@@ -326,7 +343,8 @@ impl Player {
         while answers < self.arrays.len() {
             let left = deadline.saturating_duration_since(Instant::now());
             let Ok((array, command)) = self.answers.recv_timeout(left) else { break };
-            self.arrays[array].handle_command(&command);
+            let now = self.now();
+            self.arrays[array].handle_command(now, &command);
             if command.answers != tick {
                 continue;
             }

@@ -27,6 +27,16 @@ pub struct ControllerFigures {
     pub false_takeovers: u64,
 }
 
+/// Whether the controller of a status stands by; else it leads.
+pub fn is_standby(status: &NodeStatus) -> bool {
+    counter(status, STANDBY) > 0
+}
+
+/// A counter of a status; 0 where it has none.
+fn counter(status: &NodeStatus, name: &str) -> u64 {
+    status.counters.iter().find(|(counter, _)| counter == name).map_or(0, |(_, count)| *count)
+}
+
 /// The latest status of each controller, by its source.
 #[derive(Debug, Default)]
 pub(crate) struct Controllers(BTreeMap<u64, (Instant, ControllerFigures)>);
@@ -36,13 +46,11 @@ impl Controllers {
     pub fn take(&mut self, status: &NodeStatus) {
         self.0.retain(|_, (at, _)| at.elapsed() < EXPIRY);
         let source = status.stamp.source;
-        let counter =
-            |name: &str| status.counters.iter().find(|(counter, _)| counter == name).map_or(0, |(_, count)| *count);
         let figures = ControllerFigures {
             name: format!("{source:016x}"),
-            is_standby: counter(STANDBY) > 0,
-            takeovers: counter(TAKEOVERS),
-            false_takeovers: counter(FALSE_TAKEOVERS),
+            is_standby: is_standby(status),
+            takeovers: counter(status, TAKEOVERS),
+            false_takeovers: counter(status, FALSE_TAKEOVERS),
         };
         self.0.insert(source, (Instant::now(), figures));
     }

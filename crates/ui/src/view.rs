@@ -17,7 +17,7 @@ use heliostat_scenario::Scenario;
 
 use crate::UiError;
 use crate::array_reports::ArrayReports;
-use crate::controllers::Controllers;
+use crate::controllers::{Controllers, is_standby};
 use crate::latency::Window;
 use crate::problems::Problems;
 use crate::shown_room::{Announcements, GeometrySource, RoomChooser, ShownRoom};
@@ -167,7 +167,6 @@ impl Received {
     fn is_displayed(&self, name: &str, status: &NodeStatus) -> bool {
         let Some((at, known)) = self.statuses.get(name) else { return true };
         let is_present = self.alive.contains(&(status.node.name(), known.stamp.source)) && at.elapsed() < EXPIRY;
-        let is_standby = |of: &NodeStatus| of.counters.iter().any(|(name, count)| name == "standby" && *count > 0);
         known.stamp.source == status.stamp.source || !is_present || (is_standby(known) && !is_standby(status))
     }
 

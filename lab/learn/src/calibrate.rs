@@ -83,7 +83,7 @@ pub struct Room {
     pub readings: usize,
     /// Room time in s while the receiver stood at its places.
     pub seconds: f64,
-    /// Root mean square errors of roll and yaw at held-out places in degrees.
+    /// Root mean square errors of roll and yaw of corrected mirrors at held-out places in degrees.
     pub pointing_deg: [f64; 2],
     /// Root mean square error of the LEDs' coordinates in cm.
     pub led_cm: f64,
@@ -113,7 +113,7 @@ pub struct Row {
     pub readings: Estimate,
     /// Room time in s while the receiver stood at its places.
     pub seconds: Estimate,
-    /// Root mean square error of roll at held-out places in degrees.
+    /// Root mean square error of roll of corrected mirrors at held-out places in degrees.
     pub roll_deg: Estimate,
     /// The same of yaw.
     pub yaw_deg: Estimate,
@@ -153,6 +153,8 @@ pub fn study(settings: &Settings) -> anyhow::Result<Study> {
         "channel.mode = \"{}\" has no spot of light: expected \"specular\"",
         mode.name()
     );
+    let rates = ["channel", "positions"].map(|stream| format!("streams.{stream}.rate_hz={}", settings.reports_hz));
+    let carried = live::with_receiver(&scenario.with_overrides(&rates)?)?;
     let states = settings.episodes * INSTANTS;
     let episodes = held_out_episodes(&scenario, scenario.read_trace()?.as_deref(), (states, settings.seeds), WARM)?;
     let bar = progress_bar()?;
@@ -160,7 +162,7 @@ pub fn study(settings: &Settings) -> anyhow::Result<Study> {
     bar.set_message("rooms");
     let mut rooms = Vec::new();
     for episode in &episodes {
-        rooms.push(room(settings, &scenario, episode)?);
+        rooms.push(room(settings, (&scenario, &carried), episode)?);
         bar.inc(1);
     }
     bar.finish_and_clear();
@@ -180,13 +182,16 @@ pub fn study(settings: &Settings) -> anyhow::Result<Study> {
     })
 }
 
-/// Calibrates the room of an episode, and runs the episode in closed loop without and with the result.
-fn room(settings: &Settings, scenario: &Scenario, episode: &HeldOutEpisode) -> anyhow::Result<Room> {
-    let rates = ["channel", "positions"].map(|stream| format!("streams.{stream}.rate_hz={}", settings.reports_hz));
+/// Calibrates the room of an episode with a carried receiver, and runs the episode in closed loop without and
+/// with the result.
+fn room(
+    settings: &Settings,
+    (scenario, carried): (&Scenario, &Scenario),
+    episode: &HeldOutEpisode,
+) -> anyhow::Result<Room> {
     // The same seed is the same equipment.
-    let carried = live::with_receiver(&scenario.with_overrides(&rates)?)?;
-    let run = live::run(&carried, &live::walk(&carried, ""), episode.seed, |_| {})?;
-    let errors = judge(&run.outcome, &carried, episode.seed)?;
+    let run = live::run(carried, &live::walk(carried, ""), episode.seed, |_| {})?;
+    let errors = judge(&run.outcome, carried, episode.seed)?;
     let written = run.outcome.verification.is_improvement();
     let calibration = run.outcome.calibration();
     let mut oracle = 0.0;

@@ -105,16 +105,16 @@ pub fn run(args: Args) -> Result<()> {
     let controllers = processes.controllers();
     let (room_summary, controller_summary) = processes.finish();
     // Without any command there is nothing to sum up.
-    if outcome.is_ok() || view.is_complete() {
+    let printed = if outcome.is_ok() || view.is_complete() {
         let of_controller = controller_summary.as_ref().and_then(|summary| summary.as_ref().ok());
-        let summary = summary::Summary::new(room_summary.as_ref().ok(), of_controller, controllers)?;
-        if args.json {
-            outln!("{}", serde_json::to_string(&summary)?)?;
-        } else {
-            summary.print()?;
-        }
-    }
-    outcome.and(room_summary.map(drop)).and(controller_summary.map_or(Ok(()), |summary| summary.map(drop)))
+        summary::Summary::new(room_summary.as_ref().ok(), of_controller, controllers)
+            .and_then(|summary| args.print_summary(&summary))
+    } else {
+        Ok(())
+    };
+    // The first error says which process ended; a summary that lacks something is its consequence.
+    let ended = room_summary.map(drop).and(controller_summary.map_or(Ok(()), |summary| summary.map(drop)));
+    outcome.and(ended).and(printed)
 }
 
 /// The inputs of the display loop.
@@ -174,6 +174,15 @@ fn watch(args: &Args, watched: &Watched, processes: &mut Processes) -> Result<()
 }
 
 impl Args {
+    fn print_summary(&self, summary: &summary::Summary) -> Result<()> {
+        if self.json {
+            outln!("{}", serde_json::to_string(summary)?)?
+        } else {
+            summary.print()?
+        }
+        Ok(())
+    }
+
     /// The policy that the flags select.
     pub(super) fn policy(&self) -> PolicyKind {
         PolicyKind::selected(self.policy, self.model.is_some())

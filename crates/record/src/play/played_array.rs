@@ -11,7 +11,6 @@ use heliostat_array::bounds::Bounds;
 use heliostat_array::moment::Moment;
 use heliostat_array::rules::{Array, Limits};
 use heliostat_proto::{ArrayState, MirrorCommand, MirrorTelemetry, ValidityClock};
-use heliostat_service::clock::{monotonic_ns, utc_ns};
 
 /// An array that is played.
 pub struct PlayedArray {
@@ -36,14 +35,14 @@ impl PlayedArray {
     }
 
     /// Follows a command of the playback if the rules of an array accept it.
-    pub fn handle_command(&mut self, command: &MirrorCommand) {
+    pub fn handle_command(&mut self, now: Moment, command: &MirrorCommand) {
         // A refused command is counted, as telemetry reports it.
-        let _ = self.array.handle_command(now(), command);
+        let _ = self.array.handle_command(now, command);
     }
 
     /// Replaces the recorded command, state and counters in telemetry.
-    pub fn update(&mut self, telemetry: &mut MirrorTelemetry) {
-        self.array.advance(now().local_ns);
+    pub fn update(&mut self, now: Moment, telemetry: &mut MirrorTelemetry) {
+        self.array.advance(now.local_ns);
         let followed = self.array.followed().copied().unwrap_or_default();
         telemetry.epoch = followed.epoch;
         telemetry.applied_sequence = followed.sequence;
@@ -57,6 +56,29 @@ impl PlayedArray {
     }
 }
 
-fn now() -> Moment {
-    Moment { local_ns: monotonic_ns(), room_ns: utc_ns() }
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_validity_of_a_command_ends_in_the_time_of_the_playback() {
+        let mut array = PlayedArray::new(1);
+        let command = MirrorCommand {
+            epoch: 1,
+            sequence: 1,
+            validity_ms: 400,
+            roll: vec![0.0],
+            yaw: vec![0.0],
+            ..MirrorCommand::default()
+        };
+        let at = |ms: u64| Moment::simulated(ms * 1_000_000);
+        array.handle_command(at(1000), &command);
+        let mut state_at = |ms: u64| {
+            let mut telemetry = MirrorTelemetry::default();
+            array.update(at(ms), &mut telemetry);
+            (telemetry.state, telemetry.received_ns)
+        };
+        assert_eq!(state_at(1399), (ArrayState::Following, 1_000_000_000));
+        assert_eq!(state_at(1400), (ArrayState::Holding, 1_000_000_000));
+    }
 }

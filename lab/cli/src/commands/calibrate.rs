@@ -89,8 +89,8 @@ fn print(study: &Study) -> Result<()> {
     let lines = [
         ("readings", plus_minus(readings, 0)),
         ("time at the places, s", plus_minus(seconds, 0)),
-        ("error of roll at held-out places, degrees", plus_minus(roll_deg, 3)),
-        ("error of yaw at held-out places, degrees", plus_minus(yaw_deg, 3)),
+        ("error of roll of corrected mirrors at held-out places, degrees", plus_minus(roll_deg, 3)),
+        ("error of yaw of corrected mirrors at held-out places, degrees", plus_minus(yaw_deg, 3)),
         ("error of the LEDs' coordinates, cm", plus_minus(led_cm, 2)),
         ("error of the frame's height, cm", plus_minus(frame_cm, 2)),
         ("95 % intervals that hold the truth", format!("{:.3}", row.coverage)),
@@ -103,7 +103,7 @@ fn print(study: &Study) -> Result<()> {
         ("rooms that became worse", format!("{} of {}", row.worse, rooms.len())),
     ];
     for (name, value) in lines {
-        outln!("  {name:<48} {value}")?;
+        outln!("  {name:<62} {value}")?;
     }
     Ok(())
 }

@@ -10,7 +10,7 @@ use heliostat_calibrate::{Outcome, Place, Prior, Session, Setup, Stage};
 use heliostat_channel::MirrorAngles;
 use heliostat_proto::{Capabilities, MirrorCommand, UserReport};
 use heliostat_room::episode::{Episode, Event};
-use heliostat_scenario::{MismatchLevel, Scenario};
+use heliostat_scenario::{MinRate, MismatchLevel, Scenario};
 
 /// Time at each spot in s.
 const STAY_S: f64 = 120.0;
@@ -30,10 +30,18 @@ const VALIDITY_MS: u32 = 400;
 /// The room of a calibration: one receiver that is carried, and no obstacles.
 ///
 /// # Errors
-/// A room that does not exist with one user.
+/// A room whose users come and go, or that does not exist with one user.
 pub fn with_receiver(scenario: &Scenario) -> anyhow::Result<Scenario> {
-    let changes = ["blockage.obstacles_per_m2=0", "users.count=1", "users.trace=walk.csv"];
-    Ok(scenario.with_overrides(&changes.map(String::from))?)
+    ensure!(
+        scenario.users.arrivals.is_none(),
+        "users.arrivals: a calibration needs a fixed number of users; remove the arrivals"
+    );
+    let mut changes =
+        ["blockage.obstacles_per_m2=0", "users.count=1", "users.trace=walk.csv"].map(String::from).to_vec();
+    if let MinRate::Each(rates) = &scenario.users.min_rate_mbps {
+        changes.extend(rates.first().map(|rate| format!("users.min_rate_mbps={rate:?}")));
+    }
+    Ok(scenario.with_overrides(&changes)?)
 }
 
 /// The places of a calibration: the spots, then that of the verification.

@@ -79,9 +79,8 @@ pub fn judge(outcome: &Outcome, scenario: &Scenario, seed: u64) -> anyhow::Resul
     for mirror in &corrected {
         let mut worst: f64 = 0.0;
         for place in &places {
-            let unreachable = "a mirror cannot send light to a held-out place";
-            let (wanted, command) =
-                (aim(&model, *mirror, place).context(unreachable)?, by_result(*mirror, place).context(unreachable)?);
+            let aims = aim(&model, *mirror, place).zip(by_result(*mirror, place));
+            let (wanted, command) = aims.with_context(|| unreachable(*mirror, place))?;
             for axis in 0..2 {
                 let error = (command[axis] + offsets[*mirror][axis] - wanted[axis]).to_degrees();
                 squares[axis] += error * error;
@@ -125,6 +124,15 @@ pub fn judge(outcome: &Outcome, scenario: &Scenario, seed: u64) -> anyhow::Resul
     errors.led_m = (led_squares / f64::max(coordinates, 1.0)).sqrt();
     errors.frame_m = (outcome.raise_m.value - raise_m).abs();
     Ok(errors)
+}
+
+/// Why a corrected mirror has no error at a held-out place, and what to do.
+fn unreachable(mirror: usize, place: &Vec3) -> String {
+    format!(
+        "mirror {mirror} cannot send light to the held-out place at x = {:.2} m, y = {:.2} m; expected mirrors that \
+         reach all places within {SQUARE} of half the room's length and width: use a scenario with such an array",
+        place.x, place.y
+    )
 }
 
 /// A low-discrepancy sequence over a square in the middle of the room, at the receiver's height.

@@ -177,7 +177,8 @@ impl Summary {
     pub fn print(&self) -> io::Result<()> {
         let (room, controller) = (self.room.as_ref(), self.controller.as_ref());
         let credited = controller.map(ControllerPart::credited);
-        let policies = credited.as_ref().map_or("unknown (the controller was killed)".into(), |names| names.join(", "));
+        let policies =
+            credited.as_ref().map_or("unknown (no summary of the controller)".into(), |names| names.join(", "));
         match room {
             Some(room) => {
                 outln!("{} (seed {}), policy {policies}", room.scenario, room.seed)?;

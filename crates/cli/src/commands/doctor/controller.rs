@@ -1,13 +1,15 @@
 //! What a running controller has learned about its room.
 
 use std::sync::mpsc;
+use std::time::Instant;
 
 use heliostat_proto::gauges::{ServedLight, TrackerNoise};
 use heliostat_proto::{NodeKind, NodeStatus, decode};
+use heliostat_ui::controllers::is_standby;
 
 use super::args::Args;
 use super::check::Check;
-use super::system::{STATUS_WITHIN, open_bus};
+use super::system::{CONNECTED_WITHIN, STATUS_WITHIN, open_bus};
 
 /// A tracker is noisier than stated if a learned deviation is larger than the stated one by this factor.
 const NOISIER: f64 = 1.5;
@@ -20,8 +22,14 @@ pub(super) fn checks(args: &Args) -> Vec<Check> {
     if args.connect.is_empty() {
         return Vec::new();
     }
-    // The check of the driver reports a session that does not open.
-    let Ok(Some(status)) = ask_controller(args) else { return Vec::new() };
+    let status = match ask_controller(args) {
+        Ok(Some(status)) => status,
+        Ok(None) => {
+            return vec![Check::ok("controller", "no controller answered: add its endpoint to --connect")];
+        }
+        // The check of the driver reports a session that does not open.
+        Err(_) => return Vec::new(),
+    };
     let tracker = TrackerNoise::of(&status);
     tracker.iter().map(check_tracker).chain(ServedLight::all_of(&status).iter().map(check_light)).collect()
 }
@@ -32,14 +40,30 @@ fn ask_controller(args: &Args) -> anyhow::Result<Option<NodeStatus>> {
     let key = bus.room().status(NodeKind::Controller);
     let subscription = bus.subscribe(&key, move |payload| {
         if let Ok(status) = decode::<NodeStatus>(payload) {
-            // The receiver is gone after the first one.
+            // The receiver is gone after that of a leader.
             sender.send(status).ok();
         }
     })?;
-    let status = statuses.recv_timeout(STATUS_WITHIN).ok();
+    // The time for a status begins with the connection.
+    let status = bus.wait_connected(CONNECTED_WITHIN).then(|| {
+        let until = Instant::now() + STATUS_WITHIN;
+        leading(std::iter::from_fn(|| statuses.recv_timeout(until.saturating_duration_since(Instant::now())).ok()))
+    });
     drop(subscription);
     bus.close()?;
-    Ok(status)
+    Ok(status.flatten())
+}
+
+/// The first status of a leader, or else the last one of a standby.
+fn leading(statuses: impl Iterator<Item = NodeStatus>) -> Option<NodeStatus> {
+    let mut standby = None;
+    for status in statuses {
+        if !is_standby(&status) {
+            return Some(status);
+        }
+        standby = Some(status);
+    }
+    standby
 }
 
 /// Whether the reports have the noise that the scenario states.
@@ -69,6 +93,19 @@ fn check_light(light: &ServedLight) -> Check {
 mod tests {
     use super::super::check::Verdict;
     use super::*;
+
+    #[test]
+    fn the_status_of_a_leader_is_preferred_to_that_of_a_standby() {
+        let status = |last_problem: &str, standby| NodeStatus {
+            last_problem: last_problem.into(),
+            counters: vec![("standby".into(), standby)],
+            ..NodeStatus::default()
+        };
+        let chosen = |statuses: &[NodeStatus]| leading(statuses.iter().cloned()).map(|status| status.last_problem);
+        assert_eq!(chosen(&[status("standby", 1), status("leader", 0)]).as_deref(), Some("leader"));
+        assert_eq!(chosen(&[status("standby", 1)]).as_deref(), Some("standby"));
+        assert_eq!(chosen(&[]), None);
+    }
 
     #[test]
     fn a_tracker_with_twice_the_stated_noise_is_a_warning_with_the_learned_one() {

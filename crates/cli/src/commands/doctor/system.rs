@@ -24,6 +24,9 @@ use super::controller;
 /// Longest time until a driver answers.
 const DRIVER_WAIT: Duration = Duration::from_secs(3);
 
+/// Longest time until a session is connected.
+pub(super) const CONNECTED_WITHIN: Duration = DRIVER_WAIT;
+
 /// A driver publishes its status each second, and a controller twice.
 pub(super) const STATUS_WITHIN: Duration = Duration::from_millis(1200);
 

@@ -32,6 +32,14 @@ fn cell(value: f64) -> String {
 /// A line for each policy; in a sweep the first columns are the values of the keys.
 pub fn by_policy(grid: Option<&Grid>, reports: &[Report]) -> Result<Vec<u8>> {
     let mut writer = csv::Writer::from_writer(Vec::new());
+    // The points of a sweep may have different policies, and all lines have the same columns.
+    let differences: Vec<Difference> = Difference::of_any(reports).collect();
+    let reference = Difference::reference(reports);
+    let spreads = |report: &Report, row: &Row| {
+        let further =
+            differences.iter().map(|one| (one.key, one.to(reference, report, row).unwrap_or(Spread::MISSING)));
+        spreads(row).into_iter().chain(further).collect::<Vec<_>>()
+    };
     let mut header = keys(grid);
     header.push("policy".into());
     for (name, _) in reports.iter().take(1).flat_map(|report| spreads(report, &report.oracle)) {
@@ -80,8 +88,8 @@ pub fn by_episode(grid: Option<&Grid>, reports: &[Report]) -> Result<Vec<u8>> {
     Ok(writer.into_inner()?)
 }
 
-/// The figures of a row by name; the oracle and the first policy have no differences.
-fn spreads(report: &Report, row: &Row) -> Vec<(&'static str, Spread)> {
+/// The figures of a row by name, without its differences.
+fn spreads(row: &Row) -> Vec<(&'static str, Spread)> {
     let mut spreads = vec![
         ("sum_rate_mbps", row.sum_rate_mbps),
         ("ratio_to_oracle", row.ratio_to_oracle),
@@ -91,6 +99,5 @@ fn spreads(report: &Report, row: &Row) -> Vec<(&'static str, Spread)> {
         ("ber", row.ber),
     ];
     spreads.extend(row.outage_time.map(|outage| ("outage_time", outage)));
-    spreads.extend(Difference::all(report).map(|one| (one.key, (one.of)(row).unwrap_or(Spread::MISSING))));
     spreads
 }

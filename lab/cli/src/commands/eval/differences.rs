@@ -50,7 +50,28 @@ const DIFFERENCES: [Difference; 4] = [
 impl Difference {
     /// The differences that a comparison has: none for a single policy, and outage in closed loop only.
     pub fn all(report: &Report) -> impl Iterator<Item = Self> {
-        let has = |difference: &Self| report.policies.iter().any(|(_, row)| (difference.of)(row).is_some());
+        Self::of_any(std::slice::from_ref(report))
+    }
+
+    /// The policy that a sweep subtracts: the first one of the first point with a difference. The points may
+    /// have different policies.
+    pub fn reference(reports: &[Report]) -> Option<&str> {
+        let report = reports.iter().find(|report| Self::all(report).next().is_some())?;
+        report.policies.first().map(|(name, _)| name.as_str())
+    }
+
+    /// The difference of a row from the reference; `None` also at a point that subtracts another policy.
+    pub fn to(&self, reference: Option<&str>, report: &Report, row: &Row) -> Option<Spread> {
+        let first = report.policies.first().map(|(name, _)| name.as_str());
+        (self.of)(row).filter(|_| first == reference)
+    }
+
+    /// The differences that at least one of the comparisons has.
+    pub fn of_any(reports: &[Report]) -> impl Iterator<Item = Self> {
+        let has = |difference: &Self| {
+            let mut rows = reports.iter().flat_map(|report| &report.policies);
+            rows.any(|(_, row)| (difference.of)(row).is_some())
+        };
         DIFFERENCES.into_iter().filter(has)
     }
 }

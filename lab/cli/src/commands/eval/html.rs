@@ -136,7 +136,7 @@ fn columns(report: &Report) -> Vec<Column> {
     if let Some((first, _)) = report.policies.first() {
         columns.extend(Difference::all(report).map(|one| -> Column {
             let heading = format!("difference to {first} ({})", one.heading);
-            (heading, Box::new(move |row: &Row| difference(row, &one)))
+            (heading, Box::new(move |row: &Row| difference((one.of)(row), &one)))
         }));
     }
     columns.extend([

@@ -130,15 +130,16 @@ fn print_differences(report: &Report) -> io::Result<()> {
     let headings: Vec<String> = differences.iter().map(|one| format!("{:>15}", one.heading)).collect();
     outln!("{:<width$} {}", "", headings.join(" "))?;
     for (name, row) in others {
-        let cells: Vec<String> = differences.iter().map(|one| format!("{:>15}", difference(row, one))).collect();
+        let cells: Vec<String> =
+            differences.iter().map(|one| format!("{:>15}", difference((one.of)(row), one))).collect();
         outln!("{name:<width$} {}", cells.join(" "))?;
     }
     Ok(())
 }
 
-/// A difference of a row, or a dash for the oracle and the first policy.
-pub(super) fn difference(row: &Row, one: &Difference) -> String {
-    (one.of)(row).map_or("-".into(), |spread| signed(spread, one.digits))
+/// The text of a difference, or a dash where there is none.
+pub(super) fn difference(found: Option<Spread>, one: &Difference) -> String {
+    found.map_or("-".into(), |spread| signed(spread, one.digits))
 }
 
 /// Prints the quality of each belief about the users.
@@ -182,37 +183,49 @@ pub(super) fn belief_columns() -> [BeliefColumn; 6] {
 pub fn print_sweep(grid: &Grid, reports: &[Report]) -> io::Result<()> {
     let Some(first) = reports.first() else { return Ok(()) };
     outln!("ratio to the oracle with minimum rates, and share of minimum rates met; {}", states_and_seeds(first))?;
-    print_columns(grid, reports, |row| {
+    print_columns(grid, reports, |_, row| {
         (number(row.qos_met.mean, 3), format!("{} {}", interval(row.ratio_to_oracle, 3), number(row.qos_met.mean, 3)))
     })?;
     outln!("sum rate in Mbit/s")?;
-    print_columns(grid, reports, |row| (number(row.sum_rate_mbps.mean, 1), interval(row.sum_rate_mbps, 1)))?;
+    print_columns(grid, reports, |_, row| (number(row.sum_rate_mbps.mean, 1), interval(row.sum_rate_mbps, 1)))?;
     if first.oracle.outage_time.is_some() {
         outln!("outage: share of the users' time below the minimum rate")?;
         let outage = |row: &Row| row.outage_time.unwrap_or(Spread::MISSING);
-        print_columns(grid, reports, |row| (number(outage(row).mean, 3), interval(outage(row), 3)))?;
+        print_columns(grid, reports, |_, row| (number(outage(row).mean, 3), interval(outage(row), 3)))?;
     }
-    let reference = first.policies.first().map_or("", |(name, _)| name.as_str());
-    for one in Difference::all(first) {
-        outln!("difference to {reference}, paired: {}", one.figure)?;
-        print_columns(grid, reports, |row| (difference(row, &one), difference(row, &one)))?;
+    let reference = Difference::reference(reports);
+    for one in Difference::of_any(reports) {
+        outln!("difference to {}, paired: {}", reference.unwrap_or_default(), one.figure)?;
+        print_columns(grid, reports, |report, row| {
+            let text = difference(one.to(reference, report, row), &one);
+            (text.clone(), text)
+        })?;
     }
     note_on_episodes(reports, true)?;
     print_conditions(reports)
 }
 
-/// Prints a column for the oracle and one for each policy; `cell` returns the text for each of the
-/// two.
-fn print_columns(grid: &Grid, reports: &[Report], cell: impl Fn(&Row) -> (String, String)) -> io::Result<()> {
+/// Prints a column for the oracle and one for each policy of any point; `cell` returns the text for each of
+/// the two. A point without a policy has a dash.
+fn print_columns(grid: &Grid, reports: &[Report], cell: impl Fn(&Report, &Row) -> (String, String)) -> io::Result<()> {
     let width = |name: &str| name.len().max(18);
-    let header = reports.iter().take(1).flat_map(|report| &report.policies);
-    let header: Vec<String> = header.map(|(name, _)| format!("{name:>0$}", width(name))).collect();
+    let mut names: Vec<&str> = Vec::new();
+    for (name, _) in reports.iter().flat_map(|report| &report.policies) {
+        if !names.contains(&name.as_str()) {
+            names.push(name);
+        }
+    }
+    let header: Vec<String> = names.iter().map(|name| format!("{name:>0$}", width(name))).collect();
     let keys: Vec<String> = grid.keys().map(|key| format!("{key:>24}")).collect();
     outln!("{} {:>8} {}", keys.join(" "), ORACLE, header.join(" "))?;
     for (point, report) in grid.points().iter().zip(reports) {
-        let cells = report.policies.iter().map(|(name, row)| format!("{:>1$}", cell(row).1, width(name)));
+        let cells = names.iter().map(|name| {
+            let row = report.policies.iter().find(|(of, _)| of == name);
+            format!("{:>1$}", row.map_or("-".into(), |(_, row)| cell(report, row).1), width(name))
+        });
         let values: Vec<String> = point.iter().map(|value| format!("{value:>24}")).collect();
-        outln!("{} {:>8} {}", values.join(" "), cell(&report.oracle).0, cells.collect::<Vec<_>>().join(" "))?;
+        let oracle = cell(report, &report.oracle).0;
+        outln!("{} {oracle:>8} {}", values.join(" "), cells.collect::<Vec<_>>().join(" "))?;
     }
     Ok(())
 }

@@ -313,7 +313,7 @@ fn sum_of(sum: &heliostat_proto::SumRates) -> SumFigures {
 
 fn node(received: &Received, name: &str, at: Instant, status: &NodeStatus) -> NodeFigures {
     let state = if at.elapsed() < EXPIRY { shown(&status.state) } else { "gone".into() };
-    NodeFigures { node: name.to_owned(), state, problem: shown(received.problems.current(name)) }
+    NodeFigures { node: name.to_owned(), state, problem: shown(received.problems.current(name, status.stamp.source)) }
 }
 
 /// The figures of a process without a problem that a note states too, with other advice behind its

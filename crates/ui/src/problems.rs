@@ -114,7 +114,7 @@ mod tests {
         // Another process of this name.
         let other = |started_ns| {
             let text = stopped(3);
-            NodeStatus { stamp: Stamp { source: 8, ..text.stamp.clone() }, started_ns, ..text }
+            NodeStatus { stamp: Stamp { source: 8, ..text.stamp }, started_ns, ..text }
         };
         problems.take(node, &other(0));
         assert_eq!(problems.current(node, 8), "");

@@ -127,7 +127,8 @@ fn the_status_of_a_room_is_healthy_while_its_mirrors_follow_and_names_a_stop_or_
     };
     let alone = status(&[]);
     assert!(alone.refusal().contains("Give --connect the endpoints of the room's process"), "{}", alone.errors);
-    let slow = ["--set", "streams.positions.rate_hz=20", "--set", "control.validity_ms=10000"];
+    let slow = ["streams.positions.rate_hz=20", "control.validity_ms=10000", "control.report_age_max_ms=10000"];
+    let slow = slow.map(|key| ["--set", key]).concat();
     let both = |arguments: &[&str]| Process::heliostat(&[arguments, &["--exit-with-parent"], &slow].concat());
     let _room = both(&["sim-node", "--listen", &room_at]);
     wait_until("a missing controller to be named", || {
@@ -147,9 +148,11 @@ fn the_status_of_a_room_is_healthy_while_its_mirrors_follow_and_names_a_stop_or_
         assert!(text.contains(part), "{part} in {text}");
     }
     assert!(Process::heliostat(&["stop", "--connect", &room_at]).wait().status.success());
-    let stopped = status(&["--json"]);
-    let found: Value = serde_json::from_str(stopped.output.trim()).expect("one JSON object");
-    assert_eq!((stopped.status.code(), found["is_healthy"].as_bool()), (Some(1), Some(false)), "{found}");
-    let problems = found["problems"].as_array().expect("a list");
-    assert!(problems.iter().any(|problem| problem == "the array does not follow: stopped"), "{found}");
+    wait_until("the stopped state", || {
+        let stopped = status(&["--json"]);
+        let found: Value = serde_json::from_str(stopped.output.trim()).expect("one JSON object");
+        assert_eq!((stopped.status.code(), found["is_healthy"].as_bool()), (Some(1), Some(false)), "{found}");
+        let problems = found["problems"].as_array().expect("a list");
+        problems.iter().any(|problem| problem == "the array does not follow: stopped")
+    });
 }

@@ -7,14 +7,14 @@ use heliostat_service::clock::utc_ns;
 use serde::Serialize;
 
 use crate::figures::{Figures, Origin};
+use crate::notes::without_figures;
 use crate::order_answer::Answer;
 use crate::order_log::OrderFigures;
 use crate::stop_state::{StopFigure, StopFigures, StopPhase};
 
 /// Events that are kept.
 const EVENTS_MAX: usize = 100;
-/// A problem that a process reports again within this time is no new event: two that take turns would
-/// fill the log.
+/// A problem that is an event is no other one within this time: two that take turns would fill the log.
 const REPEATED_MS: u64 = 60_000;
 
 /// One event.
@@ -33,7 +33,7 @@ pub(crate) struct EventLog {
     events: VecDeque<Event>,
     /// The state of each subject, in words.
     states: BTreeMap<String, String>,
-    /// The problems of each process without their numbers, and when they were reported last.
+    /// The problems of each process without their figures, and the times of their last events.
     problems: BTreeMap<String, u64>,
     /// The notes about the room at the last call.
     notes: Vec<String>,
@@ -46,6 +46,7 @@ impl EventLog {
     }
 
     fn note_at(&mut self, at_ms: u64, figures: &Figures, orders: &[OrderFigures], stop: &StopFigures) -> bool {
+        self.problems.retain(|_, last| at_ms.saturating_sub(*last) < REPEATED_MS);
         let before = self.events.len().min(EVENTS_MAX);
         let last = self.events.back().cloned();
         let origin = match figures.origin {
@@ -78,18 +79,25 @@ impl EventLog {
         self.change(at_ms, "stop", &format!("{phase}{by}"), !matches!(stop.phase, StopPhase::Released));
         for node in &figures.nodes {
             let subject = format!("problem of {}", node.node);
-            let words: String = node.problem.chars().filter(|symbol| !symbol.is_ascii_digit()).collect();
-            let last = if words.is_empty() { None } else { self.problems.insert(format!("{subject}: {words}"), at_ms) };
-            if last.is_none_or(|last| at_ms - last >= REPEATED_MS) {
+            let words = without_figures(&node.problem);
+            if self.states.get(&subject).is_some_and(|state| without_figures(state) == words) {
+                continue;
+            }
+            let key = format!("{subject}: {words}");
+            if !self.problems.contains_key(&key) {
                 self.change(at_ms, &subject, &node.problem, true);
+                if !words.is_empty() {
+                    self.problems.insert(key, at_ms);
+                }
             }
         }
-        self.problems.retain(|_, last| at_ms - *last < REPEATED_MS);
         let notes = std::mem::replace(&mut self.notes, figures.notes.clone());
-        for note in figures.notes.iter().filter(|note| !notes.contains(note)) {
+        let has =
+            |notes: &[String], note: &str| notes.iter().any(|known| without_figures(known) == without_figures(note));
+        for note in figures.notes.iter().filter(|note| !has(&notes, note)) {
             self.push(at_ms, note.clone(), true);
         }
-        for note in notes.iter().filter(|note| !figures.notes.contains(note)) {
+        for note in notes.iter().filter(|note| !has(&figures.notes, note)) {
             self.push(at_ms, format!("over: {note}"), false);
         }
         // Oldest first.
@@ -227,6 +235,38 @@ mod tests {
     }
 
     #[test]
+    fn a_problem_that_begins_again_and_lasts_is_an_event_within_a_minute() {
+        let (mut log, no_stop) = (EventLog::default(), StopFigures::default());
+        log.note_at(1, &figures("following", ""), &[], &no_stop);
+        let first = texts(&log).len();
+        for second in 0..300 {
+            // It ends for one second.
+            let problem = if second == 30 { String::new() } else { format!("a report is {second}.5 s old") };
+            log.note_at(1000 * second, &figures("following", &problem), &[], &no_stop);
+        }
+        let expected = [
+            (0, "problem of controller: a report is 0.5 s old", true),
+            (30_000, "problem of controller: over", false),
+            (60_000, "problem of controller: a report is 60.5 s old", true),
+        ];
+        assert_eq!(texts(&log)[first..], expected);
+    }
+
+    #[test]
+    fn problems_of_two_parts_are_two_events() {
+        let (mut log, no_stop) = (EventLog::default(), StopFigures::default());
+        log.note_at(1, &figures("following", ""), &[], &no_stop);
+        let first = texts(&log).len();
+        let problems = ["no driver of mirrors-1", "no driver of mirrors-2", "LED 0 brings 0.61", "LED 10 brings 0.60"];
+        for (second, problem) in (0..).zip(problems) {
+            log.note_at(1000 * second, &figures("following", problem), &[], &no_stop);
+        }
+        let shown: Vec<_> =
+            texts(&log)[first..].iter().map(|(_, text, _)| text.replace("problem of controller: ", "")).collect();
+        assert_eq!(shown, problems);
+    }
+
+    #[test]
     fn a_note_is_an_event_when_it_begins_and_when_it_ends_each_time() {
         let (mut log, no_stop) = (EventLog::default(), StopFigures::default());
         let note = "no driver receives the commands";
@@ -239,6 +279,11 @@ mod tests {
         for (time, notes) in [(2, &[note][..]), (3, &[note]), (4, &[]), (5, &[note])] {
             log.note_at(time, &with(notes), &[], &no_stop);
         }
+        let before = texts(&log).len();
+        log.note_at(6, &with(&[note, "LED 0 brings 0.61"]), &[], &no_stop);
+        assert!(!log.note_at(7, &with(&[note, "LED 0 brings 0.59"]), &[], &no_stop), "only a figure has changed");
+        assert_eq!(texts(&log)[before..], [(6, "LED 0 brings 0.61", true)]);
+        log.events.truncate(before);
         let over = format!("over: {note}");
         assert_eq!(texts(&log)[first..], [(2, note, true), (4, over.as_str(), false), (5, note, true)]);
     }

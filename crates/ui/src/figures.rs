@@ -17,7 +17,7 @@ use serde::Serialize;
 use crate::View;
 use crate::controllers::ControllerFigures;
 use crate::latency::Histogram;
-use crate::notes::follows_from;
+use crate::notes::{follows_from, without_figures};
 use crate::scene::unusable_mirrors;
 use crate::view::{EXPIRY, Received};
 
@@ -313,14 +313,15 @@ fn sum_of(sum: &heliostat_proto::SumRates) -> SumFigures {
 
 fn node(received: &Received, name: &str, at: Instant, status: &NodeStatus) -> NodeFigures {
     let state = if at.elapsed() < EXPIRY { shown(&status.state) } else { "gone".into() };
-    NodeFigures { node: name.to_owned(), state, problem: shown(received.problems.current(name)) }
+    NodeFigures { node: name.to_owned(), state, problem: shown(received.problems.current(name, status.stamp.source)) }
 }
 
 /// The figures of a process without a problem that a note states too, with other advice behind its
 /// colon, or that follows from a note.
 fn without_notes(mut node: NodeFigures, notes: &[String]) -> NodeFigures {
-    let fault = |text: &str| text.split(": ").next().unwrap_or_default().to_owned();
-    if notes.iter().any(|note| fault(note) == fault(&node.problem)) || follows_from(notes, &node.problem) {
+    let fault = |text: &str| without_figures(text.split(": ").next().unwrap_or_default());
+    let of_node = fault(&node.problem);
+    if notes.iter().any(|note| of_node.starts_with(&fault(note))) || follows_from(notes, &node.problem) {
         node.problem.clear();
     }
     node
@@ -423,6 +424,18 @@ fn fault_names(bits: u32) -> Vec<&'static str> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_problem_that_a_note_states_too_is_not_repeated() {
+        let notes = ["LED 0 brings 0.61 of the expected light: look for an LED that was dimmed".to_owned()];
+        let left = |problem: &str| {
+            without_notes(NodeFigures { problem: problem.into(), ..NodeFigures::default() }, &notes).problem
+        };
+        assert_eq!(left("LED 0 brings 0.60 of the expected light since 06:00:00 UTC: look for an LED"), "");
+        for other in ["LED 1 brings 0.60 of the expected light since 06:00:00 UTC: look for an LED", "users refused"] {
+            assert_eq!(left(other), other);
+        }
+    }
 
     #[test]
     fn a_command_that_is_withheld_is_no_fallback() {

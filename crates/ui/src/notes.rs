@@ -3,6 +3,7 @@
 use std::time::Instant;
 
 use heliostat_proto::array_keys::array_name;
+use heliostat_proto::gauges::ServedLight;
 use heliostat_proto::{NodeKind, NodeStatus};
 use heliostat_service::printable::printable;
 
@@ -27,7 +28,10 @@ impl Received {
                     .into(),
             );
         }
-        notes.extend(self.fresh_status(NodeKind::Controller.name()).and_then(|status| absent_drivers(status, arrays)));
+        if let Some(status) = self.fresh_status(NodeKind::Controller.name()) {
+            notes.extend(absent_drivers(status, arrays));
+            notes.extend(ServedLight::all_of(status).iter().filter_map(off_light));
+        }
         let is_old = |at: Option<Instant>| at.unwrap_or(opened).elapsed() > EXPIRY;
         if is_old(arrival(&self.truth)) && is_old(arrival(&self.users)) {
             notes.push("no process reports the positions of users: start the tracker or the simulator".into());
@@ -45,14 +49,36 @@ fn arrival<T>(message: &Dated<T>) -> Option<Instant> {
     message.as_ref().map(|(at, _)| *at)
 }
 
-/// The beginning of the note about two drivers, and what a controller reports because of them.
+/// The beginning of the note about two drivers, and beginning and part of what a controller reports because
+/// of them. A second source of users is another fault.
 const TWO_DRIVERS: &str = "two drivers serve one array";
-const OF_TWO_DRIVERS: [&str; 2] = ["a second source ", "an announcement of an array that is not followed "];
+const OF_TWO_DRIVERS: [(&str, &str); 2] =
+    [("a second source ", " reports telemetry of "), ("an announcement of an array that is not followed ", "")];
 
 /// Whether a controller reports this problem because of what a note states.
 pub(crate) fn follows_from(notes: &[String], problem: &str) -> bool {
     notes.iter().any(|note| note.starts_with(TWO_DRIVERS))
-        && OF_TWO_DRIVERS.iter().any(|start| problem.starts_with(start))
+        && OF_TWO_DRIVERS.iter().any(|(start, part)| problem.starts_with(start) && problem.contains(part))
+}
+
+/// A text without its figures, which differ at each occurrence of one fault. The digit of a name stays, as in
+/// `LED 0` and `mirrors-1`.
+pub(crate) fn without_figures(text: &str) -> String {
+    let mut kept = String::with_capacity(text.len());
+    for symbol in text.chars() {
+        // A digit stays only in a name, so one before another is of the same name.
+        let is_in_name = kept.ends_with("LED ")
+            || kept.ends_with(|last: char| last.is_ascii_digit())
+            || kept.strip_suffix('-').is_some_and(|word| word.ends_with(char::is_alphabetic));
+        if !symbol.is_ascii_digit() || is_in_name {
+            kept.push(symbol);
+        }
+    }
+    kept
+}
+
+fn off_light(light: &ServedLight) -> Option<String> {
+    light.off_since_s.map(|_| printable(&format!("{light}: {}", light.advice())).into_owned())
 }
 
 fn two_drivers((array, [one, other]): (usize, [u64; 2])) -> String {
@@ -104,6 +130,31 @@ mod tests {
         received.alive.insert((NodeKind::Controller.name(), 5));
         received.users = Some((Instant::now(), UserReport::default()));
         assert_eq!(received.notes(1, ago(60)), Vec::<String>::new());
+    }
+
+    #[test]
+    fn light_that_is_off_is_noted_with_what_to_do_while_it_lasts() {
+        let mut received = Received::default();
+        received.alive.insert((NodeKind::Controller.name(), 5));
+        let mut noted = |off_since_s| {
+            let light = |of: &str, ratio, off_since_s| ServedLight { of: of.into(), ratio, off_since_s };
+            let all = [light("led-1", 0.6, off_since_s), light("mirrors", 1.0, None)];
+            let gauges = all.iter().flat_map(ServedLight::gauges).collect();
+            let status = NodeStatus { node: NodeKind::Controller, gauges, ..NodeStatus::default() };
+            received.statuses.insert(NodeKind::Controller.name().into(), (Instant::now(), status));
+            received.notes(1, ago(0))
+        };
+        let notes = noted(Some(3.0));
+        assert!(notes.len() == 1 && notes[0].starts_with("LED 1 brings 0.60 of the expected light: look"), "{notes:?}");
+        assert_eq!(noted(None), Vec::<String>::new());
+    }
+
+    #[test]
+    fn a_second_tracker_is_not_explained_by_two_drivers() {
+        let notes = [two_drivers((0, [7, 8]))];
+        let second = |name| format!("a second source 09 reports {name} in this room, which source 07 owns");
+        assert!(follows_from(&notes, &second("telemetry of mirrors")) && !follows_from(&notes, &second("users")));
+        assert!(!follows_from(&[], &second("telemetry of mirrors")));
     }
 
     #[test]

@@ -1,7 +1,8 @@
 //! The problems that processes report, for as long as their cause lasts.
 //!
 //! A status repeats the last problem of its process for ever. It counts as current while its cause
-//! is counted again and again, and some seconds after that.
+//! is counted again and again, and some seconds after that. In the first status of a process it is
+//! current only if it lasts, or if the process has just started: it may have ended long ago.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
@@ -15,10 +16,11 @@ const COUNTED: [&str; 6] = ["refused:", "fallback:", "missed:", "policies_refuse
 /// Counters that are above 0 as long as a problem lasts.
 const LASTING: [&str; 4] = ["array_unfit", "standby", "driver_absent", "device_absent"];
 
-/// The last problem of each process, by its name in [`Received::statuses`](crate::view::Received).
+/// The last problem of each process, by its name in [`Received::statuses`](crate::view::Received) and its
+/// source.
 #[derive(Debug, Default)]
 pub(crate) struct Problems {
-    last: BTreeMap<String, Occurrence>,
+    last: BTreeMap<(String, u64), Occurrence>,
 }
 
 #[derive(Debug)]
@@ -28,7 +30,10 @@ struct Occurrence {
     counts: BTreeMap<String, u64>,
     /// The counters that rose when the text appeared.
     causes: BTreeSet<String>,
-    at: Instant,
+    /// The last occurrence; unknown for the text of a first status.
+    at: Option<Instant>,
+    /// Arrival of the last status.
+    reported: Instant,
 }
 
 impl Problems {
@@ -38,7 +43,10 @@ impl Problems {
         let counted = status.counters.iter().filter(|(name, _)| COUNTED.iter().any(|start| name.starts_with(start)));
         let counts: BTreeMap<String, u64> = counted.cloned().collect();
         let lasts = status.counters.iter().any(|(name, count)| *count > 0 && LASTING.contains(&name.as_str()));
-        let last = self.last.get_mut(name);
+        let now = Instant::now();
+        self.last.retain(|_, last| last.reported.elapsed() < CURRENT);
+        let key = (name.to_owned(), status.stamp.source);
+        let last = self.last.get_mut(&key);
         let before = last.as_ref().map(|last| &last.counts);
         let has_risen =
             |name: &str, count: u64| before.and_then(|before| before.get(name)).is_none_or(|before| *before < count);
@@ -54,50 +62,82 @@ impl Problems {
                     last.causes.clone_from(&rose);
                 }
                 if lasts || rose.iter().any(|name| last.causes.contains(name)) {
-                    last.at = Instant::now();
+                    last.at = Some(now);
                 }
                 last.counts = counts;
+                last.reported = now;
             }
             _ => {
+                let age = Duration::from_nanos(status.stamp.time_ns.saturating_sub(status.started_ns));
+                let is_current = last.is_some() || lasts || age < CURRENT;
+                let at = is_current.then_some(now);
                 let text = status.last_problem.clone();
-                self.last.insert(name.to_owned(), Occurrence { text, counts, causes: rose, at: Instant::now() });
+                self.last.insert(key, Occurrence { text, counts, causes: rose, at, reported: now });
             }
         }
     }
 
     /// The problem of a process, if it is current; else empty.
-    pub fn current(&self, node: &str) -> &str {
-        self.last.get(node).filter(|last| last.at.elapsed() < CURRENT).map_or("", |last| &last.text)
+    pub fn current(&self, node: &str, source: u64) -> &str {
+        let last = self.last.get(&(node.to_owned(), source));
+        last.filter(|last| last.at.is_some_and(|at| at.elapsed() < CURRENT)).map_or("", |last| &last.text)
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use heliostat_proto::Stamp;
+
     use super::*;
 
     fn status(problem: &str, counters: &[(&str, u64)]) -> NodeStatus {
         let counters = counters.iter().map(|(name, count)| ((*name).to_owned(), *count)).collect();
-        NodeStatus { last_problem: problem.into(), counters, ..NodeStatus::default() }
+        // A minute after the start of the process.
+        let stamp = Stamp { source: 7, time_ns: 60_000_000_000, ..Stamp::default() };
+        NodeStatus { stamp, last_problem: problem.into(), counters, ..NodeStatus::default() }
     }
 
     fn age(problems: &mut Problems, by: Duration) {
-        problems.last.values_mut().for_each(|last| last.at -= by);
+        problems.last.values_mut().filter_map(|last| last.at.as_mut()).for_each(|at| *at -= by);
+    }
+
+    #[test]
+    fn the_text_of_a_first_status_is_no_problem_until_its_cause_is_counted() {
+        let (mut problems, node) = (Problems::default(), NodeStatus::default().node.name());
+        let stopped = |count| status("the array is stopped", &[("refused:command:stopped", count)]);
+        problems.take(node, &stopped(1));
+        assert_eq!(problems.current(node, 7), "", "it may have ended long ago");
+        problems.take(node, &stopped(1));
+        assert_eq!(problems.current(node, 7), "");
+        problems.take(node, &stopped(2));
+        assert_eq!(problems.current(node, 7), "the array is stopped");
+        // Another process of this name.
+        let other = |started_ns| {
+            let text = stopped(3);
+            NodeStatus { stamp: Stamp { source: 8, ..text.stamp }, started_ns, ..text }
+        };
+        problems.take(node, &other(0));
+        assert_eq!(problems.current(node, 8), "");
+        problems.last.clear();
+        problems.take(node, &other(59_000_000_000));
+        assert_eq!(problems.current(node, 8), "the array is stopped", "it has just started");
     }
 
     #[test]
     fn a_problem_ends_some_seconds_after_its_cause() {
         let (mut problems, node) = (Problems::default(), NodeStatus::default().node.name());
         let stopped = |count| status("the array is stopped", &[("refused:command:stopped", count)]);
+        problems.take(node, &status("", &[]));
         problems.take(node, &stopped(1));
-        assert_eq!(problems.current(node), "the array is stopped");
+        assert_eq!(problems.current(node, 7), "the array is stopped");
         age(&mut problems, CURRENT);
-        assert_eq!(problems.current(node), "");
+        assert_eq!(problems.current(node, 7), "");
         // The cause is counted again.
         problems.take(node, &stopped(2));
-        assert_eq!(problems.current(node), "the array is stopped");
+        assert_eq!(problems.current(node, 7), "the array is stopped");
         age(&mut problems, CURRENT);
         problems.take(node, &stopped(2));
-        assert_eq!(problems.current(node), "", "the text alone is no new problem");
+        assert_eq!(problems.current(node, 7), "", "the text alone is no new problem");
     }
 
     #[test]
@@ -107,11 +147,11 @@ mod tests {
         let refusal =
             |withheld| status("there is no such policy", &[("policies_refused", 1), ("fallback:withheld", withheld)]);
         problems.take(node, &refusal(0));
-        assert_eq!(problems.current(node), "there is no such policy");
+        assert_eq!(problems.current(node, 7), "there is no such policy");
         age(&mut problems, CURRENT);
         // A stop withholds commands; the status still has the last text.
         problems.take(node, &refusal(5));
-        assert_eq!(problems.current(node), "");
+        assert_eq!(problems.current(node, 7), "");
     }
 
     #[test]
@@ -121,6 +161,6 @@ mod tests {
         problems.take(node, &unfit);
         age(&mut problems, CURRENT);
         problems.take(node, &unfit);
-        assert_eq!(problems.current(node), "the array receives no commands");
+        assert_eq!(problems.current(node, 7), "the array receives no commands");
     }
 }

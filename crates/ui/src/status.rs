@@ -1,31 +1,24 @@
 //! The state of a room at one instant, for an operator: who leads, what the arrays do, and what is wrong.
 
-use std::collections::BTreeMap;
 use std::fmt;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
 use heliostat_bus::{Bus, Subscription};
-use heliostat_proto::{ArrayState, Stamp, UserReport, codec};
+use heliostat_proto::{ArrayState, UserReport, codec};
 use heliostat_service::counted::counted;
 use serde::Serialize;
 
-use crate::figures::{Figures, NodeFigures, Origin};
+use crate::figures::{Figures, NodeFigures};
 use crate::terminal::texts::{stops, time, without_rates};
 use crate::{UiError, View};
 
 /// The position reports of a room since a subscription.
 pub struct ReportCount {
     begun: Instant,
-    sources: Arc<Mutex<BTreeMap<u64, OfSource>>>,
+    count: Arc<AtomicU64>,
     _subscription: Subscription,
-}
-
-/// The reports of one source.
-struct OfSource {
-    count: u64,
-    first_sequence: u64,
-    last_sequence: u64,
 }
 
 /// The state of a room.
@@ -41,8 +34,6 @@ pub struct RoomStatus {
     pub stops: Vec<String>,
     /// Position reports a second.
     pub reports_per_s: f64,
-    /// Position reports that their sequence numbers show as missing.
-    pub reports_missing: u64,
     /// The figures of the page.
     pub figures: Figures,
 }
@@ -53,39 +44,29 @@ impl ReportCount {
     /// # Errors
     /// [`UiError::Bus`] if the session is closed.
     pub fn open(bus: &Bus) -> Result<Self, UiError> {
-        let sources: Arc<Mutex<BTreeMap<u64, OfSource>>> = Arc::default();
-        let of_subscription = Arc::clone(&sources);
+        let count = Arc::new(AtomicU64::new(0));
+        let of_subscription = Arc::clone(&count);
         let subscription = bus.subscribe(&bus.room().users(), move |payload| {
-            let Ok(UserReport { stamp: Stamp { source, sequence, .. }, .. }) = codec::decode(payload) else { return };
-            let mut sources = of_subscription.lock().unwrap_or_else(PoisonError::into_inner);
-            let new = OfSource { count: 0, first_sequence: sequence, last_sequence: sequence };
-            let OfSource { count, first_sequence, last_sequence } = sources.entry(source).or_insert(new);
-            *count += 1;
-            *first_sequence = sequence.min(*first_sequence);
-            *last_sequence = sequence.max(*last_sequence);
+            if codec::decode::<UserReport>(payload).is_ok() {
+                of_subscription.fetch_add(1, Ordering::Relaxed);
+            }
         })?;
-        Ok(Self { begun: Instant::now(), sources, _subscription: subscription })
+        Ok(Self { begun: Instant::now(), count, _subscription: subscription })
     }
 
-    /// Reports a second, and missing reports.
-    fn rate_and_missing(&self) -> (f64, u64) {
-        let sources = self.sources.lock().unwrap_or_else(PoisonError::into_inner);
-        let all: u64 = sources.values().map(|source| source.count).sum();
-        let sent = |source: &OfSource| source.last_sequence - source.first_sequence + 1;
-        let missing = sources.values().map(|source| sent(source).saturating_sub(source.count)).sum();
-        (all as f64 / self.begun.elapsed().as_secs_f64().max(1e-3), missing)
+    /// Reports a second.
+    fn rate(&self) -> f64 {
+        self.count.load(Ordering::Relaxed) as f64 / self.begun.elapsed().as_secs_f64().max(1e-3)
     }
 }
 
 impl RoomStatus {
     /// The state that a view and a count show.
     pub fn new(room: &str, view: &View, reports: &ReportCount) -> Self {
-        let (reports_per_s, reports_missing) = reports.rate_and_missing();
         let mut status = Self {
             room: room.to_owned(),
             stops: stops(&view.stops.room()),
-            reports_per_s,
-            reports_missing,
+            reports_per_s: reports.rate(),
             figures: view.figures(),
             ..Self::default()
         };
@@ -95,25 +76,22 @@ impl RoomStatus {
     }
 
     fn found(&self) -> Vec<String> {
-        let Figures { origin, controllers, array, nodes, notes, .. } = &self.figures;
-        let of_node = |NodeFigures { node, state, problem }: &NodeFigures| match (state.as_str(), problem.as_str()) {
-            ("gone", _) => Some(format!("{node} has left, or its status does not arrive")),
-            (_, "") => None,
-            (_, problem) => Some(format!("{node}: {problem}")),
+        let Figures { controllers, array, nodes, notes, .. } = &self.figures;
+        let of_node = |NodeFigures { node, problem, .. }: &NodeFigures| {
+            (!problem.is_empty()).then(|| format!("{node}: {problem}"))
         };
         let leads = match (controllers.len(), controllers.iter().all(|one| one.is_standby)) {
             (0, _) => Some("no controller: start one, or connect to its endpoint or router too"),
             (_, true) => Some("no controller leads: each stands by"),
             (_, false) => None,
         };
-        let reports = (*origin == Origin::NoData)
-            .then(|| "no message from the room: start its process, or connect to its endpoint or router too".into());
-        let missing = (self.reports_missing > 0)
-            .then(|| format!("position reports are missing: {}; check the network and the load", self.reports_missing));
+        let reports = (self.reports_per_s == 0.0).then(|| {
+            "no position reports: start the tracker or the simulator, or connect to its endpoint or router too".into()
+        });
         let array_state = (array.state != ArrayState::Following.name())
             .then(|| format!("the array does not follow: {}", array.state));
         let faults = (!array.faults.is_empty()).then(|| format!("faults of the array: {}", array.faults.join(", ")));
-        let found = reports.into_iter().chain(leads.map(String::from)).chain(missing).chain(array_state).chain(faults);
+        let found = reports.into_iter().chain(leads.map(String::from)).chain(array_state).chain(faults);
         found.chain(self.stops.iter().cloned()).chain(nodes.iter().filter_map(of_node)).chain(notes.clone()).collect()
     }
 }
@@ -137,7 +115,7 @@ impl fmt::Display for RoomStatus {
             ("policy", or_none(policy.clone())),
             ("array", format!("{}, {} mirrors, {} unusable", array.state, array.mirrors, array.unusable)),
             ("stops", or_none(self.stops.join("; "))),
-            ("reports", format!("{:.1} a second, {} missing", self.reports_per_s, self.reports_missing)),
+            ("reports", format!("{:.1} a second", self.reports_per_s)),
             ("users", format!("{}, {blocked} without a direct path, {below} below the minimum rate", users.len())),
             ("sum rate", rate),
             ("decision", format!("p50 {p50}, p99 {p99}")),
@@ -151,7 +129,7 @@ impl fmt::Display for RoomStatus {
 #[cfg(test)]
 mod tests {
     use crate::controllers::ControllerFigures;
-    use crate::figures::ArrayFigures;
+    use crate::figures::{ArrayFigures, Origin};
 
     use super::*;
 
@@ -160,18 +138,17 @@ mod tests {
         let controller =
             |is_standby| ControllerFigures { name: "a".into(), is_standby, takeovers: 0, false_takeovers: 0 };
         let array = ArrayFigures { state: "following".into(), ..ArrayFigures::default() };
-        let figures =
-            |controllers| Figures { origin: Origin::Measured, controllers, array: array.clone(), ..Figures::default() };
-        let found = |figures| RoomStatus { figures, ..RoomStatus::default() }.found();
+        let figures = |controllers| Figures { controllers, array: array.clone(), ..Figures::default() };
+        let found = |figures| RoomStatus { reports_per_s: 20.0, figures, ..RoomStatus::default() }.found();
         assert_eq!(found(figures(vec![controller(false), controller(true)])), [""; 0]);
         assert_eq!(found(figures(vec![controller(true)])), ["no controller leads: each stands by"]);
         let parked = ArrayFigures { state: "parked".into(), faults: vec!["link"], ..ArrayFigures::default() };
         let parked = Figures { array: parked, ..figures(vec![controller(false)]) };
         assert_eq!(found(parked), ["the array does not follow: parked", "faults of the array: link"]);
-        let silent = found(Figures { origin: Origin::NoData, ..figures(Vec::new()) });
-        assert!(
-            silent[0].starts_with("no message from the room") && silent[1].starts_with("no controller: "),
-            "{silent:?}"
-        );
+        // A simulator whose true state arrives, and no position report.
+        let silent = Figures { origin: Origin::Simulated, ..figures(vec![controller(false)]) };
+        let silent = RoomStatus { figures: silent, ..RoomStatus::default() }.found();
+        assert!(silent.len() == 1 && silent[0].starts_with("no position reports: "), "{silent:?}");
+        assert!(found(figures(Vec::new()))[0].starts_with("no controller: "));
     }
 }

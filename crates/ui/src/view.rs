@@ -194,13 +194,13 @@ impl Received {
         if status.node == NodeKind::Controller {
             self.controllers.take(&status);
         }
+        self.problems.take(&name, &status);
         if !self.is_displayed(&name, &status) {
             return;
         }
         if status.node == NodeKind::Controller {
             self.latency.take(&status);
         }
-        self.problems.take(&name, &status);
         self.statuses.insert(name, (Instant::now(), status));
     }
 }

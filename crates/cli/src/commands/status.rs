@@ -12,13 +12,14 @@ use heliostat_ui::status::{ReportCount, RoomStatus};
 
 use super::stop::check_connected;
 
-/// Each process publishes its status once a second.
-const OBSERVED: Duration = Duration::from_millis(1300);
+/// Each process publishes its status once a second. A problem is present where its count rises between two.
+const OBSERVED: Duration = Duration::from_millis(2300);
 
 /// Print the state of a running room once: controllers, arrays, stops, reports, problems.
 ///
-/// It observes the room for about a second. The exit status is 0 if a controller leads, reports arrive
-/// without gaps, every array follows, no stop is in force and no process reports a problem; otherwise 1.
+/// It observes the room for more than two seconds. The exit status is 0 if a controller leads, position
+/// reports arrive, every array follows, no stop is in force, the expected light arrives, and the cause of no
+/// reported problem recurs; otherwise 1.
 /// Connect to the room's process and to the controller, or to the router of both. `heliostat ui` shows the
 /// same figures continuously; `heliostat doctor` checks a machine before a run.
 #[derive(Debug, clap::Args)]

@@ -147,22 +147,22 @@ export function problems(now) {
   lines.forEach((line, index) => setText(list.children[index] ?? list.appendChild(document.createElement("li")), line));
 }
 
-// The noise that the belief has learned, beside the one that the scenario states.
+// The noise of positions that the belief has learned; the tooltip has the stated one, and the velocities.
 function trackerNoise(noise) {
   if (!noise) return [];
-  const positions = `${(100 * noise.position_m).toFixed(1)} cm (stated ${(100 * noise.position_stated_m).toFixed(1)})`;
-  const velocities = `${noise.velocity_m_s.toFixed(2)} m/s (${noise.velocity_stated_m_s.toFixed(2)})`;
-  const meaning = "Standard deviation of a reported coordinate and of a reported velocity component, as the belief learns it from the reports, and as the scenario states it.";
-  return [["tracker noise", `${positions}, ${velocities}`, "", meaning]];
+  const cm = (metres) => `${(100 * metres).toFixed(1)} cm`;
+  const meaning = `Standard deviation of a reported coordinate, as the belief learns it from the reports: ${cm(noise.position_m)}; the scenario states ${cm(noise.position_stated_m)}. Of a velocity component: ${noise.velocity_m_s.toFixed(2)} m/s; stated ${noise.velocity_stated_m_s.toFixed(2)} m/s.`;
+  return [["tracker noise", cm(noise.position_m), "", meaning]];
 }
 
-// The light of served users as a share of the expected one: of the mirrors, and of each LED.
+// The light of served users as a share of the expected one, where it is farthest from it; the tooltip has all.
 function servedLight(light) {
   if (light.length === 0) return [];
-  const text = light.map(({ of, ratio }) => `${of} ${ratio.toFixed(2)}`).join(", ");
+  const farthest = light.reduce((far, one) => (Math.abs(Math.log(one.ratio)) > Math.abs(Math.log(far.ratio)) ? one : far));
+  const all = light.map(({ of, ratio }) => `${of} ${ratio.toFixed(2)}`).join(", ");
   const isOff = light.some((one) => one.off_since_s !== undefined);
-  const meaning = "Median of the light that served users receive, as a share of the light that the controller expects at the present angles: over the mirrors, and from each LED.";
-  return [["light received", text, isOff ? "bad" : "", meaning]];
+  const meaning = `Median of the light that served users receive, as a share of the light that the controller expects at the present angles: ${all}.`;
+  return [["light received", farthest.ratio.toFixed(2), isOff ? "bad" : "", meaning]];
 }
 
 // Counters, times and faults.

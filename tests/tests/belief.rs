@@ -247,7 +247,9 @@ fn the_page_draws_the_belief_of_each_user_until_it_is_switched_off() {
             })
         };
         wait_until("a heading of a walking user", heading);
-        wait_until("the noise of the tracker", || browser.text("#counts").contains("cm (stated 5.0)"));
+        let noise = "return [...document.querySelectorAll('#counts dfn')].some(({ textContent, title }) => \
+                     textContent === 'tracker noise' && title.includes('the scenario states 5.0 cm'))";
+        wait_until("the noise of the tracker", || browser.run(noise) == true);
         wait_until("the light of served users", || browser.text("#counts").contains("light received"));
         let is_3d = browser.run("return document.documentElement.dataset.view") == "3d";
         assert_eq!(is_3d, flags.is_empty());

@@ -9,7 +9,7 @@ fn evaluated(policies: &str) -> (String, Vec<Vec<String>>) {
     let file = folder.path().join("figures.csv");
     let mut command = Command::new(env!("CARGO_BIN_EXE_heliostat-lab"));
     command.args(["eval", "--scenario", "specular", "--states", "3", "--seeds", "1", "--fitting"]);
-    command.args(["--policies", policies, "--sweep", "mirrors.rows=2,5", "--set", "mirrors.columns=5"]);
+    command.args(["--policies", policies, "--sweep", "mirrors.rows=2,10", "--set", "mirrors.columns=10"]);
     let output = command.arg("--csv").arg(&file).output().expect("the program starts");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let text = std::fs::read_to_string(&file).expect("readable");
@@ -36,10 +36,10 @@ fn a_sweep_whose_first_point_has_one_policy_has_all_columns() {
     let (text, lines) = evaluated("ddpg-raw,flat");
     assert!(lines.iter().all(|line| line.len() == lines[0].len()), "{lines:?}");
     assert_eq!(lines.len(), 1 + 2 + 3);
-    assert_eq!((difference(&lines, "2", "flat"), difference(&lines, "5", "ddpg-raw")), ("", ""));
-    assert!(difference(&lines, "5", "flat").parse::<f64>().is_ok(), "{lines:?}");
+    assert_eq!((difference(&lines, "2", "flat"), difference(&lines, "10", "ddpg-raw")), ("", ""));
+    assert!(difference(&lines, "10", "flat").parse::<f64>().is_ok(), "{lines:?}");
     assert!(text.contains("difference to ddpg-raw, paired: sum rate"), "{text}");
-    let second = row(&text, "5");
+    let second = row(&text, "10");
     assert_eq!((row(&text, "2"), second.len()), (vec!["2", "-", "-", "-"], 4), "{text}");
 }
 
@@ -47,7 +47,7 @@ fn a_sweep_whose_first_point_has_one_policy_has_all_columns() {
 fn a_point_that_subtracts_another_policy_has_no_difference_in_a_sweep() {
     let (text, lines) = evaluated("ddpg-raw,greedy,flat");
     assert!(difference(&lines, "2", "flat").parse::<f64>().is_ok(), "{lines:?}");
-    assert_eq!(difference(&lines, "5", "flat"), "");
+    assert_eq!(difference(&lines, "10", "flat"), "");
     assert!(text.contains("difference to greedy, paired: sum rate"), "{text}");
-    assert_eq!(row(&text, "5"), ["5", "-", "-", "-", "-"], "{text}");
+    assert_eq!(row(&text, "10"), ["10", "-", "-", "-", "-"], "{text}");
 }

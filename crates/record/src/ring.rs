@@ -48,10 +48,10 @@ struct Closed {
 }
 
 impl Ring {
-    /// A ring beside files of earlier runs, which count as its oldest.
+    /// A ring beside files of earlier runs, which count as its oldest. Empty ones are deleted.
     ///
     /// # Errors
-    /// The folder cannot be read.
+    /// The folder cannot be read, or an empty file not be deleted.
     pub fn open(out: &Path, bounds: Bounds, now: Instant) -> io::Result<Self> {
         let base = out.with_extension("");
         let folder = base.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -67,6 +67,10 @@ impl Ring {
             found.insert(number, Closed { path: entry.path(), bytes: entry.metadata()?.len(), ended: None, is_kept });
         }
         let number = found.last_key_value().map_or(0, |(number, _)| *number);
+        // A process that was killed right after it created a file has written nothing to it.
+        for (_, empty) in found.extract_if(.., |_, file| file.bytes == 0) {
+            fs::remove_file(empty.path)?;
+        }
         Ok(Self { base, bounds, closed: found.into_values().collect(), number, begun: now, keep_until: None })
     }
 
@@ -217,6 +221,18 @@ mod tests {
         write(&mut ring, start, 2);
         let names_now = names(folder.path());
         assert_eq!((names_now.len(), names_now[6].as_str()), (7, "room-0022.mcap"), "{names_now:?}");
+    }
+
+    #[test]
+    fn an_empty_file_of_a_killed_run_is_deleted_and_its_number_is_not_used_again() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (out, start) = (folder.path().join("room.mcap"), Instant::now());
+        let mut ring = Ring::open(&out, BOUNDS, start).expect("a ring");
+        write(&mut ring, start, 2);
+        ring.create(start).expect("a file");
+        let mut ring = Ring::open(&out, BOUNDS, start).expect("a ring");
+        write(&mut ring, start, 1);
+        assert_eq!(names(folder.path()), ["room-0001.mcap", "room-0002.mcap", "room-0004.mcap"]);
     }
 
     #[test]

@@ -199,6 +199,10 @@ fn a_file_of_another_kind_is_named_with_what_to_do() {
             "is a pointer of git-lfs, expected a recording",
         ),
         (b"", "is empty"),
+        (
+            b"name = \"hall\"\n[room]\nlength_x_m = 5\n",
+            "is not an MCAP file; expected a file made by `heliostat record`",
+        ),
     ] {
         std::fs::write(file.path(), bytes).unwrap();
         let refusal = file::open(file.path()).err().expect("no recording").to_string();

@@ -8,6 +8,9 @@ use crate::scenario::Scenario;
 /// A key as its parts.
 type Path = Vec<String>;
 
+/// In the text of an error, before the key that was refused where another one is named.
+const MISFIT: &str = "it does not fit ";
+
 /// The same error about the written key that causes it: for a refused default, the value whose removal
 /// ends the refusal. An error about a written key, or one without such a cause, is unchanged.
 ///
@@ -25,9 +28,16 @@ pub(crate) fn of_written(error: ScenarioError, table: &Table, written: &[Path]) 
     ScenarioError::Invalid {
         key: first.join("."),
         value: found.to_string(),
-        expected: format!("it does not fit {key} = {value}{together}: {expected}; change it, or set {key} too"),
+        expected: format!("{MISFIT}{key} = {value}{together}: {expected}; change it, or set {key} too"),
         line: None,
     }
+}
+
+/// The key that was refused, which is not always the one that an error names.
+pub(crate) fn refused_key(error: &ScenarioError) -> Option<&str> {
+    let ScenarioError::Invalid { key, expected, .. } = error else { return None };
+    let of_misfit = expected.strip_prefix(MISFIT).and_then(|rest| Some(rest.split_once(" = ")?.0));
+    Some(of_misfit.unwrap_or(key))
 }
 
 /// Whether the refusal of a key ends without a written one.

@@ -24,14 +24,41 @@ pub enum MobilityModel {
     Mixture,
 }
 
-/// The share of the users that have one model.
+/// The users that have one model: their number, or their share of those without a numbered entry.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MixtureShare {
     /// The model; not `mixture`.
     pub mobility: MobilityModel,
-    /// Share of the users, from 0 to 1; all shares add up to 1.
+    /// Share of the users without a numbered entry, from 0 to 1; all shares add up to 1.
+    #[serde(default)]
     pub share: f64,
+    /// Number of the users with this model, in place of a share. The first users are those of the first
+    /// entry with a number, and so on.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub count: Option<usize>,
+}
+
+impl MixtureShare {
+    /// The model of a user in a mixture, where `place` in [0, 1) is that of the user on the scale of the
+    /// shares; `None` in an empty mixture.
+    pub fn model_of(mixture: &[Self], user: usize, place: f64) -> Option<MobilityModel> {
+        let numbered = mixture.iter().filter_map(|entry| Some((entry, entry.count?)));
+        let mut before = 0;
+        for (entry, count) in numbered {
+            before += count;
+            if user < before {
+                return Some(entry.mobility);
+            }
+        }
+        let mut sum = 0.0;
+        let entry = mixture.iter().find(|entry| {
+            sum += entry.share;
+            place < sum
+        });
+        // Rounding can leave the sum of all shares below the place.
+        entry.or_else(|| mixture.iter().rfind(|entry| entry.share > 0.0)).map(|entry| entry.mobility)
+    }
 }
 
 /// Parameters of `random-direction`.

@@ -48,13 +48,27 @@ impl Users {
         count("users.mixture (entries)", self.mixture.len(), least..=SHARES_MAX)?;
         for entry in &self.mixture {
             within("users.mixture (share)", entry.share, 0.0..=1.0)?;
+            if entry.count.is_some() && entry.share != 0.0 {
+                return invalid("users.mixture (share)", entry.share, "expected share or count, not both");
+            }
             if entry.mobility == MobilityModel::Mixture {
                 return invalid("users.mixture (mobility)", "mixture", "expected one of the other models");
             }
         }
+        let counted: usize = self.mixture.iter().filter_map(|entry| entry.count).sum();
+        if counted > self.count {
+            let expected = format!("expected at most users.count = {}", self.count);
+            return invalid("users.mixture (sum of the counts)", counted, &expected);
+        }
+        let has_shares = self.mixture.iter().any(|entry| entry.count.is_none());
         let sum: f64 = self.mixture.iter().map(|entry| entry.share).sum();
-        if !self.mixture.is_empty() && (sum - 1.0).abs() > SHARE_ROUNDING {
+        if has_shares && (sum - 1.0).abs() > SHARE_ROUNDING {
             return invalid("users.mixture (sum of the shares)", sum, "expected shares that add up to 1");
+        }
+        let are_all_counted = counted == self.count && self.arrivals.is_none();
+        if !has_shares && !are_all_counted && self.mobility == MobilityModel::Mixture {
+            let expected = "expected every user, or one more entry with share = 1 for the others";
+            return invalid("users.mixture (sum of the counts)", counted, expected);
         }
         Ok(())
     }

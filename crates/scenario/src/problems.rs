@@ -8,6 +8,7 @@ use std::ops::Range;
 
 use toml::de::{DeTable, DeValue};
 
+use crate::blame::refused_key;
 use crate::error::ScenarioError;
 use crate::scenario::{Scenario, in_words};
 
@@ -46,17 +47,22 @@ impl Scenario {
     pub fn check_all(text: &str) -> Checked {
         let mut text = text.to_owned();
         let (mut problems, mut refused_tables) = (Vec::new(), Vec::new());
+        let mut removed: Vec<String> = Vec::new();
         loop {
             let error = match Self::from_toml(&text) {
                 Ok(scenario) => return checked(problems, Some(scenario), refused_tables),
                 Err(error) => error,
             };
             let (problem, refused) = examined(&text, &error);
-            problems.push(problem);
+            let key = refused_key(&error).unwrap_or_default();
+            if !is_of_list(key) || !removed.iter().any(|other| list_of(other) == list_of(key)) {
+                problems.push(problem);
+            }
+            removed.push(key.to_owned());
             refused_tables.extend(refused.as_ref().and_then(|entry| table_of(&text, entry.start)));
             let rest = refused.map(|entry| without(&text, entry)).filter(|rest| DeTable::parse(rest).is_ok());
             match rest {
-                Some(rest) if problems.len() < PROBLEMS_MAX => text = rest,
+                Some(rest) if removed.len() < PROBLEMS_MAX => text = rest,
                 _ => return checked(problems, None, refused_tables),
             }
         }
@@ -84,6 +90,16 @@ impl Scenario {
         let problem = Problem { line: None, text: error.in_one_line() };
         checked(vec![problem], of_file.scenario, of_file.refused_tables)
     }
+}
+
+/// The key of a list in the key of a problem, as "users.mixture" in "users.mixture (entries)".
+fn list_of(key: &str) -> &str {
+    key.split(' ').next().unwrap_or(key)
+}
+
+/// Whether the problem is that of a complete list. It follows from the removal of an entry, too.
+fn is_of_list(key: &str) -> bool {
+    key.ends_with(" (entries)") || key.contains(" (sum of ")
 }
 
 fn checked(mut problems: Vec<Problem>, scenario: Option<Scenario>, refused_tables: Vec<String>) -> Checked {
@@ -212,6 +228,19 @@ mod tests {
         assert!(checked.scenario.is_some());
         let users = checked.refused_tables.iter().filter(|table| *table == "users").count();
         assert_eq!(users, 2, "{:?}", checked.refused_tables);
+    }
+
+    #[test]
+    fn a_list_without_its_refused_entries_is_no_problem() {
+        let mixture = |shares: [f64; 2]| {
+            let of = |share| format!("[[users.mixture]]\nmobility = \"random-waypoint\"\nshare = {share}\n");
+            problems(&format!("[users]\nmobility = \"mixture\"\n{}", shares.map(of).concat()))
+        };
+        assert_eq!(mixture([0.4, 0.6]), [""; 0]);
+        let sum = mixture([0.9, 0.3]);
+        assert!(sum.len() == 1 && sum[0].contains("(sum of the shares) = 1.2"), "{sum:#?}");
+        let each = mixture([2.0, 3.0]);
+        assert!(each.len() == 2 && each.iter().all(|text| text.contains("(share) = ")), "{each:#?}");
     }
 
     #[test]

@@ -160,7 +160,7 @@ export class Charts {
       series: [{}, ...lines.map(([, , , dash, width], line) => ({
         stroke: () => this.lines()[lines.length - 1 - line][2], dash, width, points: { show: false },
       }))],
-      axes: [this.axis("s ago", { values: (_, splits) => splits.map((x) => -x) }), this.axis("", { size: 34, space: 16 })],
+      axes: [this.axis("", { values: (_, splits) => splits.map((x) => -x) }), this.axis("", { size: 34, space: 16 })],
     }, data, text);
   }
 
@@ -187,7 +187,7 @@ export class Charts {
       series: [{}, series("#56b4e9"), series("#d55e00")],
       axes: [
         // The edges lie between the buckets.
-        this.axis("us", {
+        this.axis("", {
           splits: () => edges_us.map((_, index) => index + 0.5), values: () => edges_us.map(short), font: SMALL_FONT, grid: { show: false },
         }),
         this.axis("%", { size: 26, space: 16 }),

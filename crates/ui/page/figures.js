@@ -29,6 +29,7 @@ export function chips(now, ages) {
     chip("chip-controller", refusing ? "reports refused" : "alive", refusing ? "bad" : "good");
   }
   const stuck = now.array.unusable ? `, ${now.array.unusable} of ${now.array.mirrors} unusable` : "";
+  setTitle(at("chip-array"), now.array.state + stuck);
   if (ages.isStale("array")) chip("chip-array", silent("array"), "bad");
   else chip("chip-array", now.array.state + stuck, now.array.state === "following" && !stuck ? "good" : "bad");
   if (ages.isStale("room") || now.origin === "no-data") chip("chip-room", silent("room"), "bad");
@@ -72,10 +73,11 @@ function fill(row, user, rate, largest) {
   const [name, path, figure, minimum, , bar] = row.cells;
   const below = rate !== null && rate < user.min_rate_mbps;
   setText(name.lastChild, String(user.user));
-  setText(path, user.blocked === null ? "unknown" : user.forced ? "blocked (order)" : user.blocked ? "blocked" : "clear");
+  setText(path, user.blocked === null ? "unknown" : user.forced ? "by order" : user.blocked ? "blocked" : "clear");
   setText(figure, rate === null ? "unknown" : rate.toFixed(rate < 100 ? 2 : 1));
   setClass(figure, below ? "number bad" : "number");
-  setText(minimum, below ? `${user.min_rate_mbps.toFixed(1)} not met` : user.min_rate_mbps.toFixed(1));
+  setText(minimum, `${below ? "not " : ""}${user.min_rate_mbps.toFixed(1)}`);
+  setTitle(minimum, below ? "The rate is below the minimum rate." : "");
   setClass(minimum, figure.className);
   bar.querySelector("i").style.width = `${(100 * (rate ?? 0)) / largest}%`;
   bar.querySelector("b").style.left = `${(100 * user.min_rate_mbps) / largest}%`;
@@ -95,9 +97,10 @@ function outageLengths(outage) {
 
 function list(element, entries) {
   while (element.children.length > entries.length) element.lastChild.remove();
-  entries.forEach(([name, value, state, meaning], index) => {
+  entries.forEach(([name, value, state, meaning, of], index) => {
     if (!element.children[index]) element.insertAdjacentHTML("beforeend", '<div><dt><dfn tabindex="0"></dfn></dt><dd></dd></div>');
     const [term, figure] = element.children[index].children;
+    element.children[index].dataset.from = of;
     setText(term.firstChild, name);
     setTitle(term.firstChild, meaning);
     setText(figure, value);
@@ -107,8 +110,9 @@ function list(element, entries) {
 
 function quantiles(times) {
   const body = at("quantiles").tBodies[0];
-  times.forEach(({ name, us }, index) => {
+  times.forEach(({ name, of, us }, index) => {
     const row = body.rows[index] ?? body.insertRow();
+    row.dataset.from = of;
     const cells = [name, ...(us ? [us.p50, us.p99, us.max].map((value) => value.toFixed(0)) : ["–", "–", "–"])];
     cells.forEach((text, column) => {
       const cell = row.cells[column] ?? row.insertCell();
@@ -128,9 +132,9 @@ function standby(controllers) {
   const lost = sum("false_takeovers");
   if (controllers.length < 2 && sum("takeovers") + lost === 0) return [];
   return [
-    ["controllers", text || "none", leaders.length === 1 ? "wide" : "wide bad", "The controllers in the room, by the beginning of their source id: one leads, the others stand by."],
-    ["takeovers", String(sum("takeovers")), "", "How often the controllers in the room took over since their start."],
-    ["false takeovers", String(lost), lost > 0 ? "bad" : "", "Takeovers after which the former leader still commanded: a slow controller, or a link that loses its commands."],
+    ["controllers", text || "none", leaders.length === 1 ? "wide" : "wide bad", "The controllers in the room, by the beginning of their source id: one leads, the others stand by.", "controller"],
+    ["takeovers", String(sum("takeovers")), "", "How often the controllers in the room took over since their start.", "controller"],
+    ["false takeovers", String(lost), lost > 0 ? "bad" : "", "Takeovers after which the former leader still commanded: a slow controller, or a link that loses its commands.", "controller"],
   ];
 }
 
@@ -152,7 +156,7 @@ function trackerNoise(noise) {
   if (!noise) return [];
   const cm = (metres) => `${(100 * metres).toFixed(1)} cm`;
   const meaning = `Standard deviation of a reported coordinate, as the belief learns it from the reports: ${cm(noise.position_m)}; the scenario states ${cm(noise.position_stated_m)}. Of a velocity component: ${noise.velocity_m_s.toFixed(2)} m/s; stated ${noise.velocity_stated_m_s.toFixed(2)} m/s.`;
-  return [["tracker noise", cm(noise.position_m), "", meaning]];
+  return [["tracker noise", cm(noise.position_m), "", meaning, "controller"]];
 }
 
 // The light of served users as a share of the expected one, where it is farthest from it; the tooltip has all.
@@ -162,7 +166,7 @@ function servedLight(light) {
   const all = light.map(({ of, ratio }) => `${of} ${ratio.toFixed(2)}`).join(", ");
   const isOff = light.some((one) => one.off_since_s !== undefined);
   const meaning = `Median of the light that served users receive, as a share of the light that the controller expects at the present angles: ${all}.`;
-  return [["light received", farthest.ratio.toFixed(2), isOff ? "bad" : "", meaning]];
+  return [["light received", farthest.ratio.toFixed(2), isOff ? "bad" : "", meaning, "controller"]];
 }
 
 // Counters, times and faults.
@@ -171,7 +175,7 @@ export function counters(now) {
   at("late").hidden = now.late == null;
   setText(at("late"), now.late ?? "");
   const meaning = "Faults that the arrays report now: link, mirror, temperature, supply, calibration, clock, or a stop that is not executed.";
-  const faults = ["faults", now.array.faults.join(", ") || "none", now.array.faults.length ? "bad" : "", meaning];
-  const counts = now.counts.map((count) => [count.name, count.value === null ? "–" : String(count.value), count.is_problem && count.value > 0 ? "bad" : "", count.meaning]);
+  const faults = ["faults", now.array.faults.join(", ") || "none", now.array.faults.length ? "bad" : "", meaning, "array"];
+  const counts = now.counts.map((count) => [count.name, count.value === null ? "–" : String(count.value), count.is_problem && count.value > 0 ? "bad" : "", count.meaning, count.of]);
   list(at("counts"), [...counts, faults, ...trackerNoise(now.tracker_noise), ...servedLight(now.light), ...standby(now.controllers)]);
 }

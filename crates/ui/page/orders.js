@@ -49,7 +49,10 @@ export class Orders {
     if (this.blocked.length !== count + 1) {
       const choices = Array.from({ length: count + 1 }, (_, users) => [users ? `${users}` : "none", users]);
       this.blocked = this.group("blocked", choices, (users) => ({ order: "blocked", users }));
-      for (const [button, users] of this.blocked) button.ariaLabel = `${users || "no"} ${users === 1 ? "user" : "users"}`;
+      for (const [button, users] of this.blocked) {
+        button.ariaLabel = `${users || "no"} ${users === 1 ? "user" : "users"}`;
+        button.dataset.title = users ? `block the direct paths of the first ${button.ariaLabel}` : "leave every direct path as it is";
+      }
     }
     pressed(this.blocked, now.users.filter((user) => user.forced).length);
     pressed(this.power, now.power_w);
@@ -60,7 +63,7 @@ export class Orders {
     const ofSimulator = [...this.power, ...this.speed, ...this.blocked].map(([button]) => button);
     for (const button of [...ofSimulator, document.getElementById("stick"), document.getElementById("release")]) {
       button.disabled = !simulated;
-      button.title = simulated ? "" : "only a simulated room takes this order";
+      button.title = simulated ? button.dataset.title ?? "" : "only a simulated room takes this order";
     }
     const enable = (id, enabled) => { document.getElementById(id).disabled = !enabled; };
     enable("kill", this.plan.controls_processes && now.controller_alive);

@@ -23,6 +23,8 @@ export class Ages {
 
   // Age in s of what a process reported: "room", "array" or "controller"; infinite before its first report.
   of(process) {
+    // The server sends an event several times a second; the page counts by itself.
+    if (process === "server" || process === "page") return this.silence;
     const age = this.now?.ages_s[process];
     return age == null ? Infinity : age + this.silence;
   }
@@ -38,7 +40,9 @@ export class Ages {
       const age = Math.max(...ages);
       part.classList.toggle("stale", age > STALE_S);
       const text = age <= STALE_S ? "" : age === Infinity ? "no report" : `${seconds(age)} old`;
-      if ((part.dataset.age ?? "") !== text) part.dataset.age = text;
+      if ((part.dataset.age ?? "") === text) continue;
+      part.dataset.age = text;
+      if (part.tagName !== "SECTION") part.title = text;
     }
   }
 }

@@ -84,6 +84,8 @@ pub struct ArrayFigures {
     pub arrays: usize,
     /// Number of mirrors.
     pub mirrors: usize,
+    /// Names of the arrays without recent telemetry.
+    pub silent: Vec<String>,
     /// Mirrors that do not follow commands, as the picture shows them.
     pub unusable: usize,
     /// Names of the faults.
@@ -101,11 +103,19 @@ pub struct NodeFigures {
     pub problem: String,
 }
 
+/// The processes whose age [`Ages`] has, and the page itself.
+const ROOM: &str = "room";
+const ARRAY: &str = "array";
+const CONTROLLER: &str = "controller";
+const PAGE: &str = "page";
+
 /// A distribution of times.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct TimeFigures {
     /// What is timed.
     pub name: &'static str,
+    /// Whose status has it: `room` or `controller`, as in [`Ages`].
+    pub of: &'static str,
     /// Quantiles in us; absent before the first time.
     pub us: Option<Quantiles>,
 }
@@ -115,6 +125,8 @@ pub struct TimeFigures {
 pub struct Count {
     /// Name.
     pub name: String,
+    /// Who counts: `room`, `array` or `controller`, as in [`Ages`], or `page`.
+    pub of: &'static str,
     /// Value; absent before the first report of its process.
     pub value: Option<u64>,
     /// Whether a value above 0 is a problem.
@@ -209,7 +221,7 @@ impl View {
             controller_alive: received.is_controller_alive(),
             sum_mbps: sum(&received, &users),
             users,
-            array: array(model, unusable, &silent, telemetry.as_ref()),
+            array: array(model, unusable, silent, telemetry.as_ref()),
             controllers: received.controllers.present(&received.alive),
             nodes: received
                 .statuses
@@ -217,7 +229,11 @@ impl View {
                 .map(|(name, (at, status))| without_notes(node(&received, name, *at, status), &notes))
                 .collect(),
             ages_s: ages(&received),
-            times: vec![time("decision", last_controller), time("loop", last_room), time("age", last_controller)],
+            times: vec![
+                time("decision", CONTROLLER, last_controller),
+                time("loop", ROOM, last_room),
+                time("age", CONTROLLER, last_controller),
+            ],
             latency: received.latency.histogram(),
             late: received.latency.late(),
             counts: counts(last_controller, last_room, telemetry.as_ref(), received.unreadable),
@@ -275,14 +291,16 @@ fn users(model: &ChannelModel, received: &Received) -> (Origin, u64, Vec<UserFig
 fn array(
     model: &ChannelModel,
     unusable: usize,
-    silent: &[String],
+    silent: Vec<String>,
     telemetry: Option<&MirrorTelemetry>,
 ) -> ArrayFigures {
     let (arrays, mirrors) = (model.mirrors.arrays().len(), model.mirrors.len());
     let Some(telemetry) = telemetry else {
-        return ArrayFigures { state: "no telemetry".into(), arrays, mirrors, ..ArrayFigures::default() };
+        return ArrayFigures { state: "no telemetry".into(), arrays, mirrors, silent, ..ArrayFigures::default() };
     };
     let state = telemetry.state.name();
+    // An array knows its mirrors; the room that is shown can be another one.
+    let mirrors = if telemetry.roll_commanded.is_empty() { mirrors } else { telemetry.roll_commanded.len() };
     ArrayFigures {
         state: if silent.is_empty() {
             state.into()
@@ -291,6 +309,7 @@ fn array(
         },
         arrays,
         mirrors,
+        silent,
         unusable,
         faults: fault_names(telemetry.faults),
     }
@@ -345,9 +364,9 @@ fn shown(text: &str) -> String {
     printable(text).into_owned()
 }
 
-fn time(name: &'static str, status: Option<&NodeStatus>) -> TimeFigures {
+fn time(name: &'static str, of: &'static str, status: Option<&NodeStatus>) -> TimeFigures {
     let found = status.and_then(|status| status.timings.iter().find(|(timing, _)| timing == name));
-    TimeFigures { name, us: found.map(|(_, us)| *us).filter(|us| us.count > 0) }
+    TimeFigures { name, of, us: found.map(|(_, us)| *us).filter(|us| us.count > 0) }
 }
 
 fn counts(
@@ -356,7 +375,7 @@ fn counts(
     array: Option<&MirrorTelemetry>,
     unreadable: u64,
 ) -> Vec<Count> {
-    let of = |status: Option<&NodeStatus>, counter: &str| {
+    let value = |status: Option<&NodeStatus>, counter: &str| {
         let counters = &status?.counters;
         // A controller that waits for its policy publishes few counters; the others are unknown.
         if status.is_some_and(|status| status.node == NodeKind::Controller)
@@ -372,43 +391,67 @@ fn counts(
     };
     // The array counts since its own start, also what earlier controllers sent.
     let refused = array.map(|array| array.counters.refused());
-    let decisions = of(controller, "decisions");
-    let withheld = ["fallback:standby", "fallback:withheld"].into_iter().filter_map(|name| of(controller, name)).sum();
+    let decisions = value(controller, "decisions");
+    let withheld =
+        ["fallback:standby", "fallback:withheld"].into_iter().filter_map(|name| value(controller, name)).sum();
     let all = [
-        ("decisions", decisions, false, "Decisions on position reports since the start of this controller."),
-        ("commands", of(controller, "commands"), false, "Commands that this controller sent, one for each array."),
-        ("over 0.5 ms", of(controller, "over_budget"), true, "Decisions that took longer than the budget of 0.5 ms."),
+        (
+            "decisions",
+            CONTROLLER,
+            decisions,
+            false,
+            "Decisions on position reports since the start of this controller.",
+        ),
+        (
+            "commands",
+            CONTROLLER,
+            value(controller, "commands"),
+            false,
+            "Commands that this controller sent, one for each array.",
+        ),
+        (
+            "over 0.5 ms",
+            CONTROLLER,
+            value(controller, "over_budget"),
+            true,
+            "Decisions that took longer than the budget of 0.5 ms.",
+        ),
         (
             "modelled",
-            of(controller, "modelled"),
+            CONTROLLER,
+            value(controller, "modelled"),
             false,
             "Decisions on modelled gains: no receiver has ever reported gains in this room.",
         ),
         (
             "ticks lost",
-            of(room, "lost_ticks"),
+            ROOM,
+            value(room, "lost_ticks"),
             true,
             "Reports of the simulated room that no accepted command answered in time, also during a stop.",
         ),
-        ("ticks late", of(room, "late_ticks"), true, "Reports of the simulated room that it published late."),
+        ("ticks late", ROOM, value(room, "late_ticks"), true, "Reports of the simulated room that it published late."),
         (
             "fallbacks",
+            CONTROLLER,
             // Commands that are withheld for a stop or in standby are counted for each array, and are no problem.
-            of(controller, "fallback:*").map(|all| all.saturating_sub(withheld)),
+            value(controller, "fallback:*").map(|all| all.saturating_sub(withheld)),
             true,
             "Decisions without the policy's own angles or on incomplete reports: see `fallback:` in the log and docs/faults.md.",
         ),
         (
             "reports refused",
-            of(controller, "refused:*"),
+            CONTROLLER,
+            value(controller, "refused:*"),
             true,
             "Messages that the controller refused, for example for their age or their place.",
         ),
-        ("array refused", refused, true, "Commands that the arrays refused, for example during a stop."),
-        ("unreadable", Some(unreadable), true, "Messages of the room that this page cannot decode."),
+        ("array refused", ARRAY, refused, true, "Commands that the arrays refused, for example during a stop."),
+        ("unreadable", PAGE, Some(unreadable), true, "Messages of the room that this page cannot decode."),
     ];
-    let all = all.into_iter().map(|(name, value, is_problem, meaning)| Count {
+    let all = all.into_iter().map(|(name, of, value, is_problem, meaning)| Count {
         name: name.into(),
+        of,
         value,
         is_problem,
         meaning,

@@ -255,7 +255,7 @@ fn room_json(page: &Page) -> serde_json::Result<String> {
     let room = RoomJson {
         page: page.id(),
         plan: page.view.plan(&page.room),
-        policies: (page.policies)(&page.view.shown_room().scenario),
+        policies: (page.policies)(&page.view.served_room()),
         controls_processes: page.operator.controls_processes(),
         budget_us: BUDGET_US,
         history: page.view.history(),

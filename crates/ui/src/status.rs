@@ -94,6 +94,22 @@ impl RoomStatus {
         let found = reports.into_iter().chain(leads.map(String::from)).chain(array_state).chain(faults);
         found.chain(self.stops.iter().cloned()).chain(nodes.iter().filter_map(of_node)).chain(notes.clone()).collect()
     }
+
+    /// Whether any array reports.
+    fn is_array_seen(&self) -> bool {
+        self.figures.array.silent.len() < self.figures.array.arrays
+    }
+
+    /// The stops. Only the reports of an array show that no stop holds it.
+    fn stop_line(&self) -> String {
+        let silent = &self.figures.array.silent;
+        match (self.stops.is_empty(), self.is_array_seen(), silent.is_empty()) {
+            (false, ..) => self.stops.join("; "),
+            (true, false, _) => "unknown: no array reports; connect to its process or router too".into(),
+            (true, true, false) => format!("none that reports show; unknown of {}", silent.join(" and ")),
+            (true, true, true) => "none".into(),
+        }
+    }
 }
 
 impl fmt::Display for RoomStatus {
@@ -113,8 +129,15 @@ impl fmt::Display for RoomStatus {
         for (name, value) in [
             ("controllers", or_none(controllers.join(", "))),
             ("policy", or_none(policy.clone())),
-            ("array", format!("{}, {} mirrors, {} unusable", array.state, array.mirrors, array.unusable)),
-            ("stops", or_none(self.stops.join("; "))),
+            (
+                "array",
+                if self.is_array_seen() {
+                    format!("{}, {} mirrors, {} unusable", array.state, array.mirrors, array.unusable)
+                } else {
+                    array.state.clone()
+                },
+            ),
+            ("stops", self.stop_line()),
             ("reports", format!("{:.1} a second", self.reports_per_s)),
             ("users", format!("{}, {blocked} without a direct path, {below} below the minimum rate", users.len())),
             ("sum rate", rate),
@@ -150,5 +173,21 @@ mod tests {
         let silent = RoomStatus { figures: silent, ..RoomStatus::default() }.found();
         assert!(silent.len() == 1 && silent[0].starts_with("no position reports: "), "{silent:?}");
         assert!(found(figures(Vec::new()))[0].starts_with("no controller: "));
+    }
+
+    #[test]
+    fn no_stop_is_shown_as_absent_for_an_array_that_does_not_report() {
+        let line = |silent: &[&str]| {
+            let silent = silent.iter().map(|name| (*name).to_owned()).collect();
+            let array = ArrayFigures { arrays: 2, mirrors: 24, silent, ..ArrayFigures::default() };
+            let status = RoomStatus { figures: Figures { array, ..Figures::default() }, ..RoomStatus::default() };
+            let text = status.to_string();
+            let line = |name| text.lines().find(|line| line.starts_with(name)).unwrap_or_default().to_owned();
+            (line("stops"), line("array").contains("24 mirrors"))
+        };
+        assert_eq!(line(&[]), ("stops        none".into(), true));
+        assert_eq!(line(&["array 1"]), ("stops        none that reports show; unknown of array 1".into(), true));
+        let (stops, has_mirrors) = line(&["mirrors", "array 1"]);
+        assert!(stops.starts_with("stops        unknown: no array reports") && !has_mirrors, "{stops}");
     }
 }

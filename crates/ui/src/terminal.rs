@@ -183,6 +183,7 @@ mod tests {
             users: (0..users).map(user).collect(),
             sum_mbps: Some(SumFigures { policy: 40.0, no_irs: Some(10.0), flat: Some(20.0), oracle: Some(50.0) }),
             array: ArrayFigures {
+                silent: Vec::new(),
                 state: "stopped".into(),
                 arrays: 1,
                 mirrors: 100,
@@ -195,12 +196,18 @@ mod tests {
                 ..NodeFigures::default()
             }],
             times: vec![
-                TimeFigures { name: "decision", us: us(300.0) },
-                TimeFigures { name: "loop", us: us(900.0) },
-                TimeFigures { name: "age", us: None },
+                TimeFigures { name: "decision", of: "controller", us: us(300.0) },
+                TimeFigures { name: "loop", of: "room", us: us(900.0) },
+                TimeFigures { name: "age", of: "controller", us: None },
             ],
             counts: counts
-                .map(|(name, value)| Count { name: name.into(), value: Some(value), is_problem: true, meaning: "" })
+                .map(|(name, value)| Count {
+                    name: name.into(),
+                    of: "room",
+                    value: Some(value),
+                    is_problem: true,
+                    meaning: "",
+                })
                 .collect(),
             notes: vec!["no driver receives the commands".into()],
             ..Figures::default()

@@ -13,7 +13,7 @@ use heliostat_proto::{
     BeliefReport, ChannelReport, Message, NodeKind, NodeStatus, ObstacleReport, Room, RoomGeometry, RoomTruth,
     SumRates, UserReport, codec,
 };
-use heliostat_scenario::Scenario;
+use heliostat_scenario::{Scenario, USERS_MAX};
 
 use crate::UiError;
 use crate::array_reports::ArrayReports;
@@ -25,8 +25,8 @@ use crate::stop_watch::StopWatch;
 
 pub use crate::expiry::EXPIRY;
 
-/// Time after the start within which a process of the room announces its geometry.
-const ANNOUNCED_WITHIN: Duration = Duration::from_secs(3);
+/// Time after the start within which a process of the room announces its geometry: twice the interval.
+const ANNOUNCED_WITHIN: Duration = Duration::from_secs(2);
 /// Time span of the chart of sum rates.
 const HISTORY: Duration = Duration::from_secs(90);
 /// Time between two points of that chart.
@@ -134,6 +134,14 @@ impl View {
     /// The room to draw. Takes the lock of the messages, so it must not be held.
     pub(crate) fn shown_room(&self) -> Arc<ShownRoom> {
         self.chooser.choose(self.announcements()).0
+    }
+
+    /// The room to draw, with the users that are in it: an announced geometry has none.
+    pub(crate) fn served_room(&self) -> Scenario {
+        let mut scenario = self.shown_room().scenario.clone();
+        let seen = self.figures().users.len().min(USERS_MAX);
+        scenario.users.count = scenario.users.count.max(seen);
+        scenario
     }
 
     /// The newest announcements. Those of a process that has left count until another one announces.

@@ -168,6 +168,7 @@ fn every_policy_and_a_file_of_angles_can_be_drawn() {
 fn errors_name_the_cause() {
     for (arguments, expected) in [
         (&["--array", "aim:here"][..], "aim:X,Y"),
+        (&["--array", "aim:9,9"][..], "is outside the room; expected |x| <= "),
         (&["--array", "user:5"], "from 0 to 4"),
         (&["--array", "best"], "fixed-point"),
         (&["--step-cm", "0"], "0.5 to 100"),

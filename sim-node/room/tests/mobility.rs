@@ -292,6 +292,20 @@ fn a_mixture_has_its_shares_by_the_seed() {
 }
 
 #[test]
+fn a_mixture_with_a_number_of_users_has_that_number_for_each_seed() {
+    let mixture =
+        "users.mixture=[{ mobility = \"random-waypoint\", share = 1.0 }, { mobility = \"seated\", count = 2 }]";
+    let set = ["users.mobility=mixture", mixture, "users.count=5", "users.pause_mean_s=0"];
+    for seed in 0..20 {
+        let mut world = world(&set, seed);
+        let start = world.users().to_vec();
+        world.step(2.0);
+        let seated: Vec<bool> = start.iter().zip(world.users()).map(|(a, b)| a.position == b.position).collect();
+        assert_eq!(seated, [true, true, false, false, false], "seed {seed}");
+    }
+}
+
+#[test]
 fn seats_of_the_list_are_free_of_obstacles_and_users_sit_there() {
     let scenario = Scenario::builtin("office").unwrap();
     let (mut seated, mut walking, mut obstacles) = (0, 0, 0);

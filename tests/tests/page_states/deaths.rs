@@ -16,6 +16,14 @@ fn is_stale(browser: &Browser, part: &str) -> bool {
     browser.run(&format!("return document.getElementById('{part}').classList.contains('stale')")) == true
 }
 
+/// Whether the row with this name, of the counters or of the times, is marked as old.
+fn is_row_stale(browser: &Browser, name: &str) -> bool {
+    let rows = "[...document.querySelectorAll('#counts > div, #quantiles tbody > tr')]";
+    let script =
+        format!("return {rows}.find((row) => row.textContent.startsWith('{name}')).classList.contains('stale')");
+    browser.run(&script) == true
+}
+
 #[needs("browser")]
 #[test]
 fn a_process_that_dies_leaves_no_green_state_and_no_current_figure() {
@@ -33,6 +41,8 @@ fn a_process_that_dies_leaves_no_green_state_and_no_current_figure() {
     wait_until("stale decision times", || is_stale(&browser, "times"));
     wait_until("no mirrors that follow", || green(&browser).is_empty());
     wait_until("a room that still reports", || !is_stale(&browser, "room-card"));
+    wait_until("old counters of the controller", || is_row_stale(&browser, "decisions"));
+    wait_until("current counters of the room", || !is_row_stale(&browser, "ticks lost"));
 
     setting.room.kill();
     wait_until("a stale room", || is_stale(&browser, "room-card") && is_stale(&browser, "rates"));
@@ -45,8 +55,11 @@ fn a_process_that_dies_leaves_no_green_state_and_no_current_figure() {
     setting.server.kill();
     wait_until("a banner", || banner(&browser).contains("No connection to the server"));
     wait_until("no green state", || green(&browser).is_empty());
-    for part in ["room-card", "rates", "sums", "times", "counters"] {
+    for part in ["room-card", "rates", "sums", "times", "operate"] {
         wait_until(&format!("{part} that looks stale without a server"), || is_stale(&browser, part));
+    }
+    for row in ["decisions", "ticks lost", "array refused", "unreadable", "loop"] {
+        wait_until(&format!("{row} that looks stale without a server"), || is_row_stale(&browser, row));
     }
 }
 
@@ -61,6 +74,8 @@ fn the_last_picture_stays_when_the_process_of_the_room_ends() {
     assert_ne!(shown, 0);
     setting.room.kill();
     wait_until("a stale room", || is_stale(&browser, "room-card") && is_stale(&browser, "rates"));
+    wait_until("old figures of the room", || is_row_stale(&browser, "loop") && is_row_stale(&browser, "ticks lost"));
+    assert!(!is_row_stale(&browser, "decision") && !is_stale(&browser, "times"), "those of the controller are current");
     // Its messages are no longer current for the server, and the page keeps its last picture.
     wait_until("a server without the room", || {
         browser.run("return fetch('/room.json').then((answer) => answer.json())")["geometry_source"] == "controller"

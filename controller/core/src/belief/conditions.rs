@@ -4,10 +4,13 @@
 use std::fmt;
 
 use heliostat_channel::ChannelModel;
-use heliostat_scenario::{self as scenario, MismatchLevel, MobilityModel, Scenario};
+use heliostat_scenario::{self as scenario, MismatchLevel, MobilityModel, OrientationModel, Scenario};
 use serde::Serialize;
 
 use crate::belief::{body::Body, channel_evidence::SPREAD_OF_DIRECT, tilt};
+
+/// Difference in degrees between the mean tilt of receivers and the assumed one that changes results.
+const TILT_DIFFERENCE_DEG: f64 = 5.0;
 
 /// A method that does not apply to a room, or a promise that does not hold in it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -52,7 +55,7 @@ pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
         ),
         "decisions between fall back to modelled gains, which know no blocked path; raise control.report_age_max_ms, or the rate",
     );
-    let mismatch = &scenario.mismatch;
+    let (mismatch, users) = (&scenario.mismatch, &scenario.users);
     add(
         mismatch.level == MismatchLevel::None,
         "the channel model of belief and policies",
@@ -91,6 +94,24 @@ pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
         "users.orientation, without streams.orientation and without control.tilt".to_owned(),
         "every receiver counts as facing up; add the table [control.tilt], or report orientations",
     );
+    let assumed = scenario.control.tilt.unwrap_or_default();
+    let differing = users.orientation.iter().filter(|_| streams.orientation.is_none()).find_map(|held| {
+        let angles = [
+            ("walking", held.walking_polar_mean_deg, assumed.walking_deg),
+            ("sitting", held.sitting_polar_mean_deg, assumed.sitting_deg),
+        ];
+        let mut of_model = angles.into_iter().filter(|_| held.model == OrientationModel::Measured);
+        of_model.find(|(_, held, assumed)| (held - assumed).abs() > TILT_DIFFERENCE_DEG)
+    });
+    let because = differing.map(|(posture, held, assumed)| {
+        format!("users.orientation.{posture}_polar_mean_deg = {held}, and the belief assumes {assumed} degrees")
+    });
+    add(
+        because.is_none(),
+        "the assumed tilt of receivers that users hold",
+        because.unwrap_or_default(),
+        "expected gains are those at the assumed tilt, so ratios are lower; set both angles of control.tilt to those of the users",
+    );
     let noise = scenario.streams.channel.noise_relative;
     add(
         noise <= SPREAD_OF_DIRECT,
@@ -98,7 +119,6 @@ pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
         format!("streams.channel.noise_relative = {noise}, above {SPREAD_OF_DIRECT}"),
         "gains count as more exact than they are, so serving LEDs and headings can be wrong; average several readings for a report",
     );
-    let users = &scenario.users;
     let mut models = users.mixture.iter().map(|entry| entry.mobility).chain([users.mobility]);
     add(
         !models.any(|model| model == MobilityModel::GaussMarkov),
@@ -142,12 +162,15 @@ mod tests {
             ("users.mobility=gauss-markov", "gauss-markov"),
             ("streams.positions.latency_ms=2000", "streams.positions.latency_ms = 2000"),
             ("streams.channel.rate_hz=0.5", "readings become 2"),
+            ("users.orientation.walking_polar_mean_deg=0", "walking_polar_mean_deg = 0, and the belief assumes 29.67"),
             ("mismatch.level=typical", "mismatch.level = \"typical\""),
             ("mismatch.unknown_leds_m=[[1,1,3]]", "1 in mismatch.unknown_leds_m"),
         ] {
             let found = of(&[change]);
             assert!(found.len() == 1 && found[0].contains(key), "{change}: {found:?}");
         }
+        let held = ["users.orientation.walking_polar_mean_deg=0", "control.tilt.walking_deg=0"];
+        assert!(of(&held).is_empty(), "{:?}", of(&held));
         assert_eq!(of(&["mismatch.level=rough", "mismatch.unknown_leds_m=[[1,1,3]]"]).len(), 2);
         assert_eq!(of(&["control.belief=none", "blockage.bodies=false"]).len(), 1, "no filter, no methods");
     }

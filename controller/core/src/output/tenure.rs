@@ -218,6 +218,11 @@ impl Tenure {
         self.standing
     }
 
+    /// Whether the controller stands by. One that begins in reserve does before its first report too.
+    pub fn is_standing_by(&self) -> bool {
+        self.standing == Standing::Standby || (self.is_reserve && self.standing == Standing::Waiting)
+    }
+
     /// The epoch of the commands; 0 while waiting.
     pub fn epoch(&self) -> u64 {
         self.epoch

@@ -245,7 +245,10 @@ fn a_reserve_that_starts_first_leads_after_the_reports_of_its_rank() {
     let mut reserve = Controller::new(2);
     reserve.tenure = Tenure::live(2, INTERVAL).in_reserve(None);
     room.controllers.push(reserve);
+    let is_standing_by = |room: &Room| room.controllers[0].tenure.is_standing_by();
+    assert!(is_standing_by(&room), "before its first report too");
     assert_eq!(room.until_accepted(0), 3 * INTERVAL);
+    assert!(!is_standing_by(&room));
 }
 
 #[test]

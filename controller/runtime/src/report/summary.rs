@@ -10,7 +10,7 @@ use heliostat_core::{
     core::{Controller, DegradedMode, Stage},
     policy::Tally,
     refusal::Stream,
-    tenure::{Standing, TenureEvent},
+    tenure::TenureEvent,
 };
 use heliostat_proto::{
     MirrorTelemetry, Quantiles, Room,
@@ -223,7 +223,8 @@ pub struct BeliefSummary {
 
 impl BeliefSummary {
     fn of(controller: &Controller) -> Option<Self> {
-        controller.innovations().map(|of| Self { noise: controller.tracker_noise(), ..Self::mean(of) })
+        let noise_of = |of: Innovations| controller.tracker_noise().filter(|_| of.count > 0);
+        controller.innovations().map(|of| Self { noise: noise_of(of), ..Self::mean(of) })
     }
 
     fn mean(Innovations { count, sum }: Innovations) -> Self {
@@ -274,7 +275,7 @@ impl Summary {
                 ("unserved", counters.unserved_users),
             ]),
             epoch_events: nonzero(TenureEvent::ALL.map(|event| (event.name(), counters.tenure(event)))),
-            standby: arrays.clone().any(|array| controller.tenure(array).standing() == Standing::Standby),
+            standby: arrays.clone().any(|array| controller.tenure(array).is_standing_by()),
             peers: controller.tenure(0).peers() as u64,
             unfit: controller.unfit().map(describe_unfit),
             missed: Stream::ALL.map(|stream| (stream.name().into(), controller.inbox().missed(stream))).into(),
@@ -392,8 +393,8 @@ fn nonzero(counts: impl IntoIterator<Item = (impl Into<String>, u64)>) -> BTreeM
     counts.into_iter().filter(|(_, count)| *count > 0).map(|(name, count)| (name.into(), count)).collect()
 }
 
-/// The mismatch, and the flag of the command line that accepts it, where there is one.
-fn describe_unfit(unfit: &Unfit) -> String {
+/// The mismatch, and the flag of the controller's command line that accepts it, where there is one.
+pub fn describe_unfit(unfit: &Unfit) -> String {
     let advice = match unfit {
         Unfit::Shape { .. } => "",
         Unfit::Range { .. } => ", or accept the range with --accept-small-range",

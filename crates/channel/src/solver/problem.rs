@@ -55,7 +55,7 @@ pub struct Solution {
 pub enum SolverError {
     /// Too many assignments.
     #[error(
-        "too many assignments of mirrors ({mirrors}) to users ({users}): {assignments:e}, expected at most {ASSIGNMENTS_MAX:e}; use fewer users or mirrors"
+        "too many assignments of mirrors ({mirrors}) to users ({users}): {assignments:.0e}, expected at most {ASSIGNMENTS_MAX:e}; use fewer users or mirrors"
     )]
     TooMany {
         /// Number of users.

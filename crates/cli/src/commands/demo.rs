@@ -15,6 +15,7 @@ use heliostat_bus::{Bus, BusConfig, free_loopback_endpoint};
 use heliostat_core::policy::{NameParser, PolicyKind};
 use heliostat_models::{ActorSource, build, library};
 use heliostat_proto::Room;
+use heliostat_room::World;
 use heliostat_scenario::{Scenario, ScenarioArgs};
 use heliostat_service::counted::counted;
 use heliostat_service::{Stop, duration, output, signals};
@@ -68,7 +69,7 @@ pub fn run(args: Args) -> Result<()> {
     let opened = Instant::now();
     let room = Room::new(&args.room)?;
     let scenario = args.scenario.load_arrays()?;
-    args.check_policy(&scenario)?;
+    args.check_room(&scenario)?;
     let stop = signals::stop_on_signals()?;
 
     let (room_endpoint, controller_endpoint) = (free_loopback_endpoint()?, free_loopback_endpoint()?);
@@ -188,9 +189,11 @@ impl Args {
         PolicyKind::selected(self.policy, self.model.is_some())
     }
 
-    /// Builds the policy once here, so that an unsuitable actor is refused before any process
-    /// starts.
-    fn check_policy(&self, scenario: &Scenario) -> Result<()> {
+    /// Builds room and policy once here, so that an unsuitable walk or actor is refused before any
+    /// process starts.
+    fn check_room(&self, scenario: &Scenario) -> Result<()> {
+        let trace = scenario.read_trace().context("nothing was started")?;
+        World::new(scenario, trace.as_deref(), scenario.seed).context("nothing was started: there would be no room")?;
         let source = self.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
         build(self.policy(), scenario, &source).context("nothing was started: the controller would have no policy")?;
         Ok(())

@@ -13,7 +13,7 @@ use heliostat_scenario::{MinRate, STUDY_SCENARIO, Scenario, ScenarioArgs, USERS_
 use heliostat_service::counted::counted;
 use serde::Serialize;
 
-use super::mirrors::{Instant, parse_position};
+use super::mirrors::{Instant, check_inside, parse_position};
 use super::number_table;
 use heliostat_service::outln;
 
@@ -137,25 +137,11 @@ fn user_rows(args: &Args, scenario: &Scenario) -> Result<Vec<UserRow>> {
         "{} users; expected at most {USERS_MAX}, the largest number in a room",
         rows.len()
     );
-    let room = &scenario.room;
     for (index, row) in rows.iter().enumerate() {
         let place = row.position(scenario);
-        let inside = place.iter().all(|coordinate| coordinate.is_finite())
-            && place.x.abs() <= room.length_x_m / 2.0
-            && place.y.abs() <= room.length_y_m / 2.0
-            && (0.0..room.height_m).contains(&place.z);
         let heading = row.heading_deg.unwrap_or(0.0);
         ensure!(heading.is_finite(), "user {index}: heading_deg is {heading}; expected a finite number of degrees");
-        ensure!(
-            inside,
-            "user {index} at ({}, {}, {}) is outside the room; expected |x| <= {}, |y| <= {}, 0 <= z < {}",
-            place.x,
-            place.y,
-            place.z,
-            room.length_x_m / 2.0,
-            room.length_y_m / 2.0,
-            room.height_m
-        );
+        check_inside(&format!("user {index}"), &place, &scenario.room)?;
     }
     Ok(rows)
 }

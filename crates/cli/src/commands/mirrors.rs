@@ -9,7 +9,7 @@ use heliostat_channel::{ChannelModel, Cylinder, MirrorAngles, Vec3, decode};
 use heliostat_core::observation::{Observation, RoomState};
 use heliostat_core::policy::{PolicyKind, removed};
 use heliostat_models::{ActorSource, build};
-use heliostat_scenario::Scenario;
+use heliostat_scenario::{Room, Scenario};
 use heliostat_service::counted::counted;
 
 use super::number_table;
@@ -67,10 +67,7 @@ impl<'a> Instant<'a> {
             let place =
                 parse_position(point).with_context(|| format!("mirrors {how}: expected aim:X,Y or aim:X,Y,Z in m"))?;
             let point = Vec3::new(place.0, place.1, place.2.unwrap_or(self.scenario.receiver.height_m));
-            ensure!(
-                point.iter().all(|coordinate| coordinate.is_finite()),
-                "mirrors {how}: expected finite numbers in m"
-            );
+            check_inside(&format!("mirrors {how}: the point"), &point, &self.scenario.room)?;
             decode::aim_at_point(self.model, &point, &mut angles);
         } else if let Ok(kind) = PolicyKind::from_str(how, false) {
             build(kind, self.scenario, &ActorSource::Shipped)?.act(self.model, &self.observation, &mut angles)?;
@@ -103,6 +100,22 @@ impl<'a> Instant<'a> {
         solver.solve(self.model, &self.observation.scene, &minimum_rates, Method::Oracle, &mut angles);
         angles
     }
+}
+
+/// Refuses a place outside the room; a coordinate that is not finite is outside.
+pub fn check_inside(what: &str, place: &Vec3, room: &Room) -> Result<()> {
+    let half = [0.5 * room.length_x_m, 0.5 * room.length_y_m];
+    ensure!(
+        place.x.abs() <= half[0] && place.y.abs() <= half[1] && (0.0..room.height_m).contains(&place.z),
+        "{what} at ({}, {}, {}) is outside the room; expected |x| <= {}, |y| <= {}, 0 <= z < {}",
+        place.x,
+        place.y,
+        place.z,
+        half[0],
+        half[1],
+        room.height_m
+    );
+    Ok(())
 }
 
 /// `X,Y` or `X,Y,Z` in m.

@@ -115,6 +115,7 @@ fn with_reach(error: UiError) -> anyhow::Error {
             "{error}. The stop was sent, and stays in force where it arrived. Reports come only from the processes in \
              --connect: with the endpoint of its driver, heliostat status shows what an array does"
         ),
+        error @ UiError::NoReceiver(_) => anyhow!("{error}. No stop was sent, and the mirrors go on moving"),
         error => error.into(),
     }
 }
@@ -146,7 +147,8 @@ pub fn rearm(args: RearmArgs) -> Result<()> {
 fn in_words(RoomStop { name, operator, reason, arrays, .. }: &RoomStop) -> String {
     let arrays: Vec<String> = arrays.iter().map(usize::to_string).collect();
     let (operator, reason) = (printable(operator), printable(reason));
-    format!("{name} of {operator} (\"{reason}\") at array {}", arrays.join(", "))
+    let by = if operator.is_empty() { String::new() } else { format!(" of {operator}") };
+    format!("{name}{by} (\"{reason}\") at array {}", arrays.join(", "))
 }
 
 /// The reason why there is no connection: soon where no process listens, and after the limit where one
@@ -206,7 +208,8 @@ impl OrderArgs {
         output::line(format_args!("the arrays of room {room} are {outcome}, confirmed after {took_ms:.1} ms"))?;
         for RoomStop { name, operator, reason, .. } in stops {
             let (operator, reason) = (printable(operator), printable(reason));
-            output::line(format_args!("the stop: {name} of \"{operator}\": \"{reason}\""))?;
+            let by = if operator.is_empty() { String::new() } else { format!(" of \"{operator}\"") };
+            output::line(format_args!("the stop: {name}{by}: \"{reason}\""))?;
         }
         Ok(())
     }

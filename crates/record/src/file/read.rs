@@ -130,7 +130,12 @@ impl<R: Read> Reading<R> {
     }
 
     fn step(&mut self) -> Result<Step, RecordingError> {
-        let unreadable = |error: McapError| RecordingError::Read(error.to_string());
+        let unreadable = |error: McapError| match error {
+            McapError::BadMagic => {
+                RecordingError::OtherKind("is not an MCAP file; expected a file made by `heliostat record`".into())
+            }
+            error => RecordingError::Read(error.to_string()),
+        };
         let event = match self.reader.next_event() {
             None => return Ok(Step::End),
             Some(Err(McapError::UnexpectedEof)) => return Ok(Step::End),

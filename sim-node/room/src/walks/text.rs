@@ -7,6 +7,8 @@ use crate::world::walker::Floor;
 
 /// Resolution of positions in m, and of times in s.
 const STEP: f64 = 1e-4;
+/// Least time in s between two positions of a user that the text keeps apart, whatever their rounding.
+pub const APART_S: f64 = 2.0 * STEP;
 /// Resolution of headings in degrees.
 const HEADING_STEP_DEG: f64 = 1e-2;
 

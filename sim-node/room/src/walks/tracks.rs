@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::f64::consts::{PI, TAU};
 
 use crate::walks::rows::{Row, RowRefusal};
+use crate::walks::text::APART_S;
 
 /// Positions that are kept unless another number is given: some 400 MB.
 const POSITIONS_MAX: u64 = 5_000_000;
@@ -189,9 +190,10 @@ impl Collector {
     fn add_row(&mut self, row: Row) -> Result<(), RowRefusal> {
         let first_s = *self.first_s.get_or_insert(row.time_s);
         let before = self.pedestrians.get(&row.pedestrian).copied();
-        if let Some(last_s) = before.map(|pedestrian| pedestrian.last_s).filter(|last_s| row.time_s <= *last_s) {
+        let is_apart = |last_s: f64| row.time_s - last_s >= APART_S;
+        if let Some(last_s) = before.map(|pedestrian| pedestrian.last_s).filter(|last_s| !is_apart(*last_s)) {
             let reason = format!(
-                "time {} s of {} is not after {last_s} s: expected ascending times for each pedestrian",
+                "time {} s of {} is not after {last_s} s by {APART_S} s: expected ascending times for each pedestrian",
                 row.time_s, row.pedestrian
             );
             return Err(RowRefusal { line: row.line, reason });
@@ -245,6 +247,10 @@ impl Collected {
 mod tests {
     use std::f64::consts::FRAC_PI_2;
 
+    use crate::walks::text::trace_text;
+    use crate::world::trace::Trace;
+    use crate::world::walker::Floor;
+
     use super::*;
 
     fn row(line: u64, pedestrian: &str, time_s: f64, at_m: [f64; 2]) -> Result<Row, RowRefusal> {
@@ -280,6 +286,16 @@ mod tests {
         let lines: Vec<u64> = collected.refusals.iter().map(|refusal| refusal.line).collect();
         assert_eq!((lines, collected.counts.refused, collected.pedestrians), (vec![3, 4], 2, 2));
         assert!(collected.refusals[0].reason.contains("time 1 s of a is not after 1 s"));
+    }
+
+    #[test]
+    fn positions_that_the_text_would_give_one_time_are_refused() {
+        let rows = [("a", 0.004_71, [0.0; 2]), ("a", 0.004_74, [0.0; 2]), ("a", 1.0, [0.5, 0.0])];
+        let collected = collect(Kept::default(), &rows);
+        assert_eq!((collected.counts.kept, collected.counts.refused), (2, 1));
+        let floor = Floor { length_x_m: 5.0, length_y_m: 5.0 };
+        let text = trace_text(&collected.tracks, &floor);
+        assert_eq!(Trace::problems(&text, 1, &floor), [], "{text}");
     }
 
     #[test]

@@ -91,6 +91,9 @@ pub enum TraceError {
         /// Time of the sample before it, in s.
         previous: f64,
     },
+    /// There is no line.
+    #[error("the file is empty: expected the header time,user,x,y[,heading_deg], then samples of each user")]
+    Empty,
     /// A user has no sample.
     #[error("user {user} has no sample: expected at least one for each user (users.count = {users})")]
     Missing {
@@ -268,14 +271,16 @@ fn read(text: &str, users: usize, floor: &Floor, report: &mut dyn FnMut(TraceErr
     let lines = text.lines().enumerate().map(|(index, row)| (index + 1, row.trim()));
     let mut rows = lines.filter(|(_, row)| !row.is_empty() && !row.starts_with('#'));
     let mut columns = COLUMNS.len() - 1;
-    if let Some((line, row)) = rows.next() {
-        let names: Vec<&str> = row.split(',').map(str::trim).collect();
-        let is_header = names == COLUMNS || names == COLUMNS[..columns];
-        if is_header {
-            columns = names.len();
-        } else if !report(TraceError::Header { line, found: row.to_owned() }) {
-            return samples;
-        }
+    let Some((line, row)) = rows.next() else {
+        report(TraceError::Empty);
+        return samples;
+    };
+    let names: Vec<&str> = row.split(',').map(str::trim).collect();
+    let is_header = names == COLUMNS || names == COLUMNS[..columns];
+    if is_header {
+        columns = names.len();
+    } else if !report(TraceError::Header { line, found: row.to_owned() }) {
+        return samples;
     }
     let mut is_complete = true;
     for (line, row) in rows {

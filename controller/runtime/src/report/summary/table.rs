@@ -21,7 +21,11 @@ impl fmt::Display for Summary {
         let stages = Stage::ALL.iter().filter_map(|stage| Some((stage.name(), self.stages_us.get(stage.name())?)));
         let rows = [("decision", &self.decision_us)].into_iter().chain(stages).chain([("age", &self.age_us)]);
         for (name, times) in rows {
-            let Quantiles { p50, p90, p99, p999, max, .. } = times;
+            let Quantiles { count, p50, p90, p99, p999, max, .. } = times;
+            if *count == 0 {
+                writeln!(formatter, "{name:<12}{:>10}{:>10}{:>10}{:>10}{:>10}", "-", "-", "-", "-", "-")?;
+                continue;
+            }
             writeln!(formatter, "{name:<12}{p50:>10.1}{p90:>10.1}{p99:>10.1}{p999:>10.1}{max:>10.1}")?;
         }
         self.write_policies(formatter)?;
@@ -61,7 +65,7 @@ impl fmt::Display for Summary {
             let arrays = self.arrays.iter().filter(|array| array.driver_absent);
             let names: Vec<&str> = arrays.map(|array| array.name.as_str()).collect();
             let to = if names.is_empty() { String::new() } else { format!(" to {}", names.join(" and ")) };
-            write!(formatter, "\nno driver received the commands{to}")?;
+            write!(formatter, "\nat the end no driver received the commands{to}")?;
         }
         if self.geometry_differs {
             write!(formatter, "\nroom and controller have different geometries")?;

@@ -26,6 +26,8 @@ pub(super) fn describe_stops(controller: &Controller) -> String {
             let [operator, reason] = [operator, reason].map(|text| shortened(text));
             let text = format!("{} since {}", describe_stop(*name, &operator, &reason), clock_time(*since_ns));
             match texts.iter_mut().find(|(known, _)| *known == text) {
+                // Two stops of one array can have one text.
+                Some((_, arrays)) if arrays.contains(&array) => {}
                 Some((_, arrays)) => arrays.push(array),
                 None => texts.push((text, vec![array])),
             }
@@ -46,7 +48,11 @@ pub(super) fn describe_stops(controller: &Controller) -> String {
 
 /// A text of another process, made printable and short enough for a status.
 fn shortened(text: &str) -> String {
-    printable(text).chars().take(STOP_CHARACTERS).collect()
+    let text = printable(text);
+    match text.char_indices().nth(STOP_CHARACTERS) {
+        Some((end, _)) => format!("{}...", &text[..end]),
+        None => text.into_owned(),
+    }
 }
 
 /// The time of day of a time in UTC.

@@ -165,10 +165,10 @@ impl Summary {
     /// Which figures belong to which controller, if there were several.
     fn several_controllers(&self) -> Option<String> {
         let count = self.controllers_started;
+        let of_room = self.room.as_ref().map_or("", |_| "ticks, commands, loop and sum rate cover all of them; ");
         (count > 1).then(|| {
             format!(
-                "{count} controllers were started: ticks, commands, loop and sum rate cover all of them; \
-                 decisions, age, fallbacks and refusals are those of the last one"
+                "{count} controllers were started: {of_room}decisions, age, fallbacks and refusals are those of the last one"
             )
         })
     }
@@ -204,7 +204,11 @@ impl Summary {
             ("age of the positions", controller.map(|controller| &controller.age_us)),
         ];
         for (name, time) in times.into_iter().filter_map(|(name, time)| Some((name, time?))) {
-            let Quantiles { p50, p90, p99, p999, max, .. } = time;
+            let Quantiles { count, p50, p90, p99, p999, max, .. } = time;
+            if *count == 0 {
+                outln!("{name:<26}{:>9}{:>9}{:>9}{:>9}{:>9}", "-", "-", "-", "-", "-")?;
+                continue;
+            }
             outln!("{name:<26}{p50:>9.0}{p90:>9.0}{p99:>9.0}{p999:>9.0}{max:>9.0}")?;
         }
         if let Some(controller) = controller {

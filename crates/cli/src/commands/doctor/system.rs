@@ -4,9 +4,10 @@ use std::net::TcpListener;
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
-use heliostat_bus::{AccessRole, Bus, BusArgs, Reach};
+use heliostat_bus::{AccessRole, Bus, BusArgs, BusConfig, Reach};
+use heliostat_controller::report::summary::describe_unfit;
 use heliostat_core::belief::conditions::{Condition, conditions};
-use heliostat_core::capabilities::{Examiner, Force};
+use heliostat_core::capabilities::{Examiner, Force, Unfit};
 use heliostat_core::policy::{Finding, PolicyKind};
 use heliostat_models::{ActorSource, build_tried};
 use heliostat_proto::array_keys::array_name;
@@ -141,19 +142,28 @@ fn check_driver(args: &Args, scenario: &Scenario, array: usize) -> Check {
             "check power and cable of the hardware, and the address in the driver's configuration",
         ),
         Ok(DriverState { capabilities, .. }) => compare(array, &capabilities, scenario),
-        Err(error) => Check::fail(
-            "driver",
-            format!("{error:#}"),
-            "start the driver, and pass its endpoint and the name of its room (--connect, --room)",
-        ),
+        Err(error) => {
+            let is_refused = bus_config(args).is_ok_and(|config| Bus::find_connection_problem(&config).is_some());
+            let advice = match is_refused {
+                true => {
+                    "a process listens there: correct the address, the certificate or the rights that the message names"
+                }
+                false => "start the driver, and pass its endpoint and the name of its room (--connect, --room)",
+            };
+            Check::fail("driver", format!("{error:#}"), advice)
+        }
     }
 }
 
 /// The session of the checks; none of them publishes, so the rights of any role do.
 pub(super) fn open_bus(args: &Args) -> anyhow::Result<Bus> {
+    Ok(Bus::open(&bus_config(args)?.reaching(Reach::Within(DRIVER_WAIT)))?)
+}
+
+fn bus_config(args: &Args) -> anyhow::Result<BusConfig> {
     let flags =
         BusArgs { room: args.room.clone(), connect: args.connect.clone(), tls: args.tls.clone(), ..BusArgs::default() };
-    Ok(Bus::open(&flags.config(&AccessRole::ALL)?.reaching(Reach::Within(DRIVER_WAIT)))?)
+    Ok(flags.config(&AccessRole::ALL)?)
 }
 
 /// What a driver reports of its array.
@@ -208,7 +218,11 @@ fn compare(index: usize, array: &Capabilities, scenario: &Scenario) -> Check {
         .map_err(anyhow::Error::from)
         .and_then(|model| Ok(Examiner::new(scenario, &model, Force::default()).examine(index, array)?));
     if let Err(unfit) = examined {
-        return Check::fail("driver", found, format!("{unfit:#}"));
+        let advice = match unfit.downcast_ref::<Unfit>() {
+            Some(unfit) => describe_unfit(unfit),
+            None => format!("{unfit:#}"),
+        };
+        return Check::fail("driver", found, advice);
     }
     let commanded_rad = scenario.control.range_deg.to_radians();
     let reach_rad = [array.roll.min_rad, array.yaw.min_rad, -array.roll.max_rad, -array.yaw.max_rad];

@@ -8,6 +8,7 @@ use heliostat_proto::{Nanos, NodeKind, Room, RoomGeometry, RoomTruth, UserReport
 use heliostat_record::file::{self, Reading};
 use heliostat_room::walks::figures;
 use heliostat_room::walks::rows::Row;
+use heliostat_room::walks::text::APART_S;
 use heliostat_room::walks::tracks::{Collected, Collector, Kept, Track};
 use heliostat_room::world::walker::Floor;
 use heliostat_scenario::Scenario;
@@ -42,7 +43,7 @@ struct Recorded {
     /// Whether the positions are the true ones.
     is_true: bool,
     users: Vec<Track>,
-    /// Positions whose time was not after the one before.
+    /// Positions whose time was not after the one before, or too close to it.
     refused: u64,
     floor: Floor,
 }
@@ -74,7 +75,7 @@ fn print(args: &ExportArgs, recorded: &Recorded) -> Result<()> {
     let kind = if *is_true { "true positions with headings" } else { "reported positions, with the tracker's noise" };
     outln!("{}: {kind}: {samples} of {} over {duration_s:.2} s", args.recording.display(), counted(count, "user"))?;
     if *refused > 0 {
-        outln!("left out: {refused} positions whose time is not after the one before")?;
+        outln!("left out: {refused} positions whose time is not at least {APART_S} s after the one before")?;
     }
     for (number, user) in users.iter().enumerate().filter(|(_, user)| user.duration_s() < 0.99 * duration_s) {
         let (pedestrian, from_s, to_s) = (&user.pedestrian, user.start_s(), user.end_s());

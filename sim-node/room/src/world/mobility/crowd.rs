@@ -6,10 +6,11 @@
 //!
 //! In a mixture, each model has an interval of [0, 1) as long as its share. User n has the model
 //! whose interval contains the fractional part of u + n g; u is uniform, and g is the golden ratio.
-//! Every group of successive users then has the shares up to about one user.
+//! Every group of successive users then has the shares up to about one user. Entries with a number of users
+//! have the first ones instead.
 
 use heliostat_channel::Cylinder;
-use heliostat_scenario::{MobilityModel, Scenario, Users};
+use heliostat_scenario::{MixtureShare, MobilityModel, Scenario, Users};
 
 use crate::random::{self, Purpose, RoomRng};
 use crate::world::mobility::gauss_markov::GaussMarkov;
@@ -163,14 +164,7 @@ impl Crowd {
             return self.users.mobility;
         }
         let place = (self.mixture_start + GOLDEN * f64::from(id)).fract();
-        let mut sum = 0.0;
-        let entry = self.users.mixture.iter().find(|entry| {
-            sum += entry.share;
-            place < sum
-        });
-        // Rounding can leave the sum of all shares below the place.
-        let entry = entry.or_else(|| self.users.mixture.iter().rfind(|entry| entry.share > 0.0));
-        entry.map_or(MobilityModel::RandomWaypoint, |entry| entry.mobility)
+        MixtureShare::model_of(&self.users.mixture, id as usize, place).unwrap_or(MobilityModel::RandomWaypoint)
     }
 
     fn member(&self, id: u32) -> Member {

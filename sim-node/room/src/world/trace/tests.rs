@@ -87,6 +87,7 @@ fn a_recording_of_one_row_is_refused_with_what_is_expected() {
         assert!(text.contains("time 3 s") && text.contains("at least two times"), "{text}");
     }
     assert!(error("time,user,x,y\n", 1).contains("user 0 has no sample"));
+    assert_eq!(Trace::problems("", 5, &FLOOR), [TraceError::Empty], "once, not for each user");
 }
 
 #[test]

@@ -180,7 +180,7 @@ fn a_full_disk_is_reported_and_leaves_a_complete_file() {
 #[test]
 fn a_file_that_is_not_a_recording_is_refused_with_the_reason() {
     let refusal = |bytes: &[u8]| read(Cursor::new(bytes.to_vec())).expect_err("no recording").to_string();
-    assert!(refusal(b"some text that is long enough to be looked at").contains("cannot be read"), "a text file");
+    assert!(refusal(b"some text that is long enough to be looked at").contains("is not an MCAP file"), "a text file");
     let mut foreign = mcap::Writer::new(Cursor::new(Vec::new())).unwrap();
     foreign.finish().unwrap();
     assert!(refusal(foreign.into_inner().get_ref()).contains("not a recording of a room"));

@@ -10,7 +10,7 @@ use heliostat_proto::{ArrayState, UserReport, codec};
 use heliostat_service::counted::counted;
 use serde::Serialize;
 
-use crate::figures::{Figures, NodeFigures};
+use crate::figures::{Figures, NodeFigures, Origin};
 use crate::terminal::texts::{stops, time, without_rates};
 use crate::{UiError, View};
 
@@ -121,6 +121,7 @@ impl fmt::Display for RoomStatus {
         let role = |is_standby| if is_standby { "stands by" } else { "leads" };
         let controllers: Vec<String> =
             controllers.iter().map(|one| format!("{} {}", one.name, role(one.is_standby))).collect();
+        let are_users_seen = self.figures.origin != Origin::NoData;
         let blocked = users.iter().filter(|user| user.blocked == Some(true)).count();
         let below = users.iter().filter(|user| user.is_rate_known && !user.is_met()).count();
         let rate = sum_mbps.map_or_else(|| without_rates(&self.figures), |sum| format!("{:.1} Mbit/s", sum.policy));
@@ -139,7 +140,14 @@ impl fmt::Display for RoomStatus {
             ),
             ("stops", self.stop_line()),
             ("reports", format!("{:.1} a second", self.reports_per_s)),
-            ("users", format!("{}, {blocked} without a direct path, {below} below the minimum rate", users.len())),
+            (
+                "users",
+                if are_users_seen {
+                    format!("{}, {blocked} without a direct path, {below} below the minimum rate", users.len())
+                } else {
+                    "unknown: no position reports".into()
+                },
+            ),
             ("sum rate", rate),
             ("decision", format!("p50 {p50}, p99 {p99}")),
         ] {
@@ -152,7 +160,7 @@ impl fmt::Display for RoomStatus {
 #[cfg(test)]
 mod tests {
     use crate::controllers::ControllerFigures;
-    use crate::figures::{ArrayFigures, Origin};
+    use crate::figures::ArrayFigures;
 
     use super::*;
 

@@ -130,7 +130,7 @@ fn every_text_has_a_contrast_of_at_least_4_5_also_where_it_is_old() {
     check("a stopped room");
     setting.controller.kill();
     setting.room.kill();
-    wait_until("old parts", || browser.run("return document.querySelectorAll('section.stale').length >= 5") == true);
+    wait_until("old parts", || browser.run("return document.querySelectorAll('section.stale').length >= 4") == true);
     wait_until("what is wrong", || !browser.text("#problem").is_empty());
     check("an old room");
 }

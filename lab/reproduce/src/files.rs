@@ -3,11 +3,12 @@
 use std::path::Path;
 
 use anyhow::{Context, Result};
+use heliostat_service::whole_file;
 
+use crate::document;
 use crate::draw::svg;
 use crate::figure::Figure;
 use crate::report::Report;
-use crate::{document, store};
 
 /// The text of a report, which shows the SVG files beside it.
 pub const REPORT: &str = "report.md";
@@ -19,12 +20,12 @@ pub const REPORT: &str = "report.md";
 pub fn write(report: &Report, out: &Path) -> Result<()> {
     for figure in &report.figures {
         let file = |extension: &str| out.join(format!("{}.{extension}", figure.stem()));
-        store::write(&file("svg"), svg::draw(figure).with_context(|| figure.stem())?.as_bytes())?;
-        store::write(&file("csv"), &csv(figure)?)?;
-        store::write(&file("json"), &serde_json::to_vec(figure)?)?;
+        whole_file::write(&file("svg"), svg::draw(figure).with_context(|| figure.stem())?.as_bytes())?;
+        whole_file::write(&file("csv"), &csv(figure)?)?;
+        whole_file::write(&file("json"), &serde_json::to_vec(figure)?)?;
     }
-    store::write(&out.join("report.json"), &serde_json::to_vec(report)?)?;
-    store::write(&out.join(REPORT), document::markdown(&document::reduced(report), true).as_bytes())
+    whole_file::write(&out.join("report.json"), &serde_json::to_vec(report)?)?;
+    whole_file::write(&out.join(REPORT), document::markdown(&document::reduced(report), true).as_bytes())
 }
 
 /// One line for each point; for a floor one for each cell.

@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use anyhow::{Result, ensure};
 use heliostat_learn::networks::on_one_thread;
+use heliostat_service::whole_file;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::args::{ReproduceArgs, command_of_report};
@@ -177,6 +178,6 @@ fn commits(parts: &[Origin]) -> Vec<String> {
 
 fn write_docs(report: &Report, folder: &Path) -> Result<()> {
     let report = document::reduced(report);
-    crate::store::write(&folder.join("reproduction.json"), document::json(&report)?.as_bytes())?;
-    crate::store::write(&folder.join("reproduction.md"), document::markdown(&report, false).as_bytes())
+    whole_file::write(&folder.join("reproduction.json"), document::json(&report)?.as_bytes())?;
+    whole_file::write(&folder.join("reproduction.md"), document::markdown(&report, false).as_bytes())
 }

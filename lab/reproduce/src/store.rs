@@ -5,6 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
+use heliostat_service::whole_file;
 use serde::{Deserialize, Serialize};
 
 use crate::machine;
@@ -108,7 +109,7 @@ impl Store {
             kept: false,
         };
         let text = serde_json::to_vec(&Finished { origin, measured })?;
-        write(&self.path(part)?, &text)?;
+        whole_file::write(&self.path(part)?, &text)?;
         // Read back, so that the report is equal when the part comes from its file.
         Ok(serde_json::from_slice(&text)?)
     }
@@ -118,16 +119,4 @@ impl Store {
         let plain = |letter: char| if letter.is_ascii_alphanumeric() || ".-".contains(letter) { letter } else { '_' };
         Ok(self.folder.join(format!("{}-{}.json", words.chars().map(plain).collect::<String>(), part.key()?)))
     }
-}
-
-/// Writes a file atomically.
-///
-/// # Errors
-/// A file that cannot be written, by name.
-pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
-    let mut beside = path.as_os_str().to_owned();
-    beside.push(".part");
-    let beside = PathBuf::from(beside);
-    fs::write(&beside, bytes).with_context(|| format!("cannot write {}", beside.display()))?;
-    fs::rename(&beside, path).with_context(|| format!("cannot replace {}", path.display()))
 }

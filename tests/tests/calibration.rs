@@ -6,6 +6,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
+use std::time::Instant;
 
 use heliostat_array::calibration_file::CalibrationFile;
 use heliostat_bus::{BusConfig, private_endpoint};
@@ -186,10 +187,12 @@ fn a_refinement_commands_only_while_the_receiver_is_alone_and_gives_the_room_bac
         encode(report, &mut payload).expect("a sound report");
         observer.publish(&observer.room().users(), &payload);
     };
+    let entered = Instant::now();
     wait_until("the controller in the lead", || {
         enter(&mut report);
         observer.telemetry().is_some_and(|array| array.epoch > first && array.state == ArrayState::Following)
     });
+    println!("the controller leads {} ms after the first report of the user", entered.elapsed().as_millis());
     let of_controller = observer.telemetry().expect("waited for").epoch;
     let before = observer.telemetry().expect("waited for").counters.accepted;
     wait_until("a hundred commands of the controller", || {

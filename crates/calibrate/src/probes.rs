@@ -135,3 +135,25 @@ pub fn next_mirror(jobs: &[Job], cursor: usize) -> Option<usize> {
         job.state == State::Open && !job.is_pending
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_located_mirror_is_opened_once_more_for_as_many_readings() {
+        let mut job = Job::new(Grid::normal([0.0; 2], [0.001; 2]), [0.0; 2], [[0.01; 2]; 2], 1.0);
+        let read = |job: &mut Job, readings: u32| {
+            for _ in 0..readings {
+                job.handle_reading(1.0, |_| Expected { gain: 1.0, deviation: 0.1 });
+            }
+            job.state
+        };
+        assert!(!job.confirm(), "it is open");
+        assert_eq!(read(&mut job, READINGS_MIN), State::Located);
+        assert!(job.confirm());
+        assert_eq!(read(&mut job, READINGS_MIN - 1), State::Open);
+        assert_eq!(read(&mut job, 1), State::Located);
+        assert!(!job.confirm(), "once");
+    }
+}

@@ -101,7 +101,7 @@ impl Refinement {
     /// # Errors
     /// An array that does not accept the lead.
     pub fn take_turns(&mut self, session: &mut Session, room: &mut LiveRoom) -> Result<()> {
-        if room.has_lost_lead() {
+        if room.has_lost_lead() || room.has_other_calibration() {
             self.idle.interrupt();
         }
         let (is_idle, stands) = (self.idle.is_idle(Instant::now()), is_at_spot(session));
@@ -117,7 +117,7 @@ impl Refinement {
         note(if is_idle {
             "the mirrors are given back until the receiver stands at the next place"
         } else {
-            "the mirrors are given back: another user is in the room, reports are missing, or a controller has taken the lead"
+            "the mirrors are given back: another user is in the room, reports are missing, or another process has taken the lead"
         });
         Ok(())
     }

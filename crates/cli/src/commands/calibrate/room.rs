@@ -39,6 +39,9 @@ const QUEUE: usize = 1024;
 /// Longest time without telemetry: an array publishes ten messages a second.
 const TELEMETRY_GAP_MAX: Duration = Duration::from_secs(2);
 
+/// Time after its last status for which another calibration counts as running.
+const OTHER_GAP_MAX: Duration = Duration::from_secs(2);
+
 /// Time for which an array keeps a command while its successor takes the lead.
 const RELEASE: Duration = Duration::from_millis(500);
 
@@ -68,6 +71,8 @@ pub struct LiveRoom {
     telemetry: Arc<Mutex<Option<MirrorTelemetry>>>,
     /// When the last telemetry arrived.
     answered: Arc<Mutex<Instant>>,
+    /// When another calibration last said how far it is.
+    other_calibration: Arc<Mutex<Option<Instant>>>,
     /// The first other array of the room that was seen to follow commands.
     disturbing: Arc<OnceLock<usize>>,
     capabilities: Capabilities,
@@ -125,6 +130,16 @@ impl LiveRoom {
         let commander = Arc::new(Mutex::new(commander));
         let answered = Arc::new(Mutex::new(Instant::now()));
         let mut subscriptions = subscribe(bus, args.array, &sender, &commander, (&telemetry, &answered))?;
+        let other_calibration: Arc<Mutex<Option<Instant>>> = Arc::default();
+        let latest = Arc::clone(&other_calibration);
+        subscriptions.push(bus.subscribe(&room.status(NodeKind::Controller), move |payload| {
+            if let Ok(status) = decode::<NodeStatus>(payload)
+                && status.stamp.source != source
+                && CalibrationProgress::of(&status).is_some()
+            {
+                *lock(&latest) = Some(Instant::now());
+            }
+        })?);
         let disturbing: Arc<OnceLock<usize>> = Arc::default();
         for other in (0..scenario.mirrors.arrays().len()).filter(|other| *other != args.array) {
             let first = Arc::clone(&disturbing);
@@ -155,6 +170,7 @@ impl LiveRoom {
             commander,
             telemetry,
             answered,
+            other_calibration,
             disturbing,
             capabilities,
             status,
@@ -182,6 +198,11 @@ impl LiveRoom {
     /// Whether this process commands the array.
     pub fn is_commanding(&self) -> bool {
         self.token.is_some()
+    }
+
+    /// Whether another calibration commands the room.
+    pub fn has_other_calibration(&self) -> bool {
+        lock(&self.other_calibration).is_some_and(|at| at.elapsed() < OTHER_GAP_MAX)
     }
 
     /// Whether another controller took the lead from this process while it commanded.

@@ -26,7 +26,8 @@ pub(super) struct ControllerState {
     pub geometry: Option<String>,
     /// The light of served users.
     pub light: Vec<ServedLight>,
-    noise: Option<TrackerNoise>,
+    /// The noise of its tracker.
+    pub noise: Option<TrackerNoise>,
 }
 
 /// Asks a controller; the checks by its answer, none where no address is given.

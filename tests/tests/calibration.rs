@@ -178,7 +178,7 @@ fn a_refinement_commands_only_while_the_receiver_is_alone_and_gives_the_room_bac
     let mut report = observer.users().expect("reports");
     report.stamp.source ^= 1;
     let enter = |report: &mut UserReport| {
-        let holder = report.users[0].clone();
+        let holder = report.users[0];
         report.users.truncate(1);
         report.users.push(heliostat_proto::UserState { user: 5, ..holder });
         report.stamp.sequence += 1;

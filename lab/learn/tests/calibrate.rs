@@ -118,7 +118,7 @@ fn a_refinement_names_the_mirrors_that_have_turned_and_corrects_them_alone() {
         (angles.roll[33], angles.yaw[33]) = (0.5, 0.5);
     };
     let ended = |session: &heliostat_calibrate::Session| session.stage() == Stage::Ended;
-    drive_turned(&mut refined, &mut again, (unchanged, mounts), ended).unwrap();
+    drive_turned(&mut refined, &mut again, unchanged, mounts, ended).unwrap();
     let outcome = refined.outcome().unwrap();
     println!("{} new readings: {:?}", outcome.readings + 40 - complete, outcome.changes);
     let changed: Vec<usize> = outcome.changes.iter().map(|change| change.mirror).collect();
@@ -173,7 +173,7 @@ fn a_moved_led_rejects_the_spots_of_a_refinement_and_no_mirror() {
     // All mirrors are off by the same angle, as after a move of the LED.
     let mounts = |angles: &mut MirrorAngles| angles.roll.iter_mut().for_each(|roll| *roll += 0.6_f64.to_radians());
     let ended = |session: &heliostat_calibrate::Session| session.stage() == Stage::Ended;
-    drive_turned(&mut refined, &mut again, (unchanged, mounts), ended).unwrap();
+    drive_turned(&mut refined, &mut again, unchanged, mounts, ended).unwrap();
     let outcome = refined.outcome().unwrap();
     assert_eq!((outcome.rejected_places.as_slice(), outcome.changes.len()), (&[0, 1, 2][..], 0));
 }

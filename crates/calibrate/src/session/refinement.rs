@@ -182,7 +182,7 @@ impl Session {
         if changed.len() as f64 > BAD_SPOT_SHARE * found.len() as f64 {
             return false;
         }
-        changed.into_iter().fold(false, |any, mirror| self.jobs[mirror].confirm() || any)
+        changed.into_iter().filter(|mirror| self.jobs[*mirror].confirm()).count() > 0
     }
 
     /// How far the light of each mirror that shows some at these spots is off the former estimate, in rad.

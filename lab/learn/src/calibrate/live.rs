@@ -124,7 +124,7 @@ pub fn drive(
     tracker: fn(&mut UserReport),
     is_over: impl Fn(&Session) -> bool,
 ) -> anyhow::Result<f64> {
-    drive_turned(session, episode, (tracker, |_| {}), is_over)
+    drive_turned(session, episode, tracker, |_| {}, is_over)
 }
 
 /// The same with mirrors that have turned in their mounts: `mounts` changes the angles of each command.
@@ -134,7 +134,8 @@ pub fn drive(
 pub fn drive_turned(
     session: &mut Session,
     episode: &mut Episode,
-    (tracker, mounts): (fn(&mut UserReport), fn(&mut MirrorAngles)),
+    tracker: fn(&mut UserReport),
+    mounts: fn(&mut MirrorAngles),
     is_over: impl Fn(&Session) -> bool,
 ) -> anyhow::Result<f64> {
     let limit_ns = (PATIENCE * 4.0 * (STAY_S + WALK_S) * 1e9) as u64;

@@ -148,7 +148,7 @@ mod tests {
         assert!((drive[0] - 0.1).abs() < 1e-12 && (drive[1] + 0.1).abs() < 1e-12, "{drive:?}");
         assert_eq!((turned.roll[1], turned.yaw[1]), (0.2, 0.3));
         let limits = AxisLimits { min_rad: -0.5, max_rad: 0.5, ..AxisLimits::default() };
-        let announced = Capabilities { roll: limits.clone(), yaw: limits, ..Capabilities::default() };
+        let announced = Capabilities { roll: limits, yaw: limits, ..Capabilities::default() };
         let narrowed = refinement.capabilities(announced);
         // The second mirror reaches its own range, the first 1.25 * 0.5 rad + 2 degrees and 0.8 * 0.5 rad - 1 degree.
         assert!((narrowed.roll.max_rad - 0.5).abs() < 1e-6 && narrowed.roll.min_rad > -0.5 - 1e-6, "{narrowed:?}");

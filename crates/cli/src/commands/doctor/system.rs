@@ -187,17 +187,20 @@ fn ask_driver(args: &Args, array: usize) -> anyhow::Result<DriverState> {
     let keys = room.array(array);
     let reported = bus.subscribe(&keys.telemetry(), move |payload| {
         // The receiver is gone when both have arrived.
-        drop(decode(payload).map(|telemetry: MirrorTelemetry| sender.send((Some(telemetry), None))));
+        drop(
+            decode(payload)
+                .map(|telemetry: MirrorTelemetry| sender.send((Some((telemetry.faults, telemetry.calibration)), None))),
+        );
     })?;
     let status = bus.subscribe(&keys.driver_status(), move |payload| {
         drop(decode(payload).map(|status: NodeStatus| statuses.send((None, Some(status.last_problem)))));
     })?;
     let payloads = bus.fetch(&keys.capabilities(), DRIVER_WAIT)?;
-    let (mut telemetry, mut problem): (Option<MirrorTelemetry>, Option<String>) = (None, None);
-    let has_no_link = |telemetry: &MirrorTelemetry| telemetry.faults & fault::LINK != 0;
+    let (mut telemetry, mut problem): (Option<(u32, u64)>, Option<String>) = (None, None);
+    let has_no_link = |(faults, _): (u32, u64)| faults & fault::LINK != 0;
     let until = Instant::now() + STATUS_WITHIN;
     // The problem matters only with a fault.
-    while telemetry.is_none() || (telemetry.as_ref().is_some_and(has_no_link) && problem.is_none()) {
+    while telemetry.is_none() || (telemetry.is_some_and(has_no_link) && problem.is_none()) {
         let Ok((new_telemetry, new_problem)) = reports.recv_timeout(until.saturating_duration_since(Instant::now()))
         else {
             break;
@@ -207,16 +210,15 @@ fn ask_driver(args: &Args, array: usize) -> anyhow::Result<DriverState> {
     drop((reported, status));
     bus.close()?;
     let device_problem = telemetry
-        .as_ref()
-        .filter(|telemetry| has_no_link(telemetry))
+        .filter(|telemetry| has_no_link(*telemetry))
         .map(|_| format!("a device of the driver does not answer: {}", printable(&problem.unwrap_or_default())));
     match payloads.as_slice() {
         [] => anyhow::bail!("no driver in room \"{room}\" publishes the capabilities of an array"),
         [payload] => Ok(DriverState {
             capabilities: decode(payload)?,
             device_problem,
-            calibration: telemetry.as_ref().map(|telemetry| telemetry.calibration),
-            faults: telemetry.map_or(0, |telemetry| telemetry.faults),
+            calibration: telemetry.map(|(_, calibration)| calibration),
+            faults: telemetry.map_or(0, |(faults, _)| faults),
         }),
         several => anyhow::bail!("{} drivers answer in room \"{room}\"; expected one", several.len()),
     }

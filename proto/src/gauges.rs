@@ -116,6 +116,83 @@ impl fmt::Display for ServedLight {
     }
 }
 
+/// How far a calibration is that commands a room in place of a controller.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct CalibrationProgress {
+    /// Number of the present place, from 1; the last place is that of the verification.
+    pub place: u32,
+    /// Number of places: the spots, and the place of the verification.
+    pub places: u32,
+    /// Whether the receiver is still to be carried to this place.
+    pub is_waiting: bool,
+    /// Mirrors that are located at this place.
+    pub located: u32,
+    /// Mirrors to be located at this place; 0 before its first probe.
+    pub mirrors: u32,
+    /// Estimated time until the end in s, without the walks.
+    pub remaining_s: f64,
+}
+
+impl CalibrationProgress {
+    /// The names of the gauges, in the order of the fields.
+    const NAMES: [&'static str; 6] = [
+        "calibration_place",
+        "calibration_places",
+        "calibration_waiting",
+        "calibration_mirrors_located",
+        "calibration_mirrors",
+        "calibration_remaining_s",
+    ];
+
+    /// Name and value of each gauge.
+    pub fn gauges(&self) -> [(&'static str, f64); 6] {
+        let Self { place, places, is_waiting, located, mirrors, remaining_s } = *self;
+        let values = [
+            f64::from(place),
+            f64::from(places),
+            f64::from(u8::from(is_waiting)),
+            f64::from(located),
+            f64::from(mirrors),
+            remaining_s,
+        ];
+        std::array::from_fn(|index| (Self::NAMES[index], values[index]))
+    }
+
+    /// The progress in a status; `None` where its process is no calibration.
+    pub fn of(status: &NodeStatus) -> Option<Self> {
+        let [place, places, waiting, located, mirrors, remaining_s] = Self::NAMES.map(|name| status.gauge(name));
+        // A cast of a number from the network saturates.
+        Some(Self {
+            place: place? as u32,
+            places: places? as u32,
+            is_waiting: waiting? > 0.0,
+            located: located? as u32,
+            mirrors: mirrors? as u32,
+            remaining_s: remaining_s?,
+        })
+    }
+
+    /// The present place in a few words.
+    pub fn place_name(&self) -> String {
+        let name = if self.place >= self.places {
+            "the verification".to_owned()
+        } else {
+            format!("spot {} of {}", self.place, self.places - 1)
+        };
+        if self.is_waiting { format!("waits for the receiver at {name}") } else { name }
+    }
+}
+
+impl fmt::Display for CalibrationProgress {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(&self.place_name())?;
+        if self.mirrors > 0 && !self.is_waiting {
+            write!(formatter, ", {} of {} mirrors located", self.located, self.mirrors)?;
+        }
+        write!(formatter, ", about {:.0} s of readings left", self.remaining_s)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -136,5 +213,26 @@ mod tests {
         let all = vec![light("mirrors", 0.6, Some(12.0)), light("led-0", 1.0, None)];
         let gauges = all.iter().flat_map(ServedLight::gauges).collect();
         assert_eq!(ServedLight::all_of(&NodeStatus { gauges, ..NodeStatus::default() }), all);
+    }
+
+    #[test]
+    fn the_progress_of_a_calibration_is_read_from_the_gauges_that_it_wrote() {
+        let progress = CalibrationProgress {
+            place: 2,
+            places: 4,
+            is_waiting: false,
+            located: 57,
+            mirrors: 100,
+            remaining_s: 41.4,
+        };
+        let status = |progress: CalibrationProgress| NodeStatus {
+            gauges: progress.gauges().map(|(name, value)| (name.to_owned(), value)).to_vec(),
+            ..NodeStatus::default()
+        };
+        assert_eq!(CalibrationProgress::of(&status(progress)), Some(progress));
+        assert_eq!(CalibrationProgress::of(&NodeStatus::default()), None);
+        assert_eq!(progress.to_string(), "spot 2 of 3, 57 of 100 mirrors located, about 41 s of readings left");
+        let last = CalibrationProgress { place: 4, is_waiting: true, mirrors: 0, ..progress };
+        assert_eq!(last.to_string(), "waits for the receiver at the verification, about 41 s of readings left");
     }
 }

@@ -125,6 +125,20 @@ impl CalibrationFile {
         Self { roll: axis(&self.roll, &former.roll), yaw: axis(&self.yaw, &former.yaw), ..*self }
     }
 
+    /// The corrections of an angle by which a driver that uses these turns a mirror as one that uses
+    /// `other` turns it without: gain (gain' angle + offset') + offset is the drive angle of `other`.
+    pub fn in_place_of(&self, other: &Self) -> Self {
+        let axis = |own: &AxisCorrections, other: &AxisCorrections| {
+            let pairs = own.offset_deg.iter().zip(&own.gain).zip(other.offset_deg.iter().zip(&other.gain));
+            let joined = pairs.map(|((offset, gain), (other_offset, other_gain))| {
+                ((other_offset - offset) / gain, other_gain / gain)
+            });
+            let (offset_deg, gain) = joined.unzip();
+            AxisCorrections { offset_deg, gain }
+        };
+        Self { roll: axis(&self.roll, &other.roll), yaw: axis(&self.yaw, &other.yaw), ..*self }
+    }
+
     /// The message with the same meaning.
     pub fn message(&self, stamp: Stamp) -> Calibration {
         let radians = |list: &[f64]| list.iter().map(|value| value.to_radians() as f32).collect();
@@ -151,9 +165,11 @@ mod tests {
         };
         let (own, former) = (file(0.5, 1.1), file(-0.2, 0.9));
         let joined = own.after(&former);
+        let between = former.in_place_of(&joined);
         let turn = |file: &CalibrationFile, angle: f64| file.yaw.gain[0] * angle + file.yaw.offset_deg[0];
         for angle in [-10.0, 0.0, 7.0] {
             assert!((turn(&joined, angle) - turn(&former, turn(&own, angle))).abs() < 1e-12);
+            assert!((turn(&between, angle) - turn(&own, angle)).abs() < 1e-12);
         }
     }
 

@@ -33,4 +33,4 @@ pub mod stand;
 
 pub use outcome::{Measured, Outcome, Verdict};
 pub use parameters::Prior;
-pub use session::{Log, Place, Progress, Session, Setup, SetupError, Stage};
+pub use session::{Change, Log, Place, Progress, Session, Setup, SetupError, Stage};

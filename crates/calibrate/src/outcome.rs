@@ -10,7 +10,8 @@ use serde::Serialize;
 use crate::fit::Estimate;
 use crate::optics::{LOG_FACTOR, Optics, PLACE, QUANTITIES};
 use crate::parameters::Spot;
-use crate::session::aim_deviation;
+use crate::session::refinement::FORMER_PLACE;
+use crate::session::{Change, aim_deviation};
 use crate::stand::median;
 
 /// Half of the sides in m of the square of places for which the pointing is predicted.
@@ -135,8 +136,10 @@ pub struct Outcome {
     pub rejected_places: Vec<usize>,
     /// Readings of single mirrors.
     pub readings: usize,
-    /// The verification.
+    /// The verification; in a refinement that of the mirrors that have changed.
     pub verification: Verification,
+    /// The mirrors that have changed since the calibration that a refinement started from.
+    pub changes: Vec<Change>,
     /// The mirror's roll and yaw in rad relative to their commands; 0 without a correction.
     #[serde(skip)]
     offsets_rad: Vec<[f64; 2]>,
@@ -155,6 +158,7 @@ pub(crate) struct Input<'a> {
     pub places: &'a [usize],
     pub verification: &'a Verification,
     pub rejected: &'a [usize],
+    pub changes: &'a [Change],
     pub lit: &'a [(usize, usize)],
     pub bad: &'a [(usize, usize)],
     pub unusable: &'a [u32],
@@ -184,7 +188,8 @@ impl Outcome {
         let scales = (0..mirrors.len()).map(|mirror| {
             if has_scales { corrected(mirror, [0, 1].map(|axis| layout.scale(mirror, axis))) } else { [0.0; 2] }
         });
-        let mut rejected_places: Vec<usize> = input.rejected.iter().map(|spot| input.places[*spot]).collect();
+        let places = input.rejected.iter().map(|spot| input.places[*spot]);
+        let mut rejected_places: Vec<usize> = places.filter(|place| *place != FORMER_PLACE).collect();
         rejected_places.sort_unstable();
         rejected_places.dedup();
         let semi_angle = measured(layout.semi_angle());
@@ -204,6 +209,7 @@ impl Outcome {
             rejected_places,
             readings: input.readings,
             verification: input.verification.clone(),
+            changes: input.changes.to_vec(),
             offsets_rad: (0..mirrors.len())
                 .map(|mirror| corrected(mirror, [0, 1].map(|axis| layout.offset(mirror, axis))))
                 .collect(),

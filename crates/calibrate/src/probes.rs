@@ -50,6 +50,8 @@ pub struct Job {
     pub state: State,
     /// Readings so far.
     pub readings: u32,
+    /// Fewest readings until it is located.
+    least: u32,
     /// The largest reading.
     pub brightest: f64,
     /// A reading is awaited.
@@ -68,10 +70,22 @@ impl Job {
             peak,
             state: State::Open,
             readings: 0,
+            least: READINGS_MIN,
             brightest: 0.0,
             is_pending: false,
             sides: [0; 2],
         }
+    }
+
+    /// Opens a located mirror once more, for as many readings again: a surprise has to be confirmed.
+    /// Whether that is due.
+    pub fn confirm(&mut self) -> bool {
+        let is_due = self.state == State::Located && self.least == READINGS_MIN;
+        if is_due {
+            self.least = 2 * self.readings.min(READINGS_MAX / 2);
+            self.state = State::Open;
+        }
+        is_due
     }
 
     /// Whether it showed light.
@@ -105,7 +119,7 @@ impl Job {
         }
         let (_, deviation) = self.grid.moments();
         let is_located = deviation.iter().all(|deviation| *deviation < TARGET_RAD);
-        if self.is_lit() && self.readings >= READINGS_MIN && (is_located || self.readings >= READINGS_MAX) {
+        if self.is_lit() && self.readings >= self.least && (is_located || self.readings >= READINGS_MAX) {
             self.state = State::Located;
         } else if !self.is_lit() && self.readings >= DARK_MAX {
             self.state = State::Dark;
@@ -120,4 +134,26 @@ pub fn next_mirror(jobs: &[Job], cursor: usize) -> Option<usize> {
         let job = &jobs[*mirror];
         job.state == State::Open && !job.is_pending
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_located_mirror_is_opened_once_more_for_as_many_readings() {
+        let mut job = Job::new(Grid::normal([0.0; 2], [0.001; 2]), [0.0; 2], [[0.01; 2]; 2], 1.0);
+        let read = |job: &mut Job, readings: u32| {
+            for _ in 0..readings {
+                job.handle_reading(1.0, |_| Expected { gain: 1.0, deviation: 0.1 });
+            }
+            job.state
+        };
+        assert!(!job.confirm(), "it is open");
+        assert_eq!(read(&mut job, READINGS_MIN), State::Located);
+        assert!(job.confirm());
+        assert_eq!(read(&mut job, READINGS_MIN - 1), State::Open);
+        assert_eq!(read(&mut job, 1), State::Located);
+        assert!(!job.confirm(), "once");
+    }
 }

@@ -22,9 +22,13 @@
 //!
 //! after the last spot:   Await --> Dark --> Verify --> Ended
 //! ```
+//!
+//! A refinement, [`Session::refine`], has the same stages. It compares the former aims of the mirrors that
+//! have changed with their new ones, and ends after the last spot if none has.
 
 mod fitting;
 mod log;
+pub(crate) mod refinement;
 mod stages;
 mod timing;
 
@@ -42,6 +46,7 @@ use crate::stand::{Moved, Stand};
 
 pub use fitting::aim_deviation;
 pub use log::Log;
+pub use refinement::Change;
 use timing::Timing;
 
 /// Why a session cannot start.
@@ -80,6 +85,15 @@ pub enum SetupError {
         /// Mirrors of the array.
         expected: usize,
     },
+    /// The log is of a calibration, and the session is a refinement of another one, or the reverse.
+    #[error("the readings are not of this refinement: expected a new file, or those of the same --refine")]
+    OtherFormer,
+    /// The log of the former calibration has no readings.
+    #[error("the former calibration has no readings: expected those of a complete calibration")]
+    Incomplete,
+    /// The readings of the former calibration do not give the corrections in use.
+    #[error("the readings give other corrections than those in use: expected the readings from which they were made")]
+    OtherCorrections,
 }
 
 /// A place at which the receiver shall stand, in the room's frame.
@@ -172,6 +186,9 @@ pub struct Session {
     verification: Verification,
     rejected: Vec<usize>,
     outcome: Option<Outcome>,
+    /// The complete calibration that this session refines.
+    former: Option<refinement::Former>,
+    changes: Vec<Change>,
     noise: TrackerNoise,
     unused: u64,
     last_reading_ns: Nanos,
@@ -225,6 +242,8 @@ impl Session {
             verification: Verification::default(),
             rejected: Vec::new(),
             outcome: None,
+            former: None,
+            changes: Vec::new(),
             noise: TrackerNoise::default(),
             unused: 0,
             last_reading_ns: 0,
@@ -316,6 +335,13 @@ impl Session {
     /// Notes the time in ns from a command to its application, as telemetry shows it.
     pub fn handle_command_delay(&mut self, delay_ns: Nanos) {
         self.timing.handle_delay(delay_ns);
+    }
+
+    /// The array follows another sender for some time: no report measures an earlier command, and none is
+    /// to be passed until the array follows this session again.
+    pub fn handle_pause(&mut self) {
+        self.timing.forget_sent();
+        self.jobs.iter_mut().for_each(|job| job.is_pending = false);
     }
 
     /// The angles to command at `now`, if a command is due.

@@ -26,7 +26,7 @@ export function chips(now, ages) {
     chip("chip-policy", isIdle ? `${now.policy} (idle)` : now.policy || "–", isIdle ? "old" : "");
     setTitle(at("chip-policy"), isIdle ? `The mirrors do not follow the policy: ${now.array.state}.` : "");
     const refusing = refusal(now);
-    chip("chip-controller", refusing ? "reports refused" : "alive", refusing ? "bad" : "good");
+    chip("chip-controller", now.calibration ? "calibration" : refusing ? "reports refused" : "alive", refusing ? "bad" : "good");
   }
   const stuck = now.array.unusable ? `, ${now.array.unusable} of ${now.array.mirrors} unusable` : "";
   setTitle(at("chip-array"), now.array.state + stuck);

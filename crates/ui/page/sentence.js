@@ -49,6 +49,7 @@ export function sentence(now, age, shown, frame) {
   if (age > STALE_S || now.origin === "no-data") {
     return `The room has not reported for ${seconds(age)}: users and rates are unknown.`;
   }
+  if (now.calibration && now.controller_alive) return `A calibration commands the mirrors: ${now.calibration}. The rates are those of its probes.`;
   const refusing = refusal(now);
   if (refusing) return `The controller refuses the position reports${refusing.problem ? `: ${refusing.problem}` : "."}`;
   if (shown?.wall === false && frame) return withoutIn(frame.users);

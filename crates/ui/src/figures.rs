@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use heliostat_channel::ChannelModel;
 use heliostat_proto::array_keys::array_name;
-use heliostat_proto::gauges::{ServedLight, TrackerNoise};
+use heliostat_proto::gauges::{CalibrationProgress, ServedLight, TrackerNoise};
 use heliostat_proto::messages::fault;
 use heliostat_proto::{MirrorTelemetry, NodeKind, NodeStatus, Quantiles};
 use heliostat_service::printable::printable;
@@ -189,6 +189,8 @@ pub struct Figures {
     pub tracker_noise: Option<TrackerNoise>,
     /// The light of served users, if the controller compares it with the expected one.
     pub light: Vec<ServedLight>,
+    /// How far a calibration is, if one commands the mirrors in place of a controller.
+    pub calibration: Option<String>,
     /// The hash of the drawn geometry, as in the plan: another one needs another plan.
     pub geometry: String,
     /// What the user should know about the room; see [`View::notes`].
@@ -242,6 +244,7 @@ impl View {
             speed_m_s: gauge("speed_max_m_s"),
             tracker_noise: last_controller.and_then(TrackerNoise::of),
             light: last_controller.map(ServedLight::all_of).unwrap_or_default(),
+            calibration: controller.and_then(CalibrationProgress::of).map(|progress| progress.to_string()),
             geometry,
             notes,
         }

@@ -1,9 +1,11 @@
 //! The calibration of simulated rooms in virtual time, judged by the truth.
 
+use heliostat_array::calibration_file::CalibrationFile;
 use heliostat_calibrate::session::Log;
 use heliostat_calibrate::{Stage, Verdict};
+use heliostat_channel::MirrorAngles;
 use heliostat_core::policy::PolicyKind;
-use heliostat_learn::calibrate::live::{Run, drive, run, session, walk, with_receiver};
+use heliostat_learn::calibrate::live::{Run, drive, drive_turned, run, session, walk, with_receiver};
 use heliostat_learn::calibrate::truth::{Errors, judge};
 use heliostat_learn::calibrate::{Settings, study};
 use heliostat_proto::UserReport;
@@ -87,6 +89,93 @@ fn a_spot_that_the_tracker_reports_in_a_wrong_place_does_not_spoil_a_calibration
     let (_, errors) = judged("a wrong spot", &room(&[]), "", tracker);
     assert!(errors.pointing_deg.iter().all(|error| *error < 0.2), "{errors:?}");
     assert!(errors.gain > 0.98, "{errors:?}");
+}
+
+/// 36 mirrors.
+const SMALL: [&str; 2] = ["mirrors.rows=6", "mirrors.columns=6"];
+
+/// The log and the corrections of a calibration of a room, and the same room again.
+fn calibrated(scenario: &Scenario) -> (Log, CalibrationFile, Episode) {
+    let episode = || Episode::new(scenario, Some(&walk(scenario, "")), 1, 0).unwrap();
+    let mut first = episode();
+    let mut complete = session(scenario, first.capabilities().next().unwrap()).unwrap();
+    drive(&mut complete, &mut first, unchanged, |session| session.stage() == Stage::Ended).unwrap();
+    (complete.log(), complete.outcome().unwrap().calibration(), episode())
+}
+
+#[test]
+fn a_refinement_names_the_mirrors_that_have_turned_and_corrects_them_alone() {
+    let scenario = room(&SMALL);
+    let (log, corrections, mut again) = calibrated(&scenario);
+    let complete = log.readings.len();
+    let mut refined = session(&scenario, again.capabilities().next().unwrap()).unwrap();
+    refined.refine(log, &corrections).unwrap();
+    assert_eq!(refined.stage(), Stage::Await(0));
+    // Mirror 7 has turned by 0.8 degrees in roll, mirror 22 by 1 degree in yaw; mirror 33 is stuck.
+    let mounts = |angles: &mut MirrorAngles| {
+        angles.roll[7] += 0.8_f64.to_radians();
+        angles.yaw[22] -= 1.0_f64.to_radians();
+        (angles.roll[33], angles.yaw[33]) = (0.5, 0.5);
+    };
+    let ended = |session: &heliostat_calibrate::Session| session.stage() == Stage::Ended;
+    drive_turned(&mut refined, &mut again, unchanged, mounts, ended).unwrap();
+    let outcome = refined.outcome().unwrap();
+    println!("{} new readings: {:?}", outcome.readings + 40 - complete, outcome.changes);
+    let changed: Vec<usize> = outcome.changes.iter().map(|change| change.mirror).collect();
+    assert_eq!(changed, [7, 22, 33]);
+    assert_eq!((&outcome.changes[2].turned_deg, outcome.mirrors[33].verdict), (&None, Verdict::NotFound));
+    assert!(outcome.verification.is_improvement(), "{:?}", outcome.verification.ratio());
+    let file = outcome.calibration();
+    let [roll, yaw] = [7, 22].map(|mirror| {
+        [(&file.roll, &corrections.roll), (&file.yaw, &corrections.yaw)]
+            .map(|(new, old)| new.offset_deg[mirror] - old.offset_deg[mirror])
+    });
+    assert!((roll[0] + 0.8).abs() < 0.2 && roll[1].abs() < 0.3, "{roll:?}");
+    assert!(yaw[0].abs() < 0.2 && (yaw[1] - 1.0).abs() < 0.3, "{yaw:?}");
+    let others = (0..36).filter(|mirror| !changed.contains(mirror));
+    let moved = others.map(|mirror| (file.roll.offset_deg[mirror] - corrections.roll.offset_deg[mirror]).abs());
+    assert!(moved.fold(0.0, f64::max) < 0.2, "a mirror that has not turned has another correction");
+}
+
+#[test]
+fn a_refinement_of_an_unchanged_room_ends_without_a_change_and_without_a_verification() {
+    let scenario = room(&SMALL);
+    let (log, corrections, mut again) = calibrated(&scenario);
+    let capabilities = again.capabilities().next().unwrap();
+    let mut other = corrections.clone();
+    other.roll.offset_deg.iter_mut().for_each(|offset| *offset += 0.5);
+    let refusal = session(&scenario, capabilities.clone()).unwrap().refine(log.clone(), &other).unwrap_err();
+    assert!(refusal.to_string().contains("other corrections than those in use"), "{refusal}");
+    let mut refined = session(&scenario, capabilities.clone()).unwrap();
+    refined.refine(log.clone(), &corrections).unwrap();
+    let busy_s = drive(&mut refined, &mut again, unchanged, |session| session.stage() == Stage::Ended).unwrap();
+    let outcome = refined.outcome().unwrap();
+    println!("unchanged: {} new readings, {busy_s:.0} s", outcome.readings - log.readings.len());
+    assert_eq!(outcome.changes, []);
+    assert!(outcome.verification.nominal.is_empty() && outcome.rejected_places.is_empty());
+    // The readings of a refinement continue that refinement only, and start the next one.
+    let kept = refined.log();
+    let refusal = session(&scenario, capabilities.clone()).unwrap().resume(kept.clone()).unwrap_err();
+    assert!(refusal.to_string().contains("not of this refinement"), "{refusal}");
+    let mut continued = session(&scenario, capabilities.clone()).unwrap();
+    continued.refine(log, &corrections).unwrap();
+    continued.resume(kept.clone()).unwrap();
+    assert_eq!(continued.readings().len(), kept.readings.len());
+    session(&scenario, capabilities).unwrap().refine(kept, &outcome.calibration()).unwrap();
+}
+
+#[test]
+fn a_moved_led_rejects_the_spots_of_a_refinement_and_no_mirror() {
+    let scenario = room(&SMALL);
+    let (log, corrections, mut again) = calibrated(&scenario);
+    let mut refined = session(&scenario, again.capabilities().next().unwrap()).unwrap();
+    refined.refine(log, &corrections).unwrap();
+    // All mirrors are off by the same angle, as after a move of the LED.
+    let mounts = |angles: &mut MirrorAngles| angles.roll.iter_mut().for_each(|roll| *roll += 0.6_f64.to_radians());
+    let ended = |session: &heliostat_calibrate::Session| session.stage() == Stage::Ended;
+    drive_turned(&mut refined, &mut again, unchanged, mounts, ended).unwrap();
+    let outcome = refined.outcome().unwrap();
+    assert_eq!((outcome.rejected_places.as_slice(), outcome.changes.len()), (&[0, 1, 2][..], 0));
 }
 
 #[test]

@@ -13,10 +13,10 @@ use crate::probes::{LIT_SHARE, State};
 const BAD_SQUARE: f64 = 6.0;
 
 /// Readings from which on a mirror at a spot is judged.
-const JUDGED_READINGS: usize = 3;
+pub(super) const JUDGED_READINGS: usize = 3;
 
 /// Share of the mirrors at a spot that do not fit, from which on the spot is at fault.
-const BAD_SPOT_SHARE: f64 = 0.4;
+pub(super) const BAD_SPOT_SHARE: f64 = 0.4;
 
 /// Difference in rad from which on a second search replaces an offset: 0.3 degrees.
 const MOVED_RAD: f64 = fit::STEP_MAX_RAD;
@@ -43,23 +43,28 @@ impl Session {
         }
     }
 
-    fn data<'a>(&'a self, readings: &'a [Reading]) -> Data<'a> {
+    pub(super) fn data<'a>(&'a self, readings: &'a [Reading]) -> Data<'a> {
         Data { optics: &self.optics, prior: &self.setup.prior, spots: &self.spots, readings }
     }
 
-    /// Adds the latest spot to the estimate, at the place that the tracker reports.
+    /// Adds the latest spots to the estimate, at the places that the tracker reports.
     pub(super) fn extend_estimate(&mut self) {
+        self.estimate = Some(self.extended(self.estimate.as_ref()));
+    }
+
+    /// An estimate with the spots that it lacks, at the places that the tracker reports; the latest spot
+    /// is placed again.
+    pub(super) fn extended(&self, known: Option<&Estimate>) -> Estimate {
         let data = self.data(&[]);
         let layout = data.layout();
         let prior = layout.prior(&self.setup.prior, &self.spots);
-        let start: Vec<f64> = prior.iter().map(|(mean, _)| *mean).collect();
+        let mut values: Vec<f64> = prior.iter().map(|(mean, _)| *mean).collect();
         let mut covariance = DMatrix::from_diagonal(&nalgebra::DVector::from_iterator(
             prior.len(),
             prior.iter().map(|(_, spread)| spread * spread),
         ));
-        let mut values = start;
         let latest = self.spots.len() - 1;
-        if let Some(known) = &self.estimate {
+        if let Some(known) = known {
             values = layout.carried(&known.layout, &known.values, values);
             let order = layout.known_in(&known.layout);
             for (row, from_row) in order.iter().enumerate() {
@@ -70,24 +75,32 @@ impl Session {
                 }
             }
         }
-        for axis in 0..2 {
-            let (place, shift) = (layout.place(latest, axis), layout.shift(axis));
-            values[place] = self.spots[latest].tracked_m[axis] + values[shift];
+        let first = known.map_or(0, |known| known.layout.spots()).min(latest);
+        for (spot, axis) in (first..=latest).flat_map(|spot| [(spot, 0), (spot, 1)]) {
+            let (place, shift) = (layout.place(spot, axis), layout.shift(axis));
+            values[place] = self.spots[spot].tracked_m[axis] + values[shift];
             for index in 0..layout.len() {
                 covariance[(place, index)] = covariance[(shift, index)];
                 covariance[(index, place)] = covariance[(index, shift)];
             }
-            covariance[(place, place)] = covariance[(shift, shift)] + self.spots[latest].tracked_deviation_m.powi(2);
+            covariance[(place, place)] = covariance[(shift, shift)] + self.spots[spot].tracked_deviation_m.powi(2);
         }
-        self.estimate = Some(Estimate { layout, values, covariance, residuals: Vec::new() });
+        Estimate { layout, values, covariance, residuals: Vec::new() }
     }
 
     /// Standard deviation of roll and yaw at which a mirror's light is centred on a spot, in rad.
-    pub(super) fn aim_deviation(&self, (mirror, spot): (usize, usize)) -> [f64; 2] {
-        let Some(estimate) = &self.estimate else { return [self.setup.prior.offset_rad; 2] };
+    pub(super) fn aim_deviation(&self, pair: (usize, usize)) -> [f64; 2] {
+        match &self.estimate {
+            Some(estimate) => self.aim_deviation_by(estimate, pair),
+            None => [self.setup.prior.offset_rad; 2],
+        }
+    }
+
+    /// The same by another estimate.
+    pub(super) fn aim_deviation_by(&self, estimate: &Estimate, (mirror, spot): (usize, usize)) -> [f64; 2] {
         let led = self.spots[spot].led;
         let places = [0, 1].map(|axis| Some(estimate.layout.place(spot, axis)));
-        let quantities = self.quantities((mirror, spot));
+        let quantities = self.data(&[]).quantities(&estimate.layout, &estimate.values, (mirror, spot));
         aim_deviation(&self.optics, estimate, (mirror, led), &quantities, places)
     }
 
@@ -97,7 +110,7 @@ impl Session {
     }
 
     /// The pairs of mirror and spot that have shown light.
-    fn lit_pairs(&self) -> Vec<(usize, usize)> {
+    pub(super) fn lit_pairs(&self) -> Vec<(usize, usize)> {
         let mut peaks = std::collections::BTreeMap::new();
         let mut lit = Vec::new();
         for Reading { mirror, spot, gain, .. } in &self.readings {
@@ -123,7 +136,12 @@ impl Session {
         if self.estimate.as_ref().is_none_or(|estimate| estimate.layout.spots() != self.spots.len()) {
             self.extend_estimate();
         }
-        self.start_offsets();
+        if self.is_refinement() {
+            self.jobs.clear();
+            self.compare_with_former();
+        } else {
+            self.start_offsets();
+        }
         let mut lit = self.lit_pairs();
         self.fit_pairs(&lit);
         let bad = self.bad_pairs(&lit);
@@ -231,6 +249,8 @@ impl Session {
         quantities[PLACE..PLACE + 3].copy_from_slice(&[of.tracked_m[0], of.tracked_m[1], of.height_m]);
         if is_calibrated && self.is_known(mirror) {
             quantities = self.quantities((mirror, spot));
+        } else if !is_calibrated && let Some(before) = self.before() {
+            quantities = self.data(&[]).quantities(&before.layout, &before.values, (mirror, spot));
         }
         let aim = self.optics.aim((mirror, led), &quantities).unwrap_or_default();
         self.within([0, 1].map(|axis| aim[axis] - quantities[OFFSET + axis]))
@@ -250,6 +270,7 @@ impl Session {
             places: &self.places,
             verification: &self.verification,
             rejected: &self.rejected,
+            changes: &self.changes,
             lit: &lit,
             bad: &bad,
             unusable: &self.setup.unusable,

@@ -20,6 +20,9 @@ pub struct Log {
     pub places: Vec<usize>,
     /// The readings.
     pub readings: Vec<Reading>,
+    /// How many of the spots are of the calibration that a refinement started from; 0 without one.
+    #[serde(default)]
+    pub former: usize,
 }
 
 impl Session {
@@ -35,6 +38,7 @@ impl Session {
             spots: self.spots.clone(),
             places: self.places.clone(),
             readings: self.readings.clone(),
+            former: self.former_spots(),
         }
     }
 
@@ -44,6 +48,20 @@ impl Session {
     /// # Errors
     /// [`SetupError::OtherLog`].
     pub fn resume(&mut self, log: Log) -> Result<(), SetupError> {
+        if !self.is_refined_in(&log) {
+            return Err(SetupError::OtherFormer);
+        }
+        let complete = log.complete.min(self.setup.spots.len());
+        self.take(log)?;
+        self.stage = Stage::Await(complete);
+        if !self.readings.is_empty() {
+            self.fit();
+        }
+        Ok(())
+    }
+
+    /// Takes the spots and readings of a log.
+    pub(super) fn take(&mut self, log: Log) -> Result<(), SetupError> {
         let expected = self.optics.centres.len();
         let is_valid = |reading: &Reading| reading.spot < log.spots.len() && reading.mirror < expected;
         let has_leds = log.spots.iter().all(|spot| spot.led < self.optics.leds.len());
@@ -54,10 +72,6 @@ impl Session {
         self.spots = log.spots;
         self.places = log.places;
         self.readings = log.readings;
-        self.stage = Stage::Await(log.complete.min(self.setup.spots.len()));
-        if !self.readings.is_empty() {
-            self.fit();
-        }
         Ok(())
     }
 }

@@ -170,7 +170,10 @@ impl Session {
                 (angles.roll[mirror], angles.yaw[mirror]) = command.into();
             }
             Purpose::Verify(is_calibrated) => {
-                for mirror in 0..angles.len() {
+                let is_turned = |change: &super::Change| change.turned_deg.is_some();
+                let changed =
+                    |mirror: usize| self.changes.iter().any(|change| change.mirror == mirror && is_turned(change));
+                for mirror in (0..angles.len()).filter(|mirror| !self.is_refinement() || changed(*mirror)) {
                     (angles.roll[mirror], angles.yaw[mirror]) = self.verified_aim(mirror, is_calibrated).into();
                 }
             }
@@ -227,7 +230,7 @@ impl Session {
     pub(super) fn remaining_readings(&self, open: usize) -> f64 {
         let mirrors = self.optics.centres.len() as f64;
         let places = self.setup.spots.len();
-        let expected = |place: usize| EXPECTED_READINGS[place.min(1)];
+        let expected = |place: usize| EXPECTED_READINGS[usize::from(place > 0 || self.is_refinement())];
         let verify = (2 * VERIFY_READINGS + DARK_READINGS) as f64;
         let later = |from: usize| (from..places).map(|place| mirrors * expected(place)).sum::<f64>() + verify;
         match self.stage {
@@ -302,7 +305,8 @@ impl Session {
     fn job(&self, mirror: usize, spot: usize) -> Job {
         let led = self.spots[spot].led;
         let quantities = self.quantities((mirror, spot));
-        let deviation = self.aim_deviation((mirror, spot));
+        let drift_rad = if self.is_refinement() { super::refinement::DRIFT_RAD } else { 0.0 };
+        let deviation = self.aim_deviation((mirror, spot)).map(|deviation| deviation.hypot(drift_rad));
         let grid = Grid::normal([0.0; 2], deviation);
         let Some(aim) = self.optics.aim((mirror, led), &quantities) else {
             let mut job = Job::new(grid, [0.0; 2], [[0.01; 2]; 2], f64::MIN_POSITIVE);
@@ -357,13 +361,13 @@ impl Session {
             probed += usize::from(job.readings > 0);
             lit += usize::from(job.is_lit());
         }
-        let is_later = self.readings.iter().any(|reading| self.places[reading.spot] < place);
+        let is_later = self.is_refinement() || self.readings.iter().any(|reading| self.places[reading.spot] < place);
         let is_checked = probed >= FIRST_MIRRORS && once && !self.is_located && is_later;
         if is_checked && (lit as f64) < FIRST_SHARE * probed as f64 {
             self.begin_search(place);
             return;
         }
-        if self.jobs.iter().all(|job| job.state != State::Open) {
+        if self.jobs.iter().all(|job| job.state != State::Open) && !self.confirm_changes() {
             self.next_place(place);
         }
     }
@@ -374,6 +378,10 @@ impl Session {
         self.refresh_noise();
         self.fit();
         self.stage = Stage::Await(place + 1);
+        let has_change = self.changes.iter().any(|change| change.turned_deg.is_some());
+        if self.is_refinement() && place + 1 >= self.setup.spots.len() && !has_change {
+            self.end();
+        }
     }
 
     /// Pools the noise of the tracker at the present stand.

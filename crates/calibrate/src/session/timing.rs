@@ -163,6 +163,11 @@ impl Timing {
         self.angles.clone_from(angles);
     }
 
+    /// No sample measures a command so far.
+    pub fn forget_sent(&mut self) {
+        self.sent.clear();
+    }
+
     /// What a sample of this time measures; `None` while mirrors turned.
     pub fn purpose_at(&mut self, time_ns: Nanos) -> Option<Purpose> {
         let sent = self.sent.iter_mut().rev().find(|sent| sent.at_ns <= time_ns)?;

@@ -3,7 +3,9 @@
 
 mod args;
 mod commander;
+mod idle;
 mod readings;
+mod refinement;
 mod room;
 mod show;
 
@@ -24,14 +26,17 @@ use heliostat_service::whole_file;
 
 pub use args::Args;
 use readings::Readings;
+use refinement::Refinement;
 use room::{LiveRoom, Received};
 
 /// Longest wait for a report before the session looks at its own times again.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 
-/// Time between two files of readings, and between two lines of progress.
+/// Time between two files of readings, two lines of progress, and two messages for viewers, which call a
+/// process silent after a second.
 const SAVE_EVERY: Duration = Duration::from_secs(2);
 const SHOW_EVERY: Duration = Duration::from_secs(5);
+const STATUS_EVERY: Duration = Duration::from_millis(500);
 
 /// Time without channel reports after which a note says so.
 const SILENCE: Duration = Duration::from_secs(3);
@@ -72,13 +77,18 @@ pub fn run(args: Args) -> Result<()> {
         let (found, expected) = (base.rows.saturating_mul(base.columns), room.capabilities().mirrors());
         ensure!(found == expected, "--base is for {found} mirrors: expected a file for {expected}");
     }
-    let mut session = new_session(&args, &scenario, &room)?;
     let readings = Readings::new(args.readings.as_deref(), (bus.room(), &scenario), (args.array, base.as_ref()));
+    let mut refinement = match (&args.refine, &base, args.user) {
+        (Some(file), Some(base), Some(user)) => Some(Refinement::new(user, readings.load_former(file)?, base)?),
+        (Some(_), ..) => bail!(UnusableInput::new("--base none: expected the file of the calibration to refine")),
+        (None, ..) => None,
+    };
+    let mut session = new_session(&args, &scenario, &room, refinement.as_ref())?;
     if let Some(log) = readings.load()? {
         note(format_args!("continued: {} spots complete, {} readings", log.complete, log.readings.len()));
         session.resume(log)?;
     }
-    let run = drive(&args, (&mut session, &readings), &mut room, &stop);
+    let run = drive(&args, (&mut session, &readings), (&mut room, refinement.as_mut()), &stop);
     let saved = readings.save(&session);
     room.release();
     run?;
@@ -86,36 +96,48 @@ pub fn run(args: Args) -> Result<()> {
     let outcome = session
         .outcome()
         .context("interrupted: nothing is written; the same command with the same --readings continues")?;
-    finish(&args, &scenario, outcome, base.as_ref())?;
+    // A refinement includes the calibration in use, because it measures as the former calibration did.
+    let measured_with = refinement.as_ref().map(Refinement::measured_with).or(base.as_ref());
+    match args.refine {
+        Some(_) => finish_refinement(&args, &scenario, outcome, measured_with)?,
+        None => finish(&args, &scenario, outcome, measured_with)?,
+    }
     Ok(bus.close()?)
 }
 
-fn new_session(args: &Args, scenario: &Scenario, room: &LiveRoom) -> Result<Session> {
+fn new_session(args: &Args, scenario: &Scenario, room: &LiveRoom, refinement: Option<&Refinement>) -> Result<Session> {
     let mut prior = Prior::of_level(args.level.into());
     prior.scale = if args.scales { SCALE_SPREAD } else { 0.0 };
     let setup = Setup {
         model: scenario.channel_model()?,
         array: args.array,
-        capabilities: room.capabilities().clone(),
+        capabilities: match refinement {
+            Some(refinement) => refinement.capabilities(room.capabilities().clone()),
+            None => room.capabilities().clone(),
+        },
         prior,
         spots: args.spots(scenario)?,
         verify: args.verification(scenario)?,
         user: args.user,
         unusable: room.unusable(),
     };
-    Ok(Session::new(setup)?)
+    let mut session = Session::new(setup)?;
+    if let Some(refinement) = refinement {
+        refinement.start(&mut session)?;
+    }
+    Ok(session)
 }
 
 /// Passes reports to the session and its commands to the array, until it ends or the process shall.
 fn drive(
     args: &Args,
     (session, readings): (&mut Session, &Readings<'_>),
-    room: &mut LiveRoom,
+    (room, mut refinement): (&mut LiveRoom, Option<&mut Refinement>),
     stop: &heliostat_service::Stop,
 ) -> Result<()> {
     let begun = Instant::now();
     let mut user = args.user;
-    let (mut saved, mut shown, mut heard) = (begun, begun, begun);
+    let (mut saved, mut shown, mut heard, mut published) = (begun, begun, begun, None::<Instant>);
     let (mut stage, mut complete) = (None, session.log().complete);
     while session.stage() != Stage::Ended {
         if stop.is_requested() || args.end.seconds.is_some_and(|limit| begun.elapsed() >= limit) {
@@ -124,7 +146,6 @@ fn drive(
         if stage != Some(session.stage()) {
             stage = Some(session.stage());
             show::stage(session);
-            room.set_state(&show::state(session));
             let progress = session.log().complete;
             if progress != complete {
                 complete = progress;
@@ -145,26 +166,46 @@ fn drive(
                     user = ids.first().copied();
                     user.into_iter().for_each(|user| session.set_user(user));
                 }
+                if let Some(refinement) = &mut refinement {
+                    refinement.handle_users(&report);
+                }
                 session.handle_users(&report);
             }
             Some(Received::Channel(report)) => {
                 heard = Instant::now();
-                session.handle_channel(&report);
+                // Without the lead the light is that of another controller's angles.
+                if room.is_commanding() {
+                    session.handle_channel(&report);
+                }
             }
             Some(Received::CommandDelay(delay_ns)) => session.handle_command_delay(delay_ns),
             None => {}
         }
-        if let Some(angles) = session.next_command(utc_ns()) {
-            room.command(angles)?;
+        if let Some(refinement) = &mut refinement {
+            refinement.take_turns(session, room)?;
+        }
+        if room.is_commanding()
+            && let Some(angles) = session.next_command(utc_ns())
+        {
+            room.command(match &refinement {
+                Some(refinement) => refinement.turned(angles),
+                None => angles,
+            })?;
+        }
+        if published.is_none_or(|at| at.elapsed() >= STATUS_EVERY) {
+            published = Some(Instant::now());
+            room.publish_status(&show::progress_of(session))?;
         }
         if saved.elapsed() >= SAVE_EVERY {
             saved = Instant::now();
             readings.save(session)?;
-            room.publish_status()?;
         }
         if shown.elapsed() >= SHOW_EVERY {
             shown = Instant::now();
             show::progress(session);
+            if refinement.as_mut().is_some_and(|refinement| refinement.waits(session)) {
+                note("waits until the position reports have named no other user for some seconds");
+            }
             if heard.elapsed() >= SILENCE {
                 note("no channel report for some seconds: is the receiver switched on?");
             }
@@ -177,18 +218,7 @@ fn drive(
 fn finish(args: &Args, scenario: &Scenario, outcome: &Outcome, base: Option<&CalibrationFile>) -> Result<()> {
     let is_improvement = outcome.verification.is_improvement();
     if is_improvement {
-        let own = outcome.calibration();
-        let file = base.map_or(own.clone(), |base| own.after(base));
-        check_corrections(&file.message(Stamp::default()))
-            .context("a driver would refuse the result: align this mirror by hand, and repeat. Nothing is written")?;
-        let room = args.room_out.as_ref().map(|path| (path, outcome.measured_room(scenario, args.array).to_toml()));
-        if let Some((_, text)) = &room {
-            let unusable =
-                "the measured room is no scenario: repeat without --room-out, or check the heights. Nothing is written";
-            Scenario::from_toml(text).context(unusable)?;
-        }
-        heliostat_driver::calibration_store::save(&file, &args.out)?;
-        room.into_iter().try_for_each(|(path, text)| whole_file::write(path, text.as_bytes()))?;
+        write(args, scenario, outcome, base)?;
     }
     show::outcome(args, outcome, is_improvement)?;
     if !is_improvement {
@@ -199,6 +229,50 @@ fn finish(args: &Args, scenario: &Scenario, outcome: &Outcome, base: Option<&Cal
         );
     }
     Ok(())
+}
+
+/// The same for a refinement: without a mirror that has turned there is nothing to write.
+fn finish_refinement(
+    args: &Args,
+    scenario: &Scenario,
+    outcome: &Outcome,
+    measured_with: Option<&CalibrationFile>,
+) -> Result<()> {
+    ensure!(
+        outcome.rejected_places.len() < args.spots(scenario)?.len(),
+        "most mirrors contradict the former calibration at every spot: an LED or the tracker was moved, or a height \
+         is wrong. Nothing is written; check the heights, then calibrate without --refine"
+    );
+    let has_turned = outcome.changes.iter().any(|change| change.turned_deg.is_some());
+    let is_improvement = has_turned && outcome.verification.is_improvement();
+    if is_improvement {
+        write(args, scenario, outcome, measured_with)?;
+    }
+    show::refinement(args, outcome, is_improvement)?;
+    if has_turned && !is_improvement {
+        bail!(
+            "the new aims of the mirrors that have turned give {} of the light of the former ones: expected more than \
+             1. Nothing is written; repeat with another spot",
+            show::plus_minus(&outcome.verification.ratio(), 3)
+        );
+    }
+    Ok(())
+}
+
+/// Writes the result, if a driver and a controller can use it.
+fn write(args: &Args, scenario: &Scenario, outcome: &Outcome, base: Option<&CalibrationFile>) -> Result<()> {
+    let own = outcome.calibration();
+    let file = base.map_or(own.clone(), |base| own.after(base));
+    check_corrections(&file.message(Stamp::default()))
+        .context("a driver would refuse the result: align this mirror by hand, and repeat. Nothing is written")?;
+    let room = args.room_out.as_ref().map(|path| (path, outcome.measured_room(scenario, args.array).to_toml()));
+    if let Some((_, text)) = &room {
+        let unusable =
+            "the measured room is no scenario: repeat without --room-out, or check the heights. Nothing is written";
+        Scenario::from_toml(text).context(unusable)?;
+    }
+    heliostat_driver::calibration_store::save(&file, &args.out)?;
+    room.into_iter().try_for_each(|(path, text)| whole_file::write(path, text.as_bytes()))
 }
 
 fn check_new(file: &Path) -> Result<()> {

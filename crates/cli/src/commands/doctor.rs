@@ -1,6 +1,7 @@
 //! `heliostat doctor`: checks before a run, with what was found and what to do.
 
 mod args;
+mod calibration;
 mod check;
 mod controller;
 mod machine;

@@ -124,6 +124,20 @@ pub fn drive(
     tracker: fn(&mut UserReport),
     is_over: impl Fn(&Session) -> bool,
 ) -> anyhow::Result<f64> {
+    drive_turned(session, episode, tracker, |_| {}, is_over)
+}
+
+/// The same with mirrors that have turned in their mounts: `mounts` changes the angles of each command.
+///
+/// # Errors
+/// A command that the array refuses.
+pub fn drive_turned(
+    session: &mut Session,
+    episode: &mut Episode,
+    tracker: fn(&mut UserReport),
+    mounts: fn(&mut MirrorAngles),
+    is_over: impl Fn(&Session) -> bool,
+) -> anyhow::Result<f64> {
     let limit_ns = (PATIENCE * 4.0 * (STAY_S + WALK_S) * 1e9) as u64;
     let (mut sequence, mut angles, mut sent_ns) = (0, MirrorAngles::default(), 0);
     let (mut now_ns, mut busy_ns) = (0, 0);
@@ -154,6 +168,8 @@ pub fn drive(
         if next.is_some() || (now_ns >= sent_ns + REPEAT_NS && !angles.is_empty()) {
             angles = next.unwrap_or(angles);
             (sequence, sent_ns) = (sequence + 1, now_ns);
+            let mut turned = angles.clone();
+            mounts(&mut turned);
             let narrow = |list: &[f64]| list.iter().map(|angle| *angle as f32).collect();
             let command = MirrorCommand {
                 epoch: 1,
@@ -161,8 +177,8 @@ pub fn drive(
                 answers: 0,
                 time_ns: now_ns,
                 validity_ms: VALIDITY_MS,
-                roll: narrow(&angles.roll),
-                yaw: narrow(&angles.yaw),
+                roll: narrow(&turned.roll),
+                yaw: narrow(&turned.yaw),
             };
             let refused = episode.handle_command(0, Moment::simulated(now_ns), &command);
             ensure!(refused.is_ok(), "the simulated array refuses a command: {refused:?}");

@@ -20,6 +20,10 @@ use heliostat_service::exit::UnusableInput;
 /// It commands the array as a controller does: other controllers and the live page see its epoch. End
 /// a running controller first, or give --take-over. Nothing is written if the calibrated aims give
 /// no more light than the nominal ones. Connect to the process of the room, or to its router.
+///
+/// With --refine it finds the mirrors that have turned since a complete calibration, beside a running
+/// controller. It commands the array only while the receiver stands at a spot and the position reports
+/// have named no other user for 3 s. When another user enters, the controller leads again at once.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -59,6 +63,10 @@ pub struct Args {
     /// that `heliostat driver check` leaves
     #[arg(long, value_name = "FILE|none")]
     pub base: Option<PathBuf>,
+    /// Refine the calibration in use, in idle time only. FILE: the --readings of the complete calibration;
+    /// --base names its corrections, --scenario is the one that it was made with
+    #[arg(long, value_name = "FILE", requires_all = ["base", "user", "room_out"], conflicts_with = "take_over")]
+    pub refine: Option<PathBuf>,
     /// Take the lead from a controller that commands the array now
     #[arg(long)]
     pub take_over: bool,

@@ -29,6 +29,8 @@ pub struct Commander {
     /// Whether telemetry counts for the epoch; not before the first command of a takeover.
     heeds_telemetry: bool,
     superseded: Option<u64>,
+    /// Whether nothing is commanded for now, because the room is in use.
+    rests: bool,
     /// Whether a stop was ordered or is in force: nothing is commanded any more.
     stopped: bool,
 }
@@ -52,14 +54,30 @@ impl Commander {
             has_clock: clock == ValidityClock::SourceTime,
             heeds_telemetry: !takes_over,
             superseded: None,
+            rests: false,
             stopped: false,
         }
+    }
+
+    /// Commands nothing until [`begin`](Self::begin).
+    pub fn rest(&mut self) {
+        self.rests = true;
+    }
+
+    /// Takes the lead with a new tenure, and begins with these angles.
+    pub fn begin(&mut self, tenure: Tenure, angles: MirrorAngles) {
+        self.tenure = tenure;
+        self.angles = angles;
+        self.sent.clear();
+        self.heeds_telemetry = false;
+        self.superseded = None;
+        self.rests = false;
     }
 
     /// Compares telemetry; the delay in ns of the command that it shows, if it is the first to.
     pub fn handle_telemetry(&mut self, now: Nanos, telemetry: &MirrorTelemetry) -> Option<Nanos> {
         self.stopped |= telemetry.state == ArrayState::Stopped;
-        if self.heeds_telemetry {
+        if self.heeds_telemetry && !self.rests {
             let event = self.tenure.handle_telemetry(now, Evidence::from(telemetry));
             if event == Some(TenureEvent::Superseded) {
                 self.superseded = Some(telemetry.epoch);
@@ -124,7 +142,7 @@ impl Commander {
     fn send(&mut self, now: Nanos) -> Result<()> {
         // After a release the array must not get angles of before the stop.
         // A process that has lost the lead stays out of it: its readings would be of another's angles.
-        if self.stopped || self.superseded.is_some() || (self.stands_by() && self.heeds_telemetry) {
+        if self.stopped || self.rests || self.superseded.is_some() || (self.stands_by() && self.heeds_telemetry) {
             return Ok(());
         }
         let (Some(epoch), _) = self.tenure.permit(now) else { return Ok(()) };

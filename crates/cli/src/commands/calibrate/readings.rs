@@ -45,15 +45,31 @@ impl<'a> Readings<'a> {
         Self { file, of: Origin { room, scenario, array, base } }
     }
 
+    /// The readings of a complete calibration of the same room and array, and the calibration that the
+    /// array used meanwhile.
+    ///
+    /// # Errors
+    /// A file that holds no readings, or those of another room or array.
+    pub fn load_former(&self, file: &Path) -> Result<(Log, Option<CalibrationFile>)> {
+        let Saved { of, log } = read(file)?;
+        let base = of.base.as_deref().map(CalibrationFile::parse).transpose();
+        let base = base.with_context(|| UnusableInput::new(format!("in {}", file.display())))?;
+        self.check(file, &Origin { base: self.of.base.clone(), ..of })?;
+        Ok((log, base))
+    }
+
     /// The readings of the file, if it exists.
     ///
     /// # Errors
     /// A file that holds no readings, or those of another room, array or calibration.
     pub fn load(&self) -> Result<Option<Log>> {
         let Some(file) = self.file.filter(|file| file.exists()) else { return Ok(None) };
-        let text = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
-        let unusable = || UnusableInput::new(format!("{} holds no readings of a calibration", file.display()));
-        let Saved { of, log } = serde_json::from_str(&text).with_context(unusable)?;
+        let Saved { of, log } = read(file)?;
+        self.check(file, &of)?;
+        Ok(Some(log))
+    }
+
+    fn check(&self, file: &Path, of: &Origin) -> Result<()> {
         let name = file.display();
         for (what, is_same) in [
             ("--room", of.room == self.of.room),
@@ -68,7 +84,7 @@ impl<'a> Readings<'a> {
                 ))
             );
         }
-        Ok(Some(log))
+        Ok(())
     }
 
     /// Saves what is known so far: a complete file or the former one, because the process may end at
@@ -85,6 +101,12 @@ impl<'a> Readings<'a> {
         }
         whole_file::write(file, &serde_json::to_vec(&Saving { of: &self.of, log: session.log() })?)
     }
+}
+
+fn read(file: &Path) -> Result<Saved> {
+    let text = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
+    let unusable = || UnusableInput::new(format!("{} holds no readings of a calibration", file.display()));
+    serde_json::from_str(&text).with_context(unusable)
 }
 
 #[cfg(test)]

@@ -8,6 +8,7 @@ use anyhow::{Context, Result, bail, ensure};
 use heliostat_bus::{Bus, Class, Presence, Publisher, Subscription, Token};
 use heliostat_channel::MirrorAngles;
 use heliostat_core::tenure::Tenure;
+use heliostat_proto::gauges::CalibrationProgress;
 use heliostat_proto::keys::parse_alive;
 use heliostat_proto::{
     ArrayState, Capabilities, ChannelReport, EmergencyStop, Message, MirrorTelemetry, Nanos, NodeKind, NodeStatus,
@@ -38,6 +39,9 @@ const QUEUE: usize = 1024;
 /// Longest time without telemetry: an array publishes ten messages a second.
 const TELEMETRY_GAP_MAX: Duration = Duration::from_secs(2);
 
+/// Time after its last status for which another calibration counts as running.
+const OTHER_GAP_MAX: Duration = Duration::from_secs(2);
+
 /// Time for which an array keeps a command while its successor takes the lead.
 const RELEASE: Duration = Duration::from_millis(500);
 
@@ -53,6 +57,13 @@ pub enum Received {
 
 /// A session in the room.
 pub struct LiveRoom {
+    bus: Bus,
+    source: u64,
+    /// Time between two position reports in ns.
+    interval_ns: Nanos,
+    parked: MirrorAngles,
+    /// Whether another controller may take the lead: a refinement then waits.
+    yields: bool,
     /// Source of the telemetry, and the calibration in use, at the start.
     driver: (u64, u64),
     queue: Receiver<Received>,
@@ -60,6 +71,8 @@ pub struct LiveRoom {
     telemetry: Arc<Mutex<Option<MirrorTelemetry>>>,
     /// When the last telemetry arrived.
     answered: Arc<Mutex<Instant>>,
+    /// When another calibration last said how far it is.
+    other_calibration: Arc<Mutex<Option<Instant>>>,
     /// The first other array of the room that was seen to follow commands.
     disturbing: Arc<OnceLock<usize>>,
     capabilities: Capabilities,
@@ -70,10 +83,11 @@ pub struct LiveRoom {
 }
 
 impl LiveRoom {
-    /// Joins the room and takes the lead of the array.
+    /// Joins the room and takes the lead of the array; a refinement commands nothing so far.
     pub fn open(bus: &Bus, args: &Args, scenario: &Scenario) -> Result<Self> {
         let (room, keys) = (bus.room().clone(), bus.room().array(args.array));
-        let source = source_id::random();
+        let (source, interval_ns) = (source_id::random(), scenario.streams.positions.interval_ns());
+        let yields = args.refine.is_some();
         let capabilities: Capabilities = fetch(bus, &keys.capabilities())?.context(
             "the array does not answer: connect to the process that drives it, or to its router, and check --room",
         )?;
@@ -100,19 +114,32 @@ impl LiveRoom {
         ensure!(shown.state != ArrayState::Stopped, "the array is stopped: release it with `heliostat rearm` first");
         let is_led = shown.state == ArrayState::Following;
         ensure!(
-            !is_led || args.take_over,
+            !is_led || args.take_over || yields,
             "the array follows a controller with the epoch {}: end it, or give --take-over",
             shown.epoch
         );
         let driver = (shown.stamp.source, shown.calibration);
-        let mut tenure = Tenure::live(source, scenario.streams.positions.interval_ns());
+        let mut tenure = Tenure::live(source, interval_ns);
         tenure.handle_announced_epoch(shown.epoch.max(safety.map_or(0, |safety| safety.epoch)));
         let publisher = bus.publisher(&keys.command(), Class::RealTimeDrop)?;
-        let commander =
-            Commander::new(tenure, publisher, (parked, validity_ms), (capabilities.validity_clock, args.take_over));
+        let begin = (parked.clone(), validity_ms);
+        let mut commander = Commander::new(tenure, publisher, begin, (capabilities.validity_clock, args.take_over));
+        if yields {
+            commander.rest();
+        }
         let commander = Arc::new(Mutex::new(commander));
         let answered = Arc::new(Mutex::new(Instant::now()));
         let mut subscriptions = subscribe(bus, args.array, &sender, &commander, (&telemetry, &answered))?;
+        let other_calibration: Arc<Mutex<Option<Instant>>> = Arc::default();
+        let latest = Arc::clone(&other_calibration);
+        subscriptions.push(bus.subscribe(&room.status(NodeKind::Controller), move |payload| {
+            if let Ok(status) = decode::<NodeStatus>(payload)
+                && status.stamp.source != source
+                && CalibrationProgress::of(&status).is_some()
+            {
+                *lock(&latest) = Some(Instant::now());
+            }
+        })?);
         let disturbing: Arc<OnceLock<usize>> = Arc::default();
         for other in (0..scenario.mirrors.arrays().len()).filter(|other| *other != args.array) {
             let first = Arc::clone(&disturbing);
@@ -122,37 +149,71 @@ impl LiveRoom {
                 }
             })?);
         }
-        let token = bus.announce(&room.alive(NodeKind::Controller, source))?;
         let status = bus.publisher(&room.status(NodeKind::Controller), Class::LowDrop)?;
         let shown = NodeStatus {
             stamp: Stamp { source, ..Stamp::default() },
             node: NodeKind::Controller,
             name: format!("calibrate-{:08x}", source >> 32),
             software: env!("CARGO_PKG_VERSION").into(),
-            state: "calibrating".into(),
             scenario: scenario.hash(),
             started_ns: utc_ns(),
             ..NodeStatus::default()
         };
-        let live = Self {
+        let mut live = Self {
+            bus: bus.enter(room),
+            source,
+            interval_ns,
+            parked,
+            yields,
             driver,
             queue,
             commander,
             telemetry,
             answered,
+            other_calibration,
             disturbing,
             capabilities,
             status,
             shown,
-            token: Some(token),
+            token: None,
             _subscriptions: subscriptions,
         };
-        live.lead()?;
+        if !yields {
+            live.lead()?;
+        }
         Ok(live)
     }
 
+    /// Takes the lead of the array again, above the epoch that it follows now.
+    ///
+    /// # Errors
+    /// An array that accepts no command of this process.
+    pub fn take(&mut self) -> Result<()> {
+        let mut tenure = Tenure::live(self.source, self.interval_ns);
+        tenure.handle_announced_epoch(lock(&self.telemetry).as_ref().map_or(0, |shown| shown.epoch));
+        lock(&self.commander).begin(tenure, self.parked.clone());
+        self.lead()
+    }
+
+    /// Whether this process commands the array.
+    pub fn is_commanding(&self) -> bool {
+        self.token.is_some()
+    }
+
+    /// Whether another calibration commands the room.
+    pub fn has_other_calibration(&self) -> bool {
+        lock(&self.other_calibration).is_some_and(|at| at.elapsed() < OTHER_GAP_MAX)
+    }
+
+    /// Whether another controller took the lead from this process while it commanded.
+    pub fn has_lost_lead(&self) -> bool {
+        self.is_commanding() && lock(&self.commander).superseded_by().is_some()
+    }
+
     /// Commands the park position until the array follows this process.
-    fn lead(&self) -> Result<()> {
+    fn lead(&mut self) -> Result<()> {
+        let key = self.bus.room().alive(NodeKind::Controller, self.source);
+        self.token = Some(self.bus.announce(&key)?);
         let led = wait(|| {
             let mut commander = lock(&self.commander);
             // A failure to publish shows below, as a lead that is not gained.
@@ -170,7 +231,7 @@ impl LiveRoom {
 
     /// What arrives next, within a limit.
     pub fn receive(&self, limit: Duration) -> Result<Option<Received>> {
-        if let Some(epoch) = lock(&self.commander).superseded_by() {
+        if let Some(epoch) = lock(&self.commander).superseded_by().filter(|_| !self.yields) {
             bail!("a controller with the epoch {epoch} has taken the lead: nothing is written");
         }
         if lock(&self.commander).is_stopped() {
@@ -186,6 +247,11 @@ impl LiveRoom {
             "the array does not answer any more: check its driver, then continue with --readings"
         );
         if let Some(other) = self.disturbing.get() {
+            ensure!(
+                !self.yields,
+                "array {other} follows a controller, and its light would be in the readings: --refine needs a room \
+                 with one array"
+            );
             bail!(
                 "array {other} follows a controller, and its light would be in the readings: end that controller, \
                  then continue with --readings"
@@ -218,16 +284,16 @@ impl LiveRoom {
         lock(&self.telemetry).as_ref().map_or_else(Vec::new, |telemetry| telemetry.unusable.clone())
     }
 
-    /// Sets what the status says.
-    pub fn set_state(&mut self, state: &str) {
-        state.clone_into(&mut self.shown.state);
-    }
-
-    /// Publishes the status of this process.
-    pub fn publish_status(&mut self) -> Result<()> {
+    /// Publishes how far the session is, while this process commands.
+    pub fn publish_status(&mut self, progress: &CalibrationProgress) -> Result<()> {
+        if !self.is_commanding() {
+            return Ok(());
+        }
         self.shown.stamp.sequence += 1;
         self.shown.stamp.time_ns = utc_ns();
+        self.shown.state = format!("calibrating: {}", progress.place_name());
         self.shown.counters = vec![("epoch".into(), lock(&self.commander).epoch())];
+        self.shown.gauges = progress.gauges().map(|(name, value)| (name.to_owned(), value)).to_vec();
         let mut payload = Vec::new();
         encode(&self.shown, &mut payload)?;
         Ok(self.status.put(&payload)?)
@@ -236,11 +302,14 @@ impl LiveRoom {
     /// Gives the lead back: the token is withdrawn first, and commands go on until a standby has taken
     /// the lead, for half a second at most.
     pub fn release(&mut self) {
-        self.token = None;
+        if self.token.take().is_none() {
+            return;
+        }
         let begun = Instant::now();
         while begun.elapsed() < RELEASE && lock(&self.commander).superseded_by().is_none() {
             std::thread::sleep(QUERY_EVERY / 10);
         }
+        lock(&self.commander).rest();
     }
 }
 

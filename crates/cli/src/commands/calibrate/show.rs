@@ -1,7 +1,8 @@
 //! What the user of `heliostat calibrate` reads.
 
 use anyhow::Result;
-use heliostat_calibrate::{Measured, Outcome, Session, Stage, Verdict};
+use heliostat_calibrate::{Change, Measured, Outcome, Progress, Session, Stage, Verdict};
+use heliostat_proto::gauges::CalibrationProgress;
 use heliostat_service::outln;
 use heliostat_service::output::note;
 use serde_json::json;
@@ -49,26 +50,29 @@ pub fn progress(session: &Session) {
     ));
 }
 
-/// The state of the process in a few words, for operators.
-pub fn state(session: &Session) -> String {
-    let spots = session.spot_count();
-    match session.stage() {
-        Stage::Await(index) if index < spots => format!("calibrating: waits at spot {} of {spots}", index + 1),
-        Stage::Dark(index) | Stage::Probe(index) | Stage::Locate(index) if index < spots => {
-            format!("calibrating: spot {} of {spots}", index + 1)
-        }
-        Stage::Ended => "calibrated".to_owned(),
-        _ => "calibrating: verification".to_owned(),
+/// How far the session is, for the viewers of the room.
+pub fn progress_of(session: &Session) -> CalibrationProgress {
+    let Progress { stage, located: (located, mirrors), remaining_s, .. } = session.progress();
+    let places = session.spot_count() + 1;
+    let index = match stage {
+        Stage::Await(index) | Stage::Dark(index) | Stage::Probe(index) | Stage::Locate(index) => index,
+        Stage::Verify | Stage::Ended => places - 1,
+    };
+    let count = |number: usize| u32::try_from(number).unwrap_or(u32::MAX);
+    CalibrationProgress {
+        place: count(index + 1),
+        places: count(places),
+        is_waiting: matches!(stage, Stage::Await(_)),
+        located: count(located),
+        mirrors: count(mirrors),
+        remaining_s,
     }
 }
 
 /// The result.
 pub fn outcome(args: &Args, outcome: &Outcome, is_written: bool) -> Result<()> {
     if args.json {
-        let written = is_written.then(|| args.out.display().to_string());
-        let room = args.room_out.as_ref().filter(|_| is_written).map(|path| path.display().to_string());
-        outln!("{}", json!({ "outcome": outcome, "calibration": written, "room": room }))?;
-        return Ok(());
+        return json(args, outcome, is_written);
     }
     let count = |verdict| outcome.mirrors_with(verdict).len();
     outln!("mirrors        {} of {} calibrated", count(Verdict::Calibrated), outcome.mirrors.len())?;
@@ -107,25 +111,59 @@ pub fn outcome(args: &Args, outcome: &Outcome, is_written: bool) -> Result<()> {
         plus_minus(&outcome.detector_factor, 3),
         plus_minus(&outcome.reflectivity_factor, 3)
     )?;
+    rejected(outcome)?;
+    let ratio = outcome.verification.ratio();
+    outln!("verification   {} times the light of the nominal aims", plus_minus(&ratio, 3))?;
+    outln!("readings       {}", outcome.readings)?;
+    if is_written { written(args) } else { Ok(()) }
+}
+
+/// The result of a refinement: what has changed, how sure, and whether files are written.
+pub fn refinement(args: &Args, outcome: &Outcome, is_written: bool) -> Result<()> {
+    if args.json {
+        return json(args, outcome, is_written);
+    }
+    let known = outcome.mirrors_with(Verdict::Calibrated).len();
+    outln!("mirrors        {known} of {} known, {} changed", outcome.mirrors.len(), outcome.changes.len())?;
+    for Change { mirror, turned_deg } in &outcome.changes {
+        match turned_deg {
+            Some(turned) => {
+                let [roll, yaw] = turned.each_ref().map(|turned| plus_minus(turned, 2));
+                outln!("mirror {mirror:<8}turned by roll {roll}, yaw {yaw} degrees")?;
+            }
+            None => outln!("mirror {mirror:<8}shows no light any more -> stuck, covered, or turned far off; check it")?,
+        }
+    }
+    rejected(outcome)?;
+    outln!("readings       {}", outcome.readings)?;
+    if is_written {
+        outln!("verification   {} times the light of the former aims", plus_minus(&outcome.verification.ratio(), 3))?;
+        return written(args);
+    }
+    outln!("written        nothing: the calibration in use stays as it is")?;
+    Ok(())
+}
+
+fn json(args: &Args, outcome: &Outcome, is_written: bool) -> Result<()> {
+    let written = is_written.then(|| args.out.display().to_string());
+    let room = args.room_out.as_ref().filter(|_| is_written).map(|path| path.display().to_string());
+    outln!("{}", json!({ "outcome": outcome, "calibration": written, "room": room }))?;
+    Ok(())
+}
+
+fn rejected(outcome: &Outcome) -> Result<()> {
     for place in &outcome.rejected_places {
         outln!(
             "spot {}         rejected: most mirrors contradict it -> check its height and the tracker there",
             place + 1
         )?;
     }
-    let ratio = outcome.verification.ratio();
-    outln!("verification   {} times the light of the nominal aims", plus_minus(&ratio, 3))?;
-    outln!("readings       {}", outcome.readings)?;
-    if is_written {
-        outln!(
-            "written        {}{}",
-            args.out.display(),
-            match &args.room_out {
-                Some(path) => format!(", {}", path.display()),
-                None => String::new(),
-            }
-        )?;
-    }
+    Ok(())
+}
+
+fn written(args: &Args) -> Result<()> {
+    let room = args.room_out.as_ref().map_or(String::new(), |path| format!(", {}", path.display()));
+    outln!("written        {}{room}", args.out.display())?;
     Ok(())
 }
 

@@ -10,6 +10,9 @@ use heliostat_scenario::ScenarioArgs;
 ///
 /// Each line holds ok, warn or fail, what was found, and what to do. The exit status is 1 if a
 /// check fails. A warning concerns speed or accuracy; a run is still possible.
+///
+/// With the files of a calibration and --connect, it compares them with the running room: the array, the
+/// calibration in use, the controller's geometry, and the light of served users.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -28,6 +31,15 @@ pub struct Args {
     pub connect: Vec<String>,
     #[command(flatten)]
     pub tls: TlsArgs,
+    /// The --out of `heliostat calibrate`, to compare with the array
+    #[arg(long, value_name = "FILE")]
+    pub calibration: Option<PathBuf>,
+    /// The --room-out of `heliostat calibrate`, to compare with the controller
+    #[arg(long, value_name = "FILE")]
+    pub measured: Option<PathBuf>,
+    /// Index of the array of --calibration, from 0
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub array: usize,
     /// Port of 127.0.0.1 that must be free (repeatable)
     #[arg(long, value_name = "PORT", default_values_t = [7447], value_parser = clap::value_parser!(u16).range(1..))]
     pub port: Vec<u16>,

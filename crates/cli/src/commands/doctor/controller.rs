@@ -4,7 +4,7 @@ use std::sync::mpsc;
 use std::time::Instant;
 
 use heliostat_proto::gauges::{ServedLight, TrackerNoise};
-use heliostat_proto::{NodeKind, NodeStatus, decode};
+use heliostat_proto::{NodeKind, NodeStatus, RoomGeometry, decode};
 use heliostat_ui::controllers::is_standby;
 
 use super::args::Args;
@@ -17,26 +17,39 @@ const NOISIER: f64 = 1.5;
 /// The belief learns no smaller deviation, in m and in m/s: exact reports stay regular.
 const LEAST: f64 = 1e-3;
 
-/// The checks by the status of a controller; none where no controller is in the room.
-pub(super) fn checks(args: &Args) -> Vec<Check> {
-    if args.connect.is_empty() {
-        return Vec::new();
-    }
-    let status = match ask_controller(args) {
-        Ok(Some(status)) => status,
-        Ok(None) => {
-            return vec![Check::ok("controller", "no controller answered: add its endpoint to --connect")];
-        }
-        // The check of the driver reports a session that does not open.
-        Err(_) => return Vec::new(),
-    };
-    let tracker = TrackerNoise::of(&status);
-    tracker.iter().map(check_tracker).chain(ServedLight::all_of(&status).iter().map(check_light)).collect()
+/// What a controller says about itself and its room.
+#[derive(Debug, Default)]
+pub(super) struct ControllerState {
+    /// The hash of its scenario.
+    pub scenario: String,
+    /// The geometry that it announces, as TOML.
+    pub geometry: Option<String>,
+    /// The light of served users.
+    pub light: Vec<ServedLight>,
+    /// The noise of its tracker.
+    pub noise: Option<TrackerNoise>,
 }
 
-fn ask_controller(args: &Args) -> anyhow::Result<Option<NodeStatus>> {
+/// Asks a controller; the checks by its answer, none where no address is given.
+pub(super) fn checks(args: &Args) -> (Option<ControllerState>, Vec<Check>) {
+    if args.connect.is_empty() {
+        return (None, Vec::new());
+    }
+    match ask_controller(args) {
+        Ok(Some(state)) => {
+            let checks = state.noise.iter().map(check_tracker).chain(state.light.iter().map(check_light)).collect();
+            (Some(state), checks)
+        }
+        Ok(None) => (None, vec![Check::ok("controller", "no controller answered: add its endpoint to --connect")]),
+        // The check of the driver reports a session that does not open.
+        Err(_) => (None, Vec::new()),
+    }
+}
+
+fn ask_controller(args: &Args) -> anyhow::Result<Option<ControllerState>> {
     let bus = open_bus(args)?;
     let (sender, statuses) = mpsc::channel();
+    let (geometry_sender, geometries) = mpsc::channel();
     let key = bus.room().status(NodeKind::Controller);
     let subscription = bus.subscribe(&key, move |payload| {
         if let Ok(status) = decode::<NodeStatus>(payload) {
@@ -44,12 +57,28 @@ fn ask_controller(args: &Args) -> anyhow::Result<Option<NodeStatus>> {
             sender.send(status).ok();
         }
     })?;
+    let geometry = bus.subscribe(&bus.room().geometry(NodeKind::Controller), move |payload| {
+        if let Ok(geometry) = decode::<RoomGeometry>(payload) {
+            geometry_sender.send(geometry).ok();
+        }
+    })?;
     // The time for a status begins with the connection.
     let status = bus.wait_connected(CONNECTED_WITHIN).then(|| {
         let until = Instant::now() + STATUS_WITHIN;
-        leading(std::iter::from_fn(|| statuses.recv_timeout(until.saturating_duration_since(Instant::now())).ok()))
+        let left = || until.saturating_duration_since(Instant::now());
+        let status = leading(std::iter::from_fn(|| statuses.recv_timeout(left()).ok()))?;
+        // Another controller can announce another geometry.
+        let of_status = |geometry: &RoomGeometry| geometry.stamp.source == status.stamp.source;
+        let all = args.measured.iter().flat_map(|_| std::iter::from_fn(|| geometries.recv_timeout(left()).ok()));
+        let geometry = all.into_iter().find(of_status).map(|geometry| geometry.scenario);
+        Some(ControllerState {
+            light: ServedLight::all_of(&status),
+            noise: TrackerNoise::of(&status),
+            scenario: status.scenario,
+            geometry,
+        })
     });
-    drop(subscription);
+    drop((subscription, geometry));
     bus.close()?;
     Ok(status.flatten())
 }

@@ -20,7 +20,7 @@ use heliostat_service::printable::printable;
 
 use super::args::Args;
 use super::check::Check;
-use super::controller;
+use super::{calibration, controller};
 
 /// Longest time until a driver answers.
 const DRIVER_WAIT: Duration = Duration::from_secs(3);
@@ -61,8 +61,11 @@ pub(super) fn checks(args: &Args) -> Vec<Check> {
     checks.push(check_policy(args, &scenario));
     let kind = PolicyKind::selected(args.policy, args.model.is_some());
     checks.extend(kind.conditions(&scenario).into_iter().map(|condition| warning("policy", condition)));
-    checks.extend(check_drivers(args, &scenario));
-    checks.extend(controller::checks(args));
+    let drivers = ask_drivers(args, scenario.mirrors.arrays().len());
+    checks.extend(check_drivers(args, &drivers, &scenario));
+    let (controller, of_controller) = controller::checks(args);
+    checks.extend(of_controller);
+    checks.extend(calibration::checks(args, drivers.get(args.array), controller.as_ref()));
     // A driver that is checked listens on its own port.
     let in_use = |port: &&u16| args.connect.iter().any(|endpoint| endpoint.ends_with(&format!(":{port}")));
     checks.extend(args.port.iter().filter(|port| !in_use(port)).map(|port| check_port(*port)));
@@ -121,27 +124,36 @@ fn check_port(port: u16) -> Check {
     }
 }
 
-/// One check for each array of the scenario.
-fn check_drivers(args: &Args, scenario: &Scenario) -> Vec<Check> {
-    let arrays = scenario.mirrors.arrays().len();
-    let named = |array: usize| {
-        let check = check_driver(args, scenario, array);
-        if arrays == 1 { check } else { Check { found: format!("{}: {}", array_name(array), check.found), ..check } }
-    };
-    (0..arrays).map(named).collect()
+/// What the driver of each array answers; nothing without an address.
+fn ask_drivers(args: &Args, arrays: usize) -> Vec<anyhow::Result<DriverState>> {
+    let asked = if args.connect.is_empty() { 0 } else { arrays };
+    (0..asked).map(|array| ask_driver(args, array)).collect()
 }
 
-fn check_driver(args: &Args, scenario: &Scenario, array: usize) -> Check {
-    if args.connect.is_empty() {
-        return Check::ok("driver", "not checked: no --connect");
+/// One check for each array of the scenario.
+fn check_drivers(args: &Args, drivers: &[anyhow::Result<DriverState>], scenario: &Scenario) -> Vec<Check> {
+    if drivers.is_empty() {
+        return vec![Check::ok("driver", "not checked: no --connect")];
     }
-    match ask_driver(args, array) {
+    let named = |(array, driver)| {
+        let check = check_driver(args, driver, scenario, array);
+        if drivers.len() == 1 {
+            check
+        } else {
+            Check { found: format!("{}: {}", array_name(array), check.found), ..check }
+        }
+    };
+    drivers.iter().enumerate().map(named).collect()
+}
+
+fn check_driver(args: &Args, driver: &anyhow::Result<DriverState>, scenario: &Scenario, array: usize) -> Check {
+    match driver {
         Ok(DriverState { device_problem: Some(problem), .. }) => Check::fail(
             "driver",
             problem,
             "check power and cable of the hardware, and the address in the driver's configuration",
         ),
-        Ok(DriverState { capabilities, .. }) => compare(array, &capabilities, scenario),
+        Ok(DriverState { capabilities, .. }) => compare(array, capabilities, scenario),
         Err(error) => {
             let is_refused = bus_config(args).is_ok_and(|config| Bus::find_connection_problem(&config).is_some());
             let advice = match is_refused {
@@ -167,10 +179,14 @@ fn bus_config(args: &Args) -> anyhow::Result<BusConfig> {
 }
 
 /// What a driver reports of its array.
-struct DriverState {
-    capabilities: Capabilities,
+pub(super) struct DriverState {
+    pub capabilities: Capabilities,
     /// Why its hardware does not answer.
-    device_problem: Option<String>,
+    pub device_problem: Option<String>,
+    /// Number of the calibration in use, 0 for none; `None` without telemetry.
+    pub calibration: Option<u64>,
+    /// The bits of its faults.
+    pub faults: u32,
 }
 
 fn ask_driver(args: &Args, array: usize) -> anyhow::Result<DriverState> {
@@ -179,38 +195,47 @@ fn ask_driver(args: &Args, array: usize) -> anyhow::Result<DriverState> {
     let (sender, reports) = mpsc::channel();
     let statuses = sender.clone();
     let keys = room.array(array);
-    let telemetry = bus.subscribe(&keys.telemetry(), move |payload| {
+    let reported = bus.subscribe(&keys.telemetry(), move |payload| {
         // The receiver is gone when both have arrived.
-        drop(decode(payload).map(|telemetry: MirrorTelemetry| sender.send((Some(telemetry.faults), None))));
+        drop(
+            decode(payload)
+                .map(|telemetry: MirrorTelemetry| sender.send((Some((telemetry.faults, telemetry.calibration)), None))),
+        );
     })?;
     let status = bus.subscribe(&keys.driver_status(), move |payload| {
         drop(decode(payload).map(|status: NodeStatus| statuses.send((None, Some(status.last_problem)))));
     })?;
     let payloads = bus.fetch(&keys.capabilities(), DRIVER_WAIT)?;
-    let (mut faults, mut problem) = (None, None);
+    let (mut telemetry, mut problem): (Option<(u32, u64)>, Option<String>) = (None, None);
+    let has_no_link = |(faults, _): (u32, u64)| faults & fault::LINK != 0;
     let until = Instant::now() + STATUS_WITHIN;
     // The problem matters only with a fault.
-    while faults.is_none() || (faults.is_some_and(|faults| faults & fault::LINK != 0) && problem.is_none()) {
-        let Ok((new_faults, new_problem)) = reports.recv_timeout(until.saturating_duration_since(Instant::now()))
+    while telemetry.is_none() || (telemetry.is_some_and(has_no_link) && problem.is_none()) {
+        let Ok((new_telemetry, new_problem)) = reports.recv_timeout(until.saturating_duration_since(Instant::now()))
         else {
             break;
         };
-        (faults, problem) = (new_faults.or(faults), new_problem.or(problem));
+        (telemetry, problem) = (new_telemetry.or(telemetry), new_problem.or(problem));
     }
-    drop((telemetry, status));
+    drop((reported, status));
     bus.close()?;
-    let device_problem = faults
-        .filter(|faults| faults & fault::LINK != 0)
+    let device_problem = telemetry
+        .filter(|telemetry| has_no_link(*telemetry))
         .map(|_| format!("a device of the driver does not answer: {}", printable(&problem.unwrap_or_default())));
     match payloads.as_slice() {
         [] => anyhow::bail!("no driver in room \"{room}\" publishes the capabilities of an array"),
-        [payload] => Ok(DriverState { capabilities: decode(payload)?, device_problem }),
+        [payload] => Ok(DriverState {
+            capabilities: decode(payload)?,
+            device_problem,
+            calibration: telemetry.map(|(_, calibration)| calibration),
+            faults: telemetry.map_or(0, |(faults, _)| faults),
+        }),
         several => anyhow::bail!("{} drivers answer in room \"{room}\"; expected one", several.len()),
     }
 }
 
 /// Whether the array fits the scenario.
-fn compare(index: usize, array: &Capabilities, scenario: &Scenario) -> Check {
+pub(super) fn compare(index: usize, array: &Capabilities, scenario: &Scenario) -> Check {
     let found = format!("{} ({}), {} x {} mirrors", array.hardware, array.driver, array.rows, array.columns);
     // The controller examines the capabilities in the same way.
     let examined = scenario

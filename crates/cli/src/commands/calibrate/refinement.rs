@@ -1,0 +1,161 @@
+//! A refinement on the live room: what it starts from, the angles that the calibrated array understands, and
+//! when it commands.
+
+use std::time::Instant;
+
+use anyhow::{Context, Result};
+use heliostat_array::calibration_file::{AxisCorrections, CalibrationFile};
+use heliostat_calibrate::{Log, Session, Stage};
+use heliostat_channel::MirrorAngles;
+use heliostat_proto::{AxisLimits, Capabilities, UserReport};
+use heliostat_service::exit::UnusableInput;
+use heliostat_service::output::note;
+
+use super::idle::Idle;
+use super::room::LiveRoom;
+
+/// The refinement of the calibration in use.
+pub struct Refinement {
+    idle: Idle,
+    former: Log,
+    /// The calibration that the array used while the former readings were made.
+    measured_with: CalibrationFile,
+    in_use: CalibrationFile,
+    /// From angles of the former readings to those that the array understands now.
+    turn: CalibrationFile,
+}
+
+impl Refinement {
+    /// A refinement by the holder of the receiver.
+    ///
+    /// # Errors
+    /// [`UnusableInput`]: readings that were made with a calibration of another array.
+    pub fn new(
+        receiver: u32,
+        (former, measured_with): (Log, Option<CalibrationFile>),
+        in_use: &CalibrationFile,
+    ) -> Result<Self> {
+        let CalibrationFile { rows, columns, .. } = *in_use;
+        let none = || AxisCorrections::none(rows * columns);
+        let measured_with =
+            measured_with.unwrap_or_else(|| CalibrationFile { rows, columns, roll: none(), yaw: none() });
+        if (measured_with.rows, measured_with.columns) != (rows, columns) {
+            return Err(UnusableInput::new(format!(
+                "the readings of --refine are of {} x {} mirrors: expected {rows} x {columns}, as in --base",
+                measured_with.rows, measured_with.columns
+            ))
+            .into());
+        }
+        let turn = in_use.in_place_of(&measured_with);
+        Ok(Self { idle: Idle::new(receiver), former, measured_with, in_use: in_use.clone(), turn })
+    }
+
+    /// The calibration with which the readings of the session are made.
+    pub fn measured_with(&self) -> &CalibrationFile {
+        &self.measured_with
+    }
+
+    /// Brings a session to the state after the complete calibration.
+    ///
+    /// # Errors
+    /// Readings of another array, or that do not give the corrections in use.
+    pub fn start(&self, session: &mut Session) -> Result<()> {
+        let corrections = self.measured_with.in_place_of(&self.in_use);
+        session.refine(self.former.clone(), &corrections).context("--refine and --base")
+    }
+
+    /// The angles that turn the calibrated array as `angles` turned it during the former readings.
+    pub fn turned(&self, mut angles: MirrorAngles) -> MirrorAngles {
+        let CalibrationFile { roll, yaw, .. } = &self.turn;
+        for (angles, by) in [(&mut angles.roll, roll), (&mut angles.yaw, yaw)] {
+            for (angle, (gain, offset_deg)) in angles.iter_mut().zip(by.gain.iter().zip(&by.offset_deg)) {
+                *angle = gain * *angle + offset_deg.to_radians();
+            }
+        }
+        angles
+    }
+
+    /// The capabilities with the range that every mirror reaches by [`turned`](Self::turned).
+    pub fn capabilities(&self, mut capabilities: Capabilities) -> Capabilities {
+        let narrowed = |limits: &mut AxisLimits, by: &AxisCorrections| {
+            let ends = by.gain.iter().zip(&by.offset_deg).map(|(gain, offset_deg)| {
+                [limits.min_rad, limits.max_rad].map(|end| (f64::from(end) - offset_deg.to_radians()) / gain)
+            });
+            let narrow = |[low, high]: [f64; 2], [min, max]: [f64; 2]| [low.max(min), high.min(max)];
+            let [low, high] = ends.fold([f64::NEG_INFINITY, f64::INFINITY], narrow);
+            (limits.min_rad, limits.max_rad) = (low as f32, high as f32);
+        };
+        narrowed(&mut capabilities.roll, &self.turn.roll);
+        narrowed(&mut capabilities.yaw, &self.turn.yaw);
+        capabilities
+    }
+
+    /// Notes who is in the room.
+    pub fn handle_users(&mut self, report: &UserReport) {
+        self.idle.handle_users(Instant::now(), report.users.iter().map(|user| user.user));
+    }
+
+    /// Takes the lead while the room is idle and the session has something to measure, and gives it back
+    /// when another user enters, or when another controller has taken it.
+    ///
+    /// # Errors
+    /// An array that does not accept the lead.
+    pub fn take_turns(&mut self, session: &mut Session, room: &mut LiveRoom) -> Result<()> {
+        if room.has_lost_lead() || room.has_other_calibration() {
+            self.idle.interrupt();
+        }
+        let (is_idle, stands) = (self.idle.is_idle(Instant::now()), is_at_spot(session));
+        if (is_idle && stands) == room.is_commanding() {
+            return Ok(());
+        }
+        session.handle_pause();
+        if !room.is_commanding() {
+            note("the room is idle: the calibration commands the mirrors");
+            return room.take();
+        }
+        room.release();
+        note(if is_idle {
+            "the mirrors are given back until the receiver stands at the next place"
+        } else {
+            "the mirrors are given back: another user is in the room, reports are missing, or another process has taken the lead"
+        });
+        Ok(())
+    }
+
+    /// Whether the session could measure, if the room were idle.
+    pub fn waits(&mut self, session: &Session) -> bool {
+        is_at_spot(session) && !self.idle.is_idle(Instant::now())
+    }
+}
+
+fn is_at_spot(session: &Session) -> bool {
+    !matches!(session.stage(), Stage::Await(_) | Stage::Ended)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_calibrated_array_is_turned_as_the_uncalibrated_one_was_and_within_its_range() {
+        let axis =
+            |offset_deg: f64, gain: f64| AxisCorrections { offset_deg: vec![offset_deg, 0.0], gain: vec![gain, 1.0] };
+        let in_use = CalibrationFile { rows: 1, columns: 2, roll: axis(2.0, 1.25), yaw: axis(-1.0, 0.8) };
+        let refinement = Refinement::new(0, (Log::default(), None), &in_use).expect("one shape");
+        let angles = MirrorAngles { roll: vec![0.1, 0.2], yaw: vec![-0.1, 0.3] };
+        let turned = refinement.turned(angles.clone());
+        let drive = [1.25 * turned.roll[0] + 2.0_f64.to_radians(), 0.8 * turned.yaw[0] - 1.0_f64.to_radians()];
+        assert!((drive[0] - 0.1).abs() < 1e-12 && (drive[1] + 0.1).abs() < 1e-12, "{drive:?}");
+        assert_eq!((turned.roll[1], turned.yaw[1]), (0.2, 0.3));
+        let limits = AxisLimits { min_rad: -0.5, max_rad: 0.5, ..AxisLimits::default() };
+        let announced = Capabilities { roll: limits, yaw: limits, ..Capabilities::default() };
+        let narrowed = refinement.capabilities(announced);
+        // The second mirror reaches its own range, the first 1.25 * 0.5 rad + 2 degrees and 0.8 * 0.5 rad - 1 degree.
+        assert!((narrowed.roll.max_rad - 0.5).abs() < 1e-6 && narrowed.roll.min_rad > -0.5 - 1e-6, "{narrowed:?}");
+        assert!((narrowed.yaw.max_rad - (0.4 - 0.017_453)).abs() < 1e-4, "{narrowed:?}");
+        let other = CalibrationFile { rows: 2, columns: 1, ..in_use.clone() };
+        let refusal =
+            Refinement::new(0, (Log::default(), Some(other)), &in_use).map(|_| ()).expect_err("another shape");
+        assert!(refusal.to_string().contains("2 x 1 mirrors: expected 1 x 2"), "{refusal}");
+    }
+}

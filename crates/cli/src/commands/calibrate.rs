@@ -24,6 +24,7 @@ use heliostat_service::exit::UnusableInput;
 use heliostat_service::output::note;
 use heliostat_service::whole_file;
 
+use super::stop::check_connected;
 pub use args::Args;
 use readings::Readings;
 use refinement::Refinement;
@@ -40,6 +41,9 @@ const STATUS_EVERY: Duration = Duration::from_millis(500);
 
 /// Time without channel reports after which a note says so.
 const SILENCE: Duration = Duration::from_secs(3);
+
+/// A slow process that is there accepts a connection within this time.
+const CONNECTED_WITHIN: Duration = Duration::from_secs(5);
 
 /// Relative error of an axis' scale that is expected where scales are estimated.
 const SCALE_SPREAD: f64 = 0.01;
@@ -63,6 +67,9 @@ pub fn run(args: Args) -> Result<()> {
     let config = args.bus.config_or_connect(&[AccessRole::Controller])?;
     let stop = args.end.stop()?;
     let bus = Bus::open(&config)?;
+    if config.listen.is_empty() {
+        check_connected(&bus, &config, CONNECTED_WITHIN).map_err(anyhow::Error::msg)?;
+    }
     let mut room = LiveRoom::open(&bus, &args, &scenario)?;
     ensure!(
         room.calibration_in_use() == 0 || args.base.is_some(),
@@ -137,7 +144,9 @@ fn drive(
 ) -> Result<()> {
     let begun = Instant::now();
     let mut user = args.user;
-    let (mut saved, mut shown, mut heard, mut published) = (begun, begun, begun, None::<Instant>);
+    let (mut saved, mut shown, mut published) = (begun, begun, None::<Instant>);
+    // Time that was waited since the last channel report; an estimate takes time too.
+    let mut waited = Duration::ZERO;
     let (mut stage, mut complete) = (None, session.log().complete);
     while session.stage() != Stage::Ended {
         if stop.is_requested() || args.end.seconds.is_some_and(|limit| begun.elapsed() >= limit) {
@@ -154,7 +163,10 @@ fn drive(
         }
         let now = utc_ns();
         let wake = Duration::from_nanos(session.next_wake(now).saturating_sub(now)).min(LOOK_EVERY);
-        match room.receive(wake)? {
+        let waits = Instant::now();
+        let received = room.receive(wake)?;
+        waited += waits.elapsed();
+        match received {
             Some(Received::Users(report)) => {
                 if user.is_none() {
                     let ids: Vec<u32> = report.users.iter().map(|user| user.user).collect();
@@ -172,7 +184,7 @@ fn drive(
                 session.handle_users(&report);
             }
             Some(Received::Channel(report)) => {
-                heard = Instant::now();
+                waited = Duration::ZERO;
                 // Without the lead the light is that of another controller's angles.
                 if room.is_commanding() {
                     session.handle_channel(&report);
@@ -206,7 +218,7 @@ fn drive(
             if refinement.as_mut().is_some_and(|refinement| refinement.waits(session)) {
                 note("waits until the position reports have named no other user for some seconds");
             }
-            if heard.elapsed() >= SILENCE {
+            if waited >= SILENCE {
                 note("no channel report for some seconds: is the receiver switched on?");
             }
         }

@@ -230,3 +230,11 @@ fn of_a_list_of_minimum_rates_the_carried_receiver_has_the_first() {
     let listed = Scenario::builtin("hall").unwrap().with_overrides(&changes).unwrap();
     assert_eq!(with_receiver(&listed).unwrap().min_rate_bps(), [4e6]);
 }
+
+#[test]
+fn a_calibration_ends_although_no_mirror_lights_the_first_place() {
+    // The later places then have nothing to agree with.
+    let scenario = room(&[]);
+    let found = run(&scenario, &walk(&scenario, ""), 85_896_010_399_745, unchanged).expect("an end");
+    assert!(!found.outcome.mirrors_with(Verdict::Calibrated).is_empty() || !found.outcome.rejected_places.is_empty());
+}

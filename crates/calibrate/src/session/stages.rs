@@ -157,7 +157,13 @@ impl Session {
                 let command = [0, 1].map(|axis| aim[axis] - quantities[OFFSET + axis] + probe[axis]);
                 Purpose::Probe(mirror, self.within(command))
             }
-            Stage::Locate(_) => self.plan_search()?,
+            Stage::Locate(place) => {
+                let Some(purpose) = self.plan_search() else {
+                    self.reject_spot(place);
+                    return None;
+                };
+                purpose
+            }
             Stage::Verify => Purpose::Verify(self.verification.is_calibrated_next()),
         };
         let mut angles = MirrorAngles {
@@ -361,15 +367,19 @@ impl Session {
             probed += usize::from(job.readings > 0);
             lit += usize::from(job.is_lit());
         }
-        let is_later = self.is_refinement() || self.readings.iter().any(|reading| self.places[reading.spot] < place);
-        let is_checked = probed >= FIRST_MIRRORS && once && !self.is_located && is_later;
-        if is_checked && (lit as f64) < FIRST_SHARE * probed as f64 {
+        let is_checked = probed >= FIRST_MIRRORS && once && !self.is_located;
+        if is_checked && (lit as f64) < FIRST_SHARE * probed as f64 && self.knows_earlier_than(place) {
             self.begin_search(place);
             return;
         }
         if self.jobs.iter().all(|job| job.state != State::Open) && !self.confirm_changes() {
             self.next_place(place);
         }
+    }
+
+    /// Whether a mirror showed light at an earlier place: only then its light should be at this one too.
+    fn knows_earlier_than(&self, place: usize) -> bool {
+        self.is_refinement() || self.lit_pairs().iter().any(|(_, spot)| self.places[*spot] < place)
     }
 
     /// The next place of the setup.
@@ -460,13 +470,18 @@ impl Session {
             self.stage = Stage::Probe(place);
             self.open_jobs();
         } else if count + 1 >= SEARCH_MAX {
-            let spot = self.spots.len() - 1;
-            self.rejected.push(spot);
-            self.readings.retain(|reading| reading.spot != spot);
-            self.jobs.clear();
-            self.next_place(place);
+            self.reject_spot(place);
         } else {
             self.search = Some((grid, count + 1));
         }
+    }
+
+    /// Leaves the present spot without its readings: the receiver is not where the tracker says.
+    fn reject_spot(&mut self, place: usize) {
+        let spot = self.spots.len() - 1;
+        self.rejected.push(spot);
+        self.readings.retain(|reading| reading.spot != spot);
+        self.jobs.clear();
+        self.next_place(place);
     }
 }

@@ -263,6 +263,26 @@ fn a_refinement_of_an_unchanged_array_writes_nothing_and_ends_well() {
     assert!(!folder.path().join("refined.toml").exists() && !folder.path().join("remeasured.toml").exists());
 }
 
+#[test]
+fn files_and_flags_are_refused_before_the_room_is_taken_from_its_controller() {
+    let files = files();
+    let (_room, at_room) = room(files, &[]);
+    let (_controller, observer, _) = served(&files.wall, &at_room);
+    let epoch = observer.telemetry().expect("telemetry").epoch;
+    let folder = tempfile::tempdir().expect("a folder");
+    let [damaged, out] = ["damaged.json", "out.toml"].map(|name| folder.path().join(name));
+    fs::write(&damaged, "{\"of\": {").expect("writable");
+    let absent = folder.path().join("absent/readings.json");
+    for flags in [["--readings", text(&damaged)], ["--readings", text(&absent)], ["--spots", "99,0,1"]] {
+        let ended = calibrate(files, &at_room, &[&["--take-over", "--out", text(&out)], &flags[..]].concat()).wait();
+        assert!(!ended.status.success() && !ended.errors.is_empty(), "{flags:?}: {}", ended.output);
+    }
+    let accepted = |observer: &RoomObserver| observer.telemetry().map(|array| (array.epoch, array.counters.accepted));
+    let before = accepted(&observer);
+    wait_until("a further command", || accepted(&observer) > before);
+    assert_eq!(observer.telemetry().map(|array| array.epoch), Some(epoch), "the controller has led throughout");
+}
+
 /// Verdict, finding and advice of the checks of `heliostat doctor` with these flags.
 fn doctor(files: &Files, endpoints: &[&str], calibration: &Path) -> impl Fn(&str) -> [String; 3] + use<> {
     let mut flags = vec!["doctor", "--json", "--port", "17834", "--scenario", text(&files.measured)];

@@ -62,6 +62,9 @@ pub fn run(args: Args) -> Result<()> {
     for file in [Some(&args.out), args.room_out.as_ref()].into_iter().flatten() {
         check_new(file)?;
     }
+    if let Some(file) = &args.readings {
+        whole_file::check_writable(file).map_err(|error| UnusableInput::new(format!("{error:#}")))?;
+    }
     let file = args.base.as_deref().filter(|file| *file != Path::new("none"));
     let base = file.map(heliostat_driver::calibration_store::load).transpose()?;
     let config = args.bus.config_or_connect(&[AccessRole::Controller])?;
@@ -94,6 +97,10 @@ pub fn run(args: Args) -> Result<()> {
     if let Some(log) = readings.load()? {
         note(format_args!("continued: {} spots complete, {} readings", log.complete, log.readings.len()));
         session.resume(log)?;
+    }
+    // Only now, so that no refused file or flag takes the room from its controller.
+    if refinement.is_none() {
+        room.take()?;
     }
     let run = drive(&args, (&mut session, &readings), (&mut room, refinement.as_mut()), &stop);
     let saved = readings.save(&session);

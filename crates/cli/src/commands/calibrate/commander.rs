@@ -64,12 +64,13 @@ impl Commander {
         self.rests = true;
     }
 
-    /// Takes the lead with a new tenure, and begins with these angles.
-    pub fn begin(&mut self, tenure: Tenure, angles: MirrorAngles) {
+    /// Takes the lead with a new tenure, and begins with these angles; also from another controller where
+    /// `takes_over`.
+    pub fn begin(&mut self, tenure: Tenure, angles: MirrorAngles, takes_over: bool) {
         self.tenure = tenure;
         self.angles = angles;
         self.sent.clear();
-        self.heeds_telemetry = false;
+        self.heeds_telemetry = !takes_over;
         self.superseded = None;
         self.rests = false;
     }

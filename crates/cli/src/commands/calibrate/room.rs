@@ -61,6 +61,10 @@ pub struct LiveRoom {
     source: u64,
     /// Time between two position reports in ns.
     interval_ns: Nanos,
+    /// Whether it takes the lead from another controller.
+    takes_over: bool,
+    /// The epoch of the array at the start.
+    announced: u64,
     parked: MirrorAngles,
     /// Whether another controller may take the lead: a refinement then waits.
     yields: bool,
@@ -83,7 +87,7 @@ pub struct LiveRoom {
 }
 
 impl LiveRoom {
-    /// Joins the room and takes the lead of the array; a refinement commands nothing so far.
+    /// Joins the room; [`take`](Self::take) takes the lead of its array.
     pub fn open(bus: &Bus, args: &Args, scenario: &Scenario) -> Result<Self> {
         let (room, keys) = (bus.room().clone(), bus.room().array(args.array));
         let (source, interval_ns) = (source_id::random(), scenario.streams.positions.interval_ns());
@@ -119,14 +123,12 @@ impl LiveRoom {
             shown.epoch
         );
         let driver = (shown.stamp.source, shown.calibration);
-        let mut tenure = Tenure::live(source, interval_ns);
-        tenure.handle_announced_epoch(shown.epoch.max(safety.map_or(0, |safety| safety.epoch)));
+        let announced = shown.epoch.max(safety.map_or(0, |safety| safety.epoch));
+        let tenure = Tenure::live(source, interval_ns);
         let publisher = bus.publisher(&keys.command(), Class::RealTimeDrop)?;
         let begin = (parked.clone(), validity_ms);
         let mut commander = Commander::new(tenure, publisher, begin, (capabilities.validity_clock, args.take_over));
-        if yields {
-            commander.rest();
-        }
+        commander.rest();
         let commander = Arc::new(Mutex::new(commander));
         let answered = Arc::new(Mutex::new(Instant::now()));
         let mut subscriptions = subscribe(bus, args.array, &sender, &commander, (&telemetry, &answered))?;
@@ -159,10 +161,12 @@ impl LiveRoom {
             started_ns: utc_ns(),
             ..NodeStatus::default()
         };
-        let mut live = Self {
+        Ok(Self {
             bus: bus.enter(room),
             source,
             interval_ns,
+            takes_over: args.take_over || yields,
+            announced,
             parked,
             yields,
             driver,
@@ -177,21 +181,18 @@ impl LiveRoom {
             shown,
             token: None,
             _subscriptions: subscriptions,
-        };
-        if !yields {
-            live.lead()?;
-        }
-        Ok(live)
+        })
     }
 
-    /// Takes the lead of the array again, above the epoch that it follows now.
+    /// Takes the lead of the array, above the epoch that it follows now.
     ///
     /// # Errors
     /// An array that accepts no command of this process.
     pub fn take(&mut self) -> Result<()> {
         let mut tenure = Tenure::live(self.source, self.interval_ns);
-        tenure.handle_announced_epoch(lock(&self.telemetry).as_ref().map_or(0, |shown| shown.epoch));
-        lock(&self.commander).begin(tenure, self.parked.clone());
+        let followed = lock(&self.telemetry).as_ref().map_or(0, |shown| shown.epoch);
+        tenure.handle_announced_epoch(followed.max(self.announced));
+        lock(&self.commander).begin(tenure, self.parked.clone(), self.takes_over);
         self.lead()
     }
 

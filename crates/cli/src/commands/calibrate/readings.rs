@@ -41,7 +41,10 @@ impl<'a> Readings<'a> {
         (room, scenario): (&Room, &Scenario),
         (array, base): (usize, Option<&CalibrationFile>),
     ) -> Self {
-        let (room, scenario, base) = (room.to_string(), scenario.hash(), base.map(CalibrationFile::to_toml));
+        // A recorded walk is that of simulated users, and its path depends on the folder of the command.
+        let mut described = scenario.clone();
+        described.users.trace = None;
+        let (room, scenario, base) = (room.to_string(), described.hash(), base.map(CalibrationFile::to_toml));
         Self { file, of: Origin { room, scenario, array, base } }
     }
 
@@ -139,6 +142,8 @@ mod tests {
         let saved = Saved { of: open(&hall, 0, None).of, log: Log { mirrors: 100, ..Log::default() } };
         std::fs::write(&file, serde_json::to_vec(&saved).expect("JSON")).expect("a file");
         assert_eq!(open(&hall, 0, None).load().expect("the same").map(|log| log.mirrors), Some(100));
+        let walked = hall.with_overrides(&["users.trace=../walk.csv".to_owned()]).expect("a scenario");
+        assert!(open(&walked, 0, None).load().expect("the same room from another folder").is_some());
         for (other, what) in [
             (open(&lab, 0, None), "scenario"),
             (open(&hall, 1, None), "--array"),

@@ -60,6 +60,7 @@ mod evidence;
 use heliostat_proto::Nanos;
 
 pub use self::evidence::{Evidence, TenureEvent};
+use self::evidence::{Takeover, Unaccepted, Watch};
 
 /// Time without an accepted command after which a controller takes a new epoch, in ns.
 pub const PATIENCE_NS: Nanos = 1_000_000_000;
@@ -112,37 +113,6 @@ pub enum Standing {
     Leading,
     /// Commands are withheld: the array follows another controller.
     Standby,
-}
-
-/// Commands that were due since the array last accepted one.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-struct Unaccepted {
-    since_ns: Nanos,
-    last_ns: Nanos,
-    /// Counted up to [`DUE_MIN`].
-    due: u8,
-    /// The evidence at the beginning.
-    before: Evidence,
-}
-
-/// What a standby has seen of the leader.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
-struct Watch {
-    /// The report whose answer is awaited, and the commands accepted until then.
-    awaited: Option<(Nanos, u64)>,
-    /// The last report.
-    last_ns: Nanos,
-    /// Reports without an accepted command, in sequence.
-    unanswered: u8,
-    /// The liveliness token of the leader has ended.
-    has_left: bool,
-}
-
-/// The evidence at a takeover, until it is settled or contested.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-struct Takeover {
-    refused: u64,
-    accepted: u64,
 }
 
 /// The epoch of one controller.

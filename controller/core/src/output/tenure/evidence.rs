@@ -1,6 +1,6 @@
-//! What a [`Tenure`](super::Tenure) reads of telemetry, and what it says of a change.
+//! What a [`Tenure`](super::Tenure) reads of telemetry, what it keeps of it, and what it says of a change.
 
-use heliostat_proto::{ArrayState, MirrorTelemetry};
+use heliostat_proto::{ArrayState, MirrorTelemetry, Nanos};
 
 /// A change of the standing or of the epoch, or a reason that commands are refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -84,4 +84,35 @@ impl From<&MirrorTelemetry> for Evidence {
             following: telemetry.state == ArrayState::Following,
         }
     }
+}
+
+/// Commands that were due since the array last accepted one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(super) struct Unaccepted {
+    pub(super) since_ns: Nanos,
+    pub(super) last_ns: Nanos,
+    /// Counted up to [`DUE_MIN`](super::DUE_MIN).
+    pub(super) due: u8,
+    /// The evidence at the beginning.
+    pub(super) before: Evidence,
+}
+
+/// What a standby has seen of the leader.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
+pub(super) struct Watch {
+    /// The report whose answer is awaited, and the commands accepted until then.
+    pub(super) awaited: Option<(Nanos, u64)>,
+    /// The last report.
+    pub(super) last_ns: Nanos,
+    /// Reports without an accepted command, in sequence.
+    pub(super) unanswered: u8,
+    /// The liveliness token of the leader has ended.
+    pub(super) has_left: bool,
+}
+
+/// The evidence at a takeover, until it is settled or contested.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(super) struct Takeover {
+    pub(super) refused: u64,
+    pub(super) accepted: u64,
 }

@@ -273,7 +273,8 @@ fn files_and_flags_are_refused_before_the_room_is_taken_from_its_controller() {
     let [damaged, out] = ["damaged.json", "out.toml"].map(|name| folder.path().join(name));
     fs::write(&damaged, "{\"of\": {").expect("writable");
     let absent = folder.path().join("absent/readings.json");
-    for flags in [["--readings", text(&damaged)], ["--readings", text(&absent)], ["--spots", "99,0,1"]] {
+    let twice = ["--room-out", text(&out)];
+    for flags in [["--readings", text(&damaged)], ["--readings", text(&absent)], ["--spots", "99,0,1"], twice] {
         let ended = calibrate(files, &at_room, &[&["--take-over", "--out", text(&out)], &flags[..]].concat()).wait();
         assert!(!ended.status.success() && !ended.errors.is_empty(), "{flags:?}: {}", ended.output);
     }

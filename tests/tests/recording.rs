@@ -442,6 +442,18 @@ fn gaps_are_counted_by_sequence_number() {
 }
 
 #[test]
+fn a_recording_is_not_played_into_a_room_with_an_array_of_its_own() {
+    let [at_room, at_controller] = [(); 2].map(|()| private_endpoint().unwrap());
+    let _room = Process::heliostat(&["sim-node", "--listen", &at_room]);
+    let _controller = Process::heliostat(&["controller", "--connect", &at_room, "--listen", &at_controller]);
+    let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/golden.mcap");
+    let join = ["--room", "demo", "--connect", &at_room, "--connect", &at_controller];
+    let ended = replay(&golden, &join).wait();
+    let refusal = ended.refusal();
+    assert!(refusal.contains("has a sim-node already") && refusal.contains("Nothing was played"), "{refusal}");
+}
+
+#[test]
 fn a_failed_recording_or_replay_is_reported_with_the_cause() {
     let folder = TempDir::new().unwrap();
     let taken = folder.path().join("taken.mcap");
@@ -465,7 +477,7 @@ fn a_failed_recording_or_replay_is_reported_with_the_cause() {
         }
     };
     refused("absent.mcap", "No such file");
-    refused("taken.mcap", "the recording cannot be read: ");
+    refused("taken.mcap", "the file is not an MCAP file");
     let golden_bytes = fs::read(&golden).unwrap();
     fs::write(folder.path().join("begun.mcap"), &golden_bytes[..20]).unwrap();
     refused("begun.mcap", "the file is not a recording of a room");

@@ -7,15 +7,16 @@
 
 mod played_array;
 
-use std::collections::{BTreeMap, HashMap, btree_map};
+use std::collections::{BTreeMap, HashMap, HashSet, btree_map};
 use std::fmt;
 use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result, bail, ensure};
 use heliostat_array::moment::Moment;
 use heliostat_bus::{AccessRole, Bus, BusArgs, Class, Publisher, Token};
+use heliostat_proto::keys::parse_alive;
 use heliostat_proto::{
     BranchReport, Capabilities, ChannelReport, LedReport, Message, MirrorCommand, MirrorTelemetry, Nanos, NodeKind,
     ObstacleReport, OrientationReport, Room, Stamp, UserReport, decode, encode,
@@ -66,6 +67,8 @@ pub struct Playback {
     pub reports: u64,
     /// Reports among them that were answered.
     pub answered: u64,
+    /// Whether the recording was cut, so that later messages are missing.
+    pub was_cut: bool,
     /// Lockstep: answers that equal the recorded ones bit for bit.
     pub same: u64,
     /// Lockstep: answers that differ.
@@ -116,6 +119,7 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Playback> {
         answers,
         rate: settings.rate,
         start: None,
+        unanswered: HashSet::new(),
         played_ns: 0,
         decided: HashMap::new(),
         recorded: HashMap::new(),
@@ -138,6 +142,7 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Playback> {
             CONTROLLER_WAIT.as_secs()
         );
     }
+    check_free(&bus)?;
     let mut ends = false;
     while let Some(entry) = reading.entry().with_context(unusable)? {
         ends = stop.is_requested();
@@ -147,10 +152,27 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Playback> {
         player.take(&bus, &entry)?;
     }
     if !ends {
+        player.playback.was_cut = reading.account().is_none();
         player.await_last_answers();
     }
     bus.close()?;
     Ok(player.playback)
+}
+
+/// Refuses a room with reports or arrays of its own, with which the played ones would mix.
+fn check_free(bus: &Bus) -> Result<()> {
+    let room = bus.room();
+    let alive = bus.alive(&room.all_alive(), ALIVE_LIMIT)?;
+    let mut kinds = alive.iter().filter_map(|key| Some(parse_alive(key)?.0));
+    let source = kinds.find(|kind| matches!(kind, NodeKind::SimNode | NodeKind::Driver | NodeKind::Tracker));
+    match source {
+        None => Ok(()),
+        Some(kind) => bail!(
+            "room \"{room}\" has a {} already, and its messages would mix with the played ones; end it, or play into \
+             a room of its own with --room. Nothing was played",
+            kind.name()
+        ),
+    }
 }
 
 /// The publisher for each recorded key; the room may have another name than the recorded one.
@@ -226,6 +248,8 @@ struct Player {
     answers: Receiver<(usize, MirrorCommand)>,
     rate: f64,
     start: Option<Start>,
+    /// Ticks of the played position reports that no command has answered.
+    unanswered: HashSet<u64>,
     /// The latest time of played positions and telemetry.
     played_ns: Nanos,
     /// Lockstep answers that wait for the recorded ones, by array and tick.
@@ -275,6 +299,7 @@ impl Player {
         publisher.put(payload.as_deref().unwrap_or(&entry.data))?;
         if let Some(Received::Users(report)) = received {
             self.playback.reports += 1;
+            self.unanswered.insert(report.tick);
             if start.is_none() {
                 self.await_answer(report.tick)?;
             }
@@ -322,7 +347,7 @@ impl Player {
                     let now = self.now();
                     self.arrays[array].handle_command(now, &command);
                     // A report counts once, whatever the number of arrays.
-                    self.playback.answered += u64::from(array == 0);
+                    self.playback.answered += u64::from(self.unanswered.remove(&command.answers));
                 }
                 Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => return,
             }
@@ -401,9 +426,12 @@ impl fmt::Display for Playback {
         if self.clock == Clock::Lockstep {
             write!(formatter, "; answers as recorded {}, different {}", self.same, self.different)?;
         }
-        match &self.first_difference {
-            Some(found) => write!(formatter, "\nfirst difference: {found}"),
-            None => Ok(()),
+        if let Some(found) = &self.first_difference {
+            write!(formatter, "\nfirst difference: {found}")?;
         }
+        if self.was_cut {
+            write!(formatter, "\nthe recording was cut: later messages are missing")?;
+        }
+        Ok(())
     }
 }

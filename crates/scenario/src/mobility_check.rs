@@ -55,7 +55,7 @@ impl Users {
                 return invalid("users.mixture (mobility)", "mixture", "expected one of the other models");
             }
         }
-        let counted: usize = self.mixture.iter().filter_map(|entry| entry.count).sum();
+        let counted: usize = self.mixture.iter().filter_map(|entry| entry.count).fold(0, usize::saturating_add);
         if counted > self.count {
             let expected = format!("expected at most users.count = {}", self.count);
             return invalid("users.mixture (sum of the counts)", counted, &expected);

@@ -109,6 +109,8 @@ fn values_that_contradict_each_other_are_refused() {
         "[users]\nmixture = [{ mobility = \"seated\", share = 1.5 }, { mobility = \"seated\", share = -0.5 }]",
         "[users]\nmixture = [{ mobility = \"seated\", count = 2, share = 1.0 }]",
         "[users]\nmixture = [{ mobility = \"seated\", count = 99 }]",
+        "[users]\nmixture = [{ mobility = \"seated\", count = 9223372036854775807 }, \
+         { mobility = \"seated\", count = 9223372036854775807 }, { mobility = \"seated\", count = 7 }]",
         "[users]\ncount = 5\nmobility = \"mixture\"\nmixture = [{ mobility = \"seated\", count = 2 }]",
         "[users]\ncount = 5\nmixture = [{ mobility = \"seated\", count = 2 }, { mobility = \"social-force\", share = 0.6 }]",
         "[users]\nmobility = \"seated\"\nseats_m = [[0.0, 0.0], [1.0, 0.0]]",

@@ -8,7 +8,6 @@ use heliostat_core::observation::{OBSERVATION_VERSION, USERS_CAPACITY};
 use heliostat_core::policy::{NameParser, actor_file::key};
 use heliostat_models::shipped;
 use heliostat_scenario::{STUDY_SCENARIO, Scenario, ScenarioArgs};
-use heliostat_service::whole_file;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::evaluation::{HeldOut, Score};
@@ -251,10 +250,10 @@ fn finish(
     let bytes = onnx_file(training, &command, scores)?;
     let file = shipped::file_name(algorithm.policy, training.scenario(), seed);
     let path = args.out.join(&file);
-    whole_file::write(&path, &bytes)?;
+    std::fs::write(&path, bytes).with_context(|| format!("cannot write {}", path.display()))?;
     let card = Card { file: &file, command: &command, algorithm, training, duration, scores };
     let card_path = path.with_extension("md");
-    whole_file::write(&card_path, card.markdown().as_bytes())?;
+    std::fs::write(&card_path, card.markdown()).with_context(|| format!("cannot write {}", card_path.display()))?;
     if args.json {
         println!("{}", report((&path, &command), training, duration, scores));
     } else {

@@ -65,6 +65,7 @@ pub fn run(args: Args) -> Result<()> {
     if let Some(file) = &args.readings {
         whole_file::check_writable(file).map_err(|error| UnusableInput::new(format!("{error:#}")))?;
     }
+    check_distinct(&args)?;
     let file = args.base.as_deref().filter(|file| *file != Path::new("none"));
     let base = file.map(heliostat_driver::calibration_store::load).transpose()?;
     let config = args.bus.config_or_connect(&[AccessRole::Controller])?;
@@ -236,10 +237,10 @@ fn drive(
 /// Writes the files if the verification allows it, and prints the result.
 fn finish(args: &Args, scenario: &Scenario, outcome: &Outcome, base: Option<&CalibrationFile>) -> Result<()> {
     let is_improvement = outcome.verification.is_improvement();
-    if is_improvement {
-        write(args, scenario, outcome, base)?;
-    }
-    show::outcome(args, outcome, is_improvement)?;
+    let written = is_improvement.then(|| write(args, scenario, outcome, base));
+    // Also where a file could not be written: the measurement took its time.
+    show::outcome(args, outcome, matches!(written, Some(Ok(()))))?;
+    written.transpose()?;
     if !is_improvement {
         bail!(
             "the calibrated aims give {} of the light of the nominal ones at the place of the verification: \
@@ -264,10 +265,9 @@ fn finish_refinement(
     );
     let has_turned = outcome.changes.iter().any(|change| change.turned_deg.is_some());
     let is_improvement = has_turned && outcome.verification.is_improvement();
-    if is_improvement {
-        write(args, scenario, outcome, measured_with)?;
-    }
-    show::refinement(args, outcome, is_improvement)?;
+    let written = is_improvement.then(|| write(args, scenario, outcome, measured_with));
+    show::refinement(args, outcome, matches!(written, Some(Ok(()))))?;
+    written.transpose()?;
     if has_turned && !is_improvement {
         bail!(
             "the new aims of the mirrors that have turned give {} of the light of the former ones: expected more than \
@@ -278,7 +278,7 @@ fn finish_refinement(
     Ok(())
 }
 
-/// Writes the result, if a driver and a controller can use it.
+/// Writes the result, if a driver and a controller can use it: all files, or none.
 fn write(args: &Args, scenario: &Scenario, outcome: &Outcome, base: Option<&CalibrationFile>) -> Result<()> {
     let own = outcome.calibration();
     let file = base.map_or(own.clone(), |base| own.after(base));
@@ -291,7 +291,31 @@ fn write(args: &Args, scenario: &Scenario, outcome: &Outcome, base: Option<&Cali
         Scenario::from_toml(text).context(unusable)?;
     }
     heliostat_driver::calibration_store::save(&file, &args.out)?;
-    room.into_iter().try_for_each(|(path, text)| whole_file::write(path, text.as_bytes()))
+    let Some((path, text)) = room else { return Ok(()) };
+    whole_file::write(path, text.as_bytes()).inspect_err(|_| {
+        // The command began without this file. A calibration without its room would be half a result.
+        drop(std::fs::remove_file(&args.out));
+    })
+}
+
+/// Refuses one file for two purposes: the later one would replace the former.
+fn check_distinct(args: &Args) -> Result<()> {
+    let base = args.base.as_ref().filter(|file| file.as_path() != Path::new("none"));
+    let named = [
+        ("--out", Some(&args.out)),
+        ("--room-out", args.room_out.as_ref()),
+        ("--readings", args.readings.as_ref()),
+        ("--refine", args.refine.as_ref()),
+        ("--base", base),
+    ];
+    let named = named.map(|(flag, file)| Some((flag, std::path::absolute(file?).ok()?)));
+    let named: Vec<_> = named.into_iter().flatten().collect();
+    for (index, (flag, file)) in named.iter().enumerate() {
+        if let Some((other, _)) = named[..index].iter().find(|(_, other)| other == file) {
+            bail!(UnusableInput::new(format!("{other} and {flag} name one file, {}: expected two", file.display())));
+        }
+    }
+    Ok(())
 }
 
 fn check_new(file: &Path) -> Result<()> {

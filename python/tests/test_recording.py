@@ -108,5 +108,5 @@ def test_files_that_are_no_recordings_are_refused_with_the_reason(tmp_path: Path
     with pytest.raises(ValueError, match="none.mcap"):
         heliostat.Recording(tmp_path / "none.mcap")
     (tmp_path / "text.mcap").write_bytes(b"no recording")
-    with pytest.raises(ValueError, match="cannot be read"):
+    with pytest.raises(ValueError, match="is not an MCAP file"):
         heliostat.Recording(tmp_path / "text.mcap")

@@ -108,3 +108,14 @@ fn a_record_of_several_stops_that_is_cut_off_is_an_unknown_state() {
     ];
     holds(9_000_961, |_| {}, &faults);
 }
+
+/// Forged telemetry with the highest epoch of all, and then with its sequence, made the controller take an epoch
+/// again under which it had commanded before, and number from 1.
+#[test]
+fn a_controller_takes_no_epoch_a_second_time() {
+    let faults =
+        [at(2479, 2508, Fault::Attack(Attack::OwnTelemetry)), at(2845, 1189, Fault::Attack(Attack::FarSequence))];
+    let reports = OptionalReports { obstacles: false, orientation: true, leds: true };
+    let room = |setup: &mut Setup| (setup.reports, setup.arrays, setup.controllers) = (reports, 2, 3);
+    holds(1_795_684_090_581_523, room, &faults);
+}

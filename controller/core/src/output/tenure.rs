@@ -50,12 +50,14 @@
 //!   [`PAUSE_MAX`] times.
 //! - **Epochs are unique**: each controller uses only epochs with its own remainder modulo
 //!   [`EPOCH_SLOTS`], which also names the leader. Two controllers that choose at the same time choose
-//!   different epochs.
+//!   different epochs, and no controller takes one of its former epochs again.
 //!
 //! The latest telemetry alone counts: an epoch that one message claims is forgotten with the next.
 //! Nothing here ends a process.
 
 mod evidence;
+
+use std::collections::BTreeSet;
 
 use heliostat_proto::Nanos;
 
@@ -131,6 +133,8 @@ pub struct Tenure {
     /// Contested takeovers in sequence.
     back_off: u8,
     epoch: u64,
+    /// Every epoch under which this controller has commanded: at most one for each [`PATIENCE_NS`].
+    used: BTreeSet<u64>,
     /// Sequence number of the last command in this epoch.
     sequence: u64,
     /// The latest telemetry, and its arrival.
@@ -157,6 +161,7 @@ impl Tenure {
             takeover: None,
             back_off: 0,
             epoch,
+            used: BTreeSet::new(),
             sequence: 0,
             seen: None,
             announced: 0,
@@ -342,7 +347,7 @@ impl Tenure {
     }
 
     fn lead_first(&mut self, now: Nanos) {
-        self.epoch = self.first_epoch(now);
+        self.begin(self.first_epoch(now));
         self.is_new = true;
         self.lead();
     }
@@ -456,16 +461,24 @@ impl Tenure {
     fn renew(&mut self, now: Nanos, evidence: Evidence) {
         let utc_ms = now / 1_000_000;
         let (claimed, both) = (evidence.epoch, utc_ms.max(evidence.epoch));
-        let bases = if self.attempts.is_multiple_of(2) { [both, claimed] } else { [claimed, both] };
-        // Where the own epoch is the lowest above the claimed one, a lower one would be refused.
-        let own = (self.epoch > claimed).then_some(self.epoch);
-        let mut candidates = bases.into_iter().chain(own).chain([utc_ms]).filter_map(|base| self.above(base));
-        if let Some(epoch) = candidates.find(|epoch| *epoch != self.epoch) {
-            self.epoch = epoch;
-            self.sequence = 0;
+        let bases = if self.attempts.is_multiple_of(2) { [both, claimed, utc_ms] } else { [claimed, both, utc_ms] };
+        if let Some(epoch) = bases.into_iter().find_map(|base| self.unused_above(base)) {
+            self.begin(epoch);
         }
         self.attempts = 6.min(self.attempts + 1);
         self.unaccepted = None;
+    }
+
+    /// Commands under an epoch from now on. Its commands are numbered from 1, so it is never taken again.
+    fn begin(&mut self, epoch: u64) {
+        self.epoch = epoch;
+        self.sequence = 0;
+        self.used.insert(epoch);
+    }
+
+    /// The lowest epoch of this controller above a base that it has not used; `None` where there is none.
+    fn unused_above(&self, base: u64) -> Option<u64> {
+        std::iter::successors(self.above(base), |epoch| self.above(*epoch)).find(|epoch| !self.used.contains(epoch))
     }
 
     /// The lowest epoch of this controller above a base; `None` where there is none.

@@ -1,7 +1,8 @@
 // The objects of the room in 3-D, by three.js. `place` moves them to a frame; nothing is created for each frame.
 import * as THREE from "./vendor/three.module.min.js";
 import { LIGHT, UNUSED, cornersOf, headingMark, mirrorColour, palette, userColour, wallsOf } from "./geometry.js";
-import { BELIEF_Z_M, Label, Lines, Tubes, ellipse, fan, heatTexture } from "./shapes.js";
+import { Label, separateSprites } from "./labels.js";
+import { BELIEF_Z_M, Lines, Tubes, ellipse, fan, heatTexture } from "./shapes.js";
 
 const BODY_OPACITY = 0.45;
 
@@ -104,6 +105,11 @@ export class RoomScene {
     this.placeShades(frame, shown);
     this.placeLight(frame, shown);
     this.placePaths(frame, shown.paths ? paths : new Map());
+  }
+
+  // Keeps the users' names apart, as a camera sees them.
+  separateLabels(camera) {
+    separateSprites([...this.users.values()].map(({ label }) => label), camera);
   }
 
   placeMirrors(frame, isShown) {

@@ -109,50 +109,6 @@ export class Tubes {
   }
 }
 
-// A text that faces the camera and has the same size at every distance.
-export class Label {
-  constructor(colours, colour) {
-    this.colours = colours;
-    this.colour = colour;
-    this.canvas = document.createElement("canvas");
-    [this.canvas.width, this.canvas.height] = [96, 48];
-    this.texture = new THREE.CanvasTexture(this.canvas);
-    this.texture.colorSpace = THREE.SRGBColorSpace;
-    this.sprite = new THREE.Sprite(new THREE.SpriteMaterial({ map: this.texture, depthTest: false, transparent: true, sizeAttenuation: false }));
-    this.sprite.scale.set(0.05, 0.025, 1);
-    this.sprite.renderOrder = 2;
-    this.text = null;
-  }
-
-  place([x, y, z], text) {
-    this.sprite.position.set(x, y, z + 0.24);
-    if (text === this.text) return;
-    this.text = text;
-    const brush = this.canvas.getContext("2d");
-    brush.clearRect(0, 0, 96, 48);
-    brush.font = "bold 30px system-ui, sans-serif";
-    brush.textAlign = "center";
-    brush.textBaseline = "middle";
-    const width = Math.max(40, brush.measureText(text).width + 22);
-    brush.fillStyle = this.colour;
-    brush.beginPath();
-    brush.roundRect(48 - width / 2, 4, width, 40, 20);
-    brush.fill();
-    brush.lineWidth = 2;
-    brush.strokeStyle = "#ffffff";
-    brush.stroke();
-    brush.fillStyle = inkOn(this.colour);
-    brush.fillText(text, 48, 25);
-    this.texture.needsUpdate = true;
-  }
-}
-
-// Black or white, whichever is easier to read on a colour.
-export function inkOn(colour) {
-  const [red, green, blue] = [1, 3, 5].map((at) => (parseInt(colour.slice(at, at + 2), 16) / 255) ** 2.2);
-  return 0.2126 * red + 0.7152 * green + 0.0722 * blue > 0.25 ? "#111111" : "#ffffff";
-}
-
 // A convex polygon in a horizontal plane.
 export function fan(corners, height) {
   const geometry = new THREE.BufferGeometry();

@@ -60,6 +60,7 @@ export class View3D {
 
   draw(frame, paths, shown, seconds) {
     if (frame) this.content.place(frame, paths, shown);
+    this.content.separateLabels(this.orbit.camera);
     // A change of the resolution clears the picture, so it comes first.
     this.judge(seconds);
     this.renderer.render(this.content.scene, this.orbit.camera);

@@ -8,7 +8,7 @@ pub(crate) struct Asset {
 }
 
 /// All files.
-static ASSETS: [Asset; 30] = [
+static ASSETS: &[Asset] = &[
     Asset { path: "/", media: "text/html; charset=utf-8", text: include_str!("../page/index.html") },
     Asset { path: "/page.css", media: "text/css; charset=utf-8", text: include_str!("../page/page.css") },
     Asset { path: "/camera.js", media: JAVASCRIPT, text: include_str!("../page/camera.js") },
@@ -18,6 +18,7 @@ static ASSETS: [Asset; 30] = [
     Asset { path: "/figures.js", media: JAVASCRIPT, text: include_str!("../page/figures.js") },
     Asset { path: "/geometry.js", media: JAVASCRIPT, text: include_str!("../page/geometry.js") },
     Asset { path: "/heat.js", media: JAVASCRIPT, text: include_str!("../page/heat.js") },
+    Asset { path: "/labels.js", media: JAVASCRIPT, text: include_str!("../page/labels.js") },
     Asset { path: "/live.js", media: JAVASCRIPT, text: include_str!("../page/live.js") },
     Asset { path: "/motion.js", media: JAVASCRIPT, text: include_str!("../page/motion.js") },
     Asset { path: "/orders.js", media: JAVASCRIPT, text: include_str!("../page/orders.js") },
@@ -96,7 +97,7 @@ mod tests {
 
     #[test]
     fn every_module_that_the_page_imports_is_served() {
-        for asset in &ASSETS {
+        for asset in ASSETS {
             let folder = asset.path.rsplit_once('/').map_or("", |(folder, _)| folder);
             for name in asset.text.split("from\"./").chain(asset.text.split("from \"./")).skip(1) {
                 let Some(name) = name.split('"').next().filter(|name| name.ends_with(".js")) else { continue };
@@ -117,7 +118,7 @@ mod tests {
 
     #[test]
     fn the_page_refers_to_no_other_server() {
-        for asset in &ASSETS {
+        for asset in ASSETS {
             // Names of namespaces, and the origin that a vendored file states in a comment.
             let text = asset.text.replace("http://www.w3.org/", "").replace("https://github.com/leeoniya/uPlot", "");
             assert!(!text.contains("http://") && !text.contains("https://"), "{}", asset.path);

@@ -99,6 +99,27 @@ fn the_switches_show_what_the_one_channel_model_computes() {
 
 #[needs("browser")]
 #[test]
+fn the_names_of_users_who_stand_behind_each_other_do_not_cover_each_other() {
+    let setting = Setting::new();
+    let browser = setting.browser(&[]);
+    let script = "return Promise.all([import('/vendor/three.module.min.js'), import('/labels.js')]).then(([THREE, { Label, separateSprites }]) => { \
+           const camera = new THREE.PerspectiveCamera(22, 1.5, 0.05, 400); \
+           camera.up.set(0, 0, 1); camera.position.set(-9, 0, 1); camera.lookAt(0, 0, 1); \
+           const labels = [[0, 0, 1], [1, 0.02, 1], [2, -0.02, 1], [0, 1.2, 1], [0, 0, 2]].map((place, index) => { \
+             const label = new Label({}, '#0072b2'); label.place(place, index === 1 ? '1 ✕' : String(index)); return label; }); \
+           separateSprites(labels, camera); \
+           return labels.map(({ sprite, width }) => [Math.round(100 * (0.5 - sprite.center.x)), Math.round(100 * width)]); })";
+    let found = browser.run(script);
+    let shifts: Vec<(i64, i64)> = serde_json::from_value(found).expect("a shift and a width in hundredths of a sprite");
+    let by_place = [shifts[1], shifts[0], shifts[2]];
+    for pair in by_place.windows(2) {
+        assert!(pair[1].0 - pair[0].0 >= (pair[0].1 + pair[1].1) / 2 - 8, "neighbours from left to right: {shifts:?}");
+    }
+    assert_eq!([shifts[3].0, shifts[4].0], [0, 0], "names that are free stay: {shifts:?}");
+}
+
+#[needs("browser")]
+#[test]
 fn an_outage_lasts_from_a_rate_below_the_minimum_to_the_next_one_above_it() {
     let setting = Setting::new();
     let browser = setting.browser(&[]);

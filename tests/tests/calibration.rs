@@ -265,6 +265,19 @@ fn files_and_flags_are_refused_before_the_room_is_taken_from_its_controller() {
 }
 
 /// Verdict, finding and advice of the checks of `heliostat doctor` with these flags.
+#[test]
+fn a_calibration_with_tilted_receivers_says_that_its_condition_is_not_met() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (out, endpoint) = (folder.path().join("calibration.toml"), private_endpoint().expect("an endpoint"));
+    let flags = ["calibrate", "--scenario", "office", "--out", text(&out), "--connect", &endpoint];
+    let stated = |changes: &[&str]| {
+        let ended = Process::heliostat(&[&flags[..], changes].concat()).wait();
+        ended.errors.contains("the calibration with a tilted receiver does not apply: users.orientation.model")
+    };
+    assert!(stated(&[]));
+    assert!(!stated(&["--set", "users.orientation.model=up"]));
+}
+
 fn doctor(files: &Files, endpoints: &[&str], calibration: &Path) -> impl Fn(&str) -> [String; 3] + use<> {
     let mut flags = vec!["doctor", "--json", "--port", "17834", "--scenario", text(&files.measured)];
     endpoints.iter().for_each(|endpoint| flags.extend(["--connect", endpoint]));

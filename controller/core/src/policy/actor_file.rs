@@ -91,7 +91,8 @@ impl ActorInfo {
             return Err(ActorError::Foreign { origin, what });
         }
         let not_onnx = |message: String| ActorError::NotOnnx { origin: origin.clone(), message };
-        let model = ModelProto::decode(file.bytes.as_ref()).map_err(|error| not_onnx(error.to_string()))?;
+        let unreadable = |_| not_onnx("its bytes are not in the format; copy or export it again".into());
+        let model = ModelProto::decode(file.bytes.as_ref()).map_err(unreadable)?;
         let (versions, not_finite) = (check_versions(&model), first_not_finite(&model));
         let graph = model.graph.ok_or_else(|| not_onnx("it holds no graph".into()))?;
         versions.map_err(|unknown| ActorError::Version { origin: origin.clone(), unknown })?;

@@ -17,8 +17,9 @@ use heliostat_array::calibration::check_corrections;
 use heliostat_array::calibration_file::CalibrationFile;
 use heliostat_bus::{AccessRole, Bus};
 use heliostat_calibrate::{Outcome, Prior, Session, Setup, Stage};
+use heliostat_core::belief::conditions::Condition;
 use heliostat_proto::Stamp;
-use heliostat_scenario::{ChannelMode, Scenario};
+use heliostat_scenario::{ChannelMode, OrientationModel, Scenario};
 use heliostat_service::clock::utc_ns;
 use heliostat_service::exit::UnusableInput;
 use heliostat_service::output::note;
@@ -59,6 +60,7 @@ pub fn run(args: Args) -> Result<()> {
         scenario.channel.mode == ChannelMode::Specular,
         UnusableInput::new(format!("channel.mode = \"{}\": expected \"specular\"", scenario.channel.mode.name()))
     );
+    condition(&scenario).iter().for_each(|condition| note(condition));
     for file in [Some(&args.out), args.room_out.as_ref()].into_iter().flatten() {
         check_new(file)?;
     }
@@ -118,6 +120,18 @@ pub fn run(args: Args) -> Result<()> {
         None => finish(&args, &scenario, outcome, measured_with)?,
     }
     Ok(bus.close()?)
+}
+
+/// What the calibration takes to hold in a room where it may not.
+fn condition(scenario: &Scenario) -> Option<Condition> {
+    scenario.users.orientation.as_ref().filter(|held| held.model == OrientationModel::Measured)?;
+    Some(Condition {
+        method: "the calibration with a tilted receiver".to_owned(),
+        because: "users.orientation.model = \"measured\"".to_owned(),
+        consequence: "put the receiver down level at each spot; that of a simulated user is tilted, so simulate the \
+                      calibration with users.orientation.model = \"up\""
+            .to_owned(),
+    })
 }
 
 fn new_session(args: &Args, scenario: &Scenario, room: &LiveRoom, refinement: Option<&Refinement>) -> Result<Session> {

@@ -27,7 +27,7 @@ const REPEAT_NS: u64 = 100_000_000;
 /// Validity of a command in ms.
 const VALIDITY_MS: u32 = 400;
 
-/// The room of a calibration: one receiver that is carried, and no obstacles.
+/// The room of a calibration: one receiver that is carried and put down level, and no obstacles.
 ///
 /// # Errors
 /// A room whose users come and go, or that does not exist with one user.
@@ -40,6 +40,9 @@ pub fn with_receiver(scenario: &Scenario) -> anyhow::Result<Scenario> {
         ["blockage.obstacles_per_m2=0", "users.count=1", "users.trace=walk.csv"].map(String::from).to_vec();
     if let MinRate::Each(rates) = &scenario.users.min_rate_mbps {
         changes.extend(rates.first().map(|rate| format!("users.min_rate_mbps={rate:?}")));
+    }
+    if scenario.users.orientation.is_some() {
+        changes.push("users.orientation.model=up".to_owned());
     }
     Ok(scenario.with_overrides(&changes)?)
 }

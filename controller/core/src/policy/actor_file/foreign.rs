@@ -17,8 +17,16 @@ pub fn foreign(bytes: &[u8]) -> Option<String> {
     let network = NETWORKS.iter().find(|(beginning, ..)| bytes.starts_with(beginning));
     match network {
         Some((_, what, advice)) => Some(format!("{what}, expected {EXPECTED}: {advice}")),
-        None => foreign_file(bytes, EXPECTED),
+        None => foreign_file(bytes, EXPECTED).or_else(|| {
+            is_text(bytes).then(|| format!("is a text file, expected {EXPECTED}: name the file of the network"))
+        }),
     }
+}
+
+/// Whether the bytes are text. A model begins with the control character of its first field.
+fn is_text(bytes: &[u8]) -> bool {
+    let is_of_text = |letter: char| !letter.is_control() || letter.is_ascii_whitespace();
+    std::str::from_utf8(bytes).is_ok_and(|text| text.chars().all(is_of_text))
 }
 
 #[cfg(test)]
@@ -32,6 +40,7 @@ mod tests {
             (b"version https://git-lfs", "pointer of git-lfs, expected an ONNX file: run `git lfs pull`"),
             (b"PK\x03\x04x", "zip archive, as `torch.save` writes"),
             (b"\x80\x04x", "is a pickle of Python"),
+            ("# Room\n\tµ = 2\n".as_bytes(), "is a text file, expected an ONNX file"),
         ] {
             let found = foreign(bytes).unwrap_or_default();
             assert!(found.contains(words), "{words}: {found}");

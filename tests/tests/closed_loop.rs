@@ -147,7 +147,14 @@ fn the_status_of_a_room_is_healthy_while_its_mirrors_follow_and_names_a_stop_or_
     for part in [": healthy", " leads\n", "array        following, 100 mirrors", "stops        none"] {
         assert!(text.contains(part), "{part} in {text}");
     }
-    assert!(Process::heliostat(&["stop", "--connect", &room_at]).wait().status.success());
+    // One process passes on what the other one says: the commands of these two are connected.
+    for endpoint in [&room_at, &controller_at] {
+        wait_until("the same through one process", || {
+            text = Process::heliostat(&["status", "--connect", endpoint]).wait().output;
+            text.contains(" leads\n") && text.contains("array        following, 100 mirrors")
+        });
+    }
+    assert!(Process::heliostat(&["stop", "--connect", &controller_at]).wait().status.success());
     wait_until("the stopped state", || {
         let stopped = status(&["--json"]);
         let found: Value = serde_json::from_str(stopped.output.trim()).expect("one JSON object");

@@ -25,7 +25,7 @@ use heliostat_service::exit::UnusableInput;
 use heliostat_service::output::note;
 use heliostat_service::whole_file;
 
-use super::stop::check_connected;
+use super::join::check_connected;
 pub use args::Args;
 use readings::Readings;
 use refinement::Refinement;

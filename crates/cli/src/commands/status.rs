@@ -3,14 +3,14 @@
 use std::thread;
 use std::time::Duration;
 
-use anyhow::{Result, bail};
-use heliostat_bus::{AccessRole, Bus, BusArgs};
+use anyhow::{Result, anyhow, bail};
+use heliostat_bus::{AccessRole, BusArgs};
 use heliostat_service::counted::counted;
 use heliostat_service::outln;
 use heliostat_ui::View;
 use heliostat_ui::status::{ReportCount, RoomStatus};
 
-use super::stop::check_connected;
+use super::join::join;
 
 /// Each process publishes its status once a second. A problem is present where its count rises between two.
 const OBSERVED: Duration = Duration::from_millis(2300);
@@ -20,8 +20,9 @@ const OBSERVED: Duration = Duration::from_millis(2300);
 /// It observes the room for more than two seconds. The exit status is 0 if a controller leads, position
 /// reports arrive, every array follows, no stop is in force, the expected light arrives, and the cause of no
 /// reported problem recurs; otherwise 1.
-/// Connect to the room's process and to the controller, or to the router of both. `heliostat ui` shows the
-/// same figures continuously; `heliostat doctor` checks a machine before a run.
+/// Connect to one process of the room, which passes on the messages of those to which it is connected, to
+/// several, or to their router. `heliostat ui` shows the same figures continuously; `heliostat doctor` checks a
+/// machine before a run.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -34,10 +35,11 @@ pub struct Args {
 /// Runs the command.
 pub fn run(args: Args) -> Result<()> {
     let config = args.bus.config_or_connect(&[AccessRole::Viewer, AccessRole::Operator])?;
-    let bus = Bus::open(&config)?;
-    if let Err(reason) = check_connected(&bus, &config, OBSERVED) {
-        bail!("{reason}. Give --connect the endpoints of the room's process and of the controller, or of their router");
-    }
+    let bus = join(&config, OBSERVED).map_err(|reason| {
+        anyhow!(
+            "{reason}. Give --connect the endpoints of the room's process and of the controller, or of their router"
+        )
+    })?;
     let (view, reports) = (View::open(&bus, None)?, ReportCount::open(&bus)?);
     thread::sleep(OBSERVED);
     let status = RoomStatus::new(config.room.name(), &view, &reports);

@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, anyhow, ensure};
-use heliostat_bus::{AccessRole, Bus, BusArgs, BusConfig};
+use heliostat_bus::{AccessRole, Bus, BusArgs};
 use heliostat_proto::StopName;
 use heliostat_proto::reported_stops::RoomStop;
 use heliostat_service::printable::printable;
@@ -11,11 +11,10 @@ use heliostat_service::{EndArgs, duration, output};
 use heliostat_ui::{StopLabel, StopSwitch, UiError};
 use serde_json::json;
 
+use super::join::join;
+
 /// Time between two looks at a held stop.
 const HOLD_INTERVAL: Duration = Duration::from_millis(50);
-
-/// A process that is there accepts a connection within this time.
-const CONNECTED_WITHIN: Duration = Duration::from_millis(1200);
 
 /// Stop all mirrors of a room at once, and wait until every array confirms it.
 ///
@@ -26,7 +25,7 @@ const CONNECTED_WITHIN: Duration = Duration::from_millis(1200);
 /// its device executed the stop.
 ///
 /// The stop stays in force, also over a restart of the driver, until an operator releases it with
-/// `heliostat rearm`. Connect to the process that drives the mirrors, or to its router.
+/// `heliostat rearm`. Connect to the process that drives the mirrors, to one that is connected to it, or to their router.
 #[derive(Debug, clap::Args)]
 pub struct StopArgs {
     #[command(flatten)]
@@ -151,39 +150,20 @@ fn in_words(RoomStop { name, operator, reason, arrays, .. }: &RoomStop) -> Strin
     format!("{name}{by} (\"{reason}\") at array {}", arrays.join(", "))
 }
 
-/// The reason why there is no connection: soon where no process listens, and after the limit where one
-/// accepts connections, for it may be slow.
-pub(super) fn check_connected(bus: &Bus, config: &BusConfig, limit: Duration) -> Result<(), String> {
-    if bus.wait_connected(CONNECTED_WITHIN) {
-        return Ok(());
-    }
-    let endpoints = config.connect.join(", ");
-    Err(match Bus::find_connection_problem(config) {
-        Some(problem) => problem,
-        None if Bus::has_listener(config) => {
-            output::note(format_args!("the process at {endpoints} accepts connections and has not answered yet"));
-            if bus.wait_connected(limit) {
-                return Ok(());
-            }
-            format!("the process at {endpoints} does not answer as a process of a room")
-        }
-        None => format!("no process answers at {endpoints}"),
-    })
-}
-
 impl OrderArgs {
     /// Joins the room; without a connection it fails, unless the command waits for one.
     fn join(&self, roles: &[AccessRole], waits: bool) -> Result<(Bus, StopSwitch)> {
         let config = self.bus.config_or_connect(roles)?;
-        let bus = Bus::open(&config)?;
-        if config.listen.is_empty() && !waits {
-            check_connected(&bus, &config, self.timeout).map_err(|reason| {
+        let bus = if waits {
+            Bus::open(&config)?
+        } else {
+            join(&config, self.timeout).map_err(|reason| {
                 anyhow!(
                     "{reason}. Nothing was sent, and nothing is known about the arrays: give --connect the endpoint of the \
                      controller, of the driver or of their router. To stop the mirrors now, cut their power"
                 )
-            })?;
-        }
+            })?
+        };
         let user = || std::env::var("USER").unwrap_or_else(|_| "operator".into());
         let operator = self.operator.clone().unwrap_or_else(user);
         let switch = StopSwitch::new(&bus, &operator)?;

@@ -21,6 +21,7 @@ use heliostat_service::printable::printable;
 use super::args::Args;
 use super::check::Check;
 use super::{calibration, controller};
+use crate::commands::join::join_through;
 
 /// Longest time until a driver answers.
 const DRIVER_WAIT: Duration = Duration::from_secs(3);
@@ -169,7 +170,11 @@ fn check_driver(args: &Args, driver: &anyhow::Result<DriverState>, scenario: &Sc
 
 /// The session of the checks; none of them publishes, so the rights of any role do.
 pub(super) fn open_bus(args: &Args) -> anyhow::Result<Bus> {
-    Ok(Bus::open(&bus_config(args)?.reaching(Reach::Within(DRIVER_WAIT)))?)
+    let config = bus_config(args)?;
+    match join_through(&config) {
+        Some(bus) => Ok(bus),
+        None => Ok(Bus::open(&config.reaching(Reach::Within(DRIVER_WAIT)))?),
+    }
 }
 
 fn bus_config(args: &Args) -> anyhow::Result<BusConfig> {

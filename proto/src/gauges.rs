@@ -96,6 +96,10 @@ impl ServedLight {
     /// What to do where it is not the expected light.
     pub fn advice(&self) -> &'static str {
         match self.of.as_str() {
+            _ if self.ratio > 1.0 => {
+                "look for receivers that users hold at an angle, and for an LED, a detector or mirrors that are not those of \
+                 the scenario: report orientations, or measure the room with heliostat calibrate"
+            }
             "mirrors" => {
                 "clean the mirrors, look for mirrors that do not follow, then measure again: heliostat calibrate"
             }

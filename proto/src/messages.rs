@@ -93,6 +93,11 @@ pub mod fault {
         (CLOCK, "clock"),
         (STOP, "stop"),
     ];
+
+    /// The names of the faults in a bit set.
+    pub fn names(bits: u32) -> Vec<&'static str> {
+        NAMES.into_iter().filter(|(bit, _)| bits & bit != 0).map(|(_, name)| name).collect()
+    }
 }
 
 impl UserReport {

@@ -231,3 +231,17 @@ fn recordings_of_users_who_come_and_go_replay_also_when_the_recorder_is_killed()
     assert_eq!(assert_replays(&file, "fixed-point")["complete"], true);
     assert_eq!(assert_replays(&killed, "fixed-point")["complete"], false);
 }
+
+#[test]
+fn a_playback_through_the_controller_of_the_recorded_room_leaves_the_room_as_it_is() {
+    let setting = Setting::new(&[], "fixed-point");
+    let file = setting.file("running.mcap");
+    setting.recorder(&file).end();
+    let [room_at, controller_at] = &setting.endpoints;
+    // The playback sees the controller only, and the room has the sources of the recording.
+    let played = Process::heliostat(&["replay", &file.to_string_lossy(), "--connect", controller_at]).wait();
+    assert!(played.refusal().contains("no controller answered a played report"), "{}", played.errors);
+    wait_until("an array that follows after the playback", || {
+        Process::heliostat(&["status", "--connect", room_at]).wait().output.contains("array        following")
+    });
+}

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use anyhow::{Result, bail};
+use anyhow::{Result, bail, ensure};
 use heliostat_bus::{AccessRole, BusArgs, TlsArgs};
 use heliostat_core::policy::{NameParser, PolicyKind};
 use heliostat_proto::Room;
@@ -163,7 +163,13 @@ fn play(args: ReplayArgs) -> Result<()> {
     let bus = BusArgs { listen: args.listen, connect: args.connect, client: args.client, tls: args.tls, room: None };
     let settings = play::Settings { file: args.file, room: args.room, bus, rate: args.rate };
     let playback = play::run(&settings, &stop)?;
-    print(args.json, &playback, &playback)
+    print(args.json, &playback, &playback)?;
+    ensure!(
+        playback.reports == 0 || playback.answered > 0,
+        "no controller answered a played report: each controller's log says why, such as another room's mirrors, a stop, \
+         or a process that reports users already"
+    );
+    Ok(())
 }
 
 fn print(json: bool, value: &impl Serialize, text: &impl std::fmt::Display) -> Result<()> {

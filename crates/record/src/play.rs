@@ -2,7 +2,8 @@
 //!
 //! A lockstep recording is played in lockstep: each report waits for its command, and the commands
 //! are compared. A live recording is played at the recorded speed or a multiple of it, with its
-//! stamps shifted to the present, so that no report is too old. In both, the played arrays obey the
+//! stamps shifted to the present, so that no report is too old, and with source ids of its own: the
+//! recorded processes may run still, and their tokens of liveliness must not end with the playback. In both, the played arrays obey the
 //! controllers of the playback (`played_array.rs`).
 
 mod played_array;
@@ -22,7 +23,7 @@ use heliostat_proto::{
     ObstacleReport, OrientationReport, Room, Stamp, UserReport, decode, encode,
 };
 use heliostat_service::clock::{monotonic_ns, utc_ns};
-use heliostat_service::{Stop, output};
+use heliostat_service::{Stop, output, source_id};
 use serde::Serialize;
 
 use played_array::PlayedArray;
@@ -118,6 +119,7 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Playback> {
         arrays: mirrors.into_iter().map(PlayedArray::new).collect(),
         answers,
         rate: settings.rate,
+        salt: if clock == Clock::Live { source_id::random() } else { 0 },
         start: None,
         unanswered: HashSet::new(),
         played_ns: 0,
@@ -223,6 +225,8 @@ struct Start {
     at_ns: Nanos,
     recorded_ns: Nanos,
     rate: f64,
+    /// What changes a recorded source id into that of the playback.
+    salt: u64,
 }
 
 impl Start {
@@ -247,6 +251,8 @@ struct Player {
     /// Commands, each with the index of its array.
     answers: Receiver<(usize, MirrorCommand)>,
     rate: f64,
+    /// What changes a recorded source id into that of a live playback; 0 in lockstep.
+    salt: u64,
     start: Option<Start>,
     /// Ticks of the played position reports that no command has answered.
     unanswered: HashSet<u64>,
@@ -276,7 +282,7 @@ impl Player {
         }
         let received = Received::read(&entry.data).ok();
         if let Some(received) = &received {
-            let source = received.origin().source;
+            let source = received.origin().source ^ self.salt;
             if let btree_map::Entry::Vacant(place) = self.present.entry(source) {
                 place.insert(bus.announce(&bus.room().alive(NodeKind::Tracker, source))?);
             }
@@ -327,12 +333,13 @@ impl Player {
 
     /// Waits until an entry is due.
     fn wait_for(&mut self, entry: &Entry) -> Start {
-        let rate = self.rate;
+        let (rate, salt) = (self.rate, self.salt);
         let start = *self.start.get_or_insert_with(|| Start {
             at: Instant::now(),
             at_ns: utc_ns(),
             recorded_ns: entry.arrived_ns,
             rate,
+            salt,
         });
         self.collect(start.due(entry.arrived_ns).saturating_duration_since(Instant::now()));
         start
@@ -392,12 +399,12 @@ impl Player {
 }
 
 impl OutputChannel {
-    /// A payload with its stamp shifted to the playback time; `None` if it cannot be decoded.
+    /// A payload with the time and the source of the playback; `None` if it cannot be decoded.
     fn moved(self, payload: &[u8], start: &Start) -> Option<Vec<u8>> {
         fn moved<T: Message>(payload: &[u8], start: &Start, stamp: fn(&mut T) -> &mut Stamp) -> Option<Vec<u8>> {
             let mut message: T = decode(payload).ok()?;
             let stamp = stamp(&mut message);
-            stamp.time_ns = start.played_ns(stamp.time_ns);
+            (stamp.source, stamp.time_ns) = (stamp.source ^ start.salt, start.played_ns(stamp.time_ns));
             encoded(&message)
         }
         match self {

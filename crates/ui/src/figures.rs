@@ -314,7 +314,7 @@ fn array(
         mirrors,
         silent,
         unusable,
-        faults: fault_names(telemetry.faults),
+        faults: fault::names(telemetry.faults),
     }
 }
 
@@ -461,10 +461,6 @@ fn counts(
     });
     // Shown where it counts anything: a room with receivers never has it.
     all.filter(|count| count.name != "modelled" || count.value.is_some_and(|value| value > 0)).collect()
-}
-
-fn fault_names(bits: u32) -> Vec<&'static str> {
-    fault::NAMES.into_iter().filter(|(bit, _)| bits & bit != 0).map(|(_, name)| name).collect()
 }
 
 #[cfg(test)]

@@ -68,6 +68,22 @@ pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
         format!("LEDs that the controller does not know: {} in mismatch.unknown_leds_m", mismatch.unknown_leds_m.len()),
         "their light counts as another heading or LED, so ratios are lower; name each LED in led.positions_m",
     );
+    let is_mixed = users.mobility == MobilityModel::Mixture;
+    add(
+        users.mixture.is_empty() || is_mixed,
+        "users.mixture",
+        "users.mobility is another model".to_owned(),
+        "all users walk by that model; set users.mobility to \"mixture\"",
+    );
+    let is_seated = |model: MobilityModel| model == MobilityModel::Seated;
+    add(
+        users.seats_m.is_empty()
+            || is_seated(users.mobility)
+            || users.mixture.iter().any(|entry| is_seated(entry.mobility)),
+        "users.seats_m",
+        "no user of users.mobility or users.mixture is seated".to_owned(),
+        "the places have no effect; set users.mobility to \"seated\", or to \"mixture\" with an entry \"seated\" in users.mixture",
+    );
     if scenario.control.belief != scenario::Belief::Filter {
         let because = format!("control.belief = \"{}\"", scenario.control.belief);
         add(false, "the filter", because, "headings, tilts and obstacles are not inferred; set it to \"filter\"");
@@ -165,6 +181,8 @@ mod tests {
             ("users.orientation.walking_polar_mean_deg=0", "walking_polar_mean_deg = 0, and the belief assumes 29.67"),
             ("mismatch.level=typical", "mismatch.level = \"typical\""),
             ("mismatch.unknown_leds_m=[[1,1,3]]", "1 in mismatch.unknown_leds_m"),
+            ("users.mixture=[{mobility=\"seated\",count=2}]", "users.mobility is another model"),
+            ("users.seats_m=[[1,1]]", "no user of users.mobility"),
         ] {
             let found = of(&[change]);
             assert!(found.len() == 1 && found[0].contains(key), "{change}: {found:?}");

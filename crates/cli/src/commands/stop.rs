@@ -114,7 +114,9 @@ fn with_reach(error: UiError) -> anyhow::Error {
             "{error}. The stop was sent, and stays in force where it arrived. Reports come only from the processes in \
              --connect: with the endpoint of its driver, heliostat status shows what an array does"
         ),
-        error @ UiError::NoReceiver(_) => anyhow!("{error}. No stop was sent, and the mirrors go on moving"),
+        error @ UiError::NoReceiver(_) => {
+            anyhow!("{error}. No stop was sent, and the mirrors go on moving. Check --room and --connect")
+        }
         error => error.into(),
     }
 }

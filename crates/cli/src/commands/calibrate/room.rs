@@ -113,13 +113,19 @@ impl LiveRoom {
             }
         })?;
         let shown = wait(|| lock(&telemetry).clone());
+        // The last command of a process that has ended may be valid still.
+        let may_end = !args.take_over && !yields && bus.alive(&room.alive_of(NodeKind::Controller), WAIT)?.is_empty();
+        let shown = shown.filter(|shown| !may_end || shown.state != ArrayState::Following).or_else(|| {
+            wait(|| lock(&telemetry).clone().filter(|shown| shown.state != ArrayState::Following))
+                .or_else(|| lock(&telemetry).clone())
+        });
         drop(early);
         let shown = shown.context("the array publishes no telemetry: expected ten messages a second")?;
         ensure!(shown.state != ArrayState::Stopped, "the array is stopped: release it with `heliostat rearm` first");
         let is_led = shown.state == ArrayState::Following;
         ensure!(
             !is_led || args.take_over || yields,
-            "the array follows a controller with the epoch {}: end it, or give --take-over",
+            "the array follows commands with the epoch {}, of a controller or another sender: end it, or give --take-over",
             shown.epoch
         );
         let driver = (shown.stamp.source, shown.calibration);

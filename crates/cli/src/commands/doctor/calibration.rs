@@ -189,7 +189,7 @@ mod tests {
     use super::*;
 
     fn driver(calibration: Option<u64>, faults: u32) -> DriverState {
-        DriverState { capabilities: Capabilities::default(), device_problem: None, calibration, faults }
+        DriverState { capabilities: Capabilities::default(), device_problem: None, calibration, faults, state: None }
     }
 
     #[test]

@@ -12,14 +12,14 @@ use heliostat_core::policy::{Finding, PolicyKind};
 use heliostat_models::{ActorSource, build_tried};
 use heliostat_proto::array_keys::array_name;
 use heliostat_proto::messages::fault;
-use heliostat_proto::{Capabilities, MirrorTelemetry, NodeStatus, ValidityClock, decode};
+use heliostat_proto::{ArrayState, Capabilities, MirrorTelemetry, NodeStatus, ValidityClock, decode};
 use heliostat_room::World;
 use heliostat_scenario::Scenario;
 use heliostat_service::counted::counted;
 use heliostat_service::printable::printable;
 
 use super::args::Args;
-use super::check::Check;
+use super::check::{Check, Verdict};
 use super::{calibration, controller};
 use crate::commands::join::join_through;
 
@@ -154,7 +154,7 @@ fn check_driver(args: &Args, driver: &anyhow::Result<DriverState>, scenario: &Sc
             problem,
             "check power and cable of the hardware, and the address in the driver's configuration",
         ),
-        Ok(DriverState { capabilities, .. }) => compare(array, capabilities, scenario),
+        Ok(driver) => with_state(compare(array, &driver.capabilities, scenario), driver),
         Err(error) => {
             let is_refused = bus_config(args).is_ok_and(|config| Bus::find_connection_problem(&config).is_some());
             let advice = match is_refused {
@@ -192,6 +192,8 @@ pub(super) struct DriverState {
     pub calibration: Option<u64>,
     /// The bits of its faults.
     pub faults: u32,
+    /// What its mirrors do; `None` without telemetry.
+    pub state: Option<ArrayState>,
 }
 
 fn ask_driver(args: &Args, array: usize) -> anyhow::Result<DriverState> {
@@ -202,20 +204,17 @@ fn ask_driver(args: &Args, array: usize) -> anyhow::Result<DriverState> {
     let keys = room.array(array);
     let reported = bus.subscribe(&keys.telemetry(), move |payload| {
         // The receiver is gone when both have arrived.
-        drop(
-            decode(payload)
-                .map(|telemetry: MirrorTelemetry| sender.send((Some((telemetry.faults, telemetry.calibration)), None))),
-        );
+        drop(decode(payload).map(|telemetry: MirrorTelemetry| sender.send((Some(telemetry), None))));
     })?;
     let status = bus.subscribe(&keys.driver_status(), move |payload| {
         drop(decode(payload).map(|status: NodeStatus| statuses.send((None, Some(status.last_problem)))));
     })?;
     let payloads = bus.fetch(&keys.capabilities(), DRIVER_WAIT)?;
-    let (mut telemetry, mut problem): (Option<(u32, u64)>, Option<String>) = (None, None);
-    let has_no_link = |(faults, _): (u32, u64)| faults & fault::LINK != 0;
+    let (mut telemetry, mut problem): (Option<MirrorTelemetry>, Option<String>) = (None, None);
+    let has_no_link = |telemetry: &MirrorTelemetry| telemetry.faults & fault::LINK != 0;
     let until = Instant::now() + STATUS_WITHIN;
     // The problem matters only with a fault.
-    while telemetry.is_none() || (telemetry.is_some_and(has_no_link) && problem.is_none()) {
+    while telemetry.is_none() || (telemetry.as_ref().is_some_and(has_no_link) && problem.is_none()) {
         let Ok((new_telemetry, new_problem)) = reports.recv_timeout(until.saturating_duration_since(Instant::now()))
         else {
             break;
@@ -225,18 +224,36 @@ fn ask_driver(args: &Args, array: usize) -> anyhow::Result<DriverState> {
     drop((reported, status));
     bus.close()?;
     let device_problem = telemetry
-        .filter(|telemetry| has_no_link(*telemetry))
+        .as_ref()
+        .filter(|telemetry| has_no_link(telemetry))
         .map(|_| format!("a device of the driver does not answer: {}", printable(&problem.unwrap_or_default())));
     match payloads.as_slice() {
         [] => anyhow::bail!("no driver in room \"{room}\" publishes the capabilities of an array"),
         [payload] => Ok(DriverState {
             capabilities: decode(payload)?,
             device_problem,
-            calibration: telemetry.map(|(_, calibration)| calibration),
-            faults: telemetry.map_or(0, |(faults, _)| faults),
+            calibration: telemetry.as_ref().map(|telemetry| telemetry.calibration),
+            faults: telemetry.as_ref().map_or(0, |telemetry| telemetry.faults),
+            state: telemetry.map(|telemetry| telemetry.state),
         }),
         several => anyhow::bail!("{} drivers answer in room \"{room}\"; expected one", several.len()),
     }
+}
+
+/// The check of an array that fits, with a warning where it is stopped or has a fault.
+fn with_state(check: Check, driver: &DriverState) -> Check {
+    let faults = fault::names(driver.faults);
+    let (what, advice) = match driver.state {
+        _ if check.verdict != Verdict::Ok => return check,
+        Some(ArrayState::Stopped) => {
+            ("it is stopped".to_owned(), "release it with heliostat rearm when the mirrors may move")
+        }
+        _ if !faults.is_empty() => {
+            (format!("faults: {}", faults.join(", ")), "heliostat status and the log of the driver name the cause")
+        }
+        _ => return check,
+    };
+    Check::warn("driver", format!("{}; {what}", check.found), advice)
 }
 
 /// Whether the array fits the scenario.

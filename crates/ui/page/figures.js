@@ -88,11 +88,13 @@ function outageText(outage) {
   return outage.share === 0 ? "none" : `${(100 * outage.share).toFixed(0)} %, ${outage.longest_s.toFixed(1)} s`;
 }
 
-// The lengths of the outages in the last minute.
-function outageLengths(outage) {
-  if (outage === null || outage.count === 0) return "";
-  const { count, p50_s, p95_s } = outage;
-  return `${count} ${count === 1 ? "outage" : "outages"}: p50 ${p50_s.toFixed(1)} s, p95 ${p95_s.toFixed(1)} s`;
+// The number and the lengths of the outages in the observed time.
+export function outageLengths(outage) {
+  if (outage === null) return "";
+  const { observed_s, count, p50_s, p95_s } = outage;
+  const within = `in the last ${seconds(observed_s)}`;
+  if (count === 0) return `no outage ${within}`;
+  return `${count} ${count === 1 ? "outage" : "outages"} ${within}: p50 ${p50_s.toFixed(1)} s, p95 ${p95_s.toFixed(1)} s`;
 }
 
 function list(element, entries) {

@@ -148,6 +148,29 @@ fn an_outage_lasts_from_a_rate_below_the_minimum_to_the_next_one_above_it() {
 
 #[needs("browser")]
 #[test]
+fn an_outage_names_the_time_in_which_its_user_was_observed() {
+    let setting = Setting::new();
+    let browser = setting.browser(&[]);
+    let script = "return Promise.all([import('/outages.js'), import('/figures.js')]).then(([{ Outages }, { outageLengths }]) => { \
+           const outages = new Outages(); \
+           const texts = []; \
+           for (let time_s = 0; time_s <= 80; time_s += 1) { \
+             const rate_mbps = time_s === 1 ? 0.5 : 2; \
+             outages.take({ time_s, users: [{ user: 3, is_rate_known: true, rate_mbps, min_rate_mbps: 1 }] }); \
+             if ([0, 1, 3, 80].includes(time_s)) texts.push(outageLengths(outages.of(3))); \
+           } \
+           return texts; })";
+    let expected = [
+        "",
+        "no outage in the last 1.0 s",
+        "1 outage in the last 3.0 s: p50 1.0 s, p95 1.0 s",
+        "no outage in the last 60 s",
+    ];
+    assert_eq!(browser.run(script), serde_json::json!(expected));
+}
+
+#[needs("browser")]
+#[test]
 fn the_fairness_index_is_that_of_the_rates_in_the_table() {
     let setting = Setting::with(&["--set", "blockage.forced_users=2"]);
     let browser = setting.browser(&[]);

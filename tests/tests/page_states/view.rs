@@ -241,6 +241,33 @@ fn the_sentence_says_what_is_unknown() {
 
 #[needs("browser")]
 #[test]
+fn the_chip_of_the_policy_and_the_name_of_the_sum_rate_agree_on_what_the_mirrors_follow() {
+    let setting = Setting::new();
+    let browser = setting.browser(&[]);
+    let script = "return import('/sentence.js').then(({ inCharge }) => { \
+           const of = (state, age, more = {}) => { \
+             const { name, idle } = inCharge({ array: { state }, policy: 'greedy', controller_alive: true, ...more }, age); \
+             return [name, idle !== '']; }; \
+           return [of('following', 0.1), of('holding, no telemetry of mirrors-1', 0.1), of('parked', 0.1), \
+             of('parked', 0.1, { controller_alive: false }), of('holding', 0.1, { controller_alive: false }), \
+             of('following', 2), of('following', 0.1, { policy: '', calibration: 'spot 1' })]; })";
+    let expected = serde_json::json!([
+        ["greedy", false],
+        ["greedy", false],
+        ["parked", true],
+        ["parked", true],
+        ["holding", true],
+        ["no report", true],
+        ["calibration", true]
+    ]);
+    assert_eq!(browser.run(script), expected);
+    browser.click("#stop");
+    wait_until("an idle policy", || browser.text("#chip-policy").ends_with(" (idle)"));
+    wait_until("a sum rate of stopped mirrors", || browser.text("#sum-figures div:first-child dt") == "stopped");
+}
+
+#[needs("browser")]
+#[test]
 fn a_browser_without_webgl_shows_a_plan() {
     let setting = Setting::new();
     let browser = setting.browser(&["--disable-gpu", "--disable-3d-apis"]);

@@ -17,6 +17,11 @@ const EVENTS_MAX: usize = 100;
 /// A problem that is an event is no other one within this time: two that take turns would fill the log.
 const REPEATED_MS: u64 = 60_000;
 
+/// States of a stop.
+const CONFIRMED: &str = "confirmed by every array";
+const LOST: &str = "no longer confirmed";
+const RELEASED: &str = "released";
+
 /// One event.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct Event {
@@ -63,12 +68,15 @@ impl EventLog {
         if !figures.policy.is_empty() {
             self.change(at_ms, "policy", &figures.policy, false);
         }
+        let was_confirmed =
+            self.states.get("stop").is_some_and(|before| [CONFIRMED, LOST].iter().any(|state| before.starts_with(state)));
         let phase = match stop.phase {
             StopPhase::None => "",
             StopPhase::Requested => "requested",
+            StopPhase::Unconfirmed if was_confirmed => LOST,
             StopPhase::Unconfirmed => "not confirmed",
-            StopPhase::Confirmed => "confirmed by every array",
-            StopPhase::Released => "released",
+            StopPhase::Confirmed => CONFIRMED,
+            StopPhase::Released => RELEASED,
         };
         // A stop of a start has no operator, and one of the button no reason.
         let known = |stop: &StopFigure| {
@@ -134,6 +142,8 @@ impl EventLog {
             return;
         }
         let (text, is_bad) = match (before.as_str(), state) {
+            // The release was the end of the stop.
+            (RELEASED, "") if subject == "stop" => return,
             (_, "") => (format!("{subject}: over"), false),
             ("", state) => (format!("{subject}: {state}"), is_bad),
             (_, state) if subject.starts_with("problem") || subject == "stop" => {
@@ -211,6 +221,34 @@ mod tests {
             "stop: confirmed by every array",
         ];
         assert_eq!(texts(&log)[first..].iter().map(|(_, text, _)| *text).collect::<Vec<_>>(), by);
+    }
+
+    #[test]
+    fn a_stop_ends_with_its_release_and_its_confirmation_can_be_lost() {
+        let mut log = EventLog::default();
+        let stop = |phase| StopFigures { phase, ..StopFigures::default() };
+        log.note_at(1, &figures("stopped", ""), &[], &stop(StopPhase::None));
+        let first = texts(&log).len();
+        let phases = [
+            StopPhase::Requested,
+            StopPhase::Confirmed,
+            StopPhase::Unconfirmed,
+            StopPhase::Unconfirmed,
+            StopPhase::Confirmed,
+            StopPhase::Released,
+            StopPhase::None,
+        ];
+        for (time, phase) in (2..).zip(phases) {
+            log.note_at(time, &figures("stopped", ""), &[], &stop(phase));
+        }
+        let expected = [
+            "stop: requested",
+            "stop: confirmed by every array",
+            "stop: no longer confirmed",
+            "stop: confirmed by every array",
+            "stop: released",
+        ];
+        assert_eq!(texts(&log)[first..].iter().map(|(_, text, _)| *text).collect::<Vec<_>>(), expected);
     }
 
     #[test]

@@ -35,7 +35,7 @@ function withoutIn(users) {
   if (known.length < users.length || users.length === 0) return "The rates without the mirrors are unknown.";
   const below = known.filter((user) => user.without_mirrors_mbps < user.min_rate_mbps);
   if (!below.length) return `Without the mirrors, all ${users.length} users have their minimum rate.`;
-  const names = below.map((user) => user.user).join(", ");
+  const names = `${below.length === 1 ? "user" : "users"} ${below.map((user) => user.user).join(", ")}`;
   return `Without the mirrors, ${below.length} of ${users.length} users ${below.length === 1 ? "is" : "are"} below the minimum rate: ${names}.`;
 }
 

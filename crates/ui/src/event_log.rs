@@ -7,7 +7,7 @@ use heliostat_service::clock::utc_ns;
 use serde::Serialize;
 
 use crate::figures::{Figures, Origin};
-use crate::notes::without_figures;
+use crate::notes::{not_in, without_figures};
 use crate::order_answer::Answer;
 use crate::order_log::OrderFigures;
 use crate::stop_state::{StopFigure, StopFigures, StopPhase};
@@ -52,7 +52,7 @@ impl EventLog {
 
     fn note_at(&mut self, at_ms: u64, figures: &Figures, orders: &[OrderFigures], stop: &StopFigures) -> bool {
         self.problems.retain(|_, last| at_ms.saturating_sub(*last) < REPEATED_MS);
-        let before = self.events.len().min(EVENTS_MAX);
+        let kept = self.events.len().min(EVENTS_MAX);
         let last = self.events.back().cloned();
         let origin = match figures.origin {
             Origin::Simulated => "simulated",
@@ -68,8 +68,8 @@ impl EventLog {
         if !figures.policy.is_empty() {
             self.change(at_ms, "policy", &figures.policy, false);
         }
-        let was_confirmed =
-            self.states.get("stop").is_some_and(|before| [CONFIRMED, LOST].iter().any(|state| before.starts_with(state)));
+        let before = self.states.get("stop").map_or("", String::as_str);
+        let was_confirmed = [CONFIRMED, LOST].iter().any(|state| before.starts_with(state));
         let phase = match stop.phase {
             StopPhase::None => "",
             StopPhase::Requested => "requested",
@@ -100,12 +100,10 @@ impl EventLog {
             }
         }
         let notes = std::mem::replace(&mut self.notes, figures.notes.clone());
-        let has =
-            |notes: &[String], note: &str| notes.iter().any(|known| without_figures(known) == without_figures(note));
-        for note in figures.notes.iter().filter(|note| !has(&notes, note)) {
+        for note in not_in(&figures.notes, &notes) {
             self.push(at_ms, note.clone(), true);
         }
-        for note in notes.iter().filter(|note| !has(&figures.notes, note)) {
+        for note in not_in(&notes, &figures.notes) {
             self.push(at_ms, format!("over: {note}"), false);
         }
         // Oldest first.
@@ -126,7 +124,7 @@ impl EventLog {
         self.states.retain(|key, _| {
             key.strip_prefix("order ").is_none_or(|id| orders.iter().any(|order| order.id.to_string() == id))
         });
-        self.events.len() != before || self.events.back() != last.as_ref()
+        self.events.len() != kept || self.events.back() != last.as_ref()
     }
 
     /// The events as JSON, oldest first.

@@ -83,6 +83,12 @@ pub(crate) fn without_figures(text: &str) -> String {
     kept
 }
 
+/// The notes that are not among the others; one whose figures alone differ is the same.
+pub(crate) fn not_in<'a>(notes: &'a [String], others: &[String]) -> Vec<&'a String> {
+    let is_other = |note: &str| others.iter().any(|other| without_figures(other) == without_figures(note));
+    notes.iter().filter(|note| !is_other(note)).collect()
+}
+
 fn off_light(light: &ServedLight) -> Option<String> {
     light.off_since_s.map(|_| printable(&format!("{light}: {}", light.advice())).into_owned())
 }

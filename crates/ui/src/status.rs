@@ -109,7 +109,7 @@ impl RoomStatus {
     /// The position reports that reach this process, and those that reach the controller alone.
     fn report_line(&self) -> String {
         match self.deciding().filter(|_| self.reports_per_s == 0.0) {
-            Some(decisions) => format!("none reach this command; the controller decides on them ({decisions} decisions)"),
+            Some(count) => format!("none reach this command; the controller decides on them ({count} decisions)"),
             None => format!("{:.1} a second", self.reports_per_s),
         }
     }
@@ -199,7 +199,7 @@ mod tests {
 
     #[test]
     fn a_room_is_healthy_only_with_reports_a_leader_and_an_array_that_follows() {
-        let controller = |is_standby| ControllerFigures { name: "a".into(), is_standby, ..ControllerFigures::default() };
+        let controller = |is_standby| ControllerFigures { is_standby, ..ControllerFigures::default() };
         let array = ArrayFigures { state: "following".into(), ..ArrayFigures::default() };
         let figures = |controllers| Figures { controllers, array: array.clone(), ..Figures::default() };
         let found = |figures| RoomStatus { reports_per_s: 20.0, figures, ..RoomStatus::default() }.found();

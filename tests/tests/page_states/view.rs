@@ -268,6 +268,23 @@ fn the_chip_of_the_policy_and_the_name_of_the_sum_rate_agree_on_what_the_mirrors
 
 #[needs("browser")]
 #[test]
+fn users_who_lose_their_link_without_the_mirrors_are_named_as_users() {
+    let setting = Setting::new();
+    let browser = setting.browser(&[]);
+    let script = "return import('/sentence.js').then(({ sentence }) => { \
+           const now = { origin: 'simulated', ages_s: { room: 0 }, nodes: [], users: [] }; \
+           const of = (rates) => sentence(now, 0.1, { wall: false }, { \
+             users: rates.map((without_mirrors_mbps, user) => ({ user, without_mirrors_mbps, min_rate_mbps: 1 })) }); \
+           return [of([2, 2, 0]), of([0, 2, 0])]; })";
+    let expected = [
+        "Without the mirrors, 1 of 3 users is below the minimum rate: user 2.",
+        "Without the mirrors, 2 of 3 users are below the minimum rate: users 0, 2.",
+    ];
+    assert_eq!(browser.run(script), serde_json::json!(expected));
+}
+
+#[needs("browser")]
+#[test]
 fn a_browser_without_webgl_shows_a_plan() {
     let setting = Setting::new();
     let browser = setting.browser(&["--disable-gpu", "--disable-3d-apis"]);

@@ -141,7 +141,7 @@ impl fmt::Display for RoomStatus {
         let controllers: Vec<String> =
             controllers.iter().map(|one| format!("{} {}", one.name, role(one.is_standby))).collect();
         let are_users_seen = self.figures.origin != Origin::NoData;
-        let users = if are_users_seen { users_line(users) } else { "unknown: no position reports".into() };
+        let users = if are_users_seen { users_line(users) } else { "unknown: no position reports here".into() };
         let rate = sum_mbps.map_or_else(|| without_rates(&self.figures), |sum| format!("{:.1} Mbit/s", sum.policy));
         let decision = times.first().map(|decision| (time(decision, |us| us.p50), time(decision, |us| us.p99)));
         let (p50, p99) = decision.unwrap_or_default();

@@ -280,7 +280,8 @@ mod tests {
         let part = serde_json::json!({
             "policy": "nearest", "policies": policies, "clipped": ClippedSummary::default(), "decisions": 9,
             "over_budget": 0, "over_budget_by": none, "decision_us": Quantiles::default(), "stages_us": {},
-            "age_us": Quantiles::default(), "fallbacks": none, "withheld": none, "refused": none, "last_problem": "", "users": none,
+            "age_us": Quantiles::default(), "fallbacks": none, "withheld": none, "refused": none, "last_problem": "",
+            "users": none,
         });
         ControllerPart::deserialize(&part).expect("complete")
     }

@@ -219,6 +219,18 @@ impl StopReport {
 }
 
 impl NodeStatus {
+    /// Beginning of the names of a controller's counters of decisions in a degraded mode.
+    pub const DEGRADED: &'static str = "fallback:";
+    /// The degraded modes in which the array takes no command of this controller. They are no fallbacks.
+    pub const WITHHELD: [&'static str; 2] = ["standby", "withheld"];
+
+    /// Number of decisions of a controller without the policy's own angles, or on incomplete reports.
+    pub fn fallbacks(&self) -> u64 {
+        let is_fallback =
+            |name: &str| name.strip_prefix(Self::DEGRADED).is_some_and(|mode| !Self::WITHHELD.contains(&mode));
+        self.counters.iter().filter(|(name, _)| is_fallback(name)).map(|(_, count)| count).sum()
+    }
+
     /// The present value with this name.
     pub fn gauge(&self, name: &str) -> Option<f64> {
         self.gauges.iter().find(|(gauge, _)| gauge == name).map(|(_, value)| *value)

@@ -95,7 +95,7 @@ fn a_tracker_may_report_other_users_with_every_report() {
     assert_eq!(summary["refused"].as_object().map(|refused| refused.len()), Some(0), "{summary}");
     // The first reports wait for the telemetry of an array, which this room has not.
     let count = |path: &str| summary.pointer(path).and_then(serde_json::Value::as_u64);
-    let awaiting = count("/fallbacks/standby").unwrap_or_default();
+    let awaiting = count("/withheld/standby").unwrap_or_default();
     assert_eq!(count("/decisions"), count("/commands").map(|commands| commands + awaiting), "{summary}");
     assert_eq!(count("/decisions"), Some(crowd.tick), "{summary}");
 }

@@ -346,7 +346,7 @@ fn an_actor_with_nan_output_triggers_the_configured_fallback() {
         // command, and is held where there is none.
         let late = controller.pointer("/fallbacks/late").and_then(Value::as_f64).filter(|_| moves).unwrap_or(0.0);
         // The first decisions wait for telemetry.
-        let awaiting = controller.pointer("/fallbacks/standby").and_then(Value::as_f64).unwrap_or(0.0);
+        let awaiting = controller.pointer("/withheld/standby").and_then(Value::as_f64).unwrap_or(0.0);
         let failed = number(&controller, &format!("/fallbacks/{cause}"));
         assert_eq!(failed + late + awaiting, number(&controller, "/decisions"), "{controller}");
         // No command is credited to the policy.

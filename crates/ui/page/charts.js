@@ -18,7 +18,7 @@ const TIPS = {
   no_irs: "No IRS: the sum rate of the same users at the same time without the mirrors (without an intelligent reflecting surface).",
   flat: "Flat: the sum rate with all mirrors flat against the wall.",
   oracle: "Oracle: the sum rate at the best angles that a search with the true positions finds. No controller knows these positions.",
-  policy: "The sum rate with the mirrors as they are: under the policy in use, or parked, stopped or without a driver.",
+  policy: "The sum rate with the mirrors as they are: under the policy in use, under a calibration, or parked, stopped or without a driver.",
 };
 
 // The points with an empty one in each gap, so that no line crosses a time without figures.
@@ -56,10 +56,9 @@ export class Charts {
     this.redraw.reset();
   }
 
-  update(now) {
-    // A policy has its name on the rates only while the mirrors follow it.
-    const isFollowed = ["following", "holding"].some((state) => now.array.state.startsWith(state));
-    this.policy = isFollowed ? now.policy || this.policy : now.array.state.split(",")[0];
+  // `name` is that of what the mirrors follow.
+  update(now, name) {
+    this.policy = name;
     if (now.sum_mbps && now.origin !== "no-data") {
       const newest = this.past.at(-1);
       if (!newest || now.time_s - newest.time_s >= KEEP_EVERY_S) this.past.push({ time_s: now.time_s, ...now.sum_mbps });

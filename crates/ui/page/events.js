@@ -8,7 +8,6 @@ const at = (id) => document.getElementById(id);
 
 export function openEvents() {
   at("events").open = innerHeight >= OPEN_FROM;
-  // In a lower window the list opens below the page.
   at("events").addEventListener("toggle", () => { if (at("events").open) at("event-list").scrollIntoView({ block: "nearest" }); });
 }
 

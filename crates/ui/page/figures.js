@@ -1,7 +1,7 @@
 // The figures beside the room: state chips, users, counters, times and problems.
 import { jain } from "./fairness.js";
 import { userColour } from "./geometry.js";
-import { asSentence, refusal, seconds } from "./sentence.js";
+import { asSentence, inCharge, isCalibrating, refusal, seconds } from "./sentence.js";
 
 const at = (id) => document.getElementById(id);
 const setText = (element, text) => { if (element.textContent !== text) element.textContent = text; };
@@ -16,20 +16,20 @@ function chip(id, text, state = "") {
 // The state of each process; a state that is old or unknown is never green.
 export function chips(now, ages) {
   const silent = (process) => (ages.of(process) === Infinity ? "no report" : `no report for ${seconds(ages.of(process))}`);
-  if (ages.isStale("controller") || !now.controller_alive) {
+  const { name, idle } = inCharge(now, ages.of("array"));
+  const isSilent = ages.isStale("controller") || !now.controller_alive;
+  const policy = idle && now.policy ? `${now.policy} (idle)` : now.policy || "–";
+  chip("chip-policy", isCalibrating(now) ? name : policy, idle || isSilent ? "old" : "");
+  setTitle(at("chip-policy"), idle);
+  if (isSilent) {
     const isGone = !now.controller_alive && ages.silence < 1;
-    chip("chip-policy", now.policy || "–", "old");
     chip("chip-controller", isGone ? "gone" : silent("controller"), "bad");
   } else {
-    // A policy turns the mirrors only while they follow it.
-    const isIdle = now.policy && !["following", "holding"].some((state) => now.array.state.startsWith(state));
-    chip("chip-policy", isIdle ? `${now.policy} (idle)` : now.policy || "–", isIdle ? "old" : "");
-    setTitle(at("chip-policy"), isIdle ? `The mirrors do not follow the policy: ${now.array.state}.` : "");
     const refusing = refusal(now);
-    chip("chip-controller", now.calibration ? "calibration" : refusing ? "reports refused" : "alive", refusing ? "bad" : "good");
+    chip("chip-controller", isCalibrating(now) ? "calibration" : refusing ? "reports refused" : "alive", refusing ? "bad" : "good");
   }
-  const stuck = now.array.unusable ? `, ${now.array.unusable} of ${now.array.mirrors} unusable` : "";
-  setTitle(at("chip-array"), now.array.state + stuck);
+  const stuck = now.array.unusable ? `, ${now.array.unusable} unusable` : "";
+  setTitle(at("chip-array"), stuck ? `${now.array.state}${stuck} of ${now.array.mirrors} mirrors` : now.array.state);
   if (ages.isStale("array")) chip("chip-array", silent("array"), "bad");
   else chip("chip-array", now.array.state + stuck, now.array.state === "following" && !stuck ? "good" : "bad");
   if (ages.isStale("room") || now.origin === "no-data") chip("chip-room", silent("room"), "bad");
@@ -88,11 +88,13 @@ function outageText(outage) {
   return outage.share === 0 ? "none" : `${(100 * outage.share).toFixed(0)} %, ${outage.longest_s.toFixed(1)} s`;
 }
 
-// The lengths of the outages in the last minute.
-function outageLengths(outage) {
-  if (outage === null || outage.count === 0) return "";
-  const { count, p50_s, p95_s } = outage;
-  return `${count} ${count === 1 ? "outage" : "outages"}: p50 ${p50_s.toFixed(1)} s, p95 ${p95_s.toFixed(1)} s`;
+// The number and the lengths of the outages in the observed time.
+export function outageLengths(outage) {
+  if (outage === null) return "";
+  const { observed_s, count, p50_s, p95_s } = outage;
+  const within = `in the last ${seconds(observed_s)}`;
+  if (count === 0) return `no outage ${within}`;
+  return `${count} ${count === 1 ? "outage" : "outages"} ${within}: p50 ${p50_s.toFixed(1)} s, p95 ${p95_s.toFixed(1)} s`;
 }
 
 function list(element, entries) {

@@ -9,6 +9,16 @@ const OWN_MESSAGE_MS = 10000;
 // An order without an answer of the server ends after this time.
 const ORDER_LIMIT_MS = 6000;
 
+// The words of the buttons, for the messages of the page itself.
+const BUTTONS = {
+  policy: "switch", stick: "jam a quarter", release: "release", stop: "STOP", rearm: "re-arm", "kill-controller": "kill",
+  "restart-controller": "restart", power: "optical power", speed: "walking speed", blocked: "blocked direct paths",
+};
+
+// A message of the page about an order that the server did not answer.
+export const notConfirmed = (order, reason) =>
+  `not confirmed: ${BUTTONS[order]}: ${reason}${order === "stop" ? "; run `heliostat stop`, or cut the power of the mirrors" : ""}`;
+
 export class Orders {
   constructor(plan) {
     this.plan = plan;
@@ -101,7 +111,6 @@ export class Orders {
   }
 
   async send(order) {
-    const what = order.order;
     try {
       const answer = await fetch("order", {
         method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(order), signal: AbortSignal.timeout(ORDER_LIMIT_MS),
@@ -110,8 +119,7 @@ export class Orders {
       this.own(answer.ok || answer.status === 503 || answer.status === 422 ? null : `refused: ${await answer.text()}`);
     } catch (error) {
       const reason = error.name === "TimeoutError" ? `no answer of the server within ${ORDER_LIMIT_MS / 1000} s` : error.message;
-      const advice = what === "stop" ? "; run `heliostat stop`, or cut the power of the mirrors" : "";
-      this.own(`not confirmed: ${what}: ${reason}${advice}`);
+      this.own(notConfirmed(order.order, reason));
     }
   }
 

@@ -1,4 +1,4 @@
-// How long each user was below the minimum rate in the last minute.
+// How long each user was below the minimum rate in the last minute, or since the page observes the user.
 const SPAN_S = 60;
 
 export class Outages {
@@ -21,8 +21,9 @@ export class Outages {
     this.users = present;
   }
 
-  // Share of the time below the minimum rate, number of outages, and their p50, p95 and longest length in s;
-  // null while unknown. A rate holds until the next one. The minute cuts off the first outage and the last.
+  // The observed time in s, the share of it below the minimum rate, number of outages, and their p50, p95 and
+  // longest length in s; null while unknown. A rate holds until the next one. The observed time cuts off the
+  // first outage and the last.
   of(user) {
     const past = this.users.get(user);
     if (!past || past.length < 2) return null;
@@ -36,7 +37,8 @@ export class Outages {
     const below_s = lengths_s.reduce((sum, length_s) => sum + length_s, 0);
     lengths_s.sort((one, other) => one - other);
     const [p50_s, p95_s, longest_s] = [0.5, 0.95, 1].map((share) => quantile(lengths_s, share));
-    return { share: below_s / (past.at(-1).time_s - past[0].time_s), count: lengths_s.length, p50_s, p95_s, longest_s };
+    const observed_s = past.at(-1).time_s - past[0].time_s;
+    return { observed_s, share: below_s / observed_s, count: lengths_s.length, p50_s, p95_s, longest_s };
   }
 }
 

@@ -6,7 +6,7 @@ import { Orders } from "./orders.js";
 import { Outages } from "./outages.js";
 import { Room } from "./room.js";
 import { presentUsers } from "./geometry.js";
-import { banner, sentence } from "./sentence.js";
+import { banner, inCharge, sentence } from "./sentence.js";
 import { chips, counters, problems, users } from "./figures.js";
 import { heatGradient } from "./heat.js";
 import { openEvents, showEvents } from "./events.js";
@@ -103,7 +103,7 @@ async function start() {
       counters(now);
       problems(now);
       orders.update(now);
-      charts.update(now);
+      charts.update(now, inCharge(now, state.ages.of("array")).name);
       show();
     },
     log: showEvents,

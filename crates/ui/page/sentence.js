@@ -35,12 +35,24 @@ function withoutIn(users) {
   if (known.length < users.length || users.length === 0) return "The rates without the mirrors are unknown.";
   const below = known.filter((user) => user.without_mirrors_mbps < user.min_rate_mbps);
   if (!below.length) return `Without the mirrors, all ${users.length} users have their minimum rate.`;
-  const names = below.map((user) => user.user).join(", ");
+  const names = `${below.length === 1 ? "user" : "users"} ${below.map((user) => user.user).join(", ")}`;
   return `Without the mirrors, ${below.length} of ${users.length} users ${below.length === 1 ? "is" : "are"} below the minimum rate: ${names}.`;
 }
 
 // The controller, if it refuses the position reports; else `undefined`.
 export const refusal = (now) => now.nodes.find(({ node, state }) => node === "controller" && state === "position reports refused");
+
+// Whether a calibration commands the mirrors in place of a controller.
+export const isCalibrating = (now) => Boolean(now.calibration && now.controller_alive);
+
+// What the mirrors follow, as `name`, and why it is not the policy, as `idle`; empty while it is.
+export function inCharge(now, arrayAge) {
+  if (isCalibrating(now)) return { name: "calibration", idle: "A calibration commands the mirrors." };
+  const state = arrayAge > STALE_S ? "no report" : now.array.state.split(",")[0];
+  if (!["following", "holding"].includes(state)) return { name: state, idle: `The mirrors do not follow the policy: ${state}.` };
+  if (!now.controller_alive) return { name: state, idle: "No controller commands the mirrors." };
+  return { name: now.policy || state, idle: "" };
+}
 
 // The sentence for figures of an age in s; `now` is null before the first figures.
 export function sentence(now, age, shown, frame) {
@@ -49,7 +61,7 @@ export function sentence(now, age, shown, frame) {
   if (age > STALE_S || now.origin === "no-data") {
     return `The room has not reported for ${seconds(age)}: users and rates are unknown.`;
   }
-  if (now.calibration && now.controller_alive) return `A calibration commands the mirrors: ${now.calibration}. The rates are those of its probes.`;
+  if (isCalibrating(now)) return `A calibration commands the mirrors: ${now.calibration}. The rates are those of its probes.`;
   const refusing = refusal(now);
   if (refusing) return `The controller refuses the position reports${refusing.problem ? `: ${refusing.problem}` : "."}`;
   if (shown?.wall === false && frame) return withoutIn(frame.users);

@@ -13,9 +13,11 @@ use crate::view::EXPIRY;
 const STANDBY: &str = "standby";
 const TAKEOVERS: &str = "epoch:took-over";
 const FALSE_TAKEOVERS: &str = "epoch:contested";
+/// The counter of decisions on position reports.
+const DECISIONS: &str = "decisions";
 
 /// One controller.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct ControllerFigures {
     /// Its source id, as 16 hexadecimal digits.
     pub name: String,
@@ -25,6 +27,10 @@ pub struct ControllerFigures {
     pub takeovers: u64,
     /// How often the former leader still commanded after that.
     pub false_takeovers: u64,
+    /// Decisions on position reports since its start.
+    pub decisions: u64,
+    /// Whether it decided between its last two statuses: position reports reach it.
+    pub is_deciding: bool,
 }
 
 /// Whether the controller of a status stands by; else it leads.
@@ -46,11 +52,15 @@ impl Controllers {
     pub fn take(&mut self, status: &NodeStatus) {
         self.0.retain(|_, (at, _)| at.elapsed() < EXPIRY);
         let source = status.stamp.source;
+        let decisions = counter(status, DECISIONS);
+        let is_deciding = self.0.get(&source).is_some_and(|(_, before)| decisions > before.decisions);
         let figures = ControllerFigures {
             name: format!("{source:016x}"),
             is_standby: is_standby(status),
             takeovers: counter(status, TAKEOVERS),
             false_takeovers: counter(status, FALSE_TAKEOVERS),
+            decisions,
+            is_deciding,
         };
         self.0.insert(source, (Instant::now(), figures));
     }
@@ -85,9 +95,23 @@ mod tests {
         controllers.take(&status(1, &[(STANDBY, 1), (TAKEOVERS, 1)]));
         controllers.take(&status(2, &[(STANDBY, 0), (TAKEOVERS, 3), (FALSE_TAKEOVERS, 2)]));
         let present = controllers.present(&[(name, 1), (name, 2)].into());
-        let expected =
-            ControllerFigures { name: "0000000000000002".into(), is_standby: false, takeovers: 3, false_takeovers: 2 };
+        let expected = ControllerFigures {
+            name: "0000000000000002".into(),
+            takeovers: 3,
+            false_takeovers: 2,
+            ..ControllerFigures::default()
+        };
         assert_eq!((&present[0], present[1].is_standby, present.len()), (&expected, true, 2));
         assert_eq!(controllers.present(&[(name, 1)].into()).len(), 1);
+    }
+
+    #[test]
+    fn a_controller_is_deciding_while_its_decisions_rise() {
+        let (mut controllers, name) = (Controllers::default(), NodeKind::Controller.name());
+        let mut after = |decisions| {
+            controllers.take(&status(1, &[(DECISIONS, decisions)]));
+            controllers.present(&[(name, 1)].into())[0].is_deciding
+        };
+        assert_eq!([after(20), after(40), after(40)], [false, true, false]);
     }
 }

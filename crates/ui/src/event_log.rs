@@ -7,7 +7,7 @@ use heliostat_service::clock::utc_ns;
 use serde::Serialize;
 
 use crate::figures::{Figures, Origin};
-use crate::notes::without_figures;
+use crate::notes::{not_in, without_figures};
 use crate::order_answer::Answer;
 use crate::order_log::OrderFigures;
 use crate::stop_state::{StopFigure, StopFigures, StopPhase};
@@ -16,6 +16,11 @@ use crate::stop_state::{StopFigure, StopFigures, StopPhase};
 const EVENTS_MAX: usize = 100;
 /// A problem that is an event is no other one within this time: two that take turns would fill the log.
 const REPEATED_MS: u64 = 60_000;
+
+/// States of a stop.
+const CONFIRMED: &str = "confirmed by every array";
+const LOST: &str = "no longer confirmed";
+const RELEASED: &str = "released";
 
 /// One event.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -47,7 +52,7 @@ impl EventLog {
 
     fn note_at(&mut self, at_ms: u64, figures: &Figures, orders: &[OrderFigures], stop: &StopFigures) -> bool {
         self.problems.retain(|_, last| at_ms.saturating_sub(*last) < REPEATED_MS);
-        let before = self.events.len().min(EVENTS_MAX);
+        let kept = self.events.len().min(EVENTS_MAX);
         let last = self.events.back().cloned();
         let origin = match figures.origin {
             Origin::Simulated => "simulated",
@@ -63,12 +68,15 @@ impl EventLog {
         if !figures.policy.is_empty() {
             self.change(at_ms, "policy", &figures.policy, false);
         }
+        let before = self.states.get("stop").map_or("", String::as_str);
+        let was_confirmed = [CONFIRMED, LOST].iter().any(|state| before.starts_with(state));
         let phase = match stop.phase {
             StopPhase::None => "",
             StopPhase::Requested => "requested",
+            StopPhase::Unconfirmed if was_confirmed => LOST,
             StopPhase::Unconfirmed => "not confirmed",
-            StopPhase::Confirmed => "confirmed by every array",
-            StopPhase::Released => "released",
+            StopPhase::Confirmed => CONFIRMED,
+            StopPhase::Released => RELEASED,
         };
         // A stop of a start has no operator, and one of the button no reason.
         let known = |stop: &StopFigure| {
@@ -92,12 +100,10 @@ impl EventLog {
             }
         }
         let notes = std::mem::replace(&mut self.notes, figures.notes.clone());
-        let has =
-            |notes: &[String], note: &str| notes.iter().any(|known| without_figures(known) == without_figures(note));
-        for note in figures.notes.iter().filter(|note| !has(&notes, note)) {
+        for note in not_in(&figures.notes, &notes) {
             self.push(at_ms, note.clone(), true);
         }
-        for note in notes.iter().filter(|note| !has(&figures.notes, note)) {
+        for note in not_in(&notes, &figures.notes) {
             self.push(at_ms, format!("over: {note}"), false);
         }
         // Oldest first.
@@ -118,7 +124,7 @@ impl EventLog {
         self.states.retain(|key, _| {
             key.strip_prefix("order ").is_none_or(|id| orders.iter().any(|order| order.id.to_string() == id))
         });
-        self.events.len() != before || self.events.back() != last.as_ref()
+        self.events.len() != kept || self.events.back() != last.as_ref()
     }
 
     /// The events as JSON, oldest first.
@@ -134,6 +140,8 @@ impl EventLog {
             return;
         }
         let (text, is_bad) = match (before.as_str(), state) {
+            // The release was the end of the stop.
+            (RELEASED, "") if subject == "stop" => return,
             (_, "") => (format!("{subject}: over"), false),
             ("", state) => (format!("{subject}: {state}"), is_bad),
             (_, state) if subject.starts_with("problem") || subject == "stop" => {
@@ -211,6 +219,34 @@ mod tests {
             "stop: confirmed by every array",
         ];
         assert_eq!(texts(&log)[first..].iter().map(|(_, text, _)| *text).collect::<Vec<_>>(), by);
+    }
+
+    #[test]
+    fn a_stop_ends_with_its_release_and_its_confirmation_can_be_lost() {
+        let mut log = EventLog::default();
+        let stop = |phase| StopFigures { phase, ..StopFigures::default() };
+        log.note_at(1, &figures("stopped", ""), &[], &stop(StopPhase::None));
+        let first = texts(&log).len();
+        let phases = [
+            StopPhase::Requested,
+            StopPhase::Confirmed,
+            StopPhase::Unconfirmed,
+            StopPhase::Unconfirmed,
+            StopPhase::Confirmed,
+            StopPhase::Released,
+            StopPhase::None,
+        ];
+        for (time, phase) in (2..).zip(phases) {
+            log.note_at(time, &figures("stopped", ""), &[], &stop(phase));
+        }
+        let expected = [
+            "stop: requested",
+            "stop: confirmed by every array",
+            "stop: no longer confirmed",
+            "stop: confirmed by every array",
+            "stop: released",
+        ];
+        assert_eq!(texts(&log)[first..].iter().map(|(_, text, _)| *text).collect::<Vec<_>>(), expected);
     }
 
     #[test]

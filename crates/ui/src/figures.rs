@@ -395,8 +395,6 @@ fn counts(
     // The array counts since its own start, also what earlier controllers sent.
     let refused = array.map(|array| array.counters.refused());
     let decisions = value(controller, "decisions");
-    let withheld =
-        ["fallback:standby", "fallback:withheld"].into_iter().filter_map(|name| value(controller, name)).sum();
     let all = [
         (
             "decisions",
@@ -437,8 +435,7 @@ fn counts(
         (
             "fallbacks",
             CONTROLLER,
-            // Commands that are withheld for a stop or in standby are counted for each array, and are no problem.
-            value(controller, "fallback:*").map(|all| all.saturating_sub(withheld)),
+            value(controller, "fallback:*").and(controller.map(NodeStatus::fallbacks)),
             true,
             "Decisions without the policy's own angles or on incomplete reports: see `fallback:` in the log and docs/faults.md.",
         ),

@@ -34,7 +34,11 @@ impl Received {
         }
         let is_old = |at: Option<Instant>| at.unwrap_or(opened).elapsed() > EXPIRY;
         if is_old(arrival(&self.truth)) && is_old(arrival(&self.users)) {
-            notes.push("no process reports the positions of users: start the tracker or the simulator".into());
+            notes.push(if self.controllers.present(&self.alive).iter().any(|one| one.is_deciding) {
+                format!("{UNSEEN_REPORTS}: connect to the tracker, or to the router of the room, too")
+            } else {
+                "no process reports the positions of users: start the tracker or the simulator".into()
+            });
         }
         notes
     }
@@ -49,6 +53,8 @@ fn arrival<T>(message: &Dated<T>) -> Option<Instant> {
     message.as_ref().map(|(at, _)| *at)
 }
 
+/// Beginning of the note about position reports that reach the controller, and not this process.
+pub(crate) const UNSEEN_REPORTS: &str = "no position reports reach this viewer, but the controller decides on them";
 /// The beginning of the note about two drivers, and beginning and part of what a controller reports because
 /// of them. A second source of users is another fault.
 const TWO_DRIVERS: &str = "two drivers serve one array";
@@ -75,6 +81,12 @@ pub(crate) fn without_figures(text: &str) -> String {
         }
     }
     kept
+}
+
+/// The notes that are not among the others; one whose figures alone differ is the same.
+pub(crate) fn not_in<'a>(notes: &'a [String], others: &[String]) -> Vec<&'a String> {
+    let is_other = |note: &str| others.iter().any(|other| without_figures(other) == without_figures(note));
+    notes.iter().filter(|note| !is_other(note)).collect()
 }
 
 fn off_light(light: &ServedLight) -> Option<String> {
@@ -130,6 +142,20 @@ mod tests {
         received.alive.insert((NodeKind::Controller.name(), 5));
         received.users = Some((Instant::now(), UserReport::default()));
         assert_eq!(received.notes(1, ago(60)), Vec::<String>::new());
+    }
+
+    #[test]
+    fn a_tracker_whose_reports_reach_the_controller_is_not_missing() {
+        let mut received = Received::default();
+        received.alive.insert((NodeKind::Controller.name(), 5));
+        for decisions in [20, 40] {
+            let stamp = Stamp { source: 5, ..Stamp::default() };
+            let counters = vec![("decisions".to_owned(), decisions)];
+            let status = NodeStatus { stamp, node: NodeKind::Controller, counters, ..NodeStatus::default() };
+            received.controllers.take(&status);
+        }
+        let notes = received.notes(1, ago(60));
+        assert!(notes.len() == 1 && notes[0].starts_with(UNSEEN_REPORTS), "{notes:?}");
     }
 
     #[test]

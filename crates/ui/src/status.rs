@@ -10,8 +10,11 @@ use heliostat_proto::{ArrayState, UserReport, codec};
 use heliostat_service::counted::counted;
 use serde::Serialize;
 
-use crate::figures::{Figures, NodeFigures, Origin};
+use crate::controllers::ControllerFigures;
+use crate::figures::{Figures, NodeFigures, Origin, UserFigures};
+use crate::notes::UNSEEN_REPORTS;
 use crate::terminal::texts::{stops, time, without_rates};
+use crate::view::NO_GEOMETRY;
 use crate::{UiError, View};
 
 /// The position reports of a room since a subscription.
@@ -77,6 +80,9 @@ impl RoomStatus {
 
     fn found(&self) -> Vec<String> {
         let Figures { controllers, array, nodes, notes, .. } = &self.figures;
+        // They concern what this viewer shows, not the room.
+        let is_of_viewer = |note: &&String| [NO_GEOMETRY, UNSEEN_REPORTS].iter().any(|start| note.starts_with(start));
+        let notes = notes.iter().filter(|note| !is_of_viewer(note)).cloned();
         let of_node = |NodeFigures { node, problem, .. }: &NodeFigures| {
             (!problem.is_empty()).then(|| format!("{node}: {problem}"))
         };
@@ -85,14 +91,27 @@ impl RoomStatus {
             (_, true) => Some("no controller leads: each stands by"),
             (_, false) => None,
         };
-        let reports = (self.reports_per_s == 0.0).then(|| {
+        let reports = (self.reports_per_s == 0.0 && self.deciding().is_none()).then(|| {
             "no position reports: start the tracker or the simulator, or connect to its endpoint or router too".into()
         });
         let array_state = (array.state != ArrayState::Following.name())
             .then(|| format!("the array does not follow: {}", array.state));
         let faults = (!array.faults.is_empty()).then(|| format!("faults of the array: {}", array.faults.join(", ")));
         let found = reports.into_iter().chain(leads.map(String::from)).chain(array_state).chain(faults);
-        found.chain(self.stops.iter().cloned()).chain(nodes.iter().filter_map(of_node)).chain(notes.clone()).collect()
+        found.chain(self.stops.iter().cloned()).chain(nodes.iter().filter_map(of_node)).chain(notes).collect()
+    }
+
+    /// The number of decisions of a controller that decides on position reports, if one does.
+    fn deciding(&self) -> Option<u64> {
+        self.figures.controllers.iter().find(|one| one.is_deciding).map(|one| one.decisions)
+    }
+
+    /// The position reports that reach this process, and those that reach the controller alone.
+    fn report_line(&self) -> String {
+        match self.deciding().filter(|_| self.reports_per_s == 0.0) {
+            Some(count) => format!("none reach this command; the controller decides on them ({count} decisions)"),
+            None => format!("{:.1} a second", self.reports_per_s),
+        }
     }
 
     /// Whether any array reports.
@@ -122,13 +141,15 @@ impl fmt::Display for RoomStatus {
         let controllers: Vec<String> =
             controllers.iter().map(|one| format!("{} {}", one.name, role(one.is_standby))).collect();
         let are_users_seen = self.figures.origin != Origin::NoData;
-        let blocked = users.iter().filter(|user| user.blocked == Some(true)).count();
-        let below = users.iter().filter(|user| user.is_rate_known && !user.is_met()).count();
+        let users = if are_users_seen { users_line(users) } else { "unknown: no position reports here".into() };
         let rate = sum_mbps.map_or_else(|| without_rates(&self.figures), |sum| format!("{:.1} Mbit/s", sum.policy));
         let decision = times.first().map(|decision| (time(decision, |us| us.p50), time(decision, |us| us.p99)));
         let (p50, p99) = decision.unwrap_or_default();
-        for (name, value) in [
-            ("controllers", or_none(controllers.join(", "))),
+        let sum = |count: fn(&ControllerFigures) -> u64| self.figures.controllers.iter().map(count).sum::<u64>();
+        let (takeovers, lost) = (sum(|one| one.takeovers), sum(|one| one.false_takeovers));
+        let takeovers = (takeovers + lost > 0).then(|| ("takeovers", format!("{takeovers} (false {lost})")));
+        let controllers = ("controllers", or_none(controllers.join(", ")));
+        let lines = [
             ("policy", or_none(policy.clone())),
             (
                 "array",
@@ -139,35 +160,46 @@ impl fmt::Display for RoomStatus {
                 },
             ),
             ("stops", self.stop_line()),
-            ("reports", format!("{:.1} a second", self.reports_per_s)),
-            (
-                "users",
-                if are_users_seen {
-                    format!("{}, {blocked} without a direct path, {below} below the minimum rate", users.len())
-                } else {
-                    "unknown: no position reports".into()
-                },
-            ),
+            ("reports", self.report_line()),
+            ("users", users),
             ("sum rate", rate),
             ("decision", format!("p50 {p50}, p99 {p99}")),
-        ] {
+        ];
+        for (name, value) in [controllers].into_iter().chain(takeovers).chain(lines) {
             writeln!(formatter, "{name:<12} {value}")?;
         }
         self.problems.iter().try_for_each(|problem| writeln!(formatter, "problem      {problem}"))
     }
 }
 
+/// How many users there are, have no direct path, and are below their minimum rate, as far as it is known.
+fn users_line(users: &[UserFigures]) -> String {
+    if users.is_empty() {
+        return "0".into();
+    }
+    let count = |known: fn(&UserFigures) -> Option<bool>, what: &str| {
+        let is_such: Vec<bool> = users.iter().filter_map(known).collect();
+        let such = is_such.iter().filter(|is_such| **is_such).count();
+        match users.len() - is_such.len() {
+            0 => format!("{such} {what}"),
+            unknown if unknown == users.len() => format!("unknown {what}"),
+            unknown => format!("{such} {what} ({unknown} unknown)"),
+        }
+    };
+    let blocked = count(|user| user.blocked, "without a direct path");
+    let below = count(|user| user.is_rate_known.then(|| !user.is_met()), "below the minimum rate");
+    format!("{}, {blocked}, {below}", users.len())
+}
+
 #[cfg(test)]
 mod tests {
-    use crate::controllers::ControllerFigures;
     use crate::figures::ArrayFigures;
 
     use super::*;
 
     #[test]
     fn a_room_is_healthy_only_with_reports_a_leader_and_an_array_that_follows() {
-        let controller =
-            |is_standby| ControllerFigures { name: "a".into(), is_standby, takeovers: 0, false_takeovers: 0 };
+        let controller = |is_standby| ControllerFigures { is_standby, ..ControllerFigures::default() };
         let array = ArrayFigures { state: "following".into(), ..ArrayFigures::default() };
         let figures = |controllers| Figures { controllers, array: array.clone(), ..Figures::default() };
         let found = |figures| RoomStatus { reports_per_s: 20.0, figures, ..RoomStatus::default() }.found();
@@ -181,6 +213,61 @@ mod tests {
         let silent = RoomStatus { figures: silent, ..RoomStatus::default() }.found();
         assert!(silent.len() == 1 && silent[0].starts_with("no position reports: "), "{silent:?}");
         assert!(found(figures(Vec::new()))[0].starts_with("no controller: "));
+    }
+
+    #[test]
+    fn a_note_about_the_picture_is_no_problem_of_the_room() {
+        let notes = vec![format!("{NO_GEOMETRY}: the picture shows another"), "two drivers serve one array".into()];
+        let figures = Figures { notes, ..Figures::default() };
+        let found = RoomStatus { figures, ..RoomStatus::default() }.found();
+        assert!(!found.iter().any(|problem| problem.contains("picture")), "{found:?}");
+        assert_eq!(found.last().map(String::as_str), Some("two drivers serve one array"));
+    }
+
+    #[test]
+    fn reports_that_reach_the_controller_alone_are_no_problem() {
+        let status = |is_deciding| {
+            let leader = ControllerFigures { decisions: 40, is_deciding, ..ControllerFigures::default() };
+            let array = ArrayFigures { state: "following".into(), ..ArrayFigures::default() };
+            let notes = vec![format!("{UNSEEN_REPORTS}: connect")];
+            let figures = Figures { controllers: vec![leader], array, notes, ..Figures::default() };
+            RoomStatus { figures, ..RoomStatus::default() }
+        };
+        assert_eq!(status(true).found(), [""; 0]);
+        let line = "reports      none reach this command; the controller decides on them (40 decisions)";
+        assert!(status(true).to_string().contains(line), "{}", status(true));
+        assert!(status(false).found()[0].starts_with("no position reports: "));
+    }
+
+    #[test]
+    fn what_no_receiver_reports_of_the_users_is_unknown() {
+        let user = |blocked, is_rate_known| UserFigures {
+            blocked,
+            is_rate_known,
+            min_rate_mbps: 1.0,
+            ..UserFigures::default()
+        };
+        let (known, unknown) = (user(Some(true), true), user(None, false));
+        assert_eq!(
+            users_line(&[unknown.clone(), unknown.clone()]),
+            "2, unknown without a direct path, unknown below the minimum rate"
+        );
+        assert_eq!(
+            users_line(&[known.clone(), unknown]),
+            "2, 1 without a direct path (1 unknown), 1 below the minimum rate (1 unknown)"
+        );
+        assert_eq!(users_line(&[known]), "1, 1 without a direct path, 1 below the minimum rate");
+    }
+
+    #[test]
+    fn takeovers_have_a_line_where_there_are_any() {
+        let with = |takeovers, false_takeovers| {
+            let one = ControllerFigures { takeovers, false_takeovers, ..ControllerFigures::default() };
+            let figures = Figures { controllers: vec![one.clone(), one], ..Figures::default() };
+            RoomStatus { figures, ..RoomStatus::default() }.to_string()
+        };
+        assert!(with(2, 1).contains("\ntakeovers    4 (false 2)\n"), "{}", with(2, 1));
+        assert!(!with(0, 0).contains("takeovers"));
     }
 
     #[test]

@@ -20,9 +20,9 @@ pub enum StopPhase {
     /// No stop.
     #[default]
     None,
-    /// Ordered less than a second ago, and not confirmed.
+    /// Ordered less than a second ago, and never confirmed.
     Requested,
-    /// Held for more than a second, and not confirmed by every array for which it is held.
+    /// Held for more than a second or confirmed before, and not confirmed by every array for which it is held.
     Unconfirmed,
     /// Every array for which a stop is held reports that its device has executed it.
     Confirmed,
@@ -68,7 +68,7 @@ impl StopFigure {
 pub struct StopFigures {
     /// How far it has come.
     pub phase: StopPhase,
-    /// Time in this phase in s; for an unconfirmed stop, the time since the order.
+    /// Time in this phase in s; for an unconfirmed stop, the time since the order, or since the last confirmation.
     pub since_s: f64,
     /// Age in s of the oldest telemetry of the arrays that confirm the stop; absent without one.
     pub report_age_s: Option<f64>,
@@ -87,6 +87,8 @@ pub(crate) struct StopState {
     phase: Option<(StopPhase, Instant)>,
     /// When a stop was first held without a confirmation.
     open: Option<Instant>,
+    /// Whether the held stop was confirmed before.
+    was_confirmed: bool,
 }
 
 impl StopState {
@@ -97,11 +99,14 @@ impl StopState {
         let is_held = !room.stops.is_empty() || room.ordered.is_some();
         let is_confirmed = is_held && room.is_confirmed();
         self.open = if is_held && !is_confirmed { self.open.or(Some(now)) } else { None };
+        self.was_confirmed = is_held && (is_confirmed || self.was_confirmed);
+        // A lost confirmation is open from its loss on, not from the order.
+        let ordered = room.ordered.filter(|_| !self.was_confirmed);
         let phase = match (is_held, is_confirmed) {
             (true, true) => Some(StopPhase::Confirmed),
             (true, false) => {
-                let begun = room.ordered.or(self.open).unwrap_or(now);
-                let is_new = since(begun) < CONFIRM_LIMIT;
+                let begun = ordered.or(self.open).unwrap_or(now);
+                let is_new = !self.was_confirmed && since(begun) < CONFIRM_LIMIT;
                 Some(if is_new { StopPhase::Requested } else { StopPhase::Unconfirmed })
             }
             (false, _) => match self.phase {
@@ -115,7 +120,7 @@ impl StopState {
             _ => (phase, now),
         });
         let Some((phase, at)) = self.phase else { return StopFigures::default() };
-        let begun = if phase == StopPhase::Unconfirmed { room.ordered.or(self.open).unwrap_or(at) } else { at };
+        let begun = if phase == StopPhase::Unconfirmed { ordered.or(self.open).unwrap_or(at) } else { at };
         StopFigures {
             phase,
             since_s: since(begun).as_secs_f64(),
@@ -170,6 +175,16 @@ mod tests {
     }
 
     #[test]
+    fn a_stop_that_loses_its_confirmation_is_not_requested_again() {
+        let mut state = StopState::default();
+        assert_eq!(state.update(&room(Some(5000), Standing::Stopped)).phase, StopPhase::Confirmed);
+        let lost = state.update(&room(Some(5000), Standing::Silent));
+        assert!(lost.phase == StopPhase::Unconfirmed && lost.since_s < 5.0, "{lost:?}");
+        state.update(&RoomStops::default());
+        assert_eq!(state.update(&room(Some(100), Standing::Silent)).phase, StopPhase::Requested, "another stop");
+    }
+
+    #[test]
     fn a_room_of_an_unknown_number_of_arrays_is_not_confirmed() {
         let unknown = RoomStops { has_geometry: false, ..room(Some(1500), Standing::Stopped) };
         let figures = StopState::default().update(&unknown);
@@ -184,7 +199,7 @@ mod tests {
 
     #[test]
     fn a_stop_that_the_page_did_not_order_is_warned_of_too() {
-        let mut state = StopState { open: Some(ago(1200)), phase: None };
+        let mut state = StopState { open: Some(ago(1200)), ..StopState::default() };
         assert_eq!(state.update(&room(None, Standing::Silent)).phase, StopPhase::Unconfirmed);
     }
 }

@@ -17,6 +17,7 @@ use ratatui::termion::screen::{AlternateScreen, IntoAlternateScreen};
 use ratatui::termion::{AsyncReader, async_stdin};
 
 use crate::figures::Figures;
+use crate::notes::not_in;
 use crate::{UiError, View};
 use drawing::draw;
 use texts::{line, stops};
@@ -34,7 +35,7 @@ pub enum Display {
 pub struct Lines {
     /// The stops that were printed last.
     stops: Vec<String>,
-    /// The notes that were printed last.
+    /// The notes at the last call.
     notes: Vec<String>,
     /// The line that was printed last.
     line: String,
@@ -119,7 +120,7 @@ impl Display {
 }
 
 impl Lines {
-    /// The stops and the notes, if they have changed, and the figures, unless their line is the one
+    /// The stops, if they have changed, the notes that begin or end, and the figures, unless their line is the one
     /// before.
     fn next(&mut self, figures: &Figures, stops: &[String]) -> Vec<String> {
         let mut lines = Vec::new();
@@ -130,10 +131,9 @@ impl Lines {
             }
             self.stops = stops.to_vec();
         }
-        if self.notes != figures.notes {
-            lines.extend_from_slice(&figures.notes);
-            self.notes.clone_from(&figures.notes);
-        }
+        lines.extend(not_in(&figures.notes, &self.notes).into_iter().cloned());
+        lines.extend(not_in(&self.notes, &figures.notes).into_iter().map(|note| format!("over: {note}")));
+        self.notes.clone_from(&figures.notes);
         let line = line(figures);
         if self.line != line {
             lines.push(line.clone());
@@ -293,7 +293,21 @@ mod tests {
         assert_eq!(lines.next(&running, &stops), stops);
         assert!(lines.next(&running, &stops).is_empty());
         assert_eq!(lines.next(&running, &[]), ["no stop is in force"]);
-        assert_eq!(lines.next(&Figures::default(), &[]), ["no messages from the room"]);
+        let over = "over: no driver receives the commands";
+        assert_eq!(lines.next(&Figures::default(), &[]), [over, "no messages from the room"]);
+    }
+
+    #[test]
+    fn a_note_is_printed_when_it_begins_and_ends_and_not_for_each_of_its_figures() {
+        let mut lines = Lines::default();
+        let mut next = |notes: &[&str]| {
+            let notes = notes.iter().map(|note| (*note).to_owned()).collect();
+            lines.next(&Figures { notes, ..figures(2) }, &[])
+        };
+        assert_eq!(next(&["LED 0 brings 0.61"])[0], "LED 0 brings 0.61");
+        assert!(next(&["LED 0 brings 0.60"]).is_empty());
+        assert_eq!(next(&["LED 1 brings 0.60"]), ["LED 1 brings 0.60", "over: LED 0 brings 0.60"]);
+        assert_eq!(next(&[]), ["over: LED 1 brings 0.60"]);
     }
 
     /// A room with two stops, of which the second array has executed none.

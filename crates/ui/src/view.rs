@@ -27,6 +27,8 @@ pub use crate::expiry::EXPIRY;
 
 /// Time after the start within which a process of the room announces its geometry: twice the interval.
 const ANNOUNCED_WITHIN: Duration = Duration::from_secs(2);
+/// Beginning of the note of a picture that no process announces. It concerns viewers with a picture only.
+pub(crate) const NO_GEOMETRY: &str = "no process announces the geometry of the room";
 /// Time span of the chart of sum rates.
 const HISTORY: Duration = Duration::from_secs(90);
 /// Time between two points of that chart.
@@ -123,7 +125,7 @@ impl View {
             && self.opened.elapsed() > ANNOUNCED_WITHIN
         {
             notes.push(format!(
-                "no process announces the geometry of the room: the picture shows the scenario {}; give --scenario FILE",
+                "{NO_GEOMETRY}: the picture shows the scenario {}; give --scenario FILE",
                 room.scenario.name
             ));
         }

@@ -51,6 +51,21 @@ fn the_banner_says_whether_the_array_confirmed_a_stop() {
 
 #[needs("browser")]
 #[test]
+fn an_order_that_the_server_does_not_answer_has_the_words_of_its_button() {
+    let setting = Setting::new();
+    let browser = setting.browser(&[]);
+    let script = "return import('/orders.js').then(({ notConfirmed }) => \
+           ['stick', 'kill-controller', 'stop'].map((order) => notConfirmed(order, 'Failed to fetch')))";
+    let expected = [
+        "not confirmed: jam a quarter: Failed to fetch",
+        "not confirmed: kill: Failed to fetch",
+        "not confirmed: STOP: Failed to fetch; run `heliostat stop`, or cut the power of the mirrors",
+    ];
+    assert_eq!(browser.run(script), serde_json::json!(expected));
+}
+
+#[needs("browser")]
+#[test]
 fn a_stop_without_an_array_is_answered_at_once_and_a_rearm_keeps_the_warning() {
     let mut setting = Setting::new();
     let browser = setting.browser(&[]);

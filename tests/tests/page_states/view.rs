@@ -148,6 +148,29 @@ fn an_outage_lasts_from_a_rate_below_the_minimum_to_the_next_one_above_it() {
 
 #[needs("browser")]
 #[test]
+fn an_outage_names_the_time_in_which_its_user_was_observed() {
+    let setting = Setting::new();
+    let browser = setting.browser(&[]);
+    let script = "return Promise.all([import('/outages.js'), import('/figures.js')]).then(([{ Outages }, { outageLengths }]) => { \
+           const outages = new Outages(); \
+           const texts = []; \
+           for (let time_s = 0; time_s <= 80; time_s += 1) { \
+             const rate_mbps = time_s === 1 ? 0.5 : 2; \
+             outages.take({ time_s, users: [{ user: 3, is_rate_known: true, rate_mbps, min_rate_mbps: 1 }] }); \
+             if ([0, 1, 3, 80].includes(time_s)) texts.push(outageLengths(outages.of(3))); \
+           } \
+           return texts; })";
+    let expected = [
+        "",
+        "no outage in the last 1.0 s",
+        "1 outage in the last 3.0 s: p50 1.0 s, p95 1.0 s",
+        "no outage in the last 60 s",
+    ];
+    assert_eq!(browser.run(script), serde_json::json!(expected));
+}
+
+#[needs("browser")]
+#[test]
 fn the_fairness_index_is_that_of_the_rates_in_the_table() {
     let setting = Setting::with(&["--set", "blockage.forced_users=2"]);
     let browser = setting.browser(&[]);
@@ -214,6 +237,50 @@ fn the_sentence_says_what_is_unknown() {
     );
     assert_eq!(sentence(&refusing, 0.1), "The controller refuses the position reports: users: outside-room");
     assert!(sentence("null", 0.0).starts_with("Waiting"));
+}
+
+#[needs("browser")]
+#[test]
+fn the_chip_of_the_policy_and_the_name_of_the_sum_rate_agree_on_what_the_mirrors_follow() {
+    let setting = Setting::new();
+    let browser = setting.browser(&[]);
+    let script = "return import('/sentence.js').then(({ inCharge }) => { \
+           const of = (state, age, more = {}) => { \
+             const { name, idle } = inCharge({ array: { state }, policy: 'greedy', controller_alive: true, ...more }, age); \
+             return [name, idle !== '']; }; \
+           return [of('following', 0.1), of('holding, no telemetry of mirrors-1', 0.1), of('parked', 0.1), \
+             of('parked', 0.1, { controller_alive: false }), of('holding', 0.1, { controller_alive: false }), \
+             of('following', 2), of('following', 0.1, { policy: '', calibration: 'spot 1' })]; })";
+    let expected = serde_json::json!([
+        ["greedy", false],
+        ["greedy", false],
+        ["parked", true],
+        ["parked", true],
+        ["holding", true],
+        ["no report", true],
+        ["calibration", true]
+    ]);
+    assert_eq!(browser.run(script), expected);
+    browser.click("#stop");
+    wait_until("an idle policy", || browser.text("#chip-policy").ends_with(" (idle)"));
+    wait_until("a sum rate of stopped mirrors", || browser.text("#sum-figures div:first-child dt") == "stopped");
+}
+
+#[needs("browser")]
+#[test]
+fn users_who_lose_their_link_without_the_mirrors_are_named_as_users() {
+    let setting = Setting::new();
+    let browser = setting.browser(&[]);
+    let script = "return import('/sentence.js').then(({ sentence }) => { \
+           const now = { origin: 'simulated', ages_s: { room: 0 }, nodes: [], users: [] }; \
+           const of = (rates) => sentence(now, 0.1, { wall: false }, { \
+             users: rates.map((without_mirrors_mbps, user) => ({ user, without_mirrors_mbps, min_rate_mbps: 1 })) }); \
+           return [of([2, 2, 0]), of([0, 2, 0])]; })";
+    let expected = [
+        "Without the mirrors, 1 of 3 users is below the minimum rate: user 2.",
+        "Without the mirrors, 2 of 3 users are below the minimum rate: users 0, 2.",
+    ];
+    assert_eq!(browser.run(script), serde_json::json!(expected));
 }
 
 #[needs("browser")]

@@ -43,7 +43,7 @@ fn add_room(page: &mut Page, report: &RoomReport<'_>) {
         page.counter(name, help, &[room], value);
     }
     add_times(page, report);
-    for (cause, count) in &summary.fallbacks {
+    for (cause, count) in summary.fallbacks.iter().chain(&summary.withheld) {
         let labels = [room, ("cause", cause.as_str())];
         page.counter("heliostat_fallbacks", "Decisions in a degraded mode, by cause", &labels, *count);
     }

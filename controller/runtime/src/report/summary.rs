@@ -13,7 +13,7 @@ use heliostat_core::{
     tenure::TenureEvent,
 };
 use heliostat_proto::{
-    MirrorTelemetry, Quantiles, Room,
+    MirrorTelemetry, NodeStatus, Quantiles, Room,
     array_keys::array_name,
     gauges::{ServedLight, TrackerNoise},
 };
@@ -51,8 +51,11 @@ pub struct Summary {
     pub stages_us: BTreeMap<String, Quantiles>,
     /// From the sampling of the positions to the decision.
     pub age_us: Quantiles,
-    /// Decisions in a degraded mode, by mode.
+    /// Decisions without the policy's own angles or on incomplete reports, by degraded mode.
     pub fallbacks: BTreeMap<String, u64>,
+    /// Commands not sent, because an array is stopped, unfit or absent, or follows another controller.
+    #[serde(default)]
+    pub withheld: BTreeMap<String, u64>,
     /// Decisions on modelled gains in a room that has never reported gains.
     #[serde(default)]
     pub modelled: u64,
@@ -254,6 +257,9 @@ impl Summary {
         let arrays = 0..controller.arrays();
         let foreign = ("array:foreign-source".to_string(), counters.foreign_arrays);
         let refused = controller.inbox().refused().named().chain([foreign]);
+        let degraded = DegradedMode::ALL.map(|mode| (mode.name(), counters.degraded(mode)));
+        let (withheld, fallbacks): (Vec<_>, Vec<_>) =
+            degraded.into_iter().partition(|(mode, _)| NodeStatus::WITHHELD.contains(mode));
         Self {
             policy: controller.policy_name().into(),
             engine: controller.engine_name().map(str::to_owned),
@@ -266,7 +272,8 @@ impl Summary {
             epoch: controller.epoch(),
             decisions: counters.decisions,
             commands: counters.commands,
-            fallbacks: nonzero(DegradedMode::ALL.map(|mode| (mode.name(), counters.degraded(mode)))),
+            fallbacks: nonzero(fallbacks),
+            withheld: nonzero(withheld),
             modelled: counters.modelled,
             refused: nonzero(refused),
             users: nonzero([
@@ -329,6 +336,7 @@ impl Summary {
         }
         for (here, there) in [
             (&mut self.fallbacks, &other.fallbacks),
+            (&mut self.withheld, &other.withheld),
             (&mut self.refused, &other.refused),
             (&mut self.missed, &other.missed),
             (&mut self.users, &other.users),
@@ -422,5 +430,18 @@ mod tests {
         let summary = Summary::of(&controller);
         assert_eq!(summary.fallbacks, BTreeMap::from([("held".to_owned(), 1)]));
         assert!(summary.to_string().contains("\nfallbacks: held 1\nrefused: none\n"), "{summary}");
+    }
+
+    #[test]
+    fn each_mode_that_is_no_fallback_is_a_mode_of_the_controller() {
+        let modes = DegradedMode::ALL.map(DegradedMode::name);
+        assert!(NodeStatus::WITHHELD.iter().all(|mode| modes.contains(mode)), "{modes:?}");
+    }
+
+    #[test]
+    fn withheld_commands_have_their_own_line() {
+        let withheld = BTreeMap::from([("withheld".to_owned(), 124)]);
+        let summary = Summary { withheld, ..Summary::default() }.to_string();
+        assert!(summary.contains("\nfallbacks: none\ncommands not sent: withheld 124\nrefused: none\n"), "{summary}");
     }
 }

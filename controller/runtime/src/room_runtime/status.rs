@@ -212,7 +212,7 @@ impl Reporter {
         let over = Stage::ALL.map(|stage| (format!("over_budget_by:{}", stage.name()), times.over_budget_by(stage)));
         let over = over.into_iter().filter(|(_, count)| *count > 0);
         let named = |prefix: &'static str| move |(name, count): (&String, &u64)| (format!("{prefix}{name}"), *count);
-        let fallbacks = summary.fallbacks.iter().map(named("fallback:"));
+        let fallbacks = summary.fallbacks.iter().chain(&summary.withheld).map(named(NodeStatus::DEGRADED));
         let refused = summary.refused.iter().map(named("refused:"));
         let epochs = summary.epoch_events.iter().map(named("epoch:"));
         let missed = summary.missed.iter().map(named("missed:"));

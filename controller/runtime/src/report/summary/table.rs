@@ -30,6 +30,9 @@ impl fmt::Display for Summary {
         }
         self.write_policies(formatter)?;
         writeln!(formatter, "fallbacks:{}", list(&self.fallbacks))?;
+        if !self.withheld.is_empty() {
+            writeln!(formatter, "commands not sent:{}", list(&self.withheld))?;
+        }
         writeln!(formatter, "refused:{}", list(&self.refused))?;
         writeln!(formatter, "reports that did not arrive:{}", list(&self.missed))?;
         write!(formatter, "angles limited: {} by range, {} by slew", self.clipped.range, self.clipped.slew)?;

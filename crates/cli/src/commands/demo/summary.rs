@@ -61,6 +61,7 @@ struct ControllerPart {
     stages_us: BTreeMap<String, Quantiles>,
     age_us: Quantiles,
     fallbacks: BTreeMap<String, u64>,
+    withheld: BTreeMap<String, u64>,
     #[serde(rename(serialize = "users_limited"))]
     users: BTreeMap<String, u64>,
     #[serde(rename(serialize = "refused_by_controller"))]
@@ -234,6 +235,7 @@ impl Summary {
             ("users", room.map(|room| &room.turnover)),
             ("users limited, summed over decisions", controller.map(|controller| &controller.users)),
             ("fallbacks", controller.map(|controller| &controller.fallbacks)),
+            ("commands not sent", controller.map(|controller| &controller.withheld)),
             ("refused by the controller", controller.map(|controller| &controller.refused)),
             ("refused by the room", room.map(|room| &room.refused)),
         ] {
@@ -278,7 +280,8 @@ mod tests {
         let part = serde_json::json!({
             "policy": "nearest", "policies": policies, "clipped": ClippedSummary::default(), "decisions": 9,
             "over_budget": 0, "over_budget_by": none, "decision_us": Quantiles::default(), "stages_us": {},
-            "age_us": Quantiles::default(), "fallbacks": none, "refused": none, "last_problem": "", "users": none,
+            "age_us": Quantiles::default(), "fallbacks": none, "withheld": none, "refused": none, "last_problem": "",
+            "users": none,
         });
         ControllerPart::deserialize(&part).expect("complete")
     }

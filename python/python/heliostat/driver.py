@@ -342,6 +342,7 @@ def run(
         for name in ("capabilities", "safety", "stops"):
             peer.answer(name, latest)
         peer.announce()
+        peer.report_silence(log.show)
         record = _Record(station, log, received)
         shown, more, given_up_ns = _Shown(log, station.stop), False, 0
         while True:

@@ -108,3 +108,23 @@ def test_a_dead_endpoint_and_a_room_without_a_controller_are_named(capsys: pytes
             token = room.session.liveliness().declare_token("heliostat/v1/wrong/alive/controller/1")
             wait_until("controller", lambda: peer.silence() == "")
             token.undeclare()
+
+
+def test_a_client_names_the_router_that_does_not_answer(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("heliostat.peer._SILENT_S", 0.0)
+    endpoint, stop, shown = free_endpoint(), threading.Event(), list[str]()
+    joining = threading.Thread(target=lambda: Tracker(Settings(connect=(endpoint,), client=True), stop))
+    joining.start()
+
+    def is_shown() -> bool:
+        shown.append(capsys.readouterr().err)
+        return f"no router answers at {endpoint}: retrying" in "".join(shown)
+
+    try:
+        wait_until("line on standard error", is_shown)
+    finally:
+        stop.set()
+        joining.join(LIMIT_S)
+    assert "".join(shown).count(endpoint) == 1

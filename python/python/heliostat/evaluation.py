@@ -61,10 +61,11 @@ def evaluate(
     """The score of `act`, from an observation to an action.
 
     `states` is their number for each seed, 100 where neither it nor `episodes` is given. `episodes` is the number of
-    episodes for each seed in place of it, as for `heliostat-lab eval --episodes`. The states are those of `heliostat-lab eval --states STATES --seeds SEEDS` for the scenario of `env`: in a static room
-    one by one, without a step between; in a closed loop those of `heliostat-lab eval --closed-loop`, at sampling times
-    between which `act` decides for each position report. Any wrappers of Gymnasium that change observations or
-    actions apply. Settings of `env` other than scenario, dynamics, action and observation do not matter.
+    episodes for each seed in place of it, as for `heliostat-lab eval --episodes`. The states are those of
+    `heliostat-lab eval --states STATES --seeds SEEDS` for the scenario of `env`: in a static room one by one, without a
+    step between; in a closed loop those of `heliostat-lab eval --closed-loop`, at sampling times between which `act`
+    decides for each position report. Any wrappers of Gymnasium that change observations or actions apply. Settings of
+    `env` other than scenario, dynamics, action and observation do not matter.
     """
     inner = getattr(env, "unwrapped", env)
     if not isinstance(inner, HeliostatEnv):

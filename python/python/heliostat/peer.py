@@ -15,6 +15,7 @@ import signal
 import socket
 import ssl
 import stat
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -185,7 +186,7 @@ class Peer:
         self._declared.append(self.session.liveliness().declare_token(self.keys["alive"]))
 
     def report_silence(self, show: Callable[[str], None]) -> None:
-        """Shows once, after some seconds, why the messages of this process reach no controller; not at all if they do."""
+        """Shows once, after some seconds, why the messages of this process reach no controller, if they do not."""
 
         def look() -> None:
             # The session may end meanwhile.
@@ -348,13 +349,17 @@ def _endpoint_problem(endpoint: str, settings: Settings, role: str) -> str:
 
 def open_session(config: zenoh.Config, stop: threading.Event) -> Any:
     """Opens a session, and retries while a router cannot be reached; `None` where a stop is requested before."""
-    pause_s = _FIRST_PAUSE_S
+    pause_s, began, is_shown = _FIRST_PAUSE_S, time.monotonic(), False
     while not stop.is_set():
         try:
             return zenoh.open(config)
         except zenoh.ZError as problem:
             if json.loads(config.get_json("mode")) != "client":
                 raise PeerError(f"the Zenoh session cannot be opened: {problem}") from problem
+        if not is_shown and time.monotonic() - began >= _SILENT_S:
+            is_shown = True
+            routers = ", ".join(json.loads(config.get_json("connect/endpoints")))
+            print(f"no router answers at {routers}: retrying", file=sys.stderr, flush=True)
         stop.wait(pause_s)
         pause_s = min(2 * pause_s, _LONGEST_PAUSE_S)
     return None

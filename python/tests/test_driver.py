@@ -57,7 +57,7 @@ def test_the_example_keeps_every_rule_of_the_contract(tmp_path: Path, array: str
         found = verdicts("--listen", endpoint, *own)
         assert len(found) > 20 and set(found.values()) == {"kept"}, found
         output, _ = end_by(signal.SIGTERM, driver)
-    assert "commands applied: " in output and "commands applied: 0" not in output
+    assert "commands accepted: " in output and "commands accepted: 0" not in output
 
 
 @needs_program

@@ -56,7 +56,7 @@ def test_a_chain_keeps_every_rule_of_the_contract(tmp_path: Path) -> None:
             found = verdicts("--listen", endpoint)
             assert len(found) > 20 and set(found.values()) == {"kept"}, found
             output, _ = end_by(signal.SIGTERM, driver)
-        assert "commands applied: " in output and "commands applied: 0" not in output
+        assert "commands accepted: " in output and "commands accepted: 0" not in output
 
 
 def test_angles_reach_the_servos_of_their_axes_and_come_back_as_measured() -> None:

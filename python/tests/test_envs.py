@@ -10,6 +10,7 @@ import heliostat
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from heliostat.scenario import _toml
 
 IDS = list(heliostat.envs.IDS)
 FORMS = [(action, observation) for action in ("angles", "weights") for observation in ("flat", "dict", "belief")]
@@ -146,6 +147,15 @@ def test_better_angles_give_a_better_reward_and_info_agrees_with_the_physics() -
     direct = room.link(state["positions"], np.zeros(100), np.zeros(100), state["blockers"])
     assert flat_info["rates_mbps"] == pytest.approx(direct["rate_mbps"], rel=1e-9)
     assert flat_info["qos_met"] == np.mean(direct["rate_mbps"] >= state["min_rates_mbps"])
+
+
+def test_a_dictionary_in_an_override_is_a_table_of_toml() -> None:
+    mixture = [{"mobility": "seated", "count": 2}, {"mobility": "random-waypoint", "count": np.int64(1)}]
+    make("heliostat/Hall-v0", overrides={"users.count": 3, "users.mixture": mixture})
+    with pytest.raises(ValueError, match="unknown variant `walking`"):
+        make("heliostat/Hall-v0", overrides={"users.mixture": [{"mobility": "walking", "count": 2}]})
+    tables = {"text": 'a "b"', "flag": True, "one key": [{"inner": 2.5}]}
+    assert _toml("key", tables) == '{"text" = "a \\"b\\"", "flag" = true, "one key" = [{"inner" = 2.5}]}'
 
 
 def test_scenario_and_overrides_are_keywords() -> None:

@@ -321,7 +321,13 @@ def test_a_calibration_corrects_the_device_within_its_travel(tmp_path: Path) -> 
     ("wrong", "reason"),
     [
         ({"roll_rad": (0.5, -0.5)}, "smallest angle"),
-        ({"roll_rad": (float("nan"), 0.5)}, "not finite"),
+        ({"roll_rad": (float("nan"), 0.5)}, "roll_rad = .* is not finite"),
+        ({"yaw_rad": (-30.0, 30.0)}, "yaw_rad = .* more than half a turn"),
+        ({"yaw_rad": (0.5,)}, "yaw_rad = .*: expected the smallest angle"),
+        ({"travel_rad": ((-0.5, 0.5), (-40, 40))}, "travel_rad, yaw = .* more than half a turn"),
+        ({"park_rad": (0.0, float("inf"))}, "park_rad = .* is not finite"),
+        ({"rows": 0}, "rows = 0: expected an integer from 1"),
+        ({"columns": -2}, "columns = -2: expected an integer from 1"),
         ({"settling_s": -1.0}, "not negative"),
         ({"park_after_ms": -1}, "park_after_ms"),
     ],
@@ -329,15 +335,14 @@ def test_a_calibration_corrects_the_device_within_its_travel(tmp_path: Path) -> 
 def test_capabilities_that_the_contract_does_not_allow_are_refused(
     tmp_path: Path, wrong: dict[str, Any], reason: str
 ) -> None:
-    with pytest.raises(wire.Refused, match=reason):
+    with pytest.raises(ValueError, match=reason):
         Driven(tmp_path, Mirrors(**wrong))
 
 
-def test_an_array_without_mirrors_and_a_wrong_room_are_refused(tmp_path: Path) -> None:
-    mirrors = Mirrors()
-    mirrors.capabilities = Capabilities("none", 0, 2, (-1.0, 1.0), (-1.0, 1.0))
-    with pytest.raises(wire.Refused, match="without mirrors"):
-        Driven(tmp_path, mirrors)
+def test_whole_numbers_are_angles_too(tmp_path: Path) -> None:
+    driven = Driven(tmp_path, Mirrors(roll_rad=(-1, 1), yaw_rad=np.array([-1, 1]), settling_s=1))
+    capabilities = driven.reports["capabilities"]
+    assert (capabilities["roll"]["min_rad"], capabilities["yaw"]["max_rad"]) == (-1.0, 1.0)
 
 
 def test_an_interrupt_within_a_device_ends_the_driver(driven: Driven) -> None:

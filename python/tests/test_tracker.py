@@ -89,3 +89,42 @@ def test_a_tracker_without_an_endpoint_is_refused_and_a_stop_ends_the_wait_for_a
     threading.Timer(1.0, stop.set).start()
     with Tracker(Settings(connect=(free_endpoint(),), client=True), stop) as tracker:
         assert not tracker.is_open
+
+
+def test_a_dead_endpoint_and_a_room_without_a_controller_are_named(capsys: pytest.CaptureFixture[str]) -> None:
+    endpoint = free_endpoint()
+    with Tracker(Settings("wrong", connect=(endpoint,))) as tracker:
+        peer = tracker._peer
+        assert peer.silence() == f"no process of the room answers at {endpoint}: retrying"
+        shown: list[str] = []
+
+        def is_shown() -> bool:
+            shown.append(capsys.readouterr().err)
+            return endpoint in "".join(shown)
+
+        wait_until("line on standard error", is_shown)
+        with observer(endpoint, "right") as room:
+            wait_until("connection", lambda: 'no controller of room "wrong"' in peer.silence())
+            token = room.session.liveliness().declare_token("heliostat/v1/wrong/alive/controller/1")
+            wait_until("controller", lambda: peer.silence() == "")
+            token.undeclare()
+
+
+def test_a_client_names_the_router_that_does_not_answer(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("heliostat.peer._SILENT_S", 0.0)
+    endpoint, stop, shown = free_endpoint(), threading.Event(), list[str]()
+    joining = threading.Thread(target=lambda: Tracker(Settings(connect=(endpoint,), client=True), stop))
+    joining.start()
+
+    def is_shown() -> bool:
+        shown.append(capsys.readouterr().err)
+        return f"no router answers at {endpoint}: retrying" in "".join(shown)
+
+    try:
+        wait_until("line on standard error", is_shown)
+    finally:
+        stop.set()
+        joining.join(LIMIT_S)
+    assert "".join(shown).count(endpoint) == 1

@@ -278,11 +278,12 @@ impl<D: Device> Station<D> {
         self.record_problem().is_none()
     }
 
-    /// The present problem of the record; else the last one of the device or of a refused message; empty
-    /// if there was none.
+    /// The present problem of the record; else that of a device that does not answer; else the last one of
+    /// the device or of a refused message; empty if there was none.
     pub fn last_problem(&self) -> String {
         let (_, is_of_device) = self.problems;
-        let of_device = self.kit.last_problem().filter(|_| is_of_device).map(ToString::to_string);
+        let is_present = self.kit.is_device_absent();
+        let of_device = self.kit.last_problem().filter(|_| is_of_device || is_present).map(ToString::to_string);
         let problem = self.record_problem().map(str::to_owned).or(of_device);
         problem.unwrap_or_else(|| self.refused.last_problem().to_owned())
     }

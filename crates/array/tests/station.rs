@@ -255,7 +255,7 @@ impl Device for Late {
 }
 
 #[test]
-fn an_old_failure_of_the_device_hides_no_refusal() {
+fn an_old_failure_of_the_device_hides_no_refusal_and_a_refusal_no_present_failure() {
     let (memory, is_there) = (Memory::default(), Rc::default());
     let identity = Identity { source: 9, array: 0, software: "test".into() };
     let (record, latch) = StopRecord::open(memory.clone(), true, 0);
@@ -270,12 +270,14 @@ fn an_old_failure_of_the_device_hides_no_refusal() {
         });
         counters.expect("a status").into_iter().find(|(name, _)| name == "device_absent").expect("counted").1
     };
-    assert_eq!(absent(&mut station, 1), 1);
-    assert_eq!(station.last_problem(), "port: no answer");
     let refused = |station: &mut Station<Late>, at: u64| {
         let command = MirrorCommand { roll: vec![0.0; 2], yaw: vec![0.0; 2], ..MirrorCommand::default() };
         station.handle_command(Moment::simulated(at), &command);
     };
+    assert_eq!(absent(&mut station, 1), 1);
+    assert_eq!(station.last_problem(), "port: no answer");
+    refused(&mut station, 2);
+    assert_eq!(station.last_problem(), "port: no answer", "a refusal hides no present failure");
     *is_there.borrow_mut() = true;
     assert_eq!(absent(&mut station, 2000 * MS), 0, "the device has returned");
     refused(&mut station, 2001 * MS);

@@ -31,6 +31,8 @@ struct Exact {
     angles: MirrorAngles,
     /// It fails after so many turns.
     turns: u32,
+    /// Measured angles over those of the mirrors.
+    scale: f64,
 }
 
 impl Exact {
@@ -47,7 +49,7 @@ impl Exact {
             park_after_ms: 1000,
             ..Capabilities::default()
         };
-        Self { capabilities, angles: MirrorAngles::flat(3), turns: u32::MAX }
+        Self { capabilities, angles: MirrorAngles::flat(3), turns: u32::MAX, scale: 1.0 }
     }
 }
 
@@ -68,6 +70,7 @@ impl Device for Exact {
 
     fn measure(&mut self, _now: Moment, into: &mut MirrorAngles) -> Result<bool, DeviceError> {
         into.clone_from(&self.angles);
+        into.roll.iter_mut().chain(&mut into.yaw).for_each(|angle| *angle *= self.scale);
         Ok(true)
     }
 
@@ -121,6 +124,16 @@ fn a_device_that_fails_is_named_beside_the_rules_that_it_breaks() {
     let report = checked("failing", |bus, stop| drop(run::run(Kit::new(device), &Settings::new(bus), stop).unwrap()));
     assert!(broken(&report).len() > 1, "{report}");
     assert!(report.device_problem.as_ref().is_some_and(|problem| problem.contains("turn raised")), "{report}");
+    assert!(broken(&report).contains(&"flood"), "no command is applied: {report}");
+}
+
+#[test]
+fn a_device_that_always_measures_zero_or_measures_degrees_breaks_the_rule_of_measured_angles() {
+    for (room, scale) in [("zeros", 0.0), ("degrees", 1_f64.to_degrees())] {
+        let device = Exact { scale, ..Exact::new() };
+        let report = checked(room, |bus, stop| drop(run::run(Kit::new(device), &Settings::new(bus), stop).unwrap()));
+        assert!(broken(&report).contains(&"measured"), "{report}");
+    }
 }
 
 #[test]

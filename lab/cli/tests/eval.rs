@@ -465,6 +465,7 @@ fn a_function_in_python_is_compared_with_the_built_in_policies_state_by_state() 
          def fails(seen):\n    raise ValueError('no idea')\n\
          def nan(seen):\n    return np.full(12, np.nan)\n\
          def short(seen):\n    return np.zeros(3)\n\
+         def none(seen):\n    pass\n\
          def odd(seen):\n    return np.zeros(12)\n\
          odd.action = 'torque'\n",
     )
@@ -482,10 +483,12 @@ fn a_function_in_python_is_compared_with_the_built_in_policies_state_by_state() 
     }
     for (function, part) in [
         ("fails", "ValueError: no idea"),
+        ("fails", "in fails"),
+        ("none", "none returned None: expected an action"),
         ("nan", "finite"),
         ("short", "length 3"),
         ("odd", "expected \"angles\" or \"weights\""),
-        ("nothing", "nothing"),
+        ("nothing", "mine.py has no function nothing"),
     ] {
         for mode in [&[][..], &["--closed-loop"]] {
             let message =

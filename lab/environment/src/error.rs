@@ -50,7 +50,7 @@ pub enum EnvironmentError {
         meaning: &'static str,
     },
     /// A component of the action is not finite.
-    #[error("the action holds {value} at index {index}, expected finite numbers from -1 to 1")]
+    #[error("the action holds {value} at index {index}, expected finite numbers; those beyond -1 to 1 are clamped")]
     NotFinite {
         /// Index of the first such component.
         index: usize,

@@ -20,6 +20,7 @@ its record, calibrations, telemetry, reconnection. `heliostat driver check` test
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import queue
 import sys
@@ -35,10 +36,46 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ._checks import integer
 from ._core import ARRAYS_MAX, STOP_RECORD_END_WAIT_NS, STOP_RECORD_MAX, Station, stop_record_folder
 from .peer import SOFTWARE, Peer, PeerError, Settings, add_arguments, stop_on_signals
 
 _LONGEST_WAIT_NS = 50_000_000
+_NUMBER_MAX = 2**32 - 1
+
+
+def _finite(name: str, value: Any, expected: str) -> float:
+    """A finite number as a float: an integer or a number of NumPy too."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"{name} = {value!r}: expected {expected}") from None
+    if not math.isfinite(number):
+        raise ValueError(f"{name} = {value!r} is not finite: expected {expected}")
+    return number
+
+
+def _pair(name: str, values: Any, expected: str) -> tuple[float, float]:
+    """Two finite numbers."""
+    try:
+        one, other = values
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} = {values!r}: expected {expected}") from None
+    return _finite(name, one, expected), _finite(name, other, expected)
+
+
+def _limits(name: str, values: Any) -> tuple[float, float]:
+    """The smallest and the largest angle of an axis, at most half a turn apart."""
+    expected = "the smallest angle and the largest angle of the axis in rad"
+    least, most = _pair(name, values, expected)
+    if least > most:
+        raise ValueError(f"{name} = {values!r}: expected {expected}, in this order")
+    # A limit in single precision may round up.
+    if most - least > math.pi + 1e-6:
+        raise ValueError(
+            f"{name} = {values!r} is more than half a turn: expected {expected}; math.radians converts degrees"
+        )
+    return least, most
 
 
 @dataclass(frozen=True)
@@ -69,12 +106,31 @@ class Capabilities:
     travel_rad: tuple[tuple[float, float], tuple[float, float]] | None = None
     driver: str = SOFTWARE
 
+    def __post_init__(self) -> None:
+        checked: dict[str, Any] = {
+            "rows": integer("rows", self.rows, 1, _NUMBER_MAX),
+            "columns": integer("columns", self.columns, 1, _NUMBER_MAX),
+            "park_after_ms": integer("park_after_ms", self.park_after_ms, 0, _NUMBER_MAX),
+            "roll_rad": _limits("roll_rad", self.roll_rad),
+            "yaw_rad": _limits("yaw_rad", self.yaw_rad),
+            "park_rad": _pair("park_rad", self.park_rad, "roll and yaw in rad"),
+        }
+        for name in ("slew_rad_s", "settling_s", "resolution_rad", "command_rate_max_hz"):
+            checked[name] = _finite(name, getattr(self, name), "a finite number")
+        if self.travel_rad is not None:
+            expected = f"travel_rad = {self.travel_rad!r}: expected the range of roll and that of yaw"
+            try:
+                roll, yaw = self.travel_rad
+            except (TypeError, ValueError):
+                raise ValueError(expected) from None
+            checked["travel_rad"] = (_limits("travel_rad, roll", roll), _limits("travel_rad, yaw", yaw))
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+
     def message(self) -> dict[str, Any]:
         """The message of kind 8, with an empty stamp."""
 
         def axis(limits: tuple[float, float]) -> dict[str, float]:
-            if not isinstance(limits, Sequence) or len(limits) != 2:
-                raise ValueError(f"limits {limits!r}: expected the smallest and the largest angle of the axis in rad")
             names = ("slew_rad_s", "settling_s", "resolution_rad")
             return {"min_rad": limits[0], "max_rad": limits[1], **{name: getattr(self, name) for name in names}}
 
@@ -224,7 +280,7 @@ def main(device: Device, given: argparse.Namespace) -> None:
         )
     except (PeerError, ValueError) as problem:
         sys.exit(f"error: {problem}")
-    print(f"commands applied: {counters['accepted']}")
+    print(f"commands accepted: {counters['accepted']}")
 
 
 def run(
@@ -286,6 +342,7 @@ def run(
         for name in ("capabilities", "safety", "stops"):
             peer.answer(name, latest)
         peer.announce()
+        peer.report_silence(log.show)
         record = _Record(station, log, received)
         shown, more, given_up_ns = _Shown(log, station.stop), False, 0
         while True:

@@ -84,8 +84,8 @@ class Dynamixel(Device):
             raise ValueError(f"{len(servos)} servos: expected two for each of {rows} x {columns} mirrors")
         if len(set(servos)) < len(servos) or not all(0 <= one <= ID_MAX for one in servos):
             raise ValueError(f"servos {list(servos)}: expected different identifiers from 0 to {ID_MAX}")
-        if not 0 < range_rad < math.pi or not _VELOCITY_STEP_RAD_S <= speed_rad_s <= 30:
-            raise ValueError(f"range {range_rad} rad, speed {speed_rad_s} rad/s: expected 0 to pi, and 0.024 to 30")
+        if not 0 < range_rad <= math.pi / 2 or not _VELOCITY_STEP_RAD_S <= speed_rad_s <= 30:
+            raise ValueError(f"range {range_rad} rad, speed {speed_rad_s} rad/s: expected 0 to pi/2, and 0.024 to 30")
         self.capabilities = Capabilities(
             "Dynamixel X servos",
             rows,

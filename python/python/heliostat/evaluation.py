@@ -11,11 +11,13 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ._checks import states_of
+from ._checks import integer, states_of
 from ._core import INSTANTS, oracle_samples, spread
 from .envs import HeliostatEnv
 
 _EPISODES_FEW = 10
+_EPISODES_MAX = 50_000
+_STATES = 100
 
 Act: TypeAlias = Callable[[Any], NDArray[np.float32]]
 """From an observation to an action."""
@@ -53,18 +55,26 @@ class Score:
     """The figures whose interval reaches beyond what they can be, such as an outage below 0: use more episodes."""
 
 
-def evaluate(act: Act, env: HeliostatEnv | Any, states: int = 100, seeds: int = 1) -> Score:
+def evaluate(
+    act: Act, env: HeliostatEnv | Any, states: int | None = None, seeds: int = 1, *, episodes: int | None = None
+) -> Score:
     """The score of `act`, from an observation to an action.
 
-    The states are those of `heliostat-lab eval --states STATES --seeds SEEDS` for the scenario of `env`: in a static room
-    one by one, without a step between; in a closed loop those of `heliostat-lab eval --closed-loop`, at sampling times
-    between which `act` decides for each position report. Any wrappers of Gymnasium that change observations or
-    actions apply. Settings of `env` other than scenario, dynamics, action and observation do not matter.
+    `states` is their number for each seed, 100 where neither it nor `episodes` is given. `episodes` is the number of
+    episodes for each seed in place of it, as for `heliostat-lab eval --episodes`. The states are those of
+    `heliostat-lab eval --states STATES --seeds SEEDS` for the scenario of `env`: in a static room one by one, without a
+    step between; in a closed loop those of `heliostat-lab eval --closed-loop`, at sampling times between which `act`
+    decides for each position report. Any wrappers of Gymnasium that change observations or actions apply. Settings of
+    `env` other than scenario, dynamics, action and observation do not matter.
     """
     inner = getattr(env, "unwrapped", env)
     if not isinstance(inner, HeliostatEnv):
         raise TypeError(f"expected an environment of heliostat, found {type(inner).__name__}")
-    states, seeds = states_of(states, seeds)
+    if episodes is not None:
+        if states is not None:
+            raise ValueError(f"states = {states!r} and episodes = {episodes!r}: expected one of them")
+        states = integer("episodes", episodes, 1, _EPISODES_MAX) * (1 if inner.is_static else INSTANTS)
+    states, seeds = states_of(_STATES if states is None else states, seeds)
     with inner.with_other_rooms(oracle=inner.is_static):
         samples = _static if inner.is_static else _closed_loop
         groups = samples(act, env, inner, states, seeds)
@@ -92,12 +102,12 @@ def evaluate(act: Act, env: HeliostatEnv | Any, states: int = 100, seeds: int = 
     if not inner.is_static:
         figures |= of("outage", lambda group: 1.0 - group[:, 1], 1.0)
     if len(groups) < _EPISODES_FEW:
+        count = "1 episode" if len(groups) == 1 else f"{len(groups)} episodes"
         warnings.warn(
-            f"the intervals come from {len(groups)} episodes; use at least {_EPISODES_FEW}: states, seeds or both larger",
+            f"the intervals come from {count}; use at least {_EPISODES_FEW}: episodes, states or seeds larger",
             stacklevel=2,
         )
-    count = sum(len(group) for group in groups)
-    return Score(**figures, states=count, episodes=len(groups), crossing=tuple(crossing))
+    return Score(**figures, states=sum(len(group) for group in groups), episodes=len(groups), crossing=tuple(crossing))
 
 
 _Samples: TypeAlias = NDArray[np.float64]

@@ -15,10 +15,11 @@ import signal
 import socket
 import ssl
 import stat
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -39,6 +40,7 @@ _ALIVE_LIMIT_S = 1.0
 _SHORTEST_S, _LONGEST_S = 0.01, 1e7
 _UNITS_S = {"ms": 1e-3, "min": 60.0, "h": 3600.0, "s": 1.0}
 _PROBE_LIMIT_S = 0.5
+_SILENT_S = 3.0
 _ENCRYPTED = ("tls", "quic")
 _SESSION = {
     "scouting/multicast/enabled": False,
@@ -139,6 +141,7 @@ class Peer:
     def __init__(self, settings: Settings, node: str, array: int, stop: threading.Event) -> None:
         config, room = _configuration(settings, node)
         self.room, self.node, self.array = room, node, array
+        self._settings = settings
         self.authenticated = settings.tls is not None
         self.source = random.SystemRandom().getrandbits(64)
         try:
@@ -181,6 +184,34 @@ class Peer:
     def announce(self) -> None:
         """Declares the liveliness token of the process."""
         self._declared.append(self.session.liveliness().declare_token(self.keys["alive"]))
+
+    def report_silence(self, show: Callable[[str], None]) -> None:
+        """Shows once, after some seconds, why the messages of this process reach no controller, if they do not."""
+
+        def look() -> None:
+            # The session may end meanwhile.
+            with suppress(zenoh.ZError):
+                if problem := self.silence():
+                    show(problem)
+
+        timer = threading.Timer(_SILENT_S, look)
+        timer.daemon = True
+        timer.start()
+        self._stack.callback(timer.cancel)
+
+    def silence(self) -> str:
+        """Why the messages of this process reach no controller now; empty if they do."""
+        info = self.session.info
+        if not [*info.peers_zid(), *info.routers_zid()]:
+            if problem := connection_problem(self._settings, self.node):
+                return f"not connected, retrying: {problem}"
+            if self._settings.connect:
+                return f"no process of the room answers at {', '.join(self._settings.connect)}: retrying"
+            return f"no process has connected to {', '.join(self._settings.listen)} yet: waiting"
+        tokens = self.session.liveliness().get(self.keys["processes"], timeout=_ALIVE_LIMIT_S)
+        if any("/controller/" in str(reply.ok.key_expr) for reply in tokens if reply.ok is not None):
+            return ""
+        return f'no controller of room "{self.room}" is connected: start one, or join its room with --room'
 
     def _key(self, name: str, array: int | None) -> str:
         """The key of a message; of another array than that of the process, if one is given."""
@@ -318,13 +349,17 @@ def _endpoint_problem(endpoint: str, settings: Settings, role: str) -> str:
 
 def open_session(config: zenoh.Config, stop: threading.Event) -> Any:
     """Opens a session, and retries while a router cannot be reached; `None` where a stop is requested before."""
-    pause_s = _FIRST_PAUSE_S
+    pause_s, began, is_shown = _FIRST_PAUSE_S, time.monotonic(), False
     while not stop.is_set():
         try:
             return zenoh.open(config)
         except zenoh.ZError as problem:
             if json.loads(config.get_json("mode")) != "client":
                 raise PeerError(f"the Zenoh session cannot be opened: {problem}") from problem
+        if not is_shown and time.monotonic() - began >= _SILENT_S:
+            is_shown = True
+            routers = ", ".join(json.loads(config.get_json("connect/endpoints")))
+            print(f"no router answers at {routers}: retrying", file=sys.stderr, flush=True)
         stop.wait(pause_s)
         pause_s = min(2 * pause_s, _LONGEST_PAUSE_S)
     return None

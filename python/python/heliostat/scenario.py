@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from ._core import Scenario
 
-Value: TypeAlias = "bool | int | float | str | list[bool | int | float | str | list[float]]"
-"""A value of a scenario's key."""
+Value: TypeAlias = "bool | int | float | str | Sequence[Value] | Mapping[str, Value]"
+"""A value of a scenario's key; a mapping is a table."""
 
 __all__ = ["Scenario", "Value", "load_scenario"]
 
@@ -22,7 +22,8 @@ def load_scenario(
 ) -> Scenario:
     """The checked scenario of a built-in name or of a TOML file.
 
-    `overrides` maps keys as "users.count" to values. Raises `ValueError` for an unknown name or key, and for a
+    `overrides` maps keys as "users.count" to values; a dictionary is a table of TOML, as in
+    `{"users.mixture": [{"mobility": "seated", "count": 2}]}`. Raises `ValueError` for an unknown name or key, and for a
     value outside its domain; the message states key, value and the expected values.
     """
     if isinstance(source, Scenario):
@@ -35,12 +36,25 @@ def load_scenario(
     return Scenario(os.fspath(source), [f"{key}={_toml(key, value)}" for key, value in given.items()])
 
 
-def _toml(key: str, value: Value) -> str:
-    """A value in TOML; JSON has the same form for booleans, numbers, strings and lists."""
+def _toml(key: str, value: Any) -> str:
+    """A value in TOML: a dictionary is an inline table, and JSON has the same form for the others but `Infinity`."""
+    if isinstance(value, (np.generic, np.ndarray)):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        entries = (f"{_text(key, name)} = {_toml(f'{key}.{name}', entry)}" for name, entry in value.items())
+        return f"{{{', '.join(entries)}}}"
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(_toml(key, entry) for entry in value)}]"
+    if isinstance(value, str):
+        return _text(key, value)
+    if isinstance(value, (bool, int, float)):
+        return json.dumps(value).replace("Infinity", "inf").replace("NaN", "nan")
+    raise TypeError(f"overrides: {key} is of the type {type(value).__name__}, expected a value of TOML")
 
-    def plain(other: Any) -> Any:
-        if isinstance(other, (np.generic, np.ndarray)):
-            return other.tolist()
-        raise TypeError(f"overrides: {key} is of the type {type(other).__name__}, expected a value of TOML")
 
-    return json.dumps(value, default=plain)
+def _text(key: str, text: Any) -> str:
+    """A text in quotes."""
+    if not isinstance(text, str):
+        raise TypeError(f"overrides: {key} has a name of the type {type(text).__name__}, expected a text")
+    # TOML has no surrogates, so JSON must not write characters as pairs of them.
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

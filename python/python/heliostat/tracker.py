@@ -53,6 +53,7 @@ class Tracker:
         self._state, self._details = "tracking", dict[str, int]()
         if self._peer.is_open:
             self._peer.announce()
+            self._peer.report_silence(lambda problem: print(problem, file=sys.stderr, flush=True))
 
     def __enter__(self) -> Tracker:
         return self

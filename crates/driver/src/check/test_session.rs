@@ -322,10 +322,9 @@ impl TestSession {
     pub fn device_problem(&self) -> Option<String> {
         self.inspect(|received| {
             let is_lost = |telemetry: &MirrorTelemetry| telemetry.faults & fault::LINK != 0;
-            let problems = received.statuses.iter().rev().filter_map(|(_, status)| status.as_ref().ok());
-            let problem = problems.map(|status| &status.last_problem).find(|problem| !problem.is_empty());
+            let problem = problem_of_device(received.statuses.iter().filter_map(|(_, status)| status.as_ref().ok()));
             let unknown = || "its status names no problem".to_owned();
-            received.telemetry.iter().any(is_lost).then(|| problem.cloned().unwrap_or_else(unknown))
+            received.telemetry.iter().any(is_lost).then(|| problem.map_or_else(unknown, str::to_owned))
         })
     }
 
@@ -385,6 +384,16 @@ pub fn bytes<T: Message>(message: &T) -> Result<Vec<u8>> {
     Ok(payload)
 }
 
+/// The latest problem of a device in the statuses of its driver.
+///
+/// The other problems there are refusals, such as those of the commands of the check. A driver that counts
+/// no absent devices does not tell them apart.
+fn problem_of_device<'a>(statuses: impl DoubleEndedIterator<Item = &'a NodeStatus>) -> Option<&'a str> {
+    let is_absent = |status: &NodeStatus| status.counters.iter().any(|(name, n)| name == "device_absent" && *n > 0);
+    let latest = statuses.rev().find(|status| is_absent(status) && !status.last_problem.is_empty());
+    latest.map(|status| status.last_problem.as_str())
+}
+
 fn stop_message(stamp: Stamp, action: StopAction) -> Result<Vec<u8>> {
     let (operator, reason) = texts();
     bytes(&EmergencyStop { stamp, action, operator, reason })
@@ -414,4 +423,22 @@ fn difference(after: &Counters, before: &Counters) -> Counters {
 
 fn lock(received: &(Mutex<Received>, Condvar)) -> MutexGuard<'_, Received> {
     received.0.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn status(absent: u64, problem: &str) -> NodeStatus {
+        let counters = vec![("device_absent".to_owned(), absent)];
+        NodeStatus { counters, last_problem: problem.to_owned(), ..NodeStatus::default() }
+    }
+
+    #[test]
+    fn a_refused_command_of_the_check_is_no_problem_of_the_device() {
+        let refused = status(0, "command: a command with a validity of 4294967295 ms");
+        let statuses = [status(1, "mirrors: roll of mirror 0 is not finite"), refused.clone()];
+        assert_eq!(problem_of_device(statuses.iter()), Some("mirrors: roll of mirror 0 is not finite"));
+        assert_eq!(problem_of_device([refused].iter()), None);
+    }
 }

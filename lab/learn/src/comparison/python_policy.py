@@ -9,6 +9,10 @@ import importlib.util
 import os
 import struct
 import sys
+import traceback
+
+# Different problems whose lines are shown.
+SHOWN_MAX = 3
 
 file, name = sys.argv[1:]
 requests = os.fdopen(os.dup(0), "rb")
@@ -22,7 +26,14 @@ def answer(status, content):
     answers.flush()
 
 
+shown = set()
+
+
 def reason(problem):
+    """The text for heliostat-lab; the first time, standard error has the lines that led there."""
+    if str(problem) not in shown and len(shown) < SHOWN_MAX:
+        shown.add(str(problem))
+        traceback.print_exception(type(problem), problem, problem.__traceback__)
     return f"{type(problem).__name__}: {problem}".encode()
 
 
@@ -34,7 +45,9 @@ try:
     module = importlib.util.module_from_spec(specification)
     sys.modules["policy"] = module
     specification.loader.exec_module(module)
-    act = getattr(module, name)
+    act = getattr(module, name, None)
+    if act is None:
+        raise AttributeError(f"{file} has no function {name}")
     if not callable(act):
         raise TypeError(f"{name} is no function")
     form = getattr(act, "action", "angles")
@@ -49,6 +62,8 @@ while len(head := requests.read(4)) == 4:
             getattr(act, "reset", lambda: None)()
             continue
         action = act(numpy.frombuffer(requests.read(4 * count), "<f4").copy())
+        if action is None:
+            raise TypeError(f"{name} returned None: expected an action")
         answer(0, numpy.ascontiguousarray(action, "<f4").reshape(-1).tobytes())
     except Exception as problem:  # noqa: BLE001: as above
         answer(1, reason(problem))

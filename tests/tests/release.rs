@@ -92,3 +92,30 @@ fn binstall_finds_the_program_in_the_archive() {
     let program = fill(metadata["bin-dir"].as_str().expect("a template"));
     assert!(listing.lines().any(|line| line == program), "{program}:\n{listing}");
 }
+
+#[test]
+fn a_release_that_cannot_be_built_says_what_is_missing_and_writes_nothing() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let place = folder.path().join("release");
+    let empty = folder.path().to_str().expect("a plain path");
+    for (arguments, expected) in [
+        (&["--target", "abacus", "archive"][..], "unknown target \"abacus\": expected one of"),
+        (&["--target", "x86_64-pc-windows-gnu", "archive"], "expected a target of Linux or macOS"),
+        (&["--target", "riscv64gc-unknown-openbsd", "archive"], "expected a target of Linux or macOS"),
+        (&["--programs", empty, "archive"], "has no heliostat: build it with"),
+        (&["--programs", "absent", "archive"], "--programs absent is not a folder"),
+        (&["--host-program", "absent", "archive"], "--host-program absent is not a program"),
+    ] {
+        let mut command = Command::new(root().join("deploy/release/build"));
+        let output = command.arg(&place).args(arguments).output().expect("the script runs");
+        let errors = String::from_utf8_lossy(&output.stderr);
+        assert!(!output.status.success() && errors.contains(expected), "{arguments:?}: {errors}");
+        assert!(std::fs::read_dir(&place).map_or(0, Iterator::count) == 0, "{arguments:?}");
+    }
+    let mut command = Command::new(root().join("deploy/release/build"));
+    let programs = programs();
+    command.arg(&place).arg("--programs").arg(&programs).arg("image").env("DOCKER_HOST", "unix:///absent");
+    let output = command.output().expect("the script runs");
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success() && errors.contains("no container engine answers"), "{errors}");
+}

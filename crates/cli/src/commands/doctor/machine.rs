@@ -15,10 +15,6 @@ const STEP_MIN: Duration = Duration::from_millis(2);
 const WAKE_UPS: usize = 100;
 /// A wake-up with this delay takes half of the latency budget of a decision, 0.5 ms.
 const LATE_WAKE_UP: Duration = Duration::from_micros(250);
-/// Memory that a controller with its buffers and a model locks at most, in bytes.
-const MEMORY_LOCK_NEEDED: u64 = 256 << 20;
-/// The priority that the units in deploy/systemd request.
-const REALTIME_PRIORITY_NEEDED: u64 = 50;
 
 /// All checks of the machine.
 pub(super) fn checks() -> Vec<Check> {
@@ -118,6 +114,11 @@ fn wake_ups() -> Check {
 #[cfg(target_os = "linux")]
 fn limits() -> Vec<Check> {
     use nix::sys::resource::{Resource, getrlimit};
+
+    /// Memory that a controller with its buffers and a model locks at most, in bytes.
+    const MEMORY_LOCK_NEEDED: u64 = 256 << 20;
+    /// The priority that the units in deploy/systemd request.
+    const REALTIME_PRIORITY_NEEDED: u64 = 50;
 
     let limit = |resource| getrlimit(resource).map_or(0, |(soft, _)| soft);
     // Bits of the effective capabilities, see capabilities(7).

@@ -332,7 +332,7 @@ impl Reporter {
         let without_driver = &self.conditions.without_driver;
         if before != *without_driver {
             let problem = if without_driver.is_empty() {
-                Problem::End("a driver is in the room and receives the commands".into())
+                Problem::End("a driver is in the room".into())
             } else {
                 Problem::Warning(format!("{}: {DRIVER_ABSENT}", describe_absence(without_driver, arrays)))
             };

@@ -274,8 +274,11 @@ impl<D: Device> Kit<D> {
     /// [`RearmRefusal`]: no stop of this name is latched.
     pub fn handle_rearm(&mut self, now: Moment, order: &Rearm) -> Result<(), RearmRefusal> {
         self.advance(now);
+        let was_stopped = self.array.state() == ArrayState::Stopped;
         self.array.handle_rearm(order)?;
-        self.apply_release(now);
+        if was_stopped {
+            self.apply_release(now);
+        }
         Ok(())
     }
 

@@ -241,13 +241,17 @@ impl Array {
         is_new
     }
 
-    /// Applies a re-arm that names the stop; the array parks when no other one is latched.
+    /// Applies a re-arm that names the stop; the array parks when no other one is latched. A sender repeats a
+    /// re-arm until it is confirmed, so one of a stop that was released before changes nothing.
     ///
     /// # Errors
-    /// [`RearmRefusal`]: no stop of this name is latched.
+    /// [`RearmRefusal`]: no stop of this name is or was latched.
     pub fn handle_rearm(&mut self, order: &Rearm) -> Result<(), RearmRefusal> {
-        self.latch.release(order.name())?;
-        self.note_release(order.name());
+        match self.latch.release(order.name()) {
+            Ok(()) => self.note_release(order.name()),
+            Err(_) if self.released.contains(&order.name()) => {}
+            Err(refusal) => return Err(refusal),
+        }
         Ok(())
     }
 

@@ -220,6 +220,12 @@ mod tests {
     }
 
     #[test]
+    fn more_light_than_expected_is_no_reason_to_clean_mirrors() {
+        let advice = |ratio| ServedLight { of: "mirrors".into(), ratio, off_since_s: None }.advice();
+        assert!(advice(0.6).contains("clean the mirrors") && !advice(1.4).contains("clean"), "{}", advice(1.4));
+    }
+
+    #[test]
     fn the_progress_of_a_calibration_is_read_from_the_gauges_that_it_wrote() {
         let progress = CalibrationProgress {
             place: 2,

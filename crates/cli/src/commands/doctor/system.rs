@@ -297,3 +297,28 @@ pub(super) fn compare(index: usize, array: &Capabilities, scenario: &Scenario) -
     };
     Check::ok("driver", format!("{found}{clock}"))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_array_that_fits_is_a_warning_while_it_is_stopped_or_has_a_fault() {
+        let found = |state, faults| {
+            let driver = DriverState {
+                capabilities: Capabilities::default(),
+                device_problem: None,
+                calibration: None,
+                faults,
+                state,
+            };
+            with_state(Check::ok("driver", "mirrors"), &driver)
+        };
+        let following = found(Some(ArrayState::Following), 0);
+        assert_eq!((following.verdict, following.found.as_str()), (Verdict::Ok, "mirrors"));
+        let stopped = found(Some(ArrayState::Stopped), 0);
+        assert_eq!((stopped.verdict, stopped.found.as_str()), (Verdict::Warn, "mirrors; it is stopped"));
+        let jammed = found(Some(ArrayState::Following), fault::MIRROR | fault::SUPPLY);
+        assert_eq!((jammed.verdict, jammed.found.as_str()), (Verdict::Warn, "mirrors; faults: mirror, supply"));
+    }
+}

@@ -2,6 +2,7 @@
 
 use std::time::{Duration, Instant};
 
+use heliostat_proto::StopName;
 use heliostat_proto::reported_stops::{RoomStop, Standing};
 use heliostat_service::printable::printable;
 use serde::Serialize;
@@ -87,8 +88,8 @@ pub(crate) struct StopState {
     phase: Option<(StopPhase, Instant)>,
     /// When a stop was first held without a confirmation.
     open: Option<Instant>,
-    /// Whether the held stop was confirmed before.
-    was_confirmed: bool,
+    /// The stops that were held at the last confirmation.
+    confirmed: Vec<StopName>,
 }
 
 impl StopState {
@@ -99,14 +100,21 @@ impl StopState {
         let is_held = !room.stops.is_empty() || room.ordered.is_some();
         let is_confirmed = is_held && room.is_confirmed();
         self.open = if is_held && !is_confirmed { self.open.or(Some(now)) } else { None };
-        self.was_confirmed = is_held && (is_confirmed || self.was_confirmed);
+        match (is_held, is_confirmed) {
+            (true, true) => self.confirmed = room.stops.iter().map(|stop| stop.name).collect(),
+            (true, false) => {}
+            (false, _) => self.confirmed.clear(),
+        }
+        // A further stop begins its own second.
+        let is_known = room.stops.iter().all(|stop| self.confirmed.contains(&stop.name));
+        let was_confirmed = is_known && !self.confirmed.is_empty();
         // A lost confirmation is open from its loss on, not from the order.
-        let ordered = room.ordered.filter(|_| !self.was_confirmed);
+        let ordered = room.ordered.filter(|_| !was_confirmed);
         let phase = match (is_held, is_confirmed) {
             (true, true) => Some(StopPhase::Confirmed),
             (true, false) => {
                 let begun = ordered.or(self.open).unwrap_or(now);
-                let is_new = !self.was_confirmed && since(begun) < CONFIRM_LIMIT;
+                let is_new = !was_confirmed && since(begun) < CONFIRM_LIMIT;
                 Some(if is_new { StopPhase::Requested } else { StopPhase::Unconfirmed })
             }
             (false, _) => match self.phase {
@@ -134,8 +142,6 @@ impl StopState {
 
 #[cfg(test)]
 mod tests {
-    use heliostat_proto::StopName;
-
     use super::*;
 
     fn ago(ms: u64) -> Instant {

@@ -64,14 +64,14 @@ def _pair(name: str, values: Any, expected: str) -> tuple[float, float]:
     return _finite(name, one, expected), _finite(name, other, expected)
 
 
-def _limits(name: str, values: Any) -> tuple[float, float]:
-    """The smallest and the largest angle of an axis, at most half a turn apart."""
+def _limits(name: str, values: Any, most_apart: float = math.pi) -> tuple[float, float]:
+    """The smallest and the largest angle of an axis, at most half a turn apart where no other bound is given."""
     expected = "the smallest angle and the largest angle of the axis in rad"
     least, most = _pair(name, values, expected)
     if least > most:
         raise ValueError(f"{name} = {values!r}: expected {expected}, in this order")
     # A limit in single precision may round up.
-    if most - least > math.pi + 1e-6:
+    if most - least > most_apart + 1e-6:
         raise ValueError(
             f"{name} = {values!r} is more than half a turn: expected {expected}; math.radians converts degrees"
         )
@@ -123,7 +123,10 @@ class Capabilities:
                 roll, yaw = self.travel_rad
             except (TypeError, ValueError):
                 raise ValueError(expected) from None
-            checked["travel_rad"] = (_limits("travel_rad, roll", roll), _limits("travel_rad, yaw", yaw))
+            checked["travel_rad"] = (
+                _limits("travel_rad, roll", roll, math.inf),
+                _limits("travel_rad, yaw", yaw, math.inf),
+            )
         for name, value in checked.items():
             object.__setattr__(self, name, value)
 

@@ -112,7 +112,7 @@ fn a_record_of_several_stops_that_is_cut_off_is_an_unknown_state() {
 /// Forged telemetry with the highest epoch of all, and then with its sequence, made the controller take an epoch
 /// again under which it had commanded before, and number from 1.
 #[test]
-fn a_controller_takes_no_epoch_a_second_time() {
+fn a_controller_that_returns_to_an_epoch_gives_no_number_twice() {
     let faults =
         [at(2479, 2508, Fault::Attack(Attack::OwnTelemetry)), at(2845, 1189, Fault::Attack(Attack::FarSequence))];
     let reports = OptionalReports { obstacles: false, orientation: true, leds: true };

@@ -50,14 +50,14 @@
 //!   [`PAUSE_MAX`] times.
 //! - **Epochs are unique**: each controller uses only epochs with its own remainder modulo
 //!   [`EPOCH_SLOTS`], which also names the leader. Two controllers that choose at the same time choose
-//!   different epochs, and no controller takes one of its former epochs again.
+//!   different epochs. A controller that returns to a former epoch goes on with its numbers.
 //!
 //! The latest telemetry alone counts: an epoch that one message claims is forgotten with the next.
 //! Nothing here ends a process.
 
 mod evidence;
 
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 
 use heliostat_proto::Nanos;
 
@@ -133,8 +133,8 @@ pub struct Tenure {
     /// Contested takeovers in sequence.
     back_off: u8,
     epoch: u64,
-    /// Every epoch under which this controller has commanded: at most one for each [`PATIENCE_NS`].
-    used: BTreeSet<u64>,
+    /// The last sequence number of each former epoch with commands: at most one more for each decision.
+    numbered: BTreeMap<u64, u64>,
     /// Sequence number of the last command in this epoch.
     sequence: u64,
     /// The latest telemetry, and its arrival.
@@ -161,7 +161,7 @@ impl Tenure {
             takeover: None,
             back_off: 0,
             epoch,
-            used: BTreeSet::new(),
+            numbered: BTreeMap::new(),
             sequence: 0,
             seen: None,
             announced: 0,
@@ -213,7 +213,7 @@ impl Tenure {
         self.announced = epoch;
     }
 
-    /// Numbers a command of the present epoch: from 1, rising by one.
+    /// Numbers a command of the present epoch: from 1, rising by one, also over a return to it.
     pub fn next_sequence(&mut self) -> u64 {
         self.sequence = self.sequence.saturating_add(1);
         self.sequence
@@ -461,24 +461,24 @@ impl Tenure {
     fn renew(&mut self, now: Nanos, evidence: Evidence) {
         let utc_ms = now / 1_000_000;
         let (claimed, both) = (evidence.epoch, utc_ms.max(evidence.epoch));
-        let bases = if self.attempts.is_multiple_of(2) { [both, claimed, utc_ms] } else { [claimed, both, utc_ms] };
-        if let Some(epoch) = bases.into_iter().find_map(|base| self.unused_above(base)) {
+        let bases = if self.attempts.is_multiple_of(2) { [both, claimed] } else { [claimed, both] };
+        // Where the own epoch is the lowest above the claimed one, a lower one would be refused.
+        let own = (self.epoch > claimed).then_some(self.epoch);
+        let mut candidates = bases.into_iter().chain(own).chain([utc_ms]).filter_map(|base| self.above(base));
+        if let Some(epoch) = candidates.find(|epoch| *epoch != self.epoch) {
             self.begin(epoch);
         }
         self.attempts = 6.min(self.attempts + 1);
         self.unaccepted = None;
     }
 
-    /// Commands under an epoch from now on. Its commands are numbered from 1, so it is never taken again.
+    /// Commands under an epoch from now on. No number of an epoch is given twice, also after a return to it.
     fn begin(&mut self, epoch: u64) {
+        if self.sequence > 0 {
+            self.numbered.insert(self.epoch, self.sequence);
+        }
         self.epoch = epoch;
-        self.sequence = 0;
-        self.used.insert(epoch);
-    }
-
-    /// The lowest epoch of this controller above a base that it has not used; `None` where there is none.
-    fn unused_above(&self, base: u64) -> Option<u64> {
-        std::iter::successors(self.above(base), |epoch| self.above(*epoch)).find(|epoch| !self.used.contains(epoch))
+        self.sequence = self.numbered.get(&epoch).copied().unwrap_or(0);
     }
 
     /// The lowest epoch of this controller above a base; `None` where there is none.

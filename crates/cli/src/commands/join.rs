@@ -8,6 +8,9 @@ use heliostat_service::output;
 /// A process that is there accepts a connection within this time.
 const CONNECTED_WITHIN: Duration = Duration::from_millis(1200);
 
+/// Longest wait for the processes that another one reaches.
+const ALIVE_WITHIN: Duration = Duration::from_millis(500);
+
 /// Joins a room; fails with the reason where there is no connection.
 pub(super) fn join(config: &BusConfig, limit: Duration) -> Result<Bus, String> {
     if let Some(bus) = join_through(config) {
@@ -20,12 +23,30 @@ pub(super) fn join(config: &BusConfig, limit: Duration) -> Result<Bus, String> {
     Ok(bus)
 }
 
-/// A client of the only process in `--connect`, which passes on the messages of those to which it is connected:
-/// peers pass nothing on. `None` with several endpoints, and where that process does not answer.
+/// A client of the process in `--connect` that reaches the most processes: it passes on the messages of those to which
+/// it is connected, where peers pass nothing on. Endpoints without a process are named. `None` where no process answers,
+/// and where it is no peer without a certificate: the rights of a certificate end at the first process.
 pub(super) fn join_through(config: &BusConfig) -> Option<Bus> {
-    let is_alone = config.listen.is_empty() && config.connect.len() == 1;
-    let client = BusConfig { role: Role::Client, ..config.clone() }.reaching(Reach::Within(CONNECTED_WITHIN));
-    (is_alone && Bus::has_listener(config)).then(|| Bus::open(&client).ok()).flatten()
+    if config.role == Role::Client || config.identity.is_some() || !config.listen.is_empty() {
+        return None;
+    }
+    let mut widest: Option<(usize, Bus)> = None;
+    for endpoint in &config.connect {
+        let client = BusConfig { role: Role::Client, connect: vec![endpoint.clone()], ..config.clone() };
+        let client = client.reaching(Reach::Within(CONNECTED_WITHIN));
+        let joined = Bus::has_listener(&client).then(|| Bus::open(&client).ok()).flatten();
+        let Some(bus) = joined else {
+            if config.connect.len() > 1 {
+                output::note(format_args!("no process of a room answers at {endpoint}"));
+            }
+            continue;
+        };
+        let reached = bus.alive(&bus.room().all_alive(), ALIVE_WITHIN).map_or(0, |alive| alive.len());
+        if widest.as_ref().is_none_or(|(most, _)| reached > *most) {
+            widest = Some((reached, bus));
+        }
+    }
+    widest.map(|(_, bus)| bus)
 }
 
 /// The reason why there is no connection: soon where no process listens, and after the limit where one

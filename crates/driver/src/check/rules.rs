@@ -163,8 +163,9 @@ fn measured(session: &mut TestSession) -> Result<Outcome> {
     let full = |telemetry: &MirrorTelemetry| {
         [&telemetry.roll_measured, &telemetry.yaw_measured].iter().all(|angles| angles.len() == mirrors)
     };
-    let bound_ms = session.safety.as_ref().map_or(u32::MAX, |safety| safety.validity_max_ms);
-    let validity_ms = MEASURED_VALIDITY_MS.min(bound_ms);
+    // A bound of 0 is not stated.
+    let bound_ms = session.safety.as_ref().map(|safety| safety.validity_max_ms).filter(|bound_ms| *bound_ms > 0);
+    let validity_ms = MEASURED_VALIDITY_MS.min(bound_ms.unwrap_or(u32::MAX));
     // Constant angles, such as 0, are near at most one of two targets.
     for share in [0.1, 0.9] {
         let (roll, yaw) = session.angles_at(share);

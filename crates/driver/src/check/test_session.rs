@@ -157,6 +157,15 @@ impl TestSession {
         }
         let first = session.wait(ANSWER_TIMEOUT, |received| received.telemetry.last().cloned());
         let first = first.context("the driver published no valid telemetry: expected ten messages per second")?;
+        // The last command of a process that has ended may be valid still.
+        let is_idle = |received: &Received| {
+            received.telemetry.last().filter(|telemetry| telemetry.state != ArrayState::Following).map(drop)
+        };
+        ensure!(
+            session.wait(ANSWER_TIMEOUT, is_idle).is_some(),
+            "the array follows commands with the epoch {}, of a controller or another sender: end it. Nothing was checked",
+            first.epoch
+        );
         // Higher than any epoch that it has followed, like the epoch of a controller that starts
         // now.
         session.epoch = first.epoch.max(utc_ns() / 1_000_000) + 1;

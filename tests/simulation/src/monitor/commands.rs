@@ -21,13 +21,15 @@ pub(crate) struct CommandMonitor {
     slew_rad_s: f64,
     /// The controller of each epoch of an array.
     owners: BTreeMap<(usize, u64), u64>,
+    /// The last number of each controller, array and epoch.
+    numbers: BTreeMap<(u64, usize, u64), u64>,
     /// The last command of a controller to an array, and when it was sent.
     last: BTreeMap<(u64, usize), (TrueNs, MirrorCommand)>,
 }
 
 impl CommandMonitor {
     pub fn new(slew_rad_s: f64) -> Self {
-        Self { slew_rad_s, owners: BTreeMap::new(), last: BTreeMap::new() }
+        Self { slew_rad_s, owners: BTreeMap::new(), numbers: BTreeMap::new(), last: BTreeMap::new() }
     }
 
     /// A controller chose an epoch, and knows of the one that the array follows.
@@ -50,8 +52,8 @@ impl CommandMonitor {
     ) -> Result<(), (Invariant, String)> {
         let command: MirrorCommand =
             decode(payload).map_err(|error| (Invariant::Payload, format!("{source:x} sent {error}")))?;
+        check_number(self.numbers.insert((source, array, command.epoch), command.sequence), &command)?;
         let last = self.last.get(&(source, array));
-        check_number(last.map(|(_, last)| last), &command)?;
         // A clock that was set back says nothing about the time that has passed.
         let passed = |(sent, last): &(TrueNs, MirrorCommand)| {
             command.time_ns.checked_sub(last.time_ns).unwrap_or(now.saturating_sub(*sent))
@@ -67,9 +69,10 @@ impl CommandMonitor {
     }
 }
 
-fn check_number(last: Option<&MirrorCommand>, sent: &MirrorCommand) -> Result<(), (Invariant, String)> {
+/// Numbers of an epoch begin at 1, and go on after a return to it.
+fn check_number(last: Option<u64>, sent: &MirrorCommand) -> Result<(), (Invariant, String)> {
     let (epoch, sequence) = (sent.epoch, sent.sequence);
-    let expected = last.filter(|last| last.epoch == epoch).map_or(1, |last| last.sequence + 1);
+    let expected = last.map_or(1, |last| last + 1);
     if sequence == expected {
         return Ok(());
     }

@@ -113,12 +113,18 @@ impl LiveRoom {
             }
         })?;
         let shown = wait(|| lock(&telemetry).clone());
-        // The last command of a process that has ended may be valid still.
+        // The last command of a process that has ended may be valid still: nothing is accepted then.
         let may_end = !args.take_over && !yields && bus.alive(&room.alive_of(NodeKind::Controller), WAIT)?.is_empty();
-        let shown = shown.filter(|shown| !may_end || shown.state != ArrayState::Following).or_else(|| {
-            wait(|| lock(&telemetry).clone().filter(|shown| shown.state != ArrayState::Following))
-                .or_else(|| lock(&telemetry).clone())
-        });
+        let accepted = |shown: &MirrorTelemetry| shown.counters.accepted;
+        let shown = match shown.filter(|_| may_end) {
+            Some(first) => wait(|| {
+                let is_over =
+                    |now: &MirrorTelemetry| now.state != ArrayState::Following || accepted(now) != accepted(&first);
+                lock(&telemetry).clone().filter(is_over)
+            })
+            .or(Some(first)),
+            None => lock(&telemetry).clone(),
+        };
         drop(early);
         let shown = shown.context("the array publishes no telemetry: expected ten messages a second")?;
         ensure!(shown.state != ArrayState::Stopped, "the array is stopped: release it with `heliostat rearm` first");

@@ -157,24 +157,30 @@ impl TestSession {
         }
         let first = session.wait(ANSWER_TIMEOUT, |received| received.telemetry.last().cloned());
         let first = first.context("the driver published no valid telemetry: expected ten messages per second")?;
-        // The last command of a process that has ended may be valid still.
-        let is_idle = |received: &Received| {
-            received.telemetry.last().filter(|telemetry| telemetry.state != ArrayState::Following).map(drop)
-        };
-        ensure!(
-            session.wait(ANSWER_TIMEOUT, is_idle).is_some(),
-            "the array follows commands with the epoch {}, of a controller or another sender: end it. Nothing was checked",
-            first.epoch
-        );
         // Higher than any epoch that it has followed, like the epoch of a controller that starts
         // now.
         session.epoch = first.epoch.max(utc_ns() / 1_000_000) + 1;
         session.safety = session.wait(ANSWER_TIMEOUT, |received| received.safety.last().cloned());
         session.expect_one_driver()?;
+        session.expect_no_commands()?;
         if first.state == ArrayState::Stopped {
             session.release_start()?;
         }
         Ok(session)
+    }
+
+    /// Refuses an array that accepts commands of another sender: it would break the rules by them.
+    fn expect_no_commands(&self) -> Result<()> {
+        let (before, now) = self.inspect(|received| {
+            let accepted = |telemetry: Option<&MirrorTelemetry>| telemetry.map_or(0, |shown| shown.counters.accepted);
+            (accepted(received.telemetry.first()), accepted(received.telemetry.last()))
+        });
+        ensure!(
+            now == before,
+            "the array accepts commands with the epoch {}, of a controller or another sender: end it. Nothing was checked",
+            self.last().epoch
+        );
+        Ok(())
     }
 
     /// Refuses an array that two drivers report: one would break the rules by the messages of the other.

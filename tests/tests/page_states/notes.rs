@@ -90,7 +90,7 @@ fn late_decisions_are_explained_by_the_stage_that_delays_them() {
     browser.click("#switch-policy");
     wait_until("an explanation by the stage of the policy", || {
         let late = browser.text("#late");
-        late.contains("took longer than 0.5 ms; longest stage: infer ") && !late.contains("load")
+        late.contains("over 0.5 ms, by longest stage: infer ") && !late.contains("load")
     });
     assert_eq!(browser.run("return document.getElementById('late').hidden"), false);
     let count = |name: &str| observer.counter(NodeKind::Controller, name);

@@ -60,7 +60,7 @@ pub fn run(args: Args) -> Result<()> {
         scenario.channel.mode == ChannelMode::Specular,
         UnusableInput::new(format!("channel.mode = \"{}\": expected \"specular\"", scenario.channel.mode.name()))
     );
-    condition(&scenario).iter().for_each(|condition| note(condition));
+    condition(&scenario).iter().for_each(note);
     for file in [Some(&args.out), args.room_out.as_ref()].into_iter().flatten() {
         check_new(file)?;
     }

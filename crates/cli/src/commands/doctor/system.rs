@@ -204,17 +204,17 @@ fn ask_driver(args: &Args, array: usize) -> anyhow::Result<DriverState> {
     let keys = room.array(array);
     let reported = bus.subscribe(&keys.telemetry(), move |payload| {
         // The receiver is gone when both have arrived.
-        drop(decode(payload).map(|telemetry: MirrorTelemetry| sender.send((Some(telemetry), None))));
+        drop(decode(payload).map(|telemetry: MirrorTelemetry| sender.send((Some(Box::new(telemetry)), None))));
     })?;
     let status = bus.subscribe(&keys.driver_status(), move |payload| {
         drop(decode(payload).map(|status: NodeStatus| statuses.send((None, Some(status.last_problem)))));
     })?;
     let payloads = bus.fetch(&keys.capabilities(), DRIVER_WAIT)?;
-    let (mut telemetry, mut problem): (Option<MirrorTelemetry>, Option<String>) = (None, None);
+    let (mut telemetry, mut problem): (Option<Box<MirrorTelemetry>>, Option<String>) = (None, None);
     let has_no_link = |telemetry: &MirrorTelemetry| telemetry.faults & fault::LINK != 0;
     let until = Instant::now() + STATUS_WITHIN;
     // The problem matters only with a fault.
-    while telemetry.is_none() || (telemetry.as_ref().is_some_and(has_no_link) && problem.is_none()) {
+    while telemetry.is_none() || (telemetry.as_deref().is_some_and(has_no_link) && problem.is_none()) {
         let Ok((new_telemetry, new_problem)) = reports.recv_timeout(until.saturating_duration_since(Instant::now()))
         else {
             break;
@@ -224,7 +224,7 @@ fn ask_driver(args: &Args, array: usize) -> anyhow::Result<DriverState> {
     drop((reported, status));
     bus.close()?;
     let device_problem = telemetry
-        .as_ref()
+        .as_deref()
         .filter(|telemetry| has_no_link(telemetry))
         .map(|_| format!("a device of the driver does not answer: {}", printable(&problem.unwrap_or_default())));
     match payloads.as_slice() {

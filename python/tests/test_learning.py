@@ -227,14 +227,17 @@ def test_the_command_line_gives_an_exported_network_the_same_score(name: str, se
 def test_a_score_of_episodes_has_as_many_for_each_seed() -> None:
     for name, states in (("Static-v0", 1), ("Hall-v0", 20)):
         env = gymnasium.make(f"heliostat/{name}")
-        flat = np.zeros(env.action_space.shape or (), np.float32)
+
+        def act(_: Any, flat: Any = np.zeros(env.action_space.shape or (), np.float32)) -> Any:
+            return flat
+
         with pytest.warns(UserWarning, match="from 1 episode; use at least 10"):
-            score = heliostat.evaluate(lambda _, flat=flat: flat, env, episodes=1)
+            score = heliostat.evaluate(act, env, episodes=1)
         assert (score.episodes, score.states) == (1, states)
         with pytest.raises(ValueError, match="states = 20 and episodes = 1: expected one of them"):
-            heliostat.evaluate(lambda _, flat=flat: flat, env, states=20, episodes=1)
+            heliostat.evaluate(act, env, states=20, episodes=1)
         with pytest.raises(ValueError, match="episodes = 0: expected an integer from 1"):
-            heliostat.evaluate(lambda _, flat=flat: flat, env, episodes=0)
+            heliostat.evaluate(act, env, episodes=0)
 
 
 def test_a_score_in_closed_loop_is_that_of_the_command_line() -> None:

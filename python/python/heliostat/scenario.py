@@ -11,7 +11,7 @@ import numpy as np
 
 from ._core import Scenario
 
-Value: TypeAlias = "bool | int | float | str | Sequence[Value] | Mapping[str, Value]"
+Value: TypeAlias = bool | int | float | str | Sequence[Any] | Mapping[str, Any]
 """A value of a scenario's key; a mapping is a table."""
 
 __all__ = ["Scenario", "Value", "load_scenario"]

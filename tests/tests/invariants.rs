@@ -9,7 +9,8 @@ use std::path::{Path, PathBuf};
 use heliostat_tests::packages::Packages;
 
 /// Packages from the lowest to the highest layer. A package depends only on packages in earlier rows.
-const LAYERS: [&str; 24] = [
+const LAYERS: [&str; 25] = [
+    "tokio-rustls",
     "heliostat-needs",
     "heliostat-channel",
     "heliostat-scenario",

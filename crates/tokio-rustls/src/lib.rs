@@ -17,7 +17,7 @@ use std::task::{Context, Poll};
 
 pub use original::rustls;
 use original::rustls::pki_types::ServerName;
-use original::rustls::{ClientConfig, CommonState, ServerConfig};
+use original::rustls::{ClientConfig, ClientConnection, CommonState, ServerConfig, ServerConnection};
 use parking_lot::Mutex;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
@@ -47,14 +47,14 @@ impl<S: Parts> Locked<S> {
 
     /// The socket and the state of the connection, without the lock: not while another thread polls.
     #[expect(unsafe_code, reason = "the interface of tokio-rustls gives references, not guards")]
-    pub fn get_ref(&self) -> (&S::Socket, &CommonState) {
+    pub fn get_ref(&self) -> (&S::Socket, &S::Connection) {
         // SAFETY: The stream lives as long as `self`. Zenoh calls this before two threads share the stream: for the
         // certificate of the other side and the options of the socket.
         unsafe { &*self.0.data_ptr() }.parts()
     }
 
     /// The socket and the state of the connection.
-    pub fn get_mut(&mut self) -> (&mut S::Socket, &mut CommonState) {
+    pub fn get_mut(&mut self) -> (&mut S::Socket, &mut S::Connection) {
         Arc::get_mut(&mut self.0).expect("the pointer has no second holder").get_mut().parts_mut()
     }
 }
@@ -84,38 +84,39 @@ pub trait Parts: AsyncRead + AsyncWrite + Unpin {
     /// What carries the encrypted bytes.
     type Socket;
 
+    /// The state of the connection.
+    type Connection;
+
     /// Both parts.
-    fn parts(&self) -> (&Self::Socket, &CommonState);
+    fn parts(&self) -> (&Self::Socket, &Self::Connection);
 
     /// Both parts, to change them.
-    fn parts_mut(&mut self) -> (&mut Self::Socket, &mut CommonState);
+    fn parts_mut(&mut self) -> (&mut Self::Socket, &mut Self::Connection);
 }
 
 impl<IO: AsyncRead + AsyncWrite + Unpin> Parts for original::client::TlsStream<IO> {
     type Socket = IO;
+    type Connection = ClientConnection;
 
-    fn parts(&self) -> (&IO, &CommonState) {
-        let (socket, connection) = self.get_ref();
-        (socket, connection)
+    fn parts(&self) -> (&IO, &ClientConnection) {
+        self.get_ref()
     }
 
-    fn parts_mut(&mut self) -> (&mut IO, &mut CommonState) {
-        let (socket, connection) = self.get_mut();
-        (socket, connection)
+    fn parts_mut(&mut self) -> (&mut IO, &mut ClientConnection) {
+        self.get_mut()
     }
 }
 
 impl<IO: AsyncRead + AsyncWrite + Unpin> Parts for original::server::TlsStream<IO> {
     type Socket = IO;
+    type Connection = ServerConnection;
 
-    fn parts(&self) -> (&IO, &CommonState) {
-        let (socket, connection) = self.get_ref();
-        (socket, connection)
+    fn parts(&self) -> (&IO, &ServerConnection) {
+        self.get_ref()
     }
 
-    fn parts_mut(&mut self) -> (&mut IO, &mut CommonState) {
-        let (socket, connection) = self.get_mut();
-        (socket, connection)
+    fn parts_mut(&mut self) -> (&mut IO, &mut ServerConnection) {
+        self.get_mut()
     }
 }
 
@@ -132,16 +133,28 @@ impl<IO: AsyncRead + AsyncWrite + Unpin> TlsStream<IO> {
     /// The socket and the state of the connection, without the lock: not while another thread polls.
     pub fn get_ref(&self) -> (&IO, &CommonState) {
         match self {
-            Self::Client(stream) => stream.get_ref(),
-            Self::Server(stream) => stream.get_ref(),
+            Self::Client(stream) => {
+                let (socket, connection) = stream.get_ref();
+                (socket, connection)
+            }
+            Self::Server(stream) => {
+                let (socket, connection) = stream.get_ref();
+                (socket, connection)
+            }
         }
     }
 
     /// The socket and the state of the connection.
     pub fn get_mut(&mut self) -> (&mut IO, &mut CommonState) {
         match self {
-            Self::Client(stream) => stream.get_mut(),
-            Self::Server(stream) => stream.get_mut(),
+            Self::Client(stream) => {
+                let (socket, connection) = stream.get_mut();
+                (socket, connection)
+            }
+            Self::Server(stream) => {
+                let (socket, connection) = stream.get_mut();
+                (socket, connection)
+            }
         }
     }
 }

@@ -3,11 +3,12 @@
 //! Zenoh 1.10 reads a TLS link on one thread and writes it on another one, without a lock between them. The
 //! streams of tokio-rustls do not allow this: both threads change the state of one connection. A process crashes,
 //! for example, when the other side ends a connection while this side writes (issue 2557 of eclipse-zenoh/zenoh).
-//! This package has the part of the interface of tokio-rustls that Zenoh uses. Each of its streams holds the
-//! original one behind a lock, which each poll takes.
+//! This package has the part of the interface of tokio-rustls that Zenoh uses. Each of its streams holds one of
+//! futures-rustls behind a lock, which each poll takes. (That one has the author and the design of tokio-rustls, on
+//! which a package of its name cannot depend.)
 //!
-//! A poll for reading and one for writing wake different tasks. The original stream writes in a poll for reading
-//! only to send an alert before it fails.
+//! A poll for reading and one for writing wake different tasks. The stream below writes in a poll for reading only
+//! to send an alert before it fails.
 
 use std::future::Future;
 use std::io;
@@ -15,22 +16,23 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll};
 
-pub use original::rustls;
-use original::rustls::pki_types::ServerName;
-use original::rustls::{ClientConfig, ClientConnection, CommonState, ServerConfig, ServerConnection};
+pub use futures_rustls::rustls;
+use futures_rustls::rustls::pki_types::ServerName;
+use futures_rustls::rustls::{ClientConfig, ClientConnection, CommonState, ServerConfig, ServerConnection};
 use parking_lot::Mutex;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio_util::compat::{Compat, FuturesAsyncReadCompatExt, TokioAsyncReadCompatExt};
 
 /// Streams of the side that connects.
 pub mod client {
     /// A connection of the side that connects.
-    pub type TlsStream<IO> = crate::Locked<original::client::TlsStream<IO>>;
+    pub type TlsStream<IO> = crate::Locked<futures_rustls::client::TlsStream<crate::Compat<IO>>>;
 }
 
 /// Streams of the side that accepts.
 pub mod server {
     /// A connection of the side that accepts.
-    pub type TlsStream<IO> = crate::Locked<original::server::TlsStream<IO>>;
+    pub type TlsStream<IO> = crate::Locked<futures_rustls::server::TlsStream<crate::Compat<IO>>>;
 }
 
 /// A stream behind a lock that each poll takes.
@@ -38,10 +40,10 @@ pub mod server {
 /// The pointer keeps apart what two threads change: a caller that polls from both of them holds two exclusive
 /// references to the pointer, which nobody changes.
 #[derive(Debug)]
-pub struct Locked<S>(Arc<Mutex<S>>);
+pub struct Locked<S>(Arc<Mutex<Compat<S>>>);
 
 impl<S: Parts> Locked<S> {
-    fn poll<T>(&self, poll: impl FnOnce(Pin<&mut S>) -> T) -> T {
+    fn poll<T>(&self, poll: impl FnOnce(Pin<&mut Compat<S>>) -> T) -> T {
         poll(Pin::new(&mut self.0.lock()))
     }
 
@@ -50,12 +52,12 @@ impl<S: Parts> Locked<S> {
     pub fn get_ref(&self) -> (&S::Socket, &S::Connection) {
         // SAFETY: The stream lives as long as `self`. Zenoh calls this before two threads share the stream: for the
         // certificate of the other side and the options of the socket.
-        unsafe { &*self.0.data_ptr() }.parts()
+        unsafe { &*self.0.data_ptr() }.get_ref().parts()
     }
 
     /// The socket and the state of the connection.
     pub fn get_mut(&mut self) -> (&mut S::Socket, &mut S::Connection) {
-        Arc::get_mut(&mut self.0).expect("the pointer has no second holder").get_mut().parts_mut()
+        Arc::get_mut(&mut self.0).expect("the pointer has no second holder").get_mut().get_mut().parts_mut()
     }
 }
 
@@ -79,8 +81,8 @@ impl<S: Parts> AsyncWrite for Locked<S> {
     }
 }
 
-/// A stream of tokio-rustls as its socket and the state of its connection.
-pub trait Parts: AsyncRead + AsyncWrite + Unpin {
+/// A stream of futures-rustls as its socket and the state of its connection.
+pub trait Parts: futures_io::AsyncRead + futures_io::AsyncWrite + Unpin {
     /// What carries the encrypted bytes.
     type Socket;
 
@@ -94,29 +96,33 @@ pub trait Parts: AsyncRead + AsyncWrite + Unpin {
     fn parts_mut(&mut self) -> (&mut Self::Socket, &mut Self::Connection);
 }
 
-impl<IO: AsyncRead + AsyncWrite + Unpin> Parts for original::client::TlsStream<IO> {
+impl<IO: AsyncRead + AsyncWrite + Unpin> Parts for futures_rustls::client::TlsStream<Compat<IO>> {
     type Socket = IO;
     type Connection = ClientConnection;
 
     fn parts(&self) -> (&IO, &ClientConnection) {
-        self.get_ref()
+        let (socket, connection) = self.get_ref();
+        (socket.get_ref(), connection)
     }
 
     fn parts_mut(&mut self) -> (&mut IO, &mut ClientConnection) {
-        self.get_mut()
+        let (socket, connection) = self.get_mut();
+        (socket.get_mut(), connection)
     }
 }
 
-impl<IO: AsyncRead + AsyncWrite + Unpin> Parts for original::server::TlsStream<IO> {
+impl<IO: AsyncRead + AsyncWrite + Unpin> Parts for futures_rustls::server::TlsStream<Compat<IO>> {
     type Socket = IO;
     type Connection = ServerConnection;
 
     fn parts(&self) -> (&IO, &ServerConnection) {
-        self.get_ref()
+        let (socket, connection) = self.get_ref();
+        (socket.get_ref(), connection)
     }
 
     fn parts_mut(&mut self) -> (&mut IO, &mut ServerConnection) {
-        self.get_mut()
+        let (socket, connection) = self.get_mut();
+        (socket.get_mut(), connection)
     }
 }
 
@@ -193,12 +199,12 @@ impl<IO: AsyncRead + AsyncWrite + Unpin> AsyncWrite for TlsStream<IO> {
 
 /// Handshakes of the side that connects.
 #[derive(Clone)]
-pub struct TlsConnector(original::TlsConnector);
+pub struct TlsConnector(futures_rustls::TlsConnector);
 
 impl TlsConnector {
     /// Begins a handshake with the process of this name at the other end of the socket.
     pub fn connect<IO: AsyncRead + AsyncWrite + Unpin>(&self, name: ServerName<'static>, socket: IO) -> Connect<IO> {
-        Handshake(self.0.connect(name, socket))
+        Handshake(self.0.connect(name, socket.compat()))
     }
 }
 
@@ -210,12 +216,12 @@ impl From<Arc<ClientConfig>> for TlsConnector {
 
 /// Handshakes of the side that accepts.
 #[derive(Clone)]
-pub struct TlsAcceptor(original::TlsAcceptor);
+pub struct TlsAcceptor(futures_rustls::TlsAcceptor);
 
 impl TlsAcceptor {
     /// Begins a handshake with the process at the other end of the socket.
     pub fn accept<IO: AsyncRead + AsyncWrite + Unpin>(&self, socket: IO) -> Accept<IO> {
-        Handshake(self.0.accept(socket))
+        Handshake(self.0.accept(socket.compat()))
     }
 }
 
@@ -226,18 +232,18 @@ impl From<Arc<ServerConfig>> for TlsAcceptor {
 }
 
 /// A handshake of the side that connects.
-pub type Connect<IO> = Handshake<original::Connect<IO>>;
+pub type Connect<IO> = Handshake<futures_rustls::Connect<Compat<IO>>>;
 
 /// A handshake of the side that accepts.
-pub type Accept<IO> = Handshake<original::Accept<IO>>;
+pub type Accept<IO> = Handshake<futures_rustls::Accept<Compat<IO>>>;
 
 /// A handshake whose result is a stream behind a lock.
 pub struct Handshake<F>(F);
 
-impl<S, F: Future<Output = io::Result<S>> + Unpin> Future for Handshake<F> {
+impl<S: Parts, F: Future<Output = io::Result<S>> + Unpin> Future for Handshake<F> {
     type Output = io::Result<Locked<S>>;
 
     fn poll(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Self::Output> {
-        Pin::new(&mut self.0).poll(cx).map_ok(|stream| Locked(Arc::new(Mutex::new(stream))))
+        Pin::new(&mut self.0).poll(cx).map_ok(|stream| Locked(Arc::new(Mutex::new(stream.compat()))))
     }
 }

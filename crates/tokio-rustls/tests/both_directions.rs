@@ -66,6 +66,9 @@ impl Ends {
     async fn connect(&self) -> (Arc<Shared>, server::TlsStream<TcpStream>) {
         let socket = TcpStream::connect(self.listener.local_addr().expect("an address")).await.expect("a connection");
         let (other, _) = self.listener.accept().await.expect("a connection");
+        for end in [&socket, &other] {
+            end.set_nodelay(true).expect("an option of a socket");
+        }
         let name = ServerName::try_from("localhost").expect("a name");
         let (near, far) = tokio::join!(self.connector.connect(name, socket), self.acceptor.accept(other));
         let near = TlsStream::Client(near.expect("a handshake"));

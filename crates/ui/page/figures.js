@@ -177,7 +177,9 @@ export function counters(now) {
   at("late").hidden = now.late == null;
   setText(at("late"), now.late ?? "");
   const meaning = "Faults that the arrays report now: link, mirror, temperature, supply, calibration, clock, or a stop that is not executed.";
-  const faults = ["faults", now.array.faults.join(", ") || "none", now.array.faults.length ? "bad" : "", meaning, "array"];
+  // Without any report it is unknown whether there are faults.
+  const noFaults = now.array.silent.length < now.array.arrays ? "none" : "–";
+  const faults = ["faults", now.array.faults.join(", ") || noFaults, now.array.faults.length ? "bad" : "", meaning, "array"];
   const counts = now.counts.map((count) => [count.name, count.value === null ? "–" : String(count.value), count.is_problem && count.value > 0 ? "bad" : "", count.meaning, count.of]);
   list(at("counts"), [...counts, faults, ...trackerNoise(now.tracker_noise), ...servedLight(now.light), ...standby(now.controllers)]);
 }

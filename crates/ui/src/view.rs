@@ -146,13 +146,16 @@ impl View {
         scenario
     }
 
-    /// The newest announcements. Those of a process that has left count until another one announces.
+    /// The newest announcements. Those of a process that has left are drawn until another one announces.
     fn announcements(&self) -> Announcements {
         let received = self.received();
         let (room, controller) = (&received.room_geometry, &received.controller_geometry);
-        let is_outdated = Received::fresh(room).is_none() && Received::fresh(controller).is_some();
+        let is_old = |of: &Dated<Arc<str>>| Received::fresh(of).is_none();
+        let (is_sim_node_old, is_controller_old) = (is_old(room), is_old(controller));
+        let is_outdated = is_sim_node_old && !is_controller_old;
         let text = |of: &Dated<Arc<str>>| of.as_ref().map(|(_, text)| Arc::clone(text));
-        Announcements { sim_node: if is_outdated { None } else { text(room) }, controller: text(controller) }
+        let sim_node = if is_outdated { None } else { text(room) };
+        Announcements { sim_node, controller: text(controller), is_sim_node_old, is_controller_old }
     }
 
     pub(crate) fn received(&self) -> MutexGuard<'_, Received> {

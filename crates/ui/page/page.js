@@ -107,7 +107,11 @@ async function start() {
       show();
     },
     log: showEvents,
-    mode: (mode) => setText(at("where"), mode === "polled" ? `${where}; slower, because other rooms of this site are open` : where),
+    mode: (mode) => {
+      const text = mode === "polled" ? `${where}; slower, because other rooms of this site are open` : where;
+      setText(at("where"), text);
+      at("where").title = text;
+    },
     problem: (text) => {
       at("refused").hidden = false;
       setText(at("refused"), `The server sends no figures: ${text}`);

@@ -4,6 +4,7 @@ import { Charts } from "./charts.js";
 import { Live } from "./live.js";
 import { Orders } from "./orders.js";
 import { Outages } from "./outages.js";
+import { CHECK_SERVER, Unanswered, ask, refusalIn } from "./requests.js";
 import { Room } from "./room.js";
 import { presentUsers } from "./geometry.js";
 import { banner, inCharge, sentence } from "./sentence.js";
@@ -61,9 +62,21 @@ function showHeat(map) {
 }
 
 async function loadPlan() {
-  const answer = await fetch("room.json", { signal: AbortSignal.timeout(START_LIMIT_MS) });
-  if (!answer.ok) throw new Error(await answer.text());
-  return answer.json();
+  const answer = await ask("room.json", START_LIMIT_MS);
+  if (!answer.ok) throw new Unanswered(await refusalIn(answer));
+  try {
+    return await answer.json();
+  } catch (error) {
+    console.info(error);
+    throw new Unanswered("the description of the room did not arrive complete");
+  }
+}
+
+// Why the page does not start, and what to do.
+function notStarted(error) {
+  const advice = "To stop the mirrors, run `heliostat stop`, or cut their power.";
+  if (error instanceof Unanswered) return `The page cannot start: ${error.message.trim()}. To go on, ${CHECK_SERVER}, and load the page again. ${advice}`;
+  return `The page cannot start: this browser cannot run a part of it. Use a current Chromium or Firefox; its console has the cause. ${advice}`;
 }
 
 async function start() {
@@ -129,5 +142,6 @@ async function start() {
 start().catch((error) => {
   at("banner").hidden = false;
   at("banner").dataset.kind = "bad";
-  setText(at("banner"), `The page cannot start: ${error.message}`);
+  setText(at("banner"), notStarted(error));
+  console.error(error);
 });

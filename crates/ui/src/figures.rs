@@ -229,7 +229,7 @@ impl View {
             sum_mbps: sum(&received, &users),
             users,
             array: array(model, unusable, silent, telemetry.as_ref()),
-            controllers: received.controllers.present(&received.alive),
+            controllers: received.present_controllers(),
             nodes: received
                 .statuses
                 .iter()

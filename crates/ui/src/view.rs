@@ -17,7 +17,7 @@ use heliostat_scenario::{Scenario, USERS_MAX};
 
 use crate::UiError;
 use crate::array_reports::ArrayReports;
-use crate::controllers::{Controllers, is_standby};
+use crate::controllers::{ControllerFigures, Controllers, is_standby};
 use crate::latency::Window;
 use crate::problems::Problems;
 use crate::shown_room::{Announcements, GeometrySource, RoomChooser, ShownRoom};
@@ -167,6 +167,11 @@ impl Received {
     /// The message, unless it is old.
     pub fn fresh<T>(message: &Dated<T>) -> Option<&T> {
         message.as_ref().filter(|(at, _)| at.elapsed() < EXPIRY).map(|(_, message)| message)
+    }
+
+    /// The controllers that are in the room, the leader first.
+    pub fn present_controllers(&self) -> Vec<ControllerFigures> {
+        self.controllers.present(&self.alive, self.arrays.followed_epoch())
     }
 
     /// The status of a kind of process, unless it is old.

@@ -80,8 +80,7 @@ fn an_order_without_a_server_or_with_the_answer_of_a_proxy_says_so_without_the_w
     assert_eq!(browser.run(refusal), serde_json::json!(expected));
     setting.server.kill();
     browser.run("document.getElementById('stop').click()");
-    let expected =
-        "not confirmed: STOP: the server of this page cannot be reached; run `heliostat stop`, or cut the power of the mirrors";
+    let expected = "not confirmed: STOP: the server of this page cannot be reached; run `heliostat stop`, or cut the power of the mirrors";
     wait_until("a message of the page", || browser.text("#order-status") == expected);
     wait_until("a banner with what to do", || banner(&browser).contains("Check that `heliostat ui` or"));
 }

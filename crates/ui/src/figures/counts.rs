@@ -70,7 +70,7 @@ pub(super) fn counts(
             CONTROLLER,
             value(controller, "fallback:*").and(controller.map(NodeStatus::fallbacks)),
             true,
-            "Decisions without the policy's own angles or on incomplete reports: see `fallback:` in the log and docs/faults.md.",
+            NodeStatus::FALLBACKS_MEANING,
         ),
         (
             "reports refused",

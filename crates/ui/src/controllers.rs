@@ -60,6 +60,11 @@ pub struct ControllerFigures {
     pub is_deciding: bool,
 }
 
+/// The name of a controller with a source id.
+pub(crate) fn controller_name(source: u64) -> String {
+    format!("{source:016x}")
+}
+
 /// Whether the controller of a status stands by. [`Role`] says which one of the others leads.
 pub fn is_standby(status: &NodeStatus) -> bool {
     counter(status, STANDBY) > 0
@@ -82,7 +87,7 @@ impl Controllers {
         let decisions = counter(status, DECISIONS);
         let is_deciding = self.0.get(&source).is_some_and(|(_, before)| decisions > before.decisions);
         let figures = ControllerFigures {
-            name: format!("{source:016x}"),
+            name: controller_name(source),
             role: if is_standby(status) { Role::StandsBy } else { Role::Leads },
             epoch: counter(status, EPOCH),
             takeovers: counter(status, TAKEOVERS),

@@ -4,7 +4,7 @@ import { Charts } from "./charts.js";
 import { Live } from "./live.js";
 import { Orders } from "./orders.js";
 import { Outages } from "./outages.js";
-import { CHECK_SERVER, Unanswered, ask, refusalIn } from "./requests.js";
+import { CHECK_SERVER, Refused, Unanswered, ask, refusalIn } from "./requests.js";
 import { Room } from "./room.js";
 import { presentUsers } from "./geometry.js";
 import { banner, inCharge, sentence } from "./sentence.js";
@@ -63,7 +63,7 @@ function showHeat(map) {
 
 async function loadPlan() {
   const answer = await ask("room.json", START_LIMIT_MS);
-  if (!answer.ok) throw new Unanswered(await refusalIn(answer));
+  if (!answer.ok) throw new Refused(await refusalIn(answer));
   try {
     return await answer.json();
   } catch (error) {
@@ -75,7 +75,8 @@ async function loadPlan() {
 // Why the page does not start, and what to do.
 function notStarted(error) {
   const advice = "To stop the mirrors, run `heliostat stop`, or cut their power.";
-  if (error instanceof Unanswered) return `The page cannot start: ${error.message.trim()}. To go on, ${CHECK_SERVER}, and load the page again. ${advice}`;
+  if (error instanceof Refused) return `The page cannot start: its server refuses: ${error.message.trim()}. ${advice}`;
+  if (error instanceof Unanswered) return `The page cannot start: ${error.message}. To go on, ${CHECK_SERVER}, and load the page again. ${advice}`;
   return `The page cannot start: this browser cannot run a part of it. Use a current Chromium or Firefox; its console has the cause. ${advice}`;
 }
 

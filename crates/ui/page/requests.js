@@ -7,6 +7,9 @@ export const CHECK_SERVER = "check that `heliostat ui` or `heliostat demo` still
 // No answer of the server; its message says why.
 export class Unanswered extends Error {}
 
+// A refusal of the server; its message is that of the server, which says what to do.
+export class Refused extends Error {}
+
 // The answer to a request, within a time in ms.
 export async function ask(path, limit_ms, options = {}) {
   try {

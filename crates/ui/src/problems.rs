@@ -40,8 +40,7 @@ impl Problems {
     /// Notes the problem of a status that arrived now. It occurs again when a counter rises that rose
     /// when it appeared: another counter has another cause.
     pub fn take(&mut self, name: &str, status: &NodeStatus) {
-        let counted = status.counters.iter().filter(|(name, _)| is_cause(status, name));
-        let counts: BTreeMap<String, u64> = counted.cloned().collect();
+        let counts: BTreeMap<String, u64> = causes(status).cloned().collect();
         let lasts =
             |name: &String| LASTING.contains(&name.as_str()) && counts.get(name).is_some_and(|count| *count > 0);
         let now = Instant::now();
@@ -85,16 +84,20 @@ impl Problems {
     }
 }
 
-/// Whether a counter of a status can count the cause of its problem. A driver begins the text of a refusal with
-/// the kind of message; the text of its device has the counter `device_absent` alone.
-fn is_cause(status: &NodeStatus, counter: &str) -> bool {
-    if LASTING.contains(&counter) {
-        return true;
-    }
-    let about = counter.strip_prefix("refused:").and_then(|name| name.split(':').next());
-    let is_named = |about: &str| status.last_problem.strip_prefix(about).is_some_and(|rest| rest.starts_with(": "));
-    COUNTED.iter().any(|start| counter.starts_with(start))
-        && (status.node != NodeKind::Driver || about.is_some_and(is_named))
+/// The counters of a status that can count the cause of its problem. The text of a refusal begins with the kind of
+/// message: then the refusals of this kind alone. The text of a device has the counter `device_absent` alone.
+fn causes(status: &NodeStatus) -> impl Iterator<Item = &(String, u64)> {
+    let is_named = move |counter: &str| {
+        let about = counter.strip_prefix("refused:").and_then(|name| name.split(':').next());
+        let rest = about.and_then(|about| status.last_problem.strip_prefix(about));
+        rest.is_some_and(|rest| rest.starts_with(": "))
+    };
+    let is_refusal = status.counters.iter().any(|(name, _)| is_named(name));
+    let is_refusal_or_device = is_refusal || status.node == NodeKind::Driver;
+    status.counters.iter().filter(move |(name, _)| {
+        let is_counted = COUNTED.iter().any(|start| name.starts_with(start));
+        LASTING.contains(&name.as_str()) || (is_counted && (!is_refusal_or_device || is_named(name)))
+    })
 }
 
 #[cfg(test)]
@@ -185,6 +188,19 @@ mod tests {
         assert_eq!([shown(device, 1, 6), shown(device, 1, 7)], [device; 2], "it is absent again");
         assert_eq!(shown("command: the array is stopped", 0, 8), "command: the array is stopped");
         assert_eq!(shown("command: the array is stopped", 0, 9), "command: the array is stopped");
+    }
+
+    #[test]
+    fn an_old_refusal_is_no_problem_while_messages_of_another_kind_are_refused() {
+        let (mut problems, node) = (Problems::default(), NodeKind::SimNode.name());
+        let mut shown = |control, command| {
+            let counters = [("refused:control:too-many", control), ("refused:command:stopped", command)];
+            let status = NodeStatus { node: NodeKind::SimNode, ..status("control: 64 users: too many", &counters) };
+            problems.take(node, &status);
+            problems.current(node, 7).to_owned()
+        };
+        assert_eq!([shown(1, 3), shown(1, 4), shown(1, 5)], [""; 3]);
+        assert_eq!(shown(2, 5), "control: 64 users: too many");
     }
 
     #[test]

@@ -224,6 +224,12 @@ impl NodeStatus {
     /// The degraded modes in which the array takes no command of this controller. They are no fallbacks.
     pub const WITHHELD: [&'static str; 2] = ["standby", "withheld"];
 
+    /// What a fallback is: the help of page, status and metrics.
+    pub const FALLBACKS_MEANING: &'static str = "Decisions without the policy's own angles or on incomplete reports";
+    /// What a withheld command is. It is no fallback.
+    pub const WITHHELD_MEANING: &'static str =
+        "Decisions without a command to an array: it follows another controller, is stopped or does not fit";
+
     /// Number of decisions of a controller without the policy's own angles, or on incomplete reports.
     pub fn fallbacks(&self) -> u64 {
         let is_fallback =

@@ -105,12 +105,14 @@ fn the_dashboard_uses_metrics_that_a_running_room_serves() {
     // Counters by cause appear with the first cause, so those names are known from the sources.
     let by_cause = [
         "heliostat_fallbacks_total",
+        "heliostat_withheld_total",
         "heliostat_refused_total",
         "heliostat_room_refused_total",
         "heliostat_epoch_events_total",
     ];
     let mut known: BTreeSet<String> = names(&room_page).union(&names(&controller_page)).cloned().collect();
     let files = [
+        "controller/runtime/src/report/metrics.rs",
         "controller/runtime/src/report/metrics.rs",
         "controller/runtime/src/report/metrics.rs",
         "sim-node/node/src/metrics.rs",

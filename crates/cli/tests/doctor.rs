@@ -50,7 +50,29 @@ fn a_room_whose_controller_does_not_answer_has_a_line_that_says_so() {
     let room = Room::new("doctor-alone").expect("a valid name");
     let bus = Bus::open(&BusConfig::new(room).listen_at(&endpoint)).expect("a session");
     let controller = check("controller", &["--room", "doctor-alone", "--connect", &endpoint]);
-    assert_eq!(text(&controller, "verdict"), "ok");
-    assert_eq!(text(&controller, "found"), "no controller answered: add its endpoint to --connect");
+    assert_eq!(text(&controller, "verdict"), "warn");
+    assert_eq!(text(&controller, "found"), "no controller answers");
+    assert!(text(&controller, "advice").contains("start heliostat controller, or add its endpoint"), "{controller}");
+    bus.close().expect("closed");
+}
+
+#[test]
+fn an_endpoint_without_a_process_beside_one_with_a_process_is_a_warning() {
+    let [there, absent] = [(); 2].map(|()| private_endpoint().expect("a free address"));
+    let room = Room::new("doctor-half").expect("a valid name");
+    let bus = Bus::open(&BusConfig::new(room).listen_at(&there)).expect("a session");
+    let endpoint = check("endpoint", &["--room", "doctor-half", "--connect", &there, "--connect", &absent]);
+    assert_eq!(text(&endpoint, "verdict"), "warn");
+    assert_eq!(text(&endpoint, "found"), format!("no process of a room answers at {absent}"));
+    bus.close().expect("closed");
+}
+
+#[test]
+fn a_room_whose_processes_connect_to_the_doctor_is_checked() {
+    let endpoint = private_endpoint().expect("a free address");
+    let room = Room::new("doctor-listens").expect("a valid name");
+    let bus = Bus::open(&BusConfig::new(room).connect_to(&endpoint)).expect("a session");
+    let driver = check("driver", &["--room", "doctor-listens", "--listen", &endpoint]);
+    assert_eq!(text(&driver, "found"), "no driver in room \"doctor-listens\" publishes the capabilities of an array");
     bus.close().expect("closed");
 }

@@ -127,14 +127,14 @@ function quantiles(times) {
 // Which controller leads, which stand by, and the takeovers of those in the room; nothing where one controller is alone.
 function standby(controllers) {
   const short = ({ name }) => name.slice(0, 4);
-  const leaders = controllers.filter((one) => !one.is_standby);
-  const waiting = controllers.filter((one) => one.is_standby);
+  const WORDS = { leads: "leads", unfollowed: "is not followed", "stands-by": "stands by" };
+  const leaders = controllers.filter((one) => one.role === "leads");
   const sum = (key) => controllers.reduce((total, one) => total + one[key], 0);
-  const text = [...leaders.map((one) => `${short(one)} leads`), ...waiting.map((one) => `${short(one)} stands by`)].join(", ");
+  const text = controllers.map((one) => `${short(one)} ${WORDS[one.role]}`).join(", ");
   const lost = sum("false_takeovers");
   if (controllers.length < 2 && sum("takeovers") + lost === 0) return [];
   return [
-    ["controllers", text || "none", leaders.length === 1 ? "wide" : "wide bad", "The controllers in the room, by the beginning of their source id: one leads, the others stand by.", "controller"],
+    ["controllers", text || "none", leaders.length === 1 ? "wide" : "wide bad", "The controllers in the room, by the beginning of their source id: one leads, the others stand by. One is not followed where it does not stand by and the array follows another one or reports none.", "controller"],
     ["takeovers", String(sum("takeovers")), "", "How often the controllers in the room took over since their start.", "controller"],
     ["false takeovers", String(lost), lost > 0 ? "bad" : "", "Takeovers after which the former leader still commanded: a slow controller, or a link that loses its commands.", "controller"],
   ];
@@ -177,7 +177,9 @@ export function counters(now) {
   at("late").hidden = now.late == null;
   setText(at("late"), now.late ?? "");
   const meaning = "Faults that the arrays report now: link, mirror, temperature, supply, calibration, clock, or a stop that is not executed.";
-  const faults = ["faults", now.array.faults.join(", ") || "none", now.array.faults.length ? "bad" : "", meaning, "array"];
+  // Without any report it is unknown whether there are faults.
+  const noFaults = now.array.silent.length < now.array.arrays ? "none" : "–";
+  const faults = ["faults", now.array.faults.join(", ") || noFaults, now.array.faults.length ? "bad" : "", meaning, "array"];
   const counts = now.counts.map((count) => [count.name, count.value === null ? "–" : String(count.value), count.is_problem && count.value > 0 ? "bad" : "", count.meaning, count.of]);
   list(at("counts"), [...counts, faults, ...trackerNoise(now.tracker_noise), ...servedLight(now.light), ...standby(now.controllers)]);
 }

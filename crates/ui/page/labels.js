@@ -71,13 +71,18 @@ export function separate(labels) {
   return shifts;
 }
 
-// Shifts the labels as a camera sees them.
+// Shifts the labels as a camera sees them. Those behind the camera are not drawn, and shift no other one: their
+// projection is mirrored into the picture.
 export function separateSprites(labels, camera) {
   camera.updateMatrixWorld();
   const [across, , , , , up] = camera.projectionMatrix.elements;
-  const seen = labels.map(({ sprite, width }) => {
+  for (const { sprite } of labels) {
+    sprite.visible = sprite.position.clone().applyMatrix4(camera.matrixWorldInverse).z < -camera.near;
+  }
+  const drawn = labels.filter(({ sprite }) => sprite.visible);
+  const seen = drawn.map(({ sprite, width }) => {
     const { x, y } = sprite.position.clone().project(camera);
     return { at: [x / (across * sprite.scale.x), y / (up * sprite.scale.y)], width };
   });
-  separate(seen).forEach((shift, index) => labels[index].sprite.center.setX(0.5 - shift));
+  separate(seen).forEach((shift, index) => drawn[index].sprite.center.setX(0.5 - shift));
 }

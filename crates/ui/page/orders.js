@@ -1,6 +1,8 @@
 // The buttons: each sends an order. A pressed button shows the published state, and the message beside the
 // buttons shows the answer of the process that received the order, never the click.
 
+import { CHECK_SERVER, Unanswered, ask, refusalIn } from "./requests.js";
+
 const POWERS_W = [0.5, 1, 2, 4];
 const SPEEDS = [["0 m/s", 0], ["0.5 m/s", 0.5], ["2 m/s", 2], ["4 m/s", 4]];
 const BLOCKED_MAX = 8;
@@ -17,7 +19,7 @@ const BUTTONS = {
 
 // A message of the page about an order that the server did not answer.
 export const notConfirmed = (order, reason) =>
-  `not confirmed: ${BUTTONS[order]}: ${reason}${order === "stop" ? "; run `heliostat stop`, or cut the power of the mirrors" : ""}`;
+  `not confirmed: ${BUTTONS[order]}: ${reason}; ${order === "stop" ? "run `heliostat stop`, or cut the power of the mirrors" : CHECK_SERVER}`;
 
 export class Orders {
   constructor(plan) {
@@ -112,14 +114,15 @@ export class Orders {
 
   async send(order) {
     try {
-      const answer = await fetch("order", {
-        method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(order), signal: AbortSignal.timeout(ORDER_LIMIT_MS),
+      const answer = await ask("order", ORDER_LIMIT_MS, {
+        method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(order),
       });
+      const refusal = answer.ok ? null : await refusalIn(answer);
       // The next event has the answer of the receiver to an order that reached the server.
-      this.own(answer.ok || answer.status === 503 || answer.status === 422 ? null : `refused: ${await answer.text()}`);
+      this.own(answer.ok || answer.status === 503 || answer.status === 422 ? null : `refused: ${refusal}`);
     } catch (error) {
-      const reason = error.name === "TimeoutError" ? `no answer of the server within ${ORDER_LIMIT_MS / 1000} s` : error.message;
-      this.own(notConfirmed(order.order, reason));
+      if (!(error instanceof Unanswered)) throw error;
+      this.own(notConfirmed(order.order, error.message));
     }
   }
 
@@ -127,11 +130,12 @@ export class Orders {
   async check() {
     const refused = document.getElementById("refused");
     try {
-      const answer = await fetch("check", { method: "POST", signal: AbortSignal.timeout(ORDER_LIMIT_MS) });
+      const answer = await ask("check", ORDER_LIMIT_MS, { method: "POST" });
+      if (!answer.ok) refused.textContent = `This page cannot send orders, STOP neither. ${await refusalIn(answer)}`;
       refused.hidden = answer.ok;
-      if (!answer.ok) refused.textContent = `This page cannot send orders, STOP neither. ${await answer.text()}`;
-    } catch {
+    } catch (error) {
       // Without a connection the banner says so.
+      if (!(error instanceof Unanswered)) throw error;
     }
   }
 

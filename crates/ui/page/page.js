@@ -4,6 +4,7 @@ import { Charts } from "./charts.js";
 import { Live } from "./live.js";
 import { Orders } from "./orders.js";
 import { Outages } from "./outages.js";
+import { CHECK_SERVER, Refused, Unanswered, ask, refusalIn } from "./requests.js";
 import { Room } from "./room.js";
 import { presentUsers } from "./geometry.js";
 import { banner, inCharge, sentence } from "./sentence.js";
@@ -61,9 +62,22 @@ function showHeat(map) {
 }
 
 async function loadPlan() {
-  const answer = await fetch("room.json", { signal: AbortSignal.timeout(START_LIMIT_MS) });
-  if (!answer.ok) throw new Error(await answer.text());
-  return answer.json();
+  const answer = await ask("room.json", START_LIMIT_MS);
+  if (!answer.ok) throw new Refused(await refusalIn(answer));
+  try {
+    return await answer.json();
+  } catch (error) {
+    console.info(error);
+    throw new Unanswered("the description of the room did not arrive complete");
+  }
+}
+
+// Why the page does not start, and what to do.
+function notStarted(error) {
+  const advice = "To stop the mirrors, run `heliostat stop`, or cut their power.";
+  if (error instanceof Refused) return `The page cannot start: its server refuses: ${error.message.trim()}. ${advice}`;
+  if (error instanceof Unanswered) return `The page cannot start: ${error.message}. To go on, ${CHECK_SERVER}, and load the page again. ${advice}`;
+  return `The page cannot start: this browser cannot run a part of it. Use a current Chromium or Firefox; its console has the cause. ${advice}`;
 }
 
 async function start() {
@@ -107,7 +121,11 @@ async function start() {
       show();
     },
     log: showEvents,
-    mode: (mode) => setText(at("where"), mode === "polled" ? `${where}; slower, because other rooms of this site are open` : where),
+    mode: (mode) => {
+      const text = mode === "polled" ? `${where}; slower, because other rooms of this site are open` : where;
+      setText(at("where"), text);
+      at("where").title = text;
+    },
     problem: (text) => {
       at("refused").hidden = false;
       setText(at("refused"), `The server sends no figures: ${text}`);
@@ -125,5 +143,6 @@ async function start() {
 start().catch((error) => {
   at("banner").hidden = false;
   at("banner").dataset.kind = "bad";
-  setText(at("banner"), `The page cannot start: ${error.message}`);
+  setText(at("banner"), notStarted(error));
+  console.error(error);
 });

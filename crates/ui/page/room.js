@@ -2,6 +2,7 @@
 import { Motion } from "./motion.js";
 import { boundsOf } from "./geometry.js";
 import { Plan2D } from "./plan2d.js";
+import { ask } from "./requests.js";
 import { View3D } from "./view3d.js";
 
 export const SWITCHES = ["wall", "beams", "paths", "heat", "belief"];
@@ -69,7 +70,7 @@ export class Room {
     let map = null;
     if (this.shown.heat) {
       try {
-        const answer = await fetch(`floor.json?mirrors=${this.shown.wall ? 1 : 0}`, { signal: AbortSignal.timeout(HEAT_LIMIT_MS) });
+        const answer = await ask(`floor.json?mirrors=${this.shown.wall ? 1 : 0}`, HEAT_LIMIT_MS);
         if (answer.ok) map = await answer.json();
       } catch {
         // Without a connection there is no map; the banner says so.

@@ -1,5 +1,7 @@
 // The sentence above the room, and the banner: both say what is unknown, and neither shows old values.
 
+import { CHECK_SERVER } from "./requests.js";
+
 // Figures older than this are stale, in s.
 export const STALE_S = 1;
 
@@ -78,9 +80,10 @@ export const asSentence = (text) => `${text[0].toUpperCase()}${text.slice(1)}.`;
 
 // The banner: `null`, or its text and kind. `silence` is the time since the last event of the server in s.
 export function banner(now, silence, arrayAge) {
-  if (now === null) return silence > 3 ? { kind: "bad", text: "No connection to the server of this page." } : null;
+  const check = asSentence(CHECK_SERVER);
+  if (now === null) return silence > 3 ? { kind: "bad", text: `No connection to the server of this page. ${check}` } : null;
   if (silence > STALE_S) {
-    return { kind: "bad", text: `No connection to the server of this page for ${seconds(silence)}. Everything below is old.` };
+    return { kind: "bad", text: `No connection to the server of this page for ${seconds(silence)}. Everything below is old. ${check}` };
   }
   const { phase, since_s, stops, problems, free } = now.stop;
   const several = now.array.arrays > 1;

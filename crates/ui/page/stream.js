@@ -5,6 +5,8 @@
 // paths of one site share them too. So at most `STREAMS_MAX` streams are open for a host; further rooms are polled,
 // and orders always find a free connection.
 
+import { ask, refusalIn } from "./requests.js";
+
 const RETRY_MS = 1000;
 const POLL_MS = 400;
 // A poll without an answer ends after this time.
@@ -63,9 +65,9 @@ export class Stream {
   // The newest events, or why the server refuses them.
   async fetch() {
     try {
-      const answer = await fetch("events.json", { signal: AbortSignal.timeout(POLL_LIMIT_MS) });
+      const answer = await ask("events.json", POLL_LIMIT_MS);
       if (!answer.ok) {
-        this.deliver("problem", await answer.text());
+        this.deliver("problem", await refusalIn(answer));
         return;
       }
       for (const [kind, event] of Object.entries(await answer.json())) this.deliver(kind, JSON.stringify(event));

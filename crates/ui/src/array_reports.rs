@@ -49,6 +49,11 @@ impl ArrayReports {
         self.fresh().map(|(_, (at, telemetry))| (*at, telemetry.state)).collect()
     }
 
+    /// The epoch of the commands that the first array follows, where its telemetry is not old.
+    pub fn followed_epoch(&self) -> Option<u64> {
+        self.fresh().find(|(array, _)| **array == 0).map(|(_, (_, telemetry))| telemetry.epoch)
+    }
+
     /// Arrival of the oldest telemetry that is not old, else of the newest.
     pub fn at(&self) -> Option<Instant> {
         self.fresh().map(|(_, (at, _))| *at).min().or_else(|| self.latest.values().map(|(at, _)| *at).max())

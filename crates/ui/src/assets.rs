@@ -26,6 +26,7 @@ static ASSETS: &[Asset] = &[
     Asset { path: "/page.js", media: JAVASCRIPT, text: include_str!("../page/page.js") },
     Asset { path: "/plan2d.js", media: JAVASCRIPT, text: include_str!("../page/plan2d.js") },
     Asset { path: "/redraw.js", media: JAVASCRIPT, text: include_str!("../page/redraw.js") },
+    Asset { path: "/requests.js", media: JAVASCRIPT, text: include_str!("../page/requests.js") },
     Asset { path: "/room.js", media: JAVASCRIPT, text: include_str!("../page/room.js") },
     Asset { path: "/scene.js", media: JAVASCRIPT, text: include_str!("../page/scene.js") },
     Asset { path: "/sentence.js", media: JAVASCRIPT, text: include_str!("../page/sentence.js") },

@@ -8,21 +8,48 @@ use serde::Serialize;
 
 use crate::view::EXPIRY;
 
-/// Counters of a controller's status: standby, takeovers, and takeovers after which the former leader
-/// still commanded.
+/// Counters of a controller's status: standby, its epoch, takeovers, and takeovers after which the former
+/// leader still commanded.
 const STANDBY: &str = "standby";
+const EPOCH: &str = "epoch";
 const TAKEOVERS: &str = "epoch:took-over";
 const FALSE_TAKEOVERS: &str = "epoch:contested";
 /// The counter of decisions on position reports.
 const DECISIONS: &str = "decisions";
+
+/// What a controller does in its room.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Role {
+    /// The array follows its commands, or no other controller commands.
+    #[default]
+    Leads,
+    /// It does not stand by beside others, and no telemetry shows that the array follows it.
+    Unfollowed,
+    /// It withholds its commands: the array follows another one.
+    StandsBy,
+}
+
+impl Role {
+    /// The role in words, after the name of a controller.
+    pub fn in_words(self) -> &'static str {
+        match self {
+            Self::Leads => "leads",
+            Self::Unfollowed => "is not followed",
+            Self::StandsBy => "stands by",
+        }
+    }
+}
 
 /// One controller.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct ControllerFigures {
     /// Its source id, as 16 hexadecimal digits.
     pub name: String,
-    /// Whether it stands by; else it leads.
-    pub is_standby: bool,
+    /// Whether it leads.
+    pub role: Role,
+    /// The epoch of its commands; 0 before the first.
+    pub epoch: u64,
     /// How often it took over since its start.
     pub takeovers: u64,
     /// How often the former leader still commanded after that.
@@ -33,7 +60,12 @@ pub struct ControllerFigures {
     pub is_deciding: bool,
 }
 
-/// Whether the controller of a status stands by; else it leads.
+/// The name of a controller with a source id.
+pub(crate) fn controller_name(source: u64) -> String {
+    format!("{source:016x}")
+}
+
+/// Whether the controller of a status stands by. [`Role`] says which one of the others leads.
 pub fn is_standby(status: &NodeStatus) -> bool {
     counter(status, STANDBY) > 0
 }
@@ -55,8 +87,9 @@ impl Controllers {
         let decisions = counter(status, DECISIONS);
         let is_deciding = self.0.get(&source).is_some_and(|(_, before)| decisions > before.decisions);
         let figures = ControllerFigures {
-            name: format!("{source:016x}"),
-            is_standby: is_standby(status),
+            name: controller_name(source),
+            role: if is_standby(status) { Role::StandsBy } else { Role::Leads },
+            epoch: counter(status, EPOCH),
             takeovers: counter(status, TAKEOVERS),
             false_takeovers: counter(status, FALSE_TAKEOVERS),
             decisions,
@@ -65,14 +98,27 @@ impl Controllers {
         self.0.insert(source, (Instant::now(), figures));
     }
 
-    /// The controllers that are in the room, the leader first.
-    pub fn present(&self, alive: &BTreeSet<(&'static str, u64)>) -> Vec<ControllerFigures> {
+    /// The controllers that are in the room, the leader first. The first array follows the commands of an
+    /// epoch, if it reports.
+    pub fn present(
+        &self,
+        alive: &BTreeSet<(&'static str, u64)>,
+        followed_epoch: Option<u64>,
+    ) -> Vec<ControllerFigures> {
         let is_present = |source: &u64, at: &Instant| {
             at.elapsed() < EXPIRY && alive.contains(&(NodeKind::Controller.name(), *source))
         };
         let present = self.0.iter().filter(|(source, (at, _))| is_present(source, at));
         let mut figures: Vec<_> = present.map(|(_, (_, figures))| figures.clone()).collect();
-        figures.sort_by_key(|figures| figures.is_standby);
+        // During a stop, a controller that starts again finds no array that follows another one: it does not
+        // stand by, although its epoch is not the followed one.
+        if figures.iter().filter(|one| one.role == Role::Leads).count() > 1 {
+            let is_followed = |one: &ControllerFigures| one.epoch > 0 && Some(one.epoch) == followed_epoch;
+            for one in figures.iter_mut().filter(|one| one.role == Role::Leads && !is_followed(one)) {
+                one.role = Role::Unfollowed;
+            }
+        }
+        figures.sort_by_key(|figures| figures.role);
         figures
     }
 }
@@ -94,15 +140,31 @@ mod tests {
         let (mut controllers, name) = (Controllers::default(), NodeKind::Controller.name());
         controllers.take(&status(1, &[(STANDBY, 1), (TAKEOVERS, 1)]));
         controllers.take(&status(2, &[(STANDBY, 0), (TAKEOVERS, 3), (FALSE_TAKEOVERS, 2)]));
-        let present = controllers.present(&[(name, 1), (name, 2)].into());
+        let present = controllers.present(&[(name, 1), (name, 2)].into(), None);
         let expected = ControllerFigures {
             name: "0000000000000002".into(),
             takeovers: 3,
             false_takeovers: 2,
             ..ControllerFigures::default()
         };
-        assert_eq!((&present[0], present[1].is_standby, present.len()), (&expected, true, 2));
-        assert_eq!(controllers.present(&[(name, 1)].into()).len(), 1);
+        assert_eq!((&present[0], present[1].role, present.len()), (&expected, Role::StandsBy, 2));
+        assert_eq!(controllers.present(&[(name, 1)].into(), None).len(), 1);
+    }
+
+    #[test]
+    fn of_two_controllers_that_command_the_one_leads_whose_epoch_the_array_follows() {
+        let (mut controllers, name) = (Controllers::default(), NodeKind::Controller.name());
+        controllers.take(&status(1, &[(EPOCH, 900)]));
+        let mut roles = |alive: &[u64], followed_epoch| -> Vec<(String, Role)> {
+            controllers.take(&status(2, &[(EPOCH, 500)]));
+            let alive = alive.iter().map(|source| (name, *source)).collect();
+            let present = controllers.present(&alive, followed_epoch).into_iter();
+            present.map(|one| (one.name[15..].to_owned(), one.role)).collect()
+        };
+        let of = |name: &str, role| (name.to_owned(), role);
+        assert_eq!(roles(&[1, 2], Some(500)), [of("2", Role::Leads), of("1", Role::Unfollowed)]);
+        assert_eq!(roles(&[1, 2], None), [of("1", Role::Unfollowed), of("2", Role::Unfollowed)]);
+        assert_eq!(roles(&[1], Some(500)), [of("1", Role::Leads)], "no other one commands");
     }
 
     #[test]
@@ -110,7 +172,7 @@ mod tests {
         let (mut controllers, name) = (Controllers::default(), NodeKind::Controller.name());
         let mut after = |decisions| {
             controllers.take(&status(1, &[(DECISIONS, decisions)]));
-            controllers.present(&[(name, 1)].into())[0].is_deciding
+            controllers.present(&[(name, 1)].into(), None)[0].is_deciding
         };
         assert_eq!([after(20), after(40), after(40)], [false, true, false]);
     }

@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, VecDeque};
 use heliostat_service::clock::utc_ns;
 use serde::Serialize;
 
-use crate::figures::{Figures, Origin};
+use crate::figures::{Figures, GONE, Origin};
 use crate::notes::{not_in, without_figures};
 use crate::order_answer::Answer;
 use crate::order_log::OrderFigures;
@@ -62,7 +62,10 @@ impl EventLog {
         self.change(at_ms, "room", origin, figures.origin == Origin::NoData);
         let is_moving = ["following", "holding"].iter().any(|state| figures.array.state.starts_with(state));
         self.change(at_ms, "mirrors", &figures.array.state, !is_moving);
-        self.change(at_ms, "faults", &figures.array.faults.join(", "), !figures.array.faults.is_empty());
+        // Neither a fault nor a problem is over because its process is silent.
+        if figures.array.silent.is_empty() {
+            self.change(at_ms, "faults", &figures.array.faults.join(", "), !figures.array.faults.is_empty());
+        }
         let controller = if figures.controller_alive { "alive" } else { "gone" };
         self.change(at_ms, "controller", controller, !figures.controller_alive);
         if !figures.policy.is_empty() {
@@ -85,7 +88,7 @@ impl EventLog {
         let by = stop.stops.iter().map(known).filter(|known: &Vec<String>| !known.is_empty());
         let by: String = by.map(|known| format!(" ({})", known.join(": "))).collect();
         self.change(at_ms, "stop", &format!("{phase}{by}"), !matches!(stop.phase, StopPhase::Released));
-        for node in &figures.nodes {
+        for node in figures.nodes.iter().filter(|node| node.state != GONE) {
             let subject = format!("problem of {}", node.node);
             let words = without_figures(&node.problem);
             if self.states.get(&subject).is_some_and(|state| without_figures(state) == words) {
@@ -247,6 +250,21 @@ mod tests {
             "stop: released",
         ];
         assert_eq!(texts(&log)[first..].iter().map(|(_, text, _)| *text).collect::<Vec<_>>(), expected);
+    }
+
+    #[test]
+    fn a_problem_is_not_over_because_its_process_has_left() {
+        let (mut log, no_stop) = (EventLog::default(), StopFigures::default());
+        let mut now = figures("following", "two sources");
+        now.array.faults = vec!["link"];
+        log.note_at(1, &now, &[], &no_stop);
+        now.array = ArrayFigures { state: "no telemetry".into(), silent: vec!["mirrors".into()], ..Default::default() };
+        now.nodes[0] = NodeFigures { state: GONE.into(), problem: String::new(), ..now.nodes[0].clone() };
+        log.note_at(2, &now, &[], &no_stop);
+        assert!(!texts(&log).iter().any(|(_, text, _)| text.ends_with(": over")), "{:?}", texts(&log));
+        log.note_at(3, &figures("following", ""), &[], &no_stop);
+        let over: Vec<_> = texts(&log).into_iter().filter(|(_, text, _)| text.ends_with(": over")).collect();
+        assert_eq!(over, [(3, "faults: over", false), (3, "problem of controller: over", false)]);
     }
 
     #[test]

@@ -4,6 +4,8 @@
 //! A simulated room publishes its true state and reference rates. A real room publishes positions
 //! and measured gains: rates are then computed from the measured SINR, and there are no references.
 
+mod counts;
+
 use std::time::Instant;
 
 use heliostat_channel::ChannelModel;
@@ -20,6 +22,7 @@ use crate::latency::Histogram;
 use crate::notes::{follows_from, without_figures};
 use crate::scene::unusable_mirrors;
 use crate::view::{EXPIRY, Received};
+use counts::counts;
 
 /// Where the figures come from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -103,6 +106,8 @@ pub struct NodeFigures {
     pub problem: String,
 }
 
+/// State of a process whose last status is old.
+pub(crate) const GONE: &str = "gone";
 /// The processes whose age [`Ages`] has, and the page itself.
 const ROOM: &str = "room";
 const ARRAY: &str = "array";
@@ -224,7 +229,7 @@ impl View {
             sum_mbps: sum(&received, &users),
             users,
             array: array(model, unusable, silent, telemetry.as_ref()),
-            controllers: received.controllers.present(&received.alive),
+            controllers: received.present_controllers(),
             nodes: received
                 .statuses
                 .iter()
@@ -334,8 +339,13 @@ fn sum_of(sum: &heliostat_proto::SumRates) -> SumFigures {
 }
 
 fn node(received: &Received, name: &str, at: Instant, status: &NodeStatus) -> NodeFigures {
-    let state = if at.elapsed() < EXPIRY { shown(&status.state) } else { "gone".into() };
-    NodeFigures { node: name.to_owned(), state, problem: shown(received.problems.current(name, status.stamp.source)) }
+    let node = name.to_owned();
+    // What a process said that has left is no present problem.
+    if at.elapsed() >= EXPIRY {
+        return NodeFigures { node, state: GONE.into(), problem: String::new() };
+    }
+    let problem = received.problems.current(name, status.stamp.source);
+    NodeFigures { node, state: shown(&status.state), problem: shown(problem) }
 }
 
 /// The figures of a process without a problem that a note states too, with other advice behind its
@@ -372,94 +382,6 @@ fn time(name: &'static str, of: &'static str, status: Option<&NodeStatus>) -> Ti
     TimeFigures { name, of, us: found.map(|(_, us)| *us).filter(|us| us.count > 0) }
 }
 
-fn counts(
-    controller: Option<&NodeStatus>,
-    room: Option<&NodeStatus>,
-    array: Option<&MirrorTelemetry>,
-    unreadable: u64,
-) -> Vec<Count> {
-    let value = |status: Option<&NodeStatus>, counter: &str| {
-        let counters = &status?.counters;
-        // A controller that waits for its policy publishes few counters; the others are unknown.
-        if status.is_some_and(|status| status.node == NodeKind::Controller)
-            && !counters.iter().any(|(name, _)| name == "decisions")
-        {
-            return None;
-        }
-        let matching = counters.iter().filter(|(name, _)| match counter.strip_suffix('*') {
-            Some(start) => name.starts_with(start),
-            None => name == counter,
-        });
-        Some(matching.map(|(_, count)| count).sum::<u64>())
-    };
-    // The array counts since its own start, also what earlier controllers sent.
-    let refused = array.map(|array| array.counters.refused());
-    let decisions = value(controller, "decisions");
-    let all = [
-        (
-            "decisions",
-            CONTROLLER,
-            decisions,
-            false,
-            "Decisions on position reports since the start of this controller.",
-        ),
-        (
-            "commands",
-            CONTROLLER,
-            value(controller, "commands"),
-            false,
-            "Commands that this controller sent, one for each array.",
-        ),
-        (
-            "over 0.5 ms",
-            CONTROLLER,
-            value(controller, "over_budget"),
-            true,
-            "Decisions that took longer than the budget of 0.5 ms.",
-        ),
-        (
-            "modelled",
-            CONTROLLER,
-            value(controller, "modelled"),
-            false,
-            "Decisions on modelled gains: no receiver has ever reported gains in this room.",
-        ),
-        (
-            "ticks lost",
-            ROOM,
-            value(room, "lost_ticks"),
-            true,
-            "Reports of the simulated room that no accepted command answered in time, also during a stop.",
-        ),
-        ("ticks late", ROOM, value(room, "late_ticks"), true, "Reports of the simulated room that it published late."),
-        (
-            "fallbacks",
-            CONTROLLER,
-            value(controller, "fallback:*").and(controller.map(NodeStatus::fallbacks)),
-            true,
-            "Decisions without the policy's own angles or on incomplete reports: see `fallback:` in the log and docs/faults.md.",
-        ),
-        (
-            "reports refused",
-            CONTROLLER,
-            value(controller, "refused:*"),
-            true,
-            "Messages that the controller refused, for example for their age or their place.",
-        ),
-        ("array refused", ARRAY, refused, true, "Commands that the arrays refused, for example during a stop."),
-        ("unreadable", PAGE, Some(unreadable), true, "Messages of the room that this page cannot decode."),
-    ];
-    let all = all.into_iter().map(|(name, of, value, is_problem, meaning)| Count {
-        name: name.into(),
-        of,
-        value,
-        is_problem,
-        meaning,
-    });
-    // Shown where it counts anything: a room with receivers never has it.
-    all.filter(|count| count.name != "modelled" || count.value.is_some_and(|value| value > 0)).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -477,11 +399,12 @@ mod tests {
     }
 
     #[test]
-    fn a_command_that_is_withheld_is_no_fallback() {
-        let counters = [("decisions", 9), ("fallback:late", 2), ("fallback:standby", 5), ("fallback:withheld", 7)];
-        let counters = counters.map(|(name, count)| (name.to_owned(), count)).to_vec();
-        let status = NodeStatus { node: NodeKind::Controller, counters, ..NodeStatus::default() };
-        let mut shown = counts(Some(&status), None, None, 0).into_iter();
-        assert_eq!(shown.find(|count| count.name == "fallbacks").and_then(|count| count.value), Some(2));
+    fn a_process_that_has_left_has_no_present_problem() {
+        let mut received = Received::default();
+        let status = NodeStatus { last_problem: "the device does not answer".into(), ..NodeStatus::default() };
+        received.problems.take("driver", &status);
+        let problem = |at| node(&received, "driver", at, &status).problem;
+        let now = Instant::now();
+        assert_eq!([problem(now), problem(now - EXPIRY)], [status.last_problem.as_str(), ""]);
     }
 }

@@ -9,6 +9,8 @@ use std::time::{Duration, Instant};
 use heliostat_proto::NodeStatus;
 use serde::Serialize;
 
+use crate::expiry::EXPIRY;
+
 /// Prefix of the counters of the histogram; the upper edge in us follows.
 const BUCKET: &str = "decision_us_le:";
 /// Prefix of the counters of decisions over the budget; the name of their longest stage follows.
@@ -77,12 +79,12 @@ impl Window {
     }
 
     /// Where the late decisions of the window spent most of their time, and the likely cause; `None` if
-    /// there are few of them.
+    /// there are few of them, and without a recent status: a controller that has left is late no longer.
     ///
     /// Load is named where most of them waited for a thread or for the transport, while more than half of
     /// all decisions were within the budget: a policy that is too slow delays them all.
     pub fn late(&self) -> Option<String> {
-        let last = self.seen.back()?;
+        let last = self.seen.back().filter(|last| last.at.elapsed() < EXPIRY)?;
         let first = self.seen.front().filter(|_| self.seen.len() > 1);
         let since = |now: u64, of: fn(&Counted) -> u64| now.saturating_sub(first.map_or(0, of));
         let mut by: Vec<(&str, u64)> = last
@@ -166,6 +168,16 @@ mod tests {
         let mut status = status(1, [total / 2, total], total);
         status.counters.extend(over.iter().map(|(stage, count)| (format!("{OVER}{stage}"), *count)));
         status
+    }
+
+    #[test]
+    fn late_decisions_of_a_controller_that_has_left_are_not_explained() {
+        let mut window = Window::default();
+        window.take(&late_status(1000, &[]));
+        window.take(&late_status(1100, &[("infer", 34)]));
+        assert!(window.late().is_some());
+        window.seen.iter_mut().for_each(|one| one.at -= EXPIRY);
+        assert_eq!(window.late(), None);
     }
 
     #[test]

@@ -34,7 +34,7 @@ impl Received {
         }
         let is_old = |at: Option<Instant>| at.unwrap_or(opened).elapsed() > EXPIRY;
         if is_old(arrival(&self.truth)) && is_old(arrival(&self.users)) {
-            notes.push(if self.controllers.present(&self.alive).iter().any(|one| one.is_deciding) {
+            notes.push(if self.present_controllers().iter().any(|one| one.is_deciding) {
                 format!("{UNSEEN_REPORTS}: connect to the tracker, or to the router of the room, too")
             } else {
                 "no process reports the positions of users: start the tracker or the simulator".into()

@@ -7,7 +7,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
-use heliostat_proto::NodeStatus;
+use heliostat_proto::{NodeKind, NodeStatus};
 
 /// A problem is current this long after its last occurrence.
 const CURRENT: Duration = Duration::from_secs(5);
@@ -40,9 +40,9 @@ impl Problems {
     /// Notes the problem of a status that arrived now. It occurs again when a counter rises that rose
     /// when it appeared: another counter has another cause.
     pub fn take(&mut self, name: &str, status: &NodeStatus) {
-        let counted = status.counters.iter().filter(|(name, _)| COUNTED.iter().any(|start| name.starts_with(start)));
-        let counts: BTreeMap<String, u64> = counted.cloned().collect();
-        let lasts = status.counters.iter().any(|(name, count)| *count > 0 && LASTING.contains(&name.as_str()));
+        let counts: BTreeMap<String, u64> = causes(status).cloned().collect();
+        let lasts =
+            |name: &String| LASTING.contains(&name.as_str()) && counts.get(name).is_some_and(|count| *count > 0);
         let now = Instant::now();
         self.last.retain(|_, last| last.reported.elapsed() < CURRENT);
         let key = (name.to_owned(), status.stamp.source);
@@ -61,7 +61,7 @@ impl Problems {
                 if last.causes.is_empty() {
                     last.causes.clone_from(&rose);
                 }
-                if lasts || rose.iter().any(|name| last.causes.contains(name)) {
+                if last.causes.iter().any(|name| lasts(name) || rose.contains(name)) {
                     last.at = Some(now);
                 }
                 last.counts = counts;
@@ -69,7 +69,7 @@ impl Problems {
             }
             _ => {
                 let age = Duration::from_nanos(status.stamp.time_ns.saturating_sub(status.started_ns));
-                let is_current = last.is_some() || lasts || age < CURRENT;
+                let is_current = last.is_some() || rose.iter().any(lasts) || age < CURRENT;
                 let at = is_current.then_some(now);
                 let text = status.last_problem.clone();
                 self.last.insert(key, Occurrence { text, counts, causes: rose, at, reported: now });
@@ -82,6 +82,22 @@ impl Problems {
         let last = self.last.get(&(node.to_owned(), source));
         last.filter(|last| last.at.is_some_and(|at| at.elapsed() < CURRENT)).map_or("", |last| &last.text)
     }
+}
+
+/// The counters of a status that can count the cause of its problem. The text of a refusal begins with the kind of
+/// message: then the refusals of this kind alone. The text of a device has the counter `device_absent` alone.
+fn causes(status: &NodeStatus) -> impl Iterator<Item = &(String, u64)> {
+    let is_named = move |counter: &str| {
+        let about = counter.strip_prefix("refused:").and_then(|name| name.split(':').next());
+        let rest = about.and_then(|about| status.last_problem.strip_prefix(about));
+        rest.is_some_and(|rest| rest.starts_with(": "))
+    };
+    let is_refusal = status.counters.iter().any(|(name, _)| is_named(name));
+    let is_refusal_or_device = is_refusal || status.node == NodeKind::Driver;
+    status.counters.iter().filter(move |(name, _)| {
+        let is_counted = COUNTED.iter().any(|start| name.starts_with(start));
+        LASTING.contains(&name.as_str()) || (is_counted && (!is_refusal_or_device || is_named(name)))
+    })
 }
 
 #[cfg(test)]
@@ -152,6 +168,51 @@ mod tests {
         // A stop withholds commands; the status still has the last text.
         problems.take(node, &refusal(5));
         assert_eq!(problems.current(node, 7), "");
+    }
+
+    #[test]
+    fn the_old_text_of_a_device_is_no_problem_while_a_driver_counts_refusals() {
+        let (mut problems, node) = (Problems::default(), NodeKind::Driver.name());
+        let of_driver = |problem: &str, absent, stopped| {
+            let counters = [("device_absent", absent), ("refused:command:stopped", stopped)];
+            NodeStatus { node: NodeKind::Driver, ..status(problem, &counters) }
+        };
+        let mut shown = |problem: &str, absent, stopped| {
+            problems.take(node, &of_driver(problem, absent, stopped));
+            let shown = problems.current(node, 7).to_owned();
+            age(&mut problems, CURRENT);
+            shown
+        };
+        let device = "port: no answer";
+        assert_eq!([shown(device, 0, 3), shown(device, 0, 4), shown(device, 0, 5)], [""; 3], "the device has returned");
+        assert_eq!([shown(device, 1, 6), shown(device, 1, 7)], [device; 2], "it is absent again");
+        assert_eq!(shown("command: the array is stopped", 0, 8), "command: the array is stopped");
+        assert_eq!(shown("command: the array is stopped", 0, 9), "command: the array is stopped");
+    }
+
+    #[test]
+    fn an_old_refusal_is_no_problem_while_messages_of_another_kind_are_refused() {
+        let (mut problems, node) = (Problems::default(), NodeKind::SimNode.name());
+        let mut shown = |control, command| {
+            let counters = [("refused:control:too-many", control), ("refused:command:stopped", command)];
+            let status = NodeStatus { node: NodeKind::SimNode, ..status("control: 64 users: too many", &counters) };
+            problems.take(node, &status);
+            problems.current(node, 7).to_owned()
+        };
+        assert_eq!([shown(1, 3), shown(1, 4), shown(1, 5)], [""; 3]);
+        assert_eq!(shown(2, 5), "control: 64 users: too many");
+    }
+
+    #[test]
+    fn a_lasting_state_keeps_no_text_of_another_cause() {
+        let (mut problems, node) = (Problems::default(), NodeKind::Controller.name());
+        let refusal = |count| status("users: outside-room", &[("standby", 1), ("refused:users:outside-room", count)]);
+        problems.take(node, &status("", &[("standby", 1), ("refused:users:outside-room", 0)]));
+        problems.take(node, &refusal(1));
+        assert_eq!(problems.current(node, 7), "users: outside-room");
+        age(&mut problems, CURRENT);
+        problems.take(node, &refusal(1));
+        assert_eq!(problems.current(node, 7), "", "it stands by, and refuses nothing");
     }
 
     #[test]

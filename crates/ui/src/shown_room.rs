@@ -50,6 +50,10 @@ impl ShownRoom {
 pub(crate) struct Announcements {
     pub sim_node: Option<Arc<str>>,
     pub controller: Option<Arc<str>>,
+    /// Whether the simulator's announcement is old: it is drawn, and no warning follows from it.
+    pub is_sim_node_old: bool,
+    /// Whether the controller's announcement is old.
+    pub is_controller_old: bool,
 }
 
 /// Chooses the room to draw, and keeps it until an announcement changes.
@@ -97,19 +101,24 @@ impl RoomChooser {
 
     fn evaluate(&self, announcements: &Announcements) -> (Arc<ShownRoom>, Vec<String>) {
         let mut notes = Vec::new();
-        let mut read = |source, node: &str, text: &Option<Arc<str>>| {
+        let Announcements { sim_node, controller, is_sim_node_old, is_controller_old } = announcements;
+        let mut read = |source, node: &str, text: &Option<Arc<str>>, is_old: bool| {
             let scenario = Scenario::from_geometry_toml(text.as_deref()?).map_err(|error| error.in_one_line());
             let room =
                 scenario.and_then(|scenario| ShownRoom::new(source, scenario).map_err(|error| error.to_string()));
             room.map_err(|reason| {
-                notes.push(format!("the geometry that {node} announces is refused: {}", shown(&reason)))
+                if !is_old {
+                    notes.push(format!("the geometry that {node} announces is refused: {}", shown(&reason)));
+                }
             })
             .ok()
             .map(Arc::new)
         };
-        let sim_node = read(GeometrySource::SimNode, "sim-node", &announcements.sim_node);
-        let controller = read(GeometrySource::Controller, "controller", &announcements.controller);
+        let sim_node = read(GeometrySource::SimNode, "sim-node", sim_node, *is_sim_node_old);
+        let controller = read(GeometrySource::Controller, "controller", controller, *is_controller_old);
         if let (Some(room), Some(controller)) = (&sim_node, &controller)
+            && !is_sim_node_old
+            && !is_controller_old
             && let Some(GeometryDifference { key, here, there }) =
                 room.scenario.geometry_difference(&controller.scenario)
         {
@@ -119,8 +128,10 @@ impl RoomChooser {
                 shown(&there)
             ));
         }
+        let is_announced_old = if sim_node.is_some() { *is_sim_node_old } else { *is_controller_old };
         let announced = sim_node.or(controller);
         if let (Some(given), Some(announced)) = (&self.given, &announced)
+            && !is_announced_old
             && let Some(GeometryDifference { key, here, there }) =
                 announced.scenario.geometry_difference(&given.scenario)
         {
@@ -158,7 +169,7 @@ mod tests {
         sim_node: Option<Arc<str>>,
         controller: Option<Arc<str>>,
     ) -> (usize, GeometrySource) {
-        let (room, _) = chooser.choose(Announcements { sim_node, controller });
+        let (room, _) = chooser.choose(Announcements { sim_node, controller, ..Announcements::default() });
         (room.model.mirrors.arrays()[0].rows(), room.source)
     }
 
@@ -176,8 +187,9 @@ mod tests {
     #[test]
     fn the_same_announcement_keeps_the_room_and_another_one_replaces_it() {
         let chooser = RoomChooser::new(None).expect("the default is valid");
-        let choose =
-            |overrides: &[&str]| chooser.choose(Announcements { sim_node: text(overrides), controller: None }).0;
+        let choose = |overrides: &[&str]| {
+            chooser.choose(Announcements { sim_node: text(overrides), ..Announcements::default() }).0
+        };
         let (first, again, other) = (choose(&[]), choose(&[]), choose(&["room.height_m=4"]));
         assert!(Arc::ptr_eq(&first, &again) && !Arc::ptr_eq(&first, &other));
         assert_ne!(first.id, other.id);
@@ -187,7 +199,7 @@ mod tests {
     fn differences_and_refused_announcements_are_noted_with_the_key() {
         let notes = |given: Option<&Scenario>, sim_node, controller| {
             let chooser = RoomChooser::new(given).expect("a valid scenario");
-            chooser.choose(Announcements { sim_node, controller }).1.join("\n")
+            chooser.choose(Announcements { sim_node, controller, ..Announcements::default() }).1.join("\n")
         };
         assert_eq!(notes(None, text(&[]), text(&["users.count=2"])), "");
         assert_eq!(
@@ -205,5 +217,24 @@ mod tests {
         assert!(escape.contains("unknown field") && !escape.contains('\u{1b}'), "{escape:?}");
         let hidden = notes(None, Some("[led]\npositions_m = [[0, 0, 3]]\n[mirrors]\nrows = 0".into()), None);
         assert!(hidden.contains("mirrors.rows = 0"), "{hidden}");
+    }
+
+    #[test]
+    fn no_warning_follows_from_what_a_process_announced_that_has_left() {
+        let given = with(&["room.height_m=4"]);
+        let choose = |given: Option<&Scenario>, controller: Option<Arc<str>>, is_sim_node_old, is_controller_old| {
+            let chooser = RoomChooser::new(given).expect("a valid scenario");
+            let sim_node = text(&["mirrors.rows=6"]);
+            let (room, notes) =
+                chooser.choose(Announcements { sim_node, controller, is_sim_node_old, is_controller_old });
+            (room.model.mirrors.arrays()[0].rows(), notes.len())
+        };
+        let other = || text(&["mirrors.rows=8"]);
+        let refused = || Some(Arc::from("[users]\ntrace = \"a\""));
+        assert_eq!(choose(None, other(), false, false), (6, 1), "both are in the room");
+        assert_eq!(choose(None, other(), false, true), (6, 0), "the controller has left");
+        assert_eq!(choose(None, other(), true, true), (6, 0), "the last picture stays");
+        assert_eq!([choose(None, refused(), false, false).1, choose(None, refused(), false, true).1], [1, 0]);
+        assert_eq!([choose(Some(&given), None, false, false).1, choose(Some(&given), None, true, true).1], [1, 0]);
     }
 }

@@ -10,7 +10,7 @@ use heliostat_proto::{ArrayState, UserReport, codec};
 use heliostat_service::counted::counted;
 use serde::Serialize;
 
-use crate::controllers::ControllerFigures;
+use crate::controllers::{ControllerFigures, Role};
 use crate::figures::{Figures, NodeFigures, Origin, UserFigures};
 use crate::notes::UNSEEN_REPORTS;
 use crate::terminal::texts::{stops, time, without_rates};
@@ -86,10 +86,12 @@ impl RoomStatus {
         let of_node = |NodeFigures { node, problem, .. }: &NodeFigures| {
             (!problem.is_empty()).then(|| format!("{node}: {problem}"))
         };
-        let leads = match (controllers.len(), controllers.iter().all(|one| one.is_standby)) {
-            (0, _) => Some("no controller: start one, or connect to its endpoint or router too"),
-            (_, true) => Some("no controller leads: each stands by"),
-            (_, false) => None,
+        let has = |role| controllers.iter().any(|one| one.role == role);
+        let leads = match controllers.len() {
+            0 => Some("no controller: start one, or connect to its endpoint or router too"),
+            _ if has(Role::Leads) => None,
+            _ if has(Role::Unfollowed) => Some("no controller leads: no telemetry shows which one the array follows"),
+            _ => Some("no controller leads: each stands by"),
         };
         let reports = (self.reports_per_s == 0.0 && self.deciding().is_none()).then(|| {
             "no position reports: start the tracker or the simulator, or connect to its endpoint or router too".into()
@@ -137,9 +139,8 @@ impl fmt::Display for RoomStatus {
         let verdict = if self.is_healthy { "healthy".into() } else { counted(self.problems.len(), "problem") };
         writeln!(formatter, "room {}: {verdict}", self.room)?;
         let or_none = |text: String| if text.is_empty() { "none".to_owned() } else { text };
-        let role = |is_standby| if is_standby { "stands by" } else { "leads" };
         let controllers: Vec<String> =
-            controllers.iter().map(|one| format!("{} {}", one.name, role(one.is_standby))).collect();
+            controllers.iter().map(|one| format!("{} {}", one.name, one.role.in_words())).collect();
         let are_users_seen = self.figures.origin != Origin::NoData;
         let users = if are_users_seen { users_line(users) } else { "unknown: no position reports here".into() };
         let rate = sum_mbps.map_or_else(|| without_rates(&self.figures), |sum| format!("{:.1} Mbit/s", sum.policy));
@@ -199,17 +200,19 @@ mod tests {
 
     #[test]
     fn a_room_is_healthy_only_with_reports_a_leader_and_an_array_that_follows() {
-        let controller = |is_standby| ControllerFigures { is_standby, ..ControllerFigures::default() };
+        let controller = |role| ControllerFigures { role, ..ControllerFigures::default() };
         let array = ArrayFigures { state: "following".into(), ..ArrayFigures::default() };
         let figures = |controllers| Figures { controllers, array: array.clone(), ..Figures::default() };
         let found = |figures| RoomStatus { reports_per_s: 20.0, figures, ..RoomStatus::default() }.found();
-        assert_eq!(found(figures(vec![controller(false), controller(true)])), [""; 0]);
-        assert_eq!(found(figures(vec![controller(true)])), ["no controller leads: each stands by"]);
+        assert_eq!(found(figures(vec![controller(Role::Leads), controller(Role::StandsBy)])), [""; 0]);
+        assert_eq!(found(figures(vec![controller(Role::StandsBy)])), ["no controller leads: each stands by"]);
+        let unfollowed = found(figures(vec![controller(Role::Unfollowed); 2]));
+        assert_eq!(unfollowed, ["no controller leads: no telemetry shows which one the array follows"]);
         let parked = ArrayFigures { state: "parked".into(), faults: vec!["link"], ..ArrayFigures::default() };
-        let parked = Figures { array: parked, ..figures(vec![controller(false)]) };
+        let parked = Figures { array: parked, ..figures(vec![controller(Role::Leads)]) };
         assert_eq!(found(parked), ["the array does not follow: parked", "faults of the array: link"]);
         // A simulator whose true state arrives, and no position report.
-        let silent = Figures { origin: Origin::Simulated, ..figures(vec![controller(false)]) };
+        let silent = Figures { origin: Origin::Simulated, ..figures(vec![controller(Role::Leads)]) };
         let silent = RoomStatus { figures: silent, ..RoomStatus::default() }.found();
         assert!(silent.len() == 1 && silent[0].starts_with("no position reports: "), "{silent:?}");
         assert!(found(figures(Vec::new()))[0].starts_with("no controller: "));

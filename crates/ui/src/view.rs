@@ -17,7 +17,7 @@ use heliostat_scenario::{Scenario, USERS_MAX};
 
 use crate::UiError;
 use crate::array_reports::ArrayReports;
-use crate::controllers::{Controllers, is_standby};
+use crate::controllers::{ControllerFigures, Controllers, Role, controller_name};
 use crate::latency::Window;
 use crate::problems::Problems;
 use crate::shown_room::{Announcements, GeometrySource, RoomChooser, ShownRoom};
@@ -146,13 +146,16 @@ impl View {
         scenario
     }
 
-    /// The newest announcements. Those of a process that has left count until another one announces.
+    /// The newest announcements. Those of a process that has left are drawn until another one announces.
     fn announcements(&self) -> Announcements {
         let received = self.received();
         let (room, controller) = (&received.room_geometry, &received.controller_geometry);
-        let is_outdated = Received::fresh(room).is_none() && Received::fresh(controller).is_some();
+        let is_old = |of: &Dated<Arc<str>>| Received::fresh(of).is_none();
+        let (is_sim_node_old, is_controller_old) = (is_old(room), is_old(controller));
+        let is_outdated = is_sim_node_old && !is_controller_old;
         let text = |of: &Dated<Arc<str>>| of.as_ref().map(|(_, text)| Arc::clone(text));
-        Announcements { sim_node: if is_outdated { None } else { text(room) }, controller: text(controller) }
+        let sim_node = if is_outdated { None } else { text(room) };
+        Announcements { sim_node, controller: text(controller), is_sim_node_old, is_controller_old }
     }
 
     pub(crate) fn received(&self) -> MutexGuard<'_, Received> {
@@ -166,6 +169,11 @@ impl Received {
         message.as_ref().filter(|(at, _)| at.elapsed() < EXPIRY).map(|(_, message)| message)
     }
 
+    /// The controllers that are in the room, the leader first.
+    pub fn present_controllers(&self) -> Vec<ControllerFigures> {
+        self.controllers.present(&self.alive, self.arrays.followed_epoch())
+    }
+
     /// The status of a kind of process, unless it is old.
     pub fn fresh_status<'a>(&'a self, node: &str) -> Option<&'a NodeStatus> {
         self.statuses.get(node).filter(|(at, _)| at.elapsed() < EXPIRY).map(|(_, status)| status)
@@ -173,11 +181,18 @@ impl Received {
 
     /// Whether a status replaces that of its kind of process. One process of a kind is displayed at
     /// a time, so that no figures of two processes mix: the one that is displayed already, while it
-    /// is in the room and not in standby.
+    /// is in the room and no other controller leads.
     fn is_displayed(&self, name: &str, status: &NodeStatus) -> bool {
         let Some((at, known)) = self.statuses.get(name) else { return true };
         let is_present = self.alive.contains(&(status.node.name(), known.stamp.source)) && at.elapsed() < EXPIRY;
-        known.stamp.source == status.stamp.source || !is_present || (is_standby(known) && !is_standby(status))
+        known.stamp.source == status.stamp.source || !is_present || self.leads(status)
+    }
+
+    /// Whether a status is that of the controller that leads; of several that may lead, none.
+    fn leads(&self, status: &NodeStatus) -> bool {
+        let name = controller_name(status.stamp.source);
+        let is_leader = |one: &ControllerFigures| one.role == Role::Leads && one.name == name;
+        status.node == NodeKind::Controller && self.present_controllers().iter().any(is_leader)
     }
 
     fn take_truth(&mut self, truth: RoomTruth) {
@@ -303,7 +318,7 @@ fn store<M: Message + 'static>(
 
 #[cfg(test)]
 mod tests {
-    use heliostat_proto::Stamp;
+    use heliostat_proto::{MirrorTelemetry, Stamp};
 
     use super::*;
 
@@ -341,5 +356,19 @@ mod tests {
         received.alive.remove(&(name, 2));
         received.take_status(0, status(1, 503, 0));
         assert_eq!(shown(&received), (1, 503), "the second has left");
+    }
+
+    #[test]
+    fn of_two_controllers_that_command_the_one_is_displayed_that_the_array_follows() {
+        let mut received = Received::default();
+        received.alive.extend([(NodeKind::Controller.name(), 1), (NodeKind::Controller.name(), 2)]);
+        received.arrays.note(0, MirrorTelemetry { epoch: 500, ..MirrorTelemetry::default() });
+        let mut take = |source, epoch| {
+            let mut status = status(source, source, 0);
+            status.counters.push(("epoch".into(), epoch));
+            received.take_status(0, status);
+            shown(&received).0
+        };
+        assert_eq!([take(1, 900), take(2, 500), take(1, 900)], [1, 2, 2]);
     }
 }

@@ -51,6 +51,9 @@ fn a_process_that_dies_leaves_no_green_state_and_no_current_figure() {
         sentence.contains("has not reported for") && sentence.contains("unknown")
     });
     wait_until("an array without a report", || browser.text("#chip-array").starts_with("no report for"));
+    let faults = "return [...document.querySelectorAll('#counts > div')]\
+         .find((row) => row.textContent.startsWith('faults')).lastChild.textContent";
+    wait_until("unknown faults of the array", || browser.run(faults) == "–");
 
     setting.server.kill();
     wait_until("a banner", || banner(&browser).contains("No connection to the server"));

@@ -92,6 +92,29 @@ fn every_figure_and_order_is_in_view_on_a_small_desktop() {
     }
 }
 
+#[needs("browser")]
+#[test]
+fn warnings_and_takeovers_leave_picture_orders_and_stop_in_view_on_a_small_desktop() {
+    let setting = Setting::new();
+    let browser = setting.browser(&[]);
+    for (width, height) in [(1024, 768), (1280, 700), (1280, 800), (1440, 900)] {
+        browser.resize(width, height);
+        // All that can be shown at one time: a stop, four warnings, unusable mirrors, takeovers.
+        let hidden = "scrollTo(0, 0); const at = (id) => document.getElementById(id); \
+             at('banner').hidden = at('problem').hidden = false; \
+             at('banner').textContent = 'The array has confirmed the stop: its device has executed it. '.repeat(4); \
+             at('problem').replaceChildren(...Array.from({ length: 4 }, () => Object.assign(document.createElement('li'), \
+               { textContent: 'Two drivers serve one array (mirrors, sources 0000000000000007 and 0000000000000008): stop one of them.' }))); \
+             at('chip-array').textContent = 'following, 25 unusable'; \
+             for (let count = 0; count < 6; count += 1) at('counts').append(at('counts').firstElementChild.cloneNode(true)); \
+             const hidden = ['stop', 'chips', 'sentence', 'room', 'operate', 'policy-help'].filter((id) => { \
+               const { top, bottom, right } = at(id).getBoundingClientRect(); \
+               return bottom - top < (id === 'room' ? 180 : 1) || top < 0 || bottom > innerHeight + 1 || right > innerWidth + 1; }); \
+             return [hidden, document.documentElement.scrollHeight <= innerHeight]";
+        assert_eq!(browser.run(hidden), json!([[], true]), "{width} x {height}");
+    }
+}
+
 /// The texts of the page whose contrast to their background is below 4.5, with the contrast.
 const FAINT: &str = "
     const parse = (colour) => colour.match(/[\\d.]+/g).map(Number);

@@ -55,13 +55,34 @@ fn an_order_that_the_server_does_not_answer_has_the_words_of_its_button() {
     let setting = Setting::new();
     let browser = setting.browser(&[]);
     let script = "return import('/orders.js').then(({ notConfirmed }) => \
-           ['stick', 'kill-controller', 'stop'].map((order) => notConfirmed(order, 'Failed to fetch')))";
+           ['stick', 'kill-controller', 'stop'].map((order) => notConfirmed(order, 'no answer')))";
+    let advice = "check that `heliostat ui` or `heliostat demo` still runs, and that this computer reaches it";
     let expected = [
-        "not confirmed: jam a quarter: Failed to fetch",
-        "not confirmed: kill: Failed to fetch",
-        "not confirmed: STOP: Failed to fetch; run `heliostat stop`, or cut the power of the mirrors",
+        format!("not confirmed: jam a quarter: no answer; {advice}"),
+        format!("not confirmed: kill: no answer; {advice}"),
+        "not confirmed: STOP: no answer; run `heliostat stop`, or cut the power of the mirrors".to_owned(),
     ];
     assert_eq!(browser.run(script), serde_json::json!(expected));
+}
+
+#[needs("browser")]
+#[test]
+fn an_order_without_a_server_or_with_the_answer_of_a_proxy_says_so_without_the_words_of_the_browser() {
+    let mut setting = Setting::new();
+    let browser = setting.browser(&[]);
+    // A proxy whose server is gone answers by itself.
+    let refusal = "return import('/requests.js').then(({ refusalIn }) => { \
+           const of = (status, type) => refusalIn(new Response('<h1>Bad Gateway</h1>', { status, headers: { 'content-type': type } })) \
+             .then(() => 'the server', (error) => error.message); \
+           return Promise.all([of(422, 'text/plain; charset=utf-8'), of(502, 'text/plain'), of(503, 'text/html')]); })";
+    let by_proxy = |status: u16| format!("a proxy before the server answers with status {status}");
+    let expected = ["the server".to_owned(), by_proxy(502), by_proxy(503)];
+    assert_eq!(browser.run(refusal), serde_json::json!(expected));
+    setting.server.kill();
+    browser.run("document.getElementById('stop').click()");
+    let expected = "not confirmed: STOP: the server of this page cannot be reached; run `heliostat stop`, or cut the power of the mirrors";
+    wait_until("a message of the page", || browser.text("#order-status") == expected);
+    wait_until("a banner with what to do", || banner(&browser).contains("Check that `heliostat ui` or"));
 }
 
 #[needs("browser")]

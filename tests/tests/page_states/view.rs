@@ -120,6 +120,24 @@ fn the_names_of_users_who_stand_behind_each_other_do_not_cover_each_other() {
 
 #[needs("browser")]
 #[test]
+fn the_name_of_a_user_behind_the_camera_is_not_drawn_and_shifts_no_other_name() {
+    let setting = Setting::new();
+    let browser = setting.browser(&[]);
+    let script = "return Promise.all([import('/vendor/three.module.min.js'), import('/labels.js')]).then(([THREE, { Label, separateSprites }]) => { \
+           const camera = new THREE.PerspectiveCamera(22, 1.5, 0.05, 400); \
+           camera.up.set(0, 0, 1); camera.position.set(-9, 0, 1); camera.lookAt(0, 0, 1); \
+           const labels = [[0, 0, 1], [-18, 0, 0.52]].map((place, index) => { \
+             const label = new Label({}, '#0072b2'); label.place(place, String(index)); return label; }); \
+           const state = () => { separateSprites(labels, camera); return labels.map(({ sprite }) => [sprite.visible, sprite.center.x]); }; \
+           const behind = state(); \
+           camera.position.set(-30, 0, 1); \
+           return [behind, state().map(([isVisible]) => isVisible)]; })";
+    let expected = serde_json::json!([[[true, 0.5], [false, 0.5]], [true, true]]);
+    assert_eq!(browser.run(script), expected);
+}
+
+#[needs("browser")]
+#[test]
 fn an_outage_lasts_from_a_rate_below_the_minimum_to_the_next_one_above_it() {
     let setting = Setting::new();
     let browser = setting.browser(&[]);

@@ -163,6 +163,10 @@ impl Inbox {
 
     /// Counts a payload of a stream, and of an array for telemetry, that does not decode.
     pub fn count_malformed(&mut self, place: (Stream, usize), refusal: Refusal) {
+        let (stream, array) = place;
+        if array < self.arrays.len() {
+            self.track_mut(stream, array).on_malformed();
+        }
         self.refused.count(place, refusal);
     }
 

@@ -19,7 +19,7 @@ pub const SEQUENCE_STEP_MAX: u64 = 1_000_000;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct SequenceTrack {
     last: Option<Accepted>,
-    /// Messages after the last accepted one that arrived and were refused.
+    /// Messages after the last accepted one that arrived and were refused, or did not decode.
     #[serde(skip)]
     refused: u64,
     #[serde(skip)]
@@ -67,6 +67,11 @@ impl SequenceTrack {
     /// Records a refused message: it arrived, so it is not missing.
     pub fn on_refused(&mut self, stamp: &Stamp) {
         self.refused += u64::from(self.last.is_some_and(|last| last.step_to(stamp).is_some()));
+    }
+
+    /// Records a message that does not decode, so that its number is unknown: it arrived too.
+    pub fn on_malformed(&mut self) {
+        self.refused += u64::from(self.last.is_some());
     }
 
     /// Discards the base if it is of this source.
@@ -128,5 +133,18 @@ mod tests {
         track.on_accepted(13, &stamp(2, 100));
         track.on_accepted(9 * TIMEOUT, &stamp(2, 3));
         assert_eq!(track.missed(), 2, "a new base is no gap");
+    }
+
+    #[test]
+    fn a_message_that_arrived_and_does_not_decode_is_not_missed() {
+        let mut track = SequenceTrack::default();
+        track.on_malformed();
+        track.on_accepted(10, &stamp(1, 5));
+        track.on_malformed();
+        track.on_accepted(11, &stamp(1, 7));
+        assert_eq!(track.missed(), 0, "6 arrived");
+        track.on_malformed();
+        track.on_accepted(12, &stamp(1, 10));
+        assert_eq!(track.missed(), 1, "of 8 and 9 one arrived");
     }
 }

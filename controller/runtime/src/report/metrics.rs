@@ -1,7 +1,7 @@
 //! The controller's metrics, made by the status loop.
 
 use heliostat_core::core::Stage;
-use heliostat_proto::{gauges::ServedLight, messages::fault};
+use heliostat_proto::{NodeStatus, gauges::ServedLight, messages::fault};
 use heliostat_service::{Histogram, Page};
 
 use super::summary::RoomReport;
@@ -43,9 +43,13 @@ fn add_room(page: &mut Page, report: &RoomReport<'_>) {
         page.counter(name, help, &[room], value);
     }
     add_times(page, report);
-    for (cause, count) in summary.fallbacks.iter().chain(&summary.withheld) {
-        let labels = [room, ("cause", cause.as_str())];
-        page.counter("heliostat_fallbacks", "Decisions in a degraded mode, by cause", &labels, *count);
+    for (name, help, counts) in [
+        ("heliostat_fallbacks", NodeStatus::FALLBACKS_MEANING, &summary.fallbacks),
+        ("heliostat_withheld", NodeStatus::WITHHELD_MEANING, &summary.withheld),
+    ] {
+        for (cause, count) in counts {
+            page.counter(name, help, &[room, ("cause", cause.as_str())], *count);
+        }
     }
     for (name, count) in &summary.refused {
         let (stream, reason) = name.split_once(':').unwrap_or((name.as_str(), ""));
@@ -137,5 +141,32 @@ fn add_times(page: &mut Page, report: &RoomReport<'_>) {
         page.histogram("heliostat_stage_seconds", help, &named, Histogram::of_ns(times.stage(stage)));
         let help = "Decisions longer than 0.5 ms, by their longest stage";
         page.counter("heliostat_decision_misses", help, &caused, times.over_budget_by(stage));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use heliostat_proto::Room;
+
+    use super::super::stage_times::{PolicyTimes, StageTimes};
+    use super::super::summary::Summary;
+    use super::*;
+
+    #[test]
+    fn commands_that_are_withheld_are_no_fallbacks_as_on_the_page() {
+        let counts = |mode: &str| BTreeMap::from([(mode.to_owned(), 3)]);
+        let summary = Summary { fallbacks: counts("late"), withheld: counts("standby"), ..Summary::default() };
+        let (room, times) = (Room::new("demo").expect("a valid name"), StageTimes::new());
+        let report =
+            RoomReport { room: &room, summary: &summary, times: &times, policy_times: &PolicyTimes::default() };
+        let text = page(&[report]).text();
+        let lines: Vec<&str> = text.lines().filter(|line| line.contains("cause=\"") && line.ends_with(" 3")).collect();
+        let expected = [
+            "heliostat_fallbacks_total{room=\"demo\",cause=\"late\"} 3",
+            "heliostat_withheld_total{room=\"demo\",cause=\"standby\"} 3",
+        ];
+        assert_eq!(lines, expected);
     }
 }

@@ -1,6 +1,7 @@
 //! How a command joins a room for a moment.
 
-use std::time::Duration;
+use std::thread;
+use std::time::{Duration, Instant};
 
 use heliostat_bus::{Bus, BusConfig, Reach, Role};
 use heliostat_service::output;
@@ -11,60 +12,120 @@ const CONNECTED_WITHIN: Duration = Duration::from_millis(1200);
 /// Longest wait for the processes that another one reaches.
 const ALIVE_WITHIN: Duration = Duration::from_millis(500);
 
-/// Joins a room; fails with the reason where there is no connection.
+/// Shortest time in which another attempt to connect is of use.
+const AGAIN_FROM: Duration = Duration::from_millis(100);
+
+/// Joins a room; fails with the reason where there is no connection. `limit` is the time for a process that accepts
+/// connections and does not answer: it may be slow, or frozen.
 pub(super) fn join(config: &BusConfig, limit: Duration) -> Result<Bus, String> {
-    if let Some(bus) = join_through(config) {
+    let begun = Instant::now();
+    if !is_joined_through(config) {
+        let bus = Bus::open(config).map_err(|error| error.to_string())?;
+        if config.listen.is_empty() {
+            check_connected(&bus, config, limit)?;
+        }
         return Ok(bus);
     }
-    let bus = Bus::open(config).map_err(|error| error.to_string())?;
-    if config.listen.is_empty() {
-        check_connected(&bus, config, limit)?;
-    }
-    Ok(bus)
-}
-
-/// A client of the process in `--connect` that reaches the most processes: it passes on the messages of those to which
-/// it is connected, where peers pass nothing on. Endpoints without a process are named. `None` where no process answers,
-/// and where it is no peer without a certificate: the rights of a certificate end at the first process.
-pub(super) fn join_through(config: &BusConfig) -> Option<Bus> {
-    if config.role == Role::Client || config.identity.is_some() || !config.listen.is_empty() {
-        return None;
-    }
-    let mut widest: Option<(usize, Bus)> = None;
-    for endpoint in &config.connect {
-        let client = BusConfig { role: Role::Client, connect: vec![endpoint.clone()], ..config.clone() };
-        let client = client.reaching(Reach::Within(CONNECTED_WITHIN));
-        let joined = Bus::has_listener(&client).then(|| Bus::open(&client).ok()).flatten();
-        let Some(bus) = joined else {
-            if config.connect.len() > 1 {
-                output::note(format_args!("no process of a room answers at {endpoint}"));
-            }
-            continue;
-        };
-        let reached = bus.alive(&bus.room().all_alive(), ALIVE_WITHIN).map_or(0, |alive| alive.len());
-        if widest.as_ref().is_none_or(|(most, _)| reached > *most) {
-            widest = Some((reached, bus));
+    let (bus, unanswered) = join_through(config);
+    if config.connect.len() > 1 {
+        for endpoint in &unanswered {
+            output::note(format_args!("no process of a room answers at {endpoint}"));
         }
     }
-    widest.map(|(_, bus)| bus)
+    if let Some(bus) = bus {
+        return Ok(bus);
+    }
+    why_unconnected(config, limit, || {
+        let left = limit.saturating_sub(begun.elapsed());
+        if left < AGAIN_FROM { None } else { widest(config, left).0 }
+    })
+}
+
+/// A client of the process in `--connect` that reaches the most processes, and the endpoints at which no process
+/// answers. The client's process passes on the messages of those to which it is connected, where peers pass nothing on.
+/// Neither for a client of a router, a process that listens, and one with a certificate, whose rights end at the first
+/// process: all of these join as they are.
+pub(super) fn join_through(config: &BusConfig) -> (Option<Bus>, Vec<String>) {
+    if is_joined_through(config) { widest(config, CONNECTED_WITHIN) } else { (None, Vec::new()) }
+}
+
+fn is_joined_through(config: &BusConfig) -> bool {
+    config.role != Role::Client && config.identity.is_none() && config.listen.is_empty()
+}
+
+/// Tries all endpoints at the same time: one that does not answer delays no other one.
+fn widest(config: &BusConfig, limit: Duration) -> (Option<Bus>, Vec<String>) {
+    let reached = |endpoint: &String| -> Option<(usize, Bus)> {
+        let client = BusConfig { role: Role::Client, connect: vec![endpoint.clone()], ..config.clone() };
+        let client = client.reaching(Reach::Within(limit));
+        let bus = Bus::has_listener(&client).then(|| Bus::open(&client).ok()).flatten()?;
+        let reached = bus.alive(&bus.room().all_alive(), ALIVE_WITHIN).map_or(0, |alive| alive.len());
+        Some((reached, bus))
+    };
+    let tried: Vec<Option<(usize, Bus)>> = thread::scope(|scope| {
+        let tries: Vec<_> = config.connect.iter().map(|endpoint| scope.spawn(move || reached(endpoint))).collect();
+        tries.into_iter().map(|tried| tried.join().unwrap_or_default()).collect()
+    });
+    let unanswered = config.connect.iter().zip(&tried).filter(|(_, tried)| tried.is_none());
+    let unanswered = unanswered.map(|(endpoint, _)| endpoint.clone()).collect();
+    // Of those that reach as many, the first one.
+    let widest = tried.into_iter().flatten().reduce(|best, one| if one.0 > best.0 { one } else { best });
+    (widest.map(|(_, bus)| bus), unanswered)
 }
 
 /// The reason why there is no connection: soon where no process listens, and after the limit where one
 /// accepts connections, for it may be slow.
 pub(super) fn check_connected(bus: &Bus, config: &BusConfig, limit: Duration) -> Result<(), String> {
+    let begun = Instant::now();
     if bus.wait_connected(CONNECTED_WITHIN) {
         return Ok(());
     }
+    why_unconnected(config, limit, || bus.wait_connected(limit.saturating_sub(begun.elapsed())).then_some(()))
+}
+
+/// What `again` connects, where a process accepts connections and has not answered yet; else why there is no
+/// connection.
+fn why_unconnected<T>(config: &BusConfig, limit: Duration, again: impl FnOnce() -> Option<T>) -> Result<T, String> {
     let endpoints = config.connect.join(", ");
-    Err(match Bus::find_connection_problem(config) {
-        Some(problem) => problem,
-        None if Bus::has_listener(config) => {
-            output::note(format_args!("the process at {endpoints} accepts connections and has not answered yet"));
-            if bus.wait_connected(limit) {
-                return Ok(());
-            }
-            format!("the process at {endpoints} does not answer as a process of a room")
-        }
-        None => format!("no process answers at {endpoints}"),
+    if let Some(problem) = Bus::find_connection_problem(config) {
+        return Err(problem);
+    }
+    if !Bus::has_listener(config) {
+        return Err(format!("no process answers at {endpoints}"));
+    }
+    output::note(format_args!("the process at {endpoints} accepts connections and has not answered yet"));
+    again().ok_or_else(|| {
+        format!(
+            "the process at {endpoints} does not answer as a process of a room within {} s: it is frozen, overloaded, or \
+             of another kind",
+            limit.as_secs_f64()
+        )
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::TcpListener;
+
+    use heliostat_bus::free_loopback_endpoint;
+    use heliostat_proto::Room;
+
+    use super::*;
+
+    #[test]
+    fn a_process_that_accepts_connections_and_does_not_answer_is_named_with_the_limit() {
+        let frozen = TcpListener::bind("127.0.0.1:0").expect("a free port");
+        let frozen = format!("tcp/{}", frozen.local_addr().expect("bound"));
+        let absent = free_loopback_endpoint().expect("a free port");
+        let config = BusConfig::new(Room::new("frozen").expect("a valid name"));
+        // A limit that has passed with the first attempt: the answer has no further one.
+        let refusal = |endpoint: &str| join(&config.clone().connect_to(endpoint), CONNECTED_WITHIN).err();
+        assert_eq!(refusal(&absent), Some(format!("no process answers at {absent}")));
+        let refused = refusal(&frozen).unwrap_or_default();
+        let expected =
+            format!("the process at {frozen} does not answer as a process of a room within 1.2 s: it is frozen");
+        assert!(refused.starts_with(&expected), "{refused}");
+        let both = config.connect_to(&absent).connect_to(&frozen);
+        assert_eq!(join_through(&both).1, [absent, frozen]);
+    }
 }

@@ -13,6 +13,8 @@ use serde_json::json;
 
 use super::join::join;
 
+/// An operator knows within this time whether the order has a connection.
+const JOINED_WITHIN: Duration = Duration::from_secs(2);
 /// Time between two looks at a held stop.
 const HOLD_INTERVAL: Duration = Duration::from_millis(50);
 
@@ -159,7 +161,7 @@ impl OrderArgs {
         let bus = if waits {
             Bus::open(&config)?
         } else {
-            join(&config, self.timeout).map_err(|reason| {
+            join(&config, JOINED_WITHIN.min(self.timeout)).map_err(|reason| {
                 anyhow!(
                     "{reason}. Nothing was sent, and nothing is known about the arrays: give --connect the endpoint of the \
                      controller, of the driver or of their router. To stop the mirrors now, cut their power"

@@ -9,7 +9,7 @@ use heliostat_scenario::ScenarioArgs;
 /// Check what a run needs: scenario, policy, driver, ports, clock, permissions, processors.
 ///
 /// Each line holds ok, warn or fail, what was found, and what to do. The exit status is 1 if a
-/// check fails. A warning concerns speed or accuracy; a run is still possible.
+/// check fails. A warning concerns speed, accuracy or a process that does not answer; a run is still possible.
 ///
 /// With the files of a calibration and --connect, it compares them with the running room: the array, the
 /// calibration in use, the controller's geometry, and the light of served users.
@@ -29,6 +29,9 @@ pub struct Args {
     /// Endpoint of a driver or simulator whose capabilities are checked (repeatable)
     #[arg(long, value_name = "ENDPOINT")]
     pub connect: Vec<String>,
+    /// Endpoint at which to listen, for a room whose processes connect to this one (repeatable)
+    #[arg(long, value_name = "ENDPOINT")]
+    pub listen: Vec<String>,
     #[command(flatten)]
     pub tls: TlsArgs,
     /// The --out of `heliostat calibrate`, to compare with the array
@@ -46,4 +49,11 @@ pub struct Args {
     /// Print the checks as one JSON object
     #[arg(long)]
     pub json: bool,
+}
+
+impl Args {
+    /// Whether the flags name a room to look at.
+    pub fn joins(&self) -> bool {
+        !self.connect.is_empty() || !self.listen.is_empty()
+    }
 }

@@ -22,6 +22,9 @@ use super::system::{DriverState, compare};
 const FILE: &str = "calibration";
 const ROOM: &str = "measured room";
 
+/// What to do where a file cannot be compared.
+const GIVE_DRIVER: &str = "start the driver of the array, and give its endpoint with --connect";
+
 /// Seconds of a day.
 const DAY_S: u64 = 86_400;
 
@@ -62,7 +65,7 @@ fn check_calibration(file: &Path, driver: Option<&DriverState>) -> Vec<Check> {
         return vec![Check::fail(FILE, format!("{shown}: {unfit}"), "a driver refuses this file: calibrate again")];
     }
     let Some(driver) = driver else {
-        return vec![Check::ok(FILE, format!("{found}; not compared: no array answered"))];
+        return vec![Check::warn(FILE, format!("{found}; not compared: no array answers"), GIVE_DRIVER)];
     };
     if let Err(difference) = compare_shapes(&calibration, &driver.capabilities) {
         let advice = "give the file of this array, or name its array: --array N; else calibrate again";
@@ -126,7 +129,7 @@ fn check_measured(
             let fit = compare(array, &driver.capabilities, &room);
             checks.push(Check { name: ROOM, found: format!("{found}; for {}", fit.found), ..fit });
         }
-        None => checks.push(Check::ok(ROOM, format!("{found}; not compared: no array answered"))),
+        None => checks.push(Check::warn(ROOM, format!("{found}; not compared: no array answers"), GIVE_DRIVER)),
     }
     checks.extend(controller.map(|controller| compare_rooms(file, &room, controller)));
     checks
@@ -200,6 +203,13 @@ mod tests {
         assert_eq!(verdicts, [Verdict::Ok, Verdict::Warn, Verdict::Warn, Verdict::Fail]);
         assert!(check(Some(3), 0).found.contains("cannot be seen over the contract"));
         assert_eq!(check(Some(0), 0).advice, "start the driver with --calibration wall.toml");
+    }
+
+    #[test]
+    fn a_room_that_is_compared_with_no_array_is_a_warning() {
+        let checks = check_measured(Path::new("hall"), 0, None, None);
+        assert_eq!(checks.iter().map(|check| check.verdict).collect::<Vec<_>>(), [Verdict::Warn]);
+        assert!(checks[0].found.ends_with("not compared: no array answers"), "{checks:?}");
     }
 
     #[test]

@@ -3,19 +3,23 @@
 use std::sync::mpsc;
 use std::time::Instant;
 
+use heliostat_bus::Bus;
 use heliostat_proto::gauges::{ServedLight, TrackerNoise};
 use heliostat_proto::{NodeKind, NodeStatus, RoomGeometry, decode};
 use heliostat_ui::controllers::is_standby;
 
 use super::args::Args;
 use super::check::Check;
-use super::system::{CONNECTED_WITHIN, STATUS_WITHIN, open_bus};
+use super::system::{CONNECTED_WITHIN, STATUS_WITHIN};
 
 /// A tracker is noisier than stated if a learned deviation is larger than the stated one by this factor.
 const NOISIER: f64 = 1.5;
 
 /// The belief learns no smaller deviation, in m and in m/s: exact reports stay regular.
 const LEAST: f64 = 1e-3;
+
+/// What to do without a controller.
+const START_CONTROLLER: &str = "without one no command reaches the mirrors: start heliostat controller, or add its endpoint or router to --connect";
 
 /// What a controller says about itself and its room.
 #[derive(Debug, Default)]
@@ -30,24 +34,20 @@ pub(super) struct ControllerState {
     pub noise: Option<TrackerNoise>,
 }
 
-/// Asks a controller; the checks by its answer, none where no address is given.
-pub(super) fn checks(args: &Args) -> (Option<ControllerState>, Vec<Check>) {
-    if args.connect.is_empty() {
-        return (None, Vec::new());
-    }
-    match ask_controller(args) {
+/// Asks a controller; the checks by its answer, none without a session.
+pub(super) fn checks(args: &Args, bus: Option<&Bus>) -> (Option<ControllerState>, Vec<Check>) {
+    let Some(bus) = bus else { return (None, Vec::new()) };
+    match ask_controller(args, bus) {
         Ok(Some(state)) => {
             let checks = state.noise.iter().map(check_tracker).chain(state.light.iter().map(check_light)).collect();
             (Some(state), checks)
         }
-        Ok(None) => (None, vec![Check::ok("controller", "no controller answered: add its endpoint to --connect")]),
-        // The check of the driver reports a session that does not open.
-        Err(_) => (None, Vec::new()),
+        Ok(None) => (None, vec![Check::warn("controller", "no controller answers", START_CONTROLLER)]),
+        Err(error) => (None, vec![Check::fail("controller", format!("{error:#}"), START_CONTROLLER)]),
     }
 }
 
-fn ask_controller(args: &Args) -> anyhow::Result<Option<ControllerState>> {
-    let bus = open_bus(args)?;
+fn ask_controller(args: &Args, bus: &Bus) -> anyhow::Result<Option<ControllerState>> {
     let (sender, statuses) = mpsc::channel();
     let (geometry_sender, geometries) = mpsc::channel();
     let key = bus.room().status(NodeKind::Controller);
@@ -79,7 +79,6 @@ fn ask_controller(args: &Args) -> anyhow::Result<Option<ControllerState>> {
         })
     });
     drop((subscription, geometry));
-    bus.close()?;
     Ok(status.flatten())
 }
 

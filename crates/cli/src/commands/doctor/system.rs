@@ -4,7 +4,7 @@ use std::net::TcpListener;
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
-use heliostat_bus::{AccessRole, Bus, BusArgs, BusConfig, Reach};
+use heliostat_bus::{AccessRole, Bus, BusArgs, BusConfig, BusError, Reach};
 use heliostat_controller::report::summary::describe_unfit;
 use heliostat_core::belief::conditions::{Condition, conditions};
 use heliostat_core::capabilities::{Examiner, Force, Unfit};
@@ -25,6 +25,9 @@ use crate::commands::join::join_through;
 
 /// Longest time until a driver answers.
 const DRIVER_WAIT: Duration = Duration::from_secs(3);
+
+/// Time between two requests to a process that may still connect.
+const FETCH_EVERY: Duration = Duration::from_millis(50);
 
 /// Longest time until a session is connected.
 pub(super) const CONNECTED_WITHIN: Duration = DRIVER_WAIT;
@@ -62,13 +65,19 @@ pub(super) fn checks(args: &Args) -> Vec<Check> {
     checks.push(check_policy(args, &scenario));
     let kind = PolicyKind::selected(args.policy, args.model.is_some());
     checks.extend(kind.conditions(&scenario).into_iter().map(|condition| warning("policy", condition)));
-    let drivers = ask_drivers(args, scenario.mirrors.arrays().len());
+    let joined = args.joins().then(|| open_bus(args));
+    if let Some(Ok((_, unanswered))) = &joined {
+        checks.extend(unanswered.iter().map(|endpoint| check_unanswered(endpoint)));
+    }
+    let drivers = ask_drivers(args, joined.as_ref(), scenario.mirrors.arrays().len());
     checks.extend(check_drivers(args, &drivers, &scenario));
-    let (controller, of_controller) = controller::checks(args);
+    let bus = joined.as_ref().and_then(|joined| joined.as_ref().ok()).map(|(bus, _)| bus);
+    let (controller, of_controller) = controller::checks(args, bus);
     checks.extend(of_controller);
     checks.extend(calibration::checks(args, drivers.get(args.array), controller.as_ref()));
-    // A driver that is checked listens on its own port.
-    let in_use = |port: &&u16| args.connect.iter().any(|endpoint| endpoint.ends_with(&format!(":{port}")));
+    // A driver that is checked listens on its own port, and this command on those of --listen.
+    let endpoints = || args.connect.iter().chain(&args.listen);
+    let in_use = |port: &&u16| endpoints().any(|endpoint| endpoint.ends_with(&format!(":{port}")));
     checks.extend(args.port.iter().filter(|port| !in_use(port)).map(|port| check_port(*port)));
     checks
 }
@@ -126,15 +135,30 @@ fn check_port(port: u16) -> Check {
 }
 
 /// What the driver of each array answers; nothing without an address.
-fn ask_drivers(args: &Args, arrays: usize) -> Vec<anyhow::Result<DriverState>> {
-    let asked = if args.connect.is_empty() { 0 } else { arrays };
-    (0..asked).map(|array| ask_driver(args, array)).collect()
+fn ask_drivers(
+    args: &Args,
+    joined: Option<&anyhow::Result<(Bus, Vec<String>)>>,
+    arrays: usize,
+) -> Vec<anyhow::Result<DriverState>> {
+    let asked = if joined.is_some() { arrays } else { 0 };
+    let ask = |array| match joined {
+        Some(Ok((bus, _))) => ask_driver(args, bus, array),
+        Some(Err(error)) => Err(anyhow::anyhow!("{error:#}")),
+        None => Err(anyhow::anyhow!("no --connect")),
+    };
+    (0..asked).map(ask).collect()
+}
+
+/// An endpoint at which no process of a room answers, beside one at which one does.
+fn check_unanswered(endpoint: &str) -> Check {
+    let advice = "start the process there, or leave the endpoint out: what it alone reaches is not checked";
+    Check::warn("endpoint", format!("no process of a room answers at {endpoint}"), advice)
 }
 
 /// One check for each array of the scenario.
 fn check_drivers(args: &Args, drivers: &[anyhow::Result<DriverState>], scenario: &Scenario) -> Vec<Check> {
     if drivers.is_empty() {
-        return vec![Check::ok("driver", "not checked: no --connect")];
+        return vec![Check::ok("driver", "not checked: neither --connect nor --listen")];
     }
     let named = |(array, driver)| {
         let check = check_driver(args, driver, scenario, array);
@@ -168,18 +192,24 @@ fn check_driver(args: &Args, driver: &anyhow::Result<DriverState>, scenario: &Sc
     }
 }
 
-/// The session of the checks; none of them publishes, so the rights of any role do.
-pub(super) fn open_bus(args: &Args) -> anyhow::Result<Bus> {
+/// The session of the checks, and the endpoints at which no process answers. No check publishes, so the rights of
+/// any role do.
+fn open_bus(args: &Args) -> anyhow::Result<(Bus, Vec<String>)> {
     let config = bus_config(args)?;
-    match join_through(&config) {
-        Some(bus) => Ok(bus),
-        None => Ok(Bus::open(&config.reaching(Reach::Within(DRIVER_WAIT)))?),
+    if let (Some(bus), unanswered) = join_through(&config) {
+        return Ok((bus, unanswered));
     }
+    let bus = Bus::open(&config.clone().reaching(Reach::Within(DRIVER_WAIT)))?;
+    bus.wait_connected(CONNECTED_WITHIN);
+    let is_silent =
+        |endpoint: &&String| !Bus::has_listener(&BusConfig { connect: vec![(*endpoint).clone()], ..config.clone() });
+    let unanswered = config.connect.iter().filter(is_silent).cloned().collect();
+    Ok((bus, unanswered))
 }
 
 fn bus_config(args: &Args) -> anyhow::Result<BusConfig> {
-    let flags =
-        BusArgs { room: args.room.clone(), connect: args.connect.clone(), tls: args.tls.clone(), ..BusArgs::default() };
+    let (room, connect, listen) = (args.room.clone(), args.connect.clone(), args.listen.clone());
+    let flags = BusArgs { room, connect, listen, tls: args.tls.clone(), ..BusArgs::default() };
     Ok(flags.config(&AccessRole::ALL)?)
 }
 
@@ -196,8 +226,7 @@ pub(super) struct DriverState {
     pub state: Option<ArrayState>,
 }
 
-fn ask_driver(args: &Args, array: usize) -> anyhow::Result<DriverState> {
-    let bus = open_bus(args)?;
+fn ask_driver(args: &Args, bus: &Bus, array: usize) -> anyhow::Result<DriverState> {
     let room = bus.room().clone();
     let (sender, reports) = mpsc::channel();
     let statuses = sender.clone();
@@ -209,7 +238,7 @@ fn ask_driver(args: &Args, array: usize) -> anyhow::Result<DriverState> {
     let status = bus.subscribe(&keys.driver_status(), move |payload| {
         drop(decode(payload).map(|status: NodeStatus| statuses.send((None, Some(status.last_problem)))));
     })?;
-    let payloads = bus.fetch(&keys.capabilities(), DRIVER_WAIT)?;
+    let payloads = fetch_capabilities(args, bus, &keys.capabilities())?;
     let (mut telemetry, mut problem): (Option<Box<MirrorTelemetry>>, Option<String>) = (None, None);
     let has_no_link = |telemetry: &MirrorTelemetry| telemetry.faults & fault::LINK != 0;
     let until = Instant::now() + STATUS_WITHIN;
@@ -222,7 +251,6 @@ fn ask_driver(args: &Args, array: usize) -> anyhow::Result<DriverState> {
         (telemetry, problem) = (new_telemetry.or(telemetry), new_problem.or(problem));
     }
     drop((reported, status));
-    bus.close()?;
     let device_problem = telemetry
         .as_deref()
         .filter(|telemetry| has_no_link(telemetry))
@@ -237,6 +265,18 @@ fn ask_driver(args: &Args, array: usize) -> anyhow::Result<DriverState> {
             state: telemetry.map(|telemetry| telemetry.state),
         }),
         several => anyhow::bail!("{} drivers answer in room \"{room}\"; expected one", several.len()),
+    }
+}
+
+/// The capabilities of an array. A process that connects to this one may still introduce itself.
+fn fetch_capabilities(args: &Args, bus: &Bus, key: &str) -> Result<Vec<Vec<u8>>, BusError> {
+    let until = Instant::now() + DRIVER_WAIT;
+    loop {
+        let payloads = bus.fetch(key, DRIVER_WAIT)?;
+        if !payloads.is_empty() || args.listen.is_empty() || Instant::now() >= until {
+            return Ok(payloads);
+        }
+        std::thread::sleep(FETCH_EVERY);
     }
 }
 

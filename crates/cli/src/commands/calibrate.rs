@@ -298,7 +298,11 @@ fn write(args: &Args, scenario: &Scenario, outcome: &Outcome, base: Option<&Cali
     let file = base.map_or(own.clone(), |base| own.after(base));
     check_corrections(&file.message(Stamp::default()))
         .context("a driver would refuse the result: align this mirror by hand, and repeat. Nothing is written")?;
-    let room = args.room_out.as_ref().map(|path| (path, outcome.measured_room(scenario, args.array).to_toml()));
+    let mut measured = outcome.measured_room(scenario, args.array);
+    // The file may be in another folder than the scenario.
+    let absolute = |trace: String| std::path::absolute(&trace).map_or(trace, |path| path.to_string_lossy().into_owned());
+    measured.users.trace = measured.users.trace.map(absolute);
+    let room = args.room_out.as_ref().map(|path| (path, measured.to_toml()));
     if let Some((_, text)) = &room {
         let unusable =
             "the measured room is no scenario: repeat without --room-out, or check the heights. Nothing is written";

@@ -237,8 +237,8 @@ fn drive(
         if shown.elapsed() >= SHOW_EVERY {
             shown = Instant::now();
             show::progress(session);
-            if refinement.as_mut().is_some_and(|refinement| refinement.waits(session)) {
-                note("waits until the position reports have named no other user for some seconds");
+            if let Some(cause) = refinement.as_mut().and_then(|refinement| refinement.waits_for(session)) {
+                note(format_args!("waits until the room has been idle for some seconds: {cause}"));
             }
             if waited >= SILENCE {
                 note("no channel report for some seconds: is the receiver switched on?");

@@ -19,6 +19,9 @@ const READINGS_MAX: u32 = 10;
 /// Most readings of a mirror at a spot that shows none.
 const DARK_MAX: u32 = 7;
 
+/// Most times that a surprise at a spot is measured again.
+const CONFIRMATIONS_MAX: u32 = 3;
+
 /// Share of the largest gain from which on a reading counts as light.
 pub(crate) const LIT_SHARE: f64 = 0.25;
 
@@ -52,6 +55,8 @@ pub struct Job {
     pub readings: u32,
     /// Fewest readings until it is located.
     least: u32,
+    /// How often it was opened again.
+    confirmations: u32,
     /// The largest reading.
     pub brightest: f64,
     /// A reading is awaited.
@@ -71,21 +76,28 @@ impl Job {
             state: State::Open,
             readings: 0,
             least: READINGS_MIN,
+            confirmations: 0,
             brightest: 0.0,
             is_pending: false,
             sides: [0; 2],
         }
     }
 
-    /// Opens a located mirror once more, for as many readings again: a surprise has to be confirmed.
-    /// Whether that is due.
+    /// Opens a located mirror again, for about as many readings: a surprise has to be confirmed. Whether it
+    /// was opened.
     pub fn confirm(&mut self) -> bool {
-        let is_due = self.state == State::Located && self.least == READINGS_MIN;
+        let is_due = self.state == State::Located && self.confirmations < CONFIRMATIONS_MAX;
         if is_due {
-            self.least = 2 * self.readings.min(READINGS_MAX / 2);
+            self.confirmations += 1;
+            self.least = self.readings + self.readings.min(READINGS_MAX / 2);
             self.state = State::Open;
         }
         is_due
+    }
+
+    /// Whether it was measured again.
+    pub fn is_measured_again(&self) -> bool {
+        self.confirmations > 0
     }
 
     /// Whether it showed light.
@@ -141,7 +153,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_located_mirror_is_opened_once_more_for_as_many_readings() {
+    fn a_located_mirror_is_opened_again_for_as_many_readings_and_some_times_at_most() {
         let mut job = Job::new(Grid::normal([0.0; 2], [0.001; 2]), [0.0; 2], [[0.01; 2]; 2], 1.0);
         let read = |job: &mut Job, readings: u32| {
             for _ in 0..readings {
@@ -151,9 +163,13 @@ mod tests {
         };
         assert!(!job.confirm(), "it is open");
         assert_eq!(read(&mut job, READINGS_MIN), State::Located);
-        assert!(job.confirm());
+        assert!(!job.is_measured_again() && job.confirm() && job.is_measured_again());
         assert_eq!(read(&mut job, READINGS_MIN - 1), State::Open);
         assert_eq!(read(&mut job, 1), State::Located);
-        assert!(!job.confirm(), "once");
+        for _ in 1..CONFIRMATIONS_MAX {
+            assert!(job.confirm());
+            assert_eq!(read(&mut job, READINGS_MAX / 2), State::Located);
+        }
+        assert!(!job.confirm(), "not without end");
     }
 }

@@ -1,5 +1,7 @@
 //! The calibration of simulated rooms in virtual time, judged by the truth.
 
+use std::cell::Cell;
+
 use heliostat_array::calibration_file::CalibrationFile;
 use heliostat_calibrate::session::Log;
 use heliostat_calibrate::{Stage, Verdict};
@@ -135,6 +137,35 @@ fn a_refinement_names_the_mirrors_that_have_turned_and_corrects_them_alone() {
     let others = (0..36).filter(|mirror| !changed.contains(mirror));
     let moved = others.map(|mirror| (file.roll.offset_deg[mirror] - corrections.roll.offset_deg[mirror]).abs());
     assert!(moved.fold(0.0, f64::max) < 0.2, "a mirror that has not turned has another correction");
+}
+
+thread_local! {
+    /// How many commands were passed.
+    static PASSED: Cell<u32> = const { Cell::new(0) };
+}
+
+/// Every tenth command comes too late: all mirrors are away still when its light is measured.
+fn late(angles: &mut MirrorAngles) {
+    PASSED.set(PASSED.get() + 1);
+    if PASSED.get().is_multiple_of(10) {
+        angles.roll.fill(0.5);
+    }
+}
+
+#[test]
+fn late_commands_at_a_spot_name_no_mirror_that_has_not_turned() {
+    let scenario = room(&SMALL);
+    let (log, corrections, mut again) = calibrated(&scenario);
+    let mut refined = session(&scenario, again.capabilities().next().unwrap()).unwrap();
+    refined.refine(log, &corrections).unwrap();
+    let mounts = |angles: &mut MirrorAngles| {
+        angles.roll[7] += 0.8_f64.to_radians();
+        late(angles);
+    };
+    let next = |session: &heliostat_calibrate::Session| session.stage() == Stage::Await(1);
+    drive_turned(&mut refined, &mut again, unchanged, mounts, next).unwrap();
+    let changed: Vec<usize> = refined.changes().iter().map(|change| change.mirror).collect();
+    assert_eq!(changed, [7]);
 }
 
 #[test]

@@ -3,6 +3,7 @@
 
 mod args;
 mod commander;
+mod files;
 mod idle;
 mod readings;
 mod refinement;
@@ -61,13 +62,7 @@ pub fn run(args: Args) -> Result<()> {
         UnusableInput::new(format!("channel.mode = \"{}\": expected \"specular\"", scenario.channel.mode.name()))
     );
     condition(&scenario).iter().for_each(note);
-    for file in [Some(&args.out), args.room_out.as_ref()].into_iter().flatten() {
-        check_new(file)?;
-    }
-    if let Some(file) = &args.readings {
-        whole_file::check_writable(file).map_err(|error| UnusableInput::new(format!("{error:#}")))?;
-    }
-    check_distinct(&args)?;
+    let _held = files::hold(&args)?;
     let file = args.base.as_deref().filter(|file| *file != Path::new("none"));
     let base = file.map(heliostat_driver::calibration_store::load).transpose()?;
     let config = args.bus.config_or_connect(&[AccessRole::Controller])?;
@@ -314,29 +309,4 @@ fn write(args: &Args, scenario: &Scenario, outcome: &Outcome, base: Option<&Cali
         // The command began without this file. A calibration without its room would be half a result.
         drop(std::fs::remove_file(&args.out));
     })
-}
-
-/// Refuses one file for two purposes: the later one would replace the former.
-fn check_distinct(args: &Args) -> Result<()> {
-    let base = args.base.as_ref().filter(|file| file.as_path() != Path::new("none"));
-    let named = [
-        ("--out", Some(&args.out)),
-        ("--room-out", args.room_out.as_ref()),
-        ("--readings", args.readings.as_ref()),
-        ("--refine", args.refine.as_ref()),
-        ("--base", base),
-    ];
-    let named = named.map(|(flag, file)| Some((flag, std::path::absolute(file?).ok()?)));
-    let named: Vec<_> = named.into_iter().flatten().collect();
-    for (index, (flag, file)) in named.iter().enumerate() {
-        if let Some((other, _)) = named[..index].iter().find(|(_, other)| other == file) {
-            bail!(UnusableInput::new(format!("{other} and {flag} name one file, {}: expected two", file.display())));
-        }
-    }
-    Ok(())
-}
-
-fn check_new(file: &Path) -> Result<()> {
-    ensure!(!file.exists(), UnusableInput::new(format!("{} exists already: expected a new file", file.display())));
-    whole_file::check_writable(file).map_err(|error| UnusableInput::new(format!("{error:#}")).into())
 }

@@ -232,6 +232,22 @@ fn a_session_continues_from_its_log() {
     assert!(second.resume(other).unwrap_err().to_string().contains("expected 100"));
 }
 
+#[test]
+fn the_log_holds_a_place_as_complete_before_its_estimate() {
+    let scenario = room(&SMALL);
+    let mut episode = Episode::new(&scenario, Some(&walk(&scenario, "")), 1, 0).unwrap();
+    let capabilities = episode.capabilities().next().unwrap();
+    let mut first = session(&scenario, capabilities.clone()).unwrap();
+    drive(&mut first, &mut episode, unchanged, heliostat_calibrate::Session::is_estimate_due).unwrap();
+    let log = first.log();
+    assert_eq!((first.stage(), log.complete), (Stage::Probe(0), 1));
+    let mut second = session(&scenario, capabilities).unwrap();
+    second.resume(log).unwrap();
+    first.run_estimate();
+    assert_eq!((first.stage(), second.stage()), (Stage::Await(1), Stage::Await(1)));
+    assert_eq!(first.readings(), second.readings());
+}
+
 /// A study of a small array, with these changes of the scenario.
 fn small_study(changes: &[&str]) -> anyhow::Result<heliostat_learn::calibrate::Study> {
     let size = ["mismatch.level=rough", "mirrors.rows=4", "mirrors.columns=4"];

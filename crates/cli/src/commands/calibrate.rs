@@ -5,6 +5,7 @@ mod args;
 mod commander;
 mod files;
 mod idle;
+mod interruption;
 mod readings;
 mod refinement;
 mod room;
@@ -28,6 +29,7 @@ use heliostat_service::whole_file;
 
 use super::join::check_connected;
 pub use args::Args;
+use interruption::Watchdog;
 use readings::Readings;
 use refinement::Refinement;
 use room::{LiveRoom, Received};
@@ -86,6 +88,8 @@ pub fn run(args: Args) -> Result<()> {
         ensure!(found == expected, "--base is for {found} mirrors: expected a file for {expected}");
     }
     let readings = Readings::new(args.readings.as_deref(), (bus.room(), &scenario), (args.array, base.as_ref()));
+    // The log of an earlier session is estimated too.
+    let watchdog = Watchdog::start(&stop, args.readings.as_deref());
     let mut refinement = match (&args.refine, &base, args.user) {
         (Some(file), Some(base), Some(user)) => Some(Refinement::new(user, readings.load_former(file)?, base)?),
         (Some(_), ..) => bail!(UnusableInput::new("--base none: expected the file of the calibration to refine")),
@@ -103,11 +107,10 @@ pub fn run(args: Args) -> Result<()> {
     let run = drive(&args, (&mut session, &readings), (&mut room, refinement.as_mut()), &stop);
     let saved = readings.save(&session);
     room.release();
+    drop(watchdog);
     run?;
     saved?;
-    let outcome = session
-        .outcome()
-        .context("interrupted: nothing is written; the same command with the same --readings continues")?;
+    let outcome = session.outcome().with_context(|| interruption::advice(args.readings.as_deref()))?;
     // A refinement includes the calibration in use, because it measures as the former calibration did.
     let measured_with = refinement.as_ref().map(Refinement::measured_with).or(base.as_ref());
     match args.refine {
@@ -205,6 +208,10 @@ fn drive(
                 // Without the lead the light is that of another controller's angles.
                 if room.is_commanding() {
                     session.handle_channel(&report);
+                }
+                if session.is_estimate_due() {
+                    readings.save(session)?;
+                    session.run_estimate();
                 }
             }
             Some(Received::CommandDelay(delay_ns)) => session.handle_command_delay(delay_ns),

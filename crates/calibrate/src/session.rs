@@ -44,7 +44,8 @@ use crate::optics::Optics;
 use crate::outcome::{Outcome, Verification};
 use crate::parameters::{Prior, Spot};
 use crate::probes::{Job, State};
-use crate::stand::{Moved, Stand};
+use crate::signal::Signal;
+use crate::stand::{Moved, Stand, median};
 
 pub use fitting::aim_deviation;
 pub use log::Log;
@@ -390,6 +391,14 @@ impl Session {
             unused: self.unused,
             remaining_s: self.remaining_readings(open) * self.timing.seconds_per_reading(),
         }
+    }
+
+    /// The light of single mirrors at the present spot, compared with its dark readings; `None` before these.
+    pub fn signal(&self) -> Option<Signal> {
+        let (Stage::Probe(place), Some(spot)) = (self.stage, self.spots.last()) else { return None };
+        let probed = self.jobs.iter().filter(|job| job.state != State::Excluded);
+        let gain = median(&probed.map(|job| job.peak).collect::<Vec<_>>());
+        (gain > 0.0).then(|| Signal { place, gain, ratio: gain / spot.noise_gain })
     }
 
     /// Readings of single mirrors so far.

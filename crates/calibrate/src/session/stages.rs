@@ -239,7 +239,9 @@ impl Session {
     pub(super) fn remaining_readings(&self, open: usize) -> f64 {
         let mirrors = self.optics.centres.len() as f64;
         let places = self.setup.spots.len();
-        let expected = |place: usize| EXPECTED_READINGS[usize::from(place > 0 || self.is_refinement())];
+        let is_weak = self.signal().is_some_and(|signal| signal.is_weak());
+        let usual = |place: usize| EXPECTED_READINGS[usize::from(place > 0 || self.is_refinement())];
+        let expected = |place: usize| if is_weak { f64::from(probes::READINGS_MAX) } else { usual(place) };
         let verify = (2 * VERIFY_READINGS + DARK_READINGS) as f64;
         let later = |from: usize| (from..places).map(|place| mirrors * expected(place)).sum::<f64>() + verify;
         match self.stage {

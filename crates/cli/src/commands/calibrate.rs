@@ -3,6 +3,7 @@
 
 mod args;
 mod commander;
+mod conditions;
 mod files;
 mod idle;
 mod interruption;
@@ -19,9 +20,8 @@ use heliostat_array::calibration::check_corrections;
 use heliostat_array::calibration_file::CalibrationFile;
 use heliostat_bus::{AccessRole, Bus};
 use heliostat_calibrate::{Outcome, Prior, Session, Setup, Stage};
-use heliostat_core::belief::conditions::Condition;
 use heliostat_proto::Stamp;
-use heliostat_scenario::{ChannelMode, OrientationModel, Scenario};
+use heliostat_scenario::{ChannelMode, Scenario};
 use heliostat_service::clock::utc_ns;
 use heliostat_service::exit::UnusableInput;
 use heliostat_service::output::note;
@@ -63,7 +63,7 @@ pub fn run(args: Args) -> Result<()> {
         scenario.channel.mode == ChannelMode::Specular,
         UnusableInput::new(format!("channel.mode = \"{}\": expected \"specular\"", scenario.channel.mode.name()))
     );
-    condition(&scenario).iter().for_each(note);
+    conditions::conditions(&scenario, args.array, &args.spots(&scenario)?).iter().for_each(note);
     let _held = files::hold(&args)?;
     let file = args.base.as_deref().filter(|file| *file != Path::new("none"));
     let base = file.map(heliostat_driver::calibration_store::load).transpose()?;
@@ -118,18 +118,6 @@ pub fn run(args: Args) -> Result<()> {
         None => finish(&args, &scenario, outcome, measured_with)?,
     }
     Ok(bus.close()?)
-}
-
-/// What the calibration takes to hold in a room where it may not.
-fn condition(scenario: &Scenario) -> Option<Condition> {
-    scenario.users.orientation.as_ref().filter(|held| held.model == OrientationModel::Measured)?;
-    Some(Condition {
-        method: "the calibration with a tilted receiver".to_owned(),
-        because: "users.orientation.model = \"measured\"".to_owned(),
-        consequence: "put the receiver down level at each spot; that of a simulated user is tilted, so simulate the \
-                      calibration with users.orientation.model = \"up\""
-            .to_owned(),
-    })
 }
 
 fn new_session(args: &Args, scenario: &Scenario, room: &LiveRoom, refinement: Option<&Refinement>) -> Result<Session> {

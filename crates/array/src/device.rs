@@ -188,8 +188,8 @@ mod tests {
     fn an_array_has_mirrors_and_parks_within_its_limits() {
         let limits = AxisLimits { min_rad: 0.125, max_rad: 0.5, ..AxisLimits::default() };
         let of = |rows: u32, park_rad: [f32; 2]| {
-            let array = Capabilities { rows, columns: 2, roll: limits, yaw: limits, park_rad, ..Capabilities::default() };
-            check_capabilities(&array)
+            let (roll, yaw) = (limits, limits);
+            check_capabilities(&Capabilities { rows, columns: 2, roll, yaw, park_rad, ..Capabilities::default() })
         };
         assert_eq!(of(1, [0.125, 0.5]), Ok(()));
         assert_eq!(of(0, [0.125, 0.5]), Err(CapabilitiesError::NoMirrors));

@@ -398,7 +398,7 @@ impl Session {
         let (Stage::Probe(place), Some(spot)) = (self.stage, self.spots.last()) else { return None };
         let probed = self.jobs.iter().filter(|job| job.state != State::Excluded);
         let gain = median(&probed.map(|job| job.peak).collect::<Vec<_>>());
-        (gain > 0.0).then(|| Signal { place, gain, ratio: gain / spot.noise_gain })
+        (gain > 0.0).then_some(Signal { place, gain, ratio: gain / spot.noise_gain })
     }
 
     /// Readings of single mirrors so far.

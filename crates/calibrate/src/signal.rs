@@ -3,7 +3,6 @@
 use heliostat_channel::Vec3;
 
 use crate::optics::{Optics, PLACE, QUANTITIES, Quantities};
-use crate::session::Place;
 use crate::stand::median;
 
 /// Ratio of the light of a mirror to the noise of a reading below which the readings of a spot do not locate
@@ -27,23 +26,26 @@ impl Signal {
         self.ratio < RATIO_MIN
     }
 
-    /// The place with the weakest light of single mirrors, by the nominal room. `noise_gain`: standard deviation of
-    /// a dark reading, as a gain. `None` where no place is stated.
-    pub fn weakest(optics: &Optics, places: &[Place], noise_gain: f64) -> Option<Self> {
-        let at = |(place, stated): (usize, &Place)| {
-            let gain = median(&gains(optics, stated)?);
+    /// The weakest light of single mirrors at these places, by the nominal room. Places: x, y and the height of the
+    /// detector in m, in the room's frame, each with its index. `noise_gain`: standard deviation of a dark reading.
+    pub fn weakest(
+        optics: &Optics,
+        places: impl Iterator<Item = (usize, [f64; 3])>,
+        noise_gain: f64,
+    ) -> Option<Self> {
+        let at = |(place, at): (usize, [f64; 3])| {
+            let gain = median(&gains(optics, at)?);
             Some(Self { place, gain, ratio: gain / noise_gain })
         };
-        places.iter().enumerate().filter_map(at).min_by(|a, b| a.gain.total_cmp(&b.gain))
+        places.filter_map(at).min_by(|a, b| a.gain.total_cmp(&b.gain))
     }
 }
 
 /// The gain of each mirror that is aimed at a place, from the LED that serves it.
-fn gains(optics: &Optics, place: &Place) -> Option<Vec<f64>> {
-    let [x, y] = place.floor_m?;
+fn gains(optics: &Optics, [x, y, height_m]: [f64; 3]) -> Option<Vec<f64>> {
     let at = optics.array().wall_from_room(&Vec3::new(x, y, 0.0));
     let mut exact: Quantities = [0.0; QUANTITIES];
-    exact[PLACE..PLACE + 3].copy_from_slice(&[at.x, at.y, place.height_m]);
+    exact[PLACE..PLACE + 3].copy_from_slice(&[at.x, at.y, height_m]);
     let direct = |led: usize| optics.direct_gain(led, &exact);
     let led = (0..optics.leds.len()).max_by(|a, b| direct(*a).total_cmp(&direct(*b)))?;
     let gain = |mirror: usize| {

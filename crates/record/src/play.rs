@@ -2,9 +2,10 @@
 //!
 //! A lockstep recording is played in lockstep: each report waits for its command, and the commands
 //! are compared. A live recording is played at the recorded speed or a multiple of it, with its
-//! stamps shifted to the present, so that no report is too old, and with source ids of its own: the
-//! recorded processes may run still, and their tokens of liveliness must not end with the playback. In both, the played arrays obey the
-//! controllers of the playback (`played_array.rs`).
+//! stamps shifted to the present, so that no report is too old, and with source ids and ticks of its own: the
+//! recorded processes may run still, their tokens of liveliness must not end with the playback, and the
+//! answers to their reports are none to the played ones. In both, the played arrays obey the controllers of
+//! the playback (`played_array.rs`).
 
 mod played_array;
 
@@ -230,6 +231,11 @@ struct Start {
 }
 
 impl Start {
+    /// The tick of the playback for a recorded one.
+    fn played_tick(&self, tick: u64) -> u64 {
+        tick.wrapping_add(self.salt >> 32)
+    }
+
     /// The playback time of the recorded time `time_ns`.
     fn played_ns(&self, time_ns: Nanos) -> Nanos {
         let since_ns = time_ns.wrapping_sub(self.recorded_ns) as i64;
@@ -305,7 +311,7 @@ impl Player {
         publisher.put(payload.as_deref().unwrap_or(&entry.data))?;
         if let Some(Received::Users(report)) = received {
             self.playback.reports += 1;
-            self.unanswered.insert(report.tick);
+            self.unanswered.insert(start.map_or(report.tick, |start| start.played_tick(report.tick)));
             if start.is_none() {
                 self.await_answer(report.tick)?;
             }
@@ -399,24 +405,58 @@ impl Player {
 }
 
 impl OutputChannel {
-    /// A payload with the time and the source of the playback; `None` if it cannot be decoded.
+    /// A payload with the time, the source and the tick of the playback; `None` if it cannot be decoded.
     fn moved(self, payload: &[u8], start: &Start) -> Option<Vec<u8>> {
-        fn moved<T: Message>(payload: &[u8], start: &Start, stamp: fn(&mut T) -> &mut Stamp) -> Option<Vec<u8>> {
+        fn moved<T: Message>(payload: &[u8], start: &Start, parts: fn(&mut T) -> Parts<'_>) -> Option<Vec<u8>> {
             let mut message: T = decode(payload).ok()?;
-            let stamp = stamp(&mut message);
+            let Parts { stamp, tick } = parts(&mut message);
             (stamp.source, stamp.time_ns) = (stamp.source ^ start.salt, start.played_ns(stamp.time_ns));
+            if let Some(tick) = tick {
+                *tick = start.played_tick(*tick);
+            }
             encoded(&message)
         }
         match self {
-            Self::Users => moved(payload, start, |report: &mut UserReport| &mut report.stamp),
-            Self::Channel => moved(payload, start, |report: &mut ChannelReport| &mut report.stamp),
-            Self::Obstacles => moved(payload, start, |report: &mut ObstacleReport| &mut report.stamp),
-            Self::Orientation => moved(payload, start, |report: &mut OrientationReport| &mut report.stamp),
-            Self::Branches => moved(payload, start, |report: &mut BranchReport| &mut report.stamp),
-            Self::Leds => moved(payload, start, |report: &mut LedReport| &mut report.stamp),
-            Self::Telemetry => moved(payload, start, |telemetry: &mut MirrorTelemetry| &mut telemetry.stamp),
-            Self::Capabilities => moved(payload, start, |array: &mut Capabilities| &mut array.stamp),
+            Self::Users => moved(payload, start, |message: &mut UserReport| {
+                Parts::ticked(&mut message.stamp, &mut message.tick)
+            }),
+            Self::Channel => moved(payload, start, |message: &mut ChannelReport| {
+                Parts::ticked(&mut message.stamp, &mut message.tick)
+            }),
+            Self::Obstacles => moved(payload, start, |message: &mut ObstacleReport| Parts::stamped(&mut message.stamp)),
+            Self::Orientation => moved(payload, start, |message: &mut OrientationReport| {
+                Parts::stamped(&mut message.stamp)
+            }),
+            Self::Branches => moved(payload, start, |message: &mut BranchReport| {
+                Parts::ticked(&mut message.stamp, &mut message.tick)
+            }),
+            Self::Leds => moved(payload, start, |message: &mut LedReport| {
+                Parts::ticked(&mut message.stamp, &mut message.tick)
+            }),
+            Self::Telemetry => moved(payload, start, |message: &mut MirrorTelemetry| {
+                Parts::stamped(&mut message.stamp)
+            }),
+            Self::Capabilities => moved(payload, start, |message: &mut Capabilities| {
+                Parts::stamped(&mut message.stamp)
+            }),
         }
+    }
+}
+
+/// The parts of a message that a live playback changes.
+struct Parts<'a> {
+    stamp: &'a mut Stamp,
+    /// The tick of a report that has one.
+    tick: Option<&'a mut u64>,
+}
+
+impl<'a> Parts<'a> {
+    fn stamped(stamp: &'a mut Stamp) -> Self {
+        Self { stamp, tick: None }
+    }
+
+    fn ticked(stamp: &'a mut Stamp, tick: &'a mut u64) -> Self {
+        Self { stamp, tick: Some(tick) }
     }
 }
 
@@ -440,5 +480,29 @@ impl fmt::Display for Playback {
             write!(formatter, "\nthe recording was cut: later messages are missing")?;
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_ticks_of_a_live_playback_are_not_those_of_the_recorded_room() {
+        let start = Start {
+            at: Instant::now(),
+            at_ns: 9_000_000_000,
+            recorded_ns: 1_000_000_000,
+            rate: 2.0,
+            salt: 5 << 32,
+        };
+        let stamp = Stamp { source: 7, sequence: 3, time_ns: 2_000_000_000 };
+        let users = encoded(&UserReport { stamp, tick: 60, ..UserReport::default() }).expect("a sound report");
+        let moved: UserReport = decode(&OutputChannel::Users.moved(&users, &start).expect("moved")).expect("sound");
+        assert_eq!((moved.tick, start.played_tick(60)), (65, 65));
+        assert_eq!((moved.stamp.source, moved.stamp.time_ns), (7 ^ (5 << 32), 9_500_000_000));
+        let channel = encoded(&ChannelReport { stamp, tick: 60, ..ChannelReport::default() }).expect("a sound report");
+        let moved = OutputChannel::Channel.moved(&channel, &start).expect("moved");
+        assert_eq!(decode::<ChannelReport>(&moved).expect("sound").tick, 65);
     }
 }

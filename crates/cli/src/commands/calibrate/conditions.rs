@@ -30,7 +30,7 @@ fn tilted(scenario: &Scenario) -> Option<Condition> {
 fn weak(scenario: &Scenario, array: usize, spots: &[Place]) -> Option<Condition> {
     let optics = Optics::new(&scenario.channel_model().ok()?, array)?;
     let stream = &scenario.streams.channel;
-    let signal = Signal::weakest(&optics, spots, stream.gain_variance().sqrt()).filter(Signal::is_weak)?;
+    let signal = Signal::weakest(&optics, stated(spots), stream.gain_variance().sqrt()).filter(Signal::is_weak)?;
     let readings = optics.centres.len() * spots.len() * READINGS_MAX as usize;
     let minutes = readings as f64 / stream.rate_hz / 60.0;
     Some(Condition {
@@ -47,6 +47,12 @@ fn weak(scenario: &Scenario, array: usize, spots: &[Place]) -> Option<Condition>
              {STRONGER}"
         ),
     })
+}
+
+/// The spots whose place is stated, by index: x, y and height in m.
+fn stated(spots: &[Place]) -> impl Iterator<Item = (usize, [f64; 3])> {
+    let place = |spot: &Place| spot.floor_m.map(|[x, y]| [x, y, spot.height_m]);
+    spots.iter().enumerate().filter_map(move |(index, spot)| Some((index, place(spot)?)))
 }
 
 #[cfg(test)]
@@ -68,7 +74,7 @@ mod tests {
         let spots = default_spots(&exact);
         assert_eq!(conditions(&exact, 0, &spots), []);
         let optics = Optics::new(&exact.channel_model().expect("a room"), 0).expect("one branch");
-        let gain = Signal::weakest(&optics, &spots, 1.0).expect("stated spots").gain;
+        let gain = Signal::weakest(&optics, stated(&spots), 1.0).expect("stated spots").gain;
         assert!(gain > 1e-12, "{gain}");
         assert_eq!(conditions(&scenario(gain / 5.0), 0, &spots), []);
         let [condition] = &conditions(&scenario(gain / 2.0), 0, &spots)[..] else { panic!("weak") };

@@ -32,7 +32,8 @@ pub fn stage(session: &Session) {
             note(format_args!("stay: the mirrors are probed at spot {}", index + 1));
             if let Some(signal) = session.signal().filter(Signal::is_weak) {
                 note(format_args!(
-                    "the light of a mirror here is {:.1} times the noise of a dark reading: few mirrors will be                      located, in about {:.0} min; {STRONGER}",
+                    "the light of a mirror here is {:.1} times the noise of a dark reading: few mirrors will be \
+                     located, in about {:.0} min; {STRONGER}",
                     signal.ratio,
                     session.progress().remaining_s / 60.0
                 ));

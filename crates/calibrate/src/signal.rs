@@ -28,11 +28,7 @@ impl Signal {
 
     /// The weakest light of single mirrors at these places, by the nominal room. Places: x, y and the height of the
     /// detector in m, in the room's frame, each with its index. `noise_gain`: standard deviation of a dark reading.
-    pub fn weakest(
-        optics: &Optics,
-        places: impl Iterator<Item = (usize, [f64; 3])>,
-        noise_gain: f64,
-    ) -> Option<Self> {
+    pub fn weakest(optics: &Optics, places: impl Iterator<Item = (usize, [f64; 3])>, noise_gain: f64) -> Option<Self> {
         let at = |(place, at): (usize, [f64; 3])| {
             let gain = median(&gains(optics, at)?);
             Some(Self { place, gain, ratio: gain / noise_gain })

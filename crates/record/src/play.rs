@@ -417,28 +417,28 @@ impl OutputChannel {
             encoded(&message)
         }
         match self {
-            Self::Users => moved(payload, start, |message: &mut UserReport| {
-                Parts::ticked(&mut message.stamp, &mut message.tick)
-            }),
+            Self::Users => {
+                moved(payload, start, |message: &mut UserReport| Parts::ticked(&mut message.stamp, &mut message.tick))
+            }
             Self::Channel => moved(payload, start, |message: &mut ChannelReport| {
                 Parts::ticked(&mut message.stamp, &mut message.tick)
             }),
             Self::Obstacles => moved(payload, start, |message: &mut ObstacleReport| Parts::stamped(&mut message.stamp)),
-            Self::Orientation => moved(payload, start, |message: &mut OrientationReport| {
-                Parts::stamped(&mut message.stamp)
-            }),
-            Self::Branches => moved(payload, start, |message: &mut BranchReport| {
-                Parts::ticked(&mut message.stamp, &mut message.tick)
-            }),
-            Self::Leds => moved(payload, start, |message: &mut LedReport| {
-                Parts::ticked(&mut message.stamp, &mut message.tick)
-            }),
-            Self::Telemetry => moved(payload, start, |message: &mut MirrorTelemetry| {
-                Parts::stamped(&mut message.stamp)
-            }),
-            Self::Capabilities => moved(payload, start, |message: &mut Capabilities| {
-                Parts::stamped(&mut message.stamp)
-            }),
+            Self::Orientation => {
+                moved(payload, start, |message: &mut OrientationReport| Parts::stamped(&mut message.stamp))
+            }
+            Self::Branches => {
+                moved(payload, start, |message: &mut BranchReport| Parts::ticked(&mut message.stamp, &mut message.tick))
+            }
+            Self::Leds => {
+                moved(payload, start, |message: &mut LedReport| Parts::ticked(&mut message.stamp, &mut message.tick))
+            }
+            Self::Telemetry => {
+                moved(payload, start, |message: &mut MirrorTelemetry| Parts::stamped(&mut message.stamp))
+            }
+            Self::Capabilities => {
+                moved(payload, start, |message: &mut Capabilities| Parts::stamped(&mut message.stamp))
+            }
         }
     }
 }
@@ -489,13 +489,8 @@ mod tests {
 
     #[test]
     fn the_ticks_of_a_live_playback_are_not_those_of_the_recorded_room() {
-        let start = Start {
-            at: Instant::now(),
-            at_ns: 9_000_000_000,
-            recorded_ns: 1_000_000_000,
-            rate: 2.0,
-            salt: 5 << 32,
-        };
+        let start =
+            Start { at: Instant::now(), at_ns: 9_000_000_000, recorded_ns: 1_000_000_000, rate: 2.0, salt: 5 << 32 };
         let stamp = Stamp { source: 7, sequence: 3, time_ns: 2_000_000_000 };
         let users = encoded(&UserReport { stamp, tick: 60, ..UserReport::default() }).expect("a sound report");
         let moved: UserReport = decode(&OutputChannel::Users.moved(&users, &start).expect("moved")).expect("sound");

@@ -187,9 +187,8 @@ impl Session {
         if changed.len() as f64 > BAD_SPOT_SHARE * found.len() as f64 {
             return false;
         }
-        let is_open = |mirror: &usize| {
-            !self.jobs[*mirror].is_measured_again() || !self.is_confirmed(&before, *mirror, &[spot])
-        };
+        let is_open =
+            |mirror: &usize| !self.jobs[*mirror].is_measured_again() || !self.is_confirmed(&before, *mirror, &[spot]);
         let open: Vec<usize> = changed.into_iter().filter(is_open).collect();
         open.into_iter().filter(|mirror| self.jobs[*mirror].confirm()).count() > 0
     }

@@ -290,7 +290,8 @@ fn write(args: &Args, scenario: &Scenario, outcome: &Outcome, base: Option<&Cali
         .context("a driver would refuse the result: align this mirror by hand, and repeat. Nothing is written")?;
     let mut measured = outcome.measured_room(scenario, args.array);
     // The file may be in another folder than the scenario.
-    let absolute = |trace: String| std::path::absolute(&trace).map_or(trace, |path| path.to_string_lossy().into_owned());
+    let absolute =
+        |trace: String| std::path::absolute(&trace).map_or(trace, |path| path.to_string_lossy().into_owned());
     measured.users.trace = measured.users.trace.map(absolute);
     let room = args.room_out.as_ref().map(|path| (path, measured.to_toml()));
     if let Some((_, text)) = &room {

@@ -263,7 +263,7 @@ impl Tenure {
     /// Compares telemetry that arrived at `now`.
     pub fn handle_telemetry(&mut self, now: Nanos, evidence: Evidence) -> Option<TenureEvent> {
         let former = self.seen.replace((now, evidence)).map(|(_, evidence)| evidence);
-        if former.is_some_and(|former| former.epoch != evidence.epoch) {
+        if former.is_some_and(|former| former.following && former.epoch != evidence.epoch) {
             self.guest.handle_epoch(now, evidence.epoch % EPOCH_SLOTS);
         }
         let is_accepting = former.is_some_and(|former| former.accepted != evidence.accepted);

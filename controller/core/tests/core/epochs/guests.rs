@@ -54,3 +54,21 @@ fn the_end_of_a_controller_that_stood_by_before_it_led_is_a_takeover() {
     room.run(S);
     assert_eq!(room.controllers[0].events, [TenureEvent::Superseded, TenureEvent::TookOver]);
 }
+
+#[test]
+fn the_first_leader_of_an_array_is_no_guest() {
+    let mut room = Room::new(&[600]);
+    room.telemetry_interval = INTERVAL;
+    room.show(room.array.shown);
+    room.controllers[0].tenure = Tenure::live(600, INTERVAL).in_reserve(None);
+    room.run(INTERVAL);
+    let epoch = NOON_MS / EPOCH_SLOTS * EPOCH_SLOTS + EPOCH_SLOTS + GUEST;
+    room.announce(GUEST, true);
+    for sequence in 1..=50 {
+        assert!(room.array.handle(room.now, epoch, sequence));
+        room.run(INTERVAL);
+    }
+    room.announce(GUEST, false);
+    room.run(S);
+    assert_eq!(room.controllers[0].events, [TenureEvent::StoodBy, TenureEvent::TookOver]);
+}

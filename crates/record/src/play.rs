@@ -7,6 +7,7 @@
 //! answers to their reports are none to the played ones. In both, the played arrays obey the controllers of
 //! the playback (`played_array.rs`).
 
+mod moved;
 mod played_array;
 
 use std::collections::{BTreeMap, HashMap, HashSet, btree_map};
@@ -19,14 +20,12 @@ use anyhow::{Context, Result, bail, ensure};
 use heliostat_array::moment::Moment;
 use heliostat_bus::{AccessRole, Bus, BusArgs, Class, Publisher, Token};
 use heliostat_proto::keys::parse_alive;
-use heliostat_proto::{
-    BranchReport, Capabilities, ChannelReport, LedReport, Message, MirrorCommand, MirrorTelemetry, Nanos, NodeKind,
-    ObstacleReport, OrientationReport, Room, Stamp, UserReport, decode, encode,
-};
+use heliostat_proto::{MirrorCommand, MirrorTelemetry, Nanos, NodeKind, Room, decode};
 use heliostat_service::clock::{monotonic_ns, utc_ns};
 use heliostat_service::{Stop, output, source_id};
 use serde::Serialize;
 
+use moved::{OutputChannel, Start, encoded};
 use played_array::PlayedArray;
 
 use crate::file::{self, Entry};
@@ -207,46 +206,6 @@ fn channels(
     keys.into_iter().chain(of_arrays).map(publisher).collect()
 }
 
-#[derive(Clone, Copy, Debug)]
-enum OutputChannel {
-    Users,
-    Channel,
-    Obstacles,
-    Orientation,
-    Branches,
-    Leds,
-    Telemetry,
-    Capabilities,
-}
-
-/// The start of a live playback.
-#[derive(Clone, Copy, Debug)]
-struct Start {
-    at: Instant,
-    at_ns: Nanos,
-    recorded_ns: Nanos,
-    rate: f64,
-    /// What changes a recorded source id into that of the playback.
-    salt: u64,
-}
-
-impl Start {
-    /// The tick of the playback for a recorded one.
-    fn played_tick(&self, tick: u64) -> u64 {
-        tick.wrapping_add(self.salt >> 32)
-    }
-
-    /// The playback time of the recorded time `time_ns`.
-    fn played_ns(&self, time_ns: Nanos) -> Nanos {
-        let since_ns = time_ns.wrapping_sub(self.recorded_ns) as i64;
-        self.at_ns.saturating_add_signed((since_ns as f64 / self.rate) as i64)
-    }
-
-    fn due(&self, arrived_ns: Nanos) -> Instant {
-        self.at + Duration::from_nanos(self.played_ns(arrived_ns).saturating_sub(self.at_ns))
-    }
-}
-
 struct Player {
     /// By the recorded key.
     channels: HashMap<String, (Publisher, OutputChannel)>,
@@ -404,69 +363,6 @@ impl Player {
     }
 }
 
-impl OutputChannel {
-    /// A payload with the time, the source and the tick of the playback; `None` if it cannot be decoded.
-    fn moved(self, payload: &[u8], start: &Start) -> Option<Vec<u8>> {
-        fn moved<T: Message>(payload: &[u8], start: &Start, parts: fn(&mut T) -> Parts<'_>) -> Option<Vec<u8>> {
-            let mut message: T = decode(payload).ok()?;
-            let Parts { stamp, tick } = parts(&mut message);
-            (stamp.source, stamp.time_ns) = (stamp.source ^ start.salt, start.played_ns(stamp.time_ns));
-            if let Some(tick) = tick {
-                *tick = start.played_tick(*tick);
-            }
-            encoded(&message)
-        }
-        match self {
-            Self::Users => {
-                moved(payload, start, |message: &mut UserReport| Parts::ticked(&mut message.stamp, &mut message.tick))
-            }
-            Self::Channel => moved(payload, start, |message: &mut ChannelReport| {
-                Parts::ticked(&mut message.stamp, &mut message.tick)
-            }),
-            Self::Obstacles => moved(payload, start, |message: &mut ObstacleReport| Parts::stamped(&mut message.stamp)),
-            Self::Orientation => {
-                moved(payload, start, |message: &mut OrientationReport| Parts::stamped(&mut message.stamp))
-            }
-            Self::Branches => {
-                moved(payload, start, |message: &mut BranchReport| Parts::ticked(&mut message.stamp, &mut message.tick))
-            }
-            Self::Leds => {
-                moved(payload, start, |message: &mut LedReport| Parts::ticked(&mut message.stamp, &mut message.tick))
-            }
-            Self::Telemetry => {
-                moved(payload, start, |message: &mut MirrorTelemetry| Parts::stamped(&mut message.stamp))
-            }
-            Self::Capabilities => {
-                moved(payload, start, |message: &mut Capabilities| Parts::stamped(&mut message.stamp))
-            }
-        }
-    }
-}
-
-/// The parts of a message that a live playback changes.
-struct Parts<'a> {
-    stamp: &'a mut Stamp,
-    /// The tick of a report that has one.
-    tick: Option<&'a mut u64>,
-}
-
-impl<'a> Parts<'a> {
-    fn stamped(stamp: &'a mut Stamp) -> Self {
-        Self { stamp, tick: None }
-    }
-
-    fn ticked(stamp: &'a mut Stamp, tick: &'a mut u64) -> Self {
-        Self { stamp, tick: Some(tick) }
-    }
-}
-
-/// The payload of a message; `None` if it cannot be encoded.
-fn encoded(message: &impl Message) -> Option<Vec<u8>> {
-    let mut payload = Vec::new();
-    encode(message, &mut payload).ok()?;
-    Some(payload)
-}
-
 impl fmt::Display for Playback {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(formatter, "reports played {}, answered {}", self.reports, self.answered)?;
@@ -480,24 +376,5 @@ impl fmt::Display for Playback {
             write!(formatter, "\nthe recording was cut: later messages are missing")?;
         }
         Ok(())
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_ticks_of_a_live_playback_are_not_those_of_the_recorded_room() {
-        let start =
-            Start { at: Instant::now(), at_ns: 9_000_000_000, recorded_ns: 1_000_000_000, rate: 2.0, salt: 5 << 32 };
-        let stamp = Stamp { source: 7, sequence: 3, time_ns: 2_000_000_000 };
-        let users = encoded(&UserReport { stamp, tick: 60, ..UserReport::default() }).expect("a sound report");
-        let moved: UserReport = decode(&OutputChannel::Users.moved(&users, &start).expect("moved")).expect("sound");
-        assert_eq!((moved.tick, start.played_tick(60)), (65, 65));
-        assert_eq!((moved.stamp.source, moved.stamp.time_ns), (7 ^ (5 << 32), 9_500_000_000));
-        let channel = encoded(&ChannelReport { stamp, tick: 60, ..ChannelReport::default() }).expect("a sound report");
-        let moved = OutputChannel::Channel.moved(&channel, &start).expect("moved");
-        assert_eq!(decode::<ChannelReport>(&moved).expect("sound").tick, 65);
     }
 }

@@ -77,7 +77,8 @@ mod tests {
         let gain = Signal::weakest(&optics, stated(&spots), 1.0).expect("stated spots").gain;
         assert!(gain > 1e-12, "{gain}");
         assert_eq!(conditions(&scenario(gain / 5.0), 0, &spots), []);
-        let [condition] = &conditions(&scenario(gain / 2.0), 0, &spots)[..] else { panic!("weak") };
+        let found = conditions(&scenario(gain / 2.0), 0, &spots);
+        let [condition] = found.as_slice() else { panic!("{found:?}") };
         let text = condition.to_string();
         assert!(text.contains("2.0 times the noise of a reading"), "{text}");
         assert!(text.contains("12000 readings, about 10 min without the walks; choose spots nearer"), "{text}");

@@ -57,6 +57,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("STOP_RECORD_MAX", heliostat_array::stop_record::RECORD_MAX)?;
     module.add("STOP_RECORD_END_WAIT_NS", heliostat_array::stop_record::END_WAIT_NS)?;
     module.add_function(wrap_pyfunction!(station::stop_record_folder, module)?)?;
+    module.add_function(wrap_pyfunction!(station::check_capabilities, module)?)?;
     module.add("Refused", module.py().get_type::<wire::Refused>())?;
     module.add("INSTANTS", heliostat_environment::episodes::INSTANTS)?;
     module.add("BELIEF_COLUMNS", heliostat_environment::believed::COLUMNS.to_vec())?;

@@ -217,11 +217,7 @@ impl Station {
         now: (u64, u64),
     ) -> PyResult<Self> {
         let room = wire::room(room)?;
-        let capabilities: Capabilities = wire::from_dictionary(capabilities, Kind::Capabilities)?;
-        payload(&capabilities)?;
-        if capabilities.mirrors() == 0 {
-            return Err(wire::Refused::new_err("an array without mirrors: expected rows and columns from 1"));
-        }
+        let capabilities = capabilities_of(capabilities)?;
         let name = stop_record::file_name(&room, array);
         let store = PyStore { name: store.call_method1("open", (name,))?.extract()?, object: store.unbind() };
         let now = moment(now);
@@ -380,6 +376,20 @@ fn payload<T: Message>(message: &T) -> PyResult<Vec<u8>> {
 
 fn moment((local_ns, room_ns): (u64, u64)) -> Moment {
     Moment { local_ns, room_ns }
+}
+
+/// The capabilities of an array from a dictionary, by the rules of the contract.
+fn capabilities_of(dictionary: &Bound<'_, PyAny>) -> PyResult<Capabilities> {
+    let capabilities: Capabilities = wire::from_dictionary(dictionary, Kind::Capabilities)?;
+    payload(&capabilities)?;
+    heliostat_array::check_capabilities(&capabilities).map_err(|error| wire::Refused::new_err(error.to_string()))?;
+    Ok(capabilities)
+}
+
+/// Refuses capabilities, a dictionary, that no array can have.
+#[pyfunction]
+pub(crate) fn check_capabilities(capabilities: &Bound<'_, PyAny>) -> PyResult<()> {
+    guarded(|| capabilities_of(capabilities).map(drop))
 }
 
 /// The folder of the stop records of a driver that is given none, by environment variables.

@@ -328,14 +328,24 @@ def test_a_calibration_corrects_the_device_within_its_travel(tmp_path: Path) -> 
         ({"rows": 0}, "rows = 0: expected an integer from 1"),
         ({"columns": -2}, "columns = -2: expected an integer from 1"),
         ({"settling_s": -1.0}, "not negative"),
+        ({"slew_rad_s": -0.5}, "not negative"),
+        ({"slew_rad_s": True}, "slew_rad_s = True: expected a finite number"),
+        ({"resolution_rad": "0.1"}, "resolution_rad = '0.1': expected a finite number"),
+        ({"park_rad": (0.0, 0.75)}, "park_rad, yaw = 0.75: expected an angle within the limits of yaw, -0.25 to 0.5"),
+        ({"rows": 200, "columns": 200}, "rows \\* columns"),
         ({"park_after_ms": -1}, "park_after_ms"),
     ],
 )
-def test_capabilities_that_the_contract_does_not_allow_are_refused(
-    tmp_path: Path, wrong: dict[str, Any], reason: str
+def test_capabilities_that_the_contract_does_not_allow_are_refused_where_they_are_stated(
+    wrong: dict[str, Any], reason: str
 ) -> None:
     with pytest.raises(ValueError, match=reason):
-        Driven(tmp_path, Mirrors(**wrong))
+        Mirrors(**wrong)
+
+
+def test_a_boolean_is_no_number_of_mirrors() -> None:
+    with pytest.raises(TypeError, match="rows = True: expected an integer from 1"):
+        Mirrors(rows=True)
 
 
 def test_whole_numbers_are_angles_too(tmp_path: Path) -> None:

@@ -26,6 +26,44 @@ impl DeviceError {
     }
 }
 
+/// Why no array can have capabilities that a message can hold.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+pub enum CapabilitiesError {
+    /// It has no mirrors.
+    #[error("an array without mirrors: expected rows and columns from 1")]
+    NoMirrors,
+    /// It would park where no command may turn it.
+    #[error("park_rad, {axis} = {found}: expected an angle within the limits of {axis}, {min} to {max} rad")]
+    ParkOutside {
+        /// "roll" or "yaw".
+        axis: &'static str,
+        /// The angle of the park position in rad.
+        found: f32,
+        /// The smallest angle in rad.
+        min: f32,
+        /// The largest angle in rad.
+        max: f32,
+    },
+}
+
+/// Checks what the contract requires of an array beyond the bytes of its capabilities message.
+///
+/// # Errors
+/// [`CapabilitiesError`].
+pub fn check_capabilities(capabilities: &Capabilities) -> Result<(), CapabilitiesError> {
+    if capabilities.mirrors() == 0 {
+        return Err(CapabilitiesError::NoMirrors);
+    }
+    let axes = [("roll", &capabilities.roll), ("yaw", &capabilities.yaw)];
+    for ((axis, limits), found) in axes.into_iter().zip(capabilities.park_rad) {
+        let (min, max) = (limits.min_rad, limits.max_rad);
+        if !(min..=max).contains(&found) {
+            return Err(CapabilitiesError::ParkOutside { axis, found, min, max });
+        }
+    }
+    Ok(())
+}
+
 /// The condition of the hardware, as it reports it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Health {
@@ -137,5 +175,25 @@ pub trait Device {
     /// [`DeviceError`] names a part of the hardware that does not execute it.
     fn has_stopped(&mut self) -> Result<bool, DeviceError> {
         Ok(true)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use heliostat_proto::AxisLimits;
+
+    use super::*;
+
+    #[test]
+    fn an_array_has_mirrors_and_parks_within_its_limits() {
+        let limits = AxisLimits { min_rad: 0.125, max_rad: 0.5, ..AxisLimits::default() };
+        let of = |rows: u32, park_rad: [f32; 2]| {
+            let (roll, yaw) = (limits, limits);
+            check_capabilities(&Capabilities { rows, columns: 2, roll, yaw, park_rad, ..Capabilities::default() })
+        };
+        assert_eq!(of(1, [0.125, 0.5]), Ok(()));
+        assert_eq!(of(0, [0.125, 0.5]), Err(CapabilitiesError::NoMirrors));
+        let outside = of(1, [0.25, 0.0]).expect_err("outside").to_string();
+        assert_eq!(outside, "park_rad, yaw = 0: expected an angle within the limits of yaw, 0.125 to 0.5 rad");
     }
 }

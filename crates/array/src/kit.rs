@@ -298,8 +298,10 @@ impl<D: Device> Kit<D> {
         self.advance(now);
         let replaced = self.set_calibration(calibration);
         self.calibration_refused = replaced.is_err();
-        if replaced.is_ok() && self.array.state() != ArrayState::Stopped {
-            self.apply_target(now);
+        match (&replaced, self.array.state()) {
+            (Err(_), _) => {}
+            (Ok(()), ArrayState::Stopped) => self.rest(now),
+            (Ok(()), _) => self.apply_target(now),
         }
         replaced
     }
@@ -412,7 +414,14 @@ impl<D: Device> Kit<D> {
             self.note_problem(problem);
             false
         });
-        if self.device_stopped && !before && self.device.measure(now, &mut self.measured) == Ok(true) {
+        if !before {
+            self.rest(now);
+        }
+    }
+
+    /// The angles at which the mirrors of a device that has stopped rest become the target.
+    fn rest(&mut self, now: Moment) {
+        if self.device_stopped && self.device.measure(now, &mut self.measured) == Ok(true) {
             self.correction.undo(&mut self.measured);
             self.array.set_target(&self.measured);
         }

@@ -34,5 +34,5 @@ pub mod rules;
 pub mod station;
 pub mod stop_record;
 
-pub use device::{Device, DeviceError, Health, Waker};
+pub use device::{CapabilitiesError, Device, DeviceError, Health, Waker, check_capabilities};
 pub use kit::Kit;

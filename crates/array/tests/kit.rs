@@ -186,6 +186,19 @@ fn a_calibration_that_is_set_before_the_first_step_does_not_reach_the_device() {
 }
 
 #[test]
+fn a_calibration_of_a_stopped_array_turns_no_mirror_and_makes_none_unusable() {
+    let mut kit = following();
+    kit.handle_stop(at(1), &stop(1)).unwrap();
+    let rested = kit.device().angles.clone();
+    kit.handle_calibration(at(2), &calibration(1, 1.0, 0.1)).unwrap();
+    for check in 0..20 {
+        let telemetry = kit.telemetry(at(10 + 50 * check), Stamp::default());
+        assert!(telemetry.unusable.is_empty(), "after {check} checks");
+    }
+    assert_eq!(kit.device().angles, rested);
+}
+
+#[test]
 fn refused_rearms_are_counted_by_name() {
     let (mut kit, mut refused) = (following(), RefusalCounts::default());
     let unnamed = EmergencyStop { action: StopAction::Rearm, ..stop(1) };

@@ -48,20 +48,14 @@ impl Grid {
         [0, 1].map(|axis| self.centre[axis] + (index[axis] as f64 - (SIDE / 2) as f64) * self.step[axis])
     }
 
-    /// Applies a reading. `peak` is the largest gain that it can have.
-    ///
-    /// The likelihood is that of the normal distribution, or that of a spoiled reading, which is
-    /// uniform between 0 and the peak.
+    /// Applies a reading by its [`likelihood`] in each cell.
     pub fn observe(&mut self, reading: f64, peak: f64, expected: impl Fn([f64; 2]) -> Expected) {
         for cell in 0..SIDE * SIDE {
             if self.weights[cell] < 1e-12 {
                 self.weights[cell] = 0.0;
                 continue;
             }
-            let Expected { gain, deviation } = expected(self.at(cell));
-            let z = (reading - gain) / deviation;
-            let normal = (-0.5 * z * z).exp() / (deviation * std::f64::consts::TAU.sqrt());
-            self.weights[cell] *= (1.0 - OUTLIER_SHARE) * normal + OUTLIER_SHARE / peak;
+            self.weights[cell] *= likelihood(reading, peak, expected(self.at(cell)));
         }
         self.normalise();
     }
@@ -123,6 +117,14 @@ impl Grid {
             self.weights.fill(uniform);
         }
     }
+}
+
+/// The likelihood of a reading: that of the normal distribution, or that of a spoiled reading, which is
+/// uniform between 0 and the largest gain, `peak`.
+pub fn likelihood(reading: f64, peak: f64, Expected { gain, deviation }: Expected) -> f64 {
+    let z = (reading - gain) / deviation;
+    let normal = (-0.5 * z * z).exp() / (deviation * std::f64::consts::TAU.sqrt());
+    (1.0 - OUTLIER_SHARE) * normal + OUTLIER_SHARE / peak
 }
 
 #[cfg(test)]

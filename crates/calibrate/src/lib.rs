@@ -11,6 +11,7 @@
 //! - [`optics`]: the light of one mirror with its derivatives.
 //! - [`mod@fit`]: the joint estimate and its covariance.
 //! - [`places`]: where the receiver stands, unless places are named.
+//! - [`signal`]: whether single mirrors are bright enough for that.
 //! - [`outcome`]: corrections, the measured room, and how sure both are.
 //!
 //! # Identifiability
@@ -29,6 +30,7 @@ pub mod parameters;
 pub mod places;
 pub mod probes;
 pub mod session;
+pub mod signal;
 pub mod stand;
 
 pub use outcome::{Measured, Outcome, Verdict};

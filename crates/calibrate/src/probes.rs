@@ -3,7 +3,8 @@
 //! Each mirror has a grid of the deviations of its light from the prediction. While the mirror was
 //! dark, a probe goes where most of the probability fits into one window of light. Then probes go
 //! to the edges, half of the gain, where a reading says most. The axis is that of the larger
-//! deviation. Mirrors take turns, so that the latency of the reports costs no rate.
+//! deviation. Some mirrors take turns, so that the latency of the reports costs no rate. They are not
+//! all: a short stay at a spot shall locate a part of a large array.
 
 use crate::grid::{Expected, Grid};
 
@@ -14,10 +15,16 @@ const TARGET_RAD: f64 = 0.15 * std::f64::consts::PI / 180.0;
 const READINGS_MIN: u32 = 3;
 
 /// Most readings of a mirror at a spot that shows light.
-const READINGS_MAX: u32 = 10;
+pub const READINGS_MAX: u32 = 10;
 
 /// Most readings of a mirror at a spot that shows none.
 const DARK_MAX: u32 = 7;
+
+/// Most times that a surprise at a spot is measured again.
+const CONFIRMATIONS_MAX: u32 = 3;
+
+/// Mirrors that take turns: more than the commands whose reports are on their way.
+const TURNS: usize = 64;
 
 /// Share of the largest gain from which on a reading counts as light.
 pub(crate) const LIT_SHARE: f64 = 0.25;
@@ -52,6 +59,8 @@ pub struct Job {
     pub readings: u32,
     /// Fewest readings until it is located.
     least: u32,
+    /// How often it was opened again.
+    confirmations: u32,
     /// The largest reading.
     pub brightest: f64,
     /// A reading is awaited.
@@ -71,21 +80,28 @@ impl Job {
             state: State::Open,
             readings: 0,
             least: READINGS_MIN,
+            confirmations: 0,
             brightest: 0.0,
             is_pending: false,
             sides: [0; 2],
         }
     }
 
-    /// Opens a located mirror once more, for as many readings again: a surprise has to be confirmed.
-    /// Whether that is due.
+    /// Opens a located mirror again, for about as many readings: a surprise has to be confirmed. Whether it
+    /// was opened.
     pub fn confirm(&mut self) -> bool {
-        let is_due = self.state == State::Located && self.least == READINGS_MIN;
+        let is_due = self.state == State::Located && self.confirmations < CONFIRMATIONS_MAX;
         if is_due {
-            self.least = 2 * self.readings.min(READINGS_MAX / 2);
+            self.confirmations += 1;
+            self.least = self.readings + self.readings.min(READINGS_MAX / 2);
             self.state = State::Open;
         }
         is_due
+    }
+
+    /// Whether it was measured again.
+    pub fn is_measured_again(&self) -> bool {
+        self.confirmations > 0
     }
 
     /// Whether it showed light.
@@ -127,13 +143,11 @@ impl Job {
     }
 }
 
-/// The next mirror that is open and awaits no reading, from `cursor` on, in a ring.
+/// The next mirror of the first open ones that awaits no reading, from `cursor` on, in a ring.
 pub fn next_mirror(jobs: &[Job], cursor: usize) -> Option<usize> {
-    let count = jobs.len();
-    (0..count).map(|step| (cursor + step) % count).find(|mirror| {
-        let job = &jobs[*mirror];
-        job.state == State::Open && !job.is_pending
-    })
+    let open = || (0..jobs.len()).filter(|mirror| jobs[*mirror].state == State::Open).take(TURNS);
+    let later = open().filter(|mirror| *mirror >= cursor);
+    later.chain(open().filter(|mirror| *mirror < cursor)).find(|mirror| !jobs[*mirror].is_pending)
 }
 
 #[cfg(test)]
@@ -141,7 +155,24 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_located_mirror_is_opened_once_more_for_as_many_readings() {
+    fn a_short_stay_locates_a_part_of_a_large_array() {
+        let job = || Job::new(Grid::normal([0.0; 2], [0.001; 2]), [0.0; 2], [[0.01; 2]; 2], 1.0);
+        let mut jobs: Vec<Job> = (0..400).map(|_| job()).collect();
+        let mut cursor = 0;
+        // Each mirror needs three readings: of 600, a ring of all mirrors would locate none before its third turn.
+        for _ in 0..600 {
+            let mirror = next_mirror(&jobs, cursor).expect("an open one");
+            cursor = (mirror + 1) % jobs.len();
+            jobs[mirror].handle_reading(1.0, |_| Expected { gain: 1.0, deviation: 0.1 });
+        }
+        let located = jobs.iter().filter(|job| job.state == State::Located).count();
+        assert!(located > 600 / 3 - TURNS, "{located}");
+        jobs.iter_mut().for_each(|job| job.is_pending = true);
+        assert_eq!(next_mirror(&jobs, cursor), None);
+    }
+
+    #[test]
+    fn a_located_mirror_is_opened_again_for_as_many_readings_and_some_times_at_most() {
         let mut job = Job::new(Grid::normal([0.0; 2], [0.001; 2]), [0.0; 2], [[0.01; 2]; 2], 1.0);
         let read = |job: &mut Job, readings: u32| {
             for _ in 0..readings {
@@ -151,9 +182,13 @@ mod tests {
         };
         assert!(!job.confirm(), "it is open");
         assert_eq!(read(&mut job, READINGS_MIN), State::Located);
-        assert!(job.confirm());
+        assert!(!job.is_measured_again() && job.confirm() && job.is_measured_again());
         assert_eq!(read(&mut job, READINGS_MIN - 1), State::Open);
         assert_eq!(read(&mut job, 1), State::Located);
-        assert!(!job.confirm(), "once");
+        for _ in 1..CONFIRMATIONS_MAX {
+            assert!(job.confirm());
+            assert_eq!(read(&mut job, READINGS_MAX / 2), State::Located);
+        }
+        assert!(!job.confirm(), "not without end");
     }
 }

@@ -7,7 +7,9 @@
 //!    [`Session::handle_command_delay`] when telemetry shows when a command was applied.
 //! 3. [`Session::next_command`] after each of them, and at [`Session::next_wake`]: the angles to
 //!    command now. The array must hold them until the next ones, so the caller repeats the last
-//!    command before its validity ends.
+//!    command before its validity ends. The first of these calls after the last reading of a place
+//!    makes the joint estimate. A caller that has to save the readings before it calls
+//!    [`Session::run_estimate`] itself, while [`Session::is_estimate_due`].
 //! 4. [`Session::stage`] says what the receiver's holder has to do. [`Stage::Ended`] is the end:
 //!    [`Session::outcome`] has the result.
 //!
@@ -42,7 +44,8 @@ use crate::optics::Optics;
 use crate::outcome::{Outcome, Verification};
 use crate::parameters::{Prior, Spot};
 use crate::probes::{Job, State};
-use crate::stand::{Moved, Stand};
+use crate::signal::Signal;
+use crate::stand::{Moved, Stand, median};
 
 pub use fitting::aim_deviation;
 pub use log::Log;
@@ -183,6 +186,8 @@ pub struct Session {
     /// Search of the present spot, and its readings so far.
     search: Option<(Grid, u32)>,
     estimate: Option<Estimate>,
+    /// The place whose readings are complete, until the estimate that follows them.
+    complete: Option<usize>,
     verification: Verification,
     rejected: Vec<usize>,
     outcome: Option<Outcome>,
@@ -239,6 +244,7 @@ impl Session {
             is_located: false,
             search: None,
             estimate: None,
+            complete: None,
             verification: Verification::default(),
             rejected: Vec::new(),
             outcome: None,
@@ -346,12 +352,25 @@ impl Session {
 
     /// The angles to command at `now`, if a command is due.
     pub fn next_command(&mut self, now: Nanos) -> Option<MirrorAngles> {
+        self.run_estimate();
         if !self.timing.is_due(now) {
             return None;
         }
         let (purpose, angles) = self.plan()?;
         self.timing.handle_sent(now, purpose, &angles);
         Some(angles)
+    }
+
+    /// Whether the readings of a place are complete, and their estimate is not made yet.
+    pub fn is_estimate_due(&self) -> bool {
+        self.complete.is_some()
+    }
+
+    /// Makes the estimate that is due; with many mirrors it takes minutes.
+    pub fn run_estimate(&mut self) {
+        if let Some(place) = self.complete.take() {
+            self.end_place(place);
+        }
     }
 
     /// The time of the next call of [`next_command`](Self::next_command) without a report, after one
@@ -372,6 +391,14 @@ impl Session {
             unused: self.unused,
             remaining_s: self.remaining_readings(open) * self.timing.seconds_per_reading(),
         }
+    }
+
+    /// The light of single mirrors at the present spot, compared with its dark readings; `None` before these.
+    pub fn signal(&self) -> Option<Signal> {
+        let (Stage::Probe(place), Some(spot)) = (self.stage, self.spots.last()) else { return None };
+        let probed = self.jobs.iter().filter(|job| job.state != State::Excluded);
+        let gain = median(&probed.map(|job| job.peak).collect::<Vec<_>>());
+        (gain > 0.0).then_some(Signal { place, gain, ratio: gain / spot.noise_gain })
     }
 
     /// Readings of single mirrors so far.

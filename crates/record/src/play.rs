@@ -2,10 +2,12 @@
 //!
 //! A lockstep recording is played in lockstep: each report waits for its command, and the commands
 //! are compared. A live recording is played at the recorded speed or a multiple of it, with its
-//! stamps shifted to the present, so that no report is too old, and with source ids of its own: the
-//! recorded processes may run still, and their tokens of liveliness must not end with the playback. In both, the played arrays obey the
-//! controllers of the playback (`played_array.rs`).
+//! stamps shifted to the present, so that no report is too old, and with source ids and ticks of its own: the
+//! recorded processes may run still, their tokens of liveliness must not end with the playback, and the
+//! answers to their reports are none to the played ones. In both, the played arrays obey the controllers of
+//! the playback (`played_array.rs`).
 
+mod moved;
 mod played_array;
 
 use std::collections::{BTreeMap, HashMap, HashSet, btree_map};
@@ -18,14 +20,12 @@ use anyhow::{Context, Result, bail, ensure};
 use heliostat_array::moment::Moment;
 use heliostat_bus::{AccessRole, Bus, BusArgs, Class, Publisher, Token};
 use heliostat_proto::keys::parse_alive;
-use heliostat_proto::{
-    BranchReport, Capabilities, ChannelReport, LedReport, Message, MirrorCommand, MirrorTelemetry, Nanos, NodeKind,
-    ObstacleReport, OrientationReport, Room, Stamp, UserReport, decode, encode,
-};
+use heliostat_proto::{MirrorCommand, MirrorTelemetry, Nanos, NodeKind, Room, decode};
 use heliostat_service::clock::{monotonic_ns, utc_ns};
 use heliostat_service::{Stop, output, source_id};
 use serde::Serialize;
 
+use moved::{OutputChannel, Start, encoded};
 use played_array::PlayedArray;
 
 use crate::file::{self, Entry};
@@ -206,41 +206,6 @@ fn channels(
     keys.into_iter().chain(of_arrays).map(publisher).collect()
 }
 
-#[derive(Clone, Copy, Debug)]
-enum OutputChannel {
-    Users,
-    Channel,
-    Obstacles,
-    Orientation,
-    Branches,
-    Leds,
-    Telemetry,
-    Capabilities,
-}
-
-/// The start of a live playback.
-#[derive(Clone, Copy, Debug)]
-struct Start {
-    at: Instant,
-    at_ns: Nanos,
-    recorded_ns: Nanos,
-    rate: f64,
-    /// What changes a recorded source id into that of the playback.
-    salt: u64,
-}
-
-impl Start {
-    /// The playback time of the recorded time `time_ns`.
-    fn played_ns(&self, time_ns: Nanos) -> Nanos {
-        let since_ns = time_ns.wrapping_sub(self.recorded_ns) as i64;
-        self.at_ns.saturating_add_signed((since_ns as f64 / self.rate) as i64)
-    }
-
-    fn due(&self, arrived_ns: Nanos) -> Instant {
-        self.at + Duration::from_nanos(self.played_ns(arrived_ns).saturating_sub(self.at_ns))
-    }
-}
-
 struct Player {
     /// By the recorded key.
     channels: HashMap<String, (Publisher, OutputChannel)>,
@@ -305,7 +270,7 @@ impl Player {
         publisher.put(payload.as_deref().unwrap_or(&entry.data))?;
         if let Some(Received::Users(report)) = received {
             self.playback.reports += 1;
-            self.unanswered.insert(report.tick);
+            self.unanswered.insert(start.map_or(report.tick, |start| start.played_tick(report.tick)));
             if start.is_none() {
                 self.await_answer(report.tick)?;
             }
@@ -396,35 +361,6 @@ impl Player {
         self.playback.answered += 1;
         Ok(())
     }
-}
-
-impl OutputChannel {
-    /// A payload with the time and the source of the playback; `None` if it cannot be decoded.
-    fn moved(self, payload: &[u8], start: &Start) -> Option<Vec<u8>> {
-        fn moved<T: Message>(payload: &[u8], start: &Start, stamp: fn(&mut T) -> &mut Stamp) -> Option<Vec<u8>> {
-            let mut message: T = decode(payload).ok()?;
-            let stamp = stamp(&mut message);
-            (stamp.source, stamp.time_ns) = (stamp.source ^ start.salt, start.played_ns(stamp.time_ns));
-            encoded(&message)
-        }
-        match self {
-            Self::Users => moved(payload, start, |report: &mut UserReport| &mut report.stamp),
-            Self::Channel => moved(payload, start, |report: &mut ChannelReport| &mut report.stamp),
-            Self::Obstacles => moved(payload, start, |report: &mut ObstacleReport| &mut report.stamp),
-            Self::Orientation => moved(payload, start, |report: &mut OrientationReport| &mut report.stamp),
-            Self::Branches => moved(payload, start, |report: &mut BranchReport| &mut report.stamp),
-            Self::Leds => moved(payload, start, |report: &mut LedReport| &mut report.stamp),
-            Self::Telemetry => moved(payload, start, |telemetry: &mut MirrorTelemetry| &mut telemetry.stamp),
-            Self::Capabilities => moved(payload, start, |array: &mut Capabilities| &mut array.stamp),
-        }
-    }
-}
-
-/// The payload of a message; `None` if it cannot be encoded.
-fn encoded(message: &impl Message) -> Option<Vec<u8>> {
-    let mut payload = Vec::new();
-    encode(message, &mut payload).ok()?;
-    Some(payload)
 }
 
 impl fmt::Display for Playback {

@@ -210,7 +210,7 @@ impl<S: Storage> RoomWriter<S> {
             room: settings.bus.room.to_string(),
             scenario_name: scenario.name.clone(),
             scenario_hash: scenario.hash(),
-            scenario: scenario.to_toml(),
+            scenario: scenario.to_shared_toml(),
             software: concat!("heliostat ", env!("CARGO_PKG_VERSION")).into(),
             contract: VERSION.to_string(),
             started_ns: utc_ns().to_string(),

@@ -159,9 +159,17 @@ impl Scenario {
         toml::to_string(self).expect("every table of a scenario has a TOML form")
     }
 
-    /// The first 16 hexadecimal digits of the SHA-256 of the effective configuration.
+    /// The effective configuration as [`Scenario::to_toml`], with the name of a recorded walk in place of
+    /// its path, which depends on the folder of each process.
+    pub fn to_shared_toml(&self) -> String {
+        let mut shared = self.clone();
+        shared.users.trace = self.trace_name();
+        shared.to_toml()
+    }
+
+    /// The first 16 hexadecimal digits of the SHA-256 of [`Scenario::to_shared_toml`].
     pub fn hash(&self) -> String {
-        Self::hash_of(&self.to_toml())
+        Self::hash_of(&self.to_shared_toml())
     }
 
     /// The hash of an effective configuration from its text, such as that of a recording.

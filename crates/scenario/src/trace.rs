@@ -27,4 +27,11 @@ impl Scenario {
             |path: &String| read_text(Path::new(path)).map_err(|reason| TraceFileError { path: path.clone(), reason });
         self.users.trace.as_ref().map(read).transpose()
     }
+
+    /// The name of the file `users.trace`, without its folder.
+    pub(crate) fn trace_name(&self) -> Option<String> {
+        let path = self.users.trace.as_deref()?;
+        let name = Path::new(path).file_name();
+        Some(name.map_or_else(|| path.to_owned(), |name| name.to_string_lossy().into_owned()))
+    }
 }

@@ -92,6 +92,22 @@ fn a_relative_trace_path_starts_at_the_folder_of_its_file() {
 }
 
 #[test]
+fn the_hash_ignores_the_folder_of_a_recorded_walk_and_keeps_its_name() {
+    let with = |trace: &str| Scenario::default().with_overrides(&[format!("users.trace={trace:?}")]).unwrap();
+    let here = with("walk.csv");
+    for folder in ["rooms/", "../", "/home/ann/"] {
+        let there = with(&format!("{folder}walk.csv"));
+        assert_eq!((there.hash(), there.to_shared_toml()), (here.hash(), here.to_toml()), "{folder}");
+        // A recording holds the text, and a replay computes the hash from it.
+        assert_eq!(Scenario::hash_of(&there.to_shared_toml()), there.hash());
+    }
+    assert_ne!(with("other.csv").hash(), here.hash());
+    let without = Scenario::default();
+    assert_ne!(without.hash(), here.hash());
+    assert_eq!(without.hash(), Scenario::hash_of(&without.to_toml()));
+}
+
+#[test]
 fn values_that_contradict_each_other_are_refused() {
     for text in [
         "[users]\ncount = 3\nmin_rate_mbps = [1.0, 2.0]",

@@ -5,7 +5,7 @@
 //! | 0 | the command did what it was asked, or the reader of its output closed the pipe |
 //! | 1 | it failed, or it checked something and found it wrong |
 //! | 2 | the command line or an input file cannot be used |
-//! | 130 | a second Ctrl-C or SIGTERM ended it before its orderly end |
+//! | 130 | a second Ctrl-C or SIGTERM ended it before its orderly end, or one that a computation outlasted |
 
 use std::fmt;
 use std::io;
@@ -17,7 +17,7 @@ use crate::output;
 pub const FAILURE: u8 = 1;
 /// The command line or an input file cannot be used. The argument parser exits with the same code.
 pub const USAGE: u8 = 2;
-/// A second signal ended the process before its orderly end: 128 + SIGINT, as in a shell.
+/// A signal ended the process before its orderly end: 128 + SIGINT, as in a shell.
 pub const INTERRUPTED: u8 = 130;
 
 /// Context of an error that an input file caused: the exit code is then [`USAGE`].

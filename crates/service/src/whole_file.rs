@@ -1,9 +1,9 @@
 //! Files that a command writes after its work: complete, or not at all.
 
-use std::fs::{self, File};
+use std::fs::{self, File, TryLockError};
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 
 /// Refuses a file that cannot be written, before the work starts. It changes nothing: the file does
 /// not appear, and existing content stays. Others may check the same file at the same time.
@@ -28,7 +28,7 @@ pub fn write(file: &Path, contents: &[u8]) -> Result<()> {
     if file.exists() && !file.is_file() {
         return fs::write(file, contents).with_context(refused);
     }
-    let part = part_of(file);
+    let part = beside(file, ".part");
     let written = fs::write(&part, contents).and_then(|()| fs::rename(&part, file));
     if written.is_err() {
         drop(fs::remove_file(&part));
@@ -36,9 +36,44 @@ pub fn write(file: &Path, contents: &[u8]) -> Result<()> {
     written.with_context(refused)
 }
 
-fn part_of(file: &Path) -> PathBuf {
+/// A file that one process holds: another one that asks for it is refused until this value is dropped.
+#[derive(Debug)]
+pub struct Held {
+    /// The lock is of a file beside the held one, which each [`write()`] replaces.
+    _lock: File,
+    path: PathBuf,
+}
+
+impl Drop for Held {
+    fn drop(&mut self) {
+        // A file that stays, as after a kill, holds nothing.
+        drop(fs::remove_file(&self.path));
+    }
+}
+
+/// Holds a file that [`check_writable`] accepts, whether or not it exists.
+///
+/// # Errors
+/// A file that another process holds, or whose folder takes no further file.
+pub fn hold(file: &Path) -> Result<Held> {
+    let path = beside(file, ".lock");
+    let refused = || format!("cannot hold {}", file.display());
+    let lock = File::options().create(true).truncate(false).write(true).open(&path).with_context(refused)?;
+    match lock.try_lock() {
+        Ok(()) => {}
+        Err(TryLockError::WouldBlock) => {
+            bail!("{} is in use by another process: end it, or name another file", file.display())
+        }
+        // Some network file systems have no locks.
+        Err(TryLockError::Error(error)) if error.kind() == std::io::ErrorKind::Unsupported => {}
+        Err(TryLockError::Error(error)) => return Err(error).with_context(refused),
+    }
+    Ok(Held { _lock: lock, path })
+}
+
+fn beside(file: &Path, suffix: &str) -> PathBuf {
     let mut name = file.file_name().unwrap_or_default().to_owned();
-    name.push(".part");
+    name.push(suffix);
     file.with_file_name(name)
 }
 
@@ -60,6 +95,20 @@ mod tests {
         }
         let refusal = check_writable(&folder.path().join("no/figures.csv")).expect_err("no folder");
         assert!(format!("{refusal:#}").contains("no/figures.csv: expected a file in a folder that exists"));
+    }
+
+    #[test]
+    fn a_file_is_held_once_while_it_is_replaced_and_until_the_holder_ends() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = folder.path().join("readings.json");
+        let held = hold(&file).expect("free");
+        write(&file, b"first").expect("written");
+        let refusal = hold(&file).expect_err("held").to_string();
+        assert!(refusal.ends_with("readings.json is in use by another process: end it, or name another file"));
+        hold(&file.with_file_name("others.json")).expect("another file");
+        drop(held);
+        drop(hold(&file).expect("free again"));
+        assert_eq!(fs::read_dir(folder.path()).expect("a folder").count(), 1, "the file alone");
     }
 
     #[test]

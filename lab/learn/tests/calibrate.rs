@@ -1,5 +1,7 @@
 //! The calibration of simulated rooms in virtual time, judged by the truth.
 
+use std::cell::Cell;
+
 use heliostat_array::calibration_file::CalibrationFile;
 use heliostat_calibrate::session::Log;
 use heliostat_calibrate::{Stage, Verdict};
@@ -137,6 +139,35 @@ fn a_refinement_names_the_mirrors_that_have_turned_and_corrects_them_alone() {
     assert!(moved.fold(0.0, f64::max) < 0.2, "a mirror that has not turned has another correction");
 }
 
+thread_local! {
+    /// How many commands were passed.
+    static PASSED: Cell<u32> = const { Cell::new(0) };
+}
+
+/// Every tenth command comes too late: all mirrors are away still when its light is measured.
+fn late(angles: &mut MirrorAngles) {
+    PASSED.set(PASSED.get() + 1);
+    if PASSED.get().is_multiple_of(10) {
+        angles.roll.fill(0.5);
+    }
+}
+
+#[test]
+fn late_commands_at_a_spot_name_no_mirror_that_has_not_turned() {
+    let scenario = room(&SMALL);
+    let (log, corrections, mut again) = calibrated(&scenario);
+    let mut refined = session(&scenario, again.capabilities().next().unwrap()).unwrap();
+    refined.refine(log, &corrections).unwrap();
+    let mounts = |angles: &mut MirrorAngles| {
+        angles.roll[7] += 0.8_f64.to_radians();
+        late(angles);
+    };
+    let next = |session: &heliostat_calibrate::Session| session.stage() == Stage::Await(1);
+    drive_turned(&mut refined, &mut again, unchanged, mounts, next).unwrap();
+    let changed: Vec<usize> = refined.changes().iter().map(|change| change.mirror).collect();
+    assert_eq!(changed, [7]);
+}
+
 #[test]
 fn a_refinement_of_an_unchanged_room_ends_without_a_change_and_without_a_verification() {
     let scenario = room(&SMALL);
@@ -199,6 +230,22 @@ fn a_session_continues_from_its_log() {
     assert_eq!((second.stage(), second.readings()), (Stage::Await(1), first.readings()));
     let other = Log { mirrors: 9, ..log };
     assert!(second.resume(other).unwrap_err().to_string().contains("expected 100"));
+}
+
+#[test]
+fn the_log_holds_a_place_as_complete_before_its_estimate() {
+    let scenario = room(&SMALL);
+    let mut episode = Episode::new(&scenario, Some(&walk(&scenario, "")), 1, 0).unwrap();
+    let capabilities = episode.capabilities().next().unwrap();
+    let mut first = session(&scenario, capabilities.clone()).unwrap();
+    drive(&mut first, &mut episode, unchanged, heliostat_calibrate::Session::is_estimate_due).unwrap();
+    let log = first.log();
+    assert_eq!((first.stage(), log.complete), (Stage::Probe(0), 1));
+    let mut second = session(&scenario, capabilities).unwrap();
+    second.resume(log).unwrap();
+    first.run_estimate();
+    assert_eq!((first.stage(), second.stage()), (Stage::Await(1), Stage::Await(1)));
+    assert_eq!(first.readings(), second.readings());
 }
 
 /// A study of a small array, with these changes of the scenario.

@@ -19,8 +19,11 @@ STATES_MAX = 1_000_000
 
 
 def integer(name: str, value: Any, least: int, most: int) -> int:
-    """An integer within bounds; raises `TypeError` for another type and `ValueError` outside the bounds."""
+    """An integer within bounds; raises `TypeError` for another type, booleans too, and `ValueError` outside the
+    bounds."""
     expected = f"{name} = {value!r}: expected an integer from {least} to {_text(most)}"
+    if isinstance(value, (bool, np.bool_)):
+        raise TypeError(expected)
     try:
         number = operator.index(value)
     except TypeError:

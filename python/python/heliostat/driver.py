@@ -37,7 +37,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._checks import integer
-from ._core import ARRAYS_MAX, STOP_RECORD_END_WAIT_NS, STOP_RECORD_MAX, Station, stop_record_folder
+from ._core import (
+    ARRAYS_MAX,
+    STOP_RECORD_END_WAIT_NS,
+    STOP_RECORD_MAX,
+    Station,
+    check_capabilities,
+    stop_record_folder,
+)
 from .peer import SOFTWARE, Peer, PeerError, Settings, add_arguments, stop_on_signals
 
 _LONGEST_WAIT_NS = 50_000_000
@@ -45,9 +52,9 @@ _NUMBER_MAX = 2**32 - 1
 
 
 def _finite(name: str, value: Any, expected: str) -> float:
-    """A finite number as a float: an integer or a number of NumPy too."""
+    """A finite number as a float: an integer or a number of NumPy too, but no text and no boolean."""
     try:
-        number = float(value)
+        number = float("" if isinstance(value, (bool, np.bool_, str, bytes)) else value)
     except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{name} = {value!r}: expected {expected}") from None
     if not math.isfinite(number):
@@ -129,6 +136,7 @@ class Capabilities:
             )
         for name, value in checked.items():
             object.__setattr__(self, name, value)
+        check_capabilities(self.message())
 
     def message(self) -> dict[str, Any]:
         """The message of kind 8, with an empty stamp."""

@@ -93,12 +93,15 @@ impl SimulatedRoom {
         self.kits.iter_mut().for_each(|kit| kit.refuse_unnamed_rearm(refuse));
     }
 
-    /// Gives an array a calibration of its mirrors' mounting, before the first step.
+    /// Gives an array a calibration of its mirrors' mounting, before the first step: the mirrors, which are
+    /// connected already, park with it.
     ///
     /// # Errors
     /// [`Unfit`]: the calibration in use remains.
     pub fn set_calibration(&mut self, array: usize, calibration: &Calibration) -> Result<(), Unfit> {
-        self.kits[array].set_calibration(calibration)
+        let replaced = self.kits[array].handle_calibration(Moment::default(), calibration);
+        self.join_angles();
+        replaced
     }
 
     /// Advances users and mirrors to a time and computes the scene.
@@ -197,5 +200,32 @@ impl SimulatedRoom {
 
     fn moment(&self, local_ns: u64) -> Moment {
         Moment { local_ns, room_ns: local_ns.saturating_add(self.room_ahead_ns) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn mirrors_park_with_the_calibration_of_the_start_and_none_is_unusable() {
+        let scenario = Scenario::builtin("hall").expect("a built-in scenario");
+        let mut room = SimulatedRoom::new(&scenario, None, 1).expect("a room");
+        let mirrors = scenario.mirror_count();
+        let calibration = Calibration {
+            stamp: Stamp { sequence: 1, ..Stamp::default() },
+            roll_offset_rad: vec![0.02; mirrors],
+            roll_gain: vec![1.0; mirrors],
+            yaw_offset_rad: vec![0.0; mirrors],
+            yaw_gain: vec![1.0; mirrors],
+        };
+        room.set_calibration(0, &calibration).expect("a sound calibration");
+        for step in 1..=20 {
+            room.advance(step * 50_000_000);
+            let telemetry = room.telemetry(0, Stamp::default());
+            assert!(telemetry.unusable.is_empty(), "{:?}", telemetry.unusable);
+        }
+        let roll = room.actuator(0).measured().roll[0];
+        assert!((roll - 0.02).abs() < 1e-3, "{roll}");
     }
 }

@@ -36,6 +36,8 @@
 //!   a standby takes a new epoch and answers the report that is due. A leader whose liveliness token
 //!   has ended counts as one unanswered report. The rank is 1 plus the number of other standbys with
 //!   a lower source id, or given by the operator.
+//! - **Guest**: a controller that leads within 1 s of its token, as a calibration does. When its token ends, a
+//!   standby resumes: this is no takeover, and former contested ones do not delay it.
 //! - **Contested takeover**: if the array then refuses commands of a lower epoch, the former leader
 //!   was not gone. Each such takeover in sequence adds one to the reports that must be unanswered, up
 //!   to [`BACK_OFF_MAX`].
@@ -62,7 +64,7 @@ use std::collections::BTreeMap;
 use heliostat_proto::Nanos;
 
 pub use self::evidence::{Evidence, TenureEvent};
-use self::evidence::{Takeover, Unaccepted, Watch};
+use self::evidence::{Guest, Takeover, Unaccepted, Watch};
 
 /// Time without an accepted command after which a controller takes a new epoch, in ns.
 pub const PATIENCE_NS: Nanos = 1_000_000_000;
@@ -129,6 +131,7 @@ pub struct Tenure {
     /// Source ids of the other controllers in the room.
     peers: Vec<u64>,
     watch: Watch,
+    guest: Guest,
     takeover: Option<Takeover>,
     /// Contested takeovers in sequence.
     back_off: u8,
@@ -158,6 +161,7 @@ impl Tenure {
             is_reserve: false,
             peers: Vec::new(),
             watch: Watch::default(),
+            guest: Guest::default(),
             takeover: None,
             back_off: 0,
             epoch,
@@ -238,6 +242,7 @@ impl Tenure {
         self.peers.retain(|known| *known != peer);
         if is_present && self.peers.len() < PEERS_MAX {
             self.peers.push(peer);
+            self.guest.handle_joined(peer % EPOCH_SLOTS, self.seen.map(|(seen_ns, _)| seen_ns));
         }
         self.watch.has_left |= !is_present && self.standing == Standing::Standby && self.leads(peer);
     }
@@ -258,6 +263,9 @@ impl Tenure {
     /// Compares telemetry that arrived at `now`.
     pub fn handle_telemetry(&mut self, now: Nanos, evidence: Evidence) -> Option<TenureEvent> {
         let former = self.seen.replace((now, evidence)).map(|(_, evidence)| evidence);
+        if former.is_some_and(|former| former.following && former.epoch != evidence.epoch) {
+            self.guest.handle_epoch(now, evidence.epoch % EPOCH_SLOTS);
+        }
         let is_accepting = former.is_some_and(|former| former.accepted != evidence.accepted);
         if is_accepting {
             self.attempts = 0;
@@ -295,7 +303,8 @@ impl Tenure {
             return Some(self.resume(now));
         }
         let (Rule::Live { interval_ns, .. }, Some((shown_ns, shown))) = (self.rule, self.seen) else { return None };
-        let rank = self.rank();
+        let (rank, is_returned) = (self.rank(), self.guest.leads && self.watch.has_left);
+        let needed = if is_returned { rank } else { rank.saturating_add(self.back_off) };
         let watch = &mut self.watch;
         let since_last_ns = now.abs_diff(std::mem::replace(&mut watch.last_ns, now));
         let is_paused = shown.stopped || since_last_ns > interval_ns.saturating_mul(WATCH_GAP);
@@ -309,9 +318,9 @@ impl Tenure {
             watch.unanswered = if is_answered { 0 } else { watch.unanswered.saturating_add(1) };
             watch.awaited = Some((now, shown.accepted));
         }
-        if watch.unanswered + u8::from(watch.has_left) < rank {
+        if watch.unanswered + u8::from(watch.has_left) < needed {
             // An answer that came before the token ended shows no leader.
-            watch.has_left &= !is_answered;
+            watch.has_left &= is_returned || !is_answered;
             return None;
         }
         // A leader whose token has ended may command until its successor is obeyed.
@@ -319,15 +328,15 @@ impl Tenure {
         self.takeover = (!is_certain).then_some(Takeover { refused: shown.refused, accepted: shown.accepted });
         self.renew(now, shown);
         self.lead();
-        Some(TenureEvent::TookOver)
+        Some(if is_returned { TenureEvent::Resumed } else { TenureEvent::TookOver })
     }
 
-    /// Unanswered reports after which this standby takes over.
+    /// Unanswered reports after which this standby takes over, without the back-off.
     fn rank(&self) -> u8 {
         let Rule::Live { source, .. } = self.rule else { return u8::MAX };
         let is_before = |peer: &&u64| **peer < source && !self.leads(**peer);
         let rank = self.rank.unwrap_or_else(|| 1 + self.peers.iter().filter(is_before).count() as u8);
-        rank.max(1).saturating_add(self.back_off)
+        rank.max(1)
     }
 
     /// Whether the array follows a controller with this source id, by its epoch.

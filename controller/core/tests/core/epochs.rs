@@ -5,6 +5,8 @@ use heliostat_proto::Nanos;
 
 use crate::support::MS;
 
+mod guests;
+
 const S: Nanos = 1000 * MS;
 const INTERVAL: Nanos = 10 * MS;
 /// UTC at the start, in s and ms.

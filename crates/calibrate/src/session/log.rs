@@ -32,6 +32,7 @@ impl Session {
             Stage::Await(place) | Stage::Dark(place) | Stage::Probe(place) | Stage::Locate(place) => place,
             Stage::Verify | Stage::Ended => self.setup.spots.len(),
         };
+        let complete = self.complete.map_or(complete, |place| place + 1);
         Log {
             mirrors: self.optics.centres.len(),
             complete: complete.min(self.setup.spots.len()),

@@ -3,7 +3,8 @@
 //!
 //! The readings at new spots are compared with the former estimate, mirror by mirror. A mirror has
 //! changed if its light is off by more than [`CHANGED_RAD`] and by more than [`SIGNIFICANT`] standard
-//! deviations. Its former readings no longer count. If most mirrors have changed at one spot, then the
+//! deviations, and if the later half of its readings alone confirms the earlier half. Its former readings no
+//! longer count. If most mirrors have changed at one spot, then the
 //! spot, an LED or the tracker is at fault, and the spot is rejected.
 
 use heliostat_array::calibration_file::{AxisCorrections, CalibrationFile};
@@ -11,9 +12,9 @@ use serde::Serialize;
 
 use super::fitting::{BAD_SPOT_SHARE, JUDGED_READINGS};
 use super::{Log, Session, SetupError, Stage};
-use crate::fit::Estimate;
-use crate::grid::{Expected, Grid};
-use crate::optics::OFFSET;
+use crate::fit::{Estimate, Reading};
+use crate::grid::{Expected, Grid, likelihood};
+use crate::optics::{OFFSET, Quantities};
 use crate::outcome::Measured;
 use crate::stand::median;
 
@@ -25,6 +26,9 @@ const CHANGED_RAD: f64 = 0.15 * std::f64::consts::PI / 180.0;
 
 /// Standard deviations that a change has to exceed.
 const SIGNIFICANT: f64 = 3.0;
+
+/// Logarithm of the ratio of likelihoods, with a change and without, from which on readings confirm it.
+const CONFIRMED: f64 = 1.0;
 
 /// Median difference in rad between the corrections in use and those of the readings, above which they
 /// do not belong together: 0.1 degrees.
@@ -107,7 +111,7 @@ impl Session {
         self.former.as_ref().is_some_and(|former| former.known.contains(&mirror))
     }
 
-    /// The mirrors that have changed, once the session is a refinement and has ended.
+    /// The mirrors that have changed, by the complete spots of a refinement.
     pub fn changes(&self) -> &[Change] {
         &self.changes
     }
@@ -147,7 +151,7 @@ impl Session {
             let probed = self.readings.iter().filter(|of| of.mirror == mirror && spots.contains(&of.spot)).count();
             let turned = lit.iter().find(|(of, _)| *of == mirror).map(|(_, turned)| *turned);
             match turned {
-                Some(turned) if is_change(&turned) => {
+                Some(turned) if is_change(&turned) && self.is_confirmed(&before, mirror, &spots) => {
                     let turned_deg = turned.map(|Measured { value, deviation }| Measured {
                         value: value.to_degrees(),
                         deviation: deviation.to_degrees(),
@@ -172,17 +176,41 @@ impl Session {
         self.readings = kept;
     }
 
-    /// Opens the mirrors once more that seem to have changed at the present spot, unless the spot seems to be
-    /// at fault; whether there are any. A late command spoils readings, but hardly twice.
+    /// Opens the mirrors again that seem to have changed at the present spot, until further readings confirm
+    /// it, unless the spot seems to be at fault; whether there are any.
     pub(super) fn confirm_changes(&mut self) -> bool {
         let Some(before) = self.before() else { return false };
-        let found = self.turned_at(&before, &[self.spots.len() - 1]);
+        let spot = self.spots.len() - 1;
+        let found = self.turned_at(&before, &[spot]);
         let changed: Vec<usize> =
             found.iter().filter(|(_, turned)| is_change(turned)).map(|(mirror, _)| *mirror).collect();
         if changed.len() as f64 > BAD_SPOT_SHARE * found.len() as f64 {
             return false;
         }
-        changed.into_iter().filter(|mirror| self.jobs[*mirror].confirm()).count() > 0
+        let is_open =
+            |mirror: &usize| !self.jobs[*mirror].is_measured_again() || !self.is_confirmed(&before, *mirror, &[spot]);
+        let open: Vec<usize> = changed.into_iter().filter(is_open).collect();
+        open.into_iter().filter(|mirror| self.jobs[*mirror].confirm()).count() > 0
+    }
+
+    /// Whether the later half of a mirror's readings at each of these spots is more likely with the change that
+    /// the earlier half shows than without. A late command spoils readings, but hardly those of both halves alike.
+    fn is_confirmed(&self, before: &Estimate, mirror: usize, spots: &[usize]) -> bool {
+        let (mut earlier, mut later) = (Vec::new(), Vec::new());
+        for spot in spots {
+            let of = self.readings.iter().filter(|of| (of.mirror, of.spot) == (mirror, *spot));
+            let of: Vec<&Reading> = of.collect();
+            let (first, second) = of.split_at(of.len().div_ceil(2));
+            earlier.extend_from_slice(first);
+            later.extend_from_slice(second);
+        }
+        let Some(turned) = self.turned_by(before, earlier.into_iter()) else { return false };
+        let turned = turned.map(|axis| axis.value);
+        let support = |reading: &Reading| {
+            let compared = self.compared(before, reading);
+            (compared.likelihood(turned) / compared.likelihood([0.0; 2])).ln()
+        };
+        later.into_iter().map(support).sum::<f64>() > CONFIRMED
     }
 
     /// How far the light of each mirror that shows some at these spots is off the former estimate, in rad.
@@ -190,32 +218,60 @@ impl Session {
         let mut lit: Vec<usize> =
             self.lit_pairs().iter().filter(|(_, spot)| spots.contains(spot)).map(|(mirror, _)| *mirror).collect();
         lit.dedup();
-        let data = self.data(&[]);
         let turned = |mirror: usize| {
-            let mut grid: Option<(Grid, [f64; 2])> = None;
-            for reading in self.readings.iter().filter(|of| of.mirror == mirror && spots.contains(&of.spot)) {
-                let pair = (mirror, reading.spot);
-                let quantities = data.quantities(&before.layout, &before.values, pair);
-                let (led, peak) = (self.spots[reading.spot].led, data.peak(&quantities, pair));
-                let (grid, _) = grid.get_or_insert_with(|| {
-                    let known = self.aim_deviation_by(before, pair);
-                    (Grid::normal([0.0; 2], known.map(|deviation| deviation.hypot(DRIFT_RAD))), known)
-                });
-                grid.observe(reading.gain, peak.max(f64::MIN_POSITIVE), |[roll, yaw]| {
-                    let mut at = quantities;
-                    at[OFFSET] += roll;
-                    at[OFFSET + 1] += yaw;
-                    let gain = self.optics.mirror_gain((mirror, led), reading.command, &at);
-                    Expected { gain, deviation: data.deviation(reading.spot, gain, peak) }
-                });
-            }
-            let (grid, known) = grid?;
-            let (mean, deviation) = grid.moments();
-            let turned =
-                [0, 1].map(|axis| Measured { value: mean[axis], deviation: deviation[axis].hypot(known[axis]) });
-            Some((mirror, turned))
+            let of = self.readings.iter().filter(|of| of.mirror == mirror && spots.contains(&of.spot));
+            Some((mirror, self.turned_by(before, of)?))
         };
         lit.into_iter().filter_map(turned).collect()
+    }
+
+    /// The same by these readings of one mirror; `None` without any.
+    fn turned_by<'a>(&self, before: &Estimate, readings: impl Iterator<Item = &'a Reading>) -> Option<[Measured; 2]> {
+        let mut grid: Option<(Grid, [f64; 2])> = None;
+        for reading in readings {
+            let compared = self.compared(before, reading);
+            let (grid, _) = grid.get_or_insert_with(|| {
+                let known = self.aim_deviation_by(before, (reading.mirror, reading.spot));
+                (Grid::normal([0.0; 2], known.map(|deviation| deviation.hypot(DRIFT_RAD))), known)
+            });
+            grid.observe(reading.gain, compared.peak, |turned| compared.expected(turned));
+        }
+        let (grid, known) = grid?;
+        let (mean, deviation) = grid.moments();
+        Some([0, 1].map(|axis| Measured { value: mean[axis], deviation: deviation[axis].hypot(known[axis]) }))
+    }
+
+    fn compared<'a>(&'a self, before: &Estimate, reading: &'a Reading) -> Compared<'a> {
+        let (data, pair) = (self.data(&[]), (reading.mirror, reading.spot));
+        let quantities = data.quantities(&before.layout, &before.values, pair);
+        let peak = data.peak(&quantities, pair).max(f64::MIN_POSITIVE);
+        Compared { session: self, reading, quantities, peak }
+    }
+}
+
+/// A reading beside the former estimate.
+struct Compared<'a> {
+    session: &'a Session,
+    reading: &'a Reading,
+    /// The quantities of its light by the former estimate.
+    quantities: Quantities,
+    peak: f64,
+}
+
+impl Compared<'_> {
+    /// The light of the mirror if its roll and yaw have turned by this in rad.
+    fn expected(&self, [roll, yaw]: [f64; 2]) -> Expected {
+        let Self { session, reading, quantities, peak } = self;
+        let mut at = *quantities;
+        at[OFFSET] += roll;
+        at[OFFSET + 1] += yaw;
+        let led = session.spots[reading.spot].led;
+        let gain = session.optics.mirror_gain((reading.mirror, led), reading.command, &at);
+        Expected { gain, deviation: session.data(&[]).deviation(reading.spot, gain, *peak) }
+    }
+
+    fn likelihood(&self, turned: [f64; 2]) -> f64 {
+        likelihood(self.reading.gain, self.peak, self.expected(turned))
     }
 }
 

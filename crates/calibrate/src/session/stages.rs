@@ -193,6 +193,9 @@ impl Session {
 
     /// A reading of a command.
     pub(super) fn handle_reading(&mut self, time_ns: Nanos, purpose: Purpose, gain: f64) {
+        if self.is_estimate_due() {
+            return;
+        }
         match (self.stage, purpose) {
             (Stage::Dark(place), Purpose::Dark) => {
                 self.dark_gains.push(gain);
@@ -236,7 +239,9 @@ impl Session {
     pub(super) fn remaining_readings(&self, open: usize) -> f64 {
         let mirrors = self.optics.centres.len() as f64;
         let places = self.setup.spots.len();
-        let expected = |place: usize| EXPECTED_READINGS[usize::from(place > 0 || self.is_refinement())];
+        let is_weak = self.signal().is_some_and(|signal| signal.is_weak());
+        let usual = |place: usize| EXPECTED_READINGS[usize::from(place > 0 || self.is_refinement())];
+        let expected = |place: usize| if is_weak { f64::from(probes::READINGS_MAX) } else { usual(place) };
         let verify = (2 * VERIFY_READINGS + DARK_READINGS) as f64;
         let later = |from: usize| (from..places).map(|place| mirrors * expected(place)).sum::<f64>() + verify;
         match self.stage {
@@ -373,7 +378,7 @@ impl Session {
             return;
         }
         if self.jobs.iter().all(|job| job.state != State::Open) && !self.confirm_changes() {
-            self.next_place(place);
+            self.complete_place(place);
         }
     }
 
@@ -382,10 +387,15 @@ impl Session {
         self.is_refinement() || self.lit_pairs().iter().any(|(_, spot)| self.places[*spot] < place)
     }
 
-    /// The next place of the setup.
-    fn next_place(&mut self, place: usize) {
+    /// The readings of a place are complete: its estimate is due.
+    fn complete_place(&mut self, place: usize) {
         self.refresh_spot();
         self.refresh_noise();
+        self.complete = Some(place);
+    }
+
+    /// Makes the estimate of a complete place, and goes on to the next place of the setup.
+    pub(super) fn end_place(&mut self, place: usize) {
         self.fit();
         self.stage = Stage::Await(place + 1);
         let has_change = self.changes.iter().any(|change| change.turned_deg.is_some());
@@ -482,6 +492,6 @@ impl Session {
         self.rejected.push(spot);
         self.readings.retain(|reading| reading.spot != spot);
         self.jobs.clear();
-        self.next_place(place);
+        self.complete_place(place);
     }
 }

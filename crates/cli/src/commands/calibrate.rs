@@ -3,7 +3,10 @@
 
 mod args;
 mod commander;
+mod conditions;
+mod files;
 mod idle;
+mod interruption;
 mod readings;
 mod refinement;
 mod room;
@@ -17,9 +20,8 @@ use heliostat_array::calibration::check_corrections;
 use heliostat_array::calibration_file::CalibrationFile;
 use heliostat_bus::{AccessRole, Bus};
 use heliostat_calibrate::{Outcome, Prior, Session, Setup, Stage};
-use heliostat_core::belief::conditions::Condition;
 use heliostat_proto::Stamp;
-use heliostat_scenario::{ChannelMode, OrientationModel, Scenario};
+use heliostat_scenario::{ChannelMode, Scenario};
 use heliostat_service::clock::utc_ns;
 use heliostat_service::exit::UnusableInput;
 use heliostat_service::output::note;
@@ -27,6 +29,7 @@ use heliostat_service::whole_file;
 
 use super::join::check_connected;
 pub use args::Args;
+use interruption::Watchdog;
 use readings::Readings;
 use refinement::Refinement;
 use room::{LiveRoom, Received};
@@ -60,14 +63,8 @@ pub fn run(args: Args) -> Result<()> {
         scenario.channel.mode == ChannelMode::Specular,
         UnusableInput::new(format!("channel.mode = \"{}\": expected \"specular\"", scenario.channel.mode.name()))
     );
-    condition(&scenario).iter().for_each(note);
-    for file in [Some(&args.out), args.room_out.as_ref()].into_iter().flatten() {
-        check_new(file)?;
-    }
-    if let Some(file) = &args.readings {
-        whole_file::check_writable(file).map_err(|error| UnusableInput::new(format!("{error:#}")))?;
-    }
-    check_distinct(&args)?;
+    conditions::conditions(&scenario, args.array, &args.spots(&scenario)?).iter().for_each(note);
+    let _held = files::hold(&args)?;
     let file = args.base.as_deref().filter(|file| *file != Path::new("none"));
     let base = file.map(heliostat_driver::calibration_store::load).transpose()?;
     let config = args.bus.config_or_connect(&[AccessRole::Controller])?;
@@ -91,6 +88,8 @@ pub fn run(args: Args) -> Result<()> {
         ensure!(found == expected, "--base is for {found} mirrors: expected a file for {expected}");
     }
     let readings = Readings::new(args.readings.as_deref(), (bus.room(), &scenario), (args.array, base.as_ref()));
+    // The log of an earlier session is estimated too.
+    let watchdog = Watchdog::start(&stop, args.readings.as_deref());
     let mut refinement = match (&args.refine, &base, args.user) {
         (Some(file), Some(base), Some(user)) => Some(Refinement::new(user, readings.load_former(file)?, base)?),
         (Some(_), ..) => bail!(UnusableInput::new("--base none: expected the file of the calibration to refine")),
@@ -108,11 +107,10 @@ pub fn run(args: Args) -> Result<()> {
     let run = drive(&args, (&mut session, &readings), (&mut room, refinement.as_mut()), &stop);
     let saved = readings.save(&session);
     room.release();
+    drop(watchdog);
     run?;
     saved?;
-    let outcome = session
-        .outcome()
-        .context("interrupted: nothing is written; the same command with the same --readings continues")?;
+    let outcome = session.outcome().with_context(|| interruption::advice(args.readings.as_deref()))?;
     // A refinement includes the calibration in use, because it measures as the former calibration did.
     let measured_with = refinement.as_ref().map(Refinement::measured_with).or(base.as_ref());
     match args.refine {
@@ -120,18 +118,6 @@ pub fn run(args: Args) -> Result<()> {
         None => finish(&args, &scenario, outcome, measured_with)?,
     }
     Ok(bus.close()?)
-}
-
-/// What the calibration takes to hold in a room where it may not.
-fn condition(scenario: &Scenario) -> Option<Condition> {
-    scenario.users.orientation.as_ref().filter(|held| held.model == OrientationModel::Measured)?;
-    Some(Condition {
-        method: "the calibration with a tilted receiver".to_owned(),
-        because: "users.orientation.model = \"measured\"".to_owned(),
-        consequence: "put the receiver down level at each spot; that of a simulated user is tilted, so simulate the \
-                      calibration with users.orientation.model = \"up\""
-            .to_owned(),
-    })
 }
 
 fn new_session(args: &Args, scenario: &Scenario, room: &LiveRoom, refinement: Option<&Refinement>) -> Result<Session> {
@@ -211,6 +197,10 @@ fn drive(
                 if room.is_commanding() {
                     session.handle_channel(&report);
                 }
+                if session.is_estimate_due() {
+                    readings.save(session)?;
+                    session.run_estimate();
+                }
             }
             Some(Received::CommandDelay(delay_ns)) => session.handle_command_delay(delay_ns),
             None => {}
@@ -237,8 +227,8 @@ fn drive(
         if shown.elapsed() >= SHOW_EVERY {
             shown = Instant::now();
             show::progress(session);
-            if refinement.as_mut().is_some_and(|refinement| refinement.waits(session)) {
-                note("waits until the position reports have named no other user for some seconds");
+            if let Some(cause) = refinement.as_mut().and_then(|refinement| refinement.waits_for(session)) {
+                note(format_args!("waits until the room has been idle for some seconds: {cause}"));
             }
             if waited >= SILENCE {
                 note("no channel report for some seconds: is the receiver switched on?");
@@ -298,7 +288,12 @@ fn write(args: &Args, scenario: &Scenario, outcome: &Outcome, base: Option<&Cali
     let file = base.map_or(own.clone(), |base| own.after(base));
     check_corrections(&file.message(Stamp::default()))
         .context("a driver would refuse the result: align this mirror by hand, and repeat. Nothing is written")?;
-    let room = args.room_out.as_ref().map(|path| (path, outcome.measured_room(scenario, args.array).to_toml()));
+    let mut measured = outcome.measured_room(scenario, args.array);
+    // The file may be in another folder than the scenario.
+    let absolute =
+        |trace: String| std::path::absolute(&trace).map_or(trace, |path| path.to_string_lossy().into_owned());
+    measured.users.trace = measured.users.trace.map(absolute);
+    let room = args.room_out.as_ref().map(|path| (path, measured.to_toml()));
     if let Some((_, text)) = &room {
         let unusable =
             "the measured room is no scenario: repeat without --room-out, or check the heights. Nothing is written";
@@ -310,29 +305,4 @@ fn write(args: &Args, scenario: &Scenario, outcome: &Outcome, base: Option<&Cali
         // The command began without this file. A calibration without its room would be half a result.
         drop(std::fs::remove_file(&args.out));
     })
-}
-
-/// Refuses one file for two purposes: the later one would replace the former.
-fn check_distinct(args: &Args) -> Result<()> {
-    let base = args.base.as_ref().filter(|file| file.as_path() != Path::new("none"));
-    let named = [
-        ("--out", Some(&args.out)),
-        ("--room-out", args.room_out.as_ref()),
-        ("--readings", args.readings.as_ref()),
-        ("--refine", args.refine.as_ref()),
-        ("--base", base),
-    ];
-    let named = named.map(|(flag, file)| Some((flag, std::path::absolute(file?).ok()?)));
-    let named: Vec<_> = named.into_iter().flatten().collect();
-    for (index, (flag, file)) in named.iter().enumerate() {
-        if let Some((other, _)) = named[..index].iter().find(|(_, other)| other == file) {
-            bail!(UnusableInput::new(format!("{other} and {flag} name one file, {}: expected two", file.display())));
-        }
-    }
-    Ok(())
-}
-
-fn check_new(file: &Path) -> Result<()> {
-    ensure!(!file.exists(), UnusableInput::new(format!("{} exists already: expected a new file", file.display())));
-    whole_file::check_writable(file).map_err(|error| UnusableInput::new(format!("{error:#}")).into())
 }

@@ -167,6 +167,9 @@ pub fn drive_turned(
         if !matches!(session.stage(), Stage::Await(_)) {
             busy_ns += now_ns - before_ns;
         }
+        if is_over(session) {
+            break;
+        }
         let next = session.next_command(now_ns);
         if next.is_some() || (now_ns >= sent_ns + REPEAT_NS && !angles.is_empty()) {
             angles = next.unwrap_or(angles);

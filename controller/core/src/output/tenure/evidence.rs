@@ -2,12 +2,16 @@
 
 use heliostat_proto::{ArrayState, MirrorTelemetry, Nanos};
 
+/// Longest time in ns from the token of a controller to its lead, for a lead that it takes on purpose.
+const GUEST_NS: Nanos = 1_000_000_000;
+
 /// A change of the standing or of the epoch, or a reason that commands are refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum TenureEvent {
     /// Telemetry shows a higher epoch: standby begins.
     Superseded,
-    /// Telemetry shows no higher epoch, or is absent: standby ends, with the same epoch.
+    /// Standby ends, with the same epoch: telemetry shows no higher one, or is absent. With a new epoch: a
+    /// guest has given the lead back.
     Resumed,
     /// A new epoch: the controller has just started, or it ends a standby in which the array
     /// accepted no command or the leader left.
@@ -115,4 +119,25 @@ pub(super) struct Watch {
 pub(super) struct Takeover {
     pub(super) refused: u64,
     pub(super) accepted: u64,
+}
+
+/// Whether the leader is a guest: a controller that took the lead when it joined, from one that had not failed.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
+pub(super) struct Guest {
+    /// The remainder in the epochs of the controller that joined last, and the time of the latest telemetry before.
+    joined: Option<(u64, Nanos)>,
+    pub(super) leads: bool,
+}
+
+impl Guest {
+    /// A controller has joined after the telemetry of this time. Without telemetry it may have led before.
+    pub(super) fn handle_joined(&mut self, slot: u64, seen_ns: Option<Nanos>) {
+        self.joined = seen_ns.map(|seen_ns| (slot, seen_ns));
+    }
+
+    /// The array follows an epoch of this remainder since `now`, and followed a valid command of another one before.
+    pub(super) fn handle_epoch(&mut self, now: Nanos, slot: u64) {
+        let has_joined = |(joined, seen_ns): (u64, Nanos)| joined == slot && now.abs_diff(seen_ns) <= GUEST_NS;
+        self.leads = self.joined.is_some_and(has_joined);
+    }
 }

@@ -85,7 +85,9 @@ pub(super) fn describe_event(event: TenureEvent, tenure: &Tenure) -> String {
             "another controller (epoch {}) has superseded this one (epoch {epoch}), which stands by: it takes over when reports stay without an accepted command",
             tenure.followed_epoch().unwrap_or_default()
         ),
-        TenureEvent::Resumed => format!("standby has ended: the array follows no higher epoch than {epoch}"),
+        TenureEvent::Resumed => format!(
+            "standby has ended: the array follows no higher epoch than {epoch}, or a calibration has given the mirrors back"
+        ),
         TenureEvent::TookOver => {
             format!(
                 "this controller takes over with the new epoch {epoch}: the array accepted no command of another, or the other has left"

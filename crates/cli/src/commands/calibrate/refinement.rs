@@ -11,12 +11,14 @@ use heliostat_proto::{AxisLimits, Capabilities, UserReport};
 use heliostat_service::exit::UnusableInput;
 use heliostat_service::output::note;
 
-use super::idle::Idle;
+use super::idle::{Cause, Idle};
 use super::room::LiveRoom;
 
 /// The refinement of the calibration in use.
 pub struct Refinement {
     idle: Idle,
+    /// Where the mirrors were taken last.
+    taken_at: Option<Stage>,
     former: Log,
     /// The calibration that the array used while the former readings were made.
     measured_with: CalibrationFile,
@@ -47,7 +49,7 @@ impl Refinement {
             .into());
         }
         let turn = in_use.in_place_of(&measured_with);
-        Ok(Self { idle: Idle::new(receiver), former, measured_with, in_use: in_use.clone(), turn })
+        Ok(Self { idle: Idle::new(receiver), taken_at: None, former, measured_with, in_use: in_use.clone(), turn })
     }
 
     /// The calibration with which the readings of the session are made.
@@ -101,30 +103,43 @@ impl Refinement {
     /// # Errors
     /// An array that does not accept the lead.
     pub fn take_turns(&mut self, session: &mut Session, room: &mut LiveRoom) -> Result<()> {
-        if room.has_lost_lead() || room.has_other_calibration() {
-            self.idle.interrupt();
+        if room.has_other_calibration() {
+            self.idle.interrupt(Cause::Calibration);
+        } else if room.has_lost_lead() {
+            self.idle.interrupt(Cause::Controller);
         }
-        let (is_idle, stands) = (self.idle.is_idle(Instant::now()), is_at_spot(session));
-        if (is_idle && stands) == room.is_commanding() {
+        let (in_use, stands) = (self.idle.cause(Instant::now()), is_at_spot(session));
+        if (in_use.is_none() && stands) == room.is_commanding() {
             return Ok(());
         }
         session.handle_pause();
         if !room.is_commanding() {
             note("the room is idle: the calibration commands the mirrors");
+            self.taken_at = Some(session.stage());
             return room.take();
         }
         room.release();
-        note(if is_idle {
-            "the mirrors are given back until the receiver stands at the next place"
-        } else {
-            "the mirrors are given back: another user is in the room, reports are missing, or another process has taken the lead"
-        });
+        note(format_args!("the mirrors are given back: {}", reason(in_use, self.taken_at, session.stage())));
         Ok(())
     }
 
-    /// Whether the session could measure, if the room were idle.
-    pub fn waits(&mut self, session: &Session) -> bool {
-        is_at_spot(session) && !self.idle.is_idle(Instant::now())
+    /// Why the room is in use, while the session could measure if it were idle.
+    pub fn waits_for(&mut self, session: &Session) -> Option<Cause> {
+        self.idle.cause(Instant::now()).filter(|_| is_at_spot(session))
+    }
+}
+
+/// Why the mirrors that were taken at one stage are given back at another one.
+fn reason(in_use: Option<Cause>, taken_at: Option<Stage>, stage: Stage) -> String {
+    match (in_use, taken_at, stage) {
+        (Some(cause), ..) => cause.to_string(),
+        (None, _, Stage::Ended) => "the readings are complete".into(),
+        (None, Some(Stage::Dark(from) | Stage::Probe(from) | Stage::Locate(from)), Stage::Await(place))
+            if place != from =>
+        {
+            format!("spot {} is complete", from + 1)
+        }
+        _ => "the receiver has left its place".into(),
     }
 }
 
@@ -135,6 +150,21 @@ fn is_at_spot(session: &Session) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_reason_of_a_return_is_the_one_that_holds() {
+        let taken = Some(Stage::Dark(1));
+        for (in_use, stage, expected) in [
+            (Some(Cause::User(3)), Stage::Probe(1), "another user is in the room, number 3"),
+            (Some(Cause::Silence), Stage::Await(1), "position reports are missing"),
+            (None, Stage::Await(2), "spot 2 is complete"),
+            (None, Stage::Await(1), "the receiver has left its place"),
+            (None, Stage::Ended, "the readings are complete"),
+        ] {
+            assert_eq!(reason(in_use, taken, stage), expected);
+        }
+        assert_eq!(reason(None, Some(Stage::Dark(3)), Stage::Await(3)), "the receiver has left its place");
+    }
 
     #[test]
     fn a_calibrated_array_is_turned_as_the_uncalibrated_one_was_and_within_its_range() {

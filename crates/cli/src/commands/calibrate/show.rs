@@ -1,6 +1,7 @@
 //! What the user of `heliostat calibrate` reads.
 
 use anyhow::Result;
+use heliostat_calibrate::signal::Signal;
 use heliostat_calibrate::{Change, Measured, Outcome, Progress, Session, Stage, Verdict};
 use heliostat_proto::gauges::CalibrationProgress;
 use heliostat_service::outln;
@@ -8,6 +9,7 @@ use heliostat_service::output::note;
 use serde_json::json;
 
 use super::args::Args;
+use super::conditions::STRONGER;
 
 /// Mirrors that a line names; the others are counted.
 const NAMED: usize = 12;
@@ -26,7 +28,17 @@ pub fn stage(session: &Session) {
             "carry the receiver to the place of the verification, x {x:.2} m, y {y:.2} m, and stand still"
         )),
         Stage::Dark(_) => note("stay: all mirrors are turned away, for the dark readings"),
-        Stage::Probe(index) => note(format_args!("stay: the mirrors are probed at spot {}", index + 1)),
+        Stage::Probe(index) => {
+            note(format_args!("stay: the mirrors are probed at spot {}", index + 1));
+            if let Some(signal) = session.signal().filter(Signal::is_weak) {
+                note(format_args!(
+                    "the light of a mirror here is {:.1} times the noise of a dark reading: few mirrors will be \
+                     located, in about {:.0} min; {STRONGER}",
+                    signal.ratio,
+                    session.progress().remaining_s / 60.0
+                ));
+            }
+        }
         Stage::Locate(index) => note(format_args!(
             "stay: few mirrors light spot {}, so the spot is not where the tracker reports it; it is searched",
             index + 1

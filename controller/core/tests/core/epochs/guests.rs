@@ -1,0 +1,74 @@
+//! A controller that takes the lead when it joins, as a calibration does, and gives it back.
+
+use super::*;
+
+const GUEST: u64 = 9;
+
+/// Lets a guest lead for some reports. It commands until its successor is obeyed.
+fn lend(room: &mut Room) {
+    let epoch = room.array.shown.epoch / EPOCH_SLOTS * EPOCH_SLOTS + EPOCH_SLOTS + GUEST;
+    room.announce(GUEST, true);
+    for sequence in 1..=50 {
+        assert!(room.array.handle(room.now, epoch, sequence));
+        room.run(INTERVAL);
+    }
+    assert_eq!(room.standings().last(), Some(&Standing::Standby));
+    room.announce(GUEST, false);
+    assert!(room.array.handle(room.now, epoch, 51));
+    room.run(INTERVAL);
+    assert_eq!(room.standings().last(), Some(&Standing::Leading), "at the next report");
+    assert!(!room.array.handle(room.now, epoch, 52), "a command on its way");
+    room.run(S);
+}
+
+#[test]
+fn a_lead_that_a_guest_took_and_gives_back_is_no_takeover() {
+    let mut room = led_room(&[1]);
+    (0..3).for_each(|_| lend(&mut room));
+    assert_eq!(room.controllers[0].events, [TenureEvent::Superseded, TenureEvent::Resumed].repeat(3));
+}
+
+#[test]
+fn contested_takeovers_do_not_delay_the_return_of_the_lead() {
+    let mut room = led_room(&[1, 600]);
+    room.controllers[0].is_alive = false;
+    room.until_accepted(1);
+    let (epoch, sequence) = room.controllers[0].sent;
+    assert!(!room.array.handle(room.now, epoch, sequence + 1));
+    room.run(INTERVAL);
+    assert_eq!(room.controllers[1].events.last(), Some(&TenureEvent::Contested));
+    room.announce(1, false);
+    lend(&mut room);
+    assert_eq!(room.controllers[1].events.last(), Some(&TenureEvent::Resumed));
+}
+
+#[test]
+fn the_end_of_a_controller_that_stood_by_before_it_led_is_a_takeover() {
+    let mut room = led_room(&[1, 600]);
+    room.controllers[0].is_alive = false;
+    room.until_accepted(1);
+    room.controllers[0].is_alive = true;
+    room.run(S);
+    room.announce(600, false);
+    room.controllers[1].is_alive = false;
+    room.run(S);
+    assert_eq!(room.controllers[0].events, [TenureEvent::Superseded, TenureEvent::TookOver]);
+}
+
+#[test]
+fn the_first_leader_of_an_array_is_no_guest() {
+    let mut room = Room::new(&[600]);
+    room.telemetry_interval = INTERVAL;
+    room.show(room.array.shown);
+    room.controllers[0].tenure = Tenure::live(600, INTERVAL).in_reserve(None);
+    room.run(INTERVAL);
+    let epoch = NOON_MS / EPOCH_SLOTS * EPOCH_SLOTS + EPOCH_SLOTS + GUEST;
+    room.announce(GUEST, true);
+    for sequence in 1..=50 {
+        assert!(room.array.handle(room.now, epoch, sequence));
+        room.run(INTERVAL);
+    }
+    room.announce(GUEST, false);
+    room.run(S);
+    assert_eq!(room.controllers[0].events, [TenureEvent::StoodBy, TenureEvent::TookOver]);
+}

@@ -1,0 +1,87 @@
+//! The end of a calibration on request, also while an estimate computes: that of many mirrors takes minutes.
+
+use std::path::Path;
+use std::time::Duration;
+
+use heliostat_service::Stop;
+use heliostat_service::exit::INTERRUPTED;
+use heliostat_service::output::note;
+
+/// Time for an orderly end: the last readings are saved, and the mirrors are given back.
+const END_WITHIN: Duration = Duration::from_secs(3);
+
+/// Time between two looks whether the calibration has ended by itself.
+const LOOK_EVERY: Duration = Duration::from_secs(1);
+
+/// What an interrupted calibration keeps, and how it goes on.
+pub fn advice(readings: Option<&Path>) -> String {
+    match readings {
+        Some(file) => format!(
+            "interrupted: nothing is written; {} keeps the readings, and the same command continues from them",
+            file.display()
+        ),
+        None => "interrupted: nothing is written, and no readings are kept; with --readings FILE the same command \
+                 could continue"
+            .into(),
+    }
+}
+
+/// Ends the process some seconds after a request to end, unless this value is dropped before.
+#[derive(Debug)]
+pub struct Watchdog {
+    is_over: Stop,
+}
+
+impl Watchdog {
+    /// Watches for the request. The caller saves the readings before each estimate.
+    pub fn start(stop: &Stop, readings: Option<&Path>) -> Self {
+        let (stop, is_over, advice) = (stop.clone(), Stop::default(), advice(readings));
+        let over = is_over.clone();
+        std::thread::spawn(move || {
+            if is_late(&stop, &over, END_WITHIN) {
+                note(format_args!("calibrate: {advice}"));
+                std::process::exit(INTERRUPTED.into());
+            }
+        });
+        Self { is_over }
+    }
+}
+
+impl Drop for Watchdog {
+    fn drop(&mut self) {
+        self.is_over.request();
+    }
+}
+
+/// Waits for a request to end; whether the calibration is still not over after this time.
+fn is_late(stop: &Stop, over: &Stop, within: Duration) -> bool {
+    while !stop.wait_for(LOOK_EVERY) {
+        if over.is_requested() {
+            return false;
+        }
+    }
+    !over.wait_for(within)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_a_request_that_an_estimate_outlasts_ends_the_process() {
+        let requested = || {
+            let stop = Stop::default();
+            stop.request();
+            stop
+        };
+        assert!(is_late(&requested(), &Stop::default(), Duration::from_millis(1)));
+        assert!(!is_late(&requested(), &requested(), Duration::from_millis(1)));
+        assert!(!is_late(&Stop::default(), &requested(), Duration::from_millis(1)), "it has ended by itself");
+    }
+
+    #[test]
+    fn the_advice_names_the_file_or_the_missing_flag() {
+        assert!(advice(Some(Path::new("readings.json"))).contains("readings.json keeps the readings"));
+        assert!(advice(None).contains("with --readings FILE"));
+    }
+}

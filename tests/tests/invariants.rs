@@ -5,6 +5,7 @@
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use heliostat_tests::packages::Packages;
 
@@ -123,6 +124,16 @@ fn each_foreign_library_has_one_user() {
     let packages = Packages::read(&root());
     for (library, user) in SINGLE_USERS {
         assert_eq!(packages.users_of(library), BTreeSet::from([user]), "direct users of {library}");
+    }
+}
+
+#[test]
+fn each_program_is_built_without_the_other_packages() {
+    for program in ["heliostat", "heliostat-controller", "heliostat-sim-node", "heliostat-driver", "heliostat-lab"] {
+        let mut tree = Command::new(env!("CARGO"));
+        tree.args(["tree", "--offline", "--locked", "--depth", "0", "--package", program]).current_dir(root());
+        let output = tree.output().expect("cargo runs");
+        assert!(output.status.success(), "{program}: {}", String::from_utf8_lossy(&output.stderr));
     }
 }
 

@@ -9,6 +9,7 @@ use zenoh::config::{Config, EndPoint};
 
 use crate::access::AccessRole;
 use crate::error::BusError;
+use crate::platform::HAS_UNIX_SOCKETS;
 use crate::tls::{self, Identity};
 
 /// Default endpoint: one process of a room listens there, the others connect to it.
@@ -366,7 +367,8 @@ fn check_endpoint(text: &str) -> Result<(), BusError> {
             Some((_, port)) if port.parse::<u16>().is_err() => refuse(format!("\"{port}\" is not a port")),
             Some(_) => Ok(()),
         },
-        "unixsock-stream" => Ok(()),
+        "unixsock-stream" if HAS_UNIX_SOCKETS => Ok(()),
+        "unixsock-stream" => refuse("Unix sockets need Linux or macOS".to_owned()),
         other => refuse(format!("protocol \"{other}\" is not built in")),
     }
 }

@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use crate::error::BusError;
+use crate::platform::HAS_UNIX_SOCKETS;
 
 /// Ports below the ephemeral ranges of Linux, macOS and Windows, so that no outgoing connection and
 /// no listener at port 0 gets one.
@@ -70,7 +71,7 @@ pub fn free_loopback_endpoint() -> Result<String, BusError> {
 /// [`BusError::NoFreePort`].
 pub fn private_endpoint() -> Result<String, BusError> {
     static CALLS: AtomicU32 = AtomicU32::new(0);
-    if !cfg!(unix) {
+    if !HAS_UNIX_SOCKETS {
         return free_loopback_endpoint();
     }
     let call = CALLS.fetch_add(1, Ordering::Relaxed);

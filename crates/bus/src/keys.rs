@@ -18,6 +18,7 @@ use crate::access::AccessRole;
 use crate::certificate::Certificate;
 use crate::config::{BusConfig, DEFAULT_TLS_ENDPOINT, nested_json};
 use crate::error::{BusError, KeyError};
+use crate::platform;
 use crate::tls::{AUTHORITY_CERTIFICATE, AUTHORITY_KEY, Identity, certificate_file, check_private, key_file, roles_in};
 
 /// Validity of a certificate unless a caller gives another. Zenoh knows no revocation, so a lost
@@ -218,8 +219,7 @@ pub(crate) const PUBLIC: u32 = 0o644;
 
 pub(crate) fn create_folder(folder: &Path) -> Result<(), KeyError> {
     let mut builder = fs::DirBuilder::new();
-    #[cfg(unix)]
-    std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
+    platform::make_private(&mut builder);
     builder
         .recursive(true)
         .create(folder)
@@ -243,11 +243,7 @@ fn replace(path: &Path, text: &str, mode: u32) -> Result<(), KeyError> {
     let _ = fs::remove_file(&temporary);
     let mut options = OpenOptions::new();
     options.write(true).create_new(true);
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::OpenOptionsExt;
-        options.mode(mode);
-    }
+    platform::set_permissions(&mut options, mode);
     let mut file = options.open(&temporary).map_err(failed)?;
     file.write_all(text.as_bytes()).and_then(|()| file.sync_all()).map_err(failed)?;
     fs::rename(&temporary, path).map_err(failed)

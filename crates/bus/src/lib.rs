@@ -39,6 +39,7 @@ mod config;
 mod error;
 mod free_endpoint;
 pub mod keys;
+mod platform;
 mod session;
 mod tls;
 mod tls_check;

@@ -9,6 +9,7 @@ use zenoh::config::EndPoint;
 use crate::access::{AccessRole, access_control};
 use crate::certificate::Certificate;
 use crate::error::{BusError, KeyError};
+use crate::platform;
 
 /// Certificate of the authority that signs all certificates of a room.
 pub(crate) const AUTHORITY_CERTIFICATE: &str = "ca.pem";
@@ -148,15 +149,9 @@ fn names(roles: &[AccessRole]) -> String {
 pub(crate) fn check_private(path: &Path) -> Result<(), KeyError> {
     let file = std::fs::File::open(path).and_then(|file| file.metadata());
     let metadata = file.map_err(|error| KeyError::CannotRead { path: path.into(), problem: error.to_string() })?;
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt;
-        if metadata.permissions().mode() & 0o007 != 0 {
-            return Err(KeyError::ReadableByOthers { path: path.into() });
-        }
+    if platform::is_readable_by_others(&metadata) {
+        return Err(KeyError::ReadableByOthers { path: path.into() });
     }
-    #[cfg(not(unix))]
-    drop(metadata);
     Ok(())
 }
 

@@ -20,6 +20,7 @@ use zenoh::Wait;
 use zenoh::config::EndPoint;
 
 use crate::certificate::Certificate;
+use crate::platform;
 use crate::tls::Identity;
 
 /// Time that Zenoh has for a connection before the first check.
@@ -99,7 +100,7 @@ pub(crate) fn accepts(endpoint: &str) -> bool {
             let found = address.to_socket_addrs().ok().and_then(|mut found| found.next());
             found.is_some_and(|at| TcpStream::connect_timeout(&at, STEP_LIMIT).is_ok())
         }
-        "unixsock-stream" => std::os::unix::net::UnixStream::connect(address).is_ok(),
+        "unixsock-stream" => platform::accepts_at_socket(&address),
         _ => true,
     }
 }

@@ -4,12 +4,14 @@
 //! - [`commands`]: one module for each command; [`commands::bench`] and [`commands::mirrors`] are also
 //!   for `heliostat-lab`.
 //! - `one_process`: a controller and an array in one process.
+//! - `platform`: what differs between operating systems.
 //! - [`programs`]: the two programs as processes.
 
 pub mod arguments;
 pub mod cli;
 pub mod commands;
 mod one_process;
+mod platform;
 pub mod programs;
 
 use std::process::ExitCode;

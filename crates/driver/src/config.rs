@@ -10,6 +10,7 @@ use serde::Deserialize;
 use crate::devices::playzerx::{self, PlayzerX};
 use crate::devices::port::Address;
 use crate::devices::servo_board::{self, ServoBoard};
+use crate::devices::system;
 use crate::devices::wall::{Layout, Mounted, Wall};
 
 /// The file.
@@ -131,6 +132,7 @@ impl BoardConfig {
     }
 
     fn mount(&self) -> Result<Mounted> {
+        ensure!(system::IS_SUPPORTED, "{}: this kind of device needs Linux or macOS", self.port());
         let address = |text: &str, baud| Address::parse(text, baud).map_err(|problem| anyhow!(problem));
         Ok(match self {
             Self::Playzerx { address: at, range_deg, sample_rate_hz, mirrors } => {

@@ -6,6 +6,7 @@
 //! - [`playzerx`]: one mirror of a PlayzerX on a serial port, open loop.
 //! - [`servo_board`]: a microcontroller board with a protocol of text lines.
 //! - [`port`]: serial ports and sockets, behind one type.
+//! - `system`: serial ports and the wait for a device, which differ between operating systems.
 //! - [`wall`]: boards and their channels as one array.
 
 pub mod board;
@@ -14,4 +15,5 @@ pub mod interrupt;
 pub mod playzerx;
 pub mod port;
 pub mod servo_board;
+pub(crate) mod system;
 pub mod wall;

@@ -88,7 +88,8 @@ fn replace(file: &Path, text: &str) -> io::Result<()> {
     written.write_all(text.as_bytes())?;
     written.sync_all()?;
     fs::rename(&new, file)?;
-    File::open(folder)?.sync_all()
+    // Windows opens no folder as a file.
+    if cfg!(unix) { File::open(folder)?.sync_all() } else { Ok(()) }
 }
 
 /// Logs a new stop, or the release of the last one.

@@ -1,4 +1,5 @@
 //! The drivers for hardware with emulated devices on a pseudo-terminal and a socket, byte for byte.
+#![cfg(unix)]
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Write};

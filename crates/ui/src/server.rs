@@ -208,7 +208,7 @@ impl std::fmt::Display for Server {
 
 /// The name of this machine; `None` if it has none that is text.
 fn machine_name() -> Option<String> {
-    nix::unistd::gethostname().ok()?.into_string().ok()
+    gethostname::gethostname().into_string().ok()
 }
 
 fn router(shared: Shared, gate: Option<Gate>, guard: Guard) -> Router {

@@ -2,24 +2,21 @@
 //! terminal.
 
 mod drawing;
+#[cfg_attr(unix, path = "terminal/unix_screen.rs")]
+#[cfg_attr(not(unix), path = "terminal/other_screen.rs")]
+mod full_screen;
 pub(crate) mod texts;
 
-use std::io::{self, IsTerminal, Stdout, Write};
+use std::io::{self, IsTerminal};
 use std::time::Duration;
 
 use heliostat_service::output;
-use ratatui::Terminal;
-use ratatui::backend::TermionBackend;
-use ratatui::termion::event::Key;
-use ratatui::termion::input::{Keys, TermRead};
-use ratatui::termion::raw::{IntoRawMode, RawTerminal};
-use ratatui::termion::screen::{AlternateScreen, IntoAlternateScreen};
-use ratatui::termion::{AsyncReader, async_stdin};
 
 use crate::figures::Figures;
 use crate::notes::not_in;
 use crate::{UiError, View};
 use drawing::draw;
+use full_screen::FullScreen;
 use texts::{line, stops};
 
 /// The output of the figures.
@@ -41,23 +38,10 @@ pub struct Lines {
     line: String,
 }
 
-/// A terminal in full-screen mode; dropping it restores the terminal.
+/// The terminal in full-screen mode; dropping it restores the terminal.
 pub struct Screen {
-    terminal: Terminal<TermionBackend<AlternateScreen<RawTerminal<Stdout>>>>,
-    keys: Keys<AsyncReader>,
+    screen: FullScreen,
     title: String,
-    _flush: FlushOutput,
-}
-
-/// Writes out what the fields before it wrote when they were dropped: the terminal is restored at
-/// once, although a session that is still open may delay the end of the process.
-struct FlushOutput;
-
-impl Drop for FlushOutput {
-    fn drop(&mut self) {
-        // An error of a closed terminal has no remedy.
-        let _ = io::stdout().flush();
-    }
 }
 
 impl Display {
@@ -69,14 +53,7 @@ impl Display {
         if plain || !io::stdout().is_terminal() || !io::stdin().is_terminal() {
             return Ok(Self::Lines(Lines::default()));
         }
-        let screen = io::stdout().into_raw_mode()?.into_alternate_screen()?;
-        let terminal = Terminal::new(TermionBackend::new(screen))?;
-        Ok(Self::Screen(Box::new(Screen {
-            terminal,
-            keys: async_stdin().keys(),
-            title: title.to_owned(),
-            _flush: FlushOutput,
-        })))
+        Ok(Self::Screen(Box::new(Screen { screen: FullScreen::open()?, title: title.to_owned() })))
     }
 
     /// Time between two updates.
@@ -97,7 +74,7 @@ impl Display {
             Self::Lines(lines) => lines.next(&figures, &stops).iter().for_each(output::note),
             Self::Screen(screen) => {
                 let history = view.history();
-                screen.terminal.draw(|frame| draw(frame, &screen.title, (&figures, &stops), &history))?;
+                screen.screen.draw(|frame| draw(frame, &screen.title, (&figures, &stops), &history))?;
             }
         }
         Ok(())
@@ -108,14 +85,10 @@ impl Display {
     /// # Errors
     /// [`UiError::Terminal`] if the terminal is closed.
     pub fn quit_requested(&mut self) -> Result<bool, UiError> {
-        let Self::Screen(screen) = self else { return Ok(false) };
-        // In raw mode the terminal sends no signals; Ctrl-C arrives as a key.
-        while let Some(key) = screen.keys.next().transpose()? {
-            if matches!(key, Key::Char('q') | Key::Esc | Key::Ctrl('c')) {
-                return Ok(true);
-            }
+        match self {
+            Self::Screen(screen) => Ok(screen.screen.quit_requested()?),
+            Self::Lines(_) => Ok(false),
         }
-        Ok(false)
     }
 }
 
@@ -143,17 +116,10 @@ impl Lines {
     }
 }
 
-impl Drop for Screen {
-    fn drop(&mut self) {
-        // The drop of the inner types restores mode and screen; an error of a closed terminal has
-        // no remedy.
-        let _ = self.terminal.show_cursor();
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use heliostat_proto::{Quantiles, StopName};
+    use ratatui::Terminal;
     use ratatui::backend::TestBackend;
 
     use super::*;

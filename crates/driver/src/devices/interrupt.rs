@@ -1,9 +1,8 @@
 //! A stop that ends the wait of a board's thread for its device.
 
-use std::io::{Read, Write};
-use std::os::fd::{AsFd, BorrowedFd};
-use std::os::unix::net::UnixStream;
 use std::sync::atomic::{AtomicU64, Ordering};
+
+use crate::devices::system::WakeUp;
 
 /// Counts the stops that were ordered, and wakes the thread that waits for a device.
 ///
@@ -11,26 +10,22 @@ use std::sync::atomic::{AtomicU64, Ordering};
 #[derive(Debug)]
 pub struct Interrupt {
     ordered: AtomicU64,
-    wake: UnixStream,
-    woken: UnixStream,
+    wake_up: WakeUp,
 }
 
 impl Interrupt {
     /// An interrupt without a stop.
     ///
     /// # Errors
-    /// The operating system provides no pair of sockets.
+    /// The operating system provides no pair of sockets, or has no such sockets.
     pub fn new() -> std::io::Result<Self> {
-        let (wake, woken) = UnixStream::pair()?;
-        wake.set_nonblocking(true)?;
-        woken.set_nonblocking(true)?;
-        Ok(Self { ordered: AtomicU64::new(0), wake, woken })
+        Ok(Self { ordered: AtomicU64::new(0), wake_up: WakeUp::new()? })
     }
 
     /// Orders a stop; returns its number, from 1.
     pub fn order(&self) -> u64 {
         let number = self.ordered.fetch_add(1, Ordering::SeqCst) + 1;
-        self.wake();
+        self.wake_up.wake();
         number
     }
 
@@ -39,21 +34,8 @@ impl Interrupt {
         self.ordered.load(Ordering::SeqCst)
     }
 
-    /// Ends the wait of a port.
-    fn wake(&self) {
-        // A full buffer wakes the reader too.
-        let _ = (&self.wake).write(&[0]);
-    }
-
-    /// Takes back all wake-ups so far.
-    pub fn clear(&self) {
-        let mut bytes = [0; 64];
-        while (&self.woken).read(&mut bytes).is_ok_and(|count| count == bytes.len()) {}
-    }
-}
-
-impl AsFd for Interrupt {
-    fn as_fd(&self) -> BorrowedFd<'_> {
-        self.woken.as_fd()
+    /// What ends the wait of a port.
+    pub(super) fn wake_up(&self) -> &WakeUp {
+        &self.wake_up
     }
 }

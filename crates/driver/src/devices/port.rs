@@ -3,20 +3,15 @@
 //! A stop does not wait for the answer to an earlier line: [`Interrupt`] wakes a port that waits,
 //! and the port writes the board's stop line at once.
 
-use std::fs::{File, OpenOptions};
-use std::io::{ErrorKind, Read, Write};
+use std::io::ErrorKind;
 use std::net::{TcpStream, ToSocketAddrs};
-use std::os::fd::AsFd;
-use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use heliostat_array::device::DeviceError;
-use nix::fcntl::OFlag;
-use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
-use nix::sys::termios::{self, BaudRate, SetArg, SpecialCharacterIndices};
 
 use crate::devices::interrupt::Interrupt;
+use crate::devices::system::{self, Ready, Stream};
 
 /// Timeout of a socket connection.
 const CONNECT_LIMIT: Duration = Duration::from_secs(2);
@@ -68,14 +63,15 @@ impl Address {
                 if path.is_empty() || path.contains('\0') {
                     return Err(invalid());
                 }
+                let is_known = |baud: &u32| system::speeds().any(|known| known == *baud);
                 let baud = match speed {
-                    Some(speed) => speed.parse().ok().filter(|baud| speed_of(*baud).is_some()).ok_or_else(|| {
-                        let known: Vec<String> = SPEEDS.iter().map(|(baud, _)| baud.to_string()).collect();
+                    Some(speed) => speed.parse().ok().filter(is_known).ok_or_else(|| {
+                        let known: Vec<String> = system::speeds().map(|baud| baud.to_string()).collect();
                         format!("invalid speed \"{speed}\" in \"{text}\": expected one of {} baud", known.join(", "))
                     })?,
                     None => baud,
                 };
-                if std::fs::metadata(path).is_ok_and(|found| !found.file_type().is_char_device()) {
+                if std::fs::metadata(path).is_ok_and(|found| !system::is_serial_port(&found)) {
                     return Err(format!(
                         "\"{path}\" is a file or a folder: expected a serial port, for example /dev/ttyUSB0"
                     ));
@@ -102,7 +98,7 @@ impl Address {
     pub fn open(&self, interrupt: &Arc<Interrupt>, stop_line: &'static [u8]) -> Result<Port, DeviceError> {
         let failed = |problem: &dyn ToString| DeviceError::new(self.to_string(), problem.to_string());
         let stream: Box<dyn Stream> = match self {
-            Self::Serial { path, baud } => Box::new(open_serial(path, *baud).map_err(|error| failed(&error))?),
+            Self::Serial { path, baud } => Box::new(system::open_serial(path, *baud).map_err(|error| failed(&error))?),
             Self::Tcp(host) => {
                 let mut found = host.to_socket_addrs().map_err(|error| failed(&error))?;
                 let address = found.next().ok_or_else(|| failed(&"unknown host: check the name in the address"))?;
@@ -130,65 +126,6 @@ impl std::fmt::Display for Address {
         }
     }
 }
-
-/// Opens a serial port for raw bytes: eight bits, no parity, no flow control, no waiting.
-fn open_serial(path: &str, baud: u32) -> std::io::Result<File> {
-    let speed = speed_of(baud).ok_or_else(|| std::io::Error::other(format!("unknown speed of {baud} baud")))?;
-    let port = OpenOptions::new()
-        .read(true)
-        .write(true)
-        .custom_flags((OFlag::O_NOCTTY | OFlag::O_NONBLOCK).bits())
-        .open(path)?;
-    let mut settings = termios::tcgetattr(&port)?;
-    termios::cfmakeraw(&mut settings);
-    termios::cfsetspeed(&mut settings, speed)?;
-    settings.control_chars[SpecialCharacterIndices::VMIN as usize] = 0;
-    settings.control_chars[SpecialCharacterIndices::VTIME as usize] = 0;
-    termios::tcsetattr(&port, SetArg::TCSANOW, &settings)?;
-    Ok(port)
-}
-
-fn speed_of(baud: u32) -> Option<BaudRate> {
-    SPEEDS.iter().find(|(known, _)| *known == baud).map(|(_, speed)| *speed)
-}
-
-/// Speeds of a serial port in baud.
-const SPEEDS: &[(u32, BaudRate)] = &[
-    (9_600, BaudRate::B9600),
-    (19_200, BaudRate::B19200),
-    (38_400, BaudRate::B38400),
-    (57_600, BaudRate::B57600),
-    (115_200, BaudRate::B115200),
-    (230_400, BaudRate::B230400),
-    #[cfg(target_os = "linux")]
-    (460_800, BaudRate::B460800),
-    #[cfg(target_os = "linux")]
-    (500_000, BaudRate::B500000),
-    #[cfg(target_os = "linux")]
-    (576_000, BaudRate::B576000),
-    #[cfg(target_os = "linux")]
-    (921_600, BaudRate::B921600),
-    #[cfg(target_os = "linux")]
-    (1_000_000, BaudRate::B1000000),
-    #[cfg(target_os = "linux")]
-    (1_152_000, BaudRate::B1152000),
-    #[cfg(target_os = "linux")]
-    (1_500_000, BaudRate::B1500000),
-    #[cfg(target_os = "linux")]
-    (2_000_000, BaudRate::B2000000),
-    #[cfg(target_os = "linux")]
-    (2_500_000, BaudRate::B2500000),
-    #[cfg(target_os = "linux")]
-    (3_000_000, BaudRate::B3000000),
-    #[cfg(target_os = "linux")]
-    (3_500_000, BaudRate::B3500000),
-    #[cfg(target_os = "linux")]
-    (4_000_000, BaudRate::B4000000),
-];
-
-trait Stream: Read + Write + Send + AsFd {}
-
-impl<T: Read + Write + Send + AsFd> Stream for T {}
 
 /// An open connection to a device.
 pub struct Port {
@@ -364,7 +301,7 @@ impl Port {
     /// Reads the available bytes, and waits for them until a time at the latest; returns their
     /// number. An interrupt ends the wait.
     fn fill(&mut self, until: Instant) -> Result<usize, DeviceError> {
-        self.wait(PollFlags::POLLIN, until)?;
+        self.wait(Ready::Read, until)?;
         self.write_stop()?;
         self.read()
     }
@@ -406,26 +343,17 @@ impl Port {
                     let problem = format!("does not accept bytes within {} ms", WRITE_LIMIT.as_millis());
                     return Err(DeviceError::new(&self.name, problem));
                 }
-                Err(_) => self.wait(PollFlags::POLLOUT, deadline)?,
+                Err(_) => self.wait(Ready::Write, deadline)?,
             }
         }
         Ok(())
     }
 
     /// Waits until the device is ready, an interrupt arrives or the time has come.
-    fn wait(&self, ready: PollFlags, until: Instant) -> Result<(), DeviceError> {
+    fn wait(&self, ready: Ready, until: Instant) -> Result<(), DeviceError> {
         let left = until.saturating_duration_since(Instant::now());
-        // Rounded up, so that no wait of less than a millisecond is a busy one.
-        let left = PollTimeout::try_from(left + Duration::from_micros(999)).unwrap_or(PollTimeout::MAX);
-        let mut descriptors =
-            [PollFd::new(self.stream.as_fd(), ready), PollFd::new(self.interrupt.as_fd(), PollFlags::POLLIN)];
-        match poll(&mut descriptors, left) {
-            Ok(_) | Err(nix::errno::Errno::EINTR) => {
-                self.interrupt.clear();
-                Ok(())
-            }
-            Err(error) => Err(DeviceError::new(&self.name, error)),
-        }
+        let waited = system::wait(&*self.stream, self.interrupt.wake_up(), ready, left);
+        waited.map_err(|problem| DeviceError::new(&self.name, problem))
     }
 }
 

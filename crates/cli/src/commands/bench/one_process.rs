@@ -4,7 +4,7 @@
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Result, ensure};
 use heliostat_channel::MirrorAngles;
 use heliostat_controller::report::summary::Summary;
 use heliostat_driver::run::Settings;
@@ -12,10 +12,9 @@ use heliostat_driver::stop_record::StopRecordSettings;
 use heliostat_driver::{Device, DeviceError, Kit};
 use heliostat_proto::{AxisLimits, Capabilities, Feedback, MirrorCommand, decode_into};
 use heliostat_service::outln;
-use nix::time::{ClockId, clock_gettime};
 use serde::{Deserialize, Serialize};
 
-use crate::one_process;
+use crate::{one_process, platform};
 use heliostat_array::moment::Moment;
 
 /// Range of the mirrors, in rad; it reaches all of the floor.
@@ -47,8 +46,7 @@ pub struct Outcome {
 /// # Errors
 /// The system has no such clock.
 pub fn monotonic_ns() -> Result<u64> {
-    let time = clock_gettime(ClockId::CLOCK_MONOTONIC).context("there is no monotonic clock")?;
-    Ok(Duration::from(time).as_nanos() as u64)
+    Ok(platform::shared_clock()?.as_nanos() as u64)
 }
 
 /// The instant of a time by [`monotonic_ns`].

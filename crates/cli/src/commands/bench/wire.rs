@@ -22,7 +22,7 @@ use heliostat_scenario::{STUDY_SCENARIO, Scenario, ScenarioArgs};
 use heliostat_service::clock::utc_ns;
 
 use super::board::Board;
-use super::one_process::{Outcome, instant_of};
+use super::one_process::{Outcome, instant_of, monotonic_ns};
 use super::pace::{Block, PaceArgs, Plan, Turn};
 use super::rows::{Row, Table, Varied};
 use super::usage::{Router, Usage};
@@ -89,6 +89,10 @@ pub struct LoopArgs {
 
 /// `loop`: one room at several rates.
 pub fn run_loop(args: &LoopArgs) -> Result<()> {
+    if args.driver {
+        // Fails here rather than in the controller process, at its first command.
+        monotonic_ns()?;
+    }
     let (title, end) = match args.driver {
         false => ("loop over Zenoh; reference: an echo of the same payload sizes", End::Command),
         true => ("from report to device in one process; reference: an echo, there and back", End::Device),

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 
-use crate::programs;
+use crate::{platform, programs};
 
 /// Number of lines of standard error that are kept for an error message.
 const LAST_LINES: usize = 12;
@@ -33,10 +33,7 @@ impl ChildProcess {
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped());
-        // A process group of its own: Ctrl-C reaches this process only, which then ends its
-        // children in order.
-        #[cfg(unix)]
-        std::os::unix::process::CommandExt::process_group(&mut command, 0);
+        platform::own_group(&mut command);
         let mut process = command.spawn().with_context(|| format!("cannot start the {name} process"))?;
         let last_lines = Arc::new(Mutex::new(VecDeque::with_capacity(LAST_LINES)));
         let answer = Arc::new(Mutex::new(None));

@@ -5,6 +5,7 @@ use heliostat_proto::Nanos;
 
 use crate::support::MS;
 
+mod forged;
 mod guests;
 
 const S: Nanos = 1000 * MS;
@@ -333,14 +334,6 @@ fn a_controller_that_starts_without_telemetry_beside_another_takes_over_for_good
 }
 
 #[test]
-fn a_forged_epoch_at_the_start_delays_a_controller_by_one_message() {
-    let mut room = Room::new(&[1]);
-    room.run(10 * MS);
-    room.show(Evidence { epoch: u64::MAX, ..Evidence::default() });
-    assert!(room.until_accepted(0) <= 60 * MS);
-}
-
-#[test]
 fn of_several_controllers_in_standby_one_takes_over() {
     let mut room = Room::new(&[1]);
     for source in [2, 3, 4] {
@@ -358,17 +351,6 @@ fn of_several_controllers_in_standby_one_takes_over() {
 }
 
 #[test]
-fn one_forged_telemetry_message_of_the_highest_epoch_pauses_commands_for_one_message_only() {
-    let mut room = Room::new(&[1]);
-    room.run(S);
-    room.show(Evidence { epoch: u64::MAX, ..room.array.shown });
-    assert_eq!(room.standings(), [Standing::Standby]);
-    let waited = room.until_accepted(0);
-    assert!(waited <= 60 * MS, "{} ms", waited / MS);
-    assert_eq!(room.controllers[0].events, [TenureEvent::Superseded, TenureEvent::Resumed]);
-}
-
-#[test]
 fn standby_ends_when_telemetry_is_absent() {
     let mut room = Room::new(&[1]);
     room.run(S);
@@ -379,45 +361,6 @@ fn standby_ends_when_telemetry_is_absent() {
         permitted.0.map(|epoch| (tick, epoch, permitted.1))
     });
     assert_eq!(permitted, Some((101, epoch, Some(TenureEvent::Resumed))));
-}
-
-#[test]
-fn a_forged_command_of_a_higher_epoch_locks_out_no_controller() {
-    for forged in [NOON_MS + 30_000, NOON_MS + 60_000, u64::MAX] {
-        let mut room = Room::new(&[1]);
-        room.array.lead_max_ms = Some(60_000);
-        room.run(S);
-        room.array.handle(room.now, forged, u64::MAX);
-        room.run(100 * MS);
-        let waited = room.until_accepted(0);
-        assert!(waited <= 1200 * MS, "epoch {forged}: {} ms", waited / MS);
-        room.run(10 * S);
-        assert!(room.controllers[0].accepted > 1000, "{}", room.controllers[0].accepted);
-    }
-}
-
-#[test]
-fn a_forged_command_in_the_own_epoch_is_answered_by_a_new_epoch() {
-    let mut room = Room::new(&[1]);
-    room.run(S);
-    let epoch = room.controllers[0].tenure.epoch();
-    assert!(room.array.handle(room.now, epoch, u64::MAX));
-    let waited = room.until_accepted(0);
-    assert!(waited <= 60 * MS, "{} ms", waited / MS);
-    assert!(room.controllers[0].tenure.epoch() > epoch);
-    assert_eq!(room.controllers[0].events, [TenureEvent::ForeignSequence]);
-}
-
-#[test]
-fn an_epoch_beyond_the_bound_of_the_array_is_given_up() {
-    let mut room = Room::new(&[1]);
-    room.array.lead_max_ms = Some(60_000);
-    // The first telemetry comes after the wait for it.
-    room.telemetry_interval = 300 * MS;
-    room.controllers[0].tenure.handle_announced_epoch(NOON_MS + 1000 * DAY_MS);
-    let waited = room.until_accepted(0);
-    assert!((S..1700 * MS).contains(&waited), "{} ms", waited / MS);
-    assert_eq!(room.controllers[0].events, [TenureEvent::LockedOut]);
 }
 
 #[test]

@@ -89,7 +89,7 @@ impl RoomStatus {
         let has = |role| controllers.iter().any(|one| one.role == role);
         let leads = match controllers.len() {
             0 => Some("no controller: start one, or connect to its endpoint or router too"),
-            _ if has(Role::Leads) => None,
+            _ if controllers.iter().any(|one| one.role.commands()) => None,
             _ if has(Role::Unfollowed) => Some("no controller leads: no telemetry shows which one the array follows"),
             _ => Some("no controller leads: each stands by"),
         };
@@ -150,6 +150,8 @@ impl fmt::Display for RoomStatus {
         let (takeovers, lost) = (sum(|one| one.takeovers), sum(|one| one.false_takeovers));
         let takeovers = (takeovers + lost > 0).then(|| ("takeovers", format!("{takeovers} (false {lost})")));
         let controllers = ("controllers", or_none(controllers.join(", ")));
+        let calibration = self.figures.calibration.as_ref();
+        let calibration = calibration.map(|progress| ("calibration", format!("commands the mirrors: {progress}")));
         let lines = [
             ("policy", or_none(policy.clone())),
             (
@@ -166,7 +168,7 @@ impl fmt::Display for RoomStatus {
             ("sum rate", rate),
             ("decision", format!("p50 {p50}, p99 {p99}")),
         ];
-        for (name, value) in [controllers].into_iter().chain(takeovers).chain(lines) {
+        for (name, value) in [controllers].into_iter().chain(calibration).chain(takeovers).chain(lines) {
             writeln!(formatter, "{name:<12} {value}")?;
         }
         self.problems.iter().try_for_each(|problem| writeln!(formatter, "problem      {problem}"))
@@ -240,6 +242,21 @@ mod tests {
         let line = "reports      none reach this command; the controller decides on them (40 decisions)";
         assert!(status(true).to_string().contains(line), "{}", status(true));
         assert!(status(false).found()[0].starts_with("no position reports: "));
+    }
+
+    #[test]
+    fn a_calibration_that_commands_is_named_with_its_progress() {
+        let one = ControllerFigures { role: Role::Calibrates, name: "940fe16".into(), ..ControllerFigures::default() };
+        let array = ArrayFigures { state: "following".into(), ..ArrayFigures::default() };
+        let calibration = Some("spot 1 of 3, 57 of 100 mirrors located".into());
+        let figures = Figures { controllers: vec![one], array, calibration, ..Figures::default() };
+        let status = RoomStatus { reports_per_s: 20.0, figures, ..RoomStatus::default() };
+        assert_eq!(status.found(), [""; 0]);
+        let lines = "controllers  940fe16 calibrates\n\
+                     calibration  commands the mirrors: spot 1 of 3, 57 of 100 mirrors located\n";
+        assert!(status.to_string().contains(lines), "{status}");
+        let json = serde_json::to_value(&status).expect("numbers, texts and lists");
+        assert_eq!(json["figures"]["controllers"][0]["role"], "calibrates");
     }
 
     #[test]

@@ -169,6 +169,10 @@ fn drive(
                 readings.save(session)?;
             }
         }
+        if room.take_again()? {
+            session.handle_pause();
+            note("a controller had taken the lead: the calibration has taken it again");
+        }
         let now = utc_ns();
         let wake = Duration::from_nanos(session.next_wake(now).saturating_sub(now)).min(LOOK_EVERY);
         let waits = Instant::now();

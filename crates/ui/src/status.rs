@@ -12,7 +12,7 @@ use serde::Serialize;
 
 use crate::controllers::{ControllerFigures, Role};
 use crate::figures::{Figures, NodeFigures, Origin, UserFigures};
-use crate::notes::UNSEEN_REPORTS;
+use crate::notes::{UNSEEN_REPORTS, room_unseen};
 use crate::terminal::texts::{stops, time, without_rates};
 use crate::view::NO_GEOMETRY;
 use crate::{UiError, View};
@@ -73,16 +73,27 @@ impl RoomStatus {
             figures: view.figures(),
             ..Self::default()
         };
-        status.problems = status.found();
+        let is_unseen = view.received().is_room_unseen();
+        status.problems = if is_unseen { status.of_unseen_room() } else { status.found() };
         status.is_healthy = status.problems.is_empty();
         status
     }
 
-    fn found(&self) -> Vec<String> {
-        let Figures { controllers, array, nodes, notes, .. } = &self.figures;
-        // They concern what this viewer shows, not the room.
+    /// The notes about the room, without those about what this viewer shows.
+    fn notes(&self) -> impl Iterator<Item = &String> {
         let is_of_viewer = |note: &&String| [NO_GEOMETRY, UNSEEN_REPORTS].iter().any(|start| note.starts_with(start));
-        let notes = notes.iter().filter(|note| !is_of_viewer(note)).cloned();
+        self.figures.notes.iter().filter(move |note| !is_of_viewer(note))
+    }
+
+    /// What is wrong where no process of the room is seen: one problem, from which each missing process follows.
+    fn of_unseen_room(&self) -> Vec<String> {
+        let unseen = room_unseen();
+        let others: Vec<String> = self.notes().filter(|note| **note != unseen).cloned().collect();
+        [unseen].into_iter().chain(others).collect()
+    }
+
+    fn found(&self) -> Vec<String> {
+        let Figures { controllers, array, nodes, .. } = &self.figures;
         let of_node = |NodeFigures { node, problem, .. }: &NodeFigures| {
             (!problem.is_empty()).then(|| format!("{node}: {problem}"))
         };
@@ -100,6 +111,7 @@ impl RoomStatus {
             .then(|| format!("the array does not follow: {}", array.state));
         let faults = (!array.faults.is_empty()).then(|| format!("faults of the array: {}", array.faults.join(", ")));
         let found = reports.into_iter().chain(leads.map(String::from)).chain(array_state).chain(faults);
+        let notes = self.notes().cloned();
         found.chain(self.stops.iter().cloned()).chain(nodes.iter().filter_map(of_node)).chain(notes).collect()
     }
 
@@ -227,6 +239,15 @@ mod tests {
         let found = RoomStatus { figures, ..RoomStatus::default() }.found();
         assert!(!found.iter().any(|problem| problem.contains("picture")), "{found:?}");
         assert_eq!(found.last().map(String::as_str), Some("two drivers serve one array"));
+    }
+
+    #[test]
+    fn a_room_of_which_nothing_is_seen_has_one_problem_that_names_the_room() {
+        let notes = vec![room_unseen(), format!("{NO_GEOMETRY}: the picture shows another"), "refused".to_owned()];
+        let figures = Figures { notes, ..Figures::default() };
+        let problems = RoomStatus { figures, ..RoomStatus::default() }.of_unseen_room();
+        assert_eq!(problems, [room_unseen(), "refused".to_owned()]);
+        assert!(problems[0].contains("check --room and --connect"), "{problems:?}");
     }
 
     #[test]

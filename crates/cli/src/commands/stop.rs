@@ -119,7 +119,7 @@ fn with_reach(error: UiError) -> anyhow::Error {
              --connect: with the endpoint of its driver, heliostat status shows what an array does"
         ),
         error @ UiError::NoReceiver(_) => {
-            anyhow!("{error}. No stop was sent, and the mirrors go on moving. Check --room and --connect")
+            anyhow!("{error}. No stop was sent, and the mirrors go on moving")
         }
         error => error.into(),
     }

@@ -232,8 +232,7 @@ fn drive(
         if shown.elapsed() >= SHOW_EVERY {
             shown = Instant::now();
             let waits_for = refinement.as_mut().and_then(|refinement| refinement.waits_for(session));
-            let waits =
-                waits_for.map(|cause| format!("waits until the room has been idle for some seconds: {cause}"));
+            let waits = waits_for.map(|cause| format!("waits until the room has been idle for some seconds: {cause}"));
             let silent = (waited >= SILENCE)
                 .then(|| "no channel report for some seconds: is the receiver switched on?".to_owned());
             let present = [show::progress(&session.progress())].into_iter().chain(waits).chain(silent);

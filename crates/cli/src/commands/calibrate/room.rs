@@ -240,13 +240,17 @@ impl LiveRoom {
     /// # Errors
     /// As [`take`](Self::take).
     pub fn take_again(&mut self) -> Result<bool> {
-        let is_stopped = lock(&self.commander).is_stopped();
-        if !self.has_lost_lead() || self.yields || is_stopped || !may_retake(self.takes_over, self.retaken) {
+        let (is_stopped, superseded_by) = {
+            let commander = lock(&self.commander);
+            (commander.is_stopped(), commander.superseded_by())
+        };
+        let is_allowed = self.is_commanding() && !self.yields && !is_stopped;
+        let Some(epoch) = superseded_by.filter(|_| is_allowed && may_retake(self.takes_over, self.retaken)) else {
             return Ok(false);
-        }
+        };
         self.retaken += 1;
         self.release();
-        self.take()?;
+        self.take().with_context(|| lost_lead(epoch, &self.kept, self.takes_over))?;
         Ok(true)
     }
 

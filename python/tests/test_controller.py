@@ -182,7 +182,8 @@ def test_a_run_that_is_not_connected_names_the_fault_of_its_keys(tmp_path: Path)
             of_foreign = Settings(connect=(encrypted,), tls=foreign)
             wait_until("a listener", lambda: connection_problem(of_foreign, "controller") != "")
             assert "does not fit" in connection_problem(of_foreign, "controller")
-            assert "encrypted connections only" in connection_problem(Settings(connect=(plain,)), "controller")
+            unencrypted = connection_problem(Settings(connect=(plain,)), "controller")
+            assert "encrypted connections only: if it is a process of this room, expected tls" in unencrypted
             assert connection_problem(Settings(connect=(encrypted,), tls=keys), "controller") == ""
             nothing = Settings(connect=(free_endpoint("tcp"),))
             assert connection_problem(nothing, "controller") == ""

@@ -264,7 +264,10 @@ fn an_array_whose_board_refuses_the_stop_or_hangs_up_is_named() {
 fn the_stops_of_two_operators_are_listed_and_released_one_by_one() {
     let room = TwoArrays::start("operators");
     for operator in ["ann", "bob"] {
-        assert!(room.order("stop", &["--operator", operator, "--reason", "ladder"]).status.success());
+        let stopped = room.order("stop", &["--operator", operator, "--reason", "ladder"]);
+        assert!(stopped.status.success(), "{}", stopped.errors);
+        let names_it = stopped.output.contains("the stop: ") && stopped.output.contains(&format!("of \"{operator}\""));
+        assert!(names_it, "{}", stopped.output);
     }
     wait_until("both stops", || room.operators(0) == ["ann", "bob"] && room.operators(1) == ["ann", "bob"]);
     let several = room.order("rearm", &[]);

@@ -112,13 +112,16 @@ pub(crate) fn first_problem(identity: &Identity, endpoints: &[String]) -> Option
 
 /// The first of these endpoints of a process without keys at which another process encrypts.
 pub(crate) fn first_encrypted(endpoints: &[String]) -> Option<String> {
-    endpoints.iter().find(|endpoint| encrypts(endpoint).unwrap_or(false)).map(|endpoint| {
-        let address = endpoint.split_once('/').map_or("", |(_, address)| address);
-        format!(
-            "{endpoint}: the process there accepts encrypted connections only: give --tls DIR, the folder of its room's \
-             keys, and --connect tls/{address}"
-        )
-    })
+    endpoints.iter().find(|endpoint| encrypts(endpoint).unwrap_or(false)).map(|endpoint| encrypted(endpoint))
+}
+
+/// What an answer with a certificate shows: it may be of any server, not only of a process with keys.
+fn encrypted(endpoint: &str) -> String {
+    let address = endpoint.split_once('/').map_or("", |(_, address)| address);
+    format!(
+        "{endpoint}: the process there accepts encrypted connections only: if it is a process of this room, give --tls \
+         DIR, the folder of its room's keys, and --connect tls/{address}; otherwise check --connect"
+    )
 }
 
 /// Whether a process answers an encrypted connection at an endpoint without encryption; `None` where
@@ -196,8 +199,8 @@ fn fault(identity: &Identity, host: &str, certificate: &Certificate) -> Option<S
     let folder = identity.folder().display();
     if !identity.signs(certificate) {
         return Some(format!(
-            "another authority than {folder}/ca.pem signed the certificate of {host} ({}): give both processes keys of one \
-             `heliostat keys init`",
+            "another authority than {folder}/ca.pem signed the certificate of {host} ({}): if it is a process of this room, \
+             give both processes keys of one `heliostat keys init`; otherwise check --connect",
             certificate.common_name
         ));
     }
@@ -290,5 +293,18 @@ impl ServerCertVerifier for Seen {
 
     fn supported_verify_schemes(&self) -> Vec<SignatureScheme> {
         self.provider.signature_verification_algorithms.supported_schemes()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_server_that_encrypts_is_not_taken_for_a_process_of_the_room() {
+        let problem = encrypted("tcp/10.0.0.7:443");
+        let expected = "if it is a process of this room, give --tls DIR, the folder of its room's keys, and \
+                        --connect tls/10.0.0.7:443; otherwise check --connect";
+        assert!(problem.ends_with(expected), "{problem}");
     }
 }

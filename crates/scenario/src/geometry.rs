@@ -13,6 +13,16 @@ use crate::tables::{Blockage, Channel, Led, Link, Noise, Receiver, Room, Users};
 /// The tables of a geometry, in the order in which a difference is reported.
 const TABLES: [&str; 8] = ["room", "led", "mirrors", "receiver", "channel", "noise", "link", "blockage"];
 
+/// Table and key of the values that a calibration of a room measures.
+const MEASURED: [(&str, &str); 6] = [
+    ("room", "height_m"),
+    ("led", "positions_m"),
+    ("led", "half_power_semi_angle_deg"),
+    ("mirrors", "centre_height_m"),
+    ("mirrors", "reflectivity"),
+    ("receiver", "area_mm2"),
+];
+
 /// The keys of a scenario that a geometry holds.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -47,6 +57,22 @@ pub struct GeometryDifference {
     pub here: String,
     /// Its value in the other one.
     pub there: String,
+}
+
+impl GeometryDifference {
+    /// What to do where room and controller differ so. A calibrated room may: its controller has the measured
+    /// values, and a simulator announces the described ones.
+    pub fn advice(&self) -> &'static str {
+        let is_of = |(table, name): &(&str, &str)| {
+            self.key.split('.').next() == Some(*table) && self.key.rsplit('.').next() == Some(*name)
+        };
+        if MEASURED.iter().any(is_of) {
+            "no fault where the controller has the room that heliostat calibrate measured, and a simulator the described \
+             one; otherwise start both with the same --scenario and --set"
+        } else {
+            "start both with the same --scenario and --set"
+        }
+    }
 }
 
 impl Scenario {

@@ -94,3 +94,17 @@ fn the_first_differing_key_of_two_geometries_is_named_with_both_values() {
         difference("noise.variance_a2", "none", "6.5e-15")
     );
 }
+
+#[test]
+fn a_difference_in_what_a_calibration_measures_may_be_no_fault() {
+    let advice = |key: &str| GeometryDifference { key: key.into(), here: "1".into(), there: "2".into() }.advice();
+    let general = "start both with the same --scenario and --set";
+    for measured in ["room.height_m", "led.positions_m", "mirrors.1.reflectivity", "mirrors.centre_height_m"] {
+        let text = advice(measured);
+        assert!(text.starts_with("no fault where the controller has the room that heliostat calibrate"), "{text}");
+        assert!(text.ends_with(general), "{text}");
+    }
+    for other in ["mirrors.rows", "room.length_x_m", "mirrors.height_m", "number of mirror arrays"] {
+        assert_eq!(advice(other), general, "{other}");
+    }
+}

@@ -127,14 +127,14 @@ function quantiles(times) {
 // Which controller leads, which stand by, and the takeovers of those in the room; nothing where one controller is alone.
 function standby(controllers) {
   const short = ({ name }) => name.slice(0, 4);
-  const WORDS = { leads: "leads", unfollowed: "is not followed", "stands-by": "stands by" };
-  const leaders = controllers.filter((one) => one.role === "leads");
+  const WORDS = { leads: "leads", calibrates: "calibrates", unfollowed: "is not followed", "stands-by": "stands by" };
+  const leaders = controllers.filter((one) => one.role === "leads" || one.role === "calibrates");
   const sum = (key) => controllers.reduce((total, one) => total + one[key], 0);
   const text = controllers.map((one) => `${short(one)} ${WORDS[one.role]}`).join(", ");
   const lost = sum("false_takeovers");
   if (controllers.length < 2 && sum("takeovers") + lost === 0) return [];
   return [
-    ["controllers", text || "none", leaders.length === 1 ? "wide" : "wide bad", "The controllers in the room, by the beginning of their source id: one leads, the others stand by. One is not followed where it does not stand by and the array follows another one or reports none.", "controller"],
+    ["controllers", text || "none", leaders.length === 1 ? "wide" : "wide bad", "The controllers in the room, by the beginning of their source id: one leads, or a calibration commands in its place; the others stand by. One is not followed where it does not stand by and the array follows another one or reports none.", "controller"],
     ["takeovers", String(sum("takeovers")), "", "How often the controllers in the room took over since their start.", "controller"],
     ["false takeovers", String(lost), lost > 0 ? "bad" : "", "Takeovers after which the former leader still commanded: a slow controller, or a link that loses its commands.", "controller"],
   ];

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Instant;
 
+use heliostat_proto::gauges::CalibrationProgress;
 use heliostat_proto::{NodeKind, NodeStatus};
 use serde::Serialize;
 
@@ -24,6 +25,8 @@ pub enum Role {
     /// The array follows its commands, or no other controller commands.
     #[default]
     Leads,
+    /// A calibration: it commands in place of a controller.
+    Calibrates,
     /// It does not stand by beside others, and no telemetry shows that the array follows it.
     Unfollowed,
     /// It withholds its commands: the array follows another one.
@@ -31,10 +34,16 @@ pub enum Role {
 }
 
 impl Role {
+    /// Whether it commands, as far as is known: a controller that leads, or a calibration.
+    pub fn commands(self) -> bool {
+        matches!(self, Self::Leads | Self::Calibrates)
+    }
+
     /// The role in words, after the name of a controller.
     pub fn in_words(self) -> &'static str {
         match self {
             Self::Leads => "leads",
+            Self::Calibrates => "calibrates",
             Self::Unfollowed => "is not followed",
             Self::StandsBy => "stands by",
         }
@@ -86,9 +95,14 @@ impl Controllers {
         let source = status.stamp.source;
         let decisions = counter(status, DECISIONS);
         let is_deciding = self.0.get(&source).is_some_and(|(_, before)| decisions > before.decisions);
+        let role = match (is_standby(status), CalibrationProgress::of(status)) {
+            (true, _) => Role::StandsBy,
+            (false, Some(_)) => Role::Calibrates,
+            (false, None) => Role::Leads,
+        };
         let figures = ControllerFigures {
             name: controller_name(source),
-            role: if is_standby(status) { Role::StandsBy } else { Role::Leads },
+            role,
             epoch: counter(status, EPOCH),
             takeovers: counter(status, TAKEOVERS),
             false_takeovers: counter(status, FALSE_TAKEOVERS),
@@ -112,9 +126,9 @@ impl Controllers {
         let mut figures: Vec<_> = present.map(|(_, (_, figures))| figures.clone()).collect();
         // During a stop, a controller that starts again finds no array that follows another one: it does not
         // stand by, although its epoch is not the followed one.
-        if figures.iter().filter(|one| one.role == Role::Leads).count() > 1 {
+        if figures.iter().filter(|one| one.role.commands()).count() > 1 {
             let is_followed = |one: &ControllerFigures| one.epoch > 0 && Some(one.epoch) == followed_epoch;
-            for one in figures.iter_mut().filter(|one| one.role == Role::Leads && !is_followed(one)) {
+            for one in figures.iter_mut().filter(|one| one.role.commands() && !is_followed(one)) {
                 one.role = Role::Unfollowed;
             }
         }
@@ -165,6 +179,21 @@ mod tests {
         assert_eq!(roles(&[1, 2], Some(500)), [of("2", Role::Leads), of("1", Role::Unfollowed)]);
         assert_eq!(roles(&[1, 2], None), [of("1", Role::Unfollowed), of("2", Role::Unfollowed)]);
         assert_eq!(roles(&[1], Some(500)), [of("1", Role::Leads)], "no other one commands");
+    }
+
+    #[test]
+    fn a_calibration_has_a_role_of_its_own_beside_the_controller_that_stands_by() {
+        let (mut controllers, name) = (Controllers::default(), NodeKind::Controller.name());
+        controllers.take(&status(1, &[(STANDBY, 1), (EPOCH, 400)]));
+        let gauges = CalibrationProgress::default().gauges().map(|(name, value)| (name.to_owned(), value)).to_vec();
+        controllers.take(&NodeStatus { gauges, ..status(2, &[(EPOCH, 500)]) });
+        let roles = |controllers: &Controllers, followed_epoch| -> Vec<Role> {
+            let present = controllers.present(&[(name, 1), (name, 2)].into(), followed_epoch);
+            present.into_iter().map(|one| one.role).collect()
+        };
+        assert_eq!(roles(&controllers, Some(500)), [Role::Calibrates, Role::StandsBy]);
+        controllers.take(&status(1, &[(EPOCH, 600)]));
+        assert_eq!(roles(&controllers, Some(600)), [Role::Leads, Role::Unfollowed], "its lead is taken");
     }
 
     #[test]

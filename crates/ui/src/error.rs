@@ -9,6 +9,9 @@ use heliostat_channel::ChannelError;
 use heliostat_proto::CodecError;
 use thiserror::Error;
 
+/// What to do where nothing of a room is seen, although there is a connection.
+pub(crate) const CHECK_REACH: &str = "check --room and --connect";
+
 /// An error of the view, of the page, or of an order.
 #[derive(Debug, Error)]
 pub enum UiError {
@@ -59,8 +62,8 @@ pub enum UiError {
     NoProcessControl(&'static str),
     /// An order that was published without a subscriber.
     #[error(
-        "no {0} received the order: expected one that is connected to this process; start one, \
-         or add its endpoint with --connect"
+        "no {0} received the order: expected one that is connected to this process; {reach}, or start one",
+        reach = CHECK_REACH
     )]
     NoReceiver(&'static str),
     /// A re-arm of an array that reports no stop.
@@ -69,7 +72,7 @@ pub enum UiError {
     /// A stop that not every array has confirmed.
     #[error(
         "the stop is not confirmed after {waited:?}: {}",
-        if arrays.is_empty() { "no array reports: check --room and --connect, and cut the power of the mirrors".into() } else { arrays.join("; ") }
+        if arrays.is_empty() { format!("no array reports: {CHECK_REACH}, and cut the power of the mirrors") } else { arrays.join("; ") }
     )]
     StopUnconfirmed {
         /// How long it waited.
@@ -86,7 +89,7 @@ pub enum UiError {
     /// A re-arm that not every array has confirmed.
     #[error(
         "the re-arm is not confirmed after {waited:?}: {}",
-        if arrays.is_empty() { "no array reports: check --room and --connect".into() } else { arrays.join("; ") }
+        if arrays.is_empty() { format!("no array reports: {CHECK_REACH}") } else { arrays.join("; ") }
     )]
     RearmUnconfirmed {
         /// How long it waited.
@@ -94,4 +97,15 @@ pub enum UiError {
         /// What is open, array by array.
         arrays: Vec<String>,
     },
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_order_that_nothing_receives_advises_to_check_the_room_before_a_start() {
+        let text = UiError::NoReceiver("array").to_string();
+        assert!(text.ends_with("check --room and --connect, or start one"), "{text}");
+    }
 }

@@ -68,6 +68,9 @@ impl EventLog {
         }
         let controller = if figures.controller_alive { "alive" } else { "gone" };
         self.change(at_ms, "controller", controller, !figures.controller_alive);
+        // Its progress is no event.
+        let calibration = if figures.calibration.is_some() { "commands the mirrors" } else { "" };
+        self.change(at_ms, "calibration", calibration, false);
         if !figures.policy.is_empty() {
             self.change(at_ms, "policy", &figures.policy, false);
         }
@@ -200,6 +203,19 @@ mod tests {
                 (4, "problem of controller: over", false),
             ]
         );
+    }
+
+    #[test]
+    fn a_calibration_is_one_event_at_its_begin_and_one_at_its_end() {
+        let (mut log, no_stop) = (EventLog::default(), StopFigures::default());
+        log.note_at(1, &figures("following", ""), &[], &no_stop);
+        let first = texts(&log).len();
+        for (time, progress) in [(2, Some("spot 1 of 3")), (3, Some("spot 2 of 3")), (4, None), (5, None)] {
+            let calibration = progress.map(str::to_owned);
+            log.note_at(time, &Figures { calibration, ..figures("following", "") }, &[], &no_stop);
+        }
+        let expected = [(2, "calibration: commands the mirrors", false), (4, "calibration: over", false)];
+        assert_eq!(texts(&log)[first..], expected);
     }
 
     #[test]

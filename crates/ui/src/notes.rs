@@ -7,6 +7,7 @@ use heliostat_proto::gauges::ServedLight;
 use heliostat_proto::{NodeKind, NodeStatus};
 use heliostat_service::printable::printable;
 
+use crate::error::CHECK_REACH;
 use crate::view::{Dated, EXPIRY, Received};
 
 impl Received {
@@ -14,12 +15,8 @@ impl Received {
     /// the viewer: a process that has not answered yet is missing only some seconds later.
     pub(crate) fn notes(&self, arrays: usize, opened: Instant) -> Vec<String> {
         let is_settled = opened.elapsed() > EXPIRY;
-        let others = self.alive.iter().filter(|(node, _)| *node != NodeKind::Viewer.name());
-        if is_settled && others.count() == 0 && self.arrays.at().is_none() && self.users.is_none() {
-            return vec![
-                "no process of this room answers: start a driver or a simulator, and a controller, or check --connect and --room"
-                    .into(),
-            ];
+        if is_settled && self.is_room_unseen() {
+            return vec![room_unseen()];
         }
         let mut notes: Vec<String> = self.arrays.shared().into_iter().map(two_drivers).collect();
         if is_settled && !self.is_controller_alive() {
@@ -43,6 +40,12 @@ impl Received {
         notes
     }
 
+    /// Whether no process of the room was seen but viewers.
+    pub(crate) fn is_room_unseen(&self) -> bool {
+        let others = self.alive.iter().filter(|(node, _)| *node != NodeKind::Viewer.name());
+        others.count() == 0 && self.arrays.at().is_none() && self.users.is_none()
+    }
+
     /// Whether a controller is in the room.
     pub(crate) fn is_controller_alive(&self) -> bool {
         self.alive.iter().any(|(node, _)| *node == NodeKind::Controller.name())
@@ -51,6 +54,11 @@ impl Received {
 
 fn arrival<T>(message: &Dated<T>) -> Option<Instant> {
     message.as_ref().map(|(at, _)| *at)
+}
+
+/// The note of a room of which nothing is seen.
+pub(crate) fn room_unseen() -> String {
+    format!("no process of this room answers: {CHECK_REACH}, or start a driver or a simulator, and a controller")
 }
 
 /// Beginning of the note about position reports that reach the controller, and not this process.
@@ -134,9 +142,13 @@ mod tests {
         let mut received = Received::default();
         assert_eq!(received.notes(1, ago(0)), Vec::<String>::new(), "processes may answer yet");
         let empty = received.notes(1, ago(60));
-        assert!(empty.len() == 1 && empty[0].starts_with("no process of this room answers"), "{empty:?}");
+        assert!(received.is_room_unseen());
+        assert_eq!(empty, [room_unseen()]);
+        received.alive.insert((NodeKind::Viewer.name(), 3));
+        assert!(received.is_room_unseen(), "a viewer is no process of the room");
         received.alive.insert((NodeKind::Driver.name(), 4));
         let missing = received.notes(1, ago(60));
+        assert!(!received.is_room_unseen());
         assert!(missing[0].starts_with("no controller commands the mirrors: start one"), "{missing:?}");
         assert!(missing[1].starts_with("no process reports the positions of users: start"), "{missing:?}");
         received.alive.insert((NodeKind::Controller.name(), 5));

@@ -119,13 +119,14 @@ impl RoomChooser {
         if let (Some(room), Some(controller)) = (&sim_node, &controller)
             && !is_sim_node_old
             && !is_controller_old
-            && let Some(GeometryDifference { key, here, there }) =
-                room.scenario.geometry_difference(&controller.scenario)
+            && let Some(difference) = room.scenario.geometry_difference(&controller.scenario)
         {
+            let GeometryDifference { key, here, there } = &difference;
             notes.push(format!(
-                "room and controller differ: {key} is {} in the room and {} in the controller",
-                shown(&here),
-                shown(&there)
+                "room and controller differ: {key} is {} in the room and {} in the controller; {}",
+                shown(here),
+                shown(there),
+                difference.advice()
             ));
         }
         let is_announced_old = if sim_node.is_some() { *is_sim_node_old } else { *is_controller_old };
@@ -204,7 +205,8 @@ mod tests {
         assert_eq!(notes(None, text(&[]), text(&["users.count=2"])), "");
         assert_eq!(
             notes(None, text(&[]), text(&["mirrors.rows=8"])),
-            "room and controller differ: mirrors.rows is 10 in the room and 8 in the controller"
+            "room and controller differ: mirrors.rows is 10 in the room and 8 in the controller; start both \
+             with the same --scenario and --set"
         );
         assert_eq!(
             notes(Some(&with(&["room.height_m=4"])), text(&[]), None),

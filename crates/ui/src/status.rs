@@ -12,7 +12,7 @@ use serde::Serialize;
 
 use crate::controllers::{ControllerFigures, Role};
 use crate::figures::{Figures, NodeFigures, Origin, UserFigures};
-use crate::notes::UNSEEN_REPORTS;
+use crate::notes::{UNSEEN_REPORTS, room_unseen};
 use crate::terminal::texts::{stops, time, without_rates};
 use crate::view::NO_GEOMETRY;
 use crate::{UiError, View};
@@ -73,23 +73,34 @@ impl RoomStatus {
             figures: view.figures(),
             ..Self::default()
         };
-        status.problems = status.found();
+        let is_unseen = view.received().is_room_unseen();
+        status.problems = if is_unseen { status.of_unseen_room() } else { status.found() };
         status.is_healthy = status.problems.is_empty();
         status
     }
 
-    fn found(&self) -> Vec<String> {
-        let Figures { controllers, array, nodes, notes, .. } = &self.figures;
-        // They concern what this viewer shows, not the room.
+    /// The notes about the room, without those about what this viewer shows.
+    fn notes(&self) -> impl Iterator<Item = &String> {
         let is_of_viewer = |note: &&String| [NO_GEOMETRY, UNSEEN_REPORTS].iter().any(|start| note.starts_with(start));
-        let notes = notes.iter().filter(|note| !is_of_viewer(note)).cloned();
+        self.figures.notes.iter().filter(move |note| !is_of_viewer(note))
+    }
+
+    /// What is wrong where no process of the room is seen: one problem, from which each missing process follows.
+    fn of_unseen_room(&self) -> Vec<String> {
+        let unseen = room_unseen();
+        let others: Vec<String> = self.notes().filter(|note| **note != unseen).cloned().collect();
+        [unseen].into_iter().chain(others).collect()
+    }
+
+    fn found(&self) -> Vec<String> {
+        let Figures { controllers, array, nodes, .. } = &self.figures;
         let of_node = |NodeFigures { node, problem, .. }: &NodeFigures| {
             (!problem.is_empty()).then(|| format!("{node}: {problem}"))
         };
         let has = |role| controllers.iter().any(|one| one.role == role);
         let leads = match controllers.len() {
             0 => Some("no controller: start one, or connect to its endpoint or router too"),
-            _ if has(Role::Leads) => None,
+            _ if controllers.iter().any(|one| one.role.commands()) => None,
             _ if has(Role::Unfollowed) => Some("no controller leads: no telemetry shows which one the array follows"),
             _ => Some("no controller leads: each stands by"),
         };
@@ -100,6 +111,7 @@ impl RoomStatus {
             .then(|| format!("the array does not follow: {}", array.state));
         let faults = (!array.faults.is_empty()).then(|| format!("faults of the array: {}", array.faults.join(", ")));
         let found = reports.into_iter().chain(leads.map(String::from)).chain(array_state).chain(faults);
+        let notes = self.notes().cloned();
         found.chain(self.stops.iter().cloned()).chain(nodes.iter().filter_map(of_node)).chain(notes).collect()
     }
 
@@ -150,6 +162,8 @@ impl fmt::Display for RoomStatus {
         let (takeovers, lost) = (sum(|one| one.takeovers), sum(|one| one.false_takeovers));
         let takeovers = (takeovers + lost > 0).then(|| ("takeovers", format!("{takeovers} (false {lost})")));
         let controllers = ("controllers", or_none(controllers.join(", ")));
+        let calibration = self.figures.calibration.as_ref();
+        let calibration = calibration.map(|progress| ("calibration", format!("commands the mirrors: {progress}")));
         let lines = [
             ("policy", or_none(policy.clone())),
             (
@@ -166,7 +180,7 @@ impl fmt::Display for RoomStatus {
             ("sum rate", rate),
             ("decision", format!("p50 {p50}, p99 {p99}")),
         ];
-        for (name, value) in [controllers].into_iter().chain(takeovers).chain(lines) {
+        for (name, value) in [controllers].into_iter().chain(calibration).chain(takeovers).chain(lines) {
             writeln!(formatter, "{name:<12} {value}")?;
         }
         self.problems.iter().try_for_each(|problem| writeln!(formatter, "problem      {problem}"))
@@ -228,6 +242,15 @@ mod tests {
     }
 
     #[test]
+    fn a_room_of_which_nothing_is_seen_has_one_problem_that_names_the_room() {
+        let notes = vec![room_unseen(), format!("{NO_GEOMETRY}: the picture shows another"), "refused".to_owned()];
+        let figures = Figures { notes, ..Figures::default() };
+        let problems = RoomStatus { figures, ..RoomStatus::default() }.of_unseen_room();
+        assert_eq!(problems, [room_unseen(), "refused".to_owned()]);
+        assert!(problems[0].contains("check --room and --connect"), "{problems:?}");
+    }
+
+    #[test]
     fn reports_that_reach_the_controller_alone_are_no_problem() {
         let status = |is_deciding| {
             let leader = ControllerFigures { decisions: 40, is_deciding, ..ControllerFigures::default() };
@@ -240,6 +263,21 @@ mod tests {
         let line = "reports      none reach this command; the controller decides on them (40 decisions)";
         assert!(status(true).to_string().contains(line), "{}", status(true));
         assert!(status(false).found()[0].starts_with("no position reports: "));
+    }
+
+    #[test]
+    fn a_calibration_that_commands_is_named_with_its_progress() {
+        let one = ControllerFigures { role: Role::Calibrates, name: "940fe16".into(), ..ControllerFigures::default() };
+        let array = ArrayFigures { state: "following".into(), ..ArrayFigures::default() };
+        let calibration = Some("spot 1 of 3, 57 of 100 mirrors located".into());
+        let figures = Figures { controllers: vec![one], array, calibration, ..Figures::default() };
+        let status = RoomStatus { reports_per_s: 20.0, figures, ..RoomStatus::default() };
+        assert_eq!(status.found(), [""; 0]);
+        let lines = "controllers  940fe16 calibrates\n\
+                     calibration  commands the mirrors: spot 1 of 3, 57 of 100 mirrors located\n";
+        assert!(status.to_string().contains(lines), "{status}");
+        let json = serde_json::to_value(&status).expect("numbers, texts and lists");
+        assert_eq!(json["figures"]["controllers"][0]["role"], "calibrates");
     }
 
     #[test]

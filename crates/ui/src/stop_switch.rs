@@ -103,6 +103,11 @@ impl StopSwitch {
     pub fn stops(&self, limit: Duration) -> Vec<RoomStop> {
         self.seen.wait(limit, |seen, _| seen.has_array());
         self.seen.wait(ANNOUNCED_WITHIN, |seen, _| seen.is_complete());
+        self.known_stops()
+    }
+
+    /// The stops that are held or in force, as far as it is known now.
+    pub fn known_stops(&self) -> Vec<RoomStop> {
         self.seen.lock().stops()
     }
 

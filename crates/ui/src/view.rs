@@ -17,7 +17,7 @@ use heliostat_scenario::{Scenario, USERS_MAX};
 
 use crate::UiError;
 use crate::array_reports::ArrayReports;
-use crate::controllers::{ControllerFigures, Controllers, Role, controller_name};
+use crate::controllers::{ControllerFigures, Controllers, controller_name};
 use crate::latency::Window;
 use crate::problems::Problems;
 use crate::shown_room::{Announcements, GeometrySource, RoomChooser, ShownRoom};
@@ -191,7 +191,7 @@ impl Received {
     /// Whether a status is that of the controller that leads; of several that may lead, none.
     fn leads(&self, status: &NodeStatus) -> bool {
         let name = controller_name(status.stamp.source);
-        let is_leader = |one: &ControllerFigures| one.role == Role::Leads && one.name == name;
+        let is_leader = |one: &ControllerFigures| one.role.commands() && one.name == name;
         status.node == NodeKind::Controller && self.present_controllers().iter().any(is_leader)
     }
 

@@ -342,8 +342,8 @@ def _endpoint_problem(endpoint: str, settings: Settings, role: str) -> str:
     if protocol == "tls":
         return ""
     return (
-        f"{endpoint}: the process there accepts encrypted connections only: expected tls, the folder of the keys of its "
-        f"room, and the endpoint tls/{address}"
+        f"{endpoint}: the process there accepts encrypted connections only: if it is a process of this room, expected "
+        f"tls, the folder of the keys of its room, and the endpoint tls/{address}"
     )
 
 

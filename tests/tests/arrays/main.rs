@@ -44,7 +44,9 @@ fn each_array_follows_its_own_commands_and_one_stop_stops_both() {
 
     let order =
         |order: &str| Process::heliostat(&[order, "--room", "stopped", "--connect", &of_sim, "--json"]).wait().json();
-    assert_eq!(order("stop")["array"], "stopped");
+    let stopped = order("stop");
+    assert_eq!(stopped["array"], "stopped");
+    assert_eq!(stopped["stops"][0]["reason"], "command line", "{stopped}");
     wait_until("two arrays that are stopped", || observer.states() == [ArrayState::Stopped; 2]);
     assert_eq!(order("rearm")["array"], "released");
     wait_until("two arrays that follow again", || observer.states() == [ArrayState::Following; 2]);

@@ -53,9 +53,10 @@ impl GeometryComparison {
 fn describe(difference: &GeometryDifference) -> String {
     let GeometryDifference { key, here, there } = difference;
     format!(
-        "room and controller differ: {key} is {} in the room and {} in this controller; start both with the same --scenario and --set",
+        "room and controller differ: {key} is {} in the room and {} in this controller; {}",
         shown(there),
-        shown(here)
+        shown(here),
+        difference.advice()
     )
 }
 

@@ -156,11 +156,12 @@ fn drive(
     // Time that was waited since the last channel report; an estimate takes time too.
     let mut waited = Duration::ZERO;
     let (mut stage, mut complete) = (None, session.log().complete);
+    let mut lines = show::Changing::default();
     while session.stage() != Stage::Ended {
         if stop.is_requested() || args.end.seconds.is_some_and(|limit| begun.elapsed() >= limit) {
             return Ok(());
         }
-        if stage != Some(session.stage()) {
+        if stage != Some(session.stage()) && show::is_stage_said(session.stage(), room.is_commanding()) {
             stage = Some(session.stage());
             show::stage(session);
             let progress = session.log().complete;
@@ -168,6 +169,10 @@ fn drive(
                 complete = progress;
                 readings.save(session)?;
             }
+        }
+        if room.take_again()? {
+            session.handle_pause();
+            note("a controller had taken the lead: the calibration has taken it again");
         }
         let now = utc_ns();
         let wake = Duration::from_nanos(session.next_wake(now).saturating_sub(now)).min(LOOK_EVERY);
@@ -226,13 +231,12 @@ fn drive(
         }
         if shown.elapsed() >= SHOW_EVERY {
             shown = Instant::now();
-            show::progress(session);
-            if let Some(cause) = refinement.as_mut().and_then(|refinement| refinement.waits_for(session)) {
-                note(format_args!("waits until the room has been idle for some seconds: {cause}"));
-            }
-            if waited >= SILENCE {
-                note("no channel report for some seconds: is the receiver switched on?");
-            }
+            let waits_for = refinement.as_mut().and_then(|refinement| refinement.waits_for(session));
+            let waits = waits_for.map(|cause| format!("waits until the room has been idle for some seconds: {cause}"));
+            let silent = (waited >= SILENCE)
+                .then(|| "no channel report for some seconds: is the receiver switched on?".to_owned());
+            let present = [show::progress(&session.progress())].into_iter().chain(waits).chain(silent);
+            lines.changed(present.collect()).iter().for_each(note);
         }
     }
     Ok(())

@@ -26,6 +26,8 @@ const HOLD_INTERVAL: Duration = Duration::from_millis(50);
 /// the room has: connect to its controller or router, or give --arrays. The status is 1 too for a driver that does not report whether
 /// its device executed the stop.
 ///
+/// The result names every stop in force; `heliostat rearm --stop` takes such a name.
+///
 /// The stop stays in force, also over a restart of the driver, until an operator releases it with
 /// `heliostat rearm`. Connect to the process that drives the mirrors, to one that is connected to it, or to their router.
 #[derive(Debug, clap::Args)]
@@ -52,7 +54,7 @@ pub struct StopArgs {
 pub struct RearmArgs {
     #[command(flatten)]
     order: OrderArgs,
-    /// Name of the stop, as the list of several stops prints it
+    /// Name of the stop, as `heliostat stop` and `heliostat status` print it
     #[arg(long, value_name = "SOURCE/SEQUENCE", conflicts_with = "all")]
     stop: Option<StopLabel>,
     /// Release every stop that is in force, each by its name
@@ -88,12 +90,12 @@ pub fn stop(args: StopArgs) -> Result<()> {
     }
     let stopped = switch.stop_and_confirm(reason, *timeout).map_err(with_reach);
     if !args.hold {
-        args.order.report(&bus, "stopped", stopped?, &[])?;
+        args.order.report(&bus, "stopped", stopped?, &switch.known_stops())?;
         drop(switch);
         return Ok(bus.close()?);
     }
     match &stopped {
-        Ok(took) => args.order.report(&bus, "stopped", *took, &[])?,
+        Ok(took) => args.order.report(&bus, "stopped", *took, &switch.known_stops())?,
         Err(error) => output::note(format_args!("heliostat stop: {error}; the stop is held: end with Ctrl-C")),
     }
     let end = args.end.stop()?;
@@ -117,7 +119,7 @@ fn with_reach(error: UiError) -> anyhow::Error {
              --connect: with the endpoint of its driver, heliostat status shows what an array does"
         ),
         error @ UiError::NoReceiver(_) => {
-            anyhow!("{error}. No stop was sent, and the mirrors go on moving. Check --room and --connect")
+            anyhow!("{error}. No stop was sent, and the mirrors go on moving")
         }
         error => error.into(),
     }

@@ -15,14 +15,14 @@ const LOOK_EVERY: Duration = Duration::from_secs(1);
 
 /// What an interrupted calibration keeps, and how it goes on.
 pub fn advice(readings: Option<&Path>) -> String {
+    format!("interrupted: no result is written; {}", kept(readings))
+}
+
+/// What is kept of a calibration without a result, and how it goes on.
+pub fn kept(readings: Option<&Path>) -> String {
     match readings {
-        Some(file) => format!(
-            "interrupted: nothing is written; {} keeps the readings, and the same command continues from them",
-            file.display()
-        ),
-        None => "interrupted: nothing is written, and no readings are kept; with --readings FILE the same command \
-                 could continue"
-            .into(),
+        Some(file) => format!("{} keeps the readings, and the same command continues from them", file.display()),
+        None => "no readings are kept; with --readings FILE the same command could continue".into(),
     }
 }
 

@@ -20,6 +20,7 @@ use heliostat_service::source_id;
 
 use super::args::Args;
 use super::commander::Commander;
+use super::interruption;
 
 /// Longest wait for capabilities, telemetry and the lead.
 const WAIT: Duration = Duration::from_secs(5);
@@ -42,6 +43,10 @@ const TELEMETRY_GAP_MAX: Duration = Duration::from_secs(2);
 /// Time after its last status for which another calibration counts as running.
 const OTHER_GAP_MAX: Duration = Duration::from_secs(2);
 
+/// How often a calibration with `--take-over` takes the lead again from a controller that took it: a busy machine
+/// delays its commands, and the controller then takes it for one that has left.
+const RETAKES_MAX: u32 = 3;
+
 /// Time for which an array keeps a command while its successor takes the lead.
 const RELEASE: Duration = Duration::from_millis(500);
 
@@ -63,6 +68,10 @@ pub struct LiveRoom {
     interval_ns: Nanos,
     /// Whether it takes the lead from another controller.
     takes_over: bool,
+    /// How often it has taken the lead again.
+    retaken: u32,
+    /// What is kept of the readings if another controller ends this session.
+    kept: String,
     /// The epoch of the array at the start.
     announced: u64,
     parked: MirrorAngles,
@@ -178,6 +187,8 @@ impl LiveRoom {
             source,
             interval_ns,
             takes_over: args.take_over || yields,
+            retaken: 0,
+            kept: interruption::kept(args.readings.as_deref()),
             announced,
             parked,
             yields,
@@ -203,7 +214,8 @@ impl LiveRoom {
     pub fn take(&mut self) -> Result<()> {
         let mut tenure = Tenure::live(self.source, self.interval_ns);
         let followed = lock(&self.telemetry).as_ref().map_or(0, |shown| shown.epoch);
-        tenure.handle_announced_epoch(followed.max(self.announced));
+        let superseded_by = lock(&self.commander).superseded_by().unwrap_or_default();
+        tenure.handle_announced_epoch(followed.max(superseded_by).max(self.announced));
         lock(&self.commander).begin(tenure, self.parked.clone(), self.takes_over);
         self.lead()
     }
@@ -221,6 +233,25 @@ impl LiveRoom {
     /// Whether another controller took the lead from this process while it commanded.
     pub fn has_lost_lead(&self) -> bool {
         self.is_commanding() && lock(&self.commander).superseded_by().is_some()
+    }
+
+    /// Takes the lead again from a controller that took it, where `--take-over` allows it; whether it did.
+    ///
+    /// # Errors
+    /// As [`take`](Self::take).
+    pub fn take_again(&mut self) -> Result<bool> {
+        let (is_stopped, superseded_by) = {
+            let commander = lock(&self.commander);
+            (commander.is_stopped(), commander.superseded_by())
+        };
+        let is_allowed = self.is_commanding() && !self.yields && !is_stopped;
+        let Some(epoch) = superseded_by.filter(|_| is_allowed && may_retake(self.takes_over, self.retaken)) else {
+            return Ok(false);
+        };
+        self.retaken += 1;
+        self.release();
+        self.take().with_context(|| lost_lead(epoch, &self.kept, self.takes_over))?;
+        Ok(true)
     }
 
     /// Commands the park position until the array follows this process.
@@ -245,7 +276,7 @@ impl LiveRoom {
     /// What arrives next, within a limit.
     pub fn receive(&self, limit: Duration) -> Result<Option<Received>> {
         if let Some(epoch) = lock(&self.commander).superseded_by().filter(|_| !self.yields) {
-            bail!("a controller with the epoch {epoch} has taken the lead: nothing is written");
+            bail!(lost_lead(epoch, &self.kept, self.takes_over));
         }
         if lock(&self.commander).is_stopped() {
             bail!("the array was stopped: release it with `heliostat rearm`, then continue with --readings");
@@ -383,6 +414,20 @@ fn subscribe(
     Ok(vec![users, channel, telemetry, others, stops, repetitions])
 }
 
+/// Whether the lead that was lost is taken again.
+fn may_retake(takes_over: bool, retaken: u32) -> bool {
+    takes_over && retaken < RETAKES_MAX
+}
+
+/// Why the session ends, what is kept, and what to do.
+fn lost_lead(epoch: u64, kept: &str, takes_over: bool) -> String {
+    let advice = if takes_over { "if this recurs" } else { "first, or give --take-over" };
+    format!(
+        "a controller with the epoch {epoch} has taken the lead: no result is written; {kept}. End that controller \
+         {advice}"
+    )
+}
+
 /// Whether the time of a report is within the age that counts, and not in the future.
 fn is_recent(stamp: &Stamp) -> bool {
     stamp.time_ns.abs_diff(utc_ns()) < REPORT_AGE_MAX_NS
@@ -416,4 +461,27 @@ fn wait<T>(mut value: impl FnMut() -> Option<T>) -> Option<T> {
 
 fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
     shared.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    #[test]
+    fn a_lost_lead_is_named_with_the_file_of_the_readings_and_what_to_do() {
+        let kept = interruption::kept(Some(Path::new("readings.json")));
+        let text = lost_lead(7, &kept, true);
+        assert!(text.starts_with("a controller with the epoch 7 has taken the lead: no result is written; "), "{text}");
+        assert!(text.contains("readings.json keeps the readings, and the same command continues from them"), "{text}");
+        assert!(text.ends_with(". End that controller if this recurs"), "{text}");
+        assert!(lost_lead(7, &kept, false).ends_with("End that controller first, or give --take-over"));
+    }
+
+    #[test]
+    fn a_lost_lead_is_taken_again_a_few_times_where_the_command_may_take_over() {
+        assert_eq!([0, RETAKES_MAX - 1, RETAKES_MAX].map(|retaken| may_retake(true, retaken)), [true, true, false]);
+        assert!(!may_retake(false, 0));
+    }
 }

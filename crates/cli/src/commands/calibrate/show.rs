@@ -14,6 +14,11 @@ use super::conditions::STRONGER;
 /// Mirrors that a line names; the others are counted.
 const NAMED: usize = 12;
 
+/// Whether a stage is said now: what the mirrors do is said only while this process commands them.
+pub fn is_stage_said(stage: Stage, is_commanding: bool) -> bool {
+    is_commanding || matches!(stage, Stage::Await(_) | Stage::Ended)
+}
+
 /// Says what the holder of the receiver has to do, or what begins.
 pub fn stage(session: &Session) {
     let place = session.place().and_then(|place| place.floor_m).unwrap_or_default();
@@ -49,17 +54,28 @@ pub fn stage(session: &Session) {
 }
 
 /// One line of progress.
-pub fn progress(session: &Session) {
-    let progress = session.progress();
-    let (located, mirrors) = progress.located;
-    let at_spot = match progress.stage {
-        Stage::Probe(_) => format!("{located} of {mirrors} mirrors located, "),
+pub fn progress(progress: &Progress) -> String {
+    let Progress { stage, located: (located, mirrors), readings, unused, remaining_s } = *progress;
+    // Mirrors are located at each spot again; the readings are those of all spots.
+    let at_spot = match stage {
+        Stage::Probe(index) => format!("{located} of {mirrors} mirrors located at spot {}, ", index + 1),
         _ => String::new(),
     };
-    note(format_args!(
-        "{at_spot}{} readings, {} reports without use, about {:.0} s without the walks",
-        progress.readings, progress.unused, progress.remaining_s
-    ));
+    format!(
+        "{at_spot}{readings} readings in all, {unused} reports without use, about {remaining_s:.0} s without the walks"
+    )
+}
+
+/// Lines that are printed again only when they have changed.
+#[derive(Debug, Default)]
+pub struct Changing(Vec<String>);
+
+impl Changing {
+    /// The lines that differ from those of the last call.
+    pub fn changed(&mut self, lines: Vec<String>) -> Vec<String> {
+        let before = std::mem::replace(&mut self.0, lines);
+        self.0.iter().filter(|line| !before.contains(line)).cloned().collect()
+    }
 }
 
 /// How far the session is, for the viewers of the room.
@@ -192,4 +208,36 @@ fn list(mirrors: &[usize]) -> String {
     let rest = if more > 0 { format!(" and {more} more") } else { String::new() };
     let word = if mirrors.len() == 1 { "mirror" } else { "mirrors" };
     format!("{word} {}{rest}", named.join(", "))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_progress_names_the_spot_of_its_mirrors_and_counts_all_readings() {
+        let at = |stage| Progress { stage, located: (0, 100), readings: 948, unused: 12, remaining_s: 41.2 };
+        let in_all = "948 readings in all, 12 reports without use, about 41 s without the walks";
+        assert_eq!(progress(&at(Stage::Probe(1))), format!("0 of 100 mirrors located at spot 2, {in_all}"));
+        assert_eq!(progress(&at(Stage::Await(1))), in_all);
+    }
+
+    #[test]
+    fn what_the_mirrors_do_is_said_only_while_they_are_commanded() {
+        for stage in [Stage::Dark(0), Stage::Probe(0), Stage::Locate(0), Stage::Verify] {
+            assert_eq!([false, true].map(|is_commanding| is_stage_said(stage, is_commanding)), [false, true]);
+        }
+        assert!(is_stage_said(Stage::Await(0), false) && is_stage_said(Stage::Ended, false));
+    }
+
+    #[test]
+    fn a_line_is_printed_again_only_when_it_has_changed() {
+        let mut shown = Changing::default();
+        let mut changed = |lines: &[&str]| shown.changed(lines.iter().map(|line| (*line).to_owned()).collect());
+        assert_eq!(changed(&["948 readings", "waits"]), ["948 readings", "waits"]);
+        assert_eq!(changed(&["948 readings", "waits"]), [""; 0]);
+        assert_eq!(changed(&["949 readings", "waits"]), ["949 readings"]);
+        assert_eq!(changed(&["949 readings"]), [""; 0]);
+        assert_eq!(changed(&["949 readings", "waits"]), ["waits"], "it waits again");
+    }
 }

@@ -19,7 +19,7 @@ const NOISIER: f64 = 1.5;
 const LEAST: f64 = 1e-3;
 
 /// What to do without a controller.
-const START_CONTROLLER: &str = "without one no command reaches the mirrors: start heliostat controller, or add its endpoint or router to --connect";
+const START_CONTROLLER: &str = "without one no command reaches the mirrors: check --room, start heliostat controller, or add its endpoint or router to --connect";
 
 /// What a controller says about itself and its room.
 #[derive(Debug, Default)]

@@ -66,7 +66,11 @@ impl EventLog {
         if figures.array.silent.is_empty() {
             self.change(at_ms, "faults", &figures.array.faults.join(", "), !figures.array.faults.is_empty());
         }
-        let controller = if figures.controller_alive { "alive" } else { "gone" };
+        let controller = match (figures.controller_alive, figures.controller_unseen) {
+            (true, _) => "alive",
+            (false, true) => "not seen",
+            (false, false) => "gone",
+        };
         self.change(at_ms, "controller", controller, !figures.controller_alive);
         if !figures.policy.is_empty() {
             self.change(at_ms, "policy", &figures.policy, false);

@@ -166,6 +166,8 @@ pub struct Figures {
     pub policy: String,
     /// Whether a controller is in the room.
     pub controller_alive: bool,
+    /// Whether an array follows a controller that this viewer does not see.
+    pub controller_unseen: bool,
     /// The users.
     pub users: Vec<UserFigures>,
     /// Sum rates; absent without messages, and where the rate of no user is known.
@@ -226,6 +228,7 @@ impl View {
             tick,
             policy: controller.map(|controller| shown(&controller.policy)).unwrap_or_default(),
             controller_alive: received.is_controller_alive(),
+            controller_unseen: received.is_controller_unseen(),
             sum_mbps: sum(&received, &users),
             users,
             array: array(model, unusable, silent, telemetry.as_ref()),

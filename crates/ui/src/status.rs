@@ -12,7 +12,7 @@ use serde::Serialize;
 
 use crate::controllers::{ControllerFigures, Role};
 use crate::figures::{Figures, NodeFigures, Origin, UserFigures};
-use crate::notes::UNSEEN_REPORTS;
+use crate::notes::{UNSEEN_CONTROLLER, UNSEEN_REPORTS};
 use crate::terminal::texts::{stops, time, without_rates};
 use crate::view::NO_GEOMETRY;
 use crate::{UiError, View};
@@ -80,14 +80,16 @@ impl RoomStatus {
 
     fn found(&self) -> Vec<String> {
         let Figures { controllers, array, nodes, notes, .. } = &self.figures;
-        // They concern what this viewer shows, not the room.
-        let is_of_viewer = |note: &&String| [NO_GEOMETRY, UNSEEN_REPORTS].iter().any(|start| note.starts_with(start));
+        // They concern what this viewer shows, not the room, or follow below.
+        let left_out = [NO_GEOMETRY, UNSEEN_REPORTS, UNSEEN_CONTROLLER];
+        let is_of_viewer = |note: &&String| left_out.iter().any(|start| note.starts_with(start));
         let notes = notes.iter().filter(|note| !is_of_viewer(note)).cloned();
         let of_node = |NodeFigures { node, problem, .. }: &NodeFigures| {
             (!problem.is_empty()).then(|| format!("{node}: {problem}"))
         };
         let has = |role| controllers.iter().any(|one| one.role == role);
         let leads = match controllers.len() {
+            0 if self.figures.controller_unseen => Some(UNSEEN_CONTROLLER),
             0 => Some("no controller: start one, or connect to its endpoint or router too"),
             _ if has(Role::Leads) => None,
             _ if has(Role::Unfollowed) => Some("no controller leads: no telemetry shows which one the array follows"),
@@ -216,6 +218,10 @@ mod tests {
         let silent = RoomStatus { figures: silent, ..RoomStatus::default() }.found();
         assert!(silent.len() == 1 && silent[0].starts_with("no position reports: "), "{silent:?}");
         assert!(found(figures(Vec::new()))[0].starts_with("no controller: "));
+        for notes in [Vec::new(), vec![UNSEEN_CONTROLLER.to_owned()]] {
+            let unseen = Figures { controller_unseen: true, notes, ..figures(Vec::new()) };
+            assert_eq!(found(unseen), [UNSEEN_CONTROLLER]);
+        }
     }
 
     #[test]

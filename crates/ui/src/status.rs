@@ -87,6 +87,13 @@ impl RoomStatus {
         let of_node = |NodeFigures { node, problem, .. }: &NodeFigures| {
             (!problem.is_empty()).then(|| format!("{node}: {problem}"))
         };
+        // The problems of the processes have that of the leader.
+        let unfit = controllers.iter().filter(|one| one.is_unfit && one.role != Role::Leads).map(|one| {
+            format!(
+                "controller {} cannot take over: the array does not fit its scenario; its journal has the reason",
+                one.name
+            )
+        });
         let has = |role| controllers.iter().any(|one| one.role == role);
         let leads = match controllers.len() {
             0 if self.figures.controller_unseen => Some(UNSEEN_CONTROLLER),
@@ -102,7 +109,8 @@ impl RoomStatus {
             .then(|| format!("the array does not follow: {}", array.state));
         let faults = (!array.faults.is_empty()).then(|| format!("faults of the array: {}", array.faults.join(", ")));
         let found = reports.into_iter().chain(leads.map(String::from)).chain(array_state).chain(faults);
-        found.chain(self.stops.iter().cloned()).chain(nodes.iter().filter_map(of_node)).chain(notes).collect()
+        let of_nodes = nodes.iter().filter_map(of_node);
+        found.chain(self.stops.iter().cloned()).chain(of_nodes).chain(unfit).chain(notes).collect()
     }
 
     /// The number of decisions of a controller that decides on position reports, if one does.
@@ -231,6 +239,21 @@ mod tests {
         let found = RoomStatus { figures, ..RoomStatus::default() }.found();
         assert!(!found.iter().any(|problem| problem.contains("picture")), "{found:?}");
         assert_eq!(found.last().map(String::as_str), Some("two drivers serve one array"));
+    }
+
+    #[test]
+    fn a_standby_of_another_geometry_is_a_problem() {
+        let standby =
+            |is_unfit| ControllerFigures { name: "b".into(), role: Role::StandsBy, is_unfit, ..Default::default() };
+        let found = |is_unfit| {
+            let array = ArrayFigures { state: "following".into(), ..ArrayFigures::default() };
+            let controllers = vec![ControllerFigures::default(), standby(is_unfit)];
+            let figures = Figures { controllers, array, ..Figures::default() };
+            RoomStatus { reports_per_s: 20.0, figures, ..RoomStatus::default() }.found()
+        };
+        assert_eq!(found(false), [""; 0]);
+        let found = found(true);
+        assert!(found.len() == 1 && found[0].starts_with("controller b cannot take over: "), "{found:?}");
     }
 
     #[test]

@@ -186,8 +186,12 @@ impl Received {
     /// is in the room and no other controller leads.
     fn is_displayed(&self, name: &str, status: &NodeStatus) -> bool {
         let Some((at, known)) = self.statuses.get(name) else { return true };
-        let is_present = self.alive.contains(&(status.node.name(), known.stamp.source)) && at.elapsed() < EXPIRY;
-        known.stamp.source == status.stamp.source || !is_present || self.leads(status)
+        let is_alive = |source| self.alive.contains(&(status.node.name(), source));
+        let is_present = is_alive(known.stamp.source) && at.elapsed() < EXPIRY;
+        // A controller that ends reports once more after its liveliness token.
+        let is_succeeded =
+            status.node == NodeKind::Controller && !is_alive(status.stamp.source) && self.is_controller_alive();
+        !is_succeeded && (known.stamp.source == status.stamp.source || !is_present || self.leads(status))
     }
 
     /// Whether a status is that of the controller that leads; of several that may lead, none.

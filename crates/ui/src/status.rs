@@ -156,9 +156,11 @@ impl fmt::Display for RoomStatus {
         let rate = sum_mbps.map_or_else(|| without_rates(&self.figures), |sum| format!("{:.1} Mbit/s", sum.policy));
         let decision = times.first().map(|decision| (time(decision, |us| us.p50), time(decision, |us| us.p99)));
         let (p50, p99) = decision.unwrap_or_default();
-        let sum = |count: fn(&ControllerFigures) -> u64| self.figures.controllers.iter().map(count).sum::<u64>();
-        let (takeovers, lost) = (sum(|one| one.takeovers), sum(|one| one.false_takeovers));
-        let takeovers = (takeovers + lost > 0).then(|| ("takeovers", format!("{takeovers} (false {lost})")));
+        // Of each controller: the counts of one that has left are not those of the room.
+        let has_taken_over = |one: &&ControllerFigures| one.takeovers + one.false_takeovers > 0;
+        let count = |one: &ControllerFigures| format!("{} {} (false {})", one.name, one.takeovers, one.false_takeovers);
+        let takeovers: Vec<String> = self.figures.controllers.iter().filter(has_taken_over).map(count).collect();
+        let takeovers = (!takeovers.is_empty()).then(|| ("takeovers", takeovers.join(", ")));
         let controllers = ("controllers", or_none(controllers.join(", ")));
         let lines = [
             ("policy", or_none(policy.clone())),
@@ -292,13 +294,19 @@ mod tests {
     }
 
     #[test]
-    fn takeovers_have_a_line_where_there_are_any() {
+    fn takeovers_have_a_line_of_each_controller_where_there_are_any() {
         let with = |takeovers, false_takeovers| {
-            let one = ControllerFigures { takeovers, false_takeovers, ..ControllerFigures::default() };
-            let figures = Figures { controllers: vec![one.clone(), one], ..Figures::default() };
+            let one = |name: &str, takeovers, false_takeovers| ControllerFigures {
+                name: name.into(),
+                takeovers,
+                false_takeovers,
+                ..ControllerFigures::default()
+            };
+            let controllers = vec![one("a", takeovers, false_takeovers), one("b", 0, 0)];
+            let figures = Figures { controllers, ..Figures::default() };
             RoomStatus { figures, ..RoomStatus::default() }.to_string()
         };
-        assert!(with(2, 1).contains("\ntakeovers    4 (false 2)\n"), "{}", with(2, 1));
+        assert!(with(2, 1).contains("\ntakeovers    a 2 (false 1)\n"), "{}", with(2, 1));
         assert!(!with(0, 0).contains("takeovers"));
     }
 

@@ -256,7 +256,7 @@ impl RoomRuntime {
             let controller = decision_loop.room.controller();
             let awaits = |array| {
                 let tenure = controller.tenure(array);
-                tenure.has_peers() && tenure.standing() == Standing::Leading
+                tenure.peers() > 0 && tenure.standing() == Standing::Leading
             };
             if !(0..controller.arrays()).any(awaits) {
                 return;

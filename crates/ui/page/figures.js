@@ -23,7 +23,7 @@ export function chips(now, ages) {
   setTitle(at("chip-policy"), idle);
   if (isSilent) {
     const isGone = !now.controller_alive && ages.silence < 1;
-    chip("chip-controller", isGone ? "gone" : silent("controller"), "bad");
+    chip("chip-controller", now.controller_unseen && ages.silence < 1 ? "not seen" : isGone ? "gone" : silent("controller"), "bad");
   } else {
     const refusing = refusal(now);
     chip("chip-controller", isCalibrating(now) ? "calibration" : refusing ? "reports refused" : "alive", refusing ? "bad" : "good");
@@ -131,12 +131,13 @@ function standby(controllers) {
   const leaders = controllers.filter((one) => one.role === "leads" || one.role === "calibrates");
   const sum = (key) => controllers.reduce((total, one) => total + one[key], 0);
   const text = controllers.map((one) => `${short(one)} ${WORDS[one.role]}`).join(", ");
+  const of = (key) => controllers.map((one) => `${short(one)} ${one[key]}`).join(", ") || "0";
   const lost = sum("false_takeovers");
   if (controllers.length < 2 && sum("takeovers") + lost === 0) return [];
   return [
     ["controllers", text || "none", leaders.length === 1 ? "wide" : "wide bad", "The controllers in the room, by the beginning of their source id: one leads, or a calibration commands in its place; the others stand by. One is not followed where it does not stand by and the array follows another one or reports none.", "controller"],
-    ["takeovers", String(sum("takeovers")), "", "How often the controllers in the room took over since their start.", "controller"],
-    ["false takeovers", String(lost), lost > 0 ? "bad" : "", "Takeovers after which the former leader still commanded: a slow controller, or a link that loses its commands.", "controller"],
+    ["takeovers", of("takeovers"), "wide", "How often each controller in the room took over since its start.", "controller"],
+    ["false takeovers", of("false_takeovers"), lost > 0 ? "wide bad" : "wide", "Takeovers of each controller after which the former leader still commanded: a slow controller, or a link that loses its commands.", "controller"],
   ];
 }
 

@@ -15,6 +15,8 @@ const STANDBY: &str = "standby";
 const EPOCH: &str = "epoch";
 const TAKEOVERS: &str = "epoch:took-over";
 const FALSE_TAKEOVERS: &str = "epoch:contested";
+/// The counter that is 1 while the array does not fit the scenario of the controller.
+const UNFIT: &str = "array_unfit";
 /// The counter of decisions on position reports.
 const DECISIONS: &str = "decisions";
 
@@ -67,6 +69,8 @@ pub struct ControllerFigures {
     pub decisions: u64,
     /// Whether it decided between its last two statuses: position reports reach it.
     pub is_deciding: bool,
+    /// Whether it cannot command, because the array does not fit its scenario.
+    pub is_unfit: bool,
 }
 
 /// The name of a controller with a source id.
@@ -108,6 +112,7 @@ impl Controllers {
             false_takeovers: counter(status, FALSE_TAKEOVERS),
             decisions,
             is_deciding,
+            is_unfit: counter(status, UNFIT) > 0,
         };
         self.0.insert(source, (Instant::now(), figures));
     }

@@ -6,6 +6,7 @@ use std::collections::{BTreeMap, VecDeque};
 use heliostat_service::clock::utc_ns;
 use serde::Serialize;
 
+use crate::controllers::{ControllerFigures, Role};
 use crate::figures::{Figures, GONE, Origin};
 use crate::notes::{not_in, without_figures};
 use crate::order_answer::Answer;
@@ -42,6 +43,12 @@ pub(crate) struct EventLog {
     problems: BTreeMap<String, u64>,
     /// The notes about the room at the last call.
     notes: Vec<String>,
+    /// The source of each process at the last call.
+    sources: BTreeMap<String, String>,
+    /// The controllers of the room at the last call.
+    controllers: Vec<ControllerFigures>,
+    /// The name of the last leader.
+    leader: String,
 }
 
 impl EventLog {
@@ -66,11 +73,16 @@ impl EventLog {
         if figures.array.silent.is_empty() {
             self.change(at_ms, "faults", &figures.array.faults.join(", "), !figures.array.faults.is_empty());
         }
-        let controller = if figures.controller_alive { "alive" } else { "gone" };
+        let controller = match (figures.controller_alive, figures.controller_unseen) {
+            (true, _) => "alive",
+            (false, true) => "not seen",
+            (false, false) => "gone",
+        };
         self.change(at_ms, "controller", controller, !figures.controller_alive);
         // Its progress is no event.
         let calibration = if figures.calibration.is_some() { "commands the mirrors" } else { "" };
         self.change(at_ms, "calibration", calibration, false);
+        self.note_takeovers(at_ms, &figures.controllers);
         if !figures.policy.is_empty() {
             self.change(at_ms, "policy", &figures.policy, false);
         }
@@ -94,6 +106,13 @@ impl EventLog {
         for node in figures.nodes.iter().filter(|node| node.state != GONE) {
             let subject = format!("problem of {}", node.node);
             let words = without_figures(&node.problem);
+            let source_before = self.sources.insert(node.node.clone(), node.source.clone());
+            let is_replaced = source_before.is_some_and(|before| before != node.source);
+            // A controller that was in the room already has had this problem before it is displayed.
+            if is_replaced && self.controllers.iter().any(|one| one.name == node.source) {
+                self.states.insert(subject, node.problem.clone());
+                continue;
+            }
             if self.states.get(&subject).is_some_and(|state| without_figures(state) == words) {
                 continue;
             }
@@ -105,6 +124,7 @@ impl EventLog {
                 }
             }
         }
+        self.controllers.clone_from(&figures.controllers);
         let notes = std::mem::replace(&mut self.notes, figures.notes.clone());
         for note in not_in(&figures.notes, &notes) {
             self.push(at_ms, note.clone(), true);
@@ -137,6 +157,30 @@ impl EventLog {
     pub fn json(&self) -> String {
         // Serialization of these types cannot fail: they hold only numbers, texts and lists.
         serde_json::to_string(&self.events).unwrap_or_default()
+    }
+
+    /// Notes each takeover since the last call, with its reason as far as this viewer sees the former leader.
+    fn note_takeovers(&mut self, at_ms: u64, controllers: &[ControllerFigures]) {
+        for one in controllers {
+            let Some(before) = self.controllers.iter().find(|before| before.name == one.name) else { continue };
+            let (is_contested, name) = (one.false_takeovers > before.false_takeovers, &one.name);
+            if one.takeovers <= before.takeovers {
+                continue;
+            }
+            let is_former = !self.leader.is_empty() && self.leader != *name;
+            let former = if is_former { self.leader.as_str() } else { "another controller" };
+            let has_ended = is_former && !controllers.iter().any(|other| other.name == self.leader);
+            let reason = match (is_contested, has_ended) {
+                (true, _) => "the array accepted no command of it, but it still commands",
+                (false, true) => "it has ended",
+                (false, false) => "the array accepted no command of it",
+            };
+            let text = format!("controller {name} leads, took over from {former}: {reason}");
+            self.push(at_ms, text, is_contested || !has_ended);
+        }
+        if let Some(leader) = controllers.iter().find(|one| one.role == Role::Leads) {
+            self.leader.clone_from(&leader.name);
+        }
     }
 
     /// Notes the state of a subject if it has changed; an empty one is noted as the end of the last.
@@ -203,6 +247,58 @@ mod tests {
                 (4, "problem of controller: over", false),
             ]
         );
+    }
+
+    fn controller(name: &str, role: Role, takeovers: u64, false_takeovers: u64) -> ControllerFigures {
+        ControllerFigures { name: name.into(), role, takeovers, false_takeovers, ..ControllerFigures::default() }
+    }
+
+    #[test]
+    fn an_old_problem_of_a_controller_that_is_displayed_in_place_of_another_is_no_event() {
+        let (mut log, no_stop) = (EventLog::default(), StopFigures::default());
+        let shown = |source: &str, problem: &str, present: &[&str]| {
+            let mut now = figures("following", problem);
+            now.nodes[0].source = source.into();
+            now.controllers = present.iter().map(|name| controller(name, Role::Leads, 0, 0)).collect();
+            now
+        };
+        log.note_at(1, &shown("a", "", &["a", "b"]), &[], &no_stop);
+        let first = texts(&log).len();
+        log.note_at(2, &shown("b", "an old one", &["b"]), &[], &no_stop);
+        log.note_at(3, &shown("b", "a new one", &["b"]), &[], &no_stop);
+        // A controller that has just started has no old problem.
+        log.note_at(4, &shown("c", "of the start", &["c"]), &[], &no_stop);
+        let expected =
+            [(3, "problem of controller: a new one", true), (4, "problem of controller: of the start", true)];
+        assert_eq!(texts(&log)[first..], expected);
+    }
+
+    #[test]
+    fn each_takeover_is_an_event_with_both_controllers_and_the_reason() {
+        let (mut log, no_stop) = (EventLog::default(), StopFigures::default());
+        let (leads, stands_by) = (Role::Leads, Role::StandsBy);
+        let rounds = [
+            vec![controller("a", leads, 0, 0), controller("b", stands_by, 0, 0)],
+            vec![controller("b", leads, 1, 0), controller("a", stands_by, 0, 0)],
+            vec![controller("a", leads, 1, 1), controller("b", stands_by, 1, 0)],
+            vec![controller("b", stands_by, 1, 0)],
+            vec![controller("b", leads, 2, 0)],
+        ];
+        let mut first = 0;
+        for (time, controllers) in (1..).zip(rounds) {
+            log.note_at(time, &Figures { controllers, ..figures("following", "") }, &[], &no_stop);
+            first = if time == 1 { texts(&log).len() } else { first };
+        }
+        let expected = [
+            (2, "controller b leads, took over from a: the array accepted no command of it", true),
+            (
+                3,
+                "controller a leads, took over from b: the array accepted no command of it, but it still commands",
+                true,
+            ),
+            (5, "controller b leads, took over from a: it has ended", false),
+        ];
+        assert_eq!(texts(&log)[first..], expected);
     }
 
     #[test]

@@ -17,7 +17,7 @@ use heliostat_service::printable::printable;
 use serde::Serialize;
 
 use crate::View;
-use crate::controllers::ControllerFigures;
+use crate::controllers::{ControllerFigures, controller_name};
 use crate::latency::Histogram;
 use crate::notes::{follows_from, without_figures};
 use crate::scene::unusable_mirrors;
@@ -100,6 +100,8 @@ pub struct ArrayFigures {
 pub struct NodeFigures {
     /// The kind of process; the driver of a later array has its index, as `driver-1`.
     pub node: String,
+    /// Its source id, as 16 hexadecimal digits.
+    pub source: String,
     /// Its state; "gone" if its last status is old.
     pub state: String,
     /// Its last problem; empty if its cause is gone.
@@ -166,6 +168,8 @@ pub struct Figures {
     pub policy: String,
     /// Whether a controller is in the room.
     pub controller_alive: bool,
+    /// Whether an array follows a controller that this viewer does not see.
+    pub controller_unseen: bool,
     /// The users.
     pub users: Vec<UserFigures>,
     /// Sum rates; absent without messages, and where the rate of no user is known.
@@ -226,6 +230,7 @@ impl View {
             tick,
             policy: controller.map(|controller| shown(&controller.policy)).unwrap_or_default(),
             controller_alive: received.is_controller_alive(),
+            controller_unseen: received.is_controller_unseen(),
             sum_mbps: sum(&received, &users),
             users,
             array: array(model, unusable, silent, telemetry.as_ref()),
@@ -339,13 +344,13 @@ fn sum_of(sum: &heliostat_proto::SumRates) -> SumFigures {
 }
 
 fn node(received: &Received, name: &str, at: Instant, status: &NodeStatus) -> NodeFigures {
-    let node = name.to_owned();
+    let (node, source) = (name.to_owned(), controller_name(status.stamp.source));
     // What a process said that has left is no present problem.
     if at.elapsed() >= EXPIRY {
-        return NodeFigures { node, state: GONE.into(), problem: String::new() };
+        return NodeFigures { node, source, state: GONE.into(), problem: String::new() };
     }
     let problem = received.problems.current(name, status.stamp.source);
-    NodeFigures { node, state: shown(&status.state), problem: shown(problem) }
+    NodeFigures { node, source, state: shown(&status.state), problem: shown(problem) }
 }
 
 /// The figures of a process without a problem that a note states too, with other advice behind its

@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use heliostat_proto::array_keys::array_name;
 use heliostat_proto::gauges::ServedLight;
-use heliostat_proto::{NodeKind, NodeStatus};
+use heliostat_proto::{ArrayState, NodeKind, NodeStatus};
 use heliostat_service::printable::printable;
 
 use crate::error::CHECK_REACH;
@@ -19,7 +19,9 @@ impl Received {
             return vec![room_unseen()];
         }
         let mut notes: Vec<String> = self.arrays.shared().into_iter().map(two_drivers).collect();
-        if is_settled && !self.is_controller_alive() {
+        if is_settled && self.is_controller_unseen() {
+            notes.push(UNSEEN_CONTROLLER.into());
+        } else if is_settled && !self.is_controller_alive() {
             notes.push(
                 "no controller commands the mirrors: start one with heliostat controller; in a demo, press restart"
                     .into(),
@@ -50,6 +52,13 @@ impl Received {
     pub(crate) fn is_controller_alive(&self) -> bool {
         self.alive.iter().any(|(node, _)| *node == NodeKind::Controller.name())
     }
+
+    /// Whether an array follows valid commands, and no controller is seen that sends them. The last command of a
+    /// controller that has just left may be valid still.
+    pub(crate) fn is_controller_unseen(&self) -> bool {
+        let is_following = self.arrays.states().iter().any(|(_, state)| *state == ArrayState::Following);
+        is_following && !self.is_controller_alive() && self.fresh_status(NodeKind::Controller.name()).is_none()
+    }
 }
 
 fn arrival<T>(message: &Dated<T>) -> Option<Instant> {
@@ -63,6 +72,8 @@ pub(crate) fn room_unseen() -> String {
 
 /// Beginning of the note about position reports that reach the controller, and not this process.
 pub(crate) const UNSEEN_REPORTS: &str = "no position reports reach this viewer, but the controller decides on them";
+/// The note about commands that reach the array from a controller that this process does not see.
+pub(crate) const UNSEEN_CONTROLLER: &str = "a controller commands the mirrors, but its messages do not reach this viewer: connect to it, or to the router of the room, too";
 /// The beginning of the note about two drivers, and beginning and part of what a controller reports because
 /// of them. A second source of users is another fault.
 const TWO_DRIVERS: &str = "two drivers serve one array";
@@ -154,6 +165,20 @@ mod tests {
         received.alive.insert((NodeKind::Controller.name(), 5));
         received.users = Some((Instant::now(), UserReport::default()));
         assert_eq!(received.notes(1, ago(60)), Vec::<String>::new());
+    }
+
+    #[test]
+    fn a_controller_that_the_array_follows_and_this_viewer_does_not_see_is_not_missing() {
+        let mut received = Received::default();
+        let following = MirrorTelemetry { state: ArrayState::Following, epoch: 500, ..MirrorTelemetry::default() };
+        received.arrays.note(0, following);
+        received.users = Some((Instant::now(), UserReport::default()));
+        let notes = received.notes(1, ago(60));
+        assert_eq!(notes, [UNSEEN_CONTROLLER]);
+        let status = NodeStatus { node: NodeKind::Controller, ..NodeStatus::default() };
+        received.statuses.insert(NodeKind::Controller.name().into(), (Instant::now(), status));
+        let notes = received.notes(1, ago(60));
+        assert!(notes[0].starts_with("no controller commands the mirrors"), "it has just left: {notes:?}");
     }
 
     #[test]

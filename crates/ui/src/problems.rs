@@ -16,6 +16,9 @@ const COUNTED: [&str; 6] = ["refused:", "fallback:", "missed:", "policies_refuse
 /// Counters that are above 0 as long as a problem lasts.
 const LASTING: [&str; 4] = ["array_unfit", "standby", "driver_absent", "device_absent"];
 
+/// The counter of commands of a former leader, which is a problem from the second status on in which it rises.
+const LOWER_EPOCH: &str = "refused:command:lower-epoch";
+
 /// The last problem of each process, by its name in [`Received::statuses`](crate::view::Received) and its
 /// source.
 #[derive(Debug, Default)]
@@ -69,7 +72,9 @@ impl Problems {
             }
             _ => {
                 let age = Duration::from_nanos(status.stamp.time_ns.saturating_sub(status.started_ns));
-                let is_current = last.is_some() || rose.iter().any(lasts) || age < CURRENT;
+                // A former leader commands until its successor is obeyed: then the array refuses a command in flight.
+                let is_expected = rose.iter().eq([LOWER_EPOCH]);
+                let is_current = !is_expected && (last.is_some() || rose.iter().any(lasts) || age < CURRENT);
                 let at = is_current.then_some(now);
                 let text = status.last_problem.clone();
                 self.last.insert(key, Occurrence { text, counts, causes: rose, at, reported: now });
@@ -154,6 +159,20 @@ mod tests {
         age(&mut problems, CURRENT);
         problems.take(node, &stopped(2));
         assert_eq!(problems.current(node, 7), "", "the text alone is no new problem");
+    }
+
+    #[test]
+    fn a_command_of_a_former_leader_is_a_problem_only_if_more_follow() {
+        let (mut problems, node) = (Problems::default(), NodeKind::Driver.name());
+        let mut shown = |text: &str, lower, malformed| {
+            let counters = [(LOWER_EPOCH, lower), ("refused:command:not-finite", malformed)];
+            problems.take(node, &NodeStatus { node: NodeKind::Driver, ..status(text, &counters) });
+            problems.current(node, 7).to_owned()
+        };
+        let of_epoch = "command: a command of epoch 1: expected at least 2";
+        assert_eq!([shown("", 0, 0), shown(of_epoch, 1, 0), shown(of_epoch, 1, 0)], [""; 3]);
+        assert_eq!(shown(of_epoch, 2, 0), of_epoch);
+        assert_eq!(shown("command: not finite", 3, 1), "command: not finite");
     }
 
     #[test]

@@ -49,7 +49,10 @@ impl ShownRoom {
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Announcements {
     pub sim_node: Option<Arc<str>>,
+    /// Of the controller that is drawn.
     pub controller: Option<Arc<str>>,
+    /// Those of each controller that are not old, with its name: a standby can have another geometry.
+    pub of_controllers: Vec<(String, Arc<str>)>,
     /// Whether the simulator's announcement is old: it is drawn, and no warning follows from it.
     pub is_sim_node_old: bool,
     /// Whether the controller's announcement is old.
@@ -101,33 +104,39 @@ impl RoomChooser {
 
     fn evaluate(&self, announcements: &Announcements) -> (Arc<ShownRoom>, Vec<String>) {
         let mut notes = Vec::new();
-        let Announcements { sim_node, controller, is_sim_node_old, is_controller_old } = announcements;
-        let mut read = |source, node: &str, text: &Option<Arc<str>>, is_old: bool| {
-            let scenario = Scenario::from_geometry_toml(text.as_deref()?).map_err(|error| error.in_one_line());
-            let room =
-                scenario.and_then(|scenario| ShownRoom::new(source, scenario).map_err(|error| error.to_string()));
-            room.map_err(|reason| {
-                if !is_old {
-                    notes.push(format!("the geometry that {node} announces is refused: {}", shown(&reason)));
-                }
-            })
-            .ok()
-            .map(Arc::new)
+        let Announcements { sim_node, controller, of_controllers, is_sim_node_old, is_controller_old } = announcements;
+        let read = |source, text: &str| {
+            let scenario = Scenario::from_geometry_toml(text).map_err(|error| error.in_one_line())?;
+            ShownRoom::new(source, scenario).map(Arc::new).map_err(|error| error.to_string())
         };
-        let sim_node = read(GeometrySource::SimNode, "sim-node", sim_node, *is_sim_node_old);
-        let controller = read(GeometrySource::Controller, "controller", controller, *is_controller_old);
-        if let (Some(room), Some(controller)) = (&sim_node, &controller)
-            && !is_sim_node_old
-            && !is_controller_old
-            && let Some(difference) = room.scenario.geometry_difference(&controller.scenario)
-        {
-            let GeometryDifference { key, here, there } = &difference;
-            notes.push(format!(
-                "room and controller differ: {key} is {} in the room and {} in the controller; {}",
-                shown(here),
-                shown(there),
-                difference.advice()
-            ));
+        let refused =
+            |node: &str, reason: &str| format!("the geometry that {node} announces is refused: {}", shown(reason));
+        let sim_node = sim_node.as_deref().and_then(|text| {
+            let room = read(GeometrySource::SimNode, text);
+            let noted = room.as_ref().err().filter(|_| !is_sim_node_old);
+            notes.extend(noted.map(|reason| refused("sim-node", reason)));
+            room.ok()
+        });
+        let controller = controller.as_deref().and_then(|text| read(GeometrySource::Controller, text).ok());
+        for (name, text) in of_controllers {
+            let own = match read(GeometrySource::Controller, text) {
+                Ok(own) => own,
+                Err(reason) => {
+                    notes.push(refused(&format!("controller {name}"), &reason));
+                    continue;
+                }
+            };
+            if let Some(room) = sim_node.as_ref().filter(|_| !is_sim_node_old)
+                && let Some(difference) = room.scenario.geometry_difference(&own.scenario)
+            {
+                let GeometryDifference { key, here, there } = &difference;
+                notes.push(format!(
+                    "room and controller differ: {key} is {} in the room and {} in the controller {name}; {}",
+                    shown(here),
+                    shown(there),
+                    difference.advice()
+                ));
+            }
         }
         let is_announced_old = if sim_node.is_some() { *is_sim_node_old } else { *is_controller_old };
         let announced = sim_node.or(controller);
@@ -198,14 +207,15 @@ mod tests {
 
     #[test]
     fn differences_and_refused_announcements_are_noted_with_the_key() {
-        let notes = |given: Option<&Scenario>, sim_node, controller| {
+        let notes = |given: Option<&Scenario>, sim_node, controller: Option<Arc<str>>| {
             let chooser = RoomChooser::new(given).expect("a valid scenario");
-            chooser.choose(Announcements { sim_node, controller, ..Announcements::default() }).1.join("\n")
+            let of_controllers = controller.into_iter().map(|text| ("c1".to_owned(), text)).collect();
+            chooser.choose(Announcements { sim_node, of_controllers, ..Announcements::default() }).1.join("\n")
         };
         assert_eq!(notes(None, text(&[]), text(&["users.count=2"])), "");
         assert_eq!(
             notes(None, text(&[]), text(&["mirrors.rows=8"])),
-            "room and controller differ: mirrors.rows is 10 in the room and 8 in the controller; start both \
+            "room and controller differ: mirrors.rows is 10 in the room and 8 in the controller c1; start both \
              with the same --scenario and --set"
         );
         assert_eq!(
@@ -224,13 +234,17 @@ mod tests {
     #[test]
     fn no_warning_follows_from_what_a_process_announced_that_has_left() {
         let given = with(&["room.height_m=4"]);
-        let choose = |given: Option<&Scenario>, controller: Option<Arc<str>>, is_sim_node_old, is_controller_old| {
-            let chooser = RoomChooser::new(given).expect("a valid scenario");
-            let sim_node = text(&["mirrors.rows=6"]);
-            let (room, notes) =
-                chooser.choose(Announcements { sim_node, controller, is_sim_node_old, is_controller_old });
-            (room.model.mirrors.arrays()[0].rows(), notes.len())
-        };
+        let choose =
+            |given: Option<&Scenario>, controller: Option<Arc<str>>, is_sim_node_old: bool, is_controller_old: bool| {
+                let chooser = RoomChooser::new(given).expect("a valid scenario");
+                let sim_node = text(&["mirrors.rows=6"]);
+                let fresh = controller.clone().filter(|_| !is_controller_old);
+                let of_controllers = fresh.into_iter().map(|text| ("c1".to_owned(), text)).collect();
+                let announcements =
+                    Announcements { sim_node, controller, of_controllers, is_sim_node_old, is_controller_old };
+                let (room, notes) = chooser.choose(announcements);
+                (room.model.mirrors.arrays()[0].rows(), notes.len())
+            };
         let other = || text(&["mirrors.rows=8"]);
         let refused = || Some(Arc::from("[users]\ntrace = \"a\""));
         assert_eq!(choose(None, other(), false, false), (6, 1), "both are in the room");

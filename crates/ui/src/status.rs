@@ -12,7 +12,7 @@ use serde::Serialize;
 
 use crate::controllers::{ControllerFigures, Role};
 use crate::figures::{Figures, NodeFigures, Origin, UserFigures};
-use crate::notes::{UNSEEN_REPORTS, room_unseen};
+use crate::notes::{UNSEEN_CONTROLLER, UNSEEN_REPORTS, room_unseen};
 use crate::terminal::texts::{stops, time, without_rates};
 use crate::view::NO_GEOMETRY;
 use crate::{UiError, View};
@@ -81,7 +81,9 @@ impl RoomStatus {
 
     /// The notes about the room, without those about what this viewer shows.
     fn notes(&self) -> impl Iterator<Item = &String> {
-        let is_of_viewer = |note: &&String| [NO_GEOMETRY, UNSEEN_REPORTS].iter().any(|start| note.starts_with(start));
+        // The last one follows from the controllers.
+        let left_out = [NO_GEOMETRY, UNSEEN_REPORTS, UNSEEN_CONTROLLER];
+        let is_of_viewer = move |note: &&String| left_out.iter().any(|start| note.starts_with(start));
         self.figures.notes.iter().filter(move |note| !is_of_viewer(note))
     }
 
@@ -97,8 +99,16 @@ impl RoomStatus {
         let of_node = |NodeFigures { node, problem, .. }: &NodeFigures| {
             (!problem.is_empty()).then(|| format!("{node}: {problem}"))
         };
+        // The problems of the processes have that of the leader.
+        let unfit = controllers.iter().filter(|one| one.is_unfit && one.role != Role::Leads).map(|one| {
+            format!(
+                "controller {} cannot take over: the array does not fit its scenario; its journal has the reason",
+                one.name
+            )
+        });
         let has = |role| controllers.iter().any(|one| one.role == role);
         let leads = match controllers.len() {
+            0 if self.figures.controller_unseen => Some(UNSEEN_CONTROLLER),
             0 => Some("no controller: start one, or connect to its endpoint or router too"),
             _ if controllers.iter().any(|one| one.role.commands()) => None,
             _ if has(Role::Unfollowed) => Some("no controller leads: no telemetry shows which one the array follows"),
@@ -111,8 +121,9 @@ impl RoomStatus {
             .then(|| format!("the array does not follow: {}", array.state));
         let faults = (!array.faults.is_empty()).then(|| format!("faults of the array: {}", array.faults.join(", ")));
         let found = reports.into_iter().chain(leads.map(String::from)).chain(array_state).chain(faults);
+        let of_nodes = nodes.iter().filter_map(of_node);
         let notes = self.notes().cloned();
-        found.chain(self.stops.iter().cloned()).chain(nodes.iter().filter_map(of_node)).chain(notes).collect()
+        found.chain(self.stops.iter().cloned()).chain(of_nodes).chain(unfit).chain(notes).collect()
     }
 
     /// The number of decisions of a controller that decides on position reports, if one does.
@@ -158,9 +169,11 @@ impl fmt::Display for RoomStatus {
         let rate = sum_mbps.map_or_else(|| without_rates(&self.figures), |sum| format!("{:.1} Mbit/s", sum.policy));
         let decision = times.first().map(|decision| (time(decision, |us| us.p50), time(decision, |us| us.p99)));
         let (p50, p99) = decision.unwrap_or_default();
-        let sum = |count: fn(&ControllerFigures) -> u64| self.figures.controllers.iter().map(count).sum::<u64>();
-        let (takeovers, lost) = (sum(|one| one.takeovers), sum(|one| one.false_takeovers));
-        let takeovers = (takeovers + lost > 0).then(|| ("takeovers", format!("{takeovers} (false {lost})")));
+        // Of each controller: the counts of one that has left are not those of the room.
+        let has_taken_over = |one: &&ControllerFigures| one.takeovers + one.false_takeovers > 0;
+        let count = |one: &ControllerFigures| format!("{} {} (false {})", one.name, one.takeovers, one.false_takeovers);
+        let takeovers: Vec<String> = self.figures.controllers.iter().filter(has_taken_over).map(count).collect();
+        let takeovers = (!takeovers.is_empty()).then(|| ("takeovers", takeovers.join(", ")));
         let controllers = ("controllers", or_none(controllers.join(", ")));
         let calibration = self.figures.calibration.as_ref();
         let calibration = calibration.map(|progress| ("calibration", format!("commands the mirrors: {progress}")));
@@ -230,6 +243,10 @@ mod tests {
         let silent = RoomStatus { figures: silent, ..RoomStatus::default() }.found();
         assert!(silent.len() == 1 && silent[0].starts_with("no position reports: "), "{silent:?}");
         assert!(found(figures(Vec::new()))[0].starts_with("no controller: "));
+        for notes in [Vec::new(), vec![UNSEEN_CONTROLLER.to_owned()]] {
+            let unseen = Figures { controller_unseen: true, notes, ..figures(Vec::new()) };
+            assert_eq!(found(unseen), [UNSEEN_CONTROLLER]);
+        }
     }
 
     #[test]
@@ -248,6 +265,21 @@ mod tests {
         let problems = RoomStatus { figures, ..RoomStatus::default() }.of_unseen_room();
         assert_eq!(problems, [room_unseen(), "refused".to_owned()]);
         assert!(problems[0].contains("check --room and --connect"), "{problems:?}");
+    }
+
+    #[test]
+    fn a_standby_of_another_geometry_is_a_problem() {
+        let standby =
+            |is_unfit| ControllerFigures { name: "b".into(), role: Role::StandsBy, is_unfit, ..Default::default() };
+        let found = |is_unfit| {
+            let array = ArrayFigures { state: "following".into(), ..ArrayFigures::default() };
+            let controllers = vec![ControllerFigures::default(), standby(is_unfit)];
+            let figures = Figures { controllers, array, ..Figures::default() };
+            RoomStatus { reports_per_s: 20.0, figures, ..RoomStatus::default() }.found()
+        };
+        assert_eq!(found(false), [""; 0]);
+        let found = found(true);
+        assert!(found.len() == 1 && found[0].starts_with("controller b cannot take over: "), "{found:?}");
     }
 
     #[test]
@@ -301,13 +333,19 @@ mod tests {
     }
 
     #[test]
-    fn takeovers_have_a_line_where_there_are_any() {
+    fn takeovers_have_a_line_of_each_controller_where_there_are_any() {
         let with = |takeovers, false_takeovers| {
-            let one = ControllerFigures { takeovers, false_takeovers, ..ControllerFigures::default() };
-            let figures = Figures { controllers: vec![one.clone(), one], ..Figures::default() };
+            let one = |name: &str, takeovers, false_takeovers| ControllerFigures {
+                name: name.into(),
+                takeovers,
+                false_takeovers,
+                ..ControllerFigures::default()
+            };
+            let controllers = vec![one("a", takeovers, false_takeovers), one("b", 0, 0)];
+            let figures = Figures { controllers, ..Figures::default() };
             RoomStatus { figures, ..RoomStatus::default() }.to_string()
         };
-        assert!(with(2, 1).contains("\ntakeovers    4 (false 2)\n"), "{}", with(2, 1));
+        assert!(with(2, 1).contains("\ntakeovers    a 2 (false 1)\n"), "{}", with(2, 1));
         assert!(!with(0, 0).contains("takeovers"));
     }
 

@@ -56,8 +56,8 @@ pub(crate) struct Received {
     pub belief: Dated<BeliefReport>,
     /// The geometry that the simulator announces, as TOML.
     pub room_geometry: Dated<Arc<str>>,
-    /// The geometry that the controller announces, as TOML.
-    pub controller_geometry: Dated<Arc<str>>,
+    /// The geometry that each controller announces, as TOML, by its source.
+    pub controller_geometries: BTreeMap<u64, (Instant, Arc<str>)>,
     /// By the name of the kind of process; that of a later array's driver has the array's index, as
     /// `driver-1`.
     pub statuses: BTreeMap<String, (Instant, NodeStatus)>,
@@ -149,13 +149,15 @@ impl View {
     /// The newest announcements. Those of a process that has left are drawn until another one announces.
     fn announcements(&self) -> Announcements {
         let received = self.received();
-        let (room, controller) = (&received.room_geometry, &received.controller_geometry);
+        let (room, controller) = (&received.room_geometry, received.drawn_controller_geometry());
         let is_old = |of: &Dated<Arc<str>>| Received::fresh(of).is_none();
-        let (is_sim_node_old, is_controller_old) = (is_old(room), is_old(controller));
+        let (is_sim_node_old, is_controller_old) = (is_old(room), is_old(&controller));
         let is_outdated = is_sim_node_old && !is_controller_old;
         let text = |of: &Dated<Arc<str>>| of.as_ref().map(|(_, text)| Arc::clone(text));
         let sim_node = if is_outdated { None } else { text(room) };
-        Announcements { sim_node, controller: text(controller), is_sim_node_old, is_controller_old }
+        let controller = text(&controller);
+        let of_controllers = received.fresh_controller_geometries();
+        Announcements { sim_node, controller, of_controllers, is_sim_node_old, is_controller_old }
     }
 
     pub(crate) fn received(&self) -> MutexGuard<'_, Received> {
@@ -184,8 +186,12 @@ impl Received {
     /// is in the room and no other controller leads.
     fn is_displayed(&self, name: &str, status: &NodeStatus) -> bool {
         let Some((at, known)) = self.statuses.get(name) else { return true };
-        let is_present = self.alive.contains(&(status.node.name(), known.stamp.source)) && at.elapsed() < EXPIRY;
-        known.stamp.source == status.stamp.source || !is_present || self.leads(status)
+        let is_alive = |source| self.alive.contains(&(status.node.name(), source));
+        let is_present = is_alive(known.stamp.source) && at.elapsed() < EXPIRY;
+        // A controller that ends reports once more after its liveliness token.
+        let is_succeeded =
+            status.node == NodeKind::Controller && !is_alive(status.stamp.source) && self.is_controller_alive();
+        !is_succeeded && (known.stamp.source == status.stamp.source || !is_present || self.leads(status))
     }
 
     /// Whether a status is that of the controller that leads; of several that may lead, none.
@@ -193,6 +199,29 @@ impl Received {
         let name = controller_name(status.stamp.source);
         let is_leader = |one: &ControllerFigures| one.role.commands() && one.name == name;
         status.node == NodeKind::Controller && self.present_controllers().iter().any(is_leader)
+    }
+
+    /// The announcements of controllers that are not old, with the names of the controllers.
+    fn fresh_controller_geometries(&self) -> Vec<(String, Arc<str>)> {
+        let fresh = self.controller_geometries.iter().filter(|(_, (at, _))| at.elapsed() < EXPIRY);
+        fresh.map(|(source, (_, text))| (controller_name(*source), Arc::clone(text))).collect()
+    }
+
+    /// The announcement of the displayed controller, else of another one, else the newest that is old.
+    fn drawn_controller_geometry(&self) -> Dated<Arc<str>> {
+        let displayed = self.statuses.get(NodeKind::Controller.name()).map(|(_, status)| status.stamp.source);
+        let is_fresh = |(at, _): &&(Instant, Arc<str>)| at.elapsed() < EXPIRY;
+        let displayed = displayed.and_then(|source| self.controller_geometries.get(&source));
+        let drawn = displayed.filter(is_fresh).or_else(|| self.controller_geometries.values().find(is_fresh));
+        drawn.or_else(|| self.controller_geometries.values().max_by_key(|(at, _)| *at)).cloned()
+    }
+
+    fn take_controller_geometry(&mut self, geometry: RoomGeometry) {
+        let source = geometry.stamp.source;
+        let mut kept = self.controller_geometries.remove(&source);
+        keep_text(&mut kept, geometry.scenario);
+        self.controller_geometries.retain(|_, (at, _)| at.elapsed() < EXPIRY);
+        self.controller_geometries.extend(kept.map(|kept| (source, kept)));
     }
 
     fn take_truth(&mut self, truth: RoomTruth) {
@@ -260,9 +289,7 @@ fn subscribe(bus: &Bus, received: &Arc<Mutex<Received>>) -> Result<Vec<Subscript
         store(bus, &room.geometry(NodeKind::SimNode), received, |received, geometry: RoomGeometry| {
             keep_text(&mut received.room_geometry, geometry.scenario)
         })?,
-        store(bus, &room.geometry(NodeKind::Controller), received, |received, geometry: RoomGeometry| {
-            keep_text(&mut received.controller_geometry, geometry.scenario)
-        })?,
+        store(bus, &room.geometry(NodeKind::Controller), received, Received::take_controller_geometry)?,
         alive,
     ])
 }
@@ -356,6 +383,21 @@ mod tests {
         received.alive.remove(&(name, 2));
         received.take_status(0, status(1, 503, 0));
         assert_eq!(shown(&received), (1, 503), "the second has left");
+    }
+
+    #[test]
+    fn the_geometries_of_two_controllers_do_not_replace_each_other() {
+        let mut received = Received::default();
+        received.take_status(0, status(1, 500, 0));
+        for (source, scenario) in [(1, "one"), (2, "other"), (1, "one"), (2, "other")] {
+            let stamp = Stamp { source, ..Stamp::default() };
+            received.take_controller_geometry(RoomGeometry { stamp, scenario: scenario.into() });
+        }
+        let expected: [(String, Arc<str>); 2] =
+            [(controller_name(1), Arc::from("one")), (controller_name(2), Arc::from("other"))];
+        assert_eq!(received.fresh_controller_geometries(), expected);
+        let drawn = received.drawn_controller_geometry().map(|(_, text)| text);
+        assert_eq!(drawn.as_deref(), Some("one"), "that of the displayed controller");
     }
 
     #[test]

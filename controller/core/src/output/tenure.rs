@@ -228,9 +228,9 @@ impl Tenure {
         self.peers.len()
     }
 
-    /// Whether another controller is in the room.
-    pub fn has_peers(&self) -> bool {
-        !self.peers.is_empty()
+    /// Whether the liveliness token of the former leader had ended when this standby took over.
+    pub fn has_leader_ended(&self) -> bool {
+        self.standing == Standing::Leading && self.watch.has_left
     }
 
     /// Another controller is in the room, or has left it.

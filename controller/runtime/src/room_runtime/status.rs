@@ -13,9 +13,7 @@ use heliostat_service::clock::utc_ns;
 
 use super::{decision_loop::DecisionLoop, policy_swap::SwapCounters};
 use crate::report::{stage_times::StageTimes, summary::Summary};
-use describe::{
-    clock_time, describe_absence, describe_event, describe_left_out, describe_refusal, describe_stops, is_alarm,
-};
+use describe::{clock_time, describe_absence, describe_events, describe_left_out, describe_refusal, describe_stops};
 
 /// What to do about commands without a receiver.
 const DRIVER_ABSENT: &str = "there is no telemetry, and no liveliness token of a driver or simulator; start one, with an endpoint in common with this controller";
@@ -68,6 +66,8 @@ pub struct Reporter {
 enum Subject {
     /// Whether the array fits the scenario.
     Fit,
+    /// Whether this controller leads, and under which epoch.
+    Tenure,
     Stops,
     Driver,
     Geometry,
@@ -92,7 +92,7 @@ pub enum Problem {
     Alarm(String),
     /// Anything else.
     Warning(String),
-    /// The end of a lasting one.
+    /// The end of a lasting one, or information.
     End(String),
 }
 
@@ -300,10 +300,8 @@ impl Reporter {
         let events = TenureEvent::ALL.map(|event| counters.tenure(event));
         let before = std::mem::replace(&mut self.epoch_events, events);
         let rose = TenureEvent::ALL.into_iter().filter(|event| events[*event as usize] > before[*event as usize]);
-        if let Some(event) = rose.max_by_key(|event| is_alarm(*event)) {
-            let text = describe_event(event, tenure);
-            let problem = if is_alarm(event) { Problem::Alarm(text) } else { Problem::Warning(text) };
-            return Some((Subject::Other, problem));
+        if let Some(problem) = describe_events(&rose.collect::<Vec<_>>(), tenure) {
+            return Some((Subject::Tenure, problem));
         }
         let foreign_before = std::mem::replace(&mut self.foreign_arrays, counters.foreign_arrays);
         (foreign_before < counters.foreign_arrays).then(|| {

@@ -95,7 +95,11 @@ fn heading(title: &str, figures: &Figures, stops: Vec<Line<'static>>) -> Paragra
         0 => String::new(),
         some => format!(", {some} of {} mirrors unusable", figures.array.mirrors),
     };
-    let controller = if figures.controller_alive { "" } else { "  no controller" };
+    let controller = match (figures.controller_alive, figures.controller_unseen) {
+        (true, _) => "",
+        (false, true) => "  controller not seen",
+        (false, false) => "  no controller",
+    };
     let lines = [
         Line::from(vec![Span::from("Heliostat  ").bold(), Span::from(title.to_owned()).dim()]),
         Line::from(vec![

@@ -10,6 +10,7 @@ use heliostat_proto::{Nanos, array_keys::array_name, stop_hold::HeldStop};
 use heliostat_service::printable::printable;
 
 use super::super::decision_loop::DecisionLoop;
+use super::Problem;
 
 /// Stops in the state of a status; a text of the contract has at most 1024 bytes.
 const STOPS_SHOWN: usize = 3;
@@ -71,14 +72,30 @@ pub(super) fn describe_absence(without_driver: &[usize], arrays: usize) -> Strin
     format!("{all} to {}", names.join(" and "))
 }
 
+/// The most serious event of the tenure among those since the last snapshot. A takeover that proves contested in
+/// the same time keeps its reason.
+pub(super) fn describe_events(rose: &[TenureEvent], tenure: &Tenure) -> Option<Problem> {
+    let is_takeover = |event: TenureEvent| event == TenureEvent::TookOver;
+    let event = rose.iter().copied().max_by_key(|event| (is_alarm(*event), is_takeover(*event)))?;
+    let takeover = rose.iter().copied().find(|of| is_takeover(*of) && !is_takeover(event));
+    let texts: Vec<String> = takeover.into_iter().chain([event]).map(|event| describe_event(event, tenure)).collect();
+    let text = texts.join("; ");
+    Some(match event {
+        _ if is_alarm(event) => Problem::Alarm(text),
+        TenureEvent::Resumed => Problem::End(text),
+        TenureEvent::TookOver if tenure.has_leader_ended() => Problem::End(text),
+        _ => Problem::Warning(text),
+    })
+}
+
 /// Whether an event leaves the room without commands, or shows another sender.
-pub(super) fn is_alarm(event: TenureEvent) -> bool {
+fn is_alarm(event: TenureEvent) -> bool {
     use TenureEvent::{Resumed, StoodBy, Superseded, TookOver};
     !matches!(event, Resumed | StoodBy | Superseded | TookOver)
 }
 
 /// An event of the tenure, with what to do.
-pub(super) fn describe_event(event: TenureEvent, tenure: &Tenure) -> String {
+fn describe_event(event: TenureEvent, tenure: &Tenure) -> String {
     let epoch = tenure.epoch();
     match event {
         TenureEvent::Superseded => format!(
@@ -89,9 +106,11 @@ pub(super) fn describe_event(event: TenureEvent, tenure: &Tenure) -> String {
             "standby has ended: the array follows no higher epoch than {epoch}, or a calibration has given the mirrors back"
         ),
         TenureEvent::TookOver => {
-            format!(
-                "this controller takes over with the new epoch {epoch}: the array accepted no command of another, or the other has left"
-            )
+            let reason = match tenure.has_leader_ended() {
+                true => "the former leader has ended",
+                false => "the array accepted no command of another",
+            };
+            format!("this controller takes over with the new epoch {epoch}: {reason}")
         }
         TenureEvent::LockedOut => format!(
             "the array refused every command for 1 s; the new epoch {epoch} is used. Look for another sender of commands in the room"
@@ -163,5 +182,39 @@ pub(super) fn describe_left_out(LeftOut { user, refusal, position_m, values }: L
     match refusal {
         Refusal::OutsideRoom => format!("user {user} is left out: {}", describe_outside(position_m)),
         _ => format!("user {user} is left out: {values}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use heliostat_core::tenure::{EPOCH_SLOTS, Evidence};
+
+    use super::*;
+
+    const INTERVAL: Nanos = 10_000_000;
+
+    #[test]
+    fn a_contested_takeover_is_an_alarm_with_the_reason_of_the_takeover() {
+        let tenure = Tenure::live(2, INTERVAL);
+        let problem = describe_events(&[TenureEvent::TookOver, TenureEvent::Contested], &tenure);
+        let Some(Problem::Alarm(text)) = problem else { panic!("an alarm") };
+        for part in ["takes over", "the array accepted no command of another; the former leader still commands"] {
+            assert!(text.contains(part), "{text}");
+        }
+    }
+
+    #[test]
+    fn a_takeover_after_the_end_of_the_leader_is_no_problem() {
+        let (start, leader) = (1_000_000 * INTERVAL, 1);
+        let mut tenure = Tenure::live(2, INTERVAL);
+        tenure.handle_controller(leader, true);
+        let following = Evidence { epoch: EPOCH_SLOTS + leader, accepted: 5, following: true, ..Evidence::default() };
+        assert_eq!(tenure.handle_telemetry(start, following), None);
+        assert_eq!(tenure.permit(start).1, Some(TenureEvent::StoodBy));
+        tenure.handle_controller(leader, false);
+        let events: Vec<TenureEvent> = (1..=3).filter_map(|step| tenure.permit(start + step * INTERVAL).1).collect();
+        assert_eq!(events, [TenureEvent::TookOver]);
+        let Some(Problem::End(text)) = describe_events(&events, &tenure) else { panic!("no problem") };
+        assert!(text.ends_with(": the former leader has ended"), "{text}");
     }
 }

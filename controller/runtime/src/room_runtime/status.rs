@@ -2,6 +2,8 @@
 
 mod describe;
 
+use std::collections::BTreeMap;
+
 use heliostat_core::{
     core::{Counters, DegradedMode, Stage},
     refusal::{Refusal, Stream},
@@ -56,20 +58,21 @@ pub struct Reporter {
     off_light: Vec<String>,
     /// The stops that withhold commands, in words; empty for none.
     stops: String,
-    last_problem: String,
-    /// What it is about.
-    last_subject: Subject,
+    /// What keeps commands from the mirrors, while it lasts.
+    blocked: BTreeMap<Subject, String>,
+    /// The newest problem since the commands were last blocked, and what it is about.
+    newest: (Subject, String),
 }
 
 /// What a problem is about: its end clears no other one.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 enum Subject {
     /// Whether the array fits the scenario.
     Fit,
+    Driver,
+    Stops,
     /// Whether this controller leads, and under which epoch.
     Tenure,
-    Stops,
-    Driver,
     Geometry,
     /// The light of the mirrors, or of an LED.
     Light(String),
@@ -133,8 +136,8 @@ impl Reporter {
             conditions: Conditions::default(),
             off_light: Vec::new(),
             stops: String::new(),
-            last_problem: String::new(),
-            last_subject: Subject::Other,
+            blocked: BTreeMap::new(),
+            newest: (Subject::Other, String::new()),
         }
     }
 
@@ -163,16 +166,11 @@ impl Reporter {
             .or_else(|| self.new_problem(decision_loop, &swaps).map(warning))
             .or_else(|| self.new_undecodable(undecodable).map(warning));
         let occurrences = std::mem::take(&mut self.occurrences);
-        match &problem {
-            Some((subject, Problem::Alarm(problem) | Problem::Warning(problem))) => {
-                self.last_problem.clone_from(problem);
-                self.last_subject.clone_from(subject);
-            }
-            Some((subject, Problem::End(_))) if *subject == self.last_subject => self.last_problem.clear(),
-            Some((_, Problem::End(_))) | None => {}
+        if let Some((subject, problem)) = &problem {
+            self.keep(subject, problem);
         }
         let problem = problem.map(|(_, problem)| problem);
-        summary.last_problem.clone_from(&self.last_problem);
+        self.problem().clone_into(&mut summary.last_problem);
         summary.set_without_driver(&self.conditions.without_driver);
         summary.geometry_differs = self.conditions.geometry.is_some();
         let refused = controller.inbox().refused();
@@ -181,6 +179,30 @@ impl Reporter {
         let state = self.state(&summary);
         (self.decisions, self.commands) = (summary.decisions, summary.commands);
         Snapshot { summary, problem, occurrences, now: decision_loop.room_time_ns(), state, swaps }
+    }
+
+    /// What the status names: why no commands reach the mirrors, otherwise the newest problem.
+    fn problem(&self) -> &str {
+        self.blocked.values().next().unwrap_or(&self.newest.1)
+    }
+
+    /// Keeps a problem for the status until it ends. What keeps commands from the mirrors is shown as long as it lasts:
+    /// no other problem takes its place, and none of before returns after it.
+    fn keep(&mut self, subject: &Subject, problem: &Problem) {
+        let blocks = matches!(subject, Subject::Fit | Subject::Driver | Subject::Stops);
+        match problem {
+            Problem::Alarm(text) | Problem::Warning(text) if blocks => {
+                self.blocked.insert(subject.clone(), text.clone());
+                self.newest = Default::default();
+            }
+            Problem::Alarm(text) | Problem::Warning(text) if self.blocked.is_empty() => {
+                self.newest = (subject.clone(), text.clone());
+            }
+            Problem::Alarm(_) | Problem::Warning(_) => {}
+            Problem::End(_) if blocks => drop(self.blocked.remove(subject)),
+            Problem::End(_) if *subject == self.newest.0 => self.newest = Default::default(),
+            Problem::End(_) => {}
+        }
     }
 
     /// The report for a snapshot, with the times since the start.
@@ -412,4 +434,28 @@ impl Reporter {
 /// A problem of which no end is reported.
 fn warning(text: String) -> (Subject, Problem) {
     (Subject::Other, Problem::Warning(text))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_keeps_commands_from_the_mirrors_stays_the_problem_until_it_ends() {
+        let mut reporter = Reporter::new(Identity::default());
+        let mut after = |subject: Subject, problem: Problem| {
+            reporter.keep(&subject, &problem);
+            reporter.problem().to_owned()
+        };
+        let refused = || Problem::Warning("a report is refused".into());
+        assert_eq!(after(Subject::Other, refused()), "a report is refused");
+        assert_eq!(after(Subject::Fit, Problem::Alarm("the array is too small".into())), "the array is too small");
+        assert_eq!(after(Subject::Other, refused()), "the array is too small");
+        assert_eq!(after(Subject::Driver, Problem::Warning("no driver".into())), "the array is too small");
+        assert_eq!(after(Subject::Driver, Problem::End("a driver is in the room".into())), "the array is too small");
+        assert_eq!(after(Subject::Fit, Problem::End("the array fits".into())), "", "none of before returns");
+        assert_eq!(after(Subject::Geometry, Problem::Warning("rooms differ".into())), "rooms differ");
+        assert_eq!(after(Subject::Driver, Problem::End("a driver is in the room".into())), "rooms differ");
+        assert_eq!(after(Subject::Geometry, Problem::End("rooms agree".into())), "");
+    }
 }

@@ -98,6 +98,7 @@ impl RoomStatus {
         let leads = match controllers.len() {
             0 if self.figures.controller_unseen => Some(UNSEEN_CONTROLLER),
             0 => Some("no controller: start one, or connect to its endpoint or router too"),
+            _ if self.figures.calibration.is_some() => Some("no controller leads: a calibration commands the mirrors"),
             _ if has(Role::Leads) => None,
             _ if has(Role::Unfollowed) => Some("no controller leads: no telemetry shows which one the array follows"),
             _ => Some("no controller leads: each stands by"),
@@ -220,6 +221,8 @@ mod tests {
         assert_eq!(found(figures(vec![controller(Role::StandsBy)])), ["no controller leads: each stands by"]);
         let unfollowed = found(figures(vec![controller(Role::Unfollowed); 2]));
         assert_eq!(unfollowed, ["no controller leads: no telemetry shows which one the array follows"]);
+        let calibrated = Figures { calibration: Some("spot 1".into()), ..figures(vec![controller(Role::Leads)]) };
+        assert_eq!(found(calibrated), ["no controller leads: a calibration commands the mirrors"]);
         let parked = ArrayFigures { state: "parked".into(), faults: vec!["link"], ..ArrayFigures::default() };
         let parked = Figures { array: parked, ..figures(vec![controller(Role::Leads)]) };
         assert_eq!(found(parked), ["the array does not follow: parked", "faults of the array: link"]);

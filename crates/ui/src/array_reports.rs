@@ -1,12 +1,16 @@
 //! The latest telemetry of each array of a room, and of all arrays together.
 
 use std::collections::BTreeMap;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use heliostat_channel::MirrorArrays;
 use heliostat_proto::{ArrayState, Counters, MirrorTelemetry};
 
 use crate::expiry::EXPIRY;
+
+/// An array is commanded this long after telemetry that shows further accepted commands. This is shorter than
+/// [`EXPIRY`] by the interval of a status at least: the status of a controller that has left stays fresh for longer.
+const COMMANDED: Duration = Duration::from_secs(1);
 
 /// The latest telemetry of each array, by its index, with the arrival times.
 #[derive(Debug, Default)]
@@ -16,6 +20,8 @@ pub(crate) struct ArrayReports {
     sources: BTreeMap<usize, BTreeMap<u64, (Instant, ArrayState)>>,
     /// The two sources of an array that report in turn, and when this was seen last.
     shared: BTreeMap<usize, (Instant, [u64; 2])>,
+    /// When telemetry last showed further accepted commands.
+    accepted_at: Option<Instant>,
 }
 
 impl ArrayReports {
@@ -35,7 +41,16 @@ impl ArrayReports {
             let states = sources.values().map(|(_, state)| *state);
             telemetry.state = states.max_by_key(|state| severity(*state)).unwrap_or(telemetry.state);
         }
-        self.latest.insert(array, (now, telemetry));
+        let accepted = telemetry.counters.accepted;
+        let last = self.latest.insert(array, (now, telemetry)).filter(|(_, last)| last.stamp.source == source);
+        if last.is_some_and(|(_, last)| last.counters.accepted < accepted) {
+            self.accepted_at = Some(now);
+        }
+    }
+
+    /// Whether an array accepts commands.
+    pub fn are_commanded(&self) -> bool {
+        self.accepted_at.is_some_and(|at| at.elapsed() < COMMANDED)
     }
 
     /// The arrays that two sources report at present, with these sources.

@@ -315,6 +315,19 @@ mod tests {
     }
 
     #[test]
+    fn a_controller_that_is_not_seen_is_not_gone() {
+        let (mut log, no_stop) = (EventLog::default(), StopFigures::default());
+        log.note_at(1, &figures("following", ""), &[], &no_stop);
+        let first = texts(&log).len();
+        for (time, controller_unseen) in [(2, true), (3, false)] {
+            let now = Figures { controller_alive: false, controller_unseen, ..figures("following", "") };
+            log.note_at(time, &now, &[], &no_stop);
+        }
+        let shown: Vec<_> = texts(&log)[first..].iter().map(|(_, text, _)| *text).collect();
+        assert_eq!(shown, ["controller: alive \u{2192} not seen", "controller: not seen \u{2192} gone"]);
+    }
+
+    #[test]
     fn a_stop_is_an_event_with_what_is_known_of_its_sender() {
         let mut log = EventLog::default();
         let stop = |operator: &str, reason: &str| StopFigures {

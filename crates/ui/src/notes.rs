@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use heliostat_proto::array_keys::array_name;
 use heliostat_proto::gauges::ServedLight;
-use heliostat_proto::{ArrayState, NodeKind, NodeStatus};
+use heliostat_proto::{NodeKind, NodeStatus};
 use heliostat_service::printable::printable;
 
 use crate::error::CHECK_REACH;
@@ -53,11 +53,11 @@ impl Received {
         self.alive.iter().any(|(node, _)| *node == NodeKind::Controller.name())
     }
 
-    /// Whether an array follows valid commands, and no controller is seen that sends them. The last command of a
-    /// controller that has just left may be valid still.
+    /// Whether an array accepts commands, and no controller is seen that sends them. Those that it accepted lately may
+    /// be of a controller that has just left.
     pub(crate) fn is_controller_unseen(&self) -> bool {
-        let is_following = self.arrays.states().iter().any(|(_, state)| *state == ArrayState::Following);
-        is_following && !self.is_controller_alive() && self.fresh_status(NodeKind::Controller.name()).is_none()
+        let is_seen = self.is_controller_alive() || self.fresh_status(NodeKind::Controller.name()).is_some();
+        self.arrays.are_commanded() && !is_seen
     }
 }
 
@@ -135,7 +135,7 @@ fn absent_drivers(status: &NodeStatus, arrays: usize) -> Option<String> {
 mod tests {
     use std::time::Duration;
 
-    use heliostat_proto::{MirrorTelemetry, Stamp, UserReport};
+    use heliostat_proto::{Counters, MirrorTelemetry, Stamp, UserReport};
 
     use super::*;
 
@@ -170,8 +170,10 @@ mod tests {
     #[test]
     fn a_controller_that_the_array_follows_and_this_viewer_does_not_see_is_not_missing() {
         let mut received = Received::default();
-        let following = MirrorTelemetry { state: ArrayState::Following, epoch: 500, ..MirrorTelemetry::default() };
-        received.arrays.note(0, following);
+        for accepted in [5, 6] {
+            let counters = Counters { accepted, ..Counters::default() };
+            received.arrays.note(0, MirrorTelemetry { epoch: 500, counters, ..MirrorTelemetry::default() });
+        }
         received.users = Some((Instant::now(), UserReport::default()));
         let notes = received.notes(1, ago(60));
         assert_eq!(notes, [UNSEEN_CONTROLLER]);

@@ -112,6 +112,9 @@ impl RoomStatus {
             0 => Some("no controller: start one, or connect to its endpoint or router too"),
             _ if controllers.iter().any(|one| one.role.commands()) => None,
             _ if has(Role::Unfollowed) => Some("no controller leads: no telemetry shows which one the array follows"),
+            _ if array.state == ArrayState::Following.name() => Some(
+                "no controller that reaches this viewer leads: connect to the one that the array follows, or to the router of the room, too",
+            ),
             _ => Some("no controller leads: each stands by"),
         };
         let reports = (self.reports_per_s == 0.0 && self.deciding().is_none()).then(|| {
@@ -232,9 +235,14 @@ mod tests {
         let figures = |controllers| Figures { controllers, array: array.clone(), ..Figures::default() };
         let found = |figures| RoomStatus { reports_per_s: 20.0, figures, ..RoomStatus::default() }.found();
         assert_eq!(found(figures(vec![controller(Role::Leads), controller(Role::StandsBy)])), [""; 0]);
-        assert_eq!(found(figures(vec![controller(Role::StandsBy)])), ["no controller leads: each stands by"]);
+        let stands_by = || figures(vec![controller(Role::StandsBy)]);
+        assert!(found(stands_by())[0].starts_with("no controller that reaches this viewer leads: connect"));
+        let holding = ArrayFigures { state: "holding".into(), ..ArrayFigures::default() };
+        assert_eq!(found(Figures { array: holding, ..stands_by() })[0], "no controller leads: each stands by");
         let unfollowed = found(figures(vec![controller(Role::Unfollowed); 2]));
         assert_eq!(unfollowed, ["no controller leads: no telemetry shows which one the array follows"]);
+        let calibrated = figures(vec![controller(Role::Calibrates), controller(Role::StandsBy)]);
+        assert_eq!(found(calibrated), [""; 0], "a calibration commands in place of the leader");
         let parked = ArrayFigures { state: "parked".into(), faults: vec!["link"], ..ArrayFigures::default() };
         let parked = Figures { array: parked, ..figures(vec![controller(Role::Leads)]) };
         assert_eq!(found(parked), ["the array does not follow: parked", "faults of the array: link"]);

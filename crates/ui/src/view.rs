@@ -381,6 +381,8 @@ mod tests {
             assert_eq!(received.belief.is_some(), is_taken, "the belief of the displayed controller");
         }
         received.alive.remove(&(name, 2));
+        received.take_status(0, status(2, 5, 1));
+        assert_eq!(shown(&received), (2, 4), "its last status, of the handover");
         received.take_status(0, status(1, 503, 0));
         assert_eq!(shown(&received), (1, 503), "the second has left");
     }

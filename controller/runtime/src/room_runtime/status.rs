@@ -21,7 +21,7 @@ use describe::{clock_time, describe_absence, describe_events, describe_left_out,
 const DRIVER_ABSENT: &str = "there is no telemetry, and no liveliness token of a driver or simulator; start one, with an endpoint in common with this controller";
 
 /// The reporting node.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Identity {
     /// Random id of this instance.
     pub source: u64,

@@ -108,6 +108,18 @@ def test_a_function_that_fails_is_counted_and_the_fallback_turns_the_mirrors(ans
 
 
 @needs_program
+def test_a_run_with_the_scenario_of_another_room_reports_what_differs() -> None:
+    endpoint, differs = free_endpoint(), "room and controller differ: room."
+    with (
+        observer(endpoint, "demo") as room,
+        simulator(endpoint),
+        running(lambda _: np.zeros(200, np.float32), endpoint, "office") as summaries,
+    ):
+        wait_until("problem", lambda: room.status("controller").get("last_problem", "").startswith(differs))
+    assert summaries[0].last_problem.startswith(differs), summaries
+
+
+@needs_program
 def test_without_a_fallback_the_array_gets_no_command_of_a_failed_decision() -> None:
     endpoint = free_endpoint()
     scenario = heliostat.load_scenario("hall", {"control.fallback": "hold"})

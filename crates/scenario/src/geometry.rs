@@ -13,6 +13,9 @@ use crate::tables::{Blockage, Channel, Led, Link, Noise, Receiver, Room, Users};
 /// The tables of a geometry, in the order in which a difference is reported.
 const TABLES: [&str; 8] = ["room", "led", "mirrors", "receiver", "channel", "noise", "link", "blockage"];
 
+/// Longest text of a value in a sentence, in characters.
+const VALUE_CHARACTERS: usize = 60;
+
 /// The keys of a scenario that a geometry holds.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -64,6 +67,25 @@ impl Scenario {
         let scenario = geometry.into_scenario();
         scenario.check().map_err(|error| with_line(error, text))?;
         Ok(scenario)
+    }
+
+    /// Why the geometry that a room announces is not that of this scenario of its controller; `None` if it
+    /// is.
+    ///
+    /// The text can hold characters of the announcement that a terminal executes.
+    pub fn announced_problem(&self, announced: &str) -> Option<String> {
+        let room = match Self::from_geometry_toml(announced) {
+            Ok(room) => room,
+            Err(error) => {
+                return Some(format!("the geometry that the room announces is refused: {}", error.in_one_line()));
+            }
+        };
+        let GeometryDifference { key, here, there } = self.geometry_difference(&room)?;
+        let cut = |text: &str| text.chars().take(VALUE_CHARACTERS).collect::<String>();
+        let (here, there) = (cut(&here), cut(&there));
+        Some(format!(
+            "room and controller differ: {key} is {there} in the room and {here} in this controller; start both with the same scenario and overrides"
+        ))
     }
 
     /// The first key in which the geometry differs from that of another scenario; their names may

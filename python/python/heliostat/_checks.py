@@ -54,5 +54,11 @@ def real(name: str, values: Any) -> NDArray[Any]:
     return array
 
 
+def printable(text: str) -> str:
+    """A text of another process, made safe for a terminal: lines stay, other control characters become JSON escapes, as
+    in the log of the Rust programs."""
+    return "".join(one if one == "\n" or one.isprintable() else f"\\u{ord(one):04x}" for one in text)
+
+
 def _text(number: int) -> str:
     return "2**64 - 1" if number == SEED_MAX else str(number)

@@ -29,6 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ._checks import printable
 from ._core import Commander
 from .scenario import Scenario, load_scenario
 
@@ -38,7 +39,7 @@ _ANNOUNCED_S = 0.3
 _QUEUE_MAX = 1024
 _SILENT_S = 2.0
 _LOOK_AGAIN_S = 5.0
-_ROOM = ("obstacles", "orientation", "leds", "channel", "users", "stop")
+_ROOM = ("room_geometry", "obstacles", "orientation", "leds", "channel", "users", "stop")
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,8 @@ class RunSummary:
     dropped: int
     """Messages that were dropped, because the function took too long."""
     last_problem: str
-    """Why the last failed decision failed, or why an array or the whole room gets no command; empty without a problem."""
+    """Why the last failed decision failed, why an array or the whole room gets no command, or in what the room differs
+    from the scenario; empty without a problem."""
 
 
 def run(
@@ -185,9 +187,10 @@ class _Run:
                 self._peer.publish_status("running", counters, found, policy="python", scenario=self._scenario.hash)
 
     def _problem(self) -> str:
-        """Why there is no command; empty without a problem."""
-        if self._core.last_problem:
-            return self._core.last_problem
+        """Why there is no command, or why commands suit another room; empty without a problem."""
+        found = filter(None, (self._core.geometry_problem(time.time_ns()), self._core.last_problem))
+        if problem := printable("; ".join(found)):
+            return problem
         if self._core.counters()["decisions"] > 0 or time.monotonic() - self._began < _SILENT_S:
             return ""
         if self._heard:

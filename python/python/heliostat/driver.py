@@ -36,7 +36,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ._checks import integer
+from ._checks import integer, printable
 from ._core import (
     ARRAYS_MAX,
     STOP_RECORD_END_WAIT_NS,
@@ -422,9 +422,8 @@ class _Log:
         self._writer.join(timeout=1)
 
     def show(self, text: str) -> None:
-        """Texts can come from any process of the room. Lines stay; other control characters become JSON escapes, as in
-        the log of the Rust programs."""
-        self._put("".join(one if one == "\n" or one.isprintable() else f"\\u{ord(one):04x}" for one in text))
+        """Texts can come from any process of the room."""
+        self._put(printable(text))
 
     def _put(self, line: str | None) -> None:
         with suppress(queue.Full):

@@ -91,7 +91,8 @@ def test_a_function_commands_the_mirrors_of_a_room() -> None:
         (lambda: 1 / 0, "division by zero"),
         (lambda: np.full(200, np.nan), "finite"),
         (lambda: np.zeros(3), "length 3"),
-        (lambda: None, "the function python failed"),
+        (lambda: np.zeros((1, 200)), "an action of shape (1, 200), expected one dimension"),
+        (lambda: None, "action: dtype object, expected real numbers"),
     ],
 )
 def test_a_function_that_fails_is_counted_and_the_fallback_turns_the_mirrors(answer: Any, part: str) -> None:

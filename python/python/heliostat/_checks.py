@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import operator
 from typing import Any
 
@@ -44,6 +45,19 @@ def states_of(states: Any, seeds: Any) -> tuple[int, int]:
     if checked[0] * checked[1] > STATES_MAX:
         raise ValueError(f"{checked[0]} states of {checked[1]} seeds: expected at most {STATES_MAX} together")
     return checked
+
+
+def finite(name: str, value: Any, expected: str, least: float = -math.inf) -> float:
+    """A finite number from `least` as a float: an integer or a number of NumPy too, but no text and no boolean."""
+    try:
+        number = float("" if isinstance(value, (bool, np.bool_, str, bytes)) else value)
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"{name} = {value!r}: expected {expected}") from None
+    if not math.isfinite(number):
+        raise ValueError(f"{name} = {value!r} is not finite: expected {expected}")
+    if number < least:
+        raise ValueError(f"{name} = {value!r}: expected {expected}")
+    return number
 
 
 def real(name: str, values: Any) -> NDArray[Any]:

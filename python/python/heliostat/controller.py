@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ._checks import printable
+from ._checks import printable, real
 from ._core import Commander
 from .scenario import Scenario, load_scenario
 
@@ -134,7 +134,10 @@ class _Run:
     def _call(self, observation: NDArray[np.float32]) -> Any:
         begin = time.monotonic()
         try:
-            return self._act(observation)
+            action = np.ascontiguousarray(real("action", self._act(observation)), np.float32)
+            if action.ndim != 1:
+                raise ValueError(f"an action of shape {action.shape}, expected one dimension")
+            return action
         finally:
             self._late += time.monotonic() - begin > self._core.deadline_s
 

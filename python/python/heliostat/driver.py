@@ -36,7 +36,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ._checks import integer, printable
+from ._checks import finite, integer, printable
 from ._core import (
     ARRAYS_MAX,
     STOP_RECORD_END_WAIT_NS,
@@ -51,24 +51,13 @@ _LONGEST_WAIT_NS = 50_000_000
 _NUMBER_MAX = 2**32 - 1
 
 
-def _finite(name: str, value: Any, expected: str) -> float:
-    """A finite number as a float: an integer or a number of NumPy too, but no text and no boolean."""
-    try:
-        number = float("" if isinstance(value, (bool, np.bool_, str, bytes)) else value)
-    except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"{name} = {value!r}: expected {expected}") from None
-    if not math.isfinite(number):
-        raise ValueError(f"{name} = {value!r} is not finite: expected {expected}")
-    return number
-
-
 def _pair(name: str, values: Any, expected: str) -> tuple[float, float]:
     """Two finite numbers."""
     try:
         one, other = values
     except (TypeError, ValueError):
         raise ValueError(f"{name} = {values!r}: expected {expected}") from None
-    return _finite(name, one, expected), _finite(name, other, expected)
+    return finite(name, one, expected), finite(name, other, expected)
 
 
 def _limits(name: str, values: Any, most_apart: float = math.pi) -> tuple[float, float]:
@@ -83,6 +72,20 @@ def _limits(name: str, values: Any, most_apart: float = math.pi) -> tuple[float,
             f"{name} = {values!r} is more than half a turn: expected {expected}; math.radians converts degrees"
         )
     return least, most
+
+
+def _travel(values: Any, *limits: tuple[float, float]) -> tuple[tuple[float, float], ...]:
+    """The range of the hardware for roll and for yaw, which holds the limits of both."""
+    try:
+        roll, yaw = values
+    except (TypeError, ValueError):
+        raise ValueError(f"travel_rad = {values!r}: expected the range of roll and that of yaw") from None
+    travel = _limits("travel_rad, roll", roll, math.inf), _limits("travel_rad, yaw", yaw, math.inf)
+    for axis, (least, most), inner in zip(("roll", "yaw"), travel, limits, strict=True):
+        # Limits that were computed from the travel may be rounded.
+        if least > inner[0] + 1e-6 or most < inner[1] - 1e-6:
+            raise ValueError(f"travel_rad, {axis} = {least, most}: expected a range that holds {axis}_rad = {inner}")
+    return travel
 
 
 @dataclass(frozen=True)
@@ -123,17 +126,15 @@ class Capabilities:
             "park_rad": _pair("park_rad", self.park_rad, "roll and yaw in rad"),
         }
         for name in ("slew_rad_s", "settling_s", "resolution_rad", "command_rate_max_hz"):
-            checked[name] = _finite(name, getattr(self, name), "a finite number")
+            checked[name] = finite(name, getattr(self, name), "a finite number that is not negative", least=0.0)
+        for name in ("hardware", "driver"):
+            if not isinstance(getattr(self, name), str):
+                raise ValueError(f"{name} = {getattr(self, name)!r}: expected a text")
+        for name in ("measures", "synchronised_clock"):
+            if not isinstance(getattr(self, name), (bool, np.bool_)):
+                raise ValueError(f"{name} = {getattr(self, name)!r}: expected True or False")
         if self.travel_rad is not None:
-            expected = f"travel_rad = {self.travel_rad!r}: expected the range of roll and that of yaw"
-            try:
-                roll, yaw = self.travel_rad
-            except (TypeError, ValueError):
-                raise ValueError(expected) from None
-            checked["travel_rad"] = (
-                _limits("travel_rad, roll", roll, math.inf),
-                _limits("travel_rad, yaw", yaw, math.inf),
-            )
+            checked["travel_rad"] = _travel(self.travel_rad, checked["roll_rad"], checked["yaw_rad"])
         for name, value in checked.items():
             object.__setattr__(self, name, value)
         check_capabilities(self.message())

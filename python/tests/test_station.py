@@ -299,6 +299,22 @@ def test_measured_angles_and_health_are_in_the_telemetry(tmp_path: Path) -> None
         assert failed.telemetry()["faults"] & 1 and "health" in failed.station.last_problem
 
 
+@pytest.mark.parametrize(
+    ("condition", "reason"),
+    [
+        (None, "health: ValueError: expected a Health, got None"),
+        (36.5, "expected a Health, got 36.5"),
+        (Health(temperature_c="hot"), "temperature_c: expected a number in degrees Celsius"),  # type: ignore[arg-type]
+        (Health(broken=(-1,)), "broken: expected a list of indices of mirrors"),
+        (Health(broken=3), "broken: expected a list of indices of mirrors"),  # type: ignore[arg-type]
+    ],
+)
+def test_a_condition_that_is_no_health_is_named(driven: Driven, condition: Any, reason: str) -> None:
+    driven.mirrors.condition = condition
+    driven.step()
+    assert reason in driven.station.last_problem and driven.reports["telemetry"]["faults"] & 1
+
+
 def test_a_calibration_corrects_the_device_within_its_travel(tmp_path: Path) -> None:
     travel = ((-0.5, 0.75), (-0.5, 0.75))
     driven = Driven(tmp_path, Mirrors(travel_rad=travel))

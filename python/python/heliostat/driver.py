@@ -28,7 +28,7 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -39,13 +39,17 @@ from numpy.typing import NDArray
 from ._checks import finite, integer, printable
 from ._core import (
     ARRAYS_MAX,
+    KINDS,
     STOP_RECORD_END_WAIT_NS,
     STOP_RECORD_MAX,
     Station,
     check_capabilities,
+    decode,
+    encode,
     stop_record_folder,
 )
-from .peer import SOFTWARE, Peer, PeerError, Settings, add_arguments, stop_on_signals
+from ._watched import Watched
+from .peer import INTERRUPTED, SOFTWARE, Peer, PeerError, Settings, add_arguments, stop_on_signals
 
 _LONGEST_WAIT_NS = 50_000_000
 _NUMBER_MAX = 2**32 - 1
@@ -279,6 +283,8 @@ def parser(description: str | None = None) -> argparse.ArgumentParser:
 def main(device: Device, given: argparse.Namespace) -> None:
     """Runs a driver by the flags of `parser` until Ctrl-C, SIGTERM or `--seconds`; prints what it did.
 
+    A second signal ends it at once, also where a method of the device does not return.
+
     The process exits with status 1 and the reason where the driver cannot run.
     """
     try:
@@ -292,6 +298,8 @@ def main(device: Device, given: argparse.Namespace) -> None:
         )
     except (PeerError, ValueError) as problem:
         sys.exit(f"error: {problem}")
+    except KeyboardInterrupt:
+        sys.exit(INTERRUPTED)
     print(f"commands accepted: {counters['accepted']}")
 
 
@@ -320,12 +328,23 @@ def run(
         stop_on_signals(stop or threading.Event()) as ended,
         _Log() as log,
         Peer(settings, "driver", array, ended) as peer,
+        ExitStack() as ending,
     ):
         if not peer.is_open:
             return {"accepted": 0}
         peer.check_alone()
+        latest: dict[str, bytes] = {}
+
+        def report(problem: str) -> None:
+            # The thread of the station waits for the device.
+            if "status" in latest:
+                status = decode(latest["status"], KINDS["status"])
+                status["stamp"]["time_ns"] = time.time_ns()
+                peer.put("status", encode({**status, "last_problem": problem}, KINDS["status"]))
+
+        watched = ending.enter_context(Watched(device, log.show, report))
         station = Station(
-            device,
+            watched,
             device.capabilities.message(),
             device.capabilities.travel_rad,
             StopFile(state or _state_folder()),
@@ -350,7 +369,6 @@ def run(
 
         for name in ("command", "stop", "stop_repetition", "rearm", "calibration"):
             receive(name)
-        latest: dict[str, bytes] = {}
         for name in ("capabilities", "safety", "stops"):
             peer.answer(name, latest)
         peer.announce()

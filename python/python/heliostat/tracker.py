@@ -23,7 +23,7 @@ from typing import Any
 
 from ._checks import finite, integer
 from ._core import Refused
-from .peer import Peer, PeerError, Settings, add_arguments, stop_on_signals
+from .peer import INTERRUPTED, Peer, PeerError, Settings, add_arguments, stop_on_signals
 
 _STATUS_NS = 1_000_000_000
 _USER_MAX = 2**32 - 1
@@ -183,4 +183,6 @@ def main(users_at: Callable[[float], Iterable[User]], given: argparse.Namespace,
                 stop.wait(max(0.0, begin + turn / rate_hz - time.monotonic()))
     except PeerError as problem:
         sys.exit(f"error: {problem}")
+    except KeyboardInterrupt:
+        sys.exit(INTERRUPTED)
     print(f"reports sent: {tracker.ticks}")

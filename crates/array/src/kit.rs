@@ -22,7 +22,7 @@
 //!
 //! ```text
 //!            connect failed: the pause doubles, up to 5 s; it is
-//!            reset when the device has worked that long
+//!            reset when the device has worked for 1 s
 //!                +------+
 //!                |      v
 //!             +------------+   connect succeeded: apply the    +------+
@@ -53,7 +53,7 @@ use crate::rules::{Array, Limits, RearmRefusal, Refusal};
 mod reports;
 
 /// First pause before a reconnection in ns; it doubles with each failure of a device that has not
-/// worked for [`PAUSE_MAX_NS`] since it was connected.
+/// worked for [`STEADY_NS`] since it was connected.
 const PAUSE_MIN_NS: u64 = 100_000_000;
 
 /// Longest pause before a reconnection in ns.
@@ -61,6 +61,9 @@ const PAUSE_MAX_NS: u64 = 5_000_000_000;
 
 /// The same while the array is stopped.
 const PAUSE_MAX_STOPPED_NS: u64 = 500_000_000;
+
+/// After a device has worked for this time since it was connected, the pauses begin again.
+const STEADY_NS: u64 = 1_000_000_000;
 
 /// The connection to the device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -444,7 +447,7 @@ impl<D: Device> Kit<D> {
     }
 
     fn lost(&mut self, now: Moment, problem: DeviceError) {
-        let has_worked = self.link == Link::Up && now.local_ns.saturating_sub(self.connected_ns) >= PAUSE_MAX_NS;
+        let has_worked = self.link == Link::Up && now.local_ns.saturating_sub(self.connected_ns) >= STEADY_NS;
         let is_stopped = self.array.state() == ArrayState::Stopped;
         let longest_ns = if is_stopped { PAUSE_MAX_STOPPED_NS } else { PAUSE_MAX_NS };
         self.pause_ns = if has_worked { PAUSE_MIN_NS } else { (2 * self.pause_ns).clamp(PAUSE_MIN_NS, longest_ns) };

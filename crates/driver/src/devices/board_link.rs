@@ -19,8 +19,11 @@ use crate::devices::board::Board;
 use crate::devices::interrupt::Interrupt;
 
 /// First pause before a reconnection; it doubles with each failure of a board that has not worked for
-/// [`PAUSE_MAX`] since it was connected.
+/// [`STEADY`] since it was connected.
 const PAUSE_MIN: Duration = Duration::from_millis(100);
+
+/// After a board has worked for this time since it was connected, the pauses begin again.
+const STEADY: Duration = Duration::from_secs(1);
 
 /// Longest pause before a reconnection.
 const PAUSE_MAX: Duration = Duration::from_secs(2);
@@ -200,7 +203,7 @@ fn pause_left(pause: Duration, is_stopped: bool, since_failure: Duration) -> Dur
 /// The pause after a failure of a board that has worked for a time since it was connected, after the last
 /// pause.
 fn pause_after(last: Duration, worked: Duration) -> Duration {
-    if worked >= PAUSE_MAX { PAUSE_MIN } else { (2 * last).clamp(PAUSE_MIN, PAUSE_MAX) }
+    if worked >= STEADY { PAUSE_MIN } else { (2 * last).clamp(PAUSE_MIN, PAUSE_MAX) }
 }
 
 struct LinkThread {
@@ -320,12 +323,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pauses_grow_until_a_board_has_worked_for_the_longest_one() {
-        let soon = PAUSE_MAX - Duration::from_millis(1);
+    fn pauses_grow_until_a_board_has_worked_for_a_while() {
+        let soon = STEADY - Duration::from_millis(1);
         assert_eq!(pause_after(Duration::ZERO, Duration::ZERO), PAUSE_MIN);
         assert_eq!(pause_after(PAUSE_MIN, soon), 2 * PAUSE_MIN);
         assert_eq!(pause_after(PAUSE_MAX, soon), PAUSE_MAX);
-        assert_eq!(pause_after(PAUSE_MAX, PAUSE_MAX), PAUSE_MIN);
+        assert_eq!(pause_after(PAUSE_MAX, STEADY), PAUSE_MIN);
     }
 
     #[test]

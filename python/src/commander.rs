@@ -30,6 +30,8 @@ type Commands = Vec<(usize, Vec<u8>)>;
 #[pyclass(frozen, module = "heliostat._core")]
 pub struct Commander {
     room: Mutex<RoomCore>,
+    /// What the controller assumes of the room.
+    scenario: heliostat_scenario::Scenario,
     failures: Arc<AtomicU64>,
     raised: Raised,
     #[pyo3(get)]
@@ -63,6 +65,7 @@ fn key(name: &str, array: usize) -> PyResult<InputKey> {
         "safety" => return Ok(InputKey::Safety(array)),
         "stops" => return Ok(InputKey::Stops(array)),
         "stop" => return Ok(InputKey::Stop),
+        "room_geometry" => return Ok(InputKey::Geometry),
         other => return Err(refused(format!("a controller reads no message {other:?}"))),
     };
     Ok(InputKey::Report(InputChannel { stream, array }))
@@ -125,7 +128,7 @@ impl Commander {
             let settings = RoomSettings::new(source, Tenure::live(source, (interval_s * 1e9) as u64));
             let core = RoomCore::new(room, Box::new(policy), settings).map_err(refused)?;
             let arrays = core.controller().arrays();
-            Ok(Self { room: Mutex::new(core), failures, raised, arrays, deadline_s })
+            Ok(Self { room: Mutex::new(core), scenario: room.clone(), failures, raised, arrays, deadline_s })
         })
     }
 
@@ -189,6 +192,13 @@ impl Commander {
             table.set_item(name, counters.degraded(mode))?;
         }
         Ok(table)
+    }
+
+    /// Why the geometry that the room announces is not that of the scenario; `None` if it is, or if no
+    /// simulator announces one.
+    fn geometry_problem(&self, now: u64) -> PyResult<Option<String>> {
+        let room = self.room()?;
+        Ok(room.announced_geometry(now).and_then(|announced| self.scenario.announced_problem(announced)))
     }
 
     /// Why the last failed decision failed, or why an array gets no command.

@@ -105,8 +105,15 @@ impl Device for PyDevice {
         let mirrors = self.capabilities.mirrors();
         self.call("health", |_, object| {
             let answer = object.call_method0("health")?;
-            let temperature_c: Option<f32> = answer.getattr("temperature_c")?.extract()?;
-            let mut broken: Vec<u32> = answer.getattr("broken")?.extract()?;
+            let part = |name: &str| {
+                answer.getattr(name).map_err(|_| PyValueError::new_err(format!("expected a Health, got {answer:?}")))
+            };
+            let wrong = |name: &str, expected: &str| PyValueError::new_err(format!("{name}: expected {expected}"));
+            let temperature_c: Option<f32> = part("temperature_c")?
+                .extract()
+                .map_err(|_| wrong("temperature_c", "a number in degrees Celsius, or None"))?;
+            let mut broken: Vec<u32> =
+                part("broken")?.extract().map_err(|_| wrong("broken", "a list of indices of mirrors"))?;
             broken.sort_unstable();
             broken.dedup();
             if temperature_c.is_some_and(|temperature_c| !temperature_c.is_finite()) {
@@ -118,7 +125,7 @@ impl Device for PyDevice {
                     mirrors - 1
                 )));
             }
-            let bit = |name: &str, bit: u32| answer.getattr(name)?.is_truthy().map(|set| if set { bit } else { 0 });
+            let bit = |name: &str, bit: u32| part(name)?.is_truthy().map(|set| if set { bit } else { 0 });
             let faults = bit("temperature_fault", fault::TEMPERATURE)? | bit("supply_fault", fault::SUPPLY)?;
             Ok(Health { temperature_c, faults, broken, problem: None })
         })

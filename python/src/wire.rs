@@ -110,6 +110,7 @@ pub fn keys<'py>(py: Python<'py>, room: &str, node: &str, source: u64, array: i6
         ("branches", room.branches()),
         ("leds", room.leds()),
         ("geometry", room.all_geometry()),
+        ("room_geometry", room.geometry(NodeKind::SimNode)),
         ("stop", room.stop()),
         ("rearm", room.rearm()),
         ("command", own.command()),

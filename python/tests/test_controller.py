@@ -91,7 +91,8 @@ def test_a_function_commands_the_mirrors_of_a_room() -> None:
         (lambda: 1 / 0, "division by zero"),
         (lambda: np.full(200, np.nan), "finite"),
         (lambda: np.zeros(3), "length 3"),
-        (lambda: None, "the function python failed"),
+        (lambda: np.zeros((1, 200)), "an action of shape (1, 200), expected one dimension"),
+        (lambda: None, "action: dtype object, expected real numbers"),
     ],
 )
 def test_a_function_that_fails_is_counted_and_the_fallback_turns_the_mirrors(answer: Any, part: str) -> None:
@@ -105,6 +106,18 @@ def test_a_function_that_fails_is_counted_and_the_fallback_turns_the_mirrors(ans
         wait_until("command of the fallback", turned)
     summary = summaries[0]
     assert summary.exceptions == summary.fallbacks > 0 and part in summary.last_problem, summary
+
+
+@needs_program
+def test_a_run_with_the_scenario_of_another_room_reports_what_differs() -> None:
+    endpoint, differs = free_endpoint(), "room and controller differ: room."
+    with (
+        observer(endpoint, "demo") as room,
+        simulator(endpoint),
+        running(lambda _: np.zeros(200, np.float32), endpoint, "office") as summaries,
+    ):
+        wait_until("problem", lambda: room.status("controller").get("last_problem", "").startswith(differs))
+    assert summaries[0].last_problem.startswith(differs), summaries
 
 
 @needs_program

@@ -136,6 +136,42 @@ def test_a_second_driver_of_the_same_array_is_refused(tmp_path: Path) -> None:
         assert not first.is_alive(), f"the first driver does not end within {LIMIT_S} s"
 
 
+def test_a_call_that_does_not_return_is_named_and_a_second_signal_ends_the_driver(tmp_path: Path) -> None:
+    endpoint, blocked = free_endpoint(), tmp_path / "blocked.py"
+    blocked.write_text(
+        "import threading\n"
+        "from heliostat.driver import Capabilities, Device, main, parser\n"
+        "class Blocked(Device):\n"
+        "    capabilities = Capabilities('blocked', 1, 2, (-0.25, 0.5), (-0.25, 0.5))\n"
+        "    calls = 0\n"
+        "    def turn(self, roll, yaw):\n"
+        "        pass\n"
+        "    def health(self):\n"
+        "        self.calls += 1\n"
+        "        if self.calls > 50:\n"
+        "            threading.Event().wait()\n"
+        "        return super().health()\n"
+        "    def stop(self):\n"
+        "        pass\n"
+        "main(Blocked(), parser().parse_args())\n",
+        encoding="utf-8",
+    )
+    with (
+        observer(endpoint, "lab") as operator,
+        python(blocked, "--room", "lab", "--connect", endpoint, "--start-armed", folder=tmp_path) as driver,
+    ):
+
+        def is_named() -> bool:
+            return "health has not returned for" in str(operator.latest.get("status", {}).get("last_problem"))
+
+        wait_until("problem", is_named)
+        assert operator.latest["status"]["node"] == 2
+        driver.send_signal(signal.SIGTERM)
+        driver.send_signal(signal.SIGINT)
+        _, errors = driver.communicate(timeout=LIMIT_S)
+        assert driver.returncode == 130 and errors.count("health has not returned for") == 1, errors
+
+
 @pytest.mark.parametrize(
     ("settings", "reason"),
     [

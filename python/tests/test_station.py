@@ -299,6 +299,22 @@ def test_measured_angles_and_health_are_in_the_telemetry(tmp_path: Path) -> None
         assert failed.telemetry()["faults"] & 1 and "health" in failed.station.last_problem
 
 
+@pytest.mark.parametrize(
+    ("condition", "reason"),
+    [
+        (None, "health: ValueError: expected a Health, got None"),
+        (36.5, "expected a Health, got 36.5"),
+        (Health(temperature_c="hot"), "temperature_c: expected a number in degrees Celsius"),  # type: ignore[arg-type]
+        (Health(broken=(-1,)), "broken: expected a list of indices of mirrors"),
+        (Health(broken=3), "broken: expected a list of indices of mirrors"),  # type: ignore[arg-type]
+    ],
+)
+def test_a_condition_that_is_no_health_is_named(driven: Driven, condition: Any, reason: str) -> None:
+    driven.mirrors.condition = condition
+    driven.step()
+    assert reason in driven.station.last_problem and driven.reports["telemetry"]["faults"] & 1
+
+
 def test_a_calibration_corrects_the_device_within_its_travel(tmp_path: Path) -> None:
     travel = ((-0.5, 0.75), (-0.5, 0.75))
     driven = Driven(tmp_path, Mirrors(travel_rad=travel))
@@ -327,9 +343,13 @@ def test_a_calibration_corrects_the_device_within_its_travel(tmp_path: Path) -> 
         ({"park_rad": (0.0, float("inf"))}, "park_rad = .* is not finite"),
         ({"rows": 0}, "rows = 0: expected an integer from 1"),
         ({"columns": -2}, "columns = -2: expected an integer from 1"),
-        ({"settling_s": -1.0}, "not negative"),
-        ({"slew_rad_s": -0.5}, "not negative"),
+        ({"settling_s": -1.0}, "settling_s = -1.0: expected a finite number that is not negative"),
+        ({"slew_rad_s": -0.5}, "slew_rad_s = -0.5: expected a finite number that is not negative"),
         ({"slew_rad_s": True}, "slew_rad_s = True: expected a finite number"),
+        ({"travel_rad": ((-1.0, 1.0), (-0.25, 0.25))}, "travel_rad, yaw = .*: expected a range that holds yaw_rad"),
+        ({"measures": "yes"}, "measures = 'yes': expected True or False"),
+        ({"synchronised_clock": 1}, "synchronised_clock = 1: expected True or False"),
+        ({"driver": 5}, "driver = 5: expected a text"),
         ({"resolution_rad": "0.1"}, "resolution_rad = '0.1': expected a finite number"),
         ({"park_rad": (0.0, 0.75)}, "park_rad, yaw = 0.75: expected an angle within the limits of yaw, -0.25 to 0.5"),
         ({"rows": 200, "columns": 200}, "rows \\* columns"),
@@ -341,6 +361,11 @@ def test_capabilities_that_the_contract_does_not_allow_are_refused_where_they_ar
 ) -> None:
     with pytest.raises(ValueError, match=reason):
         Mirrors(**wrong)
+
+
+def test_the_name_of_the_hardware_is_a_text() -> None:
+    with pytest.raises(ValueError, match="hardware = 5: expected a text"):
+        Capabilities(5, 1, 2, (-0.25, 0.5), (-0.25, 0.5))  # type: ignore[arg-type]
 
 
 def test_a_boolean_is_no_number_of_mirrors() -> None:

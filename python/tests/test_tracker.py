@@ -5,7 +5,9 @@ from __future__ import annotations
 import signal
 import threading
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from heliostat import wire
 
@@ -66,20 +68,33 @@ def test_reports_have_a_tick_a_stamp_and_the_time_of_the_measurement() -> None:
     ("users", "reason"),
     [
         ([User(0, (float("nan"), 0.0, 0.85))], "not finite"),
-        ([User(0, (0.0, 0.85))], "invalid length 2"),
+        ([User(0, (0.0, 0.85))], r"user 0: position_m: expected 3 numbers \(x, y, z\), got 2"),
+        ([User(0, (0.0, 0.0, 0.85), (1.0, 2.0, 3.0))], r"velocity_m_s: expected 2 numbers \(x, y\), got 3"),
+        ([User(0, 0.85)], "position_m = 0.85: expected 3 numbers"),  # type: ignore[arg-type]
+        ([User(0, (0.0, "1", 0.85))], "position_m, y = '1': expected a finite number"),  # type: ignore[arg-type]
+        (None, "users = None: expected a list"),
+        ([(0, (0.0, 0.0, 0.85))], "in the list of users: expected a heliostat.tracker.User"),
+        ([User(2**32, (0.0, 0.0, 0.85))], "user = 4294967296: expected an integer from 0 to 4294967295"),
+        ([User("a", (0.0, 0.0, 0.85))], "user = 'a': expected an integer"),  # type: ignore[arg-type]
         ([User(0, (0.0, 0.0, 0.85)), User(0, (1.0, 0.0, 0.85))], "named twice"),
-        ([User(-1, (0.0, 0.0, 0.85))], "2\\^64"),
+        ([User(-1, (0.0, 0.0, 0.85))], "user = -1: expected an integer from 0"),
         ([User(0, (0.0, 0.0, 0.85), min_rate_bps=-1.0)], "not negative"),
         ([User(number, (0.0, 0.0, 0.85)) for number in range(65)], "64"),
     ],
 )
 def test_users_that_the_contract_does_not_allow_are_refused_and_reporting_goes_on(
-    users: list[User], reason: str
+    users: Any, reason: str
 ) -> None:
     with Tracker(Settings(connect=(free_endpoint(),))) as tracker:
         with pytest.raises(wire.Refused, match=reason):
             tracker.report(users)
         assert tracker.report([]) == 1
+
+
+def test_numbers_of_numpy_are_numbers_of_a_user() -> None:
+    with Tracker(Settings(connect=(free_endpoint(),))) as tracker:
+        user = User(np.int64(0), np.array([0.0, 0.0, 0.85]), (np.float32(1.0), 0), np.float64(1e6))  # type: ignore[arg-type]
+        assert tracker.report([user]) == 1
 
 
 def test_a_tracker_without_an_endpoint_is_refused_and_a_stop_ends_the_wait_for_a_router() -> None:

@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::{Command, ExitStatus};
 use std::time::{Duration, Instant};
 
-use heliostat_bus::{BusConfig, private_endpoint};
+use heliostat_bus::{BusConfig, Role, private_endpoint};
 use heliostat_needs::needs;
 use heliostat_proto::{ArrayState, Room};
 use heliostat_tests::{Process, PythonExample, RoomObserver, python, wait_until};
@@ -62,13 +62,13 @@ fn a_controller_answers_a_tracker_in_python_whose_users_enter_and_leave() {
 }
 
 /// The tutorial with free ports, and with the path of a scenario file.
-fn tutorial(file: &Path) -> (String, [String; 3]) {
+fn tutorial(file: &Path) -> (String, [String; 2]) {
     let page = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/tutorials/own-room.md"));
     let page = page.expect("the tutorial is there");
     let scenario = page.split("<<'END'\n").nth(1).and_then(|rest| rest.split("END\n").next()).expect("a scenario");
     fs::write(file, scenario).expect("writable");
-    let endpoints = [(); 3].map(|()| private_endpoint().unwrap());
-    let named = ["tcp/127.0.0.1:17701", "tcp/127.0.0.1:17702", "tcp/127.0.0.1:17703"];
+    let endpoints = [(); 2].map(|()| private_endpoint().unwrap());
+    let named = ["tcp/127.0.0.1:17701", "tcp/127.0.0.1:17702"];
     let page = named.iter().zip(&endpoints).fold(page, |page, (named, free)| page.replace(named, free));
     (page.replace("room.toml", file.to_str().expect("a plain path")), endpoints)
 }
@@ -78,7 +78,7 @@ fn tutorial(file: &Path) -> (String, [String; 3]) {
 fn the_commands_of_the_tutorial_control_an_array() {
     let python = python();
     let folder = tempfile::tempdir().expect("a folder");
-    let (page, [of_controller, _, of_operator]) = tutorial(&folder.path().join("own.toml"));
+    let (page, [of_controller, _]) = tutorial(&folder.path().join("own.toml"));
     let words = |start: &str| -> Vec<String> {
         let line = page.lines().find(|line| line.starts_with(start)).unwrap_or_else(|| panic!("no {start}"));
         line.split(' ').skip(start.split(' ').count() - 1).map(str::to_owned).collect()
@@ -94,14 +94,19 @@ fn the_commands_of_the_tutorial_control_an_array() {
     let _controller = heliostat("heliostat controller", &["--exit-with-parent"]);
     let _page = heliostat("heliostat ui", &["--plain", "--no-ui"]);
     let (_tracker, _driver) = (example("tracker.py"), example("driver.py"));
+    // Through the controller, as the operator's commands; it waits until the controller listens.
+    let room = BusConfig::new(Room::new("own").unwrap()).connect_to(&of_controller);
+    let operator = RoomObserver::join(&BusConfig { role: Role::Client, ..room });
+    let is_array = |state| operator.telemetry().is_some_and(|telemetry| telemetry.state == state);
+    wait_until("an array that is stopped", || is_array(ArrayState::Stopped));
     let released = heliostat("heliostat rearm", &["--timeout", "100"]).wait();
     assert!(released.output.contains("are released"), "{} {}", released.output, released.errors);
-    // The operator's endpoint is free again, and the driver connects to it.
-    let room = BusConfig::new(Room::new("own").unwrap());
-    let operator = RoomObserver::join(&room.listen_at(&of_operator).connect_to(&of_controller));
-    wait_until("an array that follows", || {
-        operator.telemetry().is_some_and(|telemetry| telemetry.state == ArrayState::Following)
-    });
+    wait_until("an array that follows", || is_array(ArrayState::Following));
+    let stopped = heliostat("heliostat stop", &["--timeout", "100"]).wait();
+    assert!(stopped.status.success(), "{} {}", stopped.output, stopped.errors);
+    let released = heliostat("heliostat rearm", &["--timeout", "100"]).wait();
+    assert!(released.output.contains("are released"), "{} {}", released.output, released.errors);
+    wait_until("an array that follows", || is_array(ArrayState::Following));
     let accepted = || operator.telemetry().map_or(0, |telemetry| telemetry.counters.accepted);
     let before = accepted();
     wait_until("twenty commands that the driver accepts", || accepted() >= before + 20);

@@ -21,7 +21,8 @@
 //! then.
 //!
 //! ```text
-//!            connect failed: the pause doubles, up to 5 s
+//!            connect failed: the pause doubles, up to 5 s; it is
+//!            reset when the device has worked for 1 s
 //!                +------+
 //!                |      v
 //!             +------------+   connect succeeded: apply the    +------+
@@ -51,7 +52,8 @@ use crate::rules::{Array, Limits, RearmRefusal, Refusal};
 
 mod reports;
 
-/// First pause before a reconnection in ns; it doubles with each failure.
+/// First pause before a reconnection in ns; it doubles with each failure of a device that has not
+/// worked for [`STEADY_NS`] since it was connected.
 const PAUSE_MIN_NS: u64 = 100_000_000;
 
 /// Longest pause before a reconnection in ns.
@@ -60,11 +62,14 @@ const PAUSE_MAX_NS: u64 = 5_000_000_000;
 /// The same while the array is stopped.
 const PAUSE_MAX_STOPPED_NS: u64 = 500_000_000;
 
+/// After a device has worked for this time since it was connected, the pauses begin again.
+const STEADY_NS: u64 = 1_000_000_000;
+
 /// The connection to the device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Link {
     Up,
-    Down { retry_at_ns: u64, pause_ns: u64 },
+    Down { retry_at_ns: u64 },
 }
 
 /// A device with everything that the contract requires of a driver.
@@ -78,6 +83,10 @@ pub struct Kit<D> {
     unnamed_rearm_refused: bool,
     follow_check: FollowCheck,
     link: Link,
+    /// The last pause before a reconnection in ns; 0 before the first one.
+    pause_ns: u64,
+    /// When the device was connected last, in local time.
+    connected_ns: u64,
     connections: u64,
     last_problem: Option<DeviceError>,
     /// Number of failures of the device so far.
@@ -108,7 +117,9 @@ impl<D: Device> Kit<D> {
             correction: Correction::default(),
             calibration_refused: false,
             unnamed_rearm_refused: false,
-            link: Link::Down { retry_at_ns: 0, pause_ns: PAUSE_MIN_NS },
+            link: Link::Down { retry_at_ns: 0 },
+            pause_ns: 0,
+            connected_ns: 0,
             connections: 0,
             last_problem: None,
             problems: 0,
@@ -131,12 +142,12 @@ impl<D: Device> Kit<D> {
             }
         }
         self.array.advance(now.local_ns);
-        if let Link::Down { retry_at_ns, pause_ns } = self.link
+        if let Link::Down { retry_at_ns } = self.link
             && retry_at_ns <= now.local_ns
         {
             match self.device.connect(now) {
                 Ok(()) => self.connected(now),
-                Err(problem) => self.lost(now, problem, 2 * pause_ns),
+                Err(problem) => self.lost(now, problem),
             }
         }
         self.update_device_stopped(now);
@@ -322,7 +333,7 @@ impl<D: Device> Kit<D> {
     pub fn next_ns(&self) -> Option<u64> {
         let retry_at_ns = match self.link {
             Link::Up => None,
-            Link::Down { retry_at_ns, .. } => Some(retry_at_ns),
+            Link::Down { retry_at_ns } => Some(retry_at_ns),
         };
         self.array.changes_at_ns().into_iter().chain(retry_at_ns).min()
     }
@@ -368,7 +379,7 @@ impl<D: Device> Kit<D> {
         if self.link == Link::Up {
             match self.device.apply(now, &self.corrected) {
                 Ok(()) => self.applied = now,
-                Err(problem) => self.lost(now, problem, PAUSE_MIN_NS),
+                Err(problem) => self.lost(now, problem),
             }
         }
     }
@@ -393,11 +404,8 @@ impl<D: Device> Kit<D> {
     fn halt(&mut self, now: Moment) {
         match (self.device.stop(now), &mut self.link) {
             (Ok(()), Link::Up) => self.update_device_stopped(now),
-            (Err(problem), Link::Up) => self.lost(now, problem, PAUSE_MIN_NS),
-            (_, Link::Down { retry_at_ns, pause_ns }) => {
-                *retry_at_ns = (*retry_at_ns).min(now.local_ns);
-                *pause_ns = (*pause_ns).min(PAUSE_MAX_STOPPED_NS);
-            }
+            (Err(problem), Link::Up) => self.lost(now, problem),
+            (_, Link::Down { retry_at_ns }) => *retry_at_ns = (*retry_at_ns).min(now.local_ns),
         }
     }
 
@@ -429,6 +437,7 @@ impl<D: Device> Kit<D> {
 
     fn connected(&mut self, now: Moment) {
         self.link = Link::Up;
+        self.connected_ns = now.local_ns;
         self.connections += 1;
         if self.array.state() == ArrayState::Stopped {
             self.halt(now);
@@ -437,11 +446,13 @@ impl<D: Device> Kit<D> {
         }
     }
 
-    fn lost(&mut self, now: Moment, problem: DeviceError, pause_ns: u64) {
+    fn lost(&mut self, now: Moment, problem: DeviceError) {
+        let has_worked = self.link == Link::Up && now.local_ns.saturating_sub(self.connected_ns) >= STEADY_NS;
         let is_stopped = self.array.state() == ArrayState::Stopped;
-        let pause_ns = pause_ns.min(if is_stopped { PAUSE_MAX_STOPPED_NS } else { PAUSE_MAX_NS });
+        let longest_ns = if is_stopped { PAUSE_MAX_STOPPED_NS } else { PAUSE_MAX_NS };
+        self.pause_ns = if has_worked { PAUSE_MIN_NS } else { (2 * self.pause_ns).clamp(PAUSE_MIN_NS, longest_ns) };
         self.device_stopped = false;
-        self.link = Link::Down { retry_at_ns: now.local_ns.saturating_add(pause_ns), pause_ns };
+        self.link = Link::Down { retry_at_ns: now.local_ns.saturating_add(self.pause_ns) };
         self.follow_check.pause();
         self.stop_problem = Some(problem.clone());
         self.note_problem(problem);

@@ -29,6 +29,8 @@ struct Mirror {
     stops: u32,
     /// It does not connect, and does not turn.
     is_broken: bool,
+    /// It connects, and does not measure.
+    is_blind: bool,
     /// It executes a stop later, on a thread of its own.
     is_slow: bool,
 }
@@ -58,7 +60,7 @@ impl Device for Mirror {
         if let Some(angles) = &self.angles {
             into.clone_from(angles);
         }
-        Ok(true)
+        if self.is_blind { Err(DeviceError::new("mirror", "blind")) } else { Ok(true) }
     }
 
     fn stop(&mut self, _now: Moment) -> Result<(), DeviceError> {
@@ -148,6 +150,36 @@ fn a_stop_goes_to_a_device_in_every_state_of_its_link() {
     let report = kit.stops(Stamp::default());
     assert!(report.device_stopped && report.problem.is_empty(), "{report:?}");
     assert_eq!(kit.telemetry(at(2), Stamp::default()).faults & fault::STOP, 0);
+}
+
+/// The first connection within this time, in ms, of a device that is measured each 10 ms.
+fn connected_again_after_ms(kit: &mut Kit<Mirror>, from_ms: u64) -> u64 {
+    let before = kit.connections();
+    let connected = (from_ms..from_ms + 20_000).step_by(10).find(|ms| {
+        kit.advance(at(*ms));
+        let is_connected = kit.connections() > before;
+        kit.telemetry(at(*ms), Stamp::default());
+        is_connected
+    });
+    connected.expect("a connection") - from_ms
+}
+
+#[test]
+fn pauses_grow_while_a_device_connects_and_then_fails_and_shrink_after_it_has_worked() {
+    let mut kit = Kit::new(Mirror { is_blind: true, ..Mirror::default() });
+    let mut now_ms = 0;
+    let mut pauses_ms = Vec::new();
+    for _ in 0..9 {
+        let pause_ms = connected_again_after_ms(&mut kit, now_ms);
+        now_ms += pause_ms;
+        pauses_ms.push(pause_ms);
+    }
+    assert_eq!(pauses_ms, [0, 100, 200, 400, 800, 1600, 3200, 5000, 5000]);
+    kit.device_mut().is_blind = false;
+    now_ms += connected_again_after_ms(&mut kit, now_ms);
+    kit.device_mut().is_blind = true;
+    kit.telemetry(at(now_ms + 1000), Stamp::default());
+    assert_eq!(connected_again_after_ms(&mut kit, now_ms + 1000), 100);
 }
 
 #[test]

@@ -23,6 +23,9 @@ const MEASURED: [(&str, &str); 6] = [
     ("receiver", "area_mm2"),
 ];
 
+/// Longest text of a value in a sentence, in characters.
+const VALUE_CHARACTERS: usize = 60;
+
 /// The keys of a scenario that a geometry holds.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -90,6 +93,28 @@ impl Scenario {
         let scenario = geometry.into_scenario();
         scenario.check().map_err(|error| with_line(error, text))?;
         Ok(scenario)
+    }
+
+    /// Why the geometry that a room announces is not that of this scenario of its controller; `None` if it
+    /// is.
+    ///
+    /// The text can hold characters of the announcement that a terminal executes.
+    pub fn announced_problem(&self, announced: &str) -> Option<String> {
+        let room = match Self::from_geometry_toml(announced) {
+            Ok(room) => room,
+            Err(error) => {
+                return Some(format!("the geometry that the room announces is refused: {}", error.in_one_line()));
+            }
+        };
+        let difference = self.geometry_difference(&room)?;
+        let cut = |text: &str| text.chars().take(VALUE_CHARACTERS).collect::<String>();
+        Some(format!(
+            "room and controller differ: {} is {} in the room and {} in this controller; {}",
+            difference.key,
+            cut(&difference.there),
+            cut(&difference.here),
+            difference.advice()
+        ))
     }
 
     /// The first key in which the geometry differs from that of another scenario; their names may

@@ -36,6 +36,11 @@ const RECORDING_STREAM: u64 = 0x7ace_0000_0000_0000;
 /// Mean time between two samples in ns.
 const SPACING_NS: u64 = 250_000_000;
 
+/// Duration of this number of sampling times of an episode in s.
+pub fn sampled_s(instants: usize) -> f64 {
+    instants as f64 * SPACING_NS as f64 * 1e-9
+}
+
 /// One room and its sampling times.
 #[derive(Clone, Debug)]
 pub struct HeldOutEpisode {

@@ -114,6 +114,12 @@ impl Report {
         self.episodes < EPISODES_MIN
     }
 
+    /// The number of episodes in which a user has no direct path, from which the rate of such users comes.
+    pub fn blocked_episodes(&self) -> usize {
+        let of_oracle = self.each.iter().filter(|row| row.policy.is_none());
+        of_oracle.filter(|row| row.figure(episode_row::BLOCKED_STATES) > 0.0).count()
+    }
+
     /// The word for an independent group of states.
     pub fn group(&self) -> &'static str {
         match self.mode {

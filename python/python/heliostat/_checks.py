@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import operator
 from typing import Any
 
@@ -46,12 +47,31 @@ def states_of(states: Any, seeds: Any) -> tuple[int, int]:
     return checked
 
 
+def finite(name: str, value: Any, expected: str, least: float = -math.inf) -> float:
+    """A finite number from `least` as a float: an integer or a number of NumPy too, but no text and no boolean."""
+    try:
+        number = float("" if isinstance(value, (bool, np.bool_, str, bytes)) else value)
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"{name} = {value!r}: expected {expected}") from None
+    if not math.isfinite(number):
+        raise ValueError(f"{name} = {value!r} is not finite: expected {expected}")
+    if number < least:
+        raise ValueError(f"{name} = {value!r}: expected {expected}")
+    return number
+
+
 def real(name: str, values: Any) -> NDArray[Any]:
     """An array of booleans, integers or real numbers; a complex number, a text or an object is refused."""
     array = np.asarray(values)
     if array.dtype.kind not in "fiub":
         raise ValueError(f"{name}: dtype {array.dtype}, expected real numbers")
     return array
+
+
+def printable(text: str) -> str:
+    """A text of another process, made safe for a terminal: lines stay, other control characters become JSON escapes, as
+    in the log of the Rust programs."""
+    return "".join(one if one == "\n" or one.isprintable() else f"\\u{ord(one):04x}" for one in text)
 
 
 def _text(number: int) -> str:

@@ -29,6 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ._checks import printable, real
 from ._core import Commander
 from .scenario import Scenario, load_scenario
 
@@ -38,7 +39,7 @@ _ANNOUNCED_S = 0.3
 _QUEUE_MAX = 1024
 _SILENT_S = 2.0
 _LOOK_AGAIN_S = 5.0
-_ROOM = ("obstacles", "orientation", "leds", "channel", "users", "stop")
+_ROOM = ("room_geometry", "obstacles", "orientation", "leds", "channel", "users", "stop")
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,8 @@ class RunSummary:
     dropped: int
     """Messages that were dropped, because the function took too long."""
     last_problem: str
-    """Why the last failed decision failed, or why an array or the whole room gets no command; empty without a problem."""
+    """Why the last failed decision failed, why an array or the whole room gets no command, or in what the room differs
+    from the scenario; empty without a problem."""
 
 
 def run(
@@ -132,7 +134,10 @@ class _Run:
     def _call(self, observation: NDArray[np.float32]) -> Any:
         begin = time.monotonic()
         try:
-            return self._act(observation)
+            action = np.ascontiguousarray(real("action", self._act(observation)), np.float32)
+            if action.ndim != 1:
+                raise ValueError(f"an action of shape {action.shape}, expected one dimension")
+            return action
         finally:
             self._late += time.monotonic() - begin > self._core.deadline_s
 
@@ -185,9 +190,10 @@ class _Run:
                 self._peer.publish_status("running", counters, found, policy="python", scenario=self._scenario.hash)
 
     def _problem(self) -> str:
-        """Why there is no command; empty without a problem."""
-        if self._core.last_problem:
-            return self._core.last_problem
+        """Why there is no command, or why commands suit another room; empty without a problem."""
+        found = filter(None, (self._core.geometry_problem(time.time_ns()), self._core.last_problem))
+        if problem := printable("; ".join(found)):
+            return problem
         if self._core.counters()["decisions"] > 0 or time.monotonic() - self._began < _SILENT_S:
             return ""
         if self._heard:

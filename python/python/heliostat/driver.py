@@ -28,7 +28,7 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -36,30 +36,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ._checks import integer
+from ._checks import finite, integer, printable
 from ._core import (
     ARRAYS_MAX,
+    KINDS,
     STOP_RECORD_END_WAIT_NS,
     STOP_RECORD_MAX,
     Station,
     check_capabilities,
+    decode,
+    encode,
     stop_record_folder,
 )
-from .peer import SOFTWARE, Peer, PeerError, Settings, add_arguments, stop_on_signals
+from ._watched import Watched
+from .peer import INTERRUPTED, SOFTWARE, Peer, PeerError, Settings, add_arguments, stop_on_signals
 
 _LONGEST_WAIT_NS = 50_000_000
 _NUMBER_MAX = 2**32 - 1
-
-
-def _finite(name: str, value: Any, expected: str) -> float:
-    """A finite number as a float: an integer or a number of NumPy too, but no text and no boolean."""
-    try:
-        number = float("" if isinstance(value, (bool, np.bool_, str, bytes)) else value)
-    except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"{name} = {value!r}: expected {expected}") from None
-    if not math.isfinite(number):
-        raise ValueError(f"{name} = {value!r} is not finite: expected {expected}")
-    return number
 
 
 def _pair(name: str, values: Any, expected: str) -> tuple[float, float]:
@@ -68,7 +61,7 @@ def _pair(name: str, values: Any, expected: str) -> tuple[float, float]:
         one, other = values
     except (TypeError, ValueError):
         raise ValueError(f"{name} = {values!r}: expected {expected}") from None
-    return _finite(name, one, expected), _finite(name, other, expected)
+    return finite(name, one, expected), finite(name, other, expected)
 
 
 def _limits(name: str, values: Any, most_apart: float = math.pi) -> tuple[float, float]:
@@ -83,6 +76,20 @@ def _limits(name: str, values: Any, most_apart: float = math.pi) -> tuple[float,
             f"{name} = {values!r} is more than half a turn: expected {expected}; math.radians converts degrees"
         )
     return least, most
+
+
+def _travel(values: Any, *limits: tuple[float, float]) -> tuple[tuple[float, float], ...]:
+    """The range of the hardware for roll and for yaw, which holds the limits of both."""
+    try:
+        roll, yaw = values
+    except (TypeError, ValueError):
+        raise ValueError(f"travel_rad = {values!r}: expected the range of roll and that of yaw") from None
+    travel = _limits("travel_rad, roll", roll, math.inf), _limits("travel_rad, yaw", yaw, math.inf)
+    for axis, (least, most), inner in zip(("roll", "yaw"), travel, limits, strict=True):
+        # Limits that were computed from the travel may be rounded.
+        if least > inner[0] + 1e-6 or most < inner[1] - 1e-6:
+            raise ValueError(f"travel_rad, {axis} = {least, most}: expected a range that holds {axis}_rad = {inner}")
+    return travel
 
 
 @dataclass(frozen=True)
@@ -123,17 +130,15 @@ class Capabilities:
             "park_rad": _pair("park_rad", self.park_rad, "roll and yaw in rad"),
         }
         for name in ("slew_rad_s", "settling_s", "resolution_rad", "command_rate_max_hz"):
-            checked[name] = _finite(name, getattr(self, name), "a finite number")
+            checked[name] = finite(name, getattr(self, name), "a finite number that is not negative", least=0.0)
+        for name in ("hardware", "driver"):
+            if not isinstance(getattr(self, name), str):
+                raise ValueError(f"{name} = {getattr(self, name)!r}: expected a text")
+        for name in ("measures", "synchronised_clock"):
+            if not isinstance(getattr(self, name), (bool, np.bool_)):
+                raise ValueError(f"{name} = {getattr(self, name)!r}: expected True or False")
         if self.travel_rad is not None:
-            expected = f"travel_rad = {self.travel_rad!r}: expected the range of roll and that of yaw"
-            try:
-                roll, yaw = self.travel_rad
-            except (TypeError, ValueError):
-                raise ValueError(expected) from None
-            checked["travel_rad"] = (
-                _limits("travel_rad, roll", roll, math.inf),
-                _limits("travel_rad, yaw", yaw, math.inf),
-            )
+            checked["travel_rad"] = _travel(self.travel_rad, checked["roll_rad"], checked["yaw_rad"])
         for name, value in checked.items():
             object.__setattr__(self, name, value)
         check_capabilities(self.message())
@@ -278,6 +283,8 @@ def parser(description: str | None = None) -> argparse.ArgumentParser:
 def main(device: Device, given: argparse.Namespace) -> None:
     """Runs a driver by the flags of `parser` until Ctrl-C, SIGTERM or `--seconds`; prints what it did.
 
+    A second signal ends it at once, also where a method of the device does not return.
+
     The process exits with status 1 and the reason where the driver cannot run.
     """
     try:
@@ -291,6 +298,8 @@ def main(device: Device, given: argparse.Namespace) -> None:
         )
     except (PeerError, ValueError) as problem:
         sys.exit(f"error: {problem}")
+    except KeyboardInterrupt:
+        sys.exit(INTERRUPTED)
     print(f"commands accepted: {counters['accepted']}")
 
 
@@ -319,12 +328,23 @@ def run(
         stop_on_signals(stop or threading.Event()) as ended,
         _Log() as log,
         Peer(settings, "driver", array, ended) as peer,
+        ExitStack() as ending,
     ):
         if not peer.is_open:
             return {"accepted": 0}
         peer.check_alone()
+        latest: dict[str, bytes] = {}
+
+        def report(problem: str) -> None:
+            # The thread of the station waits for the device.
+            if "status" in latest:
+                status = decode(latest["status"], KINDS["status"])
+                status["stamp"]["time_ns"] = time.time_ns()
+                peer.put("status", encode({**status, "last_problem": problem}, KINDS["status"]))
+
+        watched = ending.enter_context(Watched(device, log.show, report))
         station = Station(
-            device,
+            watched,
             device.capabilities.message(),
             device.capabilities.travel_rad,
             StopFile(state or _state_folder()),
@@ -349,7 +369,6 @@ def run(
 
         for name in ("command", "stop", "stop_repetition", "rearm", "calibration"):
             receive(name)
-        latest: dict[str, bytes] = {}
         for name in ("capabilities", "safety", "stops"):
             peer.answer(name, latest)
         peer.announce()
@@ -422,9 +441,8 @@ class _Log:
         self._writer.join(timeout=1)
 
     def show(self, text: str) -> None:
-        """Texts can come from any process of the room. Lines stay; other control characters become JSON escapes, as in
-        the log of the Rust programs."""
-        self._put("".join(one if one == "\n" or one.isprintable() else f"\\u{ord(one):04x}" for one in text))
+        """Texts can come from any process of the room."""
+        self._put(printable(text))
 
     def _put(self, line: str | None) -> None:
         with suppress(queue.Full):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import ipaddress
+import itertools
 import json
 import os
 import random
@@ -35,6 +36,8 @@ except ImportError as problem:
 
 SOFTWARE = f"heliostat for Python {__version__}"
 DEFAULT_ROOM = "demo"
+INTERRUPTED = 130
+"""The exit code of a second signal, as of the Rust programs."""
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.25, 5.0
 _ALIVE_LIMIT_S = 1.0
 _SHORTEST_S, _LONGEST_S = 0.01, 1e7
@@ -121,13 +124,21 @@ def duration_s(text: str) -> float:
 def stop_on_signals(stop: threading.Event) -> Iterator[threading.Event]:
     """Requests the stop on Ctrl-C and SIGTERM while the block runs; from another than the main thread it does nothing.
 
+    A second signal raises `KeyboardInterrupt`: an orderly end may wait for a device that does not answer.
+
     A shell starts background processes with Ctrl-C ignored; the block listens to it all the same.
     """
     if threading.current_thread() is not threading.main_thread():
         yield stop
         return
-    signals = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.signal(number, lambda *_: stop.set()) for number in signals]
+    signals, count = (signal.SIGINT, signal.SIGTERM), itertools.count()
+
+    def end(*_: object) -> None:
+        stop.set()
+        if next(count) > 0:
+            raise KeyboardInterrupt
+
+    before = [signal.signal(number, end) for number in signals]
     try:
         yield stop
     finally:

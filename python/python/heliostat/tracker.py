@@ -21,10 +21,12 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Any
 
+from ._checks import finite, integer
 from ._core import Refused
-from .peer import Peer, PeerError, Settings, add_arguments, stop_on_signals
+from .peer import INTERRUPTED, Peer, PeerError, Settings, add_arguments, stop_on_signals
 
 _STATUS_NS = 1_000_000_000
+_USER_MAX = 2**32 - 1
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,43 @@ class User:
     position_m: Sequence[float]
     velocity_m_s: Sequence[float] = (0.0, 0.0)
     min_rate_bps: float = 0.0
+
+
+def _entries(users: Any) -> list[dict[str, Any]]:
+    """The users of a report as dictionaries; an error names the user and the field."""
+    if not isinstance(users, Iterable):
+        raise Refused(f"users = {users!r}: expected a list of heliostat.tracker.User")
+    return [_entry(user) for user in users]
+
+
+def _entry(user: Any) -> dict[str, Any]:
+    if not isinstance(user, User):
+        raise Refused(f"{user!r} in the list of users: expected a heliostat.tracker.User")
+    try:
+        number = integer("user", user.user, 0, _USER_MAX)
+    except (TypeError, ValueError) as problem:
+        raise Refused(str(problem)) from None
+    try:
+        return {
+            "user": number,
+            "position_m": _vector("position_m", user.position_m, "x", "y", "z"),
+            "velocity_m_s": _vector("velocity_m_s", user.velocity_m_s, "x", "y"),
+            "min_rate_bps": finite("min_rate_bps", user.min_rate_bps, "a number that is not negative", least=0.0),
+        }
+    except (TypeError, ValueError) as problem:
+        raise Refused(f"user {number}: {problem}") from None
+
+
+def _vector(name: str, values: Any, *axes: str) -> list[float]:
+    """One finite number for each axis."""
+    expected = f"{len(axes)} numbers ({', '.join(axes)})"
+    try:
+        numbers = list(values)
+    except TypeError:
+        raise ValueError(f"{name} = {values!r}: expected {expected}") from None
+    if len(numbers) != len(axes):
+        raise ValueError(f"{name}: expected {expected}, got {len(numbers)}")
+    return [finite(f"{name}, {axis}", number, "a finite number") for axis, number in zip(axes, numbers, strict=True)]
 
 
 class Tracker:
@@ -77,10 +116,10 @@ class Tracker:
         """Reports the users who are present; returns the number of the tick.
 
         `time_ns` is the time of the measurement, UTC in ns; without it, now. Raises `Refused` for a number that is not
-        finite, a wrong shape, or a user who is named twice; nothing is published then.
+        finite, a wrong shape, an entry that is no `User`, or a user who is named twice; nothing is published then.
         """
         try:
-            entries = [vars(user) for user in users]
+            entries = _entries(users)
             if len({entry["user"] for entry in entries}) < len(entries):
                 raise Refused("a user is named twice: expected each user at most once")
             self._peer.publish("users", {"tick": self._tick + 1, "users": entries}, time_ns)
@@ -144,4 +183,6 @@ def main(users_at: Callable[[float], Iterable[User]], given: argparse.Namespace,
                 stop.wait(max(0.0, begin + turn / rate_hz - time.monotonic()))
     except PeerError as problem:
         sys.exit(f"error: {problem}")
+    except KeyboardInterrupt:
+        sys.exit(INTERRUPTED)
     print(f"reports sent: {tracker.ticks}")

@@ -2,11 +2,8 @@
 //!
 //! None of this is in the decision path.
 
-use heliostat_scenario::{GeometryDifference, Scenario};
+use heliostat_scenario::Scenario;
 use heliostat_service::printable::printable;
-
-/// Longest text of a value in a report, in characters.
-const VALUE_CHARACTERS: usize = 60;
 
 /// Compares the announcements of the room with a scenario.
 pub struct GeometryComparison {
@@ -30,7 +27,8 @@ impl GeometryComparison {
 
     /// Compares an announcement; an empty one is none.
     pub fn compare(&mut self, text: String) {
-        self.problem = if text.is_empty() { None } else { self.difference(&text) };
+        let found = if text.is_empty() { None } else { self.own.announced_problem(&text) };
+        self.problem = found.map(|problem| printable(&problem).into_owned());
         self.compared = text;
     }
 
@@ -39,27 +37,4 @@ impl GeometryComparison {
     pub fn problem(&self) -> Option<&str> {
         self.problem.as_deref()
     }
-
-    fn difference(&self, text: &str) -> Option<String> {
-        match Scenario::from_geometry_toml(text) {
-            Ok(room) => self.own.geometry_difference(&room).as_ref().map(describe),
-            Err(error) => {
-                Some(format!("the geometry that the room announces is refused: {}", printable(&error.in_one_line())))
-            }
-        }
-    }
-}
-
-fn describe(difference: &GeometryDifference) -> String {
-    let GeometryDifference { key, here, there } = difference;
-    format!(
-        "room and controller differ: {key} is {} in the room and {} in this controller; {}",
-        shown(there),
-        shown(here),
-        difference.advice()
-    )
-}
-
-fn shown(text: &str) -> String {
-    printable(text).chars().take(VALUE_CHARACTERS).collect()
 }

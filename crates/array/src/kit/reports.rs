@@ -3,7 +3,7 @@
 use heliostat_proto::messages::fault;
 use heliostat_proto::{ArrayState, Capabilities, MirrorTelemetry, SafetyReport, Stamp, StopReport};
 
-use super::{Kit, Link, PAUSE_MIN_NS};
+use super::{Kit, Link};
 use crate::device::{Device, Health};
 use crate::latch::LatchedStop;
 use crate::moment::Moment;
@@ -116,7 +116,7 @@ impl<D: Device> Kit<D> {
                 (measures, health)
             }
             Err(problem) => {
-                self.lost(now, problem, PAUSE_MIN_NS);
+                self.lost(now, problem);
                 (false, Health::default())
             }
         }

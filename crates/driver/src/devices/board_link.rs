@@ -18,8 +18,12 @@ use heliostat_array::device::{DeviceError, Waker};
 use crate::devices::board::Board;
 use crate::devices::interrupt::Interrupt;
 
-/// First pause before a reconnection; it doubles with each failure.
+/// First pause before a reconnection; it doubles with each failure of a board that has not worked for
+/// [`STEADY`] since it was connected.
 const PAUSE_MIN: Duration = Duration::from_millis(100);
+
+/// After a board has worked for this time since it was connected, the pauses begin again.
+const STEADY: Duration = Duration::from_secs(1);
 
 /// Longest pause before a reconnection.
 const PAUSE_MAX: Duration = Duration::from_secs(2);
@@ -101,6 +105,7 @@ impl BoardLink {
             board,
             pause: Duration::ZERO,
             failed_at: Instant::now(),
+            connected_at: Instant::now(),
             called_at: Instant::now(),
             applied: 0,
             stopped_at: Instant::now(),
@@ -195,6 +200,12 @@ fn pause_left(pause: Duration, is_stopped: bool, since_failure: Duration) -> Dur
     pause.min(longest).saturating_sub(since_failure)
 }
 
+/// The pause after a failure of a board that has worked for a time since it was connected, after the last
+/// pause.
+fn pause_after(last: Duration, worked: Duration) -> Duration {
+    if worked >= STEADY { PAUSE_MIN } else { (2 * last).clamp(PAUSE_MIN, PAUSE_MAX) }
+}
+
 struct LinkThread {
     mailbox: Arc<Mailbox>,
     interrupt: Arc<Interrupt>,
@@ -202,6 +213,8 @@ struct LinkThread {
     /// The pause before the next connection, and when it began. A stop shortens it.
     pause: Duration,
     failed_at: Instant,
+    /// When the board was connected last.
+    connected_at: Instant,
     /// When the last call ended.
     called_at: Instant,
     /// The number of the angles that were sent last on the present connection.
@@ -273,8 +286,8 @@ impl LinkThread {
         let mut mail = self.mailbox.lock();
         match (call, done) {
             (_, Err(problem)) => {
-                let is_first = mail.is_up;
-                self.pause = if is_first { PAUSE_MIN } else { (2 * self.pause).clamp(PAUSE_MIN, PAUSE_MAX) };
+                let worked = if mail.is_up { self.connected_at.elapsed() } else { Duration::ZERO };
+                self.pause = pause_after(self.pause, worked);
                 self.failed_at = Instant::now();
                 (mail.is_up, mail.measured, mail.executed) = (false, None, 0);
                 mail.problem = Some(problem);
@@ -282,6 +295,7 @@ impl LinkThread {
             (Call::Connect, Ok(_)) => {
                 (mail.is_up, mail.executed) = (true, 0);
                 mail.connections += 1;
+                self.connected_at = Instant::now();
                 self.applied = 0;
             }
             (Call::Stop(number), Ok(_)) => {
@@ -307,6 +321,15 @@ impl LinkThread {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn pauses_grow_until_a_board_has_worked_for_a_while() {
+        let soon = STEADY - Duration::from_millis(1);
+        assert_eq!(pause_after(Duration::ZERO, Duration::ZERO), PAUSE_MIN);
+        assert_eq!(pause_after(PAUSE_MIN, soon), 2 * PAUSE_MIN);
+        assert_eq!(pause_after(PAUSE_MAX, soon), PAUSE_MAX);
+        assert_eq!(pause_after(PAUSE_MAX, STEADY), PAUSE_MIN);
+    }
 
     #[test]
     fn a_stop_shortens_a_pause_that_has_begun() {

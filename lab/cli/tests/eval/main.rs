@@ -365,11 +365,14 @@ fn a_table_states_its_episodes_and_warns_where_they_are_few_or_an_interval_reach
     let closed = ["--closed-loop", "--scenario", "hall", "--policies", "flat"];
     let table = |flags: &[&str]| String::from_utf8(eval(&[&closed[..], flags].concat()).stdout).expect("text");
     let few = table(&["--states", "40", "--seeds", "1"]);
-    assert!(few.contains("2 episodes with 40 states of the seed 1"), "{few}");
+    assert!(few.contains("2 episodes of the seed 1, 20 states each within 5 s"), "{few}");
     assert!(few.contains("warning: the intervals come from 2 episodes; use at least 10"), "{few}");
     assert!(few.contains("*: the interval reaches beyond") && few.matches('*').count() > 1, "{few}");
     let many = table(&["--episodes", "5", "--seeds", "2"]);
-    assert!(many.contains("10 episodes with 100 states for each of 2 seeds") && !many.contains("warning"), "{many}");
+    assert!(many.contains("10 episodes: 5 for each of 2 seeds from 1, 20 states each within 5 s"), "{many}");
+    assert!(!many.contains("warning: the intervals"), "{many}");
+    assert!(many.contains("sampled every 20 ms; each ends with its episode of 5 s"), "{many}");
+    assert!(many.contains("share of time: mean share of users below"), "{many}");
     let message = refusal(&["--policies", "flat", "--episodes", "2", "--states", "40"]);
     assert!(message.contains("--states"), "{message}");
     let of_states = report(&[&["--policies", "flat", "--episodes", "3", "--seeds", "2"][..], &SMALL].concat());

@@ -121,7 +121,8 @@ fn two_keys_give_each_combination_with_its_outage_and_a_room_without_mirrors() {
     assert!(page.contains("blockage.forced_users = 2") && page.contains("outage (share of the users"), "panels");
     assert!(page.contains("<p class=\"note\">warning: the intervals come from 2 episodes"), "{page}");
     let text = String::from_utf8(eval(&flags).stdout).expect("text");
-    assert!(text.contains("outage: share of the users' time") && text.contains("2 episodes with 20 states"), "{text}");
+    assert!(text.contains("outage: share of the users' time"), "{text}");
+    assert!(text.contains("2 episodes: 1 for each of 2 seeds from"), "{text}");
     assert!(text.contains("difference to greedy, paired: outage"), "{text}");
     let message = refusal(&[&flags[..], &["--sweep", "seed=1,2"]].concat());
     assert!(message.contains("at most two keys"), "{message}");

@@ -9,6 +9,9 @@ use super::evaluator::{Run, Sample};
 use super::row::ratio;
 use super::settings::{Loop, Settings};
 
+/// The figure that weights `blocked_rate_mbps`: the number of states with a user without a direct path.
+pub(super) const BLOCKED_STATES: &str = "blocked_states";
+
 /// A room of a comparison with its states.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Group {
@@ -31,6 +34,13 @@ pub struct EpisodeRow {
     pub states: usize,
     /// Figures by name; NaN is a missing value.
     pub figures: Vec<(&'static str, f64)>,
+}
+
+impl EpisodeRow {
+    /// A figure by its name; NaN where it is missing.
+    pub(super) fn figure(&self, name: &str) -> f64 {
+        self.figures.iter().find(|(of, _)| *of == name).map_or(f64::NAN, |(_, value)| *value)
+    }
 }
 
 /// The rooms of a comparison in closed loop.
@@ -77,12 +87,14 @@ pub(super) fn rows(
 fn figures(mode: Loop, (own, oracle): (&[Sample], &[Sample]), outages: Option<Outages>) -> Vec<(&'static str, f64)> {
     let of = |value: fn(&Sample) -> f64| mean(&present(&own.iter().map(value).collect::<Vec<_>>()));
     let ratios: Vec<f64> = own.iter().zip(oracle).map(|(own, best)| ratio(own, best)).collect();
+    let blocked_states = own.iter().filter(|sample| !sample.blocked_rate_mbps.is_nan()).count();
     let mut figures = vec![
         ("sum_rate_mbps", of(|sample| sample.sum_rate_mbps)),
         ("ratio_to_oracle", mean(&present(&ratios))),
         ("qos_met", of(|sample| sample.met)),
         ("jain", of(|sample| sample.jain)),
         ("blocked_rate_mbps", of(|sample| sample.blocked_rate_mbps)),
+        (BLOCKED_STATES, blocked_states as f64),
         ("ber", of(|sample| sample.ber)),
     ];
     if mode == Loop::ClosedLoop {
@@ -92,4 +104,30 @@ fn figures(mode: Loop, (own, oracle): (&[Sample], &[Sample]), outages: Option<Ou
         figures.push(("outage_p95_s", outage(|outages| outages.p95_s)));
     }
     figures
+}
+
+#[cfg(test)]
+mod tests {
+    use heliostat_environment::statistics::Spread;
+
+    use super::*;
+
+    #[test]
+    fn the_mean_rate_of_blocked_users_follows_from_the_episodes_and_their_weights() {
+        let sample =
+            |blocked_rate_mbps| Sample { sum_rate_mbps: 9.0, met: 1.0, jain: 1.0, blocked_rate_mbps, ber: 0.0 };
+        let rates = vec![vec![1.0, f64::NAN], vec![4.0, 7.0], vec![f64::NAN, f64::NAN]];
+        let (mut sum, mut weights) = (0.0, 0.0);
+        for group in &rates {
+            let own: Vec<Sample> = group.iter().map(|rate| sample(*rate)).collect();
+            let figures = figures(Loop::Static, (&own, &own), None);
+            let group = Group { set: 1, room: 2 };
+            let row = EpisodeRow { policy: None, actor: None, group, states: own.len(), figures };
+            if row.figure(BLOCKED_STATES) > 0.0 {
+                sum += row.figure("blocked_rate_mbps") * row.figure(BLOCKED_STATES);
+                weights += row.figure(BLOCKED_STATES);
+            }
+        }
+        assert_eq!((sum / weights, weights), (Spread::of(&[rates]).mean, 3.0));
+    }
 }

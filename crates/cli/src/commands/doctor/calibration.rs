@@ -23,7 +23,8 @@ const FILE: &str = "calibration";
 const ROOM: &str = "measured room";
 
 /// What to do where a file cannot be compared.
-const GIVE_DRIVER: &str = "start the driver of the array, and give its endpoint with --connect";
+const GIVE_DRIVER: &str =
+    "one driver of the array has to answer: give its endpoint with --connect, and see the check of the driver";
 
 /// Seconds of a day.
 const DAY_S: u64 = 86_400;

@@ -15,8 +15,8 @@ use super::system::{CONNECTED_WITHIN, STATUS_WITHIN};
 /// A tracker is noisier than stated if a learned deviation is larger than the stated one by this factor.
 const NOISIER: f64 = 1.5;
 
-/// The belief learns no smaller deviation, in m and in m/s: exact reports stay regular.
-const LEAST: f64 = 1e-3;
+/// A tracker within this deviation needs no warning, in m and in m/s.
+const LEAST: f64 = 5e-3;
 
 /// What to do without a controller.
 const START_CONTROLLER: &str = "without one no command reaches the mirrors: check --room, start heliostat controller, or add its endpoint or router to --connect";
@@ -98,7 +98,7 @@ fn leading(statuses: impl Iterator<Item = NodeStatus>) -> Option<NodeStatus> {
 fn check_tracker(noise: &TrackerNoise) -> Check {
     let found = noise.to_string();
     let TrackerNoise { position_m, position_stated_m, velocity_m_s, velocity_stated_m_s } = *noise;
-    let noisier = |learned: f64, stated: f64| learned > NOISIER * stated.max(LEAST);
+    let noisier = |learned: f64, stated: f64| learned > LEAST.max(NOISIER * stated);
     if !noisier(position_m, position_stated_m) && !noisier(velocity_m_s, velocity_stated_m_s) {
         return Check::ok("tracker", found);
     }
@@ -146,5 +146,17 @@ mod tests {
         let (stated, doubled) = (check_tracker(&noise(0.06)), check_tracker(&noise(0.1)));
         assert_eq!((stated.verdict, doubled.verdict), (Verdict::Ok, Verdict::Warn));
         assert!(doubled.advice.contains("streams.positions.noise_m=0.100"), "{}", doubled.advice);
+    }
+
+    #[test]
+    fn a_deviation_of_some_millimetres_is_no_warning_where_the_scenario_states_none() {
+        let noise = |position_m| TrackerNoise {
+            position_m,
+            position_stated_m: 0.0,
+            velocity_m_s: 0.0,
+            velocity_stated_m_s: 0.0,
+        };
+        let (small, large) = (check_tracker(&noise(0.004)), check_tracker(&noise(0.006)));
+        assert_eq!((small.verdict, large.verdict), (Verdict::Ok, Verdict::Warn));
     }
 }

@@ -1,5 +1,6 @@
 //! Checks of the planned run: scenario, policy, driver, ports.
 
+use std::fmt;
 use std::net::TcpListener;
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
@@ -180,17 +181,37 @@ fn check_driver(args: &Args, driver: &anyhow::Result<DriverState>, scenario: &Sc
         ),
         Ok(driver) => with_state(compare(array, &driver.capabilities, scenario), driver),
         Err(error) => {
-            let is_refused = bus_config(args).is_ok_and(|config| Bus::find_connection_problem(&config).is_some());
-            let advice = match is_refused {
-                true => {
-                    "a process listens there: correct the address, the certificate or the rights that the message names"
-                }
-                false => "start the driver, and pass its endpoint and the name of its room (--connect, --room)",
-            };
-            Check::fail("driver", format!("{error:#}"), advice)
+            let is_refused = || bus_config(args).is_ok_and(|config| Bus::find_connection_problem(&config).is_some());
+            Check::fail("driver", format!("{error:#}"), advice_without_driver(error, is_refused))
         }
     }
 }
+
+/// What to do where no driver, or more than one, has answered; the closure tells whether a process there refuses.
+fn advice_without_driver(error: &anyhow::Error, is_refused: impl FnOnce() -> bool) -> &'static str {
+    if error.is::<SeveralDrivers>() {
+        "stop one of them: an array has one driver"
+    } else if is_refused() {
+        "a process listens there: correct the address, the certificate or the rights that the message names"
+    } else {
+        "start the driver, and pass its endpoint and the name of its room (--connect, --room)"
+    }
+}
+
+/// Several drivers have the same array.
+#[derive(Debug)]
+struct SeveralDrivers {
+    count: usize,
+    room: String,
+}
+
+impl fmt::Display for SeveralDrivers {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} drivers answer in room \"{}\"; expected one", self.count, self.room)
+    }
+}
+
+impl std::error::Error for SeveralDrivers {}
 
 /// The session of the checks, and the endpoints at which no process answers. No check publishes, so the rights of
 /// any role do.
@@ -264,7 +285,7 @@ fn ask_driver(args: &Args, bus: &Bus, array: usize) -> anyhow::Result<DriverStat
             faults: telemetry.as_ref().map_or(0, |telemetry| telemetry.faults),
             state: telemetry.map(|telemetry| telemetry.state),
         }),
-        several => anyhow::bail!("{} drivers answer in room \"{room}\"; expected one", several.len()),
+        several => Err(SeveralDrivers { count: several.len(), room: room.to_string() }.into()),
     }
 }
 
@@ -341,6 +362,14 @@ pub(super) fn compare(index: usize, array: &Capabilities, scenario: &Scenario) -
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn where_two_drivers_answer_one_of_them_is_to_be_stopped() {
+        let several = anyhow::Error::from(SeveralDrivers { count: 2, room: "lab".into() });
+        assert_eq!(several.to_string(), "2 drivers answer in room \"lab\"; expected one");
+        assert!(advice_without_driver(&several, || true).starts_with("stop one of them"));
+        assert!(advice_without_driver(&anyhow::anyhow!("no driver"), || false).starts_with("start the driver"));
+    }
 
     #[test]
     fn an_array_that_fits_is_a_warning_while_it_is_stopped_or_has_a_fault() {

@@ -16,7 +16,9 @@ use heliostat_service::printable::{printable, printable_lines};
 
 use super::differences::Difference;
 use super::origin;
-use super::output::{BELIEF_NOTE, belief_columns, ber, difference, interval, notes_on_episodes, number, rows, users};
+use super::output::{
+    BELIEF_NOTE, belief_columns, ber, blocked_note, difference, interval, notes_on_episodes, number, rows, users,
+};
 use super::sweep::{Grid, Sweep};
 use heliostat_service::whole_file;
 
@@ -185,13 +187,15 @@ fn write_beliefs(page: &mut String, report: &Report) -> std::fmt::Result {
 
 fn write_notes(page: &mut String, report: &Report) -> std::fmt::Result {
     writeln!(page, "<h2>How to read this</h2>\n<ul>")?;
+    let blocked = format!("Blocked: {}.", blocked_note(report));
     for note in [
         "±: half the width of the 95 % confidence interval of the mean, by Student's t. A single state has no interval.",
         "Difference: the figure minus that of the first policy, state by state. Its interval is narrower than that of two means, because \
          both policies meet the same states. An interval that does not contain 0 is a difference beyond the variation of the states.",
         "Ratio: to the sum rate of the oracle with minimum rates, state by state; p5: its 5th percentile over the states.",
         "QoS met: share of the users whose minimum rate is met. Jain: Jain's fairness index of the rates. BER: with on-off keying.",
-        "Blocked: mean rate of a user without a direct path. Trained: number of training seeds; the interval includes their spread.",
+        blocked.as_str(),
+        "Trained: number of training seeds; the interval includes their spread.",
     ] {
         writeln!(page, "<li>{}</li>", escape(note))?;
     }

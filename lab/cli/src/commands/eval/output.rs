@@ -2,6 +2,7 @@
 
 use std::io;
 
+use heliostat_environment::episodes::{INSTANTS, sampled_s};
 use heliostat_learn::comparison::{BeliefQuality, EPISODES_MIN, Loop, Report, Row, Spread};
 
 use heliostat_service::counted::counted;
@@ -71,7 +72,7 @@ pub fn print_table(report: &Report) -> io::Result<()> {
     outln!(
         "±: half the width of the 95 % confidence interval of the mean; ratio: to the sum rate of the oracle with minimum rates; p5: its 5th percentile"
     )?;
-    outln!("blocked: mean rate of a user without direct path, in Mbit/s")?;
+    outln!("blocked: {}", blocked_note(report))?;
     print_differences(report)?;
     print_outages(report)?;
     print_beliefs(report)?;
@@ -96,7 +97,10 @@ fn print_outages(report: &Report) -> io::Result<()> {
     if rows.peek().is_none() {
         return Ok(());
     }
-    outln!("\noutages: times in which a user is below the minimum rate, sampled every 20 ms")?;
+    outln!(
+        "\noutages: times in which a user is below the minimum rate, sampled every 20 ms; each ends with its episode of {} s",
+        sampled_s(report.states.min(INSTANTS))
+    )?;
     let width = name_width(report);
     outln!(
         "{:<width$} {:>18} {:>15} {:>19} {:>15}",
@@ -115,7 +119,7 @@ fn print_outages(report: &Report) -> io::Result<()> {
             interval(share, 3)
         )?;
     }
-    Ok(())
+    outln!("share of time: mean share of users below the minimum rate, at the states of the table above")
 }
 
 /// Prints the paired differences of the policies from the first one, if there are several.
@@ -236,11 +240,33 @@ fn states_and_seeds(report: &Report) -> String {
         1 => format!("{states} of the seed {}", report.seed),
         seeds => format!("{states} for each of {seeds} seeds from {}", report.seed),
     };
-    match report.mode {
-        // Each state is a room of its own.
-        Loop::Static => states,
-        Loop::ClosedLoop => format!("{} with {states}", counted(report.episodes, "episode")),
-    }
+    // Each state of a static comparison is a room of its own.
+    if report.mode == Loop::Static { states } else { episodes_and_seeds(report) }
+}
+
+fn episodes_and_seeds(report: &Report) -> String {
+    let of_seed = report.episodes / report.seeds;
+    let of_seeds = match report.seeds {
+        1 => format!(" of the seed {}", report.seed),
+        seeds => format!(": {of_seed} for each of {seeds} seeds from {}", report.seed),
+    };
+    // The last episode of a seed may be shorter.
+    let states = if of_seed == 1 || report.states == of_seed * INSTANTS {
+        let each = report.states.min(INSTANTS);
+        format!("{} each within {} s", counted(each, "state"), sampled_s(each))
+    } else {
+        format!("{} of each seed, {INSTANTS} within {} s", counted(report.states, "state"), sampled_s(INSTANTS))
+    };
+    format!("{}{of_seeds}, {states}", counted(report.episodes, "episode"))
+}
+
+/// What the column `blocked` is, and from how many episodes it comes.
+pub(super) fn blocked_note(report: &Report) -> String {
+    let found = match (report.blocked_episodes(), report.group()) {
+        (0, group) => format!("no {group} has such a user"),
+        (some, group) => format!("from {some} of {}", counted(report.episodes, group)),
+    };
+    format!("mean rate of a user without direct path in Mbit/s, over the states with such a user: {found}")
 }
 
 /// Why a figure has no interval, or one that says little; nothing where all is well.
@@ -248,7 +274,7 @@ fn states_and_seeds(report: &Report) -> String {
 pub(super) fn notes_on_episodes(reports: &[Report], is_sweep: bool) -> Vec<String> {
     let mut notes = Vec::new();
     let Some(few) = reports.iter().find(|report| report.has_few_episodes()) else {
-        return crossing(reports, is_sweep).into_iter().collect();
+        return few_blocked(reports, is_sweep).into_iter().chain(crossing(reports, is_sweep)).collect();
     };
     let is_single = few.oracle.sum_rate_mbps.ci95.is_nan();
     let found = counted(few.episodes, few.group());
@@ -264,6 +290,14 @@ pub(super) fn notes_on_episodes(reports: &[Report], is_sweep: bool) -> Vec<Strin
     });
     notes.extend(crossing(reports, is_sweep));
     notes
+}
+
+/// A warning where few of many episodes have a user without a direct path.
+fn few_blocked(reports: &[Report], is_sweep: bool) -> Option<String> {
+    let few = |report: &&Report| (1..EPISODES_MIN).contains(&report.blocked_episodes());
+    let report = reports.iter().find(few).filter(|_| !is_sweep)?;
+    let found = counted(report.blocked_episodes(), report.group());
+    Some(format!("warning: the interval of `blocked` comes from {found} with such a user; use at least {EPISODES_MIN}"))
 }
 
 /// What a marked interval means, if there is one.

@@ -1,0 +1,64 @@
+"""A device whose calls are timed from another thread, which names one that does not return."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any
+
+_BLOCKED_S = 2.0
+_LOOK_S = 1.0
+
+
+class Watched:
+    """Passes calls on to a device, and is a context manager: within the block, a thread calls `show` once for each call
+    that does not return within some seconds, and `report` with the present text about once a second."""
+
+    def __init__(self, device: Any, show: Callable[[str], None], report: Callable[[str], None]) -> None:
+        self._device, self._show, self._report = device, show, report
+        # The name of the call that has not returned, and its begin.
+        self._present: tuple[str, float] | None = None
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._watch, name="watch of the device", daemon=True)
+
+    def __getattr__(self, name: str) -> Any:
+        method = getattr(self._device, name)
+
+        def call(*arguments: Any) -> Any:
+            self._present = name, time.monotonic()
+            try:
+                return method(*arguments)
+            finally:
+                self._present = None
+
+        return call
+
+    def __enter__(self) -> Watched:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._over.set()
+        self._thread.join(timeout=1)
+
+    def problem(self, now: float) -> str:
+        """The call that has not returned at a time of the monotonic clock in s; empty without one."""
+        present = self._present
+        if present is None or now - present[1] < _BLOCKED_S:
+            return ""
+        name, begin = present
+        return f"{name} has not returned for {now - begin:.0f} s: the driver waits, and obeys no stop until it returns"
+
+    def _watch(self) -> None:
+        shown = None
+        while not self._over.wait(_LOOK_S):
+            present, problem = self._present, self.problem(time.monotonic())
+            if problem:
+                if present != shown:
+                    self._show(problem)
+                self._report(problem)
+                shown = present

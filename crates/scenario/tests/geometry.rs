@@ -114,7 +114,8 @@ fn an_announced_geometry_is_compared_with_that_of_the_controller() {
     let controller = Scenario::default();
     let problem = |announced: &str| controller.announced_problem(announced).unwrap_or_default();
     assert_eq!(problem(&with(&["users.count=3"]).geometry_toml()), "");
-    let differs = "room and controller differ: room.height_m is 3.5 in the room and 3.0 in this controller; start both";
-    assert!(problem(&with(&["room.height_m=3.5"]).geometry_toml()).starts_with(differs));
+    let differs =
+        "room and controller differ: room.length_x_m is 9.0 in the room and 5.0 in this controller; start both";
+    assert!(problem(&with(&["room.length_x_m=9"]).geometry_toml()).starts_with(differs));
     assert!(problem("[room").starts_with("the geometry that the room announces is refused: room geometry"));
 }

@@ -283,7 +283,7 @@ def parser(description: str | None = None) -> argparse.ArgumentParser:
 def main(device: Device, given: argparse.Namespace) -> None:
     """Runs a driver by the flags of `parser` until Ctrl-C, SIGTERM or `--seconds`; prints what it did.
 
-    A second signal ends it at once, also where a method of the device does not return.
+    A second signal ends it at once, also where a method of the device does not return, unless that waits in C code.
 
     The process exits with status 1 and the reason where the driver cannot run.
     """

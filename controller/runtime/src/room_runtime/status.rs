@@ -2,8 +2,6 @@
 
 mod describe;
 
-use std::collections::BTreeMap;
-
 use heliostat_core::{
     core::{Counters, DegradedMode, Stage},
     refusal::{Refusal, Stream},
@@ -58,14 +56,12 @@ pub struct Reporter {
     off_light: Vec<String>,
     /// The stops that withhold commands, in words; empty for none.
     stops: String,
-    /// What keeps commands from the mirrors, while it lasts.
-    blocked: BTreeMap<Subject, String>,
-    /// The newest problem since the commands were last blocked, and what it is about.
+    /// The newest problem since something kept commands from the mirrors, and what it is about.
     newest: (Subject, String),
 }
 
 /// What a problem is about: its end clears no other one.
-#[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 enum Subject {
     /// Whether the array fits the scenario.
     Fit,
@@ -136,7 +132,6 @@ impl Reporter {
             conditions: Conditions::default(),
             off_light: Vec::new(),
             stops: String::new(),
-            blocked: BTreeMap::new(),
             newest: (Subject::Other, String::new()),
         }
     }
@@ -166,11 +161,9 @@ impl Reporter {
             .or_else(|| self.new_problem(decision_loop, &swaps).map(warning))
             .or_else(|| self.new_undecodable(undecodable).map(warning));
         let occurrences = std::mem::take(&mut self.occurrences);
-        if let Some((subject, problem)) = &problem {
-            self.keep(subject, problem);
-        }
+        self.keep(problem.as_ref());
         let problem = problem.map(|(_, problem)| problem);
-        self.problem().clone_into(&mut summary.last_problem);
+        summary.last_problem = self.present_problem(controller.arrays());
         summary.set_without_driver(&self.conditions.without_driver);
         summary.geometry_differs = self.conditions.geometry.is_some();
         let refused = controller.inbox().refused();
@@ -182,26 +175,30 @@ impl Reporter {
     }
 
     /// What the status names: why no commands reach the mirrors, otherwise the newest problem.
-    fn problem(&self) -> &str {
-        self.blocked.values().next().unwrap_or(&self.newest.1)
+    fn present_problem(&self, arrays: usize) -> String {
+        let without_driver = &self.conditions.without_driver;
+        match &self.unfit {
+            Some(unfit) => no_commands(unfit),
+            None if !without_driver.is_empty() => no_driver(without_driver, arrays),
+            None if !self.stops.is_empty() => self.stops.clone(),
+            None if self.newest.1.is_empty() => self.conditions.geometry.clone().unwrap_or_default(),
+            None => self.newest.1.clone(),
+        }
     }
 
-    /// Keeps a problem for the status until it ends. What keeps commands from the mirrors is shown as long as it lasts:
-    /// no other problem takes its place, and none of before returns after it.
-    fn keep(&mut self, subject: &Subject, problem: &Problem) {
-        let blocks = matches!(subject, Subject::Fit | Subject::Driver | Subject::Stops);
+    /// Keeps the newest problem until it ends. What keeps commands from the mirrors discards it, so that no old one
+    /// returns afterwards.
+    fn keep(&mut self, problem: Option<&(Subject, Problem)>) {
+        if self.unfit.is_some() || !self.conditions.without_driver.is_empty() || !self.stops.is_empty() {
+            self.newest = Default::default();
+            return;
+        }
         match problem {
-            Problem::Alarm(text) | Problem::Warning(text) if blocks => {
-                self.blocked.insert(subject.clone(), text.clone());
-                self.newest = Default::default();
-            }
-            Problem::Alarm(text) | Problem::Warning(text) if self.blocked.is_empty() => {
+            Some((subject, Problem::Alarm(text) | Problem::Warning(text))) => {
                 self.newest = (subject.clone(), text.clone());
             }
-            Problem::Alarm(_) | Problem::Warning(_) => {}
-            Problem::End(_) if blocks => drop(self.blocked.remove(subject)),
-            Problem::End(_) if *subject == self.newest.0 => self.newest = Default::default(),
-            Problem::End(_) => {}
+            Some((subject, Problem::End(_))) if *subject == self.newest.0 => self.newest = Default::default(),
+            Some((_, Problem::End(_))) | None => {}
         }
     }
 
@@ -314,7 +311,7 @@ impl Reporter {
         let unfit_before = std::mem::replace(&mut self.unfit, summary.unfit.clone());
         if unfit_before != self.unfit {
             let problem = match &self.unfit {
-                Some(unfit) => Problem::Alarm(format!("the array receives no commands: {unfit}")),
+                Some(unfit) => Problem::Alarm(no_commands(unfit)),
                 None => Problem::End("the array fits the scenario: it receives commands again".into()),
             };
             return Some((Subject::Fit, problem));
@@ -354,7 +351,7 @@ impl Reporter {
             let problem = if without_driver.is_empty() {
                 Problem::End("a driver is in the room".into())
             } else {
-                Problem::Warning(format!("{}: {DRIVER_ABSENT}", describe_absence(without_driver, arrays)))
+                Problem::Warning(no_driver(without_driver, arrays))
             };
             return Some((Subject::Driver, problem));
         }
@@ -431,6 +428,14 @@ impl Reporter {
     }
 }
 
+fn no_commands(unfit: &str) -> String {
+    format!("the array receives no commands: {unfit}")
+}
+
+fn no_driver(without_driver: &[usize], arrays: usize) -> String {
+    format!("{}: {DRIVER_ABSENT}", describe_absence(without_driver, arrays))
+}
+
 /// A problem of which no end is reported.
 fn warning(text: String) -> (Subject, Problem) {
     (Subject::Other, Problem::Warning(text))
@@ -441,21 +446,28 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_keeps_commands_from_the_mirrors_stays_the_problem_until_it_ends() {
+    fn what_keeps_commands_from_the_mirrors_is_the_problem_until_it_ends() {
         let mut reporter = Reporter::new(Identity::default());
-        let mut after = |subject: Subject, problem: Problem| {
-            reporter.keep(&subject, &problem);
-            reporter.problem().to_owned()
+        let refused = (Subject::Other, Problem::Warning("a report is refused".into()));
+        let shown = |reporter: &mut Reporter, problem: Option<&(Subject, Problem)>| {
+            reporter.keep(problem);
+            reporter.present_problem(1)
         };
-        let refused = || Problem::Warning("a report is refused".into());
-        assert_eq!(after(Subject::Other, refused()), "a report is refused");
-        assert_eq!(after(Subject::Fit, Problem::Alarm("the array is too small".into())), "the array is too small");
-        assert_eq!(after(Subject::Other, refused()), "the array is too small");
-        assert_eq!(after(Subject::Driver, Problem::Warning("no driver".into())), "the array is too small");
-        assert_eq!(after(Subject::Driver, Problem::End("a driver is in the room".into())), "the array is too small");
-        assert_eq!(after(Subject::Fit, Problem::End("the array fits".into())), "", "none of before returns");
-        assert_eq!(after(Subject::Geometry, Problem::Warning("rooms differ".into())), "rooms differ");
-        assert_eq!(after(Subject::Driver, Problem::End("a driver is in the room".into())), "rooms differ");
-        assert_eq!(after(Subject::Geometry, Problem::End("rooms agree".into())), "");
+        assert_eq!(shown(&mut reporter, Some(&refused)), "a report is refused");
+        reporter.unfit = Some("it is too small".into());
+        assert_eq!(shown(&mut reporter, Some(&refused)), "the array receives no commands: it is too small");
+        reporter.conditions.geometry = Some("rooms differ".into());
+        reporter.stops = "withheld by a stop".into();
+        assert_eq!(shown(&mut reporter, None), "the array receives no commands: it is too small");
+        reporter.unfit = None;
+        assert_eq!(shown(&mut reporter, None), "withheld by a stop");
+        // The end of the stop falls together with another event, which alone is reported.
+        reporter.stops.clear();
+        let tenure = (Subject::Tenure, Problem::Warning("another controller leads".into()));
+        assert_eq!(shown(&mut reporter, Some(&tenure)), "another controller leads");
+        let ended = (Subject::Tenure, Problem::End("this controller leads".into()));
+        assert_eq!(shown(&mut reporter, Some(&ended)), "rooms differ", "it began during the stop, and lasts");
+        reporter.conditions.geometry = None;
+        assert_eq!(shown(&mut reporter, None), "", "none of before returns");
     }
 }

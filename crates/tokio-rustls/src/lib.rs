@@ -55,7 +55,8 @@ impl<S: Parts> Locked<S> {
         unsafe { &*self.0.data_ptr() }.get_ref().parts()
     }
 
-    /// The socket and the state of the connection.
+    /// The socket and the state of the connection, without the lock. Zenoh shuts down the socket so while another
+    /// thread may read: a call of the operating system that changes nothing here.
     pub fn get_mut(&mut self) -> (&mut S::Socket, &mut S::Connection) {
         Arc::get_mut(&mut self.0).expect("the pointer has no second holder").get_mut().get_mut().parts_mut()
     }

@@ -38,7 +38,7 @@ pub mod server {
 /// A stream behind a lock that each poll takes.
 ///
 /// The pointer keeps apart what two threads change: a caller that polls from both of them holds two exclusive
-/// references to the pointer, which nobody changes.
+/// references to the pointer, which stays as it is.
 #[derive(Debug)]
 pub struct Locked<S>(Arc<Mutex<Compat<S>>>);
 

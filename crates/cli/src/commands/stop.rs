@@ -13,7 +13,7 @@ use serde_json::json;
 
 use super::join::join;
 
-/// An operator knows within this time whether the order has a connection.
+/// An operator knows within this time whether the order has a connection. The help of `--timeout` names it.
 const JOINED_WITHIN: Duration = Duration::from_secs(2);
 /// Time between two looks at a held stop.
 const HOLD_INTERVAL: Duration = Duration::from_millis(50);
@@ -72,7 +72,7 @@ struct OrderArgs {
     /// Name of the operator, which the array reports; without it, the name of the user
     #[arg(long, value_name = "NAME")]
     operator: Option<String>,
-    /// Longest wait for the confirmation in seconds
+    /// Longest wait for the confirmation in seconds; a connection is awaited for at most 2 s
     #[arg(long, value_name = "N", default_value = "5", value_parser = duration::seconds, allow_negative_numbers = true)]
     timeout: Duration,
     /// Print the result as JSON

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 pytest.importorskip("zenoh")
 from heliostat.driver import Capabilities, Device, _Log, run
-from heliostat.peer import PeerError, Settings, duration_s
+from heliostat.peer import PeerError, Settings, duration_s, stop_on_signals
 from room import EXAMPLES, LIMIT_S, end_by, free_endpoint, heliostat, needs_program, observer, python, wait_until
 
 SIZE = ("--rows", "2", "--columns", "3")
@@ -170,6 +170,24 @@ def test_a_call_that_does_not_return_is_named_and_a_second_signal_ends_the_drive
         driver.send_signal(signal.SIGINT)
         _, errors = driver.communicate(timeout=LIMIT_S)
         assert driver.returncode == 130 and errors.count("health has not returned for") == 1, errors
+
+
+def test_a_signal_that_interrupts_a_holder_of_the_lock_of_the_stop_is_obeyed() -> None:
+    lock = threading.Lock()
+
+    class Locked(threading.Event):
+        def set(self) -> None:
+            assert lock.acquire(timeout=1.0), "the thread that holds the lock waits for itself"
+            super().set()
+            lock.release()
+
+    with stop_on_signals(Locked()) as stop:
+        with lock:
+            signal.raise_signal(signal.SIGTERM)
+            assert not stop.is_set()
+        assert stop.wait(LIMIT_S)
+        with lock, pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
 
 
 @pytest.mark.parametrize(

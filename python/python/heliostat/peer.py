@@ -10,6 +10,7 @@ import ipaddress
 import itertools
 import json
 import os
+import queue
 import random
 import re
 import signal
@@ -132,18 +133,27 @@ def stop_on_signals(stop: threading.Event) -> Iterator[threading.Event]:
         yield stop
         return
     signals, count = (signal.SIGINT, signal.SIGTERM), itertools.count()
+    # A handler interrupts the main thread anywhere, also where this holds the lock of the event: it must not take it.
+    # `put` of this queue takes no lock.
+    requests: queue.SimpleQueue[bool] = queue.SimpleQueue()
 
     def end(*_: object) -> None:
-        stop.set()
         if next(count) > 0:
             raise KeyboardInterrupt
+        requests.put(True)
 
+    def pass_on() -> None:
+        if requests.get():
+            stop.set()
+
+    threading.Thread(target=pass_on, name="signals", daemon=True).start()
     before = [signal.signal(number, end) for number in signals]
     try:
         yield stop
     finally:
         for number, handler in zip(signals, before, strict=True):
             signal.signal(number, handler)
+        requests.put(False)
 
 
 class Peer:

@@ -39,7 +39,7 @@ class Qtm(Source):
     def __init__(self, host: str, port: int = DEFAULT_PORT) -> None:
         self._host, self._port = host, port
         self.name = f"Qualisys Track Manager at {host}:{port}"
-        self._advice = "check that the computer can be reached, and that QTM shows a preview or a measurement"
+        self._loss = ""
         self._loop = asyncio.new_event_loop()
         self._thread: threading.Thread | None = None
         self._ended: asyncio.Event | None = None
@@ -63,7 +63,8 @@ class Qtm(Source):
             try:
                 await self._stream(intake, self._ended)
             except (OSError, asyncio.TimeoutError, qtm_rt.QRTCommandException, xml.ParseError) as problem:
-                intake.problem("lost", f"{self.name}: {type(problem).__name__} {problem}".rstrip())
+                self._loss = f"{type(problem).__name__} {problem}".rstrip() + ": "
+                intake.problem("lost", f"{self.name}: {self.advice()}")
             try:
                 await asyncio.wait_for(self._ended.wait(), _PAUSE_S)
             except asyncio.TimeoutError:
@@ -77,6 +78,7 @@ class Qtm(Source):
         )
         if connection is None:
             raise OSError("no connection")
+        self._loss = ""
         try:
             names = body_names(await connection.get_parameters(parameters=["6d"]))
             if not names:
@@ -96,7 +98,7 @@ class Qtm(Source):
 
     def advice(self) -> str:
         """What to check while no data arrive."""
-        return self._advice
+        return f"{self._loss}check that the computer can be reached, and that QTM shows a preview or a measurement"
 
     def close(self) -> None:
         """Ends the thread and the connection."""

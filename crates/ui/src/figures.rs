@@ -21,6 +21,7 @@ use crate::controllers::{ControllerFigures, controller_name};
 use crate::latency::Histogram;
 use crate::notes::{follows_from, without_figures};
 use crate::scene::unusable_mirrors;
+use crate::shown_room::Findings;
 use crate::view::{EXPIRY, Received};
 use counts::counts;
 
@@ -204,12 +205,14 @@ pub struct Figures {
     pub geometry: String,
     /// What the user should know about the room; see [`View::notes`].
     pub notes: Vec<String>,
+    /// What differs in the room without a fault.
+    pub remarks: Vec<String>,
 }
 
 impl View {
     /// The current figures.
     pub fn figures(&self) -> Figures {
-        let (room, notes) = (self.shown_room(), self.notes());
+        let (room, Findings { notes, remarks }) = (self.shown_room(), self.findings());
         let (geometry, model) = (room.id.clone(), &room.model);
         let received = self.received();
         let telemetry = received.arrays.joint(&model.mirrors);
@@ -257,6 +260,7 @@ impl View {
             calibration: controller.and_then(CalibrationProgress::of).map(|progress| progress.to_string()),
             geometry,
             notes,
+            remarks,
         }
     }
 

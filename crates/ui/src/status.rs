@@ -199,7 +199,8 @@ impl fmt::Display for RoomStatus {
         for (name, value) in [controllers].into_iter().chain(calibration).chain(takeovers).chain(lines) {
             writeln!(formatter, "{name:<12} {value}")?;
         }
-        self.problems.iter().try_for_each(|problem| writeln!(formatter, "problem      {problem}"))
+        self.problems.iter().try_for_each(|problem| writeln!(formatter, "problem      {problem}"))?;
+        self.figures.remarks.iter().try_for_each(|remark| writeln!(formatter, "no fault     {remark}"))
     }
 }
 
@@ -264,6 +265,15 @@ mod tests {
         let found = RoomStatus { figures, ..RoomStatus::default() }.found();
         assert!(!found.iter().any(|problem| problem.contains("picture")), "{found:?}");
         assert_eq!(found.last().map(String::as_str), Some("two drivers serve one array"));
+    }
+
+    #[test]
+    fn a_remark_is_shown_and_is_no_problem() {
+        let figures = |remarks| Figures { remarks, ..Figures::default() };
+        let status = |figures| RoomStatus { figures, ..RoomStatus::default() };
+        let (without, with) = (status(figures(Vec::new())), status(figures(vec!["a measured room".to_owned()])));
+        assert_eq!(without.found(), with.found());
+        assert!(with.to_string().ends_with("no fault     a measured room\n"), "{with}");
     }
 
     #[test]

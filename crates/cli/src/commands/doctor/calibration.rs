@@ -146,7 +146,7 @@ fn compare_rooms(file: &Path, room: &Scenario, controller: &ControllerState) -> 
     let announced = controller.geometry.as_deref().map(Scenario::from_geometry_toml);
     match announced {
         Some(Ok(served)) => match room.geometry_difference(&served) {
-            Some(GeometryDifference { key, here, there }) => Check::warn(
+            Some(GeometryDifference { key, here, there, .. }) => Check::warn(
                 name,
                 format!("{key} is {} in the controller: expected {here}, as in the file", printable(&there)),
                 restart,

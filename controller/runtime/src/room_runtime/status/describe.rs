@@ -187,7 +187,8 @@ pub(super) fn describe_left_out(LeftOut { user, refusal, position_m, values }: L
 
 #[cfg(test)]
 mod tests {
-    use heliostat_core::tenure::{EPOCH_SLOTS, Evidence};
+    use heliostat_core::tenure::Evidence;
+    use heliostat_proto::EPOCH_SLOTS;
 
     use super::*;
 

@@ -142,10 +142,9 @@ function standby(controllers) {
 }
 
 // What is wrong, each line with what to do: the notes about the room, then the problems of its processes. What the
-// banner or the answer to an order already says is left out. Below them, what differs without a fault.
+// answer to an order already says is left out. Below them, what differs without a fault.
 export function problems(now) {
-  const isSaid = ({ problem }) => (now.stop.stops.length > 0 && /^withheld by |emergency stop is latched/.test(problem))
-    || now.orders.some(({ reason }) => reason && problem.endsWith(reason));
+  const isSaid = ({ problem }) => now.orders.some(({ reason }) => reason && problem.endsWith(reason));
   const ofProcesses = now.nodes.filter((node) => node.problem && !isSaid(node)).map((node) => `${node.node}: ${node.problem}`);
   lines(at("problem"), [...now.notes, ...ofProcesses]);
   lines(at("remark"), now.remarks);

@@ -110,15 +110,26 @@ function list(element, entries) {
   });
 }
 
+// What the rows of times mean.
+const TIMES = {
+  decision: "From the arrival of a position report in the controller to the end of the publication of its commands.",
+  loop: "From the publication of a position report by the simulator to the arrival of its command at the array.",
+  age: "From the sampling of the positions to the decision that uses them.",
+};
+
 function quantiles(times) {
   const body = at("quantiles").tBodies[0];
   times.forEach(({ name, of, us }, index) => {
     const row = body.rows[index] ?? body.insertRow();
     row.dataset.from = of;
-    const cells = [name, ...(us ? [us.p50, us.p99, us.max].map((value) => value.toFixed(0)) : ["–", "–", "–"])];
-    cells.forEach((text, column) => {
-      const cell = row.cells[column] ?? row.insertCell();
-      if (column > 0) setClass(cell, "number");
+    if (!row.cells[0]) {
+      const explained = Object.assign(document.createElement("dfn"), { tabIndex: 0, title: TIMES[name], textContent: name });
+      row.insertCell().append(explained);
+    }
+    const texts = us ? [us.p50, us.p99, us.max].map((value) => value.toFixed(0)) : ["–", "–", "–"];
+    texts.forEach((text, column) => {
+      const cell = row.cells[column + 1] ?? row.insertCell();
+      setClass(cell, "number");
       setText(cell, text);
     });
   });

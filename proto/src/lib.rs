@@ -51,6 +51,7 @@ mod kind;
 mod limits;
 pub mod messages;
 pub mod reported_stops;
+mod stamp;
 pub mod stop_hold;
 mod structures;
 mod table;
@@ -70,6 +71,7 @@ pub use messages::{
     EmergencyStop, LedReport, MirrorCommand, MirrorTelemetry, NodeStatus, ObstacleReport, OrientationReport, Rearm,
     RoomGeometry, RoomTruth, SafetyReport, SimulatorControl, StopRepetition, StopReport, UserReport,
 };
+pub use stamp::stamp_of;
 pub use structures::{
     AxisLimits, ControllerInput, Counters, LatchedStopReport, LedGain, MirrorFault, Obstacle, Quantiles, Stamp,
     StopName, SumRates, TruthUser, UserBelief, UserBranches, UserChannel, UserLeds, UserOrientation, UserState,

@@ -242,8 +242,9 @@ fn a_stop_that_finds_mirrors_elsewhere_than_measured_makes_none_unusable() {
         assert!(kit.telemetry(at(10 + 50 * check), Stamp::default()).unusable.is_empty(), "after {check} checks");
     }
     kit.handle_rearm(at(1100), &Rearm { stop_source: 7, stop_sequence: 1, ..Rearm::default() }).unwrap();
-    let released = (0..20).map(|check| kit.telemetry(at(1110 + 50 * check), Stamp::default()).unusable);
-    assert_eq!(released.last(), Some(vec![0]), "a released array is checked");
+    let released: Vec<_> =
+        (0..20).map(|check| kit.telemetry(at(1110 + 50 * check), Stamp::default()).unusable).collect();
+    assert_eq!(released[19], [0], "a released array is checked");
 }
 
 #[test]

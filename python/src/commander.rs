@@ -194,8 +194,8 @@ impl Commander {
         Ok(table)
     }
 
-    /// Why the geometry that the room announces is not that of the scenario; `None` if it is, or if no
-    /// simulator announces one.
+    /// Why the geometry that the room announces is not that of the scenario; `None` if it is, but for what a
+    /// calibration measures, or if no simulator announces one.
     fn geometry_problem(&self, now: u64) -> PyResult<Option<String>> {
         let room = self.room()?;
         let announced = room.announced_geometry(now);

@@ -203,7 +203,7 @@ pub struct Figures {
     pub calibration: Option<String>,
     /// The hash of the drawn geometry, as in the plan: another one needs another plan.
     pub geometry: String,
-    /// What the user should know about the room; see [`View::notes`].
+    /// What is wrong in the room and lasts, with what to do.
     pub notes: Vec<String>,
     /// What differs in the room without a fault.
     pub remarks: Vec<String>,

@@ -66,10 +66,10 @@ pub(crate) struct RoomChooser {
     chosen: Mutex<Chosen>,
 }
 
-/// What announcements show beside the room.
+/// What a viewer shows in words.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Findings {
-    /// What is wrong with them.
+    /// What is wrong, with what to do.
     pub notes: Vec<String>,
     /// How a controller differs from the room without a fault.
     pub remarks: Vec<String>,

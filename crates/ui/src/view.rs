@@ -112,12 +112,7 @@ impl View {
     }
 
     /// What the user should know about the room: two drivers of one array, missing processes, differing
-    /// scenarios, an unknown geometry, a connection that fails because of a certificate.
-    pub fn notes(&self) -> Vec<String> {
-        self.findings().notes
-    }
-
-    /// The [`notes`](Self::notes), and what is no fault.
+    /// scenarios, an unknown geometry, a connection that fails because of a certificate. Also what is no fault.
     pub(crate) fn findings(&self) -> Findings {
         let (room, of_geometry) = self.chooser.choose(self.announcements());
         let mut notes = self.received().notes(room.model.mirrors.arrays().len(), self.opened);

@@ -100,7 +100,7 @@ pub fn decode_into<T: Message>(message: &mut T, payload: &[u8]) -> Result<(), Co
     if found != T::KIND {
         return Err(CodecError::WrongKind { found, expected: T::KIND });
     }
-    let mut reader = Reader { bytes: postcard::Deserializer::from_bytes(&payload[HEADER..]) };
+    let mut reader = Reader::of_body(payload);
     message.read(&mut reader)?;
     match reader.bytes.finalize().map_or(0, <[u8]>::len) {
         0 => message.check(),
@@ -130,6 +130,11 @@ pub struct Reader<'de> {
 }
 
 impl<'de> Reader<'de> {
+    /// Reads from behind the header of a payload, which [`kind_of`] accepts.
+    pub(crate) fn of_body(payload: &'de [u8]) -> Self {
+        Self { bytes: postcard::Deserializer::from_bytes(&payload[HEADER..]) }
+    }
+
     /// Reads the next number, bool or text; a text keeps its memory.
     #[inline]
     pub(crate) fn take<T: Deserialize<'de>>(&mut self, value: &mut T) -> Result<(), Unreadable> {

@@ -51,6 +51,7 @@ mod kind;
 mod limits;
 pub mod messages;
 pub mod reported_stops;
+mod stamp;
 pub mod stop_hold;
 mod structures;
 mod table;
@@ -62,14 +63,15 @@ pub use error::CodecError;
 pub use keys::{Room, RoomError};
 pub use kind::Kind;
 pub use limits::{
-    CLOCK_LEAD_MAX_NS, MAX_ARRAYS, MAX_BRANCHES, MAX_ENTRIES, MAX_GEOMETRY, MAX_INPUTS, MAX_LED_GAINS, MAX_MIRRORS,
-    MAX_OBSTACLES, MAX_PAYLOAD, MAX_STATE, MAX_STOPS, MAX_TEXT, MAX_USERS, Nanos, VERSION, cut,
+    CLOCK_LEAD_MAX_NS, EPOCH_SLOTS, MAX_ARRAYS, MAX_BRANCHES, MAX_ENTRIES, MAX_GEOMETRY, MAX_INPUTS, MAX_LED_GAINS,
+    MAX_MIRRORS, MAX_OBSTACLES, MAX_PAYLOAD, MAX_STATE, MAX_STOPS, MAX_TEXT, MAX_USERS, Nanos, VERSION, cut,
 };
 pub use messages::{
     BeliefReport, BranchReport, Calibration, Capabilities, ChannelReport, ControllerControl, ControllerMemory,
     EmergencyStop, LedReport, MirrorCommand, MirrorTelemetry, NodeStatus, ObstacleReport, OrientationReport, Rearm,
     RoomGeometry, RoomTruth, SafetyReport, SimulatorControl, StopRepetition, StopReport, UserReport,
 };
+pub use stamp::stamp_of;
 pub use structures::{
     AxisLimits, ControllerInput, Counters, LatchedStopReport, LedGain, MirrorFault, Obstacle, Quantiles, Stamp,
     StopName, SumRates, TruthUser, UserBelief, UserBranches, UserChannel, UserLeds, UserOrientation, UserState,

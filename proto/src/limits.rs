@@ -36,6 +36,10 @@ pub fn cut(text: &str) -> &str {
     &text[..end.unwrap_or(0)]
 }
 
+/// Each controller uses only the epochs with its own remainder modulo this number. A new epoch is
+/// the first of them above its base, so it exceeds the base by at most this number of ms.
+pub const EPOCH_SLOTS: u64 = 1024;
+
 /// Largest lead of a sender's clock in ns. A receiver refuses a message whose time is later than
 /// this.
 pub const CLOCK_LEAD_MAX_NS: Nanos = 50_000_000;

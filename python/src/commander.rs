@@ -194,11 +194,13 @@ impl Commander {
         Ok(table)
     }
 
-    /// Why the geometry that the room announces is not that of the scenario; `None` if it is, or if no
-    /// simulator announces one.
+    /// Why the geometry that the room announces is not that of the scenario; `None` if it is, but for what a
+    /// calibration measures, or if no simulator announces one.
     fn geometry_problem(&self, now: u64) -> PyResult<Option<String>> {
         let room = self.room()?;
-        Ok(room.announced_geometry(now).and_then(|announced| self.scenario.announced_problem(announced)))
+        let announced = room.announced_geometry(now);
+        let difference = announced.and_then(|text| self.scenario.announced_difference(text, "this controller"));
+        Ok(difference.and_then(heliostat_scenario::RoomDifference::problem))
     }
 
     /// Why the last failed decision failed, or why an array gets no command.

@@ -10,6 +10,7 @@ use heliostat_core::policy::actor_file::ActorFile;
 use heliostat_core::policy::{self, Actor, PolicyKind, PolicyMemory};
 use heliostat_core::safety::Limits;
 use heliostat_models::{ActorSource, build, library, load_actor};
+use heliostat_scenario::similar;
 use numpy::{PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
@@ -83,8 +84,9 @@ impl Policy {
 /// The policy of a name.
 fn found(name: &str) -> PyResult<PolicyKind> {
     let unknown = || {
-        let known = policy_names().join(", ");
-        format!("unknown policy {name:?}: expected {known}, or the path of a file FILE.onnx")
+        let names = policy_names();
+        let (known, hint) = (names.join(", "), similar::hint(name, names.iter().map(String::as_str)));
+        format!("unknown policy {name:?}: expected {known}, or the path of a file FILE.onnx{hint}")
     };
     PolicyKind::find(name, unknown).map_err(refused)
 }

@@ -11,6 +11,7 @@ use heliostat_environment::sampling::Sampled;
 use heliostat_environment::statistics::Spread;
 use heliostat_environment::task::{Dynamics, ObservationForm, TaskSettings};
 use heliostat_room::World;
+use heliostat_scenario::similar;
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
@@ -33,7 +34,8 @@ fn choice<T: Copy>(setting: &str, name: &str, known: &[(&str, T)]) -> PyResult<T
             return refused(format!("{setting} = {name:?}: {removed}"));
         }
         let names: Vec<String> = known.iter().map(|(name, _)| format!("{name:?}")).collect();
-        refused(format!("{setting} = {name:?}: expected {}", names.join(", ")))
+        let hint = similar::hint(name, known.iter().map(|(known, _)| *known));
+        refused(format!("{setting} = {name:?}: expected {}{hint}", names.join(", ")))
     })
 }
 

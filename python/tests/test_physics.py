@@ -126,7 +126,7 @@ def test_arguments_outside_their_domain_are_refused_with_the_reason() -> None:
         (lambda: heliostat.rate_map(room, FLAT, FLAT, step_m=0.0), "step_m = 0.0: expected a positive number"),
         (lambda: heliostat.rate_map(room, FLAT, FLAT, step_m=1e-6), "2.5e.13 points in this room, expected at most"),
         (lambda: heliostat.rate_map(room, FLAT, FLAT, step_m=1e9), "step_m = 1000000000.0: expected .* below 10"),
-        (lambda: heliostat.Policy("gready"), 'unknown policy "gready"'),
+        (lambda: heliostat.Policy("gready"), 'unknown policy "gready": .* a similar name exists: greedy$'),
         (lambda: heliostat.Policy("none.onnx"), "none.onnx"),
     ]:
         with pytest.raises(ValueError, match=reason):

@@ -249,8 +249,8 @@ impl Controller {
     }
 
     /// Counts a payload of a stream, and of an array for telemetry, that does not decode.
-    pub fn handle_malformed(&mut self, place: (Stream, usize), refusal: Refusal) {
-        self.inbox.count_malformed(place, refusal);
+    pub fn handle_malformed(&mut self, place: (Stream, usize), refusal: Refusal, payload: &[u8]) {
+        self.inbox.count_malformed(place, refusal, payload);
     }
 
     /// A source has left: another source may own the room at once.

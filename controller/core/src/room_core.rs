@@ -336,7 +336,8 @@ impl RoomCore {
         let message = match self.buffers.decode(channel, payload) {
             Ok(message) => message,
             Err(error) => {
-                self.controller.handle_malformed((channel.stream, channel.array), Refusal::from(&error));
+                let place = (channel.stream, channel.array);
+                self.controller.handle_malformed(place, Refusal::from(&error), payload);
                 self.last_malformed = Some(error);
                 return Handled::Nothing;
             }

@@ -57,7 +57,7 @@ impl FollowCheck {
         }
     }
 
-    /// Ends all runs of checks, because no measurement is possible for a while.
+    /// Ends all runs of checks, because no measurement is possible for a while, or the mirrors are stopped.
     pub fn pause(&mut self) {
         self.axes.iter_mut().for_each(|axis| axis.since_ns = None);
     }

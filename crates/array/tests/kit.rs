@@ -33,6 +33,8 @@ struct Mirror {
     is_blind: bool,
     /// It executes a stop later, on a thread of its own.
     is_slow: bool,
+    /// What it measures in place of its angles.
+    measured: Option<MirrorAngles>,
 }
 
 impl Device for Mirror {
@@ -57,7 +59,7 @@ impl Device for Mirror {
     }
 
     fn measure(&mut self, _now: Moment, into: &mut MirrorAngles) -> Result<bool, DeviceError> {
-        if let Some(angles) = &self.angles {
+        if let Some(angles) = self.measured.as_ref().or(self.angles.as_ref()) {
             into.clone_from(angles);
         }
         if self.is_blind { Err(DeviceError::new("mirror", "blind")) } else { Ok(true) }
@@ -228,6 +230,21 @@ fn a_calibration_of_a_stopped_array_turns_no_mirror_and_makes_none_unusable() {
         assert!(telemetry.unusable.is_empty(), "after {check} checks");
     }
     assert_eq!(kit.device().angles, rested);
+}
+
+#[test]
+fn a_stop_that_finds_mirrors_elsewhere_than_measured_makes_none_unusable() {
+    let mut kit = following();
+    kit.handle_stop(at(1), &stop(1)).unwrap();
+    // The measurement of the stop was an earlier one.
+    kit.device_mut().measured = Some(MirrorAngles { roll: vec![0.1], yaw: vec![0.1] });
+    for check in 0..20 {
+        assert!(kit.telemetry(at(10 + 50 * check), Stamp::default()).unusable.is_empty(), "after {check} checks");
+    }
+    kit.handle_rearm(at(1100), &Rearm { stop_source: 7, stop_sequence: 1, ..Rearm::default() }).unwrap();
+    let released: Vec<_> =
+        (0..20).map(|check| kit.telemetry(at(1110 + 50 * check), Stamp::default()).unusable).collect();
+    assert_eq!(released[19], [0], "a released array is checked");
 }
 
 #[test]

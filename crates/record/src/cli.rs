@@ -30,9 +30,9 @@ pub struct RecordArgs {
     /// The file to create; an existing file is not overwritten
     #[arg(long, value_name = "FILE.mcap")]
     out: PathBuf,
-    /// Keep a ring of files FILE-0001.mcap, FILE-0002.mcap ... of at most this many MB together: the oldest
-    /// are deleted. Files around a fault or a stop are named FILE-0007-fault.mcap and stay, as many MB at
-    /// most. A later run with the same FILE continues the ring
+    /// Keep a ring of files FILE-0001.mcap, FILE-0002.mcap ... of at most this many MB together, 8 or
+    /// more: the oldest are deleted. Files around a fault or a stop are named FILE-0007-fault.mcap and stay,
+    /// as many MB at most. A later run with the same FILE continues the ring
     #[arg(long, value_name = "MB", value_parser = clap::value_parser!(u32).range(8..))]
     ring_mb: Option<u32>,
     /// Seconds before and after a fault or a stop whose files stay

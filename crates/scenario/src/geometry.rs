@@ -10,26 +10,10 @@ use crate::mirror_tables::MirrorTables;
 use crate::scenario::{Scenario, parse_error, with_line};
 use crate::tables::{Blockage, Channel, Led, Link, Noise, Receiver, Room, Users};
 
-/// The tables of a geometry, in the order in which a difference is reported.
-const TABLES: [&str; 8] = ["room", "led", "mirrors", "receiver", "channel", "noise", "link", "blockage"];
-
-/// Table and key of the values that a calibration of a room measures.
-const MEASURED: [(&str, &str); 6] = [
-    ("room", "height_m"),
-    ("led", "positions_m"),
-    ("led", "half_power_semi_angle_deg"),
-    ("mirrors", "centre_height_m"),
-    ("mirrors", "reflectivity"),
-    ("receiver", "area_mm2"),
-];
-
-/// Longest text of a value in a sentence, in characters.
-const VALUE_CHARACTERS: usize = 60;
-
 /// The keys of a scenario that a geometry holds.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-struct Geometry {
+pub(crate) struct Geometry {
     name: String,
     room: Room,
     channel: Channel,
@@ -51,33 +35,6 @@ struct Bodies {
     body_offset_m: f64,
 }
 
-/// The first key in which two geometries differ.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct GeometryDifference {
-    /// `table.key`.
-    pub key: String,
-    /// Its value in the first one; "none" if it is absent.
-    pub here: String,
-    /// Its value in the other one.
-    pub there: String,
-}
-
-impl GeometryDifference {
-    /// What to do where room and controller differ so. A calibrated room may: its controller has the measured
-    /// values, and a simulator announces the described ones.
-    pub fn advice(&self) -> &'static str {
-        let is_of = |(table, name): &(&str, &str)| {
-            self.key.split('.').next() == Some(*table) && self.key.rsplit('.').next() == Some(*name)
-        };
-        if MEASURED.iter().any(is_of) {
-            "no fault where the controller has the room that heliostat calibrate measured, and a simulator the described \
-             one; otherwise start both with the same --scenario and --set"
-        } else {
-            "start both with the same --scenario and --set"
-        }
-    }
-}
-
 impl Scenario {
     /// Geometry and channel as TOML.
     pub fn geometry_toml(&self) -> String {
@@ -94,64 +51,6 @@ impl Scenario {
         scenario.check().map_err(|error| with_line(error, text))?;
         Ok(scenario)
     }
-
-    /// Why the geometry that a room announces is not that of this scenario of its controller; `None` if it
-    /// is.
-    ///
-    /// The text can hold characters of the announcement that a terminal executes.
-    pub fn announced_problem(&self, announced: &str) -> Option<String> {
-        let room = match Self::from_geometry_toml(announced) {
-            Ok(room) => room,
-            Err(error) => {
-                return Some(format!("the geometry that the room announces is refused: {}", error.in_one_line()));
-            }
-        };
-        let difference = self.geometry_difference(&room)?;
-        let cut = |text: &str| text.chars().take(VALUE_CHARACTERS).collect::<String>();
-        Some(format!(
-            "room and controller differ: {} is {} in the room and {} in this controller; {}",
-            difference.key,
-            cut(&difference.there),
-            cut(&difference.here),
-            difference.advice()
-        ))
-    }
-
-    /// The first key in which the geometry differs from that of another scenario; their names may
-    /// differ.
-    pub fn geometry_difference(&self, other: &Self) -> Option<GeometryDifference> {
-        let arrays = [self, other].map(|scenario| scenario.mirrors.arrays().len());
-        if arrays[0] != arrays[1] {
-            let [here, there] = arrays.map(|count| count.to_string());
-            return Some(GeometryDifference { key: "number of mirror arrays".into(), here, there });
-        }
-        let table = |scenario: &Self| {
-            toml::Table::try_from(Geometry::of(scenario)).expect("every table of a scenario has a TOML form")
-        };
-        let (here, there) = (table(self), table(other));
-        TABLES.iter().find_map(|name| match (here.get(*name)?, there.get(*name)?) {
-            (toml::Value::Table(here), toml::Value::Table(there)) => table_difference(name, here, there),
-            (toml::Value::Array(here), toml::Value::Array(there)) => {
-                let mut pairs = here.iter().zip(there).enumerate();
-                pairs.find_map(|(index, (here, there))| {
-                    table_difference(&format!("{name}.{index}"), here.as_table()?, there.as_table()?)
-                })
-            }
-            _ => None,
-        })
-    }
-}
-
-/// The first key in which two tables of this name differ.
-fn table_difference(name: &str, here: &toml::Table, there: &toml::Table) -> Option<GeometryDifference> {
-    let key = here.keys().chain(there.keys()).find(|key| here.get(*key) != there.get(*key))?;
-    let value = |table: &toml::Table| match table.get(key) {
-        None => "none".into(),
-        // The shortest form, also for very small numbers.
-        Some(toml::Value::Float(number)) => format!("{number:?}"),
-        Some(value) => value.to_string(),
-    };
-    Some(GeometryDifference { key: format!("{name}.{key}"), here: value(here), there: value(there) })
 }
 
 impl Default for Geometry {
@@ -174,7 +73,7 @@ impl Bodies {
 }
 
 impl Geometry {
-    fn of(scenario: &Scenario) -> Self {
+    pub(crate) fn of(scenario: &Scenario) -> Self {
         let Scenario { name, room, channel, led, mirrors, receiver, noise, link, blockage, .. } = scenario.clone();
         let blockage = Bodies::of(&blockage);
         Self { name, room, channel, led, mirrors, receiver, noise, link, blockage }

@@ -1,6 +1,6 @@
 //! The geometry that a room announces: complete for a viewer, checked, and without file paths.
 
-use heliostat_scenario::{BUILTIN_NAMES, GeometryDifference, Scenario};
+use heliostat_scenario::{BUILTIN_NAMES, GeometryDifference, RoomDifference, Scenario};
 
 /// Longest text of the message in the contract.
 const ANNOUNCED_MAX: usize = 16_384;
@@ -82,7 +82,7 @@ fn the_first_differing_key_of_two_geometries_is_named_with_both_values() {
         None
     );
     let difference = |key: &str, here: &str, there: &str| {
-        Some(GeometryDifference { key: key.into(), here: here.into(), there: there.into() })
+        Some(GeometryDifference { key: key.into(), here: here.into(), there: there.into(), is_measured: false })
     };
     assert_eq!(
         room.geometry_difference(&with(&["mirrors.rows=8", "room.height_m=3.5"])),
@@ -96,23 +96,40 @@ fn the_first_differing_key_of_two_geometries_is_named_with_both_values() {
 }
 
 #[test]
-fn a_difference_in_what_a_calibration_measures_may_be_no_fault() {
-    let advice = |key: &str| GeometryDifference { key: key.into(), here: "1".into(), there: "2".into() }.advice();
-    let general = "start both with the same --scenario and --set";
-    for measured in ["room.height_m", "led.positions_m", "mirrors.1.reflectivity", "mirrors.centre_height_m"] {
-        let text = advice(measured);
-        assert!(text.starts_with("no fault where the controller has the room that heliostat calibrate"), "{text}");
-        assert!(text.ends_with(general), "{text}");
-    }
-    for other in ["mirrors.rows", "room.length_x_m", "mirrors.height_m", "number of mirror arrays"] {
-        assert_eq!(advice(other), general, "{other}");
+fn only_differences_that_a_calibration_measures_and_can_find_are_no_fault() {
+    let room = Scenario::default();
+    let of = |overrides: &[&str]| with(overrides).room_difference(&room, "this controller");
+    assert_eq!(of(&[]), None);
+    assert_eq!(
+        of(&["room.height_m=3.02", "mirrors.reflectivity=0.93", "led.half_power_semi_angle_deg=63"]),
+        Some(RoomDifference::Measured(
+            "this controller differs from the room only in what heliostat calibrate measures: room.height_m, \
+             led.half_power_semi_angle_deg, mirrors.reflectivity"
+                .into()
+        ))
+    );
+    for (overrides, key) in [
+        (&["room.height_m=3.5"][..], "room.height_m"),
+        (&["room.height_m=3.02", "mirrors.rows=8"], "mirrors.rows"),
+        (&["led.positions_m=[[0, 0, 3], [1, 0, 3]]"], "led.positions_m"),
+        (&["receiver.area_mm2=400"], "receiver.area_mm2"),
+    ] {
+        let found = of(overrides).and_then(RoomDifference::problem).expect("a fault");
+        let start = format!("room and controller differ: {key} is ");
+        assert!(
+            found.starts_with(&start) && found.ends_with("start both with the same --scenario and --set"),
+            "{found}"
+        );
     }
 }
 
 #[test]
 fn an_announced_geometry_is_compared_with_that_of_the_controller() {
     let controller = Scenario::default();
-    let problem = |announced: &str| controller.announced_problem(announced).unwrap_or_default();
+    let problem = |announced: &str| {
+        let found = controller.announced_difference(announced, "this controller");
+        found.and_then(RoomDifference::problem).unwrap_or_default()
+    };
     assert_eq!(problem(&with(&["users.count=3"]).geometry_toml()), "");
     let differs =
         "room and controller differ: room.length_x_m is 9.0 in the room and 5.0 in this controller; start both";

@@ -110,15 +110,26 @@ function list(element, entries) {
   });
 }
 
+// What the rows of times mean.
+const TIMES = {
+  decision: "From the arrival of a position report in the controller to the end of the publication of its commands.",
+  loop: "From the publication of a position report by the simulator to the arrival of its command at the array.",
+  age: "From the sampling of the positions to the decision that uses them.",
+};
+
 function quantiles(times) {
   const body = at("quantiles").tBodies[0];
   times.forEach(({ name, of, us }, index) => {
     const row = body.rows[index] ?? body.insertRow();
     row.dataset.from = of;
-    const cells = [name, ...(us ? [us.p50, us.p99, us.max].map((value) => value.toFixed(0)) : ["–", "–", "–"])];
-    cells.forEach((text, column) => {
-      const cell = row.cells[column] ?? row.insertCell();
-      if (column > 0) setClass(cell, "number");
+    if (!row.cells[0]) {
+      const explained = Object.assign(document.createElement("dfn"), { tabIndex: 0, title: TIMES[name], textContent: name });
+      row.insertCell().append(explained);
+    }
+    const texts = us ? [us.p50, us.p99, us.max].map((value) => value.toFixed(0)) : ["–", "–", "–"];
+    texts.forEach((text, column) => {
+      const cell = row.cells[column + 1] ?? row.insertCell();
+      setClass(cell, "number");
       setText(cell, text);
     });
   });
@@ -142,13 +153,16 @@ function standby(controllers) {
 }
 
 // What is wrong, each line with what to do: the notes about the room, then the problems of its processes. What the
-// banner or the answer to an order already says is left out.
+// answer to an order already says is left out. Below them, what differs without a fault.
 export function problems(now) {
-  const isSaid = ({ problem }) => (now.stop.stops.length > 0 && /^withheld by |emergency stop is latched/.test(problem))
-    || now.orders.some(({ reason }) => reason && problem.endsWith(reason));
+  const isSaid = ({ problem }) => now.orders.some(({ reason }) => reason && problem.endsWith(reason));
   const ofProcesses = now.nodes.filter((node) => node.problem && !isSaid(node)).map((node) => `${node.node}: ${node.problem}`);
-  const lines = [...now.notes, ...ofProcesses].map(asSentence);
-  const list = at("problem");
+  lines(at("problem"), [...now.notes, ...ofProcesses]);
+  lines(at("remark"), now.remarks);
+}
+
+function lines(list, texts) {
+  const lines = texts.map(asSentence);
   list.hidden = lines.length === 0;
   while (list.children.length > lines.length) list.lastChild.remove();
   lines.forEach((line, index) => setText(list.children[index] ?? list.appendChild(document.createElement("li")), line));

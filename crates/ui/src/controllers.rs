@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::Instant;
 
 use heliostat_proto::gauges::CalibrationProgress;
-use heliostat_proto::{NodeKind, NodeStatus};
+use heliostat_proto::{EPOCH_SLOTS, NodeKind, NodeStatus};
 use serde::Serialize;
 
 use crate::view::EXPIRY;
@@ -78,9 +78,15 @@ pub(crate) fn controller_name(source: u64) -> String {
     format!("{source:016x}")
 }
 
-/// Whether the controller of a status stands by. [`Role`] says which one of the others leads.
-pub fn is_standby(status: &NodeStatus) -> bool {
-    counter(status, STANDBY) > 0
+/// Of these statuses, the last one of the controller that leads, or else of a calibration or another controller. The
+/// first array follows the commands of an epoch, if it reports.
+pub fn leading(mut statuses: Vec<NodeStatus>, followed_epoch: Option<u64>) -> Option<NodeStatus> {
+    let mut controllers = Controllers::default();
+    statuses.iter().for_each(|status| controllers.take(status));
+    let alive = statuses.iter().map(|status| (NodeKind::Controller.name(), status.stamp.source)).collect();
+    let first = controllers.present(&alive, followed_epoch).into_iter().next()?;
+    let last = statuses.iter().rposition(|status| controller_name(status.stamp.source) == first.name)?;
+    Some(statuses.swap_remove(last))
 }
 
 /// A counter of a status; 0 where it has none.
@@ -99,7 +105,7 @@ impl Controllers {
         let source = status.stamp.source;
         let decisions = counter(status, DECISIONS);
         let is_deciding = self.0.get(&source).is_some_and(|(_, before)| decisions > before.decisions);
-        let role = match (is_standby(status), CalibrationProgress::of(status)) {
+        let role = match (counter(status, STANDBY) > 0, CalibrationProgress::of(status)) {
             (true, _) => Role::StandsBy,
             (false, Some(_)) => Role::Calibrates,
             (false, None) => Role::Leads,
@@ -132,7 +138,9 @@ impl Controllers {
         // During a stop, a controller that starts again finds no array that follows another one: it does not
         // stand by, although its epoch is not the followed one.
         if figures.iter().filter(|one| one.role.commands()).count() > 1 {
-            let is_followed = |one: &ControllerFigures| one.epoch > 0 && Some(one.epoch) == followed_epoch;
+            // A renewed epoch is in the telemetry before it is in the status, and keeps the remainder of its controller.
+            let slot = followed_epoch.map(|epoch| epoch % EPOCH_SLOTS);
+            let is_followed = |one: &ControllerFigures| one.epoch > 0 && Some(one.epoch % EPOCH_SLOTS) == slot;
             for one in figures.iter_mut().filter(|one| one.role.commands() && !is_followed(one)) {
                 one.role = Role::Unfollowed;
             }
@@ -182,8 +190,20 @@ mod tests {
         };
         let of = |name: &str, role| (name.to_owned(), role);
         assert_eq!(roles(&[1, 2], Some(500)), [of("2", Role::Leads), of("1", Role::Unfollowed)]);
+        let renewed = Some(500 + 3 * EPOCH_SLOTS);
+        assert_eq!(roles(&[1, 2], renewed), [of("2", Role::Leads), of("1", Role::Unfollowed)]);
         assert_eq!(roles(&[1, 2], None), [of("1", Role::Unfollowed), of("2", Role::Unfollowed)]);
         assert_eq!(roles(&[1], Some(500)), [of("1", Role::Leads)], "no other one commands");
+    }
+
+    #[test]
+    fn of_several_statuses_that_of_the_leader_is_chosen_by_the_followed_epoch() {
+        let statuses = |standby| vec![status(1, &[(EPOCH, 900)]), status(2, &[(EPOCH, 500), (STANDBY, standby)])];
+        let chosen = |statuses, followed_epoch| leading(statuses, followed_epoch).map(|status| status.stamp.source);
+        assert_eq!([Some(900), Some(500)].map(|epoch| chosen(statuses(0), epoch)), [Some(1), Some(2)]);
+        assert_eq!(chosen(statuses(1), Some(500)), Some(1), "the other one stands by");
+        assert_eq!(chosen(vec![status(2, &[(STANDBY, 1)])], None), Some(2), "none leads");
+        assert_eq!(chosen(Vec::new(), None), None);
     }
 
     #[test]

@@ -171,9 +171,9 @@ impl EventLog {
             let former = if is_former { self.leader.as_str() } else { "another controller" };
             let has_ended = is_former && !controllers.iter().any(|other| other.name == self.leader);
             let reason = match (is_contested, has_ended) {
-                (true, _) => "the array accepted no command of it, but it still commands",
+                (true, _) => "the new leader saw no accepted command of it, but it still commands",
                 (false, true) => "it has ended",
-                (false, false) => "the array accepted no command of it",
+                (false, false) => "the new leader saw no accepted command of it",
             };
             let text = format!("controller {name} leads, took over from {former}: {reason}");
             self.push(at_ms, text, is_contested || !has_ended);
@@ -290,10 +290,10 @@ mod tests {
             first = if time == 1 { texts(&log).len() } else { first };
         }
         let expected = [
-            (2, "controller b leads, took over from a: the array accepted no command of it", true),
+            (2, "controller b leads, took over from a: the new leader saw no accepted command of it", true),
             (
                 3,
-                "controller a leads, took over from b: the array accepted no command of it, but it still commands",
+                "controller a leads, took over from b: the new leader saw no accepted command of it, but it still commands",
                 true,
             ),
             (5, "controller b leads, took over from a: it has ended", false),

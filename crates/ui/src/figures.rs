@@ -19,8 +19,9 @@ use serde::Serialize;
 use crate::View;
 use crate::controllers::{ControllerFigures, controller_name};
 use crate::latency::Histogram;
-use crate::notes::{follows_from, without_figures};
+use crate::notes::{follows_from, follows_from_stop, without_figures};
 use crate::scene::unusable_mirrors;
+use crate::shown_room::Findings;
 use crate::view::{EXPIRY, Received};
 use counts::counts;
 
@@ -202,14 +203,17 @@ pub struct Figures {
     pub calibration: Option<String>,
     /// The hash of the drawn geometry, as in the plan: another one needs another plan.
     pub geometry: String,
-    /// What the user should know about the room; see [`View::notes`].
+    /// What is wrong in the room and lasts, with what to do.
     pub notes: Vec<String>,
+    /// What differs in the room without a fault.
+    pub remarks: Vec<String>,
 }
 
 impl View {
     /// The current figures.
     pub fn figures(&self) -> Figures {
-        let (room, notes) = (self.shown_room(), self.notes());
+        let (room, Findings { notes, remarks }) = (self.shown_room(), self.findings());
+        let is_stopped = !self.stops.room().stops.is_empty();
         let (geometry, model) = (room.id.clone(), &room.model);
         let received = self.received();
         let telemetry = received.arrays.joint(&model.mirrors);
@@ -238,7 +242,7 @@ impl View {
             nodes: received
                 .statuses
                 .iter()
-                .map(|(name, (at, status))| without_notes(node(&received, name, *at, status), &notes))
+                .map(|(name, (at, status))| without_known(node(&received, name, *at, status), &notes, is_stopped))
                 .collect(),
             ages_s: ages(&received),
             times: vec![
@@ -257,6 +261,7 @@ impl View {
             calibration: controller.and_then(CalibrationProgress::of).map(|progress| progress.to_string()),
             geometry,
             notes,
+            remarks,
         }
     }
 
@@ -354,11 +359,12 @@ fn node(received: &Received, name: &str, at: Instant, status: &NodeStatus) -> No
 }
 
 /// The figures of a process without a problem that a note states too, with other advice behind its
-/// colon, or that follows from a note.
-fn without_notes(mut node: NodeFigures, notes: &[String]) -> NodeFigures {
+/// colon, or that follows from a note, or from the emergency stop of a stopped room.
+fn without_known(mut node: NodeFigures, notes: &[String], is_stopped: bool) -> NodeFigures {
     let fault = |text: &str| without_figures(text.split(": ").next().unwrap_or_default());
     let of_node = fault(&node.problem);
-    if notes.iter().any(|note| of_node.starts_with(&fault(note))) || follows_from(notes, &node.problem) {
+    let is_noted = notes.iter().any(|note| of_node.starts_with(&fault(note))) || follows_from(notes, &node.problem);
+    if is_noted || (is_stopped && follows_from_stop(&node.problem)) {
         node.problem.clear();
     }
     node
@@ -395,12 +401,24 @@ mod tests {
     fn a_problem_that_a_note_states_too_is_not_repeated() {
         let notes = ["LED 0 brings 0.61 of the expected light: look for an LED that was dimmed".to_owned()];
         let left = |problem: &str| {
-            without_notes(NodeFigures { problem: problem.into(), ..NodeFigures::default() }, &notes).problem
+            without_known(NodeFigures { problem: problem.into(), ..NodeFigures::default() }, &notes, false).problem
         };
         assert_eq!(left("LED 0 brings 0.60 of the expected light since 06:00:00 UTC: look for an LED"), "");
         for other in ["LED 1 brings 0.60 of the expected light since 06:00:00 UTC: look for an LED", "users refused"] {
             assert_eq!(left(other), other);
         }
+    }
+
+    #[test]
+    fn a_problem_that_follows_from_a_stop_is_not_repeated_while_the_stop_is_shown() {
+        let left = |problem: &str, is_stopped| {
+            without_known(NodeFigures { problem: problem.into(), ..NodeFigures::default() }, &[], is_stopped).problem
+        };
+        for of_stop in ["withheld by the stop of ann", "command: an emergency stop is latched: re-arm the array first"]
+        {
+            assert_eq!([left(of_stop, true), left(of_stop, false)], ["", of_stop]);
+        }
+        assert_eq!(left("the device does not answer", true), "the device does not answer");
     }
 
     #[test]

@@ -100,6 +100,11 @@ impl Guard {
         Self { names, public, address }
     }
 
+    /// An address at which a browser opens the page.
+    pub fn address(&self) -> &str {
+        &self.address
+    }
+
     /// The reason to refuse a request with this host and this origin; `None` if it is allowed.
     fn refusal(&self, is_read: bool, host: Option<&str>, origin: Option<&str>) -> Option<String> {
         let Some(host) = host.map(folded).filter(|host| self.is_own(host) || self.is_public(host)) else {
@@ -230,6 +235,16 @@ mod tests {
         assert!(
             nameless.refusal(true, Some(""), None).is_some() && nameless.refusal(true, Some(".local"), None).is_some()
         );
+    }
+
+    #[test]
+    fn a_page_on_all_addresses_is_opened_by_the_name_of_its_machine() {
+        for (listens, opened) in
+            [("0.0.0.0:7480", "http://mirrors:7480/"), ("127.0.0.1:7480", "http://127.0.0.1:7480/")]
+        {
+            let guard = Guard::new(listens.parse().expect("an address"), Some("Mirrors".into()), Vec::new());
+            assert_eq!(guard.address(), opened);
+        }
     }
 
     #[test]

@@ -86,6 +86,11 @@ pub(crate) fn follows_from(notes: &[String], problem: &str) -> bool {
         && OF_TWO_DRIVERS.iter().any(|(start, part)| problem.starts_with(start) && problem.contains(part))
 }
 
+/// Whether a process reports this problem because of an emergency stop in force.
+pub(crate) fn follows_from_stop(problem: &str) -> bool {
+    problem.starts_with("withheld by ") || problem.contains("emergency stop is latched")
+}
+
 /// A text without its figures, which differ at each occurrence of one fault. The digit of a name stays, as in
 /// `LED 0` and `mirrors-1`.
 pub(crate) fn without_figures(text: &str) -> String {

@@ -125,6 +125,8 @@ struct Shared {
 /// A page that is being served; dropping it ends the server.
 pub struct Server {
     http: http::Server,
+    /// An address at which a browser opens the page.
+    opened_at: String,
     /// The requested port, if it was in use and a free one replaced it.
     replaced: Option<u16>,
     token: Option<Arc<Token>>,
@@ -172,12 +174,13 @@ impl Server {
         let gate = token.clone().map(|token| Gate { token, port: bound });
         let at = SocketAddr::new(address, bound);
         let guard = Guard::new(at, machine_name(), place.public.clone());
+        let opened_at = guard.address().to_owned();
         let router = router(Shared { page, feed, floor }, gate, guard);
         let limits = Limits { body_bytes: ORDER_MAX, ..Limits::default() };
         let served = http::serve("page", listener, router, limits, stop.clone());
         let http = served.inspect_err(|_| stop.request()).map_err(UiError::Threads)?;
         let replaced = (port != 0 && bound != port).then_some(port);
-        Ok(Self { http, replaced, token, public: place.public.clone() })
+        Ok(Self { http, opened_at, replaced, token, public: place.public.clone() })
     }
 
     /// The address at which it listens.
@@ -185,9 +188,14 @@ impl Server {
         self.http.address()
     }
 
+    /// The URL to open in a browser, without a token. A page on all addresses of this machine has its name there.
+    pub fn url_without_token(&self) -> &str {
+        &self.opened_at
+    }
+
     /// The URL to open in a browser, with the token if the page requires one.
     pub fn url(&self) -> String {
-        format!("http://{}/{}", self.address(), self.query())
+        format!("{}{}", self.opened_at, self.query())
     }
 
     fn query(&self) -> String {
@@ -199,6 +207,9 @@ impl std::fmt::Display for Server {
     /// The URL of the page, the requested port if it was in use, and the public addresses.
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(formatter, "the page is at {}", self.url())?;
+        if self.address().ip().is_unspecified() {
+            write!(formatter, " and at each address of this machine")?;
+        }
         if let Some(port) = self.replaced {
             write!(formatter, " (port {port} is in use)")?;
         }

@@ -7,7 +7,7 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use heliostat_channel::{ChannelError, ChannelModel};
-use heliostat_scenario::{GeometryDifference, Scenario};
+use heliostat_scenario::{GeometryDifference, RoomDifference, Scenario};
 use heliostat_service::printable::printable;
 use serde::Serialize;
 
@@ -66,11 +66,20 @@ pub(crate) struct RoomChooser {
     chosen: Mutex<Chosen>,
 }
 
+/// What a viewer shows in words.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Findings {
+    /// What is wrong, with what to do.
+    pub notes: Vec<String>,
+    /// How a controller differs from the room without a fault.
+    pub remarks: Vec<String>,
+}
+
 /// The choice for some announcements.
 struct Chosen {
     announcements: Announcements,
     room: Arc<ShownRoom>,
-    notes: Vec<String>,
+    findings: Findings,
 }
 
 impl RoomChooser {
@@ -83,27 +92,27 @@ impl RoomChooser {
         let given = given.map(Arc::new);
         let fallback = Arc::new(ShownRoom::new(GeometrySource::Default, Scenario::default())?);
         let room = Arc::clone(given.as_ref().unwrap_or(&fallback));
-        let chosen = Chosen { announcements: Announcements::default(), room, notes: Vec::new() };
+        let chosen = Chosen { announcements: Announcements::default(), room, findings: Findings::default() };
         Ok(Self { given, fallback, chosen: Mutex::new(chosen) })
     }
 
-    /// The room to draw, and what is wrong with the announcements.
-    pub fn choose(&self, announcements: Announcements) -> (Arc<ShownRoom>, Vec<String>) {
+    /// The room to draw, and what else the announcements show.
+    pub fn choose(&self, announcements: Announcements) -> (Arc<ShownRoom>, Findings) {
         let mut chosen = self.chosen.lock().unwrap_or_else(PoisonError::into_inner);
         if chosen.announcements != announcements {
-            let (room, notes) = self.evaluate(&announcements);
+            let (room, findings) = self.evaluate(&announcements);
             // An unchanged room keeps its identity, so that the views of it stay.
             if room.id != chosen.room.id || room.source != chosen.room.source {
                 chosen.room = room;
             }
-            chosen.notes = notes;
+            chosen.findings = findings;
             chosen.announcements = announcements;
         }
-        (Arc::clone(&chosen.room), chosen.notes.clone())
+        (Arc::clone(&chosen.room), chosen.findings.clone())
     }
 
-    fn evaluate(&self, announcements: &Announcements) -> (Arc<ShownRoom>, Vec<String>) {
-        let mut notes = Vec::new();
+    fn evaluate(&self, announcements: &Announcements) -> (Arc<ShownRoom>, Findings) {
+        let Findings { mut notes, mut remarks } = Findings::default();
         let Announcements { sim_node, controller, of_controllers, is_sim_node_old, is_controller_old } = announcements;
         let read = |source, text: &str| {
             let scenario = Scenario::from_geometry_toml(text).map_err(|error| error.in_one_line())?;
@@ -127,22 +136,20 @@ impl RoomChooser {
                 }
             };
             if let Some(room) = sim_node.as_ref().filter(|_| !is_sim_node_old)
-                && let Some(difference) = room.scenario.geometry_difference(&own.scenario)
+                && let Some(difference) =
+                    own.scenario.room_difference(&room.scenario, &format!("the controller {name}"))
             {
-                let GeometryDifference { key, here, there } = &difference;
-                notes.push(format!(
-                    "room and controller differ: {key} is {} in the room and {} in the controller {name}; {}",
-                    shown(here),
-                    shown(there),
-                    difference.advice()
-                ));
+                match difference {
+                    RoomDifference::Problem(text) => notes.push(printable(&text).into_owned()),
+                    RoomDifference::Measured(text) => remarks.push(printable(&text).into_owned()),
+                }
             }
         }
         let is_announced_old = if sim_node.is_some() { *is_sim_node_old } else { *is_controller_old };
         let announced = sim_node.or(controller);
         if let (Some(given), Some(announced)) = (&self.given, &announced)
             && !is_announced_old
-            && let Some(GeometryDifference { key, here, there }) =
+            && let Some(GeometryDifference { key, here, there, .. }) =
                 announced.scenario.geometry_difference(&given.scenario)
         {
             notes.push(format!(
@@ -152,7 +159,7 @@ impl RoomChooser {
             ));
         }
         let room = self.given.clone().or(announced).unwrap_or_else(|| Arc::clone(&self.fallback));
-        (room, notes)
+        (room, Findings { notes, remarks })
     }
 }
 
@@ -210,7 +217,7 @@ mod tests {
         let notes = |given: Option<&Scenario>, sim_node, controller: Option<Arc<str>>| {
             let chooser = RoomChooser::new(given).expect("a valid scenario");
             let of_controllers = controller.into_iter().map(|text| ("c1".to_owned(), text)).collect();
-            chooser.choose(Announcements { sim_node, of_controllers, ..Announcements::default() }).1.join("\n")
+            chooser.choose(Announcements { sim_node, of_controllers, ..Announcements::default() }).1.notes.join("\n")
         };
         assert_eq!(notes(None, text(&[]), text(&["users.count=2"])), "");
         assert_eq!(
@@ -232,6 +239,16 @@ mod tests {
     }
 
     #[test]
+    fn a_controller_with_a_measured_room_is_a_remark_and_no_note() {
+        let chooser = RoomChooser::new(None).expect("the default is valid");
+        let of_controllers = text(&["room.height_m=3.02"]).map(|text| ("c1".to_owned(), text)).into_iter().collect();
+        let announcements = Announcements { sim_node: text(&[]), of_controllers, ..Announcements::default() };
+        let remark = "the controller c1 differs from the room only in what heliostat calibrate measures: room.height_m";
+        let expected = Findings { notes: Vec::new(), remarks: vec![remark.to_owned()] };
+        assert_eq!(chooser.choose(announcements).1, expected);
+    }
+
+    #[test]
     fn no_warning_follows_from_what_a_process_announced_that_has_left() {
         let given = with(&["room.height_m=4"]);
         let choose =
@@ -242,8 +259,8 @@ mod tests {
                 let of_controllers = fresh.into_iter().map(|text| ("c1".to_owned(), text)).collect();
                 let announcements =
                     Announcements { sim_node, controller, of_controllers, is_sim_node_old, is_controller_old };
-                let (room, notes) = chooser.choose(announcements);
-                (room.model.mirrors.arrays()[0].rows(), notes.len())
+                let (room, findings) = chooser.choose(announcements);
+                (room.model.mirrors.arrays()[0].rows(), findings.notes.len())
             };
         let other = || text(&["mirrors.rows=8"]);
         let refused = || Some(Arc::from("[users]\ntrace = \"a\""));

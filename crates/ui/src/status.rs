@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
 use heliostat_bus::{Bus, Subscription};
+use heliostat_proto::messages::fault;
 use heliostat_proto::{ArrayState, UserReport, codec};
 use heliostat_service::counted::counted;
 use serde::Serialize;
@@ -120,9 +121,15 @@ impl RoomStatus {
         let reports = (self.reports_per_s == 0.0 && self.deciding().is_none()).then(|| {
             "no position reports: start the tracker or the simulator, or connect to its endpoint or router too".into()
         });
-        let array_state = (array.state != ArrayState::Following.name())
+        // A stop is one problem: state and fault of the array follow from it.
+        let is_of_stop = |text: &str, of: &str| !self.stops.is_empty() && text == of;
+        let is_following = array.state == ArrayState::Following.name();
+        let array_state = (!is_following && !is_of_stop(&array.state, ArrayState::Stopped.name()))
             .then(|| format!("the array does not follow: {}", array.state));
-        let faults = (!array.faults.is_empty()).then(|| format!("faults of the array: {}", array.faults.join(", ")));
+        let of_stop = fault::names(fault::STOP);
+        let faults: Vec<&str> =
+            array.faults.iter().copied().filter(|fault| !of_stop.iter().any(|of| is_of_stop(fault, of))).collect();
+        let faults = (!faults.is_empty()).then(|| format!("faults of the array: {}", faults.join(", ")));
         let found = reports.into_iter().chain(leads.map(String::from)).chain(array_state).chain(faults);
         let of_nodes = nodes.iter().filter_map(of_node);
         let notes = self.notes().cloned();
@@ -199,7 +206,8 @@ impl fmt::Display for RoomStatus {
         for (name, value) in [controllers].into_iter().chain(calibration).chain(takeovers).chain(lines) {
             writeln!(formatter, "{name:<12} {value}")?;
         }
-        self.problems.iter().try_for_each(|problem| writeln!(formatter, "problem      {problem}"))
+        self.problems.iter().try_for_each(|problem| writeln!(formatter, "problem      {problem}"))?;
+        self.figures.remarks.iter().try_for_each(|remark| writeln!(formatter, "no fault     {remark}"))
     }
 }
 
@@ -258,12 +266,36 @@ mod tests {
     }
 
     #[test]
+    fn a_stop_is_one_problem() {
+        let array = |faults| ArrayFigures { state: "stopped".into(), faults, ..ArrayFigures::default() };
+        let found = |stops: &[&str], faults| {
+            let figures =
+                Figures { controllers: vec![ControllerFigures::default()], array: array(faults), ..Figures::default() };
+            let stops = stops.iter().map(|stop| (*stop).to_owned()).collect();
+            RoomStatus { reports_per_s: 20.0, stops, figures, ..RoomStatus::default() }.found()
+        };
+        let stop = "no array has stopped: stop 7:1 (smoke)";
+        assert_eq!(found(&[stop], vec!["stop"]), [stop]);
+        assert_eq!(found(&[stop], vec!["mirror", "stop"]), ["faults of the array: mirror", stop]);
+        assert_eq!(found(&[], vec![]), ["the array does not follow: stopped"], "its stop is not seen");
+    }
+
+    #[test]
     fn a_note_about_the_picture_is_no_problem_of_the_room() {
         let notes = vec![format!("{NO_GEOMETRY}: the picture shows another"), "two drivers serve one array".into()];
         let figures = Figures { notes, ..Figures::default() };
         let found = RoomStatus { figures, ..RoomStatus::default() }.found();
         assert!(!found.iter().any(|problem| problem.contains("picture")), "{found:?}");
         assert_eq!(found.last().map(String::as_str), Some("two drivers serve one array"));
+    }
+
+    #[test]
+    fn a_remark_is_shown_and_is_no_problem() {
+        let figures = |remarks| Figures { remarks, ..Figures::default() };
+        let status = |figures| RoomStatus { figures, ..RoomStatus::default() };
+        let (without, with) = (status(figures(Vec::new())), status(figures(vec!["a measured room".to_owned()])));
+        assert_eq!(without.found(), with.found());
+        assert!(with.to_string().ends_with("no fault     a measured room\n"), "{with}");
     }
 
     #[test]

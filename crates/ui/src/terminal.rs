@@ -32,7 +32,7 @@ pub enum Display {
 pub struct Lines {
     /// The stops that were printed last.
     stops: Vec<String>,
-    /// The notes at the last call.
+    /// The notes and remarks at the last call.
     notes: Vec<String>,
     /// The line that was printed last.
     line: String,
@@ -104,9 +104,10 @@ impl Lines {
             }
             self.stops = stops.to_vec();
         }
-        lines.extend(not_in(&figures.notes, &self.notes).into_iter().cloned());
-        lines.extend(not_in(&self.notes, &figures.notes).into_iter().map(|note| format!("over: {note}")));
-        self.notes.clone_from(&figures.notes);
+        let notes = [figures.notes.as_slice(), figures.remarks.as_slice()].concat();
+        lines.extend(not_in(&notes, &self.notes).into_iter().cloned());
+        lines.extend(not_in(&self.notes, &notes).into_iter().map(|note| format!("over: {note}")));
+        self.notes = notes;
         let line = line(figures);
         if self.line != line {
             lines.push(line.clone());

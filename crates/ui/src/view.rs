@@ -20,7 +20,7 @@ use crate::array_reports::ArrayReports;
 use crate::controllers::{ControllerFigures, Controllers, controller_name};
 use crate::latency::Window;
 use crate::problems::Problems;
-use crate::shown_room::{Announcements, GeometrySource, RoomChooser, ShownRoom};
+use crate::shown_room::{Announcements, Findings, GeometrySource, RoomChooser, ShownRoom};
 use crate::stop_watch::StopWatch;
 
 pub use crate::expiry::EXPIRY;
@@ -112,12 +112,12 @@ impl View {
     }
 
     /// What the user should know about the room: two drivers of one array, missing processes, differing
-    /// scenarios, an unknown geometry, a connection that fails because of a certificate.
-    pub fn notes(&self) -> Vec<String> {
+    /// scenarios, an unknown geometry, a connection that fails because of a certificate. Also what is no fault.
+    pub(crate) fn findings(&self) -> Findings {
         let (room, of_geometry) = self.chooser.choose(self.announcements());
         let mut notes = self.received().notes(room.model.mirrors.arrays().len(), self.opened);
-        let is_explained = !of_geometry.is_empty();
-        notes.extend(of_geometry);
+        let is_explained = !of_geometry.notes.is_empty();
+        notes.extend(of_geometry.notes);
         let connection = self.bus.connection_problem();
         if room.source == GeometrySource::Default
             && !is_explained
@@ -130,7 +130,7 @@ impl View {
             ));
         }
         notes.extend(connection);
-        notes
+        Findings { notes, remarks: of_geometry.remarks }
     }
 
     /// The room to draw. Takes the lock of the messages, so it must not be held.

@@ -25,7 +25,7 @@ mod slot;
 
 use heliostat_proto::{
     ChannelReport, LedReport, MirrorTelemetry, Nanos, NodeKind, ObstacleReport, OrientationReport, Stamp, UserReport,
-    UserState,
+    UserState, stamp_of,
 };
 use heliostat_scenario::Scenario;
 
@@ -161,11 +161,12 @@ impl Inbox {
         checked
     }
 
-    /// Counts a payload of a stream, and of an array for telemetry, that does not decode.
-    pub fn count_malformed(&mut self, place: (Stream, usize), refusal: Refusal) {
+    /// Counts a payload of a stream, and of an array for telemetry, that does not decode. It arrived, if its
+    /// stamp is of the source of the stream.
+    pub fn count_malformed(&mut self, place: (Stream, usize), refusal: Refusal, payload: &[u8]) {
         let (stream, array) = place;
-        if array < self.arrays.len() {
-            self.track_mut(stream, array).on_malformed();
+        if let Some(stamp) = stamp_of(payload).filter(|_| array < self.arrays.len()) {
+            self.track_mut(stream, array).on_refused(&stamp);
         }
         self.refused.count(place, refusal);
     }

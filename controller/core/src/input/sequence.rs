@@ -69,11 +69,6 @@ impl SequenceTrack {
         self.refused += u64::from(self.last.is_some_and(|last| last.step_to(stamp).is_some()));
     }
 
-    /// Records a message that does not decode, so that its number is unknown: it arrived too.
-    pub fn on_malformed(&mut self) {
-        self.refused += u64::from(self.last.is_some());
-    }
-
     /// Discards the base if it is of this source.
     pub fn forget(&mut self, source: u64) {
         self.last = self.last.filter(|last| last.source != source);
@@ -133,18 +128,5 @@ mod tests {
         track.on_accepted(13, &stamp(2, 100));
         track.on_accepted(9 * TIMEOUT, &stamp(2, 3));
         assert_eq!(track.missed(), 2, "a new base is no gap");
-    }
-
-    #[test]
-    fn a_message_that_arrived_and_does_not_decode_is_not_missed() {
-        let mut track = SequenceTrack::default();
-        track.on_malformed();
-        track.on_accepted(10, &stamp(1, 5));
-        track.on_malformed();
-        track.on_accepted(11, &stamp(1, 7));
-        assert_eq!(track.missed(), 0, "6 arrived");
-        track.on_malformed();
-        track.on_accepted(12, &stamp(1, 10));
-        assert_eq!(track.missed(), 1, "of 8 and 9 one arrived");
     }
 }

@@ -61,17 +61,13 @@ mod evidence;
 
 use std::collections::BTreeMap;
 
-use heliostat_proto::Nanos;
+use heliostat_proto::{EPOCH_SLOTS, Nanos};
 
 pub use self::evidence::{Evidence, TenureEvent};
 use self::evidence::{Guest, Takeover, Unaccepted, Watch};
 
 /// Time without an accepted command after which a controller takes a new epoch, in ns.
 pub const PATIENCE_NS: Nanos = 1_000_000_000;
-
-/// Each controller uses only the epochs with its own remainder modulo this number. A new epoch is
-/// the first of them above its base, so it exceeds the base by at most this number of ms.
-pub const EPOCH_SLOTS: u64 = 1024;
 
 /// Longest pause between two attempts, in units of [`PATIENCE_NS`].
 pub const PAUSE_MAX: u64 = 8;

@@ -357,6 +357,6 @@ fn a_refusal_of_telemetry_has_the_array_and_the_sizes() {
     let found = Found::Sizes(TelemetrySizes { roll: 4, yaw: 4, expected: 6 });
     let (stream, refusal) = (Stream::Telemetry, Refusal::WrongMirrorCount);
     assert_eq!(last(&controller), LastRefusal { stream, array: 1, refusal, found });
-    controller.handle_malformed((stream, 1), Refusal::Truncated);
+    controller.handle_malformed((stream, 1), Refusal::Truncated, &[]);
     assert_eq!(last(&controller), LastRefusal { stream, array: 1, refusal: Refusal::Truncated, found: Found::Nothing });
 }

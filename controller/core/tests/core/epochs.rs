@@ -1,7 +1,7 @@
 //! Epochs: controllers, an array that obeys by the rules of CONTRACT.md, and forged messages.
 
-use heliostat_core::tenure::{EPOCH_SLOTS, Evidence, Standing, Tenure, TenureEvent};
-use heliostat_proto::Nanos;
+use heliostat_core::tenure::{Evidence, Standing, Tenure, TenureEvent};
+use heliostat_proto::{EPOCH_SLOTS, Nanos};
 
 use crate::support::MS;
 

@@ -6,7 +6,7 @@ use heliostat_core::{
     policy::Fixed,
     refusal::{Found, LeftOut, Refusal, Stream, UserValues},
 };
-use heliostat_proto::{ArrayState, MirrorTelemetry, NodeKind, Obstacle, Stamp, UserReport, UserState};
+use heliostat_proto::{ArrayState, MirrorTelemetry, NodeKind, Obstacle, Stamp, UserReport, UserState, encode};
 
 use crate::support::{MS, Outcome, Room, SOURCE, controller, receive, scenario};
 
@@ -344,4 +344,22 @@ fn reports_that_did_not_arrive_are_counted_by_stream() {
     gains.stamp.sequence = 72;
     receive(&mut controller, Room::time(5), Message::Channel(&mut gains));
     assert_eq!(Stream::ALL.map(|stream| controller.inbox().missed(stream)), [4, 1, 0, 0, 0, 0]);
+}
+
+#[test]
+fn of_reports_that_do_not_decode_those_of_the_source_are_not_missed() {
+    let (mut controller, mut room) = flat(&[]);
+    receive(&mut controller, Room::time(1), Message::Users(&mut numbered(&mut room, 1, 10))).command();
+    let own = numbered(&mut room, 2, 11);
+    let foreign = UserReport { stamp: Stamp { source: 0x52, ..own.stamp }, ..own.clone() };
+    for report in [&own, &foreign] {
+        let mut payload = Vec::new();
+        encode(report, &mut payload).unwrap();
+        payload.pop();
+        controller.handle_malformed((Stream::Users, 0), Refusal::Truncated, &payload);
+    }
+    controller.handle_malformed((Stream::Users, 0), Refusal::Truncated, &[]);
+    receive(&mut controller, Room::time(3), Message::Users(&mut numbered(&mut room, 3, 14))).command();
+    assert_eq!(controller.inbox().missed(Stream::Users), 2, "12 and 13 did not arrive");
+    assert_eq!(refused(&controller, Stream::Users, Refusal::Truncated), 3);
 }

@@ -64,7 +64,12 @@ fn add_room(page: &mut Page, report: &RoomReport<'_>) {
     let absent = f64::from(u8::from(summary.driver_absent));
     page.gauge("heliostat_driver_absent", "1 while no driver receives the commands to an array", &[room], absent);
     let differs = f64::from(u8::from(summary.geometry_differs));
-    page.gauge("heliostat_geometry_differs", "1 while the room announces another geometry", &[room], differs);
+    page.gauge(
+        "heliostat_geometry_differs",
+        "1 while the room announces another geometry, unless a calibration explains it",
+        &[room],
+        differs,
+    );
     for (event, count) in &summary.epoch_events {
         let help = "Changes of the epoch or of the standby, by kind";
         page.counter("heliostat_epoch_events", help, &[room, ("event", event.as_str())], *count);

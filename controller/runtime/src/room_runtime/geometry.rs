@@ -2,7 +2,7 @@
 //!
 //! None of this is in the decision path.
 
-use heliostat_scenario::Scenario;
+use heliostat_scenario::{RoomDifference, Scenario};
 use heliostat_service::printable::printable;
 
 /// Compares the announcements of the room with a scenario.
@@ -27,13 +27,16 @@ impl GeometryComparison {
 
     /// Compares an announcement; an empty one is none.
     pub fn compare(&mut self, text: String) {
-        let found = if text.is_empty() { None } else { self.own.announced_problem(&text) };
-        self.problem = found.map(|problem| printable(&problem).into_owned());
+        let found = if text.is_empty() { None } else { self.own.announced_difference(&text, "this controller") };
+        if let Some(RoomDifference::Measured(remark)) = &found {
+            tracing::info!("{remark}");
+        }
+        self.problem = found.and_then(RoomDifference::problem).map(|problem| printable(&problem).into_owned());
         self.compared = text;
     }
 
-    /// Why the room's geometry is not that of this controller; `None` if it is, or if no simulator
-    /// announces one.
+    /// Why the room's geometry is not that of this controller; `None` if it is, but for what a calibration
+    /// measures, or if no simulator announces one.
     pub fn problem(&self) -> Option<&str> {
         self.problem.as_deref()
     }

@@ -22,7 +22,7 @@ use heliostat_core::{
 };
 use heliostat_models::{ActorSource, build_tried};
 use heliostat_proto::{ControllerControl, decode};
-use heliostat_scenario::Scenario;
+use heliostat_scenario::{Scenario, similar};
 
 use super::{decision_loop::DecisionLoop, locks::lock};
 use crate::report::stage_times::StageTimes;
@@ -83,8 +83,9 @@ impl PolicyBuilder {
 
 fn unknown(name: &str) -> String {
     let values = PolicyKind::value_variants().iter().filter_map(ValueEnum::to_possible_value);
-    let known = values.map(|value| value.get_name().to_owned()).collect::<Vec<_>>().join(", ");
-    format!("there is no policy \"{name:.64}\": expected one of {known}")
+    let names: Vec<String> = values.map(|value| value.get_name().to_owned()).collect();
+    let (known, hint) = (names.join(", "), similar::hint(name, names.iter().map(String::as_str)));
+    format!("there is no policy \"{name:.64}\": expected one of {known}{hint}")
 }
 
 /// Replaces the policy of one decision loop.
@@ -187,6 +188,8 @@ mod tests {
         assert_eq!(builder.build("greedy").expect("it is there").0.name(), "greedy");
         let refusal = builder.build("clairvoyant").err().expect("no such policy");
         assert!(refusal.contains("\"clairvoyant\"") && refusal.contains("fixed-point"), "{refusal}");
+        let misspelt = builder.build("gready").err().expect("no such policy");
+        assert!(misspelt.ends_with("; a similar name exists: greedy"), "{misspelt}");
     }
 
     #[test]

@@ -98,6 +98,16 @@ impl<D: Device> Kit<D> {
         }
     }
 
+    /// Checks whether the mirrors follow. Stopped ones rest where the stop found them, which a device can measure later
+    /// than it reports the stop.
+    fn check_following(&mut self, now: Moment) {
+        if self.array.state() == ArrayState::Stopped {
+            self.follow_check.pause();
+        } else {
+            self.follow_check.update(now.local_ns, self.array.target(), &self.measured);
+        }
+    }
+
     /// Reads angles and health; a device that does not answer counts as lost.
     fn measure(&mut self, now: Moment) -> (bool, Health) {
         if self.link != Link::Up {
@@ -111,7 +121,7 @@ impl<D: Device> Kit<D> {
             Ok((measures, health)) => {
                 if measures {
                     self.correction.undo(&mut self.measured);
-                    self.follow_check.update(now.local_ns, self.array.target(), &self.measured);
+                    self.check_following(now);
                 }
                 (measures, health)
             }

@@ -1,4 +1,5 @@
-//! How a command joins a room for a moment.
+//! How a command joins a room for a moment. A viewer and a recorder last, and join as peers: a client would see nothing
+//! after the end of its process.
 
 use std::thread;
 use std::time::{Duration, Instant};

@@ -58,7 +58,7 @@ pub fn run(args: Args) -> Result<()> {
     }
     let title = server.as_ref().map_or(format!("room {room}"), |server| {
         // Without the token, which would stay on the screen.
-        format!("room {room}, page at {}", server.address())
+        format!("room {room}, page at {}", server.url_without_token())
     });
     let mut display = Display::open(args.plain, &title)?;
     let (opened, mut drawn) = (Instant::now(), Instant::now());

@@ -24,7 +24,7 @@ pub(super) fn handle(controller: &mut Controller, (input, array): Input, data: &
         InputKind::Decision | InputKind::LateDecision | InputKind::StaleDecision | InputKind::SilenceDecision => return,
     };
     if let Err(error) = read {
-        controller.handle_malformed((stream, array), Refusal::from(&error));
+        controller.handle_malformed((stream, array), Refusal::from(&error), data);
     }
 }
 

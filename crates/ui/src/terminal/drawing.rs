@@ -62,11 +62,12 @@ pub(super) fn draw(
     frame.render_widget(legend(is_wide), areas[4]);
 }
 
-/// Notes about the room, then the last problem of each process.
+/// Notes about the room, then the last problem of each process, then what is no fault.
 fn problems(figures: &Figures) -> Vec<Line<'static>> {
     let of_nodes = figures.nodes.iter().filter(|node| !node.problem.is_empty());
     let of_nodes = of_nodes.map(|node| format!("{}: {}", node.node, node.problem));
-    figures.notes.iter().cloned().chain(of_nodes).map(|text| Line::from(text).fg(BAD)).collect()
+    let problems = figures.notes.iter().cloned().chain(of_nodes).map(|text| Line::from(text).fg(BAD));
+    problems.chain(figures.remarks.iter().map(|remark| Line::from(remark.clone()).dim())).collect()
 }
 
 /// The meaning of the colours, and the keys.

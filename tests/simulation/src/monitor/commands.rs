@@ -2,8 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use heliostat_core::tenure::EPOCH_SLOTS;
-use heliostat_proto::{MirrorCommand, decode};
+use heliostat_proto::{EPOCH_SLOTS, MirrorCommand, decode};
 
 use crate::clock::{MS, TrueNs};
 use crate::hosts::device::MIRRORS;

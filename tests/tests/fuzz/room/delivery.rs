@@ -83,7 +83,7 @@ impl Room {
         let mut report = match decode::<T>(payload) {
             Ok(report) => report,
             Err(error) => {
-                controller.handle_malformed((stream, 0), Refusal::from(&error));
+                controller.handle_malformed((stream, 0), Refusal::from(&error), payload);
                 return false;
             }
         };

@@ -108,7 +108,7 @@ fn describe_event(event: TenureEvent, tenure: &Tenure) -> String {
         TenureEvent::TookOver => {
             let reason = match tenure.has_leader_ended() {
                 true => "the former leader has ended",
-                false => "the array accepted no command of another",
+                false => "it saw no accepted command of another",
             };
             format!("this controller takes over with the new epoch {epoch}: {reason}")
         }
@@ -187,7 +187,8 @@ pub(super) fn describe_left_out(LeftOut { user, refusal, position_m, values }: L
 
 #[cfg(test)]
 mod tests {
-    use heliostat_core::tenure::{EPOCH_SLOTS, Evidence};
+    use heliostat_core::tenure::Evidence;
+    use heliostat_proto::EPOCH_SLOTS;
 
     use super::*;
 
@@ -198,7 +199,7 @@ mod tests {
         let tenure = Tenure::live(2, INTERVAL);
         let problem = describe_events(&[TenureEvent::TookOver, TenureEvent::Contested], &tenure);
         let Some(Problem::Alarm(text)) = problem else { panic!("an alarm") };
-        for part in ["takes over", "the array accepted no command of another; the former leader still commands"] {
+        for part in ["takes over", "it saw no accepted command of another; the former leader still commands"] {
             assert!(text.contains(part), "{text}");
         }
     }

@@ -146,7 +146,7 @@ fn compare_rooms(file: &Path, room: &Scenario, controller: &ControllerState) -> 
     let announced = controller.geometry.as_deref().map(Scenario::from_geometry_toml);
     match announced {
         Some(Ok(served)) => match room.geometry_difference(&served) {
-            Some(GeometryDifference { key, here, there }) => Check::warn(
+            Some(GeometryDifference { key, here, there, .. }) => Check::warn(
                 name,
                 format!("{key} is {} in the controller: expected {here}, as in the file", printable(&there)),
                 restart,
@@ -193,7 +193,14 @@ mod tests {
     use super::*;
 
     fn driver(calibration: Option<u64>, faults: u32) -> DriverState {
-        DriverState { capabilities: Capabilities::default(), device_problem: None, calibration, faults, state: None }
+        DriverState {
+            capabilities: Capabilities::default(),
+            device_problem: None,
+            calibration,
+            epoch: None,
+            faults,
+            state: None,
+        }
     }
 
     #[test]

@@ -6,7 +6,7 @@ use std::time::Instant;
 use heliostat_bus::Bus;
 use heliostat_proto::gauges::{ServedLight, TrackerNoise};
 use heliostat_proto::{NodeKind, NodeStatus, RoomGeometry, decode};
-use heliostat_ui::controllers::is_standby;
+use heliostat_ui::controllers::leading;
 
 use super::args::Args;
 use super::check::Check;
@@ -34,10 +34,15 @@ pub(super) struct ControllerState {
     pub noise: Option<TrackerNoise>,
 }
 
-/// Asks a controller; the checks by its answer, none without a session.
-pub(super) fn checks(args: &Args, bus: Option<&Bus>) -> (Option<ControllerState>, Vec<Check>) {
+/// Asks the controller that leads; the checks by its answer, none without a session. The first array follows the
+/// commands of an epoch, if it reports.
+pub(super) fn checks(
+    args: &Args,
+    bus: Option<&Bus>,
+    followed_epoch: Option<u64>,
+) -> (Option<ControllerState>, Vec<Check>) {
     let Some(bus) = bus else { return (None, Vec::new()) };
-    match ask_controller(args, bus) {
+    match ask_controller(args, bus, followed_epoch) {
         Ok(Some(state)) => {
             let checks = state.noise.iter().map(check_tracker).chain(state.light.iter().map(check_light)).collect();
             (Some(state), checks)
@@ -47,13 +52,13 @@ pub(super) fn checks(args: &Args, bus: Option<&Bus>) -> (Option<ControllerState>
     }
 }
 
-fn ask_controller(args: &Args, bus: &Bus) -> anyhow::Result<Option<ControllerState>> {
+fn ask_controller(args: &Args, bus: &Bus, followed_epoch: Option<u64>) -> anyhow::Result<Option<ControllerState>> {
     let (sender, statuses) = mpsc::channel();
     let (geometry_sender, geometries) = mpsc::channel();
     let key = bus.room().status(NodeKind::Controller);
     let subscription = bus.subscribe(&key, move |payload| {
         if let Ok(status) = decode::<NodeStatus>(payload) {
-            // The receiver is gone after that of a leader.
+            // The receiver is gone after the last one that counts.
             sender.send(status).ok();
         }
     })?;
@@ -66,7 +71,8 @@ fn ask_controller(args: &Args, bus: &Bus) -> anyhow::Result<Option<ControllerSta
     let status = bus.wait_connected(CONNECTED_WITHIN).then(|| {
         let until = Instant::now() + STATUS_WITHIN;
         let left = || until.saturating_duration_since(Instant::now());
-        let status = leading(std::iter::from_fn(|| statuses.recv_timeout(left()).ok()))?;
+        let all = std::iter::from_fn(|| statuses.recv_timeout(left()).ok()).collect();
+        let status = leading(all, followed_epoch)?;
         // Another controller can announce another geometry.
         let of_status = |geometry: &RoomGeometry| geometry.stamp.source == status.stamp.source;
         let all = args.measured.iter().flat_map(|_| std::iter::from_fn(|| geometries.recv_timeout(left()).ok()));
@@ -80,18 +86,6 @@ fn ask_controller(args: &Args, bus: &Bus) -> anyhow::Result<Option<ControllerSta
     });
     drop((subscription, geometry));
     Ok(status.flatten())
-}
-
-/// The first status of a leader, or else the last one of a standby.
-fn leading(statuses: impl Iterator<Item = NodeStatus>) -> Option<NodeStatus> {
-    let mut standby = None;
-    for status in statuses {
-        if !is_standby(&status) {
-            return Some(status);
-        }
-        standby = Some(status);
-    }
-    standby
 }
 
 /// Whether the reports have the noise that the scenario states.
@@ -121,19 +115,6 @@ fn check_light(light: &ServedLight) -> Check {
 mod tests {
     use super::super::check::Verdict;
     use super::*;
-
-    #[test]
-    fn the_status_of_a_leader_is_preferred_to_that_of_a_standby() {
-        let status = |last_problem: &str, standby| NodeStatus {
-            last_problem: last_problem.into(),
-            counters: vec![("standby".into(), standby)],
-            ..NodeStatus::default()
-        };
-        let chosen = |statuses: &[NodeStatus]| leading(statuses.iter().cloned()).map(|status| status.last_problem);
-        assert_eq!(chosen(&[status("standby", 1), status("leader", 0)]).as_deref(), Some("leader"));
-        assert_eq!(chosen(&[status("standby", 1)]).as_deref(), Some("standby"));
-        assert_eq!(chosen(&[]), None);
-    }
 
     #[test]
     fn a_tracker_with_twice_the_stated_noise_is_a_warning_with_the_learned_one() {

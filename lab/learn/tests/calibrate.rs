@@ -189,6 +189,9 @@ fn a_refinement_of_an_unchanged_room_ends_without_a_change_and_without_a_verific
     continued.refine(log, &corrections).unwrap();
     continued.resume(kept.clone()).unwrap();
     assert_eq!(continued.readings().len(), kept.readings.len());
+    // All places are complete, so there is nothing to verify after an interruption either.
+    assert_eq!(continued.stage(), Stage::Ended);
+    assert_eq!(continued.outcome().unwrap().changes, []);
     session(&scenario, capabilities).unwrap().refine(kept, &outcome.calibration()).unwrap();
 }
 

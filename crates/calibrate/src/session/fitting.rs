@@ -256,6 +256,21 @@ impl Session {
         self.within([0, 1].map(|axis| aim[axis] - quantities[OFFSET + axis]))
     }
 
+    /// Makes the estimate of a complete place, and goes on to the next place of the setup.
+    pub(super) fn end_place(&mut self, place: usize) {
+        self.fit();
+        self.go_to(place + 1);
+    }
+
+    /// Awaits the receiver at a place of the setup. A refinement without a change has nothing to verify.
+    pub(super) fn go_to(&mut self, place: usize) {
+        self.stage = Stage::Await(place);
+        let has_change = self.changes.iter().any(|change| change.turned_deg.is_some());
+        if self.is_refinement() && place >= self.setup.spots.len() && !has_change {
+            self.end();
+        }
+    }
+
     /// The end: the result of everything.
     pub(super) fn end(&mut self) {
         self.stage = Stage::Ended;

@@ -1,9 +1,12 @@
 //! Files that a command writes after its work: complete, or not at all.
 
 use std::fs::{self, File, TryLockError};
+use std::io;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
+
+use crate::output::note;
 
 /// Refuses a file that cannot be written, before the work starts. It changes nothing: the file does
 /// not appear, and existing content stays. Others may check the same file at the same time.
@@ -36,7 +39,8 @@ pub fn write(file: &Path, contents: &[u8]) -> Result<()> {
     written.with_context(refused)
 }
 
-/// A file that one process holds: another one that asks for it is refused until this value is dropped.
+/// A file that one process holds: another one that asks for it is refused until this value is dropped. Where the file
+/// system has no locks, as some network file systems, a warning takes the place of the refusal.
 #[derive(Debug)]
 pub struct Held {
     /// The lock is of a file beside the held one, which each [`write()`] replaces.
@@ -59,16 +63,27 @@ pub fn hold(file: &Path) -> Result<Held> {
     let path = beside(file, ".lock");
     let refused = || format!("cannot hold {}", file.display());
     let lock = File::options().create(true).truncate(false).write(true).open(&path).with_context(refused)?;
-    match lock.try_lock() {
-        Ok(()) => {}
+    if let Some(cause) = unlocked(lock.try_lock(), file)? {
+        note(format_args!("cannot lock {}: {cause}. No other process must write it meanwhile", file.display()));
+    }
+    Ok(Held { _lock: lock, path })
+}
+
+/// Why there is no lock, where the file system has none; `None` with a lock.
+///
+/// # Errors
+/// A lock that another process has, or that this user cannot have.
+fn unlocked(locked: Result<(), TryLockError>, file: &Path) -> Result<Option<io::Error>> {
+    match locked {
+        Ok(()) => Ok(None),
         Err(TryLockError::WouldBlock) => {
             bail!("{} is in use by another process: end it, or name another file", file.display())
         }
-        // Some network file systems have no locks.
-        Err(TryLockError::Error(error)) if error.kind() == std::io::ErrorKind::Unsupported => {}
-        Err(TryLockError::Error(error)) => return Err(error).with_context(refused),
+        Err(TryLockError::Error(error)) if error.kind() == io::ErrorKind::PermissionDenied => {
+            Err(error).with_context(|| format!("cannot hold {}", file.display()))
+        }
+        Err(TryLockError::Error(error)) => Ok(Some(error)),
     }
-    Ok(Held { _lock: lock, path })
 }
 
 fn beside(file: &Path, suffix: &str) -> PathBuf {
@@ -109,6 +124,20 @@ mod tests {
         drop(held);
         drop(hold(&file).expect("free again"));
         assert_eq!(fs::read_dir(folder.path()).expect("a folder").count(), 1, "the file alone");
+    }
+
+    #[test]
+    fn a_file_system_without_locks_holds_nothing_and_refuses_nothing() {
+        let file = Path::new("readings.json");
+        let failed = |error: io::Error| unlocked(Err(TryLockError::Error(error)), file);
+        // 37 is ENOLCK on Linux: NFS without its daemon for locks.
+        for error in [io::ErrorKind::Unsupported.into(), io::Error::from_raw_os_error(37)] {
+            assert!(failed(error).expect("the work goes on").is_some());
+        }
+        let refusal = failed(io::ErrorKind::PermissionDenied.into()).expect_err("refused");
+        assert!(refusal.to_string().contains("cannot hold readings.json"), "{refusal}");
+        assert!(unlocked(Ok(()), file).expect("locked").is_none());
+        assert!(unlocked(Err(TryLockError::WouldBlock), file).is_err());
     }
 
     #[test]

@@ -43,6 +43,10 @@ pub struct Settings {
     pub policy: PolicyKind,
     /// Position and channel reports a second during a calibration.
     pub reports_hz: f64,
+    /// Whether a second user crosses the light of the mirrors at each place.
+    pub has_passer_by: bool,
+    /// How far in m the tracker reports the receiver from its true place at the second spot.
+    pub spot_error_m: f64,
 }
 
 /// The result of a study.
@@ -66,6 +70,10 @@ pub struct Study {
     pub states: usize,
     /// Position and channel reports a second during a calibration.
     pub reports_hz: f64,
+    /// Whether a second user crosses the light of the mirrors at each place.
+    pub has_passer_by: bool,
+    /// How far in m the tracker reports the receiver from its true place at the second spot.
+    pub spot_error_m: f64,
     /// Whether the rooms do not differ from the scenario.
     pub is_as_described: bool,
     /// Means over all rooms, in one row.
@@ -93,6 +101,8 @@ pub struct Room {
     pub covered: [usize; 2],
     /// Mirrors without a correction.
     pub uncorrected: usize,
+    /// Spots that were searched, because few mirrors lit the receiver there.
+    pub searched_spots: usize,
     /// Spots that most mirrors contradict.
     pub rejected_spots: usize,
     /// Whether the calibrated aims give more light: otherwise nothing is written, and the room stays as
@@ -125,6 +135,10 @@ pub struct Row {
     pub coverage: f64,
     /// Mirrors without a correction.
     pub uncorrected: Estimate,
+    /// Rooms in which a spot was searched.
+    pub searched: usize,
+    /// Rooms in which a spot was rejected.
+    pub rejected: usize,
     /// Rooms whose calibration is written.
     pub written: usize,
     /// Sum rate of the room as assumed, over that of the oracle.
@@ -154,7 +168,14 @@ pub fn study(settings: &Settings) -> anyhow::Result<Study> {
         mode.name()
     );
     let rates = ["channel", "positions"].map(|stream| format!("streams.{stream}.rate_hz={}", settings.reports_hz));
-    let carried = live::with_receiver(&scenario.with_overrides(&rates)?)?;
+    let alone = live::with_receiver(&scenario.with_overrides(&rates)?)?;
+    let (carried, walk) = match settings.has_passer_by {
+        true => live::with_passer_by(&alone)?,
+        false => {
+            let walk = live::walk(&alone, "");
+            (alone, walk)
+        }
+    };
     let states = settings.episodes * INSTANTS;
     let episodes = held_out_episodes(&scenario, scenario.read_trace()?.as_deref(), (states, settings.seeds), WARM)?;
     let bar = progress_bar()?;
@@ -162,7 +183,7 @@ pub fn study(settings: &Settings) -> anyhow::Result<Study> {
     bar.set_message("rooms");
     let mut rooms = Vec::new();
     for episode in &episodes {
-        rooms.push(room(settings, (&scenario, &carried), episode)?);
+        rooms.push(room(settings, &scenario, (&carried, &walk), episode)?);
         bar.inc(1);
     }
     bar.finish_and_clear();
@@ -176,6 +197,8 @@ pub fn study(settings: &Settings) -> anyhow::Result<Study> {
         episodes: rooms.len(),
         states,
         reports_hz: settings.reports_hz,
+        has_passer_by: settings.has_passer_by,
+        spot_error_m: settings.spot_error_m,
         is_as_described: scenario.mismatch.level == MismatchLevel::None,
         rows: [Row::of(&rooms)],
         rooms,
@@ -186,11 +209,12 @@ pub fn study(settings: &Settings) -> anyhow::Result<Study> {
 /// with the result.
 fn room(
     settings: &Settings,
-    (scenario, carried): (&Scenario, &Scenario),
+    scenario: &Scenario,
+    (carried, walk): (&Scenario, &str),
     episode: &HeldOutEpisode,
 ) -> anyhow::Result<Room> {
     // The same seed is the same equipment.
-    let run = live::run(carried, &live::walk(carried, ""), episode.seed, |_| {})?;
+    let run = live::run(carried, walk, episode.seed, live::with_spot_error(carried, settings.spot_error_m))?;
     let errors = judge(&run.outcome, carried, episode.seed)?;
     let written = run.outcome.verification.is_improvement();
     let calibration = run.outcome.calibration();
@@ -216,6 +240,7 @@ fn room(
         frame_cm: errors.frame_m * 100.0,
         covered: errors.covered,
         uncorrected: scenario.mirror_count() - errors.corrected,
+        searched_spots: run.searched.len(),
         rejected_spots: run.outcome.rejected_places.len(),
         written,
         assumed_ratio,
@@ -264,6 +289,8 @@ impl Row {
             frame_cm: over_rooms(&|room| room.frame_cm),
             coverage: covered[0] as f64 / covered[1] as f64,
             uncorrected: over_rooms(&|room| room.uncorrected as f64),
+            searched: rooms.iter().filter(|room| room.searched_spots > 0).count(),
+            rejected: rooms.iter().filter(|room| room.rejected_spots > 0).count(),
             written: rooms.iter().filter(|room| room.written).count(),
             assumed_ratio: over_rooms(&|room| room.assumed_ratio),
             mirrors_ratio: over_rooms(&|room| room.mirrors_ratio),

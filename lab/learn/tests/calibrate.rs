@@ -7,9 +7,11 @@ use heliostat_calibrate::session::Log;
 use heliostat_calibrate::{Stage, Verdict};
 use heliostat_channel::MirrorAngles;
 use heliostat_core::policy::PolicyKind;
-use heliostat_learn::calibrate::live::{Run, drive, drive_turned, run, session, walk, with_receiver};
+use heliostat_learn::calibrate::live::{
+    Run, drive, drive_turned, run, session, walk, with_passer_by, with_receiver, with_spot_error,
+};
 use heliostat_learn::calibrate::truth::{Errors, judge};
-use heliostat_learn::calibrate::{Settings, study};
+use heliostat_learn::calibrate::{Room, Settings, Study, study};
 use heliostat_proto::UserReport;
 use heliostat_room::episode::Episode;
 use heliostat_scenario::Scenario;
@@ -25,18 +27,23 @@ fn room(changes: &[&str]) -> Scenario {
 }
 
 /// Calibrates a room, and judges the result.
-fn judged(name: &str, scenario: &Scenario, others: &str, tracker: fn(&mut UserReport)) -> (Run, Errors) {
-    let found = run(scenario, &walk(scenario, others), 1, tracker).unwrap();
+fn judged(name: &str, scenario: &Scenario, trace: &str, tracker: impl FnMut(&mut UserReport)) -> (Run, Errors) {
+    let found = run(scenario, trace, 1, tracker).unwrap();
     let errors = judge(&found.outcome, scenario, 1).unwrap();
     println!("{name}: {} readings, {} reports without use, {errors:?}", found.outcome.readings, found.unused);
     (found, errors)
+}
+
+/// The same with the receiver alone, and with the positions as the tracker reports them.
+fn judged_alone(name: &str, scenario: &Scenario) -> (Run, Errors) {
+    judged(name, scenario, &walk(scenario, ""), unchanged)
 }
 
 fn unchanged(_: &mut UserReport) {}
 
 #[test]
 fn a_rough_room_is_calibrated_within_the_promised_errors() {
-    let (found, errors) = judged("rough", &room(&[]), "", unchanged);
+    let (found, errors) = judged_alone("rough", &room(&[]));
     assert!(errors.pointing_deg.iter().all(|error| *error < 0.15), "{errors:?}");
     assert!(errors.led_m < 0.015 && errors.frame_m < 0.01, "{errors:?}");
     assert!(errors.gain > 0.99 && errors.gain > errors.nominal_gain, "{errors:?}");
@@ -48,7 +55,7 @@ fn a_rough_room_is_calibrated_within_the_promised_errors() {
 #[test]
 fn latency_costs_no_report_at_100_reports_a_second() {
     let fast = ["streams.channel.rate_hz=100", "streams.channel.latency_ms=100"];
-    let (found, errors) = judged("100 reports/s", &room(&fast), "", unchanged);
+    let (found, errors) = judged_alone("100 reports/s", &room(&fast));
     assert!(errors.pointing_deg.iter().all(|error| *error < 0.15), "{errors:?}");
     // The mirrors settle within two reports. With a wait for each report a reading would take ten more.
     assert!(found.unused < 2 * found.outcome.readings as u64, "{} of {}", found.unused, found.outcome.readings);
@@ -56,22 +63,16 @@ fn latency_costs_no_report_at_100_reports_a_second() {
 
 #[test]
 fn lost_reports_and_a_body_that_passes_do_not_spoil_a_calibration() {
-    // A second user crosses the light at each spot.
-    let mut crossing = String::new();
-    for begin in [0.0, 124.0, 248.0, 372.0] {
-        for (time, x) in [(0.0, 2.3), (15.0, 2.3), (21.0, -2.3), (30.0, -2.3), (36.0, 2.3)] {
-            crossing += &format!("{},1,{x},1.9,0\n", begin + time);
-        }
-    }
-    let scenario = room(&["users.count=2", "streams.channel.loss=0.1", "streams.positions.loss=0.1"]);
-    let (_, errors) = judged("lost reports and a body", &scenario, &crossing, unchanged);
+    let lossy = room(&["streams.channel.loss=0.1", "streams.positions.loss=0.1"]);
+    let (scenario, trace) = with_passer_by(&lossy).unwrap();
+    let (_, errors) = judged("lost reports and a body", &scenario, &trace, unchanged);
     assert!(errors.pointing_deg.iter().all(|error| *error < 0.15), "{errors:?}");
     assert!(errors.gain > 0.985, "{errors:?}");
 }
 
 #[test]
 fn a_stuck_mirror_is_named_and_gets_no_correction() {
-    let (found, errors) = judged("one stuck mirror", &room(&["actuator.stuck_share=0.01"]), "", unchanged);
+    let (found, errors) = judged_alone("one stuck mirror", &room(&["actuator.stuck_share=0.01"]));
     let named = found.outcome.mirrors_with(Verdict::NotFound);
     assert_eq!(named.len(), 1, "{named:?}");
     let calibration = found.outcome.calibration();
@@ -81,14 +82,10 @@ fn a_stuck_mirror_is_named_and_gets_no_correction() {
 
 #[test]
 fn a_spot_that_the_tracker_reports_in_a_wrong_place_does_not_spoil_a_calibration() {
-    // The tracker is 0.3 m off at the second spot.
-    let tracker = |report: &mut UserReport| {
-        for user in report.users.iter_mut().filter(|user| user.position_m[0] > 0.8 && user.position_m[1] > 0.4) {
-            user.position_m[0] += 0.21;
-            user.position_m[1] -= 0.21;
-        }
-    };
-    let (_, errors) = judged("a wrong spot", &room(&[]), "", tracker);
+    let scenario = room(&[]);
+    let tracker = with_spot_error(&scenario, 0.3);
+    let (found, errors) = judged("a wrong spot", &scenario, &walk(&scenario, ""), tracker);
+    assert!(found.searched.contains(&1) || found.outcome.rejected_places == [1], "the second spot is named");
     assert!(errors.pointing_deg.iter().all(|error| *error < 0.2), "{errors:?}");
     assert!(errors.gain > 0.98, "{errors:?}");
 }
@@ -192,6 +189,9 @@ fn a_refinement_of_an_unchanged_room_ends_without_a_change_and_without_a_verific
     continued.refine(log, &corrections).unwrap();
     continued.resume(kept.clone()).unwrap();
     assert_eq!(continued.readings().len(), kept.readings.len());
+    // All places are complete, so there is nothing to verify after an interruption either.
+    assert_eq!(continued.stage(), Stage::Ended);
+    assert_eq!(continued.outcome().unwrap().changes, []);
     session(&scenario, capabilities).unwrap().refine(kept, &outcome.calibration()).unwrap();
 }
 
@@ -249,11 +249,24 @@ fn the_log_holds_a_place_as_complete_before_its_estimate() {
 }
 
 /// A study of a small array, with these changes of the scenario.
-fn small_study(changes: &[&str]) -> anyhow::Result<heliostat_learn::calibrate::Study> {
+fn small_study(changes: &[&str]) -> anyhow::Result<Study> {
+    study(&small_settings(changes))
+}
+
+fn small_settings(changes: &[&str]) -> Settings {
     let size = ["mismatch.level=rough", "mirrors.rows=4", "mirrors.columns=4"];
     let changes: Vec<String> = size.iter().chain(changes).map(|change| (*change).to_owned()).collect();
     let scenario = Scenario::builtin("hall").unwrap().with_overrides(&changes).unwrap();
-    study(&Settings { scenario, array: 0, seeds: 2, episodes: 1, policy: PolicyKind::Greedy, reports_hz: 20.0 })
+    Settings {
+        scenario,
+        array: 0,
+        seeds: 2,
+        episodes: 1,
+        policy: PolicyKind::Greedy,
+        reports_hz: 20.0,
+        has_passer_by: false,
+        spot_error_m: 0.0,
+    }
 }
 
 #[test]
@@ -262,6 +275,16 @@ fn a_calibrated_room_has_a_higher_sum_rate_in_closed_loop() {
     let [row] = &study.rows;
     assert!(row.calibrated_ratio.mean > row.assumed_ratio.mean, "{study:?}");
     assert_eq!((row.written, study.rooms.len()), (2, 2), "{study:?}");
+}
+
+#[test]
+fn a_study_counts_the_rooms_in_which_a_wrong_spot_is_searched_or_rejected() {
+    let wrong = Settings { has_passer_by: true, spot_error_m: 0.5, ..small_settings(&[]) };
+    let study = study(&wrong).unwrap();
+    assert_eq!((study.has_passer_by, study.spot_error_m), (true, 0.5));
+    let is_named = |room: &Room| room.searched_spots + room.rejected_spots > 0;
+    assert!(study.rooms.iter().all(is_named), "{study:?}");
+    assert!(study.rows[0].searched + study.rows[0].rejected >= study.rooms.len(), "{study:?}");
 }
 
 #[test]

@@ -36,8 +36,8 @@
 //!   a standby takes a new epoch and answers the report that is due. A leader whose liveliness token
 //!   has ended counts as one unanswered report. The rank is 1 plus the number of other standbys with
 //!   a lower source id, or given by the operator.
-//! - **Guest**: a controller that leads within 1 s of its token, as a calibration does. When its token ends, a
-//!   standby resumes: this is no takeover, and former contested ones do not delay it.
+//! - **Guest**: a controller that leads within 1 s of its token, as a calibration does, from a leader that answers.
+//!   When its token ends, a standby resumes: this is no takeover, and former contested ones do not delay it.
 //! - **Contested takeover**: if the array then refuses commands of a lower epoch, the former leader
 //!   was not gone. Each such takeover in sequence adds one to the reports that must be unanswered, up
 //!   to [`BACK_OFF_MAX`].
@@ -259,8 +259,9 @@ impl Tenure {
     /// Compares telemetry that arrived at `now`.
     pub fn handle_telemetry(&mut self, now: Nanos, evidence: Evidence) -> Option<TenureEvent> {
         let former = self.seen.replace((now, evidence)).map(|(_, evidence)| evidence);
-        if former.is_some_and(|former| former.following && former.epoch != evidence.epoch) {
-            self.guest.handle_epoch(now, evidence.epoch % EPOCH_SLOTS);
+        if let Some(former) = former.filter(|former| former.epoch != evidence.epoch) {
+            let is_answered = self.standing != Standing::Standby || self.watch.unanswered == 0;
+            self.guest.handle_epoch(now, evidence.epoch % EPOCH_SLOTS, former.following && is_answered);
         }
         let is_accepting = former.is_some_and(|former| former.accepted != evidence.accepted);
         if is_accepting {

@@ -44,7 +44,8 @@ impl Session {
     }
 
     /// Continues after the places that a log completes. Its readings at an incomplete place count
-    /// too: the receiver does not return to exactly that place, so it stands at a new spot.
+    /// too: the receiver does not return to exactly that place, so it stands at a new spot. A refinement
+    /// whose places are complete ends at once if no mirror has changed.
     ///
     /// # Errors
     /// [`SetupError::OtherLog`].
@@ -54,10 +55,10 @@ impl Session {
         }
         let complete = log.complete.min(self.setup.spots.len());
         self.take(log)?;
-        self.stage = Stage::Await(complete);
         if !self.readings.is_empty() {
             self.fit();
         }
+        self.go_to(complete);
         Ok(())
     }
 

@@ -394,16 +394,6 @@ impl Session {
         self.complete = Some(place);
     }
 
-    /// Makes the estimate of a complete place, and goes on to the next place of the setup.
-    pub(super) fn end_place(&mut self, place: usize) {
-        self.fit();
-        self.stage = Stage::Await(place + 1);
-        let has_change = self.changes.iter().any(|change| change.turned_deg.is_some());
-        if self.is_refinement() && place + 1 >= self.setup.spots.len() && !has_change {
-            self.end();
-        }
-    }
-
     /// Pools the noise of the tracker at the present stand.
     fn refresh_noise(&mut self) {
         let count = self.stand.count();

@@ -199,7 +199,7 @@ fn drive(
             Some(Received::Channel(report)) => {
                 waited = Duration::ZERO;
                 // Without the lead the light is that of another controller's angles.
-                if room.is_commanding() {
+                if room.is_commanding() && !room.has_lost_lead() {
                     session.handle_channel(&report);
                 }
                 if session.is_estimate_due() {

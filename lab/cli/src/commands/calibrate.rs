@@ -12,14 +12,18 @@ use heliostat_service::outln;
 /// Rates of reports that the receivers and trackers of a room may have, per second.
 const REPORTS_HZ: std::ops::RangeInclusive<f64> = 1.0..=1000.0;
 
+/// Errors of a spot in m; with larger ones the receiver is never where the session waits for it.
+const SPOT_ERROR_M: std::ops::RangeInclusive<f64> = 0.0..=0.5;
+
 /// Measure how well `heliostat calibrate` calibrates simulated rooms, and what it is worth.
 ///
 /// Each episode is a room of its own, whose mirrors, LEDs, floor and tracker differ from the scenario as
 /// mismatch.level says. The procedure of `heliostat calibrate` runs in it in virtual time: one user
 /// carries one receiver to three spots and a place for the verification. The truth of the room judges
 /// the result. Then the policy serves the room as assumed, with the corrections of the mirrors, and with
-/// the measured room too; the ratios are those of the sum rate to the oracle in the true room. Losses
-/// and latency of reports, and the drives, come from the scenario.
+/// the measured room too; the ratios are those of the sum rate to the oracle in the true room. A spot
+/// is searched where few mirrors light it, and rejected where most contradict it. Losses and latency of
+/// reports, and the drives, come from the scenario.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -39,6 +43,12 @@ pub struct Args {
     /// Position and channel reports a second during a calibration
     #[arg(long, value_name = "HZ", default_value_t = 20.0)]
     reports_hz: f64,
+    /// A second user crosses the light of the mirrors at each place during a calibration
+    #[arg(long)]
+    passer_by: bool,
+    /// How far from its true place the tracker reports the receiver at the second spot, in m, from 0 to 0.5
+    #[arg(long, value_name = "M", default_value_t = 0.0)]
+    spot_error_m: f64,
     /// Print one JSON object
     #[arg(long)]
     json: bool,
@@ -49,13 +59,11 @@ pub struct Args {
 /// # Errors
 /// An invalid scenario or flag, or a calibration without end.
 pub fn run(args: Args) -> Result<()> {
-    ensure!(
-        REPORTS_HZ.contains(&args.reports_hz),
-        "--reports-hz {}: expected {} to {}",
-        args.reports_hz,
-        REPORTS_HZ.start(),
-        REPORTS_HZ.end()
-    );
+    for (flag, value, range) in
+        [("--reports-hz", args.reports_hz, REPORTS_HZ), ("--spot-error-m", args.spot_error_m, SPOT_ERROR_M)]
+    {
+        ensure!(range.contains(&value), "{flag} {value}: expected {} to {}", range.start(), range.end());
+    }
     let study = study(&Settings {
         scenario: args.scenario.load_arrays()?,
         array: args.array,
@@ -63,6 +71,8 @@ pub fn run(args: Args) -> Result<()> {
         episodes: args.episodes as usize,
         policy: args.policy,
         reports_hz: args.reports_hz,
+        has_passer_by: args.passer_by,
+        spot_error_m: args.spot_error_m,
     })?;
     if args.json {
         outln!("{}", serde_json::to_string(&study)?)?;
@@ -95,6 +105,8 @@ fn print(study: &Study) -> Result<()> {
         ("error of the frame's height, cm", plus_minus(frame_cm, 2)),
         ("95 % intervals that hold the truth", format!("{:.3}", row.coverage)),
         ("mirrors without correction", plus_minus(uncorrected, 1)),
+        ("rooms with a searched spot", format!("{} of {}", row.searched, rooms.len())),
+        ("rooms with a rejected spot", format!("{} of {}", row.rejected, rooms.len())),
         ("calibrations written", format!("{} of {}", row.written, rooms.len())),
         ("ratio to the oracle, as assumed", plus_minus(&row.assumed_ratio, 3)),
         ("ratio with corrected mirrors", plus_minus(&row.mirrors_ratio, 3)),

@@ -1,13 +1,14 @@
 //! A calibration against the simulated room in virtual time: one user carries one receiver from spot to
 //! spot, reports arrive as late and noisy as the scenario says, and commands turn simulated mirrors.
 
+use std::collections::BTreeSet;
 use std::fmt::Write;
 
 use anyhow::{Context, ensure};
 use heliostat_array::moment::Moment;
 use heliostat_calibrate::places::{default_spots, default_verification};
 use heliostat_calibrate::{Outcome, Place, Prior, Session, Setup, Stage};
-use heliostat_channel::MirrorAngles;
+use heliostat_channel::{MirrorAngles, Vec3};
 use heliostat_proto::{Capabilities, MirrorCommand, UserReport};
 use heliostat_room::episode::{Episode, Event};
 use heliostat_scenario::{MinRate, MismatchLevel, Scenario};
@@ -26,6 +27,22 @@ const REPEAT_NS: u64 = 100_000_000;
 
 /// Validity of a command in ms.
 const VALIDITY_MS: u32 = 400;
+
+/// The second user of a room with one who passes.
+const PASSER_BY: u32 = 1;
+
+/// When this user is on which side of the mirrors: times in s after the beginning of each stay, and shares of half the
+/// length of their wall.
+const CROSSING: [(f64, f64); 5] = [(0.0, 0.92), (15.0, 0.92), (21.0, -0.92), (30.0, -0.92), (36.0, 0.92)];
+
+/// Distance in m from the wall of the mirrors at which this user crosses their light.
+const CROSSING_M: f64 = 0.6;
+
+/// Distance in m from a spot within which the receiver is at it, as far as the error of a tracker there is concerned.
+const AT_SPOT_M: f64 = 0.6;
+
+/// The spot at which a tracker is in error: the first one with which the light of an earlier spot can disagree.
+const WRONG_SPOT: usize = 1;
 
 /// The room of a calibration: one receiver that is carried and put down level, and no obstacles.
 ///
@@ -55,8 +72,7 @@ pub fn places(scenario: &Scenario) -> Vec<Place> {
 /// The recorded walk of the receiver, whose holder faces the mirrors; further rows are those of other
 /// users.
 pub fn walk(scenario: &Scenario, others: &str) -> String {
-    let inward =
-        scenario.channel_model().map_or(heliostat_channel::Vec3::y(), |model| -model.mirrors.arrays()[0].inward());
+    let inward = scenario.channel_model().map_or(Vec3::y(), |model| -model.mirrors.arrays()[0].inward());
     let heading_deg = inward.y.atan2(inward.x).to_degrees();
     let mut csv = String::from("time,user,x,y,heading_deg\n");
     for (index, place) in places(scenario).iter().enumerate() {
@@ -68,6 +84,45 @@ pub fn walk(scenario: &Scenario, others: &str) -> String {
     csv + others
 }
 
+/// The same room with a second user, and the recorded walk of both: this user crosses the light of the mirrors, there
+/// and back, at each place.
+///
+/// # Errors
+/// A room that does not exist with two users.
+pub fn with_passer_by(carried: &Scenario) -> anyhow::Result<(Scenario, String)> {
+    let scenario = carried.with_overrides(&["users.count=2".to_owned()])?;
+    let model = scenario.channel_model()?;
+    let array = &model.mirrors.arrays()[0];
+    let corner = Vec3::new(0.5 * scenario.room.length_x_m, 0.5 * scenario.room.length_y_m, 0.0);
+    let half = array.wall_from_room(&corner).abs();
+    let mut rows = String::new();
+    for index in 0..places(&scenario).len() {
+        for (time_s, share) in CROSSING {
+            let time_s = index as f64 * (STAY_S + WALK_S) + time_s;
+            let at = array.room_from_wall(&Vec3::new(share * half.x, half.y - CROSSING_M, 0.0));
+            // A string takes every text.
+            let _ = writeln!(rows, "{time_s},{PASSER_BY},{},{},0", at.x, at.y);
+        }
+    }
+    let walk = walk(&scenario, &rows);
+    Ok((scenario, walk))
+}
+
+/// A tracker that reports the receiver this far in m from its true place while it is at the second spot.
+pub fn with_spot_error(scenario: &Scenario, error_m: f64) -> impl Fn(&mut UserReport) + use<> {
+    let spot = default_spots(scenario).get(WRONG_SPOT).and_then(|place| place.floor_m);
+    let error = [error_m, -error_m].map(|error| (error * std::f64::consts::FRAC_1_SQRT_2) as f32);
+    move |report| {
+        for user in report.users.iter_mut().filter(|user| user.user != PASSER_BY) {
+            let [x, y, _] = user.position_m.map(f64::from);
+            if spot.is_some_and(|spot| (x - spot[0]).hypot(y - spot[1]) < AT_SPOT_M) {
+                user.position_m[0] += error[0];
+                user.position_m[1] += error[1];
+            }
+        }
+    }
+}
+
 /// What a run gives.
 pub struct Run {
     /// The result.
@@ -76,6 +131,8 @@ pub struct Run {
     pub unused: u64,
     /// Room time in s while the receiver stood at its places.
     pub busy_s: f64,
+    /// Places of the setup that were searched, because few mirrors lit the receiver there.
+    pub searched: BTreeSet<usize>,
 }
 
 /// The session for a room with one array; it expects the deviations of the scenario's own level, or
@@ -105,15 +162,22 @@ pub fn session(scenario: &Scenario, capabilities: Capabilities) -> anyhow::Resul
 ///
 /// # Errors
 /// Those of [`session`], and a session that does not end.
-pub fn run(scenario: &Scenario, trace: &str, seed: u64, tracker: fn(&mut UserReport)) -> anyhow::Result<Run> {
+pub fn run(scenario: &Scenario, trace: &str, seed: u64, tracker: impl FnMut(&mut UserReport)) -> anyhow::Result<Run> {
     let mut episode = Episode::new(scenario, Some(trace), seed, 0)?;
     let capabilities = episode.capabilities().next().context("a room without an array")?;
     let mut session = session(scenario, capabilities)?;
-    let busy_s = drive(&mut session, &mut episode, tracker, |session| session.stage() == Stage::Ended)?;
+    let mut searched = BTreeSet::new();
+    let is_over = |session: &Session| {
+        if let Stage::Locate(place) = session.stage() {
+            searched.insert(place);
+        }
+        session.stage() == Stage::Ended
+    };
+    let busy_s = drive(&mut session, &mut episode, tracker, is_over)?;
     let progress = session.progress();
     let outcome =
         session.outcome().with_context(|| format!("the calibration of seed {seed} has no end: {progress:?}"))?;
-    Ok(Run { outcome: outcome.clone(), unused: progress.unused, busy_s })
+    Ok(Run { outcome: outcome.clone(), unused: progress.unused, busy_s, searched })
 }
 
 /// Delivers reports and commands until `is_over`, or until the receiver has been carried round for too
@@ -124,8 +188,8 @@ pub fn run(scenario: &Scenario, trace: &str, seed: u64, tracker: fn(&mut UserRep
 pub fn drive(
     session: &mut Session,
     episode: &mut Episode,
-    tracker: fn(&mut UserReport),
-    is_over: impl Fn(&Session) -> bool,
+    tracker: impl FnMut(&mut UserReport),
+    is_over: impl FnMut(&Session) -> bool,
 ) -> anyhow::Result<f64> {
     drive_turned(session, episode, tracker, |_| {}, is_over)
 }
@@ -137,9 +201,9 @@ pub fn drive(
 pub fn drive_turned(
     session: &mut Session,
     episode: &mut Episode,
-    tracker: fn(&mut UserReport),
+    mut tracker: impl FnMut(&mut UserReport),
     mounts: fn(&mut MirrorAngles),
-    is_over: impl Fn(&Session) -> bool,
+    mut is_over: impl FnMut(&Session) -> bool,
 ) -> anyhow::Result<f64> {
     let limit_ns = (PATIENCE * 4.0 * (STAY_S + WALK_S) * 1e9) as u64;
     let (mut sequence, mut angles, mut sent_ns) = (0, MirrorAngles::default(), 0);

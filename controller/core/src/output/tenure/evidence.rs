@@ -135,9 +135,9 @@ impl Guest {
         self.joined = seen_ns.map(|seen_ns| (slot, seen_ns));
     }
 
-    /// The array follows an epoch of this remainder since `now`, and followed a valid command of another one before.
-    pub(super) fn handle_epoch(&mut self, now: Nanos, slot: u64) {
+    /// The array follows an epoch of this remainder since `now`, after a leader that answered or had failed.
+    pub(super) fn handle_epoch(&mut self, now: Nanos, slot: u64, is_answered: bool) {
         let has_joined = |(joined, seen_ns): (u64, Nanos)| joined == slot && now.abs_diff(seen_ns) <= GUEST_NS;
-        self.leads = self.joined.is_some_and(has_joined);
+        self.leads = is_answered && self.joined.is_some_and(has_joined);
     }
 }

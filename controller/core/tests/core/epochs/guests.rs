@@ -4,14 +4,24 @@ use super::*;
 
 const GUEST: u64 = 9;
 
-/// Lets a guest lead for some reports. It commands until its successor is obeyed.
-fn lend(room: &mut Room) {
-    let epoch = room.array.shown.epoch / EPOCH_SLOTS * EPOCH_SLOTS + EPOCH_SLOTS + GUEST;
-    room.announce(GUEST, true);
+/// A controller of the room that is no guest.
+const OTHER: u64 = 5;
+
+/// Lets a controller without a tenure of its own lead for some reports; its epoch.
+fn lead(room: &mut Room, source: u64) -> u64 {
+    let base = room.array.shown.epoch.max(NOON_MS);
+    let epoch = base / EPOCH_SLOTS * EPOCH_SLOTS + EPOCH_SLOTS + source;
     for sequence in 1..=50 {
         assert!(room.array.handle(room.now, epoch, sequence));
         room.run(INTERVAL);
     }
+    epoch
+}
+
+/// Lets a guest lead for some reports. It commands until its successor is obeyed.
+fn lend(room: &mut Room) {
+    room.announce(GUEST, true);
+    let epoch = lead(room, GUEST);
     assert_eq!(room.standings().last(), Some(&Standing::Standby));
     room.announce(GUEST, false);
     assert!(room.array.handle(room.now, epoch, 51));
@@ -62,13 +72,38 @@ fn the_first_leader_of_an_array_is_no_guest() {
     room.show(room.array.shown);
     room.controllers[0].tenure = Tenure::live(600, INTERVAL).in_reserve(None);
     room.run(INTERVAL);
-    let epoch = NOON_MS / EPOCH_SLOTS * EPOCH_SLOTS + EPOCH_SLOTS + GUEST;
     room.announce(GUEST, true);
-    for sequence in 1..=50 {
-        assert!(room.array.handle(room.now, epoch, sequence));
-        room.run(INTERVAL);
-    }
+    lead(&mut room, GUEST);
     room.announce(GUEST, false);
     room.run(S);
     assert_eq!(room.controllers[0].events, [TenureEvent::StoodBy, TenureEvent::TookOver]);
+}
+
+#[test]
+fn a_controller_that_joins_and_takes_over_from_a_failed_leader_is_no_guest() {
+    let mut room = led_room(&[1, 600]);
+    room.controllers[0].is_alive = false;
+    room.announce(OTHER, true);
+    // The last answer of the leader, and one report without an answer.
+    room.run(2 * INTERVAL);
+    lead(&mut room, OTHER);
+    assert_eq!(room.controllers[1].tenure.standing(), Standing::Standby);
+    room.announce(OTHER, false);
+    room.run(S);
+    assert_eq!(room.controllers[1].events.last(), Some(&TenureEvent::TookOver));
+}
+
+#[test]
+fn the_leader_after_a_guest_whose_commands_have_expired_is_no_guest() {
+    let mut room = led_room(&[1]);
+    room.announce(OTHER, true);
+    room.announce(GUEST, true);
+    lead(&mut room, GUEST);
+    room.array.shown.following = false;
+    room.show(room.array.shown);
+    lead(&mut room, OTHER);
+    assert_eq!(room.standings(), [Standing::Standby]);
+    room.announce(OTHER, false);
+    room.run(S);
+    assert_eq!(room.controllers[0].events, [TenureEvent::Superseded, TenureEvent::TookOver]);
 }

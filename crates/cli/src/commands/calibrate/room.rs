@@ -240,18 +240,16 @@ impl LiveRoom {
     /// # Errors
     /// As [`take`](Self::take).
     pub fn take_again(&mut self) -> Result<bool> {
-        let (is_stopped, superseded_by) = {
-            let commander = lock(&self.commander);
-            (commander.is_stopped(), commander.superseded_by())
-        };
-        let is_allowed = self.is_commanding() && !self.yields && !is_stopped;
-        let Some(epoch) = superseded_by.filter(|_| is_allowed && may_retake(self.takes_over, self.retaken)) else {
-            return Ok(false);
-        };
-        self.retaken += 1;
-        self.release();
-        self.take().with_context(|| lost_lead(epoch, &self.kept, self.takes_over))?;
-        Ok(true)
+        let is_allowed = !self.yields && !lock(&self.commander).is_stopped();
+        let mut taken = Ok(false);
+        // A controller can take the lead once more before the array follows this process.
+        while is_allowed && self.has_lost_lead() && may_retake(self.takes_over, self.retaken) {
+            let epoch = lock(&self.commander).superseded_by().unwrap_or_default();
+            self.retaken += 1;
+            self.release();
+            taken = self.take().map(|()| true).with_context(|| lost_lead(epoch, &self.kept, self.takes_over));
+        }
+        taken
     }
 
     /// Commands the park position until the array follows this process.
@@ -275,11 +273,13 @@ impl LiveRoom {
 
     /// What arrives next, within a limit.
     pub fn receive(&self, limit: Duration) -> Result<Option<Received>> {
-        if let Some(epoch) = lock(&self.commander).superseded_by().filter(|_| !self.yields) {
-            bail!(lost_lead(epoch, &self.kept, self.takes_over));
-        }
         if lock(&self.commander).is_stopped() {
             bail!("the array was stopped: release it with `heliostat rearm`, then continue with --readings");
+        }
+        // A lead that was lost since the last look is for `take_again`.
+        let ends = ends_without_lead(self.yields, self.takes_over, self.retaken);
+        if let Some(epoch) = lock(&self.commander).superseded_by().filter(|_| ends) {
+            bail!(lost_lead(epoch, &self.kept, self.takes_over));
         }
         if lock(&self.telemetry).as_ref().is_some_and(|shown| (shown.stamp.source, shown.calibration) != self.driver) {
             bail!(
@@ -419,6 +419,11 @@ fn may_retake(takes_over: bool, retaken: u32) -> bool {
     takes_over && retaken < RETAKES_MAX
 }
 
+/// Whether a lost lead ends the session: a refinement waits for the next idle time.
+fn ends_without_lead(yields: bool, takes_over: bool, retaken: u32) -> bool {
+    !yields && !may_retake(takes_over, retaken)
+}
+
 /// Why the session ends, what is kept, and what to do.
 fn lost_lead(epoch: u64, kept: &str, takes_over: bool) -> String {
     let advice = if takes_over { "if this recurs" } else { "first, or give --take-over" };
@@ -483,5 +488,8 @@ mod tests {
     fn a_lost_lead_is_taken_again_a_few_times_where_the_command_may_take_over() {
         assert_eq!([0, RETAKES_MAX - 1, RETAKES_MAX].map(|retaken| may_retake(true, retaken)), [true, true, false]);
         assert!(!may_retake(false, 0));
+        let ends = [0, RETAKES_MAX - 1, RETAKES_MAX].map(|retaken| ends_without_lead(false, true, retaken));
+        assert_eq!(ends, [false, false, true]);
+        assert!(ends_without_lead(false, false, 0) && !ends_without_lead(true, true, RETAKES_MAX));
     }
 }

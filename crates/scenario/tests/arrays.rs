@@ -88,7 +88,7 @@ fn a_geometry_has_every_array_and_a_difference_names_the_array() {
     assert_eq!(two.geometry_difference(&announced), None);
     let difference = |text: &str| {
         let other = Scenario::from_toml(text).expect("valid");
-        let GeometryDifference { key, here, there } = two.geometry_difference(&other).expect("another geometry");
+        let GeometryDifference { key, here, there, .. } = two.geometry_difference(&other).expect("another geometry");
         (key, here, there)
     };
     let named = |key: &str, here: &str, there: &str| (key.to_owned(), here.to_owned(), there.to_owned());

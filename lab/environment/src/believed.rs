@@ -51,7 +51,7 @@ fn believed(controller: &Controller, user: usize, now_ns: u64) -> Estimate {
     let ahead_s = now_ns.saturating_sub(reported_ns) as f64 * 1e-9 + observer.lead_s();
     let estimate = observer.belief().and_then(|belief| belief.estimate(observation.ids[user], ahead_s));
     estimate.unwrap_or_else(|| Estimate {
-        heading: observer.headings().get(user).copied().unwrap_or_default(),
+        heading: observer.heading(user),
         ..known(observation, user)
     })
 }

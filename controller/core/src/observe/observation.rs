@@ -208,7 +208,9 @@ impl Observation {
         }
     }
 
-    fn resize(&mut self, users: usize) {
+    /// Changes the number of users, and numbers them from 0; the caller fills the lists and updates the
+    /// scene.
+    pub(super) fn resize(&mut self, users: usize) {
         self.ids.clear();
         self.ids.extend(0..users as u32);
         self.positions.resize(users, Vec3::zeros());

@@ -4,10 +4,7 @@ use heliostat_proto::MAX_USERS;
 use serde::{Deserialize, Serialize};
 
 use super::{Observer, Seen};
-use crate::belief::{
-    Belief,
-    memory::{AbsentMemory, BeliefMemory, DeviceMemory, LaterMemories, TiltMemory},
-};
+use crate::belief::{Belief, memory::BeliefMemory};
 use crate::observe::lead::Lead;
 
 /// Everything that an observer keeps from one report to the next.
@@ -32,23 +29,8 @@ impl Observer {
         }
     }
 
-    /// Whether users tilt their receivers.
-    pub fn tilt_memory(&self) -> TiltMemory {
-        self.belief().map_or_else(TiltMemory::default, Belief::tilt_memory)
-    }
-
-    /// What orientation reports have shown of devices.
-    pub fn device_memory(&self) -> DeviceMemory {
-        self.belief().map_or_else(DeviceMemory::default, Belief::device_memory)
-    }
-
-    /// Which users are absent from the last report.
-    pub fn absent_memory(&self) -> AbsentMemory {
-        self.belief().map_or_else(AbsentMemory::default, Belief::absent_memory)
-    }
-
     /// Replaces the state; false where it is not one of this scenario.
-    pub fn restore(&mut self, memory: &ObserverMemory, later: LaterMemories<'_>) -> bool {
+    pub fn restore(&mut self, memory: &ObserverMemory) -> bool {
         let ObserverMemory { lead, belief, slots, headings } = memory;
         let is_heading = |heading: &[f64; 3]| heading.iter().all(|part| part.abs() <= 1.0 + 1e-9);
         let is_sound = slots.len() <= MAX_USERS && headings.len() == slots.len() && headings.iter().all(is_heading);
@@ -58,7 +40,7 @@ impl Observer {
         self.lead = *lead;
         self.set_settling(lead.settling_s);
         let fits = match (&mut self.belief, belief) {
-            (Some(belief), Some(memory)) => belief.restore(memory, later),
+            (Some(belief), Some(memory)) => belief.restore(memory),
             (None, None) => true,
             _ => false,
         };

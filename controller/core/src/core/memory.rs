@@ -143,7 +143,7 @@ impl Controller {
         self.policy.restore(&memory.policy);
         self.last_report = memory.last_report;
         self.command = command;
-        self.observation.set_angles(&angles);
+        self.observation.angles.copy_from(&angles);
         Ok(())
     }
 }

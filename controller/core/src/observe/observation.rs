@@ -218,15 +218,6 @@ impl Observation {
         self.min_rate_bps.resize(users, 0.0);
         self.scene.resize(users);
     }
-
-    /// Copies the angles of the last command. Does not allocate.
-    ///
-    /// # Panics
-    /// If the number of mirrors differs.
-    pub fn set_angles(&mut self, angles: &MirrorAngles) {
-        self.angles.roll.copy_from_slice(&angles.roll);
-        self.angles.yaw.copy_from_slice(&angles.yaw);
-    }
 }
 
 /// Why an observation does not fit the vector.

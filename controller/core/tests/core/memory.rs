@@ -1,6 +1,7 @@
 //! The state of a controller restores another one, which then gives the same commands.
 
 use heliostat_core::{
+    capabilities::Unfit,
     core::{
         Controller,
         memory::{Memory, MemoryError},
@@ -8,7 +9,9 @@ use heliostat_core::{
     inbox::Message,
     policy::PolicyKind,
 };
-use heliostat_proto::{ControllerInput, InputKind, MirrorCommand, MirrorTelemetry, Obstacle, Stamp};
+use heliostat_proto::{
+    Capabilities, ControllerInput, InputKind, MirrorCommand, MirrorTelemetry, Obstacle, Stamp, ValidityClock,
+};
 use heliostat_scenario::Scenario;
 
 use crate::support::{Outcome, Room, build, controller, receive, scenario};
@@ -127,6 +130,22 @@ fn a_restored_controller_acts_the_same_in_silence() {
         commands.collect::<Vec<_>>()
     });
     assert_eq!((expected.len(), &found), (1, &expected));
+}
+
+#[test]
+fn a_restored_controller_knows_that_a_driver_has_no_clock() {
+    let scenario = room_scenario("none");
+    let (_, mut first) = running(&scenario, PolicyKind::Nearest, 5);
+    let stamp = Stamp { source: 9, ..Stamp::default() };
+    let capabilities = Capabilities { stamp, validity_clock: ValidityClock::Arrival, ..Capabilities::default() };
+    assert!(first.handle_capabilities(0, &capabilities, Err(Unfit::PaperAngles)));
+    let mut second = controller(&scenario, build(PolicyKind::Nearest, &scenario).unwrap());
+    second.restore(&Memory::from_bytes(&first.memory().to_bytes().unwrap()).unwrap()).unwrap();
+    let (stamp, flat) = (Stamp { source: 9, sequence: 2, time_ns: 1 }, vec![0.0; 9]);
+    let mut telemetry =
+        MirrorTelemetry { stamp, roll_commanded: flat.clone(), yaw_commanded: flat, ..MirrorTelemetry::default() };
+    receive(&mut second, Room::time(6), Message::Telemetry(0, &mut telemetry));
+    assert_eq!(second.inbox().telemetry(0).map(|telemetry| telemetry.stamp), Some(stamp));
 }
 
 #[test]

@@ -73,6 +73,7 @@
 pub mod belief;
 pub mod core;
 mod input;
+mod named;
 mod observe;
 mod output;
 pub mod policy;

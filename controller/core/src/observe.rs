@@ -2,9 +2,9 @@
 
 pub mod angle_state;
 pub mod codeword_state;
+mod lead;
 pub mod observation;
 pub mod observer;
-pub mod prediction;
 pub mod selection;
 pub mod slots;
 pub mod target_user;

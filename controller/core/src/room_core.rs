@@ -70,8 +70,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use heliostat_channel::ChannelError;
 use heliostat_proto::{
-    Capabilities, CodecError, EmergencyStop, Nanos, NodeKind, RoomGeometry, SafetyReport, StopReport, encode,
-    keys::parse_alive,
+    Capabilities, CodecError, EmergencyStop, Nanos, NodeKind, RoomGeometry, SafetyReport, StopReport, keys::parse_alive,
 };
 use heliostat_scenario::Scenario;
 
@@ -398,8 +397,7 @@ impl RoomCore {
 
     /// Capabilities of an array; repetitions are ignored.
     fn meet_array(&mut self, array: usize, capabilities: Capabilities) -> Handled {
-        if !self.controller.admits_array(array, capabilities.stamp.source) {
-            self.controller.count_foreign_array();
+        if !self.controller.admit_array(array, capabilities.stamp.source) {
             return Handled::Nothing;
         }
         let known = &self.known[array];
@@ -459,9 +457,6 @@ impl RoomCore {
 /// Publishes the commands of a decision, if it has any. Does not allocate.
 fn publish(decision: Decision<'_>, payload: &mut Vec<u8>, out: &mut dyn Publish) {
     for (array, command) in decision.commands() {
-        // A command of the core always encodes.
-        if encode(command, payload).is_ok() {
-            out.publish(Output::Command(array), payload);
-        }
+        input::publish(Output::Command(array), command, payload, out);
     }
 }

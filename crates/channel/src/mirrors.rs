@@ -116,6 +116,15 @@ impl MirrorAngles {
         Self { roll: vec![0.0; mirrors], yaw: vec![0.0; mirrors] }
     }
 
+    /// Takes other angles. Does not allocate.
+    ///
+    /// # Panics
+    /// If the number of mirrors differs.
+    pub fn copy_from(&mut self, other: &Self) {
+        self.roll.copy_from_slice(&other.roll);
+        self.yaw.copy_from_slice(&other.yaw);
+    }
+
     /// Number of mirrors M.
     pub fn len(&self) -> usize {
         self.roll.len()

@@ -50,10 +50,7 @@ fn believed(controller: &Controller, user: usize, now_ns: u64) -> Estimate {
     let reported_ns = controller.inbox().users().map_or(now_ns, |report| report.stamp.time_ns);
     let ahead_s = now_ns.saturating_sub(reported_ns) as f64 * 1e-9 + observer.lead_s();
     let estimate = observer.belief().and_then(|belief| belief.estimate(observation.ids[user], ahead_s));
-    estimate.unwrap_or_else(|| Estimate {
-        heading: observer.headings().get(user).copied().unwrap_or_default(),
-        ..known(observation, user)
-    })
+    estimate.unwrap_or_else(|| Estimate { heading: observer.heading(user), ..known(observation, user) })
 }
 
 /// Writes the rows of the users `chosen`, one slot after the other. `controller` with the time in

@@ -150,7 +150,7 @@ impl Environment {
 
     /// Turns the mirrors; the users' true rates in bit/s.
     pub fn rates_bps(&mut self, angles: &MirrorAngles) -> &[f64] {
-        self.observation.set_angles(angles);
+        self.observation.angles.copy_from(angles);
         self.observation.scene.rates_bps(self.world.model(), angles, &mut self.rates_bps);
         &self.rates_bps
     }

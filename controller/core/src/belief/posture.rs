@@ -8,6 +8,7 @@
 use heliostat_channel::{Orientation, Vec3};
 use heliostat_proto::OrientationReport;
 use heliostat_scenario::AssumedTilt;
+use serde::{Deserialize, Serialize};
 
 use crate::belief::device::Lean;
 
@@ -25,7 +26,7 @@ const KNOWN: f64 = 0.95;
 
 /// What the measurements of one user say about tilted receivers: the logarithm of a likelihood
 /// ratio.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct TiltEvidence(f64);
 
 impl TiltEvidence {
@@ -40,9 +41,9 @@ impl TiltEvidence {
         self.0
     }
 
-    /// A recorded one; `None` for a value that no measurements give.
-    pub fn from_log_ratio(log_ratio: f64) -> Option<Self> {
-        (log_ratio.abs() <= LARGEST).then_some(Self(log_ratio))
+    /// Whether measurements can give this value, which is read from a recording.
+    pub fn is_sound(self) -> bool {
+        self.0.abs() <= LARGEST
     }
 }
 
@@ -190,9 +191,7 @@ mod tests {
 
     #[test]
     fn a_recorded_ratio_beyond_its_bounds_is_no_evidence() {
-        assert_eq!(TiltEvidence::from_log_ratio(f64::NAN), None);
-        assert_eq!(TiltEvidence::from_log_ratio(5.0), None);
-        let most = evidence(99, 1.0);
-        assert_eq!(TiltEvidence::from_log_ratio(most.log_ratio()), Some(most));
+        assert!([f64::NAN, 5.0].iter().all(|log_ratio| !TiltEvidence(*log_ratio).is_sound()));
+        assert!(evidence(99, 1.0).is_sound());
     }
 }

@@ -29,11 +29,7 @@ pub(super) struct Track {
     /// The last two reported positions, the later one first, with the time between them in s.
     pub earlier: [Option<Place>; 2],
     pub reported_velocity: Option<[f64; 2]>,
-    /// A recorded state holds it apart, so that states without it load.
-    #[serde(skip)]
     pub tilt: TiltEvidence,
-    /// Also apart in a recorded state.
-    #[serde(skip)]
     pub device: Device,
 }
 
@@ -45,6 +41,12 @@ pub(super) struct Place {
 }
 
 impl Track {
+    /// Whether a recorded one holds possible values.
+    pub fn is_sound(&self) -> bool {
+        let Self { motion, height, covered, tilt, device, .. } = self;
+        motion.is_sound() && height.is_sound() && covered.is_sound() && tilt.is_sound() && device.is_sound()
+    }
+
     pub fn new(user: u32, priors: &WalkPriors, known_obstacles: bool) -> Self {
         let (motion, height, heading) = (Motion::new(priors), Height::default(), Heading::default());
         let covered = if known_obstacles { Covered::KNOWN_OBSTACLES } else { Covered::UNKNOWN_OBSTACLES };

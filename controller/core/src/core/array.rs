@@ -17,15 +17,12 @@ impl Controller {
         self.arrays.len()
     }
 
-    /// Whether announcements of this source concern the array that is followed. Before the first
-    /// telemetry those of every source do.
-    pub fn admits_array(&self, array: usize, source: u64) -> bool {
-        self.inbox.array_source(array).is_none_or(|followed| followed == source)
-    }
-
-    /// Counts an announcement of an array that is not followed.
-    pub fn count_foreign_array(&mut self) {
-        self.counters.foreign_arrays += 1;
+    /// Whether an announcement of this source concerns the array that is followed; one that does not
+    /// is counted. Before the first telemetry those of every source do.
+    pub fn admit_array(&mut self, array: usize, source: u64) -> bool {
+        let is_followed = self.inbox.array_source(array).is_none_or(|followed| followed == source);
+        self.counters.foreign_arrays += u64::from(!is_followed);
+        is_followed
     }
 
     /// Applies the capabilities of an array that fits the scenario; an array that does not fit
@@ -36,8 +33,7 @@ impl Controller {
         capabilities: &Capabilities,
         verdict: Result<(), Unfit>,
     ) -> bool {
-        if !self.admits_array(array, capabilities.stamp.source) {
-            self.count_foreign_array();
+        if !self.admit_array(array, capabilities.stamp.source) {
             return false;
         }
         self.inbox.set_clock(array, capabilities.validity_clock == ValidityClock::SourceTime);
@@ -56,8 +52,7 @@ impl Controller {
     /// Applies the bounds and the stop that an array reports. False for an array that is not
     /// followed.
     pub fn handle_safety(&mut self, array: usize, report: &SafetyReport) -> bool {
-        if !self.admits_array(array, report.stamp.source) {
-            self.count_foreign_array();
+        if !self.admit_array(array, report.stamp.source) {
             return false;
         }
         let unknown = self.unknown_stops(report.stop().as_slice());
@@ -81,8 +76,7 @@ impl Controller {
 
     /// Applies the stops that an array reports; one that was not known concerns all arrays. False for an array that is not followed.
     pub fn handle_stops(&mut self, array: usize, report: &StopReport) -> bool {
-        if !self.admits_array(array, report.stamp.source) {
-            self.count_foreign_array();
+        if !self.admit_array(array, report.stamp.source) {
             return false;
         }
         let unknown = self.unknown_stops(&report.stops);

@@ -43,8 +43,7 @@ impl Controller {
     /// # Panics
     /// If the number of mirrors differs.
     pub fn poll_proposed(&mut self, observed: Observed, now: Nanos, angles: &MirrorAngles) -> Decision<'_> {
-        self.proposed.roll.copy_from_slice(&angles.roll);
-        self.proposed.yaw.copy_from_slice(&angles.yaw);
+        self.proposed.copy_from(angles);
         self.is_proposed = true;
         self.decide(observed, now, &mut |_| {})
     }
@@ -201,7 +200,7 @@ impl Controller {
         self.command.time_ns = now;
         copy_narrowed(&self.proposed.roll, &mut self.command.roll);
         copy_narrowed(&self.proposed.yaw, &mut self.command.yaw);
-        self.observation.set_angles(&self.proposed);
+        self.observation.angles.copy_from(&self.proposed);
         self.observer.handle_command(&self.command);
         let mut first = None;
         for (index, array) in self.arrays.iter_mut().enumerate() {

@@ -7,7 +7,7 @@
 //! because each decision that reads one makes it.
 
 use heliostat_channel::MirrorAngles;
-use heliostat_proto::{ControllerInput, MirrorCommand, Nanos, StateError, decode, decode_state, encode, encode_state};
+use heliostat_proto::{ControllerInput, MirrorCommand, StateError, decode, decode_state, encode, encode_state};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -18,72 +18,26 @@ use super::{
     journal::Journal,
 };
 use crate::{
-    belief::memory::{AbsentMemory, DeviceMemory, LaterMemories, TiltMemory},
-    input::inbox::memory::{ArrayInboxMemory, InboxMemory, LedMemory, OrientationMemory},
-    observe::observer::memory::ObserverMemory,
-    output::{guard::GuardMemory, safety::check_finite},
+    input::inbox::InboxState, observe::observer::memory::ObserverMemory, output::safety::check_finite,
     policy::FallbackMemory,
 };
 
 /// Number of the layout of [`Memory`]. Raise it when a field of any part changes.
-const LAYOUT: u32 = 7;
-/// The layout that ends before the orientations.
-const LAYOUT_WITHOUT_ORIENTATIONS: u32 = 1;
-/// The layout that ends before the arrays and the tilted receivers.
-const LAYOUT_WITHOUT_ARRAYS: u32 = 2;
-/// The layout that ends before the devices.
-const LAYOUT_WITHOUT_DEVICES: u32 = 3;
-/// The layout that ends before the positions of former policies.
-const LAYOUT_WITHOUT_POSITIONS: u32 = 4;
-/// The layout that ends before the number of absent users.
-const LAYOUT_WITHOUT_ABSENT: u32 = 5;
-/// The layout that ends before the LED reports.
-const LAYOUT_WITHOUT_LEDS: u32 = 6;
-
-/// What policies of earlier versions kept of channel reports, and of positions, for each user. It is
-/// read, so that their recordings replay under another policy, and written empty.
-type FormerReadings = (Vec<(u32, Nanos, [f64; 5], [[f64; 5]; 3])>, [f64; 6], Nanos);
-type FormerPositions = Vec<(u32, usize, [(Nanos, [f64; 2], [f64; 2]); 10])>;
+const LAYOUT: u32 = 8;
 
 /// The state of a controller.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Memory {
     layout: u32,
-    inbox: InboxMemory,
+    inbox: InboxState,
     observer: ObserverMemory,
     policy: FallbackMemory,
-    /// Smallest and largest roll, then yaw, in rad.
-    axes_rad: [[f64; 2]; 2],
-    guard: GuardMemory,
+    arrays: Vec<ArrayOutputMemory>,
     last_report: Option<LastReport>,
     /// The last command as it was on the wire, without its sequence number.
     command: Vec<u8>,
-    has_command: bool,
     /// Roll and yaw of the observation: those of the last command before they are rounded.
     angles_rad: [Vec<f64>; 2],
-    /// After all fields of the first layout.
-    orientation: OrientationMemory,
-    /// Each of several arrays; empty in a room with one, whose state is in the fields above. This
-    /// and the fields below are after all fields of the second layout.
-    arrays: Vec<ArrayMemory>,
-    /// What is believed about tilted receivers.
-    tilt: TiltMemory,
-    former_readings: FormerReadings,
-    /// What orientation reports have shown of devices; after all fields of the third layout.
-    devices: DeviceMemory,
-    /// After all fields of the fourth layout.
-    former_positions: FormerPositions,
-    /// Which users are absent from the last report; after all fields of the fifth layout.
-    absent: AbsentMemory,
-    /// The latest LED report; after all fields of the sixth layout.
-    leds: LedMemory,
-}
-
-/// The state of one of several arrays.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-struct ArrayMemory {
-    inbox: ArrayInboxMemory,
-    output: ArrayOutputMemory,
 }
 
 /// Why a state cannot be restored.
@@ -121,32 +75,9 @@ impl Memory {
     /// [`MemoryError`] where the bytes are no state of this version.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, MemoryError> {
         // The layout comes first: a state of another layout is no value of this type.
-        let found = bytes.first().map_or(0, |byte| u32::from(*byte));
-        match found {
+        match bytes.first().map_or(0, |byte| u32::from(*byte)) {
             LAYOUT => Ok(decode_state(bytes)?),
-            LAYOUT_WITHOUT_ORIENTATIONS..=LAYOUT_WITHOUT_LEDS => {
-                let mut complete = bytes.to_vec();
-                if found == LAYOUT_WITHOUT_ORIENTATIONS {
-                    complete.extend(encode_state(&OrientationMemory::default())?);
-                }
-                if found <= LAYOUT_WITHOUT_ARRAYS {
-                    complete.extend(encode_state(&Vec::<ArrayMemory>::new())?);
-                    complete.extend(encode_state(&TiltMemory::default())?);
-                    complete.extend(encode_state(&FormerReadings::default())?);
-                }
-                if found <= LAYOUT_WITHOUT_DEVICES {
-                    complete.extend(encode_state(&DeviceMemory::default())?);
-                }
-                if found <= LAYOUT_WITHOUT_POSITIONS {
-                    complete.extend(encode_state(&FormerPositions::default())?);
-                }
-                if found <= LAYOUT_WITHOUT_ABSENT {
-                    complete.extend(encode_state(&AbsentMemory::default())?);
-                }
-                complete.extend(encode_state(&LedMemory::default())?);
-                Ok(Self { layout: LAYOUT, ..decode_state(&complete)? })
-            }
-            _ => Err(MemoryError::Layout { found }),
+            found => Err(MemoryError::Layout { found }),
         }
     }
 }
@@ -169,30 +100,14 @@ impl Controller {
         let mut command = Vec::new();
         // A command of the core always encodes.
         let _ = encode(&MirrorCommand { sequence: 0, ..self.command.clone() }, &mut command);
-        let first = self.arrays[0].memory();
-        let array = |(index, array): (usize, &ArrayOutput)| ArrayMemory {
-            inbox: self.inbox.array_memory(index),
-            output: array.memory(),
-        };
-        let several = self.arrays.iter().enumerate().filter(|_| self.arrays.len() > 1);
         Memory {
             layout: LAYOUT,
-            inbox: self.inbox.memory(),
+            inbox: self.inbox.state().clone(),
             observer: self.observer.memory(),
             policy: self.policy.memory(),
-            axes_rad: first.axes_rad,
-            guard: first.guard,
+            arrays: self.arrays.iter().map(ArrayOutput::memory).collect(),
             last_report: self.last_report,
             command,
-            has_command: self.has_command(),
-            arrays: several.map(array).collect(),
-            orientation: self.inbox.orientation_memory(),
-            tilt: self.observer.tilt_memory(),
-            former_readings: FormerReadings::default(),
-            devices: self.observer.device_memory(),
-            former_positions: FormerPositions::new(),
-            absent: self.observer.absent_memory(),
-            leds: self.inbox.led_memory(),
             angles_rad: [self.observation.angles.roll.clone(), self.observation.angles.yaw.clone()],
         }
     }
@@ -213,41 +128,22 @@ impl Controller {
         }
         let angles = MirrorAngles { roll: roll.clone(), yaw: yaw.clone() };
         check_finite(&angles).map_err(|_| other("angles"))?;
-        if !self.arrays[0].limits.restore_axes(memory.axes_rad) {
+        if memory.arrays.len() != self.arrays.len() {
+            return Err(other("number of arrays"));
+        }
+        if !self.arrays.iter_mut().zip(&memory.arrays).all(|(array, memory)| array.restore(memory)) {
             return Err(other("range of the mirrors"));
         }
-        if !self.inbox.restore(&memory.inbox, &memory.orientation) || !self.inbox.restore_leds(&memory.leds) {
+        if !self.inbox.restore(&memory.inbox) {
             return Err(other("reports"));
         }
-        let later = LaterMemories { tilt: &memory.tilt, devices: &memory.devices, absent: memory.absent };
-        if !self.observer.restore(&memory.observer, later) {
+        if !self.observer.restore(&memory.observer) {
             return Err(other("belief"));
         }
         self.policy.restore(&memory.policy);
-        self.arrays[0].guard.restore(&memory.guard);
-        self.arrays[0].commanded_ns = memory.has_command.then_some(command.time_ns);
-        self.restore_arrays(&memory.arrays)?;
         self.last_report = memory.last_report;
         self.command = command;
-        self.observation.set_angles(&angles);
-        Ok(())
-    }
-
-    /// Replaces the states of several arrays.
-    fn restore_arrays(&mut self, memories: &[ArrayMemory]) -> Result<(), MemoryError> {
-        let other = |part| MemoryError::Scenario { part };
-        let expected = if self.arrays.len() > 1 { self.arrays.len() } else { 0 };
-        if memories.len() != expected {
-            return Err(other("number of arrays"));
-        }
-        for (index, ArrayMemory { inbox, output }) in memories.iter().enumerate() {
-            if !self.inbox.restore_array(index, inbox) {
-                return Err(other("telemetry"));
-            }
-            if !self.arrays[index].restore(output) {
-                return Err(other("range of the mirrors"));
-            }
-        }
+        self.observation.angles.copy_from(&angles);
         Ok(())
     }
 }

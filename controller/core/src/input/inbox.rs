@@ -19,9 +19,9 @@
 //! reason. No refusal stops the controller.
 
 mod array;
-pub mod memory;
 mod rules;
 mod slot;
+mod state;
 
 use heliostat_proto::{
     ChannelReport, LedReport, MirrorTelemetry, Nanos, NodeKind, ObstacleReport, OrientationReport, Stamp, UserReport,
@@ -35,7 +35,8 @@ use crate::input::{
 };
 use array::ArrayInbox;
 use rules::{Rules, check_channel, check_obstacles, check_orientation};
-use slot::{Owner, Slot};
+use slot::Owner;
+pub use state::InboxState;
 
 /// A decoded message. The inbox swaps an accepted message with the former one, whose memory the
 /// caller decodes into next.
@@ -90,18 +91,7 @@ impl Message<'_> {
 #[derive(Clone)]
 pub struct Inbox {
     rules: Rules,
-    room: Option<Owner>,
-    /// The source of reports that left last; its delayed reports are refused.
-    lost_room: Option<u64>,
-    users: Slot<UserReport>,
-    channel: Slot<ChannelReport>,
-    obstacles: Slot<ObstacleReport>,
-    orientation: Slot<OrientationReport>,
-    leds: Slot<LedReport>,
-    /// The sequence numbers of each stream about the room, in the order of [`Stream::ALL`].
-    tracks: [SequenceTrack; Stream::ALL.len()],
-    /// The telemetry of each array.
-    arrays: Vec<ArrayInbox>,
+    state: InboxState,
     /// Mirrors of several arrays that do not follow, by their indices in the room.
     unusable: Vec<u32>,
     refused: Refused,
@@ -113,15 +103,7 @@ impl Inbox {
     pub fn new(scenario: &Scenario) -> Self {
         Self {
             rules: Rules::new(scenario),
-            room: None,
-            lost_room: None,
-            users: Slot { report: UserReport::buffer(), filled: false },
-            channel: Slot { report: ChannelReport::buffer(), filled: false },
-            obstacles: Slot::default(),
-            orientation: Slot { report: OrientationReport::buffer(), filled: false },
-            leds: Slot { report: LedReport::buffer(), filled: false },
-            tracks: Default::default(),
-            arrays: arrays_of(scenario),
+            state: InboxState::new(scenario),
             unusable: Vec::with_capacity(scenario.mirror_count()),
             refused: Refused::default(),
             sources: 0,
@@ -151,7 +133,7 @@ impl Inbox {
             }
             Err(Refusal::ForeignSource) => self.refused.count_foreign((stream, array), stamp.source),
             Err(refusal) => {
-                if array < self.arrays.len() {
+                if array < self.state.arrays.len() {
                     self.track_mut(stream, array).on_refused(&stamp);
                 }
                 let found = self.found(now, &message, refusal);
@@ -165,7 +147,7 @@ impl Inbox {
     /// stamp is of the source of the stream.
     pub fn count_malformed(&mut self, place: (Stream, usize), refusal: Refusal, payload: &[u8]) {
         let (stream, array) = place;
-        if let Some(stamp) = stamp_of(payload).filter(|_| array < self.arrays.len()) {
+        if let Some(stamp) = stamp_of(payload).filter(|_| array < self.state.arrays.len()) {
             self.track_mut(stream, array).on_refused(&stamp);
         }
         self.refused.count(place, refusal);
@@ -173,28 +155,28 @@ impl Inbox {
 
     /// The latest positions.
     pub fn users(&self) -> Option<&UserReport> {
-        self.users.get()
+        self.state.users.get()
     }
 
     /// The latest measured gains, unless they are too old at `now`.
     pub fn channel(&self, now: Nanos) -> Option<&ChannelReport> {
-        self.channel.get().filter(|report| now.saturating_sub(report.stamp.time_ns) <= self.rules.age_max_ns)
+        self.state.channel.get().filter(|report| now.saturating_sub(report.stamp.time_ns) <= self.rules.age_max_ns)
     }
 
     /// The latest measured gains, of any age.
     pub fn last_channel(&self) -> Option<&ChannelReport> {
-        self.channel.get()
+        self.state.channel.get()
     }
 
     /// The latest survey of the obstacles, valid until the next survey or until the room has a new
     /// owner.
     pub fn obstacles(&self) -> Option<&ObstacleReport> {
-        self.obstacles.get()
+        self.state.obstacles.get()
     }
 
     /// The latest orientation report, of any age.
     pub fn last_orientation(&self) -> Option<&OrientationReport> {
-        self.orientation.get()
+        self.state.orientation.get()
     }
 
     /// How the users hold their receivers, unless the report is too old at `now`.
@@ -205,18 +187,18 @@ impl Inbox {
     /// The LEDs that the receivers detect, if the latest report of them is of the time of the latest
     /// measured gains.
     pub fn leds(&self) -> Option<&LedReport> {
-        let channel_ns = self.channel.get()?.stamp.time_ns;
-        self.leds.get().filter(|report| report.stamp.time_ns == channel_ns)
+        let channel_ns = self.state.channel.get()?.stamp.time_ns;
+        self.state.leds.get().filter(|report| report.stamp.time_ns == channel_ns)
     }
 
     /// The latest telemetry of an array.
     pub fn telemetry(&self, array: usize) -> Option<&MirrorTelemetry> {
-        self.arrays.get(array)?.telemetry.get()
+        self.state.arrays.get(array)?.telemetry.get()
     }
 
     /// The mirrors that do not follow, by their indices in the room.
     pub fn unusable(&self) -> &[u32] {
-        match self.arrays.as_slice() {
+        match self.state.arrays.as_slice() {
             [array] => array.telemetry.get().map_or(&[], |telemetry| &telemetry.unusable),
             _ => &self.unusable,
         }
@@ -230,19 +212,19 @@ impl Inbox {
     /// How many reports of a stream did not arrive, by the gaps in its sequence numbers.
     pub fn missed(&self, stream: Stream) -> u64 {
         match stream {
-            Stream::Telemetry => self.arrays.iter().map(|array| array.track.missed()).sum(),
-            _ => self.tracks[stream as usize].missed(),
+            Stream::Telemetry => self.state.arrays.iter().map(|array| array.track.missed()).sum(),
+            _ => self.state.tracks[stream as usize].missed(),
         }
     }
 
     /// The source that owns the room.
     pub fn source(&self) -> Option<u64> {
-        self.room.map(|owner| owner.source)
+        self.state.room.map(|owner| owner.source)
     }
 
     /// The source whose telemetry of an array is followed.
     pub fn array_source(&self, array: usize) -> Option<u64> {
-        self.arrays.get(array)?.owner.map(|owner| owner.source)
+        self.state.arrays.get(array)?.owner.map(|owner| owner.source)
     }
 
     /// How many sources have owned the room, in succession.
@@ -253,11 +235,11 @@ impl Inbox {
     /// Sets whether an array has a synchronised clock, by its capabilities: the time of its telemetry is
     /// checked only then.
     pub fn set_clock(&mut self, array: usize, has_clock: bool) {
-        self.arrays[array].has_clock = has_clock;
+        self.state.arrays[array].has_clock = has_clock;
     }
 
     fn has_clock(&self, stream: Stream, array: usize) -> bool {
-        stream != Stream::Telemetry || self.arrays[array].has_clock
+        stream != Stream::Telemetry || self.state.arrays[array].has_clock
     }
 
     /// A process has left: its source owns nothing, its reports are discarded, and its delayed
@@ -268,15 +250,15 @@ impl Inbox {
     pub fn handle_source_lost(&mut self, node: NodeKind, source: u64) {
         for stream in Stream::ALL.into_iter().filter(|stream| publishes(node, *stream)) {
             if stream == Stream::Telemetry {
-                self.arrays.iter_mut().for_each(|array| array.handle_source_lost(source));
+                self.state.arrays.iter_mut().for_each(|array| array.handle_source_lost(source));
                 self.collect_unusable();
                 continue;
             }
-            self.tracks[stream as usize].forget(source);
-            self.lost_room = Some(source);
-            if self.room.is_some_and(|owner| owner.source == source) {
-                self.room = None;
-                self.forget_room();
+            self.state.tracks[stream as usize].forget(source);
+            self.state.lost_room = Some(source);
+            if self.state.room.is_some_and(|owner| owner.source == source) {
+                self.state.room = None;
+                self.state.forget_room();
             }
         }
     }
@@ -285,25 +267,29 @@ impl Inbox {
     pub fn handle_source_found(&mut self, node: NodeKind, source: u64) {
         let is_other = |lost: &u64| *lost != source;
         if publishes(node, Stream::Telemetry) {
-            self.arrays.iter_mut().for_each(|array| array.lost = array.lost.filter(is_other));
+            self.state.arrays.iter_mut().for_each(|array| array.lost = array.lost.filter(is_other));
         }
         if publishes(node, Stream::Users) {
-            self.lost_room = self.lost_room.filter(is_other);
+            self.state.lost_room = self.state.lost_room.filter(is_other);
         }
     }
 
     fn track(&self, stream: Stream, array: usize) -> &SequenceTrack {
-        if stream == Stream::Telemetry { &self.arrays[array].track } else { &self.tracks[stream as usize] }
+        if stream == Stream::Telemetry { &self.state.arrays[array].track } else { &self.state.tracks[stream as usize] }
     }
 
     fn track_mut(&mut self, stream: Stream, array: usize) -> &mut SequenceTrack {
-        if stream == Stream::Telemetry { &mut self.arrays[array].track } else { &mut self.tracks[stream as usize] }
+        if stream == Stream::Telemetry {
+            &mut self.state.arrays[array].track
+        } else {
+            &mut self.state.tracks[stream as usize]
+        }
     }
 
     fn check_source(&self, now: Nanos, (stream, array): (Stream, usize), source: u64) -> Result<(), Refusal> {
         let (owner, lost) = match stream {
-            Stream::Telemetry => (self.arrays[array].owner, self.arrays[array].lost),
-            _ => (self.room, self.lost_room),
+            Stream::Telemetry => (self.state.arrays[array].owner, self.state.arrays[array].lost),
+            _ => (self.state.room, self.state.lost_room),
         };
         if lost == Some(source) {
             return Err(Refusal::SourceGone);
@@ -319,25 +305,17 @@ impl Inbox {
     /// Gives ownership to the source of an accepted report, or renews it.
     fn renew_owner(&mut self, now: Nanos, (stream, array): (Stream, usize), source: u64) {
         let is_array = stream == Stream::Telemetry;
-        let slot = if is_array { &mut self.arrays[array].owner } else { &mut self.room };
+        let slot = if is_array { &mut self.state.arrays[array].owner } else { &mut self.state.room };
         let former = slot.replace(Owner { source, last_report_ns: now });
         if former.is_some_and(|owner| owner.source == source) {
             return;
         }
         if is_array {
-            self.arrays[array].telemetry.forget();
+            self.state.arrays[array].telemetry.forget();
         } else {
-            self.forget_room();
+            self.state.forget_room();
             self.sources += 1;
         }
-    }
-
-    fn forget_room(&mut self) {
-        self.users.forget();
-        self.channel.forget();
-        self.obstacles.forget();
-        self.orientation.forget();
-        self.leds.forget();
     }
 
     fn keep(&mut self, message: Message<'_>) {
@@ -353,24 +331,24 @@ impl Inbox {
                     }
                     checked.is_ok()
                 });
-                self.users.keep(report);
+                self.state.users.keep(report);
             }
-            Message::Channel(report) => self.channel.keep(report),
-            Message::Obstacles(report) => self.obstacles.keep(report),
+            Message::Channel(report) => self.state.channel.keep(report),
+            Message::Obstacles(report) => self.state.obstacles.keep(report),
             Message::Telemetry(array, report) => {
-                self.arrays[array].telemetry.keep(report);
+                self.state.arrays[array].telemetry.keep(report);
                 self.collect_unusable();
             }
-            Message::Orientation(report) => self.orientation.keep(report),
-            Message::Leds(report) => self.leds.keep(report),
+            Message::Orientation(report) => self.state.orientation.keep(report),
+            Message::Leds(report) => self.state.leds.keep(report),
         }
     }
 
     /// Joins the mirrors of several arrays that do not follow. Does not allocate.
     fn collect_unusable(&mut self) {
-        if self.arrays.len() > 1 {
+        if self.state.arrays.len() > 1 {
             self.unusable.clear();
-            self.unusable.extend(self.arrays.iter().flat_map(ArrayInbox::unusable));
+            self.unusable.extend(self.state.arrays.iter().flat_map(ArrayInbox::unusable));
         }
     }
 
@@ -378,7 +356,7 @@ impl Inbox {
     fn found(&self, now: Nanos, message: &Message<'_>, refusal: Refusal) -> Found {
         match (refusal, message) {
             (Refusal::WrongMirrorCount, Message::Telemetry(array, report)) => {
-                self.arrays.get(*array).map_or(Found::Nothing, |array| Found::Sizes(array.sizes(report)))
+                self.state.arrays.get(*array).map_or(Found::Nothing, |array| Found::Sizes(array.sizes(report)))
             }
             (Refusal::Stale | Refusal::FromFuture, message) => {
                 let sampled_ns = message.stamp().time_ns;
@@ -403,7 +381,7 @@ impl Inbox {
             Message::Users(report) => self.rules.check_users(report),
             Message::Channel(report) => check_channel(report),
             Message::Obstacles(report) => check_obstacles(report),
-            Message::Telemetry(array, report) => match self.arrays.get(*array) {
+            Message::Telemetry(array, report) => match self.state.arrays.get(*array) {
                 Some(array) => array.check(report),
                 None => Err(Refusal::WrongMirrorCount),
             },
@@ -411,16 +389,6 @@ impl Inbox {
             Message::Leds(report) => self.rules.check_leds(report),
         }
     }
-}
-
-/// An empty inbox for each array of a scenario.
-fn arrays_of(scenario: &Scenario) -> Vec<ArrayInbox> {
-    let mut first = 0;
-    let array = |mirrors: usize| {
-        first += mirrors;
-        ArrayInbox::new(first - mirrors, mirrors)
-    };
-    scenario.mirrors.arrays().iter().map(|array| array.rows * array.columns).map(array).collect()
 }
 
 /// Whether a kind of process publishes a stream.

@@ -4,131 +4,67 @@ use std::fmt;
 
 use heliostat_proto::{CodecError, UserState};
 
-/// A stream of reports.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stream {
-    /// The users' positions; a report completes a tick.
-    Users,
-    /// The users' measured gains.
-    Channel,
-    /// A survey of the obstacles.
-    Obstacles,
-    /// The state of the array.
-    Telemetry,
-    /// How the users hold their receivers.
-    Orientation,
-    /// Which LEDs the users' receivers detect.
-    Leds,
-}
+use crate::named::named;
 
-impl Stream {
-    /// All streams, in the order of their counters.
-    pub const ALL: [Self; 6] =
-        [Self::Users, Self::Channel, Self::Obstacles, Self::Telemetry, Self::Orientation, Self::Leds];
-
-    /// The name in counters and messages.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Users => "users",
-            Self::Channel => "channel",
-            Self::Obstacles => "obstacles",
-            Self::Telemetry => "telemetry",
-            Self::Orientation => "orientation",
-            Self::Leds => "leds",
-        }
+named! {
+    /// A stream of reports.
+    pub enum Stream {
+        /// The users' positions; a report completes a tick.
+        Users = "users",
+        /// The users' measured gains.
+        Channel = "channel",
+        /// A survey of the obstacles.
+        Obstacles = "obstacles",
+        /// The state of the array.
+        Telemetry = "telemetry",
+        /// How the users hold their receivers.
+        Orientation = "orientation",
+        /// Which LEDs the users' receivers detect.
+        Leds = "leds",
     }
 }
 
-/// Why a message is refused.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Refusal {
-    /// The payload has another version of the contract.
-    WrongVersion,
-    /// The payload is another kind of message than its key states.
-    WrongKind,
-    /// The payload ends too early.
-    Truncated,
-    /// The payload goes on after its message.
-    TrailingBytes,
-    /// The payload is larger than any message may be.
-    Oversized,
-    /// A list is longer than the contract allows, or two lists differ in length.
-    BadLength,
-    /// A value is not a finite number.
-    NotFinite,
-    /// The payload does not decode for another reason.
-    Malformed,
-    /// Another source owns the room.
-    ForeignSource,
-    /// The source has left: its liveliness token ended before its last report arrived.
-    SourceGone,
-    /// The sequence number equals the last.
-    Repeated,
-    /// The sequence number is lower than the last.
-    OutOfOrder,
-    /// The sequence number is too far above the last.
-    SequenceJump,
-    /// Sampled too long ago.
-    Stale,
-    /// Sampled in the future: the clocks disagree.
-    FromFuture,
-    /// Two entries for one user.
-    DuplicateUser,
-    /// Another number of mirrors than the scenario has.
-    WrongMirrorCount,
-    /// A position outside the room.
-    OutsideRoom,
-    /// A value that is physically impossible, such as a negative gain.
-    Implausible,
-}
-
-impl Refusal {
-    /// All reasons, in the order of their counters.
-    pub const ALL: [Self; 19] = [
-        Self::WrongVersion,
-        Self::WrongKind,
-        Self::Truncated,
-        Self::TrailingBytes,
-        Self::Oversized,
-        Self::BadLength,
-        Self::NotFinite,
-        Self::Malformed,
-        Self::ForeignSource,
-        Self::SourceGone,
-        Self::Repeated,
-        Self::OutOfOrder,
-        Self::SequenceJump,
-        Self::Stale,
-        Self::FromFuture,
-        Self::DuplicateUser,
-        Self::WrongMirrorCount,
-        Self::OutsideRoom,
-        Self::Implausible,
-    ];
-
-    /// The name in counters and messages.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::WrongVersion => "wrong-version",
-            Self::WrongKind => "wrong-kind",
-            Self::Truncated => "truncated",
-            Self::TrailingBytes => "trailing-bytes",
-            Self::Oversized => "oversized",
-            Self::BadLength => "bad-length",
-            Self::NotFinite => "not-finite",
-            Self::Malformed => "malformed",
-            Self::ForeignSource => "foreign-source",
-            Self::SourceGone => "source-gone",
-            Self::Repeated => "repeated",
-            Self::OutOfOrder => "out-of-order",
-            Self::SequenceJump => "sequence-jump",
-            Self::Stale => "stale",
-            Self::FromFuture => "from-future",
-            Self::DuplicateUser => "duplicate-user",
-            Self::WrongMirrorCount => "wrong-mirror-count",
-            Self::OutsideRoom => "outside-room",
-            Self::Implausible => "implausible",
-        }
+named! {
+    /// Why a message is refused.
+    pub enum Refusal {
+        /// The payload has another version of the contract.
+        WrongVersion = "wrong-version",
+        /// The payload is another kind of message than its key states.
+        WrongKind = "wrong-kind",
+        /// The payload ends too early.
+        Truncated = "truncated",
+        /// The payload goes on after its message.
+        TrailingBytes = "trailing-bytes",
+        /// The payload is larger than any message may be.
+        Oversized = "oversized",
+        /// A list is longer than the contract allows, or two lists differ in length.
+        BadLength = "bad-length",
+        /// A value is not a finite number.
+        NotFinite = "not-finite",
+        /// The payload does not decode for another reason.
+        Malformed = "malformed",
+        /// Another source owns the room.
+        ForeignSource = "foreign-source",
+        /// The source has left: its liveliness token ended before its last report arrived.
+        SourceGone = "source-gone",
+        /// The sequence number equals the last.
+        Repeated = "repeated",
+        /// The sequence number is lower than the last.
+        OutOfOrder = "out-of-order",
+        /// The sequence number is too far above the last.
+        SequenceJump = "sequence-jump",
+        /// Sampled too long ago.
+        Stale = "stale",
+        /// Sampled in the future: the clocks disagree.
+        FromFuture = "from-future",
+        /// Two entries for one user.
+        DuplicateUser = "duplicate-user",
+        /// Another number of mirrors than the scenario has.
+        WrongMirrorCount = "wrong-mirror-count",
+        /// A position outside the room.
+        OutsideRoom = "outside-room",
+        /// A value that is physically impossible, such as a negative gain.
+        Implausible = "implausible",
     }
 }
 
@@ -325,12 +261,6 @@ impl Refused {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn counters_have_the_order_of_the_lists() {
-        assert!(Stream::ALL.iter().enumerate().all(|(index, stream)| *stream as usize == index));
-        assert!(Refusal::ALL.iter().enumerate().all(|(index, refusal)| *refusal as usize == index));
-    }
 
     #[test]
     fn only_counters_above_zero_are_listed() {

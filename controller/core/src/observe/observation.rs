@@ -208,22 +208,15 @@ impl Observation {
         }
     }
 
-    fn resize(&mut self, users: usize) {
+    /// Changes the number of users, and numbers them from 0; the caller fills the lists and updates the
+    /// scene.
+    pub(super) fn resize(&mut self, users: usize) {
         self.ids.clear();
         self.ids.extend(0..users as u32);
         self.positions.resize(users, Vec3::zeros());
         self.velocities.resize(users, Vec3::zeros());
         self.min_rate_bps.resize(users, 0.0);
         self.scene.resize(users);
-    }
-
-    /// Copies the angles of the last command. Does not allocate.
-    ///
-    /// # Panics
-    /// If the number of mirrors differs.
-    pub fn set_angles(&mut self, angles: &MirrorAngles) {
-        self.angles.roll.copy_from_slice(&angles.roll);
-        self.angles.yaw.copy_from_slice(&angles.yaw);
     }
 }
 

@@ -28,18 +28,14 @@ pub mod memory;
 
 use heliostat_channel::{ChannelModel, Orientation, Vec3, blockage::Cylinder};
 use heliostat_proto::{
-    ChannelReport, MAX_OBSTACLES, MAX_USERS, MirrorCommand, Nanos, Obstacle, OrientationReport, UserReport,
+    ChannelReport, MAX_OBSTACLES, MAX_USERS, MirrorCommand, Nanos, Obstacle, OrientationReport, UserReport, UserState,
 };
-use heliostat_scenario::Scenario;
+use heliostat_scenario::{self as scenario, Scenario};
 
 use crate::{
     belief::{Belief, Estimate, body::Body, heading::HEADING_KNOWN, posture::Posture},
     input::inbox::Inbox,
-    observe::{
-        observation::{Observation, RoomState},
-        prediction::{Predicted, Prediction},
-        slots::Slots,
-    },
+    observe::{lead::Lead, observation::Observation, slots::Slots},
 };
 
 /// Below this speed in m/s a velocity does not show the direction that a user faces; half of the
@@ -54,28 +50,36 @@ const STRIDE_DEVIATIONS: f64 = 4.0;
 #[derive(Clone)]
 pub struct Observer {
     body: Option<Body>,
-    prediction: Prediction,
-    slots: Slots,
-    /// The users of the report, in its order.
-    reported: Vec<u32>,
-    /// Unit vectors in the floor plane; zero while unknown.
-    headings: Vec<Vec3>,
-    former_headings: Vec<Vec3>,
-    positions: Vec<Vec3>,
-    orientations: Vec<Orientation>,
+    half_room_m: [f64; 2],
+    lead: Lead,
+    /// Whether users are predicted at their reported velocities.
+    is_extrapolating: bool,
+    /// The filter of all reports; absent where `control.belief` is another one.
+    belief: Option<Belief>,
     posture: Posture,
-    velocities: Vec<Vec3>,
-    /// Probability that the direct path is clear past all but bodies, where it is believed.
-    direct_clear: Vec<Option<f64>>,
-    min_rate_bps: Vec<f64>,
-    los_gain: Vec<f64>,
     /// A measured gain up to this one is that of a blocked path.
     detectable_gain: f64,
+    slots: Slots,
+    /// What is known of the user in each slot.
+    seen: Vec<Seen>,
+    /// The same before the slots changed.
+    former: Vec<Seen>,
+    orientations: Vec<Orientation>,
+    los_gain: Vec<f64>,
     blockers: Vec<Cylinder>,
     /// Probability that the path to each column of mirrors is clear.
     unobstructed: Vec<f64>,
     /// All false: blockage of unknown cause shows in measured gains.
     forced: Vec<bool>,
+}
+
+/// What is known of a user besides the observation.
+#[derive(Clone, Copy, Default)]
+struct Seen {
+    /// Unit vector in the floor plane; zero while unknown.
+    heading: Vec3,
+    /// Probability that the direct path is clear past all but bodies, where it is believed.
+    direct_clear: Option<f64>,
 }
 
 /// Where the gains of the direct paths came from.
@@ -93,21 +97,20 @@ pub enum LosSource {
 impl Observer {
     /// An observer of a scenario's room.
     pub fn new(scenario: &Scenario, model: &ChannelModel) -> Self {
+        let is_filter = scenario.control.belief == scenario::Belief::Filter;
         Self {
             body: Body::new(&scenario.blockage),
-            prediction: Prediction::new(scenario, model),
-            slots: Slots::default(),
-            reported: Vec::with_capacity(MAX_USERS),
-            headings: Vec::with_capacity(MAX_USERS),
-            former_headings: Vec::with_capacity(MAX_USERS),
-            positions: Vec::with_capacity(MAX_USERS),
-            orientations: Vec::with_capacity(MAX_USERS),
+            half_room_m: [scenario.room.length_x_m / 2.0, scenario.room.length_y_m / 2.0],
+            lead: Lead::new(1.0 / scenario.streams.positions.rate_hz),
+            is_extrapolating: scenario.control.belief == scenario::Belief::ConstantVelocity,
+            belief: is_filter.then(|| Belief::new(scenario, model, MAX_USERS)),
             posture: Posture::new(scenario.control.tilt),
-            velocities: Vec::with_capacity(MAX_USERS),
-            direct_clear: Vec::with_capacity(MAX_USERS),
-            min_rate_bps: Vec::with_capacity(MAX_USERS),
-            los_gain: Vec::with_capacity(MAX_USERS),
             detectable_gain: scenario.streams.channel.detectable_gain(),
+            slots: Slots::default(),
+            seen: Vec::with_capacity(MAX_USERS),
+            former: Vec::with_capacity(MAX_USERS),
+            orientations: Vec::with_capacity(MAX_USERS),
+            los_gain: Vec::with_capacity(MAX_USERS),
             blockers: Vec::with_capacity(MAX_OBSTACLES + MAX_USERS),
             unobstructed: vec![1.0; model.mirrors.columns()],
             forced: Vec::with_capacity(MAX_USERS),
@@ -116,53 +119,68 @@ impl Observer {
 
     /// Extends the prediction by the settling time of the mirrors, in s, where users are predicted.
     pub fn set_settling(&mut self, settling_s: f64) {
-        self.prediction.set_settling(settling_s);
+        self.lead.settling_s = settling_s;
+        if let Some(belief) = &mut self.belief {
+            belief.set_settling(settling_s);
+        }
     }
 
     /// Takes an accepted position report. Call it once for each, before [`observe`](Self::observe).
     pub fn handle_users(&mut self, report: &UserReport) {
-        self.prediction.handle_users(report);
+        self.lead.handle_users(report.stamp.time_ns);
+        if let Some(belief) = &mut self.belief {
+            belief.handle_users(report);
+        }
     }
 
     /// Takes an accepted orientation report. Call it once for each.
     pub fn handle_orientation(&mut self, report: &OrientationReport) {
-        self.prediction.handle_orientation(report);
+        if let Some(belief) = &mut self.belief {
+            belief.handle_orientation(report);
+        }
     }
 
     /// Takes the accepted channel report of the inbox. Call it once for each.
     pub fn handle_channel(&mut self, model: &ChannelModel, inbox: &Inbox) {
         let Some(report) = inbox.last_channel() else { return };
-        self.place_obstacles(inbox);
-        self.prediction.handle_channel(model, report, inbox.leds(), &self.blockers, inbox.unusable());
+        place_obstacles(&mut self.blockers, inbox);
+        if let Some(belief) = &mut self.belief {
+            belief.handle_channel(model, report, inbox.leds(), &self.blockers, inbox.unusable());
+        }
     }
 
     /// Notes a command that was given.
     pub fn handle_command(&mut self, command: &MirrorCommand) {
-        self.prediction.handle_command(command);
+        if let Some(belief) = &mut self.belief {
+            belief.handle_command(command);
+        }
     }
 
     /// The belief of the filter; absent where `control.belief` is another one.
     pub fn belief(&self) -> Option<&Belief> {
-        self.prediction.belief()
+        self.belief.as_ref()
     }
 
-    /// The directions in which the users of the last observation face, in its order: unit vectors
-    /// in the floor plane, zero while unknown.
-    pub fn headings(&self) -> &[Vec3] {
-        &self.headings
+    /// The direction in which the user in a slot of the last observation faces: a unit vector in the
+    /// floor plane, zero while unknown.
+    pub fn heading(&self, slot: usize) -> Vec3 {
+        self.seen.get(slot).map_or(Vec3::zeros(), |seen| seen.heading)
     }
 
     /// From a decision to the middle of its command's time in force, for which users are predicted,
     /// in s: half of the interval between reports, and the settling time of the mirrors.
     pub fn lead_s(&self) -> f64 {
-        self.prediction.lead_s()
+        self.lead.ahead_s(0.0)
     }
 
-    /// Discards the users, and the directions that they face.
+    /// Discards the users, and the directions that they face, since another source reports from now on.
     pub fn forget(&mut self) {
-        self.prediction.forget();
+        self.lead.forget();
+        if let Some(belief) = &mut self.belief {
+            belief.forget();
+        }
         self.slots.clear();
-        self.headings.clear();
+        self.seen.clear();
     }
 
     /// Fills an observation from the latest reports at `now`; `None` without a position report.
@@ -176,32 +194,14 @@ impl Observer {
         into: &mut Observation,
     ) -> Option<LosSource> {
         let report = inbox.users()?;
-        let age_s = now.saturating_sub(report.stamp.time_ns) as f64 * 1e-9;
-        self.place_users(report, age_s);
-        let held = inbox.orientation(now);
-        self.orientations.clear();
-        let users = self.slots.ids().iter().zip(self.headings.iter().zip(&self.velocities));
-        self.orientations.extend(users.map(|(user, (heading, velocity))| {
-            let motion = (heading, velocity.norm());
-            let believed = self.prediction.orientation(*user, age_s, motion);
-            believed.unwrap_or_else(|| self.posture.of(held, *user, motion))
-        }));
-        let is_tilted = self.orientations.iter().any(|held| *held != Orientation::UPRIGHT);
-        self.place_blockers(inbox);
-        into.set_state(
-            model,
-            &RoomState {
-                tick: report.tick,
-                positions: &self.positions,
-                orientations: is_tilted.then_some(&self.orientations[..]),
-                velocities: &self.velocities,
-                min_rate_bps: &self.min_rate_bps,
-                blockers: &self.blockers,
-                forced: &self.forced,
-                measured_los_gain: None,
-            },
-        );
-        into.ids.copy_from_slice(self.slots.ids());
+        self.place_users(report, inbox.orientation(now), age_s(report, now), into);
+        self.place_blockers(inbox, &into.positions);
+        let Self { orientations, blockers, forced, .. } = self;
+        if orientations.iter().any(|held| *held != Orientation::UPRIGHT) {
+            into.scene.update_turned(model, &into.positions, orientations, blockers, forced);
+        } else {
+            into.scene.update(model, &into.positions, blockers, forced);
+        }
         self.apply_belief(model, into);
         Some(match inbox.channel(now) {
             Some(channel) => self.take_gains(channel, into),
@@ -209,45 +209,81 @@ impl Observer {
         })
     }
 
-    /// Gives slots to the users of a report, and fills the lists of the slots.
-    fn place_users(&mut self, report: &UserReport, age_s: f64) {
-        let Self { prediction, slots, reported, headings, former_headings, .. } = self;
-        reported.clear();
-        reported.extend(report.users.iter().map(|user| user.user));
-        if slots.assign(reported) {
-            former_headings.clone_from(headings);
-            headings.clear();
-            headings.extend(slots.former().iter().map(|slot| slot.map_or(Vec3::zeros(), |slot| former_headings[slot])));
+    /// Gives slots to the users of a report, which has this age in s, and predicts them.
+    fn place_users(
+        &mut self,
+        report: &UserReport,
+        held: Option<&OrientationReport>,
+        age_s: f64,
+        into: &mut Observation,
+    ) {
+        if self.slots.assign(report.users.iter().map(|user| user.user)) {
+            std::mem::swap(&mut self.seen, &mut self.former);
+            self.seen.clear();
+            let former = |slot: &Option<usize>| slot.map_or(Seen::default(), |slot| self.former[slot]);
+            self.seen.extend(self.slots.former().iter().map(former));
         }
-        self.positions.clear();
-        self.velocities.clear();
-        self.direct_clear.clear();
-        self.min_rate_bps.clear();
-        self.forced.clear();
-        for (slot, id) in slots.ids().iter().enumerate() {
+        into.tick = report.tick;
+        into.resize(self.slots.ids().len());
+        into.ids.copy_from_slice(self.slots.ids());
+        self.forced.resize(into.users(), false);
+        self.orientations.clear();
+        for (slot, id) in into.ids.iter().enumerate() {
             let same_place = report.users.get(slot).filter(|user| user.user == *id);
             let Some(user) = same_place.or_else(|| report.users.iter().find(|user| user.user == *id)) else { continue };
-            let Predicted { position, velocity, estimate } = prediction.predict(user, age_s);
-            self.positions.push(position);
-            self.velocities.push(velocity);
-            self.direct_clear.push(estimate.map(|estimate| estimate.direct_clear));
-            match estimate {
-                Some(estimate) => headings[slot] = direction(&estimate),
-                None if velocity.norm() > WALKING_M_S => headings[slot] = velocity.normalize(),
+            let estimate = self.estimate(*id, age_s);
+            let (position, velocity) = match &estimate {
+                Some(estimate) => (estimate.position, estimate.velocity),
+                None => self.extrapolate(user, age_s),
+            };
+            let seen = &mut self.seen[slot];
+            match &estimate {
+                Some(estimate) => seen.heading = direction(estimate),
+                None if velocity.norm() > WALKING_M_S => seen.heading = velocity.normalize(),
                 None => {}
             }
-            self.min_rate_bps.push(f64::from(user.min_rate_bps));
-            self.forced.push(false);
+            seen.direct_clear = estimate.map(|estimate| estimate.direct_clear);
+            (into.positions[slot], into.velocities[slot]) = (position, velocity);
+            into.min_rate_bps[slot] = f64::from(user.min_rate_bps);
+            let motion = (&seen.heading, velocity.norm());
+            self.orientations.push(match &self.belief {
+                Some(belief) => belief.orientation(*id, self.lead.ahead_s(age_s), motion),
+                None => self.posture.of(held, *id, motion),
+            });
         }
+    }
+
+    /// The belief about a user of the last report, which has this age in s, within the room; absent
+    /// without a filter.
+    fn estimate(&self, user: u32, age_s: f64) -> Option<Estimate> {
+        let estimate = self.belief.as_ref()?.estimate(user, self.lead.ahead_s(age_s))?;
+        Some(Estimate { position: self.within_room(estimate.position), ..estimate })
+    }
+
+    /// Position in m and velocity in m/s by a report, which has this age in s, without a filter.
+    fn extrapolate(&self, user: &UserState, age_s: f64) -> (Vec3, Vec3) {
+        let position = Vec3::from_iterator(user.position_m.map(f64::from));
+        let [x, y] = user.velocity_m_s.map(f64::from);
+        let velocity = Vec3::new(x, y, 0.0);
+        if self.is_extrapolating {
+            (self.within_room(position + velocity * self.lead.ahead_s(age_s)), velocity)
+        } else {
+            (position, velocity)
+        }
+    }
+
+    fn within_room(&self, position: Vec3) -> Vec3 {
+        let [half_x, half_y] = self.half_room_m;
+        Vec3::new(position.x.clamp(-half_x, half_x), position.y.clamp(-half_y, half_y), position.z)
     }
 
     /// Applies what the filter believes about unreported obstacles and covered detectors: a direct
     /// path that is probably blocked counts as blocked, and a steering gain is multiplied by the
     /// probability that the path is clear.
     fn apply_belief(&mut self, model: &ChannelModel, into: &mut Observation) {
-        let Some(belief) = self.prediction.belief() else { return };
-        for (user, (position, clear)) in self.positions.iter().zip(&self.direct_clear).enumerate() {
-            if clear.is_some_and(|clear| clear < 0.5) {
+        let Some(belief) = &self.belief else { return };
+        for (user, (position, seen)) in into.positions.iter().zip(&self.seen).enumerate() {
+            if seen.direct_clear.is_some_and(|clear| clear < 0.5) {
                 into.scene.set_los_blocked(user, true);
             }
             if belief.unobstructed(position, &mut self.unobstructed) {
@@ -273,7 +309,7 @@ impl Observer {
         if unmeasured > 0 && unmeasured == self.los_gain.len() {
             return LosSource::Modelled;
         }
-        match self.prediction.belief() {
+        match &self.belief {
             None => into.scene.set_los_gain(&self.los_gain),
             Some(belief) if belief.knows_obstacles() => {
                 for (user, gain) in self.los_gain.iter().enumerate() {
@@ -285,18 +321,24 @@ impl Observer {
         LosSource::Measured { unmeasured }
     }
 
-    fn place_blockers(&mut self, inbox: &Inbox) {
-        self.place_obstacles(inbox);
+    fn place_blockers(&mut self, inbox: &Inbox, positions: &[Vec3]) {
+        place_obstacles(&mut self.blockers, inbox);
         let Some(body) = self.body else { return };
-        let facing = self.headings.iter().zip(&self.positions).filter(|(heading, _)| **heading != Vec3::zeros());
-        self.blockers.extend(facing.map(|(heading, position)| body.behind(position, heading)));
+        let facing = self.seen.iter().zip(positions).filter(|(seen, _)| seen.heading != Vec3::zeros());
+        self.blockers.extend(facing.map(|(seen, position)| body.behind(position, &seen.heading)));
     }
+}
 
-    fn place_obstacles(&mut self, inbox: &Inbox) {
-        self.blockers.clear();
-        let obstacles = inbox.obstacles().into_iter().flat_map(|report| &report.obstacles);
-        self.blockers.extend(obstacles.map(cylinder));
-    }
+/// Replaces the cylinders by those of the surveyed obstacles.
+fn place_obstacles(blockers: &mut Vec<Cylinder>, inbox: &Inbox) {
+    blockers.clear();
+    let obstacles = inbox.obstacles().into_iter().flat_map(|report| &report.obstacles);
+    blockers.extend(obstacles.map(cylinder));
+}
+
+/// Age in s of a report at `now`.
+fn age_s(report: &UserReport, now: Nanos) -> f64 {
+    now.saturating_sub(report.stamp.time_ns) as f64 * 1e-9
 }
 
 /// The cylinder of a surveyed obstacle.

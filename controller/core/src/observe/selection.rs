@@ -12,7 +12,6 @@ pub struct Selection {
     slots: Slots,
     /// Indices of the observation, the most urgent first.
     ranked: Vec<usize>,
-    chosen_ids: Vec<u32>,
     /// Index in the observation of each slot's user.
     chosen: Vec<usize>,
 }
@@ -25,7 +24,6 @@ impl Selection {
             users_max,
             slots: Slots::default(),
             ranked: Vec::with_capacity(capacity),
-            chosen_ids: Vec::with_capacity(capacity),
             chosen: Vec::with_capacity(capacity),
         }
     }
@@ -58,9 +56,7 @@ impl Selection {
             // New users take slots in the order of the observation, not of their urgency.
             self.ranked.sort_unstable();
         }
-        self.chosen_ids.clear();
-        self.chosen_ids.extend(self.ranked.iter().map(|index| ids[*index]));
-        self.slots.assign(&self.chosen_ids);
+        self.slots.assign(self.ranked.iter().map(|index| ids[*index]));
         self.chosen.clear();
         self.chosen.extend(self.slots.ids().iter().filter_map(|id| ids.iter().position(|other| other == id)));
         &self.chosen

@@ -44,13 +44,14 @@ impl Slots {
 
     /// Gives slots to these users, all different, and takes those of the others. Returns whether a
     /// slot changed; [`former`](Self::former) then has the moves.
-    pub fn assign(&mut self, present: &[u32]) -> bool {
-        if self.ids == present {
+    pub fn assign(&mut self, present: impl Iterator<Item = u32> + Clone) -> bool {
+        if present.clone().eq(self.ids.iter().copied()) {
             return false;
         }
-        let mut arrivals = present.iter().copied().filter(|id| !self.ids.contains(id));
+        let mut arrivals = present.clone().filter(|id| !self.ids.contains(id));
+        let is_present = |id: &u32| present.clone().any(|present| present == *id);
         self.next.clear();
-        self.next.extend(self.ids.iter().map(|id| if present.contains(id) { Some(*id) } else { arrivals.next() }));
+        self.next.extend(self.ids.iter().map(|id| if is_present(id) { Some(*id) } else { arrivals.next() }));
         self.next.extend(arrivals.map(Some));
         let mut empty = 0;
         while empty < self.next.len() {
@@ -97,7 +98,7 @@ mod tests {
     fn after(steps: &[&[u32]]) -> Vec<u32> {
         let mut slots = Slots::default();
         for present in steps {
-            slots.assign(present);
+            slots.assign(present.iter().copied());
         }
         slots.ids().to_vec()
     }
@@ -110,7 +111,7 @@ mod tests {
     #[test]
     fn another_order_changes_no_slot() {
         let mut slots = Slots::of(4);
-        assert!(!slots.assign(&[3, 1, 0, 2]));
+        assert!(!slots.assign([3, 1, 0, 2].into_iter()));
         assert_eq!(slots.ids(), [0, 1, 2, 3]);
     }
 
@@ -129,7 +130,7 @@ mod tests {
     #[test]
     fn the_former_slots_are_those_of_the_same_users() {
         let mut slots = Slots::of(5);
-        assert!(slots.assign(&[8, 1, 4]));
+        assert!(slots.assign([8, 1, 4].into_iter()));
         assert_eq!((slots.ids(), slots.former()), ([8, 1, 4].as_slice(), [None, Some(1), Some(4)].as_slice()));
         assert!(slots.follow(&[4, 2]));
         assert_eq!(slots.former(), [Some(2), None]);

@@ -32,18 +32,10 @@ pub(crate) struct Guard {
 /// The state of a guard, as a recording holds it: without tenure and fit.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(crate) struct GuardMemory {
-    stop: StopMemory,
+    /// Source, sequence number and arrival of a held stop. A replay repeats the recorded decisions, so
+    /// one stop is enough.
+    stop: Option<(u64, u64, Nanos)>,
     validity_max_ms: u32,
-}
-
-/// A held stop in the state of a guard. A replay repeats the recorded decisions, so one name is enough.
-#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
-struct StopMemory {
-    stopped: bool,
-    /// Source and sequence number.
-    name: (u64, u64),
-    /// When it arrived, twice: the layout has two times.
-    times_ns: (Nanos, Nanos),
 }
 
 impl Guard {
@@ -60,19 +52,14 @@ impl Guard {
 
     pub fn memory(&self) -> GuardMemory {
         let held = self.stops.stops().first();
-        let stop = held.map_or_else(StopMemory::default, |held| StopMemory {
-            stopped: true,
-            name: (held.name.source, held.name.sequence),
-            times_ns: (held.since_ns, held.since_ns),
-        });
+        let stop = held.map(|held| (held.name.source, held.name.sequence, held.since_ns));
         GuardMemory { stop, validity_max_ms: self.validity_max_ms }
     }
 
     pub fn restore(&mut self, memory: &GuardMemory) {
         self.validity_max_ms = memory.validity_max_ms;
         self.stops = StopHold::default();
-        let StopMemory { stopped, name: (source, sequence), times_ns: (since_ns, _) } = memory.stop;
-        if stopped {
+        if let Some((source, sequence, since_ns)) = memory.stop {
             let stamp = Stamp { source, sequence, time_ns: since_ns };
             self.stops.order(since_ns, &EmergencyStop { stamp, action: StopAction::Stop, ..EmergencyStop::default() });
         }

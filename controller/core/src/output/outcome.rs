@@ -5,40 +5,26 @@ use std::ops::Range;
 use heliostat_channel::MirrorArrays;
 use heliostat_proto::{InputKind, MirrorCommand, Nanos};
 
-use crate::output::{safety::Clipped, tenure::TenureEvent};
+use crate::{
+    named::named,
+    output::{safety::Clipped, tenure::TenureEvent},
+};
 
-/// A stage of a decision that has just ended; a caller may record its time.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stage {
-    /// The report's waiting time has ended.
-    Waited,
-    /// The payload is decoded.
-    Decoded,
-    /// The observation is complete.
-    Observed,
-    /// The policy, or its fallback, has proposed angles.
-    Inferred,
-    /// The proposal is within its limits, and the command is complete.
-    MadeSafe,
-    /// The command was handed to the transport.
-    Published,
-}
-
-impl Stage {
-    /// All stages in the order in which they pass.
-    pub const ALL: [Self; 6] =
-        [Self::Waited, Self::Decoded, Self::Observed, Self::Inferred, Self::MadeSafe, Self::Published];
-
-    /// The name in summaries.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Waited => "wait",
-            Self::Decoded => "decode",
-            Self::Observed => "observe",
-            Self::Inferred => "infer",
-            Self::MadeSafe => "safe",
-            Self::Published => "publish",
-        }
+named! {
+    /// A stage of a decision that has just ended; a caller may record its time.
+    pub enum Stage {
+        /// The report's waiting time has ended.
+        Waited = "wait",
+        /// The payload is decoded.
+        Decoded = "decode",
+        /// The observation is complete.
+        Observed = "observe",
+        /// The policy, or its fallback, has proposed angles.
+        Inferred = "infer",
+        /// The proposal is within its limits, and the command is complete.
+        MadeSafe = "safe",
+        /// The command was handed to the transport.
+        Published = "publish",
     }
 }
 
@@ -141,53 +127,26 @@ impl<'a> Decision<'a> {
     }
 }
 
-/// A condition outside normal operation. The table at the head of [`crate::core`] lists the
-/// actions.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum DegradedMode {
-    /// The predicted latency exceeded the deadline.
-    Late,
-    /// The position report was too old.
-    StaleReport,
-    /// The gains of the direct paths are modelled, not measured.
-    ChannelMissing,
-    /// No position report arrives.
-    Silence,
-    /// The policy failed and the fallback acted.
-    PolicyFailed,
-    /// Neither policy nor fallback gave angles.
-    Held,
-    /// An array is stopped, or does not fit the scenario; or one of several has left.
-    Withheld,
-    /// The array follows another controller.
-    Standby,
-}
-
-impl DegradedMode {
-    /// All modes, in the order of their counters.
-    pub const ALL: [Self; 8] = [
-        Self::Late,
-        Self::StaleReport,
-        Self::ChannelMissing,
-        Self::Silence,
-        Self::PolicyFailed,
-        Self::Held,
-        Self::Withheld,
-        Self::Standby,
-    ];
-
-    /// The name in counters.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Late => "late",
-            Self::StaleReport => "stale-report",
-            Self::ChannelMissing => "channel-missing",
-            Self::Silence => "silence",
-            Self::PolicyFailed => "policy-failed",
-            Self::Held => "held",
-            Self::Withheld => "withheld",
-            Self::Standby => "standby",
-        }
+named! {
+    /// A condition outside normal operation. The table at the head of [`crate::core`] lists the
+    /// actions.
+    pub enum DegradedMode {
+        /// The predicted latency exceeded the deadline.
+        Late = "late",
+        /// The position report was too old.
+        StaleReport = "stale-report",
+        /// The gains of the direct paths are modelled, not measured.
+        ChannelMissing = "channel-missing",
+        /// No position report arrives.
+        Silence = "silence",
+        /// The policy failed and the fallback acted.
+        PolicyFailed = "policy-failed",
+        /// Neither policy nor fallback gave angles.
+        Held = "held",
+        /// An array is stopped, or does not fit the scenario; or one of several has left.
+        Withheld = "withheld",
+        /// The array follows another controller.
+        Standby = "standby",
     }
 }
 

@@ -9,6 +9,7 @@ use std::ops::{AddAssign, Range, RangeInclusive};
 use heliostat_channel::mirrors::MirrorAngles;
 use heliostat_proto::AxisLimits;
 use heliostat_scenario::Control;
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 /// Limits of a command.
@@ -24,7 +25,7 @@ pub struct Limits {
 }
 
 /// How many axis values the limits changed.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Clipped {
     /// Values outside the range.
     pub range: u64,

@@ -47,7 +47,7 @@ impl Policy for Fixed {
     }
 
     fn act(&mut self, _: &ChannelModel, _: &Observation, out: &mut MirrorAngles) -> Result<(), PolicyError> {
-        copy(&self.angles, out);
+        out.copy_from(&self.angles);
         Ok(())
     }
 }
@@ -61,12 +61,7 @@ impl Policy for Hold {
     }
 
     fn act(&mut self, _: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) -> Result<(), PolicyError> {
-        copy(&observation.angles, out);
+        out.copy_from(&observation.angles);
         Ok(())
     }
-}
-
-fn copy(from: &MirrorAngles, to: &mut MirrorAngles) {
-    to.roll.copy_from_slice(&from.roll);
-    to.yaw.copy_from_slice(&from.yaw);
 }

@@ -135,8 +135,7 @@ impl Population {
                 rule.evaluated(index, &self.places[index], self.objectives[index]);
             }
         }
-        out.roll.copy_from_slice(&self.best.roll);
-        out.yaw.copy_from_slice(&self.best.yaw);
+        out.copy_from(&self.best);
     }
 
     fn draw(&mut self, observation: &Observation) {
@@ -145,10 +144,8 @@ impl Population {
         self.best_objective = f64::NEG_INFINITY;
         self.objectives.fill(f64::NEG_INFINITY);
         let (first, others) = self.places.split_at_mut(1);
-        first[0].roll.copy_from_slice(&observation.angles.roll);
-        first[0].yaw.copy_from_slice(&observation.angles.yaw);
-        self.best.roll.copy_from_slice(&observation.angles.roll);
-        self.best.yaw.copy_from_slice(&observation.angles.yaw);
+        first[0].copy_from(&observation.angles);
+        self.best.copy_from(&observation.angles);
         let range = -self.range_rad..=self.range_rad;
         for angle in others.iter_mut().flat_map(axes_mut) {
             *angle = self.generator.random_range(range.clone());
@@ -173,8 +170,7 @@ impl Population {
         self.objectives[index] = objective;
         if objective > self.best_objective {
             self.best_objective = objective;
-            self.best.roll.copy_from_slice(&place.roll);
-            self.best.yaw.copy_from_slice(&place.yaw);
+            self.best.copy_from(place);
         }
     }
 }

@@ -78,8 +78,7 @@ struct Memory {
 impl Memory {
     fn remember(&mut self, index: usize, place: &MirrorAngles, objective: f64) {
         self.objectives[index] = objective;
-        self.places[index].roll.copy_from_slice(&place.roll);
-        self.places[index].yaw.copy_from_slice(&place.yaw);
+        self.places[index].copy_from(place);
     }
 }
 

@@ -49,8 +49,7 @@ impl Tallies {
         let tally = &mut self.all[self.current];
         if is_own {
             tally.commands += 1;
-            tally.clipped.range += clipped.range;
-            tally.clipped.slew += clipped.slew;
+            tally.clipped += clipped;
         } else {
             tally.fallbacks += 1;
         }

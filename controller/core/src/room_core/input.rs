@@ -1,6 +1,6 @@
 //! What a room's core receives and publishes, and the keys of both.
 
-use heliostat_proto::{Capabilities, NodeKind, Room};
+use heliostat_proto::{Capabilities, Message, NodeKind, Room, encode};
 
 use super::Examination;
 use crate::{input::refusal::Stream, output::capabilities::Unfit, policy::Policy};
@@ -162,6 +162,14 @@ pub trait Publish {
     /// Whether a process subscribes to an output.
     fn has_subscribers(&mut self, _output: Output) -> bool {
         true
+    }
+}
+
+/// Publishes a message. One that does not encode is lost like one on the network. Does not allocate in
+/// a payload with memory for it.
+pub(super) fn publish<M: Message>(output: Output, message: &M, payload: &mut Vec<u8>, out: &mut dyn Publish) {
+    if encode(message, payload).is_ok() {
+        out.publish(output, payload);
     }
 }
 

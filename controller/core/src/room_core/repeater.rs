@@ -6,12 +6,12 @@
 //! noted by [`note_order`](Repeater::note_order) until the core handles it.
 
 use heliostat_proto::{
-    Message, Nanos, RoomGeometry, Stamp, StopName, decode, encode,
+    Nanos, RoomGeometry, Stamp, StopName, decode,
     stop_hold::{HeldStop, STOP_REPEAT_NS, StopHold},
 };
 use heliostat_scenario::Scenario;
 
-use super::input::{Output, Publish};
+use super::input::{Output, Publish, publish};
 
 /// Time between two announcements of the geometry.
 const GEOMETRY_INTERVAL_NS: Nanos = 1_000_000_000;
@@ -100,12 +100,5 @@ impl Repeater {
                 publish(Output::StopRepetition(array), &stop.repetition(stamp), payload, out);
             }
         }
-    }
-}
-
-/// A message that does not encode is lost like one on the network.
-fn publish<T: Message>(output: Output, message: &T, payload: &mut Vec<u8>, out: &mut dyn Publish) {
-    if encode(message, payload).is_ok() {
-        out.publish(output, payload);
     }
 }

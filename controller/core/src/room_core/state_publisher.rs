@@ -1,9 +1,9 @@
 //! Publishes the belief about the users and the state of the controller, after a command was
 //! published and never before it.
 
-use heliostat_proto::{BeliefReport, ControllerMemory, Message, Nanos, Stamp, encode};
+use heliostat_proto::{BeliefReport, ControllerMemory, Message, Nanos, Stamp};
 
-use super::input::{Output, Publish};
+use super::input::{Output, Publish, publish};
 use crate::core::{Controller, memory::Memory};
 
 /// Shortest time between two belief reports, of position reports: 20 Hz is the rate at which viewers
@@ -88,10 +88,7 @@ impl<T: Message> Stream<T> {
         is_due
     }
 
-    /// A message that does not encode is lost like one on the network.
     fn publish(&mut self, out: &mut dyn Publish) {
-        if encode(&self.message, &mut self.payload).is_ok() {
-            out.publish(self.output, &self.payload);
-        }
+        publish(self.output, &self.message, &mut self.payload, out);
     }
 }

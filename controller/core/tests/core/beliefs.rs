@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 
 use heliostat_channel::{MirrorAngles, Vec3, blockage::Cylinder, decode::aim_at_point};
-use heliostat_core::belief::{Belief, memory::LaterMemories};
+use heliostat_core::belief::Belief;
 use heliostat_core::inbox::Message;
 use heliostat_core::policy::PolicyKind;
 use heliostat_proto::{
@@ -180,8 +180,7 @@ fn a_restored_belief_knows_the_mirrors_of_a_late_measurement() {
     let (scenario, mut first) = commanded([3, 3]);
     let model = scenario.channel_model().unwrap();
     let mut second = Belief::new(&scenario, &model, 64);
-    let (tilt, devices, absent) = (&first.tilt_memory(), &first.device_memory(), first.absent_memory());
-    assert!(second.restore(&first.memory(), LaterMemories { tilt, devices, absent }));
+    assert!(second.restore(&first.memory()));
     // Later commands displace those before the measurement.
     let mut unknown = first.clone();
     for command in 0..200 {

@@ -1,6 +1,7 @@
 //! The state of a controller restores another one, which then gives the same commands.
 
 use heliostat_core::{
+    capabilities::Unfit,
     core::{
         Controller,
         memory::{Memory, MemoryError},
@@ -8,7 +9,9 @@ use heliostat_core::{
     inbox::Message,
     policy::PolicyKind,
 };
-use heliostat_proto::{ControllerInput, InputKind, MirrorCommand, MirrorTelemetry, Obstacle, Stamp};
+use heliostat_proto::{
+    Capabilities, ControllerInput, InputKind, MirrorCommand, MirrorTelemetry, Obstacle, Stamp, ValidityClock,
+};
 use heliostat_scenario::Scenario;
 
 use crate::support::{Outcome, Room, build, controller, receive, scenario};
@@ -130,6 +133,22 @@ fn a_restored_controller_acts_the_same_in_silence() {
 }
 
 #[test]
+fn a_restored_controller_knows_that_a_driver_has_no_clock() {
+    let scenario = room_scenario("none");
+    let (_, mut first) = running(&scenario, PolicyKind::Nearest, 5);
+    let stamp = Stamp { source: 9, ..Stamp::default() };
+    let capabilities = Capabilities { stamp, validity_clock: ValidityClock::Arrival, ..Capabilities::default() };
+    assert!(first.handle_capabilities(0, &capabilities, Err(Unfit::PaperAngles)));
+    let mut second = controller(&scenario, build(PolicyKind::Nearest, &scenario).unwrap());
+    second.restore(&Memory::from_bytes(&first.memory().to_bytes().unwrap()).unwrap()).unwrap();
+    let (stamp, flat) = (Stamp { source: 9, sequence: 2, time_ns: 1 }, vec![0.0; 9]);
+    let mut telemetry =
+        MirrorTelemetry { stamp, roll_commanded: flat.clone(), yaw_commanded: flat, ..MirrorTelemetry::default() };
+    receive(&mut second, Room::time(6), Message::Telemetry(0, &mut telemetry));
+    assert_eq!(second.inbox().telemetry(0).map(|telemetry| telemetry.stamp), Some(stamp));
+}
+
+#[test]
 fn a_state_of_another_scenario_or_layout_is_refused() {
     let filter = room_scenario("filter");
     let (_, first) = running(&filter, PolicyKind::Nearest, 5);
@@ -141,52 +160,11 @@ fn a_state_of_another_scenario_or_layout_is_refused() {
     assert_eq!(restore(&room_scenario("none")), part("belief"));
     assert_eq!(restore(&scenario(&["mirrors.rows=2"])), part("number of mirrors"));
     assert_eq!(restore(&scenario(&["control.range_deg=5"])), part("range of the mirrors"));
-    let mut bytes = memory.to_bytes().unwrap();
-    bytes[0] = 99;
-    assert!(matches!(Memory::from_bytes(&bytes), Err(MemoryError::Layout { found: 99 })));
-}
-
-#[test]
-fn states_of_earlier_layouts_are_restored() {
-    let scenario = room_scenario("none");
-    let mut first = controller(&scenario, build(PolicyKind::Nearest, &scenario).unwrap());
-    let mut room = Room::new(&scenario);
-    let plain = |controller: &mut Controller, number: u64| {
-        receive(controller, Room::time(number), Message::Users(&mut room_report(number, number)))
-    };
-    (1..=5).for_each(|number| drop(plain(&mut first, number)));
-    let latest = first.memory().to_bytes().unwrap();
-    // Behind the sixth layout: no LED report, no sequence number of one. Behind the fifth one: no
-    // absent user. Behind the fourth one: no position. Behind the third one: no device. Behind the second one: no array, no evidence of tilted receivers, and the
-    // readings in 50 bytes: no user, six sums and no time. Before them, one byte each: no
-    // orientation report, no sequence number of one.
-    assert_eq!(latest[latest.len() - 59..], [0; 59]);
-    let of_layout = |layout: u8, missing: usize| {
-        let mut bytes = latest[..latest.len() - missing].to_vec();
-        bytes[0] = layout;
-        Memory::from_bytes(&bytes).unwrap()
-    };
-    // What removed policies kept of a user is left out: 161 bytes of readings, 331 of positions.
-    let of_user = |values: usize| [&[1, 7][..], &vec![0; values]].concat();
-    let common = latest[..latest.len() - 55].to_vec();
-    let former = [common, of_user(161), vec![0; 50], of_user(331), vec![0; 3]].concat();
-    let mut restored = controller(&scenario, build(PolicyKind::Nearest, &scenario).unwrap());
-    restored.restore(&Memory::from_bytes(&former).unwrap()).unwrap();
-    assert_eq!(restored.memory().to_bytes().unwrap(), latest);
-    let memory = of_layout(1, 59);
-    assert_eq!(memory.to_bytes().unwrap(), latest);
-    assert_eq!(of_layout(2, 57).to_bytes().unwrap(), latest);
-    assert_eq!(of_layout(3, 5).to_bytes().unwrap(), latest);
-    assert_eq!(of_layout(4, 4).to_bytes().unwrap(), latest);
-    assert_eq!(of_layout(5, 3).to_bytes().unwrap(), latest);
-    assert_eq!(of_layout(6, 2).to_bytes().unwrap(), latest);
-    let mut second = controller(&scenario, build(PolicyKind::Nearest, &scenario).unwrap());
-    second.restore(&memory).unwrap();
-    assert_eq!(plain(&mut second, 6).unnumbered(), plain(&mut first, 6).unnumbered());
-    let mut held = room.orientations_of(7, 0.3, &[0]);
-    held.stamp.sequence = 1;
-    receive(&mut second, Room::time(7), Message::Orientation(&mut held));
-    assert!(second.inbox().orientation(Room::time(7)).is_some());
+    let bytes = memory.to_bytes().unwrap();
+    for found in [7, 99] {
+        let of_layout = [&[found][..], &bytes[1..]].concat();
+        assert_eq!(Memory::from_bytes(&of_layout).unwrap_err(), MemoryError::Layout { found: u32::from(found) });
+    }
 }
 
 #[test]

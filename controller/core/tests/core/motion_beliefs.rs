@@ -1,7 +1,7 @@
 //! The belief about the motion of users, from position reports.
 
 use heliostat_channel::Vec3;
-use heliostat_core::belief::{Belief, innovations::Innovations, memory::LaterMemories};
+use heliostat_core::belief::{Belief, innovations::Innovations};
 use heliostat_proto::{Stamp, UserReport, UserState};
 use heliostat_scenario::Scenario;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -82,8 +82,7 @@ fn a_restored_belief_remembers_who_is_absent() {
     let walk = |tick: u64| report(tick, &[(7, [0.1 * tick as f32, 0.0, 0.9], [1.0, 0.0])]);
     (1..=10).for_each(|tick| first.handle_users(&walk(tick)));
     first.handle_users(&report(11, &[(3, [0.0; 3], [0.0; 2])]));
-    let (tilt, devices, absent) = (&first.tilt_memory(), &first.device_memory(), first.absent_memory());
-    assert!(second.restore(&first.memory(), LaterMemories { tilt, devices, absent }));
+    assert!(second.restore(&first.memory()));
     assert_eq!(second.estimate(7, 0.0), None);
     [&mut first, &mut second].into_iter().for_each(|belief| belief.handle_users(&walk(12)));
     assert_eq!(second.estimate(7, 0.5), first.estimate(7, 0.5));

@@ -32,7 +32,7 @@ fn the_layout_is_version_three() {
     let model = model(&scenario);
     let mut observation = Observation::new(&model, 3);
     observation.set_state(&model, &STATE);
-    observation.set_angles(&MirrorAngles { roll: (0..9).map(f64::from).collect(), yaw: vec![-0.5; 9] });
+    observation.angles.copy_from(&MirrorAngles { roll: (0..9).map(f64::from).collect(), yaw: vec![-0.5; 9] });
 
     let encoder = ObservationEncoder::new(4, 9);
     assert_eq!(encoder.len(), 122);

@@ -1,10 +1,7 @@
 //! Receivers that users tilt towards their faces: what measured direct gains show.
 
 use heliostat_channel::{ChannelModel, Orientation, Scene, Vec3};
-use heliostat_core::belief::{
-    Belief,
-    memory::{DeviceMemory, LaterMemories, TiltMemory},
-};
+use heliostat_core::belief::Belief;
 use heliostat_proto::{ChannelReport, OrientationReport, Stamp, UserChannel, UserOrientation, UserReport, UserState};
 use heliostat_scenario::Scenario;
 
@@ -110,18 +107,12 @@ fn a_restored_belief_has_the_evidence_of_tilted_receivers() {
     let gains = direct_gains(&model, &SEATS, &SEATS.each_ref().map(|seat| tilted(towards_led(seat))));
     let mut first = Belief::new(&scenario, &model, 64);
     report(&mut first, &model, &gains, 1);
-    let [mut second, mut without] = [(); 2].map(|()| Belief::new(&scenario, &model, 64));
-    let (devices, absent) = (&DeviceMemory::default(), first.absent_memory());
-    let restore = |belief: &mut Belief, tilt: &TiltMemory| {
-        belief.restore(&first.memory(), LaterMemories { tilt, devices, absent })
-    };
-    assert!(restore(&mut second, &first.tilt_memory()));
-    assert!(restore(&mut without, &TiltMemory::default()));
-    for belief in [&mut first, &mut second, &mut without] {
+    let mut second = Belief::new(&scenario, &model, 64);
+    assert!(second.restore(&first.memory()));
+    for belief in [&mut first, &mut second] {
         (2..=3).for_each(|tick| report(belief, &model, &gains, tick));
     }
     assert_eq!(headings(&second), headings(&first));
-    assert_ne!(headings(&without), headings(&first));
 }
 
 /// Reports how the users hold their receivers, `late_ms` after the positions of a tick.
@@ -185,11 +176,9 @@ fn a_restored_belief_has_what_reports_have_shown_of_devices() {
     let first = with_reports(|_| tilted(Vec3::x()));
     let scenario = hall(&[]);
     let model = scenario.channel_model().unwrap();
-    let [mut second, mut without] = [(); 2].map(|()| Belief::new(&scenario, &model, 64));
-    let (tilt, absent) = (&first.tilt_memory(), first.absent_memory());
-    assert!(second.restore(&first.memory(), LaterMemories { tilt, devices: &first.device_memory(), absent }));
-    assert!(without.restore(&first.memory(), LaterMemories { tilt, devices: &DeviceMemory::default(), absent }));
+    let mut second = Belief::new(&scenario, &model, 64);
     let held = |belief: &Belief| belief.orientation(0, 1.0, (&Vec3::x(), 0.0));
+    assert_ne!(held(&second), held(&first));
+    assert!(second.restore(&first.memory()));
     assert_eq!(held(&second), held(&first));
-    assert_ne!(held(&without), held(&first));
 }

@@ -10,6 +10,7 @@ use heliostat_core::{
     core::{Controller, DegradedMode, Stage},
     policy::Tally,
     refusal::Stream,
+    safety::Clipped,
     tenure::TenureEvent,
 };
 use heliostat_proto::{
@@ -87,7 +88,7 @@ pub struct Summary {
     #[serde(default)]
     pub missed: BTreeMap<String, u64>,
     /// Axis values that the limits changed.
-    pub clipped: ClippedSummary,
+    pub clipped: Clipped,
     /// From the last telemetry of the arrays; absent before the first.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub array: Option<ArraySummary>,
@@ -129,7 +130,7 @@ pub struct PolicySummary {
     /// Commands while it was in charge with angles of the fallback or of a degraded action.
     pub fallbacks: u64,
     /// Axis values of its own that the limits changed.
-    pub clipped: ClippedSummary,
+    pub clipped: Clipped,
     /// From the entry of the callback to the end of the publication, while it was in charge.
     pub decision_us: Quantiles,
 }
@@ -137,7 +138,6 @@ pub struct PolicySummary {
 impl PolicySummary {
     fn of(tally: &Tally) -> Self {
         let Tally { decisions, commands, fallbacks, clipped, .. } = *tally;
-        let clipped = ClippedSummary { range: clipped.range, slew: clipped.slew };
         Self { decisions, commands, fallbacks, clipped, decision_us: Quantiles::default() }
     }
 
@@ -146,8 +146,7 @@ impl PolicySummary {
         self.decisions += other.decisions;
         self.commands += other.commands;
         self.fallbacks += other.fallbacks;
-        self.clipped.range += other.clipped.range;
-        self.clipped.slew += other.clipped.slew;
+        self.clipped += other.clipped;
     }
 }
 
@@ -241,15 +240,6 @@ impl BeliefSummary {
     }
 }
 
-/// Axis values that the limits changed.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct ClippedSummary {
-    /// Values outside the range.
-    pub range: u64,
-    /// Values beyond the slew limit.
-    pub slew: u64,
-}
-
 impl Summary {
     /// The counters of the core; [`Summary::add_times`] adds the times.
     pub fn of(controller: &Controller) -> Self {
@@ -286,7 +276,7 @@ impl Summary {
             peers: controller.tenure(0).peers() as u64,
             unfit: controller.unfit().map(describe_unfit),
             missed: Stream::ALL.map(|stream| (stream.name().into(), controller.inbox().missed(stream))).into(),
-            clipped: ClippedSummary { range: counters.clipped.range, slew: counters.clipped.slew },
+            clipped: counters.clipped,
             array: ArraySummary::of(arrays.clone().filter_map(|array| controller.inbox().telemetry(array))),
             arrays: arrays
                 .filter(|_| controller.arrays() > 1)
@@ -329,8 +319,6 @@ impl Summary {
             (&mut self.dropped, other.dropped),
             (&mut self.unanswered, other.unanswered),
             (&mut self.sources, other.sources),
-            (&mut self.clipped.range, other.clipped.range),
-            (&mut self.clipped.slew, other.clipped.slew),
         ] {
             *here += there;
         }
@@ -344,6 +332,7 @@ impl Summary {
         ] {
             there.iter().for_each(|(name, count)| *here.entry(name.clone()).or_default() += count);
         }
+        self.clipped += other.clipped;
         for (name, policy) in &other.policies {
             self.policies.entry(name.clone()).or_default().add(policy);
         }

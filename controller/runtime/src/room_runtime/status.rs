@@ -30,6 +30,7 @@ pub struct Identity {
 }
 
 /// Composes reports, and keeps the counters of the last one.
+#[derive(Default)]
 pub struct Reporter {
     identity: Identity,
     sequence: u64,
@@ -111,29 +112,7 @@ pub struct Snapshot {
 impl Reporter {
     /// A reporter before its first report.
     pub fn new(identity: Identity) -> Self {
-        Self {
-            identity,
-            sequence: 0,
-            decisions: 0,
-            commands: 0,
-            refused: 0,
-            refused_positions: 0,
-            has_refused_positions: false,
-            left_out: 0,
-            failed: 0,
-            unsent: 0,
-            orders_refused: 0,
-            policy_warnings: 0,
-            foreign_arrays: 0,
-            undecodable: 0,
-            epoch_events: [0; TenureEvent::ALL.len()],
-            unfit: None,
-            occurrences: 0,
-            conditions: Conditions::default(),
-            off_light: Vec::new(),
-            stops: String::new(),
-            newest: (Subject::Other, String::new()),
-        }
+        Self { identity, ..Self::default() }
     }
 
     /// Copies the counters; the decision loop is locked meanwhile.

@@ -57,7 +57,7 @@ impl BeliefLog {
         let reported_ns = controller.inbox().users().map_or(now_ns, |report| report.stamp.time_ns);
         let ahead_s = now_ns.saturating_sub(reported_ns) as f64 * 1e-9 + lead_s;
         let users = observation.ids.iter().zip(&observation.positions).enumerate().map(|(slot, (user, position))| {
-            let heading = observer.headings().get(slot).copied().unwrap_or_default();
+            let heading = observer.heading(slot);
             let estimate = observer.belief().and_then(|belief| belief.estimate(*user, ahead_s));
             Believed { user: *user, position: *position, heading, estimate }
         });

@@ -125,7 +125,7 @@ impl Ceiling {
         }
         self.policy.act(model, &self.observation, &mut self.proposed)?;
         self.limits.bound(&self.observation.angles, f64::INFINITY, &mut self.proposed);
-        self.observation.set_angles(&self.proposed);
+        self.observation.angles.copy_from(&self.proposed);
         self.command.sequence += 1;
         self.command.time_ns = now_ns;
         let narrow = |from: &[f64], to: &mut [f32]| to.iter_mut().zip(from).for_each(|(to, from)| *to = *from as f32);

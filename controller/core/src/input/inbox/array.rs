@@ -1,6 +1,7 @@
 //! The telemetry of one array, and who publishes it.
 
 use heliostat_proto::MirrorTelemetry;
+use serde::{Deserialize, Serialize};
 
 use super::slot::{Owner, Slot};
 use crate::input::{
@@ -9,7 +10,7 @@ use crate::input::{
 };
 
 /// The latest telemetry of one array.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct ArrayInbox {
     /// Index of its first mirror among those of the room.
     pub first: usize,
@@ -34,6 +35,12 @@ impl ArrayInbox {
     pub fn check(&self, telemetry: &MirrorTelemetry) -> Result<(), Refusal> {
         let TelemetrySizes { roll, yaw, expected } = self.sizes(telemetry);
         if [roll, yaw] == [expected; 2] { Ok(()) } else { Err(Refusal::WrongMirrorCount) }
+    }
+
+    /// Whether a recorded state is one of this array.
+    pub fn admits(&self, state: &Self) -> bool {
+        (state.first, state.mirrors) == (self.first, self.mirrors)
+            && state.telemetry.get().is_none_or(|telemetry| self.check(telemetry).is_ok())
     }
 
     /// The sizes of telemetry beside that of the array.

@@ -1,7 +1,7 @@
 //! Who publishes, and the latest report of a stream.
 
-use heliostat_proto::Nanos;
-use serde::{Deserialize, Serialize};
+use heliostat_proto::{Message, Nanos, decode, encode};
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de, ser};
 
 /// The source whose reports are accepted, and the arrival of its last accepted report.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
@@ -29,5 +29,24 @@ impl<T> Slot<T> {
 
     pub fn forget(&mut self) {
         self.filled = false;
+    }
+}
+
+/// A report as it is on the wire; nothing for none.
+impl<T: Message> Serialize for Slot<T> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut payload = Vec::new();
+        self.get().map_or(Ok(()), |report| encode(report, &mut payload)).map_err(ser::Error::custom)?;
+        payload.serialize(serializer)
+    }
+}
+
+impl<'de, T: Message> Deserialize<'de> for Slot<T> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let payload = Vec::<u8>::deserialize(deserializer)?;
+        if payload.is_empty() {
+            return Ok(Self { report: T::default(), filled: false });
+        }
+        Ok(Self { report: decode(&payload).map_err(de::Error::custom)?, filled: true })
     }
 }

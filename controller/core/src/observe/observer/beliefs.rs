@@ -21,14 +21,14 @@ impl Observer {
         (observation, now): (&Observation, Nanos),
         report: &mut BeliefReport,
     ) -> bool {
-        let (Some(users), Some(belief)) = (inbox.users(), self.prediction.belief()) else { return false };
-        let age_s = now.saturating_sub(users.stamp.time_ns) as f64 * 1e-9;
-        let Some(ahead_s) = self.prediction.ahead_s(age_s) else { return false };
+        let (Some(users), Some(belief)) = (inbox.users(), &self.belief) else { return false };
+        let age_s = super::age_s(users, now);
+        let ahead_s = self.lead.ahead_s(age_s);
         report.tick = users.tick;
         report.holds_ns = users.stamp.time_ns.saturating_add((ahead_s.max(0.0) * 1e9).round() as Nanos);
         report.users.clear();
         for user in &observation.ids {
-            let Some(estimate) = self.prediction.estimate(*user, age_s) else { continue };
+            let Some(estimate) = self.estimate(*user, age_s) else { continue };
             let heading = estimate.heading;
             report.users.push(UserBelief {
                 user: *user,

@@ -1,20 +1,17 @@
 //! The state of an observer, as a recording holds it.
 
-use heliostat_channel::Vec3;
 use heliostat_proto::MAX_USERS;
 use serde::{Deserialize, Serialize};
 
-use super::Observer;
-use crate::belief::{
-    Belief,
-    memory::{AbsentMemory, DeviceMemory, LaterMemories, TiltMemory},
-};
-use crate::observe::prediction::PredictionMemory;
+use super::{Observer, Seen};
+use crate::belief::{Belief, memory::BeliefMemory};
+use crate::observe::lead::Lead;
 
 /// Everything that an observer keeps from one report to the next.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct ObserverMemory {
-    prediction: PredictionMemory,
+    lead: Lead,
+    belief: Option<BeliefMemory>,
     /// The users in the order of their slots.
     slots: Vec<u32>,
     /// Slot by slot.
@@ -25,38 +22,31 @@ impl Observer {
     /// The present state.
     pub fn memory(&self) -> ObserverMemory {
         ObserverMemory {
-            prediction: self.prediction.memory(),
+            lead: self.lead,
+            belief: self.belief.as_ref().map(Belief::memory),
             slots: self.slots.ids().to_vec(),
-            headings: self.headings.iter().map(|heading| (*heading).into()).collect(),
+            headings: self.seen.iter().map(|seen| seen.heading.into()).collect(),
         }
-    }
-
-    /// Whether users tilt their receivers.
-    pub fn tilt_memory(&self) -> TiltMemory {
-        self.prediction.belief().map_or_else(TiltMemory::default, Belief::tilt_memory)
-    }
-
-    /// What orientation reports have shown of devices.
-    pub fn device_memory(&self) -> DeviceMemory {
-        self.prediction.belief().map_or_else(DeviceMemory::default, Belief::device_memory)
-    }
-
-    /// Which users are absent from the last report.
-    pub fn absent_memory(&self) -> AbsentMemory {
-        self.prediction.belief().map_or_else(AbsentMemory::default, Belief::absent_memory)
     }
 
     /// Replaces the state; false where it is not one of this scenario.
-    pub fn restore(&mut self, memory: &ObserverMemory, later: LaterMemories<'_>) -> bool {
-        let ObserverMemory { prediction, slots, headings } = memory;
+    pub fn restore(&mut self, memory: &ObserverMemory) -> bool {
+        let ObserverMemory { lead, belief, slots, headings } = memory;
         let is_heading = |heading: &[f64; 3]| heading.iter().all(|part| part.abs() <= 1.0 + 1e-9);
         let is_sound = slots.len() <= MAX_USERS && headings.len() == slots.len() && headings.iter().all(is_heading);
-        if !is_sound || !self.prediction.restore(prediction, later) {
+        if !is_sound || !lead.is_sound() {
             return false;
         }
+        self.lead = *lead;
+        self.set_settling(lead.settling_s);
+        let fits = match (&mut self.belief, belief) {
+            (Some(belief), Some(memory)) => belief.restore(memory),
+            (None, None) => true,
+            _ => false,
+        };
         self.slots.follow(slots);
-        self.headings.clear();
-        self.headings.extend(headings.iter().map(|heading| Vec3::from(*heading)));
-        true
+        self.seen.clear();
+        self.seen.extend(headings.iter().map(|heading| Seen { heading: (*heading).into(), ..Seen::default() }));
+        fits
     }
 }

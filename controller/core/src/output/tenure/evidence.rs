@@ -2,57 +2,32 @@
 
 use heliostat_proto::{ArrayState, MirrorTelemetry, Nanos};
 
+use crate::named::named;
+
 /// Longest time in ns from the token of a controller to its lead, for a lead that it takes on purpose.
 const GUEST_NS: Nanos = 1_000_000_000;
 
-/// A change of the standing or of the epoch, or a reason that commands are refused.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum TenureEvent {
-    /// Telemetry shows a higher epoch: standby begins.
-    Superseded,
-    /// Standby ends, with the same epoch: telemetry shows no higher one, or is absent. With a new epoch: a
-    /// guest has given the lead back.
-    Resumed,
-    /// A new epoch: the controller has just started, or it ends a standby in which the array
-    /// accepted no command or the leader left.
-    TookOver,
-    /// The array refused every command: a new epoch.
-    LockedOut,
-    /// The array applied a command of the own epoch that this controller never sent: a new epoch.
-    ForeignSequence,
-    /// The array refused every command as expired: the clocks differ. The epoch stays.
-    ClocksDiffer,
-    /// The array follows another controller at the first report: standby begins.
-    StoodBy,
-    /// The former leader still commands after a takeover.
-    Contested,
-}
-
-impl TenureEvent {
-    /// All events, in the order of their counters.
-    pub const ALL: [Self; 8] = [
-        Self::Superseded,
-        Self::Resumed,
-        Self::TookOver,
-        Self::LockedOut,
-        Self::ForeignSequence,
-        Self::ClocksDiffer,
-        Self::StoodBy,
-        Self::Contested,
-    ];
-
-    /// The name in counters.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Superseded => "superseded",
-            Self::Resumed => "resumed",
-            Self::TookOver => "took-over",
-            Self::LockedOut => "locked-out",
-            Self::ForeignSequence => "foreign-sequence",
-            Self::ClocksDiffer => "clocks-differ",
-            Self::StoodBy => "stood-by",
-            Self::Contested => "contested",
-        }
+named! {
+    /// A change of the standing or of the epoch, or a reason that commands are refused.
+    pub enum TenureEvent {
+        /// Telemetry shows a higher epoch: standby begins.
+        Superseded = "superseded",
+        /// Standby ends, with the same epoch: telemetry shows no higher one, or is absent. With a
+        /// new epoch: a guest has given the lead back.
+        Resumed = "resumed",
+        /// A new epoch: the controller has just started, or it ends a standby in which the array
+        /// accepted no command or the leader left.
+        TookOver = "took-over",
+        /// The array refused every command: a new epoch.
+        LockedOut = "locked-out",
+        /// The array applied a command of the own epoch that this controller never sent: a new epoch.
+        ForeignSequence = "foreign-sequence",
+        /// The array refused every command as expired: the clocks differ. The epoch stays.
+        ClocksDiffer = "clocks-differ",
+        /// The array follows another controller at the first report: standby begins.
+        StoodBy = "stood-by",
+        /// The former leader still commands after a takeover.
+        Contested = "contested",
     }
 }
 

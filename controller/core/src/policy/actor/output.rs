@@ -64,9 +64,7 @@ impl Output {
             Self::Codebook(codewords) => {
                 check_output(values, codewords.len())?;
                 let larger = |best: usize, next: usize| if values[next] > values[best] { next } else { best };
-                let MirrorAngles { roll, yaw } = &codewords[(1..values.len()).fold(0, larger)];
-                out.roll.copy_from_slice(roll);
-                out.yaw.copy_from_slice(yaw);
+                out.copy_from(&codewords[(1..values.len()).fold(0, larger)]);
                 Ok(())
             }
         }

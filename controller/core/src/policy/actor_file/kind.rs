@@ -4,42 +4,30 @@ use heliostat_proto::MAX_USERS;
 
 use super::{ANGLES, key};
 use crate::{
+    named::named,
     observe::observation::{ObservationEncoder, Summary, USERS_CAPACITY},
     policy::weights::Head,
 };
 
-/// What a network reads.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ObservationKind {
-    /// The observation vector: \[1, n\].
-    Flat,
-    /// The columns of [`Summary`] of each user, unscaled: \[rows, 11\].
-    Users,
-    /// The state of [`AngleState`](crate::angle_state::AngleState): \[1, 60\], or \[1, 60 + 2 M\]
-    /// with the current angles.
-    Paper,
-    /// The state of [`CodewordState`](crate::codeword_state::CodewordState), and the coordinates of
-    /// each of C codewords: \[C, 64\].
-    Codewords,
-    /// The cell of the target user, one-hot: \[1, cells\].
-    Cell,
+named! {
+    /// What a network reads.
+    pub enum ObservationKind {
+        /// The observation vector: \[1, n\]. Files without the entry have this one.
+        Flat = "flat",
+        /// The columns of [`Summary`] of each user, unscaled: \[rows, 11\].
+        Users = "users",
+        /// The state of [`AngleState`](crate::angle_state::AngleState): \[1, 60\], or \[1, 60 + 2 M\]
+        /// with the current angles.
+        Paper = "paper",
+        /// The state of [`CodewordState`](crate::codeword_state::CodewordState), and the coordinates of
+        /// each of C codewords: \[C, 64\].
+        Codewords = "codewords",
+        /// The cell of the target user, one-hot: \[1, cells\].
+        Cell = "cell",
+    }
 }
 
 impl ObservationKind {
-    /// All kinds.
-    pub const ALL: [Self; 5] = [Self::Flat, Self::Users, Self::Paper, Self::Codewords, Self::Cell];
-
-    /// The name in the metadata; files without the entry are [`Self::Flat`].
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Flat => "flat",
-            Self::Users => "users",
-            Self::Paper => "paper",
-            Self::Codewords => "codewords",
-            Self::Cell => "cell",
-        }
-    }
-
     /// Whether the file serves any array and room of its mode.
     pub fn fits_any_array(self) -> bool {
         self == Self::Users

@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 use std::io;
 
 use anyhow::{Context, Result};
-use heliostat_controller::report::summary::{ClippedSummary, PolicySummary};
+use heliostat_controller::report::summary::PolicySummary;
+use heliostat_core::safety::Clipped;
 use heliostat_proto::Quantiles;
 use heliostat_service::printable::printable;
 use serde::{Deserialize, Serialize};
@@ -53,7 +54,7 @@ struct ControllerPart {
     /// The policy in charge at the end.
     policy: String,
     policies: BTreeMap<String, PolicySummary>,
-    clipped: ClippedSummary,
+    clipped: Clipped,
     decisions: u64,
     over_budget: u64,
     over_budget_by: BTreeMap<String, u64>,
@@ -220,7 +221,7 @@ impl Summary {
                 list(&controller.over_budget_by)
             )?;
             controller.print_policies()?;
-            let ClippedSummary { range, slew } = controller.clipped;
+            let Clipped { range, slew } = controller.clipped;
             outln!("angles limited: {range} by range, {slew} by slew")?;
         }
         // One mean covers the complete run, so it is credited to one policy only if no other acted.
@@ -278,7 +279,7 @@ mod tests {
     fn controller(policies: &Value) -> ControllerPart {
         let none = BTreeMap::<String, u64>::new();
         let part = serde_json::json!({
-            "policy": "nearest", "policies": policies, "clipped": ClippedSummary::default(), "decisions": 9,
+            "policy": "nearest", "policies": policies, "clipped": Clipped::default(), "decisions": 9,
             "over_budget": 0, "over_budget_by": none, "decision_us": Quantiles::default(), "stages_us": {},
             "age_us": Quantiles::default(), "fallbacks": none, "withheld": none, "refused": none, "last_problem": "",
             "users": none,

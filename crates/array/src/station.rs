@@ -88,6 +88,7 @@ pub struct Station<D> {
     started_ns: u64,
     refused: RefusalCounts,
     telemetry: Timer,
+    telemetry_ns: u64,
     safety: Timer,
     stops: Timer,
     capabilities: Timer,
@@ -123,6 +124,7 @@ impl<D: Device> Station<D> {
             started_ns: now.room_ns,
             refused: RefusalCounts::default(),
             telemetry: Timer::default(),
+            telemetry_ns: TELEMETRY_NS,
             safety: Timer::default(),
             stops: Timer::default(),
             capabilities: Timer::default(),
@@ -134,6 +136,12 @@ impl<D: Device> Station<D> {
             problems: ([0; 2], false),
             local_ns: now.local_ns,
         }
+    }
+
+    /// Publishes telemetry at another interval in ns.
+    #[must_use]
+    pub fn with_telemetry_every(self, telemetry_ns: u64) -> Self {
+        Self { telemetry_ns, ..self }
     }
 
     /// Handles a message, which may have waited since it arrived.
@@ -204,7 +212,7 @@ impl<D: Device> Station<D> {
             return Some(Report::Stops(self.kit.stops(stamp)));
         }
         if is_due(&self.telemetry) || self.has_changed() {
-            let stamp = self.telemetry.publish(source, now, TELEMETRY_NS);
+            let stamp = self.telemetry.publish(source, now, self.telemetry_ns);
             let telemetry = self.kit.telemetry(now, stamp);
             self.order_problems();
             // A measurement can show that the device is lost.

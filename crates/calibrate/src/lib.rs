@@ -10,6 +10,7 @@
 //! - [`probes`]: which mirror is probed next, and where.
 //! - [`optics`]: the light of one mirror with its derivatives.
 //! - [`mod@fit`]: the joint estimate and its covariance.
+//! - [`commander`]: the commands as those of a guest in the room: taking the lead, and giving it back.
 //! - [`places`]: where the receiver stands, unless places are named.
 //! - [`signal`]: whether single mirrors are bright enough for that.
 //! - [`outcome`]: corrections, the measured room, and how sure both are.
@@ -22,6 +23,7 @@
 //!
 //! Nothing here reads a clock, opens a file or starts a thread.
 
+pub mod commander;
 pub mod fit;
 pub mod grid;
 pub mod optics;

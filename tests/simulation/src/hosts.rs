@@ -3,6 +3,7 @@
 pub(crate) mod adapter;
 pub(crate) mod array;
 pub(crate) mod attacker;
+pub(crate) mod calibration;
 pub(crate) mod controller;
 pub(crate) mod device;
 pub(crate) mod disk;

@@ -1,8 +1,8 @@
 //! The whole system in one thread, in virtual time, from one seed.
 //!
 //! The production code that decides runs unchanged: the controller of a room from payloads to payloads,
-//! the array's side of the contract, the record of stops, the rule of an operator, and the replay of
-//! recorded inputs. The
+//! the array's side of the contract, the record of stops, the rule of an operator, the session of a
+//! calibration, and the replay of recorded inputs. The
 //! harness owns time, network, disks and devices. There is no thread, no sleep and no wall clock, so a
 //! seed is a complete run, and a run that fails can be repeated.
 //!
@@ -14,9 +14,23 @@
 //! | 1 or 2 arrays | `Station`, with its queue, stop record and rules | device, disk, transport |
 //! | 1 to 3 controllers | `RoomCore`, and a replay from the states that it publishes | transport, threads |
 //! | operator | `ReportedStops`, the rule of page and command line for "stopped" | page and command line |
+//! | calibration, in some plans | `Commander` and `Session` of `heliostat calibrate --take-over` | transport, files |
 //! | attacker | truncated, foreign, stale, repeated and forged payloads | |
 //!
 //! Each host has a clock of its own: an offset, a rate, and steps of UTC.
+//!
+//! Viewers and recorders are left to real processes: they publish nothing to controllers and arrays, and a
+//! simulated link has no queue that a slow receiver could fill. `tests/tests/faults` and `frozen_viewers.rs`
+//! have them frozen, killed and with a full disk.
+//!
+//! # Time
+//!
+//! | what takes time | model |
+//! | --- | --- |
+//! | a message | a delay of its link, and jitter; a connection keeps the order |
+//! | a link that was cut | retransmissions of TCP, the lease and the attempts to connect: `world/connections.rs` |
+//! | a backlog of a controller | two threads share it: `world/backlog.rs` |
+//! | processes of a busy machine | pauses, in the table of effects: `world/pauses.rs` |
 //!
 //! # Faults
 //!
@@ -25,6 +39,7 @@
 //! their disk, freeze, and end in order. Clocks step and run at a wrong rate. Disks are full or tear a
 //! record. Devices fail, block, refuse angles or stops, or are silent. Policies are slow or fail.
 //! Receivers fall silent. The operator stops and re-arms, by name and by time. The attacker publishes.
+//! An array is calibrated.
 //! Some faults are drawn together, because a random plan would seldom combine them.
 //!
 //! # Invariants

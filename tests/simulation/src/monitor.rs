@@ -32,6 +32,16 @@ pub(crate) struct Tally {
     pub commands: u64,
     pub degraded: u64,
     pub refused: u64,
+    /// Reports that a newer one superseded before a decision.
+    pub superseded: u64,
+    /// 1 while a report waits for its decision.
+    pub due: u64,
+}
+
+impl Tally {
+    fn total(self) -> u64 {
+        self.commands + self.degraded + self.refused + self.superseded + self.due
+    }
 }
 
 impl Monitor {
@@ -101,14 +111,16 @@ impl Monitor {
         self.keep(array, now, CommandMonitor::chose(epoch, followed));
     }
 
-    /// A controller handled a position report of this age, which is within the limit or not, and sent so
-    /// many commands that answer it.
-    pub fn answered(&mut self, now: TrueNs, [before, after]: [Tally; 2], (age_ns, age_max_ns): (u64, u64), sent: u64) {
-        let reasons = after.degraded + after.refused - before.degraded - before.refused;
-        if after.commands == before.commands && reasons == 0 {
+    /// A controller handled an input, which is a position report or not.
+    pub fn accounted(&mut self, now: TrueNs, [before, after]: [Tally; 2], is_report: bool) {
+        if after.total() < before.total() + u64::from(is_report) {
             self.fail(now, (Invariant::Answer, "a position report gave neither a command nor a counted reason".into()));
         }
-        if sent > 0 && age_ns > age_max_ns {
+    }
+
+    /// A controller sent a command that answers a position report of this age.
+    pub fn answered(&mut self, now: TrueNs, age_ns: u64, age_max_ns: u64) {
+        if age_ns > age_max_ns {
             let text = format!("a position report of {} ms was answered", age_ns / MS);
             self.fail(now, (Invariant::Answer, text));
         }

@@ -76,6 +76,10 @@ mutations! {
     NeverResumes: Recovery | Gap,
     /// The array accepts no command after a release.
     ReleasedArrayStuck: Recovery,
+    /// A calibration answers no position report.
+    GuestSilent: Guest,
+    /// A calibration goes on after its end.
+    LeadKept: Guest,
     /// The replay lacks an input of the controller.
     InputNotRecorded: Replay,
     /// The state of a controller is that before its last input.

@@ -25,6 +25,8 @@ pub enum Role {
     Operator,
     /// Publishes payloads that no honest process publishes.
     Attacker,
+    /// Takes the lead from the controllers while it calibrates an array; only in plans with a calibration.
+    Calibration,
 }
 
 /// The policy of the controllers.
@@ -57,6 +59,9 @@ impl OptionalReports {
     }
 }
 
+/// Telemetry messages of a driver per second.
+pub(crate) const TELEMETRY_HZ: u64 = 20;
+
 /// The room of a run.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Setup {
@@ -84,6 +89,10 @@ pub struct Setup {
     pub policy: PolicyChoice,
     /// Whether the operator releases every stop after the last fault.
     pub rearms_at_end: bool,
+    /// Telemetry messages of each array per second.
+    pub telemetry_hz: u64,
+    /// Whether processes pause as on a machine with few cores.
+    pub is_busy: bool,
 }
 
 impl Setup {
@@ -103,6 +112,8 @@ impl Setup {
             has_filter: rng.random_bool(0.15),
             policy: [PolicyChoice::Nearest, PolicyChoice::Flat, PolicyChoice::FixedPoint][rng.random_range(0..3)],
             rearms_at_end: rng.random_bool(0.8),
+            telemetry_hz: TELEMETRY_HZ,
+            is_busy: false,
         }
     }
 
@@ -349,6 +360,11 @@ pub enum Fault {
     Rearm(RearmBy),
     /// The attacker publishes.
     Attack(Attack),
+    /// An array is calibrated; at the end the calibration is asked to end.
+    Calibrate {
+        /// The array.
+        array: usize,
+    },
 }
 
 /// A fault with its time.

@@ -17,6 +17,10 @@ pub(crate) enum Purpose {
     Attacks,
     Disk,
     Reports,
+    Calibrations,
+    Threads,
+    Connections,
+    Pauses,
 }
 
 /// The stream of a seed for a purpose.

@@ -49,6 +49,16 @@ impl Topic {
             Role::Operator => {
                 matches!(self, Self::Telemetry(_) | Self::Safety(_) | Self::Stops(_) | Self::Geometry)
             }
+            Role::Calibration => matches!(
+                self,
+                Self::Users
+                    | Self::Channel
+                    | Self::Telemetry(_)
+                    | Self::Capabilities(_)
+                    | Self::Safety(_)
+                    | Self::Repetition(_)
+                    | Self::Stop
+            ),
             Role::Attacker => {
                 matches!(
                     self,

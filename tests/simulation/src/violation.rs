@@ -24,6 +24,8 @@ pub enum Invariant {
     /// Beside a standby, the end of the leader alone leaves a gap of at most two report intervals. A
     /// leader that hangs or reaches no array is shown by telemetry: one interval and two messages more.
     Gap,
+    /// A calibration that leads alone is not disturbed: the array follows no other sender, and the lead returns.
+    Guest,
     /// The inputs of a controller give the same outputs again, bit for bit.
     Replay,
 }

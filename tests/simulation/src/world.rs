@@ -1,6 +1,11 @@
 //! One run: the hosts, the links and the queue of events in virtual time.
 
+mod backlog;
+mod calibrations;
+mod connections;
 mod faults;
+mod host;
+mod pauses;
 mod presence;
 mod verdicts;
 
@@ -9,6 +14,7 @@ use std::collections::{BTreeSet, BinaryHeap, VecDeque};
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::rc::Rc;
 
+use heliostat_array::station::Identity;
 use rand::RngExt;
 
 use crate::clock::{Clock, MS, TrueNs};
@@ -24,11 +30,14 @@ use crate::hosts::{Context, Incoming, Outgoing};
 use crate::monitor::Monitor;
 use crate::mutation::Mutation;
 use crate::network::{Carried, Network};
-use crate::plan::{Role, Setup, Timed, last_end_ns};
+use crate::plan::{Fault, Role, Setup, Timed, last_end_ns};
 use crate::random::{Purpose, Rng, stream};
 use crate::room::Room;
 use crate::trace::Trace;
 use crate::violation::Violation;
+use backlog::Batches;
+use calibrations::Visit;
+use host::{Host, Process};
 use verdicts::Loss;
 
 /// Time between the starts of two controllers in ns.
@@ -55,49 +64,22 @@ pub struct Outcome {
     pub trace: Vec<String>,
 }
 
-/// A process of one of the roles.
-enum Process {
-    Tracker(Box<Tracker>),
-    Array(Box<ArrayNode>),
-    Controller(Box<ControllerNode>),
-    Operator(Box<Operator>),
-    Attacker(Box<Attacker>),
-}
-
-/// A host with its clock; the process may be down.
-struct Host {
-    role: Role,
-    clock: Clock,
-    process: Option<Process>,
-    /// Counts the starts: a message to an earlier process is lost.
-    generation: u64,
-    source: u64,
-    /// Faults in force that keep it down, or frozen.
-    down: u32,
-    frozen: u32,
-    /// Until when a process that was asked to end goes on; its token has ended.
-    ends_by: Option<TrueNs>,
-    busy_until: TrueNs,
-    /// What arrived while it was frozen or busy.
-    waiting: VecDeque<Incoming>,
-    wake_at: Option<TrueNs>,
-    /// Durations of its decisions by the faults in force.
-    slow_ms: Vec<u64>,
-    /// The token of each host that it has seen.
-    sees: Vec<Option<u64>>,
-    /// Since when it does not reach each host.
-    lost_since: Vec<Option<TrueNs>>,
-}
-
 #[derive(Debug)]
 enum Event {
     Start(usize),
-    Deliver { to: usize, generation: u64, incoming: Incoming },
+    Deliver {
+        to: usize,
+        generation: u64,
+        incoming: Incoming,
+    },
     Wake(usize),
     Resume(usize),
     Begin(usize),
     End(usize),
     Presence,
+    /// The connections of a partition that has ended carry messages again.
+    Connected(usize),
+    Pause(usize),
     Audit,
     RearmAll,
 }
@@ -142,12 +124,16 @@ pub(crate) struct World {
     held: Vec<(usize, usize, u64, Incoming)>,
     monitor: Monitor,
     losses: Vec<Loss>,
+    visits: Vec<Visit>,
     occurred: BTreeSet<String>,
     queue: BinaryHeap<Reverse<Scheduled>>,
     order: u64,
     now: TrueNs,
     sources: Rng,
     disk_rng: Rng,
+    threads: Rng,
+    connections: Rng,
+    pauses: Rng,
     hash: DefaultHasher,
     trace: Trace,
 }
@@ -167,7 +153,10 @@ pub(crate) fn run(setup: &Setup, faults: &[Timed], mutation: Option<Mutation>, i
 
 impl World {
     fn new(setup: &Setup, faults: &[Timed], mutation: Option<Mutation>, is_traced: bool) -> Self {
-        let (roles, room) = (setup.roles(), Room::of(setup));
+        let (mut roles, room) = (setup.roles(), Room::of(setup));
+        if faults.iter().any(|timed| matches!(timed.fault, Fault::Calibrate { .. })) {
+            roles.push(Role::Calibration);
+        }
         let mut sources = stream(setup.seed, Purpose::Sources);
         let count = roles.len();
         let host = |role: &Role| Host {
@@ -198,6 +187,7 @@ impl World {
             held: Vec::new(),
             monitor: Monitor::new(setup, room.slew_rad_s),
             losses: Vec::new(),
+            visits: Vec::new(),
             occurred: BTreeSet::new(),
             room,
             queue: BinaryHeap::new(),
@@ -205,6 +195,9 @@ impl World {
             now: 0,
             sources,
             disk_rng: stream(setup.seed, Purpose::Disk),
+            threads: stream(setup.seed, Purpose::Threads),
+            connections: stream(setup.seed, Purpose::Connections),
+            pauses: stream(setup.seed, Purpose::Pauses),
             hash: DefaultHasher::new(),
             trace: Trace::new(is_traced),
         }
@@ -224,6 +217,9 @@ impl World {
             REARM_ALL_NS.iter().for_each(|after_ns| self.schedule(last_ns + after_ns, Event::RearmAll));
         }
         self.schedule(AUDIT_NS, Event::Audit);
+        if self.setup.is_busy {
+            self.begin_pauses();
+        }
         let end = verdicts::end_ns(last_ns);
         while let Some(Reverse(Scheduled { at, event, .. })) = self.queue.pop() {
             if at > end || self.monitor.violation.is_some() {
@@ -262,6 +258,8 @@ impl World {
             Event::Begin(index) => self.begin(index),
             Event::End(index) => self.end(index),
             Event::Presence => self.update_presence(),
+            Event::Connected(index) => self.connect(&self.faults[index].fault.clone()),
+            Event::Pause(host) => self.pause(host),
             Event::Audit => {
                 self.audit();
                 self.end_processes();
@@ -276,6 +274,9 @@ impl World {
             return;
         }
         let role = self.hosts[host].role;
+        if role == Role::Calibration {
+            return;
+        }
         let is_first = self.hosts[host].generation == 0;
         let source = self.new_source(host, role);
         let slow_ms = self.hosts[host].slow_ms.clone();
@@ -291,7 +292,10 @@ impl World {
         self.dispatch(host, |process, ctx| {
             *process = Some(match (role, &shared) {
                 (Role::Array(array), Some((hardware, disk))) => {
-                    Process::Array(Box::new(ArrayNode::start(array, source, (hardware, disk), is_first, ctx)))
+                    let identity = Identity { source, array, software: "simulation".into() };
+                    let telemetry_ns = 1_000_000_000 / setup.telemetry_hz;
+                    let node = ArrayNode::start((identity, telemetry_ns), (hardware, disk), is_first, ctx);
+                    Process::Array(Box::new(node))
                 }
                 (Role::Controller(index), _) => {
                     let rank = setup.has_ranks.then_some(index.max(1) as u8);
@@ -318,6 +322,7 @@ impl World {
         let starts = self.hosts[host].generation;
         let source = match role {
             Role::Controller(index) => source - source % 1024 + 100 * index as u64 + starts % 100,
+            Role::Calibration => source - source % 1024 + 900 + starts % 100,
             _ => source,
         };
         self.hosts[host].source = source;
@@ -325,10 +330,17 @@ impl World {
     }
 
     /// Passes what waits to a process, until it is busy.
+    ///
+    /// A controller decides at once for what arrives alone. Behind a backlog two threads share the work: one
+    /// receives, and the other one decides for the newest of the reports that it finds in the receive queue.
+    /// How many these are is a matter of the scheduler.
     fn drain(&mut self, host: usize) {
+        let backlog = self.hosts[host].waiting.len();
+        let mut batches = Batches::new((backlog > 1).then_some(&mut self.threads));
         while self.is_running(host)
             && let Some(incoming) = self.hosts[host].waiting.pop_front()
         {
+            let is_last = batches.is_last(&mut self.threads) || self.hosts[host].waiting.is_empty();
             if let Incoming::Payload { topic, payload, .. } = &incoming {
                 (self.now, host, topic, payload).hash(&mut self.hash);
             }
@@ -339,9 +351,10 @@ impl World {
             self.trace.incoming(self.now, (self.hosts[host].role, from), &incoming);
             self.dispatch(host, |process, ctx| match process {
                 Some(Process::Array(node)) => node.handle(&incoming, ctx),
-                Some(Process::Controller(node)) => node.handle(&incoming, ctx),
+                Some(Process::Controller(node)) => node.handle(&incoming, is_last, ctx),
                 Some(Process::Operator(node)) => node.handle(&incoming, ctx),
                 Some(Process::Attacker(node)) => node.handle(&incoming, ctx),
+                Some(Process::Calibration(node)) => node.handle(&incoming, ctx),
                 Some(Process::Tracker(_)) | None => {}
             });
         }
@@ -355,6 +368,7 @@ impl World {
                 Some(Process::Controller(node)) => node.wake(ctx),
                 Some(Process::Operator(node)) => node.wake(ctx),
                 Some(Process::Attacker(node)) => node.wake(ctx),
+                Some(Process::Calibration(node)) => node.wake(ctx),
                 None => {}
             });
         }
@@ -367,6 +381,7 @@ impl World {
 
     /// Lets a process act now; then publishes what it has, and schedules its next step.
     fn dispatch(&mut self, host: usize, act: impl FnOnce(&mut Option<Process>, &mut Context<'_>)) {
+        let had_token = self.hosts[host].has_token();
         let Host { process, clock, .. } = &mut self.hosts[host];
         let mut ctx = Context {
             now: self.now,
@@ -384,6 +399,9 @@ impl World {
         }
         out.into_iter().for_each(|outgoing| self.send(host, outgoing));
         self.schedule_wake(host);
+        if self.hosts[host].role == Role::Calibration {
+            self.note_lead(host, had_token);
+        }
     }
 
     fn send(&mut self, from: usize, Outgoing { topic, payload, to, after_ns }: Outgoing) {
@@ -416,6 +434,7 @@ impl World {
             Some(Process::Controller(node)) => Some(node.adapter().next_ns()),
             Some(Process::Operator(node)) => Some(node.next_ns()),
             Some(Process::Attacker(node)) => node.next_ns(),
+            Some(Process::Calibration(node)) => node.next_ns(),
             None => None,
         };
         let Some(next_ns) = next_ns else { return };
@@ -458,6 +477,7 @@ impl World {
         match process {
             Process::Array(node) => self.occurred.extend(node.station().refused().counts().keys().cloned()),
             Process::Controller(node) => self.occurred.extend(node.adapter().occurred()),
+            Process::Calibration(node) => self.occurred.extend(node.occurred()),
             _ => {}
         }
     }

@@ -1,21 +1,22 @@
 //! Plans that found a defect, reduced to what it needs.
 
 use heliostat_simulation::plan::{Attack, DiskAfterCrash, Fault, OptionalReports, RearmBy, Role, Setup, Timed};
-use heliostat_simulation::run_plan;
+use heliostat_simulation::{Outcome, run_plan};
 
 fn at(at_ms: u64, for_ms: u64, fault: Fault) -> Timed {
     Timed { at_ms, for_ms, fault }
 }
 
 /// Runs faults in the room of a seed, with changes.
-fn holds(seed: u64, change: impl FnOnce(&mut Setup), faults: &[Timed]) {
+fn holds(seed: u64, change: impl FnOnce(&mut Setup), faults: &[Timed]) -> Outcome {
     // The reports with which the defect was found.
     let mut setup = Setup { reports: OptionalReports::default(), ..Setup::draw(seed) };
     change(&mut setup);
     let outcome = run_plan(&setup, faults);
-    if let Some(violation) = outcome.violation {
+    if let Some(violation) = &outcome.violation {
         panic!("{violation}\n{setup:?}\n{}", outcome.trace.join("\n"));
     }
+    outcome
 }
 
 /// The stop that arrived again took the place of the later one, so that the re-arm of the earlier one
@@ -118,4 +119,32 @@ fn a_controller_that_returns_to_an_epoch_gives_no_number_twice() {
     let reports = OptionalReports { obstacles: false, orientation: true, leds: true };
     let room = |setup: &mut Setup| (setup.reports, setup.arrays, setup.controllers) = (reports, 2, 3);
     holds(1_795_684_090_581_523, room, &faults);
+}
+
+/// The controllers missed the end of a calibration that ended before telemetry showed its lead.
+#[test]
+fn the_lead_of_a_calibration_that_ends_at_once_returns_at_once() {
+    for for_ms in [60, 250, 1000] {
+        let room = |setup: &mut Setup| setup.controllers = 2;
+        holds(1341, room, &[at(2465, for_ms, Fault::Calibrate { array: 0 })]);
+    }
+}
+
+/// No standby takes the room from a calibration that leads, and the lead returns without a takeover.
+#[test]
+fn a_calibration_beside_standbys_probes_mirrors_until_it_gives_the_lead_back() {
+    let mut probed = 0;
+    for seed in 0..5 {
+        let room = |setup: &mut Setup| {
+            (setup.arrays, setup.controllers, setup.rate_hz) = (1, 3, 100);
+            (setup.has_channel, setup.is_reserve) = (true, true);
+        };
+        let occurred = holds(seed, room, &[at(3000, 5000, Fault::Calibrate { array: 0 })]).occurred;
+        for expected in ["calibration:led", "superseded", "resumed"] {
+            assert!(occurred.contains(expected), "seed {seed} lacks {expected}: {occurred:?}");
+        }
+        probed += u64::from(occurred.contains("calibration:probed"));
+    }
+    // In some seeds the holder of the receiver leaves.
+    assert!(probed > 2, "{probed} calibrations have probed a mirror");
 }

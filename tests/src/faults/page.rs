@@ -154,5 +154,7 @@ for frozen viewers: a quarter of the commands lost beyond those lost before, a m
 In the group *Two hosts* each host is a network namespace with a router (`zenohd`), two rooms have TLS and access control, and all processes are
 clients of the router of their host. Array and leader of the measured room are on host A, its standby is on host B; the second room is the other way round.
 [deploy.md](deploy.md#two-hosts) sets it up. These tests need root and `zenohd`.
+[Beside real processes](results/simulated-faults.md#beside-real-processes) compares the rows whose fault is simulated too with the range of the
+simulation. The others have no counterpart there: a simulated host has no socket, certificate or board, and no viewer that holds up a sender.
 Faults during an emergency stop have a [table of their own](stop-faults.md).
 ";

@@ -240,6 +240,9 @@ impl Tenure {
             self.peers.push(peer);
             self.guest.handle_joined(peer % EPOCH_SLOTS, self.seen.map(|(seen_ns, _)| seen_ns));
         }
+        if !is_present {
+            self.guest.handle_left(peer % EPOCH_SLOTS);
+        }
         self.watch.has_left |= !is_present && self.standing == Standing::Standby && self.leads(peer);
     }
 
@@ -344,7 +347,8 @@ impl Tenure {
     fn stand_by(&mut self) {
         self.standing = Standing::Standby;
         self.unaccepted = None;
-        self.watch = Watch::default();
+        // A guest may have left before telemetry shows that it leads.
+        self.watch = Watch { has_left: self.guest.has_left(), ..Watch::default() };
     }
 
     fn lead(&mut self) {

@@ -53,6 +53,8 @@ pub(crate) struct Adapter {
     /// How long the last decision took.
     decision_ns: u64,
     was_late: bool,
+    /// Whether a decision is due.
+    is_due: bool,
 }
 
 impl Adapter {
@@ -74,11 +76,13 @@ impl Adapter {
             wake_ns: at.local_ns,
             decision_ns: 0,
             was_late: false,
+            is_due: false,
         }
     }
 
-    /// Handles an input.
-    pub fn handle(&mut self, at: Moment, input: &Input, published: &mut Published) {
+    /// Handles an input, and decides if that is due and this is the last input before a decision; whether it
+    /// decided.
+    pub fn handle(&mut self, at: Moment, input: &Input, is_last: bool, published: &mut Published) -> bool {
         let now = at.room_ns;
         match input {
             Input::Payload(topic, bytes) => {
@@ -96,6 +100,7 @@ impl Adapter {
             }
             Input::Wake => {}
         }
+        is_last && self.decide(now, published)
     }
 
     /// When an input must have been handled, in local time.
@@ -116,6 +121,8 @@ impl Adapter {
             commands: counters.commands,
             degraded: DegradedMode::ALL.iter().map(|mode| counters.degraded(*mode)).sum(),
             refused: self.controller().inbox().refused().total(),
+            superseded: self.core.superseded(),
+            due: u64::from(self.is_due),
         }
     }
 
@@ -166,20 +173,26 @@ impl Adapter {
         self.core.controller()
     }
 
-    /// A decision that takes longer than the interval of reports is followed by one for the report
-    /// that waits: its thread calls it late.
     fn handle_payload(&mut self, now: u64, input: CoreInput<'_>, published: &mut Published) {
         match self.core.handle(now, input, published) {
-            Handled::DecisionDue => {
-                let is_late = !self.was_late && self.decision_ns > self.interval_ns;
-                self.was_late = is_late;
-                let timing = if is_late { Timing::Late } else { Timing::InTime };
-                self.core.decide(now, timing, &mut |_| {}, published);
-                self.core.publish_state(published);
-            }
+            Handled::DecisionDue => self.is_due = true,
             Handled::Examination(examination) => drop(self.core.handle(now, examination.run(), published)),
             Handled::Nothing | Handled::Replaced(_) => {}
         }
+    }
+
+    /// A decision that takes longer than the interval of reports is followed by one for the report
+    /// that waits: its thread calls it late.
+    fn decide(&mut self, now: u64, published: &mut Published) -> bool {
+        if !std::mem::take(&mut self.is_due) {
+            return false;
+        }
+        let is_late = !self.was_late && self.decision_ns > self.interval_ns;
+        self.was_late = is_late;
+        let timing = if is_late { Timing::Late } else { Timing::InTime };
+        self.core.decide(now, timing, &mut |_| {}, published);
+        self.core.publish_state(published);
+        true
     }
 }
 

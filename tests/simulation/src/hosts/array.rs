@@ -37,21 +37,20 @@ pub(crate) struct ArrayNode {
 impl ArrayNode {
     /// Starts the process. `is_first` declares a start without a record safe.
     pub fn start(
-        array: usize,
-        source: u64,
+        (identity, telemetry_ns): (Identity, u64),
         (hardware, disk): (&SharedHardware, &SharedDisk),
         is_first: bool,
         ctx: &mut Context<'_>,
     ) -> Self {
+        let array = identity.array;
         let (is_damaged, is_full) = (disk.borrow().is_damaged, disk.borrow().full > 0);
         // An array that cannot record a stop starts stopped, too.
         let is_unknown = !is_first && (is_damaged || (is_full && !ctx.monitor.arrays[array].is_stopped()));
         ctx.monitor.arrays[array].start(ctx.at.room_ns, is_unknown);
         let (record, latch) = StopRecord::open(SimDisk(disk.clone()), is_first, ctx.at.room_ns);
         let (plan, _) = record.split();
-        let identity = Identity { source, array, software: "simulation".into() };
         let kit = Kit::new(SimDevice(hardware.clone()));
-        let station = Station::new(kit, (plan, latch), identity, ctx.at);
+        let station = Station::new(kit, (plan, latch), identity, ctx.at).with_telemetry_every(telemetry_ns);
         let (queue, hardware, disk) = (Arrivals::default(), hardware.clone(), SimDisk(disk.clone()));
         let mut node = Self { array, station, disk, queue, hardware, announced: BTreeMap::new(), is_stuck: false };
         node.wake(ctx);

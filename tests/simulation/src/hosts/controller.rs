@@ -12,7 +12,6 @@ use super::adapter::{Adapter, Input, Published, Standby};
 use super::shadow::Shadow;
 use super::{Context, Incoming, Outgoing, encoded};
 use crate::clock::MS;
-use crate::monitor::Tally;
 use crate::mutation::Mutation;
 use crate::plan::PolicyFault;
 use crate::room::Room;
@@ -30,6 +29,7 @@ struct Recorded {
     at: Moment,
     policy: (u64, Option<PolicyFault>),
     input: Input,
+    is_last: bool,
 }
 
 /// A process of a controller.
@@ -48,6 +48,8 @@ pub(crate) struct ControllerNode {
     /// A replay from each state, where inputs are recorded.
     shadow: Option<Box<Shadow>>,
     outputs: DefaultHasher,
+    /// Tick and age in ns of the last report.
+    reported: (u64, u64),
     reports: u64,
     commands: u64,
     skipped: u64,
@@ -66,11 +68,12 @@ impl ControllerNode {
             recorded: is_recorded.then(Vec::new),
             shadow: is_recorded.then(|| Box::new(Shadow::new(room))),
             outputs: DefaultHasher::new(),
+            reported: (0, 0),
             reports: 0,
             commands: 0,
             skipped: 0,
         };
-        node.take(Input::Wake, ctx);
+        node.take(Input::Wake, true, ctx);
         ctx.publish(Topic::Query, Vec::new());
         node
     }
@@ -95,7 +98,8 @@ impl ControllerNode {
         self.faults.retain(|known| *known != fault);
     }
 
-    pub fn handle(&mut self, incoming: &Incoming, ctx: &mut Context<'_>) {
+    /// Handles what arrives; it decides unless more is to be handled before.
+    pub fn handle(&mut self, incoming: &Incoming, is_last: bool, ctx: &mut Context<'_>) {
         let input = match incoming {
             Incoming::Payload { topic, payload, .. } => Input::Payload(*topic, payload.clone()),
             Incoming::Presence { node, source, is_alive } => {
@@ -106,17 +110,24 @@ impl ControllerNode {
             Input::Payload(Topic::Users, payload) => Some(decode::<UserReport>(payload).ok()),
             _ => None,
         };
-        match report {
-            Some(report) => self.answer(report, input, ctx),
-            None => drop(self.take(input, ctx)),
+        let (before, is_report) = (self.adapter.tally(), report.is_some());
+        self.reports += u64::from(is_report);
+        let is_skipped = is_report && ctx.has(Mutation::ReportNotCounted) && self.reports.is_multiple_of(30);
+        if !is_skipped {
+            let input = match report.flatten() {
+                Some(report) => self.note_report(report, input, ctx),
+                None => input,
+            };
+            self.take(input, is_last, ctx);
         }
+        ctx.monitor.accounted(ctx.now, [before, self.adapter.tally()], is_report);
         if self.adapter.stops_held() > HELD_MAX {
             ctx.monitor.fail(ctx.now, (Invariant::Payload, "a controller holds too many stops".into()));
         }
     }
 
     pub fn wake(&mut self, ctx: &mut Context<'_>) {
-        self.take(Input::Wake, ctx);
+        self.take(Input::Wake, true, ctx);
     }
 
     /// Passes the recorded inputs to a second process; whether it publishes the same bytes.
@@ -124,39 +135,27 @@ impl ControllerNode {
         let Some(recorded) = &self.recorded else { return true };
         let mut adapter = Adapter::new(&self.room, self.source, self.standby, self.started);
         let (mut outputs, mut published) = (DefaultHasher::new(), Published::new());
-        for Recorded { at, policy, input } in recorded {
+        for Recorded { at, policy, input, is_last } in recorded {
             adapter.set_policy(*policy);
-            adapter.handle(*at, input, &mut published);
+            adapter.handle(*at, input, *is_last, &mut published);
             published.drain(..).for_each(|output| hash(&output, &mut outputs));
         }
         outputs.finish() == self.outputs.finish()
     }
 
-    /// Handles a position report; one that does not decode is `None`.
-    fn answer(&mut self, report: Option<UserReport>, input: Input, ctx: &mut Context<'_>) {
-        let before = self.adapter.tally();
-        self.reports += 1;
-        if ctx.has(Mutation::ReportNotCounted) && self.reports.is_multiple_of(30) {
-            return ctx.monitor.answered(ctx.now, [before; 2], (0, 0), 0);
-        }
+    /// Notes a position report; what is handled for it.
+    fn note_report(&mut self, mut report: UserReport, input: Input, ctx: &Context<'_>) -> Input {
         let now = ctx.at.room_ns;
-        let age_ns = report.as_ref().map_or(0, |report| now.saturating_sub(report.stamp.time_ns));
-        let tick = report.as_ref().map_or(0, |report| report.tick);
-        let input = match report {
-            Some(mut report) if ctx.has(Mutation::StaleAnswered) && age_ns > self.room.age_max_ns => {
-                report.stamp.time_ns = now;
-                Input::Payload(Topic::Users, Rc::from(encoded(&report)))
-            }
-            _ => input,
-        };
-        let ticks = self.take(input, ctx);
-        let sent = ticks.into_iter().filter(|answers| *answers == tick && tick > 0).count() as u64;
-        let after: Tally = self.adapter.tally();
-        ctx.monitor.answered(ctx.now, [before, after], (age_ns, self.room.age_max_ns), sent);
+        let age_ns = now.saturating_sub(report.stamp.time_ns);
+        self.reported = (report.tick, age_ns);
+        if ctx.has(Mutation::StaleAnswered) && age_ns > self.room.age_max_ns {
+            report.stamp.time_ns = now;
+            return Input::Payload(Topic::Users, Rc::from(encoded(&report)));
+        }
+        input
     }
 
-    /// Handles an input; the ticks that the commands answer.
-    fn take(&mut self, input: Input, ctx: &mut Context<'_>) -> Vec<u64> {
+    fn take(&mut self, input: Input, is_last: bool, ctx: &mut Context<'_>) {
         let mut published = Published::new();
         let was_standby = self.adapter.is_everywhere(Standing::Standby);
         let decision_ns = self.slow_ms.iter().max().map_or(0, |ms| ms * MS);
@@ -164,7 +163,7 @@ impl ControllerNode {
         self.adapter.set_policy(policy);
         self.shadow.iter_mut().for_each(|shadow| shadow.set_fault(policy.1));
         let epochs = self.adapter.epochs();
-        self.adapter.handle(ctx.at, &input, &mut published);
+        let has_decided = self.adapter.handle(ctx.at, &input, is_last, &mut published);
         self.note_epochs(&epochs, ctx);
         published.iter().for_each(|output| hash(output, &mut self.outputs));
         let is_outdated = ctx.has(Mutation::StateOutdated);
@@ -173,13 +172,15 @@ impl ControllerNode {
         {
             ctx.monitor.fail(ctx.now, (Invariant::Replay, text));
         }
-        let is_report = matches!(input, Input::Payload(Topic::Users, _));
-        self.record(ctx, policy, input);
+        self.record(ctx, policy, (input, is_last));
         let is_decision = published.iter().any(|(output, _)| matches!(output, Output::Command(_)));
-        if is_report && is_decision {
+        if has_decided && is_decision {
             ctx.busy_ns = decision_ns;
         }
-        self.publish(published, was_standby, ctx)
+        let (tick, age_ns) = self.reported;
+        if self.publish(published, was_standby, ctx).contains(&tick) && tick > 0 {
+            ctx.monitor.answered(ctx.now, age_ns, self.room.age_max_ns);
+        }
     }
 
     /// Notes the epochs that were chosen.
@@ -218,10 +219,10 @@ impl ControllerNode {
         ticks
     }
 
-    fn record(&mut self, ctx: &Context<'_>, policy: (u64, Option<PolicyFault>), input: Input) {
+    fn record(&mut self, ctx: &Context<'_>, policy: (u64, Option<PolicyFault>), (input, is_last): (Input, bool)) {
         let is_left_out = ctx.has(Mutation::InputNotRecorded) && self.reports == 40;
         if let Some(recorded) = self.recorded.as_mut().filter(|_| !is_left_out) {
-            recorded.push(Recorded { at: ctx.at, policy, input });
+            recorded.push(Recorded { at: ctx.at, policy, input, is_last });
         }
     }
 

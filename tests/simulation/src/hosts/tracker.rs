@@ -7,6 +7,7 @@ use heliostat_proto::{
 };
 use rand::RngExt;
 
+use super::calibration::HOLDER;
 use super::{Context, encoded};
 use crate::plan::{OptionalReports, Setup};
 use crate::random::Rng;
@@ -26,6 +27,10 @@ pub(crate) struct Tracker {
     reports: OptionalReports,
     /// How many faults keep the receivers silent.
     pub silent: u32,
+    /// How many calibrations the holder of the receiver stands still for.
+    pub standing: u32,
+    /// Ticks in which the holder walked.
+    walked: u64,
     due_ns: u64,
     tick: u64,
     present: Vec<u32>,
@@ -36,7 +41,19 @@ impl Tracker {
     pub fn start(source: u64, interval_ns: u64, setup: &Setup, rng: Rng, ctx: &Context<'_>) -> Self {
         let (due_ns, present) = (ctx.at.local_ns, vec![0, 1]);
         let Setup { has_channel, reports, .. } = *setup;
-        Self { source, interval_ns, has_channel, reports, silent: 0, due_ns, tick: 0, present, rng }
+        Self {
+            source,
+            interval_ns,
+            has_channel,
+            reports,
+            silent: 0,
+            standing: 0,
+            walked: 0,
+            due_ns,
+            tick: 0,
+            present,
+            rng,
+        }
     }
 
     pub fn next_ns(&self) -> u64 {
@@ -51,6 +68,7 @@ impl Tracker {
         let late = (ctx.at.local_ns - self.due_ns) / self.interval_ns;
         self.due_ns += (1 + late) * self.interval_ns;
         self.tick += 1;
+        self.walked += u64::from(self.standing == 0);
         if self.rng.random_bool(0.01) {
             self.change_users();
         }
@@ -98,7 +116,8 @@ impl Tracker {
     }
 
     fn walker(&self, user: u32) -> UserState {
-        let (sin, cos) = (2.0 * f64::from(user) + 0.02 * self.tick as f64).sin_cos();
+        let steps = if user == HOLDER { self.walked } else { self.tick };
+        let (sin, cos) = (2.0 * f64::from(user) + 0.02 * steps as f64).sin_cos();
         UserState {
             user,
             position_m: [(1.4 * cos) as f32, (1.1 * sin) as f32, 0.85],

@@ -5,6 +5,7 @@ use std::collections::BTreeSet;
 use heliostat_array::arrivals::Arrival;
 use heliostat_array::content::Content;
 use heliostat_array::moment::Moment;
+use heliostat_core::tenure::EPOCH_SLOTS;
 use heliostat_proto::{ArrayState, CLOCK_LEAD_MAX_NS, MAX_STOPS, MirrorCommand, Nanos, StopName};
 
 use super::stops::StopModel;
@@ -58,6 +59,8 @@ pub(crate) struct ArrayMonitor {
     pub accepted_at: Vec<TrueNs>,
     /// The stops that the device has executed.
     executed: BTreeSet<StopName>,
+    /// The remainder of the epochs of a calibration that leads undisturbed.
+    pub guest: Option<u64>,
     /// When the hardware last had a fault, or the array was not stopped.
     unsound: TrueNs,
 }
@@ -71,6 +74,11 @@ impl ArrayMonitor {
     pub fn start(&mut self, room_ns: Nanos, is_unknown: bool) {
         self.stops.start(room_ns, is_unknown);
         (self.followed, self.holds_at_ns) = (None, None);
+    }
+
+    /// The epoch that is followed.
+    pub fn epoch(&self) -> Option<u64> {
+        self.followed.map(|(epoch, _)| epoch)
     }
 
     pub fn is_stopped(&self) -> bool {
@@ -110,6 +118,9 @@ impl ArrayMonitor {
             (Some(Ok(Valid { number, holds_at_ns })), 1) => {
                 (self.followed, self.holds_at_ns) = (Some(number), Some(holds_at_ns));
                 self.accepted_at.push(now);
+                if self.guest.is_some_and(|slot| number.0 % EPOCH_SLOTS != slot) {
+                    return Err((Invariant::Guest, format!("{number:?} was followed while a calibration leads")));
+                }
             }
             (Some(Ok(Valid { number, .. })), 0) => {
                 return Err((Invariant::Recovery, format!("the valid command {number:?} was refused")));

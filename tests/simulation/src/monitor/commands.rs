@@ -1,11 +1,11 @@
 //! The commands that controllers send: their numbers, and their angles.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use heliostat_proto::{EPOCH_SLOTS, MirrorCommand, decode};
 
 use crate::clock::{MS, TrueNs};
-use crate::hosts::device::MIRRORS;
+use crate::hosts::device::{MIRRORS, RANGE_RAD};
 use crate::violation::Invariant;
 
 /// Largest commanded angle in degrees, as in the scenario.
@@ -24,11 +24,24 @@ pub(crate) struct CommandMonitor {
     numbers: BTreeMap<(u64, usize, u64), u64>,
     /// The last command of a controller to an array, and when it was sent.
     last: BTreeMap<(u64, usize), (TrueNs, MirrorCommand)>,
+    /// Calibrations: they turn mirrors within the range of the array, as fast as it can.
+    guests: BTreeSet<u64>,
 }
 
 impl CommandMonitor {
     pub fn new(slew_rad_s: f64) -> Self {
-        Self { slew_rad_s, owners: BTreeMap::new(), numbers: BTreeMap::new(), last: BTreeMap::new() }
+        Self {
+            slew_rad_s,
+            owners: BTreeMap::new(),
+            numbers: BTreeMap::new(),
+            last: BTreeMap::new(),
+            guests: BTreeSet::new(),
+        }
+    }
+
+    /// A calibration starts.
+    pub fn welcome(&mut self, source: u64) {
+        self.guests.insert(source);
     }
 
     /// A controller chose an epoch, and knows of the one that the array follows.
@@ -52,12 +65,15 @@ impl CommandMonitor {
         let command: MirrorCommand =
             decode(payload).map_err(|error| (Invariant::Payload, format!("{source:x} sent {error}")))?;
         check_number(self.numbers.insert((source, array, command.epoch), command.sequence), &command)?;
-        let last = self.last.get(&(source, array));
+        let is_guest = self.guests.contains(&source);
+        let last = self.last.get(&(source, array)).filter(|_| !is_guest);
         // A clock that was set back says nothing about the time that has passed.
         let passed = |(sent, last): &(TrueNs, MirrorCommand)| {
             command.time_ns.checked_sub(last.time_ns).unwrap_or(now.saturating_sub(*sent))
         };
-        check_angles(last.map(|last| (&last.1, passed(last))), &command, self.slew_rad_s)?;
+        let largest = if is_guest { RANGE_RAD } else { RANGE_DEG.to_radians() };
+        let limits = (f64::from(largest), self.slew_rad_s);
+        check_angles(last.map(|last| (&last.1, passed(last))), &command, limits)?;
         let owner = *self.owners.entry((array, command.epoch)).or_insert(source);
         if owner != source {
             let text = format!("{owner:x} and {source:x} have the same epoch {}", command.epoch);
@@ -82,7 +98,7 @@ fn check_number(last: Option<u64>, sent: &MirrorCommand) -> Result<(), (Invarian
 fn check_angles(
     last: Option<(&MirrorCommand, u64)>,
     sent: &MirrorCommand,
-    slew_rad_s: f64,
+    (largest, slew_rad_s): (f64, f64),
 ) -> Result<(), (Invariant, String)> {
     let fault = |text: String| Err((Invariant::Payload, text));
     if [sent.roll.len(), sent.yaw.len()] != [MIRRORS; 2] {
@@ -91,7 +107,7 @@ fn check_angles(
     let angles = |command: &MirrorCommand| {
         command.roll.iter().chain(&command.yaw).map(|angle| f64::from(*angle)).collect::<Vec<_>>()
     };
-    let largest = f64::from(RANGE_DEG).to_radians() + ROUNDING_RAD;
+    let largest = largest + ROUNDING_RAD;
     if let Some(angle) = angles(sent).into_iter().find(|angle| angle.abs() > largest) {
         return fault(format!("a command of {angle} rad"));
     }

@@ -5,8 +5,40 @@ use rand::RngExt;
 use super::{Attack, DeviceFault, DiskAfterCrash, FIRST_MS, Fault, PolicyFault, RearmBy, Role, Setup, Timed, stories};
 use crate::random::{Purpose, Rng, stream};
 
+/// Share of the seeds in which an array is calibrated, and share of these in which nothing else happens.
+const CALIBRATED: (f64, f64) = (0.15, 0.4);
+
 /// The faults of a seed.
 pub fn draw(setup: &Setup) -> Vec<Timed> {
+    let mut faults = draw_faults(setup);
+    let mut rng = stream(setup.seed, Purpose::Calibrations);
+    if !rng.random_bool(CALIBRATED.0) {
+        return faults;
+    }
+    if rng.random_bool(CALIBRATED.1) {
+        faults.clear();
+    }
+    let at_ms = rng.random_range(2000..4000);
+    let for_ms = if rng.random_bool(0.5) { rng.random_range(300..1500) } else { rng.random_range(1500..5000) };
+    let fault = Fault::Calibrate { array: rng.random_range(0..setup.arrays) };
+    faults.push(Timed { at_ms, for_ms, fault });
+    let (after_ms, host) = (rng.random_range(0..for_ms), Role::Calibration);
+    match rng.random_range(0..8) {
+        0 => {
+            let fault = Fault::Crash { host, disk: DiskAfterCrash::Kept };
+            faults.push(Timed { at_ms: at_ms + after_ms, for_ms, fault });
+        }
+        1 => {
+            let for_ms = rng.random_range(100..2500);
+            faults.push(Timed { at_ms: at_ms + after_ms, for_ms, fault: Fault::Freeze { host } });
+        }
+        _ => {}
+    }
+    faults.sort_by_key(|timed| timed.at_ms);
+    faults
+}
+
+fn draw_faults(setup: &Setup) -> Vec<Timed> {
     let mut rng = stream(setup.seed, Purpose::Plan);
     if setup.controllers > 1 && rng.random_bool(0.15) {
         // The loss of the leader alone.

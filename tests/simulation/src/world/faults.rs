@@ -43,6 +43,7 @@ impl World {
             Fault::Policy { controller, how } => self.fail_policy(controller, how, true),
             Fault::ReceiversSilent => self.silence_receivers(true),
             Fault::Stop => self.operate(|operator, ctx| operator.stop(ctx)),
+            Fault::Calibrate { array } => self.begin_calibration(index, array),
             Fault::Rearm(by) => self.operate(|operator, ctx| operator.rearm(by, ctx)),
             Fault::Attack(attack) => {
                 self.dispatch(self.number(Role::Attacker), |process, ctx| {
@@ -58,9 +59,11 @@ impl World {
     pub(super) fn end(&mut self, index: usize) {
         let Timed { fault, for_ms, .. } = self.faults[index].clone();
         self.trace.note(self.now, || format!("end {fault:?}"));
+        if let Fault::Partition { .. } = &fault {
+            return self.end_partition(index);
+        }
         if self.network.end(&fault) {
-            self.release_held();
-            return self.update_presence();
+            return;
         }
         match fault {
             Fault::Crash { host, .. } => self.restart(self.number(host)),
@@ -83,6 +86,7 @@ impl World {
             Fault::SlowPolicy { controller, ms } => self.slow_policy(controller, ms, false),
             Fault::Policy { controller, how } => self.fail_policy(controller, how, false),
             Fault::ReceiversSilent => self.silence_receivers(false),
+            Fault::Calibrate { .. } => self.end_calibration(),
             Fault::Attack(attack) => {
                 let host = self.number(Role::Attacker);
                 if let Some(Process::Attacker(attacker)) = &mut self.hosts[host].process {
@@ -132,7 +136,7 @@ impl World {
         }
     }
 
-    fn kill(&mut self, host: usize, disk: DiskAfterCrash) {
+    pub(super) fn kill(&mut self, host: usize, disk: DiskAfterCrash) {
         self.hosts[host].ends_by = None;
         let Some(process) = self.hosts[host].process.take() else { return };
         self.note_occurred(&process);
@@ -193,7 +197,7 @@ impl World {
     }
 
     /// Delivers what waited for links that are up again.
-    fn release_held(&mut self) {
+    pub(super) fn release_held(&mut self) {
         for (from, to, generation, incoming) in std::mem::take(&mut self.held) {
             if self.network.is_connected(from, to) {
                 let at = self.network.carry_surely(self.now, from, to);

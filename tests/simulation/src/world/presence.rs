@@ -5,19 +5,16 @@
 
 use heliostat_proto::NodeKind;
 
+use super::connections::LEASE_NS;
 use super::{Event, World};
-use crate::clock::MS;
 use crate::hosts::Incoming;
 use crate::plan::Role;
-
-/// Time without a connection after which a token ends, in ns.
-const LEASE_NS: u64 = 5000 * MS;
 
 impl World {
     /// Compares what each host has seen with what it can see, and delivers the differences.
     pub(super) fn update_presence(&mut self) {
         for observer in 0..self.hosts.len() {
-            let is_observer = matches!(self.hosts[observer].role, Role::Controller(_));
+            let is_observer = matches!(self.hosts[observer].role, Role::Controller(_) | Role::Calibration);
             if !is_observer || self.hosts[observer].process.is_none() {
                 continue;
             }
@@ -32,8 +29,7 @@ impl World {
     fn update_pair(&mut self, observer: usize, subject: usize, node: NodeKind) {
         let is_reached = self.network.is_connected(subject, observer) && self.hosts[subject].frozen == 0;
         let seen = self.hosts[observer].sees[subject];
-        let has_token = self.hosts[subject].process.is_some() && self.hosts[subject].ends_by.is_none();
-        let alive = has_token.then_some(self.hosts[subject].source);
+        let alive = self.hosts[subject].has_token().then_some(self.hosts[subject].source);
         let lost_since = self.hosts[observer].lost_since[subject];
         let sees = match lost_since {
             _ if is_reached => alive,
@@ -64,7 +60,7 @@ fn kind(role: Role) -> Option<NodeKind> {
     match role {
         Role::Tracker => Some(NodeKind::Tracker),
         Role::Array(_) => Some(NodeKind::Driver),
-        Role::Controller(_) => Some(NodeKind::Controller),
+        Role::Controller(_) | Role::Calibration => Some(NodeKind::Controller),
         Role::Operator | Role::Attacker => None,
     }
 }

@@ -2,6 +2,7 @@
 
 use heliostat_core::tenure::{Standing, TenureEvent};
 
+use super::pauses::PAUSE_MAX_NS;
 use super::{Process, World};
 use crate::clock::{MS, TrueNs};
 use crate::hosts::controller::ControllerNode;
@@ -19,7 +20,7 @@ const OBSERVED_NS: u64 = 800 * MS;
 const REGULAR_INTERVALS: u64 = 5;
 
 /// Time without another fault around the loss of a leader, in ms: before, and after.
-const ALONE_MS: (u64, u64) = (2000, 1000);
+pub(super) const ALONE_MS: (u64, u64) = (2000, 1000);
 
 /// When a run ends, after the end of the last fault.
 pub(super) fn end_ns(last_ns: TrueNs) -> TrueNs {
@@ -47,6 +48,7 @@ impl World {
             }
         }
         self.judge_confirmation();
+        self.judge_visits();
         for host in 0..self.hosts.len() {
             let Some(process) = self.hosts[host].process.take() else { continue };
             self.note_occurred(&process);
@@ -65,11 +67,8 @@ impl World {
     /// Notes the loss of a controller that led beside a standby, if it is the only fault.
     pub(super) fn note_loss(&mut self, index: usize, host: usize, slack_ns: u64) {
         let Timed { at_ms, for_ms, .. } = self.faults[index];
-        let is_near = |(other, fault): (usize, &Timed)| {
-            other != index && fault.end_ms() + ALONE_MS.0 > at_ms && fault.at_ms < at_ms + ALONE_MS.1
-        };
         // A leader that is back at once competes with its standby.
-        let is_alone = for_ms >= ALONE_MS.1 && !self.faults.iter().enumerate().any(is_near);
+        let is_alone = for_ms >= ALONE_MS.1 && self.is_alone(index, at_ms);
         let adapter = |host: usize| match &self.hosts[host].process {
             Some(Process::Controller(node)) => Some(node.adapter()),
             _ => None,
@@ -81,13 +80,36 @@ impl World {
             })
         };
         let has_standby = (0..self.hosts.len()).any(|other| other != host && stands_by(other));
-        let is_driven = self.monitor.arrays.iter().all(|array| {
+        if is_alone && leads && has_standby && self.is_driven() {
+            self.losses.push(Loss { at: self.now, slack_ns: slack_ns + self.slack_ns() });
+        }
+    }
+
+    /// By how much the gaps that are promised may be longer, in ns: delays and pauses.
+    pub(super) fn slack_ns(&self) -> u64 {
+        2 * DELAY_MAX_NS + self.pauses_ns()
+    }
+
+    /// The pauses of tracker, controller and array on a busy machine.
+    fn pauses_ns(&self) -> u64 {
+        if self.setup.is_busy { 3 * PAUSE_MAX_NS } else { 0 }
+    }
+
+    /// Whether no other fault is in force, shortly before this one begins and until a time after it.
+    pub(super) fn is_alone(&self, index: usize, until_ms: u64) -> bool {
+        let at_ms = self.faults[index].at_ms;
+        let is_near = |(other, fault): (usize, &Timed)| {
+            other != index && fault.end_ms() + ALONE_MS.0 > at_ms && fault.at_ms < until_ms + ALONE_MS.1
+        };
+        !self.faults.iter().enumerate().any(is_near)
+    }
+
+    /// Whether each array follows commands.
+    pub(super) fn is_driven(&self) -> bool {
+        self.monitor.arrays.iter().all(|array| {
             let last = array.accepted_at.last().copied().unwrap_or_default();
             !array.is_stopped() && self.now - last <= 2 * self.room.interval_ns
-        });
-        if is_alone && leads && has_standby && is_driven {
-            self.losses.push(Loss { at: self.now, slack_ns: slack_ns + 2 * DELAY_MAX_NS });
-        }
+        })
     }
 
     /// A stop that nobody releases reaches every array, and is confirmed.
@@ -128,7 +150,7 @@ impl World {
         let after = observed.accepted_at.iter().copied().filter(|at| *at > since);
         let times: Vec<TrueNs> = std::iter::once(since).chain(after).chain([since + OBSERVED_NS]).collect();
         let longest_ns = times.windows(2).map(|pair| pair[1] - pair[0]).max().unwrap_or_default();
-        if longest_ns > REGULAR_INTERVALS * self.room.interval_ns {
+        if longest_ns > REGULAR_INTERVALS * self.room.interval_ns + self.pauses_ns() {
             let text = format!("array {array} follows nothing for {} ms after the last fault", longest_ns / MS);
             self.monitor.fail(self.now, (Invariant::Recovery, text));
         }

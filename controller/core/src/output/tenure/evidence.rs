@@ -101,6 +101,8 @@ pub(super) struct Takeover {
 pub(super) struct Guest {
     /// The remainder in the epochs of the controller that joined last, and the time of the latest telemetry before.
     joined: Option<(u64, Nanos)>,
+    /// Whether that one has left.
+    left: bool,
     pub(super) leads: bool,
 }
 
@@ -108,6 +110,17 @@ impl Guest {
     /// A controller has joined after the telemetry of this time. Without telemetry it may have led before.
     pub(super) fn handle_joined(&mut self, slot: u64, seen_ns: Option<Nanos>) {
         self.joined = seen_ns.map(|seen_ns| (slot, seen_ns));
+        self.left = false;
+    }
+
+    /// A controller with this remainder in its epochs has left.
+    pub(super) fn handle_left(&mut self, slot: u64) {
+        self.left |= self.joined.is_some_and(|(joined, _)| joined == slot);
+    }
+
+    /// Whether a guest leads whose token has ended.
+    pub(super) fn has_left(&self) -> bool {
+        self.leads && self.left
     }
 
     /// The array follows an epoch of this remainder since `now`, after a leader that answered or had failed.

@@ -107,3 +107,18 @@ fn the_leader_after_a_guest_whose_commands_have_expired_is_no_guest() {
     room.run(S);
     assert_eq!(room.controllers[0].events, [TenureEvent::Superseded, TenureEvent::TookOver]);
 }
+
+#[test]
+fn the_lead_of_a_guest_returns_at_once_also_where_it_left_before_telemetry_showed_its_lead() {
+    let mut room = led_room(&[1]);
+    let epoch = room.array.shown.epoch / EPOCH_SLOTS * EPOCH_SLOTS + EPOCH_SLOTS + GUEST;
+    room.announce(GUEST, true);
+    assert!(room.array.handle(room.now, epoch, 1));
+    room.announce(GUEST, false);
+    for sequence in 2..=4 {
+        // It commands until its successor is obeyed.
+        room.array.handle(room.now, epoch, sequence);
+        room.run(INTERVAL);
+    }
+    assert_eq!(room.controllers[0].events, [TenureEvent::Superseded, TenureEvent::Resumed]);
+}

@@ -6,8 +6,10 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail, ensure};
 use heliostat_bus::{Bus, Class, Presence, Publisher, Subscription, Token};
+use heliostat_calibrate::commander::{
+    Commander, Guest, LEAD_EVERY_NS, LEAD_WITHIN_NS, RELEASE_NS, TELEMETRY_GAP_MAX_NS, VALIDITY_MS,
+};
 use heliostat_channel::MirrorAngles;
-use heliostat_core::tenure::Tenure;
 use heliostat_proto::gauges::CalibrationProgress;
 use heliostat_proto::keys::parse_alive;
 use heliostat_proto::{
@@ -19,11 +21,11 @@ use heliostat_service::clock::{monotonic_ns, utc_ns};
 use heliostat_service::source_id;
 
 use super::args::Args;
-use super::commander::Commander;
+use super::commander::PublishedCommands;
 use super::interruption;
 
 /// Longest wait for capabilities, telemetry and the lead.
-const WAIT: Duration = Duration::from_secs(5);
+const WAIT: Duration = Duration::from_nanos(LEAD_WITHIN_NS);
 
 /// Age beyond which a report does not count.
 const REPORT_AGE_MAX_NS: Nanos = 1_000_000_000;
@@ -31,24 +33,11 @@ const REPORT_AGE_MAX_NS: Nanos = 1_000_000_000;
 /// Time between two queries.
 const QUERY_EVERY: Duration = Duration::from_millis(200);
 
-/// Validity of a command in ms, where the array accepts that long.
-const VALIDITY_MS: u32 = 1000;
-
 /// Reports that the queue holds; a report beyond it is dropped, as one that the network loses.
 const QUEUE: usize = 1024;
 
-/// Longest time without telemetry: an array publishes ten messages a second.
-const TELEMETRY_GAP_MAX: Duration = Duration::from_secs(2);
-
 /// Time after its last status for which another calibration counts as running.
 const OTHER_GAP_MAX: Duration = Duration::from_secs(2);
-
-/// How often a calibration with `--take-over` takes the lead again from a controller that took it: a busy machine
-/// delays its commands, and the controller then takes it for one that has left.
-const RETAKES_MAX: u32 = 3;
-
-/// Time for which an array keeps a command while its successor takes the lead.
-const RELEASE: Duration = Duration::from_millis(500);
 
 /// What arrives for the session.
 pub enum Received {
@@ -64,23 +53,16 @@ pub enum Received {
 pub struct LiveRoom {
     bus: Bus,
     source: u64,
-    /// Time between two position reports in ns.
-    interval_ns: Nanos,
     /// Whether it takes the lead from another controller.
     takes_over: bool,
-    /// How often it has taken the lead again.
-    retaken: u32,
     /// What is kept of the readings if another controller ends this session.
     kept: String,
-    /// The epoch of the array at the start.
-    announced: u64,
-    parked: MirrorAngles,
     /// Whether another controller may take the lead: a refinement then waits.
     yields: bool,
     /// Source of the telemetry, and the calibration in use, at the start.
     driver: (u64, u64),
     queue: Receiver<Received>,
-    commander: Arc<Mutex<Commander>>,
+    commands: Arc<Mutex<PublishedCommands>>,
     telemetry: Arc<Mutex<Option<MirrorTelemetry>>>,
     /// When the last telemetry arrived.
     answered: Arc<Mutex<Instant>>,
@@ -99,7 +81,7 @@ impl LiveRoom {
     /// Joins the room; [`take`](Self::take) takes the lead of its array.
     pub fn open(bus: &Bus, args: &Args, scenario: &Scenario) -> Result<Self> {
         let (room, keys) = (bus.room().clone(), bus.room().array(args.array));
-        let (source, interval_ns) = (source_id::random(), scenario.streams.positions.interval_ns());
+        let source = source_id::random();
         let yields = args.refine.is_some();
         let capabilities: Capabilities = fetch(bus, &keys.capabilities())?.context(
             "the array does not answer: connect to the process that drives it, or to its router, and check --room",
@@ -144,15 +126,19 @@ impl LiveRoom {
             shown.epoch
         );
         let driver = (shown.stamp.source, shown.calibration);
-        let announced = shown.epoch.max(safety.map_or(0, |safety| safety.epoch));
-        let tenure = Tenure::live(source, interval_ns);
+        let commander = Commander::new(Guest {
+            source,
+            interval_ns: scenario.streams.positions.interval_ns(),
+            validity_ms,
+            validity_clock: capabilities.validity_clock,
+            takes_over: args.take_over || yields,
+            announced: shown.epoch.max(safety.map_or(0, |safety| safety.epoch)),
+            parked,
+        });
         let publisher = bus.publisher(&keys.command(), Class::RealTimeDrop)?;
-        let begin = (parked.clone(), validity_ms);
-        let mut commander = Commander::new(tenure, publisher, begin, (capabilities.validity_clock, args.take_over));
-        commander.rest();
-        let commander = Arc::new(Mutex::new(commander));
+        let commands = Arc::new(Mutex::new(PublishedCommands::new(commander, publisher)));
         let answered = Arc::new(Mutex::new(Instant::now()));
-        let mut subscriptions = subscribe(bus, args.array, &sender, &commander, (&telemetry, &answered))?;
+        let mut subscriptions = subscribe(bus, args.array, &sender, &commands, (&telemetry, &answered))?;
         let other_calibration: Arc<Mutex<Option<Instant>>> = Arc::default();
         let latest = Arc::clone(&other_calibration);
         subscriptions.push(bus.subscribe(&room.status(NodeKind::Controller), move |payload| {
@@ -185,16 +171,12 @@ impl LiveRoom {
         Ok(Self {
             bus: bus.enter(room),
             source,
-            interval_ns,
             takes_over: args.take_over || yields,
-            retaken: 0,
             kept: interruption::kept(args.readings.as_deref()),
-            announced,
-            parked,
             yields,
             driver,
             queue,
-            commander,
+            commands,
             telemetry,
             answered,
             other_calibration,
@@ -212,11 +194,7 @@ impl LiveRoom {
     /// # Errors
     /// An array that accepts no command of this process.
     pub fn take(&mut self) -> Result<()> {
-        let mut tenure = Tenure::live(self.source, self.interval_ns);
-        let followed = lock(&self.telemetry).as_ref().map_or(0, |shown| shown.epoch);
-        let superseded_by = lock(&self.commander).superseded_by().unwrap_or_default();
-        tenure.handle_announced_epoch(followed.max(superseded_by).max(self.announced));
-        lock(&self.commander).begin(tenure, self.parked.clone(), self.takes_over);
+        lock(&self.commands).commander.take();
         self.lead()
     }
 
@@ -232,7 +210,7 @@ impl LiveRoom {
 
     /// Whether another controller took the lead from this process while it commanded.
     pub fn has_lost_lead(&self) -> bool {
-        self.is_commanding() && lock(&self.commander).superseded_by().is_some()
+        self.is_commanding() && lock(&self.commands).commander.superseded_by().is_some()
     }
 
     /// Takes the lead again from a controller that took it, where `--take-over` allows it; whether it did.
@@ -240,12 +218,10 @@ impl LiveRoom {
     /// # Errors
     /// As [`take`](Self::take).
     pub fn take_again(&mut self) -> Result<bool> {
-        let is_allowed = !self.yields && !lock(&self.commander).is_stopped();
         let mut taken = Ok(false);
         // A controller can take the lead once more before the array follows this process.
-        while is_allowed && self.has_lost_lead() && may_retake(self.takes_over, self.retaken) {
-            let epoch = lock(&self.commander).superseded_by().unwrap_or_default();
-            self.retaken += 1;
+        while self.is_commanding() && !self.yields {
+            let Some(epoch) = lock(&self.commands).commander.retake() else { break };
             self.release();
             taken = self.take().map(|()| true).with_context(|| lost_lead(epoch, &self.kept, self.takes_over));
         }
@@ -257,12 +233,10 @@ impl LiveRoom {
         let key = self.bus.room().alive(NodeKind::Controller, self.source);
         self.token = Some(self.bus.announce(&key)?);
         let led = wait(|| {
-            let mut commander = lock(&self.commander);
+            let mut commands = lock(&self.commands);
             // A failure to publish shows below, as a lead that is not gained.
-            let _ = commander.answer(utc_ns(), 0);
-            let epoch = commander.epoch();
-            let is_obeyed = lock(&self.telemetry).as_ref().is_some_and(|telemetry| telemetry.epoch == epoch);
-            (commander.stands_by() || (commander.is_leading() && is_obeyed)).then_some(commander.is_leading())
+            let _ = commands.answer(utc_ns(), 0);
+            commands.commander.has_lead()
         });
         match led {
             Some(true) => Ok(()),
@@ -273,12 +247,16 @@ impl LiveRoom {
 
     /// What arrives next, within a limit.
     pub fn receive(&self, limit: Duration) -> Result<Option<Received>> {
-        if lock(&self.commander).is_stopped() {
+        let (is_stopped, lost) = {
+            let commander = &lock(&self.commands).commander;
+            // A lead that was lost since the last look is for `take_again`; a refinement waits for the next idle time.
+            let ends = !self.yields && !commander.may_retake();
+            (commander.is_stopped(), commander.superseded_by().filter(|_| ends))
+        };
+        if is_stopped {
             bail!("the array was stopped: release it with `heliostat rearm`, then continue with --readings");
         }
-        // A lead that was lost since the last look is for `take_again`.
-        let ends = ends_without_lead(self.yields, self.takes_over, self.retaken);
-        if let Some(epoch) = lock(&self.commander).superseded_by().filter(|_| ends) {
+        if let Some(epoch) = lost {
             bail!(lost_lead(epoch, &self.kept, self.takes_over));
         }
         if lock(&self.telemetry).as_ref().is_some_and(|shown| (shown.stamp.source, shown.calibration) != self.driver) {
@@ -287,7 +265,7 @@ impl LiveRoom {
             );
         }
         ensure!(
-            lock(&self.answered).elapsed() < TELEMETRY_GAP_MAX,
+            lock(&self.answered).elapsed() < Duration::from_nanos(TELEMETRY_GAP_MAX_NS),
             "the array does not answer any more: check its driver, then continue with --readings"
         );
         if let Some(other) = self.disturbing.get() {
@@ -310,7 +288,7 @@ impl LiveRoom {
 
     /// Commands these angles.
     pub fn command(&mut self, angles: MirrorAngles) -> Result<()> {
-        lock(&self.commander).command(utc_ns(), angles)
+        lock(&self.commands).command(utc_ns(), angles)
     }
 
     /// What the array announces.
@@ -336,7 +314,7 @@ impl LiveRoom {
         self.shown.stamp.sequence += 1;
         self.shown.stamp.time_ns = utc_ns();
         self.shown.state = format!("calibrating: {}", progress.place_name());
-        self.shown.counters = vec![("epoch".into(), lock(&self.commander).epoch())];
+        self.shown.counters = vec![("epoch".into(), lock(&self.commands).commander.epoch())];
         self.shown.gauges = progress.gauges().map(|(name, value)| (name.to_owned(), value)).to_vec();
         let mut payload = Vec::new();
         encode(&self.shown, &mut payload)?;
@@ -350,10 +328,12 @@ impl LiveRoom {
             return;
         }
         let begun = Instant::now();
-        while begun.elapsed() < RELEASE && lock(&self.commander).superseded_by().is_none() {
+        while begun.elapsed() < Duration::from_nanos(RELEASE_NS)
+            && lock(&self.commands).commander.superseded_by().is_none()
+        {
             std::thread::sleep(QUERY_EVERY / 10);
         }
-        lock(&self.commander).rest();
+        lock(&self.commands).commander.rest();
     }
 }
 
@@ -361,11 +341,11 @@ fn subscribe(
     bus: &Bus,
     array: usize,
     sender: &SyncSender<Received>,
-    commander: &Arc<Mutex<Commander>>,
+    commands: &Arc<Mutex<PublishedCommands>>,
     (telemetry, answered): (&Arc<Mutex<Option<MirrorTelemetry>>>, &Arc<Mutex<Instant>>),
 ) -> Result<Vec<Subscription>> {
     let (room, keys) = (bus.room().clone(), bus.room().array(array));
-    let (queue, answering) = (sender.clone(), Arc::clone(commander));
+    let (queue, answering) = (sender.clone(), Arc::clone(commands));
     let users = bus.subscribe(&room.users(), move |payload| {
         let Ok(report) = decode::<UserReport>(payload) else { return };
         if !is_recent(&report.stamp) {
@@ -383,45 +363,35 @@ fn subscribe(
             let _ = queue.try_send(Received::Channel(report));
         }
     })?;
-    let (queue, comparing, latest) = (sender.clone(), Arc::clone(commander), Arc::clone(telemetry));
+    let (queue, comparing, latest) = (sender.clone(), Arc::clone(commands), Arc::clone(telemetry));
     let answered = Arc::clone(answered);
     let telemetry = bus.subscribe(&keys.telemetry(), move |payload| {
         let Ok(telemetry) = decode::<MirrorTelemetry>(payload) else { return };
-        if let Some(delay_ns) = lock(&comparing).handle_telemetry(utc_ns(), &telemetry) {
+        if let Some(delay_ns) = lock(&comparing).commander.handle_telemetry(utc_ns(), &telemetry) {
             let _ = queue.try_send(Received::CommandDelay(delay_ns));
         }
         *lock(&latest) = Some(telemetry);
         *lock(&answered) = Instant::now();
     })?;
-    let watching = Arc::clone(commander);
+    let watching = Arc::clone(commands);
     let others = bus.watch(&room.alive_of(NodeKind::Controller), move |key, presence| {
         if let Some((_, source)) = parse_alive(key) {
-            lock(&watching).handle_controller(source, presence == Presence::Alive);
+            lock(&watching).commander.handle_controller(source, presence == Presence::Alive);
         }
     })?;
-    let ordered = Arc::clone(commander);
+    let ordered = Arc::clone(commands);
     let stops = bus.subscribe(&room.stop(), move |payload| {
         if decode::<EmergencyStop>(payload).is_ok_and(|order| order.action == StopAction::Stop) {
-            lock(&ordered).note_stop();
+            lock(&ordered).commander.note_stop();
         }
     })?;
-    let repeated = Arc::clone(commander);
+    let repeated = Arc::clone(commands);
     let repetitions = bus.subscribe(&keys.stop_repetition(), move |payload| {
         if decode::<StopRepetition>(payload).is_ok() {
-            lock(&repeated).note_stop();
+            lock(&repeated).commander.note_stop();
         }
     })?;
     Ok(vec![users, channel, telemetry, others, stops, repetitions])
-}
-
-/// Whether the lead that was lost is taken again.
-fn may_retake(takes_over: bool, retaken: u32) -> bool {
-    takes_over && retaken < RETAKES_MAX
-}
-
-/// Whether a lost lead ends the session: a refinement waits for the next idle time.
-fn ends_without_lead(yields: bool, takes_over: bool, retaken: u32) -> bool {
-    !yields && !may_retake(takes_over, retaken)
 }
 
 /// Why the session ends, what is kept, and what to do.
@@ -460,7 +430,7 @@ fn wait<T>(mut value: impl FnMut() -> Option<T>) -> Option<T> {
         if begun.elapsed() >= WAIT {
             return None;
         }
-        std::thread::sleep(QUERY_EVERY / 4);
+        std::thread::sleep(Duration::from_nanos(LEAD_EVERY_NS));
     }
 }
 
@@ -482,14 +452,5 @@ mod tests {
         assert!(text.contains("readings.json keeps the readings, and the same command continues from them"), "{text}");
         assert!(text.ends_with(". End that controller if this recurs"), "{text}");
         assert!(lost_lead(7, &kept, false).ends_with("End that controller first, or give --take-over"));
-    }
-
-    #[test]
-    fn a_lost_lead_is_taken_again_a_few_times_where_the_command_may_take_over() {
-        assert_eq!([0, RETAKES_MAX - 1, RETAKES_MAX].map(|retaken| may_retake(true, retaken)), [true, true, false]);
-        assert!(!may_retake(false, 0));
-        let ends = [0, RETAKES_MAX - 1, RETAKES_MAX].map(|retaken| ends_without_lead(false, true, retaken));
-        assert_eq!(ends, [false, false, true]);
-        assert!(ends_without_lead(false, false, 0) && !ends_without_lead(true, true, RETAKES_MAX));
     }
 }

@@ -212,13 +212,15 @@ mod tests {
     use crate::optics::{PLACE, QUANTITIES, Quantities};
     use crate::parameters::Prior;
 
-    const AT_M: [f64; 2] = [-1.2, 0.4];
+    /// The spots and the place of the verification.
+    const PLACES_M: [[f64; 2]; 4] = [[-1.2, 0.4], [1.2, 0.4], [0.0, -1.3], [0.6, -0.5]];
     const HEIGHT_M: f64 = 0.85;
     const PERIOD_NS: Nanos = 50_000_000;
 
-    /// A room of 8 x 8 mirrors with random offsets, whose receiver stands at the only spot.
+    /// A room of 8 x 8 mirrors with random offsets, whose receiver is at once where it shall be.
     struct Room {
         session: Session,
+        at_m: [f64; 2],
         exact: Quantities,
         offsets: Vec<[f64; 2]>,
         angles: MirrorAngles,
@@ -233,28 +235,35 @@ mod tests {
         fn new(ratio: f64) -> Self {
             let size = ["mirrors.rows=8", "mirrors.columns=8"].map(String::from);
             let scenario = Scenario::builtin("hall").expect("a scenario").with_overrides(&size).expect("valid");
-            let place = Place { floor_m: Some(AT_M), height_m: HEIGHT_M };
+            let [spots @ .., verify] = PLACES_M.map(|at| Place { floor_m: Some(at), height_m: HEIGHT_M });
             let axis = AxisLimits { min_rad: -1.0, max_rad: 1.0, ..AxisLimits::default() };
             let setup = Setup {
                 model: scenario.channel_model().expect("a model"),
                 array: 0,
                 capabilities: Capabilities { rows: 8, columns: 8, roll: axis, yaw: axis, ..Capabilities::default() },
                 prior: Prior::of_level(MismatchLevel::Rough),
-                spots: vec![place],
-                verify: place,
+                spots: spots.to_vec(),
+                verify,
                 user: None,
                 unusable: Vec::new(),
             };
             let session = Session::new(setup).expect("a session");
-            let at = session.optics.array().wall_from_room(&Vec3::new(AT_M[0], AT_M[1], 0.0));
-            let mut exact = [0.0; QUANTITIES];
-            exact[PLACE..PLACE + 3].copy_from_slice(&[at.x, at.y, HEIGHT_M]);
-            let place = std::iter::once((0, [AT_M[0], AT_M[1], HEIGHT_M]));
+            let at_m = PLACES_M[0];
+            let place = std::iter::once((0, [at_m[0], at_m[1], HEIGHT_M]));
             let peak = Signal::weakest(&session.optics, place, 1.0).expect("light").gain;
             let angles = MirrorAngles { roll: vec![0.0; 64], yaw: vec![0.0; 64] };
             let noise_gain = peak / ratio;
-            let mut room =
-                Self { session, exact, offsets: Vec::new(), angles, peak, noise_gain, now: 0, random: 20_261_126 };
+            let mut room = Self {
+                session,
+                at_m,
+                exact: [0.0; QUANTITIES],
+                offsets: Vec::new(),
+                angles,
+                peak,
+                noise_gain,
+                now: 0,
+                random: 20_261_126,
+            };
             room.offsets = (0..64).map(|_| [0.6, 0.6].map(|deg: f64| deg.to_radians() * room.normal())).collect();
             room
         }
@@ -290,12 +299,20 @@ mod tests {
         fn step(&mut self, direct: f64) {
             self.now += PERIOD_NS;
             let stamp = Stamp { time_ns: self.now, ..Stamp::default() };
-            let position_m = [AT_M[0] as f32, AT_M[1] as f32, HEIGHT_M as f32];
+            if let (Stage::Await(_), Some(Place { floor_m: Some(at_m), .. })) =
+                (self.session.stage(), self.session.place())
+            {
+                self.at_m = at_m;
+            }
+            let [x, y] = self.at_m;
+            let at = self.session.optics.array().wall_from_room(&Vec3::new(x, y, 0.0));
+            self.exact[PLACE..PLACE + 3].copy_from_slice(&[at.x, at.y, HEIGHT_M]);
+            let position_m = [x as f32, y as f32, HEIGHT_M as f32];
             let user = UserState { user: 0, position_m, ..UserState::default() };
             self.session.handle_users(&UserReport { stamp, users: vec![user], ..UserReport::default() });
             let all: f64 = (0..64).map(|of| self.light(of, [self.angles.roll[of], self.angles.yaw[of]])).sum();
             let irs_gain = self.measured(all, self.noise_gain);
-            let los_gain = self.measured(direct * 1e-6, 0.0);
+            let los_gain = self.measured(direct * self.session.optics.direct_gain(0, &self.exact), 0.0);
             let user = UserChannel { user: 0, los_gain, irs_gain, ..UserChannel::default() };
             self.session.handle_channel(&ChannelReport { stamp, users: vec![user], ..ChannelReport::default() });
             if !self.session.is_estimate_due()
@@ -336,7 +353,6 @@ mod tests {
             (0..2).all(|axis| (found[axis] - room.offsets[*mirror][axis]).abs() < 0.4_f64.to_radians())
         };
         let found = (0..64).filter(is_found).count();
-        println!("{} readings, {:.1} s, {found} of 64 mirrors", readings.len(), room.now as f64 * 1e-9);
         assert!(found > 56, "{found} of 64 mirrors");
     }
 

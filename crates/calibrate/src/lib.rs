@@ -1,7 +1,7 @@
 //! Calibration of a mirror array in its room: which mirror to turn where, and what the readings say.
 //!
-//! One hand-held receiver stands at a few spots. One mirror at a time is turned to it, and channel
-//! reports say how much light arrives. From these readings one estimate follows for everything that
+//! One hand-held receiver stands at a few spots. One mirror at a time is turned to it, or half of a coded
+//! group where the receiver's own noise dominates, and channel reports say how much light arrives. From these readings one estimate follows for everything that
 //! moves the light: the offset of each axis of each mirror, the places and the half-power semi-angle
 //! of the LEDs, the height and the shift of the tracker's frame, the detector's factor, and the spots
 //! themselves.
@@ -10,6 +10,7 @@
 //! - [`probes`]: which mirror is probed next, and where.
 //! - [`optics`]: the light of one mirror with its derivatives.
 //! - [`mod@fit`]: the joint estimate and its covariance.
+//! - [`code`]: the patterns of coded groups, and the light of each of their mirrors.
 //! - [`commander`]: the commands as those of a guest in the room: taking the lead, and giving it back.
 //! - [`places`]: where the receiver stands, unless places are named.
 //! - [`signal`]: whether single mirrors are bright enough for that.
@@ -23,6 +24,7 @@
 //!
 //! Nothing here reads a clock, opens a file or starts a thread.
 
+pub mod code;
 pub mod commander;
 pub mod fit;
 pub mod grid;

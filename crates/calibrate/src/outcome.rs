@@ -134,8 +134,10 @@ pub struct Outcome {
     pub channel_noise: f64,
     /// Places of the setup that were rejected, because most mirrors contradict them.
     pub rejected_places: Vec<usize>,
-    /// Readings of single mirrors.
+    /// Readings of mirrors.
     pub readings: usize,
+    /// How many of them are from coded groups of mirrors.
+    pub grouped: usize,
     /// The verification; in a refinement that of the mirrors that have changed.
     pub verification: Verification,
     /// The mirrors that have changed since the calibration that a refinement started from.
@@ -163,6 +165,7 @@ pub(crate) struct Input<'a> {
     pub bad: &'a [(usize, usize)],
     pub unusable: &'a [u32],
     pub readings: usize,
+    pub grouped: usize,
     pub noise: Option<[f64; 2]>,
     pub channel_noise: f64,
 }
@@ -208,6 +211,7 @@ impl Outcome {
             channel_noise: input.channel_noise,
             rejected_places,
             readings: input.readings,
+            grouped: input.grouped,
             verification: input.verification.clone(),
             changes: input.changes.to_vec(),
             offsets_rad: (0..mirrors.len())

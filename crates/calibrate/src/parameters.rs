@@ -78,8 +78,19 @@ pub struct Spot {
     pub direct_deviation: f64,
     /// Standard deviation of a reading, relative to the gain.
     pub noise_relative: f64,
-    /// Standard deviation of a dark reading, as a gain.
+    /// Standard deviation of a reading without light, as a gain: of a dark one, or of one from a coded group.
     pub noise_gain: f64,
+    /// Mirrors of the coded groups from which its readings are; 1: readings of single mirrors.
+    #[serde(default = "single", skip_serializing_if = "is_single")]
+    pub group: usize,
+}
+
+fn single() -> usize {
+    1
+}
+
+fn is_single(group: &usize) -> bool {
+    *group == 1
 }
 
 /// Where each parameter is in the vector of all.

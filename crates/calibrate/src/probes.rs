@@ -23,7 +23,7 @@ const DARK_MAX: u32 = 7;
 /// Most times that a surprise at a spot is measured again.
 const CONFIRMATIONS_MAX: u32 = 3;
 
-/// Mirrors that take turns: more than the commands whose reports are on their way.
+/// Mirrors that take turns: more than the commands whose reports are on their way, and two coded groups.
 const TURNS: usize = 64;
 
 /// Share of the largest gain from which on a reading counts as light.
@@ -143,11 +143,21 @@ impl Job {
     }
 }
 
-/// The next mirror of the first open ones that awaits no reading, from `cursor` on, in a ring.
+/// The mirrors that take turns: the first open ones.
+fn turns(jobs: &[Job]) -> impl Iterator<Item = usize> {
+    (0..jobs.len()).filter(|mirror| jobs[*mirror].state == State::Open).take(TURNS)
+}
+
+/// The next mirror of those that take turns that awaits no reading, from `cursor` on, in a ring.
 pub fn next_mirror(jobs: &[Job], cursor: usize) -> Option<usize> {
-    let open = || (0..jobs.len()).filter(|mirror| jobs[*mirror].state == State::Open).take(TURNS);
-    let later = open().filter(|mirror| *mirror >= cursor);
-    later.chain(open().filter(|mirror| *mirror < cursor)).find(|mirror| !jobs[*mirror].is_pending)
+    let later = turns(jobs).filter(|mirror| *mirror >= cursor);
+    later.chain(turns(jobs).filter(|mirror| *mirror < cursor)).find(|mirror| !jobs[*mirror].is_pending)
+}
+
+/// Of the mirrors that take turns, how many await no reading, and how many do.
+pub fn free_and_pending(jobs: &[Job]) -> (usize, usize) {
+    let pending = turns(jobs).filter(|mirror| jobs[*mirror].is_pending).count();
+    (turns(jobs).count() - pending, pending)
 }
 
 #[cfg(test)]

@@ -29,6 +29,7 @@
 //! have changed with their new ones, and ends after the last spot if none has.
 
 mod fitting;
+mod groups;
 mod log;
 pub(crate) mod refinement;
 mod stages;
@@ -153,7 +154,7 @@ pub struct Progress {
     pub stage: Stage,
     /// Mirrors located at the present spot, and mirrors to be probed there.
     pub located: (usize, usize),
-    /// Readings of single mirrors so far.
+    /// Readings of mirrors so far.
     pub readings: usize,
     /// Channel reports that served no reading: lost, too early, or with a body in the path.
     pub unused: u64,
@@ -181,6 +182,7 @@ pub struct Session {
     times: Vec<Nanos>,
     jobs: Vec<Job>,
     cursor: usize,
+    groups: groups::Groups,
     /// Whether the present spot was searched.
     is_located: bool,
     /// Search of the present spot, and its readings so far.
@@ -241,6 +243,7 @@ impl Session {
             times: Vec::new(),
             jobs: Vec::new(),
             cursor: 0,
+            groups: groups::Groups::default(),
             is_located: false,
             search: None,
             estimate: None,
@@ -331,7 +334,7 @@ impl Session {
         };
         if !is_clear {
             self.unused += 1;
-            self.forget(purpose);
+            self.reject(purpose);
             return;
         }
         self.last_reading_ns = time_ns;
@@ -347,6 +350,12 @@ impl Session {
     /// to be passed until the array follows this session again.
     pub fn handle_pause(&mut self) {
         self.timing.forget_sent();
+        self.drop_pending();
+    }
+
+    /// No mirror awaits a reading.
+    fn drop_pending(&mut self) {
+        self.groups.clear();
         self.jobs.iter_mut().for_each(|job| job.is_pending = false);
     }
 
@@ -393,7 +402,8 @@ impl Session {
         }
     }
 
-    /// The light of single mirrors at the present spot, compared with its dark readings; `None` before these.
+    /// The light of single mirrors at the present spot, compared with the noise of its readings; `None` before the
+    /// dark ones.
     pub fn signal(&self) -> Option<Signal> {
         let (Stage::Probe(place), Some(spot)) = (self.stage, self.spots.last()) else { return None };
         let probed = self.jobs.iter().filter(|job| job.state != State::Excluded);
@@ -401,7 +411,7 @@ impl Session {
         (gain > 0.0).then_some(Signal { place, gain, ratio: gain / spot.noise_gain })
     }
 
-    /// Readings of single mirrors so far.
+    /// Readings of mirrors so far.
     pub fn readings(&self) -> &[Reading] {
         &self.readings
     }

@@ -2,6 +2,7 @@
 
 use heliostat_channel::Vec3;
 
+use crate::code::{self, SIZES};
 use crate::optics::{Optics, PLACE, QUANTITIES, Quantities};
 use crate::stand::median;
 
@@ -16,7 +17,7 @@ pub struct Signal {
     pub place: usize,
     /// The largest gain of the median mirror.
     pub gain: f64,
-    /// Its ratio to the noise of a dark reading.
+    /// Its ratio to the noise of a reading without light.
     pub ratio: f64,
 }
 
@@ -24,6 +25,23 @@ impl Signal {
     /// Whether it is too weak for readings of single mirrors.
     pub fn is_weak(&self) -> bool {
         self.ratio < RATIO_MIN
+    }
+
+    /// Mirrors of a coded group: 1 unless the light of single ones is too weak. Of the possible sizes that with the
+    /// least noise, if two groups are among `mirrors`. `relative`: noise of a gain, relative to it.
+    pub fn group(&self, relative: f64, mirrors: usize) -> usize {
+        if !self.is_weak() {
+            return 1;
+        }
+        let sizes = SIZES.into_iter().filter(|size| *size == 1 || 2 * size <= mirrors);
+        let noise = |size: &usize| code::deviation(*size, (relative, self.gain / self.ratio), self.gain);
+        sizes.min_by(|a, b| noise(a).total_cmp(&noise(b))).unwrap_or(1)
+    }
+
+    /// The same light with the noise of groups of this size.
+    pub fn in_groups(self, size: usize, relative: f64) -> Self {
+        let noise = code::deviation(size, (relative, self.gain / self.ratio), self.gain);
+        Self { ratio: self.gain / noise, ..self }
     }
 
     /// The weakest light of single mirrors at these places, by the nominal room. Places: x, y and the height of the
@@ -49,4 +67,22 @@ fn gains(optics: &Optics, [x, y, height_m]: [f64; 3]) -> Option<Vec<f64>> {
         Some(optics.mirror_gain((mirror, led), aim, &exact))
     };
     Some((0..optics.centres.len()).map(|mirror| gain(mirror).unwrap_or(0.0)).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn groups_are_chosen_only_where_the_light_of_single_mirrors_is_weak() {
+        let signal = |ratio: f64| Signal { place: 0, gain: 2e-8, ratio };
+        for ratio in [RATIO_MIN, 20.0, f64::INFINITY] {
+            assert_eq!(signal(ratio).group(0.05, 400), 1, "at {ratio}");
+            assert_eq!(signal(ratio).in_groups(1, 0.05).ratio, ratio);
+        }
+        assert_eq!([1.0, 2.9].map(|ratio| signal(ratio).group(0.05, 400)), [31, 31]);
+        assert_eq!([0.1, 0.3].map(|relative| signal(2.9).group(relative, 400)), [15, 1], "the light's own noise");
+        assert_eq!([400, 36, 16, 4].map(|mirrors| signal(1.0).group(0.05, mirrors)), [31, 15, 7, 1]);
+        assert!(signal(1.0).in_groups(31, 0.05).ratio > 2.5);
+    }
 }

@@ -311,6 +311,7 @@ impl Session {
             bad: &bad,
             unusable: &self.setup.unusable,
             readings: self.readings.len(),
+            grouped: self.readings.iter().filter(|reading| self.spots[reading.spot].group > 1).count(),
             noise: (self.noise.count > 0.0).then(|| {
                 [self.noise.position_square, self.noise.velocity_square].map(|sum| (sum / self.noise.count).sqrt())
             }),
@@ -400,6 +401,7 @@ mod tests {
             direct_deviation: 0.0,
             noise_relative: 0.05,
             noise_gain: 0.0,
+            group: 1,
         };
         let mut exact = [0.0; QUANTITIES];
         exact[PLACE..PLACE + 3].copy_from_slice(&[-1.2, 0.4, 0.85]);

@@ -77,3 +77,20 @@ impl Session {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::Spot;
+
+    #[test]
+    fn a_spot_of_single_mirrors_is_written_and_read_without_a_group() {
+        let text = "tracked_m = [-1.2, 0.4]\ntracked_deviation_m = 0.003\nheight_m = 0.85\nled = 0\ndirect_gain = 1e-6\n\
+                    direct_deviation = 0.01\nnoise_relative = 0.05\nnoise_gain = 1e-9\n";
+        let spot: Spot = toml::from_str(text).expect("a spot");
+        assert_eq!(spot.group, 1);
+        assert!(!toml::to_string(&spot).expect("text").contains("group"));
+        let grouped = Spot { group: 15, ..spot };
+        let again: Spot = toml::from_str(&toml::to_string(&grouped).expect("text")).expect("a spot");
+        assert_eq!(again, grouped);
+    }
+}

@@ -100,6 +100,7 @@ impl Session {
             direct_deviation: 0.0,
             noise_relative: NOISE_RELATIVE,
             noise_gain: 0.0,
+            group: 1,
         });
         self.places.push(place);
         self.refresh_spot();
@@ -135,7 +136,7 @@ impl Session {
             self.verification = crate::outcome::Verification::default();
         }
         self.search = None;
-        self.jobs.iter_mut().for_each(|job| job.is_pending = false);
+        self.drop_pending();
         self.stage = Stage::Await(place);
         self.stand = Stand::default();
     }
@@ -145,18 +146,8 @@ impl Session {
         let purpose = match self.stage {
             Stage::Await(_) | Stage::Ended => return None,
             Stage::Dark(_) => Purpose::Dark,
-            Stage::Probe(_) => {
-                let mirror = probes::next_mirror(&self.jobs, self.cursor)?;
-                self.cursor = (mirror + 1) % self.jobs.len();
-                let spot = self.spots.len() - 1;
-                let quantities = self.quantities((mirror, spot));
-                let job = &mut self.jobs[mirror];
-                job.is_pending = true;
-                let probe = job.next_probe();
-                let aim = job.aim;
-                let command = [0, 1].map(|axis| aim[axis] - quantities[OFFSET + axis] + probe[axis]);
-                Purpose::Probe(mirror, self.within(command))
-            }
+            Stage::Probe(_) if self.group() > 1 => self.plan_group()?,
+            Stage::Probe(_) => self.next_probe().map(|(mirror, command)| Purpose::Probe(mirror, command))?,
             Stage::Locate(place) => {
                 let Some(purpose) = self.plan_search() else {
                     self.reject_spot(place);
@@ -172,6 +163,7 @@ impl Session {
         };
         match purpose {
             Purpose::Dark => {}
+            Purpose::Group(number, pattern) => self.light_group((number, pattern), &mut angles),
             Purpose::Probe(mirror, command) | Purpose::Locate(mirror, command) => {
                 (angles.roll[mirror], angles.yaw[mirror]) = command.into();
             }
@@ -204,15 +196,18 @@ impl Session {
                 }
             }
             (Stage::Probe(place), Purpose::Probe(mirror, command)) => {
-                let gain = gain - median(&self.dark_gains);
-                self.keep(time_ns, (mirror, command), gain);
-                self.judge(mirror, command, gain);
-                self.jobs[mirror].is_pending = false;
+                self.handle_probe(time_ns, (mirror, command), gain - median(&self.dark_gains));
                 self.after_probe(place);
+            }
+            (Stage::Probe(place), Purpose::Group(number, pattern)) => {
+                self.handle_group(time_ns, place, (number, pattern), gain);
             }
             (Stage::Locate(place), Purpose::Locate(mirror, command)) => {
                 let gain = gain - median(&self.dark_gains);
-                self.keep(time_ns, (mirror, command), gain);
+                // The readings of a spot have the same noise, and these are of single mirrors.
+                if self.group() == 1 {
+                    self.keep(time_ns, (mirror, command), gain);
+                }
                 self.handle_search(place, (mirror, command), gain);
             }
             (Stage::Verify, Purpose::Verify(is_calibrated)) => {
@@ -226,20 +221,30 @@ impl Session {
         }
     }
 
-    /// The reading of a command is lost.
-    pub(super) fn forget(&mut self, purpose: Purpose) {
-        if let Purpose::Probe(mirror, _) = purpose
-            && let Some(job) = self.jobs.get_mut(mirror)
-        {
-            job.is_pending = false;
-        }
+    /// The next probe of a single mirror, which awaits a reading from now on.
+    pub(super) fn next_probe(&mut self) -> Option<(usize, [f64; 2])> {
+        let mirror = probes::next_mirror(&self.jobs, self.cursor)?;
+        self.cursor = (mirror + 1) % self.jobs.len();
+        let quantities = self.quantities((mirror, self.spots.len() - 1));
+        let job = &mut self.jobs[mirror];
+        job.is_pending = true;
+        let (probe, aim) = (job.next_probe(), job.aim);
+        let command = [0, 1].map(|axis| aim[axis] - quantities[OFFSET + axis] + probe[axis]);
+        Some((mirror, self.within(command)))
+    }
+
+    /// The light of a mirror that was probed.
+    pub(super) fn handle_probe(&mut self, time_ns: Nanos, (mirror, command): (usize, [f64; 2]), gain: f64) {
+        self.keep(time_ns, (mirror, command), gain);
+        self.judge(mirror, command, gain);
+        self.jobs[mirror].is_pending = false;
     }
 
     /// Readings that are still to come.
     pub(super) fn remaining_readings(&self, open: usize) -> f64 {
         let mirrors = self.optics.centres.len() as f64;
         let places = self.setup.spots.len();
-        let is_weak = self.signal().is_some_and(|signal| signal.is_weak());
+        let is_weak = self.group() > 1 || self.signal().is_some_and(|signal| signal.is_weak());
         let usual = |place: usize| EXPECTED_READINGS[usize::from(place > 0 || self.is_refinement())];
         let expected = |place: usize| if is_weak { f64::from(probes::READINGS_MAX) } else { usual(place) };
         let verify = (2 * VERIFY_READINGS + DARK_READINGS) as f64;
@@ -270,6 +275,9 @@ impl Session {
         spot.direct_gain = stand.direct_gain();
         spot.noise_relative = stand.direct_noise().unwrap_or(NOISE_RELATIVE);
         spot.direct_deviation = spot.noise_relative / (stand.direct_count().max(1) as f64).sqrt();
+        if spot.group > 1 {
+            return;
+        }
         let usual = median(dark);
         let squares: f64 = dark.iter().map(|gain| (gain - usual).powi(2)).sum();
         spot.noise_gain = (squares / dark.len().saturating_sub(1).max(1) as f64).sqrt();
@@ -290,10 +298,12 @@ impl Session {
         self.stage = Stage::Probe(place);
         self.cursor = 0;
         self.open_jobs();
+        self.choose_group(place);
     }
 
     /// New jobs for the present spot. Mirrors that are located at this place already stay so.
     fn open_jobs(&mut self) {
+        self.groups.clear();
         let spot = self.spots.len() - 1;
         let place = self.places[spot];
         let earlier: Vec<State> = self.jobs.iter().map(|job| job.state).collect();
@@ -364,7 +374,7 @@ impl Session {
     }
 
     /// What follows a reading of a probe.
-    fn after_probe(&mut self, place: usize) {
+    pub(super) fn after_probe(&mut self, place: usize) {
         let first = self.jobs.iter().filter(|job| job.state != State::Excluded).take(FIRST_MIRRORS);
         let (mut probed, mut lit, mut once) = (0, 0, true);
         for job in first {
@@ -407,9 +417,8 @@ impl Session {
         let spot = self.spots.len() - 1;
         let at = self.quantities((0, spot));
         let mut grid = Grid::normal([at[PLACE], at[PLACE + 1]], [SEARCH_M; 2]);
-        let readings: Vec<Reading> = self.readings.iter().filter(|reading| reading.spot == spot).copied().collect();
-        for Reading { mirror, command, gain, .. } in readings {
-            self.observe_place(&mut grid, (mirror, command), gain);
+        for Reading { mirror, command, gain, .. } in self.readings.iter().filter(|reading| reading.spot == spot) {
+            self.observe_place(&mut grid, (*mirror, *command), *gain, self.spots[spot].noise_gain);
         }
         self.search = Some((grid, 0));
         self.stage = Stage::Locate(place);
@@ -442,11 +451,11 @@ impl Session {
         Some(Purpose::Locate(mirror, self.within(command)))
     }
 
-    fn observe_place(&self, grid: &mut Grid, (mirror, command): (usize, [f64; 2]), gain: f64) {
+    fn observe_place(&self, grid: &mut Grid, (mirror, command): (usize, [f64; 2]), gain: f64, noise_gain: f64) {
         let spot = self.spots.len() - 1;
         let (led, quantities) = (self.spots[spot].led, self.quantities((mirror, spot)));
         let peak = self.jobs[mirror].peak;
-        let noise = (self.spots[spot].noise_relative, self.spots[spot].noise_gain);
+        let noise = (self.spots[spot].noise_relative, noise_gain);
         grid.observe(gain, peak, |[x, y]| {
             let mut at = quantities;
             (at[PLACE], at[PLACE + 1]) = (x, y);
@@ -458,7 +467,8 @@ impl Session {
 
     fn handle_search(&mut self, place: usize, probe: (usize, [f64; 2]), gain: f64) {
         let Some((mut grid, count)) = self.search.take() else { return };
-        self.observe_place(&mut grid, probe, gain);
+        let noise_gain = if self.group() > 1 { self.own_noise() } else { self.spots[self.spots.len() - 1].noise_gain };
+        self.observe_place(&mut grid, probe, gain, noise_gain);
         let (mean, deviation) = grid.moments();
         if deviation.iter().all(|deviation| *deviation < FOUND_M) {
             self.is_located = true;

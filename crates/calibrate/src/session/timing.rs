@@ -37,6 +37,8 @@ pub enum Purpose {
     Dark,
     /// One mirror at these angles.
     Probe(usize, [f64; 2]),
+    /// A pattern of a coded group: the group's number and the pattern.
+    Group(u32, usize),
     /// One mirror at these angles, to find the spot.
     Locate(usize, [f64; 2]),
     /// All mirrors at their nominal aims, or at the calibrated ones.

@@ -30,8 +30,13 @@ fn tilted(scenario: &Scenario) -> Option<Condition> {
 fn weak(scenario: &Scenario, array: usize, spots: &[Place]) -> Option<Condition> {
     let optics = Optics::new(&scenario.channel_model().ok()?, array)?;
     let stream = &scenario.streams.channel;
-    let signal = Signal::weakest(&optics, stated(spots), stream.gain_variance().sqrt()).filter(Signal::is_weak)?;
-    let readings = optics.centres.len() * spots.len() * READINGS_MAX as usize;
+    let mirrors = optics.centres.len();
+    let signal = Signal::weakest(&optics, stated(spots), stream.gain_variance().sqrt())?;
+    let group = signal.group(stream.noise_relative, mirrors);
+    if !signal.in_groups(group, stream.noise_relative).is_weak() {
+        return None;
+    }
+    let readings = mirrors * spots.len() * READINGS_MAX as usize;
     let minutes = readings as f64 / stream.rate_hz / 60.0;
     Some(Condition {
         method: "the measurement of single mirrors".to_owned(),
@@ -43,8 +48,8 @@ fn weak(scenario: &Scenario, array: usize, spots: &[Place]) -> Option<Condition>
             signal.ratio
         ),
         consequence: format!(
-            "few mirrors are located, after up to {readings} readings, about {minutes:.0} min without the walks; \
-             {STRONGER}"
+            "few mirrors are located, also in groups of {group}, after up to {readings} readings, about \
+             {minutes:.0} min without the walks; {STRONGER}"
         ),
     })
 }
@@ -76,11 +81,18 @@ mod tests {
         let optics = Optics::new(&exact.channel_model().expect("a room"), 0).expect("one branch");
         let gain = Signal::weakest(&optics, stated(&spots), 1.0).expect("stated spots").gain;
         assert!(gain > 1e-12, "{gain}");
+        // Single mirrors suffice, then groups of them.
         assert_eq!(conditions(&scenario(gain / 5.0), 0, &spots), []);
-        let found = conditions(&scenario(gain / 2.0), 0, &spots);
+        assert_eq!(conditions(&scenario(gain / 2.0), 0, &spots), []);
+        let found = conditions(&scenario(gain / 0.5), 0, &spots);
         let [condition] = found.as_slice() else { panic!("{found:?}") };
         let text = condition.to_string();
-        assert!(text.contains("2.0 times the noise of a reading"), "{text}");
-        assert!(text.contains("12000 readings, about 10 min without the walks; choose spots nearer"), "{text}");
+        assert!(text.contains("0.5 times the noise of a reading"), "{text}");
+        assert!(
+            text.contains(
+                "groups of 31, after up to 12000 readings, about 10 min without the walks; choose spots nearer"
+            ),
+            "{text}"
+        );
     }
 }

@@ -35,9 +35,16 @@ pub fn stage(session: &Session) {
         Stage::Dark(_) => note("stay: all mirrors are turned away, for the dark readings"),
         Stage::Probe(index) => {
             note(format_args!("stay: the mirrors are probed at spot {}", index + 1));
+            let group = session.group();
+            if group > 1 {
+                note(format_args!(
+                    "the light of a mirror here is weaker than three times the noise of a reading: half of a group of \
+                     {group} mirrors is lit at a time"
+                ));
+            }
             if let Some(signal) = session.signal().filter(Signal::is_weak) {
                 note(format_args!(
-                    "the light of a mirror here is {:.1} times the noise of a dark reading: few mirrors will be \
+                    "the light of a mirror here is {:.1} times the noise of its readings: few mirrors will be \
                      located, in about {:.0} min; {STRONGER}",
                     signal.ratio,
                     session.progress().remaining_s / 60.0
@@ -142,7 +149,7 @@ pub fn outcome(args: &Args, outcome: &Outcome, is_written: bool) -> Result<()> {
     rejected(outcome)?;
     let ratio = outcome.verification.ratio();
     outln!("verification   {} times the light of the nominal aims", plus_minus(&ratio, 3))?;
-    outln!("readings       {}", outcome.readings)?;
+    outln!("readings       {}", readings(outcome))?;
     if is_written { written(args) } else { Ok(()) }
 }
 
@@ -163,7 +170,7 @@ pub fn refinement(args: &Args, outcome: &Outcome, is_written: bool) -> Result<()
         }
     }
     rejected(outcome)?;
-    outln!("readings       {}", outcome.readings)?;
+    outln!("readings       {}", readings(outcome))?;
     if is_written {
         outln!("verification   {} times the light of the former aims", plus_minus(&outcome.verification.ratio(), 3))?;
         return written(args);
@@ -177,6 +184,12 @@ fn json(args: &Args, outcome: &Outcome, is_written: bool) -> Result<()> {
     let room = args.room_out.as_ref().filter(|_| is_written).map(|path| path.display().to_string());
     outln!("{}", json!({ "outcome": outcome, "calibration": written, "room": room }))?;
     Ok(())
+}
+
+/// The readings, and how many of them are from groups of mirrors.
+fn readings(outcome: &Outcome) -> String {
+    let grouped = if outcome.grouped > 0 { format!(", {} of them in groups", outcome.grouped) } else { String::new() };
+    format!("{}{grouped}", outcome.readings)
 }
 
 fn rejected(outcome: &Outcome) -> Result<()> {

@@ -1,0 +1,416 @@
+//! Coded groups in a session: which mirrors are lit together, and what a complete group says.
+//!
+//! Groups are used at a spot where the light of single mirrors is weak. A group is read pattern by pattern. A
+//! pattern whose report was lost is repeated. If a body was in the path, the whole group is read again.
+
+use heliostat_channel::{MirrorAngles, Vec3};
+use heliostat_proto::Nanos;
+
+use super::Session;
+use super::timing::Purpose;
+use crate::code;
+use crate::probes::{self, State};
+use crate::signal::Signal;
+use crate::stand::median;
+
+/// A mirror and its commanded angles in rad.
+pub(super) type Probe = (usize, [f64; 2]);
+
+/// A pattern of a group.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Pattern {
+    Due,
+    Sent,
+    Read(f64),
+}
+
+/// Mirrors that are lit together.
+#[derive(Clone, Debug)]
+struct Group {
+    number: u32,
+    /// At most one for each pattern; a slot without a mirror is dark.
+    members: Vec<Probe>,
+    patterns: Vec<Pattern>,
+}
+
+/// The groups whose readings are not complete.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Groups {
+    open: Vec<Group>,
+    /// Number of the next group.
+    next: u32,
+}
+
+impl Groups {
+    /// Begins a group of this size.
+    fn begin(&mut self, members: Vec<Probe>, size: usize) {
+        self.open.push(Group { number: self.next, members, patterns: vec![Pattern::Due; size] });
+        self.next += 1;
+    }
+
+    /// The next pattern to command.
+    fn next_due(&mut self) -> Option<Purpose> {
+        self.open.iter_mut().find_map(|group| {
+            let pattern = group.patterns.iter().position(|pattern| *pattern == Pattern::Due)?;
+            group.patterns[pattern] = Pattern::Sent;
+            Some(Purpose::Group(group.number, pattern))
+        })
+    }
+
+    /// The mirrors that a pattern lights.
+    fn lit(&self, number: u32, pattern: usize) -> impl Iterator<Item = Probe> {
+        let members = self.open.iter().find(|group| group.number == number).map(|group| group.members.as_slice());
+        let slots = members.unwrap_or_default().iter().enumerate();
+        slots.filter(move |(slot, _)| code::is_lit(pattern, *slot)).map(|(_, member)| *member)
+    }
+
+    /// Takes a reading of a pattern; after the last one the group ends with the light of each of its mirrors.
+    fn handle_reading(&mut self, number: u32, pattern: usize, gain: f64) -> Option<Vec<(Probe, f64)>> {
+        let index = self.open.iter().position(|group| group.number == number)?;
+        let patterns = &mut self.open[index].patterns;
+        if !matches!(patterns[pattern], Pattern::Read(_)) {
+            patterns[pattern] = Pattern::Read(gain);
+        }
+        let read = |pattern: &Pattern| if let Pattern::Read(gain) = pattern { Some(*gain) } else { None };
+        let readings: Vec<f64> = patterns.iter().map(read).collect::<Option<_>>()?;
+        let members = self.open.remove(index).members;
+        Some(members.into_iter().zip(code::decoded(&readings)).collect())
+    }
+
+    /// The report of a pattern was lost: it is due again.
+    fn handle_loss(&mut self, number: u32, pattern: usize) {
+        if let Some(group) = self.open.iter_mut().find(|group| group.number == number)
+            && group.patterns[pattern] == Pattern::Sent
+        {
+            group.patterns[pattern] = Pattern::Due;
+        }
+    }
+
+    /// Drops a group: its mirrors, and how many of its patterns were read.
+    fn reject(&mut self, number: u32) -> Option<(Vec<Probe>, u64)> {
+        let index = self.open.iter().position(|group| group.number == number)?;
+        let group = self.open.remove(index);
+        let read = group.patterns.iter().filter(|pattern| matches!(pattern, Pattern::Read(_))).count();
+        Some((group.members, read as u64))
+    }
+
+    /// Drops all groups.
+    pub(super) fn clear(&mut self) {
+        self.open.clear();
+    }
+}
+
+impl Session {
+    /// Mirrors of the coded groups that are lit at the present spot; 1 where single mirrors are.
+    pub fn group(&self) -> usize {
+        self.spots.last().map_or(1, |spot| spot.group)
+    }
+
+    /// The light of single mirrors at a place, compared with the receiver's own noise in the dark readings.
+    fn own_signal(&self, place: usize) -> Option<Signal> {
+        let spot = self.spots.last()?;
+        let [x, y] = spot.tracked_m;
+        let at = self.optics.array().room_from_wall(&Vec3::new(x, y, 0.0));
+        Signal::weakest(&self.optics, std::iter::once((place, [at.x, at.y, spot.height_m])), self.own_noise())
+    }
+
+    /// Standard deviation of the receiver's own noise, by the dark readings. Those of a receiver that reports 0 for a
+    /// negative gain show half of the variance.
+    pub(super) fn own_noise(&self) -> f64 {
+        let dark = &self.dark_gains;
+        let is_cut = dark.iter().copied().fold(f64::INFINITY, f64::min) == 0.0;
+        let (level, share) = if is_cut { (0.0, 0.5) } else { (median(dark), 1.0) };
+        let squares: f64 = dark.iter().map(|gain| (gain - level).powi(2)).sum();
+        (squares / (share * dark.len().max(1) as f64)).sqrt()
+    }
+
+    /// Chooses single mirrors or groups for the present spot, with the noise of their readings.
+    pub(super) fn choose_group(&mut self, place: usize) {
+        let Some(signal) = self.own_signal(place) else { return };
+        let open = self.jobs.iter().filter(|job| job.state == State::Open).count();
+        let Some(spot) = self.spots.last_mut() else { return };
+        let group = signal.group(spot.noise_relative, open);
+        if group > 1 {
+            let grouped = signal.in_groups(group, spot.noise_relative);
+            (spot.group, spot.noise_gain) = (group, grouped.gain / grouped.ratio);
+        }
+    }
+
+    /// The next pattern, of a new group where no other is due. A group is not begun with few mirrors while others are
+    /// to follow.
+    pub(super) fn plan_group(&mut self) -> Option<Purpose> {
+        if let Some(due) = self.groups.next_due() {
+            return Some(due);
+        }
+        let size = self.group();
+        let (free, pending) = probes::free_and_pending(&self.jobs);
+        if free < size && pending > 0 {
+            return None;
+        }
+        let members: Vec<Probe> = std::iter::from_fn(|| self.next_probe()).take(size).collect();
+        if members.is_empty() {
+            return None;
+        }
+        self.groups.begin(members, size);
+        self.groups.next_due()
+    }
+
+    /// Turns the mirrors that a pattern lights to their angles.
+    pub(super) fn light_group(&self, (number, pattern): (u32, usize), angles: &mut MirrorAngles) {
+        for (mirror, command) in self.groups.lit(number, pattern) {
+            (angles.roll[mirror], angles.yaw[mirror]) = command.into();
+        }
+    }
+
+    /// A reading of a pattern, with the dark level.
+    pub(super) fn handle_group(&mut self, time_ns: Nanos, place: usize, (number, pattern): (u32, usize), gain: f64) {
+        let gain = gain - median(&self.dark_gains);
+        let Some(decoded) = self.groups.handle_reading(number, pattern, gain) else { return };
+        for (probe, gain) in decoded {
+            self.handle_probe(time_ns, probe, gain);
+        }
+        self.after_probe(place);
+    }
+
+    /// The reading of a command is lost.
+    pub(super) fn forget(&mut self, purpose: Purpose) {
+        match purpose {
+            Purpose::Probe(mirror, _) => self.release(mirror),
+            Purpose::Group(number, pattern) => self.groups.handle_loss(number, pattern),
+            Purpose::Dark | Purpose::Locate(..) | Purpose::Verify(_) => {}
+        }
+    }
+
+    /// A body was in the path while a command was measured. Some of a group's earlier readings may be spoiled too,
+    /// and one spoils all of its mirrors.
+    pub(super) fn reject(&mut self, purpose: Purpose) {
+        match purpose {
+            Purpose::Group(number, _) => {
+                let (members, read) = self.groups.reject(number).unwrap_or_default();
+                self.unused += read;
+                members.into_iter().for_each(|(mirror, _)| self.release(mirror));
+            }
+            _ => self.forget(purpose),
+        }
+    }
+
+    /// A mirror awaits no reading any more.
+    fn release(&mut self, mirror: usize) {
+        if let Some(job) = self.jobs.get_mut(mirror) {
+            job.is_pending = false;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use heliostat_proto::{AxisLimits, Capabilities, ChannelReport, Stamp, UserChannel, UserReport, UserState};
+    use heliostat_scenario::{MismatchLevel, Scenario};
+
+    use super::super::{Place, Setup, Stage};
+    use super::*;
+    use crate::optics::{PLACE, QUANTITIES, Quantities};
+    use crate::parameters::Prior;
+
+    /// The spots and the place of the verification.
+    const PLACES_M: [[f64; 2]; 4] = [[-1.2, 0.4], [1.2, 0.4], [0.0, -1.3], [0.6, -0.5]];
+    const HEIGHT_M: f64 = 0.85;
+    const PERIOD_NS: Nanos = 50_000_000;
+
+    /// A room of 8 x 8 mirrors with random offsets, whose receiver is at once where it shall be.
+    struct Room {
+        session: Session,
+        at_m: [f64; 2],
+        exact: Quantities,
+        offsets: Vec<[f64; 2]>,
+        angles: MirrorAngles,
+        peak: f64,
+        noise_gain: f64,
+        now: Nanos,
+        random: u64,
+    }
+
+    impl Room {
+        /// `ratio`: of the light of the median mirror to the receiver's own noise.
+        fn new(ratio: f64) -> Self {
+            let size = ["mirrors.rows=8", "mirrors.columns=8"].map(String::from);
+            let scenario = Scenario::builtin("hall").expect("a scenario").with_overrides(&size).expect("valid");
+            let [spots @ .., verify] = PLACES_M.map(|at| Place { floor_m: Some(at), height_m: HEIGHT_M });
+            let axis = AxisLimits { min_rad: -1.0, max_rad: 1.0, ..AxisLimits::default() };
+            let setup = Setup {
+                model: scenario.channel_model().expect("a model"),
+                array: 0,
+                capabilities: Capabilities { rows: 8, columns: 8, roll: axis, yaw: axis, ..Capabilities::default() },
+                prior: Prior::of_level(MismatchLevel::Rough),
+                spots: spots.to_vec(),
+                verify,
+                user: None,
+                unusable: Vec::new(),
+            };
+            let session = Session::new(setup).expect("a session");
+            let at_m = PLACES_M[0];
+            let place = std::iter::once((0, [at_m[0], at_m[1], HEIGHT_M]));
+            let peak = Signal::weakest(&session.optics, place, 1.0).expect("light").gain;
+            let angles = MirrorAngles { roll: vec![0.0; 64], yaw: vec![0.0; 64] };
+            let noise_gain = peak / ratio;
+            let mut room = Self {
+                session,
+                at_m,
+                exact: [0.0; QUANTITIES],
+                offsets: Vec::new(),
+                angles,
+                peak,
+                noise_gain,
+                now: 0,
+                random: 20_261_126,
+            };
+            room.offsets = (0..64).map(|_| [0.6, 0.6].map(|deg: f64| deg.to_radians() * room.normal())).collect();
+            room
+        }
+
+        /// A sum of twelve uniform numbers, which is nearly normal.
+        fn normal(&mut self) -> f64 {
+            let mut uniform = || {
+                self.random =
+                    self.random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                (self.random >> 11) as f64 / (1_u64 << 53) as f64
+            };
+            (0..12).map(|_| uniform()).sum::<f64>() - 6.0
+        }
+
+        /// The reading of a gain.
+        fn measured(&mut self, gain: f64, own: f64) -> f32 {
+            (gain * (1.0 + 0.05 * self.normal()) + own * self.normal()).max(0.0) as f32
+        }
+
+        /// The light of a mirror without noise.
+        fn light(&self, mirror: usize, command: [f64; 2]) -> f64 {
+            let turned = [0, 1].map(|axis| command[axis] + self.offsets[mirror][axis]);
+            self.session.optics.mirror_gain((mirror, 0), turned, &self.exact)
+        }
+
+        /// Mirrors that light the receiver's place, as far as they are turned to it.
+        fn turned(&self) -> usize {
+            let away = |mirror: &usize| self.session.dark_angles.get(*mirror).map_or(0.0, |angles| angles[0]);
+            (0..64).filter(|mirror| (self.angles.roll[*mirror] - away(mirror)).abs() > 1e-6).count()
+        }
+
+        /// One report of each kind. `direct`: share of the direct light that arrives.
+        fn step(&mut self, direct: f64) {
+            self.now += PERIOD_NS;
+            let stamp = Stamp { time_ns: self.now, ..Stamp::default() };
+            if let (Stage::Await(_), Some(Place { floor_m: Some(at_m), .. })) =
+                (self.session.stage(), self.session.place())
+            {
+                self.at_m = at_m;
+            }
+            let [x, y] = self.at_m;
+            let at = self.session.optics.array().wall_from_room(&Vec3::new(x, y, 0.0));
+            self.exact[PLACE..PLACE + 3].copy_from_slice(&[at.x, at.y, HEIGHT_M]);
+            let position_m = [x as f32, y as f32, HEIGHT_M as f32];
+            let user = UserState { user: 0, position_m, ..UserState::default() };
+            self.session.handle_users(&UserReport { stamp, users: vec![user], ..UserReport::default() });
+            let all: f64 = (0..64).map(|of| self.light(of, [self.angles.roll[of], self.angles.yaw[of]])).sum();
+            let irs_gain = self.measured(all, self.noise_gain);
+            let los_gain = self.measured(direct * self.session.optics.direct_gain(0, &self.exact), 0.0);
+            let user = UserChannel { user: 0, los_gain, irs_gain, ..UserChannel::default() };
+            self.session.handle_channel(&ChannelReport { stamp, users: vec![user], ..ChannelReport::default() });
+            if !self.session.is_estimate_due()
+                && let Some(angles) = self.session.next_command(self.now)
+            {
+                self.angles = angles;
+            }
+        }
+
+        fn step_until(&mut self, is_over: impl Fn(&Session) -> bool) {
+            for _ in 0..5000 {
+                if is_over(&self.session) {
+                    return;
+                }
+                self.step(1.0);
+            }
+            panic!("no end: {:?}", self.session.progress());
+        }
+    }
+
+    #[test]
+    fn weak_light_is_measured_in_groups_and_the_mirrors_are_found() {
+        let mut room = Room::new(2.0);
+        room.step_until(Session::is_estimate_due);
+        assert_eq!(room.session.group(), 31);
+        let readings = room.session.readings();
+        let spot = &room.session.spots[0];
+        assert!(spot.noise_gain < 0.5 * room.noise_gain, "{:e} of {:e}", spot.noise_gain, room.noise_gain);
+        let mean = |values: &dyn Fn(&crate::fit::Reading) -> f64| {
+            readings.iter().map(values).sum::<f64>() / readings.len() as f64
+        };
+        let error = |reading: &crate::fit::Reading| reading.gain - room.light(reading.mirror, reading.command);
+        let deviation = mean(&|reading| error(reading).powi(2)).sqrt();
+        assert!((deviation / spot.noise_gain - 1.0).abs() < 0.35, "{deviation:e} and {:e}", spot.noise_gain);
+        assert!(mean(&error).abs() < 0.05 * room.peak, "a common error: {:e}", mean(&error));
+        let is_found = |mirror: &usize| {
+            let (found, _) = room.session.jobs[*mirror].grid.moments();
+            (0..2).all(|axis| (found[axis] - room.offsets[*mirror][axis]).abs() < 0.4_f64.to_radians())
+        };
+        let found = (0..64).filter(is_found).count();
+        assert!(found > 56, "{found} of 64 mirrors");
+    }
+
+    #[test]
+    fn strong_light_is_measured_mirror_by_mirror() {
+        for ratio in [f64::INFINITY, 20.0] {
+            let mut room = Room::new(ratio);
+            room.step_until(|session| matches!(session.stage(), Stage::Probe(_)));
+            assert_eq!(room.session.group(), 1);
+            room.step_until(|session| session.readings().len() > 20);
+            assert_eq!(room.turned(), 1);
+        }
+    }
+
+    #[test]
+    fn a_body_in_the_path_rejects_the_whole_group_and_its_mirrors_are_probed_again() {
+        let mut room = Room::new(1.0);
+        room.step_until(|session| session.groups.open.iter().any(|group| read_of(group) == 12));
+        assert_eq!((room.session.readings().len(), room.turned()), (0, 16));
+        let before = (room.session.groups.open[0].number, room.session.unused);
+        room.step(0.0);
+        // The reading with the body, and those before it.
+        assert_eq!((room.session.unused - before.1, room.session.readings().len()), (13, 0));
+        assert!(room.session.groups.open.iter().all(|group| group.number != before.0));
+        let pending = room.session.jobs.iter().filter(|job| job.is_pending).count();
+        assert_eq!(pending, 31, "only those of the next group");
+        room.step_until(|session| session.readings().len() >= 62);
+        let probed = room.session.jobs.iter().filter(|job| job.readings > 0).count();
+        assert!(probed >= 62, "{probed} mirrors");
+    }
+
+    fn read_of(group: &Group) -> usize {
+        group.patterns.iter().filter(|pattern| matches!(pattern, Pattern::Read(_))).count()
+    }
+
+    #[test]
+    fn a_lost_pattern_is_repeated_and_the_group_is_exact() {
+        let members: Vec<Probe> = (0..6).map(|mirror| (mirror + 10, [0.1 * mirror as f64, 0.0])).collect();
+        let mut groups = Groups::default();
+        groups.begin(members.clone(), 7);
+        let light =
+            |groups: &Groups, pattern: usize| groups.lit(0, pattern).map(|(mirror, _)| mirror as f64).sum::<f64>();
+        let sent: Vec<Purpose> = std::iter::from_fn(|| groups.next_due()).collect();
+        assert_eq!(sent, (0..7).map(|pattern| Purpose::Group(0, pattern)).collect::<Vec<_>>());
+        for pattern in [0, 1, 2, 4, 5, 6] {
+            assert_eq!(groups.handle_reading(0, pattern, light(&groups, pattern)), None);
+        }
+        // A second report of a pattern, and the loss of one that was read, change nothing.
+        assert_eq!(groups.handle_reading(0, 2, 1e3), None);
+        groups.handle_loss(0, 2);
+        assert_eq!(groups.next_due(), None);
+        groups.handle_loss(0, 3);
+        assert_eq!(groups.next_due(), Some(Purpose::Group(0, 3)));
+        let decoded = groups.handle_reading(0, 3, light(&groups, 3)).expect("a complete group");
+        for ((probe, gain), member) in decoded.iter().zip(&members) {
+            assert_eq!(probe, member);
+            assert!((gain - member.0 as f64).abs() < 1e-9, "{gain} of mirror {}", member.0);
+        }
+        assert_eq!((decoded.len(), groups.handle_reading(0, 3, 1.0)), (6, None));
+    }
+}

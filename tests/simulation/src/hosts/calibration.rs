@@ -6,7 +6,7 @@ use heliostat_calibrate::commander::{
 };
 use heliostat_calibrate::{Place, Prior, Session, Setup, Stage};
 use heliostat_channel::MirrorAngles;
-use heliostat_core::tenure::EPOCH_SLOTS;
+use heliostat_proto::EPOCH_SLOTS;
 use heliostat_proto::{
     ArrayState, Capabilities, ChannelReport, EmergencyStop, MirrorCommand, MirrorTelemetry, NodeKind, SafetyReport,
     StopAction, StopRepetition, UserReport, decode,

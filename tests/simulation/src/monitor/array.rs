@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use heliostat_array::arrivals::Arrival;
 use heliostat_array::content::Content;
 use heliostat_array::moment::Moment;
-use heliostat_core::tenure::EPOCH_SLOTS;
+use heliostat_proto::EPOCH_SLOTS;
 use heliostat_proto::{ArrayState, CLOCK_LEAD_MAX_NS, MAX_STOPS, MirrorCommand, Nanos, StopName};
 
 use super::stops::StopModel;

@@ -1,6 +1,6 @@
 //! Calibrations: their begin and end, and what holds while one leads.
 
-use heliostat_core::tenure::EPOCH_SLOTS;
+use heliostat_proto::EPOCH_SLOTS;
 
 use super::verdicts::ALONE_MS;
 use super::{Process, World};

@@ -29,8 +29,9 @@ export class Orders {
     this.status = document.getElementById("order-status");
     const select = document.getElementById("policy");
     select.replaceChildren(...plan.policies.map(({ name, description }) => Object.assign(new Option(name, name), { title: description })));
+    // None, until the policy in use is known.
+    select.selectedIndex = -1;
     select.addEventListener("change", () => this.describe(select.value));
-    this.describe(select.value);
     this.on("switch-policy", () => ({ order: "policy", name: select.value }));
     this.on("stick", () => ({ order: "stick", share: 0.25 }));
     this.on("release", () => ({ order: "release" }));
@@ -80,13 +81,13 @@ export class Orders {
     const enable = (id, enabled) => { document.getElementById(id).disabled = !enabled; };
     enable("kill", this.plan.controls_processes && now.controller_alive);
     enable("restart", this.plan.controls_processes && !now.controller_alive);
-    enable("switch-policy", now.controller_alive);
     const select = document.getElementById("policy");
     if (now.policy && now.policy !== this.policy) {
       this.policy = now.policy;
       if (document.activeElement !== select) select.value = now.policy;
       this.describe(select.value);
     }
+    enable("switch-policy", now.controller_alive && select.value !== "");
   }
 
   // What the chosen policy does.

@@ -186,10 +186,8 @@ impl Calibration {
             Topic::Telemetry(array) => self.handle_telemetry(array, payload, ctx),
             Topic::Users => self.handle_users(payload, ctx),
             Topic::Channel => self.handle_channel(payload, ctx),
-            Topic::Stop => {
-                if decode::<EmergencyStop>(payload).is_ok_and(|order| order.action == StopAction::Stop) {
-                    self.note_stop();
-                }
+            Topic::Stop if decode::<EmergencyStop>(payload).is_ok_and(|order| order.action == StopAction::Stop) => {
+                self.note_stop();
             }
             Topic::Repetition(array) if array == self.array && decode::<StopRepetition>(payload).is_ok() => {
                 self.note_stop();

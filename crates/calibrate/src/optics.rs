@@ -5,8 +5,7 @@
 //! one difference. There a panel is a set of points, and each is visible in a mirror or not. Here
 //! each point stands for its cell of the panel, so the share of visible cells falls smoothly at the
 //! edge of the light. That is closer to a real panel, and it has a derivative. Path length and
-//! cosines are those of the centre of the visible part. That of the whole panel would shift the
-//! light of all mirrors the same way, which an estimate takes for another place of the LED.
+//! cosines are those of the panel's centre.
 //!
 //! The functions are generic over the numbers of `num-dual`: with `f64` they give the gain, with
 //! dual numbers also its exact derivatives. Positions are in the frame of the mirrors' wall.
@@ -123,12 +122,10 @@ impl Optics {
         if source_height.re() <= 0.0 || detector_height.re() <= 0.0 {
             return zero;
         }
-        let axes = [&normal, &width, &height];
-        let Some((visible, lit_at)) = self.visible(axes, &source, &detector, [source_height, detector_height]) else {
+        let visible = self.visible([&normal, &width, &height], &source, &detector, [source_height, detector_height]);
+        if visible.re() <= 0.0 {
             return zero;
-        };
-        let source = [source[0] + lit_at[0], source[1] + lit_at[1], source[2]];
-        let source_height = dot(&source, &normal);
+        }
         let image = [0, 1, 2].map(|axis| source[axis] - normal[axis] * source_height * 2.0 - detector[axis]);
         let length = dot(&image, &image).sqrt();
         let along = dot(&image, &normal) / length;
@@ -187,15 +184,14 @@ impl Optics {
         (ray[0] * a + ray[1] * b + ray[2]) / (length * (a * a + b * b + 1.0).sqrt())
     }
 
-    /// Share of the panel's cells that the detector sees in the mirror's rectangle, and the centre of these
-    /// cells relative to that of the panel; `None` where it sees none.
+    /// Share of the panel's cells that the detector sees in the mirror's rectangle.
     fn visible<D: DualNum<Primitive = f64> + Copy>(
         &self,
         [normal, width, height]: [&[D; 3]; 3],
         source: &[D; 3],
         detector: &[D; 3],
         [source_height, detector_height]: [D; 2],
-    ) -> Option<(D, [D; 2])> {
+    ) -> D {
         let share = detector_height / (source_height + detector_height);
         let axes = [width, height].map(|axis| (axis, dot(source, axis), dot(detector, axis)));
         // A cell is uniform over its side, which has the variance of side^2 / 12.
@@ -211,10 +207,10 @@ impl Optics {
             let hit = (source_height.re() * detector.re() + detector_height.re() * source.re())
                 / (source_height.re() + detector_height.re());
             if hit.abs() > self.half_m[side] + reach + LOGISTIC_MAX / steepness[side].re() {
-                return None;
+                return D::from(0.0);
             }
         }
-        let (mut sum, mut along_x, mut along_y) = (D::from(0.0), D::from(0.0), D::from(0.0));
+        let mut sum = D::from(0.0);
         for [x, y] in &self.points {
             let at = source_height + normal[0] * *x + normal[1] * *y;
             let mut lit = D::from(1.0);
@@ -226,10 +222,8 @@ impl Optics {
                 lit *= logistic((-hit + half) * steepness[side]) * logistic((hit + half) * steepness[side]);
             }
             sum += lit;
-            along_x += lit * *x;
-            along_y += lit * *y;
         }
-        (sum.re() > 0.0).then(|| (sum / self.points.len() as f64, [along_x / sum, along_y / sum]))
+        sum / self.points.len() as f64
     }
 }
 

@@ -82,33 +82,6 @@ fn the_smooth_light_is_that_of_the_channel_on_every_wall() {
 }
 
 #[test]
-fn the_edges_of_the_light_are_not_shifted_on_average_over_the_mirrors() {
-    let model = model(&["led.points_per_side=20"]);
-    let optics = Optics::new(&model, 0).unwrap();
-    let place = Vec3::new(-1.2, 0.4, 0.85);
-    let mut quantities = [0.0; QUANTITIES];
-    quantities[PLACE..PLACE + 3].copy_from_slice(optics.array().wall_from_room(&place).as_slice());
-    let (receiver, branch) = (&model.receiver, &model.receiver.branches[0]);
-    let mirrors = optics.centres.len();
-    for side in [1.0, -1.0] {
-        let mut difference = 0.0;
-        for mirror in 0..mirrors {
-            let mut at = optics.aim((mirror, 0), &quantities).unwrap();
-            let peak = optics.mirror_gain((mirror, 0), at, &quantities);
-            while optics.mirror_gain((mirror, 0), at, &quantities) > 0.5 * peak {
-                at[0] += side * 4e-4;
-            }
-            let plate = Plate::of(&model.mirrors, mirror, at[0], at[1]);
-            let reflectivity = model.mirrors.reflectivity(mirror);
-            let exact = specular::gain(&model.leds[0], &plate, reflectivity, (receiver, branch), &place).unwrap();
-            difference += (exact - optics.mirror_gain((mirror, 0), at, &quantities)) / peak;
-        }
-        let mean = difference / mirrors as f64;
-        assert!(mean.abs() < 0.003, "side {side}: the light is {mean} of its peak brighter than the model");
-    }
-}
-
-#[test]
 fn a_wider_semi_angle_spreads_the_light() {
     let optics = Optics::new(&model(&[]), 0).unwrap();
     let mut wider = quantities();

@@ -24,9 +24,6 @@ const MOVED_RAD: f64 = fit::STEP_MAX_RAD;
 /// Extent of the second search in prior standard deviations.
 const SEARCH_SPREAD: f64 = 1.3;
 
-/// Share of its prior standard deviation below which an offset counts as fitted.
-const FITTED_SHARE: f64 = 0.5;
-
 /// Step in m of the derivatives of an aim.
 const AIM_STEP_M: f64 = 1e-4;
 
@@ -168,33 +165,20 @@ impl Session {
         }
     }
 
-    /// Sets the offsets of known mirrors to where their fit starts.
+    /// Offsets of mirrors that were located for the first time start at the means of their grids.
     fn start_offsets(&mut self) {
-        let mut known: Vec<usize> = self.lit_pairs().iter().map(|(mirror, _)| *mirror).collect();
-        known.dedup();
-        let starts: Vec<(usize, [f64; 2])> =
-            known.into_iter().filter_map(|mirror| Some((mirror, self.start_of(mirror)?))).collect();
-        self.jobs.clear();
+        let known: Vec<usize> = self.lit_pairs().iter().map(|(mirror, _)| *mirror).collect();
         let Some(estimate) = &mut self.estimate else { return };
-        for (mirror, start) in starts {
-            for (axis, start) in start.into_iter().enumerate() {
-                estimate.values[estimate.layout.offset(mirror, axis)] = start;
+        for (mirror, job) in self.jobs.iter().enumerate().filter(|(_, job)| job.state != State::Excluded) {
+            if !known.contains(&mirror) {
+                continue;
+            }
+            let (mean, _) = job.grid.moments();
+            for (axis, mean) in mean.iter().enumerate() {
+                estimate.values[estimate.layout.offset(mirror, axis)] += mean;
             }
         }
-    }
-
-    /// Where the fit of a mirror's offsets starts, if not at the estimate: at the mean of the grid of this visit.
-    /// Without one, as after an interruption, all readings of a mirror that was never fitted give its start.
-    fn start_of(&self, mirror: usize) -> Option<[f64; 2]> {
-        let estimate = self.estimate.as_ref()?;
-        let parameters = [0, 1].map(|axis| estimate.layout.offset(mirror, axis));
-        if let Some(job) = self.jobs.get(mirror).filter(|job| job.readings > 0 && job.state != State::Excluded) {
-            let (mean, _) = job.grid.moments();
-            return Some([0, 1].map(|axis| estimate.values[parameters[axis]] + mean[axis]));
-        }
-        let deviation = |parameter: &usize| estimate.covariance[(*parameter, *parameter)].sqrt();
-        let is_fitted = parameters.iter().any(|of| deviation(of) < FITTED_SHARE * self.setup.prior.offset_rad);
-        (!is_fitted).then(|| self.searched(mirror).moments().0)
+        self.jobs.clear();
     }
 
     fn fit_pairs(&mut self, pairs: &[(usize, usize)]) {
@@ -231,7 +215,19 @@ impl Session {
         mirrors.dedup();
         let mut has_moved = false;
         for mirror in mirrors {
-            let (mean, _) = self.searched(mirror).moments();
+            let mut grid = Grid::normal([0.0; 2], [SEARCH_SPREAD * self.setup.prior.offset_rad; 2]);
+            for reading in self.readings.iter().filter(|reading| reading.mirror == mirror) {
+                let pair = (mirror, reading.spot);
+                let (data, quantities) = (self.data(&[]), self.quantities(pair));
+                let (led, peak) = (self.spots[reading.spot].led, data.peak(&quantities, pair));
+                grid.observe(reading.gain, peak.max(f64::MIN_POSITIVE), |offset| {
+                    let mut at = quantities;
+                    at[OFFSET..OFFSET + 2].copy_from_slice(&offset);
+                    let gain = self.optics.mirror_gain((mirror, led), reading.command, &at);
+                    Expected { gain, deviation: data.deviation(reading.spot, gain, peak) }
+                });
+            }
+            let (mean, _) = grid.moments();
             let Some(estimate) = &mut self.estimate else { return has_moved };
             for (axis, mean) in mean.into_iter().enumerate() {
                 let value = &mut estimate.values[estimate.layout.offset(mirror, axis)];
@@ -242,23 +238,6 @@ impl Session {
             }
         }
         has_moved
-    }
-
-    /// A mirror's offsets by all of its readings, with everything else as estimated.
-    fn searched(&self, mirror: usize) -> Grid {
-        let mut grid = Grid::normal([0.0; 2], [SEARCH_SPREAD * self.setup.prior.offset_rad; 2]);
-        for reading in self.readings.iter().filter(|reading| reading.mirror == mirror) {
-            let pair = (mirror, reading.spot);
-            let (data, quantities) = (self.data(&[]), self.quantities(pair));
-            let (led, peak) = (self.spots[reading.spot].led, data.peak(&quantities, pair));
-            grid.observe(reading.gain, peak.max(f64::MIN_POSITIVE), |offset| {
-                let mut at = quantities;
-                at[OFFSET..OFFSET + 2].copy_from_slice(&offset);
-                let gain = self.optics.mirror_gain((mirror, led), reading.command, &at);
-                Expected { gain, deviation: data.deviation(reading.spot, gain, peak) }
-            });
-        }
-        grid
     }
 
     /// The commanded angles of a mirror in the verification.
@@ -360,76 +339,4 @@ pub fn aim_deviation(
         }
         variance.max(1e-10).sqrt()
     })
-}
-
-#[cfg(test)]
-mod tests {
-    use heliostat_proto::Capabilities;
-    use heliostat_scenario::{MismatchLevel, Scenario};
-
-    use super::super::{Log, Place, Setup};
-    use super::*;
-    use crate::parameters::{Prior, Spot};
-
-    /// A session of four mirrors before its first report.
-    fn session() -> Session {
-        let size = ["mirrors.rows=2", "mirrors.columns=2"].map(String::from);
-        let scenario = Scenario::builtin("hall").expect("a scenario").with_overrides(&size).expect("valid");
-        let place = Place { floor_m: Some([-1.2, 0.4]), height_m: 0.85 };
-        let setup = Setup {
-            model: scenario.channel_model().expect("a model"),
-            array: 0,
-            capabilities: Capabilities { rows: 2, columns: 2, ..Capabilities::default() },
-            prior: Prior::of_level(MismatchLevel::Rough),
-            spots: vec![place],
-            verify: place,
-            user: None,
-            unusable: Vec::new(),
-        };
-        Session::new(setup).expect("a session")
-    }
-
-    #[test]
-    fn a_mirror_that_was_located_before_an_interruption_starts_where_its_readings_say() {
-        let mut session = session();
-        let spot = Spot {
-            tracked_m: [-1.2, 0.4],
-            tracked_deviation_m: 0.003,
-            height_m: 0.85,
-            led: 0,
-            direct_gain: 0.0,
-            direct_deviation: 0.0,
-            noise_relative: 0.05,
-            noise_gain: 0.0,
-            group: 1,
-        };
-        let mut exact = [0.0; QUANTITIES];
-        exact[PLACE..PLACE + 3].copy_from_slice(&[-1.2, 0.4, 0.85]);
-        let offset = [1.2_f64, -0.8].map(f64::to_radians);
-        let aim = session.optics.aim((0, 0), &exact).expect("an aim");
-        let gain_at = |at: [f64; 2]| session.optics.mirror_gain((0, 0), at, &exact);
-        let edge = |axis: usize, step: f64| {
-            let mut at = aim;
-            while gain_at(at) > 0.5 * gain_at(aim) {
-                at[axis] += step;
-            }
-            at
-        };
-        let turned = [aim, edge(0, 1e-3), edge(0, -1e-3), edge(1, 1e-3), edge(1, -1e-3)];
-        let reading = |at: [f64; 2]| {
-            let command = [0, 1].map(|axis| at[axis] - offset[axis]);
-            Reading { spot: 0, mirror: 0, command, gain: gain_at(at) }
-        };
-        let readings = turned.map(reading).to_vec();
-        session
-            .take(Log { mirrors: 4, complete: 0, spots: vec![spot], places: vec![0], readings, former: 0 })
-            .expect("valid");
-        session.extend_estimate();
-        session.start_offsets();
-        let values = &session.estimate().expect("an estimate").values;
-        for axis in 0..2 {
-            assert!((values[axis] - offset[axis]).abs() < 0.25_f64.to_radians(), "{:?}", &values[..2]);
-        }
-        assert!(values[2..8].iter().all(|value| *value == 0.0), "the other mirrors have no readings");
-    }
 }

@@ -102,7 +102,7 @@ impl Commander {
     /// Begins to take the lead, above each epoch that the array has announced or followed.
     pub fn take(&mut self) {
         let highest = self.followed.max(self.superseded.unwrap_or_default()).max(self.guest.announced);
-        self.tenure = Tenure::live(self.guest.source, self.guest.interval_ns);
+        self.tenure.restart();
         self.tenure.handle_announced_epoch(highest);
         self.angles.clone_from(&self.guest.parked);
         self.sent.clear();

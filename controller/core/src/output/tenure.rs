@@ -182,6 +182,14 @@ impl Tenure {
         Self { rule: Rule::Live { source, interval_ns }, standing: Standing::Waiting, ..Self::fixed(0) }
     }
 
+    /// Begins again as [`live`](Self::live), for a lead that is taken again. No number of an epoch is given twice.
+    pub fn restart(&mut self) {
+        self.begin(0);
+        if let Rule::Live { source, interval_ns } = self.rule {
+            *self = Self { numbered: std::mem::take(&mut self.numbered), ..Self::live(source, interval_ns) };
+        }
+    }
+
     /// Stands by from the start, with this rank from 1, or the rank by source ids.
     #[must_use]
     pub fn in_reserve(self, rank: Option<u8>) -> Self {

@@ -2,6 +2,8 @@
 
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread::available_parallelism;
 
 use base64::prelude::{BASE64_STANDARD, Engine as _};
 use serde_json::{Value, json};
@@ -24,11 +26,43 @@ const FLAGS: [&str; 11] = [
 ];
 
 /// A browser with one page; it ends when dropped.
+///
+/// A browser without a graphics card computes on all processors. So at most as many are open at once in the
+/// tests of a process as the machine has processors: the next one waits, and a test must not open a second one
+/// beside its first.
 pub struct Browser {
     driver: Child,
     /// Address of the session.
     session: String,
     _profile: tempfile::TempDir,
+    // Dropped last, after the browser ended.
+    _turn: Turn,
+}
+
+/// One of the browsers that may be open at once.
+struct Turn;
+
+static OPEN: Mutex<usize> = Mutex::new(0);
+static CLOSED: Condvar = Condvar::new();
+
+impl Turn {
+    fn wait() -> Self {
+        let most = available_parallelism().map_or(1, usize::from);
+        *CLOSED.wait_while(open_browsers(), |open| *open >= most).unwrap_or_else(PoisonError::into_inner) += 1;
+        Self
+    }
+}
+
+impl Drop for Turn {
+    fn drop(&mut self) {
+        *open_browsers() -= 1;
+        CLOSED.notify_one();
+    }
+}
+
+/// The number of open browsers; a test that failed beside it leaves it intact.
+fn open_browsers() -> MutexGuard<'static, usize> {
+    OPEN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Browser {
@@ -45,6 +79,7 @@ impl Browser {
     /// # Panics
     /// As [`Browser::open`].
     pub fn open_with(url: &str, more: &[&str]) -> Self {
+        let turn = Turn::wait();
         let mut command = Command::new("chromedriver");
         command.arg("--port=0").stdout(Stdio::piped()).stderr(Stdio::null());
         let mut driver = command.spawn().expect("chromedriver starts");
@@ -59,7 +94,7 @@ impl Browser {
         let session =
             call(&sessions, &json!({ "capabilities": capabilities })).expect("chromedriver starts a Chromium");
         let id = session["sessionId"].as_str().expect("a session has an id");
-        let browser = Self { driver, session: format!("{sessions}/{id}"), _profile: profile };
+        let browser = Self { driver, session: format!("{sessions}/{id}"), _profile: profile, _turn: turn };
         browser.command("url", &json!({ "url": url }));
         browser
     }

@@ -331,8 +331,8 @@ impl Side {
 
     /// Sends reports to each room until it answers.
     fn meet(&mut self) -> Result<()> {
-        let deadline = Instant::now() + MEET_WITHIN;
         for room in 0..self.rooms.len() {
+            let deadline = Instant::now() + MEET_WITHIN;
             loop {
                 ensure!(
                     Instant::now() < deadline,

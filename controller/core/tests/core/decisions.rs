@@ -3,13 +3,11 @@
 use heliostat_core::{
     core::{Controller, DegradedMode, Stage},
     inbox::Message,
-    policy::{Actor, Fixed, PolicyError, PolicyKind},
+    policy::{Fixed, PolicyError, PolicyKind},
 };
 use heliostat_proto::{ArrayState, AxisLimits, Capabilities, MirrorTelemetry, Stamp, encode};
 
-use crate::support::{
-    ActorRecipe, FixedEngine, MS, Outcome, Room, Scripted, build, build_with, controller, receive, scenario,
-};
+use crate::support::{MS, Outcome, Room, Scripted, build, controller, receive, scenario};
 
 #[test]
 fn a_failing_policy_is_replaced_and_counted() {
@@ -40,16 +38,6 @@ fn a_value_that_is_not_finite_is_never_commanded() {
     assert!(command.roll.iter().chain(&command.yaw).all(|angle| *angle == 0.0), "the fallback is flat");
     assert_eq!(controller.counters().degraded(DegradedMode::PolicyFailed), 1);
     assert!(controller.last_failure().unwrap().to_string().contains("mirror 4"));
-}
-
-#[test]
-fn an_actor_with_values_that_are_not_finite_falls_back() {
-    let scenario = scenario(&[]);
-    let file = ActorRecipe::fitting(&scenario).file();
-    let actor = Actor::load(&file, &scenario, &FixedEngine(f32::NAN)).unwrap();
-    let mut controller = controller(&scenario, Box::new(actor));
-    Room::new(&scenario).tick(&mut controller, 1).command();
-    assert_eq!(controller.counters().degraded(DegradedMode::PolicyFailed), 1);
 }
 
 #[test]
@@ -180,8 +168,7 @@ fn the_core_is_deterministic() {
     {
         let run = || {
             let scenario = scenario(&["control.slew_deg_per_s=2000"]);
-            let actor = ActorRecipe::fitting(&scenario).file();
-            let mut controller = controller(&scenario, build_with(kind, &scenario, &actor).unwrap());
+            let mut controller = controller(&scenario, build(kind, &scenario).unwrap());
             controller.warm_up(0..3);
             let mut room = Room::new(&scenario);
             let (mut all, mut payload) = (Vec::new(), Vec::new());

@@ -329,12 +329,8 @@ impl Engine for FixedEngine {
 
 /// A policy by its name; learned ones with an actor that fits.
 pub fn build(kind: PolicyKind, scenario: &Scenario) -> Result<Box<dyn Policy>, BuildError> {
-    build_with(kind, scenario, &ActorRecipe::fitting(scenario).file())
-}
-
-/// A policy by its name, learned ones with this actor.
-pub fn build_with(kind: PolicyKind, scenario: &Scenario, actor: &ActorFile) -> Result<Box<dyn Policy>, BuildError> {
-    policy::build(kind, scenario, &Resources { actor: Some(actor), engine: &BiasEngine, monotonic_ns })
+    let actor = ActorRecipe::fitting(scenario).file();
+    policy::build(kind, scenario, &Resources { actor: Some(&actor), engine: &BiasEngine, monotonic_ns })
 }
 
 /// Loads an actor with the test's engine.

@@ -6,7 +6,7 @@ use heliostat_core::{
     inbox::Message,
     policy::{Fixed, PolicyError, PolicyKind},
 };
-use heliostat_proto::{MirrorCommand, UserReport};
+use heliostat_proto::MirrorCommand;
 use heliostat_scenario::Scenario;
 
 use crate::support::{Outcome, Room, Scripted, build, controller, receive, scenario};
@@ -24,23 +24,6 @@ fn tick(controller: &mut Controller, room: &mut Room, tick: u64, ids: &[u32]) ->
 
 fn angles(command: &MirrorCommand) -> (Vec<f32>, Vec<f32>) {
     (command.roll.clone(), command.yaw.clone())
-}
-
-#[test]
-fn every_report_is_answered_while_users_come_and_go_in_any_order() {
-    let scenario = scenario(&[]);
-    let crowd: Vec<u32> = (0..64).rev().map(|user| u32::MAX - user).collect();
-    let sets: [&[u32]; 8] = [&[0, 1, 2], &[2, 0], &[5, 0, 9, 2], &[], &[9, 8, 7, 6, 5], &crowd, &[1], &[1, 0]];
-    for kind in [PolicyKind::FixedPoint, PolicyKind::Greedy, PolicyKind::Oracle, PolicyKind::Nearest, PolicyKind::Pso] {
-        let mut controller = controller(&scenario, build(kind, &scenario).unwrap());
-        let mut room = Room::new(&scenario);
-        for (index, ids) in sets.iter().enumerate() {
-            let command = tick(&mut controller, &mut room, index as u64 + 1, ids).command();
-            assert_eq!(command.answers, index as u64 + 1, "{kind:?}");
-        }
-        assert_eq!(controller.counters().degraded(DegradedMode::PolicyFailed), 0, "{kind:?}");
-        assert_eq!(controller.inbox().refused().total(), 0, "{kind:?}");
-    }
 }
 
 #[test]
@@ -137,14 +120,6 @@ fn users_beyond_the_capacity_of_an_actor_are_counted_and_the_policy_goes_on() {
     assert_eq!(controller.counters().degraded(DegradedMode::PolicyFailed), 0);
 }
 
-/// The same users, all standing at a place of the room.
-fn standing(mut report: UserReport) -> UserReport {
-    for user in &mut report.users {
-        user.velocity_m_s = [0.0, 0.0];
-    }
-    report
-}
-
 #[test]
 fn a_new_user_does_not_inherit_the_heading_of_the_one_whose_place_it_takes() {
     let scenario = scenario(&[]);
@@ -153,7 +128,8 @@ fn a_new_user_does_not_inherit_the_heading_of_the_one_whose_place_it_takes() {
     tick(&mut controller, &mut room, 1, &[0, 1, 2]).command();
     // The number 3 n + k stands where the number k does: one turn further.
     let seen = |controller: &mut Controller, room: &mut Room, number: u64, ids: &[u32]| {
-        let mut report = standing(room.positions_of(number, ids));
+        let mut report = room.positions_of(number, ids);
+        report.users.iter_mut().for_each(|user| user.velocity_m_s = [0.0; 2]);
         receive(controller, Room::time(number), Message::Users(&mut report)).command();
         controller.observation().scene.irs_path_clear().to_vec()
     };

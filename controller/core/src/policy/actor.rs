@@ -126,14 +126,14 @@ impl Policy for Actor {
     }
 
     fn users_max(&self) -> usize {
-        self.input.users_max()
+        self.input.selection.users_max()
     }
 
     fn memory(&self) -> PolicyMemory {
-        PolicyMemory { users: self.input.selection().slots().to_vec(), ..PolicyMemory::default() }
+        PolicyMemory { users: self.input.selection.slots().to_vec(), ..PolicyMemory::default() }
     }
 
     fn restore(&mut self, memory: &PolicyMemory) {
-        self.input.selection_mut().set_slots(&memory.users);
+        self.input.selection.set_slots(&memory.users);
     }
 }

@@ -297,14 +297,11 @@ fn samples(scenario: &Scenario, model: &ChannelModel, observation: &mut Observat
     let users = scenario.users.count;
     let place = |user: usize| Vec3::new(1.5 - 0.1 * user as f64, 0.15 * user as f64 - 1.0, 0.85);
     let state = RoomState {
-        tick: 0,
         positions: &(0..users).map(place).collect::<Vec<_>>(),
-        orientations: None,
         velocities: &vec![Vec3::zeros(); users],
         min_rate_bps: &vec![1e6; users],
-        blockers: &[],
         forced: &vec![false; users],
-        measured_los_gain: None,
+        ..RoomState::default()
     };
     observation.set_state(model, &state);
 }

@@ -7,7 +7,7 @@ use heliostat_core::{
 };
 use heliostat_proto::{ArrayState, AxisLimits, Capabilities, MirrorTelemetry, Stamp, encode};
 
-use crate::support::{MS, Outcome, Room, Scripted, build, controller, receive, scenario};
+use crate::support::{MS, Outcome, Room, Scripted, build, controller, flat, receive, scenario};
 
 #[test]
 fn a_failing_policy_is_replaced_and_counted() {
@@ -52,9 +52,7 @@ fn without_a_fallback_the_array_is_left_to_hold() {
 
 #[test]
 fn missing_and_outdated_gains_are_modelled_and_counted() {
-    let scenario = scenario(&["control.report_age_max_ms=100"]);
-    let mut controller = controller(&scenario, Box::new(Fixed::flat(scenario.mirror_count())));
-    let mut room = Room::new(&scenario);
+    let (mut controller, mut room) = flat(&["control.report_age_max_ms=100"]);
     let counted = |controller: &Controller| {
         (controller.counters().modelled, controller.counters().degraded(DegradedMode::ChannelMissing))
     };
@@ -134,8 +132,7 @@ fn no_mirror_is_offered_to_a_user_beyond_its_range() {
 
 #[test]
 fn a_new_controller_starts_from_where_the_array_is() {
-    let scenario = scenario(&["control.slew_deg_per_s=100"]);
-    let mut controller = controller(&scenario, Box::new(Fixed::flat(9)));
+    let (mut controller, mut room) = flat(&["control.slew_deg_per_s=100"]);
     let mut telemetry = MirrorTelemetry {
         stamp: Stamp { source: 9, sequence: 1, time_ns: Room::time(1) },
         state: ArrayState::Following,
@@ -145,17 +142,16 @@ fn a_new_controller_starts_from_where_the_array_is() {
         ..MirrorTelemetry::default()
     };
     receive(&mut controller, Room::time(1), Message::Telemetry(0, &mut telemetry));
-    let command = Room::new(&scenario).tick(&mut controller, 1).command();
+    let command = room.tick(&mut controller, 1).command();
     assert!((f64::from(command.roll[0]) - (0.4 - 1f64.to_radians())).abs() < 1e-6, "it turns from there");
     assert_eq!(command.epoch, 7);
 }
 
 #[test]
 fn stages_are_marked_in_order_and_once() {
-    let scenario = scenario(&[]);
-    let mut controller = controller(&scenario, Box::new(Fixed::flat(9)));
+    let (mut controller, mut room) = flat(&[]);
     let mut marks = Vec::new();
-    let mut report = Room::new(&scenario).positions(1);
+    let mut report = room.positions(1);
     controller.handle_and_poll(Room::time(1) + MS, Message::Users(&mut report), &mut |stage| marks.push(stage));
     assert_eq!(marks, [Stage::Observed, Stage::Inferred, Stage::MadeSafe]);
 }

@@ -193,18 +193,6 @@ fn the_ellipse_of_a_user_who_wanders_holds_the_place() {
     assert!(share > 0.9, "{share}");
 }
 
-#[test]
-fn the_noise_of_the_reports_is_learned() {
-    let mut belief = belief();
-    for tick in 1..=400_u64 {
-        let angle = tick as f32 * 2.399_963;
-        let (dx, dy) = (0.2 * angle.cos(), 0.2 * angle.sin());
-        belief.handle_users(&report(tick, &[(7, [dx, dy, 0.9], [dy, dx])]));
-    }
-    let [position_m, _] = belief.noise();
-    assert!(position_m > 0.1, "{position_m}");
-}
-
 /// A circular normal error with this standard deviation of one axis.
 fn normal(rng: &mut rand_chacha::ChaCha8Rng, deviation: f64) -> [f64; 2] {
     let [quantile, turn] = [0; 2].map(|_| uniform(rng));

@@ -3,17 +3,11 @@
 use heliostat_core::{
     core::{Controller, DegradedMode},
     inbox::Message,
-    policy::Fixed,
     refusal::{Found, LeftOut, Refusal, Stream, UserValues},
 };
 use heliostat_proto::{ArrayState, MirrorTelemetry, NodeKind, Obstacle, Stamp, UserReport, UserState, encode};
 
-use crate::support::{MS, Outcome, Room, SOURCE, controller, receive, scenario};
-
-fn flat(overrides: &[&str]) -> (Controller, Room) {
-    let scenario = scenario(overrides);
-    (controller(&scenario, Box::new(Fixed::flat(scenario.mirror_count()))), Room::new(&scenario))
-}
+use crate::support::{MS, Outcome, Room, SOURCE, flat, receive, scenario};
 
 fn refused(controller: &Controller, stream: Stream, refusal: Refusal) -> u64 {
     controller.inbox().refused().get(stream, refusal)

@@ -6,7 +6,7 @@ use heliostat_core::{
     inbox::Message,
     observation::{OBSERVATION_VERSION, Observation, ObservationEncoder},
     policy::{
-        self, Actor, BuildError, Engine, Network, Policy, PolicyError, PolicyKind, Resources,
+        self, Actor, BuildError, Engine, Fixed, Network, Policy, PolicyError, PolicyKind, Resources,
         actor_file::{ActorError, ActorFile, INPUT_NAME, OUTPUT_NAME, key},
     },
 };
@@ -38,6 +38,12 @@ pub fn model(scenario: &Scenario) -> ChannelModel {
 
 pub fn controller(scenario: &Scenario, policy: Box<dyn Policy>) -> Controller {
     Controller::new(scenario, model(scenario), policy, 7)
+}
+
+/// A controller with flat mirrors, and its room.
+pub fn flat(overrides: &[&str]) -> (Controller, Room) {
+    let scenario = scenario(overrides);
+    (controller(&scenario, Box::new(Fixed::flat(scenario.mirror_count()))), Room::new(&scenario))
 }
 
 /// What came of a message.

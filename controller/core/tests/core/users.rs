@@ -4,12 +4,12 @@ use heliostat_channel::MirrorAngles;
 use heliostat_core::{
     core::{Controller, DegradedMode},
     inbox::Message,
-    policy::{Fixed, PolicyError, PolicyKind},
+    policy::{PolicyError, PolicyKind},
 };
 use heliostat_proto::MirrorCommand;
 use heliostat_scenario::Scenario;
 
-use crate::support::{Outcome, Room, Scripted, build, controller, receive, scenario};
+use crate::support::{Outcome, Room, Scripted, build, controller, flat, receive, scenario};
 
 /// Users are where they are reported: the filter learns its noise from all users in turn.
 fn as_reported() -> Scenario {
@@ -85,9 +85,7 @@ fn the_order_of_the_users_in_the_reports_changes_no_command() {
 
 #[test]
 fn a_user_without_a_measured_gain_has_the_modelled_one_and_foreign_entries_are_ignored() {
-    let scenario = as_reported();
-    let mut controller = controller(&scenario, Box::new(Fixed::flat(9)));
-    let mut room = Room::new(&scenario);
+    let (mut controller, mut room) = flat(&["control.belief=none"]);
     receive(&mut controller, Room::time(1), Message::Channel(&mut room.gains_of(1, 1e-3, &[8, 1, 77])));
     receive(&mut controller, Room::time(1), Message::Users(&mut room.positions_of(1, &[1, 2, 8]))).command();
     let gains = controller.observation().scene.los_gain().to_vec();
@@ -122,9 +120,7 @@ fn users_beyond_the_capacity_of_an_actor_are_counted_and_the_policy_goes_on() {
 
 #[test]
 fn a_new_user_does_not_inherit_the_heading_of_the_one_whose_place_it_takes() {
-    let scenario = scenario(&[]);
-    let mut controller = controller(&scenario, Box::new(Fixed::flat(9)));
-    let mut room = Room::new(&scenario);
+    let (mut controller, mut room) = flat(&[]);
     tick(&mut controller, &mut room, 1, &[0, 1, 2]).command();
     // The number 3 n + k stands where the number k does: one turn further.
     let seen = |controller: &mut Controller, room: &mut Room, number: u64, ids: &[u32]| {

@@ -17,7 +17,7 @@ use heliostat_core::{
 use heliostat_onnx::{TypeProto, ValueInfoProto, f32_row, f32_rows, tensor_shape_proto::dimension, type_proto::Value};
 use heliostat_scenario::Scenario;
 
-use crate::support::{ActorRecipe, FixedEngine, load_actor, model, scenario};
+use crate::support::{ActorRecipe, load_actor, model, scenario};
 
 fn refusal(recipe: &ActorRecipe, scenario: &Scenario) -> ActorError {
     match load_actor(&recipe.file(), scenario) {
@@ -247,9 +247,10 @@ fn outputs_for_fixed_inputs_are_compared_with_those_of_the_trainer() {
 fn an_actor_without_angles_on_any_observation_is_refused() {
     let scenario = scenario(&[]);
     let file = ActorRecipe::fitting(&scenario).file();
-    let mut actor = Actor::load(&file, &scenario, &FixedEngine(f32::INFINITY)).unwrap();
+    let infinite = Stepping { step: f32::INFINITY, ..Stepping::default() };
+    let mut actor = Actor::load(&file, &scenario, &infinite).unwrap();
     let error = actor.try_out(&scenario, || 0).unwrap_err();
-    assert_contains(&error, &["test.onnx", "no angles on 32 of 32", "mirror 0"]);
+    assert_contains(&error, &["test.onnx", "no angles on 32 of 32", "mirror 7"]);
 }
 
 /// A file with rows of users and the map from actions to weights.

@@ -278,7 +278,8 @@ impl Engine for BiasEngine {
         let find = |name: &str| weights.iter().find(|tensor| tensor.name == name).map(|tensor| &tensor.float_data);
         let bias = find("bias").ok_or("expected a tensor \"bias\"")?.clone();
         let weight = find("weights").and_then(|weights| weights.first()).copied().unwrap_or_default();
-        Ok(Box::new(BiasNetwork::new(input_length, bias, weight)))
+        let (input, output) = (vec![0.0; MAX_USERS * input_length], Vec::with_capacity(MAX_USERS * bias.len()));
+        Ok(Box::new(BiasNetwork { input_length, rows: 1, input, output, bias, weight }))
     }
 }
 
@@ -289,13 +290,6 @@ struct BiasNetwork {
     output: Vec<f32>,
     bias: Vec<f32>,
     weight: f32,
-}
-
-impl BiasNetwork {
-    fn new(input_length: usize, bias: Vec<f32>, weight: f32) -> Self {
-        let (input, output) = (vec![0.0; MAX_USERS * input_length], Vec::with_capacity(MAX_USERS * bias.len()));
-        Self { input_length, rows: 1, input, output, bias, weight }
-    }
 }
 
 impl Network for BiasNetwork {
@@ -320,16 +314,6 @@ impl Network for BiasNetwork {
             self.output.extend(self.bias.iter().map(|bias| bias + added));
         }
         Ok(&self.output)
-    }
-}
-
-/// Whatever the network, its nine rolls and nine yaws have this value.
-pub struct FixedEngine(pub f32);
-
-impl Engine for FixedEngine {
-    fn load(&self, _: &[u8], input_length: usize) -> Result<Box<dyn Network>, String> {
-        let bias = vec![self.0; 18];
-        Ok(Box::new(BiasNetwork::new(input_length, bias, 0.0)))
     }
 }
 

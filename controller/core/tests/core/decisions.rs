@@ -5,9 +5,9 @@ use heliostat_core::{
     inbox::Message,
     policy::{Fixed, PolicyError, PolicyKind},
 };
-use heliostat_proto::{ArrayState, AxisLimits, Capabilities, MirrorTelemetry, Stamp, encode};
+use heliostat_proto::{ArrayState, AxisLimits, Capabilities, MirrorTelemetry, encode};
 
-use crate::support::{MS, Outcome, Room, Scripted, build, controller, flat, receive, scenario};
+use crate::support::{MS, Outcome, Room, Scripted, build, controller, flat, receive, scenario, telemetry};
 
 #[test]
 fn a_failing_policy_is_replaced_and_counted() {
@@ -134,12 +134,10 @@ fn no_mirror_is_offered_to_a_user_beyond_its_range() {
 fn a_new_controller_starts_from_where_the_array_is() {
     let (mut controller, mut room) = flat(&["control.slew_deg_per_s=100"]);
     let mut telemetry = MirrorTelemetry {
-        stamp: Stamp { source: 9, sequence: 1, time_ns: Room::time(1) },
         state: ArrayState::Following,
         epoch: 6,
         roll_commanded: vec![0.4; 9],
-        yaw_commanded: vec![0.0; 9],
-        ..MirrorTelemetry::default()
+        ..telemetry(9, 1, Room::time(1), 9)
     };
     receive(&mut controller, Room::time(1), Message::Telemetry(0, &mut telemetry));
     let command = room.tick(&mut controller, 1).command();

@@ -131,24 +131,6 @@ fn users_without_a_path_to_a_mirror_have_finite_features() {
 }
 
 #[test]
-fn the_parts_cover_the_vector_without_gap() {
-    let encoder = ObservationEncoder::new(10, 100);
-    let parts = [
-        encoder.present(),
-        encoder.positions(),
-        encoder.los_amplitude(),
-        encoder.min_rate(),
-        encoder.steering_amplitude(),
-        encoder.angles(),
-        encoder.summary(),
-    ];
-    assert_eq!(parts[0].start, 0);
-    assert!(parts.windows(2).all(|pair| pair[0].end == pair[1].start));
-    assert_eq!(parts[6].end, encoder.len());
-    assert_eq!(encoder.len(), 1370);
-}
-
-#[test]
 fn an_observation_that_does_not_fit_the_vector_is_an_error() {
     let scenario = scenario(&[]);
     let model = model(&scenario);

@@ -7,7 +7,7 @@ use heliostat_core::{
 };
 use heliostat_proto::{ArrayState, MirrorTelemetry, NodeKind, Obstacle, Stamp, UserReport, UserState, encode};
 
-use crate::support::{MS, Outcome, Room, SOURCE, flat, receive, scenario};
+use crate::support::{MS, Outcome, Room, SOURCE, flat, receive, scenario, telemetry};
 
 fn refused(controller: &Controller, stream: Stream, refusal: Refusal) -> u64 {
     controller.inbox().refused().get(stream, refusal)
@@ -263,17 +263,11 @@ fn a_stale_report_of_a_foreign_source_gets_no_command() {
 #[test]
 fn telemetry_of_a_wild_sequence_number_hides_no_stop() {
     let (mut controller, mut room) = flat(&[]);
-    let telemetry = |sequence, tick, state| MirrorTelemetry {
-        stamp: Stamp { source: 9, sequence, time_ns: Room::time(tick) },
-        state,
-        roll_commanded: vec![0.0; 9],
-        yaw_commanded: vec![0.0; 9],
-        ..MirrorTelemetry::default()
-    };
+    let report = |sequence, tick, state| MirrorTelemetry { state, ..telemetry(9, sequence, Room::time(tick), 9) };
     let following = ArrayState::Following;
-    receive(&mut controller, Room::time(1), Message::Telemetry(0, &mut telemetry(1, 1, following)));
-    receive(&mut controller, Room::time(2), Message::Telemetry(0, &mut telemetry(u64::MAX, 2, following)));
-    receive(&mut controller, Room::time(3), Message::Telemetry(0, &mut telemetry(2, 3, ArrayState::Stopped)));
+    receive(&mut controller, Room::time(1), Message::Telemetry(0, &mut report(1, 1, following)));
+    receive(&mut controller, Room::time(2), Message::Telemetry(0, &mut report(u64::MAX, 2, following)));
+    receive(&mut controller, Room::time(3), Message::Telemetry(0, &mut report(2, 3, ArrayState::Stopped)));
     assert_eq!(room.tick(&mut controller, 4), Outcome::Held(DegradedMode::Withheld));
 }
 

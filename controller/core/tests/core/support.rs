@@ -15,8 +15,8 @@ use heliostat_onnx::{
     f32_row, tensor_proto::DataType,
 };
 use heliostat_proto::{
-    ChannelReport, MAX_USERS, MirrorCommand, Nanos, Obstacle, ObstacleReport, OrientationReport, Stamp, UserChannel,
-    UserOrientation, UserReport, UserState,
+    ChannelReport, MAX_USERS, MirrorCommand, MirrorTelemetry, Nanos, Obstacle, ObstacleReport, OrientationReport,
+    Stamp, UserChannel, UserOrientation, UserReport, UserState,
 };
 use heliostat_scenario::Scenario;
 use prost::Message as _;
@@ -44,6 +44,12 @@ pub fn controller(scenario: &Scenario, policy: Box<dyn Policy>) -> Controller {
 pub fn flat(overrides: &[&str]) -> (Controller, Room) {
     let scenario = scenario(overrides);
     (controller(&scenario, Box::new(Fixed::flat(scenario.mirror_count()))), Room::new(&scenario))
+}
+
+/// Telemetry of flat mirrors.
+pub fn telemetry(source: u64, sequence: u64, time_ns: Nanos, mirrors: usize) -> MirrorTelemetry {
+    let (stamp, flat) = (Stamp { source, sequence, time_ns }, vec![0.0; mirrors]);
+    MirrorTelemetry { stamp, roll_commanded: flat.clone(), yaw_commanded: flat, ..MirrorTelemetry::default() }
 }
 
 /// What came of a message.

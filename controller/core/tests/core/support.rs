@@ -1,7 +1,8 @@
 //! A small room that reports, and actors made to order.
 
-use heliostat_channel::{ChannelModel, MirrorAngles, Orientation};
+use heliostat_channel::{ChannelModel, MirrorAngles, Orientation, Vec3};
 use heliostat_core::{
+    belief::Belief,
     core::{Controller, Decision, DegradedMode},
     inbox::Message,
     observation::{OBSERVATION_VERSION, Observation, ObservationEncoder},
@@ -15,8 +16,8 @@ use heliostat_onnx::{
     f32_row, tensor_proto::DataType,
 };
 use heliostat_proto::{
-    ChannelReport, MAX_USERS, MirrorCommand, MirrorTelemetry, Nanos, Obstacle, ObstacleReport, OrientationReport,
-    Stamp, UserChannel, UserOrientation, UserReport, UserState,
+    ChannelReport, LedReport, MAX_USERS, MirrorCommand, MirrorTelemetry, Nanos, Obstacle, ObstacleReport,
+    OrientationReport, Stamp, UserChannel, UserOrientation, UserReport, UserState,
 };
 use heliostat_scenario::Scenario;
 use prost::Message as _;
@@ -158,6 +159,29 @@ fn walker(user: u32, users: usize, tick: u64) -> UserState {
         velocity_m_s: [(-1.4 * sin) as f32, (1.1 * cos) as f32],
         min_rate_bps: 1e6,
     }
+}
+
+/// Reports users who stay at these places, ten times a second, and then the gains that each of them
+/// measures: of the direct path, and over the mirrors.
+pub fn report_gains(
+    belief: &mut Belief,
+    model: &ChannelModel,
+    tick: u64,
+    places: &[Vec3],
+    (gains, leds): (&[[f64; 2]], Option<&LedReport>),
+) {
+    let stamp = Stamp { source: 1, sequence: tick, time_ns: tick * 100 * MS };
+    let user = |(user, place): (u32, &Vec3)| {
+        let position_m = [place.x as f32, place.y as f32, place.z as f32];
+        UserState { user, position_m, ..UserState::default() }
+    };
+    belief.handle_users(&UserReport { stamp, tick, users: (0..).zip(places).map(user).collect() });
+    let measured = |(user, gains): (u32, &[f64; 2])| {
+        let [los_gain, irs_gain] = gains.map(|gain| gain as f32);
+        UserChannel { user, los_gain, irs_gain, ..UserChannel::default() }
+    };
+    let channel = ChannelReport { stamp, tick, users: (0..).zip(gains).map(measured).collect() };
+    belief.handle_channel(model, &channel, leds, &[], &[]);
 }
 
 /// A policy that calls a function.

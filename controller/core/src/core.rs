@@ -163,7 +163,7 @@ impl Controller {
             policy: WithFallback::new(policy, policy::build_fallback(scenario.control.fallback, scenario)),
             actions: DegradedActions::new(scenario),
             parts: ArrayCommand::parts(&model.mirrors),
-            arrays: ArrayOutput::of(scenario, epoch),
+            arrays: ArrayOutput::of(scenario, &model.mirrors, epoch),
             repeated: None,
             last_report: None,
             interval_s: 1.0 / scenario.streams.positions.rate_hz,
@@ -258,7 +258,7 @@ impl Controller {
         self.note_controller(node, source, false);
         for (index, array) in self.arrays.iter_mut().enumerate() {
             if publishes(node, Stream::Telemetry) && self.inbox.array_source(index) == Some(source) {
-                array.handle_source_lost();
+                array.has_left = true;
             }
         }
         self.inbox.handle_source_lost(node, source);

@@ -34,7 +34,7 @@ use std::{
 use anyhow::Context;
 use heliostat_bus::{Bus, Class, Publisher, Subscription, Token};
 use heliostat_core::{
-    room_core::{Input, Repeater, RoomCore, RoomSettings},
+    room_core::{Input, Output, Repeater, RoomCore, RoomSettings},
     tenure::{Standing, Tenure},
 };
 use heliostat_models::build_tried;
@@ -55,7 +55,7 @@ use locks::{lock, lock_within, try_lock};
 use policy_swap::{PolicyBuilder, PolicySwap, warm_up_runs};
 use receive_queue::ReceiveQueue;
 use status::{Conditions, Identity, Problem, Reporter};
-use transport::{LocalArray, Repetitions, Transport};
+use transport::{LocalArray, Publishers, Transport};
 
 /// Timeout of a policy. No policy for a room with a deadline takes so long.
 const POLICY_TIMEOUT: Duration = Duration::from_millis(100);
@@ -70,7 +70,7 @@ pub struct RoomRuntime {
     queue: Arc<ReceiveQueue>,
     announcements: Announcements,
     repeater: Arc<Mutex<Repeater>>,
-    repetitions: Repetitions,
+    repetitions: Publishers,
     policy_swap: PolicySwap,
     /// The room's thread, until it has ended.
     thread: Option<JoinHandle<()>>,
@@ -123,9 +123,8 @@ impl RoomRuntime {
         tracing::info!(policy = controller.policy_name(), engine, scenario = scenario.name, %room, "ready");
 
         let repeater = core.repeater();
-        let transport = Transport::open(bus, arrays, class)?.with_local(local);
-        let decision_loop = DecisionLoop::new(core, transport, deadline(config));
-        let decision_loop = decision_loop.timed_from(config.times_from_tick);
+        let transport = Transport::open(bus, arrays, class, local)?;
+        let decision_loop = DecisionLoop::new(core, transport, deadline(config), config.times_from_tick);
         let decision_loop = Arc::new(Mutex::new(decision_loop));
         let queue = Arc::new(ReceiveQueue::default());
         let handler = PayloadHandler {
@@ -152,7 +151,7 @@ impl RoomRuntime {
             queue,
             announcements: handler.announcements,
             repeater,
-            repetitions: Repetitions::open(bus, arrays)?,
+            repetitions: Publishers::of_repetitions(bus, arrays)?,
             policy_swap,
             thread,
             declared: Some((subscriptions, token)),
@@ -189,9 +188,12 @@ impl RoomRuntime {
         }
         self.announcements.settle();
         // Also while a policy does not return, and published without a lock.
-        let mut due = Vec::new();
+        let mut due: Vec<(Output, Vec<u8>)> = Vec::new();
         lock(&self.repeater).repeat(utc_ns(), &mut due);
-        self.repetitions.publish(&due);
+        for (output, payload) in &due {
+            // A closed session shows in the count of commands that were refused.
+            self.repetitions.put(*output, payload);
+        }
     }
 
     /// Takes the new stage times, publishes a status report, and updates the summary.

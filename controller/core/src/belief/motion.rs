@@ -310,17 +310,6 @@ mod tests {
     }
 
     #[test]
-    fn a_jump_under_an_old_number_is_followed_at_once() {
-        let mut motion = Motion::new(&PRIORS);
-        for index in 0..30 {
-            motion.correct(&PRIORS, 0.1, &sighting([0.0, 0.0], [0.0, 0.0], index));
-        }
-        let jumped = [[0.1, 0.0], [4.0, -3.0]].map(|at| motion.correct(&PRIORS, 0.1, &sighting(at, [0.0, 0.5], 30)));
-        assert_eq!(jumped, [false, true]);
-        assert!(distance(&motion.estimate(0.0), [4.0, -3.0]) < 0.15);
-    }
-
-    #[test]
     fn a_curve_is_predicted_better_than_by_a_straight_line() {
         let circle = |index: f64| {
             let angle = 0.08 * index;

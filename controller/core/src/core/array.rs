@@ -39,7 +39,7 @@ impl Controller {
         self.inbox.set_clock(array, capabilities.validity_clock == ValidityClock::SourceTime);
         let is_fit = verdict.is_ok();
         let output = &mut self.arrays[array];
-        output.guard.set_verdict(verdict);
+        output.guard.verdict = verdict;
         if is_fit {
             output.limits.narrow(&capabilities.roll, &capabilities.yaw);
             output.settling_s = f64::from(capabilities.roll.settling_s.max(capabilities.yaw.settling_s));
@@ -66,12 +66,12 @@ impl Controller {
 
     /// Gives no commands while a node in this room does not fit, independently of its capabilities.
     pub fn handle_unfit_node(&mut self, unfit: Option<Unfit>) {
-        self.arrays.iter_mut().for_each(|array| array.guard.set_unfit_node(unfit.clone()));
+        self.arrays.iter_mut().for_each(|array| array.guard.unfit_node.clone_from(&unfit));
     }
 
     /// Holds an operator's stop that arrived at `now`. It concerns all arrays.
     pub fn handle_stop_order(&mut self, now: Nanos, order: &EmergencyStop) {
-        self.arrays.iter_mut().for_each(|array| array.guard.handle_stop_order(now, order));
+        self.arrays.iter_mut().for_each(|array| array.guard.stops.order(now, order));
     }
 
     /// Applies the stops that an array reports; one that was not known concerns all arrays. False for an array that is not followed.
@@ -80,25 +80,25 @@ impl Controller {
             return false;
         }
         let unknown = self.unknown_stops(&report.stops);
-        if self.arrays[array].guard.handle_stops(report) {
+        if self.arrays[array].guard.stops.handle_stops(report) {
             self.learn_stops(&unknown);
         }
         true
     }
 
     fn unknown_stops(&self, reported: &[LatchedStopReport]) -> Vec<LatchedStopReport> {
-        unknown_stops(reported, self.arrays.iter().map(|array| array.guard.stops()))
+        unknown_stops(reported, self.arrays.iter().map(|array| &array.guard.stops))
     }
 
     fn learn_stops(&mut self, unknown: &[LatchedStopReport]) {
         for stop in unknown {
-            self.arrays.iter_mut().for_each(|array| array.guard.learn_stop(stop));
+            self.arrays.iter_mut().for_each(|array| array.guard.stops.learn(stop));
         }
     }
 
     /// The stops that are held for an array.
     pub fn stops(&self, array: usize) -> &[HeldStop] {
-        self.arrays[array].guard.stops().stops()
+        self.arrays[array].guard.stops.stops()
     }
 
     /// Whether an array understands repetitions of stops. One that is present without stop reports
@@ -106,12 +106,12 @@ impl Controller {
     pub fn understands_repetitions(&self, now: Nanos, array: usize) -> bool {
         let ArrayOutput { heard_ns, guard, .. } = &self.arrays[array];
         let is_heard = heard_ns.is_some_and(|heard_ns| now.abs_diff(heard_ns) < PRESENT_NS);
-        guard.stops().has_stop_reports() || !is_heard || self.inbox.telemetry(array).is_none()
+        guard.stops.has_stop_reports() || !is_heard || self.inbox.telemetry(array).is_none()
     }
 
     /// The stops that an array has not reported; the caller repeats them.
     pub fn unreported_stops(&self, array: usize) -> impl Iterator<Item = &HeldStop> {
-        self.arrays[array].guard.stops().unreported()
+        self.arrays[array].guard.stops.unreported()
     }
 
     /// In a replay: the next decision gives no command to the arrays whose bits are set, whatever

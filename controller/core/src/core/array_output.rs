@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use heliostat_channel::MirrorAngles;
+use heliostat_channel::{MirrorAngles, MirrorArrays};
 use heliostat_proto::{MirrorTelemetry, Nanos};
 use heliostat_scenario::Scenario;
 use serde::{Deserialize, Serialize};
@@ -39,7 +39,7 @@ pub(super) struct ArrayOutput {
     /// Arrival of its last telemetry; before the first, time of the first decision.
     pub heard_ns: Option<Nanos>,
     /// The source of its telemetry has left.
-    has_left: bool,
+    pub has_left: bool,
     /// Absent in a room with one array, which is never lost.
     lost_after_ns: Option<Nanos>,
 }
@@ -57,40 +57,30 @@ pub(super) struct ArrayOutputMemory {
 
 impl ArrayOutput {
     /// The arrays of a scenario, under one epoch.
-    pub fn of(scenario: &Scenario, epoch: u64) -> Vec<Self> {
-        let arrays = scenario.mirrors.arrays();
+    pub fn of(scenario: &Scenario, mirrors: &MirrorArrays, epoch: u64) -> Vec<Self> {
         let rate_hz = scenario.streams.telemetry.rate_hz;
         let silence_ns = (LOST_AFTER_MESSAGES * 1e9 / rate_hz) as Nanos;
-        let lost_after_ns = (arrays.len() > 1 && rate_hz > 0.0).then_some(silence_ns.max(LOST_AFTER_NS));
+        let lost_after_ns = (mirrors.arrays().len() > 1 && rate_hz > 0.0).then_some(silence_ns.max(LOST_AFTER_NS));
         let validity_ms = scenario.control.validity_ms.round() as u32;
-        let mut first = 0;
-        let output = |mirrors: usize| {
-            first += mirrors;
-            Self {
-                mirrors: first - mirrors..first,
-                limits: Limits::new(&scenario.control),
-                guard: Guard::new(Tenure::fixed(epoch), validity_ms),
-                settling_s: 0.0,
-                commanded_ns: None,
-                permit: Ok(epoch),
-                elapsed_s: 0.0,
-                heard_ns: None,
-                has_left: false,
-                lost_after_ns,
-            }
+        let output = |mirrors: Range<usize>| Self {
+            mirrors,
+            limits: Limits::new(&scenario.control),
+            guard: Guard::new(Tenure::fixed(epoch), validity_ms),
+            settling_s: 0.0,
+            commanded_ns: None,
+            permit: Ok(epoch),
+            elapsed_s: 0.0,
+            heard_ns: None,
+            has_left: false,
+            lost_after_ns,
         };
-        arrays.iter().map(|array| array.rows * array.columns).map(output).collect()
+        mirrors.ranges().map(|(_, mirrors)| output(mirrors)).collect()
     }
 
     /// Notes telemetry that arrived at `now`.
     pub fn handle_telemetry(&mut self, now: Nanos, telemetry: &MirrorTelemetry, counters: &mut Counters) {
         (self.heard_ns, self.has_left) = (Some(now), false);
         self.guard.handle_telemetry(now, telemetry, counters);
-    }
-
-    /// The source of its telemetry has left.
-    pub fn handle_source_lost(&mut self) {
-        self.has_left = true;
     }
 
     /// Decides whether the array gets the command that is due at `now`. A withheld command is

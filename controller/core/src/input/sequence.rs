@@ -106,17 +106,6 @@ mod tests {
     }
 
     #[test]
-    fn the_base_ends_with_its_source_or_after_the_timeout() {
-        let track = after(1, u64::MAX);
-        assert_eq!(track.check(20, &stamp(2, 1), TIMEOUT), Ok(()));
-        assert_eq!(track.check(10 + TIMEOUT, &stamp(1, 1), TIMEOUT), Err(Refusal::OutOfOrder));
-        assert_eq!(track.check(11 + TIMEOUT, &stamp(1, 1), TIMEOUT), Ok(()));
-        let mut forgotten = track;
-        forgotten.forget(1);
-        assert_eq!(forgotten.check(20, &stamp(1, 1), TIMEOUT), Ok(()));
-    }
-
-    #[test]
     fn only_numbers_that_never_arrived_are_missed() {
         let mut track = after(1, 5);
         track.on_accepted(11, &stamp(1, 6));

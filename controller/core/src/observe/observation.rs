@@ -95,7 +95,7 @@ pub struct Observation {
 
 /// The state of a room from which an [`Observation`] is filled: all slices but `blockers` hold K
 /// entries.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct RoomState<'a> {
     /// The tick that the state belongs to.
     pub tick: u64,
@@ -149,14 +149,12 @@ impl Observation {
         let of_slots =
             |values: &[f64], factor: f64| slots.iter().map(|slot| factor * values[*slot]).collect::<Vec<_>>();
         let state = RoomState {
-            tick: 0,
             positions: &slots.iter().map(|slot| Vec3::from_column_slice(&places[3 * slot..][..3])).collect::<Vec<_>>(),
-            orientations: None,
             velocities: &vec![Vec3::zeros(); users],
             min_rate_bps: &of_slots(&need, model.budget.bandwidth_hz / users.max(1) as f64),
-            blockers: &[],
             forced: &vec![false; users],
             measured_los_gain: Some(&of_slots(&los, 1.0 / scale)),
+            ..RoomState::default()
         };
         observation.set_state(model, &state);
         let gains = slots.iter().flat_map(|slot| &steering[slot * mirrors..][..mirrors]).map(|gain| gain / scale);

@@ -104,19 +104,8 @@ mod tests {
     }
 
     #[test]
-    fn the_first_users_have_the_slots_of_their_order() {
-        assert_eq!(after(&[&[7, 3, 5]]), [7, 3, 5]);
-    }
-
-    #[test]
-    fn another_order_changes_no_slot() {
-        let mut slots = Slots::of(4);
-        assert!(!slots.assign([3, 1, 0, 2].into_iter()));
-        assert_eq!(slots.ids(), [0, 1, 2, 3]);
-    }
-
-    #[test]
     fn a_new_user_takes_the_slot_of_one_who_left() {
+        assert_eq!(after(&[&[7, 3, 5]]), [7, 3, 5], "of no one");
         assert_eq!(after(&[&[0, 1, 2], &[9, 2, 0]]), [0, 9, 2]);
     }
 

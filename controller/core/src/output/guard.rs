@@ -2,10 +2,7 @@
 //! the tenure of this controller.
 
 use heliostat_proto::stop_hold::StopHold;
-use heliostat_proto::{
-    ArrayState, EmergencyStop, LatchedStopReport, MirrorTelemetry, Nanos, SafetyReport, Stamp, StopAction, StopName,
-    StopReport,
-};
+use heliostat_proto::{ArrayState, EmergencyStop, MirrorTelemetry, Nanos, SafetyReport, Stamp, StopAction, StopName};
 
 use serde::{Deserialize, Serialize};
 
@@ -18,10 +15,12 @@ use crate::output::{
 /// The flags that a decision reads before it gives a command.
 #[derive(Clone, Debug)]
 pub(crate) struct Guard {
-    unfit: Option<Unfit>,
-    /// A node whose mirrors must not receive the scenario's angles.
-    unfit_node: Option<Unfit>,
-    stops: StopHold,
+    /// The result of the last examination of the array.
+    pub verdict: Result<(), Unfit>,
+    /// A node whose mirrors must not receive the scenario's angles, independently of its capabilities.
+    pub unfit_node: Option<Unfit>,
+    /// The stops that are held. A re-arm changes nothing: the array has to report it.
+    pub stops: StopHold,
     pub tenure: Tenure,
     /// Validity of a command by the scenario, in ms.
     own_validity_ms: u32,
@@ -41,7 +40,7 @@ pub(crate) struct GuardMemory {
 impl Guard {
     pub fn new(tenure: Tenure, own_validity_ms: u32) -> Self {
         Self {
-            unfit: None,
+            verdict: Ok(()),
             unfit_node: None,
             stops: StopHold::default(),
             tenure,
@@ -65,19 +64,9 @@ impl Guard {
         }
     }
 
-    /// Stores the result of an examination of the array.
-    pub fn set_verdict(&mut self, verdict: Result<(), Unfit>) {
-        self.unfit = verdict.err();
-    }
-
-    /// Withholds all commands while a node does not fit, independently of its capabilities.
-    pub fn set_unfit_node(&mut self, unfit: Option<Unfit>) {
-        self.unfit_node = unfit;
-    }
-
     /// Why the array does not fit the scenario, if it does not.
     pub fn unfit(&self) -> Option<&Unfit> {
-        self.unfit_node.as_ref().or(self.unfit.as_ref())
+        self.unfit_node.as_ref().or(self.verdict.as_ref().err())
     }
 
     /// Validity of a command in ms, within the array's bound.
@@ -106,26 +95,6 @@ impl Guard {
         self.stops.handle_state(telemetry.stamp.source, telemetry.state == ArrayState::Stopped);
         let event = self.tenure.handle_telemetry(now, Evidence::from(telemetry));
         event.into_iter().for_each(|event| counters.count_tenure(event));
-    }
-
-    /// Holds a stop that arrived at `now`. A re-arm changes nothing: the array has to report it.
-    pub fn handle_stop_order(&mut self, now: Nanos, order: &EmergencyStop) {
-        self.stops.order(now, order);
-    }
-
-    /// Holds a stop that another array reports.
-    pub fn learn_stop(&mut self, stop: &LatchedStopReport) {
-        self.stops.learn(stop);
-    }
-
-    /// Applies the stops that the array reports; false for a report that is older than the latest.
-    pub fn handle_stops(&mut self, report: &StopReport) -> bool {
-        self.stops.handle_stops(report)
-    }
-
-    /// The stops that are held.
-    pub fn stops(&self) -> &StopHold {
-        &self.stops
     }
 
     /// Applies the bounds and the stop that the array reports; false where its stop reports count.
@@ -166,8 +135,8 @@ mod tests {
         let mut permit =
             |guard: &mut Guard, telemetry: Option<&MirrorTelemetry>| guard.permit(S, telemetry, &mut counters);
         assert_eq!(permit(&mut guard, None), Ok(7));
-        guard.handle_stop_order(10, &order(StopAction::Stop));
-        guard.handle_stop_order(11, &order(StopAction::Rearm));
+        guard.stops.order(10, &order(StopAction::Stop));
+        guard.stops.order(11, &order(StopAction::Rearm));
         assert_eq!(permit(&mut guard, None), Err(DegradedMode::Withheld), "the array has not released it");
         let safety = |sequence, stopped| SafetyReport {
             stamp: Stamp { source: 9, sequence, time_ns: 0 },

@@ -14,7 +14,7 @@ use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
 use heliostat_scenario::Scenario;
 
 use super::{
-    actor_file::{ActionKind, ActorError, ActorFile, ActorInfo, ObservationKind},
+    actor_file::{ActionKind, ActorError, ActorFile, ActorInfo, ActorProblem, ObservationKind},
     engine::{Engine, Network},
     proposal::{Policy, PolicyError, PolicyMemory},
 };
@@ -46,9 +46,8 @@ impl Actor {
     pub fn load(file: &ActorFile, scenario: &Scenario, engine: &dyn Engine) -> Result<Self, ActorError> {
         let info = ActorInfo::read(file)?;
         info.check_fits(scenario)?;
-        let mut network = engine
-            .load(&file.bytes, info.columns)
-            .map_err(|message| ActorError::Engine { origin: file.origin.clone(), message })?;
+        let mut network =
+            engine.load(&file.bytes, info.columns).map_err(|message| file.refused(ActorProblem::Engine { message }))?;
         let (input, output) = (Input::new(&info, scenario), Output::new(&info, scenario)?);
         // Memory for every number of rows. A model that excludes this one is refused in the trial.
         let _ = network.set_rows(input.rows_max());
@@ -126,14 +125,14 @@ impl Policy for Actor {
     }
 
     fn users_max(&self) -> usize {
-        self.input.users_max()
+        self.input.selection.users_max()
     }
 
     fn memory(&self) -> PolicyMemory {
-        PolicyMemory { users: self.input.selection().slots().to_vec(), ..PolicyMemory::default() }
+        PolicyMemory { users: self.input.selection.slots().to_vec(), ..PolicyMemory::default() }
     }
 
     fn restore(&mut self, memory: &PolicyMemory) {
-        self.input.selection_mut().set_slots(&memory.users);
+        self.input.selection.set_slots(&memory.users);
     }
 }

@@ -23,7 +23,7 @@ use super::removed::removed;
 use crate::observe::observation::{OBSERVATION_VERSION, ObservationEncoder, USERS_CAPACITY};
 use metadata::{MetadataReader, quoted};
 
-pub use error::ActorError;
+pub use error::{ActorError, ActorProblem};
 pub use kind::{ActionKind, CODEBOOK, ObservationKind, WEIGHTS};
 pub use metadata::key;
 
@@ -52,6 +52,11 @@ impl ActorFile {
     pub fn hash(&self) -> String {
         let digest = Sha256::digest(&self.bytes);
         digest.iter().take(HASH_DIGITS / 2).map(|byte| format!("{byte:02x}")).collect()
+    }
+
+    /// The refusal of this file.
+    pub(super) fn refused(&self, problem: ActorProblem) -> ActorError {
+        ActorError { origin: self.origin.clone(), problem }
     }
 }
 
@@ -86,55 +91,52 @@ impl ActorInfo {
     /// # Errors
     /// [`ActorError`] where the bytes are not an ONNX model, or a model that no controller can run.
     pub fn read(file: &ActorFile) -> Result<Self, ActorError> {
-        let origin = file.origin.clone();
+        Self::of_file(file).map_err(|problem| file.refused(problem))
+    }
+
+    fn of_file(file: &ActorFile) -> Result<Self, ActorProblem> {
         if let Some(what) = foreign::foreign(&file.bytes) {
-            return Err(ActorError::Foreign { origin, what });
+            return Err(ActorProblem::Foreign { what });
         }
-        let not_onnx = |message: String| ActorError::NotOnnx { origin: origin.clone(), message };
-        let unreadable = |_| not_onnx("its bytes are not in the format; copy or export it again".into());
+        let not_onnx = |message: &str| ActorProblem::NotOnnx { message: message.into() };
+        let unreadable = |_| not_onnx("its bytes are not in the format; copy or export it again");
         let model = ModelProto::decode(file.bytes.as_ref()).map_err(unreadable)?;
         let (versions, not_finite) = (check_versions(&model), first_not_finite(&model));
-        let graph = model.graph.ok_or_else(|| not_onnx("it holds no graph".into()))?;
-        versions.map_err(|unknown| ActorError::Version { origin: origin.clone(), unknown })?;
+        let graph = model.graph.ok_or_else(|| not_onnx("it holds no graph"))?;
+        versions.map_err(|unknown| ActorProblem::Version { unknown })?;
         if let Some(tensor) = not_finite {
-            return Err(ActorError::NotFinite { origin, tensor });
+            return Err(ActorProblem::NotFinite { tensor });
         }
         let entries: Vec<_> = model.metadata_props.into_iter().map(|entry| (entry.key, entry.value)).collect();
         if !entries.iter().any(|(key, _)| key.starts_with(key::PREFIX)) {
-            return Err(ActorError::NoMetadata { origin });
+            return Err(ActorProblem::NoMetadata);
         }
-        let mut info = Self::of_entries(&file.origin, &entries)?;
+        let mut info = Self::of_entries(&file.origin, entries)?;
         info.check_ports(&graph)?;
         Ok(info)
     }
 
     /// What the metadata says, before the ports of the graph are known.
-    fn of_entries(origin: &str, entries: &[(String, String)]) -> Result<Self, ActorError> {
-        let reader = MetadataReader { origin, entries };
-        let origin = origin.to_owned();
+    fn of_entries(origin: &str, entries: Vec<(String, String)>) -> Result<Self, ActorProblem> {
+        let reader = MetadataReader(&entries);
         let action = match reader.find(key::ACTION).map_or(ANGLES, String::as_str) {
             ANGLES => ActionKind::Angles,
             WEIGHTS => ActionKind::Weights(reader.head()?),
             CODEBOOK => ActionKind::Codebook,
             other => {
                 return Err(match removed(other) {
-                    Some(removed) => ActorError::RemovedAction { origin, removed },
-                    None => ActorError::Action { origin, found: quoted(other) },
+                    Some(removed) => ActorProblem::RemovedAction { removed },
+                    None => ActorProblem::Action { found: quoted(other) },
                 });
             }
         };
         let name = reader.find(key::OBSERVATION).map_or(ObservationKind::Flat.name(), String::as_str);
         let observation = ObservationKind::ALL.into_iter().find(|kind| kind.name() == name);
-        let observation =
-            observation.ok_or_else(|| ActorError::Observation { origin: origin.clone(), found: quoted(name) })?;
+        let observation = observation.ok_or_else(|| ActorProblem::Observation { found: quoted(name) })?;
         if !observation.actions().contains(&action.name()) {
             let expected = observation.actions().join(" or ");
-            return Err(ActorError::Combination {
-                origin,
-                action: action.name(),
-                observation: observation.name(),
-                expected,
-            });
+            let (action, observation) = (action.name(), observation.name());
+            return Err(ActorProblem::Combination { action, observation, expected });
         }
         let array = if observation.fits_any_array() {
             None
@@ -151,8 +153,8 @@ impl ActorInfo {
             array,
             rows: None,
             columns: 0,
-            entries: entries.to_vec(),
-            origin,
+            origin: origin.to_owned(),
+            entries,
         })
     }
 
@@ -180,10 +182,11 @@ impl ActorInfo {
     /// Checks that the actor fits a room.
     ///
     /// # Errors
-    /// [`ActorError::Unfit`] with the first difference.
+    /// [`ActorProblem::Unfit`] with the first difference.
     pub fn check_fits(&self, scenario: &Scenario) -> Result<(), ActorError> {
         let unfit = |what, found: String, expected: String, advice| {
-            Err(ActorError::Unfit { origin: self.origin.clone(), what, found, expected, advice })
+            let problem = ActorProblem::Unfit { what, found, expected, advice };
+            Err(ActorError { origin: self.origin.clone(), problem })
         };
         let train = "train an actor for this scenario with `heliostat-lab train`, or choose the policy fixed-point, which needs no file";
         if self.observation_version != OBSERVATION_VERSION {
@@ -213,7 +216,7 @@ impl ActorInfo {
     }
 
     /// Checks inputs and outputs, and notes the shape of the input.
-    fn check_ports(&mut self, graph: &GraphProto) -> Result<(), ActorError> {
+    fn check_ports(&mut self, graph: &GraphProto) -> Result<(), ActorProblem> {
         // Weights may be listed as inputs too, in files written for old versions of the format.
         let is_weight = |port: &&ValueInfoProto| graph.initializer.iter().any(|weight| weight.name == port.name);
         let inputs: Vec<_> = graph.input.iter().filter(|port| !is_weight(port)).collect();
@@ -251,17 +254,17 @@ impl ActorInfo {
         side: &'static str,
         expected: &'static str,
         ports: &[&'a ValueInfoProto],
-    ) -> Result<&'a ValueInfoProto, ActorError> {
+    ) -> Result<&'a ValueInfoProto, ActorProblem> {
         match ports {
             [port] if port.name == expected => Ok(port),
             _ => {
                 let found = ports.iter().map(|port| port.name.clone()).collect();
-                Err(ActorError::Ports { origin: self.origin.clone(), side, found, expected })
+                Err(ActorProblem::Ports { side, found, expected })
             }
         }
     }
 
-    fn wrong_shape(&self, port: &ValueInfoProto, columns: String) -> ActorError {
+    fn wrong_shape(&self, port: &ValueInfoProto, columns: String) -> ActorProblem {
         let rows = if self.observation == ObservationKind::Users { "rows" } else { "1" };
         let why = match &self.array {
             Some((mirrors, _)) => format!("for users.count = {} and an array of size {mirrors}", self.users_max),
@@ -269,8 +272,8 @@ impl ActorInfo {
         };
         let is_batch = matches!(extents(port).0, Some(Some(rows)) if rows != 1);
         let advice = if is_batch { "export it with a fixed batch of 1" } else { "export the actor in this shape" };
-        let (origin, port, found) = (self.origin.clone(), port.name.clone(), describe(port));
-        ActorError::Shape { origin, port, found, expected: format!("f32 [{rows}, {columns}] {why}"), advice }
+        let (port, found) = (port.name.clone(), describe(port));
+        ActorProblem::Shape { port, found, expected: format!("f32 [{rows}, {columns}] {why}"), advice }
     }
 }
 

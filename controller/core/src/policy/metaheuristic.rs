@@ -16,14 +16,14 @@ use heliostat_scenario::{Control, Scenario};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::proposal::{PolicyMemory, TimeSource};
+use super::proposal::{Policy, PolicyError, PolicyMemory, TimeSource};
 use crate::{observe::observation::Observation, output::safety::Limits};
 
 /// Candidates; the usual number of the literature is 20 to 50, and a short budget asks for few.
 const POPULATION: usize = 20;
 
 /// How a candidate moves from round to round.
-pub(super) trait Rule {
+pub(super) trait Rule: Send {
     /// The first round was evaluated: discard the memory of the last decision.
     fn begin(&mut self, places: &[MirrorAngles], objectives: &[f64]);
 
@@ -57,8 +57,53 @@ impl Budget {
     }
 }
 
+/// A metaheuristic: the candidates, and how they move.
+pub(super) struct Search<R> {
+    name: &'static str,
+    population: Population,
+    rule: R,
+}
+
+impl<R> Search<R> {
+    /// With the budget and the seed of a scenario; `rule` gets the candidates, for a memory of each.
+    pub fn new(
+        name: &'static str,
+        scenario: &Scenario,
+        monotonic_ns: TimeSource,
+        rule: impl FnOnce(&[MirrorAngles]) -> R,
+    ) -> Self {
+        let population = Population::new(scenario, monotonic_ns);
+        Self { name, rule: rule(&population.places), population }
+    }
+}
+
+impl<R: Rule> Policy for Search<R> {
+    fn name(&self) -> &str {
+        self.name
+    }
+
+    fn act(
+        &mut self,
+        model: &ChannelModel,
+        observation: &Observation,
+        out: &mut MirrorAngles,
+    ) -> Result<(), PolicyError> {
+        self.population.search(model, observation, &mut self.rule, out);
+        Ok(())
+    }
+
+    /// Each decision draws new candidates.
+    fn memory(&self) -> PolicyMemory {
+        PolicyMemory { words: self.population.generator.get_word_pos(), ..PolicyMemory::default() }
+    }
+
+    fn restore(&mut self, memory: &PolicyMemory) {
+        self.population.generator.set_word_pos(memory.words);
+    }
+}
+
 /// A population with its buffers, reused at each decision.
-pub(super) struct Population {
+struct Population {
     budget: Budget,
     range_rad: f64,
     generator: ChaCha8Rng,
@@ -73,7 +118,7 @@ pub(super) struct Population {
 }
 
 impl Population {
-    pub fn new(scenario: &Scenario, monotonic_ns: TimeSource) -> Self {
+    fn new(scenario: &Scenario, monotonic_ns: TimeSource) -> Self {
         let flat = MirrorAngles::flat(scenario.mirror_count());
         Self {
             budget: Budget::of(&scenario.control),
@@ -90,29 +135,8 @@ impl Population {
         }
     }
 
-    /// The candidates, for a rule that keeps a memory of each.
-    pub fn places(&self) -> &[MirrorAngles] {
-        &self.places
-    }
-
-    /// The state between decisions: each decision draws new candidates.
-    pub fn memory(&self) -> PolicyMemory {
-        PolicyMemory { words: self.generator.get_word_pos(), ..PolicyMemory::default() }
-    }
-
-    /// Replaces the state between decisions.
-    pub fn restore(&mut self, memory: &PolicyMemory) {
-        self.generator.set_word_pos(memory.words);
-    }
-
     /// Searches until the budget is spent, and writes the best candidate of all.
-    pub fn search(
-        &mut self,
-        model: &ChannelModel,
-        observation: &Observation,
-        rule: &mut dyn Rule,
-        out: &mut MirrorAngles,
-    ) {
+    fn search(&mut self, model: &ChannelModel, observation: &Observation, rule: &mut dyn Rule, out: &mut MirrorAngles) {
         self.draw(observation);
         for index in 0..POPULATION {
             if self.spent() < 1.0 {

@@ -12,62 +12,29 @@
 //! or in time instead of rounds, one particle starts at the present angles, and particles start at
 //! rest. The module `metaheuristic` has the first two.
 
-use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
+use heliostat_channel::mirrors::MirrorAngles;
 use heliostat_scenario::Scenario;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-use super::metaheuristic::{Population, Round, Rule, axes, axes_mut};
-use super::proposal::{Policy, PolicyError, PolicyMemory, TimeSource};
-use crate::observe::observation::Observation;
+use super::metaheuristic::{Round, Rule, Search, axes, axes_mut};
+use super::proposal::TimeSource;
 
 /// w: the constriction for c1 + c2 = 4.1.
 const INERTIA: f64 = 0.7298;
 /// c: the constriction times 2.05.
 const ATTRACTION: f64 = 1.49618;
 
-/// Particle swarm optimisation on the angles of all mirrors.
-pub struct Pso {
-    population: Population,
-    memory: Memory,
-}
-
-impl Pso {
-    /// With the budget and the seed of a scenario.
-    pub fn new(scenario: &Scenario, monotonic_ns: TimeSource) -> Self {
-        let population = Population::new(scenario, monotonic_ns);
-        let places = population.places().to_vec();
-        let memory = Memory { objectives: vec![f64::NEG_INFINITY; places.len()], velocities: places.clone(), places };
-        Self { population, memory }
-    }
-}
-
-impl Policy for Pso {
-    fn name(&self) -> &str {
-        "pso"
-    }
-
-    fn act(
-        &mut self,
-        model: &ChannelModel,
-        observation: &Observation,
-        out: &mut MirrorAngles,
-    ) -> Result<(), PolicyError> {
-        self.population.search(model, observation, &mut self.memory, out);
-        Ok(())
-    }
-
-    fn memory(&self) -> PolicyMemory {
-        self.population.memory()
-    }
-
-    fn restore(&mut self, memory: &PolicyMemory) {
-        self.population.restore(memory);
-    }
+/// Particle swarm optimisation on the angles of all mirrors, with the budget and the seed of a scenario.
+pub(super) fn pso(scenario: &Scenario, monotonic_ns: TimeSource) -> Search<Memory> {
+    Search::new("pso", scenario, monotonic_ns, |places| {
+        let places = places.to_vec();
+        Memory { objectives: vec![f64::NEG_INFINITY; places.len()], velocities: places.clone(), places }
+    })
 }
 
 /// The memory of each particle.
-struct Memory {
+pub(super) struct Memory {
     /// In rad per round.
     velocities: Vec<MirrorAngles>,
     /// The best place of each particle.

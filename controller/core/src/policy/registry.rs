@@ -87,9 +87,9 @@ policies! {
     /// Model-based: every assignment of mirrors to users; for about nine mirrors and three users
     Exhaustive: Direct(|room| super::exhaustive::Exhaustive::new(room.scenario).map_err(BuildError::Search)?.boxed()),
     /// Metaheuristic: the sine cosine algorithm on the angles of all mirrors
-    SineCosine: Direct(|room| super::sine_cosine::SineCosine::new(room.scenario, room.monotonic_ns).boxed()),
+    SineCosine: Direct(|room| super::sine_cosine::sine_cosine(room.scenario, room.monotonic_ns).boxed()),
     /// Metaheuristic: particle swarm optimisation on the angles of all mirrors
-    Pso: Direct(|room| super::pso::Pso::new(room.scenario, room.monotonic_ns).boxed()),
+    Pso: Direct(|room| super::pso::pso(room.scenario, room.monotonic_ns).boxed()),
     /// Each mirror serves the user with the largest steering gain
     Nearest: Direct(|_| super::nearest::Nearest::new().boxed()),
     /// One random draw per mirror, the same for the complete run

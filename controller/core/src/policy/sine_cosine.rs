@@ -13,56 +13,24 @@
 
 use std::f64::consts::TAU;
 
-use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
+use heliostat_channel::mirrors::MirrorAngles;
 use heliostat_scenario::Scenario;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-use super::metaheuristic::{Population, Round, Rule, axes, axes_mut};
-use super::proposal::{Policy, PolicyError, PolicyMemory, TimeSource};
-use crate::observe::observation::Observation;
+use super::metaheuristic::{Round, Rule, Search, axes, axes_mut};
+use super::proposal::TimeSource;
 
 /// r1 at the start, as in the source.
 const FIRST_REACH: f64 = 2.0;
 
-/// The sine cosine algorithm on the angles of all mirrors.
-pub struct SineCosine {
-    population: Population,
-}
-
-impl SineCosine {
-    /// With the budget and the seed of a scenario.
-    pub fn new(scenario: &Scenario, monotonic_ns: TimeSource) -> Self {
-        Self { population: Population::new(scenario, monotonic_ns) }
-    }
-}
-
-impl Policy for SineCosine {
-    fn name(&self) -> &str {
-        "sine-cosine"
-    }
-
-    fn act(
-        &mut self,
-        model: &ChannelModel,
-        observation: &Observation,
-        out: &mut MirrorAngles,
-    ) -> Result<(), PolicyError> {
-        self.population.search(model, observation, &mut Swing, out);
-        Ok(())
-    }
-
-    fn memory(&self) -> PolicyMemory {
-        self.population.memory()
-    }
-
-    fn restore(&mut self, memory: &PolicyMemory) {
-        self.population.restore(memory);
-    }
+/// The sine cosine algorithm on the angles of all mirrors, with the budget and the seed of a scenario.
+pub(super) fn sine_cosine(scenario: &Scenario, monotonic_ns: TimeSource) -> Search<Swing> {
+    Search::new("sine-cosine", scenario, monotonic_ns, |_| Swing)
 }
 
 /// Has no memory.
-struct Swing;
+pub(super) struct Swing;
 
 impl Rule for Swing {
     fn begin(&mut self, _: &[MirrorAngles], _: &[f64]) {}

@@ -15,14 +15,11 @@ const CIRCLE_RADIUS_M: f64 = 1.5;
 pub fn warm_up(policies: &mut [&mut dyn Policy], model: &ChannelModel, users: usize, runs: impl Iterator) {
     let positions: Vec<Vec3> = (0..users).map(|user| synthetic_position(user, users)).collect();
     let state = RoomState {
-        tick: 0,
         positions: &positions,
         velocities: &vec![Vec3::zeros(); users],
         min_rate_bps: &vec![1e6; users],
-        blockers: &[],
         forced: &vec![false; users],
-        orientations: None,
-        measured_los_gain: None,
+        ..RoomState::default()
     };
     let mut observation = Observation::new(model, users);
     let mut proposed = observation.angles.clone();

@@ -7,25 +7,20 @@ use std::str::FromStr;
 use heliostat_channel::{ChannelModel, decode, mirrors::MirrorAngles};
 use serde::{Deserialize, Serialize};
 
-use crate::observe::observation::{Observation, ObservationEncoder, Summary};
+use crate::{
+    named::named,
+    observe::observation::{Observation, ObservationEncoder, Summary},
+};
 
-/// The baseline weight b_k, which is the decoder weight for an action of zero.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum BaselineWeight {
-    /// b_k = 1.
-    Uniform,
-    /// b_k = q_k, the balanced weight of [`Summary::LogWeight`].
-    Balanced,
-}
-
-impl BaselineWeight {
-    /// The name in files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Uniform => "uniform",
-            Self::Balanced => "balanced",
-        }
+named! {
+    /// The baseline weight b_k, which is the decoder weight for an action of zero.
+    #[derive(Serialize, Deserialize)]
+    #[serde(rename_all = "kebab-case")]
+    pub enum BaselineWeight {
+        /// b_k = 1.
+        Uniform = "uniform",
+        /// b_k = q_k, the balanced weight of [`Summary::LogWeight`].
+        Balanced = "balanced",
     }
 }
 
@@ -33,7 +28,7 @@ impl FromStr for BaselineWeight {
     type Err = ();
 
     fn from_str(name: &str) -> Result<Self, ()> {
-        [Self::Uniform, Self::Balanced].into_iter().find(|weight| weight.name() == name).ok_or(())
+        Self::ALL.into_iter().find(|weight| weight.name() == name).ok_or(())
     }
 }
 

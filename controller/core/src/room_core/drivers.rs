@@ -107,15 +107,6 @@ mod tests {
     }
 
     #[test]
-    fn a_driver_is_absent_after_commands_without_token_and_telemetry_for_a_while() {
-        let (mut detector, start) = (AbsenceDetector::default(), 7);
-        assert!(!detector.is_absent(start, false, None, 1));
-        assert!(!detector.is_absent(start + ABSENT_AFTER_NS / 2, false, None, 9));
-        assert!(detector.is_absent(start + ABSENT_AFTER_NS, false, None, 20));
-        assert!(!detector.is_absent(start + ABSENT_AFTER_NS, true, None, 20), "a token appeared");
-    }
-
-    #[test]
     fn a_driver_with_telemetry_or_a_controller_without_commands_lacks_nothing() {
         let (mut detector, start) = (AbsenceDetector::default(), 7);
         for step in 0..10 {

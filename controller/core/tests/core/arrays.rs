@@ -15,7 +15,7 @@ use heliostat_proto::{
 };
 use heliostat_scenario::Scenario;
 
-use crate::support::{MS, Outcome, Room, build, controller, receive};
+use crate::support::{MS, Room, build, controller, receive};
 
 /// Four mirrors on one wall, then six on another.
 const TWO: &str = r#"
@@ -341,10 +341,6 @@ fn silence_withholds_or_repeats_for_each_array() {
     let repeated: Vec<_> = controller.poll_timeout_command(silent_ns).expect("silence").commands().collect();
     let [(0, repeated)] = &repeated[..] else { panic!("{repeated:?}") };
     assert_eq!((&repeated.roll, repeated.answers, repeated.time_ns), (&last[0].1.roll, 0, silent_ns));
-    let one = crate::support::scenario(&[]);
-    let mut single = crate::support::controller(&one, Box::new(Reaching));
-    let Outcome::Moved(command) = Room::new(&one).tick(&mut single, 1) else { panic!("no command") };
-    assert_eq!(command.roll, [0.25; 9]);
 }
 
 #[test]

@@ -12,7 +12,7 @@ use heliostat_proto::{
 };
 use heliostat_scenario::Scenario;
 
-use crate::support::{MS, Room, build, controller, receive, scenario};
+use crate::support::{MS, Room, build, controller, receive, report_gains, scenario};
 
 #[test]
 fn the_belief_of_a_decision_is_reported_without_an_allocation() {
@@ -112,21 +112,14 @@ fn without_a_filter_there_is_no_belief() {
 }
 
 /// The probability of a clear direct path in `hall`, after 30 readings of this gain.
-fn direct_clear(los_gain: f32, overrides: &[&str]) -> f64 {
+fn direct_clear(los_gain: f64, overrides: &[&str]) -> f64 {
     let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
     let scenario = Scenario::builtin("hall").unwrap().with_overrides(&overrides).unwrap();
     let model = scenario.channel_model().unwrap();
     let mut belief = Belief::new(&scenario, &model, 64);
-    for tick in 1..=30 {
-        let stamp = Stamp { source: 1, sequence: tick, time_ns: tick * 100 * MS };
-        let position_m = [1.0, 0.5, 0.85];
-        let user = UserState { user: 7, position_m, velocity_m_s: [0.0; 2], min_rate_bps: 1e6 };
-        belief.handle_users(&UserReport { stamp, tick, users: vec![user] });
-        let measured = UserChannel { user: 7, los_gain, irs_gain: 0.0, sinr: 0.0 };
-        let channel = ChannelReport { stamp, tick, users: vec![measured] };
-        belief.handle_channel(&model, &channel, None, &[], &[]);
-    }
-    belief.estimate(7, 0.0).unwrap().direct_clear
+    let (place, gains) = (Vec3::new(1.0, 0.5, 0.85), [[los_gain, 0.0]]);
+    (1..=30).for_each(|tick| report_gains(&mut belief, &model, tick, &[place], (&gains, None)));
+    belief.estimate(0, 0.0).unwrap().direct_clear
 }
 
 #[test]

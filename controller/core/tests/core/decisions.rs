@@ -3,13 +3,11 @@
 use heliostat_core::{
     core::{Controller, DegradedMode, Stage},
     inbox::Message,
-    policy::{Actor, Fixed, PolicyError, PolicyKind},
+    policy::{Fixed, PolicyError, PolicyKind},
 };
-use heliostat_proto::{ArrayState, AxisLimits, Capabilities, MirrorTelemetry, Stamp, encode};
+use heliostat_proto::{ArrayState, AxisLimits, Capabilities, MirrorTelemetry, encode};
 
-use crate::support::{
-    ActorRecipe, FixedEngine, MS, Outcome, Room, Scripted, build, build_with, controller, receive, scenario,
-};
+use crate::support::{MS, Outcome, Room, Scripted, build, controller, flat, receive, scenario, telemetry};
 
 #[test]
 fn a_failing_policy_is_replaced_and_counted() {
@@ -43,16 +41,6 @@ fn a_value_that_is_not_finite_is_never_commanded() {
 }
 
 #[test]
-fn an_actor_with_values_that_are_not_finite_falls_back() {
-    let scenario = scenario(&[]);
-    let file = ActorRecipe::fitting(&scenario).file();
-    let actor = Actor::load(&file, &scenario, &FixedEngine(f32::NAN)).unwrap();
-    let mut controller = controller(&scenario, Box::new(actor));
-    Room::new(&scenario).tick(&mut controller, 1).command();
-    assert_eq!(controller.counters().degraded(DegradedMode::PolicyFailed), 1);
-}
-
-#[test]
 fn without_a_fallback_the_array_is_left_to_hold() {
     let scenario = scenario(&["control.fallback=hold"]);
     let failing = Scripted(|_, _| Err(PolicyError::Inference { message: "broken".into() }));
@@ -64,9 +52,7 @@ fn without_a_fallback_the_array_is_left_to_hold() {
 
 #[test]
 fn missing_and_outdated_gains_are_modelled_and_counted() {
-    let scenario = scenario(&["control.report_age_max_ms=100"]);
-    let mut controller = controller(&scenario, Box::new(Fixed::flat(scenario.mirror_count())));
-    let mut room = Room::new(&scenario);
+    let (mut controller, mut room) = flat(&["control.report_age_max_ms=100"]);
     let counted = |controller: &Controller| {
         (controller.counters().modelled, controller.counters().degraded(DegradedMode::ChannelMissing))
     };
@@ -146,28 +132,24 @@ fn no_mirror_is_offered_to_a_user_beyond_its_range() {
 
 #[test]
 fn a_new_controller_starts_from_where_the_array_is() {
-    let scenario = scenario(&["control.slew_deg_per_s=100"]);
-    let mut controller = controller(&scenario, Box::new(Fixed::flat(9)));
+    let (mut controller, mut room) = flat(&["control.slew_deg_per_s=100"]);
     let mut telemetry = MirrorTelemetry {
-        stamp: Stamp { source: 9, sequence: 1, time_ns: Room::time(1) },
         state: ArrayState::Following,
         epoch: 6,
         roll_commanded: vec![0.4; 9],
-        yaw_commanded: vec![0.0; 9],
-        ..MirrorTelemetry::default()
+        ..telemetry(9, 1, Room::time(1), 9)
     };
     receive(&mut controller, Room::time(1), Message::Telemetry(0, &mut telemetry));
-    let command = Room::new(&scenario).tick(&mut controller, 1).command();
+    let command = room.tick(&mut controller, 1).command();
     assert!((f64::from(command.roll[0]) - (0.4 - 1f64.to_radians())).abs() < 1e-6, "it turns from there");
     assert_eq!(command.epoch, 7);
 }
 
 #[test]
 fn stages_are_marked_in_order_and_once() {
-    let scenario = scenario(&[]);
-    let mut controller = controller(&scenario, Box::new(Fixed::flat(9)));
+    let (mut controller, mut room) = flat(&[]);
     let mut marks = Vec::new();
-    let mut report = Room::new(&scenario).positions(1);
+    let mut report = room.positions(1);
     controller.handle_and_poll(Room::time(1) + MS, Message::Users(&mut report), &mut |stage| marks.push(stage));
     assert_eq!(marks, [Stage::Observed, Stage::Inferred, Stage::MadeSafe]);
 }
@@ -180,8 +162,7 @@ fn the_core_is_deterministic() {
     {
         let run = || {
             let scenario = scenario(&["control.slew_deg_per_s=2000"]);
-            let actor = ActorRecipe::fitting(&scenario).file();
-            let mut controller = controller(&scenario, build_with(kind, &scenario, &actor).unwrap());
+            let mut controller = controller(&scenario, build(kind, &scenario).unwrap());
             controller.warm_up(0..3);
             let mut room = Room::new(&scenario);
             let (mut all, mut payload) = (Vec::new(), Vec::new());

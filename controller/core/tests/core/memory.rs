@@ -14,7 +14,7 @@ use heliostat_proto::{
 };
 use heliostat_scenario::Scenario;
 
-use crate::support::{Outcome, Room, build, controller, receive, scenario};
+use crate::support::{Outcome, Room, build, controller, receive, scenario, telemetry};
 
 const POLICIES: [PolicyKind; 5] =
     [PolicyKind::FixedPoint, PolicyKind::Greedy, PolicyKind::Pso, PolicyKind::Ddpg, PolicyKind::Nearest];
@@ -60,16 +60,8 @@ fn tick(room: &mut Room, controller: &mut Controller, tick: u64) -> Outcome {
 fn begin(room: &mut Room, controller: &mut Controller) {
     let obstacle = Obstacle { x_m: 0.5, y_m: 0.2, radius_m: 0.2, height_m: 1.5 };
     receive(controller, Room::time(0), Message::Obstacles(&mut room.survey(0, vec![obstacle])));
-    let stamp = Stamp { source: 9, sequence: 1, time_ns: Room::time(0) };
-    let flat = vec![0.0; 9];
-    let mut telemetry = MirrorTelemetry {
-        stamp,
-        roll_commanded: flat.clone(),
-        yaw_commanded: flat,
-        unusable: vec![4],
-        ..MirrorTelemetry::default()
-    };
-    receive(controller, Room::time(0), Message::Telemetry(0, &mut telemetry));
+    let mut unusable = MirrorTelemetry { unusable: vec![4], ..telemetry(9, 1, Room::time(0), 9) };
+    receive(controller, Room::time(0), Message::Telemetry(0, &mut unusable));
 }
 
 fn running(scenario: &Scenario, kind: PolicyKind, ticks: u64) -> (Room, Controller) {
@@ -141,10 +133,9 @@ fn a_restored_controller_knows_that_a_driver_has_no_clock() {
     assert!(first.handle_capabilities(0, &capabilities, Err(Unfit::PaperAngles)));
     let mut second = controller(&scenario, build(PolicyKind::Nearest, &scenario).unwrap());
     second.restore(&Memory::from_bytes(&first.memory().to_bytes().unwrap()).unwrap()).unwrap();
-    let (stamp, flat) = (Stamp { source: 9, sequence: 2, time_ns: 1 }, vec![0.0; 9]);
-    let mut telemetry =
-        MirrorTelemetry { stamp, roll_commanded: flat.clone(), yaw_commanded: flat, ..MirrorTelemetry::default() };
-    receive(&mut second, Room::time(6), Message::Telemetry(0, &mut telemetry));
+    let mut early = telemetry(9, 2, 1, 9);
+    let stamp = early.stamp;
+    receive(&mut second, Room::time(6), Message::Telemetry(0, &mut early));
     assert_eq!(second.inbox().telemetry(0).map(|telemetry| telemetry.stamp), Some(stamp));
 }
 

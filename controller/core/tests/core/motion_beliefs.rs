@@ -77,19 +77,6 @@ fn a_user_who_returns_within_a_second_continues_and_later_starts_again() {
 }
 
 #[test]
-fn a_restored_belief_remembers_who_is_absent() {
-    let [mut first, mut second] = [belief(), belief()];
-    let walk = |tick: u64| report(tick, &[(7, [0.1 * tick as f32, 0.0, 0.9], [1.0, 0.0])]);
-    (1..=10).for_each(|tick| first.handle_users(&walk(tick)));
-    first.handle_users(&report(11, &[(3, [0.0; 3], [0.0; 2])]));
-    assert!(second.restore(&first.memory()));
-    assert_eq!(second.estimate(7, 0.0), None);
-    [&mut first, &mut second].into_iter().for_each(|belief| belief.handle_users(&walk(12)));
-    assert_eq!(second.estimate(7, 0.5), first.estimate(7, 0.5));
-    assert!(share_of_noise(&second, 7) < 0.5);
-}
-
-#[test]
 fn another_user_under_a_number_that_was_absent_is_followed_at_once() {
     for absent in [1, 20] {
         let mut belief = belief();
@@ -204,18 +191,6 @@ fn the_ellipse_of_a_user_who_wanders_holds_the_place() {
     }
     let share = inside as f64 / REPORTS as f64;
     assert!(share > 0.9, "{share}");
-}
-
-#[test]
-fn the_noise_of_the_reports_is_learned() {
-    let mut belief = belief();
-    for tick in 1..=400_u64 {
-        let angle = tick as f32 * 2.399_963;
-        let (dx, dy) = (0.2 * angle.cos(), 0.2 * angle.sin());
-        belief.handle_users(&report(tick, &[(7, [dx, dy, 0.9], [dy, dx])]));
-    }
-    let [position_m, _] = belief.noise();
-    assert!(position_m > 0.1, "{position_m}");
 }
 
 /// A circular normal error with this standard deviation of one axis.

@@ -8,7 +8,7 @@ use heliostat_core::{
 };
 use heliostat_proto::Obstacle;
 
-use crate::support::{Room, controller, model, receive, scenario};
+use crate::support::{Room, controller, flat, model, receive, scenario};
 
 const POSITIONS: [Vec3; 3] = [Vec3::new(0.5, 0.25, 0.85), Vec3::new(-1.0, 1.5, 0.85), Vec3::new(2.0, -2.0, 0.85)];
 
@@ -131,24 +131,6 @@ fn users_without_a_path_to_a_mirror_have_finite_features() {
 }
 
 #[test]
-fn the_parts_cover_the_vector_without_gap() {
-    let encoder = ObservationEncoder::new(10, 100);
-    let parts = [
-        encoder.present(),
-        encoder.positions(),
-        encoder.los_amplitude(),
-        encoder.min_rate(),
-        encoder.steering_amplitude(),
-        encoder.angles(),
-        encoder.summary(),
-    ];
-    assert_eq!(parts[0].start, 0);
-    assert!(parts.windows(2).all(|pair| pair[0].end == pair[1].start));
-    assert_eq!(parts[6].end, encoder.len());
-    assert_eq!(encoder.len(), 1370);
-}
-
-#[test]
 fn an_observation_that_does_not_fit_the_vector_is_an_error() {
     let scenario = scenario(&[]);
     let model = model(&scenario);
@@ -163,9 +145,7 @@ fn an_observation_that_does_not_fit_the_vector_is_an_error() {
 
 #[test]
 fn measured_gains_replace_modelled_ones() {
-    let scenario = scenario(&["control.belief=none"]);
-    let mut controller = controller(&scenario, Box::new(Fixed::flat(9)));
-    let mut room = Room::new(&scenario);
+    let (mut controller, mut room) = flat(&["control.belief=none"]);
     receive(&mut controller, Room::time(1), Message::Users(&mut room.positions(1)));
     let modelled = controller.observation().scene.los_gain().to_vec();
     let mut gains = room.gains(2, 0.0);
@@ -187,9 +167,7 @@ fn measured_gains_replace_modelled_ones() {
 fn a_gain_within_the_noise_of_the_receiver_is_that_of_a_blocked_path() {
     let sets = ["blockage.bodies=false", "streams.channel.noise_gain=1e-8", "blockage.obstacles_per_m2=0"];
     for belief in ["control.belief=none", "control.belief=filter"] {
-        let scenario = scenario(&[&sets[..], &[belief]].concat());
-        let mut controller = controller(&scenario, Box::new(Fixed::flat(9)));
-        let mut room = Room::new(&scenario);
+        let (mut controller, mut room) = flat(&[&sets[..], &[belief]].concat());
         let mut gains = room.gains(2, 0.0);
         for (user, los_gain) in gains.users.iter_mut().zip([2.9e-8, 3.1e-8, 1e-7]) {
             user.los_gain = los_gain;
@@ -205,9 +183,7 @@ fn a_gain_within_the_noise_of_the_receiver_is_that_of_a_blocked_path() {
 /// body is between LED and device.
 #[test]
 fn bodies_stand_behind_walking_users() {
-    let scenario = scenario(&["users.count=1", "receiver.height_m=1.0", "control.belief=none"]);
-    let mut controller = controller(&scenario, Box::new(Fixed::flat(9)));
-    let mut room = Room::new(&scenario);
+    let (mut controller, mut room) = flat(&["users.count=1", "receiver.height_m=1.0", "control.belief=none"]);
     let mut gain_when_walking = |tick, velocity: f32| {
         let mut report = room.positions(tick);
         report.users[0].position_m = [2.3, 0.0, 1.0];
@@ -223,9 +199,8 @@ fn bodies_stand_behind_walking_users() {
 
 #[test]
 fn bodies_can_be_left_out() {
-    let scenario = scenario(&["users.count=1", "receiver.height_m=1.0", "blockage.bodies=false"]);
-    let mut controller = controller(&scenario, Box::new(Fixed::flat(9)));
-    let mut report = Room::new(&scenario).positions(1);
+    let (mut controller, mut room) = flat(&["users.count=1", "receiver.height_m=1.0", "blockage.bodies=false"]);
+    let mut report = room.positions(1);
     report.users[0].position_m = [2.3, 0.0, 1.0];
     report.users[0].velocity_m_s = [1.0, 0.0];
     receive(&mut controller, Room::time(1), Message::Users(&mut report)).command();
@@ -234,9 +209,7 @@ fn bodies_can_be_left_out() {
 
 #[test]
 fn surveyed_obstacles_stand_in_the_light() {
-    let scenario = scenario(&["users.count=1", "blockage.bodies=false"]);
-    let mut controller = controller(&scenario, Box::new(Fixed::flat(9)));
-    let mut room = Room::new(&scenario);
+    let (mut controller, mut room) = flat(&["users.count=1", "blockage.bodies=false"]);
     let mut report = room.positions(1);
     let [x, y, _] = report.users[0].position_m;
     receive(&mut controller, Room::time(1), Message::Users(&mut report)).command();
@@ -291,9 +264,7 @@ fn reported_orientations_tilt_the_receivers_of_the_observation_until_they_are_to
 
 #[test]
 fn an_obstacle_of_radius_0_is_accepted_and_blocks_nothing() {
-    let scenario = scenario(&["users.count=1", "blockage.bodies=false"]);
-    let mut controller = controller(&scenario, Box::new(Fixed::flat(9)));
-    let mut room = Room::new(&scenario);
+    let (mut controller, mut room) = flat(&["users.count=1", "blockage.bodies=false"]);
     let mut report = room.positions(1);
     let [x, y, _] = report.users[0].position_m;
     receive(&mut controller, Room::time(1), Message::Users(&mut report)).command();
@@ -310,9 +281,8 @@ fn an_obstacle_of_radius_0_is_accepted_and_blocks_nothing() {
 #[test]
 fn users_are_predicted_to_walk_on_but_not_through_walls() {
     let place = |prediction: &str, x: f32| {
-        let scenario = scenario(&["users.count=1", prediction]);
-        let mut controller = controller(&scenario, Box::new(Fixed::flat(9)));
-        let mut report = Room::new(&scenario).positions(1);
+        let (mut controller, mut room) = flat(&["users.count=1", prediction]);
+        let mut report = room.positions(1);
         report.users[0].position_m = [x, 0.5, 0.85];
         report.users[0].velocity_m_s = [2.0, -1.0];
         receive(&mut controller, Room::time(3), Message::Users(&mut report)).command();

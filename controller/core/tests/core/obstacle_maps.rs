@@ -3,10 +3,10 @@
 
 use heliostat_channel::{ChannelModel, Orientation, Scene, Vec3, decode::aim_at_point, mirrors::MirrorAngles};
 use heliostat_core::belief::Belief;
-use heliostat_proto::{ChannelReport, MirrorCommand, Stamp, UserChannel, UserReport, UserState};
+use heliostat_proto::MirrorCommand;
 use heliostat_scenario::Scenario;
 
-use crate::support::MS;
+use crate::support::report_gains;
 
 /// Where a user of `hall` stays.
 const PLACE: Vec3 = Vec3::new(0.8, -0.6, 0.85);
@@ -37,20 +37,14 @@ fn unobstructed(overrides: &[&str], held: Orientation, share: f64) -> f64 {
     let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
     let scenario = Scenario::builtin("hall").unwrap().with_overrides(&overrides).unwrap();
     let model = scenario.channel_model().unwrap();
-    let [los_gain, irs_gain] = gains(&model, held).map(|gain| gain as f32);
+    let [direct, reflected] = gains(&model, held);
     let angles = aimed(&model);
     let mut belief = Belief::new(&scenario, &model, 64);
     let [roll, yaw] = [&angles.roll, &angles.yaw].map(|each| each.iter().map(|angle| *angle as f32).collect());
     let command = MirrorCommand { time_ns: 1, validity_ms: 60_000, roll, yaw, ..MirrorCommand::default() };
     belief.handle_command(&command);
-    for tick in 10..10 + REPORTS {
-        let stamp = Stamp { source: 1, sequence: tick, time_ns: tick * 100 * MS };
-        let position_m = [PLACE.x as f32, PLACE.y as f32, PLACE.z as f32];
-        let user = UserState { user: 7, position_m, ..UserState::default() };
-        belief.handle_users(&UserReport { stamp, tick, users: vec![user] });
-        let measured = UserChannel { user: 7, los_gain, irs_gain: share as f32 * irs_gain, ..UserChannel::default() };
-        belief.handle_channel(&model, &ChannelReport { stamp, tick, users: vec![measured] }, None, &[], &[]);
-    }
+    let measured = [[direct, share * reflected]];
+    (10..10 + REPORTS).for_each(|tick| report_gains(&mut belief, &model, tick, &[PLACE], (&measured, None)));
     let mut columns = vec![1.0; scenario.mirrors.columns()];
     assert!(belief.unobstructed(&PLACE, &mut columns), "the map exists");
     columns.into_iter().fold(1.0, f64::min)

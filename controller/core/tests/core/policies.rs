@@ -17,14 +17,11 @@ fn observe(scenario: &Scenario) -> (ChannelModel, Observation) {
     observation.set_state(
         &model,
         &RoomState {
-            tick: 1,
             positions: &[Vec3::new(-1.5, 0.5, 0.85), Vec3::new(1.5, 1.0, 0.85), Vec3::new(0.0, -1.0, 0.85)],
             velocities: &[Vec3::zeros(); 3],
             min_rate_bps: &[1e6; 3],
-            blockers: &[],
             forced: &[true, true, false],
-            orientations: None,
-            measured_los_gain: None,
+            ..RoomState::default()
         },
     );
     (model, observation)

@@ -9,11 +9,11 @@ use heliostat_core::{
     tenure::Tenure,
 };
 use heliostat_proto::{
-    AxisLimits, Capabilities, EmergencyStop, LatchedStopReport, Message, MirrorCommand, MirrorTelemetry, Nanos,
-    NodeKind, Room as RoomName, RoomGeometry, Stamp, StopAction, StopRepetition, StopReport, decode, encode,
+    AxisLimits, Capabilities, EmergencyStop, LatchedStopReport, Message, MirrorCommand, Nanos, NodeKind,
+    Room as RoomName, RoomGeometry, Stamp, StopAction, StopRepetition, StopReport, decode, encode,
 };
 
-use crate::support::{MS, Room, build, scenario};
+use crate::support::{MS, Room, build, scenario, telemetry};
 
 const DRIVER: u64 = 9;
 
@@ -48,11 +48,6 @@ fn wake(core: &mut RoomCore, now: Nanos) -> Vec<Output> {
     let mut published = Published::new();
     core.advance(now, Input::Wake, &mut published);
     published.into_iter().map(|(output, _)| output).filter(|output| *output != Output::Geometry).collect()
-}
-
-fn telemetry(sequence: u64, now: Nanos) -> MirrorTelemetry {
-    let (stamp, flat) = (Stamp { source: DRIVER, sequence, time_ns: now }, vec![0.0; 9]);
-    MirrorTelemetry { stamp, roll_commanded: flat.clone(), yaw_commanded: flat, ..MirrorTelemetry::default() }
 }
 
 fn stop() -> EmergencyStop {
@@ -116,7 +111,7 @@ fn nothing_is_allocated_from_payload_to_payload() {
     for tick in 1..=60 {
         let now = Room::time(tick);
         let payloads = [
-            (report(Stream::Telemetry), bytes(&telemetry(tick, now))),
+            (report(Stream::Telemetry), bytes(&telemetry(DRIVER, tick, now, 9))),
             (report(Stream::Channel), bytes(&room.gains(tick, 1e-6))),
             (report(Stream::Users), bytes(&room.positions(tick))),
         ];
@@ -210,7 +205,7 @@ fn the_geometry_is_announced_once_a_second_and_that_of_the_simulator_is_kept_whi
 fn an_array_without_stop_reports_gets_the_stop_itself_while_it_is_present() {
     let mut core = live();
     let start = Room::time(1);
-    advance(&mut core, start, report(Stream::Telemetry), &telemetry(1, start));
+    advance(&mut core, start, report(Stream::Telemetry), &telemetry(DRIVER, 1, start, 9));
     advance(&mut core, start, InputKey::Stop, &stop());
     assert_eq!(wake(&mut core, start + 300 * MS), [Output::Stop]);
     assert_eq!(wake(&mut core, start + 1_100 * MS), [Output::StopRepetition(0)], "it may have left");

@@ -5,10 +5,10 @@ use heliostat_core::{
     belief::Belief,
     inbox::{Inbox, Message},
 };
-use heliostat_proto::{ChannelReport, LedGain, LedReport, Stamp, UserChannel, UserLeds, UserReport, UserState};
+use heliostat_proto::{ChannelReport, LedGain, LedReport, Stamp, UserLeds};
 use heliostat_scenario::Scenario;
 
-use crate::support::MS;
+use crate::support::{MS, report_gains};
 
 /// Two LEDs, where the reported positions are exact.
 const TWO_LEDS: [&str; 2] = ["led.positions_m=[[-1.25,0,3],[1.25,0,3]]", "streams.positions.noise_m=0.001"];
@@ -39,17 +39,8 @@ fn reported_with(
     leds: Option<&LedReport>,
 ) -> Belief {
     let mut belief = Belief::new(scenario, model, 64);
-    for tick in 1..=10 {
-        let stamp = Stamp { source: 1, sequence: tick, time_ns: tick * 100 * MS };
-        let user = |(user, place): (u32, &Vec3)| {
-            let position_m = [place.x as f32, place.y as f32, place.z as f32];
-            UserState { user, position_m, ..UserState::default() }
-        };
-        belief.handle_users(&UserReport { stamp, tick, users: (0..).zip(places).map(user).collect() });
-        let entry = |(user, gain): (u32, &f64)| UserChannel { user, los_gain: *gain as f32, ..UserChannel::default() };
-        let channel = ChannelReport { stamp, tick, users: (0..).zip(gains).map(entry).collect() };
-        belief.handle_channel(model, &channel, leds, &[], &[]);
-    }
+    let gains: Vec<[f64; 2]> = gains.iter().map(|direct| [*direct, 0.0]).collect();
+    (1..=10).for_each(|tick| report_gains(&mut belief, model, tick, places, (&gains, leds)));
     belief
 }
 

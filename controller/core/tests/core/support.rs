@@ -1,12 +1,13 @@
 //! A small room that reports, and actors made to order.
 
-use heliostat_channel::{ChannelModel, MirrorAngles, Orientation};
+use heliostat_channel::{ChannelModel, MirrorAngles, Orientation, Vec3};
 use heliostat_core::{
+    belief::Belief,
     core::{Controller, Decision, DegradedMode},
     inbox::Message,
     observation::{OBSERVATION_VERSION, Observation, ObservationEncoder},
     policy::{
-        self, Actor, BuildError, Engine, Network, Policy, PolicyError, PolicyKind, Resources,
+        self, Actor, BuildError, Engine, Fixed, Network, Policy, PolicyError, PolicyKind, Resources,
         actor_file::{ActorError, ActorFile, INPUT_NAME, OUTPUT_NAME, key},
     },
 };
@@ -15,8 +16,8 @@ use heliostat_onnx::{
     f32_row, tensor_proto::DataType,
 };
 use heliostat_proto::{
-    ChannelReport, MAX_USERS, MirrorCommand, Nanos, Obstacle, ObstacleReport, OrientationReport, Stamp, UserChannel,
-    UserOrientation, UserReport, UserState,
+    ChannelReport, LedReport, MAX_USERS, MirrorCommand, MirrorTelemetry, Nanos, Obstacle, ObstacleReport,
+    OrientationReport, Stamp, UserChannel, UserOrientation, UserReport, UserState,
 };
 use heliostat_scenario::Scenario;
 use prost::Message as _;
@@ -38,6 +39,18 @@ pub fn model(scenario: &Scenario) -> ChannelModel {
 
 pub fn controller(scenario: &Scenario, policy: Box<dyn Policy>) -> Controller {
     Controller::new(scenario, model(scenario), policy, 7)
+}
+
+/// A controller with flat mirrors, and its room.
+pub fn flat(overrides: &[&str]) -> (Controller, Room) {
+    let scenario = scenario(overrides);
+    (controller(&scenario, Box::new(Fixed::flat(scenario.mirror_count()))), Room::new(&scenario))
+}
+
+/// Telemetry of flat mirrors.
+pub fn telemetry(source: u64, sequence: u64, time_ns: Nanos, mirrors: usize) -> MirrorTelemetry {
+    let (stamp, flat) = (Stamp { source, sequence, time_ns }, vec![0.0; mirrors]);
+    MirrorTelemetry { stamp, roll_commanded: flat.clone(), yaw_commanded: flat, ..MirrorTelemetry::default() }
 }
 
 /// What came of a message.
@@ -146,6 +159,29 @@ fn walker(user: u32, users: usize, tick: u64) -> UserState {
         velocity_m_s: [(-1.4 * sin) as f32, (1.1 * cos) as f32],
         min_rate_bps: 1e6,
     }
+}
+
+/// Reports users who stay at these places, ten times a second, and then the gains that each of them
+/// measures: of the direct path, and over the mirrors.
+pub fn report_gains(
+    belief: &mut Belief,
+    model: &ChannelModel,
+    tick: u64,
+    places: &[Vec3],
+    (gains, leds): (&[[f64; 2]], Option<&LedReport>),
+) {
+    let stamp = Stamp { source: 1, sequence: tick, time_ns: tick * 100 * MS };
+    let user = |(user, place): (u32, &Vec3)| {
+        let position_m = [place.x as f32, place.y as f32, place.z as f32];
+        UserState { user, position_m, ..UserState::default() }
+    };
+    belief.handle_users(&UserReport { stamp, tick, users: (0..).zip(places).map(user).collect() });
+    let measured = |(user, gains): (u32, &[f64; 2])| {
+        let [los_gain, irs_gain] = gains.map(|gain| gain as f32);
+        UserChannel { user, los_gain, irs_gain, ..UserChannel::default() }
+    };
+    let channel = ChannelReport { stamp, tick, users: (0..).zip(gains).map(measured).collect() };
+    belief.handle_channel(model, &channel, leds, &[], &[]);
 }
 
 /// A policy that calls a function.
@@ -272,7 +308,8 @@ impl Engine for BiasEngine {
         let find = |name: &str| weights.iter().find(|tensor| tensor.name == name).map(|tensor| &tensor.float_data);
         let bias = find("bias").ok_or("expected a tensor \"bias\"")?.clone();
         let weight = find("weights").and_then(|weights| weights.first()).copied().unwrap_or_default();
-        Ok(Box::new(BiasNetwork::new(input_length, bias, weight)))
+        let (input, output) = (vec![0.0; MAX_USERS * input_length], Vec::with_capacity(MAX_USERS * bias.len()));
+        Ok(Box::new(BiasNetwork { input_length, rows: 1, input, output, bias, weight }))
     }
 }
 
@@ -283,13 +320,6 @@ struct BiasNetwork {
     output: Vec<f32>,
     bias: Vec<f32>,
     weight: f32,
-}
-
-impl BiasNetwork {
-    fn new(input_length: usize, bias: Vec<f32>, weight: f32) -> Self {
-        let (input, output) = (vec![0.0; MAX_USERS * input_length], Vec::with_capacity(MAX_USERS * bias.len()));
-        Self { input_length, rows: 1, input, output, bias, weight }
-    }
 }
 
 impl Network for BiasNetwork {
@@ -317,24 +347,10 @@ impl Network for BiasNetwork {
     }
 }
 
-/// Whatever the network, its nine rolls and nine yaws have this value.
-pub struct FixedEngine(pub f32);
-
-impl Engine for FixedEngine {
-    fn load(&self, _: &[u8], input_length: usize) -> Result<Box<dyn Network>, String> {
-        let bias = vec![self.0; 18];
-        Ok(Box::new(BiasNetwork::new(input_length, bias, 0.0)))
-    }
-}
-
 /// A policy by its name; learned ones with an actor that fits.
 pub fn build(kind: PolicyKind, scenario: &Scenario) -> Result<Box<dyn Policy>, BuildError> {
-    build_with(kind, scenario, &ActorRecipe::fitting(scenario).file())
-}
-
-/// A policy by its name, learned ones with this actor.
-pub fn build_with(kind: PolicyKind, scenario: &Scenario, actor: &ActorFile) -> Result<Box<dyn Policy>, BuildError> {
-    policy::build(kind, scenario, &Resources { actor: Some(actor), engine: &BiasEngine, monotonic_ns })
+    let actor = ActorRecipe::fitting(scenario).file();
+    policy::build(kind, scenario, &Resources { actor: Some(&actor), engine: &BiasEngine, monotonic_ns })
 }
 
 /// Loads an actor with the test's engine.

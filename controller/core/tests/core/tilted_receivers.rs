@@ -2,10 +2,10 @@
 
 use heliostat_channel::{ChannelModel, Orientation, Scene, Vec3};
 use heliostat_core::belief::Belief;
-use heliostat_proto::{ChannelReport, OrientationReport, Stamp, UserChannel, UserOrientation, UserReport, UserState};
+use heliostat_proto::{OrientationReport, Stamp, UserOrientation};
 use heliostat_scenario::Scenario;
 
-use crate::support::MS;
+use crate::support::{MS, report_gains};
 
 /// Low bodies, which leave the direct path clear at every heading.
 const LOW_BODIES: &str = "blockage.body_height_m=0.9";
@@ -27,15 +27,8 @@ fn direct_gains(model: &ChannelModel, places: &[Vec3], held: &[Orientation]) -> 
 
 /// Reports the places of the users, and then these direct gains.
 fn report(belief: &mut Belief, model: &ChannelModel, gains: &[f64], tick: u64) {
-    let stamp = Stamp { source: 1, sequence: tick, time_ns: tick * 100 * MS };
-    let user = |(user, seat): (u32, &Vec3)| {
-        let position_m = [seat.x as f32, seat.y as f32, seat.z as f32];
-        UserState { user, position_m, ..UserState::default() }
-    };
-    belief.handle_users(&UserReport { stamp, tick, users: (0..).zip(&SEATS).map(user).collect() });
-    let measured = |(user, gain): (u32, &f64)| UserChannel { user, los_gain: *gain as f32, ..UserChannel::default() };
-    let channel = ChannelReport { stamp, tick, users: (0..).zip(gains).map(measured).collect() };
-    belief.handle_channel(model, &channel, None, &[], &[]);
+    let gains: Vec<[f64; 2]> = gains.iter().map(|direct| [*direct, 0.0]).collect();
+    report_gains(belief, model, tick, &SEATS, (&gains, None));
 }
 
 fn headings(belief: &Belief) -> Vec<Vec3> {

@@ -4,12 +4,12 @@ use heliostat_channel::MirrorAngles;
 use heliostat_core::{
     core::{Controller, DegradedMode},
     inbox::Message,
-    policy::{Fixed, PolicyError, PolicyKind},
+    policy::{PolicyError, PolicyKind},
 };
-use heliostat_proto::{MirrorCommand, UserReport};
+use heliostat_proto::MirrorCommand;
 use heliostat_scenario::Scenario;
 
-use crate::support::{Outcome, Room, Scripted, build, controller, receive, scenario};
+use crate::support::{Outcome, Room, Scripted, build, controller, flat, receive, scenario};
 
 /// Users are where they are reported: the filter learns its noise from all users in turn.
 fn as_reported() -> Scenario {
@@ -24,23 +24,6 @@ fn tick(controller: &mut Controller, room: &mut Room, tick: u64, ids: &[u32]) ->
 
 fn angles(command: &MirrorCommand) -> (Vec<f32>, Vec<f32>) {
     (command.roll.clone(), command.yaw.clone())
-}
-
-#[test]
-fn every_report_is_answered_while_users_come_and_go_in_any_order() {
-    let scenario = scenario(&[]);
-    let crowd: Vec<u32> = (0..64).rev().map(|user| u32::MAX - user).collect();
-    let sets: [&[u32]; 8] = [&[0, 1, 2], &[2, 0], &[5, 0, 9, 2], &[], &[9, 8, 7, 6, 5], &crowd, &[1], &[1, 0]];
-    for kind in [PolicyKind::FixedPoint, PolicyKind::Greedy, PolicyKind::Oracle, PolicyKind::Nearest, PolicyKind::Pso] {
-        let mut controller = controller(&scenario, build(kind, &scenario).unwrap());
-        let mut room = Room::new(&scenario);
-        for (index, ids) in sets.iter().enumerate() {
-            let command = tick(&mut controller, &mut room, index as u64 + 1, ids).command();
-            assert_eq!(command.answers, index as u64 + 1, "{kind:?}");
-        }
-        assert_eq!(controller.counters().degraded(DegradedMode::PolicyFailed), 0, "{kind:?}");
-        assert_eq!(controller.inbox().refused().total(), 0, "{kind:?}");
-    }
 }
 
 #[test]
@@ -102,9 +85,7 @@ fn the_order_of_the_users_in_the_reports_changes_no_command() {
 
 #[test]
 fn a_user_without_a_measured_gain_has_the_modelled_one_and_foreign_entries_are_ignored() {
-    let scenario = as_reported();
-    let mut controller = controller(&scenario, Box::new(Fixed::flat(9)));
-    let mut room = Room::new(&scenario);
+    let (mut controller, mut room) = flat(&["control.belief=none"]);
     receive(&mut controller, Room::time(1), Message::Channel(&mut room.gains_of(1, 1e-3, &[8, 1, 77])));
     receive(&mut controller, Room::time(1), Message::Users(&mut room.positions_of(1, &[1, 2, 8]))).command();
     let gains = controller.observation().scene.los_gain().to_vec();
@@ -137,23 +118,14 @@ fn users_beyond_the_capacity_of_an_actor_are_counted_and_the_policy_goes_on() {
     assert_eq!(controller.counters().degraded(DegradedMode::PolicyFailed), 0);
 }
 
-/// The same users, all standing at a place of the room.
-fn standing(mut report: UserReport) -> UserReport {
-    for user in &mut report.users {
-        user.velocity_m_s = [0.0, 0.0];
-    }
-    report
-}
-
 #[test]
 fn a_new_user_does_not_inherit_the_heading_of_the_one_whose_place_it_takes() {
-    let scenario = scenario(&[]);
-    let mut controller = controller(&scenario, Box::new(Fixed::flat(9)));
-    let mut room = Room::new(&scenario);
+    let (mut controller, mut room) = flat(&[]);
     tick(&mut controller, &mut room, 1, &[0, 1, 2]).command();
     // The number 3 n + k stands where the number k does: one turn further.
     let seen = |controller: &mut Controller, room: &mut Room, number: u64, ids: &[u32]| {
-        let mut report = standing(room.positions_of(number, ids));
+        let mut report = room.positions_of(number, ids);
+        report.users.iter_mut().for_each(|user| user.velocity_m_s = [0.0; 2]);
         receive(controller, Room::time(number), Message::Users(&mut report)).command();
         controller.observation().scene.irs_path_clear().to_vec()
     };

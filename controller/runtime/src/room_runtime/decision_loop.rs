@@ -67,8 +67,8 @@ pub struct DecisionLoop {
 
 impl DecisionLoop {
     /// A loop around a core after its start-up warm-up. A decision whose predicted latency exceeds
-    /// `deadline` is late.
-    pub fn new(room: RoomCore, transport: Transport, deadline: Duration) -> Self {
+    /// `deadline` is late. The statistics of times begin with the report of the tick `times_from_tick`.
+    pub fn new(room: RoomCore, transport: Transport, deadline: Duration, times_from_tick: u64) -> Self {
         Self {
             room,
             times: StageTimes::new(),
@@ -79,14 +79,8 @@ impl DecisionLoop {
             deadline,
             was_late: false,
             last_decision: None,
-            times_from_tick: 0,
+            times_from_tick,
         }
-    }
-
-    /// The statistics of times begin with the report of this tick.
-    pub fn timed_from(mut self, tick: u64) -> Self {
-        self.times_from_tick = tick;
-        self
     }
 
     /// Passes an input to the core now.

@@ -15,51 +15,59 @@ pub struct LocalArray {
     pub take_command: TakeCommand,
 }
 
+/// The publishers of some outputs.
+pub struct Publishers(Vec<(Output, Publisher)>);
+
+impl Publishers {
+    /// Those of the repetitions to so many arrays. They wait for the network, so they have no lock.
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub fn of_repetitions(bus: &Bus, arrays: usize) -> Result<Self, BusError> {
+        let stops = (0..arrays).map(Output::StopRepetition).chain([Output::Stop]);
+        let stops = stops.map(|output| (output, Class::RealTimeBlock));
+        Self::open(bus, stops.chain([(Output::Geometry, Class::LowDrop)]))
+    }
+
+    fn open(bus: &Bus, outputs: impl Iterator<Item = (Output, Class)>) -> Result<Self, BusError> {
+        let publisher = |(output, class): (Output, Class)| -> Result<_, BusError> {
+            Ok((output, bus.publisher(&output.in_room(bus.room()), class)?))
+        };
+        Ok(Self(outputs.map(publisher).collect::<Result<_, _>>()?))
+    }
+
+    /// Publishes a payload; false where the session is closed.
+    pub fn put(&self, output: Output, payload: &[u8]) -> bool {
+        self.of(output).is_some_and(|publisher| publisher.put(payload).is_ok())
+    }
+
+    fn of(&self, output: Output) -> Option<&Publisher> {
+        self.0.iter().find(|(of, _)| *of == output).map(|(_, publisher)| publisher)
+    }
+}
+
 /// Publishes commands, belief and state.
 pub struct Transport {
     local: Vec<LocalArray>,
-    /// One for each array.
-    commands: Vec<Publisher>,
-    belief: Publisher,
-    memory: Publisher,
+    publishers: Publishers,
     unsent: u64,
 }
 
 impl Transport {
-    /// Declares the publishers of a room with so many arrays, whose commands have this class.
+    /// Declares the publishers of a room with so many arrays, whose commands have this class. Each
+    /// command goes to the `local` arrays before it is published.
     ///
     /// # Errors
     /// If the session is closed.
-    pub fn open(bus: &Bus, arrays: usize, class: Class) -> Result<Self, BusError> {
-        let publisher = |output: Output, class| bus.publisher(&output.in_room(bus.room()), class);
-        Ok(Self {
-            local: Vec::new(),
-            commands: (0..arrays).map(|array| publisher(Output::Command(array), class)).collect::<Result<_, _>>()?,
-            belief: publisher(Output::Belief, Class::LowDrop)?,
-            memory: publisher(Output::Memory, Class::LowDrop)?,
-            unsent: 0,
-        })
-    }
-
-    /// Passes each command to these arrays too, before it is published.
-    #[must_use]
-    pub fn with_local(mut self, local: Vec<LocalArray>) -> Self {
-        self.local = local;
-        self
+    pub fn open(bus: &Bus, arrays: usize, class: Class, local: Vec<LocalArray>) -> Result<Self, BusError> {
+        let commands = (0..arrays).map(|array| (Output::Command(array), class));
+        let state = [Output::Belief, Output::Memory].map(|output| (output, Class::LowDrop));
+        Ok(Self { local, publishers: Publishers::open(bus, commands.chain(state))?, unsent: 0 })
     }
 
     /// Commands that the transport refused.
     pub fn unsent(&self) -> u64 {
         self.unsent
-    }
-
-    fn of(&self, output: Output) -> Option<&Publisher> {
-        match output {
-            Output::Command(array) => self.commands.get(array),
-            Output::Belief => Some(&self.belief),
-            Output::Memory => Some(&self.memory),
-            Output::StopRepetition(_) | Output::Stop | Output::Geometry => None,
-        }
     }
 }
 
@@ -72,50 +80,11 @@ impl Publish for Transport {
                 .filter(|local| local.array == commanded)
                 .for_each(|local| (local.take_command)(payload));
         }
-        let is_sent = self.of(output).is_some_and(|publisher| publisher.put(payload).is_ok());
+        let is_sent = self.publishers.put(output, payload);
         self.unsent += u64::from(!is_sent && matches!(output, Output::Command(_)));
     }
 
     fn has_subscribers(&mut self, output: Output) -> bool {
-        self.of(output).is_some_and(|publisher| publisher.has_subscribers().unwrap_or(false))
-    }
-}
-
-/// The publishers of repetitions. Those of stops wait for the network, so they have no lock.
-pub struct Repetitions {
-    /// One for each array.
-    arrays: Vec<Publisher>,
-    /// For arrays that understand no repetition.
-    stop: Publisher,
-    geometry: Publisher,
-}
-
-impl Repetitions {
-    /// Declares the publishers for so many arrays.
-    ///
-    /// # Errors
-    /// If the session is closed.
-    pub fn open(bus: &Bus, arrays: usize) -> Result<Self, BusError> {
-        let publisher = |output: Output, class| bus.publisher(&output.in_room(bus.room()), class);
-        let to_array = |array| publisher(Output::StopRepetition(array), Class::RealTimeBlock);
-        Ok(Self {
-            arrays: (0..arrays).map(to_array).collect::<Result<_, _>>()?,
-            stop: publisher(Output::Stop, Class::RealTimeBlock)?,
-            geometry: publisher(Output::Geometry, Class::LowDrop)?,
-        })
-    }
-
-    /// Publishes repetitions.
-    pub fn publish(&self, repetitions: &[(Output, Vec<u8>)]) {
-        for (output, payload) in repetitions {
-            let publisher = match output {
-                Output::StopRepetition(array) => self.arrays.get(*array),
-                Output::Stop => Some(&self.stop),
-                Output::Geometry => Some(&self.geometry),
-                Output::Command(_) | Output::Belief | Output::Memory => None,
-            };
-            // A closed session shows in the count of commands that were refused.
-            publisher.into_iter().for_each(|publisher| drop(publisher.put(payload)));
-        }
+        self.publishers.of(output).is_some_and(|publisher| publisher.has_subscribers().unwrap_or(false))
     }
 }

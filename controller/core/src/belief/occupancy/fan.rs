@@ -49,7 +49,7 @@ impl LowParts {
             let low = grid.low_part(from, to);
             let [x, y] = low.along.map(|part| part as f32);
             (parts.x[lane], parts.y[lane]) = (x, y);
-            parts.inverse[lane] = low.inverse() as f32;
+            parts.inverse[lane] = low.inverse as f32;
             parts.inverse_y[lane] = 1.0 / if y.abs() > FLAT_M { y } else { FLAT_M };
             parts.reach_m[lane] = grid.reach_m() as f32;
         }

@@ -17,16 +17,11 @@ const EDGE_M: f64 = 0.1;
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct LowPart {
     pub along: [f64; 2],
-    /// 1 / the squared length; 0 for a path without a length.
-    inverse: f64,
+    /// 1 / the squared length in m2; 0 for a path without a length.
+    pub inverse: f64,
 }
 
 impl LowPart {
-    /// 1 / the squared length in m2; 0 for a path without a length.
-    pub fn inverse(&self) -> f64 {
-        self.inverse
-    }
-
     /// Length in m.
     pub fn length_m(&self) -> f64 {
         let [x, y] = self.along;

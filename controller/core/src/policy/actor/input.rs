@@ -26,8 +26,8 @@ pub struct Input {
     kind: Kind,
     /// The layout of the vector; with one slot for each user where the network has one row for each.
     encoder: ObservationEncoder,
-    /// The users in the slots.
-    selection: Selection,
+    /// The users in the slots, which later choices depend on.
+    pub selection: Selection,
     /// Index in the observation of each slot's user.
     chosen: Vec<usize>,
     /// The observation vector.
@@ -67,11 +67,6 @@ impl Input {
         }
     }
 
-    /// Largest number of users.
-    pub fn users_max(&self) -> usize {
-        self.selection.users_max()
-    }
-
     /// The largest number of rows of the network.
     pub fn rows_max(&self) -> usize {
         match &self.kind {
@@ -79,16 +74,6 @@ impl Input {
             Kind::Codewords(_, coordinates) => coordinates.len(),
             Kind::Flat | Kind::Paper(_) | Kind::Cell(..) => 1,
         }
-    }
-
-    /// The users in the slots, which later choices depend on.
-    pub fn selection(&self) -> &Selection {
-        &self.selection
-    }
-
-    /// The users in the slots.
-    pub fn selection_mut(&mut self) -> &mut Selection {
-        &mut self.selection
     }
 
     /// Writes the input of a network. Does not allocate up to the largest number of users so far.

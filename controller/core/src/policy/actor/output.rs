@@ -6,7 +6,7 @@ use heliostat_scenario::Scenario;
 use crate::{
     output::safety::check_finite,
     policy::{
-        actor_file::{ActionKind, ActorError, ActorInfo},
+        actor_file::{ActionKind, ActorError, ActorInfo, ActorProblem},
         codewords::codewords,
         proposal::PolicyError,
         weights::{Head, Seen},
@@ -33,9 +33,9 @@ impl Output {
             ActionKind::Angles => Self::Angles,
             ActionKind::Weights(head) => Self::Weights(head, Vec::with_capacity(info.users_max)),
             ActionKind::Codebook => {
-                let no_channel = |error: heliostat_channel::ChannelError| ActorError::Engine {
-                    origin: info.origin().into(),
-                    message: format!("the room has no codebook: {error}"),
+                let no_channel = |error: heliostat_channel::ChannelError| {
+                    let message = format!("the room has no codebook: {error}");
+                    ActorError { origin: info.origin().into(), problem: ActorProblem::Engine { message } }
                 };
                 let model = scenario.channel_model().map_err(no_channel)?;
                 Self::Codebook(codewords(scenario, &model))

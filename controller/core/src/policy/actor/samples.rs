@@ -20,14 +20,11 @@ pub fn observe(scenario: &Scenario, model: &ChannelModel, index: usize, observat
         Vec3::new(share[0] * x_m, share[1] * y_m, scenario.receiver.height_m)
     };
     let state = RoomState {
-        tick: 0,
         positions: &(0..users).map(point).collect::<Vec<_>>(),
         velocities: &vec![Vec3::zeros(); users],
         min_rate_bps: &scenario.min_rate_bps(),
-        blockers: &[],
         forced: &(0..users).map(|user| (index + user).is_multiple_of(2)).collect::<Vec<_>>(),
-        orientations: None,
-        measured_los_gain: None,
+        ..RoomState::default()
     };
     observation.set_state(model, &state);
 }

@@ -13,7 +13,7 @@ use crate::{
     observe::observation::Observation,
     output::safety::Limits,
     policy::{
-        actor_file::ActorError,
+        actor_file::{ActorError, ActorProblem},
         proposal::{Policy, TimeSource},
     },
 };
@@ -36,7 +36,7 @@ impl Actor {
     /// Runs the actor on sampled observations of a scenario.
     ///
     /// # Errors
-    /// [`ActorError::NoAngles`] where it gives no angles on any observation.
+    /// [`ActorProblem::NoAngles`] where it gives no angles on any observation.
     pub fn try_out(&mut self, scenario: &Scenario, monotonic_ns: TimeSource) -> Result<Vec<Finding>, ActorError> {
         // A room without a channel is refused elsewhere.
         let Ok(model) = scenario.channel_model() else { return Ok(Vec::new()) };
@@ -108,7 +108,8 @@ impl Trial {
         let origin = actor.info.origin();
         let Self { failures, observations, last_failure, .. } = self;
         if failures == observations {
-            return Err(ActorError::NoAngles { origin: origin.into(), failures, example: last_failure });
+            let problem = ActorProblem::NoAngles { failures, example: last_failure };
+            return Err(ActorError { origin: origin.into(), problem });
         }
         let mut findings = Vec::new();
         if !actor.is_verified {

@@ -5,7 +5,7 @@ use heliostat_onnx::{GraphProto, ModelProto};
 use prost::Message;
 
 use super::Actor;
-use crate::policy::actor_file::{ActorError, ActorFile, key};
+use crate::policy::actor_file::{ActorError, ActorFile, ActorProblem, key};
 
 /// Fixed inputs of a check.
 const INPUTS: usize = 4;
@@ -28,13 +28,13 @@ impl Actor {
     /// other. Whether the metadata has outputs.
     ///
     /// # Errors
-    /// [`ActorError::Check`] with the first output that differs, [`ActorError::Samples`] where two
+    /// [`ActorProblem::Check`] with the first output that differs, [`ActorProblem::Samples`] where two
     /// runs differ.
     pub(super) fn verify(&mut self, file: &ActorFile) -> Result<bool, ActorError> {
         let expected = self.info.entry(key::CHECK).map(str::to_owned);
         if let Some(text) = &expected {
             for (number, line) in text.split(';').take(INPUTS).enumerate() {
-                self.check_line(number, line)?;
+                self.check_line(number, line).map_err(|problem| file.refused(problem))?;
             }
         }
         let graph = ModelProto::decode(file.bytes.as_ref()).ok().and_then(|model| model.graph).unwrap_or_default();
@@ -44,17 +44,15 @@ impl Actor {
             return Ok(expected.is_some());
         }
         let node = dropout.or_else(|| drawing_node(&graph));
-        Err(ActorError::Samples { origin: file.origin.clone(), node })
+        Err(file.refused(ActorProblem::Samples { node }))
     }
 
     /// Compares the outputs for one fixed input with the values of a line.
-    fn check_line(&mut self, input: usize, line: &str) -> Result<(), ActorError> {
+    fn check_line(&mut self, input: usize, line: &str) -> Result<(), ActorProblem> {
         let engine = self.network.engine();
-        let origin = self.info.origin().to_owned();
         let expected: Vec<&str> = line.split_whitespace().collect();
         let differs = |place: usize, found: String, expected: &str| {
-            let (origin, expected) = (origin.clone(), expected.to_owned());
-            Err(ActorError::Check { origin, engine, input, place, found, expected })
+            Err(ActorProblem::Check { engine, input, place, found, expected: expected.to_owned() })
         };
         let found = match self.fixed_outputs(input) {
             Ok(found) => found,

@@ -8,52 +8,52 @@ use crate::policy::removed::Removed;
 
 /// Why an actor cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
-pub enum ActorError {
+#[error("{origin}{problem}")]
+pub struct ActorError {
+    /// The file.
+    pub origin: String,
+    /// What is wrong with it.
+    pub problem: ActorProblem,
+}
+
+/// What is wrong with the file of an actor; the text continues its name.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum ActorProblem {
     /// The bytes are not an ONNX model.
-    #[error("{origin} is not an ONNX model: {message}")]
+    #[error(" is not an ONNX model: {message}")]
     NotOnnx {
-        /// The file.
-        origin: String,
         /// Why.
         message: String,
     },
     /// The version of the format or of the operators is not known.
-    #[error("{origin} has {unknown}")]
+    #[error(" has {unknown}")]
     Version {
-        /// The file.
-        origin: String,
         /// The version found and those expected.
         unknown: VersionError,
     },
     /// No policy has the action.
     #[error(
-        "{origin} has the unknown action {found}, expected \"{ANGLES}\", \"{WEIGHTS}\" or \"{CODEBOOK}\": \
+        " has the unknown action {found}, expected \"{ANGLES}\", \"{WEIGHTS}\" or \"{CODEBOOK}\": \
          correct its metadata \"{}\"",
         key::ACTION
     )]
     Action {
-        /// The file.
-        origin: String,
         /// The action found.
         found: String,
     },
     /// No policy gives the observation.
     #[error(
-        "{origin} has the unknown observation {found}, expected \"flat\", \"users\", \"paper\", \"codewords\" or \"cell\": \
+        " has the unknown observation {found}, expected \"flat\", \"users\", \"paper\", \"codewords\" or \"cell\": \
          correct its metadata \"{}\"",
         key::OBSERVATION
     )]
     Observation {
-        /// The file.
-        origin: String,
         /// The observation found.
         found: String,
     },
     /// Observation and action do not go together.
-    #[error("{origin} has the action \"{action}\" with the observation \"{observation}\", expected {expected}")]
+    #[error(" has the action \"{action}\" with the observation \"{observation}\", expected {expected}")]
     Combination {
-        /// The file.
-        origin: String,
         /// The action found.
         action: &'static str,
         /// The observation found.
@@ -62,26 +62,20 @@ pub enum ActorError {
         expected: String,
     },
     /// The file is another format.
-    #[error("{origin} {what}")]
+    #[error(" {what}")]
     Foreign {
-        /// The file.
-        origin: String,
         /// What it is, and what to do.
         what: String,
     },
     /// The action was removed.
-    #[error("{origin}: {removed}")]
+    #[error(": {removed}")]
     RemovedAction {
-        /// The file.
-        origin: String,
         /// What was removed.
         removed: Removed,
     },
     /// Inputs or outputs have other names or another number.
-    #[error("{origin} has {side} {found:?}, expected exactly one, \"{expected}\"")]
+    #[error(" has {side} {found:?}, expected exactly one, \"{expected}\"")]
     Ports {
-        /// The file.
-        origin: String,
         /// "inputs" or "outputs".
         side: &'static str,
         /// The names found.
@@ -90,10 +84,8 @@ pub enum ActorError {
         expected: &'static str,
     },
     /// The input or output has another shape or element type.
-    #[error("{origin}: \"{port}\" is {found}, expected {expected}; {advice}")]
+    #[error(": \"{port}\" is {found}, expected {expected}; {advice}")]
     Shape {
-        /// The file.
-        origin: String,
         /// The input or output.
         port: String,
         /// Type and shape found.
@@ -105,46 +97,37 @@ pub enum ActorError {
     },
     /// The file has no metadata of an actor at all.
     #[error(
-        "{origin} is an ONNX file without the metadata of an actor (\"{}\" and others): add the entries that \
+        " is an ONNX file without the metadata of an actor (\"{}\" and others): add the entries that \
          `heliostat config --as-json actor` prints for the scenario, or export an actor with `heliostat-lab train`",
         key::OBSERVATION_VERSION
     )]
-    NoMetadata {
-        /// The file.
-        origin: String,
-    },
+    NoMetadata,
     /// A tensor holds NaN or infinity.
     #[error(
-        "{origin}: the tensor {tensor} holds NaN or infinity, expected finite weights, or minus infinity as a mask; \
+        ": the tensor {tensor} holds NaN or infinity, expected finite weights, or minus infinity as a mask; \
          export the actor again, or train it again if the training diverged"
     )]
     NotFinite {
-        /// The file.
-        origin: String,
         /// The tensor's name.
         tensor: String,
     },
     /// Two evaluations of one input differ.
     #[error(
-        "{origin}: two runs on one observation differ{}, expected equal ones: this file samples; export the mean, \
+        ": two runs on one observation differ{}, expected equal ones: this file samples; export the mean, \
          that is the deterministic action, after `eval()`",
         node.as_ref().map_or(String::new(), |node| format!(" ({node})"))
     )]
     Samples {
-        /// The file.
-        origin: String,
         /// The operator that draws.
         node: Option<String>,
     },
     /// The network gives other outputs than the trainer's own.
     #[error(
-        "{origin}: output {place} for the fixed input {input} is {found} on the engine {engine}, expected {expected} \
+        ": output {place} for the fixed input {input} is {found} on the engine {engine}, expected {expected} \
          as its metadata \"{}\" says; export the actor again",
         key::CHECK
     )]
     Check {
-        /// The file.
-        origin: String,
         /// The engine.
         engine: &'static str,
         /// Number of the fixed input.
@@ -157,12 +140,8 @@ pub enum ActorError {
         expected: String,
     },
     /// The network cannot be evaluated at all.
-    #[error(
-        "{origin} gave no angles on {failures} of {failures} sampled observations: {example}; export the actor again"
-    )]
+    #[error(" gave no angles on {failures} of {failures} sampled observations: {example}; export the actor again")]
     NoAngles {
-        /// The file.
-        origin: String,
         /// Observations without angles.
         failures: usize,
         /// The last reason.
@@ -170,23 +149,19 @@ pub enum ActorError {
     },
     /// A metadata entry is missing or unreadable.
     #[error(
-        "{origin} has no usable metadata \"{key}\" (found {found}), expected the entries that \
+        " has no usable metadata \"{key}\" (found {found}), expected the entries that \
          `heliostat config --as-json actor` prints for the scenario",
         found = found.as_ref().map_or("none".to_owned(), |value| quoted(value))
     )]
     Metadata {
-        /// The file.
-        origin: String,
         /// The entry.
         key: &'static str,
         /// The value found.
         found: Option<String>,
     },
     /// The actor was made for something else.
-    #[error("{origin} was made for {what} {found}, expected {expected} as in this room; {advice}")]
+    #[error(" was made for {what} {found}, expected {expected} as in this room; {advice}")]
     Unfit {
-        /// The file.
-        origin: String,
         /// What differs.
         what: &'static str,
         /// The actor's value.
@@ -197,10 +172,8 @@ pub enum ActorError {
         advice: &'static str,
     },
     /// The inference engine refused the network.
-    #[error("{origin}: {message}")]
+    #[error(": {message}")]
     Engine {
-        /// The file.
-        origin: String,
         /// The engine's message.
         message: String,
     },

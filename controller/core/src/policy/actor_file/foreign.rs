@@ -28,23 +28,3 @@ fn is_text(bytes: &[u8]) -> bool {
     let is_of_text = |letter: char| !letter.is_control() || letter.is_ascii_whitespace();
     std::str::from_utf8(bytes).is_ok_and(|text| text.chars().all(is_of_text))
 }
-
-#[cfg(test)]
-mod tests {
-    use super::foreign;
-
-    #[test]
-    fn files_that_hold_no_network_are_named_with_what_to_do() {
-        for (bytes, words) in [
-            (&b""[..], "is empty, expected an ONNX file"),
-            (b"version https://git-lfs", "pointer of git-lfs, expected an ONNX file: run `git lfs pull`"),
-            (b"PK\x03\x04x", "zip archive, as `torch.save` writes"),
-            (b"\x80\x04x", "is a pickle of Python"),
-            ("# Room\n\tµ = 2\n".as_bytes(), "is a text file, expected an ONNX file"),
-        ] {
-            let found = foreign(bytes).unwrap_or_default();
-            assert!(found.contains(words), "{words}: {found}");
-        }
-        assert_eq!(foreign(b"\x08\x08\x12\x07pytorch"), None);
-    }
-}

@@ -1,6 +1,6 @@
 //! The metadata entries of an actor.
 
-use super::ActorError;
+use super::ActorProblem;
 use crate::policy::weights::Head;
 
 /// Longest text of a file that a message repeats, in characters.
@@ -48,26 +48,23 @@ pub fn quoted(text: &str) -> String {
 }
 
 /// Finds entries, and says which one is unusable.
-pub struct MetadataReader<'a> {
-    pub origin: &'a str,
-    pub entries: &'a [(String, String)],
-}
+pub struct MetadataReader<'a>(pub &'a [(String, String)]);
 
 impl MetadataReader<'_> {
     pub fn find(&self, key: &str) -> Option<&String> {
-        self.entries.iter().find(|(name, _)| name == key).map(|(_, value)| value)
+        self.0.iter().find(|(name, _)| name == key).map(|(_, value)| value)
     }
 
-    pub fn text(&self, key: &'static str) -> Result<String, ActorError> {
+    pub fn text(&self, key: &'static str) -> Result<String, ActorProblem> {
         self.find(key).cloned().ok_or_else(|| self.unusable(key))
     }
 
-    pub fn number<T: std::str::FromStr>(&self, key: &'static str) -> Result<T, ActorError> {
+    pub fn number<T: std::str::FromStr>(&self, key: &'static str) -> Result<T, ActorProblem> {
         self.find(key).and_then(|value| value.parse().ok()).ok_or_else(|| self.unusable(key))
     }
 
     /// The map from actions to decoder weights.
-    pub fn head(&self) -> Result<Head, ActorError> {
+    pub fn head(&self) -> Result<Head, ActorProblem> {
         let mut head = Head::BALANCED;
         if self.find(key::BASELINE_WEIGHT).is_some() {
             head.baseline_weight = self.number(key::BASELINE_WEIGHT)?;
@@ -78,7 +75,7 @@ impl MetadataReader<'_> {
         if head.range.is_finite() { Ok(head) } else { Err(self.unusable(key::WEIGHT_RANGE)) }
     }
 
-    fn unusable(&self, key: &'static str) -> ActorError {
-        ActorError::Metadata { origin: self.origin.into(), key, found: self.find(key).cloned() }
+    fn unusable(&self, key: &'static str) -> ActorProblem {
+        ActorProblem::Metadata { key, found: self.find(key).cloned() }
     }
 }

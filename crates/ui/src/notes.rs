@@ -86,9 +86,19 @@ pub(crate) fn follows_from(notes: &[String], problem: &str) -> bool {
         && OF_TWO_DRIVERS.iter().any(|(start, part)| problem.starts_with(start) && problem.contains(part))
 }
 
-/// Whether a process reports this problem because of an emergency stop in force.
+/// Whether a controller reports this problem because of an emergency stop in force.
 pub(crate) fn follows_from_stop(problem: &str) -> bool {
-    problem.starts_with("withheld by ") || problem.contains("emergency stop is latched")
+    problem.starts_with("withheld by ")
+}
+
+/// What a driver reports of a command that it refuses because it is stopped, with advice for the sender.
+const LATCHED: &str = "command: an emergency stop is latched";
+
+/// This problem while a stop is shown, in words for an operator, where commands of another process cause it.
+pub(crate) fn of_stopped(problem: &str) -> Option<&'static str> {
+    problem.starts_with(LATCHED).then_some(
+        "commands still arrive at the stopped array, which refuses them: find the process that sends them, and end it",
+    )
 }
 
 /// A text without its figures, which differ at each occurrence of one fault. The digit of a name stays, as in

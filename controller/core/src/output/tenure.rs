@@ -229,7 +229,7 @@ impl Tenure {
             self.guest.handle_left(peer % EPOCH_SLOTS);
         }
         if (is_present || was_present) && self.standing == Standing::Standby && self.leads(peer) {
-            self.watch.has_left = !is_present;
+            self.watch.set_left(!is_present);
         }
     }
 
@@ -274,7 +274,7 @@ impl Tenure {
         self.guest.handle_epoch(now, epoch % EPOCH_SLOTS, has_lent);
         // The token that has ended is of the former leader.
         if self.standing == Standing::Standby && former.epoch % EPOCH_SLOTS != epoch % EPOCH_SLOTS {
-            self.watch.has_left = self.guest.has_left();
+            self.watch.set_left(self.guest.has_left());
         }
     }
 
@@ -315,13 +315,13 @@ impl Tenure {
             watch.unanswered = if is_answered { 0 } else { watch.unanswered.saturating_add(1) };
             watch.awaited = Some((now, shown.accepted));
         }
-        if watch.unanswered + u8::from(watch.has_left) < needed {
+        if watch.unanswered + u8::from(watch.is_gone()) < needed {
             // An answer that came before the token ended shows no leader.
-            watch.has_left &= is_returned || !is_answered;
+            watch.has_answered |= watch.has_left && is_answered && !is_returned;
             return None;
         }
         // A leader whose token has ended may command until its successor is obeyed.
-        let is_certain = watch.has_left;
+        let is_certain = watch.is_gone();
         self.contest.takeover = (!is_certain).then_some(Takeover { refused: shown.refused, accepted: shown.accepted });
         self.renew(now, shown);
         self.lead();

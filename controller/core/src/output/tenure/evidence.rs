@@ -91,6 +91,20 @@ pub(super) struct Watch {
     pub(super) unanswered: u8,
     /// The liveliness token of the leader has ended.
     pub(super) has_left: bool,
+    /// A report after that was answered: the leader commands on, at least until a standby does.
+    pub(super) has_answered: bool,
+}
+
+impl Watch {
+    /// The token of the leader has ended, or there is one.
+    pub(super) fn set_left(&mut self, has_left: bool) {
+        (self.has_left, self.has_answered) = (has_left, false);
+    }
+
+    /// Whether the end of the token counts as an unanswered report.
+    pub(super) fn is_gone(&self) -> bool {
+        self.has_left && !self.has_answered
+    }
 }
 
 /// The evidence at a takeover, until it is settled or contested.

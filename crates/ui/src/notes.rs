@@ -160,7 +160,8 @@ fn off_light(light: &ServedLight) -> Option<String> {
     light.off_since_s.map(|_| printable(&format!("{light}: {}", light.advice())).into_owned())
 }
 
-fn two_drivers((array, [one, other]): (usize, [u64; 2])) -> String {
+/// The note about an array that two processes drive.
+pub(crate) fn two_drivers((array, [one, other]): (usize, [u64; 2])) -> String {
     format!(
         "{TWO_DRIVERS} ({}, sources {one:016x} and {other:016x}): stop one of them, because the controller follows only one",
         array_name(array)

@@ -34,8 +34,8 @@
 //! - **Takeover**: a report is unanswered if telemetry that came a quarter of a report interval or more after
 //!   it shows no further accepted command. After as many unanswered reports in sequence as its rank,
 //!   a standby takes a new epoch and answers the report that is due. A leader whose liveliness token
-//!   has ended counts as one unanswered report. The rank is 1 plus the number of other standbys with
-//!   a lower source id, or given by the operator.
+//!   has ended counts as one unanswered report, until it answers one or its token returns. The rank
+//!   is 1 plus the number of other standbys with a lower source id, or given by the operator.
 //! - **Guest**: a controller that leads within 1 s of its token, as a calibration does, from a leader that answers
 //!   and stays in the room. When its token ends, a standby resumes: this is no takeover, and former contested ones
 //!   do not delay it.

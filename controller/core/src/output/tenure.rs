@@ -219,7 +219,9 @@ impl Tenure {
         if peer == source {
             return;
         }
-        let was_present = self.peers.contains(&peer);
+        if !is_present && !self.peers.contains(&peer) {
+            return;
+        }
         self.peers.retain(|known| *known != peer);
         if is_present && self.peers.len() < PEERS_MAX {
             self.peers.push(peer);
@@ -228,7 +230,7 @@ impl Tenure {
         if !is_present {
             self.guest.handle_left(peer % EPOCH_SLOTS);
         }
-        if (is_present || was_present) && self.standing == Standing::Standby && self.leads(peer) {
+        if self.standing == Standing::Standby && self.leads(peer) {
             self.watch.set_left(!is_present);
         }
     }

@@ -216,10 +216,7 @@ impl Tenure {
     /// Another controller is in the room, or has left it.
     pub fn handle_controller(&mut self, peer: u64, is_present: bool) {
         let Rule::Live { source, .. } = self.rule else { return };
-        if peer == source {
-            return;
-        }
-        if !is_present && !self.peers.contains(&peer) {
+        if peer == source || (!is_present && !self.peers.contains(&peer)) {
             return;
         }
         self.peers.retain(|known| *known != peer);

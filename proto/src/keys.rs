@@ -156,6 +156,13 @@ pub fn parse_driver_alive(key: &str) -> Option<(usize, u64)> {
     Some((driver_index(node)?, source))
 }
 
+/// Index of the array and source id in the key of a liveliness token of a process with mirrors; `None` for any other
+/// key. A simulator has no index: it drives every array of its room.
+pub fn parse_array_alive(key: &str) -> Option<(Option<usize>, u64)> {
+    let driver = parse_driver_alive(key).map(|(array, source)| (Some(array), source));
+    driver.or_else(|| parse_alive(key).filter(|(node, _)| *node == NodeKind::SimNode).map(|(_, source)| (None, source)))
+}
+
 /// The part that names the process, and the source id, in the key of a liveliness token.
 fn split_alive(key: &str) -> Option<(&str, u64)> {
     let mut parts = key.strip_prefix(PREFIX)?.strip_prefix('/')?.split('/');

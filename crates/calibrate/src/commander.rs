@@ -263,6 +263,14 @@ mod tests {
     }
 
     #[test]
+    fn a_lead_that_is_taken_again_gives_no_number_of_a_former_epoch_twice() {
+        let (mut commander, first) = leading();
+        commander.take();
+        let again = (50..100).find_map(|tick| commander.answer(tick * 10 * MS, tick)).expect("a command");
+        assert_eq!((again.epoch, again.sequence), (first.epoch, first.sequence + 1));
+    }
+
+    #[test]
     fn a_lost_lead_is_taken_again_a_few_times_where_the_guest_takes_over() {
         let (mut commander, command) = leading();
         let of = |epoch| MirrorTelemetry { epoch, ..MirrorTelemetry::default() };

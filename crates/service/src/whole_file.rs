@@ -8,6 +8,10 @@ use anyhow::{Context, Result, bail};
 
 use crate::output::note;
 
+/// ENOLCK and EOPNOTSUPP of Linux, else of macOS and BSD: the first one, as of NFS without its daemon for locks, has
+/// no kind of its own in the standard library.
+const NO_LOCKS: [i32; 2] = if cfg!(target_os = "linux") { [37, 95] } else { [77, 45] };
+
 /// Refuses a file that cannot be written, before the work starts. It changes nothing: the file does
 /// not appear, and existing content stays. Others may check the same file at the same time.
 ///
@@ -72,18 +76,27 @@ pub fn hold(file: &Path) -> Result<Held> {
 /// Why there is no lock, where the file system has none; `None` with a lock.
 ///
 /// # Errors
-/// A lock that another process has, or that this user cannot have.
+/// A lock that another process has, or that fails on a file system with locks.
 fn unlocked(locked: Result<(), TryLockError>, file: &Path) -> Result<Option<io::Error>> {
     match locked {
         Ok(()) => Ok(None),
         Err(TryLockError::WouldBlock) => {
             bail!("{} is in use by another process: end it, or name another file", file.display())
         }
-        Err(TryLockError::Error(error)) if error.kind() == io::ErrorKind::PermissionDenied => {
-            Err(error).with_context(|| format!("cannot hold {}", file.display()))
-        }
-        Err(TryLockError::Error(error)) => Ok(Some(error)),
+        Err(TryLockError::Error(error)) if is_without_locks(&error) => Ok(Some(error)),
+        Err(TryLockError::Error(error)) => Err(error).with_context(|| {
+            format!(
+                "cannot lock {}: expected a lock, or a file system without locks; name a file in another folder",
+                file.display()
+            )
+        }),
     }
+}
+
+/// Whether a lock fails because the file system has none.
+fn is_without_locks(error: &io::Error) -> bool {
+    let is_named = cfg!(unix) && error.raw_os_error().is_some_and(|number| NO_LOCKS.contains(&number));
+    is_named || matches!(error.kind(), io::ErrorKind::Unsupported | io::ErrorKind::InvalidInput)
 }
 
 fn beside(file: &Path, suffix: &str) -> PathBuf {
@@ -130,12 +143,15 @@ mod tests {
     fn a_file_system_without_locks_holds_nothing_and_refuses_nothing() {
         let file = Path::new("readings.json");
         let failed = |error: io::Error| unlocked(Err(TryLockError::Error(error)), file);
-        // 37 is ENOLCK on Linux: NFS without its daemon for locks.
-        for error in [io::ErrorKind::Unsupported.into(), io::Error::from_raw_os_error(37)] {
+        let without: [io::Error; 2] = [io::ErrorKind::Unsupported.into(), io::ErrorKind::InvalidInput.into()];
+        let of_unix = NO_LOCKS.into_iter().filter(|_| cfg!(unix)).map(io::Error::from_raw_os_error);
+        for error in without.into_iter().chain(of_unix) {
             assert!(failed(error).expect("the work goes on").is_some());
         }
-        let refusal = failed(io::ErrorKind::PermissionDenied.into()).expect_err("refused");
-        assert!(refusal.to_string().contains("cannot hold readings.json"), "{refusal}");
+        for kind in [io::ErrorKind::PermissionDenied, io::ErrorKind::Interrupted, io::ErrorKind::Other] {
+            let refusal = failed(kind.into()).expect_err("refused");
+            assert!(refusal.to_string().contains("cannot lock readings.json: expected a lock"), "{refusal}");
+        }
         assert!(unlocked(Ok(()), file).expect("locked").is_none());
         assert!(unlocked(Err(TryLockError::WouldBlock), file).is_err());
     }

@@ -94,6 +94,12 @@ impl ArrayReports {
         join(arrays, &self.latest.iter().map(|(array, (_, telemetry))| (*array, telemetry)).collect())
     }
 
+    /// Lets the telemetry arrive that much earlier.
+    #[cfg(test)]
+    pub fn age(&mut self, by: Duration) {
+        self.latest.values_mut().for_each(|(at, _)| *at -= by);
+    }
+
     fn fresh(&self) -> impl Iterator<Item = (&usize, &(Instant, MirrorTelemetry))> {
         self.latest.iter().filter(|(_, (at, _))| at.elapsed() < EXPIRY)
     }

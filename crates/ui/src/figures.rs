@@ -19,7 +19,7 @@ use serde::Serialize;
 use crate::View;
 use crate::controllers::{ControllerFigures, controller_name};
 use crate::latency::Histogram;
-use crate::notes::{follows_from, follows_from_stop, without_figures};
+use crate::notes::{follows_from, follows_from_stop, of_stopped, without_figures};
 use crate::scene::unusable_mirrors;
 use crate::shown_room::Findings;
 use crate::view::{EXPIRY, Received};
@@ -367,6 +367,9 @@ fn without_known(mut node: NodeFigures, notes: &[String], is_stopped: bool) -> N
     if is_noted || (is_stopped && follows_from_stop(&node.problem)) {
         node.problem.clear();
     }
+    if let Some(problem) = of_stopped(&node.problem).filter(|_| is_stopped) {
+        node.problem = problem.into();
+    }
     node
 }
 
@@ -414,10 +417,11 @@ mod tests {
         let left = |problem: &str, is_stopped| {
             without_known(NodeFigures { problem: problem.into(), ..NodeFigures::default() }, &[], is_stopped).problem
         };
-        for of_stop in ["withheld by the stop of ann", "command: an emergency stop is latched: re-arm the array first"]
-        {
-            assert_eq!([left(of_stop, true), left(of_stop, false)], ["", of_stop]);
-        }
+        let of_stop = "withheld by the stop of ann";
+        assert_eq!([left(of_stop, true), left(of_stop, false)], ["", of_stop]);
+        let commanded = "command: an emergency stop is latched: re-arm the array first";
+        assert!(left(commanded, true).starts_with("commands still arrive at the stopped array"), "another sender");
+        assert_eq!(left(commanded, false), commanded);
         assert_eq!(left("the device does not answer", true), "the device does not answer");
     }
 

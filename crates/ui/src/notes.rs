@@ -1,6 +1,6 @@
 //! What is wrong in a room and lasts, in words: each note says what to do.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use heliostat_proto::array_keys::array_name;
 use heliostat_proto::gauges::ServedLight;
@@ -10,22 +10,22 @@ use heliostat_service::printable::printable;
 use crate::error::CHECK_REACH;
 use crate::view::{Dated, EXPIRY, Received};
 
+/// Telemetry of this age shows that an array is present, even without a process that is known.
+const REPORTING: Duration = Duration::from_secs(1);
+
 impl Received {
     /// The lasting faults of a room with so many arrays, the most serious first. `opened` is the start of
     /// the viewer: a process that has not answered yet is missing only some seconds later.
     pub(crate) fn notes(&self, arrays: usize, opened: Instant) -> Vec<String> {
         let is_settled = opened.elapsed() > EXPIRY;
-        if is_settled && self.is_room_unseen() {
-            return vec![room_unseen()];
+        if let Some(unseen) = self.unseen().filter(|_| is_settled) {
+            return vec![unseen];
         }
         let mut notes: Vec<String> = self.arrays.shared().into_iter().map(two_drivers).collect();
         if is_settled && self.is_controller_unseen() {
             notes.push(UNSEEN_CONTROLLER.into());
         } else if is_settled && !self.is_controller_alive() {
-            notes.push(
-                "no controller commands the mirrors: start one with heliostat controller; in a demo, press restart"
-                    .into(),
-            );
+            notes.extend(self.without_controller().map(String::from));
         }
         if let Some(status) = self.fresh_status(NodeKind::Controller.name()) {
             notes.extend(absent_drivers(status, arrays));
@@ -42,10 +42,38 @@ impl Received {
         notes
     }
 
-    /// Whether no process of the room was seen but viewers.
-    pub(crate) fn is_room_unseen(&self) -> bool {
-        let others = self.alive.iter().filter(|(node, _)| *node != NodeKind::Viewer.name());
-        others.count() == 0 && self.arrays.at().is_none() && self.users.is_none()
+    /// What is to be said of a room of which no process but viewers is seen, and no recent message.
+    pub(crate) fn unseen(&self) -> Option<String> {
+        let messages = [self.arrays.at(), arrival(&self.users), arrival(&self.truth)];
+        let is_recent = |at: &Option<Instant>| at.is_some_and(|at| at.elapsed() < EXPIRY);
+        if self.has_processes() || messages.iter().any(is_recent) {
+            return None;
+        }
+        Some(if messages.iter().any(Option::is_some) { ROOM_GONE.into() } else { room_unseen() })
+    }
+
+    /// What is missing in a room without a controller.
+    fn without_controller(&self) -> Option<&'static str> {
+        // The tokens end before the messages are old: the processes of the room have ended together.
+        let is_ending = !self.has_processes() && !self.statuses.is_empty();
+        let is_array_gone = !self.is_array_present() && self.arrays.at().is_some();
+        match (is_ending, is_array_gone) {
+            (true, _) => None,
+            (false, true) => Some(ARRAY_GONE),
+            (false, false) => Some(NO_CONTROLLER),
+        }
+    }
+
+    /// Whether a process of the room is seen, other than viewers.
+    fn has_processes(&self) -> bool {
+        self.alive.iter().any(|(node, _)| *node != NodeKind::Viewer.name())
+    }
+
+    /// Whether the room has an array: a live process of one, or telemetry.
+    pub(crate) fn is_array_present(&self) -> bool {
+        let is_of_array =
+            |(node, _): &(&str, u64)| [NodeKind::SimNode, NodeKind::Driver].iter().any(|of| of.name() == *node);
+        self.alive.iter().any(is_of_array) || self.arrays.states().iter().any(|(at, _)| at.elapsed() < REPORTING)
     }
 
     /// Whether a controller is in the room.
@@ -65,11 +93,16 @@ fn arrival<T>(message: &Dated<T>) -> Option<Instant> {
     message.as_ref().map(|(at, _)| *at)
 }
 
-/// The note of a room of which nothing is seen.
+/// The note of a room of which nothing was seen so far.
 pub(crate) fn room_unseen() -> String {
     format!("no process of this room answers: {CHECK_REACH}, or start a driver or a simulator, and a controller")
 }
 
+/// The note of a room that was seen before.
+const ROOM_GONE: &str = "no process of this room answers any longer: its driver or simulator has ended, or the connection to it; start it again";
+const ARRAY_GONE: &str = "no array answers any longer, and no controller: start its driver or the simulator again, then heliostat controller";
+const NO_CONTROLLER: &str =
+    "no controller commands the mirrors: start one with heliostat controller; in a demo, press restart";
 /// Beginning of the note about position reports that reach the controller, and not this process.
 pub(crate) const UNSEEN_REPORTS: &str = "no position reports reach this viewer, but the controller decides on them";
 /// The note about commands that reach the array from a controller that this process does not see.
@@ -86,9 +119,19 @@ pub(crate) fn follows_from(notes: &[String], problem: &str) -> bool {
         && OF_TWO_DRIVERS.iter().any(|(start, part)| problem.starts_with(start) && problem.contains(part))
 }
 
-/// Whether a process reports this problem because of an emergency stop in force.
+/// Whether a controller reports this problem because of an emergency stop in force.
 pub(crate) fn follows_from_stop(problem: &str) -> bool {
-    problem.starts_with("withheld by ") || problem.contains("emergency stop is latched")
+    problem.starts_with("withheld by ")
+}
+
+/// What a driver reports of a command that it refuses because it is stopped, with advice for the sender.
+const LATCHED: &str = "command: an emergency stop is latched";
+
+/// This problem while a stop is shown, in words for an operator, where commands of another process cause it.
+pub(crate) fn of_stopped(problem: &str) -> Option<&'static str> {
+    problem.starts_with(LATCHED).then_some(
+        "commands still arrive at the stopped array, which refuses them: find the process that sends them, and end it",
+    )
 }
 
 /// A text without its figures, which differ at each occurrence of one fault. The digit of a name stays, as in
@@ -117,7 +160,8 @@ fn off_light(light: &ServedLight) -> Option<String> {
     light.off_since_s.map(|_| printable(&format!("{light}: {}", light.advice())).into_owned())
 }
 
-fn two_drivers((array, [one, other]): (usize, [u64; 2])) -> String {
+/// The note about an array that two processes drive.
+pub(crate) fn two_drivers((array, [one, other]): (usize, [u64; 2])) -> String {
     format!(
         "{TWO_DRIVERS} ({}, sources {one:016x} and {other:016x}): stop one of them, because the controller follows only one",
         array_name(array)
@@ -158,13 +202,11 @@ mod tests {
         let mut received = Received::default();
         assert_eq!(received.notes(1, ago(0)), Vec::<String>::new(), "processes may answer yet");
         let empty = received.notes(1, ago(60));
-        assert!(received.is_room_unseen());
         assert_eq!(empty, [room_unseen()]);
         received.alive.insert((NodeKind::Viewer.name(), 3));
-        assert!(received.is_room_unseen(), "a viewer is no process of the room");
+        assert!(received.unseen().is_some(), "a viewer is no process of the room");
         received.alive.insert((NodeKind::Driver.name(), 4));
         let missing = received.notes(1, ago(60));
-        assert!(!received.is_room_unseen());
         assert!(missing[0].starts_with("no controller commands the mirrors: start one"), "{missing:?}");
         assert!(missing[1].starts_with("no process reports the positions of users: start"), "{missing:?}");
         received.alive.insert((NodeKind::Controller.name(), 5));
@@ -184,8 +226,31 @@ mod tests {
         assert_eq!(notes, [UNSEEN_CONTROLLER]);
         let status = NodeStatus { node: NodeKind::Controller, ..NodeStatus::default() };
         received.statuses.insert(NodeKind::Controller.name().into(), (Instant::now(), status));
+        received.alive.insert((NodeKind::Driver.name(), 4));
         let notes = received.notes(1, ago(60));
-        assert!(notes[0].starts_with("no controller commands the mirrors"), "it has just left: {notes:?}");
+        assert_eq!(notes, [NO_CONTROLLER], "it has just left");
+    }
+
+    #[test]
+    fn where_the_process_of_the_room_has_ended_no_controller_is_asked_for() {
+        let mut received = Received::default();
+        let status = NodeStatus { node: NodeKind::SimNode, ..NodeStatus::default() };
+        received.statuses.insert(NodeKind::SimNode.name().into(), (Instant::now(), status));
+        received.users = Some((Instant::now(), UserReport::default()));
+        assert_eq!(received.notes(1, ago(60)), [""; 0], "its last messages are fresh");
+        received.users = Some((ago(60), UserReport::default()));
+        assert_eq!(received.notes(1, ago(60)), [ROOM_GONE]);
+    }
+
+    #[test]
+    fn where_the_array_alone_has_ended_it_is_asked_for_first() {
+        let mut received = Received::default();
+        received.alive.insert((NodeKind::Tracker.name(), 6));
+        received.users = Some((Instant::now(), UserReport::default()));
+        telemetry(&mut received, 7);
+        assert_eq!(received.notes(1, ago(60)), [NO_CONTROLLER]);
+        received.arrays.age(REPORTING);
+        assert_eq!(received.notes(1, ago(60)), [ARRAY_GONE]);
     }
 
     #[test]

@@ -12,8 +12,6 @@ use crate::view::EXPIRY;
 
 /// Reported and ordered values differ at most by the rounding to 32 bits.
 const TOLERANCE: f64 = 1e-4;
-/// Telemetry of this age shows that an array is present, even without a process that is known.
-const REPORTING: Duration = Duration::from_secs(1);
 /// A status that arrives this long after an order describes the time after the order.
 const SETTLED: Duration = Duration::from_millis(1500);
 
@@ -62,15 +60,11 @@ impl View {
             let status = received.statuses.get(node.name()).filter(|(at, _)| at.elapsed() < EXPIRY);
             status.cloned()
         };
-        let is_alive = |node: NodeKind| received.alive.iter().any(|(alive, _)| *alive == node.name());
-        let arrays = received.arrays.states();
         Reported {
             controller: status(NodeKind::Controller),
             simulator: status(NodeKind::SimNode),
             controller_alive: received.is_controller_alive(),
-            array_present: arrays.iter().any(|(at, _)| at.elapsed() < REPORTING)
-                || is_alive(NodeKind::SimNode)
-                || is_alive(NodeKind::Driver),
+            array_present: received.is_array_present(),
             ..Reported::default()
         }
     }

@@ -16,8 +16,9 @@ const COUNTED: [&str; 6] = ["refused:", "fallback:", "missed:", "policies_refuse
 /// Counters that are above 0 as long as a problem lasts.
 const LASTING: [&str; 4] = ["array_unfit", "standby", "driver_absent", "device_absent"];
 
-/// The counter of commands of a former leader, which is a problem from the second status on in which it rises.
-const LOWER_EPOCH: &str = "refused:command:lower-epoch";
+/// The counters of commands of a former leader and to a stopped array: problems from the second status on in which
+/// they rise.
+const EXPECTED: [&str; 2] = ["refused:command:lower-epoch", "refused:command:stopped"];
 
 /// The last problem of each process, by its name in [`Received::statuses`](crate::view::Received) and its
 /// source.
@@ -72,8 +73,9 @@ impl Problems {
             }
             _ => {
                 let age = Duration::from_nanos(status.stamp.time_ns.saturating_sub(status.started_ns));
-                // A former leader commands until its successor is obeyed: then the array refuses a command in flight.
-                let is_expected = rose.iter().eq([LOWER_EPOCH]);
+                // A leader commands until it receives the stop, or its successor is obeyed: the array refuses a
+                // command in flight.
+                let is_expected = !rose.is_empty() && rose.iter().all(|name| EXPECTED.contains(&name.as_str()));
                 let is_current = !is_expected && (last.is_some() || rose.iter().any(lasts) || age < CURRENT);
                 let at = is_current.then_some(now);
                 let text = status.last_problem.clone();
@@ -125,54 +127,56 @@ mod tests {
     #[test]
     fn the_text_of_a_first_status_is_no_problem_until_its_cause_is_counted() {
         let (mut problems, node) = (Problems::default(), NodeStatus::default().node.name());
-        let stopped = |count| status("the array is stopped", &[("refused:command:stopped", count)]);
-        problems.take(node, &stopped(1));
+        let expired = |count| status("the command has expired", &[("refused:command:expired", count)]);
+        problems.take(node, &expired(1));
         assert_eq!(problems.current(node, 7), "", "it may have ended long ago");
-        problems.take(node, &stopped(1));
+        problems.take(node, &expired(1));
         assert_eq!(problems.current(node, 7), "");
-        problems.take(node, &stopped(2));
-        assert_eq!(problems.current(node, 7), "the array is stopped");
+        problems.take(node, &expired(2));
+        assert_eq!(problems.current(node, 7), "the command has expired");
         // Another process of this name.
         let other = |started_ns| {
-            let text = stopped(3);
+            let text = expired(3);
             NodeStatus { stamp: Stamp { source: 8, ..text.stamp }, started_ns, ..text }
         };
         problems.take(node, &other(0));
         assert_eq!(problems.current(node, 8), "");
         problems.last.clear();
         problems.take(node, &other(59_000_000_000));
-        assert_eq!(problems.current(node, 8), "the array is stopped", "it has just started");
+        assert_eq!(problems.current(node, 8), "the command has expired", "it has just started");
     }
 
     #[test]
     fn a_problem_ends_some_seconds_after_its_cause() {
         let (mut problems, node) = (Problems::default(), NodeStatus::default().node.name());
-        let stopped = |count| status("the array is stopped", &[("refused:command:stopped", count)]);
+        let expired = |count| status("the command has expired", &[("refused:command:expired", count)]);
         problems.take(node, &status("", &[]));
-        problems.take(node, &stopped(1));
-        assert_eq!(problems.current(node, 7), "the array is stopped");
+        problems.take(node, &expired(1));
+        assert_eq!(problems.current(node, 7), "the command has expired");
         age(&mut problems, CURRENT);
         assert_eq!(problems.current(node, 7), "");
         // The cause is counted again.
-        problems.take(node, &stopped(2));
-        assert_eq!(problems.current(node, 7), "the array is stopped");
+        problems.take(node, &expired(2));
+        assert_eq!(problems.current(node, 7), "the command has expired");
         age(&mut problems, CURRENT);
-        problems.take(node, &stopped(2));
+        problems.take(node, &expired(2));
         assert_eq!(problems.current(node, 7), "", "the text alone is no new problem");
     }
 
     #[test]
-    fn a_command_of_a_former_leader_is_a_problem_only_if_more_follow() {
-        let (mut problems, node) = (Problems::default(), NodeKind::Driver.name());
-        let mut shown = |text: &str, lower, malformed| {
-            let counters = [(LOWER_EPOCH, lower), ("refused:command:not-finite", malformed)];
-            problems.take(node, &NodeStatus { node: NodeKind::Driver, ..status(text, &counters) });
-            problems.current(node, 7).to_owned()
-        };
-        let of_epoch = "command: a command of epoch 1: expected at least 2";
-        assert_eq!([shown("", 0, 0), shown(of_epoch, 1, 0), shown(of_epoch, 1, 0)], [""; 3]);
-        assert_eq!(shown(of_epoch, 2, 0), of_epoch);
-        assert_eq!(shown("command: not finite", 3, 1), "command: not finite");
+    fn a_command_of_a_former_leader_or_to_a_stopped_array_is_a_problem_only_if_more_follow() {
+        for expected in EXPECTED {
+            let (mut problems, node) = (Problems::default(), NodeKind::Driver.name());
+            let mut shown = |text: &str, refused, malformed| {
+                let counters = [(expected, refused), ("refused:command:not-finite", malformed)];
+                problems.take(node, &NodeStatus { node: NodeKind::Driver, ..status(text, &counters) });
+                problems.current(node, 7).to_owned()
+            };
+            let text = "command: a command of epoch 1: expected at least 2";
+            assert_eq!([shown("", 0, 0), shown(text, 1, 0), shown(text, 1, 0)], [""; 3]);
+            assert_eq!(shown(text, 2, 0), text);
+            assert_eq!(shown("command: not finite", 3, 1), "command: not finite");
+        }
     }
 
     #[test]
@@ -192,12 +196,12 @@ mod tests {
     #[test]
     fn the_old_text_of_a_device_is_no_problem_while_a_driver_counts_refusals() {
         let (mut problems, node) = (Problems::default(), NodeKind::Driver.name());
-        let of_driver = |problem: &str, absent, stopped| {
-            let counters = [("device_absent", absent), ("refused:command:stopped", stopped)];
+        let of_driver = |problem: &str, absent, expired| {
+            let counters = [("device_absent", absent), ("refused:command:expired", expired)];
             NodeStatus { node: NodeKind::Driver, ..status(problem, &counters) }
         };
-        let mut shown = |problem: &str, absent, stopped| {
-            problems.take(node, &of_driver(problem, absent, stopped));
+        let mut shown = |problem: &str, absent, expired| {
+            problems.take(node, &of_driver(problem, absent, expired));
             let shown = problems.current(node, 7).to_owned();
             age(&mut problems, CURRENT);
             shown
@@ -205,15 +209,15 @@ mod tests {
         let device = "port: no answer";
         assert_eq!([shown(device, 0, 3), shown(device, 0, 4), shown(device, 0, 5)], [""; 3], "the device has returned");
         assert_eq!([shown(device, 1, 6), shown(device, 1, 7)], [device; 2], "it is absent again");
-        assert_eq!(shown("command: the array is stopped", 0, 8), "command: the array is stopped");
-        assert_eq!(shown("command: the array is stopped", 0, 9), "command: the array is stopped");
+        assert_eq!(shown("command: the command has expired", 0, 8), "command: the command has expired");
+        assert_eq!(shown("command: the command has expired", 0, 9), "command: the command has expired");
     }
 
     #[test]
     fn an_old_refusal_is_no_problem_while_messages_of_another_kind_are_refused() {
         let (mut problems, node) = (Problems::default(), NodeKind::SimNode.name());
         let mut shown = |control, command| {
-            let counters = [("refused:control:too-many", control), ("refused:command:stopped", command)];
+            let counters = [("refused:control:too-many", control), ("refused:command:expired", command)];
             let status = NodeStatus { node: NodeKind::SimNode, ..status("control: 64 users: too many", &counters) };
             problems.take(node, &status);
             problems.current(node, 7).to_owned()

@@ -13,7 +13,7 @@ use serde::Serialize;
 
 use crate::controllers::{ControllerFigures, Role};
 use crate::figures::{Figures, NodeFigures, Origin, UserFigures};
-use crate::notes::{UNSEEN_CONTROLLER, UNSEEN_REPORTS, room_unseen};
+use crate::notes::{UNSEEN_CONTROLLER, UNSEEN_REPORTS};
 use crate::terminal::texts::{stops, time, without_rates};
 use crate::view::NO_GEOMETRY;
 use crate::{UiError, View};
@@ -74,8 +74,8 @@ impl RoomStatus {
             figures: view.figures(),
             ..Self::default()
         };
-        let is_unseen = view.received().is_room_unseen();
-        status.problems = if is_unseen { status.of_unseen_room() } else { status.found() };
+        let unseen = view.received().unseen();
+        status.problems = unseen.map_or_else(|| status.found(), |unseen| status.of_unseen_room(unseen));
         status.is_healthy = status.problems.is_empty();
         status
     }
@@ -89,8 +89,7 @@ impl RoomStatus {
     }
 
     /// What is wrong where no process of the room is seen: one problem, from which each missing process follows.
-    fn of_unseen_room(&self) -> Vec<String> {
-        let unseen = room_unseen();
+    fn of_unseen_room(&self, unseen: String) -> Vec<String> {
         let others: Vec<String> = self.notes().filter(|note| **note != unseen).cloned().collect();
         [unseen].into_iter().chain(others).collect()
     }
@@ -233,6 +232,7 @@ fn users_line(users: &[UserFigures]) -> String {
 #[cfg(test)]
 mod tests {
     use crate::figures::ArrayFigures;
+    use crate::notes::room_unseen;
 
     use super::*;
 
@@ -302,7 +302,7 @@ mod tests {
     fn a_room_of_which_nothing_is_seen_has_one_problem_that_names_the_room() {
         let notes = vec![room_unseen(), format!("{NO_GEOMETRY}: the picture shows another"), "refused".to_owned()];
         let figures = Figures { notes, ..Figures::default() };
-        let problems = RoomStatus { figures, ..RoomStatus::default() }.of_unseen_room();
+        let problems = RoomStatus { figures, ..RoomStatus::default() }.of_unseen_room(room_unseen());
         assert_eq!(problems, [room_unseen(), "refused".to_owned()]);
         assert!(problems[0].contains("check --room and --connect"), "{problems:?}");
     }

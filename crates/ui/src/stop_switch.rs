@@ -18,6 +18,7 @@ use heliostat_service::clock::utc_ns;
 use heliostat_service::source_id;
 
 use crate::UiError;
+use crate::notes::two_drivers;
 use crate::order_publisher::OrderPublisher;
 use crate::stop_watch::{RoomStops, StopWatch, UNKNOWN_ARRAYS, problem, unreleased};
 
@@ -109,6 +110,11 @@ impl StopSwitch {
     /// The stops that are held or in force, as far as it is known now.
     pub fn known_stops(&self) -> Vec<RoomStop> {
         self.seen.lock().stops()
+    }
+
+    /// What is to be said of arrays that two processes drive.
+    pub fn shared_arrays(&self) -> Vec<String> {
+        self.seen.shared().into_iter().map(two_drivers).collect()
     }
 
     /// Whether the last stop of this process is held for any array.

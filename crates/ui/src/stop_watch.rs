@@ -2,11 +2,12 @@
 //!
 //! [`ReportedStops`] decides whether a room is stopped; the page and the command line show its result.
 
+use std::collections::BTreeSet;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use heliostat_bus::{Bus, Presence, Subscription};
-use heliostat_proto::keys::parse_driver_alive;
+use heliostat_proto::keys::parse_array_alive;
 use heliostat_proto::reported_stops::{ReportedStops, RoomStop, Standing};
 use heliostat_proto::{
     EmergencyStop, Message, MirrorTelemetry, RoomGeometry, SafetyReport, StopName, StopReport, codec,
@@ -103,7 +104,11 @@ struct WatchState {
     opened: Instant,
     seen: Mutex<ReportedStops>,
     changed: Condvar,
+    drivers: Mutex<BTreeSet<Driver>>,
 }
+
+/// The array and the source of a process with mirrors; a simulator drives every array of its room.
+type Driver = (Option<usize>, u64);
 
 impl StopWatch {
     /// Watches the arrays of a room.
@@ -111,7 +116,12 @@ impl StopWatch {
     /// # Errors
     /// [`UiError::Bus`] if the session is closed.
     pub fn open(bus: &Bus) -> Result<Arc<Self>, UiError> {
-        let state = Arc::new(WatchState { opened: Instant::now(), seen: Mutex::default(), changed: Condvar::new() });
+        let state = Arc::new(WatchState {
+            opened: Instant::now(),
+            seen: Mutex::default(),
+            changed: Condvar::new(),
+            drivers: Mutex::default(),
+        });
         let mut subscriptions = Vec::new();
         let room = bus.room();
         for keys in [room.array(0), room.later_arrays()] {
@@ -148,8 +158,8 @@ impl StopWatch {
         )?);
         let present = Arc::clone(&state);
         subscriptions.push(bus.watch(&room.all_alive(), move |key, presence| {
-            if let Some((array, _)) = parse_driver_alive(key).filter(|_| presence == Presence::Alive) {
-                present.note(|seen, now| seen.handle_driver(now, array));
+            if let Some(driver) = parse_array_alive(key) {
+                present.note_driver(driver, presence);
             }
         })?);
         Ok(Arc::new(Self { state, _subscriptions: subscriptions }))
@@ -172,6 +182,13 @@ impl StopWatch {
         let standings = if stops.is_empty() { Vec::new() } else { seen.standings(now, None) };
         let report_age = seen.oldest_report().map(|at| now.saturating_sub(at));
         RoomStops { now, stops, standings, report_age, ordered: None, has_geometry: seen.has_geometry() }
+    }
+
+    /// The arrays that two processes drive, with the sources of both.
+    pub fn shared(&self) -> Vec<(usize, [u64; 2])> {
+        let arrays = self.lock().standings(self.now(), None).len();
+        let drivers = self.state.drivers.lock().unwrap_or_else(PoisonError::into_inner);
+        (0..arrays).filter_map(|array| Some((array, both_of(&drivers, array)?))).collect()
     }
 
     /// The time of the reports, at present.
@@ -213,10 +230,43 @@ impl WatchState {
         self.seen.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    fn note_driver(&self, driver: Driver, presence: Presence) {
+        let mut drivers = self.drivers.lock().unwrap_or_else(PoisonError::into_inner);
+        match presence {
+            Presence::Alive => drivers.insert(driver),
+            Presence::Gone => drivers.remove(&driver),
+        };
+        drop(drivers);
+        if let (Some(array), Presence::Alive) = (driver.0, presence) {
+            self.note(|seen, now| seen.handle_driver(now, array));
+        }
+    }
+
     fn note(&self, set: impl FnOnce(&mut ReportedStops, Duration)) {
         let mut seen = self.lock();
         set(&mut seen, self.opened.elapsed());
         drop(seen);
         self.changed.notify_all();
+    }
+}
+
+/// The sources of the first two processes that drive an array, if there are two.
+fn both_of(drivers: &BTreeSet<Driver>, array: usize) -> Option<[u64; 2]> {
+    let mut sources = drivers.iter().filter(|(of, _)| of.is_none_or(|of| of == array)).map(|(_, source)| *source);
+    Some([sources.next()?, sources.next()?])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_array_with_two_drivers_is_known_by_their_tokens() {
+        let mut drivers = BTreeSet::from([(Some(0), 7), (Some(1), 8)]);
+        assert_eq!([0, 1].map(|array| both_of(&drivers, array)), [None, None]);
+        drivers.insert((Some(1), 9));
+        assert_eq!([0, 1].map(|array| both_of(&drivers, array)), [None, Some([8, 9])]);
+        drivers.insert((None, 6));
+        assert_eq!(both_of(&drivers, 0), Some([6, 7]), "a simulator drives each array");
     }
 }

@@ -21,7 +21,10 @@ impl Controller {
     /// is counted. Before the first telemetry those of every source do.
     pub fn admit_array(&mut self, array: usize, source: u64) -> bool {
         let is_followed = self.inbox.array_source(array).is_none_or(|followed| followed == source);
-        self.counters.foreign_arrays += u64::from(!is_followed);
+        if !is_followed {
+            self.counters.foreign_arrays += 1;
+            self.counters.last_foreign_array = Some((array, source));
+        }
         is_followed
     }
 

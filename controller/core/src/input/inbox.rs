@@ -25,7 +25,7 @@ mod state;
 
 use heliostat_proto::{
     ChannelReport, LedReport, MirrorTelemetry, Nanos, NodeKind, ObstacleReport, OrientationReport, Stamp, UserReport,
-    UserState, stamp_of,
+    UserState, sender_of,
 };
 use heliostat_scenario::Scenario;
 
@@ -143,12 +143,12 @@ impl Inbox {
         checked
     }
 
-    /// Counts a payload of a stream, and of an array for telemetry, that does not decode. It arrived, if its
-    /// stamp is of the source of the stream.
+    /// Counts a payload of a stream, and of an array for telemetry, that does not decode. It arrived, if it is of
+    /// the source of the stream.
     pub fn count_malformed(&mut self, place: (Stream, usize), refusal: Refusal, payload: &[u8]) {
         let (stream, array) = place;
-        if let Some(stamp) = stamp_of(payload).filter(|_| array < self.state.arrays.len()) {
-            self.track_mut(stream, array).on_refused(&stamp);
+        if let Some((source, sequence)) = sender_of(payload).filter(|_| array < self.state.arrays.len()) {
+            self.track_mut(stream, array).on_unreadable(source, sequence);
         }
         self.refused.count(place, refusal);
     }

@@ -69,6 +69,14 @@ impl SequenceTrack {
         self.refused += u64::from(self.last.is_some_and(|last| last.step_to(stamp).is_some()));
     }
 
+    /// Records a payload of a source that does not decode: it arrived too, also where its number is cut off.
+    pub fn on_unreadable(&mut self, source: u64, sequence: Option<u64>) {
+        match sequence {
+            Some(sequence) => self.on_refused(&Stamp { source, sequence, time_ns: 0 }),
+            None => self.refused += u64::from(self.last.is_some_and(|last| last.source == source)),
+        }
+    }
+
     /// Discards the base if it is of this source.
     pub fn forget(&mut self, source: u64) {
         self.last = self.last.filter(|last| last.source != source);

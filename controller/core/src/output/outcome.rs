@@ -167,6 +167,8 @@ pub struct Counters {
     pub modelled: u64,
     /// Capabilities and safety reports of a source other than the array that is followed.
     pub foreign_arrays: u64,
+    /// Array and source of the last of them.
+    pub last_foreign_array: Option<(usize, u64)>,
     degraded: [u64; DegradedMode::ALL.len()],
     tenure: [u64; TenureEvent::ALL.len()],
 }

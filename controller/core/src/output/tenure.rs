@@ -34,10 +34,11 @@
 //! - **Takeover**: a report is unanswered if telemetry that came a quarter of a report interval or more after
 //!   it shows no further accepted command. After as many unanswered reports in sequence as its rank,
 //!   a standby takes a new epoch and answers the report that is due. A leader whose liveliness token
-//!   has ended counts as one unanswered report. The rank is 1 plus the number of other standbys with
-//!   a lower source id, or given by the operator.
-//! - **Guest**: a controller that leads within 1 s of its token, as a calibration does, from a leader that answers.
-//!   When its token ends, a standby resumes: this is no takeover, and former contested ones do not delay it.
+//!   has ended counts as one unanswered report, until it answers one or its token returns. The rank
+//!   is 1 plus the number of other standbys with a lower source id, or given by the operator.
+//! - **Guest**: a controller that leads within 1 s of its token, as a calibration does, from a leader that answers
+//!   and stays in the room. When its token ends, a standby resumes: this is no takeover, and former contested ones
+//!   do not delay it.
 //! - **Contested takeover**: if the array then refuses commands of a lower epoch, the former leader
 //!   was not gone. Each such takeover in sequence adds one to the reports that must be unanswered, up
 //!   to [`BACK_OFF_MAX`].
@@ -58,13 +59,13 @@
 //! Nothing here ends a process.
 
 mod evidence;
-
-use std::collections::BTreeMap;
+mod numbers;
 
 use heliostat_proto::{EPOCH_SLOTS, Nanos};
 
+use self::evidence::{Contest, Guest, Takeover, Unaccepted, Watch};
 pub use self::evidence::{Evidence, TenureEvent};
-use self::evidence::{Guest, Takeover, Unaccepted, Watch};
+use self::numbers::{Numbers, Rule};
 
 /// Time without an accepted command after which a controller takes a new epoch, in ns.
 pub const PATIENCE_NS: Nanos = 1_000_000_000;
@@ -87,22 +88,8 @@ const WATCH_GAP: u64 = 3;
 /// Longest wait of a start for telemetry: twice the longest interval between two messages.
 pub const FIRST_TELEMETRY_NS: Nanos = 200_000_000;
 
-/// Accepted commands after which a takeover is no longer contested.
-const SETTLED: u64 = 8;
-
 /// Other controllers that are known; the rank counts no more.
 const PEERS_MAX: usize = 16;
-
-/// How the epoch is chosen.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-enum Rule {
-    /// One epoch; telemetry is ignored.
-    Fixed,
-    /// One epoch; stands by while another sender's commands are followed.
-    Lockstep,
-    /// As in the diagram.
-    Live { source: u64, interval_ns: Nanos },
-}
 
 /// Whether the controller commands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -128,14 +115,8 @@ pub struct Tenure {
     peers: Vec<u64>,
     watch: Watch,
     guest: Guest,
-    takeover: Option<Takeover>,
-    /// Contested takeovers in sequence.
-    back_off: u8,
-    epoch: u64,
-    /// The last sequence number of each former epoch with commands: at most one more for each decision.
-    numbered: BTreeMap<u64, u64>,
-    /// Sequence number of the last command in this epoch.
-    sequence: u64,
+    contest: Contest,
+    numbers: Numbers,
     /// The latest telemetry, and its arrival.
     seen: Option<(Nanos, Evidence)>,
     /// The epoch that the array announced before the first telemetry.
@@ -158,11 +139,8 @@ impl Tenure {
             peers: Vec::new(),
             watch: Watch::default(),
             guest: Guest::default(),
-            takeover: None,
-            back_off: 0,
-            epoch,
-            numbered: BTreeMap::new(),
-            sequence: 0,
+            contest: Contest::default(),
+            numbers: Numbers::of(epoch),
             seen: None,
             announced: 0,
             unaccepted: None,
@@ -184,10 +162,9 @@ impl Tenure {
 
     /// Begins again as [`live`](Self::live), for a lead that is taken again. No number of an epoch is given twice.
     pub fn restart(&mut self) {
-        self.begin(0);
-        if let Rule::Live { source, interval_ns } = self.rule {
-            *self = Self { numbered: std::mem::take(&mut self.numbered), ..Self::live(source, interval_ns) };
-        }
+        let Rule::Live { source, interval_ns } = self.rule else { return };
+        self.numbers.begin(0);
+        *self = Self { numbers: std::mem::take(&mut self.numbers), ..Self::live(source, interval_ns) };
     }
 
     /// Stands by from the start, with this rank from 1, or the rank by source ids.
@@ -208,7 +185,7 @@ impl Tenure {
 
     /// The epoch of the commands; 0 while waiting.
     pub fn epoch(&self) -> u64 {
-        self.epoch
+        self.numbers.epoch()
     }
 
     /// The epoch of the command that the array applied last, by the latest telemetry.
@@ -223,8 +200,7 @@ impl Tenure {
 
     /// Numbers a command of the present epoch: from 1, rising by one, also over a return to it.
     pub fn next_sequence(&mut self) -> u64 {
-        self.sequence = self.sequence.saturating_add(1);
-        self.sequence
+        self.numbers.next_sequence()
     }
 
     /// Number of other controllers in the room.
@@ -240,7 +216,7 @@ impl Tenure {
     /// Another controller is in the room, or has left it.
     pub fn handle_controller(&mut self, peer: u64, is_present: bool) {
         let Rule::Live { source, .. } = self.rule else { return };
-        if peer == source {
+        if peer == source || (!is_present && !self.peers.contains(&peer)) {
             return;
         }
         self.peers.retain(|known| *known != peer);
@@ -251,7 +227,9 @@ impl Tenure {
         if !is_present {
             self.guest.handle_left(peer % EPOCH_SLOTS);
         }
-        self.watch.has_left |= !is_present && self.standing == Standing::Standby && self.leads(peer);
+        if self.standing == Standing::Standby && self.leads(peer) {
+            self.watch.set_left(!is_present);
+        }
     }
 
     /// A command is due at `now`: its epoch, or `None` in standby.
@@ -264,15 +242,14 @@ impl Tenure {
             Standing::Leading => None,
         };
         self.note_due(now);
-        ((self.standing == Standing::Leading).then_some(self.epoch), event)
+        ((self.standing == Standing::Leading).then_some(self.epoch()), event)
     }
 
     /// Compares telemetry that arrived at `now`.
     pub fn handle_telemetry(&mut self, now: Nanos, evidence: Evidence) -> Option<TenureEvent> {
         let former = self.seen.replace((now, evidence)).map(|(_, evidence)| evidence);
         if let Some(former) = former.filter(|former| former.epoch != evidence.epoch) {
-            let is_answered = self.standing != Standing::Standby || self.watch.unanswered == 0;
-            self.guest.handle_epoch(now, evidence.epoch % EPOCH_SLOTS, former.following && is_answered);
+            self.note_followed(now, former, evidence.epoch);
         }
         let is_accepting = former.is_some_and(|former| former.accepted != evidence.accepted);
         if is_accepting {
@@ -286,6 +263,17 @@ impl Tenure {
             _ if self.rule == Rule::Fixed => None,
             Standing::Leading => self.compare_leading(now, evidence),
             Standing::Standby => self.compare_standby(now, evidence),
+        }
+    }
+
+    /// The array follows another epoch than in this former evidence.
+    fn note_followed(&mut self, now: Nanos, former: Evidence, epoch: u64) {
+        let is_answered = self.standing != Standing::Standby || self.watch.unanswered == 0;
+        let has_lent = former.following && is_answered && self.is_present(former.epoch);
+        self.guest.handle_epoch(now, epoch % EPOCH_SLOTS, has_lent);
+        // The token that has ended is of the former leader.
+        if self.standing == Standing::Standby && former.epoch % EPOCH_SLOTS != epoch % EPOCH_SLOTS {
+            self.watch.set_left(self.guest.has_left());
         }
     }
 
@@ -312,7 +300,7 @@ impl Tenure {
         }
         let (Rule::Live { interval_ns, .. }, Some((shown_ns, shown))) = (self.rule, self.seen) else { return None };
         let (rank, is_returned) = (self.rank(), self.guest.leads && self.watch.has_left);
-        let needed = if is_returned { rank } else { rank.saturating_add(self.back_off) };
+        let needed = if is_returned { rank } else { rank.saturating_add(self.contest.back_off) };
         let watch = &mut self.watch;
         let since_last_ns = now.abs_diff(std::mem::replace(&mut watch.last_ns, now));
         let is_paused = shown.stopped || since_last_ns > interval_ns.saturating_mul(WATCH_GAP);
@@ -326,14 +314,14 @@ impl Tenure {
             watch.unanswered = if is_answered { 0 } else { watch.unanswered.saturating_add(1) };
             watch.awaited = Some((now, shown.accepted));
         }
-        if watch.unanswered + u8::from(watch.has_left) < needed {
+        if watch.unanswered + u8::from(watch.is_gone()) < needed {
             // An answer that came before the token ended shows no leader.
-            watch.has_left &= is_returned || !is_answered;
+            watch.has_answered |= watch.has_left && is_answered && !is_returned;
             return None;
         }
         // A leader whose token has ended may command until its successor is obeyed.
-        let is_certain = watch.has_left;
-        self.takeover = (!is_certain).then_some(Takeover { refused: shown.refused, accepted: shown.accepted });
+        let is_certain = watch.is_gone();
+        self.contest.takeover = (!is_certain).then_some(Takeover { refused: shown.refused, accepted: shown.accepted });
         self.renew(now, shown);
         self.lead();
         Some(if is_returned { TenureEvent::Resumed } else { TenureEvent::TookOver })
@@ -352,6 +340,12 @@ impl Tenure {
         self.followed_epoch().is_some_and(|epoch| epoch % EPOCH_SLOTS == peer % EPOCH_SLOTS)
     }
 
+    /// Whether the controller of an epoch is this one, or another one that is in the room.
+    fn is_present(&self, epoch: u64) -> bool {
+        let Rule::Live { source, .. } = self.rule else { return false };
+        self.peers.iter().chain([&source]).any(|one| one % EPOCH_SLOTS == epoch % EPOCH_SLOTS)
+    }
+
     fn stand_by(&mut self) {
         self.standing = Standing::Standby;
         self.unaccepted = None;
@@ -365,14 +359,14 @@ impl Tenure {
     }
 
     fn lead_first(&mut self, now: Nanos) {
-        self.begin(self.first_epoch(now));
+        self.numbers.begin(self.first_epoch(now));
         self.is_new = true;
         self.lead();
     }
 
     /// Ends a standby with the own epoch, if there is one.
     fn resume(&mut self, now: Nanos) -> TenureEvent {
-        if self.epoch == 0 {
+        if self.epoch() == 0 {
             self.lead_first(now);
             return TenureEvent::TookOver;
         }
@@ -380,27 +374,11 @@ impl Tenure {
         TenureEvent::Resumed
     }
 
-    /// Whether a takeover proves to be contested.
-    fn is_contested(&mut self, evidence: Evidence) -> bool {
-        let Some(Takeover { refused, accepted }) = self.takeover.filter(|_| evidence.epoch == self.epoch) else {
-            return false;
-        };
-        let is_contested = evidence.refused > refused;
-        if is_contested {
-            self.back_off = BACK_OFF_MAX.min(self.back_off + 1);
-            self.takeover = None;
-        } else if evidence.accepted >= accepted + SETTLED {
-            self.back_off = 0;
-            self.takeover = None;
-        }
-        is_contested
-    }
-
     fn compare_leading(&mut self, now: Nanos, evidence: Evidence) -> Option<TenureEvent> {
         let is_foreign = self.is_foreign_sequence(evidence);
-        let is_superseded = evidence.epoch > self.epoch;
+        let is_superseded = evidence.epoch > self.epoch();
         let is_new = self.is_new && is_superseded;
-        self.is_new &= evidence.epoch < self.epoch;
+        self.is_new &= evidence.epoch < self.epoch();
         if is_new {
             self.renew(now, evidence);
             return Some(TenureEvent::TookOver);
@@ -413,7 +391,7 @@ impl Tenure {
             self.renew(now, evidence);
             return Some(TenureEvent::ForeignSequence);
         }
-        if self.is_contested(evidence) {
+        if evidence.epoch == self.epoch() && self.contest.is_contested(evidence) {
             return Some(TenureEvent::Contested);
         }
         let before = self.unaccepted_for(now, 0)?;
@@ -426,7 +404,7 @@ impl Tenure {
     }
 
     fn compare_standby(&mut self, now: Nanos, evidence: Evidence) -> Option<TenureEvent> {
-        if self.epoch > 0 && evidence.epoch <= self.epoch && !self.is_foreign_sequence(evidence) {
+        if self.epoch() > 0 && evidence.epoch <= self.epoch() && !self.is_foreign_sequence(evidence) {
             return Some(self.resume(now));
         }
         let Rule::Live { source, .. } = self.rule else { return None };
@@ -438,7 +416,7 @@ impl Tenure {
 
     /// Whether the array applied a command of this epoch that this controller did not number.
     fn is_foreign_sequence(&self, evidence: Evidence) -> bool {
-        evidence.epoch == self.epoch && evidence.applied_sequence > self.sequence
+        evidence.epoch == self.epoch() && evidence.applied_sequence > self.numbers.sequence()
     }
 
     /// Whether the latest telemetry is recent.
@@ -472,7 +450,7 @@ impl Tenure {
     fn first_epoch(&self, now: Nanos) -> u64 {
         let utc_ms = now / 1_000_000;
         let seen = self.seen.map_or(self.announced, |(_, evidence)| evidence.epoch);
-        self.above(utc_ms.max(seen)).or_else(|| self.above(utc_ms)).unwrap_or(utc_ms)
+        self.rule.above(utc_ms.max(seen)).or_else(|| self.rule.above(utc_ms)).unwrap_or(utc_ms)
     }
 
     /// Takes a new epoch. Where no epoch is above the one in telemetry, telemetry is wrong.
@@ -481,28 +459,12 @@ impl Tenure {
         let (claimed, both) = (evidence.epoch, utc_ms.max(evidence.epoch));
         let bases = if self.attempts.is_multiple_of(2) { [both, claimed] } else { [claimed, both] };
         // Where the own epoch is the lowest above the claimed one, a lower one would be refused.
-        let own = (self.epoch > claimed).then_some(self.epoch);
-        let mut candidates = bases.into_iter().chain(own).chain([utc_ms]).filter_map(|base| self.above(base));
-        if let Some(epoch) = candidates.find(|epoch| *epoch != self.epoch) {
-            self.begin(epoch);
+        let own = (self.epoch() > claimed).then_some(self.epoch());
+        let mut candidates = bases.into_iter().chain(own).chain([utc_ms]).filter_map(|base| self.rule.above(base));
+        if let Some(epoch) = candidates.find(|epoch| *epoch != self.epoch()) {
+            self.numbers.begin(epoch);
         }
         self.attempts = 6.min(self.attempts + 1);
         self.unaccepted = None;
-    }
-
-    /// Commands under an epoch from now on. No number of an epoch is given twice, also after a return to it.
-    fn begin(&mut self, epoch: u64) {
-        if self.sequence > 0 {
-            self.numbered.insert(self.epoch, self.sequence);
-        }
-        self.epoch = epoch;
-        self.sequence = self.numbered.get(&epoch).copied().unwrap_or(0);
-    }
-
-    /// The lowest epoch of this controller above a base; `None` where there is none.
-    fn above(&self, base: u64) -> Option<u64> {
-        let Rule::Live { source, .. } = self.rule else { return base.checked_add(1) };
-        let next = base.checked_add(1)?;
-        next.checked_add((source % EPOCH_SLOTS + EPOCH_SLOTS - next % EPOCH_SLOTS) % EPOCH_SLOTS)
     }
 }

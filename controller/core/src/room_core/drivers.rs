@@ -2,10 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use heliostat_proto::{
-    Nanos, NodeKind, Stamp,
-    keys::{parse_alive, parse_driver_alive},
-};
+use heliostat_proto::{Nanos, Stamp, keys::parse_array_alive};
 
 use crate::core::Controller;
 
@@ -39,7 +36,7 @@ impl Drivers {
 
     /// A liveliness token appeared or ended.
     pub fn handle_token(&mut self, key: &str, is_alive: bool) {
-        let Some(token) = token(key) else { return };
+        let Some(token) = parse_array_alive(key) else { return };
         if is_alive {
             self.tokens.insert(token);
         } else {
@@ -57,12 +54,6 @@ impl Drivers {
         };
         self.detectors.iter_mut().enumerate().filter_map(is_absent).collect()
     }
-}
-
-/// The token of a driver or a simulator; `None` for other processes.
-fn token(key: &str) -> Option<Token> {
-    let driver = parse_driver_alive(key).map(|(array, source)| (Some(array), source));
-    driver.or_else(|| parse_alive(key).filter(|(node, _)| *node == NodeKind::SimNode).map(|(_, source)| (None, source)))
 }
 
 /// Whether a process with one of these tokens drives an array.

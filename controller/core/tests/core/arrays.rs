@@ -196,6 +196,18 @@ fn an_array_that_counts_validity_from_arrival_is_not_judged_by_its_clock() {
 }
 
 #[test]
+fn an_announcement_of_a_second_driver_is_refused_and_its_source_is_named() {
+    let mut controller = controller(&two_arrays(), Box::new(Reaching));
+    report(&mut controller, 1, 1, 1, ArrayState::Following);
+    let announced = |source| Capabilities { stamp: Stamp { source, ..Stamp::default() }, ..Capabilities::default() };
+    assert!(controller.handle_capabilities(1, &announced(DRIVERS[1]), Ok(())));
+    assert_eq!(controller.counters().last_foreign_array, None);
+    assert!(!controller.handle_capabilities(1, &announced(0x99), Ok(())));
+    let counters = controller.counters();
+    assert_eq!((counters.foreign_arrays, counters.last_foreign_array), (1, Some((1, 0x99))));
+}
+
+#[test]
 fn an_array_that_left_or_is_silent_gets_no_command_until_its_telemetry_returns() {
     let scenario = two_arrays();
     let (mut controller, mut room) = (controller(&scenario, Box::new(Reaching)), Room::new(&scenario));

@@ -192,6 +192,18 @@ fn led_room(sources: &[u64]) -> Room {
 }
 
 #[test]
+fn a_leader_that_commands_on_after_its_token_has_ended_is_known_to_have_ended() {
+    let mut room = led_room(&[1, 600]);
+    room.controllers[1].tenure = room.controllers[1].tenure.clone().in_reserve(Some(3));
+    room.announce(1, false);
+    room.run(5 * INTERVAL);
+    assert_eq!(room.standings(), [Standing::Leading, Standing::Standby], "each report is answered");
+    room.controllers[0].is_alive = false;
+    room.until_accepted(1);
+    assert!(room.controllers[1].tenure.has_leader_ended());
+}
+
+#[test]
 fn a_controller_that_starts_beside_a_leader_stands_by_and_takes_over_within_two_reports_of_its_end() {
     for (reports, is_announced) in [(1, true), (2, false)] {
         let mut room = led_room(&[1, 600]);

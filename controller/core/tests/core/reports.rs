@@ -5,7 +5,9 @@ use heliostat_core::{
     inbox::Message,
     refusal::{Found, LeftOut, Refusal, Stream, UserValues},
 };
-use heliostat_proto::{ArrayState, MirrorTelemetry, NodeKind, Obstacle, Stamp, UserReport, UserState, encode};
+use heliostat_proto::{
+    ArrayState, MirrorTelemetry, NodeKind, Obstacle, Stamp, UserReport, UserState, encode, sender_of,
+};
 
 use crate::support::{MS, Outcome, Room, SOURCE, flat, receive, scenario, telemetry};
 
@@ -291,6 +293,23 @@ fn reports_that_did_not_arrive_are_counted_by_stream() {
     gains.stamp.sequence = 72;
     receive(&mut controller, Room::time(5), Message::Channel(&mut gains));
     assert_eq!(Stream::ALL.map(|stream| controller.inbox().missed(stream)), [4, 1, 0, 0, 0, 0]);
+}
+
+#[test]
+fn a_report_that_is_cut_off_within_its_stamp_is_counted_once() {
+    let (mut controller, mut room) = flat(&[]);
+    receive(&mut controller, Room::time(1), Message::Users(&mut numbered(&mut room, 1, 1000))).command();
+    let mut payload = Vec::new();
+    encode(&numbered(&mut room, 2, 1001), &mut payload).unwrap();
+    // Behind the source, and in the middle of the number.
+    let cut = (0..payload.len()).find(|length| sender_of(&payload[..*length]).is_some()).expect("a source");
+    for (tick, length) in [(3, cut), (5, cut + 1)] {
+        controller.handle_malformed((Stream::Users, 0), Refusal::Truncated, &payload[..length]);
+        receive(&mut controller, Room::time(tick), Message::Users(&mut numbered(&mut room, tick, 999 + tick)))
+            .command();
+    }
+    assert_eq!(refused(&controller, Stream::Users, Refusal::Truncated), 2);
+    assert_eq!(controller.inbox().missed(Stream::Users), 0, "each is refused, and none is missed too");
 }
 
 #[test]

@@ -58,7 +58,12 @@ fn add_room(page: &mut Page, report: &RoomReport<'_>) {
     }
     let standby = f64::from(u8::from(summary.standby));
     page.gauge("heliostat_standby", "1 while the array follows another controller", &[room], standby);
-    page.gauge("heliostat_controller_peers", "Other controllers in the room", &[room], summary.peers as f64);
+    page.gauge(
+        "heliostat_controller_peers",
+        "Liveliness tokens of other controllers that this one sees in the room, of calibrations too; 16 at most",
+        &[room],
+        summary.peers as f64,
+    );
     let unfit = f64::from(u8::from(summary.unfit.is_some()));
     page.gauge("heliostat_array_unfit", "1 while the array does not fit the scenario", &[room], unfit);
     let absent = f64::from(u8::from(summary.driver_absent));

@@ -72,7 +72,7 @@ pub struct Summary {
     /// The array follows another controller: commands are withheld.
     #[serde(default)]
     pub standby: bool,
-    /// Other controllers in the room.
+    /// Other controllers whose liveliness tokens this one sees, and calibrations; 16 at most.
     #[serde(default)]
     pub peers: u64,
     /// Why the array receives no commands, if it does not fit the scenario.

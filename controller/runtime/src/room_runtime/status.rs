@@ -13,7 +13,10 @@ use heliostat_service::clock::utc_ns;
 
 use super::{decision_loop::DecisionLoop, policy_swap::SwapCounters};
 use crate::report::{stage_times::StageTimes, summary::Summary};
-use describe::{clock_time, describe_absence, describe_events, describe_left_out, describe_refusal, describe_stops};
+use describe::{
+    clock_time, describe_absence, describe_events, describe_foreign_array, describe_left_out, describe_refusal,
+    describe_stops,
+};
 
 /// What to do about commands without a receiver.
 const DRIVER_ABSENT: &str = "there is no telemetry, and no liveliness token of a driver or simulator; start one, with an endpoint in common with this controller";
@@ -285,7 +288,7 @@ impl Reporter {
         state.into()
     }
 
-    /// A new reason for which the array receives no commands, or a sign of another sender.
+    /// A new reason for which the array receives no commands, or a sign of another controller.
     fn new_alarm(&mut self, summary: &Summary, counters: &Counters, tenure: &Tenure) -> Option<(Subject, Problem)> {
         let unfit_before = std::mem::replace(&mut self.unfit, summary.unfit.clone());
         if unfit_before != self.unfit {
@@ -298,16 +301,8 @@ impl Reporter {
         let events = TenureEvent::ALL.map(|event| counters.tenure(event));
         let before = std::mem::replace(&mut self.epoch_events, events);
         let rose = TenureEvent::ALL.into_iter().filter(|event| events[*event as usize] > before[*event as usize]);
-        if let Some(problem) = describe_events(&rose.collect::<Vec<_>>(), tenure) {
-            return Some((Subject::Tenure, problem));
-        }
-        let foreign_before = std::mem::replace(&mut self.foreign_arrays, counters.foreign_arrays);
-        (foreign_before < counters.foreign_arrays).then(|| {
-            warning(
-                "an announcement of an array that is not followed is refused: expected one driver in a room; stop the other"
-                    .into(),
-            )
-        })
+        let problem = describe_events(&rose.collect::<Vec<_>>(), tenure)?;
+        Some((Subject::Tenure, problem))
     }
 
     /// A stop that began or ended.
@@ -369,6 +364,7 @@ impl Reporter {
         let failed_rose = rose(&mut self.failed, failed);
         let unsent_rose = rose(&mut self.unsent, decision_loop.unsent());
         let refused_rose = rose(&mut self.refused, controller.inbox().refused().total());
+        let foreign_rose = rose(&mut self.foreign_arrays, counters.foreign_arrays);
         let order_refused = rose(&mut self.orders_refused, swaps.refused);
         let policy_warned = rose(&mut self.policy_warnings, swaps.warnings);
         if failed_rose > 0
@@ -392,6 +388,12 @@ impl Reporter {
         if refused_rose > 0 {
             self.occurrences = refused_rose;
             return describe_refusal(decision_loop);
+        }
+        if foreign_rose > 0
+            && let Some((array, source)) = counters.last_foreign_array
+        {
+            self.occurrences = foreign_rose;
+            return Some(describe_foreign_array(array, source, controller.inbox().array_source(array)));
         }
         // The first of a series; the counter shows the others.
         let refused = controller.inbox().refused();

@@ -89,6 +89,7 @@ pub fn stop(args: StopArgs) -> Result<()> {
         switch.expect(arrays.into());
     }
     let stopped = switch.stop_and_confirm(reason, *timeout).map_err(with_reach);
+    note_shared(&switch);
     if !args.hold {
         args.order.report(&bus, "stopped", stopped?, &switch.known_stops())?;
         drop(switch);
@@ -143,10 +144,16 @@ pub fn rearm(args: RearmArgs) -> Result<()> {
         _ => stops,
     };
     let names: Vec<StopName> = named.iter().map(|stop| stop.name).collect();
-    let took = switch.rearm_and_confirm(&names, reason, timeout.saturating_sub(begun.elapsed()))?;
-    args.order.report(&bus, "released", took, &named)?;
+    let released = switch.rearm_and_confirm(&names, reason, timeout.saturating_sub(begun.elapsed()));
+    note_shared(&switch);
+    args.order.report(&bus, "released", released?, &named)?;
     drop(switch);
     Ok(bus.close()?)
+}
+
+/// Names the arrays that two processes drive: the reports of one hide those of the other.
+fn note_shared(switch: &StopSwitch) {
+    switch.shared_arrays().into_iter().for_each(output::note);
 }
 
 fn in_words(RoomStop { name, operator, reason, arrays, .. }: &RoomStop) -> String {

@@ -2,7 +2,11 @@
 
 use heliostat_proto::{ArrayState, MirrorTelemetry, Nanos};
 
+use super::BACK_OFF_MAX;
 use crate::named::named;
+
+/// Accepted commands after which a takeover is no longer contested.
+const SETTLED: u64 = 8;
 
 /// Longest time in ns from the token of a controller to its lead, for a lead that it takes on purpose.
 const GUEST_NS: Nanos = 1_000_000_000;
@@ -87,6 +91,20 @@ pub(super) struct Watch {
     pub(super) unanswered: u8,
     /// The liveliness token of the leader has ended.
     pub(super) has_left: bool,
+    /// A report after that was answered: the leader commands on, at least until a standby does.
+    pub(super) has_answered: bool,
+}
+
+impl Watch {
+    /// The token of the leader has ended, or there is one.
+    pub(super) fn set_left(&mut self, has_left: bool) {
+        (self.has_left, self.has_answered) = (has_left, false);
+    }
+
+    /// Whether the end of the token counts as an unanswered report.
+    pub(super) fn is_gone(&self) -> bool {
+        self.has_left && !self.has_answered
+    }
 }
 
 /// The evidence at a takeover, until it is settled or contested.
@@ -96,7 +114,33 @@ pub(super) struct Takeover {
     pub(super) accepted: u64,
 }
 
-/// Whether the leader is a guest: a controller that took the lead when it joined, from one that had not failed.
+/// Whether takeovers proved to be contested.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
+pub(super) struct Contest {
+    /// The last takeover, until it is settled or contested.
+    pub(super) takeover: Option<Takeover>,
+    /// Contested takeovers in sequence.
+    pub(super) back_off: u8,
+}
+
+impl Contest {
+    /// Whether the takeover proves to be contested, by evidence of its epoch.
+    pub(super) fn is_contested(&mut self, evidence: Evidence) -> bool {
+        let Some(Takeover { refused, accepted }) = self.takeover else { return false };
+        let is_contested = evidence.refused > refused;
+        if is_contested {
+            self.back_off = BACK_OFF_MAX.min(self.back_off + 1);
+            self.takeover = None;
+        } else if evidence.accepted >= accepted + SETTLED {
+            self.back_off = 0;
+            self.takeover = None;
+        }
+        is_contested
+    }
+}
+
+/// Whether the leader is a guest: a controller that took the lead when it joined, from one that had not failed and
+/// is in the room.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub(super) struct Guest {
     /// The remainder in the epochs of the controller that joined last, and the time of the latest telemetry before.
@@ -123,9 +167,10 @@ impl Guest {
         self.leads && self.left
     }
 
-    /// The array follows an epoch of this remainder since `now`, after a leader that answered or had failed.
-    pub(super) fn handle_epoch(&mut self, now: Nanos, slot: u64, is_answered: bool) {
+    /// The array follows an epoch of this remainder since `now`; `has_lent` where the former leader answered and is
+    /// in the room.
+    pub(super) fn handle_epoch(&mut self, now: Nanos, slot: u64, has_lent: bool) {
         let has_joined = |(joined, seen_ns): (u64, Nanos)| joined == slot && now.abs_diff(seen_ns) <= GUEST_NS;
-        self.leads = is_answered && self.joined.is_some_and(has_joined);
+        self.leads = has_lent && self.joined.is_some_and(has_joined);
     }
 }

@@ -94,6 +94,46 @@ fn a_controller_that_joins_and_takes_over_from_a_failed_leader_is_no_guest() {
 }
 
 #[test]
+fn a_controller_that_joins_and_takes_over_from_a_leader_that_has_left_is_no_guest() {
+    let mut room = led_room(&[1, 600]);
+    room.announce(OTHER, true);
+    room.controllers[0].is_alive = false;
+    room.announce(1, false);
+    lead(&mut room, OTHER);
+    assert_eq!(room.standings()[1], Standing::Standby, "the token that has ended is not that of the new leader");
+    room.announce(OTHER, false);
+    room.run(S);
+    assert_eq!(room.controllers[1].events, [TenureEvent::StoodBy, TenureEvent::TookOver]);
+}
+
+#[test]
+fn a_guest_whose_token_returns_before_the_next_report_keeps_the_lead() {
+    let mut room = led_room(&[1]);
+    room.announce(GUEST, true);
+    let epoch = lead(&mut room, GUEST);
+    room.announce(GUEST, false);
+    room.announce(GUEST, true);
+    for sequence in 51..=100 {
+        assert!(room.array.handle(room.now, epoch, sequence));
+        room.run(INTERVAL);
+    }
+    assert_eq!(room.standings(), [Standing::Standby]);
+    room.announce(GUEST, false);
+    room.run(INTERVAL);
+    assert_eq!(room.controllers[0].events, [TenureEvent::Superseded, TenureEvent::Resumed]);
+}
+
+#[test]
+fn the_end_of_a_token_that_was_not_seen_is_no_end_of_the_leader() {
+    let mut room = led_room(&[1]);
+    let epoch = lead(&mut room, GUEST);
+    room.announce(GUEST, false);
+    assert!(room.array.handle(room.now, epoch, 51));
+    room.run(INTERVAL);
+    assert_eq!(room.standings(), [Standing::Standby]);
+}
+
+#[test]
 fn the_leader_after_a_guest_whose_commands_have_expired_is_no_guest() {
     let mut room = led_room(&[1]);
     room.announce(OTHER, true);

@@ -173,6 +173,15 @@ pub(super) fn describe_refusal(decision_loop: &DecisionLoop) -> Option<String> {
     })
 }
 
+/// An announcement of this array by a source other than the one that is followed.
+pub(super) fn describe_foreign_array(array: usize, source: u64, followed: Option<u64>) -> String {
+    format!(
+        "an announcement of an array that is not followed is refused: source {source:016x} announces {}, which source {:016x} drives; expected one driver of it: stop one of them",
+        array_name(array),
+        followed.unwrap_or_default()
+    )
+}
+
 fn describe_outside([x, y, z]: [f32; 3]) -> String {
     format!("({x:.1}, {y:.1}, {z:.1}) is outside the room: positions are in m, in the frame of the room")
 }
@@ -187,8 +196,11 @@ pub(super) fn describe_left_out(LeftOut { user, refusal, position_m, values }: L
 
 #[cfg(test)]
 mod tests {
+    use std::time::Instant;
+
     use heliostat_core::tenure::Evidence;
     use heliostat_proto::EPOCH_SLOTS;
+    use heliostat_service::log_limit::LogLimit;
 
     use super::*;
 
@@ -217,5 +229,17 @@ mod tests {
         assert_eq!(events, [TenureEvent::TookOver]);
         let Some(Problem::End(text)) = describe_events(&events, &tenure) else { panic!("no problem") };
         assert!(text.ends_with(": the former leader has ended"), "{text}");
+    }
+
+    #[test]
+    fn the_announcements_of_a_second_driver_name_both_and_are_one_line_in_ten_seconds() {
+        let text = describe_foreign_array(0, 0xa, Some(0xb));
+        assert!(
+            text.contains("source 000000000000000a announces mirrors, which source 000000000000000b drives"),
+            "{text}"
+        );
+        let (mut limit, now) = (LogLimit::default(), Instant::now());
+        assert!(limit.line(now, &text, 1).is_some());
+        assert_eq!(limit.line(now, &text, 2), None);
     }
 }

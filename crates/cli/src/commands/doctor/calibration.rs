@@ -193,14 +193,7 @@ mod tests {
     use super::*;
 
     fn driver(calibration: Option<u64>, faults: u32) -> DriverState {
-        DriverState {
-            capabilities: Capabilities::default(),
-            device_problem: None,
-            calibration,
-            epoch: None,
-            faults,
-            state: None,
-        }
+        DriverState { capabilities: Capabilities::default(), device_problem: None, calibration, faults, state: None }
     }
 
     #[test]

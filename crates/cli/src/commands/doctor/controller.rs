@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use heliostat_bus::Bus;
 use heliostat_proto::gauges::{ServedLight, TrackerNoise};
-use heliostat_proto::{NodeKind, NodeStatus, RoomGeometry, decode};
+use heliostat_proto::{MirrorTelemetry, NodeKind, NodeStatus, RoomGeometry, decode};
 use heliostat_ui::controllers::leading;
 
 use super::args::Args;
@@ -34,15 +34,10 @@ pub(super) struct ControllerState {
     pub noise: Option<TrackerNoise>,
 }
 
-/// Asks the controller that leads; the checks by its answer, none without a session. The first array follows the
-/// commands of an epoch, if it reports.
-pub(super) fn checks(
-    args: &Args,
-    bus: Option<&Bus>,
-    followed_epoch: Option<u64>,
-) -> (Option<ControllerState>, Vec<Check>) {
+/// Asks the controller that leads; the checks by its answer, none without a session.
+pub(super) fn checks(args: &Args, bus: Option<&Bus>) -> (Option<ControllerState>, Vec<Check>) {
     let Some(bus) = bus else { return (None, Vec::new()) };
-    match ask_controller(args, bus, followed_epoch) {
+    match ask_controller(args, bus) {
         Ok(Some(state)) => {
             let checks = state.noise.iter().map(check_tracker).chain(state.light.iter().map(check_light)).collect();
             (Some(state), checks)
@@ -52,14 +47,20 @@ pub(super) fn checks(
     }
 }
 
-fn ask_controller(args: &Args, bus: &Bus, followed_epoch: Option<u64>) -> anyhow::Result<Option<ControllerState>> {
+fn ask_controller(args: &Args, bus: &Bus) -> anyhow::Result<Option<ControllerState>> {
     let (sender, statuses) = mpsc::channel();
+    let (epoch_sender, epochs) = mpsc::channel();
     let (geometry_sender, geometries) = mpsc::channel();
     let key = bus.room().status(NodeKind::Controller);
     let subscription = bus.subscribe(&key, move |payload| {
         if let Ok(status) = decode::<NodeStatus>(payload) {
             // The receiver is gone after the last one that counts.
             sender.send(status).ok();
+        }
+    })?;
+    let telemetry = bus.subscribe(&bus.room().telemetry(), move |payload| {
+        if let Ok(telemetry) = decode::<MirrorTelemetry>(payload) {
+            epoch_sender.send(telemetry.epoch).ok();
         }
     })?;
     let geometry = bus.subscribe(&bus.room().geometry(NodeKind::Controller), move |payload| {
@@ -72,7 +73,8 @@ fn ask_controller(args: &Args, bus: &Bus, followed_epoch: Option<u64>) -> anyhow
         let until = Instant::now() + STATUS_WITHIN;
         let left = || until.saturating_duration_since(Instant::now());
         let all = std::iter::from_fn(|| statuses.recv_timeout(left()).ok()).collect();
-        let status = leading(all, followed_epoch)?;
+        // The last epoch of the same time: one of before a takeover would name the former leader.
+        let status = leading(all, epochs.try_iter().last())?;
         // Another controller can announce another geometry.
         let of_status = |geometry: &RoomGeometry| geometry.stamp.source == status.stamp.source;
         let all = args.measured.iter().flat_map(|_| std::iter::from_fn(|| geometries.recv_timeout(left()).ok()));
@@ -84,7 +86,7 @@ fn ask_controller(args: &Args, bus: &Bus, followed_epoch: Option<u64>) -> anyhow
             geometry,
         })
     });
-    drop((subscription, geometry));
+    drop((subscription, telemetry, geometry));
     Ok(status.flatten())
 }
 

@@ -73,8 +73,7 @@ pub(super) fn checks(args: &Args) -> Vec<Check> {
     let drivers = ask_drivers(args, joined.as_ref(), scenario.mirrors.arrays().len());
     checks.extend(check_drivers(args, &drivers, &scenario));
     let bus = joined.as_ref().and_then(|joined| joined.as_ref().ok()).map(|(bus, _)| bus);
-    let followed_epoch = drivers.first().and_then(|driver| driver.as_ref().ok()?.epoch);
-    let (controller, of_controller) = controller::checks(args, bus, followed_epoch);
+    let (controller, of_controller) = controller::checks(args, bus);
     checks.extend(of_controller);
     checks.extend(calibration::checks(args, drivers.get(args.array), controller.as_ref()));
     // A driver that is checked listens on its own port, and this command on those of --listen.
@@ -242,8 +241,6 @@ pub(super) struct DriverState {
     pub device_problem: Option<String>,
     /// Number of the calibration in use, 0 for none; `None` without telemetry.
     pub calibration: Option<u64>,
-    /// The epoch of the commands that it follows; `None` without telemetry.
-    pub epoch: Option<u64>,
     /// The bits of its faults.
     pub faults: u32,
     /// What its mirrors do; `None` without telemetry.
@@ -285,7 +282,6 @@ fn ask_driver(args: &Args, bus: &Bus, array: usize) -> anyhow::Result<DriverStat
             capabilities: decode(payload)?,
             device_problem,
             calibration: telemetry.as_ref().map(|telemetry| telemetry.calibration),
-            epoch: telemetry.as_ref().map(|telemetry| telemetry.epoch),
             faults: telemetry.as_ref().map_or(0, |telemetry| telemetry.faults),
             state: telemetry.map(|telemetry| telemetry.state),
         }),
@@ -382,7 +378,6 @@ mod tests {
                 capabilities: Capabilities::default(),
                 device_problem: None,
                 calibration: None,
-                epoch: None,
                 faults,
                 state,
             };

@@ -31,8 +31,11 @@
 mod fitting;
 mod groups;
 mod log;
+mod pause;
 pub(crate) mod refinement;
 mod stages;
+#[cfg(test)]
+mod test_room;
 mod timing;
 
 use heliostat_channel::{ChannelModel, MirrorAngles, Vec3};
@@ -173,6 +176,8 @@ pub struct Session {
     /// Angles that are dark for the receiver at its present place.
     dark_angles: Vec<[f64; 2]>,
     dark_gains: Vec<f64>,
+    /// Time of the last of them.
+    dark_ns: Nanos,
     /// Spots at which the receiver has stood; several can belong to one place of the setup.
     spots: Vec<Spot>,
     /// The place of the setup of each spot.
@@ -237,6 +242,7 @@ impl Session {
             stand: Stand::default(),
             dark_angles: Vec::new(),
             dark_gains: Vec::new(),
+            dark_ns: 0,
             spots: Vec::new(),
             places: Vec::new(),
             readings: Vec::new(),
@@ -344,13 +350,6 @@ impl Session {
     /// Notes the time in ns from a command to its application, as telemetry shows it.
     pub fn handle_command_delay(&mut self, delay_ns: Nanos) {
         self.timing.handle_delay(delay_ns);
-    }
-
-    /// The array follows another sender for some time: no report measures an earlier command, and none is
-    /// to be passed until the array follows this session again.
-    pub fn handle_pause(&mut self) {
-        self.timing.forget_sent();
-        self.drop_pending();
     }
 
     /// No mirror awaits a reading.

@@ -127,11 +127,7 @@ impl Session {
             Stage::Verify => self.setup.spots.len(),
             Stage::Await(_) | Stage::Ended => return,
         };
-        while self.times.last().is_some_and(|time| *time >= since) {
-            self.times.pop();
-            self.readings.pop();
-            self.unused += 1;
-        }
+        self.drop_readings(since);
         if self.stage == Stage::Verify {
             self.verification = crate::outcome::Verification::default();
         }
@@ -191,6 +187,7 @@ impl Session {
         match (self.stage, purpose) {
             (Stage::Dark(place), Purpose::Dark) => {
                 self.dark_gains.push(gain);
+                self.dark_ns = time_ns;
                 if self.dark_gains.len() >= DARK_READINGS && self.stand.direct_count() >= DIRECT_READINGS {
                     self.begin_probes(place);
                 }
@@ -323,7 +320,7 @@ impl Session {
     }
 
     /// The job of a mirror at a spot, by the present estimate.
-    fn job(&self, mirror: usize, spot: usize) -> Job {
+    pub(super) fn job(&self, mirror: usize, spot: usize) -> Job {
         let led = self.spots[spot].led;
         let quantities = self.quantities((mirror, spot));
         let drift_rad = if self.is_refinement() { super::refinement::DRIFT_RAD } else { 0.0 };
@@ -359,7 +356,7 @@ impl Session {
     }
 
     /// Applies a reading to the grid of its mirror.
-    fn judge(&mut self, mirror: usize, command: [f64; 2], gain: f64) {
+    pub(super) fn judge(&mut self, mirror: usize, command: [f64; 2], gain: f64) {
         let spot = self.spots.len() - 1;
         let (led, quantities) = (self.spots[spot].led, self.quantities((mirror, spot)));
         let (optics, peak) = (&self.optics, self.jobs[mirror].peak);
@@ -413,7 +410,7 @@ impl Session {
     }
 
     /// Searches the present spot, since few mirrors light it.
-    fn begin_search(&mut self, place: usize) {
+    pub(super) fn begin_search(&mut self, place: usize) {
         let spot = self.spots.len() - 1;
         let at = self.quantities((0, spot));
         let mut grid = Grid::normal([at[PLACE], at[PLACE + 1]], [SEARCH_M; 2]);
@@ -491,6 +488,7 @@ impl Session {
         let spot = self.spots.len() - 1;
         self.rejected.push(spot);
         self.readings.retain(|reading| reading.spot != spot);
+        self.times.clear();
         self.jobs.clear();
         self.complete_place(place);
     }

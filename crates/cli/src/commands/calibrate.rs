@@ -170,8 +170,8 @@ fn drive(
                 readings.save(session)?;
             }
         }
-        if room.take_again()? {
-            session.handle_pause();
+        if let Some(confirmed_ns) = room.take_again()? {
+            session.handle_pause(confirmed_ns);
             note("a controller had taken the lead: the calibration has taken it again");
         }
         let now = utc_ns();

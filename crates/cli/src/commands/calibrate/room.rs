@@ -216,17 +216,24 @@ impl LiveRoom {
         self.is_commanding() && lock(&self.commands).commander.superseded_by().is_some()
     }
 
-    /// Takes the lead again from a controller that took it, where `--take-over` allows it; whether it did.
+    /// Until when telemetry has shown the array to follow this process.
+    pub fn confirmed_ns(&self) -> Nanos {
+        lock(&self.commands).commander.confirmed_ns()
+    }
+
+    /// Takes the lead again from a controller that took it, where `--take-over` allows it; if it did, until when
+    /// telemetry had shown the former lead.
     ///
     /// # Errors
     /// As [`take`](Self::take).
-    pub fn take_again(&mut self) -> Result<bool> {
-        let mut taken = Ok(false);
+    pub fn take_again(&mut self) -> Result<Option<Nanos>> {
+        let confirmed_ns = self.confirmed_ns();
+        let mut taken = Ok(None);
         // A controller can take the lead once more before the array follows this process.
         while self.is_commanding() && !self.yields {
             let Some(epoch) = lock(&self.commands).commander.retake() else { break };
             self.release();
-            let led = self.take().map(|()| true);
+            let led = self.take().map(|()| Some(confirmed_ns));
             let is_stopped = lock(&self.commands).commander.is_stopped();
             taken = led.map_err(|error| not_retaken(is_stopped, error, lost_lead(epoch, &self.kept, self.takes_over)));
         }

@@ -114,14 +114,9 @@ impl Session {
         Signal::weakest(&self.optics, std::iter::once((place, [at.x, at.y, spot.height_m])), self.own_noise())
     }
 
-    /// Standard deviation of the receiver's own noise, by the dark readings. Those of a receiver that reports 0 for a
-    /// negative gain show half of the variance.
+    /// Standard deviation of the receiver's own noise, by the dark readings.
     pub(super) fn own_noise(&self) -> f64 {
-        let dark = &self.dark_gains;
-        let is_cut = dark.iter().copied().fold(f64::INFINITY, f64::min) == 0.0;
-        let (level, share) = if is_cut { (0.0, 0.5) } else { (median(dark), 1.0) };
-        let squares: f64 = dark.iter().map(|gain| (gain - level).powi(2)).sum();
-        (squares / (share * dark.len().max(1) as f64)).sqrt()
+        dark_deviation(&self.dark_gains)
     }
 
     /// Chooses single mirrors or groups for the present spot, with the noise of their readings.
@@ -202,11 +197,34 @@ impl Session {
     }
 }
 
+/// Standard deviation of dark readings. A receiver that reports 0 for a negative gain shows its noise only above the
+/// dark level: their median, or 0 where it cuts at least half of the readings off.
+fn dark_deviation(dark: &[f64]) -> f64 {
+    let cut = dark.iter().filter(|gain| **gain == 0.0).count();
+    let level = if 2 * cut >= dark.len() { 0.0 } else { median(dark) };
+    let squares = dark.iter().filter(|gain| cut == 0 || **gain > level).map(|gain| (gain - level).powi(2));
+    let (sum, count) = squares.fold((0.0, 0_u32), |(sum, count), square| (sum + square, count + 1));
+    (sum / f64::from(count.max(1))).sqrt()
+}
+
 #[cfg(test)]
 mod tests {
     use super::super::Stage;
     use super::super::test_room::Room;
     use super::*;
+
+    #[test]
+    fn the_noise_is_found_at_each_dark_level_although_negative_readings_are_cut_off() {
+        // The quantiles of twelve readings of a normal distribution.
+        let upper = [0.105_f64, 0.319, 0.549, 0.812, 1.150, 1.732];
+        for level in [0.0_f64, 0.5, 1.4, 5.0] {
+            let dark: Vec<f64> =
+                upper.iter().flat_map(|of| [level - of, level + of]).map(|gain| gain.max(0.0)).collect();
+            let found = dark_deviation(&dark);
+            assert!((0.9..1.0).contains(&found), "{found} at the level {level}");
+        }
+        assert_eq!([dark_deviation(&[0.0; 6]), dark_deviation(&[])], [0.0; 2]);
+    }
 
     #[test]
     fn weak_light_is_measured_in_groups_and_the_mirrors_are_found() {

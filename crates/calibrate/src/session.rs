@@ -33,6 +33,7 @@ mod groups;
 mod log;
 mod pause;
 pub(crate) mod refinement;
+mod search;
 mod stages;
 #[cfg(test)]
 mod test_room;
@@ -43,7 +44,6 @@ use heliostat_proto::{Capabilities, ChannelReport, Nanos, UserReport};
 use thiserror::Error;
 
 use crate::fit::{Estimate, Reading};
-use crate::grid::Grid;
 use crate::optics::Optics;
 use crate::outcome::{Outcome, Verification};
 use crate::parameters::{Prior, Spot};
@@ -190,8 +190,8 @@ pub struct Session {
     groups: groups::Groups,
     /// Whether the present spot was searched.
     is_located: bool,
-    /// Search of the present spot, and its readings so far.
-    search: Option<(Grid, u32)>,
+    /// Search of the present spot.
+    search: Option<search::Search>,
     estimate: Option<Estimate>,
     /// The place whose readings are complete, until the estimate that follows them.
     complete: Option<usize>,

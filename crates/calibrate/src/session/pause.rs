@@ -114,9 +114,7 @@ mod tests {
         let mut room = Room::new(20.0);
         room.step_until(Session::is_estimate_due);
         let (readings, now) = (room.session.readings.len(), room.now);
-        // As the estimate leaves a session; it would take a test without optimisation too long.
-        room.session.complete = None;
-        room.session.jobs.clear();
+        room.know_offsets();
         room.session.stage = Stage::Await(1);
         room.session.handle_pause(now);
         assert!(!room.session.is_estimate_due() && room.session.readings.len() == readings);

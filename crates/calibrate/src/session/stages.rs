@@ -38,19 +38,6 @@ const TRACKED_MIN_M: f64 = 0.003;
 const FIRST_MIRRORS: usize = 12;
 const FIRST_SHARE: f64 = 0.7;
 
-/// Prior standard deviation in m of a spot that is searched.
-const SEARCH_M: f64 = 0.3;
-
-/// Mirrors by which a spot is searched, and most readings of a search.
-const SEARCH_MIRRORS: usize = 8;
-const SEARCH_MAX: u32 = 60;
-
-/// Standard deviation in m at which a searched spot is found.
-const FOUND_M: f64 = 0.05;
-
-/// Half of the light's extent on the floor plane in m, for the search of a spot.
-const FOOTPRINT_M: [f64; 2] = [0.15, 0.12];
-
 /// Readings of each pattern of the verification.
 const VERIFY_READINGS: usize = 10;
 
@@ -144,13 +131,10 @@ impl Session {
             Stage::Dark(_) => Purpose::Dark,
             Stage::Probe(_) if self.group() > 1 => self.plan_group()?,
             Stage::Probe(_) => self.next_probe().map(|(mirror, command)| Purpose::Probe(mirror, command))?,
-            Stage::Locate(place) => {
-                let Some(purpose) = self.plan_search() else {
-                    self.reject_spot(place);
-                    return None;
-                };
-                purpose
-            }
+            Stage::Locate(place) => self.plan_search().or_else(|| {
+                self.reject_spot(place);
+                None
+            })?,
             Stage::Verify => Purpose::Verify(self.verification.is_calibrated_next()),
         };
         let mut angles = MirrorAngles {
@@ -160,8 +144,11 @@ impl Session {
         match purpose {
             Purpose::Dark => {}
             Purpose::Group(number, pattern) => self.light_group((number, pattern), &mut angles),
-            Purpose::Probe(mirror, command) | Purpose::Locate(mirror, command) => {
-                (angles.roll[mirror], angles.yaw[mirror]) = command.into();
+            Purpose::Probe(mirror, command) => (angles.roll[mirror], angles.yaw[mirror]) = command.into(),
+            Purpose::Locate(target, turn) => {
+                for (mirror, command) in self.search_probes(target, turn) {
+                    (angles.roll[mirror], angles.yaw[mirror]) = command.into();
+                }
             }
             Purpose::Verify(is_calibrated) => {
                 let is_turned = |change: &super::Change| change.turned_deg.is_some();
@@ -199,13 +186,15 @@ impl Session {
             (Stage::Probe(place), Purpose::Group(number, pattern)) => {
                 self.handle_group(time_ns, place, (number, pattern), gain);
             }
-            (Stage::Locate(place), Purpose::Locate(mirror, command)) => {
-                let gain = gain - median(&self.dark_gains);
+            (Stage::Locate(place), Purpose::Locate(target, turn)) => {
+                let (gain, probes) = (gain - median(&self.dark_gains), self.search_probes(target, turn));
                 // The readings of a spot have the same noise, and these are of single mirrors.
-                if self.group() == 1 {
-                    self.keep(time_ns, (mirror, command), gain);
+                if self.group() == 1
+                    && let [probe] = probes[..]
+                {
+                    self.keep(time_ns, probe, gain);
                 }
-                self.handle_search(place, (mirror, command), gain);
+                self.handle_search(place, &probes, gain);
             }
             (Stage::Verify, Purpose::Verify(is_calibrated)) => {
                 self.verification.handle_reading(is_calibrated, gain - median(&self.dark_gains));
@@ -299,7 +288,7 @@ impl Session {
     }
 
     /// New jobs for the present spot. Mirrors that are located at this place already stay so.
-    fn open_jobs(&mut self) {
+    pub(super) fn open_jobs(&mut self) {
         self.groups.clear();
         let spot = self.spots.len() - 1;
         let place = self.places[spot];
@@ -395,7 +384,7 @@ impl Session {
     }
 
     /// The readings of a place are complete: its estimate is due.
-    fn complete_place(&mut self, place: usize) {
+    pub(super) fn complete_place(&mut self, place: usize) {
         self.refresh_spot();
         self.refresh_noise();
         self.complete = Some(place);
@@ -407,89 +396,5 @@ impl Session {
         self.noise.count += count;
         self.noise.position_square += count * self.stand.noise_m().powi(2);
         self.noise.velocity_square += count * self.stand.velocity_noise_m_s().powi(2);
-    }
-
-    /// Searches the present spot, since few mirrors light it.
-    pub(super) fn begin_search(&mut self, place: usize) {
-        let spot = self.spots.len() - 1;
-        let at = self.quantities((0, spot));
-        let mut grid = Grid::normal([at[PLACE], at[PLACE + 1]], [SEARCH_M; 2]);
-        for Reading { mirror, command, gain, .. } in self.readings.iter().filter(|reading| reading.spot == spot) {
-            self.observe_place(&mut grid, (*mirror, *command), *gain, self.spots[spot].noise_gain);
-        }
-        self.search = Some((grid, 0));
-        self.stage = Stage::Locate(place);
-    }
-
-    /// The mirrors by which a spot is searched: those whose offsets are known best.
-    fn search_mirrors(&self) -> Vec<usize> {
-        let spot = self.spots.len() - 1;
-        let mut mirrors: Vec<(f64, usize)> = (0..self.jobs.len())
-            .filter(|mirror| self.jobs[*mirror].state != State::Excluded && self.is_known(*mirror))
-            .map(|mirror| {
-                let [roll, yaw] = self.aim_deviation((mirror, spot));
-                (roll.hypot(yaw), mirror)
-            })
-            .collect();
-        mirrors.sort_by(|a, b| a.0.total_cmp(&b.0));
-        mirrors.into_iter().take(SEARCH_MIRRORS).map(|(_, mirror)| mirror).collect()
-    }
-
-    fn plan_search(&mut self) -> Option<Purpose> {
-        let mirrors = self.search_mirrors();
-        let spot = self.spots.len() - 1;
-        let (grid, count) = self.search.as_ref()?;
-        let mirror = *mirrors.get(*count as usize % mirrors.len().max(1))?;
-        let (target, _) = grid.best_window(FOOTPRINT_M);
-        let mut quantities = self.quantities((mirror, spot));
-        quantities[PLACE..PLACE + 2].copy_from_slice(&target);
-        let aim = self.optics.aim((mirror, self.spots[spot].led), &quantities)?;
-        let command = [0, 1].map(|axis| aim[axis] - quantities[OFFSET + axis]);
-        Some(Purpose::Locate(mirror, self.within(command)))
-    }
-
-    fn observe_place(&self, grid: &mut Grid, (mirror, command): (usize, [f64; 2]), gain: f64, noise_gain: f64) {
-        let spot = self.spots.len() - 1;
-        let (led, quantities) = (self.spots[spot].led, self.quantities((mirror, spot)));
-        let peak = self.jobs[mirror].peak;
-        let noise = (self.spots[spot].noise_relative, noise_gain);
-        grid.observe(gain, peak, |[x, y]| {
-            let mut at = quantities;
-            (at[PLACE], at[PLACE + 1]) = (x, y);
-            let gain = self.optics.mirror_gain((mirror, led), command, &at);
-            // The mirror's own deviation blurs the edge of its light.
-            Expected { gain, deviation: crate::fit::deviation(noise, gain, peak).hypot(0.15 * peak) }
-        });
-    }
-
-    fn handle_search(&mut self, place: usize, probe: (usize, [f64; 2]), gain: f64) {
-        let Some((mut grid, count)) = self.search.take() else { return };
-        let noise_gain = if self.group() > 1 { self.own_noise() } else { self.spots[self.spots.len() - 1].noise_gain };
-        self.observe_place(&mut grid, probe, gain, noise_gain);
-        let (mean, deviation) = grid.moments();
-        if deviation.iter().all(|deviation| *deviation < FOUND_M) {
-            self.is_located = true;
-            if let Some(spot) = self.spots.last_mut() {
-                spot.tracked_m = mean;
-                spot.tracked_deviation_m = FOUND_M;
-            }
-            self.extend_estimate();
-            self.stage = Stage::Probe(place);
-            self.open_jobs();
-        } else if count + 1 >= SEARCH_MAX {
-            self.reject_spot(place);
-        } else {
-            self.search = Some((grid, count + 1));
-        }
-    }
-
-    /// Leaves the present spot without its readings: the receiver is not where the tracker says.
-    fn reject_spot(&mut self, place: usize) {
-        let spot = self.spots.len() - 1;
-        self.rejected.push(spot);
-        self.readings.retain(|reading| reading.spot != spot);
-        self.times.clear();
-        self.jobs.clear();
-        self.complete_place(place);
     }
 }

@@ -13,6 +13,9 @@ use crate::signal::Signal;
 const PLACES_M: [[f64; 2]; 4] = [[-1.2, 0.4], [1.2, 0.4], [0.0, -1.3], [0.6, -0.5]];
 const HEIGHT_M: f64 = 0.85;
 
+/// Standard deviation in rad of an offset that is known.
+const KNOWN_RAD: f64 = 0.002;
+
 /// Time between two reports of each kind.
 pub const PERIOD_NS: Nanos = 50_000_000;
 
@@ -20,7 +23,9 @@ pub const PERIOD_NS: Nanos = 50_000_000;
 pub struct Room {
     pub session: Session,
     at_m: [f64; 2],
-    exact: Quantities,
+    /// How far the tracker reports the receiver from where it is.
+    pub tracker_error_m: [f64; 2],
+    pub exact: Quantities,
     pub offsets: Vec<[f64; 2]>,
     angles: MirrorAngles,
     pub peak: f64,
@@ -55,6 +60,7 @@ impl Room {
         let mut room = Self {
             session,
             at_m,
+            tracker_error_m: [0.0; 2],
             exact: [0.0; QUANTITIES],
             offsets: Vec::new(),
             angles,
@@ -104,7 +110,8 @@ impl Room {
         let [x, y] = self.at_m;
         let at = self.session.optics.array().wall_from_room(&Vec3::new(x, y, 0.0));
         self.exact[PLACE..PLACE + 3].copy_from_slice(&[at.x, at.y, HEIGHT_M]);
-        let position_m = [x as f32, y as f32, HEIGHT_M as f32];
+        let [error_x, error_y] = self.tracker_error_m;
+        let position_m = [x + error_x, y + error_y, HEIGHT_M].map(|coordinate| coordinate as f32);
         let user = UserState { user: 0, position_m, ..UserState::default() };
         self.session.handle_users(&UserReport { stamp, users: vec![user], ..UserReport::default() });
         let all: f64 = (0..64).map(|of| self.light(of, [self.angles.roll[of], self.angles.yaw[of]])).sum();
@@ -117,6 +124,24 @@ impl Room {
         {
             self.angles = angles;
         }
+    }
+
+    /// An estimate with the true offsets, and nothing left of the present spot. The fit itself would take a test
+    /// without optimisation too long.
+    pub fn know_offsets(&mut self) {
+        let session = &mut self.session;
+        session.extend_estimate();
+        if let Some(estimate) = &mut session.estimate {
+            for (mirror, offset) in self.offsets.iter().enumerate() {
+                for (axis, offset) in offset.iter().enumerate() {
+                    let parameter = estimate.layout.offset(mirror, axis);
+                    estimate.values[parameter] = *offset;
+                    estimate.covariance[(parameter, parameter)] = KNOWN_RAD.powi(2);
+                }
+            }
+        }
+        session.complete = None;
+        session.jobs.clear();
     }
 
     /// Steps until the session is so.

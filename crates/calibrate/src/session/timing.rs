@@ -39,8 +39,8 @@ pub enum Purpose {
     Probe(usize, [f64; 2]),
     /// A pattern of a coded group: the group's number and the pattern.
     Group(u32, usize),
-    /// One mirror at these angles, to find the spot.
-    Locate(usize, [f64; 2]),
+    /// Mirrors lit at this place in m, to find the spot: which, by the turn.
+    Locate([f64; 2], u32),
     /// All mirrors at their nominal aims, or at the calibrated ones.
     Verify(bool),
 }

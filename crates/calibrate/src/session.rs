@@ -282,6 +282,13 @@ impl Session {
         }
     }
 
+    /// Where the latest position reports place the receiver: x and y in m, in the room's frame.
+    pub fn receiver_m(&self) -> Option<[f64; 2]> {
+        let [x, y] = self.stand.latest()?;
+        let at = self.optics.array().room_from_wall(&Vec3::new(x, y, 0.0));
+        Some([at.x, at.y])
+    }
+
     /// The result, once the session has ended.
     pub fn outcome(&self) -> Option<&Outcome> {
         self.outcome.as_ref()
@@ -397,7 +404,7 @@ impl Session {
             located: (probed - open, probed),
             readings: self.readings.len(),
             unused: self.unused,
-            remaining_s: self.remaining_readings(open) * self.timing.seconds_per_reading(),
+            remaining_s: self.remaining_readings() * self.timing.seconds_per_reading(),
         }
     }
 

@@ -227,17 +227,27 @@ impl Session {
     }
 
     /// Readings that are still to come.
-    pub(super) fn remaining_readings(&self, open: usize) -> f64 {
+    pub(super) fn remaining_readings(&self) -> f64 {
         let mirrors = self.optics.centres.len() as f64;
         let places = self.setup.spots.len();
-        let is_weak = self.group() > 1 || self.signal().is_some_and(|signal| signal.is_weak());
+        let has_groups = self.spots.iter().any(|spot| spot.group > 1);
+        let is_weak = has_groups || self.signal().is_some_and(|signal| signal.is_weak());
         let usual = |place: usize| EXPECTED_READINGS[usize::from(place > 0 || self.is_refinement())];
         let expected = |place: usize| if is_weak { f64::from(probes::READINGS_MAX) } else { usual(place) };
         let verify = (2 * VERIFY_READINGS + DARK_READINGS) as f64;
         let later = |from: usize| (from..places).map(|place| mirrors * expected(place)).sum::<f64>() + verify;
+        let open = |place: usize| {
+            let jobs = self.jobs.iter().filter(|job| job.state == State::Open);
+            jobs.map(|job| (expected(place) - f64::from(job.readings)).max(1.0)).sum::<f64>()
+        };
         match self.stage {
-            Stage::Await(place) | Stage::Dark(place) => later(place),
-            Stage::Probe(place) | Stage::Locate(place) => open as f64 * 0.6 * expected(place) + later(place + 1),
+            // A place to which the receiver returns keeps the mirrors that were located there.
+            Stage::Await(place) | Stage::Dark(place) if self.jobs.is_empty() || self.places.last() != Some(&place) => {
+                later(place)
+            }
+            Stage::Await(place) | Stage::Dark(place) | Stage::Probe(place) | Stage::Locate(place) => {
+                open(place) + later(place + 1)
+            }
             Stage::Verify => verify,
             Stage::Ended => 0.0,
         }
@@ -396,5 +406,29 @@ impl Session {
         self.noise.count += count;
         self.noise.position_square += count * self.stand.noise_m().powi(2);
         self.noise.velocity_square += count * self.stand.velocity_noise_m_s().powi(2);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::test_room::Room;
+    use super::*;
+
+    #[test]
+    fn the_readings_to_come_fall_with_each_reading_and_a_receiver_that_leaves_keeps_them() {
+        let mut room = Room::new(20.0);
+        room.step_until(|session| matches!(session.stage(), Stage::Probe(_)));
+        let [x, y] = room.session.receiver_m().expect("reports");
+        assert!((x + 1.2).abs() < 1e-3 && (y - 0.4).abs() < 1e-3, "{x} {y}");
+        let mut before = room.session.remaining_readings();
+        for _ in 0..100 {
+            room.step(1.0);
+            let now = room.session.remaining_readings();
+            assert!(now <= before, "{now} after {before}");
+            before = now;
+        }
+        room.session.leave(Nanos::MAX);
+        assert_eq!((room.session.stage(), room.session.remaining_readings()), (Stage::Await(0), before));
+        assert_eq!(room.session.receiver_m(), None);
     }
 }

@@ -68,6 +68,10 @@ pub struct Commander {
     /// Whether telemetry counts for the epoch; not before the first command of a takeover.
     heeds_telemetry: bool,
     superseded: Option<u64>,
+    /// Until when telemetry has shown the array to follow this process.
+    confirmed_ns: Nanos,
+    /// When the last telemetry that showed it arrived.
+    followed_ns: Nanos,
     /// How often the lead was taken again.
     retaken: u32,
     /// Whether nothing is commanded for now, because the room is in use.
@@ -87,6 +91,8 @@ impl Commander {
             followed: guest.announced,
             heeds_telemetry: !guest.takes_over,
             superseded: None,
+            confirmed_ns: 0,
+            followed_ns: 0,
             retaken: 0,
             rests: true,
             stopped: false,
@@ -146,11 +152,17 @@ impl Commander {
         if telemetry.epoch != self.tenure.epoch() {
             return None;
         }
+        // The times of a driver without UTC do not compare with those here.
+        let has_clock = self.guest.validity_clock == ValidityClock::SourceTime;
+        if telemetry.state == ArrayState::Following {
+            // Without its time, it was made after the one before arrived.
+            let before_ns = std::mem::replace(&mut self.followed_ns, now);
+            let at_ns = if has_clock { telemetry.stamp.time_ns.min(now) } else { before_ns };
+            self.confirmed_ns = self.confirmed_ns.max(at_ns);
+        }
         let at = self.sent.iter().position(|(sequence, _)| *sequence == telemetry.applied_sequence)?;
         let (_, sent_ns) = self.sent[at];
         self.sent.drain(..=at);
-        // The times of a driver without UTC do not compare with those here.
-        let has_clock = self.guest.validity_clock == ValidityClock::SourceTime;
         has_clock.then(|| telemetry.applied_ns.saturating_sub(sent_ns))
     }
 
@@ -184,6 +196,11 @@ impl Commander {
     /// The epoch of the controller that took the lead from this process.
     pub fn superseded_by(&self) -> Option<u64> {
         self.superseded
+    }
+
+    /// Until when telemetry has shown the array to follow this process, in its present lead or a former one.
+    pub fn confirmed_ns(&self) -> Nanos {
+        self.confirmed_ns
     }
 
     /// The epoch of the commands.
@@ -220,16 +237,22 @@ impl Commander {
 
 #[cfg(test)]
 mod tests {
+    use heliostat_proto::Stamp;
+
     use super::*;
 
     const MS: Nanos = 1_000_000;
 
     fn guest(takes_over: bool) -> Commander {
+        guest_of(ValidityClock::SourceTime, takes_over)
+    }
+
+    fn guest_of(validity_clock: ValidityClock, takes_over: bool) -> Commander {
         Commander::new(Guest {
             source: 5,
             interval_ns: 10 * MS,
             validity_ms: VALIDITY_MS,
-            validity_clock: ValidityClock::SourceTime,
+            validity_clock,
             takes_over,
             announced: 7000,
             parked: MirrorAngles::flat(1),
@@ -268,6 +291,28 @@ mod tests {
         commander.take();
         let again = (50..100).find_map(|tick| commander.answer(tick * 10 * MS, tick)).expect("a command");
         assert_eq!((again.epoch, again.sequence), (first.epoch, first.sequence + 1));
+    }
+
+    #[test]
+    fn telemetry_confirms_the_lead_until_its_own_time_or_until_the_one_before_arrived() {
+        for (clock, expected) in [(ValidityClock::SourceTime, 597), (ValidityClock::Arrival, 500)] {
+            let mut commander = guest_of(clock, true);
+            commander.take();
+            let command = (0..50).find_map(|tick| commander.answer(tick * 10 * MS, tick)).expect("a command");
+            let shown = |time_ms: Nanos, epoch, state| MirrorTelemetry {
+                stamp: Stamp { time_ns: time_ms * MS, ..Stamp::default() },
+                epoch,
+                state,
+                ..MirrorTelemetry::default()
+            };
+            for at_ms in [500, 600] {
+                let telemetry = shown(at_ms - 3, command.epoch, ArrayState::Following);
+                commander.handle_telemetry(at_ms * MS, &telemetry);
+            }
+            commander.handle_telemetry(700 * MS, &shown(697, command.epoch, ArrayState::Holding));
+            commander.handle_telemetry(800 * MS, &shown(797, command.epoch + 1, ArrayState::Following));
+            assert_eq!(commander.confirmed_ns(), expected * MS, "{clock:?}");
+        }
     }
 
     #[test]

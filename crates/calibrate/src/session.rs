@@ -31,8 +31,12 @@
 mod fitting;
 mod groups;
 mod log;
+mod pause;
 pub(crate) mod refinement;
+mod search;
 mod stages;
+#[cfg(test)]
+mod test_room;
 mod timing;
 
 use heliostat_channel::{ChannelModel, MirrorAngles, Vec3};
@@ -40,7 +44,6 @@ use heliostat_proto::{Capabilities, ChannelReport, Nanos, UserReport};
 use thiserror::Error;
 
 use crate::fit::{Estimate, Reading};
-use crate::grid::Grid;
 use crate::optics::Optics;
 use crate::outcome::{Outcome, Verification};
 use crate::parameters::{Prior, Spot};
@@ -173,6 +176,8 @@ pub struct Session {
     /// Angles that are dark for the receiver at its present place.
     dark_angles: Vec<[f64; 2]>,
     dark_gains: Vec<f64>,
+    /// Time of the last of them.
+    dark_ns: Nanos,
     /// Spots at which the receiver has stood; several can belong to one place of the setup.
     spots: Vec<Spot>,
     /// The place of the setup of each spot.
@@ -185,8 +190,8 @@ pub struct Session {
     groups: groups::Groups,
     /// Whether the present spot was searched.
     is_located: bool,
-    /// Search of the present spot, and its readings so far.
-    search: Option<(Grid, u32)>,
+    /// Search of the present spot.
+    search: Option<search::Search>,
     estimate: Option<Estimate>,
     /// The place whose readings are complete, until the estimate that follows them.
     complete: Option<usize>,
@@ -237,6 +242,7 @@ impl Session {
             stand: Stand::default(),
             dark_angles: Vec::new(),
             dark_gains: Vec::new(),
+            dark_ns: 0,
             spots: Vec::new(),
             places: Vec::new(),
             readings: Vec::new(),
@@ -274,6 +280,13 @@ impl Session {
             Stage::Verify => Some(self.setup.verify),
             Stage::Ended => None,
         }
+    }
+
+    /// Where the latest position reports place the receiver: x and y in m, in the room's frame.
+    pub fn receiver_m(&self) -> Option<[f64; 2]> {
+        let [x, y] = self.stand.latest()?;
+        let at = self.optics.array().room_from_wall(&Vec3::new(x, y, 0.0));
+        Some([at.x, at.y])
     }
 
     /// The result, once the session has ended.
@@ -346,13 +359,6 @@ impl Session {
         self.timing.handle_delay(delay_ns);
     }
 
-    /// The array follows another sender for some time: no report measures an earlier command, and none is
-    /// to be passed until the array follows this session again.
-    pub fn handle_pause(&mut self) {
-        self.timing.forget_sent();
-        self.drop_pending();
-    }
-
     /// No mirror awaits a reading.
     fn drop_pending(&mut self) {
         self.groups.clear();
@@ -398,7 +404,7 @@ impl Session {
             located: (probed - open, probed),
             readings: self.readings.len(),
             unused: self.unused,
-            remaining_s: self.remaining_readings(open) * self.timing.seconds_per_reading(),
+            remaining_s: self.remaining_readings() * self.timing.seconds_per_reading(),
         }
     }
 

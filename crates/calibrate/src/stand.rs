@@ -122,6 +122,12 @@ impl Stand {
         self.sum.map(|sum| sum / self.count.max(1.0))
     }
 
+    /// Mean of the latest positions in m, whether or not it stands; `None` before the first.
+    pub fn latest(&self) -> Option<[f64; 2]> {
+        let from = self.recent.len().saturating_sub(LEAVING);
+        (!self.recent.is_empty()).then(|| mean(self.recent.iter().skip(from)))
+    }
+
     /// Number of positions of the mean.
     pub fn count(&self) -> f64 {
         self.count

@@ -30,7 +30,7 @@ const DEVIATIONS: f64 = 4.0;
 const VALUE_CHARACTERS: usize = 60;
 
 /// A key in which two geometries differ.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct GeometryDifference {
     /// `table.key`.
     pub key: String,
@@ -38,8 +38,15 @@ pub struct GeometryDifference {
     pub here: String,
     /// Its value in the other one.
     pub there: String,
+    /// Size of the difference in standard deviations of a rough installation, where a calibration measures the key.
+    pub deviations: Option<f64>,
+}
+
+impl GeometryDifference {
     /// Whether a calibration measures the key, and can find a difference of this size.
-    pub is_measured: bool,
+    fn is_measured(&self) -> bool {
+        self.deviations.is_some_and(|deviations| deviations <= DEVIATIONS)
+    }
 }
 
 /// How the geometry that a room announces differs from that of a controller, in words. The text can hold characters of
@@ -83,18 +90,22 @@ impl Scenario {
             return None;
         }
         let cut = |text: &str| text.chars().take(VALUE_CHARACTERS).collect::<String>();
-        if let Some(GeometryDifference { key, here, there, .. }) = differences.iter().find(|one| !one.is_measured) {
+        let values = |GeometryDifference { key, here, there, .. }: &GeometryDifference| {
+            format!("{key} is {} in the room and {} in {controller}", cut(there), cut(here))
+        };
+        if let Some(fault) = differences.iter().find(|one| !one.is_measured()) {
             return Some(RoomDifference::Problem(format!(
-                "room and controller differ: {key} is {} in the room and {} in {controller}; start both with the same \
-                 --scenario and --set",
-                cut(there),
-                cut(here)
+                "room and controller differ: {}; start both with the same --scenario and --set",
+                values(fault)
             )));
         }
         let keys: Vec<&str> = differences.iter().map(|one| one.key.as_str()).collect();
+        let size = |one: &GeometryDifference| one.deviations.unwrap_or_default();
+        let largest = differences.iter().max_by(|a, b| size(a).total_cmp(&size(b)))?;
         Some(RoomDifference::Measured(format!(
-            "{controller} differs from the room only in what heliostat calibrate measures: {}",
-            keys.join(", ")
+            "{controller} differs from the room only in what heliostat calibrate measures: {}. Most: {}",
+            keys.join(", "),
+            values(largest)
         )))
     }
 
@@ -108,7 +119,7 @@ impl Scenario {
         let arrays = [self, other].map(|scenario| scenario.mirrors.arrays().len());
         if arrays[0] != arrays[1] {
             let [here, there] = arrays.map(|count| count.to_string());
-            return vec![GeometryDifference { key: "number of mirror arrays".into(), here, there, is_measured: false }];
+            return vec![GeometryDifference { key: "number of mirror arrays".into(), here, there, deviations: None }];
         }
         let table = |scenario: &Self| {
             Table::try_from(Geometry::of(scenario)).expect("every table of a scenario has a TOML form")
@@ -144,7 +155,7 @@ fn table_differences(table: &str, path: &str, here: &Table, there: &Table) -> Ve
             key: format!("{path}.{key}"),
             here: in_words(here),
             there: in_words(there),
-            is_measured: here.zip(there).is_some_and(|(here, there)| is_measured(table, key, here, there)),
+            deviations: here.zip(there).and_then(|(here, there)| deviations(table, key, here, there)),
         }
     };
     differing.map(difference).collect()
@@ -159,21 +170,24 @@ fn in_words(value: Option<&Value>) -> String {
     }
 }
 
-/// Whether a calibration measures a key, and can find these values in place of each other.
-fn is_measured(table: &str, key: &str, here: &Value, there: &Value) -> bool {
-    let measured = MEASURED.iter().find(|(of, name, _)| *of == table && *name == key);
+/// The largest difference of two values, or of lists of them, in standard deviations; `None` where no calibration
+/// measures the key.
+fn deviations(table: &str, key: &str, here: &Value, there: &Value) -> Option<f64> {
+    let (_, _, spread) = MEASURED.iter().find(|(of, name, _)| *of == table && *name == key)?;
     let spreads = Mismatch { level: MismatchLevel::Rough, ..Mismatch::default() }.spreads();
-    measured.is_some_and(|(_, _, spread)| are_near(here, there, &|value| DEVIATIONS * spread(&spreads, value)))
+    largest_ratio(here, there, &|value| spread(&spreads, value))
 }
 
-/// Whether numbers, or lists of them, differ by at most what is allowed at their magnitude.
-fn are_near(here: &Value, there: &Value, allowed: &dyn Fn(f64) -> f64) -> bool {
+/// The largest difference of two numbers, or of lists of them, as a multiple of the spread at their magnitude.
+fn largest_ratio(here: &Value, there: &Value, spread: &dyn Fn(f64) -> f64) -> Option<f64> {
     match (here, there) {
-        (Value::Float(here), Value::Float(there)) => (here - there).abs() <= allowed(here.abs().max(there.abs())),
-        (Value::Array(here), Value::Array(there)) => {
-            here.len() == there.len() && here.iter().zip(there).all(|(here, there)| are_near(here, there, allowed))
-        }
-        _ => false,
+        (Value::Float(here), Value::Float(there)) if here == there => Some(0.0),
+        (Value::Float(here), Value::Float(there)) => Some((here - there).abs() / spread(here.abs().max(there.abs()))),
+        (Value::Array(here), Value::Array(there)) if here.len() == there.len() => here
+            .iter()
+            .zip(there)
+            .try_fold(0.0, |largest: f64, (here, there)| Some(largest.max(largest_ratio(here, there, spread)?))),
+        _ => None,
     }
 }
 

@@ -81,18 +81,14 @@ fn the_first_differing_key_of_two_geometries_is_named_with_both_values() {
         room.geometry_difference(&with(&["users.count=3", "seed=4", "name=other", "blockage.forced_users=2"])),
         None
     );
-    let difference = |key: &str, here: &str, there: &str| {
-        Some(GeometryDifference { key: key.into(), here: here.into(), there: there.into(), is_measured: false })
+    let difference = |key: &str, here: &str, there: &str| Some([key, here, there].map(String::from));
+    let found = |other: &[&str]| {
+        let GeometryDifference { key, here, there, .. } = room.geometry_difference(&with(other))?;
+        Some([key, here, there])
     };
-    assert_eq!(
-        room.geometry_difference(&with(&["mirrors.rows=8", "room.height_m=3.5"])),
-        difference("room.height_m", "3.0", "3.5")
-    );
-    assert_eq!(room.geometry_difference(&with(&["mirrors.rows=8"])), difference("mirrors.rows", "10", "8"));
-    assert_eq!(
-        room.geometry_difference(&with(&["noise.variance_a2=6.5e-15"])),
-        difference("noise.variance_a2", "none", "6.5e-15")
-    );
+    assert_eq!(found(&["mirrors.rows=8", "room.height_m=3.5"]), difference("room.height_m", "3.0", "3.5"));
+    assert_eq!(found(&["mirrors.rows=8"]), difference("mirrors.rows", "10", "8"));
+    assert_eq!(found(&["noise.variance_a2=6.5e-15"]), difference("noise.variance_a2", "none", "6.5e-15"));
 }
 
 #[test]
@@ -104,9 +100,17 @@ fn only_differences_that_a_calibration_measures_and_can_find_are_no_fault() {
         of(&["room.height_m=3.02", "mirrors.reflectivity=0.93", "led.half_power_semi_angle_deg=63"]),
         Some(RoomDifference::Measured(
             "this controller differs from the room only in what heliostat calibrate measures: room.height_m, \
-             led.half_power_semi_angle_deg, mirrors.reflectivity"
+             led.half_power_semi_angle_deg, mirrors.reflectivity. Most: led.half_power_semi_angle_deg is 60.0 in the \
+             room and 63.0 in this controller"
                 .into()
         ))
+    );
+    let Some(RoomDifference::Measured(wide)) = of(&["room.height_m=3.02", "led.half_power_semi_angle_deg=41"]) else {
+        panic!("a calibration can find it")
+    };
+    assert!(
+        wide.ends_with("Most: led.half_power_semi_angle_deg is 60.0 in the room and 41.0 in this controller"),
+        "{wide}"
     );
     for (overrides, key) in [
         (&["room.height_m=3.5"][..], "room.height_m"),

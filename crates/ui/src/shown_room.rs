@@ -243,7 +243,8 @@ mod tests {
         let chooser = RoomChooser::new(None).expect("the default is valid");
         let of_controllers = text(&["room.height_m=3.02"]).map(|text| ("c1".to_owned(), text)).into_iter().collect();
         let announcements = Announcements { sim_node: text(&[]), of_controllers, ..Announcements::default() };
-        let remark = "the controller c1 differs from the room only in what heliostat calibrate measures: room.height_m";
+        let remark = "the controller c1 differs from the room only in what heliostat calibrate measures: \
+                      room.height_m. Most: room.height_m is 3.0 in the room and 3.02 in the controller c1";
         let expected = Findings { notes: Vec::new(), remarks: vec![remark.to_owned()] };
         assert_eq!(chooser.choose(announcements).1, expected);
     }

@@ -114,14 +114,9 @@ impl Session {
         Signal::weakest(&self.optics, std::iter::once((place, [at.x, at.y, spot.height_m])), self.own_noise())
     }
 
-    /// Standard deviation of the receiver's own noise, by the dark readings. Those of a receiver that reports 0 for a
-    /// negative gain show half of the variance.
+    /// Standard deviation of the receiver's own noise, by the dark readings.
     pub(super) fn own_noise(&self) -> f64 {
-        let dark = &self.dark_gains;
-        let is_cut = dark.iter().copied().fold(f64::INFINITY, f64::min) == 0.0;
-        let (level, share) = if is_cut { (0.0, 0.5) } else { (median(dark), 1.0) };
-        let squares: f64 = dark.iter().map(|gain| (gain - level).powi(2)).sum();
-        (squares / (share * dark.len().max(1) as f64)).sqrt()
+        dark_deviation(&self.dark_gains)
     }
 
     /// Chooses single mirrors or groups for the present spot, with the noise of their readings.
@@ -202,135 +197,33 @@ impl Session {
     }
 }
 
+/// Standard deviation of dark readings. A receiver that reports 0 for a negative gain shows its noise only above the
+/// dark level: their median, or 0 where it cuts at least half of the readings off.
+fn dark_deviation(dark: &[f64]) -> f64 {
+    let cut = dark.iter().filter(|gain| **gain == 0.0).count();
+    let level = if 2 * cut >= dark.len() { 0.0 } else { median(dark) };
+    let squares = dark.iter().filter(|gain| cut == 0 || **gain > level).map(|gain| (gain - level).powi(2));
+    let (sum, count) = squares.fold((0.0, 0_u32), |(sum, count), square| (sum + square, count + 1));
+    (sum / f64::from(count.max(1))).sqrt()
+}
+
 #[cfg(test)]
 mod tests {
-    use heliostat_proto::{AxisLimits, Capabilities, ChannelReport, Stamp, UserChannel, UserReport, UserState};
-    use heliostat_scenario::{MismatchLevel, Scenario};
-
-    use super::super::{Place, Setup, Stage};
+    use super::super::Stage;
+    use super::super::test_room::Room;
     use super::*;
-    use crate::optics::{PLACE, QUANTITIES, Quantities};
-    use crate::parameters::Prior;
 
-    /// The spots and the place of the verification.
-    const PLACES_M: [[f64; 2]; 4] = [[-1.2, 0.4], [1.2, 0.4], [0.0, -1.3], [0.6, -0.5]];
-    const HEIGHT_M: f64 = 0.85;
-    const PERIOD_NS: Nanos = 50_000_000;
-
-    /// A room of 8 x 8 mirrors with random offsets, whose receiver is at once where it shall be.
-    struct Room {
-        session: Session,
-        at_m: [f64; 2],
-        exact: Quantities,
-        offsets: Vec<[f64; 2]>,
-        angles: MirrorAngles,
-        peak: f64,
-        noise_gain: f64,
-        now: Nanos,
-        random: u64,
-    }
-
-    impl Room {
-        /// `ratio`: of the light of the median mirror to the receiver's own noise.
-        fn new(ratio: f64) -> Self {
-            let size = ["mirrors.rows=8", "mirrors.columns=8"].map(String::from);
-            let scenario = Scenario::builtin("hall").expect("a scenario").with_overrides(&size).expect("valid");
-            let [spots @ .., verify] = PLACES_M.map(|at| Place { floor_m: Some(at), height_m: HEIGHT_M });
-            let axis = AxisLimits { min_rad: -1.0, max_rad: 1.0, ..AxisLimits::default() };
-            let setup = Setup {
-                model: scenario.channel_model().expect("a model"),
-                array: 0,
-                capabilities: Capabilities { rows: 8, columns: 8, roll: axis, yaw: axis, ..Capabilities::default() },
-                prior: Prior::of_level(MismatchLevel::Rough),
-                spots: spots.to_vec(),
-                verify,
-                user: None,
-                unusable: Vec::new(),
-            };
-            let session = Session::new(setup).expect("a session");
-            let at_m = PLACES_M[0];
-            let place = std::iter::once((0, [at_m[0], at_m[1], HEIGHT_M]));
-            let peak = Signal::weakest(&session.optics, place, 1.0).expect("light").gain;
-            let angles = MirrorAngles { roll: vec![0.0; 64], yaw: vec![0.0; 64] };
-            let noise_gain = peak / ratio;
-            let mut room = Self {
-                session,
-                at_m,
-                exact: [0.0; QUANTITIES],
-                offsets: Vec::new(),
-                angles,
-                peak,
-                noise_gain,
-                now: 0,
-                random: 20_261_126,
-            };
-            room.offsets = (0..64).map(|_| [0.6, 0.6].map(|deg: f64| deg.to_radians() * room.normal())).collect();
-            room
+    #[test]
+    fn the_noise_is_found_at_each_dark_level_although_negative_readings_are_cut_off() {
+        // The quantiles of twelve readings of a normal distribution.
+        let upper = [0.105_f64, 0.319, 0.549, 0.812, 1.150, 1.732];
+        for level in [0.0_f64, 0.5, 1.4, 5.0] {
+            let dark: Vec<f64> =
+                upper.iter().flat_map(|of| [level - of, level + of]).map(|gain| gain.max(0.0)).collect();
+            let found = dark_deviation(&dark);
+            assert!((0.9..1.0).contains(&found), "{found} at the level {level}");
         }
-
-        /// A sum of twelve uniform numbers, which is nearly normal.
-        fn normal(&mut self) -> f64 {
-            let mut uniform = || {
-                self.random =
-                    self.random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-                (self.random >> 11) as f64 / (1_u64 << 53) as f64
-            };
-            (0..12).map(|_| uniform()).sum::<f64>() - 6.0
-        }
-
-        /// The reading of a gain.
-        fn measured(&mut self, gain: f64, own: f64) -> f32 {
-            (gain * (1.0 + 0.05 * self.normal()) + own * self.normal()).max(0.0) as f32
-        }
-
-        /// The light of a mirror without noise.
-        fn light(&self, mirror: usize, command: [f64; 2]) -> f64 {
-            let turned = [0, 1].map(|axis| command[axis] + self.offsets[mirror][axis]);
-            self.session.optics.mirror_gain((mirror, 0), turned, &self.exact)
-        }
-
-        /// Mirrors that light the receiver's place, as far as they are turned to it.
-        fn turned(&self) -> usize {
-            let away = |mirror: &usize| self.session.dark_angles.get(*mirror).map_or(0.0, |angles| angles[0]);
-            (0..64).filter(|mirror| (self.angles.roll[*mirror] - away(mirror)).abs() > 1e-6).count()
-        }
-
-        /// One report of each kind. `direct`: share of the direct light that arrives.
-        fn step(&mut self, direct: f64) {
-            self.now += PERIOD_NS;
-            let stamp = Stamp { time_ns: self.now, ..Stamp::default() };
-            if let (Stage::Await(_), Some(Place { floor_m: Some(at_m), .. })) =
-                (self.session.stage(), self.session.place())
-            {
-                self.at_m = at_m;
-            }
-            let [x, y] = self.at_m;
-            let at = self.session.optics.array().wall_from_room(&Vec3::new(x, y, 0.0));
-            self.exact[PLACE..PLACE + 3].copy_from_slice(&[at.x, at.y, HEIGHT_M]);
-            let position_m = [x as f32, y as f32, HEIGHT_M as f32];
-            let user = UserState { user: 0, position_m, ..UserState::default() };
-            self.session.handle_users(&UserReport { stamp, users: vec![user], ..UserReport::default() });
-            let all: f64 = (0..64).map(|of| self.light(of, [self.angles.roll[of], self.angles.yaw[of]])).sum();
-            let irs_gain = self.measured(all, self.noise_gain);
-            let los_gain = self.measured(direct * self.session.optics.direct_gain(0, &self.exact), 0.0);
-            let user = UserChannel { user: 0, los_gain, irs_gain, ..UserChannel::default() };
-            self.session.handle_channel(&ChannelReport { stamp, users: vec![user], ..ChannelReport::default() });
-            if !self.session.is_estimate_due()
-                && let Some(angles) = self.session.next_command(self.now)
-            {
-                self.angles = angles;
-            }
-        }
-
-        fn step_until(&mut self, is_over: impl Fn(&Session) -> bool) {
-            for _ in 0..5000 {
-                if is_over(&self.session) {
-                    return;
-                }
-                self.step(1.0);
-            }
-            panic!("no end: {:?}", self.session.progress());
-        }
+        assert_eq!([dark_deviation(&[0.0; 6]), dark_deviation(&[])], [0.0; 2]);
     }
 
     #[test]

@@ -1,10 +1,11 @@
 //! What a session can continue from after an interruption.
 
+use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
 use super::{Session, SetupError, Stage};
-use crate::fit::Reading;
-use crate::parameters::Spot;
+use crate::fit::{Estimate, Reading};
+use crate::parameters::{Layout, Spot};
 
 /// The spots and readings of a session.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -23,6 +24,9 @@ pub struct Log {
     /// How many of the spots are of the calibration that a refinement started from; 0 without one.
     #[serde(default)]
     pub former: usize,
+    /// Values of the estimate so far, of all its parameters; empty before the first.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub estimate: Vec<f64>,
 }
 
 impl Session {
@@ -40,6 +44,7 @@ impl Session {
             places: self.places.clone(),
             readings: self.readings.clone(),
             former: self.former_spots(),
+            estimate: self.estimate.as_ref().map(|estimate| finite(&estimate.values)).unwrap_or_default(),
         }
     }
 
@@ -49,17 +54,33 @@ impl Session {
     ///
     /// # Errors
     /// [`SetupError::OtherLog`].
-    pub fn resume(&mut self, log: Log) -> Result<(), SetupError> {
+    pub fn resume(&mut self, mut log: Log) -> Result<(), SetupError> {
         if !self.is_refined_in(&log) {
             return Err(SetupError::OtherFormer);
         }
         let complete = log.complete.min(self.setup.spots.len());
+        let values = std::mem::take(&mut log.estimate);
         self.take(log)?;
         if !self.readings.is_empty() {
+            self.start_from(values);
             self.fit();
         }
         self.go_to(complete);
         Ok(())
+    }
+
+    /// The next fit starts from these values, as in the session that was interrupted. A refinement starts from the
+    /// former calibration, and values of other parameters are not used.
+    fn start_from(&mut self, values: Vec<f64>) {
+        let (mirrors, leds) = (self.optics.centres.len(), self.optics.leds.len());
+        let has_scales = self.setup.prior.scale > 0.0;
+        let mut layouts = (1..=self.spots.len()).map(|spots| Layout::new(mirrors, leds, spots, has_scales));
+        let Some(layout) = layouts.find(|layout| layout.len() == values.len()) else { return };
+        if !self.is_refinement() {
+            // The fit gives the covariance.
+            let covariance = DMatrix::identity(values.len(), values.len());
+            self.estimate = Some(self.extended(Some(&Estimate { layout, values, covariance, residuals: Vec::new() })));
+        }
     }
 
     /// Takes the spots and readings of a log.
@@ -78,9 +99,33 @@ impl Session {
     }
 }
 
+/// The values, or none if one has no form in a file.
+fn finite(values: &[f64]) -> Vec<f64> {
+    if values.iter().all(|value| value.is_finite()) { values.to_vec() } else { Vec::new() }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::Spot;
+    use super::super::test_room::Room;
+    use super::*;
+    use crate::optics::OFFSET;
+
+    #[test]
+    fn a_session_that_is_continued_starts_its_fit_at_the_estimate_of_the_interrupted_one() {
+        let mut room = Room::new(20.0);
+        room.step_until(|session| session.readings().len() > 5);
+        room.know_offsets();
+        let log = room.session.log();
+        let mut continued = Room::new(20.0).session;
+        continued.take(log.clone()).expect("of the same array");
+        continued.start_from(vec![1.0; 3]);
+        assert!(continued.estimate.is_none(), "values of other parameters");
+        continued.start_from(log.estimate);
+        for (mirror, offset) in room.offsets.iter().enumerate() {
+            assert_eq!(continued.quantities((mirror, 0))[OFFSET..OFFSET + 2], *offset, "mirror {mirror}");
+        }
+        assert_eq!([finite(&[1.0, f64::NAN]), finite(&[1.0])], [vec![], vec![1.0]]);
+    }
 
     #[test]
     fn a_spot_of_single_mirrors_is_written_and_read_without_a_group() {

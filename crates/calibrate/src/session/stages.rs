@@ -38,19 +38,6 @@ const TRACKED_MIN_M: f64 = 0.003;
 const FIRST_MIRRORS: usize = 12;
 const FIRST_SHARE: f64 = 0.7;
 
-/// Prior standard deviation in m of a spot that is searched.
-const SEARCH_M: f64 = 0.3;
-
-/// Mirrors by which a spot is searched, and most readings of a search.
-const SEARCH_MIRRORS: usize = 8;
-const SEARCH_MAX: u32 = 60;
-
-/// Standard deviation in m at which a searched spot is found.
-const FOUND_M: f64 = 0.05;
-
-/// Half of the light's extent on the floor plane in m, for the search of a spot.
-const FOOTPRINT_M: [f64; 2] = [0.15, 0.12];
-
 /// Readings of each pattern of the verification.
 const VERIFY_READINGS: usize = 10;
 
@@ -127,11 +114,7 @@ impl Session {
             Stage::Verify => self.setup.spots.len(),
             Stage::Await(_) | Stage::Ended => return,
         };
-        while self.times.last().is_some_and(|time| *time >= since) {
-            self.times.pop();
-            self.readings.pop();
-            self.unused += 1;
-        }
+        self.drop_readings(since);
         if self.stage == Stage::Verify {
             self.verification = crate::outcome::Verification::default();
         }
@@ -148,13 +131,10 @@ impl Session {
             Stage::Dark(_) => Purpose::Dark,
             Stage::Probe(_) if self.group() > 1 => self.plan_group()?,
             Stage::Probe(_) => self.next_probe().map(|(mirror, command)| Purpose::Probe(mirror, command))?,
-            Stage::Locate(place) => {
-                let Some(purpose) = self.plan_search() else {
-                    self.reject_spot(place);
-                    return None;
-                };
-                purpose
-            }
+            Stage::Locate(place) => self.plan_search().or_else(|| {
+                self.reject_spot(place);
+                None
+            })?,
             Stage::Verify => Purpose::Verify(self.verification.is_calibrated_next()),
         };
         let mut angles = MirrorAngles {
@@ -164,8 +144,11 @@ impl Session {
         match purpose {
             Purpose::Dark => {}
             Purpose::Group(number, pattern) => self.light_group((number, pattern), &mut angles),
-            Purpose::Probe(mirror, command) | Purpose::Locate(mirror, command) => {
-                (angles.roll[mirror], angles.yaw[mirror]) = command.into();
+            Purpose::Probe(mirror, command) => (angles.roll[mirror], angles.yaw[mirror]) = command.into(),
+            Purpose::Locate(target, turn) => {
+                for (mirror, command) in self.search_probes(target, turn) {
+                    (angles.roll[mirror], angles.yaw[mirror]) = command.into();
+                }
             }
             Purpose::Verify(is_calibrated) => {
                 let is_turned = |change: &super::Change| change.turned_deg.is_some();
@@ -191,6 +174,7 @@ impl Session {
         match (self.stage, purpose) {
             (Stage::Dark(place), Purpose::Dark) => {
                 self.dark_gains.push(gain);
+                self.dark_ns = time_ns;
                 if self.dark_gains.len() >= DARK_READINGS && self.stand.direct_count() >= DIRECT_READINGS {
                     self.begin_probes(place);
                 }
@@ -202,13 +186,15 @@ impl Session {
             (Stage::Probe(place), Purpose::Group(number, pattern)) => {
                 self.handle_group(time_ns, place, (number, pattern), gain);
             }
-            (Stage::Locate(place), Purpose::Locate(mirror, command)) => {
-                let gain = gain - median(&self.dark_gains);
+            (Stage::Locate(place), Purpose::Locate(target, turn)) => {
+                let (gain, probes) = (gain - median(&self.dark_gains), self.search_probes(target, turn));
                 // The readings of a spot have the same noise, and these are of single mirrors.
-                if self.group() == 1 {
-                    self.keep(time_ns, (mirror, command), gain);
+                if self.group() == 1
+                    && let [probe] = probes[..]
+                {
+                    self.keep(time_ns, probe, gain);
                 }
-                self.handle_search(place, (mirror, command), gain);
+                self.handle_search(place, &probes, gain);
             }
             (Stage::Verify, Purpose::Verify(is_calibrated)) => {
                 self.verification.handle_reading(is_calibrated, gain - median(&self.dark_gains));
@@ -241,17 +227,27 @@ impl Session {
     }
 
     /// Readings that are still to come.
-    pub(super) fn remaining_readings(&self, open: usize) -> f64 {
+    pub(super) fn remaining_readings(&self) -> f64 {
         let mirrors = self.optics.centres.len() as f64;
         let places = self.setup.spots.len();
-        let is_weak = self.group() > 1 || self.signal().is_some_and(|signal| signal.is_weak());
+        let has_groups = self.spots.iter().any(|spot| spot.group > 1);
+        let is_weak = has_groups || self.signal().is_some_and(|signal| signal.is_weak());
         let usual = |place: usize| EXPECTED_READINGS[usize::from(place > 0 || self.is_refinement())];
         let expected = |place: usize| if is_weak { f64::from(probes::READINGS_MAX) } else { usual(place) };
         let verify = (2 * VERIFY_READINGS + DARK_READINGS) as f64;
         let later = |from: usize| (from..places).map(|place| mirrors * expected(place)).sum::<f64>() + verify;
+        let open = |place: usize| {
+            let jobs = self.jobs.iter().filter(|job| job.state == State::Open);
+            jobs.map(|job| (expected(place) - f64::from(job.readings)).max(1.0)).sum::<f64>()
+        };
         match self.stage {
-            Stage::Await(place) | Stage::Dark(place) => later(place),
-            Stage::Probe(place) | Stage::Locate(place) => open as f64 * 0.6 * expected(place) + later(place + 1),
+            // A place to which the receiver returns keeps the mirrors that were located there.
+            Stage::Await(place) | Stage::Dark(place) if self.jobs.is_empty() || self.places.last() != Some(&place) => {
+                later(place)
+            }
+            Stage::Await(place) | Stage::Dark(place) | Stage::Probe(place) | Stage::Locate(place) => {
+                open(place) + later(place + 1)
+            }
             Stage::Verify => verify,
             Stage::Ended => 0.0,
         }
@@ -302,7 +298,7 @@ impl Session {
     }
 
     /// New jobs for the present spot. Mirrors that are located at this place already stay so.
-    fn open_jobs(&mut self) {
+    pub(super) fn open_jobs(&mut self) {
         self.groups.clear();
         let spot = self.spots.len() - 1;
         let place = self.places[spot];
@@ -323,7 +319,7 @@ impl Session {
     }
 
     /// The job of a mirror at a spot, by the present estimate.
-    fn job(&self, mirror: usize, spot: usize) -> Job {
+    pub(super) fn job(&self, mirror: usize, spot: usize) -> Job {
         let led = self.spots[spot].led;
         let quantities = self.quantities((mirror, spot));
         let drift_rad = if self.is_refinement() { super::refinement::DRIFT_RAD } else { 0.0 };
@@ -359,7 +355,7 @@ impl Session {
     }
 
     /// Applies a reading to the grid of its mirror.
-    fn judge(&mut self, mirror: usize, command: [f64; 2], gain: f64) {
+    pub(super) fn judge(&mut self, mirror: usize, command: [f64; 2], gain: f64) {
         let spot = self.spots.len() - 1;
         let (led, quantities) = (self.spots[spot].led, self.quantities((mirror, spot)));
         let (optics, peak) = (&self.optics, self.jobs[mirror].peak);
@@ -398,7 +394,7 @@ impl Session {
     }
 
     /// The readings of a place are complete: its estimate is due.
-    fn complete_place(&mut self, place: usize) {
+    pub(super) fn complete_place(&mut self, place: usize) {
         self.refresh_spot();
         self.refresh_noise();
         self.complete = Some(place);
@@ -411,87 +407,28 @@ impl Session {
         self.noise.position_square += count * self.stand.noise_m().powi(2);
         self.noise.velocity_square += count * self.stand.velocity_noise_m_s().powi(2);
     }
+}
 
-    /// Searches the present spot, since few mirrors light it.
-    fn begin_search(&mut self, place: usize) {
-        let spot = self.spots.len() - 1;
-        let at = self.quantities((0, spot));
-        let mut grid = Grid::normal([at[PLACE], at[PLACE + 1]], [SEARCH_M; 2]);
-        for Reading { mirror, command, gain, .. } in self.readings.iter().filter(|reading| reading.spot == spot) {
-            self.observe_place(&mut grid, (*mirror, *command), *gain, self.spots[spot].noise_gain);
+#[cfg(test)]
+mod tests {
+    use super::super::test_room::Room;
+    use super::*;
+
+    #[test]
+    fn the_readings_to_come_fall_with_each_reading_and_a_receiver_that_leaves_keeps_them() {
+        let mut room = Room::new(20.0);
+        room.step_until(|session| matches!(session.stage(), Stage::Probe(_)));
+        let [x, y] = room.session.receiver_m().expect("reports");
+        assert!((x + 1.2).abs() < 1e-3 && (y - 0.4).abs() < 1e-3, "{x} {y}");
+        let mut before = room.session.remaining_readings();
+        for _ in 0..100 {
+            room.step(1.0);
+            let now = room.session.remaining_readings();
+            assert!(now <= before, "{now} after {before}");
+            before = now;
         }
-        self.search = Some((grid, 0));
-        self.stage = Stage::Locate(place);
-    }
-
-    /// The mirrors by which a spot is searched: those whose offsets are known best.
-    fn search_mirrors(&self) -> Vec<usize> {
-        let spot = self.spots.len() - 1;
-        let mut mirrors: Vec<(f64, usize)> = (0..self.jobs.len())
-            .filter(|mirror| self.jobs[*mirror].state != State::Excluded && self.is_known(*mirror))
-            .map(|mirror| {
-                let [roll, yaw] = self.aim_deviation((mirror, spot));
-                (roll.hypot(yaw), mirror)
-            })
-            .collect();
-        mirrors.sort_by(|a, b| a.0.total_cmp(&b.0));
-        mirrors.into_iter().take(SEARCH_MIRRORS).map(|(_, mirror)| mirror).collect()
-    }
-
-    fn plan_search(&mut self) -> Option<Purpose> {
-        let mirrors = self.search_mirrors();
-        let spot = self.spots.len() - 1;
-        let (grid, count) = self.search.as_ref()?;
-        let mirror = *mirrors.get(*count as usize % mirrors.len().max(1))?;
-        let (target, _) = grid.best_window(FOOTPRINT_M);
-        let mut quantities = self.quantities((mirror, spot));
-        quantities[PLACE..PLACE + 2].copy_from_slice(&target);
-        let aim = self.optics.aim((mirror, self.spots[spot].led), &quantities)?;
-        let command = [0, 1].map(|axis| aim[axis] - quantities[OFFSET + axis]);
-        Some(Purpose::Locate(mirror, self.within(command)))
-    }
-
-    fn observe_place(&self, grid: &mut Grid, (mirror, command): (usize, [f64; 2]), gain: f64, noise_gain: f64) {
-        let spot = self.spots.len() - 1;
-        let (led, quantities) = (self.spots[spot].led, self.quantities((mirror, spot)));
-        let peak = self.jobs[mirror].peak;
-        let noise = (self.spots[spot].noise_relative, noise_gain);
-        grid.observe(gain, peak, |[x, y]| {
-            let mut at = quantities;
-            (at[PLACE], at[PLACE + 1]) = (x, y);
-            let gain = self.optics.mirror_gain((mirror, led), command, &at);
-            // The mirror's own deviation blurs the edge of its light.
-            Expected { gain, deviation: crate::fit::deviation(noise, gain, peak).hypot(0.15 * peak) }
-        });
-    }
-
-    fn handle_search(&mut self, place: usize, probe: (usize, [f64; 2]), gain: f64) {
-        let Some((mut grid, count)) = self.search.take() else { return };
-        let noise_gain = if self.group() > 1 { self.own_noise() } else { self.spots[self.spots.len() - 1].noise_gain };
-        self.observe_place(&mut grid, probe, gain, noise_gain);
-        let (mean, deviation) = grid.moments();
-        if deviation.iter().all(|deviation| *deviation < FOUND_M) {
-            self.is_located = true;
-            if let Some(spot) = self.spots.last_mut() {
-                spot.tracked_m = mean;
-                spot.tracked_deviation_m = FOUND_M;
-            }
-            self.extend_estimate();
-            self.stage = Stage::Probe(place);
-            self.open_jobs();
-        } else if count + 1 >= SEARCH_MAX {
-            self.reject_spot(place);
-        } else {
-            self.search = Some((grid, count + 1));
-        }
-    }
-
-    /// Leaves the present spot without its readings: the receiver is not where the tracker says.
-    fn reject_spot(&mut self, place: usize) {
-        let spot = self.spots.len() - 1;
-        self.rejected.push(spot);
-        self.readings.retain(|reading| reading.spot != spot);
-        self.jobs.clear();
-        self.complete_place(place);
+        room.session.leave(Nanos::MAX);
+        assert_eq!((room.session.stage(), room.session.remaining_readings()), (Stage::Await(0), before));
+        assert_eq!(room.session.receiver_m(), None);
     }
 }

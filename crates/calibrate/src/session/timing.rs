@@ -27,6 +27,9 @@ const REMEMBERED: usize = 256;
 /// Differences of sample times from which the time between two samples is taken.
 const DIFFERENCES: usize = 16;
 
+/// A time without readings, in times between two samples, in which the receiver was carried.
+const CARRIED_PERIODS: Nanos = 10;
+
 /// Commands whose readings decide whether samples can be predicted.
 const JUDGED: u32 = 24;
 
@@ -39,8 +42,8 @@ pub enum Purpose {
     Probe(usize, [f64; 2]),
     /// A pattern of a coded group: the group's number and the pattern.
     Group(u32, usize),
-    /// One mirror at these angles, to find the spot.
-    Locate(usize, [f64; 2]),
+    /// Mirrors lit at this place in m, to find the spot: which, by the turn.
+    Locate([f64; 2], u32),
     /// All mirrors at their nominal aims, or at the calibrated ones.
     Verify(bool),
 }
@@ -67,8 +70,11 @@ pub struct Timing {
     judged: (u32, u32),
     /// Whether to wait for each report instead of predicting the samples.
     waits: bool,
+    /// Readings, and the time in ns that they took.
     readings: f64,
-    first_ns: Option<Nanos>,
+    busy_ns: Nanos,
+    /// Time of the last reading.
+    reading_ns: Option<Nanos>,
 }
 
 impl Timing {
@@ -89,7 +95,8 @@ impl Timing {
             judged: (0, 0),
             waits: false,
             readings: 0.0,
-            first_ns: None,
+            busy_ns: 0,
+            reading_ns: None,
         }
     }
 
@@ -102,7 +109,6 @@ impl Timing {
             }
         }
         self.last_sample_ns = self.last_sample_ns.max(time_ns);
-        self.first_ns.get_or_insert(time_ns);
     }
 
     /// Notes the delay of a command.
@@ -121,14 +127,13 @@ impl Timing {
         (sorted.len() >= 3).then(|| sorted[sorted.len() / 2])
     }
 
-    /// Mean time for a reading in s.
+    /// Mean time for a reading in s, while the receiver is at its places.
     pub fn seconds_per_reading(&self) -> f64 {
         let period_s = self.period_ns().map_or(0.1, |period| period as f64 * 1e-9);
-        match self.first_ns {
-            Some(first) if self.readings > 30.0 => {
-                ((self.last_sample_ns - first) as f64 * 1e-9 / self.readings).clamp(period_s, 3.0 * period_s)
-            }
-            _ => period_s,
+        if self.readings > 30.0 {
+            (self.busy_ns as f64 * 1e-9 / self.readings).clamp(period_s, 3.0 * period_s)
+        } else {
+            period_s
         }
     }
 
@@ -177,8 +182,19 @@ impl Timing {
             return None;
         }
         sent.has_reading = true;
-        self.readings += 1.0;
-        Some(sent.purpose)
+        let purpose = sent.purpose;
+        self.note_reading(time_ns);
+        Some(purpose)
+    }
+
+    /// Counts a reading and the time since the one before, unless the receiver was carried meanwhile.
+    fn note_reading(&mut self, time_ns: Nanos) {
+        let before_ns = self.reading_ns.replace(time_ns).unwrap_or(time_ns);
+        let since_ns = time_ns.saturating_sub(before_ns);
+        if self.period_ns().is_some_and(|period| since_ns <= CARRIED_PERIODS * period) {
+            self.readings += 1.0;
+            self.busy_ns += since_ns;
+        }
     }
 
     /// The purposes of commands that no sample measures any more: a later command was sent before
@@ -202,5 +218,26 @@ impl Timing {
             self.judged = (0, 0);
         }
         lost
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_walk_between_two_spots_makes_no_reading_slower() {
+        let mut timing = Timing::new(&Capabilities::default());
+        let angles = MirrorAngles::flat(1);
+        let mut read = |from_ms: Nanos| {
+            for at_ns in (0..40).map(|index| (from_ms + index * 50) * 1_000_000) {
+                timing.handle_sample(at_ns);
+                timing.purpose_at(at_ns);
+                timing.handle_sent(at_ns, Purpose::Dark, &angles);
+            }
+            timing.seconds_per_reading()
+        };
+        assert!((read(1000) - 0.05).abs() < 1e-3);
+        assert!((read(120_000) - 0.05).abs() < 1e-3);
     }
 }

@@ -9,6 +9,7 @@ mod idle;
 mod interruption;
 mod readings;
 mod refinement;
+mod remaining;
 mod room;
 mod show;
 
@@ -32,6 +33,7 @@ pub use args::Args;
 use interruption::Watchdog;
 use readings::Readings;
 use refinement::Refinement;
+use remaining::Remaining;
 use room::{LiveRoom, Received};
 
 /// Longest wait for a report before the session looks at its own times again.
@@ -156,7 +158,7 @@ fn drive(
     // Time that was waited since the last channel report; an estimate takes time too.
     let mut waited = Duration::ZERO;
     let (mut stage, mut complete) = (None, session.log().complete);
-    let mut lines = show::Changing::default();
+    let (mut lines, mut remaining) = (show::Changing::default(), Remaining::default());
     while session.stage() != Stage::Ended {
         if stop.is_requested() || args.end.seconds.is_some_and(|limit| begun.elapsed() >= limit) {
             return Ok(());
@@ -170,8 +172,8 @@ fn drive(
                 readings.save(session)?;
             }
         }
-        if room.take_again()? {
-            session.handle_pause();
+        if let Some(confirmed_ns) = room.take_again()? {
+            session.handle_pause(confirmed_ns);
             note("a controller had taken the lead: the calibration has taken it again");
         }
         let now = utc_ns();
@@ -223,7 +225,9 @@ fn drive(
         }
         if published.is_none_or(|at| at.elapsed() >= STATUS_EVERY) {
             published = Some(Instant::now());
-            room.publish_status(&show::progress_of(session))?;
+            let mut progress = session.progress();
+            remaining.follow(&mut progress, session.group()).iter().for_each(note);
+            room.publish_status(&show::progress_of(&progress, session.spot_count()))?;
         }
         if saved.elapsed() >= SAVE_EVERY {
             saved = Instant::now();
@@ -235,7 +239,10 @@ fn drive(
             let waits = waits_for.map(|cause| format!("waits until the room has been idle for some seconds: {cause}"));
             let silent = (waited >= SILENCE)
                 .then(|| "no channel report for some seconds: is the receiver switched on?".to_owned());
-            let present = [show::progress(&session.progress())].into_iter().chain(waits).chain(silent);
+            let mut progress = session.progress();
+            remaining.follow(&mut progress, session.group()).iter().for_each(note);
+            let carried = show::waits_for_receiver(session);
+            let present = [show::progress(&progress)].into_iter().chain(carried).chain(waits).chain(silent);
             lines.changed(present.collect()).iter().for_each(note);
         }
     }

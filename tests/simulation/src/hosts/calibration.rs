@@ -338,7 +338,7 @@ impl Calibration {
     fn measure(&mut self, ctx: &mut Context<'_>) {
         let Some(work) = &mut self.work else { return };
         if work.commander.retake().is_some() {
-            work.session.handle_pause();
+            work.session.handle_pause(work.commander.confirmed_ns());
             self.phase = Phase::Again;
             self.wake_ns = ctx.at.local_ns + MS;
             return;

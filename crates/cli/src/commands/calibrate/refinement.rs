@@ -112,7 +112,7 @@ impl Refinement {
         if (in_use.is_none() && stands) == room.is_commanding() {
             return Ok(());
         }
-        session.handle_pause();
+        session.handle_pause(room.confirmed_ns());
         if !room.is_commanding() {
             note("the room is idle: the calibration commands the mirrors");
             self.taken_at = Some(session.stage());

@@ -36,6 +36,9 @@ const QUERY_EVERY: Duration = Duration::from_millis(200);
 /// Reports that the queue holds; a report beyond it is dropped, as one that the network loses.
 const QUEUE: usize = 1024;
 
+/// Why a session of an array that was stopped ends, and what to do.
+const STOPPED: &str = "the array was stopped: release it with `heliostat rearm`, then continue with --readings";
+
 /// Time after its last status for which another calibration counts as running.
 const OTHER_GAP_MAX: Duration = Duration::from_secs(2);
 
@@ -213,17 +216,26 @@ impl LiveRoom {
         self.is_commanding() && lock(&self.commands).commander.superseded_by().is_some()
     }
 
-    /// Takes the lead again from a controller that took it, where `--take-over` allows it; whether it did.
+    /// Until when telemetry has shown the array to follow this process.
+    pub fn confirmed_ns(&self) -> Nanos {
+        lock(&self.commands).commander.confirmed_ns()
+    }
+
+    /// Takes the lead again from a controller that took it, where `--take-over` allows it; if it did, until when
+    /// telemetry had shown the former lead.
     ///
     /// # Errors
     /// As [`take`](Self::take).
-    pub fn take_again(&mut self) -> Result<bool> {
-        let mut taken = Ok(false);
+    pub fn take_again(&mut self) -> Result<Option<Nanos>> {
+        let confirmed_ns = self.confirmed_ns();
+        let mut taken = Ok(None);
         // A controller can take the lead once more before the array follows this process.
         while self.is_commanding() && !self.yields {
             let Some(epoch) = lock(&self.commands).commander.retake() else { break };
             self.release();
-            taken = self.take().map(|()| true).with_context(|| lost_lead(epoch, &self.kept, self.takes_over));
+            let led = self.take().map(|()| Some(confirmed_ns));
+            let is_stopped = lock(&self.commands).commander.is_stopped();
+            taken = led.map_err(|error| not_retaken(is_stopped, error, lost_lead(epoch, &self.kept, self.takes_over)));
         }
         taken
     }
@@ -236,13 +248,10 @@ impl LiveRoom {
             let mut commands = lock(&self.commands);
             // A failure to publish shows below, as a lead that is not gained.
             let _ = commands.answer(utc_ns(), 0);
-            commands.commander.has_lead()
+            // A stopped array accepts nothing more.
+            commands.commander.has_lead().or(commands.commander.is_stopped().then_some(false))
         });
-        match led {
-            Some(true) => Ok(()),
-            Some(false) => bail!("the array follows another controller: end it, or give --take-over"),
-            None => bail!("the array accepts no command of this process: check its telemetry with `heliostat ui`"),
-        }
+        gained(lock(&self.commands).commander.is_stopped(), led)
     }
 
     /// What arrives next, within a limit.
@@ -253,9 +262,7 @@ impl LiveRoom {
             let ends = !self.yields && !commander.may_retake();
             (commander.is_stopped(), commander.superseded_by().filter(|_| ends))
         };
-        if is_stopped {
-            bail!("the array was stopped: release it with `heliostat rearm`, then continue with --readings");
-        }
+        ensure!(!is_stopped, STOPPED);
         if let Some(epoch) = lost {
             bail!(lost_lead(epoch, &self.kept, self.takes_over));
         }
@@ -394,6 +401,21 @@ fn subscribe(
     Ok(vec![users, channel, telemetry, others, stops, repetitions])
 }
 
+/// Whether the lead was gained, and why not; a stop is the first reason, because the array then follows no one.
+fn gained(is_stopped: bool, led: Option<bool>) -> Result<()> {
+    ensure!(!is_stopped, STOPPED);
+    match led {
+        Some(true) => Ok(()),
+        Some(false) => bail!("the array follows another controller: end it, or give --take-over"),
+        None => bail!("the array accepts no command of this process: check its telemetry with `heliostat ui`"),
+    }
+}
+
+/// Why a lost lead was not taken again. A stop meanwhile is the reason by itself.
+fn not_retaken(is_stopped: bool, error: anyhow::Error, lost: String) -> anyhow::Error {
+    if is_stopped { error } else { error.context(lost) }
+}
+
 /// Why the session ends, what is kept, and what to do.
 fn lost_lead(epoch: u64, kept: &str, takes_over: bool) -> String {
     let advice = if takes_over { "if this recurs" } else { "first, or give --take-over" };
@@ -452,5 +474,18 @@ mod tests {
         assert!(text.contains("readings.json keeps the readings, and the same command continues from them"), "{text}");
         assert!(text.ends_with(". End that controller if this recurs"), "{text}");
         assert!(lost_lead(7, &kept, false).ends_with("End that controller first, or give --take-over"));
+    }
+
+    #[test]
+    fn a_stop_while_the_lead_is_taken_again_is_named_instead_of_the_lost_lead() {
+        for led in [None, Some(false), Some(true)] {
+            let stopped = gained(true, led).expect_err("stopped");
+            let error = not_retaken(true, stopped, lost_lead(7, "kept", true));
+            assert_eq!(format!("{error:#}"), STOPPED);
+        }
+        let refused = gained(false, None).expect_err("no lead");
+        let error = format!("{:#}", not_retaken(false, refused, lost_lead(7, "kept", true)));
+        assert!(error.starts_with("a controller with the epoch 7 has taken the lead"), "{error}");
+        assert!(gained(false, Some(true)).is_ok());
     }
 }

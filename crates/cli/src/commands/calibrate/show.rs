@@ -24,13 +24,9 @@ pub fn stage(session: &Session) {
     let place = session.place().and_then(|place| place.floor_m).unwrap_or_default();
     let [x, y] = place;
     match session.stage() {
-        Stage::Await(index) if index < session.spot_count() => note(format_args!(
-            "carry the receiver to spot {} of {}, x {x:.2} m, y {y:.2} m, face the mirrors and stand still",
-            index + 1,
-            session.spot_count()
-        )),
-        Stage::Await(_) => note(format_args!(
-            "carry the receiver to the place of the verification, x {x:.2} m, y {y:.2} m, and stand still"
+        Stage::Await(index) => note(format_args!(
+            "carry the receiver to {}, x {x:.2} m, y {y:.2} m, face the mirrors and stand still",
+            place_name(index, session.spot_count())
         )),
         Stage::Dark(_) => note("stay: all mirrors are turned away, for the dark readings"),
         Stage::Probe(index) => {
@@ -60,6 +56,29 @@ pub fn stage(session: &Session) {
     }
 }
 
+/// What a calibration waits for until the receiver stands where it shall.
+pub fn waits_for_receiver(session: &Session) -> Option<String> {
+    let Stage::Await(index) = session.stage() else { return None };
+    let [x, y] = session.place()?.floor_m?;
+    Some(waits(&place_name(index, session.spot_count()), [x, y], session.receiver_m()))
+}
+
+fn waits(place: &str, [x, y]: [f64; 2], receiver_m: Option<[f64; 2]>) -> String {
+    let reported = match receiver_m {
+        Some([at_x, at_y]) => format!(
+            "the tracker reports it at x {at_x:.1} m, y {at_y:.1} m, {:.1} m from there",
+            (at_x - x).hypot(at_y - y)
+        ),
+        None => "no position report names it".to_owned(),
+    };
+    format!("waits until the receiver stands still at {place}, x {x:.2} m, y {y:.2} m: {reported}")
+}
+
+/// A place of the walk; the last one, after the spots, is that of the verification.
+fn place_name(index: usize, spots: usize) -> String {
+    if index < spots { format!("spot {} of {spots}", index + 1) } else { "the place of the verification".to_owned() }
+}
+
 /// One line of progress.
 pub fn progress(progress: &Progress) -> String {
     let Progress { stage, located: (located, mirrors), readings, unused, remaining_s } = *progress;
@@ -86,9 +105,9 @@ impl Changing {
 }
 
 /// How far the session is, for the viewers of the room.
-pub fn progress_of(session: &Session) -> CalibrationProgress {
-    let Progress { stage, located: (located, mirrors), remaining_s, .. } = session.progress();
-    let places = session.spot_count() + 1;
+pub fn progress_of(progress: &Progress, spots: usize) -> CalibrationProgress {
+    let Progress { stage, located: (located, mirrors), remaining_s, .. } = *progress;
+    let places = spots + 1;
     let index = match stage {
         Stage::Await(index) | Stage::Dark(index) | Stage::Probe(index) | Stage::Locate(index) => index,
         Stage::Verify | Stage::Ended => places - 1,
@@ -233,6 +252,18 @@ mod tests {
         let in_all = "948 readings in all, 12 reports without use, about 41 s without the walks";
         assert_eq!(progress(&at(Stage::Probe(1))), format!("0 of 100 mirrors located at spot 2, {in_all}"));
         assert_eq!(progress(&at(Stage::Await(1))), in_all);
+    }
+
+    #[test]
+    fn a_wait_names_the_place_and_where_the_receiver_is_reported() {
+        assert_eq!(
+            waits(&place_name(1, 3), [1.4, 0.5], Some([-1.62, 0.46])),
+            "waits until the receiver stands still at spot 2 of 3, x 1.40 m, y 0.50 m: \
+             the tracker reports it at x -1.6 m, y 0.5 m, 3.0 m from there"
+        );
+        let unseen = waits(&place_name(3, 3), [0.0, 0.0], None);
+        assert!(unseen.contains("at the place of the verification, x 0.00 m"), "{unseen}");
+        assert!(unseen.ends_with("no position report names it"), "{unseen}");
     }
 
     #[test]

@@ -77,8 +77,8 @@ impl fmt::Display for Report {
             writeln!(f, "{word:<7} {rule:<18} {requirement}")?;
             writeln!(f, "{:27}{evidence}", "")?;
         }
-        let of = |verdict| self.findings.iter().filter(move |finding| finding.verdict == verdict);
-        let not_judged: Vec<&str> = of(Verdict::NotJudged).map(|finding| finding.rule).collect();
+        let not_judged = self.findings.iter().filter(|finding| finding.verdict == Verdict::NotJudged);
+        let not_judged: Vec<&str> = not_judged.map(|finding| finding.rule).collect();
         if !not_judged.is_empty() {
             writeln!(f, "{} not judged: {}", not_judged.len(), not_judged.join(", "))?;
         }

@@ -17,6 +17,7 @@ import pytest
 
 pytest.importorskip("zenoh")
 from heliostat.peer import PeerError, Settings, connection_problem
+from heliostat.tracker import Tracker, User
 from room import LIMIT_S, free_endpoint, needs_program, observer, wait_until
 from room import heliostat as program
 
@@ -173,13 +174,36 @@ def test_a_slow_function_answers_the_newest_report_and_is_counted_as_late() -> N
 
 def test_a_run_ends_after_its_time_and_wrong_settings_are_refused() -> None:
     endpoint = free_endpoint()
-    summary = heliostat.run(lambda _: None, connect=[endpoint], seconds=8)
+    with pytest.warns(RuntimeWarning, match="has turned no mirror: no process of the room answers"):
+        summary = heliostat.run(lambda _: None, connect=[endpoint], seconds=8)
     assert summary.decisions == summary.commands == 0
     assert "no process of the room answers" in summary.last_problem
+    with pytest.warns(RuntimeWarning, match="no process of the room answers"):
+        heliostat.run(lambda _: None, connect=[endpoint], seconds=0)
     with pytest.raises(PeerError, match="no endpoint"):
         heliostat.run(lambda _: None)
     with pytest.raises(ValueError, match='"angles", "weights"'):
         heliostat.run(lambda _: None, connect=[endpoint], action="torque", seconds=0.1)
+
+
+def test_a_run_without_an_array_warns() -> None:
+    endpoint, stop = free_endpoint(), threading.Event()
+
+    def act(_: Any) -> Any:
+        stop.set()
+        return np.zeros(200)
+
+    def report() -> None:
+        with Tracker(Settings(room="demo", listen=(endpoint,)), stop) as tracker:
+            while not stop.wait(0.05):
+                tracker.report([User(0, (1.0, 0.5, 0.85))])
+
+    thread = threading.Thread(target=report)
+    thread.start()
+    with pytest.warns(RuntimeWarning, match="has turned no mirror: no array answers: expected a driver or a simulator"):
+        summary = heliostat.run(act, connect=[endpoint], scenario=PATIENT, stop=stop)
+    thread.join(LIMIT_S)
+    assert summary.decisions > 0 and summary.last_problem.startswith("no array answers")
 
 
 @needs_program
@@ -200,7 +224,8 @@ def test_a_run_that_is_not_connected_names_the_fault_of_its_keys(tmp_path: Path)
             assert connection_problem(Settings(connect=(encrypted,), tls=keys), "controller") == ""
             nothing = Settings(connect=(free_endpoint("tcp"),))
             assert connection_problem(nothing, "controller") == ""
-            summary = heliostat.run(lambda _: None, connect=[plain], scenario=SCENARIO, seconds=10)
+            with pytest.warns(RuntimeWarning, match="encrypted connections only"):
+                summary = heliostat.run(lambda _: None, connect=[plain], scenario=SCENARIO, seconds=10)
             assert "encrypted connections only" in summary.last_problem
         finally:
             process.terminate()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import queue
 import signal
 import threading
 import time
@@ -15,6 +16,7 @@ import pytest
 from numpy.typing import NDArray
 
 pytest.importorskip("zenoh")
+from heliostat._watched import Watched
 from heliostat.driver import Capabilities, Device, _Log, run
 from heliostat.peer import PeerError, Settings, duration_s, stop_on_signals
 from room import EXAMPLES, LIMIT_S, end_by, free_endpoint, heliostat, needs_program, observer, python, wait_until
@@ -170,6 +172,27 @@ def test_a_call_that_does_not_return_is_named_and_a_second_signal_ends_the_drive
         driver.send_signal(signal.SIGINT)
         _, errors = driver.communicate(timeout=LIMIT_S)
         assert driver.returncode == 130 and errors.count("health has not returned for") == 1, errors
+
+
+def test_the_request_to_end_names_a_call_that_does_not_return_and_says_how_to_end_at_once() -> None:
+    returned, ended = threading.Event(), threading.Event()
+    shown: queue.SimpleQueue[str] = queue.SimpleQueue()
+
+    class Blocked(Mirrors):
+        def stop(self) -> None:
+            assert returned.wait(LIMIT_S)
+
+    with Watched(Blocked(), ended, shown.put, lambda _: None) as device:
+        driver = threading.Thread(target=device.stop, daemon=True)
+        driver.start()
+        ended.set()
+        # The watch of the device may name the call before.
+        texts = iter(lambda: shown.get(timeout=LIMIT_S), "")
+        expected = "the driver ends when stop returns; a second Ctrl-C or SIGTERM ends it at once"
+        assert any(text == expected for text in texts)
+        returned.set()
+        driver.join(LIMIT_S)
+        assert device.kept_from_end(time.monotonic()) == "", "no call is present"
 
 
 def test_a_signal_that_interrupts_a_holder_of_the_lock_of_the_stop_is_obeyed() -> None:

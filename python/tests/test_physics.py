@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from typing import Any
 
 import heliostat
@@ -126,11 +128,32 @@ def test_arguments_outside_their_domain_are_refused_with_the_reason() -> None:
         (lambda: heliostat.rate_map(room, FLAT, FLAT, step_m=0.0), "step_m = 0.0: expected a positive number"),
         (lambda: heliostat.rate_map(room, FLAT, FLAT, step_m=1e-6), "2.5e.13 points in this room, expected at most"),
         (lambda: heliostat.rate_map(room, FLAT, FLAT, step_m=1e9), "step_m = 1000000000.0: expected .* below 10"),
+        (lambda: heliostat.rate_map(room, FLAT, FLAT, height_m=9), "height_m = 9.0: expected a number of metres from 0 to 3"),
+        (lambda: heliostat.rate_map(room, FLAT, FLAT, quantity="snrr"), "expected one of .*; a similar name exists: sinr$"),
         (lambda: heliostat.Policy("gready"), 'unknown policy "gready": .* a similar name exists: greedy$'),
         (lambda: heliostat.Policy("none.onnx"), "none.onnx"),
     ]:
         with pytest.raises(ValueError, match=reason):
             call()  # type: ignore[no-untyped-call]
+
+
+@pytest.mark.parametrize("place", [[9.0, 0.5, 0.85], [0.0, -2.6, 0.85], [0.0, 0.0, -0.1], [0.0, 0.0, 3.1]])
+def test_a_user_outside_the_room_is_refused_by_its_number_and_place(place: list[float]) -> None:
+    room, users = heliostat.Room(), [[2.5, -2.5, 0.0], place]
+    expected = (
+        f"user 1 at ({place[0]:g}, {place[1]:g}, {place[2]:g}) is outside the room: expected x from -2.5 to 2.5 m, "
+        "y from -2.5 to 2.5 m, z from 0 to 3 m"
+    )
+    calls: list[Callable[[], object]] = [
+        lambda: heliostat.Policy("nearest").act(users),
+        lambda: room.link(users, FLAT, FLAT),
+        lambda: room.steering_gain(users),
+        lambda: room.decode(users, [1.0, 1.0]),
+        lambda: room.oracle(users),
+    ]
+    for call in calls:
+        with pytest.raises(ValueError, match=re.escape(expected)):
+            call()
 
 
 def test_a_map_in_parts_equals_one_evaluation_of_all_places(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,9 +8,11 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("zenoh")
+from heliostat.track import bridge
 from heliostat.track.__main__ import SOURCES, main, parser, setup_of
 from heliostat.track.bridge import Intake, Source
 from heliostat.track.frame import about_z
+from heliostat.track.users import Instant, Problems, Setup, Users
 from room import LIMIT_S, python
 
 
@@ -70,6 +72,28 @@ def test_a_room_that_cannot_be_joined_and_no_data_end_with_status_1(capsys: pyte
     assert "error: no endpoint: expected --listen or --connect" in capsys.readouterr().err
     assert main(["mqtt", "--broker", "127.0.0.1", "--port", "9", "--dry-run", "--seconds", "0.5"]) == 1
     assert "reports made: 0" in capsys.readouterr().out
+
+
+def test_no_data_from_a_source_that_has_named_its_problem_is_not_named_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown: list[str] = []
+    intake = Intake(Users(Setup(), Problems(shown.append)))
+
+    def at(seconds: int) -> Instant:
+        moment = Instant(seconds * 10**9, seconds * 10**9)
+        monkeypatch.setattr(bridge, "_now", lambda: moment)
+        return moment
+
+    silence = bridge._Silence(Silent(), intake, at(0))
+    at(1)
+    intake.problem("lost", "the computer does not answer")
+    at(3)
+    assert silence.lasts() and shown == ["the computer does not answer"]
+    at(4)
+    intake.poses([])
+    assert not silence.lasts()
+    at(7)
+    advice = "check that the system is running and that its address is right"
+    assert silence.lasts() and shown[1:] == [f"no data from nothing for 3 s: {advice}"]
 
 
 def test_a_system_without_its_library_names_the_extra(tmp_path: Path) -> None:

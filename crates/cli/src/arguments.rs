@@ -1,13 +1,54 @@
-//! The command line as arguments of a command, with advice where a scenario is given without its flag.
+//! The command line as arguments of a command, with advice where a scenario is given without its flag, or a
+//! flag by the name that other programs use.
 
-use clap::Parser;
+use std::ffi::OsString;
+
 use clap::builder::StyledStr;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
+use clap::{Command, Parser};
 use heliostat_scenario::BUILTIN_NAMES;
+
+/// Flags of other programs, and those that a command may have for the same purpose.
+static USUAL: [(&[&str], &[&str]); 5] = [
+    (&["--port", "-p"], &["ui-port", "listen", "connect"]),
+    (&["--host", "--bind", "--address", "--url", "--endpoint"], &["ui-listen", "listen", "connect"]),
+    (&["--duration", "--time"], &["seconds"]),
+    (&["--output", "--file", "-o"], &["out"]),
+    (&["--no-browser", "--headless"], &["no-ui"]),
+];
 
 /// The arguments of a program; it ends where they cannot be used.
 pub fn parsed<C: Parser>() -> C {
-    C::try_parse().unwrap_or_else(|error| with_scenario_advice(error).exit())
+    C::try_parse().unwrap_or_else(|error| {
+        with_flag_advice(with_scenario_advice(error), &C::command(), std::env::args_os()).exit()
+    })
+}
+
+/// The same error; where a flag has another name here, with the flags of the command for that purpose.
+fn with_flag_advice(
+    mut error: clap::Error,
+    program: &Command,
+    words: impl IntoIterator<Item = OsString>,
+) -> clap::Error {
+    let unknown = match error.get(ContextKind::InvalidArg) {
+        Some(ContextValue::String(word)) if error.kind() == ErrorKind::UnknownArgument => word.as_str(),
+        _ => return error,
+    };
+    let Some((_, flags)) = USUAL.iter().find(|(names, _)| names.contains(&unknown)) else { return error };
+    let named = words.into_iter().skip(1);
+    let command = named.fold(program, |command, word| command.find_subcommand(word).unwrap_or(command));
+    let advice = |flag: &&str| {
+        let argument = command.get_arguments().find(|argument| argument.get_long() == Some(*flag))?;
+        let help = argument.get_help().map(ToString::to_string).unwrap_or_default();
+        let purpose = help.split([';', '(']).next().unwrap_or_default().trim_end();
+        Some(StyledStr::from(format!("'--{flag}': {purpose}")))
+    };
+    let advice: Vec<StyledStr> = flags.iter().filter_map(advice).collect();
+    if !advice.is_empty() {
+        error.remove(ContextKind::SuggestedArg);
+        error.insert(ContextKind::Suggested, ContextValue::StyledStrs(advice));
+    }
+    error
 }
 
 /// The same error; where a name or a file of a scenario is not expected, with the flag that takes it.
@@ -24,7 +65,29 @@ fn with_scenario_advice(mut error: clap::Error) -> clap::Error {
 
 #[cfg(test)]
 mod tests {
+    use clap::CommandFactory;
+
     use super::*;
+
+    #[test]
+    fn a_flag_of_another_name_is_refused_with_those_of_the_command_for_its_purpose() {
+        let refused = |words: &[&str]| {
+            let program = crate::cli::Cli::command();
+            let error = crate::cli::Cli::try_parse_from(words).expect_err("it is refused");
+            with_flag_advice(error, &program, words.iter().map(OsString::from)).to_string()
+        };
+        let page = refused(&["heliostat", "ui", "--port", "8080"]);
+        for flag in ["tip: '--ui-port': Port of the page\n", "tip: '--listen': Endpoint at which to listen\n"] {
+            assert!(page.contains(flag), "{page}");
+        }
+        // The most similar name has another purpose.
+        let recorder = refused(&["heliostat", "record", "--out", "a.mcap", "--port", "7447"]);
+        assert!(recorder.contains("'--listen'") && !recorder.contains("'--out'"), "{recorder}");
+        let stop = refused(&["heliostat", "driver", "check", "--port", "7447"]);
+        assert!(stop.contains("'--connect'") && !stop.contains("'--ui-port'"), "{stop}");
+        let other = refused(&["heliostat", "ui", "--kitchen"]);
+        assert!(!other.contains("tip:"), "{other}");
+    }
 
     #[test]
     fn a_scenario_without_its_flag_is_refused_with_the_flag() {

@@ -30,9 +30,10 @@ fn the_file_of_a_policy_is_named() {
     let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../models/actors/ddpg-specular.onnx");
     let own = policy(&["--model", file]);
     assert_eq!(text(&own, "verdict"), "ok");
+    assert!(!text(&own, "found").contains("default"), "{own}");
     assert!(text(&own, "found").starts_with(&format!("{file} fits the scenario, engine ")), "{own}");
     let default = policy(&[]);
-    assert!(text(&default, "found").starts_with("fixed-point fits the scenario"), "{default}");
+    assert!(text(&default, "found").starts_with("fixed-point fits the scenario (default"), "{default}");
     let built_in = policy(&["--policy", "ddpg"]);
     assert!(text(&built_in, "found").starts_with("ddpg fits the scenario, engine "), "{built_in}");
 }

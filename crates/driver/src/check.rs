@@ -38,16 +38,16 @@ const PRESENCE_LIMIT: Duration = Duration::from_secs(5);
 pub fn run(config: &BusConfig, array: usize) -> Result<Report> {
     let bus = Bus::open(config).context("cannot join the room")?;
     let room = bus.room().clone();
+    let keys = room.array(array);
     let begun = std::time::Instant::now();
-    let present = |tokens: &str| Ok::<_, anyhow::Error>(!bus.alive(tokens, PRESENCE_LIMIT)?.is_empty());
-    let (drivers, simulators) = (room.array(array).drivers_alive(), room.alive_of(NodeKind::SimNode));
-    while !present(&drivers)? && !present(&simulators)? {
+    while !test_session::is_present(&bus, &keys)? {
         if begun.elapsed() >= PRESENCE_LIMIT {
             let reason = Bus::find_connection_problem(config).map_or_else(
                 || {
                     format!(
-                        "expected a liveliness token of a driver ({drivers}) or a simulator; start it with the same room, \
-                         the same --array and a matching endpoint"
+                        "expected a liveliness token of a driver ({}) or a simulator; start it with the same room, \
+                         the same --array and a matching endpoint",
+                        keys.drivers_alive()
                     )
                 },
                 |problem| format!("this process is not connected: {problem}"),
@@ -56,7 +56,7 @@ pub fn run(config: &BusConfig, array: usize) -> Result<Report> {
         }
         std::thread::sleep(Duration::from_millis(50));
     }
-    if present(&room.alive_of(NodeKind::Controller))? {
+    if !bus.alive(&room.alive_of(NodeKind::Controller), PRESENCE_LIMIT)?.is_empty() {
         bail!("a controller is in room \"{room}\": stop it first, because it would interfere with the check");
     }
     let mut session = TestSession::start(bus, array, config.is_authenticated())?;
@@ -67,7 +67,7 @@ pub fn run(config: &BusConfig, array: usize) -> Result<Report> {
         driver: session.capabilities.driver.clone(),
         mirrors: session.capabilities.mirrors(),
         findings,
-        device_problem: session.device_problem(),
+        problem: session.problem(),
     };
     session.close()?;
     Ok(report)

@@ -165,8 +165,8 @@ fn check_driver(args: &CheckArgs) -> Result<()> {
     } else {
         output::text(&report)?
     }
-    if let Some(problem) = &report.device_problem {
-        bail!("the device of room \"{}\" did not answer during the check: {problem}", report.room);
+    if let Some(problem) = &report.problem {
+        bail!("room \"{}\": {problem}", report.room);
     }
     let broken = report.broken().count();
     ensure!(broken == 0, "the driver of room \"{}\" breaks {} of the contract", report.room, counted(broken, "rule"));

@@ -18,6 +18,7 @@ pub mod clock;
 pub mod config;
 pub mod devices;
 pub mod direct_commands;
+mod end_watch;
 mod metrics;
 pub mod receive_queue;
 mod record_thread;

@@ -21,6 +21,7 @@ use thiserror::Error;
 
 use crate::clock::Clock;
 use crate::direct_commands::{DirectCommands, SharedStation};
+use crate::end_watch::EndWatch;
 use crate::metrics;
 use crate::record_thread::RecordThread;
 use crate::session::{ArraySession, MessagePublisher, SessionError, check_alone};
@@ -155,6 +156,7 @@ impl<D: Device> ArrayDriver<D> {
     /// A transport that fails.
     pub fn run(self, end: Option<Instant>, stop: &Stop) -> Result<Summary, RunError> {
         let Self { mut driver, bus, token, clock } = self;
+        let _watch = EndWatch::start(stop);
         let running = driver.shared.run();
         let mut ended = Ok(());
         while ended.is_ok() && !stop.is_requested() && end.is_none_or(|end| Instant::now() < end) {

@@ -31,6 +31,8 @@ struct Exact {
     angles: MirrorAngles,
     /// It fails after so many turns.
     turns: u32,
+    /// What it ends in place of a failure.
+    ends: Option<Stop>,
     /// Measured angles over those of the mirrors.
     scale: f64,
 }
@@ -49,7 +51,7 @@ impl Exact {
             park_after_ms: 1000,
             ..Capabilities::default()
         };
-        Self { capabilities, angles: MirrorAngles::flat(3), turns: u32::MAX, scale: 1.0 }
+        Self { capabilities, angles: MirrorAngles::flat(3), turns: u32::MAX, ends: None, scale: 1.0 }
     }
 }
 
@@ -63,7 +65,11 @@ impl Device for Exact {
     }
 
     fn apply(&mut self, _now: Moment, angles: &MirrorAngles) -> Result<(), DeviceError> {
-        self.turns = self.turns.checked_sub(1).ok_or_else(|| DeviceError::new("exact", "turn raised"))?;
+        match (self.turns.checked_sub(1), &self.ends) {
+            (Some(turns), _) => self.turns = turns,
+            (None, Some(driver)) => driver.request(),
+            (None, None) => return Err(DeviceError::new("exact", "turn raised")),
+        }
         self.angles.clone_from(angles);
         Ok(())
     }
@@ -118,13 +124,26 @@ fn a_driver_with_the_kit_keeps_every_rule() {
 }
 
 #[test]
-fn a_device_that_fails_is_named_beside_the_rules_that_it_breaks() {
+fn a_device_that_fails_is_named_before_the_rules_and_breaks_none() {
     let mut device = Exact::new();
     device.turns = 3;
     let report = checked("failing", |bus, stop| drop(run::run(Kit::new(device), &Settings::new(bus), stop).unwrap()));
-    assert!(broken(&report).len() > 1, "{report}");
-    assert!(report.device_problem.as_ref().is_some_and(|problem| problem.contains("turn raised")), "{report}");
-    assert!(broken(&report).contains(&"flood"), "no command is applied: {report}");
+    assert!(report.problem.as_ref().is_some_and(|problem| problem.contains("turn raised")), "{report}");
+    assert_eq!(broken(&report), [""; 0], "{report}");
+    let flood = report.findings.iter().find(|finding| finding.rule == "flood");
+    assert!(flood.is_some_and(|flood| flood.verdict == Verdict::NotJudged), "no command is applied: {report}");
+}
+
+#[test]
+fn a_driver_that_ends_during_the_check_breaks_no_rule() {
+    let report = checked("ended", |bus, stop| {
+        let device = Exact { turns: 3, ends: Some(stop.clone()), ..Exact::new() };
+        drop(run::run(Kit::new(device), &Settings::new(bus), stop).unwrap());
+    });
+    assert!(report.problem.as_ref().is_some_and(|problem| problem.contains("the driver ended")), "{report}");
+    assert_eq!(broken(&report), [""; 0], "{report}");
+    let last = report.findings.last().map(|finding| finding.verdict);
+    assert_eq!(last, Some(Verdict::NotJudged), "{report}");
 }
 
 #[test]

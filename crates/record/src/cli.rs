@@ -19,8 +19,8 @@ use crate::{play, recorder, replay};
 ///
 /// The file opens in Foxglove, and `heliostat replay` plays it back. Peers exchange messages over
 /// direct links only: connect to the room's process and to the controller, or let the controller
-/// connect to this process (--listen). Missing messages are counted by sequence number and reported
-/// at the end.
+/// connect to this process (--listen). A stream that a replay needs and that is missing is reported
+/// after some seconds and at the end. Missing messages are counted by sequence number and reported at the end.
 #[derive(Clone, Debug, clap::Args)]
 pub struct RecordArgs {
     #[command(flatten)]

@@ -29,6 +29,11 @@ use crate::series::Series;
 const QUEUE: usize = 16_384;
 /// Longest time between two flushes: the most that a power failure can lose.
 const FLUSH_EVERY: Duration = Duration::from_secs(1);
+/// Time after which the recorder reports a missing stream, while there is time to mend it.
+const MISSING_AFTER: Duration = Duration::from_secs(5);
+/// What is wrong where no message was received.
+const NOTHING: &str =
+    "nothing was received; check that the room's process runs, with the same --room and a matching endpoint";
 /// Longest delay between a stop request and its effect.
 const WAIT: Duration = Duration::from_millis(50);
 
@@ -129,6 +134,9 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Outcome> {
             Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {}
         }
         writer.flush_if_due();
+        if let Some(missing) = writer.missing_once(started.elapsed()) {
+            output::note(format_args!("record: so far {missing}"));
+        }
         if let Some(ring) = &mut ring {
             turn(ring, &mut writer);
         }
@@ -197,6 +205,8 @@ struct RoomWriter<S: Storage> {
     present: Vec<u64>,
     was_present: bool,
     flushed: Instant,
+    /// Whether [`RoomWriter::missing_once`] has looked.
+    has_looked: bool,
     room: Room,
     out: PathBuf,
     problems: Vec<String>,
@@ -226,6 +236,7 @@ impl<S: Storage> RoomWriter<S> {
             present: Vec::new(),
             was_present: false,
             flushed: Instant::now(),
+            has_looked: false,
             room: settings.bus.room.clone(),
             out,
             header,
@@ -321,6 +332,15 @@ impl<S: Storage> RoomWriter<S> {
         self.problems.push(problem);
     }
 
+    /// The stream that is missing after some seconds of recording, once.
+    fn missing_once(&mut self, recorded: Duration) -> Option<&'static str> {
+        if self.has_looked || recorded < MISSING_AFTER {
+            return None;
+        }
+        self.has_looked = true;
+        if self.account.messages() == 0 { Some(NOTHING) } else { self.missing_stream() }
+    }
+
     /// The stream that a replay needs and that was not received.
     fn missing_stream(&self) -> Option<&'static str> {
         let received = |key: String| self.account.streams.contains_key(&key);
@@ -374,8 +394,7 @@ impl<S: Storage> RoomWriter<S> {
     fn finish(mut self, dropped: u64) -> Outcome {
         self.account.dropped = dropped;
         if self.account.messages() == 0 {
-            let nothing = "nothing was received; check that the room's process runs, with the same --room and a matching endpoint";
-            self.failure.get_or_insert(nothing.to_owned());
+            self.failure.get_or_insert(NOTHING.to_owned());
         } else if let Some(problem) = self.missing_stream() {
             self.report(problem.to_owned());
         }
@@ -406,12 +425,7 @@ mod tests {
 
     use super::*;
 
-    #[test]
-    fn scenes_show_the_geometry_that_the_room_announces() {
-        let room = Room::new("drawn").expect("a name");
-        let late_ns = 10_000_000_000;
-        let scenario = Scenario::builtin("specular").expect("a built-in one");
-        let announced = scenario.with_overrides(&["mirrors.rows=4".into(), "mirrors.columns=3".into()]).expect("valid");
+    fn writer(room: &Room, scenario: Scenario) -> RoomWriter<File> {
         let settings = Settings {
             scenario,
             bus: BusConfig::new(room.clone()),
@@ -421,7 +435,35 @@ mod tests {
             ring: None,
         };
         let file = tempfile::tempfile().expect("a file");
-        let mut writer = RoomWriter::create(file, &settings, PathBuf::new()).expect("writable");
+        RoomWriter::create(file, &settings, PathBuf::new()).expect("writable")
+    }
+
+    #[test]
+    fn a_missing_stream_is_reported_once_during_the_recording() {
+        let room = Room::new("alone").expect("a name");
+        let scenario = Scenario::builtin("specular").expect("a built-in one");
+        let early = MISSING_AFTER - Duration::from_millis(1);
+        let after = |keys: &[String]| {
+            let mut writer = writer(&room, scenario.clone());
+            for key in keys {
+                writer.take(Item::Payload { key: key.clone(), arrived_ns: 1, payload: Vec::new() });
+            }
+            [early, MISSING_AFTER, MISSING_AFTER].map(|recorded| writer.missing_once(recorded).unwrap_or_default())
+        };
+        assert_eq!(after(&[]), ["", NOTHING, ""]);
+        let [early, due, again] = after(&[room.users()]);
+        assert!(due.starts_with("no command was received") && (early, again) == ("", ""), "{due}");
+        assert!(after(&[room.command()])[1].starts_with("no position report was received"));
+        assert_eq!(after(&[room.users(), room.command()]), [""; 3]);
+    }
+
+    #[test]
+    fn scenes_show_the_geometry_that_the_room_announces() {
+        let room = Room::new("drawn").expect("a name");
+        let late_ns = 10_000_000_000;
+        let scenario = Scenario::builtin("specular").expect("a built-in one");
+        let announced = scenario.with_overrides(&["mirrors.rows=4".into(), "mirrors.columns=3".into()]).expect("valid");
+        let mut writer = writer(&room, scenario);
         let mut mirrors_after = |key: String, scenario: String| {
             let mut payload = Vec::new();
             encode(&RoomGeometry { stamp: Stamp::default(), scenario }, &mut payload).expect("it fits");

@@ -81,22 +81,14 @@ impl Scenario {
         if !unknown.is_empty() && !self.streams.channel.leds.is_none() {
             return invalid(
                 "mismatch.unknown_leds_m",
-                format!("{unknown:?}"),
+                list(unknown.iter().map(|position| numbers(position))),
                 "expected none while streams.channel.leds tells the LEDs apart",
             );
         }
-        let known = self.led.positions_m.iter().map(|position| ("led.positions_m", position));
-        for (key, position) in known.chain(unknown.iter().map(|position| ("mismatch.unknown_leds_m", position))) {
-            let inside = position[0].abs() <= room.length_x_m / 2.0
-                && position[1].abs() <= room.length_y_m / 2.0
-                && (self.receiver.height_m..=room.height_m).contains(&position[2]);
-            if !inside {
-                return invalid(
-                    key,
-                    format!("{position:?}"),
-                    "expected a position inside the room, above the receivers",
-                );
-            }
+        let [x, y] = room.floor_m();
+        let domains = [("x", x), ("y", y), ("z", self.receiver.height_m..=room.height_m)];
+        for (key, positions) in [("led.positions_m", &self.led.positions_m), ("mismatch.unknown_leds_m", unknown)] {
+            positions.iter().try_for_each(|position| place(key, position, &domains))?;
         }
         Ok(())
     }
@@ -311,6 +303,26 @@ fn zero_or(key: &str, value: f64, domain: RangeInclusive<f64>) -> Result<(), Sce
         return Ok(());
     }
     invalid(key, value, &format!("expected 0 or a number from {} to {}", domain.start(), domain.end()))
+}
+
+/// Accepts a place in m whose coordinates are all within their domains.
+pub(crate) fn place(key: &str, place: &[f64], domains: &[(&str, RangeInclusive<f64>)]) -> Result<(), ScenarioError> {
+    if place.iter().zip(domains).all(|(value, (_, domain))| domain.contains(value)) {
+        return Ok(());
+    }
+    let bounds =
+        |(axis, domain): &(&str, RangeInclusive<f64>)| format!("{axis} from {} to {} m", domain.start(), domain.end());
+    let bounds: Vec<String> = domains.iter().map(bounds).collect();
+    invalid(key, numbers(place), &format!("expected {}", bounds.join(", ")))
+}
+
+/// Numbers as a scenario file has them.
+fn numbers(values: &[f64]) -> String {
+    list(values.iter().map(f64::to_string))
+}
+
+fn list(entries: impl Iterator<Item = String>) -> String {
+    format!("[{}]", entries.collect::<Vec<_>>().join(", "))
 }
 
 pub(crate) fn count(key: &str, value: usize, domain: RangeInclusive<usize>) -> Result<(), ScenarioError> {

@@ -1,6 +1,6 @@
 //! Checks of the keys of all mobility models.
 
-use crate::check::{count, invalid, within};
+use crate::check::{count, invalid, place, within};
 use crate::error::ScenarioError;
 use crate::mobility::{MobilityModel, SmoothRandom, SocialForce};
 use crate::tables::{Room, Users};
@@ -32,10 +32,9 @@ impl Users {
     }
 
     fn check_seats(&self, room: &Room) -> Result<(), ScenarioError> {
-        let inside = |seat: &[f64; 2]| seat[0].abs() <= room.length_x_m / 2.0 && seat[1].abs() <= room.length_y_m / 2.0;
-        if let Some(seat) = self.seats_m.iter().find(|seat| !inside(seat)) {
-            return invalid("users.seats_m", format!("{seat:?}"), "expected a place in the room");
-        }
+        let [x, y] = room.floor_m();
+        let domains = [("x", x), ("y", y)];
+        self.seats_m.iter().try_for_each(|seat| place("users.seats_m", seat, &domains))?;
         let seated = if self.mobility == MobilityModel::Seated { self.count } else { 0 };
         match self.seats_m.len() {
             0 => Ok(()),

@@ -271,7 +271,9 @@ mod tests {
         assert!(malformed.len() == 1 && malformed[0].contains("users.count"), "{malformed:?}");
         for (refused, reason) in [
             ("streams.channel.leds=all", "expected one of `none`, `serving`, `gains`"),
-            ("mismatch.unknown_leds_m=[[0,0]]", "invalid length 2"),
+            ("mismatch.unknown_leds_m=[[0,0]]", "invalid length 2, expected numbers in a list of length 3"),
+            ("led.positions_m=[9,0,2]", "expected numbers in a list of length 3"),
+            ("receiver.branches=[1]", "expected a table"),
             ("users.count=many", "expected a whole number from 0"),
         ] {
             let problems = texts(sound, &[refused]);

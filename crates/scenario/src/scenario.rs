@@ -225,16 +225,24 @@ pub(crate) fn parse_error(origin: &str, error: &toml::de::Error) -> ScenarioErro
     ScenarioError::Parse { origin: origin.into(), message: in_words(error.to_string().trim_end()) }
 }
 
-/// A message of the parser with words in place of the names of Rust's number types, and with the
-/// known name that an unknown one resembles.
+/// A message of the parser with words in place of the names of Rust's types, and with the known name
+/// that an unknown one resembles.
 pub(crate) fn in_words(message: &str) -> String {
-    let message = &message.split('\n').map(with_similar_name).collect::<Vec<_>>().join("\n");
+    let message =
+        &message.split('\n').map(|line| with_similar_name(&without_struct(line))).collect::<Vec<_>>().join("\n");
     let whole = ["usize", "u64", "u32", "u16", "u8"].map(|name| (name, "a whole number from 0"));
     let real = ["f64", "f32"].map(|name| (name, "a number"));
-    let named = whole.into_iter().chain(real);
+    let lists = [("a sequence", "a list"), ("an array of length", "numbers in a list of length")];
+    let named = whole.into_iter().chain(real).chain(lists);
     named.fold(message.to_owned(), |text, (name, words)| {
         text.replace(&format!("expected {name}"), &format!("expected {words}"))
     })
+}
+
+/// A line with "a table" in place of the name of a struct.
+fn without_struct(line: &str) -> String {
+    let Some((reason, named)) = line.split_once("expected struct ") else { return line.to_owned() };
+    format!("{reason}expected a table{}", named.trim_start_matches(char::is_alphanumeric))
 }
 
 /// A line about an unknown name, followed by the known one that it resembles.

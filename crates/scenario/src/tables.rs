@@ -3,6 +3,8 @@
 //! Every table refuses unknown keys. A missing key has the value of the built-in `specular`
 //! scenario.
 
+use std::ops::RangeInclusive;
+
 use serde::{Deserialize, Serialize};
 
 use crate::mobility::{GaussMarkov, MixtureShare, MobilityModel, RandomDirection, Seated, SmoothRandom, SocialForce};
@@ -23,6 +25,13 @@ pub struct Room {
 impl Default for Room {
     fn default() -> Self {
         Self { length_x_m: 5.0, length_y_m: 5.0, height_m: 3.0 }
+    }
+}
+
+impl Room {
+    /// The extent of the floor along x and y in m.
+    pub(crate) fn floor_m(&self) -> [RangeInclusive<f64>; 2] {
+        [self.length_x_m, self.length_y_m].map(|length_m| -length_m / 2.0..=length_m / 2.0)
     }
 }
 

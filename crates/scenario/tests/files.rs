@@ -147,6 +147,25 @@ fn values_that_contradict_each_other_are_refused() {
 }
 
 #[test]
+fn a_refused_place_is_named_as_it_was_written_with_the_bounds_of_each_coordinate() {
+    for (set, expected) in [
+        (
+            "led.positions_m=[[1, 1, 2.5], [9, 0, 2]]",
+            "led.positions_m = [9, 0, 2]: expected x from -2.5 to 2.5 m, y from -2 to 2 m, z from 0.5 to 3 m",
+        ),
+        (
+            "mismatch.unknown_leds_m=[[0, 0, 0.25]]",
+            "mismatch.unknown_leds_m = [0, 0, 0.25]: expected x from -2.5 to 2.5 m, y from -2 to 2 m, z from 0.5 to 3 m",
+        ),
+        ("users.seats_m=[[0, 3]]", "users.seats_m = [0, 3]: expected x from -2.5 to 2.5 m, y from -2 to 2 m"),
+    ] {
+        let room = ["room.length_y_m=4", "receiver.height_m=0.5", set].map(String::from);
+        let refused = Scenario::default().with_overrides(&room).expect_err(set);
+        assert_eq!(refused.to_string(), expected);
+    }
+}
+
+#[test]
 fn gains_can_be_told_from_none_above_the_noise_and_half_a_step() {
     let channel = |text: &str| Scenario::from_toml(&format!("[streams.channel]\n{text}")).unwrap().streams.channel;
     assert_eq!((channel("").detectable_gain(), channel("").gain_variance()), (0.0, 0.0));

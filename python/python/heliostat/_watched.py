@@ -10,18 +10,27 @@ from typing import Any
 
 _BLOCKED_S = 2.0
 _LOOK_S = 1.0
+_END_LOOK_S = 0.1
+# A call that has taken this long when the end is requested keeps the driver from it.
+_KEEPS_FROM_END_S = 0.3
 
 
 class Watched:
     """Passes calls on to a device, and is a context manager: within the block, a thread calls `show` once for each call
-    that does not return within some seconds, and `report` with the present text about once a second."""
+    that does not return within some seconds, and `report` with the present text about once a second.
 
-    def __init__(self, device: Any, show: Callable[[str], None], report: Callable[[str], None]) -> None:
-        self._device, self._show, self._report = device, show, report
+    From the moment at which `ended` is set, `show` is called once if a call keeps the driver from its end.
+    """
+
+    def __init__(
+        self, device: Any, ended: threading.Event, show: Callable[[str], None], report: Callable[[str], None]
+    ) -> None:
+        self._device, self._ended, self._show, self._report = device, ended, show, report
         # The name of the call that has not returned, and its begin.
         self._present: tuple[str, float] | None = None
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._watch, name="watch of the device", daemon=True)
+        self._end_thread = threading.Thread(target=self._watch_end, name="watch of the end", daemon=True)
 
     def __getattr__(self, name: str) -> Any:
         method = getattr(self._device, name)
@@ -37,6 +46,7 @@ class Watched:
 
     def __enter__(self) -> Watched:
         self._thread.start()
+        self._end_thread.start()
         return self
 
     def __exit__(
@@ -52,6 +62,21 @@ class Watched:
             return ""
         name, begin = present
         return f"{name} has not returned for {now - begin:.0f} s: the driver waits, and obeys no stop until it returns"
+
+    def kept_from_end(self, now: float) -> str:
+        """The call that keeps the driver from its end at a time of the monotonic clock in s; empty without one."""
+        present = self._present
+        if present is None or now - present[1] < _KEEPS_FROM_END_S:
+            return ""
+        return f"the driver ends when {present[0]} returns; a second Ctrl-C or SIGTERM ends it at once"
+
+    def _watch_end(self) -> None:
+        self._ended.wait()
+        while not self._over.is_set():
+            if problem := self.kept_from_end(time.monotonic()):
+                self._show(problem)
+                return
+            self._over.wait(_END_LOOK_S)
 
     def _watch(self) -> None:
         shown = None

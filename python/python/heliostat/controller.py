@@ -21,6 +21,7 @@ import queue
 import sys
 import threading
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,6 +40,7 @@ _ANNOUNCED_S = 0.3
 _QUEUE_MAX = 1024
 _SILENT_S = 2.0
 _LOOK_AGAIN_S = 5.0
+_ARRAY = ("capabilities", "safety", "stops", "telemetry")
 _ROOM = ("room_geometry", "obstacles", "orientation", "leds", "channel", "users", "stop")
 
 
@@ -102,14 +104,19 @@ def run(
     no command is sent: the array holds its angles and then parks, by its own rules. The same happens while `act` does not
     return, and after this process ends. Other exceptions, such as `KeyboardInterrupt`, end the run.
 
-    Raises `heliostat.peer.PeerError` where the room cannot be joined.
+    Raises `heliostat.peer.PeerError` where the room cannot be joined. Warns with `RuntimeWarning` where no tracker or no
+    array was in the room, so that no mirror has turned.
     """
     from .peer import Settings, stop_on_signals
 
     form = action if action is not None else getattr(act, "action", "angles")
     settings = Settings(room, tuple(listen), tuple(connect), client, None if tls is None else Path(tls), insecure)
     with stop_on_signals(stop or threading.Event()) as ended:
-        return _Run(act, load_scenario(scenario), form, settings, ended).run(seconds)
+        one = _Run(act, load_scenario(scenario), form, settings, ended)
+        summary = one.run(seconds)
+    if absence := one.absence():
+        warnings.warn(f"heliostat.run has turned no mirror: {printable(absence)}", RuntimeWarning, stacklevel=2)
+    return summary
 
 
 class _Run:
@@ -124,7 +131,7 @@ class _Run:
         # Why no process answers, and when to look again.
         self._unreachable, self._look_again = "", 0.0
         self._late = self._dropped = 0
-        self._began, self._heard = time.monotonic(), False
+        self._began, self._heard, self._has_array = time.monotonic(), False, False
         self._arrived: queue.Queue[tuple[str, int, bytes]] = queue.Queue(_QUEUE_MAX)
         self._present: queue.Queue[tuple[str, bool]] = queue.Queue()
         self._peer = Peer(settings, "controller", 0, stop)
@@ -155,6 +162,7 @@ class _Run:
         for array in arrays:
             for name in ("capabilities", "safety", "stops"):
                 for payload in self._peer.fetch(name, _ANNOUNCED_S, array):
+                    self._heard = self._has_array = True
                     self._core.receive(name, array, payload, time.time_ns())
                 self._peer.subscribe(name, self._queued(name, array), array)
             self._peer.subscribe("telemetry", self._queued("telemetry", array), array)
@@ -189,13 +197,21 @@ class _Run:
                 counters = {**self._core.counters(), "late": self._late, "dropped": self._dropped}
                 self._peer.publish_status("running", counters, found, policy="python", scenario=self._scenario.hash)
 
-    def _problem(self) -> str:
+    def _problem(self, is_over: bool = False) -> str:
         """Why there is no command, or why commands suit another room; empty without a problem."""
         found = filter(None, (self._core.geometry_problem(time.time_ns()), self._core.last_problem))
         if problem := printable("; ".join(found)):
             return problem
-        if self._core.counters()["decisions"] > 0 or time.monotonic() - self._began < _SILENT_S:
+        is_early = not is_over and time.monotonic() - self._began < _SILENT_S
+        return "" if is_early else self.absence()
+
+    def absence(self) -> str:
+        """Which process has not been in the room, and what is expected; empty where reports and an array were there."""
+        has_positions = self._core.counters()["decisions"] > 0
+        if has_positions and self._has_array:
             return ""
+        if has_positions:
+            return "no array answers: expected a driver or a simulator at the endpoints, since peers forward no messages"
         if self._heard:
             return "the room has not reported positions: expected a tracker or a simulator"
         if time.monotonic() >= self._look_again:
@@ -217,6 +233,7 @@ class _Run:
             except queue.Empty:
                 return
             wait, self._heard = False, True
+            self._has_array = self._has_array or name in _ARRAY
             self._send(self._core.receive(name, array, payload, time.time_ns()))
 
     def _send(self, commands: Sequence[tuple[int, bytes]]) -> None:
@@ -237,5 +254,5 @@ class _Run:
             standby=counters["standby"],
             stale=counters["stale"],
             dropped=self._dropped,
-            last_problem=self._problem(),
+            last_problem=self._problem(is_over=True),
         )

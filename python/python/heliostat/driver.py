@@ -283,7 +283,8 @@ def parser(description: str | None = None) -> argparse.ArgumentParser:
 def main(device: Device, given: argparse.Namespace) -> None:
     """Runs a driver by the flags of `parser` until Ctrl-C, SIGTERM or `--seconds`; prints what it did.
 
-    A second signal ends it at once, also where a method of the device does not return, unless that waits in C code.
+    Where a method of the device does not return, the first signal names it. A second signal ends the driver at once,
+    unless the method waits in C code.
 
     The process exits with status 1 and the reason where the driver cannot run.
     """
@@ -342,7 +343,7 @@ def run(
                 status["stamp"]["time_ns"] = time.time_ns()
                 peer.put("status", encode({**status, "last_problem": problem}, KINDS["status"]))
 
-        watched = ending.enter_context(Watched(device, log.show, report))
+        watched = ending.enter_context(Watched(device, ended, log.show, report))
         station = Station(
             watched,
             device.capabilities.message(),

@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+import difflib
 import importlib.util
 import os
 from collections.abc import Mapping
@@ -19,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ._checks import POINTS_MAX, integer, real
+from ._checks import POINTS_MAX, finite, integer, real
 from ._core import Channel, Scenario, use_onnxruntime
 from ._core import Policy as _Policy
 from .scenario import Value, load_scenario
@@ -27,6 +28,8 @@ from .tables import LinkResult
 
 # The places of a map in parts of this size, since each place needs memory for each mirror.
 _PLACES_AT_ONCE = 4096
+# Users at a wall can be beyond it by rounding.
+_ROUNDING_M = 1e-6
 
 Angles = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Roll and yaw of each mirror in rad, each of shape (M,)."""
@@ -39,6 +42,23 @@ def _array(values: ArrayLike, name: str, dimensions: int) -> NDArray[np.float64]
     return array
 
 
+def _places(positions: ArrayLike, room_m: tuple[float, float, float]) -> NDArray[np.float64]:
+    """Positions of users, (K, 3), which are in the room: on its floor, at most at its ceiling."""
+    places = _array(positions, "positions", 2)
+    if places.shape[1] != 3:
+        return places  # The shape is refused with the other ones.
+    length_x, length_y, height = room_m
+    most = np.array([length_x / 2, length_y / 2, height]) + _ROUNDING_M
+    # NaN, which is refused too, is in no comparison.
+    outside = (places > most).any(axis=1) | (places < [-most[0], -most[1], -_ROUNDING_M]).any(axis=1)
+    if outside.any():
+        user = int(outside.argmax())
+        place = ", ".join(f"{part:g}" for part in places[user])
+        bounds = f"x from {-length_x / 2:g} to {length_x / 2:g} m, y from {-length_y / 2:g} to {length_y / 2:g} m"
+        raise ValueError(f"user {user} at ({place}) is outside the room: expected {bounds}, z from 0 to {height:g} m")
+    return places
+
+
 def _optional(values: ArrayLike | None, name: str, dimensions: int) -> NDArray[np.float64] | None:
     return None if values is None else _array(values, name, dimensions)
 
@@ -46,7 +66,8 @@ def _optional(values: ArrayLike | None, name: str, dimensions: int) -> NDArray[n
 class Room:
     """The channel of a scenario's room.
 
-    `positions` have the shape (K, 3) in m; `blockers` (N, 4): x, y, radius and height of cylinders in m.
+    `positions` have the shape (K, 3) in m and are in the room; `blockers` (N, 4): x, y, radius and height of cylinders
+    in m.
     """
 
     def __init__(
@@ -78,7 +99,7 @@ class Room:
         `sharing`: the number of users that share the bandwidth; K if absent.
         """
         return self._channel.link(
-            _array(positions, "positions", 2),
+            _places(positions, self.scenario.room_m),
             _array(roll, "roll", 1),
             _array(yaw, "yaw", 1),
             _optional(blockers, "blockers", 2),
@@ -87,12 +108,12 @@ class Room:
 
     def steering_gain(self, positions: ArrayLike, blockers: ArrayLike | None = None) -> NDArray[np.float64]:
         """The gain of each mirror for each user if it were aimed at that user, (K, M)."""
-        return self._channel.steering_gain(_array(positions, "positions", 2), _optional(blockers, "blockers", 2))
+        return self._channel.steering_gain(_places(positions, self.scenario.room_m), _optional(blockers, "blockers", 2))
 
     def decode(self, positions: ArrayLike, weights: ArrayLike, blockers: ArrayLike | None = None) -> Angles:
         """The angles that the decoder computes from one weight per user, (K,)."""
         return self._channel.decode(
-            _array(positions, "positions", 2), _array(weights, "weights", 1), _optional(blockers, "blockers", 2)
+            _places(positions, self.scenario.room_m), _array(weights, "weights", 1), _optional(blockers, "blockers", 2)
         )
 
     def oracle(
@@ -100,7 +121,7 @@ class Room:
     ) -> Angles:
         """The angles of the oracle with minimum rates; those of the scenario if `min_rate_mbps` is absent."""
         return self._channel.oracle(
-            _array(positions, "positions", 2),
+            _places(positions, self.scenario.room_m),
             _optional(blockers, "blockers", 2),
             _optional(min_rate_mbps, "min_rate_mbps", 1),
         )
@@ -128,9 +149,9 @@ class Policy:
     def act(
         self, positions: ArrayLike, blockers: ArrayLike | None = None, min_rate_mbps: ArrayLike | None = None
     ) -> Angles:
-        """The angles for users at these positions, within the controller's range."""
+        """The angles for users at these positions in the room, within the controller's range."""
         return self._policy.act(
-            _array(positions, "positions", 2),
+            _places(positions, self.scenario.room_m),
             _optional(blockers, "blockers", 2),
             _optional(min_rate_mbps, "min_rate_mbps", 1),
         )
@@ -173,7 +194,11 @@ def rate_map(
     """A quantity of `Room.link` over the floor: x of the columns, y of the rows, and the values (rows, columns)."""
     if not isinstance(room, Room):
         raise TypeError(f"room: expected a Room, found {type(room).__name__}")
-    length_x, length_y, _ = room.scenario.room_m
+    length_x, length_y, height = room.scenario.room_m
+    expected = f"a number of metres from 0 to {height:g} in this room"
+    height_m = finite("height_m", height_m, expected, 0.0)
+    if height_m > height:
+        raise ValueError(f"height_m = {height_m!r}: expected {expected}")
     longest = 2.0 * min(length_x, length_y)
     if not isinstance(step_m, (int, float, np.number)) or not 0.0 < step_m < longest:
         raise ValueError(f"step_m = {step_m!r}: expected a positive number of metres below {longest:g} in this room")
@@ -185,7 +210,9 @@ def rate_map(
     grid_x, grid_y = np.meshgrid(x, y)
     places = np.stack([grid_x.ravel(), grid_y.ravel(), np.full(grid_x.size, height_m)], axis=1)
     if quantity not in LinkResult.__annotations__:
-        raise ValueError(f"quantity = {quantity!r}: expected one of {', '.join(LinkResult.__annotations__)}")
+        similar = difflib.get_close_matches(str(quantity), LinkResult.__annotations__, 1)
+        hint = f"; a similar name exists: {similar[0]}" if similar else ""
+        raise ValueError(f"quantity = {quantity!r}: expected one of {', '.join(LinkResult.__annotations__)}{hint}")
     parts = (places[first : first + _PLACES_AT_ONCE] for first in range(0, len(places), _PLACES_AT_ONCE))
     values: list[Any] = [dict(room.link(part, roll, yaw, blockers, sharing))[quantity] for part in parts]
     return x, y, np.concatenate(values).reshape(grid_x.shape)

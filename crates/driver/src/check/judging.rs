@@ -34,6 +34,15 @@ pub fn not_judged(why: &str) -> Result<Outcome> {
     Ok((Verdict::NotJudged, why.to_owned()))
 }
 
+/// The outcome of a rule that was judged beside an obstacle, if any: the obstacle can have broken the
+/// rule.
+pub fn beside(obstacle: Option<&str>, (verdict, evidence): Outcome) -> Outcome {
+    match (verdict, obstacle) {
+        (Verdict::Broken, Some(obstacle)) => (Verdict::NotJudged, format!("{obstacle} ({evidence})")),
+        _ => (verdict, evidence),
+    }
+}
+
 /// Sends payloads that must be counted as `expected` and must not change anything else.
 pub fn refused(session: &mut TestSession, payloads: &[Vec<u8>], expected: Counters) -> Result<Outcome> {
     let before = session.last();
@@ -93,5 +102,15 @@ mod tests {
         assert_eq!(both, (Verdict::Kept, "it parks, it follows".to_owned()));
         let one = conditions(&[("it parks", false), ("it follows", true)], "following 7/1").expect("an outcome");
         assert_eq!(one, (Verdict::Broken, "violated: it parks (following 7/1)".to_owned()));
+    }
+
+    #[test]
+    fn a_rule_that_is_broken_beside_an_obstacle_is_not_judged() {
+        let of = |verdict| (verdict, "violated: it parks".to_owned());
+        let hindered = beside(Some("the device did not answer"), of(Verdict::Broken));
+        assert_eq!(hindered, (Verdict::NotJudged, "the device did not answer (violated: it parks)".to_owned()));
+        for (obstacle, verdict) in [(Some("the device did not answer"), Verdict::Kept), (None, Verdict::Broken)] {
+            assert_eq!(beside(obstacle, of(verdict)), of(verdict));
+        }
     }
 }

@@ -41,10 +41,11 @@ pub struct Report {
     pub driver: String,
     /// Mirrors, as announced.
     pub mirrors: usize,
+    /// Why the device or the driver failed during the check, and what to do; rules that it prevents are
+    /// not judged.
+    pub problem: Option<String>,
     /// Every rule, in the order of the check.
     pub findings: Vec<Finding>,
-    /// Why the device did not answer during the check; rules can be broken for this reason alone.
-    pub device_problem: Option<String>,
 }
 
 impl Report {
@@ -64,6 +65,9 @@ impl fmt::Display for Report {
             self.driver,
             counted(self.mirrors, "mirror")
         )?;
+        if let Some(problem) = &self.problem {
+            writeln!(f, "{problem}")?;
+        }
         for Finding { rule, requirement, verdict, evidence } in &self.findings {
             let word = match verdict {
                 Verdict::Kept => "kept",
@@ -73,13 +77,37 @@ impl fmt::Display for Report {
             writeln!(f, "{word:<7} {rule:<18} {requirement}")?;
             writeln!(f, "{:27}{evidence}", "")?;
         }
-        if let Some(problem) = &self.device_problem {
-            writeln!(f, "the device did not answer during the check: {problem}; repair it, then check again")?;
+        let not_judged = self.findings.iter().filter(|finding| finding.verdict == Verdict::NotJudged);
+        let not_judged: Vec<&str> = not_judged.map(|finding| finding.rule).collect();
+        if !not_judged.is_empty() {
+            writeln!(f, "{} not judged: {}", not_judged.len(), not_judged.join(", "))?;
         }
         let broken: Vec<&str> = self.broken().map(|finding| finding.rule).collect();
         match broken.len() {
             0 => writeln!(f, "every rule that could be judged is kept"),
             count => writeln!(f, "{count} broken: {}", broken.join(", ")),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_problem_precedes_the_rules_that_it_prevents() {
+        let finding = |rule, verdict| Finding { rule, requirement: "", verdict, evidence: String::new() };
+        let report = Report {
+            room: "lab".into(),
+            hardware: "mirrors".into(),
+            driver: "test".into(),
+            mirrors: 2,
+            problem: Some("the device did not answer during the check: turn raised".into()),
+            findings: vec![finding("follow", Verdict::NotJudged), finding("stop", Verdict::Kept)],
+        };
+        let text = report.to_string();
+        let second = text.lines().nth(1);
+        assert_eq!(second, report.problem.as_deref(), "{text}");
+        assert!(text.contains("1 not judged: follow") && !text.contains("BROKEN"), "{text}");
     }
 }

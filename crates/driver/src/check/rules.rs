@@ -10,8 +10,8 @@ use heliostat_proto::{
 
 use heliostat_service::clock::utc_ns;
 
-use super::judging::{Outcome, ROUNDING_RAD, aims, conditions, evidence, not_judged, refused, shows, verdict};
-use super::report::Finding;
+use super::judging::{Outcome, ROUNDING_RAD, aims, beside, conditions, evidence, not_judged, refused, shows, verdict};
+use super::report::{Finding, Verdict};
 use super::test_session::{ANSWER_TIMEOUT, Received, TestSession, bytes};
 use super::{bound_rules, safety_rules};
 
@@ -30,11 +30,17 @@ const SILENCE_VALIDITY_MS: u32 = 2000;
 /// Number of silences, where a pause of a busy machine hides one.
 const SILENCE_ATTEMPTS: usize = 3;
 
+/// Why a rule is not judged once the driver has left the room.
+const DRIVER_ENDED: &str = "the driver had ended";
+
 /// Statuses that must arrive within the timeout of an answer.
 const STATUSES: usize = 2;
 
 /// A verdict with its evidence, or the reason why the rule was not judged.
-type Rule = (&'static str, &'static str, fn(&mut TestSession) -> Result<Outcome>);
+type Judge = fn(&mut TestSession) -> Result<Outcome>;
+
+/// The name of a rule, its requirement, and what judges it.
+type Rule = (&'static str, &'static str, Judge);
 
 const RULES: [Rule; 26] = [
     ("capabilities", "published each second, and in answer to queries", capabilities),
@@ -70,10 +76,27 @@ pub fn judge(session: &mut TestSession) -> Result<Vec<Finding>> {
     RULES
         .into_iter()
         .map(|(rule, requirement, judge)| {
-            let (verdict, evidence) = judge(session)?;
+            let (verdict, evidence) = judge_one(session, judge)?;
             Ok(Finding { rule, requirement, verdict, evidence })
         })
         .collect()
+}
+
+/// The outcome of one rule. A device that does not answer, or a driver that has ended, breaks none.
+fn judge_one(session: &mut TestSession, judge: Judge) -> Result<Outcome> {
+    if session.has_ended {
+        return not_judged(DRIVER_ENDED);
+    }
+    // The last telemetry before the rule shows a device that failed earlier.
+    let from = session.count().saturating_sub(1);
+    let outcome = judge(session)?;
+    if outcome.0 != Verdict::Broken {
+        return Ok(outcome);
+    }
+    session.note_end()?;
+    let lost = || session.is_device_lost(from).then_some("the device did not answer");
+    let obstacle = if session.has_ended { Some(DRIVER_ENDED) } else { lost() };
+    Ok(beside(obstacle, outcome))
 }
 
 fn capabilities(session: &mut TestSession) -> Result<Outcome> {

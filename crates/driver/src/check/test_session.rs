@@ -16,6 +16,8 @@ use heliostat_proto::{
 
 use heliostat_service::{clock::utc_ns, source_id};
 
+use super::PRESENCE_LIMIT;
+
 /// Timeout of an answer, for a driver that never answers.
 pub const ANSWER_TIMEOUT: Duration = Duration::from_secs(4);
 
@@ -71,6 +73,15 @@ pub struct TestSession {
     stops_sent: Cell<u64>,
     /// Whether the room has keys: its driver refuses re-arms of kind 9.
     pub is_authenticated: bool,
+    /// Whether the driver has left the room during the check.
+    pub has_ended: bool,
+}
+
+/// Whether a driver of the array, or a simulator, is in the room.
+pub fn is_present(bus: &Bus, keys: &ArrayKeys) -> Result<bool> {
+    let simulators = bus.room().alive_of(NodeKind::SimNode);
+    let present = |tokens: &str| Ok::<_, BusError>(!bus.alive(tokens, PRESENCE_LIMIT)?.is_empty());
+    Ok(present(&keys.drivers_alive())? || present(&simulators)?)
 }
 
 /// Queries a message of the driver; repeats the query, because a new session may not know the
@@ -147,6 +158,7 @@ impl TestSession {
             safety: None,
             keys,
             is_authenticated,
+            has_ended: false,
             bus,
         };
         if !session.answered {
@@ -333,14 +345,33 @@ impl TestSession {
         self.wait(ANSWER_TIMEOUT, |received| received.stops.last().filter(|report| fits(report)).cloned())
     }
 
-    /// What the driver says of its device, if telemetry has shown that it does not answer.
-    pub fn device_problem(&self) -> Option<String> {
-        self.inspect(|received| {
-            let is_lost = |telemetry: &MirrorTelemetry| telemetry.faults & fault::LINK != 0;
-            let problem = problem_of_device(received.statuses.iter().filter_map(|(_, status)| status.as_ref().ok()));
-            let unknown = || "its status names no problem".to_owned();
-            received.telemetry.iter().any(is_lost).then(|| problem.map_or_else(unknown, str::to_owned))
-        })
+    /// Whether telemetry, from index `from` on, shows a device that does not answer.
+    pub fn is_device_lost(&self, from: usize) -> bool {
+        self.inspect(|received| received.telemetry.iter().skip(from).any(|shown| shown.faults & fault::LINK != 0))
+    }
+
+    /// Notes whether the driver has left the room.
+    pub fn note_end(&mut self) -> Result<()> {
+        self.has_ended = self.has_ended || !is_present(&self.bus, &self.keys)?;
+        Ok(())
+    }
+
+    /// Why device or driver failed during the check, with what the driver reports about its device.
+    pub fn problem(&self) -> Option<String> {
+        let reported = self.inspect(|received| {
+            let statuses = received.statuses.iter().filter_map(|(_, status)| status.as_ref().ok());
+            problem_of_device(statuses).unwrap_or("its status names no problem").to_owned()
+        });
+        match (self.has_ended, self.is_device_lost(0)) {
+            (false, false) => None,
+            (false, true) => {
+                Some(format!("the device did not answer during the check: {reported}; repair it, then check again"))
+            }
+            (true, false) => Some("the driver ended during the check: its output names the reason".to_owned()),
+            (true, true) => {
+                Some(format!("the driver ended during the check, after its device did not answer: {reported}"))
+            }
+        }
     }
 
     /// Does the same as another process, whose liveliness token disappears once the driver shows

@@ -27,6 +27,15 @@ use sweep::{Change, Grid, Sweep};
 /// The default policies; the first only if an actor is built in for the room.
 const DEFAULT_POLICIES: [&str; 7] = ["ddpg", "greedy", "fixed-point", "nearest", "random", "flat", "no-irs"];
 
+/// Why a policy can have a larger sum rate than the oracle.
+pub const ABOVE_ONE: &str = "a ratio can exceed 1: the oracle gives up sum rate to meet minimum rates, and a policy may leave users \
+     below them. The oracle is a local optimum, no upper bound";
+
+/// Whether a ratio exceeds 1 in the digits of a table.
+pub fn exceeds_one(ratio: f64) -> bool {
+    ratio >= 1.0005
+}
+
 /// Compare policies with the oracle on the same states.
 ///
 /// The oracle is the best local optimum that the solver finds from the true state. It penalises

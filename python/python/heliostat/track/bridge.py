@@ -72,6 +72,7 @@ class Intake:
     def __init__(self, users: Users) -> None:
         self.users = users
         self.arrived_ns: int | None = None
+        self._named_ns = -1
         self._has_news = threading.Condition()
 
     def poses(self, poses: Iterable[Pose]) -> None:
@@ -84,8 +85,16 @@ class Intake:
 
     def problem(self, kind: str, text: str) -> None:
         """Notes a problem of the source, with a short name of its kind."""
+        now = _now()
         with self._has_news:
-            self.users.problems.note(kind, text, _now())
+            self._named_ns = now.monotonic_ns
+            self.users.problems.note(kind, text, now)
+
+    def silence(self, text: str, since_ns: int) -> None:
+        """Notes that no data have arrived since a time, unless the source has named a problem since then."""
+        with self._has_news:
+            if self._named_ns < since_ns:
+                self.users.problems.note("no-data", text, _now())
 
     def report(self) -> Report | None:
         """Waits for the report that is due next, for at most 0.25 s."""
@@ -183,7 +192,7 @@ class _Silence:
             return False
         if now_ns >= self._next_ns:
             text = f"no data from {self._source.name} for {silent_ns / 1e9:.0f} s: {self._source.advice()}"
-            self._intake.problem("no-data", text)
+            self._intake.silence(text, self._since_ns)
             self._next_ns = _now().monotonic_ns + _SILENT_NS
         return True
 

@@ -22,6 +22,15 @@ struct SumRates {
     oracle: f64,
 }
 
+impl SumRates {
+    /// The rate of the credited policy, then those that it is compared with. It is not compared with itself.
+    fn rows<'a>(&self, credited: &'a str) -> impl Iterator<Item = (&'a str, f64)> {
+        let compared = [("no IRS", self.no_irs), ("flat", self.flat), ("oracle with QoS", self.oracle)];
+        let others = compared.into_iter().filter(move |(name, _)| *name != credited);
+        std::iter::once((credited, self.policy)).chain(others)
+    }
+}
+
 /// The summary of the room.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct RoomPart {
@@ -80,17 +89,10 @@ impl RoomPart {
         if self.sum_rate_mbps.is_none() {
             outln!("{credited:<26}{:>9}", "unknown")?;
         }
-        let named = |rates: &SumRates| {
-            [
-                (credited, rates.policy),
-                ("no IRS", rates.no_irs),
-                ("flat", rates.flat),
-                ("oracle with QoS", rates.oracle),
-            ]
-            .map(|(name, rate)| (name, rate, rates.oracle))
-        };
-        for (name, rate, oracle) in self.sum_rate_mbps.iter().flat_map(named) {
-            outln!("{name:<26}{rate:>9.2}{:>14}", share((oracle > 0.0).then(|| rate / oracle)))?;
+        if let Some(rates) = &self.sum_rate_mbps {
+            for (name, rate) in rates.rows(credited) {
+                outln!("{name:<26}{rate:>9.2}{:>14}", share((rates.oracle > 0.0).then(|| rate / rates.oracle)))?;
+            }
         }
         outln!(
             "share of users with their minimum rate: {} (oracle {})",
@@ -274,6 +276,14 @@ mod tests {
         assert!(note.starts_with("2 controllers were started: ticks, commands"), "{note}");
         let json = serde_json::to_value(of(2)).expect("a summary has a JSON form");
         assert_eq!((json["controllers_started"].as_u64(), json["sum_rate_mbps"].is_null()), (Some(2), true));
+    }
+
+    #[test]
+    fn the_policy_of_flat_mirrors_is_not_compared_with_itself() {
+        let rates = SumRates { policy: 5.0, no_irs: 4.0, flat: 5.0, oracle: 9.0 };
+        let names = |credited| rates.rows(credited).map(|(name, _)| name).collect::<Vec<_>>();
+        assert_eq!(names("flat"), ["flat", "no IRS", "oracle with QoS"]);
+        assert_eq!(names("nearest"), ["nearest", "no IRS", "flat", "oracle with QoS"]);
     }
 
     fn controller(policies: &Value) -> ControllerPart {

@@ -6,6 +6,9 @@ use heliostat_bus::TlsArgs;
 use heliostat_core::policy::{NameParser, PolicyKind};
 use heliostat_scenario::ScenarioArgs;
 
+/// The port of [`heliostat_bus::DEFAULT_ENDPOINT`].
+const DEFAULT_PORT: u16 = 7447;
+
 /// Check what a run needs: scenario, policy, driver, ports, clock, permissions, processors.
 ///
 /// Each line holds ok, warn or fail, what was found, and what to do. The exit status is 1 if a
@@ -43,8 +46,8 @@ pub struct Args {
     /// Index of the array of --calibration, from 0
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub array: usize,
-    /// Port of 127.0.0.1 that must be free (repeatable)
-    #[arg(long, value_name = "PORT", default_values_t = [7447], value_parser = clap::value_parser!(u16).range(1..))]
+    /// Port of 127.0.0.1 that must be free (repeatable) [default: 7447, or none with --connect or --listen]
+    #[arg(long, value_name = "PORT", value_parser = clap::value_parser!(u16).range(1..))]
     pub port: Vec<u16>,
     /// Print the checks as one JSON object
     #[arg(long)]
@@ -55,5 +58,36 @@ impl Args {
     /// Whether the flags name a room to look at.
     pub fn joins(&self) -> bool {
         !self.connect.is_empty() || !self.listen.is_empty()
+    }
+
+    /// The ports that must be free, each with a remark where no flag names it.
+    pub fn ports(&self) -> Vec<(u16, &'static str)> {
+        if self.port.is_empty() && !self.joins() {
+            return vec![(DEFAULT_PORT, " (default, --port names another one)")];
+        }
+        self.port.iter().map(|port| (*port, "")).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+
+    #[derive(Parser)]
+    struct Flags {
+        #[command(flatten)]
+        args: Args,
+    }
+
+    #[test]
+    fn a_port_that_no_flag_names_is_marked_and_left_out_where_flags_name_the_room() {
+        let ports = |flags: &[&str]| Flags::parse_from([&["doctor"][..], flags].concat()).args.ports();
+        let [(port, remark)] = ports(&[])[..] else { panic!("one port") };
+        assert!(heliostat_bus::DEFAULT_ENDPOINT.ends_with(&format!(":{port}")) && remark.contains("default"));
+        assert_eq!(ports(&["--port", "7"]), [(7, "")]);
+        assert!(ports(&["--connect", "tcp/127.0.0.1:7"]).is_empty());
+        assert_eq!(ports(&["--listen", "tcp/127.0.0.1:7", "--port", "8"]), [(8, "")]);
     }
 }

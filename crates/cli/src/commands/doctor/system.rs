@@ -49,7 +49,7 @@ pub(super) fn checks(args: &Args) -> Vec<Check> {
         Err(error) => {
             let advice = "correct it, or start from a valid one: heliostat scenario new FILE";
             let mut checks = vec![Check::fail("scenario", format!("{error:#}"), advice)];
-            checks.extend(args.port.iter().map(|port| check_port(*port)));
+            checks.extend(args.ports().into_iter().map(check_port));
             return checks;
         }
     };
@@ -78,8 +78,8 @@ pub(super) fn checks(args: &Args) -> Vec<Check> {
     checks.extend(calibration::checks(args, drivers.get(args.array), controller.as_ref()));
     // A driver that is checked listens on its own port, and this command on those of --listen.
     let endpoints = || args.connect.iter().chain(&args.listen);
-    let in_use = |port: &&u16| endpoints().any(|endpoint| endpoint.ends_with(&format!(":{port}")));
-    checks.extend(args.port.iter().filter(|port| !in_use(port)).map(|port| check_port(*port)));
+    let in_use = |port: u16| endpoints().any(|endpoint| endpoint.ends_with(&format!(":{port}")));
+    checks.extend(args.ports().into_iter().filter(|(port, _)| !in_use(*port)).map(check_port));
     checks
 }
 
@@ -110,7 +110,9 @@ fn check_policy(args: &Args, scenario: &Scenario) -> Check {
     };
     let name = args.model.as_ref().map_or(policy.name().to_owned(), |path| path.display().to_string());
     let engine = policy.engine().map_or(String::new(), |engine| format!(", engine {engine}"));
-    let mut found = format!("{name} fits the scenario{engine}");
+    let is_default = args.policy.is_none() && args.model.is_none();
+    let default = if is_default { " (default, --policy names another one)" } else { "" };
+    let mut found = format!("{name} fits the scenario{engine}{default}");
     let mut warnings = Vec::new();
     for finding in findings {
         match finding {
@@ -124,12 +126,12 @@ fn check_policy(args: &Args, scenario: &Scenario) -> Check {
     }
 }
 
-fn check_port(port: u16) -> Check {
+fn check_port((port, remark): (u16, &str)) -> Check {
     match TcpListener::bind(("127.0.0.1", port)) {
-        Ok(_) => Check::ok("port", format!("127.0.0.1:{port} is free")),
+        Ok(_) => Check::ok("port", format!("127.0.0.1:{port} is free{remark}")),
         Err(error) => Check::fail(
             "port",
-            format!("127.0.0.1:{port}: {error}"),
+            format!("127.0.0.1:{port}: {error}{remark}"),
             "end the process that listens there (ss -ltnp names it), or run with --listen tcp/127.0.0.1:PORT and the same --connect",
         ),
     }

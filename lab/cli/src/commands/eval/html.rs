@@ -14,10 +14,12 @@ use heliostat_scenario::Scenario;
 use heliostat_service::counted::counted;
 use heliostat_service::printable::{printable, printable_lines};
 
+use super::ABOVE_ONE;
 use super::differences::Difference;
 use super::origin;
 use super::output::{
-    BELIEF_NOTE, belief_columns, ber, blocked_note, difference, interval, notes_on_episodes, number, rows, users,
+    BELIEF_NOTE, BLOCKED, belief_columns, ber, blocked_states, difference, interval, notes_on_episodes, number, rows,
+    users,
 };
 use super::sweep::{Grid, Sweep};
 use heliostat_service::whole_file;
@@ -69,7 +71,7 @@ fn page(command: &str, scenario: &Scenario, grid: Option<&Grid>, reports: &[Repo
         "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" content=\"width=device-width\">\n\
          <title>{title}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<h1>{title}</h1>"
     )?;
-    write_origin(&mut page, command, first, grid)?;
+    write_origin(&mut page, command, grid, reports)?;
     for note in notes_on_episodes(reports, false) {
         writeln!(page, "<p class=\"note\">{}</p>", text(&note))?;
     }
@@ -80,6 +82,7 @@ fn page(command: &str, scenario: &Scenario, grid: Option<&Grid>, reports: &[Repo
     for (index, report) in reports.iter().enumerate() {
         if let Some(grid) = grid {
             writeln!(page, "<h2>{}</h2>", text(&grid.name(&grid.points()[index])))?;
+            write_meta(&mut page, &of_configuration(report))?;
         }
         write_table(&mut page, report)?;
         write_beliefs(&mut page, report)?;
@@ -96,33 +99,51 @@ fn page(command: &str, scenario: &Scenario, grid: Option<&Grid>, reports: &[Repo
     Ok(page)
 }
 
-fn write_origin(page: &mut String, command: &str, report: &Report, grid: Option<&Grid>) -> std::fmt::Result {
-    let mode = match report.mode {
+fn write_origin(page: &mut String, command: &str, grid: Option<&Grid>, reports: &[Report]) -> std::fmt::Result {
+    let first = &reports[0];
+    let mode = match first.mode {
         Loop::Static => "static: exact states, mirrors that turn at once",
         Loop::ClosedLoop => "closed loop: reports, delays, noise and mirrors of the scenario",
     };
-    let last_seed = report.seed.wrapping_add(report.seeds as u64 - 1);
-    let mut rows = vec![
-        ("scenario", format!("{}, configuration {}", report.scenario, report.configuration)),
-        ("comparison", mode.to_owned()),
-        ("users", users(report)),
-        ("seeds", format!("{} to {last_seed}: {} states for each", report.seed, report.states)),
-        ("episodes", format!("{}; intervals come from them", counted(report.episodes, report.group()))),
+    writeln!(page, "<p>Command: <code>{}</code></p>", text(command))?;
+    let mut rows = vec![("scenario", first.scenario.clone()), ("comparison", mode.to_owned())];
+    match grid {
+        None => rows.extend(of_configuration(first)),
+        Some(grid) => {
+            let of = |sweep: &Sweep| format!("{} = {}", sweep.key(), sweep.values().join(", "));
+            rows.push(("sweep", grid.sweeps().iter().map(of).collect::<Vec<_>>().join("; ")));
+        }
+    }
+    rows.extend([
         ("made", machine::now()),
         ("program", format!("{}, commit {}", origin::program(), machine::COMMIT)),
         ("machine", machine::hardware()),
-    ];
-    if let Some(grid) = grid {
-        rows[2].1 += "; at the first value of the sweep";
-        let of = |sweep: &Sweep| format!("{} = {}", sweep.key(), sweep.values().join(", "));
-        rows.insert(2, ("sweep", grid.sweeps().iter().map(of).collect::<Vec<_>>().join("; ")));
+    ]);
+    for condition in reports.iter().flat_map(|report| &report.conditions) {
+        let row = ("condition", condition.to_string());
+        if !rows.contains(&row) {
+            rows.push(row);
+        }
     }
-    for condition in &report.conditions {
-        rows.push(("condition", condition.to_string()));
-    }
-    writeln!(page, "<table class=\"meta\">\n<tr><th>command</th><td><code>{}</code></td></tr>", text(command))?;
+    write_meta(page, &rows)
+}
+
+/// What belongs to one configuration: each point of a sweep has its own.
+fn of_configuration(report: &Report) -> [(&'static str, String); 5] {
+    let last_seed = report.seed.wrapping_add(report.seeds as u64 - 1);
+    [
+        ("configuration", report.configuration.clone()),
+        ("users", users(report)),
+        ("seeds", format!("{} to {last_seed}: {} states for each", report.seed, report.states)),
+        ("episodes", format!("{}; intervals come from them", counted(report.episodes, report.group()))),
+        ("blocked", blocked_states(report)),
+    ]
+}
+
+fn write_meta(page: &mut String, rows: &[(&str, String)]) -> std::fmt::Result {
+    writeln!(page, "<table class=\"meta\">")?;
     for (name, value) in rows {
-        writeln!(page, "<tr><th>{name}</th><td>{}</td></tr>", text(&value))?;
+        writeln!(page, "<tr><th>{name}</th><td>{}</td></tr>", text(value))?;
     }
     writeln!(page, "</table>")
 }
@@ -187,12 +208,16 @@ fn write_beliefs(page: &mut String, report: &Report) -> std::fmt::Result {
 
 fn write_notes(page: &mut String, report: &Report) -> std::fmt::Result {
     writeln!(page, "<h2>How to read this</h2>\n<ul>")?;
-    let blocked = format!("Blocked: {}.", blocked_note(report));
+    let blocked = format!("Blocked: {BLOCKED}.");
+    let ratio = format!(
+        "Ratio: to the sum rate of the oracle with minimum rates, state by state; p5: its 5th percentile over the states. \
+         Note that {ABOVE_ONE}."
+    );
     for note in [
         "±: half the width of the 95 % confidence interval of the mean, by Student's t. A single state has no interval.",
         "Difference: the figure minus that of the first policy, state by state. Its interval is narrower than that of two means, because \
          both policies meet the same states. An interval that does not contain 0 is a difference beyond the variation of the states.",
-        "Ratio: to the sum rate of the oracle with minimum rates, state by state; p5: its 5th percentile over the states.",
+        ratio.as_str(),
         "QoS met: share of the users whose minimum rate is met. Jain: Jain's fairness index of the rates. BER: with on-off keying.",
         blocked.as_str(),
         "Trained: number of training seeds; the interval includes their spread.",
@@ -268,5 +293,20 @@ mod tests {
             assert!(!page.contains(element), "{element} in\n{page}");
         }
         assert!(page.contains("&lt;script&gt;flat&lt;/script&gt;&amp;\\u001b[2J.onnx"), "{page}");
+    }
+
+    #[test]
+    fn each_point_of_a_sweep_names_its_own_configuration_and_the_head_names_none() {
+        let (scenario, first) = report_of(&["flat", "nearest"]);
+        let second = Report { configuration: "of the second point".into(), users: 7, ..first.clone() };
+        let sweeps = ["users.count=2,7".parse::<Sweep>().expect("a sweep")];
+        let grid = Grid::new(&sweeps).expect("a key").expect("a sweep");
+        let page = page("heliostat-lab eval", &scenario, Some(&grid), &[first.clone(), second]).expect("a page");
+        let parts: Vec<&str> = page.split("<h2>users.count = ").collect();
+        assert_eq!(parts.len(), 3, "{page}");
+        assert!(!parts[0].contains(&first.configuration) && !parts[0].contains("<th>users</th>"), "{page}");
+        assert!(parts[1].contains(&first.configuration) && parts[1].contains("<td>2 users</td>"), "{page}");
+        assert!(parts[2].contains("<td>of the second point</td>") && parts[2].contains("<td>7 users</td>"), "{page}");
+        assert!(page.contains("a ratio can exceed 1"), "{page}");
     }
 }

@@ -8,7 +8,8 @@ use heliostat_learn::comparison::{BeliefQuality, EPISODES_MIN, Loop, Report, Row
 use heliostat_service::counted::counted;
 
 use super::differences::Difference;
-use super::sweep::Grid;
+use super::sweep::{Grid, Sweep};
+use super::{ABOVE_ONE, exceeds_one};
 use heliostat_service::outln;
 
 /// The name of the oracle's row.
@@ -72,7 +73,8 @@ pub fn print_table(report: &Report) -> io::Result<()> {
     outln!(
         "±: half the width of the 95 % confidence interval of the mean; ratio: to the sum rate of the oracle with minimum rates; p5: its 5th percentile"
     )?;
-    outln!("blocked: {}", blocked_note(report))?;
+    note_on_ratios(std::slice::from_ref(report))?;
+    outln!("blocked: {BLOCKED}: {}", blocked_states(report))?;
     print_differences(report)?;
     print_outages(report)?;
     print_beliefs(report)?;
@@ -186,7 +188,10 @@ pub(super) fn belief_columns() -> [BeliefColumn; 6] {
 /// and the paired differences: one line for each point.
 pub fn print_sweep(grid: &Grid, reports: &[Report]) -> io::Result<()> {
     let Some(first) = reports.first() else { return Ok(()) };
-    outln!("ratio to the oracle with minimum rates, and share of minimum rates met; {}", states_and_seeds(first))?;
+    let states = states_and_seeds(first);
+    let is_shared = reports.iter().all(|report| states_and_seeds(report) == states);
+    let place = if is_shared { "" } else { " at the first point" };
+    outln!("ratio to the oracle with minimum rates, and share of minimum rates met; {states}{place}")?;
     print_columns(grid, reports, |_, row| {
         (number(row.qos_met.mean, 3), format!("{} {}", interval(row.ratio_to_oracle, 3), number(row.qos_met.mean, 3)))
     })?;
@@ -206,6 +211,7 @@ pub fn print_sweep(grid: &Grid, reports: &[Report]) -> io::Result<()> {
         })?;
     }
     note_on_episodes(reports, true)?;
+    note_on_ratios(reports)?;
     print_conditions(reports)
 }
 
@@ -220,18 +226,27 @@ fn print_columns(grid: &Grid, reports: &[Report], cell: impl Fn(&Report, &Row) -
         }
     }
     let header: Vec<String> = names.iter().map(|name| format!("{name:>0$}", width(name))).collect();
-    let keys: Vec<String> = grid.keys().map(|key| format!("{key:>24}")).collect();
+    let key_widths: Vec<usize> = grid.sweeps().iter().map(key_width).collect();
+    let keys: Vec<String> =
+        grid.keys().zip(key_widths.iter().copied()).map(|(key, width)| format!("{key:>width$}")).collect();
     outln!("{} {:>8} {}", keys.join(" "), ORACLE, header.join(" "))?;
     for (point, report) in grid.points().iter().zip(reports) {
         let cells = names.iter().map(|name| {
             let row = report.policies.iter().find(|(of, _)| of == name);
             format!("{:>1$}", row.map_or("-".into(), |(_, row)| cell(report, row).1), width(name))
         });
-        let values: Vec<String> = point.iter().map(|value| format!("{value:>24}")).collect();
+        let values: Vec<String> =
+            point.iter().zip(key_widths.iter().copied()).map(|(value, width)| format!("{value:>width$}")).collect();
         let oracle = cell(report, &report.oracle).0;
         outln!("{} {oracle:>8} {}", values.join(" "), cells.collect::<Vec<_>>().join(" "))?;
     }
     Ok(())
+}
+
+/// Width of the column of a key.
+fn key_width(sweep: &Sweep) -> usize {
+    let values = sweep.values().iter().map(|value| value.chars().count());
+    values.chain([sweep.key().chars().count()]).max().unwrap_or(0)
 }
 
 fn states_and_seeds(report: &Report) -> String {
@@ -260,13 +275,21 @@ fn episodes_and_seeds(report: &Report) -> String {
     format!("{}{of_seeds}, {states}", counted(report.episodes, "episode"))
 }
 
-/// What the column `blocked` is, and from how many episodes it comes.
-pub(super) fn blocked_note(report: &Report) -> String {
-    let found = match (report.blocked_episodes(), report.group()) {
+/// What the column `blocked` is.
+pub(super) const BLOCKED: &str = "mean rate of a user without direct path in Mbit/s, over the states with such a user";
+
+/// From how many episodes the column `blocked` comes.
+pub(super) fn blocked_states(report: &Report) -> String {
+    match (report.blocked_episodes(), report.group()) {
         (0, group) => format!("no {group} has such a user"),
         (some, group) => format!("from {some} of {}", counted(report.episodes, group)),
-    };
-    format!("mean rate of a user without direct path in Mbit/s, over the states with such a user: {found}")
+    }
+}
+
+/// Prints why a ratio exceeds 1, if one does.
+fn note_on_ratios(reports: &[Report]) -> io::Result<()> {
+    let mut rows = reports.iter().flat_map(|report| &report.policies);
+    if rows.any(|(_, row)| exceeds_one(row.ratio_to_oracle.mean)) { outln!("{ABOVE_ONE}") } else { Ok(()) }
 }
 
 /// Why a figure has no interval, or one that says little; nothing where all is well.
@@ -277,19 +300,23 @@ pub(super) fn notes_on_episodes(reports: &[Report], is_sweep: bool) -> Vec<Strin
         return few_blocked(reports, is_sweep).into_iter().chain(crossing(reports, is_sweep)).collect();
     };
     let is_single = few.oracle.sum_rate_mbps.ci95.is_nan();
-    let found = counted(few.episodes, few.group());
-    notes.push(if is_single {
-        format!(
-            "warning: {found} gives no confidence interval: use --episodes {EPISODES_MIN} or more, or --seeds 2 or more"
-        )
-    } else {
-        format!(
-            "warning: the intervals come from {found}; use at least {EPISODES_MIN}, for example --episodes {}",
-            EPISODES_MIN.div_ceil(few.seeds)
-        )
-    });
+    // Each state of a static comparison is an episode of its own.
+    let flag = if few.mode == Loop::Static { "--states" } else { "--episodes" };
+    notes.push(few_episodes(&counted(few.episodes, few.group()), flag, few.seeds, is_single));
     notes.extend(crossing(reports, is_sweep));
     notes
+}
+
+/// A warning that there are few independent episodes, and the flag that gives more for each seed.
+fn few_episodes(found: &str, flag: &str, seeds: usize, is_single: bool) -> String {
+    let of_seed = EPISODES_MIN.div_ceil(seeds);
+    let (consequence, enough) = if is_single {
+        (format!("{found} gives no confidence interval"), String::from(", or --seeds 2 or more"))
+    } else {
+        let each = if seeds == 1 { String::new() } else { format!(", for each of the {seeds} seeds") };
+        (format!("the intervals come from {found} in all, too few to rely on them"), each)
+    };
+    format!("warning: {consequence}: use {flag} {of_seed} or more{enough}")
 }
 
 /// A warning where few of many episodes have a user without a direct path.
@@ -358,4 +385,46 @@ fn signed(spread: Spread, digits: usize) -> String {
 /// A number, or a dash for NaN.
 pub(super) fn number(value: f64, digits: usize) -> String {
     if value.is_nan() { "-".into() } else { format!("{value:.digits$}") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_warning_of_few_episodes_names_their_number_the_consequence_and_the_flag() {
+        for (found, flag, seeds, is_single, expected) in [
+            (
+                "5 states",
+                "--states",
+                1,
+                false,
+                "warning: the intervals come from 5 states in all, too few to rely on them: use --states 10 or more",
+            ),
+            (
+                "6 episodes",
+                "--episodes",
+                3,
+                false,
+                "warning: the intervals come from 6 episodes in all, too few to rely on them: use --episodes 4 or more, \
+                 for each of the 3 seeds",
+            ),
+            (
+                "1 episode",
+                "--episodes",
+                1,
+                true,
+                "warning: 1 episode gives no confidence interval: use --episodes 10 or more, or --seeds 2 or more",
+            ),
+        ] {
+            assert_eq!(few_episodes(found, flag, seeds, is_single), expected);
+        }
+    }
+
+    #[test]
+    fn a_column_of_a_sweep_is_as_wide_as_its_key_and_its_values() {
+        for (sweep, width) in [("users.count=1..3", 11), ("led.positions_m=[[0,0,3]],[[1,0,3],[-1,0,3]]", 18)] {
+            assert_eq!(key_width(&sweep.parse().expect("a sweep")), width);
+        }
+    }
 }

@@ -7,6 +7,8 @@ use heliostat_learn::comparison::EPISODES_MIN;
 use heliostat_reproduce::command::quoted;
 use serde_json::Value;
 
+use crate::commands::eval::{ABOVE_ONE, exceeds_one};
+
 use super::archive::{Archive, Finished};
 use super::definition::{Definition, Section};
 use super::summary;
@@ -55,8 +57,11 @@ fn write_section(definition: &Definition, section: &Section, finished: &Finished
     }
     for table in &section.tables {
         let rows = rows(output, &table.rows, arguments)?;
-        let named = !output.pointer(&table.rows).is_some_and(Value::is_array) || output["sweep"].is_string();
-        writeln!(text, "{}", markdown(&rows, definition.columns(&table.columns)?, named))?;
+        let heading = heading(output, &table.rows);
+        writeln!(text, "{}", markdown(&rows, definition.columns(&table.columns)?, heading.as_deref()))?;
+    }
+    if has_ratio_above_one(output) {
+        writeln!(text, "Note that {ABOVE_ONE}.\n")?;
     }
     Ok(())
 }
@@ -92,12 +97,32 @@ fn states(output: &Value) -> String {
     }
 }
 
+/// The heading of the names of rows, as [`rows`] makes them; `None` where they have no names.
+fn heading(output: &Value, pointer: &str) -> Option<String> {
+    match (output["sweep"].as_str(), output.pointer(pointer)) {
+        (Some(keys), _) => Some(format!("{keys}: policy")),
+        (None, Some(Value::Array(_))) => None,
+        (None, _) => Some(String::new()),
+    }
+}
+
+/// Whether a policy has a larger sum rate than the oracle, in the digits of a table.
+fn has_ratio_above_one(output: &Value) -> bool {
+    let rows = of_points(output).into_iter().filter_map(|report| report["policies"].as_object());
+    let mut ratios = rows.flat_map(|policies| policies.values()).map(|row| &row["ratio_to_oracle"]["mean"]);
+    ratios.any(|ratio| ratio.as_f64().is_some_and(exceeds_one))
+}
+
+/// The reports of a sweep, or the output itself.
+fn of_points(output: &Value) -> Vec<&Value> {
+    let reports = output["reports"].as_array().map(|reports| reports.iter().map(|report| &report["report"]).collect());
+    reports.unwrap_or_else(|| vec![output])
+}
+
 /// The methods whose conditions the rooms do not meet, and what a marked interval means.
 fn notes(output: &Value) -> Vec<String> {
-    let reports = output["reports"].as_array().map(|reports| reports.iter().map(|report| &report["report"]).collect());
-    let reports: Vec<&Value> = reports.unwrap_or_else(|| vec![output]);
     let mut notes: Vec<String> = Vec::new();
-    for condition in reports.iter().filter_map(|report| report["conditions"].as_array()).flatten() {
+    for condition in of_points(output).into_iter().filter_map(|report| report["conditions"].as_array()).flatten() {
         let part = |name: &str| condition[name].as_str().unwrap_or_default();
         let note =
             format!("Condition: {} does not apply: {}: {}.", part("method"), part("because"), part("consequence"));
@@ -228,6 +253,19 @@ mod tests {
         assert_eq!(found[0], "Condition: the filter does not apply: no gains: no headings.");
         assert!(found[1].contains("beyond what the figure can be"), "{found:?}");
         assert!(notes(&json!({ "rows": [] })).is_empty());
+    }
+
+    #[test]
+    fn a_sweep_has_its_keys_as_heading_and_a_ratio_above_one_is_explained() {
+        let swept = |ratio: f64| {
+            let policies = json!({ "flat": { "ratio_to_oracle": { "mean": ratio } } });
+            json!({ "sweep": "users.count, led.power_w", "reports": [{ "report": { "policies": policies } }] })
+        };
+        assert_eq!(heading(&swept(1.0), "/reports").as_deref(), Some("users.count, led.power_w: policy"));
+        assert_eq!(heading(&json!({ "rows": [] }), "/rows"), None);
+        assert_eq!(heading(&json!({ "policies": {} }), "/policies").as_deref(), Some(""));
+        assert!(has_ratio_above_one(&swept(1.001)) && !has_ratio_above_one(&swept(1.0)));
+        assert!(has_ratio_above_one(&swept(1.001)["reports"][0]["report"]));
     }
 
     #[test]

@@ -31,7 +31,7 @@ pub fn write(summary: &Summary, definition: &Definition, archive: &Archive) -> R
     if rows.is_empty() {
         return Ok(String::new());
     }
-    Ok(format!("## {}\n\n{}\n\n{}\n", summary.title, summary.about, markdown(&rows, columns, true)))
+    Ok(format!("## {}\n\n{}\n\n{}\n", summary.title, summary.about, markdown(&rows, columns, Some(""))))
 }
 
 /// The figures of a section minus those of its base. The interval treats the two as independent.

@@ -100,11 +100,11 @@ fn rank(name: &str, arguments: &[String]) -> (usize, usize, usize) {
     (policy, belief.unwrap_or(beliefs.len()), name.len())
 }
 
-/// A table in Markdown; rows with names have these in the first column.
-pub fn markdown(rows: &[Row], columns: &[Column], named: bool) -> String {
+/// A table in Markdown; with a heading for the names of the rows, these are the first column.
+pub fn markdown(rows: &[Row], columns: &[Column], heading: Option<&str>) -> String {
     let titles = columns.iter().map(|column| column.title.clone());
-    let first = |name: &str| named.then(|| name.to_owned());
-    let mut lines = vec![first("").into_iter().chain(titles).collect::<Vec<_>>()];
+    let first = |name: &str| heading.map(|_| name.to_owned());
+    let mut lines = vec![first(heading.unwrap_or_default()).into_iter().chain(titles).collect::<Vec<_>>()];
     for (name, row) in rows {
         let cells = columns.iter().map(|column| cell(row.pointer(&column.at).unwrap_or(&Value::Null), column.form));
         lines.push(first(name).into_iter().chain(cells).collect());
@@ -169,7 +169,7 @@ mod tests {
         let rows = rows(&report(0.9), POLICIES, &arguments("eval --policies greedy,flat")).unwrap();
         let expected = "|  | ratio | p50 |\n| --- | --- | --- |\n| (oracle) | 1.00 | - |\n| greedy | 0.90 ± 0.01 | 7 |\n\
                         | greedy-unaware | 0.90 ± 0.01 | 7 |\n| flat | 0.45 ± 0.01 | 7 |\n";
-        assert_eq!(markdown(&rows, &columns(&["ratio | /ratio | ±2", "p50 | /us/p50 | .0"]), true), expected);
+        assert_eq!(markdown(&rows, &columns(&["ratio | /ratio | ±2", "p50 | /us/p50 | .0"]), Some("")), expected);
     }
 
     #[test]

@@ -78,7 +78,7 @@ impl AbsenceDetector {
 
 #[cfg(test)]
 mod tests {
-    use heliostat_proto::Room;
+    use heliostat_proto::{NodeKind, Room};
 
     use super::*;
 
@@ -89,7 +89,7 @@ mod tests {
     #[test]
     fn a_driver_drives_its_array_and_a_simulator_every_one() {
         let room = Room::new("lab").expect("a valid name");
-        let of = |key: String| token(&key).into_iter().collect::<BTreeSet<Token>>();
+        let of = |key: String| parse_array_alive(&key).into_iter().collect::<BTreeSet<Token>>();
         let driven = |tokens: &BTreeSet<Token>| [0, 1, 2].map(|array| drives(tokens, array));
         assert_eq!(driven(&of(room.alive(NodeKind::Driver, 7))), [true, false, false]);
         assert_eq!(driven(&of(room.array(1).driver_alive(7))), [false, true, false]);

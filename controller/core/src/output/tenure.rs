@@ -208,7 +208,7 @@ impl Tenure {
         self.peers.len()
     }
 
-    /// Whether the liveliness token of the former leader had ended when this standby took over.
+    /// Whether the former leader ended with its liveliness token before this standby took over.
     pub fn has_leader_ended(&self) -> bool {
         self.standing == Standing::Leading && self.watch.has_left
     }
@@ -316,7 +316,9 @@ impl Tenure {
         }
         if watch.unanswered + u8::from(watch.is_gone()) < needed {
             // An answer that came before the token ended shows no leader.
-            watch.has_answered |= watch.has_left && is_answered && !is_returned;
+            if watch.has_left && is_answered && !is_returned {
+                watch.note_answer(now);
+            }
             return None;
         }
         // A leader whose token has ended may command until its successor is obeyed.

@@ -11,6 +11,9 @@ const SETTLED: u64 = 8;
 /// Longest time in ns from the token of a controller to its lead, for a lead that it takes on purpose.
 const GUEST_NS: Nanos = 1_000_000_000;
 
+/// Longest time in ns for which a leader that ends commands on without a token: twice that of the hand-over.
+const ENDING_NS: Nanos = 1_000_000_000;
+
 named! {
     /// A change of the standing or of the epoch, or a reason that commands are refused.
     pub enum TenureEvent {
@@ -89,21 +92,28 @@ pub(super) struct Watch {
     pub(super) last_ns: Nanos,
     /// Reports without an accepted command, in sequence.
     pub(super) unanswered: u8,
-    /// The liveliness token of the leader has ended.
+    /// The liveliness token of the leader has ended, and the leader ends with it.
     pub(super) has_left: bool,
-    /// A report after that was answered: the leader commands on, at least until a standby does.
-    pub(super) has_answered: bool,
+    /// The first report after that which was answered: the leader commands on, at least until a standby does.
+    pub(super) answered_ns: Option<Nanos>,
 }
 
 impl Watch {
     /// The token of the leader has ended, or there is one.
     pub(super) fn set_left(&mut self, has_left: bool) {
-        (self.has_left, self.has_answered) = (has_left, false);
+        (self.has_left, self.answered_ns) = (has_left, None);
+    }
+
+    /// The leader has answered after the end of its token. One that answers for longer than an end has lost only its
+    /// token.
+    pub(super) fn note_answer(&mut self, now: Nanos) {
+        let first_ns = *self.answered_ns.get_or_insert(now);
+        self.has_left = now.abs_diff(first_ns) <= ENDING_NS;
     }
 
     /// Whether the end of the token counts as an unanswered report.
     pub(super) fn is_gone(&self) -> bool {
-        self.has_left && !self.has_answered
+        self.has_left && self.answered_ns.is_none()
     }
 }
 

@@ -216,7 +216,9 @@ impl Tenure {
     /// Another controller is in the room, or has left it.
     pub fn handle_controller(&mut self, peer: u64, is_present: bool) {
         let Rule::Live { source, .. } = self.rule else { return };
-        if peer == source || (!is_present && !self.peers.contains(&peer)) {
+        // Beside the most peers that are known, an end may be that of a further one.
+        let is_known = self.peers.contains(&peer) || self.peers.len() == PEERS_MAX;
+        if peer == source || (!is_present && !is_known) {
             return;
         }
         self.peers.retain(|known| *known != peer);

@@ -162,3 +162,15 @@ fn the_lead_of_a_guest_returns_at_once_also_where_it_left_before_telemetry_showe
     }
     assert_eq!(room.controllers[0].events, [TenureEvent::Superseded, TenureEvent::Resumed]);
 }
+
+#[test]
+fn the_end_of_a_leader_counts_beside_more_controllers_than_are_known() {
+    let mut room = led_room(&[1]);
+    (0..16).for_each(|other| room.announce(700 + other, true));
+    room.announce(GUEST, true);
+    let epoch = lead(&mut room, GUEST);
+    room.announce(GUEST, false);
+    assert!(room.array.handle(room.now, epoch, 51));
+    room.run(INTERVAL);
+    assert_eq!(room.standings(), [Standing::Leading], "at the next report");
+}

@@ -90,9 +90,35 @@ impl fmt::Display for Report {
     }
 }
 
+/// Why the check failed, by the rule at which the driver had ended, and what it reported about a device that did
+/// not answer.
+pub(super) fn describe_failure(ended_at: Option<&str>, device: Option<&str>) -> Option<String> {
+    match (ended_at, device) {
+        (None, None) => None,
+        (None, Some(device)) => {
+            Some(format!("the device did not answer during the check: {device}; repair it, then check again"))
+        }
+        (Some(rule), None) => {
+            Some(format!("the driver ended during the check, at the rule {rule}: its output names the reason"))
+        }
+        (Some(rule), Some(device)) => Some(format!(
+            "the driver ended during the check, at the rule {rule}, after its device did not answer: {device}"
+        )),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_rule_at_which_the_driver_ended_is_named() {
+        for device in [None, Some("turn raised")] {
+            let problem = describe_failure(Some("undecodable"), device).expect("a problem");
+            assert!(problem.starts_with("the driver ended during the check, at the rule undecodable"), "{problem}");
+        }
+        assert_eq!(describe_failure(None, None), None);
+    }
 
     #[test]
     fn the_problem_precedes_the_rules_that_it_prevents() {

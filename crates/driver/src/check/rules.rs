@@ -76,15 +76,15 @@ pub fn judge(session: &mut TestSession) -> Result<Vec<Finding>> {
     RULES
         .into_iter()
         .map(|(rule, requirement, judge)| {
-            let (verdict, evidence) = judge_one(session, judge)?;
+            let (verdict, evidence) = judge_one(session, rule, judge)?;
             Ok(Finding { rule, requirement, verdict, evidence })
         })
         .collect()
 }
 
 /// The outcome of one rule. A device that does not answer, or a driver that has ended, breaks none.
-fn judge_one(session: &mut TestSession, judge: Judge) -> Result<Outcome> {
-    if session.has_ended {
+fn judge_one(session: &mut TestSession, rule: &'static str, judge: Judge) -> Result<Outcome> {
+    if session.ended_at.is_some() {
         return not_judged(DRIVER_ENDED);
     }
     // The last telemetry before the rule shows a device that failed earlier.
@@ -93,9 +93,9 @@ fn judge_one(session: &mut TestSession, judge: Judge) -> Result<Outcome> {
     if outcome.0 != Verdict::Broken {
         return Ok(outcome);
     }
-    session.note_end()?;
+    session.note_end(rule)?;
     let lost = || session.is_device_lost(from).then_some("the device did not answer");
-    let obstacle = if session.has_ended { Some(DRIVER_ENDED) } else { lost() };
+    let obstacle = if session.ended_at.is_some() { Some(DRIVER_ENDED) } else { lost() };
     Ok(beside(obstacle, outcome))
 }
 

@@ -17,6 +17,7 @@ use heliostat_proto::{
 use heliostat_service::{clock::utc_ns, source_id};
 
 use super::PRESENCE_LIMIT;
+use super::report::describe_failure;
 
 /// Timeout of an answer, for a driver that never answers.
 pub const ANSWER_TIMEOUT: Duration = Duration::from_secs(4);
@@ -73,8 +74,8 @@ pub struct TestSession {
     stops_sent: Cell<u64>,
     /// Whether the room has keys: its driver refuses re-arms of kind 9.
     pub is_authenticated: bool,
-    /// Whether the driver has left the room during the check.
-    pub has_ended: bool,
+    /// The rule at which the driver was seen to have left the room.
+    pub ended_at: Option<&'static str>,
 }
 
 /// Whether a driver of the array, or a simulator, is in the room.
@@ -158,7 +159,7 @@ impl TestSession {
             safety: None,
             keys,
             is_authenticated,
-            has_ended: false,
+            ended_at: None,
             bus,
         };
         if !session.answered {
@@ -350,9 +351,11 @@ impl TestSession {
         self.inspect(|received| received.telemetry.iter().skip(from).any(|shown| shown.faults & fault::LINK != 0))
     }
 
-    /// Notes whether the driver has left the room.
-    pub fn note_end(&mut self) -> Result<()> {
-        self.has_ended = self.has_ended || !is_present(&self.bus, &self.keys)?;
+    /// Notes at this rule whether the driver has left the room.
+    pub fn note_end(&mut self, rule: &'static str) -> Result<()> {
+        if self.ended_at.is_none() && !is_present(&self.bus, &self.keys)? {
+            self.ended_at = Some(rule);
+        }
         Ok(())
     }
 
@@ -362,16 +365,7 @@ impl TestSession {
             let statuses = received.statuses.iter().filter_map(|(_, status)| status.as_ref().ok());
             problem_of_device(statuses).unwrap_or("its status names no problem").to_owned()
         });
-        match (self.has_ended, self.is_device_lost(0)) {
-            (false, false) => None,
-            (false, true) => {
-                Some(format!("the device did not answer during the check: {reported}; repair it, then check again"))
-            }
-            (true, false) => Some("the driver ended during the check: its output names the reason".to_owned()),
-            (true, true) => {
-                Some(format!("the driver ended during the check, after its device did not answer: {reported}"))
-            }
-        }
+        describe_failure(self.ended_at, self.is_device_lost(0).then_some(reported.as_str()))
     }
 
     /// Does the same as another process, whose liveliness token disappears once the driver shows

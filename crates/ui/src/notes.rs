@@ -13,6 +13,9 @@ use crate::view::{Dated, EXPIRY, Received};
 /// Telemetry of this age shows that an array is present, even without a process that is known.
 const REPORTING: Duration = Duration::from_secs(1);
 
+/// Time after its last process has left within which the last messages of a room get old. Some follow the token.
+const ENDING: Duration = EXPIRY.saturating_add(Duration::from_secs(1));
+
 impl Received {
     /// The lasting faults of a room with so many arrays, the most serious first. `opened` is the start of
     /// the viewer: a process that has not answered yet is missing only some seconds later.
@@ -55,7 +58,7 @@ impl Received {
     /// What is missing in a room without a controller.
     fn without_controller(&self) -> Option<&'static str> {
         // The tokens end before the messages are old: the processes of the room have ended together.
-        let is_ending = !self.has_processes() && !self.statuses.is_empty();
+        let is_ending = !self.has_processes() && self.left_at.is_some_and(|at| at.elapsed() < ENDING);
         let is_array_gone = !self.is_array_present() && self.arrays.at().is_some();
         match (is_ending, is_array_gone) {
             (true, _) => None,
@@ -184,6 +187,7 @@ fn absent_drivers(status: &NodeStatus, arrays: usize) -> Option<String> {
 mod tests {
     use std::time::Duration;
 
+    use heliostat_bus::Presence;
     use heliostat_proto::{Counters, MirrorTelemetry, Stamp, UserReport};
 
     use super::*;
@@ -232,14 +236,20 @@ mod tests {
     }
 
     #[test]
-    fn where_the_process_of_the_room_has_ended_no_controller_is_asked_for() {
+    fn where_the_process_of_the_room_has_ended_no_controller_is_asked_for_unless_messages_go_on() {
         let mut received = Received::default();
-        let status = NodeStatus { node: NodeKind::SimNode, ..NodeStatus::default() };
-        received.statuses.insert(NodeKind::SimNode.name().into(), (Instant::now(), status));
+        for presence in [Presence::Alive, Presence::Gone] {
+            received.take_presence((NodeKind::SimNode.name(), 7), presence);
+        }
         received.users = Some((Instant::now(), UserReport::default()));
         assert_eq!(received.notes(1, ago(60)), [""; 0], "its last messages are fresh");
         received.users = Some((ago(60), UserReport::default()));
         assert_eq!(received.notes(1, ago(60)), [ROOM_GONE]);
+        let status = NodeStatus { node: NodeKind::Driver, ..NodeStatus::default() };
+        received.statuses.insert(NodeKind::Driver.name().into(), (Instant::now(), status));
+        received.users = Some((Instant::now(), UserReport::default()));
+        received.left_at = Some(ago(60));
+        assert_eq!(received.notes(1, ago(60)), [NO_CONTROLLER], "of processes whose tokens are not seen");
     }
 
     #[test]

@@ -63,6 +63,8 @@ pub(crate) struct Received {
     pub statuses: BTreeMap<String, (Instant, NodeStatus)>,
     /// Kind and source of the processes in the room.
     pub alive: BTreeSet<(&'static str, u64)>,
+    /// When one of them last left it.
+    pub left_at: Option<Instant>,
     pub history: VecDeque<Sample>,
     pub latency: Window,
     pub problems: Problems,
@@ -166,6 +168,19 @@ impl View {
 }
 
 impl Received {
+    /// Notes a process that is in the room or has left it.
+    pub fn take_presence(&mut self, process: (&'static str, u64), presence: Presence) {
+        match presence {
+            Presence::Alive => {
+                self.alive.insert(process);
+            }
+            Presence::Gone => {
+                self.alive.remove(&process);
+                self.left_at = Some(Instant::now());
+            }
+        }
+    }
+
     /// The message, unless it is old.
     pub fn fresh<T>(message: &Dated<T>) -> Option<&T> {
         message.as_ref().filter(|(at, _)| at.elapsed() < EXPIRY).map(|(_, message)| message)
@@ -269,11 +284,7 @@ fn subscribe(bus: &Bus, received: &Arc<Mutex<Received>>) -> Result<Vec<Subscript
     let on_alive = Arc::clone(received);
     let alive = bus.watch(&room.all_alive(), move |key, presence| {
         let Some((node, source)) = parse_alive(key) else { return };
-        let mut received = lock(&on_alive);
-        match presence {
-            Presence::Alive => received.alive.insert((node.name(), source)),
-            Presence::Gone => received.alive.remove(&(node.name(), source)),
-        };
+        lock(&on_alive).take_presence((node.name(), source), presence);
     })?;
     Ok(vec![
         store(bus, &room.truth(), received, Received::take_truth)?,

@@ -195,6 +195,15 @@ def test_the_request_to_end_names_a_call_that_does_not_return_and_says_how_to_en
         assert device.kept_from_end(time.monotonic()) == "", "no call is present"
 
 
+def test_the_watch_of_a_driver_that_ends_without_a_request_ends_with_it() -> None:
+    before = set(threading.enumerate())
+    with Watched(Mirrors(), threading.Event(), lambda _: None, lambda _: None):
+        watches = set(threading.enumerate()) - before
+    for watch in watches:
+        watch.join(LIMIT_S)
+    assert len(watches) == 2 and not any(watch.is_alive() for watch in watches)
+
+
 def test_a_signal_that_interrupts_a_holder_of_the_lock_of_the_stop_is_obeyed() -> None:
     lock = threading.Lock()
 

@@ -71,7 +71,9 @@ class Watched:
         return f"the driver ends when {present[0]} returns; a second Ctrl-C or SIGTERM ends it at once"
 
     def _watch_end(self) -> None:
-        self._ended.wait()
+        while not self._ended.wait(_LOOK_S):
+            if self._over.is_set():
+                return
         while not self._over.is_set():
             if problem := self.kept_from_end(time.monotonic()):
                 self._show(problem)

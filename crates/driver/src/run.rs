@@ -156,7 +156,7 @@ impl<D: Device> ArrayDriver<D> {
     /// A transport that fails.
     pub fn run(self, end: Option<Instant>, stop: &Stop) -> Result<Summary, RunError> {
         let Self { mut driver, bus, token, clock } = self;
-        let _watch = EndWatch::start(stop);
+        let watch = EndWatch::start(stop);
         let running = driver.shared.run();
         let mut ended = Ok(());
         while ended.is_ok() && !stop.is_requested() && end.is_none_or(|end| Instant::now() < end) {
@@ -173,6 +173,8 @@ impl<D: Device> ArrayDriver<D> {
         }
         ended?;
         let summary = driver.summary();
+        // It watches device and disk, not the transport.
+        drop(watch);
         drop((driver, token));
         bus.close()?;
         Ok(summary)

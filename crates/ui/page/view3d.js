@@ -10,10 +10,12 @@ const RATIO_MIN = 0.75;
 const JUDGE_AFTER = 12;
 
 export class View3D {
-  // `null` if the browser has no WebGL.
+  // `null` if the browser has no WebGL. Without a graphics card the edges are not smoothed, because that costs much.
   static create(element, plan, bounds, changed) {
     const canvas = document.createElement("canvas");
-    const context = canvas.getContext("webgl2", { antialias: true, alpha: true });
+    const context =
+      canvas.getContext("webgl2", { antialias: true, failIfMajorPerformanceCaveat: true, alpha: true }) ??
+      canvas.getContext("webgl2", { antialias: false, alpha: true });
     return context && new View3D(element, plan, bounds, changed, new THREE.WebGLRenderer({ canvas, context }));
   }
 

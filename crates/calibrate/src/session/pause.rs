@@ -144,5 +144,8 @@ mod tests {
         room.session.handle_pause(now - 1);
         assert!(room.session.is_estimate_due() && room.session.readings.len() < readings);
         assert_eq!(room.session.log().complete, 1);
+        // The receiver is carried to the next place before the estimate is made.
+        (0..100).for_each(|_| room.step(1.0));
+        assert_eq!((room.session.stage(), room.session.spots.len()), (Stage::Await(1), 1));
     }
 }

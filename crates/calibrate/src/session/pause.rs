@@ -46,10 +46,11 @@ impl Session {
         dropped > 0
     }
 
-    /// Begins with the dark readings of the present spot again.
+    /// Begins with the dark readings of the present spot again, as many as at an arrival.
     fn darken_again(&mut self, place: usize) {
         self.unused += self.dark_gains.len() as u64;
         self.dark_gains.clear();
+        self.stand.forget_direct();
         self.verification = Verification::default();
         self.search = None;
         self.is_located = false;
@@ -124,12 +125,13 @@ mod tests {
     fn a_spot_whose_dark_readings_no_telemetry_confirms_begins_with_them_again() {
         let mut room = Room::new(2.0);
         room.step_until(|session| matches!(session.stage(), Stage::Probe(_)));
-        let dark_ns = room.session.dark_ns;
+        let (dark_ns, dark) = (room.session.dark_ns, room.session.dark_gains.len());
         assert!(dark_ns > 0 && room.session.group() > 1);
         room.session.handle_pause(dark_ns - 1);
         assert_eq!((room.session.stage(), room.session.group()), (Stage::Dark(0), 1));
         room.step_until(|session| matches!(session.stage(), Stage::Probe(_)));
         assert!(room.session.dark_ns > dark_ns && room.session.spots.len() == 1);
+        assert!(room.session.dark_gains.len() >= dark, "the noise is known as well as before");
     }
 
     #[test]

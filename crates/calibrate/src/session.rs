@@ -320,6 +320,7 @@ impl Session {
             Some(Moved::Stands(_)) | None => {}
         }
         if let Stage::Await(place) = self.stage
+            && !self.is_estimate_due()
             && self.stand.is_standing()
             && self.is_at(place)
         {

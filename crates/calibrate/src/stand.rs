@@ -112,6 +112,11 @@ impl Stand {
         true
     }
 
+    /// The next direct gains count as the first ones.
+    pub fn forget_direct(&mut self) {
+        self.direct.clear();
+    }
+
     /// Whether it stands.
     pub fn is_standing(&self) -> bool {
         self.is_standing

@@ -198,13 +198,15 @@ impl Session {
 }
 
 /// Standard deviation of dark readings. A receiver that reports 0 for a negative gain shows its noise only above the
-/// dark level: their median, or 0 where it cuts at least half of the readings off.
+/// dark level: their median, or 0 where it cuts at least half of the readings off. In coarse steps none may be above
+/// the median: the noise is then about 0.
 fn dark_deviation(dark: &[f64]) -> f64 {
     let cut = dark.iter().filter(|gain| **gain == 0.0).count();
     let level = if 2 * cut >= dark.len() { 0.0 } else { median(dark) };
-    let squares = dark.iter().filter(|gain| cut == 0 || **gain > level).map(|gain| (gain - level).powi(2));
-    let (sum, count) = squares.fold((0.0, 0_u32), |(sum, count), square| (sum + square, count + 1));
-    (sum / f64::from(count.max(1))).sqrt()
+    let above: Vec<f64> = dark.iter().copied().filter(|gain| cut == 0 || *gain > level).collect();
+    let (used, about) = if above.is_empty() { (dark, 0.0) } else { (above.as_slice(), level) };
+    let squares: f64 = used.iter().map(|gain| (gain - about).powi(2)).sum();
+    (squares / used.len().max(1) as f64).sqrt()
 }
 
 #[cfg(test)]
@@ -223,6 +225,8 @@ mod tests {
             let found = dark_deviation(&dark);
             assert!((0.9..1.0).contains(&found), "{found} at the level {level}");
         }
+        let coarse = dark_deviation(&[0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0]);
+        assert!((0.5..1.0).contains(&coarse), "{coarse} of steps of 1");
         assert_eq!([dark_deviation(&[0.0; 6]), dark_deviation(&[])], [0.0; 2]);
     }
 

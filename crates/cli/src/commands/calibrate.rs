@@ -204,13 +204,14 @@ fn drive(
                 if room.is_commanding() && !room.has_lost_lead() {
                     session.handle_channel(&report);
                 }
-                if session.is_estimate_due() {
-                    readings.save(session)?;
-                    session.run_estimate();
-                }
             }
             Some(Received::CommandDelay(delay_ns)) => session.handle_command_delay(delay_ns),
             None => {}
+        }
+        // A pause or a search can make it due without a report.
+        if session.is_estimate_due() {
+            readings.save(session)?;
+            session.run_estimate();
         }
         if let Some(refinement) = &mut refinement {
             refinement.take_turns(session, room)?;

@@ -1,18 +1,23 @@
 //! A refinement on the live room: what it starts from, the angles that the calibrated array understands, and
 //! when it commands.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use heliostat_array::calibration_file::{AxisCorrections, CalibrationFile};
 use heliostat_calibrate::{Log, Session, Stage};
 use heliostat_channel::MirrorAngles;
-use heliostat_proto::{AxisLimits, Capabilities, UserReport};
+use heliostat_proto::{AxisLimits, Capabilities, Nanos, UserReport};
+use heliostat_service::clock::utc_ns;
 use heliostat_service::exit::UnusableInput;
 use heliostat_service::output::note;
 
+use super::LOOK_EVERY;
 use super::idle::{Cause, Idle};
 use super::room::LiveRoom;
+
+/// Longest wait for the telemetry that confirms the last readings: three messages of an array.
+const CONFIRMED_WITHIN: Duration = Duration::from_millis(300);
 
 /// The refinement of the calibration in use.
 pub struct Refinement {
@@ -112,12 +117,13 @@ impl Refinement {
         if (in_use.is_none() && stands) == room.is_commanding() {
             return Ok(());
         }
-        session.handle_pause(room.confirmed_ns());
         if !room.is_commanding() {
+            session.handle_pause(room.confirmed_ns());
             note("the room is idle: the calibration commands the mirrors");
             self.taken_at = Some(session.stage());
             return room.take();
         }
+        session.handle_pause(confirmed_ns(in_use, utc_ns(), || room.confirmed_ns()));
         room.release();
         note(format_args!("the mirrors are given back: {}", reason(in_use, self.taken_at, session.stage())));
         Ok(())
@@ -127,6 +133,16 @@ impl Refinement {
     pub fn waits_for(&mut self, session: &Session) -> Option<Cause> {
         self.idle.cause(Instant::now()).filter(|_| is_at_spot(session))
     }
+}
+
+/// Until when telemetry confirms the readings, as `shown_ns` says. While the room is idle the mirrors are kept until
+/// it confirms those up to `now`.
+fn confirmed_ns(in_use: Option<Cause>, now: Nanos, shown_ns: impl Fn() -> Nanos) -> Nanos {
+    let begun = Instant::now();
+    while in_use.is_none() && shown_ns() < now && begun.elapsed() < CONFIRMED_WITHIN {
+        std::thread::sleep(LOOK_EVERY);
+    }
+    shown_ns()
 }
 
 /// Why the mirrors that were taken at one stage are given back at another one.
@@ -149,6 +165,8 @@ fn is_at_spot(session: &Session) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use std::cell::Cell;
+
     use super::*;
 
     #[test]
@@ -164,6 +182,19 @@ mod tests {
             assert_eq!(reason(in_use, taken, stage), expected);
         }
         assert_eq!(reason(None, Some(Stage::Dark(3)), Stage::Await(3)), "the receiver has left its place");
+    }
+
+    #[test]
+    fn the_last_readings_are_confirmed_before_the_mirrors_of_an_idle_room_are_given_back() {
+        // The telemetry that confirms them comes between the first look and the second.
+        let returned = |in_use| {
+            let looks = Cell::new(0);
+            confirmed_ns(in_use, 1000, || {
+                looks.set(looks.get() + 1);
+                if looks.get() > 1 { 1020 } else { 920 }
+            })
+        };
+        assert_eq!([returned(None), returned(Some(Cause::User(3)))], [1020, 920]);
     }
 
     #[test]

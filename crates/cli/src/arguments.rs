@@ -85,7 +85,7 @@ mod tests {
         assert!(recorder.contains("'--listen'") && !recorder.contains("'--out'"), "{recorder}");
         let stop = refused(&["heliostat", "driver", "check", "--port", "7447"]);
         assert!(stop.contains("'--connect'") && !stop.contains("'--ui-port'"), "{stop}");
-        let other = refused(&["heliostat", "ui", "--kitchen"]);
+        let other = refused(&["heliostat", "ui", "--xyz"]);
         assert!(!other.contains("tip:"), "{other}");
     }
 

@@ -86,8 +86,7 @@ pub fn run(args: Args) -> Result<()> {
         "the array uses no calibration, and --base names one: start its driver with this file, or leave --base out"
     );
     if let Some(base) = &base {
-        let (found, expected) = (base.rows.saturating_mul(base.columns), room.capabilities().mirrors());
-        ensure!(found == expected, "--base is for {found} mirrors: expected a file for {expected}");
+        base.check_array(room.capabilities()).context("in --base")?;
     }
     let readings = Readings::new(args.readings.as_deref(), (bus.room(), &scenario), (args.array, base.as_ref()));
     // The log of an earlier session is estimated too.

@@ -113,7 +113,7 @@ fn unseen(order: &Order) -> String {
 }
 
 fn show(args: &ApplyArgs, bus: &Bus, order: &Order, took: Duration) -> Result<()> {
-    let (file, took_ms) = (args.file.display().to_string(), took.as_secs_f64() * 1e3);
+    let file = args.file.display().to_string();
     if args.json {
         let result = json!({
             "room": bus.room().name(),
@@ -121,13 +121,13 @@ fn show(args: &ApplyArgs, bus: &Bus, order: &Order, took: Duration) -> Result<()
             "file": file,
             "calibration": order.sequence,
             "former": order.former,
-            "confirmed_after_ms": took_ms,
+            "confirmed_after_ms": took.as_secs_f64() * 1e3,
         });
         outln!("{result}")?;
         return Ok(());
     }
     let [used, former] = [order.sequence, order.former].map(Number);
-    outln!("in use         {file} as {used}, in place of {former}; telemetry shows it after {took_ms:.1} ms")?;
+    outln!("in use         {file} as {used}, in place of {former}")?;
     outln!("driver         it forgets this when it ends: start it with --calibration {file} from now on")?;
     outln!(
         "controller     start it again with the measured room of the same calibration: --scenario and its --room-out"

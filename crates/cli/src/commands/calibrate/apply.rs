@@ -73,13 +73,19 @@ fn apply(args: &ApplyArgs, bus: &Bus, file: &CalibrationFile) -> Result<(Order, 
     encode(&file.message(stamp), &mut payload)?;
     let published = Instant::now();
     publisher.put(&payload)?;
+    confirm(&reports, &order)?;
+    Ok((order, published.elapsed()))
+}
+
+/// Waits until telemetry shows the calibration in use; else says what it shows.
+fn confirm(reports: &Reports, order: &Order) -> Result<()> {
     let outcome = reports.wait(|report| match report {
         Report::Telemetry(now) => order.judge(&now),
         Report::Problem { .. } => None,
     });
     let kept = Number(order.former);
     match outcome {
-        Some(Outcome::InUse) => Ok((order, published.elapsed())),
+        Some(Outcome::InUse) => Ok(()),
         Some(Outcome::Refused) => {
             bail!("the driver has refused the calibration, and keeps {kept}: {}", reports.refusal(order.driver))
         }
@@ -92,24 +98,17 @@ fn apply(args: &ApplyArgs, bus: &Bus, file: &CalibrationFile) -> Result<(Order, 
             "another driver process reports the array: it was restarted meanwhile, or there are two of them. \
              `heliostat status` names them; with one driver, repeat the command"
         ),
-        None => bail!("{}", unseen(&order)),
+        None if order.was_refused => bail!(
+            "the array still uses {kept} after {} s, and shows a refused calibration, as before this one: {}",
+            WAIT.as_secs(),
+            reports.refusal(order.driver)
+        ),
+        None => bail!(
+            "the array still uses {kept} after {} s: the calibration did not arrive, or the driver is busy. A room with \
+             keys accepts it from the role calibrator only; a router needs these rights too",
+            WAIT.as_secs()
+        ),
     }
-}
-
-/// Why telemetry may not show a calibration in time.
-fn unseen(order: &Order) -> String {
-    let kept = Number(order.former);
-    let limit_s = WAIT.as_secs();
-    if order.was_refused {
-        return format!(
-            "telemetry still shows {kept} after {limit_s} s, and that a calibration was refused, as before this one: \
-             the log of the driver says why"
-        );
-    }
-    format!(
-        "telemetry still shows {kept} after {limit_s} s: the calibration did not arrive, or the driver is busy. A room \
-         with keys accepts it from the role calibrator only; a router needs the rights of this version too"
-    )
 }
 
 fn show(args: &ApplyArgs, bus: &Bus, order: &Order, took: Duration) -> Result<()> {
@@ -306,6 +305,5 @@ mod tests {
         let order = Order::after(&telemetry(7, 4, fault::CALIBRATION));
         assert_eq!(order.judge(&telemetry(7, 4, fault::CALIBRATION)), None);
         assert_eq!(order.judge(&telemetry(7, 5, 0)), Some(Outcome::InUse));
-        assert!(unseen(&order).contains("calibration 4") && unseen(&order).contains("was refused, as before"));
     }
 }

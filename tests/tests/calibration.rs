@@ -8,9 +8,10 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 use std::time::Instant;
 
-use heliostat_array::calibration_file::CalibrationFile;
+use heliostat_array::calibration_file::{AxisCorrections, CalibrationFile};
 use heliostat_bus::{BusConfig, private_endpoint};
 use heliostat_needs::needs;
+use heliostat_proto::messages::fault;
 use heliostat_proto::{ArrayState, NodeKind, Room, UserReport, encode};
 use heliostat_service::clock::utc_ns;
 use heliostat_tests::{Browser, Ended, PageServer, Process, RoomObserver, wait_until};
@@ -323,7 +324,7 @@ fn the_doctor_compares_the_files_of_a_calibration_with_the_running_room() {
     assert_eq!(advice, format!("start the controller with --scenario {}", text(&files.measured)));
     let folder = tempfile::tempdir().expect("a folder");
     let other = folder.path().join("other.toml");
-    let axis = heliostat_array::calibration_file::AxisCorrections::none(4);
+    let axis = AxisCorrections::none(4);
     fs::write(&other, CalibrationFile { rows: 2, columns: 2, roll: axis.clone(), yaw: axis }.to_toml())
         .expect("writable");
     let [verdict, found, advice] = doctor(files, &ends, &other)("calibration");
@@ -332,4 +333,59 @@ fn the_doctor_compares_the_files_of_a_calibration_with_the_running_room() {
         "{found}"
     );
     assert!(advice.contains("--array N"), "{advice}");
+}
+
+/// What `heliostat calibrate apply` ends with for a file of 2 rows and this offset in roll.
+fn apply(endpoint: &str, columns: usize, offset_deg: f64) -> Ended {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("calibration.toml");
+    let yaw = AxisCorrections::none(2 * columns);
+    let roll = AxisCorrections { offset_deg: vec![offset_deg; 2 * columns], ..yaw.clone() };
+    fs::write(&file, CalibrationFile { rows: 2, columns, roll, yaw }.to_toml()).expect("writable");
+    Process::heliostat(&["calibrate", "apply", text(&file), "--connect", endpoint, "--json"]).wait()
+}
+
+#[test]
+fn a_calibration_is_applied_to_a_running_array_and_one_that_does_not_fit_is_refused_with_the_reason() {
+    let endpoint = private_endpoint().expect("an endpoint");
+    let size = ["--set", "mirrors.rows=2", "--set", "mirrors.columns=2"];
+    let _room = Process::heliostat(&[&["sim-node", "--exit-with-parent", "--listen", &endpoint][..], &size].concat());
+    let observer = RoomObserver::connect("demo", &[&endpoint]);
+    wait_until("an array without a calibration", || observer.telemetry().is_some_and(|array| array.calibration == 0));
+    let is_refused = || observer.telemetry().is_some_and(|array| array.faults & fault::CALIBRATION != 0);
+    let applied = |sequence: u64| {
+        let result = apply(&endpoint, 2, 0.5).json();
+        assert_eq!((result["former"].as_u64(), result["calibration"].as_u64()), (Some(sequence - 1), Some(sequence)));
+        wait_until("the calibration in telemetry", || {
+            observer.telemetry().is_some_and(|array| array.calibration == sequence) && !is_refused()
+        });
+    };
+    applied(1);
+    applied(2);
+    // Refused before a message: another array, and a correction that no driver accepts.
+    for (columns, offset_deg, reason) in
+        [(3, 0.5, "2 x 3 mirrors: expected 2 x 2 mirrors, as the array announces"), (2, 20.0, "invalid roll offset")]
+    {
+        let ended = apply(&endpoint, columns, offset_deg);
+        assert!(ended.status.code() == Some(2) && ended.errors.contains(reason), "{}", ended.errors);
+        assert!(!is_refused());
+    }
+    // Refused by the driver, which alone knows the range of its hardware.
+    for kept in
+        ["the driver has refused the calibration, and keeps calibration 2", "the array still uses calibration 2"]
+    {
+        let ended = apply(&endpoint, 2, 8.0);
+        assert!(ended.status.code() == Some(1) && ended.errors.contains(kept), "{}", ended.errors);
+        assert!(ended.errors.contains(": the corrected roll of mirror 0 is "), "{}", ended.errors);
+        wait_until("the fault of the refusal", is_refused);
+    }
+    applied(3);
+}
+
+#[test]
+fn without_a_driver_no_calibration_is_applied_and_nothing_is_sent() {
+    let endpoint = private_endpoint().expect("an endpoint");
+    let ended = apply(&endpoint, 2, 0.5);
+    let expected = "Nothing was sent: give --connect the endpoint of the driver or of its router";
+    assert!(ended.status.code() == Some(1) && ended.errors.contains(expected), "{}", ended.errors);
 }

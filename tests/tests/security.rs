@@ -129,6 +129,24 @@ fn a_room_with_keys_answers_reports_and_only_an_operator_releases_a_stop() {
 }
 
 #[test]
+fn a_calibration_is_applied_with_the_keys_of_a_calibrator_only() {
+    let (keys, endpoint) = (Keys::new(), tls_endpoint());
+    let size = ["--set", "mirrors.rows=2", "--set", "mirrors.columns=2"];
+    let own = ["sim-node", "--listen", &endpoint, "--tls", keys.path(), "--exit-with-parent"];
+    let _room = Process::heliostat(&[&own[..], &size].concat());
+    keys.safety_report(&endpoint);
+    let file = keys.folder.path().join("calibration.toml");
+    let axis = "offset_deg = [0.5, 0.5, 0.5, 0.5]\ngain = [1.0, 1.0, 1.0, 1.0]";
+    std::fs::write(&file, format!("rows = 2\ncolumns = 2\n[roll]\n{axis}\n[yaw]\n{axis}\n")).expect("writable");
+    let file = file.to_str().expect("a path in UTF-8");
+    let apply =
+        |keys: &Keys| run(&["calibrate", "apply", file, "--connect", &endpoint, "--tls", keys.path(), "--json"]);
+    let viewer = apply(&keys.of("viewer"));
+    assert!(viewer.refusal().contains("expected one of: calibrator"), "{}", viewer.errors);
+    assert_eq!(apply(&keys.of("calibrator")).json()["calibration"], 1);
+}
+
+#[test]
 fn a_controller_with_foreign_keys_takes_no_part_in_a_room() {
     let (keys, foreign) = (Keys::new(), Keys::new());
     let (room, controller) = (tls_endpoint(), tls_endpoint());

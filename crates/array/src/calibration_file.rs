@@ -13,7 +13,7 @@
 //! gain = [1.0, 0.99]
 //! ```
 
-use heliostat_proto::{Calibration, Stamp};
+use heliostat_proto::{Calibration, Capabilities, Stamp};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -38,6 +38,17 @@ pub enum CalibrationFileError {
     NotFinite {
         /// The list.
         list: String,
+    },
+    /// The file is for an array of another shape.
+    #[error(
+        "{} x {} mirrors: expected {} x {} mirrors, as the array announces",
+        .found[0], .found[1], .expected[0], .expected[1]
+    )]
+    Shape {
+        /// Rows and columns of the file.
+        found: [usize; 2],
+        /// Those of the array.
+        expected: [usize; 2],
     },
 }
 
@@ -99,6 +110,15 @@ impl CalibrationFile {
             }
         }
         Ok(())
+    }
+
+    /// Checks that the file is for an array of this shape.
+    ///
+    /// # Errors
+    /// [`CalibrationFileError::Shape`].
+    pub fn check_array(&self, array: &Capabilities) -> Result<(), CalibrationFileError> {
+        let (found, expected) = ([self.rows, self.columns], [array.rows as usize, array.columns as usize]);
+        if found == expected { Ok(()) } else { Err(CalibrationFileError::Shape { found, expected }) }
     }
 
     /// The TOML text of the calibration.
@@ -171,6 +191,16 @@ mod tests {
             assert!((turn(&joined, angle) - turn(&former, turn(&own, angle))).abs() < 1e-12);
             assert!((turn(&between, angle) - turn(&own, angle)).abs() < 1e-12);
         }
+    }
+
+    #[test]
+    fn a_file_of_another_shape_names_both_shapes() {
+        let axis = AxisCorrections::none(6);
+        let file = CalibrationFile { rows: 2, columns: 3, roll: axis.clone(), yaw: axis };
+        let array = |rows, columns| Capabilities { rows, columns, ..Capabilities::default() };
+        assert!(file.check_array(&array(2, 3)).is_ok());
+        let difference = file.check_array(&array(3, 2)).unwrap_err().to_string();
+        assert_eq!(difference, "2 x 3 mirrors: expected 3 x 2 mirrors, as the array announces");
     }
 
     #[test]

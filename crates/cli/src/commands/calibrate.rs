@@ -1,6 +1,7 @@
 //! `heliostat calibrate`: measures the mirrors, the LEDs and the tracker's frame of a running room,
-//! over the messages of the contract alone.
+//! over the messages of the contract alone; and brings the result to a running driver.
 
+mod apply;
 mod args;
 mod commander;
 mod conditions;
@@ -30,6 +31,7 @@ use heliostat_service::whole_file;
 
 use super::join::check_connected;
 pub use args::Args;
+use args::Step;
 use interruption::Watchdog;
 use readings::Readings;
 use refinement::Refinement;
@@ -58,8 +60,15 @@ const SCALE_SPREAD: f64 = 0.01;
 ///
 /// # Errors
 /// An invalid flag or file, a room that does not answer, another controller that leads, an array that
-/// is stopped, and a calibration that does not improve the light.
-pub fn run(args: Args) -> Result<()> {
+/// is stopped, and a calibration that does not improve the light. Those of [`apply::run`] where it follows.
+pub fn run(mut args: Args) -> Result<()> {
+    match args.step.take() {
+        Some(Step::Apply(apply)) => apply::run(&apply),
+        None => measure(args),
+    }
+}
+
+fn measure(args: Args) -> Result<()> {
     let scenario = args.scenario.load_arrays()?;
     ensure!(
         scenario.channel.mode == ChannelMode::Specular,
@@ -86,8 +95,7 @@ pub fn run(args: Args) -> Result<()> {
         "the array uses no calibration, and --base names one: start its driver with this file, or leave --base out"
     );
     if let Some(base) = &base {
-        let (found, expected) = (base.rows.saturating_mul(base.columns), room.capabilities().mirrors());
-        ensure!(found == expected, "--base is for {found} mirrors: expected a file for {expected}");
+        base.check_array(room.capabilities()).context("in --base")?;
     }
     let readings = Readings::new(args.readings.as_deref(), (bus.room(), &scenario), (args.array, base.as_ref()));
     // The log of an earlier session is estimated too.
@@ -311,10 +319,11 @@ fn write(args: &Args, scenario: &Scenario, outcome: &Outcome, base: Option<&Cali
             "the measured room is no scenario: repeat without --room-out, or check the heights. Nothing is written";
         Scenario::from_toml(text).context(unusable)?;
     }
-    heliostat_driver::calibration_store::save(&file, &args.out)?;
+    let out = args.out.as_ref().context("no --out: nothing is written")?;
+    heliostat_driver::calibration_store::save(&file, out)?;
     let Some((path, text)) = room else { return Ok(()) };
     whole_file::write(path, text.as_bytes()).inspect_err(|_| {
         // The command began without this file. A calibration without its room would be half a result.
-        drop(std::fs::remove_file(&args.out));
+        drop(std::fs::remove_file(out));
     })
 }

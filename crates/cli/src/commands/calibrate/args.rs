@@ -25,7 +25,10 @@ use heliostat_service::exit::UnusableInput;
 /// controller. It commands the array only while the receiver stands at a spot and the position reports
 /// have named no other user for 3 s. When another user enters, the controller leads again at once.
 #[derive(Debug, clap::Args)]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
 pub struct Args {
+    #[command(subcommand)]
+    pub step: Option<Step>,
     #[command(flatten)]
     pub scenario: ScenarioArgs,
     #[command(flatten)]
@@ -37,9 +40,10 @@ pub struct Args {
     /// Place of the verification, away from the spots
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub verify: Option<String>,
-    /// Write the corrections of the mirrors to this new file, for --calibration of a driver
-    #[arg(long, value_name = "FILE")]
-    pub out: PathBuf,
+    /// Write the corrections of the mirrors to this new file, for --calibration of a driver, or for
+    /// `heliostat calibrate apply`
+    #[arg(long, value_name = "FILE", required = true)]
+    pub out: Option<PathBuf>,
     /// Write the scenario with the measured LEDs, heights and noise to this new file, for --scenario
     /// of a controller
     #[arg(long, value_name = "FILE")]
@@ -75,6 +79,38 @@ pub struct Args {
     pub json: bool,
     #[command(flatten)]
     pub end: EndArgs,
+}
+
+// What follows the measurement. No doc comments: clap would show them in place of those of the arguments.
+#[derive(Debug, clap::Subcommand)]
+pub enum Step {
+    Apply(ApplyArgs),
+}
+
+/// Bring a calibration file to the running driver of an array, without a restart.
+///
+/// The command compares the file with the array, publishes the calibration, and waits for at most 5 s
+/// until telemetry shows it. The exit status is 0 only then. The new corrections replace those in use at
+/// once, and the mirrors turn by the difference. Nothing else changes: stops stay in force.
+///
+/// The driver forgets the calibration when it ends. Copy the file to its machine, and start it with
+/// --calibration FILE from then on: `heliostat driver run`, or `heliostat sim-node`.
+///
+/// The measured room of the same calibration (--room-out) belongs to it: start the controller again with
+/// this scenario. With --tls the command needs the keys of the role calibrator.
+#[derive(Debug, clap::Args)]
+pub struct ApplyArgs {
+    /// The --out of `heliostat calibrate`
+    #[arg(value_name = "FILE")]
+    pub file: PathBuf,
+    #[command(flatten)]
+    pub bus: BusArgs,
+    /// Index of the array, from 0
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub array: usize,
+    /// Print the result as one JSON object
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// How a room was installed.

@@ -14,7 +14,7 @@ use super::args::Args;
 /// [`UnusableInput`]: a result that exists already, a file that cannot be written, that has two purposes, or
 /// that another process writes.
 pub fn hold(args: &Args) -> Result<Vec<Held>> {
-    let results = [Some(&args.out), args.room_out.as_ref()];
+    let results = [args.out.as_ref(), args.room_out.as_ref()];
     results.into_iter().flatten().try_for_each(|file| check_new(file))?;
     check_distinct(args)?;
     let files = results.into_iter().chain([args.readings.as_ref()]).flatten();
@@ -29,7 +29,7 @@ pub fn hold(args: &Args) -> Result<Vec<Held>> {
 fn check_distinct(args: &Args) -> Result<()> {
     let base = args.base.as_ref().filter(|file| file.as_path() != Path::new("none"));
     let named = [
-        ("--out", Some(&args.out)),
+        ("--out", args.out.as_ref()),
         ("--room-out", args.room_out.as_ref()),
         ("--readings", args.readings.as_ref()),
         ("--refine", args.refine.as_ref()),

@@ -24,8 +24,8 @@ use super::args::Args;
 use super::commander::PublishedCommands;
 use super::interruption;
 
-/// Longest wait for capabilities, telemetry and the lead.
-const WAIT: Duration = Duration::from_nanos(LEAD_WITHIN_NS);
+/// Longest wait for a connection, capabilities, telemetry, the lead, and a calibration that is applied.
+pub const WAIT: Duration = Duration::from_nanos(LEAD_WITHIN_NS);
 
 /// Age beyond which a report does not count.
 const REPORT_AGE_MAX_NS: Nanos = 1_000_000_000;
@@ -431,7 +431,7 @@ fn is_recent(stamp: &Stamp) -> bool {
 }
 
 /// Queries a message of the array until it answers, or the wait is over.
-fn fetch<T: Message>(bus: &Bus, key: &str) -> Result<Option<T>> {
+pub fn fetch<T: Message>(bus: &Bus, key: &str) -> Result<Option<T>> {
     let begun = monotonic_ns();
     loop {
         let found = bus.fetch(key, WAIT)?.iter().find_map(|payload| decode(payload).ok());
@@ -443,7 +443,7 @@ fn fetch<T: Message>(bus: &Bus, key: &str) -> Result<Option<T>> {
 }
 
 /// Waits until there is a value, for a limited time.
-fn wait<T>(mut value: impl FnMut() -> Option<T>) -> Option<T> {
+pub fn wait<T>(mut value: impl FnMut() -> Option<T>) -> Option<T> {
     let begun = Instant::now();
     loop {
         if let Some(value) = value() {

@@ -199,9 +199,9 @@ pub fn refinement(args: &Args, outcome: &Outcome, is_written: bool) -> Result<()
 }
 
 fn json(args: &Args, outcome: &Outcome, is_written: bool) -> Result<()> {
-    let written = is_written.then(|| args.out.display().to_string());
-    let room = args.room_out.as_ref().filter(|_| is_written).map(|path| path.display().to_string());
-    outln!("{}", json!({ "outcome": outcome, "calibration": written, "room": room }))?;
+    let [calibration, room] = [&args.out, &args.room_out]
+        .map(|file| file.as_ref().filter(|_| is_written).map(|path| path.display().to_string()));
+    outln!("{}", json!({ "outcome": outcome, "calibration": calibration, "room": room }))?;
     Ok(())
 }
 
@@ -222,8 +222,8 @@ fn rejected(outcome: &Outcome) -> Result<()> {
 }
 
 fn written(args: &Args) -> Result<()> {
-    let room = args.room_out.as_ref().map_or(String::new(), |path| format!(", {}", path.display()));
-    outln!("written        {}{room}", args.out.display())?;
+    let files = [&args.out, &args.room_out].into_iter().flatten().map(|path| path.display().to_string());
+    outln!("written        {}", files.collect::<Vec<_>>().join(", "))?;
     Ok(())
 }
 

@@ -7,8 +7,8 @@ use anyhow::Result;
 use heliostat_array::calibration::check_corrections;
 use heliostat_array::calibration_file::CalibrationFile;
 use heliostat_driver::calibration_store;
+use heliostat_proto::Stamp;
 use heliostat_proto::messages::fault;
-use heliostat_proto::{Capabilities, Stamp};
 use heliostat_scenario::{GeometryDifference, Scenario, ScenarioArgs};
 use heliostat_service::counted::counted;
 use heliostat_service::printable::printable;
@@ -68,21 +68,11 @@ fn check_calibration(file: &Path, driver: Option<&DriverState>) -> Vec<Check> {
     let Some(driver) = driver else {
         return vec![Check::warn(FILE, format!("{found}; not compared: no array answers"), GIVE_DRIVER)];
     };
-    if let Err(difference) = compare_shapes(&calibration, &driver.capabilities) {
+    if let Err(difference) = calibration.check_array(&driver.capabilities) {
         let advice = "give the file of this array, or name its array: --array N; else calibrate again";
         return vec![Check::fail(FILE, format!("{shown}: {difference}"), advice)];
     }
     vec![Check::ok(FILE, found), check_use(file, driver)]
-}
-
-/// Whether the shape of a file is that of the array.
-fn compare_shapes(file: &CalibrationFile, array: &Capabilities) -> Result<(), String> {
-    let (found, expected) = ((file.rows, file.columns), (array.rows as usize, array.columns as usize));
-    if found == expected {
-        return Ok(());
-    }
-    let shape = |(rows, columns): (usize, usize)| format!("{rows} x {columns} mirrors");
-    Err(format!("{}: expected {}, as the array announces", shape(found), shape(expected)))
 }
 
 /// Whether the array has a calibration in use. The contract numbers it, and does not show its corrections.
@@ -187,7 +177,7 @@ fn age_text(age: Duration) -> String {
 
 #[cfg(test)]
 mod tests {
-    use heliostat_array::calibration_file::AxisCorrections;
+    use heliostat_proto::Capabilities;
 
     use super::super::check::Verdict;
     use super::*;
@@ -211,15 +201,6 @@ mod tests {
         let checks = check_measured(Path::new("hall"), 0, None, None);
         assert_eq!(checks.iter().map(|check| check.verdict).collect::<Vec<_>>(), [Verdict::Warn]);
         assert!(checks[0].found.ends_with("not compared: no array answers"), "{checks:?}");
-    }
-
-    #[test]
-    fn a_file_of_another_shape_names_both_shapes() {
-        let axis = AxisCorrections::none(6);
-        let file = CalibrationFile { rows: 2, columns: 3, roll: axis.clone(), yaw: axis };
-        let array = Capabilities { rows: 3, columns: 2, ..Capabilities::default() };
-        let difference = compare_shapes(&file, &array).expect_err("another shape");
-        assert_eq!(difference, "2 x 3 mirrors: expected 3 x 2 mirrors, as the array announces");
     }
 
     #[test]

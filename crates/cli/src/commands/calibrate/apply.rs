@@ -1,0 +1,309 @@
+//! `heliostat calibrate apply`: brings a calibration file to the running driver of an array.
+
+use std::fmt;
+use std::sync::mpsc::{self, Receiver};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, anyhow, bail};
+use heliostat_array::calibration::check_corrections;
+use heliostat_array::calibration_file::CalibrationFile;
+use heliostat_bus::{AccessRole, Bus, Class, Subscription};
+use heliostat_driver::calibration_store;
+use heliostat_proto::messages::fault;
+use heliostat_proto::{Capabilities, MirrorTelemetry, NodeKind, NodeStatus, Stamp, decode, encode};
+use heliostat_service::clock::utc_ns;
+use heliostat_service::exit::UnusableInput;
+use heliostat_service::{outln, source_id};
+use serde_json::json;
+
+use super::args::ApplyArgs;
+use super::room::{WAIT, fetch, wait};
+use crate::commands::join::join;
+
+/// What an error adds where no message left this process.
+const NOTHING_SENT: &str = "Nothing was sent";
+
+/// Runs the command.
+///
+/// # Errors
+/// [`UnusableInput`]: a file that is no calibration, or one of another array. A room without a driver, and a
+/// calibration that telemetry does not show.
+pub fn run(args: &ApplyArgs) -> Result<()> {
+    let file = read(args).context(UnusableInput::new("this calibration cannot be applied"))?;
+    let config = args.bus.config_or_connect(&[AccessRole::Calibrator])?;
+    let bus = join(&config, WAIT).map_err(|reason| {
+        anyhow!("{reason}. {NOTHING_SENT}: give --connect the endpoint of the driver or of its router")
+    })?;
+    let (order, took) = apply(args, &bus, &file)?;
+    show(args, &bus, &order, took)?;
+    Ok(bus.close()?)
+}
+
+/// The file, if any driver accepts its corrections.
+fn read(args: &ApplyArgs) -> Result<CalibrationFile> {
+    let file = calibration_store::load(&args.file)?;
+    check_corrections(&file.message(Stamp::default())).with_context(|| format!("in {}", args.file.display()))?;
+    Ok(file)
+}
+
+/// Publishes the calibration once, and waits until telemetry shows it; returns how long that took.
+fn apply(args: &ApplyArgs, bus: &Bus, file: &CalibrationFile) -> Result<(Order, Duration)> {
+    let (room, keys) = (bus.room(), bus.room().array(args.array));
+    let reports = Reports::subscribe(bus, args.array)?;
+    let capabilities: Capabilities = fetch(bus, &keys.capabilities())?.with_context(|| {
+        format!(
+            "no driver of array {} answers in room \"{room}\". {NOTHING_SENT}: give --connect its endpoint or that of \
+             its router, and check --room and --array",
+            args.array
+        )
+    })?;
+    file.check_array(&capabilities)
+        .with_context(|| format!("in {}", args.file.display()))
+        .context(UnusableInput::new(format!("this calibration does not fit array {}", args.array)))?;
+    let publisher = bus.publisher(&keys.calibration(), Class::RealTimeBlock)?;
+    let has_driver = wait(|| publisher.has_subscribers().unwrap_or_default().then_some(()));
+    has_driver
+        .with_context(|| format!("no driver subscribes to {}. {NOTHING_SENT}: check its log", keys.calibration()))?;
+    let before = reports.next_telemetry().with_context(|| {
+        format!("the array publishes no telemetry: expected ten messages a second. {NOTHING_SENT}: check its driver")
+    })?;
+    let order = Order::after(&before);
+    let stamp = Stamp { source: source_id::random(), sequence: order.sequence, time_ns: utc_ns() };
+    let mut payload = Vec::new();
+    encode(&file.message(stamp), &mut payload)?;
+    let published = Instant::now();
+    publisher.put(&payload)?;
+    confirm(&reports, &order)?;
+    Ok((order, published.elapsed()))
+}
+
+/// Waits until telemetry shows the calibration in use; else says what it shows.
+fn confirm(reports: &Reports, order: &Order) -> Result<()> {
+    let outcome = reports.wait(|report| match report {
+        Report::Telemetry(now) => order.judge(&now),
+        Report::Problem { .. } => None,
+    });
+    let kept = Number(order.former);
+    match outcome {
+        Some(Outcome::InUse) => Ok(()),
+        Some(Outcome::Refused) => {
+            bail!("the driver has refused the calibration, and keeps {kept}: {}", reports.refusal(order.driver))
+        }
+        Some(Outcome::Other(other)) => bail!(
+            "the array uses {} of another sender instead of this one, {}: agree on one, then repeat the command",
+            Number(other),
+            Number(order.sequence)
+        ),
+        Some(Outcome::OtherDriver) => bail!(
+            "another driver process reports the array: it was restarted meanwhile, or there are two of them. \
+             `heliostat status` names them; with one driver, repeat the command"
+        ),
+        None if order.was_refused => bail!(
+            "the array still uses {kept} after {} s, and shows a refused calibration, as before this one: {}",
+            WAIT.as_secs(),
+            reports.refusal(order.driver)
+        ),
+        None => bail!(
+            "the array still uses {kept} after {} s: the calibration did not arrive, or the driver is busy. A room with \
+             keys accepts it from the role calibrator only; a router needs these rights too",
+            WAIT.as_secs()
+        ),
+    }
+}
+
+fn show(args: &ApplyArgs, bus: &Bus, order: &Order, took: Duration) -> Result<()> {
+    let file = args.file.display().to_string();
+    if args.json {
+        let result = json!({
+            "room": bus.room().name(),
+            "array": args.array,
+            "file": file,
+            "calibration": order.sequence,
+            "former": order.former,
+            "confirmed_after_ms": took.as_secs_f64() * 1e3,
+        });
+        outln!("{result}")?;
+        return Ok(());
+    }
+    let [used, former] = [order.sequence, order.former].map(Number);
+    outln!("in use         {file} as {used}, in place of {former}")?;
+    outln!("driver         it forgets this when it ends: start it with --calibration {file} from now on")?;
+    outln!(
+        "controller     start it again with the measured room of the same calibration: --scenario and its --room-out"
+    )?;
+    Ok(())
+}
+
+/// The number of a calibration in telemetry, in words.
+struct Number(u64);
+
+impl fmt::Display for Number {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.0 {
+            0 => f.write_str("no calibration"),
+            sequence => write!(f, "calibration {sequence}"),
+        }
+    }
+}
+
+/// A calibration that is published once, and what the array reported before it.
+struct Order {
+    /// Source of the telemetry.
+    driver: u64,
+    /// Sequence of the calibration in use before; 0 for none.
+    former: u64,
+    sequence: u64,
+    /// Whether the array had refused a calibration: telemetry then shows no further refusal.
+    was_refused: bool,
+}
+
+/// What telemetry shows of a calibration that was published.
+#[derive(Debug, PartialEq)]
+enum Outcome {
+    InUse,
+    /// The former one stays in use.
+    Refused,
+    /// One of another sender is in use, with this sequence.
+    Other(u64),
+    /// Another process reports the array.
+    OtherDriver,
+}
+
+impl Order {
+    /// The next calibration of an array.
+    ///
+    /// Telemetry names the sequence of the calibration in use, and not its source. A sequence above the former
+    /// one, from any source, is recognised there, and no driver refuses it.
+    fn after(before: &MirrorTelemetry) -> Self {
+        Self {
+            driver: before.stamp.source,
+            former: before.calibration,
+            // Each order has a source of its own, so it may begin again after the last number.
+            sequence: before.calibration.checked_add(1).unwrap_or(1),
+            was_refused: is_refused(before),
+        }
+    }
+
+    /// What a later telemetry message shows; `None` as long as it shows nothing new.
+    fn judge(&self, now: &MirrorTelemetry) -> Option<Outcome> {
+        if now.stamp.source != self.driver {
+            Some(Outcome::OtherDriver)
+        } else if now.calibration == self.sequence {
+            Some(Outcome::InUse)
+        } else if now.calibration != self.former {
+            Some(Outcome::Other(now.calibration))
+        } else {
+            (is_refused(now) && !self.was_refused).then_some(Outcome::Refused)
+        }
+    }
+}
+
+fn is_refused(telemetry: &MirrorTelemetry) -> bool {
+    telemetry.faults & fault::CALIBRATION != 0
+}
+
+/// What arrives from the process that drives the array.
+enum Report {
+    Telemetry(Box<MirrorTelemetry>),
+    /// The last problem of a status, and the source of both.
+    Problem {
+        source: u64,
+        problem: String,
+    },
+}
+
+/// The reports of an array and of its driver, in the order of their arrival.
+struct Reports {
+    queue: Receiver<Report>,
+    _subscriptions: Vec<Subscription>,
+}
+
+impl Reports {
+    fn subscribe(bus: &Bus, array: usize) -> Result<Self> {
+        let keys = bus.room().array(array);
+        let (sender, queue) = mpsc::channel();
+        let telemetry = sender.clone();
+        let mut subscriptions = vec![bus.subscribe(&keys.telemetry(), move |payload| {
+            if let Ok(shown) = decode(payload) {
+                // The queue is gone when the command ends.
+                drop(telemetry.send(Report::Telemetry(Box::new(shown))));
+            }
+        })?];
+        for key in [keys.driver_status(), bus.room().status(NodeKind::SimNode)] {
+            let problems = sender.clone();
+            subscriptions.push(bus.subscribe(&key, move |payload| {
+                if let Ok(NodeStatus { stamp, last_problem, .. }) = decode(payload) {
+                    drop(problems.send(Report::Problem { source: stamp.source, problem: last_problem }));
+                }
+            })?);
+        }
+        Ok(Self { queue, _subscriptions: subscriptions })
+    }
+
+    /// What a report gives first, for a limited time.
+    fn wait<T>(&self, mut find: impl FnMut(Report) -> Option<T>) -> Option<T> {
+        let until = Instant::now() + WAIT;
+        loop {
+            let report = self.queue.recv_timeout(until.saturating_duration_since(Instant::now())).ok()?;
+            if let Some(found) = find(report) {
+                return Some(found);
+            }
+        }
+    }
+
+    /// The first telemetry that arrives from now on.
+    fn next_telemetry(&self) -> Option<MirrorTelemetry> {
+        self.queue.try_iter().for_each(drop);
+        self.wait(|report| match report {
+            Report::Telemetry(shown) => Some(*shown),
+            Report::Problem { .. } => None,
+        })
+    }
+
+    /// Why a driver has refused the calibration, by its next status.
+    fn refusal(&self, driver: u64) -> String {
+        let named = self.wait(|report| match report {
+            Report::Problem { source, problem } if source == driver => {
+                problem.strip_prefix("calibration: ").map(str::to_owned)
+            }
+            _ => None,
+        });
+        named.unwrap_or_else(|| "its log says why".to_owned())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn telemetry(source: u64, calibration: u64, faults: u32) -> MirrorTelemetry {
+        let stamp = Stamp { source, ..Stamp::default() };
+        MirrorTelemetry { stamp, calibration, faults, ..MirrorTelemetry::default() }
+    }
+
+    #[test]
+    fn a_calibration_has_a_number_above_the_one_in_use_and_begins_again_after_the_last() {
+        let sequence = |in_use: u64| Order::after(&telemetry(7, in_use, 0)).sequence;
+        assert_eq!([0, 1, u64::MAX - 1, u64::MAX].map(sequence), [1, 2, u64::MAX, 1]);
+    }
+
+    #[test]
+    fn telemetry_shows_a_calibration_in_use_a_refusal_or_the_order_of_another_sender() {
+        let order = Order::after(&telemetry(7, 4, fault::LINK));
+        let judge = |source, calibration, faults| order.judge(&telemetry(source, calibration, faults));
+        assert_eq!(judge(7, 4, fault::LINK), None, "nothing new");
+        assert_eq!(judge(7, 5, 0), Some(Outcome::InUse));
+        assert_eq!(judge(7, 5, fault::CALIBRATION), Some(Outcome::InUse), "a later one of another sender was refused");
+        assert_eq!(judge(7, 4, fault::CALIBRATION), Some(Outcome::Refused));
+        assert_eq!(judge(7, 9, 0), Some(Outcome::Other(9)));
+        assert_eq!(judge(8, 5, 0), Some(Outcome::OtherDriver));
+        assert_eq!(judge(8, 0, 0), Some(Outcome::OtherDriver), "a driver that starts again forgets it");
+    }
+
+    #[test]
+    fn a_refusal_of_before_is_none_of_this_calibration() {
+        let order = Order::after(&telemetry(7, 4, fault::CALIBRATION));
+        assert_eq!(order.judge(&telemetry(7, 4, fault::CALIBRATION)), None);
+        assert_eq!(order.judge(&telemetry(7, 5, 0)), Some(Outcome::InUse));
+    }
+}

@@ -137,6 +137,7 @@ impl EventLog {
             let (answer, is_bad) = match &order.answer {
                 Answer::Sent => continue,
                 Answer::Done => ("done".to_owned(), false),
+                Answer::StillStopped(rest) => (format!("released: {rest}"), true),
                 Answer::Refused(reason) => (format!("refused: {reason}"), true),
                 Answer::Missing => ("no answer".to_owned(), true),
                 Answer::Absent => ("no array received it".to_owned(), true),

@@ -52,7 +52,7 @@ export function inCharge(now, arrayAge) {
   if (isCalibrating(now)) return { name: "calibration", idle: "A calibration commands the mirrors." };
   const state = arrayAge > STALE_S ? "no report" : now.array.state.split(",")[0];
   if (!["following", "holding"].includes(state)) return { name: state, idle: `The mirrors do not follow the policy: ${state}.` };
-  if (now.controller_unseen) return { name: state, idle: "A controller commands the mirrors, but its messages do not reach this viewer." };
+  if (now.controller_unseen) return { name: state, idle: "Another controller or a calibration commands the mirrors, but its messages do not reach this viewer." };
   if (!now.controller_alive) return { name: state, idle: "No controller commands the mirrors." };
   return { name: now.policy || state, idle: "" };
 }

@@ -18,7 +18,7 @@ use heliostat_service::printable::printable;
 use crate::UiError;
 
 /// What is open where no process announces the geometry of the room.
-pub(crate) const UNKNOWN_ARRAYS: &str = "no process announces how many arrays the room has, and one that was not seen can move: connect to its controller or router";
+pub const UNKNOWN_ARRAYS: &str = "no process announces how many arrays the room has, and one that was not seen can move: connect to its controller or router";
 
 /// What an operator has to know of an array; `None` where nothing is open.
 pub(crate) fn problem(array: usize, standing: &Standing) -> Option<String> {

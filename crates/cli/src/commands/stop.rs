@@ -8,7 +8,7 @@ use heliostat_proto::StopName;
 use heliostat_proto::reported_stops::RoomStop;
 use heliostat_service::printable::printable;
 use heliostat_service::{EndArgs, duration, output};
-use heliostat_ui::{StopLabel, StopSwitch, UiError, still_stopped, stop_in_words};
+use heliostat_ui::{StopLabel, StopSwitch, UNKNOWN_ARRAYS, UiError, still_stopped, stop_in_words};
 use serde_json::json;
 
 use super::join::join;
@@ -115,10 +115,14 @@ pub fn stop(args: StopArgs) -> Result<()> {
 /// An error of a stop; of an unconfirmed one with what this command cannot see.
 fn with_reach(error: UiError) -> anyhow::Error {
     match error {
-        error @ UiError::StopUnconfirmed { .. } => anyhow!(
-            "{error}. The stop was sent, and stays in force where it arrived. Reports come only from the processes in \
-             --connect: with the endpoint of its driver, heliostat status shows what an array does"
-        ),
+        UiError::StopUnconfirmed { ref arrays, .. } => {
+            let is_uncounted = arrays.iter().any(|open| open == UNKNOWN_ARRAYS);
+            let count = if is_uncounted { ", or give their number: --arrays N" } else { "" };
+            anyhow!(
+                "{error}{count}. The stop was sent, and stays in force where it arrived. Reports come only from the \
+                 processes in --connect: with the endpoint of its driver, heliostat status shows what an array does"
+            )
+        }
         error @ UiError::NoReceiver(_) => {
             anyhow!("{error}. No stop was sent, and the mirrors go on moving")
         }
@@ -231,4 +235,19 @@ fn print_stops(stops: &[RoomStop]) -> Result<()> {
         output::line(format_args!("the stop: {name}{by}: \"{reason}\""))?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stop_in_a_room_of_unknown_size_names_the_flag_for_it() {
+        let text = |arrays: &[&str]| {
+            let arrays = arrays.iter().map(|open| (*open).to_owned()).collect();
+            with_reach(UiError::StopUnconfirmed { waited: Duration::from_secs(5), arrays }).to_string()
+        };
+        assert!(text(&[UNKNOWN_ARRAYS]).contains("or give their number: --arrays N. The stop was sent"));
+        assert!(!text(&["array 0 does not answer: cut its power"]).contains("--arrays"));
+    }
 }

@@ -104,7 +104,8 @@ pub fn stop(args: StopArgs) -> Result<()> {
     while !end.wait_for(HOLD_INTERVAL) && until.is_none_or(|until| Instant::now() < until) {
         switch.repeat();
         if !switch.is_own_held() {
-            output::note(format_args!("heliostat stop: the stop is released"));
+            let rest = still_stopped(&switch.known_stops()).map_or_else(String::new, |rest| format!("; {rest}"));
+            output::note(format_args!("heliostat stop: the stop is released{rest}"));
             break;
         }
     }

@@ -17,7 +17,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use crate::enumerations::ArrayState;
-use crate::limits::MAX_ARRAYS;
+use crate::limits::{MAX_ARRAYS, cut};
 use crate::messages::{EmergencyStop, MirrorTelemetry, SafetyReport, StopReport, fault};
 use crate::stop_hold::{HeldStop, StopHold, unknown_stops};
 use crate::structures::{LatchedStopReport, StopName};
@@ -180,7 +180,13 @@ impl ReportedStops {
         for (array, seen) in &self.arrays {
             for HeldStop { name, operator, reason, .. } in seen.hold.stops() {
                 match stops.iter_mut().find(|stop| stop.name == *name) {
-                    Some(stop) => stop.arrays.push(*array),
+                    Some(stop) => {
+                        stop.arrays.push(*array);
+                        // Each process that started stopped has its own reason.
+                        if *name == StopName::default() && !stop.reason.contains(reason.as_str()) {
+                            stop.reason = format!("{}; {reason}", stop.reason);
+                        }
+                    }
                     None => stops.push(RoomStop {
                         name: *name,
                         operator: operator.clone(),
@@ -356,8 +362,11 @@ impl ReportedStops {
 
 /// The order of a stop that is known from reports.
 fn ordered(stop: &RoomStop) -> EmergencyStop {
-    let mut order =
-        EmergencyStop { operator: stop.operator.clone(), reason: stop.reason.clone(), ..EmergencyStop::default() };
+    let mut order = EmergencyStop {
+        operator: stop.operator.clone(),
+        reason: cut(&stop.reason).to_owned(),
+        ..EmergencyStop::default()
+    };
     (order.stamp.source, order.stamp.sequence) = (stop.name.source, stop.name.sequence);
     order
 }
@@ -394,6 +403,19 @@ mod tests {
         assert_eq!(stops.standings(NOW, None), [(0, Standing::Latched { problem: String::new() })]);
         stops.handle_stops(NOW, 0, report(3, true));
         assert_eq!(stops.standings(NOW, None), [(0, Standing::Stopped)]);
+    }
+
+    #[test]
+    fn arrays_that_started_stopped_have_one_stop_with_the_reason_of_each() {
+        let mut stops = ReportedStops::default();
+        for (array, reason) in ["no first file", "no second file"].into_iter().enumerate() {
+            let latched = LatchedStopReport { reason: reason.into(), ..LatchedStopReport::default() };
+            let stamp = Stamp { source: 9 + array as u64, sequence: 1, time_ns: 0 };
+            stops.handle_stops(NOW, array, StopReport { stamp, stops: vec![latched], ..StopReport::default() });
+        }
+        let all = stops.stops();
+        assert_eq!((all.len(), &*all[0].arrays), (1, &[0, 1][..]));
+        assert_eq!(all[0].reason, "no first file; no second file");
     }
 
     #[test]

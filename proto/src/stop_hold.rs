@@ -220,8 +220,13 @@ impl StopHold {
     }
 
     fn hold(&mut self, since_ns: Nanos, name: StopName, operator: &str, reason: &str) {
-        if self.stops.len() < HELD_MAX && self.stops.iter().all(|held| held.name != name) {
-            let (operator, reason) = (operator.to_owned(), reason.to_owned());
+        let (operator, reason) = (operator.to_owned(), reason.to_owned());
+        if let Some(held) = self.stops.iter_mut().find(|held| held.name == name) {
+            // Without sender: the array's own reason takes the place of another one's.
+            if name == StopName::default() {
+                (held.operator, held.reason) = (operator, reason);
+            }
+        } else if self.stops.len() < HELD_MAX {
             self.stops.push(HeldStop { name, operator, reason, since_ns, reported_by: None, seen_stopped: false });
         }
     }

@@ -278,7 +278,12 @@ fn the_stops_of_two_operators_are_listed_and_released_one_by_one() {
     );
     let stops = room.latest().stops[0].clone().expect("a report").stops;
     let name = stops[1].name().to_string();
-    assert!(room.order("rearm", &["--stop", &name]).status.success());
+    let released = room.order("rearm", &["--stop", &name]);
+    assert!(released.status.success(), "{}", released.errors);
+    let (one, rest) = ("the named stop of room operators is released", "; the mirrors stay stopped by ");
+    let is_precise = released.output.starts_with(one)
+        && released.output.contains(&format!("{rest}{} of ann (\"ladder\") at array 0, 1", stops[0].name()));
+    assert!(is_precise, "{}", released.output);
     wait_until("one stop", || room.operators(0) == ["ann"] && room.operators(1) == ["ann"]);
     room.wait_for([ArrayState::Stopped; 2]);
     let released = room.order("rearm", &["--all"]);

@@ -25,7 +25,7 @@ pub enum SessionError {
     #[error(transparent)]
     Bus(#[from] BusError),
     /// An outgoing message violates the contract.
-    #[error("a message cannot be published: {0}")]
+    #[error("a message cannot be published")]
     Codec(#[from] CodecError),
     /// Another process controls the mirrors of this room, or those of the same array.
     #[error("another {other} is in room \"{room}\" ({token}): stop it, or choose another room with --room")]

@@ -26,7 +26,7 @@ pub struct EndArgs {
 
 /// The operating system does not deliver signals to this process.
 #[derive(Debug, Error)]
-#[error("cannot listen for Ctrl-C and SIGTERM: {0}")]
+#[error("cannot listen for Ctrl-C and SIGTERM")]
 pub struct SignalError(#[from] ctrlc::Error);
 
 impl EndArgs {

@@ -23,7 +23,7 @@ export function chips(now, ages) {
   setTitle(at("chip-policy"), idle);
   if (isSilent) {
     const isGone = !now.controller_alive && ages.silence < 1;
-    chip("chip-controller", now.controller_unseen && ages.silence < 1 ? "not seen" : isGone ? "gone" : silent("controller"), "bad");
+    chip("chip-controller", now.controller_unseen && isGone ? "not seen" : isGone ? "gone" : silent("controller"), "bad");
   } else {
     const refusing = refusal(now);
     chip("chip-controller", isCalibrating(now) ? "calibration" : refusing ? "reports refused" : "alive", refusing ? "bad" : "good");

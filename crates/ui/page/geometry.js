@@ -42,8 +42,8 @@ export const LIGHT = "#f0b800";
 
 export function palette(dark) {
   return dark
-    ? { back: "#14191f", floor: "#333d47", wall: "#222a33", side: "#1d242c", edge: "#5d6974", ink: "#e9ecef", obstacle: "#7d8893", shade: "#000000", panel: "#11161b" }
-    : { back: "#ffffff", floor: "#dbe1e6", wall: "#edf1f4", side: "#e3e8ed", edge: "#a9b3bd", ink: "#1a1e23", obstacle: "#8a949e", shade: "#20262c", panel: "#ffffff" };
+    ? { back: "#14191f", floor: "#333d47", wall: "#222a33", side: "#1d242c", edge: "#5d6974", ink: "#e9ecef", obstacle: "#7d8893", shade: "#000000", panel: "#11161b", blocked: "#a0aab5" }
+    : { back: "#ffffff", floor: "#dbe1e6", wall: "#edf1f4", side: "#e3e8ed", edge: "#a9b3bd", ink: "#1a1e23", obstacle: "#8a949e", shade: "#20262c", panel: "#ffffff", blocked: "#59626d" };
 }
 
 // The first array of mirrors, from which the camera looks away.

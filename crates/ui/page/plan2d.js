@@ -76,7 +76,7 @@ export class Plan2D {
       const led = this.plan.leds_m[user.led];
       if (!led) continue;
       // A path that no process reports is not drawn.
-      if (user.blocked === true) this.line([led, user.at_m], this.colours.edge, 0.02, 0.9, [0.08, 0.08]);
+      if (user.blocked === true) this.line([led, user.at_m], this.colours.blocked, 0.02, 1, [0.08, 0.08]);
       else if (user.blocked === false) this.line([led, user.at_m], LIGHT, 0.03, 1);
     }
   }

@@ -1,6 +1,6 @@
 // The view of the room: takes the frames of the server, and draws them at the rate of the display.
 import { Motion } from "./motion.js";
-import { boundsOf } from "./geometry.js";
+import { boundsOf, palette } from "./geometry.js";
 import { Plan2D } from "./plan2d.js";
 import { ask } from "./requests.js";
 import { View3D } from "./view3d.js";
@@ -47,6 +47,8 @@ export class Room {
 
   theme(dark) {
     this.view.theme(dark);
+    // The legend has the colour of the picture.
+    document.querySelector("#legend .blocked").style.borderColor = palette(dark).blocked;
     this.isDirty = true;
   }
 

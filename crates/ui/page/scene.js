@@ -21,7 +21,7 @@ export class RoomScene {
     this.shades = new THREE.Group();
     this.heat = this.heatPlane();
     this.direct = new Tubes({ radius: 0.014, opacity: 0.9 });
-    this.dashed = new Lines({ opacity: 0.8, dash: 0.08 });
+    this.dashed = new Lines({ opacity: 1, dash: 0.08 });
     this.beams = new Lines({ opacity: 0.5 });
     this.paths = new Tubes({ radius: 0.018 });
     this.headings = new Tubes({ radius: 0.016 });
@@ -210,7 +210,7 @@ export class RoomScene {
       const led = this.plan.leds_m[user.led];
       if (!led) continue;
       // A path that no process reports is not drawn.
-      if (user.blocked === true) this.dashed.add(led, user.at_m, this.colours.edge);
+      if (user.blocked === true) this.dashed.add(led, user.at_m, this.colours.blocked);
       else if (user.blocked === false) this.direct.add(led, user.at_m, LIGHT);
     }
     if (shown.beams && shown.wall) {

@@ -52,7 +52,7 @@ export function inCharge(now, arrayAge) {
   if (isCalibrating(now)) return { name: "calibration", idle: "A calibration commands the mirrors." };
   const state = arrayAge > STALE_S ? "no report" : now.array.state.split(",")[0];
   if (!["following", "holding"].includes(state)) return { name: state, idle: `The mirrors do not follow the policy: ${state}.` };
-  if (now.controller_unseen) return { name: state, idle: "A controller commands the mirrors, but its messages do not reach this viewer." };
+  if (now.controller_unseen) return { name: state, idle: "Another controller or a calibration commands the mirrors, but its messages do not reach this viewer." };
   if (!now.controller_alive) return { name: state, idle: "No controller commands the mirrors." };
   return { name: now.policy || state, idle: "" };
 }
@@ -79,8 +79,14 @@ function orderedBy({ name, operator, reason, age_s }) {
 
 export const asSentence = (text) => `${text[0].toUpperCase()}${text.slice(1)}.`;
 
+// The banner of a controller that is in the room and does not report.
+function controllerBanner(now, age) {
+  if (!now.controller_alive || age <= STALE_S || age === Infinity) return null;
+  return { kind: "bad", text: `The controller has not reported for ${seconds(age)}: it hangs, or the connection to it is lost. Check its process, or restart it.` };
+}
+
 // The banner: `null`, or its text and kind. `silence` is the time since the last event of the server in s.
-export function banner(now, silence, arrayAge) {
+export function banner(now, silence, arrayAge, controllerAge) {
   const check = asSentence(CHECK_SERVER);
   if (now === null) return silence > 3 ? { kind: "bad", text: `No connection to the server of this page. ${check}` } : null;
   if (silence > STALE_S) {
@@ -104,6 +110,6 @@ export function banner(now, silence, arrayAge) {
       return { kind: free.length ? "bad" : "stop", text: `${who} ${have} confirmed the stop: ${their} executed it.${moving}${by} Re-arm releases ${stops.length > 1 ? `these ${stops.length} stops` : "it"}.` };
     // A state that contradicts it comes from a second driver, or from a stop that follows.
     case "released": return now.array.state.includes("stopped") ? null : { kind: "good", text: `The stop is released: ${who.toLowerCase()} ${have} confirmed it.` };
-    default: return null;
+    default: return controllerBanner(now, controllerAge);
   }
 }

@@ -148,6 +148,21 @@ impl Controllers {
         figures.sort_by_key(|figures| figures.role);
         figures
     }
+
+    /// Whether each controller in the room stands by, and the followed epoch is of a process without a recent status.
+    /// An epoch has the remainder of its sender's source.
+    pub fn follow_unseen(&self, alive: &BTreeSet<(&'static str, u64)>, followed_epoch: Option<u64>) -> bool {
+        let present = self.present(alive, followed_epoch);
+        let stand_by = !present.is_empty() && present.iter().all(|one| one.role == Role::StandsBy);
+        let Some(slot) = followed_epoch.filter(|epoch| *epoch > 0).map(|epoch| epoch % EPOCH_SLOTS) else {
+            return false;
+        };
+        let is_of = |source: u64, one: &ControllerFigures| {
+            source % EPOCH_SLOTS == slot || (one.epoch > 0 && one.epoch % EPOCH_SLOTS == slot)
+        };
+        let is_seen = self.0.iter().any(|(source, (at, one))| at.elapsed() < EXPIRY && is_of(*source, one));
+        stand_by && !is_seen
+    }
 }
 
 #[cfg(test)]
@@ -219,6 +234,22 @@ mod tests {
         assert_eq!(roles(&controllers, Some(500)), [Role::Calibrates, Role::StandsBy]);
         controllers.take(&status(1, &[(EPOCH, 600)]));
         assert_eq!(roles(&controllers, Some(600)), [Role::Leads, Role::Unfollowed], "its lead is taken");
+    }
+
+    #[test]
+    fn an_epoch_of_a_process_without_a_status_shows_that_another_one_commands() {
+        let (mut controllers, name) = (Controllers::default(), NodeKind::Controller.name());
+        let alive: BTreeSet<_> = [(name, 1)].into();
+        controllers.take(&status(1, &[(STANDBY, 1), (EPOCH, 3 * EPOCH_SLOTS + 1)]));
+        let unseen = |controllers: &Controllers, epoch| controllers.follow_unseen(&alive, Some(epoch));
+        assert!(unseen(&controllers, 4 * EPOCH_SLOTS + 2));
+        assert!(!unseen(&controllers, 4 * EPOCH_SLOTS + 1), "its own next epoch");
+        assert!(!controllers.follow_unseen(&alive, None) && !unseen(&controllers, 0));
+        controllers.take(&status(2, &[]));
+        assert!(!unseen(&controllers, 4 * EPOCH_SLOTS + 2), "it has just left");
+        let mut leads = Controllers::default();
+        leads.take(&status(1, &[]));
+        assert!(!unseen(&leads, 4 * EPOCH_SLOTS + 2));
     }
 
     #[test]

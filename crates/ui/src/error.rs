@@ -42,7 +42,7 @@ pub enum UiError {
     #[error("the token of the page: {0}")]
     Token(String),
     /// The terminal cannot be used for the full-screen view.
-    #[error("the terminal cannot show the full-screen view: {0}; use --plain to print lines")]
+    #[error("the terminal cannot show the full-screen view; use --plain to print lines")]
     Terminal(#[from] io::Error),
     /// An order with an invalid value.
     #[error("invalid {name} \"{value}\": expected {expected}")]

@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use crate::controllers::{ControllerFigures, Role};
 use crate::figures::{Figures, GONE, Origin};
-use crate::notes::{not_in, without_figures};
+use crate::notes::{follows_from_stop, not_in, without_figures};
 use crate::order_answer::Answer;
 use crate::order_log::OrderFigures;
 use crate::stop_state::{StopFigure, StopFigures, StopPhase};
@@ -104,6 +104,10 @@ impl EventLog {
         let by: String = by.map(|known| format!(" ({})", known.join(": "))).collect();
         self.change(at_ms, "stop", &format!("{phase}{by}"), !matches!(stop.phase, StopPhase::Released));
         for node in figures.nodes.iter().filter(|node| node.state != GONE) {
+            // The last status before a release still has the stop as its problem.
+            if stop.phase != StopPhase::None && follows_from_stop(&node.problem) {
+                continue;
+            }
             let subject = format!("problem of {}", node.node);
             let words = without_figures(&node.problem);
             let source_before = self.sources.insert(node.node.clone(), node.source.clone());
@@ -137,6 +141,7 @@ impl EventLog {
             let (answer, is_bad) = match &order.answer {
                 Answer::Sent => continue,
                 Answer::Done => ("done".to_owned(), false),
+                Answer::StillStopped(rest) => (format!("released: {rest}"), true),
                 Answer::Refused(reason) => (format!("refused: {reason}"), true),
                 Answer::Missing => ("no answer".to_owned(), true),
                 Answer::Absent => ("no array received it".to_owned(), true),
@@ -429,6 +434,16 @@ mod tests {
             (60_000, "problem of controller: a report is 60.5 s old", true),
         ];
         assert_eq!(texts(&log)[first..], expected);
+    }
+
+    #[test]
+    fn what_a_controller_withheld_because_of_a_stop_is_no_event_after_the_release() {
+        let (mut log, problem) = (EventLog::default(), "withheld by the stop of ann");
+        let stop = |phase| StopFigures { phase, ..StopFigures::default() };
+        log.note_at(1, &figures("following", ""), &[], &stop(StopPhase::Confirmed));
+        let first = texts(&log).len();
+        log.note_at(2, &figures("following", problem), &[], &stop(StopPhase::Released));
+        assert_eq!(texts(&log)[first..], [(2, "stop: released", false)]);
     }
 
     #[test]

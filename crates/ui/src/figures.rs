@@ -169,7 +169,7 @@ pub struct Figures {
     pub policy: String,
     /// Whether a controller is in the room.
     pub controller_alive: bool,
-    /// Whether an array accepts commands of a controller that this viewer does not see.
+    /// Whether an array accepts commands of a controller or a calibration that this viewer does not see.
     pub controller_unseen: bool,
     /// The users.
     pub users: Vec<UserFigures>,

@@ -61,5 +61,6 @@ pub use page::{Page, PoliciesOf, PolicyChoice};
 pub use server::{PageArgs, Place, Server};
 pub use shown_room::GeometrySource;
 pub use stop_switch::StopSwitch;
+pub use stop_watch::{UNKNOWN_ARRAYS, still_stopped, stop_in_words};
 pub use terminal::Display;
 pub use view::View;

@@ -84,11 +84,11 @@ impl Received {
         self.alive.iter().any(|(node, _)| *node == NodeKind::Controller.name())
     }
 
-    /// Whether an array accepts commands, and no controller is seen that sends them. Those that it accepted lately may
-    /// be of a controller that has just left.
+    /// Whether an array accepts commands, and no controller or calibration is seen that sends them. Those that it
+    /// accepted lately may be of a controller that has just left.
     pub(crate) fn is_controller_unseen(&self) -> bool {
         let is_seen = self.is_controller_alive() || self.fresh_status(NodeKind::Controller.name()).is_some();
-        self.arrays.are_commanded() && !is_seen
+        self.arrays.are_commanded() && (!is_seen || self.stand_by_for_unseen())
     }
 }
 
@@ -109,7 +109,7 @@ const NO_CONTROLLER: &str =
 /// Beginning of the note about position reports that reach the controller, and not this process.
 pub(crate) const UNSEEN_REPORTS: &str = "no position reports reach this viewer, but the controller decides on them";
 /// The note about commands that reach the array from a controller that this process does not see.
-pub(crate) const UNSEEN_CONTROLLER: &str = "a controller commands the mirrors, but its messages do not reach this viewer: connect to it, or to the router of the room, too";
+pub(crate) const UNSEEN_CONTROLLER: &str = "a controller or a calibration commands the mirrors, but its messages do not reach this viewer: connect to it, or to the router of the room, too";
 /// The beginning of the note about two drivers, and beginning and part of what a controller reports because
 /// of them. A second source of users is another fault.
 const TWO_DRIVERS: &str = "two drivers serve one array";
@@ -233,6 +233,24 @@ mod tests {
         received.alive.insert((NodeKind::Driver.name(), 4));
         let notes = received.notes(1, ago(60));
         assert_eq!(notes, [NO_CONTROLLER], "it has just left");
+    }
+
+    #[test]
+    fn a_calibration_that_this_viewer_does_not_see_commands_in_place_of_the_controller() {
+        let mut received = Received::default();
+        for accepted in [5, 6] {
+            let counters = Counters { accepted, ..Counters::default() };
+            received.arrays.note(0, MirrorTelemetry { epoch: 500, counters, ..MirrorTelemetry::default() });
+        }
+        received.users = Some((Instant::now(), UserReport::default()));
+        let stamp = Stamp { source: 7, ..Stamp::default() };
+        let counters = vec![("standby".to_owned(), 1)];
+        let status = NodeStatus { stamp, node: NodeKind::Controller, counters, ..NodeStatus::default() };
+        received.controllers.take(&status);
+        received.statuses.insert(NodeKind::Controller.name().into(), (Instant::now(), status));
+        received.alive.insert((NodeKind::Controller.name(), 7));
+        assert!(received.is_controller_unseen());
+        assert_eq!(received.notes(1, ago(60)), [UNSEEN_CONTROLLER]);
     }
 
     #[test]

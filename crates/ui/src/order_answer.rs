@@ -2,12 +2,14 @@
 
 use std::time::{Duration, Instant};
 
-use heliostat_proto::{NodeKind, NodeStatus, StopName};
+use heliostat_proto::reported_stops::RoomStop;
+use heliostat_proto::{NodeKind, NodeStatus};
 use heliostat_service::printable::printable;
 use serde::Serialize;
 
 use crate::View;
 use crate::order::Order;
+use crate::stop_watch::still_stopped;
 use crate::view::EXPIRY;
 
 /// Reported and ordered values differ at most by the rounding to 32 bits.
@@ -23,6 +25,8 @@ pub enum Answer {
     Sent,
     /// The state of the receiver is as ordered.
     Done,
+    /// It released its stops, and another stop keeps the mirrors stopped, as this text says.
+    StillStopped(String),
     /// It had no effect, for this reason.
     Refused(String),
     /// The state of the receiver is not as ordered, and it named no reason.
@@ -46,7 +50,7 @@ pub(crate) struct Reported {
     /// Whether every array for which a stop is held has stopped.
     pub is_stopped: bool,
     /// The stops that are held for any array.
-    pub held_stops: Vec<StopName>,
+    pub held_stops: Vec<RoomStop>,
     pub controller_alive: bool,
     /// Whether the room has an array: a live process of one, or telemetry.
     pub array_present: bool,
@@ -88,7 +92,11 @@ impl Published {
             Order::Policy { name } => return self.policy(name, now),
             Order::Stop | Order::Rearm { .. } if !now.array_present => return Some(Answer::Absent),
             Order::Stop => now.is_stopped,
-            Order::Rearm { stops } => !stops.iter().any(|stop| now.held_stops.contains(&stop.0)),
+            Order::Rearm { stops } => {
+                let is_named = |held: &RoomStop| stops.iter().any(|stop| stop.0 == held.name);
+                let is_released = !now.held_stops.iter().any(is_named);
+                return is_released.then(|| still_stopped(&now.held_stops).map_or(Answer::Done, Answer::StillStopped));
+            }
             Order::KillController => !now.controller_alive,
             Order::RestartController => now.controller_alive,
             Order::Power { .. }
@@ -149,7 +157,7 @@ fn count(status: &NodeStatus, name: &str) -> u64 {
 
 #[cfg(test)]
 mod tests {
-    use heliostat_proto::Stamp;
+    use heliostat_proto::{Stamp, StopName};
 
     use crate::order::StopLabel;
 
@@ -213,8 +221,20 @@ mod tests {
         assert_eq!(order.answer(&Reported { is_stopped: true, ..present() }), Some(Answer::Done));
         let (one, other) = (StopName { source: 3, sequence: 4 }, StopName { source: 5, sequence: 1 });
         let order = published(Order::Rearm { stops: vec![StopLabel(one)] });
-        assert_eq!(order.answer(&Reported { held_stops: vec![one], ..present() }), None);
-        assert_eq!(order.answer(&Reported { held_stops: vec![other], ..present() }), Some(Answer::Done));
+        let held = |names: &[StopName]| {
+            let stop = |name: &StopName| RoomStop {
+                name: *name,
+                operator: String::new(),
+                reason: "two".into(),
+                arrays: vec![0],
+                known: Duration::ZERO,
+            };
+            Reported { held_stops: names.iter().map(stop).collect(), ..present() }
+        };
+        assert_eq!(order.answer(&held(&[one])), None);
+        assert_eq!(order.answer(&held(&[])), Some(Answer::Done));
+        let remains = format!("the mirrors stay stopped by {other} (\"two\") at array 0");
+        assert_eq!(order.answer(&held(&[other])), Some(Answer::StillStopped(remains)));
     }
 
     #[test]

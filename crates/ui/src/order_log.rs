@@ -94,8 +94,8 @@ impl OrderLog {
         };
         let shown = entries.iter().rev().filter(|entry| match entry.answer {
             Answer::Sent => true,
-            Answer::Done => {
-                entry.changed.elapsed() < DONE_SHOWN && entry.published.answer(reported) == Some(Answer::Done)
+            Answer::Done | Answer::StillStopped(_) => {
+                entry.changed.elapsed() < DONE_SHOWN && entry.published.answer(reported).as_ref() == Some(&entry.answer)
             }
             Answer::Refused(_) | Answer::Missing | Answer::Absent => entry.changed.elapsed() < REFUSAL_SHOWN,
         });

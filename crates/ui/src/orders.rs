@@ -121,8 +121,7 @@ impl Operator {
     /// What the processes and arrays report, as far as it answers orders.
     fn reported(&self, view: &View) -> Reported {
         let room = self.stop.room_stops();
-        let held_stops = room.stops.iter().map(|stop| stop.name).collect();
-        Reported { is_stopped: room.is_confirmed(), held_stops, ..view.reported() }
+        Reported { is_stopped: room.is_confirmed(), held_stops: room.stops, ..view.reported() }
     }
 
     fn stop_state(&self) -> MutexGuard<'_, StopState> {

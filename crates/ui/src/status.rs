@@ -14,7 +14,7 @@ use serde::Serialize;
 use crate::controllers::{ControllerFigures, Role};
 use crate::figures::{Figures, NodeFigures, Origin, UserFigures};
 use crate::notes::{UNSEEN_CONTROLLER, UNSEEN_REPORTS};
-use crate::terminal::texts::{stops, time, without_rates};
+use crate::terminal::texts::{stops, time, why_without_rates};
 use crate::view::NO_GEOMETRY;
 use crate::{UiError, View};
 
@@ -175,7 +175,8 @@ impl fmt::Display for RoomStatus {
             controllers.iter().map(|one| format!("{} {}", one.name, one.role.in_words())).collect();
         let are_users_seen = self.figures.origin != Origin::NoData;
         let users = if are_users_seen { users_line(users) } else { "unknown: no position reports here".into() };
-        let rate = sum_mbps.map_or_else(|| without_rates(&self.figures), |sum| format!("{:.1} Mbit/s", sum.policy));
+        let unknown = || format!("unknown: {}", why_without_rates(&self.figures));
+        let rate = sum_mbps.map_or_else(unknown, |sum| format!("{:.1} Mbit/s", sum.policy));
         let decision = times.first().map(|decision| (time(decision, |us| us.p50), time(decision, |us| us.p99)));
         let (p50, p99) = decision.unwrap_or_default();
         // Of each controller: the counts of one that has left are not those of the room.
@@ -263,6 +264,18 @@ mod tests {
             let unseen = Figures { controller_unseen: true, notes, ..figures(Vec::new()) };
             assert_eq!(found(unseen), [UNSEEN_CONTROLLER]);
         }
+    }
+
+    #[test]
+    fn the_line_of_the_sum_rate_says_why_it_is_unknown() {
+        let shown = |origin| {
+            let figures = Figures { origin, ..Figures::default() };
+            RoomStatus { figures, ..RoomStatus::default() }.to_string()
+        };
+        let measured = shown(Origin::Measured);
+        assert!(measured.contains("\nsum rate     unknown: no measured gains\n"), "{measured}");
+        let silent = shown(Origin::NoData);
+        assert!(silent.contains("\nsum rate     unknown: no messages from the room\n"), "{silent}");
     }
 
     #[test]

@@ -18,7 +18,7 @@ use heliostat_service::printable::printable;
 use crate::UiError;
 
 /// What is open where no process announces the geometry of the room.
-pub(crate) const UNKNOWN_ARRAYS: &str = "no process announces how many arrays the room has, and one that was not seen can move: connect to its controller or router";
+pub const UNKNOWN_ARRAYS: &str = "no process announces how many arrays the room has, and one that was not seen can move: connect to its controller or router";
 
 /// What an operator has to know of an array; `None` where nothing is open.
 pub(crate) fn problem(array: usize, standing: &Standing) -> Option<String> {
@@ -37,6 +37,20 @@ pub(crate) fn problem(array: usize, standing: &Standing) -> Option<String> {
             "array {array} has latched the stop; its driver does not report whether the device executed it: check its mirrors"
         ),
     })
+}
+
+/// A stop in words: its name, its operator, its reason and its arrays.
+pub fn stop_in_words(RoomStop { name, operator, reason, arrays, .. }: &RoomStop) -> String {
+    let arrays: Vec<String> = arrays.iter().map(usize::to_string).collect();
+    let (operator, reason) = (printable(operator), printable(reason));
+    let by = if operator.is_empty() { String::new() } else { format!(" of {operator}") };
+    format!("{name}{by} (\"{reason}\") at array {}", arrays.join(", "))
+}
+
+/// What keeps the mirrors stopped after a release, by the stops that are held then; `None` without one.
+pub fn still_stopped(held: &[RoomStop]) -> Option<String> {
+    let held: Vec<String> = held.iter().map(stop_in_words).collect();
+    (!held.is_empty()).then(|| format!("the mirrors stay stopped by {}", held.join("; ")))
 }
 
 /// What is open of a release of stops, array by array.
@@ -259,6 +273,19 @@ fn both_of(drivers: &BTreeSet<Driver>, array: usize) -> Option<[u64; 2]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_control_character_of_a_reason_is_escaped_once() {
+        let stop = RoomStop {
+            name: StopName { source: 1, sequence: 2 },
+            operator: "ann".into(),
+            reason: "smoke\nfire".into(),
+            arrays: vec![0],
+            known: Duration::ZERO,
+        };
+        let words = stop_in_words(&stop);
+        assert!(words.contains("of ann (\"smoke\\u000afire\") at array 0"), "{words}");
+    }
 
     #[test]
     fn an_array_with_two_drivers_is_known_by_their_tokens() {

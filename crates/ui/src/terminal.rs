@@ -316,6 +316,14 @@ mod tests {
     }
 
     #[test]
+    fn several_arrays_that_have_stopped_are_named_in_the_plural() {
+        let standings = (0..3).map(|array| (array, Standing::Stopped)).collect();
+        let lines = stops(&RoomStops { standings, ..room() });
+        let of_both = "arrays 0, 1 have stopped: stop 0000000000000003/4 of ann (person on the ladder)";
+        assert_eq!(lines[0], of_both);
+    }
+
+    #[test]
     fn an_unknown_rate_is_shown_as_unknown_and_not_as_zero() {
         let users = vec![UserFigures { user: 7, ..UserFigures::default() }];
         let measured = Figures { origin: Origin::Measured, sum_mbps: None, users, ..figures(0) };

@@ -191,6 +191,11 @@ impl Received {
         self.controllers.present(&self.alive, self.arrays.followed_epoch())
     }
 
+    /// Whether each controller that is seen stands by for one that is not.
+    pub fn stand_by_for_unseen(&self) -> bool {
+        self.controllers.follow_unseen(&self.alive, self.arrays.followed_epoch())
+    }
+
     /// The status of a kind of process, unless it is old.
     pub fn fresh_status<'a>(&'a self, node: &str) -> Option<&'a NodeStatus> {
         self.statuses.get(node).filter(|(at, _)| at.elapsed() < EXPIRY).map(|(_, status)| status)

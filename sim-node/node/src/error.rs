@@ -28,7 +28,7 @@ pub enum NodeError {
     #[error(transparent)]
     Session(#[from] SessionError),
     /// The corrections do not fit the array.
-    #[error("the calibration does not fit the array: {0}")]
+    #[error("the calibration does not fit the array")]
     Calibration(#[from] Unfit),
     /// Corrections for a room with several arrays.
     #[error(
@@ -66,4 +66,17 @@ pub enum NodeError {
     /// The thread that publishes the truth panicked.
     #[error("the thread that publishes the truth panicked: report this as a bug, with the log")]
     TruthPublisherPanicked,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_is_printed_with_its_cause_once() {
+        let unfit = Unfit::OldSequence { found: 1, used: 2 };
+        let cause = unfit.to_string();
+        let printed = format!("{:#}", anyhow::Error::from(NodeError::from(unfit)));
+        assert_eq!(printed, format!("the calibration does not fit the array: {cause}"));
+    }
 }

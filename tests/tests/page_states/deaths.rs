@@ -68,6 +68,25 @@ fn a_process_that_dies_leaves_no_green_state_and_no_current_figure() {
 
 #[needs("browser")]
 #[test]
+fn a_controller_that_hangs_is_named_by_the_banner_while_it_is_in_the_room() {
+    let setting = Setting::new();
+    let browser = setting.browser(&[]);
+    setting.controller.signal("STOP");
+    // The chip and the banner in one script: both say so at the same time.
+    let shown = "const chip = document.getElementById('chip-controller').textContent; \
+        const banner = document.getElementById('banner'); \
+        return [chip, banner.hidden ? '' : banner.textContent]";
+    wait_until("a controller without a report", || {
+        let shown = browser.run(shown);
+        let [chip, banner] = [0, 1].map(|index| shown[index].as_str().unwrap_or_default());
+        chip.starts_with("no report for") && banner.starts_with("The controller has not reported for ")
+    });
+    setting.controller.signal("CONT");
+    wait_until("no banner", || banner(&browser).is_empty());
+}
+
+#[needs("browser")]
+#[test]
 fn the_last_picture_stays_when_the_process_of_the_room_ends() {
     let mut setting = Setting::new();
     let browser = setting.browser(&[]);

@@ -43,6 +43,31 @@ fn the_answer_to_an_order_covers_nothing() {
 
 #[needs("browser")]
 #[test]
+fn the_answer_to_a_stop_is_readable_completely_beside_the_buttons() {
+    let setting = Setting::new();
+    let browser = setting.browser(&[]);
+    // In one script, before the next event of the server takes the text away.
+    let readable = "return import('/orders.js').then(({ notConfirmed }) => { \
+        const at = (id) => document.getElementById(id); \
+        const status = at('order-status'); \
+        at('rearm').textContent = 're-arm all 16'; \
+        status.className = 'bad'; \
+        status.textContent = notConfirmed('stop', 'the server of this page cannot be reached'); \
+        const place = status.getBoundingClientRect(); \
+        const touched = ['stop', 'rearm', 'sentence'].filter((id) => { \
+          const part = at(id).getBoundingClientRect(); \
+          return part.left < place.right && part.right > place.left && part.top < place.bottom && part.bottom > place.top; }); \
+        return [status.scrollHeight <= status.clientHeight, status.scrollWidth <= status.clientWidth, \
+          place.left >= 0 && place.right <= innerWidth && place.top >= 0 && place.bottom <= innerHeight, touched]; })";
+    for (width, height) in [(1440, 900), (1024, 768), (390, 844), (360, 640)] {
+        browser.resize(width, height);
+        browser.run("scrollTo(0, 0)");
+        assert_eq!(browser.run(readable), json!([true, true, true, []]), "{width} x {height}");
+    }
+}
+
+#[needs("browser")]
+#[test]
 fn the_charts_keep_their_size_while_the_log_of_events_opens_and_grows() {
     let setting = Setting::new();
     let browser = setting.browser(&[]);

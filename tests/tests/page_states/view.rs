@@ -35,6 +35,27 @@ fn the_camera_keeps_its_place_while_pictures_are_drawn() {
 
 #[needs("browser")]
 #[test]
+fn a_blocked_path_has_the_colour_of_the_legend_in_both_themes() {
+    let setting = Setting::new();
+    let browser = setting.browser(&[]);
+    browser.click("#blocked [data-value='1']");
+    // The colours of the first blocked path and of the legend, both as the browser writes them.
+    let colours = "const { content } = document.getElementById('room').room.view; \
+        if (!content.dashed.count) return null; \
+        const mark = document.querySelector('#legend .blocked'); \
+        const drawn = new content.dashed.colour.constructor().fromArray(content.dashed.colours).getHexString(); \
+        return [drawn, getComputedStyle(mark).borderTopColor.match(/\\d+/g).map((part) => Number(part).toString(16).padStart(2, '0')).join('')]";
+    for theme in ["light", "dark"] {
+        choose_theme(&browser, theme);
+        wait_until(&format!("one colour in the theme {theme}"), || {
+            let pair = browser.run(colours);
+            pair[0].is_string() && pair[0] == pair[1]
+        });
+    }
+}
+
+#[needs("browser")]
+#[test]
 fn users_who_are_present_have_different_colours_and_keep_them() {
     let setting = Setting::with(&["--set", "users.count=17"]);
     let browser = setting.browser(&[]);
@@ -269,6 +290,7 @@ fn the_chip_of_the_policy_and_the_name_of_the_sum_rate_agree_on_what_the_mirrors
            return [of('following', 0.1), of('holding, no telemetry of mirrors-1', 0.1), of('parked', 0.1), \
              of('parked', 0.1, { controller_alive: false }), of('holding', 0.1, { controller_alive: false }), \
              of('following', 0.1, { controller_alive: false, controller_unseen: true }), \
+             of('following', 0.1, { controller_unseen: true }), \
              of('following', 2), of('following', 0.1, { policy: '', calibration: 'spot 1' })]; })";
     let expected = serde_json::json!([
         ["greedy", false],
@@ -276,6 +298,7 @@ fn the_chip_of_the_policy_and_the_name_of_the_sum_rate_agree_on_what_the_mirrors
         ["parked", true],
         ["parked", true],
         ["holding", true],
+        ["following", true],
         ["following", true],
         ["no report", true],
         ["calibration", true]

@@ -8,7 +8,7 @@ use heliostat_proto::StopName;
 use heliostat_proto::reported_stops::RoomStop;
 use heliostat_service::printable::printable;
 use heliostat_service::{EndArgs, duration, output};
-use heliostat_ui::{StopLabel, StopSwitch, UiError};
+use heliostat_ui::{StopLabel, StopSwitch, UNKNOWN_ARRAYS, UiError, still_stopped, stop_in_words};
 use serde_json::json;
 
 use super::join::join;
@@ -91,12 +91,12 @@ pub fn stop(args: StopArgs) -> Result<()> {
     let stopped = switch.stop_and_confirm(reason, *timeout).map_err(with_reach);
     note_shared(&switch);
     if !args.hold {
-        args.order.report(&bus, "stopped", stopped?, &switch.known_stops())?;
+        args.order.report(&bus, stopped?, &switch.known_stops())?;
         drop(switch);
         return Ok(bus.close()?);
     }
     match &stopped {
-        Ok(took) => args.order.report(&bus, "stopped", *took, &switch.known_stops())?,
+        Ok(took) => args.order.report(&bus, *took, &switch.known_stops())?,
         Err(error) => output::note(format_args!("heliostat stop: {error}; the stop is held: end with Ctrl-C")),
     }
     let end = args.end.stop()?;
@@ -104,7 +104,8 @@ pub fn stop(args: StopArgs) -> Result<()> {
     while !end.wait_for(HOLD_INTERVAL) && until.is_none_or(|until| Instant::now() < until) {
         switch.repeat();
         if !switch.is_own_held() {
-            output::note(format_args!("heliostat stop: the stop is released"));
+            let rest = still_stopped(&switch.known_stops()).map_or_else(String::new, |rest| format!("; {rest}"));
+            output::note(format_args!("heliostat stop: the stop is released{rest}"));
             break;
         }
     }
@@ -115,10 +116,14 @@ pub fn stop(args: StopArgs) -> Result<()> {
 /// An error of a stop; of an unconfirmed one with what this command cannot see.
 fn with_reach(error: UiError) -> anyhow::Error {
     match error {
-        error @ UiError::StopUnconfirmed { .. } => anyhow!(
-            "{error}. The stop was sent, and stays in force where it arrived. Reports come only from the processes in \
-             --connect: with the endpoint of its driver, heliostat status shows what an array does"
-        ),
+        UiError::StopUnconfirmed { ref arrays, .. } => {
+            let is_uncounted = arrays.iter().any(|open| open == UNKNOWN_ARRAYS);
+            let count = if is_uncounted { ", or give their number: --arrays N" } else { "" };
+            anyhow!(
+                "{error}{count}. The stop was sent, and stays in force where it arrived. Reports come only from the \
+                 processes in --connect: with the endpoint of its driver, heliostat status shows what an array does"
+            )
+        }
         error @ UiError::NoReceiver(_) => {
             anyhow!("{error}. No stop was sent, and the mirrors go on moving")
         }
@@ -139,14 +144,14 @@ pub fn rearm(args: RearmArgs) -> Result<()> {
             found
         }
         (None, false) if stops.len() > 1 => {
-            return Err(UiError::SeveralStops { stops: stops.iter().map(in_words).collect() }.into());
+            return Err(UiError::SeveralStops { stops: stops.iter().map(stop_in_words).collect() }.into());
         }
         _ => stops,
     };
     let names: Vec<StopName> = named.iter().map(|stop| stop.name).collect();
     let released = switch.rearm_and_confirm(&names, reason, timeout.saturating_sub(begun.elapsed()));
     note_shared(&switch);
-    args.order.report(&bus, "released", released?, &named)?;
+    args.order.report_release(&bus, released?, &named, &switch.known_stops())?;
     drop(switch);
     Ok(bus.close()?)
 }
@@ -154,13 +159,6 @@ pub fn rearm(args: RearmArgs) -> Result<()> {
 /// Names the arrays that two processes drive: the reports of one hide those of the other.
 fn note_shared(switch: &StopSwitch) {
     switch.shared_arrays().into_iter().for_each(output::note);
-}
-
-fn in_words(RoomStop { name, operator, reason, arrays, .. }: &RoomStop) -> String {
-    let arrays: Vec<String> = arrays.iter().map(usize::to_string).collect();
-    let (operator, reason) = (printable(operator), printable(reason));
-    let by = if operator.is_empty() { String::new() } else { format!(" of {operator}") };
-    format!("{name}{by} (\"{reason}\") at array {}", arrays.join(", "))
 }
 
 impl OrderArgs {
@@ -183,29 +181,61 @@ impl OrderArgs {
         Ok((bus, switch))
     }
 
-    fn report(&self, bus: &Bus, outcome: &str, took: Duration, stops: &[RoomStop]) -> Result<()> {
-        let (room, took_ms) = (bus.room().name(), took.as_secs_f64() * 1e3);
+    /// Prints that every array is stopped, with the stops in force.
+    fn report(&self, bus: &Bus, took: Duration, stops: &[RoomStop]) -> Result<()> {
         if self.json {
-            let stops = stops.iter().map(|RoomStop { name, operator, reason, .. }| {
-                json!({
-                    "source": format!("{:016x}", name.source),
-                    "sequence": name.sequence,
-                    "operator": operator,
-                    "reason": reason,
-                })
-            });
-            let stops: Vec<_> = stops.collect();
-            output::line(json!({ "room": room, "array": outcome, "confirmed_after_ms": took_ms, "stops": stops }))?;
-            return Ok(());
+            return print_json(bus, "stopped", took, stops, stops);
         }
-        output::line(format_args!("the arrays of room {room} are {outcome}, confirmed after {took_ms:.1} ms"))?;
-        for RoomStop { name, operator, reason, .. } in stops {
-            let (operator, reason) = (printable(operator), printable(reason));
-            let by = if operator.is_empty() { String::new() } else { format!(" of \"{operator}\"") };
-            output::line(format_args!("the stop: {name}{by}: \"{reason}\""))?;
-        }
-        Ok(())
+        let (room, took_ms) = (bus.room().name(), took.as_secs_f64() * 1e3);
+        output::line(format_args!("the arrays of room {room} are stopped, confirmed after {took_ms:.1} ms"))?;
+        print_stops(stops)
     }
+
+    /// Prints that stops are released, and what the arrays report to hold after that.
+    fn report_release(&self, bus: &Bus, took: Duration, released: &[RoomStop], held: &[RoomStop]) -> Result<()> {
+        let rest = still_stopped(held);
+        if self.json {
+            let array = if rest.is_some() { "stopped" } else { "released" };
+            return print_json(bus, array, took, released, held);
+        }
+        let (room, took_ms) = (bus.room().name(), took.as_secs_f64() * 1e3);
+        output::line(match rest {
+            Some(rest) => format!(
+                "the named {} of room {room} released, confirmed after {took_ms:.1} ms; {rest}",
+                if released.len() == 1 { "stop is" } else { "stops are" }
+            ),
+            None => format!("the arrays of room {room} are released, confirmed after {took_ms:.1} ms"),
+        })?;
+        print_stops(released)
+    }
+}
+
+fn print_json(bus: &Bus, array: &str, took: Duration, of_order: &[RoomStop], held: &[RoomStop]) -> Result<()> {
+    Ok(output::line(json!({
+        "room": bus.room().name(),
+        "array": array,
+        "confirmed_after_ms": took.as_secs_f64() * 1e3,
+        "stops": of_order.iter().map(as_json).collect::<Vec<_>>(),
+        "in_force": held.iter().map(as_json).collect::<Vec<_>>(),
+    }))?)
+}
+
+fn as_json(RoomStop { name, operator, reason, .. }: &RoomStop) -> serde_json::Value {
+    json!({
+        "source": format!("{:016x}", name.source),
+        "sequence": name.sequence,
+        "operator": operator,
+        "reason": reason,
+    })
+}
+
+fn print_stops(stops: &[RoomStop]) -> Result<()> {
+    for RoomStop { name, operator, reason, .. } in stops {
+        let (operator, reason) = (printable(operator), printable(reason));
+        let by = if operator.is_empty() { String::new() } else { format!(" of \"{operator}\"") };
+        output::line(format_args!("the stop: {name}{by}: \"{reason}\""))?;
+    }
+    Ok(())
 }
 
 #[cfg(test)]
@@ -213,14 +243,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_control_character_of_a_reason_is_escaped_once() {
-        let stop = RoomStop {
-            name: StopName { source: 1, sequence: 2 },
-            operator: "ann".into(),
-            reason: "smoke\nfire".into(),
-            arrays: vec![0],
-            known: Duration::ZERO,
+    fn a_stop_in_a_room_of_unknown_size_names_the_flag_for_it() {
+        let text = |arrays: &[&str]| {
+            let arrays = arrays.iter().map(|open| (*open).to_owned()).collect();
+            with_reach(UiError::StopUnconfirmed { waited: Duration::from_secs(5), arrays }).to_string()
         };
-        assert!(in_words(&stop).contains("of ann (\"smoke\\u000afire\") at array 0"), "{}", in_words(&stop));
+        assert!(text(&[UNKNOWN_ARRAYS]).contains("or give their number: --arrays N. The stop was sent"));
+        assert!(!text(&["array 0 does not answer: cut its power"]).contains("--arrays"));
     }
 }

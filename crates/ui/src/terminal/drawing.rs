@@ -97,7 +97,8 @@ fn heading(title: &str, figures: &Figures, stops: Vec<Line<'static>>) -> Paragra
         some => format!(", {some} of {} mirrors unusable", figures.array.mirrors),
     };
     let controller = match (figures.controller_alive, figures.controller_unseen) {
-        (true, _) => "",
+        (true, false) => "",
+        (true, true) => "  another process commands",
         (false, true) => "  controller not seen",
         (false, false) => "  no controller",
     };

@@ -17,13 +17,18 @@ pub(super) const ORACLE: Color = Color::Rgb(0xF0, 0xE4, 0x42);
 /// The emergency stops, each with the arrays that have stopped, then what is open.
 pub(crate) fn stops(room: &RoomStops) -> Vec<String> {
     let indices = |arrays: &[usize]| arrays.iter().map(usize::to_string).collect::<Vec<_>>().join(", ");
+    let are = |stopped: &[usize]| match stopped {
+        [one] => (format!("array {one}"), "has"),
+        several => (format!("arrays {}", indices(several)), "have"),
+    };
     let line = |stop: &StopFigure| {
         let StopFigure { name, operator, reason, arrays, stopped, .. } = stop;
         let by = if operator.is_empty() { String::new() } else { format!(" of {operator}") };
+        let (which, have) = are(stopped);
         let stopped = match stopped.len() {
             0 => "no array has stopped".to_owned(),
-            count if count == arrays.len() => format!("array {} has stopped", indices(stopped)),
-            _ => format!("array {} of {} has stopped", indices(stopped), indices(arrays)),
+            count if count == arrays.len() => format!("{which} {have} stopped"),
+            _ => format!("{which} of {} {have} stopped", indices(arrays)),
         };
         format!("{stopped}: stop {name}{by} ({reason})")
     };
@@ -66,11 +71,20 @@ pub(crate) fn time(of: &TimeFigures, which: fn(&heliostat_proto::Quantiles) -> f
 }
 
 /// Why there are no sum rates.
-pub(crate) fn without_rates(figures: &Figures) -> String {
+pub(crate) fn why_without_rates(figures: &Figures) -> &'static str {
     match figures.origin {
-        Origin::NoData => "no messages from the room".into(),
+        Origin::NoData => "no messages from the room",
+        Origin::Simulated | Origin::Measured => "no measured gains",
+    }
+}
+
+/// The figures in one line, without sum rates.
+pub(super) fn without_rates(figures: &Figures) -> String {
+    let why = why_without_rates(figures);
+    match figures.origin {
+        Origin::NoData => why.to_owned(),
         Origin::Simulated | Origin::Measured => {
-            format!("tick {:>6}  {}  sum rate unknown: no measured gains", figures.tick, figures.array.state)
+            format!("tick {:>6}  {}  sum rate unknown: {why}", figures.tick, figures.array.state)
         }
     }
 }

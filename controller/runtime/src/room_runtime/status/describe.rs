@@ -154,11 +154,7 @@ pub(super) fn describe_refusal(decision_loop: &DecisionLoop) -> Option<String> {
             array_name(array)
         ),
         (_, Some(error)) if refusal == Refusal::from(error) => format!("{name}: {error}"),
-        (Refusal::Stale, _) if let Found::AgeS(age_s) = found => {
-            format!(
-                "{name} refused: a report is {age_s:.1} s old; check the clocks of its sender and of this controller"
-            )
-        }
+        (Refusal::Stale, _) if let Found::AgeS(age_s) = found => describe_stale(&name, age_s),
         (Refusal::FromFuture, _) if let Found::AgeS(age_s) = found => format!(
             "{name} refused: a report is {:.1} s ahead of this controller's clock; check the clocks of both",
             -age_s
@@ -171,6 +167,14 @@ pub(super) fn describe_refusal(decision_loop: &DecisionLoop) -> Option<String> {
         }
         _ => format!("{name} refused: {refusal}"),
     })
+}
+
+/// A report that is too old, with both causes: its age is the time on its way and the difference of two clocks.
+fn describe_stale(name: &str, age_s: f64) -> String {
+    format!(
+        "{name} refused: a report is {age_s:.1} s old; it waited in a process that stood still, or the clocks of its \
+         sender and of this controller differ"
+    )
 }
 
 /// An announcement of this array by a source other than the one that is followed.
@@ -229,6 +233,13 @@ mod tests {
         assert_eq!(events, [TenureEvent::TookOver]);
         let Some(Problem::End(text)) = describe_events(&events, &tenure) else { panic!("no problem") };
         assert!(text.ends_with(": the former leader has ended"), "{text}");
+    }
+
+    #[test]
+    fn an_old_report_has_waited_or_the_clocks_differ() {
+        let text = describe_stale("users", 0.52);
+        assert!(text.starts_with("users refused: a report is 0.5 s old; it waited in a process"), "{text}");
+        assert!(text.ends_with("or the clocks of its sender and of this controller differ"), "{text}");
     }
 
     #[test]

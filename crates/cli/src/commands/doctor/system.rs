@@ -303,20 +303,24 @@ fn fetch_capabilities(args: &Args, bus: &Bus, key: &str) -> Result<Vec<Vec<u8>>,
     }
 }
 
-/// The check of an array that fits, with a warning where it is stopped or has a fault.
+/// The check of an array, with a warning where it is stopped or has a fault; a stop is named before all else.
 fn with_state(check: Check, driver: &DriverState) -> Check {
     let faults = fault::names(driver.faults);
     let (what, advice) = match driver.state {
-        _ if check.verdict != Verdict::Ok => return check,
         Some(ArrayState::Stopped) => {
             ("it is stopped".to_owned(), "release it with heliostat rearm when the mirrors may move")
         }
+        _ if check.verdict != Verdict::Ok => return check,
         _ if !faults.is_empty() => {
             (format!("faults: {}", faults.join(", ")), "heliostat status and the log of the driver name the cause")
         }
         _ => return check,
     };
-    Check::warn("driver", format!("{}; {what}", check.found), advice)
+    let found = format!("{}; {what}", check.found);
+    match check.verdict {
+        Verdict::Ok => Check::warn("driver", found, advice),
+        _ => Check { found, advice: format!("{advice}; {}", check.advice), ..check },
+    }
 }
 
 /// Whether the array fits the scenario.
@@ -375,20 +379,22 @@ mod tests {
 
     #[test]
     fn an_array_that_fits_is_a_warning_while_it_is_stopped_or_has_a_fault() {
-        let found = |state, faults| {
-            let driver = DriverState {
-                capabilities: Capabilities::default(),
-                device_problem: None,
-                calibration: None,
-                faults,
-                state,
-            };
-            with_state(Check::ok("driver", "mirrors"), &driver)
+        let driver = |state, faults| DriverState {
+            capabilities: Capabilities::default(),
+            device_problem: None,
+            calibration: None,
+            faults,
+            state,
         };
+        let found = |state, faults| with_state(Check::ok("driver", "mirrors"), &driver(state, faults));
         let following = found(Some(ArrayState::Following), 0);
         assert_eq!((following.verdict, following.found.as_str()), (Verdict::Ok, "mirrors"));
         let stopped = found(Some(ArrayState::Stopped), 0);
         assert_eq!((stopped.verdict, stopped.found.as_str()), (Verdict::Warn, "mirrors; it is stopped"));
+        let remark = Check::warn("driver", "mirrors", "the array clamps");
+        let both = with_state(remark, &driver(Some(ArrayState::Stopped), 0));
+        assert_eq!(both.found, "mirrors; it is stopped");
+        assert_eq!(both.advice, "release it with heliostat rearm when the mirrors may move; the array clamps");
         let jammed = found(Some(ArrayState::Following), fault::MIRROR | fault::SUPPLY);
         assert_eq!((jammed.verdict, jammed.found.as_str()), (Verdict::Warn, "mirrors; faults: mirror, supply"));
     }

@@ -74,6 +74,9 @@ fn an_interrupted_run_is_saved_and_the_printed_command_resumes_it_to_the_same_ac
     let whole = folder.path().join("whole");
     let output = train(&whole).output().expect("the program starts");
     assert!(output.status.success(), "{}", errors(&output));
+    let card = std::fs::read_to_string(whole.join("ddpg-specular-seed7.md")).expect("a card");
+    let flags = "--episodes 160 --steps 10 --every 1000 --states 2\n";
+    assert!(card.contains(flags), "the command repeats the run: {card}");
 
     for signal in ["-INT", "-TERM"] {
         let parts = folder.path().join(format!("parts of{signal}"));

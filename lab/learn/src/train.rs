@@ -54,12 +54,15 @@ pub struct TrainArgs {
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
     every: Option<u32>,
     /// Held-out states for each row of the final scores
-    #[arg(long, default_value_t = 200, value_parser = clap::value_parser!(u32).range(2..=100_000))]
+    #[arg(long, default_value_t = STATES, value_parser = clap::value_parser!(u32).range(2..=100_000))]
     states: u32,
     /// Print one JSON object at the end instead of the progress
     #[arg(long)]
     json: bool,
 }
+
+/// Held-out states for each row of the final scores, unless the command states another number.
+const STATES: u32 = 200;
 
 /// Held-out states for each forced-blockage count during training.
 const TRAINING_STATES: usize = 24;
@@ -142,6 +145,10 @@ impl TrainArgs {
         self.options.iter().for_each(|text| add("--option", text));
         self.episodes.iter().for_each(|count| add("--episodes", &count.to_string()));
         self.steps.iter().for_each(|count| add("--steps", &count.to_string()));
+        self.every.iter().for_each(|count| add("--every", &count.to_string()));
+        if self.states != STATES {
+            add("--states", &self.states.to_string());
+        }
         command
     }
 
@@ -149,8 +156,6 @@ impl TrainArgs {
     fn resuming_command(&self, seed: u64) -> String {
         let mut command = self.command(seed);
         command.push_str(&format!(" --out {}", quoted(&self.out.to_string_lossy())));
-        command.extend(self.every.map(|every| format!(" --every {every}")));
-        command.push_str(&format!(" --states {}", self.states));
         if self.json {
             command.push_str(" --json");
         }

@@ -107,3 +107,11 @@ fn a_scenario_that_is_missing_is_named() {
         assert!(!refused.status.success() && message.contains(words), "{message}");
     }
 }
+
+#[test]
+fn a_key_that_training_does_not_read_is_refused() {
+    let folder = TempDir::new().expect("a folder");
+    let refused = train(folder.path()).args(["--set", "actuator.stuck_share=1"]).output().expect("the program starts");
+    let message = errors(&refused);
+    assert!(!refused.status.success() && message.contains("actuator.stuck_share: no effect"), "{message}");
+}

@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, bail};
 use heliostat_core::observation::{OBSERVATION_VERSION, USERS_CAPACITY};
 use heliostat_core::policy::{NameParser, actor_file::key};
+use heliostat_environment::exact_states;
 use heliostat_models::shipped;
 use heliostat_scenario::{STUDY_SCENARIO, Scenario, ScenarioArgs};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -88,6 +89,7 @@ pub fn run_train(args: TrainArgs, stop_requested: StopRequested<'_>) -> anyhow::
 
 fn train(args: &TrainArgs, stop_requested: StopRequested<'_>) -> anyhow::Result<()> {
     let scenario = args.scenario.load_arrays()?;
+    exact_states::check_overrides(&args.scenario.overrides)?;
     let mut training = args.algorithm.begin(scenario, args.preset, &args.changes())?;
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
     let checkpoint = args.out.join("checkpoint.safetensors");

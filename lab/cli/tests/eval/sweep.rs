@@ -149,8 +149,8 @@ fn flags_that_contradict_each_other_are_refused_with_point_and_reason() {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("figures.csv");
     let file = file.to_str().expect("a plain path");
-    for (flags, parts) in [
-        (&["--set", "mirrors.rows=0"][..], &["mirrors.rows = 0", "no-irs", "--sweep mirrors.rows=0"][..]),
+    let cases: [(&[&str], &[&str]); 7] = [
+        (&["--set", "mirrors.rows=0"], &["mirrors.rows = 0", "no-irs", "--sweep mirrors.rows=0"]),
         (
             &["--sweep", "users.count=1..5", "--blocked", "3"],
             &["at users.count = 1", "forced_users = 3", "users.count, which is 1"],
@@ -160,7 +160,8 @@ fn flags_that_contradict_each_other_are_refused_with_point_and_reason() {
         (&["--sweep", "blockage.forced_users=1,2", "--blocked", "2"], &["--blocked fixes blockage.forced_users"]),
         (&["--csv", file, "--csv-episodes", file], &["--csv and --csv-episodes name one file"]),
         (&["--csv-episodes", file, "--html", file], &["--csv-episodes and --html name one file"]),
-    ] {
+    ];
+    for (flags, parts) in cases {
         let message = refusal(&[&["--policies", "flat"], flags].concat());
         assert!(parts.iter().all(|part| message.contains(part)), "{flags:?}: {message}");
     }

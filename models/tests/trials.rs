@@ -65,7 +65,7 @@ fn an_actor_that_is_worse_than_flat_mirrors_causes_a_warning_with_both_rates() {
     let (_, findings) = build_tried(PolicyKind::Ddpg, &scenario, &away).expect("it runs");
     let warnings = warnings(&findings);
     assert!(
-        matches!(warnings[..], [text] if text.contains("worse than flat mirrors") && text.contains("sampled observations")),
+        matches!(warnings[..], [text] if text.contains("own.onnx is worse than flat mirrors") && text.contains("sampled observations")),
         "{findings:?}"
     );
 }

@@ -6,6 +6,7 @@ use heliostat_channel::MirrorAngles;
 use heliostat_core::policy::removed;
 use heliostat_environment::action::ActionForm;
 use heliostat_environment::episodes::{HeldOutEpisode, WARM, held_out_episodes};
+use heliostat_environment::exact_states::check_overrides;
 use heliostat_environment::room::{Reward, RewardForm};
 use heliostat_environment::sampling::Sampled;
 use heliostat_environment::statistics::Spread;
@@ -151,6 +152,12 @@ fn settings_of(
         oracle,
     };
     Ok(Settings { inner: Arc::new(inner) })
+}
+
+/// Refuses overrides of the form "table.key=value", or their keys, that have no effect on exact states.
+#[pyfunction]
+pub fn check_exact(overrides: Vec<String>) -> PyResult<()> {
+    check_overrides(&overrides).map_err(refused)
 }
 
 /// The seed of a held-out room, which training never uses: `heliostat-lab eval` takes its states from

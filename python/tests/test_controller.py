@@ -179,11 +179,20 @@ def test_a_run_ends_after_its_time_and_wrong_settings_are_refused() -> None:
     assert summary.decisions == summary.commands == 0
     assert "no process of the room answers" in summary.last_problem
     with pytest.warns(RuntimeWarning, match="no process of the room answers"):
-        heliostat.run(lambda _: None, connect=[endpoint], seconds=0)
+        heliostat.run(lambda _: None, connect=endpoint, seconds=0.01)
     with pytest.raises(PeerError, match="no endpoint"):
         heliostat.run(lambda _: None)
     with pytest.raises(ValueError, match='"angles", "weights"'):
         heliostat.run(lambda _: None, connect=[endpoint], action="torque", seconds=0.1)
+    number: Any = 42
+    with pytest.raises(TypeError, match="act: expected a function of an observation, found int"):
+        heliostat.run(number, connect=[endpoint])
+    with pytest.raises(TypeError, match="connect = 42: expected endpoints as texts"):
+        heliostat.run(lambda _: None, connect=number)
+    wrong: Any
+    for wrong in (-1, 0, float("nan"), "5"):
+        with pytest.raises(ValueError, match="seconds = .*: expected a number of seconds from 0.01"):
+            heliostat.run(lambda _: None, connect=[endpoint], seconds=wrong)
 
 
 def test_a_run_without_an_array_warns() -> None:

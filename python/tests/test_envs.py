@@ -246,8 +246,17 @@ def test_a_refused_reset_leaves_the_environment_as_it_was() -> None:
 
 
 def test_an_unknown_keyword_is_a_type_error() -> None:
-    with pytest.raises(TypeError, match="penality"):
+    with pytest.raises(TypeError, match="penality.*similar name exists: penalty"):
         heliostat.HeliostatEnv(penality=1.0)
+
+
+@pytest.mark.parametrize("make_one", [heliostat.HeliostatEnv, heliostat.HeliostatVectorEnv])
+def test_overrides_without_an_effect_on_a_static_room_are_refused(make_one: Any) -> None:
+    for key, value in {"actuator.stuck_share": 1.0, "streams.positions.latency_ms": 300.0, "control.belief": "none"}.items():
+        with pytest.raises(ValueError, match=f"{key}: no effect .*closed-loop"):
+            make_one("specular", overrides={key: value})
+        make_one("specular", overrides={key: value}, dynamics="closed-loop").close()
+    make_one("specular", overrides={"control.range_deg": 30.0}).close()
 
 
 def test_actions_that_are_not_valid_are_refused_and_change_nothing() -> None:

@@ -119,6 +119,8 @@ def test_arguments_outside_their_domain_are_refused_with_the_reason() -> None:
         (lambda: room.link(np.zeros((0, 3)), FLAT, FLAT), "holds no user"),
         (lambda: room.link(nan, FLAT, FLAT), "positions holds NaN"),
         (lambda: room.link(USERS, FLAT[:9], FLAT), "roll has the length 9, expected 100"),
+        (lambda: room.link(USERS, FLAT + 45.0, FLAT), "roll holds 45 at index 0: expected radians from -pi/2 to pi/2"),
+        (lambda: heliostat.rate_map(room, FLAT, FLAT - 2.0), "yaw holds -2 at index 0: expected radians"),
         (lambda: room.link(USERS, FLAT, FLAT, np.zeros((1, 3))), "blockers has the shape"),
         (lambda: room.link(USERS, FLAT, FLAT, [[0.0, 0.0, -0.1, 2.0]]), "blockers holds the radius -0.1, expected metres"),
         (lambda: room.oracle(USERS, [[0.0, 0.0, 0.1, -2.0]]), "blockers holds the height -2, expected metres from 0"),

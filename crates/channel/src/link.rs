@@ -85,7 +85,7 @@ impl LinkBudget {
     ///
     /// SINR = R0^2 P H^2 / sigma^2, with P^2 in place of P under [`PowerLaw::Squared`].
     ///
-    /// Source: paper eq. (6) with I_k = 0, since each user has its own band.
+    /// Source: paper eq. (6) with I_k = 0, since each user has a band of its own, B/K.
     /// Units: dimensionless gain and SINR.
     #[inline]
     pub fn sinr(&self, gain: f64) -> f64 {

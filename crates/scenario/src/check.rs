@@ -155,7 +155,10 @@ impl Scenario {
             check_orientation(orientation)?;
         }
         let blockage = &self.blockage;
-        count("blockage.forced_users", blockage.forced_users, 0..=users.count)?;
+        if blockage.forced_users > users.count {
+            let expected = format!("expected at most users.count, which is {}", users.count);
+            invalid("blockage.forced_users", blockage.forced_users, &expected)?;
+        }
         within("blockage.body_radius_m", blockage.body_radius_m, 0.01..=2.0)?;
         within("blockage.body_height_m", blockage.body_height_m, 0.0..=self.room.height_m)?;
         within("blockage.body_offset_m", blockage.body_offset_m, 0.0..=2.0)?;

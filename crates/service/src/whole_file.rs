@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 
+use crate::exit::UnusableInput;
 use crate::output::note;
 
 /// ENOLCK and EOPNOTSUPP of Linux, else of macOS and BSD: the first one, as of NFS without its daemon for locks, has
@@ -24,6 +25,28 @@ pub fn check_writable(file: &Path) -> Result<()> {
     }
     let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     tempfile::tempfile_in(folder).map(drop).with_context(refused)
+}
+
+/// Refuses one file for two flags: the later one would replace the former.
+///
+/// # Errors
+/// [`UnusableInput`], which names both flags.
+pub fn check_distinct<'a>(named: impl IntoIterator<Item = (&'a str, Option<&'a PathBuf>)>) -> Result<()> {
+    let named: Vec<_> = named.into_iter().filter_map(|(flag, file)| Some((flag, absolute(file?)?))).collect();
+    for (index, (flag, file)) in named.iter().enumerate() {
+        if let Some((other, _)) = named[..index].iter().find(|(_, other)| other == file) {
+            bail!(UnusableInput::new(format!("{other} and {flag} name one file, {}: expected two", file.display())));
+        }
+    }
+    Ok(())
+}
+
+/// The path without links, whether or not the file exists.
+fn absolute(file: &Path) -> Option<PathBuf> {
+    let path = std::path::absolute(file).ok()?;
+    let in_folder = || Some(path.parent()?.canonicalize().ok()?.join(path.file_name()?));
+    let beyond_links = path.canonicalize().ok().or_else(in_folder);
+    Some(beyond_links.unwrap_or(path))
 }
 
 /// Writes a file beside the final one and renames it. A pipe or device is written directly.

@@ -74,6 +74,9 @@ fn an_interrupted_run_is_saved_and_the_printed_command_resumes_it_to_the_same_ac
     let whole = folder.path().join("whole");
     let output = train(&whole).output().expect("the program starts");
     assert!(output.status.success(), "{}", errors(&output));
+    let card = std::fs::read_to_string(whole.join("ddpg-specular-seed7.md")).expect("a card");
+    let flags = "--episodes 160 --steps 10 --every 1000 --states 2\n";
+    assert!(card.contains(flags), "the command repeats the run: {card}");
 
     for signal in ["-INT", "-TERM"] {
         let parts = folder.path().join(format!("parts of{signal}"));
@@ -103,4 +106,12 @@ fn a_scenario_that_is_missing_is_named() {
         let message = String::from_utf8_lossy(&refused.stderr);
         assert!(!refused.status.success() && message.contains(words), "{message}");
     }
+}
+
+#[test]
+fn a_key_that_training_does_not_read_is_refused() {
+    let folder = TempDir::new().expect("a folder");
+    let refused = train(folder.path()).args(["--set", "actuator.stuck_share=1"]).output().expect("the program starts");
+    let message = errors(&refused);
+    assert!(!refused.status.success() && message.contains("actuator.stuck_share: no effect"), "{message}");
 }

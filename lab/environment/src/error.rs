@@ -30,6 +30,12 @@ pub enum EnvironmentError {
          `heliostat-lab eval --closed-loop`"
     )]
     Mismatch(&'static str),
+    /// A key that has an effect in closed loop only.
+    #[error(
+        "{0}: no effect on exact states without reports, whose mirrors turn at once; remove it, or choose a closed \
+         loop: `heliostat-lab eval --closed-loop`, in Python dynamics=\"closed-loop\""
+    )]
+    ClosedLoopOnly(String),
     /// The array refused a command.
     #[error("the array refused a command: {0:?}; this is a fault of the environment, please report it")]
     Refused(Refusal),

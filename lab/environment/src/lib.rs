@@ -9,6 +9,7 @@
 //! - [`closed_loop`]: a room whose reports are late and noisy, with the decision core.
 //! - [`held_out`]: rooms that training never uses, and the oracle on them.
 //! - [`episodes`], [`sampling`]: the episodes of a comparison in closed loop, and their rates.
+//! - [`exact_states`]: the keys of a scenario that have no effect without reports.
 //! - [`statistics`], [`outage`]: means with intervals, and outages, of a comparison.
 //! - [`action`], [`believed`]: what an action means, and what a learner observes.
 //! - [`function_policy`]: a function of a user, which sees the same and acts in the same forms, as a
@@ -20,6 +21,7 @@ pub mod believed;
 pub mod closed_loop;
 pub mod episodes;
 pub mod error;
+pub mod exact_states;
 pub mod function_policy;
 pub mod held_out;
 pub mod outage;

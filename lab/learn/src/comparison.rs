@@ -41,6 +41,7 @@ use serde::{Serialize, Serializer};
 
 use heliostat_core::belief::conditions::{Condition, conditions};
 use heliostat_environment::EnvironmentError;
+use heliostat_environment::exact_states::faults;
 use heliostat_scenario::Scenario;
 
 /// The rows of a comparison, and the figures of each episode.
@@ -83,8 +84,8 @@ pub struct Report {
     pub users: usize,
     /// Users whose direct path is forced off.
     pub blocked: usize,
-    /// The promises of policies that do not hold in the room and, in closed loop, the methods of the
-    /// controller's belief that do not apply to it.
+    /// The promises of policies that do not hold in the room; in closed loop the methods of the
+    /// controller's belief that do not apply to it, in a static comparison the faults of mirrors.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub conditions: Vec<Condition>,
     /// The oracle with minimum rates, on the true states.
@@ -174,7 +175,11 @@ pub fn compare_under(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<R
     bar.finish_and_clear();
     let names = settings.policies.iter().map(|evaluated| evaluated.name().to_owned());
     let is_closed = settings.mode == Loop::ClosedLoop;
-    let mut found = if is_closed { conditions(scenario, &scenario.channel_model()?) } else { Vec::new() };
+    let mut found = if is_closed {
+        conditions(scenario, &scenario.channel_model()?)
+    } else {
+        exact_mirrors(scenario).into_iter().collect()
+    };
     for (evaluated, row) in settings.policies.iter().zip(&policies) {
         let of_policy = evaluated
             .conditions(scenario)
@@ -204,6 +209,16 @@ pub fn compare_under(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<R
         beliefs,
         tracked,
         each,
+    })
+}
+
+/// A static comparison has mirrors without faults; the condition of a scenario that has them.
+fn exact_mirrors(scenario: &Scenario) -> Option<Condition> {
+    let faults = faults(&scenario.actuator);
+    (!faults.is_empty()).then(|| Condition {
+        method: "the model of faulty mirrors".into(),
+        because: format!("a static comparison, and {}", faults.join(", ")),
+        consequence: "each mirror turns at once to the exact angle, so ratios are higher; choose --closed-loop".into(),
     })
 }
 

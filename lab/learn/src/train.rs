@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, bail};
 use heliostat_core::observation::{OBSERVATION_VERSION, USERS_CAPACITY};
 use heliostat_core::policy::{NameParser, actor_file::key};
+use heliostat_environment::exact_states;
 use heliostat_models::shipped;
 use heliostat_scenario::{STUDY_SCENARIO, Scenario, ScenarioArgs};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -54,12 +55,15 @@ pub struct TrainArgs {
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
     every: Option<u32>,
     /// Held-out states for each row of the final scores
-    #[arg(long, default_value_t = 200, value_parser = clap::value_parser!(u32).range(2..=100_000))]
+    #[arg(long, default_value_t = STATES, value_parser = clap::value_parser!(u32).range(2..=100_000))]
     states: u32,
     /// Print one JSON object at the end instead of the progress
     #[arg(long)]
     json: bool,
 }
+
+/// Held-out states for each row of the final scores, unless the command states another number.
+const STATES: u32 = 200;
 
 /// Held-out states for each forced-blockage count during training.
 const TRAINING_STATES: usize = 24;
@@ -85,6 +89,7 @@ pub fn run_train(args: TrainArgs, stop_requested: StopRequested<'_>) -> anyhow::
 
 fn train(args: &TrainArgs, stop_requested: StopRequested<'_>) -> anyhow::Result<()> {
     let scenario = args.scenario.load_arrays()?;
+    exact_states::check_overrides(&args.scenario.overrides)?;
     let mut training = args.algorithm.begin(scenario, args.preset, &args.changes())?;
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
     let checkpoint = args.out.join("checkpoint.safetensors");
@@ -142,6 +147,10 @@ impl TrainArgs {
         self.options.iter().for_each(|text| add("--option", text));
         self.episodes.iter().for_each(|count| add("--episodes", &count.to_string()));
         self.steps.iter().for_each(|count| add("--steps", &count.to_string()));
+        self.every.iter().for_each(|count| add("--every", &count.to_string()));
+        if self.states != STATES {
+            add("--states", &self.states.to_string());
+        }
         command
     }
 
@@ -149,8 +158,6 @@ impl TrainArgs {
     fn resuming_command(&self, seed: u64) -> String {
         let mut command = self.command(seed);
         command.push_str(&format!(" --out {}", quoted(&self.out.to_string_lossy())));
-        command.extend(self.every.map(|every| format!(" --every {every}")));
-        command.push_str(&format!(" --states {}", self.states));
         if self.json {
             command.push_str(" --json");
         }

@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ._checks import printable, real
+from ._checks import finite, printable, real
 from ._core import Commander
 from .scenario import Scenario, load_scenario
 
@@ -76,8 +76,8 @@ class RunSummary:
 def run(
     act: Callable[[NDArray[np.float32]], Any],
     *,
-    connect: Sequence[str] = (),
-    listen: Sequence[str] = (),
+    connect: str | Sequence[str] = (),
+    listen: str | Sequence[str] = (),
     scenario: str | os.PathLike[str] | Scenario = "hall",
     action: str | None = None,
     room: str | None = None,
@@ -91,12 +91,12 @@ def run(
 
     Args:
         act: from an observation, the flat vector of an environment, to an action.
-        connect: endpoints of other processes, such as `tcp/127.0.0.1:7447`.
-        listen: endpoints at which to listen.
+        connect: endpoints of other processes, such as `["tcp/127.0.0.1:7447"]`; a text is one endpoint.
+        listen: endpoints at which to listen; a text is one endpoint.
         scenario: what the controller assumes of the room: a built-in name, the path of a TOML file, or a `Scenario`.
         action: "angles" or "weights", as for `HeliostatEnv`; absent: the attribute `action` of the function, or "angles".
         room, client, tls, insecure: as in `heliostat.peer.Settings`.
-        seconds: how long it runs; absent: until it is stopped.
+        seconds: how long it runs, from 0.01; absent: until it is stopped.
         stop: ends the run when it is set.
 
     Where `act` raises an `Exception`, or answers with a wrong shape or a value that is not finite, the decision counts in
@@ -107,10 +107,15 @@ def run(
     Raises `heliostat.peer.PeerError` where the room cannot be joined. Warns with `RuntimeWarning` where no tracker or no
     array was in the room, so that no mirror has turned.
     """
-    from .peer import Settings, stop_on_signals
+    from .peer import SHORTEST_S, Settings, endpoints, stop_on_signals
 
+    if not callable(act):
+        raise TypeError(f"act: expected a function of an observation, found {type(act).__name__}")
+    if seconds is not None:
+        seconds = finite("seconds", seconds, f"a number of seconds from {SHORTEST_S}, or None", SHORTEST_S)
     form = action if action is not None else getattr(act, "action", "angles")
-    settings = Settings(room, tuple(listen), tuple(connect), client, None if tls is None else Path(tls), insecure)
+    ends = endpoints("listen", listen), endpoints("connect", connect)
+    settings = Settings(room, *ends, client, None if tls is None else Path(tls), insecure)
     with stop_on_signals(stop or threading.Event()) as ended:
         one = _Run(act, load_scenario(scenario), form, settings, ended)
         summary = one.run(seconds)

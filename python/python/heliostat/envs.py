@@ -14,6 +14,8 @@ bit/s/Hz. An episode never terminates; Gymnasium truncates it after `max_episode
 from __future__ import annotations
 
 import copy
+import difflib
+import inspect
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -26,7 +28,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from ._checks import integer, real, seed_of, states_of
-from ._core import Batch, Settings, held_out_seed
+from ._core import Batch, Settings, check_exact, held_out_seed
 from .rendering import Window, draw
 from .scenario import Scenario, Value, load_scenario
 
@@ -71,6 +73,28 @@ def make_settings(
         settle_s=settle_s,
         oracle=oracle,
     )
+
+
+SETTINGS = frozenset(inspect.signature(make_settings).parameters) - {"scenario"}
+"""The keywords of `make_settings`."""
+
+
+def make_scenario(
+    source: str | os.PathLike[str] | Scenario, overrides: Mapping[str, Value] | None, settings: Mapping[str, Any]
+) -> Scenario:
+    """The scenario of an environment with these further keywords.
+
+    Raises `TypeError` for an unknown keyword, and `ValueError` for an override that has no effect on a static room.
+    """
+    for name in settings:
+        if name not in SETTINGS:
+            close = difflib.get_close_matches(name, SETTINGS, 1)
+            hint = f"; a similar name exists: {close[0]}" if close else ""
+            raise TypeError(f'unknown keyword "{name}": expected {", ".join(sorted(SETTINGS))}{hint}')
+    scenario = load_scenario(source, overrides)
+    if settings.get("dynamics", "static") == "static":
+        check_exact(list(overrides or ()))
+    return scenario
 
 
 def _episode_of(value: Any) -> tuple[int, int, int]:
@@ -141,7 +165,8 @@ class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
 
     Args:
         scenario: a built-in name, the path of a TOML file, or a `Scenario`.
-        overrides: keys of the scenario as "users.count", with their values.
+        overrides: keys of the scenario as "users.count", with their values. A static room refuses those of reports,
+            belief and moving mirrors, which have no effect on it.
         dynamics: "static" (true state, instant mirrors) or "closed-loop" (reports, belief, mirror dynamics). A step
             of a closed loop is the time between two position reports.
         action: "angles" (roll of each mirror, then yaw of each, over the range of an axis) or "weights" (one for each
@@ -174,7 +199,7 @@ class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
     ) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(f'render_mode = {render_mode!r}: expected "rgb_array" or "human"')
-        self.scenario = load_scenario(scenario, overrides)
+        self.scenario = make_scenario(scenario, overrides, settings)
         self.action_form, self.observation_form = action, observation
         checked = make_settings(self.scenario, action=action, observation=observation, **settings)
         self._settings = {"action": action, "observation": observation, **settings}

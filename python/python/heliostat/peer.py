@@ -20,7 +20,7 @@ import stat
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,7 +41,7 @@ INTERRUPTED = 130
 """The exit code of a second signal, as of the Rust programs."""
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.25, 5.0
 _ALIVE_LIMIT_S = 1.0
-_SHORTEST_S, _LONGEST_S = 0.01, 1e7
+SHORTEST_S, _LONGEST_S = 0.01, 1e7
 _UNITS_S = {"ms": 1e-3, "min": 60.0, "h": 3600.0, "s": 1.0}
 _PROBE_LIMIT_S = 0.5
 _SILENT_S = 3.0
@@ -92,6 +92,15 @@ class Settings:
         )
 
 
+def endpoints(name: str, given: str | Sequence[str]) -> tuple[str, ...]:
+    """Endpoints; a text is one endpoint. Raises `TypeError` for another type."""
+    if isinstance(given, str):
+        return (given,)
+    if not isinstance(given, (list, tuple)) or not all(isinstance(one, str) for one in given):
+        raise TypeError(f'{name} = {given!r}: expected endpoints as texts, for example ["tcp/127.0.0.1:7447"]')
+    return tuple(given)
+
+
 def add_arguments(parser: argparse._ActionsContainer) -> None:
     """Adds the flags of the room, the endpoints, the keys and the end."""
     parser.add_argument("--room", metavar="NAME", help="name of the room [default: the room of --tls, or demo]")
@@ -114,7 +123,7 @@ def duration_s(text: str) -> float:
         seconds = float(parts[1]) * _UNITS_S[parts[2] or "s"] if parts else 0.0
     except ValueError:
         seconds = 0.0
-    if not _SHORTEST_S <= seconds <= _LONGEST_S:
+    if not SHORTEST_S <= seconds <= _LONGEST_S:
         raise argparse.ArgumentTypeError(
             f'invalid duration "{text}": expected seconds between 0.01 and 10000000, for example 2.5, 2.5s, 500ms or 10min'
         )

@@ -30,6 +30,7 @@ from .tables import LinkResult
 _PLACES_AT_ONCE = 4096
 # Users at a wall can be beyond it by rounding.
 _ROUNDING_M = 1e-6
+_ROUNDING_RAD = 1e-6
 
 Angles = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Roll and yaw of each mirror in rad, each of shape (M,)."""
@@ -57,6 +58,16 @@ def _places(positions: ArrayLike, room_m: tuple[float, float, float]) -> NDArray
         bounds = f"x from {-length_x / 2:g} to {length_x / 2:g} m, y from {-length_y / 2:g} to {length_y / 2:g} m"
         raise ValueError(f"user {user} at ({place}) is outside the room: expected {bounds}, z from 0 to {height:g} m")
     return places
+
+
+def _angles(values: ArrayLike, name: str) -> NDArray[np.float64]:
+    """Angles of the mirrors in rad, (M,): a mirror faces into the room."""
+    angles = _array(values, name, 1)
+    beyond = np.abs(angles) > np.pi / 2 + _ROUNDING_RAD
+    if beyond.any():
+        mirror = int(beyond.argmax())
+        raise ValueError(f"{name} holds {angles[mirror]:g} at index {mirror}: expected radians from -pi/2 to pi/2")
+    return angles
 
 
 def _optional(values: ArrayLike | None, name: str, dimensions: int) -> NDArray[np.float64] | None:
@@ -96,12 +107,12 @@ class Room:
     ) -> LinkResult:
         """Direct gain, gain over the mirrors, SINR (linear), rate, bit error rate and blockage of each user.
 
-        `sharing`: the number of users that share the bandwidth; K if absent.
+        `roll` and `yaw`, (M,), are in rad. `sharing`: the number of users that share the bandwidth; K if absent.
         """
         return self._channel.link(
             _places(positions, self.scenario.room_m),
-            _array(roll, "roll", 1),
-            _array(yaw, "yaw", 1),
+            _angles(roll, "roll"),
+            _angles(yaw, "yaw"),
             _optional(blockers, "blockers", 2),
             None if sharing is None else integer("sharing", sharing, 1, 2**31 - 1),
         )
@@ -191,7 +202,10 @@ def rate_map(
     sharing: int = 1,
     quantity: str = "rate_mbps",
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[Any]]:
-    """A quantity of `Room.link` over the floor: x of the columns, y of the rows, and the values (rows, columns)."""
+    """A quantity of `Room.link` over the floor: x of the columns, y of the rows, and the values (rows, columns).
+
+    `sharing`: the number of users that share the bandwidth; 1 gives the rate of a user alone in the room.
+    """
     if not isinstance(room, Room):
         raise TypeError(f"room: expected a Room, found {type(room).__name__}")
     length_x, length_y, height = room.scenario.room_m

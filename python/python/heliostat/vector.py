@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from ._checks import integer, real, seed_of
 from ._core import Batch
-from .envs import _UNLIMITED, EnvState, Layout, check_identity, make_settings
+from .envs import _UNLIMITED, EnvState, Layout, check_identity, make_scenario, make_settings
 from .rendering import draw
-from .scenario import Scenario, Value, load_scenario
+from .scenario import Scenario, Value
 
 _MODES = {
     AutoresetMode.NEXT_STEP: "next-step",
@@ -87,7 +87,7 @@ class HeliostatVectorEnv(VectorEnv[Any, Any, Any]):
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f'render_mode = {render_mode!r}: expected "rgb_array"')
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self.scenario = load_scenario(scenario, overrides)
+        self.scenario = make_scenario(scenario, overrides, settings)
         checked = make_settings(self.scenario, observation=observation, **settings)
         seeds = [self.scenario.seed + index for index in range(num_envs)]
         steps_max = _UNLIMITED if max_episode_steps is None else max_episode_steps

@@ -11,8 +11,9 @@ mod sweep;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use anyhow::{Result, ensure};
+use anyhow::{Context, Result, anyhow, ensure};
 use heliostat_environment::episodes::INSTANTS;
+use heliostat_environment::exact_states;
 use heliostat_learn::comparison::{EvaluatedPolicy, Known, Loop, Settings, compare};
 use heliostat_models::ActorSource;
 use heliostat_scenario::{Belief, Scenario, ScenarioArgs};
@@ -21,7 +22,6 @@ use serde_json::json;
 
 use heliostat_service::outln;
 use heliostat_service::whole_file;
-use html::Destination;
 use sweep::{Change, Grid, Sweep};
 
 /// The default policies; the first only if an actor is built in for the room.
@@ -30,6 +30,9 @@ const DEFAULT_POLICIES: [&str; 7] = ["ddpg", "greedy", "fixed-point", "nearest",
 /// Why a policy can have a larger sum rate than the oracle.
 pub const ABOVE_ONE: &str = "a ratio can exceed 1: the oracle gives up sum rate to meet minimum rates, and a policy may leave users \
      below them. The oracle is a local optimum, no upper bound";
+
+/// What serves instead of an array without rows or columns, which no scenario describes.
+const WITHOUT_MIRRORS: &str = "for a room without mirrors choose the policy no-irs, or --sweep mirrors.rows=0";
 
 /// Whether a ratio exceeds 1 in the digits of a table.
 pub fn exceeds_one(ratio: f64) -> bool {
@@ -89,7 +92,7 @@ pub struct Args {
     /// and in the middle of the command's time in force
     #[arg(long, requires = "closed_loop")]
     ceilings: bool,
-    /// Add a row for each policy that ignores which mirrors are unusable
+    /// Add a row for each policy that observes users, which ignores which mirrors are unusable
     #[arg(long, requires = "closed_loop")]
     unaware: bool,
     /// Repeat the comparison for each value of a scenario key: table.key=FIRST..LAST or
@@ -121,7 +124,42 @@ impl Args {
         let mut scenario = self.scenario.clone();
         scenario.overrides.extend(self.blocked.map(|blocked| format!("blockage.forced_users={blocked}")));
         scenario.overrides.extend(change);
-        Ok(scenario.load_arrays()?)
+        let mut changed = scenario.overrides.iter().filter_map(|text| text.split_once('='));
+        let is_without = changed.any(|(key, value)| sweep::is_without_mirrors(key.trim(), value.trim()));
+        let loaded = scenario.load_arrays().map_err(|error| match is_without {
+            true => anyhow!("{error}; {WITHOUT_MIRRORS}"),
+            false => error.into(),
+        })?;
+        if !self.closed_loop {
+            exact_states::check_overrides(&scenario.overrides)?;
+        }
+        Ok(loaded)
+    }
+
+    /// Refuses a key that a sweep varies and another flag fixes.
+    fn check_swept(&self) -> Result<()> {
+        let of_set = self.scenario.overrides.iter().filter_map(|text| Some(("--set", text.split_once('=')?.0.trim())));
+        let of_blocked = self.blocked.map(|_| ("--blocked", "blockage.forced_users"));
+        let of_seed = self.scenario.seed.map(|_| ("--seed", "seed"));
+        for (flag, key) in of_set.chain(of_blocked).chain(of_seed) {
+            ensure!(
+                self.sweep.iter().all(|sweep| sweep.key() != key),
+                "{flag} fixes {key}, which --sweep varies: expected one of the two"
+            );
+        }
+        Ok(())
+    }
+
+    /// Refuses files that cannot be written, and one file for two flags.
+    fn check_files(&self) -> Result<()> {
+        let files = [
+            ("--csv", self.csv.as_ref()),
+            ("--csv-episodes", self.csv_episodes.as_ref()),
+            ("--html", self.html.as_ref()),
+            ("--paths", self.paths.as_ref()),
+        ];
+        whole_file::check_distinct(files)?;
+        files.into_iter().filter_map(|(_, file)| file).try_for_each(|file| whole_file::check_writable(file))
     }
 
     /// The number of states for each seed.
@@ -165,7 +203,7 @@ impl Args {
         let policies = policies.into_iter().flat_map(|evaluated| {
             let mut believing: Vec<_> =
                 self.beliefs.iter().filter_map(|belief| evaluated.with_belief(*belief)).collect();
-            let unaware = self.unaware.then(|| evaluated.unaware());
+            let unaware = evaluated.unaware().filter(|_| self.unaware);
             if believing.is_empty() {
                 believing.push(evaluated);
             }
@@ -189,15 +227,19 @@ impl Args {
 pub fn run(args: Args) -> Result<()> {
     let grid = Grid::new(&args.sweep).map_err(anyhow::Error::msg)?;
     let grid = grid.as_ref();
+    args.check_swept()?;
     let settings: Vec<Settings> = match grid {
         None => vec![args.settings(None)?],
         // An invalid value is refused before the work starts.
-        Some(grid) => grid.changes().map(|change| args.settings(Some(change))).collect::<Result<_>>()?,
+        Some(grid) => {
+            let points = grid.points().iter().zip(grid.changes());
+            let of_point = |(point, change): (&Vec<&str>, Change)| {
+                args.settings(Some(change)).with_context(|| format!("--sweep at {}", grid.name(point)))
+            };
+            points.map(of_point).collect::<Result<_>>()?
+        }
     };
-    for file in [&args.csv, &args.csv_episodes, &args.paths].into_iter().flatten() {
-        whole_file::check_writable(file)?;
-    }
-    let html = args.html.as_deref().map(Destination::new).transpose()?;
+    args.check_files()?;
     let reports = settings.iter().map(compare).collect::<Result<Vec<_>>>()?;
     if let Some(file) = &args.paths {
         let drawn = paths::draw(&settings[0].scenario, &reports[0].tracked)?;
@@ -209,8 +251,8 @@ pub fn run(args: Args) -> Result<()> {
     if let Some(file) = &args.csv_episodes {
         whole_file::write(file, &csv_files::by_episode(grid, &reports)?)?;
     }
-    if let Some(html) = html {
-        html.write(&settings[0].scenario, grid, &reports)?;
+    if let Some(file) = &args.html {
+        html::write(file, &settings[0].scenario, grid, &reports)?;
     }
     match grid {
         None if args.json => outln!("{}", origin::in_json(&reports[0])?)?,

@@ -81,7 +81,7 @@ fn a_report_of_a_sweep_has_curves_and_a_table_for_each_value() {
     let numbers = report(&[&flags[..], &["led.power_w=1,2"]].concat());
     assert_eq!(plots(&numbers), 2 * alone + 3, "three curves, and the plots of each value");
     assert!(numbers.contains("led.power_w = 2") && numbers.matches("class=\"figures\"").count() == 2);
-    let words = report(&[&flags[..], &["actuator.profile=ideal,mems"]].concat());
+    let words = report(&[&flags[..], &["receiver.combining=best,equal-gain"]].concat());
     assert_eq!(plots(&words), 2 * alone, "words have no place on an axis");
 }
 

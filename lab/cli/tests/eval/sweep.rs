@@ -127,3 +127,42 @@ fn two_keys_give_each_combination_with_its_outage_and_a_room_without_mirrors() {
     let message = refusal(&[&flags[..], &["--sweep", "seed=1,2"]].concat());
     assert!(message.contains("at most two keys"), "{message}");
 }
+
+#[test]
+fn a_key_without_effect_is_refused_and_faults_of_mirrors_in_a_file_are_a_condition() {
+    for flags in [["--sweep", "actuator.stuck_share=0,1"], ["--set", "streams.positions.latency_ms=300"]] {
+        let message = refusal(&[&flags[..], &["--policies", "flat"]].concat());
+        let key = flags[1].split('=').next().expect("a key");
+        assert!(message.contains(&format!("{key}: no effect")) && message.contains("--closed-loop"), "{message}");
+    }
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("room.toml");
+    std::fs::write(&file, "[actuator]\nstuck_share = 0.5\n").expect("written");
+    let path = file.to_str().expect("a plain path");
+    let found = report(&["--scenario", path, "--policies", "flat", "--states", "2", "--seeds", "1"]);
+    let because = found["conditions"][0]["because"].as_str().expect("a condition");
+    assert!(because.contains("actuator.stuck_share"), "{found}");
+}
+
+#[test]
+fn flags_that_contradict_each_other_are_refused_with_point_and_reason() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("figures.csv");
+    let file = file.to_str().expect("a plain path");
+    let cases: [(&[&str], &[&str]); 7] = [
+        (&["--set", "mirrors.rows=0"], &["mirrors.rows = 0", "no-irs", "--sweep mirrors.rows=0"]),
+        (
+            &["--sweep", "users.count=1..5", "--blocked", "3"],
+            &["at users.count = 1", "forced_users = 3", "users.count, which is 1"],
+        ),
+        (&["--sweep", "users.count=1,1"], &["users.count = 1 is given twice"]),
+        (&["--sweep", "users.count=1,2", "--set", "users.count=4"], &["--set fixes users.count"]),
+        (&["--sweep", "blockage.forced_users=1,2", "--blocked", "2"], &["--blocked fixes blockage.forced_users"]),
+        (&["--csv", file, "--csv-episodes", file], &["--csv and --csv-episodes name one file"]),
+        (&["--csv-episodes", file, "--html", file], &["--csv-episodes and --html name one file"]),
+    ];
+    for (flags, parts) in cases {
+        let message = refusal(&[&["--policies", "flat"], flags].concat());
+        assert!(parts.iter().all(|part| message.contains(part)), "{flags:?}: {message}");
+    }
+}

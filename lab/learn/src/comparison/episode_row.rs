@@ -12,6 +12,9 @@ use super::settings::{Loop, Settings};
 /// The figure that weights `blocked_rate_mbps`: the number of states with a user without a direct path.
 pub(super) const BLOCKED_STATES: &str = "blocked_states";
 
+/// The figure that weights `ratio_to_oracle`: the number of states in which the oracle serves a user.
+const RATIO_STATES: &str = "ratio_states";
+
 /// A room of a comparison with its states.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Group {
@@ -91,6 +94,7 @@ fn figures(mode: Loop, (own, oracle): (&[Sample], &[Sample]), outages: Option<Ou
     let mut figures = vec![
         ("sum_rate_mbps", of(|sample| sample.sum_rate_mbps)),
         ("ratio_to_oracle", mean(&present(&ratios))),
+        (RATIO_STATES, present(&ratios).len() as f64),
         ("qos_met", of(|sample| sample.met)),
         ("jain", of(|sample| sample.jain)),
         ("blocked_rate_mbps", of(|sample| sample.blocked_rate_mbps)),
@@ -129,5 +133,15 @@ mod tests {
             }
         }
         assert_eq!((sum / weights, weights), (Spread::of(&[rates]).mean, 3.0));
+    }
+
+    #[test]
+    fn the_ratio_is_weighted_by_the_states_in_which_the_oracle_serves_a_user() {
+        let sample =
+            |sum_rate_mbps| Sample { sum_rate_mbps, met: 1.0, jain: 1.0, blocked_rate_mbps: f64::NAN, ber: 0.0 };
+        let (own, oracle) = ([4.0, 0.0, 9.0].map(sample), [8.0, 0.0, 9.0].map(sample));
+        let figures = figures(Loop::Static, (&own, &oracle), None);
+        let row = EpisodeRow { policy: None, actor: None, group: Group { set: 1, room: 2 }, states: 3, figures };
+        assert_eq!((row.figure("ratio_to_oracle"), row.figure(RATIO_STATES)), (0.75, 2.0));
     }
 }

@@ -124,9 +124,11 @@ impl EvaluatedPolicy {
         Self { origin, belief: None, known: None, ..self.clone() }
     }
 
-    /// The same policy in closed loop without telemetry of unusable mirrors.
-    pub fn unaware(&self) -> Self {
-        Self { name: format!("{}{UNAWARE_SUFFIX}", self.name), unaware: true, ..self.clone() }
+    /// The same policy in closed loop without telemetry of unusable mirrors. `None` for policies that
+    /// assign no mirrors to users.
+    pub fn unaware(&self) -> Option<Self> {
+        let name = format!("{}{UNAWARE_SUFFIX}", self.name);
+        (!self.is_blind()).then(|| Self { name, unaware: true, ..self.clone() })
     }
 
     /// Whether telemetry names the unusable mirrors.
@@ -246,6 +248,8 @@ mod tests {
             "greedy+constant-velocity"
         );
         assert!(parse("flat").unwrap().with_belief(Belief::Filter).is_none());
+        assert!(parse("no-irs").unwrap().unaware().is_none());
+        assert_eq!(parse("greedy").unwrap().unaware().unwrap().name(), "greedy-unaware");
         let message = parse("gredy").unwrap_err().to_string();
         assert!(
             message.contains("\"gredy\"") && message.contains("greedy") && message.contains("exhaustive"),

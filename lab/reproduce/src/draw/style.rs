@@ -6,7 +6,8 @@
 pub struct Style {
     /// Red, green, blue.
     pub rgb: [u8; 3],
-    /// Length of dashes and of the gaps between them, in pixels, for the grey baselines.
+    /// Length of dashes and of the gaps between them, in pixels, for the grey baselines and
+    /// for policies that ignore which mirrors are unusable.
     pub dashes: Option<[i32; 2]>,
     /// No line between the points.
     pub points_only: bool,
@@ -17,8 +18,10 @@ pub const QUOTED: [u8; 3] = [0xD5, 0x00, 0x32];
 
 /// The style of a policy, of a walking speed (`1.5 m/s`), or of a symbol on a map.
 pub fn style(name: &str) -> Style {
-    // A suffix such as "+filter" does not change the colour.
-    let policy = name.split(['+', ' ']).next().unwrap_or(name);
+    // A suffix such as "+filter" or "-unaware" does not change the colour.
+    let first = name.split(['+', ' ']).next().unwrap_or(name);
+    let unaware = first.strip_suffix("-unaware");
+    let policy = unaware.unwrap_or(first);
     let hex = match policy {
         "oracle" => 0x000000,
         "exhaustive" => 0xC08A00,
@@ -57,7 +60,7 @@ pub fn style(name: &str) -> Style {
             "random" => Some([5, 5]),
             "flat" => Some([2, 3]),
             "no-irs" => Some([12, 8]),
-            _ => None,
+            _ => unaware.map(|_| [7, 4]),
         },
         points_only: matches!(policy, "user" | "LED"),
     }
@@ -135,6 +138,9 @@ mod tests {
     fn a_policy_keeps_its_colour_with_any_belief_and_numbers_are_short() {
         assert_eq!(style("ddpg+filter"), style("ddpg"));
         assert_eq!(style("ddpg").rgb, [0x00, 0x72, 0xB2]);
+        let unaware = style("fixed-point-unaware");
+        assert_eq!(unaware.rgb, style("fixed-point").rgb);
+        assert!(unaware.dashes.is_some() && style("fixed-point").dashes.is_none());
         assert_eq!([-5.6e-17, 0.2].map(|value| axis_number(value, [-1.0, 1.0])), ["0", "0.2"]);
         assert_eq!(axis_number(-5.6e-17, [-1e-16, 1e-16]), "-6e-17");
         assert_eq!([0.5, 20.0, 0.0, 1e-7, 123.4].map(short_number), ["0.5", "20", "0", "1e-7", "123"]);

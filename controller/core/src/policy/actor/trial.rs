@@ -119,18 +119,16 @@ impl Trial {
         }
         if failures > 0 {
             findings.push(Finding::Warning(format!(
-                "{origin}: {} gave no angles on {failures} of {observations} sampled observations: {last_failure}; \
-                 the fallback decides in such cases",
-                actor.name
+                "{origin} gave no angles on {failures} of {observations} sampled observations: {last_failure}; \
+                 the fallback decides in such cases"
             )));
         }
         let judged = observations - failures;
         if judged >= JUDGED_MIN && self.sum_rate_bps < self.flat_bps {
             let mbps = |sum_bps: f64| 1e-6 * sum_bps / judged as f64;
             findings.push(Finding::Warning(format!(
-                "{origin}: {} is worse than flat mirrors in this scenario: a sum rate of {:.2} Mbit/s against {:.2} Mbit/s, \
+                "{origin} is worse than flat mirrors in this scenario: a sum rate of {:.2} Mbit/s against {:.2} Mbit/s, \
                  means of {judged} sampled observations; train it for this scenario, or choose the policy fixed-point",
-                actor.name,
                 mbps(self.sum_rate_bps),
                 mbps(self.flat_bps),
             )));

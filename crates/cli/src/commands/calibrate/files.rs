@@ -1,8 +1,8 @@
 //! The files that a calibration writes: new ones for its results, each for one purpose and for one process.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use anyhow::{Result, bail, ensure};
+use anyhow::{Result, ensure};
 use heliostat_service::exit::UnusableInput;
 use heliostat_service::whole_file::{self, Held};
 
@@ -25,7 +25,7 @@ pub fn hold(args: &Args) -> Result<Vec<Held>> {
     held.collect()
 }
 
-/// Refuses one file for two purposes: the later one would replace the former.
+/// Refuses one file for two purposes.
 fn check_distinct(args: &Args) -> Result<()> {
     let base = args.base.as_ref().filter(|file| file.as_path() != Path::new("none"));
     let named = [
@@ -35,21 +35,7 @@ fn check_distinct(args: &Args) -> Result<()> {
         ("--refine", args.refine.as_ref()),
         ("--base", base),
     ];
-    let named: Vec<_> = named.into_iter().filter_map(|(flag, file)| Some((flag, absolute(file?)?))).collect();
-    for (index, (flag, file)) in named.iter().enumerate() {
-        if let Some((other, _)) = named[..index].iter().find(|(_, other)| other == file) {
-            bail!(UnusableInput::new(format!("{other} and {flag} name one file, {}: expected two", file.display())));
-        }
-    }
-    Ok(())
-}
-
-/// The path without links, whether or not the file exists.
-fn absolute(file: &Path) -> Option<PathBuf> {
-    let path = std::path::absolute(file).ok()?;
-    let in_folder = || Some(path.parent()?.canonicalize().ok()?.join(path.file_name()?));
-    let beyond_links = path.canonicalize().ok().or_else(in_folder);
-    Some(beyond_links.unwrap_or(path))
+    whole_file::check_distinct(named)
 }
 
 fn check_new(file: &Path) -> Result<()> {

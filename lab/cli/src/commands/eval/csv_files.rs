@@ -25,8 +25,13 @@ fn values(grid: Option<&Grid>, index: usize) -> Vec<String> {
     grid.map(|grid| grid.points()[index].iter().map(|value| (*value).to_owned()).collect()).unwrap_or_default()
 }
 
+/// A number with all its digits, as a power of ten where it is tiny, such as a bit error rate; empty for NaN.
 fn cell(value: f64) -> String {
-    if value.is_nan() { String::new() } else { value.to_string() }
+    match value.abs() {
+        size if size.is_nan() => String::new(),
+        size if size > 0.0 && size < 1e-4 => format!("{value:e}"),
+        _ => value.to_string(),
+    }
 }
 
 /// A line for each policy; in a sweep the first columns are the values of the keys.
@@ -100,4 +105,15 @@ fn spreads(row: &Row) -> Vec<(&'static str, Spread)> {
     ];
     spreads.extend(row.outage_time.map(|outage| ("outage_time", outage)));
     spreads
+}
+
+#[cfg(test)]
+mod tests {
+    use super::cell;
+
+    #[test]
+    fn a_tiny_number_is_short_and_keeps_its_digits() {
+        let values = [f64::NAN, 0.0, 12.5, 0.25, 1.25e-150, -3e-7];
+        assert_eq!(values.map(cell), ["", "0", "12.5", "0.25", "1.25e-150", "-3e-7"]);
+    }
 }

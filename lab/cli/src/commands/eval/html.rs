@@ -24,30 +24,13 @@ use super::output::{
 use super::sweep::{Grid, Sweep};
 use heliostat_service::whole_file;
 
-/// A file that can be written.
-pub struct Destination<'a> {
-    file: &'a Path,
-}
-
-impl<'a> Destination<'a> {
-    /// Checks that the file can be written. An existing file keeps its content, and a new one is not
-    /// left behind.
-    ///
-    /// # Errors
-    /// The file cannot be written.
-    pub fn new(file: &'a Path) -> Result<Self> {
-        whole_file::check_writable(file)?;
-        Ok(Self { file })
-    }
-
-    /// Writes the report of a comparison, or of one comparison for each value of a sweep.
-    ///
-    /// # Errors
-    /// A plot that cannot be drawn, or a file that cannot be written.
-    pub fn write(&self, scenario: &Scenario, grid: Option<&Grid>, reports: &[Report]) -> Result<()> {
-        let page = page(&command(), scenario, grid, reports)?;
-        whole_file::write(self.file, page.as_bytes())
-    }
+/// Writes the report of a comparison, or of one comparison for each value of a sweep.
+///
+/// # Errors
+/// A plot that cannot be drawn, or a file that cannot be written.
+pub fn write(file: &Path, scenario: &Scenario, grid: Option<&Grid>, reports: &[Report]) -> Result<()> {
+    let page = page(&command(), scenario, grid, reports)?;
+    whole_file::write(file, page.as_bytes())
 }
 
 /// The command line of this process.

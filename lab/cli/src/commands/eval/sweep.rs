@@ -91,7 +91,7 @@ impl<'a> Grid<'a> {
         self.points.iter().map(|point| {
             let mut without_mirrors = false;
             let overrides = self.keys().zip(point).map(|(key, value)| {
-                let is_none = matches!(key, "mirrors.rows" | "mirrors.columns") && *value == "0";
+                let is_none = is_without_mirrors(key, value);
                 without_mirrors |= is_none;
                 format!("{key}={}", if is_none { "1" } else { value })
             });
@@ -104,6 +104,11 @@ impl<'a> Grid<'a> {
     pub fn name(&self, point: &[&str]) -> String {
         self.keys().zip(point).map(|(key, value)| format!("{key} = {value}")).collect::<Vec<_>>().join(", ")
     }
+}
+
+/// Whether a value of a key means a room without mirrors, which no scenario describes.
+pub fn is_without_mirrors(key: &str, value: &str) -> bool {
+    matches!(key, "mirrors.rows" | "mirrors.columns") && value == "0"
 }
 
 impl FromStr for Sweep {
@@ -125,6 +130,11 @@ impl FromStr for Sweep {
         }
         if key.trim().is_empty() || values.is_empty() || values.iter().any(String::is_empty) {
             return Err(expected.into());
+        }
+        if let Some(twice) =
+            values.iter().enumerate().find_map(|(index, value)| values[..index].contains(value).then_some(value))
+        {
+            return Err(format!("{} = {twice} is given twice: expected different values", key.trim()));
         }
         Ok(Self { key: key.trim().into(), values })
     }

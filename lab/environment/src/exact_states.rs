@@ -1,0 +1,79 @@
+//! The keys of a scenario that have no effect on exact states.
+//!
+//! Training, held-out states and static tasks have neither reports nor a belief, and their mirrors
+//! turn at once to the angles of an action.
+
+use heliostat_scenario::Actuator;
+
+use crate::error::EnvironmentError;
+
+/// Tables of which no key has an effect.
+const TABLES: [&str; 2] = ["actuator", "streams"];
+
+/// The keys of `control` that have an effect: the range of an axis, and the limits of a search.
+const OF_CONTROL: [&str; 3] = ["range_deg", "search_evaluations", "search_time_us"];
+
+/// Refuses overrides of the form `table.key=value` that have no effect on exact states.
+///
+/// # Errors
+/// [`EnvironmentError::ClosedLoopOnly`] with the key of the first one.
+pub fn check_overrides(overrides: impl IntoIterator<Item = impl AsRef<str>>) -> Result<(), EnvironmentError> {
+    for text in overrides {
+        let text = text.as_ref();
+        let key = text.split_once('=').map_or(text, |(key, _)| key).trim();
+        if !has_effect(key) {
+            return Err(EnvironmentError::ClosedLoopOnly(key.into()));
+        }
+    }
+    Ok(())
+}
+
+/// Whether a key, as `users.count`, has an effect on exact states.
+fn has_effect(key: &str) -> bool {
+    match key.split_once('.') {
+        Some(("control", of_control)) => OF_CONTROL.contains(&of_control),
+        Some((table, _)) => !TABLES.contains(&table),
+        None => !TABLES.contains(&key),
+    }
+}
+
+/// The keys that make the angles of a mirror differ from the commanded ones, in closed loop only.
+pub fn faults(actuator: &Actuator) -> Vec<&'static str> {
+    let of_mirrors = [
+        ("actuator.stuck_share", actuator.stuck_share),
+        ("actuator.offset_deg", actuator.offset_deg),
+        ("actuator.scale_error_relative", actuator.scale_error_relative),
+        ("actuator.hysteresis_deg", actuator.hysteresis_deg),
+        ("actuator.drift_deg_per_sqrt_hour", actuator.drift_deg_per_sqrt_hour),
+        ("actuator.jitter_deg", actuator.jitter_deg),
+    ];
+    of_mirrors.into_iter().filter(|(_, value)| value.is_some_and(|value| value > 0.0)).map(|(key, _)| key).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn overrides_of_reports_belief_and_moving_mirrors_are_refused_by_key() {
+        let of = |text: &str| check_overrides([text]).map_err(|error| error.to_string());
+        for text in ["actuator.stuck_share=1", "streams.positions.latency_ms = 5", "control.belief=none", "streams={}"]
+        {
+            let key = text.split('=').next().unwrap_or_default().trim();
+            assert!(
+                of(text).is_err_and(|message| message.starts_with(key) && message.contains("--closed-loop")),
+                "{text}"
+            );
+        }
+        for text in ["users.count=3", "control.range_deg=30", "control.search_time_us=0", "seed=3", "mirrors.rows=2"] {
+            assert_eq!(of(text), Ok(()));
+        }
+    }
+
+    #[test]
+    fn the_faults_of_mirrors_are_those_that_are_set_above_zero() {
+        let actuator = Actuator { stuck_share: Some(0.5), offset_deg: Some(0.0), ..Actuator::default() };
+        assert_eq!(faults(&actuator), ["actuator.stuck_share"]);
+        assert!(faults(&Actuator::default()).is_empty());
+    }
+}

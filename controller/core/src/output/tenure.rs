@@ -216,21 +216,30 @@ impl Tenure {
     /// Another controller is in the room, or has left it.
     pub fn handle_controller(&mut self, peer: u64, is_present: bool) {
         let Rule::Live { source, .. } = self.rule else { return };
-        // Beside the most peers that are known, an end may be that of a further one.
-        let is_known = self.peers.contains(&peer) || self.peers.len() == PEERS_MAX;
-        if peer == source || (!is_present && !is_known) {
+        if peer == source || (!is_present && !self.peers.contains(&peer)) {
             return;
         }
         self.peers.retain(|known| *known != peer);
-        if is_present && self.peers.len() < PEERS_MAX {
-            self.peers.push(peer);
-            self.guest.handle_joined(peer % EPOCH_SLOTS, self.seen.map(|(seen_ns, _)| seen_ns));
-        }
-        if !is_present {
+        if is_present {
+            self.note_peer(peer);
+        } else if !self.has_peer(peer) {
             self.guest.handle_left(peer % EPOCH_SLOTS);
         }
+        // A further token of the same remainder may be forged: its end is no end of the leader.
         if self.standing == Standing::Standby && self.leads(peer) {
-            self.watch.set_left(!is_present);
+            self.watch.set_left(!self.has_peer(peer));
+        }
+    }
+
+    /// Keeps the controllers that joined last, and those that may be the leader.
+    fn note_peer(&mut self, peer: u64) {
+        let is_full = self.peers.len() == PEERS_MAX;
+        if let Some(oldest) = self.peers.iter().position(|known| is_full && !self.leads(*known)) {
+            self.peers.remove(oldest);
+        }
+        if self.peers.len() < PEERS_MAX {
+            self.peers.push(peer);
+            self.guest.handle_joined(peer % EPOCH_SLOTS, self.seen.map(|(seen_ns, _)| seen_ns));
         }
     }
 
@@ -347,7 +356,12 @@ impl Tenure {
     /// Whether the controller of an epoch is this one, or another one that is in the room.
     fn is_present(&self, epoch: u64) -> bool {
         let Rule::Live { source, .. } = self.rule else { return false };
-        self.peers.iter().chain([&source]).any(|one| one % EPOCH_SLOTS == epoch % EPOCH_SLOTS)
+        source % EPOCH_SLOTS == epoch % EPOCH_SLOTS || self.has_peer(epoch)
+    }
+
+    /// Whether another controller with this remainder in its source id or epoch is in the room.
+    fn has_peer(&self, one: u64) -> bool {
+        self.peers.iter().any(|peer| peer % EPOCH_SLOTS == one % EPOCH_SLOTS)
     }
 
     fn stand_by(&mut self) {

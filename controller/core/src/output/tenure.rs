@@ -35,7 +35,7 @@
 //!   it shows no further accepted command. After as many unanswered reports in sequence as its rank,
 //!   a standby takes a new epoch and answers the report that is due. A leader whose liveliness token
 //!   has ended counts as one unanswered report, until it answers one or its token returns. The rank
-//!   is 1 plus the number of other standbys with a lower source id, or given by the operator.
+//!   is 1 plus the number of other standbys with a lower source id, up to [`RANK_MAX`], or given by the operator.
 //! - **Guest**: a controller that leads within 1 s of its token, as a calibration does, from a leader that answers
 //!   and stays in the room. When its token ends, a standby resumes: this is no takeover, and former contested ones
 //!   do not delay it.
@@ -88,8 +88,11 @@ const WATCH_GAP: u64 = 3;
 /// Longest wait of a start for telemetry: twice the longest interval between two messages.
 pub const FIRST_TELEMETRY_NS: Nanos = 200_000_000;
 
-/// Other controllers that are known; the rank counts no more.
+/// Other controllers that are known.
 const PEERS_MAX: usize = 16;
+
+/// Highest rank by source ids: anyone in the room can declare tokens.
+pub const RANK_MAX: u8 = 4;
 
 /// Whether the controller commands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -344,8 +347,8 @@ impl Tenure {
     fn rank(&self) -> u8 {
         let Rule::Live { source, .. } = self.rule else { return u8::MAX };
         let is_before = |peer: &&u64| **peer < source && !self.leads(**peer);
-        let rank = self.rank.unwrap_or_else(|| 1 + self.peers.iter().filter(is_before).count() as u8);
-        rank.max(1)
+        let counted = || RANK_MAX.min(1 + self.peers.iter().filter(is_before).count() as u8);
+        self.rank.unwrap_or_else(counted).max(1)
     }
 
     /// Whether the array follows a controller with this source id, by its epoch.

@@ -73,6 +73,14 @@ fn the_end_of_a_forged_token_of_the_leaders_remainder_is_no_end_of_the_leader() 
 }
 
 #[test]
+fn many_forged_tokens_of_low_ids_delay_a_standby_by_three_reports_at_most() {
+    let mut room = led_room(&[1, 600]);
+    (2..40).for_each(|forged| room.announce(forged, true));
+    room.controllers[0].is_alive = false;
+    assert_eq!(room.until_accepted(1), (1 + Nanos::from(RANK_MAX)) * INTERVAL);
+}
+
+#[test]
 fn the_token_of_the_leader_stays_known_whenever_it_comes_among_many() {
     let mut room = led_room(&[1]);
     let mut standby = Controller::new(600);

@@ -31,6 +31,7 @@
 mod fitting;
 mod groups;
 mod log;
+mod log_check;
 mod pause;
 pub(crate) mod refinement;
 mod search;
@@ -92,6 +93,9 @@ pub enum SetupError {
         /// Mirrors of the array.
         expected: usize,
     },
+    /// A field of the log that no session gives.
+    #[error("the readings have {0}")]
+    Field(String),
     /// The log is of a calibration, and the session is a refinement of another one, or the reverse.
     #[error("the readings are not of this refinement: expected a new file, or those of the same --refine")]
     OtherFormer,

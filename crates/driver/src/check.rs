@@ -31,11 +31,11 @@ use self::test_session::TestSession;
 /// Timeout for the presence of a driver.
 const PRESENCE_LIMIT: Duration = Duration::from_secs(5);
 
-/// Checks the driver of the array of a room with this index.
+/// Checks the driver of the array of a room with this index; `show` takes a line of progress before each rule.
 ///
 /// # Errors
 /// No driver in the room, a controller that would interfere, a transport that fails.
-pub fn run(config: &BusConfig, array: usize) -> Result<Report> {
+pub fn run(config: &BusConfig, array: usize, show: &dyn Fn(String)) -> Result<Report> {
     let bus = Bus::open(config).context("cannot join the room")?;
     let room = bus.room().clone();
     let keys = room.array(array);
@@ -60,7 +60,7 @@ pub fn run(config: &BusConfig, array: usize) -> Result<Report> {
         bail!("a controller is in room \"{room}\": stop it first, because it would interfere with the check");
     }
     let mut session = TestSession::start(bus, array, config.is_authenticated())?;
-    let findings = rules::judge(&mut session)?;
+    let findings = rules::judge(&mut session, show)?;
     let report = Report {
         room: room.to_string(),
         hardware: session.capabilities.hardware.clone(),

@@ -159,7 +159,7 @@ fn check_driver(args: &CheckArgs) -> Result<()> {
         let (room, named) = array_of(key)?;
         (flags.room, array) = (Some(room.to_string()), named);
     }
-    let report = check::run(&flags.config_or_connect(&[AccessRole::Checker])?, array)?;
+    let report = check::run(&flags.config_or_connect(&[AccessRole::Checker])?, array, &output::note)?;
     if args.json {
         output::line(serde_json::to_string_pretty(&report)?)?
     } else {

@@ -25,14 +25,22 @@ use heliostat_service::Stop;
 /// Longest wait for something that happens soon.
 const LIMIT: Duration = Duration::from_secs(60);
 
+/// How mirrors fail.
+enum Failure {
+    Raises,
+    /// The driver ends.
+    Ends(Stop),
+    /// The call returns when the driver is to end.
+    Hangs(Stop),
+}
+
 /// Mirrors that are always at their commanded angles.
 struct Exact {
     capabilities: Capabilities,
     angles: MirrorAngles,
     /// It fails after so many turns.
     turns: u32,
-    /// What it ends in place of a failure.
-    ends: Option<Stop>,
+    failure: Failure,
     /// Measured angles over those of the mirrors.
     scale: f64,
 }
@@ -51,7 +59,7 @@ impl Exact {
             park_after_ms: 1000,
             ..Capabilities::default()
         };
-        Self { capabilities, angles: MirrorAngles::flat(3), turns: u32::MAX, ends: None, scale: 1.0 }
+        Self { capabilities, angles: MirrorAngles::flat(3), turns: u32::MAX, failure: Failure::Raises, scale: 1.0 }
     }
 }
 
@@ -65,10 +73,13 @@ impl Device for Exact {
     }
 
     fn apply(&mut self, _now: Moment, angles: &MirrorAngles) -> Result<(), DeviceError> {
-        match (self.turns.checked_sub(1), &self.ends) {
+        match (self.turns.checked_sub(1), &self.failure) {
             (Some(turns), _) => self.turns = turns,
-            (None, Some(driver)) => driver.request(),
-            (None, None) => return Err(DeviceError::new("exact", "turn raised")),
+            (None, Failure::Raises) => return Err(DeviceError::new("exact", "turn raised")),
+            (None, Failure::Ends(driver)) => driver.request(),
+            (None, Failure::Hangs(driver)) => {
+                driver.wait_for(LIMIT);
+            }
         }
         self.angles.clone_from(angles);
         Ok(())
@@ -105,7 +116,7 @@ fn checked(room: &str, drive: impl FnOnce(BusConfig, &Stop) + Send) -> Report {
         scope.spawn(|| drive(driver, &stop));
         let config = config.connect_to(&endpoint);
         wait_for_drivers(&config, 1);
-        let report = check::run(&config, 0);
+        let report = check::run(&config, 0, &drop);
         stop.request();
         report.unwrap()
     })
@@ -137,13 +148,25 @@ fn a_device_that_fails_is_named_before_the_rules_and_breaks_none() {
 #[test]
 fn a_driver_that_ends_during_the_check_breaks_no_rule() {
     let report = checked("ended", |bus, stop| {
-        let device = Exact { turns: 3, ends: Some(stop.clone()), ..Exact::new() };
+        let device = Exact { turns: 3, failure: Failure::Ends(stop.clone()), ..Exact::new() };
         drop(run::run(Kit::new(device), &Settings::new(bus), stop).unwrap());
     });
     assert!(report.problem.as_ref().is_some_and(|problem| problem.contains("the driver ended")), "{report}");
     assert_eq!(broken(&report), [""; 0], "{report}");
     let last = report.findings.last().map(|finding| finding.verdict);
     assert_eq!(last, Some(Verdict::NotJudged), "{report}");
+}
+
+#[test]
+fn a_device_whose_call_does_not_return_ends_the_check_and_breaks_no_rule() {
+    let report = checked("hanging", |bus, stop| {
+        let device = Exact { turns: 3, failure: Failure::Hangs(stop.clone()), ..Exact::new() };
+        drop(run::run(Kit::new(device), &Settings::new(bus), stop).unwrap());
+    });
+    assert!(report.problem.as_ref().is_some_and(|problem| problem.contains("the device does not answer")), "{report}");
+    assert_eq!(broken(&report), [""; 0], "{report}");
+    let last = report.findings.last().expect("a rule");
+    assert_eq!((last.verdict, last.evidence.as_str()), (Verdict::NotJudged, "the device does not answer"), "{report}");
 }
 
 #[test]
@@ -337,7 +360,7 @@ fn an_array_that_an_operator_stopped_is_not_checked() {
         scope.spawn(|| run::run(kit, &settings, &stop).unwrap());
         let config = config.connect_to(&endpoint);
         wait_for_drivers(&config, 1);
-        let refusal = check::run(&config, 0);
+        let refusal = check::run(&config, 0, &drop);
         stop.request();
         let refusal = format!("{:#}", refusal.unwrap_err());
         assert!(refusal.contains("stopped by \"ann\"") && refusal.contains("heliostat rearm"), "{refusal}");
@@ -358,7 +381,7 @@ fn an_array_with_two_drivers_is_not_checked() {
             scope.spawn(move || run::run(Kit::new(Exact::new()), &settings, stop).unwrap());
         }
         wait_for_drivers(&both, 2);
-        let refusal = check::run(&both, 0);
+        let refusal = check::run(&both, 0, &drop);
         stop.request();
         let refusal = format!("{:#}", refusal.unwrap_err());
         assert!(refusal.contains("2 drivers report this array"), "{refusal}");

@@ -12,10 +12,14 @@ const BYTES_MAX: u64 = 64 << 20;
 /// Reads a text file of at most 64 MiB, without the byte order mark that some editors write.
 ///
 /// # Errors
-/// What the operating system reports, a longer file, or the place of the first byte that is not
-/// UTF-8.
+/// What the operating system reports, a longer file, a pipe outside `/dev`, which may never have a writer, or
+/// the place of the first byte that is not UTF-8.
 #[allow(clippy::disallowed_methods, reason = "the one place that reads the files of a flag or a scenario")]
 pub fn read_text(path: &Path) -> io::Result<String> {
+    let kind = std::fs::metadata(path)?.file_type();
+    if !(kind.is_file() || kind.is_dir() || path.starts_with("/dev") || path.starts_with("/proc")) {
+        return Err(io::Error::other("it is no regular file: expected one, or /dev/stdin for a pipe"));
+    }
     let mut bytes = Vec::new();
     File::open(path)?.take(BYTES_MAX + 1).read_to_end(&mut bytes)?;
     if bytes.len() as u64 > BYTES_MAX {
@@ -50,6 +54,15 @@ mod tests {
         let file = tempfile::NamedTempFile::new().expect("a file");
         std::fs::write(file.path(), bytes).expect("written");
         read_text(file.path())
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn what_is_no_regular_file_is_refused_before_it_is_opened() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("room.toml");
+        let _socket = std::os::unix::net::UnixListener::bind(&path).expect("a socket");
+        assert!(read_text(&path).expect_err("refused").to_string().contains("no regular file"));
     }
 
     #[test]

@@ -30,6 +30,8 @@ pub const POWER_W: RangeInclusive<f64> = 1e-6..=1e4;
 /// Walking speed in m/s of users who do not stand still. A user who walks faster crosses the
 /// smallest room so often that a step of the walk has no bounded cost.
 pub const SPEED_M_S: RangeInclusive<f64> = 1e-3..=50.0;
+/// Most branches of a receiver.
+pub(crate) const BRANCHES_MAX: usize = 16;
 /// Largest mean number of obstacles. A report holds 1024, and the drawn number varies.
 const OBSTACLES_MEAN_MAX: f64 = 800.0;
 /// Largest number of rays: points of all panels x mirrors x users x branches of a receiver. The
@@ -102,7 +104,7 @@ impl Scenario {
         within("receiver.fov_deg", receiver.fov_deg, 1.0..=90.0)?;
         within("receiver.filter_gain", receiver.filter_gain, 1e-6..=1.0)?;
         within("receiver.concentrator_index", receiver.concentrator_index, 1.0..=4.0)?;
-        count("receiver.branches", receiver.branches.len(), 0..=16)?;
+        count("receiver.branches", receiver.branches.len(), 0..=BRANCHES_MAX)?;
         for branch in &receiver.branches {
             within("receiver.branches.tilt_deg", branch.tilt_deg, 0.0..=180.0)?;
             within("receiver.branches.azimuth_deg", branch.azimuth_deg, -360.0..=360.0)?;

@@ -40,6 +40,7 @@ mod foreign_file;
 mod geometry;
 mod geometry_difference;
 mod lines;
+mod lists;
 mod mirror_tables;
 pub mod mismatch;
 pub mod mobility;

@@ -6,7 +6,7 @@ use crate::mobility::{MobilityModel, SmoothRandom, SocialForce};
 use crate::tables::{Room, Users};
 
 /// Largest number of entries of `users.mixture`.
-const SHARES_MAX: usize = 16;
+pub(crate) const SHARES_MAX: usize = 16;
 /// Distance of the sum of all shares from 1 that rounding explains.
 const SHARE_ROUNDING: f64 = 1e-6;
 

@@ -10,6 +10,7 @@ use toml::de::{DeTable, DeValue};
 
 use crate::blame::refused_key;
 use crate::error::ScenarioError;
+use crate::lists::refuse_long;
 use crate::scenario::{Scenario, in_words};
 
 /// Largest number of problems that are listed.
@@ -45,6 +46,10 @@ pub struct Checked {
 impl Scenario {
     /// Checks the text of a file, and continues after each problem.
     pub fn check_all(text: &str) -> Checked {
+        if let Err(error) = refuse_long(text) {
+            let line = if let ScenarioError::Invalid { line, .. } = &error { *line } else { None };
+            return checked(vec![Problem { line, text: error.to_string() }], None, Vec::new());
+        }
         let mut text = text.to_owned();
         let (mut problems, mut refused_tables) = (Vec::new(), Vec::new());
         let mut removed: Vec<String> = Vec::new();

@@ -7,6 +7,7 @@ use crate::blame;
 use crate::builtin;
 use crate::error::ScenarioError;
 use crate::lines::line_of;
+use crate::lists;
 use crate::mirror_tables::MirrorTables;
 use crate::mismatch::Mismatch;
 use crate::overrides;
@@ -91,8 +92,10 @@ impl Scenario {
     /// line.
     pub fn from_toml_with(text: &str, overrides: &[String]) -> Result<Self, ScenarioError> {
         let in_file = |error: toml::de::Error| parse_error("scenario", &error);
+        lists::refuse_long(text)?;
         let mut table: toml::Table = toml::from_str(text).map_err(in_file)?;
-        Renames(RENAMES).refuse(&table).map_err(|error| with_line(error, text))?;
+        let refused = Renames(RENAMES).refuse(&table).and_then(|()| lists::refuse_in_place_of_tables(&table));
+        refused.map_err(|error| with_line(error, text))?;
         // Parsed without the overrides, so that an error in the file states its line.
         let parsed: Self = toml::from_str(text).map_err(in_file)?;
         let of_file = parsed.check();
@@ -108,6 +111,7 @@ impl Scenario {
             overrides::apply(&mut table, text)?;
         }
         Renames(RENAMES).refuse(&table)?;
+        lists::refuse_in_place_of_tables(&table)?;
         let scenario: Self =
             table.clone().try_into().map_err(|error: toml::de::Error| parse_error(&overrides.join(", "), &error))?;
         scenario.check().map_err(|error| blame::of_written(error, &table, &written))?;

@@ -60,7 +60,7 @@ fn each_refusal_names_its_line() {
         ("[users.smooth_random]\nturn_rate_deg_per_s = 0.0\n", "line 2", "users.smooth_random.turn_rate_deg_per_s"),
         ("[users.social_force]\nforce = 2.0\n", "line 2", "force"),
         ("[users]\nmobility = \"levy\"\n", "line 2", "social-force"),
-        ("[users]\nseats_m = [\n  [0.0, 0.0],\n  [0.0, 2.6],\n]\n", "line 2", "users.seats_m = [0.0, 2.6]"),
+        ("[users]\nseats_m = [\n  [0.0, 0.0],\n  [0.0, 2.6],\n]\n", "line 2", "users.seats_m = [0, 2.6]"),
         ("[led]\n# high up\npositions_m = [[0.0, 0.0, 3.5]]\n", "line 3", "led.positions_m"),
     ] {
         let message = Scenario::from_toml(text).unwrap_err().to_string();

@@ -16,6 +16,10 @@ use heliostat_scenario::Scenario;
 use heliostat_service::printable::printable;
 
 use crate::UiError;
+use crate::array_reports::ArrayReports;
+
+/// Time within which two drivers of one array have reported it in turn.
+const REPORTED_WITHIN: Duration = Duration::from_millis(500);
 
 /// What is open where no process announces the geometry of the room.
 pub const UNKNOWN_ARRAYS: &str = "no process announces how many arrays the room has, and one that was not seen can move: connect to its controller or router";
@@ -119,6 +123,7 @@ struct WatchState {
     seen: Mutex<ReportedStops>,
     changed: Condvar,
     drivers: Mutex<BTreeSet<Driver>>,
+    arrays: Mutex<ArrayReports>,
 }
 
 /// The array and the source of a process with mirrors; a simulator drives every array of its room.
@@ -135,17 +140,19 @@ impl StopWatch {
             seen: Mutex::default(),
             changed: Condvar::new(),
             drivers: Mutex::default(),
+            arrays: Mutex::default(),
         });
         let mut subscriptions = Vec::new();
         let room = bus.room();
         for keys in [room.array(0), room.later_arrays()] {
-            subscriptions.push(state.subscribe(
-                bus,
-                &keys.telemetry(),
-                |seen, now, (array, report): (_, MirrorTelemetry)| {
-                    seen.handle_telemetry(now, array, &report);
-                },
-            )?);
+            let (first, shown) = (room.clone(), Arc::clone(&state));
+            subscriptions.push(bus.subscribe_keyed(&keys.telemetry(), move |key, payload| {
+                if let Ok(report) = codec::decode::<MirrorTelemetry>(payload) {
+                    let (array, _) = first.first_array_key(key);
+                    shown.arrays().note(array, report.clone());
+                    shown.note(|seen, now| seen.handle_telemetry(now, array, &report));
+                }
+            })?);
             subscriptions.push(state.subscribe(
                 bus,
                 &keys.safety(),
@@ -198,11 +205,14 @@ impl StopWatch {
         RoomStops { now, stops, standings, report_age, ordered: None, has_geometry: seen.has_geometry() }
     }
 
-    /// The arrays that two processes drive, with the sources of both.
+    /// The arrays that two processes report, with the sources of both. A token alone drives nothing: it can be
+    /// forged, or of a host that has failed. Where tokens name two, the telemetry of both is awaited for a moment.
     pub fn shared(&self) -> Vec<(usize, [u64; 2])> {
-        let arrays = self.lock().standings(self.now(), None).len();
-        let drivers = self.state.drivers.lock().unwrap_or_else(PoisonError::into_inner);
-        (0..arrays).filter_map(|array| Some((array, both_of(&drivers, array)?))).collect()
+        let is_likely = names_two(&self.state.drivers.lock().unwrap_or_else(PoisonError::into_inner));
+        if is_likely {
+            self.wait(REPORTED_WITHIN, |_, _| !self.state.arrays().shared().is_empty());
+        }
+        self.state.arrays().shared()
     }
 
     /// The time of the reports, at present.
@@ -244,6 +254,10 @@ impl WatchState {
         self.seen.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    fn arrays(&self) -> MutexGuard<'_, ArrayReports> {
+        self.arrays.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     fn note_driver(&self, driver: Driver, presence: Presence) {
         let mut drivers = self.drivers.lock().unwrap_or_else(PoisonError::into_inner);
         match presence {
@@ -264,10 +278,11 @@ impl WatchState {
     }
 }
 
-/// The sources of the first two processes that drive an array, if there are two.
-fn both_of(drivers: &BTreeSet<Driver>, array: usize) -> Option<[u64; 2]> {
-    let mut sources = drivers.iter().filter(|(of, _)| of.is_none_or(|of| of == array)).map(|(_, source)| *source);
-    Some([sources.next()?, sources.next()?])
+/// Whether the tokens of two processes name one array.
+fn names_two(drivers: &BTreeSet<Driver>) -> bool {
+    let is_same = |one: &Option<usize>, other: &Option<usize>| one.is_none() || other.is_none() || one == other;
+    let count = |array: &Option<usize>| drivers.iter().filter(|(other, _)| is_same(array, other)).count();
+    drivers.iter().any(|(array, _)| count(array) > 1)
 }
 
 #[cfg(test)]
@@ -288,12 +303,11 @@ mod tests {
     }
 
     #[test]
-    fn an_array_with_two_drivers_is_known_by_their_tokens() {
-        let mut drivers = BTreeSet::from([(Some(0), 7), (Some(1), 8)]);
-        assert_eq!([0, 1].map(|array| both_of(&drivers, array)), [None, None]);
-        drivers.insert((Some(1), 9));
-        assert_eq!([0, 1].map(|array| both_of(&drivers, array)), [None, Some([8, 9])]);
-        drivers.insert((None, 6));
-        assert_eq!(both_of(&drivers, 0), Some([6, 7]), "a simulator drives each array");
+    fn an_array_that_may_have_two_drivers_is_known_by_their_tokens() {
+        let two = BTreeSet::from([(Some(0), 7), (Some(1), 8)]);
+        assert!(!names_two(&two));
+        for further in [(Some(1), 9), (None, 6)] {
+            assert!(names_two(&two.iter().copied().chain([further]).collect()), "a simulator drives each array");
+        }
     }
 }

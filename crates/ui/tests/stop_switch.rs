@@ -245,16 +245,17 @@ fn a_room_that_announces_no_geometry_is_not_called_stopped_unless_the_operator_k
 #[test]
 fn two_drivers_of_one_array_are_named_with_their_sources() {
     let (_arrays, switch, (own, _bus)) = arrays("shared", &[Manner::Stops]);
-    let announce = |source| own.announce(&own.room().alive(NodeKind::Driver, source)).unwrap();
-    let _first = announce(7);
+    let _tokens = [7, 9].map(|source| own.announce(&own.room().alive(NodeKind::Driver, source)).unwrap());
     switch.stop_and_confirm("test", TIME_LIMIT).unwrap();
-    assert_eq!(switch.shared_arrays(), [""; 0]);
-    let _second = announce(8);
+    assert_eq!(switch.shared_arrays(), [""; 0], "a token alone drives nothing");
+    let second = own.publisher(&own.room().array(0).telemetry(), Class::HighDrop).unwrap();
+    let stamp = Stamp { source: 7, sequence: 1, time_ns: 0 };
     let begun = Instant::now();
     while switch.shared_arrays().is_empty() && begun.elapsed() < TIME_LIMIT {
+        publish(&second, &MirrorTelemetry { stamp, state: ArrayState::Stopped, ..MirrorTelemetry::default() });
         std::thread::sleep(Duration::from_millis(10));
     }
-    let expected = "two drivers serve one array (mirrors, sources 0000000000000007 and 0000000000000008): stop one";
+    let expected = "two drivers serve one array (mirrors, sources 0000000000000007 and 0000000000000009): stop one";
     let named = switch.shared_arrays();
     assert!(named.len() == 1 && named[0].starts_with(expected), "{named:?}");
 }

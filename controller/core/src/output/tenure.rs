@@ -35,7 +35,7 @@
 //!   it shows no further accepted command. After as many unanswered reports in sequence as its rank,
 //!   a standby takes a new epoch and answers the report that is due. A leader whose liveliness token
 //!   has ended counts as one unanswered report, until it answers one or its token returns. The rank
-//!   is 1 plus the number of other standbys with a lower source id, or given by the operator.
+//!   is 1 plus the number of other standbys with a lower source id, up to [`RANK_MAX`], or given by the operator.
 //! - **Guest**: a controller that leads within 1 s of its token, as a calibration does, from a leader that answers
 //!   and stays in the room. When its token ends, a standby resumes: this is no takeover, and former contested ones
 //!   do not delay it.
@@ -88,8 +88,11 @@ const WATCH_GAP: u64 = 3;
 /// Longest wait of a start for telemetry: twice the longest interval between two messages.
 pub const FIRST_TELEMETRY_NS: Nanos = 200_000_000;
 
-/// Other controllers that are known; the rank counts no more.
+/// Other controllers that are known.
 const PEERS_MAX: usize = 16;
+
+/// Highest rank by source ids: anyone in the room can declare tokens.
+pub const RANK_MAX: u8 = 4;
 
 /// Whether the controller commands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -216,21 +219,30 @@ impl Tenure {
     /// Another controller is in the room, or has left it.
     pub fn handle_controller(&mut self, peer: u64, is_present: bool) {
         let Rule::Live { source, .. } = self.rule else { return };
-        // Beside the most peers that are known, an end may be that of a further one.
-        let is_known = self.peers.contains(&peer) || self.peers.len() == PEERS_MAX;
-        if peer == source || (!is_present && !is_known) {
+        if peer == source || (!is_present && !self.peers.contains(&peer)) {
             return;
         }
         self.peers.retain(|known| *known != peer);
-        if is_present && self.peers.len() < PEERS_MAX {
-            self.peers.push(peer);
-            self.guest.handle_joined(peer % EPOCH_SLOTS, self.seen.map(|(seen_ns, _)| seen_ns));
-        }
-        if !is_present {
+        if is_present {
+            self.note_peer(peer);
+        } else if !self.has_peer(peer) {
             self.guest.handle_left(peer % EPOCH_SLOTS);
         }
+        // A further token of the same remainder may be forged: its end is no end of the leader.
         if self.standing == Standing::Standby && self.leads(peer) {
-            self.watch.set_left(!is_present);
+            self.watch.set_left(!self.has_peer(peer));
+        }
+    }
+
+    /// Keeps the controllers that joined last, and those that may be the leader.
+    fn note_peer(&mut self, peer: u64) {
+        let is_full = self.peers.len() == PEERS_MAX;
+        if let Some(oldest) = self.peers.iter().position(|known| is_full && !self.leads(*known)) {
+            self.peers.remove(oldest);
+        }
+        if self.peers.len() < PEERS_MAX {
+            self.peers.push(peer);
+            self.guest.handle_joined(peer % EPOCH_SLOTS, self.seen.map(|(seen_ns, _)| seen_ns));
         }
     }
 
@@ -335,8 +347,8 @@ impl Tenure {
     fn rank(&self) -> u8 {
         let Rule::Live { source, .. } = self.rule else { return u8::MAX };
         let is_before = |peer: &&u64| **peer < source && !self.leads(**peer);
-        let rank = self.rank.unwrap_or_else(|| 1 + self.peers.iter().filter(is_before).count() as u8);
-        rank.max(1)
+        let counted = || RANK_MAX.min(1 + self.peers.iter().filter(is_before).count() as u8);
+        self.rank.unwrap_or_else(counted).max(1)
     }
 
     /// Whether the array follows a controller with this source id, by its epoch.
@@ -347,7 +359,12 @@ impl Tenure {
     /// Whether the controller of an epoch is this one, or another one that is in the room.
     fn is_present(&self, epoch: u64) -> bool {
         let Rule::Live { source, .. } = self.rule else { return false };
-        self.peers.iter().chain([&source]).any(|one| one % EPOCH_SLOTS == epoch % EPOCH_SLOTS)
+        source % EPOCH_SLOTS == epoch % EPOCH_SLOTS || self.has_peer(epoch)
+    }
+
+    /// Whether another controller with this remainder in its source id or epoch is in the room.
+    fn has_peer(&self, one: u64) -> bool {
+        self.peers.iter().any(|peer| peer % EPOCH_SLOTS == one % EPOCH_SLOTS)
     }
 
     fn stand_by(&mut self) {

@@ -53,12 +53,13 @@ impl Session {
     /// whose places are complete ends at once if no mirror has changed.
     ///
     /// # Errors
-    /// [`SetupError::OtherLog`].
+    /// [`SetupError::OtherLog`], [`SetupError::OtherFormer`], [`SetupError::Field`].
     pub fn resume(&mut self, mut log: Log) -> Result<(), SetupError> {
         if !self.is_refined_in(&log) {
             return Err(SetupError::OtherFormer);
         }
-        let complete = log.complete.min(self.setup.spots.len());
+        log.check_places(self.setup.spots.len())?;
+        let complete = log.complete;
         let values = std::mem::take(&mut log.estimate);
         self.take(log)?;
         if !self.readings.is_empty() {
@@ -85,13 +86,7 @@ impl Session {
 
     /// Takes the spots and readings of a log.
     pub(super) fn take(&mut self, log: Log) -> Result<(), SetupError> {
-        let expected = self.optics.centres.len();
-        let is_valid = |reading: &Reading| reading.spot < log.spots.len() && reading.mirror < expected;
-        let has_leds = log.spots.iter().all(|spot| spot.led < self.optics.leds.len());
-        let fits = log.mirrors == expected && log.places.len() == log.spots.len() && has_leds;
-        if !fits || !log.readings.iter().all(is_valid) {
-            return Err(SetupError::OtherLog { found: log.mirrors, expected });
-        }
+        log.check(self.optics.centres.len(), self.optics.leds.len())?;
         self.spots = log.spots;
         self.places = log.places;
         self.readings = log.readings;

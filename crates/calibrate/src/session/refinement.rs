@@ -61,7 +61,7 @@ impl Session {
     /// first report.
     ///
     /// # Errors
-    /// [`SetupError::OtherLog`]; [`SetupError::Incomplete`] for a log without readings;
+    /// [`SetupError::OtherLog`]; [`SetupError::Field`]; [`SetupError::Incomplete`] for a log without readings;
     /// [`SetupError::OtherCorrections`] for corrections that the readings do not give.
     pub fn refine(&mut self, former: Log, corrections: &CalibrationFile) -> Result<(), SetupError> {
         if former.readings.is_empty() {

@@ -90,18 +90,43 @@ impl fmt::Display for Report {
     }
 }
 
-/// Why the check failed, by the rule at which the driver had ended, and what it reported about a device that did
-/// not answer.
-pub(super) fn describe_failure(ended_at: Option<&str>, device: Option<&str>) -> Option<String> {
-    match (ended_at, device) {
+/// How a driver failed during the check, with the rule at which this was seen.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Failure {
+    /// It has left the room.
+    Ended(&'static str),
+    /// It is in the room and sends no telemetry.
+    Silent(&'static str),
+}
+
+impl Failure {
+    /// Why a rule is not judged.
+    pub(super) fn obstacle(self) -> &'static str {
+        match self {
+            Self::Ended(_) => "the driver had ended",
+            Self::Silent(_) => "the device does not answer",
+        }
+    }
+}
+
+/// Why the check failed, by the failure of the driver, and what it reported about a device that did not answer.
+pub(super) fn describe_failure(failure: Option<Failure>, device: Option<&str>) -> Option<String> {
+    match (failure, device) {
         (None, None) => None,
         (None, Some(device)) => {
             Some(format!("the device did not answer during the check: {device}; repair it, then check again"))
         }
-        (Some(rule), None) => {
+        (Some(Failure::Silent(rule)), device) => {
+            let reported = device.map(|device| format!(" ({device})")).unwrap_or_default();
+            Some(format!(
+                "the device does not answer: no telemetry since the rule {rule}, from a driver in the room{reported}; \
+                 a call of its device may not return: end the driver, repair this, then check again"
+            ))
+        }
+        (Some(Failure::Ended(rule)), None) => {
             Some(format!("the driver ended during the check, at the rule {rule}: its output names the reason"))
         }
-        (Some(rule), Some(device)) => Some(format!(
+        (Some(Failure::Ended(rule)), Some(device)) => Some(format!(
             "the driver ended during the check, at the rule {rule}, after its device did not answer: {device}"
         )),
     }
@@ -114,7 +139,7 @@ mod tests {
     #[test]
     fn the_rule_at_which_the_driver_ended_is_named() {
         for device in [None, Some("turn raised")] {
-            let problem = describe_failure(Some("undecodable"), device).expect("a problem");
+            let problem = describe_failure(Some(Failure::Ended("undecodable")), device).expect("a problem");
             assert!(problem.starts_with("the driver ended during the check, at the rule undecodable"), "{problem}");
         }
         assert_eq!(describe_failure(None, None), None);

@@ -11,7 +11,7 @@ use heliostat_proto::{
 use heliostat_service::clock::utc_ns;
 
 use super::judging::{Outcome, ROUNDING_RAD, aims, beside, conditions, evidence, not_judged, refused, shows, verdict};
-use super::report::{Finding, Verdict};
+use super::report::{Failure, Finding, Verdict};
 use super::test_session::{ANSWER_TIMEOUT, Received, TestSession, bytes};
 use super::{bound_rules, safety_rules};
 
@@ -29,9 +29,6 @@ const SILENCE_VALIDITY_MS: u32 = 2000;
 
 /// Number of silences, where a pause of a busy machine hides one.
 const SILENCE_ATTEMPTS: usize = 3;
-
-/// Why a rule is not judged once the driver has left the room.
-const DRIVER_ENDED: &str = "the driver had ended";
 
 /// Statuses that must arrive within the timeout of an answer.
 const STATUSES: usize = 2;
@@ -71,11 +68,15 @@ const RULES: [Rule; 26] = [
     ("calibration-bound", "a gain or an offset beyond its bound is refused", bound_rules::calibration),
 ];
 
-/// Judges every rule.
-pub fn judge(session: &mut TestSession) -> Result<Vec<Finding>> {
+/// Judges every rule; `show` takes a line before each.
+pub fn judge(session: &mut TestSession, show: &dyn Fn(String)) -> Result<Vec<Finding>> {
     RULES
         .into_iter()
-        .map(|(rule, requirement, judge)| {
+        .enumerate()
+        .map(|(index, (rule, requirement, judge))| {
+            if session.failure.is_none() {
+                show(format!("rule {} of {}: {rule}", index + 1, RULES.len()));
+            }
             let (verdict, evidence) = judge_one(session, rule, judge)?;
             Ok(Finding { rule, requirement, verdict, evidence })
         })
@@ -84,8 +85,8 @@ pub fn judge(session: &mut TestSession) -> Result<Vec<Finding>> {
 
 /// The outcome of one rule. A device that does not answer, or a driver that has ended, breaks none.
 fn judge_one(session: &mut TestSession, rule: &'static str, judge: Judge) -> Result<Outcome> {
-    if session.ended_at.is_some() {
-        return not_judged(DRIVER_ENDED);
+    if let Some(failure) = session.failure {
+        return not_judged(failure.obstacle());
     }
     // The last telemetry before the rule shows a device that failed earlier.
     let from = session.count().saturating_sub(1);
@@ -93,10 +94,9 @@ fn judge_one(session: &mut TestSession, rule: &'static str, judge: Judge) -> Res
     if outcome.0 != Verdict::Broken {
         return Ok(outcome);
     }
-    session.note_end(rule)?;
+    session.note_failure(rule)?;
     let lost = || session.is_device_lost(from).then_some("the device did not answer");
-    let obstacle = if session.ended_at.is_some() { Some(DRIVER_ENDED) } else { lost() };
-    Ok(beside(obstacle, outcome))
+    Ok(beside(session.failure.map(Failure::obstacle).or_else(lost), outcome))
 }
 
 fn capabilities(session: &mut TestSession) -> Result<Outcome> {

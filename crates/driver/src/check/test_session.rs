@@ -17,7 +17,7 @@ use heliostat_proto::{
 use heliostat_service::{clock::utc_ns, source_id};
 
 use super::PRESENCE_LIMIT;
-use super::report::describe_failure;
+use super::report::{Failure, describe_failure};
 
 /// Timeout of an answer, for a driver that never answers.
 pub const ANSWER_TIMEOUT: Duration = Duration::from_secs(4);
@@ -74,8 +74,8 @@ pub struct TestSession {
     stops_sent: Cell<u64>,
     /// Whether the room has keys: its driver refuses re-arms of kind 9.
     pub is_authenticated: bool,
-    /// The rule at which the driver was seen to have left the room.
-    pub ended_at: Option<&'static str>,
+    /// How the driver failed.
+    pub failure: Option<Failure>,
 }
 
 /// Whether a driver of the array, or a simulator, is in the room.
@@ -159,7 +159,7 @@ impl TestSession {
             safety: None,
             keys,
             is_authenticated,
-            ended_at: None,
+            failure: None,
             bus,
         };
         if !session.answered {
@@ -351,11 +351,14 @@ impl TestSession {
         self.inspect(|received| received.telemetry.iter().skip(from).any(|shown| shown.faults & fault::LINK != 0))
     }
 
-    /// Notes at this rule whether the driver has left the room.
-    pub fn note_end(&mut self, rule: &'static str) -> Result<()> {
-        if self.ended_at.is_none() && !is_present(&self.bus, &self.keys)? {
-            self.ended_at = Some(rule);
-        }
+    /// Notes at this rule whether the driver has left the room, or sends no telemetry.
+    pub fn note_failure(&mut self, rule: &'static str) -> Result<()> {
+        self.failure = if !is_present(&self.bus, &self.keys)? {
+            Some(Failure::Ended(rule))
+        } else {
+            let is_silent = self.telemetry(self.count(), |_| true).is_none();
+            is_silent.then_some(Failure::Silent(rule))
+        };
         Ok(())
     }
 
@@ -365,7 +368,7 @@ impl TestSession {
             let statuses = received.statuses.iter().filter_map(|(_, status)| status.as_ref().ok());
             problem_of_device(statuses).unwrap_or("its status names no problem").to_owned()
         });
-        describe_failure(self.ended_at, self.is_device_lost(0).then_some(reported.as_str()))
+        describe_failure(self.failure, self.is_device_lost(0).then_some(reported.as_str()))
     }
 
     /// Does the same as another process, whose liveliness token disappears once the driver shows

@@ -59,3 +59,42 @@ fn an_epoch_beyond_the_bound_of_the_array_is_given_up() {
     assert!((S..1700 * MS).contains(&waited), "{} ms", waited / MS);
     assert_eq!(room.controllers[0].events, [TenureEvent::LockedOut]);
 }
+
+#[test]
+fn the_end_of_a_forged_token_of_the_leaders_remainder_is_no_end_of_the_leader() {
+    let mut room = led_room(&[1, 600]);
+    for _ in 0..3 {
+        room.announce(1 + EPOCH_SLOTS, true);
+        room.announce(1 + EPOCH_SLOTS, false);
+        room.run(S);
+    }
+    assert_eq!(room.standings(), [Standing::Leading, Standing::Standby]);
+    assert_eq!(room.controllers[1].events, [TenureEvent::StoodBy]);
+}
+
+#[test]
+fn many_forged_tokens_of_low_ids_delay_a_standby_by_three_reports_at_most() {
+    let mut room = led_room(&[1, 600]);
+    (2..40).for_each(|forged| room.announce(forged, true));
+    room.controllers[0].is_alive = false;
+    assert_eq!(room.until_accepted(1), (1 + Nanos::from(RANK_MAX)) * INTERVAL);
+}
+
+#[test]
+fn the_token_of_the_leader_stays_known_whenever_it_comes_among_many() {
+    let mut room = led_room(&[1]);
+    let mut standby = Controller::new(600);
+    standby.telemetry(room.now, room.array.shown);
+    room.controllers.push(standby);
+    (700..720).for_each(|other| room.announce(other, true));
+    room.announce(1, true);
+    (720..740).for_each(|other| room.announce(other, true));
+    room.run(S);
+    room.announce(1 + EPOCH_SLOTS, true);
+    room.announce(1 + EPOCH_SLOTS, false);
+    room.run(S);
+    assert_eq!(room.standings(), [Standing::Leading, Standing::Standby]);
+    room.controllers[0].is_alive = false;
+    room.announce(1, false);
+    assert_eq!(room.until_accepted(1), INTERVAL, "the end of the leader counts");
+}

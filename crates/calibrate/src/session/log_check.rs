@@ -1,0 +1,152 @@
+//! Bounds of the fields of a log, which may come from any file.
+
+use std::fmt::{Debug, Display};
+use std::ops::RangeInclusive;
+
+use super::refinement::FORMER_PLACE;
+use super::{Log, SetupError};
+use crate::code;
+
+/// Coordinates on a floor in m: the longest room of a scenario.
+const FLOOR_M: RangeInclusive<f64> = -200.0..=200.0;
+
+/// Heights in m, up to the highest room of a scenario.
+const HEIGHT_M: RangeInclusive<f64> = 0.0..=50.0;
+
+/// Standard deviations in m.
+const DEVIATION_M: RangeInclusive<f64> = 0.0..=200.0;
+
+/// Gains: shares of an LED's light. Noise can make a reading negative.
+const GAIN: RangeInclusive<f64> = -0.9..=0.9;
+
+/// Standard deviations of gains.
+const GAIN_NOISE: RangeInclusive<f64> = 0.0..=0.9;
+
+/// Standard deviations relative to a gain, which can be small.
+const RELATIVE_NOISE: RangeInclusive<f64> = 0.0..=1e9;
+
+/// Angles of mirrors in rad.
+const ANGLE_RAD: RangeInclusive<f64> = -std::f64::consts::PI..=std::f64::consts::PI;
+
+impl Log {
+    /// Checks spots and readings for an array of so many mirrors in a room of so many LEDs.
+    pub(super) fn check(&self, mirrors: usize, leds: usize) -> Result<(), SetupError> {
+        if self.mirrors != mirrors {
+            return Err(SetupError::OtherLog { found: self.mirrors, expected: mirrors });
+        }
+        let spots = self.spots.len();
+        within("the number of places", self.places.len(), spots..=spots)?;
+        for (index, spot) in self.spots.iter().enumerate() {
+            let at = |field: &str| format!("spots[{index}].{field}");
+            spot.tracked_m.iter().try_for_each(|value| within(&at("tracked_m"), *value, FLOOR_M))?;
+            within(&at("tracked_deviation_m"), spot.tracked_deviation_m, DEVIATION_M)?;
+            within(&at("height_m"), spot.height_m, HEIGHT_M)?;
+            below(&at("led"), spot.led, leds)?;
+            within(&at("direct_gain"), spot.direct_gain, GAIN)?;
+            within(&at("direct_deviation"), spot.direct_deviation, RELATIVE_NOISE)?;
+            within(&at("noise_relative"), spot.noise_relative, RELATIVE_NOISE)?;
+            within(&at("noise_gain"), spot.noise_gain, GAIN_NOISE)?;
+            if !code::SIZES.contains(&spot.group) {
+                return Err(SetupError::Field(format!("{} = {}: expected {:?}", at("group"), spot.group, code::SIZES)));
+            }
+        }
+        for (index, reading) in self.readings.iter().enumerate() {
+            below(&format_args!("readings[{index}].spot"), reading.spot, spots)?;
+            below(&format_args!("readings[{index}].mirror"), reading.mirror, mirrors)?;
+            for angle in reading.command {
+                within(&format_args!("readings[{index}].command"), angle, ANGLE_RAD)?;
+            }
+            within(&format_args!("readings[{index}].gain"), reading.gain, GAIN)?;
+        }
+        Ok(())
+    }
+
+    /// Checks the places for a walk with so many: the verification comes after the last one.
+    pub(super) fn check_places(&self, walk: usize) -> Result<(), SetupError> {
+        within("complete", self.complete, 0..=walk)?;
+        let mut own = self.places.iter().enumerate().filter(|(_, place)| **place != FORMER_PLACE);
+        own.try_for_each(|(index, place)| within(&format_args!("places[{index}]"), *place, 0..=walk))
+    }
+}
+
+/// An index into so many entries.
+fn below(field: &dyn Display, found: usize, count: usize) -> Result<(), SetupError> {
+    if found < count {
+        return Ok(());
+    }
+    Err(SetupError::Field(format!("{field} = {found}: expected an index below {count}")))
+}
+
+/// A value within its bounds. No bound includes a value that is not finite.
+fn within<T: PartialOrd + Debug>(
+    field: &(impl Display + ?Sized),
+    found: T,
+    bounds: RangeInclusive<T>,
+) -> Result<(), SetupError> {
+    if bounds.contains(&found) {
+        return Ok(());
+    }
+    let (low, high) = bounds.into_inner();
+    Err(SetupError::Field(format!("{field} = {found:?}: expected {low:?} to {high:?}")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fit::Reading;
+    use crate::parameters::Spot;
+
+    fn log() -> Log {
+        let spot = Spot {
+            tracked_m: [-1.2, 0.4],
+            tracked_deviation_m: 0.003,
+            height_m: 0.85,
+            led: 0,
+            direct_gain: 1e-6,
+            direct_deviation: 0.01,
+            noise_relative: 0.05,
+            noise_gain: 1e-9,
+            group: 1,
+        };
+        let reading = Reading { spot: 2, mirror: 8, command: [0.1, -0.2], gain: -1e-9 };
+        Log {
+            mirrors: 9,
+            complete: 3,
+            spots: vec![spot; 3],
+            places: vec![0, 1, 3],
+            readings: vec![reading; 4],
+            ..Log::default()
+        }
+    }
+
+    fn refusal(change: impl Fn(&mut Log)) -> String {
+        let mut log = log();
+        change(&mut log);
+        log.check(9, 4).and_then(|()| log.check_places(3)).map_or_else(|error| error.to_string(), |()| String::new())
+    }
+
+    #[test]
+    fn each_field_of_a_log_beyond_its_bound_is_named_with_the_bound() {
+        assert_eq!(refusal(|_| {}), "");
+        assert_eq!(refusal(|log| log.places[0] = FORMER_PLACE), "", "of a former calibration");
+        let cases: [(&dyn Fn(&mut Log), &str); 13] = [
+            (&|log| log.mirrors = 4, "of 4 mirrors: expected 9"),
+            (&|log| log.spots[0].led = 99, "spots[0].led = 99: expected an index below 4"),
+            (&|log| log.spots[1].tracked_m[0] = 1e30, "spots[1].tracked_m = 1e30: expected -200.0 to 200.0"),
+            (&|log| log.spots[1].height_m = -1e9, "spots[1].height_m = -1000000000.0: expected 0.0 to 50.0"),
+            (&|log| log.spots[2].noise_gain = f64::NAN, "spots[2].noise_gain = NaN: expected 0.0 to 0.9"),
+            (&|log| log.spots[2].group = 5, "spots[2].group = 5: expected [1, 3, 7, 15, 31]"),
+            (&|log| log.readings[3].spot = 9_999_999, "readings[3].spot = 9999999: expected an index below 3"),
+            (&|log| log.readings[3].mirror = 1 << 32, "readings[3].mirror = 4294967296: expected an index below 9"),
+            (&|log| log.readings[3].gain = -1.0, "readings[3].gain = -1.0: expected -0.9 to 0.9"),
+            (&|log| log.readings[3].command[1] = 1e300, "readings[3].command = 1e300: expected -3.14"),
+            (&|log| log.spots.clear(), "the number of places = 3: expected 0 to 0"),
+            (&|log| log.complete = 999, "complete = 999: expected 0 to 3"),
+            (&|log| log.places[2] = 7, "places[2] = 7: expected 0 to 3"),
+        ];
+        for (change, expected) in cases {
+            let found = refusal(change);
+            assert!(found.contains(expected), "{found:?}, expected {expected:?}");
+        }
+    }
+}

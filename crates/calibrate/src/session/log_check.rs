@@ -129,7 +129,8 @@ mod tests {
     fn each_field_of_a_log_beyond_its_bound_is_named_with_the_bound() {
         assert_eq!(refusal(|_| {}), "");
         assert_eq!(refusal(|log| log.places[0] = FORMER_PLACE), "", "of a former calibration");
-        let cases: [(&dyn Fn(&mut Log), &str); 13] = [
+        type Change<'a> = &'a dyn Fn(&mut Log);
+        let cases: [(Change, &str); 13] = [
             (&|log| log.mirrors = 4, "of 4 mirrors: expected 9"),
             (&|log| log.spots[0].led = 99, "spots[0].led = 99: expected an index below 4"),
             (&|log| log.spots[1].tracked_m[0] = 1e30, "spots[1].tracked_m = 1e30: expected -200.0 to 200.0"),

@@ -79,9 +79,9 @@ function orderedBy({ name, operator, reason, age_s }) {
 
 export const asSentence = (text) => `${text[0].toUpperCase()}${text.slice(1)}.`;
 
-// The banner of a controller that is in the room and does not report.
-function controllerBanner(now, age) {
-  if (!now.controller_alive || age <= STALE_S || age === Infinity) return null;
+// The banner of a controller that is in the room and does not report; no calibration has an age here.
+function controllerBanner(age) {
+  if (age <= STALE_S || age === Infinity) return null;
   return { kind: "bad", text: `The controller has not reported for ${seconds(age)}: it hangs, or the connection to it is lost. Check its process, or restart it.` };
 }
 
@@ -110,6 +110,6 @@ export function banner(now, silence, arrayAge, controllerAge) {
       return { kind: free.length ? "bad" : "stop", text: `${who} ${have} confirmed the stop: ${their} executed it.${moving}${by} Re-arm releases ${stops.length > 1 ? `these ${stops.length} stops` : "it"}.` };
     // A state that contradicts it comes from a second driver, or from a stop that follows.
     case "released": return now.array.state.includes("stopped") ? null : { kind: "good", text: `The stop is released: ${who.toLowerCase()} ${have} confirmed it.` };
-    default: return controllerBanner(now, controllerAge);
+    default: return controllerBanner(controllerAge);
   }
 }

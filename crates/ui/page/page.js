@@ -26,7 +26,7 @@ function applyTheme(parts) {
 }
 
 function showBanner(now, ages) {
-  const shown = banner(now, ages.silence, ages.of("array"), ages.of("controller"));
+  const shown = banner(now, ages.silence, ages.of("array"), ages.of("present_controller"));
   const element = at("banner");
   element.hidden = shown === null;
   if (!shown) return;

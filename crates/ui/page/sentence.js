@@ -54,6 +54,8 @@ export function inCharge(now, arrayAge) {
   if (!["following", "holding"].includes(state)) return { name: state, idle: `The mirrors do not follow the policy: ${state}.` };
   if (now.controller_unseen) return { name: state, idle: "Another controller or a calibration commands the mirrors, but its messages do not reach this viewer." };
   if (!now.controller_alive) return { name: state, idle: "No controller commands the mirrors." };
+  // The leader is the first one. Without it, a calibration computes, or a controller is about to take over.
+  if (now.controllers[0]?.role === "stands-by") return { name: state, idle: "Each controller that reports stands by." };
   return { name: now.policy || state, idle: "" };
 }
 
@@ -79,9 +81,9 @@ function orderedBy({ name, operator, reason, age_s }) {
 
 export const asSentence = (text) => `${text[0].toUpperCase()}${text.slice(1)}.`;
 
-// The banner of a controller that is in the room and does not report.
-function controllerBanner(now, age) {
-  if (!now.controller_alive || age <= STALE_S || age === Infinity) return null;
+// The banner of a controller that is in the room and does not report; no calibration has an age here.
+function controllerBanner(age) {
+  if (age <= STALE_S || age === Infinity) return null;
   return { kind: "bad", text: `The controller has not reported for ${seconds(age)}: it hangs, or the connection to it is lost. Check its process, or restart it.` };
 }
 
@@ -110,6 +112,6 @@ export function banner(now, silence, arrayAge, controllerAge) {
       return { kind: free.length ? "bad" : "stop", text: `${who} ${have} confirmed the stop: ${their} executed it.${moving}${by} Re-arm releases ${stops.length > 1 ? `these ${stops.length} stops` : "it"}.` };
     // A state that contradicts it comes from a second driver, or from a stop that follows.
     case "released": return now.array.state.includes("stopped") ? null : { kind: "good", text: `The stop is released: ${who.toLowerCase()} ${have} confirmed it.` };
-    default: return controllerBanner(now, controllerAge);
+    default: return controllerBanner(controllerAge);
   }
 }

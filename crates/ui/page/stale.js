@@ -21,7 +21,7 @@ export class Ages {
     return (performance.now() - this.arrived) / 1000;
   }
 
-  // Age in s of what a process reported: "room", "array" or "controller"; infinite before its first report.
+  // Age in s of what a process reported: a field of `ages_s`; infinite where it is absent.
   of(process) {
     // The server sends an event several times a second; the page counts by itself.
     if (process === "server" || process === "page") return this.silence;

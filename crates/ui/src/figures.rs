@@ -152,6 +152,8 @@ pub struct Ages {
     pub array: Option<f64>,
     /// Status of the controller.
     pub controller: Option<f64>,
+    /// The same while this controller is in the room; absent for a calibration, which is silent while it computes.
+    pub present_controller: Option<f64>,
 }
 
 /// All figures at one instant.
@@ -379,10 +381,16 @@ fn ages(received: &Received) -> Ages {
     let truth = received.truth.as_ref().map(|(at, _)| *at);
     let users = received.users.as_ref().map(|(at, _)| *at);
     let shown = if Received::fresh(&received.truth).is_some() { truth } else { users.or(truth) };
+    let controller = received.statuses.get(NodeKind::Controller.name());
+    let is_present = |status: &NodeStatus| {
+        received.alive.contains(&(NodeKind::Controller.name(), status.stamp.source))
+            && CalibrationProgress::of(status).is_none()
+    };
     Ages {
         room: shown.map(age),
         array: received.arrays.at().map(age),
-        controller: received.statuses.get(NodeKind::Controller.name()).map(|(at, _)| age(*at)),
+        controller: controller.map(|(at, _)| age(*at)),
+        present_controller: controller.filter(|(_, status)| is_present(status)).map(|(at, _)| age(*at)),
     }
 }
 
@@ -433,5 +441,22 @@ mod tests {
         let problem = |at| node(&received, "driver", at, &status).problem;
         let now = Instant::now();
         assert_eq!([problem(now), problem(now - EXPIRY)], [status.last_problem.as_str(), ""]);
+    }
+
+    #[test]
+    fn only_a_controller_that_is_in_the_room_and_no_calibration_can_hang() {
+        let (mut received, name) = (Received::default(), NodeKind::Controller.name());
+        let has_age = |received: &Received| {
+            let ages = ages(received);
+            (ages.controller.is_some(), ages.present_controller.is_some())
+        };
+        received.alive.insert((name, 8));
+        received.statuses.insert(name.into(), (Instant::now(), NodeStatus::default()));
+        assert_eq!(has_age(&received), (true, false), "its source has left, and another one has just started");
+        received.alive.insert((name, NodeStatus::default().stamp.source));
+        assert_eq!(has_age(&received), (true, true));
+        let gauges = CalibrationProgress::default().gauges().map(|(name, value)| (name.to_owned(), value)).to_vec();
+        received.statuses.insert(name.into(), (Instant::now(), NodeStatus { gauges, ..NodeStatus::default() }));
+        assert_eq!(has_age(&received), (true, false), "it computes");
     }
 }

@@ -18,8 +18,8 @@ use heliostat_service::printable::printable;
 use crate::UiError;
 use crate::array_reports::ArrayReports;
 
-/// Time within which two drivers of one array have reported it in turn.
-const REPORTED_WITHIN: Duration = Duration::from_millis(500);
+/// Time within which two drivers of one array have reported it in turn, each at least twice a second.
+const REPORTED_WITHIN: Duration = Duration::from_millis(1500);
 
 /// What is open where no process announces the geometry of the room.
 pub const UNKNOWN_ARRAYS: &str = "no process announces how many arrays the room has, and one that was not seen can move: connect to its controller or router";

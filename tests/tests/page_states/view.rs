@@ -285,12 +285,14 @@ fn the_chip_of_the_policy_and_the_name_of_the_sum_rate_agree_on_what_the_mirrors
     let browser = setting.browser(&[]);
     let script = "return import('/sentence.js').then(({ inCharge }) => { \
            const of = (state, age, more = {}) => { \
-             const { name, idle } = inCharge({ array: { state }, policy: 'greedy', controller_alive: true, ...more }, age); \
+             const now = { array: { state }, policy: 'greedy', controller_alive: true, controllers: [], ...more }; \
+             const { name, idle } = inCharge(now, age); \
              return [name, idle !== '']; }; \
            return [of('following', 0.1), of('holding, no telemetry of mirrors-1', 0.1), of('parked', 0.1), \
              of('parked', 0.1, { controller_alive: false }), of('holding', 0.1, { controller_alive: false }), \
              of('following', 0.1, { controller_alive: false, controller_unseen: true }), \
              of('following', 0.1, { controller_unseen: true }), \
+             of('following', 0.1, { controllers: [{ role: 'stands-by' }] }), \
              of('following', 2), of('following', 0.1, { policy: '', calibration: 'spot 1' })]; })";
     let expected = serde_json::json!([
         ["greedy", false],
@@ -298,6 +300,7 @@ fn the_chip_of_the_policy_and_the_name_of_the_sum_rate_agree_on_what_the_mirrors
         ["parked", true],
         ["parked", true],
         ["holding", true],
+        ["following", true],
         ["following", true],
         ["following", true],
         ["no report", true],

@@ -303,7 +303,8 @@ fn fetch_capabilities(args: &Args, bus: &Bus, key: &str) -> Result<Vec<Vec<u8>>,
     }
 }
 
-/// The check of an array, with a warning where it is stopped or has a fault; a stop is named before all else.
+/// The check of an array, with a warning where it is stopped or has a fault; a stop is named in place of faults.
+/// An array that does not fit is advised on that first.
 fn with_state(check: Check, driver: &DriverState) -> Check {
     let faults = fault::names(driver.faults);
     let (what, advice) = match driver.state {
@@ -319,7 +320,8 @@ fn with_state(check: Check, driver: &DriverState) -> Check {
     let found = format!("{}; {what}", check.found);
     match check.verdict {
         Verdict::Ok => Check::warn("driver", found, advice),
-        _ => Check { found, advice: format!("{advice}; {}", check.advice), ..check },
+        Verdict::Warn => Check { found, advice: format!("{advice}; {}", check.advice), ..check },
+        Verdict::Fail => Check { found, advice: format!("{}; {advice}", check.advice), ..check },
     }
 }
 
@@ -395,6 +397,10 @@ mod tests {
         let both = with_state(remark, &driver(Some(ArrayState::Stopped), 0));
         assert_eq!(both.found, "mirrors; it is stopped");
         assert_eq!(both.advice, "release it with heliostat rearm when the mirrors may move; the array clamps");
+        let unfit = Check::fail("driver", "mirrors", "another number of mirrors");
+        let both = with_state(unfit, &driver(Some(ArrayState::Stopped), 0));
+        let expected = "another number of mirrors; release it with heliostat rearm when the mirrors may move";
+        assert_eq!((both.verdict, both.advice.as_str()), (Verdict::Fail, expected));
         let jammed = found(Some(ArrayState::Following), fault::MIRROR | fault::SUPPLY);
         assert_eq!((jammed.verdict, jammed.found.as_str()), (Verdict::Warn, "mirrors; faults: mirror, supply"));
     }

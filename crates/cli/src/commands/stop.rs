@@ -200,10 +200,10 @@ impl OrderArgs {
         }
         let (room, took_ms) = (bus.room().name(), took.as_secs_f64() * 1e3);
         output::line(match rest {
-            Some(rest) => format!(
-                "the named {} of room {room} released, confirmed after {took_ms:.1} ms; {rest}",
-                if released.len() == 1 { "stop is" } else { "stops are" }
-            ),
+            Some(rest) => {
+                let (stops, are) = if released.len() == 1 { ("stop", "is") } else { ("stops", "are") };
+                format!("the named {stops} of room {room} {are} released, confirmed after {took_ms:.1} ms; {rest}")
+            }
             None => format!("the arrays of room {room} are released, confirmed after {took_ms:.1} ms"),
         })?;
         print_stops(released)

@@ -174,6 +174,30 @@ def test_a_call_that_does_not_return_is_named_and_a_second_signal_ends_the_drive
         assert driver.returncode == 130 and errors.count("health has not returned for") == 1, errors
 
 
+def test_two_signals_in_quick_succession_end_a_program_that_waits(tmp_path: Path) -> None:
+    waiting = tmp_path / "waiting.py"
+    waiting.write_text(
+        "import sys, threading\n"
+        "from heliostat.peer import stop_on_signals\n"
+        "try:\n"
+        "    with stop_on_signals(threading.Event()):\n"
+        "        print('ready', flush=True)\n"
+        "        threading.Event().wait()\n"
+        "except KeyboardInterrupt:\n"
+        "    sys.exit(130)\n",
+        encoding="utf-8",
+    )
+    # The second signal comes as the first one has just interrupted the wait, in some of the attempts.
+    for _ in range(10):
+        with python(waiting, folder=tmp_path) as program:
+            assert program.stdout is not None
+            program.stdout.readline()
+            program.send_signal(signal.SIGTERM)
+            program.send_signal(signal.SIGINT)
+            program.communicate(timeout=LIMIT_S)
+            assert program.returncode == 130
+
+
 def test_the_request_to_end_names_a_call_that_does_not_return_and_says_how_to_end_at_once() -> None:
     returned, ended = threading.Event(), threading.Event()
     shown: queue.SimpleQueue[str] = queue.SimpleQueue()

@@ -10,7 +10,6 @@ import ipaddress
 import itertools
 import json
 import os
-import queue
 import random
 import re
 import signal
@@ -44,6 +43,7 @@ _ALIVE_LIMIT_S = 1.0
 SHORTEST_S, _LONGEST_S = 0.01, 1e7
 _UNITS_S = {"ms": 1e-3, "min": 60.0, "h": 3600.0, "s": 1.0}
 _PROBE_LIMIT_S = 0.5
+_INTERRUPT_S = 0.1
 _SILENT_S = 3.0
 _ENCRYPTED = ("tls", "quic")
 _SESSION = {
@@ -142,27 +142,49 @@ def stop_on_signals(stop: threading.Event) -> Iterator[threading.Event]:
         yield stop
         return
     signals, count = (signal.SIGINT, signal.SIGTERM), itertools.count()
-    # A handler interrupts the main thread anywhere, also where this holds the lock of the event: it must not take it.
-    # `put` of this queue takes no lock.
-    requests: queue.SimpleQueue[bool] = queue.SimpleQueue()
+    over: list[bool] = []
 
+    # Runs only between two instructions of the main thread, and takes no lock, which this may hold.
     def end(*_: object) -> None:
         if next(count) > 0:
+            over.append(True)
             raise KeyboardInterrupt
-        requests.put(True)
+
+    # Each signal is written here at once, also while the main thread waits in a call.
+    arrived, written = socket.socketpair()
+    written.setblocking(False)
+    main_thread = threading.get_ident()
 
     def pass_on() -> None:
-        if requests.get():
+        with arrived:
+            requests = (number for number in iter(lambda: arrived.recv(1), b"") if number[0] in signals)
+            if next(requests, None) is None:
+                return
             stop.set()
+            if next(requests, None) is None:
+                return
+            # A signal that came as the main thread began to wait has not interrupted the wait: a further one does.
+            while hasattr(signal, "pthread_kill"):
+                time.sleep(_INTERRUPT_S)
+                if over:
+                    return
+                signal.pthread_kill(main_thread, signal.SIGINT)
 
-    threading.Thread(target=pass_on, name="signals", daemon=True).start()
     before = [signal.signal(number, end) for number in signals]
+    wakeup = signal.set_wakeup_fd(written.fileno(), warn_on_full_buffer=False)
+    thread = threading.Thread(target=pass_on, name="signals", daemon=True)
+    thread.start()
     try:
         yield stop
     finally:
-        for number, handler in zip(signals, before, strict=True):
-            signal.signal(number, handler)
-        requests.put(False)
+        over.append(True)
+        signal.set_wakeup_fd(wakeup)
+        written.close()
+        try:
+            thread.join()
+        finally:
+            for number, handler in zip(signals, before, strict=True):
+                signal.signal(number, handler)
 
 
 class Peer:

@@ -20,6 +20,9 @@ use super::args::ApplyArgs;
 use super::room::{WAIT, fetch, wait};
 use crate::commands::join::join;
 
+/// Number of the steps from the sequence in use to the next one.
+const STEPS: u64 = 1024;
+
 /// What an error adds where no message left this process.
 const NOTHING_SENT: &str = "Nothing was sent";
 
@@ -67,8 +70,9 @@ fn apply(args: &ApplyArgs, bus: &Bus, file: &CalibrationFile) -> Result<(Order, 
     let before = reports.next_telemetry().with_context(|| {
         format!("the array publishes no telemetry: expected ten messages a second. {NOTHING_SENT}: check its driver")
     })?;
-    let order = Order::after(&before);
-    let stamp = Stamp { source: source_id::random(), sequence: order.sequence, time_ns: utc_ns() };
+    let source = source_id::random();
+    let order = Order::after(&before, source);
+    let stamp = Stamp { source, sequence: order.sequence, time_ns: utc_ns() };
     let mut payload = Vec::new();
     encode(&file.message(stamp), &mut payload)?;
     let published = Instant::now();
@@ -173,13 +177,15 @@ impl Order {
     /// The next calibration of an array.
     ///
     /// Telemetry names the sequence of the calibration in use, and not its source. A sequence above the former
-    /// one, from any source, is recognised there, and no driver refuses it.
-    fn after(before: &MirrorTelemetry) -> Self {
+    /// one, from any source, is recognised there, and no driver refuses it. Its step depends on the source, so that
+    /// two senders at the same moment have different sequences.
+    fn after(before: &MirrorTelemetry, source: u64) -> Self {
+        let step = 1 + source % STEPS;
         Self {
             driver: before.stamp.source,
             former: before.calibration,
             // Each order has a source of its own, so it may begin again after the last number.
-            sequence: before.calibration.checked_add(1).unwrap_or(1),
+            sequence: before.calibration.checked_add(step).unwrap_or(step),
             was_refused: is_refused(before),
         }
     }
@@ -283,13 +289,21 @@ mod tests {
 
     #[test]
     fn a_calibration_has_a_number_above_the_one_in_use_and_begins_again_after_the_last() {
-        let sequence = |in_use: u64| Order::after(&telemetry(7, in_use, 0)).sequence;
+        let sequence = |in_use: u64| Order::after(&telemetry(7, in_use, 0), STEPS).sequence;
         assert_eq!([0, 1, u64::MAX - 1, u64::MAX].map(sequence), [1, 2, u64::MAX, 1]);
     }
 
     #[test]
+    fn the_one_of_two_senders_at_the_same_moment_that_is_not_in_use_is_told() {
+        let shown = telemetry(7, 4, 0);
+        let [first, second] = [1, 2].map(|source| Order::after(&shown, source));
+        assert_eq!(first.judge(&telemetry(7, second.sequence, 0)), Some(Outcome::Other(second.sequence)));
+        assert_eq!(second.judge(&telemetry(7, second.sequence, 0)), Some(Outcome::InUse));
+    }
+
+    #[test]
     fn telemetry_shows_a_calibration_in_use_a_refusal_or_the_order_of_another_sender() {
-        let order = Order::after(&telemetry(7, 4, fault::LINK));
+        let order = Order::after(&telemetry(7, 4, fault::LINK), 0);
         let judge = |source, calibration, faults| order.judge(&telemetry(source, calibration, faults));
         assert_eq!(judge(7, 4, fault::LINK), None, "nothing new");
         assert_eq!(judge(7, 5, 0), Some(Outcome::InUse));
@@ -302,7 +316,7 @@ mod tests {
 
     #[test]
     fn a_refusal_of_before_is_none_of_this_calibration() {
-        let order = Order::after(&telemetry(7, 4, fault::CALIBRATION));
+        let order = Order::after(&telemetry(7, 4, fault::CALIBRATION), 0);
         assert_eq!(order.judge(&telemetry(7, 4, fault::CALIBRATION)), None);
         assert_eq!(order.judge(&telemetry(7, 5, 0)), Some(Outcome::InUse));
     }

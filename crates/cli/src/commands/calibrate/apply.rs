@@ -83,15 +83,23 @@ fn apply(args: &ApplyArgs, bus: &Bus, file: &CalibrationFile) -> Result<(Order, 
 
 /// Waits until telemetry shows the calibration in use; else says what it shows.
 fn confirm(reports: &Reports, order: &Order) -> Result<()> {
-    let outcome = reports.wait(|report| match report {
-        Report::Telemetry(now) => order.judge(&now),
-        Report::Problem { .. } => None,
+    let until = Instant::now() + WAIT;
+    let mut refusal = None;
+    let outcome = reports.wait(until, |report| {
+        refusal = report.refusal(order.driver).or_else(|| refusal.take());
+        match report {
+            Report::Telemetry(now) => order.judge(&now),
+            Report::Problem { .. } => None,
+        }
     });
     let kept = Number(order.former);
+    let named = |refusal: Option<String>| refusal.unwrap_or_else(|| "its log says why".to_owned());
     match outcome {
         Some(Outcome::InUse) => Ok(()),
         Some(Outcome::Refused) => {
-            bail!("the driver has refused the calibration, and keeps {kept}: {}", reports.refusal(order.driver))
+            // A status before the telemetry may name an earlier refusal.
+            let refusal = reports.wait(until, |report| report.refusal(order.driver));
+            bail!("the driver has refused the calibration, and keeps {kept}: {}", named(refusal))
         }
         Some(Outcome::Other(other)) => bail!(
             "the array uses {} of another sender instead of this one, {}: agree on one, then repeat the command",
@@ -105,7 +113,7 @@ fn confirm(reports: &Reports, order: &Order) -> Result<()> {
         None if order.was_refused => bail!(
             "the array still uses {kept} after {} s, and shows a refused calibration, as before this one: {}",
             WAIT.as_secs(),
-            reports.refusal(order.driver)
+            named(refusal)
         ),
         None => bail!(
             "the array still uses {kept} after {} s: the calibration did not arrive, or the driver is busy. A room with \
@@ -218,6 +226,18 @@ enum Report {
     },
 }
 
+impl Report {
+    /// Why this driver has refused a calibration, if this is its status and names that.
+    fn refusal(&self, driver: u64) -> Option<String> {
+        match self {
+            Self::Problem { source, problem } if *source == driver => {
+                problem.strip_prefix("calibration: ").map(str::to_owned)
+            }
+            _ => None,
+        }
+    }
+}
+
 /// The reports of an array and of its driver, in the order of their arrival.
 struct Reports {
     queue: Receiver<Report>,
@@ -246,9 +266,8 @@ impl Reports {
         Ok(Self { queue, _subscriptions: subscriptions })
     }
 
-    /// What a report gives first, for a limited time.
-    fn wait<T>(&self, mut find: impl FnMut(Report) -> Option<T>) -> Option<T> {
-        let until = Instant::now() + WAIT;
+    /// What a report gives first, until this time at most.
+    fn wait<T>(&self, until: Instant, mut find: impl FnMut(Report) -> Option<T>) -> Option<T> {
         loop {
             let report = self.queue.recv_timeout(until.saturating_duration_since(Instant::now())).ok()?;
             if let Some(found) = find(report) {
@@ -260,21 +279,10 @@ impl Reports {
     /// The first telemetry that arrives from now on.
     fn next_telemetry(&self) -> Option<MirrorTelemetry> {
         self.queue.try_iter().for_each(drop);
-        self.wait(|report| match report {
+        self.wait(Instant::now() + WAIT, |report| match report {
             Report::Telemetry(shown) => Some(*shown),
             Report::Problem { .. } => None,
         })
-    }
-
-    /// Why a driver has refused the calibration, by its next status.
-    fn refusal(&self, driver: u64) -> String {
-        let named = self.wait(|report| match report {
-            Report::Problem { source, problem } if source == driver => {
-                problem.strip_prefix("calibration: ").map(str::to_owned)
-            }
-            _ => None,
-        });
-        named.unwrap_or_else(|| "its log says why".to_owned())
     }
 }
 
@@ -319,5 +327,21 @@ mod tests {
         let order = Order::after(&telemetry(7, 4, fault::CALIBRATION), 0);
         assert_eq!(order.judge(&telemetry(7, 4, fault::CALIBRATION)), None);
         assert_eq!(order.judge(&telemetry(7, 5, 0)), Some(Outcome::InUse));
+    }
+
+    #[test]
+    fn the_last_refusal_that_came_while_telemetry_was_awaited_is_named_without_a_further_wait() {
+        let order = Order::after(&telemetry(7, 4, fault::CALIBRATION), 0);
+        let (sender, queue) = mpsc::channel();
+        for (source, problem) in
+            [(7, "calibration: first"), (7, "calibration: last"), (7, "command: late"), (8, "calibration: of another")]
+        {
+            sender.send(Report::Problem { source, problem: problem.to_owned() }).expect("a queue");
+        }
+        sender.send(Report::Telemetry(Box::new(telemetry(7, 4, fault::CALIBRATION)))).expect("a queue");
+        // No further report comes.
+        drop(sender);
+        let ended = confirm(&Reports { queue, _subscriptions: Vec::new() }, &order).expect_err("refused").to_string();
+        assert!(ended.ends_with(", as before this one: last"), "{ended}");
     }
 }

@@ -18,9 +18,20 @@ const OF_CONTROL: [&str; 3] = ["range_deg", "search_evaluations", "search_time_u
 /// # Errors
 /// [`EnvironmentError::ClosedLoopOnly`] with the key of the first one.
 pub fn check_overrides(overrides: impl IntoIterator<Item = impl AsRef<str>>) -> Result<(), EnvironmentError> {
+    first_without_effect(overrides).map_or(Ok(()), |key| Err(EnvironmentError::ClosedLoopOnly(key)))
+}
+
+/// As [`check_overrides`], for training, which has no closed loop.
+///
+/// # Errors
+/// [`EnvironmentError::NotInTraining`] with the key of the first one.
+pub fn check_training(overrides: impl IntoIterator<Item = impl AsRef<str>>) -> Result<(), EnvironmentError> {
+    first_without_effect(overrides).map_or(Ok(()), |key| Err(EnvironmentError::NotInTraining(key)))
+}
+
+fn first_without_effect(overrides: impl IntoIterator<Item = impl AsRef<str>>) -> Option<String> {
     let mut keys = overrides.into_iter().flat_map(|text| override_keys(text.as_ref()));
-    let without = keys.find(|key| !has_effect(key));
-    without.map_or(Ok(()), |key| Err(EnvironmentError::ClosedLoopOnly(key)))
+    keys.find(|key| !has_effect(key))
 }
 
 /// Whether a key, as `users.count`, has an effect on exact states.
@@ -72,6 +83,13 @@ mod tests {
         ] {
             assert_eq!(of(text), Ok(()), "{text}");
         }
+    }
+
+    #[test]
+    fn training_names_no_closed_loop() {
+        let refusal = check_training(["actuator.stuck_share=1"]).expect_err("no effect").to_string();
+        assert!(refusal.starts_with("actuator.stuck_share: no effect on training"), "{refusal}");
+        assert!(!refusal.contains("--closed-loop"), "{refusal}");
     }
 
     #[test]

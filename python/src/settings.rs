@@ -154,7 +154,7 @@ fn settings_of(
     Ok(Settings { inner: Arc::new(inner) })
 }
 
-/// Refuses overrides of the form "table.key=value", or their keys, that have no effect on exact states.
+/// Refuses overrides of the form "table.key=value" that have no effect on exact states.
 #[pyfunction]
 pub fn check_exact(overrides: Vec<String>) -> PyResult<()> {
     check_overrides(&overrides).map_err(refused)

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("zenoh")
-from heliostat.peer import PeerError, Settings, connection_problem
+from heliostat.peer import PeerError, Settings, connection_problem, endpoints
 from heliostat.tracker import Tracker, User
 from room import LIMIT_S, free_endpoint, needs_program, observer, wait_until
 from room import heliostat as program
@@ -193,6 +193,16 @@ def test_a_run_ends_after_its_time_and_wrong_settings_are_refused() -> None:
     for wrong in (-1, 0, float("nan"), "5"):
         with pytest.raises(ValueError, match="seconds = .*: expected a number of seconds from 0.01"):
             heliostat.run(lambda _: None, connect=[endpoint], seconds=wrong)
+
+
+def test_endpoints_are_a_text_or_any_iterable_of_texts() -> None:
+    one = "tcp/127.0.0.1:1"
+    for given in (one, [one], (one,), np.array([one]), (text for text in [one])):
+        assert endpoints("listen", given) == (one,)
+    wrong: Any
+    for wrong in (42, [42], b"tcp", np.array(one), None):
+        with pytest.raises(TypeError, match="listen = .*: expected endpoints as texts"):
+            endpoints("listen", wrong)
 
 
 def test_a_run_without_an_array_warns() -> None:

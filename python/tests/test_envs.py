@@ -256,7 +256,10 @@ def test_overrides_without_an_effect_on_a_static_room_are_refused(make_one: Any)
         with pytest.raises(ValueError, match=f"{key}: no effect .*closed-loop"):
             make_one("specular", overrides={key: value})
         make_one("specular", overrides={key: value}, dynamics="closed-loop").close()
-    make_one("specular", overrides={"control.range_deg": 30.0}).close()
+    with pytest.raises(ValueError, match="control.belief: no effect"):
+        make_one("specular", overrides={"control": {"belief": "none"}})
+    for works in ({"control.range_deg": 30.0}, {"control": {"range_deg": 30.0}}):
+        make_one("specular", overrides=works).close()
 
 
 def test_actions_that_are_not_valid_are_refused_and_change_nothing() -> None:

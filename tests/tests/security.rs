@@ -143,7 +143,7 @@ fn a_calibration_is_applied_with_the_keys_of_a_calibrator_only() {
         |keys: &Keys| run(&["calibrate", "apply", file, "--connect", &endpoint, "--tls", keys.path(), "--json"]);
     let viewer = apply(&keys.of("viewer"));
     assert!(viewer.refusal().contains("expected one of: calibrator"), "{}", viewer.errors);
-    assert_eq!(apply(&keys.of("calibrator")).json()["calibration"], 1);
+    assert_eq!(apply(&keys.of("calibrator")).json()["former"], 0);
 }
 
 #[test]

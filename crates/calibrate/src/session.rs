@@ -54,6 +54,7 @@ use crate::stand::{Moved, Stand, median};
 
 pub use fitting::aim_deviation;
 pub use log::Log;
+use log_check::GAIN;
 pub use refinement::Change;
 use timing::Timing;
 
@@ -207,6 +208,8 @@ pub struct Session {
     changes: Vec<Change>,
     noise: TrackerNoise,
     unused: u64,
+    /// The gains of the latest channel report, if no light has them.
+    impossible: Option<[f64; 2]>,
     last_reading_ns: Nanos,
 }
 
@@ -265,6 +268,7 @@ impl Session {
             changes: Vec::new(),
             noise: TrackerNoise::default(),
             unused: 0,
+            impossible: None,
             last_reading_ns: 0,
             setup,
         })
@@ -342,7 +346,13 @@ impl Session {
         }
         let Some(user) = self.user_of(report.users.iter().map(|user| user.user)) else { return };
         let Some(channel) = report.users.iter().find(|channel| channel.user == user) else { return };
+        let gains = [channel.los_gain, channel.irs_gain].map(f64::from);
+        self.impossible = (!gains.iter().all(|gain| GAIN.contains(gain))).then_some(gains);
         if !self.stand.is_standing() || self.stage == Stage::Ended {
+            return;
+        }
+        if self.impossible.is_some() {
+            self.unused += 1;
             return;
         }
         let is_clear = self.stand.handle_direct(f64::from(channel.los_gain));
@@ -420,6 +430,11 @@ impl Session {
         let probed = self.jobs.iter().filter(|job| job.state != State::Excluded);
         let gain = median(&probed.map(|job| job.peak).collect::<Vec<_>>());
         (gain > 0.0).then_some(Signal { place, gain, ratio: gain / spot.noise_gain })
+    }
+
+    /// Direct gain and gain of the mirrors in the latest channel report, if they are no shares of an LED's light.
+    pub fn impossible_gains(&self) -> Option<[f64; 2]> {
+        self.impossible
     }
 
     /// Readings of mirrors so far.

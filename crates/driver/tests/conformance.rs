@@ -163,10 +163,14 @@ fn a_device_whose_call_does_not_return_ends_the_check_and_breaks_no_rule() {
         let device = Exact { turns: 3, failure: Failure::Hangs(stop.clone()), ..Exact::new() };
         drop(run::run(Kit::new(device), &Settings::new(bus), stop).unwrap());
     });
-    assert!(report.problem.as_ref().is_some_and(|problem| problem.contains("the device does not answer")), "{report}");
+    assert!(report.problem.as_ref().is_some_and(|problem| problem.contains("sends no telemetry")), "{report}");
     assert_eq!(broken(&report), [""; 0], "{report}");
     let last = report.findings.last().expect("a rule");
-    assert_eq!((last.verdict, last.evidence.as_str()), (Verdict::NotJudged, "the device does not answer"), "{report}");
+    assert_eq!(
+        (last.verdict, last.evidence.as_str()),
+        (Verdict::NotJudged, "the driver sends no telemetry"),
+        "{report}"
+    );
 }
 
 #[test]

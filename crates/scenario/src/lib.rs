@@ -66,6 +66,7 @@ pub use geometry_difference::{GeometryDifference, RoomDifference};
 pub use mirror_tables::MirrorTables;
 pub use mismatch::{Mismatch, MismatchKind, MismatchLevel, Spreads};
 pub use mobility::*;
+pub use overrides::override_keys;
 pub use problems::{Checked, Problem};
 pub use runtime::*;
 pub use scenario::Scenario;

@@ -10,11 +10,7 @@ use crate::error::ScenarioError;
 pub(crate) fn apply(table: &mut toml::Table, text: &str) -> Result<(), ScenarioError> {
     let refused = || ScenarioError::Override { text: text.into() };
     let (path, value) = text.split_once('=').ok_or_else(refused)?;
-    let value = value.trim();
-    let value = toml::from_str::<toml::Table>(&format!("value = {value}"))
-        .ok()
-        .and_then(|mut parsed| parsed.remove("value"))
-        .unwrap_or_else(|| toml::Value::String(value.into()));
+    let value = value_of(value);
     let mut keys: Vec<&str> = path.trim().split('.').collect();
     let last = keys.pop().filter(|key| !key.is_empty()).ok_or_else(refused)?;
     let (mut table, mut keys) = (table, keys.into_iter());
@@ -36,4 +32,23 @@ pub(crate) fn apply(table: &mut toml::Table, text: &str) -> Result<(), ScenarioE
     };
     table.insert(last.into(), value);
     Ok(())
+}
+
+/// The keys that an override writes: of `control={belief="none"}` the key `control.belief`.
+pub fn override_keys(text: &str) -> Vec<String> {
+    let (path, value) = text.split_once('=').unwrap_or((text, ""));
+    let path = path.trim();
+    match value_of(value) {
+        toml::Value::Table(table) if !table.is_empty() => table.keys().map(|key| format!("{path}.{key}")).collect(),
+        _ => vec![path.to_owned()],
+    }
+}
+
+/// A value of TOML, or a string.
+fn value_of(text: &str) -> toml::Value {
+    let text = text.trim();
+    toml::from_str::<toml::Table>(&format!("value = {text}"))
+        .ok()
+        .and_then(|mut parsed| parsed.remove("value"))
+        .unwrap_or_else(|| toml::Value::String(text.into()))
 }

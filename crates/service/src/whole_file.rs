@@ -27,12 +27,14 @@ pub fn check_writable(file: &Path) -> Result<()> {
     tempfile::tempfile_in(folder).map(drop).with_context(refused)
 }
 
-/// Refuses one file for two flags: the later one would replace the former.
+/// Refuses one file for two flags: the later one would replace the former. A pipe or device may serve several.
 ///
 /// # Errors
 /// [`UnusableInput`], which names both flags.
 pub fn check_distinct<'a>(named: impl IntoIterator<Item = (&'a str, Option<&'a PathBuf>)>) -> Result<()> {
-    let named: Vec<_> = named.into_iter().filter_map(|(flag, file)| Some((flag, absolute(file?)?))).collect();
+    let is_replaced = |file: &&PathBuf| !is_direct(file);
+    let named = named.into_iter().filter_map(|(flag, file)| Some((flag, absolute(file.filter(is_replaced)?)?)));
+    let named: Vec<_> = named.collect();
     for (index, (flag, file)) in named.iter().enumerate() {
         if let Some((other, _)) = named[..index].iter().find(|(_, other)| other == file) {
             bail!(UnusableInput::new(format!("{other} and {flag} name one file, {}: expected two", file.display())));
@@ -55,7 +57,7 @@ fn absolute(file: &Path) -> Option<PathBuf> {
 /// A file that cannot be written, by name.
 pub fn write(file: &Path, contents: &[u8]) -> Result<()> {
     let refused = || format!("cannot write {}", file.display());
-    if file.exists() && !file.is_file() {
+    if is_direct(file) {
         return fs::write(file, contents).with_context(refused);
     }
     let part = beside(file, ".part");
@@ -64,6 +66,11 @@ pub fn write(file: &Path, contents: &[u8]) -> Result<()> {
         drop(fs::remove_file(&part));
     }
     written.with_context(refused)
+}
+
+/// Whether a path names a pipe or a device.
+fn is_direct(file: &Path) -> bool {
+    file.exists() && !file.is_file()
 }
 
 /// A file that one process holds: another one that asks for it is refused until this value is dropped. Where the file
@@ -177,6 +184,17 @@ mod tests {
         }
         assert!(unlocked(Ok(()), file).expect("locked").is_none());
         assert!(unlocked(Err(TryLockError::WouldBlock), file).is_err());
+    }
+
+    #[test]
+    fn one_file_for_two_flags_is_refused_and_one_device_is_not() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let one = |file: PathBuf| check_distinct(["--csv", "--html"].map(|flag| (flag, Some(&file))));
+        let refusal = one(folder.path().join("figures")).expect_err("one file").to_string();
+        assert!(refusal.starts_with("--csv and --html name one file"), "{refusal}");
+        if cfg!(unix) {
+            one(PathBuf::from("/dev/null")).expect("a device");
+        }
     }
 
     #[test]

@@ -36,6 +36,9 @@ pub enum EnvironmentError {
          loop: `heliostat-lab eval --closed-loop`, in Python dynamics=\"closed-loop\""
     )]
     ClosedLoopOnly(String),
+    /// A key that has no effect on training.
+    #[error("{0}: no effect on training, whose states are exact and whose mirrors turn at once; remove it")]
+    NotInTraining(String),
     /// The array refused a command.
     #[error("the array refused a command: {0:?}; this is a fault of the environment, please report it")]
     Refused(Refusal),

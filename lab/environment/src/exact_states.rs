@@ -3,7 +3,7 @@
 //! Training, held-out states and static tasks have neither reports nor a belief, and their mirrors
 //! turn at once to the angles of an action.
 
-use heliostat_scenario::Actuator;
+use heliostat_scenario::{Actuator, override_keys};
 
 use crate::error::EnvironmentError;
 
@@ -18,14 +18,20 @@ const OF_CONTROL: [&str; 3] = ["range_deg", "search_evaluations", "search_time_u
 /// # Errors
 /// [`EnvironmentError::ClosedLoopOnly`] with the key of the first one.
 pub fn check_overrides(overrides: impl IntoIterator<Item = impl AsRef<str>>) -> Result<(), EnvironmentError> {
-    for text in overrides {
-        let text = text.as_ref();
-        let key = text.split_once('=').map_or(text, |(key, _)| key).trim();
-        if !has_effect(key) {
-            return Err(EnvironmentError::ClosedLoopOnly(key.into()));
-        }
-    }
-    Ok(())
+    first_without_effect(overrides).map_or(Ok(()), |key| Err(EnvironmentError::ClosedLoopOnly(key)))
+}
+
+/// As [`check_overrides`], for training, which has no closed loop.
+///
+/// # Errors
+/// [`EnvironmentError::NotInTraining`] with the key of the first one.
+pub fn check_training(overrides: impl IntoIterator<Item = impl AsRef<str>>) -> Result<(), EnvironmentError> {
+    first_without_effect(overrides).map_or(Ok(()), |key| Err(EnvironmentError::NotInTraining(key)))
+}
+
+fn first_without_effect(overrides: impl IntoIterator<Item = impl AsRef<str>>) -> Option<String> {
+    let mut keys = overrides.into_iter().flat_map(|text| override_keys(text.as_ref()));
+    keys.find(|key| !has_effect(key))
 }
 
 /// Whether a key, as `users.count`, has an effect on exact states.
@@ -65,9 +71,25 @@ mod tests {
                 "{text}"
             );
         }
-        for text in ["users.count=3", "control.range_deg=30", "control.search_time_us=0", "seed=3", "mirrors.rows=2"] {
-            assert_eq!(of(text), Ok(()));
+        let refusal = of(r#"control={range_deg=30, belief="none"}"#).expect_err("no effect");
+        assert!(refusal.starts_with("control.belief: no effect"), "{refusal}");
+        for text in [
+            "control={range_deg=30}",
+            "users.count=3",
+            "control.range_deg=30",
+            "control.search_time_us=0",
+            "seed=3",
+            "mirrors.rows=2",
+        ] {
+            assert_eq!(of(text), Ok(()), "{text}");
         }
+    }
+
+    #[test]
+    fn training_names_no_closed_loop() {
+        let refusal = check_training(["actuator.stuck_share=1"]).expect_err("no effect").to_string();
+        assert!(refusal.starts_with("actuator.stuck_share: no effect on training"), "{refusal}");
+        assert!(!refusal.contains("--closed-loop"), "{refusal}");
     }
 
     #[test]

@@ -22,7 +22,7 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -76,8 +76,8 @@ class RunSummary:
 def run(
     act: Callable[[NDArray[np.float32]], Any],
     *,
-    connect: str | Sequence[str] = (),
-    listen: str | Sequence[str] = (),
+    connect: str | Iterable[str] = (),
+    listen: str | Iterable[str] = (),
     scenario: str | os.PathLike[str] | Scenario = "hall",
     action: str | None = None,
     room: str | None = None,

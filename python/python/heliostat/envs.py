@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from ._checks import integer, real, seed_of, states_of
 from ._core import Batch, Settings, check_exact, held_out_seed
 from .rendering import Window, draw
-from .scenario import Scenario, Value, load_scenario
+from .scenario import Scenario, Value, load_scenario, override_texts
 
 Observation: TypeAlias = "NDArray[np.float32] | dict[str, NDArray[np.float32] | NDArray[np.int8]]"
 """A flat array, or the parts of it by name."""
@@ -93,7 +93,7 @@ def make_scenario(
             raise TypeError(f'unknown keyword "{name}": expected {", ".join(sorted(SETTINGS))}{hint}')
     scenario = load_scenario(source, overrides)
     if settings.get("dynamics", "static") == "static":
-        check_exact(list(overrides or ()))
+        check_exact(override_texts(overrides or {}))
     return scenario
 
 

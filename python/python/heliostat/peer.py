@@ -19,7 +19,7 @@ import stat
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -92,13 +92,16 @@ class Settings:
         )
 
 
-def endpoints(name: str, given: str | Sequence[str]) -> tuple[str, ...]:
+def endpoints(name: str, given: str | Iterable[str]) -> tuple[str, ...]:
     """Endpoints; a text is one endpoint. Raises `TypeError` for another type."""
-    if isinstance(given, str):
-        return (given,)
-    if not isinstance(given, (list, tuple)) or not all(isinstance(one, str) for one in given):
-        raise TypeError(f'{name} = {given!r}: expected endpoints as texts, for example ["tcp/127.0.0.1:7447"]')
-    return tuple(given)
+    wrong = f'{name} = {given!r}: expected endpoints as texts, for example ["tcp/127.0.0.1:7447"]'
+    try:
+        found = (given,) if isinstance(given, str) else tuple(given)
+    except TypeError as problem:
+        raise TypeError(wrong) from problem
+    if not all(isinstance(one, str) for one in found):
+        raise TypeError(wrong)
+    return tuple(str(one) for one in found)
 
 
 def add_arguments(parser: argparse._ActionsContainer) -> None:

@@ -33,7 +33,12 @@ def load_scenario(
     given = {} if overrides is None else overrides
     if not isinstance(given, Mapping):
         raise TypeError(f'overrides: expected a mapping such as {{"users.count": 3}}, found {type(given).__name__}')
-    return Scenario(os.fspath(source), [f"{key}={_toml(key, value)}" for key, value in given.items()])
+    return Scenario(os.fspath(source), override_texts(given))
+
+
+def override_texts(overrides: Mapping[str, Value]) -> list[str]:
+    """Overrides in the form `table.key=value` of the Rust programs."""
+    return [f"{key}={_toml(key, value)}" for key, value in overrides.items()]
 
 
 def _toml(key: str, value: Any) -> str:

@@ -234,11 +234,14 @@ impl Tenure {
         }
     }
 
-    /// Keeps the controllers that joined last, and those that may be the leader.
+    /// Keeps the controllers that may be the leader. The others with the lowest source ids stay too, as the rank counts
+    /// them.
     fn note_peer(&mut self, peer: u64) {
         let is_full = self.peers.len() == PEERS_MAX;
-        if let Some(oldest) = self.peers.iter().position(|known| is_full && !self.leads(*known)) {
-            self.peers.remove(oldest);
+        let others = self.peers.iter().enumerate().filter(|(_, known)| is_full && !self.leads(**known));
+        let highest = others.max_by_key(|(_, known)| **known).map(|(index, _)| index);
+        if let Some(highest) = highest {
+            self.peers.remove(highest);
         }
         if self.peers.len() < PEERS_MAX {
             self.peers.push(peer);

@@ -17,10 +17,13 @@ const HEIGHT_M: RangeInclusive<f64> = 0.0..=50.0;
 const DEVIATION_M: RangeInclusive<f64> = 0.0..=200.0;
 
 /// Gains: shares of an LED's light. Noise can make a reading negative.
-const GAIN: RangeInclusive<f64> = -0.9..=0.9;
+pub(super) const GAIN: RangeInclusive<f64> = -1.0..=1.0;
+
+/// The light of a mirror: a gain less the dark one, of which the code of a group gives less than twice.
+const LIGHT: RangeInclusive<f64> = -4.0..=4.0;
 
 /// Standard deviations of gains.
-const GAIN_NOISE: RangeInclusive<f64> = 0.0..=0.9;
+const GAIN_NOISE: RangeInclusive<f64> = 0.0..=4.0;
 
 /// Standard deviations relative to a gain, which can be small.
 const RELATIVE_NOISE: RangeInclusive<f64> = 0.0..=1e9;
@@ -56,7 +59,7 @@ impl Log {
             for angle in reading.command {
                 within(&format_args!("readings[{index}].command"), angle, ANGLE_RAD)?;
             }
-            within(&format_args!("readings[{index}].gain"), reading.gain, GAIN)?;
+            within(&format_args!("readings[{index}].gain"), reading.gain, LIGHT)?;
         }
         Ok(())
     }
@@ -135,11 +138,11 @@ mod tests {
             (&|log| log.spots[0].led = 99, "spots[0].led = 99: expected an index below 4"),
             (&|log| log.spots[1].tracked_m[0] = 1e30, "spots[1].tracked_m = 1e30: expected -200.0 to 200.0"),
             (&|log| log.spots[1].height_m = -1e9, "spots[1].height_m = -1000000000.0: expected 0.0 to 50.0"),
-            (&|log| log.spots[2].noise_gain = f64::NAN, "spots[2].noise_gain = NaN: expected 0.0 to 0.9"),
+            (&|log| log.spots[2].noise_gain = f64::NAN, "spots[2].noise_gain = NaN: expected 0.0 to 4.0"),
             (&|log| log.spots[2].group = 5, "spots[2].group = 5: expected [1, 3, 7, 15, 31]"),
             (&|log| log.readings[3].spot = 9_999_999, "readings[3].spot = 9999999: expected an index below 3"),
             (&|log| log.readings[3].mirror = 1 << 32, "readings[3].mirror = 4294967296: expected an index below 9"),
-            (&|log| log.readings[3].gain = -1.0, "readings[3].gain = -1.0: expected -0.9 to 0.9"),
+            (&|log| log.readings[3].gain = -4.1, "readings[3].gain = -4.1: expected -4.0 to 4.0"),
             (&|log| log.readings[3].command[1] = 1e300, "readings[3].command = 1e300: expected -3.14"),
             (&|log| log.spots.clear(), "the number of places = 3: expected 0 to 0"),
             (&|log| log.complete = 999, "complete = 999: expected 0 to 3"),

@@ -431,4 +431,16 @@ mod tests {
         assert_eq!((room.session.stage(), room.session.remaining_readings()), (Stage::Await(0), before));
         assert_eq!(room.session.receiver_m(), None);
     }
+
+    #[test]
+    fn a_report_of_gains_that_no_light_has_is_without_use_and_says_so() {
+        let mut room = Room::new(20.0);
+        room.step_until(|session| matches!(session.stage(), Stage::Probe(_)));
+        let before = room.session.unused;
+        room.step(1e12);
+        assert!(room.session.impossible_gains().is_some_and(|[direct, _]| direct > 1.0));
+        assert_eq!(room.session.unused, before + 1);
+        room.step(1.0);
+        assert_eq!(room.session.impossible_gains(), None);
+    }
 }

@@ -250,7 +250,7 @@ fn drive(
                 .then(|| "no channel report for some seconds: is the receiver switched on?".to_owned());
             let mut progress = session.progress();
             remaining.follow(&mut progress, session.group()).iter().for_each(note);
-            let carried = show::waits_for_receiver(session);
+            let carried = show::waits_for_receiver(session).into_iter().chain(show::impossible_gains(session));
             let present = [show::progress(&progress)].into_iter().chain(carried).chain(waits).chain(silent);
             lines.changed(present.collect()).iter().for_each(note);
         }

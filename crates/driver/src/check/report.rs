@@ -104,7 +104,7 @@ impl Failure {
     pub(super) fn obstacle(self) -> &'static str {
         match self {
             Self::Ended(_) => "the driver had ended",
-            Self::Silent(_) => "the device does not answer",
+            Self::Silent(_) => "the driver sends no telemetry",
         }
     }
 }
@@ -119,8 +119,8 @@ pub(super) fn describe_failure(failure: Option<Failure>, device: Option<&str>) -
         (Some(Failure::Silent(rule)), device) => {
             let reported = device.map(|device| format!(" ({device})")).unwrap_or_default();
             Some(format!(
-                "the device does not answer: no telemetry since the rule {rule}, from a driver in the room{reported}; \
-                 a call of its device may not return: end the driver, repair this, then check again"
+                "since the rule {rule} the driver is in the room and sends no telemetry{reported}: a call of its device \
+                 may not return, or the driver breaks the rule telemetry; end the driver, repair this, then check again"
             ))
         }
         (Some(Failure::Ended(rule)), None) => {

@@ -48,6 +48,13 @@ pub struct Received {
     pub statuses: Vec<(NodeKind, Result<NodeStatus, CodecError>)>,
 }
 
+impl Received {
+    /// Number of telemetry messages, decodable or not.
+    fn telemetry_count(&self) -> usize {
+        self.telemetry.len() + self.undecodable.len()
+    }
+}
+
 /// A session with one driver.
 pub struct TestSession {
     bus: Bus,
@@ -170,8 +177,7 @@ impl TestSession {
         }
         let first = session.wait(ANSWER_TIMEOUT, |received| received.telemetry.last().cloned());
         let first = first.context("the driver published no valid telemetry: expected ten messages per second")?;
-        // Higher than any epoch that it has followed, like the epoch of a controller that starts
-        // now.
+        // Above any epoch that it has followed, like the epoch of a controller that starts now.
         session.epoch = first.epoch.max(utc_ns() / 1_000_000) + 1;
         session.safety = session.wait(ANSWER_TIMEOUT, |received| received.safety.last().cloned());
         session.expect_one_driver()?;
@@ -356,8 +362,9 @@ impl TestSession {
         self.failure = if !is_present(&self.bus, &self.keys)? {
             Some(Failure::Ended(rule))
         } else {
-            let is_silent = self.telemetry(self.count(), |_| true).is_none();
-            is_silent.then_some(Failure::Silent(rule))
+            let from = self.inspect(Received::telemetry_count);
+            let next = self.wait(ANSWER_TIMEOUT, |received| (received.telemetry_count() > from).then_some(()));
+            next.is_none().then_some(Failure::Silent(rule))
         };
         Ok(())
     }
@@ -475,6 +482,12 @@ mod tests {
     fn status(absent: u64, problem: &str) -> NodeStatus {
         let counters = vec![("device_absent".to_owned(), absent)];
         NodeStatus { counters, last_problem: problem.to_owned(), ..NodeStatus::default() }
+    }
+
+    #[test]
+    fn telemetry_that_cannot_be_decoded_is_no_silence() {
+        let undecodable = vec![decode::<MirrorTelemetry>(&[]).expect_err("no message")];
+        assert_eq!(Received { undecodable, ..Received::default() }.telemetry_count(), 1);
     }
 
     #[test]

@@ -81,6 +81,17 @@ fn many_forged_tokens_of_low_ids_delay_a_standby_by_three_reports_at_most() {
 }
 
 #[test]
+fn forged_tokens_of_high_ids_leave_the_order_of_the_standbys() {
+    let mut room = led_room(&[1, 600, 700]);
+    (800..840).for_each(|forged| room.announce(forged, true));
+    room.controllers[0].is_alive = false;
+    room.until_accepted(1);
+    room.run(S);
+    assert_eq!(room.standings()[1..], [Standing::Leading, Standing::Standby]);
+    assert_eq!(room.controllers[2].events, [TenureEvent::StoodBy], "it waits for the one before it");
+}
+
+#[test]
 fn the_token_of_the_leader_stays_known_whenever_it_comes_among_many() {
     let mut room = led_room(&[1]);
     let mut standby = Controller::new(600);

@@ -20,6 +20,9 @@ use super::args::ApplyArgs;
 use super::room::{WAIT, fetch, wait};
 use crate::commands::join::join;
 
+/// Number of the steps from the sequence in use to the next one.
+const STEPS: u64 = 1024;
+
 /// What an error adds where no message left this process.
 const NOTHING_SENT: &str = "Nothing was sent";
 
@@ -67,8 +70,9 @@ fn apply(args: &ApplyArgs, bus: &Bus, file: &CalibrationFile) -> Result<(Order, 
     let before = reports.next_telemetry().with_context(|| {
         format!("the array publishes no telemetry: expected ten messages a second. {NOTHING_SENT}: check its driver")
     })?;
-    let order = Order::after(&before);
-    let stamp = Stamp { source: source_id::random(), sequence: order.sequence, time_ns: utc_ns() };
+    let source = source_id::random();
+    let order = Order::after(&before, source);
+    let stamp = Stamp { source, sequence: order.sequence, time_ns: utc_ns() };
     let mut payload = Vec::new();
     encode(&file.message(stamp), &mut payload)?;
     let published = Instant::now();
@@ -79,15 +83,23 @@ fn apply(args: &ApplyArgs, bus: &Bus, file: &CalibrationFile) -> Result<(Order, 
 
 /// Waits until telemetry shows the calibration in use; else says what it shows.
 fn confirm(reports: &Reports, order: &Order) -> Result<()> {
-    let outcome = reports.wait(|report| match report {
-        Report::Telemetry(now) => order.judge(&now),
-        Report::Problem { .. } => None,
+    let until = Instant::now() + WAIT;
+    let mut refusal = None;
+    let outcome = reports.wait(until, |report| {
+        refusal = report.refusal(order.driver).or_else(|| refusal.take());
+        match report {
+            Report::Telemetry(now) => order.judge(&now),
+            Report::Problem { .. } => None,
+        }
     });
     let kept = Number(order.former);
+    let named = |refusal: Option<String>| refusal.unwrap_or_else(|| "its log says why".to_owned());
     match outcome {
         Some(Outcome::InUse) => Ok(()),
         Some(Outcome::Refused) => {
-            bail!("the driver has refused the calibration, and keeps {kept}: {}", reports.refusal(order.driver))
+            // A status before the telemetry may name an earlier refusal.
+            let refusal = reports.wait(until, |report| report.refusal(order.driver));
+            bail!("the driver has refused the calibration, and keeps {kept}: {}", named(refusal))
         }
         Some(Outcome::Other(other)) => bail!(
             "the array uses {} of another sender instead of this one, {}: agree on one, then repeat the command",
@@ -101,7 +113,7 @@ fn confirm(reports: &Reports, order: &Order) -> Result<()> {
         None if order.was_refused => bail!(
             "the array still uses {kept} after {} s, and shows a refused calibration, as before this one: {}",
             WAIT.as_secs(),
-            reports.refusal(order.driver)
+            named(refusal)
         ),
         None => bail!(
             "the array still uses {kept} after {} s: the calibration did not arrive, or the driver is busy. A room with \
@@ -173,13 +185,15 @@ impl Order {
     /// The next calibration of an array.
     ///
     /// Telemetry names the sequence of the calibration in use, and not its source. A sequence above the former
-    /// one, from any source, is recognised there, and no driver refuses it.
-    fn after(before: &MirrorTelemetry) -> Self {
+    /// one, from any source, is recognised there, and no driver refuses it. Its step depends on the source, so that
+    /// two senders at the same moment have different sequences.
+    fn after(before: &MirrorTelemetry, source: u64) -> Self {
+        let step = 1 + source % STEPS;
         Self {
             driver: before.stamp.source,
             former: before.calibration,
             // Each order has a source of its own, so it may begin again after the last number.
-            sequence: before.calibration.checked_add(1).unwrap_or(1),
+            sequence: before.calibration.checked_add(step).unwrap_or(step),
             was_refused: is_refused(before),
         }
     }
@@ -212,6 +226,18 @@ enum Report {
     },
 }
 
+impl Report {
+    /// Why this driver has refused a calibration, if this is its status and names that.
+    fn refusal(&self, driver: u64) -> Option<String> {
+        match self {
+            Self::Problem { source, problem } if *source == driver => {
+                problem.strip_prefix("calibration: ").map(str::to_owned)
+            }
+            _ => None,
+        }
+    }
+}
+
 /// The reports of an array and of its driver, in the order of their arrival.
 struct Reports {
     queue: Receiver<Report>,
@@ -240,9 +266,8 @@ impl Reports {
         Ok(Self { queue, _subscriptions: subscriptions })
     }
 
-    /// What a report gives first, for a limited time.
-    fn wait<T>(&self, mut find: impl FnMut(Report) -> Option<T>) -> Option<T> {
-        let until = Instant::now() + WAIT;
+    /// What a report gives first, until this time at most.
+    fn wait<T>(&self, until: Instant, mut find: impl FnMut(Report) -> Option<T>) -> Option<T> {
         loop {
             let report = self.queue.recv_timeout(until.saturating_duration_since(Instant::now())).ok()?;
             if let Some(found) = find(report) {
@@ -254,21 +279,10 @@ impl Reports {
     /// The first telemetry that arrives from now on.
     fn next_telemetry(&self) -> Option<MirrorTelemetry> {
         self.queue.try_iter().for_each(drop);
-        self.wait(|report| match report {
+        self.wait(Instant::now() + WAIT, |report| match report {
             Report::Telemetry(shown) => Some(*shown),
             Report::Problem { .. } => None,
         })
-    }
-
-    /// Why a driver has refused the calibration, by its next status.
-    fn refusal(&self, driver: u64) -> String {
-        let named = self.wait(|report| match report {
-            Report::Problem { source, problem } if source == driver => {
-                problem.strip_prefix("calibration: ").map(str::to_owned)
-            }
-            _ => None,
-        });
-        named.unwrap_or_else(|| "its log says why".to_owned())
     }
 }
 
@@ -283,13 +297,21 @@ mod tests {
 
     #[test]
     fn a_calibration_has_a_number_above_the_one_in_use_and_begins_again_after_the_last() {
-        let sequence = |in_use: u64| Order::after(&telemetry(7, in_use, 0)).sequence;
+        let sequence = |in_use: u64| Order::after(&telemetry(7, in_use, 0), STEPS).sequence;
         assert_eq!([0, 1, u64::MAX - 1, u64::MAX].map(sequence), [1, 2, u64::MAX, 1]);
     }
 
     #[test]
+    fn the_one_of_two_senders_at_the_same_moment_that_is_not_in_use_is_told() {
+        let shown = telemetry(7, 4, 0);
+        let [first, second] = [1, 2].map(|source| Order::after(&shown, source));
+        assert_eq!(first.judge(&telemetry(7, second.sequence, 0)), Some(Outcome::Other(second.sequence)));
+        assert_eq!(second.judge(&telemetry(7, second.sequence, 0)), Some(Outcome::InUse));
+    }
+
+    #[test]
     fn telemetry_shows_a_calibration_in_use_a_refusal_or_the_order_of_another_sender() {
-        let order = Order::after(&telemetry(7, 4, fault::LINK));
+        let order = Order::after(&telemetry(7, 4, fault::LINK), 0);
         let judge = |source, calibration, faults| order.judge(&telemetry(source, calibration, faults));
         assert_eq!(judge(7, 4, fault::LINK), None, "nothing new");
         assert_eq!(judge(7, 5, 0), Some(Outcome::InUse));
@@ -302,8 +324,24 @@ mod tests {
 
     #[test]
     fn a_refusal_of_before_is_none_of_this_calibration() {
-        let order = Order::after(&telemetry(7, 4, fault::CALIBRATION));
+        let order = Order::after(&telemetry(7, 4, fault::CALIBRATION), 0);
         assert_eq!(order.judge(&telemetry(7, 4, fault::CALIBRATION)), None);
         assert_eq!(order.judge(&telemetry(7, 5, 0)), Some(Outcome::InUse));
+    }
+
+    #[test]
+    fn the_last_refusal_that_came_while_telemetry_was_awaited_is_named_without_a_further_wait() {
+        let order = Order::after(&telemetry(7, 4, fault::CALIBRATION), 0);
+        let (sender, queue) = mpsc::channel();
+        for (source, problem) in
+            [(7, "calibration: first"), (7, "calibration: last"), (7, "command: late"), (8, "calibration: of another")]
+        {
+            sender.send(Report::Problem { source, problem: problem.to_owned() }).expect("a queue");
+        }
+        sender.send(Report::Telemetry(Box::new(telemetry(7, 4, fault::CALIBRATION)))).expect("a queue");
+        // No further report comes.
+        drop(sender);
+        let ended = confirm(&Reports { queue, _subscriptions: Vec::new() }, &order).expect_err("refused").to_string();
+        assert!(ended.ends_with(", as before this one: last"), "{ended}");
     }
 }

@@ -63,6 +63,15 @@ pub fn waits_for_receiver(session: &Session) -> Option<String> {
     Some(waits(&place_name(index, session.spot_count()), [x, y], session.receiver_m()))
 }
 
+/// Why the channel reports are of no use, if their gains are those of no light.
+pub fn impossible_gains(session: &Session) -> Option<String> {
+    let [direct, mirrors] = session.impossible_gains()?;
+    Some(format!(
+        "the receiver reports the gains {direct} and {mirrors}, which are of no use: expected shares of an LED's light, \
+         from -1 to 1; correct its scale"
+    ))
+}
+
 fn waits(place: &str, [x, y]: [f64; 2], receiver_m: Option<[f64; 2]>) -> String {
     let reported = match receiver_m {
         Some([at_x, at_y]) => format!(

@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use crate::wait::wait_until;
 
 /// Flags for a run as root, without a graphics card, and without requests other than the page's.
-const FLAGS: [&str; 11] = [
+const FLAGS: [&str; 9] = [
     "--headless",
     "--no-sandbox",
     "--disable-quic",
@@ -20,26 +20,30 @@ const FLAGS: [&str; 11] = [
     "--disable-background-networking",
     "--disable-component-update",
     "--disable-sync",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
     "--hide-scrollbars",
 ];
 
+/// Flags for pictures in three dimensions without a graphics card.
+const SOFTWARE_3D: [&str; 2] = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"];
+
+/// Flags for a browser without WebGL.
+const FLAT: [&str; 2] = ["--disable-gpu", "--disable-3d-apis"];
+
 /// A browser with one page; it ends when dropped.
 ///
-/// A browser without a graphics card computes on all processors. So at most as many are open at once in the
-/// tests of a process as the machine has processors: the next one waits, and a test must not open a second one
-/// beside its first.
+/// A browser that draws in three dimensions without a graphics card computes on all processors. So at most as many
+/// of these are open at once in the tests of a process as the machine has processors: the next one waits, and a
+/// test must not open a second one beside its first.
 pub struct Browser {
     driver: Child,
     /// Address of the session.
     session: String,
     _profile: tempfile::TempDir,
     // Dropped last, after the browser ended.
-    _turn: Turn,
+    _turn: Option<Turn>,
 }
 
-/// One of the browsers that may be open at once.
+/// One of the browsers with pictures in three dimensions that may be open at once.
 struct Turn;
 
 static OPEN: Mutex<usize> = Mutex::new(0);
@@ -66,20 +70,24 @@ fn open_browsers() -> MutexGuard<'static, usize> {
 }
 
 impl Browser {
-    /// Opens a page in a browser with an empty profile.
+    /// Opens a page in a browser with an empty profile, which draws in three dimensions.
     ///
     /// # Panics
     /// When the browser does not start.
     pub fn open(url: &str) -> Self {
-        Self::open_with(url, &[])
+        let turn = Turn::wait();
+        Self::start(url, &SOFTWARE_3D, Some(turn))
     }
 
-    /// The same in a browser with more flags.
+    /// The same in a browser without WebGL.
     ///
     /// # Panics
     /// As [`Browser::open`].
-    pub fn open_with(url: &str, more: &[&str]) -> Self {
-        let turn = Turn::wait();
+    pub fn open_flat(url: &str) -> Self {
+        Self::start(url, &FLAT, None)
+    }
+
+    fn start(url: &str, more: &[&str], turn: Option<Turn>) -> Self {
         let mut command = Command::new("chromedriver");
         command.arg("--port=0").stdout(Stdio::piped()).stderr(Stdio::null());
         let mut driver = command.spawn().expect("chromedriver starts");

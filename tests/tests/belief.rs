@@ -216,8 +216,8 @@ fn the_page_draws_the_belief_of_each_user_until_it_is_switched_off() {
     let [room_at, controller_at] = setting.endpoints.each_ref().map(String::as_str);
     let server = PageServer::start(&[&["--connect", room_at, "--connect", controller_at][..], &FILTER].concat());
     let url = server.url();
-    for flags in [&[][..], &["--disable-gpu", "--disable-3d-apis"]] {
-        let browser = Browser::open_with(&url, flags);
+    for (open, is_3d) in [(Browser::open as fn(&str) -> Browser, true), (Browser::open_flat, false)] {
+        let browser = open(&url);
         let users = "return document.getElementById('room').room?.motion.to?.users ?? []";
         let believed = || {
             browser.run(users).as_array().is_some_and(|users| {
@@ -251,8 +251,7 @@ fn the_page_draws_the_belief_of_each_user_until_it_is_switched_off() {
                      textContent === 'tracker noise' && title.includes('the scenario states 5.0 cm'))";
         wait_until("the noise of the tracker", || browser.run(noise) == true);
         wait_until("the light of served users", || browser.text("#counts").contains("light received"));
-        let is_3d = browser.run("return document.documentElement.dataset.view") == "3d";
-        assert_eq!(is_3d, flags.is_empty());
+        assert_eq!(browser.run("return document.documentElement.dataset.view") == "3d", is_3d);
         let drawn = "const { users } = document.getElementById('room').room.view.content; \
                      return [...users.values()].filter(({ belief }) => belief.visible).length";
         let marks = "return document.getElementById('room').room.view.content.headings.mesh.count";

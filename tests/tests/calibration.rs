@@ -127,7 +127,7 @@ fn the_page_says_that_a_calibration_commands_and_how_far_it_is() {
     let of_calibration = private_endpoint().expect("an endpoint");
     let _calibration = calibrate(files, &endpoint, &["--out", text(&out), "--listen", &of_calibration]);
     let server = PageServer::start(&["--connect", &endpoint, "--connect", &of_calibration]);
-    let browser = Browser::open(&server.url());
+    let browser = Browser::open_flat(&server.url());
     let sentence = || browser.text("#sentence");
     wait_until("a calibration on the page", || {
         sentence().starts_with("A calibration commands the mirrors: ")

@@ -90,7 +90,7 @@ fn the_page_names_the_array_whose_driver_has_left() {
             }
         });
         let server = page("shown", &[first, second, of_controller]);
-        let browser = Browser::open(&server.url());
+        let browser = Browser::open_flat(&server.url());
         wait_until("two arrays that follow", || arrays(&browser) == (true, "following".into()));
         let unusable = || shown(&browser, "room.motion.to?.unusable");
         wait_until("a frame in which every mirror is usable", || unusable() == json!([]));

@@ -28,7 +28,7 @@ fn is_row_stale(browser: &Browser, name: &str) -> bool {
 #[test]
 fn a_process_that_dies_leaves_no_green_state_and_no_current_figure() {
     let mut setting = Setting::new();
-    let browser = setting.browser(&[]);
+    let browser = setting.browser();
     wait_until("green states", || green(&browser).len() == 2);
     wait_until("a page without a stale part", || {
         let sentence = browser.text("#sentence");
@@ -70,7 +70,7 @@ fn a_process_that_dies_leaves_no_green_state_and_no_current_figure() {
 #[test]
 fn a_controller_that_hangs_is_named_by_the_banner_while_it_is_in_the_room() {
     let setting = Setting::new();
-    let browser = setting.browser(&[]);
+    let browser = setting.browser();
     setting.controller.signal("STOP");
     // The chip and the banner in one script: both say so at the same time.
     let shown = "const chip = document.getElementById('chip-controller').textContent; \
@@ -89,7 +89,7 @@ fn a_controller_that_hangs_is_named_by_the_banner_while_it_is_in_the_room() {
 #[test]
 fn the_last_picture_stays_when_the_process_of_the_room_ends() {
     let mut setting = Setting::new();
-    let browser = setting.browser(&[]);
+    let browser = setting.browser();
     browser.run("window.loaded_before = true");
     let users = "return document.getElementById('room').room.motion.to?.users.length ?? 0";
     let shown = browser.run(users);
@@ -112,7 +112,7 @@ fn the_last_picture_stays_when_the_process_of_the_room_ends() {
 #[test]
 fn the_death_of_the_server_alone_makes_everything_stale() {
     let mut setting = Setting::new();
-    let browser = setting.browser(&[]);
+    let browser = setting.browser();
     setting.server.kill();
     wait_until("a banner", || banner(&browser).contains("No connection to the server"));
     wait_until("no green state", || green(&browser).is_empty());
@@ -123,7 +123,7 @@ fn the_death_of_the_server_alone_makes_everything_stale() {
 #[test]
 fn another_server_on_the_same_port_reloads_the_page() {
     let mut setting = Setting::new();
-    let browser = setting.browser(&[]);
+    let browser = setting.browser();
     browser.run("window.loaded_before = true");
     setting.server.kill();
     wait_until("a banner", || banner(&browser).contains("No connection"));

@@ -10,7 +10,7 @@ use crate::setting::Setting;
 #[test]
 fn the_answer_to_an_order_covers_nothing() {
     let setting = Setting::new();
-    let browser = setting.browser(&[]);
+    let browser = setting.browser();
     // Parts of the page that are in view and have another element in their middle.
     let covered = "const status = document.getElementById('order-status').getBoundingClientRect(); \
         if (!status.height) return 'no answer'; \
@@ -45,7 +45,7 @@ fn the_answer_to_an_order_covers_nothing() {
 #[test]
 fn the_answer_to_a_stop_is_readable_completely_beside_the_buttons() {
     let setting = Setting::new();
-    let browser = setting.browser(&[]);
+    let browser = setting.browser();
     // In one script, before the next event of the server takes the text away.
     let readable = "return import('/orders.js').then(({ notConfirmed }) => { \
         const at = (id) => document.getElementById(id); \
@@ -70,7 +70,7 @@ fn the_answer_to_a_stop_is_readable_completely_beside_the_buttons() {
 #[test]
 fn the_charts_keep_their_size_while_the_log_of_events_opens_and_grows() {
     let setting = Setting::new();
-    let browser = setting.browser(&[]);
+    let browser = setting.browser();
     for (width, height) in [(1024, 768), (1440, 900), (1920, 1080)] {
         browser.resize(width, height);
         let sizes =
@@ -99,7 +99,7 @@ fn the_charts_keep_their_size_while_the_log_of_events_opens_and_grows() {
 #[test]
 fn every_figure_and_order_is_in_view_on_a_small_desktop() {
     let setting = Setting::new();
-    let browser = setting.browser(&[]);
+    let browser = setting.browser();
     for (width, height) in [(1024, 768), (1280, 800), (1440, 900)] {
         browser.resize(width, height);
         // With the explanation of late decisions: a busy machine shows it.
@@ -121,7 +121,7 @@ fn every_figure_and_order_is_in_view_on_a_small_desktop() {
 #[test]
 fn warnings_and_takeovers_leave_picture_orders_and_stop_in_view_on_a_small_desktop() {
     let setting = Setting::new();
-    let browser = setting.browser(&[]);
+    let browser = setting.browser();
     for (width, height) in [(1024, 768), (1280, 700), (1280, 800), (1440, 900)] {
         browser.resize(width, height);
         // All that can be shown at one time: a stop, four warnings, unusable mirrors, takeovers.
@@ -171,7 +171,7 @@ const FAINT: &str = "
 #[test]
 fn every_text_has_a_contrast_of_at_least_4_5_also_where_it_is_old() {
     let mut setting = Setting::new();
-    let browser = setting.browser(&[]);
+    let browser = setting.browser();
     let check = |state: &str| {
         for theme in ["light", "dark"] {
             choose_theme(&browser, theme);
@@ -203,7 +203,7 @@ fn focused(browser: &Browser) -> (String, bool) {
 #[test]
 fn every_order_is_reached_by_the_tab_key_with_a_visible_focus() {
     let setting = Setting::new();
-    let browser = setting.browser(&[]);
+    let browser = setting.browser_3d();
     let orders = browser.run(
         "return [...document.querySelectorAll('button, select, input, summary')].filter((one) => !one.disabled && one.offsetParent !== null) \
            .map((one) => one.id || one.dataset.eye || `${one.parentElement.id} ${one.dataset.value ?? one.textContent}`)",
@@ -230,7 +230,7 @@ fn every_order_is_reached_by_the_tab_key_with_a_visible_focus() {
 #[test]
 fn each_policy_is_explained_where_it_is_chosen() {
     let setting = Setting::new();
-    let browser = setting.browser(&[]);
+    let browser = setting.browser();
     let policies = browser.run("return fetch('/room.json').then((answer) => answer.json())")["policies"].clone();
     let policies = policies.as_array().expect("a list");
     assert!(policies.len() > 5, "{policies:?}");

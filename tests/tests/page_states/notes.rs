@@ -26,7 +26,7 @@ fn is_at_the_top(browser: &Browser) -> Value {
 #[test]
 fn two_drivers_of_one_array_are_named_at_the_top_with_what_to_do() {
     let (setting, observer) = Setting::observed();
-    let browser = setting.browser(&[]);
+    let browser = setting.browser();
     assert_eq!(wrong(&browser), "");
     wait_until("telemetry of the first driver", || observer.telemetry().is_some());
     // A second driver of the array: the same telemetry from another source.
@@ -64,7 +64,7 @@ fn two_drivers_of_one_array_are_named_at_the_top_with_what_to_do() {
 #[test]
 fn a_missing_controller_and_a_missing_room_are_named_at_the_top_with_what_to_start() {
     let mut setting = Setting::new();
-    let browser = setting.browser(&[]);
+    let browser = setting.browser();
     setting.controller.kill();
     wait_until("a note about the controller", || {
         wrong(&browser).contains("No controller commands the mirrors: start one") && is_at_the_top(&browser) == true
@@ -84,7 +84,7 @@ fn a_missing_controller_and_a_missing_room_are_named_at_the_top_with_what_to_sta
 #[test]
 fn late_decisions_are_explained_by_the_stage_that_delays_them() {
     let (setting, observer) = Setting::observed();
-    let browser = setting.browser(&[]);
+    let browser = setting.browser();
     // Its decisions take longer than the budget, whatever else the machine does.
     browser.run("document.getElementById('policy').value = 'oracle'");
     browser.click("#switch-policy");

@@ -43,12 +43,14 @@ impl Setting {
         Self { room, controller, server, endpoints }
     }
 
-    /// A browser that shows the running room.
-    pub fn browser(&self, flags: &[&str]) -> Browser {
-        let browser = Browser::open_with(&self.server.url(), flags);
-        wait_until("a page that shows the room", || is_live(&browser));
-        wait_until("a drawn room", || drawn(&browser) > 3);
-        browser
+    /// A browser that shows the running room from above, which costs little of the processors.
+    pub fn browser(&self) -> Browser {
+        showing_the_room(Browser::open_flat(&self.server.url()))
+    }
+
+    /// A browser that shows the running room in three dimensions.
+    pub fn browser_3d(&self) -> Browser {
+        showing_the_room(Browser::open(&self.server.url()))
     }
 
     /// Starts another server on the port of the one that was killed.
@@ -56,6 +58,13 @@ impl Setting {
         let [room, controller] = self.endpoints.each_ref().map(String::as_str);
         self.server.restart(&["--connect", room, "--connect", controller]);
     }
+}
+
+/// The browser, once it shows and draws the room.
+fn showing_the_room(browser: Browser) -> Browser {
+    wait_until("a page that shows the room", || is_live(&browser));
+    wait_until("a drawn room", || drawn(&browser) > 3);
+    browser
 }
 
 pub fn is_live(browser: &Browser) -> bool {

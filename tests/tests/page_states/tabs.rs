@@ -9,7 +9,7 @@ use crate::setting::{Setting, is_live};
 #[test]
 fn seven_tabs_share_one_stream_and_each_sends_orders() {
     let setting = Setting::new();
-    let browser = setting.browser(&[]);
+    let browser = setting.browser();
     let first = browser.tab();
     let tabs: Vec<String> = (0..6).map(|_| browser.open_tab(&setting.server.url())).collect();
     for tab in [&first, &tabs[0], &tabs[5]] {
@@ -29,7 +29,7 @@ fn seven_tabs_share_one_stream_and_each_sends_orders() {
 #[test]
 fn more_rooms_than_a_host_has_connections_for_are_polled_and_receive_orders() {
     let setting = Setting::new();
-    let browser = setting.browser(&[]);
+    let browser = setting.browser();
     // Pages of other rooms of this host announce their streams in the same way.
     browser.run(
         "window.rooms = [1, 2, 3, 4].map((room) => { const channel = new BroadcastChannel('heliostat-streams'); \

@@ -12,7 +12,7 @@ use crate::setting::{Setting, drawn};
 #[test]
 fn the_camera_keeps_its_place_while_pictures_are_drawn() {
     let setting = Setting::new();
-    let browser = setting.browser(&[]);
+    let browser = setting.browser_3d();
     let eye = || browser.run("return document.getElementById('room').room.view.eye");
     let before = eye();
     browser.press("#room", "\u{E012}\u{E013}+");
@@ -37,7 +37,7 @@ fn the_camera_keeps_its_place_while_pictures_are_drawn() {
 #[test]
 fn a_blocked_path_has_the_colour_of_the_legend_in_both_themes() {
     let setting = Setting::new();
-    let browser = setting.browser(&[]);
+    let browser = setting.browser_3d();
     browser.click("#blocked [data-value='1']");
     // The colours of the first blocked path and of the legend, both as the browser writes them.
     let colours = "const { content } = document.getElementById('room').room.view; \
@@ -58,7 +58,7 @@ fn a_blocked_path_has_the_colour_of_the_legend_in_both_themes() {
 #[test]
 fn users_who_are_present_have_different_colours_and_keep_them() {
     let setting = Setting::with(&["--set", "users.count=17"]);
-    let browser = setting.browser(&[]);
+    let browser = setting.browser();
     let swatches = "return [...document.querySelectorAll('#users .swatch')].map((swatch) => swatch.style.background)";
     let colours = || -> Vec<String> { serde_json::from_value(browser.run(swatches)).expect("a list of texts") };
     wait_until("all users", || colours().len() == 17);
@@ -85,7 +85,7 @@ fn users_who_are_present_have_different_colours_and_keep_them() {
 fn the_switches_show_what_the_one_channel_model_computes() {
     // Users who stand: figures and frames of different instants then agree.
     let setting = Setting::with(&["--set", "blockage.forced_users=2"]);
-    let browser = setting.browser(&[]);
+    let browser = setting.browser();
     browser.click("#speed [data-value='0']");
     let without = "const { to } = document.getElementById('room').room.motion; \
                    return to.users.reduce((sum, user) => sum + user.without_mirrors_mbps, 0)";
@@ -122,7 +122,7 @@ fn the_switches_show_what_the_one_channel_model_computes() {
 #[test]
 fn the_names_of_users_who_stand_behind_each_other_do_not_cover_each_other() {
     let setting = Setting::new();
-    let browser = setting.browser(&[]);
+    let browser = setting.browser();
     let script = "return Promise.all([import('/vendor/three.module.min.js'), import('/labels.js')]).then(([THREE, { Label, separateSprites }]) => { \
            const camera = new THREE.PerspectiveCamera(22, 1.5, 0.05, 400); \
            camera.up.set(0, 0, 1); camera.position.set(-9, 0, 1); camera.lookAt(0, 0, 1); \
@@ -143,7 +143,7 @@ fn the_names_of_users_who_stand_behind_each_other_do_not_cover_each_other() {
 #[test]
 fn the_name_of_a_user_behind_the_camera_is_not_drawn_and_shifts_no_other_name() {
     let setting = Setting::new();
-    let browser = setting.browser(&[]);
+    let browser = setting.browser();
     let script = "return Promise.all([import('/vendor/three.module.min.js'), import('/labels.js')]).then(([THREE, { Label, separateSprites }]) => { \
            const camera = new THREE.PerspectiveCamera(22, 1.5, 0.05, 400); \
            camera.up.set(0, 0, 1); camera.position.set(-9, 0, 1); camera.lookAt(0, 0, 1); \
@@ -161,7 +161,7 @@ fn the_name_of_a_user_behind_the_camera_is_not_drawn_and_shifts_no_other_name() 
 #[test]
 fn an_outage_lasts_from_a_rate_below_the_minimum_to_the_next_one_above_it() {
     let setting = Setting::new();
-    let browser = setting.browser(&[]);
+    let browser = setting.browser();
     let script = "return import('/outages.js').then(({ Outages }) => { \
            const outages = new Outages(); \
            const at = (time_s, rate_mbps) => \
@@ -189,7 +189,7 @@ fn an_outage_lasts_from_a_rate_below_the_minimum_to_the_next_one_above_it() {
 #[test]
 fn an_outage_names_the_time_in_which_its_user_was_observed() {
     let setting = Setting::new();
-    let browser = setting.browser(&[]);
+    let browser = setting.browser();
     let script = "return Promise.all([import('/outages.js'), import('/figures.js')]).then(([{ Outages }, { outageLengths }]) => { \
            const outages = new Outages(); \
            const texts = []; \
@@ -212,7 +212,7 @@ fn an_outage_names_the_time_in_which_its_user_was_observed() {
 #[test]
 fn the_fairness_index_is_that_of_the_rates_in_the_table() {
     let setting = Setting::with(&["--set", "blockage.forced_users=2"]);
-    let browser = setting.browser(&[]);
+    let browser = setting.browser();
     let script = "return import('/fairness.js').then(({ jain }) => \
            [jain([5, 5, 5, 5]), jain([8, 0, 0, 0]), jain([1, 2, 3]), jain([0, 0]), jain([]), jain([2, null])])";
     assert_eq!(browser.run(script), serde_json::json!([1, 0.25, 36.0 / 42.0, 1, null, null]));
@@ -232,7 +232,7 @@ fn the_fairness_index_is_that_of_the_rates_in_the_table() {
 #[test]
 fn the_sentence_says_what_is_unknown() {
     let setting = Setting::new();
-    let browser = setting.browser(&[]);
+    let browser = setting.browser();
     let sentence = |now: &str, age: f64| {
         let script = format!(
             "return import('/sentence.js').then(({{ sentence }}) => {{ \
@@ -282,7 +282,7 @@ fn the_sentence_says_what_is_unknown() {
 #[test]
 fn the_chip_of_the_policy_and_the_name_of_the_sum_rate_agree_on_what_the_mirrors_follow() {
     let setting = Setting::new();
-    let browser = setting.browser(&[]);
+    let browser = setting.browser();
     let script = "return import('/sentence.js').then(({ inCharge }) => { \
            const of = (state, age, more = {}) => { \
              const now = { array: { state }, policy: 'greedy', controller_alive: true, controllers: [], ...more }; \
@@ -316,7 +316,7 @@ fn the_chip_of_the_policy_and_the_name_of_the_sum_rate_agree_on_what_the_mirrors
 #[test]
 fn users_who_lose_their_link_without_the_mirrors_are_named_as_users() {
     let setting = Setting::new();
-    let browser = setting.browser(&[]);
+    let browser = setting.browser();
     let script = "return import('/sentence.js').then(({ sentence }) => { \
            const now = { origin: 'simulated', ages_s: { room: 0 }, nodes: [], users: [] }; \
            const of = (rates) => sentence(now, 0.1, { wall: false }, { \
@@ -333,7 +333,7 @@ fn users_who_lose_their_link_without_the_mirrors_are_named_as_users() {
 #[test]
 fn a_browser_without_webgl_shows_a_plan() {
     let setting = Setting::new();
-    let browser = setting.browser(&["--disable-gpu", "--disable-3d-apis"]);
+    let browser = setting.browser();
     assert_eq!(browser.run("return document.documentElement.dataset.view"), "2d");
     let first = drawn(&browser);
     wait_until("more pictures", || drawn(&browser) > first + 5);
@@ -348,7 +348,7 @@ fn a_browser_without_webgl_shows_a_plan() {
 #[test]
 fn the_page_fits_a_phone_and_a_desktop_in_light_and_dark_without_errors() {
     let setting = Setting::new();
-    let browser = setting.browser(&[]);
+    let browser = setting.browser_3d();
     for (width, height) in [(390, 844), (1280, 800), (1920, 1080)] {
         browser.resize(width, height);
         for theme in ["light", "dark"] {

@@ -1,8 +1,6 @@
 //! The law of reflection: angles, symmetry of the room, and the flux from a mirror.
 
-mod common;
-
-use common::{PAPER, Random, Room};
+use crate::common::{PAPER, Random, Room};
 use heliostat_channel::decode::{aim_at_point, decode};
 use heliostat_channel::specular::{self, Plate, bisector};
 use heliostat_channel::{MirrorAngles, Scene, Vec3, Wall};

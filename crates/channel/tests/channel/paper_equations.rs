@@ -1,8 +1,6 @@
 //! Consequences of eqs. (2) and (3) of the paper as printed.
 
-mod common;
-
-use common::{PAPER, Random, Room};
+use crate::common::{PAPER, Random, Room};
 use heliostat_channel::diffuse::{self, Reading, collection, illumination, tilt_cosine};
 use heliostat_channel::specular::{self, Plate};
 use heliostat_channel::{MirrorAngles, Scene, Vec3, Wall};

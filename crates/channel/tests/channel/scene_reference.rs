@@ -1,9 +1,7 @@
 //! The pass over all users and mirrors equals the functions of one path, pair by pair, for upright
 //! and for tilted receivers.
 
-mod common;
-
-use common::{PAPER, Random, Room, angle_diversity, led};
+use crate::common::{PAPER, Random, Room, angle_diversity, led};
 use heliostat_channel::blockage::blocks;
 use heliostat_channel::decode::{aim, aim_at_point};
 use heliostat_channel::diffuse::{self, Reading};

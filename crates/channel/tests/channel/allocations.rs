@@ -1,8 +1,6 @@
 //! After construction, a step does not allocate in any mode.
 
-mod common;
-
-use common::{PAPER, Random, Room, angle_diversity, led};
+use crate::common::{PAPER, Random, Room, angle_diversity, led};
 use heliostat_channel::decode::{aim_at_point, decode};
 use heliostat_channel::{Combining, Method, MinimumRates, MirrorAngles, Scene, Solver, Vec3};
 

@@ -1,8 +1,6 @@
 //! For every valid room the gains are finite and not negative; every invalid one is refused.
 
-mod common;
-
-use common::{RECEIVER_HEIGHT_M, Room, angle_diversity, led};
+use crate::common::{RECEIVER_HEIGHT_M, Room, angle_diversity, led};
 use heliostat_channel::decode::decode;
 use heliostat_channel::{
     ArraySpec, Branch, ChannelError, ChannelModel, Combining, Cylinder, MirrorAngles, MirrorArray, Mode, PowerLaw,

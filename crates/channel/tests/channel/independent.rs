@@ -2,15 +2,13 @@
 //! for walls by eqs. (2) and (3), and a computation from conservation of energy for mirrors.
 //! tests/reference/reference.py computes the values of tests/reference/values.json.
 
-mod common;
-
-use common::{PAPER, Room};
+use crate::common::{PAPER, Room};
 use heliostat_channel::specular::{self, Plate};
 use heliostat_channel::{Branch, MirrorAngles, Scene, Vec3, Wall, ber_ook, los};
 use serde_json::Value;
 
 fn values(topic: &str) -> Vec<Value> {
-    let all: Value = serde_json::from_str(include_str!("reference/values.json")).expect("the file is JSON");
+    let all: Value = serde_json::from_str(include_str!("../reference/values.json")).expect("the file is JSON");
     all[topic].as_array().expect("a list of cases").clone()
 }
 

@@ -4,9 +4,7 @@
 //! 3 to 8 %. The quoted figures of the specular mode omit the light of a mirror for users at whom it is
 //! not aimed.
 
-mod common;
-
-use common::{PAPER, Random, Room};
+use crate::common::{PAPER, Random, Room};
 use heliostat_channel::{ChannelModel, Method, MinimumRates, MirrorAngles, Mode, Problem, Scene, Solver, Vec3};
 
 const USERS: usize = 5;

@@ -1,8 +1,6 @@
 //! Users within one spot: the light of a mirror for users at whom it is not aimed.
 
-mod common;
-
-use common::{Random, Room, angle_diversity, led};
+use crate::common::{Random, Room, angle_diversity, led};
 use heliostat_channel::decode::{aim, aim_at_point, decode, decode_sharing};
 use heliostat_channel::scene::Spill;
 use heliostat_channel::{

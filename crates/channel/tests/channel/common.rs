@@ -1,5 +1,4 @@
 //! The paper's room, and random rooms, for the tests.
-#![allow(dead_code, reason = "each test file uses its own part of this")]
 
 use heliostat_channel::{
     ArraySpec, Branch, ChannelModel, Combining, Cylinder, Led, LinkBudget, MirrorArray, MirrorArrays, Mode,

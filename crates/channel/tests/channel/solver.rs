@@ -1,8 +1,6 @@
 //! The solver of assignments: exhaustive search, simple methods, and limiting cases.
 
-mod common;
-
-use common::{Random, Room};
+use crate::common::{Random, Room};
 use heliostat_channel::decode::{aim_at_point, decode};
 use heliostat_channel::{
     ChannelModel, Method, MinimumRates, MirrorAngles, Problem, Scene, Solution, Solver, SolverError,

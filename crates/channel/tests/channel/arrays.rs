@@ -1,8 +1,6 @@
 //! Several mirror arrays: one index space, and the gains of the single arrays.
 
-mod common;
-
-use common::{PAPER, Random, Room, angle_diversity, led};
+use crate::common::{PAPER, Random, Room, angle_diversity, led};
 use heliostat_channel::decode::{aim, decode};
 use heliostat_channel::scene::Spill;
 use heliostat_channel::{

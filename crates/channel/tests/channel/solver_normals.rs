@@ -1,9 +1,7 @@
 //! The solver of normals, the paper's eqs. (2) and (3): random starts and small rotations of
 //! single mirrors.
 
-mod common;
-
-use common::{PAPER, Random, Room};
+use crate::common::{PAPER, Random, Room};
 use heliostat_channel::{ChannelModel, Method, MinimumRates, MirrorAngles, Mode, Problem, Scene, Solver, Vec3};
 
 /// A room with 20 mirrors and users, of whom the first `blocked` have no line of sight.

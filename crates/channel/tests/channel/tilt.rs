@@ -1,9 +1,7 @@
 //! Tilted receivers: closed forms, symmetries, and values of an independent computation with
 //! matrices. tests/reference/tilted.py computes tests/reference/tilted.json.
 
-mod common;
-
-use common::{PAPER, Random, Room, angle_diversity, led};
+use crate::common::{PAPER, Random, Room, angle_diversity, led};
 use heliostat_channel::decode::{aim_at_point, decode};
 use heliostat_channel::specular::{self, Plate};
 use heliostat_channel::{
@@ -63,7 +61,7 @@ fn room_of(case: &Value) -> (Room, Orientation) {
 
 #[test]
 fn gains_of_tilted_receivers_are_those_of_an_independent_computation() {
-    let all: Value = serde_json::from_str(include_str!("reference/tilted.json")).expect("the file is JSON");
+    let all: Value = serde_json::from_str(include_str!("../reference/tilted.json")).expect("the file is JSON");
     let (mut lit, mut dark) = (0, 0);
     for case in all.as_array().expect("a list of cases") {
         let (room, orientation) = room_of(case);

@@ -1,8 +1,6 @@
 //! Closed-form values: line-of-sight gain, fields of view, link budget, angles.
 
-mod common;
-
-use common::{Room, angle_diversity};
+use crate::common::{Room, angle_diversity};
 use heliostat_channel::link::{ThermalNoise, background_shot_density};
 use heliostat_channel::{
     Branch, ChannelError, Combining, GeometryError, Led, Mechanical, Optical, PowerLaw, Receiver, Vec3, ber_ook, jain,

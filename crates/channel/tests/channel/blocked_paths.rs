@@ -1,8 +1,6 @@
 //! Blockage by cylinders: the segment test, the skipped tests, and the paper's shadow length.
 
-mod common;
-
-use common::{PAPER, Random, Room};
+use crate::common::{PAPER, Random, Room};
 use heliostat_channel::blockage::{Cylinder, blocks, shadow_length};
 use heliostat_channel::specular::bisector;
 use heliostat_channel::{Scene, Vec3, Wall};

@@ -1,8 +1,6 @@
 //! Magnitudes of the paper's room, each with the tolerance of a reference from a finite sample.
 
-mod common;
-
-use common::{PAPER, RECEIVER_HEIGHT_M, Random, Room};
+use crate::common::{PAPER, RECEIVER_HEIGHT_M, Random, Room};
 use heliostat_channel::decode::aim_at_point;
 use heliostat_channel::{ChannelModel, MirrorAngles, Scene, Vec3};
 

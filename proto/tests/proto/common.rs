@@ -1,7 +1,5 @@
 //! One short message of each kind; CONTRACT.md shows the same ones.
 
-#![allow(dead_code, reason = "each test file uses some of the functions")]
-
 use heliostat_proto::*;
 
 /// 2026-01-02 03:04:05 UTC and 678 ms.

@@ -1,9 +1,7 @@
 //! Encoding and decoding into existing memory allocate nothing: buffers keep their address and
 //! their capacity.
 
-mod common;
-
-use common::*;
+use crate::common::*;
 use heliostat_proto::*;
 
 /// Address and capacity of a list.

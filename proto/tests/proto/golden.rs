@@ -1,9 +1,7 @@
 //! The bytes of each message. A failure here is a change of the contract: correct the code, not the
 //! test. The bytes of version 1 stay valid; different ones need a new version or a new kind.
 
-mod common;
-
-use common::*;
+use crate::common::*;
 use heliostat_proto::{Message, decode};
 
 const USER_REPORT: &str = "\
@@ -164,7 +162,7 @@ fn enumerations_keep_their_numbers() {
 
 #[test]
 fn the_contract_document_shows_the_same_bytes() {
-    let document = include_str!("../../CONTRACT.md");
+    let document = include_str!("../../../CONTRACT.md");
     let shown: Vec<String> = document.split("```").map(|part| part.split_whitespace().skip(1).collect()).collect();
     assert_eq!(ALL.len(), payloads().len());
     for (bytes, (name, _)) in ALL.into_iter().zip(payloads()) {

@@ -1,8 +1,6 @@
 //! Refusals of the codec for the form of a payload: header, length, lists and texts.
 
-mod common;
-
-use common::*;
+use crate::common::*;
 use heliostat_proto::*;
 
 fn any_refusal(kind: Kind, payload: &[u8]) -> Option<CodecError> {

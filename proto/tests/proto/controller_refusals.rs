@@ -1,8 +1,6 @@
 //! Refusals of what a controller publishes about itself: its belief and its state.
 
-mod common;
-
-use common::*;
+use crate::common::*;
 use heliostat_proto::*;
 
 #[test]

@@ -1,15 +1,13 @@
 //! The Python codec of the contract, run unchanged on the golden bytes.
 
-mod common;
-
 use std::fmt::Write as _;
 use std::io::Write as _;
 use std::process::{Command, Stdio};
 
-use common::*;
+use crate::common::*;
 
 /// The codec that CONTRACT.md links to.
-const CODEC: &str = include_str!("../contract.py");
+const CODEC: &str = include_str!("../../contract.py");
 
 /// Checks of the codec on each sample.
 const CHECKS: &str = r#"

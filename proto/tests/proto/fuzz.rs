@@ -1,8 +1,6 @@
 //! Decoding any bytes yields a valid message or a named refusal.
 
-mod common;
-
-use common::*;
+use crate::common::*;
 use heliostat_proto::*;
 use proptest::prelude::*;
 

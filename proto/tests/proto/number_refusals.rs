@@ -1,8 +1,6 @@
 //! Refusals of the codec for numbers: those that are not finite, and those outside their domain.
 
-mod common;
-
-use common::*;
+use crate::common::*;
 use heliostat_proto::*;
 
 #[test]

@@ -1,14 +1,12 @@
 //! Rights of every role over real connections: peer to peer, and through a router with the
 //! generated configuration.
 
-mod common;
-
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use common::{Keys, LIMIT, ROOM, router};
+use crate::common::{self, Keys, LIMIT, ROOM, router};
 use heliostat_bus::*;
 use heliostat_proto::{NodeKind, Room};
 use zenoh::Wait;

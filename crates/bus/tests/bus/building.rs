@@ -1,9 +1,5 @@
 //! Two linked routers that serve two rooms with keys, with the configurations that `keys router` writes.
 
-// It uses a part of these helpers.
-#[allow(dead_code)]
-mod common;
-
 use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
@@ -14,7 +10,7 @@ use heliostat_proto::{NodeKind, Room};
 use tempfile::TempDir;
 use zenoh::Wait;
 
-use common::LIMIT;
+use crate::common::{self, LIMIT};
 
 const ROOMS: [&str; 2] = ["studio", "foyer"];
 

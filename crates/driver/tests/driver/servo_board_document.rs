@@ -12,7 +12,7 @@ const NOW: Moment = Moment { local_ns: 0, room_ns: 1_800_000_000_000_000_000 };
 
 /// The lines of the example by their sender: the host's, each with the board's answer.
 fn example() -> Vec<(String, String)> {
-    let page = include_str!("../../../docs/servo-board.md");
+    let page = include_str!("../../../../docs/servo-board.md");
     let block = page.split("```text\n").nth(1).and_then(|rest| rest.split("```").next()).expect("an example");
     let lines: Vec<&str> = block.lines().collect();
     let pair = |pair: &[&str]| {

@@ -31,7 +31,7 @@ struct Signalled {
 impl Signalled {
     fn start() -> Self {
         let mut child = Command::new(std::env::current_exe().expect("a test has a file"))
-            .args(["--exact", "child", "--nocapture"])
+            .args(["--exact", "signals::child", "--nocapture"])
             .env(CHILD, "1")
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())

@@ -1,4 +1,4 @@
-//! Learned policies on their engines, and what they allocate.
+//! Learned policies on their engines, and what they allocate. Alone in a process, whose memory a test measures.
 
 use std::path::Path;
 

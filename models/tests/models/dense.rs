@@ -1,6 +1,7 @@
 //! The dense engine beside ONNX Runtime.
 
-use dense_graphs::{Chain, with_open_rows};
+use crate::dense_graphs::{Chain, with_open_rows};
+use crate::support;
 use heliostat_channel::MirrorAngles;
 use heliostat_core::observation::Observation;
 use heliostat_core::policy::{DENSE, DenseEngine, Engine, Network, Policy, PolicyKind};
@@ -11,13 +12,6 @@ use heliostat_scenario::Scenario;
 use prost::Message;
 use rand::{RngExt, SeedableRng, seq::IndexedRandom};
 use rand_chacha::ChaCha8Rng;
-
-#[path = "../../controller/core/tests/core/dense_graphs.rs"]
-#[allow(dead_code)]
-mod dense_graphs;
-#[path = "../../controller/core/tests/core/support.rs"]
-#[allow(dead_code)]
-mod support;
 
 /// Nodes of random networks; each name is an operator, or one with a variant.
 const NODES: [&str; 20] = [

@@ -1,6 +1,6 @@
 //! `heliostat-lab eval --sweep`: one and two keys, and points that have different policies.
 
-use crate::{eval, mean, refusal, report};
+use super::{eval, mean, refusal, report};
 
 /// Evaluates two sizes of the array, of which the second one has an actor of `ddpg-raw`; returns the text and
 /// the cells of the CSV file.

@@ -5,7 +5,7 @@ use heliostat_proto::{MirrorTelemetry, NodeKind, encode};
 use heliostat_tests::{Browser, wait_until};
 use serde_json::Value;
 
-use crate::setting::Setting;
+use super::setting::Setting;
 
 /// What is wrong, by the banner; empty where it is hidden.
 fn wrong(browser: &Browser) -> String {

@@ -6,7 +6,7 @@ use heliostat_needs::needs;
 use heliostat_tests::{choose_theme, wait_until};
 use serde_json::Value;
 
-use crate::setting::{Setting, drawn};
+use super::setting::{Setting, drawn};
 
 #[needs("browser")]
 #[test]

@@ -3,9 +3,9 @@
 use heliostat_proto::*;
 use stateright::Property;
 
-use crate::events::{ATTACKS, Budgets, Event, Fate, Packet};
-use crate::parts::Driver;
-use crate::room::State;
+use super::events::{ATTACKS, Budgets, Event, Fate, Packet};
+use super::parts::Driver;
+use super::room::State;
 
 pub const STOPPED: &str = "a stopped array does not move";
 pub const ONE_LEADER: &str = "an array obeys one controller in an epoch";

@@ -3,7 +3,7 @@
 use heliostat_needs::needs;
 use heliostat_tests::wait_until;
 
-use crate::setting::{Setting, is_live};
+use super::setting::{Setting, is_live};
 
 #[needs("browser")]
 #[test]

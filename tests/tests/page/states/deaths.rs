@@ -4,7 +4,7 @@ use heliostat_needs::needs;
 use heliostat_tests::{Browser, wait_until};
 use serde_json::Value;
 
-use crate::setting::{Setting, banner, drawn, is_live};
+use super::setting::{Setting, banner, drawn, is_live};
 
 /// Texts of all state chips that are green.
 fn green(browser: &Browser) -> Vec<Value> {
@@ -104,7 +104,7 @@ fn the_last_picture_stays_when_the_process_of_the_room_ends() {
     });
     let drawn = drawn(&browser);
     browser.run("document.getElementById('room').room.isDirty = true");
-    wait_until("another picture", || crate::setting::drawn(&browser) > drawn);
+    wait_until("another picture", || super::setting::drawn(&browser) > drawn);
     assert_eq!((browser.run("return window.loaded_before"), browser.run(users)), (Value::Bool(true), shown));
 }
 

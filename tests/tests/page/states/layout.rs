@@ -4,7 +4,7 @@ use heliostat_needs::needs;
 use heliostat_tests::{Browser, choose_theme, wait_until};
 use serde_json::{Value, json};
 
-use crate::setting::Setting;
+use super::setting::Setting;
 
 #[needs("browser")]
 #[test]

@@ -16,9 +16,7 @@ use heliostat_tests::{Process, RoomObserver, programs, wait_until};
 use serde_json::Value;
 use tempfile::TempDir;
 
-#[path = "../../controller/core/tests/core/dense_graphs.rs"]
-#[allow(dead_code)]
-mod dense_graphs;
+use crate::dense_graphs;
 
 fn text(path: &Path) -> String {
     path.to_string_lossy().into_owned()

@@ -112,7 +112,7 @@ fn first_run_runs() {
     assert!(run("docs/tutorials/first-run.md") >= 7);
 }
 
-/// Its processes together are in tests/trackers.rs.
+/// Its processes together are in processes/trackers.rs.
 #[test]
 fn own_room_runs() {
     assert!(run("docs/tutorials/own-room.md") >= 3);
@@ -179,7 +179,7 @@ fn recording_runs() {
 
 #[test]
 fn every_tutorial_is_run() {
-    let tests = fs::read_to_string(root().join("tests/tests/documentation.rs")).expect("this file is there");
+    let tests = fs::read_to_string(root().join("tests/tests/project/documentation.rs")).expect("this file is there");
     for entry in fs::read_dir(root().join("docs/tutorials")).expect("there are tutorials") {
         let name = entry.expect("a folder can be read").file_name().to_string_lossy().into_owned();
         assert!(tests.contains(&format!("run(\"docs/tutorials/{name}\")")), "{name} is not run by any test here");

@@ -8,9 +8,9 @@ use heliostat_array::moment::Moment;
 use heliostat_core::tenure::{Evidence, Tenure};
 use heliostat_proto::*;
 
-use crate::events::{Attack, Budgets, Fate, Packet};
-use crate::model::Model;
-use crate::parts::{COMMAND, Controller, Driver, Hardware, ROUND_NS, instant};
+use super::events::{Attack, Budgets, Fate, Packet};
+use super::model::Model;
+use super::parts::{COMMAND, Controller, Driver, Hardware, ROUND_NS, instant};
 
 /// Rounds after which a single controller must be obeyed: half a minute.
 const QUIET_ROUNDS: u32 = 60;

@@ -22,7 +22,7 @@ use heliostat_proto::stop_hold::StopHold;
 use heliostat_proto::*;
 use stateright::{Checker, HasDiscoveries, Model as _, Property};
 
-use crate::parts::{COMMAND, instant};
+use super::parts::{COMMAND, instant};
 
 const TOLD: &str = "told stopped only while no mirror can move";
 const KEPT: &str = "a latched stop is kept until its own re-arm";

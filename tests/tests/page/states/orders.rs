@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use heliostat_needs::needs;
 use heliostat_tests::{Browser, wait_until};
 
-use crate::setting::{Setting, banner, is_live};
+use super::setting::{Setting, banner, is_live};
 
 /// Sends an order as a button does, also one for which there is no button.
 fn order(browser: &Browser, order: &str) {

@@ -1,4 +1,5 @@
-//! Rooms in operation, with the live page in a browser. The limit of open browsers is one of this process.
+//! Rooms in operation, with the live page in a browser. One binary, because the limit of open
+//! browsers counts those of one process.
 
 mod arrays;
 mod belief;

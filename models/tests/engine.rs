@@ -1,4 +1,5 @@
-//! Learned policies on their engines, and what they allocate.
+//! Learned policies on their engines, and what they allocate. A binary of its own: one test measures
+//! the memory of its process.
 
 use std::path::Path;
 

@@ -18,7 +18,7 @@
 //! } requires { same_length(capacity_wh, charge) }
 //! ```
 //! This yields `Kind::BatteryReport`, `struct BatteryReport` with public fields, `encode` and
-//! `decode` for it, and `Room::battery()`. CONTRACT.md and the golden bytes in `tests/golden.rs`
+//! `decode` for it, and `Room::battery()`. CONTRACT.md and the golden bytes in `tests/proto/golden.rs`
 //! need their entries too.
 //!
 //! - The type of a field is a number, a bool, a text, an `Option`, an array, a `Vec`, a pair, or a

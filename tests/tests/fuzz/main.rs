@@ -1,5 +1,6 @@
 //! Fuzz targets: for any payload and any file, no process crashes, hangs, or
-//! allocates without bound, and a stopped array does not move.
+//! allocates without bound, and a stopped array does not move. They have a process of their own,
+//! because bolero replaces the panic hook.
 //!
 //! Each target is a test of [bolero](https://docs.rs/bolero). Plain `cargo test` replays the files
 //! in `__fuzz__/TARGET/crashes` and `__fuzz__/TARGET/corpus`, and then tries random inputs for

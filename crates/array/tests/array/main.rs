@@ -1,0 +1,7 @@
+//! The states of an array from outside, without a transport.
+
+mod bounds;
+mod kit;
+mod rules;
+mod station;
+mod stops;

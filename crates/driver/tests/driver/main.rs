@@ -1,0 +1,8 @@
+//! Drivers from outside: devices, the kit and stops.
+
+mod conformance;
+mod devices;
+mod direct_commands;
+mod servo_board_document;
+mod stop_record;
+mod stops;

@@ -1,0 +1,168 @@
+//! `heliostat-lab eval --sweep`: one and two keys, and points that have different policies.
+
+use super::{eval, mean, refusal, report};
+
+/// Evaluates two sizes of the array, of which the second one has an actor of `ddpg-raw`; returns the text and
+/// the cells of the CSV file.
+fn evaluated(policies: &str) -> (String, Vec<Vec<String>>) {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("figures.csv");
+    let few = ["--states", "3", "--seeds", "1", "--fitting", "--csv", file.to_str().expect("a plain path")];
+    let points = ["--policies", policies, "--sweep", "mirrors.rows=2,10", "--set", "mirrors.columns=10"];
+    let output = eval(&[&few[..], &points].concat());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let text = std::fs::read_to_string(&file).expect("readable");
+    let cells = text.lines().map(|line| line.split(',').map(String::from).collect()).collect();
+    (String::from_utf8(output.stdout).expect("text"), cells)
+}
+
+/// The difference of the sum rate in the line that begins with these cells.
+fn difference<'a>(lines: &'a [Vec<String>], rows: &str, policy: &str) -> &'a str {
+    let column = lines[0].iter().position(|name| name == "difference_mbps_mean").expect("differences");
+    let line = lines.iter().find(|line| line[..2] == [rows, policy]).expect("a line");
+    &line[column]
+}
+
+/// The cells of a point in the table of the differences of the sum rate.
+fn row<'a>(text: &'a str, rows: &str) -> Vec<&'a str> {
+    let table = text.split("paired: sum rate in Mbit/s").nth(1).expect("a table");
+    let cells = |line: &'a str| line.split_whitespace().filter(|cell| !cell.starts_with('±')).collect::<Vec<_>>();
+    table.lines().map(cells).find(|cells| cells.first() == Some(&rows)).expect("a row")
+}
+
+#[test]
+fn a_sweep_whose_first_point_has_one_policy_has_all_columns() {
+    let (text, lines) = evaluated("ddpg-raw,flat");
+    assert!(lines.iter().all(|line| line.len() == lines[0].len()), "{lines:?}");
+    assert_eq!(lines.len(), 1 + 2 + 3);
+    assert_eq!((difference(&lines, "2", "flat"), difference(&lines, "10", "ddpg-raw")), ("", ""));
+    assert!(difference(&lines, "10", "flat").parse::<f64>().is_ok(), "{lines:?}");
+    assert!(text.contains("difference to ddpg-raw, paired: sum rate"), "{text}");
+    let second = row(&text, "10");
+    assert_eq!((row(&text, "2"), second.len()), (vec!["2", "-", "-", "-"], 4), "{text}");
+}
+
+#[test]
+fn a_point_that_subtracts_another_policy_has_no_difference_in_a_sweep() {
+    let (text, lines) = evaluated("ddpg-raw,greedy,flat");
+    assert!(difference(&lines, "2", "flat").parse::<f64>().is_ok(), "{lines:?}");
+    assert_eq!(difference(&lines, "10", "flat"), "");
+    assert!(text.contains("difference to greedy, paired: sum rate"), "{text}");
+    assert_eq!(row(&text, "10"), ["10", "-", "-", "-", "-"], "{text}");
+}
+
+#[test]
+fn a_sweep_has_a_report_for_each_value_of_its_key() {
+    let flags = ["--policies", "ddpg,flat", "--states", "3", "--seeds", "1", "--sweep", "users.count=1..3"];
+    let sweep = report(&flags);
+    assert_eq!(sweep["sweep"], "users.count");
+    assert_eq!(sweep["keys"][0], "users.count");
+    let reports = sweep["reports"].as_array().expect("a list");
+    let users: Vec<_> = reports.iter().map(|entry| entry["report"]["users"].as_u64()).collect();
+    assert_eq!(users, [Some(1), Some(2), Some(3)]);
+    let output = eval(&flags);
+    let text = String::from_utf8(output.stdout).expect("text");
+    let heads = ["ratio to the oracle", "sum rate in Mbit/s", "warning: the intervals come from 3 states"];
+    assert_eq!(text.lines().filter(|line| heads.iter().any(|head| line.starts_with(head))).count(), 3, "{text}");
+    let message = refusal(&["--sweep", "users.count=0..2", "--policies", "flat"]);
+    assert!(message.contains("users.count"), "{message}");
+    let message = refusal(&["--sweep", "users.count", "--policies", "flat"]);
+    assert!(message.contains("FIRST..LAST"), "{message}");
+}
+
+#[test]
+fn two_keys_give_each_combination_with_its_outage_and_a_room_without_mirrors() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = |name: &str| folder.path().join(name).to_str().expect("a plain path").to_owned();
+    let (csv, episodes, html) = (file("figures.csv"), file("episodes.csv"), file("report.html"));
+    let flags = ["--closed-loop", "--scenario", "hall", "--policies", "greedy,flat", "--episodes", "1", "--seeds", "2"];
+    let sweeps = ["--sweep", "mirrors.rows=0,3", "--sweep", "blockage.forced_users=0,2", "--set", "mirrors.columns=3"];
+    let files = ["--csv", &csv, "--csv-episodes", &episodes, "--html", &html];
+    let flags = [&flags[..], &sweeps[..]].concat();
+    let all = report(&[&flags[..], &files[..]].concat());
+    let reports = all["reports"].as_array().expect("a list");
+    assert_eq!((reports.len(), &all["keys"][1]), (4, &"blockage.forced_users".into()));
+    assert_eq!(reports[2]["values"], serde_json::json!(["3", "0"]));
+    for entry in reports {
+        let report = &entry["report"];
+        assert_eq!((&report["episodes"], report["commit"].is_string()), (&2.into(), true), "{report}");
+        let none = report["mirrors"] == 0;
+        assert_eq!(none, entry["values"][0] == "0");
+        let rate = |policy: &str| mean(report, policy, "sum_rate_mbps");
+        assert_eq!(rate("greedy") == rate("flat"), none, "without mirrors all policies are equal: {report}");
+        // The world moves in other parts, so that its last digits differ.
+        let is_best = (mean(report, "greedy", "ratio_to_oracle") - 1.0).abs() < 1e-6;
+        assert_eq!(none, is_best, "and equal to the oracle: {report}");
+        assert_eq!(none, report["configuration"].as_str().expect("a hash").contains("without mirrors"));
+    }
+    let lines = |path: &str| -> Vec<String> {
+        std::fs::read_to_string(path).expect("readable").lines().map(String::from).collect()
+    };
+    let figures = lines(&csv);
+    assert!(figures[0].starts_with("mirrors.rows,blockage.forced_users,policy,sum_rate_mbps_mean"), "{}", figures[0]);
+    assert!(figures[0].ends_with("episodes,scenario,configuration,commit"), "{}", figures[0]);
+    assert_eq!(figures.len(), 1 + 4 * 3);
+    let column = figures[0].split(',').position(|name| name == "difference_outage_time_mean").expect("differences");
+    let of = |policy: &str| figures.iter().find(|line| line.starts_with(&format!("3,2,{policy},"))).expect("a line");
+    let cell = |policy: &str| of(policy).split(',').nth(column).expect("a cell");
+    let expected = &reports[3]["report"]["policies"]["flat"]["difference_outage_time"]["mean"];
+    assert_eq!((cell("greedy"), cell("flat").parse().ok()), ("", expected.as_f64()), "{figures:?}");
+    let each = lines(&episodes);
+    assert!(each[0].starts_with("mirrors.rows,blockage.forced_users,policy,actor,seed,room_seed,states,sum_rate_mbps"));
+    assert_eq!(each.len(), 1 + 4 * 3 * 2, "a line for each point, policy and episode");
+    assert!(each.iter().all(|line| line.split(',').count() == each[0].split(',').count()));
+    // The mean over the episodes is that of the table.
+    let column = each[0].split(',').position(|name| name == "outage_time").expect("outages");
+    let of_flat = each.iter().filter(|line| line.starts_with("3,2,flat,"));
+    let shares: Vec<f64> = of_flat.map(|line| line.split(',').nth(column).unwrap().parse().unwrap()).collect();
+    let expected = mean(&reports[3]["report"], "flat", "outage_time");
+    assert!(shares.len() == 2 && (0.5 * (shares[0] + shares[1]) - expected).abs() < 1e-9, "{shares:?} {expected}");
+    let page = std::fs::read_to_string(&html).expect("readable");
+    assert!(page.contains("blockage.forced_users = 2") && page.contains("outage (share of the users"), "panels");
+    assert!(page.contains("<p class=\"note\">warning: the intervals come from 2 episodes"), "{page}");
+    let text = String::from_utf8(eval(&flags).stdout).expect("text");
+    assert!(text.contains("outage: share of the users' time"), "{text}");
+    assert!(text.contains("2 episodes: 1 for each of 2 seeds from"), "{text}");
+    assert!(text.contains("difference to greedy, paired: outage"), "{text}");
+    let message = refusal(&[&flags[..], &["--sweep", "seed=1,2"]].concat());
+    assert!(message.contains("at most two keys"), "{message}");
+}
+
+#[test]
+fn a_key_without_effect_is_refused_and_faults_of_mirrors_in_a_file_are_a_condition() {
+    for flags in [["--sweep", "actuator.stuck_share=0,1"], ["--set", "streams.positions.latency_ms=300"]] {
+        let message = refusal(&[&flags[..], &["--policies", "flat"]].concat());
+        let key = flags[1].split('=').next().expect("a key");
+        assert!(message.contains(&format!("{key}: no effect")) && message.contains("--closed-loop"), "{message}");
+    }
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("room.toml");
+    std::fs::write(&file, "[actuator]\nstuck_share = 0.5\n").expect("written");
+    let path = file.to_str().expect("a plain path");
+    let found = report(&["--scenario", path, "--policies", "flat", "--states", "2", "--seeds", "1"]);
+    let because = found["conditions"][0]["because"].as_str().expect("a condition");
+    assert!(because.contains("actuator.stuck_share"), "{found}");
+}
+
+#[test]
+fn flags_that_contradict_each_other_are_refused_with_point_and_reason() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("figures.csv");
+    let file = file.to_str().expect("a plain path");
+    let cases: [(&[&str], &[&str]); 7] = [
+        (&["--set", "mirrors.rows=0"], &["mirrors.rows = 0", "no-irs", "--sweep mirrors.rows=0"]),
+        (
+            &["--sweep", "users.count=1..5", "--blocked", "3"],
+            &["at users.count = 1", "forced_users = 3", "users.count, which is 1"],
+        ),
+        (&["--sweep", "users.count=1,1"], &["users.count = 1 is given twice"]),
+        (&["--sweep", "users.count=1,2", "--set", "users.count=4"], &["--set fixes users.count"]),
+        (&["--sweep", "blockage.forced_users=1,2", "--blocked", "2"], &["--blocked fixes blockage.forced_users"]),
+        (&["--csv", file, "--csv-episodes", file], &["--csv and --csv-episodes name one file"]),
+        (&["--csv-episodes", file, "--html", file], &["--csv-episodes and --html name one file"]),
+    ];
+    for (flags, parts) in cases {
+        let message = refusal(&[&["--policies", "flat"], flags].concat());
+        assert!(parts.iter().all(|part| message.contains(part)), "{flags:?}: {message}");
+    }
+}

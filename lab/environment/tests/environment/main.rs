@@ -1,0 +1,4 @@
+//! Tasks and closed loops from outside.
+
+mod light;
+mod task;

@@ -1,0 +1,136 @@
+//! Processes that die: nothing on the page may look current afterwards.
+
+use heliostat_needs::needs;
+use heliostat_tests::{Browser, wait_until};
+use serde_json::Value;
+
+use super::setting::{Setting, banner, drawn, is_live};
+
+/// Texts of all state chips that are green.
+fn green(browser: &Browser) -> Vec<Value> {
+    let script = "return [...document.querySelectorAll('#chips .good')].map((chip) => chip.textContent)";
+    browser.run(script).as_array().expect("a list").clone()
+}
+
+fn is_stale(browser: &Browser, part: &str) -> bool {
+    browser.run(&format!("return document.getElementById('{part}').classList.contains('stale')")) == true
+}
+
+/// Whether the row with this name, of the counters or of the times, is marked as old.
+fn is_row_stale(browser: &Browser, name: &str) -> bool {
+    let rows = "[...document.querySelectorAll('#counts > div, #quantiles tbody > tr')]";
+    let script =
+        format!("return {rows}.find((row) => row.textContent.startsWith('{name}')).classList.contains('stale')");
+    browser.run(&script) == true
+}
+
+#[needs("browser")]
+#[test]
+fn a_process_that_dies_leaves_no_green_state_and_no_current_figure() {
+    let mut setting = Setting::new();
+    let browser = setting.browser();
+    wait_until("green states", || green(&browser).len() == 2);
+    wait_until("a page without a stale part", || {
+        let sentence = browser.text("#sentence");
+        let is_told = sentence.contains("Mbit/s") && sentence.contains("minimum rate");
+        is_told && !is_stale(&browser, "room-card") && !is_stale(&browser, "times") && banner(&browser).is_empty()
+    });
+
+    setting.controller.kill();
+    wait_until("no green controller", || !green(&browser).iter().any(|chip| chip == "alive"));
+    wait_until("stale decision times", || is_stale(&browser, "times"));
+    wait_until("no mirrors that follow", || green(&browser).is_empty());
+    wait_until("a room that still reports", || !is_stale(&browser, "room-card"));
+    wait_until("old counters of the controller", || is_row_stale(&browser, "decisions"));
+    wait_until("current counters of the room", || !is_row_stale(&browser, "ticks lost"));
+
+    setting.room.kill();
+    wait_until("a stale room", || is_stale(&browser, "room-card") && is_stale(&browser, "rates"));
+    wait_until("a sentence about the silence", || {
+        let sentence = browser.text("#sentence");
+        sentence.contains("has not reported for") && sentence.contains("unknown")
+    });
+    wait_until("an array without a report", || browser.text("#chip-array").starts_with("no report for"));
+    let faults = "return [...document.querySelectorAll('#counts > div')]\
+         .find((row) => row.textContent.startsWith('faults')).lastChild.textContent";
+    wait_until("unknown faults of the array", || browser.run(faults) == "–");
+
+    setting.server.kill();
+    wait_until("a banner", || banner(&browser).contains("No connection to the server"));
+    wait_until("no green state", || green(&browser).is_empty());
+    for part in ["room-card", "rates", "sums", "times", "operate"] {
+        wait_until(&format!("{part} that looks stale without a server"), || is_stale(&browser, part));
+    }
+    for row in ["decisions", "ticks lost", "array refused", "unreadable", "loop"] {
+        wait_until(&format!("{row} that looks stale without a server"), || is_row_stale(&browser, row));
+    }
+}
+
+#[needs("browser")]
+#[test]
+fn a_controller_that_hangs_is_named_by_the_banner_while_it_is_in_the_room() {
+    let setting = Setting::new();
+    let browser = setting.browser();
+    setting.controller.signal("STOP");
+    // The chip and the banner in one script: both say so at the same time.
+    let shown = "const chip = document.getElementById('chip-controller').textContent; \
+        const banner = document.getElementById('banner'); \
+        return [chip, banner.hidden ? '' : banner.textContent]";
+    wait_until("a controller without a report", || {
+        let shown = browser.run(shown);
+        let [chip, banner] = [0, 1].map(|index| shown[index].as_str().unwrap_or_default());
+        chip.starts_with("no report for") && banner.starts_with("The controller has not reported for ")
+    });
+    setting.controller.signal("CONT");
+    wait_until("no banner", || banner(&browser).is_empty());
+}
+
+#[needs("browser")]
+#[test]
+fn the_last_picture_stays_when_the_process_of_the_room_ends() {
+    let mut setting = Setting::new();
+    let browser = setting.browser();
+    browser.run("window.loaded_before = true");
+    let users = "return document.getElementById('room').room.motion.to?.users.length ?? 0";
+    let shown = browser.run(users);
+    assert_ne!(shown, 0);
+    setting.room.kill();
+    wait_until("a stale room", || is_stale(&browser, "room-card") && is_stale(&browser, "rates"));
+    wait_until("old figures of the room", || is_row_stale(&browser, "loop") && is_row_stale(&browser, "ticks lost"));
+    assert!(!is_row_stale(&browser, "decision") && !is_stale(&browser, "times"), "those of the controller are current");
+    // Its messages are no longer current for the server, and the page keeps its last picture.
+    wait_until("a server without the room", || {
+        browser.run("return fetch('/room.json').then((answer) => answer.json())")["geometry_source"] == "controller"
+    });
+    let drawn = drawn(&browser);
+    browser.run("document.getElementById('room').room.isDirty = true");
+    wait_until("another picture", || super::setting::drawn(&browser) > drawn);
+    assert_eq!((browser.run("return window.loaded_before"), browser.run(users)), (Value::Bool(true), shown));
+}
+
+#[needs("browser")]
+#[test]
+fn the_death_of_the_server_alone_makes_everything_stale() {
+    let mut setting = Setting::new();
+    let browser = setting.browser();
+    setting.server.kill();
+    wait_until("a banner", || banner(&browser).contains("No connection to the server"));
+    wait_until("no green state", || green(&browser).is_empty());
+    wait_until("a sentence that says so", || browser.text("#sentence").contains("unknown"));
+}
+
+#[needs("browser")]
+#[test]
+fn another_server_on_the_same_port_reloads_the_page() {
+    let mut setting = Setting::new();
+    let browser = setting.browser();
+    browser.run("window.loaded_before = true");
+    setting.server.kill();
+    wait_until("a banner", || banner(&browser).contains("No connection"));
+    assert_eq!(browser.run("return window.loaded_before"), true);
+    setting.restart_server();
+    wait_until("a page of the new server", || {
+        browser.run("return window.loaded_before === undefined") == true && is_live(&browser)
+    });
+    wait_until("no banner", || banner(&browser).is_empty());
+}

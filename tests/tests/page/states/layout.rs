@@ -1,0 +1,246 @@
+//! What the page may not cover, shrink or hide, and whether it can be read and used without a mouse.
+
+use heliostat_needs::needs;
+use heliostat_tests::{Browser, choose_theme, wait_until};
+use serde_json::{Value, json};
+
+use super::setting::Setting;
+
+#[needs("browser")]
+#[test]
+fn the_answer_to_an_order_covers_nothing() {
+    let setting = Setting::new();
+    let browser = setting.browser();
+    // Parts of the page that are in view and have another element in their middle.
+    let covered = "const status = document.getElementById('order-status').getBoundingClientRect(); \
+        if (!status.height) return 'no answer'; \
+        return ['sentence', 'stop', 'rearm', 'chips', 'theme', 'banner', 'problem', 'room-card', 'rates'].filter((id) => { \
+          const part = document.getElementById(id).getBoundingClientRect(); \
+          return part.width && part.left < status.right && part.right > status.left && part.top < status.bottom && part.bottom > status.top; })";
+    for (width, height) in [(1440, 900), (1024, 768), (390, 844)] {
+        browser.resize(width, height);
+        for watts in ["1", "4"] {
+            browser.click(&format!("#power [data-value='{watts}']"));
+            browser.run("scrollTo(0, 0)");
+            let answer = format!("optical power {watts} W: done");
+            wait_until("an answer that covers nothing", || {
+                let is_answered = browser.text("#order-status") == answer;
+                let covered = browser.run(covered);
+                // On a phone the room is below the bar of STOP, and may lie behind its answer.
+                let allowed = if width == 390 { json!(["room-card", "rates"]) } else { json!([]) };
+                let list = |found: &Value| found.as_array().cloned().unwrap_or_default();
+                assert!(
+                    !is_answered
+                        || covered == "no answer"
+                        || list(&covered).iter().all(|part| list(&allowed).contains(part)),
+                    "{width} x {height}: {covered}"
+                );
+                is_answered && covered.is_array()
+            });
+        }
+    }
+}
+
+#[needs("browser")]
+#[test]
+fn the_answer_to_a_stop_is_readable_completely_beside_the_buttons() {
+    let setting = Setting::new();
+    let browser = setting.browser();
+    // In one script, before the next event of the server takes the text away.
+    let readable = "return import('/orders.js').then(({ notConfirmed }) => { \
+        const at = (id) => document.getElementById(id); \
+        const status = at('order-status'); \
+        at('rearm').textContent = 're-arm all 16'; \
+        status.className = 'bad'; \
+        status.textContent = notConfirmed('stop', 'the server of this page cannot be reached'); \
+        const place = status.getBoundingClientRect(); \
+        const touched = ['stop', 'rearm', 'sentence'].filter((id) => { \
+          const part = at(id).getBoundingClientRect(); \
+          return part.left < place.right && part.right > place.left && part.top < place.bottom && part.bottom > place.top; }); \
+        return [status.scrollHeight <= status.clientHeight, status.scrollWidth <= status.clientWidth, \
+          place.left >= 0 && place.right <= innerWidth && place.top >= 0 && place.bottom <= innerHeight, touched]; })";
+    for (width, height) in [(1440, 900), (1024, 768), (390, 844), (360, 640)] {
+        browser.resize(width, height);
+        browser.run("scrollTo(0, 0)");
+        assert_eq!(browser.run(readable), json!([true, true, true, []]), "{width} x {height}");
+    }
+}
+
+#[needs("browser")]
+#[test]
+fn the_charts_keep_their_size_while_the_log_of_events_opens_and_grows() {
+    let setting = Setting::new();
+    let browser = setting.browser();
+    for (width, height) in [(1024, 768), (1440, 900), (1920, 1080)] {
+        browser.resize(width, height);
+        let sizes =
+            "return ['sum-chart', 'latency-chart', 'room'].map((id) => document.getElementById(id).clientHeight)";
+        let before = browser.run(sizes);
+        let grown = "document.getElementById('events').open = true; return import('/events.js').then(({ showEvents }) => { \
+             showEvents(Array.from({ length: 100 }, (_, index) => ({ at_ms: index, text: `event ${index}`, is_bad: false }))); \
+             return document.getElementById('event-list').children.length; })";
+        if height >= 1000 {
+            // Such a window has the list open from the start.
+            browser.run("document.getElementById('events').open = true");
+        }
+        let before = if height >= 1000 { browser.run(sizes) } else { before };
+        assert_eq!(browser.run(grown), 100);
+        assert_eq!(browser.run(sizes), before, "{width} x {height}");
+        if height < 1000 {
+            let longer = "const events = document.getElementById('events'); const [open, closed] = [true, false].map((open) => { \
+                 events.open = open; return document.documentElement.scrollHeight; }); return open - closed";
+            assert_eq!(browser.run(longer), 0, "the list makes the page longer at {width} x {height}");
+        }
+        browser.run("document.getElementById('events').open = false; scrollTo(0, 0)");
+    }
+}
+
+#[needs("browser")]
+#[test]
+fn every_figure_and_order_is_in_view_on_a_small_desktop() {
+    let setting = Setting::new();
+    let browser = setting.browser();
+    for (width, height) in [(1024, 768), (1280, 800), (1440, 900)] {
+        browser.resize(width, height);
+        // With the explanation of late decisions: a busy machine shows it.
+        let hidden = "scrollTo(0, 0); const late = document.getElementById('late'); late.hidden = false; late.textContent = \
+             '240 of 300 decisions over 0.5 ms, by longest stage: publish 233, observe 5, infer 1, wait 1. Likely cause: load. End other programs.'; \
+             return ['stop', 'chips', 'sentence', 'users', 'jain', 'sum-figures', 'sum-chart', \
+             'latency-chart', 'quantiles', 'counts', 'operate', 'policy-help', 'last-event'].filter((id) => { \
+               const part = document.getElementById(id).getBoundingClientRect(); \
+               return part.height === 0 || part.bottom > innerHeight + 1 || part.right > innerWidth + 1; })";
+        wait_until(&format!("every part in view at {width} x {height}"), || browser.run(hidden) == json!([]));
+        // A part that is too small for its content is cut off.
+        let cut = "return [...document.querySelectorAll('main section:not(#room-card)')].filter((part) => \
+             part.scrollHeight > part.clientHeight + 1 || part.scrollWidth > part.clientWidth + 1).map((part) => part.id)";
+        assert_eq!(browser.run(cut), json!([]), "{width} x {height}");
+    }
+}
+
+#[needs("browser")]
+#[test]
+fn warnings_and_takeovers_leave_picture_orders_and_stop_in_view_on_a_small_desktop() {
+    let setting = Setting::new();
+    let browser = setting.browser();
+    for (width, height) in [(1024, 768), (1280, 700), (1280, 800), (1440, 900)] {
+        browser.resize(width, height);
+        // All that can be shown at one time: a stop, four warnings, unusable mirrors, takeovers.
+        let hidden = "scrollTo(0, 0); const at = (id) => document.getElementById(id); \
+             at('banner').hidden = at('problem').hidden = false; \
+             at('banner').textContent = 'The array has confirmed the stop: its device has executed it. '.repeat(4); \
+             at('problem').replaceChildren(...Array.from({ length: 4 }, () => Object.assign(document.createElement('li'), \
+               { textContent: 'Two drivers serve one array (mirrors, sources 0000000000000007 and 0000000000000008): stop one of them.' }))); \
+             at('chip-array').textContent = 'following, 25 unusable'; \
+             for (let count = 0; count < 6; count += 1) at('counts').append(at('counts').firstElementChild.cloneNode(true)); \
+             const hidden = ['stop', 'chips', 'sentence', 'room', 'operate', 'policy-help'].filter((id) => { \
+               const { top, bottom, right } = at(id).getBoundingClientRect(); \
+               return bottom - top < (id === 'room' ? 180 : 1) || top < 0 || bottom > innerHeight + 1 || right > innerWidth + 1; }); \
+             return [hidden, document.documentElement.scrollHeight <= innerHeight]";
+        assert_eq!(browser.run(hidden), json!([[], true]), "{width} x {height}");
+    }
+}
+
+/// The texts of the page whose contrast to their background is below 4.5, with the contrast.
+const FAINT: &str = "
+    const parse = (colour) => colour.match(/[\\d.]+/g).map(Number);
+    const linear = (value) => { const part = value / 255; return part <= 0.04045 ? part / 12.92 : ((part + 0.055) / 1.055) ** 2.4; };
+    const luminance = ([r, g, b]) => 0.2126 * linear(r) + 0.7152 * linear(g) + 0.0722 * linear(b);
+    const background = (element) => {
+        for (let at = element; at; at = at.parentElement) {
+            const colour = parse(getComputedStyle(at).backgroundColor);
+            if (colour.length === 3 || colour[3] > 0) return colour;
+        }
+        return [255, 255, 255];
+    };
+    const faint = [];
+    for (const element of document.querySelectorAll('body *')) {
+        const own = [...element.childNodes].some((node) => node.nodeType === 3 && node.textContent.trim());
+        const { width, height } = element.getBoundingClientRect();
+        if (!own || !width || !height || element.closest(':disabled, option, .hidden')) continue;
+        let opacity = 1;
+        for (let at = element; at; at = at.parentElement) opacity *= Number(getComputedStyle(at).opacity);
+        const back = background(element);
+        const text = parse(getComputedStyle(element).color).slice(0, 3).map((value, index) => opacity * value + (1 - opacity) * back[index]);
+        const [low, high] = [luminance(text), luminance(back)].sort((one, other) => one - other);
+        const contrast = (high + 0.05) / (low + 0.05);
+        if (contrast < 4.5) faint.push(`${element.id || element.tagName} ${element.textContent.trim().slice(0, 30)}: ${contrast.toFixed(1)}`);
+    }
+    return faint;";
+
+#[needs("browser")]
+#[test]
+fn every_text_has_a_contrast_of_at_least_4_5_also_where_it_is_old() {
+    let mut setting = Setting::new();
+    let browser = setting.browser();
+    let check = |state: &str| {
+        for theme in ["light", "dark"] {
+            choose_theme(&browser, theme);
+            assert_eq!(browser.run(FAINT), json!([]), "{state}, {theme}");
+        }
+    };
+    check("a running room");
+    browser.click("#stop");
+    wait_until("a confirmed stop", || browser.text("#banner").contains("confirmed the stop"));
+    check("a stopped room");
+    setting.controller.kill();
+    setting.room.kill();
+    wait_until("old parts", || browser.run("return document.querySelectorAll('section.stale').length >= 4") == true);
+    wait_until("what is wrong", || !browser.text("#problem").is_empty());
+    check("an old room");
+}
+
+/// The focused element: its id, and whether a ring shows the focus.
+fn focused(browser: &Browser) -> (String, bool) {
+    let script = "const at = document.activeElement; \
+        const name = at.id || at.dataset.eye || `${at.parentElement?.id} ${at.dataset.value ?? at.textContent}`; \
+        const drawn = at.type === 'checkbox' ? at.nextElementSibling : at; \
+        const { outlineStyle, outlineWidth } = getComputedStyle(drawn); \
+        return [name, outlineStyle !== 'none' && parseFloat(outlineWidth) >= 1]";
+    serde_json::from_value(browser.run(script)).expect("a name and a flag")
+}
+
+#[needs("browser")]
+#[test]
+fn every_order_is_reached_by_the_tab_key_with_a_visible_focus() {
+    let setting = Setting::new();
+    let browser = setting.browser_3d();
+    let orders = browser.run(
+        "return [...document.querySelectorAll('button, select, input, summary')].filter((one) => !one.disabled && one.offsetParent !== null) \
+           .map((one) => one.id || one.dataset.eye || `${one.parentElement.id} ${one.dataset.value ?? one.textContent}`)",
+    );
+    let mut missing: Vec<String> = serde_json::from_value(orders).expect("a list of names");
+    assert!(missing.len() > 25 && missing.iter().any(|name| name == "stop"), "{missing:?}");
+    browser.run("document.body.tabIndex = -1; document.body.focus()");
+    for _ in 0..120 {
+        browser.press(":focus", "\u{E004}");
+        let (name, is_visible) = focused(&browser);
+        assert!(
+            is_visible || name.starts_with("undefined") || name.starts_with("null"),
+            "the focus of {name} is invisible"
+        );
+        missing.retain(|known| *known != name);
+        if missing.is_empty() {
+            return;
+        }
+    }
+    panic!("not reached by Tab: {missing:?}");
+}
+
+#[needs("browser")]
+#[test]
+fn each_policy_is_explained_where_it_is_chosen() {
+    let setting = Setting::new();
+    let browser = setting.browser();
+    let policies = browser.run("return fetch('/room.json').then((answer) => answer.json())")["policies"].clone();
+    let policies = policies.as_array().expect("a list");
+    assert!(policies.len() > 5, "{policies:?}");
+    for policy in policies {
+        let [name, description] = ["name", "description"].map(|key| policy[key].as_str().expect("a text").to_owned());
+        assert!(description.split(' ').count() >= 3, "{name}: {description}");
+        browser.run(&format!(
+            "const list = document.getElementById('policy'); list.value = {name:?}; list.dispatchEvent(new Event('change'))"
+        ));
+        let help = browser.text("#policy-help");
+        assert!(help.starts_with(&format!("{name}: {description}")), "{help}");
+    }
+}

@@ -1,0 +1,142 @@
+//! Orders of an operator: whether they took effect, wait for an answer, or were refused.
+
+use std::time::{Duration, Instant};
+
+use heliostat_needs::needs;
+use heliostat_tests::{Browser, wait_until};
+
+use super::setting::{Setting, banner, is_live};
+
+/// Sends an order as a button does, also one for which there is no button.
+fn order(browser: &Browser, order: &str) {
+    let script = format!(
+        "return fetch('/order', {{ method: 'POST', headers: {{ 'content-type': 'application/json' }}, \
+         body: JSON.stringify({order}) }}).then((answer) => answer.status)"
+    );
+    browser.run(&script);
+}
+
+#[needs("browser")]
+#[test]
+fn the_banner_says_whether_the_array_confirmed_a_stop() {
+    let setting = Setting::new();
+    let browser = setting.browser();
+    browser.click("#stop");
+    wait_until("a confirmation", || banner(&browser).contains("has confirmed the stop"));
+    wait_until("a state of the array", || browser.text("#chip-array") == "stopped");
+    let named = || banner(&browser).contains("heliostat ui (button)");
+    wait_until("the operator", named);
+    browser.click("#rearm");
+    wait_until("a release", || banner(&browser).contains("is released"));
+    wait_until("an array that follows", || is_live(&browser));
+    wait_until("no banner after the release", || banner(&browser).is_empty());
+    // The controller commanded during the stop, and the array refused it. That is over.
+    wait_until("no message about the stop", || {
+        browser.text("#problem").is_empty() && browser.text("#order-status").is_empty()
+    });
+
+    // A re-arm without a stop has no effect, and the page does not claim one.
+    browser.click("#rearm");
+    wait_until("a refusal", || browser.text("#order-status").contains("re-arm: refused: no emergency stop is latched"));
+    assert_eq!(banner(&browser), "");
+
+    // An array that cannot answer has not confirmed.
+    setting.room.signal("STOP");
+    browser.run("document.getElementById('stop').click()");
+    wait_until("a request", || banner(&browser).starts_with("Stop requested"));
+    wait_until("a warning", || banner(&browser).contains("has not confirmed the stop for"));
+    setting.room.signal("CONT");
+    wait_until("a late confirmation", || banner(&browser).contains("has confirmed the stop"));
+}
+
+#[needs("browser")]
+#[test]
+fn an_order_that_the_server_does_not_answer_has_the_words_of_its_button() {
+    let setting = Setting::new();
+    let browser = setting.browser();
+    let script = "return import('/orders.js').then(({ notConfirmed }) => \
+           ['stick', 'kill-controller', 'stop'].map((order) => notConfirmed(order, 'no answer')))";
+    let advice = "check that `heliostat ui` or `heliostat demo` still runs, and that this computer reaches it";
+    let expected = [
+        format!("not confirmed: jam a quarter: no answer; {advice}"),
+        format!("not confirmed: kill: no answer; {advice}"),
+        "not confirmed: STOP: no answer; run `heliostat stop`, or cut the power of the mirrors".to_owned(),
+    ];
+    assert_eq!(browser.run(script), serde_json::json!(expected));
+}
+
+#[needs("browser")]
+#[test]
+fn an_order_without_a_server_or_with_the_answer_of_a_proxy_says_so_without_the_words_of_the_browser() {
+    let mut setting = Setting::new();
+    let browser = setting.browser();
+    // A proxy whose server is gone answers by itself.
+    let refusal = "return import('/requests.js').then(({ refusalIn }) => { \
+           const of = (status, type) => refusalIn(new Response('<h1>Bad Gateway</h1>', { status, headers: { 'content-type': type } })) \
+             .then(() => 'the server', (error) => error.message); \
+           return Promise.all([of(422, 'text/plain; charset=utf-8'), of(502, 'text/plain'), of(503, 'text/html')]); })";
+    let by_proxy = |status: u16| format!("a proxy before the server answers with status {status}");
+    let expected = ["the server".to_owned(), by_proxy(502), by_proxy(503)];
+    assert_eq!(browser.run(refusal), serde_json::json!(expected));
+    setting.server.kill();
+    browser.run("document.getElementById('stop').click()");
+    let expected = "not confirmed: STOP: the server of this page cannot be reached; run `heliostat stop`, or cut the power of the mirrors";
+    wait_until("a message of the page", || browser.text("#order-status") == expected);
+    wait_until("a banner with what to do", || banner(&browser).contains("Check that `heliostat ui` or"));
+}
+
+#[needs("browser")]
+#[test]
+fn a_stop_without_an_array_is_answered_at_once_and_a_rearm_keeps_the_warning() {
+    let mut setting = Setting::new();
+    let browser = setting.browser();
+    setting.room.kill();
+    wait_until("an array that has left", || browser.text("#chip-array").starts_with("no report for"));
+    let status = || browser.text("#order-status");
+    browser.run("window.shown = []; new MutationObserver(() => window.shown.push(document.getElementById('order-status').textContent))\
+                 .observe(document.getElementById('order-status'), { childList: true, characterData: true, subtree: true })");
+    browser.click("#stop");
+    let absent = "no array received it";
+    wait_until("an answer about the array", || status() == format!("stop: {absent}"));
+    let shown = browser.run("return window.shown").to_string();
+    assert!(!shown.contains("not answered yet"), "{shown}");
+    let warning = "has not confirmed the stop for";
+    wait_until("a warning", || banner(&browser).contains(warning));
+    browser.click("#rearm");
+    wait_until("an answer about the re-arm", || status().contains("re-arm: "));
+    // The re-arm waits up to 2.5 s for a safety report and for a receiver. A page that loads again has
+    // no banner for a moment.
+    let begun = Instant::now();
+    while begun.elapsed() < Duration::from_secs(4) {
+        let shown = banner(&browser);
+        assert!(shown.is_empty() || shown.contains(warning), "{shown}");
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    wait_until("the same warning", || banner(&browser).contains(warning));
+    wait_until("the outcome of the re-arm", || status() == format!("re-arm: {absent}"));
+}
+
+#[needs("browser")]
+#[test]
+fn a_refused_order_is_shown_as_refused_until_another_takes_effect() {
+    let setting = Setting::new();
+    let browser = setting.browser();
+    let status = || browser.text("#order-status");
+    order(&browser, r#"{ order: "policy", name: "clairvoyant" }"#);
+    wait_until("a refusal with its reason", || {
+        let shown = status();
+        assert!(!shown.contains("done"), "{shown}");
+        shown.starts_with("policy clairvoyant: refused") && shown.contains("there is no policy")
+    });
+    browser.run("document.getElementById('policy').value = 'fixed-point'");
+    browser.click("#switch-policy");
+    wait_until("an order that took effect", || status() == "policy fixed-point: done");
+    wait_until("no message", || status().is_empty() && browser.text("#problem").is_empty());
+
+    // More users than the room has: the simulator refuses.
+    order(&browser, r#"{ order: "blocked", users: 64 }"#);
+    wait_until("a refusal of the room", || status().contains("block the direct path of 64 users: refused"));
+    browser.click("#power [data-value='4']");
+    browser.click("#blocked [data-value='1']");
+    wait_until("the answer to the later order", || status() == "block the direct path of 1 user: done");
+}

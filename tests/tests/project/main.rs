@@ -1,0 +1,6 @@
+//! What the repository promises without a room in operation: documents, packages, release and rules.
+
+mod documentation;
+mod invariants;
+mod release;
+mod rules_model;

@@ -125,8 +125,9 @@ impl Watch {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 struct Takeover {
     at_ns: Nanos,
-    /// The evidence by which it was decided.
-    shown: Evidence,
+    /// Commands refused and accepted by the evidence that decided it.
+    refused: u64,
+    accepted: u64,
     /// The last number that was given in its epoch before it.
     sequence: u64,
     is_settled: bool,
@@ -135,9 +136,12 @@ struct Takeover {
 impl Takeover {
     /// Whether another sender commanded after the evidence of the takeover, by evidence of its epoch.
     fn is_contested(&self, evidence: Evidence) -> bool {
-        let accepted = evidence.accepted.saturating_sub(self.shown.accepted);
         let own = evidence.applied_sequence.saturating_sub(self.sequence);
-        evidence.refused > self.shown.refused || accepted > own
+        evidence.refused > self.refused || self.accepted_since(evidence) > own
+    }
+
+    fn accepted_since(&self, evidence: Evidence) -> u64 {
+        evidence.accepted.saturating_sub(self.accepted)
     }
 }
 
@@ -153,9 +157,10 @@ pub(super) struct Contest {
 }
 
 impl Contest {
-    /// A takeover at `now` by this evidence. `sequence` is the last number in its epoch.
+    /// A takeover by this evidence. `sequence` is the last number in its epoch.
     pub(super) fn begin(&mut self, at_ns: Nanos, shown: Evidence, sequence: u64) {
-        self.takeover = Some(Takeover { at_ns, shown, sequence, is_settled: false });
+        let Evidence { refused, accepted, .. } = shown;
+        self.takeover = Some(Takeover { at_ns, refused, accepted, sequence, is_settled: false });
         self.left = None;
     }
 
@@ -179,7 +184,7 @@ impl Contest {
     pub(super) fn is_contested(&mut self, now: Nanos, evidence: Evidence) -> bool {
         let Some(takeover) = &mut self.takeover else { return false };
         let (is_contested, was_settled) = (takeover.is_contested(evidence), takeover.is_settled);
-        takeover.is_settled |= evidence.accepted.saturating_sub(takeover.shown.accepted) >= SETTLED;
+        takeover.is_settled |= takeover.accepted_since(evidence) >= SETTLED;
         if is_contested && !was_settled {
             self.back_off = BACK_OFF_MAX.min(self.back_off + 1);
         } else if takeover.is_settled {

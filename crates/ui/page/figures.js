@@ -148,7 +148,7 @@ function standby(controllers) {
   return [
     ["controllers", text || "none", leaders.length === 1 ? "wide" : "wide bad", "The controllers in the room, by the beginning of their source id: one leads, or a calibration commands in its place; the others stand by. One is not followed where it does not stand by and the array follows another one or reports none.", "controller"],
     ["takeovers", of("takeovers"), "wide", "How often each controller in the room took over since its start.", "controller"],
-    ["false takeovers", of("false_takeovers"), lost > 0 ? "wide bad" : "wide", "Takeovers of each controller after which the former leader still commanded: a slow controller, or a link that loses its commands.", "controller"],
+    ["false takeovers", of("false_takeovers"), lost > 0 ? "wide bad" : "wide", "Takeovers of each controller from a leader that was not gone: a slow controller, or a link that loses messages.", "controller"],
   ];
 }
 

@@ -9,8 +9,8 @@ use serde::Serialize;
 
 use crate::view::EXPIRY;
 
-/// Counters of a controller's status: standby, its epoch, takeovers, and takeovers after which the former
-/// leader still commanded.
+/// Counters of a controller's status: standby, its epoch, takeovers, and takeovers from a leader
+/// that was not gone.
 const STANDBY: &str = "standby";
 const EPOCH: &str = "epoch";
 const TAKEOVERS: &str = "epoch:took-over";
@@ -63,7 +63,7 @@ pub struct ControllerFigures {
     pub epoch: u64,
     /// How often it took over since its start.
     pub takeovers: u64,
-    /// How often the former leader still commanded after that.
+    /// How often the former leader was not gone then.
     pub false_takeovers: u64,
     /// Decisions on position reports since its start.
     pub decisions: u64,

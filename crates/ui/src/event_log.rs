@@ -176,7 +176,7 @@ impl EventLog {
             let former = if is_former { self.leader.as_str() } else { "another controller" };
             let has_ended = is_former && !controllers.iter().any(|other| other.name == self.leader);
             let reason = match (is_contested, has_ended) {
-                (true, _) => "the new leader saw no accepted command of it, but it still commands",
+                (true, _) => "the new leader saw no accepted command of it, but it was not gone",
                 (false, true) => "it has ended",
                 (false, false) => "the new leader saw no accepted command of it",
             };
@@ -298,7 +298,7 @@ mod tests {
             (2, "controller b leads, took over from a: the new leader saw no accepted command of it", true),
             (
                 3,
-                "controller a leads, took over from b: the new leader saw no accepted command of it, but it still commands",
+                "controller a leads, took over from b: the new leader saw no accepted command of it, but it was not gone",
                 true,
             ),
             (5, "controller b leads, took over from a: it has ended", false),

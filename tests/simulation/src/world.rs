@@ -46,8 +46,9 @@ const START_NS: u64 = 400 * MS;
 /// Time between two audits in ns.
 const AUDIT_NS: u64 = 20 * MS;
 
-/// The operator releases all stops so long after the last fault, in ns, and again later.
-const REARM_ALL_NS: [u64; 3] = [300 * MS, 1300 * MS, 2300 * MS];
+/// The operator releases all known stops so long after the last fault, in ns, and again later. A connection carries
+/// messages again up to 2.05 s after the fault (`world/connections.rs`), and an array reports its stops each second.
+const REARM_ALL_NS: [u64; 4] = [300 * MS, 1300 * MS, 2300 * MS, 3300 * MS];
 
 /// How a run ended.
 #[derive(Clone, Debug)]

@@ -110,6 +110,18 @@ fn a_record_of_several_stops_that_is_cut_off_is_an_unknown_state() {
     holds(9_000_961, |_| {}, &faults);
 }
 
+/// The operator released stops for the last time 13 ms before the array, whose connection had waited for a
+/// retransmission, reported the one with which it had started.
+#[test]
+fn an_operator_releases_the_stop_of_an_array_that_reports_it_late() {
+    let (host, pairs) = (Role::Array(0), vec![(Role::Array(0), Role::Operator)]);
+    let faults = [
+        at(4572, 3446, Fault::Partition { pairs, holds: false }),
+        at(4736, 2594, Fault::Crash { host, disk: DiskAfterCrash::Torn }),
+    ];
+    holds(1_795_748_588_036_993, |_| {}, &faults);
+}
+
 /// Forged telemetry with the highest epoch of all, and then with its sequence, made the controller take an epoch
 /// again under which it had commanded before, and number from 1.
 #[test]

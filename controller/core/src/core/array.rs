@@ -136,7 +136,9 @@ impl Controller {
     /// Notes that another controller is in the room or has left it.
     pub(super) fn note_controller(&mut self, node: NodeKind, source: u64, is_present: bool) {
         if node == NodeKind::Controller {
-            self.arrays.iter_mut().for_each(|array| array.guard.tenure.handle_controller(source, is_present));
+            let tenures = self.arrays.iter_mut().map(|array| &mut array.guard.tenure);
+            let events = tenures.filter_map(|tenure| tenure.handle_controller(source, is_present));
+            events.for_each(|event| self.counters.count_tenure(event));
         }
     }
 

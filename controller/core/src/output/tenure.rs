@@ -26,44 +26,41 @@
 //! | Leading | sent |
 //! | Standby | withheld; the belief about the users goes on |
 //!
-//! - **A start beside a leader stands by**: at the first report the array follows a valid command of
-//!   another controller. Otherwise the controller leads. The first telemetry is awaited for
-//!   [`FIRST_TELEMETRY_NS`] at most. Its first epoch may be too low, because
-//!   telemetry came after its first command. Before the array has obeyed it, it answers one higher
-//!   epoch by a new epoch of its own, and stands by from the second on.
-//! - **Takeover**: a report is unanswered if telemetry that came a quarter of a report interval or more after
-//!   it shows no further accepted command. After as many unanswered reports in sequence as its rank,
-//!   a standby takes a new epoch and answers the report that is due. A leader whose liveliness token
-//!   has ended counts as one unanswered report, until it answers one or its token returns. The rank
-//!   is 1 plus the number of other standbys with a lower source id, up to [`RANK_MAX`], or given by the operator.
+//! - **A start beside a leader stands by**: at the first report the array follows a valid command of another
+//!   controller. Otherwise the controller leads. The first telemetry is awaited for [`FIRST_TELEMETRY_NS`] at most.
+//!   Its first epoch may be too low, because telemetry came after its first command. Before the array has obeyed it,
+//!   it answers one higher epoch by a new epoch of its own, and stands by from the second on.
+//! - **Takeover**: a report is unanswered if telemetry that came a quarter of a report interval or more after it
+//!   shows no further accepted command. After as many unanswered reports in sequence as its rank, a standby takes a
+//!   new epoch and answers the report that is due. A leader whose liveliness token has ended counts as one
+//!   unanswered report, until it answers one or its token returns. The rank is 1 plus the number of other standbys
+//!   with a lower source id, up to [`RANK_MAX`], or given by the operator.
 //! - **Guest**: a controller that leads within 1 s of its token, as a calibration does, from a leader that answers
 //!   and stays in the room. When its token ends, a standby resumes: this is no takeover, and former contested ones
 //!   do not delay it.
-//! - **Contested takeover**: if the array then refuses commands of a lower epoch, the former leader
-//!   was not gone. Each such takeover in sequence adds one to the reports that must be unanswered, up
-//!   to [`BACK_OFF_MAX`].
-//! - **Last resort**: telemetry that is too sparse to judge reports ends a standby too, when the array
-//!   has accepted no command for [`PATIENCE_NS`] plus a spread that differs between controllers.
-//! - **Locked out**: a leading controller sends commands, the array accepts none for
-//!   [`PATIENCE_NS`], and its counters of refusals rise. Or telemetry shows a sequence in its own
-//!   epoch that it never sent: another sender uses the epoch. A new epoch ends both.
-//! - **A new epoch** is above the epoch in the latest telemetry. Attempts that fail alternate
-//!   between a base with UTC and one without: a clock that is wrong, and telemetry that is forged,
-//!   each fail in one of them only. The pause doubles from the third attempt on, up to
-//!   [`PAUSE_MAX`] times.
+//! - **Contested takeover**: the former leader was not gone if the array then refuses commands of a lower epoch, or
+//!   accepted one after the telemetry that decided. Each such takeover in sequence adds one to the reports that must
+//!   be unanswered, up to [`BACK_OFF_MAX`]. A command after that, and a token that ended and is back, count only.
+//! - **Last resort**: telemetry that is too sparse to judge reports ends a standby too, when the array has accepted
+//!   no command for [`PATIENCE_NS`] plus a spread that differs between controllers.
+//! - **Locked out**: a leading controller sends commands, the array accepts none for [`PATIENCE_NS`], and its counters
+//!   of refusals rise. Or telemetry shows a sequence in its own epoch that it never sent: another sender uses the
+//!   epoch. A new epoch ends both.
+//! - **A new epoch** is above the epoch in the latest telemetry. Attempts that fail alternate between a base with UTC
+//!   and one without: a clock that is wrong, and telemetry that is forged, each fail in one of them only. The pause
+//!   doubles from the third attempt on, up to [`PAUSE_MAX`] times.
 //! - **Epochs are unique**: each controller uses only epochs with its own remainder modulo
 //!   [`EPOCH_SLOTS`], which also names the leader. Two controllers that choose at the same time choose
 //!   different epochs. A controller that returns to a former epoch goes on with its numbers.
 //!
 //! The latest telemetry alone counts: an epoch that one message claims is forgotten with the next.
-//! Nothing here ends a process.
 
 mod evidence;
 mod numbers;
 
 use heliostat_proto::{EPOCH_SLOTS, Nanos};
 
-use self::evidence::{Contest, Guest, Takeover, Unaccepted, Watch};
+use self::evidence::{Contest, Guest, Unaccepted, Watch};
 pub use self::evidence::{Evidence, TenureEvent};
 use self::numbers::{Numbers, Rule};
 
@@ -217,10 +214,10 @@ impl Tenure {
     }
 
     /// Another controller is in the room, or has left it.
-    pub fn handle_controller(&mut self, peer: u64, is_present: bool) {
-        let Rule::Live { source, .. } = self.rule else { return };
+    pub fn handle_controller(&mut self, peer: u64, is_present: bool) -> Option<TenureEvent> {
+        let Rule::Live { source, .. } = self.rule else { return None };
         if peer == source || (!is_present && !self.peers.contains(&peer)) {
-            return;
+            return None;
         }
         self.peers.retain(|known| *known != peer);
         if is_present {
@@ -232,10 +229,12 @@ impl Tenure {
         if self.standing == Standing::Standby && self.leads(peer) {
             self.watch.set_left(!self.has_peer(peer));
         }
+        let is_back = is_present && self.contest.is_back(peer % EPOCH_SLOTS);
+        self.watch.has_left &= !(is_back && self.standing == Standing::Leading);
+        is_back.then_some(TenureEvent::Contested)
     }
 
-    /// Keeps the controllers that may be the leader. The others with the lowest source ids stay too, as the rank counts
-    /// them.
+    /// Keeps the controllers that may be the leader, and for the rank the others with the lowest source ids.
     fn note_peer(&mut self, peer: u64) {
         let is_full = self.peers.len() == PEERS_MAX;
         let others = self.peers.iter().enumerate().filter(|(_, known)| is_full && !self.leads(**known));
@@ -294,8 +293,7 @@ impl Tenure {
         }
     }
 
-    /// The first report after telemetry, or after the wait for it: leads, or stands by for the
-    /// controller that the array follows.
+    /// The first report after telemetry, or after the wait for it: leads, or stands by for the controller that leads.
     fn start(&mut self, now: Nanos) -> Option<TenureEvent> {
         let (first_ns, _) = *self.watch.awaited.get_or_insert((now, 0));
         if self.seen.is_none() && now.abs_diff(first_ns) < FIRST_TELEMETRY_NS {
@@ -338,12 +336,19 @@ impl Tenure {
             }
             return None;
         }
-        // A leader whose token has ended may command until its successor is obeyed.
-        let is_certain = watch.is_gone();
-        self.contest.takeover = (!is_certain).then_some(Takeover { refused: shown.refused, accepted: shown.accepted });
+        let is_gone = watch.is_gone();
+        self.take_over(now, shown);
+        if is_gone {
+            self.contest.note_gone((!is_returned).then_some(shown.epoch % EPOCH_SLOTS));
+        }
+        Some(if is_returned { TenureEvent::Resumed } else { TenureEvent::TookOver })
+    }
+
+    /// Leads under a new epoch, by this evidence.
+    fn take_over(&mut self, now: Nanos, shown: Evidence) {
         self.renew(now, shown);
         self.lead();
-        Some(if is_returned { TenureEvent::Resumed } else { TenureEvent::TookOver })
+        self.contest.begin(now, shown, self.numbers.sequence());
     }
 
     /// Unanswered reports after which this standby takes over, without the back-off.
@@ -392,6 +397,7 @@ impl Tenure {
     fn resume(&mut self, now: Nanos) -> TenureEvent {
         if self.epoch() == 0 {
             self.lead_first(now);
+            self.seen.into_iter().for_each(|(_, shown)| self.contest.begin(now, shown, self.numbers.sequence()));
             return TenureEvent::TookOver;
         }
         self.lead();
@@ -415,7 +421,7 @@ impl Tenure {
             self.renew(now, evidence);
             return Some(TenureEvent::ForeignSequence);
         }
-        if evidence.epoch == self.epoch() && self.contest.is_contested(evidence) {
+        if evidence.epoch == self.epoch() && self.contest.is_contested(now, evidence) {
             return Some(TenureEvent::Contested);
         }
         let before = self.unaccepted_for(now, 0)?;
@@ -433,8 +439,7 @@ impl Tenure {
         }
         let Rule::Live { source, .. } = self.rule else { return None };
         self.unaccepted_for(now, source % EPOCH_SLOTS * 1_000_000)?;
-        self.renew(now, evidence);
-        self.lead();
+        self.take_over(now, evidence);
         Some(TenureEvent::TookOver)
     }
 
@@ -488,6 +493,7 @@ impl Tenure {
         if let Some(epoch) = candidates.find(|epoch| *epoch != self.epoch()) {
             self.numbers.begin(epoch);
         }
+        self.contest.end();
         self.attempts = 6.min(self.attempts + 1);
         self.unaccepted = None;
     }

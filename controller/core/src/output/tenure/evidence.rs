@@ -5,8 +5,12 @@ use heliostat_proto::{ArrayState, MirrorTelemetry, Nanos};
 use super::BACK_OFF_MAX;
 use crate::named::named;
 
-/// Accepted commands after which a takeover is no longer contested.
+/// Accepted commands after which a contested takeover does not delay the next one.
 const SETTLED: u64 = 8;
+
+/// Time in ns after a takeover in which a command of the former leader shows that it was slow. A later one is that
+/// of a leader that hung.
+const SLOW_NS: Nanos = 1_000_000_000;
 
 /// Longest time in ns from the token of a controller to its lead, for a lead that it takes on purpose.
 const GUEST_NS: Nanos = 1_000_000_000;
@@ -33,7 +37,7 @@ named! {
         ClocksDiffer = "clocks-differ",
         /// The array follows another controller at the first report: standby begins.
         StoodBy = "stood-by",
-        /// The former leader still commands after a takeover.
+        /// The former leader was not gone at a takeover: it commanded on, or its token is back.
         Contested = "contested",
     }
 }
@@ -117,32 +121,76 @@ impl Watch {
     }
 }
 
-/// The evidence at a takeover, until it is settled or contested.
+/// A takeover from a leader that may be alive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(super) struct Takeover {
-    pub(super) refused: u64,
-    pub(super) accepted: u64,
+struct Takeover {
+    at_ns: Nanos,
+    /// Commands refused and accepted by the evidence that decided it.
+    refused: u64,
+    accepted: u64,
+    /// The last number that was given in its epoch before it.
+    sequence: u64,
+    is_settled: bool,
+}
+
+impl Takeover {
+    /// Whether another sender commanded after the evidence of the takeover, by evidence of its epoch.
+    fn is_contested(&self, evidence: Evidence) -> bool {
+        let own = evidence.applied_sequence.saturating_sub(self.sequence);
+        evidence.refused > self.refused || self.accepted_since(evidence) > own
+    }
+
+    fn accepted_since(&self, evidence: Evidence) -> u64 {
+        evidence.accepted.saturating_sub(self.accepted)
+    }
 }
 
 /// Whether takeovers proved to be contested.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub(super) struct Contest {
-    /// The last takeover, until it is settled or contested.
-    pub(super) takeover: Option<Takeover>,
+    /// The last takeover in this epoch, while it can be contested.
+    takeover: Option<Takeover>,
+    /// The remainder in the epochs of the former leader, where the end of its token decided the takeover.
+    left: Option<u64>,
     /// Contested takeovers in sequence.
     pub(super) back_off: u8,
 }
 
 impl Contest {
+    /// A takeover by this evidence. `sequence` is the last number in its epoch.
+    pub(super) fn begin(&mut self, at_ns: Nanos, shown: Evidence, sequence: u64) {
+        let Evidence { refused, accepted, .. } = shown;
+        self.takeover = Some(Takeover { at_ns, refused, accepted, sequence, is_settled: false });
+        self.left = None;
+    }
+
+    /// The takeover was decided by the end of the token of this remainder, or of a guest. A leader that ends commands
+    /// until its successor is obeyed, which contests nothing.
+    pub(super) fn note_gone(&mut self, left: Option<u64>) {
+        (self.takeover, self.left) = (None, left);
+    }
+
+    /// A new epoch. The own commands of the former one are refused too.
+    pub(super) fn end(&mut self) {
+        self.takeover = None;
+    }
+
+    /// Whether a token of this remainder shows that the former leader had lost only its token.
+    pub(super) fn is_back(&mut self, slot: u64) -> bool {
+        self.left.take_if(|left| *left == slot).is_some()
+    }
+
     /// Whether the takeover proves to be contested, by evidence of its epoch.
-    pub(super) fn is_contested(&mut self, evidence: Evidence) -> bool {
-        let Some(Takeover { refused, accepted }) = self.takeover else { return false };
-        let is_contested = evidence.refused > refused;
-        if is_contested {
+    pub(super) fn is_contested(&mut self, now: Nanos, evidence: Evidence) -> bool {
+        let Some(takeover) = &mut self.takeover else { return false };
+        let (is_contested, was_settled) = (takeover.is_contested(evidence), takeover.is_settled);
+        takeover.is_settled |= takeover.accepted_since(evidence) >= SETTLED;
+        if is_contested && !was_settled {
             self.back_off = BACK_OFF_MAX.min(self.back_off + 1);
-            self.takeover = None;
-        } else if evidence.accepted >= accepted + SETTLED {
+        } else if takeover.is_settled {
             self.back_off = 0;
+        }
+        if is_contested || (was_settled && now.abs_diff(takeover.at_ns) > SLOW_NS) {
             self.takeover = None;
         }
         is_contested

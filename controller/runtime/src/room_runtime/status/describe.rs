@@ -129,7 +129,7 @@ fn describe_event(event: TenureEvent, tenure: &Tenure) -> String {
             format!("{followed}: this one stands by, and takes over when reports stay without an accepted command")
         }
         TenureEvent::Contested => format!(
-            "the former leader still commands after the takeover (epoch {epoch}): the array refuses it. Look for a slow controller, or a link that loses its commands"
+            "the former leader was not gone at the takeover (epoch {epoch}): it commanded on, or its token is back. Look for a slow controller, or a link that loses messages"
         ),
     }
 }
@@ -215,7 +215,7 @@ mod tests {
         let tenure = Tenure::live(2, INTERVAL);
         let problem = describe_events(&[TenureEvent::TookOver, TenureEvent::Contested], &tenure);
         let Some(Problem::Alarm(text)) = problem else { panic!("an alarm") };
-        for part in ["takes over", "it saw no accepted command of another; the former leader still commands"] {
+        for part in ["takes over", "it saw no accepted command of another; the former leader was not gone"] {
             assert!(text.contains(part), "{text}");
         }
     }

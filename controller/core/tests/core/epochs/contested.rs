@@ -1,0 +1,126 @@
+//! Takeovers from a leader that was not gone.
+
+use super::*;
+
+/// A room in which a standby has just taken over from a leader that is not served.
+fn taken_room(standby: Tenure) -> Room {
+    let mut room = led_room(&[1, 600]);
+    room.controllers[1].tenure = standby;
+    room.controllers[1].events.clear();
+    room.run(S);
+    room.controllers[0].is_alive = false;
+    room.until_accepted(1);
+    assert_eq!(room.controllers[1].events.last(), Some(&TenureEvent::TookOver));
+    room
+}
+
+/// A command of the former leader arrives, and the next telemetry shows it; whether this contests the takeover.
+fn is_contested(room: &mut Room) -> bool {
+    let (epoch, sequence) = room.controllers[0].sent;
+    assert!(!room.array.handle(room.now, epoch, sequence + 1));
+    room.run(INTERVAL);
+    room.controllers[1].events.last() == Some(&TenureEvent::Contested)
+}
+
+#[test]
+fn contested_takeovers_make_a_standby_more_patient() {
+    let mut room = led_room(&[1, 600]);
+    let mut unanswered = Vec::new();
+    for _ in 0..3 {
+        // The leader is slow: its command comes after the takeover.
+        let leader = room.standings().iter().position(|standing| *standing == Standing::Leading).unwrap();
+        let (standby, before) = (1 - leader, room.now);
+        room.controllers[leader].is_alive = false;
+        room.until_accepted(standby);
+        unanswered.push((room.now - before) / INTERVAL);
+        let (epoch, sequence) = room.controllers[leader].sent;
+        assert!(!room.array.handle(room.now, epoch, sequence + 1));
+        room.run(INTERVAL);
+        assert_eq!(room.controllers[standby].events.last(), Some(&TenureEvent::Contested));
+        room.controllers[leader].is_alive = true;
+        room.run(S);
+        room.controllers[standby].is_alive = false;
+        room.until_accepted(leader);
+        room.controllers[standby].is_alive = true;
+        room.run(S);
+    }
+    assert_eq!(unanswered, [2, 3, 4]);
+}
+
+#[test]
+fn a_command_that_was_accepted_after_the_last_telemetry_contests_a_takeover() {
+    let mut room = led_room(&[1, 600]);
+    let (epoch, sequence) = room.controllers[0].sent;
+    room.controllers[0].is_alive = false;
+    room.run(INTERVAL);
+    room.now += INTERVAL;
+    room.show(room.array.shown);
+    assert!(room.array.handle(room.now, epoch, sequence + 1), "the leader is slow");
+    room.controllers[1].report(room.now, &mut room.array);
+    room.controllers[0].is_alive = true;
+    room.run(S);
+    assert_eq!(room.array.shown.refused, 0, "telemetry tells the former leader to stand by");
+    assert_eq!(room.standings(), [Standing::Standby, Standing::Leading]);
+    assert_eq!(room.controllers[1].events, [TenureEvent::StoodBy, TenureEvent::TookOver, TenureEvent::Contested]);
+}
+
+#[test]
+fn a_slow_leader_contests_a_takeover_for_a_second_and_delays_no_later_one() {
+    for (after, expected) in [(500 * MS, true), (2 * S, false)] {
+        let mut room = taken_room(Tenure::live(600, INTERVAL));
+        room.run(after);
+        assert_eq!(is_contested(&mut room), expected, "{} ms after the takeover", after / MS);
+        room.controllers[0].is_alive = true;
+        room.run(S);
+        room.controllers[1].is_alive = false;
+        room.until_accepted(0);
+        room.controllers[1].is_alive = true;
+        room.run(S);
+        room.controllers[0].is_alive = false;
+        assert_eq!(room.until_accepted(1), 2 * INTERVAL);
+    }
+}
+
+#[test]
+fn a_leader_whose_token_is_back_had_not_ended() {
+    let mut room = led_room(&[1, 600]);
+    room.announce(1, false);
+    assert_eq!(room.until_accepted(1), INTERVAL);
+    room.run(S);
+    room.announce(2, true);
+    assert!(room.controllers[1].tenure.has_leader_ended());
+    assert_eq!(room.controllers[1].events.last(), Some(&TenureEvent::TookOver), "its commands end with its lead");
+    room.announce(1, true);
+    room.announce(1, true);
+    assert!(!room.controllers[1].tenure.has_leader_ended());
+    assert_eq!(room.controllers[1].events, [TenureEvent::StoodBy, TenureEvent::TookOver, TenureEvent::Contested]);
+}
+
+#[test]
+fn a_takeover_of_last_resort_can_be_contested() {
+    // The rank counts more reports than the array may leave without a command.
+    let mut room = taken_room(Tenure::live(600, INTERVAL).in_reserve(Some(u8::MAX)));
+    assert!(is_contested(&mut room));
+}
+
+#[test]
+fn a_takeover_without_telemetry_is_contested_when_telemetry_shows_the_commands_of_the_leader() {
+    let mut room = led_room(&[1, 600]);
+    room.telemetry_interval = 1000 * S;
+    room.run(2 * S);
+    room.telemetry_interval = INTERVAL;
+    room.run(S);
+    assert_eq!(room.standings(), [Standing::Standby, Standing::Leading]);
+    assert_eq!(room.controllers[1].events, [TenureEvent::StoodBy, TenureEvent::TookOver, TenureEvent::Contested]);
+}
+
+#[test]
+fn the_own_commands_of_a_former_epoch_contest_no_takeover() {
+    let mut room = taken_room(Tenure::live(600, INTERVAL));
+    let (epoch, sequence) = room.controllers[1].sent;
+    assert!(room.array.handle(room.now, epoch, u64::MAX), "another sender uses the epoch");
+    room.run(INTERVAL);
+    assert!(!room.array.handle(room.now, epoch, sequence + 1), "a command on its way");
+    room.run(S);
+    assert_eq!(room.controllers[1].events.last(), Some(&TenureEvent::ForeignSequence));
+}

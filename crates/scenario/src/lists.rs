@@ -91,7 +91,7 @@ mod tests {
             "line 3: streams.positions = a list: expected a table [streams.positions]",
         ];
         assert_eq!(problems(text), expected);
-        let overridden = Scenario::default().with_overrides(&["led=[]".to_owned()]);
+        let overridden = Scenario::default().with_overrides(&["led=[]"]);
         assert!(overridden.is_err_and(|error| error.to_string().contains("expected a table [led]")));
         assert_eq!(problems("[[mirrors]]\nrows = 4\n"), [""; 0]);
     }

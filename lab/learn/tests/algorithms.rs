@@ -21,7 +21,7 @@ const OBSERVATIONS: usize = 200;
 const TIES_MAX: f64 = 1e-3;
 
 fn begin(algorithm: Algorithm, mode: &str, seed: u64) -> Training {
-    let overrides = ["mirrors.rows=3", "mirrors.columns=4", &format!("seed={seed}")].map(String::from);
+    let overrides = ["mirrors.rows=3", "mirrors.columns=4", &format!("seed={seed}")];
     let scenario = Scenario::builtin(mode).and_then(|scenario| scenario.with_overrides(&overrides));
     let mut options = vec![format!("episodes={EPISODES}"), "steps=8".into()];
     options.extend(short(algorithm).iter().map(|option| String::from(*option)));

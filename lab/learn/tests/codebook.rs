@@ -22,8 +22,7 @@ const OBSERVATIONS: usize = 500;
 
 /// Few mirrors, for short run times.
 fn small(name: &str, overrides: &[&str]) -> Scenario {
-    let all: Vec<String> =
-        ["mirrors.rows=4", "mirrors.columns=4"].iter().chain(overrides).map(|&text| text.into()).collect();
+    let all = [&["mirrors.rows=4", "mirrors.columns=4"], overrides].concat();
     Scenario::builtin(name).and_then(|scenario| scenario.with_overrides(&all)).expect("a valid scenario")
 }
 

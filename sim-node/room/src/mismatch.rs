@@ -103,14 +103,13 @@ mod tests {
     use super::*;
 
     fn scenario(overrides: &[&str]) -> Scenario {
-        let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
-        Scenario::builtin("hall").unwrap().with_overrides(&overrides).unwrap()
+        Scenario::builtin("hall").unwrap().with_overrides(overrides).unwrap()
     }
 
     #[test]
     fn an_unknown_led_shines_in_the_true_room_and_nothing_else_differs() {
         let nominal = Scenario::builtin("hall").unwrap();
-        let with_neighbour = nominal.with_overrides(&["mismatch.unknown_leds_m=[[2.0,2.0,3.0]]".into()]).unwrap();
+        let with_neighbour = nominal.with_overrides(&["mismatch.unknown_leds_m=[[2.0,2.0,3.0]]"]).unwrap();
         let room = true_room(&with_neighbour, 1);
         assert_eq!(room.led.positions_m, [[0.0, 0.0, 3.0], [2.0, 2.0, 3.0]]);
         assert_eq!((room.receiver, room.mirrors), (nominal.receiver, nominal.mirrors));
@@ -201,11 +200,11 @@ mod tests {
     fn every_drawn_room_is_a_valid_one() {
         for name in heliostat_scenario::BUILTIN_NAMES {
             let level = Scenario::builtin(name).unwrap();
-            let level = level.with_overrides(&["mismatch.level=rough".to_owned()]).unwrap();
+            let level = level.with_overrides(&["mismatch.level=rough"]).unwrap();
             for seed in 0..200 {
                 let room = true_room(&level, seed);
                 assert!(room.channel_model().is_ok(), "{name}, seed {seed}");
-                assert!(room.with_overrides(&[]).is_ok(), "{name}, seed {seed}");
+                assert!(room.with_overrides::<&str>(&[]).is_ok(), "{name}, seed {seed}");
             }
         }
     }

@@ -161,8 +161,7 @@ mod tests {
     use super::*;
 
     fn of(overrides: &[&str]) -> Vec<String> {
-        let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
-        let scenario = Scenario::builtin("hall").unwrap().with_overrides(&overrides).unwrap();
+        let scenario = Scenario::builtin("hall").unwrap().with_overrides(overrides).unwrap();
         let found = conditions(&scenario, &scenario.channel_model().unwrap());
         found.iter().map(ToString::to_string).collect()
     }

@@ -344,7 +344,7 @@ fn the_journal_names_the_arrays_so_that_a_replay_repeats_what_was_withheld() {
 
 #[test]
 fn silence_withholds_or_repeats_for_each_array() {
-    let scenario = two_arrays().with_overrides(&["control.when_silent=\"last-good\"".into()]).unwrap();
+    let scenario = two_arrays().with_overrides(&["control.when_silent=\"last-good\""]).unwrap();
     let (mut controller, mut room) = (controller(&scenario, Box::new(Reaching)), Room::new(&scenario));
     let (_, last) = decide(&mut controller, &mut room, 1);
     assert_eq!(arrays_of(&last), [0, 1]);

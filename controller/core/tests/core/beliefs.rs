@@ -113,8 +113,7 @@ fn without_a_filter_there_is_no_belief() {
 
 /// The probability of a clear direct path in `hall`, after 30 readings of this gain.
 fn direct_clear(los_gain: f64, overrides: &[&str]) -> f64 {
-    let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
-    let scenario = Scenario::builtin("hall").unwrap().with_overrides(&overrides).unwrap();
+    let scenario = Scenario::builtin("hall").unwrap().with_overrides(overrides).unwrap();
     let model = scenario.channel_model().unwrap();
     let mut belief = Belief::new(&scenario, &model, 64);
     let (place, gains) = (Vec3::new(1.0, 0.5, 0.85), [[los_gain, 0.0]]);

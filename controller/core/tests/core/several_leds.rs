@@ -14,8 +14,7 @@ use crate::support::{MS, report_gains};
 const TWO_LEDS: [&str; 2] = ["led.positions_m=[[-1.25,0,3],[1.25,0,3]]", "streams.positions.noise_m=0.001"];
 
 fn hall(overrides: &[&str]) -> Scenario {
-    let overrides: Vec<String> = [&TWO_LEDS, overrides].concat().iter().map(|text| (*text).to_owned()).collect();
-    Scenario::builtin("hall").unwrap().with_overrides(&overrides).unwrap()
+    Scenario::builtin("hall").unwrap().with_overrides(&[&TWO_LEDS, overrides].concat()).unwrap()
 }
 
 /// The direct gains of users at these places in these orientations past blockers.

@@ -29,8 +29,7 @@ pub const START: Nanos = 1_000 * MS;
 /// The default scenario with three by three mirrors and three users.
 pub fn scenario(overrides: &[&str]) -> Scenario {
     let small = ["mirrors.rows=3", "mirrors.columns=3", "users.count=3"];
-    let overrides: Vec<String> = small.iter().chain(overrides).map(|text| text.to_string()).collect();
-    Scenario::builtin("specular").unwrap().with_overrides(&overrides).unwrap()
+    Scenario::builtin("specular").unwrap().with_overrides(&[&small[..], overrides].concat()).unwrap()
 }
 
 pub fn model(scenario: &Scenario) -> ChannelModel {

@@ -211,7 +211,7 @@ mod tests {
 
     #[test]
     fn more_decisions_of_fast_policies_leave_their_sum_rate_unchanged() {
-        let scenario = Scenario::builtin("paper").unwrap().with_overrides(&["users.count=2".into()]).unwrap();
+        let scenario = Scenario::builtin("paper").unwrap().with_overrides(&["users.count=2"]).unwrap();
         let worth = |decisions: usize| {
             let job = Timing { small: false, decisions, slow_decisions: 2, trials: 10 };
             let curves = job.run(&scenario, &ActorSource::Shipped).unwrap().curves;

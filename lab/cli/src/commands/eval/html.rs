@@ -244,7 +244,7 @@ mod tests {
     use super::*;
 
     fn report_of(policies: &[&str]) -> (Scenario, Report) {
-        let room = ["mirrors.rows=2", "mirrors.columns=3", "users.count=2", "name=\"<b>lab</b>\""].map(String::from);
+        let room = ["mirrors.rows=2", "mirrors.columns=3", "users.count=2", "name=\"<b>lab</b>\""];
         let scenario = Scenario::from_toml_with("", &room).expect("a scenario");
         let actor = heliostat_models::ActorSource::Shipped;
         let policies = policies.iter().map(|name| EvaluatedPolicy::parse(name, &actor).expect("a policy")).collect();

@@ -3,8 +3,8 @@
 
 use clap::ValueEnum;
 use heliostat_channel::MirrorAngles;
-use heliostat_core::observation::{OBSERVATION_VERSION, USERS_CAPACITY};
-use heliostat_core::policy::actor_file::{ActorFile, key};
+use heliostat_core::observation::USERS_CAPACITY;
+use heliostat_core::policy::actor_file::{ActorFile, room_entries};
 use heliostat_core::policy::{Policy, PolicyKind};
 use heliostat_learn::environment::{Environment, Rooms};
 use heliostat_learn::training::{Algorithm, Preset, Training, checkpoint};
@@ -50,17 +50,6 @@ fn state(training: &mut Training, folder: &tempfile::TempDir) -> Vec<u8> {
     std::fs::read(path).expect("the file")
 }
 
-fn metadata(scenario: &Scenario) -> Vec<(String, String)> {
-    let entries = [
-        (key::OBSERVATION_VERSION, OBSERVATION_VERSION.to_string()),
-        (key::USERS_MAX, USERS_CAPACITY.to_string()),
-        (key::MIRRORS, scenario.mirror_count().to_string()),
-        (key::MODE, scenario.channel.mode.name().to_string()),
-        (key::GEOMETRY, scenario.geometry_hash()),
-    ];
-    entries.map(|(key, value)| (key.to_string(), value)).to_vec()
-}
-
 #[test]
 fn the_same_seed_gives_the_same_actor_and_another_seed_another() {
     let actor = |algorithm, seed| {
@@ -100,7 +89,7 @@ fn exported_graphs_give_the_learners_angles() {
             let mut training = begin(*algorithm, mode, 5);
             run(&mut training, EPISODES);
             let scenario = training.scenario().clone();
-            let bytes = training.export(&metadata(&scenario)).expect("an actor");
+            let bytes = training.export(&room_entries(&scenario, USERS_CAPACITY)).expect("an actor");
             let file = ActorFile { origin: "the exported actor".into(), bytes: bytes.into() };
             let mut served = heliostat_models::load_actor(&file, &scenario).expect("the engine takes the graph");
             let (mut rng, mut differ) = (ChaCha8Rng::seed_from_u64(11), 0);

@@ -113,7 +113,7 @@ mod tests {
         let room = true_room(&with_neighbour, 1);
         assert_eq!(room.led.positions_m, [[0.0, 0.0, 3.0], [2.0, 2.0, 3.0]]);
         assert_eq!((room.receiver, room.mirrors), (nominal.receiver, nominal.mirrors));
-        let told_apart = ["mismatch.unknown_leds_m=[[2,2,3]]", "streams.channel.leds=gains"].map(String::from);
+        let told_apart = ["mismatch.unknown_leds_m=[[2,2,3]]", "streams.channel.leds=gains"];
         let refusal = Scenario::builtin("hall").unwrap().with_overrides(&told_apart).unwrap_err().to_string();
         assert!(refusal.contains("mismatch.unknown_leds_m"), "{refusal}");
     }

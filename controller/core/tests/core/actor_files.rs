@@ -151,7 +151,8 @@ fn a_file_with_nan_or_infinite_weights_is_refused_with_the_name_of_the_tensor() 
 #[test]
 fn a_file_without_any_metadata_says_which_command_prints_what_is_needed() {
     let scenario = scenario(&[]);
-    let recipe = ActorRecipe { metadata: vec![("author", "a stranger".into())], ..ActorRecipe::fitting(&scenario) };
+    let recipe =
+        ActorRecipe { metadata: vec![("author".into(), "a stranger".into())], ..ActorRecipe::fitting(&scenario) };
     let error = refusal(&recipe, &scenario);
     assert_contains(
         &error,

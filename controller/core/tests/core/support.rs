@@ -5,10 +5,10 @@ use heliostat_core::{
     belief::Belief,
     core::{Controller, Decision, DegradedMode},
     inbox::Message,
-    observation::{OBSERVATION_VERSION, Observation, ObservationEncoder},
+    observation::{Observation, ObservationEncoder},
     policy::{
         self, Actor, BuildError, Engine, Fixed, Network, Policy, PolicyError, PolicyKind, Resources,
-        actor_file::{ActorError, ActorFile, INPUT_NAME, OUTPUT_NAME, key},
+        actor_file::{ActorError, ActorFile, INPUT_NAME, OUTPUT_NAME, room_entries},
     },
 };
 use heliostat_onnx::{
@@ -206,7 +206,7 @@ pub struct ActorRecipe {
     pub bias: Vec<f32>,
     /// All weights have this value.
     pub weight: f32,
-    pub metadata: Vec<(&'static str, String)>,
+    pub metadata: Vec<(String, String)>,
     /// Declares input or output, of one row or of any number.
     pub port: fn(&str, usize) -> ValueInfoProto,
     pub opset: i64,
@@ -223,26 +223,20 @@ impl ActorRecipe {
             output_length: 2 * mirrors,
             bias: vec![0.25; 2 * mirrors],
             weight: 0.0,
-            metadata: vec![
-                (key::OBSERVATION_VERSION, OBSERVATION_VERSION.to_string()),
-                (key::USERS_MAX, users_max.to_string()),
-                (key::MIRRORS, mirrors.to_string()),
-                (key::MODE, scenario.channel.mode.name().into()),
-                (key::GEOMETRY, scenario.geometry_hash()),
-            ],
+            metadata: room_entries(scenario, users_max),
             port: f32_row,
             opset: 17,
         }
     }
 
-    pub fn with_metadata(mut self, key: &'static str, value: &str) -> Self {
-        self.metadata.retain(|(name, _)| *name != key);
-        self.metadata.push((key, value.into()));
-        self
+    pub fn with_metadata(self, key: &str, value: &str) -> Self {
+        let mut without = self.without_metadata(key);
+        without.metadata.push((key.into(), value.into()));
+        without
     }
 
-    pub fn without_metadata(mut self, key: &'static str) -> Self {
-        self.metadata.retain(|(name, _)| *name != key);
+    pub fn without_metadata(mut self, key: &str) -> Self {
+        self.metadata.retain(|(name, _)| name != key);
         self
     }
 
@@ -269,13 +263,12 @@ impl ActorRecipe {
             output: vec![(self.port)(self.output_name, outputs)],
             ..GraphProto::default()
         };
-        let entry =
-            |(key, value): &(&str, String)| StringStringEntryProto { key: key.to_string(), value: value.clone() };
+        let entries = self.metadata.iter().cloned();
         ModelProto {
             ir_version: 8,
             opset_import: vec![OperatorSetIdProto { domain: String::new(), version: self.opset }],
             graph: Some(graph),
-            metadata_props: self.metadata.iter().map(entry).collect(),
+            metadata_props: entries.map(|(key, value)| StringStringEntryProto { key, value }).collect(),
             ..ModelProto::default()
         }
         .encode_to_vec()

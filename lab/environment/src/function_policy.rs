@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use heliostat_channel::{ChannelModel, MirrorAngles};
 use heliostat_core::observation::{Observation, ObservationEncoder, USERS_CAPACITY};
-use heliostat_core::policy::{Policy, PolicyError};
+use heliostat_core::policy::{Policy, PolicyError, PolicyResult};
 use heliostat_core::safety::Limits;
 use heliostat_core::selection::Selection;
 use heliostat_scenario::Scenario;
@@ -51,12 +51,7 @@ impl<F: FnMut(&[f32]) -> Result<Vec<f32>, String> + Send> FunctionPolicy<F> {
         Arc::clone(&self.failures)
     }
 
-    fn propose(
-        &mut self,
-        model: &ChannelModel,
-        observation: &Observation,
-        out: &mut MirrorAngles,
-    ) -> Result<(), PolicyError> {
+    fn propose(&mut self, model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) -> PolicyResult {
         self.chosen.clear();
         self.chosen.extend_from_slice(self.selection.choose(observation));
         self.encoder.encode_users(model, observation, self.chosen.iter().copied(), &mut self.vector)?;
@@ -72,12 +67,7 @@ impl<F: FnMut(&[f32]) -> Result<Vec<f32>, String> + Send> Policy for FunctionPol
         &self.name
     }
 
-    fn act(
-        &mut self,
-        model: &ChannelModel,
-        observation: &Observation,
-        out: &mut MirrorAngles,
-    ) -> Result<(), PolicyError> {
+    fn act(&mut self, model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) -> PolicyResult {
         let proposed = self.propose(model, observation, out);
         if proposed.is_err() {
             self.failures.fetch_add(1, Ordering::Relaxed);

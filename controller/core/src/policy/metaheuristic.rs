@@ -16,7 +16,7 @@ use heliostat_scenario::{Control, Scenario};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::proposal::{Policy, PolicyError, PolicyMemory, TimeSource};
+use super::proposal::{Policy, PolicyMemory, PolicyResult, TimeSource};
 use crate::{observe::observation::Observation, output::safety::Limits};
 
 /// Candidates; the usual number of the literature is 20 to 50, and a short budget asks for few.
@@ -82,12 +82,7 @@ impl<R: Rule> Policy for Search<R> {
         self.name
     }
 
-    fn act(
-        &mut self,
-        model: &ChannelModel,
-        observation: &Observation,
-        out: &mut MirrorAngles,
-    ) -> Result<(), PolicyError> {
+    fn act(&mut self, model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) -> PolicyResult {
         self.population.search(model, observation, &mut self.rule, out);
         Ok(())
     }

@@ -9,7 +9,7 @@ use heliostat_channel::{ChannelModel, MirrorAngles, Vec3, decode::decode};
 use heliostat_core::{
     observation::{Observation, ObservationEncoder, RoomState, Summary},
     policy::{
-        Actor, Engine, Network, Policy, PolicyError,
+        Actor, Engine, Network, Policy, PolicyResult,
         actor_file::{ANGLES, ActionKind, ActorError, ActorFile, ObservationKind, WEIGHTS, key},
         weights::Head,
     },
@@ -182,7 +182,7 @@ impl Network for Stepping {
         "stepping"
     }
 
-    fn set_rows(&mut self, rows: usize) -> Result<(), PolicyError> {
+    fn set_rows(&mut self, rows: usize) -> PolicyResult {
         assert_eq!(rows, 1, "an actor has one row");
         Ok(())
     }
@@ -191,7 +191,7 @@ impl Network for Stepping {
         &mut self.input
     }
 
-    fn run(&mut self) -> Result<&[f32], PolicyError> {
+    fn run(&mut self) -> PolicyResult<&[f32]> {
         self.runs.fetch_add(1, Relaxed);
         self.output[7] += self.step;
         Ok(&self.output)

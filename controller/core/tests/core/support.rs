@@ -7,7 +7,7 @@ use heliostat_core::{
     inbox::Message,
     observation::{Observation, ObservationEncoder},
     policy::{
-        self, Actor, BuildError, Engine, Fixed, Network, Policy, PolicyError, PolicyKind, Resources,
+        self, Actor, BuildError, Engine, Fixed, Network, Policy, PolicyKind, PolicyResult, Resources,
         actor_file::{ActorError, ActorFile, INPUT_NAME, OUTPUT_NAME, room_entries},
     },
 };
@@ -184,14 +184,14 @@ pub fn report_gains(
 }
 
 /// A policy that calls a function.
-pub struct Scripted(pub fn(&Observation, &mut MirrorAngles) -> Result<(), PolicyError>);
+pub struct Scripted(pub fn(&Observation, &mut MirrorAngles) -> PolicyResult);
 
 impl Policy for Scripted {
     fn name(&self) -> &str {
         "scripted"
     }
 
-    fn act(&mut self, _: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) -> Result<(), PolicyError> {
+    fn act(&mut self, _: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) -> PolicyResult {
         (self.0)(observation, out)
     }
 }
@@ -319,7 +319,7 @@ impl Network for BiasNetwork {
         "bias"
     }
 
-    fn set_rows(&mut self, rows: usize) -> Result<(), PolicyError> {
+    fn set_rows(&mut self, rows: usize) -> PolicyResult {
         assert!((1..=MAX_USERS).contains(&rows), "{rows} rows");
         self.rows = rows;
         Ok(())
@@ -329,7 +329,7 @@ impl Network for BiasNetwork {
         &mut self.input[..self.rows * self.input_length]
     }
 
-    fn run(&mut self) -> Result<&[f32], PolicyError> {
+    fn run(&mut self) -> PolicyResult<&[f32]> {
         self.output.clear();
         for row in self.input.chunks_exact(self.input_length).take(self.rows) {
             let added = self.weight * row.iter().sum::<f32>();

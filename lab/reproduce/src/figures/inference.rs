@@ -1,7 +1,7 @@
 //! Decision times, compared with the paper's 0.5 ms and with methods that search at every decision.
 
 use anyhow::{Result, ensure};
-use heliostat_learn::comparison::{EvaluatedPolicy, Loop, Row, Settings, compare_under};
+use heliostat_learn::comparison::{Loop, Row, Settings, compare_under};
 use heliostat_models::ActorSource;
 use heliostat_scenario::{ChannelMode, Scenario};
 use indicatif::ProgressBar;
@@ -72,18 +72,7 @@ impl Timing {
         }
         let group = format!("{} mirrors, {} users", scenario.mirror_count(), scenario.users.count);
         let compared = |names: &[&str], states: usize| -> Result<Vec<(String, Row)>> {
-            let policies = names.iter().map(|name| EvaluatedPolicy::parse(name, actor)).collect::<Result<_, _>>()?;
-            let (scenario, mode) = (scenario.clone(), Loop::Static);
-            let settings = Settings {
-                scenario,
-                policies,
-                states,
-                seeds: 1,
-                mode,
-                training_seed: Some(1),
-                without_mirrors: false,
-                warm: Settings::WARM,
-            };
+            let settings = Settings::of_names(scenario.clone(), names, actor, (Loop::Static, states))?;
             Ok(compare_under(&settings, &ProgressBar::hidden())?.policies)
         };
         let all = compared(names, self.slow_decisions)?;

@@ -6,7 +6,7 @@
 //! for a policy without outages too, and at length 0 it is the share of time below the minimum rate.
 
 use anyhow::Result;
-use heliostat_learn::comparison::{EvaluatedPolicy, Loop, OUTAGE_LENGTHS_S, Row, Settings, compare_under};
+use heliostat_learn::comparison::{Loop, OUTAGE_LENGTHS_S, Row, Settings, compare_under};
 use heliostat_models::ActorSource;
 use heliostat_scenario::Scenario;
 use indicatif::ProgressBar;
@@ -67,17 +67,7 @@ impl Outage {
         for blocked in &self.blocked {
             let mut scenario = scenario.clone();
             scenario.blockage.forced_users = *blocked;
-            let policies = POLICIES.iter().map(|name| EvaluatedPolicy::parse(name, actor)).collect::<Result<_, _>>()?;
-            let settings = Settings {
-                warm: Settings::WARM,
-                scenario,
-                policies,
-                states: self.instants,
-                seeds: 1,
-                mode: Loop::ClosedLoop,
-                training_seed: Some(1),
-                without_mirrors: false,
-            };
+            let settings = Settings::of_names(scenario, &POLICIES, actor, (Loop::ClosedLoop, self.instants))?;
             let report = compare_under(&settings, &ProgressBar::hidden())?;
             let oracle = ("oracle", &report.oracle);
             let policies = report.policies.iter().map(|(name, row)| (name.as_str(), row));

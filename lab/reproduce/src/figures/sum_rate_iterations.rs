@@ -6,7 +6,7 @@
 
 use anyhow::{Result, ensure};
 use clap::ValueEnum;
-use heliostat_learn::comparison::{EvaluatedPolicy, Loop, Settings, compare_under};
+use heliostat_learn::comparison::{Loop, Settings, compare_under};
 use heliostat_learn::evaluation::HeldOut;
 use heliostat_learn::training::{Algorithm, Preset};
 use heliostat_models::ActorSource;
@@ -125,18 +125,7 @@ impl Baselines {
     /// Evaluates on the states of the learners: those of set 0, independent of the seed.
     pub(crate) fn run(&self, scenario: &Scenario) -> Result<Measured> {
         let scenario = Scenario { seed: 0, ..sized(scenario, self.side, self.blocked)? };
-        let source = ActorSource::Shipped;
-        let policies = POLICIES.iter().map(|name| EvaluatedPolicy::parse(name, &source)).collect::<Result<_, _>>()?;
-        let settings = Settings {
-            scenario,
-            policies,
-            states: self.states,
-            seeds: 1,
-            mode: Loop::Static,
-            training_seed: Some(1),
-            without_mirrors: false,
-            warm: Settings::WARM,
-        };
+        let settings = Settings::of_names(scenario, &POLICIES, &ActorSource::Shipped, (Loop::Static, self.states))?;
         let report = compare_under(&settings, &ProgressBar::hidden())?;
         let oracle = std::iter::once(("oracle", &report.oracle));
         let rows = oracle.chain(report.policies.iter().map(|(name, row)| (name.as_str(), row)));

@@ -1,7 +1,7 @@
 //! Fig. 5: sum rate against optical power for several numbers of blocked users.
 
 use anyhow::{Result, ensure};
-use heliostat_learn::comparison::{EvaluatedPolicy, Loop, Settings, compare_under};
+use heliostat_learn::comparison::{Loop, Settings, compare_under};
 use heliostat_models::ActorSource;
 use heliostat_scenario::Scenario;
 use indicatif::ProgressBar;
@@ -65,17 +65,7 @@ impl Power {
             let mut scenario = scenario.clone();
             scenario.blockage.forced_users = self.blocked;
             scenario.led.power_w = *power_w;
-            let policies = POLICIES.iter().map(|name| EvaluatedPolicy::parse(name, actor)).collect::<Result<_, _>>()?;
-            let settings = Settings {
-                warm: Settings::WARM,
-                scenario,
-                policies,
-                states: self.states,
-                seeds: 1,
-                mode: Loop::Static,
-                training_seed: Some(1),
-                without_mirrors: false,
-            };
+            let settings = Settings::of_names(scenario, &POLICIES, actor, (Loop::Static, self.states))?;
             let report = compare_under(&settings, &ProgressBar::hidden())?;
             let rows = std::iter::once(&report.oracle).chain(report.policies.iter().map(|(_, row)| row));
             for (row, curve) in rows.zip(&mut curves) {

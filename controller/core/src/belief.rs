@@ -56,7 +56,7 @@ mod tracks;
 
 use heliostat_channel::{ChannelModel, Vec3, blockage::Cylinder, mirrors::MirrorAngles};
 use heliostat_proto::{ChannelReport, LedReport, MirrorCommand, Nanos, UserReport, UserState};
-use heliostat_scenario::Scenario;
+use heliostat_scenario::{Scenario, Walk};
 
 use angle_history::AngleHistory;
 use body::Body;
@@ -67,7 +67,7 @@ use heading::{HEADING_KNOWN, HEADINGS};
 use independence::independent_share;
 use innovations::{Innovations, normalised_squared};
 use light::LightWatch;
-use motion::{MotionEstimate, Sighting, WalkPriors};
+use motion::{MotionEstimate, Sighting};
 use noise::NoiseLevel;
 use occupancy::Occupancy;
 use posture::Posture;
@@ -106,7 +106,7 @@ const HEADING_CERTAIN: f64 = 0.95;
 /// The belief about all users of a room. Its buffers are allocated once.
 #[derive(Clone, Debug)]
 pub struct Belief {
-    priors: WalkPriors,
+    priors: Walk,
     position_noise: NoiseLevel,
     velocity_noise: NoiseLevel,
     first_noise: [NoiseLevel; 2],
@@ -145,7 +145,7 @@ impl Belief {
         let position_noise = NoiseLevel::new(streams.noise_m, POSITION_NOISE_M);
         let velocity_noise = NoiseLevel::new(streams.velocity_noise_m_s, VELOCITY_NOISE_M_S);
         Self {
-            priors: WalkPriors::new(&scenario.control.walk),
+            priors: scenario.control.walk.clone(),
             position_noise,
             velocity_noise,
             first_noise: [position_noise, velocity_noise],

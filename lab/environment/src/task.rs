@@ -344,7 +344,7 @@ impl Task {
     pub fn write_observation(&self, out: &mut [f32]) {
         match self.settings.observation {
             ObservationForm::Vector => out.copy_from_slice(self.vector()),
-            ObservationForm::AngleState => out.copy_from_slice(&self.angle_state.state(self.vector())),
+            ObservationForm::AngleState => self.angle_state.write(self.vector(), out),
             ObservationForm::Belief => {
                 assert_eq!(out.len(), self.observation_len(), "the buffer has another length");
                 let controller = match &self.room {

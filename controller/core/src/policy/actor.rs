@@ -62,11 +62,6 @@ impl Actor {
         Self { name, ..self }
     }
 
-    /// The metadata of the actor.
-    pub fn info(&self) -> &ActorInfo {
-        &self.info
-    }
-
     /// The name of the engine that evaluates the network.
     pub fn engine_name(&self) -> &'static str {
         self.network.engine()

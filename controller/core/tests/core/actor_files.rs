@@ -35,17 +35,6 @@ fn assert_contains(error: &dyn std::error::Error, words: &[&str]) {
 }
 
 #[test]
-fn an_actor_that_fits_acts() {
-    let scenario = scenario(&[]);
-    let model = model(&scenario);
-    let mut actor = load_actor(&ActorRecipe::fitting(&scenario).file(), &scenario).unwrap();
-    let mut angles = MirrorAngles::flat(9);
-    actor.act(&model, &Observation::new(&model, 3), &mut angles).unwrap();
-    assert!(angles.roll.iter().chain(&angles.yaw).all(|angle| *angle == 0.25));
-    assert_eq!(actor.info().users_max, 4);
-}
-
-#[test]
 fn a_truncated_file_is_refused() {
     let scenario = scenario(&[]);
     let bytes = ActorRecipe::fitting(&scenario).bytes();

@@ -65,7 +65,7 @@ fn compare(scenario: &Scenario, settings: Settings) -> (f64, f64) {
         assert!(actions.iter().all(|action| action.is_finite()), "expected finite actions, found {actions:?}");
         let expected = actor.decode(&environment, &actions);
         served.act(environment.model(), environment.observation(), &mut got).expect("angles");
-        let weights = actor.layout.weights(vector, &actions, actor.head);
+        let weights = actor.head.weights(actor.layout.encoder, vector, &actions).collect::<Vec<f32>>();
         for mirror in 0..mirrors {
             let steering = |slot: usize| vector[actor.layout.encoder.steering_amplitude()][slot * mirrors + mirror];
             if scenario.channel.mode == ChannelMode::Specular && near_tie(&weights, steering) {

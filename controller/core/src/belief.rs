@@ -28,7 +28,6 @@
 //! - [`angle_history`]: the angles of the mirrors at the time of a measurement.
 
 pub mod angle_history;
-pub(crate) mod body;
 mod channel_evidence;
 pub mod conditions;
 pub mod covered;
@@ -54,12 +53,11 @@ mod tilt;
 mod track;
 mod tracks;
 
-use heliostat_channel::{ChannelModel, Vec3, blockage::Cylinder, mirrors::MirrorAngles};
+use heliostat_channel::{Body, ChannelModel, Vec3, blockage::Cylinder, mirrors::MirrorAngles};
 use heliostat_proto::{ChannelReport, LedReport, MirrorCommand, Nanos, UserReport, UserState};
 use heliostat_scenario::{Scenario, Walk};
 
 use angle_history::AngleHistory;
-use body::Body;
 use channel_evidence::{Beliefs, Bodies, ChannelEvidence};
 use device::DeviceSettings;
 use expected::Room;
@@ -153,7 +151,7 @@ impl Belief {
             tracks: Tracks::new(capacity),
             last_ns: 0,
             report_age_max_ns: (scenario.control.report_age_max_ms * 1e6) as Nanos,
-            body: Body::new(&scenario.blockage),
+            body: scenario.blockage.body(),
             posture: Posture::new(scenario.control.tilt),
             devices: DeviceSettings::new(scenario),
             undecided: Vec::with_capacity(capacity),

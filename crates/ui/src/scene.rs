@@ -300,14 +300,7 @@ fn shown<T>(message: &Dated<T>, is_over: bool) -> Option<&T> {
 }
 
 fn body(scenario: &Scenario, user: &ObservedUser) -> Option<Cylinder> {
-    let blockage = &scenario.blockage;
-    let axis = user.position - blockage.body_offset_m * user.heading;
-    blockage.bodies.then_some(Cylinder {
-        x_m: axis.x,
-        y_m: axis.y,
-        radius_m: blockage.body_radius_m,
-        height_m: blockage.body_height_m,
-    })
+    Some(scenario.blockage.body()?.behind(&user.position, &user.heading))
 }
 
 /// The angles of the mirrors: measured, else commanded, else flat.

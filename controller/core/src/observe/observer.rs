@@ -26,14 +26,14 @@
 mod beliefs;
 pub mod memory;
 
-use heliostat_channel::{ChannelModel, Orientation, Vec3, blockage::Cylinder};
+use heliostat_channel::{Body, ChannelModel, Orientation, Vec3, blockage::Cylinder};
 use heliostat_proto::{
     ChannelReport, MAX_OBSTACLES, MAX_USERS, MirrorCommand, Nanos, Obstacle, OrientationReport, UserReport, UserState,
 };
 use heliostat_scenario::{self as scenario, Scenario};
 
 use crate::{
-    belief::{Belief, Estimate, body::Body, heading::HEADING_KNOWN, posture::Posture},
+    belief::{Belief, Estimate, heading::HEADING_KNOWN, posture::Posture},
     input::inbox::Inbox,
     observe::{lead::Lead, observation::Observation, slots::Slots},
 };
@@ -99,7 +99,7 @@ impl Observer {
     pub fn new(scenario: &Scenario, model: &ChannelModel) -> Self {
         let is_filter = scenario.control.belief == scenario::Belief::Filter;
         Self {
-            body: Body::new(&scenario.blockage),
+            body: scenario.blockage.body(),
             half_room_m: [scenario.room.length_x_m / 2.0, scenario.room.length_y_m / 2.0],
             lead: Lead::new(1.0 / scenario.streams.positions.rate_hz),
             is_extrapolating: scenario.control.belief == scenario::Belief::ConstantVelocity,

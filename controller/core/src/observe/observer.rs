@@ -30,17 +30,13 @@ use heliostat_channel::{Body, ChannelModel, Orientation, Vec3, blockage::Cylinde
 use heliostat_proto::{
     ChannelReport, MAX_OBSTACLES, MAX_USERS, MirrorCommand, Nanos, Obstacle, OrientationReport, UserReport, UserState,
 };
-use heliostat_scenario::{self as scenario, Scenario};
+use heliostat_scenario::{self as scenario, Scenario, WALKING_M_S};
 
 use crate::{
     belief::{Belief, Estimate, heading::HEADING_KNOWN, posture::Posture},
     input::inbox::Inbox,
     observe::{lead::Lead, observation::Observation, slots::Slots},
 };
-
-/// Below this speed in m/s a velocity does not show the direction that a user faces; half of the
-/// slowest walk.
-const WALKING_M_S: f64 = 0.05;
 
 /// A velocity of more standard deviations than this shows the heading better than a distribution in
 /// steps of 10 degrees.

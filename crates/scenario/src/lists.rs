@@ -1,9 +1,8 @@
 //! Lists in the text of a scenario: too long ones are refused before they are read, and lists in place of tables.
 
-use heliostat_channel::arrays::ARRAYS_MAX;
+use heliostat_channel::{arrays::ARRAYS_MAX, receiver::BRANCHES_MAX};
 use toml::{Table, Value};
 
-use crate::check::BRANCHES_MAX;
 use crate::error::ScenarioError;
 use crate::mobility_check::SHARES_MAX;
 use crate::scenario::Scenario;

@@ -39,17 +39,12 @@ pub(super) fn parts(room: &Room, plan: &Plan) -> Result<Vec<Part>> {
         room.name
     );
     let (decisions, slow_decisions, trials) = (plan.effort.timed, plan.effort.timed_slow, plan.effort.trials);
-    let part = |small: bool, seed: u64| Part {
-        figure: ID,
-        code: env!("HELIOSTAT_CODE_INFERENCE"),
-        room: room.name.clone(),
-        name: if small { "9 mirrors".into() } else { format!("{} mirrors", room.scenario.mirror_count()) },
-        seed,
-        scenario: room.scenario.clone(),
-        actor: room.actor.clone(),
-        job: Job::Timing(Timing { small, decisions, slow_decisions, trials }),
-        cost_s: slow_decisions as f64 * if small { 2e-2 } else { 5e-3 + 4e-5 * f64::from(trials) }
-            + decisions as f64 * if small { 2e-3 } else { 8e-3 },
+    let part = |small: bool, seed: u64| {
+        let name = if small { "9 mirrors".into() } else { format!("{} mirrors", room.scenario.mirror_count()) };
+        let job = Job::Timing(Timing { small, decisions, slow_decisions, trials });
+        let cost_s = slow_decisions as f64 * if small { 2e-2 } else { 5e-3 + 4e-5 * f64::from(trials) }
+            + decisions as f64 * if small { 2e-3 } else { 8e-3 };
+        room.part([ID, env!("HELIOSTAT_CODE_INFERENCE")], (name, seed), job, cost_s)
     };
     // Under the paper's equations angles are continuous, so there is no list of assignments.
     let both: &[bool] = if room.scenario.channel.mode == ChannelMode::Specular { &[false, true] } else { &[false] };
@@ -138,8 +133,6 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
         );
     }
     Figure {
-        id: ID.into(),
-        room: room.name.clone(),
         title: "Decision time and sum rate".into(),
         caption,
         x: Axis::log("time for a decision (us)", [1.0, 1e6]),

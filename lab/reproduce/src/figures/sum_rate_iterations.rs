@@ -51,15 +51,8 @@ pub(super) fn parts(room: &Room, plan: &Plan) -> Result<Vec<Part>> {
     for (index, side) in SIDES.into_iter().enumerate() {
         let states = effort.watched_states;
         let part = |name: String, seed: u64, job: Job, cost_s: f64| Part {
-            figure: ID,
-            code: env!("HELIOSTAT_CODE_SUM_RATE_ITERATIONS"),
-            room: room.name.clone(),
-            name,
-            seed,
-            scenario: room.scenario.clone(),
             actor: ActorSource::Shipped,
-            job,
-            cost_s,
+            ..room.part([ID, env!("HELIOSTAT_CODE_SUM_RATE_ITERATIONS")], (name, seed), job, cost_s)
         };
         sized(&room.scenario, side, blocked)?;
         let baselines = Baselines { side, blocked, states, episodes: effort.episodes };
@@ -138,7 +131,7 @@ impl Baselines {
     }
 }
 
-pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
+pub(super) fn figure(done: &[Done]) -> Figure {
     let names = ["oracle", "ddpg", "ddpg-raw", "dql", "flat", "random", "no-irs"];
     let panel = |name: &str| Panel { title: name.to_owned(), series: series(done, name, &names), ..Panel::default() };
     let job = done.iter().find_map(|(part, _)| match &part.job {
@@ -147,8 +140,6 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
     });
     let (episodes, states, blocked) = job.map_or((0, 0, 0), |job| (job.episodes, job.states, job.blocked));
     Figure {
-        id: ID.into(),
-        room: room.name.clone(),
         title: "Sum rate against iterations".into(),
         caption: vec![
             format!(

@@ -40,16 +40,10 @@ pub(super) fn parts(room: &Room, plan: &Plan) -> Result<Vec<Part>> {
         room.name
     );
     let effort = &plan.effort;
-    let part = |blocked: usize, seed: u64| Part {
-        figure: ID,
-        code: env!("HELIOSTAT_CODE_SUM_RATE_POWER"),
-        room: room.name.clone(),
-        name: group(blocked),
-        seed,
-        scenario: room.scenario.clone(),
-        actor: room.actor.clone(),
-        job: Job::Power(Power { blocked, powers_w: effort.powers_w.clone(), states: effort.states }),
-        cost_s: 1e-2 * (effort.states * effort.powers_w.len()) as f64,
+    let part = |blocked: usize, seed: u64| {
+        let job = Job::Power(Power { blocked, powers_w: effort.powers_w.clone(), states: effort.states });
+        let cost_s = 1e-2 * (effort.states * effort.powers_w.len()) as f64;
+        room.part([ID, env!("HELIOSTAT_CODE_SUM_RATE_POWER")], (group(blocked), seed), job, cost_s)
     };
     Ok(plan.blocked.iter().flat_map(|blocked| plan.seeds().map(|seed| part(*blocked, seed))).collect())
 }
@@ -94,8 +88,6 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
         _ => None,
     });
     Figure {
-        id: ID.into(),
-        room: room.name.clone(),
         title: "Sum rate against optical power".into(),
         caption: vec![
             format!(

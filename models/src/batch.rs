@@ -1,6 +1,6 @@
 //! The rows of a network's input, for engines whose model takes a fixed or any number of rows.
 
-use heliostat_core::policy::PolicyError;
+use heliostat_core::policy::{PolicyError, PolicyResult};
 
 /// Input and output of a network, and how many rows one run of the engine takes.
 pub struct Batch {
@@ -24,7 +24,7 @@ impl Batch {
     ///
     /// # Errors
     /// No row, or a number that is no multiple of what the model fixes.
-    pub fn set_rows(&mut self, rows: usize) -> Result<(), PolicyError> {
+    pub fn set_rows(&mut self, rows: usize) -> PolicyResult {
         let multiple = self.rows_per_run.unwrap_or(1);
         if rows == 0 || !rows.is_multiple_of(multiple) {
             let message = format!("the input has {rows} rows: expected a positive multiple of {multiple}");
@@ -46,8 +46,8 @@ impl Batch {
     /// That of `evaluate`.
     pub fn run(
         &mut self,
-        mut evaluate: impl FnMut([usize; 2], &[f32], &mut Vec<f32>) -> Result<(), PolicyError>,
-    ) -> Result<&[f32], PolicyError> {
+        mut evaluate: impl FnMut([usize; 2], &[f32], &mut Vec<f32>) -> PolicyResult,
+    ) -> PolicyResult<&[f32]> {
         let rows = self.rows_per_run.unwrap_or(self.rows);
         self.output.clear();
         // An input without columns has no values, but a run.

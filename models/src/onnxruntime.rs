@@ -6,7 +6,7 @@
 
 use std::sync::{Mutex, PoisonError};
 
-use heliostat_core::policy::{Network, PolicyError};
+use heliostat_core::policy::{Network, PolicyError, PolicyResult};
 use ort::{
     environment::Environment,
     session::{Session, builder::GraphOptimizationLevel},
@@ -108,7 +108,7 @@ impl BareSession {
     ///
     /// # Errors
     /// [`PolicyError::Inference`].
-    pub fn run(&mut self) -> Result<(), PolicyError> {
+    pub fn run(&mut self) -> PolicyResult {
         self.session.run(ort::inputs![&self.input]).map(drop).map_err(failed)
     }
 }
@@ -131,7 +131,7 @@ impl Network for OrtNetwork {
         ORT
     }
 
-    fn set_rows(&mut self, rows: usize) -> Result<(), PolicyError> {
+    fn set_rows(&mut self, rows: usize) -> PolicyResult {
         self.batch.set_rows(rows)
     }
 
@@ -139,7 +139,7 @@ impl Network for OrtNetwork {
         self.batch.input_mut()
     }
 
-    fn run(&mut self) -> Result<&[f32], PolicyError> {
+    fn run(&mut self) -> PolicyResult<&[f32]> {
         let Self { session, input, shape: present, batch } = self;
         batch.run(|shape, values, output| {
             if *present != shape {

@@ -1,8 +1,10 @@
 //! Actors from other programs: a network as an ONNX file becomes a file that a controller accepts.
 
 use heliostat_core::angle_state::AngleState;
-use heliostat_core::observation::{OBSERVATION_VERSION, ObservationEncoder, USERS_CAPACITY};
-use heliostat_core::policy::actor_file::{ActionKind, ActorFile, ActorInfo, INPUT_NAME, ObservationKind, key};
+use heliostat_core::observation::{ObservationEncoder, USERS_CAPACITY};
+use heliostat_core::policy::actor_file::{
+    ActionKind, ActorFile, ActorInfo, INPUT_NAME, ObservationKind, key, room_entries,
+};
 use heliostat_core::policy::fixed_input;
 use heliostat_environment::action::Head;
 use heliostat_onnx::graph::{Ends, Graph};
@@ -136,16 +138,12 @@ impl Form {
         let expected = |value: &f32| (self.factor * value.clamp(-1.0, 1.0)).to_string();
         let line = |values: &Vec<f32>| values.iter().map(expected).collect::<Vec<_>>().join(" ");
         let entry = |key: &str, value: String| (key.to_owned(), value);
-        let mut metadata = vec![
-            entry(key::OBSERVATION_VERSION, OBSERVATION_VERSION.to_string()),
+        let mut metadata = room_entries(room, self.slots);
+        metadata.extend([
             entry(key::OBSERVATION, self.observation.name().to_owned()),
-            entry(key::USERS_MAX, self.slots.to_string()),
-            entry(key::MIRRORS, room.mirror_count().to_string()),
-            entry(key::MODE, room.channel.mode.name().to_owned()),
-            entry(key::GEOMETRY, room.geometry_hash()),
             entry(key::SCENARIO, room.name.clone()),
             entry(key::CHECK, check.iter().map(line).collect::<Vec<_>>().join("; ")),
-        ];
+        ]);
         metadata.extend(self.action.entries());
         let (input, output) = ((INPUT_NAME, self.inputs), (self.action.output(), self.outputs));
         graph.finish(&Ends { name: "heliostat-python-actor", input, output }, &metadata)

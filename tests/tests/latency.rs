@@ -6,8 +6,8 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use heliostat_bus::{Bus, BusConfig, private_endpoint};
-use heliostat_core::observation::{OBSERVATION_VERSION, ObservationEncoder, USERS_CAPACITY};
-use heliostat_core::policy::actor_file::{INPUT_NAME, OUTPUT_NAME, key};
+use heliostat_core::observation::{ObservationEncoder, USERS_CAPACITY};
+use heliostat_core::policy::actor_file::{INPUT_NAME, OUTPUT_NAME, room_entries};
 use heliostat_onnx::graph::{Ends, Graph};
 use heliostat_proto::{ArrayState, MirrorCommand, NodeKind, Room, UserReport, codec};
 use heliostat_scenario::Scenario;
@@ -293,15 +293,8 @@ fn actor(layers: impl FnOnce(&mut Graph, &str, usize)) -> Vec<u8> {
     let weights = graph.constant("weights", &[inputs, outputs], &weights);
     let present = graph.node("MatMul", &[INPUT_NAME, &weights]);
     layers(&mut graph, &present, outputs);
-    let metadata = [
-        (key::OBSERVATION_VERSION, OBSERVATION_VERSION.to_string()),
-        (key::USERS_MAX, USERS_CAPACITY.to_string()),
-        (key::MIRRORS, scenario.mirror_count().to_string()),
-        (key::MODE, scenario.channel.mode.name().to_owned()),
-        (key::GEOMETRY, scenario.geometry_hash()),
-    ];
     let (input, output) = ((INPUT_NAME, inputs), (OUTPUT_NAME, outputs));
-    graph.finish(&Ends { name: "test", input, output }, &metadata.map(|(key, value)| (key.to_owned(), value)))
+    graph.finish(&Ends { name: "test", input, output }, &room_entries(&scenario, USERS_CAPACITY))
 }
 
 /// Outputs NaN where the last user is absent: 0 times 1/0.

@@ -28,7 +28,6 @@
 //! - [`angle_history`]: the angles of the mirrors at the time of a measurement.
 
 pub mod angle_history;
-pub(crate) mod body;
 mod channel_evidence;
 pub mod conditions;
 pub mod covered;
@@ -54,12 +53,11 @@ mod tilt;
 mod track;
 mod tracks;
 
-use heliostat_channel::{ChannelModel, Vec3, blockage::Cylinder, mirrors::MirrorAngles};
+use heliostat_channel::{Body, ChannelModel, Vec3, blockage::Cylinder, mirrors::MirrorAngles};
 use heliostat_proto::{ChannelReport, LedReport, MirrorCommand, Nanos, UserReport, UserState};
-use heliostat_scenario::Scenario;
+use heliostat_scenario::{Scenario, Walk};
 
 use angle_history::AngleHistory;
-use body::Body;
 use channel_evidence::{Beliefs, Bodies, ChannelEvidence};
 use device::DeviceSettings;
 use expected::Room;
@@ -67,7 +65,7 @@ use heading::{HEADING_KNOWN, HEADINGS};
 use independence::independent_share;
 use innovations::{Innovations, normalised_squared};
 use light::LightWatch;
-use motion::{MotionEstimate, Sighting, WalkPriors};
+use motion::{MotionEstimate, Sighting};
 use noise::NoiseLevel;
 use occupancy::Occupancy;
 use posture::Posture;
@@ -106,7 +104,7 @@ const HEADING_CERTAIN: f64 = 0.95;
 /// The belief about all users of a room. Its buffers are allocated once.
 #[derive(Clone, Debug)]
 pub struct Belief {
-    priors: WalkPriors,
+    priors: Walk,
     position_noise: NoiseLevel,
     velocity_noise: NoiseLevel,
     first_noise: [NoiseLevel; 2],
@@ -145,7 +143,7 @@ impl Belief {
         let position_noise = NoiseLevel::new(streams.noise_m, POSITION_NOISE_M);
         let velocity_noise = NoiseLevel::new(streams.velocity_noise_m_s, VELOCITY_NOISE_M_S);
         Self {
-            priors: WalkPriors::new(&scenario.control.walk),
+            priors: scenario.control.walk.clone(),
             position_noise,
             velocity_noise,
             first_noise: [position_noise, velocity_noise],
@@ -153,7 +151,7 @@ impl Belief {
             tracks: Tracks::new(capacity),
             last_ns: 0,
             report_age_max_ns: (scenario.control.report_age_max_ms * 1e6) as Nanos,
-            body: Body::new(&scenario.blockage),
+            body: scenario.blockage.body(),
             posture: Posture::new(scenario.control.tilt),
             devices: DeviceSettings::new(scenario),
             undecided: Vec::with_capacity(capacity),

@@ -91,14 +91,14 @@
 mod array;
 mod array_output;
 mod decision;
-mod degraded_actions;
 mod figures;
 mod journal;
 pub mod memory;
 
 use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
 use heliostat_proto::{InputKind, MAX_USERS, MirrorCommand, Nanos, NodeKind};
-use heliostat_scenario::{DegradedAction, Scenario};
+use heliostat_scenario::{Control, DegradedAction, Scenario};
+use serde::{Deserialize, Serialize};
 
 pub use decision::Observed;
 
@@ -113,7 +113,6 @@ use crate::{
     policy::{self, Policy, WithFallback},
 };
 use array_output::ArrayOutput;
-use degraded_actions::{DegradedActions, LastReport};
 use journal::Journal;
 
 /// Maximum number of start-up runs on a synthetic room. They change the state of stateful
@@ -128,7 +127,7 @@ pub struct Controller {
     /// The last observation; its angles are those of the last command.
     observation: Observation,
     policy: WithFallback,
-    actions: DegradedActions,
+    control: Control,
     arrays: Vec<ArrayOutput>,
     /// In a replay, the arrays without a command in the next decision, by bits.
     repeated: Option<u64>,
@@ -147,6 +146,13 @@ pub struct Controller {
     counters: Counters,
 }
 
+/// When the last position report was accepted, and whether its absence since then was handled.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+struct LastReport {
+    accepted_ns: Nanos,
+    silence_handled: bool,
+}
+
 impl Controller {
     /// A controller of a scenario's room with this policy, which commands under one epoch; see
     /// [`with_tenure`](Self::with_tenure).
@@ -161,7 +167,7 @@ impl Controller {
             is_proposed: false,
             observation,
             policy: WithFallback::new(policy, policy::build_fallback(scenario.control.fallback, scenario)),
-            actions: DegradedActions::new(scenario),
+            control: scenario.control.clone(),
             parts: ArrayCommand::parts(&model.mirrors),
             arrays: ArrayOutput::of(scenario, &model.mirrors, epoch),
             repeated: None,
@@ -191,7 +197,7 @@ impl Controller {
             observer: self.observer.clone(),
             observation: self.observation.clone(),
             policy: self.policy.duplicate(policy, policy::build_fallback(scenario.control.fallback, scenario)),
-            actions: self.actions,
+            control: self.control.clone(),
             arrays: self.arrays.clone(),
             repeated: self.repeated,
             last_report: self.last_report,
@@ -299,7 +305,7 @@ impl Controller {
         self.policy.tallies.count_decision();
         self.counters.count_degraded(DegradedMode::StaleReport);
         self.update_permits(now);
-        self.execute((self.actions.stale, DegradedMode::StaleReport), 0, now, &mut |_| {})
+        self.execute((self.control.when_stale, DegradedMode::StaleReport), 0, now, &mut |_| {})
     }
 
     /// Executes the action for the absence of position reports at `now`, if that is due.
@@ -309,18 +315,18 @@ impl Controller {
     pub fn poll_timeout_command(&mut self, now: Nanos) -> Option<Decision<'_>> {
         let LastReport { accepted_ns, silence_handled } = self.last_report?;
         // A clock that steps back must not hide a silence.
-        if now.abs_diff(accepted_ns) <= self.actions.silent_after_ns {
+        if now.abs_diff(accepted_ns) <= (self.control.report_age_max_ms * 1e6) as Nanos {
             return None;
         }
         self.last_report = Some(LastReport { accepted_ns, silence_handled: true });
         if !silence_handled {
             self.counters.count_degraded(DegradedMode::Silence);
-        } else if self.actions.silent != DegradedAction::LastGood {
+        } else if self.control.when_silent != DegradedAction::LastGood {
             return None;
         }
         self.journal.record_decision(InputKind::SilenceDecision, now);
         self.update_permits(now);
-        Some(self.execute((self.actions.silent, DegradedMode::Silence), 0, now, &mut |_| {}))
+        Some(self.execute((self.control.when_silent, DegradedMode::Silence), 0, now, &mut |_| {}))
     }
 
     /// Start-up warm-up: policy and fallback decide for a synthetic room, once for each item of

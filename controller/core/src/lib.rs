@@ -35,7 +35,7 @@
 //! use heliostat_scenario::Scenario;
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
-//! let scenario = Scenario::builtin("specular")?.with_overrides(&["users.count=1".into()])?;
+//! let scenario = Scenario::builtin("specular")?.with_overrides(&["users.count=1"])?;
 //! let policy = Box::new(Fixed::flat(scenario.mirror_count()));
 //! let mut controller = Controller::new(&scenario, scenario.channel_model()?, policy, 1);
 //! controller.warm_up(0..2);

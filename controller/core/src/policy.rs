@@ -34,7 +34,7 @@ pub use dense::{DENSE, DenseEngine, DenseError, DenseNetwork};
 pub use engine::{Engine, Network};
 pub use fixed::Fixed;
 pub use model_based::ModelBased;
-pub use proposal::{Policy, PolicyError, PolicyMemory, TimeSource};
+pub use proposal::{Policy, PolicyError, PolicyMemory, PolicyResult, TimeSource};
 pub use registry::{BuildError, PolicyKind, Resources, build, build_fallback};
 pub use removed::{NameParser, Removed, removed};
 pub use tally::{Tallies, Tally};

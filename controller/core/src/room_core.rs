@@ -42,7 +42,7 @@
 //! }
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
-//! let scenario = Scenario::builtin("specular")?.with_overrides(&["users.count=1".into()])?;
+//! let scenario = Scenario::builtin("specular")?.with_overrides(&["users.count=1"])?;
 //! let policy = Box::new(Fixed::flat(scenario.mirror_count()));
 //! let mut room = RoomCore::new(&scenario, policy, RoomSettings::new(9, Tenure::fixed(1)))?;
 //! let mut published = Published(Vec::new());

@@ -6,8 +6,7 @@ use heliostat_channel::{ChannelModel, Vec3, los};
 use heliostat_scenario::Scenario;
 
 fn model(changes: &[&str]) -> ChannelModel {
-    let changes: Vec<String> = changes.iter().map(|change| (*change).to_owned()).collect();
-    Scenario::builtin("specular").unwrap().with_overrides(&changes).unwrap().channel_model().unwrap()
+    Scenario::builtin("specular").unwrap().with_overrides(changes).unwrap().channel_model().unwrap()
 }
 
 /// Quantities near the nominal ones, with every entry away from 0.

@@ -47,6 +47,33 @@ impl Cylinder {
     }
 }
 
+/// The body of a user, who stands behind the device.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Body {
+    /// Radius in m.
+    pub radius_m: f64,
+    /// Height in m.
+    pub height_m: f64,
+    /// Distance of the axis behind the device in m.
+    pub offset_m: f64,
+}
+
+impl Body {
+    /// The smallest cylinder that holds the body of a user whose device is here, for every heading.
+    #[inline]
+    pub fn around(&self, device: &Vec3) -> Cylinder {
+        let Self { radius_m, height_m, offset_m } = *self;
+        Cylinder { x_m: device.x, y_m: device.y, radius_m: radius_m + offset_m, height_m }
+    }
+
+    /// The body of a user whose device is here, and who faces this direction (a unit vector).
+    #[inline]
+    pub fn behind(&self, device: &Vec3, heading: &Vec3) -> Cylinder {
+        let Self { radius_m, height_m, offset_m } = *self;
+        Cylinder { x_m: device.x - offset_m * heading.x, y_m: device.y - offset_m * heading.y, radius_m, height_m }
+    }
+}
+
 /// Whether the cylinder blocks the segment from `a` to `b`.
 ///
 /// In plan view, the cylinder's disc cuts a chord from the segment. The segment is blocked if some

@@ -56,7 +56,7 @@ mod trig;
 
 pub use angle::{Mechanical, Optical};
 pub use arrays::MirrorArrays;
-pub use blockage::Cylinder;
+pub use blockage::{Body, Cylinder};
 pub use emitter::Led;
 pub use error::ChannelError;
 pub use geometry::{GeometryError, Vec3};

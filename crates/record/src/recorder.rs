@@ -462,7 +462,7 @@ mod tests {
         let room = Room::new("drawn").expect("a name");
         let late_ns = 10_000_000_000;
         let scenario = Scenario::builtin("specular").expect("a built-in one");
-        let announced = scenario.with_overrides(&["mirrors.rows=4".into(), "mirrors.columns=3".into()]).expect("valid");
+        let announced = scenario.with_overrides(&["mirrors.rows=4", "mirrors.columns=3"]).expect("valid");
         let mut writer = writer(&room, scenario);
         let mut mirrors_after = |key: String, scenario: String| {
             let mut payload = Vec::new();

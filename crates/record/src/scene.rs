@@ -344,9 +344,8 @@ mod tests {
     #[test]
     fn the_geometry_that_the_room_announces_replaces_that_of_the_scenario() {
         let (_, mut scene) = scene();
-        let geometry = |set: &str| {
-            Scenario::builtin("specular").unwrap().with_overrides(&[set.to_owned()]).unwrap().geometry_toml()
-        };
+        let geometry =
+            |set: &str| Scenario::builtin("specular").unwrap().with_overrides(&[set]).unwrap().geometry_toml();
         let mut mirrors = |node, set: &str| {
             scene.announce(node, &geometry(set)).expect("a valid geometry");
             let update = SceneUpdate::decode(scene.draw(STILL_INTERVAL_NS)).expect("a scene");

@@ -1,9 +1,9 @@
 //! Checks of the mirror arrays: each value against its domain, and the arrays against the walls and
 //! each other.
 
-use heliostat_channel::arrays::ARRAYS_MAX;
+use heliostat_channel::{arrays::ARRAYS_MAX, mirrors::MIRRORS_MAX};
 
-use crate::check::{MIRRORS_MAX, count, invalid, within};
+use crate::check::{count, invalid, within};
 use crate::error::ScenarioError;
 use crate::scenario::Scenario;
 use crate::tables::{Mirrors, Wall};

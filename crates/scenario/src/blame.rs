@@ -115,10 +115,7 @@ mod tests {
     #[test]
     fn keys_of_a_built_in_scenario_are_not_blamed_for_an_override() {
         let text = Scenario::builtin_text("hall").expect("built in");
-        let of = |overrides: &[&str]| {
-            let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
-            Scenario::from_toml_with(text, &overrides).expect_err("refused").to_string()
-        };
+        let of = |overrides: &[&str]| Scenario::from_toml_with(text, overrides).expect_err("refused").to_string();
         let error = of(&["users.count=3", "room.height_m=1.5"]);
         assert!(error.starts_with("room.height_m = 1.5: it does not fit "), "{error}");
         let error = of(&["users.count=99"]);

@@ -2,6 +2,8 @@
 
 use std::ops::RangeInclusive;
 
+use heliostat_channel::receiver::BRANCHES_MAX;
+
 use crate::error::ScenarioError;
 use crate::runtime::DegradedAction;
 use crate::scenario::Scenario;
@@ -23,15 +25,11 @@ const BURST_REPORTS: RangeInclusive<f64> = 1.0..=1e4;
 const FREQUENCY_HZ: RangeInclusive<f64> = 0.01..=1e6;
 /// Coherence times of the users' orientations in s.
 const COHERENCE_S: RangeInclusive<f64> = 0.001..=1e4;
-/// Largest number of mirrors of a room: the limit of the contract.
-pub const MIRRORS_MAX: usize = 16_384;
 /// Optical power of an LED in W.
 pub const POWER_W: RangeInclusive<f64> = 1e-6..=1e4;
 /// Walking speed in m/s of users who do not stand still. A user who walks faster crosses the
 /// smallest room so often that a step of the walk has no bounded cost.
 pub const SPEED_M_S: RangeInclusive<f64> = 1e-3..=50.0;
-/// Most branches of a receiver.
-pub(crate) const BRANCHES_MAX: usize = 16;
 /// Largest mean number of obstacles. A report holds 1024, and the drawn number varies.
 const OBSTACLES_MEAN_MAX: f64 = 800.0;
 /// Largest number of rays: points of all panels x mirrors x users x branches of a receiver. The

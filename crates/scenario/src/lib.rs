@@ -59,7 +59,7 @@ mod user_orientation;
 pub use args::{ScenarioArgs, ViewerScenarioArgs};
 pub use bounded_file::read_text;
 pub use builtin::{BUILTIN_NAMES, DEFAULT_SCENARIO, STUDY_SCENARIO};
-pub use check::{MIRRORS_MAX, POWER_W, SPEED_M_S, USERS_MAX};
+pub use check::{POWER_W, SPEED_M_S, USERS_MAX};
 pub use error::ScenarioError;
 pub use foreign_file::foreign_file;
 pub use geometry_difference::{GeometryDifference, RoomDifference};

@@ -1,9 +1,8 @@
 //! Lists in the text of a scenario: too long ones are refused before they are read, and lists in place of tables.
 
-use heliostat_channel::arrays::ARRAYS_MAX;
+use heliostat_channel::{arrays::ARRAYS_MAX, receiver::BRANCHES_MAX};
 use toml::{Table, Value};
 
-use crate::check::BRANCHES_MAX;
 use crate::error::ScenarioError;
 use crate::mobility_check::SHARES_MAX;
 use crate::scenario::Scenario;
@@ -91,7 +90,7 @@ mod tests {
             "line 3: streams.positions = a list: expected a table [streams.positions]",
         ];
         assert_eq!(problems(text), expected);
-        let overridden = Scenario::default().with_overrides(&["led=[]".to_owned()]);
+        let overridden = Scenario::default().with_overrides(&["led=[]"]);
         assert!(overridden.is_err_and(|error| error.to_string().contains("expected a table [led]")));
         assert_eq!(problems("[[mirrors]]\nrows = 4\n"), [""; 0]);
     }

@@ -4,6 +4,9 @@
 
 use serde::{Deserialize, Serialize};
 
+/// Above this speed in m/s a motion shows the direction in which a user faces; half of the slowest walk.
+pub const WALKING_M_S: f64 = 0.05;
+
 /// A mobility model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]

@@ -77,14 +77,15 @@ impl Scenario {
 impl Scenario {
     /// Checks the text of a file together with overrides of the form `table.key=value`. A key that an
     /// override replaces is no problem of the file.
-    pub fn check_all_with(text: &str, overrides: &[String]) -> Checked {
+    pub fn check_all_with<S: AsRef<str>>(text: &str, overrides: &[S]) -> Checked {
         let error = match Self::from_toml_with(text, overrides) {
             _ if overrides.is_empty() => return Self::check_all(text),
             Ok(scenario) => return checked(Vec::new(), Some(scenario), Vec::new()),
             Err(error) => error,
         };
-        let replaced = |text: String, set: &String| {
-            let name = set.split_once('=').map_or(set.as_str(), |(key, _)| key).trim();
+        let replaced = |text: String, set: &S| {
+            let set = set.as_ref();
+            let name = set.split_once('=').map_or(set, |(key, _)| key).trim();
             let rest = by_name(&text, name).map(|entry| without(&text, entry));
             rest.filter(|rest| DeTable::parse(rest).is_ok()).unwrap_or(text)
         };
@@ -261,8 +262,7 @@ mod tests {
     #[test]
     fn an_override_repairs_or_breaks_a_file() {
         let texts = |text: &str, overrides: &[&str]| {
-            let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
-            let problems = Scenario::check_all_with(text, &overrides).problems;
+            let problems = Scenario::check_all_with(text, overrides).problems;
             problems.iter().map(ToString::to_string).collect::<Vec<_>>()
         };
         let (sound, broken) = ("[users]\ncount = 3\n", "[users]\ncount = 99\n[room]\nheight_m = -1\n");

@@ -82,7 +82,7 @@ impl Scenario {
     /// [`ScenarioError`] for text that is not TOML, for an unknown or renamed key, and for a value
     /// outside its domain. The message states line, key, value and the expected values.
     pub fn from_toml(text: &str) -> Result<Self, ScenarioError> {
-        Self::from_toml_with(text, &[])
+        Self::from_toml_with::<&str>(text, &[])
     }
 
     /// Reads a scenario and applies overrides of the form `table.key=value`, as `--set` does.
@@ -90,7 +90,7 @@ impl Scenario {
     /// # Errors
     /// As [`Scenario::from_toml`]; for an override the message states the override instead of the
     /// line.
-    pub fn from_toml_with(text: &str, overrides: &[String]) -> Result<Self, ScenarioError> {
+    pub fn from_toml_with<S: AsRef<str>>(text: &str, overrides: &[S]) -> Result<Self, ScenarioError> {
         let in_file = |error: toml::de::Error| parse_error("scenario", &error);
         lists::refuse_long(text)?;
         let mut table: toml::Table = toml::from_str(text).map_err(in_file)?;
@@ -106,8 +106,9 @@ impl Scenario {
         }
         // The keys of a file that is valid alone, such as a built-in one, are not at fault.
         let mut written = if of_file.is_ok() { Vec::new() } else { blame::keys(&table) };
+        let overrides: Vec<&str> = overrides.iter().map(AsRef::as_ref).collect();
         written.extend(overrides.iter().map(|text| blame::key_of_override(text)));
-        for text in overrides {
+        for text in &overrides {
             overrides::apply(&mut table, text)?;
         }
         Renames(RENAMES).refuse(&table)?;
@@ -154,7 +155,7 @@ impl Scenario {
     ///
     /// # Errors
     /// [`ScenarioError`] that states the override or the key.
-    pub fn with_overrides(&self, overrides: &[String]) -> Result<Self, ScenarioError> {
+    pub fn with_overrides<S: AsRef<str>>(&self, overrides: &[S]) -> Result<Self, ScenarioError> {
         Self::from_toml_with(&self.to_toml(), overrides)
     }
 

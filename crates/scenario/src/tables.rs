@@ -5,6 +5,7 @@
 
 use std::ops::RangeInclusive;
 
+use heliostat_channel::Body;
 use serde::{Deserialize, Serialize};
 
 use crate::mobility::{GaussMarkov, MixtureShare, MobilityModel, RandomDirection, Seated, SmoothRandom, SocialForce};
@@ -413,6 +414,14 @@ pub struct Blockage {
     pub obstacle_radius_m: f64,
     /// Height of an obstacle in m.
     pub obstacle_height_m: f64,
+}
+
+impl Blockage {
+    /// The body of a user; `None` where bodies block no light.
+    pub fn body(&self) -> Option<Body> {
+        let Self { body_radius_m: radius_m, body_height_m: height_m, body_offset_m: offset_m, .. } = *self;
+        self.bodies.then_some(Body { radius_m, height_m, offset_m })
+    }
 }
 
 impl Default for Blockage {

@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use heliostat_channel::{Cylinder, MirrorAngles, MirrorArrays, Scene, Vec3};
 use heliostat_proto::MirrorTelemetry;
-use heliostat_scenario::Scenario;
+use heliostat_scenario::{Scenario, WALKING_M_S};
 use heliostat_service::printable::printable;
 use serde::Serialize;
 
@@ -17,9 +17,6 @@ use crate::belief::Belief;
 use crate::blocked_area::blocked_area;
 use crate::shown_room::{GeometrySource, ShownRoom};
 use crate::view::{Dated, Received};
-
-/// Below this speed in m/s a user keeps the previous heading.
-const WALKING_M_S: f64 = 0.05;
 
 /// The static objects.
 #[derive(Clone, Debug, Serialize)]
@@ -300,14 +297,7 @@ fn shown<T>(message: &Dated<T>, is_over: bool) -> Option<&T> {
 }
 
 fn body(scenario: &Scenario, user: &ObservedUser) -> Option<Cylinder> {
-    let blockage = &scenario.blockage;
-    let axis = user.position - blockage.body_offset_m * user.heading;
-    blockage.bodies.then_some(Cylinder {
-        x_m: axis.x,
-        y_m: axis.y,
-        radius_m: blockage.body_radius_m,
-        height_m: blockage.body_height_m,
-    })
+    Some(scenario.blockage.body()?.behind(&user.position, &user.heading))
 }
 
 /// The angles of the mirrors: measured, else commanded, else flat.

@@ -173,8 +173,7 @@ mod tests {
     use super::*;
 
     fn with(overrides: &[&str]) -> Scenario {
-        let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
-        Scenario::default().with_overrides(&overrides).expect("valid overrides")
+        Scenario::default().with_overrides(overrides).expect("valid overrides")
     }
 
     fn text(overrides: &[&str]) -> Option<Arc<str>> {

@@ -6,9 +6,8 @@
 //!   w_k = b_k exp(c u_k), and the controller's own [`Head`] turns weights into angles.
 
 use heliostat_channel::{ChannelModel, MirrorAngles};
-use heliostat_core::observation::{Observation, ObservationEncoder};
-use heliostat_core::policy::weights::Seen as Chosen;
-pub use heliostat_core::policy::weights::{BaselineWeight, Head};
+use heliostat_core::observation::ObservationEncoder;
+pub use heliostat_core::policy::weights::{BaselineWeight, Head, Seen};
 
 use crate::error::EnvironmentError;
 
@@ -19,19 +18,6 @@ pub enum ActionForm {
     Angles,
     /// One weight per slot, by [`Head::BALANCED`].
     Weights,
-}
-
-/// The observation in which an action was chosen.
-#[derive(Clone, Copy)]
-pub struct Seen<'a> {
-    /// The channel that the controller assumes.
-    pub model: &'a ChannelModel,
-    /// The observation.
-    pub observation: &'a Observation,
-    /// Index in the observation of each slot's user.
-    pub chosen: &'a [usize],
-    /// The observation as a vector.
-    pub vector: &'a [f32],
 }
 
 /// Turns actions into angles; its buffers are reused.
@@ -64,7 +50,13 @@ impl ActionDecoder {
     ///
     /// # Errors
     /// As [`check`](Self::check).
-    pub fn decode(&mut self, seen: Seen<'_>, action: &[f32], out: &mut MirrorAngles) -> Result<(), EnvironmentError> {
+    pub fn decode(
+        &mut self,
+        model: &ChannelModel,
+        seen: Seen<'_>,
+        action: &[f32],
+        out: &mut MirrorAngles,
+    ) -> Result<(), EnvironmentError> {
         self.check(action)?;
         self.bounded.clear();
         self.bounded.extend(action.iter().map(|value| value.clamp(-1.0, 1.0)));
@@ -78,9 +70,7 @@ impl ActionDecoder {
                 scale(yaw, &mut out.yaw);
             }
             ActionForm::Weights => {
-                let Seen { model, observation, chosen, vector } = seen;
-                if observation.users() > 0 {
-                    let seen = Chosen { observation, chosen, encoder: self.encoder, vector };
+                if seen.observation.users() > 0 {
                     Head::BALANCED.decode(model, seen, &self.bounded, &mut self.weights, out);
                 }
             }

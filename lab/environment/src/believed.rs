@@ -8,6 +8,7 @@ use heliostat_channel::{ChannelModel, Vec3};
 use heliostat_core::belief::Estimate;
 use heliostat_core::core::Controller;
 use heliostat_core::observation::Observation;
+use heliostat_scenario::WALKING_M_S;
 
 /// The columns of a row, in this order. All are 0 in an empty slot.
 pub const COLUMNS: [&str; 15] = [
@@ -28,9 +29,6 @@ pub const COLUMNS: [&str; 15] = [
     "minimum_rate_bit_s_hz",
 ];
 
-/// Below this speed in m/s a velocity shows no heading.
-const STANDING_M_S: f64 = 0.05;
-
 /// The true state of a user as an estimate without error.
 fn known(observation: &Observation, user: usize) -> Estimate {
     let velocity = observation.velocities[user];
@@ -38,7 +36,7 @@ fn known(observation: &Observation, user: usize) -> Estimate {
     Estimate {
         position: observation.positions[user],
         velocity,
-        heading: if speed > STANDING_M_S { velocity / speed } else { Vec3::zeros() },
+        heading: if speed > WALKING_M_S { velocity / speed } else { Vec3::zeros() },
         direct_clear: f64::from(u8::from(!observation.scene.los_blocked()[user])),
         ..Estimate::default()
     }

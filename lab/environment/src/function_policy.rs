@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use heliostat_channel::{ChannelModel, MirrorAngles};
 use heliostat_core::observation::{Observation, ObservationEncoder, USERS_CAPACITY};
-use heliostat_core::policy::{Policy, PolicyError};
+use heliostat_core::policy::{Policy, PolicyError, PolicyResult};
 use heliostat_core::safety::Limits;
 use heliostat_core::selection::Selection;
 use heliostat_scenario::Scenario;
@@ -23,7 +23,6 @@ pub struct FunctionPolicy<F> {
     function: F,
     encoder: ObservationEncoder,
     selection: Selection,
-    chosen: Vec<usize>,
     vector: Vec<f32>,
     decoder: ActionDecoder,
     failures: Arc<AtomicU64>,
@@ -38,7 +37,6 @@ impl<F: FnMut(&[f32]) -> Result<Vec<f32>, String> + Send> FunctionPolicy<F> {
             name: name.into(),
             function,
             selection: Selection::new(slots),
-            chosen: Vec::with_capacity(slots),
             vector: vec![0.0; encoder.len()],
             decoder: ActionDecoder::new(form, encoder, Limits::new(&scenario.control).range_rad()),
             encoder,
@@ -51,19 +49,13 @@ impl<F: FnMut(&[f32]) -> Result<Vec<f32>, String> + Send> FunctionPolicy<F> {
         Arc::clone(&self.failures)
     }
 
-    fn propose(
-        &mut self,
-        model: &ChannelModel,
-        observation: &Observation,
-        out: &mut MirrorAngles,
-    ) -> Result<(), PolicyError> {
-        self.chosen.clear();
-        self.chosen.extend_from_slice(self.selection.choose(observation));
-        self.encoder.encode_users(model, observation, self.chosen.iter().copied(), &mut self.vector)?;
+    fn propose(&mut self, model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) -> PolicyResult {
+        let chosen = self.selection.choose(observation);
+        self.encoder.encode_users(model, observation, chosen.iter().copied(), &mut self.vector)?;
         let failed = |message: String| PolicyError::Function { name: self.name.clone(), message };
         let action = (self.function)(&self.vector).map_err(failed)?;
-        let seen = Seen { model, observation, chosen: &self.chosen, vector: &self.vector };
-        self.decoder.decode(seen, &action, out).map_err(|error| failed(error.to_string()))
+        let seen = Seen { observation, chosen, encoder: self.encoder, vector: &self.vector };
+        self.decoder.decode(model, seen, &action, out).map_err(|error| failed(error.to_string()))
     }
 }
 
@@ -72,12 +64,7 @@ impl<F: FnMut(&[f32]) -> Result<Vec<f32>, String> + Send> Policy for FunctionPol
         &self.name
     }
 
-    fn act(
-        &mut self,
-        model: &ChannelModel,
-        observation: &Observation,
-        out: &mut MirrorAngles,
-    ) -> Result<(), PolicyError> {
+    fn act(&mut self, model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) -> PolicyResult {
         let proposed = self.propose(model, observation, out);
         if proposed.is_err() {
             self.failures.fetch_add(1, Ordering::Relaxed);

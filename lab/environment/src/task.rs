@@ -138,8 +138,6 @@ pub struct Task {
     encoder: ObservationEncoder,
     angle_state: AngleState,
     selection: Selection,
-    /// Index in the observation of each slot's user.
-    chosen: Vec<usize>,
     /// The observation as a vector in closed loop; a room with its true state has its own.
     vector: Vec<f32>,
     decoder: ActionDecoder,
@@ -154,7 +152,7 @@ pub struct Task {
 /// A copy continues as the original: the same actions give the same observations and rewards.
 impl Clone for Task {
     fn clone(&self) -> Self {
-        let Self { settings, room, model, encoder, angle_state, selection, chosen, vector, .. } = self;
+        let Self { settings, room, model, encoder, angle_state, selection, vector, .. } = self;
         let Self { decoder, limits, angles, rates_bps, solver, sampling, .. } = self;
         Self {
             room: room.duplicate(&settings.scenario),
@@ -162,7 +160,6 @@ impl Clone for Task {
             encoder: *encoder,
             angle_state: *angle_state,
             selection: selection.clone(),
-            chosen: chosen.clone(),
             vector: vector.clone(),
             decoder: decoder.clone(),
             limits: *limits,
@@ -198,7 +195,6 @@ impl Task {
             encoder,
             angle_state: AngleState::of(scenario, true),
             selection: Selection::new(slots),
-            chosen: Vec::with_capacity(slots),
             vector: vec![0.0; encoder.len()],
             decoder: ActionDecoder::new(settings.action, encoder, limits.range_rad()),
             limits,
@@ -277,8 +273,8 @@ impl Task {
     pub fn step(&mut self, action: &[f32]) -> Result<Step, EnvironmentError> {
         let observation = self.room.observation();
         let vector = self.room.vector().unwrap_or(&self.vector);
-        let seen = Seen { model: &self.model, observation, chosen: &self.chosen, vector };
-        self.decoder.decode(seen, action, &mut self.angles)?;
+        let seen = Seen { observation, chosen: self.selection.chosen(), encoder: self.encoder, vector };
+        self.decoder.decode(&self.model, seen, action, &mut self.angles)?;
         let step = match &mut self.room {
             Room::Static { environment, step_s } => {
                 // The mirrors turn at once.
@@ -344,14 +340,14 @@ impl Task {
     pub fn write_observation(&self, out: &mut [f32]) {
         match self.settings.observation {
             ObservationForm::Vector => out.copy_from_slice(self.vector()),
-            ObservationForm::AngleState => out.copy_from_slice(&self.angle_state.state(self.vector())),
+            ObservationForm::AngleState => self.angle_state.write(self.vector(), out),
             ObservationForm::Belief => {
                 assert_eq!(out.len(), self.observation_len(), "the buffer has another length");
                 let controller = match &self.room {
                     Room::Static { .. } => None,
                     Room::Closed { inner, now_ns } => Some((inner.controller(), *now_ns)),
                 };
-                believed::write((&self.model, self.room.observation()), controller, &self.chosen, out);
+                believed::write((&self.model, self.room.observation()), controller, self.selection.chosen(), out);
             }
         }
     }
@@ -387,12 +383,10 @@ impl Task {
     /// Fills the vector from the observation.
     fn observe(&mut self) -> Result<(), EnvironmentError> {
         let observation = self.room.observation();
-        self.chosen.clear();
-        self.chosen.extend_from_slice(self.selection.choose(observation));
+        let chosen = self.selection.choose(observation).iter().copied();
         if self.room.vector().is_some() {
             return Ok(());
         }
-        let chosen = self.chosen.iter().copied();
         Ok(self.encoder.encode_users(&self.model, observation, chosen, &mut self.vector)?)
     }
 }

@@ -4,8 +4,9 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
-use heliostat_core::observation::{OBSERVATION_VERSION, USERS_CAPACITY};
-use heliostat_core::policy::{NameParser, actor_file::key};
+use heliostat_core::observation::USERS_CAPACITY;
+use heliostat_core::policy::NameParser;
+use heliostat_core::policy::actor_file::{key, room_entries};
 use heliostat_environment::exact_states;
 use heliostat_models::shipped;
 use heliostat_scenario::{STUDY_SCENARIO, Scenario, ScenarioArgs};
@@ -313,19 +314,15 @@ fn onnx_file(training: &Training, command: &str, scores: &[ScoreRow]) -> anyhow:
             row.users, row.forced, ratio.mean, ratio.ci95
         )
     };
-    let metadata = [
-        (key::OBSERVATION_VERSION, OBSERVATION_VERSION.to_string()),
-        (key::USERS_MAX, USERS_CAPACITY.to_string()),
-        (key::MIRRORS, scenario.mirror_count().to_string()),
-        (key::MODE, scenario.channel.mode.name().into()),
-        (key::GEOMETRY, scenario.geometry_hash()),
+    let mut metadata = room_entries(scenario, USERS_CAPACITY);
+    let of_training = [
         (key::TRAINING_COMMAND, command.into()),
         (key::SEED, training.run().seed.to_string()),
         (key::SCENARIO, format!("{} {}", scenario.name, scenario.hash())),
         (key::SCORES, scores.iter().map(score).collect::<Vec<_>>().join("; ")),
         (key::LICENCE, env!("CARGO_PKG_LICENSE").into()),
     ];
-    let metadata = metadata.map(|(key, value)| (key.to_string(), value));
+    metadata.extend(of_training.map(|(key, value)| (key.to_owned(), value)));
     training.export(&metadata)
 }
 

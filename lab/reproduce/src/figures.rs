@@ -86,15 +86,16 @@ impl Kind {
     /// The figure from its finished parts.
     pub fn figure(self, room: &Room, done: &[Done]) -> Figure {
         let figure = match self {
-            Self::SumRateIterations => sum_rate_iterations::figure(room, done),
+            Self::SumRateIterations => sum_rate_iterations::figure(done),
             Self::SumRatePower => sum_rate_power::figure(room, done),
-            Self::BerSnr => ber_snr::figure(room, done),
+            Self::BerSnr => ber_snr::figure(done),
             Self::Inference => inference::figure(room, done),
-            Self::Outage => outage::figure(room, done),
+            Self::Outage => outage::figure(done),
             Self::Map => map::figure(room, done),
         };
         let overloaded = done.iter().any(|(_, finished)| finished.origin.overload().is_some());
-        Figure { command: command::of_figure(self.id(), room), overloaded, ..figure }
+        let command = command::of_figure(self.id(), room);
+        Figure { id: self.id().into(), room: room.name.clone(), command, overloaded, ..figure }
     }
 }
 

@@ -5,6 +5,8 @@ use heliostat_models::ActorSource;
 use heliostat_scenario::Scenario;
 
 use crate::effort::Effort;
+use crate::job::Job;
+use crate::part::Part;
 
 /// A room for figures.
 #[derive(Clone, Debug)]
@@ -17,6 +19,14 @@ pub struct Room {
     pub actor: ActorSource,
     /// The command-line flags that the figures of this room depend on.
     pub flags: String,
+}
+
+impl Room {
+    /// A part of a figure in this room: id and code of the figure, name and seed of the part.
+    pub fn part(&self, [figure, code]: [&'static str; 2], (name, seed): (String, u64), job: Job, cost_s: f64) -> Part {
+        let (room, scenario, actor) = (self.name.clone(), self.scenario.clone(), self.actor.clone());
+        Part { figure, code, room, name, seed, scenario, actor, job, cost_s }
+    }
 }
 
 /// The parameters of all figures.

@@ -2,8 +2,8 @@
 
 use std::time::Instant;
 
-use heliostat_core::observation::{OBSERVATION_VERSION, ObservationEncoder, USERS_CAPACITY};
-use heliostat_core::policy::actor_file::{ActorFile, INPUT_NAME, OUTPUT_NAME, key};
+use heliostat_core::observation::{ObservationEncoder, USERS_CAPACITY};
+use heliostat_core::policy::actor_file::{ActorFile, INPUT_NAME, OUTPUT_NAME, room_entries};
 use heliostat_core::policy::{DENSE, Finding, PolicyKind};
 use heliostat_models::{ActorSource, build, build_tried, shipped};
 use heliostat_onnx::graph::{Ends, Graph};
@@ -19,16 +19,8 @@ fn file(scenario: &Scenario, layers: impl FnOnce(&mut Graph, &str, usize)) -> Ac
     let weights = graph.constant("passing", &[inputs, outputs], &passing);
     let angles = graph.node("MatMul", &[INPUT_NAME, &weights]);
     layers(&mut graph, &angles, outputs);
-    let metadata = [
-        (key::OBSERVATION_VERSION, OBSERVATION_VERSION.to_string()),
-        (key::USERS_MAX, USERS_CAPACITY.to_string()),
-        (key::MIRRORS, scenario.mirror_count().to_string()),
-        (key::MODE, scenario.channel.mode.name().to_owned()),
-        (key::GEOMETRY, scenario.geometry_hash()),
-    ];
     let (input, output) = ((INPUT_NAME, encoder.len()), (OUTPUT_NAME, encoder.angles().len()));
-    let metadata = metadata.map(|(key, value)| (key.to_owned(), value));
-    let bytes = graph.finish(&Ends { name: "test", input, output }, &metadata);
+    let bytes = graph.finish(&Ends { name: "test", input, output }, &room_entries(scenario, USERS_CAPACITY));
     ActorSource::Bytes(ActorFile { origin: "own.onnx".into(), bytes: bytes.into() })
 }
 

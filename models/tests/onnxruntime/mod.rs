@@ -1,7 +1,7 @@
 //! Graphs that only ONNX Runtime runs.
 
-use heliostat_core::observation::{OBSERVATION_VERSION, ObservationEncoder};
-use heliostat_core::policy::actor_file::{ActorFile, INPUT_NAME, OUTPUT_NAME, key};
+use heliostat_core::observation::ObservationEncoder;
+use heliostat_core::policy::actor_file::{ActorFile, INPUT_NAME, OUTPUT_NAME, room_entries};
 use heliostat_onnx::graph::{Ends, Graph};
 use heliostat_scenario::Scenario;
 
@@ -22,15 +22,7 @@ impl Operator {
         let quarter = graph.scalar(0.25);
         let sum = graph.node("Add", &[&product, &quarter]);
         graph.node(self.0, &[&sum]);
-        let metadata = [
-            (key::OBSERVATION_VERSION, OBSERVATION_VERSION.to_string()),
-            (key::USERS_MAX, users_max.to_string()),
-            (key::MIRRORS, mirrors.to_string()),
-            (key::MODE, scenario.channel.mode.name().to_owned()),
-            (key::GEOMETRY, scenario.geometry_hash()),
-        ];
-        let metadata = metadata.map(|(key, value)| (key.to_owned(), value));
         let ends = Ends { name: "test", input: (INPUT_NAME, encoder.len()), output: (OUTPUT_NAME, 2 * mirrors) };
-        ActorFile { origin: "sin.onnx".into(), bytes: graph.finish(&ends, &metadata).into() }
+        ActorFile { origin: "sin.onnx".into(), bytes: graph.finish(&ends, &room_entries(scenario, users_max)).into() }
     }
 }

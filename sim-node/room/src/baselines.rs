@@ -232,7 +232,7 @@ mod tests {
             "users.arrivals.mean_stay_s=2",
             "users.arrivals.max_users=12",
         ];
-        let scenario = Scenario::builtin("specular").unwrap().with_overrides(&overrides.map(String::from)).unwrap();
+        let scenario = Scenario::builtin("specular").unwrap().with_overrides(&overrides).unwrap();
         let mut world = World::new(&scenario, None, 1).unwrap();
         let flat = MirrorAngles::flat(100);
         let (mut baselines, mut counters, mut sizes) = (Baselines::new(&world), RateCounters::default(), Vec::new());

@@ -235,7 +235,7 @@ mod tests {
         let fault = MirrorFault { share: 0.3, seed: 3, ..MirrorFault::default() };
         assert_eq!(selected(&fault, 100), drawn_share(f64::from(0.3_f32), 3, 100));
         let scenario = Scenario::builtin("specular").unwrap();
-        let scenario = scenario.with_overrides(&["actuator.stuck_share=0.3".into()]).unwrap();
+        let scenario = scenario.with_overrides(&["actuator.stuck_share=0.3"]).unwrap();
         assert_eq!(SimulatedRoom::new(&scenario, None, 1).unwrap().faulty_mirrors(), 30);
     }
 

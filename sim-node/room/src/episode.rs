@@ -208,8 +208,7 @@ mod tests {
     use super::*;
 
     fn episode(overrides: &[&str], start_ns: u64) -> Episode {
-        let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
-        let scenario = Scenario::builtin("specular").unwrap().with_overrides(&overrides).unwrap();
+        let scenario = Scenario::builtin("specular").unwrap().with_overrides(overrides).unwrap();
         Episode::new(&scenario, None, 1, start_ns).unwrap()
     }
 

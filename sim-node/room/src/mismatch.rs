@@ -4,7 +4,7 @@
 //! [`mismatch`](heliostat_scenario::mismatch) become values, once for each seed, so that a restart
 //! of the walks leaves the equipment as it is.
 
-use heliostat_channel::Orientation;
+use heliostat_channel::{Body, Orientation};
 use heliostat_scenario::{Blockage, Scenario, Spreads};
 
 use crate::random::{self, Purpose, RoomRng};
@@ -53,16 +53,11 @@ pub fn true_room(nominal: &Scenario, seed: u64) -> Scenario {
     room
 }
 
-/// The true body of a user: radius, height and distance behind the device, and the tilt of the
-/// receiver in the device.
+/// The true body of a user, and the tilt of the receiver in the device.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrueBody {
-    /// Radius in m.
-    pub radius_m: f64,
-    /// Height in m.
-    pub height_m: f64,
-    /// Distance of the axis behind the device in m.
-    pub offset_m: f64,
+    /// The body.
+    pub shape: Body,
     /// The fixed tilt of the receiver.
     pub tilt: Orientation,
 }
@@ -89,7 +84,7 @@ impl TrueBody {
         } else {
             Orientation::UPRIGHT
         };
-        Self { radius_m, height_m, offset_m, tilt }
+        Self { shape: Body { radius_m, height_m, offset_m }, tilt }
     }
 }
 
@@ -103,18 +98,17 @@ mod tests {
     use super::*;
 
     fn scenario(overrides: &[&str]) -> Scenario {
-        let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
-        Scenario::builtin("hall").unwrap().with_overrides(&overrides).unwrap()
+        Scenario::builtin("hall").unwrap().with_overrides(overrides).unwrap()
     }
 
     #[test]
     fn an_unknown_led_shines_in_the_true_room_and_nothing_else_differs() {
         let nominal = Scenario::builtin("hall").unwrap();
-        let with_neighbour = nominal.with_overrides(&["mismatch.unknown_leds_m=[[2.0,2.0,3.0]]".into()]).unwrap();
+        let with_neighbour = nominal.with_overrides(&["mismatch.unknown_leds_m=[[2.0,2.0,3.0]]"]).unwrap();
         let room = true_room(&with_neighbour, 1);
         assert_eq!(room.led.positions_m, [[0.0, 0.0, 3.0], [2.0, 2.0, 3.0]]);
         assert_eq!((room.receiver, room.mirrors), (nominal.receiver, nominal.mirrors));
-        let told_apart = ["mismatch.unknown_leds_m=[[2,2,3]]", "streams.channel.leds=gains"].map(String::from);
+        let told_apart = ["mismatch.unknown_leds_m=[[2,2,3]]", "streams.channel.leds=gains"];
         let refusal = Scenario::builtin("hall").unwrap().with_overrides(&told_apart).unwrap_err().to_string();
         assert!(refusal.contains("mismatch.unknown_leds_m"), "{refusal}");
     }
@@ -161,7 +155,8 @@ mod tests {
         let spreads = level.mismatch.spreads();
         for seed in 0..count {
             let ratio = true_room(&level, seed).receiver.area_mm2 / level.receiver.area_mm2 - 1.0;
-            let body = TrueBody::draw(&level.blockage, &spreads, (seed, 2)).radius_m - level.blockage.body_radius_m;
+            let body =
+                TrueBody::draw(&level.blockage, &spreads, (seed, 2)).shape.radius_m - level.blockage.body_radius_m;
             for ([sum, squares], value) in [(&mut area, ratio), (&mut radius, body)] {
                 (*sum, *squares) = (*sum + value, *squares + value * value);
             }
@@ -175,7 +170,7 @@ mod tests {
     fn a_device_stays_outside_the_body_of_its_user() {
         let rough = scenario(&["mismatch.level=rough"]);
         let spreads = rough.mismatch.spreads();
-        let bodies = (0..1000).map(|user| TrueBody::draw(&rough.blockage, &spreads, (1, user)));
+        let bodies = (0..1000).map(|user| TrueBody::draw(&rough.blockage, &spreads, (1, user)).shape);
         assert!(bodies.into_iter().all(|body| body.offset_m >= body.radius_m + 0.049));
     }
 
@@ -201,11 +196,11 @@ mod tests {
     fn every_drawn_room_is_a_valid_one() {
         for name in heliostat_scenario::BUILTIN_NAMES {
             let level = Scenario::builtin(name).unwrap();
-            let level = level.with_overrides(&["mismatch.level=rough".to_owned()]).unwrap();
+            let level = level.with_overrides(&["mismatch.level=rough"]).unwrap();
             for seed in 0..200 {
                 let room = true_room(&level, seed);
                 assert!(room.channel_model().is_ok(), "{name}, seed {seed}");
-                assert!(room.with_overrides(&[]).is_ok(), "{name}, seed {seed}");
+                assert!(room.with_overrides::<&str>(&[]).is_ok(), "{name}, seed {seed}");
             }
         }
     }

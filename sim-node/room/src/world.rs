@@ -275,8 +275,8 @@ impl World {
         self.bodies.extend(self.ids.iter().map(body));
         if self.blockage.bodies {
             self.blockers.truncate(self.obstacles);
-            let cylinder = |&TrueBody { radius_m, height_m, .. }| Cylinder { x_m: 0.0, y_m: 0.0, radius_m, height_m };
-            self.blockers.extend(self.bodies.iter().map(cylinder));
+            let origin = Vec3::zeros();
+            self.blockers.extend(self.bodies.iter().map(|body| body.shape.behind(&origin, &origin)));
         }
         self.scene.resize(users);
     }
@@ -289,8 +289,8 @@ impl World {
         }
         let bodies = self.blockers[self.obstacles..].iter_mut().zip(&self.bodies);
         for ((cylinder, body), walker) in bodies.zip(&self.walkers) {
-            cylinder.x_m = walker.position.x - body.offset_m * walker.direction[0];
-            cylinder.y_m = walker.position.y - body.offset_m * walker.direction[1];
+            let [x, y] = walker.direction;
+            *cylinder = body.shape.behind(&walker.position, &Vec3::new(x, y, 0.0));
         }
         self.orientations.hold(self.time_s, &self.walkers);
         self.held.clear();

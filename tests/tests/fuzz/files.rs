@@ -57,7 +57,7 @@ fn text(input: &[u8], script: &mut Script<'_>, examples: &[&str]) -> String {
 
 /// A room of two users and six mirrors.
 fn small_room() -> Scenario {
-    let small = ["mirrors.rows=2", "mirrors.columns=3", "users.count=2"].map(String::from);
+    let small = ["mirrors.rows=2", "mirrors.columns=3", "users.count=2"];
     Scenario::builtin("specular").and_then(|full| full.with_overrides(&small)).expect("valid")
 }
 

@@ -52,7 +52,7 @@ struct Setup {
 fn setup() -> &'static Setup {
     static SETUP: OnceLock<Setup> = OnceLock::new();
     SETUP.get_or_init(|| {
-        let small = ["mirrors.rows=1", "mirrors.columns=2", "users.count=1"].map(String::from);
+        let small = ["mirrors.rows=1", "mirrors.columns=2", "users.count=1"];
         let scenario = Scenario::builtin("specular").and_then(|full| full.with_overrides(&small)).expect("valid");
         let model = scenario.channel_model().expect("valid");
         let examiner = Examiner::new(&scenario, &model, Force { small_range: true, paper_angles: false });

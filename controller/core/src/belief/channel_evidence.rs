@@ -14,10 +14,9 @@ mod served_light;
 mod serving;
 mod tilt_decision;
 
-use heliostat_channel::{ChannelModel, MirrorArray, Vec3, blockage, blockage::Cylinder};
+use heliostat_channel::{Body, ChannelModel, MirrorArray, Vec3, blockage, blockage::Cylinder};
 
 use crate::belief::{
-    body::Body,
     covered::Covered,
     densities::{Densities, density},
     elementary::{exp, ln},

@@ -7,7 +7,7 @@ use heliostat_channel::ChannelModel;
 use heliostat_scenario::{self as scenario, MismatchLevel, MobilityModel, OrientationModel, Scenario};
 use serde::Serialize;
 
-use crate::belief::{body::Body, channel_evidence::SPREAD_OF_DIRECT, tilt};
+use crate::belief::{channel_evidence::SPREAD_OF_DIRECT, tilt};
 
 /// Difference in degrees between the mean tilt of receivers and the assumed one that changes results.
 const TILT_DIFFERENCE_DEG: f64 = 5.0;
@@ -90,7 +90,7 @@ pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
         return found;
     }
     add(
-        Body::new(&scenario.blockage).is_some(),
+        scenario.blockage.bodies,
         "the heading of a standing user by measured gains",
         "blockage.bodies = false".to_owned(),
         "the gains show neither headings nor tilted receivers; report orientations",
@@ -105,7 +105,7 @@ pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
         scenario.users.orientation.is_none()
             || streams.orientation.is_some()
             || scenario.control.tilt.is_some()
-            || (tilt::is_single_open_detector(model) && Body::new(&scenario.blockage).is_some()),
+            || (tilt::is_single_open_detector(model) && scenario.blockage.bodies),
         "the orientation of receivers that users hold",
         "users.orientation, without streams.orientation and without control.tilt".to_owned(),
         "every receiver counts as facing up; add the table [control.tilt], or report orientations",
@@ -161,8 +161,7 @@ mod tests {
     use super::*;
 
     fn of(overrides: &[&str]) -> Vec<String> {
-        let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
-        let scenario = Scenario::builtin("hall").unwrap().with_overrides(&overrides).unwrap();
+        let scenario = Scenario::builtin("hall").unwrap().with_overrides(overrides).unwrap();
         let found = conditions(&scenario, &scenario.channel_model().unwrap());
         found.iter().map(ToString::to_string).collect()
     }

@@ -133,7 +133,6 @@ mod tests {
 
     use super::*;
     use crate::belief::{
-        body::Body,
         expected::{HeldPlace, Room},
         heading::Heading,
         posture::Held,
@@ -143,7 +142,7 @@ mod tests {
     fn the_light_past_a_body_is_that_of_the_visible_mirrors() {
         let scenario = Scenario::builtin("hall").expect("a built-in scenario");
         let model = scenario.channel_model().expect("a valid room");
-        let body = Body::new(&scenario.blockage).expect("bodies block light");
+        let body = scenario.blockage.body().expect("bodies block light");
         let mut expected = ExpectedGains::new(&model, 1);
         let mut lit = LitMirrors::new(&model);
         let (mut clear, mut sums) = (vec![false; model.mirrors.len()], vec![0.0; model.mirrors.columns()]);

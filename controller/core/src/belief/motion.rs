@@ -32,34 +32,6 @@ const JUMP_PROBABILITY: f64 = 1e-6;
 /// centre, the largest distance in a room along an axis, is estimated 1 mm from the reported one.
 const ANYWHERE_M: f64 = 30.0;
 
-/// Prior knowledge about walks.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct WalkPriors {
-    /// Changes of direction or speed per second.
-    pub changes_per_s: f64,
-    /// Standard deviation of each velocity component in m/s.
-    pub speed_m_s: f64,
-    /// Probability that a user stands after a change.
-    pub standing: f64,
-    /// Probability that a user walks on a curve after a change.
-    pub curving: f64,
-    /// Turn rate on a curve in rad/s.
-    pub turn_rate_rad_s: f64,
-}
-
-impl WalkPriors {
-    /// Those of a scenario.
-    pub fn new(settings: &Walk) -> Self {
-        Self {
-            changes_per_s: settings.changes_per_s,
-            speed_m_s: settings.speed_m_s,
-            standing: settings.standing,
-            curving: settings.curving,
-            turn_rate_rad_s: settings.turn_rate_deg_per_s.to_radians(),
-        }
-    }
-}
-
 /// Position and velocity of a report, and the standard deviations of one axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sighting {
@@ -108,7 +80,7 @@ pub struct Motion {
 
 impl Motion {
     /// A user of whom nothing is known.
-    pub fn new(priors: &WalkPriors) -> Self {
+    pub fn new(priors: &Walk) -> Self {
         let mut motion = Self { bank: [Hypothesis::default(); HYPOTHESES + ADDED], kept: 1 };
         motion.bank[0].state = anywhere(priors);
         motion
@@ -116,7 +88,7 @@ impl Motion {
 
     /// Takes a report, `elapsed_s` after the last one. True where the best explanation is that the
     /// user is at another place than any motion explains.
-    pub fn correct(&mut self, priors: &WalkPriors, elapsed_s: f64, sighting: &Sighting) -> bool {
+    pub fn correct(&mut self, priors: &Walk, elapsed_s: f64, sighting: &Sighting) -> bool {
         self.predict(priors, elapsed_s);
         let [x, y] = sighting.position_m;
         let position_var = sighting.position_noise_m * sighting.position_noise_m;
@@ -152,14 +124,14 @@ impl Motion {
     }
 
     /// Moves every hypothesis on, and adds those of a change within the interval.
-    fn predict(&mut self, priors: &WalkPriors, elapsed_s: f64) {
+    fn predict(&mut self, priors: &Walk, elapsed_s: f64) {
         let change = 1.0 - (-priors.changes_per_s * elapsed_s).exp();
         let (before, _) = self.mixture(0.0);
         for hypothesis in &mut self.bank[..self.kept] {
             hypothesis.state = hypothesis.state.predicted(hypothesis.turn_rate, elapsed_s);
             hypothesis.log_weight += (1.0 - change).max(f64::MIN_POSITIVE).ln();
         }
-        let curve = priors.turn_rate_rad_s;
+        let curve = priors.turn_rate_deg_per_s.to_radians();
         // The end of a curve counts as a curve without a turn rate.
         let changes = [
             (Change::Turn, 1.0 - priors.standing - priors.curving),
@@ -174,7 +146,7 @@ impl Motion {
         self.add(Change::Jump, JUMP_PROBABILITY, (&before, priors, elapsed_s));
     }
 
-    fn add(&mut self, change: Change, probability: f64, (before, priors, elapsed_s): (&State, &WalkPriors, f64)) {
+    fn add(&mut self, change: Change, probability: f64, (before, priors, elapsed_s): (&State, &Walk, f64)) {
         if probability <= 0.0 {
             return;
         }
@@ -225,7 +197,7 @@ impl Motion {
 }
 
 /// A user at an unknown place.
-fn anywhere(priors: &WalkPriors) -> State {
+fn anywhere(priors: &Walk) -> State {
     let square = |value: f64| value * value;
     State { position_var: square(ANYWHERE_M), velocity_var: square(priors.speed_m_s), ..State::default() }
 }
@@ -250,8 +222,8 @@ fn turned(before: &State, speed_m_s: f64, elapsed_s: f64) -> State {
 mod tests {
     use super::*;
 
-    const PRIORS: WalkPriors =
-        WalkPriors { changes_per_s: 0.3, speed_m_s: 0.8, standing: 0.1, curving: 0.2, turn_rate_rad_s: 0.8 };
+    const PRIORS: Walk =
+        Walk { changes_per_s: 0.3, speed_m_s: 0.8, standing: 0.1, curving: 0.2, turn_rate_deg_per_s: 45.84 };
 
     /// Errors that repeat every 16 reports and have mean 0 and standard deviation 1.
     fn error(index: usize) -> [f64; 2] {
@@ -315,8 +287,8 @@ mod tests {
             let angle = 0.08 * index;
             ([angle.cos(), angle.sin()], [-0.8 * angle.sin(), 0.8 * angle.cos()])
         };
-        let straight = WalkPriors { curving: 0.0, ..PRIORS };
-        let miss = |priors: &WalkPriors| {
+        let straight = Walk { curving: 0.0, ..PRIORS };
+        let miss = |priors: &Walk| {
             let mut motion = Motion::new(priors);
             let mut sum = 0.0;
             for index in 0..100 {

@@ -87,8 +87,7 @@ mod tests {
     use super::*;
 
     fn model(overrides: &[&str]) -> ChannelModel {
-        let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
-        Scenario::builtin("hall").unwrap().with_overrides(&overrides).unwrap().channel_model().unwrap()
+        Scenario::builtin("hall").unwrap().with_overrides(overrides).unwrap().channel_model().unwrap()
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use heliostat_channel::Vec3;
 use heliostat_proto::{ChannelReport, Nanos, UserChannel, UserState};
+use heliostat_scenario::Walk;
 use serde::{Deserialize, Serialize};
 
 use crate::belief::{
@@ -10,7 +11,7 @@ use crate::belief::{
     expected::HeldPlace,
     heading::{HEADING_KNOWN, HEADINGS, Heading},
     height::Height,
-    motion::{Motion, WalkPriors},
+    motion::Motion,
     posture::{Posture, TiltEvidence},
 };
 
@@ -47,7 +48,7 @@ impl Track {
         motion.is_sound() && height.is_sound() && covered.is_sound() && tilt.is_sound() && device.is_sound()
     }
 
-    pub fn new(user: u32, priors: &WalkPriors, known_obstacles: bool) -> Self {
+    pub fn new(user: u32, priors: &Walk, known_obstacles: bool) -> Self {
         let (motion, height, heading) = (Motion::new(priors), Height::default(), Heading::default());
         let covered = if known_obstacles { Covered::KNOWN_OBSTACLES } else { Covered::UNKNOWN_OBSTACLES };
         let (tilt, device) = (TiltEvidence::default(), Device::default());

@@ -56,7 +56,7 @@ impl Controller {
         let (mut action, mut mode) = (DegradedAction::Policy, DegradedMode::Held);
         if timing == Timing::Late {
             self.counters.count_degraded(DegradedMode::Late);
-            (action, mode) = (self.actions.late, DegradedMode::Late);
+            (action, mode) = (self.control.when_late, DegradedMode::Late);
         }
         if matches!(action, DegradedAction::Policy | DegradedAction::Fallback) {
             match self.fill_observation(now) {
@@ -69,7 +69,7 @@ impl Controller {
                         None => self.counters.modelled += 1,
                     }
                     if action == DegradedAction::Policy {
-                        (action, mode) = (self.actions.channel_missing, DegradedMode::ChannelMissing);
+                        (action, mode) = (self.control.when_channel_missing, DegradedMode::ChannelMissing);
                     }
                 }
                 None => {

@@ -12,9 +12,8 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::{
-    Controller,
+    Controller, LastReport,
     array_output::{ArrayOutput, ArrayOutputMemory},
-    degraded_actions::LastReport,
     journal::Journal,
 };
 use crate::{

@@ -37,11 +37,6 @@ impl AngleState {
         }
     }
 
-    /// The layout of the observation vector.
-    pub fn encoder(&self) -> ObservationEncoder {
-        self.encoder
-    }
-
     /// Number of angles in an action: roll of each mirror, then yaw of each.
     pub fn outputs(&self) -> usize {
         2 * self.encoder.mirrors()

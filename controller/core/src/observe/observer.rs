@@ -26,21 +26,17 @@
 mod beliefs;
 pub mod memory;
 
-use heliostat_channel::{ChannelModel, Orientation, Vec3, blockage::Cylinder};
+use heliostat_channel::{Body, ChannelModel, Orientation, Vec3, blockage::Cylinder};
 use heliostat_proto::{
     ChannelReport, MAX_OBSTACLES, MAX_USERS, MirrorCommand, Nanos, Obstacle, OrientationReport, UserReport, UserState,
 };
-use heliostat_scenario::{self as scenario, Scenario};
+use heliostat_scenario::{self as scenario, Scenario, WALKING_M_S};
 
 use crate::{
-    belief::{Belief, Estimate, body::Body, heading::HEADING_KNOWN, posture::Posture},
+    belief::{Belief, Estimate, heading::HEADING_KNOWN, posture::Posture},
     input::inbox::Inbox,
     observe::{lead::Lead, observation::Observation, slots::Slots},
 };
-
-/// Below this speed in m/s a velocity does not show the direction that a user faces; half of the
-/// slowest walk.
-const WALKING_M_S: f64 = 0.05;
 
 /// A velocity of more standard deviations than this shows the heading better than a distribution in
 /// steps of 10 degrees.
@@ -99,7 +95,7 @@ impl Observer {
     pub fn new(scenario: &Scenario, model: &ChannelModel) -> Self {
         let is_filter = scenario.control.belief == scenario::Belief::Filter;
         Self {
-            body: Body::new(&scenario.blockage),
+            body: scenario.blockage.body(),
             half_room_m: [scenario.room.length_x_m / 2.0, scenario.room.length_y_m / 2.0],
             lead: Lead::new(1.0 / scenario.streams.positions.rate_hz),
             is_extrapolating: scenario.control.belief == scenario::Belief::ConstantVelocity,

@@ -61,6 +61,11 @@ impl Selection {
         self.chosen.extend(self.slots.ids().iter().filter_map(|id| ids.iter().position(|other| other == id)));
         &self.chosen
     }
+
+    /// The last result of [`choose`](Self::choose).
+    pub fn chosen(&self) -> &[usize] {
+        &self.chosen
+    }
 }
 
 #[cfg(test)]

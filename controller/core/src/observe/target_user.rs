@@ -27,11 +27,6 @@ impl TargetUser {
         Self { encoder: ObservationEncoder::new(USERS_CAPACITY, scenario.mirror_count()) }
     }
 
-    /// The layout of the observation vector.
-    pub fn encoder(&self) -> ObservationEncoder {
-        self.encoder
-    }
-
     /// The benefit of each slot.
     pub fn benefits<'a>(&self, vector: &'a [f32]) -> impl Iterator<Item = f32> + 'a {
         let steering = vector[self.encoder.steering_amplitude()].chunks_exact(self.encoder.mirrors());
@@ -81,13 +76,6 @@ impl Cells {
         y * self.side + x
     }
 
-    /// The centre of a cell in m.
-    pub fn centre(&self, cell: usize) -> [f32; 2] {
-        let scale = self.scale();
-        let position = |index: usize, axis: usize| (index as f32 + 0.5) / scale[axis] - self.half_room_m[axis];
-        [position(cell % self.side, 0), position(cell / self.side, 1)]
-    }
-
     /// Cells per metre along x and y.
     fn scale(&self) -> [f32; 2] {
         self.half_room_m.map(|half| self.side as f32 / (2.0 * half))
@@ -102,7 +90,10 @@ mod tests {
     fn cells_have_one_number_each_and_cover_the_floor() {
         for side in [1, 6, 12] {
             let cells = Cells { side, half_room_m: [2.5, 2.0] };
-            let numbers: Vec<usize> = (0..cells.count()).map(|cell| cells.cell(cells.centre(cell))).collect();
+            let middle =
+                |index: usize, axis: usize| (index as f32 + 0.5) / cells.scale()[axis] - cells.half_room_m[axis];
+            let centre = |cell: usize| [middle(cell % side, 0), middle(cell / side, 1)];
+            let numbers: Vec<usize> = (0..cells.count()).map(|cell| cells.cell(centre(cell))).collect();
             assert_eq!(numbers, (0..side * side).collect::<Vec<_>>());
             assert_eq!([[-9.0, -9.0], [-2.5, -2.0]].map(|position| cells.cell(position)), [0, 0]);
             assert_eq!([[9.0, 9.0], [2.5, 2.0]].map(|position| cells.cell(position)), [side * side - 1; 2]);

@@ -16,7 +16,7 @@ use heliostat_scenario::Scenario;
 use super::{
     actor_file::{ActionKind, ActorError, ActorFile, ActorInfo, ActorProblem, ObservationKind},
     engine::{Engine, Network},
-    proposal::{Policy, PolicyError, PolicyMemory},
+    proposal::{Policy, PolicyMemory, PolicyResult},
 };
 use crate::observe::observation::{EncodeError, Observation};
 use input::Input;
@@ -62,11 +62,6 @@ impl Actor {
         Self { name, ..self }
     }
 
-    /// The metadata of the actor.
-    pub fn info(&self) -> &ActorInfo {
-        &self.info
-    }
-
     /// The name of the engine that evaluates the network.
     pub fn engine_name(&self) -> &'static str {
         self.network.engine()
@@ -75,8 +70,8 @@ impl Actor {
     /// The angles for an observation vector.
     ///
     /// # Errors
-    /// [`PolicyError`] where the vector has another length, or as [`act`](Policy::act).
-    pub fn answer(&mut self, model: &ChannelModel, vector: &[f32], out: &mut MirrorAngles) -> Result<(), PolicyError> {
+    /// Where the vector has another length, or as [`act`](Policy::act).
+    pub fn answer(&mut self, model: &ChannelModel, vector: &[f32], out: &mut MirrorAngles) -> PolicyResult {
         let encoder = self.info.vector_encoder(model.mirrors.len());
         if (self.info.observation, self.info.action) != (ObservationKind::Flat, ActionKind::Angles) {
             let observation = Observation::of_vector(model, encoder, vector)?;
@@ -94,8 +89,8 @@ impl Actor {
     /// for benchmarks and for the count of its allocations.
     ///
     /// # Errors
-    /// [`PolicyError`] where the engine fails.
-    pub fn run_engine_alone(&mut self) -> Result<(), PolicyError> {
+    /// Where the engine fails.
+    pub fn run_engine_alone(&mut self) -> PolicyResult {
         self.network.run().map(drop)
     }
 }
@@ -105,12 +100,7 @@ impl Policy for Actor {
         &self.name
     }
 
-    fn act(
-        &mut self,
-        model: &ChannelModel,
-        observation: &Observation,
-        out: &mut MirrorAngles,
-    ) -> Result<(), PolicyError> {
+    fn act(&mut self, model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) -> PolicyResult {
         self.input.encode(model, observation, self.network.as_mut())?;
         let values = self.network.run()?;
         self.output.decode(model, self.input.seen(observation), values, out)

@@ -35,6 +35,18 @@ pub const OUTPUT_NAME: &str = "angles";
 /// The action of a network that gives the angles; that of a file without an entry.
 pub const ANGLES: &str = "angles";
 
+/// The metadata of an actor for at most `users_max` users of a scenario's room.
+pub fn room_entries(scenario: &Scenario, users_max: usize) -> Vec<(String, String)> {
+    let entries = [
+        (key::OBSERVATION_VERSION, OBSERVATION_VERSION.to_string()),
+        (key::USERS_MAX, users_max.to_string()),
+        (key::MIRRORS, scenario.mirror_count().to_string()),
+        (key::MODE, scenario.channel.mode.name().to_owned()),
+        (key::GEOMETRY, scenario.geometry_hash()),
+    ];
+    entries.map(|(key, value)| (key.to_owned(), value)).into()
+}
+
 /// The bytes of an actor and where they came from.
 #[derive(Clone, Debug)]
 pub struct ActorFile {

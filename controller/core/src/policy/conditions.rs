@@ -41,8 +41,7 @@ mod tests {
     #[test]
     fn each_promise_that_does_not_hold_is_named_with_its_cause() {
         let of = |kind: PolicyKind, overrides: &[&str]| {
-            let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
-            kind.conditions(&Scenario::builtin("hall").unwrap().with_overrides(&overrides).unwrap())
+            kind.conditions(&Scenario::builtin("hall").unwrap().with_overrides(overrides).unwrap())
         };
         assert!(of(PolicyKind::FixedPoint, &["users.count=12"]).is_empty());
         assert!(of(PolicyKind::Ddpg, &["users.count=12"]).is_empty(), "one row of the network for each user");

@@ -40,7 +40,7 @@ use prost::Message;
 
 use super::{
     engine::{Engine, Network},
-    proposal::PolicyError,
+    proposal::{PolicyError, PolicyResult},
 };
 use layers::Layer;
 
@@ -127,7 +127,7 @@ impl Network for DenseNetwork {
         DENSE
     }
 
-    fn set_rows(&mut self, rows: usize) -> Result<(), PolicyError> {
+    fn set_rows(&mut self, rows: usize) -> PolicyResult {
         if rows == 0 {
             return Err(PolicyError::Inference { message: "the input has 0 rows: expected at least 1".into() });
         }
@@ -139,7 +139,7 @@ impl Network for DenseNetwork {
         &mut self.input
     }
 
-    fn run(&mut self) -> Result<&[f32], PolicyError> {
+    fn run(&mut self) -> PolicyResult<&[f32]> {
         Ok(self.evaluate())
     }
 }

@@ -1,6 +1,6 @@
 //! The interface to the inference engine of learned policies.
 
-use super::proposal::PolicyError;
+use super::proposal::PolicyResult;
 
 /// Builds networks from ONNX files.
 pub trait Engine {
@@ -30,8 +30,8 @@ pub trait Network: Send {
     /// `rows` exceeds every earlier number.
     ///
     /// # Errors
-    /// [`PolicyError::Inference`] for no row, or a number that the model excludes.
-    fn set_rows(&mut self, rows: usize) -> Result<(), PolicyError>;
+    /// For no row, or a number that the model excludes.
+    fn set_rows(&mut self, rows: usize) -> PolicyResult;
 
     /// The input, (rows, input length) in row-major order, to be overwritten before each run.
     fn input_mut(&mut self) -> &mut [f32];
@@ -39,6 +39,6 @@ pub trait Network: Send {
     /// Evaluates the network on its input, and returns the output, row after row.
     ///
     /// # Errors
-    /// [`PolicyError::Inference`] where the engine fails.
-    fn run(&mut self) -> Result<&[f32], PolicyError>;
+    /// Where the engine fails.
+    fn run(&mut self) -> PolicyResult<&[f32]>;
 }

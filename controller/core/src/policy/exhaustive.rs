@@ -4,7 +4,7 @@ use heliostat_channel::solver::{ASSIGNMENTS_MAX, MinimumRates, QOS_PENALTY, Solv
 use heliostat_channel::{ChannelModel, MirrorAngles};
 use heliostat_scenario::{ChannelMode, Scenario};
 
-use super::proposal::{Policy, PolicyError};
+use super::proposal::{Policy, PolicyResult};
 use crate::observe::observation::Observation;
 
 /// Tries everything; for arrays of a dozen mirrors at most, and only where mirrors obey the law of
@@ -37,12 +37,7 @@ impl Policy for Exhaustive {
         "exhaustive"
     }
 
-    fn act(
-        &mut self,
-        model: &ChannelModel,
-        observation: &Observation,
-        out: &mut MirrorAngles,
-    ) -> Result<(), PolicyError> {
+    fn act(&mut self, model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) -> PolicyResult {
         self.solver.set_users(observation.users());
         let minimum_rates = MinimumRates { min_rate_bps: &observation.min_rate_bps, qos_penalty: QOS_PENALTY };
         self.solver.solve_exhaustively(model, &observation.scene, &minimum_rates, out)?;

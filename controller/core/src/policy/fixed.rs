@@ -4,7 +4,7 @@ use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::proposal::{Policy, PolicyError};
+use super::proposal::{Policy, PolicyResult};
 use crate::observe::observation::Observation;
 
 /// The same angles at each decision.
@@ -46,7 +46,7 @@ impl Policy for Fixed {
         self.name
     }
 
-    fn act(&mut self, _: &ChannelModel, _: &Observation, out: &mut MirrorAngles) -> Result<(), PolicyError> {
+    fn act(&mut self, _: &ChannelModel, _: &Observation, out: &mut MirrorAngles) -> PolicyResult {
         out.copy_from(&self.angles);
         Ok(())
     }
@@ -60,7 +60,7 @@ impl Policy for Hold {
         "hold"
     }
 
-    fn act(&mut self, _: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) -> Result<(), PolicyError> {
+    fn act(&mut self, _: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) -> PolicyResult {
         out.copy_from(&observation.angles);
         Ok(())
     }

@@ -16,7 +16,7 @@ use heliostat_scenario::{Control, Scenario};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::proposal::{Policy, PolicyError, PolicyMemory, TimeSource};
+use super::proposal::{Policy, PolicyMemory, PolicyResult, TimeSource};
 use crate::{observe::observation::Observation, output::safety::Limits};
 
 /// Candidates; the usual number of the literature is 20 to 50, and a short budget asks for few.
@@ -44,19 +44,6 @@ pub(super) struct Round<'a> {
     pub spent: f64,
 }
 
-/// The budget of one decision.
-struct Budget {
-    evaluations: u32,
-    time_ns: Option<f64>,
-}
-
-impl Budget {
-    fn of(control: &Control) -> Self {
-        let limited = control.search_time_us > 0.0;
-        Self { evaluations: control.search_evaluations, time_ns: limited.then_some(1e3 * control.search_time_us) }
-    }
-}
-
 /// A metaheuristic: the candidates, and how they move.
 pub(super) struct Search<R> {
     name: &'static str,
@@ -82,12 +69,7 @@ impl<R: Rule> Policy for Search<R> {
         self.name
     }
 
-    fn act(
-        &mut self,
-        model: &ChannelModel,
-        observation: &Observation,
-        out: &mut MirrorAngles,
-    ) -> Result<(), PolicyError> {
+    fn act(&mut self, model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) -> PolicyResult {
         self.population.search(model, observation, &mut self.rule, out);
         Ok(())
     }
@@ -104,7 +86,8 @@ impl<R: Rule> Policy for Search<R> {
 
 /// A population with its buffers, reused at each decision.
 struct Population {
-    budget: Budget,
+    /// The budget of one decision is in it.
+    control: Control,
     range_rad: f64,
     generator: ChaCha8Rng,
     places: Vec<MirrorAngles>,
@@ -121,7 +104,7 @@ impl Population {
     fn new(scenario: &Scenario, monotonic_ns: TimeSource) -> Self {
         let flat = MirrorAngles::flat(scenario.mirror_count());
         Self {
-            budget: Budget::of(&scenario.control),
+            control: scenario.control.clone(),
             range_rad: Limits::new(&scenario.control).range_rad(),
             generator: ChaCha8Rng::seed_from_u64(scenario.seed),
             places: vec![flat.clone(); POPULATION],
@@ -178,10 +161,12 @@ impl Population {
 
     /// Share of the budget that is spent.
     fn spent(&self) -> f64 {
-        let trials = f64::from(self.evaluations) / f64::from(self.budget.evaluations);
-        let elapsed_ns = |limit_ns| (self.monotonic_ns)().saturating_sub(self.begun_ns) as f64 / limit_ns;
-        let time = self.budget.time_ns.map_or(0.0, elapsed_ns);
-        trials.max(time)
+        let Control { search_evaluations, search_time_us, .. } = self.control;
+        let trials = f64::from(self.evaluations) / f64::from(search_evaluations);
+        if search_time_us <= 0.0 {
+            return trials;
+        }
+        trials.max((self.monotonic_ns)().saturating_sub(self.begun_ns) as f64 / (1e3 * search_time_us))
     }
 
     fn evaluate(&mut self, model: &ChannelModel, observation: &Observation, index: usize) {

@@ -8,7 +8,7 @@ use heliostat_channel::{
 
 use heliostat_proto::MAX_USERS;
 
-use super::proposal::{Policy, PolicyError, PolicyMemory};
+use super::proposal::{Policy, PolicyMemory, PolicyResult};
 use crate::observe::{observation::Observation, slots::Slots};
 
 /// Passes of single mirror moves after the fixed point; docs/evaluation.md compares the result with
@@ -52,12 +52,7 @@ impl Policy for ModelBased {
         self.name
     }
 
-    fn act(
-        &mut self,
-        model: &ChannelModel,
-        observation: &Observation,
-        out: &mut MirrorAngles,
-    ) -> Result<(), PolicyError> {
+    fn act(&mut self, model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) -> PolicyResult {
         if self.slots.follow(&observation.ids) {
             self.solver.change_users(self.slots.former());
         }

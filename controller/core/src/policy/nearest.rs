@@ -4,7 +4,7 @@ use heliostat_channel::{ChannelModel, Mode, decode, mirrors::MirrorAngles};
 
 use heliostat_proto::MAX_USERS;
 
-use super::proposal::{Policy, PolicyError};
+use super::proposal::{Policy, PolicyResult};
 use crate::observe::observation::Observation;
 
 /// Mirror m is aimed at argmax_k a_km, the user with its largest steering gain, regardless of that
@@ -45,12 +45,7 @@ impl Policy for Nearest {
         "nearest"
     }
 
-    fn act(
-        &mut self,
-        model: &ChannelModel,
-        observation: &Observation,
-        out: &mut MirrorAngles,
-    ) -> Result<(), PolicyError> {
+    fn act(&mut self, model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) -> PolicyResult {
         self.weights.resize(observation.users(), 1.0);
         match model.mode {
             Mode::Specular => decode::decode(model, &observation.scene, &self.weights, out),

@@ -35,12 +35,7 @@ pub trait Policy: Send {
     /// # Errors
     /// [`PolicyError`] where the policy gives no angles; the contents of `out` are then
     /// unspecified.
-    fn act(
-        &mut self,
-        model: &ChannelModel,
-        observation: &Observation,
-        out: &mut MirrorAngles,
-    ) -> Result<(), PolicyError>;
+    fn act(&mut self, model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) -> PolicyResult;
 
     /// The largest number of users that it serves; it leaves out the others of an observation.
     fn users_max(&self) -> usize {
@@ -99,6 +94,9 @@ pub enum PolicyError {
         message: String,
     },
 }
+
+/// The result of a policy, or of a part of one.
+pub type PolicyResult<T = ()> = Result<T, PolicyError>;
 
 /// Monotonic time in ns, from any origin.
 pub type TimeSource = fn() -> u64;

@@ -4,7 +4,7 @@ use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    proposal::{Policy, PolicyError, PolicyMemory},
+    proposal::{Policy, PolicyError, PolicyMemory, PolicyResult},
     tally::Tallies,
     warm_up::warm_up,
 };
@@ -118,7 +118,7 @@ fn attempt(
     model: &ChannelModel,
     observation: &Observation,
     out: &mut MirrorAngles,
-) -> Result<(), PolicyError> {
+) -> PolicyResult {
     policy.act(model, observation, out)?;
     Ok(safety::check_finite(out)?)
 }

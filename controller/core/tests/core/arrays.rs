@@ -5,7 +5,7 @@ use heliostat_core::{
     core::{ArrayCommand, Controller, Decision, DegradedMode, Timing, memory::Memory},
     inbox::Message,
     observation::Observation,
-    policy::{Policy, PolicyError, PolicyKind},
+    policy::{Policy, PolicyKind, PolicyResult},
     refusal::{Found, LastRefusal, Refusal, Stream, TelemetrySizes},
     tenure::Tenure,
 };
@@ -46,7 +46,7 @@ impl Policy for Reaching {
         "reaching"
     }
 
-    fn act(&mut self, _: &ChannelModel, seen: &Observation, out: &mut MirrorAngles) -> Result<(), PolicyError> {
+    fn act(&mut self, _: &ChannelModel, seen: &Observation, out: &mut MirrorAngles) -> PolicyResult {
         for mirror in 0..seen.mirrors() {
             let gains = seen.scene.steering_gain().iter().skip(mirror).step_by(seen.mirrors());
             out.roll[mirror] = if gains.sum::<f64>() > 0.0 { 0.25 } else { 0.0 };
@@ -344,7 +344,7 @@ fn the_journal_names_the_arrays_so_that_a_replay_repeats_what_was_withheld() {
 
 #[test]
 fn silence_withholds_or_repeats_for_each_array() {
-    let scenario = two_arrays().with_overrides(&["control.when_silent=\"last-good\"".into()]).unwrap();
+    let scenario = two_arrays().with_overrides(&["control.when_silent=\"last-good\""]).unwrap();
     let (mut controller, mut room) = (controller(&scenario, Box::new(Reaching)), Room::new(&scenario));
     let (_, last) = decide(&mut controller, &mut room, 1);
     assert_eq!(arrays_of(&last), [0, 1]);

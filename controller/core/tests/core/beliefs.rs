@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use heliostat_channel::{MirrorAngles, Vec3, blockage::Cylinder, decode::aim_at_point};
+use heliostat_channel::{MirrorAngles, Vec3, blockage::blocks, decode::aim_at_point};
 use heliostat_core::belief::Belief;
 use heliostat_core::inbox::Message;
 use heliostat_core::policy::PolicyKind;
@@ -67,16 +67,10 @@ fn the_published_probability_of_a_blocked_path_is_that_over_all_headings() {
     let scenario = scenario(&["control.belief=\"filter\"", "blockage.bodies=true"]);
     let model = scenario.channel_model().unwrap();
     let (place, led) = ([1.4, 1.1, 0.85], &model.leds[0].position);
-    let (device, blockage) = (Vec3::from_iterator(place), &scenario.blockage);
+    let (device, body) = (Vec3::from_iterator(place), scenario.blockage.body().unwrap());
     let body_blocks = |device: &Vec3, heading: f64, from: &Vec3| {
         let (sine, cosine) = heading.sin_cos();
-        let body = Cylinder {
-            x_m: device.x - blockage.body_offset_m * cosine,
-            y_m: device.y - blockage.body_offset_m * sine,
-            radius_m: blockage.body_radius_m,
-            height_m: blockage.body_height_m,
-        };
-        heliostat_channel::blockage::blocks(&body, led, from)
+        blocks(&body.behind(device, &Vec3::new(cosine, sine, 0.0)), led, from)
     };
     let share = |device: &Vec3, from: &Vec3| {
         let blocked = (0..36).filter(|index| body_blocks(device, f64::from(*index) * TAU / 36.0, from)).count();
@@ -113,8 +107,7 @@ fn without_a_filter_there_is_no_belief() {
 
 /// The probability of a clear direct path in `hall`, after 30 readings of this gain.
 fn direct_clear(los_gain: f64, overrides: &[&str]) -> f64 {
-    let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
-    let scenario = Scenario::builtin("hall").unwrap().with_overrides(&overrides).unwrap();
+    let scenario = Scenario::builtin("hall").unwrap().with_overrides(overrides).unwrap();
     let model = scenario.channel_model().unwrap();
     let mut belief = Belief::new(&scenario, &model, 64);
     let (place, gains) = (Vec3::new(1.0, 0.5, 0.85), [[los_gain, 0.0]]);

@@ -1,7 +1,7 @@
 //! Dense graphs as ONNX files, for the tests of the dense engine.
 
-use heliostat_core::observation::{OBSERVATION_VERSION, ObservationEncoder, USERS_CAPACITY};
-use heliostat_core::policy::actor_file::{INPUT_NAME, OUTPUT_NAME, key};
+use heliostat_core::observation::{ObservationEncoder, USERS_CAPACITY};
+use heliostat_core::policy::actor_file::{INPUT_NAME, OUTPUT_NAME, room_entries};
 use heliostat_onnx::{
     AttributeProto, ModelProto, StringStringEntryProto, TensorProto,
     attribute_proto::AttributeType,
@@ -103,14 +103,8 @@ pub fn dense_actor(scenario: &Scenario) -> Vec<u8> {
         chain.node(if seed < 2 { "Relu" } else { "Tanh" }, 0, &[]);
     }
     let mut model = chain.node("Mul", 0, &[(&[], vec![0.1])]).model(outputs);
-    let metadata = [
-        (key::OBSERVATION_VERSION, OBSERVATION_VERSION.to_string()),
-        (key::USERS_MAX, USERS_CAPACITY.to_string()),
-        (key::MIRRORS, scenario.mirror_count().to_string()),
-        (key::MODE, scenario.channel.mode.name().to_owned()),
-        (key::GEOMETRY, scenario.geometry_hash()),
-    ];
-    model.metadata_props = metadata.map(|(key, value)| StringStringEntryProto { key: key.into(), value }).into();
+    let entries = room_entries(scenario, USERS_CAPACITY).into_iter();
+    model.metadata_props = entries.map(|(key, value)| StringStringEntryProto { key, value }).collect();
     let graph = model.graph.as_mut().expect("a graph");
     let renamed = |name: &mut String| match name.as_str() {
         "x" => *name = INPUT_NAME.into(),

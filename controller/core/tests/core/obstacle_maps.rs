@@ -34,8 +34,7 @@ fn gains(model: &ChannelModel, held: Orientation) -> [f64; 2] {
 /// from the user, after reports of gains of a receiver held so, of which `share` arrives by the
 /// mirrors.
 fn unobstructed(overrides: &[&str], held: Orientation, share: f64) -> f64 {
-    let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
-    let scenario = Scenario::builtin("hall").unwrap().with_overrides(&overrides).unwrap();
+    let scenario = Scenario::builtin("hall").unwrap().with_overrides(overrides).unwrap();
     let model = scenario.channel_model().unwrap();
     let [direct, reflected] = gains(&model, held);
     let angles = aimed(&model);

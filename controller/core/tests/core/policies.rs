@@ -27,19 +27,23 @@ fn observe(scenario: &Scenario) -> (ChannelModel, Observation) {
     (model, observation)
 }
 
-fn sum_rate(kind: PolicyKind, scenario: &Scenario) -> f64 {
+/// The answer of a policy to them.
+fn answer(kind: PolicyKind, scenario: &Scenario) -> (ChannelModel, Observation, MirrorAngles) {
     let (model, observation) = observe(scenario);
     let mut angles = MirrorAngles::flat(scenario.mirror_count());
-    let mut policy = build(kind, scenario).unwrap();
-    policy.act(&model, &observation, &mut angles).unwrap();
+    build(kind, scenario).unwrap().act(&model, &observation, &mut angles).unwrap();
+    (model, observation, angles)
+}
+
+fn sum_rate(kind: PolicyKind, scenario: &Scenario) -> f64 {
+    let (model, observation, angles) = answer(kind, scenario);
     let mut rates = [0.0; 3];
     observation.scene.rates_bps(&model, &angles, &mut rates);
     rates.iter().sum()
 }
 
 fn large(overrides: &[&str]) -> Scenario {
-    let all: Vec<&str> = ["mirrors.rows=10", "mirrors.columns=10"].iter().chain(overrides).copied().collect();
-    scenario(&all)
+    scenario(&[&["mirrors.rows=10", "mirrors.columns=10"], overrides].concat())
 }
 
 #[test]
@@ -95,11 +99,7 @@ fn under_the_papers_equations_policies_have_the_expected_order() {
 #[test]
 fn no_irs_reflects_no_light_to_any_user() {
     for mode in ["specular", "paper"] {
-        let scenario = large(&[&format!("channel.mode={mode}")]);
-        let (model, observation) = observe(&scenario);
-        let mut angles = MirrorAngles::flat(100);
-        let mut policy = build(PolicyKind::NoIrs, &scenario).unwrap();
-        policy.act(&model, &observation, &mut angles).unwrap();
+        let (model, observation, angles) = answer(PolicyKind::NoIrs, &large(&[&format!("channel.mode={mode}")]));
         let mut gains = [f64::NAN; 3];
         observation.scene.irs_gain(&model, &angles, &mut gains);
         assert_eq!(gains, [0.0; 3], "{mode}");
@@ -108,10 +108,7 @@ fn no_irs_reflects_no_light_to_any_user() {
 
 #[test]
 fn nearest_serves_the_user_with_the_largest_steering_gain_of_each_mirror() {
-    let scenario = large(&[]);
-    let (model, observation) = observe(&scenario);
-    let mut angles = MirrorAngles::flat(100);
-    build(PolicyKind::Nearest, &scenario).unwrap().act(&model, &observation, &mut angles).unwrap();
+    let (model, observation, angles) = answer(PolicyKind::Nearest, &large(&[]));
     let mut gains = vec![0.0; 300];
     observation.scene.irs_gain_each(&model, &angles, &mut gains);
     let steering = observation.scene.steering_gain();
@@ -145,9 +142,7 @@ fn random_is_one_draw_by_seed_within_the_range() {
 fn searched(kind: PolicyKind, overrides: &[&str]) -> (MirrorAngles, f64) {
     let calibrated = ["channel.mode=paper-calibrated", "channel.gain_scale=85", "noise.variance_a2=2.9e-13"];
     let scenario = large(&[&calibrated[..], &["control.search_time_us=0"], overrides].concat());
-    let (model, observation) = observe(&scenario);
-    let mut angles = MirrorAngles::flat(100);
-    build(kind, &scenario).unwrap().act(&model, &observation, &mut angles).unwrap();
+    let (model, observation, angles) = answer(kind, &scenario);
     let mut rates = [0.0; 3];
     observation.scene.rates_bps(&model, &angles, &mut rates);
     let worth = rates.iter().map(|rate| rate - 50.0 * (1e6 - rate).max(0.0)).sum();

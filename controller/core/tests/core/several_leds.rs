@@ -14,8 +14,7 @@ use crate::support::{MS, report_gains};
 const TWO_LEDS: [&str; 2] = ["led.positions_m=[[-1.25,0,3],[1.25,0,3]]", "streams.positions.noise_m=0.001"];
 
 fn hall(overrides: &[&str]) -> Scenario {
-    let overrides: Vec<String> = [&TWO_LEDS, overrides].concat().iter().map(|text| (*text).to_owned()).collect();
-    Scenario::builtin("hall").unwrap().with_overrides(&overrides).unwrap()
+    Scenario::builtin("hall").unwrap().with_overrides(&[&TWO_LEDS, overrides].concat()).unwrap()
 }
 
 /// The direct gains of users at these places in these orientations past blockers.
@@ -48,14 +47,14 @@ fn reported_with(
 fn the_gain_of_the_farther_led_shows_that_the_body_blocks_the_nearer_one() {
     let scenario = hall(&["blockage.obstacles_per_m2=0.0"]);
     let model = scenario.channel_model().unwrap();
-    let (place, blockage) = (Vec3::new(-0.3, 0.0, 0.85), &scenario.blockage);
-    let body = Cylinder::new(place.x - blockage.body_offset_m, 0.0, blockage.body_radius_m, blockage.body_height_m);
+    let place = Vec3::new(-0.3, 0.0, 0.85);
+    let body = scenario.blockage.body().unwrap().behind(&place, &Vec3::x());
     let held = [(place, Orientation::UPRIGHT)];
     let believed = |blockers: &[Cylinder]| {
         let gains = direct_gains(&model, &held, blockers);
         reported(&scenario, &model, &[place], &gains).estimate(0, 0.0).unwrap().heading
     };
-    let [nearer_blocked, nearer_clear] = [believed(&[body.unwrap()]), believed(&[])];
+    let [nearer_blocked, nearer_clear] = [believed(&[body]), believed(&[])];
     assert!(nearer_blocked.x > 0.8, "the user faces away from the nearer LED: {nearer_blocked:?}");
     assert!(nearer_clear.x < -0.1, "any other heading: {nearer_clear:?}");
 }

@@ -5,10 +5,10 @@ use heliostat_core::{
     belief::Belief,
     core::{Controller, Decision, DegradedMode},
     inbox::Message,
-    observation::{OBSERVATION_VERSION, Observation, ObservationEncoder},
+    observation::{Observation, ObservationEncoder},
     policy::{
-        self, Actor, BuildError, Engine, Fixed, Network, Policy, PolicyError, PolicyKind, Resources,
-        actor_file::{ActorError, ActorFile, INPUT_NAME, OUTPUT_NAME, key},
+        self, Actor, BuildError, Engine, Fixed, Network, Policy, PolicyKind, PolicyResult, Resources,
+        actor_file::{ActorError, ActorFile, INPUT_NAME, OUTPUT_NAME, room_entries},
     },
 };
 use heliostat_onnx::{
@@ -29,8 +29,7 @@ pub const START: Nanos = 1_000 * MS;
 /// The default scenario with three by three mirrors and three users.
 pub fn scenario(overrides: &[&str]) -> Scenario {
     let small = ["mirrors.rows=3", "mirrors.columns=3", "users.count=3"];
-    let overrides: Vec<String> = small.iter().chain(overrides).map(|text| text.to_string()).collect();
-    Scenario::builtin("specular").unwrap().with_overrides(&overrides).unwrap()
+    Scenario::builtin("specular").unwrap().with_overrides(&[&small[..], overrides].concat()).unwrap()
 }
 
 pub fn model(scenario: &Scenario) -> ChannelModel {
@@ -185,14 +184,14 @@ pub fn report_gains(
 }
 
 /// A policy that calls a function.
-pub struct Scripted(pub fn(&Observation, &mut MirrorAngles) -> Result<(), PolicyError>);
+pub struct Scripted(pub fn(&Observation, &mut MirrorAngles) -> PolicyResult);
 
 impl Policy for Scripted {
     fn name(&self) -> &str {
         "scripted"
     }
 
-    fn act(&mut self, _: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) -> Result<(), PolicyError> {
+    fn act(&mut self, _: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) -> PolicyResult {
         (self.0)(observation, out)
     }
 }
@@ -207,7 +206,7 @@ pub struct ActorRecipe {
     pub bias: Vec<f32>,
     /// All weights have this value.
     pub weight: f32,
-    pub metadata: Vec<(&'static str, String)>,
+    pub metadata: Vec<(String, String)>,
     /// Declares input or output, of one row or of any number.
     pub port: fn(&str, usize) -> ValueInfoProto,
     pub opset: i64,
@@ -224,26 +223,20 @@ impl ActorRecipe {
             output_length: 2 * mirrors,
             bias: vec![0.25; 2 * mirrors],
             weight: 0.0,
-            metadata: vec![
-                (key::OBSERVATION_VERSION, OBSERVATION_VERSION.to_string()),
-                (key::USERS_MAX, users_max.to_string()),
-                (key::MIRRORS, mirrors.to_string()),
-                (key::MODE, scenario.channel.mode.name().into()),
-                (key::GEOMETRY, scenario.geometry_hash()),
-            ],
+            metadata: room_entries(scenario, users_max),
             port: f32_row,
             opset: 17,
         }
     }
 
-    pub fn with_metadata(mut self, key: &'static str, value: &str) -> Self {
-        self.metadata.retain(|(name, _)| *name != key);
-        self.metadata.push((key, value.into()));
-        self
+    pub fn with_metadata(self, key: &str, value: &str) -> Self {
+        let mut without = self.without_metadata(key);
+        without.metadata.push((key.into(), value.into()));
+        without
     }
 
-    pub fn without_metadata(mut self, key: &'static str) -> Self {
-        self.metadata.retain(|(name, _)| *name != key);
+    pub fn without_metadata(mut self, key: &str) -> Self {
+        self.metadata.retain(|(name, _)| name != key);
         self
     }
 
@@ -270,13 +263,12 @@ impl ActorRecipe {
             output: vec![(self.port)(self.output_name, outputs)],
             ..GraphProto::default()
         };
-        let entry =
-            |(key, value): &(&str, String)| StringStringEntryProto { key: key.to_string(), value: value.clone() };
+        let entries = self.metadata.iter().cloned();
         ModelProto {
             ir_version: 8,
             opset_import: vec![OperatorSetIdProto { domain: String::new(), version: self.opset }],
             graph: Some(graph),
-            metadata_props: self.metadata.iter().map(entry).collect(),
+            metadata_props: entries.map(|(key, value)| StringStringEntryProto { key, value }).collect(),
             ..ModelProto::default()
         }
         .encode_to_vec()
@@ -327,7 +319,7 @@ impl Network for BiasNetwork {
         "bias"
     }
 
-    fn set_rows(&mut self, rows: usize) -> Result<(), PolicyError> {
+    fn set_rows(&mut self, rows: usize) -> PolicyResult {
         assert!((1..=MAX_USERS).contains(&rows), "{rows} rows");
         self.rows = rows;
         Ok(())
@@ -337,7 +329,7 @@ impl Network for BiasNetwork {
         &mut self.input[..self.rows * self.input_length]
     }
 
-    fn run(&mut self) -> Result<&[f32], PolicyError> {
+    fn run(&mut self) -> PolicyResult<&[f32]> {
         self.output.clear();
         for row in self.input.chunks_exact(self.input_length).take(self.rows) {
             let added = self.weight * row.iter().sum::<f32>();

@@ -36,8 +36,7 @@ fn headings(belief: &Belief) -> Vec<Vec3> {
 }
 
 fn hall(overrides: &[&str]) -> Scenario {
-    let overrides: Vec<String> = [&[LOW_BODIES], overrides].concat().iter().map(|text| (*text).to_owned()).collect();
-    Scenario::builtin("hall").unwrap().with_overrides(&overrides).unwrap()
+    Scenario::builtin("hall").unwrap().with_overrides(&[&[LOW_BODIES], overrides].concat()).unwrap()
 }
 
 /// The receiver of a seated user with this heading.

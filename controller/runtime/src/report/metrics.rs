@@ -168,7 +168,7 @@ mod tests {
     fn commands_that_are_withheld_are_no_fallbacks_as_on_the_page() {
         let counts = |mode: &str| BTreeMap::from([(mode.to_owned(), 3)]);
         let summary = Summary { fallbacks: counts("late"), withheld: counts("standby"), ..Summary::default() };
-        let (room, times) = (Room::new("demo").expect("a valid name"), StageTimes::new());
+        let (room, times) = (Room::new("demo").expect("a valid name"), StageTimes::default());
         let report =
             RoomReport { room: &room, summary: &summary, times: &times, policy_times: &PolicyTimes::default() };
         let text = page(&[report]).text();

@@ -76,14 +76,8 @@ pub struct StageTimes {
 }
 
 impl Default for StageTimes {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
-impl StageTimes {
     /// Empty distributions, with all memory allocated.
-    pub fn new() -> Self {
+    fn default() -> Self {
         let empty = Histogram::new_with_bounds(1, LONGEST_NS, DIGITS)
             .expect("the bounds are in order and the digits at most 5");
         Self {
@@ -94,7 +88,9 @@ impl StageTimes {
             over_budget_by: [0; Stage::ALL.len()],
         }
     }
+}
 
+impl StageTimes {
     /// Records one published decision and the age of its positions. Does not allocate.
     pub fn record(&mut self, stamps: &StageStamps, age_ns: Nanos) {
         self.decision.saturating_record(nanoseconds(stamps.total()).max(1));
@@ -152,21 +148,6 @@ impl StageTimes {
     pub fn decisions_within(&self) -> impl Iterator<Item = (u64, u64)> {
         EDGES_US.map(|edge_us| (edge_us, self.decision.count_between(0, edge_us * 1000))).into_iter()
     }
-
-    /// Times from the entry of the callback to the end of the publication, in us.
-    pub fn decision_us(&self) -> Quantiles {
-        quantiles_us(&self.decision)
-    }
-
-    /// Times of one stage in us.
-    pub fn stage_us(&self, stage: Stage) -> Quantiles {
-        quantiles_us(&self.stages[stage as usize])
-    }
-
-    /// Ages of the positions on which decisions are based, in us.
-    pub fn age_us(&self) -> Quantiles {
-        quantiles_us(&self.age)
-    }
 }
 
 /// Distributions of the decision times of each policy since the start.
@@ -201,7 +182,8 @@ fn nanoseconds(duration: Duration) -> u64 {
     u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX)
 }
 
-fn quantiles_us(histogram: &Histogram<u64>) -> Quantiles {
+/// The quantiles in us of times in ns.
+pub fn quantiles_us(histogram: &Histogram<u64>) -> Quantiles {
     let at = |quantile: f64| histogram.value_at_quantile(quantile) as f64 / 1e3;
     let (p50, p90, p99, p999) = (at(0.5), at(0.9), at(0.99), at(0.999));
     Quantiles { count: histogram.len(), p50, p90, p99, p999, max: histogram.max() as f64 / 1e3 }
@@ -219,21 +201,21 @@ mod tests {
 
     #[test]
     fn quantiles_match_the_recorded_times() {
-        let mut times = StageTimes::new();
+        let mut times = StageTimes::default();
         for us in 1..=100 {
             times.record(&stamps([0, 0, us, 0, 0, 0]), 7_000_000);
         }
-        let decision = times.decision_us();
+        let decision = quantiles_us(times.decision());
         assert_eq!(decision.count, 100);
         assert!((decision.p50 - 50.0).abs() < 0.1 && (decision.p99 - 99.0).abs() < 0.1);
         assert!((decision.max - 100.0).abs() < 0.1);
-        assert!((times.age_us().p50 - 7000.0).abs() < 7.1);
-        assert!((times.stage_us(Stage::Observed).p90 - 90.0).abs() < 0.1);
+        assert!((quantiles_us(times.age()).p50 - 7000.0).abs() < 7.1);
+        assert!((quantiles_us(times.stage(Stage::Observed)).p90 - 90.0).abs() < 0.1);
     }
 
     #[test]
     fn decisions_are_counted_by_duration() {
-        let mut times = StageTimes::new();
+        let mut times = StageTimes::default();
         for us in [20, 60, 60, 450, 9000] {
             times.record(&stamps([0, 0, us, 0, 0, 0]), 0);
         }
@@ -245,7 +227,7 @@ mod tests {
 
     #[test]
     fn a_decision_over_budget_is_attributed_to_its_longest_stage() {
-        let mut times = StageTimes::new();
+        let mut times = StageTimes::default();
         times.record(&stamps([0, 10, 10, 400, 10, 60]), 0);
         assert_eq!(times.over_budget(), 0);
         times.record(&stamps([0, 10, 10, 400, 10, 90]), 0);
@@ -254,10 +236,10 @@ mod tests {
 
     #[test]
     fn absorbing_moves_all_counts() {
-        let (mut total, mut fresh) = (StageTimes::new(), StageTimes::new());
+        let (mut total, mut fresh) = (StageTimes::default(), StageTimes::default());
         fresh.record(&stamps([600, 0, 0, 0, 0, 0]), 5);
         total.absorb(&mut fresh);
-        assert_eq!((total.decision_us().count, fresh.decision_us().count), (1, 0));
+        assert_eq!((total.decision().len(), fresh.decision().len()), (1, 0));
         assert_eq!((total.over_budget(), fresh.over_budget()), (1, 0));
         assert_eq!(total.over_budget_by(Stage::Waited), 1);
     }

@@ -20,7 +20,7 @@ use heliostat_proto::{
 };
 use serde::{Deserialize, Serialize};
 
-use super::stage_times::{PolicyTimes, StageTimes};
+use super::stage_times::{PolicyTimes, StageTimes, quantiles_us};
 
 /// The report on one run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -28,13 +28,12 @@ pub struct Summary {
     /// The policy in charge at the end.
     pub policy: String,
     /// The inference engine of this policy, if it is learned.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub engine: Option<String>,
     /// The hash of its file, if it is learned.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub actor: Option<String>,
     /// The figures of each policy that was in charge.
-    #[serde(default)]
     pub policies: BTreeMap<String, PolicySummary>,
     /// The epoch of the commands.
     pub epoch: u64,
@@ -55,48 +54,39 @@ pub struct Summary {
     /// Decisions without the policy's own angles or on incomplete reports, by degraded mode.
     pub fallbacks: BTreeMap<String, u64>,
     /// Commands not sent, because an array is stopped, unfit or absent, or follows another controller.
-    #[serde(default)]
     pub withheld: BTreeMap<String, u64>,
     /// Decisions on modelled gains in a room that has never reported gains.
-    #[serde(default)]
     pub modelled: u64,
     /// Messages refused, by stream and reason.
     pub refused: BTreeMap<String, u64>,
     /// Users without a measured gain or without a place in the policy, one for each decision, and
     /// users whom an accepted report names with impossible values, one for each report.
-    #[serde(default)]
     pub users: BTreeMap<String, u64>,
     /// Changes of the epoch or of the standby, by kind.
-    #[serde(default)]
     pub epoch_events: BTreeMap<String, u64>,
     /// The array follows another controller: commands are withheld.
-    #[serde(default)]
     pub standby: bool,
     /// Other controllers whose liveliness tokens this one sees, and calibrations; 16 at most.
-    #[serde(default)]
     pub peers: u64,
     /// Why the array receives no commands, if it does not fit the scenario.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub unfit: Option<String>,
     /// Commands are sent, and no driver or simulator receives those to an array.
-    #[serde(default)]
     pub driver_absent: bool,
     /// The room announces another geometry than that of this controller.
-    #[serde(default)]
     pub geometry_differs: bool,
     /// Reports that did not arrive, by stream, from the gaps in their sequence numbers.
-    #[serde(default)]
     pub missed: BTreeMap<String, u64>,
     /// Axis values that the limits changed.
     pub clipped: Clipped,
     /// From the last telemetry of the arrays; absent before the first.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub array: Option<ArraySummary>,
     /// Array by array, where a room has several.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub arrays: Vec<ArrayStanding>,
     /// The belief against the position reports; absent where `control.belief` names no filter.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub belief: Option<BeliefSummary>,
     /// The light of served users, of the mirrors and of each LED that was measured; empty for several rooms.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
@@ -173,7 +163,6 @@ pub struct ArrayStanding {
     /// The epoch of the commands to it.
     pub epoch: u64,
     /// Commands are sent, and no driver or simulator receives those to this array.
-    #[serde(default)]
     pub driver_absent: bool,
 }
 
@@ -219,7 +208,7 @@ pub struct BeliefSummary {
     /// Mean normalised innovation squared of these positions; 2 if the belief's covariance is right.
     pub innovation_mean: f64,
     /// The noise of the tracker; absent from the sum of several rooms, since each has its own.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub noise: Option<TrackerNoise>,
 }
 
@@ -294,7 +283,7 @@ impl Summary {
         if let [room] = rooms {
             return room.summary.clone();
         }
-        let (mut all, mut times, mut policy_times) = (Self::default(), StageTimes::new(), PolicyTimes::default());
+        let (mut all, mut times, mut policy_times) = (Self::default(), StageTimes::default(), PolicyTimes::default());
         for room in rooms {
             all.add(room.summary);
             times.absorb(&mut room.times.clone());
@@ -367,9 +356,9 @@ impl Summary {
         }
         self.over_budget = times.over_budget();
         self.over_budget_by = nonzero(Stage::ALL.map(|stage| (stage.name(), times.over_budget_by(stage))));
-        self.decision_us = times.decision_us();
-        self.stages_us = Stage::ALL.map(|stage| (stage.name().to_string(), times.stage_us(stage))).into();
-        self.age_us = times.age_us();
+        self.decision_us = quantiles_us(times.decision());
+        self.stages_us = Stage::ALL.map(|stage| (stage.name().to_string(), quantiles_us(times.stage(stage)))).into();
+        self.age_us = quantiles_us(times.age());
     }
 }
 

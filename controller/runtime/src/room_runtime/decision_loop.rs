@@ -71,7 +71,7 @@ impl DecisionLoop {
     pub fn new(room: RoomCore, transport: Transport, deadline: Duration, times_from_tick: u64) -> Self {
         Self {
             room,
-            times: StageTimes::new(),
+            times: StageTimes::default(),
             former_times: Vec::new(),
             transport,
             mean_decision: None,

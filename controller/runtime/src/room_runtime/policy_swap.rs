@@ -130,7 +130,7 @@ impl PolicySwap {
             match builder.build(name) {
                 Ok((policy, findings)) => {
                     self.report(findings);
-                    let fresh = StageTimes::new();
+                    let fresh = StageTimes::default();
                     let former = lock(&self.decision_loop).replace_policy(policy, fresh);
                     lock(&self.counters).replaced += 1;
                     tracing::info!(policy = name, "policy replaced");

@@ -12,7 +12,10 @@ use heliostat_proto::{Nanos, NodeKind, NodeStatus, Stamp, gauges::ServedLight};
 use heliostat_service::clock::utc_ns;
 
 use super::{decision_loop::DecisionLoop, policy_swap::SwapCounters};
-use crate::report::{stage_times::StageTimes, summary::Summary};
+use crate::report::{
+    stage_times::{StageTimes, quantiles_us},
+    summary::Summary,
+};
 use describe::{
     clock_time, describe_absence, describe_events, describe_foreign_array, describe_left_out, describe_refusal,
     describe_stops,
@@ -222,10 +225,11 @@ impl Reporter {
         let absent = absent.map(|array| (format!("driver_absent:{}", array.name), 1));
         let engine = summary.engine.iter().map(|name| (format!("engine:{name}"), 1));
         let actor = summary.actor.iter().map(|hash| (format!("actor:{hash}"), 1));
-        let stages = Stage::ALL.map(|stage| (stage.name().to_string(), times.stage_us(stage)));
+        let stages = Stage::ALL.map(|stage| (stage.name().to_string(), quantiles_us(times.stage(stage))));
         let noise = summary.belief.and_then(|belief| belief.noise).into_iter().flat_map(|noise| noise.gauges());
         let noise = noise.map(|(name, value)| (name.to_owned(), value));
-        let totals = [("decision".to_string(), times.decision_us()), ("age".to_string(), times.age_us())];
+        let totals =
+            [("decision".to_string(), quantiles_us(times.decision())), ("age".to_string(), quantiles_us(times.age()))];
         NodeStatus {
             stamp: Stamp { source: self.identity.source, sequence: self.sequence, time_ns: snapshot.now },
             state: snapshot.state.clone(),

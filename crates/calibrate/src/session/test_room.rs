@@ -37,7 +37,7 @@ pub struct Room {
 impl Room {
     /// `ratio`: of the light of the median mirror to the receiver's own noise.
     pub fn new(ratio: f64) -> Self {
-        let size = ["mirrors.rows=8", "mirrors.columns=8"].map(String::from);
+        let size = ["mirrors.rows=8", "mirrors.columns=8"];
         let scenario = Scenario::builtin("hall").expect("a scenario").with_overrides(&size).expect("valid");
         let [spots @ .., verify] = PLACES_M.map(|at| Place { floor_m: Some(at), height_m: HEIGHT_M });
         let axis = AxisLimits { min_rad: -1.0, max_rad: 1.0, ..AxisLimits::default() };

@@ -2,8 +2,8 @@
 
 use anyhow::{Context, Result};
 use heliostat_bus::{BusConfig, Reach, Role};
-use heliostat_core::observation::{OBSERVATION_VERSION, ObservationEncoder, USERS_CAPACITY};
-use heliostat_core::policy::actor_file::{INPUT_NAME, OUTPUT_NAME, key};
+use heliostat_core::observation::{ObservationEncoder, USERS_CAPACITY};
+use heliostat_core::policy::actor_file::{INPUT_NAME, OUTPUT_NAME, room_entries};
 use heliostat_proto::Room;
 use heliostat_scenario::{Scenario, ScenarioArgs};
 use heliostat_sim_node::Pace;
@@ -92,16 +92,12 @@ fn actor(scenario: &Scenario, users_max: usize) -> Map<String, Value> {
     let mirrors = scenario.mirror_count();
     let encoder = ObservationEncoder::new(users_max, mirrors);
     let part = |range: std::ops::Range<usize>| json!([range.start, range.end]);
+    let metadata: Map<String, Value> =
+        room_entries(scenario, users_max).into_iter().map(|(key, value)| (key, value.into())).collect();
     let document = json!({
         "input": { "name": INPUT_NAME, "type": "f32", "shape": [1, encoder.len()] },
         "output": { "name": OUTPUT_NAME, "type": "f32", "shape": [1, 2 * mirrors] },
-        "metadata": {
-            key::OBSERVATION_VERSION: OBSERVATION_VERSION.to_string(),
-            key::USERS_MAX: users_max.to_string(),
-            key::MIRRORS: mirrors.to_string(),
-            key::MODE: scenario.channel.mode.name(),
-            key::GEOMETRY: scenario.geometry_hash(),
-        },
+        "metadata": metadata,
         // Index of the first value, and one past the last.
         "layout": {
             "present": part(encoder.present()),

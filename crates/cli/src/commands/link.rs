@@ -185,15 +185,9 @@ fn blockers(args: &Args, scenario: &Scenario, rows: &[UserRow]) -> Result<(Vec<C
     };
     let mut names: Vec<String> = (0..blockers.len()).map(|index| format!("obstacle {index}")).collect();
     for (user, row) in rows.iter().enumerate() {
-        if let Some(heading) = row.heading_deg.filter(|_| scenario.blockage.bodies) {
+        if let Some((heading, body)) = row.heading_deg.zip(scenario.blockage.body()) {
             let (sin, cos) = heading.to_radians().sin_cos();
-            let body = &scenario.blockage;
-            blockers.push(Cylinder {
-                x_m: row.x - body.body_offset_m * cos,
-                y_m: row.y - body.body_offset_m * sin,
-                radius_m: body.body_radius_m,
-                height_m: body.body_height_m,
-            });
+            blockers.push(body.behind(&Vec3::new(row.x, row.y, 0.0), &Vec3::new(cos, sin, 0.0)));
             names.push(format!("body of user {user}"));
         }
     }

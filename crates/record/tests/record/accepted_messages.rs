@@ -109,7 +109,7 @@ impl RecordedRoom {
 }
 
 fn scenario() -> Scenario {
-    Scenario::builtin("hall").unwrap().with_overrides(&["mirrors.rows=3".into(), "mirrors.columns=3".into()]).unwrap()
+    Scenario::builtin("hall").unwrap().with_overrides(&["mirrors.rows=3", "mirrors.columns=3"]).unwrap()
 }
 
 fn replay(file: &Path) -> Verdict {

@@ -39,11 +39,11 @@ fn a_list_of_one_table_is_the_same_scenario_as_the_table() {
 #[test]
 fn an_override_names_the_array() {
     let two = Scenario::from_toml(TWO).expect("valid");
-    let changed = two.with_overrides(&["mirrors.1.rows=2".into()]).expect("valid");
+    let changed = two.with_overrides(&["mirrors.1.rows=2"]).expect("valid");
     let rows: Vec<usize> = changed.mirrors.arrays().iter().map(|array| array.rows).collect();
     assert_eq!(rows, [4, 2]);
     for refused in ["mirrors.rows=2", "mirrors.2.rows=2"] {
-        let error = two.with_overrides(&[refused.into()]).expect_err("refused");
+        let error = two.with_overrides(&[refused]).expect_err("refused");
         assert!(matches!(error, ScenarioError::Override { .. }), "{error}");
     }
 }

@@ -159,7 +159,7 @@ fn a_refused_place_is_named_as_it_was_written_with_the_bounds_of_each_coordinate
         ),
         ("users.seats_m=[[0, 3]]", "users.seats_m = [0, 3]: expected x from -2.5 to 2.5 m, y from -2 to 2 m"),
     ] {
-        let room = ["room.length_y_m=4", "receiver.height_m=0.5", set].map(String::from);
+        let room = ["room.length_y_m=4", "receiver.height_m=0.5", set];
         let refused = Scenario::default().with_overrides(&room).expect_err(set);
         assert_eq!(refused.to_string(), expected);
     }
@@ -194,16 +194,15 @@ fn overrides_reach_any_key() {
         "led.power_w=1",
         "channel.mode=paper",
         "streams.positions.rate_hz=10",
-    ]
-    .map(String::from);
+    ];
     let scenario = Scenario::default().with_overrides(&set).unwrap();
     assert_eq!(scenario.blockage.forced_users, 2);
     assert_eq!(scenario.users.count, 3);
     assert_eq!(scenario.led.power_w, 1.0);
     assert_eq!(scenario.channel.mode, ChannelMode::Paper);
     assert_eq!(scenario.streams.positions.rate_hz, 10.0);
-    let each = ["users.min_rate_mbps=[1, 2.5, 3, 4, 5]".to_string()];
-    let rates = Scenario::default().with_overrides(&each).unwrap().users.min_rate_mbps;
+    let each = "users.min_rate_mbps=[1, 2.5, 3, 4, 5]";
+    let rates = Scenario::default().with_overrides(&[each]).unwrap().users.min_rate_mbps;
     assert_eq!(rates, MinRate::Each(vec![1.0, 2.5, 3.0, 4.0, 5.0]));
 }
 
@@ -219,11 +218,10 @@ fn a_misspelt_scenario_or_key_is_refused_with_the_similar_name_and_without_a_fla
         let message = of(named).load_arrays().unwrap_err().to_string();
         assert!(message.ends_with(hint), "{message}");
     }
-    let misspelt = "users.cont=3".to_string();
-    let message = Scenario::default().with_overrides(std::slice::from_ref(&misspelt)).unwrap_err().to_string();
+    let message = Scenario::default().with_overrides(&["users.cont=3"]).unwrap_err().to_string();
     assert!(message.starts_with("users.cont=3: unknown field `cont`"), "{message}");
     assert!(message.contains("; a similar name exists: count"), "{message}");
-    let args = ScenarioArgs { overrides: vec![misspelt], ..of("hall") };
+    let args = ScenarioArgs { overrides: vec!["users.cont=3".into()], ..of("hall") };
     assert!(args.load_arrays().unwrap_err().to_string().starts_with("--set users.cont=3: "));
     let message = Scenario::from_toml("[users]\ncont = 3\n").unwrap_err().to_string();
     assert!(message.contains("; a similar name exists: count"), "{message}");
@@ -238,7 +236,7 @@ fn invalid_overrides_are_refused_by_name() {
         ("users.count=many", "users.count=many"),
         ("users.count.deep=1", "users.count.deep=1"),
     ] {
-        let message = Scenario::default().with_overrides(&[text.to_string()]).unwrap_err().to_string();
+        let message = Scenario::default().with_overrides(&[text]).unwrap_err().to_string();
         assert!(message.contains(named), "{text}: {message}");
     }
 }
@@ -246,10 +244,10 @@ fn invalid_overrides_are_refused_by_name() {
 #[test]
 fn the_geometry_hash_ignores_power_noise_and_users() {
     let base = Scenario::default();
-    let same = ["led.power_w=1", "noise.variance_a2=6.5e-15", "users.count=3", "seed=9"].map(String::from);
+    let same = ["led.power_w=1", "noise.variance_a2=6.5e-15", "users.count=3", "seed=9"];
     assert_eq!(base.with_overrides(&same).unwrap().geometry_hash(), base.geometry_hash());
     for other in ["mirrors.rows=7", "led.half_power_semi_angle_deg=45", "room.length_y_m=6", "channel.mode=paper"] {
-        let changed = base.with_overrides(&[other.to_string()]).unwrap();
+        let changed = base.with_overrides(&[other]).unwrap();
         assert_ne!(changed.geometry_hash(), base.geometry_hash(), "{other}");
     }
 }
@@ -260,8 +258,8 @@ fn every_built_in_scenario_makes_a_channel_model() {
         let scenario = Scenario::builtin(name).unwrap();
         assert_eq!(scenario.channel_model().unwrap().mirrors.len(), scenario.mirror_count());
     }
-    let diversity = ["receiver.preset=angle-diversity".to_string()];
-    let model = Scenario::default().with_overrides(&diversity).unwrap().channel_model().unwrap();
+    let model =
+        Scenario::default().with_overrides(&["receiver.preset=angle-diversity"]).unwrap().channel_model().unwrap();
     assert_eq!(model.receiver.branches.len(), 7);
 }
 

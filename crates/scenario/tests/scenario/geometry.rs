@@ -6,8 +6,7 @@ use heliostat_scenario::{BUILTIN_NAMES, GeometryDifference, RoomDifference, Scen
 const ANNOUNCED_MAX: usize = 16_384;
 
 fn with(overrides: &[&str]) -> Scenario {
-    let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
-    Scenario::default().with_overrides(&overrides).unwrap()
+    Scenario::default().with_overrides(overrides).unwrap()
 }
 
 #[test]

@@ -11,8 +11,7 @@ use heliostat_scenario::{Fallback, Scenario};
 const SECOND_NS: u64 = 1_000_000_000;
 
 fn scenario(name: &str, overrides: &[&str]) -> Scenario {
-    let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
-    Scenario::builtin(name).unwrap().with_overrides(&overrides).unwrap()
+    Scenario::builtin(name).unwrap().with_overrides(overrides).unwrap()
 }
 
 /// What the watch found of the mirrors, and of the LED that differs most.

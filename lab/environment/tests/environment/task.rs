@@ -14,8 +14,7 @@ use heliostat_room::episode::Episode;
 use heliostat_scenario::{Fallback, Scenario};
 
 fn scenario(name: &str, overrides: &[&str]) -> Scenario {
-    let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
-    Scenario::builtin(name).unwrap().with_overrides(&overrides).unwrap()
+    Scenario::builtin(name).unwrap().with_overrides(overrides).unwrap()
 }
 
 fn settings() -> Vec<TaskSettings> {

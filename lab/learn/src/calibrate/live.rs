@@ -90,7 +90,7 @@ pub fn walk(scenario: &Scenario, others: &str) -> String {
 /// # Errors
 /// A room that does not exist with two users.
 pub fn with_passer_by(carried: &Scenario) -> anyhow::Result<(Scenario, String)> {
-    let scenario = carried.with_overrides(&["users.count=2".to_owned()])?;
+    let scenario = carried.with_overrides(&["users.count=2"])?;
     let model = scenario.channel_model()?;
     let array = &model.mirrors.arrays()[0];
     let corner = Vec3::new(0.5 * scenario.room.length_x_m, 0.5 * scenario.room.length_y_m, 0.0);

@@ -48,7 +48,7 @@ pub struct Errors {
 
 /// True offsets of roll and yaw in rad.
 fn true_offsets(scenario: &Scenario, seed: u64) -> anyhow::Result<Vec<[f64; 2]>> {
-    let still = scenario.with_overrides(&["actuator.jitter_deg=0", "users.count=1"].map(String::from))?;
+    let still = scenario.with_overrides(&["actuator.jitter_deg=0", "users.count=1"])?;
     let mut room = SimulatedRoom::new(&still, Some(&walk(&still, "")), seed)?;
     room.advance(SETTLED_NS);
     let (angles, measured) = (room.actuator(0).angles(), room.actuator(0).measured());

@@ -5,10 +5,11 @@ use std::time::Duration;
 use heliostat_channel::MirrorAngles;
 use heliostat_core::policy::Fixed;
 use heliostat_core::safety::Limits;
+use heliostat_models::ActorSource;
 use heliostat_scenario::Scenario;
 use serde::Serialize;
 
-use super::evaluated_policy::EvaluatedPolicy;
+use super::evaluated_policy::{EvaluatedPolicy, UnknownPolicy};
 
 /// Draws over which a random policy is averaged.
 pub(super) const RANDOM_DRAWS: usize = 30;
@@ -26,6 +27,21 @@ pub enum Loop {
 impl Settings {
     /// The usual time from the controller's start to the first sampling interval.
     pub const WARM: Duration = heliostat_environment::episodes::WARM;
+
+    /// Policies by their names on one room seed, with built-in actors of training seed 1.
+    ///
+    /// # Errors
+    /// As [`EvaluatedPolicy::parse`], to which `ddpg` is given.
+    pub fn of_names(
+        scenario: Scenario,
+        names: &[&str],
+        ddpg: &ActorSource,
+        (mode, states): (Loop, usize),
+    ) -> Result<Self, UnknownPolicy> {
+        let policies = names.iter().map(|name| EvaluatedPolicy::parse(name, ddpg)).collect::<Result<_, _>>()?;
+        let (warm, training_seed) = (Self::WARM, Some(1));
+        Ok(Self { scenario, policies, states, seeds: 1, mode, warm, training_seed, without_mirrors: false })
+    }
 }
 
 /// The policies and the states of a comparison.

@@ -18,7 +18,7 @@ use heliostat_channel::{ChannelModel, MirrorAngles};
 use heliostat_core::observation::Observation;
 pub use heliostat_core::policy::codewords::GRID;
 use heliostat_core::policy::codewords::{codewords, coordinates};
-use heliostat_core::policy::{Policy, PolicyError};
+use heliostat_core::policy::{Policy, PolicyResult};
 use heliostat_scenario::{ChannelMode, Scenario};
 
 use super::room::{Environment, Outcome, Reward};
@@ -118,7 +118,7 @@ impl Policy for BestCodeword {
         "codebook"
     }
 
-    fn act(&mut self, model: &ChannelModel, seen: &Observation, out: &mut MirrorAngles) -> Result<(), PolicyError> {
+    fn act(&mut self, model: &ChannelModel, seen: &Observation, out: &mut MirrorAngles) -> PolicyResult {
         out.clone_from(self.codebook.best(model, seen));
         Ok(())
     }

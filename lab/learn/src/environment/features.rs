@@ -35,9 +35,6 @@ use heliostat_scenario::Scenario;
 /// Features of one user.
 pub const FEATURES: usize = 10;
 
-/// Index of the feature that is 1 for a present user and 0 in an empty slot.
-pub const PRESENT: usize = 0;
-
 /// Index of ln(1 + direct amplitude).
 pub const LOG_DIRECT: usize = 3;
 
@@ -104,11 +101,6 @@ impl Layout {
             }
         }
     }
-
-    /// The decoder weights of all slots; zero in empty slots.
-    pub fn weights(&self, observation: &[f32], actions: &[f32], head: Head) -> Vec<f32> {
-        head.weights(self.encoder, observation, actions).collect()
-    }
 }
 
 #[cfg(test)]
@@ -146,17 +138,15 @@ mod tests {
 
     #[test]
     fn weights_follow_the_baseline_weight_and_are_zero_in_empty_slots() {
-        let layout = layout();
-        let uniform = layout.weights(
-            &observation(),
-            &[0.0, 1.0, 1.0],
-            Head { baseline_weight: BaselineWeight::Uniform, range: 2.0 },
-        );
+        let weights = |baseline_weight: BaselineWeight, actions: [f32; 3]| {
+            let head = Head { baseline_weight, range: 2.0 };
+            head.weights(layout().encoder, &observation(), &actions).collect::<Vec<f32>>()
+        };
+        let uniform = weights(BaselineWeight::Uniform, [0.0, 1.0, 1.0]);
         assert_eq!(uniform[0], 1.0);
         assert!((uniform[1] - 2.0_f32.exp()).abs() < 1e-5);
         assert_eq!(uniform[2], 0.0);
-        let balanced =
-            layout.weights(&observation(), &[0.5; 3], Head { baseline_weight: BaselineWeight::Balanced, range: 2.0 });
+        let balanced = weights(BaselineWeight::Balanced, [0.5; 3]);
         assert_eq!(balanced, [1.0, 3.0_f32.exp(), 0.0]);
     }
 }

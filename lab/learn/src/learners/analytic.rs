@@ -85,12 +85,6 @@ impl Settings {
     }
 }
 
-impl AsRef<RunSettings> for Settings {
-    fn as_ref(&self) -> &RunSettings {
-        &self.run
-    }
-}
-
 /// The learner with its state between two steps.
 pub struct Analytic {
     settings: Settings,

@@ -169,12 +169,6 @@ impl Settings {
     }
 }
 
-impl AsRef<RunSettings> for Settings {
-    fn as_ref(&self) -> &RunSettings {
-        &self.run
-    }
-}
-
 /// DDPG with its state between two steps.
 pub struct Ddpg {
     settings: Settings,

@@ -94,12 +94,6 @@ impl Settings {
     }
 }
 
-impl AsRef<RunSettings> for Settings {
-    fn as_ref(&self) -> &RunSettings {
-        &self.run
-    }
-}
-
 /// DDPG on all angles with its state between two steps.
 pub struct DdpgRaw {
     settings: Settings,

@@ -102,12 +102,6 @@ impl Settings {
     }
 }
 
-impl AsRef<RunSettings> for Settings {
-    fn as_ref(&self) -> &RunSettings {
-        &self.run
-    }
-}
-
 /// Deep Q-learning with its state between two steps.
 pub struct Dql {
     settings: Settings,

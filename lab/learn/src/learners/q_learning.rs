@@ -102,12 +102,6 @@ impl Settings {
     }
 }
 
-impl AsRef<RunSettings> for Settings {
-    fn as_ref(&self) -> &RunSettings {
-        &self.run
-    }
-}
-
 /// Q-learning with its state between two steps; also the learner of [`super::sarsa`].
 pub struct QLearning {
     settings: Settings,

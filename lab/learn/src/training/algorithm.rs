@@ -8,7 +8,7 @@ use serde::{Serialize, de::DeserializeOwned};
 
 use super::learner::Learner;
 use super::run::Training;
-use super::settings::{RunSettings, with_options};
+use super::settings::with_options;
 
 /// A set of default hyperparameters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -71,7 +71,7 @@ pub fn start<S, L>(
     build: fn(&Scenario, S, &mut ChaCha8Rng) -> anyhow::Result<L>,
 ) -> anyhow::Result<Training>
 where
-    S: Serialize + DeserializeOwned + AsRef<RunSettings>,
+    S: Serialize + DeserializeOwned,
     L: Learner + 'static,
 {
     Training::new(scenario, with_options(settings, options)?, build)

@@ -39,16 +39,6 @@ impl Replay {
         self.length >= self.needed
     }
 
-    /// Number of transitions.
-    pub fn len(&self) -> usize {
-        self.length
-    }
-
-    /// Whether it holds no transition.
-    pub fn is_empty(&self) -> bool {
-        self.length == 0
-    }
-
     /// Adds a transition. A full buffer drops its oldest one.
     ///
     /// # Panics
@@ -123,7 +113,7 @@ mod tests {
     #[test]
     fn a_full_buffer_drops_its_oldest_transition() {
         let replay = filled(4);
-        assert_eq!(replay.len(), 3);
+        assert_eq!(replay.length, 3);
         let mut rewards = replay.columns[2].clone();
         rewards.sort_by(f32::total_cmp);
         assert_eq!(rewards, [10.0, 20.0, 30.0]);

@@ -40,18 +40,19 @@ impl Training {
     /// run's generator.
     ///
     /// # Errors
-    /// Errors of `build`.
+    /// Errors of `build`, or settings without those of every run.
     pub fn new<S, L>(
         scenario: Scenario,
         settings: S,
         build: impl FnOnce(&Scenario, S, &mut ChaCha8Rng) -> anyhow::Result<L>,
     ) -> anyhow::Result<Self>
     where
-        S: Serialize + AsRef<RunSettings>,
+        S: Serialize,
         L: Learner + 'static,
     {
-        let run = settings.as_ref().clone();
-        let all = serde_json::json!(settings);
+        let all = serde_json::to_value(&settings)?;
+        // They are flattened into those of each learner.
+        let run: RunSettings = serde_json::from_value(all.clone())?;
         let mut rng = ChaCha8Rng::seed_from_u64(run.seed);
         let learner = Box::new(build(&scenario, settings, &mut rng)?);
         Ok(Self { learner, scenario, run, settings: all, rng, episodes_done: 0 })

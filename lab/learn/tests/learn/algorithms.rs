@@ -3,8 +3,8 @@
 
 use clap::ValueEnum;
 use heliostat_channel::MirrorAngles;
-use heliostat_core::observation::{OBSERVATION_VERSION, USERS_CAPACITY};
-use heliostat_core::policy::actor_file::{ActorFile, key};
+use heliostat_core::observation::USERS_CAPACITY;
+use heliostat_core::policy::actor_file::{ActorFile, room_entries};
 use heliostat_core::policy::{Policy, PolicyKind};
 use heliostat_learn::environment::{Environment, Rooms};
 use heliostat_learn::training::{Algorithm, Preset, Training, checkpoint};
@@ -21,7 +21,7 @@ const OBSERVATIONS: usize = 200;
 const TIES_MAX: f64 = 1e-3;
 
 fn begin(algorithm: Algorithm, mode: &str, seed: u64) -> Training {
-    let overrides = ["mirrors.rows=3", "mirrors.columns=4", &format!("seed={seed}")].map(String::from);
+    let overrides = ["mirrors.rows=3", "mirrors.columns=4", &format!("seed={seed}")];
     let scenario = Scenario::builtin(mode).and_then(|scenario| scenario.with_overrides(&overrides));
     let mut options = vec![format!("episodes={EPISODES}"), "steps=8".into()];
     options.extend(short(algorithm).iter().map(|option| String::from(*option)));
@@ -48,17 +48,6 @@ fn state(training: &mut Training, folder: &tempfile::TempDir) -> Vec<u8> {
     let path = folder.path().join("checkpoint.safetensors");
     checkpoint::save(training, &path).expect("a checkpoint");
     std::fs::read(path).expect("the file")
-}
-
-fn metadata(scenario: &Scenario) -> Vec<(String, String)> {
-    let entries = [
-        (key::OBSERVATION_VERSION, OBSERVATION_VERSION.to_string()),
-        (key::USERS_MAX, USERS_CAPACITY.to_string()),
-        (key::MIRRORS, scenario.mirror_count().to_string()),
-        (key::MODE, scenario.channel.mode.name().to_string()),
-        (key::GEOMETRY, scenario.geometry_hash()),
-    ];
-    entries.map(|(key, value)| (key.to_string(), value)).to_vec()
 }
 
 #[test]
@@ -100,7 +89,7 @@ fn exported_graphs_give_the_learners_angles() {
             let mut training = begin(*algorithm, mode, 5);
             run(&mut training, EPISODES);
             let scenario = training.scenario().clone();
-            let bytes = training.export(&metadata(&scenario)).expect("an actor");
+            let bytes = training.export(&room_entries(&scenario, USERS_CAPACITY)).expect("an actor");
             let file = ActorFile { origin: "the exported actor".into(), bytes: bytes.into() };
             let mut served = heliostat_models::load_actor(&file, &scenario).expect("the engine takes the graph");
             let (mut rng, mut differ) = (ChaCha8Rng::seed_from_u64(11), 0);

@@ -22,7 +22,7 @@ struct Bench {
 
 impl Bench {
     fn new(mode: &str) -> Self {
-        let overrides = ["mirrors.rows=4", "mirrors.columns=5"].map(String::from);
+        let overrides = ["mirrors.rows=4", "mirrors.columns=5"];
         let scenario = Scenario::builtin(mode).and_then(|scenario| scenario.with_overrides(&overrides));
         let scenario = scenario.expect("a valid scenario");
         let head = Settings::new(1, scenario.channel.mode).head;

@@ -19,11 +19,8 @@ use heliostat_scenario::Scenario;
 /// A room with rough differences, reports at 20 Hz that are 100 ms old, and one receiver.
 fn room(changes: &[&str]) -> Scenario {
     let rates = ["mismatch.level=rough", "streams.channel.rate_hz=20", "streams.positions.rate_hz=20"];
-    let changed = |scenario: &Scenario, changes: &[&str]| {
-        scenario.with_overrides(&changes.iter().map(|change| (*change).to_owned()).collect::<Vec<_>>()).unwrap()
-    };
-    let carried = with_receiver(&changed(&Scenario::builtin("hall").unwrap(), &rates)).unwrap();
-    changed(&carried, changes)
+    let rough = Scenario::builtin("hall").unwrap().with_overrides(&rates).unwrap();
+    with_receiver(&rough).unwrap().with_overrides(changes).unwrap()
 }
 
 /// Calibrates a room, and judges the result.
@@ -255,8 +252,7 @@ fn small_study(changes: &[&str]) -> anyhow::Result<Study> {
 
 fn small_settings(changes: &[&str]) -> Settings {
     let size = ["mismatch.level=rough", "mirrors.rows=4", "mirrors.columns=4"];
-    let changes: Vec<String> = size.iter().chain(changes).map(|change| (*change).to_owned()).collect();
-    let scenario = Scenario::builtin("hall").unwrap().with_overrides(&changes).unwrap();
+    let scenario = Scenario::builtin("hall").unwrap().with_overrides(&[&size[..], changes].concat()).unwrap();
     Settings {
         scenario,
         array: 0,
@@ -296,7 +292,7 @@ fn arrivals_are_refused_with_what_a_calibration_needs() {
 
 #[test]
 fn of_a_list_of_minimum_rates_the_carried_receiver_has_the_first() {
-    let changes = ["users.count=3", "users.min_rate_mbps=[4.0, 2.0, 1.0]"].map(String::from);
+    let changes = ["users.count=3", "users.min_rate_mbps=[4.0, 2.0, 1.0]"];
     let listed = Scenario::builtin("hall").unwrap().with_overrides(&changes).unwrap();
     assert_eq!(with_receiver(&listed).unwrap().min_rate_bps(), [4e6]);
 }

@@ -2,8 +2,8 @@
 //! learning.
 
 use heliostat_channel::MirrorAngles;
-use heliostat_core::observation::OBSERVATION_VERSION;
-use heliostat_core::policy::actor_file::{ActorFile, key};
+use heliostat_core::observation::USERS_CAPACITY;
+use heliostat_core::policy::actor_file::{ActorFile, room_entries};
 use heliostat_core::policy::{Actor as Served, Policy};
 use heliostat_core::safety::Limits;
 use heliostat_learn::environment::codebook::{Codebook, objective_bps};
@@ -22,8 +22,7 @@ const OBSERVATIONS: usize = 500;
 
 /// Few mirrors, for short run times.
 fn small(name: &str, overrides: &[&str]) -> Scenario {
-    let all: Vec<String> =
-        ["mirrors.rows=4", "mirrors.columns=4"].iter().chain(overrides).map(|&text| text.into()).collect();
+    let all = [&["mirrors.rows=4", "mirrors.columns=4"], overrides].concat();
     Scenario::builtin(name).and_then(|scenario| scenario.with_overrides(&all)).expect("a valid scenario")
 }
 
@@ -38,14 +37,7 @@ fn trained(algorithm: Algorithm, scenario: &Scenario, options: &[&str]) -> Train
 
 fn served(training: &Training) -> Served {
     let scenario = training.scenario();
-    let metadata = [
-        (key::OBSERVATION_VERSION, OBSERVATION_VERSION.to_string()),
-        (key::USERS_MAX, "10".to_string()),
-        (key::MIRRORS, scenario.mirror_count().to_string()),
-        (key::MODE, scenario.channel.mode.name().to_string()),
-        (key::GEOMETRY, scenario.geometry_hash()),
-    ];
-    let bytes = training.export(&metadata.map(|(key, value)| (key.to_string(), value))).expect("a file");
+    let bytes = training.export(&room_entries(scenario, USERS_CAPACITY)).expect("a file");
     let file = ActorFile { origin: "the exported actor".into(), bytes: bytes.into() };
     heliostat_models::load_actor(&file, scenario).expect("the engine takes the graph")
 }

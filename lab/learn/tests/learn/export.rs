@@ -1,8 +1,7 @@
 //! The exported file compared with the learner's forward pass and the channel's decoder.
 
 use heliostat_channel::MirrorAngles;
-use heliostat_core::observation::OBSERVATION_VERSION;
-use heliostat_core::policy::actor_file::{ActorFile, key};
+use heliostat_core::policy::actor_file::{ActorFile, room_entries};
 use heliostat_core::policy::{Actor as Served, Policy};
 use heliostat_learn::environment::{Environment, Rooms};
 use heliostat_learn::export::actor::export;
@@ -37,15 +36,7 @@ fn spread_actor(scenario: &Scenario, settings: Settings) -> Actor {
 }
 
 fn served(actor: &Actor, scenario: &Scenario) -> Served {
-    let entries = [
-        (key::OBSERVATION_VERSION, OBSERVATION_VERSION.to_string()),
-        (key::USERS_MAX, actor.layout.slots().to_string()),
-        (key::MIRRORS, scenario.mirror_count().to_string()),
-        (key::MODE, scenario.channel.mode.name().to_string()),
-        (key::GEOMETRY, scenario.geometry_hash()),
-    ];
-    let metadata = entries.map(|(key, value)| (key.to_string(), value));
-    let bytes = export(actor, &metadata).expect("an exported actor");
+    let bytes = export(actor, &room_entries(scenario, actor.layout.slots())).expect("an exported actor");
     let file = ActorFile { origin: "the exported actor".into(), bytes: bytes.into() };
     heliostat_models::load_actor(&file, scenario).expect("the engine takes the graph")
 }
@@ -74,7 +65,7 @@ fn compare(scenario: &Scenario, settings: Settings) -> (f64, f64) {
         assert!(actions.iter().all(|action| action.is_finite()), "expected finite actions, found {actions:?}");
         let expected = actor.decode(&environment, &actions);
         served.act(environment.model(), environment.observation(), &mut got).expect("angles");
-        let weights = actor.layout.weights(vector, &actions, actor.head);
+        let weights = actor.head.weights(actor.layout.encoder, vector, &actions).collect::<Vec<f32>>();
         for mirror in 0..mirrors {
             let steering = |slot: usize| vector[actor.layout.encoder.steering_amplitude()][slot * mirrors + mirror];
             if scenario.channel.mode == ChannelMode::Specular && near_tie(&weights, steering) {

@@ -29,7 +29,7 @@ fn a_short_run_of_ddpg_learns_to_meet_minimum_rates() {
 /// rise by more than `gain`.
 fn check(gain: f64, begin: impl Fn(Scenario) -> anyhow::Result<Training> + Sync + Send) {
     on_one_thread(|| {
-        let overrides = ["mirrors.rows=6", "mirrors.columns=6", "blockage.forced_users=5"].map(String::from);
+        let overrides = ["mirrors.rows=6", "mirrors.columns=6", "blockage.forced_users=5"];
         let scenario = Scenario::builtin("specular").and_then(|scenario| scenario.with_overrides(&overrides));
         let scenario = scenario.expect("a valid scenario");
         let mut training = begin(scenario.clone()).expect("a valid run");

@@ -9,7 +9,7 @@ use heliostat_scenario::{ChannelMode, Scenario};
 const EPISODES: usize = 6;
 
 fn training(settings: Settings) -> Training {
-    let overrides = ["mirrors.rows=3", "mirrors.columns=3"].map(String::from);
+    let overrides = ["mirrors.rows=3", "mirrors.columns=3"];
     let scenario = Scenario::builtin("specular").and_then(|scenario| scenario.with_overrides(&overrides));
     Training::new(scenario.expect("a valid scenario"), settings, Ddpg::new).expect("a valid run")
 }

@@ -53,16 +53,10 @@ pub fn speed_name(speed_m_s: f64) -> String {
 
 pub(super) fn parts(room: &Room, plan: &Plan) -> Vec<Part> {
     let instants = plan.effort.instants;
-    let part = |delay: (f64, f64, bool), seed: u64| Part {
-        figure: ID,
-        code: env!("HELIOSTAT_CODE_BER_SNR"),
-        room: room.name.clone(),
-        name: group(delay),
-        seed,
-        scenario: room.scenario.clone(),
-        actor: room.actor.clone(),
-        job: Job::Aim(Aim { interval_ms: delay.0, latency_ms: delay.1, prediction: delay.2, instants }),
-        cost_s: SPEEDS_M_S.len() as f64 * instants as f64 * (1.5e-3 + 0.18 / delay.0),
+    let part = |delay: (f64, f64, bool), seed: u64| {
+        let job = Job::Aim(Aim { interval_ms: delay.0, latency_ms: delay.1, prediction: delay.2, instants });
+        let cost_s = SPEEDS_M_S.len() as f64 * instants as f64 * (1.5e-3 + 0.18 / delay.0);
+        room.part([ID, env!("HELIOSTAT_CODE_BER_SNR")], (group(delay), seed), job, cost_s)
     };
     DELAYS.iter().flat_map(|delay| plan.seeds().map(move |seed| part(*delay, seed))).collect()
 }
@@ -108,7 +102,7 @@ impl Aim {
     }
 }
 
-pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
+pub(super) fn figure(done: &[Done]) -> Figure {
     let names: Vec<String> = SPEEDS_M_S.iter().map(|speed| speed_name(*speed)).collect();
     let names: Vec<&str> = names.iter().map(String::as_str).collect();
     let panel = |delay: &str| Panel {
@@ -124,8 +118,6 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
         _ => None,
     });
     Figure {
-        id: ID.into(),
-        room: room.name.clone(),
         title: "Bit error rate against SNR, by walking speed".into(),
         caption: vec![
             "Each panel names the interval of the position reports and their latency. Mirrors are aimed at the reported position: one user without direct path, all mirrors, \

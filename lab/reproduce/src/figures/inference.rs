@@ -1,7 +1,7 @@
 //! Decision times, compared with the paper's 0.5 ms and with methods that search at every decision.
 
 use anyhow::{Result, ensure};
-use heliostat_learn::comparison::{EvaluatedPolicy, Loop, Row, Settings, compare_under};
+use heliostat_learn::comparison::{Loop, Row, Settings, compare_under};
 use heliostat_models::ActorSource;
 use heliostat_scenario::{ChannelMode, Scenario};
 use indicatif::ProgressBar;
@@ -39,17 +39,12 @@ pub(super) fn parts(room: &Room, plan: &Plan) -> Result<Vec<Part>> {
         room.name
     );
     let (decisions, slow_decisions, trials) = (plan.effort.timed, plan.effort.timed_slow, plan.effort.trials);
-    let part = |small: bool, seed: u64| Part {
-        figure: ID,
-        code: env!("HELIOSTAT_CODE_INFERENCE"),
-        room: room.name.clone(),
-        name: if small { "9 mirrors".into() } else { format!("{} mirrors", room.scenario.mirror_count()) },
-        seed,
-        scenario: room.scenario.clone(),
-        actor: room.actor.clone(),
-        job: Job::Timing(Timing { small, decisions, slow_decisions, trials }),
-        cost_s: slow_decisions as f64 * if small { 2e-2 } else { 5e-3 + 4e-5 * f64::from(trials) }
-            + decisions as f64 * if small { 2e-3 } else { 8e-3 },
+    let part = |small: bool, seed: u64| {
+        let name = if small { "9 mirrors".into() } else { format!("{} mirrors", room.scenario.mirror_count()) };
+        let job = Job::Timing(Timing { small, decisions, slow_decisions, trials });
+        let cost_s = slow_decisions as f64 * if small { 2e-2 } else { 5e-3 + 4e-5 * f64::from(trials) }
+            + decisions as f64 * if small { 2e-3 } else { 8e-3 };
+        room.part([ID, env!("HELIOSTAT_CODE_INFERENCE")], (name, seed), job, cost_s)
     };
     // Under the paper's equations angles are continuous, so there is no list of assignments.
     let both: &[bool] = if room.scenario.channel.mode == ChannelMode::Specular { &[false, true] } else { &[false] };
@@ -72,18 +67,7 @@ impl Timing {
         }
         let group = format!("{} mirrors, {} users", scenario.mirror_count(), scenario.users.count);
         let compared = |names: &[&str], states: usize| -> Result<Vec<(String, Row)>> {
-            let policies = names.iter().map(|name| EvaluatedPolicy::parse(name, actor)).collect::<Result<_, _>>()?;
-            let (scenario, mode) = (scenario.clone(), Loop::Static);
-            let settings = Settings {
-                scenario,
-                policies,
-                states,
-                seeds: 1,
-                mode,
-                training_seed: Some(1),
-                without_mirrors: false,
-                warm: Settings::WARM,
-            };
+            let settings = Settings::of_names(scenario.clone(), names, actor, (Loop::Static, states))?;
             Ok(compare_under(&settings, &ProgressBar::hidden())?.policies)
         };
         let all = compared(names, self.slow_decisions)?;
@@ -149,8 +133,6 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
         );
     }
     Figure {
-        id: ID.into(),
-        room: room.name.clone(),
         title: "Decision time and sum rate".into(),
         caption,
         x: Axis::log("time for a decision (us)", [1.0, 1e6]),
@@ -211,7 +193,7 @@ mod tests {
 
     #[test]
     fn more_decisions_of_fast_policies_leave_their_sum_rate_unchanged() {
-        let scenario = Scenario::builtin("paper").unwrap().with_overrides(&["users.count=2".into()]).unwrap();
+        let scenario = Scenario::builtin("paper").unwrap().with_overrides(&["users.count=2"]).unwrap();
         let worth = |decisions: usize| {
             let job = Timing { small: false, decisions, slow_decisions: 2, trials: 10 };
             let curves = job.run(&scenario, &ActorSource::Shipped).unwrap().curves;

@@ -28,17 +28,8 @@ const SETTLE_S: f64 = 20.0;
 pub(super) fn parts(room: &Room, plan: &Plan) -> Result<Vec<Part>> {
     ensure!(room.scenario.users.count > 0, "{ID} needs a user in room {}", room.name);
     let step_cm = plan.effort.step_cm;
-    Ok(vec![Part {
-        figure: ID,
-        code: env!("HELIOSTAT_CODE_MAP"),
-        room: room.name.clone(),
-        name: "floor".into(),
-        seed: plan.first_seed,
-        scenario: room.scenario.clone(),
-        actor: room.actor.clone(),
-        job: Job::Map(Map { step_cm }),
-        cost_s: 50.0 / (step_cm * step_cm),
-    }])
+    let (job, cost_s) = (Job::Map(Map { step_cm }), 50.0 / (step_cm * step_cm));
+    Ok(vec![room.part([ID, env!("HELIOSTAT_CODE_MAP")], ("floor".into(), plan.first_seed), job, cost_s)])
 }
 
 impl Map {
@@ -98,8 +89,6 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
     };
     let (seed, forced) = (done.first().map_or(0, |(part, _)| part.seed), room.scenario.blockage.forced_users);
     Figure {
-        id: ID.into(),
-        room: room.name.clone(),
         title: "Rate over the floor".into(),
         caption: vec![
             format!(

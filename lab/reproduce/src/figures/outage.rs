@@ -6,7 +6,7 @@
 //! for a policy without outages too, and at length 0 it is the share of time below the minimum rate.
 
 use anyhow::Result;
-use heliostat_learn::comparison::{EvaluatedPolicy, Loop, OUTAGE_LENGTHS_S, Row, Settings, compare_under};
+use heliostat_learn::comparison::{Loop, OUTAGE_LENGTHS_S, Row, Settings, compare_under};
 use heliostat_models::ActorSource;
 use heliostat_scenario::Scenario;
 use indicatif::ProgressBar;
@@ -46,16 +46,10 @@ fn quantities(row: &Row) -> Vec<(String, f64)> {
 pub(super) fn parts(room: &Room, plan: &Plan) -> Result<Vec<Part>> {
     plan.check_blocked(ID, room)?;
     let instants = plan.effort.loop_instants;
-    let part = |seed: u64| Part {
-        figure: ID,
-        code: env!("HELIOSTAT_CODE_OUTAGE"),
-        room: room.name.clone(),
-        name: "closed loop".into(),
-        seed,
-        scenario: room.scenario.clone(),
-        actor: room.actor.clone(),
-        job: Job::Outage(Outage { blocked: plan.blocked.clone(), instants }),
-        cost_s: 1e-2 * (instants * plan.blocked.len()) as f64,
+    let part = |seed: u64| {
+        let job = Job::Outage(Outage { blocked: plan.blocked.clone(), instants });
+        let cost_s = 1e-2 * (instants * plan.blocked.len()) as f64;
+        room.part([ID, env!("HELIOSTAT_CODE_OUTAGE")], ("closed loop".into(), seed), job, cost_s)
     };
     Ok(plan.seeds().map(part).collect())
 }
@@ -67,17 +61,7 @@ impl Outage {
         for blocked in &self.blocked {
             let mut scenario = scenario.clone();
             scenario.blockage.forced_users = *blocked;
-            let policies = POLICIES.iter().map(|name| EvaluatedPolicy::parse(name, actor)).collect::<Result<_, _>>()?;
-            let settings = Settings {
-                warm: Settings::WARM,
-                scenario,
-                policies,
-                states: self.instants,
-                seeds: 1,
-                mode: Loop::ClosedLoop,
-                training_seed: Some(1),
-                without_mirrors: false,
-            };
+            let settings = Settings::of_names(scenario, &POLICIES, actor, (Loop::ClosedLoop, self.instants))?;
             let report = compare_under(&settings, &ProgressBar::hidden())?;
             let oracle = ("oracle", &report.oracle);
             let policies = report.policies.iter().map(|(name, row)| (name.as_str(), row));
@@ -95,7 +79,7 @@ impl Outage {
     }
 }
 
-pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
+pub(super) fn figure(done: &[Done]) -> Figure {
     let names = ["oracle", "ddpg", "greedy", "flat", "no-irs"];
     let panel =
         |title: &str| Panel { title: title.to_owned(), series: series(done, title, &names), ..Panel::default() };
@@ -104,8 +88,6 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
         _ => None,
     });
     Figure {
-        id: ID.into(),
-        room: room.name.clone(),
         title: "Outages and fairness in closed loop".into(),
         caption: vec![
             "Not in the paper. Reports, delays, noise and mirrors are those of the room's scenario, and users walk. The minimum rate is `users.min_rate_mbps`. The oracle knows the true \

@@ -6,7 +6,7 @@
 
 use anyhow::{Result, ensure};
 use clap::ValueEnum;
-use heliostat_learn::comparison::{EvaluatedPolicy, Loop, Settings, compare_under};
+use heliostat_learn::comparison::{Loop, Settings, compare_under};
 use heliostat_learn::evaluation::HeldOut;
 use heliostat_learn::training::{Algorithm, Preset};
 use heliostat_models::ActorSource;
@@ -51,15 +51,8 @@ pub(super) fn parts(room: &Room, plan: &Plan) -> Result<Vec<Part>> {
     for (index, side) in SIDES.into_iter().enumerate() {
         let states = effort.watched_states;
         let part = |name: String, seed: u64, job: Job, cost_s: f64| Part {
-            figure: ID,
-            code: env!("HELIOSTAT_CODE_SUM_RATE_ITERATIONS"),
-            room: room.name.clone(),
-            name,
-            seed,
-            scenario: room.scenario.clone(),
             actor: ActorSource::Shipped,
-            job,
-            cost_s,
+            ..room.part([ID, env!("HELIOSTAT_CODE_SUM_RATE_ITERATIONS")], (name, seed), job, cost_s)
         };
         sized(&room.scenario, side, blocked)?;
         let baselines = Baselines { side, blocked, states, episodes: effort.episodes };
@@ -125,18 +118,7 @@ impl Baselines {
     /// Evaluates on the states of the learners: those of set 0, independent of the seed.
     pub(crate) fn run(&self, scenario: &Scenario) -> Result<Measured> {
         let scenario = Scenario { seed: 0, ..sized(scenario, self.side, self.blocked)? };
-        let source = ActorSource::Shipped;
-        let policies = POLICIES.iter().map(|name| EvaluatedPolicy::parse(name, &source)).collect::<Result<_, _>>()?;
-        let settings = Settings {
-            scenario,
-            policies,
-            states: self.states,
-            seeds: 1,
-            mode: Loop::Static,
-            training_seed: Some(1),
-            without_mirrors: false,
-            warm: Settings::WARM,
-        };
+        let settings = Settings::of_names(scenario, &POLICIES, &ActorSource::Shipped, (Loop::Static, self.states))?;
         let report = compare_under(&settings, &ProgressBar::hidden())?;
         let oracle = std::iter::once(("oracle", &report.oracle));
         let rows = oracle.chain(report.policies.iter().map(|(name, row)| (name.as_str(), row)));
@@ -149,7 +131,7 @@ impl Baselines {
     }
 }
 
-pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
+pub(super) fn figure(done: &[Done]) -> Figure {
     let names = ["oracle", "ddpg", "ddpg-raw", "dql", "flat", "random", "no-irs"];
     let panel = |name: &str| Panel { title: name.to_owned(), series: series(done, name, &names), ..Panel::default() };
     let job = done.iter().find_map(|(part, _)| match &part.job {
@@ -158,8 +140,6 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
     });
     let (episodes, states, blocked) = job.map_or((0, 0, 0), |job| (job.episodes, job.states, job.blocked));
     Figure {
-        id: ID.into(),
-        room: room.name.clone(),
         title: "Sum rate against iterations".into(),
         caption: vec![
             format!(

@@ -1,7 +1,7 @@
 //! Fig. 5: sum rate against optical power for several numbers of blocked users.
 
 use anyhow::{Result, ensure};
-use heliostat_learn::comparison::{EvaluatedPolicy, Loop, Settings, compare_under};
+use heliostat_learn::comparison::{Loop, Settings, compare_under};
 use heliostat_models::ActorSource;
 use heliostat_scenario::Scenario;
 use indicatif::ProgressBar;
@@ -40,16 +40,10 @@ pub(super) fn parts(room: &Room, plan: &Plan) -> Result<Vec<Part>> {
         room.name
     );
     let effort = &plan.effort;
-    let part = |blocked: usize, seed: u64| Part {
-        figure: ID,
-        code: env!("HELIOSTAT_CODE_SUM_RATE_POWER"),
-        room: room.name.clone(),
-        name: group(blocked),
-        seed,
-        scenario: room.scenario.clone(),
-        actor: room.actor.clone(),
-        job: Job::Power(Power { blocked, powers_w: effort.powers_w.clone(), states: effort.states }),
-        cost_s: 1e-2 * (effort.states * effort.powers_w.len()) as f64,
+    let part = |blocked: usize, seed: u64| {
+        let job = Job::Power(Power { blocked, powers_w: effort.powers_w.clone(), states: effort.states });
+        let cost_s = 1e-2 * (effort.states * effort.powers_w.len()) as f64;
+        room.part([ID, env!("HELIOSTAT_CODE_SUM_RATE_POWER")], (group(blocked), seed), job, cost_s)
     };
     Ok(plan.blocked.iter().flat_map(|blocked| plan.seeds().map(|seed| part(*blocked, seed))).collect())
 }
@@ -65,17 +59,7 @@ impl Power {
             let mut scenario = scenario.clone();
             scenario.blockage.forced_users = self.blocked;
             scenario.led.power_w = *power_w;
-            let policies = POLICIES.iter().map(|name| EvaluatedPolicy::parse(name, actor)).collect::<Result<_, _>>()?;
-            let settings = Settings {
-                warm: Settings::WARM,
-                scenario,
-                policies,
-                states: self.states,
-                seeds: 1,
-                mode: Loop::Static,
-                training_seed: Some(1),
-                without_mirrors: false,
-            };
+            let settings = Settings::of_names(scenario, &POLICIES, actor, (Loop::Static, self.states))?;
             let report = compare_under(&settings, &ProgressBar::hidden())?;
             let rows = std::iter::once(&report.oracle).chain(report.policies.iter().map(|(_, row)| row));
             for (row, curve) in rows.zip(&mut curves) {
@@ -104,8 +88,6 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
         _ => None,
     });
     Figure {
-        id: ID.into(),
-        room: room.name.clone(),
         title: "Sum rate against optical power".into(),
         caption: vec![
             format!(

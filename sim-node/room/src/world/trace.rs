@@ -13,6 +13,7 @@
 
 use std::f64::consts::{PI, TAU};
 
+use heliostat_scenario::WALKING_M_S;
 use thiserror::Error;
 
 use crate::world::walker::{Floor, Walker};
@@ -112,9 +113,6 @@ pub enum TraceError {
         time: f64,
     },
 }
-
-/// Speed in m/s from which on a motion shows the direction in which a user faces.
-const WALKING_M_S: f64 = 0.05;
 
 /// The columns; the last one is optional.
 const COLUMNS: [&str; 5] = ["time", "user", "x", "y", "heading_deg"];

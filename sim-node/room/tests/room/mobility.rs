@@ -13,8 +13,7 @@ const ARRIVALS: [&str; 3] =
     ["users.arrivals.rate_per_min=60", "users.arrivals.mean_stay_s=4", "users.arrivals.max_users=9"];
 
 fn world(overrides: &[&str], seed: u64) -> World {
-    let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
-    let scenario = Scenario::builtin("specular").unwrap().with_overrides(&overrides).unwrap();
+    let scenario = Scenario::builtin("specular").unwrap().with_overrides(overrides).unwrap();
     World::new(&scenario, None, seed).unwrap()
 }
 

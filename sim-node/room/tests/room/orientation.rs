@@ -151,8 +151,7 @@ fn a_user_who_stops_changes_to_the_angles_of_sitting_over_the_coherence_time() {
 }
 
 fn scenario(overrides: &[&str]) -> Scenario {
-    let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
-    Scenario::builtin("specular").unwrap().with_overrides(&overrides).unwrap()
+    Scenario::builtin("specular").unwrap().with_overrides(overrides).unwrap()
 }
 
 const TILTED: [&str; 2] = ["users.orientation.model=measured", "users.pause_mean_s=1"];

@@ -12,8 +12,7 @@ const SOURCE: u64 = 42;
 
 /// Runs the streams in simulated time; returns each report with the time of its release.
 fn run(overrides: &[&str], until_ms: u64) -> Vec<(u64, Report)> {
-    let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
-    let scenario = Scenario::builtin("specular").unwrap().with_overrides(&overrides).unwrap();
+    let scenario = Scenario::builtin("specular").unwrap().with_overrides(overrides).unwrap();
     let mut room = SimulatedRoom::new(&scenario, None, 3).unwrap();
     let mut reports = Reports::new(&scenario.streams, 3, SOURCE);
     let mut out = Vec::new();
@@ -217,8 +216,7 @@ fn orientations_are_reported_where_the_scenario_names_their_stream() {
     let up = run(&stream, 100);
     assert!(orientations(&up).iter().all(|(_, report)| held(report) == [Orientation::UPRIGHT; 5]));
     let reports = run(&[&[tilted], &stream[..]].concat(), 1000);
-    let overrides = [tilted].map(String::from);
-    let scenario = Scenario::builtin("specular").unwrap().with_overrides(&overrides).unwrap();
+    let scenario = Scenario::builtin("specular").unwrap().with_overrides(&[tilted]).unwrap();
     let mut room = SimulatedRoom::new(&scenario, None, 3).unwrap();
     for (index, (at, report)) in orientations(&reports).into_iter().enumerate() {
         let (sampled_ns, sequence) = (index as u64 * 50 * MS, index as u64 + 1);
@@ -355,8 +353,7 @@ fn leds(reports: &[(u64, Report)]) -> Vec<&LedReport> {
 
 #[test]
 fn receivers_report_the_gain_of_each_led_past_bodies_and_obstacles() {
-    let overrides = LEDS.map(String::from);
-    let scenario = Scenario::builtin("specular").unwrap().with_overrides(&overrides).unwrap();
+    let scenario = Scenario::builtin("specular").unwrap().with_overrides(&LEDS).unwrap();
     let mut room = SimulatedRoom::new(&scenario, None, 3).unwrap();
     let reports = run(&LEDS, 500);
     let mut blocked = 0;

@@ -7,8 +7,7 @@ use heliostat_room::world::WorldError;
 use heliostat_scenario::Scenario;
 
 fn scenario(overrides: &[&str]) -> Scenario {
-    let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
-    Scenario::builtin("specular").unwrap().with_overrides(&overrides).unwrap()
+    Scenario::builtin("specular").unwrap().with_overrides(overrides).unwrap()
 }
 
 fn world(overrides: &[&str], seed: u64) -> World {
@@ -205,7 +204,7 @@ fn arrivals_that_are_absent_or_never_come_change_no_bit_of_the_walks() {
 
 #[test]
 fn arrivals_and_a_recorded_walk_exclude_each_other() {
-    let both = ["users.trace=\"walk.csv\"", "users.arrivals.rate_per_min=1"].map(String::from);
+    let both = ["users.trace=\"walk.csv\"", "users.arrivals.rate_per_min=1"];
     let refusal = Scenario::builtin("specular").unwrap().with_overrides(&both).unwrap_err().to_string();
     assert!(refusal.contains("users.trace") && refusal.contains("remove users.trace or users.arrivals"), "{refusal}");
 }

@@ -5,7 +5,9 @@ use std::sync::atomic::{AtomicU8, Ordering};
 
 use heliostat_channel::{ChannelModel, MirrorAngles};
 use heliostat_core::observation::Observation;
-use heliostat_core::policy::{DenseEngine, Fixed, Policy, PolicyError, PolicyKind, PolicyMemory, Resources, build};
+use heliostat_core::policy::{
+    DenseEngine, Fixed, Policy, PolicyError, PolicyKind, PolicyMemory, PolicyResult, Resources, build,
+};
 
 use crate::plan::{PolicyChoice, PolicyFault};
 use crate::room::Room;
@@ -32,12 +34,7 @@ impl Policy for Switched {
         self.policy.name()
     }
 
-    fn act(
-        &mut self,
-        model: &ChannelModel,
-        observation: &Observation,
-        out: &mut MirrorAngles,
-    ) -> Result<(), PolicyError> {
+    fn act(&mut self, model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) -> PolicyResult {
         self.policy.act(model, observation, out)?;
         match self.switch.0.load(Ordering::Relaxed) {
             0 => Ok(()),

@@ -265,7 +265,7 @@ mod tests {
     /// Two LEDs, of which the second one has half the gain of the first, at the headings 0, where both
     /// paths are clear, and 1, where the user's body blocks that of the first.
     fn serving(leds: MeasuredLeds<'_>, unobstructed: f64, open: f64) -> Serving {
-        let overrides = ["led.positions_m=[[-1,0,3],[1,0,3]]".to_owned()];
+        let overrides = ["led.positions_m=[[-1,0,3],[1,0,3]]"];
         let scenario = Scenario::builtin("hall").unwrap().with_overrides(&overrides).unwrap();
         let mut serving = Serving::new(&scenario.channel_model().unwrap());
         serving.begin(leds, &Readings::new(&scenario.streams.channel), |led| if led == 0 { unobstructed } else { 1.0 });

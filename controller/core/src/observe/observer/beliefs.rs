@@ -1,11 +1,11 @@
 //! The belief about the users of the last decision, as a message for viewers.
 
-use heliostat_channel::{ChannelModel, Vec3, blockage, blockage::Cylinder};
+use heliostat_channel::{Body, ChannelModel, Vec3, blockage, blockage::Cylinder};
 use heliostat_proto::{BeliefReport, Nanos, Obstacle, UserBelief};
 
 use super::Observer;
 use crate::{
-    belief::{Belief, Estimate, body::Body, heading::HEADINGS},
+    belief::{Belief, Estimate, heading::HEADINGS},
     input::inbox::Inbox,
     observe::observation::Observation,
 };

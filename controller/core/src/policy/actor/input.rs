@@ -16,7 +16,7 @@ use crate::{
         actor_file::{ActorInfo, ObservationKind},
         codewords::coordinates,
         engine::Network,
-        proposal::PolicyError,
+        proposal::PolicyResult,
         weights::Seen,
     },
 };
@@ -85,7 +85,7 @@ impl Input {
         model: &ChannelModel,
         observation: &Observation,
         network: &mut dyn Network,
-    ) -> Result<(), PolicyError> {
+    ) -> PolicyResult {
         self.chosen.clear();
         if matches!(self.kind, Kind::Users) {
             let (users, capacity) = (observation.users(), self.selection.users_max());

@@ -8,7 +8,7 @@ use crate::{
     policy::{
         actor_file::{ActionKind, ActorError, ActorInfo, ActorProblem},
         codewords::codewords,
-        proposal::PolicyError,
+        proposal::{PolicyError, PolicyResult},
         weights::{Head, Seen},
     },
 };
@@ -53,7 +53,7 @@ impl Output {
         seen: Seen<'_>,
         values: &[f32],
         out: &mut MirrorAngles,
-    ) -> Result<(), PolicyError> {
+    ) -> PolicyResult {
         match self {
             Self::Angles => split_angles(values, out),
             Self::Weights(head, weights) => {
@@ -72,7 +72,7 @@ impl Output {
 }
 
 /// Roll of each mirror, then yaw of each.
-pub fn split_angles(values: &[f32], out: &mut MirrorAngles) -> Result<(), PolicyError> {
+pub fn split_angles(values: &[f32], out: &mut MirrorAngles) -> PolicyResult {
     let mirrors = out.roll.len();
     check_length(values, 2 * mirrors)?;
     let widen = |from: &[f32], to: &mut [f64]| to.iter_mut().zip(from).for_each(|(to, from)| *to = f64::from(*from));
@@ -82,7 +82,7 @@ pub fn split_angles(values: &[f32], out: &mut MirrorAngles) -> Result<(), Policy
 }
 
 /// Checks the length, and that all values are finite: the decoder would hide one that is not.
-fn check_output(values: &[f32], expected: usize) -> Result<(), PolicyError> {
+fn check_output(values: &[f32], expected: usize) -> PolicyResult {
     check_length(values, expected)?;
     match values.iter().position(|value| !value.is_finite()) {
         None => Ok(()),
@@ -92,7 +92,7 @@ fn check_output(values: &[f32], expected: usize) -> Result<(), PolicyError> {
     }
 }
 
-fn check_length(values: &[f32], expected: usize) -> Result<(), PolicyError> {
+fn check_length(values: &[f32], expected: usize) -> PolicyResult {
     if values.len() == expected {
         return Ok(());
     }

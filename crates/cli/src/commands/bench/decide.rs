@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use heliostat_channel::MirrorAngles;
-use heliostat_controller::report::stage_times::{BUDGET, StageStamps, StageTimes};
+use heliostat_controller::report::stage_times::{BUDGET, StageStamps, StageTimes, quantiles_us};
 use heliostat_core::core::{Controller, Decision, Stage};
 use heliostat_core::inbox::Message;
 use heliostat_core::observation::Observation;
@@ -225,7 +225,7 @@ impl Args {
             Turn::Reference => go_through(reference, block, &mut |time| compared.record(time)),
         })?;
         let times = &decider.times;
-        let decision = times.decision_us();
+        let decision = quantiles_us(times.decision());
         let varied = Varied {
             hz: plan.hz,
             mirrors: scenario.mirror_count(),
@@ -237,7 +237,7 @@ impl Args {
         };
         let by_stage = Stage::ALL.map(|stage| (stage.name().to_string(), times.over_budget_by(stage)));
         let row = Row::new(varied, (decision.into(), times.over_budget(), decision.count), &compared);
-        let stages = Stage::ALL.map(|stage| (stage.name().to_string(), times.stage_us(stage)));
+        let stages = Stage::ALL.map(|stage| (stage.name().to_string(), quantiles_us(times.stage(stage))));
         Ok(row.by_stage(by_stage.into_iter().filter(|(_, count)| *count > 0).collect(), &stages.into()))
     }
 }
@@ -318,13 +318,13 @@ impl Decider {
             payload: Vec::new(),
             report: UserReport::default(),
             command: Vec::new(),
-            times: StageTimes::new(),
+            times: StageTimes::default(),
         };
         for _ in 0..WARM_UP {
             decider.prepare()?;
             decider.act(Instant::now())?;
         }
-        decider.times = StageTimes::new();
+        decider.times = StageTimes::default();
         Ok(decider)
     }
 }

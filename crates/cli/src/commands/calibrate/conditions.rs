@@ -70,9 +70,9 @@ mod tests {
     fn light_of_single_mirrors_in_the_noise_is_a_condition_with_the_time_that_it_would_take() {
         let scenario = |noise_gain: f64| {
             let large = ["mirrors.rows=20", "mirrors.columns=20", "mirrors.width_m=0.1", "mirrors.height_m=0.05"];
-            let mut changes = large.map(String::from).to_vec();
-            changes.extend(["streams.channel.rate_hz=20", "streams.channel.resolution_bits=0"].map(String::from));
-            changes.push(format!("streams.channel.noise_gain={noise_gain:.15}"));
+            let noise = format!("streams.channel.noise_gain={noise_gain:.15}");
+            let stream = ["streams.channel.rate_hz=20", "streams.channel.resolution_bits=0", &noise];
+            let changes = [&large[..], &stream].concat();
             Scenario::builtin("hall").expect("a scenario").with_overrides(&changes).expect("a valid change")
         };
         let exact = scenario(0.0);

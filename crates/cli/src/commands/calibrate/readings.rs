@@ -142,7 +142,7 @@ mod tests {
         let saved = Saved { of: open(&hall, 0, None).of, log: Log { mirrors: 100, ..Log::default() } };
         std::fs::write(&file, serde_json::to_vec(&saved).expect("JSON")).expect("a file");
         assert_eq!(open(&hall, 0, None).load().expect("the same").map(|log| log.mirrors), Some(100));
-        let walked = hall.with_overrides(&["users.trace=../walk.csv".to_owned()]).expect("a scenario");
+        let walked = hall.with_overrides(&["users.trace=../walk.csv"]).expect("a scenario");
         assert!(open(&walked, 0, None).load().expect("the same room from another folder").is_some());
         for (other, what) in [
             (open(&lab, 0, None), "scenario"),

@@ -213,7 +213,7 @@ mod tests {
         };
         let check = |state: &ControllerState| compare_rooms(Path::new("measured.toml"), &room, state);
         assert_eq!(check(&controller(&room, None)).verdict, Verdict::Ok);
-        let changed = |set: &str| room.with_overrides(&[set.to_owned()]).expect("a valid change");
+        let changed = |set: &str| room.with_overrides(&[set]).expect("a valid change");
         let other = changed("led.half_power_semi_angle_deg=50");
         let check_of = |scenario: &Scenario| check(&controller(scenario, Some(scenario.geometry_toml())));
         let differing = check_of(&other);

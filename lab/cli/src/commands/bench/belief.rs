@@ -131,8 +131,7 @@ pub fn run(args: &Args) -> Result<()> {
 }
 
 fn measure((room, builtin, overrides): Room, time: Duration) -> Result<Row> {
-    let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
-    let scenario = Scenario::builtin(builtin)?.with_overrides(&overrides)?;
+    let scenario = Scenario::builtin(builtin)?.with_overrides(overrides)?;
     let kept = simulate(&scenario)?;
     let mut measured = Measured::new(&scenario)?;
     let start = Instant::now();

@@ -58,10 +58,8 @@ pub fn measure(time: Duration, json: bool) -> Result<Vec<MovingRow>> {
 }
 
 fn row(movement: &'static str, set: &[&str], step_s: f64, time: Duration) -> Result<MovingRow> {
-    let world = |set: &[&str]| -> Result<World> {
-        let set: Vec<String> = set.iter().map(|text| (*text).to_owned()).collect();
-        Ok(World::new(&Scenario::builtin("hall")?.with_overrides(&set)?, None, 1)?)
-    };
+    let world =
+        |set: &[&str]| -> Result<World> { Ok(World::new(&Scenario::builtin("hall")?.with_overrides(set)?, None, 1)?) };
     let (mut measured, mut reference) = ((world(set)?, 0, Duration::ZERO), (world(&[])?, 0, Duration::ZERO));
     for _ in 0..TURNS {
         for (world, steps, spent) in [&mut measured, &mut reference] {

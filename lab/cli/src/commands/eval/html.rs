@@ -239,26 +239,16 @@ pre { overflow-x: auto; }
 
 #[cfg(test)]
 mod tests {
-    use heliostat_learn::comparison::{EvaluatedPolicy, Settings, compare};
+    use heliostat_learn::comparison::{Settings, compare};
 
     use super::*;
 
     fn report_of(policies: &[&str]) -> (Scenario, Report) {
-        let room = ["mirrors.rows=2", "mirrors.columns=3", "users.count=2", "name=\"<b>lab</b>\""].map(String::from);
+        let room = ["mirrors.rows=2", "mirrors.columns=3", "users.count=2", "name=\"<b>lab</b>\""];
         let scenario = Scenario::from_toml_with("", &room).expect("a scenario");
         let actor = heliostat_models::ActorSource::Shipped;
-        let policies = policies.iter().map(|name| EvaluatedPolicy::parse(name, &actor).expect("a policy")).collect();
-        let settings = Settings {
-            warm: Settings::WARM,
-            scenario: scenario.clone(),
-            policies,
-            states: 3,
-            seeds: 2,
-            mode: Loop::Static,
-            training_seed: None,
-            without_mirrors: false,
-        };
-        let report = compare(&settings).expect("a report");
+        let settings = Settings::of_names(scenario.clone(), policies, &actor, (Loop::Static, 3)).expect("policies");
+        let report = compare(&Settings { seeds: 2, training_seed: None, ..settings }).expect("a report");
         (scenario, report)
     }
 

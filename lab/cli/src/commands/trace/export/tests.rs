@@ -66,7 +66,7 @@ fn truth_users(world: &World) -> Vec<TruthUser> {
 }
 
 fn scenario() -> Scenario {
-    let small = ["users.count=2", "users.trace=\"walk.csv\""].map(String::from);
+    let small = ["users.count=2", "users.trace=\"walk.csv\""];
     Scenario::builtin("specular").and_then(|full| full.with_overrides(&small)).expect("valid")
 }
 

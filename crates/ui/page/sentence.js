@@ -54,7 +54,7 @@ export function inCharge(now, arrayAge) {
   if (!["following", "holding"].includes(state)) return { name: state, idle: `The mirrors do not follow the policy: ${state}.` };
   if (now.controller_unseen) return { name: state, idle: "Another controller or a calibration commands the mirrors, but its messages do not reach this viewer." };
   if (!now.controller_alive) return { name: state, idle: "No controller commands the mirrors." };
-  // The leader is the first one. Without it, a calibration computes, or a controller is about to take over.
+  // The leader is the first one. Without it, a controller is about to take over.
   if (now.controllers[0]?.role === "stands-by") return { name: state, idle: "Each controller that reports stands by." };
   return { name: now.policy || state, idle: "" };
 }

@@ -41,7 +41,7 @@ use serde::{Serialize, Serializer};
 
 use heliostat_core::belief::conditions::{Condition, conditions};
 use heliostat_environment::EnvironmentError;
-use heliostat_environment::exact_states::faults;
+use heliostat_environment::exact_states::exact_mirrors;
 use heliostat_scenario::Scenario;
 
 /// The rows of a comparison, and the figures of each episode.
@@ -178,7 +178,7 @@ pub fn compare_under(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<R
     let mut found = if is_closed {
         conditions(scenario, &scenario.channel_model()?)
     } else {
-        exact_mirrors(scenario).into_iter().collect()
+        exact_mirrors(scenario, "a static comparison", "choose --closed-loop").into_iter().collect()
     };
     for (evaluated, row) in settings.policies.iter().zip(&policies) {
         let of_policy = evaluated
@@ -209,16 +209,6 @@ pub fn compare_under(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<R
         beliefs,
         tracked,
         each,
-    })
-}
-
-/// A static comparison has mirrors without faults; the condition of a scenario that has them.
-fn exact_mirrors(scenario: &Scenario) -> Option<Condition> {
-    let faults = faults(&scenario.actuator);
-    (!faults.is_empty()).then(|| Condition {
-        method: "the model of faulty mirrors".into(),
-        because: format!("a static comparison, and {}", faults.join(", ")),
-        consequence: "each mirror turns at once to the exact angle, so ratios are higher; choose --closed-loop".into(),
     })
 }
 

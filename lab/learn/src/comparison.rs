@@ -25,6 +25,7 @@ mod closed_loop;
 mod episode_row;
 mod evaluated_policy;
 pub(crate) mod evaluator;
+mod progress;
 mod python_policy;
 mod row;
 mod settings;
@@ -33,10 +34,8 @@ mod static_states;
 mod tracked_user;
 mod trained;
 
-use std::time::Duration;
-
 use anyhow::ensure;
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 use serde::{Serialize, Serializer};
 
 use heliostat_core::belief::conditions::{Condition, conditions};
@@ -53,6 +52,8 @@ pub use episode_row::EpisodeRow;
 pub use evaluated_policy::{EvaluatedPolicy, UnknownPolicy};
 pub use heliostat_environment::outage::{OUTAGE_LENGTHS_S, Outages};
 pub use heliostat_environment::statistics::Spread;
+pub use progress::Progress;
+pub(crate) use progress::progress_bar;
 pub use row::{Row, Times};
 pub use settings::{Loop, Settings};
 pub use stale_aim::kept_sinr;
@@ -130,21 +131,12 @@ impl Report {
     }
 }
 
-/// Compares with a progress bar on standard error.
+/// Compares, and shows the progress.
 ///
 /// # Errors
 /// The scenario describes no room, an actor does not fit it, or a policy fails.
-pub fn compare(settings: &Settings) -> anyhow::Result<Report> {
-    compare_under(settings, &progress_bar()?)
-}
-
-/// A progress bar on standard error: items done, items in all, the kind of item, and the remaining
-/// time.
-pub(crate) fn progress_bar() -> anyhow::Result<ProgressBar> {
-    let bar = ProgressBar::new(0);
-    bar.set_style(ProgressStyle::with_template("{bar:32} {pos}/{len} {msg}, {eta} left")?);
-    bar.enable_steady_tick(Duration::from_millis(200));
-    Ok(bar)
+pub fn compare(settings: &Settings, progress: &Progress) -> anyhow::Result<Report> {
+    compare_under(settings, progress.bar())
 }
 
 /// Compares with a progress bar of the caller; [`ProgressBar::hidden`] shows none.

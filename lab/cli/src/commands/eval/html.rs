@@ -239,7 +239,7 @@ pre { overflow-x: auto; }
 
 #[cfg(test)]
 mod tests {
-    use heliostat_learn::comparison::{EvaluatedPolicy, Settings, compare};
+    use heliostat_learn::comparison::{EvaluatedPolicy, Progress, Settings, compare};
 
     use super::*;
 
@@ -258,7 +258,7 @@ mod tests {
             training_seed: None,
             without_mirrors: false,
         };
-        let report = compare(&settings).expect("a report");
+        let report = compare(&settings, &Progress::shown().expect("a bar")).expect("a report");
         (scenario, report)
     }
 

@@ -37,6 +37,14 @@ impl PageServer {
         self.process.kill();
     }
 
+    /// Requests an orderly end of the server.
+    ///
+    /// # Panics
+    /// When it has ended already.
+    pub fn end(&self) {
+        self.process.signal("INT");
+    }
+
     /// The address of the page.
     pub fn url(&self) -> String {
         url(self.port)

@@ -87,6 +87,10 @@ function controllerBanner(age) {
   return { kind: "bad", text: `The controller has not reported for ${seconds(age)}: it hangs, or the connection to it is lost. Check its process, or restart it.` };
 }
 
+// The banner of a server that has ended in order, and the sentence beside it. The server says why.
+export const endBanner = (text) => ({ kind: "stop", text: `${text} Everything below is old.` });
+export const lastSentence = "The figures are the last ones before the end.";
+
 // The banner: `null`, or its text and kind. `silence` is the time since the last event of the server in s.
 export function banner(now, silence, arrayAge, controllerAge) {
   const check = asSentence(CHECK_SERVER);

@@ -4,7 +4,7 @@ use std::fmt;
 use std::time::Duration;
 
 /// Why a command ends.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Debug)]
 pub enum Ending {
     /// Ctrl-C, or another signal.
     Signal,

@@ -195,6 +195,8 @@ impl Reader {
 
     async fn changed(&mut self) -> Option<Events> {
         tokio::select! {
+            // The thread may publish once more after the stop: no figures follow the last event.
+            biased;
             () = self.stop.requested() => return None,
             changed = self.newest.changed() => changed.ok()?,
         }

@@ -25,7 +25,12 @@ pub fn progress(session: &Session, remaining: &mut Remaining) -> CalibrationProg
 
 /// Makes the estimate that is due. With many mirrors it takes minutes, in which the status goes on.
 pub fn run_estimate(session: &mut Session, room: &mut LiveRoom, remaining: &mut Remaining) -> Result<()> {
-    let computing = CalibrationProgress { is_computing: true, ..progress(session, remaining) };
+    let mut computing = progress(session, remaining);
+    // The stage may await the receiver already, also at another place.
+    (computing.is_waiting, computing.is_computing) = (false, true);
+    if let Some(index) = session.due_place() {
+        computing.place = u32::try_from(index + 1).unwrap_or(u32::MAX);
+    }
     let mut published = Ok(());
     let publish = || {
         if published.is_ok() {

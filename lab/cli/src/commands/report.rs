@@ -108,6 +108,7 @@ pub fn run(args: Args) -> Result<()> {
         *running.lock().unwrap_or_else(PoisonError::into_inner) = Some(section.name.clone());
         archive.put(measure(section, arguments).with_context(|| unfinished(&section.name))?);
         write(&definition, &archive, &out, &kept)?;
+        *running.lock().unwrap_or_else(PoisonError::into_inner) = None;
     }
     write(&definition, &archive, &out, &kept)?;
     outln!("written: {} and {}", out.display(), kept.display())?;

@@ -22,7 +22,7 @@ impl PageServer {
         Self { process, port }
     }
 
-    /// Starts another server on the same port, after [`kill`](Self::kill).
+    /// Starts another server on the same port, after [`kill`](Self::kill) or [`end`](Self::end).
     ///
     /// # Panics
     /// As [`PageServer::start`].

@@ -51,7 +51,7 @@ impl Setting {
         browser
     }
 
-    /// Starts another server on the port of the one that was killed.
+    /// Starts another server on the port of the one that was killed or has ended.
     pub fn restart_server(&mut self) {
         let [room, controller] = self.endpoints.each_ref().map(String::as_str);
         self.server.restart(&["--connect", room, "--connect", controller]);

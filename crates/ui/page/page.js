@@ -26,7 +26,7 @@ function applyTheme(parts) {
 }
 
 function showBanner({ now, ages, ended }) {
-  const shown = ended ? endBanner(ended) : banner(now, ages.silence, ages.of("array"), ages.of("present_controller"));
+  const shown = ended ? endBanner(ended, now) : banner(now, ages.silence, ages.of("array"), ages.of("present_controller"));
   const element = at("banner");
   element.hidden = shown === null;
   if (!shown) return;

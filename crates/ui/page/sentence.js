@@ -88,7 +88,12 @@ function controllerBanner(age) {
 }
 
 // The banner of a server that has ended in order, and the sentence beside it. The server says why.
-export const endBanner = (text) => ({ kind: "stop", text: `${text} Everything below is old.` });
+// A stop that was open then is still the first thing to know.
+export function endBanner(text, now) {
+  const isOpen = ["requested", "unconfirmed"].includes(now?.stop.phase);
+  const open = isOpen ? " Its last stop was not confirmed: run `heliostat stop`, or cut the power of the mirrors." : "";
+  return { kind: isOpen ? "bad" : "stop", text: `${text}${open} Everything below is old.` };
+}
 export const lastSentence = "The figures are the last ones before the end.";
 
 // The banner: `null`, or its text and kind. `silence` is the time since the last event of the server in s.

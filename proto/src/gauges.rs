@@ -129,6 +129,8 @@ pub struct CalibrationProgress {
     pub places: u32,
     /// Whether the receiver is still to be carried to this place.
     pub is_waiting: bool,
+    /// Whether the estimate of this place computes; no gauge of an earlier program says so.
+    pub is_computing: bool,
     /// Mirrors that are located at this place.
     pub located: u32,
     /// Mirrors to be located at this place; 0 before its first probe.
@@ -139,22 +141,24 @@ pub struct CalibrationProgress {
 
 impl CalibrationProgress {
     /// The names of the gauges, in the order of the fields.
-    const NAMES: [&'static str; 6] = [
+    const NAMES: [&'static str; 7] = [
         "calibration_place",
         "calibration_places",
         "calibration_waiting",
+        "calibration_computing",
         "calibration_mirrors_located",
         "calibration_mirrors",
         "calibration_remaining_s",
     ];
 
     /// Name and value of each gauge.
-    pub fn gauges(&self) -> [(&'static str, f64); 6] {
-        let Self { place, places, is_waiting, located, mirrors, remaining_s } = *self;
+    pub fn gauges(&self) -> [(&'static str, f64); 7] {
+        let Self { place, places, is_waiting, is_computing, located, mirrors, remaining_s } = *self;
         let values = [
             f64::from(place),
             f64::from(places),
             f64::from(u8::from(is_waiting)),
+            f64::from(u8::from(is_computing)),
             f64::from(located),
             f64::from(mirrors),
             remaining_s,
@@ -164,12 +168,14 @@ impl CalibrationProgress {
 
     /// The progress in a status; `None` where its process is no calibration.
     pub fn of(status: &NodeStatus) -> Option<Self> {
-        let [place, places, waiting, located, mirrors, remaining_s] = Self::NAMES.map(|name| status.gauge(name));
+        let [place, places, waiting, computing, located, mirrors, remaining_s] =
+            Self::NAMES.map(|name| status.gauge(name));
         // A cast of a number from the network saturates.
         Some(Self {
             place: place? as u32,
             places: places? as u32,
             is_waiting: waiting? > 0.0,
+            is_computing: computing.is_some_and(|computing| computing > 0.0),
             located: located? as u32,
             mirrors: mirrors? as u32,
             remaining_s: remaining_s?,
@@ -183,7 +189,11 @@ impl CalibrationProgress {
         } else {
             format!("spot {} of {}", self.place, self.places - 1)
         };
-        if self.is_waiting { format!("waits for the receiver at {name}") } else { name }
+        match (self.is_waiting, self.is_computing) {
+            (true, _) => format!("waits for the receiver at {name}"),
+            (false, true) => format!("computes the estimate of {name}"),
+            (false, false) => name,
+        }
     }
 }
 
@@ -231,6 +241,7 @@ mod tests {
             place: 2,
             places: 4,
             is_waiting: false,
+            is_computing: false,
             located: 57,
             mirrors: 100,
             remaining_s: 41.4,
@@ -242,6 +253,15 @@ mod tests {
         assert_eq!(CalibrationProgress::of(&status(progress)), Some(progress));
         assert_eq!(CalibrationProgress::of(&NodeStatus::default()), None);
         assert_eq!(progress.to_string(), "spot 2 of 3, 57 of 100 mirrors located, about 41 s of readings left");
+        let computing = CalibrationProgress { is_computing: true, located: 100, ..progress };
+        assert_eq!(CalibrationProgress::of(&status(computing)), Some(computing));
+        assert_eq!(
+            computing.to_string(),
+            "computes the estimate of spot 2 of 3, 100 of 100 mirrors located, about 41 s of readings left"
+        );
+        let mut earlier = status(progress);
+        earlier.gauges.retain(|(name, _)| name != "calibration_computing");
+        assert_eq!(CalibrationProgress::of(&earlier), Some(progress));
         let last = CalibrationProgress { place: 4, is_waiting: true, mirrors: 0, ..progress };
         assert_eq!(last.to_string(), "waits for the receiver at the verification, about 41 s of readings left");
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -260,6 +261,16 @@ def test_overrides_without_an_effect_on_a_static_room_are_refused(make_one: Any)
         make_one("specular", overrides={"control": {"belief": "none"}})
     for works in ({"control.range_deg": 30.0}, {"control": {"range_deg": 30.0}}):
         make_one("specular", overrides=works).close()
+
+
+@pytest.mark.parametrize("make_one", [heliostat.HeliostatEnv, heliostat.HeliostatVectorEnv])
+def test_faults_of_mirrors_in_a_scenario_file_are_a_warning_of_a_static_room(make_one: Any, tmp_path: Path) -> None:
+    file = tmp_path / "room.toml"
+    file.write_text("[actuator]\nstuck_share = 0.5\n")
+    with pytest.warns(UserWarning, match="a static room, and actuator.stuck_share: .*closed-loop") as warned:
+        make_one(file).close()
+    assert [warning.filename for warning in warned] == [__file__]
+    make_one(file, dynamics="closed-loop").close()
 
 
 def test_actions_that_are_not_valid_are_refused_and_change_nothing() -> None:

@@ -22,7 +22,7 @@ impl PageServer {
         Self { process, port }
     }
 
-    /// Starts another server on the same port, after [`kill`](Self::kill).
+    /// Starts another server on the same port, after [`kill`](Self::kill) or [`end`](Self::end).
     ///
     /// # Panics
     /// As [`PageServer::start`].
@@ -35,6 +35,14 @@ impl PageServer {
     /// Kills the server.
     pub fn kill(&mut self) {
         self.process.kill();
+    }
+
+    /// Requests an orderly end of the server.
+    ///
+    /// # Panics
+    /// When it has ended already.
+    pub fn end(&self) {
+        self.process.signal("INT");
     }
 
     /// The address of the page.

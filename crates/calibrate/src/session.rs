@@ -396,6 +396,12 @@ impl Session {
         self.complete.is_some()
     }
 
+    /// Index of the place whose estimate is due. The stage can be another place's: after a pause the estimate of the
+    /// place before is made again.
+    pub fn due_place(&self) -> Option<usize> {
+        self.complete
+    }
+
     /// Makes the estimate that is due; with many mirrors it takes minutes.
     pub fn run_estimate(&mut self) {
         if let Some(place) = self.complete.take() {

@@ -20,23 +20,24 @@ static USUAL: [(&[&str], &[&str]); 5] = [
 /// The arguments of a program; it ends where they cannot be used.
 pub fn parsed<C: Parser>() -> C {
     C::try_parse().unwrap_or_else(|error| {
-        with_flag_advice(with_scenario_advice(error), &C::command(), std::env::args_os()).exit()
+        let program = C::command();
+        let command = chosen(&program, std::env::args_os());
+        with_flag_advice(with_scenario_advice(error, command), command).exit()
     })
 }
 
+/// The command of a program that the words of a command line choose.
+fn chosen(program: &Command, words: impl IntoIterator<Item = OsString>) -> &Command {
+    words.into_iter().skip(1).fold(program, |command, word| command.find_subcommand(word).unwrap_or(command))
+}
+
 /// The same error; where a flag has another name here, with the flags of the command for that purpose.
-fn with_flag_advice(
-    mut error: clap::Error,
-    program: &Command,
-    words: impl IntoIterator<Item = OsString>,
-) -> clap::Error {
+fn with_flag_advice(mut error: clap::Error, command: &Command) -> clap::Error {
     let unknown = match error.get(ContextKind::InvalidArg) {
         Some(ContextValue::String(word)) if error.kind() == ErrorKind::UnknownArgument => word.as_str(),
         _ => return error,
     };
     let Some((_, flags)) = USUAL.iter().find(|(names, _)| names.contains(&unknown)) else { return error };
-    let named = words.into_iter().skip(1);
-    let command = named.fold(program, |command, word| command.find_subcommand(word).unwrap_or(command));
     let advice = |flag: &&str| {
         let argument = command.get_arguments().find(|argument| argument.get_long() == Some(*flag))?;
         let help = argument.get_help().map(ToString::to_string).unwrap_or_default();
@@ -51,11 +52,17 @@ fn with_flag_advice(
     error
 }
 
-/// The same error; where a name or a file of a scenario is not expected, with the flag that takes it.
-fn with_scenario_advice(mut error: clap::Error) -> clap::Error {
-    if error.kind() == ErrorKind::UnknownArgument
-        && let Some(ContextValue::String(word)) = error.get(ContextKind::InvalidArg)
-        && (BUILTIN_NAMES.contains(&word.as_str()) || word.ends_with(".toml"))
+/// The same error; where a name or a file of a scenario is not expected, with the flag of the command that takes it.
+fn with_scenario_advice(mut error: clap::Error, command: &Command) -> clap::Error {
+    // A command that has commands of its own takes the word for one of them.
+    let refused = [ContextKind::InvalidArg, ContextKind::InvalidSubcommand];
+    let is_scenario = |word: &&String| BUILTIN_NAMES.contains(&word.as_str()) || word.ends_with(".toml");
+    let word = refused.into_iter().find_map(|kind| match error.get(kind) {
+        Some(ContextValue::String(word)) => Some(word).filter(is_scenario).cloned(),
+        _ => None,
+    });
+    if let Some(word) = word
+        && command.get_arguments().any(|argument| argument.get_long() == Some("scenario"))
     {
         let advice = StyledStr::from(format!("a scenario is given as '--scenario {word}'"));
         error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![advice]));
@@ -74,7 +81,7 @@ mod tests {
         let refused = |words: &[&str]| {
             let program = crate::cli::Cli::command();
             let error = crate::cli::Cli::try_parse_from(words).expect_err("it is refused");
-            with_flag_advice(error, &program, words.iter().map(OsString::from)).to_string()
+            with_flag_advice(error, chosen(&program, words.iter().map(OsString::from))).to_string()
         };
         let page = refused(&["heliostat", "ui", "--port", "8080"]);
         for flag in ["tip: '--ui-port': Port of the page\n", "tip: '--listen': Endpoint at which to listen\n"] {
@@ -92,14 +99,21 @@ mod tests {
     #[test]
     fn a_scenario_without_its_flag_is_refused_with_the_flag() {
         let refused = |words: &[&str]| {
+            let program = crate::cli::Cli::command();
             let error = crate::cli::Cli::try_parse_from(words).expect_err("it is refused");
-            with_scenario_advice(error).to_string()
+            with_scenario_advice(error, chosen(&program, words.iter().map(OsString::from))).to_string()
         };
         for scenario in ["hall", "my/room.toml"] {
-            let text = refused(&["heliostat", "demo", scenario]);
-            assert!(text.contains(&format!("tip: a scenario is given as '--scenario {scenario}'")), "{text}");
+            let tip = format!("tip: a scenario is given as '--scenario {scenario}'");
+            for before in [vec!["demo"], vec!["calibrate"], vec!["calibrate", "--out", "wall.toml"]] {
+                let words: Vec<&str> = ["heliostat"].into_iter().chain(before).chain([scenario]).collect();
+                let text = refused(&words);
+                assert!(text.contains(&tip), "{text}");
+            }
         }
         let other = refused(&["heliostat", "demo", "kitchen"]);
         assert!(other.contains("unexpected argument 'kitchen'") && !other.contains("--scenario"), "{other}");
+        let without_flag = refused(&["heliostat", "status", "hall"]);
+        assert!(!without_flag.contains("--scenario"), "{without_flag}");
     }
 }

@@ -7,6 +7,7 @@ pub(crate) mod config;
 pub(crate) mod controller;
 pub(crate) mod demo;
 pub(crate) mod doctor;
+mod ending;
 mod join;
 pub(crate) mod keys;
 pub(crate) mod link;

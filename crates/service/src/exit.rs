@@ -5,7 +5,7 @@
 //! | 0 | the command did what it was asked, or the reader of its output closed the pipe |
 //! | 1 | it failed, or it checked something and found it wrong |
 //! | 2 | the command line or an input file cannot be used |
-//! | 130 | a second Ctrl-C or SIGTERM ended it before its orderly end, or one that a computation outlasted |
+//! | 130 | a second Ctrl-C or SIGTERM ended it before its orderly end, or one that a computation outlasted, or one where nothing is saved |
 
 use std::fmt;
 use std::io;

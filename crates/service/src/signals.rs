@@ -1,7 +1,8 @@
 //! When a process ends: Ctrl-C, SIGTERM, the end of standard input, or a given time.
 //!
 //! The first signal requests an orderly end. The second ends the process at once, with exit code
-//! [`INTERRUPTED`]: an orderly end may wait for a network that does not answer.
+//! [`INTERRUPTED`]: an orderly end may wait for a network that does not answer. A command that has
+//! nothing to save ends at the first one, with the same code.
 
 use std::io::Read;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -11,6 +12,7 @@ use thiserror::Error;
 
 use crate::duration;
 use crate::exit::INTERRUPTED;
+use crate::output::note;
 use crate::stop::Stop;
 
 /// The flags that say when a process ends.
@@ -58,6 +60,18 @@ pub fn stop_on_signals() -> Result<Stop, SignalError> {
         on_signal.request();
     })?;
     Ok(stop)
+}
+
+/// Ends a program at the first Ctrl-C or SIGTERM, after a note with what `said` returns: for a command that keeps what
+/// it has finished, or nothing, and that saves nothing on request.
+///
+/// # Errors
+/// [`SignalError`]; a process can listen once only.
+pub fn end_on_signals(program: &'static str, said: impl Fn() -> String + Send + 'static) -> Result<(), SignalError> {
+    Ok(ctrlc::set_handler(move || {
+        note(format_args!("{program}: interrupted: {}", said()));
+        std::process::exit(INTERRUPTED.into());
+    })?)
 }
 
 /// Requests the end when standard input closes, on a thread that reads and discards it.

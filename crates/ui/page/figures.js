@@ -135,7 +135,7 @@ function quantiles(times) {
   });
 }
 
-// Which controller leads, which stand by, and the takeovers of those in the room; nothing where one controller is alone.
+// Which controller leads, which stand by, and the takeovers of those in the room, if there are any; nothing where one controller is alone.
 function standby(controllers) {
   const short = ({ name }) => name.slice(0, 4);
   const WORDS = { leads: "leads", calibrates: "calibrates", unfollowed: "is not followed", "stands-by": "stands by" };
@@ -144,9 +144,14 @@ function standby(controllers) {
   const text = controllers.map((one) => `${short(one)} ${WORDS[one.role]}`).join(", ");
   const of = (key) => controllers.map((one) => `${short(one)} ${one[key]}`).join(", ") || "0";
   const lost = sum("false_takeovers");
-  if (controllers.length < 2 && sum("takeovers") + lost === 0) return [];
-  return [
+  const taken = sum("takeovers") + lost;
+  if (controllers.length < 2 && taken === 0) return [];
+  const roles = [
     ["controllers", text || "none", leaders.length === 1 ? "wide" : "wide bad", "The controllers in the room, by the beginning of their source id: one leads, or a calibration commands in its place; the others stand by. One is not followed where it does not stand by and the array follows another one or reports none.", "controller"],
+  ];
+  if (taken === 0) return roles;
+  return [
+    ...roles,
     ["takeovers", of("takeovers"), "wide", "How often each controller in the room took over since its start.", "controller"],
     ["false takeovers", of("false_takeovers"), lost > 0 ? "wide bad" : "wide", "Takeovers of each controller from a leader that was not gone: a slow controller, or a link that loses messages.", "controller"],
   ];

@@ -2,7 +2,7 @@
 import { Stream } from "./stream.js";
 
 export class Live {
-  // `handlers` has `figures`, `frame`, `log`, `mode` ("live" or "polled") and `problem`, a text of the server.
+  // `handlers` has `figures`, `frame`, `log`, `ended` (a sentence), `mode` ("live" or "polled") and `problem`, a text of the server.
   constructor(page, handlers) {
     this.page = page;
     this.handlers = handlers;
@@ -34,7 +34,7 @@ export class Live {
   take(kind, text) {
     this.isReached = true;
     if (kind === "figures") this.figures(JSON.parse(text));
-    else if (kind === "frame" || kind === "log") this.handlers[kind](JSON.parse(text));
+    else if (["frame", "log", "ended"].includes(kind)) this.handlers[kind](JSON.parse(text));
     else this.handlers[kind](text);
   }
 

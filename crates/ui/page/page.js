@@ -7,7 +7,7 @@ import { Outages } from "./outages.js";
 import { CHECK_SERVER, Refused, Unanswered, ask, refusalIn } from "./requests.js";
 import { Room } from "./room.js";
 import { presentUsers } from "./geometry.js";
-import { banner, inCharge, sentence } from "./sentence.js";
+import { banner, endBanner, inCharge, lastSentence, sentence } from "./sentence.js";
 import { chips, counters, problems, users } from "./figures.js";
 import { heatGradient } from "./heat.js";
 import { openEvents, showEvents } from "./events.js";
@@ -25,8 +25,8 @@ function applyTheme(parts) {
   parts.forEach((part) => part.theme(isDark()));
 }
 
-function showBanner(now, ages) {
-  const shown = banner(now, ages.silence, ages.of("array"), ages.of("present_controller"));
+function showBanner({ now, ages, ended }) {
+  const shown = ended ? endBanner(ended, now) : banner(now, ages.silence, ages.of("array"), ages.of("present_controller"));
   const element = at("banner");
   element.hidden = shown === null;
   if (!shown) return;
@@ -43,9 +43,9 @@ const START_LIMIT_MS = 15000;
 
 // What depends on the age of the figures, several times a second.
 function showAges(state) {
-  const { now, ages, room, frame } = state;
-  showBanner(now, ages);
-  setText(at("sentence"), sentence(now, ages.of("room"), room.shown, frame));
+  const { now, ages, room, frame, ended } = state;
+  showBanner(state);
+  setText(at("sentence"), ended ? lastSentence : sentence(now, ages.of("room"), room.shown, frame));
   ages.mark();
   if (!now) return;
   chips(now, ages);
@@ -100,7 +100,7 @@ async function start() {
     retheme();
   });
 
-  const state = { now: null, frame: null, room, ages: null };
+  const state = { now: null, frame: null, room, ages: null, ended: "" };
   const outages = new Outages();
   const show = () => showAges(state);
   state.ages = new Ages(show);
@@ -121,6 +121,10 @@ async function start() {
       show();
     },
     log: showEvents,
+    ended: (text) => {
+      state.ended = text;
+      show();
+    },
     mode: (mode) => {
       const text = mode === "polled" ? `${where}; slower, because other rooms of this site are open` : where;
       setText(at("where"), text);

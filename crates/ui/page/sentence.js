@@ -54,7 +54,7 @@ export function inCharge(now, arrayAge) {
   if (!["following", "holding"].includes(state)) return { name: state, idle: `The mirrors do not follow the policy: ${state}.` };
   if (now.controller_unseen) return { name: state, idle: "Another controller or a calibration commands the mirrors, but its messages do not reach this viewer." };
   if (!now.controller_alive) return { name: state, idle: "No controller commands the mirrors." };
-  // The leader is the first one. Without it, a calibration computes, or a controller is about to take over.
+  // The leader is the first one. Without it, a controller is about to take over.
   if (now.controllers[0]?.role === "stands-by") return { name: state, idle: "Each controller that reports stands by." };
   return { name: now.policy || state, idle: "" };
 }
@@ -86,6 +86,15 @@ function controllerBanner(age) {
   if (age <= STALE_S || age === Infinity) return null;
   return { kind: "bad", text: `The controller has not reported for ${seconds(age)}: it hangs, or the connection to it is lost. Check its process, or restart it.` };
 }
+
+// The banner of a server that has ended in order, and the sentence beside it. The server says why.
+// A stop that was open then is still the first thing to know.
+export function endBanner(text, now) {
+  const isOpen = ["requested", "unconfirmed"].includes(now?.stop.phase);
+  const open = isOpen ? " Its last stop was not confirmed: run `heliostat stop`, or cut the power of the mirrors." : "";
+  return { kind: isOpen ? "bad" : "stop", text: `${text}${open} Everything below is old.` };
+}
+export const lastSentence = "The figures are the last ones before the end.";
 
 // The banner: `null`, or its text and kind. `silence` is the time since the last event of the server in s.
 export function banner(now, silence, arrayAge, controllerAge) {

@@ -18,7 +18,7 @@ const COUNT_MS = 150;
 const RECOUNT_POLLS = 20;
 
 export class Stream {
-  // `deliver` gets the kind and the text of each event: "figures", "frame", "log", "mode" ("live" or "polled"), or "problem".
+  // `deliver` gets the kind and the text of each event: "figures", "frame", "log", "ended", "mode" ("live" or "polled"), or "problem".
   constructor(deliver) {
     this.deliver = deliver;
     this.id = `${Date.now()}-${Math.random()}`;
@@ -53,7 +53,7 @@ export class Stream {
     this.isStreaming = true;
     this.source = new EventSource("live");
     this.deliver("mode", "live");
-    for (const kind of ["figures", "frame", "log"]) this.source.addEventListener(kind, (event) => this.deliver(kind, event.data));
+    for (const kind of ["figures", "frame", "log", "ended"]) this.source.addEventListener(kind, (event) => this.deliver(kind, event.data));
     // A browser does not retry after every error.
     this.source.addEventListener("error", async () => {
       if (this.source.readyState !== EventSource.CLOSED) return;

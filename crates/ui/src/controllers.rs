@@ -149,8 +149,8 @@ impl Controllers {
         figures
     }
 
-    /// Whether each controller in the room stands by, and the followed epoch is of a process without a recent status
-    /// or a token: a calibration is silent while it computes. An epoch has the remainder of its sender's source.
+    /// Whether each controller in the room stands by, and the followed epoch is of a process of which neither a
+    /// recent status nor a token is seen. An epoch has the remainder of its sender's source.
     pub fn follow_unseen(&self, alive: &BTreeSet<(&'static str, u64)>, followed_epoch: Option<u64>) -> bool {
         let present = self.present(alive, followed_epoch);
         let stand_by = !present.is_empty() && present.iter().all(|one| one.role == Role::StandsBy);
@@ -248,7 +248,7 @@ mod tests {
         assert!(!unseen(&controllers, 4 * EPOCH_SLOTS + 1), "its own next epoch");
         assert!(!controllers.follow_unseen(&alive, None) && !unseen(&controllers, 0));
         let with_token = [(name, 1), (name, 2)].into();
-        assert!(!controllers.follow_unseen(&with_token, Some(4 * EPOCH_SLOTS + 2)), "a calibration that computes");
+        assert!(!controllers.follow_unseen(&with_token, Some(4 * EPOCH_SLOTS + 2)), "it is seen, and silent");
         controllers.take(&status(2, &[]));
         assert!(!unseen(&controllers, 4 * EPOCH_SLOTS + 2), "it has just left");
         let mut leads = Controllers::default();

@@ -152,7 +152,7 @@ pub struct Ages {
     pub array: Option<f64>,
     /// Status of the controller.
     pub controller: Option<f64>,
-    /// The same while this controller is in the room; absent for a calibration, which is silent while it computes.
+    /// The same while this controller is in the room; absent for a calibration.
     pub present_controller: Option<f64>,
 }
 
@@ -457,6 +457,6 @@ mod tests {
         assert_eq!(has_age(&received), (true, true));
         let gauges = CalibrationProgress::default().gauges().map(|(name, value)| (name.to_owned(), value)).to_vec();
         received.statuses.insert(name.into(), (Instant::now(), NodeStatus { gauges, ..NodeStatus::default() }));
-        assert_eq!(has_age(&received), (true, false), "it computes");
+        assert_eq!(has_age(&received), (true, false), "a calibration");
     }
 }

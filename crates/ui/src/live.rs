@@ -6,7 +6,7 @@
 //! One thread computes each event once, for all pages, and only while a page is open. A page that
 //! reads slowly skips to the newest event; the server drops one that does not read at all.
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -64,6 +64,8 @@ pub(crate) struct Feed {
     newest: watch::Sender<Events>,
     permits: Arc<Semaphore>,
     stop: Stop,
+    /// Why the server ends, in a sentence.
+    ended: Arc<OnceLock<String>>,
 }
 
 /// The events for one page; dropping it admits another page.
@@ -72,6 +74,8 @@ pub(crate) struct Reader {
     frame_number: u64,
     log_number: u64,
     stop: Stop,
+    /// `None` after the last event.
+    ended: Option<Arc<OnceLock<String>>>,
     _permit: OwnedSemaphorePermit,
 }
 
@@ -85,6 +89,7 @@ impl Feed {
             newest: watch::Sender::new(Events::default()),
             permits: Arc::new(Semaphore::new(READERS_MAX)),
             stop,
+            ended: Arc::default(),
         });
         let thread = Arc::clone(&feed);
         thread::Builder::new().name("live".into()).spawn(move || thread.work(&page))?;
@@ -99,8 +104,14 @@ impl Feed {
             frame_number: 0,
             log_number: 0,
             stop: self.stop.clone(),
+            ended: Some(Arc::clone(&self.ended)),
             _permit: permit,
         })
+    }
+
+    /// Gives this sentence to the readers as their last event, once the server stops.
+    pub fn end(&self, sentence: &str) {
+        self.ended.get_or_init(|| sentence.to_owned());
     }
 
     fn work(&self, page: &Page) {
@@ -150,9 +161,11 @@ impl Feed {
 }
 
 impl Reader {
-    /// Waits for the next events, as server-sent events; `None` if the server stops.
+    /// Waits for the next events, as server-sent events; `None` after the last one of a server that stops.
     pub async fn next(&mut self) -> Option<Bytes> {
-        let events = self.changed().await?;
+        let Some(events) = self.changed().await else {
+            return self.last().map(|sentence| format!("event: ended\ndata: {sentence}\n\n").into());
+        };
         let mut text = format!("event: figures\ndata: {}\n\n", events.figures);
         if std::mem::replace(&mut self.log_number, events.log_number) != events.log_number {
             text += &format!("event: log\ndata: {}\n\n", events.log);
@@ -163,17 +176,27 @@ impl Reader {
         Some(text.into())
     }
 
-    /// Waits for the next events, as one JSON object; `None` if the server stops.
+    /// Waits for the next events, as one JSON object; `None` if the server stops without a reason.
     pub async fn once(mut self) -> Option<String> {
-        let Events { figures, frame, log, .. } = self.changed().await?;
+        let Some(Events { figures, frame, log, .. }) = self.changed().await else {
+            return self.last().map(|sentence| format!("{{\"ended\":{sentence}}}"));
+        };
         let parts = [("figures", figures), ("frame", frame), ("log", log)];
         let parts = parts.into_iter().filter(|(_, json)| !json.is_empty());
         let parts: Vec<String> = parts.map(|(name, json)| format!("\"{name}\":{json}")).collect();
         Some(format!("{{{}}}", parts.join(",")))
     }
 
+    /// Why the server stops, as JSON; once.
+    fn last(&mut self) -> Option<String> {
+        let ended = self.ended.take()?;
+        ended.get().map(json)
+    }
+
     async fn changed(&mut self) -> Option<Events> {
         tokio::select! {
+            // The thread may publish once more after the stop: no figures follow the last event.
+            biased;
             () = self.stop.requested() => return None,
             changed = self.newest.changed() => changed.ok()?,
         }

@@ -201,6 +201,24 @@ mod tests {
         received.arrays.note(0, MirrorTelemetry { stamp, ..MirrorTelemetry::default() });
     }
 
+    /// A room in which user reports arrive and the array accepts commands.
+    fn commanded() -> Received {
+        let mut received = Received::default();
+        for accepted in [5, 6] {
+            let counters = Counters { accepted, ..Counters::default() };
+            received.arrays.note(0, MirrorTelemetry { epoch: 500, counters, ..MirrorTelemetry::default() });
+        }
+        received.users = Some((Instant::now(), UserReport::default()));
+        received
+    }
+
+    /// The status of a controller with one counter.
+    fn counting(source: u64, counter: &str, count: u64) -> NodeStatus {
+        let stamp = Stamp { source, ..Stamp::default() };
+        let counters = vec![(counter.to_owned(), count)];
+        NodeStatus { stamp, node: NodeKind::Controller, counters, ..NodeStatus::default() }
+    }
+
     #[test]
     fn each_missing_process_is_named_with_what_to_start() {
         let mut received = Received::default();
@@ -220,12 +238,7 @@ mod tests {
 
     #[test]
     fn a_controller_that_the_array_follows_and_this_viewer_does_not_see_is_not_missing() {
-        let mut received = Received::default();
-        for accepted in [5, 6] {
-            let counters = Counters { accepted, ..Counters::default() };
-            received.arrays.note(0, MirrorTelemetry { epoch: 500, counters, ..MirrorTelemetry::default() });
-        }
-        received.users = Some((Instant::now(), UserReport::default()));
+        let mut received = commanded();
         let notes = received.notes(1, ago(60));
         assert_eq!(notes, [UNSEEN_CONTROLLER]);
         let status = NodeStatus { node: NodeKind::Controller, ..NodeStatus::default() };
@@ -237,15 +250,8 @@ mod tests {
 
     #[test]
     fn a_calibration_that_this_viewer_does_not_see_commands_in_place_of_the_controller() {
-        let mut received = Received::default();
-        for accepted in [5, 6] {
-            let counters = Counters { accepted, ..Counters::default() };
-            received.arrays.note(0, MirrorTelemetry { epoch: 500, counters, ..MirrorTelemetry::default() });
-        }
-        received.users = Some((Instant::now(), UserReport::default()));
-        let stamp = Stamp { source: 7, ..Stamp::default() };
-        let counters = vec![("standby".to_owned(), 1)];
-        let status = NodeStatus { stamp, node: NodeKind::Controller, counters, ..NodeStatus::default() };
+        let mut received = commanded();
+        let status = counting(7, "standby", 1);
         received.controllers.take(&status);
         received.statuses.insert(NodeKind::Controller.name().into(), (Instant::now(), status));
         received.alive.insert((NodeKind::Controller.name(), 7));
@@ -286,10 +292,7 @@ mod tests {
         let mut received = Received::default();
         received.alive.insert((NodeKind::Controller.name(), 5));
         for decisions in [20, 40] {
-            let stamp = Stamp { source: 5, ..Stamp::default() };
-            let counters = vec![("decisions".to_owned(), decisions)];
-            let status = NodeStatus { stamp, node: NodeKind::Controller, counters, ..NodeStatus::default() };
-            received.controllers.take(&status);
+            received.controllers.take(&counting(5, "decisions", decisions));
         }
         let notes = received.notes(1, ago(60));
         assert!(notes.len() == 1 && notes[0].starts_with(UNSEEN_REPORTS), "{notes:?}");

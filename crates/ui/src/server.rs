@@ -4,7 +4,7 @@
 //! | --- | --- | --- |
 //! | `/` and its files | GET | the page |
 //! | `/room.json` | GET | the static data and the sum rates of the last 90 s, JSON |
-//! | `/live` | GET | events `figures` (10 a second) and `frame` (at most 10 a second), JSON |
+//! | `/live` | GET | events `figures` (10 a second) and `frame` (at most 10 a second), `log` where it changes, and `ended` as the last one, JSON |
 //! | `/floor.json` | GET | the rate over the floor, JSON; `?mirrors=0` without the mirrors |
 //! | `/events.json` | GET | the next events as one JSON object, for a browser without a free connection |
 //! | `/order` | POST | an [`Order`] as JSON |
@@ -125,6 +125,8 @@ struct Shared {
 /// A page that is being served; dropping it ends the server.
 pub struct Server {
     http: http::Server,
+    /// For the last event of open pages.
+    feed: Arc<Feed>,
     /// An address at which a browser opens the page.
     opened_at: String,
     /// The requested port, if it was in use and a free one replaced it.
@@ -175,12 +177,17 @@ impl Server {
         let at = SocketAddr::new(address, bound);
         let guard = Guard::new(at, machine_name(), place.public.clone());
         let opened_at = guard.address().to_owned();
-        let router = router(Shared { page, feed, floor }, gate, guard);
+        let router = router(Shared { page, feed: Arc::clone(&feed), floor }, gate, guard);
         let limits = Limits { body_bytes: ORDER_MAX, ..Limits::default() };
         let served = http::serve("page", listener, router, limits, stop.clone());
         let http = served.inspect_err(|_| stop.request()).map_err(UiError::Threads)?;
         let replaced = (port != 0 && bound != port).then_some(port);
-        Ok(Self { http, opened_at, replaced, token, public: place.public.clone() })
+        Ok(Self { http, feed, opened_at, replaced, token, public: place.public.clone() })
+    }
+
+    /// Ends the server. Open pages show this sentence, which says that it has ended and why.
+    pub fn end(self, sentence: &str) {
+        self.feed.end(sentence);
     }
 
     /// The address at which it listens.

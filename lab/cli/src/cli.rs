@@ -4,6 +4,7 @@ use anyhow::Result;
 use clap::{CommandFactory, Parser, Subcommand};
 use heliostat::arguments::parsed;
 use heliostat::commands::completions;
+use heliostat::programs::LAB;
 use heliostat_models::library::LibraryArgs;
 
 use crate::commands::{bench, calibrate, eval, map, report, trace};
@@ -54,7 +55,12 @@ pub fn run() -> Result<()> {
             heliostat_learn::run_train(args, &|| stop.is_requested())
         }
         Command::Eval(args) => eval::run(args),
-        Command::Reproduce(args) => heliostat_reproduce::run_reproduce(args),
+        Command::Reproduce(args) => {
+            let out = args.out.clone();
+            let said = move || format!("the same command continues; {} keeps the finished parts", out.display());
+            heliostat_service::signals::end_on_signals(LAB, said)?;
+            heliostat_reproduce::run_reproduce(args)
+        }
         Command::Report(args) => report::run(args),
         Command::Map(args) => map::run(args),
         Command::Trace(args) => trace::run(args),

@@ -3,7 +3,8 @@
 //! Training, held-out states and static tasks have neither reports nor a belief, and their mirrors
 //! turn at once to the angles of an action.
 
-use heliostat_scenario::{Actuator, override_keys};
+use heliostat_core::belief::conditions::Condition;
+use heliostat_scenario::{Actuator, Scenario, override_keys};
 
 use crate::error::EnvironmentError;
 
@@ -43,8 +44,20 @@ fn has_effect(key: &str) -> bool {
     }
 }
 
+/// The condition of a scenario with faults of mirrors, which exact states do not have.
+///
+/// `of` names what uses the states, as `a static comparison`, and `advice` what to do for the faults.
+pub fn exact_mirrors(scenario: &Scenario, of: &str, advice: &str) -> Option<Condition> {
+    let faults = faults(&scenario.actuator);
+    (!faults.is_empty()).then(|| Condition {
+        method: "the model of faulty mirrors".into(),
+        because: format!("{of}, and {}", faults.join(", ")),
+        consequence: format!("each mirror turns at once to the exact angle, so rates are higher; {advice}"),
+    })
+}
+
 /// The keys that make the angles of a mirror differ from the commanded ones, in closed loop only.
-pub fn faults(actuator: &Actuator) -> Vec<&'static str> {
+fn faults(actuator: &Actuator) -> Vec<&'static str> {
     let of_mirrors = [
         ("actuator.stuck_share", actuator.stuck_share),
         ("actuator.offset_deg", actuator.offset_deg),
@@ -93,9 +106,13 @@ mod tests {
     }
 
     #[test]
-    fn the_faults_of_mirrors_are_those_that_are_set_above_zero() {
-        let actuator = Actuator { stuck_share: Some(0.5), offset_deg: Some(0.0), ..Actuator::default() };
-        assert_eq!(faults(&actuator), ["actuator.stuck_share"]);
-        assert!(faults(&Actuator::default()).is_empty());
+    fn faults_of_mirrors_that_are_set_above_zero_are_a_condition() {
+        let of = |text: &str| {
+            let scenario = Scenario::from_toml(text).expect("a room");
+            exact_mirrors(&scenario, "training", "measure it").map(|condition| condition.to_string())
+        };
+        let found = of("[actuator]\nstuck_share = 0.5\noffset_deg = 0.0\n").expect("a condition");
+        assert!(found.contains("training, and actuator.stuck_share: ") && found.ends_with("; measure it"), "{found}");
+        assert_eq!(of(""), None);
     }
 }

@@ -25,6 +25,7 @@ mod closed_loop;
 mod episode_row;
 mod evaluated_policy;
 pub(crate) mod evaluator;
+mod progress;
 mod python_policy;
 mod row;
 mod settings;
@@ -33,15 +34,13 @@ mod static_states;
 mod tracked_user;
 mod trained;
 
-use std::time::Duration;
-
 use anyhow::ensure;
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 use serde::{Serialize, Serializer};
 
 use heliostat_core::belief::conditions::{Condition, conditions};
 use heliostat_environment::EnvironmentError;
-use heliostat_environment::exact_states::faults;
+use heliostat_environment::exact_states::exact_mirrors;
 use heliostat_scenario::Scenario;
 
 /// The rows of a comparison, and the figures of each episode.
@@ -53,6 +52,8 @@ pub use episode_row::EpisodeRow;
 pub use evaluated_policy::{EvaluatedPolicy, UnknownPolicy};
 pub use heliostat_environment::outage::{OUTAGE_LENGTHS_S, Outages};
 pub use heliostat_environment::statistics::Spread;
+pub use progress::Progress;
+pub(crate) use progress::progress_bar;
 pub use row::{Row, Times};
 pub use settings::{Loop, Settings};
 pub use stale_aim::kept_sinr;
@@ -130,21 +131,12 @@ impl Report {
     }
 }
 
-/// Compares with a progress bar on standard error.
+/// Compares, and shows the progress.
 ///
 /// # Errors
 /// The scenario describes no room, an actor does not fit it, or a policy fails.
-pub fn compare(settings: &Settings) -> anyhow::Result<Report> {
-    compare_under(settings, &progress_bar()?)
-}
-
-/// A progress bar on standard error: items done, items in all, the kind of item, and the remaining
-/// time.
-pub(crate) fn progress_bar() -> anyhow::Result<ProgressBar> {
-    let bar = ProgressBar::new(0);
-    bar.set_style(ProgressStyle::with_template("{bar:32} {pos}/{len} {msg}, {eta} left")?);
-    bar.enable_steady_tick(Duration::from_millis(200));
-    Ok(bar)
+pub fn compare(settings: &Settings, progress: &Progress) -> anyhow::Result<Report> {
+    compare_under(settings, progress.bar())
 }
 
 /// Compares with a progress bar of the caller; [`ProgressBar::hidden`] shows none.
@@ -178,7 +170,7 @@ pub fn compare_under(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<R
     let mut found = if is_closed {
         conditions(scenario, &scenario.channel_model()?)
     } else {
-        exact_mirrors(scenario).into_iter().collect()
+        exact_mirrors(scenario, "a static comparison", "choose --closed-loop").into_iter().collect()
     };
     for (evaluated, row) in settings.policies.iter().zip(&policies) {
         let of_policy = evaluated
@@ -209,16 +201,6 @@ pub fn compare_under(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<R
         beliefs,
         tracked,
         each,
-    })
-}
-
-/// A static comparison has mirrors without faults; the condition of a scenario that has them.
-fn exact_mirrors(scenario: &Scenario) -> Option<Condition> {
-    let faults = faults(&scenario.actuator);
-    (!faults.is_empty()).then(|| Condition {
-        method: "the model of faulty mirrors".into(),
-        because: format!("a static comparison, and {}", faults.join(", ")),
-        consequence: "each mirror turns at once to the exact angle, so ratios are higher; choose --closed-loop".into(),
     })
 }
 

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
+use heliostat_core::belief::conditions::Condition;
 use heliostat_core::observation::USERS_CAPACITY;
 use heliostat_core::policy::NameParser;
 use heliostat_core::policy::actor_file::{key, room_entries};
@@ -91,6 +92,7 @@ pub fn run_train(args: TrainArgs, stop_requested: StopRequested<'_>) -> anyhow::
 fn train(args: &TrainArgs, stop_requested: StopRequested<'_>) -> anyhow::Result<()> {
     let scenario = args.scenario.load_arrays()?;
     exact_states::check_training(&args.scenario.overrides)?;
+    condition(&scenario).iter().for_each(|condition| eprintln!("condition: {condition}"));
     let mut training = args.algorithm.begin(scenario, args.preset, &args.changes())?;
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
     let checkpoint = args.out.join("checkpoint.safetensors");
@@ -114,6 +116,11 @@ fn train(args: &TrainArgs, stop_requested: StopRequested<'_>) -> anyhow::Result<
         Some(scores) => finish(&training, args, duration, &scores),
         None => bail!(interrupted(&mut training, args, &checkpoint)?),
     }
+}
+
+/// What a scenario describes and training leaves out.
+fn condition(scenario: &Scenario) -> Option<Condition> {
+    exact_states::exact_mirrors(scenario, "training", "measure the actor with heliostat-lab eval --closed-loop")
 }
 
 /// Saves the run, and returns the message that says how to resume it.
@@ -337,6 +344,7 @@ fn report(
         "actor": path.display().to_string(),
         "command": command,
         "notes": notes,
+        "conditions": Vec::from_iter(condition(training.scenario())),
         "duration_s": duration.map(|duration| duration.as_secs_f64()),
         "hardware": hardware(),
         "scores": scores,

@@ -17,6 +17,7 @@ import copy
 import difflib
 import inspect
 import os
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -85,6 +86,7 @@ def make_scenario(
     """The scenario of an environment with these further keywords.
 
     Raises `TypeError` for an unknown keyword, and `ValueError` for an override that has no effect on a static room.
+    Warns of faults of mirrors in the scenario, which a static room does not have.
     """
     for name in settings:
         if name not in SETTINGS:
@@ -93,7 +95,10 @@ def make_scenario(
             raise TypeError(f'unknown keyword "{name}": expected {", ".join(sorted(SETTINGS))}{hint}')
     scenario = load_scenario(source, overrides)
     if settings.get("dynamics", "static") == "static":
-        check_exact(override_texts(overrides or {}))
+        condition = check_exact(scenario, override_texts(overrides or {}))
+        if condition is not None:
+            # The caller of the environment's constructor.
+            warnings.warn(condition, stacklevel=3)
     return scenario
 
 

@@ -13,6 +13,7 @@ mod refinement;
 mod remaining;
 mod room;
 mod show;
+mod status;
 
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -41,11 +42,9 @@ use room::{LiveRoom, Received};
 /// Longest wait for a report before the session looks at its own times again.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 
-/// Time between two files of readings, two lines of progress, and two messages for viewers, which call a
-/// process silent after a second.
+/// Time between two files of readings, and two lines of progress.
 const SAVE_EVERY: Duration = Duration::from_secs(2);
 const SHOW_EVERY: Duration = Duration::from_secs(5);
-const STATUS_EVERY: Duration = Duration::from_millis(500);
 
 /// Time without channel reports after which a note says so.
 const SILENCE: Duration = Duration::from_secs(3);
@@ -219,7 +218,8 @@ fn drive(
         // A pause or a search can make it due without a report.
         if session.is_estimate_due() {
             readings.save(session)?;
-            session.run_estimate();
+            status::run_estimate(session, room, &mut remaining)?;
+            published = None;
         }
         if let Some(refinement) = &mut refinement {
             refinement.take_turns(session, room)?;
@@ -232,11 +232,9 @@ fn drive(
                 None => angles,
             })?;
         }
-        if published.is_none_or(|at| at.elapsed() >= STATUS_EVERY) {
+        if published.is_none_or(|at| at.elapsed() >= status::EVERY) {
             published = Some(Instant::now());
-            let mut progress = session.progress();
-            remaining.follow(&mut progress, session.group()).iter().for_each(note);
-            room.publish_status(&show::progress_of(&progress, session.spot_count()))?;
+            room.publish_status(&status::progress(session, &mut remaining))?;
         }
         if saved.elapsed() >= SAVE_EVERY {
             saved = Instant::now();

@@ -23,6 +23,7 @@ use heliostat_ui::{Display, Operator, Page, PageArgs, ProcessOrder, View};
 
 use processes::Processes;
 
+use super::ending::Ending;
 use super::ui::fitting_policies;
 use heliostat_service::outln;
 
@@ -101,7 +102,9 @@ pub fn run(args: Args) -> Result<()> {
     let title = server.as_ref().map_or(format!("room {room}"), |server| format!("room {room}, {server}"));
     let watched = Watched { opened, stop: &stop, view: &view, process_orders: received_orders, endpoints, title };
     let outcome = watch(&args, &watched, &mut processes);
-    drop(server);
+    if let Some(server) = server {
+        server.end(&last_sentence(outcome.as_ref().ok()));
+    }
 
     let controllers = processes.controllers();
     let (room_summary, controller_summary) = processes.finish();
@@ -115,7 +118,13 @@ pub fn run(args: Args) -> Result<()> {
     };
     // The first error says which process ended; a summary that lacks something is its consequence.
     let ended = room_summary.map(drop).and(controller_summary.map_or(Ok(()), |summary| summary.map(drop)));
-    outcome.and(ended).and(printed)
+    outcome.map(drop).and(ended).and(printed)
+}
+
+/// What an open page says of a demo that has ended, without a reason by an error.
+fn last_sentence(ending: Option<&Ending>) -> String {
+    let why = ending.map_or_else(|| "by an error, which its terminal names".to_owned(), Ending::to_string);
+    format!("The demo has ended {why}. Start it again to go on.")
 }
 
 /// The inputs of the display loop.
@@ -131,12 +140,18 @@ struct Watched<'a> {
     title: String,
 }
 
-/// Draws until the time is over, a signal or a key arrives, or a process ends.
-fn watch(args: &Args, watched: &Watched, processes: &mut Processes) -> Result<()> {
+/// Draws until the time is over, or a signal or a key arrives. A process that ends is an error.
+fn watch(args: &Args, watched: &Watched, processes: &mut Processes) -> Result<Ending> {
     let mut started: Option<Instant> = None;
     let mut display = Display::open(args.plain || args.json, &watched.title)?;
     let mut drawn = Instant::now();
-    while !watched.stop.is_requested() && !display.quit_requested()? {
+    loop {
+        if watched.stop.is_requested() {
+            return Ok(Ending::Signal);
+        }
+        if display.quit_requested()? {
+            return Ok(Ending::Key);
+        }
         std::thread::sleep(WATCH_EVERY);
         processes.check_alive()?;
         for order in watched.process_orders.try_iter() {
@@ -161,8 +176,8 @@ fn watch(args: &Args, watched: &Watched, processes: &mut Processes) -> Result<()
             }
             None => {}
             Some(since) => {
-                if args.seconds.is_some_and(|seconds| since.elapsed() >= seconds) {
-                    break;
+                if let Some(seconds) = args.seconds.filter(|seconds| since.elapsed() >= *seconds) {
+                    return Ok(Ending::Time(seconds));
                 }
                 if drawn.elapsed() >= display.interval() {
                     drawn = Instant::now();
@@ -171,7 +186,6 @@ fn watch(args: &Args, watched: &Watched, processes: &mut Processes) -> Result<()
             }
         }
     }
-    Ok(())
 }
 
 impl Args {
@@ -225,5 +239,17 @@ impl Args {
             arguments.extend(["--model".into(), model.display().to_string()]);
         }
         Ok(arguments)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_last_sentence_of_the_page_says_why_the_demo_has_ended() {
+        let ended = last_sentence(Some(&Ending::Time(Duration::from_secs(20))));
+        assert_eq!(ended, "The demo has ended after its 20 s. Start it again to go on.");
+        assert!(last_sentence(None).starts_with("The demo has ended by an error, which its terminal names."));
     }
 }

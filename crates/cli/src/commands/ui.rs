@@ -12,6 +12,8 @@ use heliostat_scenario::{Scenario, ViewerScenarioArgs};
 use heliostat_service::{duration, output, signals};
 use heliostat_ui::{Display, Operator, Page, PageArgs, PoliciesOf, PolicyChoice, View};
 
+use super::ending::Ending;
+
 /// Time between two checks for keys and signals.
 const WATCH_EVERY: Duration = Duration::from_millis(50);
 
@@ -62,13 +64,24 @@ pub fn run(args: Args) -> Result<()> {
     });
     let mut display = Display::open(args.plain, &title)?;
     let (opened, mut drawn) = (Instant::now(), Instant::now());
-    let is_over = || args.seconds.is_some_and(|seconds| opened.elapsed() >= seconds);
-    while !stop.is_requested() && !display.quit_requested()? && !is_over() {
+    let ending = loop {
+        if stop.is_requested() {
+            break Ending::Signal;
+        }
+        if display.quit_requested()? {
+            break Ending::Key;
+        }
+        if let Some(seconds) = args.seconds.filter(|seconds| opened.elapsed() >= *seconds) {
+            break Ending::Time(seconds);
+        }
         std::thread::sleep(WATCH_EVERY);
         if drawn.elapsed() >= display.interval() {
             drawn = Instant::now();
             display.draw(&view)?;
         }
+    };
+    if let Some(server) = server {
+        server.end(&format!("The server of this page has ended {ending}. The room goes on without it."));
     }
     Ok(())
 }

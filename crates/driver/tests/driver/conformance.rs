@@ -146,31 +146,21 @@ fn a_device_that_fails_is_named_before_the_rules_and_breaks_none() {
 }
 
 #[test]
-fn a_driver_that_ends_during_the_check_breaks_no_rule() {
-    let report = checked("ended", |bus, stop| {
-        let device = Exact { turns: 3, failure: Failure::Ends(stop.clone()), ..Exact::new() };
-        drop(run::run(Kit::new(device), &Settings::new(bus), stop).unwrap());
-    });
-    assert!(report.problem.as_ref().is_some_and(|problem| problem.contains("the driver ended")), "{report}");
-    assert_eq!(broken(&report), [""; 0], "{report}");
-    let last = report.findings.last().map(|finding| finding.verdict);
-    assert_eq!(last, Some(Verdict::NotJudged), "{report}");
-}
-
-#[test]
-fn a_device_whose_call_does_not_return_ends_the_check_and_breaks_no_rule() {
-    let report = checked("hanging", |bus, stop| {
-        let device = Exact { turns: 3, failure: Failure::Hangs(stop.clone()), ..Exact::new() };
-        drop(run::run(Kit::new(device), &Settings::new(bus), stop).unwrap());
-    });
-    assert!(report.problem.as_ref().is_some_and(|problem| problem.contains("sends no telemetry")), "{report}");
-    assert_eq!(broken(&report), [""; 0], "{report}");
-    let last = report.findings.last().expect("a rule");
-    assert_eq!(
-        (last.verdict, last.evidence.as_str()),
-        (Verdict::NotJudged, "the driver sends no telemetry"),
-        "{report}"
-    );
+fn a_driver_that_ends_or_hangs_during_the_check_breaks_no_rule_and_is_named() {
+    let cases: [(_, fn(Stop) -> Failure, _, _); 2] = [
+        ("ended", Failure::Ends, "the driver ended", "the driver had ended"),
+        ("hanging", Failure::Hangs, "sends no telemetry", "the driver sends no telemetry"),
+    ];
+    for (room, failure, problem, evidence) in cases {
+        let report = checked(room, |bus, stop| {
+            let device = Exact { turns: 3, failure: failure(stop.clone()), ..Exact::new() };
+            drop(run::run(Kit::new(device), &Settings::new(bus), stop).unwrap());
+        });
+        assert!(report.problem.as_ref().is_some_and(|found| found.contains(problem)), "{report}");
+        assert_eq!(broken(&report), [""; 0], "{report}");
+        let last = report.findings.last().map(|finding| (finding.verdict, finding.evidence.as_str()));
+        assert_eq!(last, Some((Verdict::NotJudged, evidence)), "{report}");
+    }
 }
 
 #[test]

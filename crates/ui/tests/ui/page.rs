@@ -100,6 +100,18 @@ fn the_server_drops_clients_that_do_not_read() {
 }
 
 #[test]
+fn the_end_of_a_server_is_the_last_event_of_an_open_page() {
+    let setting = Setting::new("ended");
+    let (_, mut answer) = setting.live();
+    await_events(&mut answer);
+    setting.server.end("The demo has ended after its 20 s.");
+    let lines: Vec<String> = answer.lines().map_while(Result::ok).collect();
+    let last = lines.iter().rposition(|line| line.starts_with("event: ")).expect("an event");
+    let data = "data: \"The demo has ended after its 20 s.\"";
+    assert_eq!((lines[last].as_str(), lines[last + 1].as_str()), ("event: ended", data));
+}
+
+#[test]
 fn closing_a_page_admits_another() {
     let setting = Setting::new("closed");
     let mut open: Vec<_> = (0..READERS_MAX).map(|_| setting.live()).collect();

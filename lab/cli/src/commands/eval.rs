@@ -3,6 +3,7 @@
 mod csv_files;
 mod differences;
 mod html;
+mod interruption;
 mod origin;
 mod output;
 mod paths;
@@ -14,7 +15,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, anyhow, ensure};
 use heliostat_environment::episodes::INSTANTS;
 use heliostat_environment::exact_states;
-use heliostat_learn::comparison::{EvaluatedPolicy, Known, Loop, Settings, compare};
+use heliostat_learn::comparison::{EvaluatedPolicy, Known, Loop, Settings};
 use heliostat_models::ActorSource;
 use heliostat_scenario::{Belief, Scenario, ScenarioArgs};
 use heliostat_service::duration::seconds;
@@ -22,6 +23,7 @@ use serde_json::json;
 
 use heliostat_service::outln;
 use heliostat_service::whole_file;
+use interruption::Interruption;
 use sweep::{Change, Grid, Sweep};
 
 /// The default policies; the first only if an actor is built in for the room.
@@ -48,6 +50,8 @@ pub fn exceeds_one(ratio: f64) -> bool {
 /// --closed-loop, reports and mirrors have the rate, delay, noise and dynamics of the scenario. The
 /// oracle still knows the true state and moves its mirrors instantly. The decision time is that of
 /// the policy; in closed loop it includes belief and observation.
+///
+/// Tables and files follow the last comparison. Ctrl-C ends the command without them, and says how far it was.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -240,7 +244,8 @@ pub fn run(args: Args) -> Result<()> {
         }
     };
     args.check_files()?;
-    let reports = settings.iter().map(compare).collect::<Result<Vec<_>>>()?;
+    let interruption = Interruption::watch(settings.len())?;
+    let reports = settings.iter().map(|one| interruption.compare(one)).collect::<Result<Vec<_>>>()?;
     if let Some(file) = &args.paths {
         let drawn = paths::draw(&settings[0].scenario, &reports[0].tracked)?;
         whole_file::write(file, origin::in_svg(&drawn, &reports[0]).as_bytes())?;

@@ -14,13 +14,14 @@ mod table;
 
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::Parser;
 use heliostat::programs;
 use heliostat_reproduce::machine;
-use heliostat_service::{outln, output};
+use heliostat_service::{outln, output, signals};
 
 use heliostat_service::whole_file;
 
@@ -91,6 +92,12 @@ pub fn run(args: Args) -> Result<()> {
         true => Archive::resume(&kept, &definition.name, args.quick)?,
         false => Archive::new(&definition.name, args.quick),
     };
+    let running: Arc<Mutex<Option<String>>> = Arc::default();
+    let interrupted = Arc::clone(&running);
+    signals::end_on_signals(programs::LAB, move || {
+        let name = interrupted.lock().unwrap_or_else(PoisonError::into_inner).take();
+        name.map_or_else(|| "--resume continues".to_owned(), |name| unfinished(&name))
+    })?;
     for (index, (section, arguments)) in steps.iter().enumerate() {
         let step = format!("{} of {}: {}", index + 1, steps.len(), section.name);
         if archive.holds(&section.name, arguments, machine::COMMIT) {
@@ -98,14 +105,19 @@ pub fn run(args: Args) -> Result<()> {
             continue;
         }
         output::note(format_args!("{step}: {}", page::command(arguments)));
-        archive.put(measure(section, arguments).with_context(|| {
-            format!("section {} did not finish; --resume continues with it, after the finished ones", section.name)
-        })?);
+        *running.lock().unwrap_or_else(PoisonError::into_inner) = Some(section.name.clone());
+        archive.put(measure(section, arguments).with_context(|| unfinished(&section.name))?);
         write(&definition, &archive, &out, &kept)?;
+        *running.lock().unwrap_or_else(PoisonError::into_inner) = None;
     }
     write(&definition, &archive, &out, &kept)?;
     outln!("written: {} and {}", out.display(), kept.display())?;
     Ok(())
+}
+
+/// What is kept of a report that ends in a section, and how to go on.
+fn unfinished(section: &str) -> String {
+    format!("section {section} did not finish; report --resume continues with it, after the finished ones")
 }
 
 fn write(definition: &Definition, archive: &Archive, out: &Path, kept: &Path) -> Result<()> {

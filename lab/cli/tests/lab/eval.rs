@@ -1,6 +1,8 @@
 //! `heliostat-lab eval` on the command line.
 
 mod html;
+#[cfg(target_os = "linux")]
+mod interrupted;
 mod sweep;
 
 use std::process::{Command, Output};

@@ -109,6 +109,26 @@ fn a_scenario_that_is_missing_is_named() {
 }
 
 #[test]
+fn faults_of_mirrors_in_a_scenario_file_are_a_condition_of_training() {
+    let folder = TempDir::new().expect("a folder");
+    let file = folder.path().join("room.toml");
+    let room = "mirrors = { rows = 2, columns = 2 }\nactuator = { stuck_share = 0.5 }\n";
+    std::fs::write(&file, room).expect("written");
+    let output = Command::new(env!("CARGO_BIN_EXE_heliostat-lab"))
+        .args(["train", "ddpg", "--episodes", "1", "--steps", "2", "--states", "2", "--json"])
+        .args(["--option", "batch=8", "--option", "warm_up=20", "--scenario"])
+        .arg(&file)
+        .arg("--out")
+        .arg(folder.path().join("run"))
+        .output()
+        .expect("the program starts");
+    let note = "training, and actuator.stuck_share: each mirror turns at once to the exact angle";
+    assert!(output.status.success() && errors(&output).contains(note), "{}", errors(&output));
+    let report: serde_json::Value = serde_json::from_slice(&output.stdout).expect("one object");
+    assert_eq!(report["conditions"][0]["because"], "training, and actuator.stuck_share");
+}
+
+#[test]
 fn a_key_that_training_does_not_read_is_refused() {
     let folder = TempDir::new().expect("a folder");
     let refused = train(folder.path()).args(["--set", "actuator.stuck_share=1"]).output().expect("the program starts");

@@ -68,6 +68,21 @@ fn a_process_that_dies_leaves_no_green_state_and_no_current_figure() {
 
 #[needs("browser")]
 #[test]
+fn a_server_that_ends_in_order_says_so_on_its_open_pages() {
+    let mut setting = Setting::new();
+    let browser = setting.browser(&[]);
+    setting.server.end();
+    let expected = "The server of this page has ended by Ctrl-C or a signal. The room goes on without it.";
+    wait_until("a banner with the reason", || banner(&browser).starts_with(expected));
+    wait_until("no green state", || green(&browser).is_empty());
+    assert!(banner(&browser).starts_with(expected), "a lost connection is no news");
+    assert_eq!(browser.text("#sentence"), "The figures are the last ones before the end.");
+    setting.restart_server();
+    wait_until("a page of the new server", || is_live(&browser) && banner(&browser).is_empty());
+}
+
+#[needs("browser")]
+#[test]
 fn a_controller_that_hangs_is_named_by_the_banner_while_it_is_in_the_room() {
     let setting = Setting::new();
     let browser = setting.browser();

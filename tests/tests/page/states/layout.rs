@@ -140,6 +140,25 @@ fn warnings_and_takeovers_leave_picture_orders_and_stop_in_view_on_a_small_deskt
     }
 }
 
+#[needs("browser")]
+#[test]
+fn the_charts_stay_readable_beside_notes_and_a_calibration() {
+    let setting = Setting::new();
+    let browser = setting.browser(&[]);
+    for (width, height) in [(1366, 768), (1366, 657), (1920, 1080), (390, 844)] {
+        browser.resize(width, height);
+        // As beside a calibration: two controllers, and a long note. In one script, before the next figures.
+        let heights = "scrollTo(0, 0); const at = (id) => document.getElementById(id); \
+             at('remark').hidden = false; at('remark').textContent = 'A controller differs from the room in what a calibration measures. '.repeat(12); \
+             at('counts').insertAdjacentHTML('beforeend', '<div><dt>controllers</dt><dd class=\"wide\">1a2b calibrates, 3c4d stands by</dd></div>'.repeat(3)); \
+             at('sentence').textContent = 'A calibration commands the mirrors: spot 2 of 3, 57 of 100 mirrors located. '.repeat(2); \
+             return ['sum-chart', 'latency-chart', 'remark'].map((id) => at(id).clientHeight)";
+        let heights: [u64; 3] = serde_json::from_value(browser.run(heights)).expect("three heights");
+        let [sum, latency, remark] = heights;
+        assert!(sum.min(latency) >= 80 && (1..=36).contains(&remark), "{heights:?} at {width} x {height}");
+    }
+}
+
 /// The texts of the page whose contrast to their background is below 4.5, with the contrast.
 const FAINT: &str = "
     const parse = (colour) => colour.match(/[\\d.]+/g).map(Number);

@@ -53,7 +53,7 @@ impl Setting {
         showing_the_room(Browser::open(&self.server.url()))
     }
 
-    /// Starts another server on the port of the one that was killed.
+    /// Starts another server on the port of the one that was killed or has ended.
     pub fn restart_server(&mut self) {
         let [room, controller] = self.endpoints.each_ref().map(String::as_str);
         self.server.restart(&["--connect", room, "--connect", controller]);

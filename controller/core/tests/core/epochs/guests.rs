@@ -1,5 +1,7 @@
 //! A controller that takes the lead when it joins, as a calibration does, and gives it back.
 
+use std::ops::RangeInclusive;
+
 use super::*;
 
 const GUEST: u64 = 9;
@@ -7,25 +9,39 @@ const GUEST: u64 = 9;
 /// A controller of the room that is no guest.
 const OTHER: u64 = 5;
 
-/// Lets a controller without a tenure of its own lead for some reports; its epoch.
-fn lead(room: &mut Room, source: u64) -> u64 {
+/// The epoch of a controller without a tenure of its own that takes the lead now.
+fn epoch_above(room: &Room, source: u64) -> u64 {
     let base = room.array.shown.epoch.max(NOON_MS);
-    let epoch = base / EPOCH_SLOTS * EPOCH_SLOTS + EPOCH_SLOTS + source;
-    for sequence in 1..=50 {
+    base / EPOCH_SLOTS * EPOCH_SLOTS + EPOCH_SLOTS + source
+}
+
+/// Lets the array follow these commands, one a report.
+fn command(room: &mut Room, epoch: u64, sequences: RangeInclusive<u64>) {
+    for sequence in sequences {
         assert!(room.array.handle(room.now, epoch, sequence));
         room.run(INTERVAL);
     }
+}
+
+/// Lets a controller without a tenure of its own lead for some reports; its epoch.
+fn lead(room: &mut Room, source: u64) -> u64 {
+    let epoch = epoch_above(room, source);
+    command(room, epoch, 1..=50);
     epoch
 }
 
-/// Lets a guest lead for some reports. It commands until its successor is obeyed.
+/// Ends the token of a guest that leads. It commands until its successor is obeyed.
+fn leave(room: &mut Room, epoch: u64) {
+    room.announce(GUEST, false);
+    command(room, epoch, 51..=51);
+}
+
+/// Lets a guest lead for some reports.
 fn lend(room: &mut Room) {
     room.announce(GUEST, true);
     let epoch = lead(room, GUEST);
     assert_eq!(room.standings().last(), Some(&Standing::Standby));
-    room.announce(GUEST, false);
-    assert!(room.array.handle(room.now, epoch, 51));
-    room.run(INTERVAL);
+    leave(room, epoch);
     assert_eq!(room.standings().last(), Some(&Standing::Leading), "at the next report");
     assert!(!room.array.handle(room.now, epoch, 52), "a command on its way");
     room.run(S);
@@ -80,30 +96,23 @@ fn the_first_leader_of_an_array_is_no_guest() {
 }
 
 #[test]
-fn a_controller_that_joins_and_takes_over_from_a_failed_leader_is_no_guest() {
-    let mut room = led_room(&[1, 600]);
-    room.controllers[0].is_alive = false;
-    room.announce(OTHER, true);
-    // The last answer of the leader, and one report without an answer.
-    room.run(2 * INTERVAL);
-    lead(&mut room, OTHER);
-    assert_eq!(room.controllers[1].tenure.standing(), Standing::Standby);
-    room.announce(OTHER, false);
-    room.run(S);
-    assert_eq!(room.controllers[1].events.last(), Some(&TenureEvent::TookOver));
-}
-
-#[test]
-fn a_controller_that_joins_and_takes_over_from_a_leader_that_has_left_is_no_guest() {
-    let mut room = led_room(&[1, 600]);
-    room.announce(OTHER, true);
-    room.controllers[0].is_alive = false;
-    room.announce(1, false);
-    lead(&mut room, OTHER);
-    assert_eq!(room.standings()[1], Standing::Standby, "the token that has ended is not that of the new leader");
-    room.announce(OTHER, false);
-    room.run(S);
-    assert_eq!(room.controllers[1].events, [TenureEvent::StoodBy, TenureEvent::TookOver]);
+fn a_controller_that_joins_and_takes_over_from_a_leader_that_has_failed_or_left_is_no_guest() {
+    for has_left in [false, true] {
+        let mut room = led_room(&[1, 600]);
+        room.announce(OTHER, true);
+        room.controllers[0].is_alive = false;
+        if has_left {
+            room.announce(1, false);
+        } else {
+            // The last answer of the leader, and one report without an answer.
+            room.run(2 * INTERVAL);
+        }
+        lead(&mut room, OTHER);
+        assert_eq!(room.standings()[1], Standing::Standby, "a token that has ended is not that of the new leader");
+        room.announce(OTHER, false);
+        room.run(S);
+        assert_eq!(room.controllers[1].events.last(), Some(&TenureEvent::TookOver), "has left: {has_left}");
+    }
 }
 
 #[test]
@@ -113,10 +122,7 @@ fn a_guest_whose_token_returns_before_the_next_report_keeps_the_lead() {
     let epoch = lead(&mut room, GUEST);
     room.announce(GUEST, false);
     room.announce(GUEST, true);
-    for sequence in 51..=100 {
-        assert!(room.array.handle(room.now, epoch, sequence));
-        room.run(INTERVAL);
-    }
+    command(&mut room, epoch, 51..=100);
     assert_eq!(room.standings(), [Standing::Standby]);
     room.announce(GUEST, false);
     room.run(INTERVAL);
@@ -127,9 +133,7 @@ fn a_guest_whose_token_returns_before_the_next_report_keeps_the_lead() {
 fn the_end_of_a_token_that_was_not_seen_is_no_end_of_the_leader() {
     let mut room = led_room(&[1]);
     let epoch = lead(&mut room, GUEST);
-    room.announce(GUEST, false);
-    assert!(room.array.handle(room.now, epoch, 51));
-    room.run(INTERVAL);
+    leave(&mut room, epoch);
     assert_eq!(room.standings(), [Standing::Standby]);
 }
 
@@ -151,7 +155,7 @@ fn the_leader_after_a_guest_whose_commands_have_expired_is_no_guest() {
 #[test]
 fn the_lead_of_a_guest_returns_at_once_also_where_it_left_before_telemetry_showed_its_lead() {
     let mut room = led_room(&[1]);
-    let epoch = room.array.shown.epoch / EPOCH_SLOTS * EPOCH_SLOTS + EPOCH_SLOTS + GUEST;
+    let epoch = epoch_above(&room, GUEST);
     room.announce(GUEST, true);
     assert!(room.array.handle(room.now, epoch, 1));
     room.announce(GUEST, false);
@@ -167,10 +171,5 @@ fn the_lead_of_a_guest_returns_at_once_also_where_it_left_before_telemetry_showe
 fn the_end_of_a_leader_counts_beside_more_controllers_than_are_known() {
     let mut room = led_room(&[1]);
     (0..16).for_each(|other| room.announce(700 + other, true));
-    room.announce(GUEST, true);
-    let epoch = lead(&mut room, GUEST);
-    room.announce(GUEST, false);
-    assert!(room.array.handle(room.now, epoch, 51));
-    room.run(INTERVAL);
-    assert_eq!(room.standings(), [Standing::Leading], "at the next report");
+    lend(&mut room);
 }

@@ -126,6 +126,7 @@ pub fn progress_of(progress: &Progress, spots: usize) -> CalibrationProgress {
         place: count(index + 1),
         places: count(places),
         is_waiting: matches!(stage, Stage::Await(_)),
+        is_computing: false,
         located: count(located),
         mirrors: count(mirrors),
         remaining_s,

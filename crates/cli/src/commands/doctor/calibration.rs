@@ -38,7 +38,7 @@ pub(super) fn checks(
     let mut checks = Vec::new();
     let driver = driver.and_then(|driver| driver.as_ref().ok());
     if let Some(file) = &args.calibration {
-        checks.extend(check_calibration(file, driver));
+        checks.extend(check_calibration(file, args.array, driver));
     }
     if let Some(file) = &args.measured {
         checks.extend(check_measured(file, args.array, driver, controller));
@@ -51,7 +51,7 @@ pub(super) fn checks(
 }
 
 /// The corrections: whether the array can use them, and does.
-fn check_calibration(file: &Path, driver: Option<&DriverState>) -> Vec<Check> {
+fn check_calibration(file: &Path, array: usize, driver: Option<&DriverState>) -> Vec<Check> {
     let shown = file.display();
     let calibration = match calibration_store::load(file) {
         Ok(calibration) => calibration,
@@ -72,21 +72,26 @@ fn check_calibration(file: &Path, driver: Option<&DriverState>) -> Vec<Check> {
         let advice = "give the file of this array, or name its array: --array N; else calibrate again";
         return vec![Check::fail(FILE, format!("{shown}: {difference}"), advice)];
     }
-    vec![Check::ok(FILE, found), check_use(file, driver)]
+    vec![Check::ok(FILE, found), check_use(file, array, driver)]
 }
 
 /// Whether the array has a calibration in use. The contract numbers it, and does not show its corrections.
-fn check_use(file: &Path, driver: &DriverState) -> Check {
+fn check_use(file: &Path, array: usize, driver: &DriverState) -> Check {
     let name = "in use";
-    let restart = format!("start the driver with --calibration {}", file.display());
+    let of_array = if array == 0 { String::new() } else { format!(" --array {array}") };
+    let bring = format!(
+        "heliostat calibrate apply {file}{of_array} brings it to the running driver; start the driver with \
+         --calibration {file} from then on",
+        file = file.display()
+    );
     match (driver.calibration, driver.faults & fault::CALIBRATION != 0) {
         (_, true) => Check::fail(
             name,
             "the array has refused a calibration",
-            format!("the log of the driver says why; correct the file, then {restart}"),
+            format!("the log of the driver says why; correct the file: {bring}"),
         ),
         (None, _) => Check::warn(name, "unknown: the array publishes no telemetry", "check its driver"),
-        (Some(0), _) => Check::warn(name, "the array uses no calibration: expected that of the file", restart),
+        (Some(0), _) => Check::warn(name, "the array uses no calibration: expected that of the file", bring),
         (Some(sequence), _) => Check::ok(
             name,
             format!(
@@ -188,12 +193,17 @@ mod tests {
 
     #[test]
     fn only_an_array_that_uses_a_calibration_passes_and_the_advice_names_the_file() {
-        let check = |calibration, faults| check_use(Path::new("wall.toml"), &driver(calibration, faults));
+        let check = |calibration, faults| check_use(Path::new("wall.toml"), 0, &driver(calibration, faults));
         let verdicts = [(Some(3), 0), (Some(0), 0), (None, 0), (Some(3), fault::CALIBRATION)]
             .map(|(calibration, faults)| check(calibration, faults).verdict);
         assert_eq!(verdicts, [Verdict::Ok, Verdict::Warn, Verdict::Warn, Verdict::Fail]);
         assert!(check(Some(3), 0).found.contains("cannot be seen over the contract"));
-        assert_eq!(check(Some(0), 0).advice, "start the driver with --calibration wall.toml");
+        let advice = check(Some(0), 0).advice;
+        assert!(advice.starts_with("heliostat calibrate apply wall.toml brings it to the running driver;"), "{advice}");
+        assert!(advice.ends_with("start the driver with --calibration wall.toml from then on"), "{advice}");
+        assert!(check(Some(3), fault::CALIBRATION).advice.contains("heliostat calibrate apply wall.toml "));
+        let second = check_use(Path::new("wall.toml"), 1, &driver(Some(0), 0)).advice;
+        assert!(second.starts_with("heliostat calibrate apply wall.toml --array 1 brings"), "{second}");
     }
 
     #[test]

@@ -239,7 +239,7 @@ pre { overflow-x: auto; }
 
 #[cfg(test)]
 mod tests {
-    use heliostat_learn::comparison::{Settings, compare};
+    use heliostat_learn::comparison::{Progress, Settings, compare};
 
     use super::*;
 
@@ -248,7 +248,8 @@ mod tests {
         let scenario = Scenario::from_toml_with("", &room).expect("a scenario");
         let actor = heliostat_models::ActorSource::Shipped;
         let settings = Settings::of_names(scenario.clone(), policies, &actor, (Loop::Static, 3)).expect("policies");
-        let report = compare(&Settings { seeds: 2, training_seed: None, ..settings }).expect("a report");
+        let settings = Settings { seeds: 2, training_seed: None, ..settings };
+        let report = compare(&settings, &Progress::shown().expect("a bar")).expect("a report");
         (scenario, report)
     }
 

@@ -45,8 +45,15 @@
 //! matched by the users' numbers ([`observer`](crate::observer)). A user without an entry in the
 //! channel report has a modelled gain. A policy with fewer slots serves the users with the largest
 //! minimum rates ([`selection`](crate::selection)). For a report without users the command repeats
-//! the last angles, or has flat mirrors where there was no command. Counters have the users without
-//! an entry, and those without a slot.
+//! the last command, or has flat mirrors where there was none. Counters have the users without an
+//! entry, and those without a slot.
+//!
+//! # The last command
+//!
+//! The last command to an array is the controller's own one while that is valid. Afterwards it is
+//! the one that the array follows by telemetry, if it follows one. A controller that takes over
+//! therefore repeats the command of the former leader. Commands on the network are no inputs: a
+//! forged one changes nothing here, and a recording lists the telemetry.
 //!
 //! # Several arrays
 //!
@@ -138,7 +145,8 @@ pub struct Controller {
     proposed: MirrorAngles,
     /// Whether `proposed` holds angles of the caller for the command that is due.
     is_proposed: bool,
-    /// The last command to all mirrors, with the number of the first array that got one.
+    /// The last command to all mirrors, with the number of the first array that got one. Its time is
+    /// 0 before the first. An array that follows another controller has the angles of that one's.
     command: MirrorCommand,
     /// The same for each of several arrays; empty in a room with one.
     parts: Vec<ArrayCommand>,
@@ -246,6 +254,7 @@ impl Controller {
             (Stream::Telemetry, Ok(())) => {
                 if let Some(telemetry) = self.inbox.telemetry(array) {
                     self.arrays[array].handle_telemetry(now, telemetry, &mut self.counters);
+                    self.arrays[array].adopt(now, telemetry, &mut self.command);
                 }
             }
             // The next channel report is compared with them.

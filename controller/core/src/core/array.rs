@@ -163,8 +163,8 @@ impl Controller {
         }
     }
 
-    /// Whether a command was given.
+    /// Whether there is a last command: of this controller, or of another one that an array follows.
     pub(super) fn has_command(&self) -> bool {
-        self.arrays.iter().any(|array| array.commanded_ns.is_some())
+        self.command.time_ns > 0 || self.arrays.iter().any(|array| array.commanded_ns.is_some())
     }
 }

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use heliostat_channel::{MirrorAngles, MirrorArrays};
-use heliostat_proto::{MirrorTelemetry, Nanos};
+use heliostat_proto::{ArrayState, MirrorCommand, MirrorTelemetry, Nanos};
 use heliostat_scenario::Scenario;
 use serde::{Deserialize, Serialize};
 
@@ -30,7 +30,7 @@ pub(super) struct ArrayOutput {
     pub guard: Guard,
     /// Settling time of its mirrors in s.
     pub settling_s: f64,
-    /// Time of its last command; absent before the first.
+    /// Time of its last command by this controller; absent before the first.
     pub commanded_ns: Option<Nanos>,
     /// Epoch of the command that is due, or the reason for which there is none.
     pub permit: Result<u64, DegradedMode>,
@@ -117,12 +117,9 @@ impl ArrayOutput {
         interval_s: f64,
         angles: &mut MirrorAngles,
     ) {
-        if let Some(commanded_ns) = self.commanded_ns {
-            let since_ns = now.saturating_sub(commanded_ns);
-            if since_ns <= u64::from(self.guard.validity_ms()) * 1_000_000 {
-                self.elapsed_s = since_ns as f64 * 1e-9;
-                return;
-            }
+        if let Some(since_ns) = self.since_valid_command_ns(now) {
+            self.elapsed_s = since_ns as f64 * 1e-9;
+            return;
         }
         self.elapsed_s = interval_s;
         let (roll, yaw) = (&mut angles.roll[self.mirrors.clone()], &mut angles.yaw[self.mirrors.clone()]);
@@ -136,6 +133,25 @@ impl ArrayOutput {
                 yaw.fill(0.0);
             }
         }
+    }
+
+    /// Takes the command that the array follows by telemetry as the last one, unless one of this
+    /// controller is valid at `now`: it is of another controller then.
+    ///
+    /// The tenure has no part in it, because a replay does not have it.
+    pub fn adopt(&self, now: Nanos, telemetry: &MirrorTelemetry, last: &mut MirrorCommand) {
+        if telemetry.state != ArrayState::Following || self.since_valid_command_ns(now).is_some() {
+            return;
+        }
+        last.roll[self.mirrors.clone()].copy_from_slice(&telemetry.roll_commanded);
+        last.yaw[self.mirrors.clone()].copy_from_slice(&telemetry.yaw_commanded);
+        last.time_ns = now;
+    }
+
+    /// Time in ns since the last command of this controller, while that is valid at `now`.
+    fn since_valid_command_ns(&self, now: Nanos) -> Option<Nanos> {
+        let since_ns = now.saturating_sub(self.commanded_ns?);
+        (since_ns <= u64::from(self.guard.validity_ms()) * 1_000_000).then_some(since_ns)
     }
 
     /// Limits proposed angles of its mirrors. Where the array gets no command, they stay where they
@@ -185,5 +201,34 @@ pub(super) fn copy_widened(from: &[f32], to: &mut [f64]) {
 pub(super) fn copy_narrowed(from: &[f64], to: &mut [f32]) {
     for (to, from) in to.iter_mut().zip(from) {
         *to = *from as f32;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_array_adopts_the_angles_of_its_mirrors_once_its_own_command_has_expired() {
+        let two = "[[mirrors]]\nrows = 1\ncolumns = 2\n[[mirrors]]\nrows = 1\ncolumns = 3\nwall = \"-x\"\n";
+        let scenario = Scenario::from_toml(two).unwrap();
+        let model = scenario.channel_model().unwrap();
+        let mut arrays = ArrayOutput::of(&scenario, &model.mirrors, 7);
+        let (start, valid_ns) = (1_000_000_000, u64::from(arrays[1].guard.validity_ms()) * 1_000_000);
+        assert!(arrays[1].number(start).is_some());
+        let flat = vec![0.0; 5];
+        let mut last = MirrorCommand { time_ns: start, roll: flat.clone(), yaw: flat, ..MirrorCommand::default() };
+        let shown = |state, angle| MirrorTelemetry {
+            state,
+            roll_commanded: vec![angle; 3],
+            yaw_commanded: vec![-angle; 3],
+            ..MirrorTelemetry::default()
+        };
+        arrays[1].adopt(start + valid_ns, &shown(ArrayState::Following, 0.25), &mut last);
+        arrays[1].adopt(start + valid_ns + 1, &shown(ArrayState::Holding, 0.25), &mut last);
+        assert_eq!((last.time_ns, &last.roll[..]), (start, &[0.0; 5][..]));
+        arrays[1].adopt(start + valid_ns + 1, &shown(ArrayState::Following, 0.25), &mut last);
+        assert_eq!((last.time_ns, &last.roll[..]), (start + valid_ns + 1, &[0.0, 0.0, 0.25, 0.25, 0.25][..]));
+        assert_eq!(last.yaw[1..3], [0.0, -0.25]);
     }
 }

@@ -24,7 +24,7 @@
 //! | --- | --- |
 //! | Waiting | the first one chooses an epoch above UTC and above every epoch that the array reported |
 //! | Leading | sent |
-//! | Standby | withheld; the belief about the users goes on |
+//! | Standby | withheld; the belief about the users goes on, and telemetry shows the last command |
 //!
 //! - **A start beside a leader stands by**: at the first report the array follows a valid command of another
 //!   controller. Otherwise the controller leads. The first telemetry is awaited for [`FIRST_TELEMETRY_NS`] at most.

@@ -17,6 +17,7 @@ mod policies;
 mod reports;
 mod room_core;
 mod several_leds;
+mod standby;
 mod support;
 mod tilted_receivers;
 mod users;

@@ -70,7 +70,7 @@ fn a_process_that_dies_leaves_no_green_state_and_no_current_figure() {
 #[test]
 fn a_server_that_ends_in_order_says_so_on_its_open_pages() {
     let mut setting = Setting::new();
-    let browser = setting.browser(&[]);
+    let browser = setting.browser();
     setting.server.end();
     let expected = "The server of this page has ended by Ctrl-C or a signal. The room goes on without it.";
     wait_until("a banner with the reason", || banner(&browser).starts_with(expected));

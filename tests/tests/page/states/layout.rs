@@ -144,7 +144,7 @@ fn warnings_and_takeovers_leave_picture_orders_and_stop_in_view_on_a_small_deskt
 #[test]
 fn the_charts_stay_readable_beside_notes_and_a_calibration() {
     let setting = Setting::new();
-    let browser = setting.browser(&[]);
+    let browser = setting.browser();
     for (width, height) in [(1366, 768), (1366, 657), (1920, 1080), (390, 844)] {
         browser.resize(width, height);
         // As beside a calibration: two controllers, and a long note. In one script, before the next figures.

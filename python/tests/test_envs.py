@@ -263,7 +263,11 @@ def test_overrides_without_an_effect_on_a_static_room_are_refused(make_one: Any)
         make_one("specular", overrides=works).close()
 
 
-@pytest.mark.parametrize("make_one", [heliostat.HeliostatEnv, heliostat.HeliostatVectorEnv])
+def made_by_gymnasium(scenario: Path, **settings: Any) -> Any:
+    return gymnasium.make("heliostat/Static-v0", scenario=scenario, **settings)
+
+
+@pytest.mark.parametrize("make_one", [heliostat.HeliostatEnv, heliostat.HeliostatVectorEnv, made_by_gymnasium])
 def test_faults_of_mirrors_in_a_scenario_file_are_a_warning_of_a_static_room(make_one: Any, tmp_path: Path) -> None:
     file = tmp_path / "room.toml"
     file.write_text("[actuator]\nstuck_share = 0.5\n")

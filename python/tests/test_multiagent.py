@@ -98,3 +98,11 @@ def test_actions_that_do_not_fit_are_refused_with_the_agent() -> None:
         env.step({agent: action for agent, action in actions.items() if agent != "user_2"})
     with pytest.raises(ValueError, match=r"an action of user_1 of shape \(2,\), expected \(1,\)"):
         env.step({**actions, "user_1": np.zeros(2, np.float32)})
+
+
+def test_a_warning_about_the_scenario_names_the_code_that_makes_the_environment(tmp_path: Any) -> None:
+    file = tmp_path / "room.toml"
+    file.write_text("[actuator]\nstuck_share = 0.5\n")
+    with pytest.warns(UserWarning, match="a static room") as warned:
+        parallel_env("users", scenario=file).close()
+    assert [warning.filename for warning in warned] == [__file__]

@@ -5,7 +5,7 @@
 //! | 0 | the command did what it was asked, or the reader of its output closed the pipe |
 //! | 1 | it failed, or it checked something and found it wrong |
 //! | 2 | the command line or an input file cannot be used |
-//! | 130 | a second Ctrl-C or SIGTERM ended it before its orderly end, or one that a computation outlasted, or one where nothing is saved |
+//! | 130 | a second Ctrl-C or SIGTERM ended it before its orderly end, or one that a computation outlasted, or one where nothing is saved, also in a process that it started |
 
 use std::fmt;
 use std::io;
@@ -39,6 +39,11 @@ impl fmt::Display for UnusableInput {
 
 impl std::error::Error for UnusableInput {}
 
+/// A signal has ended a process that the command started: the exit code is then [`INTERRUPTED`].
+#[derive(Clone, Copy, Debug, thiserror::Error)]
+#[error("interrupted")]
+pub struct Interrupted;
+
 /// Runs a command, prints its error to standard error, and gives the exit code of the program.
 pub fn run(program: &str, command: impl FnOnce() -> anyhow::Result<()>) -> ExitCode {
     match command() {
@@ -52,7 +57,13 @@ pub fn run(program: &str, command: impl FnOnce() -> anyhow::Result<()>) -> ExitC
 }
 
 fn code(error: &anyhow::Error) -> u8 {
-    if error.is::<UnusableInput>() { USAGE } else { FAILURE }
+    if error.is::<UnusableInput>() {
+        USAGE
+    } else if error.is::<Interrupted>() {
+        INTERRUPTED
+    } else {
+        FAILURE
+    }
 }
 
 /// Whether the reader of standard output, such as `head`, has closed it.
@@ -73,6 +84,12 @@ mod tests {
         let error = unusable.context("in a batch").unwrap_err();
         assert_eq!(code(&error), USAGE);
         assert_eq!(format!("{error:#}"), "in a batch: a.mcap cannot be replayed: no index");
+    }
+
+    #[test]
+    fn the_interruption_of_a_started_process_is_that_of_the_command() {
+        let error = anyhow::Error::from(Interrupted).context("eval --sweep").context("section a did not finish");
+        assert_eq!(code(&error), INTERRUPTED);
     }
 
     #[test]

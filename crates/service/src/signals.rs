@@ -2,10 +2,13 @@
 //!
 //! The first signal requests an orderly end. The second ends the process at once, with exit code
 //! [`INTERRUPTED`]: an orderly end may wait for a network that does not answer. A command that has
-//! nothing to save ends at the first one, with the same code.
+//! nothing to save ends at the first one, with the same code. A signal that the process was started to ignore, as by
+//! `nohup`, stays ignored.
 
-use std::io::Read;
-use std::sync::atomic::{AtomicBool, Ordering};
+mod platform;
+
+use std::io::{self, Read};
+use std::process::{Command, ExitStatus};
 use std::time::Duration;
 
 use thiserror::Error;
@@ -14,6 +17,9 @@ use crate::duration;
 use crate::exit::INTERRUPTED;
 use crate::output::note;
 use crate::stop::Stop;
+
+/// The environment variable of a [`part`].
+const PART: &str = "HELIOSTAT_PART";
 
 /// The flags that say when a process ends.
 #[derive(Clone, Copy, Debug, Default, clap::Args)]
@@ -29,13 +35,13 @@ pub struct EndArgs {
 /// The operating system does not deliver signals to this process.
 #[derive(Debug, Error)]
 #[error("cannot listen for Ctrl-C and SIGTERM")]
-pub struct SignalError(#[from] ctrlc::Error);
+pub struct SignalError(#[from] io::Error);
 
 impl EndArgs {
     /// Listens for signals and, where the flag says so, for the end of standard input.
     ///
     /// # Errors
-    /// [`SignalError`]; a process can listen once only.
+    /// [`SignalError`].
     pub fn stop(&self) -> Result<Stop, SignalError> {
         let stop = stop_on_signals()?;
         if self.exit_with_parent {
@@ -48,13 +54,13 @@ impl EndArgs {
 /// A request that the first Ctrl-C or SIGTERM makes; the second ends the process.
 ///
 /// # Errors
-/// [`SignalError`]; a process can listen once only.
+/// [`SignalError`].
 pub fn stop_on_signals() -> Result<Stop, SignalError> {
     let stop = Stop::default();
     let on_signal = stop.clone();
-    let signalled = AtomicBool::new(false);
-    ctrlc::set_handler(move || {
-        if signalled.swap(true, Ordering::Relaxed) {
+    let mut is_second = false;
+    platform::on_each_signal(move || {
+        if std::mem::replace(&mut is_second, true) {
             std::process::exit(INTERRUPTED.into());
         }
         on_signal.request();
@@ -63,15 +69,32 @@ pub fn stop_on_signals() -> Result<Stop, SignalError> {
 }
 
 /// Ends a program at the first Ctrl-C or SIGTERM, after a note with what `said` returns: for a command that keeps what
-/// it has finished, or nothing, and that saves nothing on request.
+/// it has finished, or nothing, and that saves nothing on request. In a [`part`] there is no note.
 ///
 /// # Errors
-/// [`SignalError`]; a process can listen once only.
+/// [`SignalError`].
 pub fn end_on_signals(program: &'static str, said: impl Fn() -> String + Send + 'static) -> Result<(), SignalError> {
-    Ok(ctrlc::set_handler(move || {
-        note(format_args!("{program}: interrupted: {}", said()));
+    let stop = stop_on_signals()?;
+    // Another thread than that of the signals: the second one ends a note that a full pipe blocks.
+    std::thread::spawn(move || {
+        stop.wait();
+        let said = said();
+        if std::env::var_os(PART).is_none() {
+            note(format_args!("{program}: interrupted: {said}"));
+        }
         std::process::exit(INTERRUPTED.into());
-    })?)
+    });
+    Ok(())
+}
+
+/// Makes a process a part of the command of this one, which says itself how far it was and how to go on.
+pub fn part(process: &mut Command) {
+    process.env(PART, "1");
+}
+
+/// Whether a signal has ended a process, with [`INTERRUPTED`] or before it could handle the signal.
+pub fn has_interrupted(status: ExitStatus) -> bool {
+    status.code() == Some(INTERRUPTED.into()) || platform::has_ended(status)
 }
 
 /// Requests the end when standard input closes, on a thread that reads and discards it.
@@ -80,7 +103,7 @@ pub fn stop_at_end_of_input(stop: &Stop) {
     std::thread::spawn(move || {
         let mut discarded = [0; 256];
         // A read error ends the process too: the parent can no longer be watched.
-        while std::io::stdin().read(&mut discarded).is_ok_and(|count| count > 0) {}
+        while io::stdin().read(&mut discarded).is_ok_and(|count| count > 0) {}
         stop.request();
     });
 }

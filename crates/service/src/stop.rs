@@ -49,6 +49,11 @@ impl Stop {
         *waited.unwrap_or_else(PoisonError::into_inner).0
     }
 
+    /// Waits until the end is requested.
+    pub fn wait(&self) {
+        drop(self.0.changed.wait_while(self.lock(), |requested| !*requested).unwrap_or_else(PoisonError::into_inner));
+    }
+
     /// Completes when the end is requested.
     pub async fn requested(&self) {
         self.0.token.cancelled().await;

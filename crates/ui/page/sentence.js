@@ -44,8 +44,11 @@ function withoutIn(users) {
 // The controller, if it refuses the position reports; else `undefined`.
 export const refusal = (now) => now.nodes.find(({ node, state }) => node === "controller" && state === "position reports refused");
 
-// Whether a calibration commands the mirrors in place of a controller.
-export const isCalibrating = (now) => Boolean(now.calibration && now.controller_alive);
+// Whether no array can follow a command. An array without a stop may, where a stop holds another one.
+const isStopped = ({ array, stop }) => array.state.includes("stopped") && stop.free.length === 0;
+
+// Whether a calibration commands the mirrors in place of a controller. It may compute while the array is stopped.
+export const isCalibrating = (now) => Boolean(now.calibration && now.controller_alive && !isStopped(now));
 
 // What the mirrors follow, as `name`, and why it is not the policy, as `idle`; empty while it is.
 export function inCharge(now, arrayAge) {

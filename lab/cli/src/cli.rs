@@ -56,10 +56,10 @@ pub fn run() -> Result<()> {
         }
         Command::Eval(args) => eval::run(args),
         Command::Reproduce(args) => {
-            let out = args.out.clone();
-            let said = move || format!("the same command continues; {} keeps the finished parts", out.display());
-            heliostat_service::signals::end_on_signals(LAB, said)?;
-            heliostat_reproduce::run_reproduce(args)
+            let progress = heliostat_reproduce::Progress::default();
+            let (watched, out) = (progress.clone(), args.out.clone());
+            heliostat_service::signals::end_on_signals(LAB, move || watched.interrupted(&out))?;
+            heliostat_reproduce::run_reproduce(args, &progress)
         }
         Command::Report(args) => report::run(args),
         Command::Map(args) => map::run(args),

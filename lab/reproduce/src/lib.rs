@@ -12,6 +12,7 @@
 //! - [`part`], [`job`], [`store`]: a part has a key of all its inputs, and is stored on disk when
 //!   it is finished.
 //! - [`run`]: estimate, progress, and the computation of the parts.
+//! - [`progress`]: how far a run is when it is interrupted.
 //! - [`command`]: the command that reproduces a figure.
 //! - [`claims`]: the statements of the paper, each with a verdict.
 //! - [`report`], [`files`], [`document`]: the result, its files, and its text, which is also
@@ -33,6 +34,7 @@ pub mod machine;
 pub mod over_floor;
 pub mod part;
 pub mod plan;
+pub mod progress;
 pub mod report;
 pub mod run;
 #[cfg(test)]
@@ -42,4 +44,5 @@ pub mod store;
 pub mod verdict;
 
 pub use args::ReproduceArgs;
+pub use progress::Progress;
 pub use run::run_reproduce;

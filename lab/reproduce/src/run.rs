@@ -17,6 +17,7 @@ use crate::figures::finished_parts::Done;
 use crate::figures::{self, Kind};
 use crate::part::Part;
 use crate::plan::Room;
+use crate::progress::Progress;
 use crate::report::{LeftOut, Meta, Report, Source, duration_text};
 use crate::store::{Origin, Store};
 use crate::{files, machine};
@@ -26,8 +27,8 @@ use crate::{files, machine};
 /// # Errors
 /// An unwritable folder, an invalid scenario or figure, or a missing actor, before any part is
 /// computed; then an error of a part. Parts finished before remain stored.
-pub fn run_reproduce(args: ReproduceArgs) -> Result<()> {
-    let report = reproduce(&args)?;
+pub fn run_reproduce(args: ReproduceArgs, progress: &Progress) -> Result<()> {
+    let report = reproduce(&args, progress)?;
     let kept = report.parts.iter().filter(|part| part.kept).count();
     let page = args.out.join(files::REPORT);
     if args.json {
@@ -54,7 +55,7 @@ pub fn run_reproduce(args: ReproduceArgs) -> Result<()> {
 ///
 /// # Errors
 /// As [`run_reproduce`].
-pub fn reproduce(args: &ReproduceArgs) -> Result<Report> {
+pub fn reproduce(args: &ReproduceArgs, progress: &Progress) -> Result<Report> {
     let effort = args.effort();
     let plan = args.plan(effort);
     let rooms = args.rooms()?;
@@ -81,9 +82,10 @@ pub fn reproduce(args: &ReproduceArgs) -> Result<Report> {
             }
         }
     } else {
-        let bar = estimate(&store, &figures)?;
+        let bar = estimate(&store, &figures, progress)?;
         for (kind, room, parts) in figures {
-            let parts = parts.into_iter().map(|part| finish(&store, part, &bar)).collect::<Result<_>>()?;
+            let parts = parts.into_iter().map(|part| finish(&store, part, (&bar, progress)));
+            let parts = parts.collect::<Result<_>>()?;
             done.push((kind, room, parts));
         }
         bar.finish_and_clear();
@@ -107,7 +109,7 @@ pub fn reproduce(args: &ReproduceArgs) -> Result<Report> {
 }
 
 /// Prints the number of parts and the estimated time; the progress bar counts the estimated time.
-fn estimate(store: &Store, figures: &[(Kind, &Room, Vec<Part>)]) -> Result<ProgressBar> {
+fn estimate(store: &Store, figures: &[(Kind, &Room, Vec<Part>)], progress: &Progress) -> Result<ProgressBar> {
     let (mut count, mut missing, mut cost_s) = (0, 0, 0.0);
     for part in figures.iter().flat_map(|(_, _, parts)| parts) {
         count += 1;
@@ -125,6 +127,7 @@ fn estimate(store: &Store, figures: &[(Kind, &Room, Vec<Part>)]) -> Result<Progr
     let bar = ProgressBar::new((1e3 * cost_s) as u64);
     bar.set_style(ProgressStyle::with_template("{bar:32} {percent} %, {eta} left  {msg}")?);
     bar.enable_steady_tick(Duration::from_millis(200));
+    progress.start(count - missing, count, &bar);
     Ok(bar)
 }
 
@@ -133,7 +136,7 @@ fn found(store: &Store, part: Part) -> Option<Done> {
     Some((part, finished))
 }
 
-fn finish(store: &Store, part: Part, bar: &ProgressBar) -> Result<Done> {
+fn finish(store: &Store, part: Part, (bar, progress): (&ProgressBar, &Progress)) -> Result<Done> {
     if let Some(finished) = store.find(&part)? {
         return Ok((part, finished));
     }
@@ -143,6 +146,7 @@ fn finish(store: &Store, part: Part, bar: &ProgressBar) -> Result<Done> {
         drop(writeln!(std::io::stderr(), "{}: {:.1} s", part.label(), finished.origin.cpu_s));
     }
     bar.inc((1e3 * part.cost_s) as u64);
+    progress.finish_part();
     Ok((part, finished))
 }
 

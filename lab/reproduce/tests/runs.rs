@@ -4,12 +4,11 @@ use std::fs;
 use std::path::Path;
 
 use clap::Parser;
-use heliostat_reproduce::ReproduceArgs;
 use heliostat_reproduce::figures::{self, Kind, outage};
 use heliostat_reproduce::report::Report;
-use heliostat_reproduce::run::reproduce;
 use heliostat_reproduce::store::Store;
 use heliostat_reproduce::verdict::Verdict;
+use heliostat_reproduce::{Progress, ReproduceArgs, run};
 
 #[derive(Parser)]
 struct Command {
@@ -20,6 +19,10 @@ struct Command {
 fn args(what: &str, out: &Path, more: &[&str]) -> ReproduceArgs {
     let out = out.display().to_string();
     Command::parse_from([&["reproduce", what, "--out", &out, "--quick"], more].concat()).args
+}
+
+fn reproduce(args: &ReproduceArgs) -> anyhow::Result<Report> {
+    run::reproduce(args, &Progress::default())
 }
 
 fn refusal(what: &str, out: &Path, more: &[&str]) -> String {

@@ -17,6 +17,7 @@ import copy
 import difflib
 import inspect
 import os
+import sys
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -76,6 +77,9 @@ def make_settings(
     )
 
 
+_MAKERS = {"heliostat", "gymnasium", "stable_baselines3"}
+"""The packages that make environments for their callers."""
+
 SETTINGS = frozenset(inspect.signature(make_settings).parameters) - {"scenario"}
 """The keywords of `make_settings`."""
 
@@ -97,9 +101,19 @@ def make_scenario(
     if settings.get("dynamics", "static") == "static":
         condition = check_exact(scenario, override_texts(overrides or {}))
         if condition is not None:
-            # The caller of the environment's constructor.
-            warnings.warn(condition, stacklevel=3)
+            warnings.warn(condition, stacklevel=_outer_level())
     return scenario
+
+
+def _outer_level() -> int:
+    """The `stacklevel` with which a warning of the calling function names the code that makes the environment.
+
+    This package, Gymnasium and Stable-Baselines3 may call constructors on its behalf.
+    """
+    level, frame = 1, sys._getframe(1)
+    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in _MAKERS:
+        level, frame = level + 1, frame.f_back
+    return level
 
 
 def _episode_of(value: Any) -> tuple[int, int, int]:

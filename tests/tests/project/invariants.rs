@@ -72,7 +72,7 @@ const BANS: [(&str, &[&str]); 12] = [
 
 /// What the decision core, the room and the libraries below them may not need.
 const PURE: [&str; 10] =
-    ["zenoh*", "ctrlc", "axum*", "hyper*", "ureq*", "tokio", "ort", "ort-*", "candle*", "heliostat-bus"];
+    ["zenoh*", "signal-hook", "axum*", "hyper*", "ureq*", "tokio", "ort", "ort-*", "candle*", "heliostat-bus"];
 
 /// A foreign library and the only package of the workspace that may name it.
 const SINGLE_USERS: [(&str, &str); 8] = [
@@ -83,7 +83,7 @@ const SINGLE_USERS: [(&str, &str); 8] = [
     ("postcard", "heliostat-proto"),
     ("mcap", "heliostat-record"),
     ("foxglove", "heliostat-record"),
-    ("ctrlc", "heliostat-service"),
+    ("signal-hook", "heliostat-service"),
 ];
 
 fn root() -> PathBuf {

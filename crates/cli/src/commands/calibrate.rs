@@ -224,7 +224,9 @@ fn drive(
         if let Some(refinement) = &mut refinement {
             refinement.take_turns(session, room)?;
         }
+        // A pause just before can make an estimate due again: the next round makes it, beside its status.
         if room.is_commanding()
+            && !session.is_estimate_due()
             && let Some(angles) = session.next_command(utc_ns())
         {
             room.command(match &refinement {

@@ -123,8 +123,7 @@ pub fn run(args: Args) -> Result<()> {
 
 /// What an open page says of a demo that has ended, without a reason by an error.
 fn last_sentence(ending: Option<&Ending>) -> String {
-    let why = ending.map_or_else(|| "by an error, which its terminal names".to_owned(), Ending::to_string);
-    format!("The demo has ended {why}. Start it again to go on.")
+    format!("The demo has ended {}. Start it again to go on.", Ending::reason(ending))
 }
 
 /// The inputs of the display loop.

@@ -14,6 +14,13 @@ pub enum Ending {
     Time(Duration),
 }
 
+impl Ending {
+    /// The reason in words; without one, the command ends by an error.
+    pub fn reason(ending: Option<&Self>) -> String {
+        ending.map_or_else(|| "by an error, which its terminal names".to_owned(), Self::to_string)
+    }
+}
+
 impl fmt::Display for Ending {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {

@@ -9,7 +9,7 @@ use heliostat_bus::{AccessRole, Bus, BusArgs};
 use heliostat_core::policy::PolicyKind;
 use heliostat_models::ActorSource;
 use heliostat_scenario::{Scenario, ViewerScenarioArgs};
-use heliostat_service::{duration, output, signals};
+use heliostat_service::{Stop, duration, output, signals};
 use heliostat_ui::{Display, Operator, Page, PageArgs, PoliciesOf, PolicyChoice, View};
 
 use super::ending::Ending;
@@ -62,28 +62,38 @@ pub fn run(args: Args) -> Result<()> {
         // Without the token, which would stay on the screen.
         format!("room {room}, page at {}", server.url_without_token())
     });
-    let mut display = Display::open(args.plain, &title)?;
+    let ending = watch(&args, &title, &view, &stop);
+    if let Some(server) = server {
+        server.end(&last_sentence(ending.as_ref().ok()));
+    }
+    ending.map(drop)
+}
+
+/// Displays the room until it shall end. The terminal is as before then, since the end of the page takes time.
+fn watch(args: &Args, title: &str, view: &View, stop: &Stop) -> Result<Ending> {
+    let mut display = Display::open(args.plain, title)?;
     let (opened, mut drawn) = (Instant::now(), Instant::now());
-    let ending = loop {
+    loop {
         if stop.is_requested() {
-            break Ending::Signal;
+            return Ok(Ending::Signal);
         }
         if display.quit_requested()? {
-            break Ending::Key;
+            return Ok(Ending::Key);
         }
         if let Some(seconds) = args.seconds.filter(|seconds| opened.elapsed() >= *seconds) {
-            break Ending::Time(seconds);
+            return Ok(Ending::Time(seconds));
         }
         std::thread::sleep(WATCH_EVERY);
         if drawn.elapsed() >= display.interval() {
             drawn = Instant::now();
-            display.draw(&view)?;
+            display.draw(view)?;
         }
-    };
-    if let Some(server) = server {
-        server.end(&format!("The server of this page has ended {ending}. The room goes on without it."));
     }
-    Ok(())
+}
+
+/// What an open page says of a server that has ended.
+fn last_sentence(ending: Option<&Ending>) -> String {
+    format!("The server of this page has ended {}. The room goes on without it.", Ending::reason(ending))
 }
 
 /// The policies that a controller of the shown room accepts, with their help texts, for the page. Each
@@ -106,4 +116,17 @@ pub fn fitting_policies() -> PoliciesOf {
         *tried = Some((scenario.clone(), policies.clone()));
         policies
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_last_sentence_of_the_page_says_why_its_server_has_ended() {
+        for (ending, why) in [(Some(&Ending::Key), "by a key"), (None, "by an error, which its terminal names.")] {
+            let sentence = last_sentence(ending);
+            assert!(sentence.starts_with(&format!("The server of this page has ended {why}")), "{sentence}");
+        }
+    }
 }

@@ -2,25 +2,38 @@
 #![cfg(unix)]
 
 use std::io::{BufRead, BufReader};
+use std::path::PathBuf;
 use std::process::{Child, ChildStdout, Command, Stdio};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use heliostat_service::EndArgs;
+use heliostat_service::signals::end_on_signals;
 
 /// Set in the process that is signalled.
 const CHILD: &str = "HELIOSTAT_SIGNALLED";
 
+/// The value of this variable where the process ends at the first signal, with a note.
+const NOTES: &str = "notes";
+
 /// Not a test by itself: waits for the request to end, and then for longer than the parent does.
 #[test]
 fn child() {
-    if std::env::var_os(CHILD).is_none() {
-        return;
+    let Some(kind) = std::env::var_os(CHILD) else { return };
+    if kind == NOTES {
+        // More than a pipe holds.
+        end_on_signals("child", || "x".repeat(1 << 20)).expect("the first handler");
+        println!("\nready");
+        return std::thread::sleep(Duration::from_secs(60));
     }
     let stop = EndArgs { exit_with_parent: true, ..EndArgs::default() }.stop().expect("the first handler");
     println!("\nready");
     while !stop.wait_for(Duration::from_secs(60)) {}
     println!("\nending");
     std::thread::sleep(Duration::from_secs(60));
+}
+
+fn own_file() -> PathBuf {
+    std::env::current_exe().expect("a test has a file")
 }
 
 struct Signalled {
@@ -30,9 +43,14 @@ struct Signalled {
 
 impl Signalled {
     fn start() -> Self {
-        let mut child = Command::new(std::env::current_exe().expect("a test has a file"))
+        Self::start_by(&mut Command::new(own_file()), "stops")
+    }
+
+    /// The process that this command starts, with further arguments.
+    fn start_by(command: &mut Command, kind: &str) -> Self {
+        let mut child = command
             .args(["--exact", "signals::child", "--nocapture"])
-            .env(CHILD, "1")
+            .env(CHILD, kind)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()
@@ -77,4 +95,40 @@ fn the_end_of_standard_input_requests_the_end() {
     assert!(signalled.child.try_wait().expect("waited for").is_none(), "one signal ended the process");
     signalled.send("-INT");
     assert_eq!(signalled.child.wait().expect("waited for").code(), Some(130));
+}
+
+#[test]
+fn the_second_signal_ends_a_note_without_a_reader() {
+    let mut signalled = Signalled::start_by(Command::new(own_file()).stderr(Stdio::piped()), NOTES);
+    signalled.send("-TERM");
+    signalled.send("-INT");
+    let sent = Instant::now();
+    let status = loop {
+        if let Some(status) = signalled.child.try_wait().expect("waited for") {
+            break status;
+        }
+        assert!(sent.elapsed() < Duration::from_secs(30), "the first signal waits for a reader");
+        std::thread::sleep(Duration::from_millis(5));
+    };
+    assert_eq!(status.code(), Some(130), "{status}");
+}
+
+/// Whether a process ignores SIGHUP and handles SIGTERM.
+#[cfg(target_os = "linux")]
+fn ignores_a_logout(process: &Child) -> bool {
+    let status = std::fs::read_to_string(format!("/proc/{}/status", process.id())).expect("it runs");
+    let has = |mask: &str, signal: u32| {
+        let line = status.lines().find_map(|line| line.strip_prefix(mask)).expect("Linux has this mask");
+        (u64::from_str_radix(line.trim(), 16).expect("a mask") >> (signal - 1)) & 1 == 1
+    };
+    has("SigIgn:", 1) && has("SigCgt:", 15)
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_signal_that_the_process_was_started_to_ignore_stays_ignored() {
+    let mut by_nohup = Signalled::start_by(Command::new("nohup").arg(own_file()), "stops");
+    assert!(ignores_a_logout(&by_nohup.child));
+    by_nohup.child.kill().expect("it runs");
+    by_nohup.child.wait().expect("waited for");
 }

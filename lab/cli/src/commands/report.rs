@@ -95,8 +95,7 @@ pub fn run(args: Args) -> Result<()> {
     let running: Arc<Mutex<Option<String>>> = Arc::default();
     let interrupted = Arc::clone(&running);
     signals::end_on_signals(programs::LAB, move || {
-        let name = interrupted.lock().unwrap_or_else(PoisonError::into_inner).take();
-        name.map_or_else(|| "--resume continues".to_owned(), |name| unfinished(&name))
+        said(interrupted.lock().unwrap_or_else(PoisonError::into_inner).as_deref())
     })?;
     for (index, (section, arguments)) in steps.iter().enumerate() {
         let step = format!("{} of {}: {}", index + 1, steps.len(), section.name);
@@ -113,6 +112,11 @@ pub fn run(args: Args) -> Result<()> {
     write(&definition, &archive, &out, &kept)?;
     outln!("written: {} and {}", out.display(), kept.display())?;
     Ok(())
+}
+
+/// What an interrupted report says, in a section or between two.
+fn said(section: Option<&str>) -> String {
+    section.map_or_else(|| "each finished section is kept; report --resume continues".to_owned(), unfinished)
 }
 
 /// What is kept of a report that ends in a section, and how to go on.
@@ -169,6 +173,15 @@ mod tests {
         let words = |text: &str| text.split(' ').map(String::from).collect::<Vec<_>>();
         assert_eq!(with_json(&words("bench loop -- --pin 1")), words("bench loop --json -- --pin 1"));
         assert_eq!(with_json(&words("bench loop")), words("bench loop --json"));
+    }
+
+    #[test]
+    fn an_interrupted_report_says_where_it_was_and_how_to_go_on() {
+        assert_eq!(
+            said(Some("exact")),
+            "section exact did not finish; report --resume continues with it, after the finished ones"
+        );
+        assert_eq!(said(None), "each finished section is kept; report --resume continues");
     }
 
     #[test]

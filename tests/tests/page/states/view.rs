@@ -293,7 +293,9 @@ fn the_chip_of_the_policy_and_the_name_of_the_sum_rate_agree_on_what_the_mirrors
              of('following', 0.1, { controller_alive: false, controller_unseen: true }), \
              of('following', 0.1, { controller_unseen: true }), \
              of('following', 0.1, { controllers: [{ role: 'stands-by' }] }), \
-             of('following', 2), of('following', 0.1, { policy: '', calibration: 'spot 1' })]; })";
+             of('following', 2), of('following', 0.1, { policy: '', calibration: 'spot 1' }), \
+             of('stopped', 0.1, { calibration: 'spot 1', stop: { free: [] } }), \
+             of('stopped', 0.1, { calibration: 'spot 1', stop: { free: [1] } })]; })";
     let expected = serde_json::json!([
         ["greedy", false],
         ["greedy", false],
@@ -304,6 +306,8 @@ fn the_chip_of_the_policy_and_the_name_of_the_sum_rate_agree_on_what_the_mirrors
         ["following", true],
         ["following", true],
         ["no report", true],
+        ["calibration", true],
+        ["stopped", true],
         ["calibration", true]
     ]);
     assert_eq!(browser.run(script), expected);

@@ -363,6 +363,27 @@ fn units_and_rooms_of_the_deployment_agree_with_the_programs() {
     }
 }
 
+/// systemd gives a folder to the user of the unit that starts last: another unit would lose its files.
+#[test]
+fn each_unit_keeps_its_files_in_a_folder_of_its_own() {
+    let mut folders: Vec<String> = Vec::new();
+    for entry in fs::read_dir(root().join("deploy/systemd")).expect("a folder").flatten() {
+        let text = fs::read_to_string(entry.path()).expect("a unit");
+        let Some(folder) = text.lines().find_map(|line| line.strip_prefix("StateDirectory=")) else {
+            assert!(!text.contains("%S/"), "{}: it has no folder", entry.path().display());
+            continue;
+        };
+        let used = text.split_whitespace().filter_map(|word| word.strip_prefix("%S/"));
+        assert!(used.clone().count() > 0 && used.clone().all(|path| path.starts_with(folder)), "{folder}");
+        folders.push(folder.to_owned());
+    }
+    assert!(folders.len() >= 3, "{folders:?}");
+    for (index, folder) in folders.iter().enumerate() {
+        let shares = |other: &String| Path::new(other).starts_with(folder) || Path::new(folder).starts_with(other);
+        assert!(!folders[index + 1..].iter().any(shares), "{folder} is a folder of two units");
+    }
+}
+
 #[test]
 fn the_containers_pass_flags_that_the_programs_accept() {
     let deploy = root().join("deploy");

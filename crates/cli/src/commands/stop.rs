@@ -24,7 +24,8 @@ const HOLD_INTERVAL: Duration = Duration::from_millis(50);
 /// and every array that was seen. Otherwise the exit status is 1, and each other array is named: cut the
 /// power of an array that does not answer. The status is 1 too where no process announces how many arrays
 /// the room has: connect to its controller or router, or give --arrays. The status is 1 too for a driver that does not report whether
-/// its device executed the stop.
+/// its device executed the stop, and for an array that has stopped and cannot record it: a restart may then
+/// release the array.
 ///
 /// The result names every stop in force; `heliostat rearm --stop` takes such a name.
 ///
@@ -92,11 +93,17 @@ pub fn stop(args: StopArgs) -> Result<()> {
     note_shared(&switch);
     if !args.hold {
         args.order.report(&bus, stopped?, &switch.known_stops())?;
+        let unrecorded = switch.unrecorded();
         drop(switch);
-        return Ok(bus.close()?);
+        bus.close()?;
+        ensure!(unrecorded.is_empty(), "{}", unrecorded.join("; "));
+        return Ok(());
     }
     match &stopped {
-        Ok(took) => args.order.report(&bus, *took, &switch.known_stops())?,
+        Ok(took) => {
+            args.order.report(&bus, *took, &switch.known_stops())?;
+            switch.unrecorded().into_iter().for_each(output::note);
+        }
         Err(error) => output::note(format_args!("heliostat stop: {error}; the stop is held: end with Ctrl-C")),
     }
     let end = args.end.stop()?;

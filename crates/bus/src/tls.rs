@@ -4,6 +4,7 @@ use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 
 use heliostat_proto::Room;
+use rcgen::KeyPair;
 use zenoh::config::EndPoint;
 
 use crate::access::{AccessRole, access_control};
@@ -38,7 +39,7 @@ pub struct Identity {
 
 impl Identity {
     /// The first of these roles that has a certificate in the folder. The certificate must be valid
-    /// now and signed by the authority of the folder.
+    /// now and signed by the authority of the folder, and have its private key beside it.
     ///
     /// # Errors
     /// [`KeyError`] names the file and its fault.
@@ -64,7 +65,13 @@ impl Identity {
         }
         authority.check_time(&folder.join(AUTHORITY_CERTIFICATE))?;
         certificate.check_time(&path)?;
-        check_private(&folder.join(key_file(role)))?;
+        let key = folder.join(key_file(role));
+        check_private(&key)?;
+        // One of a kind that is not known here is left to the handshake.
+        let pair = std::fs::read_to_string(&key).ok().and_then(|text| KeyPair::from_pem(&text).ok());
+        if pair.is_some_and(|pair| pair.public_key_raw() != certificate.public_key) {
+            return Err(KeyError::OtherKey { key, certificate: path });
+        }
         Ok(Self { folder, room, role })
     }
 

@@ -127,8 +127,9 @@ fn with_reach(error: UiError) -> anyhow::Error {
             let is_uncounted = arrays.iter().any(|open| open == UNKNOWN_ARRAYS);
             let count = if is_uncounted { ", or give their number: --arrays N" } else { "" };
             anyhow!(
-                "{error}{count}. The stop was sent, and stays in force where it arrived. Reports come only from the \
-                 processes in --connect: with the endpoint of its driver, heliostat status shows what an array does"
+                "{error}{count}. The stop was sent, and stays in force where it arrived; an array that returns later can \
+                 get it then, and stop. Reports come only from the processes in --connect: with the endpoint of its \
+                 driver, heliostat status shows what an array does"
             )
         }
         error @ UiError::NoReceiver(_) => {
@@ -256,6 +257,7 @@ mod tests {
             with_reach(UiError::StopUnconfirmed { waited: Duration::from_secs(5), arrays }).to_string()
         };
         assert!(text(&[UNKNOWN_ARRAYS]).contains("or give their number: --arrays N. The stop was sent"));
+        assert!(text(&[]).contains("an array that returns later can get it then, and stop"));
         assert!(!text(&["array 0 does not answer: cut its power"]).contains("--arrays"));
     }
 }

@@ -2,6 +2,7 @@
 
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
+use std::time::SystemTime;
 
 use heliostat_proto::Room;
 use rcgen::KeyPair;
@@ -35,6 +36,8 @@ pub struct Identity {
     folder: PathBuf,
     room: Room,
     role: AccessRole,
+    /// End of the certificate.
+    end: SystemTime,
 }
 
 impl Identity {
@@ -72,7 +75,7 @@ impl Identity {
         if pair.is_some_and(|pair| pair.public_key_raw() != certificate.public_key) {
             return Err(KeyError::OtherKey { key, certificate: path });
         }
-        Ok(Self { folder, room, role })
+        Ok(Self { folder, room, role, end: certificate.end() })
     }
 
     /// The certificate of another role in the same folder, for a process that has both.
@@ -91,6 +94,11 @@ impl Identity {
     /// Role that gives its rights.
     pub fn role(&self) -> AccessRole {
         self.role
+    }
+
+    /// End of its certificate.
+    pub(crate) fn end(&self) -> SystemTime {
+        self.end
     }
 
     /// Folder of its files.

@@ -69,7 +69,7 @@ impl Node {
             Pace::Lockstep { .. } => [Class::RealTimeBlock; 2],
         };
         let scenario = settings.scenario.clone();
-        let exporter = settings.metrics.open()?;
+        let exporter = settings.metrics.open(settings.bus.certificate_end())?;
         let mut room = SimulatedRoom::new(&scenario, scenario.read_trace()?.as_deref(), scenario.seed)?;
         if let Some(corrections) = &settings.calibration {
             if room.arrays() > 1 {

@@ -394,6 +394,14 @@ fn the_rooms_of_a_building_have_the_variables_and_the_keys_of_every_unit() {
     }
 }
 
+#[test]
+fn every_unit_that_cannot_start_waits_for_an_operator_after_as_many_attempts() {
+    let units = fs::read_dir(root().join("deploy/systemd")).expect("a folder").flatten();
+    let texts: Vec<String> = units.map(|entry| fs::read_to_string(entry.path()).expect("a unit")).collect();
+    let limits = "\nStartLimitIntervalSec=60\nStartLimitBurst=10\n";
+    assert!(texts.len() >= 8 && texts.iter().all(|text| text.contains(limits)), "a unit has other limits");
+}
+
 /// systemd gives a folder to the user of the unit that starts last: another unit would lose its files.
 #[test]
 fn each_unit_keeps_its_files_in_a_folder_of_its_own() {

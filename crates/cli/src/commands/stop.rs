@@ -24,8 +24,8 @@ const HOLD_INTERVAL: Duration = Duration::from_millis(50);
 /// and every array that was seen. Otherwise the exit status is 1, and each other array is named: cut the
 /// power of an array that does not answer. The status is 1 too where no process announces how many arrays
 /// the room has: connect to its controller or router, or give --arrays. The status is 1 too for a driver that does not report whether
-/// its device executed the stop, and for an array that has stopped and cannot record it: a restart may then
-/// release the array.
+/// its device executed the stop. The status is 1 too for an array that has stopped and cannot record the stop: a
+/// restart may release it.
 ///
 /// The result names every stop in force; `heliostat rearm --stop` takes such a name.
 ///

@@ -224,6 +224,9 @@ impl NodeStatus {
     /// The degraded modes in which the array takes no command of this controller. They are no fallbacks.
     pub const WITHHELD: [&'static str; 2] = ["standby", "withheld"];
 
+    /// Name of the counter of arrays whose emergency stop is not in its record; 0 when all are.
+    pub const STOP_UNRECORDED: &'static str = "stop_unrecorded";
+
     /// What a fallback is: the help of page, status and metrics.
     pub const FALLBACKS_MEANING: &'static str = "Decisions without the policy's own angles or on incomplete reports";
     /// What a withheld command is. It is no fallback.

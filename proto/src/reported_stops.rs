@@ -259,6 +259,17 @@ impl ReportedStops {
         self.has_geometry() && (0..self.expected()).all(has_reported)
     }
 
+    /// The arrays that have stopped and do not keep the stop over a restart, each with its reason.
+    pub fn unrecorded(&self, now: Duration) -> Vec<(usize, String)> {
+        let of = |(array, seen): (&usize, &ReportedArray)| {
+            let (at, report) = seen.stops.as_ref()?;
+            let is_recent = now.saturating_sub(*at) < REPORT_AGE_MAX;
+            let is_unrecorded = is_recent && report.device_stopped && !report.problem.is_empty();
+            is_unrecorded.then(|| (*array, report.problem.clone()))
+        };
+        self.arrays.iter().filter_map(of).collect()
+    }
+
     /// When the oldest of the arrays reported last.
     pub fn oldest_report(&self) -> Option<Duration> {
         self.arrays.values().filter_map(|seen| seen.state.map(|(at, _)| at)).min()
@@ -403,6 +414,19 @@ mod tests {
         assert_eq!(stops.standings(NOW, None), [(0, Standing::Latched { problem: String::new() })]);
         stops.handle_stops(NOW, 0, report(3, true));
         assert_eq!(stops.standings(NOW, None), [(0, Standing::Stopped)]);
+    }
+
+    #[test]
+    fn an_array_that_has_stopped_and_does_not_record_the_stop_is_named() {
+        let mut stops = ordered();
+        let with_problem = |report| StopReport { problem: "the disk is full".into(), ..report };
+        stops.handle_stops(NOW, 0, with_problem(report(1, false)));
+        assert_eq!(stops.unrecorded(NOW), [], "the problem of a device");
+        stops.handle_stops(NOW, 0, with_problem(report(2, true)));
+        assert_eq!(stops.standings(NOW, None), [(0, Standing::Stopped)]);
+        assert_eq!(stops.unrecorded(NOW), [(0, "the disk is full".to_owned())]);
+        stops.handle_stops(NOW, 0, report(3, true));
+        assert_eq!(stops.unrecorded(NOW), [], "it is recorded now");
     }
 
     #[test]

@@ -32,7 +32,7 @@ const WAKE_INTERVAL: Duration = Duration::from_nanos(WAKE_INTERVAL_NS);
 /// If a policy does not fit, or the bus cannot be opened.
 pub fn run(config: &NodeConfig, mut local: Vec<LocalArray>, stop: &Stop) -> anyhow::Result<Summary> {
     let started = Instant::now();
-    let exporter = config.metrics.open()?;
+    let exporter = config.metrics.open(config.bus.certificate_end())?;
     let bus = Bus::open(&config.bus).context("cannot join the room")?;
     let others = config.also_rooms.iter().map(|room| bus.enter(room.clone()));
     let rooms: Vec<Bus> = std::iter::once(bus.enter(config.bus.room.clone())).chain(others).collect();

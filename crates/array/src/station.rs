@@ -26,7 +26,7 @@ use crate::kit::Kit;
 use crate::latch::Latch;
 use crate::moment::Moment;
 use crate::refusal_counts::RefusalCounts;
-use crate::stop_record::{RecordError, RecordPlan, RecordTask};
+use crate::stop_record::{RecordError, RecordPlan, RecordTask, with_record_problem};
 
 /// Time between two telemetry messages in ns; the contract requires ten per second.
 const TELEMETRY_NS: u64 = 50_000_000;
@@ -209,7 +209,7 @@ impl<D: Device> Station<D> {
         {
             let stamp = self.stops.publish(source, now, ANNOUNCEMENT_NS);
             self.published_stops = (self.kit.array().latch().clone(), is_stopped);
-            return Some(Report::Stops(self.kit.stops(stamp)));
+            return Some(Report::Stops(with_record_problem(self.kit.stops(stamp), self.record_problem())));
         }
         if is_due(&self.telemetry) || self.has_changed() {
             let stamp = self.telemetry.publish(source, now, self.telemetry_ns);
@@ -307,7 +307,12 @@ impl<D: Device> Station<D> {
 
     fn status(&self, stamp: Stamp) -> NodeStatus {
         let commands = self.kit.array().counters().accepted;
-        let absent = u64::from(self.kit.is_device_absent());
+        let counts = [
+            ("commands", commands),
+            ("connections", self.kit.connections()),
+            ("device_absent", u64::from(self.kit.is_device_absent())),
+            (NodeStatus::STOP_UNRECORDED, u64::from(!self.is_recorded())),
+        ];
         let refused = self.refused.counts().iter().map(|(name, count)| (format!("refused:{name}"), *count));
         let array = if self.identity.array == 0 { "array".to_owned() } else { array_name(self.identity.array) };
         let mut status = NodeStatus {
@@ -317,11 +322,7 @@ impl<D: Device> Station<D> {
             software: self.identity.software.clone(),
             state: format!("{array} {}", self.kit.array().state().name()),
             started_ns: self.started_ns,
-            counters: [("commands", commands), ("connections", self.kit.connections()), ("device_absent", absent)]
-                .map(|(name, count)| (name.to_owned(), count))
-                .into_iter()
-                .chain(refused)
-                .collect(),
+            counters: counts.map(|(name, count)| (name.to_owned(), count)).into_iter().chain(refused).collect(),
             ..NodeStatus::default()
         };
         status.set_problem(&self.last_problem());

@@ -11,7 +11,7 @@
 use std::path::{Path, PathBuf};
 
 use heliostat_proto::array_keys::array_name;
-use heliostat_proto::{Nanos, Room};
+use heliostat_proto::{Nanos, Room, StopReport, cut};
 use thiserror::Error;
 
 use crate::latch::{Latch, LatchedStop};
@@ -231,9 +231,20 @@ fn write<S: StopStore>(store: &mut S, latch: &Latch) -> Result<(), RecordError> 
     let Err(problem) = store.replace(&latch.to_toml()) else { return Ok(()) };
     let consequence = match store.empty() {
         Ok(()) => "the next start is stopped; free the disk, or make the folder writable",
+        Err(_) if latch.stop().is_some() => {
+            "a restart may release the array: make the file writable, or repair the disk, before"
+        }
         Err(_) => "the next start may not know of this state: repair the disk before a restart",
     };
     Err(RecordError { name: store.name(), problem, consequence })
+}
+
+/// A stop report that names the problem of the record, where the device has executed the stops.
+pub fn with_record_problem(mut report: StopReport, problem: Option<&str>) -> StopReport {
+    if let Some(problem) = problem.filter(|_| report.device_stopped) {
+        cut(problem).clone_into(&mut report.problem);
+    }
+    report
 }
 
 /// Name of the file that keeps the stop of an array.

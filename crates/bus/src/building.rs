@@ -16,11 +16,8 @@ use heliostat_proto::Room;
 use crate::access::{AccessRole, access_control_of};
 use crate::config::{BusConfig, nested_json};
 use crate::error::{BusError, KeyError};
-use crate::keys::{PRIVATE, PUBLIC, create_folder, write_new};
+use crate::keys::{PRIVATE, PUBLIC, ROUTER_CONFIGURATION, create_folder, replace};
 use crate::tls::{AUTHORITY_CERTIFICATE, Identity, certificate_file, key_file, tls_settings};
-
-/// Name of the router's configuration.
-const CONFIGURATION: &str = "router.json5";
 
 /// Encrypted protocols.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -66,11 +63,12 @@ pub struct RoomEndpoint {
 }
 
 impl BuildingRouter {
-    /// Writes `router.json5`, and `ROOM-ca.pem`, `ROOM-router.pem` and `ROOM-router.key` of each room.
+    /// Writes `router.json5`, and `ROOM-ca.pem`, `ROOM-router.pem` and `ROOM-router.key` of each room, in place of
+    /// older ones.
     ///
     /// # Errors
     /// [`KeyError`]: keys that cannot be used, a room that is named twice, a path that an endpoint
-    /// cannot hold, or files that exist.
+    /// cannot hold, or files that cannot be written.
     pub fn write(&self, out: &Path) -> Result<Vec<RoomEndpoint>, BusError> {
         let identities: Vec<Identity> = self
             .folders
@@ -96,7 +94,7 @@ impl BuildingRouter {
         }
         let text = self.configuration(first, &rooms, &endpoints)?;
         create_folder(out)?;
-        write_new(&out.join(CONFIGURATION), &text, PUBLIC)?;
+        replace(&out.join(ROUTER_CONFIGURATION), &text, PUBLIC)?;
         for identity in &identities {
             let copies = [
                 (identity.folder().join(AUTHORITY_CERTIFICATE), file(identity.room(), AUTHORITY_CERTIFICATE), PUBLIC),
@@ -106,7 +104,7 @@ impl BuildingRouter {
             for (from, to, mode) in copies {
                 let text = fs::read_to_string(&from)
                     .map_err(|error| KeyError::CannotRead { path: from, problem: error.to_string() })?;
-                write_new(&out.join(to), &text, mode)?;
+                replace(&out.join(to), &text, mode)?;
             }
         }
         Ok(endpoints)

@@ -23,6 +23,8 @@ pub struct Certificate {
     pub hosts: Vec<String>,
     /// Date of its expiry in UTC, as YYYY-MM-DD.
     pub expires: String,
+    /// Its public key, as the certificate holds it.
+    pub(crate) public_key: Vec<u8>,
     /// Identifier of its own key.
     pub(crate) own_key_id: Vec<u8>,
     /// Identifier of the key that signed it.
@@ -55,6 +57,7 @@ impl Certificate {
             common_name: common_name.ok_or("it has no common name")?.to_owned(),
             hosts: hosts(&parsed),
             expires: date(&parsed.validity().not_after),
+            public_key: parsed.public_key().subject_public_key.data.to_vec(),
             own_key_id: key_id(&parsed, |extension| match extension {
                 ParsedExtension::SubjectKeyIdentifier(id) => Some(id.0),
                 _ => None,

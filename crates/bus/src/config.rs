@@ -1,7 +1,7 @@
 //! Endpoints of a session, and the settings of Zenoh for short delays.
 
 use std::path::PathBuf;
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
 use heliostat_proto::Room;
 use serde_json::{Map, Value};
@@ -111,6 +111,11 @@ impl BusConfig {
     /// Whether the certificates of the remote processes restrict what they publish.
     pub fn is_authenticated(&self) -> bool {
         self.identity.is_some()
+    }
+
+    /// End of the certificate, if there is one.
+    pub fn certificate_end(&self) -> Option<SystemTime> {
+        self.identity.as_ref().map(Identity::end)
     }
 
     /// Whether other machines can read or send the messages of this session without a certificate.

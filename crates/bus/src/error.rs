@@ -153,6 +153,15 @@ pub enum KeyError {
         /// The file.
         path: PathBuf,
     },
+    /// The folder is that of a router for several rooms.
+    #[error(
+        "{} has the files of a router for several rooms: renew the keys of each room where its authority is, then write \
+         these files again with heliostat keys router", folder.display()
+    )]
+    RouterFolder {
+        /// The folder.
+        folder: PathBuf,
+    },
     /// Two folders have the keys of one room.
     #[error("two folders have the keys of room \"{room}\": expected one folder for each room")]
     SameRoom {
@@ -208,6 +217,17 @@ pub enum KeyError {
         expected: String,
         /// The roles in the folder.
         found: String,
+    },
+    /// The private key is not that of the certificate.
+    #[error(
+        "{} is not the private key of {} beside it; copy both from the same folder, or issue them again with heliostat \
+         keys issue", key.display(), certificate.display()
+    )]
+    OtherKey {
+        /// The private key.
+        key: PathBuf,
+        /// The certificate.
+        certificate: PathBuf,
     },
     /// The certificate is signed by another authority than that of its folder.
     #[error("{}: another authority than ca.pem of this folder signed it; copy both from the same folder", path.display())]

@@ -34,6 +34,9 @@ const CLOCK_TOLERANCE: Duration = Duration::from_secs(3600);
 /// Hosts of every certificate.
 const LOCAL_HOSTS: [&str; 3] = ["localhost", "127.0.0.1", "::1"];
 
+/// Configuration in the folder of a router for several rooms.
+pub(crate) const ROUTER_CONFIGURATION: &str = "router.json5";
+
 /// Where a router listens.
 const ROUTER_ENDPOINT: &str = "tls/0.0.0.0:7448";
 
@@ -89,9 +92,13 @@ pub fn issue(role: AccessRole, authority: &Path, out: &Path, terms: &Terms) -> R
 /// `authority`. Returns the roles.
 ///
 /// # Errors
-/// [`KeyError`]: a file that cannot be read or written, or a folder without keys.
+/// [`KeyError`]: a file that cannot be read or written, a folder without keys, or that of a router for several
+/// rooms.
 pub fn renew(authority: &Path, out: &Path, until: SystemTime) -> Result<Vec<AccessRole>, BusError> {
     let (authority, roles) = (Authority::read(authority)?, roles_in(out));
+    if out.join(ROUTER_CONFIGURATION).exists() {
+        return Err(KeyError::RouterFolder { folder: out.into() }.into());
+    }
     if roles.is_empty() {
         let expected = AccessRole::ALL.map(AccessRole::name).join(", ");
         return Err(KeyError::NoRole { folder: out.into(), expected, found: "none".to_owned() }.into());
@@ -227,7 +234,7 @@ pub(crate) fn create_folder(folder: &Path) -> Result<(), KeyError> {
 }
 
 /// Writes a file that does not exist.
-pub(crate) fn write_new(path: &Path, text: &str, mode: u32) -> Result<(), KeyError> {
+fn write_new(path: &Path, text: &str, mode: u32) -> Result<(), KeyError> {
     if path.exists() {
         return Err(KeyError::Exists { path: path.into() });
     }
@@ -235,7 +242,7 @@ pub(crate) fn write_new(path: &Path, text: &str, mode: u32) -> Result<(), KeyErr
 }
 
 /// Writes a file at once: a process that opens it reads the old content or the new one.
-fn replace(path: &Path, text: &str, mode: u32) -> Result<(), KeyError> {
+pub(crate) fn replace(path: &Path, text: &str, mode: u32) -> Result<(), KeyError> {
     let failed = |error: std::io::Error| KeyError::CannotWrite { path: path.into(), problem: error.to_string() };
     let mut temporary = PathBuf::from(path).into_os_string();
     temporary.push(".new");

@@ -2,8 +2,10 @@
 
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
+use std::time::SystemTime;
 
 use heliostat_proto::Room;
+use rcgen::KeyPair;
 use zenoh::config::EndPoint;
 
 use crate::access::{AccessRole, access_control};
@@ -34,11 +36,13 @@ pub struct Identity {
     folder: PathBuf,
     room: Room,
     role: AccessRole,
+    /// End of the certificate.
+    end: SystemTime,
 }
 
 impl Identity {
     /// The first of these roles that has a certificate in the folder. The certificate must be valid
-    /// now and signed by the authority of the folder.
+    /// now and signed by the authority of the folder, and have its private key beside it.
     ///
     /// # Errors
     /// [`KeyError`] names the file and its fault.
@@ -64,8 +68,14 @@ impl Identity {
         }
         authority.check_time(&folder.join(AUTHORITY_CERTIFICATE))?;
         certificate.check_time(&path)?;
-        check_private(&folder.join(key_file(role)))?;
-        Ok(Self { folder, room, role })
+        let key = folder.join(key_file(role));
+        check_private(&key)?;
+        // One of a kind that is not known here is left to the handshake.
+        let pair = std::fs::read_to_string(&key).ok().and_then(|text| KeyPair::from_pem(&text).ok());
+        if pair.is_some_and(|pair| pair.public_key_raw() != certificate.public_key) {
+            return Err(KeyError::OtherKey { key, certificate: path });
+        }
+        Ok(Self { folder, room, role, end: certificate.end() })
     }
 
     /// The certificate of another role in the same folder, for a process that has both.
@@ -84,6 +94,11 @@ impl Identity {
     /// Role that gives its rights.
     pub fn role(&self) -> AccessRole {
         self.role
+    }
+
+    /// End of its certificate.
+    pub(crate) fn end(&self) -> SystemTime {
+        self.end
     }
 
     /// Folder of its files.

@@ -107,7 +107,7 @@ impl<D: Device> ArrayDriver<D> {
     /// # Errors
     /// As for [`run`].
     pub fn open(mut kit: Kit<D>, settings: &Settings, stop: &Stop) -> Result<Option<Self>, RunError> {
-        let exporter = settings.metrics.open()?;
+        let exporter = settings.metrics.open(settings.bus.certificate_end())?;
         let Some(bus) = open(&settings.bus, stop)? else { return Ok(None) };
         let array = settings.array;
         check_alone(&bus, array..array + 1)?;

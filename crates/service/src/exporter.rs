@@ -2,6 +2,7 @@
 
 use std::net::{SocketAddr, TcpListener};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::SystemTime;
 
 use axum::Router;
 use axum::extract::State;
@@ -41,12 +42,13 @@ pub struct MetricsArgs {
 }
 
 impl MetricsArgs {
-    /// Opens an exporter where the flag is given.
+    /// Opens an exporter where the flag is given, for a process whose certificate ends then, if it has one.
     ///
     /// # Errors
     /// [`MetricsError`].
-    pub fn open(&self) -> Result<Option<Exporter>, MetricsError> {
-        self.metrics_listen.map(Exporter::open).transpose()
+    pub fn open(&self, certificate_end: Option<SystemTime>) -> Result<Option<Exporter>, MetricsError> {
+        let exporter = self.metrics_listen.map(Exporter::open).transpose()?;
+        Ok(exporter.map(|exporter| Exporter { certificate_end, ..exporter }))
     }
 }
 
@@ -54,6 +56,8 @@ impl MetricsArgs {
 #[derive(Debug)]
 pub struct Exporter {
     newest: Arc<Mutex<Page>>,
+    /// End of the certificate of the process; each page has it.
+    certificate_end: Option<SystemTime>,
     server: http::Server,
 }
 
@@ -69,7 +73,7 @@ impl Exporter {
         let router = Router::new().route("/metrics", get(metrics)).fallback(elsewhere).with_state(Arc::clone(&newest));
         let server = http::serve("metrics", listener, router, Limits::default(), Stop::default()).map_err(failed)?;
         tracing::info!("metrics at http://{}/metrics", server.address());
-        Ok(Self { newest, server })
+        Ok(Self { newest, certificate_end: None, server })
     }
 
     /// Where it listens.
@@ -78,7 +82,12 @@ impl Exporter {
     }
 
     /// Replaces the page.
-    pub fn publish(&self, page: Page) {
+    pub fn publish(&self, mut page: Page) {
+        let end = self.certificate_end.and_then(|end| end.duration_since(SystemTime::UNIX_EPOCH).ok());
+        if let Some(end) = end {
+            let help = "End of the certificate with which the process started, in s since 1970-01-01 UTC";
+            page.gauge("heliostat_certificate_end_timestamp_seconds", help, &[], end.as_secs_f64());
+        }
         *self.newest.lock().unwrap_or_else(PoisonError::into_inner) = page;
     }
 }
@@ -124,5 +133,21 @@ mod tests {
         assert!(taken.contains(&address.to_string()), "{taken}");
         drop(exporter);
         assert!(TcpStream::connect(address).is_err(), "the port is closed");
+    }
+
+    #[test]
+    fn each_page_of_a_process_with_keys_has_the_end_of_its_certificate() {
+        let flags = MetricsArgs { metrics_listen: Some(([127, 0, 0, 1], 0).into()) };
+        let end = SystemTime::UNIX_EPOCH + std::time::Duration::from_secs(1_900_000_000);
+        for (certificate_end, is_there) in [(Some(end), true), (None, false)] {
+            let exporter = flags.open(certificate_end).expect("a free port").expect("the flag is given");
+            exporter.publish(Page::new(&[("room", "a")]));
+            let answer = get(exporter.address(), "/metrics");
+            assert_eq!(
+                answer.contains("heliostat_certificate_end_timestamp_seconds{room=\"a\"} 1"),
+                is_there,
+                "{answer}"
+            );
+        }
     }
 }

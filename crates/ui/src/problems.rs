@@ -14,7 +14,7 @@ const CURRENT: Duration = Duration::from_secs(5);
 /// Beginnings of the names of counters that rise with problems.
 const COUNTED: [&str; 6] = ["refused:", "fallback:", "missed:", "policies_refused", "unsent", "unanswered"];
 /// Counters that are above 0 as long as a problem lasts.
-const LASTING: [&str; 4] = ["array_unfit", "standby", "driver_absent", "device_absent"];
+const LASTING: [&str; 5] = ["array_unfit", "standby", "driver_absent", "device_absent", NodeStatus::STOP_UNRECORDED];
 
 /// The counters of commands of a former leader and to a stopped array: problems from the second status on in which
 /// they rise.
@@ -92,7 +92,8 @@ impl Problems {
 }
 
 /// The counters of a status that can count the cause of its problem. The text of a refusal begins with the kind of
-/// message: then the refusals of this kind alone. The text of a device has the counter `device_absent` alone.
+/// message: then the refusals of this kind alone. The texts of a device and of a
+/// record have lasting counters alone.
 fn causes(status: &NodeStatus) -> impl Iterator<Item = &(String, u64)> {
     let is_named = move |counter: &str| {
         let about = counter.strip_prefix("refused:").and_then(|name| name.split(':').next());
@@ -246,5 +247,16 @@ mod tests {
         age(&mut problems, CURRENT);
         problems.take(node, &unfit);
         assert_eq!(problems.current(node, 7), "the array receives no commands");
+    }
+
+    #[test]
+    fn a_stop_that_is_not_recorded_is_a_problem_in_the_first_status_that_a_viewer_sees() {
+        for node in [NodeKind::SimNode, NodeKind::Driver] {
+            let mut problems = Problems::default();
+            let text = "cannot record the emergency stop in lab.stop.toml: Permission denied";
+            let unrecorded = status(text, &[(NodeStatus::STOP_UNRECORDED, 1), ("refused:command:stopped", 9)]);
+            problems.take(node.name(), &NodeStatus { node, ..unrecorded });
+            assert_eq!(problems.current(node.name(), 7), text);
+        }
     }
 }

@@ -97,7 +97,9 @@ impl RoomStatus {
     fn found(&self) -> Vec<String> {
         let Figures { controllers, array, nodes, .. } = &self.figures;
         let of_node = |NodeFigures { node, problem, .. }: &NodeFigures| {
-            (!problem.is_empty()).then(|| format!("{node}: {problem}"))
+            // The stops have that of a stop that is not recorded.
+            let is_of_stop = self.stops.iter().any(|stop| stop.contains(problem.as_str()));
+            (!problem.is_empty() && !is_of_stop).then(|| format!("{node}: {problem}"))
         };
         // The problems of the processes have that of the leader.
         let unfit = controllers.iter().filter(|one| one.is_unfit && one.role != Role::Leads).map(|one| {

@@ -75,7 +75,7 @@ pub struct StopFigures {
     pub report_age_s: Option<f64>,
     /// All stops, in the order in which they became known.
     pub stops: Vec<StopFigure>,
-    /// What is open, array by array.
+    /// What is open, array by array, and which stops are not recorded.
     pub problems: Vec<String>,
     /// Indices of the arrays that no stop holds while one holds another array.
     pub free: Vec<usize>,
@@ -156,6 +156,7 @@ mod tests {
             now,
             stops: vec![RoomStop { name, operator, reason, arrays: vec![0, 1], known: Duration::ZERO }],
             standings: vec![(0, Standing::Stopped), (1, second)],
+            unrecorded: Vec::new(),
             report_age: Some(Duration::from_millis(10)),
             ordered: ordered_ms.map(ago),
             has_geometry: true,
@@ -195,6 +196,14 @@ mod tests {
         let unknown = RoomStops { has_geometry: false, ..room(Some(1500), Standing::Stopped) };
         let figures = StopState::default().update(&unknown);
         assert_eq!((figures.phase, figures.problems.len()), (StopPhase::Unconfirmed, 1));
+    }
+
+    #[test]
+    fn a_confirmed_stop_that_is_not_recorded_is_shown_with_its_problem() {
+        let unrecorded = vec!["array 0 has stopped, but the stop is not recorded: no space".to_owned()];
+        let room = RoomStops { unrecorded: unrecorded.clone(), ..room(Some(100), Standing::Stopped) };
+        let figures = StopState::default().update(&room);
+        assert_eq!((figures.phase, figures.problems), (StopPhase::Confirmed, unrecorded));
     }
 
     #[test]

@@ -20,7 +20,7 @@ use heliostat_service::source_id;
 use crate::UiError;
 use crate::notes::two_drivers;
 use crate::order_publisher::OrderPublisher;
-use crate::stop_watch::{RoomStops, StopWatch, UNKNOWN_ARRAYS, problem, unreleased};
+use crate::stop_watch::{RoomStops, StopWatch, UNKNOWN_ARRAYS, problem, unrecorded, unreleased};
 
 /// Time after which a stop or a re-arm is repeated.
 const REPEAT_AFTER: Duration = Duration::from_nanos(STOP_REPEAT_NS);
@@ -110,6 +110,11 @@ impl StopSwitch {
     /// The stops that are held or in force, as far as it is known now.
     pub fn known_stops(&self) -> Vec<RoomStop> {
         self.seen.lock().stops()
+    }
+
+    /// The arrays that have stopped and do not record the stop, in words: a restart may release them.
+    pub fn unrecorded(&self) -> Vec<String> {
+        unrecorded(&self.seen.lock(), self.seen.now())
     }
 
     /// What is to be said of arrays that two processes drive.

@@ -43,6 +43,14 @@ pub(crate) fn problem(array: usize, standing: &Standing) -> Option<String> {
     })
 }
 
+/// The arrays that have stopped and do not record the stop, in words.
+pub(crate) fn unrecorded(seen: &ReportedStops, now: Duration) -> Vec<String> {
+    let line = |(array, problem): (usize, String)| {
+        format!("array {array} has stopped, but the stop is not recorded: {}", printable(&problem))
+    };
+    seen.unrecorded(now).into_iter().map(line).collect()
+}
+
 /// A stop in words: its name, its operator, its reason and its arrays.
 pub fn stop_in_words(RoomStop { name, operator, reason, arrays, .. }: &RoomStop) -> String {
     let arrays: Vec<String> = arrays.iter().map(usize::to_string).collect();
@@ -81,6 +89,8 @@ pub(crate) struct RoomStops {
     pub stops: Vec<RoomStop>,
     /// What each array does about them.
     pub standings: Vec<(usize, Standing)>,
+    /// The arrays that have stopped and do not record the stop, in words.
+    pub unrecorded: Vec<String>,
     /// Age of the oldest of the arrays' last reports.
     pub report_age: Option<Duration>,
     /// When this process ordered a stop that is still held.
@@ -102,10 +112,11 @@ impl RoomStops {
         self.standings.iter().filter_map(free).collect()
     }
 
-    /// What is open, array by array.
+    /// What is open, array by array, and which stops are not recorded.
     pub fn problems(&self) -> Vec<String> {
         let unknown = (!self.has_geometry && !self.stops.is_empty()).then(|| UNKNOWN_ARRAYS.to_owned());
-        self.standings.iter().filter_map(|(array, standing)| problem(*array, standing)).chain(unknown).collect()
+        let open = self.standings.iter().filter_map(|(array, standing)| problem(*array, standing));
+        open.chain(unknown).chain(self.unrecorded.iter().cloned()).collect()
     }
 }
 
@@ -202,7 +213,8 @@ impl StopWatch {
         let stops = seen.stops();
         let standings = if stops.is_empty() { Vec::new() } else { seen.standings(now, None) };
         let report_age = seen.oldest_report().map(|at| now.saturating_sub(at));
-        RoomStops { now, stops, standings, report_age, ordered: None, has_geometry: seen.has_geometry() }
+        let (unrecorded, has_geometry) = (unrecorded(&seen, now), seen.has_geometry());
+        RoomStops { now, stops, standings, unrecorded, report_age, ordered: None, has_geometry }
     }
 
     /// The arrays that two processes report, with the sources of both. A token alone drives nothing: it can be

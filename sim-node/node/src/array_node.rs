@@ -2,6 +2,7 @@
 
 use heliostat_array::latch::Latch;
 use heliostat_array::moment::Moment;
+use heliostat_array::stop_record::with_record_problem;
 use heliostat_driver::stop_record::{self, StopRecord};
 use heliostat_proto::{ArrayState, Stamp};
 use heliostat_room::SimulatedRoom;
@@ -55,6 +56,11 @@ impl ArrayNode {
         self.record.as_ref().and_then(StopRecord::problem)
     }
 
+    /// Whether the present stop is on the disk; `None` where it is not kept.
+    pub fn is_recorded(&self) -> Option<bool> {
+        self.record.as_ref().map(|record| record.problem().is_none())
+    }
+
     /// Whether the latch, or what the mirrors have executed of it, differs from the last reports.
     pub fn has_new_latch(&self, room: &SimulatedRoom) -> bool {
         let (latch, is_executed) = (room.array(self.index).latch(), room.device_stopped(self.index));
@@ -102,7 +108,8 @@ impl ArrayNode {
         self.published_latch = Some((latch.clone(), room.device_stopped(self.index)));
         session.array(self.index).publish_safety(&room.safety(self.index, stamp))?;
         let stamp = next_stamp(&mut self.stops_sequence, session, now);
-        Ok(session.array(self.index).publish_stops(&room.stops(self.index, stamp))?)
+        let stops = with_record_problem(room.stops(self.index, stamp), self.record_problem());
+        Ok(session.array(self.index).publish_stops(&stops)?)
     }
 }
 

@@ -6,6 +6,7 @@ use heliostat_array::refusal_counts::RefusalCounts;
 use heliostat_array::stop_record;
 use heliostat_bus::Class;
 use heliostat_driver::clock::Clock;
+use heliostat_driver::stop_record::add_metric;
 use heliostat_proto::array_keys::array_name;
 use heliostat_proto::{ArrayState, Counters, MirrorCommand, NodeKind, NodeStatus, Quantiles, Stamp};
 use heliostat_room::baselines::Snapshot;
@@ -68,7 +69,7 @@ impl Node {
             Pace::Lockstep { .. } => [Class::RealTimeBlock; 2],
         };
         let scenario = settings.scenario.clone();
-        let exporter = settings.metrics.open()?;
+        let exporter = settings.metrics.open(settings.bus.certificate_end())?;
         let mut room = SimulatedRoom::new(&scenario, scenario.read_trace()?.as_deref(), scenario.seed)?;
         if let Some(corrections) = &settings.calibration {
             if room.arrays() > 1 {
@@ -230,6 +231,7 @@ impl Node {
             ("unattended_ticks", summary.unattended_ticks),
             ("clipped_commands", summary.clipped_commands),
             ("orders", self.orders),
+            (NodeStatus::STOP_UNRECORDED, self.arrays.iter().filter_map(ArrayNode::record_problem).count() as u64),
         ];
         let turnover = summary.turnover.map(|turnover| {
             [("entered", turnover.entered), ("left", turnover.left), ("turned_away", turnover.turned_away)]
@@ -280,7 +282,12 @@ impl Node {
     pub fn status_and_metrics(&self, time_ns: u64) -> (NodeStatus, Option<Page>) {
         let page = || {
             let summary = self.summary(&Measurements::default());
-            metrics::page(&self.session.room_name(), &summary, &self.ticks)
+            let mut page = metrics::page(&self.session.room_name(), &summary, &self.ticks);
+            // Either all arrays keep their stop, or none.
+            if let Some(is_recorded) = self.arrays.iter().map(ArrayNode::is_recorded).min().flatten() {
+                add_metric(&mut page, is_recorded);
+            }
+            page
         };
         (self.status_message(time_ns), self.has_exporter.then(page))
     }

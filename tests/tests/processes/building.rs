@@ -25,18 +25,36 @@ fn commands(place: &str) -> String {
     lines.map(|line| format!("{line}\n")).collect()
 }
 
-/// Runs the commands of the guide for the machine of the keys; the folder has `building-keys` then.
+/// A folder in which the commands of the guide have made `building-keys`.
 fn make_keys() -> tempfile::TempDir {
     let folder = tempfile::tempdir().expect("a folder");
     std::os::unix::fs::symlink(root().join("deploy"), folder.path().join("deploy")).expect("a fresh folder");
+    run_make_keys(folder.path());
+    folder
+}
+
+/// Runs the commands of the guide for the machine of the keys.
+fn run_make_keys(folder: &Path) {
     let script = commands("on the machine of the keys").replace("host-a.example.org", "host-a");
     let script = script.replace("host-b.example.org", "host-b");
     assert!(script.contains("make-keys"), "{script}");
     let path = format!("{}:{}", programs().display(), std::env::var("PATH").unwrap_or_default());
-    let output = Command::new("bash").args(["-ec", &script]).env("PATH", path).current_dir(folder.path()).output();
+    let output = Command::new("bash").args(["-ec", &script]).env("PATH", path).current_dir(folder).output();
     let output = output.expect("bash runs");
     assert!(output.status.success(), "{script}: {}", String::from_utf8_lossy(&output.stderr));
-    folder
+}
+
+#[test]
+fn the_command_that_makes_the_keys_of_a_building_renews_them() {
+    let folder = make_keys();
+    let read = |file: &str| fs::read_to_string(folder.path().join("building-keys").join(file)).expect("a file");
+    let renewed = ["host-a/router/foyer-router.pem", "host-b/studio/controller.pem", "host-b/foyer/driver.key"];
+    let (before, authority) = (renewed.map(read), read("authorities/studio/ca.pem"));
+    run_make_keys(folder.path());
+    for (file, before) in renewed.iter().zip(&before) {
+        assert_ne!(read(file), *before, "{file}");
+    }
+    assert_eq!(read("authorities/studio/ca.pem"), authority);
 }
 
 /// Waits until a controller is in standby, or in command.

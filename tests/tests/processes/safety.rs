@@ -380,3 +380,28 @@ fn a_simulated_room_keeps_its_stop_where_a_folder_is_given_and_starts_parked_oth
     let (_room, observer, _) = start(&[]);
     assert_eq!(state_of(&observer), ArrayState::Parked);
 }
+
+#[test]
+fn stop_and_status_name_a_simulated_array_that_cannot_record_its_stop() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (state, endpoint) = (folder.path().display().to_string(), private_endpoint().expect("an endpoint"));
+    let flags = ["sim-node", "--room", "sim", "--listen", &endpoint, "--exit-with-parent", "--start-armed", "--state"];
+    let _room = Process::heliostat(&[&flags[..], &[&state]].concat());
+    let observer = RoomObserver::connect("sim", &[&endpoint]);
+    wait_until("a safety report", || observer.safety().is_some());
+    // Folders in place of the record and of its new file: no process can write them, whatever its rights.
+    fs::remove_file(folder.path().join("sim.stop.toml")).expect("the record of the start");
+    for name in ["sim.stop.toml", "sim.stop.new"] {
+        fs::create_dir(folder.path().join(name)).expect("a folder");
+    }
+    let order = |command: &str| Process::heliostat(&[command, "--room", "sim", "--connect", &endpoint]).wait();
+    let stopped = order("stop");
+    assert!(stopped.output.contains("are stopped, confirmed"), "{} {}", stopped.output, stopped.errors);
+    let refusal = stopped.refusal();
+    assert!(refusal.contains("array 0 has stopped, but the stop is not recorded: "), "{refusal}");
+    assert!(refusal.contains("sim.stop.toml") && refusal.contains("a restart may release the array"), "{refusal}");
+    let status = order("status");
+    let of_record: Vec<&str> =
+        status.output.lines().filter(|line| line.starts_with("problem") && line.contains("sim.stop.toml")).collect();
+    assert_eq!(of_record.len(), 1, "{}", status.output);
+}

@@ -364,6 +364,66 @@ fn units_and_rooms_of_the_deployment_agree_with_the_programs() {
 }
 
 #[test]
+fn the_rooms_of_a_building_have_the_variables_and_the_keys_of_every_unit() {
+    let deploy = root().join("deploy");
+    let read = |file: &str| fs::read_to_string(deploy.join(file)).unwrap_or_else(|error| panic!("{file}: {error}"));
+    let script = read("building/make-keys");
+    for room in ["studio", "foyer"] {
+        let environment = read(&format!("building/rooms/{room}.env"));
+        let variables: BTreeMap<&str, &str> = environment.lines().filter_map(|line| line.split_once('=')).collect();
+        let mut ports: Vec<&str> =
+            variables.iter().filter(|(name, _)| name.ends_with("_METRICS")).map(|(_, at)| *at).collect();
+        ports.sort_unstable();
+        assert!(ports.windows(2).all(|two| two[0] != two[1]), "{room}: one port of two processes: {ports:?}");
+        for unit in ["controller", "standby", "sim-node", "driver", "tracker", "page", "recorder"] {
+            let text = read(&format!("systemd/heliostat-{unit}@.service"));
+            let start = text.lines().find(|line| line.starts_with("ExecStart=")).expect("a unit starts something");
+            let names = start.split_whitespace().filter_map(|word| word.strip_prefix('$'));
+            let values: Vec<&str> = names
+                .map(|name| {
+                    let name = name.trim_matches(['{', '}']);
+                    *variables.get(name).unwrap_or_else(|| panic!("{unit} needs {name} in {room}.env"))
+                })
+                .collect();
+            let bus = values.last().expect("the endpoints are the last flags");
+            assert!(bus.contains(&format!("--tls /run/credentials/heliostat-{unit}@{room}.service ")), "{bus}");
+            let keys = read(&format!("building/systemd/heliostat-{unit}@.service.d/keys.conf"));
+            let role = keys.lines().find_map(|line| line.split_once('=')?.1.split_once(".key:")).expect("a key").0;
+            assert!(script.contains(&format!("{role} ")) || script.contains(&format!("{role})")), "{unit}: {role}");
+        }
+    }
+}
+
+#[test]
+fn every_unit_that_cannot_start_waits_for_an_operator_after_as_many_attempts() {
+    let units = fs::read_dir(root().join("deploy/systemd")).expect("a folder").flatten();
+    let texts: Vec<String> = units.map(|entry| fs::read_to_string(entry.path()).expect("a unit")).collect();
+    let limits = "\nStartLimitIntervalSec=60\nStartLimitBurst=10\n";
+    assert!(texts.len() >= 8 && texts.iter().all(|text| text.contains(limits)), "a unit has other limits");
+}
+
+/// systemd gives a folder to the user of the unit that starts last: another unit would lose its files.
+#[test]
+fn each_unit_keeps_its_files_in_a_folder_of_its_own() {
+    let mut folders: Vec<String> = Vec::new();
+    for entry in fs::read_dir(root().join("deploy/systemd")).expect("a folder").flatten() {
+        let text = fs::read_to_string(entry.path()).expect("a unit");
+        let Some(folder) = text.lines().find_map(|line| line.strip_prefix("StateDirectory=")) else {
+            assert!(!text.contains("%S/"), "{}: it has no folder", entry.path().display());
+            continue;
+        };
+        let used = text.split_whitespace().filter_map(|word| word.strip_prefix("%S/"));
+        assert!(used.clone().count() > 0 && used.clone().all(|path| path.starts_with(folder)), "{folder}");
+        folders.push(folder.to_owned());
+    }
+    assert!(folders.len() >= 3, "{folders:?}");
+    for (index, folder) in folders.iter().enumerate() {
+        let shares = |other: &String| Path::new(other).starts_with(folder) || Path::new(folder).starts_with(other);
+        assert!(!folders[index + 1..].iter().any(shares), "{folder} is a folder of two units");
+    }
+}
+
+#[test]
 fn the_containers_pass_flags_that_the_programs_accept() {
     let deploy = root().join("deploy");
     let read = |file: &str| fs::read_to_string(deploy.join(file)).unwrap_or_else(|error| panic!("{file}: {error}"));

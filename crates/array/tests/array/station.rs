@@ -10,7 +10,7 @@ use heliostat_array::station::{Identity, Report, Station};
 use heliostat_array::stop_record::{RecordError, StopRecord, StopStore};
 use heliostat_array::{Device, DeviceError, Kit};
 use heliostat_channel::MirrorAngles;
-use heliostat_proto::{ArrayState, AxisLimits, Capabilities, EmergencyStop, MirrorCommand, Stamp};
+use heliostat_proto::{ArrayState, AxisLimits, Capabilities, EmergencyStop, MirrorCommand, NodeStatus, Stamp};
 
 const MS: u64 = 1_000_000;
 
@@ -170,6 +170,38 @@ fn a_stop_that_cannot_be_recorded_is_tried_again_with_the_next_safety_report() {
     assert!(
         station.is_recorded() && memory.text.borrow().as_ref().is_some_and(|text| text.contains("sequence = \"6\""))
     );
+}
+
+#[test]
+fn stop_report_and_status_say_that_a_stop_is_not_recorded_until_it_is() {
+    let memory = Memory::default();
+    let mut station = start(&memory);
+    advance(&mut station, &memory, 0).unwrap();
+    reports(&mut station, 0);
+    // What the stop report and the status say of the record.
+    let said = |station: &mut Station<Mirror>, at_ms: u64| {
+        let (mut of_stops, mut unrecorded) = (None, None);
+        while let Some(report) = station.poll_report(Moment::simulated(at_ms * MS)) {
+            match report {
+                Report::Stops(stops) => of_stops = Some((stops.device_stopped, stops.problem)),
+                Report::Status(status) => {
+                    let found = status.counters.into_iter().find(|(name, _)| name == NodeStatus::STOP_UNRECORDED);
+                    unrecorded = found.map(|(_, count)| count);
+                }
+                _ => {}
+            }
+        }
+        (of_stops, unrecorded)
+    };
+    *memory.is_full.borrow_mut() = true;
+    stop(&mut station, 5);
+    let problem = advance(&mut station, &memory, 5).unwrap_err().to_string();
+    assert_eq!(said(&mut station, 5), (Some((true, problem.clone())), None));
+    advance(&mut station, &memory, 1005).unwrap_err();
+    assert_eq!(said(&mut station, 1005), (Some((true, problem)), Some(1)));
+    *memory.is_full.borrow_mut() = false;
+    advance(&mut station, &memory, 2010).unwrap();
+    assert_eq!(said(&mut station, 2010), (Some((true, String::new())), Some(0)));
 }
 
 #[test]

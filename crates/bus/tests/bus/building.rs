@@ -181,3 +181,21 @@ fn a_router_is_refused_two_folders_of_one_room_and_a_path_that_ends_an_endpoint(
     assert!(write(Vec::new(), "/etc/keys", 7448).contains("no endpoint"));
     assert!(!folder.path().join("router").exists(), "a refused plan writes nothing");
 }
+
+#[test]
+fn the_files_of_a_router_are_renewed_by_writing_them_again() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let (studio, out) = (folder.path().join("studio"), folder.path().join("router"));
+    keys::init(&Room::new("studio").expect("a valid name"), &studio, &keys::Terms::of_days(1, &[])).expect("new keys");
+    let (folders, installed, protocol) = (vec![studio.clone()], out.clone(), Protocol::Tls);
+    let router = BuildingRouter { folders, installed, protocol, first_port: 7448, peers: Vec::new() };
+    router.write(&out).expect("keys of the room");
+    let until = keys::end_after(2);
+    let advice = keys::renew(&studio, &out, until).expect_err("no folder of keys").to_string();
+    assert!(advice.contains("write these files again with heliostat keys router"), "{advice}");
+    let certificate = || std::fs::read_to_string(out.join("studio-router.pem")).expect("a certificate");
+    let before = certificate();
+    keys::renew(&studio, &studio, until).expect("a folder of keys");
+    router.write(&out).expect("the renewed keys");
+    assert_ne!(certificate(), before);
+}

@@ -120,3 +120,18 @@ fn free_ports_differ_and_are_below_the_ephemeral_range() {
     let different: BTreeSet<u16> = ports.iter().copied().collect();
     assert_eq!(different.len(), ports.len(), "one process gets a port once: {ports:?}");
 }
+
+#[test]
+fn a_private_key_of_another_certificate_is_refused_by_name() {
+    let [own, other] = [(); 2].map(|()| {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let room = Room::new("studio").expect("a valid name");
+        keys::init(&room, folder.path(), &keys::Terms::of_days(1, &[])).expect("an empty folder");
+        folder
+    });
+    Identity::load(own.path(), &[AccessRole::Operator]).expect("the key of the certificate");
+    let key = |folder: &tempfile::TempDir| folder.path().join("operator.key");
+    std::fs::copy(key(&other), key(&own)).expect("a file");
+    let refused = Identity::load(own.path(), &[AccessRole::Operator]).expect_err("another key").to_string();
+    assert!(refused.contains("operator.key is not the private key of"), "{refused}");
+}

@@ -73,7 +73,8 @@ enum Action {
     /// Write the files of a router that serves several rooms
     ///
     /// The router listens at one port for each room, in the order of --dir. It needs the router's
-    /// keys of each room, and trusts each of their authorities for all of its rooms.
+    /// keys of each room, and trusts each of their authorities for all of its rooms. After a renewal of
+    /// these keys the same command replaces the files.
     Router {
         /// A folder with the router's keys of a room (repeatable)
         #[arg(long, value_name = "DIR", required = true)]

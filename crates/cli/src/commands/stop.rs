@@ -24,7 +24,8 @@ const HOLD_INTERVAL: Duration = Duration::from_millis(50);
 /// and every array that was seen. Otherwise the exit status is 1, and each other array is named: cut the
 /// power of an array that does not answer. The status is 1 too where no process announces how many arrays
 /// the room has: connect to its controller or router, or give --arrays. The status is 1 too for a driver that does not report whether
-/// its device executed the stop.
+/// its device executed the stop. The status is 1 too for an array that has stopped and cannot record the stop: a
+/// restart may release it.
 ///
 /// The result names every stop in force; `heliostat rearm --stop` takes such a name.
 ///
@@ -92,11 +93,17 @@ pub fn stop(args: StopArgs) -> Result<()> {
     note_shared(&switch);
     if !args.hold {
         args.order.report(&bus, stopped?, &switch.known_stops())?;
+        let unrecorded = switch.unrecorded();
         drop(switch);
-        return Ok(bus.close()?);
+        bus.close()?;
+        ensure!(unrecorded.is_empty(), "{}", unrecorded.join("; "));
+        return Ok(());
     }
     match &stopped {
-        Ok(took) => args.order.report(&bus, *took, &switch.known_stops())?,
+        Ok(took) => {
+            args.order.report(&bus, *took, &switch.known_stops())?;
+            switch.unrecorded().into_iter().for_each(output::note);
+        }
         Err(error) => output::note(format_args!("heliostat stop: {error}; the stop is held: end with Ctrl-C")),
     }
     let end = args.end.stop()?;
@@ -120,8 +127,9 @@ fn with_reach(error: UiError) -> anyhow::Error {
             let is_uncounted = arrays.iter().any(|open| open == UNKNOWN_ARRAYS);
             let count = if is_uncounted { ", or give their number: --arrays N" } else { "" };
             anyhow!(
-                "{error}{count}. The stop was sent, and stays in force where it arrived. Reports come only from the \
-                 processes in --connect: with the endpoint of its driver, heliostat status shows what an array does"
+                "{error}{count}. The stop was sent, and stays in force where it arrived; an array that returns later can \
+                 get it then, and stop. Reports come only from the processes in --connect: with the endpoint of its \
+                 driver, heliostat status shows what an array does"
             )
         }
         error @ UiError::NoReceiver(_) => {
@@ -249,6 +257,7 @@ mod tests {
             with_reach(UiError::StopUnconfirmed { waited: Duration::from_secs(5), arrays }).to_string()
         };
         assert!(text(&[UNKNOWN_ARRAYS]).contains("or give their number: --arrays N. The stop was sent"));
+        assert!(text(&[]).contains("an array that returns later can get it then, and stop"));
         assert!(!text(&["array 0 does not answer: cut its power"]).contains("--arrays"));
     }
 }

@@ -35,6 +35,9 @@ pub struct Args {
     /// Endpoint at which to listen, for a room whose processes connect to this one (repeatable)
     #[arg(long, value_name = "ENDPOINT")]
     pub listen: Vec<String>,
+    /// Look at the room through the Zenoh router given by --connect
+    #[arg(long, requires = "connect")]
+    pub client: bool,
     #[command(flatten)]
     pub tls: TlsArgs,
     /// The --out of `heliostat calibrate`, to compare with the array
@@ -79,6 +82,12 @@ mod tests {
     struct Flags {
         #[command(flatten)]
         args: Args,
+    }
+
+    #[test]
+    fn a_client_of_a_router_names_the_router() {
+        assert!(Flags::parse_from(["doctor", "--client", "--connect", "tcp/127.0.0.1:7"]).args.client);
+        assert!(Flags::try_parse_from(["doctor", "--client"]).is_err());
     }
 
     #[test]

@@ -232,7 +232,7 @@ fn open_bus(args: &Args) -> anyhow::Result<(Bus, Vec<String>)> {
 
 fn bus_config(args: &Args) -> anyhow::Result<BusConfig> {
     let (room, connect, listen) = (args.room.clone(), args.connect.clone(), args.listen.clone());
-    let flags = BusArgs { room, connect, listen, tls: args.tls.clone(), ..BusArgs::default() };
+    let flags = BusArgs { room, connect, listen, client: args.client, tls: args.tls.clone() };
     Ok(flags.config(&AccessRole::ALL)?)
 }
 

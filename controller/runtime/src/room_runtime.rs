@@ -65,7 +65,7 @@ const HAND_OVER: Duration = Duration::from_millis(500);
 
 /// A room that is being served.
 pub struct RoomRuntime {
-    room: Room,
+    bus: Bus,
     decision_loop: Arc<Mutex<DecisionLoop>>,
     queue: Arc<ReceiveQueue>,
     announcements: Announcements,
@@ -146,7 +146,7 @@ impl RoomRuntime {
         let identity = Identity { source, started_ns, scenario: scenario.hash() };
         Ok(Self {
             status: bus.publisher(&room.status(NodeKind::Controller), Class::LowDrop)?,
-            room,
+            bus: bus.enter(room),
             decision_loop,
             queue,
             announcements: handler.announcements,
@@ -167,7 +167,7 @@ impl RoomRuntime {
 
     /// The room.
     pub fn room(&self) -> &Room {
-        &self.room
+        self.bus.room()
     }
 
     /// Counters and names as of the last status check.
@@ -177,7 +177,12 @@ impl RoomRuntime {
 
     /// The room's report as of the last status check.
     pub fn report(&self) -> RoomReport<'_> {
-        RoomReport { room: &self.room, summary: &self.summary, times: &self.times, policy_times: &self.policy_times }
+        RoomReport {
+            room: self.bus.room(),
+            summary: &self.summary,
+            times: &self.times,
+            policy_times: &self.policy_times,
+        }
     }
 
     /// Executes the action for absent reports, if that is due. Repeats held stops, and announces the
@@ -206,6 +211,7 @@ impl RoomRuntime {
         let conditions = Conditions {
             without_driver: decision_loop.room.without_driver(utc_ns()),
             geometry: self.geometry.problem().map(str::to_owned),
+            connection: self.bus.lost_connection(),
         };
         let changed = self.geometry.changed(decision_loop.room.announced_geometry(utc_ns()));
         let former = std::mem::take(&mut decision_loop.former_times);
@@ -288,9 +294,9 @@ impl RoomRuntime {
         };
         let Some(line) = line else { return };
         match problem {
-            Problem::Alarm(_) => tracing::error!(room = %self.room, "{line}"),
-            Problem::Warning(_) => tracing::warn!(room = %self.room, "{line}"),
-            Problem::End(_) => tracing::info!(room = %self.room, "{line}"),
+            Problem::Alarm(_) => tracing::error!(room = %self.bus.room(), "{line}"),
+            Problem::Warning(_) => tracing::warn!(room = %self.bus.room(), "{line}"),
+            Problem::End(_) => tracing::info!(room = %self.bus.room(), "{line}"),
         }
     }
 

@@ -90,6 +90,8 @@ pub struct Conditions {
     pub without_driver: Vec<usize>,
     /// Why the room's geometry is not that of this controller.
     pub geometry: Option<String>,
+    /// That this process has lost its last connection: it then says nothing about the driver.
+    pub connection: Option<String>,
 }
 
 /// What went wrong since the last status.
@@ -164,7 +166,7 @@ impl Reporter {
         let without_driver = &self.conditions.without_driver;
         match &self.unfit {
             Some(unfit) => no_commands(unfit),
-            None if !without_driver.is_empty() => no_driver(without_driver, arrays),
+            None if !without_driver.is_empty() => self.no_driver(arrays),
             None if !self.stops.is_empty() => self.stops.clone(),
             None if self.newest.1.is_empty() => self.conditions.geometry.clone().unwrap_or_default(),
             None => self.newest.1.clone(),
@@ -323,13 +325,13 @@ impl Reporter {
 
     /// A condition that began or ended; a second one is reported at the next snapshot.
     fn new_condition(&mut self, now: Conditions, arrays: usize) -> Option<(Subject, Problem)> {
+        self.conditions.connection = now.connection;
         let before = std::mem::replace(&mut self.conditions.without_driver, now.without_driver);
-        let without_driver = &self.conditions.without_driver;
-        if before != *without_driver {
-            let problem = if without_driver.is_empty() {
+        if before != self.conditions.without_driver {
+            let problem = if self.conditions.without_driver.is_empty() {
                 Problem::End("a driver is in the room".into())
             } else {
-                Problem::Warning(no_driver(without_driver, arrays))
+                Problem::Warning(self.no_driver(arrays))
             };
             return Some((Subject::Driver, problem));
         }
@@ -342,6 +344,13 @@ impl Reporter {
             None => Problem::End("the room announces no other geometry than this controller".into()),
         };
         Some((Subject::Geometry, problem))
+    }
+
+    /// Why commands have no receiver, in a room with this number of arrays.
+    fn no_driver(&self, arrays: usize) -> String {
+        let Conditions { without_driver, connection, .. } = &self.conditions;
+        let reason = connection.as_deref().unwrap_or(DRIVER_ABSENT);
+        format!("{}: {reason}", describe_absence(without_driver, arrays))
     }
 
     /// Light that is not the expected one any longer, or is again.
@@ -417,10 +426,6 @@ fn no_commands(unfit: &str) -> String {
     format!("the array receives no commands: {unfit}")
 }
 
-fn no_driver(without_driver: &[usize], arrays: usize) -> String {
-    format!("{}: {DRIVER_ABSENT}", describe_absence(without_driver, arrays))
-}
-
 /// A problem of which no end is reported.
 fn warning(text: String) -> (Subject, Problem) {
     (Subject::Other, Problem::Warning(text))
@@ -454,5 +459,17 @@ mod tests {
         assert_eq!(shown(&mut reporter, Some(&ended)), "rooms differ", "it began during the stop, and lasts");
         reporter.conditions.geometry = None;
         assert_eq!(shown(&mut reporter, None), "", "none of before returns");
+    }
+
+    #[test]
+    fn a_driver_is_not_blamed_while_this_process_has_no_connection() {
+        let mut reporter = Reporter::new(Identity::default());
+        let mut problem = |connection: Option<&str>| {
+            let now = Conditions { without_driver: vec![0], connection: connection.map(str::to_owned), geometry: None };
+            reporter.new_condition(now, 1);
+            reporter.present_problem(1)
+        };
+        assert_eq!(problem(Some("no connection")), "no driver receives the commands: no connection");
+        assert_eq!(problem(None), format!("no driver receives the commands: {DRIVER_ABSENT}"));
     }
 }

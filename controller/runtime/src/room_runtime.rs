@@ -39,7 +39,7 @@ use heliostat_core::{
 };
 use heliostat_models::build_tried;
 use heliostat_proto::{NodeKind, NodeStatus, Room, encode};
-use heliostat_service::{clock::utc_ns, log_limit::LogLimit, source_id};
+use heliostat_service::{clock::utc_ns, log_limit::LogLimit, process, source_id};
 
 use crate::{
     config::{NodeConfig, Pace},
@@ -143,7 +143,9 @@ impl RoomRuntime {
         subscriptions.push(orders);
         policy_swap.report(findings);
         let token = bus.announce(&room.alive(NodeKind::Controller, source))?;
-        let identity = Identity { source, started_ns, scenario: scenario.hash() };
+        let host = process::machine_name().unwrap_or_default();
+        tracing::info!(%room, host, "this controller is {source:016x}");
+        let identity = Identity { source, host, started_ns, scenario: scenario.hash() };
         Ok(Self {
             status: bus.publisher(&room.status(NodeKind::Controller), Class::LowDrop)?,
             bus: bus.enter(room),
@@ -179,6 +181,8 @@ impl RoomRuntime {
     pub fn report(&self) -> RoomReport<'_> {
         RoomReport {
             room: self.bus.room(),
+            source: self.reporter.identity().source,
+            host: &self.reporter.identity().host,
             summary: &self.summary,
             times: &self.times,
             policy_times: &self.policy_times,

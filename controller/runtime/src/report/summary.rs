@@ -145,6 +145,10 @@ impl PolicySummary {
 pub struct RoomReport<'a> {
     /// The room.
     pub room: &'a Room,
+    /// The source id of its controller.
+    pub source: u64,
+    /// The name of this machine; empty if there is none.
+    pub host: &'a str,
     /// Its report.
     pub summary: &'a Summary,
     /// Its times since the start.

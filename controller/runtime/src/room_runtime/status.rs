@@ -29,6 +29,8 @@ const DRIVER_ABSENT: &str = "there is no telemetry, and no liveliness token of a
 pub struct Identity {
     /// Random id of this instance.
     pub source: u64,
+    /// The name of its machine; empty if there is none.
+    pub host: String,
     /// When it started.
     pub started_ns: Nanos,
     /// Hash of the scenario.
@@ -121,6 +123,11 @@ impl Reporter {
     /// A reporter before its first report.
     pub fn new(identity: Identity) -> Self {
         Self { identity, ..Self::default() }
+    }
+
+    /// The reporting node.
+    pub fn identity(&self) -> &Identity {
+        &self.identity
     }
 
     /// Copies the counters; the decision loop is locked meanwhile.
@@ -225,6 +232,7 @@ impl Reporter {
         let users = summary.users.iter().map(named("users:"));
         let absent = summary.arrays.iter().filter(|array| array.driver_absent);
         let absent = absent.map(|array| (format!("driver_absent:{}", array.name), 1));
+        let host = (!self.identity.host.is_empty()).then(|| (format!("{}{}", NodeStatus::HOST, self.identity.host), 1));
         let engine = summary.engine.iter().map(|name| (format!("engine:{name}"), 1));
         let actor = summary.actor.iter().map(|hash| (format!("actor:{hash}"), 1));
         let stages = Stage::ALL.map(|stage| (stage.name().to_string(), quantiles_us(times.stage(stage))));
@@ -244,6 +252,7 @@ impl Reporter {
                 .chain(epochs)
                 .chain(missed)
                 .chain(users)
+                .chain(host)
                 .chain(engine)
                 .chain(actor)
                 .chain(absent)

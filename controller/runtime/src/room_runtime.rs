@@ -19,6 +19,7 @@ mod announcements;
 pub mod decision_loop;
 mod geometry;
 mod locks;
+mod peers;
 mod policy_swap;
 pub mod receive_queue;
 mod status;
@@ -52,6 +53,7 @@ use announcements::Announcements;
 use decision_loop::{DecisionLoop, PayloadHandler};
 use geometry::GeometryComparison;
 use locks::{lock, lock_within, try_lock};
+use peers::PeerStatuses;
 use policy_swap::{PolicyBuilder, PolicySwap, warm_up_runs};
 use receive_queue::ReceiveQueue;
 use status::{Conditions, Identity, Problem, Reporter};
@@ -72,6 +74,7 @@ pub struct RoomRuntime {
     repeater: Arc<Mutex<Repeater>>,
     repetitions: Publishers,
     policy_swap: PolicySwap,
+    peers: PeerStatuses,
     /// The room's thread, until it has ended.
     thread: Option<JoinHandle<()>>,
     /// Dropped when the room is closed.
@@ -140,7 +143,8 @@ impl RoomRuntime {
             configured: (config.policy, actor),
         };
         let (policy_swap, orders) = PolicySwap::subscribe(bus, &decision_loop, builder)?;
-        subscriptions.push(orders);
+        let (peers, statuses) = PeerStatuses::subscribe(bus)?;
+        subscriptions.extend([orders, statuses]);
         policy_swap.report(findings);
         let token = bus.announce(&room.alive(NodeKind::Controller, source))?;
         let host = process::machine_name().unwrap_or_default();
@@ -155,6 +159,7 @@ impl RoomRuntime {
             repeater,
             repetitions: Publishers::of_repetitions(bus, arrays)?,
             policy_swap,
+            peers,
             thread,
             declared: Some((subscriptions, token)),
             geometry: GeometryComparison::new(scenario),
@@ -216,6 +221,7 @@ impl RoomRuntime {
             without_driver: decision_loop.room.without_driver(utc_ns()),
             geometry: self.geometry.problem().map(str::to_owned),
             connection: self.bus.lost_connection(),
+            silent_peers: self.peers.silent(decision_loop.room.controller().tenure(0).peers(), Instant::now()),
         };
         let changed = self.geometry.changed(decision_loop.room.announced_geometry(utc_ns()));
         let former = std::mem::take(&mut decision_loop.former_times);
@@ -268,7 +274,7 @@ impl RoomRuntime {
             let controller = decision_loop.room.controller();
             let awaits = |array| {
                 let tenure = controller.tenure(array);
-                tenure.peers() > 0 && tenure.standing() == Standing::Leading
+                !tenure.peers().is_empty() && tenure.standing() == Standing::Leading
             };
             if !(0..controller.arrays()).any(awaits) {
                 return;

@@ -205,9 +205,9 @@ impl Tenure {
         self.numbers.next_sequence()
     }
 
-    /// Number of other controllers in the room.
-    pub fn peers(&self) -> usize {
-        self.peers.len()
+    /// Source ids of the other controllers in the room.
+    pub fn peers(&self) -> &[u64] {
+        &self.peers
     }
 
     /// Whether the former leader ended with its liveliness token before this standby took over.

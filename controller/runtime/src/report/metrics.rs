@@ -64,7 +64,7 @@ fn add_room(page: &mut Page, report: &RoomReport<'_>) {
     page.gauge("heliostat_standby", "1 while the array follows another controller", &[room], standby);
     page.gauge(
         "heliostat_controller_peers",
-        "Liveliness tokens of other controllers that this one sees in the room, of calibrations too; 16 at most",
+        "Other controllers in the room from which statuses arrive, and calibrations; 16 at most",
         &[room],
         summary.peers as f64,
     );

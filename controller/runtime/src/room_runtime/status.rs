@@ -11,7 +11,7 @@ use heliostat_core::{
 use heliostat_proto::{Nanos, NodeKind, NodeStatus, Stamp, gauges::ServedLight};
 use heliostat_service::clock::utc_ns;
 
-use super::{decision_loop::DecisionLoop, policy_swap::SwapCounters};
+use super::{decision_loop::DecisionLoop, peers::ReportedPeers, policy_swap::SwapCounters};
 use crate::report::{
     stage_times::{StageTimes, quantiles_us},
     summary::Summary,
@@ -63,6 +63,8 @@ pub struct Reporter {
     conditions: Conditions,
     /// Of what the light is not the expected one.
     off_light: Vec<String>,
+    /// Controllers that were reported as silent.
+    silent_peers: ReportedPeers,
     /// The stops that withhold commands, in words; empty for none.
     stops: String,
     /// The newest problem since something kept commands from the mirrors, and what it is about.
@@ -71,7 +73,7 @@ pub struct Reporter {
 
 /// What a problem is about: its end clears no other one.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-enum Subject {
+pub enum Subject {
     /// Whether the array fits the scenario.
     Fit,
     Driver,
@@ -81,6 +83,8 @@ enum Subject {
     Geometry,
     /// The light of the mirrors, or of an LED.
     Light(String),
+    /// Another controller.
+    Peer(u64),
     #[default]
     Other,
 }
@@ -94,6 +98,8 @@ pub struct Conditions {
     pub geometry: Option<String>,
     /// That this process has lost its last connection: it then says nothing about the driver.
     pub connection: Option<String>,
+    /// Source ids of controllers whose tokens remain and whose statuses do not come.
+    pub silent_peers: Vec<u64>,
 }
 
 /// What went wrong since the last status.
@@ -143,6 +149,7 @@ impl Reporter {
         summary.dropped = decision_loop.room.superseded();
         let undecodable = decision_loop.room.undecodable();
         summary.refused.extend(undecodable.named());
+        summary.peers = summary.peers.saturating_sub(conditions.silent_peers.len() as u64);
         // Of several arrays, the first that follows another controller.
         let mut tenures = (0..controller.arrays()).map(|array| controller.tenure(array));
         let tenure = tenures.find(|tenure| tenure.standing() == Standing::Standby).unwrap_or(controller.tenure(0));
@@ -150,6 +157,7 @@ impl Reporter {
         let problem = self
             .new_alarm(&summary, controller.counters(), tenure)
             .or_else(|| self.new_stops(&stops_before))
+            .or_else(|| self.silent_peers.news(&conditions.silent_peers))
             .or_else(|| self.new_condition(conditions, controller.arrays()))
             .or_else(|| self.new_light(&summary.light))
             .or_else(|| self.new_problem(decision_loop, &swaps).map(warning))
@@ -474,7 +482,8 @@ mod tests {
     fn a_driver_is_not_blamed_while_this_process_has_no_connection() {
         let mut reporter = Reporter::new(Identity::default());
         let mut problem = |connection: Option<&str>| {
-            let now = Conditions { without_driver: vec![0], connection: connection.map(str::to_owned), geometry: None };
+            let connection = connection.map(str::to_owned);
+            let now = Conditions { without_driver: vec![0], connection, ..Conditions::default() };
             reporter.new_condition(now, 1);
             reporter.present_problem(1)
         };

@@ -96,9 +96,9 @@ pub(super) struct Watch {
     /// The report whose answer is awaited, and the commands accepted until then.
     pub(super) awaited: Option<(Nanos, u64)>,
     /// The last report; 0 before the first.
-    last_ns: Nanos,
+    pub(super) last_ns: Nanos,
     /// The first report after a pause that is as long as the loss of a link, until a report after it is judged.
-    returned_ns: Option<Nanos>,
+    pub(super) returned_ns: Option<Nanos>,
     /// Reports without an accepted command, in sequence.
     pub(super) unanswered: u8,
     /// The liveliness token of the leader has ended, and the leader ends with it.

@@ -227,6 +227,9 @@ impl NodeStatus {
     /// Name of the counter of arrays whose emergency stop is not in its record; 0 when all are.
     pub const STOP_UNRECORDED: &'static str = "stop_unrecorded";
 
+    /// Beginning of the name of the counter that names the host of a controller.
+    pub const HOST: &'static str = "host:";
+
     /// What a fallback is: the help of page, status and metrics.
     pub const FALLBACKS_MEANING: &'static str = "Decisions without the policy's own angles or on incomplete reports";
     /// What a withheld command is. It is no fallback.
@@ -238,6 +241,11 @@ impl NodeStatus {
         let is_fallback =
             |name: &str| name.strip_prefix(Self::DEGRADED).is_some_and(|mode| !Self::WITHHELD.contains(&mode));
         self.counters.iter().filter(|(name, _)| is_fallback(name)).map(|(_, count)| count).sum()
+    }
+
+    /// The name of the controller's host, if it gives one.
+    pub fn host(&self) -> Option<&str> {
+        self.counters.iter().find_map(|(name, _)| name.strip_prefix(Self::HOST))
     }
 
     /// The present value with this name.

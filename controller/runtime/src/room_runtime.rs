@@ -19,6 +19,7 @@ mod announcements;
 pub mod decision_loop;
 mod geometry;
 mod locks;
+mod peers;
 mod policy_swap;
 pub mod receive_queue;
 mod status;
@@ -39,7 +40,7 @@ use heliostat_core::{
 };
 use heliostat_models::build_tried;
 use heliostat_proto::{NodeKind, NodeStatus, Room, encode};
-use heliostat_service::{clock::utc_ns, log_limit::LogLimit, source_id};
+use heliostat_service::{clock::utc_ns, log_limit::LogLimit, process, source_id};
 
 use crate::{
     config::{NodeConfig, Pace},
@@ -52,6 +53,7 @@ use announcements::Announcements;
 use decision_loop::{DecisionLoop, PayloadHandler};
 use geometry::GeometryComparison;
 use locks::{lock, lock_within, try_lock};
+use peers::PeerStatuses;
 use policy_swap::{PolicyBuilder, PolicySwap, warm_up_runs};
 use receive_queue::ReceiveQueue;
 use status::{Conditions, Identity, Problem, Reporter};
@@ -65,13 +67,14 @@ const HAND_OVER: Duration = Duration::from_millis(500);
 
 /// A room that is being served.
 pub struct RoomRuntime {
-    room: Room,
+    bus: Bus,
     decision_loop: Arc<Mutex<DecisionLoop>>,
     queue: Arc<ReceiveQueue>,
     announcements: Announcements,
     repeater: Arc<Mutex<Repeater>>,
     repetitions: Publishers,
     policy_swap: PolicySwap,
+    peers: PeerStatuses,
     /// The room's thread, until it has ended.
     thread: Option<JoinHandle<()>>,
     /// Dropped when the room is closed.
@@ -140,19 +143,23 @@ impl RoomRuntime {
             configured: (config.policy, actor),
         };
         let (policy_swap, orders) = PolicySwap::subscribe(bus, &decision_loop, builder)?;
-        subscriptions.push(orders);
+        let (peers, statuses) = PeerStatuses::subscribe(bus)?;
+        subscriptions.extend([orders, statuses]);
         policy_swap.report(findings);
         let token = bus.announce(&room.alive(NodeKind::Controller, source))?;
-        let identity = Identity { source, started_ns, scenario: scenario.hash() };
+        let host = process::machine_name().unwrap_or_default();
+        tracing::info!(%room, host, "this controller is {source:016x}");
+        let identity = Identity { source, host, started_ns, scenario: scenario.hash() };
         Ok(Self {
             status: bus.publisher(&room.status(NodeKind::Controller), Class::LowDrop)?,
-            room,
+            bus: bus.enter(room),
             decision_loop,
             queue,
             announcements: handler.announcements,
             repeater,
             repetitions: Publishers::of_repetitions(bus, arrays)?,
             policy_swap,
+            peers,
             thread,
             declared: Some((subscriptions, token)),
             geometry: GeometryComparison::new(scenario),
@@ -167,7 +174,7 @@ impl RoomRuntime {
 
     /// The room.
     pub fn room(&self) -> &Room {
-        &self.room
+        self.bus.room()
     }
 
     /// Counters and names as of the last status check.
@@ -177,7 +184,14 @@ impl RoomRuntime {
 
     /// The room's report as of the last status check.
     pub fn report(&self) -> RoomReport<'_> {
-        RoomReport { room: &self.room, summary: &self.summary, times: &self.times, policy_times: &self.policy_times }
+        RoomReport {
+            room: self.bus.room(),
+            source: self.reporter.identity().source,
+            host: &self.reporter.identity().host,
+            summary: &self.summary,
+            times: &self.times,
+            policy_times: &self.policy_times,
+        }
     }
 
     /// Executes the action for absent reports, if that is due. Repeats held stops, and announces the
@@ -206,6 +220,8 @@ impl RoomRuntime {
         let conditions = Conditions {
             without_driver: decision_loop.room.without_driver(utc_ns()),
             geometry: self.geometry.problem().map(str::to_owned),
+            connection: self.bus.lost_connection(),
+            silent_peers: self.peers.silent(decision_loop.room.controller().tenure(0).peers(), Instant::now()),
         };
         let changed = self.geometry.changed(decision_loop.room.announced_geometry(utc_ns()));
         let former = std::mem::take(&mut decision_loop.former_times);
@@ -258,7 +274,7 @@ impl RoomRuntime {
             let controller = decision_loop.room.controller();
             let awaits = |array| {
                 let tenure = controller.tenure(array);
-                tenure.peers() > 0 && tenure.standing() == Standing::Leading
+                !tenure.peers().is_empty() && tenure.standing() == Standing::Leading
             };
             if !(0..controller.arrays()).any(awaits) {
                 return;
@@ -288,9 +304,9 @@ impl RoomRuntime {
         };
         let Some(line) = line else { return };
         match problem {
-            Problem::Alarm(_) => tracing::error!(room = %self.room, "{line}"),
-            Problem::Warning(_) => tracing::warn!(room = %self.room, "{line}"),
-            Problem::End(_) => tracing::info!(room = %self.room, "{line}"),
+            Problem::Alarm(_) => tracing::error!(room = %self.bus.room(), "{line}"),
+            Problem::Warning(_) => tracing::warn!(room = %self.bus.room(), "{line}"),
+            Problem::End(_) => tracing::info!(room = %self.bus.room(), "{line}"),
         }
     }
 

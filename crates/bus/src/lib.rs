@@ -36,6 +36,7 @@ mod bounded_session;
 mod building;
 mod certificate;
 mod config;
+mod connection_watch;
 mod error;
 mod free_endpoint;
 pub mod keys;

@@ -14,8 +14,9 @@ use zenoh::sample::{Sample, SampleKind};
 
 use crate::bounded_session::BoundedSession;
 use crate::config::{BusConfig, Reach};
+use crate::connection_watch::{ConnectionWatch, connections};
 use crate::error::BusError;
-use crate::tls_check::{TlsCheck, accepts, connections, first_encrypted, first_problem};
+use crate::tls_check::{accepts, first_encrypted, first_problem};
 
 /// Time between two looks for a connection.
 const CONNECTED_EVERY: Duration = Duration::from_millis(20);
@@ -81,10 +82,10 @@ pub enum Presence {
 
 /// A session in a room. Dropping or [closing](Self::close) it withdraws all its declarations.
 pub struct Bus {
+    /// Of a session that connects. Dropped before the session, so that the last one is the bounded one.
+    watch: Option<Arc<ConnectionWatch>>,
     session: BoundedSession,
     room: Room,
-    /// Of a session with keys that connects.
-    check: Option<Arc<TlsCheck>>,
 }
 
 impl Bus {
@@ -106,9 +107,9 @@ impl Bus {
             );
         }
         let session = zenoh::open(zenoh_config).wait().map_err(|error| open_error(config, &error.to_string()))?;
-        let check = config.identity.clone().filter(|_| !config.connect.is_empty());
-        let check = check.map(|identity| TlsCheck::start(session.clone(), identity, config.connect.clone()));
-        Ok(Self { session: BoundedSession::new(session), room: config.room.clone(), check: check.map(Arc::new) })
+        let start = || ConnectionWatch::start(session.clone(), config.identity.clone(), config.connect.clone());
+        let watch = (!config.connect.is_empty()).then(|| Arc::new(start()));
+        Ok(Self { watch, session: BoundedSession::new(session), room: config.room.clone() })
     }
 
     /// Waits until this session is connected to another process, at most `limit`; returns whether it is.
@@ -139,13 +140,18 @@ impl Bus {
 
     /// Why a TLS connection of this session fails, if the other side answers: the fault of a certificate.
     pub fn connection_problem(&self) -> Option<String> {
-        self.check.as_ref()?.problem()
+        self.watch.as_ref()?.problem()
+    }
+
+    /// That this session has lost its last connection, in words, until one is back.
+    pub fn lost_connection(&self) -> Option<String> {
+        self.watch.as_ref()?.lost()
     }
 
     /// The same session in another room; [`close`](Self::close) closes it for all rooms.
     #[must_use]
     pub fn enter(&self, room: Room) -> Self {
-        Self { session: self.session.clone(), room, check: self.check.clone() }
+        Self { watch: self.watch.clone(), session: self.session.clone(), room }
     }
 
     /// Room that gives the keys.

@@ -1,14 +1,12 @@
 //! Why a TLS connection to another process fails.
 //!
-//! Zenoh retries a failed connection without a reason. While an endpoint has no connection, a thread
-//! makes the same handshake, reads the certificate of the other side whatever it is, and names what
-//! does not fit: host, date, authority, or this process's own certificate. No data is exchanged.
+//! Zenoh retries a failed connection without a reason. A check makes the same handshake, reads the certificate of
+//! the other side whatever it is, and names what does not fit: host, date, authority, or this process's own
+//! certificate. No data is exchanged.
 
 use std::io::{ErrorKind, Read};
 use std::net::{TcpStream, ToSocketAddrs};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
-use std::thread;
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 use rustls::client::danger::{HandshakeSignatureValid, ServerCertVerified, ServerCertVerifier};
@@ -16,80 +14,14 @@ use rustls::crypto::{CryptoProvider, ring, verify_tls12_signature, verify_tls13_
 use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, PrivateKeyDer, ServerName, UnixTime};
 use rustls::{ClientConfig, ClientConnection, DigitallySignedStruct, Error, SignatureScheme};
-use zenoh::Wait;
 use zenoh::config::EndPoint;
 
 use crate::certificate::Certificate;
 use crate::platform;
 use crate::tls::Identity;
 
-/// Time that Zenoh has for a connection before the first check.
-const FIRST: Duration = Duration::from_millis(1500);
-
-/// Time between two checks while a connection is missing.
-const AGAIN: Duration = Duration::from_secs(5);
-
 /// Longest wait for the other side in each step.
 const STEP_LIMIT: Duration = Duration::from_millis(500);
-
-/// Checks the endpoints of a session while one of them has no connection, until it is dropped.
-#[derive(Debug)]
-pub(crate) struct TlsCheck {
-    problem: Arc<Mutex<Option<String>>>,
-    /// Its end ends the thread.
-    _end: Sender<()>,
-}
-
-impl TlsCheck {
-    /// Starts the thread; without one, no reason is known.
-    pub fn start(session: zenoh::Session, identity: Identity, endpoints: Vec<String>) -> Self {
-        let problem = Arc::default();
-        let (end, ended) = channel();
-        let noted = Arc::clone(&problem);
-        let watch = move || watch(&session, &identity, &endpoints, &noted, &ended);
-        if let Err(error) = thread::Builder::new().name("tls-check".into()).spawn(watch) {
-            tracing::debug!("connections are not checked: {error}");
-        }
-        Self { problem, _end: end }
-    }
-
-    /// The present reason why an endpoint has no connection.
-    pub fn problem(&self) -> Option<String> {
-        lock(&self.problem).clone()
-    }
-}
-
-fn lock(problem: &Mutex<Option<String>>) -> std::sync::MutexGuard<'_, Option<String>> {
-    // A text is replaced as a unit.
-    problem.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-fn watch(
-    session: &zenoh::Session,
-    identity: &Identity,
-    endpoints: &[String],
-    noted: &Mutex<Option<String>>,
-    ended: &Receiver<()>,
-) {
-    let mut wait = FIRST;
-    while ended.recv_timeout(wait) == Err(RecvTimeoutError::Timeout) {
-        wait = AGAIN;
-        let problem = if connections(session) < endpoints.len() { first_problem(identity, endpoints) } else { None };
-        let mut known = lock(noted);
-        if *known != problem {
-            if let Some(problem) = &problem {
-                tracing::warn!("{problem}");
-            }
-            *known = problem;
-        }
-    }
-}
-
-/// Number of processes to which a session is connected.
-pub(crate) fn connections(session: &zenoh::Session) -> usize {
-    let info = session.info();
-    info.peers_zid().wait().count() + info.routers_zid().wait().count()
-}
 
 /// Whether a process accepts connections at an endpoint. One of a protocol without connections may.
 pub(crate) fn accepts(endpoint: &str) -> bool {

@@ -10,7 +10,7 @@
 //! - [`output`]: text for a user on standard output and standard error.
 //! - [`whole_file`]: files that are complete, or not there.
 //! - [`printable`]: text from messages and files, made safe for a terminal.
-//! - [`process`]: memory, files and threads of this process.
+//! - [`process`]: memory, files and threads of this process, and the name of its machine.
 //! - [`page`]: counters, gauges and histograms of one moment, in the OpenMetrics text format.
 //! - [`exporter`]: serves the newest page under `/metrics`.
 //! - [`http`]: the HTTP server below the metrics page and the live page, with its limits.

@@ -1,4 +1,4 @@
-//! What the operating system reports about this process.
+//! What the operating system reports about this process and its machine.
 
 /// Memory, files and threads of this process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,6 +21,11 @@ pub fn usage() -> Option<Usage> {
     // The listing itself is one open file.
     let files = std::fs::read_dir("/proc/self/fd").ok()?.count().saturating_sub(1) as u64;
     Some(Usage { resident_bytes: field("VmRSS:")? * 1024, files, threads: field("Threads:")? })
+}
+
+/// The name of this machine; `None` if it has none that is text.
+pub fn machine_name() -> Option<String> {
+    gethostname::gethostname().into_string().ok()
 }
 
 #[cfg(all(test, target_os = "linux"))]

@@ -141,13 +141,15 @@ function standby(controllers) {
   const WORDS = { leads: "leads", calibrates: "calibrates", unfollowed: "is not followed", "stands-by": "stands by" };
   const leaders = controllers.filter((one) => one.role === "leads" || one.role === "calibrates");
   const sum = (key) => controllers.reduce((total, one) => total + one[key], 0);
-  const text = controllers.map((one) => `${short(one)} ${WORDS[one.role]}`).join(", ");
+  const isSpread = new Set(controllers.map((one) => one.host)).size > 1;
+  const host = (one) => (isSpread && one.host ? ` on ${one.host}` : "");
+  const text = controllers.map((one) => `${short(one)}${host(one)} ${WORDS[one.role]}`).join(", ");
   const of = (key) => controllers.map((one) => `${short(one)} ${one[key]}`).join(", ") || "0";
   const lost = sum("false_takeovers");
   const taken = sum("takeovers") + lost;
   if (controllers.length < 2 && taken === 0) return [];
   const roles = [
-    ["controllers", text || "none", leaders.length === 1 ? "wide" : "wide bad", "The controllers in the room, by the beginning of their source id: one leads, or a calibration commands in its place; the others stand by. One is not followed where it does not stand by and the array follows another one or reports none.", "controller"],
+    ["controllers", text || "none", leaders.length === 1 ? "wide" : "wide bad", "The controllers in the room, by the beginning of their source id, with their hosts if these differ: one leads, or a calibration commands in its place; the others stand by. One is not followed where it does not stand by and the array follows another one or reports none.", "controller"],
   ];
   if (taken === 0) return roles;
   return [

@@ -1,10 +1,12 @@
 //! The controllers of a room: which one leads, which stand by, and how often they took over.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
 use std::time::Instant;
 
 use heliostat_proto::gauges::CalibrationProgress;
 use heliostat_proto::{EPOCH_SLOTS, NodeKind, NodeStatus};
+use heliostat_service::printable::printable;
 use serde::Serialize;
 
 use crate::view::EXPIRY;
@@ -57,6 +59,8 @@ impl Role {
 pub struct ControllerFigures {
     /// Its source id, as 16 hexadecimal digits.
     pub name: String,
+    /// The name of its host; empty where its status has none.
+    pub host: String,
     /// Whether it leads.
     pub role: Role,
     /// The epoch of its commands; 0 before the first.
@@ -71,6 +75,14 @@ pub struct ControllerFigures {
     pub is_deciding: bool,
     /// Whether it cannot command, because the array does not fit its scenario.
     pub is_unfit: bool,
+}
+
+impl fmt::Display for ControllerFigures {
+    /// Name, host and role.
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let on = if self.host.is_empty() { "" } else { " on " };
+        write!(formatter, "{}{on}{} {}", self.name, self.host, self.role.in_words())
+    }
 }
 
 /// The name of a controller with a source id.
@@ -112,6 +124,7 @@ impl Controllers {
         };
         let figures = ControllerFigures {
             name: controller_name(source),
+            host: printable(status.host().unwrap_or_default()).into_owned(),
             role,
             epoch: counter(status, EPOCH),
             takeovers: counter(status, TAKEOVERS),
@@ -183,15 +196,18 @@ mod tests {
     fn the_leader_is_first_and_one_that_has_left_is_gone() {
         let (mut controllers, name) = (Controllers::default(), NodeKind::Controller.name());
         controllers.take(&status(1, &[(STANDBY, 1), (TAKEOVERS, 1)]));
-        controllers.take(&status(2, &[(STANDBY, 0), (TAKEOVERS, 3), (FALSE_TAKEOVERS, 2)]));
+        controllers.take(&status(2, &[(STANDBY, 0), (TAKEOVERS, 3), (FALSE_TAKEOVERS, 2), ("host:host-a", 1)]));
         let present = controllers.present(&[(name, 1), (name, 2)].into(), None);
         let expected = ControllerFigures {
             name: "0000000000000002".into(),
+            host: "host-a".into(),
             takeovers: 3,
             false_takeovers: 2,
             ..ControllerFigures::default()
         };
         assert_eq!((&present[0], present[1].role, present.len()), (&expected, Role::StandsBy, 2));
+        let shown = [&present[0], &present[1]].map(ToString::to_string);
+        assert_eq!(shown, ["0000000000000002 on host-a leads", "0000000000000001 stands by"]);
         assert_eq!(controllers.present(&[(name, 1)].into(), None).len(), 1);
     }
 

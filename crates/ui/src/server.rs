@@ -32,6 +32,7 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use heliostat_service::Stop;
 use heliostat_service::http::{self, Limits};
+use heliostat_service::process::machine_name;
 use serde::Serialize;
 
 use crate::UiError;
@@ -222,11 +223,6 @@ impl std::fmt::Display for Server {
         }
         self.public.iter().try_for_each(|public| write!(formatter, ", through a proxy at {public}{}", self.query()))
     }
-}
-
-/// The name of this machine; `None` if it has none that is text.
-fn machine_name() -> Option<String> {
-    gethostname::gethostname().into_string().ok()
 }
 
 fn router(shared: Shared, gate: Option<Gate>, guard: Guard) -> Router {

@@ -173,8 +173,7 @@ impl fmt::Display for RoomStatus {
         let verdict = if self.is_healthy { "healthy".into() } else { counted(self.problems.len(), "problem") };
         writeln!(formatter, "room {}: {verdict}", self.room)?;
         let or_none = |text: String| if text.is_empty() { "none".to_owned() } else { text };
-        let controllers: Vec<String> =
-            controllers.iter().map(|one| format!("{} {}", one.name, one.role.in_words())).collect();
+        let controllers: Vec<String> = controllers.iter().map(ToString::to_string).collect();
         let are_users_seen = self.figures.origin != Origin::NoData;
         let users = if are_users_seen { users_line(users) } else { "unknown: no position reports here".into() };
         let unknown = || format!("unknown: {}", why_without_rates(&self.figures));

@@ -35,9 +35,11 @@
 //!   new epoch and answers the report that is due. A leader whose liveliness token has ended counts as one
 //!   unanswered report, until it answers one or its token returns. The rank is 1 plus the number of other standbys
 //!   with a lower source id, up to [`RANK_MAX`], or given by the operator.
+//! - **A standby that lost its link**, and so the reports for more than 1 s, has lost tokens and telemetry with it.
+//!   The end of the leader's token counts again once a report is judged, and missing telemetry after a further 1 s.
 //! - **Guest**: a controller that leads within 1 s of its token, as a calibration does, from a leader that answers
 //!   and stays in the room. When its token ends, a standby resumes: this is no takeover, and former contested ones
-//!   do not delay it.
+//!   do not delay it. A controller that left while another one led, and is back, is no guest.
 //! - **Contested takeover**: the former leader was not gone if the array then refuses commands of a lower epoch, or
 //!   accepted one after the telemetry that decided. Each such takeover in sequence adds one to the reports that must
 //!   be unanswered, up to [`BACK_OFF_MAX`]. A command after that, and a token that ended and is back, count only.
@@ -203,9 +205,9 @@ impl Tenure {
         self.numbers.next_sequence()
     }
 
-    /// Number of other controllers in the room.
-    pub fn peers(&self) -> usize {
-        self.peers.len()
+    /// Source ids of the other controllers in the room.
+    pub fn peers(&self) -> &[u64] {
+        &self.peers
     }
 
     /// Whether the former leader ended with its liveliness token before this standby took over.
@@ -223,7 +225,8 @@ impl Tenure {
         if is_present {
             self.note_peer(peer);
         } else if !self.has_peer(peer) {
-            self.guest.handle_left(peer % EPOCH_SLOTS);
+            let is_followed = self.leads(peer);
+            self.guest.handle_left(peer, is_followed);
         }
         // A further token of the same remainder may be forged: its end is no end of the leader.
         if self.standing == Standing::Standby && self.leads(peer) {
@@ -244,7 +247,7 @@ impl Tenure {
         }
         if self.peers.len() < PEERS_MAX {
             self.peers.push(peer);
-            self.guest.handle_joined(peer % EPOCH_SLOTS, self.seen.map(|(seen_ns, _)| seen_ns));
+            self.guest.handle_joined(peer, self.seen.map(|(seen_ns, _)| seen_ns));
         }
     }
 
@@ -310,25 +313,21 @@ impl Tenure {
 
     /// A report is due in standby: judges whether the leader has answered the awaited one.
     fn watch_leader(&mut self, now: Nanos) -> Option<TenureEvent> {
+        let Rule::Live { interval_ns, .. } = self.rule else {
+            return (!self.is_current(now)).then(|| self.resume(now));
+        };
+        let gap_ns = interval_ns.saturating_mul(WATCH_GAP);
+        let since_last_ns = self.watch.note_report(now, gap_ns.max(TELEMETRY_TIMEOUT_NS));
         if !self.is_current(now) {
-            return Some(self.resume(now));
+            return self.watch.misses_telemetry(now).then(|| self.resume(now));
         }
-        let (Rule::Live { interval_ns, .. }, Some((shown_ns, shown))) = (self.rule, self.seen) else { return None };
+        let seen = self.seen?;
+        let (_, shown) = seen;
         let (rank, is_returned) = (self.rank(), self.guest.leads && self.watch.has_left);
         let needed = if is_returned { rank } else { rank.saturating_add(self.contest.back_off) };
+        let is_paused = shown.stopped || since_last_ns > gap_ns;
         let watch = &mut self.watch;
-        let since_last_ns = now.abs_diff(std::mem::replace(&mut watch.last_ns, now));
-        let is_paused = shown.stopped || since_last_ns > interval_ns.saturating_mul(WATCH_GAP);
-        let Some((since_ns, accepted)) = watch.awaited.filter(|_| !is_paused) else {
-            watch.awaited = Some((now, shown.accepted));
-            watch.unanswered = 0;
-            return None;
-        };
-        let is_answered = shown.accepted > accepted;
-        if shown_ns >= since_ns.saturating_add(interval_ns / 4) {
-            watch.unanswered = if is_answered { 0 } else { watch.unanswered.saturating_add(1) };
-            watch.awaited = Some((now, shown.accepted));
-        }
+        let is_answered = watch.judge(now, seen, interval_ns, is_paused)?;
         if watch.unanswered + u8::from(watch.is_gone()) < needed {
             // An answer that came before the token ended shows no leader.
             if watch.has_left && is_answered && !is_returned {

@@ -8,6 +8,7 @@ use crate::support::MS;
 mod contested;
 mod forged;
 mod guests;
+mod links;
 
 const S: Nanos = 1000 * MS;
 const INTERVAL: Nanos = 10 * MS;

@@ -19,6 +19,10 @@ fn add_room(page: &mut Page, report: &RoomReport<'_>) {
     let room = ("room", report.room.name());
     let policy = [room, ("policy", summary.policy.as_str())];
     page.gauge("heliostat_policy_info", "Name of the policy in use; the value is always 1", &policy, 1.0);
+    let source = format!("{:016x}", report.source);
+    let controller = [room, ("source", source.as_str()), ("host", report.host)];
+    let help = "Source id and host of the controller, as the page shows them; the value is always 1";
+    page.gauge("heliostat_controller_info", help, &controller, 1.0);
     page.gauge("heliostat_epoch", "Epoch of the commands", &[room], summary.epoch as f64);
     for (name, help, value) in [
         (
@@ -60,7 +64,7 @@ fn add_room(page: &mut Page, report: &RoomReport<'_>) {
     page.gauge("heliostat_standby", "1 while the array follows another controller", &[room], standby);
     page.gauge(
         "heliostat_controller_peers",
-        "Liveliness tokens of other controllers that this one sees in the room, of calibrations too; 16 at most",
+        "Other controllers in the room from which statuses arrive, and calibrations; 16 at most",
         &[room],
         summary.peers as f64,
     );
@@ -169,9 +173,13 @@ mod tests {
         let counts = |mode: &str| BTreeMap::from([(mode.to_owned(), 3)]);
         let summary = Summary { fallbacks: counts("late"), withheld: counts("standby"), ..Summary::default() };
         let (room, times) = (Room::new("demo").expect("a valid name"), StageTimes::default());
+        let policy_times = PolicyTimes::default();
+        let (source, host) = (0x94ca, "host-a");
         let report =
-            RoomReport { room: &room, summary: &summary, times: &times, policy_times: &PolicyTimes::default() };
+            RoomReport { room: &room, source, host, summary: &summary, times: &times, policy_times: &policy_times };
         let text = page(&[report]).text();
+        let info = "heliostat_controller_info{room=\"demo\",source=\"00000000000094ca\",host=\"host-a\"} 1";
+        assert!(text.contains(info), "{text}");
         let lines: Vec<&str> = text.lines().filter(|line| line.contains("cause=\"") && line.ends_with(" 3")).collect();
         let expected = [
             "heliostat_fallbacks_total{room=\"demo\",cause=\"late\"} 3",

@@ -66,7 +66,7 @@ pub struct Summary {
     pub epoch_events: BTreeMap<String, u64>,
     /// The array follows another controller: commands are withheld.
     pub standby: bool,
-    /// Other controllers whose liveliness tokens this one sees, and calibrations; 16 at most.
+    /// Other controllers in the room from which statuses arrive, and calibrations; 16 at most.
     pub peers: u64,
     /// Why the array receives no commands, if it does not fit the scenario.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -145,6 +145,10 @@ impl PolicySummary {
 pub struct RoomReport<'a> {
     /// The room.
     pub room: &'a Room,
+    /// The source id of its controller.
+    pub source: u64,
+    /// The name of this machine; empty if there is none.
+    pub host: &'a str,
     /// Its report.
     pub summary: &'a Summary,
     /// Its times since the start.
@@ -262,7 +266,7 @@ impl Summary {
             ]),
             epoch_events: nonzero(TenureEvent::ALL.map(|event| (event.name(), counters.tenure(event)))),
             standby: arrays.clone().any(|array| controller.tenure(array).is_standing_by()),
-            peers: controller.tenure(0).peers() as u64,
+            peers: controller.tenure(0).peers().len() as u64,
             unfit: controller.unfit().map(describe_unfit),
             missed: Stream::ALL.map(|stream| (stream.name().into(), controller.inbox().missed(stream))).into(),
             clipped: counters.clipped,

@@ -11,7 +11,7 @@ use heliostat_core::{
 use heliostat_proto::{Nanos, NodeKind, NodeStatus, Stamp, gauges::ServedLight};
 use heliostat_service::clock::utc_ns;
 
-use super::{decision_loop::DecisionLoop, policy_swap::SwapCounters};
+use super::{decision_loop::DecisionLoop, peers::ReportedPeers, policy_swap::SwapCounters};
 use crate::report::{
     stage_times::{StageTimes, quantiles_us},
     summary::Summary,
@@ -29,6 +29,8 @@ const DRIVER_ABSENT: &str = "there is no telemetry, and no liveliness token of a
 pub struct Identity {
     /// Random id of this instance.
     pub source: u64,
+    /// The name of its machine; empty if there is none.
+    pub host: String,
     /// When it started.
     pub started_ns: Nanos,
     /// Hash of the scenario.
@@ -61,6 +63,8 @@ pub struct Reporter {
     conditions: Conditions,
     /// Of what the light is not the expected one.
     off_light: Vec<String>,
+    /// Controllers that were reported as silent.
+    silent_peers: ReportedPeers,
     /// The stops that withhold commands, in words; empty for none.
     stops: String,
     /// The newest problem since something kept commands from the mirrors, and what it is about.
@@ -69,7 +73,7 @@ pub struct Reporter {
 
 /// What a problem is about: its end clears no other one.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-enum Subject {
+pub enum Subject {
     /// Whether the array fits the scenario.
     Fit,
     Driver,
@@ -79,6 +83,8 @@ enum Subject {
     Geometry,
     /// The light of the mirrors, or of an LED.
     Light(String),
+    /// Another controller.
+    Peer(u64),
     #[default]
     Other,
 }
@@ -90,6 +96,10 @@ pub struct Conditions {
     pub without_driver: Vec<usize>,
     /// Why the room's geometry is not that of this controller.
     pub geometry: Option<String>,
+    /// That this process has lost its last connection: it then says nothing about the driver.
+    pub connection: Option<String>,
+    /// Source ids of controllers whose tokens remain and whose statuses do not come.
+    pub silent_peers: Vec<u64>,
 }
 
 /// What went wrong since the last status.
@@ -121,6 +131,11 @@ impl Reporter {
         Self { identity, ..Self::default() }
     }
 
+    /// The reporting node.
+    pub fn identity(&self) -> &Identity {
+        &self.identity
+    }
+
     /// Copies the counters; the decision loop is locked meanwhile.
     pub fn take_snapshot(
         &mut self,
@@ -134,6 +149,7 @@ impl Reporter {
         summary.dropped = decision_loop.room.superseded();
         let undecodable = decision_loop.room.undecodable();
         summary.refused.extend(undecodable.named());
+        summary.peers = summary.peers.saturating_sub(conditions.silent_peers.len() as u64);
         // Of several arrays, the first that follows another controller.
         let mut tenures = (0..controller.arrays()).map(|array| controller.tenure(array));
         let tenure = tenures.find(|tenure| tenure.standing() == Standing::Standby).unwrap_or(controller.tenure(0));
@@ -141,6 +157,7 @@ impl Reporter {
         let problem = self
             .new_alarm(&summary, controller.counters(), tenure)
             .or_else(|| self.new_stops(&stops_before))
+            .or_else(|| self.silent_peers.news(&conditions.silent_peers))
             .or_else(|| self.new_condition(conditions, controller.arrays()))
             .or_else(|| self.new_light(&summary.light))
             .or_else(|| self.new_problem(decision_loop, &swaps).map(warning))
@@ -164,7 +181,7 @@ impl Reporter {
         let without_driver = &self.conditions.without_driver;
         match &self.unfit {
             Some(unfit) => no_commands(unfit),
-            None if !without_driver.is_empty() => no_driver(without_driver, arrays),
+            None if !without_driver.is_empty() => self.no_driver(arrays),
             None if !self.stops.is_empty() => self.stops.clone(),
             None if self.newest.1.is_empty() => self.conditions.geometry.clone().unwrap_or_default(),
             None => self.newest.1.clone(),
@@ -223,6 +240,7 @@ impl Reporter {
         let users = summary.users.iter().map(named("users:"));
         let absent = summary.arrays.iter().filter(|array| array.driver_absent);
         let absent = absent.map(|array| (format!("driver_absent:{}", array.name), 1));
+        let host = (!self.identity.host.is_empty()).then(|| (format!("{}{}", NodeStatus::HOST, self.identity.host), 1));
         let engine = summary.engine.iter().map(|name| (format!("engine:{name}"), 1));
         let actor = summary.actor.iter().map(|hash| (format!("actor:{hash}"), 1));
         let stages = Stage::ALL.map(|stage| (stage.name().to_string(), quantiles_us(times.stage(stage))));
@@ -242,6 +260,7 @@ impl Reporter {
                 .chain(epochs)
                 .chain(missed)
                 .chain(users)
+                .chain(host)
                 .chain(engine)
                 .chain(actor)
                 .chain(absent)
@@ -323,13 +342,13 @@ impl Reporter {
 
     /// A condition that began or ended; a second one is reported at the next snapshot.
     fn new_condition(&mut self, now: Conditions, arrays: usize) -> Option<(Subject, Problem)> {
+        self.conditions.connection = now.connection;
         let before = std::mem::replace(&mut self.conditions.without_driver, now.without_driver);
-        let without_driver = &self.conditions.without_driver;
-        if before != *without_driver {
-            let problem = if without_driver.is_empty() {
+        if before != self.conditions.without_driver {
+            let problem = if self.conditions.without_driver.is_empty() {
                 Problem::End("a driver is in the room".into())
             } else {
-                Problem::Warning(no_driver(without_driver, arrays))
+                Problem::Warning(self.no_driver(arrays))
             };
             return Some((Subject::Driver, problem));
         }
@@ -342,6 +361,13 @@ impl Reporter {
             None => Problem::End("the room announces no other geometry than this controller".into()),
         };
         Some((Subject::Geometry, problem))
+    }
+
+    /// Why commands have no receiver, in a room with this number of arrays.
+    fn no_driver(&self, arrays: usize) -> String {
+        let Conditions { without_driver, connection, .. } = &self.conditions;
+        let reason = connection.as_deref().unwrap_or(DRIVER_ABSENT);
+        format!("{}: {reason}", describe_absence(without_driver, arrays))
     }
 
     /// Light that is not the expected one any longer, or is again.
@@ -417,10 +443,6 @@ fn no_commands(unfit: &str) -> String {
     format!("the array receives no commands: {unfit}")
 }
 
-fn no_driver(without_driver: &[usize], arrays: usize) -> String {
-    format!("{}: {DRIVER_ABSENT}", describe_absence(without_driver, arrays))
-}
-
 /// A problem of which no end is reported.
 fn warning(text: String) -> (Subject, Problem) {
     (Subject::Other, Problem::Warning(text))
@@ -454,5 +476,18 @@ mod tests {
         assert_eq!(shown(&mut reporter, Some(&ended)), "rooms differ", "it began during the stop, and lasts");
         reporter.conditions.geometry = None;
         assert_eq!(shown(&mut reporter, None), "", "none of before returns");
+    }
+
+    #[test]
+    fn a_driver_is_not_blamed_while_this_process_has_no_connection() {
+        let mut reporter = Reporter::new(Identity::default());
+        let mut problem = |connection: Option<&str>| {
+            let connection = connection.map(str::to_owned);
+            let now = Conditions { without_driver: vec![0], connection, ..Conditions::default() };
+            reporter.new_condition(now, 1);
+            reporter.present_problem(1)
+        };
+        assert_eq!(problem(Some("no connection")), "no driver receives the commands: no connection");
+        assert_eq!(problem(None), format!("no driver receives the commands: {DRIVER_ABSENT}"));
     }
 }

@@ -51,3 +51,35 @@ fn clients_of_the_deployed_router_receive_messages_of_their_room_only() {
     }
     router.close().wait().expect("the router closes");
 }
+
+#[test]
+fn a_client_that_has_lost_its_router_says_so_until_it_is_back() {
+    let endpoint = free_loopback_endpoint().expect("a free port");
+    let router = || {
+        let mut config = zenoh::Config::default();
+        let mut set = |key: &str, value: &str| config.insert_json5(key, value).expect("a valid setting");
+        set("mode", "\"router\"");
+        set("scouting/multicast/enabled", "false");
+        set("listen/endpoints", &format!("[{endpoint:?}]"));
+        zenoh::open(config).wait().expect("the router opens")
+    };
+    let deadline = Instant::now() + LIMIT;
+    let first = router();
+    let client = client("lab", &endpoint);
+    assert_eq!(client.lost_connection(), None);
+    first.close().wait().expect("the router closes");
+    let lost = loop {
+        assert!(Instant::now() < deadline, "the loss is not noticed");
+        match client.lost_connection() {
+            Some(lost) => break lost,
+            None => std::thread::sleep(Duration::from_millis(20)),
+        }
+    };
+    assert!(lost.contains(&endpoint), "{lost}");
+    let second = router();
+    while client.lost_connection().is_some() {
+        assert!(Instant::now() < deadline, "the return is not noticed");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    second.close().wait().expect("the router closes");
+}

@@ -146,7 +146,7 @@ impl Adapter {
     pub fn awaits_successor(&self) -> bool {
         (0..self.controller().arrays()).any(|array| {
             let tenure = self.controller().tenure(array);
-            tenure.peers() > 0 && tenure.standing() == Standing::Leading
+            !tenure.peers().is_empty() && tenure.standing() == Standing::Leading
         })
     }
 

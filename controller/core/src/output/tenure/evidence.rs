@@ -1,8 +1,8 @@
 //! What a [`Tenure`](super::Tenure) reads of telemetry, what it keeps of it, and what it says of a change.
 
-use heliostat_proto::{ArrayState, MirrorTelemetry, Nanos};
+use heliostat_proto::{ArrayState, EPOCH_SLOTS, MirrorTelemetry, Nanos};
 
-use super::BACK_OFF_MAX;
+use super::{BACK_OFF_MAX, TELEMETRY_TIMEOUT_NS};
 use crate::named::named;
 
 /// Accepted commands after which a contested takeover does not delay the next one.
@@ -14,6 +14,9 @@ const SLOW_NS: Nanos = 1_000_000_000;
 
 /// Longest time in ns from the token of a controller to its lead, for a lead that it takes on purpose.
 const GUEST_NS: Nanos = 1_000_000_000;
+
+/// Controllers that are known to be no guests.
+const RESIDENTS_MAX: usize = 16;
 
 /// Longest time in ns for which a leader that ends commands on without a token: twice that of the hand-over.
 const ENDING_NS: Nanos = 1_000_000_000;
@@ -92,8 +95,10 @@ pub(super) struct Unaccepted {
 pub(super) struct Watch {
     /// The report whose answer is awaited, and the commands accepted until then.
     pub(super) awaited: Option<(Nanos, u64)>,
-    /// The last report.
+    /// The last report; 0 before the first.
     pub(super) last_ns: Nanos,
+    /// The first report after a pause that is as long as the loss of a link, until a report after it is judged.
+    pub(super) returned_ns: Option<Nanos>,
     /// Reports without an accepted command, in sequence.
     pub(super) unanswered: u8,
     /// The liveliness token of the leader has ended, and the leader ends with it.
@@ -103,6 +108,48 @@ pub(super) struct Watch {
 }
 
 impl Watch {
+    /// A report is due: the time since the one before, in ns. A pause longer than `lost_ns` is the loss of the link.
+    pub(super) fn note_report(&mut self, now: Nanos, lost_ns: Nanos) -> Nanos {
+        let before_ns = std::mem::replace(&mut self.last_ns, now);
+        let since_last_ns = now.abs_diff(before_ns);
+        if before_ns > 0 && since_last_ns > lost_ns {
+            self.awaited = None;
+            self.returned_ns = self.returned_ns.or(Some(now));
+        }
+        since_last_ns
+    }
+
+    /// Whether telemetry that is not recent is missing: after the loss of a link it may come later than reports.
+    pub(super) fn misses_telemetry(&self, now: Nanos) -> bool {
+        self.returned_ns.is_none_or(|returned_ns| now.abs_diff(returned_ns) > TELEMETRY_TIMEOUT_NS)
+    }
+
+    /// Judges by telemetry, with its arrival, whether the awaited report is answered. `None` where the observation
+    /// of the leader begins again.
+    pub(super) fn judge(
+        &mut self,
+        now: Nanos,
+        (shown_ns, shown): (Nanos, Evidence),
+        interval_ns: Nanos,
+        is_paused: bool,
+    ) -> Option<bool> {
+        let Some((since_ns, accepted)) = self.awaited.filter(|_| !is_paused) else {
+            self.awaited = Some((now, shown.accepted));
+            self.unanswered = 0;
+            return None;
+        };
+        let is_answered = shown.accepted > accepted;
+        if shown_ns >= since_ns.saturating_add(interval_ns / 4) {
+            self.unanswered = if is_answered { 0 } else { self.unanswered.saturating_add(1) };
+            self.awaited = Some((now, shown.accepted));
+            // The awaited report came after the end of the token.
+            if self.returned_ns.take().is_some() && is_answered && self.has_left {
+                self.note_answer(now);
+            }
+        }
+        Some(is_answered)
+    }
+
     /// The token of the leader has ended, or there is one.
     pub(super) fn set_left(&mut self, has_left: bool) {
         (self.has_left, self.answered_ns) = (has_left, None);
@@ -117,7 +164,7 @@ impl Watch {
 
     /// Whether the end of the token counts as an unanswered report.
     pub(super) fn is_gone(&self) -> bool {
-        self.has_left && self.answered_ns.is_none()
+        self.has_left && self.answered_ns.is_none() && self.returned_ns.is_none()
     }
 }
 
@@ -206,18 +253,31 @@ pub(super) struct Guest {
     /// Whether that one has left.
     left: bool,
     pub(super) leads: bool,
+    /// The remainder in the epochs of the last guest.
+    last: Option<u64>,
+    /// Source ids of controllers that left while another one led: each is back when its link is.
+    residents: Vec<u64>,
 }
 
 impl Guest {
     /// A controller has joined after the telemetry of this time. Without telemetry it may have led before.
-    pub(super) fn handle_joined(&mut self, slot: u64, seen_ns: Option<Nanos>) {
-        self.joined = seen_ns.map(|seen_ns| (slot, seen_ns));
+    pub(super) fn handle_joined(&mut self, source: u64, seen_ns: Option<Nanos>) {
+        let is_resident = self.residents.contains(&source);
+        self.joined = seen_ns.filter(|_| !is_resident).map(|seen_ns| (source % EPOCH_SLOTS, seen_ns));
         self.left = false;
     }
 
-    /// A controller with this remainder in its epochs has left.
-    pub(super) fn handle_left(&mut self, slot: u64) {
+    /// A controller has left, which the array followed or not.
+    pub(super) fn handle_left(&mut self, source: u64, is_followed: bool) {
+        let slot = source % EPOCH_SLOTS;
         self.left |= self.joined.is_some_and(|(joined, _)| joined == slot);
+        if is_followed || self.last == Some(slot) || self.residents.contains(&source) {
+            return;
+        }
+        if self.residents.len() == RESIDENTS_MAX {
+            self.residents.remove(0);
+        }
+        self.residents.push(source);
     }
 
     /// Whether a guest leads whose token has ended.
@@ -230,5 +290,10 @@ impl Guest {
     pub(super) fn handle_epoch(&mut self, now: Nanos, slot: u64, has_lent: bool) {
         let has_joined = |(joined, seen_ns): (u64, Nanos)| joined == slot && now.abs_diff(seen_ns) <= GUEST_NS;
         self.leads = has_lent && self.joined.is_some_and(has_joined);
+        if self.leads {
+            // It may have left before telemetry showed its lead.
+            self.last = Some(slot);
+            self.residents.retain(|source| *source % EPOCH_SLOTS != slot);
+        }
     }
 }

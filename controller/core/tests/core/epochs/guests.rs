@@ -120,6 +120,33 @@ fn a_controller_that_joins_and_takes_over_from_a_leader_that_has_failed_or_left_
 }
 
 #[test]
+fn a_controller_that_takes_over_when_its_link_returns_is_no_guest() {
+    let mut room = led_room(&[1]);
+    room.announce(OTHER, true);
+    room.run(2 * S);
+    room.announce(OTHER, false);
+    room.announce(OTHER, true);
+    lead(&mut room, OTHER);
+    room.announce(OTHER, false);
+    room.run(S);
+    assert_eq!(room.controllers[0].events, [TenureEvent::Superseded, TenureEvent::TookOver]);
+}
+
+#[test]
+fn a_guest_that_lost_the_lead_and_takes_it_again_is_still_one() {
+    let mut room = led_room(&[1]);
+    room.announce(OTHER, true);
+    room.announce(GUEST, true);
+    lead(&mut room, GUEST);
+    lead(&mut room, OTHER);
+    room.announce(GUEST, false);
+    room.announce(GUEST, true);
+    let epoch = lead(&mut room, GUEST);
+    leave(&mut room, epoch);
+    assert_eq!(room.controllers[0].events, [TenureEvent::Superseded, TenureEvent::Resumed]);
+}
+
+#[test]
 fn a_guest_whose_token_returns_before_the_next_report_keeps_the_lead() {
     let mut room = led_room(&[1]);
     room.announce(GUEST, true);

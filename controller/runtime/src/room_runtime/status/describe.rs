@@ -102,6 +102,9 @@ fn describe_event(event: TenureEvent, tenure: &Tenure) -> String {
             "another controller (epoch {}) has superseded this one (epoch {epoch}), which stands by: it takes over when reports stay without an accepted command",
             tenure.followed_epoch().unwrap_or_default()
         ),
+        TenureEvent::Resumed if tenure.followed_epoch().is_some_and(|followed| followed > epoch) => format!(
+            "standby has ended: there is no telemetry, so this controller commands under its former epoch {epoch}; an array that follows a higher one refuses it"
+        ),
         TenureEvent::Resumed => format!(
             "standby has ended: the array follows no higher epoch than {epoch}, or a calibration has given the mirrors back"
         ),
@@ -233,6 +236,23 @@ mod tests {
         assert_eq!(events, [TenureEvent::TookOver]);
         let Some(Problem::End(text)) = describe_events(&events, &tenure) else { panic!("no problem") };
         assert!(text.ends_with(": the former leader has ended"), "{text}");
+    }
+
+    #[test]
+    fn a_standby_that_ends_without_telemetry_does_not_say_that_the_array_follows_no_higher_epoch() {
+        let start = 1_000_000 * INTERVAL;
+        let mut tenure = Tenure::live(2, INTERVAL);
+        tenure.handle_telemetry(start, Evidence::default());
+        let epoch = tenure.permit(start).0.expect("no other controller");
+        let applied_sequence = tenure.next_sequence();
+        let obeyed = Evidence { epoch, applied_sequence, accepted: 1, following: true, ..Evidence::default() };
+        assert_eq!(tenure.handle_telemetry(start, obeyed), None);
+        let higher = Evidence { epoch: epoch + EPOCH_SLOTS + 1, accepted: 2, ..obeyed };
+        assert_eq!(tenure.handle_telemetry(start, higher), Some(TenureEvent::Superseded));
+        let events: Vec<TenureEvent> = (1..200).filter_map(|step| tenure.permit(start + step * INTERVAL).1).collect();
+        assert_eq!(events, [TenureEvent::Resumed]);
+        let Some(Problem::End(text)) = describe_events(&events, &tenure) else { panic!("no problem") };
+        assert!(text.starts_with("standby has ended: there is no telemetry"), "{text}");
     }
 
     #[test]

@@ -1,0 +1,46 @@
+//! A standby that loses its link, and with it reports, telemetry and the tokens of the others.
+
+use super::*;
+
+/// A controller gets nothing for 3 s. When its link returns, the token of the other one is not back yet.
+fn cut_off(room: &mut Room, index: usize, other: u64) {
+    let controller = &mut room.controllers[index];
+    controller.events.extend(controller.tenure.handle_controller(other, false));
+    controller.is_alive = false;
+    room.run(3 * S);
+    room.controllers[index].is_alive = true;
+}
+
+#[test]
+fn a_standby_whose_link_returns_leaves_the_lead_to_a_leader_that_answers() {
+    let mut room = led_room(&[1, 600]);
+    cut_off(&mut room, 1, 1);
+    room.run(100 * MS);
+    room.announce(1, true);
+    room.run(S);
+    assert_eq!(room.standings(), [Standing::Leading, Standing::Standby]);
+    assert_eq!(room.controllers[1].events, [TenureEvent::StoodBy]);
+}
+
+#[test]
+fn a_standby_whose_link_returns_replaces_a_leader_that_has_ended_at_the_first_unanswered_report() {
+    let mut room = led_room(&[1, 600]);
+    room.controllers[0].is_alive = false;
+    cut_off(&mut room, 1, 1);
+    assert_eq!(room.until_accepted(1), 2 * INTERVAL);
+    assert!(room.controllers[1].tenure.has_leader_ended());
+}
+
+#[test]
+fn telemetry_is_absent_when_none_has_come_for_a_second_after_the_return_of_the_link() {
+    let mut room = led_room(&[1, 600]);
+    room.controllers[0].is_alive = false;
+    room.until_accepted(1);
+    room.controllers[0].is_alive = true;
+    room.run(S);
+    assert_eq!(room.standings(), [Standing::Standby, Standing::Leading]);
+    cut_off(&mut room, 0, 600);
+    let (now, tenure) = (room.now, &mut room.controllers[0].tenure);
+    let resumed = (1..300).find(|tick| tenure.permit(now + tick * INTERVAL).0.is_some());
+    assert_eq!(resumed, Some(102), "the first report after the pause is that of tick 1");
+}

@@ -1,0 +1,114 @@
+//! The statuses of the other controllers of a room.
+//!
+//! A router whose link is cut without an end of the connection keeps the liveliness tokens of the other side for
+//! minutes. A status comes at least once a second, so its absence shows the cut.
+
+use std::{
+    collections::BTreeMap,
+    sync::{Arc, Mutex},
+    time::{Duration, Instant},
+};
+
+use heliostat_bus::{Bus, Subscription};
+use heliostat_proto::{NodeKind, NodeStatus, decode};
+
+use super::{
+    locks::lock,
+    status::{Problem, Subject},
+};
+
+/// Time without a status after which a controller is silent.
+const SILENCE: Duration = Duration::from_secs(5);
+
+/// When each controller that has a token gave its last sign: its token, or a status.
+#[derive(Clone, Default)]
+pub struct PeerStatuses(Arc<Mutex<BTreeMap<u64, Instant>>>);
+
+impl PeerStatuses {
+    /// Notes the statuses of the room's controllers, until the subscription is dropped.
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub fn subscribe(bus: &Bus) -> anyhow::Result<(Self, Subscription)> {
+        let statuses = Self::default();
+        let noted = statuses.clone();
+        let receive = move |payload: &[u8]| {
+            if let Ok(status) = decode::<NodeStatus>(payload) {
+                noted.note(status.stamp.source, Instant::now());
+            }
+        };
+        Ok((statuses, bus.subscribe(&bus.room().status(NodeKind::Controller), receive)?))
+    }
+
+    /// A status of this controller has arrived. Without a token it is not kept.
+    fn note(&self, source: u64, at: Instant) {
+        if let Some(last) = lock(&self.0).get_mut(&source) {
+            *last = at;
+        }
+    }
+
+    /// Those of these controllers from which no status has come for [`SILENCE`].
+    pub fn silent(&self, peers: &[u64], now: Instant) -> Vec<u64> {
+        let mut last = lock(&self.0);
+        last.retain(|source, _| peers.contains(source));
+        let mut is_silent = |source: &u64| {
+            let sign = *last.entry(*source).or_insert(now);
+            now.saturating_duration_since(sign) >= SILENCE
+        };
+        peers.iter().copied().filter(|source| is_silent(source)).collect()
+    }
+}
+
+/// The controllers that were reported as silent.
+#[derive(Default)]
+pub struct ReportedPeers(Vec<u64>);
+
+impl ReportedPeers {
+    /// The next controller that is silent since the last call, or is silent no longer.
+    pub fn news(&mut self, silent: &[u64]) -> Option<(Subject, Problem)> {
+        if let Some(begun) = silent.iter().copied().find(|peer| !self.0.contains(peer)) {
+            self.0.push(begun);
+            return Some((Subject::Peer(begun), Problem::Warning(describe_silent(begun))));
+        }
+        let ended = self.0.iter().copied().find(|peer| !silent.contains(peer))?;
+        self.0.retain(|peer| *peer != ended);
+        let text = format!("the status of controller {ended:016x} comes again, or it has left");
+        Some((Subject::Peer(ended), Problem::End(text)))
+    }
+}
+
+/// A controller whose token remains and whose status does not come.
+fn describe_silent(source: u64) -> String {
+    let seconds = SILENCE.as_secs();
+    format!(
+        "no status from controller {source:016x} for {seconds} s, although it has not left: the link to it is cut, or it hangs"
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_controller_is_silent_while_its_token_remains_without_a_status() {
+        let (statuses, start) = (PeerStatuses::default(), Instant::now());
+        assert!(statuses.silent(&[1, 2], start).is_empty(), "the token is a sign");
+        statuses.note(1, start + SILENCE / 2);
+        statuses.note(3, start);
+        assert_eq!(statuses.silent(&[1, 2], start + SILENCE), [2]);
+        statuses.note(2, start + SILENCE);
+        assert_eq!(statuses.silent(&[1, 2], start + SILENCE * 3 / 2), [1]);
+        assert!(statuses.silent(&[2], start + SILENCE * 3 / 2).is_empty(), "it has left");
+        assert!(statuses.silent(&[1, 2], start + SILENCE * 3 / 2).is_empty(), "it has joined");
+    }
+
+    #[test]
+    fn a_controller_that_is_silent_is_named_once_and_its_end_once() {
+        let mut reported = ReportedPeers::default();
+        let Some((Subject::Peer(7), Problem::Warning(text))) = reported.news(&[7]) else { panic!("a warning") };
+        assert!(text.contains("controller 0000000000000007"), "{text}");
+        assert!(reported.news(&[7]).is_none());
+        assert!(matches!(reported.news(&[]), Some((Subject::Peer(7), Problem::End(_)))));
+        assert!(reported.news(&[]).is_none());
+    }
+}

@@ -130,11 +130,12 @@ pub(crate) fn follows_from_stop(problem: &str) -> bool {
 /// What a driver reports of a command that it refuses because it is stopped, with advice for the sender.
 const LATCHED: &str = "command: an emergency stop is latched";
 
-/// This problem while a stop is shown, in words for an operator, where commands of another process cause it.
-pub(crate) fn of_stopped(problem: &str) -> Option<&'static str> {
-    problem.starts_with(LATCHED).then_some(
-        "commands still arrive at the stopped array, which refuses them: find the process that sends them, and end it",
-    )
+/// This problem in words for an operator, where commands of another process to a stopped array cause it; empty where no
+/// stop is shown: it is over with the release.
+pub(crate) fn of_stopped(problem: &str, is_stopped: bool) -> Option<&'static str> {
+    let still =
+        "commands still arrive at the stopped array, which refuses them: find the process that sends them, and end it";
+    problem.starts_with(LATCHED).then_some(if is_stopped { still } else { "" })
 }
 
 /// A text without its figures, which differ at each occurrence of one fault. The digit of a name stays, as in

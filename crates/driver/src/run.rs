@@ -20,6 +20,7 @@ use heliostat_service::{Exporter, MetricsArgs, MetricsError, Stop, source_id};
 use thiserror::Error;
 
 use crate::clock::Clock;
+use crate::device_log::DeviceLog;
 use crate::direct_commands::{DirectCommands, SharedStation};
 use crate::end_watch::EndWatch;
 use crate::metrics;
@@ -138,6 +139,8 @@ impl<D: Device> ArrayDriver<D> {
             exporter,
             logged_latch: Latch::default(),
             logged_problem: String::new(),
+            device_log: DeviceLog::default(),
+            unusable: Vec::new(),
             log_limit: LogLimit::default(),
         };
         let token = bus.announce(&bus.room().array(array).driver_alive(source))?;
@@ -210,6 +213,9 @@ struct Driver<D> {
     logged_latch: Latch,
     /// The problem that was logged last.
     logged_problem: String,
+    device_log: DeviceLog,
+    /// The mirrors that do not follow, by the last telemetry.
+    unusable: Vec<u32>,
     log_limit: LogLimit,
 }
 
@@ -283,7 +289,10 @@ impl<D: Device> Driver<D> {
 
     fn publish(&mut self, report: &Report) -> Result<(), SessionError> {
         match report {
-            Report::Telemetry(telemetry) => self.session.publish_telemetry(telemetry),
+            Report::Telemetry(telemetry) => {
+                self.unusable.clone_from(&telemetry.unusable);
+                self.session.publish_telemetry(telemetry)
+            }
             Report::Safety(safety) => {
                 let latch = self.shared.lock().kit().array().latch().clone();
                 if self.logged_latch != latch {
@@ -302,15 +311,21 @@ impl<D: Device> Driver<D> {
         }
     }
 
-    /// Logs a new problem, and renews the metrics.
+    /// Logs a new problem and the end of one, and renews the metrics.
     fn show(&mut self) {
         let summary = self.summary();
-        if self.logged_problem != summary.last_problem {
+        let station = self.shared.lock();
+        let (is_absent, problems) = (station.kit().is_device_absent(), station.kit().problems());
+        drop(station);
+        let changes = self.device_log.changes(is_absent, problems, &self.unusable);
+        if changes.is_lost || self.logged_problem != summary.last_problem {
             if !summary.last_problem.is_empty() {
                 self.log(&summary.last_problem);
             }
             self.logged_problem.clone_from(&summary.last_problem);
         }
+        changes.warning.iter().for_each(|line| tracing::warn!("{line}"));
+        changes.ends.iter().for_each(|line| tracing::info!("{line}"));
         if let Some(exporter) = &self.exporter {
             let station = self.shared.lock();
             let (state, is_recorded) = (station.kit().array().state(), station.is_recorded());

@@ -6,6 +6,7 @@
 //! [`ArrayDriver::direct_commands`].
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use heliostat_array::device::{Device, Waker};
@@ -128,6 +129,7 @@ impl<D: Device> ArrayDriver<D> {
         kit.device_mut().set_waker(Waker::new(move || received.wake()));
         let station = Station::new(kit, (plan, latch_at_start), identity, clock.now());
         let driver = Driver {
+            is_recorded: Arc::new(AtomicBool::new(station.is_recorded())),
             shared: Arc::new(SharedStation::new(station)),
             record: store
                 .map(|file| RecordThread::spawn(file, Arc::clone(session.received())))
@@ -151,6 +153,11 @@ impl<D: Device> ArrayDriver<D> {
     /// [`run`](Self::run) runs.
     pub fn direct_commands(&self) -> DirectCommands<D> {
         DirectCommands::new(Arc::clone(&self.driver.shared), Arc::clone(self.driver.session.received()), self.clock)
+    }
+
+    /// Whether the present stop is in the record, renewed with each status: for the metrics of this process.
+    pub fn is_recorded(&self) -> Arc<AtomicBool> {
+        Arc::clone(&self.driver.is_recorded)
     }
 
     /// Drives the device until `stop` is requested, or until `end`.
@@ -209,6 +216,7 @@ struct Driver<D> {
     status: MessagePublisher,
     room: String,
     exporter: Option<Exporter>,
+    is_recorded: Arc<AtomicBool>,
     /// The latch that was logged last.
     logged_latch: Latch,
     /// The problem that was logged last.
@@ -316,7 +324,9 @@ impl<D: Device> Driver<D> {
         let summary = self.summary();
         let station = self.shared.lock();
         let (is_absent, problems) = (station.kit().is_device_absent(), station.kit().problems());
+        let (state, is_recorded) = (station.kit().array().state(), station.is_recorded());
         drop(station);
+        self.is_recorded.store(is_recorded, Ordering::Relaxed);
         let changes = self.device_log.changes(is_absent, problems, &self.unusable);
         if changes.is_lost || self.logged_problem != summary.last_problem {
             if !summary.last_problem.is_empty() {
@@ -327,9 +337,6 @@ impl<D: Device> Driver<D> {
         changes.warning.iter().for_each(|line| tracing::warn!("{line}"));
         changes.ends.iter().for_each(|line| tracing::info!("{line}"));
         if let Some(exporter) = &self.exporter {
-            let station = self.shared.lock();
-            let (state, is_recorded) = (station.kit().array().state(), station.is_recorded());
-            drop(station);
             exporter.publish(metrics::page(&self.room, &summary, state, is_recorded));
         }
     }

@@ -277,7 +277,7 @@ fn refused_rearms_are_counted_by_name() {
 fn a_command_in_flight_at_a_stop_or_a_takeover_is_no_problem_and_a_later_one_is() {
     let command = |epoch, ms: u64| MirrorCommand {
         epoch,
-        sequence: 1 + ms,
+        sequence: 2,
         time_ns: at(ms).room_ns,
         validity_ms: 200,
         roll: vec![0.25],

@@ -2,6 +2,8 @@
 //!
 //! None of this is in the decision path.
 
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
@@ -36,6 +38,7 @@ pub fn run(config: &NodeConfig, mut local: Vec<LocalArray>, stop: &Stop) -> anyh
     let bus = Bus::open(&config.bus).context("cannot join the room")?;
     let others = config.also_rooms.iter().map(|room| bus.enter(room.clone()));
     let rooms: Vec<Bus> = std::iter::once(bus.enter(config.bus.room.clone())).chain(others).collect();
+    let records: Vec<_> = local.iter().map(|local| Arc::clone(&local.is_recorded)).collect();
     let open = |room| RoomRuntime::open(room, config, std::mem::take(&mut local));
     let mut rooms = rooms.iter().map(open).collect::<anyhow::Result<Vec<_>>>()?;
     let deadline = config.run_for.map(|run_for| started + run_for);
@@ -49,7 +52,12 @@ pub fn run(config: &NodeConfig, mut local: Vec<LocalArray>, stop: &Stop) -> anyh
         next_check += STATUS_INTERVAL;
         rooms.iter_mut().for_each(RoomRuntime::check_status);
         if let Some(exporter) = &exporter {
-            exporter.publish(metrics::page(&rooms.iter().map(RoomRuntime::report).collect::<Vec<_>>()));
+            let mut page = metrics::page(&rooms.iter().map(RoomRuntime::report).collect::<Vec<_>>());
+            if !records.is_empty() {
+                let is_recorded = records.iter().all(|record| record.load(Ordering::Relaxed));
+                page.stop_recorded(&[("room", config.bus.room.name())], is_recorded);
+            }
+            exporter.publish(page);
         }
         let has_reports = rooms.iter().any(|room| room.summary().decisions > 0);
         if !has_reports && !has_warned && started.elapsed() > SILENCE {

@@ -65,6 +65,9 @@ const PAUSE_MAX_STOPPED_NS: u64 = 500_000_000;
 /// After a device has worked for this time since it was connected, the pauses begin again.
 const STEADY_NS: u64 = 1_000_000_000;
 
+/// A leader learns of a stop or of its successor within this time in ns. Its commands until then were in flight.
+const LEARNED_WITHIN_NS: u64 = 500_000_000;
+
 /// The connection to the device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Link {
@@ -81,6 +84,8 @@ pub struct Kit<D> {
     correction: Correction,
     calibration_refused: bool,
     unnamed_rearm_refused: bool,
+    /// When the array was stopped, or began to follow another epoch, in local time.
+    changed_ns: u64,
     follow_check: FollowCheck,
     link: Link,
     /// The last pause before a reconnection in ns; 0 before the first one.
@@ -117,6 +122,7 @@ impl<D: Device> Kit<D> {
             correction: Correction::default(),
             calibration_refused: false,
             unnamed_rearm_refused: false,
+            changed_ns: 0,
             link: Link::Down { retry_at_ns: 0 },
             pause_ns: 0,
             connected_ns: 0,
@@ -203,7 +209,8 @@ impl<D: Device> Kit<D> {
         None
     }
 
-    /// Handles a command like [`Kit::handle`]; returns whether it was accepted.
+    /// Handles a command like [`Kit::handle`]; returns whether it was accepted. A command that was in flight when the
+    /// array was stopped, or when another sender took over, is counted and is no problem.
     pub fn follow(
         &mut self,
         (arrived, now): (Moment, Moment),
@@ -211,8 +218,13 @@ impl<D: Device> Kit<D> {
         refused: &mut RefusalCounts,
     ) -> bool {
         let followed = self.handle_waiting_command((arrived, now), command);
-        if let Err(refusal) = &followed {
-            refused.note("command", refusal.name(), refusal);
+        let since_change_ns = arrived.local_ns.saturating_sub(self.changed_ns);
+        match &followed {
+            Err(refusal @ (Refusal::Stopped | Refusal::LowerEpoch { .. })) if since_change_ns < LEARNED_WITHIN_NS => {
+                refused.count_without_problem(&format!("command:{}", refusal.name()));
+            }
+            Err(refusal) => refused.note("command", refusal.name(), refusal),
+            Ok(()) => {}
         }
         followed.is_ok()
     }
@@ -231,7 +243,11 @@ impl<D: Device> Kit<D> {
         command: &MirrorCommand,
     ) -> Result<(), Refusal> {
         self.advance(now);
+        let epoch = self.array.followed().map(|followed| followed.epoch);
         self.array.handle_waiting_command((arrived, now), command)?;
+        if epoch != Some(command.epoch) {
+            self.changed_ns = now.local_ns;
+        }
         self.apply_target(now);
         Ok(())
     }
@@ -247,6 +263,9 @@ impl<D: Device> Kit<D> {
     pub fn stop(&mut self, now: Moment, stop: LatchedStop) {
         if !self.array.latch().covers(stop.name()) {
             self.await_device();
+        }
+        if self.array.state() != ArrayState::Stopped {
+            self.changed_ns = now.local_ns;
         }
         self.array.stop(stop);
         self.halt(now);
@@ -273,7 +292,11 @@ impl<D: Device> Kit<D> {
 
     /// Applies the repetition of a stop.
     pub fn handle_repetition(&mut self, now: Moment, order: &StopRepetition) {
+        let was_stopped = self.array.state() == ArrayState::Stopped;
         if self.array.handle_repetition(now, order) {
+            if !was_stopped {
+                self.changed_ns = now.local_ns;
+            }
             self.await_device();
             self.halt(now);
         }

@@ -24,7 +24,10 @@ pub enum Refusal {
     #[error("an emergency stop is latched: re-arm the array first")]
     Stopped,
     /// A sender with a higher epoch has superseded this one.
-    #[error("a command of epoch {found}: expected at least {followed}, the epoch that the array follows")]
+    #[error(
+        "a command of epoch {found}: expected at least {followed}, the epoch that the array follows; \
+         end the superseded controller that sends it"
+    )]
     LowerEpoch {
         /// Epoch of the command.
         found: u64,

@@ -19,9 +19,14 @@ impl RefusalCounts {
 
     /// Counts one occurrence of another problem under a name.
     pub fn count(&mut self, name: &str, problem: String) {
-        *self.counts.entry(name.to_owned()).or_default() += 1;
+        self.count_without_problem(name);
         self.last_problem = problem;
         self.problems += 1;
+    }
+
+    /// Counts one refusal under a name that is no problem.
+    pub fn count_without_problem(&mut self, name: &str) {
+        *self.counts.entry(name.to_owned()).or_default() += 1;
     }
 
     /// Sets a count that is kept elsewhere; a count of 0 has no entry.

@@ -53,7 +53,11 @@ pub fn run<D: Device + Send + 'static>(
 ) -> Result<(Summary, DriverSummary)> {
     let driver = ArrayDriver::open(kit, settings, &controller.stop).context("the driver cannot start")?;
     let Some(driver) = driver else { return Ok(Default::default()) };
-    let local = LocalArray { array: settings.array, take_command: entry(driver.direct_commands()) };
+    let local = LocalArray {
+        array: settings.array,
+        take_command: entry(driver.direct_commands()),
+        is_recorded: driver.is_recorded(),
+    };
     let array = ArrayThread::start(driver, &controller.stop)?;
     let summary = controller.run(vec![local]);
     // Also after an error of the controller: its thread sends the device to no new angles.

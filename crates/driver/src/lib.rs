@@ -16,6 +16,7 @@ pub mod check;
 pub mod cli;
 pub mod clock;
 pub mod config;
+mod device_log;
 pub mod devices;
 pub mod direct_commands;
 mod end_watch;

@@ -6,7 +6,6 @@
 use heliostat_proto::ArrayState;
 use heliostat_service::Page;
 
-use crate::stop_record;
 use crate::summary::Summary;
 
 /// The page of an array in its present state.
@@ -28,7 +27,7 @@ pub(crate) fn page(room: &str, summary: &Summary, state: ArrayState, is_recorded
         let labels = [("reason", reason.as_str())];
         page.counter("heliostat_room_refused", "Payloads and commands refused, by reason", &labels, *count);
     }
-    stop_record::add_metric(&mut page, is_recorded);
+    page.stop_recorded(&[], is_recorded);
     let state = format!("{state:?}").to_lowercase();
     page.gauge("heliostat_array_state_info", "State of the array; the value is always 1", &[("state", &state)], 1.0);
     page

@@ -6,6 +6,7 @@
 //! [`ArrayDriver::direct_commands`].
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use heliostat_array::device::{Device, Waker};
@@ -20,6 +21,7 @@ use heliostat_service::{Exporter, MetricsArgs, MetricsError, Stop, source_id};
 use thiserror::Error;
 
 use crate::clock::Clock;
+use crate::device_log::DeviceLog;
 use crate::direct_commands::{DirectCommands, SharedStation};
 use crate::end_watch::EndWatch;
 use crate::metrics;
@@ -127,6 +129,7 @@ impl<D: Device> ArrayDriver<D> {
         kit.device_mut().set_waker(Waker::new(move || received.wake()));
         let station = Station::new(kit, (plan, latch_at_start), identity, clock.now());
         let driver = Driver {
+            is_recorded: Arc::new(AtomicBool::new(station.is_recorded())),
             shared: Arc::new(SharedStation::new(station)),
             record: store
                 .map(|file| RecordThread::spawn(file, Arc::clone(session.received())))
@@ -138,6 +141,8 @@ impl<D: Device> ArrayDriver<D> {
             exporter,
             logged_latch: Latch::default(),
             logged_problem: String::new(),
+            device_log: DeviceLog::default(),
+            unusable: Vec::new(),
             log_limit: LogLimit::default(),
         };
         let token = bus.announce(&bus.room().array(array).driver_alive(source))?;
@@ -148,6 +153,11 @@ impl<D: Device> ArrayDriver<D> {
     /// [`run`](Self::run) runs.
     pub fn direct_commands(&self) -> DirectCommands<D> {
         DirectCommands::new(Arc::clone(&self.driver.shared), Arc::clone(self.driver.session.received()), self.clock)
+    }
+
+    /// Whether the present stop is in the record, renewed with each status: for the metrics of this process.
+    pub fn is_recorded(&self) -> Arc<AtomicBool> {
+        Arc::clone(&self.driver.is_recorded)
     }
 
     /// Drives the device until `stop` is requested, or until `end`.
@@ -206,10 +216,14 @@ struct Driver<D> {
     status: MessagePublisher,
     room: String,
     exporter: Option<Exporter>,
+    is_recorded: Arc<AtomicBool>,
     /// The latch that was logged last.
     logged_latch: Latch,
     /// The problem that was logged last.
     logged_problem: String,
+    device_log: DeviceLog,
+    /// The mirrors that do not follow, by the last telemetry.
+    unusable: Vec<u32>,
     log_limit: LogLimit,
 }
 
@@ -283,7 +297,10 @@ impl<D: Device> Driver<D> {
 
     fn publish(&mut self, report: &Report) -> Result<(), SessionError> {
         match report {
-            Report::Telemetry(telemetry) => self.session.publish_telemetry(telemetry),
+            Report::Telemetry(telemetry) => {
+                self.unusable.clone_from(&telemetry.unusable);
+                self.session.publish_telemetry(telemetry)
+            }
             Report::Safety(safety) => {
                 let latch = self.shared.lock().kit().array().latch().clone();
                 if self.logged_latch != latch {
@@ -302,19 +319,24 @@ impl<D: Device> Driver<D> {
         }
     }
 
-    /// Logs a new problem, and renews the metrics.
+    /// Logs a new problem and the end of one, and renews the metrics.
     fn show(&mut self) {
         let summary = self.summary();
-        if self.logged_problem != summary.last_problem {
+        let station = self.shared.lock();
+        let (is_absent, problems) = (station.kit().is_device_absent(), station.kit().problems());
+        let (state, is_recorded) = (station.kit().array().state(), station.is_recorded());
+        drop(station);
+        self.is_recorded.store(is_recorded, Ordering::Relaxed);
+        let changes = self.device_log.changes(is_absent, problems, &self.unusable);
+        if changes.is_lost || self.logged_problem != summary.last_problem {
             if !summary.last_problem.is_empty() {
                 self.log(&summary.last_problem);
             }
             self.logged_problem.clone_from(&summary.last_problem);
         }
+        changes.warning.iter().for_each(|line| tracing::warn!("{line}"));
+        changes.ends.iter().for_each(|line| tracing::info!("{line}"));
         if let Some(exporter) = &self.exporter {
-            let station = self.shared.lock();
-            let (state, is_recorded) = (station.kit().array().state(), station.is_recorded());
-            drop(station);
             exporter.publish(metrics::page(&self.room, &summary, state, is_recorded));
         }
     }

@@ -10,7 +10,6 @@ use std::path::{Path, PathBuf};
 use heliostat_array::latch::{Latch, LatchedStop};
 use heliostat_array::stop_record::{self, RECORD_MAX, StopStore};
 use heliostat_proto::{Nanos, Room};
-use heliostat_service::Page;
 
 /// The record of one array in a file.
 pub type StopRecord = stop_record::StopRecord<StopFile>;
@@ -91,12 +90,6 @@ fn replace(file: &Path, text: &str) -> io::Result<()> {
     fs::rename(&new, file)?;
     // Windows opens no folder as a file.
     if cfg!(unix) { File::open(folder)?.sync_all() } else { Ok(()) }
-}
-
-/// Adds to the metrics of a process with mirrors whether its emergency stop is on the disk.
-pub fn add_metric(page: &mut Page, is_recorded: bool) {
-    let help = "1 while the state of the emergency stop is on the disk, 0 after a write that failed";
-    page.gauge("heliostat_stop_recorded", help, &[], f64::from(u8::from(is_recorded)));
 }
 
 /// Logs a new stop, or the release of the last one.

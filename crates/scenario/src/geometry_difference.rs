@@ -29,6 +29,9 @@ const DEVIATIONS: f64 = 4.0;
 /// Longest text of a value in a sentence, in characters.
 const VALUE_CHARACTERS: usize = 60;
 
+/// Beginning of the sentence about geometries of room and controller that differ beyond what a calibration explains.
+pub const ROOM_DIFFERS: &str = "room and controller differ";
+
 /// A key in which two geometries differ.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GeometryDifference {
@@ -95,7 +98,7 @@ impl Scenario {
         };
         if let Some(fault) = differences.iter().find(|one| !one.is_measured()) {
             return Some(RoomDifference::Problem(format!(
-                "room and controller differ: {}; start both with the same --scenario and --set",
+                "{ROOM_DIFFERS}: {}; start both with the same --scenario and --set",
                 values(fault)
             )));
         }

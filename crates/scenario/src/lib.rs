@@ -62,7 +62,7 @@ pub use builtin::{BUILTIN_NAMES, DEFAULT_SCENARIO, STUDY_SCENARIO};
 pub use check::{POWER_W, SPEED_M_S, USERS_MAX};
 pub use error::ScenarioError;
 pub use foreign_file::foreign_file;
-pub use geometry_difference::{GeometryDifference, RoomDifference};
+pub use geometry_difference::{GeometryDifference, ROOM_DIFFERS, RoomDifference};
 pub use mirror_tables::MirrorTables;
 pub use mismatch::{Mismatch, MismatchKind, MismatchLevel, Spreads};
 pub use mobility::*;

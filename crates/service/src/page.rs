@@ -112,6 +112,12 @@ impl Page {
         }
     }
 
+    /// Adds for a process with mirrors whether its emergency stop is on the disk.
+    pub fn stop_recorded(&mut self, labels: &[(&str, &str)], is_recorded: bool) {
+        let help = "1 while the state of the emergency stop is on the disk, 0 after a write that failed";
+        self.gauge("heliostat_stop_recorded", help, labels, f64::from(u8::from(is_recorded)));
+    }
+
     /// The page as text.
     pub fn text(&self) -> String {
         let mut registry = Registry::default();

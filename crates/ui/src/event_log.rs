@@ -9,7 +9,6 @@ use serde::Serialize;
 use crate::controllers::{ControllerFigures, Role};
 use crate::figures::{Figures, GONE, Origin};
 use crate::notes::{follows_from_stop, not_in, without_figures};
-use crate::order_answer::Answer;
 use crate::order_log::OrderFigures;
 use crate::stop_state::{StopFigure, StopFigures, StopPhase};
 
@@ -138,14 +137,7 @@ impl EventLog {
         }
         // Oldest first.
         for order in orders.iter().rev() {
-            let (answer, is_bad) = match &order.answer {
-                Answer::Sent => continue,
-                Answer::Done => ("done".to_owned(), false),
-                Answer::StillStopped(rest) => (format!("released: {rest}"), true),
-                Answer::Refused(reason) => (format!("refused: {reason}"), true),
-                Answer::Missing => ("no answer".to_owned(), true),
-                Answer::Absent => ("no array received it".to_owned(), true),
-            };
+            let Some((answer, is_bad)) = order.answer.in_log() else { continue };
             let key = format!("order {}", order.id);
             if self.states.get(&key) != Some(&answer) {
                 self.push(at_ms, format!("order: {}: {answer}", order.what), is_bad);
@@ -219,6 +211,7 @@ impl EventLog {
 mod tests {
     use super::*;
     use crate::figures::{ArrayFigures, NodeFigures};
+    use crate::order_answer::Answer;
 
     fn figures(state: &str, problem: &str) -> Figures {
         Figures {

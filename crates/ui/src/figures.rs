@@ -369,7 +369,7 @@ fn without_known(mut node: NodeFigures, notes: &[String], is_stopped: bool) -> N
     if is_noted || (is_stopped && follows_from_stop(&node.problem)) {
         node.problem.clear();
     }
-    if let Some(problem) = of_stopped(&node.problem).filter(|_| is_stopped) {
+    if let Some(problem) = of_stopped(&node.problem, is_stopped) {
         node.problem = problem.into();
     }
     node
@@ -429,7 +429,7 @@ mod tests {
         assert_eq!([left(of_stop, true), left(of_stop, false)], ["", of_stop]);
         let commanded = "command: an emergency stop is latched: re-arm the array first";
         assert!(left(commanded, true).starts_with("commands still arrive at the stopped array"), "another sender");
-        assert_eq!(left(commanded, false), commanded);
+        assert_eq!(left(commanded, false), "", "over with the release");
         assert_eq!(left("the device does not answer", true), "the device does not answer");
     }
 

@@ -130,7 +130,7 @@ impl Feed {
                 continue;
             }
             let (figures, orders) = (view.figures(), page.operator.answers(view));
-            let changed = log.note(&figures, &orders, &stop).then(|| log.json());
+            let changed = log.note(&figures, &page.operator.kept(), &stop).then(|| log.json());
             if let Some(log) = changed {
                 self.newest.send_if_modified(|events| {
                     (events.log, events.log_number) = (log, events.log_number + 1);

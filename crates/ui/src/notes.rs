@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 use heliostat_proto::array_keys::array_name;
 use heliostat_proto::gauges::ServedLight;
 use heliostat_proto::{NodeKind, NodeStatus};
+use heliostat_scenario::ROOM_DIFFERS;
 use heliostat_service::printable::printable;
 
 use crate::error::CHECK_REACH;
@@ -19,7 +20,7 @@ const ENDING: Duration = EXPIRY.saturating_add(Duration::from_secs(1));
 impl Received {
     /// The lasting faults of a room with so many arrays, the most serious first. `opened` is the start of
     /// the viewer: a process that has not answered yet is missing only some seconds later.
-    pub(crate) fn notes(&self, arrays: usize, opened: Instant) -> Vec<String> {
+    fn notes(&self, arrays: usize, opened: Instant) -> Vec<String> {
         let is_settled = opened.elapsed() > EXPIRY;
         if let Some(unseen) = self.unseen().filter(|_| is_settled) {
             return vec![unseen];
@@ -43,6 +44,11 @@ impl Received {
             });
         }
         notes
+    }
+
+    /// [`notes`](Self::notes) with those about geometries.
+    pub(crate) fn notes_with(&self, of_geometry: Vec<String>, arrays: usize, opened: Instant) -> Vec<String> {
+        causes_first(self.notes(arrays, opened), of_geometry)
     }
 
     /// What is to be said of a room of which no process but viewers is seen, and no recent message.
@@ -116,10 +122,30 @@ const TWO_DRIVERS: &str = "two drivers serve one array";
 const OF_TWO_DRIVERS: [(&str, &str); 2] =
     [("a second source ", " reports telemetry of "), ("an announcement of an array that is not followed ", "")];
 
-/// Whether a controller reports this problem because of what a note states.
+/// Part of what a controller reports of the light of its users.
+const OF_LIGHT: &str = " of the expected light";
+
+/// Whether a controller reports this problem because of what a note states: in a room of another geometry it expects
+/// another light.
 pub(crate) fn follows_from(notes: &[String], problem: &str) -> bool {
-    notes.iter().any(|note| note.starts_with(TWO_DRIVERS))
-        && OF_TWO_DRIVERS.iter().any(|(start, part)| problem.starts_with(start) && problem.contains(part))
+    let is_noted = |start: &str| notes.iter().any(|note| note.starts_with(start));
+    let is_of = |(start, part): &(&str, &str)| problem.starts_with(start) && problem.contains(part);
+    (is_noted(TWO_DRIVERS) && OF_TWO_DRIVERS.iter().any(is_of))
+        || (is_noted(ROOM_DIFFERS) && problem.contains(OF_LIGHT))
+}
+
+/// The notes of a room and of its geometry, a difference of geometries before its consequences, and without those
+/// that follow from it.
+fn causes_first(of_room: Vec<String>, of_geometry: Vec<String>) -> Vec<String> {
+    let (mut notes, others) = differences_first(of_geometry);
+    let of_room: Vec<String> = of_room.into_iter().filter(|note| !follows_from(&notes, note)).collect();
+    notes.extend(of_room.into_iter().chain(others));
+    notes
+}
+
+/// The notes about geometries that differ, and the others.
+pub(crate) fn differences_first(notes: impl IntoIterator<Item = String>) -> (Vec<String>, Vec<String>) {
+    notes.into_iter().partition(|note| note.starts_with(ROOM_DIFFERS))
 }
 
 /// Whether a controller reports this problem because of an emergency stop in force.
@@ -130,11 +156,12 @@ pub(crate) fn follows_from_stop(problem: &str) -> bool {
 /// What a driver reports of a command that it refuses because it is stopped, with advice for the sender.
 const LATCHED: &str = "command: an emergency stop is latched";
 
-/// This problem while a stop is shown, in words for an operator, where commands of another process cause it.
-pub(crate) fn of_stopped(problem: &str) -> Option<&'static str> {
-    problem.starts_with(LATCHED).then_some(
-        "commands still arrive at the stopped array, which refuses them: find the process that sends them, and end it",
-    )
+/// This problem in words for an operator, where commands of another process to a stopped array cause it; empty where no
+/// stop is shown: it is over with the release.
+pub(crate) fn of_stopped(problem: &str, is_stopped: bool) -> Option<&'static str> {
+    let still =
+        "commands still arrive at the stopped array, which refuses them: find the process that sends them, and end it";
+    problem.starts_with(LATCHED).then_some(if is_stopped { still } else { "" })
 }
 
 /// A text without its figures, which differ at each occurrence of one fault. The digit of a name stays, as in
@@ -321,6 +348,21 @@ mod tests {
         let second = |name| format!("a second source 09 reports {name} in this room, which source 07 owns");
         assert!(follows_from(&notes, &second("telemetry of mirrors")) && !follows_from(&notes, &second("users")));
         assert!(!follows_from(&[], &second("telemetry of mirrors")));
+    }
+
+    #[test]
+    fn a_difference_of_geometries_comes_first_and_the_light_that_follows_from_it_is_left_out() {
+        let [differ, light, missing, other] = [
+            format!("{ROOM_DIFFERS}: room.height_m is 2.8 in the room and 4.0 in the controller c1; start both"),
+            "LED 0 brings 1.31 of the expected light: look for receivers".to_owned(),
+            "no driver receives the commands".to_owned(),
+            "the picture shows another room".to_owned(),
+        ];
+        let of_room = || vec![light.clone(), missing.clone()];
+        let expected = [differ.clone(), missing.clone(), other.clone()];
+        assert_eq!(causes_first(of_room(), vec![other.clone(), differ.clone()]), expected);
+        assert_eq!(causes_first(of_room(), vec![other.clone()]), [light.clone(), missing, other]);
+        assert!(follows_from(&[differ], &light), "the status of the controller has it too");
     }
 
     #[test]

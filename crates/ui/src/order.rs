@@ -47,6 +47,21 @@ pub enum Order {
     RestartController,
 }
 
+impl Order {
+    /// What it sets: a later order of the same subject replaces it.
+    pub(crate) fn subject(&self) -> &'static str {
+        match self {
+            Self::Policy { .. } => "policy",
+            Self::Power { .. } => "power",
+            Self::Blocked { .. } => "blocked",
+            Self::Speed { .. } => "speed",
+            Self::Stick { .. } | Self::Release => "faults",
+            Self::Stop | Self::Rearm { .. } => "stop",
+            Self::KillController | Self::RestartController => "controller",
+        }
+    }
+}
+
 /// An order for the program that started the processes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ProcessOrder {

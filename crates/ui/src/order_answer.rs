@@ -33,12 +33,27 @@ pub enum Answer {
     Missing,
     /// It was published to a room in which no array is present.
     Absent,
+    /// A later order replaced it before the receiver answered.
+    Replaced,
 }
 
 impl Answer {
     /// Whether a later report can change it.
     pub(crate) fn is_open(&self) -> bool {
         matches!(self, Self::Sent | Self::Missing | Self::Absent)
+    }
+
+    /// The answer in the log of events, and whether it is a problem; none before the first one.
+    pub(crate) fn in_log(&self) -> Option<(String, bool)> {
+        Some(match self {
+            Self::Sent => return None,
+            Self::Done => ("done".to_owned(), false),
+            Self::StillStopped(rest) => (format!("released: {rest}"), true),
+            Self::Refused(reason) => (format!("refused: {reason}"), true),
+            Self::Missing => ("no answer".to_owned(), true),
+            Self::Absent => ("no array received it".to_owned(), true),
+            Self::Replaced => ("replaced by a later order".to_owned(), false),
+        })
     }
 }
 

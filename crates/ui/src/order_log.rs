@@ -75,38 +75,46 @@ impl OrderLog {
     /// Compares the orders with what the processes report, and returns those to show, newest first.
     pub fn review(&self, reported: &Reported) -> Vec<OrderFigures> {
         let mut entries = self.lock();
-        for entry in entries.iter_mut().filter(|entry| entry.answer.is_open()) {
-            let is_late = entry.published.at.elapsed() >= ANSWER_LIMIT;
-            let silent = if is_late { Answer::Missing } else { Answer::Sent };
+        let newest = entries.last().map_or(0, |entry| entry.id);
+        let subjects: Vec<&str> = entries.iter().map(|entry| entry.published.order.subject()).collect();
+        let are_replaced: Vec<bool> =
+            (0..subjects.len()).map(|index| subjects[index + 1..].contains(&subjects[index])).collect();
+        for (entry, is_replaced) in entries.iter_mut().zip(&are_replaced) {
+            // What a later order caused, or a fault, is no late answer to this one.
+            let may_be_answered = !is_replaced && (entry.id == newest || entry.changed.elapsed() < REFUSAL_SHOWN);
+            if entry.answer != Answer::Sent && !(entry.answer.is_open() && may_be_answered) {
+                continue;
+            }
+            let silent = match (entry.published.at.elapsed() >= ANSWER_LIMIT, is_replaced) {
+                (false, _) => Answer::Sent,
+                (true, false) => Answer::Missing,
+                (true, true) => Answer::Replaced,
+            };
             let answer = entry.published.answer(reported).unwrap_or(silent);
             if answer != entry.answer {
                 entry.set(answer);
             }
         }
-        let newest = entries.last().map_or(0, |entry| entry.id);
         // An answered order is over when a later one was sent; the log of events keeps it.
-        let is_superseded = |entry: &Entry| {
-            let kind = std::mem::discriminant(&entry.published.order);
-            let is_repeated = entries
-                .iter()
-                .any(|later| later.id > entry.id && std::mem::discriminant(&later.published.order) == kind);
-            is_repeated || (entry.id < newest && !entry.answer.is_open())
-        };
-        let shown = entries.iter().rev().filter(|entry| match entry.answer {
+        let is_superseded =
+            |entry: &Entry, is_replaced: bool| is_replaced || (entry.id < newest && !entry.answer.is_open());
+        let shown = entries.iter().zip(&are_replaced).rev().filter(|(entry, _)| match entry.answer {
             Answer::Sent => true,
             Answer::Done | Answer::StillStopped(_) => {
                 entry.changed.elapsed() < DONE_SHOWN && entry.published.answer(reported).as_ref() == Some(&entry.answer)
             }
             Answer::Refused(_) | Answer::Missing | Answer::Absent => entry.changed.elapsed() < REFUSAL_SHOWN,
+            Answer::Replaced => false,
         });
-        let shown = shown.filter(|entry| !is_superseded(entry));
         shown
-            .map(|entry| OrderFigures {
-                id: entry.id,
-                what: entry.published.order.in_words(),
-                answer: entry.answer.clone(),
-            })
+            .filter(|(entry, is_replaced)| !is_superseded(entry, **is_replaced))
+            .map(|(entry, _)| entry.figures())
             .collect()
+    }
+
+    /// All kept orders with their answers at the last review, newest first.
+    pub fn all(&self) -> Vec<OrderFigures> {
+        self.lock().iter().rev().map(Entry::figures).collect()
     }
 
     fn change(&self, id: u64, change: impl FnOnce(&mut Entry)) {
@@ -126,11 +134,51 @@ impl Entry {
         self.answer = answer;
         self.changed = Instant::now();
     }
+
+    fn figures(&self) -> OrderFigures {
+        OrderFigures { id: self.id, what: self.published.order.in_words(), answer: self.answer.clone() }
+    }
 }
 
 #[cfg(test)]
 mod tests {
+    use heliostat_proto::NodeStatus;
+
     use super::*;
+
+    /// What a simulator reports that blocks the direct paths of so many users.
+    fn blocked(users: f64) -> Reported {
+        let gauges = [("forced_users", users), ("faulty_mirrors", 9.0)].map(|(name, value)| (name.to_owned(), value));
+        let status = NodeStatus { gauges: gauges.to_vec(), ..NodeStatus::default() };
+        Reported { simulator: Some((Instant::now() + Duration::from_millis(1), status)), ..Reported::default() }
+    }
+
+    fn answers(log: &OrderLog) -> Vec<Answer> {
+        log.all().into_iter().map(|order| order.answer).collect()
+    }
+
+    #[test]
+    fn an_order_keeps_its_answer_for_the_log_when_a_later_one_was_sent_before_it() {
+        let log = OrderLog::default();
+        log.begin(&Order::Blocked { users: 5 }, Reported::default());
+        log.begin(&Order::Stick { share: 0.25 }, Reported::default());
+        let shown = log.review(&blocked(5.0));
+        assert_eq!(shown.iter().map(|order| order.id).collect::<Vec<_>>(), [2], "the page shows the newest one");
+        assert_eq!(answers(&log), [Answer::Done, Answer::Done]);
+    }
+
+    #[test]
+    fn an_order_that_a_later_one_replaced_before_an_answer_is_not_without_one() {
+        let log = OrderLog::default();
+        for users in [5, 0] {
+            log.begin(&Order::Blocked { users }, Reported::default());
+        }
+        log.review(&blocked(0.0));
+        assert_eq!(answers(&log), [Answer::Done, Answer::Sent], "its answer can still come");
+        log.lock()[0].published.at -= ANSWER_LIMIT;
+        log.review(&blocked(0.0));
+        assert_eq!(answers(&log), [Answer::Done, Answer::Replaced]);
+    }
 
     #[test]
     fn an_old_refusal_does_not_return_when_a_later_order_is_done() {

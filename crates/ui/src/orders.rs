@@ -112,6 +112,12 @@ impl Operator {
         self.log.review(&self.reported(view))
     }
 
+    /// All kept orders with their last [`answers`](Self::answers), newest first: the log of events has those too that
+    /// the page no longer shows.
+    pub(crate) fn kept(&self) -> Vec<OrderFigures> {
+        self.log.all()
+    }
+
     /// The emergency stop, as far as the arrays confirmed it. Held stops are repeated when that is due.
     pub fn stop_figures(&self) -> StopFigures {
         self.stop.repeat();

@@ -16,8 +16,8 @@ const COUNTED: [&str; 6] = ["refused:", "fallback:", "missed:", "policies_refuse
 /// Counters that are above 0 as long as a problem lasts.
 const LASTING: [&str; 5] = ["array_unfit", "standby", "driver_absent", "device_absent", NodeStatus::STOP_UNRECORDED];
 
-/// The counters of commands of a former leader and to a stopped array: problems from the second status on in which
-/// they rise.
+/// The counters of commands of a former leader and to a stopped array: problems only where they rise in two statuses in
+/// succession. A leader commands until it receives the stop, or its successor is obeyed.
 const EXPECTED: [&str; 2] = ["refused:command:lower-epoch", "refused:command:stopped"];
 
 /// The last problem of each process, by its name in [`Received::statuses`](crate::view::Received) and its
@@ -34,6 +34,8 @@ struct Occurrence {
     counts: BTreeMap<String, u64>,
     /// The counters that rose when the text appeared.
     causes: BTreeSet<String>,
+    /// The counters that rose in the last status.
+    rose: BTreeSet<String>,
     /// The last occurrence; unknown for the text of a first status.
     at: Option<Instant>,
     /// Arrival of the last status.
@@ -47,6 +49,7 @@ impl Problems {
         let counts: BTreeMap<String, u64> = causes(status).cloned().collect();
         let lasts =
             |name: &String| LASTING.contains(&name.as_str()) && counts.get(name).is_some_and(|count| *count > 0);
+        let is_expected = |name: &String| EXPECTED.contains(&name.as_str());
         let now = Instant::now();
         self.last.retain(|_, last| last.reported.elapsed() < CURRENT);
         let key = (name.to_owned(), status.stamp.source);
@@ -65,21 +68,22 @@ impl Problems {
                 if last.causes.is_empty() {
                     last.causes.clone_from(&rose);
                 }
-                if last.causes.iter().any(|name| lasts(name) || rose.contains(name)) {
+                let has_recurred =
+                    |name: &String| rose.contains(name) && (!is_expected(name) || last.rose.contains(name));
+                if last.causes.iter().any(|name| lasts(name) || has_recurred(name)) {
                     last.at = Some(now);
                 }
                 last.counts = counts;
+                last.rose = rose;
                 last.reported = now;
             }
             _ => {
                 let age = Duration::from_nanos(status.stamp.time_ns.saturating_sub(status.started_ns));
-                // A leader commands until it receives the stop, or its successor is obeyed: the array refuses a
-                // command in flight.
-                let is_expected = !rose.is_empty() && rose.iter().all(|name| EXPECTED.contains(&name.as_str()));
-                let is_current = !is_expected && (last.is_some() || rose.iter().any(lasts) || age < CURRENT);
+                let are_expected = !rose.is_empty() && rose.iter().all(is_expected);
+                let is_current = !are_expected && (last.is_some() || rose.iter().any(lasts) || age < CURRENT);
                 let at = is_current.then_some(now);
                 let text = status.last_problem.clone();
-                self.last.insert(key, Occurrence { text, counts, causes: rose, at, reported: now });
+                self.last.insert(key, Occurrence { text, counts, causes: rose.clone(), rose, at, reported: now });
             }
         }
     }
@@ -165,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn a_command_of_a_former_leader_or_to_a_stopped_array_is_a_problem_only_if_more_follow() {
+    fn a_command_of_a_former_leader_or_to_a_stopped_array_is_a_problem_only_if_more_follow_at_once() {
         for expected in EXPECTED {
             let (mut problems, node) = (Problems::default(), NodeKind::Driver.name());
             let mut shown = |text: &str, refused, malformed| {
@@ -175,8 +179,10 @@ mod tests {
             };
             let text = "command: a command of epoch 1: expected at least 2";
             assert_eq!([shown("", 0, 0), shown(text, 1, 0), shown(text, 1, 0)], [""; 3]);
-            assert_eq!(shown(text, 2, 0), text);
-            assert_eq!(shown("command: not finite", 3, 1), "command: not finite");
+            // The next stop, or the next takeover, with the same text.
+            assert_eq!([shown(text, 2, 0), shown(text, 2, 0)], [""; 2]);
+            assert_eq!([shown(text, 3, 0), shown(text, 4, 0)], ["", text]);
+            assert_eq!(shown("command: not finite", 5, 1), "command: not finite");
         }
     }
 

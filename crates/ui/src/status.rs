@@ -13,7 +13,7 @@ use serde::Serialize;
 
 use crate::controllers::{ControllerFigures, Role};
 use crate::figures::{Figures, NodeFigures, Origin, UserFigures};
-use crate::notes::{UNSEEN_CONTROLLER, UNSEEN_REPORTS};
+use crate::notes::{UNSEEN_CONTROLLER, UNSEEN_REPORTS, differences_first};
 use crate::terminal::texts::{stops, time, why_without_rates};
 use crate::view::NO_GEOMETRY;
 use crate::{UiError, View};
@@ -133,8 +133,16 @@ impl RoomStatus {
         let faults = (!faults.is_empty()).then(|| format!("faults of the array: {}", faults.join(", ")));
         let found = reports.into_iter().chain(leads.map(String::from)).chain(array_state).chain(faults);
         let of_nodes = nodes.iter().filter_map(of_node);
-        let notes = self.notes().cloned();
-        found.chain(self.stops.iter().cloned()).chain(of_nodes).chain(unfit).chain(notes).collect()
+        // The cause before what follows from it.
+        let (causes, notes) = differences_first(self.notes().cloned());
+        causes
+            .into_iter()
+            .chain(found)
+            .chain(self.stops.iter().cloned())
+            .chain(of_nodes)
+            .chain(unfit)
+            .chain(notes)
+            .collect()
     }
 
     /// The number of decisions of a controller that decides on position reports, if one does.
@@ -301,6 +309,17 @@ mod tests {
         let found = RoomStatus { figures, ..RoomStatus::default() }.found();
         assert!(!found.iter().any(|problem| problem.contains("picture")), "{found:?}");
         assert_eq!(found.last().map(String::as_str), Some("two drivers serve one array"));
+    }
+
+    #[test]
+    fn a_difference_of_geometries_is_the_first_problem() {
+        let differ = "room and controller differ: room.height_m is 2.8 in the room and 4.0 in the controller c1";
+        let figures = Figures { notes: vec!["another note".to_owned(), differ.to_owned()], ..Figures::default() };
+        let found = RoomStatus { figures, ..RoomStatus::default() }.found();
+        assert_eq!(
+            [found.first(), found.last()].map(|found| found.map(String::as_str)),
+            [Some(differ), Some("another note")]
+        );
     }
 
     #[test]

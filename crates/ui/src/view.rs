@@ -117,9 +117,9 @@ impl View {
     /// scenarios, an unknown geometry, a connection that fails because of a certificate. Also what is no fault.
     pub(crate) fn findings(&self) -> Findings {
         let (room, of_geometry) = self.chooser.choose(self.announcements());
-        let mut notes = self.received().notes(room.model.mirrors.arrays().len(), self.opened);
         let is_explained = !of_geometry.notes.is_empty();
-        notes.extend(of_geometry.notes);
+        let arrays = room.model.mirrors.arrays().len();
+        let mut notes = self.received().notes_with(of_geometry.notes, arrays, self.opened);
         let connection = self.bus.connection_problem();
         if room.source == GeometrySource::Default
             && !is_explained

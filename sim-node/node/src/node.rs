@@ -6,7 +6,6 @@ use heliostat_array::refusal_counts::RefusalCounts;
 use heliostat_array::stop_record;
 use heliostat_bus::Class;
 use heliostat_driver::clock::Clock;
-use heliostat_driver::stop_record::add_metric;
 use heliostat_proto::array_keys::array_name;
 use heliostat_proto::{ArrayState, Counters, MirrorCommand, NodeKind, NodeStatus, Quantiles, Stamp};
 use heliostat_room::baselines::Snapshot;
@@ -285,7 +284,7 @@ impl Node {
             let mut page = metrics::page(&self.session.room_name(), &summary, &self.ticks);
             // Either all arrays keep their stop, or none.
             if let Some(is_recorded) = self.arrays.iter().map(ArrayNode::is_recorded).min().flatten() {
-                add_metric(&mut page, is_recorded);
+                page.stop_recorded(&[], is_recorded);
             }
             page
         };

@@ -14,7 +14,7 @@ fn free_address() -> SocketAddr {
 }
 
 /// The page at an address; empty without a response.
-fn fetch(address: SocketAddr) -> String {
+pub(crate) fn fetch(address: SocketAddr) -> String {
     let request = || -> std::io::Result<String> {
         let mut stream = TcpStream::connect(address)?;
         write!(stream, "GET /metrics HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")?;

@@ -1,15 +1,18 @@
 //! A controller that drives an array in its process: the array follows, stops and keeps its stop, other
 //! controllers may command it, and no stop waits for a policy.
 
+use std::net::SocketAddr;
 use std::path::PathBuf;
 
-use heliostat_bus::{BusConfig, free_loopback_endpoint, private_endpoint};
+use heliostat_bus::{BusConfig, free_loopback_endpoint, free_loopback_port, private_endpoint};
 use heliostat_proto::messages::fault;
 use heliostat_proto::{ArrayState, EmergencyStop, MirrorTelemetry, NodeKind, Rearm, Room, Stamp, StopAction};
 use heliostat_service::clock::utc_ns;
 use heliostat_tests::faults::{LoopbackBoard, Proxy, Tracker, encoded};
 use heliostat_tests::{Process, RoomObserver, wait_until};
 use serde_json::Value;
+
+use crate::metrics::fetch;
 
 const ROOM: &str = "one-process";
 const MIRRORS: [&str; 4] = ["--set", "mirrors.rows=2", "--set", "mirrors.columns=2"];
@@ -125,6 +128,15 @@ fn the_array_follows_stops_and_keeps_its_stop_over_a_restart() {
     });
     setting.wait_until_followed();
     assert!(restarted.end().json()["driver"]["commands"].as_u64() > Some(0));
+}
+
+#[test]
+fn the_metrics_of_the_controller_say_whether_the_stop_of_its_array_is_recorded() {
+    let setting = Setting::new();
+    let address = SocketAddr::from(([127, 0, 0, 1], free_loopback_port().expect("a free port")));
+    let process = setting.start(&["--metrics-listen", &address.to_string()]);
+    wait_until("the metric", || fetch(address).contains(&format!("heliostat_stop_recorded{{room=\"{ROOM}\"}} 1")));
+    process.end().json();
 }
 
 #[test]

@@ -112,7 +112,7 @@ pub struct Tenure {
     /// The rank that the operator gave.
     rank: Option<u8>,
     /// A standby from the start, whatever the array follows.
-    is_reserve: bool,
+    pub is_reserve: bool,
     /// Source ids of the other controllers in the room.
     peers: Vec<u64>,
     watch: Watch,

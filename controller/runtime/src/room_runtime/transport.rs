@@ -1,5 +1,8 @@
 //! Where a room's commands go: to arrays that this process drives, and to the publishers of the room.
 
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
 use heliostat_bus::{Bus, BusError, Class, Publisher};
 use heliostat_core::room_core::{Output, Publish};
 
@@ -13,6 +16,8 @@ pub struct LocalArray {
     pub array: usize,
     /// Takes its commands.
     pub take_command: TakeCommand,
+    /// Whether its present stop is in the record.
+    pub is_recorded: Arc<AtomicBool>,
 }
 
 /// The publishers of some outputs.

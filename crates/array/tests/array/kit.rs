@@ -273,6 +273,34 @@ fn refused_rearms_are_counted_by_name() {
     assert_eq!(kit.array().state(), ArrayState::Parked, "without authentication a re-arm of kind 9 counts");
 }
 
+#[test]
+fn a_command_in_flight_at_a_stop_or_a_takeover_is_no_problem_and_a_later_one_is() {
+    let command = |epoch, ms: u64| MirrorCommand {
+        epoch,
+        sequence: 2,
+        time_ns: at(ms).room_ns,
+        validity_ms: 200,
+        roll: vec![0.25],
+        yaw: vec![0.25],
+        answers: 1,
+    };
+    for name in ["command:stopped", "command:lower-epoch"] {
+        let (mut kit, mut refused) = (following(), RefusalCounts::default());
+        if name == "command:stopped" {
+            kit.handle_stop(at(1000), &stop(1)).unwrap();
+        } else {
+            kit.handle_command(at(1000), &command(4, 1000)).unwrap();
+        }
+        for ms in [1001, 1499] {
+            assert!(!kit.follow((at(ms), at(ms)), &command(3, ms), &mut refused), "{name} at {ms} ms");
+        }
+        assert_eq!((refused.counts()[name], refused.problems(), refused.last_problem()), (2, 0, ""));
+        assert!(!kit.follow((at(1500), at(1500)), &command(3, 1500), &mut refused));
+        assert_eq!((refused.counts()[name], refused.problems()), (3, 1));
+        assert!(refused.last_problem().starts_with("command: "), "{}", refused.last_problem());
+    }
+}
+
 fn calibration(sequence: u64, gain: f32, offset_rad: f64) -> Calibration {
     Calibration {
         stamp: Stamp { source: 7, sequence, time_ns: 0 },

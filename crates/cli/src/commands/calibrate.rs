@@ -166,6 +166,7 @@ fn drive(
     let mut waited = Duration::ZERO;
     let (mut stage, mut complete) = (None, session.log().complete);
     let (mut lines, mut remaining) = (show::Changing::default(), Remaining::default());
+    let mut position = show::SteadyPosition::default();
     while session.stage() != Stage::Ended {
         if stop.is_requested() || args.end.seconds.is_some_and(|limit| begun.elapsed() >= limit) {
             return Ok(());
@@ -250,7 +251,8 @@ fn drive(
                 .then(|| "no channel report for some seconds: is the receiver switched on?".to_owned());
             let mut progress = session.progress();
             remaining.follow(&mut progress, session.group()).iter().for_each(note);
-            let carried = show::waits_for_receiver(session).into_iter().chain(show::impossible_gains(session));
+            let carried =
+                show::waits_for_receiver(session, &mut position).into_iter().chain(show::impossible_gains(session));
             let present = [show::progress(&progress)].into_iter().chain(carried).chain(waits).chain(silent);
             lines.changed(present.collect()).iter().for_each(note);
         }

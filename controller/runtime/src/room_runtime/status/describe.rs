@@ -83,6 +83,8 @@ pub(super) fn describe_events(rose: &[TenureEvent], tenure: &Tenure) -> Option<P
     Some(match event {
         _ if is_alarm(event) => Problem::Alarm(text),
         TenureEvent::Resumed => Problem::End(text),
+        // As ordered.
+        TenureEvent::StoodBy if tenure.is_reserve => Problem::End(text),
         TenureEvent::TookOver if tenure.has_leader_ended() => Problem::End(text),
         _ => Problem::Warning(text),
     })
@@ -253,6 +255,14 @@ mod tests {
         assert_eq!(events, [TenureEvent::Resumed]);
         let Some(Problem::End(text)) = describe_events(&events, &tenure) else { panic!("no problem") };
         assert!(text.starts_with("standby has ended: there is no telemetry"), "{text}");
+    }
+
+    #[test]
+    fn a_standby_that_was_ordered_is_no_problem_and_one_beside_a_leader_is_a_warning() {
+        let tenure = Tenure::live(2, INTERVAL);
+        let found = |tenure: &Tenure| describe_events(&[TenureEvent::StoodBy], tenure);
+        assert!(matches!(found(&tenure), Some(Problem::Warning(_))));
+        assert!(matches!(found(&tenure.in_reserve(None)), Some(Problem::End(_))));
     }
 
     #[test]

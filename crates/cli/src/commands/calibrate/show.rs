@@ -14,6 +14,9 @@ use super::conditions::STRONGER;
 /// Mirrors that a line names; the others are counted.
 const NAMED: usize = 12;
 
+/// A reported position that differs by less, in m, is no new one.
+const MOVED_M: f64 = 0.1;
+
 /// Whether a stage is said now: what the mirrors do is said only while this process commands them.
 pub fn is_stage_said(stage: Stage, is_commanding: bool) -> bool {
     is_commanding || matches!(stage, Stage::Await(_) | Stage::Ended)
@@ -56,11 +59,27 @@ pub fn stage(session: &Session) {
     }
 }
 
+/// The reported position of a receiver without the noise of the tracker.
+#[derive(Debug, Default)]
+pub struct SteadyPosition(Option<[f64; 2]>);
+
+impl SteadyPosition {
+    /// The position of the last call, unless this one is more than [`MOVED_M`] from it.
+    fn follow(&mut self, reported_m: Option<[f64; 2]>) -> Option<[f64; 2]> {
+        let is_near = |[x, y]: [f64; 2], [at_x, at_y]: [f64; 2]| (at_x - x).hypot(at_y - y) <= MOVED_M;
+        let has_stayed = self.0.zip(reported_m).is_some_and(|(before, now)| is_near(before, now));
+        if !has_stayed {
+            self.0 = reported_m;
+        }
+        self.0
+    }
+}
+
 /// What a calibration waits for until the receiver stands where it shall.
-pub fn waits_for_receiver(session: &Session) -> Option<String> {
+pub fn waits_for_receiver(session: &Session, position: &mut SteadyPosition) -> Option<String> {
     let Stage::Await(index) = session.stage() else { return None };
     let [x, y] = session.place()?.floor_m?;
-    Some(waits(&place_name(index, session.spot_count()), [x, y], session.receiver_m()))
+    Some(waits(&place_name(index, session.spot_count()), [x, y], position.follow(session.receiver_m())))
 }
 
 /// Why the channel reports are of no use, if their gains are those of no light.
@@ -274,6 +293,16 @@ mod tests {
         let unseen = waits(&place_name(3, 3), [0.0, 0.0], None);
         assert!(unseen.contains("at the place of the verification, x 0.00 m"), "{unseen}");
         assert!(unseen.ends_with("no position report names it"), "{unseen}");
+    }
+
+    #[test]
+    fn a_reported_position_is_a_new_one_only_when_the_receiver_has_moved() {
+        let mut position = SteadyPosition::default();
+        let reported = [[-1.52, 0.84], [-1.46, 0.79], [-1.56, 0.86], [-1.3, 0.84], [-1.25, 0.84]];
+        let shown: Vec<_> = reported.into_iter().map(|at| position.follow(Some(at))).collect();
+        let [first, moved] = [Some([-1.52, 0.84]), Some([-1.3, 0.84])];
+        assert_eq!(shown, [first, first, first, moved, moved]);
+        assert_eq!(position.follow(None), None, "no report names it any longer");
     }
 
     #[test]

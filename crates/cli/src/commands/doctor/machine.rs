@@ -201,7 +201,7 @@ fn cores() -> Check {
 fn load() -> Check {
     let cores = thread::available_parallelism().map_or(1, usize::from) as f64;
     let Some(load) = text("/proc/loadavg").and_then(|text| text.split(' ').next()?.parse::<f64>().ok()) else {
-        return Check::ok("load", "unknown");
+        return Check::unknown("load", "not known");
     };
     let found = format!("{load:.1} on {cores} cores");
     if load <= 0.5 * cores {

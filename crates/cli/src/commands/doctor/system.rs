@@ -319,7 +319,7 @@ fn with_state(check: Check, driver: &DriverState) -> Check {
     };
     let found = format!("{}; {what}", check.found);
     match check.verdict {
-        Verdict::Ok => Check::warn("driver", found, advice),
+        Verdict::Ok | Verdict::Unknown => Check::warn("driver", found, advice),
         Verdict::Warn => Check { found, advice: format!("{advice}; {}", check.advice), ..check },
         Verdict::Fail => Check { found, advice: format!("{}; {advice}", check.advice), ..check },
     }

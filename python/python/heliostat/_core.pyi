@@ -1,5 +1,6 @@
 """The compiled part of the package; see the sources in `python/src`."""
 
+from collections.abc import Mapping
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -23,7 +24,7 @@ USERS_MAX: int
 CLOCK_LEAD_MAX_NS: int
 
 class Scenario:
-    def __new__(cls, source: str, overrides: list[str] = ...) -> Scenario: ...
+    def __new__(cls, source: str, overrides: list[str] | Mapping[str, Any] | None = ...) -> Scenario: ...
     @property
     def name(self) -> str: ...
     @property

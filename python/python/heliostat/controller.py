@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ._checks import finite, printable, real
+from ._checks import finite, function_of_observation, printable, real
 from ._core import Commander
 from .scenario import Scenario, load_scenario
 
@@ -113,8 +113,7 @@ def run(
     """
     from .peer import SHORTEST_S, Settings, endpoints, stop_on_signals
 
-    if not callable(act):
-        raise TypeError(f"act: expected a function of an observation, found {type(act).__name__}")
+    function_of_observation("act", act)
     if seconds is not None:
         seconds = finite("seconds", seconds, f"a number of seconds from {SHORTEST_S}, or None", SHORTEST_S)
     form = action if action is not None else getattr(act, "action", "angles")

@@ -21,6 +21,17 @@ pub(super) fn rows(report: &Report) -> impl Iterator<Item = (&str, &Row)> {
     std::iter::once((ORACLE, &report.oracle)).chain(policies)
 }
 
+/// The means of a comparison as bits, to find whether two are equal.
+pub fn figures(report: &Report) -> Vec<u64> {
+    let of_row = |(_, row): (&str, &Row)| {
+        let means = [row.sum_rate_mbps, row.qos_met, row.jain, row.blocked_rate_mbps, row.ber];
+        means.into_iter().chain(row.outage_time)
+    };
+    let of_belief = |(_, quality): &(String, BeliefQuality)| [quality.place_error_cm, quality.coverage_95];
+    let spreads = rows(report).flat_map(of_row).chain(report.beliefs.iter().flat_map(of_belief));
+    spreads.map(|spread| spread.mean.to_bits()).collect()
+}
+
 /// Width of the column of names.
 fn name_width(report: &Report) -> usize {
     rows(report).map(|(name, _)| name.len()).max().unwrap_or(0).max(22)

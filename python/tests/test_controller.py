@@ -119,6 +119,7 @@ def test_a_run_with_the_scenario_of_another_room_reports_what_differs() -> None:
         running(lambda _: np.zeros(200, np.float32), endpoint, "office") as summaries,
     ):
         wait_until("problem", lambda: room.status("controller").get("last_problem", "").startswith(differs))
+        wait_until("command", lambda: room.counts.get("command", 0) > 0)
     assert summaries[0].last_problem.startswith(differs), summaries
 
 

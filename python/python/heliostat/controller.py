@@ -220,10 +220,10 @@ class _Run:
 
     def unmoved(self) -> str:
         """Why no mirror has turned; empty where an array received commands."""
-        counters = self._core.counters()
-        if (absence := self.absence()) or counters["commands"]:
+        status = self._core.status()
+        if (absence := self.absence()) or status["commands"]:
             return absence
-        if counters["standby"]:
+        if status["standby"]:
             return "the array followed another controller, and this run only stood by"
         return self._core.last_problem or "no command was sent: the array was stopped, or no decision gave angles"
 

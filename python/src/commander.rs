@@ -9,8 +9,9 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use heliostat_core::core::{DegradedMode, Timing};
 use heliostat_core::refusal::Stream;
 use heliostat_core::room_core::{Handled, Input, InputChannel, InputKey, Output, Publish, RoomCore, RoomSettings};
-use heliostat_core::tenure::Tenure;
+use heliostat_core::tenure::{Tenure, TenureEvent};
 use heliostat_environment::function_policy::FunctionPolicy;
+use heliostat_proto::NodeStatus;
 use numpy::{AllowTypeChange, PyArray1, PyArrayLike1};
 use pyo3::exceptions::{PyException, PyRuntimeError};
 use pyo3::prelude::*;
@@ -190,6 +191,34 @@ impl Commander {
             ("standby", DegradedMode::Standby),
         ] {
             table.set_item(name, counters.degraded(mode))?;
+        }
+        Ok(table)
+    }
+
+    /// The counters of the status by name, as those of every controller: of `standby` and `array_unfit` only
+    /// whether they hold now.
+    fn status<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let room = self.room()?;
+        let controller = room.controller();
+        let counters = controller.counters();
+        let stands_by = (0..self.arrays).any(|array| controller.tenure(array).is_standing_by());
+        let table = PyDict::new(py);
+        for (name, count) in [
+            ("decisions", counters.decisions),
+            ("commands", counters.commands),
+            ("exceptions", self.failures.load(Ordering::Relaxed)),
+            ("superseded", room.superseded()),
+            ("epoch", controller.epoch()),
+            ("standby", u64::from(stands_by)),
+            ("peers", controller.tenure(0).peers() as u64),
+            ("array_unfit", u64::from(controller.unfit().is_some())),
+        ] {
+            table.set_item(name, count)?;
+        }
+        let modes = DegradedMode::ALL.map(|mode| (NodeStatus::DEGRADED, mode.name(), counters.degraded(mode)));
+        let events = TenureEvent::ALL.map(|event| ("epoch:", event.name(), counters.tenure(event)));
+        for (prefix, name, count) in modes.into_iter().chain(events).filter(|(_, _, count)| *count > 0) {
+            table.set_item(format!("{prefix}{name}"), count)?;
         }
         Ok(table)
     }

@@ -8,7 +8,7 @@ use pyo3::prelude::*;
 use crate::error::{guarded, refused};
 
 /// The description of a room, checked: a built-in name or the path of a TOML file, with overrides
-/// of the form "table.key=value".
+/// by key, or of the form "table.key=value".
 #[pyclass(frozen, module = "heliostat._core")]
 pub struct Scenario {
     pub inner: Checked,
@@ -25,11 +25,21 @@ impl Scenario {
     }
 }
 
+/// Overrides as texts: a list of them, or a mapping of keys to values.
+fn texts(overrides: &Bound<'_, PyAny>) -> PyResult<Vec<String>> {
+    if let Ok(texts) = overrides.extract::<Vec<String>>() {
+        return Ok(texts);
+    }
+    let texts = overrides.py().import("heliostat.scenario")?.call_method1("override_texts", (overrides,))?;
+    texts.extract::<Vec<String>>()
+}
+
 #[pymethods]
 impl Scenario {
     #[new]
-    #[pyo3(signature = (source, overrides = Vec::new()))]
-    fn new(source: &str, overrides: Vec<String>) -> PyResult<Self> {
+    #[pyo3(signature = (source, overrides = None))]
+    fn new(source: &str, overrides: Option<&Bound<'_, PyAny>>) -> PyResult<Self> {
+        let overrides = overrides.map_or_else(|| Ok(Vec::new()), texts)?;
         let named = ScenarioArgs { scenario: source.into(), overrides, seed: None };
         let mut scenario = Self::checked(&named.text().map_err(refused)?, &named.overrides)?;
         named.find_trace(&mut scenario.inner);

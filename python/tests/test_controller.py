@@ -7,7 +7,7 @@ import subprocess
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +16,10 @@ import numpy as np
 import pytest
 
 pytest.importorskip("zenoh")
+from heliostat.controller import _Run
 from heliostat.peer import PeerError, Settings, connection_problem, endpoints
 from heliostat.tracker import Tracker, User
-from room import LIMIT_S, free_endpoint, needs_program, observer, wait_until
+from room import LIMIT_S, Observer, free_endpoint, needs_program, observer, wait_until
 from room import heliostat as program
 
 SCENARIO = heliostat.load_scenario("hall")
@@ -118,6 +119,7 @@ def test_a_run_with_the_scenario_of_another_room_reports_what_differs() -> None:
         running(lambda _: np.zeros(200, np.float32), endpoint, "office") as summaries,
     ):
         wait_until("problem", lambda: room.status("controller").get("last_problem", "").startswith(differs))
+        wait_until("command", lambda: room.counts.get("command", 0) > 0)
     assert summaries[0].last_problem.startswith(differs), summaries
 
 
@@ -170,6 +172,66 @@ def test_a_slow_function_answers_the_newest_report_and_is_counted_as_late() -> N
     with observer(endpoint, "demo"), simulator(endpoint), running(act, endpoint, SCENARIO) as summaries:
         wait_until("five calls", lambda: len(calls) >= 5)
     assert summaries[0].late > 0 and summaries[0].superseded > 0, summaries
+
+
+def _quarter(_: Any) -> Any:
+    return np.full(200, 0.25, np.float32)
+
+
+def _counter(room: Observer, name: str) -> int | None:
+    """A counter in the latest status of a controller."""
+    return dict(room.status("controller").get("counters", [])).get(name)
+
+
+@needs_program
+def test_a_run_that_took_over_no_longer_stands_by_in_its_status() -> None:
+    endpoint = free_endpoint()
+    with observer(endpoint, "demo") as room, simulator(endpoint), ExitStack() as leader:
+        leader.enter_context(running(_quarter, endpoint))
+        wait_until("command of the leader", lambda: room.counts.get("command", 0) > 0)
+        with running(_quarter, endpoint) as summaries:
+            wait_until("standby", lambda: _counter(room, "standby") == 1)
+            leader.close()
+            wait_until("lead", lambda: bool(_counter(room, "fallback:standby")) and _counter(room, "standby") == 0)
+            wait_until("state", lambda: room.status("controller")["state"] == "running")
+    assert summaries[0].commands > 0 and summaries[0].standby > 0, summaries
+
+
+@needs_program
+def test_a_run_that_only_stood_by_warns() -> None:
+    endpoint, stop = free_endpoint(), threading.Event()
+
+    def end_in_standby(room: Observer) -> None:
+        try:
+            wait_until("standby", lambda: _counter(room, "standby") == 1)
+        finally:
+            stop.set()
+
+    with observer(endpoint, "demo") as room, simulator(endpoint), running(_quarter, endpoint):
+        wait_until("command of the leader", lambda: room.counts.get("command", 0) > 0)
+        thread = threading.Thread(target=end_in_standby, args=(room,))
+        thread.start()
+        with pytest.warns(RuntimeWarning, match="has turned no mirror: the array followed another controller"):
+            ends = [endpoint, _own(endpoint)]
+            summary = heliostat.run(_quarter, connect=ends, scenario=PATIENT, stop=stop)
+        thread.join(LIMIT_S)
+    assert summary.commands == 0 < summary.standby and "another controller" in summary.last_problem, summary
+
+
+def test_a_run_that_reaches_a_controller_alone_says_what_is_missing() -> None:
+    endpoint = free_endpoint()
+    with observer(endpoint, "demo") as room:
+        token = room.session.liveliness().declare_token("heliostat/v1/demo/alive/controller/1")
+        run = _Run(_quarter, SCENARIO, "angles", Settings(connect=(endpoint,)), threading.Event())
+
+        def is_named() -> bool:
+            run._receive()
+            return run.absence().startswith("only controller of the room answers, neither a tracker nor an array")
+
+        with run._peer:
+            run._join()
+            wait_until("controller", is_named)
+        token.undeclare()
 
 
 def test_a_run_ends_after_its_time_and_wrong_settings_are_refused() -> None:

@@ -189,8 +189,13 @@ def test_arguments_of_another_type_are_refused_with_the_expected_one() -> None:
         (lambda: heliostat.Room("specular", wrong), "overrides: expected a mapping .*, found list"),
         (lambda: heliostat.Room("specular", {"users.count": wrong_value}), "users.count is of the type object"),
         (lambda: heliostat.rate_map(name, FLAT, FLAT), "room: expected a Room, found str"),
+        (lambda: heliostat.Scenario("specular", wrong), "overrides: expected a mapping .*, found list"),
+        (lambda: heliostat.evaluate(wrong, 3), "act: expected a function of an observation, found list"),
         (lambda: heliostat.evaluate(lambda seen: seen, 3), "expected an environment of heliostat, found int"),
     ]:
         with pytest.raises(TypeError, match=reason):
             call()  # type: ignore[no-untyped-call]
     assert heliostat.load_scenario("specular", {"users.count": np.int64(3)}).users == 3  # type: ignore[dict-item]
+    for overrides in ({"users.count": 3}, ["users.count=3"]):
+        assert heliostat.Scenario("specular", overrides).users == 3
+    assert heliostat.Scenario("specular").hash == heliostat.Scenario("specular", None).hash

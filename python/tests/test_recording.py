@@ -104,6 +104,13 @@ def test_an_array_that_no_room_has_is_refused(path: Path) -> None:
                 read(array)  # type: ignore[arg-type]
 
 
+def test_a_recording_that_was_cut_warns(path: Path, tmp_path: Path) -> None:
+    content = path.read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(content[: len(content) // 2])
+    with pytest.warns(RuntimeWarning, match=r"cut.mcap: the recording was cut: later messages are missing"):
+        assert heliostat.Recording(tmp_path / "cut.mcap").account is None
+
+
 def test_files_that_are_no_recordings_are_refused_with_the_reason(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="none.mcap"):
         heliostat.Recording(tmp_path / "none.mcap")

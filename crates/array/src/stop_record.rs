@@ -266,6 +266,7 @@ fn advice_of(room: &Room, stop: &LatchedStop) -> String {
     let by = if operator.is_empty() { operator } else { format!(" by {operator}") };
     format!(
         "the array starts stopped{by}: {reason}. When its mirrors may move, re-arm it: \
-         heliostat rearm --room {room}, with an endpoint of this driver"
+         heliostat rearm --room {room} --connect ENDPOINT, where ENDPOINT is that of this process or of one that it \
+         connects to"
     )
 }

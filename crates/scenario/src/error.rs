@@ -69,6 +69,16 @@ pub enum ScenarioError {
         /// The override as given.
         text: String,
     },
+    /// An override selects an entry that a list does not have.
+    #[error("{list} has no entry {index}: {}", entries(list, *count))]
+    NoSuchEntry {
+        /// The key of the list.
+        list: String,
+        /// The index from 0.
+        index: usize,
+        /// Number of entries that are written.
+        count: usize,
+    },
     /// There is no built-in scenario of this name.
     #[error(
         "no file and no built-in scenario \"{name}\": expected the path of a TOML file, or one of {}{}",
@@ -100,6 +110,14 @@ fn builtin(path: &str) -> String {
     let name = Path::new(path).file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
     let similar = similar(name, BUILTIN_NAMES);
     similar.map(|name| format!("; the built-in scenario {name} is named without folder and suffix")).unwrap_or_default()
+}
+
+/// How the entries of a list are given.
+fn entries(list: &str, count: usize) -> String {
+    match count {
+        0 => format!("expected the complete list, as {list}=[...], since none is written"),
+        count => format!("expected an index from 0 to {}", count - 1),
+    }
 }
 
 fn place(line: &Option<usize>) -> String {

@@ -60,6 +60,12 @@ def finite(name: str, value: Any, expected: str, least: float = -math.inf) -> fl
     return number
 
 
+def function_of_observation(name: str, value: Any) -> None:
+    """Raises `TypeError` for a value that cannot be called."""
+    if not callable(value):
+        raise TypeError(f"{name}: expected a function of an observation, found {type(value).__name__}")
+
+
 def real(name: str, values: Any) -> NDArray[Any]:
     """An array of booleans, integers or real numbers; a complex number, a text or an object is refused."""
     array = np.asarray(values)

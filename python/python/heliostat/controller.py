@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ._checks import finite, printable, real
+from ._checks import finite, function_of_observation, printable, real
 from ._core import Commander
 from .scenario import Scenario, load_scenario
 
@@ -41,6 +41,10 @@ _QUEUE_MAX = 1024
 _SILENT_S = 2.0
 _LOOK_AGAIN_S = 5.0
 _ARRAY = ("capabilities", "safety", "stops", "telemetry")
+_STATES = {
+    "standby": "the array follows another controller: this run stands by, and takes over when that one ends",
+    "running": "standby has ended",
+}
 _ROOM = ("room_geometry", "obstacles", "orientation", "leds", "channel", "users", "stop")
 
 
@@ -104,13 +108,12 @@ def run(
     no command is sent: the array holds its angles and then parks, by its own rules. The same happens while `act` does not
     return, and after this process ends. Other exceptions, such as `KeyboardInterrupt`, end the run.
 
-    Raises `heliostat.peer.PeerError` where the room cannot be joined. Warns with `RuntimeWarning` where no tracker or no
-    array was in the room, so that no mirror has turned.
+    Raises `heliostat.peer.PeerError` where the room cannot be joined. Warns with `RuntimeWarning` where no mirror has
+    turned: no tracker or no array was in the room, or every command was withheld, as by a run that only stood by.
     """
     from .peer import SHORTEST_S, Settings, endpoints, stop_on_signals
 
-    if not callable(act):
-        raise TypeError(f"act: expected a function of an observation, found {type(act).__name__}")
+    function_of_observation("act", act)
     if seconds is not None:
         seconds = finite("seconds", seconds, f"a number of seconds from {SHORTEST_S}, or None", SHORTEST_S)
     form = action if action is not None else getattr(act, "action", "angles")
@@ -119,8 +122,8 @@ def run(
     with stop_on_signals(stop or threading.Event()) as ended:
         one = _Run(act, load_scenario(scenario), form, settings, ended)
         summary = one.run(seconds)
-    if absence := one.absence():
-        warnings.warn(f"heliostat.run has turned no mirror: {printable(absence)}", RuntimeWarning, stacklevel=2)
+    if reason := one.unmoved():
+        warnings.warn(f"heliostat.run has turned no mirror: {printable(reason)}", RuntimeWarning, stacklevel=2)
     return summary
 
 
@@ -133,7 +136,8 @@ class _Run:
         from .peer import Peer
 
         self._act, self._stop, self._settings = act, stop, settings
-        # Why no process answers, and when to look again.
+        # The tokens of the other processes; why none answers, and when to look again.
+        self._others: set[str] = set()
         self._unreachable, self._look_again = "", 0.0
         self._late = self._dropped = 0
         self._began, self._heard, self._has_array = time.monotonic(), False, False
@@ -187,7 +191,7 @@ class _Run:
         return arrive
 
     def _serve(self, end: float | None) -> None:
-        reported, problem = -_STATUS_S, ""
+        reported, problem, state = -_STATUS_S, "", "running"
         while not self._stop.is_set() and (end is None or time.monotonic() < end):
             self._receive()
             # The function is called here, for the newest report.
@@ -199,16 +203,29 @@ class _Run:
                 if found and found != problem:
                     print(f"heliostat.run: {found}", file=sys.stderr, flush=True)
                 problem = found
-                counters = {**self._core.counters(), "late": self._late, "dropped": self._dropped}
-                self._peer.publish_status("running", counters, found, policy="python", scenario=self._scenario.hash)
+                counters = {**self._core.status(), "late": self._late, "dropped": self._dropped}
+                before, state = state, "standby" if counters["standby"] else "running"
+                if state != before:
+                    print(f"heliostat.run: {_STATES[state]}", file=sys.stderr, flush=True)
+                self._peer.publish_status(state, counters, found, policy="python", scenario=self._scenario.hash)
 
     def _problem(self, is_over: bool = False) -> str:
         """Why there is no command, or why commands suit another room; empty without a problem."""
         found = filter(None, (self._core.geometry_problem(time.time_ns()), self._core.last_problem))
         if problem := printable("; ".join(found)):
             return problem
-        is_early = not is_over and time.monotonic() - self._began < _SILENT_S
-        return "" if is_early else self.absence()
+        if is_over:
+            return self.unmoved()
+        return "" if time.monotonic() - self._began < _SILENT_S else self.absence()
+
+    def unmoved(self) -> str:
+        """Why no mirror has turned; empty where an array received commands."""
+        status = self._core.status()
+        if (absence := self.absence()) or status["commands"]:
+            return absence
+        if status["standby"]:
+            return "the array followed another controller, and this run only stood by"
+        return self._core.last_problem or "no command was sent: the array was stopped, or no decision gave angles"
 
     def absence(self) -> str:
         """Which process has not been in the room, and what is expected; empty where reports and an array were there."""
@@ -219,6 +236,12 @@ class _Run:
             return "no array answers: expected a driver or a simulator at the endpoints, since peers forward no messages"
         if self._heard:
             return "the room has not reported positions: expected a tracker or a simulator"
+        if self._others:
+            nodes = ", ".join(sorted({token.split("/")[-2] for token in self._others}))
+            return (
+                f"only {nodes} of the room answers, neither a tracker nor an array: expected in `connect` their endpoints "
+                "too, or that of the simulator or a router, since peers forward no messages"
+            )
         if time.monotonic() >= self._look_again:
             from .peer import connection_problem
 
@@ -230,7 +253,10 @@ class _Run:
     def _receive(self) -> None:
         """Gives all waiting messages to the core; waits a moment for the first one."""
         while not self._present.empty():
-            self._core.presence(*self._present.get_nowait())
+            token, is_alive = self._present.get_nowait()
+            self._core.presence(token, is_alive)
+            if token != self._peer.keys["alive"]:
+                (self._others.add if is_alive else self._others.discard)(token)
         wait = True
         while True:
             try:

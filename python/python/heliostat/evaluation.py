@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ._checks import integer, states_of
+from ._checks import function_of_observation, integer, states_of
 from ._core import INSTANTS, oracle_samples, spread
 from .envs import HeliostatEnv
 
@@ -67,6 +67,7 @@ def evaluate(
     decides for each position report. Any wrappers of Gymnasium that change observations or actions apply. Settings of
     `env` other than scenario, dynamics, action and observation do not matter.
     """
+    function_of_observation("act", act)
     inner = getattr(env, "unwrapped", env)
     if not isinstance(inner, HeliostatEnv):
         raise TypeError(f"expected an environment of heliostat, found {type(inner).__name__}")

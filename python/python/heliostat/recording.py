@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib
 import json
 import os
+import warnings
 from typing import Any
 
 import numpy as np
@@ -37,13 +38,16 @@ def _component(name: str, index: int) -> str:
 
 
 class Recording:
-    """A recording up to its end, or to its last complete chunk.
+    """A recording up to its end, or to its last complete chunk: a file that was cut warns with `RuntimeWarning`.
 
     Raises `ValueError` for a file that is not a recording of a room.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self._inner = _Recording(os.fspath(path))
+        if self._inner.account is None:
+            cut = f"{os.fspath(path)}: the recording was cut: later messages are missing"
+            warnings.warn(cut, RuntimeWarning, stacklevel=2)
 
     def __repr__(self) -> str:
         name, messages, duration_s = self._inner.room, self._inner.messages, self._inner.duration_s
@@ -134,7 +138,8 @@ class Recording:
     def decisions(self, array: int = 0) -> dict[str, NDArray[Any]]:
         """The answered position reports: one row for each.
 
-        `tick`, `reported_ns` and `commanded_ns` (arrivals at the recorder), `answer_us` (the time between them).
+        `tick`, `reported_ns` and `commanded_ns` (arrivals at the recorder), `answer_us` (the time between them). It is
+        negative where the report took longer to the recorder than report and command on their way by the controller.
         """
         reports, commands = self.reports(), self.commands(array)
         ticks, first = np.unique(reports["tick"], return_index=True)

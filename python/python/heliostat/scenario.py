@@ -30,14 +30,13 @@ def load_scenario(
         if overrides:
             raise ValueError("overrides apply to a name or a file, not to a Scenario that is already checked")
         return source
-    given = {} if overrides is None else overrides
-    if not isinstance(given, Mapping):
-        raise TypeError(f'overrides: expected a mapping such as {{"users.count": 3}}, found {type(given).__name__}')
-    return Scenario(os.fspath(source), override_texts(given))
+    return Scenario(os.fspath(source), override_texts({} if overrides is None else overrides))
 
 
 def override_texts(overrides: Mapping[str, Value]) -> list[str]:
     """Overrides in the form `table.key=value` of the Rust programs."""
+    if not isinstance(overrides, Mapping):
+        raise TypeError(f'overrides: expected a mapping such as {{"users.count": 3}}, found {type(overrides).__name__}')
     return [f"{key}={_toml(key, value)}" for key, value in overrides.items()]
 
 

@@ -197,7 +197,8 @@ fn a_stop_survives_the_end_of_the_driver_and_no_mirror_turns_until_the_rearm() {
     assert!(orders.iter().all(|line| line == "stop" || line == "hello"), "the board receives no angles: {orders:?}");
     wait_until("advice in the log", || {
         let errors = driver.errors();
-        errors.contains("the array starts stopped by ann") && errors.contains("heliostat rearm --room kept")
+        errors.contains("the array starts stopped by ann")
+            && errors.contains("heliostat rearm --room kept --connect ENDPOINT")
     });
     room.rearm(0xabc, 1);
     wait_until("a parked array", || room.telemetry_state() == Some(ArrayState::Parked));

@@ -2,10 +2,10 @@
 //! mirrors have turned in their mounts since then.
 //!
 //! The readings at new spots are compared with the former estimate, mirror by mirror. A mirror has
-//! changed if its light is off by more than [`CHANGED_RAD`] and by more than [`SIGNIFICANT`] standard
-//! deviations, and if the later half of its readings alone confirms the earlier half. Its former readings no
-//! longer count. If most mirrors have changed at one spot, then the
-//! spot, an LED or the tracker is at fault, and the spot is rejected.
+//! changed if its light is off by more than [`CHANGED_RAD`] and by more standard deviations than
+//! [`significant_among`] all mirrors, and if the later half of its readings alone confirms the earlier half. Its
+//! former readings no longer count. A mirror that is off by [`SUSPECT`] standard deviations is measured again. If
+//! most mirrors are suspect at one spot, then the spot, an LED or the tracker is at fault, and the spot is rejected.
 
 use heliostat_array::calibration_file::{AxisCorrections, CalibrationFile};
 use serde::Serialize;
@@ -24,8 +24,11 @@ pub(super) const DRIFT_RAD: f64 = 0.4 * std::f64::consts::PI / 180.0;
 /// Least change in rad that counts: 0.15 degrees, to which a mirror is located.
 const CHANGED_RAD: f64 = 0.15 * std::f64::consts::PI / 180.0;
 
-/// Standard deviations that a change has to exceed.
-const SIGNIFICANT: f64 = 3.0;
+/// Standard deviations beyond which a mirror alone is suspect.
+const SUSPECT: f64 = 3.0;
+
+/// Largest probability that noise alone makes any of the mirrors a changed one.
+const FALSE_ALARM: f64 = 0.05;
 
 /// Logarithm of the ratio of likelihoods, with a change and without, from which on readings confirm it.
 const CONFIRMED: f64 = 1.0;
@@ -138,7 +141,7 @@ impl Session {
         self.estimate = Some(before.clone());
         for spot in first..self.spots.len() {
             let found = self.turned_at(&before, &[spot]);
-            let changed = found.iter().filter(|(_, turned)| is_change(turned)).count();
+            let changed = found.iter().filter(|(_, turned)| is_off(turned, SUSPECT)).count();
             let is_at_fault = found.len() >= JUDGED_READINGS && changed as f64 > BAD_SPOT_SHARE * found.len() as f64;
             if is_at_fault && !self.rejected.contains(&spot) {
                 self.rejected.push(spot);
@@ -146,12 +149,13 @@ impl Session {
         }
         let spots: Vec<usize> = (first..self.spots.len()).filter(|spot| !self.rejected.contains(spot)).collect();
         let lit: Vec<(usize, [Measured; 2])> = self.turned_at(&before, &spots);
+        let significant = significant_among(lit.len());
         self.changes.clear();
         for mirror in 0..self.optics.centres.len() {
             let probed = self.readings.iter().filter(|of| of.mirror == mirror && spots.contains(&of.spot)).count();
             let turned = lit.iter().find(|(of, _)| *of == mirror).map(|(_, turned)| *turned);
             match turned {
-                Some(turned) if is_change(&turned) && self.is_confirmed(&before, mirror, &spots) => {
+                Some(turned) if is_off(&turned, significant) && self.is_confirmed(&before, mirror, &spots) => {
                     let turned_deg = turned.map(|Measured { value, deviation }| Measured {
                         value: value.to_degrees(),
                         deviation: deviation.to_degrees(),
@@ -183,7 +187,7 @@ impl Session {
         let spot = self.spots.len() - 1;
         let found = self.turned_at(&before, &[spot]);
         let changed: Vec<usize> =
-            found.iter().filter(|(_, turned)| is_change(turned)).map(|(mirror, _)| *mirror).collect();
+            found.iter().filter(|(_, turned)| is_off(turned, SUSPECT)).map(|(mirror, _)| *mirror).collect();
         if changed.len() as f64 > BAD_SPOT_SHARE * found.len() as f64 {
             return false;
         }
@@ -275,6 +279,53 @@ impl Compared<'_> {
     }
 }
 
-fn is_change(turned: &[Measured; 2]) -> bool {
-    turned.iter().any(|axis| axis.value.abs() > CHANGED_RAD.max(SIGNIFICANT * axis.deviation))
+/// Standard deviations that a change has to exceed among this many mirrors.
+///
+/// A normal error exceeds b standard deviations with a probability of at most exp(-b^2 / 2) (Chernoff's bound), and
+/// the probabilities of both axes of all mirrors add up to [`FALSE_ALARM`] at most (Bonferroni's inequality).
+fn significant_among(mirrors: usize) -> f64 {
+    let axes = 2.0 * mirrors.max(1) as f64;
+    (2.0 * (axes / FALSE_ALARM).ln()).sqrt()
+}
+
+/// Whether an axis is off by an angle that counts, and by this many standard deviations.
+fn is_off(turned: &[Measured; 2], deviations: f64) -> bool {
+    turned.iter().any(|axis| axis.value.abs() > CHANGED_RAD.max(deviations * axis.deviation))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A uniform number in (0, 1] of a linear congruential generator.
+    fn uniform(state: &mut u64) -> f64 {
+        *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        ((*state >> 11) + 1) as f64 / (1_u64 << 53) as f64
+    }
+
+    /// Two axes with normal errors (Box and Muller) of a mirror that has not turned.
+    fn unturned(state: &mut u64, deviation: f64) -> [Measured; 2] {
+        let (radius, angle) = ((-2.0 * uniform(state).ln()).sqrt(), std::f64::consts::TAU * uniform(state));
+        [angle.cos(), angle.sin()].map(|part| Measured { value: deviation * radius * part, deviation })
+    }
+
+    #[test]
+    fn noise_alone_seldom_makes_any_of_100_mirrors_a_changed_one() {
+        // So large that the least angle of a change is no help.
+        let deviation = CHANGED_RAD;
+        let mut state = 20_261_127;
+        let mut share = |deviations: f64| {
+            let rooms = 1000;
+            let has_alarm = |_: &i32| (0..100).any(|_| is_off(&unturned(&mut state, deviation), deviations));
+            f64::from((0..rooms).filter(has_alarm).count() as u32) / f64::from(rooms)
+        };
+        let (alone, among) = (share(SUSPECT), share(significant_among(100)));
+        assert!(among <= FALSE_ALARM && alone > 0.2, "{among} of the rooms, {alone} with the bound for one mirror");
+    }
+
+    #[test]
+    fn a_turn_beyond_all_noise_is_a_change_among_1000_mirrors() {
+        let turned = |deg: f64| [deg, 0.0].map(|deg| Measured { value: deg.to_radians(), deviation: 0.001 });
+        assert!(is_off(&turned(0.4), significant_among(1000)) && !is_off(&turned(0.2), significant_among(1000)));
+    }
 }

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 use std::path::Path;
 use std::rc::Rc;
 
-use anyhow::{Context, Result, anyhow, bail, ensure};
+use anyhow::{Context, Error, Result, anyhow, bail, ensure};
 use clap::ValueEnum;
 use heliostat_core::policy::{PolicyKind, removed};
 use heliostat_proto::{ControllerInput, InputKind, MirrorCommand, Nanos, NodeKind, NodeStatus, Room};
@@ -19,6 +19,9 @@ use super::schedule::{Schedule, ScheduleBuilder};
 
 const NO_REPORT: &str =
     "it holds no position report: the recorder was not connected to the room's process, or was cut before it wrote";
+
+/// The policy in the status of `heliostat.run`.
+const FUNCTION: &str = "python";
 
 /// A report whose time differs by more than this from its arrival is in simulated time.
 const LIVE_CLOCK_NS: u64 = 3_600_000_000_000;
@@ -224,10 +227,18 @@ impl Plan {
             policies.iter().cloned().collect::<Vec<_>>().join(", ")
         );
         let name = policies.first().map_or("", String::as_str);
-        PolicyKind::from_str(name, false).map_err(|_| match removed(name) {
-            Some(removed) => anyhow!("its {}: give another with --policy", removed.fact()),
-            None => anyhow!("the recorded policy \"{name}\" is unknown to this program; give another with --policy"),
-        })
+        PolicyKind::from_str(name, false).map_err(|_| not_replayable(name))
+    }
+}
+
+/// Why this program cannot decide by a recorded policy.
+fn not_replayable(policy: &str) -> Error {
+    match removed(policy) {
+        Some(removed) => anyhow!("its {}: give another with --policy", removed.fact()),
+        None if policy == FUNCTION => anyhow!(
+            "a function in Python decided (heliostat.run), which no replay can call; give a built-in policy to compare with in --policy"
+        ),
+        None => anyhow!("the recorded policy \"{policy}\" is unknown to this program; give another with --policy"),
     }
 }
 
@@ -246,4 +257,17 @@ fn input_of(received: &Received) -> Option<InputKind> {
 
 fn clock_of(report_ns: Nanos, arrived_ns: Nanos) -> Clock {
     if report_ns.abs_diff(arrived_ns) > LIVE_CLOCK_NS { Clock::Lockstep } else { Clock::Live }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_function_in_python_is_no_policy_that_a_flag_can_name() {
+        let function = not_replayable(FUNCTION).to_string();
+        assert!(function.starts_with("a function in Python decided (heliostat.run)"), "{function}");
+        let unknown = not_replayable("own").to_string();
+        assert!(unknown.starts_with("the recorded policy \"own\" is unknown"), "{unknown}");
+    }
 }

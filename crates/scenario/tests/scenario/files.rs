@@ -178,6 +178,20 @@ fn gains_can_be_told_from_none_above_the_noise_and_half_a_step() {
 }
 
 #[test]
+fn an_override_of_an_entry_that_does_not_exist_names_list_and_entry() {
+    let set = |text: &str, set: &str| Scenario::from_toml_with(text, &[set]).map_err(|error| error.to_string());
+    let none =
+        "users.mixture has no entry 0: expected the complete list, as users.mixture=[...], since none is written";
+    for text in ["", "[users]\nmixture = []\n"] {
+        assert_eq!(set(text, "users.mixture.0.count=1").expect_err("no entry"), none);
+    }
+    let one = "[users]\nmobility = \"mixture\"\n[[users.mixture]]\nmobility = \"seated\"\nshare = 1.0\n";
+    let refused = set(one, "users.mixture.1.share=0.5").expect_err("one entry");
+    assert_eq!(refused, "users.mixture has no entry 1: expected an index from 0 to 0");
+    assert_eq!(set(one, "users.mixture.0.mobility=seated").expect("an entry").users.mixture.len(), 1);
+}
+
+#[test]
 fn a_mixture_can_be_written_as_tables() {
     let text = "[users]\nmobility = \"mixture\"\n[[users.mixture]]\nmobility = \"seated\"\nshare = 0.25\n\
                 [[users.mixture]]\nmobility = \"social-force\"\nshare = 0.75\n[users.social_force]\nrelaxation_s = 0.4\n";

@@ -15,7 +15,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, anyhow, ensure};
 use heliostat_environment::episodes::INSTANTS;
 use heliostat_environment::exact_states;
-use heliostat_learn::comparison::{EvaluatedPolicy, Known, Loop, Settings};
+use heliostat_learn::comparison::{EvaluatedPolicy, Known, Loop, Report, Settings};
 use heliostat_models::ActorSource;
 use heliostat_scenario::{Belief, Scenario, ScenarioArgs};
 use heliostat_service::duration::seconds;
@@ -227,6 +227,15 @@ impl Args {
     }
 }
 
+/// Names the keys of a sweep that change no figure, such as one that another key makes useless.
+fn note_without_effect(grid: &Grid, reports: &[Report]) {
+    let figures: Vec<Vec<u64>> = reports.iter().map(output::figures).collect();
+    for key in grid.without_effect(&figures) {
+        let reason = "no effect: the figures are equal for all of its values";
+        heliostat_service::output::note(format_args!("--sweep {key}: {reason}"));
+    }
+}
+
 /// Runs the command.
 pub fn run(args: Args) -> Result<()> {
     let grid = Grid::new(&args.sweep).map_err(anyhow::Error::msg)?;
@@ -246,6 +255,9 @@ pub fn run(args: Args) -> Result<()> {
     args.check_files()?;
     let interruption = Interruption::watch(settings.len())?;
     let reports = settings.iter().map(|one| interruption.compare(one)).collect::<Result<Vec<_>>>()?;
+    if let Some(grid) = grid {
+        note_without_effect(grid, &reports);
+    }
     if let Some(file) = &args.paths {
         let drawn = paths::draw(&settings[0].scenario, &reports[0].tracked)?;
         whole_file::write(file, origin::in_svg(&drawn, &reports[0]).as_bytes())?;

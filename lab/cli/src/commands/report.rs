@@ -28,12 +28,13 @@ use heliostat_service::whole_file;
 use super::json_command;
 use archive::{Archive, Finished};
 use definition::{Definition, Section};
+use page::Page;
 
 /// Run the commands of a report, and write its page as Markdown.
 ///
 /// A report is a TOML file; lab/reports has those of the project. Each section is one command. The page
-/// is written again after each finished section, with a JSON file of the same name beside it. A run
-/// that was interrupted continues with --resume.
+/// is written again after each finished section, with a JSON file of the same name beside it. A section
+/// that fails does not end the others. A run that was interrupted continues with --resume.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The report (TOML)
@@ -78,7 +79,7 @@ pub fn run(args: Args) -> Result<()> {
     let mut steps = Vec::new();
     for section in definition.sections.iter().filter(chosen) {
         let arguments = definition.arguments(section, args.quick)?;
-        check_command(&arguments).with_context(|| format!("in section {}", section.name))?;
+        check_section(section, &arguments).with_context(|| format!("in section {}", section.name))?;
         steps.push((section, arguments));
     }
     if args.check {
@@ -97,6 +98,7 @@ pub fn run(args: Args) -> Result<()> {
     signals::end_on_signals(programs::LAB, move || {
         said(interrupted.lock().unwrap_or_else(PoisonError::into_inner).as_deref())
     })?;
+    let mut problems = Vec::new();
     for (index, (section, arguments)) in steps.iter().enumerate() {
         let step = format!("{} of {}: {}", index + 1, steps.len(), section.name);
         if archive.holds(&section.name, arguments, machine::COMMIT) {
@@ -105,12 +107,23 @@ pub fn run(args: Args) -> Result<()> {
         }
         output::note(format_args!("{step}: {}", page::command(arguments)));
         *running.lock().unwrap_or_else(PoisonError::into_inner) = Some(section.name.clone());
-        archive.put(measure(section, arguments).with_context(|| unfinished(&section.name))?);
+        match measure(section, arguments).with_context(|| unfinished(&section.name)) {
+            Ok(finished) => archive.put(finished),
+            Err(error) => {
+                output::note(format_args!("{step}: {error:#}"));
+                problems.push(format!("{error:#}"));
+            }
+        }
         write(&definition, &archive, &out, &kept)?;
         *running.lock().unwrap_or_else(PoisonError::into_inner) = None;
     }
-    write(&definition, &archive, &out, &kept)?;
+    problems.extend(write(&definition, &archive, &out, &kept)?);
     outln!("written: {} and {}", out.display(), kept.display())?;
+    ensure!(
+        problems.is_empty(),
+        "{}; correct the report, and continue with report --resume, which keeps the finished sections",
+        problems.join("; ")
+    );
     Ok(())
 }
 
@@ -124,9 +137,18 @@ fn unfinished(section: &str) -> String {
     format!("section {section} did not finish; report --resume continues with it, after the finished ones")
 }
 
-fn write(definition: &Definition, archive: &Archive, out: &Path, kept: &Path) -> Result<()> {
+/// Writes page and archive; the result is what the page cannot show.
+fn write(definition: &Definition, archive: &Archive, out: &Path, kept: &Path) -> Result<Vec<String>> {
     archive.write(kept)?;
-    whole_file::write(out, page::write(definition, archive)?.as_bytes())
+    let Page { text, problems } = page::write(definition, archive)?;
+    whole_file::write(out, text.as_bytes())?;
+    Ok(problems)
+}
+
+/// Refuses a command that its program would refuse, and rows that it does not print.
+fn check_section(section: &Section, arguments: &[String]) -> Result<()> {
+    check_command(arguments)?;
+    section.rows().try_for_each(|pointer| table::check_rows(pointer, arguments))
 }
 
 /// Refuses a command that its program would refuse.
@@ -192,7 +214,7 @@ mod tests {
             let definition = Definition::read(&file, &[]).unwrap_or_else(|error| panic!("{error:#}"));
             for (section, quick) in definition.sections.iter().flat_map(|section| [(section, false), (section, true)]) {
                 let arguments = definition.arguments(section, quick).expect("words are known");
-                check_command(&arguments).unwrap_or_else(|error| panic!("{}: {error:#}", section.name));
+                check_section(section, &arguments).unwrap_or_else(|error| panic!("{}: {error:#}", section.name));
                 count += 1;
             }
         }

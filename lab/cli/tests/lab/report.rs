@@ -90,9 +90,17 @@ fn what_cannot_be_run_or_written_is_refused_before_the_first_section() {
         assert!(!refused.status.success() && message.contains(expected), "{arguments:?}: {message}");
         assert!(!message.contains("1 of 2"), "a section ran: {message}");
     }
-    let mut command = Command::new(env!("CARGO_BIN_EXE_heliostat-lab"));
-    fs::write(folder.path().join("typo.toml"), REPORT.replace("row = \"flat\"", "rwo = \"flat\"")).expect("written");
-    let refused =
-        command.args(["report", "typo.toml", "--check"]).current_dir(folder.path()).output().expect("it starts");
-    assert!(!refused.status.success() && errors(&refused).contains("rwo"), "{}", errors(&refused));
+    for (name, changed, expected) in [
+        ("typo.toml", REPORT.replace("row = \"flat\"", "rwo = \"flat\""), "rwo"),
+        (
+            "sweep.toml",
+            REPORT.replace("--blocked 2", "--sweep users.count=1,2"),
+            "rows = \"/policies\": expected /reports",
+        ),
+    ] {
+        fs::write(folder.path().join(name), changed).expect("written");
+        let mut command = Command::new(env!("CARGO_BIN_EXE_heliostat-lab"));
+        let refused = command.args(["report", name, "--check"]).current_dir(folder.path()).output().expect("it starts");
+        assert!(!refused.status.success() && errors(&refused).contains(expected), "{}", errors(&refused));
+    }
 }

@@ -21,6 +21,17 @@ pub(super) fn rows(report: &Report) -> impl Iterator<Item = (&str, &Row)> {
     std::iter::once((ORACLE, &report.oracle)).chain(policies)
 }
 
+/// The means of a comparison as bits, to find whether two are equal.
+pub fn figures(report: &Report) -> Vec<u64> {
+    let of_row = |(_, row): (&str, &Row)| {
+        let means = [row.sum_rate_mbps, row.qos_met, row.jain, row.blocked_rate_mbps, row.ber];
+        means.into_iter().chain(row.outage_time)
+    };
+    let of_belief = |(_, quality): &(String, BeliefQuality)| [quality.place_error_cm, quality.coverage_95];
+    let spreads = rows(report).flat_map(of_row).chain(report.beliefs.iter().flat_map(of_belief));
+    spreads.map(|spread| spread.mean.to_bits()).collect()
+}
+
 /// Width of the column of names.
 fn name_width(report: &Report) -> usize {
     rows(report).map(|(name, _)| name.len()).max().unwrap_or(0).max(22)
@@ -329,17 +340,12 @@ fn few_blocked(reports: &[Report], is_sweep: bool) -> Option<String> {
 
 /// What a marked interval means, if there is one.
 fn crossing(reports: &[Report], is_sweep: bool) -> Option<String> {
-    let of_row = |row: &Row| {
-        let of_sweep = [row.sum_rate_mbps, row.ratio_to_oracle].into_iter().chain(row.outage_time);
-        let others = [row.qos_met, row.jain, row.blocked_rate_mbps, row.ber];
-        of_sweep.chain(others.into_iter().filter(|_| !is_sweep)).any(|spread| spread.crosses_bound)
-    };
     let of_belief = |quality: &BeliefQuality| {
         let errors = [quality.place_error_cm, quality.heading_error_walking_deg, quality.heading_error_standing_deg];
         errors.into_iter().chain([quality.coverage_50, quality.coverage_95]).any(|spread| spread.crosses_bound)
     };
     let marked = reports.iter().any(|report| {
-        rows(report).any(|(_, row)| of_row(row))
+        rows(report).any(|(name, row)| is_marked(name, row, is_sweep))
             || !is_sweep && report.beliefs.iter().any(|(_, quality)| of_belief(quality))
     });
     marked.then(|| {
@@ -347,6 +353,14 @@ fn crossing(reports: &[Report], is_sweep: bool) -> Option<String> {
             "{CROSSES}: the interval reaches beyond what the figure can be, such as below 0; more episodes narrow it"
         )
     })
+}
+
+/// Whether an interval of a row is marked. The table of a sweep has fewer intervals, and none of the oracle.
+fn is_marked(name: &str, row: &Row, is_sweep: bool) -> bool {
+    let of_sweep = [row.sum_rate_mbps, row.ratio_to_oracle].into_iter().chain(row.outage_time);
+    let others = [row.qos_met, row.jain, row.blocked_rate_mbps, row.ber];
+    let mut shown = of_sweep.chain(others.into_iter().filter(|_| !is_sweep));
+    (!is_sweep || name != ORACLE) && shown.any(|spread| spread.crosses_bound)
 }
 
 fn note_on_episodes(reports: &[Report], is_sweep: bool) -> io::Result<()> {
@@ -418,6 +432,36 @@ mod tests {
             ),
         ] {
             assert_eq!(few_episodes(found, flag, seeds, is_single), expected);
+        }
+    }
+
+    #[test]
+    fn a_mark_that_the_table_of_a_sweep_does_not_show_needs_no_legend() {
+        let row = |outage_time: Spread, jain: Spread| Row {
+            sum_rate_mbps: Spread::MISSING,
+            difference_mbps: None,
+            difference_ratio: None,
+            difference_qos_met: None,
+            difference_outage_time: None,
+            ratio_to_oracle: Spread::MISSING,
+            qos_met: Spread::MISSING,
+            jain,
+            blocked_rate_mbps: Spread::MISSING,
+            ber: Spread::MISSING,
+            outage_time: Some(outage_time),
+            outages: None,
+            decision_us: None,
+            training_seeds: None,
+        };
+        let beyond = Spread { crosses_bound: true, ..Spread::MISSING };
+        let (outage, jain) = (row(beyond, Spread::MISSING), row(Spread::MISSING, beyond));
+        for (name, row, expected) in [
+            (ORACLE, &outage, [true, false]),
+            ("flat", &outage, [true, true]),
+            ("flat", &jain, [true, false]),
+            ("flat", &row(Spread::MISSING, Spread::MISSING), [false, false]),
+        ] {
+            assert_eq!([false, true].map(|is_sweep| is_marked(name, row, is_sweep)), expected, "{name}");
         }
     }
 

@@ -100,6 +100,22 @@ impl<'a> Grid<'a> {
         })
     }
 
+    /// The keys whose values change nothing: points that differ in such a key alone have equal `figures`, which
+    /// are given for each point.
+    pub fn without_effect<F: PartialEq>(&self, figures: &[F]) -> Vec<&'a str> {
+        let points = || self.points.iter().zip(figures);
+        let changes = |index: usize| {
+            let differs_in_it = |one: &[&str], other: &[&str]| {
+                (0..one.len()).all(|position| (one[position] != other[position]) == (position == index))
+            };
+            let mut pairs = points().flat_map(|one| points().map(move |other| (one, other)));
+            pairs.any(|((one, before), (other, after))| differs_in_it(one, other) && before != after)
+        };
+        let has_values = |sweep: &Sweep| sweep.values.len() > 1;
+        let sweeps = self.sweeps.iter().enumerate();
+        sweeps.filter(|(index, sweep)| has_values(sweep) && !changes(*index)).map(|(_, sweep)| sweep.key()).collect()
+    }
+
     /// A point in words, as `users.count = 3, led.power_w = 2`.
     pub fn name(&self, point: &[&str]) -> String {
         self.keys().zip(point).map(|(key, value)| format!("{key} = {value}")).collect::<Vec<_>>().join(", ")
@@ -177,6 +193,18 @@ mod tests {
 
     fn sweeps(texts: &[&str]) -> Vec<Sweep> {
         texts.iter().map(|text| text.parse().expect("a sweep")).collect()
+    }
+
+    #[test]
+    fn a_key_of_which_no_value_changes_a_figure_is_without_effect() {
+        let two = sweeps(&["name=a,b", "users.count=1..2"]);
+        let grid = Grid::new(&two).expect("two keys").expect("a sweep");
+        assert_eq!(grid.without_effect(&[5, 7, 5, 7]), ["name"]);
+        assert_eq!(grid.without_effect(&[5, 7, 5, 8]), [""; 0]);
+        assert_eq!(grid.without_effect(&[5, 5, 5, 5]), ["name", "users.count"]);
+        let single = sweeps(&["users.count=3"]);
+        let grid = Grid::new(&single).expect("a key").expect("a sweep");
+        assert_eq!(grid.without_effect(&[5]), [""; 0], "one value shows nothing");
     }
 
     #[test]

@@ -106,6 +106,14 @@ pub enum Lines {
     Rows,
 }
 
+impl Section {
+    /// The JSON pointers of rows: those of the tables, and of the bounds that name some.
+    pub fn rows(&self) -> impl Iterator<Item = &str> {
+        let of_tables = self.tables.iter().map(|table| table.rows.as_str());
+        of_tables.chain(self.bounds.iter().filter_map(|bound| bound.rows.as_deref()))
+    }
+}
+
 impl Definition {
     /// Reads a file; `words` replace those of the file.
     ///

@@ -12,20 +12,34 @@ use crate::commands::eval::{ABOVE_ONE, exceeds_one};
 use super::archive::{Archive, Finished};
 use super::definition::{Definition, Section};
 use super::summary;
-use super::table::{grid, markdown, rows};
+use super::table::{CROSSES, grid, markdown, rows};
 
-/// The page; it lists unfinished sections at the end.
+/// A page, and why it does not show all that is finished.
+pub struct Page {
+    /// In Markdown.
+    pub text: String,
+    /// One for each section or summary that is not shown completely.
+    pub problems: Vec<String>,
+}
+
+/// The page; it lists unfinished sections at the end. A section whose JSON object is not that of its tables
+/// or bounds has the reason in their place.
 ///
 /// # Errors
-/// A finished section whose JSON object is not that of its command.
-pub fn write(definition: &Definition, archive: &Archive) -> Result<String> {
+/// None of the report: text that cannot be formatted.
+pub fn write(definition: &Definition, archive: &Archive) -> Result<Page> {
     let (mut sections, mut bounds, mut missing) = (String::new(), Vec::new(), Vec::new());
+    let mut problems = Vec::new();
     for section in &definition.sections {
-        match archive.find(&section.name) {
-            Some(finished) => write_section(definition, section, finished, &mut sections)
-                .and_then(|()| judge(section, finished, &mut bounds))
-                .with_context(|| format!("in section {}", section.name))?,
-            None => missing.push(section.name.as_str()),
+        let Some(finished) = archive.find(&section.name) else {
+            missing.push(section.name.as_str());
+            continue;
+        };
+        let shown = write_section(definition, section, finished, &mut sections)
+            .and_then(|()| judge(section, finished, &mut bounds));
+        if let Err(error) = shown {
+            writeln!(sections, "Not shown: {error:#}.\n")?;
+            problems.push(format!("in section {}: {error:#}", section.name));
         }
     }
     let mut text = format!("# {}\n\n{}\n\n", definition.title, definition.about);
@@ -38,13 +52,16 @@ pub fn write(definition: &Definition, archive: &Archive) -> Result<String> {
         writeln!(text, "{}", grid(&bounds))?;
     }
     for one in &definition.summary {
-        text.push_str(&summary::write(one, definition, archive).with_context(|| format!("in {}", one.title))?);
+        match summary::write(one, definition, archive) {
+            Ok(table) => text.push_str(&table),
+            Err(error) => problems.push(format!("in {}: {error:#}", one.title)),
+        }
     }
     text.push_str(&sections);
     if !missing.is_empty() {
         writeln!(text, "## Not finished\n\n{}", missing.join(", "))?;
     }
-    Ok(text.trim_end().to_owned() + "\n")
+    Ok(Page { text: text.trim_end().to_owned() + "\n", problems })
 }
 
 fn write_section(definition: &Definition, section: &Section, finished: &Finished, text: &mut String) -> Result<()> {
@@ -52,14 +69,16 @@ fn write_section(definition: &Definition, section: &Section, finished: &Finished
     let load = load.map_or(String::new(), |load| format!(", load {load:.1}"));
     writeln!(text, "## {}\n\n{}\n\n```\n{}\n```\n", section.title, section.about, command(arguments))?;
     writeln!(text, "{}{made}, commit {commit}, {machine}{load}, {seconds:.0} s.\n", states(output))?;
-    for note in notes(output) {
-        writeln!(text, "{note}\n")?;
-    }
+    let mut tables = String::new();
     for table in &section.tables {
         let rows = rows(output, &table.rows, arguments)?;
         let heading = heading(output, &table.rows);
-        writeln!(text, "{}", markdown(&rows, definition.columns(&table.columns)?, heading.as_deref()))?;
+        writeln!(tables, "{}", markdown(&rows, definition.columns(&table.columns)?, heading.as_deref()))?;
     }
+    for note in notes(output, &tables) {
+        writeln!(text, "{note}\n")?;
+    }
+    text.push_str(&tables);
     if has_ratio_above_one(output) {
         writeln!(text, "Note that {ABOVE_ONE}.\n")?;
     }
@@ -119,8 +138,8 @@ fn of_points(output: &Value) -> Vec<&Value> {
     reports.unwrap_or_else(|| vec![output])
 }
 
-/// The methods whose conditions the rooms do not meet, and what a marked interval means.
-fn notes(output: &Value) -> Vec<String> {
+/// The methods whose conditions the rooms do not meet, and what a marked interval of the tables means.
+fn notes(output: &Value, tables: &str) -> Vec<String> {
     let mut notes: Vec<String> = Vec::new();
     for condition in of_points(output).into_iter().filter_map(|report| report["conditions"].as_array()).flatten() {
         let part = |name: &str| condition[name].as_str().unwrap_or_default();
@@ -130,8 +149,8 @@ fn notes(output: &Value) -> Vec<String> {
             notes.push(note);
         }
     }
-    if output.to_string().contains("\"crosses_bound\":true") {
-        notes.push("\\*: the interval reaches beyond what the figure can be, such as below 0.".into());
+    if tables.contains(CROSSES) {
+        notes.push(format!("{CROSSES}: the interval reaches beyond what the figure can be, such as below 0."));
     }
     notes
 }
@@ -225,7 +244,8 @@ mod tests {
         let file = folder.path().join("example.toml");
         std::fs::write(&file, REPORT).unwrap();
         let definition = Definition::read(&file, &[]).unwrap();
-        let text = write(&definition, &archive).unwrap();
+        let Page { text, problems } = write(&definition, &archive).unwrap();
+        assert!(problems.is_empty(), "{problems:?}");
         for expected in [
             "# An example\n\nTimes in us.\n\n**A quick run",
             "| The loop | p50 at most 2 | 2.31 | not met |\n\n## Changes\n\nDifferences.\n",
@@ -240,6 +260,21 @@ mod tests {
     }
 
     #[test]
+    fn a_section_that_cannot_be_shown_leaves_the_others_on_the_page() {
+        let mut archive = Archive::new("example", false);
+        archive.put(finished("first", json!({ "sweep": "users.count", "reports": [] })));
+        archive.put(finished("last", json!({ "rows": [{ "p50": 1.5 }] })));
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("example.toml");
+        std::fs::write(&file, REPORT).unwrap();
+        let Page { text, problems } = write(&Definition::read(&file, &[]).unwrap(), &archive).unwrap();
+        let reason = "the output has nothing at /rows; it has /reports, /sweep";
+        assert_eq!(problems, [format!("in section first: {reason}")]);
+        assert!(text.contains(&format!("Not shown: {reason}.\n\n## Last")), "{text}");
+        assert!(text.contains("| p50 |\n| --- |\n| 1.5 |\n"), "{text}");
+    }
+
+    #[test]
     fn episodes_conditions_and_marked_intervals_are_stated_once() {
         let condition = json!({ "method": "the filter", "because": "no gains", "consequence": "no headings" });
         let report = json!({
@@ -248,11 +283,12 @@ mod tests {
         });
         let swept = json!({ "reports": [{ "report": report }, { "report": report }] });
         assert_eq!(states(&swept), "States per seed: 40. Seeds: 2, from 1. Episodes: 4, too few for its intervals. ");
-        let found = notes(&swept);
+        let found = notes(&swept, "| 0.00 ± 0.10\\* |");
         assert_eq!(found.len(), 2, "{found:?}");
         assert_eq!(found[0], "Condition: the filter does not apply: no gains: no headings.");
         assert!(found[1].contains("beyond what the figure can be"), "{found:?}");
-        assert!(notes(&json!({ "rows": [] })).is_empty());
+        assert_eq!(notes(&swept, "| 0.00 |").len(), 1, "no table has a mark");
+        assert!(notes(&json!({ "rows": [] }), "").is_empty());
     }
 
     #[test]

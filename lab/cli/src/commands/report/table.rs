@@ -4,6 +4,8 @@ use anyhow::{Context, Result, ensure};
 use serde::Deserialize;
 use serde_json::Value;
 
+/// Marks an interval that reaches beyond the bounds of its figure, in Markdown.
+pub const CROSSES: &str = "\\*";
 /// Name of the oracle's row.
 pub const ORACLE: &str = "(oracle)";
 /// JSON pointer of the policies of `eval`, whose order is that of the command.
@@ -55,12 +57,35 @@ impl TryFrom<String> for Column {
     }
 }
 
+/// Refuses rows that `eval` cannot print with these arguments.
+///
+/// # Errors
+/// Rows outside the comparisons of a sweep, or of a sweep that the command does not have.
+pub fn check_rows(pointer: &str, arguments: &[String]) -> Result<()> {
+    if arguments.get(1).is_none_or(|command| command != "eval") {
+        return Ok(());
+    }
+    let of_sweep = pointer == SWEEP || pointer.starts_with(&format!("{SWEEP}/"));
+    match arguments.iter().any(|word| word == "--sweep" || word.starts_with("--sweep=")) {
+        true => ensure!(
+            of_sweep,
+            "rows = \"{pointer}\": expected {SWEEP}, where --sweep has a row for each value and policy"
+        ),
+        false => ensure!(!of_sweep, "rows = \"{pointer}\": expected {POLICIES}, since the command has no --sweep"),
+    }
+    Ok(())
+}
+
 /// The rows at a JSON pointer: those of an array, of an object by name, or of a sweep.
 ///
 /// # Errors
 /// The JSON object of another command.
 pub fn rows(output: &Value, pointer: &str, arguments: &[String]) -> Result<Vec<Row>> {
-    let found = output.pointer(pointer).with_context(|| format!("the output has nothing at {pointer}"))?;
+    let found = output.pointer(pointer).with_context(|| {
+        let names = output.as_object().into_iter().flat_map(|object| object.keys());
+        let names: Vec<String> = names.map(|name| format!("/{name}")).collect();
+        format!("the output has nothing at {pointer}; it has {}", names.join(", "))
+    })?;
     match found {
         Value::Array(reports) if pointer == SWEEP => {
             let swept = |report: &Value| {
@@ -124,7 +149,7 @@ fn cell(value: &Value, form: Form) -> String {
         },
         Form::Number(digits) => number(value, digits),
         Form::Interval(digits) => number(&value["mean"], digits).map(|mean| match number(&value["ci95"], digits) {
-            Some(half) if value["crosses_bound"] == true => format!("{mean} ± {half}\\*"),
+            Some(half) if value["crosses_bound"] == true => format!("{mean} ± {half}{CROSSES}"),
             Some(half) => format!("{mean} ± {half}"),
             None => mean,
         }),
@@ -193,6 +218,27 @@ mod tests {
         let output = json!({ "sweep": "users.count", "reports": [swept("1"), swept("2")] });
         let rows = rows(&output, SWEEP, &arguments("eval --policies greedy,flat")).unwrap();
         assert_eq!((rows.len(), rows[0].0.as_str(), rows[5].0.as_str()), (8, "1: (oracle)", "2: greedy"));
+    }
+
+    #[test]
+    fn rows_that_a_sweep_or_a_command_without_one_does_not_have_are_refused() {
+        let check =
+            |pointer: &str, text: &str| check_rows(pointer, &arguments(text)).map_err(|error| error.to_string());
+        let swept = "heliostat-lab eval --sweep users.count=1,2";
+        let refused = check("/policies", swept).expect_err("no such rows");
+        assert!(refused.starts_with("rows = \"/policies\": expected /reports"), "{refused}");
+        let refused = check(SWEEP, "heliostat-lab eval --states 3").expect_err("no sweep");
+        assert!(refused.starts_with("rows = \"/reports\": expected /policies"), "{refused}");
+        for (pointer, text) in [
+            (SWEEP, swept),
+            ("/reports/0/report/beliefs", "heliostat-lab eval --sweep=users.count=1,2"),
+            ("/beliefs", "heliostat-lab eval"),
+            ("/rows", "heliostat bench loop"),
+        ] {
+            assert_eq!(check(pointer, text), Ok(()), "{pointer} of {text}");
+        }
+        let missing = rows(&json!({ "sweep": "users.count", "reports": [] }), POLICIES, &[]).expect_err("no policies");
+        assert_eq!(missing.to_string(), "the output has nothing at /policies; it has /reports, /sweep");
     }
 
     #[test]

@@ -145,6 +145,24 @@ fn a_key_without_effect_is_refused_and_faults_of_mirrors_in_a_file_are_a_conditi
 }
 
 #[test]
+fn a_key_that_changes_no_figure_is_named() {
+    let few = ["--policies", "flat", "--states", "2", "--seeds", "1", "--scenario", "hall"];
+    let seats = "users={mobility=\"seated\", count=1, seats_m=[[1.0, 1.0]]}";
+    for (sweep, key) in [
+        ("name=a,b", Some("name")),
+        ("users.seated.spacing_m=0.5,1", Some("users.seated.spacing_m")),
+        ("led.power_w=1,2", None),
+    ] {
+        let output = eval(&[&few[..], &["--set", seats, "--sweep", sweep]].concat());
+        let errors = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.success(), "{errors}");
+        let expected = key.map(|key| format!("--sweep {key}: no effect"));
+        assert_eq!(expected.is_some(), errors.contains("no effect"), "{errors}");
+        assert!(expected.is_none_or(|expected| errors.contains(&expected)), "{errors}");
+    }
+}
+
+#[test]
 fn flags_that_contradict_each_other_are_refused_with_point_and_reason() {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("figures.csv");

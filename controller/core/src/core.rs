@@ -313,7 +313,7 @@ impl Controller {
         self.counters.decisions += 1;
         self.policy.tallies.count_decision();
         self.counters.count_degraded(DegradedMode::StaleReport);
-        self.update_permits(now);
+        self.update_permits(now, true);
         self.execute((self.control.when_stale, DegradedMode::StaleReport), 0, now, &mut |_| {})
     }
 
@@ -334,7 +334,7 @@ impl Controller {
             return None;
         }
         self.journal.record_decision(InputKind::SilenceDecision, now);
-        self.update_permits(now);
+        self.update_permits(now, false);
         Some(self.execute((self.control.when_silent, DegradedMode::Silence), 0, now, &mut |_| {}))
     }
 

@@ -152,13 +152,14 @@ impl Controller {
         self.arrays.iter().find_map(|array| array.guard.unfit())
     }
 
-    /// Decides which arrays get the command that is due at `now`.
-    pub(super) fn update_permits(&mut self, now: Nanos) {
+    /// Decides which arrays get the command that is due at `now`, for a report or for the absence of
+    /// reports.
+    pub(super) fn update_permits(&mut self, now: Nanos, is_report: bool) {
         let repeated = self.repeated.take();
         for (index, array) in self.arrays.iter_mut().enumerate() {
             match repeated {
                 Some(withheld) => array.repeat_permit(withheld >> index & 1 == 0),
-                None => array.update_permit(now, self.inbox.telemetry(index), &mut self.counters),
+                None => array.update_permit((now, is_report), self.inbox.telemetry(index), &mut self.counters),
             }
         }
     }

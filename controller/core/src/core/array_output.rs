@@ -83,11 +83,19 @@ impl ArrayOutput {
         self.guard.handle_telemetry(now, telemetry, counters);
     }
 
-    /// Decides whether the array gets the command that is due at `now`. A withheld command is
-    /// counted.
-    pub fn update_permit(&mut self, now: Nanos, telemetry: Option<&MirrorTelemetry>, counters: &mut Counters) {
-        self.permit =
-            if self.is_lost(now) { Err(DegradedMode::Withheld) } else { self.guard.permit(now, telemetry, counters) };
+    /// Decides whether the array gets the command that is due at `now`, for a report or for the absence
+    /// of reports. A withheld command is counted.
+    pub fn update_permit(
+        &mut self,
+        (now, is_report): (Nanos, bool),
+        telemetry: Option<&MirrorTelemetry>,
+        counters: &mut Counters,
+    ) {
+        self.permit = if self.is_lost(now) {
+            Err(DegradedMode::Withheld)
+        } else {
+            self.guard.permit((now, is_report), telemetry, counters)
+        };
         if let Err(withheld) = self.permit {
             counters.count_degraded(withheld);
         }

@@ -52,7 +52,7 @@ impl Controller {
     pub(super) fn observe(&mut self, now: Nanos, timing: Timing, mark: &mut dyn FnMut(Stage)) -> Observed {
         self.is_proposed = false;
         self.journal.record_decision(timing.input(), now);
-        self.update_permits(now);
+        self.update_permits(now, true);
         let (mut action, mut mode) = (DegradedAction::Policy, DegradedMode::Held);
         if timing == Timing::Late {
             self.counters.count_degraded(DegradedMode::Late);

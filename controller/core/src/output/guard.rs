@@ -74,10 +74,11 @@ impl Guard {
         self.own_validity_ms.min(self.validity_max_ms)
     }
 
-    /// The epoch of a command that is due at `now`. Without one, the mode that is counted.
+    /// The epoch of a command that is due at `now`, for a report or for the absence of reports. Without
+    /// one, the mode that is counted.
     pub fn permit(
         &mut self,
-        now: Nanos,
+        (now, is_report): (Nanos, bool),
         telemetry: Option<&MirrorTelemetry>,
         counters: &mut Counters,
     ) -> Result<u64, DegradedMode> {
@@ -85,7 +86,8 @@ impl Guard {
         if self.unfit().is_some() || self.stops.is_stopped() || is_stopped {
             return Err(DegradedMode::Withheld);
         }
-        let (epoch, event) = self.tenure.permit(now);
+        let tenure = &mut self.tenure;
+        let (epoch, event) = if is_report { tenure.permit(now) } else { tenure.permit_in_silence(now) };
         event.into_iter().for_each(|event| counters.count_tenure(event));
         epoch.ok_or(DegradedMode::Standby)
     }
@@ -133,7 +135,7 @@ mod tests {
         let mut guard = Guard::new(Tenure::fixed(7), 200);
         let mut counters = Counters::default();
         let mut permit =
-            |guard: &mut Guard, telemetry: Option<&MirrorTelemetry>| guard.permit(S, telemetry, &mut counters);
+            |guard: &mut Guard, telemetry: Option<&MirrorTelemetry>| guard.permit((S, true), telemetry, &mut counters);
         assert_eq!(permit(&mut guard, None), Ok(7));
         guard.stops.order(10, &order(StopAction::Stop));
         guard.stops.order(11, &order(StopAction::Rearm));

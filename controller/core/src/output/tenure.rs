@@ -255,9 +255,23 @@ impl Tenure {
     ///
     /// The event is the begin or the end of a standby.
     pub fn permit(&mut self, now: Nanos) -> (Option<u64>, Option<TenureEvent>) {
+        self.permit_due(now, true)
+    }
+
+    /// As [`permit`](Self::permit), for a command that the absence of reports makes due. A standby that has no recent
+    /// telemetry either may have lost its link.
+    pub fn permit_in_silence(&mut self, now: Nanos) -> (Option<u64>, Option<TenureEvent>) {
+        let is_live = matches!(self.rule, Rule::Live { .. });
+        if is_live && self.standing == Standing::Standby && !self.is_current(now) {
+            return (None, None);
+        }
+        self.permit_due(now, false)
+    }
+
+    fn permit_due(&mut self, now: Nanos, is_report: bool) -> (Option<u64>, Option<TenureEvent>) {
         let event = match self.standing {
             Standing::Waiting => self.start(now),
-            Standing::Standby => self.watch_leader(now),
+            Standing::Standby => self.watch_leader(now, is_report),
             Standing::Leading => None,
         };
         self.note_due(now);
@@ -311,13 +325,16 @@ impl Tenure {
         None
     }
 
-    /// A report is due in standby: judges whether the leader has answered the awaited one.
-    fn watch_leader(&mut self, now: Nanos) -> Option<TenureEvent> {
+    /// A command is due in standby: judges whether the leader has answered the awaited report.
+    fn watch_leader(&mut self, now: Nanos, is_report: bool) -> Option<TenureEvent> {
         let Rule::Live { interval_ns, .. } = self.rule else {
             return (!self.is_current(now)).then(|| self.resume(now));
         };
         let gap_ns = interval_ns.saturating_mul(WATCH_GAP);
-        let since_last_ns = self.watch.note_report(now, gap_ns.max(TELEMETRY_TIMEOUT_NS));
+        if is_report {
+            self.watch.note_report(now, gap_ns.max(TELEMETRY_TIMEOUT_NS));
+        }
+        let since_last_ns = self.watch.note_due(now);
         if !self.is_current(now) {
             return self.watch.misses_telemetry(now).then(|| self.resume(now));
         }

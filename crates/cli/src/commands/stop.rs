@@ -95,9 +95,9 @@ pub fn stop(args: StopArgs) -> Result<()> {
         args.order.report(&bus, stopped?, &switch.known_stops())?;
         let unrecorded = switch.unrecorded();
         drop(switch);
-        bus.close()?;
+        let closed = bus.close();
         ensure!(unrecorded.is_empty(), "{}", unrecorded.join("; "));
-        return Ok(());
+        return Ok(closed?);
     }
     match &stopped {
         Ok(took) => {

@@ -95,8 +95,10 @@ pub(super) struct Unaccepted {
 pub(super) struct Watch {
     /// The report whose answer is awaited, and the commands accepted until then.
     pub(super) awaited: Option<(Nanos, u64)>,
-    /// The last report; 0 before the first.
+    /// When a command was due last, for a report or for the absence of reports.
     pub(super) last_ns: Nanos,
+    /// The last report; 0 before the first.
+    pub(super) reported_ns: Nanos,
     /// The first report after a pause that is as long as the loss of a link, until a report after it is judged.
     pub(super) returned_ns: Option<Nanos>,
     /// Reports without an accepted command, in sequence.
@@ -108,15 +110,18 @@ pub(super) struct Watch {
 }
 
 impl Watch {
-    /// A report is due: the time since the one before, in ns. A pause longer than `lost_ns` is the loss of the link.
-    pub(super) fn note_report(&mut self, now: Nanos, lost_ns: Nanos) -> Nanos {
-        let before_ns = std::mem::replace(&mut self.last_ns, now);
-        let since_last_ns = now.abs_diff(before_ns);
-        if before_ns > 0 && since_last_ns > lost_ns {
+    /// A report has come. A pause of the reports longer than `lost_ns` is the loss of the link.
+    pub(super) fn note_report(&mut self, now: Nanos, lost_ns: Nanos) {
+        let before_ns = std::mem::replace(&mut self.reported_ns, now);
+        if before_ns > 0 && now.abs_diff(before_ns) > lost_ns {
             self.awaited = None;
             self.returned_ns = self.returned_ns.or(Some(now));
         }
-        since_last_ns
+    }
+
+    /// A command is due: the time since the one before, in ns.
+    pub(super) fn note_due(&mut self, now: Nanos) -> Nanos {
+        now.abs_diff(std::mem::replace(&mut self.last_ns, now))
     }
 
     /// Whether telemetry that is not recent is missing: after the loss of a link it may come later than reports.

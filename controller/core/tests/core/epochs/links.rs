@@ -44,3 +44,17 @@ fn telemetry_is_absent_when_none_has_come_for_a_second_after_the_return_of_the_l
     let resumed = (1..300).find(|tick| tenure.permit(now + tick * INTERVAL).0.is_some());
     assert_eq!(resumed, Some(102), "the first report after the pause is that of tick 1");
 }
+
+#[test]
+fn the_actions_for_absent_reports_hide_no_loss_of_a_link() {
+    // The action is due once, or again and again.
+    for silences in [&[550_u64][..], &[550, 600, 700, 800, 900, 1000, 1050, 1100, 1200]] {
+        let mut room = led_room(&[1, 600]);
+        let (now, tenure) = (room.now, &mut room.controllers[1].tenure);
+        for after_ms in silences {
+            assert_eq!(tenure.permit_in_silence(now + after_ms * MS), (None, None), "{after_ms} ms");
+        }
+        assert_eq!(tenure.permit(now + 1300 * MS), (None, None), "telemetry is not back yet");
+        assert_eq!(tenure.standing(), Standing::Standby);
+    }
+}

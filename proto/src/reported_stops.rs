@@ -259,7 +259,12 @@ impl ReportedStops {
         self.has_geometry() && (0..self.expected()).all(has_reported)
     }
 
-    /// The arrays that have stopped and do not keep the stop over a restart, each with its reason.
+    /// Whether a stop report of an array has arrived after this time.
+    pub fn has_stops_after(&self, array: usize, time: Duration) -> bool {
+        self.arrays.get(&array).and_then(|seen| seen.stops.as_ref()).is_some_and(|(at, _)| *at > time)
+    }
+
+    /// The arrays that have stopped and do not record the stop, each with its reason.
     pub fn unrecorded(&self, now: Duration) -> Vec<(usize, String)> {
         let of = |(array, seen): (&usize, &ReportedArray)| {
             let (at, report) = seen.stops.as_ref()?;
@@ -425,8 +430,11 @@ mod tests {
         stops.handle_stops(NOW, 0, with_problem(report(2, true)));
         assert_eq!(stops.standings(NOW, None), [(0, Standing::Stopped)]);
         assert_eq!(stops.unrecorded(NOW), [(0, "the disk is full".to_owned())]);
-        stops.handle_stops(NOW, 0, report(3, true));
-        assert_eq!(stops.unrecorded(NOW), [], "it is recorded now");
+        assert!(!stops.has_stops_after(0, NOW));
+        let later = NOW + Duration::from_nanos(1);
+        stops.handle_stops(later, 0, report(3, true));
+        assert!(stops.has_stops_after(0, NOW));
+        assert_eq!(stops.unrecorded(later), [], "it is recorded now");
     }
 
     #[test]

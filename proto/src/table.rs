@@ -368,8 +368,8 @@ macro_rules! message_table {
                 stops: Vec<LatchedStopReport> where at_most(MAX_STOPS),
                 /// The names of stops that a re-arm released here, the latest last.
                 released: Vec<StopName> where at_most(MAX_STOPS),
-                /// Why the device has not executed the stop; where it has, why the stop is not recorded, so
-                /// that a restart may release it; empty otherwise.
+                /// Why the device has not executed the stop; where it has, why the stop is not recorded;
+                /// empty otherwise.
                 problem: String,
             }
 

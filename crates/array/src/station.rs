@@ -79,6 +79,16 @@ impl Timer {
     }
 }
 
+/// The state of the last stop report.
+#[derive(Debug, Default)]
+struct PublishedStops {
+    latch: Latch,
+    /// Whether the device had executed the stops.
+    is_stopped: bool,
+    /// Why the stops were not in the record.
+    problem: Option<String>,
+}
+
 /// A kit with the plan of its stop's record, and the reports of a driver.
 #[derive(Debug)]
 pub struct Station<D> {
@@ -99,8 +109,7 @@ pub struct Station<D> {
     published_state: (ArrayState, bool),
     /// The latch in the last safety report.
     published_latch: Latch,
-    /// The latch in the last stop report, and whether the device had executed it.
-    published_stops: (Latch, bool),
+    published_stops: PublishedStops,
     /// Numbers of problems of the device and of refused messages, and whether the last one was of the
     /// device.
     problems: ([u64; 2], bool),
@@ -132,7 +141,7 @@ impl<D: Device> Station<D> {
             is_measuring: false,
             published_state: (ArrayState::Parked, false),
             published_latch: Latch::default(),
-            published_stops: (Latch::default(), false),
+            published_stops: PublishedStops::default(),
             problems: ([0; 2], false),
             local_ns: now.local_ns,
         }
@@ -202,13 +211,13 @@ impl<D: Device> Station<D> {
             self.published_latch.clone_from(self.kit.array().latch());
             return Some(Report::Safety(self.kit.safety(stamp)));
         }
-        let is_stopped = self.kit.device_stopped();
-        if is_due(&self.stops)
-            || self.published_stops.1 != is_stopped
-            || self.published_stops.0 != *self.kit.array().latch()
-        {
+        if is_due(&self.stops) || self.has_new_stops() {
             let stamp = self.stops.publish(source, now, ANNOUNCEMENT_NS);
-            self.published_stops = (self.kit.array().latch().clone(), is_stopped);
+            self.published_stops = PublishedStops {
+                latch: self.kit.array().latch().clone(),
+                is_stopped: self.kit.device_stopped(),
+                problem: self.record_problem().map(str::to_owned),
+            };
             return Some(Report::Stops(with_record_problem(self.kit.stops(stamp), self.record_problem())));
         }
         if is_due(&self.telemetry) || self.has_changed() {
@@ -241,6 +250,15 @@ impl<D: Device> Station<D> {
     /// Until when reports wait for the record of the present stops, if they do.
     fn reports_wait_until(&self) -> Option<u64> {
         self.record.holds_until(self.kit.array().latch())
+    }
+
+    /// Whether the stops, what the device does about them, or the problem of their record differ from the last stop
+    /// report: one is then due at once.
+    fn has_new_stops(&self) -> bool {
+        let PublishedStops { latch, is_stopped, problem } = &self.published_stops;
+        latch != self.kit.array().latch()
+            || *is_stopped != self.kit.device_stopped()
+            || problem.as_deref() != self.record_problem()
     }
 
     /// Whether the state differs from the one in the last telemetry: telemetry is then due at once.

@@ -151,7 +151,8 @@ impl RecordPlan {
 
     /// Why this state is not in the store.
     pub fn problem(&self, latch: &Latch, local_ns: u64) -> Option<&str> {
-        let running_ns = self.running.as_ref().map(|(_, since_ns)| *since_ns);
+        // A check that takes long leaves the state where it was written.
+        let running_ns = self.running.as_ref().filter(|(task, _)| task.is_due).map(|(_, since_ns)| *since_ns);
         let since_ns = self.unrecorded_ns.filter(|_| *latch != self.tried).or(running_ns);
         let is_late = since_ns.is_some_and(|since_ns| local_ns >= since_ns.saturating_add(REPORT_WAIT_NS));
         self.problem.as_deref().or(is_late.then_some(LATE))

@@ -112,9 +112,24 @@ impl StopSwitch {
         self.seen.lock().stops()
     }
 
-    /// The arrays that have stopped and do not record the stop, in words: a restart may release them.
-    pub fn unrecorded(&self) -> Vec<String> {
-        unrecorded(&self.seen.lock(), self.seen.now())
+    /// The arrays that have stopped and do not record the stop, in words.
+    ///
+    /// Waits for one further stop report of each array that says so, for `limit` at most: a slow disk may have answered
+    /// by then. Without one, the last report of the array stands.
+    pub fn unrecorded(&self, limit: Duration) -> Vec<String> {
+        let seen = self.seen.lock();
+        let since = self.seen.now();
+        let mut problems: BTreeMap<usize, String> = seen.unrecorded(since).into_iter().collect();
+        drop(seen);
+        if !problems.is_empty() {
+            let has_newer = |seen: &ReportedStops, _| problems.keys().all(|array| seen.has_stops_after(*array, since));
+            self.seen.wait(limit, has_newer);
+        }
+        let seen = self.seen.lock();
+        problems.retain(|array, _| !seen.has_stops_after(*array, since));
+        problems.extend(seen.unrecorded(self.seen.now()));
+        drop(seen);
+        unrecorded(problems)
     }
 
     /// What is to be said of arrays that two processes drive.

@@ -44,11 +44,11 @@ pub(crate) fn problem(array: usize, standing: &Standing) -> Option<String> {
 }
 
 /// The arrays that have stopped and do not record the stop, in words.
-pub(crate) fn unrecorded(seen: &ReportedStops, now: Duration) -> Vec<String> {
+pub(crate) fn unrecorded(problems: impl IntoIterator<Item = (usize, String)>) -> Vec<String> {
     let line = |(array, problem): (usize, String)| {
         format!("array {array} has stopped, but the stop is not recorded: {}", printable(&problem))
     };
-    seen.unrecorded(now).into_iter().map(line).collect()
+    problems.into_iter().map(line).collect()
 }
 
 /// A stop in words: its name, its operator, its reason and its arrays.
@@ -213,7 +213,7 @@ impl StopWatch {
         let stops = seen.stops();
         let standings = if stops.is_empty() { Vec::new() } else { seen.standings(now, None) };
         let report_age = seen.oldest_report().map(|at| now.saturating_sub(at));
-        let (unrecorded, has_geometry) = (unrecorded(&seen, now), seen.has_geometry());
+        let (unrecorded, has_geometry) = (unrecorded(seen.unrecorded(now)), seen.has_geometry());
         RoomStops { now, stops, standings, unrecorded, report_age, ordered: None, has_geometry }
     }
 

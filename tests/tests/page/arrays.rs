@@ -46,6 +46,7 @@ fn each_array_follows_its_own_commands_and_one_stop_stops_both() {
         |order: &str| Process::heliostat(&[order, "--room", "stopped", "--connect", &of_sim, "--json"]).wait().json();
     let stopped = order("stop");
     assert_eq!(stopped["array"], "stopped");
+    assert_eq!(stopped["unrecorded"], serde_json::json!([]), "{stopped}");
     assert_eq!(stopped["stops"][0]["reason"], "command line", "{stopped}");
     wait_until("two arrays that are stopped", || observer.states() == [ArrayState::Stopped; 2]);
     assert_eq!(order("rearm")["array"], "released");

@@ -395,13 +395,19 @@ fn stop_and_status_name_a_simulated_array_that_cannot_record_its_stop() {
     for name in ["sim.stop.toml", "sim.stop.new"] {
         fs::create_dir(folder.path().join(name)).expect("a folder");
     }
-    let order = |command: &str| Process::heliostat(&[command, "--room", "sim", "--connect", &endpoint]).wait();
-    let stopped = order("stop");
+    let order = |command: &str, flags: &[&str]| {
+        Process::heliostat(&[&[command, "--room", "sim", "--connect", &endpoint][..], flags].concat()).wait()
+    };
+    let stopped = order("stop", &[]);
     assert!(stopped.output.contains("are stopped, confirmed"), "{} {}", stopped.output, stopped.errors);
     let refusal = stopped.refusal();
     assert!(refusal.contains("array 0 has stopped, but the stop is not recorded: "), "{refusal}");
     assert!(refusal.contains("sim.stop.toml") && refusal.contains("a restart may release the array"), "{refusal}");
-    let status = order("status");
+    let stopped = order("stop", &["--json"]);
+    assert!(!stopped.status.success(), "{}", stopped.output);
+    let result: serde_json::Value = serde_json::from_str(stopped.output.trim()).expect("JSON");
+    assert!(result["unrecorded"][0].as_str().is_some_and(|line| line.contains("sim.stop.toml")), "{result}");
+    let status = order("status", &[]);
     let of_record: Vec<&str> =
         status.output.lines().filter(|line| line.starts_with("problem") && line.contains("sim.stop.toml")).collect();
     assert_eq!(of_record.len(), 1, "{}", status.output);

@@ -231,6 +231,25 @@ fn a_slow_disk_delays_no_stop_and_a_report_that_names_one_only_for_a_while() {
     assert!(text().contains("sequence = \"6\""), "{}", text());
     advance(&mut station, &memory, 256).unwrap();
     assert!(station.is_recorded() && text().contains("sequence = \"7\""), "{}", text());
+    assert_eq!(reports(&mut station, 256), [("stops", 3)], "it is recorded now");
+}
+
+#[test]
+fn a_check_of_the_record_that_takes_long_leaves_the_stop_recorded() {
+    let memory = Memory::default();
+    let mut station = start(&memory);
+    advance(&mut station, &memory, 0).unwrap();
+    reports(&mut station, 0);
+    stop(&mut station, 5);
+    advance(&mut station, &memory, 5).unwrap();
+    reports(&mut station, 5);
+    let at = Moment::simulated(1005 * MS);
+    station.advance(at);
+    let check = station.poll_record(at).expect("the record is checked with each safety report");
+    station.advance(Moment::simulated(1300 * MS));
+    assert!(station.is_recorded(), "{}", station.last_problem());
+    station.finish_record(&check.run(&mut memory.clone()));
+    assert!(station.is_recorded(), "{}", station.last_problem());
 }
 
 #[test]

@@ -24,8 +24,9 @@ const HOLD_INTERVAL: Duration = Duration::from_millis(50);
 /// and every array that was seen. Otherwise the exit status is 1, and each other array is named: cut the
 /// power of an array that does not answer. The status is 1 too where no process announces how many arrays
 /// the room has: connect to its controller or router, or give --arrays. The status is 1 too for a driver that does not report whether
-/// its device executed the stop. The status is 1 too for an array that has stopped and cannot record the stop: a
-/// restart may release it.
+/// its device executed the stop. The status is 1 too for an array that has stopped and does not record the
+/// stop; the message states what a restart of its driver does. With --hold the command notes all this and
+/// goes on, and its status does not show it.
 ///
 /// The result names every stop in force; `heliostat rearm --stop` takes such a name.
 ///
@@ -89,21 +90,18 @@ pub fn stop(args: StopArgs) -> Result<()> {
     if let Some(arrays) = args.arrays {
         switch.expect(arrays.into());
     }
+    let begun = Instant::now();
     let stopped = switch.stop_and_confirm(reason, *timeout).map_err(with_reach);
     note_shared(&switch);
     if !args.hold {
-        args.order.report(&bus, stopped?, &switch.known_stops())?;
-        let unrecorded = switch.unrecorded();
+        let unrecorded = args.order.report(&bus, &switch, stopped?, begun)?;
         drop(switch);
         let closed = bus.close();
         ensure!(unrecorded.is_empty(), "{}", unrecorded.join("; "));
         return Ok(closed?);
     }
     match &stopped {
-        Ok(took) => {
-            args.order.report(&bus, *took, &switch.known_stops())?;
-            switch.unrecorded().into_iter().for_each(output::note);
-        }
+        Ok(took) => args.order.report(&bus, &switch, *took, begun)?.into_iter().for_each(output::note),
         Err(error) => output::note(format_args!("heliostat stop: {error}; the stop is held: end with Ctrl-C")),
     }
     let end = args.end.stop()?;
@@ -189,14 +187,21 @@ impl OrderArgs {
         Ok((bus, switch))
     }
 
-    /// Prints that every array is stopped, with the stops in force.
-    fn report(&self, bus: &Bus, took: Duration, stops: &[RoomStop]) -> Result<()> {
+    /// Prints that every array is stopped, with the stops in force; returns the arrays that do not record the stop.
+    fn report(&self, bus: &Bus, switch: &StopSwitch, took: Duration, begun: Instant) -> Result<Vec<String>> {
+        let stops = &switch.known_stops()[..];
+        let find_unrecorded = || switch.unrecorded(self.timeout.saturating_sub(begun.elapsed()));
         if self.json {
-            return print_json(bus, "stopped", took, stops, stops);
+            let unrecorded = find_unrecorded();
+            let mut result = to_json(bus, "stopped", took, [stops; 2]);
+            result["unrecorded"] = json!(unrecorded);
+            output::line(result)?;
+            return Ok(unrecorded);
         }
         let (room, took_ms) = (bus.room().name(), took.as_secs_f64() * 1e3);
         output::line(format_args!("the arrays of room {room} are stopped, confirmed after {took_ms:.1} ms"))?;
-        print_stops(stops)
+        print_stops(stops)?;
+        Ok(find_unrecorded())
     }
 
     /// Prints that stops are released, and what the arrays report to hold after that.
@@ -204,7 +209,7 @@ impl OrderArgs {
         let rest = still_stopped(held);
         if self.json {
             let array = if rest.is_some() { "stopped" } else { "released" };
-            return print_json(bus, array, took, released, held);
+            return Ok(output::line(to_json(bus, array, took, [released, held]))?);
         }
         let (room, took_ms) = (bus.room().name(), took.as_secs_f64() * 1e3);
         output::line(match rest {
@@ -218,14 +223,15 @@ impl OrderArgs {
     }
 }
 
-fn print_json(bus: &Bus, array: &str, took: Duration, of_order: &[RoomStop], held: &[RoomStop]) -> Result<()> {
-    Ok(output::line(json!({
+/// The result of an order about these stops, with those in force after it.
+fn to_json(bus: &Bus, array: &str, took: Duration, [of_order, held]: [&[RoomStop]; 2]) -> serde_json::Value {
+    json!({
         "room": bus.room().name(),
         "array": array,
         "confirmed_after_ms": took.as_secs_f64() * 1e3,
         "stops": of_order.iter().map(as_json).collect::<Vec<_>>(),
         "in_force": held.iter().map(as_json).collect::<Vec<_>>(),
-    }))?)
+    })
 }
 
 fn as_json(RoomStop { name, operator, reason, .. }: &RoomStop) -> serde_json::Value {

@@ -1,7 +1,7 @@
 //! The emergency stop and its release, against arrays of this test.
 
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
 use heliostat_bus::{Bus, BusConfig, Class, Publisher, Subscription, private_endpoint};
@@ -35,6 +35,8 @@ struct State {
     sequence: u64,
     rearms: Vec<Rearm>,
     unnamed: u32,
+    /// Whether the disk has not answered.
+    is_unrecorded: bool,
 }
 
 /// An array that obeys stops, and reports until it is dropped.
@@ -72,7 +74,11 @@ impl Reporter {
                 ..LatchedStopReport::default()
             };
             let device_stopped = is_stopped && self.manner != Manner::Latches;
-            let problem = if is_stopped && !device_stopped { "no link".to_owned() } else { String::new() };
+            let problem = match (is_stopped, device_stopped) {
+                (true, false) => "no link".to_owned(),
+                (true, true) if state.is_unrecorded => format!("no answer {}", state.sequence),
+                _ => String::new(),
+            };
             let stops = state.stops.iter().map(latched).collect();
             publish(&self.stops, &StopReport { stamp, device_stopped, stops, problem, ..StopReport::default() });
         }
@@ -258,6 +264,38 @@ fn two_drivers_of_one_array_are_named_with_their_sources() {
     let expected = "two drivers serve one array (mirrors, sources 0000000000000007 and 0000000000000009): stop one";
     let named = switch.shared_arrays();
     assert!(named.len() == 1 && named[0].starts_with(expected), "{named:?}");
+}
+
+/// Stops an array whose disk does not answer. It publishes nothing until the guard is dropped, and the switch has its
+/// last report, which is returned in words.
+fn silent_unrecorded<'a>(array: &'a Array, switch: &StopSwitch) -> (MutexGuard<'a, State>, String) {
+    array.state.lock().unwrap().is_unrecorded = true;
+    switch.stop_and_confirm("test", TIME_LIMIT).unwrap();
+    let state = array.state.lock().unwrap();
+    let last = format!("array 0 has stopped, but the stop is not recorded: no answer {}", state.sequence);
+    let begun = Instant::now();
+    while switch.unrecorded(Duration::ZERO) != [last.clone()] {
+        assert!(begun.elapsed() < TIME_LIMIT, "the last report has not come");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    (state, last)
+}
+
+#[test]
+fn a_stop_that_is_recorded_a_moment_after_its_confirmation_is_not_called_unrecorded() {
+    let (arrays, switch, _sessions) = arrays("slow", &[Manner::Stops]);
+    let (mut state, _) = silent_unrecorded(&arrays[0], &switch);
+    state.is_unrecorded = false;
+    drop(state);
+    assert_eq!(switch.unrecorded(TIME_LIMIT), [""; 0]);
+}
+
+#[test]
+fn a_stop_is_called_unrecorded_although_its_array_falls_silent() {
+    let (arrays, switch, _sessions) = arrays("unrecorded", &[Manner::Stops]);
+    let (_state, last) = silent_unrecorded(&arrays[0], &switch);
+    // Its report is old then.
+    assert_eq!(switch.unrecorded(Duration::from_secs(3)), [last]);
 }
 
 #[test]

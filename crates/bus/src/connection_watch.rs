@@ -4,12 +4,13 @@
 //! session with keys it also looks for the reason why an endpoint has no connection.
 
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::Duration;
 
 use zenoh::Wait;
 
+use crate::config::{BusConfig, Role};
 use crate::tls::Identity;
 use crate::tls_check::first_problem;
 
@@ -27,40 +28,60 @@ const SEARCH_EVERY: u32 = 10;
 
 /// Watches the connections of a session until it is dropped.
 pub(crate) struct ConnectionWatch {
-    endpoints: Vec<String>,
-    found: Arc<Mutex<Found>>,
-    /// The thread keeps no session open.
-    _session: Arc<zenoh::Session>,
+    watched: Arc<Watched>,
     /// Its end ends the thread.
     _end: Sender<()>,
 }
 
 impl ConnectionWatch {
     /// Starts the thread; without one, nothing is known.
-    pub fn start(session: zenoh::Session, identity: Option<Identity>, endpoints: Vec<String>) -> Self {
+    pub fn start(session: zenoh::Session, config: &BusConfig) -> Self {
         let mut found = Found::default();
         found.link.note(connections(&session) > 0);
-        let (found, session) = (Arc::new(Mutex::new(found)), Arc::new(session));
+        let watched = Arc::new(Watched {
+            session: Mutex::new(Some(session)),
+            identity: config.identity.clone(),
+            endpoints: config.connect.clone(),
+            role: config.role,
+            found: Mutex::new(found),
+        });
         let (end, ended) = channel();
-        let thread = {
-            let (watched, found, endpoints) = (Arc::downgrade(&session), Arc::clone(&found), endpoints.clone());
-            move || watch(&watched, identity.as_ref(), &endpoints, &found, &ended)
-        };
+        let of_thread = Arc::clone(&watched);
+        let thread = move || watch(&of_thread, &ended);
         if let Err(error) = thread::Builder::new().name("connections".into()).spawn(thread) {
             tracing::debug!("connections are not watched: {error}");
         }
-        Self { endpoints, found, _session: session, _end: end }
+        Self { watched, _end: end }
     }
 
     /// The present reason why an endpoint has no connection.
     pub fn problem(&self) -> Option<String> {
-        lock(&self.found).problem.clone()
+        lock(&self.watched.found).problem.clone()
     }
 
     /// That the last connection is lost, in words.
     pub fn lost(&self) -> Option<String> {
-        lock(&self.found).link.is_lost().then(|| describe_lost(&self.endpoints))
+        let Watched { role, endpoints, found, .. } = &*self.watched;
+        lock(found).link.is_lost().then(|| describe_lost(*role, endpoints))
     }
+}
+
+impl Drop for ConnectionWatch {
+    /// The thread holds the session during a look only, and this waits for it: the drop of the last other
+    /// clone of the session closes it.
+    fn drop(&mut self) {
+        *lock(&self.watched.session) = None;
+    }
+}
+
+/// A session, and what was found of it.
+struct Watched {
+    /// `None` after the end of the watch.
+    session: Mutex<Option<zenoh::Session>>,
+    identity: Option<Identity>,
+    endpoints: Vec<String>,
+    role: Role,
+    found: Mutex<Found>,
 }
 
 /// Number of processes to which a session is connected.
@@ -99,33 +120,33 @@ impl Link {
     }
 }
 
-fn describe_lost(endpoints: &[String]) -> String {
-    format!("this process has lost its connection to {}, and connects again", endpoints.join(", "))
+/// A peer may have lost a process that connected to it, and not one of its endpoints.
+fn describe_lost(role: Role, endpoints: &[String]) -> String {
+    let connection = match role {
+        Role::Client => format!("its connection to {}", endpoints.join(", ")),
+        Role::Peer => "its last connection".to_owned(),
+    };
+    format!("this process has lost {connection}, and connects again")
 }
 
-fn lock(found: &Mutex<Found>) -> MutexGuard<'_, Found> {
-    // A text is replaced as a unit.
-    found.lock().unwrap_or_else(PoisonError::into_inner)
+fn lock<T>(held: &Mutex<T>) -> MutexGuard<'_, T> {
+    // Each value is replaced as a unit.
+    held.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-fn watch(
-    session: &Weak<zenoh::Session>,
-    identity: Option<&Identity>,
-    endpoints: &[String],
-    found: &Mutex<Found>,
-    ended: &Receiver<()>,
-) {
+fn watch(watched: &Watched, ended: &Receiver<()>) {
+    let Watched { session, identity, endpoints, found, .. } = watched;
     let mut looks_left = FIRST_SEARCH;
     while ended.recv_timeout(EVERY) == Err(RecvTimeoutError::Timeout) {
         // The close of the session is no loss.
-        let Some(connections) = session.upgrade().and_then(|session| open_connections(&session)) else { return };
-        note_link(connections > 0, endpoints, found);
+        let Some(connections) = lock(session).as_ref().and_then(open_connections) else { return };
+        note_link(connections > 0, watched);
         looks_left -= 1;
         if looks_left == 0 {
             looks_left = SEARCH_EVERY;
             let is_missing = connections < endpoints.len();
-            let problem = identity.filter(|_| is_missing).and_then(|identity| first_problem(identity, endpoints));
-            note_problem(problem, found);
+            let identity = identity.as_ref().filter(|_| is_missing);
+            note_problem(identity.and_then(|identity| first_problem(identity, endpoints)), found);
         }
     }
 }
@@ -136,11 +157,11 @@ fn open_connections(session: &zenoh::Session) -> Option<usize> {
     (!session.is_closed()).then_some(connections)
 }
 
-fn note_link(is_connected: bool, endpoints: &[String], found: &Mutex<Found>) {
+fn note_link(is_connected: bool, Watched { role, endpoints, found, .. }: &Watched) {
     let is_news = lock(found).link.note(is_connected);
     match is_news {
-        true if is_connected => tracing::info!("this process is connected to {} again", endpoints.join(", ")),
-        true => tracing::warn!("{}", describe_lost(endpoints)),
+        true if is_connected => tracing::info!("this process is connected again"),
+        true => tracing::warn!("{}", describe_lost(*role, endpoints)),
         false => {}
     }
 }
@@ -157,6 +178,8 @@ fn note_problem(problem: Option<String>, found: &Mutex<Found>) {
 
 #[cfg(test)]
 mod tests {
+    use heliostat_proto::Room;
+
     use super::*;
 
     #[test]
@@ -169,5 +192,25 @@ mod tests {
         assert!(link.is_lost());
         assert_eq!(news(&mut link, &[true, true]), [true, false]);
         assert!(!link.is_lost());
+    }
+
+    #[test]
+    fn a_peer_names_no_endpoint_because_it_may_have_lost_a_process_that_connected_to_it() {
+        let endpoints = ["tcp/127.0.0.1:7447".to_owned()];
+        let (client, peer) = (describe_lost(Role::Client, &endpoints), describe_lost(Role::Peer, &endpoints));
+        assert!(client.contains(&endpoints[0]), "{client}");
+        assert!(!peer.contains(&endpoints[0]) && peer.contains("its last connection"), "{peer}");
+    }
+
+    #[test]
+    fn the_end_of_a_watch_leaves_its_thread_no_session() {
+        let endpoint = crate::private_endpoint().expect("an endpoint");
+        let config = BusConfig::new(Room::new("lab").expect("a valid name")).listen_at(&endpoint);
+        let session = zenoh::open(config.to_zenoh().expect("a valid configuration")).wait().expect("it opens");
+        let watch = ConnectionWatch::start(session.clone(), &config);
+        let watched = Arc::clone(&watch.watched);
+        drop(watch);
+        assert!(lock(&watched.session).is_none());
+        session.close().wait().expect("it closes");
     }
 }

@@ -82,7 +82,7 @@ pub enum Presence {
 
 /// A session in a room. Dropping or [closing](Self::close) it withdraws all its declarations.
 pub struct Bus {
-    /// Of a session that connects. Dropped before the session, so that the last one is the bounded one.
+    /// Of a session with endpoints to connect to. Dropped before the session, so that the last one is the bounded one.
     watch: Option<Arc<ConnectionWatch>>,
     session: BoundedSession,
     room: Room,
@@ -107,7 +107,7 @@ impl Bus {
             );
         }
         let session = zenoh::open(zenoh_config).wait().map_err(|error| open_error(config, &error.to_string()))?;
-        let start = || ConnectionWatch::start(session.clone(), config.identity.clone(), config.connect.clone());
+        let start = || ConnectionWatch::start(session.clone(), config);
         let watch = (!config.connect.is_empty()).then(|| Arc::new(start()));
         Ok(Self { watch, session: BoundedSession::new(session), room: config.room.clone() })
     }
@@ -143,7 +143,8 @@ impl Bus {
         self.watch.as_ref()?.problem()
     }
 
-    /// That this session has lost its last connection, in words, until one is back.
+    /// That this session, which connects to endpoints, has lost its last connection, in words, until one is back.
+    /// Processes that connect to it count too. A session that only listens reports no loss.
     pub fn lost_connection(&self) -> Option<String> {
         self.watch.as_ref()?.lost()
     }

@@ -6,6 +6,7 @@ use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
+use heliostat_service::signals::restore_in_children;
 use serde_json::Value;
 
 use crate::wait::wait_until;
@@ -72,6 +73,7 @@ impl Process {
     }
 
     fn start(path: &Path, arguments: &[&str], variables: &[(&str, &str)]) -> Self {
+        restore_in_children();
         let mut child = Command::new(path)
             .args(arguments)
             .envs(variables.iter().copied())

@@ -2,6 +2,8 @@
 
 use std::process::{Child, Command};
 
+use heliostat_service::signals::restore_in_children;
+
 use crate::process::workspace;
 
 /// The Python interpreter of the tests that need `python-package`.
@@ -22,6 +24,7 @@ impl PythonExample {
     /// When it does not start.
     pub fn start(python: &str, file: &str, arguments: &[&str]) -> Self {
         let state = tempfile::tempdir().expect("a folder");
+        restore_in_children();
         let mut command = Command::new(python);
         command.arg(workspace().join("examples").join(file)).args(arguments).current_dir(workspace());
         command.env("STATE_DIRECTORY", state.path());

@@ -92,6 +92,16 @@ pub fn part(process: &mut Command) {
     process.env(PART, "1");
 }
 
+/// Gives the processes that this one starts the default action of each signal that ends a process, also where this one
+/// was started to ignore some; it no longer ignores them itself. For tests that send these signals, in a suite that a
+/// script starts in the background.
+///
+/// # Panics
+/// When the operating system refuses a handler.
+pub fn restore_in_children() {
+    platform::restore_in_children();
+}
+
 /// Whether a signal has ended a process, with [`INTERRUPTED`] or before it could handle the signal.
 pub fn has_interrupted(status: ExitStatus) -> bool {
     status.code() == Some(INTERRUPTED.into()) || platform::has_ended(status)

@@ -7,7 +7,7 @@ use std::process::{Child, ChildStdout, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use heliostat_service::EndArgs;
-use heliostat_service::signals::end_on_signals;
+use heliostat_service::signals::{end_on_signals, restore_in_children};
 
 /// Set in the process that is signalled.
 const CHILD: &str = "HELIOSTAT_SIGNALLED";
@@ -15,10 +15,18 @@ const CHILD: &str = "HELIOSTAT_SIGNALLED";
 /// The value of this variable where the process ends at the first signal, with a note.
 const NOTES: &str = "notes";
 
+/// The value of this variable where the process starts another one, which shows its signals.
+const STARTS: &str = "starts";
+
 /// Not a test by itself: waits for the request to end, and then for longer than the parent does.
 #[test]
 fn child() {
     let Some(kind) = std::env::var_os(CHILD) else { return };
+    if kind == STARTS {
+        restore_in_children();
+        let shown = Command::new("cat").arg("/proc/self/status").status();
+        return assert!(shown.expect("cat starts").success());
+    }
     if kind == NOTES {
         // More than a pipe holds.
         end_on_signals("child", || "x".repeat(1 << 20)).expect("the first handler");
@@ -48,6 +56,7 @@ impl Signalled {
 
     /// The process that this command starts, with further arguments.
     fn start_by(command: &mut Command, kind: &str) -> Self {
+        restore_in_children();
         let mut child = command
             .args(["--exact", "signals::child", "--nocapture"])
             .env(CHILD, kind)
@@ -113,15 +122,18 @@ fn the_second_signal_ends_a_note_without_a_reader() {
     assert_eq!(status.code(), Some(130), "{status}");
 }
 
+/// Whether a mask of signals in the status of a process contains a signal.
+#[cfg(target_os = "linux")]
+fn has(status: &str, mask: &str, signal: u32) -> bool {
+    let line = status.lines().find_map(|line| line.strip_prefix(mask)).expect("Linux has this mask");
+    (u64::from_str_radix(line.trim(), 16).expect("a mask") >> (signal - 1)) & 1 == 1
+}
+
 /// Whether a process ignores SIGHUP and handles SIGTERM.
 #[cfg(target_os = "linux")]
 fn ignores_a_logout(process: &Child) -> bool {
     let status = std::fs::read_to_string(format!("/proc/{}/status", process.id())).expect("it runs");
-    let has = |mask: &str, signal: u32| {
-        let line = status.lines().find_map(|line| line.strip_prefix(mask)).expect("Linux has this mask");
-        (u64::from_str_radix(line.trim(), 16).expect("a mask") >> (signal - 1)) & 1 == 1
-    };
-    has("SigIgn:", 1) && has("SigCgt:", 15)
+    has(&status, "SigIgn:", 1) && has(&status, "SigCgt:", 15)
 }
 
 #[cfg(target_os = "linux")]
@@ -131,4 +143,16 @@ fn a_signal_that_the_process_was_started_to_ignore_stays_ignored() {
     assert!(ignores_a_logout(&by_nohup.child));
     by_nohup.child.kill().expect("it runs");
     by_nohup.child.wait().expect("waited for");
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_test_in_a_background_script_starts_processes_that_can_be_interrupted() {
+    // So does a shell without job control for a command in the background.
+    let script = r#"trap "" INT; exec "$0" "$@""#;
+    let mut command = Command::new("sh");
+    command.args(["-c", script]).arg(own_file()).args(["--exact", "signals::child", "--nocapture"]).env(CHILD, STARTS);
+    let output = command.output().expect("sh starts");
+    let status = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success() && !has(&status, "SigIgn:", 2), "{status}");
 }

@@ -5,6 +5,7 @@ use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
 use heliostat_service::exit::FAILURE;
+use heliostat_service::signals::restore_in_children;
 use tempfile::TempDir;
 
 const SETTINGS: [&str; 20] = [
@@ -53,6 +54,7 @@ fn errors(output: &Output) -> String {
 
 /// Interrupts a run after some episodes with a signal, and returns its messages.
 fn interrupt(out: &Path, signal: &str) -> String {
+    restore_in_children();
     let mut child = train(out).spawn().expect("the program starts");
     let started = std::time::Instant::now();
     while rows(out) < 3 {

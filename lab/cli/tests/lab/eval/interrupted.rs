@@ -16,6 +16,7 @@ fn handles_interrupts(process: u32) -> bool {
 
 /// The output of an evaluation that writes this file, and is interrupted; also as a part of another command.
 fn interrupted(csv: &Path, is_part: bool) -> Output {
+    signals::restore_in_children();
     let mut eval = Command::new(env!("CARGO_BIN_EXE_heliostat-lab"));
     eval.args(["eval", "--scenario", "specular", "--policies", "greedy", "--states", "1000000", "--csv"]).arg(csv);
     if is_part {

@@ -122,7 +122,8 @@ impl StopSwitch {
         let mut problems: BTreeMap<usize, String> = seen.unrecorded(since).into_iter().collect();
         drop(seen);
         if !problems.is_empty() {
-            let has_newer = |seen: &ReportedStops, _| problems.keys().all(|array| seen.has_stops_after(*array, since));
+            let has_newer =
+                |seen: &ReportedStops, _: Duration| problems.keys().all(|array| seen.has_stops_after(*array, since));
             self.seen.wait(limit, has_newer);
         }
         let seen = self.seen.lock();

@@ -85,6 +85,8 @@ pub struct Setup {
     pub counts_from_arrival: bool,
     /// Whether the belief of the controllers is the filter.
     pub has_filter: bool,
+    /// Whether the controllers repeat the last command while no reports come.
+    pub repeats_in_silence: bool,
     /// The policy.
     pub policy: PolicyChoice,
     /// Whether the operator releases every stop after the last fault.
@@ -110,6 +112,7 @@ impl Setup {
             rate_hz: [20, 50, 50, 100][rng.random_range(0..4)],
             counts_from_arrival: rng.random_bool(0.2),
             has_filter: rng.random_bool(0.15),
+            repeats_in_silence: false,
             policy: [PolicyChoice::Nearest, PolicyChoice::Flat, PolicyChoice::FixedPoint][rng.random_range(0..3)],
             rearms_at_end: rng.random_bool(0.8),
             telemetry_hz: TELEMETRY_HZ,

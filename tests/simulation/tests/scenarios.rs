@@ -166,14 +166,17 @@ fn a_calibration_beside_standbys_probes_mirrors_until_it_gives_the_lead_back() {
 fn a_standby_whose_link_returns_leaves_the_lead_to_a_leader_that_lost_nothing() {
     let others = [Role::Tracker, Role::Array(0), Role::Controller(0), Role::Operator];
     let pairs: Vec<_> = others.map(|other| (Role::Controller(1), other)).into();
-    for seed in 0..5 {
-        let room = |setup: &mut Setup| {
-            (setup.arrays, setup.controllers, setup.rate_hz, setup.is_reserve) = (1, 2, 100, true);
-        };
-        let cut_off = Fault::Partition { pairs: pairs.clone(), holds: false };
-        let occurred = holds(seed, room, &[at(3000, 7000, cut_off)]).occurred;
-        for unexpected in ["took-over", "resumed", "contested"] {
-            assert!(!occurred.contains(unexpected), "seed {seed}: {occurred:?}");
+    for (seed, for_ms) in (0..5).flat_map(|seed| [980, 1300, 7000].map(|for_ms| (seed, for_ms))) {
+        for repeats_in_silence in [false, true] {
+            let room = |setup: &mut Setup| {
+                (setup.arrays, setup.controllers, setup.rate_hz, setup.is_reserve) = (1, 2, 100, true);
+                setup.repeats_in_silence = repeats_in_silence;
+            };
+            let cut_off = Fault::Partition { pairs: pairs.clone(), holds: false };
+            let occurred = holds(seed, room, &[at(3000, for_ms, cut_off)]).occurred;
+            for unexpected in ["took-over", "resumed", "contested"] {
+                assert!(!occurred.contains(unexpected), "seed {seed}, {for_ms} ms, {repeats_in_silence}: {occurred:?}");
+            }
         }
     }
 }

@@ -33,7 +33,7 @@ pub struct Memory {
     policy: FallbackMemory,
     arrays: Vec<ArrayOutputMemory>,
     last_report: Option<LastReport>,
-    /// The last command as it was on the wire, without its sequence number.
+    /// The last command to each array, of this controller or by telemetry, without its sequence number.
     command: Vec<u8>,
     /// Roll and yaw of the observation: those of the last command before they are rounded.
     angles_rad: [Vec<f64>; 2],

@@ -84,6 +84,9 @@ impl Guard {
     ) -> Result<u64, DegradedMode> {
         let is_stopped = telemetry.is_some_and(|report| report.state == ArrayState::Stopped);
         if self.unfit().is_some() || self.stops.is_stopped() || is_stopped {
+            if is_report {
+                self.tenure.note_report(now);
+            }
             return Err(DegradedMode::Withheld);
         }
         let tenure = &mut self.tenure;
@@ -122,9 +125,12 @@ pub fn describe_stop(name: StopName, operator: &str, reason: &str) -> String {
 
 #[cfg(test)]
 mod tests {
+    use heliostat_proto::EPOCH_SLOTS;
+
     use super::*;
 
-    const S: Nanos = 1_000_000_000;
+    const MS: Nanos = 1_000_000;
+    const S: Nanos = 1000 * MS;
 
     fn order(action: StopAction) -> EmergencyStop {
         EmergencyStop { stamp: Stamp { source: 3, sequence: 4, time_ns: 0 }, action, ..EmergencyStop::default() }
@@ -154,6 +160,29 @@ mod tests {
         assert_eq!(permit(&mut guard, None), Ok(7));
         let stopped = MirrorTelemetry { state: ArrayState::Stopped, ..MirrorTelemetry::default() };
         assert_eq!(permit(&mut guard, Some(&stopped)), Err(DegradedMode::Withheld));
+    }
+
+    #[test]
+    fn a_stop_is_no_loss_of_the_link_of_a_standby() {
+        let mut guard = Guard::new(Tenure::live(600, 10 * MS), 200);
+        let mut counters = Counters::default();
+        let stopped = MirrorTelemetry { state: ArrayState::Stopped, ..MirrorTelemetry::default() };
+        let led = Evidence { epoch: EPOCH_SLOTS + 1, following: true, ..Evidence::default() };
+        let mut permit = |guard: &mut Guard, tick: u64, telemetry: Option<&MirrorTelemetry>| {
+            guard.permit((S + 10 * tick * MS, true), telemetry, &mut counters)
+        };
+        guard.tenure.handle_controller(1, true);
+        guard.tenure.handle_telemetry(S, led);
+        for tick in 0..2 {
+            assert_eq!(permit(&mut guard, tick, None), Err(DegradedMode::Standby));
+        }
+        for tick in 2..300 {
+            assert_eq!(permit(&mut guard, tick, Some(&stopped)), Err(DegradedMode::Withheld));
+        }
+        guard.tenure.handle_controller(1, false);
+        guard.tenure.handle_telemetry(4 * S, led);
+        assert_eq!(permit(&mut guard, 301, None), Err(DegradedMode::Standby));
+        assert!(permit(&mut guard, 302, None).is_ok(), "the leader has ended");
     }
 
     #[test]

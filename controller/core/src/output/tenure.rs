@@ -35,14 +35,15 @@
 //!   new epoch and answers the report that is due. A leader whose liveliness token has ended counts as one
 //!   unanswered report, until it answers one or its token returns. The rank is 1 plus the number of other standbys
 //!   with a lower source id, up to [`RANK_MAX`], or given by the operator.
-//! - **A standby that lost its link**, and so the reports for more than 1 s, has lost tokens and telemetry with it.
+//! - **A standby that lost its link**, and so the reports for more than 0.5 s, has lost tokens and telemetry with it.
 //!   The end of the leader's token counts again once a report is judged, and missing telemetry after a further 1 s.
 //! - **Guest**: a controller that leads within 1 s of its token, as a calibration does, from a leader that answers
 //!   and stays in the room. When its token ends, a standby resumes: this is no takeover, and former contested ones
 //!   do not delay it. A controller that left while another one led, and is back, is no guest.
 //! - **Contested takeover**: the former leader was not gone if the array then refuses commands of a lower epoch, or
 //!   accepted one after the telemetry that decided. Each such takeover in sequence adds one to the reports that must
-//!   be unanswered, up to [`BACK_OFF_MAX`]. A command after that, and a token that ended and is back, count only.
+//!   be unanswered, up to [`BACK_OFF_MAX`]. A command after that counts only. So does a token that is back within 60 s,
+//!   where its end decided the takeover and every report was answered.
 //! - **Last resort**: telemetry that is too sparse to judge reports ends a standby too, when the array has accepted
 //!   no command for [`PATIENCE_NS`] plus a spread that differs between controllers.
 //! - **Locked out**: a leading controller sends commands, the array accepts none for [`PATIENCE_NS`], and its counters
@@ -74,6 +75,10 @@ pub const PAUSE_MAX: u64 = 8;
 
 /// Telemetry older than this in ns is no reason to stand by.
 const TELEMETRY_TIMEOUT_NS: Nanos = 1_000_000_000;
+
+/// A pause of the reports in ns after which a standby has lost its link, unless a few reports take longer. Telemetry may
+/// be older than the last report.
+const LOST_NS: Nanos = TELEMETRY_TIMEOUT_NS / 2;
 
 /// Commands that must have been due before a new epoch, so that one lost message is no reason.
 const DUE_MIN: u8 = 3;
@@ -232,7 +237,8 @@ impl Tenure {
         if self.standing == Standing::Standby && self.leads(peer) {
             self.watch.set_left(!self.has_peer(peer));
         }
-        let is_back = is_present && self.contest.is_back(peer % EPOCH_SLOTS);
+        let seen_ns = self.seen.map_or(0, |(seen_ns, _)| seen_ns);
+        let is_back = is_present && self.contest.is_back(peer % EPOCH_SLOTS, seen_ns);
         self.watch.has_left &= !(is_back && self.standing == Standing::Leading);
         is_back.then_some(TenureEvent::Contested)
     }
@@ -268,6 +274,15 @@ impl Tenure {
         self.permit_due(now, false)
     }
 
+    /// A report has come; a standby learns from it that its link is there. Each call of [`permit`](Self::permit) notes
+    /// its own one.
+    pub fn note_report(&mut self, now: Nanos) {
+        let Rule::Live { interval_ns, .. } = self.rule else { return };
+        if self.standing == Standing::Standby {
+            self.watch.note_report(now, interval_ns.saturating_mul(WATCH_GAP).max(LOST_NS));
+        }
+    }
+
     fn permit_due(&mut self, now: Nanos, is_report: bool) -> (Option<u64>, Option<TenureEvent>) {
         let event = match self.standing {
             Standing::Waiting => self.start(now),
@@ -295,7 +310,10 @@ impl Tenure {
             Standing::Waiting => None,
             _ if self.rule == Rule::Fixed => None,
             Standing::Leading => self.compare_leading(now, evidence),
-            Standing::Standby => self.compare_standby(now, evidence),
+            Standing::Standby => {
+                self.watch.returned_ns = None;
+                self.compare_standby(now, evidence)
+            }
         }
     }
 
@@ -330,10 +348,10 @@ impl Tenure {
         let Rule::Live { interval_ns, .. } = self.rule else {
             return (!self.is_current(now)).then(|| self.resume(now));
         };
-        let gap_ns = interval_ns.saturating_mul(WATCH_GAP);
         if is_report {
-            self.watch.note_report(now, gap_ns.max(TELEMETRY_TIMEOUT_NS));
+            self.note_report(now);
         }
+        let gap_ns = interval_ns.saturating_mul(WATCH_GAP);
         let since_last_ns = self.watch.note_due(now);
         if !self.is_current(now) {
             return self.watch.misses_telemetry(now).then(|| self.resume(now));
@@ -352,10 +370,11 @@ impl Tenure {
             }
             return None;
         }
-        let is_gone = watch.is_gone();
+        let (is_gone, has_answered) = (watch.is_gone(), watch.unanswered == 0);
         self.take_over(now, shown);
         if is_gone {
-            self.contest.note_gone((!is_returned).then_some(shown.epoch % EPOCH_SLOTS));
+            let left = has_answered && !is_returned;
+            self.contest.note_gone(left.then_some((shown.epoch % EPOCH_SLOTS, now)));
         }
         Some(if is_returned { TenureEvent::Resumed } else { TenureEvent::TookOver })
     }

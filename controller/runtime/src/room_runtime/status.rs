@@ -157,7 +157,6 @@ impl Reporter {
         let problem = self
             .new_alarm(&summary, controller.counters(), tenure)
             .or_else(|| self.new_stops(&stops_before))
-            .or_else(|| self.silent_peers.news(&conditions.silent_peers))
             .or_else(|| self.new_condition(conditions, controller.arrays()))
             .or_else(|| self.new_light(&summary.light))
             .or_else(|| self.new_problem(decision_loop, &swaps).map(warning))
@@ -324,8 +323,7 @@ impl Reporter {
         let events = TenureEvent::ALL.map(|event| counters.tenure(event));
         let before = std::mem::replace(&mut self.epoch_events, events);
         let rose = TenureEvent::ALL.into_iter().filter(|event| events[*event as usize] > before[*event as usize]);
-        let problem = describe_events(&rose.collect::<Vec<_>>(), tenure)?;
-        Some((Subject::Tenure, problem))
+        describe_events(&rose.collect::<Vec<_>>(), tenure).map(|problem| (Subject::Tenure, problem))
     }
 
     /// A stop that began or ended.
@@ -354,7 +352,7 @@ impl Reporter {
         }
         let before = std::mem::replace(&mut self.conditions.geometry, now.geometry);
         if before == self.conditions.geometry {
-            return None;
+            return self.silent_peers.news(&now.silent_peers);
         }
         let problem = match &self.conditions.geometry {
             Some(difference) => Problem::Warning(difference.clone()),
@@ -476,6 +474,14 @@ mod tests {
         assert_eq!(shown(&mut reporter, Some(&ended)), "rooms differ", "it began during the stop, and lasts");
         reporter.conditions.geometry = None;
         assert_eq!(shown(&mut reporter, None), "", "none of before returns");
+    }
+
+    #[test]
+    fn an_absent_driver_is_named_before_silent_controllers() {
+        let mut reporter = Reporter::new(Identity::default());
+        let now = Conditions { without_driver: vec![0], silent_peers: vec![7, 8], ..Conditions::default() };
+        let news = [0; 2].map(|_| reporter.new_condition(now.clone(), 1).map(|(subject, _)| subject));
+        assert_eq!(news, [Some(Subject::Driver), Some(Subject::Peer(7))]);
     }
 
     #[test]

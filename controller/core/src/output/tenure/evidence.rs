@@ -12,6 +12,10 @@ const SETTLED: u64 = 8;
 /// of a leader that hung.
 const SLOW_NS: Nanos = 1_000_000_000;
 
+/// Time in ns after a takeover in which the token of the former leader shows that it had lost only that. A later one
+/// may be that of a link that was repaired.
+const TOKEN_NS: Nanos = 60_000_000_000;
+
 /// Longest time in ns from the token of a controller to its lead, for a lead that it takes on purpose.
 const GUEST_NS: Nanos = 1_000_000_000;
 
@@ -99,8 +103,10 @@ pub(super) struct Watch {
     pub(super) last_ns: Nanos,
     /// The last report; 0 before the first.
     pub(super) reported_ns: Nanos,
-    /// The first report after a pause that is as long as the loss of a link, until a report after it is judged.
+    /// The first report after a pause that is as long as the loss of a link, until telemetry comes.
     pub(super) returned_ns: Option<Nanos>,
+    /// There was such a pause, and no report after it is judged.
+    pub(super) was_lost: bool,
     /// Reports without an accepted command, in sequence.
     pub(super) unanswered: u8,
     /// The liveliness token of the leader has ended, and the leader ends with it.
@@ -114,7 +120,7 @@ impl Watch {
     pub(super) fn note_report(&mut self, now: Nanos, lost_ns: Nanos) {
         let before_ns = std::mem::replace(&mut self.reported_ns, now);
         if before_ns > 0 && now.abs_diff(before_ns) > lost_ns {
-            self.awaited = None;
+            (self.awaited, self.was_lost) = (None, true);
             self.returned_ns = self.returned_ns.or(Some(now));
         }
     }
@@ -148,7 +154,7 @@ impl Watch {
             self.unanswered = if is_answered { 0 } else { self.unanswered.saturating_add(1) };
             self.awaited = Some((now, shown.accepted));
             // The awaited report came after the end of the token.
-            if self.returned_ns.take().is_some() && is_answered && self.has_left {
+            if std::mem::take(&mut self.was_lost) && is_answered && self.has_left {
                 self.note_answer(now);
             }
         }
@@ -169,7 +175,7 @@ impl Watch {
 
     /// Whether the end of the token counts as an unanswered report.
     pub(super) fn is_gone(&self) -> bool {
-        self.has_left && self.answered_ns.is_none() && self.returned_ns.is_none()
+        self.has_left && self.answered_ns.is_none() && !self.was_lost
     }
 }
 
@@ -202,8 +208,9 @@ impl Takeover {
 pub(super) struct Contest {
     /// The last takeover in this epoch, while it can be contested.
     takeover: Option<Takeover>,
-    /// The remainder in the epochs of the former leader, where the end of its token decided the takeover.
-    left: Option<u64>,
+    /// The remainder in the epochs of the former leader and the time of the takeover, where the end of its token alone
+    /// decided it.
+    left: Option<(u64, Nanos)>,
     /// Contested takeovers in sequence.
     pub(super) back_off: u8,
 }
@@ -216,9 +223,9 @@ impl Contest {
         self.left = None;
     }
 
-    /// The takeover was decided by the end of the token of this remainder, or of a guest. A leader that ends commands
-    /// until its successor is obeyed, which contests nothing.
-    pub(super) fn note_gone(&mut self, left: Option<u64>) {
+    /// The end of a token had a part in the takeover; it alone that of this remainder, at this time. A leader that ends
+    /// commands until its successor is obeyed, which contests nothing.
+    pub(super) fn note_gone(&mut self, left: Option<(u64, Nanos)>) {
         (self.takeover, self.left) = (None, left);
     }
 
@@ -227,9 +234,10 @@ impl Contest {
         self.takeover = None;
     }
 
-    /// Whether a token of this remainder shows that the former leader had lost only its token.
-    pub(super) fn is_back(&mut self, slot: u64) -> bool {
-        self.left.take_if(|left| *left == slot).is_some()
+    /// Whether a token of this remainder shows that the former leader had lost only its token, by the time of the
+    /// latest telemetry.
+    pub(super) fn is_back(&mut self, slot: u64, seen_ns: Nanos) -> bool {
+        self.left.take_if(|left| left.0 == slot).is_some_and(|(_, at_ns)| seen_ns.abs_diff(at_ns) <= TOKEN_NS)
     }
 
     /// Whether the takeover proves to be contested, by evidence of its epoch.

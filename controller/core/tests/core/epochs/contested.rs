@@ -97,6 +97,22 @@ fn a_leader_whose_token_is_back_had_not_ended() {
 }
 
 #[test]
+fn a_leader_that_left_a_report_unanswered_or_is_back_after_a_minute_had_ended() {
+    for (rank, hung, after) in [(3, 2 * INTERVAL, S), (1, 0, 61 * S)] {
+        let mut room = led_room(&[1, 600]);
+        room.controllers[1].tenure = room.controllers[1].tenure.clone().in_reserve(Some(rank));
+        room.controllers[0].is_alive = false;
+        room.run(hung);
+        room.announce(1, false);
+        assert_eq!(room.until_accepted(1), INTERVAL, "the end of the token decides");
+        room.run(after);
+        room.announce(1, true);
+        assert!(room.controllers[1].tenure.has_leader_ended());
+        assert_eq!(room.controllers[1].events, [TenureEvent::StoodBy, TenureEvent::TookOver], "rank {rank}");
+    }
+}
+
+#[test]
 fn a_takeover_of_last_resort_can_be_contested() {
     // The rank counts more reports than the array may leave without a command.
     let mut room = taken_room(Tenure::live(600, INTERVAL).in_reserve(Some(u8::MAX)));

@@ -58,3 +58,28 @@ fn the_actions_for_absent_reports_hide_no_loss_of_a_link() {
         assert_eq!(tenure.standing(), Standing::Standby);
     }
 }
+
+#[test]
+fn each_loss_of_a_link_has_its_own_wait_for_telemetry() {
+    let mut room = led_room(&[1, 600]);
+    let (mut now, mut shown, tenure) = (room.now, room.array.shown, &mut room.controllers[1].tenure);
+    for loss in 0..3 {
+        now += 3 * S;
+        // The reports are too sparse for one to be judged.
+        for _ in 0..30 {
+            now += 5 * INTERVAL;
+            assert_eq!(tenure.permit(now), (None, None), "loss {loss}");
+            shown.accepted += 1;
+            assert_eq!(tenure.handle_telemetry(now, shown), None);
+        }
+    }
+}
+
+#[test]
+fn telemetry_that_is_older_than_the_last_report_is_no_sign_that_none_comes() {
+    let mut room = led_room(&[1, 600]);
+    let (before, tenure) = (room.now, &mut room.controllers[1].tenure);
+    for tick in (1..5).chain(100..200) {
+        assert_eq!(tenure.permit(before + tick * INTERVAL), (None, None), "tick {tick}");
+    }
+}

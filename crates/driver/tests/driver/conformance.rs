@@ -147,8 +147,9 @@ fn a_device_that_fails_is_named_before_the_rules_and_breaks_none() {
 
 #[test]
 fn a_driver_that_ends_or_hangs_during_the_check_breaks_no_rule_and_is_named() {
-    let cases: [(_, fn(Stop) -> Failure, _, _); 2] = [
-        ("ended", Failure::Ends, "the driver ended", "the driver had ended"),
+    type Fail = fn(Stop) -> Failure;
+    let cases = [
+        ("ended", Failure::Ends as Fail, "the driver ended", "the driver had ended"),
         ("hanging", Failure::Hangs, "sends no telemetry", "the driver sends no telemetry"),
     ];
     for (room, failure, problem, evidence) in cases {

@@ -3,6 +3,5 @@
 
 mod arrays;
 mod belief;
-mod calibration;
 mod demo;
 mod states;

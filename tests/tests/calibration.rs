@@ -1,7 +1,8 @@
 //! A calibration of a running room, its refinement in idle time, and the comparison of its files with the
 //! room: each program is a process of its own.
 //!
-//! One complete calibration serves all tests. A simulated user carries the receiver from spot to spot.
+//! One complete calibration serves all tests. A simulated user carries the receiver from spot to spot, in real time:
+//! a binary of its own, so that no browser delays the readings at a spot.
 
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -210,7 +210,7 @@ impl Commander {
             ("superseded", room.superseded()),
             ("epoch", controller.epoch()),
             ("standby", u64::from(stands_by)),
-            ("peers", controller.tenure(0).peers() as u64),
+            ("peers", controller.tenure(0).peers().len() as u64),
             ("array_unfit", u64::from(controller.unfit().is_some())),
         ] {
             table.set_item(name, count)?;

@@ -35,7 +35,7 @@
 //!   new epoch and answers the report that is due. A leader whose liveliness token has ended counts as one
 //!   unanswered report, until it answers one or its token returns. The rank is 1 plus the number of other standbys
 //!   with a lower source id, up to [`RANK_MAX`], or given by the operator.
-//! - **A standby that lost its link**, and so the reports for more than 0.5 s, has lost tokens and telemetry with it.
+//! - **A standby that lost its link**, see `LOST_NS`, has lost tokens and telemetry with it.
 //!   The end of the leader's token counts again once a report is judged, and missing telemetry after a further 1 s.
 //! - **Guest**: a controller that leads within 1 s of its token, as a calibration does, from a leader that answers
 //!   and stays in the room. When its token ends, a standby resumes: this is no takeover, and former contested ones

@@ -277,7 +277,7 @@ impl<D: Device> Station<D> {
         let measurement = (!self.is_measuring).then(|| self.measurement_ns());
         let reports_wait_until = self.reports_wait_until().filter(|until_ns| self.local_ns < *until_ns);
         let due = timers.into_iter().map(|timer| timer.due_ns.max(reports_wait_until.unwrap_or_default()));
-        due.chain(measurement).chain(self.kit.next_ns()).min().unwrap_or_default()
+        due.chain(measurement).chain(self.kit.next_ns()).chain(reports_wait_until).min().unwrap_or_default()
     }
 
     /// The device with the rules, for functions beyond the contract.
@@ -299,7 +299,7 @@ impl<D: Device> Station<D> {
         self.record.problem(self.kit.array().latch(), self.local_ns)
     }
 
-    /// Whether the present stop is in the record.
+    /// Whether no problem of the record of the present stops is known. A write that is under way is one when it is late.
     pub fn is_recorded(&self) -> bool {
         self.record_problem().is_none()
     }

@@ -1,9 +1,9 @@
 //! Whether a session has a connection, and why it has none.
 //!
 //! A thread looks twice a second. It says once that the last connection is lost, and once that one is back. For a
-//! session with keys it also looks for the reason why an endpoint has no connection.
+//! session with keys another thread looks for the reason why an endpoint has no connection, which takes longer.
 
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, channel, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::Duration;
@@ -46,11 +46,10 @@ impl ConnectionWatch {
             found: Mutex::new(found),
         });
         let (end, ended) = channel();
-        let of_thread = Arc::clone(&watched);
-        let thread = move || watch(&of_thread, &ended);
-        if let Err(error) = thread::Builder::new().name("connections".into()).spawn(thread) {
-            tracing::debug!("connections are not watched: {error}");
-        }
+        let (of_search, of_looks) = (Arc::clone(&watched), Arc::clone(&watched));
+        let (search, searches) = sync_channel(1);
+        spawn("endpoints", move || searches.iter().for_each(|()| of_search.search()));
+        spawn("connections", move || watch(&of_looks, &search, &ended));
         Self { watched, _end: end }
     }
 
@@ -74,6 +73,12 @@ impl Drop for ConnectionWatch {
     }
 }
 
+fn spawn(name: &str, work: impl FnOnce() + Send + 'static) {
+    if let Err(error) = thread::Builder::new().name(name.into()).spawn(work) {
+        tracing::debug!("connections are not watched: {error}");
+    }
+}
+
 /// A session, and what was found of it.
 struct Watched {
     /// `None` after the end of the watch.
@@ -82,6 +87,32 @@ struct Watched {
     endpoints: Vec<String>,
     role: Role,
     found: Mutex<Found>,
+}
+
+impl Watched {
+    /// Whether an endpoint may have no connection. A client has one at a time. A peer's may also come from others.
+    fn misses_endpoint(&self, connections: usize) -> bool {
+        match self.role {
+            Role::Client => connections == 0,
+            Role::Peer => connections < self.endpoints.len(),
+        }
+    }
+
+    /// Looks for the reason why an endpoint has no connection.
+    fn search(&self) {
+        let problem = self.identity.as_ref().and_then(|identity| first_problem(identity, &self.endpoints));
+        self.note_problem(problem);
+    }
+
+    fn note_problem(&self, problem: Option<String>) {
+        let mut known = lock(&self.found);
+        if known.problem != problem {
+            if let Some(problem) = &problem {
+                tracing::warn!("{problem}");
+            }
+            known.problem = problem;
+        }
+    }
 }
 
 /// Number of processes to which a session is connected.
@@ -134,19 +165,21 @@ fn lock<T>(held: &Mutex<T>) -> MutexGuard<'_, T> {
     held.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-fn watch(watched: &Watched, ended: &Receiver<()>) {
-    let Watched { session, identity, endpoints, found, .. } = watched;
+fn watch(watched: &Watched, search: &SyncSender<()>, ended: &Receiver<()>) {
     let mut looks_left = FIRST_SEARCH;
     while ended.recv_timeout(EVERY) == Err(RecvTimeoutError::Timeout) {
         // The close of the session is no loss.
-        let Some(connections) = lock(session).as_ref().and_then(open_connections) else { return };
+        let Some(connections) = lock(&watched.session).as_ref().and_then(open_connections) else { return };
         note_link(connections > 0, watched);
         looks_left -= 1;
         if looks_left == 0 {
             looks_left = SEARCH_EVERY;
-            let is_missing = connections < endpoints.len();
-            let identity = identity.as_ref().filter(|_| is_missing);
-            note_problem(identity.and_then(|identity| first_problem(identity, endpoints)), found);
+            if watched.misses_endpoint(connections) {
+                // A search that still runs is enough.
+                let _ = search.try_send(());
+            } else {
+                watched.note_problem(None);
+            }
         }
     }
 }
@@ -163,16 +196,6 @@ fn note_link(is_connected: bool, Watched { role, endpoints, found, .. }: &Watche
         true if is_connected => tracing::info!("this process is connected again"),
         true => tracing::warn!("{}", describe_lost(*role, endpoints)),
         false => {}
-    }
-}
-
-fn note_problem(problem: Option<String>, found: &Mutex<Found>) {
-    let mut known = lock(found);
-    if known.problem != problem {
-        if let Some(problem) = &problem {
-            tracing::warn!("{problem}");
-        }
-        known.problem = problem;
     }
 }
 
@@ -200,6 +223,20 @@ mod tests {
         let (client, peer) = (describe_lost(Role::Client, &endpoints), describe_lost(Role::Peer, &endpoints));
         assert!(client.contains(&endpoints[0]), "{client}");
         assert!(!peer.contains(&endpoints[0]) && peer.contains("its last connection"), "{peer}");
+    }
+
+    #[test]
+    fn a_client_misses_no_endpoint_beside_the_one_that_answers() {
+        let watched = |role| Watched {
+            session: Mutex::new(None),
+            identity: None,
+            endpoints: vec!["tls/one:7447".into(), "tls/two:7447".into()],
+            role,
+            found: Mutex::default(),
+        };
+        let missing = |role| [0, 1, 2].map(|connections| watched(role).misses_endpoint(connections));
+        assert_eq!(missing(Role::Client), [true, false, false]);
+        assert_eq!(missing(Role::Peer), [true, true, false]);
     }
 
     #[test]

@@ -103,7 +103,8 @@ pub(super) struct Watch {
     pub(super) last_ns: Nanos,
     /// The last report; 0 before the first.
     pub(super) reported_ns: Nanos,
-    /// The first report after a pause that is as long as the loss of a link, until telemetry comes.
+    /// The first report after a pause that is as long as the loss of a link, until telemetry comes; after several such
+    /// pauses, after the last one that is longer than the wait for telemetry.
     pub(super) returned_ns: Option<Nanos>,
     /// There was such a pause, and no report after it is judged.
     pub(super) was_lost: bool,
@@ -119,9 +120,12 @@ impl Watch {
     /// A report has come. A pause of the reports longer than `lost_ns` is the loss of the link.
     pub(super) fn note_report(&mut self, now: Nanos, lost_ns: Nanos) {
         let before_ns = std::mem::replace(&mut self.reported_ns, now);
-        if before_ns > 0 && now.abs_diff(before_ns) > lost_ns {
+        let pause_ns = now.abs_diff(before_ns);
+        if before_ns > 0 && pause_ns > lost_ns {
             (self.awaited, self.was_lost) = (None, true);
-            self.returned_ns = self.returned_ns.or(Some(now));
+            // A link that flaps faster does not put off the end of the wait.
+            let is_continued = |_: &Nanos| pause_ns <= TELEMETRY_TIMEOUT_NS;
+            self.returned_ns = self.returned_ns.filter(is_continued).or(Some(now));
         }
     }
 

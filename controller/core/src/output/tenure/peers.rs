@@ -17,12 +17,10 @@ impl Tenure {
         if peer == source || (!is_present && !self.peers.contains(&peer)) {
             return None;
         }
-        self.peers.retain(|known| *known != peer);
-        if is_present {
-            self.note_peer(peer);
-        } else if !self.has_peer(peer) {
-            let is_followed = self.leads(peer);
-            self.guest.handle_left(peer, is_followed);
+        if !is_present {
+            self.remove_peer(peer);
+        } else if !self.peers.contains(&peer) {
+            self.add_peer(peer);
         }
         // A further token of the same remainder may be forged: its end is no end of the leader.
         if self.standing == Standing::Standby && self.leads(peer) {
@@ -35,16 +33,23 @@ impl Tenure {
     }
 
     /// Keeps the controllers that may be the leader, and for the rank the others with the lowest source ids.
-    fn note_peer(&mut self, peer: u64) {
-        let is_full = self.peers.len() == PEERS_MAX;
-        let others = self.peers.iter().enumerate().filter(|(_, known)| is_full && !self.leads(**known));
-        let highest = others.max_by_key(|(_, known)| **known).map(|(index, _)| index);
-        if let Some(highest) = highest {
-            self.peers.remove(highest);
+    fn add_peer(&mut self, peer: u64) {
+        self.peers.push(peer);
+        if self.peers.len() > PEERS_MAX {
+            let others = self.peers.iter().filter(|known| !self.leads(**known));
+            let removed = others.max().copied().unwrap_or(peer);
+            self.peers.retain(|known| *known != removed);
         }
-        if self.peers.len() < PEERS_MAX {
-            self.peers.push(peer);
+        if self.peers.contains(&peer) {
             self.guest.handle_joined(peer, self.seen.map(|(seen_ns, _)| seen_ns));
+        }
+    }
+
+    fn remove_peer(&mut self, peer: u64) {
+        self.peers.retain(|known| *known != peer);
+        if !self.has_peer(peer) {
+            let is_followed = self.leads(peer);
+            self.guest.handle_left(peer, is_followed);
         }
     }
 

@@ -109,3 +109,14 @@ fn the_token_of_the_leader_stays_known_whenever_it_comes_among_many() {
     room.announce(1, false);
     assert_eq!(room.until_accepted(1), INTERVAL, "the end of the leader counts");
 }
+
+#[test]
+fn of_more_tokens_than_are_kept_the_lowest_ones_are_and_that_of_the_leader() {
+    let mut room = led_room(&[1, 600]);
+    let leader = room.array.shown.epoch % EPOCH_SLOTS + 100 * EPOCH_SLOTS;
+    room.announce(1, false);
+    (50..66).rev().chain([leader, 40, 700]).for_each(|forged| room.announce(forged, true));
+    let mut peers = room.controllers[1].tenure.peers().to_vec();
+    peers.sort_unstable();
+    assert_eq!(peers, [40].into_iter().chain(50..64).chain([leader]).collect::<Vec<_>>());
+}

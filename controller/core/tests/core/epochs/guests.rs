@@ -204,3 +204,15 @@ fn the_end_of_a_leader_counts_beside_more_controllers_than_are_known() {
     (0..16).for_each(|other| room.announce(700 + other, true));
     lend(&mut room);
 }
+
+#[test]
+fn a_token_that_is_repeated_is_no_new_controller() {
+    let mut room = led_room(&[1]);
+    room.announce(OTHER, true);
+    room.run(2 * S);
+    room.announce(OTHER, true);
+    lead(&mut room, OTHER);
+    room.announce(OTHER, false);
+    room.run(S);
+    assert_eq!(room.controllers[0].events, [TenureEvent::Superseded, TenureEvent::TookOver]);
+}

@@ -83,3 +83,23 @@ fn telemetry_that_is_older_than_the_last_report_is_no_sign_that_none_comes() {
         assert_eq!(tenure.permit(before + tick * INTERVAL), (None, None), "tick {tick}");
     }
 }
+
+#[test]
+fn a_link_that_is_lost_again_before_telemetry_comes_has_a_wait_of_its_own() {
+    let mut room = led_room(&[1, 600]);
+    let (start, tenure) = (room.now, &mut room.controllers[1].tenure);
+    let answers = |tenure: &mut Tenure, times: std::ops::Range<u64>| {
+        times.step_by(10).filter(|at_ms| tenure.permit(start + at_ms * MS) != (None, None)).collect::<Vec<_>>()
+    };
+    assert_eq!(answers(tenure, 3000..3500), [], "the first return");
+    assert_eq!(answers(tenure, 6500..7510), [], "the second one");
+    assert_eq!(answers(tenure, 7510..7520), [7510]);
+}
+
+#[test]
+fn a_link_that_flaps_does_not_put_off_the_end_of_the_wait() {
+    let mut room = led_room(&[1, 600]);
+    let (start, tenure) = (room.now, &mut room.controllers[1].tenure);
+    let resumed = (3000..9000).step_by(600).find(|at_ms| tenure.permit(start + at_ms * MS) != (None, None));
+    assert_eq!(resumed, Some(4200), "the first one more than 1 s after the first return");
+}

@@ -4,7 +4,7 @@
 //! turn at once to the angles of an action.
 
 use heliostat_core::belief::conditions::Condition;
-use heliostat_scenario::{Actuator, Scenario, override_keys};
+use heliostat_scenario::{Actuator, Scenario, Streams, override_keys};
 
 use crate::error::EnvironmentError;
 
@@ -54,6 +54,33 @@ pub fn exact_mirrors(scenario: &Scenario, of: &str, advice: &str) -> Option<Cond
         because: format!("{of}, and {}", faults.join(", ")),
         consequence: format!("each mirror turns at once to the exact angle, so rates are higher; {advice}"),
     })
+}
+
+/// The condition of a scenario with late, noisy or lost reports, which exact states do not have.
+///
+/// `of` and `advice` as in [`exact_mirrors`].
+pub fn exact_reports(scenario: &Scenario, of: &str, advice: &str) -> Option<Condition> {
+    let faults = report_faults(&scenario.streams);
+    (!faults.is_empty()).then(|| Condition {
+        method: "the model of late, noisy and lost reports".into(),
+        because: format!("{of}, and {}", faults.join(", ")),
+        consequence: format!("policies know the true state, so rates are higher; {advice}"),
+    })
+}
+
+/// The keys that make reports differ from the true state, in closed loop only.
+fn report_faults(Streams { positions, channel, .. }: &Streams) -> Vec<&'static str> {
+    let of_streams = [
+        ("streams.positions.latency_ms", positions.latency_ms),
+        ("streams.positions.noise_m", positions.noise_m),
+        ("streams.positions.velocity_noise_m_s", positions.velocity_noise_m_s),
+        ("streams.positions.loss", positions.loss),
+        ("streams.channel.latency_ms", channel.latency_ms),
+        ("streams.channel.noise_relative", channel.noise_relative),
+        ("streams.channel.noise_gain", channel.noise_gain),
+        ("streams.channel.loss", channel.loss),
+    ];
+    of_streams.into_iter().filter(|(_, value)| *value > 0.0).map(|(key, _)| key).collect()
 }
 
 /// The keys that make the angles of a mirror differ from the commanded ones, in closed loop only.
@@ -113,6 +140,16 @@ mod tests {
         };
         let found = of("[actuator]\nstuck_share = 0.5\noffset_deg = 0.0\n").expect("a condition");
         assert!(found.contains("training, and actuator.stuck_share: ") && found.ends_with("; measure it"), "{found}");
+        assert_eq!(of(""), None);
+    }
+    #[test]
+    fn late_noisy_and_lost_reports_are_a_condition() {
+        let of = |text: &str| {
+            let scenario = Scenario::from_toml(text).expect("a room");
+            exact_reports(&scenario, "a static comparison", "measure it").map(|condition| condition.to_string())
+        };
+        let found = of("[streams.positions]\nloss = 0.1\n[streams.channel]\nlatency_ms = 5.0\n").expect("a condition");
+        assert!(found.contains("and streams.positions.loss, streams.channel.latency_ms: "), "{found}");
         assert_eq!(of(""), None);
     }
 }

@@ -40,7 +40,7 @@ use serde::{Serialize, Serializer};
 
 use heliostat_core::belief::conditions::{Condition, conditions};
 use heliostat_environment::EnvironmentError;
-use heliostat_environment::exact_states::exact_mirrors;
+use heliostat_environment::exact_states::{exact_mirrors, exact_reports};
 use heliostat_scenario::Scenario;
 
 /// The rows of a comparison, and the figures of each episode.
@@ -86,7 +86,7 @@ pub struct Report {
     /// Users whose direct path is forced off.
     pub blocked: usize,
     /// The promises of policies that do not hold in the room; in closed loop the methods of the
-    /// controller's belief that do not apply to it, in a static comparison the faults of mirrors.
+    /// controller's belief that do not apply to it, in a static comparison the faults of reports and mirrors.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub conditions: Vec<Condition>,
     /// The oracle with minimum rates, on the true states.
@@ -170,7 +170,8 @@ pub fn compare_under(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<R
     let mut found = if is_closed {
         conditions(scenario, &scenario.channel_model()?)
     } else {
-        exact_mirrors(scenario, "a static comparison", "choose --closed-loop").into_iter().collect()
+        let exact = [exact_reports, exact_mirrors];
+        exact.iter().filter_map(|of| of(scenario, "a static comparison", "choose --closed-loop")).collect()
     };
     for (evaluated, row) in settings.policies.iter().zip(&policies) {
         let of_policy = evaluated

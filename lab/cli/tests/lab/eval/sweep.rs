@@ -129,7 +129,7 @@ fn two_keys_give_each_combination_with_its_outage_and_a_room_without_mirrors() {
 }
 
 #[test]
-fn a_key_without_effect_is_refused_and_faults_of_mirrors_in_a_file_are_a_condition() {
+fn a_key_without_effect_is_refused_and_faults_of_reports_and_mirrors_in_a_file_are_conditions() {
     for flags in [["--sweep", "actuator.stuck_share=0,1"], ["--set", "streams.positions.latency_ms=300"]] {
         let message = refusal(&[&flags[..], &["--policies", "flat"]].concat());
         let key = flags[1].split('=').next().expect("a key");
@@ -137,11 +137,13 @@ fn a_key_without_effect_is_refused_and_faults_of_mirrors_in_a_file_are_a_conditi
     }
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("room.toml");
-    std::fs::write(&file, "[actuator]\nstuck_share = 0.5\n").expect("written");
+    std::fs::write(&file, "[actuator]\nstuck_share = 0.5\n[streams.positions]\nloss = 0.5\n").expect("written");
     let path = file.to_str().expect("a plain path");
     let found = report(&["--scenario", path, "--policies", "flat", "--states", "2", "--seeds", "1"]);
-    let because = found["conditions"][0]["because"].as_str().expect("a condition");
-    assert!(because.contains("actuator.stuck_share"), "{found}");
+    for (index, key) in ["streams.positions.loss", "actuator.stuck_share"].into_iter().enumerate() {
+        let because = found["conditions"][index]["because"].as_str().expect("a condition");
+        assert!(because.contains(key), "{found}");
+    }
 }
 
 #[test]

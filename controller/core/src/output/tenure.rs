@@ -27,7 +27,7 @@
 //! | Standby | withheld; the belief about the users goes on, and telemetry shows the last command |
 //!
 //! - **A start beside a leader stands by**: at the first report the array follows a valid command of another
-//!   controller. Otherwise the controller leads. The first telemetry is awaited for [`FIRST_TELEMETRY_NS`] at most.
+//!   controller, or the last epoch that it followed is of one that is in the room. Otherwise the controller leads. The first telemetry is awaited for [`FIRST_TELEMETRY_NS`] at most.
 //!   Its first epoch may be too low, because telemetry came after its first command. Before the array has obeyed it,
 //!   it answers one higher epoch by a new epoch of its own, and stands by from the second on.
 //! - **Takeover**: a report is unanswered if telemetry that came a quarter of a report interval or more after it
@@ -293,13 +293,21 @@ impl Tenure {
         if self.seen.is_none() && now.abs_diff(first_ns) < FIRST_TELEMETRY_NS {
             return None;
         }
-        let is_led = self.is_current(now) && self.seen.is_some_and(|(_, evidence)| evidence.following);
-        if is_led || self.is_reserve {
+        if self.is_led(now) || self.is_reserve {
             self.stand_by();
+            // Late telemetry is awaited as after the loss of a link.
+            self.watch.returned_ns = Some(now);
             return Some(TenureEvent::StoodBy);
         }
         self.lead_first(now);
         None
+    }
+
+    /// Whether another controller leads, as far as a start can see. One that is in the room leads an array that has
+    /// parked, or whose device is absent, too.
+    fn is_led(&self, now: Nanos) -> bool {
+        let has_leader = |shown: Evidence| shown.following || (shown.epoch > 0 && self.has_peer(shown.epoch));
+        self.is_current(now) && self.seen.is_some_and(|(_, shown)| has_leader(shown))
     }
 
     /// A command is due in standby: judges whether the leader has answered the awaited report.
@@ -464,7 +472,8 @@ impl Tenure {
             self.numbers.begin(epoch);
         }
         self.contest.end();
-        self.attempts = 6.min(self.attempts + 1);
+        // The number counts for the pause, up to the longest one, and for the base, by its last bit.
+        self.attempts = if self.attempts < 6 { self.attempts + 1 } else { 5 };
         self.unaccepted = None;
     }
 }

@@ -452,3 +452,25 @@ fn replay_keeps_its_epoch_whatever_telemetry_shows() {
     assert_eq!(tenure.handle_telemetry(S, Evidence { epoch: u64::MAX, ..Evidence::default() }), None);
     assert_eq!(tenure.permit(S), (Some(7), None));
 }
+
+#[test]
+fn a_start_beside_the_leader_of_an_array_that_has_parked_stands_by() {
+    for is_present in [true, false] {
+        let mut room = led_room(&[1]);
+        room.array.shown.following = false;
+        let mut second = Controller::new(600);
+        second.tenure.handle_controller(1, is_present);
+        second.telemetry(room.now, room.array.shown);
+        second.report(room.now + INTERVAL, &mut room.array);
+        let expected = if is_present { Standing::Standby } else { Standing::Leading };
+        assert_eq!(second.tenure.standing(), expected, "the leader is in the room: {is_present}");
+    }
+}
+
+#[test]
+fn a_driver_that_starts_again_leaves_no_report_unanswered() {
+    let mut room = led_room(&[1, 600]);
+    room.array.shown.accepted = 0;
+    room.run(S);
+    assert_eq!(room.standings(), [Standing::Leading, Standing::Standby]);
+}

@@ -148,7 +148,9 @@ impl Watch {
         interval_ns: Nanos,
         is_paused: bool,
     ) -> Option<bool> {
-        let Some((since_ns, accepted)) = self.awaited.filter(|_| !is_paused) else {
+        // Fewer accepted commands than before are those of a driver that has started since.
+        let is_compared = |(_, accepted): &(Nanos, u64)| !is_paused && *accepted <= shown.accepted;
+        let Some((since_ns, accepted)) = self.awaited.filter(is_compared) else {
             self.awaited = Some((now, shown.accepted));
             self.unanswered = 0;
             return None;
@@ -246,6 +248,8 @@ impl Contest {
 
     /// Whether the takeover proves to be contested, by evidence of its epoch.
     pub(super) fn is_contested(&mut self, now: Nanos, evidence: Evidence) -> bool {
+        // The counts of a driver that has started since tell nothing.
+        self.takeover = self.takeover.filter(|takeover| takeover.accepted <= evidence.accepted);
         let Some(takeover) = &mut self.takeover else { return false };
         let (is_contested, was_settled) = (takeover.is_contested(evidence), takeover.is_settled);
         takeover.is_settled |= takeover.accepted_since(evidence) >= SETTLED;

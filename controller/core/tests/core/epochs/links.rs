@@ -103,3 +103,10 @@ fn a_link_that_flaps_does_not_put_off_the_end_of_the_wait() {
     let resumed = (3000..9000).step_by(600).find(|at_ms| tenure.permit(start + at_ms * MS) != (None, None));
     assert_eq!(resumed, Some(4200), "the first one more than 1 s after the first return");
 }
+
+#[test]
+fn a_reserve_waits_for_late_telemetry_as_after_the_loss_of_a_link() {
+    let mut tenure = Tenure::live(2, INTERVAL).in_reserve(None);
+    let granted = (0..300).find(|tick| tenure.permit(NOON + tick * INTERVAL).0.is_some());
+    assert_eq!(granted, Some(121), "200 ms for the first telemetry, and more than 1 s after them");
+}

@@ -2,7 +2,7 @@
 
 use heliostat_array::arrivals::Arrival;
 use heliostat_array::moment::Moment;
-use heliostat_array::refusal_counts::RefusalCounts;
+use heliostat_array::refusal_counts::{ANOTHER_PROCESS, RefusalCounts};
 use heliostat_array::stop_record;
 use heliostat_bus::Class;
 use heliostat_driver::clock::Clock;
@@ -120,6 +120,18 @@ impl Node {
 
     pub fn truth_publisher(&mut self) -> Result<TruthPublisher, NodeError> {
         TruthPublisher::new(self.room.world(), &self.session, self.scenario.geometry_toml(), self.exporter.take())
+    }
+
+    /// Notes another driver or simulator that has joined the room.
+    ///
+    /// # Errors
+    /// This process has to end, because the other one started at the same time.
+    pub fn check_claim(&mut self) -> Result<(), NodeError> {
+        let Self { session, refused, .. } = self;
+        session.check_claim(|problem| {
+            tracing::warn!("{problem}");
+            refused.count(ANOTHER_PROCESS, problem);
+        })
     }
 
     /// Gives an arrival to an array at a time; returns the command if it was one that was

@@ -28,7 +28,7 @@ use crate::end_watch::EndWatch;
 use crate::metrics;
 use crate::record_thread::RecordThread;
 use crate::session::{ArraySession, MessagePublisher, SessionError};
-use crate::stop_record::{self, StopRecordSettings};
+use crate::stop_record::{self, RecordInUse, StopRecordSettings};
 use crate::summary::Summary;
 
 /// Longest wait, so that a stop request takes effect soon.
@@ -67,6 +67,9 @@ pub enum RunError {
     /// The session failed, or another process controls the mirrors of this room.
     #[error(transparent)]
     Session(#[from] SessionError),
+    /// Another process uses the record of the stop.
+    #[error(transparent)]
+    Record(#[from] RecordInUse),
     /// The system starts no thread.
     #[error("cannot start the thread of the stop's record: {0}")]
     Thread(std::io::Error),
@@ -87,7 +90,7 @@ impl From<BusError> for RunError {
 ///
 /// # Errors
 /// [`RunError`]: a transport that fails or is configured wrongly, another process that controls the
-/// mirrors of this room, an address at which metrics cannot be served.
+/// mirrors of this room or uses the record of their stop, an address at which metrics cannot be served.
 pub fn run<D: Device>(kit: Kit<D>, settings: &Settings, stop: &Stop) -> Result<Summary, RunError> {
     let end = settings.run_for.map(|duration| Instant::now() + duration);
     match ArrayDriver::open(kit, settings, stop)? {
@@ -116,7 +119,7 @@ impl<D: Device> ArrayDriver<D> {
         let source = source_id::random();
         let mut claim = Claim::begin(&bus, array..array + 1, source)?;
         let clock = Clock::start_in(Duration::ZERO);
-        let (record, latch_at_start) = settings.record.open(bus.room(), array, clock.now().room_ns);
+        let (record, latch_at_start) = settings.record.open(bus.room(), array, clock.now().room_ns)?;
         let (plan, store) = record.split();
         // Every role may publish under the key of the stop, only operators under that of the re-arm.
         kit.refuse_unnamed_rearm(settings.bus.is_authenticated());

@@ -11,6 +11,8 @@ use heliostat_driver::run::{self, Settings};
 use heliostat_proto::{NodeStatus, Room, decode};
 use heliostat_service::Stop;
 
+use crate::stops::RequestAtEnd;
+
 /// Longest wait for something that happens soon.
 const LIMIT: Duration = Duration::from_secs(60);
 
@@ -65,6 +67,7 @@ fn driver_beside_another(config: &BusConfig, endpoint: &str) -> Option<String> {
     });
     std::thread::scope(|scope| {
         let driver = scope.spawn(|| run::run(kit, &settings, &stop));
+        let _end = RequestAtEnd(&stop);
         until("the driver's token", || !observer.alive(&keys.drivers_alive(), LIMIT).unwrap().is_empty());
         let _other = observer.announce(&keys.driver_alive(0)).unwrap();
         until("an answer to the other token", || driver.is_finished() || *is_late.lock().unwrap());

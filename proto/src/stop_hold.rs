@@ -131,9 +131,7 @@ impl StopHold {
         self.released.clone_from(&report.released);
         let latched = |name: &StopName| report.stops.iter().any(|stop| stop.name() == *name);
         // A sender's later stop replaces its earlier one.
-        let superseded = |name: &StopName| {
-            report.stops.iter().any(|stop| stop.source == name.source && stop.sequence > name.sequence)
-        };
+        let superseded = |name: &StopName| report.stops.iter().any(|stop| stop.name().replaces(*name));
         self.stops.retain_mut(|held| {
             if latched(&held.name) {
                 held.reported_by = Some(source);

@@ -322,7 +322,13 @@ impl LatchedStopReport {
 impl StopName {
     /// Whether it is the other stop, or a later one of its sender, which replaces it.
     pub fn replaces(self, other: Self) -> bool {
-        self.source == other.source && self.sequence >= other.sequence
+        self == other || (self.is_of_sender(other) && self.sequence >= other.sequence)
+    }
+
+    /// Whether both are stops of one sender. The stop without sender, 0/0, has none.
+    pub fn is_of_sender(self, other: Self) -> bool {
+        let has_sender = |name: Self| name != Self::default();
+        self.source == other.source && has_sender(self) && has_sender(other)
     }
 }
 

@@ -273,6 +273,12 @@ impl Station {
         })
     }
 
+    /// Notes a problem: another process with this array has joined the room.
+    fn note_other_process(&self, problem: String) -> PyResult<()> {
+        self.rules()?.note_other_process(problem);
+        Ok(())
+    }
+
     /// Advances to a time; returns whether `write_record` has to be called, on any thread.
     fn advance(&self, now: (u64, u64)) -> PyResult<bool> {
         let dropped = self.received().dropped();

@@ -14,7 +14,9 @@ from heliostat._core import Station
 from numpy.typing import NDArray
 
 pytest.importorskip("zenoh")
-from heliostat.driver import Capabilities, Device, Health, StopFile
+from heliostat._stop_file import StopFile
+from heliostat.driver import Capabilities, Device, Health
+from heliostat.peer import PeerError
 
 UTC_NS = 1_800_000_000_000_000_000
 MS = 1_000_000
@@ -216,6 +218,25 @@ def test_a_first_start_a_damaged_record_and_one_that_cannot_be_written_start_sto
     record.unlink()
     (tmp_path / "lab.stop.new").mkdir()
     assert "cannot record the emergency stop" in (Driven(tmp_path, Mirrors()).station.advice or "")
+
+
+def test_a_record_is_of_one_process_until_it_ends(tmp_path: Path) -> None:
+    record = str(tmp_path / "lab.stop.toml")
+    with StopFile(tmp_path) as first:
+        assert first.open("lab.stop.toml") == record
+        with StopFile(tmp_path) as second, pytest.raises(PeerError, match="another process uses the record"):
+            second.open("lab.stop.toml")
+        with StopFile(tmp_path) as other:
+            other.open("lab.mirrors-1.stop.toml")
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "lab.stop.toml.lock").touch()
+    with StopFile(tmp_path) as after_a_kill:
+        assert after_a_kill.open("lab.stop.toml") == record
+
+
+def test_another_process_is_a_problem_of_the_status(driven: Driven) -> None:
+    driven.station.note_other_process("another driver has joined the room")
+    assert driven.station.last_problem == "another driver has joined the room"
 
 
 def test_a_stop_that_cannot_be_recorded_is_in_force_and_is_written_again(tmp_path: Path) -> None:

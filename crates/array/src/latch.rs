@@ -207,7 +207,7 @@ impl Latch {
             held.time_ns = held.time_ns.max(stop.time_ns);
             return;
         }
-        if let Some(index) = self.stops.iter().position(|held| held.source == stop.source) {
+        if let Some(index) = self.stops.iter().position(|held| held.name().is_of_sender(stop.name())) {
             stop.time_ns = stop.time_ns.max(self.stops.remove(index).time_ns);
         }
         let named = self.stops.iter().filter(|held| held.name() != StopName::default()).count();
@@ -403,6 +403,21 @@ mod tests {
         assert_eq!(latch.release_by_time(2).unwrap_err().name(), "too-early");
         assert_eq!(latch.release_by_time(3).unwrap(), [StopName { source: 2, sequence: 5 }]);
         assert_eq!(latch, Latch::default());
+    }
+
+    #[test]
+    fn no_stop_of_a_sender_replaces_the_one_without_sender() {
+        let (unlisted, numbered) = (StopName::default(), StopName { source: 0, sequence: 9 });
+        for order in [[unlisted, numbered], [numbered, unlisted]] {
+            let mut latch = Latch::default();
+            for StopName { source, sequence } in order {
+                assert!(!latch.covers(StopName { source, sequence }));
+                latch.engage(LatchedStop { source, sequence, ..stop() });
+            }
+            assert_eq!(latch.stops().iter().map(LatchedStop::name).collect::<Vec<_>>(), order);
+            latch.release(numbered).unwrap();
+            assert_eq!(latch.stop().map(LatchedStop::name), Some(unlisted), "the unlisted stops hold the array");
+        }
     }
 
     #[test]

@@ -3,6 +3,9 @@
 use std::collections::BTreeMap;
 use std::fmt::Display;
 
+/// Name of the count of other processes with the same mirrors that have joined the room.
+pub const ANOTHER_PROCESS: &str = "another-process";
+
 /// Counts of refusals by name, which is the kind of message, a colon and the reason.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RefusalCounts {

@@ -25,7 +25,7 @@ use crate::device::Device;
 use crate::kit::Kit;
 use crate::latch::Latch;
 use crate::moment::Moment;
-use crate::refusal_counts::RefusalCounts;
+use crate::refusal_counts::{ANOTHER_PROCESS, RefusalCounts};
 use crate::stop_record::{RecordError, RecordPlan, RecordTask, with_record_problem};
 
 /// Time between two telemetry messages in ns; the contract requires ten per second.
@@ -168,6 +168,12 @@ impl<D: Device> Station<D> {
     /// Sets the number of messages that were dropped before they were handled.
     pub fn set_dropped(&mut self, dropped: u64) {
         self.refused.set("dropped", dropped);
+    }
+
+    /// Notes a problem: another process with this array has joined the room.
+    pub fn note_other_process(&mut self, problem: String) {
+        self.refused.count(ANOTHER_PROCESS, problem);
+        self.order_problems();
     }
 
     /// Advances to a time: the array holds, parks, or connects its device.

@@ -4,6 +4,7 @@
 //! Any hardware for which [`Device`] is implemented can replace the simulated mirrors.
 //!
 //! - [`session`], [`receive_queue`]: what an array publishes and receives.
+//! - [`claim`]: one process for each array.
 //! - [`run`]: the loop of a driver process; [`cli`] is its command line, [`config`] its file.
 //! - [`direct_commands`]: commands of a controller in the same process.
 //! - [`devices`]: drivers for hardware.
@@ -13,6 +14,7 @@
 
 pub mod calibration_store;
 pub mod check;
+pub mod claim;
 pub mod cli;
 pub mod clock;
 pub mod config;

@@ -7,6 +7,7 @@ use std::sync::mpsc::{self, Receiver, Sender};
 use std::thread::Builder;
 
 use heliostat_array::stop_record::{RecordError, RecordTask};
+use heliostat_service::whole_file::Held;
 
 use crate::receive_queue::ReceiveQueue;
 use crate::stop_record::StopFile;
@@ -19,6 +20,8 @@ type Written = Result<(), RecordError>;
 pub(crate) struct RecordThread {
     tasks: Sender<RecordTask>,
     written: Receiver<Written>,
+    /// Not with the thread: the next driver of this process must not wait for it.
+    _held: Option<Held>,
 }
 
 impl RecordThread {
@@ -29,6 +32,7 @@ impl RecordThread {
     pub fn spawn(mut file: StopFile, array: Arc<ReceiveQueue>) -> io::Result<Self> {
         let (tasks, begun) = mpsc::channel::<RecordTask>();
         let (ended, written) = mpsc::channel();
+        let held = file.take_held();
         Builder::new().name("stop record".into()).spawn(move || {
             for task in begun {
                 let result = task.run(&mut file);
@@ -38,7 +42,7 @@ impl RecordThread {
                 array.wake();
             }
         })?;
-        Ok(Self { tasks, written })
+        Ok(Self { tasks, written, _held: held })
     }
 
     /// Begins a task; the last one has ended.

@@ -15,19 +15,20 @@ use heliostat_array::latch::Latch;
 use heliostat_array::moment::Moment;
 use heliostat_array::station::{Identity, Report, Station};
 use heliostat_array::stop_record::{END_WAIT_NS, advice};
-use heliostat_bus::{Bus, BusConfig, BusError, Class, Token};
+use heliostat_bus::{Bus, BusConfig, BusError, Class};
 use heliostat_service::log_limit::LogLimit;
 use heliostat_service::{Exporter, MetricsArgs, MetricsError, Stop, source_id};
 use thiserror::Error;
 
+use crate::claim::Claim;
 use crate::clock::Clock;
 use crate::device_log::DeviceLog;
 use crate::direct_commands::{DirectCommands, SharedStation};
 use crate::end_watch::EndWatch;
 use crate::metrics;
 use crate::record_thread::RecordThread;
-use crate::session::{ArraySession, MessagePublisher, SessionError, check_alone};
-use crate::stop_record::{self, StopRecordSettings};
+use crate::session::{ArraySession, MessagePublisher, SessionError};
+use crate::stop_record::{self, RecordInUse, StopRecordSettings};
 use crate::summary::Summary;
 
 /// Longest wait, so that a stop request takes effect soon.
@@ -66,6 +67,9 @@ pub enum RunError {
     /// The session failed, or another process controls the mirrors of this room.
     #[error(transparent)]
     Session(#[from] SessionError),
+    /// Another process uses the record of the stop.
+    #[error(transparent)]
+    Record(#[from] RecordInUse),
     /// The system starts no thread.
     #[error("cannot start the thread of the stop's record: {0}")]
     Thread(std::io::Error),
@@ -86,7 +90,7 @@ impl From<BusError> for RunError {
 ///
 /// # Errors
 /// [`RunError`]: a transport that fails or is configured wrongly, another process that controls the
-/// mirrors of this room, an address at which metrics cannot be served.
+/// mirrors of this room or uses the record of their stop, an address at which metrics cannot be served.
 pub fn run<D: Device>(kit: Kit<D>, settings: &Settings, stop: &Stop) -> Result<Summary, RunError> {
     let end = settings.run_for.map(|duration| Instant::now() + duration);
     match ArrayDriver::open(kit, settings, stop)? {
@@ -99,7 +103,7 @@ pub fn run<D: Device>(kit: Kit<D>, settings: &Settings, stop: &Stop) -> Result<S
 pub struct ArrayDriver<D> {
     driver: Driver<D>,
     bus: Bus,
-    token: Token,
+    claim: Claim,
     clock: Clock,
 }
 
@@ -112,10 +116,10 @@ impl<D: Device> ArrayDriver<D> {
         let exporter = settings.metrics.open(settings.bus.certificate_end())?;
         let Some(bus) = open(&settings.bus, stop)? else { return Ok(None) };
         let array = settings.array;
-        check_alone(&bus, array..array + 1)?;
-        let clock = Clock::start_in(Duration::ZERO);
         let source = source_id::random();
-        let (record, latch_at_start) = settings.record.open(bus.room(), array, clock.now().room_ns);
+        let mut claim = Claim::begin(&bus, array..array + 1, source)?;
+        let clock = Clock::start_in(Duration::ZERO);
+        let (record, latch_at_start) = settings.record.open(bus.room(), array, clock.now().room_ns)?;
         let (plan, store) = record.split();
         // Every role may publish under the key of the stop, only operators under that of the re-arm.
         kit.refuse_unnamed_rearm(settings.bus.is_authenticated());
@@ -145,8 +149,8 @@ impl<D: Device> ArrayDriver<D> {
             unusable: Vec::new(),
             log_limit: LogLimit::default(),
         };
-        let token = bus.announce(&bus.room().array(array).driver_alive(source))?;
-        Ok(Some(Self { driver, bus, token, clock }))
+        claim.announce(&bus, &bus.room().array(array).driver_alive(source))?;
+        Ok(Some(Self { driver, bus, claim, clock }))
     }
 
     /// The entry of commands from a controller in this process; they are handled while
@@ -163,14 +167,15 @@ impl<D: Device> ArrayDriver<D> {
     /// Drives the device until `stop` is requested, or until `end`.
     ///
     /// # Errors
-    /// A transport that fails.
+    /// A transport that fails, or another process with this array that started at the same time.
     pub fn run(self, end: Option<Instant>, stop: &Stop) -> Result<Summary, RunError> {
-        let Self { mut driver, bus, token, clock } = self;
+        let Self { mut driver, bus, claim, clock } = self;
         let watch = EndWatch::start(stop);
         let running = driver.shared.run();
-        let mut ended = Ok(());
-        while ended.is_ok() && !stop.is_requested() && end.is_none_or(|end| Instant::now() < end) {
+        let (mut ended, mut claimed) = (Ok(()), Ok(()));
+        while ended.is_ok() && claimed.is_ok() && !stop.is_requested() && end.is_none_or(|end| Instant::now() < end) {
             ended = driver.step(clock);
+            claimed = claim.check(|problem| driver.shared.lock().note_other_process(problem));
         }
         drop(running);
         // A stop that comes now is obeyed, and in the record before the end if the disk answers.
@@ -185,8 +190,9 @@ impl<D: Device> ArrayDriver<D> {
         let summary = driver.summary();
         // It watches device and disk, not the transport.
         drop(watch);
-        drop((driver, token));
+        drop((driver, claim));
         bus.close()?;
+        claimed?;
         Ok(summary)
     }
 }

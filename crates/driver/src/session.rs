@@ -1,7 +1,6 @@
 //! The session of an array on the bus, real or simulated: it receives commands, stops, re-arms and
 //! calibrations, and publishes telemetry, capabilities and safety reports.
 
-use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -37,21 +36,6 @@ pub enum SessionError {
         /// Its liveliness token.
         token: String,
     },
-}
-
-/// Refuses a room in which another driver or simulator controls the mirrors of one of these arrays.
-///
-/// # Errors
-/// [`SessionError::RoomTaken`], or a transport that fails.
-pub fn check_alone(bus: &Bus, arrays: Range<usize>) -> Result<(), SessionError> {
-    let room = bus.room();
-    let drivers = arrays.map(|array| (NodeKind::Driver, room.array(array).drivers_alive()));
-    for (other, tokens) in std::iter::once((NodeKind::SimNode, room.alive_of(NodeKind::SimNode))).chain(drivers) {
-        if let Some(token) = bus.alive(&tokens, ALIVE_LIMIT)?.into_iter().next() {
-            return Err(SessionError::RoomTaken { room: room.to_string(), other, token });
-        }
-    }
-    Ok(())
 }
 
 /// A publisher of messages, with its buffer.

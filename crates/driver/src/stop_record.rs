@@ -1,6 +1,7 @@
 //! The emergency stop on disk, so that a stop outlives the process that obeyed it.
 //!
-//! Each array has one file, written to a new file and renamed, so that it is complete at any time.
+//! Each array has one file, written to a new file and renamed, so that it is complete at any time. One process
+//! uses it.
 //! `heliostat_array::stop_record` has the rules; this file has the disk.
 
 use std::fs::{self, File, OpenOptions};
@@ -10,9 +11,21 @@ use std::path::{Path, PathBuf};
 use heliostat_array::latch::{Latch, LatchedStop};
 use heliostat_array::stop_record::{self, RECORD_MAX, StopStore};
 use heliostat_proto::{Nanos, Room};
+use heliostat_service::whole_file::{self, Held, InUse};
+use thiserror::Error;
 
 /// The record of one array in a file.
 pub type StopRecord = stop_record::StopRecord<StopFile>;
+
+/// Another process uses the record of the array.
+#[derive(Debug, Error)]
+#[error(
+    "another process uses the record of the emergency stop in {}: stop that process, or choose another folder with \
+     --state DIR", path.display()
+)]
+pub struct RecordInUse {
+    path: PathBuf,
+}
 
 /// Where the stop is kept.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -31,12 +44,15 @@ impl StopRecordSettings {
 
     /// Opens the record of the array of a room with this index; returns the latch with which the array
     /// starts.
-    pub fn open(&self, room: &Room, array: usize, now_ns: Nanos) -> (StopRecord, Latch) {
+    ///
+    /// # Errors
+    /// [`RecordInUse`]: two processes would lose each other's stops.
+    pub fn open(&self, room: &Room, array: usize, now_ns: Nanos) -> Result<(StopRecord, Latch), RecordInUse> {
         let Some(directory) = &self.directory else {
-            return StopRecord::without_store("no folder for it is given (--state DIR)", now_ns);
+            return Ok(StopRecord::without_store("no folder for it is given (--state DIR)", now_ns));
         };
-        let file = StopFile { path: directory.join(stop_record::file_name(room, array)) };
-        StopRecord::open(file, self.start_armed, now_ns)
+        let file = StopFile::hold(directory, &stop_record::file_name(room, array))?;
+        Ok(StopRecord::open(file, self.start_armed, now_ns))
     }
 }
 
@@ -44,6 +60,30 @@ impl StopRecordSettings {
 #[derive(Debug)]
 pub struct StopFile {
     path: PathBuf,
+    /// Absent where the folder takes no lock.
+    held: Option<Held>,
+}
+
+impl StopFile {
+    /// Keeps the file from other processes.
+    fn hold(directory: &Path, name: &str) -> Result<Self, RecordInUse> {
+        let path = directory.join(name);
+        let held = fs::create_dir_all(directory).map_err(anyhow::Error::from).and_then(|()| whole_file::hold(&path));
+        match held {
+            Err(error) if error.is::<InUse>() => Err(RecordInUse { path }),
+            // The array then starts stopped if the record cannot be written either.
+            Err(error) => {
+                tracing::warn!("no lock keeps other processes from the record of the emergency stop: {error:#}");
+                Ok(Self { path, held: None })
+            }
+            Ok(held) => Ok(Self { path, held: Some(held) }),
+        }
+    }
+
+    /// What keeps the file from other processes, for an owner that ends before a write that hangs.
+    pub(crate) fn take_held(&mut self) -> Option<Held> {
+        self.held.take()
+    }
 }
 
 impl StopStore for StopFile {

@@ -5,6 +5,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
+use thiserror::Error;
 
 use crate::exit::UnusableInput;
 use crate::output::note;
@@ -12,6 +13,9 @@ use crate::output::note;
 /// ENOLCK and EOPNOTSUPP of Linux, else of macOS and BSD: the first one, as of NFS without its daemon for locks, has
 /// no kind of its own in the standard library.
 const NO_LOCKS: [i32; 2] = if cfg!(target_os = "linux") { [37, 95] } else { [77, 45] };
+
+/// Attempts to hold a file whose holders end meanwhile; bounded, because some file systems change the numbers of files.
+const HOLD_TRIES: usize = 100;
 
 /// Refuses a file that cannot be written, before the work starts. It changes nothing: the file does
 /// not appear, and existing content stays. Others may check the same file at the same time.
@@ -78,29 +82,58 @@ fn is_direct(file: &Path) -> bool {
 #[derive(Debug)]
 pub struct Held {
     /// The lock is of a file beside the held one, which each [`write()`] replaces.
-    _lock: File,
+    lock: File,
     path: PathBuf,
 }
 
 impl Drop for Held {
     fn drop(&mut self) {
         // A file that stays, as after a kill, holds nothing.
-        drop(fs::remove_file(&self.path));
+        if is_named(&self.lock, &self.path) {
+            drop(fs::remove_file(&self.path));
+        }
     }
 }
+
+/// Another process holds a file.
+#[derive(Debug, Error)]
+#[error("{} is in use by another process: end it, or name another file", .0.display())]
+pub struct InUse(PathBuf);
 
 /// Holds a file that [`check_writable`] accepts, whether or not it exists.
 ///
 /// # Errors
-/// A file that another process holds, or whose folder takes no further file.
+/// [`InUse`], or a folder that takes no further file.
 pub fn hold(file: &Path) -> Result<Held> {
     let path = beside(file, ".lock");
     let refused = || format!("cannot hold {}", file.display());
-    let lock = File::options().create(true).truncate(false).write(true).open(&path).with_context(refused)?;
-    if let Some(cause) = unlocked(lock.try_lock(), file)? {
-        note(format_args!("cannot lock {}: {cause}. No other process must write it meanwhile", file.display()));
+    let mut tries = 0..HOLD_TRIES;
+    loop {
+        let lock = File::options().create(true).truncate(false).write(true).open(&path).with_context(refused)?;
+        let cause = unlocked(lock.try_lock(), file)?;
+        // A holder that ended meanwhile has removed the file: the lock would hold nothing.
+        if !is_named(&lock, &path) && tries.next().is_some() {
+            continue;
+        }
+        if let Some(cause) = cause {
+            note(format_args!("cannot lock {}: {cause}. No other process must write it meanwhile", file.display()));
+        }
+        return Ok(Held { lock, path });
     }
-    Ok(Held { _lock: lock, path })
+}
+
+/// Whether a path still names an open file.
+#[cfg(unix)]
+fn is_named(open: &File, path: &Path) -> bool {
+    use std::os::unix::fs::MetadataExt;
+    let identity = |found: io::Result<fs::Metadata>| found.ok().map(|found| (found.dev(), found.ino()));
+    identity(open.metadata()) == identity(fs::metadata(path))
+}
+
+/// Whether a path still names an open file: Windows gives no name away while the file is open.
+#[cfg(not(unix))]
+fn is_named(_open: &File, _path: &Path) -> bool {
+    true
 }
 
 /// Why there is no lock, where the file system has none; `None` with a lock.
@@ -110,9 +143,7 @@ pub fn hold(file: &Path) -> Result<Held> {
 fn unlocked(locked: Result<(), TryLockError>, file: &Path) -> Result<Option<io::Error>> {
     match locked {
         Ok(()) => Ok(None),
-        Err(TryLockError::WouldBlock) => {
-            bail!("{} is in use by another process: end it, or name another file", file.display())
-        }
+        Err(TryLockError::WouldBlock) => bail!(InUse(file.to_owned())),
         Err(TryLockError::Error(error)) if is_without_locks(&error) => Ok(Some(error)),
         Err(TryLockError::Error(error)) => Err(error).with_context(|| {
             format!(
@@ -167,6 +198,19 @@ mod tests {
         drop(held);
         drop(hold(&file).expect("free again"));
         assert_eq!(fs::read_dir(folder.path()).expect("a folder").count(), 1, "the file alone");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_lock_whose_file_was_removed_and_made_again_holds_nothing() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("readings.json.lock");
+        let lock = File::create(&path).expect("a file");
+        assert!(is_named(&lock, &path));
+        fs::remove_file(&path).expect("removed");
+        assert!(!is_named(&lock, &path));
+        let _again = File::create(&path).expect("a file");
+        assert!(!is_named(&lock, &path));
     }
 
     #[test]

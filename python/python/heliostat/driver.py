@@ -37,17 +37,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._checks import finite, integer, printable
+from ._claim import Claim
 from ._core import (
     ARRAYS_MAX,
     KINDS,
     STOP_RECORD_END_WAIT_NS,
-    STOP_RECORD_MAX,
     Station,
     check_capabilities,
     decode,
     encode,
     stop_record_folder,
 )
+from ._stop_file import StopFile
 from ._watched import Watched
 from .peer import INTERRUPTED, SOFTWARE, Peer, PeerError, Settings, add_arguments, stop_on_signals
 
@@ -209,50 +210,6 @@ class Device(ABC):
         return Health()
 
 
-class StopFile:
-    """The record of the emergency stop in a folder; `heliostat driver run` uses the same file."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self._path = folder
-
-    def open(self, name: str) -> str:
-        """Uses the file of this name from now on; returns its path for messages."""
-        self._path = self.folder / name
-        return str(self._path)
-
-    def read(self) -> str | None:
-        """The record, `None` if there is none. Only a regular file is one: a start must not wait for a pipe."""
-        if not self._path.is_file() or self._path.is_symlink():
-            if not os.path.lexists(self._path):
-                return None
-            raise OSError("expected a regular file")
-        if self._path.stat().st_size > STOP_RECORD_MAX:
-            raise OSError(f"expected at most {STOP_RECORD_MAX} bytes")
-        return self._path.read_text(encoding="utf-8")
-
-    def replace(self, text: str) -> None:
-        """Replaces the record at once, and returns when it is on the disk."""
-        self.folder.mkdir(parents=True, exist_ok=True)
-        new = self._path.with_suffix(".new")
-        with new.open("w", encoding="utf-8", newline="\n") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        new.replace(self._path)
-        if os.name == "posix":
-            folder = os.open(self.folder, os.O_RDONLY)
-            try:
-                os.fsync(folder)
-            finally:
-                os.close(folder)
-
-    def empty(self) -> None:
-        """Empties the record, which means that the state is unknown."""
-        with self._path.open("w") as file:
-            os.fsync(file.fileno())
-
-
 def _array(text: str) -> int:
     """An index of an array on the command line."""
     if not text.isdecimal() or int(text) >= ARRAYS_MAX:
@@ -318,7 +275,8 @@ def run(
 
     `array` is the index of the array in its room. `state` is the folder of the record of the emergency stop;
     `start_armed` declares a start without a record safe. Returns the counters of the telemetry. Raises `PeerError`
-    where the room cannot be joined, and `ValueError` for capabilities that the contract does not allow.
+    where the room cannot be joined or another process has the array, and `ValueError` for capabilities that the
+    contract does not allow.
     """
     begin_ns = time.monotonic_ns()
 
@@ -333,7 +291,7 @@ def run(
     ):
         if not peer.is_open:
             return {"accepted": 0}
-        peer.check_alone()
+        claim = Claim(peer)
         latest: dict[str, bytes] = {}
 
         def report(problem: str) -> None:
@@ -348,7 +306,7 @@ def run(
             watched,
             device.capabilities.message(),
             device.capabilities.travel_rad,
-            StopFile(state or _state_folder()),
+            ending.enter_context(StopFile(state or _state_folder())),
             room=peer.room,
             array=array,
             source=peer.source,
@@ -372,12 +330,18 @@ def run(
             receive(name)
         for name in ("capabilities", "safety", "stops"):
             peer.answer(name, latest)
-        peer.announce()
+        claim.announce()
         peer.report_silence(log.show)
         record = _Record(station, log, received)
         shown, more, given_up_ns = _Shown(log, station.stop), False, 0
+        taken: PeerError | None = None
         while True:
-            if ended.is_set() or (seconds is not None and now()[0] >= 1e9 * seconds):
+            try:
+                for late in claim.check(log.show):
+                    station.note_other_process(late)
+            except PeerError as problem:
+                taken = problem
+            if ended.is_set() or taken is not None or (seconds is not None and now()[0] >= 1e9 * seconds):
                 # A stop that comes now is obeyed, and in the record before the end if the disk answers.
                 given_up_ns = given_up_ns or now()[0] + STOP_RECORD_END_WAIT_NS
                 if station.is_settled or now()[0] >= given_up_ns:
@@ -402,6 +366,8 @@ def run(
                     shown.note_problem(station.last_problem)
         if not station.is_settled:
             log.show("the last emergency stop is not recorded: its disk does not answer")
+        if taken is not None:
+            raise taken
         return station.counters()
 
 

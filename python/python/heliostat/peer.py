@@ -227,14 +227,10 @@ class Peer:
         """Whether the room was joined; false only where a stop was requested before."""
         return self.session is not None
 
-    def check_alone(self) -> None:
-        """Refuses a room in which another process controls the same mirrors."""
-        for name, process in (("simulators", "simulator"), ("drivers", "driver")):
-            for reply in self.session.liveliness().get(self.keys[name], timeout=_ALIVE_LIMIT_S):
-                if reply.ok is not None:
-                    token = reply.ok.key_expr
-                    advice = "stop it, or choose another room with --room"
-                    raise PeerError(f'another {process} is in room "{self.room}" ({token}): {advice}')
+    def alive(self, name: str) -> list[str]:
+        """The liveliness tokens of these processes that are there now."""
+        replies = self.session.liveliness().get(self.keys[name], timeout=_ALIVE_LIMIT_S)
+        return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
 
     def announce(self) -> None:
         """Declares the liveliness token of the process."""
@@ -263,8 +259,7 @@ class Peer:
             if self._settings.connect:
                 return f"no process of the room answers at {', '.join(self._settings.connect)}: retrying"
             return f"no process has connected to {', '.join(self._settings.listen)} yet: waiting"
-        tokens = self.session.liveliness().get(self.keys["processes"], timeout=_ALIVE_LIMIT_S)
-        if any("/controller/" in str(reply.ok.key_expr) for reply in tokens if reply.ok is not None):
+        if any("/controller/" in token for token in self.alive("processes")):
             return ""
         return f'no controller of room "{self.room}" is connected: start one, or join its room with --room'
 
@@ -287,13 +282,14 @@ class Peer:
         replies = self.session.get(self._key(name, array), timeout=within_s)
         return [bytes(reply.ok.payload) for reply in replies if reply.ok is not None]
 
-    def watch(self, handle: Callable[[str, bool], None]) -> None:
-        """Calls `handle` with the key of each process of the room that is there, appears or leaves."""
+    def watch(self, handle: Callable[[str, bool], None], name: str = "processes") -> None:
+        """Calls `handle` with the key of each process of the room, or of those of a name, that is there, appears or
+        leaves."""
 
         def deliver(sample: Any) -> None:
             handle(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
 
-        subscriber = self.session.liveliness().declare_subscriber(self.keys["processes"], deliver, history=True)
+        subscriber = self.session.liveliness().declare_subscriber(self.keys[name], deliver, history=True)
         self._declared.append(subscriber)
 
     def answer(self, name: str, latest: Mapping[str, bytes]) -> None:

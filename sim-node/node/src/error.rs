@@ -3,6 +3,7 @@
 use heliostat_array::calibration::Unfit;
 use heliostat_bus::BusError;
 use heliostat_driver::session::SessionError;
+use heliostat_driver::stop_record::RecordInUse;
 use heliostat_room::world::WorldError;
 use heliostat_scenario::TraceFileError;
 use heliostat_service::MetricsError;
@@ -27,6 +28,9 @@ pub enum NodeError {
     /// mirrors.
     #[error(transparent)]
     Session(#[from] SessionError),
+    /// Another process uses the record of an array's stop.
+    #[error(transparent)]
+    Record(#[from] RecordInUse),
     /// The corrections do not fit the array.
     #[error("the calibration does not fit the array")]
     Calibration(#[from] Unfit),

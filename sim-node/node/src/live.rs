@@ -47,6 +47,7 @@ pub(crate) fn run(mut node: Node, duration: Option<Duration>, stop: &Stop) -> Re
 
 /// Runs everything that is due now.
 fn run_due(node: &mut Node, publisher: &mut PublisherThread, now: Moment) -> Result<(), NodeError> {
+    node.check_claim()?;
     handle_received(node);
     node.apply_orders(now);
     // Before the first report, so that its answer can respect them.
@@ -75,12 +76,6 @@ fn run_due(node: &mut Node, publisher: &mut PublisherThread, now: Moment) -> Res
     }
     if node.status.take(now.local_ns).is_some() {
         node.ticks.expire(now.local_ns);
-        for token in node.session.new_other_simulators() {
-            node.refused.count(
-                "another-simulator",
-                format!("another simulator has joined the room ({token}): stop one of the two"),
-            );
-        }
         publisher.status(node.status_and_metrics(now.room_ns));
     }
     Ok(())

@@ -32,12 +32,13 @@ const WAIT_SLICE: Duration = Duration::from_millis(50);
 const START_NS: u64 = 1_000_000_000;
 
 pub(crate) fn run(mut node: Node, ticks: u64, stop: &Stop) -> Result<Summary, NodeError> {
-    await_controller(&node, stop)?;
+    await_controller(&mut node, stop)?;
     let mut publisher = node.truth_publisher()?;
     node.publish_capabilities(Moment { local_ns: 0, room_ns: START_NS })?;
     let mut hash = Fnv1a::default();
     let mut answered = 0;
     while answered < ticks && !stop.is_requested() {
+        node.check_claim()?;
         let local_ns = next_event_ns(&node);
         let now = Moment { local_ns, room_ns: START_NS + local_ns };
         node.room.advance(local_ns);
@@ -113,9 +114,10 @@ fn await_answer(
     Err(NodeError::NoAnswer { tick, waited_s: ANSWER_WAIT.as_secs(), last_problem })
 }
 
-fn await_controller(node: &Node, stop: &Stop) -> Result<(), NodeError> {
+fn await_controller(node: &mut Node, stop: &Stop) -> Result<(), NodeError> {
     let begun = Instant::now();
     while !stop.is_requested() && !node.session.controller_is_alive()? {
+        node.check_claim()?;
         if begun.elapsed() > CONTROLLER_WAIT {
             return Err(NodeError::NoController {
                 room: node.session.room_name(),

@@ -2,7 +2,7 @@
 
 use heliostat_array::arrivals::Arrival;
 use heliostat_array::moment::Moment;
-use heliostat_array::refusal_counts::RefusalCounts;
+use heliostat_array::refusal_counts::{ANOTHER_PROCESS, RefusalCounts};
 use heliostat_array::stop_record;
 use heliostat_bus::Class;
 use heliostat_driver::clock::Clock;
@@ -80,19 +80,19 @@ impl Node {
         let clock = session.clock();
         // Every role may publish under the key of the stop, only operators under that of a re-arm.
         room.refuse_unnamed_rearm(settings.bus.is_authenticated());
-        let arrays = (0..room.arrays()).map(|array| {
-            let record = settings.record.as_ref().map(|record| {
-                let now = clock.now();
-                let (record, latch) = record.open(&settings.bus.room, array, now.room_ns);
+        let mut arrays = Vec::new();
+        for array in 0..room.arrays() {
+            let now = clock.now();
+            let opened = settings.record.as_ref().map(|record| record.open(&settings.bus.room, array, now.room_ns));
+            let record = opened.transpose()?.map(|(record, latch)| {
                 if let Some(advice) = stop_record::advice(&settings.bus.room, &latch) {
                     tracing::warn!("{advice}");
                 }
                 latch.stops().iter().for_each(|stop| room.stop(array, now, stop.clone()));
                 record
             });
-            ArrayNode::new(array, record, settings.bus.room.to_string())
-        });
-        let arrays = arrays.collect();
+            arrays.push(ArrayNode::new(array, record, settings.bus.room.to_string()));
+        }
         // Halfway between two ticks: this samples the mean age of the angles, and does not delay a
         // tick.
         let between_ticks_ns = Schedule::new(scenario.streams.positions.rate_hz, 0).period_ns() / 2;
@@ -120,6 +120,18 @@ impl Node {
 
     pub fn truth_publisher(&mut self) -> Result<TruthPublisher, NodeError> {
         TruthPublisher::new(self.room.world(), &self.session, self.scenario.geometry_toml(), self.exporter.take())
+    }
+
+    /// Notes another driver or simulator that has joined the room.
+    ///
+    /// # Errors
+    /// This process has to end, because the other one started at the same time.
+    pub fn check_claim(&mut self) -> Result<(), NodeError> {
+        let Self { session, refused, .. } = self;
+        session.check_claim(|problem| {
+            tracing::warn!("{problem}");
+            refused.count(ANOTHER_PROCESS, problem);
+        })
     }
 
     /// Gives an arrival to an array at a time; returns the command if it was one that was

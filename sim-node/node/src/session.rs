@@ -5,11 +5,11 @@ use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use heliostat_array::Waker;
-use heliostat_bus::{Bus, BusConfig, Class, Presence, Subscription, Token};
+use heliostat_bus::{Bus, BusConfig, Class, Subscription};
+use heliostat_driver::claim::Claim;
 use heliostat_driver::clock::Clock;
 use heliostat_driver::receive_queue::ReceiveQueue;
-use heliostat_driver::session::{self, ALIVE_LIMIT, ArraySession, MessagePublisher};
-use heliostat_proto::keys::parse_alive;
+use heliostat_driver::session::{ALIVE_LIMIT, ArraySession, MessagePublisher};
 use heliostat_proto::{BeliefReport, CodecError, NodeKind, SimulatorControl, Stamp, decode};
 use heliostat_room::reports::Report;
 use heliostat_service::source_id;
@@ -59,7 +59,7 @@ pub(crate) struct RoomSession {
     arrays: Vec<ArraySession>,
     /// Set when a stop has arrived for any array.
     stopped: Arc<Alarm>,
-    other_simulators: Arc<Mutex<Vec<String>>>,
+    claim: Claim,
     orders: Arc<Mutex<Vec<Order>>>,
     beliefs: Arc<Mutex<Vec<BeliefReport>>>,
     users: MessagePublisher,
@@ -68,7 +68,7 @@ pub(crate) struct RoomSession {
     orientation: MessagePublisher,
     leds: MessagePublisher,
     branches: MessagePublisher,
-    _declared: (Token, [Subscription; 3]),
+    _subscriptions: [Subscription; 2],
 }
 
 /// Publishers of what only viewers receive.
@@ -86,17 +86,9 @@ impl RoomSession {
     pub fn open(config: &BusConfig, arrays: usize, [reports, telemetry]: [Class; 2]) -> Result<Self, NodeError> {
         let bus = Bus::open(config)?;
         let keys = config.room.clone();
-        session::check_alone(&bus, 0..arrays)?;
         let source = source_id::random();
+        let claim = Claim::begin(&bus, 0..arrays, source)?;
         let clock = Clock::start_in(START_DELAY);
-        let other_simulators = Arc::new(Mutex::new(Vec::new()));
-        let seen = Arc::clone(&other_simulators);
-        let watch = bus.watch(&keys.alive_of(NodeKind::SimNode), move |key, presence| {
-            let other = parse_alive(key).is_some_and(|(_, id)| id != source);
-            if other && presence == Presence::Alive {
-                seen.lock().unwrap_or_else(PoisonError::into_inner).push(key.to_owned());
-            }
-        })?;
         let orders = Arc::new(Mutex::new(Vec::new()));
         let waiting = Arc::clone(&orders);
         let control = bus.subscribe(&keys.simulator_control(), move |payload| {
@@ -122,7 +114,7 @@ impl RoomSession {
             let alarm = Arc::clone(&stopped);
             array.received().set_on_stop(Waker::new(move || alarm.raise()));
         }
-        Ok(Self {
+        let mut session = Self {
             users: MessagePublisher::new(&bus, &keys.users(), reports)?,
             channel: MessagePublisher::new(&bus, &keys.channel(), reports)?,
             obstacles: MessagePublisher::new(&bus, &keys.obstacles(), reports)?,
@@ -131,14 +123,16 @@ impl RoomSession {
             leds: MessagePublisher::new(&bus, &keys.leds(), reports)?,
             arrays,
             stopped,
-            _declared: (bus.announce(&keys.alive(NodeKind::SimNode, source))?, [watch, control, belief]),
+            claim,
+            _subscriptions: [control, belief],
             bus,
             clock,
             source,
-            other_simulators,
             orders,
             beliefs,
-        })
+        };
+        session.claim.announce(&session.bus, &keys.alive(NodeKind::SimNode, source))?;
+        Ok(session)
     }
 
     /// The clock that stamps arrivals.
@@ -224,9 +218,9 @@ impl RoomSession {
         Ok(!self.bus.alive(&self.bus.room().alive_of(NodeKind::Controller), ALIVE_LIMIT)?.is_empty())
     }
 
-    /// Tokens of other simulators that have appeared in the room since the last call.
-    pub fn new_other_simulators(&self) -> Vec<String> {
-        std::mem::take(&mut *self.other_simulators.lock().unwrap_or_else(PoisonError::into_inner))
+    /// Judges the tokens of other processes with these mirrors, as [`Claim::check`].
+    pub fn check_claim(&self, late: impl FnMut(String)) -> Result<(), NodeError> {
+        Ok(self.claim.check(late)?)
     }
 
     /// The orders of operators since the last call, with those that cannot be decoded.

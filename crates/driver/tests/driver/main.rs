@@ -1,5 +1,6 @@
 //! Drivers from outside: devices, the kit and stops.
 
+mod claim;
 mod conformance;
 mod devices;
 mod direct_commands;

@@ -14,7 +14,7 @@ fn settings(folder: &Path, start_armed: bool) -> StopRecordSettings {
 }
 
 fn open(settings: &StopRecordSettings) -> (StopRecord, Option<LatchedStop>) {
-    let (record, latch) = settings.open(&Room::new("lab").unwrap(), 0, NOW_NS);
+    let (record, latch) = settings.open(&Room::new("lab").unwrap(), 0, NOW_NS).expect("no other process");
     (record, latch.stop().cloned())
 }
 
@@ -33,6 +33,31 @@ fn stop() -> Latch {
 /// The stop at the next start, with the flag that declares a first start safe.
 fn next_start(folder: &Path) -> Option<LatchedStop> {
     open(&settings(folder, true)).1
+}
+
+/// The stop at the start of another host with the same disk, where no process uses the record.
+fn start_elsewhere(folder: &Path) -> Option<LatchedStop> {
+    let copy = tempfile::tempdir().unwrap();
+    fs::copy(folder.join("lab.stop.toml"), copy.path().join("lab.stop.toml")).unwrap();
+    next_start(copy.path())
+}
+
+#[test]
+fn a_record_is_of_one_process_until_it_ends() {
+    let folder = tempfile::tempdir().unwrap();
+    let settings = settings(folder.path(), true);
+    let (mut record, _) = open(&settings);
+    let refusal = settings.open(&Room::new("lab").unwrap(), 0, NOW_NS).expect_err("in use").to_string();
+    for part in ["another process uses the record", "lab.stop.toml", "stop that process", "--state DIR"] {
+        assert!(refusal.contains(part), "{refusal}");
+    }
+    settings.open(&Room::new("lab").unwrap(), 1, NOW_NS).expect("another array has its own record");
+    record.keep(&stop(), false).unwrap();
+    drop(record);
+    assert_eq!(next_start(folder.path()).as_ref(), stop().stop());
+    // A killed process leaves its file, and no lock.
+    fs::write(folder.path().join("lab.stop.toml.lock"), "").unwrap();
+    assert_eq!(next_start(folder.path()).as_ref(), stop().stop());
 }
 
 #[test]
@@ -54,10 +79,10 @@ fn a_stop_and_its_rearm_are_in_force_at_the_next_start() {
     let folder = tempfile::tempdir().unwrap();
     let (mut record, _) = open(&settings(folder.path(), true));
     record.keep(&stop(), false).unwrap();
-    assert_eq!(next_start(folder.path()).as_ref(), stop().stop());
+    assert_eq!(start_elsewhere(folder.path()).as_ref(), stop().stop());
     record.keep(&Latch::default(), false).unwrap();
-    assert_eq!(next_start(folder.path()), None);
-    let other = settings(folder.path(), false).open(&Room::new("hall").unwrap(), 0, NOW_NS).1;
+    assert_eq!(start_elsewhere(folder.path()), None);
+    let (_, other) = settings(folder.path(), false).open(&Room::new("hall").unwrap(), 0, NOW_NS).unwrap();
     assert!(other.stop().is_some(), "another room has its own record");
 }
 
@@ -68,7 +93,7 @@ fn a_damaged_record_starts_stopped() {
     let file = folder.path().join("lab.stop.toml");
     for damage in [&b""[..], b"version = 1", b"\xff\xfe", b"version = 1\nstopped = false\n\0\0"] {
         fs::write(&file, damage).unwrap();
-        let start = next_start(folder.path()).expect("stopped");
+        let start = start_elsewhere(folder.path()).expect("stopped");
         assert!(start.reason.contains("lab.stop.toml"), "{start:?}");
     }
     record.keep(&Latch::default(), false).unwrap();
@@ -91,11 +116,11 @@ fn a_stop_that_cannot_be_written_stops_the_next_start() {
     assert!(problem.contains("lab.stop.toml") && problem.contains("the next start is stopped"), "{problem}");
     assert_eq!(record.problem(), Some(problem.as_str()));
     record.keep(&stop(), false).expect("no second attempt until it is due");
-    assert!(next_start(folder.path()).is_some());
+    assert!(start_elsewhere(folder.path()).is_some());
     record.keep(&stop(), true).unwrap_err();
     fs::remove_dir(blocked).unwrap();
     record.keep(&stop(), true).unwrap();
-    assert_eq!((record.problem(), next_start(folder.path()).as_ref()), (None, stop().stop()));
+    assert_eq!((record.problem(), start_elsewhere(folder.path()).as_ref()), (None, stop().stop()));
 }
 
 #[test]
@@ -113,7 +138,7 @@ fn a_recorded_stop_of_a_clock_that_was_set_back_can_be_released_at_once() {
     let folder = tempfile::tempdir().unwrap();
     let (mut record, _) = open(&settings(folder.path(), true));
     record.keep(&Latch::stopped(LatchedStop { time_ns: NOW_NS + 9, ..LatchedStop::default() }), false).unwrap();
-    assert_eq!(next_start(folder.path()).unwrap().time_ns, NOW_NS);
+    assert_eq!(start_elsewhere(folder.path()).unwrap().time_ns, NOW_NS);
 }
 
 #[test]
@@ -157,6 +182,6 @@ fn a_stop_whose_record_is_lost_while_it_is_in_force_is_recorded_again() {
     ] {
         damage(&state);
         record.keep(&stop(), true).unwrap();
-        assert_eq!(next_start(&state).as_ref(), stop().stop());
+        assert_eq!(start_elsewhere(&state).as_ref(), stop().stop());
     }
 }

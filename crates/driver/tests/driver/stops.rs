@@ -221,7 +221,8 @@ fn driven(room: &str, folder: &Path, addresses: &[&str], check: impl FnOnce(&mut
     });
 }
 
-struct RequestAtEnd<'a>(&'a Stop);
+/// Ends the driver of a test that fails.
+pub struct RequestAtEnd<'a>(pub &'a Stop);
 
 impl Drop for RequestAtEnd<'_> {
     fn drop(&mut self) {

@@ -1,0 +1,86 @@
+//! One process for each array: two drivers that start together.
+
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use heliostat_bus::{Bus, BusConfig, private_endpoint};
+use heliostat_driver::Kit;
+use heliostat_driver::claim::Claim;
+use heliostat_driver::config::Config;
+use heliostat_driver::run::{self, Settings};
+use heliostat_proto::{NodeStatus, Room, decode};
+use heliostat_service::Stop;
+
+use crate::stops::RequestAtEnd;
+
+/// Longest wait for something that happens soon.
+const LIMIT: Duration = Duration::from_secs(60);
+
+/// One board at which nothing answers: the driver tries again.
+const BOARD: &str = "rows = 1\ncolumns = 1\n[[boards]]\nkind = \"servo-board\"\naddress = \"tcp:127.0.0.1:1\"\n\
+                     min_deg = -30.0\nmax_deg = 30.0\nmirrors = [0]\n";
+
+fn until(what: &str, mut is_so: impl FnMut() -> bool) {
+    let begun = Instant::now();
+    while !is_so() {
+        assert!(begun.elapsed() < LIMIT, "{what} has not come");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+#[test]
+fn of_two_claims_that_begin_together_one_is_given_up() {
+    let endpoint = private_endpoint().unwrap();
+    let config = BusConfig::new(Room::new("claims").unwrap());
+    let buses = [config.clone().listen_at(&endpoint), config.connect_to(&endpoint)].map(|one| Bus::open(&one).unwrap());
+    assert!(buses.iter().all(|bus| bus.wait_connected(LIMIT)));
+    let both = [(&buses[0], 7), (&buses[1], 9)];
+    let mut claims = both.map(|(bus, source)| (Claim::begin(bus, 0..1, source).expect("no token yet"), false));
+    // The second one may have received the token of the first by now, or receives it later.
+    for ((bus, source), (claim, is_given_up)) in both.into_iter().zip(&mut claims) {
+        *is_given_up = claim.announce(bus, &bus.room().array(0).driver_alive(source)).is_err();
+    }
+    until("the end of one", || {
+        for (claim, is_given_up) in &mut claims {
+            *is_given_up |= claim.check(|problem| panic!("{problem}")).is_err();
+        }
+        claims.iter().any(|(_, is_given_up)| *is_given_up)
+    });
+    let [(_, first), (_, second)] = claims;
+    assert!(!first && second, "the one with the higher source id is given up");
+    let refusal = Claim::begin(&buses[1], 0..1, 8).err().expect("the token of the first").to_string();
+    assert!(refusal.contains("another driver is in room \"claims\""), "{refusal}");
+}
+
+/// Runs a driver and announces another one of the lowest source id after it; returns the driver's error, or `None`
+/// where it took the other one for late, as on a machine that stood still.
+fn driver_beside_another(config: &BusConfig, endpoint: &str) -> Option<String> {
+    let (stop, is_late) = (Stop::default(), Arc::new(Mutex::new(false)));
+    let kit = Kit::new(toml::from_str::<Config>(BOARD).unwrap().wall().unwrap());
+    let settings = Settings::new(config.clone().listen_at(endpoint));
+    let observer = Bus::open(&config.clone().connect_to(endpoint)).unwrap();
+    let keys = observer.room().array(0);
+    let noted = Arc::clone(&is_late);
+    let _statuses = observer.subscribe(&keys.driver_status(), move |payload| {
+        let status: NodeStatus = decode(payload).unwrap();
+        *noted.lock().unwrap() |= status.last_problem.contains("another driver has joined the room");
+    });
+    std::thread::scope(|scope| {
+        let driver = scope.spawn(|| run::run(kit, &settings, &stop));
+        let _end = RequestAtEnd(&stop);
+        until("the driver's token", || !observer.alive(&keys.drivers_alive(), LIMIT).unwrap().is_empty());
+        let _other = observer.announce(&keys.driver_alive(0)).unwrap();
+        until("an answer to the other token", || driver.is_finished() || *is_late.lock().unwrap());
+        stop.request();
+        driver.join().unwrap().err().map(|error| error.to_string())
+    })
+}
+
+#[test]
+fn a_driver_ends_for_one_with_a_lower_source_id_that_starts_with_it() {
+    let config = BusConfig::new(Room::new("together").unwrap());
+    let refusal = (0..10).find_map(|_| driver_beside_another(&config, &private_endpoint().unwrap()));
+    let refusal = refusal.expect("the driver ends");
+    let expected = ["another driver is in room \"together\"", "alive/driver/0000000000000000"];
+    assert!(expected.iter().all(|part| refusal.contains(part)), "{refusal}");
+}

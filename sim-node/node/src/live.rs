@@ -75,12 +75,7 @@ fn run_due(node: &mut Node, publisher: &mut PublisherThread, now: Moment) -> Res
     }
     if node.status.take(now.local_ns).is_some() {
         node.ticks.expire(now.local_ns);
-        for token in node.session.new_other_simulators() {
-            node.refused.count(
-                "another-simulator",
-                format!("another simulator has joined the room ({token}): stop one of the two"),
-            );
-        }
+        node.note_other_simulators();
         publisher.status(node.status_and_metrics(now.room_ns));
     }
     Ok(())

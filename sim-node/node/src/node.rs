@@ -1,5 +1,8 @@
 //! The simulated room with its session, clock and counters: what live operation and lockstep share.
 
+use std::borrow::Cow;
+use std::collections::BTreeSet;
+
 use heliostat_array::arrivals::Arrival;
 use heliostat_array::moment::Moment;
 use heliostat_array::refusal_counts::RefusalCounts;
@@ -50,6 +53,8 @@ pub(crate) struct Node {
     pub status: Schedule,
     pub capabilities: Schedule,
     orders: u64,
+    /// Tokens of the other simulators that are in the room.
+    others: BTreeSet<String>,
     /// One for each array of the room.
     arrays: Vec<ArrayNode>,
     /// Taken by the truth publisher when it is created.
@@ -58,6 +63,11 @@ pub(crate) struct Node {
     scenario: Scenario,
     scenario_hash: String,
     started_ns: u64,
+}
+
+/// The problem of a simulator in the room of which another one is.
+fn another_simulator(token: &str) -> String {
+    format!("another simulator has joined the room ({token}): stop one of the two")
 }
 
 impl Node {
@@ -111,6 +121,7 @@ impl Node {
             coverage: Coverage::default(),
             capabilities: Schedule::new(CAPABILITIES_HZ, 0),
             orders: 0,
+            others: BTreeSet::new(),
             arrays,
             has_exporter: exporter.is_some(),
             exporter,
@@ -230,6 +241,7 @@ impl Node {
             ("unattended_ticks", summary.unattended_ticks),
             ("clipped_commands", summary.clipped_commands),
             ("orders", self.orders),
+            (NodeStatus::OTHER_SIMULATORS, self.others.len() as u64),
             (NodeStatus::STOP_UNRECORDED, self.arrays.iter().filter_map(ArrayNode::record_problem).count() as u64),
         ];
         let turnover = summary.turnover.map(|turnover| {
@@ -271,10 +283,20 @@ impl Node {
         }
     }
 
-    /// A stop that cannot be recorded, or the last refusal.
-    fn last_problem(&self) -> &str {
-        let record = self.arrays.iter().find_map(ArrayNode::record_problem);
-        record.unwrap_or_else(|| self.refused.last_problem())
+    /// Counts each simulator that has joined the room.
+    pub fn note_other_simulators(&mut self) {
+        let present = self.session.other_simulators();
+        for token in present.difference(&self.others) {
+            self.refused.count("another-simulator", another_simulator(token));
+        }
+        self.others = present;
+    }
+
+    /// A stop that cannot be recorded, another simulator that is in the room, or the last refusal.
+    fn last_problem(&self) -> Cow<'_, str> {
+        let record = || self.arrays.iter().find_map(ArrayNode::record_problem).map(Cow::Borrowed);
+        let other = || self.others.first().map(|token| Cow::Owned(another_simulator(token)));
+        record().or_else(other).unwrap_or_else(|| self.refused.last_problem().into())
     }
 
     /// The status, with the metrics of the same time if they are served.
@@ -311,7 +333,7 @@ impl Node {
             loop_us: self.ticks.distribution(),
             belief: BeliefSummary::of(self.coverage.covered()),
             truth_us_mean: measurements.mean_cost_s * 1e6,
-            last_problem: self.last_problem().to_owned(),
+            last_problem: self.last_problem().into_owned(),
             ..Summary::default()
         };
         summary.set_rates(&measurements.counters);

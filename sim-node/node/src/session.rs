@@ -1,6 +1,7 @@
 //! The session of the simulator on the bus: the arrays' sessions, the report streams, orders, and
 //! liveliness.
 
+use std::collections::BTreeSet;
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -59,7 +60,7 @@ pub(crate) struct RoomSession {
     arrays: Vec<ArraySession>,
     /// Set when a stop has arrived for any array.
     stopped: Arc<Alarm>,
-    other_simulators: Arc<Mutex<Vec<String>>>,
+    other_simulators: Arc<Mutex<BTreeSet<String>>>,
     orders: Arc<Mutex<Vec<Order>>>,
     beliefs: Arc<Mutex<Vec<BeliefReport>>>,
     users: MessagePublisher,
@@ -89,13 +90,17 @@ impl RoomSession {
         session::check_alone(&bus, 0..arrays)?;
         let source = source_id::random();
         let clock = Clock::start_in(START_DELAY);
-        let other_simulators = Arc::new(Mutex::new(Vec::new()));
+        let other_simulators = Arc::<Mutex<BTreeSet<String>>>::default();
         let seen = Arc::clone(&other_simulators);
         let watch = bus.watch(&keys.alive_of(NodeKind::SimNode), move |key, presence| {
-            let other = parse_alive(key).is_some_and(|(_, id)| id != source);
-            if other && presence == Presence::Alive {
-                seen.lock().unwrap_or_else(PoisonError::into_inner).push(key.to_owned());
+            if parse_alive(key).is_none_or(|(_, id)| id == source) {
+                return;
             }
+            let mut seen = seen.lock().unwrap_or_else(PoisonError::into_inner);
+            match presence {
+                Presence::Alive => seen.insert(key.to_owned()),
+                Presence::Gone => seen.remove(key),
+            };
         })?;
         let orders = Arc::new(Mutex::new(Vec::new()));
         let waiting = Arc::clone(&orders);
@@ -224,9 +229,9 @@ impl RoomSession {
         Ok(!self.bus.alive(&self.bus.room().alive_of(NodeKind::Controller), ALIVE_LIMIT)?.is_empty())
     }
 
-    /// Tokens of other simulators that have appeared in the room since the last call.
-    pub fn new_other_simulators(&self) -> Vec<String> {
-        std::mem::take(&mut *self.other_simulators.lock().unwrap_or_else(PoisonError::into_inner))
+    /// Tokens of the other simulators that are in the room.
+    pub fn other_simulators(&self) -> BTreeSet<String> {
+        self.other_simulators.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// The orders of operators since the last call, with those that cannot be decoded.

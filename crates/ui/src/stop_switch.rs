@@ -112,9 +112,12 @@ impl StopSwitch {
         self.seen.lock().stops()
     }
 
-    /// Waits until a stop is held or in force, for `limit` at most, and no longer than its holder takes to repeat it.
-    pub fn wait_for_stop(&self, limit: Duration) {
-        self.seen.wait(ANNOUNCED_WITHIN.min(limit), |seen, _| !seen.stops().is_empty());
+    /// The stops that are held or in force beside the known ones. Waits for a first one, for `limit` at most, and no
+    /// longer than its holder takes to repeat it.
+    pub fn further_stops(&self, known: &[StopName], limit: Duration) -> Vec<RoomStop> {
+        let is_further = |stop: &RoomStop| !known.contains(&stop.name);
+        self.seen.wait(ANNOUNCED_WITHIN.min(limit), |seen, _| seen.stops().iter().any(is_further));
+        self.known_stops().into_iter().filter(is_further).collect()
     }
 
     /// The arrays that have stopped and do not record the stop, in words.

@@ -153,6 +153,7 @@ pub fn rearm(args: RearmArgs) -> Result<()> {
     let (bus, switch) = args.order.join(&[AccessRole::Operator], false)?;
     let begun = Instant::now();
     let stops = switch.stops(*timeout);
+    let known: Vec<StopName> = stops.iter().map(|stop| stop.name).collect();
     let named: Vec<RoomStop> = match (&args.stop, args.all) {
         (Some(StopLabel(name)), _) => {
             let found: Vec<_> = stops.into_iter().filter(|stop| stop.name == *name).collect();
@@ -172,15 +173,12 @@ pub fn rearm(args: RearmArgs) -> Result<()> {
         UiError::RearmUnconfirmed { arrays, .. } => UiError::RearmUnconfirmed { waited: *timeout, arrays },
         error => error,
     })?;
-    let follow = may_follow(&named);
-    if follow {
-        switch.wait_for_stop(timeout.saturating_sub(begun.elapsed()));
-    }
-    let held = switch.known_stops();
-    let written = args.order.report_release(&bus, took, &named, &held);
+    let left = timeout.saturating_sub(begun.elapsed());
+    let further = if may_follow(&named) { switch.further_stops(&known, left) } else { Vec::new() };
+    let written = args.order.report_release(&bus, took, &named, &switch.known_stops());
     drop(switch);
     let closed = bus.close();
-    if let Some(rest) = still_stopped(&held).filter(|_| follow) {
+    if let Some(rest) = still_stopped(&further) {
         bail!("{rest}; {LOOK_AND_REPEAT}");
     }
     written?;

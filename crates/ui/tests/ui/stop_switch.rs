@@ -395,6 +395,25 @@ fn a_stop_of_another_operator_stays_in_force() {
 }
 
 #[test]
+fn a_stop_that_its_holder_repeats_after_a_release_is_a_further_one() {
+    let (arrays, switch, _sessions) = arrays("further", &[Manner::Stops]);
+    switch.stop_and_confirm("test", TIME_LIMIT).unwrap();
+    let known: Vec<_> = switch.known_stops().iter().map(|stop| stop.name).collect();
+    assert_eq!(switch.further_stops(&known, Duration::ZERO), []);
+    switch.rearm_and_confirm(&known, "clear", TIME_LIMIT).unwrap();
+    let other = StopName { source: 77, sequence: 1 };
+    latch(&mut arrays[0].state.lock().unwrap(), other);
+    let begun = Instant::now();
+    let further = loop {
+        let further = switch.further_stops(&known, TIME_LIMIT);
+        if !further.is_empty() || begun.elapsed() > TIME_LIMIT {
+            break further;
+        }
+    };
+    assert_eq!(further.iter().map(|stop| stop.name).collect::<Vec<_>>(), [other]);
+}
+
+#[test]
 fn a_rearm_of_an_array_that_is_not_stopped_sends_nothing() {
     let (arrays, switch, _sessions) = arrays("moving", &[Manner::Stops]);
     let begun = Instant::now();

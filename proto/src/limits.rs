@@ -56,5 +56,8 @@ pub const MAX_STATE: usize = 786_432;
 /// Largest number of emergency stops that an array lists, and of the released ones that it names.
 pub const MAX_STOPS: usize = 16;
 
+/// Beginning of the reason of the stop without sender that stands for the stops that an array cannot list.
+pub const UNLISTED_STOPS: &str = "more stops than an array can list";
+
 /// Room time in ns: UTC since 1970 in live operation, simulated time in lockstep.
 pub type Nanos = u64;

@@ -17,7 +17,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use crate::enumerations::ArrayState;
-use crate::limits::{MAX_ARRAYS, cut};
+use crate::limits::{MAX_ARRAYS, UNLISTED_STOPS, cut};
 use crate::messages::{EmergencyStop, MirrorTelemetry, SafetyReport, StopReport, fault};
 use crate::stop_hold::{HeldStop, StopHold, unknown_stops};
 use crate::structures::{LatchedStopReport, StopName};
@@ -74,6 +74,13 @@ pub struct RoomStop {
     pub known: Duration,
 }
 
+impl RoomStop {
+    /// Whether it stands for stops that an array could not list: their holders repeat them after its release.
+    pub fn stands_for_unlisted(&self) -> bool {
+        self.name == StopName::default() && self.reason.contains(UNLISTED_STOPS)
+    }
+}
+
 /// What an array reported last, with arrival times.
 #[derive(Clone, Debug, Default)]
 struct ReportedArray {
@@ -84,6 +91,8 @@ struct ReportedArray {
     device_stopped: Option<(Duration, u64)>,
     has_safety: bool,
     stops: Option<(Duration, StopReport)>,
+    /// The last stop report of each of its drivers: an array can have two by mistake.
+    by_source: BTreeMap<u64, (Duration, StopReport)>,
     hold: StopHold,
 }
 
@@ -165,6 +174,18 @@ impl ReportedStops {
             (array, seen.map_or(Standing::Silent, |seen| seen.standing(now, since)))
         };
         (0..self.expected()).map(standing).collect()
+    }
+
+    /// The drivers among these sources whose own recent reports do not confirm the stops held for their array.
+    pub fn unconfirmed_drivers(&self, array: usize, sources: &[u64], now: Duration) -> Vec<u64> {
+        let Some(seen) = self.arrays.get(&array).filter(|seen| seen.hold.is_stopped()) else { return Vec::new() };
+        let has_confirmed = |source: &u64| {
+            let report = seen.by_source.get(source).filter(|(at, _)| now.saturating_sub(*at) < REPORT_AGE_MAX);
+            report.is_some_and(|(_, report)| {
+                report.device_stopped && seen.hold.stops().iter().all(|held| report.is_latched(held.name))
+            })
+        };
+        sources.iter().copied().filter(|source| !has_confirmed(source)).collect()
     }
 
     /// Whether every array holds a stop and has stopped, by reports that arrived after `since`.
@@ -317,7 +338,10 @@ impl ReportedStops {
     pub fn handle_stops(&mut self, now: Duration, array: usize, report: StopReport) {
         // A report that arrives late must not show a device as stopped that has moved on since.
         if self.handle_reported(now, array, &report.stops, |hold| hold.handle_stops(&report)) {
-            self.array(now, array).stops = Some((now, report));
+            let seen = self.array(now, array);
+            seen.by_source.retain(|_, (at, _)| now.saturating_sub(*at) < REPORT_AGE_MAX);
+            seen.by_source.insert(report.stamp.source, (now, report.clone()));
+            seen.stops = Some((now, report));
         }
         self.note_names(now);
     }
@@ -435,6 +459,19 @@ mod tests {
         stops.handle_stops(later, 0, report(3, true));
         assert!(stops.has_stops_after(0, NOW));
         assert_eq!(stops.unrecorded(later), [], "it is recorded now");
+    }
+
+    #[test]
+    fn each_of_two_drivers_of_an_array_has_to_confirm_a_stop() {
+        let mut stops = ordered();
+        let of_other = |report: StopReport| StopReport { stamp: Stamp { source: 7, ..report.stamp }, ..report };
+        stops.handle_stops(NOW, 0, report(1, true));
+        assert_eq!(stops.unconfirmed_drivers(0, &[7, 9], NOW), [7], "it is silent");
+        stops.handle_stops(NOW, 0, of_other(report(1, false)));
+        assert_eq!(stops.unconfirmed_drivers(0, &[7, 9], NOW), [7], "its device has not stopped");
+        stops.handle_stops(NOW, 0, of_other(report(2, true)));
+        assert_eq!(stops.unconfirmed_drivers(0, &[7, 9], NOW), [0; 0]);
+        assert_eq!(stops.unconfirmed_drivers(0, &[7, 9], NOW + REPORT_AGE_MAX), [7, 9]);
     }
 
     #[test]

@@ -18,7 +18,9 @@
 //! reason = "test"
 //! ```
 
-use heliostat_proto::{EmergencyStop, LatchedStopReport, MAX_STOPS, MAX_TEXT, Nanos, StopName, StopRepetition, cut};
+use heliostat_proto::{
+    EmergencyStop, LatchedStopReport, MAX_STOPS, MAX_TEXT, Nanos, StopName, StopRepetition, UNLISTED_STOPS, cut,
+};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -216,7 +218,7 @@ impl Latch {
             self.stops.push(stop);
             return;
         }
-        let reason = format!("more stops than an array can list; one is {} of {:?}", stop.name(), stop.operator);
+        let reason = format!("{UNLISTED_STOPS}; one is {} of {:?}", stop.name(), stop.operator);
         let unlisted = LatchedStop::without_sender(&reason, stop.arrived_ns);
         self.engage(LatchedStop { time_ns: stop.time_ns, ..unlisted });
     }

@@ -93,12 +93,15 @@ impl Claim {
                     other.kind,
                     other.token
                 ),
-                (false, _) => {
-                    late(format!("another {} has joined the room ({}): stop one of the two", other.kind, other.token));
-                }
+                (false, _) => late(other.problem()),
             }
         }
         Ok(())
+    }
+
+    /// The problems of the other processes that are in the room.
+    pub fn others(&self) -> Vec<String> {
+        lock(&self.others).present.iter().map(Other::problem).collect()
     }
 }
 
@@ -114,6 +117,10 @@ struct Other {
 }
 
 impl Other {
+    fn problem(&self) -> String {
+        format!("another {} has joined the room ({}): stop one of the two", self.kind, self.token)
+    }
+
     fn taken(&self, room: &str) -> SessionError {
         SessionError::RoomTaken { room: room.to_owned(), other: self.kind, token: self.token.clone() }
     }
@@ -208,6 +215,7 @@ mod tests {
             assert!(!ends && problems.len() == 1, "{problems:?}");
             assert!(problems[0].contains("another driver has joined the room") && problems[0].contains(&token(other)));
             assert_eq!(checked(&claim), (false, Vec::new()));
+            assert_eq!(claim.others(), problems, "it is still there");
         }
     }
 

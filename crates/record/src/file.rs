@@ -51,6 +51,9 @@ pub enum RecordingError {
         /// Messages that were accepted and not written.
         lost: u64,
     },
+    /// The path no longer leads to the file that is being written.
+    #[error("the recording {0} is gone: it was deleted or moved while it was written")]
+    Gone(String),
     /// The file cannot be opened.
     #[error("{0}")]
     Open(String),

@@ -7,6 +7,7 @@
 //! - [`recorder`]: from the bus through a queue into a file; a slow disk does not slow the room
 //!   down.
 //! - `ring`: files of bounded size together, and those around a fault.
+//! - `place`: whether the path still leads to the file that is being written.
 //! - [`mod@file`]: the file format, written in complete chunks and readable up to the last of them.
 //! - [`received`]: a payload, decoded.
 //! - [`account`]: counts of received, missing and unreadable messages.
@@ -21,6 +22,8 @@ pub mod account;
 #[cfg(feature = "live")]
 pub mod cli;
 pub mod file;
+#[cfg(feature = "live")]
+mod place;
 #[cfg(feature = "live")]
 pub mod play;
 pub mod received;

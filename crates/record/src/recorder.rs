@@ -20,6 +20,7 @@ use serde::Serialize;
 
 use crate::account::Account;
 use crate::file::{Header, PRESENCE_TOPIC, Presence, Recording, RecordingError, Storage, Topic};
+use crate::place::Place;
 use crate::received::Received;
 use crate::ring::{Bounds, FaultWatch, Ring};
 use crate::scene::Scene;
@@ -122,7 +123,7 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Outcome> {
         enqueue(&tokens, Item::Presence { arrived_ns: utc_ns(), presence }, &tokens_dropped);
     })?;
     let token = bus.announce(&room.alive(NodeKind::Viewer, source))?;
-    output::note(format_args!("record: room {room} into {}", writer.out.display()));
+    output::note(format_args!("record: room {room} into {}", writer.place.path().display()));
 
     let deadline = settings.run_for.map(|run_for| started + run_for);
     while !writer.has_failed() && !stop.is_requested() && deadline.is_none_or(|deadline| Instant::now() < deadline) {
@@ -208,7 +209,7 @@ struct RoomWriter<S: Storage> {
     /// Whether [`RoomWriter::missing_once`] has looked.
     has_looked: bool,
     room: Room,
-    out: PathBuf,
+    place: Place,
     problems: Vec<String>,
     failure: Option<String>,
 }
@@ -238,7 +239,7 @@ impl<S: Storage> RoomWriter<S> {
             flushed: Instant::now(),
             has_looked: false,
             room: settings.bus.room.clone(),
-            out,
+            place: Place::new(out),
             header,
             problems: Vec::new(),
             failure: None,
@@ -366,10 +367,11 @@ impl<S: Storage> RoomWriter<S> {
     fn next_file(&mut self, open: impl FnOnce() -> std::io::Result<(S, PathBuf)>) -> Result<()> {
         let Some(recording) = self.recording.take() else { return Ok(()) };
         recording.finish(&std::mem::take(&mut self.file_account))?;
+        self.place.check()?;
         let (storage, out) = open()?;
         self.header.started_ns = utc_ns().to_string();
         self.recording = Some(Recording::create(storage, &self.header)?);
-        self.out = out;
+        self.place = Place::new(out);
         Ok(())
     }
 
@@ -379,7 +381,7 @@ impl<S: Storage> RoomWriter<S> {
         }
         self.flushed = Instant::now();
         let Some(mut recording) = self.recording.take() else { return };
-        let flushed = recording.flush();
+        let flushed = recording.flush().and_then(|()| self.place.check());
         self.keep(recording, flushed);
     }
 
@@ -400,15 +402,15 @@ impl<S: Storage> RoomWriter<S> {
         }
         if let Some(recording) = self.recording.take() {
             self.file_account.dropped = dropped;
-            let finished = recording.finish(&self.file_account);
+            let finished = recording.finish(&self.file_account).and_then(|()| self.place.check());
             self.failure = finished.err().map(|error| error.to_string()).or(self.failure);
         }
-        if self.account.messages() == 0 {
+        if self.account.messages() == 0 && self.place.has_file() {
             // An empty file would block the next attempt, since files are not overwritten.
-            let _ = std::fs::remove_file(&self.out);
+            let _ = std::fs::remove_file(self.place.path());
         }
         Outcome {
-            file: self.out,
+            file: self.place.path().to_owned(),
             files: Vec::new(),
             account: self.account,
             problems: self.problems,
@@ -455,6 +457,22 @@ mod tests {
         assert!(due.starts_with("no command was received") && (early, again) == ("", ""), "{due}");
         assert!(after(&[room.command()])[1].starts_with("no position report was received"));
         assert_eq!(after(&[room.users(), room.command()]), [""; 3]);
+    }
+
+    #[test]
+    fn a_recording_whose_file_is_deleted_fails_at_the_next_flush() {
+        let scenario = Scenario::builtin("specular").expect("a built-in one");
+        let mut writer = writer(&Room::new("deleted").expect("a name"), scenario);
+        let file = tempfile::NamedTempFile::new().expect("a file");
+        writer.place = Place::new(file.path().to_owned());
+        let mut has_failed = || {
+            writer.flushed -= FLUSH_EVERY;
+            writer.flush_if_due();
+            writer.has_failed()
+        };
+        assert!(!has_failed());
+        file.close().expect("a deleted file");
+        assert!(has_failed() && writer.failure.is_some_and(|failure| failure.contains("is gone")));
     }
 
     #[test]

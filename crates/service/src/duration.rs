@@ -42,6 +42,21 @@ pub fn seconds(text: &str) -> Result<Duration, DurationError> {
     value.map(Duration::from_secs_f64).ok_or_else(|| DurationError(text.to_owned()))
 }
 
+/// A duration for a message, in seconds: with three decimals at most below 1 s, and with one at most from there on.
+///
+/// ```
+/// use heliostat_service::duration::in_seconds;
+/// use std::time::Duration;
+///
+/// assert_eq!(in_seconds(Duration::from_nanos(3_485_468_733)), "3.5 s");
+/// assert_eq!(in_seconds(Duration::from_secs(5)), "5 s");
+/// assert_eq!(in_seconds(Duration::from_millis(250)), "0.25 s");
+/// ```
+pub fn in_seconds(duration: Duration) -> String {
+    let steps_per_s = if duration < Duration::from_secs(1) { 1e3 } else { 10.0 };
+    format!("{} s", (duration.as_secs_f64() * steps_per_s).round() / steps_per_s)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

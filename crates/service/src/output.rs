@@ -18,9 +18,9 @@ macro_rules! outln {
 /// Writes a text and a line end to standard output.
 ///
 /// # Errors
-/// The reader has closed the pipe; `println!` would panic then.
+/// The text cannot be written, for example because the reader has closed the pipe; `println!` would panic then.
 pub fn line(text: impl Display) -> io::Result<()> {
-    write_text(&mut io::stdout().lock(), format_args!("{text}\n"))
+    self::text(format_args!("{text}\n"))
 }
 
 /// Writes a text that ends its last line itself to standard output.
@@ -28,12 +28,25 @@ pub fn line(text: impl Display) -> io::Result<()> {
 /// # Errors
 /// As [`line()`].
 pub fn text(text: impl Display) -> io::Result<()> {
-    write_text(&mut io::stdout().lock(), text)
+    write_text(&mut io::stdout().lock(), text).map_err(|error| unwritten(&error))
+}
+
+/// Writes bytes as they are to standard output, for another program.
+///
+/// # Errors
+/// As [`line()`].
+pub fn bytes(bytes: &[u8]) -> io::Result<()> {
+    io::stdout().lock().write_all(bytes).map_err(|error| unwritten(&error))
 }
 
 /// Writes a text and a line end to standard error. A closed standard error is ignored.
 pub fn note(text: impl Display) {
     drop(write_text(&mut io::stderr().lock(), format_args!("{text}\n")));
+}
+
+/// The error of a write to standard output: its kind stays, so that a closed pipe is still told from a full disk.
+fn unwritten(error: &io::Error) -> io::Error {
+    io::Error::new(error.kind(), format!("cannot write to standard output: {error}"))
 }
 
 fn write_text(out: &mut impl Write, text: impl Display) -> io::Result<()> {
@@ -43,6 +56,13 @@ fn write_text(out: &mut impl Write, text: impl Display) -> io::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_error_of_standard_output_names_it_and_keeps_its_kind() {
+        let error = unwritten(&io::Error::new(io::ErrorKind::StorageFull, "no space"));
+        assert_eq!(error.to_string(), "cannot write to standard output: no space");
+        assert_eq!(error.kind(), io::ErrorKind::StorageFull);
+    }
 
     #[test]
     fn lines_stay_and_escape_sequences_do_not() {

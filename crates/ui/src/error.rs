@@ -7,6 +7,7 @@ use std::time::Duration;
 use heliostat_bus::BusError;
 use heliostat_channel::ChannelError;
 use heliostat_proto::CodecError;
+use heliostat_service::duration;
 use thiserror::Error;
 
 /// What to do where nothing of a room is seen, although there is a connection.
@@ -71,7 +72,8 @@ pub enum UiError {
     NotStopped,
     /// A stop that not every array has confirmed.
     #[error(
-        "the stop is not confirmed after {waited:?}: {}",
+        "the stop is not confirmed after {}: {}",
+        duration::in_seconds(*waited),
         if arrays.is_empty() { format!("no array reports: {CHECK_REACH}, and cut the power of the mirrors") } else { arrays.join("; ") }
     )]
     StopUnconfirmed {
@@ -88,7 +90,8 @@ pub enum UiError {
     },
     /// A re-arm that not every array has confirmed.
     #[error(
-        "the re-arm is not confirmed after {waited:?}: {}",
+        "the re-arm is not confirmed after {}: {}",
+        duration::in_seconds(*waited),
         if arrays.is_empty() { format!("no array reports: {CHECK_REACH}") } else { arrays.join("; ") }
     )]
     RearmUnconfirmed {
@@ -107,5 +110,14 @@ mod tests {
     fn an_order_that_nothing_receives_advises_to_check_the_room_before_a_start() {
         let text = UiError::NoReceiver("array").to_string();
         assert!(text.ends_with("check --room and --connect, or start one"), "{text}");
+    }
+
+    #[test]
+    fn a_wait_is_shown_in_seconds_of_few_digits() {
+        let waited = Duration::from_nanos(3_485_468_733);
+        let rearm = UiError::RearmUnconfirmed { waited, arrays: Vec::new() }.to_string();
+        assert!(rearm.starts_with("the re-arm is not confirmed after 3.5 s: no array reports"), "{rearm}");
+        let stop = UiError::StopUnconfirmed { waited: Duration::from_secs(5), arrays: Vec::new() }.to_string();
+        assert!(stop.starts_with("the stop is not confirmed after 5 s: no array reports"), "{stop}");
     }
 }

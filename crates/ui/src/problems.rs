@@ -14,7 +14,14 @@ const CURRENT: Duration = Duration::from_secs(5);
 /// Beginnings of the names of counters that rise with problems.
 const COUNTED: [&str; 6] = ["refused:", "fallback:", "missed:", "policies_refused", "unsent", "unanswered"];
 /// Counters that are above 0 as long as a problem lasts.
-const LASTING: [&str; 5] = ["array_unfit", "standby", "driver_absent", "device_absent", NodeStatus::STOP_UNRECORDED];
+const LASTING: [&str; 6] = [
+    "array_unfit",
+    "standby",
+    "driver_absent",
+    "device_absent",
+    NodeStatus::STOP_UNRECORDED,
+    NodeStatus::OTHER_SIMULATORS,
+];
 
 /// The counters of commands of a former leader and to a stopped array: problems only where they rise in two statuses in
 /// succession. A leader commands until it receives the stop, or its successor is obeyed.
@@ -253,6 +260,21 @@ mod tests {
         age(&mut problems, CURRENT);
         problems.take(node, &unfit);
         assert_eq!(problems.current(node, 7), "the array receives no commands");
+    }
+
+    #[test]
+    fn another_simulator_is_a_problem_as_long_as_it_is_in_the_room() {
+        let (mut problems, node) = (Problems::default(), NodeKind::SimNode.name());
+        let mut shown = |others| {
+            let counters = [(NodeStatus::OTHER_SIMULATORS, others), ("refused:another-simulator", 1)];
+            let status = status("another simulator is in the room", &counters);
+            problems.take(node, &NodeStatus { node: NodeKind::SimNode, ..status });
+            let shown = problems.current(node, 7).to_owned();
+            age(&mut problems, CURRENT);
+            shown
+        };
+        let text = "another simulator is in the room";
+        assert_eq!([shown(1), shown(1), shown(0), shown(0)], [text, text, "", ""]);
     }
 
     #[test]

@@ -158,6 +158,7 @@ mod tests {
             standings: vec![(0, Standing::Stopped), (1, second)],
             unrecorded: Vec::new(),
             report_age: Some(Duration::from_millis(10)),
+            open_drivers: Vec::new(),
             ordered: ordered_ms.map(ago),
             has_geometry: true,
         }
@@ -204,6 +205,14 @@ mod tests {
         let room = RoomStops { unrecorded: unrecorded.clone(), ..room(Some(100), Standing::Stopped) };
         let figures = StopState::default().update(&room);
         assert_eq!((figures.phase, figures.problems), (StopPhase::Confirmed, unrecorded));
+    }
+
+    #[test]
+    fn a_stop_that_one_of_two_drivers_has_confirmed_is_not_confirmed() {
+        let open_drivers = vec!["array 1 has 2 drivers, and one has not confirmed".to_owned()];
+        let room = RoomStops { open_drivers: open_drivers.clone(), ..room(Some(1500), Standing::Stopped) };
+        let figures = StopState::default().update(&room);
+        assert_eq!((figures.phase, figures.problems), (StopPhase::Unconfirmed, open_drivers));
     }
 
     #[test]

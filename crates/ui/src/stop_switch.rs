@@ -112,6 +112,14 @@ impl StopSwitch {
         self.seen.lock().stops()
     }
 
+    /// The stops that are held or in force beside the known ones. Waits for a first one, for `limit` at most, and no
+    /// longer than its holder takes to repeat it.
+    pub fn further_stops(&self, known: &[StopName], limit: Duration) -> Vec<RoomStop> {
+        let is_further = |stop: &RoomStop| !known.contains(&stop.name);
+        self.seen.wait(ANNOUNCED_WITHIN.min(limit), |seen, _| seen.stops().iter().any(is_further));
+        self.known_stops().into_iter().filter(is_further).collect()
+    }
+
     /// The arrays that have stopped and do not record the stop, in words.
     ///
     /// Waits for one further stop report of each array that says so, for `limit` at most: a slow disk may have answered
@@ -213,7 +221,9 @@ impl StopSwitch {
             return sent.map(|_| begun.elapsed());
         };
         let name = order.name();
-        let is_stopped = |seen: &ReportedStops, now: Duration| seen.has_stopped(name, now, since);
+        let is_stopped = |seen: &ReportedStops, now: Duration| {
+            seen.has_stopped(name, now, since) && self.seen.open_drivers(seen, now).is_empty()
+        };
         let mut confirmed: Option<Duration> = None;
         loop {
             let is_confirmed = self.seen.wait(REPEAT_AFTER, is_stopped);
@@ -248,6 +258,7 @@ impl StopSwitch {
             standing => problem(*array, standing),
         };
         let mut arrays: Vec<String> = seen.standings(self.seen.now(), Some(since)).iter().filter_map(open).collect();
+        arrays.extend(self.seen.open_drivers(&seen, self.seen.now()));
         if !seen.has_geometry() && seen.has_array() {
             arrays.push(UNKNOWN_ARRAYS.to_owned());
         }

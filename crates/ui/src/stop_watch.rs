@@ -10,7 +10,7 @@ use heliostat_bus::{Bus, Presence, Subscription};
 use heliostat_proto::keys::parse_array_alive;
 use heliostat_proto::reported_stops::{ReportedStops, RoomStop, Standing};
 use heliostat_proto::{
-    EmergencyStop, Message, MirrorTelemetry, RoomGeometry, SafetyReport, StopName, StopReport, codec,
+    EmergencyStop, MAX_ARRAYS, Message, MirrorTelemetry, RoomGeometry, SafetyReport, StopName, StopReport, codec,
 };
 use heliostat_scenario::Scenario;
 use heliostat_service::printable::printable;
@@ -23,6 +23,9 @@ const REPORTED_WITHIN: Duration = Duration::from_millis(1500);
 
 /// What is open where no process announces the geometry of the room.
 pub const UNKNOWN_ARRAYS: &str = "no process announces how many arrays the room has, and one that was not seen can move: connect to its controller or router";
+
+/// What an operator has to know of an array that gives no answer to a re-arm: the re-arm can reach it later.
+const MAY_BE_RELEASED: &str = "has not confirmed: it may be released when it answers again; cut its power before you go near it, or stop it again";
 
 /// What an operator has to know of an array; `None` where nothing is open.
 pub(crate) fn problem(array: usize, standing: &Standing) -> Option<String> {
@@ -73,7 +76,7 @@ pub(crate) fn unreleased(seen: &ReportedStops, names: &[StopName], now: Duration
     let holding = seen.holding(names, now).into_iter().filter(|(array, _)| !unnamed.contains(array));
     let of_holding = holding.map(|(array, reports)| match reports {
         true => (array, format!("array {array} has not released the stop")),
-        false => (array, format!("array {array} does not answer: it stays stopped")),
+        false => (array, format!("array {array} {MAY_BE_RELEASED}")),
     });
     let mut open: Vec<(usize, String)> = of_unnamed.chain(of_holding).collect();
     open.sort();
@@ -93,6 +96,8 @@ pub(crate) struct RoomStops {
     pub unrecorded: Vec<String>,
     /// Age of the oldest of the arrays' last reports.
     pub report_age: Option<Duration>,
+    /// The drivers that have not confirmed, of arrays that have several, in words.
+    pub open_drivers: Vec<String>,
     /// When this process ordered a stop that is still held.
     pub ordered: Option<Instant>,
     /// Whether the number of arrays of the room is known.
@@ -102,7 +107,7 @@ pub(crate) struct RoomStops {
 impl RoomStops {
     /// Whether every array for which a stop is held has stopped.
     pub fn is_confirmed(&self) -> bool {
-        let is_open = self.standings.iter().any(|(_, standing)| standing.is_open());
+        let is_open = !self.open_drivers.is_empty() || self.standings.iter().any(|(_, standing)| standing.is_open());
         self.has_geometry && !is_open && self.standings.iter().any(|(_, standing)| *standing == Standing::Stopped)
     }
 
@@ -116,7 +121,7 @@ impl RoomStops {
     pub fn problems(&self) -> Vec<String> {
         let unknown = (!self.has_geometry && !self.stops.is_empty()).then(|| UNKNOWN_ARRAYS.to_owned());
         let open = self.standings.iter().filter_map(|(array, standing)| problem(*array, standing));
-        open.chain(unknown).chain(self.unrecorded.iter().cloned()).collect()
+        open.chain(self.open_drivers.iter().cloned()).chain(unknown).chain(self.unrecorded.iter().cloned()).collect()
     }
 }
 
@@ -214,13 +219,30 @@ impl StopWatch {
         let standings = if stops.is_empty() { Vec::new() } else { seen.standings(now, None) };
         let report_age = seen.oldest_report().map(|at| now.saturating_sub(at));
         let (unrecorded, has_geometry) = (unrecorded(seen.unrecorded(now)), seen.has_geometry());
-        RoomStops { now, stops, standings, unrecorded, report_age, ordered: None, has_geometry }
+        let open_drivers = self.open_drivers(&seen, now);
+        RoomStops { now, stops, standings, unrecorded, report_age, open_drivers, ordered: None, has_geometry }
+    }
+
+    /// The drivers that have not confirmed the stops of their array, where tokens name several of one array, in words.
+    /// The reports of one driver say nothing about the mirrors of another one.
+    pub fn open_drivers(&self, seen: &ReportedStops, now: Duration) -> Vec<String> {
+        let drivers = self.state.drivers.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut open = Vec::new();
+        for (array, sources) in several(&drivers) {
+            let count = sources.len();
+            open.extend(seen.unconfirmed_drivers(array, &sources, now).into_iter().map(|source| {
+                format!(
+                    "array {array} has {count} drivers, and the one of source {source:016x} has not confirmed the stop: cut its power"
+                )
+            }));
+        }
+        open
     }
 
     /// The arrays that two processes report, with the sources of both. A token alone drives nothing: it can be
     /// forged, or of a host that has failed. Where tokens name two, the telemetry of both is awaited for a moment.
     pub fn shared(&self) -> Vec<(usize, [u64; 2])> {
-        let is_likely = names_two(&self.state.drivers.lock().unwrap_or_else(PoisonError::into_inner));
+        let is_likely = several(&self.state.drivers.lock().unwrap_or_else(PoisonError::into_inner)).next().is_some();
         if is_likely {
             self.wait(REPORTED_WITHIN, |_, _| !self.state.arrays().shared().is_empty());
         }
@@ -290,11 +312,11 @@ impl WatchState {
     }
 }
 
-/// Whether the tokens of two processes name one array.
-fn names_two(drivers: &BTreeSet<Driver>) -> bool {
-    let is_same = |one: &Option<usize>, other: &Option<usize>| one.is_none() || other.is_none() || one == other;
-    let count = |array: &Option<usize>| drivers.iter().filter(|(other, _)| is_same(array, other)).count();
-    drivers.iter().any(|(array, _)| count(array) > 1)
+/// The arrays that the tokens of several processes name, each with the sources of all of them.
+fn several(drivers: &BTreeSet<Driver>) -> impl Iterator<Item = (usize, Vec<u64>)> {
+    let serves = |array: usize| move |(of, source): &Driver| of.is_none_or(|of| of == array).then_some(*source);
+    let sources = move |array| (array, drivers.iter().filter_map(serves(array)).collect::<Vec<u64>>());
+    (0..MAX_ARRAYS).map(sources).filter(|(_, sources)| sources.len() > 1)
 }
 
 #[cfg(test)]
@@ -317,9 +339,11 @@ mod tests {
     #[test]
     fn an_array_that_may_have_two_drivers_is_known_by_their_tokens() {
         let two = BTreeSet::from([(Some(0), 7), (Some(1), 8)]);
-        assert!(!names_two(&two));
-        for further in [(Some(1), 9), (None, 6)] {
-            assert!(names_two(&two.iter().copied().chain([further]).collect()), "a simulator drives each array");
-        }
+        let named = |further: Option<Driver>| -> Vec<(usize, Vec<u64>)> {
+            several(&two.iter().copied().chain(further).collect()).collect()
+        };
+        assert!(named(None).is_empty());
+        assert_eq!(named(Some((Some(1), 9))), [(1, vec![8, 9])]);
+        assert_eq!(named(Some((None, 6)))[..2], [(0, vec![6, 7]), (1, vec![6, 8])], "a simulator drives each array");
     }
 }

@@ -1,5 +1,7 @@
 //! The simulated room with its session, clock and counters: what live operation and lockstep share.
 
+use std::borrow::Cow;
+
 use heliostat_array::arrivals::Arrival;
 use heliostat_array::moment::Moment;
 use heliostat_array::refusal_counts::{ANOTHER_PROCESS, RefusalCounts};
@@ -242,6 +244,7 @@ impl Node {
             ("unattended_ticks", summary.unattended_ticks),
             ("clipped_commands", summary.clipped_commands),
             ("orders", self.orders),
+            (NodeStatus::OTHER_SIMULATORS, self.session.others().len() as u64),
             (NodeStatus::STOP_UNRECORDED, self.arrays.iter().filter_map(ArrayNode::record_problem).count() as u64),
         ];
         let turnover = summary.turnover.map(|turnover| {
@@ -283,10 +286,11 @@ impl Node {
         }
     }
 
-    /// A stop that cannot be recorded, or the last refusal.
-    fn last_problem(&self) -> &str {
-        let record = self.arrays.iter().find_map(ArrayNode::record_problem);
-        record.unwrap_or_else(|| self.refused.last_problem())
+    /// A stop that cannot be recorded, another simulator that is in the room, or the last refusal.
+    fn last_problem(&self) -> Cow<'_, str> {
+        let record = || self.arrays.iter().find_map(ArrayNode::record_problem).map(Cow::Borrowed);
+        let other = || self.session.others().into_iter().next().map(Cow::Owned);
+        record().or_else(other).unwrap_or_else(|| self.refused.last_problem().into())
     }
 
     /// The status, with the metrics of the same time if they are served.
@@ -323,7 +327,7 @@ impl Node {
             loop_us: self.ticks.distribution(),
             belief: BeliefSummary::of(self.coverage.covered()),
             truth_us_mean: measurements.mean_cost_s * 1e6,
-            last_problem: self.last_problem().to_owned(),
+            last_problem: self.last_problem().into_owned(),
             ..Summary::default()
         };
         summary.set_rates(&measurements.counters);

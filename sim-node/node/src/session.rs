@@ -223,6 +223,11 @@ impl RoomSession {
         Ok(self.claim.check(late)?)
     }
 
+    /// The problems of the other processes with these mirrors that are in the room.
+    pub fn others(&self) -> Vec<String> {
+        self.claim.others()
+    }
+
     /// The orders of operators since the last call, with those that cannot be decoded.
     pub fn new_orders(&self) -> Vec<Order> {
         std::mem::take(&mut *self.orders.lock().unwrap_or_else(PoisonError::into_inner))

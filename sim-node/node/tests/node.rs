@@ -299,3 +299,25 @@ fn a_calibration_is_in_use_from_the_start_or_refused_by_name() {
     let error = corrected(9).unwrap_err();
     assert!(matches!(&error, NodeError::Calibration(cause) if cause.to_string().contains("90")), "{error:?}");
 }
+
+#[test]
+fn another_simulator_is_the_problem_of_the_status_as_long_as_it_is_in_the_room() {
+    let endpoint = free_loopback_endpoint().unwrap();
+    let (run, stop) = start(settings("rivals", &endpoint, live(LONGEST_MS)));
+    let bus = Bus::open(&BusConfig::new(Room::new("rivals").unwrap()).connect_to(&endpoint)).unwrap();
+    wait_for_simulator(&bus);
+    let (status, _status) = latest::<NodeStatus>(&bus, &bus.room().status(NodeKind::SimNode));
+    let counted = |expected: u64| {
+        let entry = (NodeStatus::OTHER_SIMULATORS.to_owned(), expected);
+        status.lock().unwrap().as_ref().filter(|status| status.counters.contains(&entry)).cloned()
+    };
+    wait_until("a status without another simulator", || counted(0).is_some());
+    let other = bus.announce(&bus.room().alive(NodeKind::SimNode, u64::MAX)).unwrap();
+    wait_until("a status that counts the other simulator", || counted(1).is_some());
+    let problem = counted(1).unwrap().last_problem;
+    assert!(problem.starts_with("another simulator has joined the room"), "{problem}");
+    drop(other);
+    wait_until("a status without it", || counted(0).is_some());
+    stop.request();
+    run.join().unwrap().unwrap();
+}

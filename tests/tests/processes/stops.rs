@@ -138,10 +138,15 @@ impl TwoArrays {
 
     /// The same with a time limit in s.
     fn order_within(&self, seconds: &str, order: &str, flags: &[&str]) -> Ended {
+        self.order_under(&[], seconds, order, flags)
+    }
+
+    /// The same under another program.
+    fn order_under(&self, wrapper: &[&str], seconds: &str, order: &str, flags: &[&str]) -> Ended {
         let own = [order, "--room", &self.room, "--timeout", seconds];
         let [first, second] = &self.endpoints;
         let connect = ["--connect", first, "--connect", second, "--connect", &self.of_controller];
-        Process::heliostat(&[&own[..], &connect, flags].concat()).wait()
+        Process::heliostat_under(wrapper, &[], &[&own[..], &connect, flags].concat()).wait()
     }
 }
 
@@ -289,6 +294,19 @@ fn the_stops_of_two_operators_are_listed_and_released_one_by_one() {
     let released = room.order("rearm", &["--all"]);
     assert!(released.status.success(), "{}", released.errors);
     room.wait_for([ArrayState::Following; 2]);
+}
+
+#[test]
+fn an_order_whose_output_cannot_be_written_is_reported_on_standard_error() {
+    let room = TwoArrays::start("full");
+    let full = ["sh", "-c", "exec \"$0\" \"$@\" > /dev/full"];
+    for (order, outcome) in [("stop", "stopped"), ("rearm", "released")] {
+        let ended = room.order_under(&full, "12", order, &[]);
+        assert_eq!(ended.status.code(), Some(1), "{}", ended.errors);
+        let outcome = format!("the arrays of room full are {outcome}, confirmed after ");
+        let is_complete = ended.errors.contains(&outcome) && ended.errors.contains("cannot write to standard output: ");
+        assert!(is_complete, "{order}: {}", ended.errors);
+    }
 }
 
 #[test]

@@ -1,14 +1,13 @@
 //! `heliostat completions` and `heliostat manual`: generated from the definitions of the command
 //! line.
 
-use std::io;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use clap::Command;
 use clap_complete::Shell;
 
-use heliostat_service::outln;
+use heliostat_service::{outln, output};
 
 /// Print the completion script for a shell.
 ///
@@ -31,8 +30,7 @@ pub fn completions(args: CompletionArgs, mut command: Command) -> Result<()> {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut command, "heliostat", &mut script);
     // Written at once: the reader may close the pipe early.
-    io::Write::write_all(&mut io::stdout(), &script)?;
-    Ok(())
+    Ok(output::bytes(&script)?)
 }
 
 /// Writes manual pages.

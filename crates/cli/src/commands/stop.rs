@@ -1,8 +1,9 @@
 //! `heliostat stop` and `heliostat rearm`: the emergency stop from the command line.
 
+use std::io;
 use std::time::{Duration, Instant};
 
-use anyhow::{Result, anyhow, ensure};
+use anyhow::{Result, anyhow, bail, ensure};
 use heliostat_bus::{AccessRole, Bus, BusArgs};
 use heliostat_proto::StopName;
 use heliostat_proto::reported_stops::RoomStop;
@@ -17,12 +18,14 @@ use super::join::join;
 const JOINED_WITHIN: Duration = Duration::from_secs(2);
 /// Time between two looks at a held stop.
 const HOLD_INTERVAL: Duration = Duration::from_millis(50);
+/// What to do where further stops may hold the arrays.
+const LOOK_AND_REPEAT: &str = "look at `heliostat status`, and repeat the re-arm for the stops that it names";
 
 /// Stop all mirrors of a room at once, and wait until every array confirms it.
 ///
 /// An array confirms that its device has executed the stop. Every array of the announced geometry has to,
 /// and every array that was seen. Otherwise the exit status is 1, and each other array is named: cut the
-/// power of an array that does not answer. The status is 1 too where no process announces how many arrays
+/// power of an array that does not answer. Where several drivers serve one array, each has to confirm. The status is 1 too where no process announces how many arrays
 /// the room has: connect to its controller or router, or give --arrays. The status is 1 too for a driver that does not report whether
 /// its device executed the stop. The status is 1 too for an array that has stopped and does not record the
 /// stop; the message states what a restart of its driver does. With --hold the command notes all this and
@@ -52,6 +55,10 @@ pub struct StopArgs {
 /// The re-arm names the stop, so it releases no other one. With several stops in force, name one, or
 /// release each with --all. When the last one is released, the mirrors park; then they follow the next
 /// valid command.
+///
+/// An array with more stops than it can list has one stop without sender for the others. After its release
+/// the holders of the others repeat them: the exit status is 1 if one of them stops an array at once, and
+/// otherwise the result says that further stops may follow.
 #[derive(Debug, clap::Args)]
 pub struct RearmArgs {
     #[command(flatten)]
@@ -74,7 +81,7 @@ struct OrderArgs {
     /// Name of the operator, which the array reports; without it, the name of the user
     #[arg(long, value_name = "NAME")]
     operator: Option<String>,
-    /// Longest wait for the confirmation in seconds; a connection is awaited for at most 2 s
+    /// Longest wait in seconds for the confirmation, with the search for the stops; a connection is awaited for at most 2 s
     #[arg(long, value_name = "N", default_value = "5", value_parser = duration::seconds, allow_negative_numbers = true)]
     timeout: Duration,
     /// Print the result as JSON
@@ -101,7 +108,10 @@ pub fn stop(args: StopArgs) -> Result<()> {
         return Ok(closed?);
     }
     match &stopped {
-        Ok(took) => args.order.report(&bus, &switch, *took, begun)?.into_iter().for_each(output::note),
+        Ok(took) => match args.order.report(&bus, &switch, *took, begun) {
+            Ok(unrecorded) => unrecorded.into_iter().for_each(output::note),
+            Err(error) => output::note(format_args!("heliostat stop: {error}; the stop is held: end with Ctrl-C")),
+        },
         Err(error) => output::note(format_args!("heliostat stop: {error}; the stop is held: end with Ctrl-C")),
     }
     let end = args.end.stop()?;
@@ -143,6 +153,7 @@ pub fn rearm(args: RearmArgs) -> Result<()> {
     let (bus, switch) = args.order.join(&[AccessRole::Operator], false)?;
     let begun = Instant::now();
     let stops = switch.stops(*timeout);
+    let known: Vec<StopName> = stops.iter().map(|stop| stop.name).collect();
     let named: Vec<RoomStop> = match (&args.stop, args.all) {
         (Some(StopLabel(name)), _) => {
             let found: Vec<_> = stops.into_iter().filter(|stop| stop.name == *name).collect();
@@ -157,9 +168,26 @@ pub fn rearm(args: RearmArgs) -> Result<()> {
     let names: Vec<StopName> = named.iter().map(|stop| stop.name).collect();
     let released = switch.rearm_and_confirm(&names, reason, timeout.saturating_sub(begun.elapsed()));
     note_shared(&switch);
-    args.order.report_release(&bus, released?, &named, &switch.known_stops())?;
+    let took = released.map_err(|error| match error {
+        // The search for the stops is a part of the wait.
+        UiError::RearmUnconfirmed { arrays, .. } => UiError::RearmUnconfirmed { waited: *timeout, arrays },
+        error => error,
+    })?;
+    let left = timeout.saturating_sub(begun.elapsed());
+    let further = if may_follow(&named) { switch.further_stops(&known, left) } else { Vec::new() };
+    let written = args.order.report_release(&bus, took, &named, &switch.known_stops());
     drop(switch);
-    Ok(bus.close()?)
+    let closed = bus.close();
+    if let Some(rest) = still_stopped(&further) {
+        bail!("{rest}; {LOOK_AND_REPEAT}");
+    }
+    written?;
+    Ok(closed?)
+}
+
+/// Whether one of these stops stands for others that the array could not list: their holders repeat them.
+fn may_follow(released: &[RoomStop]) -> bool {
+    released.iter().any(RoomStop::stands_for_unlisted)
 }
 
 /// Names the arrays that two processes drive: the reports of one hide those of the other.
@@ -191,36 +219,56 @@ impl OrderArgs {
     fn report(&self, bus: &Bus, switch: &StopSwitch, took: Duration, begun: Instant) -> Result<Vec<String>> {
         let stops = &switch.known_stops()[..];
         let find_unrecorded = || switch.unrecorded(self.timeout.saturating_sub(begun.elapsed()));
-        if self.json {
+        let (written, unrecorded) = if self.json {
             let unrecorded = find_unrecorded();
             let mut result = to_json(bus, "stopped", took, [stops; 2]);
             result["unrecorded"] = json!(unrecorded);
-            output::line(result)?;
-            return Ok(unrecorded);
+            (print_outcome(&result.to_string()), unrecorded)
+        } else {
+            let (room, took_ms) = (bus.room().name(), took.as_secs_f64() * 1e3);
+            let text = format!("the arrays of room {room} are stopped, confirmed after {took_ms:.1} ms");
+            // Before the wait for the records.
+            (print_outcome(&with_stops(text, stops)), find_unrecorded())
+        };
+        // An array that does not record its stop is the more serious failure.
+        if unrecorded.is_empty() {
+            written?;
         }
-        let (room, took_ms) = (bus.room().name(), took.as_secs_f64() * 1e3);
-        output::line(format_args!("the arrays of room {room} are stopped, confirmed after {took_ms:.1} ms"))?;
-        print_stops(stops)?;
-        Ok(find_unrecorded())
+        Ok(unrecorded)
     }
 
     /// Prints that stops are released, and what the arrays report to hold after that.
     fn report_release(&self, bus: &Bus, took: Duration, released: &[RoomStop], held: &[RoomStop]) -> Result<()> {
-        let rest = still_stopped(held);
-        if self.json {
-            let array = if rest.is_some() { "stopped" } else { "released" };
-            return Ok(output::line(to_json(bus, array, took, [released, held]))?);
-        }
-        let (room, took_ms) = (bus.room().name(), took.as_secs_f64() * 1e3);
-        output::line(match rest {
-            Some(rest) => {
-                let (stops, are) = if released.len() == 1 { ("stop", "is") } else { ("stops", "are") };
-                format!("the named {stops} of room {room} {are} released, confirmed after {took_ms:.1} ms; {rest}")
-            }
-            None => format!("the arrays of room {room} are released, confirmed after {took_ms:.1} ms"),
-        })?;
-        print_stops(released)
+        let text = if self.json {
+            let array = match (held.is_empty(), may_follow(released)) {
+                (false, _) => "stopped",
+                (true, true) => "unknown",
+                (true, false) => "released",
+            };
+            to_json(bus, array, took, [released, held]).to_string()
+        } else {
+            with_stops(release_in_words(bus.room().name(), took, released, held), released)
+        };
+        Ok(print_outcome(&text)?)
     }
+}
+
+/// What a release has done, and what may hold the arrays after it.
+fn release_in_words(room: &str, took: Duration, released: &[RoomStop], held: &[RoomStop]) -> String {
+    let further = || may_follow(released).then(|| format!("further stops may hold the arrays: {LOOK_AND_REPEAT}"));
+    let took_ms = took.as_secs_f64() * 1e3;
+    match still_stopped(held).or_else(further) {
+        Some(rest) => {
+            let (stops, are) = if released.len() == 1 { ("stop", "is") } else { ("stops", "are") };
+            format!("the named {stops} of room {room} {are} released, confirmed after {took_ms:.1} ms; {rest}")
+        }
+        None => format!("the arrays of room {room} are released, confirmed after {took_ms:.1} ms"),
+    }
+}
+
+/// Prints what an order has done: to standard error where standard output cannot be written.
+fn print_outcome(text: &str) -> io::Result<()> {
+    output::line(text).inspect_err(|_| output::note(text))
 }
 
 /// The result of an order about these stops, with those in force after it.
@@ -243,17 +291,21 @@ fn as_json(RoomStop { name, operator, reason, .. }: &RoomStop) -> serde_json::Va
     })
 }
 
-fn print_stops(stops: &[RoomStop]) -> Result<()> {
-    for RoomStop { name, operator, reason, .. } in stops {
+/// A text, with one line for each stop.
+fn with_stops(text: String, stops: &[RoomStop]) -> String {
+    let line = |RoomStop { name, operator, reason, .. }: &RoomStop| {
         let (operator, reason) = (printable(operator), printable(reason));
         let by = if operator.is_empty() { String::new() } else { format!(" of \"{operator}\"") };
-        output::line(format_args!("the stop: {name}{by}: \"{reason}\""))?;
-    }
-    Ok(())
+        format!("the stop: {name}{by}: \"{reason}\"")
+    };
+    let lines: Vec<String> = [text].into_iter().chain(stops.iter().map(line)).collect();
+    lines.join("\n")
 }
 
 #[cfg(test)]
 mod tests {
+    use heliostat_proto::UNLISTED_STOPS;
+
     use super::*;
 
     #[test]
@@ -265,5 +317,21 @@ mod tests {
         assert!(text(&[UNKNOWN_ARRAYS]).contains("or give their number: --arrays N. The stop was sent"));
         assert!(text(&[]).contains("an array that returns later can get it then, and stop"));
         assert!(!text(&["array 0 does not answer: cut its power"]).contains("--arrays"));
+    }
+
+    #[test]
+    fn a_release_of_a_stop_that_stands_for_others_is_not_called_the_release_of_the_arrays() {
+        let stop = |reason: &str| RoomStop {
+            name: StopName::default(),
+            operator: String::new(),
+            reason: reason.to_owned(),
+            arrays: vec![0],
+            known: Duration::ZERO,
+        };
+        let words = |reason: &str| release_in_words("lab", Duration::from_millis(5), &[stop(reason)], &[]);
+        assert_eq!(words("no record"), "the arrays of room lab are released, confirmed after 5.0 ms");
+        let unlisted = words(&format!("{UNLISTED_STOPS}; one is 7/1 of \"ann\""));
+        assert!(unlisted.starts_with("the named stop of room lab is released, confirmed after 5.0 ms"), "{unlisted}");
+        assert!(unlisted.contains("further stops may hold the arrays: look at `heliostat status`"), "{unlisted}");
     }
 }

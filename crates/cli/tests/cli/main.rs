@@ -6,3 +6,5 @@ mod doctor;
 mod durations;
 mod help;
 mod link;
+#[cfg(target_os = "linux")]
+mod output;

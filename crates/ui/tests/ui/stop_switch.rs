@@ -252,7 +252,9 @@ fn a_room_that_announces_no_geometry_is_not_called_stopped_unless_the_operator_k
 fn two_drivers_of_one_array_are_named_with_their_sources() {
     let (_arrays, switch, (own, _bus)) = arrays("shared", &[Manner::Stops]);
     let _tokens = [7, 9].map(|source| own.announce(&own.room().alive(NodeKind::Driver, source)).unwrap());
-    switch.stop_and_confirm("test", TIME_LIMIT).unwrap();
+    let open =
+        "array 0 has 2 drivers, and the one of source 0000000000000007 has not confirmed the stop: cut its power";
+    assert_eq!(unconfirmed(&switch), [open]);
     assert_eq!(switch.shared_arrays(), [""; 0], "a token alone drives nothing");
     let second = own.publisher(&own.room().array(0).telemetry(), Class::HighDrop).unwrap();
     let stamp = Stamp { source: 7, sequence: 1, time_ns: 0 };
@@ -368,7 +370,8 @@ fn a_rearm_names_the_array_that_does_not_answer() {
     unconfirmed(&switch);
     let name = switch.stops(TIME_LIMIT)[0].name;
     let open = switch.rearm_and_confirm(&[name], "clear", SHORT).unwrap_err().to_string();
-    assert!(open.contains("array 1 does not answer: it stays stopped") && !open.contains("array 0"), "{open}");
+    assert!(open.contains("after 8 s: array 1 has not confirmed: it may be released when it answers again"), "{open}");
+    assert!(!open.contains("array 0") && !open.contains("stays stopped"), "{open}");
 }
 
 #[test]
@@ -389,6 +392,25 @@ fn a_stop_of_another_operator_stays_in_force() {
     switch.rearm_and_confirm(&[own], "clear", TIME_LIMIT).unwrap();
     assert_eq!(arrays[0].stops(), [other]);
     assert_eq!(switch.stops(TIME_LIMIT).iter().map(|stop| stop.name).collect::<Vec<_>>(), [other]);
+}
+
+#[test]
+fn a_stop_that_its_holder_repeats_after_a_release_is_a_further_one() {
+    let (arrays, switch, _sessions) = arrays("further", &[Manner::Stops]);
+    switch.stop_and_confirm("test", TIME_LIMIT).unwrap();
+    let known: Vec<_> = switch.known_stops().iter().map(|stop| stop.name).collect();
+    assert!(switch.further_stops(&known, Duration::ZERO).is_empty());
+    switch.rearm_and_confirm(&known, "clear", TIME_LIMIT).unwrap();
+    let other = StopName { source: 77, sequence: 1 };
+    latch(&mut arrays[0].state.lock().unwrap(), other);
+    let begun = Instant::now();
+    let further = loop {
+        let further = switch.further_stops(&known, TIME_LIMIT);
+        if !further.is_empty() || begun.elapsed() > TIME_LIMIT {
+            break further;
+        }
+    };
+    assert_eq!(further.iter().map(|stop| stop.name).collect::<Vec<_>>(), [other]);
 }
 
 #[test]

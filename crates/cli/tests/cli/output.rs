@@ -1,0 +1,16 @@
+//! What a command reports where its standard output cannot be written.
+
+use std::fs::OpenOptions;
+use std::process::Command;
+
+#[test]
+fn an_output_that_cannot_be_written_is_named() {
+    for command in [&["scenario", "check", "hall"][..], &["completions", "bash"]] {
+        let full = OpenOptions::new().write(true).open("/dev/full").expect("a device of Linux");
+        let ended = Command::new(env!("CARGO_BIN_EXE_heliostat")).args(command).stdout(full).output();
+        let ended = ended.expect("the program starts");
+        let errors = String::from_utf8_lossy(&ended.stderr);
+        assert!(errors.contains("cannot write to standard output: No space left on device"), "{command:?}: {errors}");
+        assert_eq!(ended.status.code(), Some(1), "{command:?}");
+    }
+}

@@ -30,7 +30,7 @@ const REPORT_AGE_MAX: Duration = Duration::from_millis(2500);
 const TELEMETRY_AGE_MAX: Duration = Duration::from_millis(1500);
 
 /// A driver that publishes stop reports has published one after this time of telemetry.
-const STOPS_WITHIN: Duration = Duration::from_millis(1500);
+pub const STOPS_WITHIN: Duration = Duration::from_millis(1500);
 
 /// What an array does about the stops that are held for it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -138,8 +138,8 @@ impl ReportedArray {
         self.state.is_none_or(|(at, _)| now.saturating_sub(at) >= TELEMETRY_AGE_MAX)
     }
 
-    /// Whether its driver is present and publishes no stop reports.
-    fn is_older(&self, now: Duration) -> bool {
+    /// Whether its driver is present and has published no stop reports.
+    fn lacks_stop_reports(&self, now: Duration) -> bool {
         !self.is_silent(now) && !self.hold.has_stop_reports()
     }
 }
@@ -211,7 +211,8 @@ impl ReportedStops {
     /// understands none.
     pub fn unreported(&self, now: Duration) -> Vec<(usize, HeldStop, bool)> {
         let of = |(array, seen): (&usize, &ReportedArray)| {
-            let (array, is_older) = (*array, seen.is_older(now));
+            // Its first stop report may be on its way; a stop of kind 9 also stops arrays that were released.
+            let (array, is_older) = (*array, seen.lacks_stop_reports(now) && seen.is_settled(now));
             seen.hold.unreported().map(|held| (array, held.clone(), is_older)).collect::<Vec<_>>()
         };
         self.arrays.iter().flat_map(of).collect()
@@ -221,7 +222,7 @@ impl ReportedStops {
     pub fn unnamed(&self, now: Duration) -> Vec<usize> {
         let is_unnamed = |seen: &ReportedArray| {
             let is_stopped = seen.state.is_some_and(|(_, state)| state == ArrayState::Stopped);
-            is_stopped && seen.is_older(now) && !seen.has_safety
+            is_stopped && seen.lacks_stop_reports(now) && !seen.has_safety
         };
         self.arrays.iter().filter(|(_, seen)| is_unnamed(seen)).map(|(array, _)| *array).collect()
     }
@@ -448,6 +449,16 @@ mod tests {
         let all = stops.stops();
         assert_eq!((all.len(), &*all[0].arrays), (1, &[0, 1][..]));
         assert_eq!(all[0].reason, "no first file; no second file");
+    }
+
+    #[test]
+    fn an_array_gets_the_stop_itself_only_when_its_stop_reports_would_have_come() {
+        let mut stops = ordered();
+        for (now, is_older) in [(NOW, false), (NOW + STOPS_WITHIN + Duration::from_millis(1), true)] {
+            stops.handle_telemetry(now, 0, &MirrorTelemetry::default());
+            let unreported = stops.unreported(now);
+            assert!(matches!(&unreported[..], [(0, _, found)] if *found == is_older), "{unreported:?}");
+        }
     }
 
     #[test]

@@ -224,15 +224,13 @@ impl StopSwitch {
             }
             let is_unknown = confirmed.is_some() && self.opened.elapsed() > ANNOUNCED_WITHIN;
             if begun.elapsed() >= limit || is_unknown {
-                return Err(self.unconfirmed(since, limit, sent.err()));
+                return Err(self.unconfirmed(name, since, limit, sent.err()));
             }
             if is_confirmed {
                 // The geometry may name an array that has not reported yet.
                 self.seen.wait(REPEAT_AFTER.min(limit), |seen, _| seen.has_geometry());
             } else {
-                // An array that has appeared meanwhile is held too. A stop of kind 9 would also stop the
-                // arrays again at which an operator has released it.
-                self.seen.order(&order);
+                // Only while no array is known: it would also stop those at which an operator has released it.
                 if self.seen.lock().is_empty() {
                     self.stop.publish_again(&order)?;
                 }
@@ -241,11 +239,13 @@ impl StopSwitch {
         }
     }
 
-    fn unconfirmed(&self, since: Duration, waited: Duration, sent: Option<UiError>) -> UiError {
+    fn unconfirmed(&self, name: StopName, since: Duration, waited: Duration, sent: Option<UiError>) -> UiError {
         let seen = self.seen.lock();
-        let open = |(array, standing): &(usize, Standing)| match standing {
-            Standing::Free => Some(format!("another operator has released the stop at array {array}")),
-            standing => problem(*array, standing),
+        let held = seen.stops().into_iter().find(|stop| stop.name == name).map_or_else(Vec::new, |stop| stop.arrays);
+        let open = |(array, standing): &(usize, Standing)| {
+            let is_released = !held.contains(array);
+            let released = || format!("another operator has released the stop at array {array}");
+            problem(*array, standing).or_else(|| is_released.then(released))
         };
         let mut arrays: Vec<String> = seen.standings(self.seen.now(), Some(since)).iter().filter_map(open).collect();
         if !seen.has_geometry() && seen.has_array() {

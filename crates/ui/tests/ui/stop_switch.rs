@@ -224,6 +224,25 @@ fn a_stop_is_repeated_by_its_name_to_an_array_that_has_not_reported_it() {
 }
 
 #[test]
+fn a_stop_that_another_operator_releases_meanwhile_is_not_ordered_again() {
+    let (arrays, switch, _sessions) = arrays("released", &[Manner::Stops, Manner::Latches]);
+    std::thread::scope(|scope| {
+        let open = scope.spawn(|| unconfirmed(&switch));
+        while !open.is_finished() {
+            if !arrays[0].stops().is_empty() {
+                // Its report with the stop comes before the one without.
+                arrays[0].report();
+                arrays[0].state.lock().unwrap().stops.clear();
+                arrays[0].report();
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        let open = open.join().unwrap();
+        assert_eq!(open[0], "another operator has released the stop at array 0", "{open:?}");
+    });
+}
+
+#[test]
 fn an_array_that_is_silent_or_whose_device_does_not_stop_is_named() {
     let (live, switch, _sessions) = arrays("silent", &[Manner::Stops, Manner::Latches]);
     let latched = "array 1 has latched the stop, but its device has not executed it (no link): cut its power";

@@ -290,6 +290,16 @@ impl ReportedStops {
         self.note_names(now);
     }
 
+    /// Holds these stops no longer for the arrays whose stop report arrived after `since` and names none of them: no
+    /// process has repeated the stop to such an array.
+    pub fn forget_unlatched(&mut self, names: &[StopName], since: Duration) {
+        for ReportedArray { stops, hold, .. } in self.arrays.values_mut() {
+            if let Some((_, report)) = stops.as_ref().filter(|(at, _)| *at > since) {
+                names.iter().filter(|name| !report.is_latched(**name)).for_each(|name| hold.forget(*name));
+            }
+        }
+    }
+
     /// The geometry of the room has so many arrays.
     pub fn announce(&mut self, now: Duration, arrays: usize) {
         self.announced = self.announced.max(arrays);
@@ -420,6 +430,22 @@ mod tests {
         assert_eq!(stops.standings(NOW, None), [(0, Standing::Latched { problem: String::new() })]);
         stops.handle_stops(NOW, 0, report(3, true));
         assert_eq!(stops.standings(NOW, None), [(0, Standing::Stopped)]);
+    }
+
+    #[test]
+    fn a_stop_that_a_later_report_of_an_array_does_not_name_is_forgotten_for_it() {
+        let name = StopName { source: 3, sequence: 4 };
+        let mut stops = ReportedStops::default();
+        stops.announce(NOW, 3);
+        stops.handle_stops(NOW, 0, report(1, true));
+        stops.handle_stops(NOW, 1, StopReport { stops: Vec::new(), ..report(1, false) });
+        stops.forget_unlatched(&[name], NOW);
+        assert_eq!(stops.stops()[0].arrays, [0, 1, 2], "a repetition may be on its way");
+        let later = NOW + Duration::from_nanos(1);
+        stops.handle_stops(later, 0, report(2, true));
+        stops.handle_stops(later, 1, StopReport { stops: Vec::new(), ..report(2, false) });
+        stops.forget_unlatched(&[name], NOW);
+        assert_eq!(stops.stops()[0].arrays, [0, 2], "the last one does not answer");
     }
 
     #[test]

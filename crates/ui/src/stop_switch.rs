@@ -25,6 +25,10 @@ use crate::stop_watch::{RoomStops, StopWatch, UNKNOWN_ARRAYS, problem, unrecorde
 /// Time after which a stop or a re-arm is repeated.
 const REPEAT_AFTER: Duration = Duration::from_nanos(STOP_REPEAT_NS);
 
+/// A process that holds a stop for an array has repeated it, and the array has reported it, after this time. A report
+/// waits for the record of the stop for 250 ms.
+const REPEATED_WITHIN: Duration = Duration::from_secs(1);
+
 /// The geometry of a room is announced each second, and so is a safety report.
 const ANNOUNCED_WITHIN: Duration = Duration::from_millis(1500);
 
@@ -294,17 +298,19 @@ impl StopSwitch {
     }
 
     /// Releases stops, and repeats the re-arm until no array reports them; returns the time that this
-    /// took. A stop that arrives meanwhile stays in force.
+    /// took. A stop that arrives meanwhile stays in force. An array that never had the stop is no obstacle, but each
+    /// process that holds the stop for it has the time to repeat it before.
     ///
     /// # Errors
     /// [`UiError::NotStopped`] as soon as every array that reports has published that it has no stop;
     /// [`UiError::RearmUnconfirmed`] names each array that has not released them, after `limit`; otherwise
     /// as [`StopSwitch::rearm`].
     pub fn rearm_and_confirm(&self, names: &[StopName], reason: &str, limit: Duration) -> Result<Duration, UiError> {
-        let begun = Instant::now();
+        let (begun, since) = (Instant::now(), self.seen.now());
         let is_released =
             |seen: &ReportedStops, now: Duration| seen.has_array() && unreleased(seen, names, now).is_empty();
         loop {
+            self.seen.forget_unlatched(names, since + REPEATED_WITHIN);
             let sent = self.rearm(names, reason);
             // What was not sent is not confirmed: the array may not have reported its stop yet.
             if self.seen.wait(REPEAT_AFTER, is_released) && sent.is_ok() {

@@ -382,6 +382,20 @@ fn a_stop_that_one_array_reports_is_repeated_to_an_array_that_appears_later() {
 }
 
 #[test]
+fn a_rearm_succeeds_although_an_array_never_had_the_stop() {
+    let (arrays, switch, _sessions) = arrays("never", &[Manner::Stops, Manner::Stops]);
+    let other = StopName { source: 77, sequence: 1 };
+    latch(&mut arrays[0].state.lock().unwrap(), other);
+    let begun = Instant::now();
+    while switch.known_stops().first().is_none_or(|stop| stop.arrays != [0, 1]) {
+        assert!(begun.elapsed() < TIME_LIMIT, "the stop is not held for both arrays");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    switch.rearm_and_confirm(&[other], "clear", TIME_LIMIT).unwrap();
+    assert_eq!((arrays[0].stops(), switch.known_stops()), (vec![], vec![]));
+}
+
+#[test]
 fn a_rearm_names_the_array_that_does_not_answer() {
     let (_arrays, switch, _sessions) = announced("half", &[Manner::Stops], Some(2));
     unconfirmed(&switch);

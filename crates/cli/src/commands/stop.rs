@@ -131,7 +131,10 @@ fn with_reach(error: UiError) -> anyhow::Error {
             )
         }
         error @ UiError::NoReceiver(_) => {
-            anyhow!("{error}. No stop was sent, and the mirrors go on moving")
+            anyhow!(
+                "{error}. No array received the stop, and the mirrors go on moving; an array that connected during the wait \
+                 may have it"
+            )
         }
         error => error.into(),
     }
@@ -265,5 +268,11 @@ mod tests {
         assert!(text(&[UNKNOWN_ARRAYS]).contains("or give their number: --arrays N. The stop was sent"));
         assert!(text(&[]).contains("an array that returns later can get it then, and stop"));
         assert!(!text(&["array 0 does not answer: cut its power"]).contains("--arrays"));
+    }
+
+    #[test]
+    fn a_stop_that_no_array_received_was_published_all_the_same() {
+        let text = with_reach(UiError::NoReceiver("array")).to_string();
+        assert!(text.ends_with("an array that connected during the wait may have it"), "{text}");
     }
 }

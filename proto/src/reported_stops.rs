@@ -30,7 +30,7 @@ const REPORT_AGE_MAX: Duration = Duration::from_millis(2500);
 const TELEMETRY_AGE_MAX: Duration = Duration::from_millis(1500);
 
 /// A driver that publishes stop reports has published one after this time of telemetry.
-const STOPS_WITHIN: Duration = Duration::from_millis(1500);
+pub const STOPS_WITHIN: Duration = Duration::from_millis(1500);
 
 /// What an array does about the stops that are held for it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -147,8 +147,8 @@ impl ReportedArray {
         self.state.is_none_or(|(at, _)| now.saturating_sub(at) >= TELEMETRY_AGE_MAX)
     }
 
-    /// Whether its driver is present and publishes no stop reports.
-    fn is_older(&self, now: Duration) -> bool {
+    /// Whether its driver is present and has published no stop reports.
+    fn lacks_stop_reports(&self, now: Duration) -> bool {
         !self.is_silent(now) && !self.hold.has_stop_reports()
     }
 }
@@ -232,7 +232,8 @@ impl ReportedStops {
     /// understands none.
     pub fn unreported(&self, now: Duration) -> Vec<(usize, HeldStop, bool)> {
         let of = |(array, seen): (&usize, &ReportedArray)| {
-            let (array, is_older) = (*array, seen.is_older(now));
+            // Its first stop report may be on its way; a stop of kind 9 also stops arrays that were released.
+            let (array, is_older) = (*array, seen.lacks_stop_reports(now) && seen.is_settled(now));
             seen.hold.unreported().map(|held| (array, held.clone(), is_older)).collect::<Vec<_>>()
         };
         self.arrays.iter().flat_map(of).collect()
@@ -242,7 +243,7 @@ impl ReportedStops {
     pub fn unnamed(&self, now: Duration) -> Vec<usize> {
         let is_unnamed = |seen: &ReportedArray| {
             let is_stopped = seen.state.is_some_and(|(_, state)| state == ArrayState::Stopped);
-            is_stopped && seen.is_older(now) && !seen.has_safety
+            is_stopped && seen.lacks_stop_reports(now) && !seen.has_safety
         };
         self.arrays.iter().filter(|(_, seen)| is_unnamed(seen)).map(|(array, _)| *array).collect()
     }
@@ -308,6 +309,16 @@ impl ReportedStops {
             self.arrays.entry(array).or_default().hold.order(order.stamp.time_ns, order);
         }
         self.note_names(now);
+    }
+
+    /// Holds these stops no longer for the arrays whose stop report arrived after `since` and names none of them: no
+    /// process has repeated the stop to such an array.
+    pub fn forget_unlatched(&mut self, names: &[StopName], since: Duration) {
+        for ReportedArray { stops, hold, .. } in self.arrays.values_mut() {
+            if let Some((_, report)) = stops.as_ref().filter(|(at, _)| *at > since) {
+                names.iter().filter(|name| !report.is_latched(**name)).for_each(|name| hold.forget(*name));
+            }
+        }
     }
 
     /// The geometry of the room has so many arrays.
@@ -410,91 +421,5 @@ fn ordered(stop: &RoomStop) -> EmergencyStop {
     (order.stamp.source, order.stamp.sequence) = (stop.name.source, stop.name.sequence);
     order
 }
-
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::structures::Stamp;
-
-    const NOW: Duration = Duration::from_secs(100);
-
-    fn report(sequence: u64, device_stopped: bool) -> StopReport {
-        StopReport {
-            stamp: Stamp { source: 9, sequence, time_ns: 0 },
-            device_stopped,
-            stops: vec![LatchedStopReport { source: 3, sequence: 4, ..LatchedStopReport::default() }],
-            ..StopReport::default()
-        }
-    }
-
-    fn ordered() -> ReportedStops {
-        let order = EmergencyStop { stamp: Stamp { source: 3, sequence: 4, time_ns: 0 }, ..EmergencyStop::default() };
-        let mut stops = ReportedStops::default();
-        stops.announce(NOW, 1);
-        stops.order(NOW, &order);
-        stops
-    }
-
-    #[test]
-    fn a_stop_report_that_arrives_late_shows_no_device_as_stopped() {
-        let mut stops = ordered();
-        stops.handle_stops(NOW, 0, report(2, false));
-        stops.handle_stops(NOW, 0, report(1, true));
-        assert_eq!(stops.standings(NOW, None), [(0, Standing::Latched { problem: String::new() })]);
-        stops.handle_stops(NOW, 0, report(3, true));
-        assert_eq!(stops.standings(NOW, None), [(0, Standing::Stopped)]);
-    }
-
-    #[test]
-    fn an_array_that_has_stopped_and_does_not_record_the_stop_is_named() {
-        let mut stops = ordered();
-        let with_problem = |report| StopReport { problem: "the disk is full".into(), ..report };
-        stops.handle_stops(NOW, 0, with_problem(report(1, false)));
-        assert_eq!(stops.unrecorded(NOW), [], "the problem of a device");
-        stops.handle_stops(NOW, 0, with_problem(report(2, true)));
-        assert_eq!(stops.standings(NOW, None), [(0, Standing::Stopped)]);
-        assert_eq!(stops.unrecorded(NOW), [(0, "the disk is full".to_owned())]);
-        assert!(!stops.has_stops_after(0, NOW));
-        let later = NOW + Duration::from_nanos(1);
-        stops.handle_stops(later, 0, report(3, true));
-        assert!(stops.has_stops_after(0, NOW));
-        assert_eq!(stops.unrecorded(later), [], "it is recorded now");
-    }
-
-    #[test]
-    fn each_of_two_drivers_of_an_array_has_to_confirm_a_stop() {
-        let mut stops = ordered();
-        let of_other = |report: StopReport| StopReport { stamp: Stamp { source: 7, ..report.stamp }, ..report };
-        stops.handle_stops(NOW, 0, report(1, true));
-        assert_eq!(stops.unconfirmed_drivers(0, &[7, 9], NOW), [7], "it is silent");
-        stops.handle_stops(NOW, 0, of_other(report(1, false)));
-        assert_eq!(stops.unconfirmed_drivers(0, &[7, 9], NOW), [7], "its device has not stopped");
-        stops.handle_stops(NOW, 0, of_other(report(2, true)));
-        assert_eq!(stops.unconfirmed_drivers(0, &[7, 9], NOW), [0; 0]);
-        assert_eq!(stops.unconfirmed_drivers(0, &[7, 9], NOW + REPORT_AGE_MAX), [7, 9]);
-    }
-
-    #[test]
-    fn arrays_that_started_stopped_have_one_stop_with_the_reason_of_each() {
-        let mut stops = ReportedStops::default();
-        for (array, reason) in ["no first file", "no second file"].into_iter().enumerate() {
-            let latched = LatchedStopReport { reason: reason.into(), ..LatchedStopReport::default() };
-            let stamp = Stamp { source: 9 + array as u64, sequence: 1, time_ns: 0 };
-            stops.handle_stops(NOW, array, StopReport { stamp, stops: vec![latched], ..StopReport::default() });
-        }
-        let all = stops.stops();
-        assert_eq!((all.len(), &*all[0].arrays), (1, &[0, 1][..]));
-        assert_eq!(all[0].reason, "no first file; no second file");
-    }
-
-    #[test]
-    fn an_array_without_a_fresh_report_does_not_answer() {
-        let mut stops = ordered();
-        assert_eq!(stops.standings(NOW, None), [(0, Standing::Silent)]);
-        stops.handle_stops(NOW, 0, report(1, true));
-        let later = NOW + REPORT_AGE_MAX;
-        assert_eq!(stops.standings(later - Duration::from_millis(1), None), [(0, Standing::Stopped)]);
-        assert_eq!(stops.standings(later, None), [(0, Standing::Silent)]);
-        assert!(!stops.has_stopped(StopName { source: 3, sequence: 4 }, NOW, NOW + Duration::from_millis(1)));
-    }
-}
+mod tests;

@@ -305,9 +305,10 @@ impl<D: Device> Station<D> {
         self.record.problem(self.kit.array().latch(), self.local_ns)
     }
 
-    /// Whether no problem of the record of the present stops is known. A write that is under way is one when it is late.
+    /// Whether no problem of the record of the present stops is known. A write of them that is under way is one when it
+    /// is late; that of a release is none.
     pub fn is_recorded(&self) -> bool {
-        self.record_problem().is_none()
+        self.record.is_recorded(self.kit.array().latch(), self.local_ns)
     }
 
     /// The present problem of the record; else that of a device that does not answer; else the last one of

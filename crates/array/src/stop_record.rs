@@ -37,8 +37,12 @@ pub fn default_folder(variable: impl Fn(&str) -> Option<String>) -> Option<PathB
     })
 }
 
-/// The problem of a record whose store has not answered for so long.
-const LATE: &str = "the emergency stop is not recorded yet: its disk does not answer; do not restart the driver";
+/// The problem of a record whose store has not answered for so long, while a stop is in force.
+const STOP_LATE: &str = "the emergency stop is not recorded yet: its disk does not answer; do not restart the driver";
+
+/// The same while none is.
+const RELEASE_LATE: &str =
+    "the release is not recorded yet: its disk does not answer; the next start of the driver may be stopped";
 
 /// Where the text of a record is kept, such as a file.
 pub trait StopStore {
@@ -151,11 +155,20 @@ impl RecordPlan {
 
     /// Why this state is not in the store.
     pub fn problem(&self, latch: &Latch, local_ns: u64) -> Option<&str> {
+        let late = if latch.stop().is_some() { STOP_LATE } else { RELEASE_LATE };
+        self.problem.as_deref().or(self.is_late(latch, local_ns).then_some(late))
+    }
+
+    /// Whether no stop is known to be missing in the store. A release whose write takes long leaves none out.
+    pub fn is_recorded(&self, latch: &Latch, local_ns: u64) -> bool {
+        self.problem.is_none() && (latch.stop().is_none() || !self.is_late(latch, local_ns))
+    }
+
+    fn is_late(&self, latch: &Latch, local_ns: u64) -> bool {
         // A check that takes long leaves the state where it was written.
         let running_ns = self.running.as_ref().filter(|(task, _)| task.is_due).map(|(_, since_ns)| *since_ns);
         let since_ns = self.unrecorded_ns.filter(|_| *latch != self.tried).or(running_ns);
-        let is_late = since_ns.is_some_and(|since_ns| local_ns >= since_ns.saturating_add(REPORT_WAIT_NS));
-        self.problem.as_deref().or(is_late.then_some(LATE))
+        since_ns.is_some_and(|since_ns| local_ns >= since_ns.saturating_add(REPORT_WAIT_NS))
     }
 }
 

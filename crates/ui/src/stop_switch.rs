@@ -25,6 +25,10 @@ use crate::stop_watch::{RoomStops, StopWatch, UNKNOWN_ARRAYS, problem, unrecorde
 /// Time after which a stop or a re-arm is repeated.
 const REPEAT_AFTER: Duration = Duration::from_nanos(STOP_REPEAT_NS);
 
+/// A process that holds a stop for an array has repeated it, and the array has reported it, after this time. A report
+/// waits for the record of the stop for 250 ms.
+const REPEATED_WITHIN: Duration = Duration::from_secs(1);
+
 /// The geometry of a room is announced each second, and so is a safety report.
 const ANNOUNCED_WITHIN: Duration = Duration::from_millis(1500);
 
@@ -234,15 +238,13 @@ impl StopSwitch {
             }
             let is_unknown = confirmed.is_some() && self.opened.elapsed() > ANNOUNCED_WITHIN;
             if begun.elapsed() >= limit || is_unknown {
-                return Err(self.unconfirmed(since, limit, sent.err()));
+                return Err(self.unconfirmed(name, since, limit, sent.err()));
             }
             if is_confirmed {
                 // The geometry may name an array that has not reported yet.
                 self.seen.wait(REPEAT_AFTER.min(limit), |seen, _| seen.has_geometry());
             } else {
-                // An array that has appeared meanwhile is held too. A stop of kind 9 would also stop the
-                // arrays again at which an operator has released it.
-                self.seen.order(&order);
+                // Only while no array is known: it would also stop those at which an operator has released it.
                 if self.seen.lock().is_empty() {
                     self.stop.publish_again(&order)?;
                 }
@@ -251,11 +253,13 @@ impl StopSwitch {
         }
     }
 
-    fn unconfirmed(&self, since: Duration, waited: Duration, sent: Option<UiError>) -> UiError {
+    fn unconfirmed(&self, name: StopName, since: Duration, waited: Duration, sent: Option<UiError>) -> UiError {
         let seen = self.seen.lock();
-        let open = |(array, standing): &(usize, Standing)| match standing {
-            Standing::Free => Some(format!("another operator has released the stop at array {array}")),
-            standing => problem(*array, standing),
+        let held = seen.stops().into_iter().find(|stop| stop.name == name).map_or_else(Vec::new, |stop| stop.arrays);
+        let open = |(array, standing): &(usize, Standing)| {
+            let is_released = !held.contains(array);
+            let released = || format!("another operator has released the stop at array {array}");
+            problem(*array, standing).or_else(|| is_released.then(released))
         };
         let mut arrays: Vec<String> = seen.standings(self.seen.now(), Some(since)).iter().filter_map(open).collect();
         arrays.extend(self.seen.open_drivers(&seen, self.seen.now()));
@@ -305,17 +309,19 @@ impl StopSwitch {
     }
 
     /// Releases stops, and repeats the re-arm until no array reports them; returns the time that this
-    /// took. A stop that arrives meanwhile stays in force.
+    /// took. A stop that arrives meanwhile stays in force. An array that never had the stop is no obstacle, but each
+    /// process that holds the stop for it has the time to repeat it before.
     ///
     /// # Errors
     /// [`UiError::NotStopped`] as soon as every array that reports has published that it has no stop;
     /// [`UiError::RearmUnconfirmed`] names each array that has not released them, after `limit`; otherwise
     /// as [`StopSwitch::rearm`].
     pub fn rearm_and_confirm(&self, names: &[StopName], reason: &str, limit: Duration) -> Result<Duration, UiError> {
-        let begun = Instant::now();
+        let (begun, since) = (Instant::now(), self.seen.now());
         let is_released =
             |seen: &ReportedStops, now: Duration| seen.has_array() && unreleased(seen, names, now).is_empty();
         loop {
+            self.seen.forget_unlatched(names, since + REPEATED_WITHIN);
             let sent = self.rearm(names, reason);
             // What was not sent is not confirmed: the array may not have reported its stop yet.
             if self.seen.wait(REPEAT_AFTER, is_released) && sent.is_ok() {

@@ -212,6 +212,11 @@ impl StopWatch {
         self.state.note(|seen, now| seen.order(now, order));
     }
 
+    /// Holds these stops no longer for arrays whose stop report arrived after `since` and names none of them.
+    pub fn forget_unlatched(&self, names: &[StopName], since: Duration) {
+        self.state.note(|seen, _| seen.forget_unlatched(names, since));
+    }
+
     /// The stops of the room, and what each array does about them.
     pub fn room(&self) -> RoomStops {
         let (seen, now) = (self.lock(), self.now());

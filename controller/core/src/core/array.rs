@@ -1,5 +1,6 @@
 //! Messages about an array other than its telemetry, and this controller's standing towards it.
 
+use heliostat_proto::reported_stops::STOPS_WITHIN;
 use heliostat_proto::stop_hold::{HeldStop, unknown_stops};
 use heliostat_proto::{
     Capabilities, EmergencyStop, LatchedStopReport, Nanos, NodeKind, SafetyReport, StopReport, ValidityClock,
@@ -10,6 +11,9 @@ use crate::output::{capabilities::Unfit, tenure::Tenure};
 
 /// An array whose last telemetry is older than this is absent.
 const PRESENT_NS: Nanos = 1_000_000_000;
+
+/// An array that publishes stop reports has published one after this time of telemetry.
+const STOPS_WITHIN_NS: Nanos = STOPS_WITHIN.as_nanos() as Nanos;
 
 impl Controller {
     /// Number of arrays of the room.
@@ -105,11 +109,12 @@ impl Controller {
     }
 
     /// Whether an array understands repetitions of stops. One that is present without stop reports
-    /// does not.
+    /// does not, when they would have come.
     pub fn understands_repetitions(&self, now: Nanos, array: usize) -> bool {
-        let ArrayOutput { heard_ns, guard, .. } = &self.arrays[array];
+        let ArrayOutput { heard_ns, first_heard_ns, guard, .. } = &self.arrays[array];
         let is_heard = heard_ns.is_some_and(|heard_ns| now.abs_diff(heard_ns) < PRESENT_NS);
-        guard.stops.has_stop_reports() || !is_heard || self.inbox.telemetry(array).is_none()
+        let is_settled = first_heard_ns.is_some_and(|first_ns| now.abs_diff(first_ns) > STOPS_WITHIN_NS);
+        guard.stops.has_stop_reports() || !is_heard || !is_settled || self.inbox.telemetry(array).is_none()
     }
 
     /// The stops that an array has not reported; the caller repeats them.

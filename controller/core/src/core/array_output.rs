@@ -38,6 +38,8 @@ pub(super) struct ArrayOutput {
     elapsed_s: f64,
     /// Arrival of its last telemetry; before the first, time of the first decision.
     pub heard_ns: Option<Nanos>,
+    /// Arrival of its first telemetry. No decision depends on it, so no recording holds it.
+    pub first_heard_ns: Option<Nanos>,
     /// The source of its telemetry has left.
     pub has_left: bool,
     /// Absent in a room with one array, which is never lost.
@@ -71,6 +73,7 @@ impl ArrayOutput {
             permit: Ok(epoch),
             elapsed_s: 0.0,
             heard_ns: None,
+            first_heard_ns: None,
             has_left: false,
             lost_after_ns,
         };
@@ -80,6 +83,7 @@ impl ArrayOutput {
     /// Notes telemetry that arrived at `now`.
     pub fn handle_telemetry(&mut self, now: Nanos, telemetry: &MirrorTelemetry, counters: &mut Counters) {
         (self.heard_ns, self.has_left) = (Some(now), false);
+        self.first_heard_ns.get_or_insert(now);
         self.guard.handle_telemetry(now, telemetry, counters);
     }
 

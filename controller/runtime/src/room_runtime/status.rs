@@ -368,7 +368,7 @@ impl Reporter {
         format!("{}: {reason}", describe_absence(without_driver, arrays))
     }
 
-    /// Light that is not the expected one any longer, or is again.
+    /// Light that is not the expected one any longer, is again, or is not watched any more.
     fn new_light(&mut self, light: &[ServedLight]) -> Option<(Subject, Problem)> {
         let is_known = |one: &&ServedLight| self.off_light.contains(&one.of);
         let begun = light.iter().find(|one| one.off_since_s.is_some() && !is_known(one));
@@ -378,9 +378,15 @@ impl Reporter {
             let problem = Problem::Warning(format!("{one} since {since}: {}", one.advice()));
             return Some((Subject::Light(one.of.clone()), problem));
         }
-        let ended = light.iter().find(|one| one.off_since_s.is_none() && is_known(one))?;
-        self.off_light.retain(|of| *of != ended.of);
-        Some((Subject::Light(ended.of.clone()), Problem::End(format!("{ended} again"))))
+        let measured = |of: &String| light.iter().find(|one| one.of == *of);
+        let is_off = |of: &String| measured(of).is_some_and(|one| one.off_since_s.is_some());
+        let of = self.off_light.remove(self.off_light.iter().position(|of| !is_off(of))?);
+        let end = match measured(&of) {
+            Some(one) => format!("{one} again"),
+            // Another source reports the users, for example.
+            None => format!("the light of {of} is measured from the beginning again"),
+        };
+        Some((Subject::Light(of), Problem::End(end)))
     }
 
     /// The most serious problem since the last snapshot.
@@ -447,53 +453,4 @@ fn warning(text: String) -> (Subject, Problem) {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn what_keeps_commands_from_the_mirrors_is_the_problem_until_it_ends() {
-        let mut reporter = Reporter::new(Identity::default());
-        let refused = (Subject::Other, Problem::Warning("a report is refused".into()));
-        let shown = |reporter: &mut Reporter, problem: Option<&(Subject, Problem)>| {
-            reporter.keep(problem);
-            reporter.present_problem(1)
-        };
-        assert_eq!(shown(&mut reporter, Some(&refused)), "a report is refused");
-        reporter.unfit = Some("it is too small".into());
-        assert_eq!(shown(&mut reporter, Some(&refused)), "the array receives no commands: it is too small");
-        reporter.conditions.geometry = Some("rooms differ".into());
-        reporter.stops = "withheld by a stop".into();
-        assert_eq!(shown(&mut reporter, None), "the array receives no commands: it is too small");
-        reporter.unfit = None;
-        assert_eq!(shown(&mut reporter, None), "withheld by a stop");
-        // The end of the stop falls together with another event, which alone is reported.
-        reporter.stops.clear();
-        let tenure = (Subject::Tenure, Problem::Warning("another controller leads".into()));
-        assert_eq!(shown(&mut reporter, Some(&tenure)), "another controller leads");
-        let ended = (Subject::Tenure, Problem::End("this controller leads".into()));
-        assert_eq!(shown(&mut reporter, Some(&ended)), "rooms differ", "it began during the stop, and lasts");
-        reporter.conditions.geometry = None;
-        assert_eq!(shown(&mut reporter, None), "", "none of before returns");
-    }
-
-    #[test]
-    fn an_absent_driver_is_named_before_silent_controllers() {
-        let mut reporter = Reporter::new(Identity::default());
-        let now = Conditions { without_driver: vec![0], silent_peers: vec![7, 8], ..Conditions::default() };
-        let news = [0; 2].map(|_| reporter.new_condition(now.clone(), 1).map(|(subject, _)| subject));
-        assert_eq!(news, [Some(Subject::Driver), Some(Subject::Peer(7))]);
-    }
-
-    #[test]
-    fn a_driver_is_not_blamed_while_this_process_has_no_connection() {
-        let mut reporter = Reporter::new(Identity::default());
-        let mut problem = |connection: Option<&str>| {
-            let connection = connection.map(str::to_owned);
-            let now = Conditions { without_driver: vec![0], connection, ..Conditions::default() };
-            reporter.new_condition(now, 1);
-            reporter.present_problem(1)
-        };
-        assert_eq!(problem(Some("no connection")), "no driver receives the commands: no connection");
-        assert_eq!(problem(None), format!("no driver receives the commands: {DRIVER_ABSENT}"));
-    }
-}
+mod tests;

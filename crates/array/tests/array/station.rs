@@ -10,7 +10,7 @@ use heliostat_array::station::{Identity, Report, Station};
 use heliostat_array::stop_record::{RecordError, StopRecord, StopStore};
 use heliostat_array::{Device, DeviceError, Kit};
 use heliostat_channel::MirrorAngles;
-use heliostat_proto::{ArrayState, AxisLimits, Capabilities, EmergencyStop, MirrorCommand, NodeStatus, Stamp};
+use heliostat_proto::{ArrayState, AxisLimits, Capabilities, EmergencyStop, MirrorCommand, NodeStatus, Rearm, Stamp};
 
 const MS: u64 = 1_000_000;
 
@@ -232,6 +232,25 @@ fn a_slow_disk_delays_no_stop_and_a_report_that_names_one_only_for_a_while() {
     advance(&mut station, &memory, 256).unwrap();
     assert!(station.is_recorded() && text().contains("sequence = \"7\""), "{}", text());
     assert_eq!(reports(&mut station, 256), [("stops", 3)], "it is recorded now");
+}
+
+#[test]
+fn a_release_on_a_slow_disk_is_named_and_no_stop_that_is_not_recorded() {
+    let memory = Memory::default();
+    let mut station = start(&memory);
+    advance(&mut station, &memory, 0).unwrap();
+    stop(&mut station, 5);
+    advance(&mut station, &memory, 5).unwrap();
+    let at = |ms: u64| Moment::simulated(ms * MS);
+    let rearm = Rearm { stop_source: 7, stop_sequence: 6, ..Rearm::default() };
+    station.handle(at(6), Arrival { at: at(6), content: Content::Rearm(Ok(rearm)) });
+    station.advance(at(6));
+    let task = station.poll_record(at(6)).expect("a release is recorded");
+    station.advance(at(256));
+    assert!(station.last_problem().starts_with("the release is not recorded yet"), "{}", station.last_problem());
+    assert!(station.is_recorded(), "no stop is in force");
+    station.finish_record(&task.run(&mut memory.clone()));
+    assert_eq!((station.is_recorded(), station.last_problem()), (true, String::new()));
 }
 
 #[test]

@@ -141,7 +141,10 @@ fn with_reach(error: UiError) -> anyhow::Error {
             )
         }
         error @ UiError::NoReceiver(_) => {
-            anyhow!("{error}. No stop was sent, and the mirrors go on moving")
+            anyhow!(
+                "{error}. No array received the stop, and the mirrors go on moving; an array that connected during the wait \
+                 may have it"
+            )
         }
         error => error.into(),
     }
@@ -333,5 +336,11 @@ mod tests {
         let unlisted = words(&format!("{UNLISTED_STOPS}; one is 7/1 of \"ann\""));
         assert!(unlisted.starts_with("the named stop of room lab is released, confirmed after 5.0 ms"), "{unlisted}");
         assert!(unlisted.contains("further stops may hold the arrays: look at `heliostat status`"), "{unlisted}");
+    }
+
+    #[test]
+    fn a_stop_that_no_array_received_was_published_all_the_same() {
+        let text = with_reach(UiError::NoReceiver("array")).to_string();
+        assert!(text.ends_with("an array that connected during the wait may have it"), "{text}");
     }
 }

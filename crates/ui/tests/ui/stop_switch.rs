@@ -32,6 +32,8 @@ enum Manner {
 #[derive(Default)]
 struct State {
     stops: Vec<StopName>,
+    /// Repetitions of them are ignored. They are too old for the list in a report.
+    released: Vec<StopName>,
     sequence: u64,
     rearms: Vec<Rearm>,
     unnamed: u32,
@@ -129,7 +131,7 @@ impl Array {
                 &keys.stop_repetition(),
                 on(|state, payload, manner| {
                     let order: StopRepetition = decode(payload).unwrap();
-                    if manner != Manner::Older {
+                    if manner != Manner::Older && !state.released.contains(&order.name()) {
                         latch(state, order.name());
                     }
                 }),
@@ -221,6 +223,28 @@ fn a_stop_is_repeated_by_its_name_to_an_array_that_has_not_reported_it() {
     switch.stop_and_confirm("test", TIME_LIMIT).unwrap();
     assert_eq!(arrays[0].stops(), arrays[1].stops());
     assert_eq!(arrays[0].stops().len(), 1, "a repetition has no name of its own");
+}
+
+#[test]
+fn a_stop_that_another_operator_releases_meanwhile_is_not_ordered_again() {
+    let (arrays, switch, _sessions) = arrays("released", &[Manner::Stops, Manner::Latches]);
+    assert_eq!(switch.stops(TIME_LIMIT), [], "every array is known, so that the stop itself is sent once");
+    std::thread::scope(|scope| {
+        let open = scope.spawn(|| unconfirmed(&switch));
+        let begun = Instant::now();
+        while arrays[0].stops().is_empty() {
+            assert!(begun.elapsed() < TIME_LIMIT, "the stop has not come");
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        // Its report with the stop comes before the one without.
+        arrays[0].report();
+        let mut state = arrays[0].state.lock().unwrap();
+        state.released = std::mem::take(&mut state.stops);
+        drop(state);
+        arrays[0].report();
+        let open = open.join().unwrap();
+        assert_eq!(open[0], "another operator has released the stop at array 0", "{open:?}");
+    });
 }
 
 #[test]
@@ -362,6 +386,20 @@ fn a_stop_that_one_array_reports_is_repeated_to_an_array_that_appears_later() {
         switch.repeat();
         std::thread::sleep(Duration::from_millis(10));
     }
+}
+
+#[test]
+fn a_rearm_succeeds_although_an_array_never_had_the_stop() {
+    let (arrays, switch, _sessions) = arrays("never", &[Manner::Stops, Manner::Stops]);
+    let other = StopName { source: 77, sequence: 1 };
+    latch(&mut arrays[0].state.lock().unwrap(), other);
+    let begun = Instant::now();
+    while switch.known_stops().first().is_none_or(|stop| stop.arrays != [0, 1]) {
+        assert!(begun.elapsed() < TIME_LIMIT, "the stop is not held for both arrays");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    switch.rearm_and_confirm(&[other], "clear", TIME_LIMIT).unwrap();
+    assert_eq!((arrays[0].stops(), switch.known_stops()), (vec![], vec![]));
 }
 
 #[test]

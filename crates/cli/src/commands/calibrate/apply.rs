@@ -84,14 +84,20 @@ fn apply(args: &ApplyArgs, bus: &Bus, file: &CalibrationFile) -> Result<(Order, 
 /// Waits until telemetry shows the calibration in use; else says what it shows.
 fn confirm(reports: &Reports, order: &Order) -> Result<()> {
     let until = Instant::now() + WAIT;
-    let mut refusal = None;
+    let (mut refusal, mut other) = (None, None);
     let outcome = reports.wait(until, |report| {
         refusal = report.refusal(order.driver).or_else(|| refusal.take());
-        match report {
-            Report::Telemetry(now) => order.judge(&now),
-            Report::Problem { .. } => None,
+        let Report::Telemetry(now) = report else { return None };
+        match order.judge(&now) {
+            // It may have come just before this one, which the next telemetry then shows.
+            shown @ Some(Outcome::Other(_)) => {
+                other = shown;
+                None
+            }
+            shown => shown,
         }
     });
+    let outcome = outcome.or(other);
     let kept = Number(order.former);
     let named = |refusal: Option<String>| refusal.unwrap_or_else(|| "its log says why".to_owned());
     match outcome {
@@ -327,6 +333,24 @@ mod tests {
         let order = Order::after(&telemetry(7, 4, fault::CALIBRATION), 0);
         assert_eq!(order.judge(&telemetry(7, 4, fault::CALIBRATION)), None);
         assert_eq!(order.judge(&telemetry(7, 5, 0)), Some(Outcome::InUse));
+    }
+
+    #[test]
+    fn a_calibration_that_comes_just_after_the_one_of_another_sender_is_in_use() {
+        let order = Order::after(&telemetry(7, 4, 0), 0);
+        let confirmed = |shown: &[u64]| {
+            let (sender, queue) = mpsc::channel();
+            for calibration in shown {
+                let report = Report::Telemetry(Box::new(telemetry(7, *calibration, 0)));
+                sender.send(report).expect("a queue");
+            }
+            // No further report comes.
+            drop(sender);
+            confirm(&Reports { queue, _subscriptions: Vec::new() }, &order).map_err(|error| error.to_string())
+        };
+        assert_eq!(confirmed(&[4, 9, 9, 5]), Ok(()));
+        let ended = confirmed(&[4, 9]).expect_err("the other one stays in use");
+        assert!(ended.starts_with("the array uses calibration 9 of another sender"), "{ended}");
     }
 
     #[test]

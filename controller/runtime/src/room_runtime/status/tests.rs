@@ -1,0 +1,63 @@
+use super::*;
+
+#[test]
+fn what_keeps_commands_from_the_mirrors_is_the_problem_until_it_ends() {
+    let mut reporter = Reporter::new(Identity::default());
+    let refused = (Subject::Other, Problem::Warning("a report is refused".into()));
+    let shown = |reporter: &mut Reporter, problem: Option<&(Subject, Problem)>| {
+        reporter.keep(problem);
+        reporter.present_problem(1)
+    };
+    assert_eq!(shown(&mut reporter, Some(&refused)), "a report is refused");
+    reporter.unfit = Some("it is too small".into());
+    assert_eq!(shown(&mut reporter, Some(&refused)), "the array receives no commands: it is too small");
+    reporter.conditions.geometry = Some("rooms differ".into());
+    reporter.stops = "withheld by a stop".into();
+    assert_eq!(shown(&mut reporter, None), "the array receives no commands: it is too small");
+    reporter.unfit = None;
+    assert_eq!(shown(&mut reporter, None), "withheld by a stop");
+    // The end of the stop falls together with another event, which alone is reported.
+    reporter.stops.clear();
+    let tenure = (Subject::Tenure, Problem::Warning("another controller leads".into()));
+    assert_eq!(shown(&mut reporter, Some(&tenure)), "another controller leads");
+    let ended = (Subject::Tenure, Problem::End("this controller leads".into()));
+    assert_eq!(shown(&mut reporter, Some(&ended)), "rooms differ", "it began during the stop, and lasts");
+    reporter.conditions.geometry = None;
+    assert_eq!(shown(&mut reporter, None), "", "none of before returns");
+}
+
+#[test]
+fn light_that_is_not_watched_any_more_is_no_problem() {
+    let mut reporter = Reporter::new(Identity::default());
+    let mut shown = |light: &[ServedLight]| {
+        let problem = reporter.new_light(light);
+        reporter.keep(problem.as_ref());
+        reporter.present_problem(1)
+    };
+    let light = |off_since_s| [ServedLight { of: "mirrors".into(), ratio: 0.62, off_since_s }];
+    assert!(shown(&light(Some(3.0))).starts_with("the mirrors bring 0.62 of the expected light since"));
+    assert_eq!(shown(&[]), "", "another source reports the users");
+    assert!(shown(&light(Some(9.0))).starts_with("the mirrors bring 0.62"), "it is off again");
+    assert_eq!(shown(&light(None)), "");
+}
+
+#[test]
+fn an_absent_driver_is_named_before_silent_controllers() {
+    let mut reporter = Reporter::new(Identity::default());
+    let now = Conditions { without_driver: vec![0], silent_peers: vec![7, 8], ..Conditions::default() };
+    let news = [0; 2].map(|_| reporter.new_condition(now.clone(), 1).map(|(subject, _)| subject));
+    assert_eq!(news, [Some(Subject::Driver), Some(Subject::Peer(7))]);
+}
+
+#[test]
+fn a_driver_is_not_blamed_while_this_process_has_no_connection() {
+    let mut reporter = Reporter::new(Identity::default());
+    let mut problem = |connection: Option<&str>| {
+        let connection = connection.map(str::to_owned);
+        let now = Conditions { without_driver: vec![0], connection, ..Conditions::default() };
+        reporter.new_condition(now, 1);
+        reporter.present_problem(1)
+    };
+    assert_eq!(problem(Some("no connection")), "no driver receives the commands: no connection");
+    assert_eq!(problem(None), format!("no driver receives the commands: {DRIVER_ABSENT}"));
+}

@@ -1,0 +1,112 @@
+//! What the stop reports of a room are read as.
+
+use super::*;
+use crate::structures::Stamp;
+
+const NOW: Duration = Duration::from_secs(100);
+
+fn report(sequence: u64, device_stopped: bool) -> StopReport {
+    StopReport {
+        stamp: Stamp { source: 9, sequence, time_ns: 0 },
+        device_stopped,
+        stops: vec![LatchedStopReport { source: 3, sequence: 4, ..LatchedStopReport::default() }],
+        ..StopReport::default()
+    }
+}
+
+fn ordered() -> ReportedStops {
+    let order = EmergencyStop { stamp: Stamp { source: 3, sequence: 4, time_ns: 0 }, ..EmergencyStop::default() };
+    let mut stops = ReportedStops::default();
+    stops.announce(NOW, 1);
+    stops.order(NOW, &order);
+    stops
+}
+
+#[test]
+fn a_stop_report_that_arrives_late_shows_no_device_as_stopped() {
+    let mut stops = ordered();
+    stops.handle_stops(NOW, 0, report(2, false));
+    stops.handle_stops(NOW, 0, report(1, true));
+    assert_eq!(stops.standings(NOW, None), [(0, Standing::Latched { problem: String::new() })]);
+    stops.handle_stops(NOW, 0, report(3, true));
+    assert_eq!(stops.standings(NOW, None), [(0, Standing::Stopped)]);
+}
+
+#[test]
+fn a_stop_that_a_later_report_of_an_array_does_not_name_is_forgotten_for_it() {
+    let name = StopName { source: 3, sequence: 4 };
+    let mut stops = ReportedStops::default();
+    stops.announce(NOW, 3);
+    stops.handle_stops(NOW, 0, report(1, true));
+    stops.handle_stops(NOW, 1, StopReport { stops: Vec::new(), ..report(1, false) });
+    stops.forget_unlatched(&[name], NOW);
+    assert_eq!(stops.stops()[0].arrays, [0, 1, 2], "a repetition may be on its way");
+    let later = NOW + Duration::from_nanos(1);
+    stops.handle_stops(later, 0, report(2, true));
+    stops.handle_stops(later, 1, StopReport { stops: Vec::new(), ..report(2, false) });
+    stops.forget_unlatched(&[name], NOW);
+    assert_eq!(stops.stops()[0].arrays, [0, 2], "the last one does not answer");
+}
+
+#[test]
+fn an_array_that_has_stopped_and_does_not_record_the_stop_is_named() {
+    let mut stops = ordered();
+    let with_problem = |report| StopReport { problem: "the disk is full".into(), ..report };
+    stops.handle_stops(NOW, 0, with_problem(report(1, false)));
+    assert_eq!(stops.unrecorded(NOW), [], "the problem of a device");
+    stops.handle_stops(NOW, 0, with_problem(report(2, true)));
+    assert_eq!(stops.standings(NOW, None), [(0, Standing::Stopped)]);
+    assert_eq!(stops.unrecorded(NOW), [(0, "the disk is full".to_owned())]);
+    assert!(!stops.has_stops_after(0, NOW));
+    let later = NOW + Duration::from_nanos(1);
+    stops.handle_stops(later, 0, report(3, true));
+    assert!(stops.has_stops_after(0, NOW));
+    assert_eq!(stops.unrecorded(later), [], "it is recorded now");
+}
+
+#[test]
+fn each_of_two_drivers_of_an_array_has_to_confirm_a_stop() {
+    let mut stops = ordered();
+    let of_other = |report: StopReport| StopReport { stamp: Stamp { source: 7, ..report.stamp }, ..report };
+    stops.handle_stops(NOW, 0, report(1, true));
+    assert_eq!(stops.unconfirmed_drivers(0, &[7, 9], NOW), [7], "it is silent");
+    stops.handle_stops(NOW, 0, of_other(report(1, false)));
+    assert_eq!(stops.unconfirmed_drivers(0, &[7, 9], NOW), [7], "its device has not stopped");
+    stops.handle_stops(NOW, 0, of_other(report(2, true)));
+    assert_eq!(stops.unconfirmed_drivers(0, &[7, 9], NOW), [0; 0]);
+    assert_eq!(stops.unconfirmed_drivers(0, &[7, 9], NOW + REPORT_AGE_MAX), [7, 9]);
+}
+
+#[test]
+fn arrays_that_started_stopped_have_one_stop_with_the_reason_of_each() {
+    let mut stops = ReportedStops::default();
+    for (array, reason) in ["no first file", "no second file"].into_iter().enumerate() {
+        let latched = LatchedStopReport { reason: reason.into(), ..LatchedStopReport::default() };
+        let stamp = Stamp { source: 9 + array as u64, sequence: 1, time_ns: 0 };
+        stops.handle_stops(NOW, array, StopReport { stamp, stops: vec![latched], ..StopReport::default() });
+    }
+    let all = stops.stops();
+    assert_eq!((all.len(), &*all[0].arrays), (1, &[0, 1][..]));
+    assert_eq!(all[0].reason, "no first file; no second file");
+}
+
+#[test]
+fn an_array_gets_the_stop_itself_only_when_its_stop_reports_would_have_come() {
+    let mut stops = ordered();
+    for (now, is_older) in [(NOW, false), (NOW + STOPS_WITHIN + Duration::from_millis(1), true)] {
+        stops.handle_telemetry(now, 0, &MirrorTelemetry::default());
+        let unreported = stops.unreported(now);
+        assert!(matches!(&unreported[..], [(0, _, found)] if *found == is_older), "{unreported:?}");
+    }
+}
+
+#[test]
+fn an_array_without_a_fresh_report_does_not_answer() {
+    let mut stops = ordered();
+    assert_eq!(stops.standings(NOW, None), [(0, Standing::Silent)]);
+    stops.handle_stops(NOW, 0, report(1, true));
+    let later = NOW + REPORT_AGE_MAX;
+    assert_eq!(stops.standings(later - Duration::from_millis(1), None), [(0, Standing::Stopped)]);
+    assert_eq!(stops.standings(later, None), [(0, Standing::Silent)]);
+    assert!(!stops.has_stopped(StopName { source: 3, sequence: 4 }, NOW, NOW + Duration::from_millis(1)));
+}

@@ -32,7 +32,7 @@ pub(crate) use plan::Beginning;
 pub use plan::Clock;
 pub(crate) use settings::unusable;
 pub use settings::{SETTLE, Settings};
-pub use verdict::Verdict;
+pub use verdict::{LeftOut, Verdict};
 pub(crate) use verdict::difference;
 
 use crate::file::open;

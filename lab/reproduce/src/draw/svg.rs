@@ -196,10 +196,7 @@ fn draw_marker<C: CoordTranslate>(
     at: C::From,
     marker: Marker,
     colour: RGBColor,
-) -> Result<()>
-where
-    C::From: Clone,
-{
+) -> Result<()> {
     let square = [(-3, -3), (3, 3)];
     match marker {
         Marker::Circle => area.draw(&Circle::new(at, 3, colour.filled()))?,
@@ -311,6 +308,19 @@ fn draw_legend(area: &Area, names: &[&str], quoted: bool, entries_a_row: u32) ->
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_belief_of_a_series_shows_at_its_points_and_in_the_legend() {
+        let triangles = |belief: &str| {
+            let point = Point { x: 1.0, y: 0.9, ci95: None, x_ci95: None };
+            let points = vec![point, Point { x: 2.0, ..point }];
+            let series = vec![Series { name: format!("greedy+{belief}"), points }];
+            let panels = vec![Panel { series, ..Panel::default() }];
+            let figure = Figure { x: Axis::linear("users"), y: Axis::linear("ratio"), panels, ..Figure::default() };
+            draw(&figure).expect("a figure").matches("<polygon").count()
+        };
+        assert_eq!(["filter", "constant-velocity"].map(triangles), [0, 3]);
+    }
 
     #[test]
     fn an_interval_is_not_drawn_beyond_the_values_that_its_quantity_can_have() {

@@ -421,5 +421,6 @@ fn ordered(stop: &RoomStop) -> EmergencyStop {
     (order.stamp.source, order.stamp.sequence) = (stop.name.source, stop.name.sequence);
     order
 }
+
 #[cfg(test)]
 mod tests;

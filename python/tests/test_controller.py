@@ -242,8 +242,10 @@ def test_a_run_ends_after_its_time_and_wrong_settings_are_refused() -> None:
     assert "no process of the room answers" in summary.last_problem
     with pytest.warns(RuntimeWarning, match="no process of the room answers"):
         heliostat.run(lambda _: None, connect=endpoint, seconds=0.01)
-    with pytest.raises(PeerError, match="no endpoint"):
+    with pytest.raises(PeerError, match=r"no endpoint: expected listen=\.\.\. or connect=\.\.\., for example connect='"):
         heliostat.run(lambda _: None)
+    with pytest.raises(PeerError, match="expected tls='DIR', or insecure=True"):
+        heliostat.run(lambda _: None, listen="tcp/0.0.0.0:7447")
     with pytest.raises(ValueError, match='"angles", "weights"'):
         heliostat.run(lambda _: None, connect=[endpoint], action="torque", seconds=0.1)
     number: Any = 42

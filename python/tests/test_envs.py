@@ -246,7 +246,11 @@ def test_a_refused_reset_leaves_the_environment_as_it_was() -> None:
     assert np.array_equal(env.step(action)[0], reference.step(action)[0])
 
 
-def test_an_unknown_keyword_is_a_type_error() -> None:
+def test_an_unknown_keyword_is_a_type_error_with_all_that_are_accepted() -> None:
+    with pytest.raises(TypeError, match="expected action, .*overrides, .*render_mode, .*scenario, .*: render_mode"):
+        heliostat.HeliostatEnv(rendermode="human")
+    with pytest.raises(TypeError, match="autoreset_mode, .*num_envs, .*overrides.*: num_envs"):
+        heliostat.HeliostatVectorEnv(num_env=2)
     with pytest.raises(TypeError, match="penality.*similar name exists: penalty"):
         heliostat.HeliostatEnv(penality=1.0)
 

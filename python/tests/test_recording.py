@@ -112,7 +112,7 @@ def test_a_recording_that_was_cut_warns(path: Path, tmp_path: Path) -> None:
 
 
 def test_files_that_are_no_recordings_are_refused_with_the_reason(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="none.mcap"):
+    with pytest.raises(FileNotFoundError, match="none.mcap"):
         heliostat.Recording(tmp_path / "none.mcap")
     (tmp_path / "text.mcap").write_bytes(b"no recording")
     with pytest.raises(ValueError, match="is not an MCAP file"):

@@ -91,6 +91,16 @@ def test_users_that_the_contract_does_not_allow_are_refused_and_reporting_goes_o
         assert tracker.report([]) == 1
 
 
+def test_a_time_in_seconds_is_refused_with_its_type() -> None:
+    wrong: Any = 1.7e9
+    with Tracker(Settings(connect=(free_endpoint(),))) as tracker:
+        with pytest.raises(wire.Refused, match=r"time_ns: expected an integer in ns, got a float 1700000000\.0"):
+            tracker.report([], wrong)
+        with pytest.raises(wire.Refused, match="got a float"):
+            tracker.publish("obstacles", {"obstacles": []}, wrong)
+        assert tracker.report([], np.int64(1000)) == 1  # type: ignore[arg-type]
+
+
 def test_numbers_of_numpy_are_numbers_of_a_user() -> None:
     with Tracker(Settings(connect=(free_endpoint(),))) as tracker:
         user = User(np.int64(0), np.array([0.0, 0.0, 0.85]), (np.float32(1.0), 0), np.float64(1e6))  # type: ignore[arg-type]

@@ -312,16 +312,16 @@ impl<S: Storage> RoomWriter<S> {
         }
     }
 
-    /// Reports a process whose scenario differs from the recorded one: such a recording cannot be
-    /// replayed.
+    /// Reports a process whose scenario differs from the recorded one: a replay leaves out the commands
+    /// of such a controller.
     fn check_scenario(&mut self, received: &Received) {
         let Received::Status(status) = received else { return };
         if status.scenario.is_empty() || status.scenario == self.header.scenario_hash {
             return;
         }
         let problem = format!(
-            "{} uses scenario {}, the recording holds {}; give record the --scenario, --set and --seed of the room",
-            status.node, status.scenario, self.header.scenario_hash
+            "{} {:016x} uses scenario {}, the recording holds {}; give record or that process the --scenario, --set and --seed of the room",
+            status.node, status.stamp.source, status.scenario, self.header.scenario_hash
         );
         if !self.problems.contains(&problem) {
             self.report(problem);

@@ -32,8 +32,8 @@ pub(crate) use plan::Beginning;
 pub use plan::Clock;
 pub(crate) use settings::unusable;
 pub use settings::{SETTLE, Settings};
-pub use verdict::Verdict;
 pub(crate) use verdict::difference;
+pub use verdict::{LeftOut, Verdict};
 
 use crate::file::open;
 use plan::Plan;

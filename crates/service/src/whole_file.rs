@@ -21,8 +21,11 @@ const HOLD_TRIES: usize = 100;
 /// not appear, and existing content stays. Others may check the same file at the same time.
 ///
 /// # Errors
-/// A folder that does not exist, or a file that this user cannot write.
+/// A folder that does not exist, a file that this user cannot write, or `-`.
 pub fn check_writable(file: &Path) -> Result<()> {
+    if file == Path::new("-") {
+        bail!(UnusableInput::new("cannot write -: expected a file; /dev/stdout is standard output"));
+    }
     let refused = || format!("cannot write {}: expected a file in a folder that exists", file.display());
     if file.exists() {
         return File::options().append(true).open(file).map(drop).with_context(refused);
@@ -182,6 +185,8 @@ mod tests {
             check_writable(&file).expect("writable");
             assert_eq!((fs::read_to_string(&file).expect("the file").as_str(), names()), (text, 1));
         }
+        let refusal = check_writable(Path::new("-")).expect_err("no file").to_string();
+        assert!(refusal.contains("/dev/stdout is standard output"), "{refusal}");
         let refusal = check_writable(&folder.path().join("no/figures.csv")).expect_err("no folder");
         assert!(format!("{refusal:#}").contains("no/figures.csv: expected a file in a folder that exists"));
     }

@@ -79,7 +79,8 @@ impl Outages {
             time_in_longer: OUTAGE_LENGTHS_S.map(|least_s| {
                 // Half a sample separates equal lengths from longer ones.
                 let longer = lengths_s.iter().filter(|length_s| **length_s > least_s + 0.5 * step_s);
-                longer.sum::<f64>() / user_s
+                // The sum of no length is -0.
+                longer.sum::<f64>().abs() / user_s
             }),
         })
     }
@@ -122,6 +123,7 @@ mod tests {
         let mut log = OutageLog::default();
         log.handle([(1, false)].into_iter());
         let outages = Outages::of(std::iter::once(&log)).expect("a sample");
+        assert!(outages.time_in_longer.iter().all(|share| share.is_sign_positive()), "{outages:?}");
         assert!(outages.per_user_minute == 0.0 && outages.p50_s.is_nan(), "{outages:?}");
     }
 }

@@ -18,11 +18,13 @@ from __future__ import annotations
 
 import os
 import queue
+import re
 import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -119,12 +121,31 @@ def run(
     form = action if action is not None else getattr(act, "action", "angles")
     ends = endpoints("listen", listen), endpoints("connect", connect)
     settings = Settings(room, *ends, client, None if tls is None else Path(tls), insecure)
-    with stop_on_signals(stop or threading.Event()) as ended:
+    with stop_on_signals(stop or threading.Event()) as ended, _keywords_for_flags():
         one = _Run(act, load_scenario(scenario), form, settings, ended)
         summary = one.run(seconds)
     if reason := one.unmoved():
         warnings.warn(f"heliostat.run has turned no mirror: {printable(reason)}", RuntimeWarning, stacklevel=2)
     return summary
+
+
+def _keyword(flag: re.Match[str]) -> str:
+    name, value = flag.groups()
+    if name in ("client", "insecure"):
+        return f"{name}=True"
+    return f"{name}={value!r}" if value else f"{name}=..."
+
+
+@contextmanager
+def _keywords_for_flags() -> Iterator[None]:
+    """Errors within name the keywords of `run` in place of the flags of a driver or a tracker."""
+    from .peer import PeerError
+
+    try:
+        yield
+    except PeerError as problem:
+        flags = r"--(listen|connect|client|tls|insecure|room)\b(?: (DIR|(?:tcp|tls)/[\w.:]+))?"
+        raise PeerError(re.sub(flags, _keyword, str(problem))) from problem.__cause__
 
 
 class _Run:

@@ -19,7 +19,7 @@ import inspect
 import os
 import sys
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, TypeAlias
@@ -83,20 +83,26 @@ _MAKERS = {"heliostat", "gymnasium", "stable_baselines3"}
 SETTINGS = frozenset(inspect.signature(make_settings).parameters) - {"scenario"}
 """The keywords of `make_settings`."""
 
+KEYWORDS = SETTINGS | {"scenario", "overrides", "render_mode"}
+"""The keywords of `HeliostatEnv`."""
+
 
 def make_scenario(
-    source: str | os.PathLike[str] | Scenario, overrides: Mapping[str, Value] | None, settings: Mapping[str, Any]
+    source: str | os.PathLike[str] | Scenario,
+    overrides: Mapping[str, Value] | None,
+    settings: Mapping[str, Any],
+    accepted: Set[str] = KEYWORDS,
 ) -> Scenario:
-    """The scenario of an environment with these further keywords.
+    """The scenario of an environment with these further keywords; `accepted` has all keywords of its constructor.
 
     Raises `TypeError` for an unknown keyword, and `ValueError` for an override that has no effect on a static room.
     Warns of faults of mirrors in the scenario, which a static room does not have.
     """
     for name in settings:
         if name not in SETTINGS:
-            close = difflib.get_close_matches(name, SETTINGS, 1)
+            close = difflib.get_close_matches(name, accepted, 1)
             hint = f"; a similar name exists: {close[0]}" if close else ""
-            raise TypeError(f'unknown keyword "{name}": expected {", ".join(sorted(SETTINGS))}{hint}')
+            raise TypeError(f'unknown keyword "{name}": expected {", ".join(sorted(accepted))}{hint}')
     scenario = load_scenario(source, overrides)
     if settings.get("dynamics", "static") == "static":
         condition = check_exact(scenario, override_texts(overrides or {}))
@@ -183,22 +189,22 @@ class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
     """A room with a mirror array, in steps of a learner.
 
     Args:
-        scenario: a built-in name, the path of a TOML file, or a `Scenario`.
-        overrides: keys of the scenario as "users.count", with their values. A static room refuses those of reports,
-            belief and moving mirrors, which have no effect on it.
-        dynamics: "static" (true state, instant mirrors) or "closed-loop" (reports, belief, mirror dynamics). A step
-            of a closed loop is the time between two position reports.
-        action: "angles" (roll of each mirror, then yaw of each, over the range of an axis) or "weights" (one for each
-            slot; the decoder computes the angles). All components are in [-1, 1].
-        observation: "flat" (the vector that the controller gives to an actor), "dict" (its parts by name, with the
-            mask of the slots), "belief" (one row of `heliostat.BELIEF_COLUMNS` for each slot) or "paper".
-        reward: "shortfall" (a rate below the minimum is penalised) or "printed" (as in the paper).
-        penalty: weight of the penalty.
-        margin: factor on the minimum rates in the penalty.
-        step_s: seconds between two actions of a static room.
-        settle_s: seconds that users walk before the first observation.
-        oracle: whether `info` has the oracle's rate, which takes far longer than the step.
-        render_mode: "rgb_array" or "human"; the latter needs pygame.
+        scenario: a built-in name, the path of a TOML file, or a `Scenario`; default "specular".
+        overrides: keys of the scenario as "users.count", with their values; default: none. A static room refuses those
+            of reports, belief and moving mirrors, which have no effect on it.
+        dynamics: "static" (true state, instant mirrors), the default, or "closed-loop" (reports, belief, mirror
+            dynamics). A step of a closed loop is the time between two position reports.
+        action: "angles" (roll of each mirror, then yaw of each, over the range of an axis), the default, or "weights"
+            (one for each slot; the decoder computes the angles). All components are in [-1, 1].
+        observation: "flat" (the vector that the controller gives to an actor), the default, "dict" (its parts by name,
+            with the mask of the slots), "belief" (one row of `heliostat.BELIEF_COLUMNS` for each slot) or "paper".
+        reward: "shortfall" (a rate below the minimum is penalised), the default, or "printed" (as in the paper).
+        penalty: weight of the penalty, without unit, from 0; default 1.
+        margin: factor on the minimum rates in the penalty, without unit, from 0; default 1.
+        step_s: time in s between two actions of a static room, above 0; default 1.
+        settle_s: time in s that users walk before the first observation, from 0; default `SETTLE_S`, 20.
+        oracle: whether `info` has the oracle's rate, which takes far longer than the step; default false.
+        render_mode: "rgb_array" or "human", which needs pygame; default: no pictures.
 
     `info` has `sum_rate_mbps`, `rates_mbps` (one for each user present), `qos_met` (share of users whose minimum rate
     is met), and `oracle_mbps` with `oracle=True`.

@@ -6,6 +6,7 @@ UTC where the recorded processes used UTC.
 
 from __future__ import annotations
 
+import errno
 import importlib
 import json
 import os
@@ -40,10 +41,12 @@ def _component(name: str, index: int) -> str:
 class Recording:
     """A recording up to its end, or to its last complete chunk: a file that was cut warns with `RuntimeWarning`.
 
-    Raises `ValueError` for a file that is not a recording of a room.
+    Raises `FileNotFoundError` for a path without a file, and `ValueError` for a file that is not a recording of a room.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
+        if not os.path.exists(path):
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), os.fspath(path))
         self._inner = _Recording(os.fspath(path))
         if self._inner.account is None:
             cut = f"{os.fspath(path)}: the recording was cut: later messages are missing"

@@ -27,6 +27,7 @@ from .peer import INTERRUPTED, Peer, PeerError, Settings, add_arguments, stop_on
 
 _STATUS_NS = 1_000_000_000
 _USER_MAX = 2**32 - 1
+_TIME_MAX_NS = 2**64 - 1
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,19 @@ def _entry(user: Any) -> dict[str, Any]:
         }
     except (TypeError, ValueError) as problem:
         raise Refused(f"user {number}: {problem}") from None
+
+
+def _time(time_ns: Any) -> int | None:
+    """The time of a measurement, an integer in ns."""
+    if time_ns is None:
+        return None
+    try:
+        return integer("time_ns", time_ns, 0, _TIME_MAX_NS)
+    except TypeError:
+        kind = type(time_ns).__name__
+        raise Refused(f"time_ns: expected an integer in ns, got a {kind} {time_ns!r}") from None
+    except ValueError as problem:
+        raise Refused(str(problem)) from None
 
 
 def _vector(name: str, values: Any, *axes: str) -> list[float]:
@@ -115,14 +129,15 @@ class Tracker:
     def report(self, users: Iterable[User], time_ns: int | None = None) -> int:
         """Reports the users who are present; returns the number of the tick.
 
-        `time_ns` is the time of the measurement, UTC in ns; without it, now. Raises `Refused` for a number that is not
-        finite, a wrong shape, an entry that is no `User`, or a user who is named twice; nothing is published then.
+        `time_ns` is the time of the measurement, UTC in ns as of `time.time_ns()`; without it, now. Raises `Refused` for a
+        number that is not finite, a time that is no integer, a wrong shape, an entry that is no `User`, or a user who is
+        named twice; nothing is published then.
         """
         try:
             entries = _entries(users)
             if len({entry["user"] for entry in entries}) < len(entries):
                 raise Refused("a user is named twice: expected each user at most once")
-            self._peer.publish("users", {"tick": self._tick + 1, "users": entries}, time_ns)
+            self._peer.publish("users", {"tick": self._tick + 1, "users": entries}, _time(time_ns))
         except Refused as problem:
             self._refused, self._problem = self._refused + 1, str(problem)
             raise
@@ -138,7 +153,7 @@ class Tracker:
         """
         if name not in ("channel", "branches", "leds", "obstacles", "orientation"):
             raise ValueError(f"message {name!r}: expected channel, branches, leds, obstacles or orientation")
-        self._peer.publish(name, fields, time_ns)
+        self._peer.publish(name, fields, _time(time_ns))
 
     def subscribe(self, name: str, handle: Callable[[bytes], None], array: int = 0) -> None:
         """Calls `handle` on a thread of Zenoh with each payload of a message of the room, as `heliostat.wire` names it."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ._checks import integer, real, seed_of
 from ._core import Batch
-from .envs import _UNLIMITED, EnvState, Layout, check_identity, make_scenario, make_settings
+from .envs import _UNLIMITED, KEYWORDS, EnvState, Layout, check_identity, make_scenario, make_settings
 from .rendering import draw
 from .scenario import Scenario, Value
 
@@ -25,6 +25,8 @@ _MODES = {
     AutoresetMode.SAME_STEP: "same-step",
     AutoresetMode.DISABLED: "disabled",
 }
+
+_KEYWORDS = KEYWORDS | {"num_envs", "max_episode_steps", "autoreset_mode", "copy"}
 
 NUM_ENVS_MAX = 16_384
 """Most environments of a batch; each holds a room in memory."""
@@ -50,13 +52,14 @@ class HeliostatVectorEnv(VectorEnv[Any, Any, Any]):
     Environment i after `reset(seed=s)` equals a `HeliostatEnv` after `reset(seed=s + i)`.
 
     Args:
-        scenario: as for `HeliostatEnv`, as are `overrides` and the other settings.
-        num_envs: number of environments, at most `NUM_ENVS_MAX`.
-        max_episode_steps: steps of an episode; absent: an episode does not end.
-        autoreset_mode: when an environment restarts after the end of its episode. `NEXT_STEP`: the next step ignores
-            its action. `SAME_STEP`: the step that ends the episode; `info["final_obs"]` has its last observation and
-            `info["final_info"]` its last figures. `DISABLED`: by `reset(options={"reset_mask": mask})`.
-        copy: whether a step returns arrays of its own. Without copies the next step overwrites them.
+        scenario: as for `HeliostatEnv`, as are `overrides` and the other settings, with the same defaults.
+        num_envs: number of environments, at most `NUM_ENVS_MAX`; default 1.
+        max_episode_steps: steps of an episode; default: an episode does not end.
+        autoreset_mode: when an environment restarts after the end of its episode. `NEXT_STEP`, the default: the next
+            step ignores its action. `SAME_STEP`: the step that ends the episode; `info["final_obs"]` has its last
+            observation and `info["final_info"]` its last figures. `DISABLED`: by `reset(options={"reset_mask": mask})`.
+        copy: whether a step returns arrays of its own; default true. Without copies the next step overwrites them.
+        render_mode: "rgb_array"; default: no pictures.
 
     `info` has the figures of `HeliostatEnv`, an array for each. As in Gymnasium, the mask `info["_NAME"]` is true for
     the environments whose figures belong to the episode of the returned observation: not for those that restarted.
@@ -87,7 +90,7 @@ class HeliostatVectorEnv(VectorEnv[Any, Any, Any]):
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f'render_mode = {render_mode!r}: expected "rgb_array"')
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self.scenario = make_scenario(scenario, overrides, settings)
+        self.scenario = make_scenario(scenario, overrides, settings, _KEYWORDS)
         checked = make_settings(self.scenario, observation=observation, **settings)
         seeds = [self.scenario.seed + index for index in range(num_envs)]
         steps_max = _UNLIMITED if max_episode_steps is None else max_episode_steps

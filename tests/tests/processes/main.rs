@@ -19,6 +19,7 @@ mod lockstep;
 mod metrics;
 mod network;
 mod one_process;
+mod other_scenarios;
 mod policies;
 mod recording;
 mod restarts;

@@ -16,6 +16,7 @@ use crate::file::open;
 use crate::received::Received;
 
 use super::schedule::{Schedule, ScheduleBuilder};
+use super::verdict::LeftOut;
 
 const NO_REPORT: &str =
     "it holds no position report: the recorder was not connected to the room's process, or was cut before it wrote";
@@ -97,6 +98,8 @@ pub(super) struct Plan {
     pub schedules: BTreeMap<u64, Rc<Schedule>>,
     /// The statuses of the controllers, by epoch.
     controllers: BTreeMap<u64, ControllerHistory>,
+    /// The epochs whose commands are not replayed.
+    pub left_out: BTreeMap<u64, LeftOut>,
     pub account: Account,
 }
 
@@ -108,6 +111,8 @@ struct ControllerHistory {
     actors: BTreeSet<String>,
     /// Decisions whose predicted latency exceeded the deadline.
     late: u64,
+    /// Source and scenario of a controller that used another scenario than the recording holds.
+    other_scenario: Option<(u64, String)>,
 }
 
 impl Plan {
@@ -132,6 +137,7 @@ impl Plan {
             epochs: BTreeMap::new(),
             schedules: BTreeMap::new(),
             controllers: BTreeMap::new(),
+            left_out: BTreeMap::new(),
             account: Account::default(),
         };
         let mut clock = None;
@@ -160,18 +166,14 @@ impl Plan {
                 // Each decision has a command to the first array, unless that array gets none.
                 Some(Received::Command(command)) if array == 0 => last = Some(plan.add_command(command, last.as_ref())),
                 Some(Received::Status(status)) if status.node == NodeKind::Controller => {
-                    ensure!(
-                        status.scenario.is_empty() || status.scenario == hash,
-                        "its controller used scenario {}, it holds {hash}: the recorder did not have the --scenario, --set and --seed of the room",
-                        status.scenario
-                    );
-                    plan.add_status(status);
+                    plan.add_status(status, &hash);
                 }
                 _ => {}
             }
         }
         plan.schedules = schedules.build();
         plan.clock = clock.with_context(|| NO_REPORT)?;
+        plan.leave_out_other_scenarios(&hash)?;
         ensure!(
             !plan.epochs.is_empty(),
             "it holds no command: no controller was in the room, or the recorder was not connected to it"
@@ -189,12 +191,41 @@ impl Plan {
         command
     }
 
-    /// Adds the status of a controller.
-    fn add_status(&mut self, status: NodeStatus) {
+    /// Leaves out the epochs of the controllers that used another scenario than the recorded one.
+    ///
+    /// # Errors
+    /// No other epoch has commands.
+    fn leave_out_other_scenarios(&mut self, hash: &str) -> Result<()> {
+        for (&epoch, history) in &self.controllers {
+            let Some((source, scenario)) = history.other_scenario.clone() else { continue };
+            let commands = self.answers.values().flatten().filter(|answer| answer.epoch == epoch).count() as u64;
+            self.left_out.insert(epoch, LeftOut { controller: format!("{source:016x}"), scenario, commands });
+            self.epochs.remove(&epoch);
+        }
+        if self.epochs.is_empty() && !self.left_out.is_empty() {
+            let used = self.left_out.values();
+            let used = used.map(|one| format!("controller {} used scenario {}", one.controller, one.scenario));
+            bail!(
+                "{}, it holds {hash}: either the recorder or the controller did not have the --scenario, --set and --seed of the room",
+                used.collect::<BTreeSet<_>>().into_iter().collect::<Vec<_>>().join(", ")
+            );
+        }
+        self.left_out.retain(|_, one| one.commands > 0);
+        for answers in self.answers.values_mut() {
+            answers.retain(|answer| !self.left_out.contains_key(&answer.epoch));
+        }
+        Ok(())
+    }
+
+    /// Adds the status of a controller; `hash` is that of the recorded scenario.
+    fn add_status(&mut self, status: NodeStatus, hash: &str) {
         let counter =
             |name: &str| status.counters.iter().find(|(known, _)| known == name).map_or(0, |(_, count)| *count);
         let history = self.controllers.entry(counter("epoch")).or_default();
         history.late = history.late.max(counter("fallback:late"));
+        if !status.scenario.is_empty() && status.scenario != hash {
+            history.other_scenario = Some((status.stamp.source, status.scenario));
+        }
         history
             .actors
             .extend(status.counters.iter().filter_map(|(name, _)| name.strip_prefix("actor:").map(String::from)));

@@ -312,6 +312,9 @@ impl<'a> Player<'a> {
     }
 
     fn command(&mut self, array: usize, theirs: MirrorCommand) {
+        if self.plan.left_out.contains_key(&theirs.epoch) {
+            return;
+        }
         let progress = self.current.as_ref().and_then(|current| current.progress.as_ref());
         let clock = if progress.is_some() { Clock::Live } else { self.plan.clock };
         if theirs.answers == 0 && array == 0 && progress.is_none_or(Progress::is_complete) {
@@ -429,6 +432,7 @@ impl<'a> Player<'a> {
             largest_difference_rad: verdict.largest_difference_rad,
             first_difference: verdict.first_difference,
             unrestored: self.unrestored,
+            left_out: self.plan.left_out.into_values().collect(),
         }
     }
 }

@@ -48,6 +48,19 @@ pub struct Verdict {
     pub first_difference: Option<String>,
     /// Why a recorded state of a controller was not restored.
     pub unrestored: Option<String>,
+    /// The controllers whose commands were not decided again, one for each epoch.
+    pub left_out: Vec<LeftOut>,
+}
+
+/// A controller that used another scenario than the recording holds.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct LeftOut {
+    /// Its source id.
+    pub controller: String,
+    /// The hash of its scenario.
+    pub scenario: String,
+    /// Its decisions in the recording.
+    pub commands: u64,
 }
 
 impl Verdict {
@@ -122,6 +135,12 @@ impl fmt::Display for Verdict {
         }
         if let Some(problem) = &self.unrestored {
             writeln!(formatter, "a recorded state of the controller was not restored: {problem}")?;
+        }
+        for LeftOut { controller, scenario, commands } in &self.left_out {
+            writeln!(
+                formatter,
+                "left out: {commands} commands of controller {controller}, which used another scenario: {scenario}"
+            )?;
         }
         match &self.first_difference {
             Some(found) => {

@@ -9,6 +9,7 @@ mod output;
 mod paths;
 mod sweep;
 
+use std::io::IsTerminal;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -184,6 +185,9 @@ impl Args {
                 || self.policies.iter().any(|name| name == "ddpg" || name == "actor"),
             "--model gives the actor of ddpg, but --policies does not include ddpg; give the file in --policies instead: --policies greedy,FILE.onnx"
         );
+        for (index, belief) in self.beliefs.iter().enumerate() {
+            ensure!(!self.beliefs[..index].contains(belief), "--beliefs names {belief} twice");
+        }
         let mut policies = Vec::new();
         for (index, name) in self.policies.iter().enumerate() {
             ensure!(!self.policies[..index].contains(name), "--policies names {name} twice");
@@ -236,6 +240,15 @@ fn note_without_effect(grid: &Grid, reports: &[Report]) {
     }
 }
 
+/// Names the point of a sweep that begins, where no progress bar is shown.
+fn note_point(grid: Option<&Grid>, index: usize) {
+    if let Some(grid) = grid.filter(|_| !std::io::stderr().is_terminal()) {
+        let points = grid.points();
+        let (number, of, name) = (index + 1, points.len(), grid.name(&points[index]));
+        heliostat_service::output::note(format_args!("eval: {number} of {of}: {name}"));
+    }
+}
+
 /// Runs the command.
 pub fn run(args: Args) -> Result<()> {
     let grid = Grid::new(&args.sweep).map_err(anyhow::Error::msg)?;
@@ -254,7 +267,11 @@ pub fn run(args: Args) -> Result<()> {
     };
     args.check_files()?;
     let interruption = Interruption::watch(settings.len())?;
-    let reports = settings.iter().map(|one| interruption.compare(one)).collect::<Result<Vec<_>>>()?;
+    let compared = settings.iter().enumerate().map(|(index, one)| {
+        note_point(grid, index);
+        interruption.compare(one)
+    });
+    let reports = compared.collect::<Result<Vec<_>>>()?;
     if let Some(grid) = grid {
         note_without_effect(grid, &reports);
     }

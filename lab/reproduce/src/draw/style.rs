@@ -6,11 +6,28 @@
 pub struct Style {
     /// Red, green, blue.
     pub rgb: [u8; 3],
-    /// Length of dashes and of the gaps between them, in pixels, for the grey baselines and
-    /// for policies that ignore which mirrors are unusable.
+    /// Length of dashes and of the gaps between them, in pixels, for the grey baselines,
+    /// for policies that ignore which mirrors are unusable, and for beliefs other than the filter.
     pub dashes: Option<[i32; 2]>,
+    /// The sign at the points, which differs with the belief.
+    pub marker: Marker,
     /// No line between the points.
     pub points_only: bool,
+}
+
+/// The sign at the points of a series.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Marker {
+    /// A filled circle.
+    Circle,
+    /// A filled triangle.
+    Triangle,
+    /// A diagonal cross.
+    Cross,
+    /// A filled square.
+    Square,
+    /// A circle without filling.
+    Ring,
 }
 
 /// The paper's own values.
@@ -18,7 +35,7 @@ pub const QUOTED: [u8; 3] = [0xD5, 0x00, 0x32];
 
 /// The style of a policy, of a walking speed (`1.5 m/s`), or of a symbol on a map.
 pub fn style(name: &str) -> Style {
-    // A suffix such as "+filter" or "-unaware" does not change the colour.
+    // A suffix such as "+none" or "-unaware" does not change the colour.
     let first = name.split(['+', ' ']).next().unwrap_or(name);
     let unaware = first.strip_suffix("-unaware");
     let policy = unaware.unwrap_or(first);
@@ -52,6 +69,13 @@ pub fn style(name: &str) -> Style {
         _ => 0x332288,
     };
     let [_, red, green, blue] = u32::to_be_bytes(hex);
+    let (of_belief, marker) = match name.rsplit_once('+').map(|(_, belief)| belief) {
+        Some("none") => (Some([2, 4]), Marker::Cross),
+        Some("constant-velocity") => (Some([10, 3]), Marker::Triangle),
+        Some("true-present") => (Some([4, 2]), Marker::Square),
+        Some("true-future") => (Some([14, 5]), Marker::Ring),
+        _ => (None, Marker::Circle),
+    };
     Style {
         rgb: [red, green, blue],
         dashes: match policy {
@@ -60,8 +84,9 @@ pub fn style(name: &str) -> Style {
             "random" => Some([5, 5]),
             "flat" => Some([2, 3]),
             "no-irs" => Some([12, 8]),
-            _ => unaware.map(|_| [7, 4]),
+            _ => of_belief.or(unaware.map(|_| [7, 4])),
         },
+        marker,
         points_only: matches!(policy, "user" | "LED"),
     }
 }
@@ -135,9 +160,17 @@ mod tests {
     }
 
     #[test]
-    fn a_policy_keeps_its_colour_with_any_belief_and_numbers_are_short() {
+    fn a_policy_keeps_its_colour_with_any_belief_whose_line_and_marker_differ_and_numbers_are_short() {
         assert_eq!(style("ddpg+filter"), style("ddpg"));
         assert_eq!(style("ddpg").rgb, [0x00, 0x72, 0xB2]);
+        let beliefs = ["filter", "constant-velocity", "none", "true-present", "true-future"];
+        let looks = beliefs.map(|belief| style(&format!("greedy+{belief}")));
+        for (index, one) in looks.iter().enumerate() {
+            assert_eq!(one.rgb, style("greedy").rgb);
+            for other in &looks[..index] {
+                assert!(one.dashes != other.dashes && one.marker != other.marker, "{one:?} and {other:?}");
+            }
+        }
         let unaware = style("fixed-point-unaware");
         assert_eq!(unaware.rgb, style("fixed-point").rgb);
         assert!(unaware.dashes.is_some() && style("fixed-point").dashes.is_none());

@@ -1,13 +1,13 @@
 //! A figure as an SVG file.
 
 use anyhow::Result;
-use plotters::coord::Shift;
 use plotters::coord::types::RangedCoordf64;
+use plotters::coord::{CoordTranslate, Shift};
 use plotters::element::DashedPathElement;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-use super::style::{QUOTED, axis_number, columns, short_number, style};
+use super::style::{Marker, QUOTED, axis_number, columns, short_number, style};
 use crate::figure::{Axis, Figure, Floor, Panel, Point, Series};
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
@@ -184,7 +184,26 @@ fn draw_series(chart: &mut Chart, figure: &Figure, series: &Series) -> Result<()
     let across = measured.map(|(point, half)| vec![at(point.x - half, point.y), at(point.x + half, point.y)]);
     chart.draw_series(across.map(|ends| PathElement::new(ends, colour.mix(0.35).stroke_width(7))))?;
     if path.len() <= 12 && !look.points_only {
-        chart.draw_series(path.iter().map(|point| Circle::new(*point, 3, colour.filled())))?;
+        let plane = chart.plotting_area();
+        path.iter().try_for_each(|point| draw_marker(plane, *point, look.marker, colour))?;
+    }
+    Ok(())
+}
+
+/// Draws the sign of a point.
+fn draw_marker<C: CoordTranslate>(
+    area: &DrawingArea<SVGBackend, C>,
+    at: C::From,
+    marker: Marker,
+    colour: RGBColor,
+) -> Result<()> {
+    let square = [(-3, -3), (3, 3)];
+    match marker {
+        Marker::Circle => area.draw(&Circle::new(at, 3, colour.filled()))?,
+        Marker::Triangle => area.draw(&TriangleMarker::new(at, 5, colour.filled()))?,
+        Marker::Cross => area.draw(&Cross::new(at, 4, colour.stroke_width(2)))?,
+        Marker::Square => area.draw(&(EmptyElement::at(at) + Rectangle::new(square, colour.filled())))?,
+        Marker::Ring => area.draw(&Circle::new(at, 5, colour.stroke_width(2)))?,
     }
     Ok(())
 }
@@ -272,6 +291,9 @@ fn draw_legend(area: &Area, names: &[&str], quoted: bool, entries_a_row: u32) ->
         } else {
             area.draw(&PathElement::new(ends, colour.stroke_width(2)))?;
         }
+        if look.marker != Marker::Circle {
+            draw_marker(area, (x + 13, y), look.marker, colour)?;
+        }
         area.draw(&Text::new((*name).to_owned(), (x + 32, y), font.clone()))?;
     }
     if quoted {
@@ -286,6 +308,19 @@ fn draw_legend(area: &Area, names: &[&str], quoted: bool, entries_a_row: u32) ->
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_belief_of_a_series_shows_at_its_points_and_in_the_legend() {
+        let triangles = |belief: &str| {
+            let point = Point { x: 1.0, y: 0.9, ci95: None, x_ci95: None };
+            let points = vec![point, Point { x: 2.0, ..point }];
+            let series = vec![Series { name: format!("greedy+{belief}"), points }];
+            let panels = vec![Panel { series, ..Panel::default() }];
+            let figure = Figure { x: Axis::linear("users"), y: Axis::linear("ratio"), panels, ..Figure::default() };
+            draw(&figure).expect("a figure").matches("<polygon").count()
+        };
+        assert_eq!(["filter", "constant-velocity"].map(triangles), [0, 3]);
+    }
 
     #[test]
     fn an_interval_is_not_drawn_beyond_the_values_that_its_quantity_can_have() {

@@ -68,6 +68,25 @@ fn the_answer_to_a_stop_is_readable_completely_beside_the_buttons() {
 
 #[needs("browser")]
 #[test]
+fn a_long_path_in_a_text_does_not_widen_the_page_of_a_phone() {
+    let setting = Setting::new();
+    let browser = setting.browser();
+    browser.resize(390, 844);
+    // In one script, before the next event of the server takes the texts away.
+    let wider = "document.getElementById('events').open = true; \
+        return ['banner', 'problem', 'sentence', 'refused', 'remark', 'order-status', 'last-event', 'late', 'policy-help'].filter((id) => { \
+          const part = document.getElementById(id); \
+          const before = part.textContent; \
+          part.hidden = false; \
+          part.textContent = `/${'a-long-folder-name/'.repeat(12)}room.toml`; \
+          const isWider = document.documentElement.scrollWidth > innerWidth; \
+          part.textContent = before; \
+          return isWider; })";
+    assert_eq!(browser.run(wider), json!([]));
+}
+
+#[needs("browser")]
+#[test]
 fn the_charts_keep_their_size_while_the_log_of_events_opens_and_grows() {
     let setting = Setting::new();
     let browser = setting.browser();

@@ -217,10 +217,10 @@ impl Summary {
         }
         if let Some(controller) = controller {
             outln!(
-                "decisions over 0.5 ms: {} of {}; longest stage:{}",
+                "decisions over 0.5 ms: {} of {}{}",
                 controller.over_budget,
                 controller.decisions,
-                list(&controller.over_budget_by)
+                longest_stages(&controller.over_budget_by)
             )?;
             controller.print_policies()?;
             let Clipped { range, slew } = controller.clipped;
@@ -259,6 +259,11 @@ impl Summary {
     }
 }
 
+/// The late decisions by their longest stage; nothing without one.
+fn longest_stages(counts: &BTreeMap<String, u64>) -> String {
+    if counts.is_empty() { String::new() } else { format!("; longest stage:{}", list(counts)) }
+}
+
 fn list(counts: &BTreeMap<String, u64>) -> String {
     counts.iter().map(|(name, count)| format!(" {name} {count}")).collect()
 }
@@ -266,6 +271,12 @@ fn list(counts: &BTreeMap<String, u64>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_longest_stage_of_no_late_decision_is_left_out() {
+        assert_eq!(longest_stages(&BTreeMap::new()), "");
+        assert_eq!(longest_stages(&BTreeMap::from([("infer".to_owned(), 2)])), "; longest stage: infer 2");
+    }
 
     #[test]
     fn the_summary_tells_the_figures_of_the_last_controller_from_those_of_all() {

@@ -61,6 +61,10 @@ fn a_sweep_has_a_report_for_each_value_of_its_key() {
     let users: Vec<_> = reports.iter().map(|entry| entry["report"]["users"].as_u64()).collect();
     assert_eq!(users, [Some(1), Some(2), Some(3)]);
     let output = eval(&flags);
+    let errors = String::from_utf8_lossy(&output.stderr).into_owned();
+    let points: Vec<&str> = errors.lines().filter(|line| line.starts_with("eval: ")).collect();
+    let expected = [1, 2, 3].map(|users| format!("eval: {users} of 3: users.count = {users}"));
+    assert_eq!(points, expected, "{errors}");
     let text = String::from_utf8(output.stdout).expect("text");
     let heads = ["ratio to the oracle", "sum rate in Mbit/s", "warning: the intervals come from 3 states"];
     assert_eq!(text.lines().filter(|line| heads.iter().any(|head| line.starts_with(head))).count(), 3, "{text}");
@@ -169,7 +173,7 @@ fn flags_that_contradict_each_other_are_refused_with_point_and_reason() {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("figures.csv");
     let file = file.to_str().expect("a plain path");
-    let cases: [(&[&str], &[&str]); 7] = [
+    let cases: [(&[&str], &[&str]); 9] = [
         (&["--set", "mirrors.rows=0"], &["mirrors.rows = 0", "no-irs", "--sweep mirrors.rows=0"]),
         (
             &["--sweep", "users.count=1..5", "--blocked", "3"],
@@ -178,6 +182,8 @@ fn flags_that_contradict_each_other_are_refused_with_point_and_reason() {
         (&["--sweep", "users.count=1,1"], &["users.count = 1 is given twice"]),
         (&["--sweep", "users.count=1,2", "--set", "users.count=4"], &["--set fixes users.count"]),
         (&["--sweep", "blockage.forced_users=1,2", "--blocked", "2"], &["--blocked fixes blockage.forced_users"]),
+        (&["--closed-loop", "--beliefs", "filter,filter"], &["--beliefs names filter twice"]),
+        (&["--csv-episodes", "-"], &["cannot write -: expected a file"]),
         (&["--csv", file, "--csv-episodes", file], &["--csv and --csv-episodes name one file"]),
         (&["--csv-episodes", file, "--html", file], &["--csv-episodes and --html name one file"]),
     ];

@@ -227,6 +227,9 @@ impl NodeStatus {
     /// Name of the counter of arrays whose emergency stop is not in its record; 0 when all are.
     pub const STOP_UNRECORDED: &'static str = "stop_unrecorded";
 
+    /// Name of the counter that is 1 while an array does not fit the scenario of a controller.
+    pub const ARRAY_UNFIT: &'static str = "array_unfit";
+
     /// Name of the counter of other simulators that are in the room of a simulator at present.
     pub const OTHER_SIMULATORS: &'static str = "other_simulators";
 

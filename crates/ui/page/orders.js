@@ -154,7 +154,7 @@ export class Orders {
 
   show() {
     if (this.message && performance.now() > this.message.until) this.message = null;
-    const WORDS = { sent: "sent, not answered yet", done: "done", "still-stopped": "released", refused: "refused", missing: "no answer", absent: "no array received it" };
+    const WORDS = { sent: "sent, not answered yet", done: "done", "still-stopped": "released", refused: "refused", missing: "no answer", absent: "no array has confirmed it" };
     let [text, state] = ["", ""];
     if (this.message) [text, state] = [this.message.text, "bad"];
     else if (this.newest) {

@@ -17,8 +17,6 @@ const STANDBY: &str = "standby";
 const EPOCH: &str = "epoch";
 const TAKEOVERS: &str = "epoch:took-over";
 const FALSE_TAKEOVERS: &str = "epoch:contested";
-/// The counter that is 1 while the array does not fit the scenario of the controller.
-const UNFIT: &str = "array_unfit";
 /// The counter of decisions on position reports.
 const DECISIONS: &str = "decisions";
 
@@ -131,7 +129,7 @@ impl Controllers {
             false_takeovers: counter(status, FALSE_TAKEOVERS),
             decisions,
             is_deciding,
-            is_unfit: counter(status, UNFIT) > 0,
+            is_unfit: counter(status, NodeStatus::ARRAY_UNFIT) > 0,
         };
         self.0.insert(source, (Instant::now(), figures));
     }

@@ -51,7 +51,7 @@ impl Answer {
             Self::StillStopped(rest) => (format!("released: {rest}"), true),
             Self::Refused(reason) => (format!("refused: {reason}"), true),
             Self::Missing => ("no answer".to_owned(), true),
-            Self::Absent => ("no array received it".to_owned(), true),
+            Self::Absent => ("no array has confirmed it".to_owned(), true),
             Self::Replaced => ("replaced by a later order".to_owned(), false),
         })
     }

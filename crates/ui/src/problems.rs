@@ -15,7 +15,7 @@ const CURRENT: Duration = Duration::from_secs(5);
 const COUNTED: [&str; 6] = ["refused:", "fallback:", "missed:", "policies_refused", "unsent", "unanswered"];
 /// Counters that are above 0 as long as a problem lasts.
 const LASTING: [&str; 6] = [
-    "array_unfit",
+    NodeStatus::ARRAY_UNFIT,
     "standby",
     "driver_absent",
     "device_absent",
@@ -255,7 +255,7 @@ mod tests {
     #[test]
     fn a_lasting_problem_is_current_without_new_counts() {
         let (mut problems, node) = (Problems::default(), NodeStatus::default().node.name());
-        let unfit = status("the array receives no commands", &[("array_unfit", 1)]);
+        let unfit = status("the array receives no commands", &[(NodeStatus::ARRAY_UNFIT, 1)]);
         problems.take(node, &unfit);
         age(&mut problems, CURRENT);
         problems.take(node, &unfit);

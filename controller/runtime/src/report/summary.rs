@@ -276,7 +276,8 @@ impl Summary {
                 .map(|array| ArrayStanding::of(controller, array))
                 .collect(),
             belief: BeliefSummary::of(controller),
-            light: controller.light().map(served_light).unwrap_or_default(),
+            // The light that another scenario would bring says nothing about the room.
+            light: controller.light().filter(|_| controller.unfit().is_none()).map(served_light).unwrap_or_default(),
             sources: controller.inbox().sources(),
             ..Self::default()
         }

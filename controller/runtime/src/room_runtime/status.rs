@@ -221,7 +221,7 @@ impl Reporter {
             ("epoch", summary.epoch),
             ("standby", u64::from(summary.standby)),
             ("peers", summary.peers),
-            ("array_unfit", u64::from(summary.unfit.is_some())),
+            (NodeStatus::ARRAY_UNFIT, u64::from(summary.unfit.is_some())),
             ("driver_absent", self.conditions.without_driver.len() as u64),
             ("geometry_differs", u64::from(summary.geometry_differs)),
             ("policies_switched", snapshot.swaps.replaced),

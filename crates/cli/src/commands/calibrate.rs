@@ -187,7 +187,7 @@ fn drive(
         let now = utc_ns();
         let wake = Duration::from_nanos(session.next_wake(now).saturating_sub(now)).min(LOOK_EVERY);
         let waits = Instant::now();
-        let received = room.receive(wake)?;
+        let (at, received) = room.receive(wake)?.map_or_else(|| (Instant::now(), None), |(at, it)| (at, Some(it)));
         waited += waits.elapsed();
         match received {
             Some(Received::Users(report)) => {
@@ -202,7 +202,7 @@ fn drive(
                     user.into_iter().for_each(|user| session.set_user(user));
                 }
                 if let Some(refinement) = &mut refinement {
-                    refinement.handle_users(&report);
+                    refinement.handle_users(at, &report);
                 }
                 session.handle_users(&report);
             }
@@ -223,7 +223,7 @@ fn drive(
             published = None;
         }
         if let Some(refinement) = &mut refinement {
-            refinement.take_turns(session, room)?;
+            refinement.take_turns(at, session, room)?;
         }
         // A pause just before can make an estimate due again: the next round makes it, beside its status.
         if room.is_commanding()
@@ -245,7 +245,7 @@ fn drive(
         }
         if shown.elapsed() >= SHOW_EVERY {
             shown = Instant::now();
-            let waits_for = refinement.as_mut().and_then(|refinement| refinement.waits_for(session));
+            let waits_for = refinement.as_mut().and_then(|refinement| refinement.waits_for(at, session));
             let waits = waits_for.map(|cause| format!("waits until the room has been idle for some seconds: {cause}"));
             let silent = (waited >= SILENCE)
                 .then(|| "no channel report for some seconds: is the receiver switched on?".to_owned());

@@ -96,7 +96,7 @@ fn a_stop_without_an_array_is_answered_at_once_and_a_rearm_keeps_the_warning() {
     browser.run("window.shown = []; new MutationObserver(() => window.shown.push(document.getElementById('order-status').textContent))\
                  .observe(document.getElementById('order-status'), { childList: true, characterData: true, subtree: true })");
     browser.click("#stop");
-    let absent = "no array received it";
+    let absent = "no array has confirmed it";
     wait_until("an answer about the array", || status() == format!("stop: {absent}"));
     let shown = browser.run("return window.shown").to_string();
     assert!(!shown.contains("not answered yet"), "{shown}");

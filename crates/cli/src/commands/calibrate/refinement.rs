@@ -97,23 +97,24 @@ impl Refinement {
         capabilities
     }
 
-    /// Notes who is in the room.
-    pub fn handle_users(&mut self, report: &UserReport) {
-        self.idle.handle_users(Instant::now(), report.users.iter().map(|user| user.user));
+    /// Notes who was in the room when a report arrived.
+    pub fn handle_users(&mut self, at: Instant, report: &UserReport) {
+        self.idle.handle_users(at, report.users.iter().map(|user| user.user));
     }
 
     /// Takes the lead while the room is idle and the session has something to measure, and gives it back
-    /// when another user enters, or when another controller has taken it.
+    /// when another user enters, or when another controller has taken it. `at` is the time up to which the reports
+    /// were handled.
     ///
     /// # Errors
     /// An array that does not accept the lead.
-    pub fn take_turns(&mut self, session: &mut Session, room: &mut LiveRoom) -> Result<()> {
+    pub fn take_turns(&mut self, at: Instant, session: &mut Session, room: &mut LiveRoom) -> Result<()> {
         if room.has_other_calibration() {
             self.idle.interrupt(Cause::Calibration);
         } else if room.has_lost_lead() {
             self.idle.interrupt(Cause::Controller);
         }
-        let (in_use, stands) = (self.idle.cause(Instant::now()), is_at_spot(session));
+        let (in_use, stands) = (self.idle.cause(at), is_at_spot(session));
         if (in_use.is_none() && stands) == room.is_commanding() {
             return Ok(());
         }
@@ -130,8 +131,8 @@ impl Refinement {
     }
 
     /// Why the room is in use, while the session could measure if it were idle.
-    pub fn waits_for(&mut self, session: &Session) -> Option<Cause> {
-        self.idle.cause(Instant::now()).filter(|_| is_at_spot(session))
+    pub fn waits_for(&mut self, at: Instant, session: &Session) -> Option<Cause> {
+        self.idle.cause(at).filter(|_| is_at_spot(session))
     }
 }
 

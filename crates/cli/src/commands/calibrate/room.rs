@@ -52,6 +52,9 @@ pub enum Received {
     CommandDelay(u64),
 }
 
+/// When it arrived, and what. It may be handled much later, after an estimate.
+pub type Arrived = (Instant, Received);
+
 /// A session in the room.
 pub struct LiveRoom {
     bus: Bus,
@@ -64,7 +67,7 @@ pub struct LiveRoom {
     yields: bool,
     /// Source of the telemetry, and the calibration in use, at the start.
     driver: (u64, u64),
-    queue: Receiver<Received>,
+    queue: Receiver<Arrived>,
     commands: Arc<Mutex<PublishedCommands>>,
     telemetry: Arc<Mutex<Option<MirrorTelemetry>>>,
     /// When the last telemetry arrived.
@@ -347,7 +350,7 @@ impl LiveRoom {
 fn subscribe(
     bus: &Bus,
     array: usize,
-    sender: &SyncSender<Received>,
+    sender: &SyncSender<Arrived>,
     commands: &Arc<Mutex<PublishedCommands>>,
     (telemetry, answered): (&Arc<Mutex<Option<MirrorTelemetry>>>, &Arc<Mutex<Instant>>),
 ) -> Result<Vec<Subscription>> {
@@ -360,14 +363,14 @@ fn subscribe(
         }
         // The next report is answered again; a bus that is closed shows at the next command.
         let _ = lock(&answering).answer(utc_ns(), report.tick);
-        let _ = queue.try_send(Received::Users(report));
+        let _ = queue.try_send((Instant::now(), Received::Users(report)));
     })?;
     let queue = sender.clone();
     let channel = bus.subscribe(&room.channel(), move |payload| {
         if let Ok(report) = decode::<ChannelReport>(payload)
             && is_recent(&report.stamp)
         {
-            let _ = queue.try_send(Received::Channel(report));
+            let _ = queue.try_send((Instant::now(), Received::Channel(report)));
         }
     })?;
     let (queue, comparing, latest) = (sender.clone(), Arc::clone(commands), Arc::clone(telemetry));
@@ -375,7 +378,7 @@ fn subscribe(
     let telemetry = bus.subscribe(&keys.telemetry(), move |payload| {
         let Ok(telemetry) = decode::<MirrorTelemetry>(payload) else { return };
         if let Some(delay_ns) = lock(&comparing).commander.handle_telemetry(utc_ns(), &telemetry) {
-            let _ = queue.try_send(Received::CommandDelay(delay_ns));
+            let _ = queue.try_send((Instant::now(), Received::CommandDelay(delay_ns)));
         }
         *lock(&latest) = Some(telemetry);
         *lock(&answered) = Instant::now();

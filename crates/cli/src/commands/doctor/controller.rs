@@ -21,6 +21,9 @@ const LEAST: f64 = 5e-3;
 /// What to do without a controller.
 const START_CONTROLLER: &str = "without one no command reaches the mirrors: check --room, start heliostat controller, or add its endpoint or router to --connect";
 
+/// What to do with a controller that commands nothing.
+const FIT_CONTROLLER: &str = "it sends no commands: start it with the --scenario and --set of the room";
+
 /// What a controller says about itself and its room.
 #[derive(Debug, Default)]
 pub(super) struct ControllerState {
@@ -32,6 +35,8 @@ pub(super) struct ControllerState {
     pub light: Vec<ServedLight>,
     /// The noise of its tracker.
     pub noise: Option<TrackerNoise>,
+    /// Why it sends no commands: the array does not fit its scenario.
+    unfit: Option<String>,
 }
 
 /// Asks the controller that leads; the checks by its answer, none without a session.
@@ -39,7 +44,7 @@ pub(super) fn checks(args: &Args, bus: Option<&Bus>) -> (Option<ControllerState>
     let Some(bus) = bus else { return (None, Vec::new()) };
     match ask_controller(args, bus) {
         Ok(Some(state)) => {
-            let checks = state.noise.iter().map(check_tracker).chain(state.light.iter().map(check_light)).collect();
+            let checks = check_state(&state);
             (Some(state), checks)
         }
         Ok(None) => (None, vec![Check::warn("controller", "no controller answers", START_CONTROLLER)]),
@@ -82,12 +87,32 @@ fn ask_controller(args: &Args, bus: &Bus) -> anyhow::Result<Option<ControllerSta
         Some(ControllerState {
             light: ServedLight::all_of(&status),
             noise: TrackerNoise::of(&status),
+            unfit: unfit(&status),
             scenario: status.scenario,
             geometry,
         })
     });
     drop((subscription, telemetry, geometry));
     Ok(status.flatten())
+}
+
+/// Why a controller sends no commands, where the array does not fit its scenario.
+fn unfit(status: &NodeStatus) -> Option<String> {
+    let is_unfit = status.counters.iter().any(|(name, count)| name == NodeStatus::ARRAY_UNFIT && *count > 0);
+    is_unfit.then(|| {
+        format!(
+            "the array does not fit the scenario of controller {:016x}: {}",
+            status.stamp.source, status.last_problem
+        )
+    })
+}
+
+/// The checks of a controller that answers. The expectations of another scenario say nothing about the room.
+fn check_state(state: &ControllerState) -> Vec<Check> {
+    match &state.unfit {
+        Some(unfit) => vec![Check::fail("controller", unfit.clone(), FIT_CONTROLLER)],
+        None => state.noise.iter().map(check_tracker).chain(state.light.iter().map(check_light)).collect(),
+    }
 }
 
 /// Whether the reports have the noise that the scenario states.
@@ -117,6 +142,25 @@ fn check_light(light: &ServedLight) -> Check {
 mod tests {
     use super::super::check::Verdict;
     use super::*;
+
+    #[test]
+    fn a_controller_whose_scenario_the_array_does_not_fit_is_the_only_fault() {
+        let noise =
+            TrackerNoise { position_m: 1.0, position_stated_m: 0.0, velocity_m_s: 1.0, velocity_stated_m_s: 0.0 };
+        let state = |count| {
+            let counters = vec![(NodeStatus::ARRAY_UNFIT.to_owned(), count)];
+            let status = NodeStatus { counters, last_problem: "49 mirrors".into(), ..NodeStatus::default() };
+            ControllerState { noise: Some(noise), unfit: unfit(&status), ..ControllerState::default() }
+        };
+        let checks = check_state(&state(1));
+        assert_eq!((checks.len(), checks[0].verdict), (1, Verdict::Fail));
+        assert!(
+            checks[0].found.contains("does not fit") && checks[0].found.contains("49 mirrors"),
+            "{}",
+            checks[0].found
+        );
+        assert_eq!(check_state(&state(0))[0].verdict, Verdict::Warn, "the tracker");
+    }
 
     #[test]
     fn a_tracker_with_twice_the_stated_noise_is_a_warning_with_the_learned_one() {

@@ -122,8 +122,8 @@ export function banner(now, silence, arrayAge, controllerAge) {
         return { kind: "bad", text: `${who} confirmed the stop, but ${have} not reported for ${seconds(arrayAge)}: ${several ? "their" : "its"} state is unknown.${by}` };
       }
       return { kind: free.length || problems.length ? "bad" : "stop", text: `${who} ${have} confirmed the stop: ${their} executed it.${open}${moving}${by} Re-arm releases ${stops.length > 1 ? `these ${stops.length} stops` : "it"}.` };
-    // A state that contradicts it comes from a second driver, or from a stop that follows.
-    case "released": return now.array.state.includes("stopped") ? null : { kind: "good", text: `The stop is released: ${who.toLowerCase()} ${have} confirmed it.` };
+    // A state that contradicts it comes from a second driver, or from a stop that follows. Without telemetry none is known.
+    case "released": return arrayAge > STALE_S || now.array.state.includes("stopped") ? null : { kind: "good", text: `The stop is released: ${who.toLowerCase()} ${have} confirmed it.` };
     default: return controllerBanner(controllerAge);
   }
 }

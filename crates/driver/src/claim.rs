@@ -118,7 +118,8 @@ struct Other {
 
 impl Other {
     fn problem(&self) -> String {
-        format!("another {} has joined the room ({}): stop one of the two", self.kind, self.token)
+        let process = if self.kind == NodeKind::SimNode { "simulator" } else { "driver" };
+        format!("another {process} has joined the room ({}): stop one of the two", self.token)
     }
 
     fn taken(&self, room: &str) -> SessionError {

@@ -57,7 +57,7 @@ mod trace;
 mod user_orientation;
 
 pub use args::{ScenarioArgs, ViewerScenarioArgs};
-pub use bounded_file::read_text;
+pub use bounded_file::{open_file, read_bytes, read_text};
 pub use builtin::{BUILTIN_NAMES, DEFAULT_SCENARIO, STUDY_SCENARIO};
 pub use check::{POWER_W, SPEED_M_S, USERS_MAX};
 pub use error::ScenarioError;

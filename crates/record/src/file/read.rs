@@ -6,7 +6,7 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
 use heliostat_proto::{Nanos, VERSION};
-use heliostat_scenario::foreign_file;
+use heliostat_scenario::{foreign_file, open_file};
 use mcap::McapError;
 use mcap::records::{Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
@@ -24,7 +24,7 @@ const RECORD_MAX: usize = 64 << 20;
 /// [`RecordingError::Version`].
 pub fn open(file: &Path) -> Result<Reading<BufReader<File>>, RecordingError> {
     let source = || {
-        let file = File::open(file).map_err(|error| RecordingError::Open(error.to_string()))?;
+        let file = open_file(file).map_err(|error| RecordingError::Open(error.to_string()))?;
         Ok::<_, RecordingError>(BufReader::new(file))
     };
     let mut first = source()?;

@@ -1,6 +1,5 @@
 //! `heliostat-lab trace import`: reads a data set, chooses users, and fits them into a room.
 
-use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::PathBuf;
 
@@ -12,7 +11,7 @@ use heliostat_room::walks::plausibility::{is_mostly_refused, warnings};
 use heliostat_room::walks::selection::{Choice, Presence, select};
 use heliostat_room::walks::tracks::{Collected, Collector, Kept, Rectangle};
 use heliostat_room::world::walker::Floor;
-use heliostat_scenario::{BUILTIN_NAMES, Scenario, ScenarioArgs, foreign_file};
+use heliostat_scenario::{BUILTIN_NAMES, Scenario, ScenarioArgs, foreign_file, open_file};
 use heliostat_service::duration::{DurationError, seconds};
 use heliostat_service::exit::UnusableInput;
 
@@ -224,7 +223,7 @@ fn collect(args: &ImportArgs) -> Result<Collected> {
         reading.columns.is_none() || source.format == WalkFormat::Csv,
         "--columns was given: expected the format csv, because the other formats have fixed columns"
     );
-    let mut input = BufReader::new(File::open(&args.file)?);
+    let mut input = BufReader::new(open_file(&args.file)?);
     if let Some(what) = foreign_file(input.fill_buf()?, "a text in UTF-8") {
         bail!("the file {what}");
     }

@@ -69,7 +69,8 @@ pub fn read(path: &Path) -> Result<ActorFile, SourceError> {
     let folder = path.parent().unwrap_or(Path::new(""));
     let mut beside = |name: &str| {
         let is_name = Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
-        let read = if is_name { read_bytes(&folder.join(name), BYTES_MAX) } else { Err(ErrorKind::PermissionDenied.into()) };
+        let read =
+            if is_name { read_bytes(&folder.join(name), BYTES_MAX) } else { Err(ErrorKind::PermissionDenied.into()) };
         read.map_err(|error| {
             format!("the weights are in {name} ({error}): copy it too, or export with external_data=False")
         })

@@ -40,8 +40,8 @@ impl Certificate {
     /// # Errors
     /// [`KeyError::CannotRead`] or [`KeyError::NotACertificate`].
     pub fn read(path: &Path) -> Result<Self, KeyError> {
-        let text = read_text(path)
-            .map_err(|error| KeyError::CannotRead { path: path.into(), problem: error.to_string() })?;
+        let text =
+            read_text(path).map_err(|error| KeyError::CannotRead { path: path.into(), problem: error.to_string() })?;
         let refuse = |problem: String| KeyError::NotACertificate { path: path.into(), problem };
         let (_, pem) = x509_parser::pem::parse_x509_pem(text.as_bytes()).map_err(|error| refuse(error.to_string()))?;
         Self::from_der(&pem.contents).map_err(refuse)

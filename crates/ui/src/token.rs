@@ -54,8 +54,8 @@ impl Token {
     /// [`UiError::Token`] if the file cannot be read, or its token is too short or has other
     /// characters.
     pub fn read(file: &Path) -> Result<Self, UiError> {
-        let text = read_text(file)
-            .map_err(|error| UiError::Token(format!("cannot read {}: {error}", file.display())))?;
+        let text =
+            read_text(file).map_err(|error| UiError::Token(format!("cannot read {}: {error}", file.display())))?;
         let token = text.trim();
         if token.len() < LENGTH_MIN || !token.bytes().all(|byte| byte.is_ascii_alphanumeric()) {
             return Err(UiError::Token(format!(

@@ -3,10 +3,7 @@
 use std::path::Path;
 
 use anyhow::{Context, Result, ensure};
-use heliostat_scenario::read_text;
-
-/// Characters of a header that an error quotes.
-const HEADER_QUOTED: usize = 200;
+use heliostat_scenario::{CARRIAGE_RETURNS, excerpt, read_text};
 
 /// Reads a file whose header names all `required` columns, any `optional` ones, and no others.
 ///
@@ -23,7 +20,9 @@ pub fn read(file: &str, required: &[&str], optional: &[&str]) -> Result<Vec<Vec<
 fn parse(text: &str, required: &[&str], optional: &[&str]) -> Result<Vec<Vec<Option<f64>>>> {
     let lines = text.lines().enumerate().map(|(index, line)| (index + 1, line.trim()));
     let mut lines = lines.filter(|(_, line)| !line.is_empty() && !line.starts_with('#'));
-    let header = cells(lines.next().map_or("", |(_, line)| line));
+    let (number, first) = lines.next().unwrap_or((1, ""));
+    ensure!(!first.contains('\r'), "line {number}: {CARRIAGE_RETURNS}");
+    let header = cells(first);
     let columns: Vec<&str> = required.iter().chain(optional).copied().collect();
     let known =
         header.iter().enumerate().all(|(index, name)| columns.contains(name) && !header[..index].contains(name));
@@ -31,7 +30,7 @@ fn parse(text: &str, required: &[&str], optional: &[&str]) -> Result<Vec<Vec<Opt
     ensure!(
         known && complete,
         "the header is \"{}\"; expected {}{}",
-        header.join(",").chars().take(HEADER_QUOTED).collect::<String>(),
+        excerpt(&header.join(",")),
         required.join(","),
         optional.iter().map(|name| format!("[,{name}]")).collect::<String>()
     );
@@ -44,8 +43,10 @@ fn parse(text: &str, required: &[&str], optional: &[&str]) -> Result<Vec<Vec<Opt
             if cell.is_empty() && optional.contains(name) {
                 return Ok(None);
             }
-            let number =
-                cell.parse().ok().with_context(|| format!("line {number}: {name} is \"{cell}\"; expected a number"));
+            let number = cell
+                .parse()
+                .ok()
+                .with_context(|| format!("line {number}: {name} is \"{}\"; expected a number", excerpt(cell)));
             number.map(Some)
         };
         columns.iter().map(value).collect()
@@ -72,6 +73,7 @@ mod tests {
     #[test]
     fn another_table_is_refused_with_what_was_expected() {
         for (text, expected) in [
+            ("x,y\r1,2\r", "line 1: its lines end with a carriage return alone"),
             ("", "the header is \"\"; expected x,y[,z]"),
             ("x\n1\n", "the header is \"x\"; expected x,y[,z]"),
             ("x,y,q\n", "the header is \"x,y,q\""),

@@ -165,6 +165,7 @@ pub fn run(args: &ImportArgs) -> Result<()> {
     let unusable = || UnusableInput::new(format!("{} cannot be imported", args.file.display()));
     let scenario = scenario(args)?;
     let floor = Floor { length_x_m: scenario.room.length_x_m, length_y_m: scenario.room.length_y_m };
+    whole_file::check_distinct([("the data set", Some(&args.file)), ("--out", Some(&args.out))])?;
     whole_file::check_writable(&args.out)?;
     let collected = collect(args).with_context(unusable)?;
     let choice = choice(args, &scenario);
@@ -249,6 +250,7 @@ fn advised(error: ReadError) -> anyhow::Error {
     match error {
         ReadError::Header { .. } => anyhow!("{error}: name them with --columns time=NAME,user=NAME,x=NAME,y=NAME"),
         ReadError::FrameRate => anyhow!("{error}, or give --frame-rate-hz"),
+        ReadError::SameName { .. } => anyhow!("{error} with --columns, for example --columns x=3"),
         other => other.into(),
     }
 }

@@ -8,7 +8,7 @@ use heliostat_proto::Room;
 use heliostat_scenario::read_text;
 use rustls::crypto::ring;
 use rustls::pki_types::PrivateKeyDer;
-use rustls::pki_types::pem::PemObject;
+use rustls::pki_types::pem::{self, PemObject};
 use zenoh::config::EndPoint;
 
 use crate::access::{AccessRole, access_control};
@@ -166,7 +166,11 @@ fn names(roles: &[AccessRole]) -> String {
 fn public_key_of(path: &Path) -> Result<Option<Vec<u8>>, KeyError> {
     let refuse = |problem: &str| KeyError::NotAPrivateKey { path: path.into(), problem: problem.to_owned() };
     let text = read_private(path)?;
-    let bytes = PrivateKeyDer::from_pem_slice(text.as_bytes()).map_err(|error| refuse(&error.to_string()))?;
+    let bytes = PrivateKeyDer::from_pem_slice(text.as_bytes()).map_err(|error| match error {
+        pem::Error::NoItemsFound => refuse("it holds no private key"),
+        pem::Error::MissingSectionEnd { .. } => refuse("it is cut: its end is missing"),
+        _ => refuse("it is damaged"),
+    })?;
     let key = ring::sign::any_supported_type(&bytes)
         .map_err(|_| refuse("its content is damaged, or is no key of RSA, ECDSA or EdDSA"))?;
     Ok(key.public_key().map(|public_key| public_key.to_vec()))

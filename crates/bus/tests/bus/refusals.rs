@@ -136,7 +136,9 @@ fn a_private_key_that_is_empty_cut_or_of_another_encoding_is_refused_with_what_t
     let (lines, utf16) = (text.lines().collect::<Vec<_>>(), text.encode_utf16().flat_map(u16::to_le_bytes));
     let empty = refused(b"");
     assert!(empty.contains("controller.key: it is empty") && empty.contains("heliostat keys issue"), "{empty}");
-    assert!(refused(text[..text.len() / 2].as_bytes()).contains("expected a private key in PEM format"));
+    let cut = refused(text[..text.len() / 2].as_bytes());
+    assert!(cut.contains("controller.key: it is cut") && cut.contains("expected a private key in PEM format"), "{cut}");
+    assert!(refused(b"no key\n").contains("it holds no private key"));
     let short = [lines[0], lines[1], lines[lines.len() - 1]].join("\n");
     assert!(refused(short.as_bytes()).contains("its content is damaged"), "{}", refused(short.as_bytes()));
     let encoded: Vec<u8> = [0xff, 0xfe].into_iter().chain(utf16).collect();

@@ -4,8 +4,8 @@ use heliostat_core::policy::{
     self, Actor, DenseNetwork, Engine, Finding, Network, Policy, PolicyKind, Resources,
     actor_file::{ActorError, ActorFile},
 };
-use heliostat_onnx::ModelProto;
-use heliostat_scenario::Scenario;
+use heliostat_onnx::{ModelProto, validity::check_graph};
+use heliostat_scenario::{Scenario, excerpt};
 use prost::Message;
 
 use crate::{error::BuildError, onnxruntime, source::ActorSource, time::monotonic_ns};
@@ -19,6 +19,7 @@ impl Engine for ByGraph {
             Ok(network) => return Ok(Box::new(network)),
             Err(refusal) => refusal,
         };
+        check_valid(model)?;
         onnxruntime::load(model, input_length).map_err(|refusal| match refusal {
             onnxruntime::Refusal::NoLibrary(found) => format!(
                 "{not_dense}; such a graph runs on ONNX Runtime, {found}: `pip install onnxruntime`, or export a chain of \
@@ -42,6 +43,13 @@ impl Engine for OnnxRuntime {
             onnxruntime::Refusal::Network(message) => format!("ONNX Runtime refused the network: {message}"),
         })
     }
+}
+
+/// Refuses a graph that no engine can evaluate.
+fn check_valid(model: &[u8]) -> Result<(), String> {
+    let Ok(ModelProto { graph: Some(graph), .. }) = ModelProto::decode(model) else { return Ok(()) };
+    check_graph(&graph)
+        .map_err(|fault| format!("the graph is invalid: {}; export it again", excerpt(&fault.to_string())))
 }
 
 /// What to do with functions that a file defines; nothing where it has none.

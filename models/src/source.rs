@@ -1,12 +1,11 @@
 //! Where the file of a learned policy comes from.
 
-use std::fs::File;
-use std::io::{self, ErrorKind, Read};
+use std::io::ErrorKind;
 use std::path::{Component, Path, PathBuf};
 
 use heliostat_core::policy::{PolicyKind, actor_file::ActorFile};
 use heliostat_onnx::{ModelProto, external};
-use heliostat_scenario::Scenario;
+use heliostat_scenario::{Scenario, read_bytes};
 use prost::Message;
 
 pub use crate::error::{BuildError, SourceError};
@@ -59,7 +58,7 @@ impl ActorSource {
 /// [`SourceError::Missing`], [`SourceError::Unreadable`], or [`SourceError::Weights`] where the
 /// second file is missing.
 pub fn read(path: &Path) -> Result<ActorFile, SourceError> {
-    let bytes = match bytes_of(path) {
+    let bytes = match read_bytes(path, BYTES_MAX) {
         Ok(bytes) => bytes,
         Err(error) if error.kind() == ErrorKind::NotFound => return Err(SourceError::Missing { path: path.into() }),
         Err(error) => return Err(SourceError::Unreadable { path: path.into(), message: error.to_string() }),
@@ -70,7 +69,8 @@ pub fn read(path: &Path) -> Result<ActorFile, SourceError> {
     let folder = path.parent().unwrap_or(Path::new(""));
     let mut beside = |name: &str| {
         let is_name = Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
-        let read = if is_name { bytes_of(&folder.join(name)) } else { Err(ErrorKind::PermissionDenied.into()) };
+        let read =
+            if is_name { read_bytes(&folder.join(name), BYTES_MAX) } else { Err(ErrorKind::PermissionDenied.into()) };
         read.map_err(|error| {
             format!("the weights are in {name} ({error}): copy it too, or export with external_data=False")
         })
@@ -80,14 +80,4 @@ pub fn read(path: &Path) -> Result<ActorFile, SourceError> {
         Ok(true) => Ok(ActorFile { origin, bytes: model.encode_to_vec().into() }),
         Err(message) => Err(SourceError::Weights { path: path.into(), message }),
     }
-}
-
-fn bytes_of(path: &Path) -> io::Result<Vec<u8>> {
-    let mut bytes = Vec::new();
-    let length = File::open(path)?.take(BYTES_MAX + 1).read_to_end(&mut bytes)?;
-    if length as u64 > BYTES_MAX {
-        let message = format!("it is longer than {} MiB, expected a shorter ONNX file", BYTES_MAX >> 20);
-        return Err(io::Error::new(ErrorKind::FileTooLarge, message));
-    }
-    Ok(bytes)
 }

@@ -12,8 +12,10 @@ use heliostat_models::{
     ActorSource, BuildError, ORT, SourceError, build, load_actor, load_actor_on_onnxruntime, source,
 };
 use heliostat_needs::needs;
+use heliostat_onnx::ModelProto;
 use heliostat_scenario::Scenario;
 use onnxruntime::SIN;
+use prost::Message;
 use support::{ActorRecipe, model, scenario};
 
 mod onnxruntime;
@@ -106,6 +108,17 @@ fn a_graph_that_is_not_dense_runs_on_onnxruntime_or_says_what_to_do() {
             );
         }
     }
+}
+
+#[test]
+fn a_graph_that_is_invalid_in_itself_is_not_for_onnxruntime() {
+    let scenario = scenario(&[]);
+    let mut broken = ModelProto::decode(&SIN.actor(&scenario).bytes[..]).unwrap();
+    broken.graph.as_mut().unwrap().node[1].input[0] = "nowhere".into();
+    let file = ActorFile { origin: "broken.onnx".into(), bytes: broken.encode_to_vec().into() };
+    let text = load_actor(&file, &scenario).err().expect("refused").to_string();
+    assert!(text.contains("the graph is invalid") && text.contains("reads \"nowhere\""), "{text}");
+    assert!(!text.contains("pip install"), "{text}");
 }
 
 /// Allocations of one decision.

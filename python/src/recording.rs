@@ -4,7 +4,7 @@ use std::path::Path;
 
 use heliostat_proto::{MirrorCommand, MirrorTelemetry, Room};
 use heliostat_record::file::open;
-use heliostat_record::received::Received;
+use heliostat_record::received::{Received, Unreadable};
 use numpy::{Element, PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -34,9 +34,7 @@ pub struct Recording {
     /// The counts of received and missing messages as JSON; None in a file that was cut.
     #[pyo3(get)]
     account: Option<String>,
-    /// Payloads that do not decode.
-    #[pyo3(get)]
-    unreadable: usize,
+    unreadable: Unreadable,
 }
 
 /// One value of each row as an array.
@@ -74,17 +72,14 @@ impl Recording {
         let mut reading = open(Path::new(path)).map_err(|error| unreadable(&error))?;
         let header = reading.header().clone();
         let room = Room::new(&header.room).map_err(|error| unreadable(&error))?;
-        let (mut messages, mut failed) = (Vec::new(), 0);
+        let (mut messages, mut failed) = (Vec::new(), Unreadable::default());
         while let Some(entry) = reading.entry().map_err(|error| unreadable(&error))? {
             if !entry.topic.starts_with("heliostat/") {
                 continue;
             }
-            match Received::read(&entry.data) {
-                Ok(received) => {
-                    let (array, _) = room.first_array_key(&entry.topic);
-                    messages.push(Arrived { arrived_ns: entry.arrived_ns, array, received });
-                }
-                Err(_) => failed += 1,
+            if let Some(received) = failed.read(&entry.data) {
+                let (array, _) = room.first_array_key(&entry.topic);
+                messages.push(Arrived { arrived_ns: entry.arrived_ns, array, received });
             }
         }
         let account = reading.account().map(str::to_owned);
@@ -126,6 +121,12 @@ impl Recording {
     #[new]
     fn new(py: Python<'_>, path: &str) -> PyResult<Self> {
         py.detach(|| guarded(|| Self::read(path)))
+    }
+
+    /// Number of payloads that do not decode, and what is wrong with the first one, as text; None without any.
+    #[getter]
+    fn unreadable(&self) -> Option<String> {
+        (self.unreadable.count > 0).then(|| self.unreadable.to_string())
     }
 
     /// Number of messages.

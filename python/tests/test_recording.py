@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 from pathlib import Path
+from types import SimpleNamespace
 
 import heliostat
 import numpy as np
@@ -109,6 +110,14 @@ def test_a_recording_that_was_cut_warns(path: Path, tmp_path: Path) -> None:
     (tmp_path / "cut.mcap").write_bytes(content[: len(content) // 2])
     with pytest.warns(RuntimeWarning, match=r"cut.mcap: the recording was cut: later messages are missing"):
         assert heliostat.Recording(tmp_path / "cut.mcap").account is None
+
+
+def test_messages_that_cannot_be_read_warn(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = "messages that cannot be read: 3, the first one: payload of contract version 2"
+    stored = SimpleNamespace(account="{}", unreadable=found)
+    monkeypatch.setattr("heliostat.recording._Recording", lambda path: stored)
+    with pytest.warns(RuntimeWarning, match=f"later.mcap: {found}"):
+        heliostat.Recording("later.mcap")
 
 
 def test_files_that_are_no_recordings_are_refused_with_the_reason(tmp_path: Path) -> None:

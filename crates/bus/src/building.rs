@@ -8,10 +8,10 @@
 //! A common name gives rights wherever it connects. The router thus trusts the authority of each of
 //! its rooms not to sign the names of another one.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use heliostat_proto::Room;
+use heliostat_scenario::read_text;
 
 use crate::access::{AccessRole, access_control_of};
 use crate::config::{BusConfig, nested_json};
@@ -102,7 +102,7 @@ impl BuildingRouter {
                 (identity.private_key(), file(identity.room(), &key_file(AccessRole::Router)), PRIVATE),
             ];
             for (from, to, mode) in copies {
-                let text = fs::read_to_string(&from)
+                let text = read_text(&from)
                     .map_err(|error| KeyError::CannotRead { path: from, problem: error.to_string() })?;
                 replace(&out.join(to), &text, mode)?;
             }

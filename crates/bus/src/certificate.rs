@@ -5,6 +5,7 @@ use std::path::Path;
 use std::time::{Duration, SystemTime};
 
 use heliostat_proto::Room;
+use heliostat_scenario::read_text;
 use x509_parser::certificate::X509Certificate;
 use x509_parser::extensions::{GeneralName, ParsedExtension};
 use x509_parser::time::ASN1Time;
@@ -39,10 +40,10 @@ impl Certificate {
     /// # Errors
     /// [`KeyError::CannotRead`] or [`KeyError::NotACertificate`].
     pub fn read(path: &Path) -> Result<Self, KeyError> {
-        let text = std::fs::read(path)
-            .map_err(|error| KeyError::CannotRead { path: path.into(), problem: error.to_string() })?;
+        let text =
+            read_text(path).map_err(|error| KeyError::CannotRead { path: path.into(), problem: error.to_string() })?;
         let refuse = |problem: String| KeyError::NotACertificate { path: path.into(), problem };
-        let (_, pem) = x509_parser::pem::parse_x509_pem(&text).map_err(|error| refuse(error.to_string()))?;
+        let (_, pem) = x509_parser::pem::parse_x509_pem(text.as_bytes()).map_err(|error| refuse(error.to_string()))?;
         Self::from_der(&pem.contents).map_err(refuse)
     }
 

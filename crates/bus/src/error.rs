@@ -196,6 +196,17 @@ pub enum KeyError {
         /// Its fault.
         problem: String,
     },
+    /// The file is no private key.
+    #[error(
+        "{}: {problem}; expected a private key in PEM format: copy it again with its certificate, or issue both again \
+         with heliostat keys issue", path.display()
+    )]
+    NotAPrivateKey {
+        /// The file.
+        path: PathBuf,
+        /// Its fault.
+        problem: String,
+    },
     /// The common name is not the expected one.
     #[error(
         "{}: the certificate is for \"{name}\", which is no name of this file; issue it again with heliostat keys issue", path.display()

@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
 use heliostat_proto::Room;
+use heliostat_scenario::read_text;
 use rcgen::{
     BasicConstraints, CertificateParams, DnType, ExtendedKeyUsagePurpose, IsCa, Issuer, KeyPair, KeyUsagePurpose,
 };
@@ -19,7 +20,7 @@ use crate::certificate::Certificate;
 use crate::config::{BusConfig, DEFAULT_TLS_ENDPOINT, nested_json};
 use crate::error::{BusError, KeyError};
 use crate::platform;
-use crate::tls::{AUTHORITY_CERTIFICATE, AUTHORITY_KEY, Identity, certificate_file, check_private, key_file, roles_in};
+use crate::tls::{AUTHORITY_CERTIFICATE, AUTHORITY_KEY, Identity, certificate_file, key_file, read_private, roles_in};
 
 /// Validity of a certificate unless a caller gives another. Zenoh knows no revocation, so a lost
 /// key is of use until its certificate expires.
@@ -143,12 +144,10 @@ impl Authority {
         let room =
             room.ok_or_else(|| KeyError::ForeignName { path: path.clone(), name: certificate.common_name.clone() })?;
         let key_path = folder.join(AUTHORITY_KEY);
-        let unreadable = |problem: String| KeyError::CannotRead { path: key_path.clone(), problem };
-        check_private(&key_path)?;
-        let text = fs::read_to_string(&key_path).map_err(|error| unreadable(error.to_string()))?;
-        let key = KeyPair::from_pem(&text).map_err(|error| unreadable(error.to_string()))?;
+        let key = KeyPair::from_pem(&read_private(&key_path)?)
+            .map_err(|error| KeyError::NotAPrivateKey { path: key_path, problem: error.to_string() })?;
         let certificate_text =
-            fs::read_to_string(&path).map_err(|error| KeyError::CannotRead { path, problem: error.to_string() })?;
+            read_text(&path).map_err(|error| KeyError::CannotRead { path, problem: error.to_string() })?;
         Ok(Self { issuer: Issuer::new(authority_params(&room), key), room, certificate, certificate_text })
     }
 

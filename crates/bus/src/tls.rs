@@ -5,7 +5,10 @@ use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use heliostat_proto::Room;
-use rcgen::KeyPair;
+use heliostat_scenario::read_text;
+use rustls::crypto::ring;
+use rustls::pki_types::PrivateKeyDer;
+use rustls::pki_types::pem::{self, PemObject};
 use zenoh::config::EndPoint;
 
 use crate::access::{AccessRole, access_control};
@@ -69,10 +72,9 @@ impl Identity {
         authority.check_time(&folder.join(AUTHORITY_CERTIFICATE))?;
         certificate.check_time(&path)?;
         let key = folder.join(key_file(role));
-        check_private(&key)?;
-        // One of a kind that is not known here is left to the handshake.
-        let pair = std::fs::read_to_string(&key).ok().and_then(|text| KeyPair::from_pem(&text).ok());
-        if pair.is_some_and(|pair| pair.public_key_raw() != certificate.public_key) {
+        let public_key = public_key_of(&key)?;
+        // A public key ends with its bits, which the certificate holds.
+        if public_key.is_some_and(|public_key| !public_key.ends_with(&certificate.public_key)) {
             return Err(KeyError::OtherKey { key, certificate: path });
         }
         Ok(Self { folder, room, role, end: certificate.end() })
@@ -160,14 +162,31 @@ fn names(roles: &[AccessRole]) -> String {
     if names.is_empty() { "none".to_owned() } else { names.join(", ") }
 }
 
-/// Refuses a private key that is absent, or that every user of the machine can read.
-pub(crate) fn check_private(path: &Path) -> Result<(), KeyError> {
-    let file = std::fs::File::open(path).and_then(|file| file.metadata());
-    let metadata = file.map_err(|error| KeyError::CannotRead { path: path.into(), problem: error.to_string() })?;
-    if platform::is_readable_by_others(&metadata) {
+/// Public key of a private key, with its algorithm; `None` for a kind of key that does not tell it.
+fn public_key_of(path: &Path) -> Result<Option<Vec<u8>>, KeyError> {
+    let refuse = |problem: &str| KeyError::NotAPrivateKey { path: path.into(), problem: problem.to_owned() };
+    let text = read_private(path)?;
+    let bytes = PrivateKeyDer::from_pem_slice(text.as_bytes()).map_err(|error| match error {
+        pem::Error::NoItemsFound => refuse("it holds no private key"),
+        pem::Error::MissingSectionEnd { .. } => refuse("it is cut: its end is missing"),
+        _ => refuse("it is damaged"),
+    })?;
+    let key = ring::sign::any_supported_type(&bytes)
+        .map_err(|_| refuse("its content is damaged, or is no key of RSA, ECDSA or EdDSA"))?;
+    Ok(key.public_key().map(|public_key| public_key.to_vec()))
+}
+
+/// Reads the text of a private key; refuses one that every user of the machine can read.
+pub(crate) fn read_private(path: &Path) -> Result<String, KeyError> {
+    let unreadable = |error: std::io::Error| KeyError::CannotRead { path: path.into(), problem: error.to_string() };
+    if platform::is_readable_by_others(&std::fs::metadata(path).map_err(unreadable)?) {
         return Err(KeyError::ReadableByOthers { path: path.into() });
     }
-    Ok(())
+    let text = read_text(path).map_err(unreadable)?;
+    if text.trim().is_empty() {
+        return Err(KeyError::NotAPrivateKey { path: path.into(), problem: "it is empty".to_owned() });
+    }
+    Ok(text)
 }
 
 /// Whether every packet of an endpoint is encrypted and authenticated.

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use heliostat_array::calibration_file::CalibrationFile;
+use heliostat_scenario::read_text;
 use heliostat_service::whole_file;
 
 /// Reads a calibration file.
@@ -11,7 +12,7 @@ use heliostat_service::whole_file;
 /// # Errors
 /// A file that cannot be read, or is not a calibration.
 pub fn load(file: &Path) -> Result<CalibrationFile> {
-    let text = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
+    let text = read_text(file).with_context(|| format!("cannot read {}", file.display()))?;
     CalibrationFile::parse(&text).with_context(|| format!("in {}", file.display()))
 }
 

@@ -20,6 +20,7 @@ pub mod external;
 pub mod graph;
 pub mod standard;
 pub mod tensor;
+pub mod validity;
 
 #[allow(missing_docs, unused_qualifications, clippy::all)]
 #[rustfmt::skip]

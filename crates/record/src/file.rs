@@ -68,6 +68,15 @@ pub enum RecordingError {
         "the file is not a recording of a room: its metadata \"heliostat\" is missing; expected a file made by `heliostat record`"
     )]
     Foreign,
+    /// More bytes follow the end of the recording.
+    #[error(
+        "the file goes on after the end of its recording, by {bytes} bytes; expected one recording for each file: \
+         separate files that were joined, or copy the file again"
+    )]
+    GoesOn {
+        /// Number of these bytes.
+        bytes: u64,
+    },
     /// A recording of another version of the contract.
     #[error("the recording uses version {found} of the contract; expected version {VERSION}")]
     Version {

@@ -1,5 +1,7 @@
 //! A received payload, decoded: its message, its source and its sequence number.
 
+use std::fmt;
+
 use heliostat_proto::{
     BeliefReport, BranchReport, Calibration, Capabilities, ChannelReport, CodecError, ControllerControl,
     ControllerMemory, EmergencyStop, Kind, LedReport, Message, MirrorCommand, MirrorTelemetry, Nanos, NodeStatus,
@@ -47,6 +49,35 @@ pub struct Origin {
     pub sequence: u64,
     /// The time of the content.
     pub time_ns: Nanos,
+}
+
+/// The payloads of a recording that do not decode.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Unreadable {
+    /// Their number.
+    pub count: u64,
+    /// What is wrong with the first one.
+    pub first: Option<CodecError>,
+}
+
+impl Unreadable {
+    /// Decodes a payload; counts one that does not decode.
+    pub fn read(&mut self, payload: &[u8]) -> Option<Received> {
+        let refused = match Received::read(payload) {
+            Ok(received) => return Some(received),
+            Err(refused) => refused,
+        };
+        self.count += 1;
+        self.first.get_or_insert(refused);
+        None
+    }
+}
+
+impl fmt::Display for Unreadable {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "messages that cannot be read: {}", self.count)?;
+        self.first.as_ref().map_or(Ok(()), |first| write!(formatter, ", the first one: {first}"))
+    }
 }
 
 impl Received {

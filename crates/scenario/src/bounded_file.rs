@@ -1,4 +1,5 @@
-//! Text files of bounded length: a device or a file of gigabytes must not fill the memory.
+//! Files that a flag or a scenario names: a pipe without a writer must not hang a program, and a device or a file of
+//! gigabytes must not fill the memory.
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -7,25 +8,41 @@ use std::path::Path;
 use crate::foreign_file::foreign_file;
 
 /// Longest text in bytes: a recorded walk of some 2 million samples.
-const BYTES_MAX: u64 = 64 << 20;
+const TEXT_MAX: u64 = 64 << 20;
 
-/// Reads a text file of at most 64 MiB, without the byte order mark that some editors write.
+/// Opens a file.
 ///
 /// # Errors
-/// What the operating system reports, a longer file, a pipe outside `/dev`, which may never have a writer, or
-/// the place of the first byte that is not UTF-8.
-#[allow(clippy::disallowed_methods, reason = "the one place that reads the files of a flag or a scenario")]
-pub fn read_text(path: &Path) -> io::Result<String> {
+/// What the operating system reports, or a pipe outside `/dev`, which may never have a writer.
+#[allow(clippy::disallowed_methods, reason = "the one place that opens the files of a flag or a scenario")]
+pub fn open_file(path: &Path) -> io::Result<File> {
     let kind = std::fs::metadata(path)?.file_type();
     if !(kind.is_file() || kind.is_dir() || path.starts_with("/dev") || path.starts_with("/proc")) {
         return Err(io::Error::other("it is no regular file: expected one, or /dev/stdin for a pipe"));
     }
+    File::open(path)
+}
+
+/// Reads a file of at most so many bytes, which are some MiB.
+///
+/// # Errors
+/// As of [`open_file`], or a longer file.
+pub fn read_bytes(path: &Path, bytes_max: u64) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
-    File::open(path)?.take(BYTES_MAX + 1).read_to_end(&mut bytes)?;
-    if bytes.len() as u64 > BYTES_MAX {
-        let message = format!("it is longer than {} MiB: expected a shorter text file", BYTES_MAX >> 20);
+    open_file(path)?.take(bytes_max + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > bytes_max {
+        let message = format!("it is longer than {} MiB: expected a shorter file", bytes_max >> 20);
         return Err(io::Error::new(io::ErrorKind::FileTooLarge, message));
     }
+    Ok(bytes)
+}
+
+/// Reads a text file of at most 64 MiB, without the byte order mark that some editors write.
+///
+/// # Errors
+/// As of [`read_bytes`], or the place of the first byte that is not UTF-8.
+pub fn read_text(path: &Path) -> io::Result<String> {
+    let bytes = read_bytes(path, TEXT_MAX)?;
     let text =
         String::from_utf8(bytes).map_err(|error| not_utf8(error.as_bytes(), error.utf8_error().valid_up_to()))?;
     Ok(text.strip_prefix('\u{feff}').map(str::to_owned).unwrap_or(text))

@@ -1,9 +1,10 @@
 //! What a file is that holds something else than its user expects.
 
 /// How the bytes of some files begin, what such a file is, and what to do.
-const BEGINNINGS: [(&[u8], &str, &str); 5] = [
+const BEGINNINGS: [(&[u8], &str, &str); 6] = [
     (b"version https://git-lfs", "is a pointer of git-lfs", "run `git lfs pull`"),
     (b"\x1f\x8b", "is compressed with gzip", "unpack it"),
+    (b"\x28\xb5\x2f\xfd", "is compressed with zstd", "unpack it"),
     (b"PK\x03\x04", "is a zip archive", "unpack it"),
     (b"\xff\xfe", "is text in UTF-16", "save it in UTF-8"),
     (b"\xfe\xff", "is text in UTF-16", "save it in UTF-8"),
@@ -50,6 +51,7 @@ mod tests {
             (b"\n <!DOCTYPE html>\n<html>", "begins with <!DOCTYPE: it is a web page"),
             (b"<html>", "begins with <html>: it is a web page"),
             (b"\x1f\x8b\x08", "gzip"),
+            (b"\x28\xb5\x2f\xfd\x04", "is compressed with zstd, expected a table: unpack it"),
             (b"PK\x03\x04x", "zip archive"),
             (b"\xff\xfet\0i\0", "is text in UTF-16, expected a table: save it in UTF-8"),
             (b"\xfe\xff\0t", "UTF-16"),

@@ -280,6 +280,7 @@ mod tests {
             ("led.positions_m=[9,0,2]", "expected numbers in a list of length 3"),
             ("receiver.branches=[1]", "expected a table"),
             ("users.count=many", "expected a whole number from 0"),
+            ("seed=18446744073709551615", "expected a whole number from 0 to 9223372036854775807"),
         ] {
             let problems = texts(sound, &[refused]);
             assert!(problems.len() == 1 && problems[0].contains(reason), "{refused}: {problems:?}");

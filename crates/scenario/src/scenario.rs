@@ -235,7 +235,15 @@ pub(crate) fn parse_error(origin: &str, error: &toml::de::Error) -> ScenarioErro
 pub(crate) fn in_words(message: &str) -> String {
     let message =
         &message.split('\n').map(|line| with_similar_name(&without_struct(line))).collect::<Vec<_>>().join("\n");
-    let whole = ["usize", "u64", "u32", "u16", "u8"].map(|name| (name, "a whole number from 0"));
+    // TOML has no larger integer.
+    let largest = "a whole number from 0 to 9223372036854775807";
+    let whole = [
+        ("usize", largest),
+        ("u64", largest),
+        ("u32", "a whole number from 0 to 4294967295"),
+        ("u16", "a whole number from 0 to 65535"),
+        ("u8", "a whole number from 0 to 255"),
+    ];
     let real = ["f64", "f32"].map(|name| (name, "a number"));
     let lists = [("a sequence", "a list"), ("an array of length", "numbers in a list of length")];
     let named = whole.into_iter().chain(real).chain(lists);

@@ -16,6 +16,7 @@ use axum::http::StatusCode;
 use axum::http::header::{AUTHORIZATION, COOKIE, HeaderMap, LOCATION, SET_COOKIE};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
+use heliostat_scenario::read_text;
 use subtle::ConstantTimeEq;
 
 use crate::UiError;
@@ -53,8 +54,8 @@ impl Token {
     /// [`UiError::Token`] if the file cannot be read, or its token is too short or has other
     /// characters.
     pub fn read(file: &Path) -> Result<Self, UiError> {
-        let text = std::fs::read_to_string(file)
-            .map_err(|error| UiError::Token(format!("cannot read {}: {error}", file.display())))?;
+        let text =
+            read_text(file).map_err(|error| UiError::Token(format!("cannot read {}: {error}", file.display())))?;
         let token = text.trim();
         if token.len() < LENGTH_MIN || !token.bytes().all(|byte| byte.is_ascii_alphanumeric()) {
             return Err(UiError::Token(format!(

@@ -39,7 +39,9 @@ def _component(name: str, index: int) -> str:
 
 
 class Recording:
-    """A recording up to its end, or to its last complete chunk: a file that was cut warns with `RuntimeWarning`.
+    """A recording up to its end, or to its last complete chunk.
+
+    A file that was cut, and one with messages that cannot be read, warns with `RuntimeWarning`.
 
     Raises `FileNotFoundError` for a path without a file, and `ValueError` for a file that is not a recording of a room.
     """
@@ -51,6 +53,8 @@ class Recording:
         if self._inner.account is None:
             cut = f"{os.fspath(path)}: the recording was cut: later messages are missing"
             warnings.warn(cut, RuntimeWarning, stacklevel=2)
+        if self._inner.unreadable is not None:
+            warnings.warn(f"{os.fspath(path)}: {self._inner.unreadable}", RuntimeWarning, stacklevel=2)
 
     def __repr__(self) -> str:
         name, messages, duration_s = self._inner.room, self._inner.messages, self._inner.duration_s

@@ -238,6 +238,25 @@ fn control_characters_of_files_do_not_reach_the_terminal() {
     }
 }
 
+#[cfg(unix)]
+#[test]
+fn what_is_no_regular_file_is_refused_and_not_awaited() {
+    let folder = TempDir::new().expect("a folder");
+    let file = folder.path().join("given");
+    let _socket = std::os::unix::net::UnixListener::bind(&file).expect("a socket");
+    let file = path(&file);
+    for arguments in [
+        vec!["controller", "--policy", "ddpg-raw", "--model", file],
+        vec!["replay", file, "--verify"],
+        vec!["link", "--users", file],
+        vec!["scenario", "check", file],
+    ] {
+        let ended = run(&arguments);
+        let text = refusal(&ended);
+        assert!(text.contains("it is no regular file: expected one, or /dev/stdin"), "{arguments:?}: {text}");
+    }
+}
+
 #[test]
 fn files_and_flags_of_any_size_are_refused_with_the_bound() {
     let folder = TempDir::new().expect("a folder");

@@ -122,6 +122,32 @@ fn free_ports_differ_and_are_below_the_ephemeral_range() {
 }
 
 #[test]
+fn a_private_key_that_is_empty_cut_or_of_another_encoding_is_refused_with_what_to_do() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let room = Room::new("studio").expect("a valid name");
+    keys::init(&room, folder.path(), &keys::Terms::of_days(1, &[])).expect("an empty folder");
+    let key = folder.path().join("controller.key");
+    let text = std::fs::read_to_string(&key).expect("a key");
+    let load = |content: &[u8]| {
+        std::fs::write(&key, content).expect("a file");
+        Identity::load(folder.path(), &[AccessRole::Controller])
+    };
+    let refused = |content: &[u8]| load(content).expect_err("refused").to_string();
+    let (lines, utf16) = (text.lines().collect::<Vec<_>>(), text.encode_utf16().flat_map(u16::to_le_bytes));
+    let empty = refused(b"");
+    assert!(empty.contains("controller.key: it is empty") && empty.contains("heliostat keys issue"), "{empty}");
+    let cut = refused(text[..text.len() / 2].as_bytes());
+    assert!(cut.contains("controller.key: it is cut") && cut.contains("expected a private key in PEM format"), "{cut}");
+    assert!(refused(b"no key\n").contains("it holds no private key"));
+    let short = [lines[0], lines[1], lines[lines.len() - 1]].join("\n");
+    assert!(refused(short.as_bytes()).contains("its content is damaged"), "{}", refused(short.as_bytes()));
+    let encoded: Vec<u8> = [0xff, 0xfe].into_iter().chain(utf16).collect();
+    let encoded = refused(&encoded);
+    assert!(encoded.contains("controller.key: it is text in UTF-16") && encoded.contains("keys issue"), "{encoded}");
+    load(text.as_bytes()).expect("the key as it was made");
+}
+
+#[test]
 fn a_private_key_of_another_certificate_is_refused_by_name() {
     let [own, other] = [(); 2].map(|()| {
         let folder = tempfile::tempdir().expect("a temporary folder");

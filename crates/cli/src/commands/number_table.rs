@@ -1,14 +1,9 @@
 //! CSV files of numbers.
 
-use std::fs::File;
-use std::io::Read;
+use std::path::Path;
 
 use anyhow::{Context, Result, ensure};
-
-/// Longest file in bytes; the longest useful one has a line for each mirror.
-const BYTES_MAX: u64 = 16 << 20;
-/// Characters of a header that an error quotes.
-const HEADER_QUOTED: usize = 200;
+use heliostat_scenario::{CARRIAGE_RETURNS, excerpt, read_text};
 
 /// Reads a file whose header names all `required` columns, any `optional` ones, and no others.
 ///
@@ -18,19 +13,16 @@ const HEADER_QUOTED: usize = 200;
 /// # Errors
 /// A file that cannot be read, another header, or a cell that is no number.
 pub fn read(file: &str, required: &[&str], optional: &[&str]) -> Result<Vec<Vec<Option<f64>>>> {
-    let mut bytes = Vec::new();
-    let read = File::open(file).and_then(|file| file.take(BYTES_MAX + 1).read_to_end(&mut bytes));
-    read.with_context(|| format!("cannot read {file}"))?;
-    ensure!(bytes.len() as u64 <= BYTES_MAX, "{file} is longer than {} MiB; expected a shorter file", BYTES_MAX >> 20);
-    let text = String::from_utf8(bytes).with_context(|| format!("{file} is not text in UTF-8"))?;
+    let text = read_text(Path::new(file)).with_context(|| format!("cannot read {file}"))?;
     parse(&text, required, optional).with_context(|| format!("in {file}"))
 }
 
 fn parse(text: &str, required: &[&str], optional: &[&str]) -> Result<Vec<Vec<Option<f64>>>> {
-    let text = text.trim_start_matches('\u{feff}');
     let lines = text.lines().enumerate().map(|(index, line)| (index + 1, line.trim()));
     let mut lines = lines.filter(|(_, line)| !line.is_empty() && !line.starts_with('#'));
-    let header = cells(lines.next().map_or("", |(_, line)| line));
+    let (number, first) = lines.next().unwrap_or((1, ""));
+    ensure!(!first.contains('\r'), "line {number}: {CARRIAGE_RETURNS}");
+    let header = cells(first);
     let columns: Vec<&str> = required.iter().chain(optional).copied().collect();
     let known =
         header.iter().enumerate().all(|(index, name)| columns.contains(name) && !header[..index].contains(name));
@@ -38,7 +30,7 @@ fn parse(text: &str, required: &[&str], optional: &[&str]) -> Result<Vec<Vec<Opt
     ensure!(
         known && complete,
         "the header is \"{}\"; expected {}{}",
-        header.join(",").chars().take(HEADER_QUOTED).collect::<String>(),
+        excerpt(&header.join(",")),
         required.join(","),
         optional.iter().map(|name| format!("[,{name}]")).collect::<String>()
     );
@@ -51,8 +43,10 @@ fn parse(text: &str, required: &[&str], optional: &[&str]) -> Result<Vec<Vec<Opt
             if cell.is_empty() && optional.contains(name) {
                 return Ok(None);
             }
-            let number =
-                cell.parse().ok().with_context(|| format!("line {number}: {name} is \"{cell}\"; expected a number"));
+            let number = cell
+                .parse()
+                .ok()
+                .with_context(|| format!("line {number}: {name} is \"{}\"; expected a number", excerpt(cell)));
             number.map(Some)
         };
         columns.iter().map(value).collect()
@@ -71,7 +65,7 @@ mod tests {
 
     #[test]
     fn columns_come_in_the_order_of_the_request_whatever_the_order_of_the_file() {
-        let text = "\u{feff}# users\n y , x ,z\r\n\n2,1,\n\"4\",3,5\n";
+        let text = "# users\n y , x ,z\r\n\n2,1,\n\"4\",3,5\n";
         let rows = parse(text, &["x", "y"], &["z", "heading_deg"]).unwrap();
         assert_eq!(rows, [[Some(1.0), Some(2.0), None, None], [Some(3.0), Some(4.0), Some(5.0), None]]);
     }
@@ -79,6 +73,7 @@ mod tests {
     #[test]
     fn another_table_is_refused_with_what_was_expected() {
         for (text, expected) in [
+            ("x,y\r1,2\r", "line 1: its lines end with a carriage return alone"),
             ("", "the header is \"\"; expected x,y[,z]"),
             ("x\n1\n", "the header is \"x\"; expected x,y[,z]"),
             ("x,y,q\n", "the header is \"x,y,q\""),

@@ -2,14 +2,14 @@
 
 use std::collections::HashMap;
 use std::fs::File;
-use std::io::{BufRead, BufReader, Read};
+use std::io::{self, BufRead, BufReader, Read};
 use std::path::Path;
 
 use heliostat_proto::{Nanos, VERSION};
-use heliostat_scenario::foreign_file;
-use mcap::McapError;
+use heliostat_scenario::{foreign_file, open_file};
 use mcap::records::{Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use mcap::{MAGIC, McapError};
 
 use super::{ACCOUNT_NAME, HEADER_NAME, Header, RecordingError};
 
@@ -24,7 +24,7 @@ const RECORD_MAX: usize = 64 << 20;
 /// [`RecordingError::Version`].
 pub fn open(file: &Path) -> Result<Reading<BufReader<File>>, RecordingError> {
     let source = || {
-        let file = File::open(file).map_err(|error| RecordingError::Open(error.to_string()))?;
+        let file = open_file(file).map_err(|error| RecordingError::Open(error.to_string()))?;
         Ok::<_, RecordingError>(BufReader::new(file))
     };
     let mut first = source()?;
@@ -59,6 +59,8 @@ pub struct Reading<R> {
     header: Header,
     topics: HashMap<u16, String>,
     account: Option<String>,
+    /// Whether the last record of a complete file was read.
+    has_footer: bool,
 }
 
 impl<R: Read> Reading<R> {
@@ -84,7 +86,7 @@ impl<R: Read> Reading<R> {
             .with_record_length_limit(RECORD_MAX);
         let header = Header::default();
         let reader = LinearReader::new_with_options(options);
-        Self { source, reader, header, topics: HashMap::new(), account: None }
+        Self { source, reader, header, topics: HashMap::new(), account: None, has_footer: false }
     }
 
     /// The header of a file that has it behind its messages, as other tools may write it.
@@ -118,7 +120,8 @@ impl<R: Read> Reading<R> {
     /// The next message; `None` at the end.
     ///
     /// # Errors
-    /// [`RecordingError::Read`] if the file is damaged; a file that was cut ends without an error.
+    /// [`RecordingError::Read`] if the file is damaged, [`RecordingError::GoesOn`] if it goes on after its end; a file
+    /// that was cut ends without an error.
     pub fn entry(&mut self) -> Result<Option<Entry>, RecordingError> {
         loop {
             match self.step()? {
@@ -137,7 +140,7 @@ impl<R: Read> Reading<R> {
             error => RecordingError::Read(error.to_string()),
         };
         let event = match self.reader.next_event() {
-            None => return Ok(Step::End),
+            None => return self.end(),
             Some(Err(McapError::UnexpectedEof)) => return Ok(Step::End),
             Some(event) => event.map_err(unreadable)?,
         };
@@ -146,6 +149,7 @@ impl<R: Read> Reading<R> {
                 let got = self.source.read(self.reader.insert(length));
                 self.reader.notify_read(got.map_err(|error| RecordingError::Read(error.to_string()))?);
             }
+            LinearReadEvent::Record { opcode: op::FOOTER, .. } => self.has_footer = true,
             LinearReadEvent::Record { data, opcode } if !texts_fit(opcode, data) => {
                 let length = data.len();
                 return Err(RecordingError::Read(format!("a text is longer than its record of {length} bytes")));
@@ -167,6 +171,19 @@ impl<R: Read> Reading<R> {
             },
         }
         Ok(Step::Other)
+    }
+
+    /// The end, if no more follows it in the file: the messages of a second recording would be lost without a word.
+    fn end(&mut self) -> Result<Step, RecordingError> {
+        if self.has_footer {
+            let rest = io::copy(&mut self.source, &mut io::sink());
+            let rest = rest.map_err(|error| RecordingError::Read(error.to_string()))?;
+            let bytes = rest.saturating_sub(MAGIC.len() as u64);
+            if bytes > 0 {
+                return Err(RecordingError::GoesOn { bytes });
+            }
+        }
+        Ok(Step::End)
     }
 }
 

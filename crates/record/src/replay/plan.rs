@@ -13,13 +13,10 @@ use serde::Serialize;
 
 use crate::account::Account;
 use crate::file::open;
-use crate::received::Received;
+use crate::received::{Received, Unreadable};
 
 use super::schedule::{Schedule, ScheduleBuilder};
 use super::verdict::LeftOut;
-
-const NO_REPORT: &str =
-    "it holds no position report: the recorder was not connected to the room's process, or was cut before it wrote";
 
 /// The policy in the status of `heliostat.run`.
 const FUNCTION: &str = "python";
@@ -60,19 +57,19 @@ impl Beginning {
         let room = Room::new(&reading.header().room)?;
         let scenario = Scenario::from_recorded_toml(&reading.header().scenario).context("its scenario")?;
         let mirrors = scenario.mirrors.arrays().iter().map(|array| array.rows * array.columns).collect();
-        let mut capabilities = BTreeMap::new();
+        let (mut capabilities, mut unreadable) = (BTreeMap::new(), Unreadable::default());
         while let Some(entry) = reading.entry()? {
             let (array, topic) = room.first_array_key(&entry.topic);
             if topic == room.capabilities() {
                 capabilities.insert(array, entry.data);
             } else if entry.topic == room.users()
-                && let Ok(Received::Users(report)) = Received::read(&entry.data)
+                && let Some(Received::Users(report)) = unreadable.read(&entry.data)
             {
                 let clock = clock_of(report.stamp.time_ns, entry.arrived_ns);
                 return Ok(Self { clock, room, capabilities, mirrors });
             }
         }
-        bail!("{NO_REPORT}")
+        Err(no_report(&unreadable))
     }
 }
 
@@ -140,7 +137,7 @@ impl Plan {
             left_out: BTreeMap::new(),
             account: Account::default(),
         };
-        let mut clock = None;
+        let (mut clock, mut unreadable) = (None, Unreadable::default());
         let mut last = None;
         let mut schedules = ScheduleBuilder::default();
         for index in 0.. {
@@ -148,7 +145,7 @@ impl Plan {
             if !entry.topic.starts_with("heliostat/") {
                 continue;
             }
-            let received = Received::read(&entry.data).ok();
+            let received = unreadable.read(&entry.data);
             let (array, _) = plan.room.first_array_key(&entry.topic);
             plan.account.count(&entry.topic, entry.data.len(), received.as_ref().map(Received::origin));
             if let Some((input, received)) =
@@ -172,7 +169,7 @@ impl Plan {
             }
         }
         plan.schedules = schedules.build();
-        plan.clock = clock.with_context(|| NO_REPORT)?;
+        plan.clock = clock.ok_or_else(|| no_report(&unreadable))?;
         plan.leave_out_other_scenarios(&hash)?;
         ensure!(
             !plan.epochs.is_empty(),
@@ -262,6 +259,16 @@ impl Plan {
     }
 }
 
+/// Why no position report was found.
+fn no_report(unreadable: &Unreadable) -> Error {
+    if unreadable.count > 0 {
+        return anyhow!("it holds no position report that can be read; {unreadable}");
+    }
+    anyhow!(
+        "it holds no position report: the recorder was not connected to the room's process, or was cut before it wrote"
+    )
+}
+
 /// Why this program cannot decide by a recorded policy.
 fn not_replayable(policy: &str) -> Error {
     match removed(policy) {
@@ -293,6 +300,20 @@ fn clock_of(report_ns: Nanos, arrived_ns: Nanos) -> Clock {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn reports_that_cannot_be_read_are_no_absent_reports() {
+        let mut unreadable = Unreadable::default();
+        assert!(no_report(&unreadable).to_string().contains("the recorder was not connected"));
+        for payload in [&[2, 1, 0][..], &[]] {
+            assert!(unreadable.read(payload).is_none());
+        }
+        let error = no_report(&unreadable).to_string();
+        assert!(
+            error.contains("messages that cannot be read: 2, the first one: payload of contract version 2"),
+            "{error}"
+        );
+    }
 
     #[test]
     fn a_function_in_python_is_no_policy_that_a_flag_can_name() {

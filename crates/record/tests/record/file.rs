@@ -113,6 +113,31 @@ fn a_recording_is_read_with_header_messages_and_account() {
 }
 
 #[test]
+fn bytes_after_the_end_of_a_recording_are_an_error_that_counts_them() {
+    let disk = Disk::new(usize::MAX);
+    let mut recording = Recording::create(disk.clone(), &header()).unwrap();
+    recording.payload(KEY, 100, 0, &payload(0)).unwrap();
+    recording.finish(&Account::default()).unwrap();
+    let bytes = disk.bytes();
+    assert_first(&read(bytes.as_slice()).unwrap(), 1);
+    for more in [&bytes[..], &b"x"[..]] {
+        let joined = [&bytes[..], more].concat();
+        let error = read(joined.as_slice()).unwrap_err().to_string();
+        assert!(error.contains(&format!("after the end of its recording, by {} bytes", more.len())), "{error}");
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn what_is_no_regular_file_is_no_recording() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("room.mcap");
+    let _socket = std::os::unix::net::UnixListener::bind(&path).unwrap();
+    let error = file::open(&path).err().expect("refused").to_string();
+    assert!(error.contains("no regular file"), "{error}");
+}
+
+#[test]
 fn a_file_cut_at_any_byte_holds_every_complete_chunk_before_the_cut() {
     let disk = Disk::new(usize::MAX);
     let mut recording = Recording::create(disk.clone(), &header()).unwrap();

@@ -111,6 +111,19 @@ fn a_file_that_cannot_be_used_is_refused_with_the_reason_and_nothing_is_written(
 }
 
 #[test]
+fn an_output_that_is_the_input_is_refused_and_stays() {
+    let folder = folder();
+    assert!(heliostat(&folder, IMPORT).status.success());
+    let before = fs::read(folder.path().join("walk.csv")).expect("the walk");
+    for command in ["import walk.csv --format csv --users 2", "export walk.csv"] {
+        let refused = heliostat(&folder, &format!("trace {command} --out ./walk.csv"));
+        let message = text(&refused.stderr);
+        assert!(refused.status.code() == Some(2) && message.contains("and --out name one file"), "{message}");
+    }
+    assert_eq!(fs::read(folder.path().join("walk.csv")).expect("the walk"), before);
+}
+
+#[test]
 fn a_recording_with_old_names_in_its_scenario_is_exported() {
     let folder = folder();
     let golden = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/golden.mcap");

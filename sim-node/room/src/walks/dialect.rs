@@ -15,7 +15,7 @@ impl Separator {
     pub(super) fn of(row: &str) -> Self {
         [(';', Self::Semicolon), ('\t', Self::Tab), (',', Self::Comma)]
             .into_iter()
-            .find(|(mark, _)| row.contains(*mark))
+            .find(|(mark, _)| split(row, *mark).len() > 1)
             .map_or(Self::Whitespace, |(_, separator)| separator)
     }
 
@@ -26,11 +26,32 @@ impl Separator {
         }
         match self {
             Self::Whitespace => row.split_whitespace().collect(),
-            Self::Tab => row.split('\t').map(bare).collect(),
-            Self::Comma => row.split(',').map(bare).collect(),
-            Self::Semicolon => row.split(';').map(bare).collect(),
+            Self::Tab => split(row, '\t').into_iter().map(bare).collect(),
+            Self::Comma => split(row, ',').into_iter().map(bare).collect(),
+            Self::Semicolon => split(row, ';').into_iter().map(bare).collect(),
         }
     }
+}
+
+/// The cells between marks; a mark within quotation marks around a cell separates nothing.
+fn split(row: &str, mark: char) -> Vec<&str> {
+    let (mut cells, mut start) = (Vec::new(), 0);
+    let (mut is_quoted, mut in_quotes, mut last) = (false, false, None);
+    for (at, character) in row.char_indices() {
+        let begins_cell = matches!(last, None | Some(',' | ';' | '\t'));
+        if character == '"' && (is_quoted || begins_cell) {
+            // Two of them within a quoted cell stand for one.
+            (is_quoted, in_quotes) = (true, !in_quotes);
+        } else if character == mark && !in_quotes {
+            cells.push(&row[start..at]);
+            (start, is_quoted) = (at + mark.len_utf8(), false);
+        }
+        if character != ' ' {
+            last = Some(character);
+        }
+    }
+    cells.push(&row[start..]);
+    cells
 }
 
 #[cfg(test)]
@@ -44,6 +65,7 @@ mod tests {
             ("7.8e2  1 2.5", Separator::Whitespace, vec!["7.8e2", "1", "2.5"]),
             ("0, 1 ,\"x\"", Separator::Comma, vec!["0", "1", "x"]),
             ("0,4;1;2,5", Separator::Semicolon, vec!["0,4", "1", "2,5"]),
+            ("0,\"hall; \"\"A\"\", east\",5", Separator::Comma, vec!["0", "hall; \"\"A\"\", east", "5"]),
             ("0,4\t\t2,5", Separator::Tab, vec!["0,4", "", "2,5"]),
         ] {
             assert_eq!(Separator::of(row), separator, "{row}");

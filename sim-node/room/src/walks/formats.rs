@@ -24,6 +24,7 @@ mod thor_magni;
 
 use std::io::{BufRead, Error, ErrorKind, Read};
 
+use heliostat_scenario::CARRIAGE_RETURNS;
 use thiserror::Error;
 
 use self::columns::Columns;
@@ -120,6 +121,22 @@ pub enum ReadError {
         /// The names found.
         found: String,
     },
+    /// Two columns have the name of a column that is used.
+    #[error(
+        "line {line}: two columns have the name {name}: expected one; rename one of them, or name it by its number"
+    )]
+    SameName {
+        /// Line of the header.
+        line: u64,
+        /// The name.
+        name: String,
+    },
+    /// The lines end with a carriage return alone.
+    #[error("line {line}: {CARRIAGE_RETURNS}")]
+    CarriageReturns {
+        /// Line, from 1, by line feeds.
+        line: u64,
+    },
     /// Times count frames, and the frame rate is not known.
     #[error("the frame rate is not known: expected a comment such as `# framerate: 16`")]
     FrameRate,
@@ -176,6 +193,9 @@ impl<R: BufRead> Lines<R> {
                     return Err(ReadError::Text(text));
                 }
                 Err(error) => return Err(error.into()),
+            }
+            if bare(&self.text).contains('\r') {
+                return Err(ReadError::CarriageReturns { line: self.line });
             }
             if self.text.len() as u64 == LINE_BYTES_MAX {
                 let expected = format!("less than {} KiB, as a text file has", LINE_BYTES_MAX >> 10);

@@ -1,7 +1,6 @@
 //! One position of one pedestrian in a file, or the reason for which a row cannot be used.
 
-/// Characters of a cell that a reason quotes.
-const QUOTED: usize = 40;
+use heliostat_scenario::excerpt;
 
 /// One position of one pedestrian.
 #[derive(Clone, Debug, PartialEq)]
@@ -39,8 +38,5 @@ pub(super) fn refusal(line: u64, reason: String) -> RowRefusal {
 pub(super) fn number(line: u64, column: &str, text: &str) -> Result<f64, RowRefusal> {
     let with_point = || text.replacen(',', ".", 1).parse::<f64>().ok();
     let value = text.parse::<f64>().ok().or_else(with_point).filter(|value| value.is_finite());
-    value.ok_or_else(|| {
-        let found: String = text.chars().take(QUOTED).collect();
-        refusal(line, format!("invalid {column} `{found}`: expected a finite number"))
-    })
+    value.ok_or_else(|| refusal(line, format!("invalid {column} `{}`: expected a finite number", excerpt(text))))
 }

@@ -13,7 +13,7 @@
 
 use std::f64::consts::{PI, TAU};
 
-use heliostat_scenario::WALKING_M_S;
+use heliostat_scenario::{CARRIAGE_RETURNS, WALKING_M_S, excerpt};
 use thiserror::Error;
 
 use crate::world::walker::{Floor, Walker};
@@ -30,8 +30,14 @@ pub enum TraceError {
     Header {
         /// Line number, from 1.
         line: usize,
-        /// The line as it stands.
+        /// The beginning of the line.
         found: String,
+    },
+    /// The lines end with a carriage return alone.
+    #[error("line {line}: {CARRIAGE_RETURNS}")]
+    CarriageReturns {
+        /// Line number, from 1, by line feeds.
+        line: usize,
     },
     /// A line has another number of columns than the header.
     #[error("line {line}: number of columns {found}: expected {expected}, as in the header")]
@@ -50,7 +56,7 @@ pub enum TraceError {
         line: usize,
         /// Name of the column.
         column: &'static str,
-        /// The text in the column.
+        /// The beginning of the text in the column.
         found: String,
     },
     /// A user beyond the number in the scenario.
@@ -273,11 +279,15 @@ fn read(text: &str, users: usize, floor: &Floor, report: &mut dyn FnMut(TraceErr
         report(TraceError::Empty);
         return samples;
     };
+    if row.contains('\r') {
+        report(TraceError::CarriageReturns { line });
+        return samples;
+    }
     let names: Vec<&str> = row.split(',').map(str::trim).collect();
     let is_header = names == COLUMNS || names == COLUMNS[..columns];
     if is_header {
         columns = names.len();
-    } else if !report(TraceError::Header { line, found: row.to_owned() }) {
+    } else if !report(TraceError::Header { line, found: excerpt(row) }) {
         return samples;
     }
     let mut is_complete = true;
@@ -331,9 +341,9 @@ fn parse_row(text: Line<'_>, floor: &Floor) -> Result<(usize, Sample), TraceErro
     };
     let number = |column, text: &str| {
         let value = text.parse::<f64>().ok().filter(|value| value.is_finite());
-        value.ok_or_else(|| TraceError::Value { line, column, found: text.to_owned() })
+        value.ok_or_else(|| TraceError::Value { line, column, found: excerpt(text) })
     };
-    let user = user.parse().map_err(|_| TraceError::Value { line, column: "user", found: user.to_owned() })?;
+    let user = user.parse().map_err(|_| TraceError::Value { line, column: "user", found: excerpt(user) })?;
     let (time, x, y) = (number("time", time)?, number("x", x)?, number("y", y)?);
     let heading = heading.map(|text| number(COLUMNS[4], text)).transpose()?;
     if !floor.contains(x, y) {

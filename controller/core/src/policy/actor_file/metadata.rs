@@ -1,10 +1,9 @@
 //! The metadata entries of an actor.
 
+use heliostat_scenario::excerpt;
+
 use super::ActorProblem;
 use crate::policy::weights::Head;
-
-/// Longest text of a file that a message repeats, in characters.
-const QUOTED_MAX: usize = 64;
 
 /// The keys of the metadata of an actor.
 pub mod key {
@@ -44,7 +43,8 @@ pub mod key {
 
 /// The beginning of a text of a file, in quotation marks and without control characters.
 pub fn quoted(text: &str) -> String {
-    format!("{:?}", text.chars().take(QUOTED_MAX).collect::<String>())
+    // Escapes are longer than what they stand for.
+    excerpt(&format!("{:?}", excerpt(text)))
 }
 
 /// Finds entries, and says which one is unusable.

@@ -6,7 +6,7 @@ use anyhow::{Context, Result, ensure};
 use heliostat_bus::BusArgs;
 use heliostat_calibrate::Place;
 use heliostat_calibrate::places::{default_spots, default_verification};
-use heliostat_scenario::{MismatchLevel, Scenario, ScenarioArgs};
+use heliostat_scenario::{MismatchLevel, Scenario, ScenarioArgs, read_text};
 use heliostat_service::EndArgs;
 use heliostat_service::exit::UnusableInput;
 
@@ -137,7 +137,7 @@ impl Args {
         let mut spots = Vec::new();
         for text in &self.spots {
             if Path::new(text).is_file() {
-                let lines = std::fs::read_to_string(text).with_context(|| format!("cannot read {text}"))?;
+                let lines = read_text(Path::new(text)).with_context(|| format!("cannot read {text}"))?;
                 let rows = lines.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
                 for row in rows {
                     spots.push(place(row).with_context(|| UnusableInput::new(format!("in {text}")))?);

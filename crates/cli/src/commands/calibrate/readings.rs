@@ -6,7 +6,7 @@ use anyhow::{Context, Result, ensure};
 use heliostat_array::calibration_file::CalibrationFile;
 use heliostat_calibrate::{Log, Session};
 use heliostat_proto::Room;
-use heliostat_scenario::Scenario;
+use heliostat_scenario::{Scenario, read_text};
 use heliostat_service::exit::UnusableInput;
 use heliostat_service::whole_file;
 use serde::{Deserialize, Serialize};
@@ -107,7 +107,7 @@ impl<'a> Readings<'a> {
 }
 
 fn read(file: &Path) -> Result<Saved> {
-    let text = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
+    let text = read_text(file).with_context(|| format!("cannot read {}", file.display()))?;
     let unusable = || UnusableInput::new(format!("{} holds no readings of a calibration", file.display()));
     serde_json::from_str(&text).with_context(unusable)
 }

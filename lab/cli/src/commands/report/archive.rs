@@ -1,9 +1,9 @@
 //! Finished sections as JSON beside the page: all that the page is rendered from.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
+use heliostat_scenario::read_text;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -75,7 +75,7 @@ impl Archive {
             return Ok(Self::new(report, quick));
         }
         let file = kept.display();
-        let text = fs::read_to_string(kept).with_context(|| format!("cannot read {file}"))?;
+        let text = read_text(kept).with_context(|| format!("cannot read {file}"))?;
         let archive: Self = serde_json::from_str(&text).with_context(|| {
             format!("{file} holds no finished sections: delete it or restore it, or leave out --resume")
         })?;

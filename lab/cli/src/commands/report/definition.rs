@@ -1,10 +1,10 @@
 //! A report as data: a TOML file with sections, columns and bounds.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
 use std::path::Path;
 
 use anyhow::{Context, Result, bail, ensure};
+use heliostat_scenario::read_text;
 use serde::Deserialize;
 
 use super::bound::Bound;
@@ -120,7 +120,7 @@ impl Definition {
     /// # Errors
     /// A file that cannot be read, or contradicts itself.
     pub fn read(file: &Path, words: &[(String, String)]) -> Result<Self> {
-        let text = fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
+        let text = read_text(file).with_context(|| format!("cannot read {}", file.display()))?;
         Self::parse(&text, words).with_context(|| format!("in {}", file.display()))
     }
 

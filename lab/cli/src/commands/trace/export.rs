@@ -51,6 +51,7 @@ struct Recorded {
 /// Reads the recording, writes the walk, and prints what it holds.
 pub fn run(args: &ExportArgs) -> Result<()> {
     let unusable = || UnusableInput::new(format!("{} cannot be exported", args.recording.display()));
+    whole_file::check_distinct([("the recording", Some(&args.recording)), ("--out", Some(&args.out))])?;
     whole_file::check_writable(&args.out)?;
     let recorded = file::open(&args.recording).map_err(Into::into).and_then(users).with_context(unusable)?;
     write_trace(&recorded.users, &recorded.floor, &args.out)?;

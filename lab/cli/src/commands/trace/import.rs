@@ -1,6 +1,5 @@
 //! `heliostat-lab trace import`: reads a data set, chooses users, and fits them into a room.
 
-use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::PathBuf;
 
@@ -12,7 +11,7 @@ use heliostat_room::walks::plausibility::{is_mostly_refused, warnings};
 use heliostat_room::walks::selection::{Choice, Presence, select};
 use heliostat_room::walks::tracks::{Collected, Collector, Kept, Rectangle};
 use heliostat_room::world::walker::Floor;
-use heliostat_scenario::{BUILTIN_NAMES, Scenario, ScenarioArgs, foreign_file};
+use heliostat_scenario::{BUILTIN_NAMES, Scenario, ScenarioArgs, foreign_file, open_file};
 use heliostat_service::duration::{DurationError, seconds};
 use heliostat_service::exit::UnusableInput;
 
@@ -166,6 +165,7 @@ pub fn run(args: &ImportArgs) -> Result<()> {
     let unusable = || UnusableInput::new(format!("{} cannot be imported", args.file.display()));
     let scenario = scenario(args)?;
     let floor = Floor { length_x_m: scenario.room.length_x_m, length_y_m: scenario.room.length_y_m };
+    whole_file::check_distinct([("the data set", Some(&args.file)), ("--out", Some(&args.out))])?;
     whole_file::check_writable(&args.out)?;
     let collected = collect(args).with_context(unusable)?;
     let choice = choice(args, &scenario);
@@ -224,7 +224,7 @@ fn collect(args: &ImportArgs) -> Result<Collected> {
         reading.columns.is_none() || source.format == WalkFormat::Csv,
         "--columns was given: expected the format csv, because the other formats have fixed columns"
     );
-    let mut input = BufReader::new(File::open(&args.file)?);
+    let mut input = BufReader::new(open_file(&args.file)?);
     if let Some(what) = foreign_file(input.fill_buf()?, "a text in UTF-8") {
         bail!("the file {what}");
     }
@@ -250,6 +250,7 @@ fn advised(error: ReadError) -> anyhow::Error {
     match error {
         ReadError::Header { .. } => anyhow!("{error}: name them with --columns time=NAME,user=NAME,x=NAME,y=NAME"),
         ReadError::FrameRate => anyhow!("{error}, or give --frame-rate-hz"),
+        ReadError::SameName { .. } => anyhow!("{error} with --columns, for example --columns x=3"),
         other => other.into(),
     }
 }

@@ -1,5 +1,7 @@
 //! The columns of a text with a header, or of one whose columns are given by number.
 
+use heliostat_scenario::excerpt;
+
 use crate::walks::formats::ReadError;
 use crate::walks::rows::{Row, RowRefusal, number, refusal};
 
@@ -68,6 +70,15 @@ pub(super) struct Columns {
 impl Columns {
     /// Finds the columns in the first row.
     pub(super) fn of(line: u64, row: &[&str], map: &ColumnMap) -> Result<Self, ReadError> {
+        let named = REQUIRED.into_iter().chain(["heading_deg"]).filter_map(|role| match map.of(role) {
+            Column::Name(name) => Some(name),
+            Column::Number(_) => None,
+        });
+        for name in named {
+            if row.iter().filter(|found| **found == name).count() > 1 {
+                return Err(ReadError::SameName { line, name });
+            }
+        }
         let find = |role: &'static str| match map.of(role) {
             Column::Name(name) => row.iter().position(|found| **found == *name).ok_or(name),
             Column::Number(place) => {
@@ -77,7 +88,7 @@ impl Columns {
         let missing = |missing: String| ReadError::Header {
             line,
             missing,
-            found: row.iter().map(|name| format!("`{}`", name.escape_debug())).collect::<Vec<_>>().join(", "),
+            found: excerpt(&row.iter().map(|name| format!("`{}`", name.escape_debug())).collect::<Vec<_>>().join(", ")),
         };
         let is_mapped = map.0.iter().any(|(role, _)| *role == "heading_deg");
         let heading_deg = match find("heading_deg") {

@@ -95,6 +95,14 @@ fn a_file_without_rows_or_columns_is_refused_with_what_is_expected() {
     assert!(error(WalkFormat::Csv, "time,user,x,y\n").contains("no rows"));
     assert!(error(WalkFormat::ThorMagni, "a,b\n1,2\n").contains("missing column Time"));
     assert!(error(WalkFormat::ThorMagni, "Frame,Time,DARKO_Robot - 1 X\n").contains("missing column Helmet_1"));
+    let twice = error(WalkFormat::Csv, "time,user,x,y,x\n0,0,1,2,3\n");
+    assert!(twice.contains("line 1: two columns have the name x: expected one"), "{twice}");
+    let returns = "time,user,x,y\r".to_owned() + &"0,0,1,2\r".repeat(1 << 18);
+    for text in [returns.as_str(), "# comment\rtime,user,x,y\r0,0,1,2\r"] {
+        let found = error(WalkFormat::Csv, text);
+        assert!(found.starts_with("line 1: its lines end with a carriage return alone"), "{found}");
+    }
+    assert!(error(WalkFormat::Csv, &format!("{}\n", "name,".repeat(9999))).len() < 500);
     let endless = "0".repeat(2 << 20);
     assert!(error(WalkFormat::Atc, &endless).contains("line 1: the line does not end"));
     let mut latin = Vec::from(*b"0,0,1,2\n");

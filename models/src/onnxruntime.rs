@@ -7,6 +7,7 @@
 use std::sync::{Mutex, PoisonError};
 
 use heliostat_core::policy::{Network, PolicyError, PolicyResult};
+use heliostat_scenario::open_file;
 use ort::{
     environment::Environment,
     session::{Session, builder::GraphOptimizationLevel},
@@ -48,6 +49,13 @@ fn environment() -> Result<Environment, String> {
     let library::Candidates { files, named_by } = library::candidates();
     let mut reasons = Vec::new();
     for file in &files {
+        // The system's loader would wait for a pipe.
+        if file.exists()
+            && let Err(error) = open_file(file)
+        {
+            reasons.push(error.to_string());
+            continue;
+        }
         // The path is given first: ort panics where it searches by itself and finds none.
         match ort::init_from(file) {
             Ok(builder) => {

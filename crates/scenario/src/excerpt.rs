@@ -4,7 +4,8 @@
 const EXCERPT_MAX: usize = 200;
 
 /// Why a file whose lines end with a carriage return alone is refused, and what to do.
-pub const CARRIAGE_RETURNS: &str = "its lines end with a carriage return alone: expected the line ends of Unix or Windows; save the file again with these";
+pub const CARRIAGE_RETURNS: &str = "its lines end with a carriage return alone: expected the line ends of Unix or \
+                                    Windows; save the file again with these";
 
 /// The beginning of a text of a file, of at most 200 characters: a message must not be as long as the file.
 ///

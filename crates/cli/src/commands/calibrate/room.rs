@@ -258,7 +258,7 @@ impl LiveRoom {
     }
 
     /// What arrives next, within a limit.
-    pub fn receive(&self, limit: Duration) -> Result<Option<Received>> {
+    pub fn receive(&self, limit: Duration) -> Result<Option<Arrived>> {
         let (is_stopped, lost) = {
             let commander = &lock(&self.commands).commander;
             // A lead that was lost since the last look is for `take_again`; a refinement waits for the next idle time.

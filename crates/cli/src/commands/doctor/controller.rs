@@ -36,7 +36,7 @@ pub(super) struct ControllerState {
     /// The noise of its tracker.
     pub noise: Option<TrackerNoise>,
     /// Why it sends no commands: the array does not fit its scenario.
-    unfit: Option<String>,
+    pub unfit: Option<String>,
 }
 
 /// Asks the controller that leads; the checks by its answer, none without a session.

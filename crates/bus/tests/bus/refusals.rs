@@ -136,7 +136,7 @@ fn a_private_key_that_is_empty_cut_or_of_another_encoding_is_refused_with_what_t
     let (lines, utf16) = (text.lines().collect::<Vec<_>>(), text.encode_utf16().flat_map(u16::to_le_bytes));
     let empty = refused(b"");
     assert!(empty.contains("controller.key: it is empty") && empty.contains("heliostat keys issue"), "{empty}");
-    let cut = refused(text[..text.len() / 2].as_bytes());
+    let cut = refused(&text.as_bytes()[..text.len() / 2]);
     assert!(cut.contains("controller.key: it is cut") && cut.contains("expected a private key in PEM format"), "{cut}");
     assert!(refused(b"no key\n").contains("it holds no private key"));
     let short = [lines[0], lines[1], lines[lines.len() - 1]].join("\n");

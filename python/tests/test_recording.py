@@ -112,12 +112,14 @@ def test_a_recording_that_was_cut_warns(path: Path, tmp_path: Path) -> None:
         assert heliostat.Recording(tmp_path / "cut.mcap").account is None
 
 
-def test_messages_that_cannot_be_read_warn(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_messages_that_cannot_be_read_warn(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    path = tmp_path / "later.mcap"
+    path.touch()
     found = "messages that cannot be read: 3, the first one: payload of contract version 2"
     stored = SimpleNamespace(account="{}", unreadable=found)
     monkeypatch.setattr("heliostat.recording._Recording", lambda path: stored)
     with pytest.warns(RuntimeWarning, match=f"later.mcap: {found}"):
-        heliostat.Recording("later.mcap")
+        heliostat.Recording(path)
 
 
 def test_files_that_are_no_recordings_are_refused_with_the_reason(tmp_path: Path) -> None:

@@ -4,8 +4,9 @@ use heliostat_core::policy::{
     self, Actor, DenseNetwork, Engine, Finding, Network, Policy, PolicyKind, Resources,
     actor_file::{ActorError, ActorFile},
 };
+use heliostat_files::excerpt;
 use heliostat_onnx::{ModelProto, validity::check_graph};
-use heliostat_scenario::{Scenario, excerpt};
+use heliostat_scenario::Scenario;
 use prost::Message;
 
 use crate::{error::BuildError, onnxruntime, source::ActorSource, time::monotonic_ns};

@@ -7,7 +7,7 @@
 use std::sync::{Mutex, PoisonError};
 
 use heliostat_core::policy::{Network, PolicyError, PolicyResult};
-use heliostat_scenario::open_file;
+use heliostat_files::open_file;
 use ort::{
     environment::Environment,
     session::{Session, builder::GraphOptimizationLevel},

@@ -4,8 +4,9 @@ use std::io::ErrorKind;
 use std::path::{Component, Path, PathBuf};
 
 use heliostat_core::policy::{PolicyKind, actor_file::ActorFile};
+use heliostat_files::read_bytes;
 use heliostat_onnx::{ModelProto, external};
-use heliostat_scenario::{Scenario, read_bytes};
+use heliostat_scenario::Scenario;
 use prost::Message;
 
 pub use crate::error::{BuildError, SourceError};

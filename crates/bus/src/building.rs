@@ -10,8 +10,8 @@
 
 use std::path::{Path, PathBuf};
 
+use heliostat_files::read_text;
 use heliostat_proto::Room;
-use heliostat_scenario::read_text;
 
 use crate::access::{AccessRole, access_control_of};
 use crate::config::{BusConfig, nested_json};

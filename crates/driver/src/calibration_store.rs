@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use heliostat_array::calibration_file::CalibrationFile;
-use heliostat_scenario::read_text;
+use heliostat_files::read_text;
 use heliostat_service::whole_file;
 
 /// Reads a calibration file.

@@ -91,7 +91,7 @@ impl Config {
     /// A file that cannot be read, or a key that is unknown, missing or of another type, with its
     /// line.
     pub fn load(file: &Path) -> Result<Self> {
-        let text = heliostat_scenario::read_text(file).with_context(|| format!("cannot read {}", file.display()))?;
+        let text = heliostat_files::read_text(file).with_context(|| format!("cannot read {}", file.display()))?;
         toml::from_str(&text).with_context(|| format!("in {}", file.display()))
     }
 

@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
-use crate::bounded_file::read_text;
 use crate::builtin::{BUILTIN_NAMES, DEFAULT_SCENARIO};
 use crate::error::ScenarioError;
 use crate::scenario::Scenario;
+use heliostat_files::read_text;
 
 /// A scenario and its overrides.
 #[derive(Clone, Debug, Default, clap::Args)]

@@ -31,13 +31,10 @@
 mod args;
 mod array_check;
 mod blame;
-mod bounded_file;
 mod build;
 mod builtin;
 mod check;
 mod error;
-mod excerpt;
-mod foreign_file;
 mod geometry;
 mod geometry_difference;
 mod lines;
@@ -58,12 +55,9 @@ mod trace;
 mod user_orientation;
 
 pub use args::{ScenarioArgs, ViewerScenarioArgs};
-pub use bounded_file::{open_file, read_bytes, read_text};
 pub use builtin::{BUILTIN_NAMES, DEFAULT_SCENARIO, STUDY_SCENARIO};
 pub use check::{POWER_W, SPEED_M_S, USERS_MAX};
 pub use error::ScenarioError;
-pub use excerpt::{CARRIAGE_RETURNS, excerpt};
-pub use foreign_file::foreign_file;
 pub use geometry_difference::{GeometryDifference, ROOM_DIFFERS, RoomDifference};
 pub use mirror_tables::MirrorTables;
 pub use mismatch::{Mismatch, MismatchKind, MismatchLevel, Spreads};

@@ -5,7 +5,7 @@ use std::path::Path;
 use thiserror::Error;
 
 use crate::Scenario;
-use crate::bounded_file::read_text;
+use heliostat_files::read_text;
 
 /// Why the file of a recorded walk cannot be read.
 #[derive(Debug, Error)]

@@ -16,7 +16,7 @@ use axum::http::StatusCode;
 use axum::http::header::{AUTHORIZATION, COOKIE, HeaderMap, LOCATION, SET_COOKIE};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
-use heliostat_scenario::read_text;
+use heliostat_files::read_text;
 use subtle::ConstantTimeEq;
 
 use crate::UiError;

@@ -10,10 +10,11 @@ use std::process::Command;
 use heliostat_tests::packages::Packages;
 
 /// Packages from the lowest to the highest layer. A package depends only on packages in earlier rows.
-const LAYERS: [&str; 25] = [
+const LAYERS: [&str; 26] = [
     "tokio-rustls",
     "heliostat-needs",
     "heliostat-channel",
+    "heliostat-files",
     "heliostat-scenario",
     "heliostat-proto",
     "heliostat-onnx",

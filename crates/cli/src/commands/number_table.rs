@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use anyhow::{Context, Result, ensure};
-use heliostat_scenario::{CARRIAGE_RETURNS, excerpt, read_text};
+use heliostat_files::{CARRIAGE_RETURNS, excerpt, read_text};
 
 /// Reads a file whose header names all `required` columns, any `optional` ones, and no others.
 ///

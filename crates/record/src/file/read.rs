@@ -5,8 +5,8 @@ use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read};
 use std::path::Path;
 
+use heliostat_files::{foreign_file, open_file};
 use heliostat_proto::{Nanos, VERSION};
-use heliostat_scenario::{foreign_file, open_file};
 use mcap::records::{Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use mcap::{MAGIC, McapError};

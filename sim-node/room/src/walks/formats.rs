@@ -24,7 +24,7 @@ mod thor_magni;
 
 use std::io::{BufRead, Error, ErrorKind, Read};
 
-use heliostat_scenario::CARRIAGE_RETURNS;
+use heliostat_files::CARRIAGE_RETURNS;
 use thiserror::Error;
 
 use self::columns::Columns;

@@ -1,6 +1,6 @@
 //! One position of one pedestrian in a file, or the reason for which a row cannot be used.
 
-use heliostat_scenario::excerpt;
+use heliostat_files::excerpt;
 
 /// One position of one pedestrian.
 #[derive(Clone, Debug, PartialEq)]

@@ -13,7 +13,8 @@
 
 use std::f64::consts::{PI, TAU};
 
-use heliostat_scenario::{CARRIAGE_RETURNS, WALKING_M_S, excerpt};
+use heliostat_files::{CARRIAGE_RETURNS, excerpt};
+use heliostat_scenario::WALKING_M_S;
 use thiserror::Error;
 
 use crate::world::walker::{Floor, Walker};

@@ -1,6 +1,6 @@
 //! What a file is that holds no network.
 
-use heliostat_scenario::foreign_file;
+use heliostat_files::foreign_file;
 
 /// How the bytes of files begin that hold a network in another form, what such a file is, and what to do.
 const NETWORKS: [(&[u8], &str, &str); 4] = [

@@ -1,6 +1,6 @@
 //! The metadata entries of an actor.
 
-use heliostat_scenario::excerpt;
+use heliostat_files::excerpt;
 
 use super::ActorProblem;
 use crate::policy::weights::Head;

@@ -6,7 +6,8 @@ use anyhow::{Context, Result, ensure};
 use heliostat_bus::BusArgs;
 use heliostat_calibrate::Place;
 use heliostat_calibrate::places::{default_spots, default_verification};
-use heliostat_scenario::{MismatchLevel, Scenario, ScenarioArgs, read_text};
+use heliostat_files::read_text;
+use heliostat_scenario::{MismatchLevel, Scenario, ScenarioArgs};
 use heliostat_service::EndArgs;
 use heliostat_service::exit::UnusableInput;
 

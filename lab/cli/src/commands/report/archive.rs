@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
-use heliostat_scenario::read_text;
+use heliostat_files::read_text;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 

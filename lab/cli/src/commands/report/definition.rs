@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use anyhow::{Context, Result, bail, ensure};
-use heliostat_scenario::read_text;
+use heliostat_files::read_text;
 use serde::Deserialize;
 
 use super::bound::Bound;

@@ -5,13 +5,14 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use clap::ValueEnum;
+use heliostat_files::{foreign_file, open_file};
 use heliostat_room::walks::formats::{ColumnMap, ReadError, Source, WalkFormat, read};
 use heliostat_room::walks::placement::{Fit, place};
 use heliostat_room::walks::plausibility::{is_mostly_refused, warnings};
 use heliostat_room::walks::selection::{Choice, Presence, select};
 use heliostat_room::walks::tracks::{Collected, Collector, Kept, Rectangle};
 use heliostat_room::world::walker::Floor;
-use heliostat_scenario::{BUILTIN_NAMES, Scenario, ScenarioArgs, foreign_file, open_file};
+use heliostat_scenario::{BUILTIN_NAMES, Scenario, ScenarioArgs};
 use heliostat_service::duration::{DurationError, seconds};
 use heliostat_service::exit::UnusableInput;
 

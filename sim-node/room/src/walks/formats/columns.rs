@@ -1,6 +1,6 @@
 //! The columns of a text with a header, or of one whose columns are given by number.
 
-use heliostat_scenario::excerpt;
+use heliostat_files::excerpt;
 
 use crate::walks::formats::ReadError;
 use crate::walks::rows::{Row, RowRefusal, number, refusal};

@@ -14,7 +14,7 @@ const BEGINNINGS: [(&[u8], &str, &str); 6] = [
 /// be what was expected. The sentence begins with a verb, for the name of the file before it.
 ///
 /// ```
-/// use heliostat_scenario::foreign_file;
+/// use heliostat_files::foreign_file;
 ///
 /// let found = foreign_file(b"\x1f\x8b\x08", "a recording").expect("no recording");
 /// assert_eq!(found, "is compressed with gzip, expected a recording: unpack it");

@@ -10,7 +10,7 @@ pub const CARRIAGE_RETURNS: &str = "its lines end with a carriage return alone: 
 /// The beginning of a text of a file, of at most 200 characters: a message must not be as long as the file.
 ///
 /// ```
-/// use heliostat_scenario::excerpt;
+/// use heliostat_files::excerpt;
 ///
 /// assert_eq!(excerpt("time,user,x,y"), "time,user,x,y");
 /// assert_eq!(excerpt(&"é".repeat(1000)), "é".repeat(200) + "...");

@@ -22,6 +22,8 @@ from heliostat import wire
 EXAMPLES = Path(__file__).parents[2] / "examples"
 # Generous, for a busy machine.
 LIMIT_S = 60.0
+# The folder of the Unix sockets, which is removed at the end: a killed process leaves its socket behind.
+SOCKETS = tempfile.TemporaryDirectory(prefix="heliostat-tests-", ignore_cleanup_errors=True)
 
 needs_program = pytest.mark.skipif(
     "HELIOSTAT_PROGRAM" not in os.environ, reason="HELIOSTAT_PROGRAM names no heliostat"
@@ -31,7 +33,7 @@ needs_program = pytest.mark.skipif(
 def free_endpoint(protocol: str = "unixsock-stream" if hasattr(socket, "AF_UNIX") else "tcp") -> str:
     """An endpoint on this machine: a Unix socket that no other process takes, or a port that is free now."""
     if protocol == "unixsock-stream":
-        return f"{protocol}/{tempfile.gettempdir()}/heliostat-{uuid.uuid4()}.sock"
+        return f"{protocol}/{SOCKETS.name}/{uuid.uuid4()}.sock"
     with socket.socket() as one:
         one.bind(("127.0.0.1", 0))
         return f"{protocol}/127.0.0.1:{one.getsockname()[1]}"

@@ -41,8 +41,9 @@
 //!   and stays in the room. When its token ends, a standby resumes: this is no takeover, and former contested ones
 //!   do not delay it. A controller that left while another one led, and is back, is no guest.
 //! - **Contested takeover**: the former leader was not gone if the array then refuses commands of a lower epoch, or
-//!   accepted one after the telemetry that decided. Each such takeover in sequence adds one to the reports that must
-//!   be unanswered, up to [`BACK_OFF_MAX`]. A command after that counts only. So does a token that is back within 60 s,
+//!   accepted one after the telemetry that decided. Each such takeover in sequence adds the number of standbys to
+//!   the reports that must be unanswered, up to [`BACK_OFF_MAX`], until [`FORGIVEN_NS`] after the last one. A command
+//!   after that counts only. So does a token that is back within 60 s,
 //!   where its end decided the takeover and every report was answered.
 //! - **Last resort**: telemetry that is too sparse to judge reports ends a standby too, when the array has accepted
 //!   no command for [`PATIENCE_NS`] plus a spread that differs between controllers.
@@ -86,6 +87,9 @@ const DUE_MIN: u8 = 3;
 
 /// Most unanswered reports that contested takeovers add to the rank.
 pub const BACK_OFF_MAX: u8 = 8;
+
+/// Time after which a contested takeover delays no other one: the load that made a leader slow may have ended.
+pub const FORGIVEN_NS: Nanos = 600_000_000_000;
 
 /// A pause of the reports, in report intervals, after which the observation of the leader begins again.
 const WATCH_GAP: u64 = 3;
@@ -326,11 +330,11 @@ impl Tenure {
         let seen = self.seen?;
         let (_, shown) = seen;
         let (rank, is_returned) = (self.rank(), self.guest.leads && self.watch.has_left);
-        let needed = if is_returned { rank } else { rank.saturating_add(self.contest.back_off) };
+        let back_off = if is_returned { 0 } else { self.contest.back_off(now, self.standbys()) };
         let is_paused = shown.stopped || since_last_ns > gap_ns;
         let watch = &mut self.watch;
         let is_answered = watch.judge(now, seen, interval_ns, is_paused)?;
-        if watch.unanswered + u8::from(watch.is_gone()) < needed {
+        if watch.unanswered + u8::from(watch.is_gone()) < rank.saturating_add(back_off) {
             // An answer that came before the token ended shows no leader.
             if watch.has_left && is_answered && !is_returned {
                 watch.note_answer(now);

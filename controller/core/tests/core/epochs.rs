@@ -1,6 +1,6 @@
 //! Epochs: controllers, an array that obeys by the rules of CONTRACT.md, and forged messages.
 
-use heliostat_core::tenure::{Evidence, RANK_MAX, Standing, Tenure, TenureEvent};
+use heliostat_core::tenure::{Evidence, FORGIVEN_NS, RANK_MAX, Standing, Tenure, TenureEvent};
 use heliostat_proto::{EPOCH_SLOTS, Nanos};
 
 use crate::support::MS;

@@ -2,7 +2,7 @@
 
 use heliostat_proto::{ArrayState, EPOCH_SLOTS, MirrorTelemetry, Nanos};
 
-use super::{BACK_OFF_MAX, TELEMETRY_TIMEOUT_NS};
+use super::{BACK_OFF_MAX, FORGIVEN_NS, TELEMETRY_TIMEOUT_NS};
 use crate::named::named;
 
 /// Accepted commands after which a contested takeover does not delay the next one.
@@ -217,11 +217,19 @@ pub(super) struct Contest {
     /// The remainder in the epochs of the former leader and the time of the takeover, where the end of its token alone
     /// decided it.
     left: Option<(u64, Nanos)>,
-    /// Contested takeovers in sequence.
-    pub(super) back_off: u8,
+    /// Contested takeovers in sequence, and the time of the last one.
+    contested: u8,
+    contested_ns: Nanos,
 }
 
 impl Contest {
+    /// Unanswered reports that the next takeover needs beside the rank, where this many standbys have one. A multiple of
+    /// their number keeps the turns of two standbys apart.
+    pub(super) fn back_off(&self, now: Nanos, standbys: u8) -> u8 {
+        let is_forgiven = now.abs_diff(self.contested_ns) > FORGIVEN_NS;
+        if is_forgiven { 0 } else { standbys * self.contested.min(BACK_OFF_MAX / standbys) }
+    }
+
     /// A takeover by this evidence. `sequence` is the last number in its epoch.
     pub(super) fn begin(&mut self, at_ns: Nanos, shown: Evidence, sequence: u64) {
         let Evidence { refused, accepted, .. } = shown;
@@ -254,9 +262,11 @@ impl Contest {
         let (is_contested, was_settled) = (takeover.is_contested(evidence), takeover.is_settled);
         takeover.is_settled |= takeover.accepted_since(evidence) >= SETTLED;
         if is_contested && !was_settled {
-            self.back_off = BACK_OFF_MAX.min(self.back_off + 1);
+            let is_first = now.abs_diff(self.contested_ns) > FORGIVEN_NS;
+            self.contested = if is_first { 1 } else { BACK_OFF_MAX.min(self.contested + 1) };
+            self.contested_ns = now;
         } else if takeover.is_settled {
-            self.back_off = 0;
+            self.contested = 0;
         }
         if is_contested || (was_settled && now.abs_diff(takeover.at_ns) > SLOW_NS) {
             self.takeover = None;

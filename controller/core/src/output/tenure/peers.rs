@@ -61,6 +61,11 @@ impl Tenure {
         self.rank.unwrap_or_else(counted).max(1)
     }
 
+    /// Standbys that have a rank of their own, this one included.
+    pub(super) fn standbys(&self) -> u8 {
+        RANK_MAX.min(1 + self.peers.iter().filter(|peer| !self.leads(**peer)).count() as u8)
+    }
+
     /// Whether the array follows a controller with this source id, by its epoch.
     pub(super) fn leads(&self, peer: u64) -> bool {
         self.followed_epoch().is_some_and(|epoch| epoch % EPOCH_SLOTS == peer % EPOCH_SLOTS)

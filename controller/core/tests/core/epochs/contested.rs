@@ -47,6 +47,42 @@ fn contested_takeovers_make_a_standby_more_patient() {
     assert_eq!(unanswered, [2, 3, 4]);
 }
 
+/// A room whose first standby has taken over once from a leader that was only slow, and then stands by again.
+fn twice_taken_room() -> Room {
+    let mut room = led_room(&[600, 1, 300]);
+    room.controllers[0].is_alive = false;
+    room.until_accepted(1);
+    assert!(is_contested(&mut room));
+    room.controllers[0].is_alive = true;
+    room.run(S);
+    room.controllers[1].is_alive = false;
+    assert_eq!(room.until_accepted(2), 2 * INTERVAL);
+    room.controllers[1].is_alive = true;
+    room.run(S);
+    room.controllers[2].is_alive = false;
+    room
+}
+
+#[test]
+fn a_standby_that_waits_longer_does_not_take_over_together_with_the_next_one() {
+    let mut room = twice_taken_room();
+    assert_eq!(room.until_accepted(0), 3 * INTERVAL, "the turn of the second rank");
+    room.run(S);
+    assert_eq!(room.standings()[..2], [Standing::Leading, Standing::Standby]);
+    assert_eq!(room.controllers[1].events.last(), Some(&TenureEvent::Superseded));
+    assert_eq!(room.controllers[0].events.last(), Some(&TenureEvent::TookOver), "nobody contests it");
+}
+
+#[test]
+fn a_contested_takeover_is_forgiven_after_ten_minutes() {
+    let mut room = twice_taken_room();
+    room.until_accepted(0);
+    room.controllers[2].is_alive = true;
+    room.run(FORGIVEN_NS);
+    room.controllers[0].is_alive = false;
+    assert_eq!(room.until_accepted(1), 2 * INTERVAL);
+}
+
 #[test]
 fn a_command_that_was_accepted_after_the_last_telemetry_contests_a_takeover() {
     let mut room = led_room(&[1, 600]);

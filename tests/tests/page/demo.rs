@@ -207,9 +207,9 @@ fn every_button_acts_on_the_running_system() {
     wait_until("a new controller", || array().state == ArrayState::Following && array().epoch > epoch);
     wait_until("the policy of the one before", || policy() == "fixed-point");
     wait_until("the new controller on the page", || browser.text("#chip-controller") == "alive");
-    let events = browser.run("return document.getElementById('event-list').textContent");
-    let events = events.as_str().expect("a text");
-    assert!(events.contains("controller: gone") && !events.contains("not seen"), "{events}");
+    let events = || browser.run("return document.getElementById('event-list').textContent").to_string();
+    wait_until("the event of its start", || events().contains("controller: gone"));
+    assert!(!events().contains("not seen"), "{}", events());
 
     // By keyboard, for users without a mouse.
     browser.press("#stop", "\u{E007}");

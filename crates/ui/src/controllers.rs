@@ -127,6 +127,11 @@ impl Known {
     fn is_silent(&self) -> bool {
         self.at.elapsed() >= if self.has_reported { EXPIRY } else { REPORTS_WITHIN }
     }
+
+    /// Whether it is kept without a token.
+    fn is_remembered(&self) -> bool {
+        self.at.elapsed() < if self.is_lost { REMEMBERED } else { EXPIRY }
+    }
 }
 
 /// The controllers of a room, by their source.
@@ -155,10 +160,8 @@ impl Controllers {
 
     /// Forgets the controllers that have left.
     pub fn forget(&mut self, alive: &BTreeSet<(&'static str, u64)>) {
-        self.0.retain(|source, known| {
-            let limit = if known.is_lost { REMEMBERED } else { EXPIRY };
-            known.at.elapsed() < limit || alive.contains(&(NodeKind::Controller.name(), *source))
-        });
+        let is_alive = |source: &u64| alive.contains(&(NodeKind::Controller.name(), *source));
+        self.0.retain(|source, known| known.is_remembered() || is_alive(source));
     }
 
     /// Notes the status of a controller.
@@ -196,7 +199,7 @@ impl Controllers {
         let is_alive = |source: &u64| alive.contains(&(NodeKind::Controller.name(), *source));
         let shown = |(source, known): (&u64, &Known)| {
             let figures = &known.figures;
-            if known.is_lost || (is_alive(source) && known.is_silent()) {
+            if (known.is_lost && known.is_remembered()) || (is_alive(source) && known.is_silent()) {
                 let (role, is_deciding, is_unfit) = (Role::Silent, false, false);
                 return Some(ControllerFigures { role, is_deciding, is_unfit, ..figures.clone() });
             }

@@ -36,25 +36,32 @@ export function chips(now, ages) {
   else chip("chip-room", now.origin);
 }
 
+// The users of the table with their rates. Without the mirrors they are those of the frame that the picture shows, so
+// that direct path, rate and picture are of one report.
+function rated(now, shown, frame) {
+  if (shown.wall) return now.users.map((user) => ({ ...user, rate: user.is_rate_known ? user.rate_mbps : null }));
+  if (now.origin === "no-data" || !frame) return now.users.map((user) => ({ ...user, rate: null }));
+  return frame.users.map((user) => ({ ...user, rate: user.without_mirrors_mbps }));
+}
+
 // One row for each user, by id: users come and go.
 export function users(now, shown, frame, outages) {
   const body = at("users");
-  const without = new Map((frame?.users ?? []).map((user) => [user.user, user.without_mirrors_mbps]));
-  const rateOf = (user) => (shown.wall ? (user.is_rate_known ? user.rate_mbps : null) : without.get(user.user) ?? null);
-  const largest = Math.max(1, ...now.users.map((user) => Math.max(rateOf(user) ?? 0, user.min_rate_mbps)));
+  const listed = rated(now, shown, frame);
+  const largest = Math.max(1, ...listed.map((user) => Math.max(user.rate ?? 0, user.min_rate_mbps)));
   const rows = new Map([...body.rows].map((row) => [row.dataset.user, row]));
-  now.users.forEach((user, index) => {
+  listed.forEach((user, index) => {
     const row = rows.get(String(user.user)) ?? newRow(user.user);
     rows.delete(String(user.user));
     if (body.rows[index] !== row) body.insertBefore(row, body.rows[index] ?? null);
-    fill(row, user, rateOf(user), largest);
+    fill(row, user, largest);
     // The outages are those with the mirrors.
     const outage = shown.wall ? outages.of(user.user) : null;
     setText(row.cells[4], outageText(outage));
     setTitle(row.cells[4], outageLengths(outage));
   });
   for (const row of rows.values()) row.remove();
-  const fairness = jain(now.users.map(rateOf));
+  const fairness = jain(listed.map(({ rate }) => rate));
   setText(at("jain"), fairness === null ? "–" : fairness.toFixed(2));
   setText(at("rates-title"), shown.wall ? "Rate of each user" : "Rate of each user without the mirrors");
 }
@@ -69,7 +76,8 @@ function newRow(user) {
   return row;
 }
 
-function fill(row, user, rate, largest) {
+function fill(row, user, largest) {
+  const { rate } = user;
   const [name, path, figure, minimum, , bar] = row.cells;
   const below = rate !== null && rate < user.min_rate_mbps;
   setText(name.lastChild, String(user.user));
@@ -135,11 +143,12 @@ function quantiles(times) {
   });
 }
 
-// Which controller leads, which stand by, and the takeovers of those in the room, if there are any; nothing where one controller is alone.
+// Which controller leads, which stand by or do not report, and the takeovers of those in the room, if there are any; nothing where one controller is alone.
 function standby(controllers) {
   const short = ({ name }) => name.slice(0, 4);
-  const WORDS = { leads: "leads", calibrates: "calibrates", unfollowed: "is not followed", "stands-by": "stands by" };
+  const WORDS = { leads: "leads", calibrates: "calibrates", unfollowed: "is not followed", "stands-by": "stands by", silent: "does not report" };
   const leaders = controllers.filter((one) => one.role === "leads" || one.role === "calibrates");
+  const isBad = leaders.length !== 1 || controllers.some((one) => one.role === "silent");
   const sum = (key) => controllers.reduce((total, one) => total + one[key], 0);
   const isSpread = new Set(controllers.map((one) => one.host)).size > 1;
   const host = (one) => (isSpread && one.host ? ` on ${one.host}` : "");
@@ -149,7 +158,7 @@ function standby(controllers) {
   const taken = sum("takeovers") + lost;
   if (controllers.length < 2 && taken === 0) return [];
   const roles = [
-    ["controllers", text || "none", leaders.length === 1 ? "wide" : "wide bad", "The controllers in the room, by the beginning of their source id, with their hosts if these differ: one leads, or a calibration commands in its place; the others stand by. One is not followed where it does not stand by and the array follows another one or reports none.", "controller"],
+    ["controllers", text || "none", isBad ? "wide bad" : "wide", "The controllers in the room, by the beginning of their source id, with their hosts if these differ: one leads, or a calibration commands in its place; the others stand by. One is not followed where it does not stand by and the array follows another one or reports none. One that does not report hangs, or the link to it is cut.", "controller"],
   ];
   if (taken === 0) return roles;
   return [

@@ -35,7 +35,7 @@ function showBanner({ now, ages, ended }) {
 }
 
 // Figures are shown at most this often, so that they can be read. All parts show the same event, so that
-// sentence and table agree.
+// sentence and table agree. Without the mirrors this is a frame, for the picture too.
 const SHOW_EVERY_MS = 250;
 
 // A server that does not answer by then is given up.
@@ -100,11 +100,12 @@ async function start() {
     retheme();
   });
 
-  const state = { now: null, frame: null, room, ages: null, ended: "" };
+  const state = { now: null, frame: null, framed: 0, room, ages: null, ended: "" };
   const outages = new Outages();
   const show = () => showAges(state);
   state.ages = new Ages(show);
-  addEventListener("shown", () => { if (state.now) users(state.now, room.shown, state.frame, outages); show(); });
+  const showUsers = () => { if (state.now) users(state.now, room.shown, state.frame, outages); };
+  addEventListener("shown", () => { showUsers(); show(); });
   addEventListener("heat", ({ detail }) => showHeat(detail));
   new Live(plan.page, {
     figures: (now) => {
@@ -113,7 +114,7 @@ async function start() {
       state.now = now;
       keepColours(state);
       state.ages.take(now);
-      users(now, room.shown, state.frame, outages);
+      showUsers();
       counters(now);
       problems(now);
       orders.update(now);
@@ -137,9 +138,16 @@ async function start() {
     frame: (frame) => {
       // The next figures load the page again.
       if (frame.geometry !== plan.geometry) return;
+      const [now, without] = [performance.now(), !room.shown.wall];
+      if (without && now - state.framed < SHOW_EVERY_MS) return;
+      state.framed = now;
       state.frame = frame;
       keepColours(state);
       room.update(frame);
+      if (without) {
+        showUsers();
+        show();
+      }
     },
   });
 }

@@ -20,8 +20,19 @@ pub(crate) struct ArrayReports {
     sources: BTreeMap<usize, BTreeMap<u64, (Instant, ArrayState)>>,
     /// The two sources of an array that report in turn, and when this was seen last.
     shared: BTreeMap<usize, (Instant, [u64; 2])>,
-    /// When telemetry last showed further accepted commands.
-    accepted_at: Option<Instant>,
+    /// When the first telemetry of the room arrived.
+    first_at: Option<Instant>,
+    /// The last series of accepted commands.
+    commands: Option<Commands>,
+}
+
+/// A series of accepted commands without a pause of [`COMMANDED`].
+#[derive(Clone, Copy, Debug)]
+struct Commands {
+    /// When it began; `None` where it was under way when the first telemetry arrived.
+    began: Option<Instant>,
+    /// When telemetry last showed further ones.
+    last: Instant,
 }
 
 impl ArrayReports {
@@ -29,6 +40,7 @@ impl ArrayReports {
     /// one: it does not alternate, and a driver that is stopped is not hidden by one that moves its mirrors.
     pub fn note(&mut self, array: usize, mut telemetry: MirrorTelemetry) {
         let (now, source) = (Instant::now(), telemetry.stamp.source);
+        let first = *self.first_at.get_or_insert(now);
         let sources = self.sources.entry(array).or_default();
         sources.retain(|_, (at, _)| at.elapsed() < EXPIRY);
         let is_known = sources.insert(source, (now, telemetry.state)).is_some();
@@ -44,13 +56,28 @@ impl ArrayReports {
         let accepted = telemetry.counters.accepted;
         let last = self.latest.insert(array, (now, telemetry)).filter(|(_, last)| last.stamp.source == source);
         if last.is_some_and(|(_, last)| last.counters.accepted < accepted) {
-            self.accepted_at = Some(now);
+            let began = match self.present_commands() {
+                Some(commands) => commands.began,
+                None => (now - first > COMMANDED).then_some(now),
+            };
+            self.commands = Some(Commands { began, last: now });
         }
     }
 
     /// Whether an array accepts commands.
     pub fn are_commanded(&self) -> bool {
-        self.accepted_at.is_some_and(|at| at.elapsed() < COMMANDED)
+        self.present_commands().is_some()
+    }
+
+    /// Whether an array has begun to accept commands so lately that this viewer may not yet be connected to the
+    /// process that sends them.
+    pub fn are_newly_commanded(&self) -> bool {
+        let began = self.present_commands().and_then(|commands| commands.began);
+        began.is_some_and(|at| at.elapsed() < EXPIRY)
+    }
+
+    fn present_commands(&self) -> Option<Commands> {
+        self.commands.filter(|commands| commands.last.elapsed() < COMMANDED)
     }
 
     /// The arrays that two sources report at present, with these sources.
@@ -98,6 +125,11 @@ impl ArrayReports {
     #[cfg(test)]
     pub fn age(&mut self, by: Duration) {
         self.latest.values_mut().for_each(|(at, _)| *at -= by);
+        self.first_at.iter_mut().for_each(|at| *at -= by);
+        if let Some(commands) = &mut self.commands {
+            commands.last -= by;
+            commands.began.iter_mut().for_each(|at| *at -= by);
+        }
     }
 
     fn fresh(&self) -> impl Iterator<Item = (&usize, &(Instant, MirrorTelemetry))> {

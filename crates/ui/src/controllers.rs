@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use heliostat_proto::gauges::CalibrationProgress;
 use heliostat_proto::{EPOCH_SLOTS, NodeKind, NodeStatus};
@@ -20,6 +20,11 @@ const FALSE_TAKEOVERS: &str = "epoch:contested";
 /// The counter of decisions on position reports.
 const DECISIONS: &str = "decisions";
 
+/// A status comes at least once a second: a token without one for this time shows a controller that is silent.
+const REPORTS_WITHIN: Duration = Duration::from_secs(2);
+/// A controller that hung when its connection expired is listed for this time. The alert on a missing standby fires then.
+const REMEMBERED: Duration = Duration::from_secs(300);
+
 /// What a controller does in its room.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
@@ -33,6 +38,8 @@ pub enum Role {
     Unfollowed,
     /// It withholds its commands: the array follows another one.
     StandsBy,
+    /// Its status does not come, although it has not ended: it hangs, or the link to it is cut.
+    Silent,
 }
 
 impl Role {
@@ -48,6 +55,7 @@ impl Role {
             Self::Calibrates => "calibrates",
             Self::Unfollowed => "is not followed",
             Self::StandsBy => "stands by",
+            Self::Silent => "does not report",
         }
     }
 }
@@ -104,17 +112,64 @@ fn counter(status: &NodeStatus, name: &str) -> u64 {
     status.counters.iter().find(|(counter, _)| counter == name).map_or(0, |(_, count)| *count)
 }
 
-/// The latest status of each controller, by its source.
+/// What is known of a controller.
+#[derive(Debug)]
+struct Known {
+    /// When its last status arrived, or its token where none has.
+    at: Instant,
+    figures: ControllerFigures,
+    has_reported: bool,
+    /// Whether its token ended while it was silent: its connection expired.
+    is_lost: bool,
+}
+
+impl Known {
+    fn is_silent(&self) -> bool {
+        self.at.elapsed() >= if self.has_reported { EXPIRY } else { REPORTS_WITHIN }
+    }
+
+    /// Whether it is kept without a token.
+    fn is_remembered(&self) -> bool {
+        self.at.elapsed() < if self.is_lost { REMEMBERED } else { EXPIRY }
+    }
+}
+
+/// The controllers of a room, by their source.
 #[derive(Debug, Default)]
-pub(crate) struct Controllers(BTreeMap<u64, (Instant, ControllerFigures)>);
+pub(crate) struct Controllers(BTreeMap<u64, Known>);
 
 impl Controllers {
+    /// Notes the token of a controller. A new one takes the place of those that were lost.
+    pub fn join(&mut self, source: u64) {
+        if let Some(known) = self.0.get_mut(&source) {
+            known.is_lost = false;
+            return;
+        }
+        self.0.retain(|_, known| !known.is_lost);
+        let figures = ControllerFigures { name: controller_name(source), ..ControllerFigures::default() };
+        self.0.insert(source, Known { at: Instant::now(), figures, has_reported: false, is_lost: false });
+    }
+
+    /// Notes the end of the token of a controller. One that ends reports shortly before or after that; one that hangs
+    /// has been silent when its connection expires.
+    pub fn leave(&mut self, source: u64) {
+        if let Some(known) = self.0.get_mut(&source) {
+            known.is_lost = known.has_reported && known.is_silent();
+        }
+    }
+
+    /// Forgets the controllers that have left.
+    pub fn forget(&mut self, alive: &BTreeSet<(&'static str, u64)>) {
+        let is_alive = |source: &u64| alive.contains(&(NodeKind::Controller.name(), *source));
+        self.0.retain(|source, known| known.is_remembered() || is_alive(source));
+    }
+
     /// Notes the status of a controller.
     pub fn take(&mut self, status: &NodeStatus) {
-        self.0.retain(|_, (at, _)| at.elapsed() < EXPIRY);
         let source = status.stamp.source;
         let decisions = counter(status, DECISIONS);
-        let is_deciding = self.0.get(&source).is_some_and(|(_, before)| decisions > before.decisions);
+        let before = self.0.get(&source).filter(|known| known.has_reported && !known.is_silent());
+        let is_deciding = before.is_some_and(|before| decisions > before.figures.decisions);
         let role = match (counter(status, STANDBY) > 0, CalibrationProgress::of(status)) {
             (true, _) => Role::StandsBy,
             (false, Some(_)) => Role::Calibrates,
@@ -131,21 +186,26 @@ impl Controllers {
             is_deciding,
             is_unfit: counter(status, NodeStatus::ARRAY_UNFIT) > 0,
         };
-        self.0.insert(source, (Instant::now(), figures));
+        self.0.insert(source, Known { at: Instant::now(), figures, has_reported: true, is_lost: false });
     }
 
-    /// The controllers that are in the room, the leader first. The first array follows the commands of an
-    /// epoch, if it reports.
+    /// The controllers that are in the room, the leader first, and those that were lost. The first array follows the
+    /// commands of an epoch, if it reports.
     pub fn present(
         &self,
         alive: &BTreeSet<(&'static str, u64)>,
         followed_epoch: Option<u64>,
     ) -> Vec<ControllerFigures> {
-        let is_present = |source: &u64, at: &Instant| {
-            at.elapsed() < EXPIRY && alive.contains(&(NodeKind::Controller.name(), *source))
+        let is_alive = |source: &u64| alive.contains(&(NodeKind::Controller.name(), *source));
+        let shown = |(source, known): (&u64, &Known)| {
+            let figures = &known.figures;
+            if (known.is_lost && known.is_remembered()) || (is_alive(source) && known.is_silent()) {
+                let (role, is_deciding, is_unfit) = (Role::Silent, false, false);
+                return Some(ControllerFigures { role, is_deciding, is_unfit, ..figures.clone() });
+            }
+            (is_alive(source) && known.has_reported).then(|| figures.clone())
         };
-        let present = self.0.iter().filter(|(source, (at, _))| is_present(source, at));
-        let mut figures: Vec<_> = present.map(|(_, (_, figures))| figures.clone()).collect();
+        let mut figures: Vec<_> = self.0.iter().filter_map(shown).collect();
         // During a stop, a controller that starts again finds no array that follows another one: it does not
         // stand by, although its epoch is not the followed one.
         if figures.iter().filter(|one| one.role.commands()).count() > 1 {
@@ -163,7 +223,8 @@ impl Controllers {
     /// Whether each controller in the room stands by, and the followed epoch is of a process of which neither a
     /// recent status nor a token is seen. An epoch has the remainder of its sender's source.
     pub fn follow_unseen(&self, alive: &BTreeSet<(&'static str, u64)>, followed_epoch: Option<u64>) -> bool {
-        let present = self.present(alive, followed_epoch);
+        let mut present = self.present(alive, followed_epoch);
+        present.retain(|one| one.role != Role::Silent);
         let stand_by = !present.is_empty() && present.iter().all(|one| one.role == Role::StandsBy);
         let Some(slot) = followed_epoch.filter(|epoch| *epoch > 0).map(|epoch| epoch % EPOCH_SLOTS) else {
             return false;
@@ -171,10 +232,17 @@ impl Controllers {
         let is_of = |source: u64, one: &ControllerFigures| {
             source % EPOCH_SLOTS == slot || (one.epoch > 0 && one.epoch % EPOCH_SLOTS == slot)
         };
-        let is_seen = self.0.iter().any(|(source, (at, one))| at.elapsed() < EXPIRY && is_of(*source, one));
+        let is_recent = |known: &Known| known.has_reported && known.at.elapsed() < EXPIRY;
+        let is_seen = self.0.iter().any(|(source, known)| is_recent(known) && is_of(*source, &known.figures));
         let is_of_token =
             |(node, source): &(&str, u64)| *node == NodeKind::Controller.name() && source % EPOCH_SLOTS == slot;
         stand_by && !is_seen && !alive.iter().any(is_of_token)
+    }
+
+    /// Lets the statuses and tokens arrive that much earlier.
+    #[cfg(test)]
+    pub fn age(&mut self, by: Duration) {
+        self.0.values_mut().for_each(|known| known.at -= by);
     }
 }
 
@@ -268,6 +336,46 @@ mod tests {
         let mut leads = Controllers::default();
         leads.take(&status(1, &[]));
         assert!(!unseen(&leads, 4 * EPOCH_SLOTS + 2));
+    }
+
+    #[test]
+    fn a_standby_that_hangs_stays_listed_as_silent_until_another_one_joins() {
+        let (mut controllers, name) = (Controllers::default(), NodeKind::Controller.name());
+        let roles = |controllers: &Controllers, alive: &[u64]| -> Vec<Role> {
+            let alive = alive.iter().map(|source| (name, *source)).collect();
+            controllers.present(&alive, None).into_iter().map(|one| one.role).collect()
+        };
+        controllers.join(2);
+        controllers.take(&status(2, &[(STANDBY, 1)]));
+        controllers.age(EXPIRY);
+        controllers.join(1);
+        controllers.take(&status(1, &[]));
+        assert_eq!(roles(&controllers, &[1, 2]), [Role::Leads, Role::Silent], "its token remains");
+        let forget = |controllers: &mut Controllers, alive: &[u64]| {
+            controllers.forget(&alive.iter().map(|source| (name, *source)).collect());
+        };
+        forget(&mut controllers, &[1, 2]);
+        controllers.leave(2);
+        forget(&mut controllers, &[1]);
+        assert_eq!(roles(&controllers, &[1]), [Role::Leads, Role::Silent], "its connection has expired");
+        controllers.join(3);
+        controllers.take(&status(3, &[(STANDBY, 1)]));
+        assert_eq!(roles(&controllers, &[1, 3]), [Role::Leads, Role::StandsBy], "another one stands by");
+        controllers.leave(3);
+        assert_eq!(roles(&controllers, &[1]), [Role::Leads], "it has ended");
+    }
+
+    #[test]
+    fn a_token_without_a_status_is_a_controller_that_does_not_report() {
+        let (mut controllers, name) = (Controllers::default(), NodeKind::Controller.name());
+        let alive: BTreeSet<_> = [(name, 7)].into();
+        controllers.join(7);
+        assert!(controllers.present(&alive, None).is_empty(), "it has just started");
+        controllers.age(REPORTS_WITHIN);
+        let shown: Vec<String> = controllers.present(&alive, None).iter().map(ToString::to_string).collect();
+        assert_eq!(shown, ["0000000000000007 does not report"]);
+        controllers.leave(7);
+        assert!(controllers.present(&BTreeSet::new(), None).is_empty(), "it never reported here");
     }
 
     #[test]

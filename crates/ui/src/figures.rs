@@ -179,7 +179,7 @@ pub struct Figures {
     pub sum_mbps: Option<SumFigures>,
     /// The mirror array.
     pub array: ArrayFigures,
-    /// The controllers in the room, the leader first.
+    /// The controllers in the room, the leader first, and those that hung when their connection expired.
     pub controllers: Vec<ControllerFigures>,
     /// The processes.
     pub nodes: Vec<NodeFigures>,

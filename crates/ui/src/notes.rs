@@ -28,7 +28,7 @@ impl Received {
         let mut notes: Vec<String> = self.arrays.shared().into_iter().map(two_drivers).collect();
         if is_settled && self.is_controller_unseen() {
             notes.push(UNSEEN_CONTROLLER.into());
-        } else if is_settled && !self.is_controller_alive() {
+        } else if is_settled && !self.is_controller_alive() && !self.arrays.are_newly_commanded() {
             notes.extend(self.without_controller().map(String::from));
         }
         if let Some(status) = self.fresh_status(NodeKind::Controller.name()) {
@@ -91,10 +91,12 @@ impl Received {
     }
 
     /// Whether an array accepts commands, and no controller or calibration is seen that sends them. Those that it
-    /// accepted lately may be of a controller that has just left.
+    /// accepted lately may be of a controller that has just left, and the first ones of a controller that has just
+    /// started: its commands arrive at the array before its token arrives here.
     pub(crate) fn is_controller_unseen(&self) -> bool {
         let is_seen = self.is_controller_alive() || self.fresh_status(NodeKind::Controller.name()).is_some();
-        self.arrays.are_commanded() && (!is_seen || self.stand_by_for_unseen())
+        let is_commanded = self.arrays.are_commanded() && !self.arrays.are_newly_commanded();
+        is_commanded && (!is_seen || self.stand_by_for_unseen())
     }
 }
 
@@ -273,6 +275,29 @@ mod tests {
         received.alive.insert((NodeKind::Driver.name(), 4));
         let notes = received.notes(1, ago(60));
         assert_eq!(notes, [NO_CONTROLLER], "it has just left");
+    }
+
+    #[test]
+    fn a_controller_that_starts_is_not_called_unseen_before_its_token_can_arrive() {
+        let mut received = commanded();
+        received.alive.insert((NodeKind::SimNode.name(), 4));
+        // It was killed a minute ago.
+        received.arrays.age(Duration::from_secs(60));
+        assert_eq!(received.notes(1, ago(60)), [NO_CONTROLLER]);
+        let mut follow = |accepted| {
+            let counters = Counters { accepted, ..Counters::default() };
+            received.arrays.note(0, MirrorTelemetry { epoch: 501, counters, ..MirrorTelemetry::default() });
+            let found = (received.is_controller_unseen(), received.notes(1, ago(60)));
+            received.arrays.age(Duration::from_millis(500));
+            found
+        };
+        assert_eq!(follow(7), (false, Vec::new()), "its first command");
+        assert_eq!(follow(8), (false, Vec::new()));
+        for accepted in 9..14 {
+            follow(accepted);
+        }
+        let last = follow(14);
+        assert_eq!(last, (true, vec![UNSEEN_CONTROLLER.to_owned()]), "its token has had the time to arrive");
     }
 
     #[test]

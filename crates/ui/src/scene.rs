@@ -54,6 +54,8 @@ pub struct SceneUser {
     pub led: usize,
     /// Whether the direct path is blocked; absent where no process reports it.
     pub blocked: Option<bool>,
+    /// Whether it is blocked by order.
+    pub forced: bool,
     /// The user's minimum rate in Mbit/s.
     pub min_rate_mbps: f64,
     /// Rate without the mirrors in Mbit/s, by the channel model.
@@ -115,6 +117,7 @@ struct ObservedUser {
     /// Unit vector, or zero if unknown.
     heading: Vec3,
     blocked: Option<bool>,
+    forced: bool,
     belief: Option<Belief>,
 }
 
@@ -182,6 +185,7 @@ impl FrameBuilder {
                     body_m: body.as_ref().map(outline),
                     led: serving[index],
                     blocked: user.blocked,
+                    forced: user.forced,
                 })
                 .collect(),
             obstacles_m: obstacles.iter().map(outline).collect(),
@@ -232,6 +236,7 @@ impl FrameBuilder {
                     position: point(user.position_m),
                     heading: Vec3::new(cos, sin, 0.0),
                     blocked: Some(user.los_blocked),
+                    forced: user.forced,
                     belief: belief_of(user.user, truth.stamp.time_ns),
                 }
             };
@@ -257,6 +262,7 @@ impl FrameBuilder {
                 position: point(user.position_m),
                 heading: *heading,
                 blocked,
+                forced: false,
                 belief: belief_of(user.user, report.stamp.time_ns),
             }
         });

@@ -108,9 +108,19 @@ impl RoomStatus {
                 one.name
             )
         });
+        // The problem of the displayed controller can have it.
+        let is_named = |name: &str| nodes.iter().any(|node| node.problem.contains(name));
+        let silent = controllers.iter().filter(|one| one.role == Role::Silent && !is_named(&one.name)).map(|one| {
+            format!(
+                "controller {} does not report, although it has not left: it hangs, or the link to it is cut",
+                one.name
+            )
+        });
         let has = |role| controllers.iter().any(|one| one.role == role);
-        let leads = match controllers.len() {
+        let leads = match controllers.iter().filter(|one| one.role != Role::Silent).count() {
             0 if self.figures.controller_unseen => Some(UNSEEN_CONTROLLER),
+            // Each is named as silent.
+            0 if has(Role::Silent) => None,
             0 => Some("no controller: start one, or connect to its endpoint or router too"),
             _ if controllers.iter().any(|one| one.role.commands()) => None,
             _ if has(Role::Unfollowed) => Some("no controller leads: no telemetry shows which one the array follows"),
@@ -141,6 +151,7 @@ impl RoomStatus {
             .chain(self.stops.iter().cloned())
             .chain(of_nodes)
             .chain(unfit)
+            .chain(silent)
             .chain(notes)
             .collect()
     }
@@ -353,6 +364,27 @@ mod tests {
         assert_eq!(found(false), [""; 0]);
         let found = found(true);
         assert!(found.len() == 1 && found[0].starts_with("controller b cannot take over: "), "{found:?}");
+    }
+
+    #[test]
+    fn a_controller_that_does_not_report_is_listed_and_is_one_problem() {
+        let one = |name: &str, role| ControllerFigures { name: name.into(), role, ..ControllerFigures::default() };
+        let status = |controllers, problem: &str| {
+            let array = ArrayFigures { state: "following".into(), ..ArrayFigures::default() };
+            let node = NodeFigures { node: "controller".into(), problem: problem.into(), ..NodeFigures::default() };
+            let figures = Figures { controllers, array, nodes: vec![node], ..Figures::default() };
+            RoomStatus { reports_per_s: 20.0, figures, ..RoomStatus::default() }
+        };
+        let standby = |problem| status(vec![one("a1", Role::Leads), one("b2", Role::Silent)], problem);
+        let found = standby("").found();
+        assert!(found.len() == 1 && found[0].starts_with("controller b2 does not report, although"), "{found:?}");
+        assert!(standby("").to_string().contains("controllers  a1 leads, b2 does not report\n"), "{}", standby(""));
+        let json = serde_json::to_value(standby("")).expect("numbers, texts and lists");
+        assert_eq!(json["figures"]["controllers"][1]["role"], "silent");
+        let problem = "no status from controller b2 for 5 s";
+        assert_eq!(standby(problem).found(), [format!("controller: {problem}")], "the leader names it too");
+        let alone = status(vec![one("b2", Role::Silent)], "").found();
+        assert!(alone.len() == 1 && alone[0].starts_with("controller b2 does not report"), "{alone:?}");
     }
 
     #[test]

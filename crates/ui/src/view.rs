@@ -170,13 +170,21 @@ impl View {
 impl Received {
     /// Notes a process that is in the room or has left it.
     pub fn take_presence(&mut self, process: (&'static str, u64), presence: Presence) {
+        let (node, source) = process;
+        let is_controller = node == NodeKind::Controller.name();
         match presence {
             Presence::Alive => {
                 self.alive.insert(process);
+                if is_controller {
+                    self.controllers.join(source);
+                }
             }
             Presence::Gone => {
                 self.alive.remove(&process);
                 self.left_at = Some(Instant::now());
+                if is_controller {
+                    self.controllers.leave(source);
+                }
             }
         }
     }
@@ -186,7 +194,7 @@ impl Received {
         message.as_ref().filter(|(at, _)| at.elapsed() < EXPIRY).map(|(_, message)| message)
     }
 
-    /// The controllers that are in the room, the leader first.
+    /// The controllers that are in the room, the leader first, and those that were lost.
     pub fn present_controllers(&self) -> Vec<ControllerFigures> {
         self.controllers.present(&self.alive, self.arrays.followed_epoch())
     }
@@ -266,6 +274,7 @@ impl Received {
         let node = status.node.name();
         let name = if array == 0 { node.to_owned() } else { format!("{node}-{array}") };
         if status.node == NodeKind::Controller {
+            self.controllers.forget(&self.alive);
             self.controllers.take(&status);
         }
         self.problems.take(&name, &status);

@@ -206,6 +206,10 @@ fn every_button_acts_on_the_running_system() {
     browser.click("#restart");
     wait_until("a new controller", || array().state == ArrayState::Following && array().epoch > epoch);
     wait_until("the policy of the one before", || policy() == "fixed-point");
+    wait_until("the new controller on the page", || browser.text("#chip-controller") == "alive");
+    let events = || browser.run("return document.getElementById('event-list').textContent").to_string();
+    wait_until("the event of its start", || events().contains("controller: gone"));
+    assert!(!events().contains("not seen"), "{}", events());
 
     // By keyboard, for users without a mouse.
     browser.press("#stop", "\u{E007}");

@@ -120,6 +120,45 @@ fn the_switches_show_what_the_one_channel_model_computes() {
 
 #[needs("browser")]
 #[test]
+fn without_the_mirrors_table_sentence_and_picture_are_of_one_report() {
+    let setting = Setting::new();
+    let browser = setting.browser();
+    // Figures and a frame of different instants.
+    let script = "return Promise.all([import('/figures.js'), import('/sentence.js')]).then(([{ users }, { sentence }]) => { \
+           const now = { origin: 'simulated', ages_s: { room: 0 }, nodes: [], \
+             users: [{ user: 3, blocked: false, forced: false, is_rate_known: true, rate_mbps: 5, min_rate_mbps: 1 }] }; \
+           const frame = { users: [{ user: 3, blocked: true, forced: false, without_mirrors_mbps: 0, min_rate_mbps: 1 }] }; \
+           const shown = (wall) => { \
+             users(now, { wall }, frame, { of: () => null }); \
+             return [...document.getElementById('users').rows].map(({ cells }) => [cells[1].textContent, cells[2].textContent]); }; \
+           return [shown(false), sentence(now, 0.1, { wall: false }, frame), shown(true)]; })";
+    let expected = serde_json::json!([
+        [["blocked", "0.00"]],
+        "Without the mirrors, 1 of 1 users is below the minimum rate: user 3.",
+        [["clear", "5.00"]]
+    ]);
+    assert_eq!(browser.run(script), expected);
+
+    browser.run("document.getElementById('show-wall').click()");
+    // Texts of the users in the picture, of those in the table, and the time of their frame.
+    let script = "const { to, arrived } = document.getElementById('room').room.motion; \
+           const path = ({ blocked, forced }) => blocked === null ? 'unknown' : forced ? 'by order' : blocked ? 'blocked' : 'clear'; \
+           const below = (user) => user.without_mirrors_mbps < user.min_rate_mbps; \
+           const drawn = to.users.map((user) => [String(user.user), path(user), below(user)]); \
+           const listed = [...document.getElementById('users').rows].map(({ cells }) => \
+             [cells[0].textContent, cells[1].textContent, cells[2].classList.contains('bad')]); \
+           return [drawn, listed, arrived]";
+    let mut frames = BTreeSet::new();
+    wait_until("twenty frames of users who walk", || {
+        let found = browser.run(script);
+        assert_eq!(found[0], found[1]);
+        frames.insert(found[2].to_string());
+        frames.len() >= 20
+    });
+}
+
+#[needs("browser")]
+#[test]
 fn the_names_of_users_who_stand_behind_each_other_do_not_cover_each_other() {
     let setting = Setting::new();
     let browser = setting.browser();

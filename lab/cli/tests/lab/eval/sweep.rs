@@ -128,6 +128,12 @@ fn two_keys_give_each_combination_with_its_outage_and_a_room_without_mirrors() {
     assert!(text.contains("outage: share of the users' time"), "{text}");
     assert!(text.contains("2 episodes: 1 for each of 2 seeds from"), "{text}");
     assert!(text.contains("difference to greedy, paired: outage"), "{text}");
+    let beliefs = text.split("belief about the users").nth(1).expect("the table of the beliefs");
+    // No policy observes users in a room without mirrors.
+    let points: Vec<Vec<&str>> = beliefs.lines().map(|line| line.split_whitespace().take(3).collect()).collect();
+    for point in [["3", "0", "filter"], ["3", "2", "filter"]] {
+        assert!(points.iter().any(|found| found[..] == point), "{point:?}: {text}");
+    }
     let message = refusal(&[&flags[..], &["--sweep", "seed=1,2"]].concat());
     assert!(message.contains("at most two keys"), "{message}");
 }

@@ -179,7 +179,7 @@ fn flags_that_contradict_each_other_are_refused_with_point_and_reason() {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("figures.csv");
     let file = file.to_str().expect("a plain path");
-    let cases: [(&[&str], &[&str]); 9] = [
+    let cases: [(&[&str], &[&str]); 10] = [
         (&["--set", "mirrors.rows=0"], &["mirrors.rows = 0", "no-irs", "--sweep mirrors.rows=0"]),
         (
             &["--sweep", "users.count=1..5", "--blocked", "3"],
@@ -188,6 +188,10 @@ fn flags_that_contradict_each_other_are_refused_with_point_and_reason() {
         (&["--sweep", "users.count=1,1"], &["users.count = 1 is given twice"]),
         (&["--sweep", "users.count=1,2", "--set", "users.count=4"], &["--set fixes users.count"]),
         (&["--sweep", "blockage.forced_users=1,2", "--blocked", "2"], &["--blocked fixes blockage.forced_users"]),
+        (
+            &["--scenario", "paper", "--sweep", "noise.thermal_a2_per_hz=1e-24,2e-24"],
+            &["--sweep noise.thermal_a2_per_hz: no effect", "noise.variance_a2 replaces the sum", "a scenario file"],
+        ),
         (&["--closed-loop", "--beliefs", "filter,filter"], &["--beliefs names filter twice"]),
         (&["--csv-episodes", "-"], &["cannot write -: expected a file"]),
         (&["--csv", file, "--csv-episodes", file], &["--csv and --csv-episodes name one file"]),

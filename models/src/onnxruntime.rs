@@ -7,12 +7,17 @@
 use std::sync::{Mutex, PoisonError};
 
 use heliostat_core::policy::{Network, PolicyError, PolicyResult};
-use heliostat_files::open_file;
+use heliostat_files::{excerpt, open_file};
+use heliostat_onnx::{
+    ModelProto, NodeProto,
+    standard::{OPSETS, find_node, is_standard},
+};
 use ort::{
     environment::Environment,
     session::{Session, builder::GraphOptimizationLevel},
     value::Tensor,
 };
+use prost::Message;
 
 use crate::{
     batch::Batch,
@@ -23,7 +28,7 @@ use crate::{
 pub enum Refusal {
     /// No library was found, or the one that was named does not load; text after "ONNX Runtime,".
     NoLibrary(String),
-    /// ONNX Runtime's own message.
+    /// ONNX Runtime's own message, behind what to do where it does not know an operator.
     Network(String),
 }
 
@@ -35,8 +40,35 @@ pub fn load(model: &[u8], input_length: usize) -> Result<Box<dyn Network>, Refus
     let environment = environment().map_err(Refusal::NoLibrary)?;
     match OrtNetwork::new(&environment, model, input_length) {
         Ok(network) => Ok(Box::new(network)),
-        Err(error) => Err(Refusal::Network(one_line(&error))),
+        Err(error) => {
+            let message = one_line(&error);
+            Err(Refusal::Network(unknown_operator(&message, model).unwrap_or(message)))
+        }
     }
+}
+
+/// The message of ONNX Runtime behind the node whose operator it does not know; `None` for another message.
+fn unknown_operator(message: &str, model: &[u8]) -> Option<String> {
+    let ModelProto { graph, opset_import, .. } = ModelProto::decode(model).ok()?;
+    let is_unknown = |node: &NodeProto| {
+        let NodeProto { op_type, domain, .. } = node;
+        let foreign = [format!("{domain}:{op_type}("), format!("No opset import for domain '{domain}'")];
+        message.contains(&format!("No Op registered for {op_type} with"))
+            || !is_standard(domain) && foreign.iter().any(|words| message.contains(words))
+    };
+    let graph = graph?;
+    let NodeProto { name, op_type, domain, output, .. } = find_node(&graph, &is_unknown)?;
+    let name = excerpt(if name.is_empty() { output.first().unwrap_or(name) } else { name });
+    let domain = excerpt(if domain.is_empty() { "ai.onnx" } else { domain.as_str() });
+    let opset = opset_import.iter().find(|set| is_standard(&set.domain)).map_or(0, |set| set.version);
+    Some(format!(
+        "the node {name:?} has the operator {} of the domain {domain:?}, which ONNX Runtime does not know: expected an \
+         operator of the ONNX standard in opset {opset}, that of the file; export it again with such operators, or with \
+         a higher opset of {} to {} ({message})",
+        excerpt(op_type).escape_debug(),
+        OPSETS.start(),
+        OPSETS.end()
+    ))
 }
 
 /// The environment of the process, which loads the library at the first call.
@@ -173,4 +205,50 @@ fn failed(error: ort::Error) -> PolicyError {
 /// The message of an error without line breaks.
 fn one_line(error: &ort::Error) -> String {
     error.to_string().split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
+#[cfg(test)]
+mod tests {
+    use heliostat_onnx::{GraphProto, OperatorSetIdProto};
+
+    use super::*;
+
+    #[test]
+    fn an_operator_that_onnxruntime_does_not_know_is_named_with_node_domain_opset_and_what_to_do() {
+        let node = |name: &str, op_type: &str, domain: &str| NodeProto {
+            name: name.into(),
+            op_type: op_type.into(),
+            domain: domain.into(),
+            output: vec!["y".into()],
+            ..NodeProto::default()
+        };
+        let nodes = [node("first", "Tanh", ""), node("act", "Tahn", ""), node("", "Foo", "com.example")];
+        let model = ModelProto {
+            graph: Some(GraphProto { node: nodes.into(), ..GraphProto::default() }),
+            opset_import: vec![OperatorSetIdProto { domain: String::new(), version: 17 }],
+            ..ModelProto::default()
+        };
+        let model = model.encode_to_vec();
+        // Messages of ONNX Runtime 1.32.
+        for (message, start) in [
+            (
+                "This is an invalid model. In Node, (\"act\", Tahn, \"\", -1), Error No Op registered for Tahn with \
+                 domain_version of 17",
+                "the node \"act\" has the operator Tahn of the domain \"ai.onnx\"",
+            ),
+            (
+                "Fatal error: com.example:Foo(-1) is not a registered function/op",
+                "the node \"y\" has the operator Foo of the domain \"com.example\"",
+            ),
+            (
+                "This is an invalid model. Error No opset import for domain 'com.example'",
+                "the node \"y\" has the operator Foo of the domain \"com.example\"",
+            ),
+        ] {
+            let text = unknown_operator(message, &model).expect("an unknown operator");
+            assert!(text.starts_with(start) && text.ends_with(&format!("({message})")), "{text}");
+            assert!(text.contains("in opset 17, that of the file; export it again") && text.contains("of 7 to 28"));
+        }
+        assert_eq!(unknown_operator("Type Error: Type 'tensor(int64)' is invalid", &model), None);
+    }
 }

@@ -121,6 +121,19 @@ fn a_graph_that_is_invalid_in_itself_is_not_for_onnxruntime() {
     assert!(!text.contains("pip install"), "{text}");
 }
 
+#[needs("onnxruntime")]
+#[test]
+fn an_operator_that_no_engine_knows_is_named_with_what_to_do() {
+    let scenario = scenario(&[]);
+    let mut misspelt = ModelProto::decode(&SIN.actor(&scenario).bytes[..]).unwrap();
+    misspelt.graph.as_mut().unwrap().node.last_mut().unwrap().op_type = "Tahn".into();
+    let file = ActorFile { origin: "misspelt.onnx".into(), bytes: misspelt.encode_to_vec().into() };
+    let text = load_actor(&file, &scenario).err().expect("refused").to_string();
+    for words in ["has the operator Tahn of the domain \"ai.onnx\"", "in opset 17", "export it again"] {
+        assert!(text.contains(words), "{text}");
+    }
+}
+
 /// Allocations of one decision.
 fn allocations(actor: &mut Actor, scenario: &Scenario) -> (u64, u64) {
     let (model, mirrors) = (model(scenario), scenario.mirror_count());

@@ -6,6 +6,7 @@ use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
+use heliostat_proto::NodeKind;
 use heliostat_service::signals::restore_in_children;
 use serde_json::Value;
 
@@ -118,6 +119,12 @@ impl Process {
     /// Its output on standard error so far.
     pub fn errors(&self) -> String {
         self.errors.lock().expect("no reader panics").clone()
+    }
+
+    /// Whether this recorder has noted a process of the kind in its room.
+    pub fn has_noted(&self, node: NodeKind) -> bool {
+        let start = format!("record: {node} ");
+        self.errors().lines().any(|line| line.starts_with(&start) && line.ends_with(" is alive"))
     }
 
     /// Closes its standard input, which ends a process started with `--exit-with-parent`, and waits

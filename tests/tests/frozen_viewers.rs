@@ -164,9 +164,8 @@ impl Scene {
             Process::heliostat_under(&wrapper, &[("HELIOSTAT_ZENOH", VIEWER_LEASE)], &arguments)
         };
         let viewers: Vec<_> = (0..viewers).map(viewer).collect();
-        let sees = |viewer: &Process, node: NodeKind| viewer.errors().contains(&format!("{node} is alive"));
         wait_until("viewers connected to array and controller", || {
-            viewers.iter().all(|viewer| sees(viewer, NodeKind::SimNode) && sees(viewer, NodeKind::Controller))
+            viewers.iter().all(|viewer| viewer.has_noted(NodeKind::SimNode) && viewer.has_noted(NodeKind::Controller))
         });
         Self { _room: room, operator, viewers, _files: files }
     }

@@ -1,6 +1,8 @@
 //! The result of a session: corrections for the driver, the measured room for the controller, and how
 //! sure both are.
 
+use std::collections::BTreeSet;
+
 use heliostat_array::calibration::{GAIN_RANGE, OFFSET_MAX_RAD};
 use heliostat_array::calibration_file::{AxisCorrections, CalibrationFile};
 use heliostat_channel::Vec3;
@@ -138,6 +140,9 @@ pub struct Outcome {
     pub readings: usize,
     /// How many of them are from coded groups of mirrors.
     pub grouped: usize,
+    /// Mirrors that this session itself measured: those that showed light at one of its spots, without rejected ones,
+    /// and those that have changed. The verdicts of a refinement also rest on the calibration that it started from.
+    pub measured: usize,
     /// The verification; in a refinement that of the mirrors that have changed.
     pub verification: Verification,
     /// The mirrors that have changed since the calibration that a refinement started from.
@@ -212,6 +217,7 @@ impl Outcome {
             rejected_places,
             readings: input.readings,
             grouped: input.grouped,
+            measured: measured_of(input),
             verification: input.verification.clone(),
             changes: input.changes.to_vec(),
             offsets_rad: (0..mirrors.len())
@@ -277,6 +283,13 @@ impl Outcome {
         let all = self.mirrors.iter().enumerate();
         all.filter(|(_, mirror)| mirror.verdict == verdict).map(|(index, _)| index).collect()
     }
+}
+
+/// How many mirrors the session itself measured.
+fn measured_of(Input { lit, places, rejected, changes, .. }: &Input<'_>) -> usize {
+    let is_own = |spot: &usize| places[*spot] != FORMER_PLACE && !rejected.contains(spot);
+    let lit = lit.iter().filter(|(_, spot)| is_own(spot)).map(|(mirror, _)| *mirror);
+    lit.chain(changes.iter().map(|change| change.mirror)).collect::<BTreeSet<usize>>().len()
 }
 
 fn mirror_of(input: &Input<'_>, mirror: usize) -> Mirror {

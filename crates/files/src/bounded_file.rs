@@ -39,11 +39,16 @@ pub fn read_bytes(path: &Path, bytes_max: u64) -> io::Result<Vec<u8>> {
 /// Reads a text file of at most 64 MiB, without the byte order mark that some editors write.
 ///
 /// # Errors
-/// As of [`read_bytes`], or the place of the first byte that is not UTF-8.
+/// As of [`read_bytes`], the place of the first byte that is not UTF-8, or a text in which CR alone ends the lines:
+/// for a parser it would be one line.
 pub fn read_text(path: &Path) -> io::Result<String> {
     let bytes = read_bytes(path, TEXT_MAX)?;
     let text =
         String::from_utf8(bytes).map_err(|error| not_utf8(error.as_bytes(), error.utf8_error().valid_up_to()))?;
+    if text.contains('\r') && !text.contains('\n') {
+        let message = "its line ends are a single CR (old Mac): expected LF or CRLF; save it again with one of these";
+        return Err(io::Error::new(io::ErrorKind::InvalidData, message));
+    }
     Ok(text.strip_prefix('\u{feff}').map(str::to_owned).unwrap_or(text))
 }
 
@@ -79,6 +84,15 @@ mod tests {
         let path = folder.path().join("room.toml");
         let _socket = std::os::unix::net::UnixListener::bind(&path).expect("a socket");
         assert!(read_text(&path).expect_err("refused").to_string().contains("no regular file"));
+    }
+
+    #[test]
+    fn a_text_whose_lines_end_with_cr_alone_is_refused_with_the_line_ends_to_use() {
+        let message = read(b"[users]\rcount = 2\r").expect_err("refused").to_string();
+        assert!(message.starts_with("its line ends are a single CR (old Mac): expected LF or CRLF"), "{message}");
+        for text in ["[users]\r\ncount = 2\r\n", "[users]\ncount = 2\n", "seed = 2"] {
+            assert_eq!(read(text.as_bytes()).expect("a text"), text);
+        }
     }
 
     #[test]

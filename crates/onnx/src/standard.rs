@@ -13,7 +13,7 @@ const IR_VERSIONS: std::ops::RangeInclusive<i64> = 3..=14;
 /// defines 28.
 ///
 /// Source: <https://github.com/onnx/onnx/blob/main/docs/Changelog.md>.
-const OPSETS: std::ops::RangeInclusive<i64> = 7..=28;
+pub const OPSETS: std::ops::RangeInclusive<i64> = 7..=28;
 
 /// Why the version of a file is not known.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
@@ -58,16 +58,12 @@ pub fn check_versions(model: &ModelProto) -> Result<(), VersionError> {
     }
 }
 
-/// The first operator of a graph, or of a graph inside it, that is not of the standard domain, as
-/// `Relu of the domain "com.example"`.
-pub fn foreign_operator(graph: &GraphProto) -> Option<String> {
-    let in_node = |NodeProto { op_type, domain, attribute, .. }: &NodeProto| {
-        if !is_standard(domain) {
-            return Some(format!("{op_type} of the domain {domain:?}"));
-        }
-        attribute.iter().flat_map(|attribute| attribute.g.iter().chain(&attribute.graphs)).find_map(foreign_operator)
-    };
-    graph.node.iter().find_map(in_node)
+/// The first node of a graph, or of a graph inside it, for which a condition holds.
+pub fn find_node<'a>(graph: &'a GraphProto, holds: &dyn Fn(&NodeProto) -> bool) -> Option<&'a NodeProto> {
+    graph.node.iter().find_map(|node| {
+        let mut inner = node.attribute.iter().flat_map(|attribute| attribute.g.iter().chain(&attribute.graphs));
+        if holds(node) { Some(node) } else { inner.find_map(|graph| find_node(graph, holds)) }
+    })
 }
 
 #[cfg(test)]
@@ -100,13 +96,14 @@ mod tests {
     }
 
     #[test]
-    fn an_operator_of_another_domain_is_found_inside_graphs_too() {
+    fn a_node_is_found_inside_graphs_too() {
         let node = |domain: &str| NodeProto { op_type: "Relu".into(), domain: domain.into(), ..NodeProto::default() };
         let graph = |node| GraphProto { node: vec![node], ..GraphProto::default() };
-        assert_eq!(foreign_operator(&graph(node("ai.onnx"))), None);
+        let is_foreign = |node: &NodeProto| !is_standard(&node.domain);
+        assert_eq!(find_node(&graph(node("ai.onnx")), &is_foreign), None);
         let body = AttributeProto { g: Some(graph(node("com.example"))), ..AttributeProto::default() };
         for foreign in [node("com.example"), NodeProto { attribute: vec![body], ..node("") }] {
-            assert_eq!(foreign_operator(&graph(foreign)).as_deref(), Some("Relu of the domain \"com.example\""));
+            assert_eq!(find_node(&graph(foreign), &is_foreign), Some(&node("com.example")));
         }
     }
 }

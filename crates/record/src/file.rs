@@ -12,6 +12,7 @@ mod read;
 mod write;
 
 use std::collections::BTreeMap;
+use std::fmt;
 
 use heliostat_proto::{NodeKind, VERSION};
 use serde::{Deserialize, Serialize};
@@ -116,6 +117,14 @@ pub struct Presence {
     pub alive: bool,
 }
 
+impl fmt::Display for Presence {
+    /// One line for the operator: a room can have several processes of a kind.
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { node, source, alive } = self;
+        write!(formatter, "{node} {source:016x} is {}", if *alive { "alive" } else { "gone" })
+    }
+}
+
 /// A kind of process as the name of its variant, such as `SimNode`.
 mod node_by_name {
     use heliostat_proto::NodeKind;
@@ -162,6 +171,14 @@ impl Header {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_presence_in_words_names_the_process() {
+        let mut presence = Presence { node: NodeKind::Controller, source: 0x2a, alive: true };
+        assert_eq!(presence.to_string(), "controller 000000000000002a is alive");
+        presence.alive = false;
+        assert_eq!(presence.to_string(), "controller 000000000000002a is gone");
+    }
 
     #[test]
     fn presence_names_each_kind_of_process() {

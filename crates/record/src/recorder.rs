@@ -260,8 +260,7 @@ impl<S: Storage> RoomWriter<S> {
         let taken = match item {
             Item::Payload { key, arrived_ns, payload } => self.payload(&mut recording, &key, arrived_ns, &payload),
             Item::Presence { arrived_ns, presence } => {
-                let state = if presence.alive { "alive" } else { "gone" };
-                output::note(format_args!("record: {} is {state}", presence.node));
+                output::note(format_args!("record: {presence}"));
                 self.present.retain(|source| *source != presence.source);
                 if presence.alive && presence.node != NodeKind::Viewer {
                     self.present.push(presence.source);

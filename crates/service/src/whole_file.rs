@@ -4,7 +4,7 @@ use std::fs::{self, File, TryLockError};
 use std::io;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use thiserror::Error;
 
 use crate::exit::UnusableInput;
@@ -32,6 +32,16 @@ pub fn check_writable(file: &Path) -> Result<()> {
     }
     let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     tempfile::tempfile_in(folder).map(drop).with_context(refused)
+}
+
+/// As [`check_writable`], for a file that other commands read: it refuses one that exists. A pipe or device may exist.
+///
+/// # Errors
+/// [`UnusableInput`] for a file that exists; those of [`check_writable`].
+pub fn check_new(file: &Path) -> Result<()> {
+    let exists = || UnusableInput::new(format!("{} exists already: expected a new file", file.display()));
+    ensure!(!file.is_file(), exists());
+    check_writable(file)
 }
 
 /// Refuses one file for two flags: the later one would replace the former. A pipe or device may serve several.
@@ -189,6 +199,20 @@ mod tests {
         assert!(refusal.contains("/dev/stdout is standard output"), "{refusal}");
         let refusal = check_writable(&folder.path().join("no/figures.csv")).expect_err("no folder");
         assert!(format!("{refusal:#}").contains("no/figures.csv: expected a file in a folder that exists"));
+    }
+
+    #[test]
+    fn a_new_file_is_refused_where_one_exists_and_that_one_stays() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = folder.path().join("walk.csv");
+        check_new(&file).expect("no file yet");
+        fs::write(&file, "first").expect("written");
+        let refusal = check_new(&file).expect_err("a file").to_string();
+        assert!(refusal.ends_with("walk.csv exists already: expected a new file"), "{refusal}");
+        assert_eq!(fs::read_to_string(&file).expect("the file"), "first");
+        if cfg!(unix) {
+            check_new(Path::new("/dev/null")).expect("a device");
+        }
     }
 
     #[test]

@@ -4,7 +4,7 @@
 //! turn at once to the angles of an action.
 
 use heliostat_core::belief::conditions::Condition;
-use heliostat_scenario::{Actuator, Scenario, Streams, override_keys};
+use heliostat_scenario::{Scenario, Streams, override_keys};
 
 use crate::error::EnvironmentError;
 
@@ -47,30 +47,26 @@ fn has_effect(key: &str) -> bool {
 /// The condition of a scenario with faults of mirrors, which exact states do not have.
 ///
 /// `of` names what uses the states, as `a static comparison`, and `advice` what to do for the faults.
-pub fn exact_mirrors(scenario: &Scenario, of: &str, advice: &str) -> Option<Condition> {
-    let faults = faults(&scenario.actuator);
-    (!faults.is_empty()).then(|| Condition {
-        method: "the model of faulty mirrors".into(),
-        because: format!("{of}, and {}", faults.join(", ")),
-        consequence: format!("each mirror turns at once to the exact angle, so rates are higher; {advice}"),
-    })
+pub fn exact_mirrors(Scenario { actuator, .. }: &Scenario, of: &str, advice: &str) -> Option<Condition> {
+    let faults = [
+        ("actuator.stuck_share", actuator.stuck_share),
+        ("actuator.offset_deg", actuator.offset_deg),
+        ("actuator.scale_error_relative", actuator.scale_error_relative),
+        ("actuator.hysteresis_deg", actuator.hysteresis_deg),
+        ("actuator.drift_deg_per_sqrt_hour", actuator.drift_deg_per_sqrt_hour),
+        ("actuator.jitter_deg", actuator.jitter_deg),
+    ];
+    let faults = faults.map(|(key, value)| (key, value.unwrap_or_default()));
+    let consequence = format!("each mirror turns at once to the exact angle, so rates are higher; {advice}");
+    without_faults("the model of faulty mirrors", &faults, of, consequence)
 }
 
 /// The condition of a scenario with late, noisy or lost reports, which exact states do not have.
 ///
 /// `of` and `advice` as in [`exact_mirrors`].
-pub fn exact_reports(scenario: &Scenario, of: &str, advice: &str) -> Option<Condition> {
-    let faults = report_faults(&scenario.streams);
-    (!faults.is_empty()).then(|| Condition {
-        method: "the model of late, noisy and lost reports".into(),
-        because: format!("{of}, and {}", faults.join(", ")),
-        consequence: format!("policies know the true state, so rates are higher; {advice}"),
-    })
-}
-
-/// The keys that make reports differ from the true state, in closed loop only.
-fn report_faults(Streams { positions, channel, .. }: &Streams) -> Vec<&'static str> {
-    let of_streams = [
+pub fn exact_reports(Scenario { streams, .. }: &Scenario, of: &str, advice: &str) -> Option<Condition> {
+    let Streams { positions, channel, .. } = streams;
+    let faults = [
         ("streams.positions.latency_ms", positions.latency_ms),
         ("streams.positions.noise_m", positions.noise_m),
         ("streams.positions.velocity_noise_m_s", positions.velocity_noise_m_s),
@@ -80,20 +76,15 @@ fn report_faults(Streams { positions, channel, .. }: &Streams) -> Vec<&'static s
         ("streams.channel.noise_gain", channel.noise_gain),
         ("streams.channel.loss", channel.loss),
     ];
-    of_streams.into_iter().filter(|(_, value)| *value > 0.0).map(|(key, _)| key).collect()
+    let consequence = format!("policies know the true state, so rates are higher; {advice}");
+    without_faults("the model of late, noisy and lost reports", &faults, of, consequence)
 }
 
-/// The keys that make the angles of a mirror differ from the commanded ones, in closed loop only.
-fn faults(actuator: &Actuator) -> Vec<&'static str> {
-    let of_mirrors = [
-        ("actuator.stuck_share", actuator.stuck_share),
-        ("actuator.offset_deg", actuator.offset_deg),
-        ("actuator.scale_error_relative", actuator.scale_error_relative),
-        ("actuator.hysteresis_deg", actuator.hysteresis_deg),
-        ("actuator.drift_deg_per_sqrt_hour", actuator.drift_deg_per_sqrt_hour),
-        ("actuator.jitter_deg", actuator.jitter_deg),
-    ];
-    of_mirrors.into_iter().filter(|(_, value)| value.is_some_and(|value| value > 0.0)).map(|(key, _)| key).collect()
+/// The condition that a model has no effect, where a key of it with its value is above zero.
+fn without_faults(model: &str, faults: &[(&str, f64)], of: &str, consequence: String) -> Option<Condition> {
+    let keys: Vec<&str> = faults.iter().filter(|(_, value)| *value > 0.0).map(|(key, _)| *key).collect();
+    let because = format!("{of}, and {}", keys.join(", "));
+    (!keys.is_empty()).then(|| Condition { method: model.into(), because, consequence })
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use heliostat_bus::{BusConfig, Class, private_endpoint};
-use heliostat_proto::{ArrayState, MirrorCommand, Room};
+use heliostat_proto::{ArrayState, MirrorCommand, NodeKind, Room};
 use heliostat_service::Stop;
 use heliostat_tests::{Process, wait_until};
 
@@ -94,7 +94,7 @@ fn lockstep(folder: &Path, seed: &str, recording: &str) -> String {
     let recorder = Process::heliostat(&[&flags[..], &shared].concat());
     let flags = ["sim-node", "--lockstep", "200", "--listen", &endpoint, "--connect", &of_recorder, "--json"];
     let sim = Process::heliostat_without_loss(&[&flags[..], &shared].concat());
-    wait_until("a recorder connected to the room", || recorder.errors().contains("sim-node is alive"));
+    wait_until("a recorder connected to the room", || recorder.has_noted(NodeKind::SimNode));
     let flags = ["controller", "--lockstep", "--policy", "greedy", "--connect", &endpoint, "--connect", &of_recorder];
     let controller =
         Process::heliostat_without_loss(&[&flags[..], &["--exit-with-parent", "--json"], &shared].concat());

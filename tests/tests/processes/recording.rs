@@ -8,7 +8,9 @@ use std::time::Duration;
 
 use heliostat_bus::{Bus, BusConfig, Class, private_endpoint};
 use heliostat_core::policy::actor_file::ActorFile;
-use heliostat_proto::{BranchReport, LedReport, MirrorCommand, OrientationReport, Room, Stamp, UserReport, codec};
+use heliostat_proto::{
+    BranchReport, LedReport, MirrorCommand, NodeKind, OrientationReport, Room, Stamp, UserReport, codec,
+};
 use heliostat_record::account::Account;
 use heliostat_record::file::{Reading, Recording};
 use heliostat_scenario::Scenario;
@@ -65,7 +67,7 @@ impl Setting {
         let fixed = self.recorder_arguments();
         let fixed: Vec<&str> = fixed.iter().map(String::as_str).collect();
         let recorder = Process::heliostat(&[&fixed, arguments].concat());
-        wait_until("a recorder connected to the room", || recorder.errors().contains("sim-node is alive"));
+        wait_until("a recorder connected to the room", || recorder.has_noted(NodeKind::SimNode));
         recorder
     }
 

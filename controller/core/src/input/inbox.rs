@@ -30,11 +30,11 @@ use heliostat_proto::{
 use heliostat_scenario::Scenario;
 
 use crate::input::{
-    refusal::{Found, LeftOut, Refusal, Refused, Stream, UserValues},
+    refusal::{Found, LeftOut, Refusal, Refused, Stream},
     sequence::SequenceTrack,
 };
 use array::ArrayInbox;
-use rules::{Rules, check_channel, check_obstacles, check_orientation};
+use rules::{Rules, check_channel, check_obstacles, check_orientation, first_repeated, is_gain};
 use slot::Owner;
 pub use state::InboxState;
 
@@ -326,8 +326,7 @@ impl Inbox {
                     let user: &UserState = user;
                     let checked = rules.check_user(user);
                     if let Err(refusal) = checked {
-                        let (user, position_m, values) = (user.user, user.position_m, UserValues::from(user));
-                        refused.count_left_out(LeftOut { user, refusal, position_m, values });
+                        refused.count_left_out(LeftOut::new(user, refusal));
                     }
                     checked.is_ok()
                 });
@@ -363,15 +362,16 @@ impl Inbox {
                 let age_s = now.abs_diff(sampled_ns) as f64 / 1e9;
                 Found::AgeS(if now < sampled_ns { -age_s } else { age_s })
             }
-            (Refusal::OutsideRoom, Message::Users(report)) => {
-                let is_outside = |user: &&UserState| self.rules.check_user(user) == Err(Refusal::OutsideRoom);
-                let outside = report.users.iter().find(is_outside);
-                outside.map_or(Found::Nothing, |user| Found::Position(user.position_m))
+            (Refusal::OutsideRoom | Refusal::Implausible, Message::Users(report)) => {
+                let is_refused = |user: &&UserState| self.rules.check_user(user) == Err(refusal);
+                let found = report.users.iter().find(is_refused);
+                found.map_or(Found::Nothing, |user| Found::User(LeftOut::new(user, refusal)))
             }
-            (Refusal::Implausible, Message::Users(report)) => {
-                let mut values = report.users.iter().map(UserValues::from);
-                values.find(|values| !values.are_possible()).map_or(Found::Nothing, Found::User)
+            (Refusal::Implausible, Message::Channel(report)) => {
+                let found = report.users.iter().find(|user| !is_gain(user.los_gain));
+                found.map_or(Found::Nothing, |user| Found::Gain { user: user.user, los_gain: user.los_gain })
             }
+            (Refusal::DuplicateUser, message) => repeated_user(message).map_or(Found::Nothing, Found::Twice),
             _ => Found::Nothing,
         }
     }
@@ -388,6 +388,17 @@ impl Inbox {
             Message::Orientation(report) => check_orientation(report),
             Message::Leds(report) => self.rules.check_leds(report),
         }
+    }
+}
+
+/// The user with two entries in a report about users.
+fn repeated_user(message: &Message<'_>) -> Option<u32> {
+    match message {
+        Message::Users(report) => first_repeated(report.users.iter().map(|user| user.user)),
+        Message::Channel(report) => first_repeated(report.users.iter().map(|user| user.user)),
+        Message::Orientation(report) => first_repeated(report.users.iter().map(|user| user.user)),
+        Message::Leds(report) => first_repeated(report.users.iter().map(|user| user.user)),
+        Message::Obstacles(_) | Message::Telemetry(..) => None,
     }
 }
 

@@ -114,10 +114,17 @@ pub enum Found {
     Sizes(TelemetrySizes),
     /// How much older than the clock of this machine the sample is, in s; negative for one from the future.
     AgeS(f64),
-    /// A position outside the room, in m.
-    Position([f32; 3]),
-    /// A user's values, of which one is impossible.
-    User(UserValues),
+    /// A user with an impossible position or value.
+    User(LeftOut),
+    /// A user with two entries.
+    Twice(u32),
+    /// A user with a gain that is no share of the transmitted light.
+    Gain {
+        /// The user.
+        user: u32,
+        /// The reported gain of the direct path.
+        los_gain: f32,
+    },
 }
 
 /// Largest speed of a reported user in m/s: far beyond any walk and its noise, and within the bounds of
@@ -179,7 +186,7 @@ pub struct Refused {
     last_left_out: Option<LeftOut>,
 }
 
-/// A user whom a report of positions names, and who was left out.
+/// A user whom a report of positions names, and who was left out, perhaps with the complete report.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LeftOut {
     /// The user.
@@ -190,6 +197,13 @@ pub struct LeftOut {
     pub position_m: [f32; 3],
     /// The other reported values.
     pub values: UserValues,
+}
+
+impl LeftOut {
+    /// The user of an entry, with the reason.
+    pub(crate) fn new(user: &UserState, refusal: Refusal) -> Self {
+        Self { user: user.user, refusal, position_m: user.position_m, values: UserValues::from(user) }
+    }
 }
 
 impl Refused {

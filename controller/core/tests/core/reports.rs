@@ -111,8 +111,11 @@ fn a_late_report_of_a_source_that_has_left_is_refused_until_the_source_returns()
 fn a_report_with_two_entries_for_one_user_is_refused() {
     let (mut controller, mut room) = flat(&[]);
     let (mut gains, mut users) = (room.gains_of(1, 1e-6, &[4, 4]), room.positions_of(1, &[7, 3, 7]));
+    let found = |controller: &Controller| controller.inbox().refused().last().map(|last| last.found);
     receive(&mut controller, Room::time(1), Message::Channel(&mut gains));
+    assert_eq!(found(&controller), Some(Found::Twice(4)));
     assert_eq!(receive(&mut controller, Room::time(1), Message::Users(&mut users)), Outcome::Nothing);
+    assert_eq!(found(&controller), Some(Found::Twice(7)));
     assert_eq!(refused(&controller, Stream::Users, Refusal::DuplicateUser), 1);
     assert_eq!(refused(&controller, Stream::Channel, Refusal::DuplicateUser), 1);
     assert_eq!(controller.inbox().source(), None, "a report that is refused does not claim the room");
@@ -184,7 +187,8 @@ fn a_user_with_impossible_values_is_left_out_and_the_others_are_served() {
     alone.users[0].velocity_m_s = [0.0, 101.0];
     receive(&mut controller, Room::time(3), Message::Users(&mut alone));
     let last = controller.inbox().refused().last().expect("one");
-    assert!(matches!(last.found, Found::User(UserValues { speed_m_s: 101.0, .. })), "{last:?}");
+    let Found::User(LeftOut { user: 0, values, .. }) = last.found else { panic!("{last:?}") };
+    assert_eq!(values.speed_m_s, 101.0);
 }
 
 #[test]
@@ -196,11 +200,13 @@ fn physically_impossible_values_are_refused() {
     assert_eq!(receive(&mut controller, now, Message::Users(&mut outside)), Outcome::Nothing);
     assert_eq!(refused(&controller, Stream::Users, Refusal::OutsideRoom), 1);
     let last = controller.inbox().refused().last().expect("a refusal");
-    let Found::Position([x, ..]) = last.found else { panic!("{last:?}") };
+    let Found::User(LeftOut { user: 0, position_m: [x, ..], .. }) = last.found else { panic!("{last:?}") };
     assert_eq!(x, 3.6);
 
-    receive(&mut controller, now, Message::Channel(&mut room.gains(1, -1e-9)));
+    receive(&mut controller, now, Message::Channel(&mut room.gains_of(1, -1e-9, &[5])));
     assert_eq!(refused(&controller, Stream::Channel, Refusal::Implausible), 1);
+    let last = controller.inbox().refused().last().expect("a refusal");
+    assert_eq!(last.found, Found::Gain { user: 5, los_gain: -1e-9 });
 
     let hollow = Obstacle { x_m: 0.0, y_m: 0.0, radius_m: -0.1, height_m: 1.0 };
     receive(&mut controller, now, Message::Obstacles(&mut room.survey(1, vec![hollow])));

@@ -265,6 +265,9 @@ pub fn run(args: Args) -> Result<()> {
             points.map(of_point).collect::<Result<_>>()?
         }
     };
+    if let (Some(grid), Some(first)) = (grid, settings.first()) {
+        grid.check_noise(&first.scenario).map_err(anyhow::Error::msg)?;
+    }
     args.check_files()?;
     let interruption = Interruption::watch(settings.len())?;
     let compared = settings.iter().enumerate().map(|(index, one)| {

@@ -58,7 +58,7 @@ fn the_report_names_what_was_read_refused_chosen_and_how_to_use_the_file() {
     ] {
         assert!(report.contains(part), "{part} is missing in:\n{report}");
     }
-    let json = heliostat(&folder, &format!("{IMPORT} --json"));
+    let json = heliostat(&folder, &format!("{} --json", IMPORT.replace("walk.csv", "again.csv")));
     let report: serde_json::Value = serde_json::from_slice(&json.stdout).expect("one JSON object");
     assert_eq!((&report["read"]["refused_rows"], &report["selected"]["duration_s"]), (&2.into(), &6.0.into()));
     // The walk is as long as the part in which both are present.
@@ -111,6 +111,18 @@ fn a_file_that_cannot_be_used_is_refused_with_the_reason_and_nothing_is_written(
 }
 
 #[test]
+fn a_walk_that_exists_is_not_overwritten() {
+    let folder = folder();
+    fs::write(folder.path().join("walk.csv"), "mine").expect("written");
+    for command in [IMPORT, "trace export room.mcap --out walk.csv"] {
+        let refused = heliostat(&folder, command);
+        let message = text(&refused.stderr);
+        assert!(refused.status.code() == Some(2) && message.contains("walk.csv exists already: expected a new file"));
+    }
+    assert_eq!(fs::read(folder.path().join("walk.csv")).expect("the file"), b"mine");
+}
+
+#[test]
 fn an_output_that_is_the_input_is_refused_and_stays() {
     let folder = folder();
     assert!(heliostat(&folder, IMPORT).status.success());
@@ -145,7 +157,10 @@ fn what_is_unusual_about_a_file_is_named() {
     write("frames.txt", walk(|step, who, x, y| format!("{} {who} {x:.3} {y}", 6 * step)));
     write("swapped.txt", walk(|step, who, x, y| format!("{who} {} {x:.3} {y}", 10 * step)));
     write("ms.csv", format!("time,user,x,y\n{}", walk(|step, who, x, y| format!("{},{who},{x:.3},{y}", 400 * step))));
-    let import = |arguments: &str| heliostat(&folder, &format!("trace import {arguments} --users 3 --out walk.csv"));
+    let import = |arguments: &str| {
+        drop(fs::remove_file(folder.path().join("walk.csv")));
+        heliostat(&folder, &format!("trace import {arguments} --users 3 --out walk.csv"))
+    };
     for (arguments, warning) in [
         ("frames.txt --format eth-ucy", None),
         ("frames.txt --format eth-ucy --frame-rate-hz 25", Some("median speed 2.00 m/s")),

@@ -178,6 +178,7 @@ fn a_refinement_of_an_unchanged_room_ends_without_a_change_and_without_a_verific
     println!("unchanged: {} new readings, {busy_s:.0} s", outcome.readings - log.readings.len());
     assert_eq!(outcome.changes, []);
     assert!(outcome.verification.nominal.is_empty() && outcome.rejected_places.is_empty());
+    assert!((1..=36).contains(&outcome.measured), "{}", outcome.measured);
     // The readings of a refinement continue that refinement only, and start the next one.
     let kept = refined.log();
     let refusal = session(&scenario, capabilities.clone()).unwrap().resume(kept.clone()).unwrap_err();
@@ -204,6 +205,8 @@ fn a_moved_led_rejects_the_spots_of_a_refinement_and_no_mirror() {
     drive_turned(&mut refined, &mut again, unchanged, mounts, ended).unwrap();
     let outcome = refined.outcome().unwrap();
     assert_eq!((outcome.rejected_places.as_slice(), outcome.changes.len()), (&[0, 1, 2][..], 0));
+    // The former calibration still knows its mirrors, but this session has compared none with it.
+    assert!(outcome.measured == 0 && !outcome.mirrors_with(Verdict::Calibrated).is_empty());
 }
 
 #[test]

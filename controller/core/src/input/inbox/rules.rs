@@ -76,15 +76,20 @@ impl Rules {
         let is_led = |led: u32| (led as usize) < self.leds;
         plausible(
             report.users.iter().all(|user| user.serving.is_none_or(is_led))
-                && report.gains.iter().all(|gain| is_led(gain.led) && (0.0..=1.0).contains(&gain.los_gain)),
+                && report.gains.iter().all(|gain| is_led(gain.led) && is_gain(gain.los_gain)),
         )
     }
 }
 
 /// Each user may appear once. The codec bounds the number of entries.
 fn check_distinct(ids: impl Iterator<Item = u32> + Clone) -> Result<(), Refusal> {
-    let is_repeated = |(index, id): (usize, u32)| ids.clone().take(index).any(|earlier| earlier == id);
-    if ids.clone().enumerate().any(is_repeated) { Err(Refusal::DuplicateUser) } else { Ok(()) }
+    if first_repeated(ids).is_some() { Err(Refusal::DuplicateUser) } else { Ok(()) }
+}
+
+/// The first user with an earlier entry.
+pub(super) fn first_repeated(ids: impl Iterator<Item = u32> + Clone) -> Option<u32> {
+    let is_repeated = |(index, id): &(usize, u32)| ids.clone().take(*index).any(|earlier| earlier == *id);
+    ids.clone().enumerate().find(is_repeated).map(|(_, id)| id)
 }
 
 pub(super) fn check_orientation(report: &OrientationReport) -> Result<(), Refusal> {
@@ -93,8 +98,12 @@ pub(super) fn check_orientation(report: &OrientationReport) -> Result<(), Refusa
 
 pub(super) fn check_channel(report: &ChannelReport) -> Result<(), Refusal> {
     check_distinct(report.users.iter().map(|user| user.user))?;
-    // A gain is the received share of the transmitted light.
-    plausible(report.users.iter().all(|user| (0.0..=1.0).contains(&user.los_gain)))
+    plausible(report.users.iter().all(|user| is_gain(user.los_gain)))
+}
+
+/// A gain is the received share of the transmitted light.
+pub(super) fn is_gain(gain: f32) -> bool {
+    (0.0..=1.0).contains(&gain)
 }
 
 pub(super) fn check_obstacles(report: &ObstacleReport) -> Result<(), Refusal> {

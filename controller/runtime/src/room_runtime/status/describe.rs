@@ -147,6 +147,9 @@ pub(super) fn describe_refusal(decision_loop: &DecisionLoop) -> Option<String> {
         Stream::Telemetry => (format!("telemetry of {}", array_name(array)), inbox.array_source(array)),
         _ => (stream.name().to_owned(), inbox.source()),
     };
+    if let Some(of_user) = describe_user(found) {
+        return Some(format!("{name} refused: {of_user}"));
+    }
     Some(match (refusal, decision_loop.room.last_malformed()) {
         (Refusal::ForeignSource, _) => format!(
             "a second source {:016x} reports {name} in this room, which source {:016x} owns; it is refused",
@@ -164,12 +167,6 @@ pub(super) fn describe_refusal(decision_loop: &DecisionLoop) -> Option<String> {
             "{name} refused: a report is {:.1} s ahead of this controller's clock; check the clocks of both",
             -age_s
         ),
-        (Refusal::OutsideRoom, _) if let Found::Position(position_m) = found => {
-            format!("{name} refused: {}", describe_outside(position_m))
-        }
-        (Refusal::Implausible, _) if let Found::User(values) = found => {
-            format!("{name} refused: a user has {values}")
-        }
         _ => format!("{name} refused: {refusal}"),
     })
 }
@@ -191,24 +188,43 @@ pub(super) fn describe_foreign_array(array: usize, source: u64, followed: Option
     )
 }
 
-fn describe_outside([x, y, z]: [f32; 3]) -> String {
-    format!("({x:.1}, {y:.1}, {z:.1}) is outside the room: positions are in m, in the frame of the room")
+/// The user for whom a report is refused, with what to do.
+fn describe_user(found: Found) -> Option<String> {
+    match found {
+        Found::User(left_out) => Some(format!("user {}: {}", left_out.user, describe_values(left_out))),
+        Found::Twice(user) => Some(format!(
+            "user {user} has two entries: expected one for each user; give each receiver a number of its own"
+        )),
+        Found::Gain { user, los_gain } => Some(format!(
+            "user {user}: a gain of {los_gain:e}: expected 0 to 1, the received share of the light; check scale and \
+             offset of the receiver"
+        )),
+        Found::Nothing | Found::Sizes(_) | Found::AgeS(_) => None,
+    }
+}
+
+/// The values for which a user is left out, with what to do.
+fn describe_values(LeftOut { refusal, position_m: [x, y, z], values, .. }: LeftOut) -> String {
+    match refusal {
+        Refusal::OutsideRoom => format!(
+            "({x:.1}, {y:.1}, {z:.1}) is outside the room: positions are in m, in the frame of the room; check unit and \
+             axes of the tracker"
+        ),
+        _ => format!("{values}; correct it in the tracker"),
+    }
 }
 
 /// A user of an accepted report who is left out.
-pub(super) fn describe_left_out(LeftOut { user, refusal, position_m, values }: LeftOut) -> String {
-    match refusal {
-        Refusal::OutsideRoom => format!("user {user} is left out: {}", describe_outside(position_m)),
-        _ => format!("user {user} is left out: {values}"),
-    }
+pub(super) fn describe_left_out(left_out: LeftOut) -> String {
+    format!("user {} is left out: {}", left_out.user, describe_values(left_out))
 }
 
 #[cfg(test)]
 mod tests {
     use std::time::Instant;
 
-    use heliostat_core::tenure::Evidence;
-    use heliostat_proto::EPOCH_SLOTS;
+    use heliostat_core::{refusal::UserValues, tenure::Evidence};
+    use heliostat_proto::{EPOCH_SLOTS, UserState};
     use heliostat_service::log_limit::LogLimit;
 
     use super::*;
@@ -263,6 +279,30 @@ mod tests {
         let found = |tenure: &Tenure| describe_events(&[TenureEvent::StoodBy], tenure);
         assert!(matches!(found(&tenure), Some(Problem::Warning(_))));
         assert!(matches!(found(&tenure.in_reserve(None)), Some(Problem::End(_))));
+    }
+
+    #[test]
+    fn a_report_that_is_refused_for_a_user_names_the_user_and_what_to_do() {
+        let state = UserState { user: 3, position_m: [40.0, 0.0, 1.0], ..UserState::default() };
+        let values = UserValues { speed_m_s: 101.0, ..UserValues::from(&state) };
+        let left_out = LeftOut { user: 3, refusal: Refusal::OutsideRoom, position_m: state.position_m, values };
+        let cases = [
+            (Found::User(left_out), "user 3: (40.0, 0.0, 1.0) is outside the room", "unit and axes of the tracker"),
+            (
+                Found::User(LeftOut { refusal: Refusal::Implausible, ..left_out }),
+                "user 3: a speed of 101",
+                "correct it",
+            ),
+            (Found::Twice(3), "user 3 has two entries", "a number of its own"),
+            (Found::Gain { user: 3, los_gain: 1.5 }, "user 3: a gain of 1.5e0: expected 0 to 1", "the receiver"),
+        ];
+        for (found, start, remedy) in cases {
+            let text = describe_user(found).expect("a user");
+            assert!(text.starts_with(start) && text.contains(remedy), "{text}");
+        }
+        assert_eq!(describe_user(Found::Nothing), None);
+        let text = describe_left_out(left_out);
+        assert!(text.starts_with("user 3 is left out: (40.0, 0.0, 1.0) is outside the room"), "{text}");
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use anyhow::{Result, ensure};
+use anyhow::Result;
 use heliostat_service::exit::UnusableInput;
 use heliostat_service::whole_file::{self, Held};
 
@@ -15,14 +15,17 @@ use super::args::Args;
 /// that another process writes.
 pub fn hold(args: &Args) -> Result<Vec<Held>> {
     let results = [args.out.as_ref(), args.room_out.as_ref()];
-    results.into_iter().flatten().try_for_each(|file| check_new(file))?;
+    results.into_iter().flatten().try_for_each(|file| whole_file::check_new(file)).map_err(unusable)?;
     check_distinct(args)?;
     let files = results.into_iter().chain([args.readings.as_ref()]).flatten();
-    let held = files.map(|file| {
-        let writable = whole_file::check_writable(file).and_then(|()| whole_file::hold(file));
-        writable.map_err(|error| UnusableInput::new(format!("{error:#}")).into())
-    });
+    let held =
+        files.map(|file| whole_file::check_writable(file).and_then(|()| whole_file::hold(file)).map_err(unusable));
     held.collect()
+}
+
+/// A refused file as an error of the input.
+fn unusable(error: anyhow::Error) -> anyhow::Error {
+    UnusableInput::new(format!("{error:#}")).into()
 }
 
 /// Refuses one file for two purposes.
@@ -36,11 +39,6 @@ fn check_distinct(args: &Args) -> Result<()> {
         ("--base", base),
     ];
     whole_file::check_distinct(named)
-}
-
-fn check_new(file: &Path) -> Result<()> {
-    ensure!(!file.exists(), UnusableInput::new(format!("{} exists already: expected a new file", file.display())));
-    Ok(())
 }
 
 #[cfg(test)]

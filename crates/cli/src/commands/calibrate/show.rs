@@ -206,8 +206,8 @@ pub fn refinement(args: &Args, outcome: &Outcome, is_written: bool) -> Result<()
     if args.json {
         return json(args, outcome, is_written);
     }
-    let known = outcome.mirrors_with(Verdict::Calibrated).len();
-    outln!("mirrors        {known} of {} known, {} changed", outcome.mirrors.len(), outcome.changes.len())?;
+    let (measured, all, changed) = (outcome.measured, outcome.mirrors.len(), outcome.changes.len());
+    outln!("mirrors        {measured} of {all} compared with the former calibration, {changed} changed")?;
     for Change { mirror, turned_deg } in &outcome.changes {
         match turned_deg {
             Some(turned) => {

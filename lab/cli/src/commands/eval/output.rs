@@ -88,7 +88,7 @@ pub fn print_table(report: &Report) -> io::Result<()> {
     outln!("blocked: {BLOCKED}: {}", blocked_states(report))?;
     print_differences(report)?;
     print_outages(report)?;
-    print_beliefs(report)?;
+    print_beliefs(None, std::slice::from_ref(report))?;
     print_conditions(std::slice::from_ref(report))
 }
 
@@ -159,19 +159,25 @@ pub(super) fn difference(found: Option<Spread>, one: &Difference) -> String {
     found.map_or("-".into(), |spread| signed(spread, one.digits))
 }
 
-/// Prints the quality of each belief about the users.
-fn print_beliefs(report: &Report) -> io::Result<()> {
-    if report.beliefs.is_empty() {
+/// Prints the quality of each belief about the users, at each point of a sweep if there is one.
+fn print_beliefs(grid: Option<&Grid>, reports: &[Report]) -> io::Result<()> {
+    if reports.iter().all(|report| report.beliefs.is_empty()) {
         return Ok(());
     }
+    let width = reports.iter().map(name_width).max().unwrap_or(0);
+    let print = |keys: Option<String>, name: &str, cells: [String; 6]| {
+        let keys = keys.map(|keys| keys + " ").unwrap_or_default();
+        let cells = cells.map(|cell| format!("{cell:>18}"));
+        outln!("{keys}{name:<width$} {}", cells.join(" "))
+    };
     let columns = belief_columns();
     outln!("\nbelief about the users, against the truth at the predicted instant")?;
-    let headings = columns.iter().map(|(heading, _)| format!("{heading:>18}")).collect::<Vec<_>>();
-    let width = name_width(report);
-    outln!("{:<width$} {}", "", headings.join(" "))?;
-    for (name, quality) in &report.beliefs {
-        let cells = columns.iter().map(|(_, cell)| format!("{:>18}", cell(quality))).collect::<Vec<_>>();
-        outln!("{name:<width$} {}", cells.join(" "))?;
+    print(grid.map(|grid| key_cells(grid, grid.keys())), "", columns.map(|(heading, _)| heading.to_owned()))?;
+    for (index, report) in reports.iter().enumerate() {
+        for (name, quality) in &report.beliefs {
+            let keys = grid.map(|grid| key_cells(grid, grid.points()[index].iter().copied()));
+            print(keys, name, columns.map(|(_, cell)| cell(quality)))?;
+        }
     }
     outln!("{BELIEF_NOTE}")
 }
@@ -196,7 +202,7 @@ pub(super) fn belief_columns() -> [BeliefColumn; 6] {
 }
 
 /// Prints ratio and QoS met of every policy, then their sum rates, in closed loop the time in outage,
-/// and the paired differences: one line for each point.
+/// the paired differences, and in closed loop the quality of the beliefs: one line for each point.
 pub fn print_sweep(grid: &Grid, reports: &[Report]) -> io::Result<()> {
     let Some(first) = reports.first() else { return Ok(()) };
     let states = states_and_seeds(first);
@@ -223,6 +229,7 @@ pub fn print_sweep(grid: &Grid, reports: &[Report]) -> io::Result<()> {
     }
     note_on_episodes(reports, true)?;
     note_on_ratios(reports)?;
+    print_beliefs(Some(grid), reports)?;
     print_conditions(reports)
 }
 
@@ -237,21 +244,23 @@ fn print_columns(grid: &Grid, reports: &[Report], cell: impl Fn(&Report, &Row) -
         }
     }
     let header: Vec<String> = names.iter().map(|name| format!("{name:>0$}", width(name))).collect();
-    let key_widths: Vec<usize> = grid.sweeps().iter().map(key_width).collect();
-    let keys: Vec<String> =
-        grid.keys().zip(key_widths.iter().copied()).map(|(key, width)| format!("{key:>width$}")).collect();
-    outln!("{} {:>8} {}", keys.join(" "), ORACLE, header.join(" "))?;
+    outln!("{} {:>8} {}", key_cells(grid, grid.keys()), ORACLE, header.join(" "))?;
     for (point, report) in grid.points().iter().zip(reports) {
         let cells = names.iter().map(|name| {
             let row = report.policies.iter().find(|(of, _)| of == name);
             format!("{:>1$}", row.map_or("-".into(), |(_, row)| cell(report, row).1), width(name))
         });
-        let values: Vec<String> =
-            point.iter().zip(key_widths.iter().copied()).map(|(value, width)| format!("{value:>width$}")).collect();
+        let values = key_cells(grid, point.iter().copied());
         let oracle = cell(report, &report.oracle).0;
-        outln!("{} {oracle:>8} {}", values.join(" "), cells.collect::<Vec<_>>().join(" "))?;
+        outln!("{values} {oracle:>8} {}", cells.collect::<Vec<_>>().join(" "))?;
     }
     Ok(())
+}
+
+/// The columns of the keys of a sweep, with these texts.
+fn key_cells<'a>(grid: &Grid, texts: impl Iterator<Item = &'a str>) -> String {
+    let cells = grid.sweeps().iter().zip(texts).map(|(sweep, text)| format!("{text:>0$}", key_width(sweep)));
+    cells.collect::<Vec<_>>().join(" ")
 }
 
 /// Width of the column of a key.
@@ -346,7 +355,7 @@ fn crossing(reports: &[Report], is_sweep: bool) -> Option<String> {
     };
     let marked = reports.iter().any(|report| {
         rows(report).any(|(name, row)| is_marked(name, row, is_sweep))
-            || !is_sweep && report.beliefs.iter().any(|(_, quality)| of_belief(quality))
+            || report.beliefs.iter().any(|(_, quality)| of_belief(quality))
     });
     marked.then(|| {
         format!(

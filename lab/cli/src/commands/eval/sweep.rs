@@ -3,6 +3,8 @@
 
 use std::str::FromStr;
 
+use heliostat_scenario::Scenario;
+
 /// Largest number of values: each is a comparison of its own.
 const VALUES_MAX: usize = 1000;
 
@@ -50,7 +52,11 @@ impl<'a> Grid<'a> {
     pub fn new(sweeps: &'a [Sweep]) -> Result<Option<Self>, String> {
         let Some((first, others)) = sweeps.split_first() else { return Ok(None) };
         if others.len() > 1 {
-            return Err(format!("--sweep is given {} times: expected at most two keys", sweeps.len()));
+            return Err(format!(
+                "--sweep is given {} times: expected at most two keys; run the command for each value of the others, \
+                 with --set",
+                sweeps.len()
+            ));
         }
         if others.iter().any(|other| other.key == first.key) {
             return Err(format!(
@@ -98,6 +104,21 @@ impl<'a> Grid<'a> {
             let overrides = overrides.collect();
             Change { overrides, without_mirrors }
         })
+    }
+
+    /// Refuses a term of the noise in a room whose noise is given as a sum, before the work starts.
+    ///
+    /// # Errors
+    /// The key, why it has no effect, and what to do.
+    pub fn check_noise(&self, room: &Scenario) -> Result<(), String> {
+        let is_term = |key: &&str| key.strip_prefix("noise.").is_some_and(|term| term != "variance_a2");
+        match self.keys().find(is_term).filter(|_| room.noise.variance_a2.is_some()) {
+            None => Ok(()),
+            Some(key) => Err(format!(
+                "--sweep {key}: no effect, because noise.variance_a2 replaces the sum of the terms: sweep \
+                 noise.variance_a2 without {key}, or give a scenario file without noise.variance_a2"
+            )),
+        }
     }
 
     /// The keys whose values change nothing: points that differ in such a key alone have equal `figures`, which
@@ -173,6 +194,8 @@ fn listed(text: &str) -> Vec<String> {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
+
     use super::*;
 
     #[test]
@@ -205,6 +228,34 @@ mod tests {
         let single = sweeps(&["users.count=3"]);
         let grid = Grid::new(&single).expect("a key").expect("a sweep");
         assert_eq!(grid.without_effect(&[5]), [""; 0], "one value shows nothing");
+    }
+
+    #[test]
+    fn two_keys_of_the_noise_are_swept_together_unless_one_replaces_the_other() {
+        let hall = Scenario::builtin("hall").expect("a built-in one");
+        let checked = |texts: &[&str]| {
+            let two = sweeps(texts);
+            let grid = Grid::new(&two).expect("two keys").expect("a sweep");
+            let room = |change: Change| hall.with_overrides(&change.overrides).expect("a valid point");
+            let rooms: Vec<Scenario> = grid.changes().map(room).collect();
+            let each: BTreeSet<String> = rooms.iter().map(Scenario::to_toml).collect();
+            assert_eq!(each.len(), 4, "each point is a room of its own: {texts:?}");
+            grid.check_noise(&rooms[0])
+        };
+        for texts in [
+            ["streams.positions.noise_m=0,0.05", "streams.channel.noise_relative=0,0.1"],
+            ["streams.positions.noise_m=0,0.05", "streams.positions.velocity_noise_m_s=0,0.1"],
+            ["noise.background_shot_a2_per_hz=1e-22,2e-22", "noise.thermal_a2_per_hz=1e-24,2e-24"],
+            ["noise.variance_a2=2e-15,6.5e-15", "streams.positions.noise_m=0,0.05"],
+        ] {
+            assert_eq!(checked(&texts), Ok(()));
+        }
+        let refusal = checked(&["noise.variance_a2=2e-15,6.5e-15", "noise.thermal_a2_per_hz=1e-24,2e-24"]);
+        let refusal = refusal.expect_err("the sum replaces its terms");
+        assert!(
+            refusal.starts_with("--sweep noise.thermal_a2_per_hz: no effect, because noise.variance_a2"),
+            "{refusal}"
+        );
     }
 
     #[test]

@@ -30,7 +30,7 @@ use heliostat_service::whole_file;
 pub struct ExportArgs {
     /// The recording (MCAP)
     recording: PathBuf,
-    /// The recorded walk to write (CSV)
+    /// The recorded walk to write (CSV); an existing file is not overwritten
     #[arg(long, value_name = "FILE.csv")]
     out: PathBuf,
     /// Print the report as one JSON object
@@ -52,7 +52,7 @@ struct Recorded {
 pub fn run(args: &ExportArgs) -> Result<()> {
     let unusable = || UnusableInput::new(format!("{} cannot be exported", args.recording.display()));
     whole_file::check_distinct([("the recording", Some(&args.recording)), ("--out", Some(&args.out))])?;
-    whole_file::check_writable(&args.out)?;
+    whole_file::check_new(&args.out)?;
     let recorded = file::open(&args.recording).map_err(Into::into).and_then(users).with_context(unusable)?;
     write_trace(&recorded.users, &recorded.floor, &args.out)?;
     print(args, &recorded)

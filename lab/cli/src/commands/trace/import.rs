@@ -49,7 +49,7 @@ pub struct ImportArgs {
     /// Override a key of the scenario, for example --set room.length_x_m=8 (repeatable)
     #[arg(long = "set", value_name = "TABLE.KEY=VALUE")]
     overrides: Vec<String>,
-    /// The recorded walk to write (CSV)
+    /// The recorded walk to write (CSV); an existing file is not overwritten
     #[arg(long, value_name = "FILE.csv")]
     out: PathBuf,
     #[command(flatten)]
@@ -167,7 +167,7 @@ pub fn run(args: &ImportArgs) -> Result<()> {
     let scenario = scenario(args)?;
     let floor = Floor { length_x_m: scenario.room.length_x_m, length_y_m: scenario.room.length_y_m };
     whole_file::check_distinct([("the data set", Some(&args.file)), ("--out", Some(&args.out))])?;
-    whole_file::check_writable(&args.out)?;
+    whole_file::check_new(&args.out)?;
     let collected = collect(args).with_context(unusable)?;
     let choice = choice(args, &scenario);
     let warnings = warnings(&collected);

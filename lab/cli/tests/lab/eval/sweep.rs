@@ -128,6 +128,12 @@ fn two_keys_give_each_combination_with_its_outage_and_a_room_without_mirrors() {
     assert!(text.contains("outage: share of the users' time"), "{text}");
     assert!(text.contains("2 episodes: 1 for each of 2 seeds from"), "{text}");
     assert!(text.contains("difference to greedy, paired: outage"), "{text}");
+    let beliefs = text.split("belief about the users").nth(1).expect("the table of the beliefs");
+    // No policy observes users in a room without mirrors.
+    let points: Vec<Vec<&str>> = beliefs.lines().map(|line| line.split_whitespace().take(3).collect()).collect();
+    for point in [["3", "0", "filter"], ["3", "2", "filter"]] {
+        assert!(points.iter().any(|found| found[..] == point), "{point:?}: {text}");
+    }
     let message = refusal(&[&flags[..], &["--sweep", "seed=1,2"]].concat());
     assert!(message.contains("at most two keys"), "{message}");
 }
@@ -173,7 +179,7 @@ fn flags_that_contradict_each_other_are_refused_with_point_and_reason() {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("figures.csv");
     let file = file.to_str().expect("a plain path");
-    let cases: [(&[&str], &[&str]); 9] = [
+    let cases: [(&[&str], &[&str]); 10] = [
         (&["--set", "mirrors.rows=0"], &["mirrors.rows = 0", "no-irs", "--sweep mirrors.rows=0"]),
         (
             &["--sweep", "users.count=1..5", "--blocked", "3"],
@@ -182,6 +188,10 @@ fn flags_that_contradict_each_other_are_refused_with_point_and_reason() {
         (&["--sweep", "users.count=1,1"], &["users.count = 1 is given twice"]),
         (&["--sweep", "users.count=1,2", "--set", "users.count=4"], &["--set fixes users.count"]),
         (&["--sweep", "blockage.forced_users=1,2", "--blocked", "2"], &["--blocked fixes blockage.forced_users"]),
+        (
+            &["--scenario", "paper", "--sweep", "noise.thermal_a2_per_hz=1e-24,2e-24"],
+            &["--sweep noise.thermal_a2_per_hz: no effect", "noise.variance_a2 replaces the sum", "a scenario file"],
+        ),
         (&["--closed-loop", "--beliefs", "filter,filter"], &["--beliefs names filter twice"]),
         (&["--csv-episodes", "-"], &["cannot write -: expected a file"]),
         (&["--csv", file, "--csv-episodes", file], &["--csv and --csv-episodes name one file"]),

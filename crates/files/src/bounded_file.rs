@@ -5,6 +5,7 @@ use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
 
+use crate::excerpt::CARRIAGE_RETURNS;
 use crate::foreign_file::foreign_file;
 
 /// Longest text in bytes: a recorded walk of some 2 million samples.
@@ -46,8 +47,7 @@ pub fn read_text(path: &Path) -> io::Result<String> {
     let text =
         String::from_utf8(bytes).map_err(|error| not_utf8(error.as_bytes(), error.utf8_error().valid_up_to()))?;
     if text.contains('\r') && !text.contains('\n') {
-        let message = "its line ends are a single CR (old Mac): expected LF or CRLF; save it again with one of these";
-        return Err(io::Error::new(io::ErrorKind::InvalidData, message));
+        return Err(io::Error::new(io::ErrorKind::InvalidData, CARRIAGE_RETURNS));
     }
     Ok(text.strip_prefix('\u{feff}').map(str::to_owned).unwrap_or(text))
 }
@@ -89,7 +89,7 @@ mod tests {
     #[test]
     fn a_text_whose_lines_end_with_cr_alone_is_refused_with_the_line_ends_to_use() {
         let message = read(b"[users]\rcount = 2\r").expect_err("refused").to_string();
-        assert!(message.starts_with("its line ends are a single CR (old Mac): expected LF or CRLF"), "{message}");
+        assert_eq!(message, CARRIAGE_RETURNS);
         for text in ["[users]\r\ncount = 2\r\n", "[users]\ncount = 2\n", "seed = 2"] {
             assert_eq!(read(text.as_bytes()).expect("a text"), text);
         }

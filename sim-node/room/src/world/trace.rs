@@ -13,7 +13,7 @@
 
 use std::f64::consts::{PI, TAU};
 
-use heliostat_files::{CARRIAGE_RETURNS, excerpt};
+use heliostat_files::excerpt;
 use heliostat_scenario::WALKING_M_S;
 use thiserror::Error;
 
@@ -33,12 +33,6 @@ pub enum TraceError {
         line: usize,
         /// The beginning of the line.
         found: String,
-    },
-    /// The lines end with a carriage return alone.
-    #[error("line {line}: {CARRIAGE_RETURNS}")]
-    CarriageReturns {
-        /// Line number, from 1, by line feeds.
-        line: usize,
     },
     /// A line has another number of columns than the header.
     #[error("line {line}: number of columns {found}: expected {expected}, as in the header")]
@@ -280,10 +274,6 @@ fn read(text: &str, users: usize, floor: &Floor, report: &mut dyn FnMut(TraceErr
         report(TraceError::Empty);
         return samples;
     };
-    if row.contains('\r') {
-        report(TraceError::CarriageReturns { line });
-        return samples;
-    }
     let names: Vec<&str> = row.split(',').map(str::trim).collect();
     let is_header = names == COLUMNS || names == COLUMNS[..columns];
     if is_header {

@@ -225,7 +225,7 @@ def test_a_record_is_of_one_process_until_it_ends(tmp_path: Path) -> None:
     record = str(tmp_path / "lab.stop.toml")
     with StopFile(tmp_path, pytest.fail) as first:
         assert first.open("lab.stop.toml") == record
-        with StopFile(tmp_path, pytest.fail) as second, pytest.raises(PeerError, match="another process uses the record"):
+        with StopFile(tmp_path, pytest.fail) as second, pytest.raises(PeerError, match="uses the record"):
             second.open("lab.stop.toml")
         with StopFile(tmp_path, pytest.fail) as other:
             other.open("lab.mirrors-1.stop.toml")

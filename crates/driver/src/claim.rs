@@ -40,8 +40,8 @@ impl Claim {
         let mut watches = Vec::new();
         for pattern in &patterns {
             let watched = Arc::clone(&others);
-            let note = move |token: &str, presence| {
-                lock(&watched).note(token, matches!(presence, Presence::Alive), monotonic_ns());
+            let note = move |token: &str, presence: Presence| {
+                lock(&watched).note(token, presence == Presence::Alive, monotonic_ns());
             };
             watches.push(bus.watch(pattern, note)?);
         }

@@ -230,8 +230,9 @@ impl NodeStatus {
     /// Name of the counter that is 1 while an array does not fit the scenario of a controller.
     pub const ARRAY_UNFIT: &'static str = "array_unfit";
 
-    /// Name of the counter of other simulators that are in the room of a simulator at present.
-    pub const OTHER_SIMULATORS: &'static str = "other_simulators";
+    /// Name of the counter of other processes with mirrors, simulators and drivers, that are in the room of a simulator
+    /// at present.
+    pub const OTHER_PROCESSES: &'static str = "other_processes";
 
     /// Beginning of the name of the counter that names the host of a controller.
     pub const HOST: &'static str = "host:";

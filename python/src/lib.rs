@@ -12,6 +12,7 @@ mod channel;
 mod commander;
 mod error;
 mod exclusive;
+mod others;
 mod policy;
 mod recording;
 mod scenario;
@@ -33,6 +34,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<channel::Channel>()?;
     module.add_class::<policy::Policy>()?;
     module.add_class::<station::Station>()?;
+    module.add_class::<others::Others>()?;
     module.add_class::<commander::Commander>()?;
     module.add_class::<recording::Recording>()?;
     module.add_function(wrap_pyfunction!(actor::check_input, module)?)?;
@@ -60,6 +62,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(station::stop_record_folder, module)?)?;
     module.add_function(wrap_pyfunction!(station::check_capabilities, module)?)?;
     module.add("Refused", module.py().get_type::<wire::Refused>())?;
+    module.add("RoomTaken", module.py().get_type::<others::RoomTaken>())?;
     module.add("INSTANTS", heliostat_environment::episodes::INSTANTS)?;
     module.add("BELIEF_COLUMNS", heliostat_environment::believed::COLUMNS.to_vec())?;
     module.add("BUILTIN_SCENARIOS", heliostat_scenario::BUILTIN_NAMES.to_vec())?;

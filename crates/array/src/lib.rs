@@ -14,6 +14,7 @@
 //! - [`kit`]: device, rules and correction together, with telemetry and reconnection.
 //! - [`station`]: kit, record of the stop and reports of a driver process, without its transport;
 //!   [`stop_record`]: the record of the emergency stop.
+//! - [`others`]: other processes with the same mirrors, and which of them has to end.
 //! - [`content`]: the messages that arrive; [`arrivals`]: their queue; [`refusal_counts`]: counts of
 //!   refusals.
 //! - [`moment`]: the two times of a room.
@@ -28,6 +29,7 @@ mod follow_check;
 pub mod kit;
 pub mod latch;
 pub mod moment;
+pub mod others;
 pub mod refusal;
 pub mod refusal_counts;
 pub mod rules;

@@ -5,10 +5,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use heliostat_array::content::Content;
+use heliostat_array::others::RoomTaken;
 use heliostat_bus::{Bus, BusError, Class, Publisher, Service, Subscription};
-use heliostat_proto::{
-    Capabilities, CodecError, Message, MirrorTelemetry, NodeKind, SafetyReport, StopReport, decode, encode,
-};
+use heliostat_proto::{Capabilities, CodecError, Message, MirrorTelemetry, SafetyReport, StopReport, decode, encode};
 use thiserror::Error;
 
 use crate::clock::Clock;
@@ -26,16 +25,9 @@ pub enum SessionError {
     /// An outgoing message violates the contract.
     #[error("a message cannot be published")]
     Codec(#[from] CodecError),
-    /// Another process controls the mirrors of this room, or those of the same array.
-    #[error("another {other} is in room \"{room}\" ({token}): stop it, or choose another room with --room")]
-    RoomTaken {
-        /// Name of the room.
-        room: String,
-        /// The kind of the other process.
-        other: NodeKind,
-        /// Its liveliness token.
-        token: String,
-    },
+    /// Another process controls the mirrors.
+    #[error(transparent)]
+    RoomTaken(#[from] RoomTaken),
 }
 
 /// A publisher of messages, with its buffer.

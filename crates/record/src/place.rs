@@ -1,7 +1,10 @@
 //! The place of a recording: whether its path still leads to the file that is being written.
 
+use std::fs;
 use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
+
+use heliostat_service::file_id::{FileId, file_id};
 
 use crate::file::RecordingError;
 
@@ -12,14 +15,6 @@ pub(crate) struct Place {
     /// Unknown where the path could not be read.
     file: Option<FileId>,
 }
-
-/// Device and number of a file.
-#[cfg(unix)]
-type FileId = (u64, u64);
-
-/// That there is a file: the standard library tells nothing more of it.
-#[cfg(not(unix))]
-type FileId = ();
 
 impl Place {
     /// The place of a file that was just created.
@@ -48,22 +43,12 @@ impl Place {
     }
 }
 
-#[cfg(unix)]
 fn identify(path: &Path) -> io::Result<FileId> {
-    use std::os::unix::fs::MetadataExt;
-    let found = std::fs::metadata(path)?;
-    Ok((found.dev(), found.ino()))
-}
-
-#[cfg(not(unix))]
-fn identify(path: &Path) -> io::Result<FileId> {
-    std::fs::metadata(path).map(drop)
+    fs::metadata(path).map(|found| file_id(&found))
 }
 
 #[cfg(test)]
 mod tests {
-    use std::fs;
-
     use super::*;
 
     #[test]

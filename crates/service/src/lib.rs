@@ -9,6 +9,7 @@
 //! - [`log_limit`]: bounds the lines of a lasting problem.
 //! - [`output`]: text for a user on standard output and standard error.
 //! - [`whole_file`]: files that are complete, or not there.
+//! - [`file_id`]: whether a path still leads to the same file.
 //! - [`printable`]: text from messages and files, made safe for a terminal.
 //! - [`process`]: memory, files and threads of this process, and the name of its machine.
 //! - [`page`]: counters, gauges and histograms of one moment, in the OpenMetrics text format.
@@ -23,6 +24,7 @@ pub mod counted;
 pub mod duration;
 pub mod exit;
 pub mod exporter;
+pub mod file_id;
 pub mod http;
 pub mod log_limit;
 pub mod logging;

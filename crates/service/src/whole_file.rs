@@ -8,6 +8,7 @@ use anyhow::{Context, Result, bail, ensure};
 use thiserror::Error;
 
 use crate::exit::UnusableInput;
+use crate::file_id::file_id;
 use crate::output::note;
 
 /// ENOLCK and EOPNOTSUPP of Linux, else of macOS and BSD: the first one, as of NFS without its daemon for locks, has
@@ -136,17 +137,9 @@ pub fn hold(file: &Path) -> Result<Held> {
 }
 
 /// Whether a path still names an open file.
-#[cfg(unix)]
 fn is_named(open: &File, path: &Path) -> bool {
-    use std::os::unix::fs::MetadataExt;
-    let identity = |found: io::Result<fs::Metadata>| found.ok().map(|found| (found.dev(), found.ino()));
-    identity(open.metadata()) == identity(fs::metadata(path))
-}
-
-/// Whether a path still names an open file: Windows gives no name away while the file is open.
-#[cfg(not(unix))]
-fn is_named(_open: &File, _path: &Path) -> bool {
-    true
+    let id = |found: io::Result<fs::Metadata>| found.ok().map(|found| file_id(&found));
+    id(open.metadata()) == id(fs::metadata(path))
 }
 
 /// Why there is no lock, where the file system has none; `None` with a lock.

@@ -20,7 +20,7 @@ const LASTING: [&str; 6] = [
     "driver_absent",
     "device_absent",
     NodeStatus::STOP_UNRECORDED,
-    NodeStatus::OTHER_SIMULATORS,
+    NodeStatus::OTHER_PROCESSES,
 ];
 
 /// The counters of commands of a former leader and to a stopped array: problems only where they rise in two statuses in
@@ -263,17 +263,17 @@ mod tests {
     }
 
     #[test]
-    fn another_simulator_is_a_problem_as_long_as_it_is_in_the_room() {
+    fn another_process_with_mirrors_is_a_problem_as_long_as_it_is_in_the_room() {
         let (mut problems, node) = (Problems::default(), NodeKind::SimNode.name());
         let mut shown = |others| {
-            let counters = [(NodeStatus::OTHER_SIMULATORS, others), ("refused:another-simulator", 1)];
-            let status = status("another simulator is in the room", &counters);
+            let counters = [(NodeStatus::OTHER_PROCESSES, others), ("refused:another-process", 1)];
+            let status = status("another simulator has joined the room", &counters);
             problems.take(node, &NodeStatus { node: NodeKind::SimNode, ..status });
             let shown = problems.current(node, 7).to_owned();
             age(&mut problems, CURRENT);
             shown
         };
-        let text = "another simulator is in the room";
+        let text = "another simulator has joined the room";
         assert_eq!([shown(1), shown(1), shown(0), shown(0)], [text, text, "", ""]);
     }
 

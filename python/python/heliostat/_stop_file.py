@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -14,15 +15,20 @@ from .peer import PeerError
 if sys.platform != "win32":
     import fcntl
 
+_LOCK_TRIES = 100
+"""Attempts to lock a file whose holders end meanwhile; bounded: some file systems change the numbers of files."""
+
 
 class StopFile:
     """The record of the emergency stop in a folder; `heliostat driver run` uses the same file.
 
-    It is a context manager: within the block, a lock keeps the file from other processes.
+    It is a context manager: within the block, a lock keeps the file from other processes. `show` takes the reason where
+    the folder takes no lock.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, show: Callable[[str], None]) -> None:
         self.folder = folder
+        self._show = show
         self._path = folder
         self._is_locked = False
         self._lock: int | None = None
@@ -36,8 +42,8 @@ class StopFile:
     ) -> None:
         self._is_locked = False
         if self._lock is not None:
-            with suppress(OSError):
-                if _is_named(self._lock, _lock_path(self._path)):
+            if _is_named(self._lock, _lock_path(self._path)):
+                with suppress(OSError):
                     _lock_path(self._path).unlink()
             os.close(self._lock)
             self._lock = None
@@ -49,7 +55,7 @@ class StopFile:
         """
         self._path = self.folder / name
         if self._is_locked:
-            self._lock = _lock(self._path)
+            self._lock = self._take_lock()
         return str(self._path)
 
     def read(self) -> str | None:
@@ -83,6 +89,29 @@ class StopFile:
         with self._path.open("w") as file:
             os.fsync(file.fileno())
 
+    def _take_lock(self) -> int | None:
+        """An open file with a lock; `None` where the folder takes no lock."""
+        if sys.platform == "win32":
+            return None
+        path = _lock_path(self._path)
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            for _ in range(_LOCK_TRIES):
+                lock = _locked(path)
+                if _is_named(lock, path):
+                    return lock
+                os.close(lock)
+            return _locked(path)
+        except BlockingIOError as problem:
+            raise PeerError(
+                f"another process uses the record of the emergency stop in {self._path}: stop that process, or choose "
+                "another folder with --state DIR"
+            ) from problem
+        except OSError as problem:
+            # The array starts stopped if the record cannot be written either.
+            self._show(f"no lock keeps other processes from the record of the emergency stop: {problem}")
+            return None
+
 
 def _lock_path(record: Path) -> Path:
     return record.with_name(f"{record.name}.lock")
@@ -92,31 +121,16 @@ def _is_named(lock: int, path: Path) -> bool:
     """Whether the path still names the open file: a process that ended meanwhile may have removed it."""
     try:
         return os.path.samestat(os.fstat(lock), path.stat())
-    except FileNotFoundError:
+    except OSError:
         return False
 
 
-def _lock(record: Path) -> int | None:
-    """An open file with a lock, which ends with the process; `None` where the folder takes no lock."""
-    if sys.platform == "win32":
-        return None
+def _locked(path: Path) -> int:
+    """The open file of a lock, which ends with the process."""
+    lock = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
     try:
-        record.parent.mkdir(parents=True, exist_ok=True)
-        while True:
-            lock = os.open(_lock_path(record), os.O_RDWR | os.O_CREAT, 0o666)
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
-                os.close(lock)
-                raise
-            if _is_named(lock, _lock_path(record)):
-                return lock
-            os.close(lock)
-    except BlockingIOError as problem:
-        raise PeerError(
-            f"another process uses the record of the emergency stop in {record}: stop that process, or choose another "
-            "folder with --state DIR"
-        ) from problem
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
-        # The array starts stopped if the record cannot be written either.
-        return None
+        os.close(lock)
+        raise
+    return lock

@@ -306,7 +306,7 @@ def run(
             watched,
             device.capabilities.message(),
             device.capabilities.travel_rad,
-            ending.enter_context(StopFile(state or _state_folder())),
+            ending.enter_context(StopFile(state or _state_folder(), log.show)),
             room=peer.room,
             array=array,
             source=peer.source,

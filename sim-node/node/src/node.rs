@@ -244,7 +244,7 @@ impl Node {
             ("unattended_ticks", summary.unattended_ticks),
             ("clipped_commands", summary.clipped_commands),
             ("orders", self.orders),
-            (NodeStatus::OTHER_SIMULATORS, self.session.others().len() as u64),
+            (NodeStatus::OTHER_PROCESSES, self.session.others().len() as u64),
             (NodeStatus::STOP_UNRECORDED, self.arrays.iter().filter_map(ArrayNode::record_problem).count() as u64),
         ];
         let turnover = summary.turnover.map(|turnover| {
@@ -286,7 +286,7 @@ impl Node {
         }
     }
 
-    /// A stop that cannot be recorded, another simulator that is in the room, or the last refusal.
+    /// A stop that cannot be recorded, another process with mirrors that is in the room, or the last refusal.
     fn last_problem(&self) -> Cow<'_, str> {
         let record = || self.arrays.iter().find_map(ArrayNode::record_problem).map(Cow::Borrowed);
         let other = || self.session.others().into_iter().next().map(Cow::Owned);

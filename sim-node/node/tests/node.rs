@@ -257,7 +257,8 @@ fn a_second_simulator_in_the_room_is_refused_by_name() {
         refusal.is_some()
     });
     let error = refusal.unwrap();
-    assert!(matches!(error, NodeError::Session(SessionError::RoomTaken { other: NodeKind::SimNode, .. })), "{error}");
+    let is_taken = matches!(&error, NodeError::Session(SessionError::RoomTaken(by)) if by.other == NodeKind::SimNode);
+    assert!(is_taken, "{error}");
     assert!(run(&second("free")).is_ok(), "another room is another matter");
     let (report, _report) = latest::<UserReport>(&bus, &bus.room().users());
     let tick = || report.lock().unwrap().as_ref().map_or(0, |report| report.tick);
@@ -301,23 +302,26 @@ fn a_calibration_is_in_use_from_the_start_or_refused_by_name() {
 }
 
 #[test]
-fn another_simulator_is_the_problem_of_the_status_as_long_as_it_is_in_the_room() {
+fn another_process_with_mirrors_is_the_problem_of_the_status_as_long_as_it_is_in_the_room() {
     let endpoint = free_loopback_endpoint().unwrap();
     let (run, stop) = start(settings("rivals", &endpoint, live(LONGEST_MS)));
     let bus = Bus::open(&BusConfig::new(Room::new("rivals").unwrap()).connect_to(&endpoint)).unwrap();
     wait_for_simulator(&bus);
     let (status, _status) = latest::<NodeStatus>(&bus, &bus.room().status(NodeKind::SimNode));
     let counted = |expected: u64| {
-        let entry = (NodeStatus::OTHER_SIMULATORS.to_owned(), expected);
+        let entry = (NodeStatus::OTHER_PROCESSES.to_owned(), expected);
         status.lock().unwrap().as_ref().filter(|status| status.counters.contains(&entry)).cloned()
     };
-    wait_until("a status without another simulator", || counted(0).is_some());
-    let other = bus.announce(&bus.room().alive(NodeKind::SimNode, u64::MAX)).unwrap();
-    wait_until("a status that counts the other simulator", || counted(1).is_some());
-    let problem = counted(1).unwrap().last_problem;
-    assert!(problem.starts_with("another simulator has joined the room"), "{problem}");
-    drop(other);
-    wait_until("a status without it", || counted(0).is_some());
+    wait_until("a status without another process", || counted(0).is_some());
+    let tokens = [bus.room().alive(NodeKind::SimNode, u64::MAX), bus.room().array(0).driver_alive(u64::MAX)];
+    for (token, name) in tokens.iter().zip(["simulator", "driver"]) {
+        let other = bus.announce(token).unwrap();
+        wait_until("a status that counts the other process", || counted(1).is_some());
+        let problem = counted(1).unwrap().last_problem;
+        assert!(problem.starts_with(&format!("another {name} has joined the room")), "{problem}");
+        drop(other);
+        wait_until("a status without it", || counted(0).is_some());
+    }
     stop.request();
     run.join().unwrap().unwrap();
 }

@@ -69,7 +69,7 @@ fn a_second_simulator_in_the_room_is_refused() {
     wait_until("the first simulator", || observer.users().is_some());
     let elsewhere = private_endpoint().expect("an endpoint");
     let second = Process::heliostat(&["sim-node", "--listen", &elsewhere, "--connect", &setting.room_endpoint]).wait();
-    assert!(second.refusal().contains("another sim-node is in room \"demo\""), "{}", second.errors);
+    assert!(second.refusal().contains("another simulator is in room \"demo\""), "{}", second.errors);
 }
 
 #[test]

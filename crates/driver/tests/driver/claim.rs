@@ -28,11 +28,11 @@ fn until(what: &str, mut is_so: impl FnMut() -> bool) {
     }
 }
 
-#[test]
-fn of_two_claims_that_begin_together_one_is_given_up() {
-    let endpoint = private_endpoint().unwrap();
-    let config = BusConfig::new(Room::new("claims").unwrap());
-    let buses = [config.clone().listen_at(&endpoint), config.connect_to(&endpoint)].map(|one| Bus::open(&one).unwrap());
+/// Whether each of two claims that begin together, of the sources 7 and 9, is given up; `None` where one took the
+/// other for late, as on a machine that stood still.
+fn given_up_claims(config: &BusConfig, endpoint: &str) -> Option<[bool; 2]> {
+    let configs = [config.clone().listen_at(endpoint), config.clone().connect_to(endpoint)];
+    let buses = configs.map(|one| Bus::open(&one).unwrap());
     assert!(buses.iter().all(|bus| bus.wait_connected(LIMIT)));
     let both = [(&buses[0], 7), (&buses[1], 9)];
     let mut claims = both.map(|(bus, source)| (Claim::begin(bus, 0..1, source).expect("no token yet"), false));
@@ -40,16 +40,23 @@ fn of_two_claims_that_begin_together_one_is_given_up() {
     for ((bus, source), (claim, is_given_up)) in both.into_iter().zip(&mut claims) {
         *is_given_up = claim.announce(bus, &bus.room().array(0).driver_alive(source)).is_err();
     }
+    let mut is_late = false;
     until("the end of one", || {
         for (claim, is_given_up) in &mut claims {
-            *is_given_up |= claim.check(|problem| panic!("{problem}")).is_err();
+            *is_given_up |= claim.check(|_| is_late = true).is_err();
         }
-        claims.iter().any(|(_, is_given_up)| *is_given_up)
+        is_late || claims.iter().any(|(_, is_given_up)| *is_given_up)
     });
-    let [(_, first), (_, second)] = claims;
-    assert!(!first && second, "the one with the higher source id is given up");
-    let refusal = Claim::begin(&buses[1], 0..1, 8).err().expect("the token of the first").to_string();
+    let refusal = Claim::begin(&buses[1], 0..1, 8).err().expect("the tokens of both").to_string();
     assert!(refusal.contains("another driver is in room \"claims\""), "{refusal}");
+    (!is_late).then(|| claims.map(|(_, is_given_up)| is_given_up))
+}
+
+#[test]
+fn of_two_claims_that_begin_together_the_one_with_the_higher_source_id_is_given_up() {
+    let config = BusConfig::new(Room::new("claims").unwrap());
+    let given_up = (0..10).find_map(|_| given_up_claims(&config, &private_endpoint().unwrap()));
+    assert_eq!(given_up, Some([false, true]));
 }
 
 /// Runs a driver and announces another one of the lowest source id after it; returns the driver's error, or `None`

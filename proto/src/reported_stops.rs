@@ -94,6 +94,8 @@ struct ReportedArray {
     /// The last stop report of each of its drivers: an array can have two by mistake.
     by_source: BTreeMap<u64, (Duration, StopReport)>,
     hold: StopHold,
+    /// The stops of this process that it has reported, the last of each sender.
+    reported: Vec<StopName>,
 }
 
 /// What the arrays of a room reported, and what is held for them.
@@ -104,6 +106,8 @@ pub struct ReportedStops {
     announced: usize,
     /// When each stop became known here.
     known: BTreeMap<StopName, Duration>,
+    /// The stops of this process, the last of each sender. An array that appears later never got them.
+    orders: Vec<EmergencyStop>,
 }
 
 impl ReportedArray {
@@ -302,9 +306,19 @@ impl ReportedStops {
         self.arrays.values().filter_map(|seen| seen.state.map(|(at, _)| at)).min()
     }
 
-    /// Holds a stop for every array.
+    /// Whether an array has reported a stop of this process, also where it has dropped it since.
+    pub fn has_reported(&self, array: usize, name: StopName) -> bool {
+        self.arrays.get(&array).is_some_and(|seen| {
+            seen.reported.iter().any(|reported| reported.replaces(name)) || seen.hold.has_released(name)
+        })
+    }
+
+    /// Holds a stop of this process for every array. While no geometry is announced, any number of arrays can appear
+    /// later: the stop is held for each of them too, also where the other arrays have released it.
     pub fn order(&mut self, now: Duration, order: &EmergencyStop) {
         self.known.entry(order.name()).or_insert(now);
+        self.orders.retain(|earlier| !order.name().replaces(earlier.name()));
+        self.orders.push(order.clone());
         for array in 0..self.expected() {
             self.arrays.entry(array).or_default().hold.order(order.stamp.time_ns, order);
         }
@@ -323,8 +337,9 @@ impl ReportedStops {
 
     /// The geometry of the room has so many arrays.
     pub fn announce(&mut self, now: Duration, arrays: usize) {
+        // The arrays of the first geometry had no number when a stop of this process was ordered.
+        self.add_arrays(arrays);
         self.announced = self.announced.max(arrays);
-        self.add_arrays(self.announced);
         self.note_names(now);
     }
 
@@ -364,12 +379,15 @@ impl ReportedStops {
         self.note_names(now);
     }
 
-    /// Adds arrays up to an index; stops that are held for another array are held for them too.
+    /// Adds arrays up to an index; stops that are held for another array are held for them too, and those of this
+    /// process unless every array of an announced geometry has dropped them.
     fn add_arrays(&mut self, count: usize) {
         let known: Vec<EmergencyStop> = self.stops().iter().map(ordered).collect();
+        let own: &[EmergencyStop] = if self.has_geometry() { &[] } else { &self.orders };
         for array in 0..count.min(MAX_ARRAYS) {
             if !self.arrays.contains_key(&array) {
                 let seen = self.arrays.entry(array).or_default();
+                own.iter().for_each(|order| seen.hold.order(order.stamp.time_ns, order));
                 known.iter().for_each(|order| seen.hold.order(0, order));
             }
         }
@@ -401,7 +419,16 @@ impl ReportedStops {
         counts
     }
 
+    /// Notes when stops became known, and which arrays have reported those of this process.
     fn note_names(&mut self, now: Duration) {
+        for seen in self.arrays.values_mut() {
+            for name in self.orders.iter().map(EmergencyStop::name) {
+                if seen.hold.has_reported(name) {
+                    seen.reported.retain(|reported| !name.replaces(*reported));
+                    seen.reported.push(name);
+                }
+            }
+        }
         let names: BTreeSet<StopName> =
             self.arrays.values().flat_map(|seen| seen.hold.stops().iter().map(|held| held.name)).collect();
         self.known.retain(|name, _| names.contains(name));

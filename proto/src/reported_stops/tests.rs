@@ -14,12 +14,64 @@ fn report(sequence: u64, device_stopped: bool) -> StopReport {
     }
 }
 
+fn order() -> EmergencyStop {
+    EmergencyStop { stamp: Stamp { source: 3, sequence: 4, time_ns: 0 }, ..EmergencyStop::default() }
+}
+
 fn ordered() -> ReportedStops {
-    let order = EmergencyStop { stamp: Stamp { source: 3, sequence: 4, time_ns: 0 }, ..EmergencyStop::default() };
     let mut stops = ReportedStops::default();
     stops.announce(NOW, 1);
-    stops.order(NOW, &order);
+    stops.order(NOW, &order());
     stops
+}
+
+/// Array 0 reports the stop of [`order`], and then that it is released.
+fn release(stops: &mut ReportedStops) {
+    stops.handle_stops(NOW, 0, report(1, true));
+    stops.handle_stops(NOW, 0, StopReport { stops: Vec::new(), ..report(2, false) });
+    assert_eq!(stops.stops(), []);
+}
+
+/// The arrays for which the stop of [`order`] is held, and due for repetition.
+fn due(stops: &ReportedStops) -> Vec<usize> {
+    let arrays: Vec<usize> = stops.unreported(NOW).into_iter().map(|(array, ..)| array).collect();
+    assert_eq!(arrays, stops.stops().first().map_or_else(Vec::new, |stop| stop.arrays.clone()));
+    arrays
+}
+
+#[test]
+fn a_stop_of_this_process_is_held_for_an_array_that_appears_after_its_release_at_another_one() {
+    let mut stops = ReportedStops::default();
+    stops.handle_telemetry(NOW, 0, &MirrorTelemetry::default());
+    stops.order(NOW, &order());
+    release(&mut stops);
+    let mut with_geometry = stops.clone();
+    stops.handle_driver(NOW, 1);
+    assert_eq!(due(&stops), [1], "the array that has released the stop stays released");
+    with_geometry.announce(NOW, 3);
+    assert_eq!(due(&with_geometry), [1, 2]);
+    let name = order().name();
+    assert_eq!([0, 1, 2].map(|array| stops.has_reported(array, name)), [true, false, false]);
+    let released = StopReport { stops: Vec::new(), released: vec![name], ..report(1, false) };
+    stops.handle_stops(NOW, 1, released);
+    assert!(due(&stops).is_empty() && stops.has_reported(1, name), "it had the stop before it appeared here");
+}
+
+#[test]
+fn a_stop_of_this_process_is_held_for_the_first_array_that_appears() {
+    let mut stops = ReportedStops::default();
+    stops.order(NOW, &order());
+    assert!(stops.is_empty() && stops.stops().is_empty());
+    stops.handle_telemetry(NOW, 0, &MirrorTelemetry::default());
+    assert_eq!(due(&stops), [0]);
+}
+
+#[test]
+fn a_stop_that_every_array_of_the_geometry_has_dropped_is_not_held_for_the_arrays_of_a_larger_one() {
+    let mut stops = ordered();
+    release(&mut stops);
+    stops.announce(NOW, 2);
+    assert_eq!(due(&stops), [0; 0]);
 }
 
 #[test]

@@ -72,13 +72,8 @@ pub struct RoomStop {
     pub arrays: Vec<usize>,
     /// When this process learned of it.
     pub known: Duration,
-}
-
-impl RoomStop {
     /// Whether it stands for stops that an array could not list: their holders repeat them after its release.
-    pub fn stands_for_unlisted(&self) -> bool {
-        self.name == StopName::default() && self.reason.contains(UNLISTED_STOPS)
-    }
+    pub stands_for_unlisted: bool,
 }
 
 /// What an array reported last, with arrival times.
@@ -91,6 +86,8 @@ struct ReportedArray {
     device_stopped: Option<(Duration, u64)>,
     has_safety: bool,
     stops: Option<(Duration, StopReport)>,
+    /// Whether its stop without sender has stood for others since it reported that stop first.
+    had_unlisted: bool,
     /// The last stop report of each of its drivers: an array can have two by mistake.
     by_source: BTreeMap<u64, (Duration, StopReport)>,
     hold: StopHold,
@@ -151,6 +148,12 @@ impl ReportedArray {
         self.state.is_none_or(|(at, _)| now.saturating_sub(at) >= TELEMETRY_AGE_MAX)
     }
 
+    /// Whether a stop of this name, which is held for it, stands for stops that it could not list. Its reason states it
+    /// also to a process that has seen no full list of the array.
+    fn stands_for_unlisted(&self, HeldStop { name, reason, .. }: &HeldStop) -> bool {
+        *name == StopName::default() && (self.had_unlisted || reason.contains(UNLISTED_STOPS))
+    }
+
     /// Whether its driver is present and has published no stop reports.
     fn lacks_stop_reports(&self, now: Duration) -> bool {
         !self.is_silent(now) && !self.hold.has_stop_reports()
@@ -203,10 +206,13 @@ impl ReportedStops {
     pub fn stops(&self) -> Vec<RoomStop> {
         let mut stops: Vec<RoomStop> = Vec::new();
         for (array, seen) in &self.arrays {
-            for HeldStop { name, operator, reason, .. } in seen.hold.stops() {
+            for held in seen.hold.stops() {
+                let HeldStop { name, operator, reason, .. } = held;
+                let stands_for_unlisted = seen.stands_for_unlisted(held);
                 match stops.iter_mut().find(|stop| stop.name == *name) {
                     Some(stop) => {
                         stop.arrays.push(*array);
+                        stop.stands_for_unlisted |= stands_for_unlisted;
                         // Each process that started stopped has its own reason.
                         if *name == StopName::default() && !stop.reason.contains(reason.as_str()) {
                             stop.reason = format!("{}; {reason}", stop.reason);
@@ -218,6 +224,7 @@ impl ReportedStops {
                         reason: reason.clone(),
                         arrays: vec![*array],
                         known: self.known.get(name).copied().unwrap_or_default(),
+                        stands_for_unlisted,
                     }),
                 }
             }
@@ -367,6 +374,8 @@ impl ReportedStops {
             let seen = self.array(now, array);
             seen.by_source.retain(|_, (at, _)| now.saturating_sub(*at) < REPORT_AGE_MAX);
             seen.by_source.insert(report.stamp.source, (now, report.clone()));
+            let had_unlisted = seen.had_unlisted && report.lists(StopName::default());
+            seen.had_unlisted = had_unlisted || report.stands_for_unlisted();
             seen.stops = Some((now, report));
         }
         self.note_names(now);

@@ -152,9 +152,10 @@ mod tests {
     fn room(ordered_ms: Option<u64>, second: Standing) -> RoomStops {
         let now = Duration::from_millis(ordered_ms.unwrap_or(0));
         let (name, operator, reason) = (StopName { source: 3, sequence: 4 }, "ann".to_owned(), "test".to_owned());
+        let (arrays, known) = (vec![0, 1], Duration::ZERO);
         RoomStops {
             now,
-            stops: vec![RoomStop { name, operator, reason, arrays: vec![0, 1], known: Duration::ZERO }],
+            stops: vec![RoomStop { name, operator, reason, arrays, known, stands_for_unlisted: false }],
             standings: vec![(0, Standing::Stopped), (1, second)],
             unrecorded: Vec::new(),
             report_age: Some(Duration::from_millis(10)),

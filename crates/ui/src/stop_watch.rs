@@ -336,6 +336,7 @@ mod tests {
             reason: "smoke\nfire".into(),
             arrays: vec![0],
             known: Duration::ZERO,
+            stands_for_unlisted: false,
         };
         let words = stop_in_words(&stop);
         assert!(words.contains("of ann (\"smoke\\u000afire\") at array 0"), "{words}");

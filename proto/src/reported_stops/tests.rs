@@ -1,6 +1,7 @@
 //! What the stop reports of a room are read as.
 
 use super::*;
+use crate::limits::MAX_STOPS;
 use crate::structures::Stamp;
 
 const NOW: Duration = Duration::from_secs(100);
@@ -140,6 +141,28 @@ fn arrays_that_started_stopped_have_one_stop_with_the_reason_of_each() {
     let all = stops.stops();
     assert_eq!((all.len(), &*all[0].arrays), (1, &[0, 1][..]));
     assert_eq!(all[0].reason, "no first file; no second file");
+}
+
+#[test]
+fn a_stop_without_sender_in_a_full_list_stands_for_others_whatever_its_reason_is() {
+    let listed = |sequence, named: u64, has_unlisted: bool| {
+        let unlisted = LatchedStopReport { reason: "no record".into(), ..LatchedStopReport::default() };
+        let named = (1..=named).map(|source| LatchedStopReport { source, sequence: 1, ..LatchedStopReport::default() });
+        let stops = has_unlisted.then_some(unlisted).into_iter().chain(named).collect();
+        StopReport { stops, ..report(sequence, true) }
+    };
+    let full = MAX_STOPS as u64 - 1;
+    let mut stops = ReportedStops::default();
+    let mut stands = |report| {
+        stops.handle_stops(NOW, 0, report);
+        let stops = stops.stops();
+        stops.iter().find(|stop| stop.name == StopName::default()).map(|stop| stop.stands_for_unlisted)
+    };
+    assert_eq!(stands(listed(1, full - 1, true)), Some(false), "a list with a free place names every stop");
+    assert_eq!(stands(listed(2, full, true)), Some(true));
+    assert_eq!(stands(listed(3, 1, true)), Some(true), "the others are not listed since");
+    assert_eq!(stands(listed(4, 1, false)), None);
+    assert_eq!(stands(listed(5, 1, true)), Some(false), "another one");
 }
 
 #[test]

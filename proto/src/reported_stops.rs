@@ -5,10 +5,12 @@
 //!
 //! Times are those of the process that uses it, on a clock that never steps, since any origin. An array
 //! has stopped where its last stop report is fresh, lists every stop that is held for it, and states
-//! that its device has executed them.
+//! that its device has executed them. Where the liveliness tokens of several drivers name the array, each
+//! driver has to: the reports of one say nothing about the mirrors of another one.
 //!
 //! | the array publishes | its standing, by its last reports |
 //! | --- | --- |
+//! | reports of several drivers, or of one of them | [`Shared`](Standing::Shared) until each has stopped |
 //! | stop reports | [`Stopped`](Standing::Stopped), [`Latched`](Standing::Latched) or [`Moving`](Standing::Moving) |
 //! | safety reports or telemetry only | [`Unknown`](Standing::Unknown) in state *stopped*, else [`Moving`](Standing::Moving) |
 //! | nothing for some time | [`Silent`](Standing::Silent) |
@@ -20,7 +22,7 @@ use crate::enumerations::ArrayState;
 use crate::limits::{MAX_ARRAYS, UNLISTED_STOPS, cut};
 use crate::messages::{EmergencyStop, MirrorTelemetry, SafetyReport, StopReport, fault};
 use crate::stop_hold::{HeldStop, StopHold, unknown_stops};
-use crate::structures::{LatchedStopReport, StopName};
+use crate::structures::{LatchedStopReport, Stamp, StopName};
 
 /// A stop report is published each second, and at each change. An array without one for this time does
 /// not answer.
@@ -32,6 +34,10 @@ const TELEMETRY_AGE_MAX: Duration = Duration::from_millis(1500);
 /// A driver that publishes stop reports has published one after this time of telemetry.
 pub const STOPS_WITHIN: Duration = Duration::from_millis(1500);
 
+/// The array and the source of a process with mirrors, by its liveliness token; a simulator drives every array of its
+/// room.
+pub type Driver = (Option<usize>, u64);
+
 /// What an array does about the stops that are held for it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Standing {
@@ -42,6 +48,15 @@ pub enum Standing {
     /// It has latched every stop, and its device has not executed them.
     Latched {
         /// Why, as the array reports it; may be empty.
+        problem: String,
+    },
+    /// Several drivers serve it, and not each of them has latched every stop and stopped its device.
+    Shared {
+        /// Their number.
+        drivers: usize,
+        /// The sources of those that have not.
+        open: Vec<u64>,
+        /// Why, as they report it; may be empty.
         problem: String,
     },
     /// It has latched a stop; its driver publishes no stop reports.
@@ -99,6 +114,8 @@ struct ReportedArray {
 #[derive(Clone, Debug, Default)]
 pub struct ReportedStops {
     arrays: BTreeMap<usize, ReportedArray>,
+    /// The processes with mirrors that are in the room.
+    drivers: BTreeSet<Driver>,
     /// Number of arrays of the largest geometry that was announced; 0 before the first.
     announced: usize,
     /// When each stop became known here.
@@ -108,12 +125,15 @@ pub struct ReportedStops {
 }
 
 impl ReportedArray {
-    /// What the array does about its stops, with reports that arrived after `since` only.
-    fn standing(&self, now: Duration, since: Option<Duration>) -> Standing {
-        let mut held = self.hold.stops().iter().map(|held| held.name).peekable();
-        if held.peek().is_none() {
+    /// What the array with these drivers does about its stops, with reports that arrived after `since` only.
+    fn standing(&self, drivers: &[u64], now: Duration, since: Option<Duration>) -> Standing {
+        if !self.hold.is_stopped() {
             return Standing::Free;
         }
+        if let Some(shared) = self.shared(drivers, now) {
+            return shared;
+        }
+        let mut held = self.hold.stops().iter().map(|held| held.name);
         let is_recent = |at: Duration, age_max: Duration| now.saturating_sub(at) < age_max;
         let counts = |at: Duration, age_max| is_recent(at, age_max) && since.is_none_or(|since| at >= since);
         // A report from before `since` counts if telemetry has confirmed it meanwhile.
@@ -137,6 +157,22 @@ impl ReportedArray {
             Some(_) => Standing::Moving,
             None => Standing::Silent,
         }
+    }
+
+    /// Its standing if it has several drivers, and the own recent reports of any do not confirm its stops.
+    fn shared(&self, drivers: &[u64], now: Duration) -> Option<Standing> {
+        let report = |source: &u64| {
+            let recent = self.by_source.get(source).filter(|(at, _)| now.saturating_sub(*at) < REPORT_AGE_MAX);
+            recent.map(|(_, report)| report)
+        };
+        let is_latched = |report: &StopReport| self.hold.stops().iter().all(|held| report.is_latched(held.name));
+        let has_stopped =
+            |source: &u64| report(source).is_some_and(|report| report.device_stopped && is_latched(report));
+        let open: Vec<u64> = drivers.iter().copied().filter(|source| !has_stopped(source)).collect();
+        let problems = open.iter().filter_map(report).map(|report| report.problem.as_str());
+        let problem = problems.filter(|problem| !problem.is_empty()).collect::<Vec<_>>().join("; ");
+        let is_shared = drivers.len() > 1 && !open.is_empty();
+        is_shared.then_some(Standing::Shared { drivers: drivers.len(), open, problem })
     }
 
     /// Whether stop reports of its driver would have arrived.
@@ -178,21 +214,20 @@ impl ReportedStops {
     pub fn standings(&self, now: Duration, since: Option<Duration>) -> Vec<(usize, Standing)> {
         let standing = |array: usize| {
             let seen = self.arrays.get(&array);
-            (array, seen.map_or(Standing::Silent, |seen| seen.standing(now, since)))
+            (array, seen.map_or(Standing::Silent, |seen| seen.standing(&self.drivers_of(array), now, since)))
         };
         (0..self.expected()).map(standing).collect()
     }
 
-    /// The drivers among these sources whose own recent reports do not confirm the stops held for their array.
-    pub fn unconfirmed_drivers(&self, array: usize, sources: &[u64], now: Duration) -> Vec<u64> {
-        let Some(seen) = self.arrays.get(&array).filter(|seen| seen.hold.is_stopped()) else { return Vec::new() };
-        let has_confirmed = |source: &u64| {
-            let report = seen.by_source.get(source).filter(|(at, _)| now.saturating_sub(*at) < REPORT_AGE_MAX);
-            report.is_some_and(|(_, report)| {
-                report.device_stopped && seen.hold.stops().iter().all(|held| report.is_latched(held.name))
-            })
-        };
-        sources.iter().copied().filter(|source| !has_confirmed(source)).collect()
+    /// Whether the tokens of several drivers name one array.
+    pub fn has_shared_array(&self) -> bool {
+        (0..MAX_ARRAYS).any(|array| self.drivers_of(array).len() > 1)
+    }
+
+    /// The sources of the drivers whose tokens name an array.
+    fn drivers_of(&self, array: usize) -> Vec<u64> {
+        let serves = |(of, source): &Driver| of.is_none_or(|of| of == array).then_some(*source);
+        self.drivers.iter().filter_map(serves).collect()
     }
 
     /// Whether every array holds a stop and has stopped, by reports that arrived after `since`.
@@ -350,9 +385,15 @@ impl ReportedStops {
         self.note_names(now);
     }
 
-    /// A driver of this array is in the room.
-    pub fn handle_driver(&mut self, now: Duration, array: usize) {
-        self.add_arrays(array + 1);
+    /// The token of a driver has appeared in the room, or has left it.
+    pub fn handle_driver(&mut self, now: Duration, driver: Driver, is_present: bool) {
+        if is_present {
+            self.drivers.insert(driver);
+            // A simulator announces its arrays with the geometry.
+            self.add_arrays(driver.0.map_or(0, |array| array + 1));
+        } else {
+            self.drivers.remove(&driver);
+        }
         self.note_names(now);
     }
 
@@ -449,13 +490,9 @@ impl ReportedStops {
 
 /// The order of a stop that is known from reports.
 fn ordered(stop: &RoomStop) -> EmergencyStop {
-    let mut order = EmergencyStop {
-        operator: stop.operator.clone(),
-        reason: cut(&stop.reason).to_owned(),
-        ..EmergencyStop::default()
-    };
-    (order.stamp.source, order.stamp.sequence) = (stop.name.source, stop.name.sequence);
-    order
+    let stamp = Stamp { source: stop.name.source, sequence: stop.name.sequence, time_ns: 0 };
+    let (operator, reason) = (stop.operator.clone(), cut(&stop.reason).to_owned());
+    EmergencyStop { stamp, operator, reason, ..EmergencyStop::default() }
 }
 
 #[cfg(test)]

@@ -219,9 +219,7 @@ impl StopSwitch {
             return sent.map(|_| begun.elapsed());
         };
         let name = order.name();
-        let is_stopped = |seen: &ReportedStops, now: Duration| {
-            seen.has_stopped(name, now, since) && self.seen.open_drivers(seen, now).is_empty()
-        };
+        let is_stopped = |seen: &ReportedStops, now: Duration| seen.has_stopped(name, now, since);
         let mut confirmed: Option<Duration> = None;
         loop {
             let is_confirmed = self.seen.wait(REPEAT_AFTER, is_stopped);
@@ -257,7 +255,6 @@ impl StopSwitch {
         };
         let open = |(array, standing): &(usize, Standing)| problem(*array, standing).or_else(|| not_held(*array));
         let mut arrays: Vec<String> = seen.standings(self.seen.now(), Some(since)).iter().filter_map(open).collect();
-        arrays.extend(self.seen.open_drivers(&seen, self.seen.now()));
         if !seen.has_geometry() && seen.has_array() {
             arrays.push(UNKNOWN_ARRAYS.to_owned());
         }

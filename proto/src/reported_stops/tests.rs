@@ -2,7 +2,6 @@
 
 use super::*;
 use crate::limits::MAX_STOPS;
-use crate::structures::Stamp;
 
 const NOW: Duration = Duration::from_secs(100);
 
@@ -47,7 +46,7 @@ fn a_stop_of_this_process_is_held_for_an_array_that_appears_after_its_release_at
     stops.order(NOW, &order());
     release(&mut stops);
     let mut with_geometry = stops.clone();
-    stops.handle_driver(NOW, 1);
+    stops.handle_driver(NOW, (Some(1), 7), true);
     assert_eq!(due(&stops), [1], "the array that has released the stop stays released");
     with_geometry.announce(NOW, 3);
     assert_eq!(due(&with_geometry), [1, 2]);
@@ -121,13 +120,42 @@ fn an_array_that_has_stopped_and_does_not_record_the_stop_is_named() {
 fn each_of_two_drivers_of_an_array_has_to_confirm_a_stop() {
     let mut stops = ordered();
     let of_other = |report: StopReport| StopReport { stamp: Stamp { source: 7, ..report.stamp }, ..report };
+    let shared = |open: &[u64], problem: &str| -> [(usize, Standing); 1] {
+        [(0, Standing::Shared { drivers: 2, open: open.to_vec(), problem: problem.to_owned() })]
+    };
+    stops.handle_driver(NOW, (Some(0), 9), true);
     stops.handle_stops(NOW, 0, report(1, true));
-    assert_eq!(stops.unconfirmed_drivers(0, &[7, 9], NOW), [7], "it is silent");
-    stops.handle_stops(NOW, 0, of_other(report(1, false)));
-    assert_eq!(stops.unconfirmed_drivers(0, &[7, 9], NOW), [7], "its device has not stopped");
+    assert_eq!(stops.standings(NOW, None), [(0, Standing::Stopped)]);
+    stops.handle_driver(NOW, (Some(0), 7), true);
+    assert_eq!(stops.standings(NOW, None), shared(&[7], ""), "it is silent");
+    assert!(!stops.has_stopped(order().name(), NOW, NOW));
+    let no_link = StopReport { problem: "no link".into(), ..report(1, false) };
+    stops.handle_stops(NOW, 0, of_other(no_link));
+    assert_eq!(stops.standings(NOW, None), shared(&[7], "no link"), "its device has not stopped");
     stops.handle_stops(NOW, 0, of_other(report(2, true)));
-    assert_eq!(stops.unconfirmed_drivers(0, &[7, 9], NOW), [0; 0]);
-    assert_eq!(stops.unconfirmed_drivers(0, &[7, 9], NOW + REPORT_AGE_MAX), [7, 9]);
+    assert_eq!(stops.standings(NOW, None), [(0, Standing::Stopped)]);
+    assert!(stops.has_stopped(order().name(), NOW, NOW));
+    assert_eq!(stops.standings(NOW + REPORT_AGE_MAX, None), shared(&[7, 9], ""));
+    stops.handle_driver(NOW, (Some(0), 7), false);
+    assert_eq!(stops.standings(NOW, None), [(0, Standing::Stopped)], "the other one has ended");
+}
+
+#[test]
+fn an_array_that_may_have_two_drivers_is_known_by_their_tokens() {
+    let mut stops = ReportedStops::default();
+    stops.handle_driver(NOW, (Some(0), 7), true);
+    stops.handle_driver(NOW, (Some(1), 8), true);
+    assert!(!stops.has_shared_array());
+    let mut simulated = stops.clone();
+    stops.handle_driver(NOW, (Some(1), 9), true);
+    assert!(stops.has_shared_array());
+    assert_eq!([0, 1].map(|array| stops.drivers_of(array)), [vec![7], vec![8, 9]]);
+    simulated.handle_driver(NOW, (None, 6), true);
+    assert_eq!(
+        [0, 1].map(|array| simulated.drivers_of(array)),
+        [vec![6, 7], vec![6, 8]],
+        "a simulator drives each array"
+    );
 }
 
 #[test]

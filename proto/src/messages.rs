@@ -210,11 +210,20 @@ impl SafetyReport {
 }
 
 impl StopReport {
-    /// Whether the array has latched a stop: its list has the name, or is full, and a stop without
-    /// sender stands for those that it cannot list.
+    /// Whether the array has latched a stop: its list has the name, or a stop in it stands for those that it cannot
+    /// list.
     pub fn is_latched(&self, name: StopName) -> bool {
-        let has = |name: StopName| self.stops.iter().any(|stop| stop.name() == name);
-        has(name) || (self.stops.len() == MAX_STOPS && has(StopName::default()))
+        self.lists(name) || self.stands_for_unlisted()
+    }
+
+    /// Whether the list is full, and the stop without sender in it stands for those that it does not name.
+    pub fn stands_for_unlisted(&self) -> bool {
+        self.stops.len() == MAX_STOPS && self.lists(StopName::default())
+    }
+
+    /// Whether the list has this name.
+    pub fn lists(&self, name: StopName) -> bool {
+        self.stops.iter().any(|stop| stop.name() == name)
     }
 }
 

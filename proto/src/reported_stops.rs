@@ -5,10 +5,12 @@
 //!
 //! Times are those of the process that uses it, on a clock that never steps, since any origin. An array
 //! has stopped where its last stop report is fresh, lists every stop that is held for it, and states
-//! that its device has executed them.
+//! that its device has executed them. Where the liveliness tokens of several drivers name the array, each
+//! driver has to: the reports of one say nothing about the mirrors of another one.
 //!
 //! | the array publishes | its standing, by its last reports |
 //! | --- | --- |
+//! | reports of several drivers, or of one of them | [`Shared`](Standing::Shared) until each has stopped |
 //! | stop reports | [`Stopped`](Standing::Stopped), [`Latched`](Standing::Latched) or [`Moving`](Standing::Moving) |
 //! | safety reports or telemetry only | [`Unknown`](Standing::Unknown) in state *stopped*, else [`Moving`](Standing::Moving) |
 //! | nothing for some time | [`Silent`](Standing::Silent) |
@@ -20,7 +22,7 @@ use crate::enumerations::ArrayState;
 use crate::limits::{MAX_ARRAYS, UNLISTED_STOPS, cut};
 use crate::messages::{EmergencyStop, MirrorTelemetry, SafetyReport, StopReport, fault};
 use crate::stop_hold::{HeldStop, StopHold, unknown_stops};
-use crate::structures::{LatchedStopReport, StopName};
+use crate::structures::{LatchedStopReport, Stamp, StopName};
 
 /// A stop report is published each second, and at each change. An array without one for this time does
 /// not answer.
@@ -32,6 +34,10 @@ const TELEMETRY_AGE_MAX: Duration = Duration::from_millis(1500);
 /// A driver that publishes stop reports has published one after this time of telemetry.
 pub const STOPS_WITHIN: Duration = Duration::from_millis(1500);
 
+/// The array and the source of a process with mirrors, by its liveliness token; a simulator drives every array of its
+/// room.
+pub type Driver = (Option<usize>, u64);
+
 /// What an array does about the stops that are held for it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Standing {
@@ -42,6 +48,15 @@ pub enum Standing {
     /// It has latched every stop, and its device has not executed them.
     Latched {
         /// Why, as the array reports it; may be empty.
+        problem: String,
+    },
+    /// Several drivers serve it, and not each of them has latched every stop and stopped its device.
+    Shared {
+        /// Their number.
+        drivers: usize,
+        /// The sources of those that have not.
+        open: Vec<u64>,
+        /// Why, as they report it; may be empty.
         problem: String,
     },
     /// It has latched a stop; its driver publishes no stop reports.
@@ -72,13 +87,8 @@ pub struct RoomStop {
     pub arrays: Vec<usize>,
     /// When this process learned of it.
     pub known: Duration,
-}
-
-impl RoomStop {
     /// Whether it stands for stops that an array could not list: their holders repeat them after its release.
-    pub fn stands_for_unlisted(&self) -> bool {
-        self.name == StopName::default() && self.reason.contains(UNLISTED_STOPS)
-    }
+    pub stands_for_unlisted: bool,
 }
 
 /// What an array reported last, with arrival times.
@@ -91,28 +101,39 @@ struct ReportedArray {
     device_stopped: Option<(Duration, u64)>,
     has_safety: bool,
     stops: Option<(Duration, StopReport)>,
+    /// Whether its stop without sender has stood for others since it reported that stop first.
+    had_unlisted: bool,
     /// The last stop report of each of its drivers: an array can have two by mistake.
     by_source: BTreeMap<u64, (Duration, StopReport)>,
     hold: StopHold,
+    /// The stops of this process that it has reported, the last of each sender.
+    reported: Vec<StopName>,
 }
 
 /// What the arrays of a room reported, and what is held for them.
 #[derive(Clone, Debug, Default)]
 pub struct ReportedStops {
     arrays: BTreeMap<usize, ReportedArray>,
+    /// The processes with mirrors that are in the room.
+    drivers: BTreeSet<Driver>,
     /// Number of arrays of the largest geometry that was announced; 0 before the first.
     announced: usize,
     /// When each stop became known here.
     known: BTreeMap<StopName, Duration>,
+    /// The stops of this process, the last of each sender. An array that appears later never got them.
+    orders: Vec<EmergencyStop>,
 }
 
 impl ReportedArray {
-    /// What the array does about its stops, with reports that arrived after `since` only.
-    fn standing(&self, now: Duration, since: Option<Duration>) -> Standing {
-        let mut held = self.hold.stops().iter().map(|held| held.name).peekable();
-        if held.peek().is_none() {
+    /// What the array with these drivers does about its stops, with reports that arrived after `since` only.
+    fn standing(&self, drivers: &[u64], now: Duration, since: Option<Duration>) -> Standing {
+        if !self.hold.is_stopped() {
             return Standing::Free;
         }
+        if let Some(shared) = self.shared(drivers, now) {
+            return shared;
+        }
+        let mut held = self.hold.stops().iter().map(|held| held.name);
         let is_recent = |at: Duration, age_max: Duration| now.saturating_sub(at) < age_max;
         let counts = |at: Duration, age_max| is_recent(at, age_max) && since.is_none_or(|since| at >= since);
         // A report from before `since` counts if telemetry has confirmed it meanwhile.
@@ -138,6 +159,22 @@ impl ReportedArray {
         }
     }
 
+    /// Its standing if it has several drivers, and the own recent reports of any do not confirm its stops.
+    fn shared(&self, drivers: &[u64], now: Duration) -> Option<Standing> {
+        let report = |source: &u64| {
+            let recent = self.by_source.get(source).filter(|(at, _)| now.saturating_sub(*at) < REPORT_AGE_MAX);
+            recent.map(|(_, report)| report)
+        };
+        let is_latched = |report: &StopReport| self.hold.stops().iter().all(|held| report.is_latched(held.name));
+        let has_stopped =
+            |source: &u64| report(source).is_some_and(|report| report.device_stopped && is_latched(report));
+        let open: Vec<u64> = drivers.iter().copied().filter(|source| !has_stopped(source)).collect();
+        let problems = open.iter().filter_map(report).map(|report| report.problem.as_str());
+        let problem = problems.filter(|problem| !problem.is_empty()).collect::<Vec<_>>().join("; ");
+        let is_shared = drivers.len() > 1 && !open.is_empty();
+        is_shared.then_some(Standing::Shared { drivers: drivers.len(), open, problem })
+    }
+
     /// Whether stop reports of its driver would have arrived.
     fn is_settled(&self, now: Duration) -> bool {
         self.first.is_some_and(|first| now.saturating_sub(first) > STOPS_WITHIN)
@@ -145,6 +182,12 @@ impl ReportedArray {
 
     fn is_silent(&self, now: Duration) -> bool {
         self.state.is_none_or(|(at, _)| now.saturating_sub(at) >= TELEMETRY_AGE_MAX)
+    }
+
+    /// Whether a stop of this name, which is held for it, stands for stops that it could not list. Its reason states it
+    /// also to a process that has seen no full list of the array.
+    fn stands_for_unlisted(&self, HeldStop { name, reason, .. }: &HeldStop) -> bool {
+        *name == StopName::default() && (self.had_unlisted || reason.contains(UNLISTED_STOPS))
     }
 
     /// Whether its driver is present and has published no stop reports.
@@ -171,21 +214,20 @@ impl ReportedStops {
     pub fn standings(&self, now: Duration, since: Option<Duration>) -> Vec<(usize, Standing)> {
         let standing = |array: usize| {
             let seen = self.arrays.get(&array);
-            (array, seen.map_or(Standing::Silent, |seen| seen.standing(now, since)))
+            (array, seen.map_or(Standing::Silent, |seen| seen.standing(&self.drivers_of(array), now, since)))
         };
         (0..self.expected()).map(standing).collect()
     }
 
-    /// The drivers among these sources whose own recent reports do not confirm the stops held for their array.
-    pub fn unconfirmed_drivers(&self, array: usize, sources: &[u64], now: Duration) -> Vec<u64> {
-        let Some(seen) = self.arrays.get(&array).filter(|seen| seen.hold.is_stopped()) else { return Vec::new() };
-        let has_confirmed = |source: &u64| {
-            let report = seen.by_source.get(source).filter(|(at, _)| now.saturating_sub(*at) < REPORT_AGE_MAX);
-            report.is_some_and(|(_, report)| {
-                report.device_stopped && seen.hold.stops().iter().all(|held| report.is_latched(held.name))
-            })
-        };
-        sources.iter().copied().filter(|source| !has_confirmed(source)).collect()
+    /// Whether the tokens of several drivers name one array.
+    pub fn has_shared_array(&self) -> bool {
+        (0..MAX_ARRAYS).any(|array| self.drivers_of(array).len() > 1)
+    }
+
+    /// The sources of the drivers whose tokens name an array.
+    fn drivers_of(&self, array: usize) -> Vec<u64> {
+        let serves = |(of, source): &Driver| of.is_none_or(|of| of == array).then_some(*source);
+        self.drivers.iter().filter_map(serves).collect()
     }
 
     /// Whether every array holds a stop and has stopped, by reports that arrived after `since`.
@@ -199,10 +241,13 @@ impl ReportedStops {
     pub fn stops(&self) -> Vec<RoomStop> {
         let mut stops: Vec<RoomStop> = Vec::new();
         for (array, seen) in &self.arrays {
-            for HeldStop { name, operator, reason, .. } in seen.hold.stops() {
+            for held in seen.hold.stops() {
+                let HeldStop { name, operator, reason, .. } = held;
+                let stands_for_unlisted = seen.stands_for_unlisted(held);
                 match stops.iter_mut().find(|stop| stop.name == *name) {
                     Some(stop) => {
                         stop.arrays.push(*array);
+                        stop.stands_for_unlisted |= stands_for_unlisted;
                         // Each process that started stopped has its own reason.
                         if *name == StopName::default() && !stop.reason.contains(reason.as_str()) {
                             stop.reason = format!("{}; {reason}", stop.reason);
@@ -214,6 +259,7 @@ impl ReportedStops {
                         reason: reason.clone(),
                         arrays: vec![*array],
                         known: self.known.get(name).copied().unwrap_or_default(),
+                        stands_for_unlisted,
                     }),
                 }
             }
@@ -302,9 +348,19 @@ impl ReportedStops {
         self.arrays.values().filter_map(|seen| seen.state.map(|(at, _)| at)).min()
     }
 
-    /// Holds a stop for every array.
+    /// Whether an array has reported a stop of this process, also where it has dropped it since.
+    pub fn has_reported(&self, array: usize, name: StopName) -> bool {
+        self.arrays.get(&array).is_some_and(|seen| {
+            seen.reported.iter().any(|reported| reported.replaces(name)) || seen.hold.has_released(name)
+        })
+    }
+
+    /// Holds a stop of this process for every array. While no geometry is announced, any number of arrays can appear
+    /// later: the stop is held for each of them too, also where the other arrays have released it.
     pub fn order(&mut self, now: Duration, order: &EmergencyStop) {
         self.known.entry(order.name()).or_insert(now);
+        self.orders.retain(|earlier| !order.name().replaces(earlier.name()));
+        self.orders.push(order.clone());
         for array in 0..self.expected() {
             self.arrays.entry(array).or_default().hold.order(order.stamp.time_ns, order);
         }
@@ -323,14 +379,21 @@ impl ReportedStops {
 
     /// The geometry of the room has so many arrays.
     pub fn announce(&mut self, now: Duration, arrays: usize) {
+        // The arrays of the first geometry had no number when a stop of this process was ordered.
+        self.add_arrays(arrays);
         self.announced = self.announced.max(arrays);
-        self.add_arrays(self.announced);
         self.note_names(now);
     }
 
-    /// A driver of this array is in the room.
-    pub fn handle_driver(&mut self, now: Duration, array: usize) {
-        self.add_arrays(array + 1);
+    /// The token of a driver has appeared in the room, or has left it.
+    pub fn handle_driver(&mut self, now: Duration, driver: Driver, is_present: bool) {
+        if is_present {
+            self.drivers.insert(driver);
+            // A simulator announces its arrays with the geometry.
+            self.add_arrays(driver.0.map_or(0, |array| array + 1));
+        } else {
+            self.drivers.remove(&driver);
+        }
         self.note_names(now);
     }
 
@@ -352,6 +415,8 @@ impl ReportedStops {
             let seen = self.array(now, array);
             seen.by_source.retain(|_, (at, _)| now.saturating_sub(*at) < REPORT_AGE_MAX);
             seen.by_source.insert(report.stamp.source, (now, report.clone()));
+            let had_unlisted = seen.had_unlisted && report.lists(StopName::default());
+            seen.had_unlisted = had_unlisted || report.stands_for_unlisted();
             seen.stops = Some((now, report));
         }
         self.note_names(now);
@@ -364,12 +429,15 @@ impl ReportedStops {
         self.note_names(now);
     }
 
-    /// Adds arrays up to an index; stops that are held for another array are held for them too.
+    /// Adds arrays up to an index; stops that are held for another array are held for them too, and those of this
+    /// process unless every array of an announced geometry has dropped them.
     fn add_arrays(&mut self, count: usize) {
         let known: Vec<EmergencyStop> = self.stops().iter().map(ordered).collect();
+        let own: &[EmergencyStop] = if self.has_geometry() { &[] } else { &self.orders };
         for array in 0..count.min(MAX_ARRAYS) {
             if !self.arrays.contains_key(&array) {
                 let seen = self.arrays.entry(array).or_default();
+                own.iter().for_each(|order| seen.hold.order(order.stamp.time_ns, order));
                 known.iter().for_each(|order| seen.hold.order(0, order));
             }
         }
@@ -401,7 +469,16 @@ impl ReportedStops {
         counts
     }
 
+    /// Notes when stops became known, and which arrays have reported those of this process.
     fn note_names(&mut self, now: Duration) {
+        for seen in self.arrays.values_mut() {
+            for name in self.orders.iter().map(EmergencyStop::name) {
+                if seen.hold.has_reported(name) {
+                    seen.reported.retain(|reported| !name.replaces(*reported));
+                    seen.reported.push(name);
+                }
+            }
+        }
         let names: BTreeSet<StopName> =
             self.arrays.values().flat_map(|seen| seen.hold.stops().iter().map(|held| held.name)).collect();
         self.known.retain(|name, _| names.contains(name));
@@ -413,13 +490,9 @@ impl ReportedStops {
 
 /// The order of a stop that is known from reports.
 fn ordered(stop: &RoomStop) -> EmergencyStop {
-    let mut order = EmergencyStop {
-        operator: stop.operator.clone(),
-        reason: cut(&stop.reason).to_owned(),
-        ..EmergencyStop::default()
-    };
-    (order.stamp.source, order.stamp.sequence) = (stop.name.source, stop.name.sequence);
-    order
+    let stamp = Stamp { source: stop.name.source, sequence: stop.name.sequence, time_ns: 0 };
+    let (operator, reason) = (stop.operator.clone(), cut(&stop.reason).to_owned());
+    EmergencyStop { stamp, operator, reason, ..EmergencyStop::default() }
 }
 
 #[cfg(test)]

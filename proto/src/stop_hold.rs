@@ -117,7 +117,7 @@ impl StopHold {
     /// Holds a stop that another array reports, unless this array has released it, or a later one of its
     /// sender.
     pub fn learn(&mut self, stop: &LatchedStopReport) {
-        if !self.released.iter().any(|released| released.replaces(stop.name())) {
+        if !self.has_released(stop.name()) {
             self.hold(stop.arrived_ns, stop.name(), &stop.operator, &stop.reason);
         }
     }
@@ -195,6 +195,16 @@ impl StopHold {
     /// The stops that the array has not reported: they are due for repetition.
     pub fn unreported(&self) -> impl Iterator<Item = &HeldStop> {
         self.stops.iter().filter(|held| !self.is_reported(held))
+    }
+
+    /// Whether a stop is held that the array has reported.
+    pub fn has_reported(&self, name: StopName) -> bool {
+        self.stops.iter().any(|held| held.name == name && self.is_reported(held))
+    }
+
+    /// Whether the array lists a stop, or a later one of its sender, as released.
+    pub fn has_released(&self, name: StopName) -> bool {
+        self.released.iter().any(|released| released.replaces(name))
     }
 
     /// Whether the array publishes stop reports, and so understands repetitions.

@@ -218,6 +218,11 @@ impl Latch {
             self.stops.push(stop);
             return;
         }
+        // One that is there, as after a start in state stopped, stands for the others from now on.
+        let former = self.stops.iter_mut().find(|held| held.name() == StopName::default());
+        if let Some(former) = former.filter(|former| !former.reason.starts_with(UNLISTED_STOPS)) {
+            former.reason = cut(&format!("{UNLISTED_STOPS}; {}", former.reason)).to_owned();
+        }
         let reason = format!("{UNLISTED_STOPS}; one is {} of {:?}", stop.name(), stop.operator);
         let unlisted = LatchedStop::without_sender(&reason, stop.arrived_ns);
         self.engage(LatchedStop { time_ns: stop.time_ns, ..unlisted });
@@ -435,5 +440,22 @@ mod tests {
         assert!(left.name() == StopName::default() && left.reason.contains("more stops"), "{left:?}");
         latch.release(StopName::default()).unwrap();
         assert_eq!(latch.stop(), None);
+    }
+
+    #[test]
+    fn a_stop_without_sender_that_was_there_before_states_that_it_stands_for_others_too() {
+        for reason in ["the last state is unknown".to_owned(), "é".repeat(MAX_TEXT)] {
+            let mut latch = Latch::stopped(LatchedStop::without_sender(&reason, 7));
+            let former = latch.stops()[0].reason.clone();
+            let engage = |latch: &mut Latch, source| latch.engage(LatchedStop { source, sequence: 5, ..stop() });
+            (1..MAX_STOPS as u64).for_each(|source| engage(&mut latch, source));
+            assert_eq!((latch.stops().len(), &latch.stops()[0].reason), (MAX_STOPS, &former), "each one is listed");
+            for source in 40..42 {
+                engage(&mut latch, source);
+                let reason = &latch.stops()[0].reason;
+                assert_eq!((latch.stops().len(), &**reason), (MAX_STOPS, cut(&format!("{UNLISTED_STOPS}; {former}"))));
+                assert!(Latch::parse(&latch.to_toml()).is_ok(), "{} bytes", reason.len());
+            }
+        }
     }
 }

@@ -243,6 +243,7 @@ mod tests {
                 reason: "two".into(),
                 arrays: vec![0],
                 known: Duration::ZERO,
+                stands_for_unlisted: false,
             };
             Reported { held_stops: names.iter().map(stop).collect(), ..present() }
         };

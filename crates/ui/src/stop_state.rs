@@ -152,13 +152,13 @@ mod tests {
     fn room(ordered_ms: Option<u64>, second: Standing) -> RoomStops {
         let now = Duration::from_millis(ordered_ms.unwrap_or(0));
         let (name, operator, reason) = (StopName { source: 3, sequence: 4 }, "ann".to_owned(), "test".to_owned());
+        let (arrays, known) = (vec![0, 1], Duration::ZERO);
         RoomStops {
             now,
-            stops: vec![RoomStop { name, operator, reason, arrays: vec![0, 1], known: Duration::ZERO }],
+            stops: vec![RoomStop { name, operator, reason, arrays, known, stands_for_unlisted: false }],
             standings: vec![(0, Standing::Stopped), (1, second)],
             unrecorded: Vec::new(),
             report_age: Some(Duration::from_millis(10)),
-            open_drivers: Vec::new(),
             ordered: ordered_ms.map(ago),
             has_geometry: true,
         }
@@ -209,10 +209,18 @@ mod tests {
 
     #[test]
     fn a_stop_that_one_of_two_drivers_has_confirmed_is_not_confirmed() {
-        let open_drivers = vec!["array 1 has 2 drivers, and one has not confirmed".to_owned()];
-        let room = RoomStops { open_drivers: open_drivers.clone(), ..room(Some(1500), Standing::Stopped) };
-        let figures = StopState::default().update(&room);
-        assert_eq!((figures.phase, figures.problems), (StopPhase::Unconfirmed, open_drivers));
+        let problems = |open: &[u64], problem: &str| {
+            let shared = Standing::Shared { drivers: 2, open: open.to_vec(), problem: problem.to_owned() };
+            let figures = StopState::default().update(&room(Some(1500), shared));
+            assert_eq!((figures.phase, figures.problems.len()), (StopPhase::Unconfirmed, 1));
+            figures.problems[0].clone()
+        };
+        let one =
+            "array 1 has 2 drivers, and the one of source 0000000000000007 has not confirmed the stop: cut its power";
+        assert_eq!(problems(&[7], ""), one);
+        let both = problems(&[7, 9], "no link");
+        let expected = "the ones of sources 0000000000000007, 0000000000000009 have not confirmed the stop (no link): cut their power";
+        assert!(both.ends_with(expected), "{both}");
     }
 
     #[test]

@@ -49,8 +49,6 @@ pub struct StopSwitch {
 struct OwnStop {
     order: EmergencyStop,
     at: Instant,
-    /// Whether any array was known for which it is held.
-    is_held: bool,
 }
 
 /// The publishers of repetitions.
@@ -91,9 +89,11 @@ impl StopSwitch {
 
     /// The stops of the room, and what each array does about them.
     pub(crate) fn room_stops(&self) -> RoomStops {
-        let room = self.seen.room();
         let own = self.own.lock().unwrap_or_else(PoisonError::into_inner);
-        let is_open = |own: &&OwnStop| !own.is_held || room.stops.iter().any(|stop| stop.name == own.order.name());
+        // Before the stops are read: each array that appears holds the stop from then on.
+        let is_empty = self.seen.lock().is_empty();
+        let room = self.seen.room();
+        let is_open = |own: &&OwnStop| is_empty || room.stops.iter().any(|stop| stop.name == own.order.name());
         let ordered = own.as_ref().filter(is_open).map(|own| own.at);
         RoomStops { ordered, ..room }
     }
@@ -169,8 +169,7 @@ impl StopSwitch {
             let order = EmergencyStop { stamp, action: StopAction::Stop, operator, reason };
             // Before it is published, so that the first report of an array finds it.
             self.seen.order(&order);
-            let is_held = !self.seen.lock().stops().is_empty();
-            let own = OwnStop { order: order.clone(), at: Instant::now(), is_held };
+            let own = OwnStop { order: order.clone(), at: Instant::now() };
             *self.own.lock().unwrap_or_else(PoisonError::into_inner) = Some(own);
             sent = Some(order.clone());
             order
@@ -185,11 +184,6 @@ impl StopSwitch {
             return;
         }
         *last = Some(Instant::now());
-        if let Some(own) = self.own.lock().unwrap_or_else(PoisonError::into_inner).as_mut().filter(|own| !own.is_held) {
-            // The first array has appeared after the order.
-            self.seen.order(&own.order);
-            own.is_held = !self.seen.lock().stops().is_empty();
-        }
         let unreported = self.seen.lock().unreported(self.seen.now());
         for (array, held, is_older) in unreported {
             // A closed session shows at the next order.
@@ -225,9 +219,7 @@ impl StopSwitch {
             return sent.map(|_| begun.elapsed());
         };
         let name = order.name();
-        let is_stopped = |seen: &ReportedStops, now: Duration| {
-            seen.has_stopped(name, now, since) && self.seen.open_drivers(seen, now).is_empty()
-        };
+        let is_stopped = |seen: &ReportedStops, now: Duration| seen.has_stopped(name, now, since);
         let mut confirmed: Option<Duration> = None;
         loop {
             let is_confirmed = self.seen.wait(REPEAT_AFTER, is_stopped);
@@ -256,13 +248,13 @@ impl StopSwitch {
     fn unconfirmed(&self, name: StopName, since: Duration, waited: Duration, sent: Option<UiError>) -> UiError {
         let seen = self.seen.lock();
         let held = seen.stops().into_iter().find(|stop| stop.name == name).map_or_else(Vec::new, |stop| stop.arrays);
-        let open = |(array, standing): &(usize, Standing)| {
-            let is_released = !held.contains(array);
-            let released = || format!("another operator has released the stop at array {array}");
-            problem(*array, standing).or_else(|| is_released.then(released))
+        let not_held = |array: usize| match (held.contains(&array), seen.has_reported(array, name)) {
+            (true, _) => None,
+            (false, true) => Some(format!("another operator has released the stop at array {array}")),
+            (false, false) => problem(array, &Standing::Moving),
         };
+        let open = |(array, standing): &(usize, Standing)| problem(*array, standing).or_else(|| not_held(*array));
         let mut arrays: Vec<String> = seen.standings(self.seen.now(), Some(since)).iter().filter_map(open).collect();
-        arrays.extend(self.seen.open_drivers(&seen, self.seen.now()));
         if !seen.has_geometry() && seen.has_array() {
             arrays.push(UNKNOWN_ARRAYS.to_owned());
         }

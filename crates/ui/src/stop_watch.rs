@@ -2,7 +2,6 @@
 //!
 //! [`ReportedStops`] decides whether a room is stopped; the page and the command line show its result.
 
-use std::collections::BTreeSet;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -10,7 +9,7 @@ use heliostat_bus::{Bus, Presence, Subscription};
 use heliostat_proto::keys::parse_array_alive;
 use heliostat_proto::reported_stops::{ReportedStops, RoomStop, Standing};
 use heliostat_proto::{
-    EmergencyStop, MAX_ARRAYS, Message, MirrorTelemetry, RoomGeometry, SafetyReport, StopName, StopReport, codec,
+    EmergencyStop, Message, MirrorTelemetry, RoomGeometry, SafetyReport, StopName, StopReport, codec,
 };
 use heliostat_scenario::Scenario;
 use heliostat_service::printable::printable;
@@ -40,6 +39,17 @@ pub(crate) fn problem(array: usize, standing: &Standing) -> Option<String> {
             "array {array} has latched the stop, but its device has not executed it ({}): cut its power",
             printable(problem)
         ),
+        Standing::Shared { drivers, open, problem } => {
+            let sources = open.iter().map(|source| format!("{source:016x}")).collect::<Vec<_>>().join(", ");
+            let (named, have, their) = match open.len() {
+                1 => ("the one of source", "has", "its"),
+                _ => ("the ones of sources", "have", "their"),
+            };
+            let why = if problem.is_empty() { String::new() } else { format!(" ({})", printable(problem)) };
+            format!(
+                "array {array} has {drivers} drivers, and {named} {sources} {have} not confirmed the stop{why}: cut {their} power"
+            )
+        }
         Standing::Unknown => format!(
             "array {array} has latched the stop; its driver does not report whether the device executed it: check its mirrors"
         ),
@@ -96,8 +106,6 @@ pub(crate) struct RoomStops {
     pub unrecorded: Vec<String>,
     /// Age of the oldest of the arrays' last reports.
     pub report_age: Option<Duration>,
-    /// The drivers that have not confirmed, of arrays that have several, in words.
-    pub open_drivers: Vec<String>,
     /// When this process ordered a stop that is still held.
     pub ordered: Option<Instant>,
     /// Whether the number of arrays of the room is known.
@@ -107,7 +115,7 @@ pub(crate) struct RoomStops {
 impl RoomStops {
     /// Whether every array for which a stop is held has stopped.
     pub fn is_confirmed(&self) -> bool {
-        let is_open = !self.open_drivers.is_empty() || self.standings.iter().any(|(_, standing)| standing.is_open());
+        let is_open = self.standings.iter().any(|(_, standing)| standing.is_open());
         self.has_geometry && !is_open && self.standings.iter().any(|(_, standing)| *standing == Standing::Stopped)
     }
 
@@ -121,7 +129,7 @@ impl RoomStops {
     pub fn problems(&self) -> Vec<String> {
         let unknown = (!self.has_geometry && !self.stops.is_empty()).then(|| UNKNOWN_ARRAYS.to_owned());
         let open = self.standings.iter().filter_map(|(array, standing)| problem(*array, standing));
-        open.chain(self.open_drivers.iter().cloned()).chain(unknown).chain(self.unrecorded.iter().cloned()).collect()
+        open.chain(unknown).chain(self.unrecorded.iter().cloned()).collect()
     }
 }
 
@@ -138,12 +146,8 @@ struct WatchState {
     opened: Instant,
     seen: Mutex<ReportedStops>,
     changed: Condvar,
-    drivers: Mutex<BTreeSet<Driver>>,
     arrays: Mutex<ArrayReports>,
 }
-
-/// The array and the source of a process with mirrors; a simulator drives every array of its room.
-type Driver = (Option<usize>, u64);
 
 impl StopWatch {
     /// Watches the arrays of a room.
@@ -155,7 +159,6 @@ impl StopWatch {
             opened: Instant::now(),
             seen: Mutex::default(),
             changed: Condvar::new(),
-            drivers: Mutex::default(),
             arrays: Mutex::default(),
         });
         let mut subscriptions = Vec::new();
@@ -196,7 +199,7 @@ impl StopWatch {
         let present = Arc::clone(&state);
         subscriptions.push(bus.watch(&room.all_alive(), move |key, presence| {
             if let Some(driver) = parse_array_alive(key) {
-                present.note_driver(driver, presence);
+                present.note(|seen, now| seen.handle_driver(now, driver, presence == Presence::Alive));
             }
         })?);
         Ok(Arc::new(Self { state, _subscriptions: subscriptions }))
@@ -224,30 +227,13 @@ impl StopWatch {
         let standings = if stops.is_empty() { Vec::new() } else { seen.standings(now, None) };
         let report_age = seen.oldest_report().map(|at| now.saturating_sub(at));
         let (unrecorded, has_geometry) = (unrecorded(seen.unrecorded(now)), seen.has_geometry());
-        let open_drivers = self.open_drivers(&seen, now);
-        RoomStops { now, stops, standings, unrecorded, report_age, open_drivers, ordered: None, has_geometry }
+        RoomStops { now, stops, standings, unrecorded, report_age, ordered: None, has_geometry }
     }
 
-    /// The drivers that have not confirmed the stops of their array, where tokens name several of one array, in words.
-    /// The reports of one driver say nothing about the mirrors of another one.
-    pub fn open_drivers(&self, seen: &ReportedStops, now: Duration) -> Vec<String> {
-        let drivers = self.state.drivers.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut open = Vec::new();
-        for (array, sources) in several(&drivers) {
-            let count = sources.len();
-            open.extend(seen.unconfirmed_drivers(array, &sources, now).into_iter().map(|source| {
-                format!(
-                    "array {array} has {count} drivers, and the one of source {source:016x} has not confirmed the stop: cut its power"
-                )
-            }));
-        }
-        open
-    }
-
-    /// The arrays that two processes report, with the sources of both. A token alone drives nothing: it can be
-    /// forged, or of a host that has failed. Where tokens name two, the telemetry of both is awaited for a moment.
+    /// The arrays that two processes report, with the sources of both. A token alone only keeps a stop unconfirmed: it
+    /// can be forged, or of a host that has failed. Where tokens name two, the telemetry of both is awaited for a moment.
     pub fn shared(&self) -> Vec<(usize, [u64; 2])> {
-        let is_likely = several(&self.state.drivers.lock().unwrap_or_else(PoisonError::into_inner)).next().is_some();
+        let is_likely = self.lock().has_shared_array();
         if is_likely {
             self.wait(REPORTED_WITHIN, |_, _| !self.state.arrays().shared().is_empty());
         }
@@ -297,31 +283,12 @@ impl WatchState {
         self.arrays.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn note_driver(&self, driver: Driver, presence: Presence) {
-        let mut drivers = self.drivers.lock().unwrap_or_else(PoisonError::into_inner);
-        match presence {
-            Presence::Alive => drivers.insert(driver),
-            Presence::Gone => drivers.remove(&driver),
-        };
-        drop(drivers);
-        if let (Some(array), Presence::Alive) = (driver.0, presence) {
-            self.note(|seen, now| seen.handle_driver(now, array));
-        }
-    }
-
     fn note(&self, set: impl FnOnce(&mut ReportedStops, Duration)) {
         let mut seen = self.lock();
         set(&mut seen, self.opened.elapsed());
         drop(seen);
         self.changed.notify_all();
     }
-}
-
-/// The arrays that the tokens of several processes name, each with the sources of all of them.
-fn several(drivers: &BTreeSet<Driver>) -> impl Iterator<Item = (usize, Vec<u64>)> {
-    let serves = |array: usize| move |(of, source): &Driver| of.is_none_or(|of| of == array).then_some(*source);
-    let sources = move |array| (array, drivers.iter().filter_map(serves(array)).collect::<Vec<u64>>());
-    (0..MAX_ARRAYS).map(sources).filter(|(_, sources)| sources.len() > 1)
 }
 
 #[cfg(test)]
@@ -336,19 +303,9 @@ mod tests {
             reason: "smoke\nfire".into(),
             arrays: vec![0],
             known: Duration::ZERO,
+            stands_for_unlisted: false,
         };
         let words = stop_in_words(&stop);
         assert!(words.contains("of ann (\"smoke\\u000afire\") at array 0"), "{words}");
-    }
-
-    #[test]
-    fn an_array_that_may_have_two_drivers_is_known_by_their_tokens() {
-        let two = BTreeSet::from([(Some(0), 7), (Some(1), 8)]);
-        let named = |further: Option<Driver>| -> Vec<(usize, Vec<u64>)> {
-            several(&two.iter().copied().chain(further).collect()).collect()
-        };
-        assert!(named(None).is_empty());
-        assert_eq!(named(Some((Some(1), 9))), [(1, vec![8, 9])]);
-        assert_eq!(named(Some((None, 6)))[..2], [(0, vec![6, 7]), (1, vec![6, 8])], "a simulator drives each array");
     }
 }

@@ -285,6 +285,7 @@ mod tests {
             reason: "person on the ladder".into(),
             arrays: arrays.to_vec(),
             known: Duration::ZERO,
+            stands_for_unlisted: false,
         };
         RoomStops {
             stops: vec![stop(3, "ann", &[0, 1]), stop(5, "b\u{1b}ob", &[0])],

@@ -1,7 +1,7 @@
 //! What the stop reports of a room are read as.
 
 use super::*;
-use crate::structures::Stamp;
+use crate::limits::MAX_STOPS;
 
 const NOW: Duration = Duration::from_secs(100);
 
@@ -14,12 +14,64 @@ fn report(sequence: u64, device_stopped: bool) -> StopReport {
     }
 }
 
+fn order() -> EmergencyStop {
+    EmergencyStop { stamp: Stamp { source: 3, sequence: 4, time_ns: 0 }, ..EmergencyStop::default() }
+}
+
 fn ordered() -> ReportedStops {
-    let order = EmergencyStop { stamp: Stamp { source: 3, sequence: 4, time_ns: 0 }, ..EmergencyStop::default() };
     let mut stops = ReportedStops::default();
     stops.announce(NOW, 1);
-    stops.order(NOW, &order);
+    stops.order(NOW, &order());
     stops
+}
+
+/// Array 0 reports the stop of [`order`], and then that it is released.
+fn release(stops: &mut ReportedStops) {
+    stops.handle_stops(NOW, 0, report(1, true));
+    stops.handle_stops(NOW, 0, StopReport { stops: Vec::new(), ..report(2, false) });
+    assert_eq!(stops.stops(), []);
+}
+
+/// The arrays for which the stop of [`order`] is held, and due for repetition.
+fn due(stops: &ReportedStops) -> Vec<usize> {
+    let arrays: Vec<usize> = stops.unreported(NOW).into_iter().map(|(array, ..)| array).collect();
+    assert_eq!(arrays, stops.stops().first().map_or_else(Vec::new, |stop| stop.arrays.clone()));
+    arrays
+}
+
+#[test]
+fn a_stop_of_this_process_is_held_for_an_array_that_appears_after_its_release_at_another_one() {
+    let mut stops = ReportedStops::default();
+    stops.handle_telemetry(NOW, 0, &MirrorTelemetry::default());
+    stops.order(NOW, &order());
+    release(&mut stops);
+    let mut with_geometry = stops.clone();
+    stops.handle_driver(NOW, (Some(1), 7), true);
+    assert_eq!(due(&stops), [1], "the array that has released the stop stays released");
+    with_geometry.announce(NOW, 3);
+    assert_eq!(due(&with_geometry), [1, 2]);
+    let name = order().name();
+    assert_eq!([0, 1, 2].map(|array| stops.has_reported(array, name)), [true, false, false]);
+    let released = StopReport { stops: Vec::new(), released: vec![name], ..report(1, false) };
+    stops.handle_stops(NOW, 1, released);
+    assert!(due(&stops).is_empty() && stops.has_reported(1, name), "it had the stop before it appeared here");
+}
+
+#[test]
+fn a_stop_of_this_process_is_held_for_the_first_array_that_appears() {
+    let mut stops = ReportedStops::default();
+    stops.order(NOW, &order());
+    assert!(stops.is_empty() && stops.stops().is_empty());
+    stops.handle_telemetry(NOW, 0, &MirrorTelemetry::default());
+    assert_eq!(due(&stops), [0]);
+}
+
+#[test]
+fn a_stop_that_every_array_of_the_geometry_has_dropped_is_not_held_for_the_arrays_of_a_larger_one() {
+    let mut stops = ordered();
+    release(&mut stops);
+    stops.announce(NOW, 2);
+    assert_eq!(due(&stops), [0; 0]);
 }
 
 #[test]
@@ -68,13 +120,42 @@ fn an_array_that_has_stopped_and_does_not_record_the_stop_is_named() {
 fn each_of_two_drivers_of_an_array_has_to_confirm_a_stop() {
     let mut stops = ordered();
     let of_other = |report: StopReport| StopReport { stamp: Stamp { source: 7, ..report.stamp }, ..report };
+    let shared = |open: &[u64], problem: &str| -> [(usize, Standing); 1] {
+        [(0, Standing::Shared { drivers: 2, open: open.to_vec(), problem: problem.to_owned() })]
+    };
+    stops.handle_driver(NOW, (Some(0), 9), true);
     stops.handle_stops(NOW, 0, report(1, true));
-    assert_eq!(stops.unconfirmed_drivers(0, &[7, 9], NOW), [7], "it is silent");
-    stops.handle_stops(NOW, 0, of_other(report(1, false)));
-    assert_eq!(stops.unconfirmed_drivers(0, &[7, 9], NOW), [7], "its device has not stopped");
+    assert_eq!(stops.standings(NOW, None), [(0, Standing::Stopped)]);
+    stops.handle_driver(NOW, (Some(0), 7), true);
+    assert_eq!(stops.standings(NOW, None), shared(&[7], ""), "it is silent");
+    assert!(!stops.has_stopped(order().name(), NOW, NOW));
+    let no_link = StopReport { problem: "no link".into(), ..report(1, false) };
+    stops.handle_stops(NOW, 0, of_other(no_link));
+    assert_eq!(stops.standings(NOW, None), shared(&[7], "no link"), "its device has not stopped");
     stops.handle_stops(NOW, 0, of_other(report(2, true)));
-    assert_eq!(stops.unconfirmed_drivers(0, &[7, 9], NOW), [0; 0]);
-    assert_eq!(stops.unconfirmed_drivers(0, &[7, 9], NOW + REPORT_AGE_MAX), [7, 9]);
+    assert_eq!(stops.standings(NOW, None), [(0, Standing::Stopped)]);
+    assert!(stops.has_stopped(order().name(), NOW, NOW));
+    assert_eq!(stops.standings(NOW + REPORT_AGE_MAX, None), shared(&[7, 9], ""));
+    stops.handle_driver(NOW, (Some(0), 7), false);
+    assert_eq!(stops.standings(NOW, None), [(0, Standing::Stopped)], "the other one has ended");
+}
+
+#[test]
+fn an_array_that_may_have_two_drivers_is_known_by_their_tokens() {
+    let mut stops = ReportedStops::default();
+    stops.handle_driver(NOW, (Some(0), 7), true);
+    stops.handle_driver(NOW, (Some(1), 8), true);
+    assert!(!stops.has_shared_array());
+    let mut simulated = stops.clone();
+    stops.handle_driver(NOW, (Some(1), 9), true);
+    assert!(stops.has_shared_array());
+    assert_eq!([0, 1].map(|array| stops.drivers_of(array)), [vec![7], vec![8, 9]]);
+    simulated.handle_driver(NOW, (None, 6), true);
+    assert_eq!(
+        [0, 1].map(|array| simulated.drivers_of(array)),
+        [vec![6, 7], vec![6, 8]],
+        "a simulator drives each array"
+    );
 }
 
 #[test]
@@ -88,6 +169,28 @@ fn arrays_that_started_stopped_have_one_stop_with_the_reason_of_each() {
     let all = stops.stops();
     assert_eq!((all.len(), &*all[0].arrays), (1, &[0, 1][..]));
     assert_eq!(all[0].reason, "no first file; no second file");
+}
+
+#[test]
+fn a_stop_without_sender_in_a_full_list_stands_for_others_whatever_its_reason_is() {
+    let listed = |sequence, named: u64, has_unlisted: bool| {
+        let unlisted = LatchedStopReport { reason: "no record".into(), ..LatchedStopReport::default() };
+        let named = (1..=named).map(|source| LatchedStopReport { source, sequence: 1, ..LatchedStopReport::default() });
+        let stops = has_unlisted.then_some(unlisted).into_iter().chain(named).collect();
+        StopReport { stops, ..report(sequence, true) }
+    };
+    let full = MAX_STOPS as u64 - 1;
+    let mut stops = ReportedStops::default();
+    let mut stands = |report| {
+        stops.handle_stops(NOW, 0, report);
+        let stops = stops.stops();
+        stops.iter().find(|stop| stop.name == StopName::default()).map(|stop| stop.stands_for_unlisted)
+    };
+    assert_eq!(stands(listed(1, full - 1, true)), Some(false), "a list with a free place names every stop");
+    assert_eq!(stands(listed(2, full, true)), Some(true));
+    assert_eq!(stands(listed(3, 1, true)), Some(true), "the others are not listed since");
+    assert_eq!(stands(listed(4, 1, false)), None);
+    assert_eq!(stands(listed(5, 1, true)), Some(false), "another one");
 }
 
 #[test]

@@ -225,25 +225,51 @@ fn a_stop_is_repeated_by_its_name_to_an_array_that_has_not_reported_it() {
     assert_eq!(arrays[0].stops().len(), 1, "a repetition has no name of its own");
 }
 
+/// Awaits the stop at an array, and releases it there as another operator.
+fn release_elsewhere(array: &Array) {
+    let begun = Instant::now();
+    while array.stops().is_empty() {
+        assert!(begun.elapsed() < TIME_LIMIT, "the stop has not come");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    // Its report with the stop comes before the one without.
+    array.report();
+    let mut state = array.state.lock().unwrap();
+    state.released = std::mem::take(&mut state.stops);
+    drop(state);
+    array.report();
+}
+
 #[test]
 fn a_stop_that_another_operator_releases_meanwhile_is_not_ordered_again() {
     let (arrays, switch, _sessions) = arrays("released", &[Manner::Stops, Manner::Latches]);
     assert_eq!(switch.stops(TIME_LIMIT), [], "every array is known, so that the stop itself is sent once");
     std::thread::scope(|scope| {
         let open = scope.spawn(|| unconfirmed(&switch));
-        let begun = Instant::now();
-        while arrays[0].stops().is_empty() {
-            assert!(begun.elapsed() < TIME_LIMIT, "the stop has not come");
-            std::thread::sleep(Duration::from_millis(1));
-        }
-        // Its report with the stop comes before the one without.
-        arrays[0].report();
-        let mut state = arrays[0].state.lock().unwrap();
-        state.released = std::mem::take(&mut state.stops);
-        drop(state);
-        arrays[0].report();
+        release_elsewhere(&arrays[0]);
         let open = open.join().unwrap();
         assert_eq!(open[0], "another operator has released the stop at array 0", "{open:?}");
+    });
+}
+
+#[test]
+fn a_stop_is_repeated_to_an_array_that_appears_after_another_operator_has_released_it_elsewhere() {
+    // The first array never confirms, so that the switch waits until its limit.
+    let (first, switch, (own, _bus)) = announced("joined", &[Manner::Latches], None);
+    assert_eq!(switch.stops(TIME_LIMIT), [], "the first array is known");
+    std::thread::scope(|scope| {
+        let open = scope.spawn(|| unconfirmed(&switch));
+        release_elsewhere(&first[0]);
+        let begun = Instant::now();
+        while !switch.known_stops().is_empty() {
+            assert!(begun.elapsed() < TIME_LIMIT, "the release has not come");
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        let later = Array::new(&own, 1, Manner::Deaf, None);
+        let open = open.join().unwrap();
+        assert_eq!(later.stops(), first[0].state.lock().unwrap().released, "{open:?}");
+        assert_eq!(open[0], "another operator has released the stop at array 0", "{open:?}");
+        assert!(!open.iter().any(|open| open.contains("array 1")), "it has stopped: {open:?}");
     });
 }
 

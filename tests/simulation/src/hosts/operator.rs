@@ -27,8 +27,6 @@ const REARM_NS: u64 = 2000 * MS;
 struct Ordered {
     order: EmergencyStop,
     begun: Duration,
-    /// Whether any array was known for which it is held.
-    is_held: bool,
 }
 
 /// Names that are to be released, until a local time.
@@ -106,7 +104,7 @@ impl Operator {
         let begun = Duration::from_nanos(ctx.at.local_ns);
         self.seen.order(begun, &order);
         ctx.publish(Topic::Stop, encoded(&order));
-        self.ordered = Some(Ordered { order, begun, is_held: !self.seen.is_empty() });
+        self.ordered = Some(Ordered { order, begun });
     }
 
     /// Releases the oldest stop by its name, or all stops by time.
@@ -140,11 +138,6 @@ impl Operator {
             return;
         }
         let now = Duration::from_nanos(ctx.at.local_ns);
-        if let Some(ordered) = self.ordered.as_mut().filter(|ordered| !ordered.is_held) {
-            // The first array has appeared after the order.
-            self.seen.order(now, &ordered.order);
-            ordered.is_held = !self.seen.is_empty();
-        }
         for (array, held, _) in self.seen.unreported(now) {
             self.repeat(array, &held, ctx);
         }
@@ -209,7 +202,7 @@ impl Operator {
             let is_held = |stop: &&RoomStop| standing == Standing::Stopped && stop.arrays.contains(&array);
             stops.iter().filter(is_held).for_each(|stop| ctx.monitor.shown(ctx.now, array, stop.name));
         }
-        let Some(Ordered { order, begun, .. }) = &self.ordered else { return };
+        let Some(Ordered { order, begun }) = &self.ordered else { return };
         let name = order.name();
         if self.seen.has_geometry() && self.seen.has_stopped(name, now, *begun) {
             self.ordered = None;

@@ -367,9 +367,10 @@ impl ReportedStops {
         self.note_names(now);
     }
 
-    /// Holds these stops no longer for the arrays whose stop report arrived after `since` and names none of them: no
-    /// process has repeated the stop to such an array.
+    /// Holds these stops no longer for arrays that appear later, and for those whose stop report arrived after `since`
+    /// and names none of them: no process has repeated the stop to such an array.
     pub fn forget_unlatched(&mut self, names: &[StopName], since: Duration) {
+        self.orders.retain(|order| !names.contains(&order.name()));
         for ReportedArray { stops, hold, .. } in self.arrays.values_mut() {
             if let Some((_, report)) = stops.as_ref().filter(|(at, _)| *at > since) {
                 names.iter().filter(|name| !report.is_latched(**name)).for_each(|name| hold.forget(*name));

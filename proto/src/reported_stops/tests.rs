@@ -58,6 +58,17 @@ fn a_stop_of_this_process_is_held_for_an_array_that_appears_after_its_release_at
 }
 
 #[test]
+fn a_stop_that_this_process_releases_is_held_for_no_array_that_appears_later() {
+    let mut stops = ReportedStops::default();
+    stops.handle_telemetry(NOW, 0, &MirrorTelemetry::default());
+    stops.order(NOW, &order());
+    stops.forget_unlatched(&[order().name()], NOW);
+    release(&mut stops);
+    stops.handle_driver(NOW, (Some(1), 7), true);
+    assert!(due(&stops).is_empty());
+}
+
+#[test]
 fn a_stop_of_this_process_is_held_for_the_first_array_that_appears() {
     let mut stops = ReportedStops::default();
     stops.order(NOW, &order());

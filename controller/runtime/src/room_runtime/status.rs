@@ -386,8 +386,8 @@ impl Reporter {
         let of = self.off_light.remove(self.off_light.iter().position(|of| !is_off(of))?);
         let end = match measured(&of) {
             Some(one) => format!("{one} again"),
-            // Another source reports the users, for example.
-            None => format!("the light of {of} is measured from the beginning again"),
+            // Another source reports the users, or no array fits any more.
+            None => format!("the light of {of} is not judged any longer"),
         };
         Some((Subject::Light(of), Problem::End(end)))
     }

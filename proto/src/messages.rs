@@ -238,6 +238,8 @@ impl NodeStatus {
 
     /// Name of the counter that is 1 while an array does not fit the scenario of a controller.
     pub const ARRAY_UNFIT: &'static str = "array_unfit";
+    /// Beginning of the names of the counters of the arrays that do not fit, where another array fits.
+    pub const ARRAY_UNFIT_OF: &'static str = "array_unfit:";
 
     /// Name of the counter of other processes with mirrors, simulators and drivers, that are in the room of a simulator
     /// at present.

@@ -37,7 +37,7 @@ impl ConnectionWatch {
     /// Starts the thread; without one, nothing is known.
     pub fn start(session: zenoh::Session, config: &BusConfig) -> Self {
         let mut found = Found::default();
-        found.link.note(connections(&session) > 0);
+        found.note(connections(&session));
         let watched = Arc::new(Watched {
             session: Mutex::new(Some(session)),
             identity: config.identity.clone(),
@@ -47,7 +47,8 @@ impl ConnectionWatch {
         });
         let (end, ended) = channel();
         let (of_search, of_looks) = (Arc::clone(&watched), Arc::clone(&watched));
-        let (search, searches) = sync_channel(1);
+        // Without a buffer: a search that still runs is enough, and none is queued behind it.
+        let (search, searches) = sync_channel(0);
         spawn("endpoints", move || searches.iter().for_each(|()| of_search.search()));
         spawn("connections", move || watch(&of_looks, &search, &ended));
         Self { watched, _end: end }
@@ -104,8 +105,10 @@ impl Watched {
         self.note_problem(problem);
     }
 
+    /// Sets the problem, or none where no endpoint misses a connection any more: a search takes long.
     fn note_problem(&self, problem: Option<String>) {
         let mut known = lock(&self.found);
+        let problem = problem.filter(|_| self.misses_endpoint(known.connections));
         if known.problem != problem {
             if let Some(problem) = &problem {
                 tracing::warn!("{problem}");
@@ -126,7 +129,17 @@ pub(crate) fn connections(session: &zenoh::Session) -> usize {
 struct Found {
     /// Why an endpoint has no connection.
     problem: Option<String>,
+    /// Number of connections at the last look.
+    connections: usize,
     link: Link,
+}
+
+impl Found {
+    /// Notes the connections of a look: whether one is lost or back.
+    fn note(&mut self, connections: usize) -> bool {
+        self.connections = connections;
+        self.link.note(connections > 0)
+    }
 }
 
 /// Whether the last connection is lost.
@@ -170,12 +183,12 @@ fn watch(watched: &Watched, search: &SyncSender<()>, ended: &Receiver<()>) {
     while ended.recv_timeout(EVERY) == Err(RecvTimeoutError::Timeout) {
         // The close of the session is no loss.
         let Some(connections) = lock(&watched.session).as_ref().and_then(open_connections) else { return };
-        note_link(connections > 0, watched);
+        note_connections(connections, watched);
         looks_left -= 1;
         if looks_left == 0 {
             looks_left = SEARCH_EVERY;
             if watched.misses_endpoint(connections) {
-                // A search that still runs is enough.
+                // Refused while a search runs.
                 let _ = search.try_send(());
             } else {
                 watched.note_problem(None);
@@ -190,10 +203,10 @@ fn open_connections(session: &zenoh::Session) -> Option<usize> {
     (!session.is_closed()).then_some(connections)
 }
 
-fn note_link(is_connected: bool, Watched { role, endpoints, found, .. }: &Watched) {
-    let is_news = lock(found).link.note(is_connected);
+fn note_connections(connections: usize, Watched { role, endpoints, found, .. }: &Watched) {
+    let is_news = lock(found).note(connections);
     match is_news {
-        true if is_connected => tracing::info!("this process is connected again"),
+        true if connections > 0 => tracing::info!("this process is connected again"),
         true => tracing::warn!("{}", describe_lost(*role, endpoints)),
         false => {}
     }
@@ -225,15 +238,31 @@ mod tests {
         assert!(!peer.contains(&endpoints[0]) && peer.contains("its last connection"), "{peer}");
     }
 
-    #[test]
-    fn a_client_misses_no_endpoint_beside_the_one_that_answers() {
-        let watched = |role| Watched {
+    /// A session with two endpoints.
+    fn watched(role: Role) -> Watched {
+        Watched {
             session: Mutex::new(None),
             identity: None,
             endpoints: vec!["tls/one:7447".into(), "tls/two:7447".into()],
             role,
             found: Mutex::default(),
+        }
+    }
+
+    #[test]
+    fn the_result_of_a_search_that_ends_after_the_connection_is_back_is_dropped() {
+        let watched = watched(Role::Client);
+        let shown = |connections| {
+            note_connections(connections, &watched);
+            watched.note_problem(Some("the certificate has expired".into()));
+            lock(&watched.found).problem.clone()
         };
+        assert!(shown(0).is_some());
+        assert_eq!(shown(1), None);
+    }
+
+    #[test]
+    fn a_client_misses_no_endpoint_beside_the_one_that_answers() {
         let missing = |role| [0, 1, 2].map(|connections| watched(role).misses_endpoint(connections));
         assert_eq!(missing(Role::Client), [true, false, false]);
         assert_eq!(missing(Role::Peer), [true, true, false]);

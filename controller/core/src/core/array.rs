@@ -152,9 +152,14 @@ impl Controller {
         self.arrays[array].permit.is_ok()
     }
 
-    /// Why an array receives no commands, if it does not fit the scenario.
+    /// Why the first array that does not fit the scenario receives no commands.
     pub fn unfit(&self) -> Option<&Unfit> {
-        self.arrays.iter().find_map(|array| array.guard.unfit())
+        (0..self.arrays()).find_map(|array| self.unfit_of(array))
+    }
+
+    /// Why an array receives no commands, if it does not fit the scenario.
+    pub fn unfit_of(&self, array: usize) -> Option<&Unfit> {
+        self.arrays[array].guard.unfit()
     }
 
     /// Decides which arrays get the command that is due at `now`, for a report or for the absence of

@@ -68,7 +68,7 @@ pub struct Summary {
     pub standby: bool,
     /// Other controllers in the room from which statuses arrive, and calibrations; 16 at most.
     pub peers: u64,
-    /// Why the array receives no commands, if it does not fit the scenario.
+    /// Why an array receives no commands, if it does not fit the scenario.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub unfit: Option<String>,
     /// Commands are sent, and no driver or simulator receives those to an array.
@@ -168,12 +168,16 @@ pub struct ArrayStanding {
     pub epoch: u64,
     /// Commands are sent, and no driver or simulator receives those to this array.
     pub driver_absent: bool,
+    /// It receives no commands, because it does not fit the scenario.
+    #[serde(default)]
+    pub unfit: bool,
 }
 
 impl ArrayStanding {
     fn of(controller: &Controller, array: usize) -> Self {
         let (name, epoch) = (array_name(array), controller.tenure(array).epoch());
-        Self { name, commanded: controller.is_commanded(array), epoch, driver_absent: false }
+        let (commanded, unfit) = (controller.is_commanded(array), controller.unfit_of(array).is_some());
+        Self { name, commanded, epoch, driver_absent: false, unfit }
     }
 }
 
@@ -238,6 +242,7 @@ impl Summary {
     pub fn of(controller: &Controller) -> Self {
         let counters = controller.counters();
         let arrays = 0..controller.arrays();
+        let is_any_fit = arrays.clone().any(|array| controller.unfit_of(array).is_none());
         let foreign = ("array:foreign-source".to_string(), counters.foreign_arrays);
         let refused = controller.inbox().refused().named().chain([foreign]);
         let degraded = DegradedMode::ALL.map(|mode| (mode.name(), counters.degraded(mode)));
@@ -277,10 +282,15 @@ impl Summary {
                 .collect(),
             belief: BeliefSummary::of(controller),
             // The light that another scenario would bring says nothing about the room.
-            light: controller.light().filter(|_| controller.unfit().is_none()).map(served_light).unwrap_or_default(),
+            light: controller.light().filter(|_| is_any_fit).map(served_light).unwrap_or_default(),
             sources: controller.inbox().sources(),
             ..Self::default()
         }
+    }
+
+    /// Whether no array receives commands, because none fits the scenario.
+    pub fn is_entirely_unfit(&self) -> bool {
+        self.unfit.is_some() && self.arrays.iter().all(|array| array.unfit)
     }
 
     /// The report on all rooms, from the report and the times of each.
@@ -397,6 +407,7 @@ pub fn describe_unfit(unfit: &Unfit) -> String {
 #[cfg(test)]
 mod tests {
     use heliostat_core::{core::Timing, policy::Fixed};
+    use heliostat_proto::Capabilities;
     use heliostat_scenario::Scenario;
 
     use super::*;
@@ -413,6 +424,22 @@ mod tests {
         let summary = Summary::of(&controller);
         assert_eq!(summary.fallbacks, BTreeMap::from([("held".to_owned(), 1)]));
         assert!(summary.to_string().contains("\nfallbacks: held 1\nrefused: none\n"), "{summary}");
+    }
+
+    #[test]
+    fn one_unfit_array_of_two_leaves_the_other_one_commanded() {
+        let two = "[users]\ncount = 3\n[[mirrors]]\nrows = 2\ncolumns = 2\n[[mirrors]]\nrows = 2\ncolumns = 3\nwall = \"-x\"\n";
+        let scenario = Scenario::from_toml(two).expect("a valid scenario");
+        let policy = Box::new(Fixed::flat(scenario.mirror_count()));
+        let mut controller = Controller::new(&scenario, scenario.channel_model().expect("valid"), policy, 1);
+        let mut examine = |array| {
+            controller.handle_capabilities(array, &Capabilities::default(), Err(Unfit::PaperAngles));
+            let summary = Summary::of(&controller);
+            assert!(summary.unfit.is_some());
+            (summary.arrays.iter().map(|array| array.unfit).collect::<Vec<_>>(), summary.is_entirely_unfit())
+        };
+        assert_eq!(examine(1), (vec![false, true], false));
+        assert_eq!(examine(0), (vec![true, true], true));
     }
 
     #[test]

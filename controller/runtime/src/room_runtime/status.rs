@@ -239,6 +239,8 @@ impl Reporter {
         let users = summary.users.iter().map(named("users:"));
         let absent = summary.arrays.iter().filter(|array| array.driver_absent);
         let absent = absent.map(|array| (format!("driver_absent:{}", array.name), 1));
+        let unfit = summary.arrays.iter().filter(|array| array.unfit && !summary.is_entirely_unfit());
+        let unfit = unfit.map(|array| (format!("{}{}", NodeStatus::ARRAY_UNFIT_OF, array.name), 1));
         let host = (!self.identity.host.is_empty()).then(|| (format!("{}{}", NodeStatus::HOST, self.identity.host), 1));
         let engine = summary.engine.iter().map(|name| (format!("engine:{name}"), 1));
         let actor = summary.actor.iter().map(|hash| (format!("actor:{hash}"), 1));
@@ -263,6 +265,7 @@ impl Reporter {
                 .chain(engine)
                 .chain(actor)
                 .chain(absent)
+                .chain(unfit)
                 .collect(),
             gauges: noise.chain(summary.light.iter().flat_map(ServedLight::gauges)).collect(),
             timings: totals.into_iter().chain(stages).collect(),
@@ -297,7 +300,7 @@ impl Reporter {
     fn state(&self, summary: &Summary) -> String {
         let state = match summary {
             _ if !self.stops.is_empty() => return self.stops.clone(),
-            _ if summary.unfit.is_some() => "no commands: the array does not fit",
+            _ if summary.is_entirely_unfit() => "no commands: the array does not fit",
             _ if summary.standby => "standby",
             _ if summary.decisions == 0 && !self.has_refused_positions => "waiting for position reports",
             _ if summary.commands == self.commands && self.has_refused_positions => "position reports refused",
@@ -383,8 +386,8 @@ impl Reporter {
         let of = self.off_light.remove(self.off_light.iter().position(|of| !is_off(of))?);
         let end = match measured(&of) {
             Some(one) => format!("{one} again"),
-            // Another source reports the users, for example.
-            None => format!("the light of {of} is measured from the beginning again"),
+            // Another source reports the users, or no array fits any more.
+            None => format!("the light of {of} is not judged any longer"),
         };
         Some((Subject::Light(of), Problem::End(end)))
     }

@@ -7,7 +7,7 @@ use std::rc::Rc;
 use anyhow::{Context, Error, Result, anyhow, bail, ensure};
 use clap::ValueEnum;
 use heliostat_core::policy::{PolicyKind, removed};
-use heliostat_proto::{ControllerInput, InputKind, MirrorCommand, Nanos, NodeKind, NodeStatus, Room};
+use heliostat_proto::{ControllerInput, EPOCH_SLOTS, InputKind, MirrorCommand, Nanos, NodeKind, NodeStatus, Room};
 use heliostat_scenario::Scenario;
 use serde::Serialize;
 
@@ -95,7 +95,9 @@ pub(super) struct Plan {
     pub schedules: BTreeMap<u64, Rc<Schedule>>,
     /// The statuses of the controllers, by epoch.
     controllers: BTreeMap<u64, ControllerHistory>,
-    /// The epochs whose commands are not replayed.
+    /// The scenarios of the controllers that used another one than the recording holds, by source.
+    other_scenarios: BTreeMap<u64, String>,
+    /// The commands that are not replayed, by the source of their controller.
     pub left_out: BTreeMap<u64, LeftOut>,
     pub account: Account,
 }
@@ -108,8 +110,8 @@ struct ControllerHistory {
     actors: BTreeSet<String>,
     /// Decisions whose predicted latency exceeded the deadline.
     late: u64,
-    /// Source and scenario of a controller that used another scenario than the recording holds.
-    other_scenario: Option<(u64, String)>,
+    /// The source of a controller that used another scenario than the recording holds.
+    with_other_scenario: Option<u64>,
 }
 
 impl Plan {
@@ -134,6 +136,7 @@ impl Plan {
             epochs: BTreeMap::new(),
             schedules: BTreeMap::new(),
             controllers: BTreeMap::new(),
+            other_scenarios: BTreeMap::new(),
             left_out: BTreeMap::new(),
             account: Account::default(),
         };
@@ -193,25 +196,42 @@ impl Plan {
     /// # Errors
     /// No other epoch has commands.
     fn leave_out_other_scenarios(&mut self, hash: &str) -> Result<()> {
-        for (&epoch, history) in &self.controllers {
-            let Some((source, scenario)) = history.other_scenario.clone() else { continue };
+        let others = self.epochs.keys().filter_map(|&epoch| Some((epoch, self.with_other_scenario(epoch)?)));
+        for (epoch, source) in others.collect::<Vec<_>>() {
             let commands = self.answers.values().flatten().filter(|answer| answer.epoch == epoch).count() as u64;
-            self.left_out.insert(epoch, LeftOut { controller: format!("{source:016x}"), scenario, commands });
+            let scenario = self.other_scenarios.get(&source).cloned().unwrap_or_default();
+            let left_out = LeftOut { controller: format!("{source:016x}"), scenario, commands: 0 };
+            self.left_out.entry(source).or_insert(left_out).commands += commands;
             self.epochs.remove(&epoch);
         }
-        if self.epochs.is_empty() && !self.left_out.is_empty() {
-            let used = self.left_out.values();
-            let used = used.map(|one| format!("controller {} used scenario {}", one.controller, one.scenario));
+        if self.epochs.is_empty() && !self.other_scenarios.is_empty() {
+            let used = self.other_scenarios.iter();
+            let used = used.map(|(source, scenario)| format!("controller {source:016x} used scenario {scenario}"));
             bail!(
                 "{}, it holds {hash}: either the recorder or the controller did not have the --scenario, --set and --seed of the room",
-                used.collect::<BTreeSet<_>>().into_iter().collect::<Vec<_>>().join(", ")
+                used.collect::<Vec<_>>().join(", ")
             );
         }
-        self.left_out.retain(|_, one| one.commands > 0);
         for answers in self.answers.values_mut() {
-            answers.retain(|answer| !self.left_out.contains_key(&answer.epoch));
+            answers.retain(|answer| self.epochs.contains_key(&answer.epoch));
         }
         Ok(())
+    }
+
+    /// The source of the controller of an epoch, if it used another scenario than the recorded one.
+    fn with_other_scenario(&self, epoch: u64) -> Option<u64> {
+        let is_of = |source: &u64| source % EPOCH_SLOTS == epoch % EPOCH_SLOTS;
+        match (self.controllers.get(&epoch), self.clock) {
+            (Some(history), _) => history.with_other_scenario,
+            // A status shows an epoch of the first array, and not each that was in use since the last one.
+            (None, Clock::Live) => self.other_scenarios.keys().copied().find(is_of),
+            (None, Clock::Lockstep) => None,
+        }
+    }
+
+    /// Whether the commands of an epoch are not replayed.
+    pub fn leaves_out(&self, epoch: u64) -> bool {
+        self.with_other_scenario(epoch).is_some()
     }
 
     /// Adds the status of a controller; `hash` is that of the recorded scenario.
@@ -221,7 +241,8 @@ impl Plan {
         let history = self.controllers.entry(counter("epoch")).or_default();
         history.late = history.late.max(counter("fallback:late"));
         if !status.scenario.is_empty() && status.scenario != hash {
-            history.other_scenario = Some((status.stamp.source, status.scenario));
+            history.with_other_scenario = Some(status.stamp.source);
+            self.other_scenarios.insert(status.stamp.source, status.scenario);
         }
         history
             .actors
@@ -299,7 +320,64 @@ fn clock_of(report_ns: Nanos, arrived_ns: Nanos) -> Clock {
 
 #[cfg(test)]
 mod tests {
+    use heliostat_proto::Stamp;
+
     use super::*;
+
+    const OWN: u64 = 3 * EPOCH_SLOTS + 7;
+    const VISITOR: u64 = 5 * EPOCH_SLOTS + 9;
+
+    /// A plan after a command of each epoch, and the statuses of a controller and of one with another scenario.
+    fn plan(clock: Clock, epochs: &[u64]) -> Plan {
+        let scenario = Scenario::builtin("hall").expect("a built-in scenario");
+        let mut plan = Plan {
+            scenario,
+            room: Room::new("lab").expect("a valid name"),
+            clock,
+            answers: HashMap::new(),
+            epochs: BTreeMap::new(),
+            schedules: BTreeMap::new(),
+            controllers: BTreeMap::new(),
+            other_scenarios: BTreeMap::new(),
+            left_out: BTreeMap::new(),
+            account: Account::default(),
+        };
+        for &epoch in epochs {
+            plan.add_command(MirrorCommand { epoch, ..MirrorCommand::default() }, None);
+        }
+        for (source, epoch, scenario) in [(OWN, OWN, "recorded"), (VISITOR, VISITOR, "other")] {
+            let status = NodeStatus {
+                stamp: Stamp { source, ..Stamp::default() },
+                scenario: scenario.into(),
+                counters: vec![("epoch".into(), epoch)],
+                ..NodeStatus::default()
+            };
+            plan.add_status(status, "recorded");
+        }
+        plan
+    }
+
+    #[test]
+    fn an_epoch_of_another_scenario_that_no_status_shows_is_left_out_too() {
+        let unseen = VISITOR + EPOCH_SLOTS;
+        let mut live = plan(Clock::Live, &[OWN, VISITOR, unseen]);
+        live.leave_out_other_scenarios("recorded").expect("the own epoch remains");
+        assert_eq!(live.epochs.keys().collect::<Vec<_>>(), [&OWN]);
+        assert_eq!(live.left_out.values().map(|one| one.commands).collect::<Vec<_>>(), [2]);
+        assert_eq!(live.answers.values().map(VecDeque::len).sum::<usize>(), 1);
+        let of_second_array = VISITOR + 2 * EPOCH_SLOTS;
+        assert!(live.leaves_out(of_second_array) && !live.leaves_out(OWN + EPOCH_SLOTS));
+    }
+
+    #[test]
+    fn a_remainder_names_no_controller_in_lockstep_or_where_a_status_names_another_one() {
+        let unseen = VISITOR + EPOCH_SLOTS;
+        assert!(!plan(Clock::Lockstep, &[]).leaves_out(unseen));
+        let mut live = plan(Clock::Live, &[]);
+        let counters = vec![("epoch".into(), unseen)];
+        live.add_status(NodeStatus { scenario: "recorded".into(), counters, ..NodeStatus::default() }, "recorded");
+        assert!(!live.leaves_out(unseen));
+    }
 
     #[test]
     fn reports_that_cannot_be_read_are_no_absent_reports() {

@@ -312,7 +312,7 @@ impl<'a> Player<'a> {
     }
 
     fn command(&mut self, array: usize, theirs: MirrorCommand) {
-        if self.plan.left_out.contains_key(&theirs.epoch) {
+        if self.plan.leaves_out(theirs.epoch) {
             return;
         }
         let progress = self.current.as_ref().and_then(|current| current.progress.as_ref());

@@ -48,7 +48,7 @@ pub struct Verdict {
     pub first_difference: Option<String>,
     /// Why a recorded state of a controller was not restored.
     pub unrestored: Option<String>,
-    /// The controllers whose commands were not decided again, one for each epoch.
+    /// The controllers whose commands were not decided again.
     pub left_out: Vec<LeftOut>,
 }
 

@@ -1,4 +1,5 @@
 use super::*;
+use crate::report::summary::ArrayStanding;
 
 #[test]
 fn what_keeps_commands_from_the_mirrors_is_the_problem_until_it_ends() {
@@ -39,6 +40,33 @@ fn light_that_is_not_watched_any_more_is_no_problem() {
     assert_eq!(shown(&[]), "", "another source reports the users");
     assert!(shown(&light(Some(9.0))).starts_with("the mirrors bring 0.62"), "it is off again");
     assert_eq!(shown(&light(None)), "");
+}
+
+#[test]
+fn the_end_of_the_watch_over_a_light_claims_no_new_measurement() {
+    let mut reporter = Reporter::new(Identity::default());
+    let off = [ServedLight { of: "mirrors".into(), ratio: 0.62, off_since_s: Some(3.0) }];
+    assert!(matches!(reporter.new_light(&off), Some((_, Problem::Warning(_)))));
+    let Some((_, Problem::End(end))) = reporter.new_light(&[]) else { panic!("no end") };
+    assert_eq!(end, "the light of mirrors is not judged any longer");
+}
+
+#[test]
+fn one_unfit_array_of_two_is_named_beside_a_controller_that_runs() {
+    let mut reporter = Reporter::new(Identity::default());
+    let array = |name: &str, unfit| ArrayStanding { name: name.into(), unfit, ..ArrayStanding::default() };
+    let mut shown = |unfit: [bool; 2]| {
+        let arrays = vec![array("mirrors", unfit[0]), array("mirrors-1", unfit[1])];
+        let summary = Summary { unfit: Some("other mirrors".into()), arrays, decisions: 1, ..Summary::default() };
+        let state = reporter.state(&summary);
+        let swaps = SwapCounters::default();
+        let snapshot = Snapshot { summary, problem: None, occurrences: 0, now: 0, state, swaps };
+        let status = reporter.report(&snapshot, &StageTimes::default());
+        let named = status.counters.into_iter().filter(|(name, _)| name.starts_with(NodeStatus::ARRAY_UNFIT_OF));
+        (status.state, named.map(|(name, _)| name).collect::<Vec<_>>())
+    };
+    assert_eq!(shown([false, true]), ("running".into(), vec!["array_unfit:mirrors-1".into()]));
+    assert_eq!(shown([true, true]), ("no commands: the array does not fit".into(), Vec::new()));
 }
 
 #[test]

@@ -43,7 +43,9 @@ pub(super) fn checks(
     if let Some(file) = &args.measured {
         checks.extend(check_measured(file, args.array, driver, controller));
     }
-    if !checks.is_empty() && controller.is_some_and(|controller| controller.light.is_empty()) {
+    // The light of a controller without a fit is not shown, however much it has compared.
+    let lacks_light = |controller: &ControllerState| controller.unfit.is_none() && controller.light.is_empty();
+    if !checks.is_empty() && controller.is_some_and(lacks_light) {
         let found = "not known: the controller has compared too little light of served users so far";
         checks.push(Check::unknown("light", found));
     }

@@ -6,6 +6,7 @@ use std::time::Instant;
 use heliostat_bus::Bus;
 use heliostat_proto::gauges::{ServedLight, TrackerNoise};
 use heliostat_proto::{MirrorTelemetry, NodeKind, NodeStatus, RoomGeometry, decode};
+use heliostat_service::printable::printable;
 use heliostat_ui::controllers::leading;
 
 use super::args::Args;
@@ -21,6 +22,9 @@ const LEAST: f64 = 5e-3;
 /// What to do without a controller.
 const START_CONTROLLER: &str = "without one no command reaches the mirrors: check --room, start heliostat controller, or add its endpoint or router to --connect";
 
+/// What to do with a controller that does not command an array.
+const FIT_ARRAY: &str = "only the other arrays get its commands: start it with the --scenario and --set of the room";
+
 /// What to do with a controller that commands nothing.
 const FIT_CONTROLLER: &str = "it sends no commands: start it with the --scenario and --set of the room";
 
@@ -35,8 +39,17 @@ pub(super) struct ControllerState {
     pub light: Vec<ServedLight>,
     /// The noise of its tracker.
     pub noise: Option<TrackerNoise>,
-    /// Why it sends no commands: the array does not fit its scenario.
-    pub unfit: Option<String>,
+    /// Which arrays get no commands: they do not fit its scenario.
+    pub unfit: Option<UnfitArrays>,
+}
+
+/// Arrays that do not fit the scenario of a controller.
+#[derive(Debug)]
+pub(super) struct UnfitArrays {
+    /// What was found, in words.
+    found: String,
+    /// No array fits.
+    is_every: bool,
 }
 
 /// Asks the controller that leads; the checks by its answer, none without a session.
@@ -96,23 +109,29 @@ fn ask_controller(args: &Args, bus: &Bus) -> anyhow::Result<Option<ControllerSta
     Ok(status.flatten())
 }
 
-/// Why a controller sends no commands, where the array does not fit its scenario.
-fn unfit(status: &NodeStatus) -> Option<String> {
+/// Which arrays get no commands of a controller, because they do not fit its scenario.
+fn unfit(status: &NodeStatus) -> Option<UnfitArrays> {
     let is_unfit = status.counters.iter().any(|(name, count)| name == NodeStatus::ARRAY_UNFIT && *count > 0);
-    is_unfit.then(|| {
-        format!(
-            "the array does not fit the scenario of controller {:016x}: {}",
+    let name = |(name, _): &(String, u64)| Some(name.strip_prefix(NodeStatus::ARRAY_UNFIT_OF)?.to_owned());
+    let names = status.counters.iter().filter_map(name).collect::<Vec<_>>();
+    let of = if names.is_empty() { String::new() } else { format!(" {}", printable(&names.join(" and "))) };
+    is_unfit.then(|| UnfitArrays {
+        found: format!(
+            "the array{of} does not fit the scenario of controller {:016x}: {}",
             status.stamp.source, status.last_problem
-        )
+        ),
+        is_every: names.is_empty(),
     })
 }
 
-/// The checks of a controller that answers. The expectations of another scenario say nothing about the room.
+/// The checks of a controller that answers. The expectations of a scenario that no array fits say nothing about the
+/// room.
 fn check_state(state: &ControllerState) -> Vec<Check> {
-    match &state.unfit {
-        Some(unfit) => vec![Check::fail("controller", unfit.clone(), FIT_CONTROLLER)],
-        None => state.noise.iter().map(check_tracker).chain(state.light.iter().map(check_light)).collect(),
-    }
+    let is_every_unfit = state.unfit.as_ref().is_some_and(|unfit| unfit.is_every);
+    let advice = if is_every_unfit { FIT_CONTROLLER } else { FIT_ARRAY };
+    let unfit = state.unfit.iter().map(|unfit| Check::fail("controller", unfit.found.clone(), advice));
+    let learned = state.noise.iter().map(check_tracker).chain(state.light.iter().map(check_light));
+    unfit.chain(learned.filter(|_| !is_every_unfit)).collect()
 }
 
 /// Whether the reports have the noise that the scenario states.
@@ -160,6 +179,18 @@ mod tests {
             checks[0].found
         );
         assert_eq!(check_state(&state(0))[0].verdict, Verdict::Warn, "the tracker");
+    }
+
+    #[test]
+    fn one_unfit_array_of_several_is_named_beside_what_the_controller_has_learned() {
+        let counters = [NodeStatus::ARRAY_UNFIT.to_owned(), format!("{}mirrors-1", NodeStatus::ARRAY_UNFIT_OF)];
+        let status = NodeStatus { counters: counters.map(|name| (name, 1)).into(), ..NodeStatus::default() };
+        let light = ServedLight { of: "mirrors".into(), ratio: 0.5, off_since_s: Some(3.0) };
+        let state = ControllerState { light: vec![light], unfit: unfit(&status), ..ControllerState::default() };
+        let checks = check_state(&state);
+        assert_eq!(checks.iter().map(|check| check.verdict).collect::<Vec<_>>(), [Verdict::Fail, Verdict::Warn]);
+        assert!(checks[0].found.starts_with("the array mirrors-1 does not fit"), "{}", checks[0].found);
+        assert_eq!(checks[0].advice, FIT_ARRAY);
     }
 
     #[test]

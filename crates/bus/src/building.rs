@@ -14,6 +14,7 @@ use heliostat_files::read_text;
 use heliostat_proto::Room;
 
 use crate::access::{AccessRole, access_control_of};
+use crate::certificate::Certificate;
 use crate::config::{BusConfig, nested_json};
 use crate::error::{BusError, KeyError};
 use crate::keys::{PRIVATE, PUBLIC, ROUTER_CONFIGURATION, create_folder, replace};
@@ -67,8 +68,8 @@ impl BuildingRouter {
     /// older ones.
     ///
     /// # Errors
-    /// [`KeyError`]: keys that cannot be used, a room that is named twice, a path that an endpoint
-    /// cannot hold, or files that cannot be written.
+    /// [`KeyError`]: keys that cannot be used, a room that is named twice, a peer that the keys do not name, a path
+    /// that an endpoint cannot hold, or files that cannot be written.
     pub fn write(&self, out: &Path) -> Result<Vec<RoomEndpoint>, BusError> {
         let identities: Vec<Identity> = self
             .folders
@@ -80,6 +81,7 @@ impl BuildingRouter {
         if let Some(twice) = (1..rooms.len()).find(|index| rooms[..*index].contains(&rooms[*index])) {
             return Err(KeyError::SameRoom { room: rooms[twice].to_string() }.into());
         }
+        self.check_peers(first)?;
         // These would end the path within an endpoint.
         if self.installed.display().to_string().contains([';', '#', '=', '?']) {
             return Err(KeyError::UnusablePath { path: self.installed.clone() }.into());
@@ -108,6 +110,20 @@ impl BuildingRouter {
             }
         }
         Ok(endpoints)
+    }
+
+    /// Checks that the certificates of the first room name the other routers, which have them too.
+    fn check_peers(&self, first: &Identity) -> Result<(), BusError> {
+        let hosts = Certificate::read(&first.certificate())?.hosts;
+        for peer in &self.peers {
+            let host = peer.rsplit_once(':').map_or(peer.as_str(), |(host, _)| host);
+            let host = host.trim_start_matches('[').trim_end_matches(']');
+            if !hosts.iter().any(|known| known.eq_ignore_ascii_case(host)) {
+                let (folder, host, hosts) = (first.folder().into(), host.to_owned(), hosts.join(", "));
+                return Err(KeyError::UnnamedHost { folder, host, hosts }.into());
+            }
+        }
+        Ok(())
     }
 
     fn configuration(&self, first: &Identity, rooms: &[Room], endpoints: &[RoomEndpoint]) -> Result<String, BusError> {

@@ -174,6 +174,27 @@ pub enum KeyError {
         /// The path.
         path: PathBuf,
     },
+    /// The text is no name or address of a host.
+    #[error(
+        "\"{host}\" is no host: expected a name or an address without protocol and port, for example host-a.example.org"
+    )]
+    NotAHost {
+        /// The text.
+        host: String,
+    },
+    /// The certificates of the first room do not name the host of another router.
+    #[error(
+        "the certificates in {} name no \"{host}\", so no router can connect to it: expected one of {hosts}, or keys of \
+         another folder by heliostat keys init --host {host}", folder.display()
+    )]
+    UnnamedHost {
+        /// The folder of keys.
+        folder: PathBuf,
+        /// The host of the other router.
+        host: String,
+        /// The hosts that the certificates name.
+        hosts: String,
+    },
     /// There are fewer ports than rooms.
     #[error("{rooms} rooms need as many ports from {first} on: expected a lower first port, for example 7448")]
     NoPort {

@@ -14,6 +14,7 @@ use heliostat_proto::Room;
 use rcgen::{
     BasicConstraints, CertificateParams, DnType, ExtendedKeyUsagePurpose, IsCa, Issuer, KeyPair, KeyUsagePurpose,
 };
+use rustls::pki_types::ServerName;
 
 use crate::access::AccessRole;
 use crate::certificate::Certificate;
@@ -57,13 +58,22 @@ impl Terms {
     pub fn of_days(days: u32, hosts: &[String]) -> Self {
         Self { hosts: hosts.to_vec(), from: SystemTime::now() - CLOCK_TOLERANCE, until: end_after(days) }
     }
+
+    /// A certificate with a URL or a port in the place of a host fits no connection.
+    fn check(&self) -> Result<(), KeyError> {
+        match self.hosts.iter().find(|host| ServerName::try_from(host.as_str()).is_err()) {
+            Some(host) => Err(KeyError::NotAHost { host: host.clone() }),
+            None => Ok(()),
+        }
+    }
 }
 
 /// Makes the authority of a room, and the keys of every role.
 ///
 /// # Errors
-/// [`KeyError`]: a file that cannot be written, or an authority that exists.
+/// [`KeyError`]: what is no host, a file that cannot be written, or an authority that exists.
 pub fn init(room: &Room, folder: &Path, terms: &Terms) -> Result<(), BusError> {
+    terms.check()?;
     create_folder(folder)?;
     let key = KeyPair::generate().map_err(generation)?;
     let mut params = authority_params(room);
@@ -78,9 +88,10 @@ pub fn init(room: &Room, folder: &Path, terms: &Terms) -> Result<(), BusError> {
 /// the authority's certificate.
 ///
 /// # Errors
-/// [`KeyError`]: an authority that cannot be read, a file that cannot be written, or keys of this
-/// role that exist.
+/// [`KeyError`]: what is no host, an authority that cannot be read, a file that cannot be written, or
+/// keys of this role that exist.
 pub fn issue(role: AccessRole, authority: &Path, out: &Path, terms: &Terms) -> Result<(), BusError> {
+    terms.check()?;
     let existing = out.join(certificate_file(role));
     if existing.exists() {
         return Err(KeyError::Exists { path: existing }.into());

@@ -36,6 +36,8 @@ pub struct Lines {
     notes: Vec<String>,
     /// The line that was printed last.
     line: String,
+    /// Figures are left out.
+    is_quiet: bool,
 }
 
 /// The terminal in full-screen mode; dropping it restores the terminal.
@@ -54,6 +56,11 @@ impl Display {
             return Ok(Self::Lines(Lines::default()));
         }
         Ok(Self::Screen(Box::new(Screen { screen: FullScreen::open()?, title: title.to_owned() })))
+    }
+
+    /// Lines of the stops and notes that begin or end, without figures: for the log of a service.
+    pub fn quiet() -> Self {
+        Self::Lines(Lines { is_quiet: true, ..Lines::default() })
     }
 
     /// Time between two updates.
@@ -109,7 +116,7 @@ impl Lines {
         lines.extend(not_in(&self.notes, &notes).into_iter().map(|note| format!("over: {note}")));
         self.notes = notes;
         let line = line(figures);
-        if self.line != line {
+        if self.line != line && !self.is_quiet {
             lines.push(line.clone());
             self.line = line;
         }
@@ -262,6 +269,14 @@ mod tests {
         assert_eq!(lines.next(&running, &[]), ["no stop is in force"]);
         let over = "over: no driver receives the commands";
         assert_eq!(lines.next(&Figures::default(), &[]), [over, "no messages from the room"]);
+    }
+
+    #[test]
+    fn the_lines_for_a_log_have_stops_and_notes_and_no_figures() {
+        let Display::Lines(mut lines) = Display::quiet() else { panic!("lines") };
+        assert!(lines.next(&Figures::default(), &[]).is_empty());
+        assert_eq!(lines.next(&figures(2), &[]), ["no driver receives the commands"]);
+        assert_eq!(lines.next(&figures(3), &stops(&room())), stops(&room()));
     }
 
     #[test]

@@ -64,16 +64,22 @@ impl PeerStatuses {
 pub struct ReportedPeers(Vec<u64>);
 
 impl ReportedPeers {
-    /// The next controller that is silent since the last call, or is silent no longer.
-    pub fn news(&mut self, silent: &[u64]) -> Option<(Subject, Problem)> {
+    /// The next controller that is silent since the last call, or is silent no longer, by the controllers with a token.
+    pub fn news(&mut self, silent: &[u64], present: &[u64]) -> Option<(Subject, Problem)> {
         if let Some(begun) = silent.iter().copied().find(|peer| !self.0.contains(peer)) {
             self.0.push(begun);
             return Some((Subject::Peer(begun), Problem::Warning(describe_silent(begun))));
         }
         let ended = self.0.iter().copied().find(|peer| !silent.contains(peer))?;
         self.0.retain(|peer| *peer != ended);
-        let text = format!("the status of controller {ended:016x} comes again, or it has left");
-        Some((Subject::Peer(ended), Problem::End(text)))
+        let problem = if present.contains(&ended) {
+            Problem::End(format!("the status of controller {ended:016x} comes again"))
+        } else {
+            Problem::Warning(format!(
+                "controller {ended:016x}, whose status did not come, has left: it has ended, or the link to it is still cut"
+            ))
+        };
+        Some((Subject::Peer(ended), problem))
     }
 }
 
@@ -105,10 +111,23 @@ mod tests {
     #[test]
     fn a_controller_that_is_silent_is_named_once_and_its_end_once() {
         let mut reported = ReportedPeers::default();
-        let Some((Subject::Peer(7), Problem::Warning(text))) = reported.news(&[7]) else { panic!("a warning") };
-        assert!(text.contains("controller 0000000000000007"), "{text}");
-        assert!(reported.news(&[7]).is_none());
-        assert!(matches!(reported.news(&[]), Some((Subject::Peer(7), Problem::End(_)))));
-        assert!(reported.news(&[]).is_none());
+        for _ in 0..2 {
+            let Some((Subject::Peer(7), Problem::Warning(text))) = reported.news(&[7], &[7]) else {
+                panic!("a warning")
+            };
+            assert!(text.contains("controller 0000000000000007"), "{text}");
+            assert!(reported.news(&[7], &[7]).is_none());
+            assert!(matches!(reported.news(&[], &[7]), Some((Subject::Peer(7), Problem::End(_)))));
+            assert!(reported.news(&[], &[7]).is_none());
+        }
+    }
+
+    #[test]
+    fn a_silent_controller_whose_token_ends_is_no_good_news() {
+        let mut reported = ReportedPeers::default();
+        assert!(reported.news(&[7], &[7]).is_some());
+        let Some((Subject::Peer(7), Problem::Warning(text))) = reported.news(&[], &[]) else { panic!("a warning") };
+        assert!(text.ends_with("has left: it has ended, or the link to it is still cut"), "{text}");
+        assert!(reported.news(&[], &[]).is_none());
     }
 }

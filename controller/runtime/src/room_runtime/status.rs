@@ -98,7 +98,9 @@ pub struct Conditions {
     pub geometry: Option<String>,
     /// That this process has lost its last connection: it then says nothing about the driver.
     pub connection: Option<String>,
-    /// Source ids of controllers whose tokens remain and whose statuses do not come.
+    /// Source ids of the other controllers with a token.
+    pub peers: Vec<u64>,
+    /// Those of them whose statuses do not come.
     pub silent_peers: Vec<u64>,
 }
 
@@ -355,7 +357,7 @@ impl Reporter {
         }
         let before = std::mem::replace(&mut self.conditions.geometry, now.geometry);
         if before == self.conditions.geometry {
-            return self.silent_peers.news(&now.silent_peers);
+            return self.silent_peers.news(&now.silent_peers, &now.peers);
         }
         let problem = match &self.conditions.geometry {
             Some(difference) => Problem::Warning(difference.clone()),

@@ -183,6 +183,31 @@ fn a_router_is_refused_two_folders_of_one_room_and_a_path_that_ends_an_endpoint(
 }
 
 #[test]
+fn a_router_is_refused_a_peer_that_its_keys_do_not_name() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let studio = folder.path().join("studio");
+    let room = Room::new("studio").expect("a valid name");
+    let terms = |hosts: [&str; 2]| keys::Terms::of_days(1, &hosts.map(str::to_owned));
+    for wrong in ["https://host-a", "host-a:7448", "[::1]", ""] {
+        let refusal = keys::init(&room, &studio, &terms(["host-b", wrong])).expect_err("no host").to_string();
+        assert!(refusal.starts_with(&format!("\"{wrong}\" is no host: expected a name")), "{refusal}");
+        assert!(!studio.exists(), "{wrong:?} writes nothing");
+    }
+    keys::init(&room, &studio, &terms(["host-a.example.org", "fd00::1"])).expect("an empty folder");
+    let write = |peer: &str| {
+        let (folders, peers) = (vec![studio.clone()], vec![peer.to_owned()]);
+        let installed = folder.path().join("installed");
+        let router = BuildingRouter { folders, installed, protocol: Protocol::Tls, first_port: 7448, peers };
+        router.write(&folder.path().join("router"))
+    };
+    for known in ["Host-A.example.org:7448", "[fd00::1]:7448", "127.0.0.1:7448"] {
+        write(known).expect("a host of the keys");
+    }
+    let refusal = write("host-x:7448").expect_err("a host without a certificate").to_string();
+    assert!(refusal.contains("name no \"host-x\"") && refusal.contains("host-a.example.org"), "{refusal}");
+}
+
+#[test]
 fn the_files_of_a_router_are_renewed_by_writing_them_again() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let (studio, out) = (folder.path().join("studio"), folder.path().join("router"));

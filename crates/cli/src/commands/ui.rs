@@ -34,6 +34,9 @@ pub struct Args {
     /// Print lines instead of the full-screen view
     #[arg(long)]
     plain: bool,
+    /// Print lines of what begins or ends only, without figures: for the log of a service
+    #[arg(long)]
+    quiet: bool,
     /// End after this many seconds; without it, run until stopped
     #[arg(long, value_name = "N", value_parser = duration::seconds, allow_negative_numbers = true)]
     seconds: Option<Duration>,
@@ -71,7 +74,7 @@ pub fn run(args: Args) -> Result<()> {
 
 /// Displays the room until it shall end. The terminal is as before then, since the end of the page takes time.
 fn watch(args: &Args, title: &str, view: &View, stop: &Stop) -> Result<Ending> {
-    let mut display = Display::open(args.plain, title)?;
+    let mut display = if args.quiet { Display::quiet() } else { Display::open(args.plain, title)? };
     let (opened, mut drawn) = (Instant::now(), Instant::now());
     loop {
         if stop.is_requested() {

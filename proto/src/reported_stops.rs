@@ -234,7 +234,7 @@ impl ReportedStops {
     pub fn has_stopped(&self, name: StopName, now: Duration, since: Duration) -> bool {
         let standings = self.standings(now, Some(since));
         let is_stopped = standings.iter().all(|(_, standing)| *standing == Standing::Stopped);
-        is_stopped && self.has_array() && self.is_held_everywhere(name)
+        is_stopped && self.has_array() && (0..self.expected()).all(|array| self.holds(array, name))
     }
 
     /// All stops that are held, in the order of their arrival at the first array that has them.
@@ -267,11 +267,10 @@ impl ReportedStops {
         stops
     }
 
-    /// Whether a stop is held for every array that has to confirm it.
-    fn is_held_everywhere(&self, name: StopName) -> bool {
-        let holds =
-            |array| self.arrays.get(&array).is_some_and(|seen| seen.hold.stops().iter().any(|held| held.name == name));
-        (0..self.expected()).all(holds)
+    /// Whether a stop is held for an array, or a later one of its sender.
+    pub fn holds(&self, array: usize, name: StopName) -> bool {
+        let stops = self.arrays.get(&array).map(|seen| seen.hold.stops());
+        stops.is_some_and(|stops| stops.iter().any(|held| held.name.replaces(name)))
     }
 
     /// The stops that are due for repetition, with the index of the array, and whether its driver

@@ -38,6 +38,12 @@ impl Others {
         })
     }
 
+    /// Number of processes that are there.
+    #[getter]
+    fn count(&self) -> PyResult<u64> {
+        self.with(|rules| Ok(rules.count()))
+    }
+
     /// Raises `RoomTaken` if another process is there.
     fn check_free(&self) -> PyResult<()> {
         self.with(|rules| rules.check_free())

@@ -279,6 +279,12 @@ impl Station {
         Ok(())
     }
 
+    /// Sets the number of other processes with this array that are in the room.
+    fn set_other_processes(&self, count: u64) -> PyResult<()> {
+        self.rules()?.set_other_processes(count);
+        Ok(())
+    }
+
     /// Advances to a time; returns whether `write_record` has to be called, on any thread.
     fn advance(&self, now: (u64, u64)) -> PyResult<bool> {
         let dropped = self.received().dropped();

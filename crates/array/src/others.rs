@@ -141,6 +141,11 @@ impl Others {
         Ok(findings)
     }
 
+    /// Number of processes that are there.
+    pub fn count(&self) -> u64 {
+        self.present.len() as u64
+    }
+
     /// The problems of the processes that are there.
     pub fn problems(&self) -> Vec<String> {
         self.present.iter().map(Other::problem).collect()

@@ -97,6 +97,8 @@ pub struct Station<D> {
     identity: Identity,
     started_ns: u64,
     refused: RefusalCounts,
+    /// Other processes with this array that are in the room.
+    other_processes: u64,
     telemetry: Timer,
     telemetry_ns: u64,
     safety: Timer,
@@ -132,6 +134,7 @@ impl<D: Device> Station<D> {
             identity,
             started_ns: now.room_ns,
             refused: RefusalCounts::default(),
+            other_processes: 0,
             telemetry: Timer::default(),
             telemetry_ns: TELEMETRY_NS,
             safety: Timer::default(),
@@ -174,6 +177,11 @@ impl<D: Device> Station<D> {
     pub fn note_other_process(&mut self, problem: String) {
         self.refused.count(ANOTHER_PROCESS, problem);
         self.order_problems();
+    }
+
+    /// Sets the number of other processes with this array that are in the room.
+    pub fn set_other_processes(&mut self, count: u64) {
+        self.other_processes = count;
     }
 
     /// Advances to a time: the array holds, parks, or connects its device.
@@ -337,6 +345,7 @@ impl<D: Device> Station<D> {
             ("connections", self.kit.connections()),
             ("device_absent", u64::from(self.kit.is_device_absent())),
             (NodeStatus::STOP_UNRECORDED, u64::from(!self.is_recorded())),
+            (NodeStatus::OTHER_PROCESSES, self.other_processes),
         ];
         let refused = self.refused.counts().iter().map(|(name, count)| (format!("refused:{name}"), *count));
         let array = if self.identity.array == 0 { "array".to_owned() } else { array_name(self.identity.array) };

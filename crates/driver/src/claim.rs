@@ -77,6 +77,11 @@ impl Claim {
         Ok(())
     }
 
+    /// Number of other processes that are in the room.
+    pub fn count(&self) -> u64 {
+        lock(&self.others).count()
+    }
+
     /// The problems of the other processes that are in the room.
     pub fn others(&self) -> Vec<String> {
         lock(&self.others).problems()

@@ -176,6 +176,7 @@ impl<D: Device> ArrayDriver<D> {
         while ended.is_ok() && claimed.is_ok() && !stop.is_requested() && end.is_none_or(|end| Instant::now() < end) {
             ended = driver.step(clock);
             claimed = claim.check(|problem| driver.shared.lock().note_other_process(problem));
+            driver.shared.lock().set_other_processes(claim.count());
         }
         drop(running);
         // A stop that comes now is obeyed, and in the record before the end if the disk answers.

@@ -155,6 +155,13 @@ impl StopSwitch {
         self.room_stops().ordered.is_some()
     }
 
+    /// Whether every array has reported that its device executed the last stop of this process.
+    pub fn is_own_confirmed(&self) -> bool {
+        let own = self.own.lock().unwrap_or_else(PoisonError::into_inner);
+        let (seen, now) = (self.seen.lock(), self.seen.now());
+        own.as_ref().is_some_and(|own| seen.has_stopped(own.order.name(), now, Duration::ZERO))
+    }
+
     /// Publishes a stop with a name of its own, which replaces an earlier one of this process: a re-arm
     /// that is on its way releases the stop that its operator saw, and not this one.
     ///
@@ -247,8 +254,7 @@ impl StopSwitch {
 
     fn unconfirmed(&self, name: StopName, since: Duration, waited: Duration, sent: Option<UiError>) -> UiError {
         let seen = self.seen.lock();
-        let held = seen.stops().into_iter().find(|stop| stop.name == name).map_or_else(Vec::new, |stop| stop.arrays);
-        let not_held = |array: usize| match (held.contains(&array), seen.has_reported(array, name)) {
+        let not_held = |array: usize| match (seen.holds(array, name), seen.has_reported(array, name)) {
             (true, _) => None,
             (false, true) => Some(format!("another operator has released the stop at array {array}")),
             (false, false) => problem(array, &Standing::Moving),

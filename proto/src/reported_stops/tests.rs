@@ -58,6 +58,16 @@ fn a_stop_of_this_process_is_held_for_an_array_that_appears_after_its_release_at
 }
 
 #[test]
+fn a_later_stop_of_its_sender_confirms_a_stop() {
+    let mut stops = ordered();
+    stops.order(NOW, &EmergencyStop { stamp: Stamp { sequence: 5, ..order().stamp }, ..order() });
+    let later = vec![LatchedStopReport { source: 3, sequence: 5, ..LatchedStopReport::default() }];
+    stops.handle_stops(NOW, 0, StopReport { stops: later, ..report(1, true) });
+    assert!(stops.has_stopped(order().name(), NOW, NOW));
+    assert!(!stops.has_stopped(StopName { sequence: 6, ..order().name() }, NOW, NOW));
+}
+
+#[test]
 fn a_stop_that_this_process_releases_is_held_for_no_array_that_appears_later() {
     let mut stops = ReportedStops::default();
     stops.handle_telemetry(NOW, 0, &MirrorTelemetry::default());

@@ -46,6 +46,11 @@ class Claim:
             show(note)
         return problems
 
+    @property
+    def count(self) -> int:
+        """Number of other processes that are in the room."""
+        return self._others.count
+
     def _note(self, token: str, is_alive: bool) -> None:
         self._others.note(token, is_alive, self._now_ns())
 

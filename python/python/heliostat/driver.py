@@ -339,6 +339,7 @@ def run(
             try:
                 for late in claim.check(log.show):
                     station.note_other_process(late)
+                station.set_other_processes(claim.count)
             except PeerError as problem:
                 taken = problem
             if ended.is_set() or taken is not None or (seconds is not None and now()[0] >= 1e9 * seconds):

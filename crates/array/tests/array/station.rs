@@ -132,6 +132,7 @@ fn the_status_names_the_array_its_state_and_what_was_refused() {
     let at = Moment::simulated(0);
     station.handle(at, Arrival { at, content: Content::Stop(Ok(order)) });
     station.set_dropped(3);
+    station.set_other_processes(2);
     let status = std::iter::from_fn(|| station.poll_report(Moment::simulated(0))).find_map(|report| match report {
         Report::Status(status) => Some(status),
         _ => None,
@@ -140,6 +141,7 @@ fn the_status_names_the_array_its_state_and_what_was_refused() {
     assert_eq!((status.state.as_str(), status.name.as_str()), ("mirrors-2 stopped", "0000000000000009"));
     let count = |name: &str| status.counters.iter().find(|(found, _)| found == name).map(|(_, count)| *count);
     assert_eq!((count("refused:dropped"), count("commands")), (Some(3), Some(0)), "{:?}", status.counters);
+    assert_eq!(count(NodeStatus::OTHER_PROCESSES), Some(2), "{:?}", status.counters);
     assert!(status.last_problem.contains("rearm"), "{}", status.last_problem);
 }
 

@@ -12,7 +12,7 @@ use heliostat_service::{EndArgs, duration, output};
 use heliostat_ui::{StopLabel, StopSwitch, UNKNOWN_ARRAYS, UiError, still_stopped, stop_in_words};
 use serde_json::json;
 
-use super::join::join;
+use super::join::{check_connected, join};
 
 /// An operator knows within this time whether the order has a connection. The help of `--timeout` names it.
 const JOINED_WITHIN: Duration = Duration::from_secs(2);
@@ -116,13 +116,19 @@ pub fn stop(args: StopArgs) -> Result<()> {
     }
     let end = args.end.stop()?;
     let until = args.end.seconds.map(|seconds| Instant::now() + seconds);
-    while !end.wait_for(HOLD_INTERVAL) && until.is_none_or(|until| Instant::now() < until) {
+    let mut is_released = false;
+    while !is_released && !end.wait_for(HOLD_INTERVAL) && until.is_none_or(|until| Instant::now() < until) {
         switch.repeat();
-        if !switch.is_own_held() {
-            let rest = still_stopped(&switch.known_stops()).map_or_else(String::new, |rest| format!("; {rest}"));
-            output::note(format_args!("heliostat stop: the stop is released{rest}"));
-            break;
-        }
+        is_released = !switch.is_own_held();
+    }
+    if is_released {
+        let rest = still_stopped(&switch.known_stops()).map_or_else(String::new, |rest| format!("; {rest}"));
+        output::note(format_args!("heliostat stop: the stop is released{rest}"));
+    } else if !switch.is_own_confirmed() {
+        output::note(
+            "heliostat stop: not every array has confirmed the stop, and it is no longer held: look at `heliostat status`, \
+             or cut the power",
+        );
     }
     drop(switch);
     Ok(bus.close()?)
@@ -203,7 +209,14 @@ impl OrderArgs {
     fn join(&self, roles: &[AccessRole], waits: bool) -> Result<(Bus, StopSwitch)> {
         let config = self.bus.config_or_connect(roles)?;
         let bus = if waits {
-            Bus::open(&config)?
+            let bus = Bus::open(&config)?;
+            if let Err(reason) = check_connected(&bus, &config, JOINED_WITHIN.min(self.timeout)) {
+                output::note(format_args!(
+                    "{reason}. No array has the stop: to stop the mirrors now, cut their power. The stop is sent to the \
+                     first process that connects"
+                ));
+            }
+            bus
         } else {
             join(&config, JOINED_WITHIN.min(self.timeout)).map_err(|reason| {
                 anyhow!(

@@ -70,7 +70,8 @@ fn driver_beside_another(config: &BusConfig, endpoint: &str) -> Option<String> {
     let noted = Arc::clone(&is_late);
     let _statuses = observer.subscribe(&keys.driver_status(), move |payload| {
         let status: NodeStatus = decode(payload).unwrap();
-        *noted.lock().unwrap() |= status.last_problem.contains("another driver has joined the room");
+        let is_counted = status.counters.contains(&(NodeStatus::OTHER_PROCESSES.to_owned(), 1));
+        *noted.lock().unwrap() |= is_counted && status.last_problem.contains("another driver has joined the room");
     });
     std::thread::scope(|scope| {
         let driver = scope.spawn(|| run::run(kit, &settings, &stop));

@@ -109,7 +109,12 @@ impl<'a> Readings<'a> {
 
 fn read(file: &Path) -> Result<Saved> {
     let text = read_text(file).with_context(|| format!("cannot read {}", file.display()))?;
-    let unusable = || UnusableInput::new(format!("{} holds no readings of a calibration", file.display()));
+    let unusable = || {
+        UnusableInput::new(format!(
+            "{} holds no readings of a calibration: name another file, or remove it to begin again",
+            file.display()
+        ))
+    };
     serde_json::from_str(&text).with_context(unusable)
 }
 

@@ -267,6 +267,14 @@ def test_overrides_without_an_effect_on_a_static_room_are_refused(make_one: Any)
         make_one("specular", overrides=works).close()
 
 
+@pytest.mark.parametrize("make_one", [heliostat.HeliostatEnv, heliostat.HeliostatVectorEnv])
+def test_a_closed_loop_refuses_the_time_between_two_actions_of_a_static_room(make_one: Any) -> None:
+    make_one("specular", step_s=0.1).close()
+    for step_s in (0.1, 1.0):
+        with pytest.raises(ValueError, match=f"step_s = {step_s}: no effect in a closed loop.*rate_hz"):
+            make_one("hall", dynamics="closed-loop", step_s=step_s)
+
+
 def made_by_gymnasium(scenario: Path, **settings: Any) -> Any:
     return gymnasium.make("heliostat/Static-v0", scenario=scenario, **settings)
 

@@ -97,7 +97,7 @@ def make_scenario(
 
     Raises `TypeError` for an unknown keyword, and `ValueError` for an override that has no effect on a static room, or
     for `step_s`, which has none in a closed loop.
-    Warns of faults of mirrors in the scenario, which a static room does not have.
+    Warns of late, noisy or lost reports and of faults of mirrors in the scenario, which a static room does not have.
     """
     for name in settings:
         if name not in SETTINGS:
@@ -111,8 +111,7 @@ def make_scenario(
         )
     scenario = load_scenario(source, overrides)
     if settings.get("dynamics", "static") == "static":
-        condition = check_exact(scenario, override_texts(overrides or {}))
-        if condition is not None:
+        for condition in check_exact(scenario, override_texts(overrides or {})):
             warnings.warn(condition, stacklevel=_outer_level())
     return scenario
 

@@ -6,7 +6,7 @@ use heliostat_channel::MirrorAngles;
 use heliostat_core::policy::removed;
 use heliostat_environment::action::ActionForm;
 use heliostat_environment::episodes::{HeldOutEpisode, WARM, held_out_episodes};
-use heliostat_environment::exact_states::{check_overrides, exact_mirrors};
+use heliostat_environment::exact_states::{check_overrides, conditions};
 use heliostat_environment::room::{Reward, RewardForm};
 use heliostat_environment::sampling::Sampled;
 use heliostat_environment::statistics::Spread;
@@ -154,13 +154,13 @@ fn settings_of(
     Ok(Settings { inner: Arc::new(inner) })
 }
 
-/// Refuses overrides of the form "table.key=value" that have no effect on exact states; the condition of a
-/// scenario with faults of mirrors, which a static room does not have.
+/// Refuses overrides of the form "table.key=value" that have no effect on exact states; the conditions of a
+/// scenario with late, noisy or lost reports or with faults of mirrors, which a static room does not have.
 #[pyfunction]
-pub fn check_exact(scenario: &Scenario, overrides: Vec<String>) -> PyResult<Option<String>> {
+pub fn check_exact(scenario: &Scenario, overrides: Vec<String>) -> PyResult<Vec<String>> {
     check_overrides(&overrides).map_err(refused)?;
-    let condition = exact_mirrors(&scenario.inner, "a static room", "choose dynamics=\"closed-loop\"");
-    Ok(condition.map(|condition| condition.to_string()))
+    let found = conditions(&scenario.inner, "a static room", "choose dynamics=\"closed-loop\"");
+    Ok(found.iter().map(ToString::to_string).collect())
 }
 
 /// The seed of a held-out room, which training never uses: `heliostat-lab eval` takes its states from

@@ -267,18 +267,28 @@ def test_overrides_without_an_effect_on_a_static_room_are_refused(make_one: Any)
         make_one("specular", overrides=works).close()
 
 
-def made_by_gymnasium(scenario: Path, **settings: Any) -> Any:
+@pytest.mark.parametrize("make_one", [heliostat.HeliostatEnv, heliostat.HeliostatVectorEnv])
+def test_a_closed_loop_refuses_the_time_between_two_actions_of_a_static_room(make_one: Any) -> None:
+    make_one("specular", step_s=0.1).close()
+    for step_s in (0.1, 1.0):
+        with pytest.raises(ValueError, match=f"step_s = {step_s}: no effect in a closed loop.*rate_hz"):
+            make_one("hall", dynamics="closed-loop", step_s=step_s)
+
+
+def made_by_gymnasium(scenario: Path | str, **settings: Any) -> Any:
     return gymnasium.make("heliostat/Static-v0", scenario=scenario, **settings)
 
 
 @pytest.mark.parametrize("make_one", [heliostat.HeliostatEnv, heliostat.HeliostatVectorEnv, made_by_gymnasium])
-def test_faults_of_mirrors_in_a_scenario_file_are_a_warning_of_a_static_room(make_one: Any, tmp_path: Path) -> None:
+def test_faults_of_mirrors_and_of_reports_in_a_scenario_are_warnings_of_a_static_room(make_one: Any, tmp_path: Path) -> None:
     file = tmp_path / "room.toml"
     file.write_text("[actuator]\nstuck_share = 0.5\n")
-    with pytest.warns(UserWarning, match="a static room, and actuator.stuck_share: .*closed-loop") as warned:
-        make_one(file).close()
-    assert [warning.filename for warning in warned] == [__file__]
-    make_one(file, dynamics="closed-loop").close()
+    reports = "the model of late, noisy and lost reports .*a static room, and streams.positions.latency_ms, .*closed-loop"
+    for scenario, reason in ((file, "a static room, and actuator.stuck_share: .*closed-loop"), ("hall", reports)):
+        with pytest.warns(UserWarning, match=reason) as warned:
+            make_one(scenario).close()
+        assert [warning.filename for warning in warned] == [__file__]
+        make_one(scenario, dynamics="closed-loop").close()
 
 
 def test_actions_that_are_not_valid_are_refused_and_change_nothing() -> None:

@@ -44,6 +44,13 @@ fn has_effect(key: &str) -> bool {
     }
 }
 
+/// The conditions of a scenario with late, noisy or lost reports, or with faults of mirrors.
+///
+/// `of` and `advice` as in [`exact_mirrors`].
+pub fn conditions(scenario: &Scenario, of: &str, advice: &str) -> Vec<Condition> {
+    [exact_reports(scenario, of, advice), exact_mirrors(scenario, of, advice)].into_iter().flatten().collect()
+}
+
 /// The condition of a scenario with faults of mirrors, which exact states do not have.
 ///
 /// `of` names what uses the states, as `a static comparison`, and `advice` what to do for the faults.
@@ -61,10 +68,8 @@ pub fn exact_mirrors(Scenario { actuator, .. }: &Scenario, of: &str, advice: &st
     without_faults("the model of faulty mirrors", &faults, of, consequence)
 }
 
-/// The condition of a scenario with late, noisy or lost reports, which exact states do not have.
-///
-/// `of` and `advice` as in [`exact_mirrors`].
-pub fn exact_reports(Scenario { streams, .. }: &Scenario, of: &str, advice: &str) -> Option<Condition> {
+/// As [`exact_mirrors`], for late, noisy or lost reports.
+fn exact_reports(Scenario { streams, .. }: &Scenario, of: &str, advice: &str) -> Option<Condition> {
     let Streams { positions, channel, .. } = streams;
     let faults = [
         ("streams.positions.latency_ms", positions.latency_ms),
@@ -133,14 +138,20 @@ mod tests {
         assert!(found.contains("training, and actuator.stuck_share: ") && found.ends_with("; measure it"), "{found}");
         assert_eq!(of(""), None);
     }
+
     #[test]
     fn late_noisy_and_lost_reports_are_a_condition() {
         let of = |text: &str| {
             let scenario = Scenario::from_toml(text).expect("a room");
-            exact_reports(&scenario, "a static comparison", "measure it").map(|condition| condition.to_string())
+            conditions(&scenario, "a static comparison", "measure it")
+                .iter()
+                .map(Condition::to_string)
+                .collect::<Vec<_>>()
         };
-        let found = of("[streams.positions]\nloss = 0.1\n[streams.channel]\nlatency_ms = 5.0\n").expect("a condition");
-        assert!(found.contains("and streams.positions.loss, streams.channel.latency_ms: "), "{found}");
-        assert_eq!(of(""), None);
+        let found =
+            of("[actuator]\nstuck_share = 0.5\n[streams.positions]\nloss = 0.1\n[streams.channel]\nlatency_ms = 5.0\n");
+        assert!(found[0].contains("and streams.positions.loss, streams.channel.latency_ms: "), "{found:?}");
+        assert!(found.len() == 2 && found[1].contains("and actuator.stuck_share: "), "{found:?}");
+        assert_eq!(of(""), Vec::<String>::new());
     }
 }

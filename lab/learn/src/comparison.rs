@@ -40,7 +40,7 @@ use serde::{Serialize, Serializer};
 
 use heliostat_core::belief::conditions::{Condition, conditions};
 use heliostat_environment::EnvironmentError;
-use heliostat_environment::exact_states::{exact_mirrors, exact_reports};
+use heliostat_environment::exact_states;
 use heliostat_scenario::Scenario;
 
 /// The rows of a comparison, and the figures of each episode.
@@ -170,8 +170,7 @@ pub fn compare_under(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<R
     let mut found = if is_closed {
         conditions(scenario, &scenario.channel_model()?)
     } else {
-        let exact = [exact_reports, exact_mirrors];
-        exact.iter().filter_map(|of| of(scenario, "a static comparison", "choose --closed-loop")).collect()
+        exact_states::conditions(scenario, "a static comparison", "choose --closed-loop")
     };
     for (evaluated, row) in settings.policies.iter().zip(&policies) {
         let of_policy = evaluated

@@ -95,18 +95,23 @@ def make_scenario(
 ) -> Scenario:
     """The scenario of an environment with these further keywords; `accepted` has all keywords of its constructor.
 
-    Raises `TypeError` for an unknown keyword, and `ValueError` for an override that has no effect on a static room.
-    Warns of faults of mirrors in the scenario, which a static room does not have.
+    Raises `TypeError` for an unknown keyword, and `ValueError` for an override that has no effect on a static room, or
+    for `step_s`, which has none in a closed loop.
+    Warns of late, noisy or lost reports and of faults of mirrors in the scenario, which a static room does not have.
     """
     for name in settings:
         if name not in SETTINGS:
             close = difflib.get_close_matches(name, accepted, 1)
             hint = f"; a similar name exists: {close[0]}" if close else ""
             raise TypeError(f'unknown keyword "{name}": expected {", ".join(sorted(accepted))}{hint}')
+    if "step_s" in settings and settings.get("dynamics") == "closed-loop":
+        raise ValueError(
+            f"step_s = {settings['step_s']!r}: no effect in a closed loop, whose step is the time between two position "
+            'reports; remove it, and override streams.positions.rate_hz, or choose dynamics="static"'
+        )
     scenario = load_scenario(source, overrides)
     if settings.get("dynamics", "static") == "static":
-        condition = check_exact(scenario, override_texts(overrides or {}))
-        if condition is not None:
+        for condition in check_exact(scenario, override_texts(overrides or {})):
             warnings.warn(condition, stacklevel=_outer_level())
     return scenario
 
@@ -201,7 +206,7 @@ class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
         reward: "shortfall" (a rate below the minimum is penalised), the default, or "printed" (as in the paper).
         penalty: weight of the penalty, without unit, from 0; default 1.
         margin: factor on the minimum rates in the penalty, without unit, from 0; default 1.
-        step_s: time in s between two actions of a static room, above 0; default 1.
+        step_s: time in s between two actions of a static room, above 0; default 1. A closed loop refuses it.
         settle_s: time in s that users walk before the first observation, from 0; default `SETTLE_S`, 20.
         oracle: whether `info` has the oracle's rate, which takes far longer than the step; default false.
         render_mode: "rgb_array" or "human", which needs pygame; default: no pictures.

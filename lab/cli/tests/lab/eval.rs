@@ -388,13 +388,15 @@ fn a_function_in_python_is_compared_with_the_built_in_policies_state_by_state() 
     let file = folder.path().join("mine.py");
     std::fs::write(
         &file,
-        "import numpy as np\n\
+        "import os\nimport sys\nimport numpy as np\n\
          print('a line of the module')\n\
          def flat(seen):\n    print('a line of the function')\n    return np.zeros(12)\n\
          def weights(seen):\n    return [0.0] * 10\n\
          weights.action = 'weights'\n\
          calls = 0\n\
          def fails(seen):\n    raise ValueError('no idea')\n\
+         def exits(seen):\n    sys.exit(4)\n\
+         def dies(seen):\n    os._exit(4)\n\
          def nan(seen):\n    return np.full(12, np.nan)\n\
          def short(seen):\n    return np.zeros(3)\n\
          def none(seen):\n    pass\n\
@@ -416,6 +418,9 @@ fn a_function_in_python_is_compared_with_the_built_in_policies_state_by_state() 
     for (function, part) in [
         ("fails", "ValueError: no idea"),
         ("fails", "in fails"),
+        ("exits", "SystemExit: 4"),
+        ("exits", "in exits"),
+        ("dies", "its process has ended: exit status: 4"),
         ("none", "none returned None: expected an action"),
         ("nan", "finite"),
         ("short", "length 3"),

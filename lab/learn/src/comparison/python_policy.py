@@ -7,8 +7,11 @@ UTF-8 (what is wrong), 2 and a text (the form of the actions; once, at the start
 
 import importlib.util
 import os
+import select
+import signal
 import struct
 import sys
+import threading
 import traceback
 
 # Different problems whose lines are shown.
@@ -19,11 +22,33 @@ requests = os.fdopen(os.dup(0), "rb")
 answers = os.fdopen(os.dup(1), "wb")
 # What the function prints must not be taken for an answer.
 os.dup2(2, 1)
+# The end of this process flushes nothing.
+sys.stdout.reconfigure(line_buffering=True)
+# Ctrl-C in a terminal reaches this process too, but heliostat-lab says what it ends. A handler, in place of SIG_IGN,
+# leaves the processes that the function starts as they are.
+signal.signal(signal.SIGINT, lambda *_: None)
+
+
+def end_with_heliostat_lab():
+    """Ends this process, also while the function computes, when the pipe of the requests is closed."""
+    watched = select.poll()
+    watched.register(requests, select.POLLHUP)
+    watched.poll()
+    os._exit(0)
+
+
+# Windows has no poll: there the function returns first.
+if hasattr(select, "poll"):
+    threading.Thread(target=end_with_heliostat_lab, daemon=True).start()
 
 
 def answer(status, content):
-    answers.write(struct.pack("<BI", status, len(content)) + content)
-    answers.flush()
+    try:
+        answers.write(struct.pack("<BI", status, len(content)) + content)
+        answers.flush()
+    except OSError:
+        # heliostat-lab has ended.
+        os._exit(0)
 
 
 shown = set()
@@ -34,7 +59,7 @@ def reason(problem):
     if str(problem) not in shown and len(shown) < SHOWN_MAX:
         shown.add(str(problem))
         traceback.print_exception(type(problem), problem, problem.__traceback__)
-    return f"{type(problem).__name__}: {problem}".encode()
+    return f"{type(problem).__name__}: {problem}".removesuffix(": ").encode()
 
 
 try:
@@ -64,6 +89,7 @@ while len(head := requests.read(4)) == 4:
         action = act(numpy.frombuffer(requests.read(4 * count), "<f4").copy())
         if action is None:
             raise TypeError(f"{name} returned None: expected an action")
-        answer(0, numpy.ascontiguousarray(action, "<f4").reshape(-1).tobytes())
-    except Exception as problem:  # noqa: BLE001: as above
-        answer(1, reason(problem))
+        status, content = 0, numpy.ascontiguousarray(action, "<f4").reshape(-1).tobytes()
+    except BaseException as problem:  # noqa: BLE001: as above, also for sys.exit
+        status, content = 1, reason(problem)
+    answer(status, content)

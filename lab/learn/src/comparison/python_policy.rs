@@ -131,24 +131,39 @@ impl Process {
     }
 
     fn request(&mut self, vector: &[f32]) -> Result<(), String> {
-        let Some(requests) = &mut self.requests else { return Err("its process has ended".into()) };
+        let Some(requests) = &mut self.requests else { return Err(self.end()) };
         let mut message = (vector.len() as u32).to_le_bytes().to_vec();
         message.extend(vector.iter().flat_map(|value| value.to_le_bytes()));
         let sent = requests.write_all(&message).and_then(|()| requests.flush());
-        sent.map_err(|error| format!("its process does not answer: {error}"))
+        sent.map_err(|_| self.end())
+    }
+
+    fn receive(&mut self, content: &mut [u8]) -> Result<(), String> {
+        let received = self.answers.read_exact(content);
+        received.map_err(|_| self.end())
+    }
+
+    /// Ends the process, of which a pipe is closed; how it has ended, also where it has before.
+    fn end(&mut self) -> String {
+        self.requests = None;
+        // One that has ended by itself keeps its exit status.
+        drop(self.child.kill());
+        match self.child.wait() {
+            Ok(status) => format!("its process has ended: {status}"),
+            Err(error) => format!("its process does not answer: {error}"),
+        }
     }
 
     fn answer(&mut self) -> Result<Answer, String> {
-        let ended = |error: std::io::Error| format!("its process does not answer: {error}");
         let mut head = [0; 5];
-        self.answers.read_exact(&mut head).map_err(ended)?;
+        self.receive(&mut head)?;
         let [status, length @ ..] = head;
         let length = u32::from_le_bytes(length);
         if length > ANSWER_MAX {
             return Err(format!("its process answered with {length} bytes, expected at most {ANSWER_MAX}"));
         }
         let mut content = vec![0; length as usize];
-        self.answers.read_exact(&mut content).map_err(ended)?;
+        self.receive(&mut content)?;
         let text = || String::from_utf8_lossy(&content).into_owned();
         match status {
             0 => {
@@ -164,10 +179,7 @@ impl Process {
 
 impl Drop for Process {
     fn drop(&mut self) {
-        // The end of its input ends the process. One that still computes is ended.
-        self.requests = None;
-        drop(self.child.kill());
-        drop(self.child.wait());
+        drop(self.end());
     }
 }
 

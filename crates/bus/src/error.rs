@@ -92,10 +92,10 @@ pub enum BusError {
         /// Duration of the wait in ms.
         waited_ms: u64,
     },
-    /// A process answers, and the TLS connection to it fails.
+    /// A process answers, and the TLS connection to it fails, or it accepts no connection without TLS.
     #[error("{problem}")]
     Untrusted {
-        /// The endpoint and what is wrong with a certificate.
+        /// The endpoint and what is wrong with a certificate, or that keys are missing.
         problem: String,
     },
     /// The session could not be opened for another reason.

@@ -395,16 +395,13 @@ fn open_error(config: &BusConfig, message: &str) -> BusError {
         _ if concerns_listening => {
             BusError::CannotListen { endpoint: named(&config.listen), problem: problem.to_owned() }
         }
-        Reach::Within(limit) if problem.contains("nable to connect") => {
-            let untrusted = config.identity.as_ref().and_then(|identity| first_problem(identity, &config.connect));
-            match untrusted {
-                Some(problem) => BusError::Untrusted { problem },
-                None => BusError::CannotReach {
-                    endpoints: config.connect.join(", "),
-                    waited_ms: u64::try_from(limit.as_millis()).unwrap_or(u64::MAX),
-                },
-            }
-        }
+        Reach::Within(limit) if problem.contains("nable to connect") => match Bus::find_connection_problem(config) {
+            Some(problem) => BusError::Untrusted { problem },
+            None => BusError::CannotReach {
+                endpoints: config.connect.join(", "),
+                waited_ms: u64::try_from(limit.as_millis()).unwrap_or(u64::MAX),
+            },
+        },
         _ => BusError::Open { problem: problem.to_owned() },
     }
 }

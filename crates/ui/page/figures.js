@@ -146,7 +146,7 @@ function quantiles(times) {
 // Which controller leads, which stand by or do not report, and the takeovers of those in the room, if there are any; nothing where one controller is alone.
 function standby(controllers) {
   const short = ({ name }) => name.slice(0, 4);
-  const WORDS = { leads: "leads", calibrates: "calibrates", unfollowed: "is not followed", "stands-by": "stands by", silent: "does not report" };
+  const WORDS = { leads: "leads", calibrates: "calibrates", unheard: "commands, but no array reports", unfollowed: "is not followed", "stands-by": "stands by", silent: "does not report" };
   const leaders = controllers.filter((one) => one.role === "leads" || one.role === "calibrates");
   const isBad = leaders.length !== 1 || controllers.some((one) => one.role === "silent");
   const sum = (key) => controllers.reduce((total, one) => total + one[key], 0);
@@ -158,7 +158,7 @@ function standby(controllers) {
   const taken = sum("takeovers") + lost;
   if (controllers.length < 2 && taken === 0) return [];
   const roles = [
-    ["controllers", text || "none", isBad ? "wide bad" : "wide", "The controllers in the room, by the beginning of their source id, with their hosts if these differ: one leads, or a calibration commands in its place; the others stand by. One is not followed where it does not stand by and the array follows another one or reports none. One that does not report hangs, or the link to it is cut.", "controller"],
+    ["controllers", text || "none", isBad ? "wide bad" : "wide", "The controllers in the room, by the beginning of their source id, with their hosts if these differ: one leads, or a calibration commands in its place; the others stand by. One is not followed where it does not stand by and the array follows another one or reports none. Where no array reports, the one that commands is not known to lead. One that does not report hangs, or the link to it is cut.", "controller"],
   ];
   if (taken === 0) return roles;
   return [

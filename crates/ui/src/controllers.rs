@@ -29,11 +29,13 @@ const REMEMBERED: Duration = Duration::from_secs(300);
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Role {
-    /// The array follows its commands, or no other controller commands.
+    /// The array follows its commands, or an array reports and no other controller commands.
     #[default]
     Leads,
     /// A calibration: it commands in place of a controller.
     Calibrates,
+    /// It commands, and no array reports: whether one follows it is unknown.
+    Unheard,
     /// It does not stand by beside others, and no telemetry shows that the array follows it.
     Unfollowed,
     /// It withholds its commands: the array follows another one.
@@ -43,9 +45,9 @@ pub enum Role {
 }
 
 impl Role {
-    /// Whether it commands, as far as is known: a controller that leads, or a calibration.
+    /// Whether it commands, as far as is known: a controller that leads or is unheard, or a calibration.
     pub fn commands(self) -> bool {
-        matches!(self, Self::Leads | Self::Calibrates)
+        matches!(self, Self::Leads | Self::Calibrates | Self::Unheard)
     }
 
     /// The role in words, after the name of a controller.
@@ -53,6 +55,7 @@ impl Role {
         match self {
             Self::Leads => "leads",
             Self::Calibrates => "calibrates",
+            Self::Unheard => "commands, but no array reports",
             Self::Unfollowed => "is not followed",
             Self::StandsBy => "stands by",
             Self::Silent => "does not report",
@@ -67,7 +70,7 @@ pub struct ControllerFigures {
     pub name: String,
     /// The name of its host; empty where its status has none.
     pub host: String,
-    /// Whether it leads.
+    /// What it does in its room.
     pub role: Role,
     /// The epoch of its commands; 0 before the first.
     pub epoch: u64,

@@ -1,7 +1,8 @@
 //! The data of the page's 3-D view: a plan of the static objects, and frames of the moving ones.
 //!
 //! A mirror *serves* the user to whom it has the largest gain at its present angles, by the same
-//! channel model that gives the rates. Lengths are in m, rounded to millimetres.
+//! channel model that gives the rates. Telemetry alone gives these angles: without it a mirror is
+//! drawn flat, and serves no user. Lengths are in m, rounded to millimetres.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -72,7 +73,8 @@ pub struct Frame {
     pub geometry: String,
     /// Corners of each mirror: four times x, y, z in m.
     pub mirrors_m: Vec<[f64; 12]>,
-    /// For each mirror the index in `users` of the user that it serves; -1 for none.
+    /// For each mirror the index in `users` of the user that it serves; -1 for none, and where no
+    /// telemetry gives its angles.
     pub serves: Vec<i32>,
     /// Indices of the mirrors that do not follow commands, and of those of an array that sends no
     /// telemetry while another one does.
@@ -157,12 +159,18 @@ impl FrameBuilder {
         let (users, obstacles, telemetry) = self.latest(&room, &mut state.headings);
         let bodies: Vec<Option<Cylinder>> = users.iter().map(|user| body(&room.scenario, user)).collect();
         let blockers: Vec<Cylinder> = obstacles.iter().chain(bodies.iter().flatten()).copied().collect();
-        let angles = angles(room.model.mirrors.len(), telemetry.as_ref());
+        let mirrors = room.model.mirrors.len();
+        let reported = reported_angles(mirrors, telemetry.as_ref());
+        let are_reported = reported.is_some();
+        let angles = reported.unwrap_or_else(|| MirrorAngles::flat(mirrors));
         let mut serves = state.serve(&users, &blockers, &angles);
         let (unusable, unknown) = {
             let received = self.view.received();
             (unusable_mirrors(&received, &room), unknown_mirrors(&received, &room))
         };
+        if !are_reported {
+            serves.fill(-1);
+        }
         unknown.iter().for_each(|mirror| serves[*mirror as usize] = -1);
         let serving = state.scene.serving();
         let budget = self.view.budget(&room.model);
@@ -199,10 +207,11 @@ impl FrameBuilder {
         let room = self.view.shown_room();
         let (users, obstacles, telemetry) = self.latest(&room, &mut state.headings);
         let bodies = users.iter().filter_map(|user| body(&room.scenario, user));
+        let mirrors = room.model.mirrors.len();
         OpticalState {
             users: users.len(),
             blockers: obstacles.into_iter().chain(bodies).collect(),
-            angles: angles(room.model.mirrors.len(), telemetry.as_ref()),
+            angles: reported_angles(mirrors, telemetry.as_ref()).unwrap_or_else(|| MirrorAngles::flat(mirrors)),
             room,
         }
     }
@@ -306,19 +315,17 @@ fn body(scenario: &Scenario, user: &ObservedUser) -> Option<Cylinder> {
     Some(scenario.blockage.body()?.behind(&user.position, &user.heading))
 }
 
-/// The angles of the mirrors: measured, else commanded, else flat.
-fn angles(mirrors: usize, telemetry: Option<&MirrorTelemetry>) -> MirrorAngles {
-    let Some(telemetry) = telemetry.filter(|telemetry| telemetry.check_mirrors(mirrors).is_ok()) else {
-        return MirrorAngles::flat(mirrors);
-    };
+/// The angles of the mirrors: measured, else commanded; `None` without telemetry of so many mirrors.
+fn reported_angles(mirrors: usize, telemetry: Option<&MirrorTelemetry>) -> Option<MirrorAngles> {
+    let telemetry = telemetry.filter(|telemetry| telemetry.check_mirrors(mirrors).is_ok())?;
     let choose = |measured: &[f32], commanded: &[f32]| {
         let angles = if measured.is_empty() { commanded } else { measured };
         angles.iter().map(|angle| f64::from(*angle)).collect()
     };
-    MirrorAngles {
+    Some(MirrorAngles {
         roll: choose(&telemetry.roll_measured, &telemetry.roll_commanded),
         yaw: choose(&telemetry.yaw_measured, &telemetry.yaw_commanded),
-    }
+    })
 }
 
 /// Corners of a mirror, in order along its edge.
@@ -377,4 +384,41 @@ fn rounded(point: &Vec3) -> [f64; 3] {
 
 fn millimetres(length_m: f64) -> f64 {
     (length_m * 1e3).round() / 1e3
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Instant;
+
+    use heliostat_bus::{Bus, BusConfig, private_endpoint};
+    use heliostat_proto::{Room, UserReport, UserState};
+
+    use super::*;
+    use crate::view::EXPIRY;
+
+    #[test]
+    fn mirrors_without_telemetry_serve_no_user() {
+        let scenario = Scenario::builtin("specular").and_then(|room| room.with_overrides(&["blockage.bodies=false"]));
+        let endpoint = private_endpoint().expect("an endpoint");
+        let config = BusConfig::new(Room::new("scene").expect("a valid name")).listen_at(&endpoint);
+        let bus = Bus::open(&config).expect("a free endpoint");
+        let view = Arc::new(View::open(&bus, Some(&scenario.expect("a valid scenario"))).expect("an open session"));
+        let frames = FrameBuilder::new(Arc::clone(&view));
+        // One flat mirror reflects the light of the LED to this place.
+        let user = UserState { position_m: [0.3, 0.0, 0.85], ..UserState::default() };
+        let report = UserReport { users: vec![user], ..UserReport::default() };
+        let served = || {
+            view.received().users = Some((Instant::now(), report.clone()));
+            let frame = frames.frame();
+            assert_eq!((frame.users.len(), frame.serves.len(), frame.unusable.len()), (1, 100, 0));
+            frame.serves.iter().filter(|user| **user >= 0).count()
+        };
+        assert_eq!(served(), 0, "no array has reported");
+        let flat = || vec![0.0; 100];
+        let telemetry = MirrorTelemetry { roll_commanded: flat(), yaw_commanded: flat(), ..MirrorTelemetry::default() };
+        view.received().arrays.note(0, telemetry);
+        assert!(served() > 0, "the array reports flat mirrors");
+        view.received().arrays.age(EXPIRY);
+        assert_eq!(served(), 0, "the array is silent");
+    }
 }

@@ -101,8 +101,8 @@ impl RoomStatus {
             let is_of_stop = self.stops.iter().any(|stop| stop.contains(problem.as_str()));
             (!problem.is_empty() && !is_of_stop).then(|| format!("{node}: {problem}"))
         };
-        // The problems of the processes have that of the leader.
-        let unfit = controllers.iter().filter(|one| one.is_unfit && one.role != Role::Leads).map(|one| {
+        // The problems of the processes have that of the controller that commands.
+        let unfit = controllers.iter().filter(|one| one.is_unfit && !one.role.commands()).map(|one| {
             format!(
                 "controller {} cannot take over: the array does not fit its scenario; its journal has the reason",
                 one.name
@@ -272,6 +272,13 @@ mod tests {
         assert_eq!(unfollowed, ["no controller leads: no telemetry shows which one the array follows"]);
         let calibrated = figures(vec![controller(Role::Calibrates), controller(Role::StandsBy)]);
         assert_eq!(found(calibrated), [""; 0], "a calibration commands in place of the leader");
+        let absent = ArrayFigures { state: "no telemetry".into(), ..ArrayFigures::default() };
+        let absent = Figures { array: absent, ..figures(vec![controller(Role::Unheard)]) };
+        let absent = RoomStatus { reports_per_s: 20.0, figures: absent, ..RoomStatus::default() };
+        assert_eq!(absent.found(), ["the array does not follow: no telemetry"], "one problem, of the array");
+        assert!(absent.to_string().contains(" commands, but no array reports\n"), "{absent}");
+        let json = serde_json::to_value(&absent).expect("numbers, texts and lists");
+        assert_eq!(json["figures"]["controllers"][0]["role"], "unheard");
         let parked = ArrayFigures { state: "parked".into(), faults: vec!["link"], ..ArrayFigures::default() };
         let parked = Figures { array: parked, ..figures(vec![controller(Role::Leads)]) };
         assert_eq!(found(parked), ["the array does not follow: parked", "faults of the array: link"]);

@@ -17,7 +17,7 @@ use heliostat_scenario::{Scenario, USERS_MAX};
 
 use crate::UiError;
 use crate::array_reports::ArrayReports;
-use crate::controllers::{ControllerFigures, Controllers, controller_name};
+use crate::controllers::{ControllerFigures, Controllers, Role, controller_name};
 use crate::latency::Window;
 use crate::problems::Problems;
 use crate::shown_room::{Announcements, Findings, GeometrySource, RoomChooser, ShownRoom};
@@ -194,9 +194,14 @@ impl Received {
         message.as_ref().filter(|(at, _)| at.elapsed() < EXPIRY).map(|(_, message)| message)
     }
 
-    /// The controllers that are in the room, the leader first, and those that were lost.
+    /// The controllers that are in the room, the leader first, and those that were lost. Only the reports of an array
+    /// show that one leads.
     pub fn present_controllers(&self) -> Vec<ControllerFigures> {
-        self.controllers.present(&self.alive, self.arrays.followed_epoch())
+        let mut present = self.controllers.present(&self.alive, self.arrays.followed_epoch());
+        if self.arrays.states().is_empty() {
+            present.iter_mut().filter(|one| one.role == Role::Leads).for_each(|one| one.role = Role::Unheard);
+        }
+        present
     }
 
     /// Whether each controller that is seen stands by for one that is not.
@@ -410,6 +415,23 @@ mod tests {
         assert_eq!(shown(&received), (2, 4), "its last status, of the handover");
         received.take_status(0, status(1, 503, 0));
         assert_eq!(shown(&received), (1, 503), "the second has left");
+    }
+
+    #[test]
+    fn a_controller_is_shown_to_lead_only_while_an_array_reports() {
+        let mut received = Received::default();
+        received.alive.extend([(NodeKind::Controller.name(), 1), (NodeKind::Controller.name(), 2)]);
+        received.take_status(0, status(1, 500, 0));
+        received.take_status(0, status(2, 0, 1));
+        let roles = |received: &Received| -> Vec<Role> {
+            received.present_controllers().into_iter().map(|one| one.role).collect()
+        };
+        assert_eq!(roles(&received), [Role::Unheard, Role::StandsBy], "no array has reported");
+        received.arrays.note(1, MirrorTelemetry::default());
+        assert_eq!(roles(&received), [Role::Leads, Role::StandsBy], "one of several arrays is enough");
+        received.arrays.age(EXPIRY);
+        assert_eq!(roles(&received), [Role::Unheard, Role::StandsBy], "the link to the array is cut");
+        assert_eq!(shown(&received), (1, 500), "its figures stay displayed");
     }
 
     #[test]

@@ -388,9 +388,12 @@ fn without_a_valid_certificate_of_the_room_a_process_sends_and_receives_nothing(
             assert!(opened.is_err(), "a process {name} opens a session at {endpoint}");
         }
     }
-    // Without TLS the listener does not answer either.
+    // Without TLS the listener opens no session either, and the error says what it expects.
     let plain = BusConfig::new(Room::new(ROOM).expect("a valid name")).connect_to(&endpoint.replace("tls/", "tcp/"));
-    assert!(Bus::open(&plain.reaching(Reach::Within(Duration::from_secs(1)))).is_err());
+    let refused = Bus::open(&plain.reaching(Reach::Within(Duration::from_secs(1)))).err().expect("no session");
+    assert!(matches!(refused, BusError::Untrusted { .. }), "{refused}");
+    let advice = format!("give --tls DIR, the folder of its room's keys, and --connect {endpoint}");
+    assert!(refused.to_string().contains(&advice), "{refused}");
     // The same listeners accept a member of the room.
     for (received, sender) in received.iter().zip([
         keys.open(AccessRole::Viewer, |config| config.connect_to(&endpoint)),

@@ -21,6 +21,7 @@ use anyhow::{Context, Result, bail, ensure};
 use clap::Parser;
 use heliostat::programs;
 use heliostat_reproduce::machine;
+use heliostat_scenario::ScenarioArgs;
 use heliostat_service::{outln, output, signals};
 
 use heliostat_service::whole_file;
@@ -55,7 +56,8 @@ pub struct Args {
     /// Keep the sections that the same command finished at the same commit
     #[arg(long)]
     resume: bool,
-    /// Check the file, print each section's name and command, and run nothing
+    /// Check the file, and its tables against finished sections if there are any; print each section's
+    /// name and command, and run nothing
     #[arg(long)]
     check: bool,
 }
@@ -82,12 +84,13 @@ pub fn run(args: Args) -> Result<()> {
         check_section(section, &arguments).with_context(|| format!("in section {}", section.name))?;
         steps.push((section, arguments));
     }
-    if args.check {
-        return steps
-            .iter()
-            .try_for_each(|(section, arguments)| Ok(outln!("{:<18} {}", section.name, page::command(arguments))?));
-    }
     let out = args.out.clone().unwrap_or_else(|| PathBuf::from(&definition.name).with_extension("md"));
+    if args.check {
+        for (section, arguments) in &steps {
+            outln!("{:<18} {}", section.name, page::command(arguments))?;
+        }
+        return check_finished(&definition, &steps, &out);
+    }
     let kept = archive::beside(&out)?;
     let mut archive = match args.resume {
         true => Archive::resume(&kept, &definition.name, args.quick)?,
@@ -98,7 +101,7 @@ pub fn run(args: Args) -> Result<()> {
     signals::end_on_signals(programs::LAB, move || {
         said(interrupted.lock().unwrap_or_else(PoisonError::into_inner).as_deref())
     })?;
-    let mut problems = Vec::new();
+    let (mut problems, mut not_shown) = (Vec::new(), Vec::new());
     for (index, (section, arguments)) in steps.iter().enumerate() {
         let step = format!("{} of {}: {}", index + 1, steps.len(), section.name);
         if archive.holds(&section.name, arguments, machine::COMMIT) {
@@ -114,7 +117,11 @@ pub fn run(args: Args) -> Result<()> {
                 problems.push(format!("{error:#}"));
             }
         }
-        write(&definition, &archive, &out, &kept)?;
+        let found = write(&definition, &archive, &out, &kept)?;
+        for problem in found.iter().filter(|problem| !not_shown.contains(*problem)) {
+            output::note(problem);
+        }
+        not_shown = found;
         *running.lock().unwrap_or_else(PoisonError::into_inner) = None;
     }
     problems.extend(write(&definition, &archive, &out, &kept)?);
@@ -145,6 +152,19 @@ fn write(definition: &Definition, archive: &Archive, out: &Path, kept: &Path) ->
     Ok(problems)
 }
 
+/// Refuses a report that cannot show what the same commands printed before, where it is kept beside the page.
+fn check_finished(definition: &Definition, steps: &[(&Section, Vec<String>)], out: &Path) -> Result<()> {
+    // A file of another kind is the matter of a run, which refuses or replaces it.
+    let Ok(mut archive) = Archive::read(&out.with_extension("json")) else { return Ok(()) };
+    let of_step = |finished: &Finished| {
+        steps.iter().any(|(section, arguments)| section.name == finished.section && *arguments == finished.arguments)
+    };
+    archive.sections.retain(of_step);
+    let Page { problems, .. } = page::write(definition, &archive)?;
+    ensure!(problems.is_empty(), "{}", problems.join("; "));
+    Ok(())
+}
+
 /// Refuses a command that its program would refuse, and rows that it does not print.
 fn check_section(section: &Section, arguments: &[String]) -> Result<()> {
     check_command(arguments)?;
@@ -154,12 +174,26 @@ fn check_section(section: &Section, arguments: &[String]) -> Result<()> {
 /// Refuses a command that its program would refuse.
 fn check_command(arguments: &[String]) -> Result<()> {
     let words = with_json(arguments);
-    let parsed = match arguments.first().map(String::as_str) {
-        Some(programs::HELIOSTAT) => heliostat::cli::Cli::try_parse_from(words).map(drop),
-        Some(programs::LAB) => crate::cli::Cli::try_parse_from(words).map(drop),
+    let checked = match arguments.first().map(String::as_str) {
+        Some(programs::HELIOSTAT) => check_words::<heliostat::cli::Cli>(words),
+        Some(programs::LAB) => check_words::<crate::cli::Cli>(words),
         other => bail!("command {other:?}: expected {} or {}", programs::HELIOSTAT, programs::LAB),
     };
-    parsed.with_context(|| page::command(arguments))
+    checked.with_context(|| page::command(arguments))
+}
+
+/// Refuses words that a program does not accept, and a scenario that does not exist.
+fn check_words<P: Parser>(words: Vec<String>) -> Result<()> {
+    let matches = P::command().try_get_matches_from(words)?;
+    P::from_arg_matches(&matches)?;
+    let mut innermost = &matches;
+    while let Some((_, command)) = innermost.subcommand() {
+        innermost = command;
+    }
+    if let Ok(Some(scenario)) = innermost.try_get_one::<String>("scenario") {
+        ScenarioArgs { scenario: scenario.clone(), ..ScenarioArgs::default() }.text()?;
+    }
+    Ok(())
 }
 
 /// The arguments with `--json` in front of those that are passed on to another process.
@@ -222,10 +256,15 @@ mod tests {
     }
 
     #[test]
-    fn a_command_of_another_program_or_with_an_unknown_flag_is_refused() {
+    fn a_command_of_another_program_an_unknown_flag_and_a_missing_scenario_are_refused() {
+        let check = |command: &str| check_command(&command.split(' ').map(str::to_owned).collect::<Vec<_>>());
         for command in ["ls", "heliostat eval", "heliostat-lab eval --sweeep users.count=1"] {
-            let words: Vec<String> = command.split(' ').map(str::to_owned).collect();
-            assert!(check_command(&words).is_err(), "{command}");
+            assert!(check(command).is_err(), "{command}");
+        }
+        for (program, scenario) in [("heliostat-lab eval", "nope.toml"), ("heliostat bench decide", "nope")] {
+            let refused = check(&format!("{program} --scenario {scenario}")).expect_err("there is no such scenario");
+            assert!(format!("{refused:#}").contains(scenario), "{refused:#}");
+            check(&format!("{program} --scenario hall")).expect("it is built in");
         }
     }
 }

@@ -30,7 +30,11 @@ command = "heliostat-lab eval --policies {policies} --blocked 2"
 "#;
 
 fn report(folder: &Path, arguments: &[&str]) -> Output {
-    fs::write(folder.join("small.toml"), REPORT).expect("written");
+    report_of(REPORT, folder, arguments)
+}
+
+fn report_of(text: &str, folder: &Path, arguments: &[&str]) -> Output {
+    fs::write(folder.join("small.toml"), text).expect("written");
     let mut command = Command::new(env!("CARGO_BIN_EXE_heliostat-lab"));
     command.args(["report", "small.toml"]).args(arguments).current_dir(folder).output().expect("the program starts")
 }
@@ -60,6 +64,24 @@ fn a_page_is_written_from_its_commands_and_a_second_run_continues() {
 
     let other_words = report(folder.path(), &["--quick", "--resume", "--word", "policies=random,flat"]);
     assert!(!errors(&other_words).contains("finished before") && page().contains("| random | "), "{}", page());
+}
+
+#[test]
+fn a_column_that_no_row_has_is_an_error_and_its_correction_needs_no_second_run() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let wrong = REPORT.replace("/ratio_to_oracle | ±3", "/ratio_to_orakel | ±3");
+    let expected = "in section exact: column \"ratio\": no row has such a figure at /ratio_to_orakel: a row has ";
+    // Without a finished section, the check has nothing to compare the columns with.
+    assert!(report_of(&wrong, folder.path(), &["--check", "--quick"]).status.success());
+    for arguments in [["--quick", "--only", "exact"], ["--quick", "--check", "--only=exact"]] {
+        let refused = report_of(&wrong, folder.path(), &arguments);
+        let message = errors(&refused);
+        assert!(!refused.status.success() && message.contains(expected), "{arguments:?}: {message}");
+        assert!(message.contains("ratio_to_oracle"), "{arguments:?}: {message}");
+    }
+    let continued = report(folder.path(), &["--quick", "--only", "exact", "--resume"]);
+    let message = errors(&continued);
+    assert!(continued.status.success() && message.contains("exact: finished before"), "{message}");
 }
 
 #[test]

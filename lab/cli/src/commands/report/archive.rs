@@ -74,11 +74,7 @@ impl Archive {
         if !kept.exists() {
             return Ok(Self::new(report, quick));
         }
-        let file = kept.display();
-        let text = read_text(kept).with_context(|| format!("cannot read {file}"))?;
-        let archive: Self = serde_json::from_str(&text).with_context(|| {
-            format!("{file} holds no finished sections: delete it or restore it, or leave out --resume")
-        })?;
+        let (file, archive) = (kept.display(), Self::read(kept)?);
         let name = |report: &str, quick: bool| format!("{report}{}", if quick { " --quick" } else { "" });
         let (found, expected) = (name(&archive.report, archive.quick), name(report, quick));
         ensure!(
@@ -86,6 +82,18 @@ impl Archive {
             "{file} holds {found}; expected {expected}. Choose another --out, or leave out --resume"
         );
         Ok(archive)
+    }
+
+    /// Reads a file of finished sections.
+    ///
+    /// # Errors
+    /// A file that cannot be read, or is no archive.
+    pub fn read(kept: &Path) -> Result<Self> {
+        let file = kept.display();
+        let text = read_text(kept).with_context(|| format!("cannot read {file}"))?;
+        serde_json::from_str(&text).with_context(|| {
+            format!("{file} holds no finished sections: delete it or restore it, or leave out --resume")
+        })
     }
 
     /// Writes the archive, complete or not at all.

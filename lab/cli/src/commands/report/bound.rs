@@ -4,7 +4,7 @@ use anyhow::{Context, Result, ensure};
 use serde::Deserialize;
 use serde_json::Value;
 
-use super::table::Row;
+use super::table::{Row, nearest};
 
 /// A bound that every named row of a section must meet.
 #[derive(Clone, Debug, Deserialize)]
@@ -51,8 +51,10 @@ impl Bound {
     /// No row or no figure that the bound concerns.
     pub fn judge(&self, rows: &[Row]) -> Result<Verdict> {
         let missing = |what: &str, at: &str| format!("no {what} {at} for the bound: {}", self.what);
-        let figure =
-            |row: &Value, at: &str| row.pointer(at).and_then(Value::as_f64).with_context(|| missing("figure at", at));
+        let figure = |row: &Value, at: &str| {
+            let value = row.pointer(at).and_then(Value::as_f64);
+            value.with_context(|| format!("{}; {}", missing("figure at", at), nearest(std::iter::once(row), at)))
+        };
         let of_row = |row: &Value| -> Result<f64> {
             let mut value = figure(row, &self.at)?;
             if let Some(of) = &self.share_of {
@@ -119,5 +121,7 @@ mod tests {
         ] {
             assert!(judge(bound).is_err(), "{bound}");
         }
+        let refused = judge("row = \"flat\"\nat = \"/mett\"\nat_least = 0").expect_err("no such figure").to_string();
+        assert_eq!(refused, "no figure at /mett for the bound: a test; a row has count, late, met");
     }
 }

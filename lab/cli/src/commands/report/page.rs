@@ -12,7 +12,7 @@ use crate::commands::eval::{ABOVE_ONE, exceeds_one};
 use super::archive::{Archive, Finished};
 use super::definition::{Definition, Section};
 use super::summary;
-use super::table::{CROSSES, grid, markdown, rows};
+use super::table::{CROSSES, check_columns, grid, markdown, rows};
 
 /// A page, and why it does not show all that is finished.
 pub struct Page {
@@ -36,7 +36,8 @@ pub fn write(definition: &Definition, archive: &Archive) -> Result<Page> {
             continue;
         };
         let shown = write_section(definition, section, finished, &mut sections)
-            .and_then(|()| judge(section, finished, &mut bounds));
+            .and_then(|()| judge(section, finished, &mut bounds))
+            .and_then(|()| check(definition, section, finished));
         if let Err(error) = shown {
             writeln!(sections, "Not shown: {error:#}.\n")?;
             problems.push(format!("in section {}: {error:#}", section.name));
@@ -93,6 +94,13 @@ fn judge(section: &Section, finished: &Finished, bounds: &mut Vec<Vec<String>>) 
         bounds.push(vec![section.title.clone(), bound.what.clone(), significant(verdict.worst), met.into()]);
     }
     Ok(())
+}
+
+/// Refuses columns whose figure no row of their table has.
+fn check(definition: &Definition, section: &Section, finished: &Finished) -> Result<()> {
+    section.tables.iter().try_for_each(|table| {
+        check_columns(&rows(&finished.output, &table.rows, &finished.arguments)?, definition.columns(&table.columns)?)
+    })
 }
 
 /// A command line for a shell.
@@ -177,7 +185,7 @@ mod tests {
         about = "Times in us."
         columns.time = ["p50 | /p50 | .1"]
         columns.change = ["ratio, difference | /policies/greedy/ratio | ±2"]
-        columns.mean = ["sections | /sections | text", "ratio | /ratio | ±2", "largest p99 | /us/p99 | .0"]
+        columns.mean = ["sections | /sections | text | optional", "ratio | /ratio | ±2", "largest p99 | /us/p99 | .0"]
         [[summary]]
         title = "Changes"
         about = "Differences."
@@ -272,6 +280,22 @@ mod tests {
         assert_eq!(problems, [format!("in section first: {reason}")]);
         assert!(text.contains(&format!("Not shown: {reason}.\n\n## Last")), "{text}");
         assert!(text.contains("| p50 |\n| --- |\n| 1.5 |\n"), "{text}");
+    }
+
+    #[test]
+    fn a_column_that_no_row_has_is_a_problem_of_its_section_beside_the_other_columns() {
+        let mut archive = Archive::new("example", false);
+        archive.put(finished("first", json!({ "rows": [{ "p50": 1.5, "p99": 2.5 }] })));
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("example.toml");
+        let columns = r#"time = ["p50 | /p50 | .1", "p99 | /p9 | .1"]"#;
+        std::fs::write(&file, REPORT.replace(r#"time = ["p50 | /p50 | .1"]"#, columns)).unwrap();
+        let Page { text, problems } = write(&Definition::read(&file, &[]).unwrap(), &archive).unwrap();
+        let [problem] = &problems[..] else { panic!("{problems:?}") };
+        let reason = "column \"p99\": no row has such a figure at /p9: a row has p50, p99; correct the pointer";
+        assert!(problem.starts_with(&format!("in section first: {reason}")), "{problem}");
+        assert!(text.contains("| 1.5 | - |\n\nNot shown: column \"p99\""), "{text}");
+        assert!(text.contains("| The loop | p50 at most 2 | 1.5 | met |"), "{text}");
     }
 
     #[test]

@@ -16,7 +16,7 @@ const SWEEP: &str = "/reports";
 /// One row by its name: the policy, the belief or the room, or nothing where rows have no names.
 pub type Row = (String, Value);
 
-/// One column: `TITLE | JSON POINTER | FORM` in a file.
+/// One column: `TITLE | JSON POINTER | FORM` in a file, with ` | optional` for a figure that rows may lack.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(try_from = "String")]
 pub struct Column {
@@ -26,6 +26,8 @@ pub struct Column {
     pub at: String,
     /// How the figure is written.
     pub form: Form,
+    /// Whether a table may have no such figure at all.
+    pub is_optional: bool,
 }
 
 /// How a figure is written.
@@ -43,9 +45,14 @@ impl TryFrom<String> for Column {
     type Error = anyhow::Error;
 
     fn try_from(text: String) -> Result<Self> {
-        let expected = || format!("column \"{text}\": expected TITLE | /POINTER | FORM, where FORM is text, .N or ±N");
+        let expected = || {
+            format!(
+                "column \"{text}\": expected TITLE | /POINTER | FORM, where FORM is text, .N or ±N, \
+                 with \" | optional\" behind it for a figure that rows may lack"
+            )
+        };
         let parts: Vec<&str> = text.split(" | ").collect();
-        let [title, at, form] = parts[..] else { anyhow::bail!(expected()) };
+        let ([title, at, form] | [title, at, form, "optional"]) = parts[..] else { anyhow::bail!(expected()) };
         ensure!(at.starts_with('/'), expected());
         let form = match (form, form.strip_prefix('.'), form.strip_prefix('±')) {
             ("text", ..) => Form::Text,
@@ -53,7 +60,19 @@ impl TryFrom<String> for Column {
             (_, _, Some(digits)) => Form::Interval(digits.parse().with_context(expected)?),
             _ => anyhow::bail!(expected()),
         };
-        Ok(Self { title: title.into(), at: at.into(), form })
+        Ok(Self { title: title.into(), at: at.into(), form, is_optional: parts.len() > 3 })
+    }
+}
+
+impl Form {
+    /// Whether a value can be written in this form; null is a figure that this row lacks.
+    fn fits(self, value: &Value) -> bool {
+        let number = |value: &Value| value.is_null() || value.is_number();
+        match self {
+            Self::Text => true,
+            Self::Number(_) => number(value),
+            Self::Interval(_) => value.is_null() || value.get("mean").is_some_and(number),
+        }
     }
 }
 
@@ -108,6 +127,50 @@ pub fn rows(output: &Value, pointer: &str, arguments: &[String]) -> Result<Vec<R
             Ok(rows)
         }
         _ => anyhow::bail!("the output has neither an array nor an object at {pointer}"),
+    }
+}
+
+/// Refuses columns whose figure no row of a table has, unless they are optional.
+///
+/// # Errors
+/// Each such column, with what the rows have in place of its figure.
+pub fn check_columns(rows: &[Row], columns: &[Column]) -> Result<()> {
+    let lacks = |column: &&Column| {
+        let has = |(_, row): &Row| row.pointer(&column.at).is_some_and(|value| column.form.fits(value));
+        !column.is_optional && !rows.is_empty() && !rows.iter().any(has)
+    };
+    let missing = columns.iter().filter(lacks).map(|Column { title, at, .. }| {
+        format!(
+            "column \"{title}\": no row has such a figure at {at}: {}",
+            nearest(rows.iter().map(|(_, row)| row), at)
+        )
+    });
+    let missing: Vec<String> = missing.collect();
+    ensure!(
+        missing.is_empty(),
+        "{}; correct the pointer or the form, or end the column with \" | optional\" if its figure may be absent",
+        missing.join("; ")
+    );
+    Ok(())
+}
+
+/// What the row that agrees most with a JSON pointer has at the last part of the pointer that exists.
+pub fn nearest<'a>(rows: impl Iterator<Item = &'a Value>, pointer: &'a str) -> String {
+    let last_existing = |row: &'a Value| {
+        let shorter = pointer.rmatch_indices('/').map(|(end, _)| &pointer[..end]);
+        let mut parts = std::iter::once(pointer).chain(shorter);
+        parts.find_map(|part| Some((part, row.pointer(part)?))).unwrap_or(("", row))
+    };
+    let Some((part, value)) = rows.map(last_existing).max_by_key(|(part, _)| part.len()) else {
+        return "there are no rows".into();
+    };
+    let place = if part.is_empty() { "a row" } else { part };
+    match value {
+        Value::Object(object) if !object.is_empty() => {
+            format!("{place} has {}", object.keys().map(String::as_str).collect::<Vec<_>>().join(", "))
+        }
+        Value::Array(values) => format!("{place} is an array of length {}", values.len()),
+        other => format!("{place} is {other}"),
     }
 }
 
@@ -259,8 +322,35 @@ mod tests {
     }
 
     #[test]
+    fn a_column_whose_figure_no_row_has_is_refused_with_the_keys_that_exist() {
+        let rows = rows(&report(0.9), POLICIES, &[]).unwrap();
+        let check = |column: &str| check_columns(&rows, &columns(&[column])).map_err(|error| error.to_string());
+        for (column, expected) in [
+            ("p50 | /us/p5O | .0", "column \"p50\": no row has such a figure at /us/p5O: /us has p50;"),
+            ("p50 | /su/p50 | .0", "column \"p50\": no row has such a figure at /su/p50: a row has ratio, us;"),
+            ("p50 | /us/p50/mean | .0", "/us/p50 is 7.4;"),
+            ("ratio | /ratio | .2", "column \"ratio\": no row has such a figure at /ratio: /ratio has ci95, mean;"),
+            ("p50 | /us | ±0", "/us has p50;"),
+        ] {
+            let refused = check(column).expect_err(column);
+            assert!(refused.contains(expected), "{column}: {refused}");
+        }
+        // The oracle has no time, and its interval has no width.
+        for column in
+            ["p50 | /us/p50 | .0", "ratio | /ratio | ±2", "width | /ratio/ci95 | .2", "x | /x | .0 | optional"]
+        {
+            assert_eq!(check(column), Ok(()), "{column}");
+        }
+        let missing = [(String::new(), json!({ "hz": null, "blocked": { "mean": null } }))];
+        check_columns(&missing, &columns(&["rate | /hz | .0", "blocked | /blocked | ±1"])).expect("null is a figure");
+        check_columns(&[], &columns(&["p50 | /p50 | .0"])).expect("a table without rows");
+    }
+
+    #[test]
     fn other_columns_and_the_output_of_another_command_are_refused() {
-        for text in ["ratio", "ratio | ratio | .2", "ratio | /ratio | 2", "ratio | /ratio | .x"] {
+        for text in
+            ["ratio", "ratio | ratio | .2", "ratio | /ratio | 2", "ratio | /ratio | .x", "ratio | /ratio | .2 | often"]
+        {
             let error = Column::try_from(text.to_owned()).unwrap_err().to_string();
             assert!(error.contains("expected TITLE | /POINTER | FORM"), "{error}");
         }

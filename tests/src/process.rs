@@ -188,6 +188,14 @@ impl Ended {
     /// When the exit status is a failure, or the last line is not JSON.
     pub fn json(&self) -> Value {
         assert!(self.status.success(), "{}: {}", self.status, self.errors);
+        self.last_json()
+    }
+
+    /// The JSON object on the last line of its output, after a success or a failure.
+    ///
+    /// # Panics
+    /// When the last line is not JSON.
+    pub fn last_json(&self) -> Value {
         let line = self.output.lines().last().unwrap_or_default();
         serde_json::from_str(line).unwrap_or_else(|error| panic!("the last line is not JSON ({error}): {line}"))
     }

@@ -53,7 +53,8 @@ pub struct RecordArgs {
 /// Without --verify, --policy and --model this process replaces the room: it publishes the recorded
 /// reports for a controller that runs elsewhere, at the recorded speed. With one of them a
 /// controller inside this process decides again, and every command is compared with the recorded
-/// one. The exit status is 1 if --verify finds a difference, and 2 if the file cannot be replayed.
+/// one. The exit status is 1 if --verify finds a difference, and 2 if the file cannot be replayed or no
+/// command counts.
 #[derive(Clone, Debug, clap::Args)]
 #[command(group = clap::ArgGroup::new("decide_again").multiple(true))]
 pub struct ReplayArgs {
@@ -68,8 +69,8 @@ pub struct ReplayArgs {
     /// Decide again with this ONNX file of a learned policy instead of the built-in one
     #[arg(long, visible_alias = "actor", value_name = "FILE", group = "decide_again")]
     model: Option<PathBuf>,
-    /// Decisions at the start of each epoch that are not compared [default: 0 for a lockstep run
-    /// recorded from its start, else 200]
+    /// Decisions at the start of each epoch that do not count [default: 0 for a lockstep run recorded
+    /// from its start, and where the recording has states of the controller; else 200]
     #[arg(long, value_name = "N", requires = "decide_again")]
     settle: Option<u64>,
     /// Endpoint at which to listen for a controller (repeatable); without any endpoint
@@ -124,8 +125,8 @@ pub fn record(args: RecordArgs) -> Result<()> {
 /// Replays, and prints the result.
 ///
 /// # Errors
-/// [`UnusableInput`] if the recording cannot be replayed, or with `--verify` if no command of it can be
-/// compared; with `--verify`, a difference.
+/// [`UnusableInput`] if the recording cannot be replayed, or if no command of it can be compared; with
+/// `--verify`, a difference.
 pub fn replay(args: ReplayArgs) -> Result<()> {
     if !args.verify && args.policy.is_none() && args.model.is_none() {
         return play(args);
@@ -133,6 +134,10 @@ pub fn replay(args: ReplayArgs) -> Result<()> {
     let settings = replay::Settings { file: args.file, policy: args.policy, model: args.model, settle: args.settle };
     let verdict = replay::run(&settings)?;
     print(args.json, &verdict, &verdict)?;
+    if verdict.is_empty() {
+        let (file, reason) = (settings.file.display(), why_empty(&verdict, settings.settle));
+        return Err(UnusableInput::new(format!("{file} has no command that a replay can compare: {reason}")).into());
+    }
     if !args.verify {
         let (file, scenario) = (settings.file.display(), &verdict.scenario);
         output::note(format_args!(
@@ -140,13 +145,6 @@ pub fn replay(args: ReplayArgs) -> Result<()> {
              heliostat-lab trace export {file} --out walk.csv; then heliostat-lab eval --closed-loop --scenario {scenario}, \
              with the --set that trace export prints, and --policies RECORDED,OTHER"
         ));
-    }
-    if args.verify && verdict.is_empty() {
-        let file = settings.file.display();
-        return Err(UnusableInput::new(format!(
-            "{file} has no command that a replay can compare: it is too short, cut off, or holds no state of the controller before its commands"
-        ))
-        .into());
     }
     if args.verify && !verdict.is_good() {
         bail!(
@@ -156,6 +154,19 @@ pub fn replay(args: ReplayArgs) -> Result<()> {
         );
     }
     Ok(())
+}
+
+/// Why no command counts, and what to do.
+fn why_empty(verdict: &replay::Verdict, settle: Option<u64>) -> String {
+    match (verdict.settle, settle) {
+        (first @ 1.., None) if verdict.not_counted > 0 => format!(
+            "it has no state of the controller, so the first {first} decisions do not count; --settle 0 compares them from the first on"
+        ),
+        (first @ 1.., Some(_)) if verdict.not_counted > 0 => {
+            format!("by --settle {first} its first decisions do not count; --settle 0 compares them from the first on")
+        }
+        _ => "it is too short, cut off, or holds no state of the controller before its commands".into(),
+    }
 }
 
 fn play(args: ReplayArgs) -> Result<()> {

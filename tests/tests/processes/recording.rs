@@ -367,14 +367,14 @@ fn a_recording_is_readable_however_the_recorder_ends() {
     Command::new("kill").args(["-INT", &recorder.id().to_string()]).status().unwrap();
     let account = recorder.wait().json();
     assert_eq!(account["failure"], Value::Null, "{account}");
-    assert_eq!(replay(&setting.file(), &["--policy", "flat"]).wait().json()["complete"], true);
+    assert_eq!(replay(&setting.file(), &["--policy", "flat"]).wait().last_json()["complete"], true);
 
     // A killed recorder loses its last second at most.
     fs::remove_file(setting.file()).unwrap();
     let mut recorder = setting.recorder(&[]);
     wait_until("something to be written", || size(&setting.file()) > 300_000);
     recorder.kill();
-    let verdict = replay(&setting.file(), &["--policy", "flat"]).wait().json();
+    let verdict = replay(&setting.file(), &["--policy", "flat"]).wait().last_json();
     assert_eq!(verdict["complete"], false, "{verdict}");
     assert!(verdict["reports"].as_u64() > Some(50), "{verdict}");
 
@@ -391,7 +391,7 @@ fn a_recording_is_readable_however_the_recorder_ends() {
     assert!(errors.contains("no space is left for the recording: it ends after "), "{errors}");
     let account: Value = serde_json::from_slice(&limited.stdout).unwrap();
     assert!(account["failure"].as_str().unwrap().starts_with("no space is left"), "{account}");
-    let reports = replay(&setting.file(), &["--policy", "flat"]).wait().json()["reports"].as_u64();
+    let reports = replay(&setting.file(), &["--policy", "flat"]).wait().last_json()["reports"].as_u64();
     assert!(reports > Some(20), "{reports:?}");
     controller.end();
     room.end();

@@ -49,6 +49,8 @@ pub(super) struct Player<'a> {
     verdict: Comparison,
     /// Why a recorded state was not restored.
     unrestored: Option<String>,
+    /// The most decisions at the start of an epoch that do not count.
+    settle: u64,
 }
 
 impl<'a> Player<'a> {
@@ -72,6 +74,7 @@ impl<'a> Player<'a> {
             policies: BTreeMap::new(),
             verdict: Comparison::default(),
             unrestored: None,
+            settle: 0,
         };
         player.current = player.start_from(0)?;
         Ok(player)
@@ -102,6 +105,7 @@ impl<'a> Player<'a> {
         let progress = schedule.map(|schedule| Progress::new(schedule.clone()));
         let is_known = recorded_from_start || progress.is_some();
         let settle = self.settings.settle.unwrap_or(if is_known { 0 } else { SETTLE });
+        self.settle = self.settle.max(settle);
         Ok(Some(EpochReplay { controller, newest_ns: 0, decided: 0, settle, progress }))
     }
 
@@ -425,6 +429,7 @@ impl<'a> Player<'a> {
             unanswered: verdict.unanswered,
             compared: verdict.compared,
             not_counted: verdict.not_counted,
+            settle: self.settle,
             same: verdict.same,
             different: verdict.compared - verdict.not_counted - verdict.same,
             held: verdict.held,

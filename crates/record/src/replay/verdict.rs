@@ -34,6 +34,8 @@ pub struct Verdict {
     pub compared: u64,
     /// Commands among them that do not count, since earlier inputs are not in the recording.
     pub not_counted: u64,
+    /// Decisions at the start of an epoch that do not count, the most of all epochs.
+    pub settle: u64,
     /// Commands that count and are equal bit for bit.
     pub same: u64,
     /// Commands that count and differ.

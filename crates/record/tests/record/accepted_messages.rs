@@ -5,6 +5,7 @@
 use std::fs::File;
 use std::path::Path;
 
+use clap::Parser;
 use heliostat_core::core::{Controller, Due, Timing, WARM_UP_RUNS};
 use heliostat_core::inbox::Message;
 use heliostat_core::policy::PolicyKind;
@@ -13,9 +14,11 @@ use heliostat_proto::{
     ControllerMemory, Message as Encoded, MirrorCommand, Nanos, NodeKind, Room, Stamp, UserReport, UserState, encode,
 };
 use heliostat_record::account::Account;
+use heliostat_record::cli::{self, ReplayArgs};
 use heliostat_record::file::{Header, PRESENCE_TOPIC, Presence, Recording, Topic};
 use heliostat_record::replay::{Settings, Verdict, run};
 use heliostat_scenario::Scenario;
+use heliostat_service::exit::UnusableInput;
 use tempfile::TempDir;
 
 const EPOCH: u64 = 7;
@@ -115,6 +118,33 @@ fn scenario() -> Scenario {
 fn replay(file: &Path) -> Verdict {
     let settings = Settings { file: file.to_owned(), policy: Some(POLICY), model: None, settle: None };
     run(&settings).unwrap()
+}
+
+#[derive(Parser)]
+struct CommandLine {
+    #[command(flatten)]
+    replay: ReplayArgs,
+}
+
+#[test]
+fn a_replay_in_which_no_command_counts_is_an_error_that_names_the_flag_for_it() {
+    let folder = TempDir::new().unwrap();
+    let file = folder.path().join("stateless.mcap");
+    let mut room = RecordedRoom::new(&file, &scenario(), 0);
+    (1..=REPORTS).for_each(|tick| room.report(tick, 100 + tick));
+    room.recording.finish(&Account::default()).unwrap();
+    let file = file.to_string_lossy();
+    let replayed = |further: &[&str]| {
+        let words = [&["replay", &file, "--policy", "greedy"], further].concat();
+        cli::replay(CommandLine::parse_from(words).replay)
+    };
+    for (further, reason) in [(&["--settle", "40"][..], "--settle 40"), (&[], "the first 200 decisions do not count")] {
+        let error = replayed(further).expect_err("no command counts");
+        assert!(error.is::<UnusableInput>(), "{error}");
+        let message = error.to_string();
+        assert!(message.contains(reason) && message.contains("--settle 0 compares"), "{message}");
+    }
+    replayed(&["--settle", "0"]).expect("every command is compared");
 }
 
 #[test]

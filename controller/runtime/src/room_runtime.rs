@@ -217,13 +217,13 @@ impl RoomRuntime {
             return;
         };
         std::mem::swap(&mut decision_loop.times, &mut self.spare_times);
-        let peers = decision_loop.room.controller().tenure(0).peers();
+        let peers = decision_loop.room.controller().tenure(0).peers().to_vec();
         let conditions = Conditions {
             without_driver: decision_loop.room.without_driver(utc_ns()),
             geometry: self.geometry.problem().map(str::to_owned),
             connection: self.bus.lost_connection(),
-            peers: peers.to_vec(),
-            silent_peers: self.peers.silent(peers, Instant::now()),
+            silent_peers: self.peers.silent(&peers, Instant::now()),
+            peers,
         };
         let changed = self.geometry.changed(decision_loop.room.announced_geometry(utc_ns()));
         let former = std::mem::take(&mut decision_loop.former_times);

@@ -121,6 +121,8 @@ struct Known {
     /// When its last status arrived, or its token where none has.
     at: Instant,
     figures: ControllerFigures,
+    /// The hash of its scenario; empty where no status states one.
+    scenario: String,
     has_reported: bool,
     /// Whether its token ended while it was silent: its connection expired.
     is_lost: bool,
@@ -150,7 +152,8 @@ impl Controllers {
         }
         self.0.retain(|_, known| !known.is_lost);
         let figures = ControllerFigures { name: controller_name(source), ..ControllerFigures::default() };
-        self.0.insert(source, Known { at: Instant::now(), figures, has_reported: false, is_lost: false });
+        let (at, scenario) = (Instant::now(), String::new());
+        self.0.insert(source, Known { at, figures, scenario, has_reported: false, is_lost: false });
     }
 
     /// Notes the end of the token of a controller. One that ends reports shortly before or after that; one that hangs
@@ -189,7 +192,13 @@ impl Controllers {
             is_deciding,
             is_unfit: counter(status, NodeStatus::ARRAY_UNFIT) > 0,
         };
-        self.0.insert(source, Known { at: Instant::now(), figures, has_reported: true, is_lost: false });
+        let (at, scenario) = (Instant::now(), status.scenario.clone());
+        self.0.insert(source, Known { at, figures, scenario, has_reported: true, is_lost: false });
+    }
+
+    /// The hash of the scenario of a controller; empty where it is unknown.
+    pub fn scenario(&self, source: u64) -> &str {
+        self.0.get(&source).map_or("", |known| &known.scenario)
     }
 
     /// The controllers that are in the room, the leader first, and those that were lost. The first array follows the

@@ -45,14 +45,26 @@ impl ShownRoom {
     }
 }
 
+/// What a controller announces.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct AnnouncedController {
+    pub name: String,
+    /// Its geometry, as TOML.
+    pub geometry: Arc<str>,
+    /// The hash of its scenario, by its status; empty where it is unknown.
+    pub scenario: String,
+}
+
 /// The geometries that the processes of a room announce, as TOML.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Announcements {
     pub sim_node: Option<Arc<str>>,
+    /// The hash of the simulator's scenario, by its status; empty where it is unknown or old.
+    pub sim_node_scenario: String,
     /// Of the controller that is drawn.
     pub controller: Option<Arc<str>>,
-    /// Those of each controller that are not old, with its name: a standby can have another geometry.
-    pub of_controllers: Vec<(String, Arc<str>)>,
+    /// Those of each controller that are not old: a standby can have another geometry.
+    pub of_controllers: Vec<AnnouncedController>,
     /// Whether the simulator's announcement is old: it is drawn, and no warning follows from it.
     pub is_sim_node_old: bool,
     /// Whether the controller's announcement is old.
@@ -71,7 +83,7 @@ pub(crate) struct RoomChooser {
 pub(crate) struct Findings {
     /// What is wrong, with what to do.
     pub notes: Vec<String>,
-    /// How a controller differs from the room without a fault.
+    /// How a controller differs from the room without a fault: measured values, or other keys than the geometry.
     pub remarks: Vec<String>,
 }
 
@@ -113,7 +125,8 @@ impl RoomChooser {
 
     fn evaluate(&self, announcements: &Announcements) -> (Arc<ShownRoom>, Findings) {
         let Findings { mut notes, mut remarks } = Findings::default();
-        let Announcements { sim_node, controller, of_controllers, is_sim_node_old, is_controller_old } = announcements;
+        let Announcements { sim_node, sim_node_scenario, controller, of_controllers, .. } = announcements;
+        let Announcements { is_sim_node_old, is_controller_old, .. } = announcements;
         let read = |source, text: &str| {
             let scenario = Scenario::from_geometry_toml(text).map_err(|error| error.in_one_line())?;
             ShownRoom::new(source, scenario).map(Arc::new).map_err(|error| error.to_string())
@@ -127,22 +140,19 @@ impl RoomChooser {
             room.ok()
         });
         let controller = controller.as_deref().and_then(|text| read(GeometrySource::Controller, text).ok());
-        for (name, text) in of_controllers {
-            let own = match read(GeometrySource::Controller, text) {
+        for AnnouncedController { name, geometry, scenario } in of_controllers {
+            let own = match read(GeometrySource::Controller, geometry) {
                 Ok(own) => own,
                 Err(reason) => {
                     notes.push(refused(&format!("controller {name}"), &reason));
                     continue;
                 }
             };
-            if let Some(room) = sim_node.as_ref().filter(|_| !is_sim_node_old)
-                && let Some(difference) =
-                    own.scenario.room_difference(&room.scenario, &format!("the controller {name}"))
-            {
-                match difference {
-                    RoomDifference::Problem(text) => notes.push(printable(&text).into_owned()),
-                    RoomDifference::Measured(text) => remarks.push(printable(&text).into_owned()),
-                }
+            let Some(room) = sim_node.as_ref().filter(|_| !is_sim_node_old) else { continue };
+            match own.scenario.room_difference(&room.scenario, &format!("the controller {name}")) {
+                Some(RoomDifference::Problem(text)) => notes.push(printable(&text).into_owned()),
+                Some(RoomDifference::Measured(text)) => remarks.push(printable(&text).into_owned()),
+                None => remarks.extend(other_keys(name, scenario, sim_node_scenario)),
             }
         }
         let is_announced_old = if sim_node.is_some() { *is_sim_node_old } else { *is_controller_old };
@@ -163,6 +173,20 @@ impl RoomChooser {
     }
 }
 
+/// The remark on a controller with the geometry of the room and the hash of another scenario.
+fn other_keys(name: &str, scenario: &str, of_room: &str) -> Option<String> {
+    let differs = !scenario.is_empty() && !of_room.is_empty() && scenario != of_room;
+    differs.then(|| {
+        format!(
+            "the controller {name} uses scenario {}, and the room {}: their geometry is the same, but other keys \
+             differ, for example in [users] or [control]; unless this is intended, start both with the same \
+             --scenario, --set and --seed",
+            shown(scenario),
+            shown(of_room)
+        )
+    })
+}
+
 /// A text of another process, cut and safe for a terminal.
 fn shown(text: &str) -> String {
     printable(text).chars().take(TEXT_CHARACTERS).collect()
@@ -178,6 +202,12 @@ mod tests {
 
     fn text(overrides: &[&str]) -> Option<Arc<str>> {
         Some(with(overrides).geometry_toml().into())
+    }
+
+    /// A controller of the scenario `own`.
+    fn controllers(geometry: Option<Arc<str>>) -> Vec<AnnouncedController> {
+        let announced = |geometry| AnnouncedController { name: "c1".to_owned(), geometry, scenario: "own".to_owned() };
+        geometry.into_iter().map(announced).collect()
     }
 
     fn rows(
@@ -215,7 +245,7 @@ mod tests {
     fn differences_and_refused_announcements_are_noted_with_the_key() {
         let notes = |given: Option<&Scenario>, sim_node, controller: Option<Arc<str>>| {
             let chooser = RoomChooser::new(given).expect("a valid scenario");
-            let of_controllers = controller.into_iter().map(|text| ("c1".to_owned(), text)).collect();
+            let of_controllers = controllers(controller);
             chooser.choose(Announcements { sim_node, of_controllers, ..Announcements::default() }).1.notes.join("\n")
         };
         assert_eq!(notes(None, text(&[]), text(&["users.count=2"])), "");
@@ -240,12 +270,35 @@ mod tests {
     #[test]
     fn a_controller_with_a_measured_room_is_a_remark_and_no_note() {
         let chooser = RoomChooser::new(None).expect("the default is valid");
-        let of_controllers = text(&["room.height_m=3.02"]).map(|text| ("c1".to_owned(), text)).into_iter().collect();
-        let announcements = Announcements { sim_node: text(&[]), of_controllers, ..Announcements::default() };
+        let of_controllers = controllers(text(&["room.height_m=3.02"]));
+        let sim_node_scenario = "other".to_owned();
+        let announcements =
+            Announcements { sim_node: text(&[]), sim_node_scenario, of_controllers, ..Announcements::default() };
         let remark = "the controller c1 differs from the room only in what heliostat calibrate measures: \
                       room.height_m. Most: room.height_m is 3.0 in the room and 3.02 in the controller c1";
         let expected = Findings { notes: Vec::new(), remarks: vec![remark.to_owned()] };
         assert_eq!(chooser.choose(announcements).1, expected);
+    }
+
+    #[test]
+    fn another_scenario_with_the_same_geometry_is_a_remark_and_with_another_geometry_only_the_note() {
+        let chooser = RoomChooser::new(None).expect("the default is valid");
+        let found = |sim_node_scenario: &str, controller, is_sim_node_old| {
+            let (sim_node, sim_node_scenario) = (text(&[]), sim_node_scenario.to_owned());
+            let of_controllers = controllers(controller);
+            let rest = Announcements { is_sim_node_old, ..Announcements::default() };
+            chooser.choose(Announcements { sim_node, sim_node_scenario, of_controllers, ..rest }).1
+        };
+        let remark = "the controller c1 uses scenario own, and the room other: their geometry is the same, but other \
+                      keys differ, for example in [users] or [control]; unless this is intended, start both with the \
+                      same --scenario, --set and --seed";
+        let expected = Findings { notes: Vec::new(), remarks: vec![remark.to_owned()] };
+        assert_eq!(found("other", text(&[]), false), expected);
+        assert_eq!(found("own", text(&[]), false), Findings::default(), "one scenario");
+        assert_eq!(found("", text(&[]), false), Findings::default(), "the status of the simulator does not come");
+        assert_eq!(found("other", text(&[]), true), Findings::default(), "the simulator has left");
+        let differs = found("other", text(&["mirrors.rows=8"]), false);
+        assert_eq!((differs.notes.len(), differs.remarks.len()), (1, 0), "{differs:?}");
     }
 
     #[test]
@@ -255,10 +308,9 @@ mod tests {
             |given: Option<&Scenario>, controller: Option<Arc<str>>, is_sim_node_old: bool, is_controller_old: bool| {
                 let chooser = RoomChooser::new(given).expect("a valid scenario");
                 let sim_node = text(&["mirrors.rows=6"]);
-                let fresh = controller.clone().filter(|_| !is_controller_old);
-                let of_controllers = fresh.into_iter().map(|text| ("c1".to_owned(), text)).collect();
-                let announcements =
-                    Announcements { sim_node, controller, of_controllers, is_sim_node_old, is_controller_old };
+                let of_controllers = controllers(controller.clone().filter(|_| !is_controller_old));
+                let sides = Announcements { sim_node, controller, of_controllers, ..Announcements::default() };
+                let announcements = Announcements { is_sim_node_old, is_controller_old, ..sides };
                 let (room, findings) = chooser.choose(announcements);
                 (room.model.mirrors.arrays()[0].rows(), findings.notes.len())
             };

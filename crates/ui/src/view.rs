@@ -20,7 +20,7 @@ use crate::array_reports::ArrayReports;
 use crate::controllers::{ControllerFigures, Controllers, Role, controller_name};
 use crate::latency::Window;
 use crate::problems::Problems;
-use crate::shown_room::{Announcements, Findings, GeometrySource, RoomChooser, ShownRoom};
+use crate::shown_room::{AnnouncedController, Announcements, Findings, GeometrySource, RoomChooser, ShownRoom};
 use crate::stop_watch::StopWatch;
 
 pub use crate::expiry::EXPIRY;
@@ -148,18 +148,8 @@ impl View {
         scenario
     }
 
-    /// The newest announcements. Those of a process that has left are drawn until another one announces.
     fn announcements(&self) -> Announcements {
-        let received = self.received();
-        let (room, controller) = (&received.room_geometry, received.drawn_controller_geometry());
-        let is_old = |of: &Dated<Arc<str>>| Received::fresh(of).is_none();
-        let (is_sim_node_old, is_controller_old) = (is_old(room), is_old(&controller));
-        let is_outdated = is_sim_node_old && !is_controller_old;
-        let text = |of: &Dated<Arc<str>>| of.as_ref().map(|(_, text)| Arc::clone(text));
-        let sim_node = if is_outdated { None } else { text(room) };
-        let controller = text(&controller);
-        let of_controllers = received.fresh_controller_geometries();
-        Announcements { sim_node, controller, of_controllers, is_sim_node_old, is_controller_old }
+        self.received().announcements()
     }
 
     pub(crate) fn received(&self) -> MutexGuard<'_, Received> {
@@ -234,10 +224,33 @@ impl Received {
         status.node == NodeKind::Controller && self.present_controllers().iter().any(is_leader)
     }
 
-    /// The announcements of controllers that are not old, with the names of the controllers.
-    fn fresh_controller_geometries(&self) -> Vec<(String, Arc<str>)> {
+    /// The newest announcements. Those of a process that has left are drawn until another one announces.
+    fn announcements(&self) -> Announcements {
+        let (room, controller) = (&self.room_geometry, self.drawn_controller_geometry());
+        let is_old = |of: &Dated<Arc<str>>| Self::fresh(of).is_none();
+        let (is_sim_node_old, is_controller_old) = (is_old(room), is_old(&controller));
+        let is_outdated = is_sim_node_old && !is_controller_old;
+        let text = |of: &Dated<Arc<str>>| of.as_ref().map(|(_, text)| Arc::clone(text));
+        let simulator = self.fresh_status(NodeKind::SimNode.name());
+        Announcements {
+            sim_node: if is_outdated { None } else { text(room) },
+            sim_node_scenario: simulator.map(|status| status.scenario.clone()).unwrap_or_default(),
+            controller: text(&controller),
+            of_controllers: self.fresh_controller_geometries(),
+            is_sim_node_old,
+            is_controller_old,
+        }
+    }
+
+    /// The announcements of controllers that are not old.
+    fn fresh_controller_geometries(&self) -> Vec<AnnouncedController> {
         let fresh = self.controller_geometries.iter().filter(|(_, (at, _))| at.elapsed() < EXPIRY);
-        fresh.map(|(source, (_, text))| (controller_name(*source), Arc::clone(text))).collect()
+        let announced = |(source, (_, text)): (&u64, &(Instant, Arc<str>))| AnnouncedController {
+            name: controller_name(*source),
+            geometry: Arc::clone(text),
+            scenario: self.controllers.scenario(*source).to_owned(),
+        };
+        fresh.map(announced).collect()
     }
 
     /// The announcement of the displayed controller, else of another one, else the newest that is old.
@@ -437,14 +450,22 @@ mod tests {
     #[test]
     fn the_geometries_of_two_controllers_do_not_replace_each_other() {
         let mut received = Received::default();
-        received.take_status(0, status(1, 500, 0));
+        received.take_status(0, NodeStatus { scenario: "hash".into(), ..status(1, 500, 0) });
         for (source, scenario) in [(1, "one"), (2, "other"), (1, "one"), (2, "other")] {
             let stamp = Stamp { source, ..Stamp::default() };
             received.take_controller_geometry(RoomGeometry { stamp, scenario: scenario.into() });
         }
-        let expected: [(String, Arc<str>); 2] =
-            [(controller_name(1), Arc::from("one")), (controller_name(2), Arc::from("other"))];
-        assert_eq!(received.fresh_controller_geometries(), expected);
+        let announced = |source, geometry: &str, scenario: &str| AnnouncedController {
+            name: controller_name(source),
+            geometry: geometry.into(),
+            scenario: scenario.into(),
+        };
+        let announcements = received.announcements();
+        assert_eq!(announcements.of_controllers, [announced(1, "one", "hash"), announced(2, "other", "")]);
+        assert_eq!(announcements.sim_node_scenario, "", "no simulator");
+        let simulator = NodeStatus { node: NodeKind::SimNode, scenario: "room".into(), ..NodeStatus::default() };
+        received.take_status(0, simulator);
+        assert_eq!(received.announcements().sim_node_scenario, "room");
         let drawn = received.drawn_controller_geometry().map(|(_, text)| text);
         assert_eq!(drawn.as_deref(), Some("one"), "that of the displayed controller");
     }

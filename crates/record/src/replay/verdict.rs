@@ -42,7 +42,8 @@ pub struct Verdict {
     pub different: u64,
     /// Reports that have a command in the recording and none in the replay.
     pub held: u64,
-    /// Recorded commands whose report is not in the recording.
+    /// Recorded commands that were not decided again: the recording lacks their report, or another
+    /// controller's answer to it was replayed.
     pub without_report: u64,
     /// Largest difference of an angle in rad, among the commands that count.
     pub largest_difference_rad: f64,
@@ -77,8 +78,8 @@ impl Verdict {
     }
 }
 
-/// The first difference of two commands. In live operation the sequence is ignored: it counts
-/// commands that the recording may not hold.
+/// The first difference of two commands. In live operation epoch and sequence are ignored: the tenure is
+/// not part of a controller's recorded state.
 pub(crate) fn difference(ours: &MirrorCommand, theirs: &MirrorCommand, clock: Clock) -> Option<String> {
     let numbers = [
         ("epoch", ours.epoch, theirs.epoch),
@@ -86,7 +87,7 @@ pub(crate) fn difference(ours: &MirrorCommand, theirs: &MirrorCommand, clock: Cl
         ("time in ns", ours.time_ns, theirs.time_ns),
         ("sequence", ours.sequence, theirs.sequence),
     ];
-    let compared = if clock == Clock::Lockstep { &numbers[..] } else { &numbers[..3] };
+    let compared = if clock == Clock::Lockstep { &numbers[..] } else { &numbers[1..3] };
     if let Some((name, ours, theirs)) = compared.iter().find(|(_, ours, theirs)| ours != theirs) {
         return Some(format!("{name}: recorded {theirs}, decided {ours}"));
     }
@@ -133,7 +134,11 @@ impl fmt::Display for Verdict {
             self.compared, self.same, self.different, self.not_counted, self.held
         )?;
         if self.without_report > 0 {
-            writeln!(formatter, "recorded commands without a report: {}", self.without_report)?;
+            writeln!(
+                formatter,
+                "recorded commands not decided again: {}; the recording lacks their report, or another controller answered it first",
+                self.without_report
+            )?;
         }
         if let Some(problem) = &self.unrestored {
             writeln!(formatter, "a recorded state of the controller was not restored: {problem}")?;

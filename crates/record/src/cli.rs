@@ -148,9 +148,10 @@ pub fn replay(args: ReplayArgs) -> Result<()> {
     }
     if args.verify && !verdict.is_good() {
         bail!(
-            "{} does not replay as recorded: {}",
+            "{} does not replay as recorded: {}{}",
             settings.file.display(),
-            verdict.first_difference.as_deref().unwrap_or("a report has no command in the replay")
+            verdict.first_difference.as_deref().unwrap_or("a report has no command in the replay"),
+            verdict.missing_messages().map_or(String::new(), |missing| format!("; {missing}"))
         );
     }
     Ok(())

@@ -63,6 +63,7 @@ impl<'a> Player<'a> {
         let force = Force { small_range: true, paper_angles: true };
         let mut player = Self {
             settings,
+            verdict: Comparison::of(plan.clock),
             examiner: Examiner::new(&plan.scenario, &plan.scenario.channel_model()?, force),
             arrays: BTreeMap::new(),
             safety: BTreeMap::new(),
@@ -72,7 +73,6 @@ impl<'a> Player<'a> {
             read: 0,
             tail: Vec::new(),
             policies: BTreeMap::new(),
-            verdict: Comparison::default(),
             unrestored: None,
             settle: 0,
         };

@@ -10,7 +10,7 @@ use super::plan::Clock;
 use crate::account::Account;
 
 /// The result of a replay.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct Verdict {
     /// The recording.
     pub file: PathBuf,
@@ -42,7 +42,8 @@ pub struct Verdict {
     pub different: u64,
     /// Reports that have a command in the recording and none in the replay.
     pub held: u64,
-    /// Recorded commands whose report is not in the recording.
+    /// Recorded commands that were not decided again: the recording lacks their report, or another
+    /// controller's answer to it was replayed.
     pub without_report: u64,
     /// Largest difference of an angle in rad, among the commands that count.
     pub largest_difference_rad: f64,
@@ -75,10 +76,68 @@ impl Verdict {
     pub fn is_good(&self) -> bool {
         self.same > 0 && self.different == 0 && self.held == 0
     }
+
+    /// Whether the recording lacks messages, which may explain the differences that were found.
+    pub fn missing_messages(&self) -> Option<String> {
+        let missing = self.account.missing();
+        let differs = self.different > 0 || self.held > 0;
+        (differs && missing > 0)
+            .then(|| format!("the recording lacks {missing} messages, see the table: this may be the cause"))
+    }
+
+    /// The policies, each once, in the order of the epochs.
+    fn distinct_policies(&self) -> Vec<&str> {
+        let mut distinct = Vec::new();
+        for policy in self.policies.iter().map(String::as_str) {
+            if !distinct.contains(&policy) {
+                distinct.push(policy);
+            }
+        }
+        distinct
+    }
+
+    /// The reports, and why some have no command in the recording.
+    fn write_reports(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(formatter, "reports {}, without a recorded command {}", self.reports, self.unanswered)?;
+        if self.unanswered > 0 {
+            writeln!(
+                formatter,
+                "  possible causes: no controller led, as before a takeover; a stop; a newer report came first; the recording lacks the command, or it is left out"
+            )?;
+        }
+        Ok(())
+    }
+
+    /// The commands, and why some do not count.
+    fn write_commands(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(
+            formatter,
+            "commands compared {}: equal {}, different {}, not counted {}; recorded and missing in the replay {}",
+            self.compared, self.same, self.different, self.not_counted, self.held
+        )?;
+        if self.not_counted > 0 {
+            let first = match self.settle {
+                0 => String::new(),
+                settle => format!("the first {settle} decisions of a controller; "),
+            };
+            writeln!(
+                formatter,
+                "  not counted: {first}commands before the first recorded state of a controller, also at a takeover; after a stop, a standby or a missing message, those before the next state; with the belief filter, those after the last state"
+            )?;
+        }
+        if self.without_report > 0 {
+            writeln!(
+                formatter,
+                "recorded commands not decided again: {}; the recording lacks their report, or another controller answered it first",
+                self.without_report
+            )?;
+        }
+        Ok(())
+    }
 }
 
-/// The first difference of two commands. In live operation the sequence is ignored: it counts
-/// commands that the recording may not hold.
+/// The first difference of two commands. In live operation epoch and sequence are ignored: the tenure is
+/// not part of a controller's recorded state.
 pub(crate) fn difference(ours: &MirrorCommand, theirs: &MirrorCommand, clock: Clock) -> Option<String> {
     let numbers = [
         ("epoch", ours.epoch, theirs.epoch),
@@ -86,7 +145,7 @@ pub(crate) fn difference(ours: &MirrorCommand, theirs: &MirrorCommand, clock: Cl
         ("time in ns", ours.time_ns, theirs.time_ns),
         ("sequence", ours.sequence, theirs.sequence),
     ];
-    let compared = if clock == Clock::Lockstep { &numbers[..] } else { &numbers[..3] };
+    let compared = if clock == Clock::Lockstep { &numbers[..] } else { &numbers[1..3] };
     if let Some((name, ours, theirs)) = compared.iter().find(|(_, ours, theirs)| ours != theirs) {
         return Some(format!("{name}: recorded {theirs}, decided {ours}"));
     }
@@ -117,7 +176,7 @@ impl fmt::Display for Verdict {
             "room {}, scenario {}, {clock}, policy {}",
             self.room,
             self.scenario,
-            self.policies.join(", ")
+            self.distinct_policies().join(", ")
         )?;
         writeln!(formatter, "{}", self.account)?;
         if !self.complete {
@@ -126,15 +185,8 @@ impl fmt::Display for Verdict {
                 "the recording was cut: it is complete up to here, and the recorder's counts are missing"
             )?;
         }
-        writeln!(formatter, "reports {}, without a recorded command {}", self.reports, self.unanswered)?;
-        writeln!(
-            formatter,
-            "commands compared {}: equal {}, different {}, not counted {}; recorded and missing in the replay {}",
-            self.compared, self.same, self.different, self.not_counted, self.held
-        )?;
-        if self.without_report > 0 {
-            writeln!(formatter, "recorded commands without a report: {}", self.without_report)?;
-        }
+        self.write_reports(formatter)?;
+        self.write_commands(formatter)?;
         if let Some(problem) = &self.unrestored {
             writeln!(formatter, "a recorded state of the controller was not restored: {problem}")?;
         }
@@ -143,6 +195,9 @@ impl fmt::Display for Verdict {
                 formatter,
                 "left out: {commands} commands of controller {controller}, which used another scenario: {scenario}"
             )?;
+        }
+        if let Some(missing) = self.missing_messages() {
+            writeln!(formatter, "{missing}")?;
         }
         match &self.first_difference {
             Some(found) => {
@@ -154,5 +209,47 @@ impl fmt::Display for Verdict {
             }
             None => write!(formatter, "no command counts"),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::received::Origin;
+
+    /// A verdict on a recording that lacks two messages.
+    fn verdict() -> Verdict {
+        let mut account = Account::default();
+        for sequence in [1, 4] {
+            account.count("users", 10, Some(Origin { source: 1, sequence, time_ns: 0 }));
+        }
+        Verdict { account, same: 5, ..Verdict::default() }
+    }
+
+    #[test]
+    fn missing_messages_are_named_where_a_command_differs() {
+        let cause = "lacks 2 messages";
+        assert!(!verdict().to_string().contains(cause));
+        for (different, held) in [(1, 0), (0, 1)] {
+            let text = Verdict { different, held, ..verdict() }.to_string();
+            assert!(text.contains(cause), "{text}");
+        }
+    }
+
+    #[test]
+    fn a_policy_of_several_epochs_is_named_once() {
+        let policies = ["greedy", "analytic", "greedy"].map(String::from).to_vec();
+        let text = Verdict { policies, ..verdict() }.to_string();
+        assert!(text.contains("policy greedy, analytic\n"), "{text}");
+    }
+
+    #[test]
+    fn reports_without_a_command_and_uncounted_commands_have_their_causes() {
+        let text = verdict().to_string();
+        assert!(!text.contains("possible causes") && !text.contains("not counted:"), "{text}");
+        let text = Verdict { unanswered: 3, not_counted: 2, ..verdict() }.to_string();
+        assert!(text.contains("no controller led") && text.contains("not counted: commands before"), "{text}");
+        let text = Verdict { not_counted: 2, settle: 200, ..verdict() }.to_string();
+        assert!(text.contains("not counted: the first 200 decisions"), "{text}");
     }
 }

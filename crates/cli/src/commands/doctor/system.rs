@@ -5,7 +5,7 @@ use std::net::TcpListener;
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
-use heliostat_bus::{AccessRole, Bus, BusArgs, BusConfig, BusError, Reach};
+use heliostat_bus::{ACCEPTS_WITHIN, AccessRole, Bus, BusArgs, BusConfig, BusError, Reach, join_through};
 use heliostat_controller::report::summary::describe_unfit;
 use heliostat_core::belief::conditions::{Condition, conditions};
 use heliostat_core::capabilities::{Examiner, Force, Unfit};
@@ -22,7 +22,6 @@ use heliostat_service::printable::printable;
 use super::args::Args;
 use super::check::{Check, Verdict};
 use super::{calibration, controller};
-use crate::commands::join::join_through;
 
 /// Longest time until a driver answers.
 const DRIVER_WAIT: Duration = Duration::from_secs(3);
@@ -219,7 +218,7 @@ impl std::error::Error for SeveralDrivers {}
 /// any role do.
 fn open_bus(args: &Args) -> anyhow::Result<(Bus, Vec<String>)> {
     let config = bus_config(args)?;
-    if let (Some(bus), unanswered) = join_through(&config) {
+    if let (Some(bus), unanswered) = join_through(&config, ACCEPTS_WITHIN) {
         return Ok((bus, unanswered));
     }
     let bus = Bus::open(&config.clone().reaching(Reach::Within(DRIVER_WAIT)))?;

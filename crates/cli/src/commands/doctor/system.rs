@@ -21,7 +21,7 @@ use heliostat_service::printable::printable;
 
 use super::args::Args;
 use super::check::{Check, Verdict};
-use super::{calibration, controller};
+use super::{calibration, controller, geometry};
 
 /// Longest time until a driver answers.
 const DRIVER_WAIT: Duration = Duration::from_secs(3);
@@ -72,9 +72,10 @@ pub(super) fn checks(args: &Args) -> Vec<Check> {
     let drivers = ask_drivers(args, joined.as_ref(), scenario.mirrors.arrays().len());
     checks.extend(check_drivers(args, &drivers, &scenario));
     let bus = joined.as_ref().and_then(|joined| joined.as_ref().ok()).map(|(bus, _)| bus);
-    let (controller, of_controller) = controller::checks(args, bus);
+    let (answers, of_controller) = controller::checks(bus);
+    checks.extend(geometry::checks(&scenario, &answers));
     checks.extend(of_controller);
-    checks.extend(calibration::checks(args, drivers.get(args.array), controller.as_ref()));
+    checks.extend(calibration::checks(args, drivers.get(args.array), answers.controller.as_ref()));
     // A driver that is checked listens on its own port, and this command on those of --listen.
     let endpoints = || args.connect.iter().chain(&args.listen);
     let in_use = |port: u16| endpoints().any(|endpoint| endpoint.ends_with(&format!(":{port}")));

@@ -1,4 +1,4 @@
-//! The controllers of a room: the check begins beside none.
+//! Whether a room is in use: the check begins beside no controller, and beside no other sender of commands.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::mpsc;
@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Result, bail};
 use heliostat_bus::{Bus, BusError};
 use heliostat_proto::keys::parse_alive;
-use heliostat_proto::{NodeKind, NodeStatus, decode};
+use heliostat_proto::{ArrayState, MirrorTelemetry, NodeKind, NodeStatus, decode};
 use heliostat_service::counted::counted;
 use heliostat_service::printable::printable;
 
@@ -59,4 +59,36 @@ fn hosts(bus: &Bus, sources: &BTreeSet<u64>) -> Result<BTreeMap<u64, String>, Bu
         hosts.insert(status.stamp.source, printable(status.host().unwrap_or_default()).into_owned());
     }
     Ok(hosts)
+}
+
+/// Whether another sender commands the array; `None` while its telemetry does not show it.
+///
+/// An array follows the last command of a process that has ended, too, until its validity is over. A sender of few
+/// commands, and one whose token does not reach this process, is seen by the next command.
+pub fn is_commanded(telemetry: &[MirrorTelemetry]) -> Option<bool> {
+    let (first, last) = telemetry.first().zip(telemetry.last())?;
+    let is_commanded = last.counters.accepted != first.counters.accepted;
+    (is_commanded || last.state != ArrayState::Following).then_some(is_commanded)
+}
+
+#[cfg(test)]
+mod tests {
+    use heliostat_proto::Counters;
+
+    use super::*;
+
+    #[test]
+    fn an_array_that_follows_is_commanded_if_a_further_command_arrives_before_it_holds() {
+        let shown = |state, accepted| {
+            let counters = Counters { accepted, ..Counters::default() };
+            MirrorTelemetry { state, counters, ..MirrorTelemetry::default() }
+        };
+        let following = |accepted| shown(ArrayState::Following, accepted);
+        assert_eq!(is_commanded(&[]), None);
+        assert_eq!(is_commanded(&[shown(ArrayState::Parked, 3)]), Some(false));
+        let pause: Vec<MirrorTelemetry> = (0..20).map(|_| following(3)).collect();
+        assert_eq!(is_commanded(&pause), None, "the next command may come");
+        assert_eq!(is_commanded(&[pause, vec![following(4)]].concat()), Some(true));
+        assert_eq!(is_commanded(&[following(3), shown(ArrayState::Holding, 3)]), Some(false), "its sender has ended");
+    }
 }

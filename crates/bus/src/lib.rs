@@ -12,7 +12,7 @@
 //! # Connections
 //! Two peers exchange messages when one listens at an endpoint and the other connects to it. A peer
 //! does not forward messages: a viewer that needs a controller and a simulator connects to both, or
-//! all three are clients of a Zenoh router.
+//! all three are clients of a Zenoh router. [`join_through`] looks into a room through one process.
 //!
 //! # Security
 //! [`Identity`] gives a session a certificate: connections are encrypted, and both sides apply the
@@ -42,6 +42,7 @@ mod free_endpoint;
 pub mod keys;
 mod platform;
 mod session;
+mod through;
 mod tls;
 mod tls_check;
 
@@ -52,4 +53,5 @@ pub use config::{BusArgs, BusConfig, DEFAULT_ENDPOINT, DEFAULT_TLS_ENDPOINT, Rea
 pub use error::{BusError, KeyError};
 pub use free_endpoint::{free_loopback_endpoint, free_loopback_port, private_endpoint};
 pub use session::{Bus, Class, Presence, Publisher, Service, Subscription, Token};
+pub use through::{ACCEPTS_WITHIN, is_joined_through, join_through};
 pub use tls::Identity;

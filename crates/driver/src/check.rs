@@ -10,11 +10,13 @@
 //! - [`report`]: findings and their verdicts.
 //! - `rules`: the rules, one function each, with those of the stop in `safety_rules` and of bounds
 //!   in `bound_rules`; `judging`: what they share.
+//! - `room_in_use`: the controllers of the room, beside which no check begins.
 //! - `test_session`: the session of the check with the driver.
 
 mod bound_rules;
 mod judging;
 pub mod report;
+mod room_in_use;
 mod rules;
 mod safety_rules;
 mod test_session;
@@ -22,10 +24,10 @@ mod test_session;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
-use heliostat_bus::{Bus, BusConfig};
-use heliostat_proto::NodeKind;
+use heliostat_bus::{ACCEPTS_WITHIN, Bus, BusConfig, join_through};
 
 pub use self::report::{Finding, Report, Verdict};
+use self::room_in_use::expect_no_controller;
 use self::test_session::TestSession;
 
 /// Timeout for the presence of a driver.
@@ -36,6 +38,11 @@ const PRESENCE_LIMIT: Duration = Duration::from_secs(5);
 /// # Errors
 /// No driver in the room, a controller that would interfere, a transport that fails.
 pub fn run(config: &BusConfig, array: usize, show: &dyn Fn(String)) -> Result<Report> {
+    // A peer sees only the processes to which it connects; one of them reaches the controller.
+    if let (Some(through), _) = join_through(config, ACCEPTS_WITHIN) {
+        expect_no_controller(&through)?;
+        through.close()?;
+    }
     let bus = Bus::open(config).context("cannot join the room")?;
     let room = bus.room().clone();
     let keys = room.array(array);
@@ -56,9 +63,7 @@ pub fn run(config: &BusConfig, array: usize, show: &dyn Fn(String)) -> Result<Re
         }
         std::thread::sleep(Duration::from_millis(50));
     }
-    if !bus.alive(&room.alive_of(NodeKind::Controller), PRESENCE_LIMIT)?.is_empty() {
-        bail!("a controller is in room \"{room}\": stop it first, because it would interfere with the check");
-    }
+    expect_no_controller(&bus)?;
     let mut session = TestSession::start(bus, array, config.is_authenticated())?;
     let findings = rules::judge(&mut session, show)?;
     let report = Report {

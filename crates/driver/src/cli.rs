@@ -29,8 +29,9 @@ enum Command {
     Run(RunArgs),
     /// Send valid and invalid messages to a driver and report which rules of the contract it keeps
     ///
-    /// The mirrors move. No controller may run in the room during the check. The exit status is 1
-    /// if a rule is broken, or if the device does not answer.
+    /// The mirrors move. No controller may run in the room during the check: one that is there is
+    /// named, and the check ends before it sends anything. The exit status is 1 if a rule is broken,
+    /// or if the device does not answer.
     ///
     /// An array that starts stopped because its last state is unknown is re-armed first. A stop of
     /// an operator stays in force: the check then ends with an error.

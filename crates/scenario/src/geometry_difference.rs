@@ -52,13 +52,13 @@ impl GeometryDifference {
     }
 }
 
-/// How the geometry that a room announces differs from that of a controller, in words. The text can hold characters of
+/// How the geometry that a room announces differs from another one, in words. The text can hold characters of
 /// the announcement that a terminal executes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum RoomDifference {
     /// A fault.
     Problem(String),
-    /// No fault: the controller has values as a calibration measures them.
+    /// No fault: the other one has values as a calibration measures them.
     Measured(String),
 }
 
@@ -73,40 +73,54 @@ impl RoomDifference {
 }
 
 impl Scenario {
+    /// The geometry that a process announces.
+    ///
+    /// # Errors
+    /// In words, why it is refused; `by` names the process.
+    pub fn read_announced(announced: &str, by: &str) -> Result<Self, String> {
+        Self::from_geometry_toml(announced)
+            .map_err(|error| format!("the geometry that {by} announces is refused: {}", error.in_one_line()))
+    }
+
     /// How the geometry that a room announces differs from that of this scenario of a controller; `None` if it does
     /// not. `controller` names the controller.
     pub fn announced_difference(&self, announced: &str, controller: &str) -> Option<RoomDifference> {
-        match Self::from_geometry_toml(announced) {
+        match Self::read_announced(announced, "the room") {
             Ok(room) => self.room_difference(&room, controller),
-            Err(error) => {
-                let reason = error.in_one_line();
-                Some(RoomDifference::Problem(format!("the geometry that the room announces is refused: {reason}")))
-            }
+            Err(refused) => Some(RoomDifference::Problem(refused)),
         }
     }
 
     /// How the geometry of a room differs from that of this scenario of a controller, as
     /// [`announced_difference`](Self::announced_difference).
     pub fn room_difference(&self, room: &Self, controller: &str) -> Option<RoomDifference> {
+        self.difference_from_room(room, controller).map(|difference| match difference {
+            RoomDifference::Problem(values) => RoomDifference::Problem(format!(
+                "{ROOM_DIFFERS}: {values}; start both with the same --scenario and --set"
+            )),
+            measured @ RoomDifference::Measured(_) => measured,
+        })
+    }
+
+    /// How the geometry of a room differs from that of this scenario, which `named` names. The text of a fault has the
+    /// two values alone.
+    pub fn difference_from_room(&self, room: &Self, named: &str) -> Option<RoomDifference> {
         let differences = self.geometry_differences(room);
         if differences.is_empty() {
             return None;
         }
         let cut = |text: &str| text.chars().take(VALUE_CHARACTERS).collect::<String>();
         let values = |GeometryDifference { key, here, there, .. }: &GeometryDifference| {
-            format!("{key} is {} in the room and {} in {controller}", cut(there), cut(here))
+            format!("{key} is {} in the room and {} in {named}", cut(there), cut(here))
         };
         if let Some(fault) = differences.iter().find(|one| !one.is_measured()) {
-            return Some(RoomDifference::Problem(format!(
-                "{ROOM_DIFFERS}: {}; start both with the same --scenario and --set",
-                values(fault)
-            )));
+            return Some(RoomDifference::Problem(values(fault)));
         }
         let keys: Vec<&str> = differences.iter().map(|one| one.key.as_str()).collect();
         let size = |one: &GeometryDifference| one.deviations.unwrap_or_default();
         let largest = differences.iter().max_by(|a, b| size(a).total_cmp(&size(b)))?;
         Some(RoomDifference::Measured(format!(
-            "{controller} differs from the room only in what heliostat calibrate measures: {}. Most: {}",
+            "{named} differs from the room only in what heliostat calibrate measures: {}. Most: {}",
             keys.join(", "),
             values(largest)
         )))

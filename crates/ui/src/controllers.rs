@@ -95,7 +95,7 @@ impl fmt::Display for ControllerFigures {
 }
 
 /// The name of a controller with a source id.
-pub(crate) fn controller_name(source: u64) -> String {
+pub fn controller_name(source: u64) -> String {
     format!("{source:016x}")
 }
 

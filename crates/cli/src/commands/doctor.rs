@@ -4,6 +4,7 @@ mod args;
 mod calibration;
 mod check;
 mod controller;
+mod geometry;
 mod machine;
 mod system;
 

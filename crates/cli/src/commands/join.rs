@@ -1,17 +1,10 @@
 //! How a command joins a room for a moment. A viewer and a recorder last, and join as peers: a client would see nothing
 //! after the end of its process.
 
-use std::thread;
 use std::time::{Duration, Instant};
 
-use heliostat_bus::{Bus, BusConfig, Reach, Role};
+use heliostat_bus::{ACCEPTS_WITHIN, Bus, BusConfig, is_joined_through, join_through};
 use heliostat_service::output;
-
-/// A process that is there accepts a connection within this time.
-const CONNECTED_WITHIN: Duration = Duration::from_millis(1200);
-
-/// Longest wait for the processes that another one reaches.
-const ALIVE_WITHIN: Duration = Duration::from_millis(500);
 
 /// Shortest time in which another attempt to connect is of use.
 const AGAIN_FROM: Duration = Duration::from_millis(100);
@@ -27,7 +20,7 @@ pub(super) fn join(config: &BusConfig, limit: Duration) -> Result<Bus, String> {
         }
         return Ok(bus);
     }
-    let (bus, unanswered) = join_through(config);
+    let (bus, unanswered) = join_through(config, ACCEPTS_WITHIN);
     if config.connect.len() > 1 {
         for endpoint in &unanswered {
             output::note(format_args!("no process of a room answers at {endpoint}"));
@@ -38,47 +31,15 @@ pub(super) fn join(config: &BusConfig, limit: Duration) -> Result<Bus, String> {
     }
     why_unconnected(config, limit, || {
         let left = limit.saturating_sub(begun.elapsed());
-        if left < AGAIN_FROM { None } else { widest(config, left).0 }
+        if left < AGAIN_FROM { None } else { join_through(config, left).0 }
     })
-}
-
-/// A client of the process in `--connect` that reaches the most processes, and the endpoints at which no process
-/// answers. The client's process passes on the messages of those to which it is connected, where peers pass nothing on.
-/// Neither for a client of a router, a process that listens, and one with a certificate, whose rights end at the first
-/// process: all of these join as they are.
-pub(super) fn join_through(config: &BusConfig) -> (Option<Bus>, Vec<String>) {
-    if is_joined_through(config) { widest(config, CONNECTED_WITHIN) } else { (None, Vec::new()) }
-}
-
-fn is_joined_through(config: &BusConfig) -> bool {
-    config.role != Role::Client && config.identity.is_none() && config.listen.is_empty()
-}
-
-/// Tries all endpoints at the same time: one that does not answer delays no other one.
-fn widest(config: &BusConfig, limit: Duration) -> (Option<Bus>, Vec<String>) {
-    let reached = |endpoint: &String| -> Option<(usize, Bus)> {
-        let client = BusConfig { role: Role::Client, connect: vec![endpoint.clone()], ..config.clone() };
-        let client = client.reaching(Reach::Within(limit));
-        let bus = Bus::has_listener(&client).then(|| Bus::open(&client).ok()).flatten()?;
-        let reached = bus.alive(&bus.room().all_alive(), ALIVE_WITHIN).map_or(0, |alive| alive.len());
-        Some((reached, bus))
-    };
-    let tried: Vec<Option<(usize, Bus)>> = thread::scope(|scope| {
-        let tries: Vec<_> = config.connect.iter().map(|endpoint| scope.spawn(move || reached(endpoint))).collect();
-        tries.into_iter().map(|tried| tried.join().unwrap_or_default()).collect()
-    });
-    let unanswered = config.connect.iter().zip(&tried).filter(|(_, tried)| tried.is_none());
-    let unanswered = unanswered.map(|(endpoint, _)| endpoint.clone()).collect();
-    // Of those that reach as many, the first one.
-    let widest = tried.into_iter().flatten().reduce(|best, one| if one.0 > best.0 { one } else { best });
-    (widest.map(|(_, bus)| bus), unanswered)
 }
 
 /// The reason why there is no connection: soon where no process listens, and after the limit where one
 /// accepts connections, for it may be slow.
 pub(super) fn check_connected(bus: &Bus, config: &BusConfig, limit: Duration) -> Result<(), String> {
     let begun = Instant::now();
-    if bus.wait_connected(CONNECTED_WITHIN) {
+    if bus.wait_connected(ACCEPTS_WITHIN) {
         return Ok(());
     }
     why_unconnected(config, limit, || bus.wait_connected(limit.saturating_sub(begun.elapsed())).then_some(()))
@@ -120,13 +81,13 @@ mod tests {
         let absent = free_loopback_endpoint().expect("a free port");
         let config = BusConfig::new(Room::new("frozen").expect("a valid name"));
         // A limit that has passed with the first attempt: the answer has no further one.
-        let refusal = |endpoint: &str| join(&config.clone().connect_to(endpoint), CONNECTED_WITHIN).err();
+        let refusal = |endpoint: &str| join(&config.clone().connect_to(endpoint), ACCEPTS_WITHIN).err();
         assert_eq!(refusal(&absent), Some(format!("no process answers at {absent}")));
         let refused = refusal(&frozen).unwrap_or_default();
         let expected =
             format!("the process at {frozen} does not answer as a process of a room within 1.2 s: it is frozen");
         assert!(refused.starts_with(&expected), "{refused}");
         let both = config.connect_to(&absent).connect_to(&frozen);
-        assert_eq!(join_through(&both).1, [absent, frozen]);
+        assert_eq!(join_through(&both, ACCEPTS_WITHIN).1, [absent, frozen]);
     }
 }

@@ -1,9 +1,12 @@
 //! `heliostat doctor` on the command line: the checks of the policy and of the controller.
 
 use std::process::Command;
+use std::time::Duration;
 
-use heliostat_bus::{Bus, BusConfig, private_endpoint};
-use heliostat_proto::Room;
+use heliostat_bus::{Bus, BusConfig, Class, private_endpoint};
+use heliostat_proto::{NodeKind, Room, RoomGeometry, encode};
+use heliostat_scenario::Scenario;
+use heliostat_service::Stop;
 use serde_json::Value;
 
 /// The check of the policy with these flags.
@@ -75,5 +78,30 @@ fn a_room_whose_processes_connect_to_the_doctor_is_checked() {
     let bus = Bus::open(&BusConfig::new(room).connect_to(&endpoint)).expect("a session");
     let driver = check("driver", &["--room", "doctor-listens", "--listen", &endpoint]);
     assert_eq!(text(&driver, "found"), "no driver in room \"doctor-listens\" publishes the capabilities of an array");
+    bus.close().expect("closed");
+}
+
+#[test]
+fn a_scenario_that_is_not_that_of_the_running_room_fails() {
+    let endpoint = private_endpoint().expect("a free address");
+    let room = Room::new("doctor-other").expect("a valid name");
+    let bus = Bus::open(&BusConfig::new(room).listen_at(&endpoint)).expect("a session");
+    let publisher = bus.publisher(&bus.room().geometry(NodeKind::SimNode), Class::LowDrop).expect("a valid key");
+    let room = Scenario::builtin("hall").and_then(|hall| hall.with_overrides(&["room.height_m=3.5"]));
+    let scenario = room.expect("a valid height").geometry_toml();
+    let mut payload = Vec::new();
+    encode(&RoomGeometry { scenario, ..RoomGeometry::default() }, &mut payload).expect("a sound message");
+    let end = Stop::default();
+    let until = end.clone();
+    let announcer = std::thread::spawn(move || {
+        while !until.wait_for(Duration::from_millis(50)) {
+            publisher.put(&payload).expect("the session is open");
+        }
+    });
+    let check = check("room", &["--room", "doctor-other", "--connect", &endpoint]);
+    end.request();
+    announcer.join().expect("no panic");
+    assert_eq!(text(&check, "verdict"), "fail");
+    assert_eq!(text(&check, "found"), "room.height_m is 3.5 in the room and 3.0 in the given scenario");
     bus.close().expect("closed");
 }

@@ -18,6 +18,7 @@ use heliostat_service::{clock::utc_ns, source_id};
 
 use super::PRESENCE_LIMIT;
 use super::report::{Failure, describe_failure};
+use super::room_in_use::is_commanded;
 
 /// Timeout of an answer, for a driver that never answers.
 pub const ANSWER_TIMEOUT: Duration = Duration::from_secs(4);
@@ -190,12 +191,9 @@ impl TestSession {
 
     /// Refuses an array that accepts commands of another sender: it would break the rules by them.
     fn expect_no_commands(&self) -> Result<()> {
-        let (before, now) = self.inspect(|received| {
-            let accepted = |telemetry: Option<&MirrorTelemetry>| telemetry.map_or(0, |shown| shown.counters.accepted);
-            (accepted(received.telemetry.first()), accepted(received.telemetry.last()))
-        });
+        let commanded = self.wait(ANSWER_TIMEOUT, |received| is_commanded(&received.telemetry));
         ensure!(
-            now == before,
+            commanded != Some(true),
             "the array accepts commands with the epoch {}, of a controller or another sender: end it. Nothing was checked",
             self.last().epoch
         );

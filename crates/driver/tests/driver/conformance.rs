@@ -9,7 +9,7 @@ use heliostat_array::content::Content;
 use heliostat_array::latch::{Latch, LatchedStop};
 use heliostat_array::moment::Moment;
 use heliostat_array::refusal_counts::RefusalCounts;
-use heliostat_bus::{Bus, BusConfig, Class, Presence, private_endpoint};
+use heliostat_bus::{Bus, BusConfig, Class, Presence, join_through, private_endpoint};
 use heliostat_channel::MirrorAngles;
 use heliostat_driver::check::{self, Report, Verdict};
 use heliostat_driver::clock::Clock;
@@ -19,6 +19,7 @@ use heliostat_driver::stop_record::StopRecordSettings;
 use heliostat_driver::{Device, DeviceError, Kit, run};
 use heliostat_proto::{
     AxisLimits, Capabilities, EmergencyStop, Feedback, NodeKind, NodeStatus, Room, Stamp, StopAction, ValidityClock,
+    encode,
 };
 use heliostat_service::Stop;
 
@@ -380,5 +381,43 @@ fn an_array_with_two_drivers_is_not_checked() {
         stop.request();
         let refusal = format!("{:#}", refusal.unwrap_err());
         assert!(refusal.contains("2 drivers report this array"), "{refusal}");
+    });
+}
+
+#[test]
+fn a_room_with_a_controller_that_only_the_driver_reaches_is_not_checked() {
+    let endpoint = private_endpoint().unwrap();
+    let config = BusConfig::new(Room::new("used").unwrap());
+    let settings = Settings::new(config.clone().listen_at(&endpoint));
+    let config = config.connect_to(&endpoint);
+    let [stop, end] = [Stop::default(), Stop::default()];
+    std::thread::scope(|scope| {
+        scope.spawn(|| run::run(Kit::new(Exact::new()), &settings, &stop).unwrap());
+        scope.spawn(|| {
+            let bus = Bus::open(&config).unwrap();
+            let room = bus.room();
+            let _token = bus.announce(&room.alive(NodeKind::Controller, 7)).unwrap();
+            let publisher = bus.publisher(&room.status(NodeKind::Controller), Class::LowDrop).unwrap();
+            let counters = vec![(format!("{}host-a", NodeStatus::HOST), 1)];
+            let stamp = Stamp { source: 7, ..Stamp::default() };
+            let mut status = Vec::new();
+            encode(&NodeStatus { stamp, counters, ..NodeStatus::default() }, &mut status).unwrap();
+            while !end.wait_for(Duration::from_millis(50)) {
+                publisher.put(&status).unwrap();
+            }
+        });
+        wait_for_drivers(&config, 1);
+        let begun = Instant::now();
+        let through = join_through(&config, LIMIT).0.unwrap();
+        let controllers = through.room().alive_of(NodeKind::Controller);
+        while begun.elapsed() < LIMIT && through.alive(&controllers, LIMIT).is_ok_and(|tokens| tokens.is_empty()) {
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        let refusal = check::run(&config, 0, &drop);
+        stop.request();
+        end.request();
+        let refusal = format!("{:#}", refusal.unwrap_err());
+        let expected = "1 controller in room \"used\": end 0000000000000007 on host-a first";
+        assert!(refusal.starts_with(expected) && refusal.ends_with("Nothing was sent"), "{refusal}");
     });
 }

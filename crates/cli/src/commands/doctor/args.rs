@@ -14,7 +14,8 @@ const DEFAULT_PORT: u16 = 7447;
 /// Each line holds ok, warn or fail, what was found, and what to do. The exit status is 1 if a
 /// check fails. A warning concerns speed, accuracy or a process that does not answer; a run is still possible.
 ///
-/// With the files of a calibration and --connect, it compares them with the running room: the array, the
+/// With --connect, it compares the scenario and the controller that leads with the geometry that a simulated room
+/// announces. With the files of a calibration too, it compares them with the running room: the array, the
 /// calibration in use, the controller's geometry, and the light of served users.
 #[derive(Debug, clap::Args)]
 pub struct Args {

@@ -1,15 +1,14 @@
-//! What a running controller has learned about its room.
+//! What a running room announces, and what its controller has learned about it.
 
-use std::sync::mpsc;
+use std::sync::mpsc::{self, Receiver};
 use std::time::Instant;
 
-use heliostat_bus::Bus;
+use heliostat_bus::{Bus, BusError, Subscription};
 use heliostat_proto::gauges::{ServedLight, TrackerNoise};
-use heliostat_proto::{MirrorTelemetry, NodeKind, NodeStatus, RoomGeometry, decode};
+use heliostat_proto::{Message, MirrorTelemetry, NodeKind, NodeStatus, RoomGeometry, decode};
 use heliostat_service::printable::printable;
-use heliostat_ui::controllers::leading;
+use heliostat_ui::controllers::{controller_name, leading};
 
-use super::args::Args;
 use super::check::Check;
 use super::system::{CONNECTED_WITHIN, STATUS_WITHIN};
 
@@ -28,9 +27,20 @@ const FIT_ARRAY: &str = "only the other arrays get its commands: start it with t
 /// What to do with a controller that commands nothing.
 const FIT_CONTROLLER: &str = "it sends no commands: start it with the --scenario and --set of the room";
 
+/// What a running room answers.
+#[derive(Debug, Default)]
+pub(super) struct Answers {
+    /// The controller that leads.
+    pub controller: Option<ControllerState>,
+    /// The geometry that the simulator announces, as TOML.
+    pub room: Option<String>,
+}
+
 /// What a controller says about itself and its room.
 #[derive(Debug, Default)]
 pub(super) struct ControllerState {
+    /// Its source id in words.
+    pub name: String,
     /// The hash of its scenario.
     pub scenario: String,
     /// The geometry that it announces, as TOML.
@@ -52,61 +62,59 @@ pub(super) struct UnfitArrays {
     is_every: bool,
 }
 
-/// Asks the controller that leads; the checks by its answer, none without a session.
-pub(super) fn checks(args: &Args, bus: Option<&Bus>) -> (Option<ControllerState>, Vec<Check>) {
-    let Some(bus) = bus else { return (None, Vec::new()) };
-    match ask_controller(args, bus) {
-        Ok(Some(state)) => {
-            let checks = check_state(&state);
-            (Some(state), checks)
+/// Asks the room and the controller that leads; the checks by the answer of the controller, none without a session.
+pub(super) fn checks(bus: Option<&Bus>) -> (Answers, Vec<Check>) {
+    let Some(bus) = bus else { return (Answers::default(), Vec::new()) };
+    match ask(bus) {
+        Ok(answers) => {
+            let absent = || vec![Check::warn("controller", "no controller answers", START_CONTROLLER)];
+            let checks = answers.controller.as_ref().map_or_else(absent, check_state);
+            (answers, checks)
         }
-        Ok(None) => (None, vec![Check::warn("controller", "no controller answers", START_CONTROLLER)]),
-        Err(error) => (None, vec![Check::fail("controller", format!("{error:#}"), START_CONTROLLER)]),
+        Err(error) => (Answers::default(), vec![Check::fail("controller", error.to_string(), START_CONTROLLER)]),
     }
 }
 
-fn ask_controller(args: &Args, bus: &Bus) -> anyhow::Result<Option<ControllerState>> {
-    let (sender, statuses) = mpsc::channel();
-    let (epoch_sender, epochs) = mpsc::channel();
-    let (geometry_sender, geometries) = mpsc::channel();
-    let key = bus.room().status(NodeKind::Controller);
-    let subscription = bus.subscribe(&key, move |payload| {
-        if let Ok(status) = decode::<NodeStatus>(payload) {
-            // The receiver is gone after the last one that counts.
-            sender.send(status).ok();
-        }
-    })?;
-    let telemetry = bus.subscribe(&bus.room().telemetry(), move |payload| {
-        if let Ok(telemetry) = decode::<MirrorTelemetry>(payload) {
-            epoch_sender.send(telemetry.epoch).ok();
-        }
-    })?;
-    let geometry = bus.subscribe(&bus.room().geometry(NodeKind::Controller), move |payload| {
-        if let Ok(geometry) = decode::<RoomGeometry>(payload) {
-            geometry_sender.send(geometry).ok();
-        }
-    })?;
+fn ask(bus: &Bus) -> Result<Answers, BusError> {
+    let room = bus.room();
+    let (statuses, _statuses) = arriving::<NodeStatus>(bus, &room.status(NodeKind::Controller))?;
+    let (telemetry, _telemetry) = arriving::<MirrorTelemetry>(bus, &room.telemetry())?;
+    let (of_controllers, _controllers) = arriving::<RoomGeometry>(bus, &room.geometry(NodeKind::Controller))?;
+    let (of_simulator, _simulator) = arriving::<RoomGeometry>(bus, &room.geometry(NodeKind::SimNode))?;
+    if !bus.wait_connected(CONNECTED_WITHIN) {
+        return Ok(Answers::default());
+    }
     // The time for a status begins with the connection.
-    let status = bus.wait_connected(CONNECTED_WITHIN).then(|| {
-        let until = Instant::now() + STATUS_WITHIN;
-        let left = || until.saturating_duration_since(Instant::now());
-        let all = std::iter::from_fn(|| statuses.recv_timeout(left()).ok()).collect();
-        // The last epoch of the same time: one of before a takeover would name the former leader.
-        let status = leading(all, epochs.try_iter().last())?;
+    let until = Instant::now() + STATUS_WITHIN;
+    let left = || until.saturating_duration_since(Instant::now());
+    let all = std::iter::from_fn(|| statuses.recv_timeout(left()).ok()).collect();
+    // The last epoch of the same time: one of before a takeover would name the former leader.
+    let status = leading(all, telemetry.try_iter().last().map(|telemetry| telemetry.epoch));
+    let controller = status.map(|status| {
         // Another controller can announce another geometry.
-        let of_status = |geometry: &RoomGeometry| geometry.stamp.source == status.stamp.source;
-        let all = args.measured.iter().flat_map(|_| std::iter::from_fn(|| geometries.recv_timeout(left()).ok()));
-        let geometry = all.into_iter().find(of_status).map(|geometry| geometry.scenario);
-        Some(ControllerState {
+        let own = of_controllers.try_iter().filter(|geometry| geometry.stamp.source == status.stamp.source).last();
+        ControllerState {
+            name: controller_name(status.stamp.source),
             light: ServedLight::all_of(&status),
             noise: TrackerNoise::of(&status),
             unfit: unfit(&status),
             scenario: status.scenario,
-            geometry,
-        })
+            geometry: own.map(|geometry| geometry.scenario),
+        }
     });
-    drop((subscription, telemetry, geometry));
-    Ok(status.flatten())
+    Ok(Answers { controller, room: of_simulator.try_iter().last().map(|geometry| geometry.scenario) })
+}
+
+/// The messages that arrive under a key while the subscription lasts.
+fn arriving<T: Message + Send + 'static>(bus: &Bus, key: &str) -> Result<(Receiver<T>, Subscription), BusError> {
+    let (sender, arrived) = mpsc::channel();
+    let subscription = bus.subscribe(key, move |payload| {
+        if let Ok(message) = decode::<T>(payload) {
+            // The receiver is gone after the last one that counts.
+            sender.send(message).ok();
+        }
+    })?;
+    Ok((arrived, subscription))
 }
 
 /// Which arrays get no commands of a controller, because they do not fit its scenario.
@@ -117,8 +125,9 @@ fn unfit(status: &NodeStatus) -> Option<UnfitArrays> {
     let of = if names.is_empty() { String::new() } else { format!(" {}", printable(&names.join(" and "))) };
     is_unfit.then(|| UnfitArrays {
         found: format!(
-            "the array{of} does not fit the scenario of controller {:016x}: {}",
-            status.stamp.source, status.last_problem
+            "the array{of} does not fit the scenario of controller {}: {}",
+            controller_name(status.stamp.source),
+            status.last_problem
         ),
         is_every: names.is_empty(),
     })

@@ -115,43 +115,56 @@ fn wake_ups() -> Check {
 fn limits() -> Vec<Check> {
     use nix::sys::resource::{Resource, getrlimit};
 
-    /// Memory that a controller with its buffers and a model locks at most, in bytes.
-    const MEMORY_LOCK_NEEDED: u64 = 256 << 20;
-    /// The priority that the units in deploy/systemd request.
-    const REALTIME_PRIORITY_NEEDED: u64 = 50;
-
     let limit = |resource| getrlimit(resource).map_or(0, |(soft, _)| soft);
     // Bits of the effective capabilities, see capabilities(7).
     let (ipc_lock, sys_nice) = (14, 23);
-    let memory = limit(Resource::RLIMIT_MEMLOCK);
-    let memory_found = match memory {
-        u64::MAX => "unlimited".to_owned(),
-        bytes => format!("{} KiB may be locked", bytes >> 10),
-    };
-    let priority = limit(Resource::RLIMIT_RTPRIO);
-    let priority_found = format!("real-time priority up to {priority}");
     vec![
-        if memory >= MEMORY_LOCK_NEEDED || has_capability(ipc_lock) {
-            Check::ok("memory lock", memory_found)
-        } else {
-            Check::warn(
-                "memory lock",
-                memory_found,
-                "pages of the controller may be swapped out: set LimitMEMLOCK=infinity in its unit, or memlock in /etc/security/limits.d",
-            )
-        },
-        if priority >= REALTIME_PRIORITY_NEEDED || has_capability(sys_nice) {
-            Check::ok("real time", priority_found)
-        } else {
-            Check::warn(
-                "real time",
-                priority_found,
-                format!(
-                    "other processes delay decisions: set LimitRTPRIO={REALTIME_PRIORITY_NEEDED} in its unit, or rtprio in /etc/security/limits.d"
-                ),
-            )
-        },
+        memory_lock(limit(Resource::RLIMIT_MEMLOCK), has_capability(ipc_lock)),
+        real_time(limit(Resource::RLIMIT_RTPRIO), has_capability(sys_nice)),
     ]
+}
+
+/// Whether a controller may lock its memory, by its limit in bytes or by the capability IPC_LOCK.
+#[cfg(target_os = "linux")]
+fn memory_lock(limit: u64, has_ipc_lock: bool) -> Check {
+    /// Memory that a controller with its buffers and a model locks at most, in bytes.
+    const NEEDED: u64 = 256 << 20;
+
+    let name = "memory lock";
+    let found = match (limit, has_ipc_lock) {
+        (u64::MAX, _) => "unlimited".to_owned(),
+        (_, true) => "unlimited: this process has CAP_IPC_LOCK".to_owned(),
+        (bytes, false) => format!("{} KiB may be locked", bytes >> 10),
+    };
+    if has_ipc_lock || limit >= NEEDED {
+        return Check::ok(name, found);
+    }
+    Check::warn(
+        name,
+        found,
+        "pages of the controller may be swapped out: set LimitMEMLOCK=infinity in its unit, or memlock in /etc/security/limits.d",
+    )
+}
+
+/// Whether a process may take real-time priority, by its limit or by the capability SYS_NICE.
+#[cfg(target_os = "linux")]
+fn real_time(limit: u64, has_sys_nice: bool) -> Check {
+    /// The priority that the units in deploy/systemd request.
+    const NEEDED: u64 = 50;
+
+    let name = "real time";
+    let found = match (limit, has_sys_nice) {
+        (_, true) => "every real-time priority: this process has CAP_SYS_NICE".to_owned(),
+        (0, false) => "no real-time priority".to_owned(),
+        (priority, false) => format!("real-time priority up to {priority}"),
+    };
+    if has_sys_nice || limit >= NEEDED {
+        return Check::ok(name, found);
+    }
+    let advice = format!(
+        "other processes delay decisions: set LimitRTPRIO={NEEDED} in its unit, or rtprio in /etc/security/limits.d"
+    );
+    Check::warn(name, found, advice)
 }
 
 #[cfg(not(target_os = "linux"))]
@@ -208,5 +221,30 @@ fn load() -> Check {
         Check::ok("load", found)
     } else {
         Check::warn("load", found, "other processes use the cores that decisions need; measure when they have ended")
+    }
+}
+
+#[cfg(all(test, target_os = "linux"))]
+mod tests {
+    use super::super::check::Verdict;
+    use super::*;
+
+    #[test]
+    fn a_permission_by_capability_is_named_in_place_of_the_limit_that_does_not_bind() {
+        let real_time = [(0, false), (0, true), (20, false), (50, false)].map(|(limit, capable)| {
+            let Check { verdict, found, .. } = real_time(limit, capable);
+            (verdict, found)
+        });
+        let expected = [
+            (Verdict::Warn, "no real-time priority"),
+            (Verdict::Ok, "every real-time priority: this process has CAP_SYS_NICE"),
+            (Verdict::Warn, "real-time priority up to 20"),
+            (Verdict::Ok, "real-time priority up to 50"),
+        ];
+        assert_eq!(real_time, expected.map(|(verdict, found)| (verdict, found.to_owned())));
+        let by_capability = memory_lock(64 << 10, true);
+        assert_eq!((by_capability.verdict, by_capability.found.contains("KiB")), (Verdict::Ok, false));
+        let by_limit = memory_lock(64 << 10, false);
+        assert_eq!((by_limit.verdict, by_limit.found.as_str()), (Verdict::Warn, "64 KiB may be locked"));
     }
 }

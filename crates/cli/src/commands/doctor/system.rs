@@ -5,7 +5,7 @@ use std::net::TcpListener;
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
-use heliostat_bus::{AccessRole, Bus, BusArgs, BusConfig, BusError, Reach};
+use heliostat_bus::{ACCEPTS_WITHIN, AccessRole, Bus, BusArgs, BusConfig, BusError, Reach, join_through};
 use heliostat_controller::report::summary::describe_unfit;
 use heliostat_core::belief::conditions::{Condition, conditions};
 use heliostat_core::capabilities::{Examiner, Force, Unfit};
@@ -21,8 +21,7 @@ use heliostat_service::printable::printable;
 
 use super::args::Args;
 use super::check::{Check, Verdict};
-use super::{calibration, controller};
-use crate::commands::join::join_through;
+use super::{calibration, controller, geometry};
 
 /// Longest time until a driver answers.
 const DRIVER_WAIT: Duration = Duration::from_secs(3);
@@ -73,9 +72,10 @@ pub(super) fn checks(args: &Args) -> Vec<Check> {
     let drivers = ask_drivers(args, joined.as_ref(), scenario.mirrors.arrays().len());
     checks.extend(check_drivers(args, &drivers, &scenario));
     let bus = joined.as_ref().and_then(|joined| joined.as_ref().ok()).map(|(bus, _)| bus);
-    let (controller, of_controller) = controller::checks(args, bus);
+    let (answers, of_controller) = controller::checks(bus);
+    checks.extend(geometry::checks(&scenario, &answers));
     checks.extend(of_controller);
-    checks.extend(calibration::checks(args, drivers.get(args.array), controller.as_ref()));
+    checks.extend(calibration::checks(args, drivers.get(args.array), answers.controller.as_ref()));
     // A driver that is checked listens on its own port, and this command on those of --listen.
     let endpoints = || args.connect.iter().chain(&args.listen);
     let in_use = |port: u16| endpoints().any(|endpoint| endpoint.ends_with(&format!(":{port}")));
@@ -219,7 +219,7 @@ impl std::error::Error for SeveralDrivers {}
 /// any role do.
 fn open_bus(args: &Args) -> anyhow::Result<(Bus, Vec<String>)> {
     let config = bus_config(args)?;
-    if let (Some(bus), unanswered) = join_through(&config) {
+    if let (Some(bus), unanswered) = join_through(&config, ACCEPTS_WITHIN) {
         return Ok((bus, unanswered));
     }
     let bus = Bus::open(&config.clone().reaching(Reach::Within(DRIVER_WAIT)))?;

@@ -70,7 +70,7 @@ fn a_standby_that_waits_longer_does_not_take_over_together_with_the_next_one() {
     room.run(S);
     assert_eq!(room.standings()[..2], [Standing::Leading, Standing::Standby]);
     assert_eq!(room.controllers[1].events.last(), Some(&TenureEvent::Superseded));
-    assert_eq!(room.controllers[0].events.last(), Some(&TenureEvent::TookOver), "nobody contests it");
+    assert_eq!(room.controllers[0].events.last(), Some(&TenureEvent::TookOver), "it is not contested");
 }
 
 #[test]

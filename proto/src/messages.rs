@@ -261,6 +261,15 @@ impl NodeStatus {
         self.counters.iter().filter(|(name, _)| is_fallback(name)).map(|(_, count)| count).sum()
     }
 
+    /// The keys of the arrays that do not fit the scenario of a controller, so that it sends them no commands: none
+    /// are named where no array fits. `None` where each one fits.
+    pub fn unfit_arrays(&self) -> Option<Vec<&str>> {
+        let is_unfit = self.counters.iter().any(|(name, count)| name == Self::ARRAY_UNFIT && *count > 0);
+        let key = |(name, _): &'_ (String, u64)| name.starts_with(Self::ARRAY_UNFIT_OF);
+        let named = self.counters.iter().filter(|counter| key(counter));
+        is_unfit.then(|| named.map(|(name, _)| &name[Self::ARRAY_UNFIT_OF.len()..]).collect())
+    }
+
     /// The name of the controller's host, if it gives one.
     pub fn host(&self) -> Option<&str> {
         self.counters.iter().find_map(|(name, _)| name.strip_prefix(Self::HOST))

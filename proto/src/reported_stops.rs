@@ -414,7 +414,10 @@ impl ReportedStops {
         if self.handle_reported(now, array, &report.stops, |hold| hold.handle_stops(&report)) {
             let seen = self.array(now, array);
             seen.by_source.retain(|_, (at, _)| now.saturating_sub(*at) < REPORT_AGE_MAX);
-            seen.by_source.insert(report.stamp.source, (now, report.clone()));
+            let is_late = |(_, known): &(Duration, StopReport)| known.stamp.sequence > report.stamp.sequence;
+            if !seen.by_source.get(&report.stamp.source).is_some_and(is_late) {
+                seen.by_source.insert(report.stamp.source, (now, report.clone()));
+            }
             let had_unlisted = seen.had_unlisted && report.lists(StopName::default());
             seen.had_unlisted = had_unlisted || report.stands_for_unlisted();
             seen.stops = Some((now, report));

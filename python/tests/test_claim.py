@@ -53,7 +53,7 @@ def test_of_two_drivers_that_start_together_the_one_with_the_higher_source_id_en
                 claim.check(shown.append)
         else:
             assert claim.check(shown.append) == []
-    assert len(shown) == 1 and "has to end" in shown[0]
+    assert len(shown) == 1 and "if it has just started, it ends now" in shown[0]
 
 
 def test_a_token_before_the_own_one_ends_the_driver_with_either_source_id() -> None:

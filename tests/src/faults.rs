@@ -2,6 +2,7 @@
 //!
 //! - [`FaultRoom`]: an array, a controller and a [`Witness`] that records telemetry and status.
 //! - [`Building`]: two hosts, each with a Zenoh router, and rooms whose standbys are on the other host.
+//! - [`Team`]: an array whose controllers are on hosts of their own, and [`Succession`], the effect of a fault of one.
 //! - What acts on the room: signals to its processes, a [`Proxy`] between them, a shifted
 //!   [`SystemClock`], an [`Attacker`] that publishes, a [`LoopbackBoard`] that misbehaves.
 //! - [`Effect`]: the longest gap between two accepted commands, commands lost, time to recovery.
@@ -20,6 +21,7 @@ mod proxy;
 mod room;
 mod system_clock;
 mod table;
+mod team;
 mod tracker;
 mod witness;
 
@@ -27,11 +29,12 @@ pub use attacker::{Attacker, encoded};
 pub use board::{Behaviour, LoopbackBoard};
 pub use building::{Building, Host};
 pub use effect::Effect;
-pub use namespace::{Cable, Link};
+pub use namespace::{Cable, Link, Segment};
 pub use promise::Promise;
 pub use proxy::Proxy;
 pub use room::{Array, FaultRoom, Launch, Setup, make_keys};
 pub use system_clock::SystemClock;
 pub use table::{FAULTS, Fault};
+pub use team::{Succession, Team};
 pub use tracker::Tracker;
 pub use witness::Witness;

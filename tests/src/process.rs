@@ -238,7 +238,7 @@ fn in_test_room<'a>(arguments: &[&'a str]) -> Vec<&'a str> {
 }
 
 /// The folder of the workspace.
-pub(crate) fn workspace() -> PathBuf {
+pub fn workspace() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 

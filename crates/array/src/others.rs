@@ -156,7 +156,8 @@ impl Other {
     fn note(&self) -> String {
         let Self { kind, token, .. } = self;
         format!(
-            "another {} has started at the same time ({token}): it has the higher source id and has to end",
+            "another {} is in the room ({token}): if it has just started, it ends now, for its source id is the higher one; \
+             otherwise stop one of the two",
             word(kind)
         )
     }
@@ -217,7 +218,7 @@ mod tests {
             let checked = others.check(WINDOW_END_NS);
             assert_eq!(checked.is_err(), ends, "{own} and {other}");
             let notes = checked.map_or(Vec::new(), |findings| findings.notes);
-            assert!(ends || notes[0].contains("has to end"), "{notes:?}");
+            assert!(ends || notes[0].contains("if it has just started, it ends now"), "{notes:?}");
             others.note(&token(other), false, WINDOW_END_NS);
             assert_eq!(found(&mut others, 3 * WINDOW_END_NS), (0, 0), "the other one has ended");
         }

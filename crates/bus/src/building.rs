@@ -8,6 +8,7 @@
 //! A common name gives rights wherever it connects. The router thus trusts the authority of each of
 //! its rooms not to sign the names of another one.
 
+use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 
 use heliostat_files::read_text;
@@ -118,7 +119,9 @@ impl BuildingRouter {
         for peer in &self.peers {
             let host = peer.rsplit_once(':').map_or(peer.as_str(), |(host, _)| host);
             let host = host.trim_start_matches('[').trim_end_matches(']');
-            if !hosts.iter().any(|known| known.eq_ignore_ascii_case(host)) {
+            let address: Option<IpAddr> = host.parse().ok();
+            let is_address = |known: &String| address.is_some() && known.parse().ok() == address;
+            if !hosts.iter().any(|known| known.eq_ignore_ascii_case(host) || is_address(known)) {
                 let (folder, host, hosts) = (first.folder().into(), host.to_owned(), hosts.join(", "));
                 return Err(KeyError::UnnamedHost { folder, host, hosts }.into());
             }

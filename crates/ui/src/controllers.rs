@@ -82,8 +82,8 @@ pub struct ControllerFigures {
     pub decisions: u64,
     /// Whether it decided between its last two statuses: position reports reach it.
     pub is_deciding: bool,
-    /// Whether it cannot command, because the array does not fit its scenario.
-    pub is_unfit: bool,
+    /// The arrays that it cannot command, because they do not fit its scenario, in words: "array", or their keys.
+    pub unfit: String,
 }
 
 impl fmt::Display for ControllerFigures {
@@ -139,18 +139,21 @@ impl Known {
     }
 }
 
+fn unfit_in_words(keys: &[&str]) -> String {
+    if keys.is_empty() { "array".into() } else { printable(&keys.join(" and ")).into_owned() }
+}
+
 /// The controllers of a room, by their source.
 #[derive(Debug, Default)]
 pub(crate) struct Controllers(BTreeMap<u64, Known>);
 
 impl Controllers {
-    /// Notes the token of a controller. A new one takes the place of those that were lost.
+    /// Notes the token of a controller.
     pub fn join(&mut self, source: u64) {
         if let Some(known) = self.0.get_mut(&source) {
             known.is_lost = false;
             return;
         }
-        self.0.retain(|_, known| !known.is_lost);
         let figures = ControllerFigures { name: controller_name(source), ..ControllerFigures::default() };
         let (at, scenario) = (Instant::now(), String::new());
         self.0.insert(source, Known { at, figures, scenario, has_reported: false, is_lost: false });
@@ -190,10 +193,22 @@ impl Controllers {
             false_takeovers: counter(status, FALSE_TAKEOVERS),
             decisions,
             is_deciding,
-            is_unfit: counter(status, NodeStatus::ARRAY_UNFIT) > 0,
+            unfit: status.unfit_arrays().map(|keys| unfit_in_words(&keys)).unwrap_or_default(),
         };
+        let is_new = self.0.get(&source).is_none_or(|known| !known.has_reported);
+        if is_new && role != Role::Calibrates {
+            self.replace_lost();
+        }
         let (at, scenario) = (Instant::now(), status.scenario.clone());
         self.0.insert(source, Known { at, figures, scenario, has_reported: true, is_lost: false });
+    }
+
+    /// A new controller takes the place of the one that was lost first. A calibration takes none.
+    fn replace_lost(&mut self) {
+        let lost = self.0.iter().filter(|(_, known)| known.is_lost);
+        if let Some(source) = lost.min_by_key(|(_, known)| known.at).map(|(source, _)| *source) {
+            self.0.remove(&source);
+        }
     }
 
     /// The hash of the scenario of a controller; empty where it is unknown.
@@ -212,8 +227,8 @@ impl Controllers {
         let shown = |(source, known): (&u64, &Known)| {
             let figures = &known.figures;
             if (known.is_lost && known.is_remembered()) || (is_alive(source) && known.is_silent()) {
-                let (role, is_deciding, is_unfit) = (Role::Silent, false, false);
-                return Some(ControllerFigures { role, is_deciding, is_unfit, ..figures.clone() });
+                let (role, is_deciding, unfit) = (Role::Silent, false, String::new());
+                return Some(ControllerFigures { role, is_deciding, unfit, ..figures.clone() });
             }
             (is_alive(source) && known.has_reported).then(|| figures.clone())
         };
@@ -370,6 +385,11 @@ mod tests {
         controllers.leave(2);
         forget(&mut controllers, &[1]);
         assert_eq!(roles(&controllers, &[1]), [Role::Leads, Role::Silent], "its connection has expired");
+        controllers.join(5);
+        let gauges = CalibrationProgress::default().gauges().map(|(name, value)| (name.to_owned(), value)).to_vec();
+        controllers.take(&NodeStatus { gauges, ..status(5, &[]) });
+        controllers.leave(5);
+        assert_eq!(roles(&controllers, &[1]), [Role::Leads, Role::Silent], "a calibration takes no place");
         controllers.join(3);
         controllers.take(&status(3, &[(STANDBY, 1)]));
         assert_eq!(roles(&controllers, &[1, 3]), [Role::Leads, Role::StandsBy], "another one stands by");

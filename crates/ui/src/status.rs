@@ -102,10 +102,10 @@ impl RoomStatus {
             (!problem.is_empty() && !is_of_stop).then(|| format!("{node}: {problem}"))
         };
         // The problems of the processes have that of the controller that commands.
-        let unfit = controllers.iter().filter(|one| one.is_unfit && !one.role.commands()).map(|one| {
+        let unfit = controllers.iter().filter(|one| !one.unfit.is_empty() && !one.role.commands()).map(|one| {
+            let (name, unfit) = (&one.name, &one.unfit);
             format!(
-                "controller {} cannot take over: the array does not fit its scenario; its journal has the reason",
-                one.name
+                "controller {name} cannot take over {unfit}: it does not fit its scenario; its journal has the reason"
             )
         });
         // The problem of the displayed controller can have it.
@@ -360,17 +360,21 @@ mod tests {
 
     #[test]
     fn a_standby_of_another_geometry_is_a_problem() {
-        let standby =
-            |is_unfit| ControllerFigures { name: "b".into(), role: Role::StandsBy, is_unfit, ..Default::default() };
-        let found = |is_unfit| {
+        let standby = |unfit: &str| ControllerFigures {
+            name: "b".into(),
+            role: Role::StandsBy,
+            unfit: unfit.into(),
+            ..Default::default()
+        };
+        let found = |unfit| {
             let array = ArrayFigures { state: "following".into(), ..ArrayFigures::default() };
-            let controllers = vec![ControllerFigures::default(), standby(is_unfit)];
+            let controllers = vec![ControllerFigures::default(), standby(unfit)];
             let figures = Figures { controllers, array, ..Figures::default() };
             RoomStatus { reports_per_s: 20.0, figures, ..RoomStatus::default() }.found()
         };
-        assert_eq!(found(false), [""; 0]);
-        let found = found(true);
-        assert!(found.len() == 1 && found[0].starts_with("controller b cannot take over: "), "{found:?}");
+        assert_eq!(found(""), [""; 0]);
+        let found = found("mirrors-1");
+        assert!(found.len() == 1 && found[0].starts_with("controller b cannot take over mirrors-1: "), "{found:?}");
     }
 
     #[test]

@@ -159,7 +159,8 @@ impl StopSwitch {
     pub fn is_own_confirmed(&self) -> bool {
         let own = self.own.lock().unwrap_or_else(PoisonError::into_inner);
         let (seen, now) = (self.seen.lock(), self.seen.now());
-        own.as_ref().is_some_and(|own| seen.has_stopped(own.order.name(), now, Duration::ZERO))
+        let is_stopped = |own: &OwnStop| seen.has_stopped(own.order.name(), now, Duration::ZERO);
+        seen.has_geometry() && own.as_ref().is_some_and(is_stopped)
     }
 
     /// Publishes a stop with a name of its own, which replaces an earlier one of this process: a re-arm

@@ -106,6 +106,23 @@ fn a_stop_report_that_arrives_late_shows_no_device_as_stopped() {
 }
 
 #[test]
+fn a_late_report_of_one_of_two_drivers_shows_its_device_not_as_stopped() {
+    let mut stops = ordered();
+    let of_other = |sequence| {
+        let report = report(sequence, true);
+        StopReport { stamp: Stamp { source: report.stamp.source + 1, ..report.stamp }, ..report }
+    };
+    let sources = [report(1, true), of_other(1)].map(|report| report.stamp.source);
+    sources.into_iter().for_each(|source| stops.handle_driver(NOW, (Some(0), source), true));
+    for report in [report(5, false), of_other(9), report(4, true), of_other(10)] {
+        stops.handle_stops(NOW, 0, report);
+    }
+    assert!(!stops.has_stopped(order().name(), NOW, NOW));
+    stops.handle_stops(NOW, 0, report(6, true));
+    assert!(stops.has_stopped(order().name(), NOW, NOW));
+}
+
+#[test]
 fn a_stop_that_a_later_report_of_an_array_does_not_name_is_forgotten_for_it() {
     let name = StopName { source: 3, sequence: 4 };
     let mut stops = ReportedStops::default();

@@ -17,6 +17,8 @@ pub struct Sample {
     pub source: u64,
     /// State of the array.
     pub state: ArrayState,
+    /// Epoch of the command applied last.
+    pub epoch: u64,
     /// Commands accepted since the start of the array.
     pub accepted: u64,
     /// When the last of them arrived; 0 before the first.
@@ -26,11 +28,11 @@ pub struct Sample {
 impl Sample {
     /// The sample of a message that arrives now.
     pub fn new(seen_ns: Nanos, telemetry: &MirrorTelemetry) -> Self {
-        let MirrorTelemetry { stamp, state, counters, received_ns, .. } = telemetry;
+        let MirrorTelemetry { stamp, state, epoch, counters, received_ns, .. } = telemetry;
         let shifted = seen_ns.abs_diff(stamp.time_ns) > CLOCKS_DIFFER_NS && *received_ns > 0;
         let age_ns = stamp.time_ns.saturating_sub(*received_ns);
         let accepted_ns = if shifted { seen_ns.saturating_sub(age_ns) } else { *received_ns };
-        Self { seen_ns, source: stamp.source, state: *state, accepted: counters.accepted, accepted_ns }
+        Self { seen_ns, source: stamp.source, state: *state, epoch: *epoch, accepted: counters.accepted, accepted_ns }
     }
 }
 
@@ -109,7 +111,7 @@ mod tests {
 
     fn sample(seen_ms: u64, source: u64, accepted: u64, accepted_ms: u64) -> Sample {
         let state = if accepted == 0 { ArrayState::Parked } else { ArrayState::Following };
-        Sample { seen_ns: seen_ms * MS, source, state, accepted, accepted_ns: accepted_ms * MS }
+        Sample { seen_ns: seen_ms * MS, source, state, epoch: 1, accepted, accepted_ns: accepted_ms * MS }
     }
 
     #[test]

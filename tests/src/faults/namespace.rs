@@ -1,4 +1,4 @@
-//! A network namespace with two virtual links to this one, of which one can be interrupted.
+//! Network namespaces, and virtual links between them that can be interrupted.
 
 use std::io::Write as _;
 use std::process::{Command, Stdio};
@@ -164,6 +164,85 @@ impl Cable {
         for name in &self.namespaces {
             nft(&["ip", "netns", "exec", name], "delete table netdev cable\n");
         }
+    }
+}
+
+/// Network namespaces on one network, each with a link of its own that can be interrupted. This namespace is on it too.
+pub struct Segment {
+    name: String,
+    /// First bytes of the addresses.
+    net: String,
+    hosts: usize,
+}
+
+impl Segment {
+    /// Creates the network with this number of namespaces.
+    ///
+    /// # Panics
+    /// When that is not permitted.
+    pub fn create(hosts: usize) -> Self {
+        let (number, process) = (COUNT.fetch_add(1, Ordering::SeqCst), std::process::id());
+        let net = format!("10.{}.{}", 64 + process % 128, 2 * number);
+        let segment = Self { name: format!("hs{process}-{number}"), net, hosts };
+        let Self { name, net, .. } = &segment;
+        let made = ip(&format!("link add {name} type bridge"))
+            && ip(&format!("addr add {net}.1/24 dev {name}"))
+            && ip(&format!("link set {name} up"))
+            && (0..hosts).all(|host| {
+                let (own, device) = (segment.namespace(host), segment.device(host));
+                let address = segment.address(host);
+                ip(&format!("netns add {own}"))
+                    && ip(&format!("-n {own} link set lo up"))
+                    && ip(&format!("link add {device} type veth peer name in netns {own}"))
+                    && ip(&format!("link set {device} master {name}"))
+                    && ip(&format!("-n {own} addr add {address}/24 dev in"))
+                    && ip(&format!("link set {device} up"))
+                    && ip(&format!("-n {own} link set in up"))
+            });
+        assert!(made, "the network {name} cannot be made");
+        segment
+    }
+
+    /// Address of this namespace.
+    pub fn own_address(&self) -> String {
+        format!("{}.1", self.net)
+    }
+
+    /// Address of a namespace.
+    pub fn address(&self, host: usize) -> String {
+        format!("{}.{}", self.net, host + 2)
+    }
+
+    /// The program and arguments that start another program in a namespace.
+    pub fn wrapper(&self, host: usize) -> Vec<String> {
+        ["ip", "netns", "exec", &self.namespace(host)].map(str::to_owned).into()
+    }
+
+    /// Interrupts the link of a namespace: packets are lost in both directions.
+    pub fn cut(&self, host: usize) {
+        assert!(ip(&format!("link set {} down", self.device(host))), "the link cannot be set down");
+    }
+
+    /// Ends the interruption.
+    pub fn heal(&self, host: usize) {
+        assert!(ip(&format!("link set {} up", self.device(host))), "the link cannot be set up");
+    }
+
+    fn namespace(&self, host: usize) -> String {
+        format!("{}-{host}", self.name)
+    }
+
+    fn device(&self, host: usize) -> String {
+        format!("{}p{host}", self.name)
+    }
+}
+
+impl Drop for Segment {
+    fn drop(&mut self) {
+        for host in 0..self.hosts {
+            ip(&format!("netns del {}", self.namespace(host)));
+        }
+        ip(&format!("link del {}", self.name));
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::env::consts::ARCH;
-use std::fmt::Write as _;
+use std::fmt::{self, Write as _};
 use std::fs;
 use std::path::PathBuf;
 use std::process::Command;
@@ -35,7 +35,8 @@ impl Origin {
         };
         let commit = git(&["rev-parse", "--short=9", "HEAD"]).unwrap_or_else(|| "unknown".to_owned());
         // The page itself changes while it is written.
-        let changes = git(&["status", "--porcelain", "--untracked-files=no", "--", ".", ":!docs/faults.md"]);
+        let changes =
+            git(&["status", "--porcelain", "--untracked-files=no", "--", ".", ":!docs/faults.md", ":!docs/results"]);
         let changed = changes.is_some_and(|changes| !changes.is_empty());
         let listing = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
         let model = listing.lines().find_map(|line| line.strip_prefix("model name")?.split_once(':'));
@@ -44,6 +45,12 @@ impl Origin {
             commit: format!("{commit}{}", if changed { "+changes" } else { "" }),
             machine: format!("{cores} cores of {}", model.map_or(ARCH, |(_, name)| name.trim())),
         }
+    }
+}
+
+impl fmt::Display for Origin {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "Commit {}, {}", self.commit, self.machine)
     }
 }
 

@@ -13,6 +13,7 @@ mod page;
 mod payloads;
 mod processes;
 mod stops;
+mod takeovers;
 
 use std::time::Duration;
 

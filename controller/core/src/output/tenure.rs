@@ -31,7 +31,8 @@
 //!   Its first epoch may be too low, because telemetry came after its first command. Before the array has obeyed it,
 //!   it answers one higher epoch by a new epoch of its own, and stands by from the second on.
 //! - **Takeover**: a report is unanswered if telemetry that came a quarter of a report interval or more after it
-//!   shows no further accepted command. After as many unanswered reports in sequence as its rank, a standby takes a
+//!   shows no further accepted command. Telemetry that waited on its way, as in a connection that was interrupted,
+//!   counts as if it had not. After as many unanswered reports in sequence as its rank, a standby takes a
 //!   new epoch and answers the report that is due. A leader whose liveliness token has ended counts as one
 //!   unanswered report, until it answers one or its token returns. The rank is 1 plus the number of other standbys
 //!   with a lower source id, up to [`RANK_MAX`], or given by the operator.
@@ -65,7 +66,7 @@ mod peers;
 
 use heliostat_proto::{EPOCH_SLOTS, Nanos};
 
-use self::evidence::{Contest, Guest, Unaccepted, Watch};
+use self::evidence::{Contest, Delay, Guest, Unaccepted, Watch};
 pub use self::evidence::{Evidence, TenureEvent};
 use self::numbers::{Numbers, Rule};
 
@@ -131,6 +132,9 @@ pub struct Tenure {
     numbers: Numbers,
     /// The latest telemetry, and its arrival.
     seen: Option<(Nanos, Evidence)>,
+    delay: Delay,
+    /// When it would have come with the shortest delay.
+    shown_ns: Nanos,
     /// The epoch that the array announced before the first telemetry.
     announced: u64,
     unaccepted: Option<Unaccepted>,
@@ -154,6 +158,8 @@ impl Tenure {
             contest: Contest::default(),
             numbers: Numbers::of(epoch),
             seen: None,
+            delay: Delay::default(),
+            shown_ns: 0,
             announced: 0,
             unaccepted: None,
             attempts: 0,
@@ -259,6 +265,7 @@ impl Tenure {
     /// Compares telemetry that arrived at `now`.
     pub fn handle_telemetry(&mut self, now: Nanos, evidence: Evidence) -> Option<TenureEvent> {
         let former = self.seen.replace((now, evidence)).map(|(_, evidence)| evidence);
+        self.shown_ns = self.delay.undelayed(now, &evidence);
         if let Some(former) = former.filter(|former| former.epoch != evidence.epoch) {
             self.note_followed(now, former, evidence.epoch);
         }
@@ -327,13 +334,12 @@ impl Tenure {
         if !self.is_current(now) {
             return self.watch.misses_telemetry(now).then(|| self.resume(now));
         }
-        let seen = self.seen?;
-        let (_, shown) = seen;
+        let (_, shown) = self.seen?;
         let (rank, is_returned) = (self.rank(), self.guest.leads && self.watch.has_left);
         let back_off = if is_returned { 0 } else { self.contest.back_off(now, self.standbys()) };
         let is_paused = shown.stopped || since_last_ns > gap_ns;
         let watch = &mut self.watch;
-        let is_answered = watch.judge(now, seen, interval_ns, is_paused)?;
+        let is_answered = watch.judge(now, (self.shown_ns, shown), interval_ns, is_paused)?;
         if watch.unanswered + u8::from(watch.is_gone()) < rank.saturating_add(back_off) {
             // An answer that came before the token ended shows no leader.
             if watch.has_left && is_answered && !is_returned {

@@ -67,6 +67,7 @@ impl Controller {
     }
 
     fn telemetry(&mut self, now: Nanos, shown: Evidence) {
+        let shown = Evidence { sampled_ns: now, ..shown };
         self.events.extend(self.tenure.handle_telemetry(now + self.clock_ahead_ns, shown));
     }
 }

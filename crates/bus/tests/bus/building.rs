@@ -65,6 +65,22 @@ impl Building {
     }
 }
 
+#[test]
+fn a_peer_is_an_address_that_the_certificates_name_in_any_spelling() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let room = Room::new("studio").expect("a valid name");
+    let keys_folder = folder.path().join("studio");
+    let terms = keys::Terms::of_days(1, &["2001:db8::1".to_owned()]);
+    keys::init(&room, &keys_folder, &terms).expect("an empty folder");
+    let written = |peer: &str| {
+        let out = folder.path().join("router");
+        let (folders, peers) = (vec![keys_folder.clone()], vec![peer.to_owned()]);
+        BuildingRouter { folders, installed: out.clone(), protocol: Protocol::Tls, first_port: 7448, peers }.write(&out)
+    };
+    assert!(written("[2001:0DB8:0::1]:7448").is_ok());
+    assert!(written("[2001:db8::2]:7448").is_err());
+}
+
 /// A free port whose successor is free too, for TCP and for UDP.
 fn pair_of_free_ports() -> u16 {
     let is_free = |port: u16| {

@@ -45,16 +45,20 @@ pub(super) fn check_connected(bus: &Bus, config: &BusConfig, limit: Duration) ->
     why_unconnected(config, limit, || bus.wait_connected(limit.saturating_sub(begun.elapsed())).then_some(()))
 }
 
+/// Why an endpoint has no connection: the problem, or that no process answers. `None` where one accepts connections.
+pub(super) fn find_problem(config: &BusConfig) -> Option<String> {
+    let unanswered =
+        || (!Bus::has_listener(config)).then(|| format!("no process answers at {}", config.connect.join(", ")));
+    Bus::find_connection_problem(config).or_else(unanswered)
+}
+
 /// What `again` connects, where a process accepts connections and has not answered yet; else why there is no
 /// connection.
 fn why_unconnected<T>(config: &BusConfig, limit: Duration, again: impl FnOnce() -> Option<T>) -> Result<T, String> {
-    let endpoints = config.connect.join(", ");
-    if let Some(problem) = Bus::find_connection_problem(config) {
+    if let Some(problem) = find_problem(config) {
         return Err(problem);
     }
-    if !Bus::has_listener(config) {
-        return Err(format!("no process answers at {endpoints}"));
-    }
+    let endpoints = config.connect.join(", ");
     output::note(format_args!("the process at {endpoints} accepts connections and has not answered yet"));
     again().ok_or_else(|| {
         format!(

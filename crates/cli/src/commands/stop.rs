@@ -1,10 +1,11 @@
 //! `heliostat stop` and `heliostat rearm`: the emergency stop from the command line.
 
 use std::io;
+use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, anyhow, bail, ensure};
-use heliostat_bus::{AccessRole, Bus, BusArgs};
+use heliostat_bus::{ACCEPTS_WITHIN, AccessRole, Bus, BusArgs, BusConfig};
 use heliostat_proto::StopName;
 use heliostat_proto::reported_stops::RoomStop;
 use heliostat_service::printable::printable;
@@ -12,7 +13,7 @@ use heliostat_service::{EndArgs, duration, output};
 use heliostat_ui::{StopLabel, StopSwitch, UNKNOWN_ARRAYS, UiError, still_stopped, stop_in_words};
 use serde_json::json;
 
-use super::join::{check_connected, join};
+use super::join::{find_problem, join};
 
 /// An operator knows within this time whether the order has a connection. The help of `--timeout` names it.
 const JOINED_WITHIN: Duration = Duration::from_secs(2);
@@ -97,16 +98,18 @@ pub fn stop(args: StopArgs) -> Result<()> {
     if let Some(arrays) = args.arrays {
         switch.expect(arrays.into());
     }
+    // A stop that is held ends with a word, from its order on. Nothing keeps it from being sent.
+    let end = args.hold.then(|| args.end.stop());
     let begun = Instant::now();
     let stopped = switch.stop_and_confirm(reason, *timeout).map_err(with_reach);
     note_shared(&switch);
-    if !args.hold {
+    let Some(end) = end else {
         let unrecorded = args.order.report(&bus, &switch, stopped?, begun)?;
         drop(switch);
         let closed = bus.close();
         ensure!(unrecorded.is_empty(), "{}", unrecorded.join("; "));
         return Ok(closed?);
-    }
+    };
     match &stopped {
         Ok(took) => match args.order.report(&bus, &switch, *took, begun) {
             Ok(unrecorded) => unrecorded.into_iter().for_each(output::note),
@@ -114,20 +117,18 @@ pub fn stop(args: StopArgs) -> Result<()> {
         },
         Err(error) => output::note(format_args!("heliostat stop: {error}; the stop is held: end with Ctrl-C")),
     }
-    let end = args.end.stop()?;
+    let end = end?;
     let until = args.end.seconds.map(|seconds| Instant::now() + seconds);
-    let mut is_released = false;
-    while !is_released && !end.wait_for(HOLD_INTERVAL) && until.is_none_or(|until| Instant::now() < until) {
+    while switch.is_own_held() && !end.wait_for(HOLD_INTERVAL) && until.is_none_or(|until| Instant::now() < until) {
         switch.repeat();
-        is_released = !switch.is_own_held();
     }
-    if is_released {
+    if !switch.is_own_held() {
         let rest = still_stopped(&switch.known_stops()).map_or_else(String::new, |rest| format!("; {rest}"));
         output::note(format_args!("heliostat stop: the stop is released{rest}"));
     } else if !switch.is_own_confirmed() {
         output::note(
-            "heliostat stop: not every array has confirmed the stop, and it is no longer held: look at `heliostat status`, \
-             or cut the power",
+            "heliostat stop: the stop is no longer held, and not every array confirms it now: look at `heliostat status`, or \
+             cut the power",
         );
     }
     drop(switch);
@@ -199,6 +200,20 @@ fn may_follow(released: &[RoomStop]) -> bool {
     released.iter().any(|stop| stop.stands_for_unlisted)
 }
 
+/// Says why a stop that waits for a connection has none yet.
+fn note_unconnected(config: &BusConfig) {
+    let accepts =
+        || format!("the process at {} accepts connections and has not answered yet", config.connect.join(", "));
+    let reason = match config.connect.is_empty() {
+        true => format!("no process has connected to {} yet", config.listen.join(", ")),
+        false => find_problem(config).unwrap_or_else(accepts),
+    };
+    output::note(format_args!(
+        "{reason}. Until a process connects, no array has the stop: to stop the mirrors now, cut their power. The stop is \
+         sent to the first process that connects"
+    ));
+}
+
 /// Names the arrays that two processes drive: the reports of one hide those of the other.
 fn note_shared(switch: &StopSwitch) {
     switch.shared_arrays().into_iter().for_each(output::note);
@@ -210,11 +225,9 @@ impl OrderArgs {
         let config = self.bus.config_or_connect(roles)?;
         let bus = if waits {
             let bus = Bus::open(&config)?;
-            if let Err(reason) = check_connected(&bus, &config, JOINED_WITHIN.min(self.timeout)) {
-                output::note(format_args!(
-                    "{reason}. No array has the stop: to stop the mirrors now, cut their power. The stop is sent to the \
-                     first process that connects"
-                ));
+            if !bus.wait_connected(ACCEPTS_WITHIN.min(self.timeout)) {
+                // The search for the reason delays no order.
+                thread::spawn(move || note_unconnected(&config));
             }
             bus
         } else {

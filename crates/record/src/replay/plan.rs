@@ -128,18 +128,8 @@ impl Plan {
             "its scenario has the hash {hash}, its header names {}: it was changed after it was made",
             header.scenario_hash
         );
-        let mut plan = Self {
-            scenario: Scenario::from_recorded_toml(&header.scenario).context("its scenario")?,
-            room: Room::new(&header.room)?,
-            clock: Clock::Live,
-            answers: HashMap::new(),
-            epochs: BTreeMap::new(),
-            schedules: BTreeMap::new(),
-            controllers: BTreeMap::new(),
-            other_scenarios: BTreeMap::new(),
-            left_out: BTreeMap::new(),
-            account: Account::default(),
-        };
+        let scenario = Scenario::from_recorded_toml(&header.scenario).context("its scenario")?;
+        let mut plan = Self::new(scenario, Room::new(&header.room)?);
         let (mut clock, mut unreadable) = (None, Unreadable::default());
         let mut last = None;
         let mut schedules = ScheduleBuilder::default();
@@ -179,6 +169,21 @@ impl Plan {
             "it holds no command: no controller was in the room, or the recorder was not connected to it"
         );
         Ok(plan)
+    }
+
+    fn new(scenario: Scenario, room: Room) -> Self {
+        Self {
+            scenario,
+            room,
+            clock: Clock::Live,
+            answers: HashMap::new(),
+            epochs: BTreeMap::new(),
+            schedules: BTreeMap::new(),
+            controllers: BTreeMap::new(),
+            other_scenarios: BTreeMap::new(),
+            left_out: BTreeMap::new(),
+            account: Account::default(),
+        }
     }
 
     /// Adds a command; `last` is the one before it.
@@ -330,18 +335,7 @@ mod tests {
     /// A plan after a command of each epoch, and the statuses of a controller and of one with another scenario.
     fn plan(clock: Clock, epochs: &[u64]) -> Plan {
         let scenario = Scenario::builtin("hall").expect("a built-in scenario");
-        let mut plan = Plan {
-            scenario,
-            room: Room::new("lab").expect("a valid name"),
-            clock,
-            answers: HashMap::new(),
-            epochs: BTreeMap::new(),
-            schedules: BTreeMap::new(),
-            controllers: BTreeMap::new(),
-            other_scenarios: BTreeMap::new(),
-            left_out: BTreeMap::new(),
-            account: Account::default(),
-        };
+        let mut plan = Plan { clock, ..Plan::new(scenario, Room::new("lab").expect("a valid name")) };
         for &epoch in epochs {
             plan.add_command(MirrorCommand { epoch, ..MirrorCommand::default() }, None);
         }

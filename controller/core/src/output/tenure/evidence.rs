@@ -22,6 +22,9 @@ const GUEST_NS: Nanos = 1_000_000_000;
 /// Controllers that are known to be no guests.
 const RESIDENTS_MAX: usize = 16;
 
+/// Period in ns of the shortest delay of telemetry. A delay that stays for two periods is the shortest one.
+const DELAY_PERIOD_NS: Nanos = TELEMETRY_TIMEOUT_NS / 2;
+
 /// Longest time in ns for which a leader that ends commands on without a token: twice that of the hand-over.
 const ENDING_NS: Nanos = 1_000_000_000;
 
@@ -52,6 +55,10 @@ named! {
 /// What telemetry shows about the commands that the array accepts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Evidence {
+    /// Source id of the driver.
+    pub source: u64,
+    /// When it was sampled, by the clock of the driver.
+    pub sampled_ns: Nanos,
     /// Epoch of the command last applied; 0 before the first.
     pub epoch: u64,
     /// Its sequence number.
@@ -72,6 +79,8 @@ impl From<&MirrorTelemetry> for Evidence {
     fn from(telemetry: &MirrorTelemetry) -> Self {
         let counters = &telemetry.counters;
         Self {
+            source: telemetry.stamp.source,
+            sampled_ns: telemetry.stamp.time_ns,
             epoch: telemetry.epoch,
             applied_sequence: telemetry.applied_sequence,
             accepted: counters.accepted,
@@ -80,6 +89,48 @@ impl From<&MirrorTelemetry> for Evidence {
             stopped: telemetry.state == ArrayState::Stopped,
             following: telemetry.state == ArrayState::Following,
         }
+    }
+}
+
+/// How long telemetry was on its way, beside the shortest delay of the last second: a constant difference of the clocks
+/// does not count.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub(super) struct Delay {
+    /// The driver.
+    source: u64,
+    /// When the latest telemetry was sampled, and when the first one of this time came.
+    sampled_ns: Nanos,
+    came_ns: Nanos,
+    /// When it would have come with the shortest delay.
+    undelayed_ns: Nanos,
+    /// The shortest delay since the last period began, and in the period before, each with the difference of the clocks.
+    shortest_ns: [i64; 2],
+    began_ns: Nanos,
+    /// The clock of the driver stands still.
+    is_still: bool,
+}
+
+impl Delay {
+    /// When telemetry that comes at `now` would have come with the shortest delay. Another driver, a clock that
+    /// steps back behind the latest sample, and one that stands still, begin again.
+    pub(super) fn undelayed(&mut self, now: Nanos, evidence: &Evidence) -> Nanos {
+        let Evidence { source, sampled_ns, .. } = *evidence;
+        let delay_ns = now.wrapping_sub(sampled_ns) as i64;
+        let is_same = source == self.source && self.came_ns > 0 && now >= self.came_ns;
+        let is_repeated = is_same && sampled_ns == self.sampled_ns;
+        if is_repeated && !self.is_still && now - self.came_ns <= DELAY_PERIOD_NS {
+            return self.undelayed_ns;
+        }
+        if !is_same || sampled_ns <= self.sampled_ns {
+            (self.shortest_ns, self.began_ns) = ([delay_ns; 2], now);
+        } else if now - self.began_ns > DELAY_PERIOD_NS {
+            (self.shortest_ns, self.began_ns) = ([delay_ns, self.shortest_ns[0]], now);
+        }
+        self.shortest_ns[0] = self.shortest_ns[0].min(delay_ns);
+        let further_ns = delay_ns.abs_diff(self.shortest_ns[0].min(self.shortest_ns[1]));
+        self.undelayed_ns = now.saturating_sub(further_ns);
+        (self.source, self.sampled_ns, self.came_ns, self.is_still) = (source, sampled_ns, now, is_repeated);
+        self.undelayed_ns
     }
 }
 
@@ -139,7 +190,7 @@ impl Watch {
         self.returned_ns.is_none_or(|returned_ns| now.abs_diff(returned_ns) > TELEMETRY_TIMEOUT_NS)
     }
 
-    /// Judges by telemetry, with its arrival, whether the awaited report is answered. `None` where the observation
+    /// Judges by telemetry, with the time at which it would have come without further delay, whether the awaited report is answered. `None` where the observation
     /// of the leader begins again.
     pub(super) fn judge(
         &mut self,

@@ -1,5 +1,7 @@
 //! A standby that loses its link, and with it reports, telemetry and the tokens of the others.
 
+use std::collections::VecDeque;
+
 use super::*;
 
 /// A controller gets nothing for 3 s. When its link returns, the token of the other one is not back yet.
@@ -109,4 +111,77 @@ fn a_reserve_waits_for_late_telemetry_as_after_the_loss_of_a_link() {
     let mut tenure = Tenure::live(2, INTERVAL).in_reserve(None);
     let granted = (0..300).find(|tick| tenure.permit(NOON + tick * INTERVAL).0.is_some());
     assert_eq!(granted, Some(121), "200 ms for the first telemetry, and more than 1 s after them");
+}
+
+/// A sample of telemetry: ms before a report, ms on its way, and ms by which the clock of its driver is behind.
+type Sample = [u64; 3];
+
+/// Reports after the last answer of the leader at which a standby takes over, by the samples of another driver before
+/// each report.
+fn takeover_after(answered: u64, samples: impl Fn(u64) -> Vec<Sample>) -> Option<u64> {
+    let mut room = led_room(&[1, 600]);
+    let (start, shown, tenure) = (room.now, room.array.shown, &mut room.controllers[1].tenure);
+    let mut on_their_way = VecDeque::new();
+    let granted = (1..500).find(|tick| {
+        let report_ns = start + tick * INTERVAL;
+        for [ago_ms, way_ms, behind_ms] in samples(*tick) {
+            let sampled_ns = report_ns - ago_ms * MS;
+            let accepted = shown.accepted + answered.min(tick - 1);
+            let sample = Evidence { source: 7, sampled_ns: sampled_ns - behind_ms * MS, accepted, ..shown };
+            on_their_way.push_back((sampled_ns + way_ms * MS, sample));
+        }
+        while let Some((came_ns, sample)) = on_their_way.pop_front_if(|(came_ns, _)| *came_ns < report_ns) {
+            assert_eq!(tenure.handle_telemetry(came_ns, sample), None);
+        }
+        tenure.permit(report_ns).0.is_some()
+    });
+    granted.map(|tick| tick - answered)
+}
+
+#[test]
+fn telemetry_that_waited_on_its_way_shows_no_unanswered_report() {
+    // Two samples before each answer. The second one of tick 200 waits until after the report, and the next ones until
+    // after the next report.
+    let waiting = |tick| match tick {
+        200 => vec![[3, 0, 0], [1, 6, 0]],
+        201 => vec![[3, 4, 0], [1, 2, 0]],
+        _ => vec![[3, 0, 0], [1, 0, 0]],
+    };
+    assert_eq!(takeover_after(500, waiting), None);
+    assert_eq!(takeover_after(300, waiting), Some(2), "a leader that fails later is found as ever");
+}
+
+#[test]
+fn telemetry_of_one_time_is_as_old_as_its_first_message() {
+    // A clock of 10 ms. The second message of tick 200 waits, and the next ones.
+    let coarse = |tick| match tick {
+        200 => vec![[3, 0, 7], [1, 6, 9]],
+        201 => vec![[3, 4, 7], [1, 2, 9]],
+        _ => vec![[3, 0, 7], [1, 0, 9]],
+    };
+    assert_eq!(takeover_after(500, coarse), None);
+}
+
+#[test]
+fn a_clock_that_stands_still_leaves_arrivals() {
+    let mut tenure = Tenure::live(600, INTERVAL).in_reserve(None);
+    let shown = |tick: u64| Evidence { epoch: 1, accepted: 1 + tick.min(200), following: true, ..Evidence::default() };
+    let granted = (1..500).find(|tick| {
+        assert_eq!(tenure.handle_telemetry(NOON + tick * INTERVAL - MS, shown(tick - 1)), None);
+        tenure.permit(NOON + tick * INTERVAL).0.is_some()
+    });
+    assert_eq!(granted, Some(202));
+}
+
+#[test]
+fn a_difference_of_the_clocks_does_not_delay_a_takeover() {
+    for behind_ms in [0, 8, 1000, 3_600_000] {
+        for answered in [20, 300] {
+            assert_eq!(takeover_after(answered, |_| vec![[1, 0, behind_ms]]), Some(2), "{behind_ms} ms");
+        }
+    }
+    // The clock steps back at tick 200.
+    let stepped = |tick| vec![[1, 0, if tick < 200 { 0 } else { 8 }]];
+    assert_eq!(takeover_after(210, stepped), Some(3), "telemetry seems late for a second");
+    assert_eq!(takeover_after(310, stepped), Some(2));
 }

@@ -119,11 +119,9 @@ fn arriving<T: Message + Send + 'static>(bus: &Bus, key: &str) -> Result<(Receiv
 
 /// Which arrays get no commands of a controller, because they do not fit its scenario.
 fn unfit(status: &NodeStatus) -> Option<UnfitArrays> {
-    let is_unfit = status.counters.iter().any(|(name, count)| name == NodeStatus::ARRAY_UNFIT && *count > 0);
-    let name = |(name, _): &(String, u64)| Some(name.strip_prefix(NodeStatus::ARRAY_UNFIT_OF)?.to_owned());
-    let names = status.counters.iter().filter_map(name).collect::<Vec<_>>();
+    let names = status.unfit_arrays()?;
     let of = if names.is_empty() { String::new() } else { format!(" {}", printable(&names.join(" and "))) };
-    is_unfit.then(|| UnfitArrays {
+    Some(UnfitArrays {
         found: format!(
             "the array{of} does not fit the scenario of controller {}: {}",
             controller_name(status.stamp.source),

@@ -1,0 +1,165 @@
+//! An array and several controllers, each on a host of its own on one network.
+
+use heliostat_bus::{BusConfig, Reach};
+use heliostat_proto::{ArrayState, Nanos, Room};
+use heliostat_service::clock::utc_ns;
+
+use crate::faults::effect::Effect;
+use crate::faults::namespace::Segment;
+use crate::faults::witness::Witness;
+use crate::process::Process;
+use crate::wait::wait_until;
+
+const ROOM: &str = "faults";
+
+/// Each host has addresses of its own.
+const PORT: u16 = 7447;
+
+/// What a fault of one controller did to the array.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Succession {
+    /// Longest time between two accepted commands, in report intervals.
+    pub gap: f64,
+    /// Commands that the array would have accepted without the fault, less those accepted.
+    pub lost: u64,
+    /// Changes of the epoch that the array follows, until all controllers are back.
+    pub changes: usize,
+    /// Whether the array parked.
+    pub has_parked: bool,
+}
+
+/// An array on this host, and controllers on other ones.
+pub struct Team {
+    witness: Witness,
+    controllers: Vec<Process>,
+    /// When each was started.
+    started_ns: Vec<Nanos>,
+    interval_ns: Nanos,
+    _array: Process,
+    // Namespaces end after the processes in them.
+    segment: Segment,
+}
+
+impl Team {
+    /// Starts everything.
+    ///
+    /// # Panics
+    /// When the network cannot be made.
+    pub fn start(controllers: usize, reports_per_s: u64) -> Self {
+        let segment = Segment::create(controllers);
+        let endpoint = format!("tcp/{}:{PORT}", segment.own_address());
+        let rate = format!("streams.positions.rate_hz={reports_per_s}");
+        let rates = ["--set", &rate, "--set", "streams.telemetry.rate_hz=100", "--set", "streams.truth.rate_hz=0.1"];
+        let array = ["sim-node", "--room", ROOM, "--listen", &endpoint];
+        let _array = Process::heliostat(&[&array[..], &rates, &["--exit-with-parent", "--json"]].concat());
+        let room = Room::new(ROOM).expect("the name is valid");
+        // Peers do not forward the statuses of the controllers.
+        let endpoints = (0..controllers).map(|host| format!("tcp/{}:{PORT}", segment.address(host)));
+        let config = BusConfig::new(room).connect_to(&endpoint).reaching(Reach::Eventually);
+        let config = endpoints.fold(config, |config, endpoint| config.connect_to(&endpoint));
+        let mut team = Self {
+            witness: Witness::connect(&config),
+            controllers: Vec::new(),
+            started_ns: vec![0; controllers],
+            interval_ns: 1_000_000_000 / reports_per_s,
+            _array,
+            segment,
+        };
+        for index in 0..controllers {
+            team.started_ns[index] = utc_ns();
+            let controller = team.start_controller(index);
+            team.controllers.push(controller);
+            // The start of the next one tells their statuses apart.
+            wait_until("the status of a controller", || team.witness.controllers().len() > index);
+        }
+        team
+    }
+
+    /// Waits until one controller leads and all others stand by: its index, and that of one of the others.
+    ///
+    /// # Panics
+    /// When that does not happen within the time limit.
+    pub fn settle(&self) -> [usize; 2] {
+        self.witness.forget_controllers();
+        let mut found = None;
+        wait_until("one controller that leads and others that stand by", || {
+            let standing = self.is_standby();
+            let of = |is_standby| (0..standing.len()).filter(|index| standing[*index] == Some(is_standby)).collect();
+            let (leaders, standbys): (Vec<usize>, Vec<usize>) = (of(false), of(true));
+            let is_settled = leaders.len() == 1 && leaders.len() + standbys.len() == self.controllers.len();
+            if !is_settled && standing.iter().all(Option::is_some) {
+                self.witness.forget_controllers();
+            }
+            found = is_settled.then(|| [leaders[0], standbys[0]]);
+            is_settled && self.witness.state() == Some(ArrayState::Following)
+        });
+        found.expect("waited for")
+    }
+
+    /// Lets a fault happen, waits until all controllers are back, and returns its effect.
+    ///
+    /// # Panics
+    /// When they are not within the time limit.
+    pub fn undergo(&mut self, fault: impl FnOnce(&mut Self)) -> Succession {
+        let begin_ns = utc_ns();
+        fault(self);
+        self.settle();
+        let end_ns = utc_ns();
+        wait_until("a command after the fault", || {
+            self.witness.samples().last().is_some_and(|sample| sample.accepted_ns > end_ns)
+        });
+        let samples = self.witness.samples();
+        let effect = Effect::between(&samples, begin_ns, end_ns, self.interval_ns);
+        let first = samples.partition_point(|sample| sample.seen_ns < begin_ns).saturating_sub(1);
+        let changes = samples[first..].windows(2).filter(|pair| pair[0].epoch != pair[1].epoch).count();
+        Succession {
+            gap: effect.gap_ms * 1e6 / self.interval_ns as f64,
+            lost: effect.lost,
+            changes,
+            has_parked: effect.states.contains(&ArrayState::Parked),
+        }
+    }
+
+    /// A controller.
+    pub fn controller(&mut self, index: usize) -> &mut Process {
+        &mut self.controllers[index]
+    }
+
+    /// Starts a controller again, after it ended or was killed.
+    pub fn restart(&mut self, index: usize) {
+        self.started_ns[index] = utc_ns();
+        self.controllers[index] = self.start_controller(index);
+    }
+
+    /// The network of the hosts; each controller has the host of its index.
+    pub fn segment(&self) -> &Segment {
+        &self.segment
+    }
+
+    /// Whether each controller stands by, by its newest status.
+    fn is_standby(&self) -> Vec<Option<bool>> {
+        let mut found = vec![None; self.controllers.len()];
+        for (process_ns, state) in self.witness.controllers() {
+            // A status is of the controller that was started last before the start that it names.
+            let before = |index: &usize| self.started_ns[*index] <= process_ns;
+            if let Some(index) = (0..found.len()).filter(before).max_by_key(|index| self.started_ns[*index]) {
+                found[index] = Some(state == "standby");
+            }
+        }
+        found
+    }
+
+    fn start_controller(&self, index: usize) -> Process {
+        let endpoint = |address: String| format!("tcp/{address}:{PORT}");
+        let own = endpoint(self.segment.address(index));
+        let others = (0..self.started_ns.len()).filter(|host| *host != index);
+        let others = others.map(|host| self.segment.address(host)).chain([self.segment.own_address()]);
+        let others: Vec<String> = others.map(endpoint).collect();
+        let links = others.iter().flat_map(|other| ["--connect", other.as_str()]);
+        let start = ["controller", "--policy", "nearest", "--room", ROOM, "--listen", &own];
+        let arguments: Vec<&str> = start.into_iter().chain(links).collect();
+        let wrapper = self.segment.wrapper(index);
+        let wrapper: Vec<&str> = wrapper.iter().map(String::as_str).collect();
+        Process::heliostat_under(&wrapper, &[], &[&arguments[..], &["--exit-with-parent", "--json"]].concat())
+    }
+}

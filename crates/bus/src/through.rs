@@ -1,5 +1,8 @@
 //! A look into a room through one of its processes, where this process joins as a client.
 
+use std::cmp::Reverse;
+use std::collections::BTreeSet;
+use std::sync::mpsc::{self, Receiver};
 use std::thread;
 use std::time::Duration;
 
@@ -16,31 +19,55 @@ const ALIVE_WITHIN: Duration = Duration::from_millis(500);
 /// within the limit. The client's process passes on the messages of those to which it is connected, where peers pass
 /// nothing on. Nothing for a configuration that [is not joined through](is_joined_through) a process.
 pub fn join_through(config: &BusConfig, limit: Duration) -> (Option<Bus>, Vec<String>) {
-    if is_joined_through(config) { widest(config, limit) } else { (None, Vec::new()) }
+    let (sessions, unanswered) = join_all_through(config, limit);
+    (sessions.into_iter().next(), unanswered)
+}
+
+/// As [`join_through`], with a further client of each process that reaches others than those before.
+pub fn join_all_through(config: &BusConfig, limit: Duration) -> (Vec<Bus>, Vec<String>) {
+    let (mut sessions, mut unanswered) = (Vec::new(), Vec::new());
+    let opened = is_joined_through(config).then(|| join_each(config, limit));
+    for (index, bus) in opened.into_iter().flatten() {
+        match bus {
+            Some(bus) => {
+                let alive = bus.alive(&bus.room().all_alive(), ALIVE_WITHIN).unwrap_or_default();
+                sessions.push((index, bus, alive.into_iter().collect::<BTreeSet<String>>()));
+            }
+            None => unanswered.push(index),
+        }
+    }
+    // Of those that reach as many, the first one.
+    sessions.sort_by_key(|(index, _, alive)| (Reverse(alive.len()), *index));
+    let mut reached = BTreeSet::new();
+    let mut is_first = true;
+    sessions.retain(|(_, _, alive)| {
+        let is_kept = is_first || !alive.is_subset(&reached);
+        (is_first, _) = (false, reached.extend(alive.iter().cloned()));
+        is_kept
+    });
+    unanswered.sort_unstable();
+    let unanswered = unanswered.into_iter().map(|index| config.connect[index].clone()).collect();
+    (sessions.into_iter().map(|(_, bus, _)| bus).collect(), unanswered)
+}
+
+/// Opens a client of each process in `connect`, all at the same time. Each comes with the index of its endpoint as soon
+/// as it is open, and without a session where no process answers within the limit: none delays another one.
+pub fn join_each(config: &BusConfig, limit: Duration) -> Receiver<(usize, Option<Bus>)> {
+    let (sender, opened) = mpsc::channel();
+    for (index, endpoint) in config.connect.iter().enumerate() {
+        let client = BusConfig { role: Role::Client, connect: vec![endpoint.clone()], ..config.clone() };
+        let (client, sender) = (client.reaching(Reach::Within(limit)), sender.clone());
+        thread::spawn(move || {
+            let bus = Bus::has_listener(&client).then(|| Bus::open(&client).ok()).flatten();
+            // The receiver may have ended.
+            let _ = sender.send((index, bus));
+        });
+    }
+    opened
 }
 
 /// Whether a room can be joined through one of its processes. Neither a client of a router, nor a process that
 /// listens, nor one with a certificate, whose rights end at the first process: all of these join as they are.
 pub fn is_joined_through(config: &BusConfig) -> bool {
     config.role != Role::Client && config.identity.is_none() && config.listen.is_empty()
-}
-
-/// Tries all endpoints at the same time: one that does not answer delays no other one.
-fn widest(config: &BusConfig, limit: Duration) -> (Option<Bus>, Vec<String>) {
-    let reached = |endpoint: &String| -> Option<(usize, Bus)> {
-        let client = BusConfig { role: Role::Client, connect: vec![endpoint.clone()], ..config.clone() };
-        let client = client.reaching(Reach::Within(limit));
-        let bus = Bus::has_listener(&client).then(|| Bus::open(&client).ok()).flatten()?;
-        let reached = bus.alive(&bus.room().all_alive(), ALIVE_WITHIN).map_or(0, |alive| alive.len());
-        Some((reached, bus))
-    };
-    let tried: Vec<Option<(usize, Bus)>> = thread::scope(|scope| {
-        let tries: Vec<_> = config.connect.iter().map(|endpoint| scope.spawn(move || reached(endpoint))).collect();
-        tries.into_iter().map(|tried| tried.join().unwrap_or_default()).collect()
-    });
-    let unanswered = config.connect.iter().zip(&tried).filter(|(_, tried)| tried.is_none());
-    let unanswered = unanswered.map(|(endpoint, _)| endpoint.clone()).collect();
-    // Of those that reach as many, the first one.
-    let widest = tried.into_iter().flatten().reduce(|best, one| if one.0 > best.0 { one } else { best });
-    (widest.map(|(_, bus)| bus), unanswered)
 }

@@ -1,6 +1,6 @@
 //! A publisher of orders: it numbers them and reports a missing receiver.
 
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, PoisonError, RwLock};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -15,19 +15,32 @@ const DISCOVERY_LIMIT: Duration = Duration::from_secs(1);
 /// Time between two checks for a subscriber.
 const DISCOVERY_CHECK_EVERY: Duration = Duration::from_millis(20);
 
-/// A publisher that numbers its messages.
+/// A publisher that numbers its messages. Each goes out through every session that has joined.
 pub(crate) struct OrderPublisher {
     /// Name of the receiver in errors.
     receiver: &'static str,
-    publisher: Publisher,
+    publishers: RwLock<Vec<Publisher>>,
     sequence: Mutex<u64>,
 }
 
 impl OrderPublisher {
     /// Declares a publisher of a key; `receiver` names the process that subscribes to it.
     pub fn new(bus: &Bus, receiver: &'static str, key: &str) -> Result<Self, UiError> {
+        let own = Self::without_session(receiver);
+        own.join(bus, key)?;
+        Ok(own)
+    }
+
+    /// The same without a session.
+    pub fn without_session(receiver: &'static str) -> Self {
+        Self { receiver, publishers: RwLock::default(), sequence: Mutex::new(0) }
+    }
+
+    /// Publishes through this session too.
+    pub fn join(&self, bus: &Bus, key: &str) -> Result<(), UiError> {
         let publisher = bus.publisher(key, Class::RealTimeBlock)?;
-        Ok(Self { receiver, publisher, sequence: Mutex::new(0) })
+        self.publishers.write().unwrap_or_else(PoisonError::into_inner).push(publisher);
+        Ok(())
     }
 
     /// Waits up to [`DISCOVERY_LIMIT`] for a subscriber, then publishes in any case.
@@ -47,20 +60,30 @@ impl OrderPublisher {
         *sequence += 1;
         let mut payload = Vec::new();
         codec::encode(&message(Stamp { source, sequence: *sequence, time_ns: utc_ns() }), &mut payload)?;
-        Ok(self.publisher.put(&payload)?)
+        self.put(&payload)
     }
 
     /// Publishes a message again, with the stamp that it has.
     pub fn publish_again<M: Message>(&self, message: &M) -> Result<(), UiError> {
         let mut payload = Vec::new();
         codec::encode(message, &mut payload)?;
-        Ok(self.publisher.put(&payload)?)
+        self.put(&payload)
+    }
+
+    /// Puts a payload into every session; fails if one is closed.
+    fn put(&self, payload: &[u8]) -> Result<(), UiError> {
+        let publishers = self.publishers.read().unwrap_or_else(PoisonError::into_inner);
+        let put: Vec<_> = publishers.iter().map(|publisher| publisher.put(payload)).collect();
+        Ok(put.into_iter().collect::<Result<(), _>>()?)
     }
 
     fn await_subscriber(&self) -> Result<bool, UiError> {
         let deadline = Instant::now() + DISCOVERY_LIMIT;
         loop {
-            let has_subscriber = self.publisher.has_subscribers()?;
+            let publishers = self.publishers.read().unwrap_or_else(PoisonError::into_inner);
+            let found: Result<Vec<bool>, _> = publishers.iter().map(Publisher::has_subscribers).collect();
+            drop(publishers);
+            let has_subscriber = found?.contains(&true);
             if has_subscriber || Instant::now() >= deadline {
                 return Ok(has_subscriber);
             }

@@ -7,7 +7,8 @@
 //! belongs to the first messages of the contract, which is compared by time.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 
 use heliostat_bus::{Bus, Class, Publisher};
@@ -29,6 +30,9 @@ const REPEAT_AFTER: Duration = Duration::from_nanos(STOP_REPEAT_NS);
 /// waits for the record of the stop for 250 ms.
 const REPEATED_WITHIN: Duration = Duration::from_secs(1);
 
+/// Time between two looks at the sessions that are on their way.
+const JOIN_CHECK_EVERY: Duration = Duration::from_millis(20);
+
 /// The geometry of a room is announced each second, and so is a safety report.
 const ANNOUNCED_WITHIN: Duration = Duration::from_millis(1500);
 
@@ -42,6 +46,8 @@ pub struct StopSwitch {
     opened: Instant,
     seen: Arc<StopWatch>,
     own: Mutex<Option<OwnStop>>,
+    /// Further sessions are on their way.
+    is_joining: AtomicBool,
 }
 
 /// The last stop of this process.
@@ -52,39 +58,67 @@ struct OwnStop {
 }
 
 /// The publishers of repetitions.
+#[derive(Default)]
 struct Repetitions {
-    arrays: Vec<Publisher>,
+    /// Of each session, by array.
+    sessions: RwLock<Vec<Vec<Publisher>>>,
     sequences: Mutex<BTreeMap<usize, u64>>,
     last: Mutex<Option<Instant>>,
 }
 
 impl StopSwitch {
-    /// A switch for the arrays in the room of a session; `operator` is the name in the orders.
-    ///
-    /// # Errors
-    /// [`UiError::Bus`] if the session is closed.
-    pub fn new(bus: &Bus, operator: &str) -> Result<Self, UiError> {
-        Self::of(bus, operator, StopWatch::open(bus)?)
+    /// A switch that reaches no array yet; `operator` is the name in the orders.
+    pub fn new(operator: &str) -> Self {
+        Self::with(operator, StopWatch::without_session())
     }
 
-    /// The same with the arrays that a view watches.
+    /// A switch for the arrays that a view watches in the room of its session.
     pub(crate) fn of(bus: &Bus, operator: &str, seen: Arc<StopWatch>) -> Result<Self, UiError> {
-        let room = bus.room();
-        let publisher = |array| bus.publisher(&room.array(array).stop_repetition(), Class::RealTimeBlock);
-        Ok(Self {
+        let switch = Self::with(operator, seen);
+        switch.publish_in(bus)?;
+        Ok(switch)
+    }
+
+    fn with(operator: &str, seen: Arc<StopWatch>) -> Self {
+        Self {
             source: source_id::random(),
             operator: operator.to_owned(),
-            stop: OrderPublisher::new(bus, "array", &room.stop())?,
-            rearm: OrderPublisher::new(bus, "array", &room.rearm())?,
-            repetitions: Repetitions {
-                arrays: (0..MAX_ARRAYS).map(publisher).collect::<Result<_, _>>()?,
-                sequences: Mutex::default(),
-                last: Mutex::default(),
-            },
+            stop: OrderPublisher::without_session("array"),
+            rearm: OrderPublisher::without_session("array"),
+            repetitions: Repetitions::default(),
             opened: Instant::now(),
             seen,
             own: Mutex::default(),
-        })
+            is_joining: AtomicBool::new(false),
+        }
+    }
+
+    /// Whether further sessions are on their way: no stop is confirmed before each one has joined or failed.
+    pub fn set_joining(&self, is_joining: bool) {
+        self.is_joining.store(is_joining, Ordering::SeqCst);
+    }
+
+    /// Reaches the arrays that a session of the room reaches, too. They get the last stop of this process, if it is
+    /// still held.
+    ///
+    /// # Errors
+    /// [`UiError::Bus`] if the session is closed.
+    pub fn join(&self, bus: &Bus) -> Result<(), UiError> {
+        self.publish_in(bus)?;
+        let own = self.own.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        if let Some(own) = own.filter(|_| self.is_own_held()) {
+            self.stop.publish_again(&own.order)?;
+        }
+        self.seen.join(bus)
+    }
+
+    fn publish_in(&self, bus: &Bus) -> Result<(), UiError> {
+        let room = bus.room();
+        let publisher = |array| bus.publisher(&room.array(array).stop_repetition(), Class::RealTimeBlock);
+        let repetitions = (0..MAX_ARRAYS).map(publisher).collect::<Result<_, _>>()?;
+        self.repetitions.sessions.write().unwrap_or_else(PoisonError::into_inner).push(repetitions);
+        self.rearm.join(bus, &room.rearm())?;
+        self.stop.join(bus, &room.stop())
     }
 
     /// The stops of the room, and what each array does about them.
@@ -204,10 +238,11 @@ impl StopSwitch {
             *sequence += 1;
             let repetition = held.repetition(Stamp { source: self.source, sequence: *sequence, time_ns: utc_ns() });
             let mut payload = Vec::new();
-            if codec::encode(&repetition, &mut payload).is_ok()
-                && let Some(publisher) = self.repetitions.arrays.get(array)
-            {
-                let _ = publisher.put(&payload);
+            if codec::encode(&repetition, &mut payload).is_ok() {
+                let sessions = self.repetitions.sessions.read().unwrap_or_else(PoisonError::into_inner);
+                for publisher in sessions.iter().filter_map(|arrays| arrays.get(array)) {
+                    let _ = publisher.put(&payload);
+                }
             }
         }
     }
@@ -232,17 +267,19 @@ impl StopSwitch {
         loop {
             let is_confirmed = self.seen.wait(REPEAT_AFTER, is_stopped);
             confirmed = if is_confirmed { confirmed.or(Some(begun.elapsed())) } else { None };
-            let is_complete = self.seen.lock().has_geometry();
-            if let Some(took) = confirmed.filter(|_| is_complete) {
+            let (has_geometry, is_joining) = (self.seen.lock().has_geometry(), self.is_joining.load(Ordering::SeqCst));
+            if let Some(took) = confirmed.filter(|_| has_geometry && !is_joining) {
                 return Ok(took);
             }
-            let is_unknown = confirmed.is_some() && self.opened.elapsed() > ANNOUNCED_WITHIN;
+            let is_counted = has_geometry || is_joining;
+            let is_unknown = confirmed.is_some() && !is_counted && self.opened.elapsed() > ANNOUNCED_WITHIN;
             if begun.elapsed() >= limit || is_unknown {
                 return Err(self.unconfirmed(name, since, limit, sent.err()));
             }
             if is_confirmed {
                 // The geometry may name an array that has not reported yet.
-                self.seen.wait(REPEAT_AFTER.min(limit), |seen, _| seen.has_geometry());
+                let is_joined = || !self.is_joining.load(Ordering::SeqCst);
+                self.seen.wait(JOIN_CHECK_EVERY.min(limit), |seen, _| seen.has_geometry() && is_joined());
             } else {
                 // Only while no array is known: it would also stop those at which an operator has released it.
                 if self.seen.lock().is_empty() {

@@ -2,12 +2,13 @@
 //!
 //! [`ReportedStops`] decides whether a room is stopped; the page and the command line show its result.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use heliostat_bus::{Bus, Presence, Subscription};
 use heliostat_proto::keys::parse_array_alive;
-use heliostat_proto::reported_stops::{ReportedStops, RoomStop, Standing};
+use heliostat_proto::reported_stops::{Driver, ReportedStops, RoomStop, Standing};
 use heliostat_proto::{
     EmergencyStop, Message, MirrorTelemetry, RoomGeometry, SafetyReport, StopName, StopReport, codec,
 };
@@ -136,7 +137,8 @@ impl RoomStops {
 /// Watches the arrays of a room; the view, the page and the command line share what it has seen.
 pub(crate) struct StopWatch {
     state: Arc<WatchState>,
-    _subscriptions: Vec<Subscription>,
+    /// Of each session that has joined.
+    subscriptions: Mutex<Vec<Vec<Subscription>>>,
 }
 
 /// What was reported, with a signal for each change.
@@ -147,6 +149,8 @@ struct WatchState {
     seen: Mutex<ReportedStops>,
     changed: Condvar,
     arrays: Mutex<ArrayReports>,
+    /// The sessions in which the token of each driver is seen.
+    tokens: Mutex<BTreeMap<Driver, BTreeSet<usize>>>,
 }
 
 impl StopWatch {
@@ -155,16 +159,35 @@ impl StopWatch {
     /// # Errors
     /// [`UiError::Bus`] if the session is closed.
     pub fn open(bus: &Bus) -> Result<Arc<Self>, UiError> {
+        let watch = Self::without_session();
+        watch.join(bus)?;
+        Ok(watch)
+    }
+
+    /// Watches nothing yet.
+    pub fn without_session() -> Arc<Self> {
         let state = Arc::new(WatchState {
             opened: Instant::now(),
             seen: Mutex::default(),
             changed: Condvar::new(),
             arrays: Mutex::default(),
+            tokens: Mutex::default(),
         });
+        Arc::new(Self { state, subscriptions: Mutex::default() })
+    }
+
+    /// Watches the arrays that this session reaches too. What two sessions show counts once.
+    ///
+    /// # Errors
+    /// [`UiError::Bus`] if the session is closed.
+    pub fn join(&self, bus: &Bus) -> Result<(), UiError> {
+        let state = &self.state;
+        let mut sessions = self.subscriptions.lock().unwrap_or_else(PoisonError::into_inner);
+        let session = sessions.len();
         let mut subscriptions = Vec::new();
         let room = bus.room();
         for keys in [room.array(0), room.later_arrays()] {
-            let (first, shown) = (room.clone(), Arc::clone(&state));
+            let (first, shown) = (room.clone(), Arc::clone(state));
             subscriptions.push(bus.subscribe_keyed(&keys.telemetry(), move |key, payload| {
                 if let Ok(report) = codec::decode::<MirrorTelemetry>(payload) {
                     let (array, _) = first.first_array_key(key);
@@ -196,13 +219,14 @@ impl StopWatch {
                 }
             },
         )?);
-        let present = Arc::clone(&state);
+        let present = Arc::clone(state);
         subscriptions.push(bus.watch(&room.all_alive(), move |key, presence| {
             if let Some(driver) = parse_array_alive(key) {
-                present.note(|seen, now| seen.handle_driver(now, driver, presence == Presence::Alive));
+                present.note_token(session, driver, presence == Presence::Alive);
             }
         })?);
-        Ok(Arc::new(Self { state, _subscriptions: subscriptions }))
+        sessions.push(subscriptions);
+        Ok(())
     }
 
     /// Expects so many arrays, as if a geometry announced them.
@@ -281,6 +305,23 @@ impl WatchState {
 
     fn arrays(&self) -> MutexGuard<'_, ArrayReports> {
         self.arrays.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A driver is there as long as one session sees its token.
+    fn note_token(&self, session: usize, driver: Driver, is_alive: bool) {
+        let mut tokens = self.tokens.lock().unwrap_or_else(PoisonError::into_inner);
+        let seen_in = tokens.entry(driver).or_default();
+        if is_alive {
+            seen_in.insert(session);
+        } else {
+            seen_in.remove(&session);
+        }
+        let is_there = !seen_in.is_empty();
+        if !is_there {
+            tokens.remove(&driver);
+        }
+        // Under the lock: two sessions report in the order of their changes.
+        self.note(|seen, now| seen.handle_driver(now, driver, is_there));
     }
 
     fn note(&self, set: impl FnOnce(&mut ReportedStops, Duration)) {

@@ -35,6 +35,8 @@ pub struct Team {
     /// When each was started.
     started_ns: Vec<Nanos>,
     interval_ns: Nanos,
+    /// The setting of the rate of the reports, which array and controllers share.
+    rate: String,
     _array: Process,
     // Namespaces end after the processes in them.
     segment: Segment,
@@ -51,7 +53,8 @@ impl Team {
         let rate = format!("streams.positions.rate_hz={reports_per_s}");
         let rates = ["--set", &rate, "--set", "streams.telemetry.rate_hz=100", "--set", "streams.truth.rate_hz=0.1"];
         let array = ["sim-node", "--room", ROOM, "--listen", &endpoint];
-        let _array = Process::heliostat(&[&array[..], &rates, &["--exit-with-parent", "--json"]].concat());
+        let _array =
+            Process::heliostat(&[&array[..], &rates, &["--insecure", "--exit-with-parent", "--json"]].concat());
         let room = Room::new(ROOM).expect("the name is valid");
         // Peers do not forward the statuses of the controllers.
         let endpoints = (0..controllers).map(|host| format!("tcp/{}:{PORT}", segment.address(host)));
@@ -62,6 +65,7 @@ impl Team {
             controllers: Vec::new(),
             started_ns: vec![0; controllers],
             interval_ns: 1_000_000_000 / reports_per_s,
+            rate,
             _array,
             segment,
         };
@@ -156,10 +160,14 @@ impl Team {
         let others = others.map(|host| self.segment.address(host)).chain([self.segment.own_address()]);
         let others: Vec<String> = others.map(endpoint).collect();
         let links = others.iter().flat_map(|other| ["--connect", other.as_str()]);
-        let start = ["controller", "--policy", "nearest", "--room", ROOM, "--listen", &own];
+        let start = ["controller", "--policy", "nearest", "--room", ROOM, "--set", &self.rate, "--listen", &own];
         let arguments: Vec<&str> = start.into_iter().chain(links).collect();
         let wrapper = self.segment.wrapper(index);
         let wrapper: Vec<&str> = wrapper.iter().map(String::as_str).collect();
-        Process::heliostat_under(&wrapper, &[], &[&arguments[..], &["--exit-with-parent", "--json"]].concat())
+        Process::heliostat_under(
+            &wrapper,
+            &[],
+            &[&arguments[..], &["--insecure", "--exit-with-parent", "--json"]].concat(),
+        )
     }
 }

@@ -54,7 +54,11 @@ pub(super) fn find_problem(config: &BusConfig) -> Option<String> {
 
 /// What `again` connects, where a process accepts connections and has not answered yet; else why there is no
 /// connection.
-fn why_unconnected<T>(config: &BusConfig, limit: Duration, again: impl FnOnce() -> Option<T>) -> Result<T, String> {
+pub(super) fn why_unconnected<T>(
+    config: &BusConfig,
+    limit: Duration,
+    again: impl FnOnce() -> Option<T>,
+) -> Result<T, String> {
     if let Some(problem) = find_problem(config) {
         return Err(problem);
     }

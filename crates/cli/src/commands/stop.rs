@@ -1,19 +1,25 @@
 //! `heliostat stop` and `heliostat rearm`: the emergency stop from the command line.
 
 use std::io;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, anyhow, bail, ensure};
-use heliostat_bus::{ACCEPTS_WITHIN, AccessRole, Bus, BusArgs, BusConfig};
-use heliostat_proto::StopName;
+use heliostat_bus::{
+    ACCEPTS_WITHIN, AccessRole, Bus, BusArgs, BusConfig, BusError, KeyError, is_joined_through, join_all_through,
+    join_each,
+};
 use heliostat_proto::reported_stops::RoomStop;
+use heliostat_proto::{Room, StopName};
 use heliostat_service::printable::printable;
+use heliostat_service::signals::end_on_signals;
 use heliostat_service::{EndArgs, duration, output};
 use heliostat_ui::{StopLabel, StopSwitch, UNKNOWN_ARRAYS, UiError, still_stopped, stop_in_words};
 use serde_json::json;
 
-use super::join::{find_problem, join};
+use super::join::{find_problem, join, why_unconnected};
 
 /// An operator knows within this time whether the order has a connection. The help of `--timeout` names it.
 const JOINED_WITHIN: Duration = Duration::from_secs(2);
@@ -93,25 +99,35 @@ struct OrderArgs {
 /// Runs `heliostat stop`.
 pub fn stop(args: StopArgs) -> Result<()> {
     let OrderArgs { reason, timeout, .. } = &args.order;
+    let begun = Instant::now();
+    let order = Order::new(&args.order);
+    // A stop that is held ends with a word, from its order on. Nothing keeps it from being sent.
+    let end = args.hold.then(|| args.end.stop());
+    if end.is_none() {
+        order.end_with_a_word(
+            "heliostat stop",
+            "the stop was sent, and is not confirmed: it is in force where it arrived",
+        );
+    }
     // Every role may stop the array, so any certificate of the folder serves.
-    let (bus, switch) = args.order.join(&[&[AccessRole::Operator], &AccessRole::ALL[..]].concat(), args.hold)?;
+    let config = args.order.config_of_any_role()?;
+    let joined = if args.hold { order.join_and_wait(config) } else { order.join_at_once(config) };
+    let (switch, room) = (&order.switch, joined?);
     if let Some(arrays) = args.arrays {
         switch.expect(arrays.into());
     }
-    // A stop that is held ends with a word, from its order on. Nothing keeps it from being sent.
-    let end = args.hold.then(|| args.end.stop());
-    let begun = Instant::now();
-    let stopped = switch.stop_and_confirm(reason, *timeout).map_err(with_reach);
-    note_shared(&switch);
+    let joined = begun.elapsed();
+    order.is_sent.store(true, Ordering::SeqCst);
+    let stopped = switch.stop_and_confirm(reason, *timeout).map(|took| joined + took).map_err(with_reach);
+    note_shared(switch);
     let Some(end) = end else {
-        let unrecorded = args.order.report(&bus, &switch, stopped?, begun)?;
-        drop(switch);
-        let closed = bus.close();
+        let unrecorded = args.order.report(&room, switch, stopped?, begun)?;
+        let closed = order.close();
         ensure!(unrecorded.is_empty(), "{}", unrecorded.join("; "));
         return Ok(closed?);
     };
     match &stopped {
-        Ok(took) => match args.order.report(&bus, &switch, *took, begun) {
+        Ok(took) => match args.order.report(&room, switch, *took, begun) {
             Ok(unrecorded) => unrecorded.into_iter().for_each(output::note),
             Err(error) => output::note(format_args!("heliostat stop: {error}; the stop is held: end with Ctrl-C")),
         },
@@ -131,8 +147,7 @@ pub fn stop(args: StopArgs) -> Result<()> {
              cut the power",
         );
     }
-    drop(switch);
-    Ok(bus.close()?)
+    Ok(order.close()?)
 }
 
 /// An error of a stop; of an unconfirmed one with what this command cannot see.
@@ -160,7 +175,13 @@ fn with_reach(error: UiError) -> anyhow::Error {
 /// Runs `heliostat rearm`.
 pub fn rearm(args: RearmArgs) -> Result<()> {
     let OrderArgs { reason, timeout, .. } = &args.order;
-    let (bus, switch) = args.order.join(&[AccessRole::Operator], false)?;
+    let order = Order::new(&args.order);
+    order.end_with_a_word(
+        "heliostat rearm",
+        "the release was sent, and is not confirmed: it takes effect where it arrived",
+    );
+    let room = order.join_widely(args.order.bus.config_or_connect(&[AccessRole::Operator])?)?;
+    let switch = &order.switch;
     let begun = Instant::now();
     let stops = switch.stops(*timeout);
     let known: Vec<StopName> = stops.iter().map(|stop| stop.name).collect();
@@ -176,8 +197,9 @@ pub fn rearm(args: RearmArgs) -> Result<()> {
         _ => stops,
     };
     let names: Vec<StopName> = named.iter().map(|stop| stop.name).collect();
+    order.is_sent.store(true, Ordering::SeqCst);
     let released = switch.rearm_and_confirm(&names, reason, timeout.saturating_sub(begun.elapsed()));
-    note_shared(&switch);
+    note_shared(switch);
     let took = released.map_err(|error| match error {
         // The search for the stops is a part of the wait.
         UiError::RearmUnconfirmed { arrays, .. } => UiError::RearmUnconfirmed { waited: *timeout, arrays },
@@ -185,9 +207,8 @@ pub fn rearm(args: RearmArgs) -> Result<()> {
     })?;
     let left = timeout.saturating_sub(begun.elapsed());
     let further = if may_follow(&named) { switch.further_stops(&known, left) } else { Vec::new() };
-    let written = args.order.report_release(&bus, took, &named, &switch.known_stops());
-    drop(switch);
-    let closed = bus.close();
+    let written = args.order.report_release(&room, took, &named, &switch.known_stops());
+    let closed = order.close();
     if let Some(rest) = still_stopped(&further) {
         bail!("{rest}; {LOOK_AND_REPEAT}");
     }
@@ -219,42 +240,170 @@ fn note_shared(switch: &StopSwitch) {
     switch.shared_arrays().into_iter().for_each(output::note);
 }
 
-impl OrderArgs {
-    /// Joins the room; without a connection it fails, unless the command waits for one.
-    fn join(&self, roles: &[AccessRole], waits: bool) -> Result<(Bus, StopSwitch)> {
-        let config = self.bus.config_or_connect(roles)?;
-        let bus = if waits {
-            let bus = Bus::open(&config)?;
-            if !bus.wait_connected(ACCEPTS_WITHIN.min(self.timeout)) {
-                // The search for the reason delays no order.
-                thread::spawn(move || note_unconnected(&config));
-            }
-            bus
-        } else {
-            join(&config, JOINED_WITHIN.min(self.timeout)).map_err(|reason| {
-                anyhow!(
-                    "{reason}. Nothing was sent, and nothing is known about the arrays: give --connect the endpoint of the \
-                     controller, of the driver or of their router. To stop the mirrors now, cut their power"
-                )
-            })?
-        };
+/// An order on its way: its switch, and the sessions through which it goes out.
+struct Order {
+    switch: Arc<StopSwitch>,
+    sessions: Arc<Mutex<Vec<Bus>>>,
+    /// Longest wait for a process that accepts connections.
+    limit: Duration,
+    /// Whether anything was sent.
+    is_sent: Arc<AtomicBool>,
+}
+
+impl Order {
+    fn new(args: &OrderArgs) -> Self {
         let user = || std::env::var("USER").unwrap_or_else(|_| "operator".into());
-        let operator = self.operator.clone().unwrap_or_else(user);
-        let switch = StopSwitch::new(&bus, &operator)?;
-        Ok((bus, switch))
+        let operator = args.operator.clone().unwrap_or_else(user);
+        Self {
+            switch: Arc::new(StopSwitch::new(&operator)),
+            sessions: Arc::default(),
+            limit: JOINED_WITHIN.min(args.timeout),
+            is_sent: Arc::default(),
+        }
+    }
+
+    /// Ends at a signal with what is known of the order: `sent`, or that nothing was sent.
+    fn end_with_a_word(&self, program: &'static str, sent: &'static str) {
+        let is_sent = Arc::clone(&self.is_sent);
+        let said = move || match is_sent.load(Ordering::SeqCst) {
+            true => format!("{sent}; look at `heliostat status`"),
+            false => "nothing was sent".to_owned(),
+        };
+        // Nothing keeps an order from being sent.
+        let _ = end_on_signals(program, said);
+    }
+
+    /// Adds a session.
+    fn add(&self, bus: Bus) -> Result<()> {
+        self.switch.join(&bus)?;
+        self.sessions.lock().unwrap_or_else(PoisonError::into_inner).push(bus);
+        Ok(())
+    }
+
+    /// Joins the room; where there is no connection yet, it waits for one.
+    fn join_and_wait(&self, config: BusConfig) -> Result<Room> {
+        let (room, bus) = (config.room.clone(), Bus::open(&config)?);
+        if !bus.wait_connected(ACCEPTS_WITHIN.min(self.limit)) {
+            // The search for the reason delays no order.
+            thread::spawn(move || note_unconnected(&config));
+        }
+        self.add(bus)?;
+        Ok(room)
+    }
+
+    /// Joins the room through each endpoint, and returns with the first session. The others join the switch when they
+    /// are open: a process that does not answer delays no order.
+    fn join_at_once(&self, config: BusConfig) -> Result<Room> {
+        if !is_joined_through(&config) {
+            return self.join_widely(config);
+        }
+        let opened = join_each(&config, ACCEPTS_WITHIN);
+        let (switch, sessions) = (Arc::clone(&self.switch), Arc::clone(&self.sessions));
+        let (first, has_first) = mpsc::channel();
+        let endpoints = config.connect.clone();
+        switch.set_joining(true);
+        thread::spawn(move || {
+            for (index, bus) in opened {
+                match bus.filter(|bus| switch.join(bus).is_ok()) {
+                    Some(bus) => {
+                        sessions.lock().unwrap_or_else(PoisonError::into_inner).push(bus);
+                        // Only the first one is awaited.
+                        let _ = first.send(());
+                    }
+                    None if endpoints.len() > 1 => note_unanswered(&endpoints[index]),
+                    None => {}
+                }
+            }
+            switch.set_joining(false);
+        });
+        if has_first.recv().is_ok() {
+            return Ok(config.room.clone());
+        }
+        self.join_late(&config)
+    }
+
+    /// Joins the room through each endpoint that reaches processes of its own.
+    fn join_widely(&self, config: BusConfig) -> Result<Room> {
+        if !is_joined_through(&config) {
+            self.add(join(&config, self.limit).map_err(unsent)?)?;
+            return Ok(config.room);
+        }
+        let (sessions, unanswered) = join_all_through(&config, ACCEPTS_WITHIN);
+        if config.connect.len() > 1 {
+            unanswered.iter().for_each(|endpoint| note_unanswered(endpoint));
+        }
+        if sessions.is_empty() {
+            return self.join_late(&config);
+        }
+        sessions.into_iter().try_for_each(|bus| self.add(bus))?;
+        Ok(config.room)
+    }
+
+    /// Where no process has answered in time: why, or a further attempt.
+    fn join_late(&self, config: &BusConfig) -> Result<Room> {
+        let left = self.limit.saturating_sub(ACCEPTS_WITHIN);
+        let sessions = why_unconnected(config, self.limit, || {
+            let (sessions, _) = join_all_through(config, left);
+            (!sessions.is_empty()).then_some(sessions)
+        });
+        sessions.map_err(unsent)?.into_iter().try_for_each(|bus| self.add(bus))?;
+        Ok(config.room.clone())
+    }
+
+    /// Ends the sessions, so that what was sent leaves.
+    fn close(self) -> Result<(), BusError> {
+        let sessions = std::mem::take(&mut *self.sessions.lock().unwrap_or_else(PoisonError::into_inner));
+        drop(self.switch);
+        let closed: Vec<_> = sessions.into_iter().map(Bus::close).collect();
+        closed.into_iter().collect()
+    }
+}
+
+/// What an operator has to know where no process answers.
+fn unsent(reason: String) -> anyhow::Error {
+    anyhow!(
+        "{reason}. Nothing was sent, and nothing is known about the arrays: give --connect the endpoint of the controller, of \
+         the driver or of their router. To stop the mirrors now, cut their power"
+    )
+}
+
+fn note_unanswered(endpoint: &str) {
+    output::note(format_args!("no process of a room answers at {endpoint}"));
+}
+
+impl OrderArgs {
+    /// The configuration with the first role of the folder whose files can be used, the operator's before others.
+    fn config_of_any_role(&self) -> Result<BusConfig> {
+        let mut unusable = None;
+        for role in [&[AccessRole::Operator], &AccessRole::ALL[..]].concat() {
+            match self.bus.config_or_connect(&[role]) {
+                Ok(config) => {
+                    if let Some(problem) = unusable {
+                        output::note(format_args!("{problem}; the stop has the certificate of {role}"));
+                    }
+                    return Ok(config);
+                }
+                Err(BusError::Keys(KeyError::NoRole { .. })) => {}
+                Err(error) => unusable = unusable.or(Some(error)),
+            }
+        }
+        match unusable {
+            Some(error) => Err(unsent(error.to_string())),
+            None => Ok(self.bus.config_or_connect(&AccessRole::ALL)?),
+        }
     }
 
     /// Prints that every array is stopped, with the stops in force; returns the arrays that do not record the stop.
-    fn report(&self, bus: &Bus, switch: &StopSwitch, took: Duration, begun: Instant) -> Result<Vec<String>> {
+    fn report(&self, room: &Room, switch: &StopSwitch, took: Duration, begun: Instant) -> Result<Vec<String>> {
         let stops = &switch.known_stops()[..];
         let find_unrecorded = || switch.unrecorded(self.timeout.saturating_sub(begun.elapsed()));
         let (written, unrecorded) = if self.json {
             let unrecorded = find_unrecorded();
-            let mut result = to_json(bus, "stopped", took, [stops; 2]);
+            let mut result = to_json(room, "stopped", took, [stops; 2]);
             result["unrecorded"] = json!(unrecorded);
             (print_outcome(&result.to_string()), unrecorded)
         } else {
-            let (room, took_ms) = (bus.room().name(), took.as_secs_f64() * 1e3);
+            let (room, took_ms) = (room.name(), took.as_secs_f64() * 1e3);
             let text = format!("the arrays of room {room} are stopped, confirmed after {took_ms:.1} ms");
             // Before the wait for the records.
             (print_outcome(&with_stops(text, stops)), find_unrecorded())
@@ -267,16 +416,16 @@ impl OrderArgs {
     }
 
     /// Prints that stops are released, and what the arrays report to hold after that.
-    fn report_release(&self, bus: &Bus, took: Duration, released: &[RoomStop], held: &[RoomStop]) -> Result<()> {
+    fn report_release(&self, room: &Room, took: Duration, released: &[RoomStop], held: &[RoomStop]) -> Result<()> {
         let text = if self.json {
             let array = match (held.is_empty(), may_follow(released)) {
                 (false, _) => "stopped",
                 (true, true) => "unknown",
                 (true, false) => "released",
             };
-            to_json(bus, array, took, [released, held]).to_string()
+            to_json(room, array, took, [released, held]).to_string()
         } else {
-            with_stops(release_in_words(bus.room().name(), took, released, held), released)
+            with_stops(release_in_words(room.name(), took, released, held), released)
         };
         Ok(print_outcome(&text)?)
     }
@@ -301,9 +450,9 @@ fn print_outcome(text: &str) -> io::Result<()> {
 }
 
 /// The result of an order about these stops, with those in force after it.
-fn to_json(bus: &Bus, array: &str, took: Duration, [of_order, held]: [&[RoomStop]; 2]) -> serde_json::Value {
+fn to_json(room: &Room, array: &str, took: Duration, [of_order, held]: [&[RoomStop]; 2]) -> serde_json::Value {
     json!({
-        "room": bus.room().name(),
+        "room": room.name(),
         "array": array,
         "confirmed_after_ms": took.as_secs_f64() * 1e3,
         "stops": of_order.iter().map(as_json).collect::<Vec<_>>(),

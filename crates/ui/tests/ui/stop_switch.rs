@@ -192,7 +192,8 @@ fn announced(room: &str, manners: &[Manner], count: Option<usize>) -> (Vec<Array
     let arrays: Vec<Array> =
         manners.iter().enumerate().map(|(index, manner)| Array::new(&own, index, *manner, count)).collect();
     let bus = Bus::open(&config.connect_to(&endpoint)).unwrap();
-    let switch = StopSwitch::new(&bus, "ann").unwrap();
+    let switch = StopSwitch::new("ann");
+    switch.join(&bus).unwrap();
     (arrays, switch, (own, bus))
 }
 

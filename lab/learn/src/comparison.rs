@@ -72,11 +72,11 @@ pub struct Report {
     pub channel_mode: &'static str,
     /// Static or closed loop.
     pub mode: Loop,
-    /// States of each room seed.
+    /// States of each seed.
     pub states: usize,
-    /// The first room seed.
+    /// The first seed.
     pub seed: u64,
-    /// Number of room seeds.
+    /// Number of seeds; each episode, or state of a static comparison, is a room with a seed of its own.
     pub seeds: usize,
     /// Independent groups of states of all seeds, from which intervals come: episodes in closed loop,
     /// states in a static comparison.

@@ -25,6 +25,7 @@ mod closed_loop;
 mod episode_row;
 mod evaluated_policy;
 pub(crate) mod evaluator;
+mod paired;
 mod progress;
 mod python_policy;
 mod row;
@@ -52,9 +53,10 @@ pub use episode_row::EpisodeRow;
 pub use evaluated_policy::{EvaluatedPolicy, UnknownPolicy};
 pub use heliostat_environment::outage::{OUTAGE_LENGTHS_S, Outages};
 pub use heliostat_environment::statistics::Spread;
+pub use paired::paired;
 pub use progress::Progress;
 pub(crate) use progress::progress_bar;
-pub use row::{Row, Times};
+pub use row::{Row, Times, bounded};
 pub use settings::{Loop, Settings};
 pub use stale_aim::kept_sinr;
 pub use tracked_user::TrackedUser;
@@ -70,11 +72,11 @@ pub struct Report {
     pub channel_mode: &'static str,
     /// Static or closed loop.
     pub mode: Loop,
-    /// States of each room seed.
+    /// States of each seed.
     pub states: usize,
-    /// The first room seed.
+    /// The first seed.
     pub seed: u64,
-    /// Number of room seeds.
+    /// Number of seeds; each episode, or state of a static comparison, is a room with a seed of its own.
     pub seeds: usize,
     /// Independent groups of states of all seeds, from which intervals come: episodes in closed loop,
     /// states in a static comparison.

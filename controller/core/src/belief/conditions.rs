@@ -3,7 +3,7 @@
 
 use std::fmt;
 
-use heliostat_channel::ChannelModel;
+use heliostat_channel::{ChannelModel, Vec3, los};
 use heliostat_scenario::{self as scenario, MismatchLevel, MobilityModel, OrientationModel, Scenario};
 use serde::Serialize;
 
@@ -89,29 +89,35 @@ pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
         add(false, "the filter", because, "headings, tilts and obstacles are not inferred; set it to \"filter\"");
         return found;
     }
+    let is_reported = streams.orientation.is_some();
+    let is_single_open = tilt::is_single_open_detector(model);
     add(
-        scenario.blockage.bodies,
+        scenario.blockage.bodies || is_reported,
         "the heading of a standing user by measured gains",
         "blockage.bodies = false".to_owned(),
         "the gains show neither headings nor tilted receivers; report orientations",
     );
     add(
-        tilt::is_single_open_detector(model),
+        is_single_open || is_reported,
         "the tilt of a receiver by measured gains",
         format!("receiver: {}", receiver(model)),
         "an expected gain is that at the mean heading; report orientations, or use one detector that faces up with a field of view of 90 degrees",
     );
     add(
         scenario.users.orientation.is_none()
-            || streams.orientation.is_some()
+            || is_reported
             || scenario.control.tilt.is_some()
-            || (tilt::is_single_open_detector(model) && scenario.blockage.bodies),
+            || (is_single_open && scenario.blockage.bodies),
         "the orientation of receivers that users hold",
         "users.orientation, without streams.orientation and without control.tilt".to_owned(),
-        "every receiver counts as facing up; add the table [control.tilt], or report orientations",
+        // The assumed tilt of other receivers has no effect on what their gains show.
+        match is_single_open {
+            true => "every receiver counts as facing up; add the table [control.tilt], or report orientations",
+            false => "every receiver counts as facing up; report orientations",
+        },
     );
     let assumed = scenario.control.tilt.unwrap_or_default();
-    let differing = users.orientation.iter().filter(|_| streams.orientation.is_none()).find_map(|held| {
+    let differing = users.orientation.iter().filter(|_| !is_reported).find_map(|held| {
         let angles = [
             ("walking", held.walking_polar_mean_deg, assumed.walking_deg),
             ("sitting", held.sitting_polar_mean_deg, assumed.sitting_deg),
@@ -135,6 +141,35 @@ pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
         format!("streams.channel.noise_relative = {noise}, above {SPREAD_OF_DIRECT}"),
         "gains count as more exact than they are, so serving LEDs and headings can be wrong; average several readings for a report",
     );
+    let (channel, direct) = (&streams.channel, largest_direct_gain(scenario, model));
+    let is_fine = |gain: f64| direct == 0.0 || gain <= SPREAD_OF_DIRECT * direct;
+    let above = format!("above {SPREAD_OF_DIRECT} of the direct gain below an LED, {direct:.1e}");
+    add(
+        is_fine(channel.noise_gain),
+        "the evidence of measured gains",
+        format!("streams.channel.noise_gain = {:e}, {above}", channel.noise_gain),
+        "paths within the noise count as blocked, and the others show little of headings and obstacles; average several readings for a report",
+    );
+    add(
+        is_fine(channel.step_gain()),
+        "the evidence of measured gains",
+        format!(
+            "streams.channel.resolution_bits = {} and full_scale_gain = {:e} make steps of {:.1e}, {above}",
+            channel.resolution_bits,
+            channel.full_scale_gain,
+            channel.step_gain()
+        ),
+        "gains below half a step count as blocked, and the others show little of headings and obstacles; raise resolution_bits, or lower full_scale_gain",
+    );
+    add(
+        channel.resolution_bits == 0 || channel.full_scale_gain >= direct,
+        "the evidence of measured gains",
+        format!(
+            "streams.channel.full_scale_gain = {:e}, below the direct gain below an LED, {direct:.1e}",
+            channel.full_scale_gain
+        ),
+        "receivers near an LED report full_scale_gain, so headings and serving LEDs can be wrong; raise full_scale_gain",
+    );
     let mut models = users.mixture.iter().map(|entry| entry.mobility).chain([users.mobility]);
     add(
         !models.any(|model| model == MobilityModel::GaussMarkov),
@@ -145,10 +180,21 @@ pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
     found
 }
 
+/// The largest direct gain of an upright receiver straight below an LED; 0 where none detects it.
+fn largest_direct_gain(scenario: &Scenario, model: &ChannelModel) -> f64 {
+    let receiver = &model.receiver;
+    let below = model.leds.iter().map(|led| {
+        let detector = Vec3::new(led.position.x, led.position.y, scenario.receiver.height_m);
+        let of_branch = |branch| los::gain(led, receiver, branch, &detector).unwrap_or(0.0);
+        receiver.combining.combine(&receiver.branches.iter().map(of_branch).collect::<Vec<f64>>())
+    });
+    below.fold(0.0, f64::max)
+}
+
 /// The branches of a receiver in a few words.
 fn receiver(model: &ChannelModel) -> String {
     match &model.receiver.branches[..] {
-        [only] if only.normal == heliostat_channel::Vec3::z() => {
+        [only] if only.normal == Vec3::z() => {
             format!("a field of view of {:.0} degrees", only.fov_semi_angle.to_degrees())
         }
         [_] => "a detector that does not face up".to_owned(),
@@ -174,6 +220,7 @@ mod tests {
             ("receiver.preset=angle-diversity", "7 branches"),
             ("receiver.fov_deg=60", "a field of view of 60 degrees"),
             ("streams.channel.noise_relative=0.2", "streams.channel.noise_relative = 0.2"),
+            ("streams.channel.noise_gain=1e-6", "streams.channel.noise_gain = 1e-6, above 0.08 of the direct gain"),
             ("users.mobility=gauss-markov", "gauss-markov"),
             ("streams.positions.latency_ms=2000", "streams.positions.latency_ms = 2000"),
             ("streams.channel.rate_hz=0.5", "readings become 2"),
@@ -188,7 +235,50 @@ mod tests {
         }
         let held = ["users.orientation.walking_polar_mean_deg=0", "control.tilt.walking_deg=0"];
         assert!(of(&held).is_empty(), "{:?}", of(&held));
+        let converter = |bits: u32, full_scale: f64| {
+            let bits = format!("streams.channel.resolution_bits={bits}");
+            of(&[&bits, &format!("streams.channel.full_scale_gain={full_scale}")])
+        };
+        assert!(converter(12, 2e-5).is_empty(), "{:?}", converter(12, 2e-5));
+        for ((bits, full_scale), key) in
+            [((4, 2e-5), "resolution_bits = 4 and"), ((12, 1e-7), "full_scale_gain = 1e-7")]
+        {
+            let found = converter(bits, full_scale);
+            assert!(found.len() == 1 && found[0].contains(key), "{key}: {found:?}");
+        }
         assert_eq!(of(&["mismatch.level=rough", "mismatch.unknown_leds_m=[[1,1,3]]"]).len(), 2);
         assert_eq!(of(&["control.belief=none", "blockage.bodies=false"]).len(), 1, "no filter, no methods");
+    }
+
+    #[test]
+    fn the_direct_gain_below_an_led_is_that_of_equation_1() {
+        let scenario = Scenario::builtin("hall").unwrap().with_overrides(&["led.positions_m=[[1,0,3]]"]).unwrap();
+        let model = scenario.channel_model().unwrap();
+        let (led, distance_m) = (&model.leds[0], 3.0 - scenario.receiver.height_m);
+        let expected = (led.lambertian_order() + 1.0) * model.receiver.detector_area_m2 * model.receiver.filter_gain
+            / (2.0 * std::f64::consts::PI * distance_m.powi(2));
+        let expected = expected * model.receiver.concentrator_gain(&model.receiver.branches[0]);
+        // A panel is not a point.
+        let found = largest_direct_gain(&scenario, &model);
+        assert!((found / expected - 1.0).abs() < 0.05, "{found:e} {expected:e}");
+    }
+
+    #[test]
+    fn reports_of_orientations_answer_the_conditions_that_advise_them() {
+        for change in ["receiver.fov_deg=60", "receiver.preset=angle-diversity", "blockage.bodies=false"] {
+            assert!(of(&[change])[0].contains("report orientations"), "{change}");
+            let reported = of(&[change, "users.orientation={}", "streams.orientation.rate_hz=10"]);
+            assert!(reported.is_empty(), "{change}: {reported:?}");
+        }
+    }
+
+    #[test]
+    fn an_assumed_tilt_is_advised_only_where_it_has_an_effect() {
+        let advised = |change: &str| {
+            let found = of(&[change, "users.orientation={}"]);
+            found.iter().filter(|text| text.contains("control.tilt]")).count()
+        };
+        assert_eq!(advised("blockage.bodies=false"), 1);
+        assert_eq!([advised("receiver.fov_deg=60"), advised("receiver.preset=angle-diversity")], [0, 0]);
     }
 }

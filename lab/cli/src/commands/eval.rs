@@ -71,14 +71,15 @@ pub struct Args {
     /// Use the actor of this training seed only, instead of all
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     training_seed: Option<u32>,
-    /// States for each room seed
+    /// States for each seed
     #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     states: u32,
-    /// Episodes for each room seed, in place of --states: 20 states each in closed loop, one state each
+    /// Episodes for each seed, in place of --states: 20 states each in closed loop, one state each
     /// otherwise. Intervals come from episodes, so use at least 10 of all seeds together
     #[arg(long, value_name = "N", conflicts_with = "states", value_parser = clap::value_parser!(u32).range(1..=50_000))]
     episodes: Option<u32>,
-    /// Number of room seeds, counted up from the scenario's
+    /// Number of seeds, counted up from the scenario's. Each episode, or state of a static comparison, is a
+    /// room with a seed of its own
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     seeds: u32,
     /// Users whose direct path is blocked: short for --set blockage.forced_users=B
@@ -295,9 +296,13 @@ pub fn run(args: Args) -> Result<()> {
         None if args.json => outln!("{}", origin::in_json(&reports[0])?)?,
         None => output::print_table(&reports[0])?,
         Some(grid) if args.json => {
-            let of_points = grid.points().iter().zip(&reports).map(|(point, report)| {
+            let of_points = grid.points().iter().zip(&reports).enumerate().map(|(index, (point, report))| {
                 let report = origin::in_json(report)?;
-                Ok(json!({ "value": point.join(", "), "values": point, "report": report }))
+                let mut entry = json!({ "value": point.join(", "), "values": point, "report": report });
+                if let Some(differences) = differences::to_first_point(&reports, index) {
+                    entry["difference_to_first"] = differences;
+                }
+                Ok(entry)
             });
             let reports = of_points.collect::<Result<Vec<_>>>()?;
             let keys: Vec<&str> = grid.keys().collect();

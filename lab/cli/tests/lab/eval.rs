@@ -440,17 +440,20 @@ fn a_function_in_python_is_compared_with_the_built_in_policies_state_by_state() 
 #[test]
 fn conditions_that_change_a_figure_are_printed_and_are_in_each_form() {
     let folder = tempfile::tempdir().expect("a folder");
-    let html = folder.path().join("report.html");
+    let (html, csv) = (folder.path().join("report.html"), folder.path().join("figures.csv"));
     let flags = ["--closed-loop", "--scenario", "hall", "--policies", "pso,flat", "--episodes", "1", "--seeds", "2"];
     let room = ["--set", "mismatch.level=typical", "--set", "control.search_time_us=50", "--set", "users.count=2"];
-    let flags = [&flags[..], &room, &["--html", html.to_str().expect("a plain path")]].concat();
+    let files = ["--html", html.to_str().expect("a plain path"), "--csv", csv.to_str().expect("a plain path")];
+    let flags = [&flags[..], &room, &files].concat();
     let compared = report(&flags);
     let found: Vec<&str> =
         compared["conditions"].as_array().expect("a list").iter().filter_map(|one| one["because"].as_str()).collect();
     assert_eq!(found, ["mismatch.level = \"typical\"", "control.search_time_us = 50"]);
     let table = String::from_utf8(eval(&flags).stdout).expect("text");
-    let page = std::fs::read_to_string(&html).expect("readable");
+    let [page, text] = [&html, &csv].map(|file| std::fs::read_to_string(file).expect("readable"));
     for part in ["the channel model of belief and policies does not apply", "the promise of equal runs of pso"] {
         assert!(table.contains(&format!("condition: {part}")) && page.contains(part), "{part}: {table}");
+        assert_eq!(text.matches(part).count(), 3, "in the line of the oracle and of each policy: {text}");
     }
+    assert!(text.lines().next().is_some_and(|header| header.ends_with(",conditions")), "{text}");
 }

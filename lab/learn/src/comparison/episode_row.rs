@@ -18,7 +18,7 @@ const RATIO_STATES: &str = "ratio_states";
 /// A room of a comparison with its states.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Group {
-    /// The room seed of the comparison.
+    /// The seed of the comparison, counted up from the scenario's.
     pub set: u64,
     /// The seed of the room itself.
     pub room: u64,

@@ -33,8 +33,11 @@ pub(super) fn rows(settings: &Settings, runs: &[Vec<Run>], oracle: &[Vec<Sample>
         Row {
             difference_mbps: minus_first(|own, _| own.sum_rate_mbps),
             difference_ratio: minus_first(ratio),
-            difference_qos_met: minus_first(|own, _| own.met),
-            difference_outage_time: (settings.mode == Loop::ClosedLoop).then(|| minus_first(outage)).flatten(),
+            difference_qos_met: minus_first(|own, _| own.met).map(|one| bounded("qos_met", one)),
+            difference_outage_time: (settings.mode == Loop::ClosedLoop)
+                .then(|| minus_first(outage))
+                .flatten()
+                .map(|one| bounded("outage_time", one)),
             ..Row::new(own, oracle, (evaluated, settings.mode))
         }
     });
@@ -66,6 +69,15 @@ fn difference(own: &[Vec<Vec<f64>>], first: &[Vec<Vec<f64>>]) -> Spread {
     let over_runs = if of_runs.len() > 1 { Estimate::of(&of_runs).ci95 } else { 0.0 };
     let paired = Spread::of(&differences);
     Spread { ci95: paired.ci95.hypot(over_runs), ..paired }
+}
+
+/// A difference of a figure of this name, with the bounds that it has by its definition: two shares differ by at
+/// most 1.
+pub fn bounded(figure: &str, difference: Spread) -> Spread {
+    match figure {
+        "qos_met" | "outage_time" | "jain" | "ber" => difference.within(-1.0, 1.0),
+        _ => difference,
+    }
 }
 
 /// The results of one policy.
@@ -207,6 +219,19 @@ mod tests {
         // The differences are 1, 2, 1 and 2: a standard error of sqrt(1/3) / 2.
         assert_eq!((better.mean, difference(&first, &first).ci95), (1.5, 0.0));
         assert!((better.ci95 - T_3 * (1.0_f64 / 3.0).sqrt() / 2.0).abs() < 1e-9, "{better:?}");
+    }
+
+    #[test]
+    fn a_difference_of_shares_whose_interval_reaches_beyond_1_is_marked() {
+        let wide = difference(&runs(&[&[0.9, 0.3]]), &runs(&[&[0.0, 0.2]]));
+        assert!(wide.ci95 > 1.0 && !wide.crosses_bound, "{wide:?}");
+        for figure in ["qos_met", "outage_time"] {
+            let share = bounded(figure, wide);
+            assert!(share.crosses_bound && share.ends() == [-1.0, 1.0], "{share:?}");
+        }
+        assert_eq!(bounded("sum_rate_mbps", wide), wide, "a rate has no largest difference");
+        let narrow = difference(&runs(&[&[0.9, 0.8]]), &runs(&[&[0.8, 0.7]]));
+        assert!(!bounded("qos_met", narrow).crosses_bound, "{narrow:?}");
     }
 
     #[test]

@@ -28,7 +28,7 @@ impl Settings {
     /// The usual time from the controller's start to the first sampling interval.
     pub const WARM: Duration = heliostat_environment::episodes::WARM;
 
-    /// Policies by their names on one room seed, with built-in actors of training seed 1.
+    /// Policies by their names on one seed, with built-in actors of training seed 1.
     ///
     /// # Errors
     /// As [`EvaluatedPolicy::parse`], to which `ddpg` is given.
@@ -47,13 +47,13 @@ impl Settings {
 /// The policies and the states of a comparison.
 #[derive(Clone, Debug)]
 pub struct Settings {
-    /// The room; its seed is the first room seed.
+    /// The room; its seed is the first one.
     pub scenario: Scenario,
     /// The policies.
     pub policies: Vec<EvaluatedPolicy>,
-    /// States of each room seed.
+    /// States of each seed.
     pub states: usize,
-    /// Number of consecutive room seeds.
+    /// Number of consecutive seeds.
     pub seeds: usize,
     /// Static or closed loop.
     pub mode: Loop,
@@ -74,7 +74,7 @@ impl Settings {
         self.without_mirrors.then(|| Fixed::no_irs(mirrors, range_rad).angles().clone())
     }
 
-    /// Number of independent groups of states of each room seed: episodes in closed loop, states in
+    /// Number of independent groups of states of each seed: episodes in closed loop, states in
     /// a static comparison.
     pub fn episodes(&self) -> usize {
         match self.mode {

@@ -34,7 +34,8 @@ fn cell(value: f64) -> String {
     }
 }
 
-/// A line for each policy; in a sweep the first columns are the values of the keys.
+/// A line for each policy; in a sweep the first columns are the values of the keys. The last column has the
+/// conditions of the room, separated by ` | `.
 pub fn by_policy(grid: Option<&Grid>, reports: &[Report]) -> Result<Vec<u8>> {
     let mut writer = csv::Writer::from_writer(Vec::new());
     // The points of a sweep may have different policies, and all lines have the same columns.
@@ -52,17 +53,18 @@ pub fn by_policy(grid: Option<&Grid>, reports: &[Report]) -> Result<Vec<u8>> {
     }
     header.extend(["decision_us_p50", "decision_us_p99", "training_seeds", "episodes"].map(String::from));
     header.extend(ORIGIN.map(String::from));
+    header.push("conditions".into());
     writer.write_record(&header)?;
     for (index, report) in reports.iter().enumerate() {
+        let conditions = report.conditions.iter().map(ToString::to_string).collect::<Vec<_>>().join(" | ");
         for (name, row) in rows(report) {
             let figures =
                 spreads(report, row).into_iter().flat_map(|(_, spread)| [spread.mean, spread.ci95, spread.p5]);
             let times = row.decision_us.map_or([f64::NAN; 2], |times| [times.p50, times.p99]);
             let trained = row.training_seeds.map_or(f64::NAN, |seeds| seeds as f64);
             let cells = figures.chain(times).chain([trained, report.episodes as f64]).map(cell);
-            writer.write_record(
-                values(grid, index).into_iter().chain([name.to_owned()]).chain(cells).chain(origin(report)),
-            )?;
+            let first = values(grid, index).into_iter().chain([name.to_owned()]);
+            writer.write_record(first.chain(cells).chain(origin(report)).chain([conditions.clone()]))?;
         }
     }
     Ok(writer.into_inner()?)

@@ -1,11 +1,15 @@
-//! The figures of a policy minus those of the first one, for tables, files and plots.
+//! The figures of a policy minus those of the first one, or those of a point of a sweep minus those of the first
+//! point, for tables, files and plots.
 
 use heliostat_learn::comparison::{Report, Row, Spread};
+use serde_json::{Map, Value, json};
 
 /// A paired difference.
 pub struct Difference {
     /// Its name in JSON and in CSV files.
     pub key: &'static str,
+    /// The name of its figure in JSON and in CSV files.
+    pub of_figure: &'static str,
     /// The figure with its unit, in titles.
     pub figure: &'static str,
     /// The short heading of a column.
@@ -19,6 +23,7 @@ pub struct Difference {
 const DIFFERENCES: [Difference; 4] = [
     Difference {
         key: "difference_mbps",
+        of_figure: "sum_rate_mbps",
         figure: "sum rate in Mbit/s",
         heading: "Mbit/s",
         digits: 1,
@@ -26,6 +31,7 @@ const DIFFERENCES: [Difference; 4] = [
     },
     Difference {
         key: "difference_ratio",
+        of_figure: "ratio_to_oracle",
         figure: "ratio to the oracle",
         heading: "ratio",
         digits: 3,
@@ -33,6 +39,7 @@ const DIFFERENCES: [Difference; 4] = [
     },
     Difference {
         key: "difference_qos_met",
+        of_figure: "qos_met",
         figure: "QoS met",
         heading: "QoS met",
         digits: 3,
@@ -40,6 +47,7 @@ const DIFFERENCES: [Difference; 4] = [
     },
     Difference {
         key: "difference_outage_time",
+        of_figure: "outage_time",
         figure: "outage, share of the users' time",
         heading: "outage",
         digits: 3,
@@ -74,4 +82,53 @@ impl Difference {
         };
         DIFFERENCES.into_iter().filter(has)
     }
+
+    /// The figure at a point of a sweep minus that at the first point, of a policy or of the oracle (`None`), paired
+    /// by episode; `None` at the first point, and where the episodes have other rooms.
+    pub fn to_first_point(&self, reports: &[Report], index: usize, policy: Option<&str>) -> Option<Spread> {
+        let (first, own) = (reports.first()?, reports.get(index)?);
+        (index > 0).then(|| own.minus(first, policy, self.of_figure)).flatten()
+    }
+
+    /// The differences that at least one point of a sweep has from the first one.
+    pub fn of_points(reports: &[Report]) -> impl Iterator<Item = Self> {
+        let has = move |difference: &Self| {
+            (1..reports.len()).any(|index| difference.to_first_point(reports, index, None).is_some())
+        };
+        DIFFERENCES.into_iter().filter(has)
+    }
+}
+
+/// The differences of a point of a sweep from the first one as JSON, of the oracle and of each policy that both have;
+/// `None` at the first point, and where the episodes have other rooms.
+pub fn to_first_point(reports: &[Report], index: usize) -> Option<Value> {
+    let of = |policy: Option<&str>| {
+        let difference = |one: Difference| {
+            let found = one.to_first_point(reports, index, policy)?;
+            Some((one.of_figure.to_owned(), json!(found)))
+        };
+        DIFFERENCES.into_iter().filter_map(difference).collect::<Map<_, _>>()
+    };
+    let oracle = Some(of(None)).filter(|oracle| !oracle.is_empty())?;
+    let policies = reports[index].policies.iter().map(|(name, _)| (name.clone(), of(Some(name.as_str()))));
+    let policies = policies.filter(|(_, found)| !found.is_empty()).map(|(name, found)| (name, Value::Object(found)));
+    Some(json!({ "oracle": oracle, "policies": policies.collect::<Map<_, _>>() }))
+}
+
+/// The episodes of a comparison and their figures as JSON: for each figure one list for each actor.
+pub fn in_episodes(report: &Report) -> Value {
+    let of = |policy: Option<&str>| {
+        let figures = DIFFERENCES
+            .into_iter()
+            .map(|one| (one.of_figure.to_owned(), json!(report.in_episodes(policy, one.of_figure))));
+        figures.collect::<Map<_, _>>()
+    };
+    let policies = report.policies.iter().map(|(name, _)| (name.clone(), Value::Object(of(Some(name.as_str())))));
+    json!({
+        "seed": report.rooms().map(|(room, _)| room.set).collect::<Vec<_>>(),
+        "room_seed": report.rooms().map(|(room, _)| room.room).collect::<Vec<_>>(),
+        "states": report.rooms().map(|(_, states)| states).collect::<Vec<_>>(),
+        "oracle": of(None),
+        "policies": policies.collect::<Map<_, _>>(),
+    })
 }

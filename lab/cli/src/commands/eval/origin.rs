@@ -1,17 +1,19 @@
 //! Where figures come from: program, commit and configuration, for each file of a comparison.
 
 use anyhow::Result;
-use heliostat_learn::comparison::Report;
+use heliostat_learn::comparison::{Loop, Report};
 use heliostat_reproduce::machine;
 use heliostat_service::printable::printable;
 use serde_json::{Value, json};
+
+use super::differences;
 
 /// The program that made a file.
 pub fn program() -> String {
     format!("heliostat-lab {}", env!("CARGO_PKG_VERSION"))
 }
 
-/// A report as a JSON object with program and commit.
+/// A report as a JSON object with program and commit, in closed loop also with the figures of each episode.
 ///
 /// # Errors
 /// None for a report.
@@ -19,6 +21,9 @@ pub fn in_json(report: &Report) -> Result<Value> {
     let mut object = serde_json::to_value(report)?;
     object["program"] = json!(program());
     object["commit"] = json!(machine::COMMIT);
+    if report.mode == Loop::ClosedLoop {
+        object["each"] = differences::in_episodes(report);
+    }
     Ok(object)
 }
 

@@ -209,50 +209,67 @@ pub fn print_sweep(grid: &Grid, reports: &[Report]) -> io::Result<()> {
     let is_shared = reports.iter().all(|report| states_and_seeds(report) == states);
     let place = if is_shared { "" } else { " at the first point" };
     outln!("ratio to the oracle with minimum rates, and share of minimum rates met; {states}{place}")?;
-    print_columns(grid, reports, |_, row| {
-        (number(row.qos_met.mean, 3), format!("{} {}", interval(row.ratio_to_oracle, 3), number(row.qos_met.mean, 3)))
+    print_columns(grid, reports, |_, name, row| match name {
+        ORACLE => interval(row.qos_met, 3),
+        _ => format!("{} {}", interval(row.ratio_to_oracle, 3), interval(row.qos_met, 3)),
     })?;
     outln!("sum rate in Mbit/s")?;
-    print_columns(grid, reports, |_, row| (number(row.sum_rate_mbps.mean, 1), interval(row.sum_rate_mbps, 1)))?;
+    print_columns(grid, reports, |_, _, row| interval(row.sum_rate_mbps, 1))?;
     if first.oracle.outage_time.is_some() {
         outln!("outage: share of the users' time below the minimum rate")?;
-        let outage = |row: &Row| row.outage_time.unwrap_or(Spread::MISSING);
-        print_columns(grid, reports, |_, row| (number(outage(row).mean, 3), interval(outage(row), 3)))?;
+        print_columns(grid, reports, |_, _, row| interval(row.outage_time.unwrap_or(Spread::MISSING), 3))?;
     }
     let reference = Difference::reference(reports);
     for one in Difference::of_any(reports) {
         outln!("difference to {}, paired: {}", reference.unwrap_or_default(), one.figure)?;
-        print_columns(grid, reports, |report, row| {
-            let text = difference(one.to(reference, report, row), &one);
-            (text.clone(), text)
-        })?;
+        print_columns(grid, reports, |index, _, row| difference(one.to(reference, &reports[index], row), &one))?;
     }
+    print_differences_to_first_point(grid, reports)?;
     note_on_episodes(reports, true)?;
     note_on_ratios(reports)?;
     print_beliefs(Some(grid), reports)?;
     print_conditions(reports)
 }
 
-/// Prints a column for the oracle and one for each policy of any point; `cell` returns the text for each of
-/// the two. A point without a policy has a dash.
-fn print_columns(grid: &Grid, reports: &[Report], cell: impl Fn(&Report, &Row) -> (String, String)) -> io::Result<()> {
-    let width = |name: &str| name.len().max(18);
+/// Prints the paired differences of each point from the first one, where the points have the same rooms.
+fn print_differences_to_first_point(grid: &Grid, reports: &[Report]) -> io::Result<()> {
+    for one in Difference::of_points(reports) {
+        outln!("difference to {}, paired by episode: {}", grid.name(&grid.points()[0]), one.figure)?;
+        print_columns(grid, reports, |index, name, _| {
+            difference(one.to_first_point(reports, index, of_policy(name)), &one)
+        })?;
+    }
+    Ok(())
+}
+
+/// The policy of a row; `None` for the oracle.
+fn of_policy(name: &str) -> Option<&str> {
+    (name != ORACLE).then_some(name)
+}
+
+/// Prints a column for the oracle and one for each policy of any point; `cell` returns the text of a row at a
+/// point. A point without a policy has a dash.
+fn print_columns(grid: &Grid, reports: &[Report], cell: impl Fn(usize, &str, &Row) -> String) -> io::Result<()> {
     let mut names: Vec<&str> = Vec::new();
-    for (name, _) in reports.iter().flat_map(|report| &report.policies) {
-        if !names.contains(&name.as_str()) {
+    for (name, _) in reports.iter().flat_map(rows) {
+        if !names.contains(&name) {
             names.push(name);
         }
     }
-    let header: Vec<String> = names.iter().map(|name| format!("{name:>0$}", width(name))).collect();
-    outln!("{} {:>8} {}", key_cells(grid, grid.keys()), ORACLE, header.join(" "))?;
-    for (point, report) in grid.points().iter().zip(reports) {
-        let cells = names.iter().map(|name| {
-            let row = report.policies.iter().find(|(of, _)| of == name);
-            format!("{:>1$}", row.map_or("-".into(), |(_, row)| cell(report, row).1), width(name))
-        });
-        let values = key_cells(grid, point.iter().copied());
-        let oracle = cell(report, &report.oracle).0;
-        outln!("{values} {oracle:>8} {}", cells.collect::<Vec<_>>().join(" "))?;
+    let of_name = |name: &str| -> Vec<String> {
+        let text = |(index, report)| {
+            let row = rows(report).find(|(of, _)| *of == name);
+            row.map_or("-".into(), |(_, row)| cell(index, name, row))
+        };
+        let cells: Vec<String> = reports.iter().enumerate().map(text).collect();
+        let width = cells.iter().map(|cell| cell.chars().count()).chain([name.chars().count()]).max().unwrap_or(0);
+        [name.to_owned()].into_iter().chain(cells).map(|cell| format!("{cell:>width$}")).collect()
+    };
+    let columns: Vec<Vec<String>> = names.into_iter().map(of_name).collect();
+    let line = |index: usize| columns.iter().map(|column| column[index].as_str()).collect::<Vec<_>>().join(" ");
+    outln!("{} {}", key_cells(grid, grid.keys()), line(0))?;
+    for (index, point) in grid.points().iter().enumerate() {
+        outln!("{} {}", key_cells(grid, point.iter().copied()), line(index + 1))?;
     }
     Ok(())
 }
@@ -353,10 +370,11 @@ fn crossing(reports: &[Report], is_sweep: bool) -> Option<String> {
         let errors = [quality.place_error_cm, quality.heading_error_walking_deg, quality.heading_error_standing_deg];
         errors.into_iter().chain([quality.coverage_50, quality.coverage_95]).any(|spread| spread.crosses_bound)
     };
-    let marked = reports.iter().any(|report| {
-        rows(report).any(|(name, row)| is_marked(name, row, is_sweep))
-            || report.beliefs.iter().any(|(_, quality)| of_belief(quality))
-    });
+    let marked = marks_difference(reports, is_sweep)
+        || reports.iter().any(|report| {
+            rows(report).any(|(_, row)| is_marked(row, is_sweep))
+                || report.beliefs.iter().any(|(_, quality)| of_belief(quality))
+        });
     marked.then(|| {
         format!(
             "{CROSSES}: the interval reaches beyond what the figure can be, such as below 0; more episodes narrow it"
@@ -364,12 +382,28 @@ fn crossing(reports: &[Report], is_sweep: bool) -> Option<String> {
     })
 }
 
-/// Whether an interval of a row is marked. The table of a sweep has fewer intervals, and none of the oracle.
-fn is_marked(name: &str, row: &Row, is_sweep: bool) -> bool {
-    let of_sweep = [row.sum_rate_mbps, row.ratio_to_oracle].into_iter().chain(row.outage_time);
-    let others = [row.qos_met, row.jain, row.blocked_rate_mbps, row.ber];
+/// Whether an interval of a row is marked. The table of a sweep has fewer intervals.
+fn is_marked(row: &Row, is_sweep: bool) -> bool {
+    let of_sweep = [row.sum_rate_mbps, row.ratio_to_oracle, row.qos_met].into_iter().chain(row.outage_time);
+    let others = [row.jain, row.blocked_rate_mbps, row.ber];
     let mut shown = of_sweep.chain(others.into_iter().filter(|_| !is_sweep));
-    (!is_sweep || name != ORACLE) && shown.any(|spread| spread.crosses_bound)
+    shown.any(|spread| spread.crosses_bound)
+}
+
+/// Whether the interval of a difference is marked. A sweep subtracts one policy at all points, and the first point.
+fn marks_difference(reports: &[Report], is_sweep: bool) -> bool {
+    let reference = Difference::reference(reports);
+    let of_policies = |one: &Difference, report: &Report| {
+        let shown = |row: &Row| if is_sweep { one.to(reference, report, row) } else { (one.of)(row) };
+        report.policies.iter().filter_map(|(_, row)| shown(row)).any(|spread| spread.crosses_bound)
+    };
+    let of_points = |one: &Difference, index: usize| {
+        let mut shown =
+            rows(&reports[index]).filter_map(|(name, _)| one.to_first_point(reports, index, of_policy(name)));
+        shown.any(|spread| spread.crosses_bound)
+    };
+    Difference::of_any(reports).any(|one| reports.iter().any(|report| of_policies(&one, report)))
+        || is_sweep && Difference::of_points(reports).any(|one| (1..reports.len()).any(|index| of_points(&one, index)))
 }
 
 fn note_on_episodes(reports: &[Report], is_sweep: bool) -> io::Result<()> {
@@ -464,13 +498,13 @@ mod tests {
         };
         let beyond = Spread { crosses_bound: true, ..Spread::MISSING };
         let (outage, jain) = (row(beyond, Spread::MISSING), row(Spread::MISSING, beyond));
-        for (name, row, expected) in [
-            (ORACLE, &outage, [true, false]),
-            ("flat", &outage, [true, true]),
-            ("flat", &jain, [true, false]),
-            ("flat", &row(Spread::MISSING, Spread::MISSING), [false, false]),
+        for (row, expected) in [
+            (outage, [true, true]),
+            (Row { qos_met: beyond, ..jain }, [true, true]),
+            (jain, [true, false]),
+            (row(Spread::MISSING, Spread::MISSING), [false, false]),
         ] {
-            assert_eq!([false, true].map(|is_sweep| is_marked(name, row, is_sweep)), expected, "{name}");
+            assert_eq!([false, true].map(|is_sweep| is_marked(&row, is_sweep)), expected, "{row:?}");
         }
     }
 

@@ -12,7 +12,7 @@ use crate::commands::eval::{ABOVE_ONE, exceeds_one};
 use super::archive::{Archive, Finished};
 use super::definition::{Definition, Section};
 use super::summary;
-use super::table::{CROSSES, check_columns, grid, markdown, rows};
+use super::table::{check_columns, crosses_note, grid, markdown, rows};
 
 /// A page, and why it does not show all that is finished.
 pub struct Page {
@@ -157,9 +157,7 @@ fn notes(output: &Value, tables: &str) -> Vec<String> {
             notes.push(note);
         }
     }
-    if tables.contains(CROSSES) {
-        notes.push(format!("{CROSSES}: the interval reaches beyond what the figure can be, such as below 0."));
-    }
+    notes.extend(crosses_note(tables));
     notes
 }
 
@@ -257,7 +255,7 @@ mod tests {
         for expected in [
             "# An example\n\nTimes in us.\n\n**A quick run",
             "| The loop | p50 at most 2 | 2.31 | not met |\n\n## Changes\n\nDifferences.\n",
-            "|  | ratio, difference |\n| --- | --- |\n| Rough, compared with Plain | -0.40 ± 0.04 |\n",
+            "|  | ratio, difference |\n| --- | --- |\n| Rough, compared with Plain (independent) | -0.40 ± 0.04 |\n",
             "| (oracle) | 2 | 1.00 ± 0.03 | 7 |\n| greedy | 2 | 0.70 ± 0.03 | 7 |\n",
             "## The loop\n\nWhat is measured.\n\n```\nheliostat bench loop --seconds 1\n```\n",
             "2026-11-22T12:00:00Z, commit abc, 2 cores, load 1.2, 3 s.\n\n| p50 |\n| --- |\n| 2.3 |\n",

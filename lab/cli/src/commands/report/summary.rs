@@ -1,11 +1,12 @@
 //! Tables over several sections.
 
 use anyhow::{Context, Result};
+use heliostat_learn::comparison::{Spread, bounded, paired};
 use serde_json::{Map, Value, json};
 
 use super::archive::{Archive, Finished};
 use super::definition::{Definition, Lines, Section, Summary};
-use super::table::{Column, Form, ORACLE, Row, markdown, rows};
+use super::table::{Column, Form, ORACLE, Row, crosses_note, markdown, rows};
 
 /// The table in Markdown; empty without a finished section that it concerns.
 ///
@@ -31,20 +32,57 @@ pub fn write(summary: &Summary, definition: &Definition, archive: &Archive) -> R
     if rows.is_empty() {
         return Ok(String::new());
     }
-    Ok(format!("## {}\n\n{}\n\n{}\n", summary.title, summary.about, markdown(&rows, columns, Some(""))))
+    let table = markdown(&rows, columns, Some(""));
+    let note = crosses_note(&table).map_or(String::new(), |note| format!("{note}\n\n"));
+    Ok(format!("## {}\n\n{}\n\n{note}{table}\n", summary.title, summary.about))
 }
 
-/// The figures of a section minus those of its base. The interval treats the two as independent.
+/// The figures of a section minus those of its base, paired by episode. Where the episodes of the two are not the
+/// same, or not kept, the interval treats the two as independent, and the name of the row says so.
 fn change(section: &Section, found: &Finished, (base, other): (&Section, &Finished), columns: &[Column]) -> Row {
     let mut row = json!({});
-    for column in columns {
-        let [one, other] = [found, other].map(|finished| finished.output.pointer(&column.at).unwrap_or(&Value::Null));
-        let part = |name: &str| one[name].as_f64().zip(other[name].as_f64());
-        let mean = part("mean").map(|(one, other)| one - other);
-        let difference = json!({ "mean": mean, "ci95": part("ci95").map(|(one, other)| one.hypot(other)) });
-        put(&mut row, &column.at, difference);
+    let mut is_paired = true;
+    for Column { at, .. } in columns {
+        let in_episodes = by_episode(&found.output, &other.output, at);
+        is_paired &= in_episodes.is_some();
+        let difference = in_episodes.unwrap_or_else(|| independent(&found.output, &other.output, at));
+        put(&mut row, at, json!(difference));
     }
-    (format!("{}, compared with {}", section.title, base.title), row)
+    let how = if is_paired { "" } else { " (independent)" };
+    (format!("{}, compared with {}{how}", section.title, base.title), row)
+}
+
+/// The name of the figure at a JSON pointer.
+fn figure(at: &str) -> &str {
+    at.rsplit('/').next().unwrap_or(at)
+}
+
+/// A figure of one output minus that of another one, paired by episode; `None` where their episodes are not the
+/// same, or not kept.
+fn by_episode(own: &Value, other: &Value, at: &str) -> Option<Spread> {
+    let rooms = |output: &Value| ["seed", "room_seed", "states"].map(|name| output["each"][name].clone());
+    if rooms(own) != rooms(other) {
+        return None;
+    }
+    let values = |output: &Value| -> Option<Vec<Vec<f64>>> {
+        let runs = output.pointer(&format!("/each{at}"))?.as_array()?.iter();
+        let of_run = |run: &Value| -> Option<Vec<f64>> {
+            Some(run.as_array()?.iter().map(|value| value.as_f64().unwrap_or(f64::NAN)).collect())
+        };
+        runs.map(of_run).collect()
+    };
+    let states = own["each"]["states"].as_array()?.iter();
+    let states: Vec<usize> = states.map(|states| states.as_u64().unwrap_or(0) as usize).collect();
+    paired(figure(at), &values(own)?, &values(other)?, &states)
+}
+
+/// The same difference with an interval that treats the two as independent.
+fn independent(own: &Value, other: &Value, at: &str) -> Spread {
+    let [own, other] = [own, other].map(|output| output.pointer(at).unwrap_or(&Value::Null));
+    let part = |of: &Value, name: &str| of[name].as_f64().unwrap_or(f64::NAN);
+    let mean = part(own, "mean") - part(other, "mean");
+    let ci95 = part(own, "ci95").hypot(part(other, "ci95"));
+    bounded(figure(at), Spread { mean, ci95, ..Spread::MISSING })
 }
 
 /// A row for each name in the first tables of sections: the means of intervals over the sections that have
@@ -117,4 +155,43 @@ fn put(object: &mut Value, pointer: &str, value: Value) {
         place = &mut place[name];
     }
     *place = value;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const AT: &str = "/policies/greedy+filter/qos_met";
+
+    /// The output of a comparison of two episodes with these shares.
+    fn output(shares: [Option<f64>; 2], rooms: [u64; 2]) -> Value {
+        let figures = json!({ "greedy+filter": { "qos_met": [shares] } });
+        json!({
+            "policies": { "greedy+filter": { "qos_met": { "mean": 0.5, "ci95": 0.3 } } },
+            "each": { "seed": [1, 2], "room_seed": rooms, "states": [20, 20], "policies": figures },
+        })
+    }
+
+    #[test]
+    fn sections_of_the_same_episodes_are_paired_and_others_are_not() {
+        let base = output([Some(0.2), Some(0.6)], [7, 8]);
+        let same = by_episode(&output([Some(0.3), Some(0.7)], [7, 8]), &base, AT).expect("the same rooms");
+        assert!((same.mean - 0.1).abs() < 1e-12 && same.ci95 < 1e-12, "{same:?}");
+        let gap = by_episode(&output([Some(0.3), None], [7, 8]), &base, AT).expect("one episode has both");
+        assert!((gap.mean - 0.1).abs() < 1e-12 && gap.ci95.is_nan(), "{gap:?}");
+        assert_eq!(by_episode(&output([Some(0.3), Some(0.7)], [7, 9]), &base, AT), None);
+        let mut not_kept = base.clone();
+        not_kept["each"] = Value::Null;
+        assert_eq!(by_episode(&not_kept, &not_kept, AT), None);
+        assert_eq!(by_episode(&base, &base, "/beliefs/filter/coverage_95"), None);
+    }
+
+    #[test]
+    fn an_independent_difference_adds_the_variances_and_has_the_bounds_of_a_share() {
+        let of = |mean: f64, ci95: f64| json!({ "qos_met": { "mean": mean, "ci95": ci95 } });
+        let found = independent(&of(0.9, 0.3), &of(0.4, 0.4), "/qos_met");
+        assert!((found.mean - 0.5).abs() < 1e-12 && (found.ci95 - 0.5).abs() < 1e-12, "{found:?}");
+        assert!(!found.crosses_bound && independent(&of(0.9, 0.6), &of(0.1, 0.6), "/qos_met").crosses_bound);
+        assert!(independent(&of(0.9, 0.3), &json!({}), "/qos_met").mean.is_nan());
+    }
 }

@@ -5,7 +5,7 @@ use serde::Deserialize;
 use serde_json::Value;
 
 /// Marks an interval that reaches beyond the bounds of its figure, in Markdown.
-pub const CROSSES: &str = "\\*";
+const CROSSES: &str = "\\*";
 /// Name of the oracle's row.
 pub const ORACLE: &str = "(oracle)";
 /// JSON pointer of the policies of `eval`, whose order is that of the command.
@@ -198,6 +198,12 @@ pub fn markdown(rows: &[Row], columns: &[Column], heading: Option<&str>) -> Stri
         lines.push(first(name).into_iter().chain(cells).collect());
     }
     grid(&lines)
+}
+
+/// What a marked interval of these tables means, if there is one.
+pub fn crosses_note(tables: &str) -> Option<String> {
+    let note = || format!("{CROSSES}: the interval reaches beyond what the figure can be, such as below 0.");
+    tables.contains(CROSSES).then(note)
 }
 
 /// A figure as text; a dash where it does not exist.

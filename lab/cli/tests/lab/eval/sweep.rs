@@ -104,7 +104,7 @@ fn two_keys_give_each_combination_with_its_outage_and_a_room_without_mirrors() {
     };
     let figures = lines(&csv);
     assert!(figures[0].starts_with("mirrors.rows,blockage.forced_users,policy,sum_rate_mbps_mean"), "{}", figures[0]);
-    assert!(figures[0].ends_with("episodes,scenario,configuration,commit"), "{}", figures[0]);
+    assert!(figures[0].ends_with("episodes,scenario,configuration,commit,conditions"), "{}", figures[0]);
     assert_eq!(figures.len(), 1 + 4 * 3);
     let column = figures[0].split(',').position(|name| name == "difference_outage_time_mean").expect("differences");
     let of = |policy: &str| figures.iter().find(|line| line.starts_with(&format!("3,2,{policy},"))).expect("a line");
@@ -128,6 +128,28 @@ fn two_keys_give_each_combination_with_its_outage_and_a_room_without_mirrors() {
     assert!(text.contains("outage: share of the users' time"), "{text}");
     assert!(text.contains("2 episodes: 1 for each of 2 seeds from"), "{text}");
     assert!(text.contains("difference to greedy, paired: outage"), "{text}");
+    let intervals = |table: &str, point: [&str; 2]| {
+        let mut lines = text.split(table).nth(1).expect("a table").lines();
+        let line = lines.find(|line| line.split_whitespace().take(2).eq(point)).expect("a row");
+        line.matches('±').count()
+    };
+    // The oracle has no ratio, and each policy has two figures in the first table.
+    assert_eq!(intervals("share of minimum rates met", ["3", "2"]), 1 + 2 * 2, "{text}");
+    assert_eq!(intervals("sum rate in Mbit/s", ["3", "2"]), 3, "{text}");
+    let first = "difference to mirrors.rows = 0, blockage.forced_users = 0, paired by episode: sum rate in Mbit/s";
+    assert_eq!([["0", "0"], ["3", "2"]].map(|point| intervals(first, point)), [0, 3], "{text}");
+    assert!(reports[0].get("difference_to_first").is_none(), "{}", reports[0]);
+    for policy in ["greedy", "flat"] {
+        for (index, figure) in
+            (1..4).flat_map(|index| ["sum_rate_mbps", "qos_met", "outage_time"].map(|one| (index, one)))
+        {
+            let found = reports[index]["difference_to_first"]["policies"][policy][figure]["mean"].as_f64();
+            let [own, first] = [index, 0].map(|point| mean(&reports[point]["report"], policy, figure));
+            assert!((found.expect("a difference") - (own - first)).abs() < 1e-9, "{policy}, {figure} at {index}");
+            let each = &reports[index]["report"]["each"]["policies"][policy][figure][0];
+            assert_eq!(each.as_array().map(Vec::len), Some(2), "a value for each episode: {each}");
+        }
+    }
     let beliefs = text.split("belief about the users").nth(1).expect("the table of the beliefs");
     // No policy observes users in a room without mirrors.
     let points: Vec<Vec<&str>> = beliefs.lines().map(|line| line.split_whitespace().take(3).collect()).collect();
@@ -136,6 +158,20 @@ fn two_keys_give_each_combination_with_its_outage_and_a_room_without_mirrors() {
     }
     let message = refusal(&[&flags[..], &["--sweep", "seed=1,2"]].concat());
     assert!(message.contains("at most two keys"), "{message}");
+}
+
+#[test]
+fn points_with_other_rooms_are_not_paired() {
+    let flags = ["--policies", "flat", "--states", "2", "--seeds", "2", "--sweep"];
+    let differs = |sweep: &str| {
+        let all = report(&[&flags[..], &[sweep]].concat());
+        assert!(all["reports"][1]["report"].get("each").is_none(), "a static comparison has a state for each episode");
+        all["reports"][1].get("difference_to_first").is_some()
+    };
+    assert_eq!(["led.power_w=1,2", "seed=1,7"].map(differs), [true, false]);
+    let table = |sweep: &str| String::from_utf8(eval(&[&flags[..], &[sweep]].concat()).stdout).expect("text");
+    let title = "difference to led.power_w = 1, paired by episode: sum rate in Mbit/s";
+    assert!(table("led.power_w=1,2").contains(title) && !table("seed=1,7").contains("paired by episode"));
 }
 
 #[test]

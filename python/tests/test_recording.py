@@ -7,6 +7,7 @@ import re
 import subprocess
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import heliostat
 import numpy as np
@@ -95,6 +96,18 @@ def test_a_table_of_a_recording_is_a_data_frame(path: Path, library: str) -> Non
         recording.frame("angles")
     with pytest.raises(ValueError, match="pandas"):
         recording.frame("truth", library="spark")
+
+
+def test_differences_of_times_have_a_sign(path: Path) -> None:
+    recording = heliostat.Recording(path)
+    tables: list[Any] = [recording.reports(), recording.channels(), recording.truth()]
+    tables += [recording.commands(), recording.telemetry(), recording.decisions()]
+    times = [values for table in tables for name, values in table.items() if name.endswith("_ns")]
+    assert len(times) == 13 and {values.dtype for values in times} == {np.dtype(np.int64)}
+    decisions = recording.decisions()
+    apart = decisions["reported_ns"] - decisions["commanded_ns"]
+    np.testing.assert_allclose(apart, decisions["answer_us"] * -1e3)
+    assert (apart < 0).any()
 
 
 def test_an_array_that_no_room_has_is_refused(path: Path) -> None:

@@ -1,7 +1,7 @@
 """Recordings of rooms as arrays.
 
 The files are those of `heliostat record`. Times are in ns: `arrived_ns` at the recorder, `time_ns` of the content, both
-UTC where the recorded processes used UTC.
+UTC where the recorded processes used UTC. All columns of times are int64, so that a difference can be negative.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ class Recording:
 
         `of` is `reports`, `channels`, `commands`, `telemetry`, `truth` or `decisions`. A column of vectors becomes one
         column for each component: `position_x_m`, `position_y_m`, `position_z_m`, or `roll_0`, `roll_1`, ... Times in ns
-        stay integers: `pandas.to_datetime(frame["time_ns"])` reads them. Needs the library.
+        stay int64: `pandas.to_datetime(frame["time_ns"])` reads them. Needs the library.
         """
         if of not in _TABLES:
             raise ValueError(f"table {of!r}: expected {', '.join(_TABLES)}")
@@ -154,5 +154,5 @@ class Recording:
         tick, of_report, of_command = np.intersect1d(ticks, answered, return_indices=True)
         reported = reports["arrived_ns"][first[of_report]]
         commanded = commands["arrived_ns"][command[of_command]]
-        apart = commanded.astype(np.int64) - reported.astype(np.int64)
-        return {"tick": tick, "reported_ns": reported, "commanded_ns": commanded, "answer_us": apart * 1e-3}
+        answer_us = (commanded - reported) * 1e-3
+        return {"tick": tick, "reported_ns": reported, "commanded_ns": commanded, "answer_us": answer_us}

@@ -30,7 +30,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from ._checks import integer, real, seed_of, states_of
-from ._core import Batch, Settings, check_exact, held_out_seed
+from ._core import Batch, Settings, check_exact, closed_loop_conditions, held_out_seed
 from .rendering import Window, draw
 from .scenario import Scenario, Value, load_scenario, override_texts
 
@@ -97,7 +97,9 @@ def make_scenario(
 
     Raises `TypeError` for an unknown keyword, and `ValueError` for an override that has no effect on a static room, or
     for `step_s`, which has none in a closed loop.
-    Warns of late, noisy or lost reports and of faults of mirrors in the scenario, which a static room does not have.
+    Warns of the conditions of the scenario, as `heliostat-lab eval` states them. In a static room these are late, noisy or
+    lost reports and faults of mirrors, which it does not have. In a closed loop they are the methods of the belief that do
+    not apply, and a mismatch.
     """
     for name in settings:
         if name not in SETTINGS:
@@ -110,10 +112,16 @@ def make_scenario(
             'reports; remove it, and override streams.positions.rate_hz, or choose dynamics="static"'
         )
     scenario = load_scenario(source, overrides)
-    if settings.get("dynamics", "static") == "static":
-        for condition in check_exact(scenario, override_texts(overrides or {})):
-            warnings.warn(condition, stacklevel=_outer_level())
+    for condition in _conditions(settings.get("dynamics", "static"), scenario, overrides):
+        warnings.warn(condition, stacklevel=_outer_level())
     return scenario
+
+
+def _conditions(dynamics: str, scenario: Scenario, overrides: Mapping[str, Value] | None) -> list[str]:
+    """The conditions of a scenario under these dynamics; `Settings` refuses an unknown name of them."""
+    if dynamics == "static":
+        return check_exact(scenario, override_texts(overrides or {}))
+    return closed_loop_conditions(scenario) if dynamics == "closed-loop" else []
 
 
 def _outer_level() -> int:
@@ -210,6 +218,8 @@ class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
         settle_s: time in s that users walk before the first observation, from 0; default `SETTLE_S`, 20.
         oracle: whether `info` has the oracle's rate, which takes far longer than the step; default false.
         render_mode: "rgb_array" or "human", which needs pygame; default: no pictures.
+
+    It warns of the conditions of the scenario under its dynamics, as `heliostat-lab eval` states them.
 
     `info` has `sum_rate_mbps`, `rates_mbps` (one for each user present), `qos_met` (share of users whose minimum rate
     is met), and `oracle_mbps` with `oracle=True`.

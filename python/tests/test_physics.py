@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import json
+import os
 import re
+import subprocess
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import heliostat
 import numpy as np
 import pytest
+from room import needs_program
 
 USERS = np.array([[1.0, 0.5, 0.85], [-1.5, 1.0, 0.85], [0.2, -1.9, 0.85]])
 FLAT = np.zeros(100)
@@ -107,6 +112,24 @@ def test_a_map_has_the_rates_of_its_points() -> None:
     assert rates[7, 3] == pytest.approx(one["rate_mbps"][0], rel=1e-12)
     with pytest.raises(ValueError, match="quantity"):
         heliostat.rate_map(room, *angles, quantity="speed")
+
+
+@needs_program
+@pytest.mark.parametrize("seconds", [0.0, 7.5])
+def test_a_map_with_the_blockers_of_the_room_is_that_of_the_command_line(seconds: float, tmp_path: Path) -> None:
+    lab = str(Path(os.environ["HELIOSTAT_PROGRAM"]).with_name("heliostat-lab"))
+    command = [lab, "map", "--scenario", "specular", "--array", "flat", "--step-cm", "50", "--at-seconds", str(seconds)]
+    done = subprocess.run([*command, "--out", str(tmp_path / "map.svg"), "--json"], check=True, capture_output=True, text=True)
+    drawn = json.loads(done.stdout)
+    env = heliostat.HeliostatEnv("specular", settle_s=seconds)
+    env.reset(seed=env.scenario.seed)
+    blockers, sharing = env.state()["blockers"], env.scenario.users
+    room = heliostat.Room("specular")
+    _, _, rates = heliostat.rate_map(room, FLAT, FLAT, step_m=0.5, sharing=sharing, blockers=blockers)
+    found = [rates.min(), rates.mean(), rates.max()]
+    assert rates.size == drawn["points"] and found == pytest.approx([drawn["min"], drawn["mean"], drawn["max"]], rel=1e-9)
+    _, _, free = heliostat.rate_map(room, FLAT, FLAT, step_m=0.5, sharing=sharing)
+    assert free.mean() > rates.mean()
 
 
 def test_arguments_outside_their_domain_are_refused_with_the_reason() -> None:

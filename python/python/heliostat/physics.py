@@ -204,7 +204,8 @@ def rate_map(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[Any]]:
     """A quantity of `Room.link` over the floor: x of the columns, y of the rows, and the values (rows, columns).
 
-    `sharing`: the number of users that share the bandwidth; 1 gives the rate of a user alone in the room.
+    `blockers`: as for `Room.link`; nothing blocks the light if it is absent. `sharing`: the number of users that share the
+    bandwidth; 1 gives the rate of a user alone in the room.
     """
     if not isinstance(room, Room):
         raise TypeError(f"room: expected a Room, found {type(room).__name__}")

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import gymnasium
 import heliostat
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from heliostat.names import ActionForm, Dynamics, ObservationForm, RewardForm
 from heliostat.scenario import _toml
 
 IDS = list(heliostat.envs.IDS)
@@ -206,6 +208,18 @@ def test_users_may_come_and_go_in_closed_loop() -> None:
 def test_settings_outside_their_domain_are_refused_with_the_reason(keywords: dict[str, Any], reason: str) -> None:
     with pytest.raises(ValueError, match=reason):
         heliostat.HeliostatEnv(**keywords)
+
+
+@pytest.mark.parametrize(
+    ("keyword", "names"),
+    [("action", ActionForm), ("dynamics", Dynamics), ("observation", ObservationForm), ("reward", RewardForm)],
+)
+def test_the_types_of_names_are_those_that_the_compiled_part_accepts(keyword: str, names: Any) -> None:
+    other: dict[str, Any] = {keyword: "other"}
+    with pytest.raises(ValueError, match=f'{keyword} = "other": expected "') as refused:
+        heliostat.HeliostatEnv(**other)
+    accepted = re.findall(r'"([\w-]+)"', str(refused.value).partition("expected")[2])
+    assert sorted(accepted) == sorted(get_args(names))
 
 
 @pytest.mark.parametrize(

@@ -22,15 +22,16 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence, Set
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, get_args
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from ._checks import integer, real, seed_of, states_of
+from ._checks import integer, one_of, real, seed_of, states_of
 from ._core import Batch, Settings, check_exact, closed_loop_conditions, held_out_seed
+from .names import ActionForm, Dynamics, ObservationForm, RenderMode, RewardForm
 from .rendering import Window, draw
 from .scenario import Scenario, Value, load_scenario, override_texts
 
@@ -52,10 +53,10 @@ _UNLIMITED = 2**63
 def make_settings(
     scenario: Scenario,
     *,
-    dynamics: str = "static",
-    action: str = "angles",
-    observation: str = "flat",
-    reward: str = "shortfall",
+    dynamics: Dynamics = "static",
+    action: ActionForm = "angles",
+    observation: ObservationForm = "flat",
+    reward: RewardForm = "shortfall",
     penalty: float = 1.0,
     margin: float = 1.0,
     step_s: float = 1.0,
@@ -90,10 +91,11 @@ KEYWORDS = SETTINGS | {"scenario", "overrides", "render_mode"}
 def make_scenario(
     source: str | os.PathLike[str] | Scenario,
     overrides: Mapping[str, Value] | None,
+    dynamics: Dynamics,
     settings: Mapping[str, Any],
     accepted: Set[str] = KEYWORDS,
 ) -> Scenario:
-    """The scenario of an environment with these further keywords; `accepted` has all keywords of its constructor.
+    """The scenario of an environment with these dynamics and further keywords; `accepted` has all of its constructor.
 
     Raises `TypeError` for an unknown keyword, and `ValueError` for an override that has no effect on a static room, or
     for `step_s`, which has none in a closed loop.
@@ -106,13 +108,13 @@ def make_scenario(
             close = difflib.get_close_matches(name, accepted, 1)
             hint = f"; a similar name exists: {close[0]}" if close else ""
             raise TypeError(f'unknown keyword "{name}": expected {", ".join(sorted(accepted))}{hint}')
-    if "step_s" in settings and settings.get("dynamics") == "closed-loop":
+    if "step_s" in settings and dynamics == "closed-loop":
         raise ValueError(
             f"step_s = {settings['step_s']!r}: no effect in a closed loop, whose step is the time between two position "
             'reports; remove it, and override streams.positions.rate_hz, or choose dynamics="static"'
         )
     scenario = load_scenario(source, overrides)
-    for condition in _conditions(settings.get("dynamics", "static"), scenario, overrides):
+    for condition in _conditions(dynamics, scenario, overrides):
         warnings.warn(condition, stacklevel=_outer_level())
     return scenario
 
@@ -225,24 +227,32 @@ class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
     is met), and `oracle_mbps` with `oracle=True`.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 10}
+    metadata: dict[str, Any] = {"render_modes": list(get_args(RenderMode)), "render_fps": 10}
 
     def __init__(
         self,
         scenario: str | os.PathLike[str] | Scenario = "specular",
         *,
         overrides: Mapping[str, Value] | None = None,
-        render_mode: str | None = None,
-        observation: str = "flat",
-        action: str = "angles",
+        render_mode: RenderMode | None = None,
+        observation: ObservationForm = "flat",
+        action: ActionForm = "angles",
+        dynamics: Dynamics = "static",
+        reward: RewardForm = "shortfall",
         **settings: Any,
     ) -> None:
-        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise ValueError(f'render_mode = {render_mode!r}: expected "rgb_array" or "human"')
-        self.scenario = make_scenario(scenario, overrides, settings)
+        if render_mode is not None:
+            one_of("render_mode", render_mode, RenderMode)
+        self.scenario = make_scenario(scenario, overrides, dynamics, settings)
         self.action_form, self.observation_form = action, observation
-        checked = make_settings(self.scenario, action=action, observation=observation, **settings)
-        self._settings = {"action": action, "observation": observation, **settings}
+        self._settings: dict[str, Any] = {
+            "action": action,
+            "observation": observation,
+            "dynamics": dynamics,
+            "reward": reward,
+            **settings,
+        }
+        checked = make_settings(self.scenario, **self._settings)
         self._oracle = bool(settings.get("oracle", False))
         self._batch = Batch(checked, [self.scenario.seed], "disabled", _UNLIMITED)
         self._layout = Layout(self._batch, observation)
@@ -362,7 +372,7 @@ class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
     @property
     def is_static(self) -> bool:
         """Whether the learner observes the true state, and the mirrors turn at once."""
-        return bool(self._settings.get("dynamics", "static") == "static")
+        return bool(self._settings["dynamics"] == "static")
 
     @contextmanager
     def with_other_rooms(self, *, oracle: bool) -> Iterator[None]:

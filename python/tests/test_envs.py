@@ -316,7 +316,7 @@ def test_conditions_of_belief_and_model_are_warnings_of_a_closed_loop(make_one: 
     for key, value, reason in (
         ("mismatch.level", "rough", 'the channel model of belief and policies .*: mismatch.level = "rough"'),
         ("control.belief", "none", 'the filter does not apply: control.belief = "none"'),
-        ("streams.positions.latency_ms", 2000.0, "any decision does not apply: streams.positions.latency_ms = 2000"),
+        ("streams.channel.rate_hz", 0.5, "the use of measured gains .*: readings become 2100 ms old"),
     ):
         with pytest.warns(UserWarning, match=reason) as warned:
             make_one("hall", overrides={key: value}, dynamics="closed-loop").close()

@@ -37,6 +37,11 @@ pub struct Recording {
     unreadable: Unreadable,
 }
 
+/// A time in ns with a sign, so that differences of columns do not wrap; at most that of the year 2262.
+fn signed_ns(time_ns: u64) -> i64 {
+    i64::try_from(time_ns).unwrap_or(i64::MAX)
+}
+
 /// One value of each row as an array.
 fn column<'py, T: Element, R>(py: Python<'py>, rows: &[R], value: impl Fn(&R) -> T) -> PyResult<Bound<'py, PyAny>> {
     Ok(PyArray1::from_iter(py, rows.iter().map(value)).into_any())
@@ -154,8 +159,8 @@ impl Recording {
         table(
             py,
             [
-                ("arrived_ns", column(py, &rows, |row| row.0)),
-                ("time_ns", column(py, &rows, |row| row.1.stamp.time_ns)),
+                ("arrived_ns", column(py, &rows, |row| signed_ns(row.0))),
+                ("time_ns", column(py, &rows, |row| signed_ns(row.1.stamp.time_ns))),
                 ("tick", column(py, &rows, |row| row.1.tick)),
                 ("user", column(py, &rows, |row| row.2.user)),
                 ("position_m", columns(py, &rows, 3, |row| &row.2.position_m[..])),
@@ -176,8 +181,8 @@ impl Recording {
         table(
             py,
             [
-                ("arrived_ns", column(py, &rows, |row| row.0)),
-                ("time_ns", column(py, &rows, |row| row.1.stamp.time_ns)),
+                ("arrived_ns", column(py, &rows, |row| signed_ns(row.0))),
+                ("time_ns", column(py, &rows, |row| signed_ns(row.1.stamp.time_ns))),
                 ("tick", column(py, &rows, |row| row.1.tick)),
                 ("user", column(py, &rows, |row| row.2.user)),
                 ("los_gain", column(py, &rows, |row| row.2.los_gain)),
@@ -197,8 +202,8 @@ impl Recording {
         table(
             py,
             [
-                ("arrived_ns", column(py, &rows, |row| row.0)),
-                ("time_ns", column(py, &rows, |row| row.1.time_ns)),
+                ("arrived_ns", column(py, &rows, |row| signed_ns(row.0))),
+                ("time_ns", column(py, &rows, |row| signed_ns(row.1.time_ns))),
                 ("epoch", column(py, &rows, |row| row.1.epoch)),
                 ("sequence", column(py, &rows, |row| row.1.sequence)),
                 ("answers", column(py, &rows, |row| row.1.answers)),
@@ -219,10 +224,10 @@ impl Recording {
         table(
             py,
             [
-                ("arrived_ns", column(py, &rows, |row| row.0)),
-                ("time_ns", column(py, &rows, |row| row.1.stamp.time_ns)),
+                ("arrived_ns", column(py, &rows, |row| signed_ns(row.0))),
+                ("time_ns", column(py, &rows, |row| signed_ns(row.1.stamp.time_ns))),
                 ("answers", column(py, &rows, |row| row.1.answers)),
-                ("applied_ns", column(py, &rows, |row| row.1.applied_ns)),
+                ("applied_ns", column(py, &rows, |row| signed_ns(row.1.applied_ns))),
                 ("faults", column(py, &rows, |row| row.1.faults)),
                 ("roll", columns(py, &rows, mirrors, |row| &row.1.roll_commanded[..])),
                 ("yaw", columns(py, &rows, mirrors, |row| &row.1.yaw_commanded[..])),
@@ -241,8 +246,8 @@ impl Recording {
         table(
             py,
             [
-                ("arrived_ns", column(py, &rows, |row| row.0)),
-                ("time_ns", column(py, &rows, |row| row.1.stamp.time_ns)),
+                ("arrived_ns", column(py, &rows, |row| signed_ns(row.0))),
+                ("time_ns", column(py, &rows, |row| signed_ns(row.1.stamp.time_ns))),
                 ("tick", column(py, &rows, |row| row.1.tick)),
                 ("user", column(py, &rows, |row| row.2.user)),
                 ("position_m", columns(py, &rows, 3, |row| &row.2.position_m[..])),

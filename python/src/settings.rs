@@ -3,10 +3,11 @@
 use std::sync::Arc;
 
 use heliostat_channel::MirrorAngles;
+use heliostat_core::belief::conditions::{Condition, conditions};
 use heliostat_core::policy::removed;
 use heliostat_environment::action::ActionForm;
 use heliostat_environment::episodes::{HeldOutEpisode, WARM, held_out_episodes};
-use heliostat_environment::exact_states::{check_overrides, conditions};
+use heliostat_environment::exact_states;
 use heliostat_environment::room::{Reward, RewardForm};
 use heliostat_environment::sampling::Sampled;
 use heliostat_environment::statistics::Spread;
@@ -158,9 +159,20 @@ fn settings_of(
 /// scenario with late, noisy or lost reports or with faults of mirrors, which a static room does not have.
 #[pyfunction]
 pub fn check_exact(scenario: &Scenario, overrides: Vec<String>) -> PyResult<Vec<String>> {
-    check_overrides(&overrides).map_err(refused)?;
-    let found = conditions(&scenario.inner, "a static room", "choose dynamics=\"closed-loop\"");
-    Ok(found.iter().map(ToString::to_string).collect())
+    exact_states::check_overrides(&overrides).map_err(refused)?;
+    let found = exact_states::conditions(&scenario.inner, "a static room", "choose dynamics=\"closed-loop\"");
+    Ok(as_texts(&found))
+}
+
+/// The conditions of a scenario in closed loop: those of `heliostat-lab eval --closed-loop`, policies excepted.
+#[pyfunction]
+pub fn closed_loop_conditions(scenario: &Scenario) -> PyResult<Vec<String>> {
+    let scenario = &scenario.inner;
+    guarded(|| Ok(as_texts(&conditions(scenario, &scenario.channel_model().map_err(refused)?))))
+}
+
+fn as_texts(found: &[Condition]) -> Vec<String> {
+    found.iter().map(ToString::to_string).collect()
 }
 
 /// The seed of a held-out room, which training never uses: `heliostat-lab eval` takes its states from

@@ -247,7 +247,7 @@ def test_a_run_ends_after_its_time_and_wrong_settings_are_refused() -> None:
     with pytest.raises(PeerError, match="expected tls='DIR', or insecure=True"):
         heliostat.run(lambda _: None, listen="tcp/0.0.0.0:7447")
     with pytest.raises(ValueError, match='"angles", "weights"'):
-        heliostat.run(lambda _: None, connect=[endpoint], action="torque", seconds=0.1)
+        heliostat.run(lambda _: None, connect=[endpoint], action="torque", seconds=0.1)  # type: ignore[arg-type]
     number: Any = 42
     with pytest.raises(TypeError, match="act: expected a function of an observation, found int"):
         heliostat.run(number, connect=[endpoint])

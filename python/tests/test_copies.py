@@ -18,6 +18,7 @@ import gymnasium
 import heliostat
 import numpy as np
 import pytest
+from heliostat.names import Dynamics
 
 SMALL: dict[str, Any] = {"overrides": {"mirrors.rows": 3, "mirrors.columns": 3, "users.count": 2}}
 # Generous, for a busy machine.
@@ -81,7 +82,7 @@ def test_a_copy_includes_wrappers_and_the_specification(way: str) -> None:
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
 @pytest.mark.parametrize("dynamics", ["static", "closed-loop"])
 def test_a_copy_of_a_batch_continues_as_its_original_across_ends_of_episodes(
-    dynamics: str, mode: str, way: str
+    dynamics: Dynamics, mode: str, way: str
 ) -> None:
     scenario = "specular" if dynamics == "static" else "hall"
     batch = heliostat.HeliostatVectorEnv(

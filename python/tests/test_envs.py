@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import gymnasium
 import heliostat
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from heliostat.names import ActionForm, Dynamics, ObservationForm, RewardForm
 from heliostat.scenario import _toml
 
 IDS = list(heliostat.envs.IDS)
@@ -152,7 +154,7 @@ def test_better_angles_give_a_better_reward_and_info_agrees_with_the_physics() -
 
 def test_a_dictionary_in_an_override_is_a_table_of_toml() -> None:
     mixture = [{"mobility": "seated", "count": 2}, {"mobility": "random-waypoint", "count": np.int64(1)}]
-    make("heliostat/Hall-v0", overrides={"users.count": 3, "users.mixture": mixture})
+    make("heliostat/Hall-v0", overrides={"users.count": 3, "users.mobility": "mixture", "users.mixture": mixture})
     with pytest.raises(ValueError, match="unknown variant `walking`"):
         make("heliostat/Hall-v0", overrides={"users.mixture": [{"mobility": "walking", "count": 2}]})
     tables = {"text": 'a "b"', "flag": True, "one key": [{"inner": 2.5}]}
@@ -209,6 +211,18 @@ def test_settings_outside_their_domain_are_refused_with_the_reason(keywords: dic
 
 
 @pytest.mark.parametrize(
+    ("keyword", "names"),
+    [("action", ActionForm), ("dynamics", Dynamics), ("observation", ObservationForm), ("reward", RewardForm)],
+)
+def test_the_types_of_names_are_those_that_the_compiled_part_accepts(keyword: str, names: Any) -> None:
+    other: dict[str, Any] = {keyword: "other"}
+    with pytest.raises(ValueError, match=f'{keyword} = "other": expected "') as refused:
+        heliostat.HeliostatEnv(**other)
+    accepted = re.findall(r'"([\w-]+)"', str(refused.value).partition("expected")[2])
+    assert sorted(accepted) == sorted(get_args(names))
+
+
+@pytest.mark.parametrize(
     ("options", "reason"),
     [
         ({"held_out": -1}, "held_out = -1: expected an integer from 0"),
@@ -260,7 +274,9 @@ def test_overrides_without_an_effect_on_a_static_room_are_refused(make_one: Any)
     for key, value in {"actuator.stuck_share": 1.0, "streams.positions.latency_ms": 300.0, "control.belief": "none"}.items():
         with pytest.raises(ValueError, match=f"{key}: no effect .*closed-loop"):
             make_one("specular", overrides={key: value})
-        make_one("specular", overrides={key: value}, dynamics="closed-loop").close()
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message="the filter does not apply: control.belief = ")
+            make_one("specular", overrides={key: value}, dynamics="closed-loop").close()
     with pytest.raises(ValueError, match="control.belief: no effect"):
         make_one("specular", overrides={"control": {"belief": "none"}})
     for works in ({"control.range_deg": 30.0}, {"control": {"range_deg": 30.0}}):
@@ -289,6 +305,22 @@ def test_faults_of_mirrors_and_of_reports_in_a_scenario_are_warnings_of_a_static
             make_one(scenario).close()
         assert [warning.filename for warning in warned] == [__file__]
         make_one(scenario, dynamics="closed-loop").close()
+
+
+def made_in_closed_loop(scenario: str, **settings: Any) -> Any:
+    return gymnasium.make("heliostat/Hall-v0", scenario=scenario, **settings)
+
+
+@pytest.mark.parametrize("make_one", [heliostat.HeliostatEnv, heliostat.HeliostatVectorEnv, made_in_closed_loop])
+def test_conditions_of_belief_and_model_are_warnings_of_a_closed_loop(make_one: Any) -> None:
+    for key, value, reason in (
+        ("mismatch.level", "rough", 'the channel model of belief and policies .*: mismatch.level = "rough"'),
+        ("control.belief", "none", 'the filter does not apply: control.belief = "none"'),
+        ("streams.channel.rate_hz", 0.5, "the use of measured gains .*: readings become 2100 ms old"),
+    ):
+        with pytest.warns(UserWarning, match=reason) as warned:
+            make_one("hall", overrides={key: value}, dynamics="closed-loop").close()
+        assert [warning.filename for warning in warned] == [__file__], key
 
 
 def test_actions_that_are_not_valid_are_refused_and_change_nothing() -> None:

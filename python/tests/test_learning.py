@@ -15,6 +15,7 @@ import gymnasium
 import heliostat
 import numpy as np
 import pytest
+from heliostat.names import ActionForm
 
 
 def zero(observation: Any) -> Any:
@@ -224,6 +225,14 @@ def test_the_command_line_gives_an_exported_network_the_same_score(name: str, se
     assert abs(heliostat.evaluate(lambda seen: 0 * act(seen), env, states=20).ratio_to_oracle - score.ratio_to_oracle) > 1e-4
 
 
+def test_a_policy_may_return_any_array_or_a_list() -> None:
+    env = heliostat.HeliostatEnv(action="weights")
+    expected = heliostat.evaluate(lambda _: np.zeros(10, np.float32), env, states=10)
+    assert heliostat.evaluate(lambda _: np.zeros(10), env, states=10) == expected
+    assert heliostat.evaluate(lambda _: [0.0] * 10, env, states=10) == expected
+    assert heliostat.evaluate(lambda _: (0,) * 10, env, states=10) == expected
+
+
 def test_a_score_of_episodes_has_as_many_for_each_seed() -> None:
     for name, states in (("Static-v0", 1), ("Hall-v0", 20)):
         env = gymnasium.make(f"heliostat/{name}")
@@ -364,7 +373,7 @@ def ran(script: str, *arguments: object) -> str:
     return done.stdout
 
 
-def assert_acts(path: Path, scenario: str, action: str) -> None:
+def assert_acts(path: Path, scenario: str, action: ActionForm) -> None:
     """An exported file turns the mirrors of its room, and in another way than an action of zeros."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "the model of late, noisy and lost reports does not apply")

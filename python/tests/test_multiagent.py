@@ -10,6 +10,7 @@ import pytest
 
 pytest.importorskip("pettingzoo", reason="pettingzoo is not installed")
 from heliostat.multiagent import parallel_env
+from heliostat.names import Agents
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 FEW: dict[str, Any] = {"overrides": {"users.count": 3, "mirrors.rows": 2, "mirrors.columns": 3}}
@@ -28,7 +29,7 @@ wall = "-x"
 
 @pytest.mark.parametrize("agents", ["users", "arrays"])
 @pytest.mark.parametrize("settings", [FEW, HALL])
-def test_the_checks_of_pettingzoo_pass(agents: str, settings: dict[str, Any]) -> None:
+def test_the_checks_of_pettingzoo_pass(agents: Agents, settings: dict[str, Any]) -> None:
     env = parallel_env(agents, max_steps=20, **settings)
     parallel_api_test(env, num_cycles=100)
     env.close()

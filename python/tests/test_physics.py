@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import json
+import os
 import re
+import subprocess
 from collections.abc import Callable
-from typing import Any
+from pathlib import Path
+from typing import Any, get_args
 
 import heliostat
 import numpy as np
 import pytest
+from heliostat.names import Quantity
+from heliostat.tables import LinkResult
+from room import needs_program
 
 USERS = np.array([[1.0, 0.5, 0.85], [-1.5, 1.0, 0.85], [0.2, -1.9, 0.85]])
 FLAT = np.zeros(100)
@@ -98,6 +105,11 @@ def test_learned_policies_are_built_in_by_name() -> None:
         heliostat.Policy("ddpg-raw", overrides={"mirrors.rows": 3})
 
 
+def test_the_quantities_of_a_map_are_those_of_a_link() -> None:
+    assert list(get_args(Quantity)) == list(LinkResult.__annotations__)
+    assert set(heliostat.Room().link(USERS, FLAT, FLAT)) == set(get_args(Quantity))
+
+
 def test_a_map_has_the_rates_of_its_points() -> None:
     room = heliostat.Room()
     angles = room.decode(USERS, [0.0, 1.0, 0.0])
@@ -106,13 +118,32 @@ def test_a_map_has_the_rates_of_its_points() -> None:
     one = room.link([[x[3], y[7], 0.85]], *angles, sharing=1)
     assert rates[7, 3] == pytest.approx(one["rate_mbps"][0], rel=1e-12)
     with pytest.raises(ValueError, match="quantity"):
-        heliostat.rate_map(room, *angles, quantity="speed")
+        heliostat.rate_map(room, *angles, quantity="speed")  # type: ignore[arg-type]
+
+
+@needs_program
+@pytest.mark.parametrize("seconds", [0.0, 7.5])
+def test_a_map_with_the_blockers_of_the_room_is_that_of_the_command_line(seconds: float, tmp_path: Path) -> None:
+    lab = str(Path(os.environ["HELIOSTAT_PROGRAM"]).with_name("heliostat-lab"))
+    command = [lab, "map", "--scenario", "specular", "--array", "flat", "--step-cm", "50", "--at-seconds", str(seconds)]
+    done = subprocess.run([*command, "--out", str(tmp_path / "map.svg"), "--json"], check=True, capture_output=True, text=True)
+    drawn = json.loads(done.stdout)
+    env = heliostat.HeliostatEnv("specular", settle_s=seconds)
+    env.reset(seed=env.scenario.seed)
+    blockers, sharing = env.state()["blockers"], env.scenario.users
+    room = heliostat.Room("specular")
+    _, _, rates = heliostat.rate_map(room, FLAT, FLAT, step_m=0.5, sharing=sharing, blockers=blockers)
+    found = [rates.min(), rates.mean(), rates.max()]
+    assert rates.size == drawn["points"] and found == pytest.approx([drawn["min"], drawn["mean"], drawn["max"]], rel=1e-9)
+    _, _, free = heliostat.rate_map(room, FLAT, FLAT, step_m=0.5, sharing=sharing)
+    assert free.mean() > rates.mean()
 
 
 def test_arguments_outside_their_domain_are_refused_with_the_reason() -> None:
     room = heliostat.Room()
     nan = USERS.copy()
     nan[1, 2] = np.nan
+    misspelt: Any = "snrr"
     for call, reason in [
         (lambda: room.link(USERS[:, :2], FLAT, FLAT), "positions has the shape"),
         (lambda: room.link(USERS[0], FLAT, FLAT), "expected 2 dimensions"),
@@ -131,7 +162,7 @@ def test_arguments_outside_their_domain_are_refused_with_the_reason() -> None:
         (lambda: heliostat.rate_map(room, FLAT, FLAT, step_m=1e-6), "2.5e.13 points in this room, expected at most"),
         (lambda: heliostat.rate_map(room, FLAT, FLAT, step_m=1e9), "step_m = 1000000000.0: expected .* below 10"),
         (lambda: heliostat.rate_map(room, FLAT, FLAT, height_m=9), "height_m = 9.0: expected a number of metres from 0 to 3"),
-        (lambda: heliostat.rate_map(room, FLAT, FLAT, quantity="snrr"), "expected one of .*; a similar name exists: sinr$"),
+        (lambda: heliostat.rate_map(room, FLAT, FLAT, quantity=misspelt), "expected one of .*; a similar name exists: sinr$"),
         (lambda: heliostat.Policy("gready"), 'unknown policy "gready": .* a similar name exists: greedy$'),
         (lambda: heliostat.Policy("none.onnx"), "none.onnx"),
     ]:
@@ -167,7 +198,7 @@ def test_a_map_in_parts_equals_one_evaluation_of_all_places(monkeypatch: pytest.
     assert all(np.array_equal(one, two) for one, two in zip(complete, in_parts, strict=True))
     assert complete[2].size > 14 and complete[2].max() > complete[2].min()
     with pytest.raises(ValueError, match="quantity = 'rate': expected one of los_gain"):
-        heliostat.rate_map(room, *angles, quantity="rate")
+        heliostat.rate_map(room, *angles, quantity="rate")  # type: ignore[arg-type]
 
 
 def test_more_users_than_memory_allows_are_refused() -> None:

@@ -7,10 +7,12 @@ import re
 import subprocess
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import heliostat
 import numpy as np
 import pytest
+from heliostat.names import Library
 from room import free_endpoint
 
 OVERRIDES = ("--set", "streams.channel.rate_hz=5")
@@ -80,7 +82,7 @@ def test_the_truth_of_a_recording_agrees_with_the_physics(path: Path) -> None:
 
 
 @pytest.mark.parametrize("library", ["pandas", "polars"])
-def test_a_table_of_a_recording_is_a_data_frame(path: Path, library: str) -> None:
+def test_a_table_of_a_recording_is_a_data_frame(path: Path, library: Library) -> None:
     pytest.importorskip(library)
     recording = heliostat.Recording(path)
     frame, truth = recording.frame("truth", library=library), recording.truth()
@@ -92,9 +94,21 @@ def test_a_table_of_a_recording_is_a_data_frame(path: Path, library: str) -> Non
     assert {"velocity_x_m_s", "velocity_y_m_s"} <= set(recording.frame("reports", library=library).columns)
     assert len(recording.frame("decisions", library=library)) > 0
     with pytest.raises(ValueError, match="expected reports, channels, truth"):
-        recording.frame("angles")
+        recording.frame("angles")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="pandas"):
-        recording.frame("truth", library="spark")
+        recording.frame("truth", library="spark")  # type: ignore[arg-type]
+
+
+def test_differences_of_times_have_a_sign(path: Path) -> None:
+    recording = heliostat.Recording(path)
+    tables: list[Any] = [recording.reports(), recording.channels(), recording.truth()]
+    tables += [recording.commands(), recording.telemetry(), recording.decisions()]
+    times = [values for table in tables for name, values in table.items() if name.endswith("_ns")]
+    assert len(times) == 13 and {values.dtype for values in times} == {np.dtype(np.int64)}
+    decisions = recording.decisions()
+    apart = decisions["reported_ns"] - decisions["commanded_ns"]
+    np.testing.assert_allclose(apart, decisions["answer_us"] * -1e3)
+    assert (apart < 0).any()
 
 
 def test_an_array_that_no_room_has_is_refused(path: Path) -> None:

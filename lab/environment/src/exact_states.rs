@@ -44,17 +44,16 @@ fn has_effect(key: &str) -> bool {
     }
 }
 
-/// The conditions of a scenario with late, noisy or lost reports, or with faults of mirrors.
+/// The conditions of a scenario with late, noisy or lost reports, or with faults of mirrors, which
+/// exact states do not have.
 ///
-/// `of` and `advice` as in [`exact_mirrors`].
+/// `of` names what uses the states, as `a static comparison`, and `advice` what to do for the faults.
 pub fn conditions(scenario: &Scenario, of: &str, advice: &str) -> Vec<Condition> {
     [exact_reports(scenario, of, advice), exact_mirrors(scenario, of, advice)].into_iter().flatten().collect()
 }
 
-/// The condition of a scenario with faults of mirrors, which exact states do not have.
-///
-/// `of` names what uses the states, as `a static comparison`, and `advice` what to do for the faults.
-pub fn exact_mirrors(Scenario { actuator, .. }: &Scenario, of: &str, advice: &str) -> Option<Condition> {
+/// The condition of a scenario with faults of mirrors; `of` and `advice` as in [`conditions`].
+fn exact_mirrors(Scenario { actuator, .. }: &Scenario, of: &str, advice: &str) -> Option<Condition> {
     let faults = [
         ("actuator.stuck_share", actuator.stuck_share),
         ("actuator.offset_deg", actuator.offset_deg),

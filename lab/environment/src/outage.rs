@@ -52,6 +52,8 @@ impl OutageLog {
 pub struct Outages {
     /// Outages per minute of a user's time.
     pub per_user_minute: f64,
+    /// The users' time in minutes, the weight of [`Outages::per_user_minute`] in a mean over episodes.
+    pub user_minutes: f64,
     /// Median length in s.
     pub p50_s: f64,
     /// 95th percentile of the length in s.
@@ -74,6 +76,7 @@ impl Outages {
         let user_s = samples as f64 * step_s;
         (samples > 0).then(|| Self {
             per_user_minute: lengths_s.len() as f64 / (user_s / 60.0),
+            user_minutes: user_s / 60.0,
             p50_s: quantile(&lengths_s, 0.5),
             p95_s: quantile(&lengths_s, 0.95),
             time_in_longer: OUTAGE_LENGTHS_S.map(|least_s| {
@@ -116,6 +119,20 @@ mod tests {
         (0..50).for_each(|sample| log.handle([(1, sample < 5), (2, sample < 30)].into_iter()));
         let [tenth, half, two] = Outages::of(std::iter::once(&log)).expect("samples").time_in_longer;
         assert!((tenth - 0.3).abs() < 1e-12 && (half - 0.3).abs() < 1e-12 && two == 0.0, "{tenth} {half} {two}");
+    }
+
+    #[test]
+    fn the_rate_of_several_episodes_is_the_mean_weighted_by_the_time_of_the_users() {
+        let mut logs = [OutageLog::default(), OutageLog::default()];
+        logs[0].handle([(1, true), (2, false)].into_iter());
+        (0..6).for_each(|sample| logs[1].handle([(1, sample % 2 == 0)].into_iter()));
+        let all = Outages::of(logs.iter()).expect("samples");
+        let each = logs.map(|log| Outages::of(std::iter::once(&log)).expect("samples"));
+        let minutes: f64 = each.iter().map(|one| one.user_minutes).sum();
+        let outages: f64 = each.iter().map(|one| one.per_user_minute * one.user_minutes).sum();
+        assert!((each[0].user_minutes - 2.0 * 0.02 / 60.0).abs() < 1e-12, "{each:?}");
+        assert!((all.user_minutes - minutes).abs() < 1e-12, "{all:?} {each:?}");
+        assert!((all.per_user_minute - outages / minutes).abs() < 1e-9, "{all:?} {each:?}");
     }
 
     #[test]

@@ -92,7 +92,7 @@ pub fn run_train(args: TrainArgs, stop_requested: StopRequested<'_>) -> anyhow::
 fn train(args: &TrainArgs, stop_requested: StopRequested<'_>) -> anyhow::Result<()> {
     let scenario = args.scenario.load_arrays()?;
     exact_states::check_training(&args.scenario.overrides)?;
-    condition(&scenario).iter().for_each(|condition| eprintln!("condition: {condition}"));
+    conditions(&scenario).iter().for_each(|condition| eprintln!("condition: {condition}"));
     let mut training = args.algorithm.begin(scenario, args.preset, &args.changes())?;
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
     let checkpoint = args.out.join("checkpoint.safetensors");
@@ -119,8 +119,8 @@ fn train(args: &TrainArgs, stop_requested: StopRequested<'_>) -> anyhow::Result<
 }
 
 /// What a scenario describes and training leaves out.
-fn condition(scenario: &Scenario) -> Option<Condition> {
-    exact_states::exact_mirrors(scenario, "training", "measure the actor with heliostat-lab eval --closed-loop")
+fn conditions(scenario: &Scenario) -> Vec<Condition> {
+    exact_states::conditions(scenario, "training", "measure the actor with heliostat-lab eval --closed-loop")
 }
 
 /// Saves the run, and returns the message that says how to resume it.
@@ -344,7 +344,7 @@ fn report(
         "actor": path.display().to_string(),
         "command": command,
         "notes": notes,
-        "conditions": Vec::from_iter(condition(training.scenario())),
+        "conditions": conditions(training.scenario()),
         "duration_s": duration.map(|duration| duration.as_secs_f64()),
         "hardware": hardware(),
         "scores": scores,

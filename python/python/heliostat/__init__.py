@@ -11,6 +11,7 @@
 - `heliostat.physics`: gains, rates, maps, the decoder, the oracle and policies as functions.
 - `heliostat.evaluation`: scores on held-out rooms, as `heliostat-lab eval` computes them.
 - `heliostat.recording`: recordings of rooms as arrays.
+- `heliostat.names`: the names that parameters accept, as types for a type checker.
 - `heliostat.export`: from a PyTorch module to a file that the controller runs.
 - `heliostat.sb3`: the batch as a vector environment of Stable-Baselines3.
 - `heliostat.controller`: a function that commands the mirrors of a room.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import operator
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +58,13 @@ def finite(name: str, value: Any, expected: str, least: float = -math.inf) -> fl
     if number < least:
         raise ValueError(f"{name} = {value!r}: expected {expected}")
     return number
+
+
+def one_of(name: str, value: Any, known: Any) -> None:
+    """Raises `ValueError` for a value that is none of the names of a `Literal` of `heliostat.names`."""
+    if value not in get_args(known):
+        expected = " or ".join(f'"{one}"' for one in get_args(known))
+        raise ValueError(f"{name} = {value!r}: expected {expected}")
 
 
 def function_of_observation(name: str, value: Any) -> None:

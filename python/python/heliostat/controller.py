@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 
 from ._checks import finite, function_of_observation, printable, real
 from ._core import Commander
+from .names import ActionForm
 from .scenario import Scenario, load_scenario
 
 _STATUS_S = 0.5
@@ -85,7 +86,7 @@ def run(
     connect: str | Iterable[str] = (),
     listen: str | Iterable[str] = (),
     scenario: str | os.PathLike[str] | Scenario = "hall",
-    action: str | None = None,
+    action: ActionForm | None = None,
     room: str | None = None,
     client: bool = False,
     tls: str | os.PathLike[str] | None = None,

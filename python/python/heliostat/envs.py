@@ -22,15 +22,16 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence, Set
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, get_args
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from ._checks import integer, real, seed_of, states_of
-from ._core import Batch, Settings, check_exact, held_out_seed
+from ._checks import integer, one_of, real, seed_of, states_of
+from ._core import Batch, Settings, check_exact, closed_loop_conditions, held_out_seed
+from .names import ActionForm, Dynamics, ObservationForm, RenderMode, RewardForm
 from .rendering import Window, draw
 from .scenario import Scenario, Value, load_scenario, override_texts
 
@@ -52,10 +53,10 @@ _UNLIMITED = 2**63
 def make_settings(
     scenario: Scenario,
     *,
-    dynamics: str = "static",
-    action: str = "angles",
-    observation: str = "flat",
-    reward: str = "shortfall",
+    dynamics: Dynamics = "static",
+    action: ActionForm = "angles",
+    observation: ObservationForm = "flat",
+    reward: RewardForm = "shortfall",
     penalty: float = 1.0,
     margin: float = 1.0,
     step_s: float = 1.0,
@@ -90,30 +91,39 @@ KEYWORDS = SETTINGS | {"scenario", "overrides", "render_mode"}
 def make_scenario(
     source: str | os.PathLike[str] | Scenario,
     overrides: Mapping[str, Value] | None,
+    dynamics: Dynamics,
     settings: Mapping[str, Any],
     accepted: Set[str] = KEYWORDS,
 ) -> Scenario:
-    """The scenario of an environment with these further keywords; `accepted` has all keywords of its constructor.
+    """The scenario of an environment with these dynamics and further keywords; `accepted` has all of its constructor.
 
     Raises `TypeError` for an unknown keyword, and `ValueError` for an override that has no effect on a static room, or
     for `step_s`, which has none in a closed loop.
-    Warns of late, noisy or lost reports and of faults of mirrors in the scenario, which a static room does not have.
+    Warns of the conditions of the scenario, as `heliostat-lab eval` states them. In a static room these are late, noisy or
+    lost reports and faults of mirrors, which it does not have. In a closed loop they are the methods of the belief that do
+    not apply, and a mismatch.
     """
     for name in settings:
         if name not in SETTINGS:
             close = difflib.get_close_matches(name, accepted, 1)
             hint = f"; a similar name exists: {close[0]}" if close else ""
             raise TypeError(f'unknown keyword "{name}": expected {", ".join(sorted(accepted))}{hint}')
-    if "step_s" in settings and settings.get("dynamics") == "closed-loop":
+    if "step_s" in settings and dynamics == "closed-loop":
         raise ValueError(
             f"step_s = {settings['step_s']!r}: no effect in a closed loop, whose step is the time between two position "
             'reports; remove it, and override streams.positions.rate_hz, or choose dynamics="static"'
         )
     scenario = load_scenario(source, overrides)
-    if settings.get("dynamics", "static") == "static":
-        for condition in check_exact(scenario, override_texts(overrides or {})):
-            warnings.warn(condition, stacklevel=_outer_level())
+    for condition in _conditions(dynamics, scenario, overrides):
+        warnings.warn(condition, stacklevel=_outer_level())
     return scenario
+
+
+def _conditions(dynamics: str, scenario: Scenario, overrides: Mapping[str, Value] | None) -> list[str]:
+    """The conditions of a scenario under these dynamics; `Settings` refuses an unknown name of them."""
+    if dynamics == "static":
+        return check_exact(scenario, override_texts(overrides or {}))
+    return closed_loop_conditions(scenario) if dynamics == "closed-loop" else []
 
 
 def _outer_level() -> int:
@@ -211,28 +221,38 @@ class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
         oracle: whether `info` has the oracle's rate, which takes far longer than the step; default false.
         render_mode: "rgb_array" or "human", which needs pygame; default: no pictures.
 
+    It warns of the conditions of the scenario under its dynamics, as `heliostat-lab eval` states them.
+
     `info` has `sum_rate_mbps`, `rates_mbps` (one for each user present), `qos_met` (share of users whose minimum rate
     is met), and `oracle_mbps` with `oracle=True`.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 10}
+    metadata: dict[str, Any] = {"render_modes": list(get_args(RenderMode)), "render_fps": 10}
 
     def __init__(
         self,
         scenario: str | os.PathLike[str] | Scenario = "specular",
         *,
         overrides: Mapping[str, Value] | None = None,
-        render_mode: str | None = None,
-        observation: str = "flat",
-        action: str = "angles",
+        render_mode: RenderMode | None = None,
+        observation: ObservationForm = "flat",
+        action: ActionForm = "angles",
+        dynamics: Dynamics = "static",
+        reward: RewardForm = "shortfall",
         **settings: Any,
     ) -> None:
-        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise ValueError(f'render_mode = {render_mode!r}: expected "rgb_array" or "human"')
-        self.scenario = make_scenario(scenario, overrides, settings)
+        if render_mode is not None:
+            one_of("render_mode", render_mode, RenderMode)
+        self.scenario = make_scenario(scenario, overrides, dynamics, settings)
         self.action_form, self.observation_form = action, observation
-        checked = make_settings(self.scenario, action=action, observation=observation, **settings)
-        self._settings = {"action": action, "observation": observation, **settings}
+        self._settings: dict[str, Any] = {
+            "action": action,
+            "observation": observation,
+            "dynamics": dynamics,
+            "reward": reward,
+            **settings,
+        }
+        checked = make_settings(self.scenario, **self._settings)
         self._oracle = bool(settings.get("oracle", False))
         self._batch = Batch(checked, [self.scenario.seed], "disabled", _UNLIMITED)
         self._layout = Layout(self._batch, observation)
@@ -352,7 +372,7 @@ class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
     @property
     def is_static(self) -> bool:
         """Whether the learner observes the true state, and the mirrors turn at once."""
-        return bool(self._settings.get("dynamics", "static") == "static")
+        return bool(self._settings["dynamics"] == "static")
 
     @contextmanager
     def with_other_rooms(self, *, oracle: bool) -> Iterator[None]:

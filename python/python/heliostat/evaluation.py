@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ._checks import function_of_observation, integer, states_of
 from ._core import INSTANTS, oracle_samples, spread
@@ -19,8 +19,8 @@ _EPISODES_FEW = 10
 _EPISODES_MAX = 50_000
 _STATES = 100
 
-Act: TypeAlias = Callable[[Any], NDArray[np.float32]]
-"""From an observation to an action."""
+Act: TypeAlias = Callable[[Any], ArrayLike]
+"""From an observation to an action: an array of any real type, or a list."""
 
 
 @dataclass(frozen=True)

@@ -24,9 +24,10 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from ._checks import integer
+from ._checks import integer, one_of
 from ._core import BELIEF_COLUMNS
 from .envs import BOUND, RESET_OPTIONS, HeliostatEnv
+from .names import ActionForm, Agents, ObservationForm
 
 try:
     from pettingzoo import ParallelEnv
@@ -38,7 +39,7 @@ _STEPS_MAX = 2**63 - 1
 _OF_USERS = ("mask", "positions", "los_amplitude", "min_rate", "summary")
 
 
-def parallel_env(agents: str = "users", max_steps: int = 600, **settings: Any) -> HeliostatParallelEnv:
+def parallel_env(agents: Agents = "users", max_steps: int = 600, **settings: Any) -> HeliostatParallelEnv:
     """An environment whose agents are "users" or "arrays", and whose episodes end after `max_steps` steps.
 
     `settings` are those of `HeliostatEnv` but `action` and `observation`. Raises `ValueError` for other agents.
@@ -55,14 +56,16 @@ class HeliostatParallelEnv(ParallelEnv):  # type: ignore[misc]
 
     metadata: dict[str, Any] = {"name": "heliostat_v0", "render_modes": ["rgb_array"], "render_fps": 10}
 
-    def __init__(self, agents: str = "users", max_steps: int = 600, **settings: Any) -> None:
+    def __init__(self, agents: Agents = "users", max_steps: int = 600, **settings: Any) -> None:
         taken = {"action", "observation"} & settings.keys()
         if taken:
             raise ValueError(f"{', '.join(sorted(taken))}: the agents choose them, expected other settings")
-        if agents not in ("users", "arrays"):
-            raise ValueError(f'agents = {agents!r}: expected "users" or "arrays"')
+        one_of("agents", agents, Agents)
         self._max_steps = integer("max_steps", max_steps, 1, _STEPS_MAX)
-        forms = {"users": ("weights", "belief"), "arrays": ("angles", "flat")}
+        forms: dict[Agents, tuple[ActionForm, ObservationForm]] = {
+            "users": ("weights", "belief"),
+            "arrays": ("angles", "flat"),
+        }
         action, observation = forms[agents]
         self.env = HeliostatEnv(action=action, observation=observation, **settings)
         self.render_mode = self.env.render_mode

@@ -15,7 +15,7 @@ import importlib.util
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from ._checks import POINTS_MAX, finite, integer, real
 from ._core import Channel, Scenario, use_onnxruntime
 from ._core import Policy as _Policy
+from .names import Quantity
 from .scenario import Value, load_scenario
 from .tables import LinkResult
 
@@ -200,11 +201,12 @@ def rate_map(
     height_m: float = 0.85,
     blockers: ArrayLike | None = None,
     sharing: int = 1,
-    quantity: str = "rate_mbps",
+    quantity: Quantity = "rate_mbps",
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[Any]]:
     """A quantity of `Room.link` over the floor: x of the columns, y of the rows, and the values (rows, columns).
 
-    `sharing`: the number of users that share the bandwidth; 1 gives the rate of a user alone in the room.
+    `blockers`: as for `Room.link`; nothing blocks the light if it is absent. `sharing`: the number of users that share the
+    bandwidth; 1 gives the rate of a user alone in the room.
     """
     if not isinstance(room, Room):
         raise TypeError(f"room: expected a Room, found {type(room).__name__}")
@@ -223,10 +225,11 @@ def rate_map(
     y = np.arange(-length_y / 2 + step_m / 2, length_y / 2, step_m)
     grid_x, grid_y = np.meshgrid(x, y)
     places = np.stack([grid_x.ravel(), grid_y.ravel(), np.full(grid_x.size, height_m)], axis=1)
-    if quantity not in LinkResult.__annotations__:
-        similar = difflib.get_close_matches(str(quantity), LinkResult.__annotations__, 1)
+    known = get_args(Quantity)
+    if quantity not in known:
+        similar = difflib.get_close_matches(str(quantity), known, 1)
         hint = f"; a similar name exists: {similar[0]}" if similar else ""
-        raise ValueError(f"quantity = {quantity!r}: expected one of {', '.join(LinkResult.__annotations__)}{hint}")
+        raise ValueError(f"quantity = {quantity!r}: expected one of {', '.join(known)}{hint}")
     parts = (places[first : first + _PLACES_AT_ONCE] for first in range(0, len(places), _PLACES_AT_ONCE))
     values: list[Any] = [dict(room.link(part, roll, yaw, blockers, sharing))[quantity] for part in parts]
     return x, y, np.concatenate(values).reshape(grid_x.shape)

@@ -1,7 +1,7 @@
 """Recordings of rooms as arrays.
 
 The files are those of `heliostat record`. Times are in ns: `arrived_ns` at the recorder, `time_ns` of the content, both
-UTC where the recorded processes used UTC.
+UTC where the recorded processes used UTC. All columns of times are int64, so that a difference can be negative.
 """
 
 from __future__ import annotations
@@ -11,23 +11,20 @@ import importlib
 import json
 import os
 import warnings
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ._checks import integer
+from ._checks import integer, one_of
 from ._core import ARRAYS_MAX, Scenario
 from ._core import Recording as _Recording
+from .names import ArrayTable, Library, Table
 from .tables import Channels, Commands, Reports, Telemetry, Truth
 
 
 def _index(array: int) -> int:
     return integer("array", array, 0, ARRAYS_MAX - 1)
-
-
-_OF_ARRAYS = ("commands", "telemetry", "decisions")
-_TABLES = ("reports", "channels", "truth", *_OF_ARRAYS)
 
 
 def _component(name: str, index: int) -> str:
@@ -117,18 +114,17 @@ class Recording:
         """
         return self._inner.truth()
 
-    def frame(self, of: str, array: int = 0, library: str = "pandas") -> Any:
+    def frame(self, of: Table, array: int = 0, library: Library = "pandas") -> Any:
         """A table of the recording as a data frame of pandas, or of Polars with `library="polars"`.
 
         `of` is `reports`, `channels`, `commands`, `telemetry`, `truth` or `decisions`. A column of vectors becomes one
         column for each component: `position_x_m`, `position_y_m`, `position_z_m`, or `roll_0`, `roll_1`, ... Times in ns
-        stay integers: `pandas.to_datetime(frame["time_ns"])` reads them. Needs the library.
+        stay int64: `pandas.to_datetime(frame["time_ns"])` reads them. Needs the library.
         """
-        if of not in _TABLES:
-            raise ValueError(f"table {of!r}: expected {', '.join(_TABLES)}")
-        if library not in ("pandas", "polars"):
-            raise ValueError(f'library = {library!r}: expected "pandas" or "polars"')
-        table = getattr(self, of)(array) if of in _OF_ARRAYS else getattr(self, of)()
+        if of not in get_args(Table):
+            raise ValueError(f"table {of!r}: expected {', '.join(get_args(Table))}")
+        one_of("library", library, Library)
+        table = getattr(self, of)(array) if of in get_args(ArrayTable) else getattr(self, of)()
         columns: dict[str, NDArray[Any]] = {}
         for name, values in table.items():
             if values.ndim == 1:
@@ -154,5 +150,5 @@ class Recording:
         tick, of_report, of_command = np.intersect1d(ticks, answered, return_indices=True)
         reported = reports["arrived_ns"][first[of_report]]
         commanded = commands["arrived_ns"][command[of_command]]
-        apart = commanded.astype(np.int64) - reported.astype(np.int64)
-        return {"tick": tick, "reported_ns": reported, "commanded_ns": commanded, "answer_us": apart * 1e-3}
+        answer_us = (commanded - reported) * 1e-3
+        return {"tick": tick, "reported_ns": reported, "commanded_ns": commanded, "answer_us": answer_us}

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 _F32: TypeAlias = NDArray[np.float32]
 _F64: TypeAlias = NDArray[np.float64]
+_I64: TypeAlias = NDArray[np.int64]
 _U64: TypeAlias = NDArray[np.uint64]
 _U32: TypeAlias = NDArray[np.uint32]
 _Bool: TypeAlias = NDArray[np.bool_]
@@ -42,8 +43,8 @@ class State(TypedDict):
 class Reports(TypedDict):
     """Position reports of a recording: one row for each user of each report."""
 
-    arrived_ns: _U64
-    time_ns: _U64
+    arrived_ns: _I64
+    time_ns: _I64
     tick: _U64
     user: _U32
     position_m: _F32
@@ -54,8 +55,8 @@ class Reports(TypedDict):
 class Channels(TypedDict):
     """Channel reports of a recording: one row for each user of each report; gains and SINR are linear."""
 
-    arrived_ns: _U64
-    time_ns: _U64
+    arrived_ns: _I64
+    time_ns: _I64
     tick: _U64
     user: _U32
     los_gain: _F32
@@ -66,8 +67,8 @@ class Channels(TypedDict):
 class Commands(TypedDict):
     """Commands of a recording; angles in rad, (n, M)."""
 
-    arrived_ns: _U64
-    time_ns: _U64
+    arrived_ns: _I64
+    time_ns: _I64
     epoch: _U64
     sequence: _U64
     answers: _U64
@@ -79,10 +80,10 @@ class Commands(TypedDict):
 class Telemetry(TypedDict):
     """Telemetry of a recording; angles as commanded in rad, (n, M)."""
 
-    arrived_ns: _U64
-    time_ns: _U64
+    arrived_ns: _I64
+    time_ns: _I64
     answers: _U64
-    applied_ns: _U64
+    applied_ns: _I64
     faults: _U32
     roll: _F32
     yaw: _F32
@@ -91,8 +92,8 @@ class Telemetry(TypedDict):
 class Truth(TypedDict):
     """The truth of a simulated room in a recording: one row for each user of each message."""
 
-    arrived_ns: _U64
-    time_ns: _U64
+    arrived_ns: _I64
+    time_ns: _I64
     tick: _U64
     user: _U32
     position_m: _F32

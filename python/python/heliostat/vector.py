@@ -6,7 +6,7 @@ import copy as copying
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Literal
 
 import gymnasium
 import numpy as np
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ._checks import integer, real, seed_of
 from ._core import Batch
 from .envs import _UNLIMITED, KEYWORDS, EnvState, Layout, check_identity, make_scenario, make_settings
+from .names import ActionForm, Dynamics, ObservationForm, RewardForm
 from .rendering import draw
 from .scenario import Scenario, Value
 
@@ -80,8 +81,11 @@ class HeliostatVectorEnv(VectorEnv[Any, Any, Any]):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         copy: bool = True,
         overrides: Mapping[str, Value] | None = None,
-        render_mode: str | None = None,
-        observation: str = "flat",
+        render_mode: Literal["rgb_array"] | None = None,
+        observation: ObservationForm = "flat",
+        action: ActionForm = "angles",
+        dynamics: Dynamics = "static",
+        reward: RewardForm = "shortfall",
         **settings: Any,
     ) -> None:
         num_envs = integer("num_envs", num_envs, 1, NUM_ENVS_MAX)
@@ -90,8 +94,10 @@ class HeliostatVectorEnv(VectorEnv[Any, Any, Any]):
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f'render_mode = {render_mode!r}: expected "rgb_array"')
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self.scenario = make_scenario(scenario, overrides, settings, _KEYWORDS)
-        checked = make_settings(self.scenario, observation=observation, **settings)
+        self.scenario = make_scenario(scenario, overrides, dynamics, settings, _KEYWORDS)
+        forms = {"action": action, "observation": observation, "dynamics": dynamics, "reward": reward}
+        all_settings: dict[str, Any] = {**forms, **settings}
+        checked = make_settings(self.scenario, **all_settings)
         seeds = [self.scenario.seed + index for index in range(num_envs)]
         steps_max = _UNLIMITED if max_episode_steps is None else max_episode_steps
         self._batch = Batch(checked, seeds, _MODES[self.autoreset_mode], steps_max)
@@ -102,8 +108,7 @@ class HeliostatVectorEnv(VectorEnv[Any, Any, Any]):
             num_envs,
             max_episode_steps,
             self.autoreset_mode.value,
-            observation,
-            tuple(sorted(settings.items())),
+            tuple(sorted(all_settings.items())),
         )
         self.num_envs = num_envs
         self.render_mode = render_mode

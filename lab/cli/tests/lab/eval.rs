@@ -433,6 +433,12 @@ fn a_function_in_python_is_compared_with_the_built_in_policies_state_by_state() 
             assert!(message.contains(part), "{function}: {message}");
         }
     }
+    let other = folder.path().join("other.py");
+    std::fs::write(&other, "import no_such_module\n").expect("writable");
+    let message = refusal(&["--policies", &format!("{}:act", other.to_str().expect("a plain path"))]);
+    for part in ["No module named 'no_such_module'; the interpreter is ", "or name another one in HELIOSTAT_PYTHON"] {
+        assert!(message.contains(part), "{message}");
+    }
     let message = refusal(&["--policies", "nowhere.py:act"]);
     assert!(message.contains("no file nowhere.py"), "{message}");
 }

@@ -111,10 +111,11 @@ fn a_scenario_that_is_missing_is_named() {
 }
 
 #[test]
-fn faults_of_mirrors_in_a_scenario_file_are_a_condition_of_training() {
+fn faults_of_reports_and_mirrors_in_a_scenario_file_are_conditions_of_training() {
     let folder = TempDir::new().expect("a folder");
     let file = folder.path().join("room.toml");
-    let room = "mirrors = { rows = 2, columns = 2 }\nactuator = { stuck_share = 0.5 }\n";
+    let room = "mirrors = { rows = 2, columns = 2 }\nactuator = { stuck_share = 0.5 }\n\
+                streams = { positions = { latency_ms = 100.0 } }\n";
     std::fs::write(&file, room).expect("written");
     let output = Command::new(env!("CARGO_BIN_EXE_heliostat-lab"))
         .args(["train", "ddpg", "--episodes", "1", "--steps", "2", "--states", "2", "--json"])
@@ -124,10 +125,13 @@ fn faults_of_mirrors_in_a_scenario_file_are_a_condition_of_training() {
         .arg(folder.path().join("run"))
         .output()
         .expect("the program starts");
-    let note = "training, and actuator.stuck_share: each mirror turns at once to the exact angle";
-    assert!(output.status.success() && errors(&output).contains(note), "{}", errors(&output));
+    let of_reports = "training, and streams.positions.latency_ms: policies know the true state";
+    let of_mirrors = "training, and actuator.stuck_share: each mirror turns at once to the exact angle";
+    assert!(output.status.success(), "{}", errors(&output));
+    assert!([of_reports, of_mirrors].iter().all(|note| errors(&output).contains(note)), "{}", errors(&output));
     let report: serde_json::Value = serde_json::from_slice(&output.stdout).expect("one object");
-    assert_eq!(report["conditions"][0]["because"], "training, and actuator.stuck_share");
+    assert_eq!(report["conditions"][0]["because"], "training, and streams.positions.latency_ms");
+    assert_eq!(report["conditions"][1]["because"], "training, and actuator.stuck_share");
 }
 
 #[test]

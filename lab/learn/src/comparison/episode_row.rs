@@ -37,6 +37,8 @@ pub struct EpisodeRow {
     pub states: usize,
     /// Figures by name; NaN is a missing value.
     pub figures: Vec<(&'static str, f64)>,
+    /// The users' time in minutes, which weights `outages_per_user_minute`; NaN where that is missing.
+    pub user_minutes: f64,
 }
 
 impl EpisodeRow {
@@ -69,9 +71,11 @@ pub(super) fn rows(
     let mut rows = Vec::new();
     let mut push = |of: (Option<&str>, Option<usize>), samples: &[Vec<Sample>], outages: &[Option<Outages>]| {
         for (index, (group, own)) in groups.iter().zip(samples).enumerate() {
-            let figures = figures(settings.mode, (own, &oracle[index]), outages.get(index).copied().flatten());
+            let outages = outages.get(index).copied().flatten();
+            let figures = figures(settings.mode, (own, &oracle[index]), outages);
+            let user_minutes = outages.map_or(f64::NAN, |outages| outages.user_minutes);
             let (policy, actor) = (of.0.map(String::from), of.1);
-            rows.push(EpisodeRow { policy, actor, group: *group, states: own.len(), figures });
+            rows.push(EpisodeRow { policy, actor, group: *group, states: own.len(), figures, user_minutes });
         }
     };
     push((None, None), oracle, &[]);
@@ -126,7 +130,8 @@ mod tests {
             let own: Vec<Sample> = group.iter().map(|rate| sample(*rate)).collect();
             let figures = figures(Loop::Static, (&own, &own), None);
             let group = Group { set: 1, room: 2 };
-            let row = EpisodeRow { policy: None, actor: None, group, states: own.len(), figures };
+            let (states, user_minutes) = (own.len(), f64::NAN);
+            let row = EpisodeRow { policy: None, actor: None, group, states, figures, user_minutes };
             if row.figure(BLOCKED_STATES) > 0.0 {
                 sum += row.figure("blocked_rate_mbps") * row.figure(BLOCKED_STATES);
                 weights += row.figure(BLOCKED_STATES);
@@ -141,7 +146,8 @@ mod tests {
             |sum_rate_mbps| Sample { sum_rate_mbps, met: 1.0, jain: 1.0, blocked_rate_mbps: f64::NAN, ber: 0.0 };
         let (own, oracle) = ([4.0, 0.0, 9.0].map(sample), [8.0, 0.0, 9.0].map(sample));
         let figures = figures(Loop::Static, (&own, &oracle), None);
-        let row = EpisodeRow { policy: None, actor: None, group: Group { set: 1, room: 2 }, states: 3, figures };
+        let (group, user_minutes) = (Group { set: 1, room: 2 }, f64::NAN);
+        let row = EpisodeRow { policy: None, actor: None, group, states: 3, figures, user_minutes };
         assert_eq!((row.figure("ratio_to_oracle"), row.figure(RATIO_STATES)), (0.75, 2.0));
     }
 }

@@ -17,7 +17,8 @@ import traceback
 # Different problems whose lines are shown.
 SHOWN_MAX = 3
 
-file, name = sys.argv[1:]
+# The variable names the interpreter.
+file, name, variable = sys.argv[1:]
 requests = os.fdopen(os.dup(0), "rb")
 answers = os.fdopen(os.dup(1), "wb")
 # What the function prints must not be taken for an answer.
@@ -59,7 +60,10 @@ def reason(problem):
     if str(problem) not in shown and len(shown) < SHOWN_MAX:
         shown.add(str(problem))
         traceback.print_exception(type(problem), problem, problem.__traceback__)
-    return f"{type(problem).__name__}: {problem}".removesuffix(": ").encode()
+    text = f"{type(problem).__name__}: {problem}".removesuffix(": ")
+    if isinstance(problem, ImportError):
+        text += f"; the interpreter is {sys.executable}: install what is missing there, or name another one in {variable}"
+    return text.encode()
 
 
 try:

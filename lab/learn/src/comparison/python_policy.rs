@@ -110,7 +110,7 @@ impl Process {
     fn start(file: &str, function: &str) -> Result<Self> {
         let interpreter = std::env::var(INTERPRETER).unwrap_or_else(|_| "python3".into());
         let mut child = Command::new(&interpreter)
-            .args(["-c", PROGRAM, file, function])
+            .args(["-c", PROGRAM, file, function, INTERPRETER])
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()

@@ -1,6 +1,7 @@
 //! One row of the table of algorithms; [`crate::learners`] has the table.
 
-use anyhow::{Context, ensure};
+use anyhow::{Context, bail, ensure};
+use clap::ValueEnum;
 use heliostat_core::policy::PolicyKind;
 use heliostat_scenario::Scenario;
 use rand_chacha::ChaCha8Rng;
@@ -47,16 +48,32 @@ impl Algorithm {
             "--preset paper: {} has one preset only; expected no --preset, or --preset tuned",
             self.name
         );
-        let leds = scenario.led.positions_m.len();
-        ensure!(
-            leds == 1,
-            "led.positions_m lists {leds} access points: expected 1, because an actor of {} serves one",
-            self.name
-        );
+        self.require_one_led(&scenario)?;
         let one_array = scenario
             .require_one_array()
             .with_context(|| format!("an actor of {} is trained in a room with one array", self.name))?;
         (self.start)(one_array, preset, options)
+    }
+
+    /// Refuses a room with several LEDs, and says how an actor for it is trained, if there is one.
+    fn require_one_led(&self, scenario: &Scenario) -> anyhow::Result<()> {
+        let leds = &scenario.led.positions_m;
+        let [first, _, ..] = &leds[..] else { return Ok(()) };
+        let advice = if self.policy.fits_any_array() {
+            format!(
+                "its actor runs in rooms of several, too: train with --set 'led.positions_m=[{first:?}]', and evaluate the actor in \
+                 the room of several"
+            )
+        } else {
+            let fitting = PolicyKind::value_variants().iter().filter(|kind| kind.fits_any_array());
+            let names: Vec<String> = fitting.map(|kind| kind.name()).collect();
+            format!("its actor runs in the room of its training only: choose {}", names.join(" or "))
+        };
+        bail!(
+            "led.positions_m lists {} LEDs: expected 1, because training of {} needs a room with one LED; {advice}",
+            leds.len(),
+            self.name
+        )
     }
 }
 

@@ -129,3 +129,22 @@ fn every_algorithm_trains_the_policy_of_its_name_and_refuses_invalid_options() {
     let learned = PolicyKind::value_variants().iter().filter(|kind| kind.is_learned());
     assert!(learned.count() >= Algorithm::value_variants().len());
 }
+
+#[test]
+fn a_room_with_several_leds_is_refused_with_how_its_actor_is_trained() {
+    let two = "led.positions_m=[[-1.25,0,3],[1.25,0,3]]";
+    let scenario = Scenario::builtin("hall").and_then(|hall| hall.with_overrides(&[two])).expect("a valid scenario");
+    for algorithm in Algorithm::value_variants() {
+        let refused = algorithm.begin(scenario.clone(), Preset::Tuned, &[]).err().expect("a refusal").to_string();
+        assert!(refused.contains("led.positions_m lists 2 LEDs: expected 1"), "{refused}");
+        let advice = if algorithm.policy.fits_any_array() {
+            "--set 'led.positions_m=[[-1.25, 0.0, 3.0]]'"
+        } else {
+            "in the room of its training only: choose ddpg or analytic"
+        };
+        assert!(refused.contains(advice), "{}: {refused}", algorithm.name);
+    }
+    let one =
+        scenario.with_overrides(&["led.positions_m=[[-1.25, 0.0, 3.0]]"]).expect("the advice is a valid override");
+    assert_eq!(one.led.positions_m, [[-1.25, 0.0, 3.0]]);
+}

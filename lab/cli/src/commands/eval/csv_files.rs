@@ -1,7 +1,7 @@
 //! A comparison as CSV files.
 
 use anyhow::Result;
-use heliostat_learn::comparison::{Report, Row, Spread};
+use heliostat_learn::comparison::{Loop, Report, Row, Spread};
 use heliostat_reproduce::machine;
 
 use super::differences::Difference;
@@ -70,7 +70,8 @@ pub fn by_policy(grid: Option<&Grid>, reports: &[Report]) -> Result<Vec<u8>> {
     Ok(writer.into_inner()?)
 }
 
-/// A line for each policy, actor and episode; in a static comparison an episode is one state.
+/// A line for each policy, actor and episode; in a static comparison an episode is one state. In closed loop
+/// the last column has the weight of `outages_per_user_minute`.
 pub fn by_episode(grid: Option<&Grid>, reports: &[Report]) -> Result<Vec<u8>> {
     let mut writer = csv::Writer::from_writer(Vec::new());
     let mut header = keys(grid);
@@ -78,6 +79,8 @@ pub fn by_episode(grid: Option<&Grid>, reports: &[Report]) -> Result<Vec<u8>> {
     let figures = reports.iter().flat_map(|report| &report.each).take(1).flat_map(|row| &row.figures);
     header.extend(figures.map(|(name, _)| (*name).to_owned()));
     header.extend(ORIGIN.map(String::from));
+    let has_outages = reports.iter().any(|report| report.mode == Loop::ClosedLoop);
+    header.extend(has_outages.then(|| "user_minutes".to_owned()));
     writer.write_record(&header)?;
     for (index, report) in reports.iter().enumerate() {
         for row in &report.each {
@@ -89,7 +92,9 @@ pub fn by_episode(grid: Option<&Grid>, reports: &[Report]) -> Result<Vec<u8>> {
                 row.states.to_string(),
             ];
             let figures = row.figures.iter().map(|(_, value)| cell(*value));
-            writer.write_record(values(grid, index).into_iter().chain(of).chain(figures).chain(origin(report)))?;
+            let weight = has_outages.then(|| cell(row.user_minutes));
+            let cells = values(grid, index).into_iter().chain(of).chain(figures).chain(origin(report)).chain(weight);
+            writer.write_record(cells)?;
         }
     }
     Ok(writer.into_inner()?)

@@ -121,6 +121,19 @@ fn two_keys_give_each_combination_with_its_outage_and_a_room_without_mirrors() {
     let shares: Vec<f64> = of_flat.map(|line| line.split(',').nth(column).unwrap().parse().unwrap()).collect();
     let expected = mean(&reports[3]["report"], "flat", "outage_time");
     assert!(shares.len() == 2 && (0.5 * (shares[0] + shares[1]) - expected).abs() < 1e-9, "{shares:?} {expected}");
+    // So is the rate of outages, weighted by the last column.
+    let column = each[0].split(',').position(|name| name == "outages_per_user_minute").expect("outages");
+    assert!(each[0].ends_with("commit,user_minutes"), "{}", each[0]);
+    let (mut outages, mut minutes) = (0.0, 0.0);
+    for line in each.iter().filter(|line| line.starts_with("3,2,flat,")) {
+        let cell =
+            |index: usize| line.split(',').nth(index).and_then(|text| text.parse::<f64>().ok()).expect("a number");
+        let weight = cell(line.split(',').count() - 1);
+        (outages, minutes) = (outages + weight * cell(column), minutes + weight);
+    }
+    let expected = &reports[3]["report"]["policies"]["flat"]["outages"];
+    assert!((outages / minutes - expected["per_user_minute"].as_f64().expect("a rate")).abs() < 1e-9, "{expected}");
+    assert!((minutes - expected["user_minutes"].as_f64().expect("a time")).abs() < 1e-9, "{expected}");
     let page = std::fs::read_to_string(&html).expect("readable");
     assert!(page.contains("blockage.forced_users = 2") && page.contains("outage (share of the users"), "panels");
     assert!(page.contains("<p class=\"note\">warning: the intervals come from 2 episodes"), "{page}");

@@ -80,7 +80,7 @@ class Driven:
             software="test",
             start_armed=armed,
             authenticated=authenticated,
-            now=self.now,
+            clock=lambda: self.now,
         )
         self.step(0)
 

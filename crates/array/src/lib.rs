@@ -17,6 +17,7 @@
 //! - [`others`]: other processes with the same mirrors, and which of them has to end.
 //! - [`content`]: the messages that arrive; [`arrivals`]: their queue; [`refusal_counts`]: counts of
 //!   refusals.
+//! - [`watch`]: what a kit asks before each movement.
 //! - [`moment`]: the two times of a room.
 
 pub mod arrivals;
@@ -35,6 +36,8 @@ pub mod refusal_counts;
 pub mod rules;
 pub mod station;
 pub mod stop_record;
+pub mod watch;
 
 pub use device::{CapabilitiesError, Device, DeviceError, Health, Waker, check_capabilities};
 pub use kit::Kit;
+pub use watch::Watch;

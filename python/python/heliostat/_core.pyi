@@ -1,6 +1,6 @@
 """The compiled part of the package; see the sources in `python/src`."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -139,7 +139,7 @@ class Station:
         software: str,
         start_armed: bool,
         authenticated: bool,
-        now: tuple[int, int],
+        clock: Callable[[], tuple[int, int]],
     ) -> Station: ...
     def receive(self, of: str, payload: bytes, now: tuple[int, int]) -> None: ...
     def handle_received(self, now: tuple[int, int]) -> bool: ...

@@ -1,7 +1,7 @@
 //! The array's side of the contract: which commands an array follows, and when it holds, parks and
 //! stops.
 //!
-//! Simulated and real arrays share this code. It does no I/O, reads no clock and starts no thread:
+//! Simulated and real arrays share this code. It does no I/O, has no clock and starts no thread:
 //! messages and time come in, and the [`Device`] receives the resulting angles. Crate
 //! `heliostat-driver` adds sessions and hardware, crate `heliostat-room` a simulated device.
 //!

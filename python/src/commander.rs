@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use heliostat_core::core::{DegradedMode, Timing};
 use heliostat_core::refusal::Stream;
-use heliostat_core::room_core::{Handled, Input, InputChannel, InputKey, Output, Publish, RoomCore, RoomSettings};
+use heliostat_core::room_core::{Handled, Input, InputChannel, InputKey, Output, Repeater, RoomCore, RoomSettings};
 use heliostat_core::tenure::{Tenure, TenureEvent};
 use heliostat_environment::function_policy::FunctionPolicy;
 use heliostat_proto::NodeStatus;
@@ -24,13 +24,18 @@ use crate::settings::action_form;
 /// An exception that is no failure of the function, such as `KeyboardInterrupt`.
 type Raised = Arc<Mutex<Option<PyErr>>>;
 
-/// The payload of a command, with the index of its array.
-type Commands = Vec<(usize, Vec<u8>)>;
+/// What the core publishes.
+type Published = Vec<(Output, Vec<u8>)>;
+
+/// Payloads, each with the name of its key and the index of its array.
+type Payloads<'py> = Vec<(&'static str, usize, Bound<'py, PyBytes>)>;
 
 /// A controller whose policy is a function in Python.
 #[pyclass(frozen, module = "heliostat._core")]
 pub struct Commander {
     room: Mutex<RoomCore>,
+    /// Repeats stops also while the function does not return.
+    repeater: Arc<Mutex<Repeater>>,
     /// What the controller assumes of the room.
     scenario: heliostat_scenario::Scenario,
     failures: Arc<AtomicU64>,
@@ -42,14 +47,13 @@ pub struct Commander {
     deadline_s: f64,
 }
 
-/// The commands of what a room's core published.
-struct Published(Commands);
-
-impl Publish for Published {
-    fn publish(&mut self, output: Output, payload: &[u8]) {
-        if let Output::Command(array) = output {
-            self.0.push((array, payload.to_vec()));
-        }
+/// The name and the array of a key under which a function publishes; `None` for others.
+fn place(output: Output) -> Option<(&'static str, usize)> {
+    match output {
+        Output::Command(array) => Some(("command", array)),
+        Output::StopRepetition(array) => Some(("stop_repetition", array)),
+        Output::Stop => Some(("stop", 0)),
+        Output::Geometry | Output::Belief | Output::Memory => None,
     }
 }
 
@@ -79,23 +83,30 @@ impl Commander {
         })
     }
 
+    fn repeater(&self) -> MutexGuard<'_, Repeater> {
+        self.repeater.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     /// Runs a step, and then raises what the function raised.
-    fn step(&self, work: impl FnOnce(&mut RoomCore, &mut Published)) -> PyResult<Commands> {
+    fn step(&self, work: impl FnOnce(&mut RoomCore, &mut Published)) -> PyResult<Published> {
         let mut room = self.room()?;
-        let mut published = Published(Commands::new());
+        let mut published = Published::new();
         let done = guarded(|| {
             work(&mut room, &mut published);
             Ok(())
         });
         match self.raised.lock().unwrap_or_else(PoisonError::into_inner).take() {
             Some(raised) => Err(raised),
-            None => done.map(|()| published.0),
+            None => done.map(|()| published),
         }
     }
 }
 
-fn payloads<'py>(py: Python<'py>, commands: Commands) -> Vec<(usize, Bound<'py, PyBytes>)> {
-    commands.into_iter().map(|(array, payload)| (array, PyBytes::new(py, &payload))).collect()
+fn payloads(py: Python<'_>, published: Published) -> Payloads<'_> {
+    let placed = |(output, payload): (Output, Vec<u8>)| {
+        place(output).map(|(name, array)| (name, array, PyBytes::new(py, &payload)))
+    };
+    published.into_iter().filter_map(placed).collect()
 }
 
 #[pymethods]
@@ -129,7 +140,8 @@ impl Commander {
             let settings = RoomSettings::new(source, Tenure::live(source, (interval_s * 1e9) as u64));
             let core = RoomCore::new(room, Box::new(policy), settings).map_err(refused)?;
             let arrays = core.controller().arrays();
-            Ok(Self { room: Mutex::new(core), scenario: room.clone(), failures, raised, arrays, deadline_s })
+            let (repeater, scenario) = (core.repeater(), room.clone());
+            Ok(Self { room: Mutex::new(core), repeater, scenario, failures, raised, arrays, deadline_s })
         })
     }
 
@@ -142,7 +154,7 @@ impl Commander {
         array: usize,
         payload: &[u8],
         now: u64,
-    ) -> PyResult<Vec<(usize, Bound<'py, PyBytes>)>> {
+    ) -> PyResult<Payloads<'py>> {
         if array >= self.arrays {
             return Ok(Vec::new());
         }
@@ -162,15 +174,27 @@ impl Commander {
     }
 
     /// Decides for the newest position report, if one waits: the function is called.
-    fn decide<'py>(&self, py: Python<'py>, now: u64) -> PyResult<Vec<(usize, Bound<'py, PyBytes>)>> {
+    fn decide<'py>(&self, py: Python<'py>, now: u64) -> PyResult<Payloads<'py>> {
         let commands = self.step(|room, out| _ = room.decide(now, Timing::InTime, &mut |_| {}, out));
         commands.map(|commands| payloads(py, commands))
     }
 
     /// Acts where no position report has come, if that is due.
-    fn timeout<'py>(&self, py: Python<'py>, now: u64) -> PyResult<Vec<(usize, Bound<'py, PyBytes>)>> {
+    fn timeout<'py>(&self, py: Python<'py>, now: u64) -> PyResult<Payloads<'py>> {
         let commands = self.step(|room, out| _ = room.handle(now, Input::Wake, out));
         commands.map(|commands| payloads(py, commands))
+    }
+
+    /// Notes the payload of an order that has arrived, until `receive` handles it. Any thread may call it.
+    fn note_order(&self, payload: &[u8], now: u64) {
+        self.repeater().note_order(now, payload);
+    }
+
+    /// The repetitions of stops that are due. Any thread may call it, also while the function runs.
+    fn repetitions<'py>(&self, py: Python<'py>, now: u64) -> Payloads<'py> {
+        let mut published = Published::new();
+        self.repeater().repeat(now, &mut published);
+        payloads(py, published)
     }
 
     /// The counts so far, by name.
@@ -232,12 +256,14 @@ impl Commander {
         Ok(difference.and_then(heliostat_scenario::RoomDifference::problem))
     }
 
-    /// Why the last failed decision failed, or why an array gets no command.
+    /// Why an array gets no command: it does not fit, or is stopped; else why the last failed decision failed.
     #[getter]
     fn last_problem(&self) -> PyResult<Option<String>> {
         let room = self.room()?;
         let controller = room.controller();
         let unfit = controller.unfit().map(ToString::to_string);
-        Ok(unfit.or_else(|| controller.last_failure().map(ToString::to_string)))
+        // The caller makes texts of other processes printable.
+        let stops = Some(controller.describe_stops(|text| text.into())).filter(|stops| !stops.is_empty());
+        Ok(unfit.or(stops).or_else(|| controller.last_failure().map(ToString::to_string)))
     }
 }

@@ -12,7 +12,7 @@ use heliostat_array::content::Content;
 use heliostat_array::moment::Moment;
 use heliostat_array::station::{Identity, Report, Station as Rules};
 use heliostat_array::stop_record::{self, RecordError, RecordTask, StopRecord, StopStore};
-use heliostat_array::{Device, DeviceError, Health, Kit};
+use heliostat_array::{Device, DeviceError, Health, Kit, Watch};
 use heliostat_channel::MirrorAngles;
 use heliostat_proto::messages::fault;
 use heliostat_proto::{Capabilities, Kind, Message, decode, encode};
@@ -165,7 +165,7 @@ impl StopStore for PyStore {
 /// An array with its device, the rules of the contract, and the reports of a driver.
 #[pyclass(frozen, module = "heliostat._core")]
 pub struct Station {
-    received: Mutex<Arrivals>,
+    received: Arc<Mutex<Arrivals>>,
     rules: Mutex<Rules<PyDevice>>,
     /// Absent while a thread writes the record.
     store: Mutex<Option<PyStore>>,
@@ -207,7 +207,7 @@ impl Station {
 impl Station {
     #[new]
     #[pyo3(signature = (
-        device, capabilities, travel_rad, store, *, room, array, source, software, start_armed, authenticated, now
+        device, capabilities, travel_rad, store, *, room, array, source, software, start_armed, authenticated, clock
     ))]
     #[expect(clippy::too_many_arguments, reason = "the keywords of a Python constructor")]
     fn new(
@@ -221,16 +221,22 @@ impl Station {
         software: String,
         start_armed: bool,
         authenticated: bool,
-        now: (u64, u64),
+        clock: Py<PyAny>,
     ) -> PyResult<Self> {
         let room = wire::room(room)?;
         let capabilities = capabilities_of(capabilities)?;
         let name = stop_record::file_name(&room, array);
         let store = PyStore { name: store.call_method1("open", (name,))?.extract()?, object: store.unbind() };
-        let now = moment(now);
+        let (raised, received) = (Raised::default(), Arc::<Mutex<Arrivals>>::default());
+        let clock = clock_of(clock, Arc::clone(&raised));
+        let now = clock();
+        if let Some(raised) = lock(&raised).take() {
+            return Err(raised);
+        }
         let (record, latch_at_start) = StopRecord::open(store, start_armed, now.room_ns);
-        let raised = Raised::default();
         let mut kit = Kit::new(PyDevice { object: device, capabilities, travel_rad, raised: Arc::clone(&raised) });
+        let waiting = Arc::clone(&received);
+        kit.set_watch(Watch::new(clock, move |is_stop| lock(&waiting).has_stop(is_stop)));
         // Every role may publish under the key of the stop, only operators under that of the
         // re-arm.
         kit.refuse_unnamed_rearm(authenticated);
@@ -238,7 +244,7 @@ impl Station {
         let (plan, store) = record.split();
         let rules = Rules::new(kit, (plan, latch_at_start), Identity { source, array, software }, now);
         Ok(Self {
-            received: Mutex::default(),
+            received,
             rules: Mutex::new(rules),
             store: Mutex::new(store),
             due: Mutex::default(),
@@ -293,7 +299,9 @@ impl Station {
             rules.set_dropped(dropped);
             written.iter().for_each(|result| rules.finish_record(result));
             rules.advance(moment(now));
-            if let Some(task) = rules.poll_record(moment(now)) {
+            // A call of the device may have taken long.
+            let now = rules.kit().present(moment(now));
+            if let Some(task) = rules.poll_record(now) {
                 // Here, because an exception of the device must not lose it.
                 *lock(&self.due) = Some(task);
             }
@@ -339,7 +347,8 @@ impl Station {
         })
     }
 
-    /// Whether a report is due at this local time, so that no further message is handled before it.
+    /// Whether a report is due at this local time, so that no further message is handled before it; a stop that
+    /// waits comes first.
     fn is_report_due(&self, local_ns: u64) -> PyResult<bool> {
         Ok(self.rules()?.is_report_due(local_ns))
     }
@@ -391,6 +400,17 @@ fn payload<T: Message>(message: &T) -> PyResult<Vec<u8>> {
     let mut payload = Vec::new();
     encode(message, &mut payload).map_err(|error| wire::refuse(&error))?;
     Ok(payload)
+}
+
+/// The clock of the caller, a function without arguments. The step raises what it raises.
+fn clock_of(clock: Py<PyAny>, raised: Raised) -> impl Fn() -> Moment + Send + Sync + 'static {
+    move || {
+        let now: PyResult<(u64, u64)> = Python::attach(|py| clock.call0(py)?.extract(py));
+        now.map(moment).unwrap_or_else(|error| {
+            *lock(&raised) = Some(error);
+            Moment::default()
+        })
+    }
 }
 
 fn moment((local_ns, room_ns): (u64, u64)) -> Moment {

@@ -14,15 +14,18 @@ from typing import Any
 import heliostat
 import numpy as np
 import pytest
+from heliostat import wire
+from heliostat._core import Commander
 
 pytest.importorskip("zenoh")
-from heliostat.controller import _Run
+from heliostat.controller import _QUEUE_MAX, _Run
 from heliostat.peer import PeerError, Settings, connection_problem, endpoints
 from heliostat.tracker import Tracker, User
 from room import LIMIT_S, Observer, free_endpoint, needs_program, observer, wait_until
 from room import heliostat as program
 
 SCENARIO = heliostat.load_scenario("hall")
+UTC_NS = 1_800_000_000_000_000_000
 # A pause of a busy machine makes no report stale and no decision late.
 PATIENT = heliostat.load_scenario("hall", {"control.report_age_max_ms": 60_000.0, "control.deadline_ms": 60_000.0})
 
@@ -216,6 +219,86 @@ def test_a_run_that_only_stood_by_warns() -> None:
             summary = heliostat.run(_quarter, connect=ends, scenario=PATIENT, stop=stop)
         thread.join(LIMIT_S)
     assert summary.commands == 0 < summary.standby and "another controller" in summary.last_problem, summary
+
+
+def _message(name: str, source: int, sequence: int, **fields: Any) -> bytes:
+    stamp = {"source": source, "sequence": sequence, "time_ns": UTC_NS}
+    return wire.encode({"stamp": stamp, **fields}, wire.KINDS[name])
+
+
+def _stop() -> bytes:
+    return _message("stop", 7, 3, action=0, operator="ann", reason="test")
+
+
+def test_a_stop_is_repeated_until_the_array_reports_it_and_named_until_the_array_releases_it() -> None:
+    core, repeated = Commander(SCENARIO, _quarter, "angles", 5), 200_000_000
+    assert core.receive("stop", 0, _stop(), UTC_NS) == [] and core.timeout(UTC_NS) == []
+    ((name, array, payload),) = core.repetitions(UTC_NS)
+    repetition = wire.decode(payload, wire.KINDS["stop_repetition"])
+    assert (name, array, repetition["stop_source"], repetition["stop_sequence"]) == ("stop_repetition", 0, 7, 3)
+    assert core.repetitions(UTC_NS + repeated // 2) == [], "at most five times a second"
+    assert len(core.repetitions(UTC_NS + repeated)) == 1
+    assert (core.last_problem or "").startswith('withheld by the stop of ann ("test") since ')
+    latched = {"source": 7, "sequence": 3, "arrived_ns": UTC_NS, "operator": "ann", "reason": "test"}
+    reported = {"device_stopped": True, "released": [], "problem": ""}
+    core.receive("stops", 0, _message("stops", 9, 1, stops=[latched], **reported), UTC_NS)
+    assert core.repetitions(UTC_NS + 2 * repeated) == [], "the array has reported it"
+    assert "the stop of ann" in (core.last_problem or "")
+    core.receive("stops", 0, _message("stops", 9, 2, stops=[], **reported), UTC_NS)
+    assert core.last_problem is None
+
+
+def test_a_run_repeats_a_stop_while_its_function_does_not_return_and_names_it_then() -> None:
+    endpoint, end = free_endpoint(), threading.Event()
+    asked, returned = threading.Event(), threading.Event()
+    kind = wire.KINDS["stop_repetition"]
+    repetitions: list[dict[str, Any]] = []
+
+    def act(_: Any) -> Any:
+        asked.set()
+        assert returned.wait(LIMIT_S)
+        return np.zeros(200, np.float32)
+
+    settings = Settings(room="demo", connect=(endpoint, _own(endpoint)))
+    with observer(endpoint, "demo") as room, Tracker(Settings(room="demo", listen=(_own(endpoint),)), end) as tracker:
+        subscriber = room.session.declare_subscriber(
+            room.keys["stop_repetition"], lambda sample: repetitions.append(wire.decode(bytes(sample.payload), kind))
+        )
+        run = _Run(act, PATIENT, "angles", settings, end)
+        thread = threading.Thread(target=run.run, args=(None,))
+        thread.start()
+
+        def is_asked() -> bool:
+            tracker.report([User(0, (1.0, 0.5, 0.85))])
+            return asked.is_set()
+
+        def is_named() -> bool:
+            return str(room.status("controller").get("last_problem")).startswith("withheld by the stop of ann")
+
+        try:
+            wait_until("call", is_asked)
+            room.publish("stop", action=0, operator="ann", reason="test")
+            wait_until("repetition", lambda: bool(repetitions))
+            assert not returned.is_set() and repetitions[0]["stop_source"] == 77
+            returned.set()
+            wait_until("problem", is_named)
+        finally:
+            returned.set()
+            end.set()
+            thread.join(LIMIT_S)
+            subscriber.undeclare()
+    assert run.summary().last_problem.startswith("withheld by the stop of ann")
+
+
+def test_a_stop_that_arrives_behind_a_full_queue_is_obeyed() -> None:
+    run = _Run(_quarter, SCENARIO, "angles", Settings(listen=(free_endpoint(),)), threading.Event())
+    with run._peer:
+        arrive = run._queued("channel", 0)
+        for _ in range(_QUEUE_MAX + 1):
+            arrive(b"")
+        run._order(_stop())
+        run._receive()
+    assert run._dropped == 1 and "withheld by the stop of ann" in (run._core.last_problem or "")
 
 
 def test_a_run_that_reaches_a_controller_alone_says_what_is_missing() -> None:

@@ -8,6 +8,7 @@ import queue
 import signal
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 pytest.importorskip("zenoh")
 from heliostat._watched import Watched
 from heliostat.driver import Capabilities, Device, _Log, run
-from heliostat.peer import PeerError, Settings, duration_s, stop_on_signals
+from heliostat.peer import Peer, PeerError, Settings, duration_s, stop_on_signals
 from room import EXAMPLES, LIMIT_S, end_by, free_endpoint, heliostat, needs_program, observer, python, wait_until
 
 SIZE = ("--rows", "2", "--columns", "3")
@@ -105,6 +106,63 @@ def test_a_stop_outlives_the_driver_and_ctrl_c_ends_it(tmp_path: Path) -> None:
             wait_until("safety report", lambda: operator.latest.get("safety", {}).get("stopped") is False)
             _, errors = end_by(signal.SIGINT, driver)
             assert "the array starts stopped by ann" in errors and "the array is released" in errors
+
+
+def test_a_stop_that_arrives_during_a_movement_comes_before_the_next_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    endpoint, end = free_endpoint(), threading.Event()
+    begun, stopped = threading.Event(), threading.Event()
+    subscribe = Peer.subscribe
+
+    def noted(self: Peer, name: str, handle: Callable[[bytes], None], array: int | None = None) -> None:
+        def deliver(payload: bytes) -> None:
+            handle(payload)
+            if name == "stop":
+                stopped.set()
+
+        subscribe(self, name, deliver, array)
+
+    class Slow(Mirrors):
+        capabilities = Capabilities("two mirrors", 1, 2, (-0.25, 0.5), (-0.25, 0.5), park_after_ms=0)
+
+        def __init__(self) -> None:
+            self.calls: list[str] = []
+
+        def turn(self, roll: NDArray[np.float64], yaw: NDArray[np.float64]) -> None:
+            self.calls.append(f"turn {roll[0]}")
+            if roll[0] and not begun.is_set():
+                begun.set()
+                assert stopped.wait(LIMIT_S)
+                # The command expires, so that the array would park, and a report is overdue.
+                time.sleep(0.3)
+
+        def stop(self) -> None:
+            self.calls.append("stop")
+
+    monkeypatch.setattr(Peer, "subscribe", noted)
+    slow = Slow()
+    given = {"state": tmp_path, "start_armed": True, "stop": end}
+    settings = Settings(room="slow", connect=(endpoint,))
+    driver = threading.Thread(target=run, args=(slow, settings), kwargs=given, daemon=True)
+    with observer(endpoint, "slow") as operator:
+
+        def is_turning() -> bool:
+            now = time.time_ns()
+            numbers = {"epoch": now // 1_000_000, "sequence": 1, "answers": 1, "time_ns": now, "validity_ms": 200}
+            operator.publish("command", **numbers, roll=[0.125, 0.0], yaw=[0.0, 0.0])
+            return begun.is_set()
+
+        driver.start()
+        try:
+            wait_until("parked array", lambda: operator.latest.get("telemetry", {}).get("state") == PARKED)
+            wait_until("movement", is_turning)
+            operator.publish("stop", action=0, operator="ann", reason="test")
+            wait_until("stopped array", lambda: operator.latest.get("telemetry", {}).get("state") == STOPPED)
+        finally:
+            end.set()
+            driver.join(LIMIT_S)
+    assert slow.calls[slow.calls.index("turn 0.125") + 1] == "stop", slow.calls
 
 
 def test_a_second_driver_of_the_same_array_is_refused(tmp_path: Path) -> None:

@@ -80,7 +80,7 @@ class Driven:
             software="test",
             start_armed=armed,
             authenticated=authenticated,
-            now=self.now,
+            clock=lambda: self.now,
         )
         self.step(0)
 
@@ -423,6 +423,76 @@ def test_whole_numbers_are_angles_too(tmp_path: Path) -> None:
     driven = Driven(tmp_path, Mirrors(roll_rad=(-1, 1), yaw_rad=np.array([-1, 1]), settling_s=1))
     capabilities = driven.reports["capabilities"]
     assert (capabilities["roll"]["min_rad"], capabilities["yaw"]["max_rad"]) == (-1.0, 1.0)
+
+
+def test_a_stop_that_arrives_during_a_call_of_the_device_comes_before_the_next_movement(
+    driven: Driven, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    turn = driven.mirrors.turn
+
+    def slow(roll: NDArray[np.float64], yaw: NDArray[np.float64]) -> None:
+        turn(roll, yaw)
+        driven.local_ns += 4000 * MS
+        driven.order("stop", action=0)
+
+    driven.command()
+    monkeypatch.setattr(driven.mirrors, "turn", slow)
+    assert driven.station.handle_received(driven.now)
+    turns = list(driven.mirrors.turns)
+    assert not driven.station.is_report_due(driven.local_ns), "the stop comes before the report that is overdue"
+    driven.station.advance(driven.now)
+    assert driven.mirrors.turns == turns and driven.mirrors.stops == 0, "the array would park"
+    assert driven.telemetry()["state"] == STOPPED
+    assert driven.mirrors.turns == turns and driven.mirrors.stops == 1
+
+
+def test_a_stop_that_arrives_during_a_connection_comes_before_the_movement_after_it(
+    driven: Driven, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    connect = driven.mirrors.connect
+
+    def slow() -> None:
+        connect()
+        driven.local_ns += 1500 * MS
+        driven.order("stop", action=0)
+        driven.local_ns += 2500 * MS
+
+    driven.mirrors.problem = OSError("no answer")
+    driven.command()
+    driven.step()
+    driven.mirrors.problem = None
+    monkeypatch.setattr(driven.mirrors, "connect", slow)
+    turns = list(driven.mirrors.turns)
+    driven.step(120)
+    assert driven.mirrors.connections == 2 and driven.mirrors.turns == turns and driven.mirrors.stops == 0
+    assert driven.telemetry()["state"] == STOPPED
+    assert driven.mirrors.turns == turns and driven.mirrors.stops == 1
+
+
+def test_angles_that_expire_during_a_connection_are_not_applied_after_it(
+    driven: Driven, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def slow() -> None:
+        driven.local_ns += 4000 * MS
+
+    driven.mirrors.problem = OSError("no answer")
+    driven.command()
+    driven.step()
+    driven.mirrors.problem = None
+    monkeypatch.setattr(driven.mirrors, "connect", slow)
+    assert driven.telemetry(120)["state"] == PARKED
+    assert driven.mirrors.turns[-1] == ([0.0, 0.0], [0.0, 0.0])
+
+
+def test_what_the_clock_raises_is_raised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(_: Driven) -> tuple[int, int]:
+        raise KeyboardInterrupt
+
+    driven = Driven(tmp_path, Mirrors())
+    now = driven.now
+    monkeypatch.setattr(Driven, "now", property(interrupted))
+    with pytest.raises(KeyboardInterrupt):
+        driven.station.advance(now)
 
 
 def test_an_interrupt_within_a_device_ends_the_driver(driven: Driven) -> None:

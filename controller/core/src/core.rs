@@ -99,6 +99,7 @@ mod array;
 mod array_output;
 mod decision;
 mod figures;
+mod held_stops;
 mod journal;
 pub mod memory;
 
@@ -108,6 +109,7 @@ use heliostat_scenario::{Control, DegradedAction, Scenario};
 use serde::{Deserialize, Serialize};
 
 pub use decision::Observed;
+pub use held_stops::clock_time;
 
 pub use crate::output::outcome::{ArrayCommand, Counters, Decision, DegradedMode, Due, Stage, Timing};
 use crate::{

@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 
 use crate::content::Content;
 use crate::moment::Moment;
+use crate::watch::IsStop;
 
 /// Capacity for stops, and for all other messages; beyond it the oldest is dropped.
 const CAPACITY: usize = 256;
@@ -46,6 +47,11 @@ impl Arrivals {
     /// The next message, if any.
     pub fn pop(&mut self) -> Option<Arrival> {
         self.stops.pop_front().or_else(|| self.others.pop_front())
+    }
+
+    /// Whether a stop waits for which this holds.
+    pub fn has_stop(&self, is_stop: IsStop<'_>) -> bool {
+        self.stops.iter().any(|queued| queued.content.is_stop() && is_stop(&queued.content))
     }
 
     /// Whether no message waits.

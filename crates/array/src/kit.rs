@@ -35,6 +35,9 @@
 //! The fail-safe default is the park position: mirrors for which no command is valid are parked.
 //! A stop goes to the device in both states, and again after each reconnection. A stop that is
 //! latched is not yet a device that has stopped: [`Kit::device_stopped`] tells them apart.
+//!
+//! A call of the device can block. With a [`Watch`] the kit reads the time anew before each movement, and orders none
+//! while a stop waits: the caller handles that one first.
 
 use heliostat_channel::MirrorAngles;
 use heliostat_proto::{
@@ -49,6 +52,7 @@ use crate::latch::LatchedStop;
 use crate::moment::Moment;
 use crate::refusal_counts::RefusalCounts;
 use crate::rules::{Array, Limits, RearmRefusal, Refusal};
+use crate::watch::Watch;
 
 mod reports;
 
@@ -104,6 +108,9 @@ pub struct Kit<D> {
     stop_problem: Option<DeviceError>,
     /// When angles were last applied to the device.
     applied: Moment,
+    watch: Option<Watch>,
+    /// The movement to the target waits for a stop that has arrived.
+    is_movement_due: bool,
     corrected: MirrorAngles,
     measured: MirrorAngles,
 }
@@ -133,9 +140,31 @@ impl<D: Device> Kit<D> {
             device_stopped: false,
             stop_problem: None,
             applied: Moment::default(),
+            watch: None,
+            is_movement_due: false,
             corrected: flat.clone(),
             measured: flat,
         }
+    }
+
+    /// Asks this watch before each movement. Without one no stop waits, and a call of the device takes no time.
+    pub fn set_watch(&mut self, watch: Watch) {
+        self.watch = Some(watch);
+    }
+
+    /// The present time, at the earliest this one.
+    pub fn present(&self, earliest: Moment) -> Moment {
+        let now = self.watch.as_ref().map(Watch::now);
+        now.filter(|now| now.local_ns > earliest.local_ns).unwrap_or(earliest)
+    }
+
+    /// Whether a stop has arrived that is not handled yet, and that stops this array.
+    fn has_waiting_stop(&self) -> bool {
+        let stops = |content: &Content| match content {
+            Content::Repetition(Ok(order)) => self.array.is_new_stop(order.name()),
+            _ => content.is_stop(),
+        };
+        self.watch.as_ref().is_some_and(|watch| watch.has_stop(&stops))
     }
 
     /// Advances to a time: the array holds or parks, and a lost device is connected when that is
@@ -148,8 +177,13 @@ impl<D: Device> Kit<D> {
             }
         }
         self.array.advance(now.local_ns);
+        if self.is_movement_due {
+            self.apply_target(now);
+        }
+        let now = self.present(now);
         if let Link::Down { retry_at_ns } = self.link
             && retry_at_ns <= now.local_ns
+            && !self.is_held_back()
         {
             match self.device.connect(now) {
                 Ok(()) => self.connected(now),
@@ -243,6 +277,7 @@ impl<D: Device> Kit<D> {
         command: &MirrorCommand,
     ) -> Result<(), Refusal> {
         self.advance(now);
+        let now = self.present(now);
         let epoch = self.array.followed().map(|followed| followed.epoch);
         self.array.handle_waiting_command((arrived, now), command)?;
         if epoch != Some(command.epoch) {
@@ -358,7 +393,8 @@ impl<D: Device> Kit<D> {
             Link::Up => None,
             Link::Down { retry_at_ns } => Some(retry_at_ns),
         };
-        self.array.changes_at_ns().into_iter().chain(retry_at_ns).min()
+        let movement_ns = self.is_movement_due.then_some(0);
+        self.array.changes_at_ns().into_iter().chain(retry_at_ns).chain(movement_ns).min()
     }
 
     /// The state machine of the rules.
@@ -396,10 +432,20 @@ impl<D: Device> Kit<D> {
         self.device.connections().unwrap_or(self.connections)
     }
 
-    /// Applies the corrected target to the device if it is connected.
-    fn apply_target(&mut self, now: Moment) {
+    /// Whether a stop that waits has to come before the next movement. A stopped array orders none.
+    pub(crate) fn is_held_back(&self) -> bool {
+        self.array.state() != ArrayState::Stopped && self.has_waiting_stop()
+    }
+
+    /// Applies the corrected target of the present time to the device if it is connected and no stop waits.
+    fn apply_target(&mut self, earliest: Moment) {
+        let now = self.present(earliest);
+        if now != earliest {
+            self.array.advance(now.local_ns);
+        }
         self.correction.apply(self.array.target(), &mut self.corrected);
-        if self.link == Link::Up {
+        self.is_movement_due = self.link == Link::Up && self.is_held_back();
+        if self.link == Link::Up && !self.is_movement_due {
             match self.device.apply(now, &self.corrected) {
                 Ok(()) => self.applied = now,
                 Err(problem) => self.lost(now, problem),
@@ -425,6 +471,7 @@ impl<D: Device> Kit<D> {
 
     /// Stops the device, also one that does not answer; that one is connected at the next step.
     fn halt(&mut self, now: Moment) {
+        self.is_movement_due = false;
         match (self.device.stop(now), &mut self.link) {
             (Ok(()), Link::Up) => self.update_device_stopped(now),
             (Err(problem), Link::Up) => self.lost(now, problem),
@@ -458,7 +505,8 @@ impl<D: Device> Kit<D> {
         }
     }
 
-    fn connected(&mut self, now: Moment) {
+    fn connected(&mut self, earliest: Moment) {
+        let now = self.present(earliest);
         self.link = Link::Up;
         self.connected_ns = now.local_ns;
         self.connections += 1;
@@ -469,7 +517,8 @@ impl<D: Device> Kit<D> {
         }
     }
 
-    fn lost(&mut self, now: Moment, problem: DeviceError) {
+    fn lost(&mut self, earliest: Moment, problem: DeviceError) {
+        let now = self.present(earliest);
         let has_worked = self.link == Link::Up && now.local_ns.saturating_sub(self.connected_ns) >= STEADY_NS;
         let is_stopped = self.array.state() == ArrayState::Stopped;
         let longest_ns = if is_stopped { PAUSE_MAX_STOPPED_NS } else { PAUSE_MAX_NS };

@@ -1,7 +1,7 @@
 //! The array's side of the contract: which commands an array follows, and when it holds, parks and
 //! stops.
 //!
-//! Simulated and real arrays share this code. It does no I/O, reads no clock and starts no thread:
+//! Simulated and real arrays share this code. It does no I/O, has no clock and starts no thread:
 //! messages and time come in, and the [`Device`] receives the resulting angles. Crate
 //! `heliostat-driver` adds sessions and hardware, crate `heliostat-room` a simulated device.
 //!
@@ -17,6 +17,7 @@
 //! - [`others`]: other processes with the same mirrors, and which of them has to end.
 //! - [`content`]: the messages that arrive; [`arrivals`]: their queue; [`refusal_counts`]: counts of
 //!   refusals.
+//! - [`watch`]: what a kit asks before each movement.
 //! - [`moment`]: the two times of a room.
 
 pub mod arrivals;
@@ -35,6 +36,8 @@ pub mod refusal_counts;
 pub mod rules;
 pub mod station;
 pub mod stop_record;
+pub mod watch;
 
 pub use device::{CapabilitiesError, Device, DeviceError, Health, Waker, check_capabilities};
 pub use kit::Kit;
+pub use watch::Watch;

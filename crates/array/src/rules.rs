@@ -233,12 +233,16 @@ impl Array {
     /// Applies the repetition of a stop; false where it adds nothing: the stop is latched, or was
     /// released here, itself or by a later one of its sender.
     pub fn handle_repetition(&mut self, now: Moment, order: &StopRepetition) -> bool {
-        let name = order.name();
-        let is_new = !self.latch.covers(name) && !self.released.iter().any(|released| released.replaces(name));
+        let is_new = self.is_new_stop(order.name());
         if is_new {
             self.stop(LatchedStop::repeated(order, now.room_ns));
         }
         is_new
+    }
+
+    /// Whether the repetition of a stop of this name stops the array.
+    pub fn is_new_stop(&self, name: StopName) -> bool {
+        !self.latch.covers(name) && !self.released.iter().any(|released| released.replaces(name))
     }
 
     /// Applies a re-arm that names the stop; the array parks when no other one is latched. A sender repeats a

@@ -7,13 +7,16 @@
 //! calling order is:
 //!
 //! 1. [`Station::handle`] for each message, until a report is due ([`Station::is_report_due`]): a
-//!    flood delays neither telemetry nor the record of a stop.
+//!    flood delays neither telemetry nor the record of a stop. A stop comes before both.
 //! 2. [`Station::advance`]: it holds, parks and reconnects.
 //! 3. [`Station::poll_record`]: the caller runs the task, and passes the result to
 //!    [`Station::finish_record`]. A caller whose store can block does both on another thread, and goes on.
 //! 4. [`Station::poll_report`], and publish what it returns, until it returns `None`. A report that names a
 //!    new stop waits for its record.
 //! 5. Wait for a message until [`Station::next_ns`] at the latest, and continue with step 1.
+//!
+//! A caller whose device can block gives its kit a [`Watch`](crate::watch::Watch), and reads the time anew after each
+//! step.
 
 use heliostat_proto::array_keys::array_name;
 use heliostat_proto::{
@@ -186,8 +189,9 @@ impl<D: Device> Station<D> {
 
     /// Advances to a time: the array holds, parks, or connects its device.
     pub fn advance(&mut self, now: Moment) {
-        self.local_ns = now.local_ns;
         self.kit.advance(now);
+        let now = self.kit.present(now);
+        self.local_ns = now.local_ns;
         self.order_problems();
         if !self.is_measuring && now.local_ns >= self.measurement_ns() {
             self.is_measuring = true;
@@ -255,10 +259,11 @@ impl<D: Device> Station<D> {
     }
 
     /// Whether telemetry is due at this local time, or the latch has changed: no further message is
-    /// handled before the reports.
+    /// handled before the reports. A stop that waits for an array that is not stopped comes before them.
     pub fn is_report_due(&self, local_ns: u64) -> bool {
         let waits = self.reports_wait_until().is_some_and(|until_ns| local_ns < until_ns);
-        !waits && (local_ns >= self.telemetry.due_ns || self.published_latch != *self.kit.array().latch())
+        let is_due = !waits && (local_ns >= self.telemetry.due_ns || self.published_latch != *self.kit.array().latch());
+        is_due && !self.kit.is_held_back()
     }
 
     /// Until when reports wait for the record of the present stops, if they do.

@@ -7,6 +7,7 @@ use heliostat_array::Waker;
 use heliostat_array::arrivals::{Arrival, Arrivals};
 use heliostat_array::content::Content;
 use heliostat_array::moment::Moment;
+use heliostat_array::watch::IsStop;
 use heliostat_proto::MirrorCommand;
 
 /// Epochs whose commands are known as passed on: a copy can arrive after a controller has begun the next.
@@ -109,6 +110,11 @@ impl ReceiveQueue {
             }
             queue = self.filled.wait_timeout(queue, left).unwrap_or_else(PoisonError::into_inner).0;
         }
+    }
+
+    /// Whether a stop waits for which this holds.
+    pub fn has_stop(&self, is_stop: IsStop<'_>) -> bool {
+        self.lock().arrivals.has_stop(is_stop)
     }
 
     /// Whether no message waits.

@@ -15,6 +15,7 @@ use heliostat_array::latch::Latch;
 use heliostat_array::moment::Moment;
 use heliostat_array::station::{Identity, Report, Station};
 use heliostat_array::stop_record::{END_WAIT_NS, advice};
+use heliostat_array::watch::Watch;
 use heliostat_bus::{Bus, BusConfig, BusError, Class};
 use heliostat_service::log_limit::LogLimit;
 use heliostat_service::{Exporter, MetricsArgs, MetricsError, Stop, source_id};
@@ -130,6 +131,8 @@ impl<D: Device> ArrayDriver<D> {
         let identity = Identity { source, array, software };
         let session = ArraySession::open(&bus, array, clock, Class::HighDrop)?;
         let received = Arc::clone(session.received());
+        let watched = Arc::clone(&received);
+        kit.set_watch(Watch::new(move || clock.now(), move |is_stop| watched.has_stop(is_stop)));
         kit.device_mut().set_waker(Waker::new(move || received.wake()));
         let station = Station::new(kit, (plan, latch_at_start), identity, clock.now());
         let driver = Driver {
@@ -250,9 +253,10 @@ impl<D: Device> Driver<D> {
             }
         }
         station.set_dropped(received.dropped());
-        let now = clock.now();
-        station.advance(now);
+        station.advance(clock.now());
         drop(station);
+        // A call of the device may have taken long.
+        let now = clock.now();
         self.keep_record(now);
         // Published without the lock.
         loop {

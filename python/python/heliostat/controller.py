@@ -10,8 +10,8 @@
 
 The function sees what an environment shows with `observation="flat"`, and returns an action as for an environment. The
 decision core of the controller does the rest: it accepts or refuses reports, predicts the users, limits the angles,
-chooses the epoch and withholds commands from stopped arrays. This process does not promise 0.5 ms for a decision;
-`late` counts those that took longer than the interval of the reports.
+chooses the epoch, withholds commands from stopped arrays, and repeats a stop to an array that has not reported it. This
+process does not promise 0.5 ms for a decision; `late` counts those that took longer than the interval of the reports.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -43,12 +43,13 @@ _ANNOUNCED_S = 0.3
 _QUEUE_MAX = 1024
 _SILENT_S = 2.0
 _LOOK_AGAIN_S = 5.0
+_END_S = 1.0
 _ARRAY = ("capabilities", "safety", "stops", "telemetry")
 _STATES = {
     "standby": "the array follows another controller: this run stands by, and takes over when that one ends",
     "running": "standby has ended",
 }
-_ROOM = ("room_geometry", "obstacles", "orientation", "leds", "channel", "users", "stop")
+_ROOM = ("room_geometry", "obstacles", "orientation", "leds", "channel", "users")
 
 
 @dataclass(frozen=True)
@@ -164,6 +165,8 @@ class _Run:
         self._late = self._dropped = 0
         self._began, self._heard, self._has_array = time.monotonic(), False, False
         self._arrived: queue.Queue[tuple[str, int, bytes]] = queue.Queue(_QUEUE_MAX)
+        # Without a bound: no process repeats a stop or a token to this one.
+        self._orders: queue.Queue[bytes] = queue.Queue()
         self._present: queue.Queue[tuple[str, bool]] = queue.Queue()
         self._peer = Peer(settings, "controller", 0, stop)
         self._core = Commander(scenario, self._call, form, self._peer.source)
@@ -184,11 +187,30 @@ class _Run:
         with self._peer:
             if self._peer.is_open:
                 self._join()
-                self._serve(None if seconds is None else time.monotonic() + seconds)
+                with self._repeating_stops():
+                    self._serve(None if seconds is None else time.monotonic() + seconds)
         return self.summary()
+
+    @contextmanager
+    def _repeating_stops(self) -> Iterator[None]:
+        """Repeats stops by a thread of its own while the block runs: the function may not return."""
+        over = threading.Event()
+
+        def work() -> None:
+            while not over.wait(_TICK_S):
+                self._send(self._core.repetitions(time.time_ns()))
+
+        thread = threading.Thread(target=work, name="stop repetitions", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            over.set()
+            thread.join(timeout=_END_S)
 
     def _join(self) -> None:
         arrays = range(self._core.arrays)
+        self._peer.subscribe("stop", self._order)
         # The first epoch must be above the one that an array follows, and a stop must be known.
         for array in arrays:
             for name in ("capabilities", "safety", "stops"):
@@ -211,6 +233,10 @@ class _Run:
                 self._dropped += 1
 
         return arrive
+
+    def _order(self, payload: bytes) -> None:
+        self._core.note_order(payload, time.time_ns())
+        self._orders.put(payload)
 
     def _serve(self, end: float | None) -> None:
         reported, problem, state = -_STATUS_S, "", "running"
@@ -284,14 +310,24 @@ class _Run:
             try:
                 name, array, payload = self._arrived.get(block=wait, timeout=_TICK_S if wait else None)
             except queue.Empty:
+                self._receive_orders()
                 return
             wait, self._heard = False, True
+            self._receive_orders()
             self._has_array = self._has_array or name in _ARRAY
             self._send(self._core.receive(name, array, payload, time.time_ns()))
 
-    def _send(self, commands: Sequence[tuple[int, bytes]]) -> None:
-        for array, payload in commands:
-            self._peer.put("command", payload, array)
+    def _receive_orders(self) -> None:
+        """Gives stops to the core before any report that waits: they withhold its command."""
+        with suppress(queue.Empty):
+            while True:
+                payload = self._orders.get_nowait()
+                self._heard = True
+                self._send(self._core.receive("stop", 0, payload, time.time_ns()))
+
+    def _send(self, messages: Sequence[tuple[str, int, bytes]]) -> None:
+        for name, array, payload in messages:
+            self._peer.put(name, payload, array)
 
     def summary(self) -> RunSummary:
         """The counts so far."""

@@ -313,7 +313,7 @@ def run(
             software=SOFTWARE,
             start_armed=start_armed,
             authenticated=peer.authenticated,
-            now=now(),
+            clock=now,
         )
         if station.advice is not None:
             log.show(station.advice)
@@ -354,9 +354,10 @@ def run(
             more = station.handle_received(now())
             while more and not station.is_report_due(now()[0]):
                 more = station.handle_received(now())
-            instant = now()
-            if station.advance(instant):
+            if station.advance(now()):
                 record.write()
+            # A call of the device may have taken long.
+            instant = now()
             for name, payload in station.reports(instant):
                 # A query that follows a publication finds it.
                 latest[name] = payload

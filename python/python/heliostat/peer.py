@@ -62,6 +62,8 @@ _QUALITY = {
     "status": (zenoh.Priority.DATA_LOW, False),
 }
 _REPORTS = (zenoh.Priority.REAL_TIME, True)
+# Messages that wait where the network is congested; others are dropped.
+_BLOCKING = ("stop", "stop_repetition", "rearm", "calibration")
 
 
 class PeerError(Exception):
@@ -312,8 +314,9 @@ class Peer:
         key = self._key(name, array)
         if key not in self._publishers:
             priority, express = _QUALITY.get(name, _REPORTS)
+            control = zenoh.CongestionControl.BLOCK if name in _BLOCKING else zenoh.CongestionControl.DROP
             self._publishers[key] = self.session.declare_publisher(
-                key, priority=priority, express=express, congestion_control=zenoh.CongestionControl.DROP
+                key, priority=priority, express=express, congestion_control=control
             )
         self._publishers[key].put(payload)
 

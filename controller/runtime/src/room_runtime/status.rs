@@ -3,23 +3,20 @@
 mod describe;
 
 use heliostat_core::{
-    core::{Counters, DegradedMode, Stage},
+    core::{Counters, DegradedMode, Stage, clock_time},
     refusal::{Refusal, Stream},
     room_core::UndecodableCounts,
     tenure::{Standing, Tenure, TenureEvent},
 };
 use heliostat_proto::{Nanos, NodeKind, NodeStatus, Stamp, gauges::ServedLight};
-use heliostat_service::clock::utc_ns;
+use heliostat_service::{clock::utc_ns, printable::printable};
 
 use super::{decision_loop::DecisionLoop, peers::ReportedPeers, policy_swap::SwapCounters};
 use crate::report::{
     stage_times::{StageTimes, quantiles_us},
     summary::Summary,
 };
-use describe::{
-    clock_time, describe_absence, describe_events, describe_foreign_array, describe_left_out, describe_refusal,
-    describe_stops,
-};
+use describe::{describe_absence, describe_events, describe_foreign_array, describe_left_out, describe_refusal};
 
 /// What to do about commands without a receiver.
 const DRIVER_ABSENT: &str = "there is no telemetry, and no liveliness token of a driver or simulator; start one, with an endpoint in common with this controller";
@@ -155,7 +152,7 @@ impl Reporter {
         // Of several arrays, the first that follows another controller.
         let mut tenures = (0..controller.arrays()).map(|array| controller.tenure(array));
         let tenure = tenures.find(|tenure| tenure.standing() == Standing::Standby).unwrap_or(controller.tenure(0));
-        let stops_before = std::mem::replace(&mut self.stops, describe_stops(controller));
+        let stops_before = std::mem::replace(&mut self.stops, controller.describe_stops(printable));
         let problem = self
             .new_alarm(&summary, controller.counters(), tenure)
             .or_else(|| self.new_stops(&stops_before))

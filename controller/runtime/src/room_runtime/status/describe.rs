@@ -1,66 +1,13 @@
-//! The texts of a controller's status: stops, absent drivers, events of the tenure, refused reports.
+//! The texts of a controller's status: absent drivers, events of the tenure, refused reports.
 
 use heliostat_core::{
-    core::Controller,
-    guard::describe_stop,
     refusal::{Found, LastRefusal, LeftOut, Refusal, Stream, TelemetrySizes},
     tenure::{Tenure, TenureEvent},
 };
-use heliostat_proto::{Nanos, array_keys::array_name, stop_hold::HeldStop};
-use heliostat_service::printable::printable;
+use heliostat_proto::array_keys::array_name;
 
 use super::super::decision_loop::DecisionLoop;
 use super::Problem;
-
-/// Stops in the state of a status; a text of the contract has at most 1024 bytes.
-const STOPS_SHOWN: usize = 3;
-
-/// Characters of an operator's name and reason in it.
-const STOP_CHARACTERS: usize = 30;
-
-/// The stops that withhold commands; those of a part of the arrays with their names.
-pub(super) fn describe_stops(controller: &Controller) -> String {
-    let arrays = 0..controller.arrays();
-    let mut texts: Vec<(String, Vec<usize>)> = Vec::new();
-    for array in arrays.clone() {
-        for HeldStop { name, operator, reason, since_ns, .. } in controller.stops(array) {
-            let [operator, reason] = [operator, reason].map(|text| shortened(text));
-            let text = format!("{} since {}", describe_stop(*name, &operator, &reason), clock_time(*since_ns));
-            match texts.iter_mut().find(|(known, _)| *known == text) {
-                // Two stops of one array can have one text.
-                Some((_, arrays)) if arrays.contains(&array) => {}
-                Some((_, arrays)) => arrays.push(array),
-                None => texts.push((text, vec![array])),
-            }
-        }
-    }
-    let parts: Vec<String> = texts
-        .into_iter()
-        .take(STOPS_SHOWN)
-        .map(|(text, held)| match held.len() == arrays.len() {
-            true => text,
-            false => {
-                format!("{text} from {}", held.iter().map(|array| array_name(*array)).collect::<Vec<_>>().join(" and "))
-            }
-        })
-        .collect();
-    if parts.is_empty() { String::new() } else { format!("withheld by {}", parts.join("; ")) }
-}
-
-/// A text of another process, made printable and short enough for a status.
-fn shortened(text: &str) -> String {
-    let text = printable(text);
-    match text.char_indices().nth(STOP_CHARACTERS) {
-        Some((end, _)) => format!("{}...", &text[..end]),
-        None => text.into_owned(),
-    }
-}
-
-/// The time of day of a time in UTC.
-pub(super) fn clock_time(time_ns: Nanos) -> String {
-    let seconds = time_ns / 1_000_000_000 % 86_400;
-    format!("{:02}:{:02}:{:02} UTC", seconds / 3600, seconds / 60 % 60, seconds % 60)
-}
 
 /// Which commands reach no driver, in a room with this number of arrays.
 pub(super) fn describe_absence(without_driver: &[usize], arrays: usize) -> String {
@@ -224,7 +171,7 @@ mod tests {
     use std::time::Instant;
 
     use heliostat_core::{refusal::UserValues, tenure::Evidence};
-    use heliostat_proto::{EPOCH_SLOTS, UserState};
+    use heliostat_proto::{EPOCH_SLOTS, Nanos, UserState};
     use heliostat_service::log_limit::LogLimit;
 
     use super::*;

@@ -170,14 +170,17 @@ pub fn end_after(days: u32) -> SystemTime {
     SystemTime::now() + of_days(days)
 }
 
-/// The certificates of the roles in a folder.
+/// The certificates of the roles in a folder, none of them valid before its authority.
 ///
 /// # Errors
 /// [`KeyError`]: a file that cannot be read or is no certificate.
 pub fn list(folder: &Path) -> Result<Vec<(AccessRole, Certificate)>, BusError> {
     // Without an authority this is no folder of keys.
-    Certificate::read(&folder.join(AUTHORITY_CERTIFICATE))?;
-    let read = |role: AccessRole| Ok((role, Certificate::read(&folder.join(certificate_file(role)))?));
+    let authority = Certificate::read(&folder.join(AUTHORITY_CERTIFICATE))?;
+    let read = |role: AccessRole| {
+        let certificate = Certificate::read(&folder.join(certificate_file(role)))?;
+        Ok((role, certificate.not_before(&authority)))
+    };
     roles_in(folder).into_iter().map(read).collect()
 }
 

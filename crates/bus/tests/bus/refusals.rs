@@ -198,3 +198,19 @@ fn a_renewal_that_cannot_be_written_leaves_the_old_key_beside_the_old_certificat
     Identity::load(folder.path(), &[first]).expect("the former keys");
     assert!(!folder.path().join(format!("{first}.key.new")).exists());
 }
+
+#[test]
+fn a_certificate_is_not_listed_as_valid_before_its_authority() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let room = Room::new("studio").expect("a valid name");
+    let now = std::time::SystemTime::now();
+    let day = Duration::from_secs(86_400);
+    let later = keys::Terms { hosts: Vec::new(), from: now + 2 * day, until: now + 9 * day };
+    keys::init(&room, folder.path(), &later).expect("an empty folder");
+    // The certificates of the roles are valid at once, that of the authority is not.
+    keys::renew(folder.path(), folder.path(), keys::end_after(9)).expect("the keys of all roles");
+    let listed = keys::list(folder.path()).expect("certificates");
+    assert!(!listed.is_empty() && listed.iter().all(|(_, certificate)| certificate.is_not_yet_valid()));
+    let refused = Identity::load(folder.path(), &ANY).expect_err("refused").to_string();
+    assert!(refused.contains("ca.pem: the certificate is not valid yet"), "{refused}");
+}

@@ -22,6 +22,8 @@ pub struct Certificate {
     pub common_name: String,
     /// Host names and addresses at which its holder may listen.
     pub hosts: Vec<String>,
+    /// Date of the start of its validity in UTC, as YYYY-MM-DD.
+    pub valid_from: String,
     /// Date of its expiry in UTC, as YYYY-MM-DD.
     pub expires: String,
     /// Its public key, as the certificate holds it.
@@ -57,6 +59,7 @@ impl Certificate {
         Ok(Self {
             common_name: common_name.ok_or("it has no common name")?.to_owned(),
             hosts: hosts(&parsed),
+            valid_from: date(&parsed.validity().not_before),
             expires: date(&parsed.validity().not_after),
             public_key: parsed.public_key().subject_public_key.data.to_vec(),
             own_key_id: key_id(&parsed, |extension| match extension {
@@ -81,10 +84,24 @@ impl Certificate {
         (self.validity_s.1 - unix_s(SystemTime::now())).div_euclid(SECONDS_A_DAY)
     }
 
+    /// Whether it becomes valid later.
+    pub fn is_not_yet_valid(&self) -> bool {
+        unix_s(SystemTime::now()) < self.validity_s.0
+    }
+
+    /// The same certificate, which is of no use before its authority is valid.
+    pub(crate) fn not_before(mut self, authority: &Self) -> Self {
+        if authority.validity_s.0 > self.validity_s.0 {
+            self.validity_s.0 = authority.validity_s.0;
+            self.valid_from.clone_from(&authority.valid_from);
+        }
+        self
+    }
+
     /// Whether it is valid now; `Err` names the fault.
     pub(crate) fn check_time(&self, path: &Path) -> Result<(), KeyError> {
         let now_s = unix_s(SystemTime::now());
-        if now_s < self.validity_s.0 {
+        if self.is_not_yet_valid() {
             return Err(KeyError::NotYetValid { path: path.into() });
         }
         if now_s > self.validity_s.1 {
@@ -96,7 +113,7 @@ impl Certificate {
     /// Why it is not valid now, as a predicate.
     pub(crate) fn time_fault(&self) -> Option<String> {
         let now_s = unix_s(SystemTime::now());
-        if now_s < self.validity_s.0 {
+        if self.is_not_yet_valid() {
             return Some("is not valid yet, by the clock of this machine".to_owned());
         }
         (now_s > self.validity_s.1).then(|| format!("expired on {}", self.expires))

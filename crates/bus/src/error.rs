@@ -1,7 +1,8 @@
 //! Errors of sessions and of keys, with the remedy.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
+use heliostat_files::write_advice;
 use heliostat_proto::RoomError;
 use thiserror::Error;
 
@@ -140,12 +141,14 @@ pub enum KeyError {
         problem: String,
     },
     /// A file or folder cannot be written.
-    #[error("cannot write {}: {problem}; expected a folder that this user may write", path.display())]
+    #[error("cannot write {}: {problem}; {advice}", path.display())]
     CannotWrite {
         /// The file or folder.
         path: PathBuf,
         /// The operating system's message.
         problem: String,
+        /// What to do.
+        advice: &'static str,
     },
     /// The file exists.
     #[error("{} exists: expected a folder without these keys; heliostat keys renew replaces certificates", path.display())]
@@ -297,4 +300,12 @@ pub enum KeyError {
         /// The library's message.
         problem: String,
     },
+}
+
+impl KeyError {
+    /// The error of a write, with what to do about its cause.
+    pub(crate) fn cannot_write(path: &Path, error: &std::io::Error) -> Self {
+        let advice = write_advice(error, "expected a folder that this user may write");
+        Self::CannotWrite { path: path.into(), problem: error.to_string(), advice }
+    }
 }

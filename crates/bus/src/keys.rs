@@ -68,36 +68,78 @@ impl Terms {
     }
 }
 
-/// Makes the authority of a room, and the keys of every role.
+/// Makes the authority of a room, and the keys of every role: all of them, or none.
 ///
 /// # Errors
-/// [`KeyError`]: what is no host, a file that cannot be written, or an authority that exists.
+/// [`KeyError`]: what is no host, a file that cannot be written, or keys that exist.
 pub fn init(room: &Room, folder: &Path, terms: &Terms) -> Result<(), BusError> {
     terms.check()?;
+    let of_authority = [AUTHORITY_KEY, AUTHORITY_CERTIFICATE].map(str::to_owned);
+    refuse_existing(folder, of_authority.into_iter().chain(AccessRole::ALL.map(certificate_file)))?;
+    all_or_none(folder, || {
+        write_authority(room, folder, terms)?;
+        AccessRole::ALL.into_iter().try_for_each(|role| issue(role, folder, folder, terms))
+    })
+}
+
+fn write_authority(room: &Room, folder: &Path, terms: &Terms) -> Result<(), BusError> {
     create_folder(folder)?;
     let key = KeyPair::generate().map_err(generation)?;
     let mut params = authority_params(room);
     (params.not_before, params.not_after) = (terms.from.into(), end_after(AUTHORITY_DAYS).into());
     let certificate = params.self_signed(&key).map_err(generation)?;
-    write_new(&folder.join(AUTHORITY_KEY), &key.serialize_pem(), PRIVATE)?;
-    write_new(&folder.join(AUTHORITY_CERTIFICATE), &certificate.pem(), PUBLIC)?;
-    AccessRole::ALL.into_iter().try_for_each(|role| issue(role, folder, folder, terms))
+    replace(&folder.join(AUTHORITY_KEY), &key.serialize_pem(), PRIVATE)?;
+    Ok(replace(&folder.join(AUTHORITY_CERTIFICATE), &certificate.pem(), PUBLIC)?)
 }
 
 /// Makes the keys of a role by the authority in `authority`, and writes them to `out` together with
-/// the authority's certificate.
+/// the authority's certificate: all of these files, or none.
 ///
 /// # Errors
 /// [`KeyError`]: what is no host, an authority that cannot be read, a file that cannot be written, or
 /// keys of this role that exist.
 pub fn issue(role: AccessRole, authority: &Path, out: &Path, terms: &Terms) -> Result<(), BusError> {
     terms.check()?;
-    let existing = out.join(certificate_file(role));
-    if existing.exists() {
-        return Err(KeyError::Exists { path: existing }.into());
+    refuse_existing(out, [certificate_file(role)])?;
+    all_or_none(out, || {
+        create_folder(out)?;
+        Authority::read(authority)?.issue(role, out, terms)
+    })
+}
+
+/// Refuses a folder that has a file of one of these names.
+fn refuse_existing(folder: &Path, names: impl IntoIterator<Item = String>) -> Result<(), KeyError> {
+    match names.into_iter().map(|name| folder.join(name)).find(|path| path.exists()) {
+        Some(path) => Err(KeyError::Exists { path }),
+        None => Ok(()),
     }
-    create_folder(out)?;
-    Authority::read(authority)?.issue(role, out, terms)
+}
+
+/// Makes files in a folder of keys. Where that fails, those that did not exist before are removed: the rest of a
+/// folder is of no use, and would be in the way of the next attempt.
+fn all_or_none(folder: &Path, make: impl FnOnce() -> Result<(), BusError>) -> Result<(), BusError> {
+    let is_new = !folder.exists();
+    let absent: Vec<PathBuf> = files_of_keys(folder).filter(|file| !file.exists()).collect();
+    let made = make();
+    if made.is_err() {
+        absent.iter().for_each(|file| drop(fs::remove_file(file)));
+        if is_new {
+            drop(fs::remove_dir(folder));
+        }
+    }
+    made
+}
+
+/// The files that a folder of keys can have.
+fn files_of_keys(folder: &Path) -> impl Iterator<Item = PathBuf> {
+    let of_role = |role: AccessRole| [certificate_file(role), key_file(role), zenoh_file(role)];
+    let of_authority = [AUTHORITY_KEY, AUTHORITY_CERTIFICATE].map(str::to_owned);
+    of_authority.into_iter().chain(AccessRole::ALL.into_iter().flat_map(of_role)).map(move |name| folder.join(name))
+}
+
+/// File of the Zenoh configuration of a role.
+fn zenoh_file(role: AccessRole) -> String {
+    format!("zenoh-{role}.json5")
 }
 
 /// Makes new keys for every role in `out`, with the hosts of the old ones, by the authority in
@@ -128,14 +170,17 @@ pub fn end_after(days: u32) -> SystemTime {
     SystemTime::now() + of_days(days)
 }
 
-/// The certificates of the roles in a folder.
+/// The certificates of the roles in a folder, none of them valid before its authority.
 ///
 /// # Errors
 /// [`KeyError`]: a file that cannot be read or is no certificate.
 pub fn list(folder: &Path) -> Result<Vec<(AccessRole, Certificate)>, BusError> {
     // Without an authority this is no folder of keys.
-    Certificate::read(&folder.join(AUTHORITY_CERTIFICATE))?;
-    let read = |role: AccessRole| Ok((role, Certificate::read(&folder.join(certificate_file(role)))?));
+    let authority = Certificate::read(&folder.join(AUTHORITY_CERTIFICATE))?;
+    let read = |role: AccessRole| {
+        let certificate = Certificate::read(&folder.join(certificate_file(role)))?;
+        Ok((role, certificate.not_before(&authority)))
+    };
     roles_in(folder).into_iter().map(read).collect()
 }
 
@@ -180,9 +225,14 @@ impl Authority {
         params.extended_key_usages = vec![ExtendedKeyUsagePurpose::ServerAuth, ExtendedKeyUsagePurpose::ClientAuth];
         params.use_authority_key_identifier_extension = true;
         let certificate = params.signed_by(&key, &self.issuer).map_err(generation)?;
-        replace(&out.join(key_file(role)), &key.serialize_pem(), PRIVATE)?;
-        replace(&out.join(certificate_file(role)), &certificate.pem(), PUBLIC)?;
-        replace(&out.join(AUTHORITY_CERTIFICATE), &self.certificate_text, PUBLIC)?;
+        // On a full disk no new key comes beside the old certificate: all files are on the disk before the first takes
+        // its place.
+        let files = [
+            Prepared::new(&out.join(key_file(role)), &key.serialize_pem(), PRIVATE)?,
+            Prepared::new(&out.join(certificate_file(role)), &certificate.pem(), PUBLIC)?,
+            Prepared::new(&out.join(AUTHORITY_CERTIFICATE), &self.certificate_text, PUBLIC)?,
+        ];
+        files.into_iter().try_for_each(Prepared::put)?;
         write_zenoh_configuration(role, out)
     }
 }
@@ -207,7 +257,7 @@ fn write_zenoh_configuration(role: AccessRole, folder: &Path) -> Result<(), BusE
         config.room,
         nested_json(&settings)?
     );
-    Ok(replace(&folder.join(format!("zenoh-{role}.json5")), &text, PUBLIC)?)
+    Ok(replace(&folder.join(zenoh_file(role)), &text, PUBLIC)?)
 }
 
 const AUTHORITY_NAME_PREFIX: &str = "Heliostat authority of room ";
@@ -237,31 +287,47 @@ pub(crate) const PUBLIC: u32 = 0o644;
 pub(crate) fn create_folder(folder: &Path) -> Result<(), KeyError> {
     let mut builder = fs::DirBuilder::new();
     platform::make_private(&mut builder);
-    builder
-        .recursive(true)
-        .create(folder)
-        .map_err(|error| KeyError::CannotWrite { path: folder.into(), problem: error.to_string() })
-}
-
-/// Writes a file that does not exist.
-fn write_new(path: &Path, text: &str, mode: u32) -> Result<(), KeyError> {
-    if path.exists() {
-        return Err(KeyError::Exists { path: path.into() });
-    }
-    replace(path, text, mode)
+    builder.recursive(true).create(folder).map_err(|error| KeyError::cannot_write(folder, &error))
 }
 
 /// Writes a file at once: a process that opens it reads the old content or the new one.
 pub(crate) fn replace(path: &Path, text: &str, mode: u32) -> Result<(), KeyError> {
-    let failed = |error: std::io::Error| KeyError::CannotWrite { path: path.into(), problem: error.to_string() };
-    let mut temporary = PathBuf::from(path).into_os_string();
-    temporary.push(".new");
-    // A file left by an interrupted run may have other permissions.
-    let _ = fs::remove_file(&temporary);
-    let mut options = OpenOptions::new();
-    options.write(true).create_new(true);
-    platform::set_permissions(&mut options, mode);
-    let mut file = options.open(&temporary).map_err(failed)?;
-    file.write_all(text.as_bytes()).and_then(|()| file.sync_all()).map_err(failed)?;
-    fs::rename(&temporary, path).map_err(failed)
+    Prepared::new(path, text, mode)?.put()
+}
+
+/// A complete file beside its place, which it has not taken yet. It is removed where it never does.
+struct Prepared {
+    temporary: PathBuf,
+    path: PathBuf,
+}
+
+impl Prepared {
+    fn new(path: &Path, text: &str, mode: u32) -> Result<Self, KeyError> {
+        let mut temporary = PathBuf::from(path).into_os_string();
+        temporary.push(".new");
+        let prepared = Self { temporary: temporary.into(), path: path.into() };
+        // A file left by an interrupted run may have other permissions.
+        let _ = fs::remove_file(&prepared.temporary);
+        let mut options = OpenOptions::new();
+        options.write(true).create_new(true);
+        platform::set_permissions(&mut options, mode);
+        let written = options.open(&prepared.temporary).and_then(|mut file| {
+            file.write_all(text.as_bytes())?;
+            file.sync_all()
+        });
+        written.map_err(|error| KeyError::cannot_write(path, &error))?;
+        Ok(prepared)
+    }
+
+    /// Takes the place of the file.
+    fn put(self) -> Result<(), KeyError> {
+        fs::rename(&self.temporary, &self.path).map_err(|error| KeyError::cannot_write(&self.path, &error))
+    }
+}
+
+impl Drop for Prepared {
+    fn drop(&mut self) {
+        // After it has taken its place there is none.
+        let _ = fs::remove_file(&self.temporary);
+    }
 }

@@ -3,7 +3,8 @@
 //! Callbacks copy each payload into a queue, and one thread writes. Payloads are dropped and
 //! counted while the queue is full: the room never waits for its recorder.
 
-use std::fs::{File, OpenOptions};
+use std::fs::{self, File, OpenOptions};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -12,6 +13,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use heliostat_bus::{Bus, BusConfig, Presence as Liveliness};
+use heliostat_files::write_advice;
 use heliostat_proto::{Nanos, NodeKind, Room, VERSION, keys::parse_alive};
 use heliostat_scenario::Scenario;
 use heliostat_service::clock::utc_ns;
@@ -93,18 +95,16 @@ enum Item {
 /// A bus or a file that cannot be opened. A later write error is reported in the [`Outcome`].
 pub fn run(settings: &Settings, stop: &Stop) -> Result<Outcome> {
     let started = Instant::now();
-    let cannot_create = |out: &Path| {
-        format!("cannot create {}: expected a file that does not exist yet, in a folder that exists", out.display())
-    };
-    let mut ring = match settings.ring {
-        Some(bounds) => Some(Ring::open(&settings.out, bounds, started).with_context(|| cannot_create(&settings.out))?),
-        None => None,
-    };
+    let ring = settings.ring.map(|bounds| Ring::open(&settings.out, bounds, started)).transpose();
+    let mut ring = ring.map_err(|error| cannot_create(&settings.out, error))?;
     let (file, out) = match &mut ring {
         Some(ring) => (ring.create(started), ring.path()),
         None => (OpenOptions::new().write(true).create_new(true).open(&settings.out), settings.out.clone()),
     };
-    let mut writer = RoomWriter::create(file.with_context(|| cannot_create(&out))?, settings, out)?;
+    let file = file.map_err(|error| cannot_create(&out, error))?;
+    let begun = Begun { path: out.clone(), is_kept: false };
+    let writer = RoomWriter::create(file, settings, out);
+    let mut writer = writer.with_context(|| format!("cannot create {}", begun.path.display()))?;
     let (sender, queue) = sync_channel(QUEUE);
     let dropped = Arc::new(AtomicU64::new(0));
     let bus = Bus::open(&settings.bus).context("cannot join the room")?;
@@ -123,6 +123,7 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Outcome> {
         enqueue(&tokens, Item::Presence { arrived_ns: utc_ns(), presence }, &tokens_dropped);
     })?;
     let token = bus.announce(&room.alive(NodeKind::Viewer, source))?;
+    begun.keep();
     output::note(format_args!("record: room {room} into {}", writer.place.path().display()));
 
     let deadline = settings.run_for.map(|run_for| started + run_for);
@@ -153,7 +154,8 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Outcome> {
         outcome.failure = refused;
     }
     if let Some(mut ring) = ring {
-        if outcome.file.exists()
+        // The next file may not have been begun.
+        if ring.path().exists()
             && let Err(error) = ring.close(Instant::now())
         {
             outcome.problems.push(format!("an old file of the ring cannot be deleted: {error}"));
@@ -162,6 +164,33 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Outcome> {
         outcome.file = outcome.files.last().cloned().unwrap_or(outcome.file);
     }
     Ok(outcome)
+}
+
+/// The error of a file that cannot be created, with its name and what to do.
+fn cannot_create(out: &Path, error: io::Error) -> anyhow::Error {
+    let advice = write_advice(&error, "expected a file that does not exist yet, in a folder that exists");
+    anyhow::Error::new(error).context(format!("cannot create {}: {advice}", out.display()))
+}
+
+/// A file without messages. Unless it is kept it is removed, because it would block the next attempt.
+struct Begun {
+    path: PathBuf,
+    is_kept: bool,
+}
+
+impl Begun {
+    /// Messages are to follow.
+    fn keep(mut self) {
+        self.is_kept = true;
+    }
+}
+
+impl Drop for Begun {
+    fn drop(&mut self) {
+        if !self.is_kept {
+            drop(fs::remove_file(&self.path));
+        }
+    }
 }
 
 /// Begins the next file of a ring if that is due, and keeps those around a fault.
@@ -363,13 +392,15 @@ impl<S: Storage> RoomWriter<S> {
     }
 
     /// Closes the present file, and continues in the one that `open` gives.
-    fn next_file(&mut self, open: impl FnOnce() -> std::io::Result<(S, PathBuf)>) -> Result<()> {
+    fn next_file(&mut self, open: impl FnOnce() -> io::Result<(S, PathBuf)>) -> Result<()> {
         let Some(recording) = self.recording.take() else { return Ok(()) };
         recording.finish(&std::mem::take(&mut self.file_account))?;
         self.place.check()?;
         let (storage, out) = open()?;
         self.header.started_ns = utc_ns().to_string();
+        let begun = Begun { path: out.clone(), is_kept: false };
         self.recording = Some(Recording::create(storage, &self.header)?);
+        begun.keep();
         self.place = Place::new(out);
         Ok(())
     }
@@ -406,7 +437,7 @@ impl<S: Storage> RoomWriter<S> {
         }
         if self.account.messages() == 0 && self.place.has_file() {
             // An empty file would block the next attempt, since files are not overwritten.
-            let _ = std::fs::remove_file(self.place.path());
+            let _ = fs::remove_file(self.place.path());
         }
         Outcome {
             file: self.place.path().to_owned(),
@@ -456,6 +487,28 @@ mod tests {
         assert!(due.starts_with("no command was received") && (early, again) == ("", ""), "{due}");
         assert!(after(&[room.command()])[1].starts_with("no position report was received"));
         assert_eq!(after(&[room.users(), room.command()]), [""; 3]);
+    }
+
+    #[test]
+    fn a_file_that_gets_no_message_is_removed_and_a_full_disk_is_named_with_what_to_do() {
+        let folder = tempfile::tempdir().expect("a folder");
+        for is_kept in [false, true] {
+            let path = folder.path().join("room.mcap");
+            fs::write(&path, "a header").expect("a file");
+            let begun = Begun { path: path.clone(), is_kept: false };
+            if is_kept {
+                begun.keep();
+            } else {
+                drop(begun);
+            }
+            assert_eq!(path.exists(), is_kept);
+        }
+        let message = |kind: io::ErrorKind| cannot_create(Path::new("room.mcap"), kind.into()).to_string();
+        assert!(message(io::ErrorKind::AlreadyExists).contains("room.mcap: expected a file that does not exist yet"));
+        assert_eq!(
+            message(io::ErrorKind::StorageFull),
+            "cannot create room.mcap: free some space, or choose another disk"
+        );
     }
 
     #[test]

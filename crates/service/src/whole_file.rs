@@ -1,10 +1,11 @@
 //! Files that a command writes after its work: complete, or not at all.
 
 use std::fs::{self, File, TryLockError};
-use std::io;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
+use heliostat_files::write_advice;
 use thiserror::Error;
 
 use crate::exit::UnusableInput;
@@ -14,6 +15,12 @@ use crate::output::note;
 /// ENOLCK and EOPNOTSUPP of Linux, else of macOS and BSD: the first one, as of NFS without its daemon for locks, has
 /// no kind of its own in the standard library.
 const NO_LOCKS: [i32; 2] = if cfg!(target_os = "linux") { [37, 95] } else { [77, 45] };
+
+/// What a file to write has to be.
+const EXPECTED: &str = "expected a file in a folder that exists";
+
+/// What a file to create has to be.
+const EXPECTED_NEW: &str = "expected a file that does not exist yet, in a folder that exists";
 
 /// Attempts to hold a file whose holders end meanwhile; bounded, because some file systems change the numbers of files.
 const HOLD_TRIES: usize = 100;
@@ -27,12 +34,18 @@ pub fn check_writable(file: &Path) -> Result<()> {
     if file == Path::new("-") {
         bail!(UnusableInput::new("cannot write -: expected a file; /dev/stdout is standard output"));
     }
-    let refused = || format!("cannot write {}: expected a file in a folder that exists", file.display());
+    let refused = |error| unwritable(file, error, EXPECTED);
     if file.exists() {
-        return File::options().append(true).open(file).map(drop).with_context(refused);
+        return File::options().append(true).open(file).map(drop).map_err(refused);
     }
     let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    tempfile::tempfile_in(folder).map(drop).with_context(refused)
+    tempfile::tempfile_in(folder).map(drop).map_err(refused)
+}
+
+/// The error of a file that is not written, with its name and what to do.
+fn unwritable(file: &Path, error: io::Error, expected: &str) -> anyhow::Error {
+    let advice = write_advice(&error, expected);
+    anyhow::Error::new(error).context(format!("cannot write {}: {advice}", file.display()))
 }
 
 /// As [`check_writable`], for a file that other commands read: it refuses one that exists. A pipe or device may exist.
@@ -74,16 +87,34 @@ fn absolute(file: &Path) -> Option<PathBuf> {
 /// # Errors
 /// A file that cannot be written, by name.
 pub fn write(file: &Path, contents: &[u8]) -> Result<()> {
-    let refused = || format!("cannot write {}", file.display());
+    let refused = |error| unwritable(file, error, EXPECTED);
     if is_direct(file) {
-        return fs::write(file, contents).with_context(refused);
+        return fs::write(file, contents).map_err(refused);
     }
     let part = beside(file, ".part");
     let written = fs::write(&part, contents).and_then(|()| fs::rename(&part, file));
+    complete(&part, written).map_err(refused)
+}
+
+/// Writes a file that does not exist yet.
+///
+/// # Errors
+/// A file that exists or cannot be written, by name. Nothing is left of what was begun.
+pub fn write_new(file: &Path, contents: &[u8]) -> Result<()> {
+    let refused = |error| unwritable(file, error, EXPECTED_NEW);
+    let mut begun = File::options().write(true).create_new(true).open(file).map_err(refused)?;
+    // Some file systems report only then that they are full.
+    let written = begun.write_all(contents).and_then(|()| begun.sync_all());
+    drop(begun);
+    complete(file, written).map_err(refused)
+}
+
+/// The result of writing a file that this process has begun; what cannot be completed is removed.
+fn complete(begun: &Path, written: io::Result<()>) -> io::Result<()> {
     if written.is_err() {
-        drop(fs::remove_file(&part));
+        drop(fs::remove_file(begun));
     }
-    written.with_context(refused)
+    written
 }
 
 /// Whether a path names a pipe or a device.
@@ -206,6 +237,22 @@ mod tests {
         if cfg!(unix) {
             check_new(Path::new("/dev/null")).expect("a device");
         }
+    }
+
+    #[test]
+    fn a_new_file_that_cannot_be_completed_is_removed_and_one_that_exists_stays() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = folder.path().join("room.toml");
+        write_new(&file, b"first").expect("written");
+        let refusal = write_new(&file, b"second").expect_err("a file").to_string();
+        assert!(refusal.ends_with("room.toml: expected a file that does not exist yet, in a folder that exists"));
+        assert_eq!(fs::read_to_string(&file).expect("the file"), "first");
+        complete(&file, Ok(())).expect("complete");
+        assert!(file.exists());
+        let full = complete(&file, Err(io::ErrorKind::StorageFull.into())).expect_err("full");
+        assert!(!file.exists());
+        let refusal = unwritable(&file, full, EXPECTED_NEW).to_string();
+        assert!(refusal.ends_with("room.toml: free some space, or choose another disk"), "{refusal}");
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use heliostat_proto::{CodecError, UserState};
+use heliostat_proto::{CodecError, SPEED_MAX_M_S, UserState};
 
 use crate::named::named;
 
@@ -126,10 +126,6 @@ pub enum Found {
         los_gain: f32,
     },
 }
-
-/// Largest speed of a reported user in m/s: far beyond any walk and its noise, and within the bounds of
-/// a state that can be restored.
-pub const SPEED_MAX_M_S: f64 = 100.0;
 
 /// Speed and minimum rate of a reported user.
 #[derive(Clone, Copy, Debug, PartialEq)]

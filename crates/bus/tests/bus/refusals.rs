@@ -161,3 +161,56 @@ fn a_private_key_of_another_certificate_is_refused_by_name() {
     let refused = Identity::load(own.path(), &[AccessRole::Operator]).expect_err("another key").to_string();
     assert!(refused.contains("operator.key is not the private key of"), "{refused}");
 }
+
+#[test]
+fn keys_that_cannot_all_be_written_leave_nothing_and_the_next_attempt_succeeds() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let (room, terms) = (Room::new("studio").expect("a valid name"), keys::Terms::of_days(1, &[]));
+    let names = |folder: &std::path::Path| -> Vec<String> {
+        let entries = folder.read_dir().expect("a folder");
+        entries.map(|entry| entry.expect("an entry").file_name().into_string().expect("UTF-8")).collect()
+    };
+    // A folder where a file of the last role is begun.
+    let in_the_way = folder.path().join(format!("{}.key.new", ANY[ANY.len() - 1]));
+    std::fs::create_dir(&in_the_way).expect("a folder");
+    std::fs::write(folder.path().join("notes.txt"), "").expect("a file");
+    let refused = keys::init(&room, folder.path(), &terms).expect_err("refused").to_string();
+    assert!(refused.contains(".key: ") && refused.contains("expected a folder that this user may write"), "{refused}");
+    assert_eq!(names(folder.path()).len(), 2, "{:?}", names(folder.path()));
+    std::fs::remove_dir(&in_the_way).expect("a folder");
+    keys::init(&room, folder.path(), &terms).expect("the next attempt");
+
+    // Without the key of the authority nothing can be issued.
+    let machine = folder.path().join("machine");
+    std::fs::remove_file(folder.path().join("ca.key")).expect("a file");
+    keys::issue(AccessRole::Driver, folder.path(), &machine, &terms).expect_err("refused");
+    assert!(!machine.exists(), "no empty folder");
+}
+
+#[test]
+fn a_renewal_that_cannot_be_written_leaves_the_old_key_beside_the_old_certificate() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let (room, terms) = (Room::new("studio").expect("a valid name"), keys::Terms::of_days(1, &[]));
+    keys::init(&room, folder.path(), &terms).expect("an empty folder");
+    let first = keys::list(folder.path()).expect("certificates")[0].0;
+    std::fs::create_dir(folder.path().join(format!("{first}.pem.new"))).expect("a folder");
+    keys::renew(folder.path(), folder.path(), keys::end_after(1)).expect_err("refused");
+    Identity::load(folder.path(), &[first]).expect("the former keys");
+    assert!(!folder.path().join(format!("{first}.key.new")).exists());
+}
+
+#[test]
+fn a_certificate_is_not_listed_as_valid_before_its_authority() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let room = Room::new("studio").expect("a valid name");
+    let now = std::time::SystemTime::now();
+    let day = Duration::from_secs(86_400);
+    let later = keys::Terms { hosts: Vec::new(), from: now + 2 * day, until: now + 9 * day };
+    keys::init(&room, folder.path(), &later).expect("an empty folder");
+    // The certificates of the roles are valid at once, that of the authority is not.
+    keys::renew(folder.path(), folder.path(), keys::end_after(9)).expect("the keys of all roles");
+    let listed = keys::list(folder.path()).expect("certificates");
+    assert!(!listed.is_empty() && listed.iter().all(|(_, certificate)| certificate.is_not_yet_valid()));
+    let refused = Identity::load(folder.path(), &ANY).expect_err("refused").to_string();
+    assert!(refused.contains("ca.pem: the certificate is not valid yet"), "{refused}");
+}

@@ -37,6 +37,9 @@ impl Session {
             Stage::Verify | Stage::Ended => self.setup.spots.len(),
         };
         let complete = self.complete.map_or(complete, |place| place + 1);
+        // Values that have no form in a file, or that a session would refuse, are no start.
+        let is_usable = |estimate: &&Estimate| self.check_estimate(&estimate.layout, &estimate.values).is_ok();
+        let estimate = self.estimate.as_ref().filter(is_usable);
         Log {
             mirrors: self.optics.centres.len(),
             complete: complete.min(self.setup.spots.len()),
@@ -44,7 +47,7 @@ impl Session {
             places: self.places.clone(),
             readings: self.readings.clone(),
             former: self.former_spots(),
-            estimate: self.estimate.as_ref().map(|estimate| finite(&estimate.values)).unwrap_or_default(),
+            estimate: estimate.map(|estimate| estimate.values.clone()).unwrap_or_default(),
         }
     }
 
@@ -53,7 +56,7 @@ impl Session {
     /// whose places are complete ends at once if no mirror has changed.
     ///
     /// # Errors
-    /// [`SetupError::OtherLog`], [`SetupError::OtherFormer`], [`SetupError::Field`].
+    /// [`SetupError::OtherLog`], [`SetupError::OtherFormer`]; [`SetupError::Field`], also for an estimate beyond its priors.
     pub fn resume(&mut self, mut log: Log) -> Result<(), SetupError> {
         if !self.is_refined_in(&log) {
             return Err(SetupError::OtherFormer);
@@ -63,7 +66,7 @@ impl Session {
         let values = std::mem::take(&mut log.estimate);
         self.take(log)?;
         if !self.readings.is_empty() {
-            self.start_from(values);
+            self.start_from(values)?;
             self.fit();
         }
         self.go_to(complete);
@@ -72,16 +75,18 @@ impl Session {
 
     /// The next fit starts from these values, as in the session that was interrupted. A refinement starts from the
     /// former calibration, and values of other parameters are not used.
-    fn start_from(&mut self, values: Vec<f64>) {
+    fn start_from(&mut self, values: Vec<f64>) -> Result<(), SetupError> {
         let (mirrors, leds) = (self.optics.centres.len(), self.optics.leds.len());
         let has_scales = self.setup.prior.scale > 0.0;
         let mut layouts = (1..=self.spots.len()).map(|spots| Layout::new(mirrors, leds, spots, has_scales));
-        let Some(layout) = layouts.find(|layout| layout.len() == values.len()) else { return };
+        let Some(layout) = layouts.find(|layout| layout.len() == values.len()) else { return Ok(()) };
         if !self.is_refinement() {
+            self.check_estimate(&layout, &values)?;
             // The fit gives the covariance.
             let covariance = DMatrix::identity(values.len(), values.len());
             self.estimate = Some(self.extended(Some(&Estimate { layout, values, covariance, residuals: Vec::new() })));
         }
+        Ok(())
     }
 
     /// Takes the spots and readings of a log.
@@ -92,11 +97,6 @@ impl Session {
         self.readings = log.readings;
         Ok(())
     }
-}
-
-/// The values, or none if one has no form in a file.
-fn finite(values: &[f64]) -> Vec<f64> {
-    if values.iter().all(|value| value.is_finite()) { values.to_vec() } else { Vec::new() }
 }
 
 #[cfg(test)]
@@ -113,13 +113,35 @@ mod tests {
         let log = room.session.log();
         let mut continued = Room::new(20.0).session;
         continued.take(log.clone()).expect("of the same array");
-        continued.start_from(vec![1.0; 3]);
+        continued.start_from(vec![1.0; 3]).expect("not used");
         assert!(continued.estimate.is_none(), "values of other parameters");
-        continued.start_from(log.estimate);
+        continued.start_from(log.estimate).expect("plausible");
         for (mirror, offset) in room.offsets.iter().enumerate() {
             assert_eq!(continued.quantities((mirror, 0))[OFFSET..OFFSET + 2], *offset, "mirror {mirror}");
         }
-        assert_eq!([finite(&[1.0, f64::NAN]), finite(&[1.0])], [vec![], vec![1.0]]);
+    }
+
+    #[test]
+    fn an_estimate_beyond_its_priors_is_refused_and_not_written() {
+        let mut room = Room::new(20.0);
+        room.step_until(|session| session.readings().len() > 5);
+        room.know_offsets();
+        let log = room.session.log();
+        let layout = room.session.estimate.as_ref().expect("known").layout.clone();
+        assert_eq!(log.estimate.len(), layout.len());
+        let parameters = [layout.offset(3, 1), layout.led(0, 2), layout.semi_angle(), layout.place(0, 0)];
+        for (parameter, value) in parameters.into_iter().flat_map(|of| [1e308, -1e9, f64::NAN].map(|value| (of, value)))
+        {
+            let mut changed = log.clone();
+            changed.estimate[parameter] = value;
+            let refusal = Room::new(20.0).session.resume(changed).expect_err("refused").to_string();
+            let expected = format!("the readings have estimate[{parameter}] = {value:?}: expected ");
+            assert!(refusal.starts_with(&expected) && refusal.contains("begins anew"), "{refusal}");
+        }
+        if let Some(estimate) = &mut room.session.estimate {
+            estimate.values[layout.semi_angle()] = f64::NAN;
+        }
+        assert_eq!(room.session.log(), Log { estimate: Vec::new(), ..log });
     }
 
     #[test]

@@ -1,11 +1,13 @@
 //! Bounds of the fields of a log, which may come from any file.
 
+use std::collections::BTreeMap;
 use std::fmt::{Debug, Display};
 use std::ops::RangeInclusive;
 
 use super::refinement::FORMER_PLACE;
-use super::{Log, SetupError};
+use super::{Log, Session, SetupError};
 use crate::code;
+use crate::parameters::Layout;
 
 /// Coordinates on a floor in m: the longest room of a scenario.
 const FLOOR_M: RangeInclusive<f64> = -200.0..=200.0;
@@ -31,6 +33,50 @@ const RELATIVE_NOISE: RangeInclusive<f64> = 0.0..=1e9;
 /// Angles of mirrors in rad.
 const ANGLE_RAD: RangeInclusive<f64> = -std::f64::consts::PI..=std::f64::consts::PI;
 
+/// Most spots, with those of former calibrations: each has parameters of its own in the joint estimate.
+const SPOTS_MAX: usize = 256;
+
+/// Most readings of a mirror at one spot: a search and further probes after it give fewer.
+const READINGS_MAX: usize = 200;
+
+/// Largest distance of an estimated value from the mean of its prior, in the prior's standard deviations. The
+/// estimate of a calibration with another level of installation is within it.
+const PLAUSIBLE: f64 = 50.0;
+
+/// Half-power semi-angles in rad, between which the model of an LED is defined.
+const SEMI_ANGLE_RAD: [f64; 2] = [0.1_f64.to_radians(), 89.9_f64.to_radians()];
+
+impl Session {
+    /// Checks the values of an estimate by the priors of its parameters.
+    pub(super) fn check_estimate(&self, layout: &Layout, values: &[f64]) -> Result<(), SetupError> {
+        for (parameter, (value, [low, high])) in values.iter().zip(self.plausible(layout)).enumerate() {
+            if !(low..=high).contains(value) {
+                return Err(SetupError::Field(format!(
+                    "estimate[{parameter}] = {value:?}: expected {low:.3} to {high:.3}; without the list \"estimate\" \
+                     the estimate begins anew"
+                )));
+            }
+        }
+        Ok(())
+    }
+
+    /// The least and the largest value of each parameter. None of them includes a value that is not finite.
+    fn plausible(&self, layout: &Layout) -> Vec<[f64; 2]> {
+        let spots = &self.spots[..layout.spots().min(self.spots.len())];
+        let mut prior = layout.prior(&self.setup.prior, spots);
+        for (spot, axis) in (0..spots.len()).flat_map(|spot| [(spot, 0), (spot, 1)]) {
+            // A place moves with the tracker's frame.
+            prior[layout.place(spot, axis)].1 += self.setup.prior.shift_m;
+        }
+        let reach = |(mean, spread): (f64, f64)| [mean - PLAUSIBLE * spread, mean + PLAUSIBLE * spread];
+        let mut plausible: Vec<[f64; 2]> = prior.into_iter().map(reach).collect();
+        let [low, high] = &mut plausible[layout.semi_angle()];
+        let [least, most] = SEMI_ANGLE_RAD.map(|angle| angle / self.optics.semi_angle(0.0) - 1.0);
+        (*low, *high) = (low.max(least), high.min(most));
+        plausible
+    }
+}
+
 impl Log {
     /// Checks spots and readings for an array of so many mirrors in a room of so many LEDs.
     pub(super) fn check(&self, mirrors: usize, leds: usize) -> Result<(), SetupError> {
@@ -39,6 +85,7 @@ impl Log {
         }
         let spots = self.spots.len();
         within("the number of places", self.places.len(), spots..=spots)?;
+        within("the number of spots", spots, 0..=SPOTS_MAX)?;
         for (index, spot) in self.spots.iter().enumerate() {
             let at = |field: &str| format!("spots[{index}].{field}");
             spot.tracked_m.iter().try_for_each(|value| within(&at("tracked_m"), *value, FLOOR_M))?;
@@ -61,7 +108,18 @@ impl Log {
             }
             within(&format_args!("readings[{index}].gain"), reading.gain, LIGHT)?;
         }
-        Ok(())
+        self.check_counts()
+    }
+
+    /// Checks how many readings each mirror has at each spot: an estimate takes a time in proportion to them.
+    fn check_counts(&self) -> Result<(), SetupError> {
+        let mut counts = BTreeMap::<(usize, usize), usize>::new();
+        for reading in &self.readings {
+            *counts.entry((reading.spot, reading.mirror)).or_default() += 1;
+        }
+        counts.into_iter().try_for_each(|((spot, mirror), count)| {
+            within(&format_args!("the number of readings of mirror {mirror} at spot {spot}"), count, 0..=READINGS_MAX)
+        })
     }
 
     /// Checks the places for a walk with so many: the verification comes after the last one.
@@ -133,7 +191,7 @@ mod tests {
         assert_eq!(refusal(|_| {}), "");
         assert_eq!(refusal(|log| log.places[0] = FORMER_PLACE), "", "of a former calibration");
         type Change<'a> = &'a dyn Fn(&mut Log);
-        let cases: [(Change, &str); 13] = [
+        let cases: [(Change, &str); 15] = [
             (&|log| log.mirrors = 4, "of 4 mirrors: expected 9"),
             (&|log| log.spots[0].led = 99, "spots[0].led = 99: expected an index below 4"),
             (&|log| log.spots[1].tracked_m[0] = 1e30, "spots[1].tracked_m = 1e30: expected -200.0 to 200.0"),
@@ -145,6 +203,14 @@ mod tests {
             (&|log| log.readings[3].gain = -4.1, "readings[3].gain = -4.1: expected -4.0 to 4.0"),
             (&|log| log.readings[3].command[1] = 1e300, "readings[3].command = 1e300: expected -3.14"),
             (&|log| log.spots.clear(), "the number of places = 3: expected 0 to 0"),
+            (
+                &|log| (log.spots, log.places) = (vec![log.spots[0].clone(); 300], vec![0; 300]),
+                "the number of spots = 300: expected 0 to 256",
+            ),
+            (
+                &|log| log.readings = vec![log.readings[0]; 1000],
+                "the number of readings of mirror 8 at spot 2 = 1000: expected 0 to 200",
+            ),
             (&|log| log.complete = 999, "complete = 999: expected 0 to 3"),
             (&|log| log.places[2] = 7, "places[2] = 7: expected 0 to 3"),
         ];

@@ -98,7 +98,7 @@ fn measure(args: Args) -> Result<()> {
     }
     let readings = Readings::new(args.readings.as_deref(), (bus.room(), &scenario), (args.array, base.as_ref()));
     // The log of an earlier session is estimated too.
-    let watchdog = Watchdog::start(&stop, args.readings.as_deref());
+    let watchdog = Watchdog::start(&stop, args.end.seconds, args.readings.as_deref());
     let mut refinement = match (&args.refine, &base, args.user) {
         (Some(file), Some(base), Some(user)) => Some(Refinement::new(user, readings.load_former(file)?, base)?),
         (Some(_), ..) => bail!(UnusableInput::new("--base none: expected the file of the calibration to refine")),
@@ -107,7 +107,7 @@ fn measure(args: Args) -> Result<()> {
     let mut session = new_session(&args, &scenario, &room, refinement.as_ref())?;
     if let Some(log) = readings.load()? {
         note(format_args!("continued: {} spots complete, {} readings", log.complete, log.readings.len()));
-        session.resume(log)?;
+        session.resume(log).with_context(|| readings.unusable())?;
     }
     // Only now, so that no refused file or flag takes the room from its controller.
     if refinement.is_none() {

@@ -173,10 +173,20 @@ fn show(folder: &Path, json: bool) -> Result<()> {
     }
     outln!("{:<11} {:<34} {:<11} {:>5}  hosts", "role", "name", "expires", "days")?;
     for (role, certificate) in &certificates {
-        let Certificate { common_name, expires, hosts, .. } = certificate;
-        outln!("{role:<11} {common_name:<34} {expires:<11} {:>5}  {}", certificate.days_left(), hosts.join(", "))?;
+        outln!("{}", row(*role, certificate))?;
     }
     Ok(())
+}
+
+/// A line of the list. Days below 0 are those since the expiry.
+fn row(role: AccessRole, certificate: &Certificate) -> String {
+    let Certificate { common_name, expires, hosts, valid_from, .. } = certificate;
+    let (days, hosts) = (certificate.days_left(), hosts.join(", "));
+    let later = match certificate.is_not_yet_valid() {
+        true => format!("  not valid before {valid_from}: set the clock of this machine, or issue it again"),
+        false => String::new(),
+    };
+    format!("{role:<11} {common_name:<34} {expires:<11} {days:>5}  {hosts}{later}")
 }
 
 fn show_router(folder: &Path, endpoints: &[RoomEndpoint], json: bool) -> Result<()> {
@@ -201,7 +211,33 @@ fn document(role: AccessRole, certificate: &Certificate) -> Value {
         "room": certificate.room_and_role().map(|(room, _)| room.to_string()),
         "name": certificate.common_name,
         "hosts": certificate.hosts,
+        "valid_from": certificate.valid_from,
         "expires": certificate.expires,
         "days_left": certificate.days_left(),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::{Duration, SystemTime};
+
+    use super::*;
+
+    #[test]
+    fn a_certificate_that_is_not_valid_yet_says_so_in_its_row() {
+        let day = Duration::from_secs(86_400);
+        let room = Room::new("studio").expect("a valid name");
+        let later =
+            keys::Terms { hosts: Vec::new(), from: SystemTime::now() + 2 * day, until: SystemTime::now() + 9 * day };
+        for (terms, is_later) in [(later, true), (keys::Terms::of_days(9, &[]), false)] {
+            let folder = tempfile::tempdir().expect("a folder");
+            keys::init(&room, folder.path(), &terms).expect("an empty folder");
+            for (role, certificate) in keys::list(folder.path()).expect("certificates") {
+                let stated = format!("not valid before {}", certificate.valid_from);
+                let row = row(role, &certificate);
+                assert_eq!(row.contains(&stated), is_later, "{row}");
+                assert_eq!(document(role, &certificate)["valid_from"], certificate.valid_from.as_str());
+            }
+        }
+    }
 }

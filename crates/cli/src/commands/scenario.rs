@@ -1,7 +1,5 @@
 //! `heliostat scenario`: checks a scenario file, writes a commented one, prints the effective one.
 
-use std::fs::OpenOptions;
-use std::io::Write;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
@@ -10,7 +8,7 @@ use heliostat_room::World;
 use heliostat_scenario::{BUILTIN_NAMES, Scenario, ScenarioArgs};
 
 use heliostat_service::counted::counted;
-use heliostat_service::outln;
+use heliostat_service::{outln, whole_file};
 
 /// Check, write or print a scenario.
 #[derive(Debug, clap::Args)]
@@ -56,13 +54,7 @@ pub fn run(args: Args) -> Result<()> {
     match args.action {
         Action::Check { file, overrides, json } => check(file, overrides, json),
         Action::New { file, from } => {
-            let mut out = OpenOptions::new().write(true).create_new(true).open(&file).with_context(|| {
-                format!(
-                    "cannot write {}: expected a file that does not exist yet, in a folder that exists",
-                    file.display()
-                )
-            })?;
-            out.write_all(Scenario::builtin_text(&from)?.as_bytes())?;
+            whole_file::write_new(&file, Scenario::builtin_text(&from)?.as_bytes())?;
             outln!("wrote {}; check it with: heliostat scenario check {}", file.display(), file.display())?;
             Ok(())
         }

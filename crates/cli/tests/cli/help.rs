@@ -130,6 +130,7 @@ fn scenario_check_reads_the_recording_beside_the_file_and_names_lines() {
     assert_eq!(check(recorded, "time,user,x,y\n0,0,-1,0\n2,0,1,0\n"), (true, String::new()));
     for (room, walk, expected) in [
         (recorded, "time,user,x,y\n0,0,-1,0\n2,0,9,0\n", "walk.csv: line 3"),
+        (recorded, "time,user,x,y\n0,0,-1,0\n1e-9,0,1,0\n", "walk.csv: line 3: user 0 moves 2.000 m within 1.000e-9 s"),
         (recorded, "time,user,x\n0,0,-1\n", "walk.csv: line 1"),
         ("[users]\ncount = 1\ntrace = \"other.csv\"\n", "", "other.csv"),
         ("[mirrors]\n\nreflectivity = 2\n", "", "line 3"),

@@ -4,7 +4,7 @@
 //! Times are in s, users count from 0, positions are in m in the room frame. Between two samples of
 //! a user the position is interpolated linearly; before the first and after the last sample it is
 //! constant. At its latest time the recording repeats: all users jump back to their first
-//! positions.
+//! positions. No user is faster than a position report may say, [`SPEED_MAX_M_S`].
 //!
 //! With headings, in degrees from +x towards +y, a user faces as recorded, and turns along the
 //! shortest arc between two samples. Without them a user faces the direction of the last section
@@ -14,6 +14,7 @@
 use std::f64::consts::{PI, TAU};
 
 use heliostat_files::excerpt;
+use heliostat_proto::SPEED_MAX_M_S;
 use heliostat_scenario::WALKING_M_S;
 use thiserror::Error;
 
@@ -92,6 +93,22 @@ pub enum TraceError {
         time: f64,
         /// Time of the sample before it, in s.
         previous: f64,
+    },
+    /// A user moves faster than a position report may say.
+    #[error(
+        "line {line}: user {user} moves {distance_m:.3} m within {time_s:.3e} s: expected at most {} m/s; \
+         check the times, which are in s, and the positions, which are in m",
+        SPEED_MAX_M_S
+    )]
+    Speed {
+        /// Line number, from 1.
+        line: usize,
+        /// The user.
+        user: usize,
+        /// Distance from the sample before it in m.
+        distance_m: f64,
+        /// Time since the sample before it in s.
+        time_s: f64,
     },
     /// There is no line.
     #[error("the file is empty: expected the header time,user,x,y[,heading_deg], then samples of each user")]
@@ -309,10 +326,23 @@ fn add_row(text: Line<'_>, floor: &Floor, samples: &mut [Vec<Sample>]) -> Result
     let (user, sample) = parse_row(text, floor)?;
     let last = samples.len().saturating_sub(1);
     let list = samples.get_mut(user).ok_or(TraceError::User { line, user, last })?;
-    if let Some(previous) = list.last().filter(|previous| previous.time >= sample.time) {
-        return Err(TraceError::Order { line, user, time: sample.time, previous: previous.time });
+    if let Some(previous) = list.last() {
+        check_after(previous, &sample, (line, user))?;
     }
     list.push(sample);
+    Ok(())
+}
+
+/// Checks that the sample of this line follows the previous one of its user, at a possible speed.
+fn check_after(previous: &Sample, sample: &Sample, (line, user): (usize, usize)) -> Result<(), TraceError> {
+    if previous.time >= sample.time {
+        return Err(TraceError::Order { line, user, time: sample.time, previous: previous.time });
+    }
+    let distance_m = (sample.at[0] - previous.at[0]).hypot(sample.at[1] - previous.at[1]);
+    let time_s = sample.time - previous.time;
+    if distance_m / time_s > SPEED_MAX_M_S {
+        return Err(TraceError::Speed { line, user, distance_m, time_s });
+    }
     Ok(())
 }
 

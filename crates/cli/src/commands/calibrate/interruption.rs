@@ -1,10 +1,11 @@
-//! The end of a calibration on request, also while an estimate computes: that of many mirrors takes minutes.
+//! The end of a calibration on request or after its time, also while an estimate computes: that of many mirrors takes
+//! minutes.
 
 use std::path::Path;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use heliostat_service::Stop;
-use heliostat_service::exit::INTERRUPTED;
+use heliostat_service::exit::{FAILURE, INTERRUPTED};
 use heliostat_service::output::note;
 
 /// Time for an orderly end: the last readings are saved, and the mirrors are given back.
@@ -26,21 +27,23 @@ pub fn kept(readings: Option<&Path>) -> String {
     }
 }
 
-/// Ends the process some seconds after a request to end, unless this value is dropped before.
+/// Ends the process some seconds after a request to end, or after its time, unless this value is dropped before.
 #[derive(Debug)]
 pub struct Watchdog {
     is_over: Stop,
 }
 
 impl Watchdog {
-    /// Watches for the request. The caller saves the readings before each estimate.
-    pub fn start(stop: &Stop, readings: Option<&Path>) -> Self {
+    /// Watches for the request, and for the end of the time. The caller saves the readings before each estimate.
+    pub fn start(stop: &Stop, limit: Option<Duration>, readings: Option<&Path>) -> Self {
         let (stop, is_over, advice) = (stop.clone(), Stop::default(), advice(readings));
         let over = is_over.clone();
         std::thread::spawn(move || {
-            if is_late(&stop, &over, END_WITHIN) {
+            if is_late(&stop, &over, limit, END_WITHIN) {
                 note(format_args!("calibrate: {advice}"));
-                std::process::exit(INTERRUPTED.into());
+                // As of a calibration that its time ends between two estimates.
+                let code = if stop.is_requested() { INTERRUPTED } else { FAILURE };
+                std::process::exit(code.into());
             }
         });
         Self { is_over }
@@ -53,9 +56,11 @@ impl Drop for Watchdog {
     }
 }
 
-/// Waits for a request to end; whether the calibration is still not over after this time.
-fn is_late(stop: &Stop, over: &Stop, within: Duration) -> bool {
-    while !stop.wait_for(LOOK_EVERY) {
+/// Waits for a request to end, at most until the limit; whether the calibration is still not over some time later.
+fn is_late(stop: &Stop, over: &Stop, limit: Option<Duration>, within: Duration) -> bool {
+    let begun = Instant::now();
+    let is_in_time = || limit.is_none_or(|limit| begun.elapsed() < limit);
+    while is_in_time() && !stop.wait_for(LOOK_EVERY) {
         if over.is_requested() {
             return false;
         }
@@ -68,15 +73,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_a_request_that_an_estimate_outlasts_ends_the_process() {
+    fn only_a_request_or_a_limit_that_an_estimate_outlasts_ends_the_process() {
         let requested = || {
             let stop = Stop::default();
             stop.request();
             stop
         };
-        assert!(is_late(&requested(), &Stop::default(), Duration::from_millis(1)));
-        assert!(!is_late(&requested(), &requested(), Duration::from_millis(1)));
-        assert!(!is_late(&Stop::default(), &requested(), Duration::from_millis(1)), "it has ended by itself");
+        let short = Duration::from_millis(1);
+        assert!(is_late(&requested(), &Stop::default(), None, short));
+        assert!(!is_late(&requested(), &requested(), None, short));
+        assert!(!is_late(&Stop::default(), &requested(), None, short), "it has ended by itself");
+        assert!(is_late(&Stop::default(), &Stop::default(), Some(Duration::ZERO), short));
+        assert!(!is_late(&Stop::default(), &requested(), Some(Duration::ZERO), short), "it has ended in time");
     }
 
     #[test]

@@ -73,6 +73,14 @@ impl<'a> Readings<'a> {
         Ok(Some(log))
     }
 
+    /// The context of an error about what the file holds.
+    pub fn unusable(&self) -> UnusableInput {
+        let name = self.file.unwrap_or(Path::new("--readings")).display();
+        UnusableInput::new(format!(
+            "{name} cannot be continued; correct it, name another file, or remove it to begin again"
+        ))
+    }
+
     fn check(&self, file: &Path, of: &Origin) -> Result<()> {
         let name = file.display();
         for (what, is_same) in [

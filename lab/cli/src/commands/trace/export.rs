@@ -4,12 +4,12 @@ use std::io::Read;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, ensure};
-use heliostat_proto::{Nanos, NodeKind, Room, RoomGeometry, RoomTruth, UserReport, decode};
+use heliostat_proto::{Nanos, NodeKind, Room, RoomGeometry, RoomTruth, SPEED_MAX_M_S, UserReport, decode};
 use heliostat_record::file::{self, Reading};
 use heliostat_room::walks::figures;
 use heliostat_room::walks::rows::Row;
 use heliostat_room::walks::text::APART_S;
-use heliostat_room::walks::tracks::{Collected, Collector, Kept, Track};
+use heliostat_room::walks::tracks::{Collected, Collector, Kept, Track, TrackPoint};
 use heliostat_room::world::walker::Floor;
 use heliostat_scenario::Scenario;
 use heliostat_service::counted::counted;
@@ -19,6 +19,9 @@ use serde_json::json;
 use super::written::write_trace;
 use heliostat_service::outln;
 use heliostat_service::whole_file;
+
+/// Largest speed in m/s between two positions: below that of a recorded walk by more than the rounding of its text.
+const SPEED_M_S: f64 = 0.8 * SPEED_MAX_M_S;
 
 /// Write the users' positions of a recording as a recorded walk.
 ///
@@ -45,6 +48,8 @@ struct Recorded {
     users: Vec<Track>,
     /// Positions whose time was not after the one before, or too close to it.
     refused: u64,
+    /// Positions to which their user can only have jumped.
+    jumps: usize,
     floor: Floor,
 }
 
@@ -59,7 +64,7 @@ pub fn run(args: &ExportArgs) -> Result<()> {
 }
 
 fn print(args: &ExportArgs, recorded: &Recorded) -> Result<()> {
-    let Recorded { is_true, users, refused, .. } = recorded;
+    let Recorded { is_true, users, refused, jumps, .. } = recorded;
     let (out, count, duration_s) = (args.out.display().to_string(), users.len(), figures::duration_s(users));
     let usage = format!("--set users.count={count} --set users.trace={out}");
     let samples: usize = users.iter().map(|user| user.points.len()).sum();
@@ -68,7 +73,7 @@ fn print(args: &ExportArgs, recorded: &Recorded) -> Result<()> {
         let pedestrians: Vec<_> = users.iter().map(of_user).collect();
         let positions = if *is_true { "true" } else { "reported" };
         let report = json!({
-            "positions": positions, "samples": samples, "refused": refused, "duration_s": duration_s,
+            "positions": positions, "samples": samples, "refused": refused, "jumps": jumps, "duration_s": duration_s,
             "users": pedestrians, "out": out, "use": usage,
         });
         return Ok(outln!("{report}")?);
@@ -77,6 +82,9 @@ fn print(args: &ExportArgs, recorded: &Recorded) -> Result<()> {
     outln!("{}: {kind}: {samples} of {} over {duration_s:.2} s", args.recording.display(), counted(count, "user"))?;
     if *refused > 0 {
         outln!("left out: {refused} positions whose time is not at least {APART_S} s after the one before")?;
+    }
+    if *jumps > 0 {
+        outln!("left out: {jumps} positions to which a user jumped, as at the end of a walk that repeats")?;
     }
     for (number, user) in users.iter().enumerate().filter(|(_, user)| user.duration_s() < 0.99 * duration_s) {
         let (pedestrian, from_s, to_s) = (&user.pedestrian, user.start_s(), user.end_s());
@@ -109,10 +117,28 @@ fn users<R: Read>(mut reading: Reading<R>) -> Result<Recorded> {
     users.sort_by_key(|user| user.pedestrian.parse::<u32>().ok());
     let start_s = users.iter().map(Track::start_s).fold(f64::INFINITY, f64::min);
     users.iter_mut().flat_map(|user| &mut user.points).for_each(|point| point.time_s -= start_s);
+    let jumps: usize = users.iter_mut().map(|user| leave_out_jumps(&mut user.points)).sum();
     ensure!(!users.is_empty(), "it holds no positions of users: expected a recording of a room with users");
     ensure!(figures::duration_s(&users) > 0.0, "it holds positions of one time only: expected a longer recording");
     ensure!(collected.counts.beyond == 0, "it holds too many positions: expected a shorter recording");
-    Ok(Recorded { is_true, users, refused: collected.counts.refused, floor })
+    Ok(Recorded { is_true, users, refused: collected.counts.refused, jumps, floor })
+}
+
+/// Leaves out the positions after a jump until a user could have walked there; how many.
+fn leave_out_jumps(points: &mut Vec<TrackPoint>) -> usize {
+    let count = points.len();
+    let mut last: Option<(f64, [f64; 2])> = None;
+    points.retain(|point| {
+        let [x, y] = point.at_m;
+        let is_walk = last.is_none_or(|(time_s, [from_x, from_y])| {
+            (x - from_x).hypot(y - from_y) <= SPEED_M_S * (point.time_s - time_s)
+        });
+        if is_walk {
+            last = Some((point.time_s, point.at_m));
+        }
+        is_walk
+    });
+    count - points.len()
 }
 
 /// Positions by user, from both kinds of messages.

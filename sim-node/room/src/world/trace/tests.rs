@@ -102,6 +102,22 @@ fn all_problems_of_a_recording_are_listed() {
 }
 
 #[test]
+fn a_user_faster_than_a_report_may_say_is_refused_at_any_small_time() {
+    let problems = |body: &str| {
+        let found = Trace::problems(&format!("time,user,x,y\n0,0,0,0\n{body}"), 1, &FLOOR);
+        found.iter().map(ToString::to_string).collect::<Vec<_>>()
+    };
+    for time in ["1e-300", "1e-9", "0.02"] {
+        let found = problems(&format!("{time},0,2,1\n1,0,2,1\n"));
+        let [problem] = &found[..] else { panic!("{found:?} at {time} s") };
+        assert!(problem.starts_with("line 3: user 0 moves 2.236 m within "), "{problem}");
+        assert!(problem.contains("expected at most 100 m/s; check the times"), "{problem}");
+    }
+    assert_eq!(problems("0.03,0,2,1\n1,0,2,1\n"), [""; 0], "75 m/s");
+    assert_eq!(problems("1e-300,0,0,0\n1,0,2,1\n"), [""; 0], "a user who stands");
+}
+
+#[test]
 fn errors_name_the_line() {
     let error = |body: &str| Trace::parse(&format!("time,user,x,y\n{body}"), 2, &FLOOR).unwrap_err().to_string();
     assert!(error("0,0,1").contains("line 2: number of columns 3"));

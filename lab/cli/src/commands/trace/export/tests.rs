@@ -114,3 +114,13 @@ fn a_recording_without_users_is_refused() {
     let refusal = users(file::open(file.path()).expect("a recording")).err().expect("refused").to_string();
     assert!(refusal.contains("no positions of users"), "{refusal}");
 }
+
+#[test]
+fn the_positions_after_a_jump_are_left_out_until_they_can_be_a_walk() {
+    let point = |(time_s, at_m)| TrackPoint { time_s, at_m, heading_rad: None };
+    let walk = [(0.0, [-2.0, 0.0]), (0.05, [-1.95, 0.0]), (0.1, [2.5, 2.5]), (0.15, [2.5, 2.5]), (0.2, [2.45, 2.5])];
+    let mut points = walk.map(point).to_vec();
+    assert_eq!(leave_out_jumps(&mut points), 1);
+    assert_eq!(points, [walk[0], walk[1], walk[3], walk[4]].map(point));
+    assert_eq!(leave_out_jumps(&mut points), 0);
+}

@@ -14,6 +14,8 @@
 //! - [`keys`]: the name of a room, and the key of each message; [`array_keys`]: the keys of each
 //!   mirror array.
 //!
+//! - [`takeover_reason`]: why a controller took over, in words.
+//!
 //! - [`stop_hold`]: which emergency stops an array still has to report, for each process that holds
 //!   one; [`reported_stops`]: what the arrays of a room report about them, and when the room is called
 //!   stopped.
@@ -55,6 +57,7 @@ mod stamp;
 pub mod stop_hold;
 mod structures;
 mod table;
+mod takeover;
 
 pub use array_keys::ArrayKeys;
 pub use codec::{Message, StateError, decode, decode_into, decode_state, encode, encode_state};
@@ -77,3 +80,4 @@ pub use structures::{
     AxisLimits, ControllerInput, Counters, LatchedStopReport, LedGain, MirrorFault, Obstacle, Quantiles, Stamp,
     StopName, SumRates, TruthUser, UserBelief, UserBranches, UserChannel, UserLeds, UserOrientation, UserState,
 };
+pub use takeover::takeover_reason;

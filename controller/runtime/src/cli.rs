@@ -56,8 +56,9 @@ pub struct Args {
     #[command(flatten)]
     log: LogArgs,
     /// Stand by from the start. RANK is the number of reports without an accepted command after which
-    /// this controller takes over [default: by source id among the controllers that it sees]. Without
-    /// this flag, a controller stands by if the array follows another one
+    /// this controller takes over [default: by source id among the controllers that it sees]. Give a
+    /// RANK of its own to each controller of the room, or to none: two with one rank both take over.
+    /// Without this flag, a controller stands by if the array follows another one
     #[arg(long, value_name = "RANK", conflicts_with = "lockstep", value_parser = clap::value_parser!(u8).range(1..=16))]
     standby: Option<Option<u8>>,
     /// Take time from the reports, for a room that runs in lockstep; the same reports then give the

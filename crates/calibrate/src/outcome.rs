@@ -25,9 +25,6 @@ const HELD_OUT_SIDE: usize = 3;
 /// Predicted error of the pointing in rad above which a mirror needs another spot: 0.3 degrees.
 const UNSURE_RAD: f64 = 0.3 * std::f64::consts::PI / 180.0;
 
-/// Standard errors by which the calibrated gain has to exceed the nominal one.
-const SIGNIFICANT: f64 = 2.0;
-
 /// Two-sided quantile of the normal distribution for 95 %.
 pub const QUANTILE_95: f64 = 1.96;
 
@@ -105,10 +102,10 @@ impl Verification {
         Measured { value: calibrated / scale, deviation: variance.sqrt() / scale }
     }
 
-    /// Whether the calibrated aims are better than the nominal ones beyond the noise.
+    /// Whether the calibrated aims are better than the nominal ones beyond the noise: the 95 % interval lies above 1.
     pub fn is_improvement(&self) -> bool {
         let Measured { value, deviation } = self.ratio();
-        value > 1.0 + SIGNIFICANT * deviation
+        value - QUANTILE_95 * deviation > 1.0
     }
 }
 
@@ -376,4 +373,16 @@ fn shift_of(input: &Input<'_>) -> [Measured; 2] {
 /// Rounds to five decimals, far finer than any drive or tape.
 fn rounded(value: f64) -> f64 {
     (value * 1e5).round() / 1e5
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn more_light_within_the_noise_is_no_improvement() {
+        let around = |middle: f64| vec![middle - 0.01, middle, middle + 0.01];
+        let verified = |middle| Verification { nominal: around(1.0), calibrated: around(middle) };
+        assert_eq!([0.99, 1.015, 1.03].map(|middle| verified(middle).is_improvement()), [false, false, true]);
+    }
 }

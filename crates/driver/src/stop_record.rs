@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 use heliostat_array::latch::{Latch, LatchedStop};
 use heliostat_array::stop_record::{self, RECORD_MAX, StopStore};
-use heliostat_proto::{Nanos, Room};
+use heliostat_proto::{Nanos, Room, StopName};
 use heliostat_service::whole_file::{self, Held, InUse};
 use thiserror::Error;
 
@@ -136,8 +136,33 @@ fn replace(file: &Path, text: &str) -> io::Result<()> {
 pub fn log_change(room: &str, latch: &Latch) {
     match latch.stop() {
         None => tracing::warn!(room, "the array is released"),
-        Some(LatchedStop { source, sequence, operator, reason, .. }) => {
-            tracing::warn!(room, "the array is stopped by {source:016x}/{sequence}, operator {operator:?}: {reason:?}")
-        }
+        Some(stop) => tracing::warn!(room, "the array is stopped by {}", in_words(stop)),
+    }
+}
+
+/// A stop with its sender, its operator and its reason, as far as it has them.
+fn in_words(stop: &LatchedStop) -> String {
+    let LatchedStop { operator, reason, .. } = stop;
+    let name = stop.name();
+    match (name == StopName::default(), operator.is_empty()) {
+        (true, _) => format!("a stop without sender: {reason:?}"),
+        (false, true) => format!("{name}: {reason:?}"),
+        (false, false) => format!("{name}, operator {operator:?}: {reason:?}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stop_names_no_sender_and_no_operator_that_it_does_not_have() {
+        let stop = |source, operator: &str| {
+            let (operator, reason) = (operator.to_owned(), "ladder".to_owned());
+            in_words(&LatchedStop { source, sequence: source, operator, reason, ..LatchedStop::default() })
+        };
+        assert_eq!(stop(0, ""), "a stop without sender: \"ladder\"");
+        assert_eq!(stop(7, ""), "0000000000000007/7: \"ladder\"");
+        assert_eq!(stop(7, "ann"), "0000000000000007/7, operator \"ann\": \"ladder\"");
     }
 }

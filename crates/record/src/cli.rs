@@ -7,8 +7,9 @@ use anyhow::{Result, bail, ensure};
 use heliostat_bus::{AccessRole, BusArgs, TlsArgs};
 use heliostat_core::policy::{NameParser, PolicyKind};
 use heliostat_proto::Room;
-use heliostat_scenario::ScenarioArgs;
+use heliostat_scenario::{BUILTIN_NAMES, ScenarioArgs};
 use heliostat_service::exit::UnusableInput;
+use heliostat_service::printable::printable;
 use heliostat_service::{EndArgs, duration, output, signals};
 use serde::Serialize;
 
@@ -139,7 +140,7 @@ pub fn replay(args: ReplayArgs) -> Result<()> {
         return Err(UnusableInput::new(format!("{file} has no command that a replay can compare: {reason}")).into());
     }
     if !args.verify {
-        let (file, scenario) = (settings.file.display(), &verdict.scenario);
+        let (file, scenario) = (settings.file.display(), scenario_argument(&verdict.scenario));
         output::note(format_args!(
             "replay: commands are compared, not rates: the recorded gains are those of the recorded commands. For rates over the recorded walk: \
              heliostat-lab trace export {file} --out walk.csv; then heliostat-lab eval --closed-loop --scenario {scenario}, \
@@ -155,6 +156,14 @@ pub fn replay(args: ReplayArgs) -> Result<()> {
         );
     }
     Ok(())
+}
+
+/// What a command takes as --scenario for the scenario of a recording: its name if it is built in, else its file.
+fn scenario_argument(name: &str) -> String {
+    if BUILTIN_NAMES.contains(&name) {
+        return name.to_owned();
+    }
+    format!("FILE (the file of the scenario \"{}\")", printable(name))
 }
 
 /// Why no command counts, and what to do.
@@ -195,4 +204,15 @@ fn print(json: bool, value: &impl Serialize, text: &impl std::fmt::Display) -> R
 
 fn rate(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(|rate| (0.01..=100.0).contains(rate)).ok_or_else(|| "expected 0.01 to 100".into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_scenario_that_is_not_built_in_is_named_by_its_file() {
+        assert_eq!(scenario_argument(BUILTIN_NAMES[0]), BUILTIN_NAMES[0]);
+        assert_eq!(scenario_argument("studio"), "FILE (the file of the scenario \"studio\")");
+    }
 }

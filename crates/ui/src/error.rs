@@ -68,7 +68,7 @@ pub enum UiError {
     )]
     NoReceiver(&'static str),
     /// A re-arm of an array that reports no stop.
-    #[error("no emergency stop is latched: expected a stopped array; nothing was sent")]
+    #[error("no emergency stop is in force: expected a stopped array; nothing was sent")]
     NotStopped,
     /// A stop that not every array has confirmed.
     #[error(

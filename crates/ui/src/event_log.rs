@@ -3,6 +3,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
+use heliostat_proto::takeover_reason;
 use heliostat_service::clock::utc_ns;
 use serde::Serialize;
 
@@ -167,11 +168,7 @@ impl EventLog {
             let is_former = !self.leader.is_empty() && self.leader != *name;
             let former = if is_former { self.leader.as_str() } else { "another controller" };
             let has_ended = is_former && !controllers.iter().any(|other| other.name == self.leader);
-            let reason = match (is_contested, has_ended) {
-                (true, _) => "the new leader saw no accepted command of it, but it was not gone",
-                (false, true) => "it has ended",
-                (false, false) => "the new leader saw no accepted command of it",
-            };
+            let reason = takeover_reason(has_ended, is_contested);
             let text = format!("controller {name} leads, took over from {former}: {reason}");
             self.push(at_ms, text, is_contested || !has_ended);
         }
@@ -280,7 +277,8 @@ mod tests {
             vec![controller("b", leads, 1, 0), controller("a", stands_by, 0, 0)],
             vec![controller("a", leads, 1, 1), controller("b", stands_by, 1, 0)],
             vec![controller("b", stands_by, 1, 0)],
-            vec![controller("b", leads, 2, 0)],
+            vec![controller("b", leads, 2, 0), controller("c", stands_by, 0, 0)],
+            vec![controller("c", leads, 1, 1)],
         ];
         let mut first = 0;
         for (time, controllers) in (1..).zip(rounds) {
@@ -288,15 +286,13 @@ mod tests {
             first = if time == 1 { texts(&log).len() } else { first };
         }
         let expected = [
-            (2, "controller b leads, took over from a: the new leader saw no accepted command of it", true),
-            (
-                3,
-                "controller a leads, took over from b: the new leader saw no accepted command of it, but it was not gone",
-                true,
-            ),
-            (5, "controller b leads, took over from a: it has ended", false),
+            (2, format!("controller b leads, took over from a: {}", takeover_reason(false, false)), true),
+            (3, format!("controller a leads, took over from b: {}", takeover_reason(false, true)), true),
+            (5, format!("controller b leads, took over from a: {}", takeover_reason(true, false)), false),
+            (6, format!("controller c leads, took over from b: {}", takeover_reason(true, true)), true),
         ];
-        assert_eq!(texts(&log)[first..], expected);
+        let noted = log.events.iter().skip(first).map(|event| (event.at_ms, event.text.clone(), event.is_bad));
+        assert_eq!(noted.collect::<Vec<_>>(), expected);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! The controller's metrics, made by the status loop.
 
-use heliostat_core::core::Stage;
+use heliostat_core::{core::Stage, tenure::TenureEvent};
 use heliostat_proto::{NodeStatus, gauges::ServedLight, messages::fault};
 use heliostat_service::{Histogram, Page};
 
@@ -68,6 +68,12 @@ fn add_room(page: &mut Page, report: &RoomReport<'_>) {
         &[room],
         summary.peers as f64,
     );
+    page.gauge(
+        "heliostat_stops_held",
+        "Emergency stops that withhold commands, also for arrays that do not report; a stop of several arrays counts for each",
+        &[room],
+        summary.stops_held as f64,
+    );
     let unfit = f64::from(u8::from(summary.unfit.is_some()));
     page.gauge("heliostat_array_unfit", "1 while the array does not fit the scenario", &[room], unfit);
     let absent = f64::from(u8::from(summary.driver_absent));
@@ -79,9 +85,11 @@ fn add_room(page: &mut Page, report: &RoomReport<'_>) {
         &[room],
         differs,
     );
-    for (event, count) in &summary.epoch_events {
+    // Each from 0: the increase of a counter that begins at its first event does not show that event.
+    for event in TenureEvent::ALL.map(TenureEvent::name) {
+        let count = summary.epoch_events.get(event).copied().unwrap_or_default();
         let help = "Changes of the epoch or of the standby, by kind";
-        page.counter("heliostat_epoch_events", help, &[room, ("event", event.as_str())], *count);
+        page.counter("heliostat_epoch_events", help, &[room, ("event", event)], count);
     }
     for (reason, count) in &summary.users {
         let help = "Users without a measured gain or beyond the policy's capacity, one for each decision";
@@ -168,16 +176,19 @@ mod tests {
     use super::super::summary::Summary;
     use super::*;
 
+    /// The page of the room "demo".
+    fn page_of(summary: &Summary) -> String {
+        let (room, times) = (Room::new("demo").expect("a valid name"), StageTimes::default());
+        let policy_times = PolicyTimes::default();
+        let (source, host) = (0x94ca, "host-a");
+        page(&[RoomReport { room: &room, source, host, summary, times: &times, policy_times: &policy_times }]).text()
+    }
+
     #[test]
     fn commands_that_are_withheld_are_no_fallbacks_as_on_the_page() {
         let counts = |mode: &str| BTreeMap::from([(mode.to_owned(), 3)]);
         let summary = Summary { fallbacks: counts("late"), withheld: counts("standby"), ..Summary::default() };
-        let (room, times) = (Room::new("demo").expect("a valid name"), StageTimes::default());
-        let policy_times = PolicyTimes::default();
-        let (source, host) = (0x94ca, "host-a");
-        let report =
-            RoomReport { room: &room, source, host, summary: &summary, times: &times, policy_times: &policy_times };
-        let text = page(&[report]).text();
+        let text = page_of(&summary);
         let info = "heliostat_controller_info{room=\"demo\",source=\"00000000000094ca\",host=\"host-a\"} 1";
         assert!(text.contains(info), "{text}");
         let lines: Vec<&str> = text.lines().filter(|line| line.contains("cause=\"") && line.ends_with(" 3")).collect();
@@ -186,5 +197,17 @@ mod tests {
             "heliostat_withheld_total{room=\"demo\",cause=\"standby\"} 3",
         ];
         assert_eq!(lines, expected);
+    }
+
+    #[test]
+    fn each_event_of_the_tenure_is_counted_from_0_and_held_stops_are_shown() {
+        let epoch_events = BTreeMap::from([("took-over".to_owned(), 2)]);
+        let text = page_of(&Summary { epoch_events, stops_held: 1, ..Summary::default() });
+        for event in TenureEvent::ALL {
+            let (name, count) = (event.name(), if event == TenureEvent::TookOver { 2 } else { 0 });
+            let line = format!("heliostat_epoch_events_total{{room=\"demo\",event=\"{name}\"}} {count}\n");
+            assert!(text.contains(&line), "{line}{text}");
+        }
+        assert!(text.contains("heliostat_stops_held{room=\"demo\"} 1"), "{text}");
     }
 }

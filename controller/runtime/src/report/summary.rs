@@ -68,6 +68,8 @@ pub struct Summary {
     pub standby: bool,
     /// Other controllers in the room from which statuses arrive, and calibrations; 16 at most.
     pub peers: u64,
+    /// Emergency stops that withhold commands; a stop of several arrays counts for each.
+    pub stops_held: u64,
     /// Why an array receives no commands, if it does not fit the scenario.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub unfit: Option<String>,
@@ -272,6 +274,7 @@ impl Summary {
             epoch_events: nonzero(TenureEvent::ALL.map(|event| (event.name(), counters.tenure(event)))),
             standby: arrays.clone().any(|array| controller.tenure(array).is_standing_by()),
             peers: controller.tenure(0).peers().len() as u64,
+            stops_held: arrays.clone().map(|array| controller.stops(array).len() as u64).sum(),
             unfit: controller.unfit().map(describe_unfit),
             missed: Stream::ALL.map(|stream| (stream.name().into(), controller.inbox().missed(stream))).into(),
             clipped: counters.clipped,
@@ -346,6 +349,7 @@ impl Summary {
         };
         self.standby |= other.standby;
         self.peers += other.peers;
+        self.stops_held += other.stops_held;
         self.driver_absent |= other.driver_absent;
         self.geometry_differs |= other.geometry_differs;
         if other.unfit.is_some() {

@@ -269,8 +269,8 @@ fn finish(args: &Args, scenario: &Scenario, outcome: &Outcome, base: Option<&Cal
     written.transpose()?;
     if !is_improvement {
         bail!(
-            "the calibrated aims give {} of the light of the nominal ones at the place of the verification: \
-             expected more than 1. Nothing is written; repeat with another spot, or check the heights",
+            "the calibrated aims give {} times the light of the nominal ones at the place of the verification: \
+             expected an interval above 1. Nothing is written; repeat with another spot, or check the heights",
             show::plus_minus(&outcome.verification.ratio(), 3)
         );
     }
@@ -296,8 +296,8 @@ fn finish_refinement(
     written.transpose()?;
     if has_turned && !is_improvement {
         bail!(
-            "the new aims of the mirrors that have turned give {} of the light of the former ones: expected more than \
-             1. Nothing is written; repeat with another spot",
+            "the new aims of the mirrors that have turned give {} times the light of the former ones: expected an \
+             interval above 1. Nothing is written; repeat with another spot",
             show::plus_minus(&outcome.verification.ratio(), 3)
         );
     }

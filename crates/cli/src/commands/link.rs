@@ -20,15 +20,16 @@ use heliostat_service::outln;
 /// Compute the link budget of users at given positions, for given mirror angles.
 #[derive(Debug, clap::Args)]
 #[command(mut_arg("scenario", |argument| argument.default_value(STUDY_SCENARIO)))]
+#[command(group = clap::ArgGroup::new("positions").required(true))]
 pub struct Args {
     #[command(flatten)]
     scenario: ScenarioArgs,
     /// CSV of users with the header x,y,z in m; z is optional, and heading_deg (0 is +x, 90 is +y)
     /// places the user's body behind the detector
-    #[arg(long, value_name = "FILE", required_unless_present = "user")]
+    #[arg(long, value_name = "FILE", group = "positions")]
     users: Option<String>,
     /// A user at X,Y or X,Y,Z in m; Z defaults to the scenario's receiver height (repeatable)
-    #[arg(long, value_name = "X,Y[,Z]", allow_hyphen_values = true, conflicts_with = "users")]
+    #[arg(long, value_name = "X,Y[,Z]", allow_hyphen_values = true, group = "positions")]
     user: Vec<String>,
     /// Mirror angles: none, oracle (or aimed), user:N (all at user N, from 0), aim:X,Y or
     /// aim:X,Y,Z, a policy (such as flat, nearest, greedy or ddpg), an ONNX actor (FILE.onnx), or a

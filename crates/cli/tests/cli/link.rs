@@ -249,3 +249,9 @@ fn an_onnx_actor_gives_the_angles() {
     assert_eq!(rate(file), rate("ddpg"));
     assert!(refusal(&[&users[..], &["--angles", "absent.onnx"]].concat()).contains("no actor at absent.onnx"));
 }
+
+#[test]
+fn without_users_both_ways_to_give_them_are_named() {
+    let errors = refusal(&[]);
+    assert!(errors.contains("--users <FILE>") && errors.contains("--user <X,Y[,Z]>"), "{errors}");
+}

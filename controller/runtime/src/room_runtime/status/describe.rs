@@ -4,7 +4,7 @@ use heliostat_core::{
     refusal::{Found, LastRefusal, LeftOut, Refusal, Stream, TelemetrySizes},
     tenure::{Tenure, TenureEvent},
 };
-use heliostat_proto::array_keys::array_name;
+use heliostat_proto::{array_keys::array_name, takeover_reason};
 
 use super::super::decision_loop::DecisionLoop;
 use super::Problem;
@@ -20,13 +20,17 @@ pub(super) fn describe_absence(without_driver: &[usize], arrays: usize) -> Strin
 }
 
 /// The most serious event of the tenure among those since the last snapshot. A takeover that proves contested in
-/// the same time keeps its reason.
+/// the same time is one event.
 pub(super) fn describe_events(rose: &[TenureEvent], tenure: &Tenure) -> Option<Problem> {
     let is_takeover = |event: TenureEvent| event == TenureEvent::TookOver;
     let event = rose.iter().copied().max_by_key(|event| (is_alarm(*event), is_takeover(*event)))?;
-    let takeover = rose.iter().copied().find(|of| is_takeover(*of) && !is_takeover(event));
-    let texts: Vec<String> = takeover.into_iter().chain([event]).map(|event| describe_event(event, tenure)).collect();
-    let text = texts.join("; ");
+    let text = match rose.iter().any(|of| is_takeover(*of)) {
+        true if event == TenureEvent::Contested => format!("{}. {LOOK_AFTER_CONTEST}", describe_takeover(tenure, true)),
+        true if !is_takeover(event) => {
+            format!("{}; {}", describe_takeover(tenure, false), describe_event(event, tenure))
+        }
+        _ => describe_event(event, tenure),
+    };
     Some(match event {
         _ if is_alarm(event) => Problem::Alarm(text),
         TenureEvent::Resumed => Problem::End(text),
@@ -43,6 +47,15 @@ fn is_alarm(event: TenureEvent) -> bool {
     !matches!(event, Resumed | StoodBy | Superseded | TookOver)
 }
 
+/// What to do about a contested takeover.
+const LOOK_AFTER_CONTEST: &str = "Look for a slow controller, or a link that loses messages";
+
+/// A takeover with what is known of the former leader.
+fn describe_takeover(tenure: &Tenure, is_contested: bool) -> String {
+    let reason = takeover_reason(tenure.has_leader_ended(), is_contested);
+    format!("this controller takes over with the new epoch {}: {reason}", tenure.epoch())
+}
+
 /// An event of the tenure, with what to do.
 fn describe_event(event: TenureEvent, tenure: &Tenure) -> String {
     let epoch = tenure.epoch();
@@ -57,13 +70,7 @@ fn describe_event(event: TenureEvent, tenure: &Tenure) -> String {
         TenureEvent::Resumed => format!(
             "standby has ended: the array follows no higher epoch than {epoch}, or a calibration has given the mirrors back"
         ),
-        TenureEvent::TookOver => {
-            let reason = match tenure.has_leader_ended() {
-                true => "the former leader has ended",
-                false => "it saw no accepted command of another",
-            };
-            format!("this controller takes over with the new epoch {epoch}: {reason}")
-        }
+        TenureEvent::TookOver => describe_takeover(tenure, false),
         TenureEvent::LockedOut => format!(
             "the array refused every command for 1 s; the new epoch {epoch} is used. Look for another sender of commands in the room"
         ),
@@ -81,7 +88,8 @@ fn describe_event(event: TenureEvent, tenure: &Tenure) -> String {
             format!("{followed}: this one stands by, and takes over when reports stay without an accepted command")
         }
         TenureEvent::Contested => format!(
-            "the former leader was not gone at the takeover (epoch {epoch}): it commanded on, or its token is back. Look for a slow controller, or a link that loses messages"
+            "the takeover (epoch {epoch}) is contested: {}. {LOOK_AFTER_CONTEST}",
+            takeover_reason(tenure.has_leader_ended(), true)
         ),
     }
 }
@@ -183,7 +191,7 @@ mod tests {
         let tenure = Tenure::live(2, INTERVAL);
         let problem = describe_events(&[TenureEvent::TookOver, TenureEvent::Contested], &tenure);
         let Some(Problem::Alarm(text)) = problem else { panic!("an alarm") };
-        for part in ["takes over", "it saw no accepted command of another; the former leader was not gone"] {
+        for part in ["takes over", takeover_reason(false, true), LOOK_AFTER_CONTEST] {
             assert!(text.contains(part), "{text}");
         }
     }
@@ -197,10 +205,14 @@ mod tests {
         assert_eq!(tenure.handle_telemetry(start, following), None);
         assert_eq!(tenure.permit(start).1, Some(TenureEvent::StoodBy));
         tenure.handle_controller(leader, false);
-        let events: Vec<TenureEvent> = (1..=3).filter_map(|step| tenure.permit(start + step * INTERVAL).1).collect();
+        let mut events: Vec<TenureEvent> =
+            (1..=3).filter_map(|step| tenure.permit(start + step * INTERVAL).1).collect();
         assert_eq!(events, [TenureEvent::TookOver]);
         let Some(Problem::End(text)) = describe_events(&events, &tenure) else { panic!("no problem") };
         assert!(text.ends_with(": the former leader has ended"), "{text}");
+        events.push(TenureEvent::Contested);
+        let Some(Problem::Alarm(text)) = describe_events(&events, &tenure) else { panic!("an alarm") };
+        assert!(text.contains(takeover_reason(true, true)) && !text.contains("has ended"), "{text}");
     }
 
     #[test]

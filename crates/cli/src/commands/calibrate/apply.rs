@@ -1,5 +1,6 @@
 //! `heliostat calibrate apply`: brings a calibration file to the running driver of an array.
 
+use std::collections::BTreeSet;
 use std::fmt;
 use std::sync::mpsc::{self, Receiver};
 use std::time::{Duration, Instant};
@@ -9,15 +10,18 @@ use heliostat_array::calibration::check_corrections;
 use heliostat_array::calibration_file::CalibrationFile;
 use heliostat_bus::{AccessRole, Bus, Class, Subscription};
 use heliostat_driver::calibration_store;
+use heliostat_proto::gauges::CalibrationProgress;
+use heliostat_proto::keys::parse_alive;
 use heliostat_proto::messages::fault;
 use heliostat_proto::{Capabilities, MirrorTelemetry, NodeKind, NodeStatus, Stamp, decode, encode};
 use heliostat_service::clock::utc_ns;
 use heliostat_service::exit::UnusableInput;
+use heliostat_service::printable::printable;
 use heliostat_service::{outln, source_id};
 use serde_json::json;
 
 use super::args::ApplyArgs;
-use super::room::{WAIT, fetch, wait};
+use super::room::{OTHER_GAP_MAX, WAIT, fetch, wait};
 use crate::commands::join::join;
 
 /// Number of the steps from the sequence in use to the next one.
@@ -63,6 +67,7 @@ fn apply(args: &ApplyArgs, bus: &Bus, file: &CalibrationFile) -> Result<(Order, 
     file.check_array(&capabilities)
         .with_context(|| format!("in {}", args.file.display()))
         .context(UnusableInput::new(format!("this calibration does not fit array {}", args.array)))?;
+    refuse_during_calibration(bus)?;
     let publisher = bus.publisher(&keys.calibration(), Class::RealTimeBlock)?;
     let has_driver = wait(|| publisher.has_subscribers().unwrap_or_default().then_some(()));
     has_driver
@@ -79,6 +84,43 @@ fn apply(args: &ApplyArgs, bus: &Bus, file: &CalibrationFile) -> Result<(Order, 
     publisher.put(&payload)?;
     confirm(&reports, &order)?;
     Ok((order, published.elapsed()))
+}
+
+/// Refuses while a calibration commands the room: its readings hold for the calibration in use alone.
+fn refuse_during_calibration(bus: &Bus) -> Result<()> {
+    let room = bus.room();
+    let (sender, statuses) = mpsc::channel();
+    let subscription = bus.subscribe(&room.status(NodeKind::Controller), move |payload| {
+        if let Ok(status) = decode::<NodeStatus>(payload) {
+            // The queue is gone when the wait ends.
+            drop(sender.send(status));
+        }
+    })?;
+    let tokens = bus.alive(&room.alive_of(NodeKind::Controller), WAIT)?;
+    let silent = tokens.iter().filter_map(|key| parse_alive(key)).map(|(_, source)| source).collect();
+    let running = running_calibration(&statuses, silent, Instant::now() + OTHER_GAP_MAX);
+    drop(subscription);
+    match running {
+        Some(running) => bail!(
+            "a calibration commands room \"{room}\", {running}: its readings hold for the calibration in use alone. \
+             {NOTHING_SENT}: let it end, or end it, then repeat the command"
+        ),
+        None => Ok(()),
+    }
+}
+
+/// The name and the progress of the calibration among these controllers; waits for a status of each, until this time
+/// at most.
+fn running_calibration(statuses: &Receiver<NodeStatus>, mut silent: BTreeSet<u64>, until: Instant) -> Option<String> {
+    while !silent.is_empty() {
+        let status = statuses.recv_timeout(until.saturating_duration_since(Instant::now())).ok()?;
+        if silent.remove(&status.stamp.source)
+            && let Some(progress) = CalibrationProgress::of(&status)
+        {
+            return Some(format!("{} ({progress})", printable(&status.name)));
+        }
+    }
+    None
 }
 
 /// Waits until telemetry shows the calibration in use; else says what it shows.
@@ -326,6 +368,30 @@ mod tests {
         assert_eq!(judge(7, 9, 0), Some(Outcome::Other(9)));
         assert_eq!(judge(8, 5, 0), Some(Outcome::OtherDriver));
         assert_eq!(judge(8, 0, 0), Some(Outcome::OtherDriver), "a driver that starts again forgets it");
+    }
+
+    #[test]
+    fn a_calibration_among_the_controllers_of_the_room_is_named_with_its_progress() {
+        let until = Instant::now() + WAIT;
+        let progress = CalibrationProgress { place: 1, places: 4, ..CalibrationProgress::default() };
+        let running = |sources: &[u64], silent: &[u64]| {
+            let (sender, statuses) = mpsc::channel();
+            for source in sources {
+                let gauges = match source {
+                    8 => progress.gauges().map(|(name, value)| (name.to_owned(), value)).to_vec(),
+                    _ => Vec::new(),
+                };
+                let (stamp, name) = (Stamp { source: *source, ..Stamp::default() }, format!("name-{source}"));
+                sender.send(NodeStatus { stamp, name, gauges, ..NodeStatus::default() }).expect("a queue");
+            }
+            // No further status comes.
+            drop(sender);
+            running_calibration(&statuses, silent.iter().copied().collect(), until)
+        };
+        assert_eq!(running(&[7, 7, 8], &[7, 8]), Some(format!("name-8 ({progress})")));
+        assert_eq!(running(&[7], &[7]), None, "a controller");
+        assert_eq!(running(&[7, 8], &[7]), None, "its token has ended: it has ended");
+        assert_eq!(running(&[], &[7]), None, "one that does not report");
     }
 
     #[test]

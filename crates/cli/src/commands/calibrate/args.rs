@@ -92,7 +92,8 @@ pub enum Step {
 ///
 /// The command compares the file with the array, publishes the calibration, and waits for at most 5 s
 /// until telemetry shows it. The exit status is 0 only then. The new corrections replace those in use at
-/// once, and the mirrors turn by the difference. Nothing else changes: stops stay in force.
+/// once, and the mirrors turn by the difference. Nothing else changes: stops stay in force. While a
+/// calibration commands the room, the file is refused: its readings hold for the calibration in use.
 ///
 /// The driver forgets the calibration when it ends. Copy the file to its machine, and start it with
 /// --calibration FILE from then on: `heliostat driver run`, or `heliostat sim-node`.

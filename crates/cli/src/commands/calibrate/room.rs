@@ -40,7 +40,7 @@ const QUEUE: usize = 1024;
 const STOPPED: &str = "the array was stopped: release it with `heliostat rearm`, then continue with --readings";
 
 /// Time after its last status for which another calibration counts as running.
-const OTHER_GAP_MAX: Duration = Duration::from_secs(2);
+pub const OTHER_GAP_MAX: Duration = Duration::from_secs(2);
 
 /// What arrives for the session.
 pub enum Received {

@@ -85,7 +85,7 @@ struct OrderArgs {
     /// Reason, which the array reports
     #[arg(long, value_name = "TEXT", default_value = "command line")]
     reason: String,
-    /// Name of the operator, which the array reports; without it, the name of the user
+    /// Name of the operator, which the array reports; without it, the name of the user by $USER, or "operator"
     #[arg(long, value_name = "NAME")]
     operator: Option<String>,
     /// Longest wait in seconds for the confirmation, with the search for the stops; a connection is awaited for at most 2 s

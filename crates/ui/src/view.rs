@@ -34,6 +34,10 @@ const HISTORY: Duration = Duration::from_secs(90);
 /// Time between two points of that chart.
 const HISTORY_STEP: Duration = Duration::from_millis(200);
 
+/// Reports of users that arrive this long after the last truth are those of trackers: a simulated room sends both at
+/// a time.
+const MEASURED_AFTER: Duration = Duration::from_secs(1);
+
 /// A message and its arrival time.
 pub(crate) type Dated<T> = Option<(Instant, T)>;
 
@@ -182,6 +186,21 @@ impl Received {
     /// The message, unless it is old.
     pub fn fresh<T>(message: &Dated<T>) -> Option<&T> {
         message.as_ref().filter(|(at, _)| at.elapsed() < EXPIRY).map(|(_, message)| message)
+    }
+
+    /// The report of the users of a room that is not simulated, unless it is old. The last report of a simulator that
+    /// has fallen silent is none.
+    pub fn measured_users(&self) -> Option<&UserReport> {
+        let (at, users) = self.users.as_ref().filter(|(at, _)| at.elapsed() < EXPIRY)?;
+        let is_measured = |(of_truth, _): &(Instant, RoomTruth)| {
+            of_truth.elapsed() >= EXPIRY && at.saturating_duration_since(*of_truth) >= MEASURED_AFTER
+        };
+        self.truth.as_ref().is_none_or(is_measured).then_some(users)
+    }
+
+    /// Whether a recent message has the positions of the users.
+    pub fn has_users(&self) -> bool {
+        Self::fresh(&self.truth).is_some() || self.measured_users().is_some()
     }
 
     /// The controllers that are in the room, the leader first, and those that were lost. Only the reports of an array

@@ -223,6 +223,11 @@ impl Received {
         self.statuses.get(node).filter(|(at, _)| at.elapsed() < EXPIRY).map(|(_, status)| status)
     }
 
+    /// The source of the last status of a controller, of any age.
+    pub fn last_controller(&self) -> Option<u64> {
+        self.statuses.get(NodeKind::Controller.name()).map(|(_, status)| status.stamp.source)
+    }
+
     /// Whether a status replaces that of its kind of process. One process of a kind is displayed at
     /// a time, so that no figures of two processes mix: the one that is displayed already, while it
     /// is in the room and no other controller leads.
@@ -274,7 +279,7 @@ impl Received {
 
     /// The announcement of the displayed controller, else of another one, else the newest that is old.
     fn drawn_controller_geometry(&self) -> Dated<Arc<str>> {
-        let displayed = self.statuses.get(NodeKind::Controller.name()).map(|(_, status)| status.stamp.source);
+        let displayed = self.last_controller();
         let is_fresh = |(at, _): &&(Instant, Arc<str>)| at.elapsed() < EXPIRY;
         let displayed = displayed.and_then(|source| self.controller_geometries.get(&source));
         let drawn = displayed.filter(is_fresh).or_else(|| self.controller_geometries.values().find(is_fresh));

@@ -169,6 +169,8 @@ pub struct Figures {
     pub tick: u64,
     /// Policy in use; empty without a controller.
     pub policy: String,
+    /// The hash of the network of this policy; absent for one that is not learned.
+    pub network: Option<String>,
     /// Whether a controller is in the room.
     pub controller_alive: bool,
     /// Whether an array accepts commands of a controller or a calibration that this viewer does not see.
@@ -235,6 +237,7 @@ impl View {
             origin,
             tick,
             policy: controller.map(|controller| shown(&controller.policy)).unwrap_or_default(),
+            network: controller.and_then(NodeStatus::actor).map(shown),
             controller_alive: received.is_controller_alive(),
             controller_unseen: received.is_controller_unseen(),
             sum_mbps: sum(&received, &users),

@@ -248,6 +248,9 @@ impl NodeStatus {
     /// Beginning of the name of the counter that names the host of a controller.
     pub const HOST: &'static str = "host:";
 
+    /// Beginning of the name of the counter that has the hash of the network of a learned policy.
+    pub const ACTOR: &'static str = "actor:";
+
     /// What a fallback is: the help of page, status and metrics.
     pub const FALLBACKS_MEANING: &'static str = "Decisions without the policy's own angles or on incomplete reports";
     /// What a withheld command is. It is no fallback.
@@ -273,6 +276,11 @@ impl NodeStatus {
     /// The name of the controller's host, if it gives one.
     pub fn host(&self) -> Option<&str> {
         self.counters.iter().find_map(|(name, _)| name.strip_prefix(Self::HOST))
+    }
+
+    /// The hash of the network of the policy in use; `None` for a policy that is not learned.
+    pub fn actor(&self) -> Option<&str> {
+        self.counters.iter().find_map(|(name, _)| name.strip_prefix(Self::ACTOR))
     }
 
     /// The present value with this name.

@@ -8,6 +8,9 @@ const GAP_S = 2;
 const FONT = "11px system-ui, sans-serif";
 const SMALL_FONT = "9px system-ui, sans-serif";
 
+// The name of what the mirrors followed at a time that the page did not see.
+const UNKNOWN = "mirrors";
+
 // One colour for each policy, the same in every report and figure.
 const POLICY_COLOURS = {
   actor: "#0072b2", ddpg: "#0072b2", analytic: "#56b4e9", "ddpg-raw": "#cc79a7", dql: "#d55e00",
@@ -29,14 +32,23 @@ export function withGaps(points) {
   });
 }
 
+// The stretches of a line in which the mirrors followed the same, each as what it is drawn from: its beginning in s
+// before now, negative, and its name and whether the policy was idle.
+export function stretches(points, now_s) {
+  const begins = points.filter(({ name }, index) => name !== points[index - 1]?.name);
+  return begins.map(({ time_s, name, idle }) => ({ from_s: time_s - now_s, name, idle }));
+}
+
 export class Charts {
   constructor(plan) {
     this.budget = plan.budget_us;
     this.sum = document.getElementById("sum-chart");
     this.latency = document.getElementById("latency-chart");
     this.sumPlot = this.latencyPlot = null;
-    this.past = plan.history.map(([time_s, sum]) => ({ time_s, ...sum }));
-    this.policy = "";
+    // What the mirrors followed before this page was open is unknown to it.
+    this.past = plan.history.map(([time_s, sum]) => ({ time_s, name: UNKNOWN, idle: true, ...sum }));
+    this.followed = { name: "", idle: true };
+    this.stretches = [];
     this.redraw = new RedrawLimiter(500);
     const observer = new ResizeObserver(() => {
       this.redraw.reset();
@@ -56,15 +68,14 @@ export class Charts {
     this.redraw.reset();
   }
 
-  // `name` is that of what the mirrors follow.
-  update(now, name) {
-    this.policy = name;
+  // `followed` is what the mirrors follow: its name, and why it is not the policy.
+  update(now, followed) {
+    this.followed = { name: followed.name, idle: followed.idle !== "" };
     if (now.sum_mbps && now.origin !== "no-data") {
       const newest = this.past.at(-1);
-      if (!newest || now.time_s - newest.time_s >= KEEP_EVERY_S) this.past.push({ time_s: now.time_s, ...now.sum_mbps });
+      if (!newest || now.time_s - newest.time_s >= KEEP_EVERY_S) this.past.push({ time_s: now.time_s, ...this.followed, ...now.sum_mbps });
       this.past = this.past.filter((point) => now.time_s - point.time_s <= SPAN_S);
     }
-    this.figures(now.sum_mbps);
     this.redraw.run(() => {
       this.drawSum(now.time_s);
       this.drawLatency(now.latency);
@@ -73,13 +84,31 @@ export class Charts {
 
   lines() {
     return [
-      ["policy", this.policy || "policy", POLICY_COLOURS[this.policy] ?? "#0072b2", [], 2.5],
+      ["policy", this.followed.name || "policy", this.colourOf(this.followed), [], 2.5],
       ["no_irs", "no IRS", "#bbbbbb", [], 1.5],
       ["flat", "flat", this.flat, [2, 3], 1.5],
       ["oracle", "oracle", this.ink, [6, 4], 1.2],
     ];
   }
 
+  // A policy has its colour; what the mirrors follow in place of one is grey.
+  colourOf({ name, idle }) {
+    return idle ? this.muted : POLICY_COLOURS[name] ?? "#0072b2";
+  }
+
+  // The stroke of the line with the mirrors: each stretch has the colour of what the mirrors followed then.
+  strokeOf({ ctx, bbox }) {
+    if (this.stretches.length < 2) return this.colourOf(this.stretches[0] ?? this.followed);
+    const stroke = ctx.createLinearGradient(bbox.left, 0, bbox.left + bbox.width, 0);
+    this.stretches.forEach((stretch, index) => {
+      const at = (from_s) => Math.min(1, Math.max(0, 1 + from_s / SPAN_S));
+      stroke.addColorStop(at(stretch.from_s), this.colourOf(stretch));
+      stroke.addColorStop(at(this.stretches[index + 1]?.from_s ?? 0), this.colourOf(stretch));
+    });
+    return stroke;
+  }
+
+  // The present sum rates.
   figures(sum) {
     const list = document.getElementById("sum-figures");
     this.lines().forEach(([key, name, colour], index) => {
@@ -146,18 +175,21 @@ export class Charts {
   drawSum(now_s) {
     const lines = this.lines().reverse();
     const points = withGaps(this.past);
+    this.stretches = stretches(this.past, now_s);
     const data = [points.map((point) => point.time_s - now_s), ...lines.map(([key]) => points.map((point) => point[key] ?? null))];
     if (this.sumPlot) return this.show(this.sumPlot, this.sum, data);
     const text = (index) => {
       const [x, ...rates] = this.sumPlot.data.map((values) => values[index]);
-      const named = this.lines().reverse().map(([, name], line) => (rates[line] == null ? "" : `${name} ${rates[line].toFixed(1)}`));
+      const then = this.stretches.findLast(({ from_s }) => from_s <= x) ?? this.followed;
+      const nameOf = (key, name) => (key === "policy" ? then.name : name);
+      const named = this.lines().reverse().map(([key, name], line) => (rates[line] == null ? "" : `${nameOf(key, name)} ${rates[line].toFixed(1)}`));
       const shown = named.filter(Boolean).reverse();
       return [`${(-x).toFixed(0)} s ago`, ...(shown.length ? shown : ["no figures"])].join(" · ");
     };
     this.sumPlot = this.plot(this.sum, {
       scales: { x: { time: false, range: [-SPAN_S, 0] }, y: this.fromZero() },
-      series: [{}, ...lines.map(([, , , dash, width], line) => ({
-        stroke: () => this.lines()[lines.length - 1 - line][2], dash, width, points: { show: false },
+      series: [{}, ...lines.map(([key, , , dash, width], line) => ({
+        stroke: (plot) => (key === "policy" ? this.strokeOf(plot) : this.lines()[lines.length - 1 - line][2]), dash, width, points: { show: false },
       }))],
       axes: [this.axis("", { values: (_, splits) => splits.map((x) => -x) }), this.axis("", { size: 34, space: 16 })],
     }, data, text);

@@ -13,14 +13,20 @@ function chip(id, text, state = "") {
   setClass(at(id), state);
 }
 
+// The network of a learned policy: the file that the user gave, else the hash of another one.
+export function networkIn(hash, file) {
+  if (!hash) return "";
+  return hash === file?.hash ? `Its network is ${file.name}.` : `Its network has the hash ${hash}.`;
+}
+
 // The state of each process; a state that is old or unknown is never green.
-export function chips(now, ages) {
+export function chips(now, ages, file) {
   const silent = (process) => (ages.of(process) === Infinity ? "no report" : `no report for ${seconds(ages.of(process))}`);
   const { name, idle } = inCharge(now, ages.of("array"));
   const isSilent = ages.isStale("controller") || !now.controller_alive;
   const policy = idle && now.policy ? `${now.policy} (idle)` : now.policy || "–";
   chip("chip-policy", isCalibrating(now) ? name : policy, idle || isSilent ? "old" : "");
-  setTitle(at("chip-policy"), idle);
+  setTitle(at("chip-policy"), [idle, networkIn(now.network, file)].filter(Boolean).join(" "));
   if (isSilent) {
     const isGone = !now.controller_alive && ages.silence < 1;
     chip("chip-controller", now.controller_unseen && isGone ? "not seen" : isGone ? "gone" : silent("controller"), "bad");
@@ -42,6 +48,14 @@ function rated(now, shown, frame) {
   if (shown.wall) return now.users.map((user) => ({ ...user, rate: user.is_rate_known ? user.rate_mbps : null }));
   if (now.origin === "no-data" || !frame) return now.users.map((user) => ({ ...user, rate: null }));
   return frame.users.map((user) => ({ ...user, rate: user.without_mirrors_mbps }));
+}
+
+// The sum rates. Without the mirrors, that without them is of the frame of the table, so that its rates add up to it; the
+// report of the other sums may be an earlier or a later one.
+export function sums(now, shown, frame) {
+  const rates = shown.wall ? [] : rated(now, shown, frame).map(({ rate }) => rate);
+  if (now.sum_mbps?.no_irs == null || rates.length === 0 || rates.some((rate) => rate == null)) return now.sum_mbps;
+  return { ...now.sum_mbps, no_irs: rates.reduce((sum, rate) => sum + rate, 0) };
 }
 
 // One row for each user, by id: users come and go.
@@ -84,7 +98,7 @@ function fill(row, user, largest) {
   setText(path, user.blocked === null ? "unknown" : user.forced ? "by order" : user.blocked ? "blocked" : "clear");
   setText(figure, rate === null ? "unknown" : rate.toFixed(rate < 100 ? 2 : 1));
   setClass(figure, below ? "number bad" : "number");
-  setText(minimum, `${below ? "not " : ""}${user.min_rate_mbps.toFixed(1)}`);
+  setText(minimum, `${below ? "below " : ""}${user.min_rate_mbps.toFixed(1)}`);
   setTitle(minimum, below ? "The rate is below the minimum rate." : "");
   setClass(minimum, figure.className);
   bar.querySelector("i").style.width = `${(100 * (rate ?? 0)) / largest}%`;

@@ -80,7 +80,8 @@ export class Orders {
     }
     const enable = (id, enabled) => { document.getElementById(id).disabled = !enabled; };
     enable("kill", this.plan.controls_processes && now.controller_alive);
-    enable("restart", this.plan.controls_processes && !now.controller_alive);
+    // A controller that hangs is replaced too.
+    enable("restart", this.plan.controls_processes);
     const select = document.getElementById("policy");
     if (now.policy && now.policy !== this.policy) {
       this.policy = now.policy;

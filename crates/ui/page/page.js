@@ -8,7 +8,7 @@ import { CHECK_SERVER, Refused, Unanswered, ask, refusalIn } from "./requests.js
 import { Room } from "./room.js";
 import { presentUsers } from "./geometry.js";
 import { banner, endBanner, inCharge, lastSentence, sentence } from "./sentence.js";
-import { chips, counters, problems, users } from "./figures.js";
+import { chips, counters, problems, sums, users } from "./figures.js";
 import { heatGradient } from "./heat.js";
 import { openEvents, showEvents } from "./events.js";
 
@@ -43,12 +43,12 @@ const START_LIMIT_MS = 15000;
 
 // What depends on the age of the figures, several times a second.
 function showAges(state) {
-  const { now, ages, room, frame, ended } = state;
+  const { now, ages, room, frame, ended, network } = state;
   showBanner(state);
   setText(at("sentence"), ended ? lastSentence : sentence(now, ages.of("room"), room.shown, frame));
   ages.mark();
   if (!now) return;
-  chips(now, ages);
+  chips(now, ages, network);
 }
 
 // Figures and frames may list different users for a moment; both are drawn.
@@ -100,11 +100,15 @@ async function start() {
     retheme();
   });
 
-  const state = { now: null, frame: null, framed: 0, room, ages: null, ended: "" };
+  const state = { now: null, frame: null, framed: 0, room, ages: null, ended: "", network: plan.network };
   const outages = new Outages();
   const show = () => showAges(state);
   state.ages = new Ages(show);
-  const showUsers = () => { if (state.now) users(state.now, room.shown, state.frame, outages); };
+  const showUsers = () => {
+    if (!state.now) return;
+    users(state.now, room.shown, state.frame, outages);
+    charts.figures(sums(state.now, room.shown, state.frame));
+  };
   addEventListener("shown", () => { showUsers(); show(); });
   addEventListener("heat", ({ detail }) => showHeat(detail));
   new Live(plan.page, {
@@ -114,11 +118,11 @@ async function start() {
       state.now = now;
       keepColours(state);
       state.ages.take(now);
+      charts.update(now, inCharge(now, state.ages.of("array")));
       showUsers();
       counters(now);
       problems(now);
       orders.update(now);
-      charts.update(now, inCharge(now, state.ages.of("array")).name);
       show();
     },
     log: showEvents,

@@ -8,6 +8,7 @@ use heliostat_service::clock::utc_ns;
 use serde::Serialize;
 
 use crate::controllers::{ControllerFigures, Role};
+use crate::expiry::EXPIRY;
 use crate::figures::{Figures, GONE, Origin};
 use crate::notes::{follows_from_stop, not_in, without_figures};
 use crate::order_log::OrderFigures;
@@ -17,6 +18,9 @@ use crate::stop_state::{StopFigure, StopFigures, StopPhase};
 const EVENTS_MAX: usize = 100;
 /// A problem that is an event is no other one within this time: two that take turns would fill the log.
 const REPEATED_MS: u64 = 60_000;
+
+/// State of a controller that is in the room and reports.
+const ALIVE: &str = "alive";
 
 /// States of a stop.
 const CONFIRMED: &str = "confirmed by every array";
@@ -73,12 +77,8 @@ impl EventLog {
         if figures.array.silent.is_empty() {
             self.change(at_ms, "faults", &figures.array.faults.join(", "), !figures.array.faults.is_empty());
         }
-        let controller = match (figures.controller_alive, figures.controller_unseen) {
-            (true, _) => "alive",
-            (false, true) => "not seen",
-            (false, false) => "gone",
-        };
-        self.change(at_ms, "controller", controller, !figures.controller_alive);
+        let controller = controller_state(figures);
+        self.change(at_ms, "controller", controller, controller != ALIVE);
         // Its progress is no event.
         let calibration = if figures.calibration.is_some() { "commands the mirrors" } else { "" };
         self.change(at_ms, "calibration", calibration, false);
@@ -204,10 +204,23 @@ impl EventLog {
     }
 }
 
+/// The state of the controller. One that hangs is silent before its token ends.
+fn controller_state(figures: &Figures) -> &'static str {
+    let is_old = figures.ages_s.present_controller.is_some_and(|age_s| age_s >= EXPIRY.as_secs_f64());
+    // A standby reports, although the status of the leader is still the last one.
+    let is_silent = is_old && figures.controllers.iter().all(|one| one.role == Role::Silent);
+    match (figures.controller_alive, figures.controller_unseen) {
+        (true, _) if is_silent => "silent",
+        (true, _) => ALIVE,
+        (false, true) => "not seen",
+        (false, false) => "gone",
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::figures::{ArrayFigures, NodeFigures};
+    use crate::figures::{Ages, ArrayFigures, NodeFigures};
     use crate::order_answer::Answer;
 
     fn figures(state: &str, problem: &str) -> Figures {
@@ -319,6 +332,26 @@ mod tests {
         }
         let shown: Vec<_> = texts(&log)[first..].iter().map(|(_, text, _)| *text).collect();
         assert_eq!(shown, ["controller: alive \u{2192} not seen", "controller: not seen \u{2192} gone"]);
+    }
+
+    #[test]
+    fn a_controller_that_hangs_is_silent_before_it_is_gone() {
+        let (mut log, no_stop) = (EventLog::default(), StopFigures::default());
+        log.note_at(1, &figures("following", ""), &[], &no_stop);
+        let first = texts(&log).len();
+        let hung = |age_s, controllers| Figures {
+            ages_s: Ages { present_controller: Some(age_s), ..Ages::default() },
+            controllers,
+            ..figures("following", "")
+        };
+        log.note_at(2, &hung(2.5, vec![controller("a", Role::Leads, 0, 0)]), &[], &no_stop);
+        let (silent, standby) = (controller("a", Role::Silent, 0, 0), controller("b", Role::StandsBy, 0, 0));
+        log.note_at(3, &hung(3.1, vec![standby, silent.clone()]), &[], &no_stop);
+        log.note_at(4, &hung(3.2, vec![silent]), &[], &no_stop);
+        let gone = Figures { controller_alive: false, ..figures("following", "") };
+        log.note_at(5, &gone, &[], &no_stop);
+        let expected = [(4, "controller: alive \u{2192} silent", true), (5, "controller: silent \u{2192} gone", true)];
+        assert_eq!(texts(&log)[first..], expected);
     }
 
     #[test]

@@ -169,6 +169,8 @@ pub struct Figures {
     pub tick: u64,
     /// Policy in use; empty without a controller.
     pub policy: String,
+    /// The hash of the network of this policy; absent for one that is not learned.
+    pub network: Option<String>,
     /// Whether a controller is in the room.
     pub controller_alive: bool,
     /// Whether an array accepts commands of a controller or a calibration that this viewer does not see.
@@ -235,6 +237,7 @@ impl View {
             origin,
             tick,
             policy: controller.map(|controller| shown(&controller.policy)).unwrap_or_default(),
+            network: controller.and_then(NodeStatus::actor).map(shown),
             controller_alive: received.is_controller_alive(),
             controller_unseen: received.is_controller_unseen(),
             sum_mbps: sum(&received, &users),
@@ -288,7 +291,7 @@ fn users(model: &ChannelModel, received: &Received) -> (Origin, u64, Vec<UserFig
         };
         return (Origin::Simulated, truth.tick, truth.users.iter().map(user).collect());
     }
-    let Some(report) = Received::fresh(&received.users) else { return (Origin::NoData, 0, Vec::new()) };
+    let Some(report) = received.measured_users() else { return (Origin::NoData, 0, Vec::new()) };
     let channel = Received::fresh(&received.channel).map_or(&[][..], |report| &report.users);
     let user = |user: &heliostat_proto::UserState| {
         let gains = channel.iter().find(|gains| gains.user == user.user);
@@ -406,6 +409,11 @@ fn time(name: &'static str, of: &'static str, status: Option<&NodeStatus>) -> Ti
 
 #[cfg(test)]
 mod tests {
+    use std::time::Duration;
+
+    use heliostat_proto::{RoomTruth, UserReport};
+    use heliostat_scenario::Scenario;
+
     use super::*;
 
     #[test]
@@ -431,6 +439,22 @@ mod tests {
         assert!(left(commanded, true).starts_with("commands still arrive at the stopped array"), "another sender");
         assert_eq!(left(commanded, false), "", "over with the release");
         assert_eq!(left("the device does not answer", true), "the device does not answer");
+    }
+
+    #[test]
+    fn a_simulator_that_falls_silent_leaves_no_measured_room() {
+        let model = Scenario::default().channel_model().expect("a model");
+        let ago = |ms| Instant::now() - Duration::from_millis(ms);
+        let origin = |truth, reports| {
+            let truth = Some((truth, RoomTruth::default()));
+            let received = Received { truth, users: Some((reports, UserReport::default())), ..Received::default() };
+            users(&model, &received).0
+        };
+        assert_eq!(origin(ago(100), ago(0)), Origin::Simulated);
+        // Its last report came after its last truth.
+        assert_eq!(origin(ago(3010), ago(2000)), Origin::Measured, "trackers go on");
+        assert_eq!(origin(ago(3010), ago(2900)), Origin::NoData);
+        assert_eq!(origin(ago(9000), ago(0)), Origin::Measured);
     }
 
     #[test]

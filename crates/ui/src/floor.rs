@@ -12,7 +12,6 @@ use serde::Serialize;
 
 use crate::View;
 use crate::scene::FrameBuilder;
-use crate::view::Received;
 
 /// Points along the longer side of the room.
 const POINTS: usize = 40;
@@ -57,12 +56,6 @@ impl View {
         budget.power_w = power.filter(|watts| *watts > 0.0).unwrap_or(budget.power_w);
         budget
     }
-
-    /// Whether the positions of users are known.
-    fn has_users(&self) -> bool {
-        let received = self.received();
-        Received::fresh(&received.truth).is_some() || Received::fresh(&received.users).is_some()
-    }
 }
 
 impl FloorMaps {
@@ -73,7 +66,7 @@ impl FloorMaps {
 
     /// The current map; `None` if no report is recent.
     pub fn map(&self, with_mirrors: bool) -> Option<FloorMap> {
-        if !self.view.has_users() {
+        if !self.view.received().has_users() {
             return None;
         }
         // The lock is held while computing, so that pages share one computation.

@@ -57,7 +57,7 @@ pub use guard::PublicAddress;
 pub use order::StopLabel;
 pub use order::{Order, ProcessOrder};
 pub use orders::Operator;
-pub use page::{Page, PoliciesOf, PolicyChoice};
+pub use page::{NetworkFile, Page, PoliciesOf, PolicyChoice};
 pub use server::{PageArgs, Place, Server};
 pub use shown_room::GeometrySource;
 pub use stop_switch::StopSwitch;

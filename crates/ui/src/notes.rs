@@ -87,7 +87,13 @@ impl Received {
 
     /// Whether a controller is in the room.
     pub(crate) fn is_controller_alive(&self) -> bool {
-        self.alive.iter().any(|(node, _)| *node == NodeKind::Controller.name())
+        self.controller_sources().next().is_some()
+    }
+
+    /// The sources of the controllers that are in the room.
+    pub(crate) fn controller_sources(&self) -> impl Iterator<Item = u64> + '_ {
+        let is_controller = |(node, _): &&(&'static str, u64)| *node == NodeKind::Controller.name();
+        self.alive.iter().filter(is_controller).map(|(_, source)| *source)
     }
 
     /// Whether an array accepts commands, and no controller or calibration is seen that sends them. Those that it

@@ -43,7 +43,7 @@ pub enum Order {
     },
     /// Kill the controller's process.
     KillController,
-    /// Start a new controller after the previous one was killed.
+    /// Start a new controller; the previous one is killed if it still runs.
     RestartController,
 }
 
@@ -67,7 +67,7 @@ impl Order {
 pub enum ProcessOrder {
     /// Kill the controller without a request to end.
     KillController,
-    /// Start a controller if none runs.
+    /// Start a controller, in place of one that still runs.
     RestartController,
 }
 

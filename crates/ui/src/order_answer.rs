@@ -1,5 +1,6 @@
 //! The answer to an order, from what its receiver reports.
 
+use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
 use heliostat_proto::reported_stops::RoomStop;
@@ -66,7 +67,10 @@ pub(crate) struct Reported {
     pub is_stopped: bool,
     /// The stops that are held for any array.
     pub held_stops: Vec<RoomStop>,
-    pub controller_alive: bool,
+    /// The sources of the controllers that are in the room.
+    pub controllers: BTreeSet<u64>,
+    /// The source of the last status of a controller, of any age.
+    pub last_controller: Option<u64>,
     /// Whether the room has an array: a live process of one, or telemetry.
     pub array_present: bool,
 }
@@ -82,10 +86,18 @@ impl View {
         Reported {
             controller: status(NodeKind::Controller),
             simulator: status(NodeKind::SimNode),
-            controller_alive: received.is_controller_alive(),
+            controllers: received.controller_sources().collect(),
+            last_controller: received.last_controller(),
             array_present: received.is_array_present(),
             ..Reported::default()
         }
+    }
+}
+
+impl Reported {
+    /// Whether a controller is in the room, or was there last: one that hangs can return after its token has ended.
+    fn has_seen(&self, controller: u64) -> bool {
+        self.controllers.contains(&controller) || self.last_controller == Some(controller)
     }
 }
 
@@ -112,8 +124,8 @@ impl Published {
                 let is_released = !now.held_stops.iter().any(is_named);
                 return is_released.then(|| still_stopped(&now.held_stops).map_or(Answer::Done, Answer::StillStopped));
             }
-            Order::KillController => !now.controller_alive,
-            Order::RestartController => now.controller_alive,
+            Order::KillController => now.controllers.is_empty(),
+            Order::RestartController => now.controllers.iter().any(|source| !self.before.has_seen(*source)),
             Order::Power { .. }
             | Order::Blocked { .. }
             | Order::Speed { .. }
@@ -258,6 +270,21 @@ mod tests {
         for order in [Order::Stop, Order::Rearm { stops: Vec::new() }] {
             let order = published(order);
             assert_eq!(order.answer(&Reported::default()), Some(Answer::Absent));
+        }
+    }
+
+    #[test]
+    fn a_restart_is_done_only_when_another_controller_is_in_the_room() {
+        let reported = |controllers: &[u64], last| Reported {
+            controllers: controllers.iter().copied().collect(),
+            last_controller: last,
+            ..Reported::default()
+        };
+        // A controller with a token, and one without: it was killed, or hangs.
+        for before in [reported(&[4], Some(4)), reported(&[], Some(4))] {
+            let order = Published { before, ..published(Order::RestartController) };
+            let answer = |controllers: &[u64]| order.answer(&reported(controllers, Some(4)));
+            assert_eq!([answer(&[]), answer(&[4]), answer(&[9])], [None, None, Some(Answer::Done)]);
         }
     }
 

@@ -21,6 +21,17 @@ pub struct Page {
     pub room: String,
     /// The policies that a controller of a scenario accepts.
     pub policies: PoliciesOf,
+    /// The file of a network that the user gave; `None` without one.
+    pub network: Option<NetworkFile>,
+}
+
+/// The file of a network. A controller reports its hash alone.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct NetworkFile {
+    /// The hash, as in the status of a controller.
+    pub hash: String,
+    /// The name of the file, without its folder.
+    pub name: String,
 }
 
 /// The policies that fit a scenario.

@@ -224,7 +224,7 @@ impl FrameBuilder {
         headings: &mut BTreeMap<u32, Vec3>,
     ) -> (Vec<ObservedUser>, Vec<Cylinder>, Option<MirrorTelemetry>) {
         let received = self.view.received();
-        let is_over = Received::fresh(&received.truth).is_none() && Received::fresh(&received.users).is_none();
+        let is_over = !received.has_users();
         let last = || received.arrays.last_joint(&room.model.mirrors).filter(|_| is_over);
         let telemetry = received.arrays.joint(&room.model.mirrors).or_else(last);
         let cylinder = |obstacle: &heliostat_proto::Obstacle| Cylinder {

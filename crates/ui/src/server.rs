@@ -43,7 +43,7 @@ use crate::guard::{self, Guard, PublicAddress};
 use crate::latency::BUDGET_US;
 use crate::live::{Feed, READERS_MAX, Reader};
 use crate::order::Order;
-use crate::page::{Page, PolicyChoice};
+use crate::page::{NetworkFile, Page, PolicyChoice};
 use crate::scene::Plan;
 use crate::token::{self, Gate, Token};
 
@@ -252,6 +252,7 @@ struct RoomJson {
     plan: Plan,
     policies: Vec<PolicyChoice>,
     controls_processes: bool,
+    network: Option<NetworkFile>,
     budget_us: u64,
     history: Vec<(f64, SumFigures)>,
 }
@@ -271,6 +272,7 @@ fn room_json(page: &Page) -> serde_json::Result<String> {
         plan: page.view.plan(&page.room),
         policies: (page.policies)(&page.view.served_room()),
         controls_processes: page.operator.controls_processes(),
+        network: page.network.clone(),
         budget_us: BUDGET_US,
         history: page.view.history(),
     };

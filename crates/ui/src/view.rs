@@ -34,6 +34,10 @@ const HISTORY: Duration = Duration::from_secs(90);
 /// Time between two points of that chart.
 const HISTORY_STEP: Duration = Duration::from_millis(200);
 
+/// Reports of users that arrive this long after the last truth are those of trackers: a simulated room sends both at
+/// a time.
+const MEASURED_AFTER: Duration = Duration::from_secs(1);
+
 /// A message and its arrival time.
 pub(crate) type Dated<T> = Option<(Instant, T)>;
 
@@ -184,6 +188,21 @@ impl Received {
         message.as_ref().filter(|(at, _)| at.elapsed() < EXPIRY).map(|(_, message)| message)
     }
 
+    /// The report of the users of a room that is not simulated, unless it is old. The last report of a simulator that
+    /// has fallen silent is none.
+    pub fn measured_users(&self) -> Option<&UserReport> {
+        let (at, users) = self.users.as_ref().filter(|(at, _)| at.elapsed() < EXPIRY)?;
+        let is_measured = |(of_truth, _): &(Instant, RoomTruth)| {
+            of_truth.elapsed() >= EXPIRY && at.saturating_duration_since(*of_truth) >= MEASURED_AFTER
+        };
+        self.truth.as_ref().is_none_or(is_measured).then_some(users)
+    }
+
+    /// Whether a recent message has the positions of the users.
+    pub fn has_users(&self) -> bool {
+        Self::fresh(&self.truth).is_some() || self.measured_users().is_some()
+    }
+
     /// The controllers that are in the room, the leader first, and those that were lost. Only the reports of an array
     /// show that one leads.
     pub fn present_controllers(&self) -> Vec<ControllerFigures> {
@@ -202,6 +221,11 @@ impl Received {
     /// The status of a kind of process, unless it is old.
     pub fn fresh_status<'a>(&'a self, node: &str) -> Option<&'a NodeStatus> {
         self.statuses.get(node).filter(|(at, _)| at.elapsed() < EXPIRY).map(|(_, status)| status)
+    }
+
+    /// The source of the last status of a controller, of any age.
+    pub fn last_controller(&self) -> Option<u64> {
+        self.statuses.get(NodeKind::Controller.name()).map(|(_, status)| status.stamp.source)
     }
 
     /// Whether a status replaces that of its kind of process. One process of a kind is displayed at
@@ -255,7 +279,7 @@ impl Received {
 
     /// The announcement of the displayed controller, else of another one, else the newest that is old.
     fn drawn_controller_geometry(&self) -> Dated<Arc<str>> {
-        let displayed = self.statuses.get(NodeKind::Controller.name()).map(|(_, status)| status.stamp.source);
+        let displayed = self.last_controller();
         let is_fresh = |(at, _): &&(Instant, Arc<str>)| at.elapsed() < EXPIRY;
         let displayed = displayed.and_then(|source| self.controller_geometries.get(&source));
         let drawn = displayed.filter(is_fresh).or_else(|| self.controller_geometries.values().find(is_fresh));

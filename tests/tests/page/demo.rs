@@ -7,6 +7,7 @@
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::path::Path;
+use std::process::Command;
 
 use heliostat_needs::needs;
 use heliostat_proto::{ArrayState, NodeKind};
@@ -31,16 +32,12 @@ impl Setting {
         let demo = Process::heliostat(&all);
         wait_until("the address of the page", || demo.errors().contains("the page is at http://"));
         let output = demo.errors();
-        let word_after = |before: &str| {
-            let rest = output.split_once(before).unwrap_or_else(|| panic!("no {before:?} in {output}")).1;
-            rest.split([' ', ',', ';', '/', '\n']).next().unwrap_or_default().to_owned()
-        };
         let endpoint = |number: usize| {
             let found = output.match_indices("tcp/").nth(number).map(|(at, _)| &output[at..]);
             found.and_then(|rest| rest.split([',', ';', ' ']).next()).expect("two endpoints are printed").to_owned()
         };
         let observer = RoomObserver::connect("demo", &[&endpoint(0), &endpoint(1)]);
-        Self { host: word_after("the page is at http://"), demo, observer }
+        Self { host: word_after(&output, "the page is at http://"), demo, observer }
     }
 
     fn url(&self) -> String {
@@ -61,6 +58,11 @@ impl Setting {
         stream.read_to_string(&mut answer).expect("text");
         answer
     }
+}
+
+fn word_after(output: &str, before: &str) -> String {
+    let rest = output.split_once(before).unwrap_or_else(|| panic!("no {before:?} in {output}")).1;
+    rest.split([' ', ',', ';', '/', '\n']).next().unwrap_or_default().to_owned()
 }
 
 #[test]
@@ -221,6 +223,26 @@ fn every_button_acts_on_the_running_system() {
     // The answers are those of the processes, and no message outlives its cause.
     wait_until("no message", || browser.text("#order-status").is_empty() && browser.text("#problem").is_empty());
     drop(setting.demo);
+}
+
+#[needs("browser")]
+#[test]
+fn a_controller_that_hangs_is_replaced_by_the_button_restart() {
+    let setting = Setting::new(&["--policy", "greedy"]);
+    let browser = Browser::open_flat(&setting.url());
+    let source = || setting.observer.status(NodeKind::Controller).map(|status| status.stamp.source);
+    wait_until("a page that shows the controller", || browser.text("#chip-controller") == "alive");
+    wait_until("its status", || source().is_some());
+    let hung = source();
+    let process = word_after(&setting.demo.errors(), "controller is process ");
+    assert!(Command::new("kill").args(["-STOP", &process]).status().expect("there is a kill command").success());
+    wait_until("a controller without a report", || browser.text("#chip-controller").starts_with("no report for"));
+    browser.click("#restart");
+    wait_until("the answer", || browser.text("#order-status") == "restart the controller: done");
+    wait_until("another controller", || source() != hung);
+    wait_until("the new controller on the page", || browser.text("#chip-controller") == "alive");
+    let events = || browser.run("return document.getElementById('event-list').textContent").to_string();
+    wait_until("the event", || events().contains("order: restart the controller: done"));
 }
 
 fn gauge(observer: &RoomObserver, name: &str) -> Option<f64> {

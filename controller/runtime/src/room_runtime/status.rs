@@ -242,7 +242,7 @@ impl Reporter {
         let unfit = unfit.map(|array| (format!("{}{}", NodeStatus::ARRAY_UNFIT_OF, array.name), 1));
         let host = (!self.identity.host.is_empty()).then(|| (format!("{}{}", NodeStatus::HOST, self.identity.host), 1));
         let engine = summary.engine.iter().map(|name| (format!("engine:{name}"), 1));
-        let actor = summary.actor.iter().map(|hash| (format!("actor:{hash}"), 1));
+        let actor = summary.actor.iter().map(|hash| (format!("{}{hash}", NodeStatus::ACTOR), 1));
         let stages = Stage::ALL.map(|stage| (stage.name().to_string(), quantiles_us(times.stage(stage))));
         let noise = summary.belief.and_then(|belief| belief.noise).into_iter().flat_map(|noise| noise.gauges());
         let noise = noise.map(|(name, value)| (name.to_owned(), value));

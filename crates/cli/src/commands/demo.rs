@@ -18,8 +18,9 @@ use heliostat_proto::Room;
 use heliostat_room::World;
 use heliostat_scenario::{Scenario, ScenarioArgs};
 use heliostat_service::counted::counted;
+use heliostat_service::printable::printable;
 use heliostat_service::{Stop, duration, output, signals};
-use heliostat_ui::{Display, Operator, Page, PageArgs, ProcessOrder, View};
+use heliostat_ui::{Display, NetworkFile, Operator, Page, PageArgs, ProcessOrder, View};
 
 use processes::Processes;
 
@@ -71,6 +72,7 @@ pub fn run(args: Args) -> Result<()> {
     let room = Room::new(&args.room)?;
     let scenario = args.scenario.load_arrays()?;
     args.check_room(&scenario)?;
+    let network = args.network(&scenario)?;
     let stop = signals::stop_on_signals()?;
 
     let (room_endpoint, controller_endpoint) = (free_loopback_endpoint()?, free_loopback_endpoint()?);
@@ -94,7 +96,8 @@ pub fn run(args: Args) -> Result<()> {
     let (process_orders, received_orders) = mpsc::channel();
     let server = args.page.serve(false, || {
         let operator = Operator::new(&bus, &view, Some(process_orders))?;
-        Ok(Page { view: Arc::clone(&view), operator, room: args.room.clone(), policies: fitting_policies() })
+        let (view, room, network) = (Arc::clone(&view), args.room.clone(), network.clone());
+        Ok(Page { view, operator, room, policies: fitting_policies(), network })
     })?;
     if let Some(server) = &server {
         output::note(server);
@@ -112,7 +115,7 @@ pub fn run(args: Args) -> Result<()> {
     let printed = if outcome.is_ok() || view.is_complete() {
         let of_controller = controller_summary.as_ref().and_then(|summary| summary.as_ref().ok());
         summary::Summary::new(room_summary.as_ref().ok(), of_controller, controllers)
-            .and_then(|summary| args.print_summary(&summary))
+            .and_then(|summary| args.print_summary(&summary, network.as_ref()))
     } else {
         Ok(())
     };
@@ -188,11 +191,11 @@ fn watch(args: &Args, watched: &Watched, processes: &mut Processes) -> Result<En
 }
 
 impl Args {
-    fn print_summary(&self, summary: &summary::Summary) -> Result<()> {
+    fn print_summary(&self, summary: &summary::Summary, network: Option<&NetworkFile>) -> Result<()> {
         if self.json {
             outln!("{}", serde_json::to_string(summary)?)?
         } else {
-            summary.print()?
+            summary.print(network)?
         }
         Ok(())
     }
@@ -210,6 +213,14 @@ impl Args {
         let source = self.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
         build(self.policy(), scenario, &source).context("nothing was started: the controller would have no policy")?;
         Ok(())
+    }
+
+    /// The file of the network that the flags give.
+    fn network(&self, scenario: &Scenario) -> Result<Option<NetworkFile>> {
+        let Some(path) = &self.model else { return Ok(None) };
+        let file = ActorSource::Path(path.clone()).fetch(self.policy(), scenario)?;
+        let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy();
+        Ok(Some(NetworkFile { hash: file.hash(), name: printable(&name).into_owned() }))
     }
 
     /// The arguments of a process: its command, the shared flags, and its endpoints.

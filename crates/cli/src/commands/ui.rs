@@ -56,7 +56,8 @@ pub fn run(args: Args) -> Result<()> {
     let room = config.room.name().to_owned();
     let server = args.page.serve(config.is_authenticated(), || {
         let operator = Operator::new(&bus, &view, None)?;
-        Ok(Page { view: Arc::clone(&view), operator, room: room.clone(), policies: fitting_policies() })
+        let (view, room) = (Arc::clone(&view), room.clone());
+        Ok(Page { view, operator, room, policies: fitting_policies(), network: None })
     })?;
     if let Some(server) = &server {
         output::note(server);

@@ -243,15 +243,14 @@ impl Plan {
     fn add_status(&mut self, status: NodeStatus, hash: &str) {
         let counter =
             |name: &str| status.counters.iter().find(|(known, _)| known == name).map_or(0, |(_, count)| *count);
+        let actor = status.actor().map(String::from);
         let history = self.controllers.entry(counter("epoch")).or_default();
         history.late = history.late.max(counter("fallback:late"));
         if !status.scenario.is_empty() && status.scenario != hash {
             history.with_other_scenario = Some(status.stamp.source);
             self.other_scenarios.insert(status.stamp.source, status.scenario);
         }
-        history
-            .actors
-            .extend(status.counters.iter().filter_map(|(name, _)| name.strip_prefix("actor:").map(String::from)));
+        history.actors.extend(actor);
         history.policies.insert(status.policy);
     }
 

@@ -39,7 +39,7 @@ impl Setting {
         let bus = Bus::open(&BusConfig::new(Room::new(room).unwrap()).listen_at(&endpoint)).unwrap();
         let view = Arc::new(View::open(&bus, Some(&scenario)).unwrap());
         let operator = Operator::new(&bus, &view, None).unwrap();
-        let page = Page { view, operator, room: room.to_owned(), policies: Box::new(|_| Vec::new()) };
+        let page = Page { view, operator, room: room.to_owned(), policies: Box::new(|_| Vec::new()), network: None };
         Ok(Self { server: Server::start(page, place)?, _bus: bus })
     }
 

@@ -6,6 +6,10 @@ use serde_json::{Value, json};
 
 use super::setting::Setting;
 
+/// Shows the explanation of late decisions, as on a busy machine.
+const WITH_HINT: &str = "const late = document.getElementById('late'); late.hidden = false; late.textContent = \
+    '240 of 300 decisions over 0.5 ms, by longest stage: publish 233, observe 5, infer 1, wait 1. Likely cause: load. End other programs.';";
+
 #[needs("browser")]
 #[test]
 fn the_answer_to_an_order_covers_nothing() {
@@ -116,19 +120,25 @@ fn the_charts_keep_their_size_while_the_log_of_events_opens_and_grows() {
 
 #[needs("browser")]
 #[test]
-fn every_figure_and_order_is_in_view_on_a_small_desktop() {
+fn every_figure_and_order_is_in_view_on_a_small_desktop_once_the_column_of_figures_is_scrolled() {
     let setting = Setting::new();
     let browser = setting.browser();
     for (width, height) in [(1024, 768), (1280, 800), (1440, 900)] {
         browser.resize(width, height);
         // With the explanation of late decisions: a busy machine shows it.
-        let hidden = "scrollTo(0, 0); const late = document.getElementById('late'); late.hidden = false; late.textContent = \
-             '240 of 300 decisions over 0.5 ms, by longest stage: publish 233, observe 5, infer 1, wait 1. Likely cause: load. End other programs.'; \
-             return ['stop', 'chips', 'sentence', 'users', 'jain', 'sum-figures', 'sum-chart', \
-             'latency-chart', 'quantiles', 'counts', 'operate', 'policy-help', 'last-event'].filter((id) => { \
+        let hidden = format!(
+            "{WITH_HINT} scrollTo(0, 0); const column = document.getElementById('rates').parentElement; \
+             const hidden = (ids) => ids.filter((id) => {{ \
                const part = document.getElementById(id).getBoundingClientRect(); \
-               return part.height === 0 || part.bottom > innerHeight + 1 || part.right > innerWidth + 1; })";
-        wait_until(&format!("every part in view at {width} x {height}"), || browser.run(hidden) == json!([]));
+               return part.height === 0 || part.bottom > innerHeight + 1 || part.right > innerWidth + 1; }}); \
+             column.scrollTop = 0; \
+             const first = hidden(['stop', 'chips', 'sentence', 'users', 'jain', 'sum-figures', 'sum-chart', 'operate', 'policy-help']); \
+             column.scrollTop = column.scrollHeight; \
+             const last = hidden(['latency-chart', 'quantiles', 'counts', 'last-event', 'stop', 'operate', 'policy-help']); \
+             column.scrollTop = 0; \
+             return [...first, ...last, ...(document.documentElement.scrollHeight > innerHeight ? ['page'] : [])]"
+        );
+        wait_until(&format!("every part in view at {width} x {height}"), || browser.run(&hidden) == json!([]));
         // A part that is too small for its content is cut off.
         let cut = "return [...document.querySelectorAll('main section:not(#room-card)')].filter((part) => \
              part.scrollHeight > part.clientHeight + 1 || part.scrollWidth > part.clientWidth + 1).map((part) => part.id)";
@@ -156,6 +166,20 @@ fn warnings_and_takeovers_leave_picture_orders_and_stop_in_view_on_a_small_deskt
                return bottom - top < (id === 'room' ? 180 : 1) || top < 0 || bottom > innerHeight + 1 || right > innerWidth + 1; }); \
              return [hidden, document.documentElement.scrollHeight <= innerHeight]";
         assert_eq!(browser.run(hidden), json!([[], true]), "{width} x {height}");
+    }
+}
+
+#[needs("browser")]
+#[test]
+fn the_charts_stay_readable_at_every_size_with_and_without_a_hint_on_late_decisions() {
+    let setting = Setting::new();
+    let browser = setting.browser();
+    for (width, height) in [(1024, 768), (1280, 720), (1280, 800), (1366, 768), (1440, 900), (390, 844)] {
+        browser.resize(width, height);
+        let charts = "['sum-chart', 'latency-chart'].map((id) => document.getElementById(id).clientHeight)";
+        let heights = format!("const before = {charts}; {WITH_HINT} return [...before, ...{charts}]");
+        let heights: [u64; 4] = serde_json::from_value(browser.run(&heights)).expect("four heights");
+        assert!(heights.iter().all(|height| *height >= 120), "{heights:?} at {width} x {height}");
     }
 }
 

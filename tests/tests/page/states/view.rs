@@ -124,18 +124,21 @@ fn without_the_mirrors_table_sentence_and_picture_are_of_one_report() {
     let setting = Setting::new();
     let browser = setting.browser();
     // Figures and a frame of different instants.
-    let script = "return Promise.all([import('/figures.js'), import('/sentence.js')]).then(([{ users }, { sentence }]) => { \
-           const now = { origin: 'simulated', ages_s: { room: 0 }, nodes: [], \
+    let script = "return Promise.all([import('/figures.js'), import('/sentence.js')]).then(([{ sums, users }, { sentence }]) => { \
+           const now = { origin: 'simulated', ages_s: { room: 0 }, nodes: [], sum_mbps: { policy: 5, no_irs: 2 }, \
              users: [{ user: 3, blocked: false, forced: false, is_rate_known: true, rate_mbps: 5, min_rate_mbps: 1 }] }; \
            const frame = { users: [{ user: 3, blocked: true, forced: false, without_mirrors_mbps: 0, min_rate_mbps: 1 }] }; \
            const shown = (wall) => { \
              users(now, { wall }, frame, { of: () => null }); \
-             return [...document.getElementById('users').rows].map(({ cells }) => [cells[1].textContent, cells[2].textContent]); }; \
-           return [shown(false), sentence(now, 0.1, { wall: false }, frame), shown(true)]; })";
+             return [...document.getElementById('users').rows].map(({ cells }) => [1, 2, 3].map((cell) => cells[cell].textContent)); }; \
+           const noIrs = (wall) => sums(now, { wall }, frame).no_irs; \
+           return [shown(false), sentence(now, 0.1, { wall: false }, frame), shown(true), noIrs(false), noIrs(true)]; })";
     let expected = serde_json::json!([
-        [["blocked", "0.00"]],
+        [["blocked", "0.00", "below 1.0"]],
         "Without the mirrors, 1 of 1 users is below the minimum rate: user 3.",
-        [["clear", "5.00"]]
+        [["clear", "5.00", "1.0"]],
+        0,
+        2
     ]);
     assert_eq!(browser.run(script), expected);
 
@@ -353,6 +356,28 @@ fn the_chip_of_the_policy_and_the_name_of_the_sum_rate_agree_on_what_the_mirrors
     browser.click("#stop");
     wait_until("an idle policy", || browser.text("#chip-policy").ends_with(" (idle)"));
     wait_until("a sum rate of stopped mirrors", || browser.text("#sum-figures div:first-child dt") == "stopped");
+    // The time before the stop stays that of the policy.
+    let script = "return import('/charts.js').then(({ stretches }) => { \
+           const point = (time_s, name, idle) => ({ time_s, name, idle }); \
+           return stretches([point(1, 'greedy', false), point(2, 'greedy', false), point(3, 'stopped', true)], 10) \
+             .map(({ from_s, name, idle }) => [from_s, name, idle]); })";
+    assert_eq!(browser.run(script), serde_json::json!([[-9, "greedy", false], [-7, "stopped", true]]));
+    let of_greedy = "const canvas = document.querySelector('#sum-chart canvas'); \
+         const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height); \
+         return new Uint32Array(data.buffer).some((pixel) => pixel === 0xff337711)";
+    wait_until("a line with the colour of the policy before the stop", || browser.run(of_greedy) == true);
+}
+
+#[needs("browser")]
+#[test]
+fn a_learned_policy_has_the_file_of_its_network_or_the_hash_in_its_tooltip() {
+    let setting = Setting::new();
+    let browser = setting.browser();
+    let script = "return import('/figures.js').then(({ networkIn }) => { \
+           const file = { hash: '1a2b', name: 'own.onnx' }; \
+           return [networkIn('1a2b', file), networkIn('3c4d', file), networkIn('3c4d', null), networkIn(null, file)]; })";
+    let expected = ["Its network is own.onnx.", "Its network has the hash 3c4d.", "Its network has the hash 3c4d.", ""];
+    assert_eq!(browser.run(script), serde_json::json!(expected));
 }
 
 #[needs("browser")]

@@ -41,17 +41,19 @@ impl Processes {
         self.controller.as_mut().map_or(Ok(()), ChildProcess::check_alive)
     }
 
-    /// Kills or restarts the controller; `arguments` are those of the new one.
+    /// Kills the controller, or replaces it; `arguments` are those of the new one. A controller that hangs is
+    /// replaced too.
     pub fn apply(&mut self, order: ProcessOrder, arguments: impl FnOnce() -> Result<Vec<String>>) -> Result<()> {
         match order {
             // Dropping the process kills it.
             ProcessOrder::KillController => self.controller = None,
-            ProcessOrder::RestartController if self.controller.is_none() => {
+            ProcessOrder::RestartController => {
+                // The new one listens at the same endpoint.
+                self.controller = None;
                 self.controller =
                     Some(ChildProcess::start("controller", &arguments()?).context("the controller was not restarted")?);
                 self.controllers += 1;
             }
-            ProcessOrder::RestartController => {}
         }
         Ok(())
     }

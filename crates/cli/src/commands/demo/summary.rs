@@ -8,6 +8,7 @@ use heliostat_controller::report::summary::PolicySummary;
 use heliostat_core::safety::Clipped;
 use heliostat_proto::Quantiles;
 use heliostat_service::printable::printable;
+use heliostat_ui::NetworkFile;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -62,6 +63,9 @@ struct RoomPart {
 struct ControllerPart {
     /// The policy in charge at the end.
     policy: String,
+    /// The hash of its network, if it is learned.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    actor: Option<String>,
     policies: BTreeMap<String, PolicySummary>,
     clipped: Clipped,
     decisions: u64,
@@ -177,8 +181,14 @@ impl Summary {
         })
     }
 
-    /// Prints a table.
-    pub fn print(&self) -> io::Result<()> {
+    /// The file of the network of the last policy, if the user gave it.
+    fn network<'a>(&self, given: Option<&'a NetworkFile>) -> Option<&'a str> {
+        let used = self.controller.as_ref()?.actor.as_ref()?;
+        given.filter(|file| file.hash == *used).map(|file| file.name.as_str())
+    }
+
+    /// Prints a table. The user gave the file of a network, if any.
+    pub fn print(&self, network: Option<&NetworkFile>) -> io::Result<()> {
         let (room, controller) = (self.room.as_ref(), self.controller.as_ref());
         let credited = controller.map(ControllerPart::credited);
         let policies =
@@ -196,6 +206,9 @@ impl Summary {
                 )?;
             }
             None => outln!("policy {policies}; ticks, loop and rates are unknown: sim-node ended without its summary")?,
+        }
+        if let Some(file) = self.network(network) {
+            outln!("network of the policy: {file}")?;
         }
         if let Some(note) = self.several_controllers() {
             outln!("{note}")?;
@@ -306,6 +319,19 @@ mod tests {
             "users": none,
         });
         ControllerPart::deserialize(&part).expect("complete")
+    }
+
+    #[test]
+    fn the_network_of_the_policy_has_the_name_of_its_file() {
+        let given = NetworkFile { hash: "1a2b".into(), name: "own.onnx".into() };
+        let of = |actor: Option<&str>| {
+            let part = ControllerPart { actor: actor.map(String::from), ..controller(&serde_json::json!({})) };
+            Summary { room: None, controller: Some(part), controllers_started: 1 }
+        };
+        assert_eq!(of(Some("1a2b")).network(Some(&given)), Some("own.onnx"));
+        assert_eq!(of(Some("3c4d")).network(Some(&given)), None, "a built-in one");
+        assert_eq!(of(None).network(Some(&given)), None, "a policy that is not learned");
+        assert_eq!(of(Some("1a2b")).network(None), None);
     }
 
     fn policy(commands: u64, fallbacks: u64) -> Value {

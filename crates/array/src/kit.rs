@@ -513,7 +513,8 @@ impl<D: Device> Kit<D> {
         if self.array.state() == ArrayState::Stopped {
             self.halt(now);
         } else {
-            self.apply_target(now);
+            // What is due by now: the connection may have taken long.
+            self.apply_target(earliest);
         }
     }
 

@@ -332,6 +332,28 @@ fn a_stop_that_reaches_only_the_controller_reaches_the_arrays_through_it() {
 }
 
 #[test]
+fn a_stop_goes_through_every_endpoint_and_an_interrupted_one_says_what_was_sent() {
+    let mut room = TwoArrays::start("apart");
+    // The drivers have no link to each other.
+    room.controller.kill();
+    let stopped = room.order("stop", &["--arrays", "2"]);
+    assert!(stopped.status.success(), "{}", stopped.errors);
+    room.wait_for([ArrayState::Stopped; 2]);
+    let released = room.order("rearm", &["--all"]);
+    assert!(released.status.success(), "{} {}", released.output, released.errors);
+    wait_until("both arrays released", || !room.states().contains(&Some(ArrayState::Stopped)));
+    // One that never answers delays no order, and the second array is out of reach: the command waits for it.
+    let silent = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");
+    let silent = format!("tcp/{}", silent.local_addr().expect("bound"));
+    let flags = ["stop", "--room", &room.room, "--connect", &silent, "--connect", &room.endpoints[0]];
+    let mut order = Process::heliostat(&[&flags[..], &["--arrays", "2", "--timeout", "60"]].concat());
+    wait_until("the first array stopped", || room.states()[0] == Some(ArrayState::Stopped));
+    order.signal("INT");
+    let ended = order.wait_mut();
+    assert!(!ended.status.success() && ended.errors.contains("interrupted: the stop was sent"), "{}", ended.errors);
+}
+
+#[test]
 fn a_stop_at_an_endpoint_without_a_process_says_that_nothing_was_sent() {
     let endpoint = free_loopback_endpoint().expect("a free port");
     for order in ["stop", "rearm"] {

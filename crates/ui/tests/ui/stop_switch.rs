@@ -218,6 +218,34 @@ fn a_stop_is_confirmed_by_every_array_and_released_by_its_name() {
 }
 
 #[test]
+fn a_session_that_joins_after_the_order_brings_it_to_its_arrays_before_it_is_confirmed() {
+    let (first, switch, _sessions) = announced("late", &[Manner::Stops], Some(2));
+    let endpoint = private_endpoint().unwrap();
+    let config = BusConfig::new(Room::new("late").unwrap());
+    let own = Bus::open(&config.clone().listen_at(&endpoint)).unwrap();
+    let second = Array::new(&own, 1, Manner::Stops, Some(2));
+    switch.set_joining(true);
+    std::thread::scope(|scope| {
+        let order = scope.spawn(|| switch.stop_and_confirm("test", TIME_LIMIT));
+        let awaited = |what: &str, is_so: &dyn Fn() -> bool| {
+            let begun = Instant::now();
+            while !is_so() {
+                assert!(begun.elapsed() < TIME_LIMIT, "{what}");
+                std::thread::sleep(Duration::from_millis(1));
+            }
+        };
+        awaited("the stop at the first array", &|| !first[0].stops().is_empty());
+        let late = Bus::open(&config.connect_to(&endpoint)).unwrap();
+        switch.join(&late).unwrap();
+        awaited("the stop at the second array", &|| second.stops() == first[0].stops());
+        awaited("the confirmation of both", &|| switch.is_own_confirmed());
+        assert!(!order.is_finished(), "a further session may show another array");
+        switch.set_joining(false);
+        order.join().unwrap().unwrap();
+    });
+}
+
+#[test]
 fn a_stop_is_repeated_by_its_name_to_an_array_that_has_not_reported_it() {
     let (arrays, switch, _sessions) = arrays("deaf", &[Manner::Stops, Manner::Deaf]);
     arrays.iter().for_each(Array::report);

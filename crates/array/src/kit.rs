@@ -36,7 +36,7 @@
 //! A stop goes to the device in both states, and again after each reconnection. A stop that is
 //! latched is not yet a device that has stopped: [`Kit::device_stopped`] tells them apart.
 //!
-//! A call of the device can block. With a [`Watch`] the kit reads the time anew before each movement, and orders none
+//! A call of the device can block. With a [`Watch`] the kit reads the time again before each movement, and orders none
 //! while a stop waits: the caller handles that one first.
 
 use heliostat_channel::MirrorAngles;

@@ -15,7 +15,7 @@
 //!    new stop waits for its record.
 //! 5. Wait for a message until [`Station::next_ns`] at the latest, and continue with step 1.
 //!
-//! A caller whose device can block gives its kit a [`Watch`](crate::watch::Watch), and reads the time anew after each
+//! A caller whose device can block gives its kit a [`Watch`](crate::watch::Watch), and reads the time again after each
 //! step.
 
 use heliostat_proto::array_keys::array_name;

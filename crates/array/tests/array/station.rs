@@ -520,8 +520,8 @@ fn a_stop_that_arrives_during_a_connection_comes_before_the_movement_after_it() 
     assert_eq!(world.calls(), ["connect", "turn 0", "turn 0.25", "connect", "stop"]);
 }
 
-#[test]
-fn angles_that_expire_during_a_connection_are_not_applied_after_it() {
+/// A device that has failed at its second movement, before a connection that takes 4 s.
+fn before_a_slow_connection() -> (Arc<World>, Station<Blocking>) {
     let (world, mut station) = blocking(|world, call| {
         if call == 4 {
             world.pass(4000);
@@ -532,6 +532,12 @@ fn angles_that_expire_during_a_connection_are_not_applied_after_it() {
     world.command(1);
     step(&world, &mut station);
     world.pass(100);
+    (world, station)
+}
+
+#[test]
+fn angles_that_expire_during_a_connection_are_not_applied_after_it() {
+    let (world, mut station) = before_a_slow_connection();
     step(&world, &mut station);
     assert_eq!(world.calls(), ["connect", "turn 0", "turn 0.25", "connect", "turn 0"]);
     assert_eq!(station.kit().array().state(), ArrayState::Parked);
@@ -539,16 +545,7 @@ fn angles_that_expire_during_a_connection_are_not_applied_after_it() {
 
 #[test]
 fn a_command_that_expires_while_its_device_connects_is_refused() {
-    let (world, mut station) = blocking(|world, call| {
-        if call == 4 {
-            world.pass(4000);
-        }
-        call != 3
-    });
-    step(&world, &mut station);
-    world.command(1);
-    step(&world, &mut station);
-    world.pass(100);
+    let (world, mut station) = before_a_slow_connection();
     world.command(2);
     step(&world, &mut station);
     assert_eq!(world.calls(), ["connect", "turn 0", "turn 0.25", "connect", "turn 0"]);

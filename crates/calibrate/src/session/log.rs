@@ -136,7 +136,7 @@ mod tests {
             changed.estimate[parameter] = value;
             let refusal = Room::new(20.0).session.resume(changed).expect_err("refused").to_string();
             let expected = format!("the readings have estimate[{parameter}] = {value:?}: expected ");
-            assert!(refusal.starts_with(&expected) && refusal.contains("begins anew"), "{refusal}");
+            assert!(refusal.starts_with(&expected) && refusal.contains("begins again"), "{refusal}");
         }
         if let Some(estimate) = &mut room.session.estimate {
             estimate.values[layout.semi_angle()] = f64::NAN;

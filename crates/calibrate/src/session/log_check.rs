@@ -53,7 +53,7 @@ impl Session {
             if !(low..=high).contains(value) {
                 return Err(SetupError::Field(format!(
                     "estimate[{parameter}] = {value:?}: expected {low:.3} to {high:.3}; without the list \"estimate\" \
-                     the estimate begins anew"
+                     the estimate begins again"
                 )));
             }
         }

@@ -16,7 +16,7 @@ use heliostat_proto::Room;
 
 use crate::access::{AccessRole, access_control_of};
 use crate::certificate::Certificate;
-use crate::config::{BusConfig, nested_json};
+use crate::config::{BusConfig, make_router, nested_json};
 use crate::error::{BusError, KeyError};
 use crate::keys::{PRIVATE, PUBLIC, ROUTER_CONFIGURATION, create_folder, replace};
 use crate::tls::{AUTHORITY_CERTIFICATE, Identity, certificate_file, key_file, tls_settings};
@@ -143,10 +143,10 @@ impl BuildingRouter {
         );
         settings.retain(|(key, _)| !of_first.iter().any(|(own, _)| own == key));
         settings.extend(of_first);
+        make_router(&mut settings);
         let listen: Vec<String> = endpoints.iter().map(|endpoint| self.listen_endpoint(endpoint)).collect();
         for (key, value) in &mut settings {
             match key.as_str() {
-                "mode" => *value = "\"router\"".to_owned(),
                 "listen/endpoints" => *value = serde_json::json!(listen).to_string(),
                 "access_control" => *value = access_control_of(rooms).to_string(),
                 _ => {}

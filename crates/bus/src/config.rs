@@ -230,6 +230,20 @@ const FIXED_SETTINGS: [(&str, &str); 12] = [
     ("transport/link/rx/max_message_size", "16777216"),
 ];
 
+/// Settings of Zenoh that a router has in place of those of a process.
+const ROUTER_SETTINGS: [(&str, &str); 2] = [
+    ("mode", "\"router\""),
+    // In us. A stop that finds no place in the queue of a cut link waits so long before the router closes the link, and
+    // delays the messages of all rooms meanwhile. The default is 5 s; a command is valid for 0.2 s.
+    ("transport/link/tx/queue/congestion_control/block/wait_before_close", "50000"),
+];
+
+/// Turns the settings of a process into those of a router.
+pub(crate) fn make_router(settings: &mut Vec<(String, String)>) {
+    settings.retain(|(key, _)| !ROUTER_SETTINGS.iter().any(|(own, _)| own == key));
+    settings.extend(ROUTER_SETTINGS.map(|(key, value)| (key.to_owned(), value.to_owned())));
+}
+
 /// Environment variable that overrides settings of Zenoh: `key=value`, separated by semicolons,
 /// values in JSON5.
 const ENVIRONMENT: &str = "HELIOSTAT_ZENOH";
@@ -381,4 +395,24 @@ fn check_endpoint(text: &str) -> Result<(), BusError> {
 fn json_list(endpoints: &[String]) -> String {
     let quoted: Vec<String> = endpoints.iter().map(|endpoint| format!("{endpoint:?}")).collect();
     format!("[{}]", quoted.join(","))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    #[test]
+    fn the_router_of_deploy_has_the_settings_of_every_router_about_congestion() {
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../deploy/router/router.json5");
+        let deployed = Config::from_file(&file).expect("a valid configuration");
+        let mut settings: Vec<(String, String)> =
+            FIXED_SETTINGS.iter().map(|(key, value)| ((*key).to_owned(), (*value).to_owned())).collect();
+        make_router(&mut settings);
+        let made = zenoh_config(settings.into_iter()).expect("valid settings");
+        for key in ["mode", "transport/link/tx/queue/congestion_control"] {
+            assert_eq!(deployed.get_json(key).expect("a key"), made.get_json(key).expect("a key"), "{key}");
+        }
+    }
 }

@@ -18,7 +18,7 @@ use rustls::pki_types::ServerName;
 
 use crate::access::AccessRole;
 use crate::certificate::Certificate;
-use crate::config::{BusConfig, DEFAULT_TLS_ENDPOINT, nested_json};
+use crate::config::{BusConfig, DEFAULT_TLS_ENDPOINT, make_router, nested_json};
 use crate::error::{BusError, KeyError};
 use crate::platform;
 use crate::tls::{AUTHORITY_CERTIFICATE, AUTHORITY_KEY, Identity, certificate_file, key_file, read_private, roles_in};
@@ -248,7 +248,7 @@ fn write_zenoh_configuration(role: AccessRole, folder: &Path) -> Result<(), BusE
     let config = if is_router { config.listen_at(ROUTER_ENDPOINT) } else { config.connect_to(DEFAULT_TLS_ENDPOINT) };
     let mut settings = config.settings()?;
     if is_router {
-        settings.iter_mut().filter(|(key, _)| key == "mode").for_each(|(_, mode)| *mode = "\"router\"".to_owned());
+        make_router(&mut settings);
     }
     let user = if is_router { "a router: zenohd --config FILE" } else { "a peer: Config.from_file(FILE) in Python" };
     let text = format!(

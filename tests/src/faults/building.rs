@@ -14,7 +14,7 @@ use crate::containers::zenohd;
 use crate::faults::effect::Effect;
 use crate::faults::namespace::{Cable, Link};
 use crate::faults::witness::Witness;
-use crate::process::Process;
+use crate::process::{Ended, Process};
 use crate::wait::wait_until;
 
 /// The rooms: array and leader of the first are on host A, those of the second on host B.
@@ -192,6 +192,16 @@ impl Building {
         *self.controller(host as usize) = start_process(self.folder.path(), &self.hosts, 0, kind);
     }
 
+    /// Runs an operator's command for a room on a host, until it ends.
+    pub fn operate(&self, host: Host, room: usize, command: &[&str]) -> Ended {
+        let keys = self.folder.path().join(ROOMS[room]).display().to_string();
+        let router = router_endpoint(room);
+        let wrapper = self.hosts[host as usize].wrapper();
+        let wrapper: Vec<&str> = wrapper.iter().map(String::as_str).collect();
+        let shared = ["--client", "--connect", &router, "--tls", &keys];
+        Process::heliostat_under(&wrapper, &[], &[command, &shared].concat()).wait()
+    }
+
     /// Kills all processes of host B.
     pub fn kill_host_b(&mut self) {
         self.routers[1].kill();
@@ -243,11 +253,16 @@ fn start_router(zenohd: &Path, folder: &Path, host: &Link, index: usize) -> Proc
     Process::foreign(&wrapper.iter().map(String::as_str).collect::<Vec<_>>(), zenohd, &["--config", &config])
 }
 
+/// The endpoint of a room at the router of each host.
+fn router_endpoint(room: usize) -> String {
+    format!("tls/127.0.0.1:{}", PORT + u16::try_from(room).expect("two rooms"))
+}
+
 fn start_process(folder: &Path, hosts: &[Link; 2], room: usize, kind: Kind) -> Process {
     // The standby is on the other host.
     let host = if kind == Kind::Standby { 1 - room } else { room };
     let keys = folder.join(ROOMS[room]).display().to_string();
-    let router = format!("tls/127.0.0.1:{}", PORT + u16::try_from(room).expect("two rooms"));
+    let router = router_endpoint(room);
     let state = folder.join(format!("state-{room}")).display().to_string();
     let own = match kind {
         // Telemetry as often as the reports, so that each accepted command is seen.

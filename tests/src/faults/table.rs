@@ -190,6 +190,18 @@ pub const FAULTS: &[Fault] = &[
     ),
     fault(
         BUILDING,
+        "a_stop_beyond_a_cut_link_does_not_disturb_a_room_whose_leader_is_local",
+        "the link between the hosts is down for 6 s, and the room beyond it is stopped from this host",
+        Follows,
+    ),
+    fault(
+        BUILDING,
+        "a_room_is_stopped_while_the_link_to_its_standby_is_cut",
+        "the link between the hosts is down for 6 s; the room is stopped from the host of its array, and released",
+        StopsThenFollows(5.0),
+    ),
+    fault(
+        BUILDING,
         "a_link_cut_beyond_the_lease_does_not_disturb_a_room_whose_leader_is_local",
         "the link between the hosts is down for 12 s, until the standby stands by again",
         FollowsAgain(5.0),

@@ -8,6 +8,11 @@ use crate::{measure, wait_s};
 /// Time after which a service manager starts a process again, `RestartSec` of the units.
 const RESTART_S: f64 = 1.0;
 
+/// Index of the room that is measured, whose array is on host A.
+const MEASURED_ROOM: usize = 0;
+/// Index of the room whose array is on host B.
+const OTHER_ROOM: usize = 1;
+
 /// Measures a fault in a building of its own.
 fn in_building(test: &str, fault: impl Fn(&mut Building)) {
     measure(test, || -> Effect { Building::start().undergo(Host::A, &fault) });
@@ -122,6 +127,35 @@ fn a_cut_link_between_the_hosts_does_not_disturb_a_room_whose_leader_is_local() 
         building.cable.cut();
         wait_s(3.0);
         building.cable.heal();
+    });
+}
+
+#[needs("network-namespaces", "router")]
+#[test]
+fn a_stop_beyond_a_cut_link_does_not_disturb_a_room_whose_leader_is_local() {
+    in_building("a_stop_beyond_a_cut_link_does_not_disturb_a_room_whose_leader_is_local", |building| {
+        building.cable.cut();
+        wait_s(2.0);
+        let stopped = building.operate(Host::A, OTHER_ROOM, &["stop", "--timeout", "3"]);
+        assert!(!stopped.status.success(), "its array is out of reach: {}", stopped.output);
+        wait_s(1.0);
+        building.cable.heal();
+        building.wait_for_standby(Host::B);
+    });
+}
+
+#[needs("network-namespaces", "router")]
+#[test]
+fn a_room_is_stopped_while_the_link_to_its_standby_is_cut() {
+    in_building("a_room_is_stopped_while_the_link_to_its_standby_is_cut", |building| {
+        building.cable.cut();
+        wait_s(2.0);
+        let stopped = building.operate(Host::A, MEASURED_ROOM, &["stop", "--timeout", "3"]);
+        assert!(stopped.status.success(), "the array is on this host: {}", stopped.errors);
+        wait_s(1.0);
+        building.cable.heal();
+        let released = building.operate(Host::A, MEASURED_ROOM, &["rearm", "--all"]);
+        assert!(released.status.success(), "{}", released.errors);
     });
 }
 

@@ -109,6 +109,7 @@ impl Router {
             "scouting/gossip/enabled:false",
             "transport/shared_memory/enabled:false",
             "transport/link/tx/queue/congestion_control/drop/wait_before_drop:50",
+            "transport/link/tx/queue/congestion_control/block/wait_before_close:50000",
         ];
         let mut command = Command::new(program);
         command.args(["--listen", endpoint]).args(settings.iter().flat_map(|setting| ["--cfg", setting]));

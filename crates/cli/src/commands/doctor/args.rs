@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use heliostat_bus::TlsArgs;
+use heliostat_controller::cli::RangeArgs;
 use heliostat_core::policy::{NameParser, PolicyKind};
 use heliostat_scenario::ScenarioArgs;
 
@@ -50,6 +51,8 @@ pub struct Args {
     /// Index of the array of --calibration, from 0
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub array: usize,
+    #[command(flatten)]
+    pub range: RangeArgs,
     /// Port of 127.0.0.1 that must be free (repeatable) [default: 7447, or none with --connect or --listen]
     #[arg(long, value_name = "PORT", value_parser = clap::value_parser!(u16).range(1..))]
     pub port: Vec<u16>,

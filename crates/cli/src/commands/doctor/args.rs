@@ -12,7 +12,7 @@ const DEFAULT_PORT: u16 = 7447;
 
 /// Check what a run needs: scenario, policy, driver, ports, clock, permissions, processors.
 ///
-/// Each line holds ok, warn or fail, what was found, and what to do. The exit status is 1 if a
+/// Each line holds ok, warn, fail or ?, what was found, and what to do; ? marks what could not be checked. The exit status is 1 if a
 /// check fails. A warning concerns speed, accuracy or a process that does not answer; a run is still possible.
 ///
 /// With --connect, it compares the scenario and the controller that leads with the geometry that a simulated room

@@ -107,7 +107,7 @@ def run(
         seconds: how long it runs, from 0.01; absent: until it is stopped.
         stop: ends the run when it is set.
 
-    Status and messages name the policy as `act`. Where `act` raises an `Exception`, or answers with a wrong shape or a value that is not finite, the decision counts in
+    Where `act` raises an `Exception`, or answers with a wrong shape or a value that is not finite, the decision counts in
     `exceptions`, and the fallback that the scenario names in `control.fallback` decides. With `control.fallback = "hold"`
     no command is sent: the array holds its angles and then parks, by its own rules. The same happens while `act` does not
     return, and after this process ends. Other exceptions, such as `KeyboardInterrupt`, end the run.
@@ -169,8 +169,7 @@ class _Run:
         self._orders: queue.Queue[bytes] = queue.Queue()
         self._present: queue.Queue[tuple[str, bool]] = queue.Queue()
         self._peer = Peer(settings, "controller", 0, stop)
-        self._name = name_of(act)
-        self._core = Commander(scenario, self._call, form, self._peer.source, self._name)
+        self._core = Commander(scenario, self._call, form, self._peer.source, name_of(act))
         self._scenario = scenario
 
     def _call(self, observation: NDArray[np.float32]) -> Any:
@@ -256,7 +255,7 @@ class _Run:
                 before, state = state, "standby" if counters["standby"] else "running"
                 if state != before:
                     print(f"heliostat.run: {_STATES[state]}", file=sys.stderr, flush=True)
-                self._peer.publish_status(state, counters, found, policy=self._name, scenario=self._scenario.hash)
+                self._peer.publish_status(state, counters, found, policy="python", scenario=self._scenario.hash)
 
     def _problem(self, is_over: bool = False) -> str:
         """Why there is no command, or why commands suit another room; empty without a problem."""

@@ -17,7 +17,7 @@ use pyo3::exceptions::{PyException, PyRuntimeError};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 
-use crate::error::{guarded, refused};
+use crate::error::{failure, guarded, refused};
 use crate::scenario::Scenario;
 use crate::settings::action_form;
 
@@ -112,7 +112,8 @@ fn payloads(py: Python<'_>, published: Published) -> Payloads<'_> {
 #[pymethods]
 impl Commander {
     #[new]
-    fn new(scenario: &Scenario, function: Py<PyAny>, action: &str, source: u64) -> PyResult<Self> {
+    #[pyo3(signature = (scenario, function, action, source, name = "python"))]
+    fn new(scenario: &Scenario, function: Py<PyAny>, action: &str, source: u64, name: &str) -> PyResult<Self> {
         let room = &scenario.inner;
         let raised = Raised::default();
         let shared = Arc::clone(&raised);
@@ -123,7 +124,7 @@ impl Commander {
                     Ok(answer.as_array().to_vec())
                 });
                 answer.map_err(|error| {
-                    let problem = error.to_string();
+                    let problem = failure(py, &error);
                     if !error.is_instance_of::<PyException>(py) {
                         *shared.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
                     }
@@ -133,7 +134,7 @@ impl Commander {
         };
         let form = action_form(action)?;
         guarded(|| {
-            let policy = FunctionPolicy::new("python", room, form, call);
+            let policy = FunctionPolicy::new(name, room, form, call);
             let failures = policy.failures();
             let interval_s = 1.0 / room.streams.positions.rate_hz;
             let deadline_s = if room.control.deadline_ms > 0.0 { 1e-3 * room.control.deadline_ms } else { interval_s };

@@ -3,12 +3,22 @@
 use std::fmt::Display;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use pyo3::PyErr;
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
+use pyo3::prelude::*;
 
 /// A refusal of a value that the caller gave.
 pub fn refused(reason: impl Display) -> PyErr {
     PyValueError::new_err(reason.to_string())
+}
+
+/// An exception of a function of the caller in words, with the place in its file where that is known.
+pub fn failure(py: Python<'_>, error: &PyErr) -> String {
+    let place = || -> PyResult<String> {
+        let place_of = py.import("heliostat._failure")?.getattr("place_of")?;
+        place_of.call1((error.traceback(py),))?.extract()
+    };
+    // Without a place the exception alone says what has failed.
+    format!("{error}{}", place().unwrap_or_default())
 }
 
 /// Runs `work`; a panic becomes a `RuntimeError` instead of an abort.

@@ -21,7 +21,7 @@ use pyo3::exceptions::{PyException, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
-use crate::error::guarded;
+use crate::error::{failure, guarded};
 use crate::wire;
 
 /// An exception that is no failure of the device, such as `KeyboardInterrupt`.
@@ -44,7 +44,7 @@ impl PyDevice {
     ) -> Result<T, DeviceError> {
         Python::attach(|py| {
             work(py, self.object.bind(py)).map_err(|error| {
-                let problem = format!("{method}: {error}");
+                let problem = format!("{method}: {}", failure(py, &error));
                 if !error.is_instance_of::<PyException>(py) {
                     *lock(&self.raised) = Some(error);
                 }

@@ -111,6 +111,7 @@ def test_a_function_that_fails_is_counted_and_the_fallback_turns_the_mirrors(ans
         wait_until("command of the fallback", turned)
     summary = summaries[0]
     assert summary.exceptions == summary.fallbacks > 0 and part in summary.last_problem, summary
+    assert "<lambda>" in summary.last_problem, summary
 
 
 @needs_program

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -299,7 +300,8 @@ def test_a_device_that_fails_is_a_fault_until_it_answers_again(driven: Driven) -
     driven.command()
     telemetry = driven.telemetry()
     assert (telemetry["state"], telemetry["faults"]) == (FAULT, 1)
-    assert driven.station.last_problem == "two mirrors: turn: OSError: no answer"
+    problem = driven.station.last_problem
+    assert re.fullmatch(r"two mirrors: turn: OSError: no answer \(test_station\.py:\d+\)", problem), problem
     driven.mirrors.problem = None
     driven.command()
     telemetry = driven.telemetry(120)

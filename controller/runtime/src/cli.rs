@@ -21,6 +21,14 @@ use crate::{
     room_runtime::transport::LocalArray,
 };
 
+/// The flag of every command that judges the range of mirrors by the floor.
+#[derive(Clone, Copy, Debug, Default, clap::Args)]
+pub struct RangeArgs {
+    /// Accept mirrors whose range does not reach all of the floor
+    #[arg(long)]
+    pub accept_small_range: bool,
+}
+
 /// Run the controller: it receives reports and publishes mirror commands.
 ///
 /// Without --listen or --connect it connects to tcp/127.0.0.1:7447, where sim-node listens by
@@ -43,9 +51,8 @@ pub struct Args {
     /// Begin the statistics of times with the report of this tick: a benchmark warms up before it
     #[arg(long, value_name = "TICK", default_value_t = 0, hide = true)]
     times_from_tick: u64,
-    /// Command mirrors whose range does not reach all of the floor
-    #[arg(long)]
-    accept_small_range: bool,
+    #[command(flatten)]
+    range: RangeArgs,
     /// Send angles of a `paper` channel mode to real mirrors, which they do not aim
     #[arg(long)]
     force_paper_angles: bool,
@@ -99,7 +106,7 @@ impl Args {
             times_from_tick: self.times_from_tick,
             policy,
             model: self.model.clone(),
-            force: Force { small_range: self.accept_small_range, paper_angles: self.force_paper_angles },
+            force: Force { small_range: self.range.accept_small_range, paper_angles: self.force_paper_angles },
             pace: if self.lockstep { Pace::Lockstep } else { Pace::Live },
             standby: self.standby,
             run_for: self.end.seconds,

@@ -28,7 +28,6 @@ pub(crate) fn page(room: &str, summary: &Summary, state: ArrayState, is_recorded
         page.counter("heliostat_room_refused", "Payloads and commands refused, by reason", &labels, *count);
     }
     page.stop_recorded(&[], is_recorded);
-    let state = format!("{state:?}").to_lowercase();
-    page.gauge("heliostat_array_state_info", "State of the array; the value is always 1", &[("state", &state)], 1.0);
+    page.array_state(&[], state.name());
     page
 }

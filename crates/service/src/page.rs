@@ -118,6 +118,12 @@ impl Page {
         self.gauge("heliostat_stop_recorded", help, labels, f64::from(u8::from(is_recorded)));
     }
 
+    /// Adds for a process with mirrors the state of an array, by its name.
+    pub fn array_state(&mut self, labels: &[(&str, &str)], state: &str) {
+        let labels = [labels, &[("state", state)]].concat();
+        self.gauge("heliostat_array_state_info", "State of the array; the value is always 1", &labels, 1.0);
+    }
+
     /// The page as text.
     pub fn text(&self) -> String {
         let mut registry = Registry::default();
@@ -178,10 +184,12 @@ mod tests {
         page.gauge("heliostat_rate_bps", "Rate", &[], 1.5e6);
         page.histogram("heliostat_decision_seconds", "Decision", &[], Histogram::of_ns(&times));
         page.build_info("test", "1.2.3");
+        page.array_state(&[("array", "mirrors-1")], "stopped");
         let text = page.text();
         for wanted in [
             "# TYPE heliostat_misses counter\nheliostat_misses_total{room=\"a\",cause=\"infer\"} 3\nheliostat_misses_total{room=\"a\",cause=\"observe\"} 0\n",
             "heliostat_rate_bps{room=\"a\"} 1500000.0\n",
+            "heliostat_array_state_info{room=\"a\",array=\"mirrors-1\",state=\"stopped\"} 1.0\n",
             "heliostat_decision_seconds_count{room=\"a\"} 4\n",
             "heliostat_decision_seconds_bucket{le=\"0.0004\",room=\"a\"} 1\n",
             "heliostat_decision_seconds_bucket{le=\"0.0005\",room=\"a\"} 3\n",

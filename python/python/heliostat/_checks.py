@@ -73,6 +73,11 @@ def function_of_observation(name: str, value: Any) -> None:
         raise TypeError(f"{name}: expected a function of an observation, found {type(value).__name__}")
 
 
+def name_of(value: Any) -> str:
+    """The name of a function, a class or a module in messages; that of the class for an object without one."""
+    return str(getattr(value, "__name__", type(value).__name__))
+
+
 def real(name: str, values: Any) -> NDArray[Any]:
     """An array of booleans, integers or real numbers; a complex number, a text or an object is refused."""
     array = np.asarray(values)

@@ -32,7 +32,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ._checks import finite, function_of_observation, printable, real
+from ._checks import finite, function_of_observation, name_of, printable, real
 from ._core import Commander
 from .names import ActionForm
 from .scenario import Scenario, load_scenario
@@ -169,7 +169,7 @@ class _Run:
         self._orders: queue.Queue[bytes] = queue.Queue()
         self._present: queue.Queue[tuple[str, bool]] = queue.Queue()
         self._peer = Peer(settings, "controller", 0, stop)
-        self._core = Commander(scenario, self._call, form, self._peer.source)
+        self._core = Commander(scenario, self._call, form, self._peer.source, name_of(act))
         self._scenario = scenario
 
     def _call(self, observation: NDArray[np.float32]) -> Any:

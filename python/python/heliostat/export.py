@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ._checks import name_of
 from ._core import check_input, finish_actor
 from .envs import HeliostatEnv
 
@@ -59,7 +60,7 @@ def export_onnx(module: Any, env: HeliostatEnv | Any, path: str | os.PathLike[st
             warnings.simplefilter("ignore", DeprecationWarning)
             check = [_outputs(module, torch, number, (inputs, outputs)) for number in range(_CHECKS)]
             if _outputs(module, torch, 0, (inputs, outputs)) != check[0]:
-                raise ValueError(f"{_name(module)} samples: two runs on one observation differ; pass a module that returns "
+                raise ValueError(f"{name_of(module)} samples: two runs on one observation differ; pass a module that returns "
                                  "the deterministic action, that is the mean")
             network = _exported(module, torch, inputs)
     finally:
@@ -84,7 +85,7 @@ def _environment(env: Any) -> HeliostatEnv:
 
 def _check_module(module: Any, torch: Any) -> None:
     """Refuses what is no module that can be written, and says what to pass instead."""
-    name = _name(module)
+    name = name_of(module)
     if isinstance(module, torch.nn.Module):
         if hasattr(module, "_orig_mod"):
             raise TypeError("expected a module, found a compiled one: pass the module that torch.compile got")
@@ -121,13 +122,13 @@ def _outputs(module: Any, torch: Any, number: int, sizes: tuple[int, int]) -> li
     inputs, outputs = sizes
     found = module(torch.tensor([check_input(number, inputs)]))
     if isinstance(found, tuple | list):
-        raise ValueError(f"{_name(module)} returns {len(found)} values: pass a module that returns the actions, {_EXAMPLE}")
+        raise ValueError(f"{name_of(module)} returns {len(found)} values: pass a module that returns the actions, {_EXAMPLE}")
     shape = tuple(found.shape)
     if shape != (1, outputs):
         raise ValueError(f"the module returns the shape {shape} for one observation, expected {(1, outputs)}")
     values = [float(value) for value in found[0]]
     if not np.isfinite(values).all():
-        raise ValueError(f"{_name(module)} returns a value that is not finite: train it again if the training diverged")
+        raise ValueError(f"{name_of(module)} returns a value that is not finite: train it again if the training diverged")
     return values
 
 
@@ -146,9 +147,5 @@ def _exported(module: Any, torch: Any, inputs: int) -> bytes:
         )
     except Exception as problem:
         reason = " ".join(str(problem).split())[:200]
-        raise ValueError(f"PyTorch does not export {_name(module)}: {reason}") from problem
+        raise ValueError(f"PyTorch does not export {name_of(module)}: {reason}") from problem
     return file.getvalue()
-
-
-def _name(module: Any) -> str:
-    return getattr(module, "__name__", type(module).__name__)

@@ -302,9 +302,20 @@ impl Node {
             if let Some(is_recorded) = self.arrays.iter().map(ArrayNode::is_recorded).min().flatten() {
                 page.stop_recorded(&[], is_recorded);
             }
+            self.add_array_states(&mut page);
             page
         };
         (self.status_message(time_ns), self.has_exporter.then(page))
+    }
+
+    /// Adds the state of each array; one of several has its name.
+    fn add_array_states(&self, page: &mut Page) {
+        let arrays = self.room.arrays();
+        for index in 0..arrays {
+            let (name, state) = (array_name(index), self.room.array(index).state().name());
+            let named = [("array", name.as_str())];
+            page.array_state(&named[..usize::from(arrays > 1)], state);
+        }
     }
 
     pub fn summary(&self, measurements: &Measurements) -> Summary {

@@ -242,6 +242,11 @@ impl LinkBudgetReport {
     }
 }
 
+/// A bit error rate in the table. Below the limit a number in double precision loses digits.
+fn ber_text(ber: f64) -> String {
+    if ber < 1e-300 { "< 1e-300".into() } else { format!("{ber:.2e}") }
+}
+
 fn print_table(report: &LinkBudgetReport) -> io::Result<()> {
     outln!("{} mode, mirrors {}, noise {:.3e} A2", report.mode, report.angles, report.noise_variance_a2)?;
     outln!(
@@ -265,13 +270,13 @@ fn print_table(report: &LinkBudgetReport) -> io::Result<()> {
             ));
         }
         outln!(
-            "{user:>4} {:>21} {:>11.3e} {:>11.3e} {:>9} {:>13.3} {:>9.2e}  {blocked}",
+            "{user:>4} {:>21} {:>11.3e} {:>11.3e} {:>9} {:>13.3} {:>9}  {blocked}",
             format!("{x:.2}, {y:.2}, {z:.2}"),
             link.los_gain,
             link.irs_gain,
             link.sinr_db.map_or("none".into(), |decibels| format!("{decibels:.2}")),
             link.rate_mbps,
-            link.ber
+            ber_text(link.ber)
         )?;
         for (mirror, gain) in link.mirror_gain.iter().enumerate().filter(|(_, gain)| **gain > 0.0) {
             outln!("{:>4} {:>21} {:>11} {gain:>11.3e}", "", format!("mirror {mirror}"), "")?;
@@ -283,4 +288,15 @@ fn print_table(report: &LinkBudgetReport) -> io::Result<()> {
         report.oracle_sum_rate_mbps,
         report.oracle_qos_sum_rate_mbps
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_bit_error_rate_below_every_measurement_is_a_bound() {
+        assert_eq!([8.42e-319, 0.0].map(ber_text), ["< 1e-300", "< 1e-300"]);
+        assert_eq!([1e-300, 0.5].map(ber_text), ["1.00e-300", "5.00e-1"]);
+    }
 }

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use heliostat_bus::TlsArgs;
+use heliostat_controller::cli::RangeArgs;
 use heliostat_core::policy::{NameParser, PolicyKind};
 use heliostat_scenario::ScenarioArgs;
 
@@ -11,7 +12,7 @@ const DEFAULT_PORT: u16 = 7447;
 
 /// Check what a run needs: scenario, policy, driver, ports, clock, permissions, processors.
 ///
-/// Each line holds ok, warn or fail, what was found, and what to do. The exit status is 1 if a
+/// Each line holds ok, warn, fail or ?, what was found, and what to do; ? marks what could not be checked. The exit status is 1 if a
 /// check fails. A warning concerns speed, accuracy or a process that does not answer; a run is still possible.
 ///
 /// With --connect, it compares the scenario and the controller that leads with the geometry that a simulated room
@@ -50,6 +51,8 @@ pub struct Args {
     /// Index of the array of --calibration, from 0
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub array: usize,
+    #[command(flatten)]
+    pub range: RangeArgs,
     /// Port of 127.0.0.1 that must be free (repeatable) [default: 7447, or none with --connect or --listen]
     #[arg(long, value_name = "PORT", value_parser = clap::value_parser!(u16).range(1..))]
     pub port: Vec<u16>,

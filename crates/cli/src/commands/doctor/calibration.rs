@@ -16,7 +16,7 @@ use heliostat_service::printable::printable;
 use super::args::Args;
 use super::check::Check;
 use super::controller::ControllerState;
-use super::system::{DriverState, compare};
+use super::system::{DriverState, accepted_range, compare};
 
 /// Name of the check of the driver's file, and of that of the measured room.
 const FILE: &str = "calibration";
@@ -41,7 +41,8 @@ pub(super) fn checks(
         checks.extend(check_calibration(file, args.array, driver));
     }
     if let Some(file) = &args.measured {
-        checks.extend(check_measured(file, args.array, driver, controller));
+        let accepted = driver.and_then(|driver| accepted_range(args, args.array, driver, controller));
+        checks.extend(check_measured(file, args.array, driver, controller, accepted));
     }
     // The light of a controller without a fit is not shown, however much it has compared.
     let lacks_light = |controller: &ControllerState| controller.unfit.is_none() && controller.light.is_empty();
@@ -104,12 +105,14 @@ fn check_use(file: &Path, array: usize, driver: &DriverState) -> Check {
     }
 }
 
-/// The measured room: whether it fits the array, and is that of the controller.
+/// The measured room: whether it fits the array, and is that of the controller. `accepted` is why a small range is no
+/// failure.
 fn check_measured(
     file: &Path,
     array: usize,
     driver: Option<&DriverState>,
     controller: Option<&ControllerState>,
+    accepted: Option<&str>,
 ) -> Vec<Check> {
     let shown = file.display();
     let load = ScenarioArgs { scenario: shown.to_string(), ..ScenarioArgs::default() };
@@ -124,7 +127,7 @@ fn check_measured(
     let found = format!("{shown}: {}, {}", counted(room.mirrors.arrays().len(), "array"), age_of(file));
     match driver {
         Some(driver) => {
-            let fit = compare(array, &driver.capabilities, &room);
+            let fit = compare(array, &driver.capabilities, &room, accepted);
             checks.push(Check { name: ROOM, found: format!("{found}; for {}", fit.found), ..fit });
         }
         None => checks.push(Check::warn(ROOM, format!("{found}; not compared: no array answers"), GIVE_DRIVER)),
@@ -210,7 +213,7 @@ mod tests {
 
     #[test]
     fn a_room_that_is_compared_with_no_array_is_a_warning() {
-        let checks = check_measured(Path::new("hall"), 0, None, None);
+        let checks = check_measured(Path::new("hall"), 0, None, None, None);
         assert_eq!(checks.iter().map(|check| check.verdict).collect::<Vec<_>>(), [Verdict::Warn]);
         assert!(checks[0].found.ends_with("not compared: no array answers"), "{checks:?}");
     }

@@ -4,6 +4,7 @@ use std::sync::mpsc::{self, Receiver};
 use std::time::Instant;
 
 use heliostat_bus::{Bus, BusError, Subscription};
+use heliostat_proto::array_keys::array_name;
 use heliostat_proto::gauges::{ServedLight, TrackerNoise};
 use heliostat_proto::{Message, MirrorTelemetry, NodeKind, NodeStatus, RoomGeometry, decode};
 use heliostat_service::printable::printable;
@@ -22,10 +23,11 @@ const LEAST: f64 = 5e-3;
 const START_CONTROLLER: &str = "without one no command reaches the mirrors: check --room, start heliostat controller, or add its endpoint or router to --connect";
 
 /// What to do with a controller that does not command an array.
-const FIT_ARRAY: &str = "only the other arrays get its commands: start it with the --scenario and --set of the room";
+const FIT_ARRAY: &str = "only the other arrays get its commands: start it with what this line names, or with the --scenario and --set of the room";
 
 /// What to do with a controller that commands nothing.
-const FIT_CONTROLLER: &str = "it sends no commands: start it with the --scenario and --set of the room";
+const FIT_CONTROLLER: &str =
+    "it sends no commands: start it with what this line names, or with the --scenario and --set of the room";
 
 /// What a running room answers.
 #[derive(Debug, Default)]
@@ -58,8 +60,23 @@ pub(super) struct ControllerState {
 pub(super) struct UnfitArrays {
     /// What was found, in words.
     found: String,
+    /// Their names; none where no array fits.
+    names: Vec<String>,
+}
+
+impl UnfitArrays {
     /// No array fits.
-    is_every: bool,
+    fn is_every(&self) -> bool {
+        self.names.is_empty()
+    }
+}
+
+impl ControllerState {
+    /// Whether the array with this index fits its scenario.
+    pub fn fits(&self, array: usize) -> bool {
+        let is_unfit = |unfit: &UnfitArrays| unfit.is_every() || unfit.names.contains(&array_name(array));
+        !self.unfit.as_ref().is_some_and(is_unfit)
+    }
 }
 
 /// Asks the room and the controller that leads; the checks by the answer of the controller, none without a session.
@@ -127,14 +144,14 @@ fn unfit(status: &NodeStatus) -> Option<UnfitArrays> {
             controller_name(status.stamp.source),
             status.last_problem
         ),
-        is_every: names.is_empty(),
+        names: names.into_iter().map(str::to_owned).collect(),
     })
 }
 
 /// The checks of a controller that answers. The expectations of a scenario that no array fits say nothing about the
 /// room.
 fn check_state(state: &ControllerState) -> Vec<Check> {
-    let is_every_unfit = state.unfit.as_ref().is_some_and(|unfit| unfit.is_every);
+    let is_every_unfit = state.unfit.as_ref().is_some_and(UnfitArrays::is_every);
     let advice = if is_every_unfit { FIT_CONTROLLER } else { FIT_ARRAY };
     let unfit = state.unfit.iter().map(|unfit| Check::fail("controller", unfit.found.clone(), advice));
     let learned = state.noise.iter().map(check_tracker).chain(state.light.iter().map(check_light));
@@ -185,6 +202,8 @@ mod tests {
             "{}",
             checks[0].found
         );
+        assert_eq!(checks[0].advice, FIT_CONTROLLER);
+        assert!(!state(1).fits(0) && state(0).fits(0));
         assert_eq!(check_state(&state(0))[0].verdict, Verdict::Warn, "the tracker");
     }
 
@@ -194,6 +213,7 @@ mod tests {
         let status = NodeStatus { counters: counters.map(|name| (name, 1)).into(), ..NodeStatus::default() };
         let light = ServedLight { of: "mirrors".into(), ratio: 0.5, off_since_s: Some(3.0) };
         let state = ControllerState { light: vec![light], unfit: unfit(&status), ..ControllerState::default() };
+        assert_eq!([0, 1].map(|array| state.fits(array)), [true, false]);
         let checks = check_state(&state);
         assert_eq!(checks.iter().map(|check| check.verdict).collect::<Vec<_>>(), [Verdict::Fail, Verdict::Warn]);
         assert!(checks[0].found.starts_with("the array mirrors-1 does not fit"), "{}", checks[0].found);

@@ -21,6 +21,7 @@ use heliostat_service::printable::printable;
 
 use super::args::Args;
 use super::check::{Check, Verdict};
+use super::controller::ControllerState;
 use super::{calibration, controller, geometry};
 
 /// Longest time until a driver answers.
@@ -70,9 +71,9 @@ pub(super) fn checks(args: &Args) -> Vec<Check> {
         checks.extend(unanswered.iter().map(|endpoint| check_unanswered(endpoint)));
     }
     let drivers = ask_drivers(args, joined.as_ref(), scenario.mirrors.arrays().len());
-    checks.extend(check_drivers(args, &drivers, &scenario));
     let bus = joined.as_ref().and_then(|joined| joined.as_ref().ok()).map(|(bus, _)| bus);
     let (answers, of_controller) = controller::checks(bus);
+    checks.extend(check_drivers(args, &drivers, &scenario, answers.controller.as_ref()));
     checks.extend(geometry::checks(&scenario, &answers));
     checks.extend(of_controller);
     checks.extend(calibration::checks(args, drivers.get(args.array), answers.controller.as_ref()));
@@ -159,12 +160,17 @@ fn check_unanswered(endpoint: &str) -> Check {
 }
 
 /// One check for each array of the scenario.
-fn check_drivers(args: &Args, drivers: &[anyhow::Result<DriverState>], scenario: &Scenario) -> Vec<Check> {
+fn check_drivers(
+    args: &Args,
+    drivers: &[anyhow::Result<DriverState>],
+    scenario: &Scenario,
+    controller: Option<&ControllerState>,
+) -> Vec<Check> {
     if drivers.is_empty() {
         return vec![Check::ok("driver", "not checked: neither --connect nor --listen")];
     }
     let named = |(array, driver)| {
-        let check = check_driver(args, driver, scenario, array);
+        let check = check_driver(args, driver, scenario, array, controller);
         if drivers.len() == 1 {
             check
         } else {
@@ -174,14 +180,23 @@ fn check_drivers(args: &Args, drivers: &[anyhow::Result<DriverState>], scenario:
     drivers.iter().enumerate().map(named).collect()
 }
 
-fn check_driver(args: &Args, driver: &anyhow::Result<DriverState>, scenario: &Scenario, array: usize) -> Check {
+fn check_driver(
+    args: &Args,
+    driver: &anyhow::Result<DriverState>,
+    scenario: &Scenario,
+    array: usize,
+    controller: Option<&ControllerState>,
+) -> Check {
     match driver {
         Ok(DriverState { device_problem: Some(problem), .. }) => Check::fail(
             "driver",
             problem,
             "check power and cable of the hardware, and the address in the driver's configuration",
         ),
-        Ok(driver) => with_state(compare(array, &driver.capabilities, scenario), driver),
+        Ok(driver) => {
+            let accepted = accepted_range(args, array, driver, controller);
+            with_state(compare(array, &driver.capabilities, scenario, accepted), driver)
+        }
         Err(error) => {
             let is_refused = || bus_config(args).is_ok_and(|config| Bus::find_connection_problem(&config).is_some());
             Check::fail("driver", format!("{error:#}"), advice_without_driver(error, is_refused))
@@ -325,40 +340,43 @@ fn with_state(check: Check, driver: &DriverState) -> Check {
     }
 }
 
-/// Whether the array fits the scenario.
-pub(super) fn compare(index: usize, array: &Capabilities, scenario: &Scenario) -> Check {
+/// Why a range that does not reach all of the floor is no failure of an array; `None` where it is one.
+pub(super) fn accepted_range(
+    args: &Args,
+    array: usize,
+    driver: &DriverState,
+    controller: Option<&ControllerState>,
+) -> Option<&'static str> {
+    let is_following = driver.state == Some(ArrayState::Following);
+    if args.range.accept_small_range {
+        Some("accepted by --accept-small-range")
+    } else if is_following && controller.is_some_and(|controller| controller.fits(array)) {
+        Some("the controller of the room accepts it, and the array follows")
+    } else {
+        None
+    }
+}
+
+/// Whether the array fits the scenario. `accepted` is why a range that does not reach all of the floor is no failure.
+pub(super) fn compare(index: usize, array: &Capabilities, scenario: &Scenario, accepted: Option<&str>) -> Check {
     let found = format!("{} ({}), {} x {} mirrors", array.hardware, array.driver, array.rows, array.columns);
     // The controller examines the capabilities in the same way.
     let examined = scenario
         .channel_model()
         .map_err(anyhow::Error::from)
         .and_then(|model| Ok(Examiner::new(scenario, &model, Force::default()).examine(index, array)?));
-    if let Err(unfit) = examined {
-        let advice = match unfit.downcast_ref::<Unfit>() {
-            Some(unfit) => describe_unfit(unfit),
-            None => format!("{unfit:#}"),
-        };
-        return Check::fail("driver", found, advice);
-    }
-    let commanded_rad = scenario.control.range_deg.to_radians();
-    let reach_rad = [array.roll.min_rad, array.yaw.min_rad, -array.roll.max_rad, -array.yaw.max_rad];
-    let reach_rad = -reach_rad.into_iter().map(f64::from).fold(f64::NEG_INFINITY, f64::max);
-    if reach_rad + SAME_ANGLE_RAD < commanded_rad {
-        let advice = format!(
-            "the controller may command {:.2} degrees, but the array clamps at {:.2}: --set control.range_deg={:.2}",
-            scenario.control.range_deg,
-            reach_rad.to_degrees(),
-            (reach_rad.to_degrees() * 100.0).floor() / 100.0
-        );
-        return Check::warn("driver", found, advice);
-    }
-    let rate_hz = f64::from(array.command_rate_max_hz);
-    if rate_hz > 0.0 && rate_hz < scenario.streams.positions.rate_hz {
-        let advice = format!(
-            "it accepts {rate_hz} commands a second, but each of {} reports a second is answered: lower streams.positions.rate_hz",
-            scenario.streams.positions.rate_hz
-        );
-        return Check::warn("driver", found, advice);
+    let small_range = match examined {
+        Ok(()) => None,
+        Err(error) => match (error.downcast_ref::<Unfit>(), accepted) {
+            (Some(unfit @ Unfit::Range { .. }), Some(reason)) => Some(format!("{unfit}: {reason}")),
+            (Some(unfit), _) => return Check::fail("driver", found, describe_unfit(unfit)),
+            (None, _) => return Check::fail("driver", found, format!("{error:#}")),
+        },
+    };
+    let remarks = [small_range, clamp_remark(array, scenario), rate_remark(array, scenario)];
+    let remarks: Vec<String> = remarks.into_iter().flatten().collect();
+    if !remarks.is_empty() {
+        return Check::warn("driver", found, remarks.join("; "));
     }
     let clock = match array.validity_clock {
         ValidityClock::SourceTime => "",
@@ -367,9 +385,42 @@ pub(super) fn compare(index: usize, array: &Capabilities, scenario: &Scenario) -
     Check::ok("driver", format!("{found}{clock}"))
 }
 
+/// Where the controller may command angles beyond the range of the array.
+fn clamp_remark(array: &Capabilities, scenario: &Scenario) -> Option<String> {
+    let range_deg = scenario.control.range_deg;
+    let reach_rad = [array.roll.min_rad, array.yaw.min_rad, -array.roll.max_rad, -array.yaw.max_rad];
+    let reach_rad = -reach_rad.into_iter().map(f64::from).fold(f64::NEG_INFINITY, f64::max);
+    let reach_deg = reach_rad.to_degrees();
+    (reach_rad + SAME_ANGLE_RAD < range_deg.to_radians()).then(|| {
+        format!(
+            "the controller may command {range_deg:.2} degrees, but the array clamps at {reach_deg:.2}: --set control.range_deg={:.2}",
+            (reach_deg * 100.0).floor() / 100.0
+        )
+    })
+}
+
+/// Where the controller sends more commands than the array accepts.
+fn rate_remark(array: &Capabilities, scenario: &Scenario) -> Option<String> {
+    let (rate_hz, reports_hz) = (f64::from(array.command_rate_max_hz), scenario.streams.positions.rate_hz);
+    (rate_hz > 0.0 && rate_hz < reports_hz).then(|| {
+        format!(
+            "it accepts {rate_hz} commands a second, but each of {reports_hz} reports a second is answered: lower streams.positions.rate_hz"
+        )
+    })
+}
+
 #[cfg(test)]
 mod tests {
+    use clap::Parser;
+    use heliostat_proto::AxisLimits;
+
     use super::*;
+
+    #[derive(Parser)]
+    struct Flags {
+        #[command(flatten)]
+        args: Args,
+    }
 
     #[test]
     fn where_two_drivers_answer_one_of_them_is_to_be_stopped() {
@@ -377,6 +428,52 @@ mod tests {
         assert_eq!(several.to_string(), "2 drivers answer in room \"lab\"; expected one");
         assert!(advice_without_driver(&several, || true).starts_with("stop one of them"));
         assert!(advice_without_driver(&anyhow::anyhow!("no driver"), || false).starts_with("start the driver"));
+    }
+
+    /// Mirrors of the default scenario that turn by 4 degrees.
+    fn small() -> (Scenario, Capabilities) {
+        let scenario = Scenario::default();
+        let shape = &scenario.mirrors.arrays()[0];
+        let (rows, columns) = (shape.rows as u32, shape.columns as u32);
+        let range = 4_f32.to_radians();
+        let axis = AxisLimits { min_rad: -range, max_rad: range, ..AxisLimits::default() };
+        let array = Capabilities { rows, columns, roll: axis, yaw: axis, ..Capabilities::default() };
+        (scenario, array)
+    }
+
+    #[test]
+    fn a_small_range_that_is_accepted_is_a_warning_with_its_share_and_who_has_accepted_it() {
+        let (scenario, array) = small();
+        let refused = compare(0, &array, &scenario, None);
+        assert_eq!(refused.verdict, Verdict::Fail);
+        assert!(refused.advice.ends_with("accept the range with --accept-small-range"), "{refused:?}");
+        let accepted = compare(0, &array, &scenario, Some("accepted by --accept-small-range"));
+        assert_eq!(accepted.verdict, Verdict::Warn);
+        let expected = "expected 100 % of the floor: accepted by --accept-small-range; the controller may command ";
+        assert!(accepted.advice.contains(expected), "{accepted:?}");
+        let other = Capabilities { rows: array.rows + 1, ..array };
+        assert_eq!(compare(0, &other, &scenario, Some("accepted")).verdict, Verdict::Fail, "another shape");
+    }
+
+    #[test]
+    fn a_range_is_accepted_by_the_flag_or_by_a_controller_that_the_array_follows() {
+        let flags = |given: &[&str]| Flags::parse_from([&["doctor"][..], given].concat()).args;
+        let following = |state| DriverState {
+            capabilities: Capabilities::default(),
+            device_problem: None,
+            calibration: None,
+            faults: 0,
+            state,
+        };
+        let controller = ControllerState::default();
+        let accepted = |given: &[&str], state, controller: Option<&ControllerState>| {
+            accepted_range(&flags(given), 0, &following(state), controller)
+        };
+        let by_flag = accepted(&["--accept-small-range"], None, None);
+        assert_eq!(by_flag, Some("accepted by --accept-small-range"));
+        assert!(accepted(&[], Some(ArrayState::Following), Some(&controller)).is_some());
+        assert_eq!(accepted(&[], Some(ArrayState::Parked), Some(&controller)), None);
+        assert_eq!(accepted(&[], Some(ArrayState::Following), None), None);
     }
 
     #[test]

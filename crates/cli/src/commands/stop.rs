@@ -181,7 +181,10 @@ pub fn rearm(args: RearmArgs) -> Result<()> {
     let named: Vec<RoomStop> = match (&args.stop, args.all) {
         (Some(StopLabel(name)), _) => {
             let found: Vec<_> = stops.into_iter().filter(|stop| stop.name == *name).collect();
-            ensure!(!found.is_empty(), "the stop {name} is not in force; nothing was sent");
+            if found.is_empty() {
+                let error = anyhow!("the stop {name} is not in force; nothing was sent");
+                return Err(with_held(error, switch.held_by_controller().as_deref()));
+            }
             found
         }
         (None, false) if stops.len() > 1 => {
@@ -193,10 +196,13 @@ pub fn rearm(args: RearmArgs) -> Result<()> {
     order.note_sent();
     let released = switch.rearm_and_confirm(&names, reason, timeout.saturating_sub(begun.elapsed()));
     note_shared(switch);
-    let took = released.map_err(|error| match error {
-        // The search for the stops is a part of the wait.
-        UiError::RearmUnconfirmed { arrays, .. } => UiError::RearmUnconfirmed { waited: *timeout, arrays },
-        error => error,
+    let took = released.map_err(|error| {
+        let error = match error {
+            // The search for the stops is a part of the wait.
+            UiError::RearmUnconfirmed { arrays, .. } => UiError::RearmUnconfirmed { waited: *timeout, arrays },
+            error => error,
+        };
+        with_held(error.into(), switch.held_by_controller().as_deref())
     })?;
     let left = timeout.saturating_sub(begun.elapsed());
     let further = if may_follow(&named) { switch.further_stops(&known, left) } else { Vec::new() };
@@ -207,6 +213,17 @@ pub fn rearm(args: RearmArgs) -> Result<()> {
     }
     written?;
     Ok(closed?)
+}
+
+/// An error of a release, with the stops that a controller holds for arrays that do not report, in the words of its state.
+fn with_held(error: anyhow::Error, held: Option<&str>) -> anyhow::Error {
+    match held {
+        Some(held) => anyhow!(
+            "{error}. Commands are {held}: the controller still holds this, and stops an array that returns; repeat the re-arm \
+             when it reports"
+        ),
+        None => error,
+    }
 }
 
 /// Whether one of these stops stands for others that the array could not list: their holders repeat them.
@@ -358,6 +375,15 @@ mod tests {
         let unlisted = words(true);
         assert!(unlisted.starts_with("the named stop of room lab is released, confirmed after 5.0 ms"), "{unlisted}");
         assert!(unlisted.contains("further stops may hold the arrays: look at `heliostat status`"), "{unlisted}");
+    }
+
+    #[test]
+    fn a_rearm_without_an_array_names_the_stop_that_the_controller_still_holds() {
+        let text = |held| with_held(UiError::NoReceiver("array").into(), held).to_string();
+        let held = text(Some("withheld by the stop of bea"));
+        assert!(held.starts_with("no array received the order: "), "{held}");
+        assert!(held.contains(". Commands are withheld by the stop of bea: the controller still holds this"), "{held}");
+        assert_eq!(text(None), UiError::NoReceiver("array").to_string());
     }
 
     #[test]

@@ -271,7 +271,8 @@ impl OrderArgs {
             let (room, took_ms) = (room.name(), took.as_secs_f64() * 1e3);
             let text = format!("the arrays of room {room} are stopped, confirmed after {took_ms:.1} ms");
             // Before the wait for the records.
-            (print_outcome(&with_stops(text, stops)), find_unrecorded())
+            let text = with_stops(text, "the stop", stops);
+            (print_outcome(&format!("{text}\n{}", release_command(stops))), find_unrecorded())
         };
         // An array that does not record its stop is the more serious failure.
         if unrecorded.is_empty() {
@@ -290,7 +291,7 @@ impl OrderArgs {
             };
             to_json(room, array, took, [released, held]).to_string()
         } else {
-            with_stops(release_in_words(room.name(), took, released, held), released)
+            with_stops(release_in_words(room.name(), took, released, held), "released", released)
         };
         Ok(print_outcome(&text)?)
     }
@@ -334,12 +335,21 @@ fn as_json(RoomStop { name, operator, reason, .. }: &RoomStop) -> serde_json::Va
     })
 }
 
-/// A text, with one line for each stop.
-fn with_stops(text: String, stops: &[RoomStop]) -> String {
+/// The command that releases these stops, for an operator who has just stopped the room.
+fn release_command(stops: &[RoomStop]) -> String {
+    let flag = match stops {
+        [stop] => format!("--stop {}", stop.name),
+        _ => "--stop NAME for one of them, or --all".to_owned(),
+    };
+    format!("to release: heliostat rearm {flag}, with the --room and the connection of this command")
+}
+
+/// A text, with one line for each stop, which begins with what it is.
+fn with_stops(text: String, what: &str, stops: &[RoomStop]) -> String {
     let line = |RoomStop { name, operator, reason, .. }: &RoomStop| {
         let (operator, reason) = (printable(operator), printable(reason));
         let by = if operator.is_empty() { String::new() } else { format!(" of \"{operator}\"") };
-        format!("the stop: {name}{by}: \"{reason}\"")
+        format!("{what}: {name}{by}: \"{reason}\"")
     };
     let lines: Vec<String> = [text].into_iter().chain(stops.iter().map(line)).collect();
     lines.join("\n")
@@ -360,16 +370,34 @@ mod tests {
         assert!(!text(&["array 0 does not answer: cut its power"]).contains("--arrays"));
     }
 
-    #[test]
-    fn a_release_of_a_stop_that_stands_for_others_is_not_called_the_release_of_the_arrays() {
-        let stop = |stands_for_unlisted| RoomStop {
+    /// A stop without sender.
+    fn stop(stands_for_unlisted: bool) -> RoomStop {
+        RoomStop {
             name: StopName::default(),
             operator: String::new(),
             reason: "no record".to_owned(),
             arrays: vec![0],
             known: Duration::ZERO,
             stands_for_unlisted,
-        };
+        }
+    }
+
+    #[test]
+    fn a_stop_names_the_command_that_releases_it_and_a_release_what_it_released() {
+        let stop = stop(false);
+        let one = release_command(std::slice::from_ref(&stop));
+        assert!(one.starts_with("to release: heliostat rearm --stop 0000000000000000/0, "), "{one}");
+        let several = release_command(&[stop.clone(), stop.clone()]);
+        assert!(
+            several.starts_with("to release: heliostat rearm --stop NAME for one of them, or --all, "),
+            "{several}"
+        );
+        let released = with_stops("done".to_owned(), "released", &[stop]);
+        assert_eq!(released, "done\nreleased: 0000000000000000/0: \"no record\"");
+    }
+
+    #[test]
+    fn a_release_of_a_stop_that_stands_for_others_is_not_called_the_release_of_the_arrays() {
         let words = |unlisted| release_in_words("lab", Duration::from_millis(5), &[stop(unlisted)], &[]);
         assert_eq!(words(false), "the arrays of room lab are released, confirmed after 5.0 ms");
         let unlisted = words(true);

@@ -13,7 +13,7 @@ use serde::Serialize;
 
 use crate::controllers::{ControllerFigures, Role};
 use crate::figures::{Figures, NodeFigures, Origin, UserFigures};
-use crate::notes::{UNSEEN_CONTROLLER, UNSEEN_REPORTS, differences_first};
+use crate::notes::{UNSEEN_CONTROLLER, UNSEEN_REPORTS, causes_and_others};
 use crate::terminal::texts::{stops, time, why_without_rates};
 use crate::view::NO_GEOMETRY;
 use crate::{UiError, View};
@@ -74,10 +74,22 @@ impl RoomStatus {
             figures: view.figures(),
             ..Self::default()
         };
-        let unseen = view.received().unseen();
+        let (unseen, missing) = {
+            let received = view.received();
+            (received.unseen(), received.others_missing())
+        };
+        status.add_cause(missing);
         status.problems = unseen.map_or_else(|| status.found(), |unseen| status.of_unseen_room(unseen));
         status.is_healthy = status.problems.is_empty();
         status
+    }
+
+    /// Adds a note from which others follow: this command ends before a view states it.
+    fn add_cause(&mut self, cause: Option<&str>) {
+        let notes = &mut self.figures.notes;
+        if let Some(cause) = cause.filter(|cause| !notes.iter().any(|note| note == cause)) {
+            notes.insert(0, cause.to_owned());
+        }
     }
 
     /// The notes about the room, without those about what this viewer shows.
@@ -144,7 +156,7 @@ impl RoomStatus {
         let found = reports.into_iter().chain(leads.map(String::from)).chain(array_state).chain(faults);
         let of_nodes = nodes.iter().filter_map(of_node);
         // The cause before what follows from it.
-        let (causes, notes) = differences_first(self.notes().cloned());
+        let (causes, notes) = causes_and_others(self.notes().cloned());
         causes
             .into_iter()
             .chain(found)
@@ -253,7 +265,7 @@ fn users_line(users: &[UserFigures]) -> String {
 #[cfg(test)]
 mod tests {
     use crate::figures::ArrayFigures;
-    use crate::notes::room_unseen;
+    use crate::notes::{OTHERS_MISSING, room_unseen};
     use crate::stop_watch::RoomStops;
 
     use super::*;
@@ -339,6 +351,22 @@ mod tests {
             [found.first(), found.last()].map(|found| found.map(String::as_str)),
             [Some(differ), Some("another note")]
         );
+    }
+
+    #[test]
+    fn a_cut_link_is_named_once_before_the_processes_that_are_missing() {
+        let controllers = vec![ControllerFigures { role: Role::StandsBy, ..ControllerFigures::default() }];
+        let array = ArrayFigures { state: "no telemetry".into(), ..ArrayFigures::default() };
+        let figures = Figures { controllers, array, notes: vec!["another note".into()], ..Figures::default() };
+        let mut status = RoomStatus { figures, ..RoomStatus::default() };
+        status.add_cause(None);
+        assert!(status.found()[0].starts_with("no position reports: "), "{:?}", status.found());
+        status.add_cause(Some(OTHERS_MISSING));
+        status.add_cause(Some(OTHERS_MISSING));
+        let found = status.found();
+        assert_eq!(found[0], OTHERS_MISSING);
+        assert_eq!(found.iter().filter(|problem| *problem == OTHERS_MISSING).count(), 1, "{found:?}");
+        assert!(found.contains(&"no controller leads: each stands by".to_owned()), "{found:?}");
     }
 
     #[test]

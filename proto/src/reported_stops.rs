@@ -315,6 +315,12 @@ impl ReportedStops {
         self.arrays.values().any(|seen| seen.first.is_some())
     }
 
+    /// Whether an array that has to confirm a stop does not report, or no array is known.
+    pub fn has_silent_array(&self, now: Duration) -> bool {
+        let is_silent = |array: usize| self.arrays.get(&array).is_none_or(|seen| seen.is_silent(now));
+        self.is_empty() || (0..self.expected()).any(is_silent)
+    }
+
     /// Whether each array that was seen has published its stops, or publishes none.
     pub fn has_published(&self, now: Duration) -> bool {
         self.has_array() && self.arrays.values().all(|seen| seen.stops.is_some() || seen.is_settled(now))

@@ -191,6 +191,9 @@ export function problems(now) {
   lines(at("remark"), now.remarks);
 }
 
+// After the end of the server no problem is a present one; the log of events keeps them.
+export const clearProblems = () => lines(at("problem"), []);
+
 function lines(list, texts) {
   const lines = texts.map(asSentence);
   list.hidden = lines.length === 0;

@@ -8,7 +8,7 @@ import { CHECK_SERVER, Refused, Unanswered, ask, refusalIn } from "./requests.js
 import { Room } from "./room.js";
 import { presentUsers } from "./geometry.js";
 import { banner, endBanner, inCharge, lastSentence, sentence } from "./sentence.js";
-import { chips, counters, problems, sums, users } from "./figures.js";
+import { chips, clearProblems, counters, problems, sums, users } from "./figures.js";
 import { heatGradient } from "./heat.js";
 import { openEvents, showEvents } from "./events.js";
 
@@ -128,6 +128,7 @@ async function start() {
     log: showEvents,
     ended: (text) => {
       state.ended = text;
+      clearProblems();
       show();
     },
     mode: (mode) => {

@@ -106,7 +106,7 @@ export function banner(now, silence, arrayAge, controllerAge) {
   if (silence > STALE_S) {
     return { kind: "bad", text: `No connection to the server of this page for ${seconds(silence)}. Everything below is old. ${check}` };
   }
-  const { phase, since_s, stops, problems, free } = now.stop;
+  const { phase, since_s, stops, held, problems, free } = now.stop;
   const several = now.array.arrays > 1;
   const [who, have, their] = several ? ["The arrays", "have", "their devices have"] : ["The array", "has", "its device has"];
   const lacking = several ? "Not every array has" : "The array has not";
@@ -116,7 +116,7 @@ export function banner(now, silence, arrayAge, controllerAge) {
   switch (phase) {
     case "requested": return { kind: "bad", text: `Stop requested. ${lacking} confirmed it yet.${open}` };
     case "unconfirmed":
-      return { kind: "bad", text: `${lacking} confirmed the stop for ${seconds(since_s)}.${open || " No array reports: cut the power of the mirrors."}${moving}${by} Only the arrays can end this warning.` };
+      return { kind: "bad", text: `${lacking} confirmed the stop for ${seconds(since_s)}.${open || " No array reports: cut the power of the mirrors."}${moving}${by}${held ? "" : " Only the arrays can end this warning."}` };
     case "confirmed":
       if (arrayAge > STALE_S) {
         return { kind: "bad", text: `${who} confirmed the stop, but ${have} not reported for ${seconds(arrayAge)}: ${several ? "their" : "its"} state is unknown.${by}` };

@@ -87,10 +87,15 @@ pub struct ControllerFigures {
 }
 
 impl fmt::Display for ControllerFigures {
-    /// Name, host and role.
+    /// Name, host and role; of a leader also the arrays to which it sends no commands.
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         let on = if self.host.is_empty() { "" } else { " on " };
-        write!(formatter, "{}{on}{} {}", self.name, self.host, self.role.in_words())
+        write!(formatter, "{}{on}{} {}", self.name, self.host, self.role.in_words())?;
+        match (self.role, self.unfit.as_str()) {
+            (Role::Leads, UNFIT_ARRAY) => formatter.write_str(", sends no commands"),
+            (Role::Leads, unfit) if !unfit.is_empty() => write!(formatter, ", sends no commands to {unfit}"),
+            _ => Ok(()),
+        }
     }
 }
 
@@ -139,8 +144,11 @@ impl Known {
     }
 }
 
+/// The only array of a room, where it is unfit.
+const UNFIT_ARRAY: &str = "array";
+
 fn unfit_in_words(keys: &[&str]) -> String {
-    if keys.is_empty() { "array".into() } else { printable(&keys.join(" and ")).into_owned() }
+    if keys.is_empty() { UNFIT_ARRAY.into() } else { printable(&keys.join(" and ")).into_owned() }
 }
 
 /// The controllers of a room, by their source.
@@ -302,6 +310,17 @@ mod tests {
         let shown = [&present[0], &present[1]].map(ToString::to_string);
         assert_eq!(shown, ["0000000000000002 on host-a leads", "0000000000000001 stands by"]);
         assert_eq!(controllers.present(&[(name, 1)].into(), None).len(), 1);
+    }
+
+    #[test]
+    fn a_leader_whose_array_does_not_fit_is_said_to_send_no_commands() {
+        let shown = |role, unfit: &str| {
+            ControllerFigures { name: "a1".into(), role, unfit: unfit.into(), ..ControllerFigures::default() }
+                .to_string()
+        };
+        assert_eq!(shown(Role::Leads, &unfit_in_words(&[])), "a1 leads, sends no commands");
+        assert_eq!(shown(Role::Leads, "mirrors-1"), "a1 leads, sends no commands to mirrors-1");
+        assert_eq!([shown(Role::Leads, ""), shown(Role::StandsBy, "array")], ["a1 leads", "a1 stands by"]);
     }
 
     #[test]

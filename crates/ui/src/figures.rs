@@ -217,7 +217,7 @@ impl View {
     /// The current figures.
     pub fn figures(&self) -> Figures {
         let (room, Findings { notes, remarks }) = (self.shown_room(), self.findings());
-        let is_stopped = !self.stops.room().stops.is_empty();
+        let is_stopped = self.stops.room().is_held();
         let (geometry, model) = (room.id.clone(), &room.model);
         let received = self.received();
         let telemetry = received.arrays.joint(&model.mirrors);

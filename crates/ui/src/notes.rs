@@ -8,6 +8,7 @@ use heliostat_proto::{NodeKind, NodeStatus};
 use heliostat_scenario::ROOM_DIFFERS;
 use heliostat_service::printable::printable;
 
+use crate::controllers::Role;
 use crate::error::CHECK_REACH;
 use crate::view::{Dated, EXPIRY, Received};
 
@@ -26,6 +27,7 @@ impl Received {
             return vec![unseen];
         }
         let mut notes: Vec<String> = self.arrays.shared().into_iter().map(two_drivers).collect();
+        notes.extend(self.others_missing().filter(|_| is_settled).map(String::from));
         if is_settled && self.is_controller_unseen() {
             notes.push(UNSEEN_CONTROLLER.into());
         } else if is_settled && !self.is_controller_alive() && !self.arrays.are_newly_commanded() {
@@ -59,6 +61,18 @@ impl Received {
             return None;
         }
         Some(if messages.iter().any(Option::is_some) { ROOM_GONE.into() } else { room_unseen() })
+    }
+
+    /// What is to be said of a room of which one controller alone is seen, which sees no driver and no position reports
+    /// either.
+    pub(crate) fn others_missing(&self) -> Option<&'static str> {
+        let mut present = self.present_controllers();
+        present.retain(|one| one.role != Role::Silent);
+        let is_alone = matches!(&present[..], [one] if one.role != Role::Calibrates && !one.is_deciding);
+        let is_tracked = self.alive.iter().any(|(node, _)| *node == NodeKind::Tracker.name()) || self.has_users();
+        let status = self.fresh_status(NodeKind::Controller.name());
+        let is_driverless = status.is_some_and(|status| status.counters.iter().any(is_driver_absent));
+        (is_alone && is_driverless && !is_tracked && !self.is_array_present()).then_some(OTHERS_MISSING)
     }
 
     /// What is missing in a room without a controller.
@@ -118,6 +132,8 @@ pub(crate) fn room_unseen() -> String {
 /// The note of a room that was seen before.
 const ROOM_GONE: &str = "no process of this room answers any longer: its driver or simulator has ended, or the connection to it; start it again";
 const ARRAY_GONE: &str = "no array answers any longer, and no controller: start its driver or the simulator again, then heliostat controller";
+/// The note about one controller that sees no other process of its room.
+pub(crate) const OTHERS_MISSING: &str = "no array, no tracker and no other controller is seen beside one controller: the link to their host or a router may be cut, or they have ended";
 const NO_CONTROLLER: &str =
     "no controller commands the mirrors: start one with heliostat controller; in a demo, press restart";
 /// Beginning of the note about position reports that reach the controller, and not this process.
@@ -145,15 +161,15 @@ pub(crate) fn follows_from(notes: &[String], problem: &str) -> bool {
 /// The notes of a room and of its geometry, a difference of geometries before its consequences, and without those
 /// that follow from it.
 fn causes_first(of_room: Vec<String>, of_geometry: Vec<String>) -> Vec<String> {
-    let (mut notes, others) = differences_first(of_geometry);
+    let (mut notes, others) = causes_and_others(of_geometry);
     let of_room: Vec<String> = of_room.into_iter().filter(|note| !follows_from(&notes, note)).collect();
     notes.extend(of_room.into_iter().chain(others));
     notes
 }
 
-/// The notes about geometries that differ, and the others.
-pub(crate) fn differences_first(notes: impl IntoIterator<Item = String>) -> (Vec<String>, Vec<String>) {
-    notes.into_iter().partition(|note| note.starts_with(ROOM_DIFFERS))
+/// The notes from which other problems follow, about geometries that differ and about a cut link, and the others.
+pub(crate) fn causes_and_others(notes: impl IntoIterator<Item = String>) -> (Vec<String>, Vec<String>) {
+    notes.into_iter().partition(|note| note.starts_with(ROOM_DIFFERS) || note == OTHERS_MISSING)
 }
 
 /// Whether a controller reports this problem because of an emergency stop in force.
@@ -206,13 +222,17 @@ pub(crate) fn two_drivers((array, [one, other]): (usize, [u64; 2])) -> String {
     )
 }
 
+/// Whether this counter of a controller shows that commands reach no driver.
+fn is_driver_absent((name, count): &(String, u64)) -> bool {
+    name == "driver_absent" && *count > 0
+}
+
 /// Which commands reach no driver, by the status of a controller of so many arrays.
 fn absent_drivers(status: &NodeStatus, arrays: usize) -> Option<String> {
-    let count = |(name, count): &(String, u64)| (name == "driver_absent").then_some(*count);
-    let absent = status.counters.iter().find_map(count).filter(|count| *count > 0)?;
+    let (_, absent) = status.counters.iter().find(|counter| is_driver_absent(counter))?;
     let name = |(name, _): &(String, u64)| Some(name.strip_prefix("driver_absent:")?.to_owned());
     let names: Vec<String> = status.counters.iter().filter_map(name).collect();
-    if names.is_empty() || absent == arrays as u64 {
+    if names.is_empty() || *absent == arrays as u64 {
         return Some("no driver receives the commands: start a driver or a simulator".into());
     }
     Some(format!("no driver receives the commands to {}: start its driver", printable(&names.join(" and "))))
@@ -304,6 +324,30 @@ mod tests {
         }
         let last = follow(14);
         assert_eq!(last, (true, vec![UNSEEN_CONTROLLER.to_owned()]), "its token has had the time to arrive");
+    }
+
+    #[test]
+    fn where_one_controller_alone_is_seen_and_sees_nothing_a_cut_link_is_named_as_a_cause() {
+        let mut received = Received::default();
+        let take = |received: &mut Received, source, absent| {
+            let status = counting(source, "driver_absent", absent);
+            received.controllers.take(&status);
+            received.statuses.insert(NodeKind::Controller.name().into(), (Instant::now(), status));
+            received.alive.insert((NodeKind::Controller.name(), source));
+        };
+        take(&mut received, 5, 0);
+        assert_eq!(received.others_missing(), None, "the controller sees a driver that this viewer does not");
+        take(&mut received, 5, 1);
+        assert_eq!(received.others_missing(), Some(OTHERS_MISSING));
+        assert_eq!(received.notes(1, ago(60))[0], OTHERS_MISSING, "before what to start");
+        assert_eq!(received.notes(1, ago(0)).iter().filter(|note| *note == OTHERS_MISSING).count(), 0);
+        let (causes, others) = causes_and_others(["another note".to_owned(), OTHERS_MISSING.to_owned()]);
+        assert_eq!((causes, others), (vec![OTHERS_MISSING.to_owned()], vec!["another note".to_owned()]));
+        received.users = Some((Instant::now(), UserReport::default()));
+        assert_eq!(received.others_missing(), None, "position reports arrive");
+        received.users = None;
+        take(&mut received, 6, 1);
+        assert_eq!(received.others_missing(), None, "another controller is seen");
     }
 
     #[test]

@@ -7,13 +7,13 @@ use std::time::Instant;
 
 use heliostat_bus::{Bus, Subscription};
 use heliostat_proto::messages::fault;
-use heliostat_proto::{ArrayState, NodeKind, UserReport, codec};
+use heliostat_proto::{ArrayState, UserReport, codec};
 use heliostat_service::counted::counted;
 use serde::Serialize;
 
 use crate::controllers::{ControllerFigures, Role};
 use crate::figures::{Figures, NodeFigures, Origin, UserFigures};
-use crate::notes::{UNSEEN_CONTROLLER, UNSEEN_REPORTS, differences_first, follows_from_stop};
+use crate::notes::{UNSEEN_CONTROLLER, UNSEEN_REPORTS, causes_and_others};
 use crate::terminal::texts::{stops, time, why_without_rates};
 use crate::view::NO_GEOMETRY;
 use crate::{UiError, View};
@@ -74,10 +74,22 @@ impl RoomStatus {
             figures: view.figures(),
             ..Self::default()
         };
-        let unseen = view.received().unseen();
+        let (unseen, missing) = {
+            let received = view.received();
+            (received.unseen(), received.others_missing())
+        };
+        status.add_cause(missing);
         status.problems = unseen.map_or_else(|| status.found(), |unseen| status.of_unseen_room(unseen));
         status.is_healthy = status.problems.is_empty();
         status
+    }
+
+    /// Adds a note from which others follow: this command ends before a view states it.
+    fn add_cause(&mut self, cause: Option<&str>) {
+        let notes = &mut self.figures.notes;
+        if let Some(cause) = cause.filter(|cause| !notes.iter().any(|note| note == cause)) {
+            notes.insert(0, cause.to_owned());
+        }
     }
 
     /// The notes about the room, without those about what this viewer shows.
@@ -144,7 +156,7 @@ impl RoomStatus {
         let found = reports.into_iter().chain(leads.map(String::from)).chain(array_state).chain(faults);
         let of_nodes = nodes.iter().filter_map(of_node);
         // The cause before what follows from it.
-        let (causes, notes) = differences_first(self.notes().cloned());
+        let (causes, notes) = causes_and_others(self.notes().cloned());
         causes
             .into_iter()
             .chain(found)
@@ -174,26 +186,14 @@ impl RoomStatus {
         self.figures.array.silent.len() < self.figures.array.arrays
     }
 
-    /// The stops that the controller holds, in the words of its state.
-    fn held_stops(&self) -> Option<&str> {
-        let is_holding =
-            |node: &&NodeFigures| node.node == NodeKind::Controller.name() && follows_from_stop(&node.state);
-        self.figures.nodes.iter().find(is_holding).map(|node| node.state.as_str())
-    }
-
     /// The stops. Only the reports of an array show that no stop holds it.
     fn stop_line(&self) -> String {
         let silent = &self.figures.array.silent;
-        let shown = match (self.stops.is_empty(), self.is_array_seen(), silent.is_empty()) {
-            (false, ..) => return self.stops.join("; "),
-            (true, true, true) => return "none".into(),
-            (true, false, _) => "unknown: no array reports".to_owned(),
+        match (self.stops.is_empty(), self.is_array_seen(), silent.is_empty()) {
+            (false, ..) => self.stops.join("; "),
+            (true, true, true) => "none".into(),
+            (true, false, _) => "unknown: no array reports; connect to its process or router too".into(),
             (true, true, false) => format!("none that reports show; unknown of {}", silent.join(" and ")),
-        };
-        match (self.held_stops(), self.is_array_seen()) {
-            (Some(held), _) => format!("{shown}; commands {held}: the controller holds this for arrays that return"),
-            (None, false) => format!("{shown}; connect to its process or router too"),
-            (None, true) => shown,
         }
     }
 }
@@ -265,7 +265,8 @@ fn users_line(users: &[UserFigures]) -> String {
 #[cfg(test)]
 mod tests {
     use crate::figures::ArrayFigures;
-    use crate::notes::room_unseen;
+    use crate::notes::{OTHERS_MISSING, room_unseen};
+    use crate::stop_watch::RoomStops;
 
     use super::*;
 
@@ -350,6 +351,22 @@ mod tests {
             [found.first(), found.last()].map(|found| found.map(String::as_str)),
             [Some(differ), Some("another note")]
         );
+    }
+
+    #[test]
+    fn a_cut_link_is_named_once_before_the_processes_that_are_missing() {
+        let controllers = vec![ControllerFigures { role: Role::StandsBy, ..ControllerFigures::default() }];
+        let array = ArrayFigures { state: "no telemetry".into(), ..ArrayFigures::default() };
+        let figures = Figures { controllers, array, notes: vec!["another note".into()], ..Figures::default() };
+        let mut status = RoomStatus { figures, ..RoomStatus::default() };
+        status.add_cause(None);
+        assert!(status.found()[0].starts_with("no position reports: "), "{:?}", status.found());
+        status.add_cause(Some(OTHERS_MISSING));
+        status.add_cause(Some(OTHERS_MISSING));
+        let found = status.found();
+        assert_eq!(found[0], OTHERS_MISSING);
+        assert_eq!(found.iter().filter(|problem| *problem == OTHERS_MISSING).count(), 1, "{found:?}");
+        assert!(found.contains(&"no controller leads: each stands by".to_owned()), "{found:?}");
     }
 
     #[test]
@@ -494,20 +511,19 @@ mod tests {
     }
 
     #[test]
-    fn a_stop_that_the_controller_holds_for_an_array_that_does_not_report_is_shown() {
+    fn a_stop_that_a_controller_alone_holds_is_in_the_text_the_json_and_the_problems() {
         let held = "withheld by the stop of anna (\"ladder\") since 12:00:00 UTC";
-        let line = |state: &str, silent: &[&str]| {
-            let silent = silent.iter().map(|name| (*name).to_owned()).collect();
-            let array = ArrayFigures { arrays: 2, silent, ..ArrayFigures::default() };
-            let node = NodeFigures { node: "controller".into(), state: state.into(), ..NodeFigures::default() };
-            let figures = Figures { array, nodes: vec![node], ..Figures::default() };
-            RoomStatus { figures, ..RoomStatus::default() }.stop_line()
-        };
-        let expected = format!("; commands {held}: the controller holds this for arrays that return");
-        assert_eq!(line(held, &["mirrors", "array 1"]), format!("unknown: no array reports{expected}"));
-        let one = "none that reports show; unknown of array 1";
-        assert_eq!(line(held, &["array 1"]), format!("{one}{expected}"));
-        assert_eq!(line(held, &[]), "none", "its last status is from before the release");
-        assert_eq!(line("running", &["array 1"]), one);
+        let stops = stops(&RoomStops { held: Some(held.to_owned()), ..RoomStops::default() });
+        assert_eq!(stops.len(), 1);
+        let node = NodeFigures { node: "controller".into(), problem: held.into(), ..NodeFigures::default() };
+        let array = ArrayFigures { arrays: 1, silent: vec!["mirrors".into()], ..ArrayFigures::default() };
+        let figures = Figures { array, nodes: vec![node], ..Figures::default() };
+        let status = RoomStatus { stops: stops.clone(), figures, ..RoomStatus::default() };
+        let line = format!("\nstops        no array here reports a stop, and commands are {held}: ");
+        assert!(status.to_string().contains(&line), "{status}");
+        let json = serde_json::to_value(&status).expect("numbers, texts and lists");
+        assert!(json["stops"][0].as_str().is_some_and(|stop| stop.contains(held)), "{json}");
+        let found = status.found();
+        assert_eq!(found.iter().filter(|problem| problem.contains(held)).collect::<Vec<_>>(), [&stops[0]]);
     }
 }

@@ -75,6 +75,8 @@ pub struct StopFigures {
     pub report_age_s: Option<f64>,
     /// All stops, in the order in which they became known.
     pub stops: Vec<StopFigure>,
+    /// The stops that a controller alone holds, for arrays that do not report, in the words of its state.
+    pub held: Option<String>,
     /// What is open, array by array, and which stops are not recorded.
     pub problems: Vec<String>,
     /// Indices of the arrays that no stop holds while one holds another array.
@@ -90,6 +92,8 @@ pub(crate) struct StopState {
     open: Option<Instant>,
     /// The stops that were held at the last confirmation.
     confirmed: Vec<StopName>,
+    /// Whether a controller alone holds the stop: no array confirms its end.
+    is_unreported: bool,
 }
 
 impl StopState {
@@ -97,7 +101,9 @@ impl StopState {
     pub fn update(&mut self, room: &RoomStops) -> StopFigures {
         let now = Instant::now();
         let since = |at: Instant| now.saturating_duration_since(at);
-        let is_held = !room.stops.is_empty() || room.ordered.is_some();
+        let is_held = room.is_held() || room.ordered.is_some();
+        let is_unreported = room.held.is_some() && room.ordered.is_none();
+        let was_unreported = std::mem::replace(&mut self.is_unreported, is_unreported);
         let is_confirmed = is_held && room.is_confirmed();
         self.open = if is_held && !is_confirmed { self.open.or(Some(now)) } else { None };
         match (is_held, is_confirmed) {
@@ -117,6 +123,7 @@ impl StopState {
                 let is_new = !was_confirmed && since(begun) < CONFIRM_LIMIT;
                 Some(if is_new { StopPhase::Requested } else { StopPhase::Unconfirmed })
             }
+            (false, _) if was_unreported => None,
             (false, _) => match self.phase {
                 Some((StopPhase::Released, at)) if since(at) >= RELEASED_SHOWN => None,
                 Some(_) => Some(StopPhase::Released),
@@ -134,6 +141,7 @@ impl StopState {
             since_s: since(begun).as_secs_f64(),
             report_age_s: room.report_age.filter(|_| is_confirmed).map(|age| age.as_secs_f64()),
             stops: StopFigure::of(room),
+            held: room.held.clone(),
             problems: room.problems(),
             free: room.free(),
         }
@@ -156,6 +164,7 @@ mod tests {
         RoomStops {
             now,
             stops: vec![RoomStop { name, operator, reason, arrays, known, stands_for_unlisted: false }],
+            held: None,
             standings: vec![(0, Standing::Stopped), (1, second)],
             unrecorded: Vec::new(),
             report_age: Some(Duration::from_millis(10)),
@@ -221,6 +230,18 @@ mod tests {
         let both = problems(&[7, 9], "no link");
         let expected = "the ones of sources 0000000000000007, 0000000000000009 have not confirmed the stop (no link): cut their power";
         assert!(both.ends_with(expected), "{both}");
+    }
+
+    #[test]
+    fn a_stop_that_a_controller_alone_holds_is_open_and_its_end_is_no_release() {
+        let held = "withheld by the stop of ann";
+        let room = RoomStops { held: Some(held.to_owned()), ..RoomStops::default() };
+        let mut state = StopState { open: Some(ago(1200)), ..StopState::default() };
+        let figures = state.update(&room);
+        assert_eq!((figures.phase, figures.held.as_deref()), (StopPhase::Unconfirmed, Some(held)));
+        assert!(figures.stops.is_empty() && figures.problems[0].contains(held), "{figures:?}");
+        assert_eq!(state.update(&RoomStops::default()).phase, StopPhase::None, "no array has confirmed a release");
+        assert_eq!(state.update(&RoomStops::default()).phase, StopPhase::None);
     }
 
     #[test]

@@ -150,6 +150,12 @@ impl StopSwitch {
         self.seen.lock().stops()
     }
 
+    /// The stops that a controller holds for arrays that do not report, in the words of its state; `None` where an array
+    /// reports a stop, and where each array reports that it has none.
+    pub fn held_by_controller(&self) -> Option<String> {
+        self.seen.room().held
+    }
+
     /// The stops that are held or in force beside the known ones. Waits for a first one, for `limit` at most, and no
     /// longer than its holder takes to repeat it.
     pub fn further_stops(&self, known: &[StopName], limit: Duration) -> Vec<RoomStop> {

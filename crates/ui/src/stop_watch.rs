@@ -10,13 +10,16 @@ use heliostat_bus::{Bus, Presence, Subscription};
 use heliostat_proto::keys::parse_array_alive;
 use heliostat_proto::reported_stops::{Driver, ReportedStops, RoomStop, Standing};
 use heliostat_proto::{
-    EmergencyStop, Message, MirrorTelemetry, RoomGeometry, SafetyReport, StopName, StopReport, codec,
+    EmergencyStop, Message, MirrorTelemetry, NodeKind, NodeStatus, RoomGeometry, SafetyReport, StopName, StopReport,
+    codec,
 };
 use heliostat_scenario::Scenario;
 use heliostat_service::printable::printable;
 
 use crate::UiError;
 use crate::array_reports::ArrayReports;
+use crate::expiry::EXPIRY;
+use crate::notes::follows_from_stop;
 
 /// Time within which two drivers of one array have reported it in turn, each at least twice a second.
 const REPORTED_WITHIN: Duration = Duration::from_millis(1500);
@@ -79,6 +82,14 @@ pub fn still_stopped(held: &[RoomStop]) -> Option<String> {
     (!held.is_empty()).then(|| format!("the mirrors stay stopped by {}", held.join("; ")))
 }
 
+/// What an operator has to know of stops that a controller holds and no array reports, by the words of its state.
+fn held_in_words(held: &str) -> String {
+    format!(
+        "no array here reports a stop, and commands are {held}: the controller stops arrays that return; cut the power of \
+         those that do not report"
+    )
+}
+
 /// What is open of a release of stops, array by array.
 pub(crate) fn unreleased(seen: &ReportedStops, names: &[StopName], now: Duration) -> Vec<String> {
     let unnamed = seen.unnamed(now);
@@ -101,6 +112,9 @@ pub(crate) struct RoomStops {
     pub now: Duration,
     /// The stops that are held.
     pub stops: Vec<RoomStop>,
+    /// The stops that a controller holds for arrays that do not report, in the words of its state; absent where an
+    /// array reports a stop, and where each array reports that it has none.
+    pub held: Option<String>,
     /// What each array does about them.
     pub standings: Vec<(usize, Standing)>,
     /// The arrays that have stopped and do not record the stop, in words.
@@ -114,6 +128,11 @@ pub(crate) struct RoomStops {
 }
 
 impl RoomStops {
+    /// Whether a stop is known here.
+    pub fn is_held(&self) -> bool {
+        !self.stops.is_empty() || self.held.is_some()
+    }
+
     /// Whether every array for which a stop is held has stopped.
     pub fn is_confirmed(&self) -> bool {
         let is_open = self.standings.iter().any(|(_, standing)| standing.is_open());
@@ -130,7 +149,8 @@ impl RoomStops {
     pub fn problems(&self) -> Vec<String> {
         let unknown = (!self.has_geometry && !self.stops.is_empty()).then(|| UNKNOWN_ARRAYS.to_owned());
         let open = self.standings.iter().filter_map(|(array, standing)| problem(*array, standing));
-        open.chain(unknown).chain(self.unrecorded.iter().cloned()).collect()
+        let held = self.held.as_deref().map(held_in_words);
+        open.chain(unknown).chain(held).chain(self.unrecorded.iter().cloned()).collect()
     }
 }
 
@@ -149,6 +169,8 @@ struct WatchState {
     seen: Mutex<ReportedStops>,
     changed: Condvar,
     arrays: Mutex<ArrayReports>,
+    /// The states of the controllers that hold stops, by their sources, with the arrival times.
+    holders: Mutex<BTreeMap<u64, (Instant, String)>>,
     /// The sessions in which the token of each driver is seen.
     tokens: Mutex<BTreeMap<Driver, BTreeSet<usize>>>,
 }
@@ -171,6 +193,7 @@ impl StopWatch {
             seen: Mutex::default(),
             changed: Condvar::new(),
             arrays: Mutex::default(),
+            holders: Mutex::default(),
             tokens: Mutex::default(),
         });
         Arc::new(Self { state, subscriptions: Mutex::default() })
@@ -219,6 +242,12 @@ impl StopWatch {
                 }
             },
         )?);
+        let holding = Arc::clone(state);
+        subscriptions.push(bus.subscribe_keyed(&room.all_status(), move |_, payload| {
+            if let Ok(status) = codec::decode::<NodeStatus>(payload) {
+                holding.note_holder(&status);
+            }
+        })?);
         let present = Arc::clone(state);
         subscriptions.push(bus.watch(&room.all_alive(), move |key, presence| {
             if let Some(driver) = parse_array_alive(key) {
@@ -249,9 +278,11 @@ impl StopWatch {
         let (seen, now) = (self.lock(), self.now());
         let stops = seen.stops();
         let standings = if stops.is_empty() { Vec::new() } else { seen.standings(now, None) };
+        let is_hidden = stops.is_empty() && seen.has_silent_array(now);
+        let held = if is_hidden { self.state.held() } else { None };
         let report_age = seen.oldest_report().map(|at| now.saturating_sub(at));
         let (unrecorded, has_geometry) = (unrecorded(seen.unrecorded(now)), seen.has_geometry());
-        RoomStops { now, stops, standings, unrecorded, report_age, ordered: None, has_geometry }
+        RoomStops { now, stops, held, standings, unrecorded, report_age, ordered: None, has_geometry }
     }
 
     /// The arrays that two processes report, with the sources of both. A token alone only keeps a stop unconfirmed: it
@@ -307,6 +338,29 @@ impl WatchState {
         self.arrays.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    fn holders(&self) -> MutexGuard<'_, BTreeMap<u64, (Instant, String)>> {
+        self.holders.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Keeps the state of a controller while it holds stops.
+    fn note_holder(&self, status: &NodeStatus) {
+        if status.node != NodeKind::Controller {
+            return;
+        }
+        let mut holders = self.holders();
+        holders.remove(&status.stamp.source);
+        holders.retain(|_, (at, _)| at.elapsed() < EXPIRY);
+        if follows_from_stop(&status.state) {
+            holders.insert(status.stamp.source, (Instant::now(), printable(&status.state).into_owned()));
+        }
+    }
+
+    /// The stops that a controller holds, in the words of its state, unless it is old.
+    fn held(&self) -> Option<String> {
+        let holders = self.holders();
+        holders.values().find(|(at, _)| at.elapsed() < EXPIRY).map(|(_, state)| state.clone())
+    }
+
     /// A driver is there as long as one session sees its token.
     fn note_token(&self, session: usize, driver: Driver, is_alive: bool) {
         let mut tokens = self.tokens.lock().unwrap_or_else(PoisonError::into_inner);
@@ -334,7 +388,38 @@ impl WatchState {
 
 #[cfg(test)]
 mod tests {
+    use heliostat_proto::Stamp;
+
     use super::*;
+
+    #[test]
+    fn a_stop_that_a_controller_holds_is_shown_only_while_an_array_does_not_report_and_none_reports_a_stop() {
+        let watch = StopWatch::without_session();
+        let state =
+            |state: &str| NodeStatus { node: NodeKind::Controller, state: state.into(), ..NodeStatus::default() };
+        let held = "withheld by the stop of anna (\"ladder\") since 12:00:00 UTC";
+        watch.state.note_holder(&state(held));
+        let room = watch.room();
+        assert!(room.is_held() && room.stops.is_empty() && !room.is_confirmed(), "{room:?}");
+        assert!(room.problems()[0].starts_with(&format!("no array here reports a stop, and commands are {held}: ")));
+        let report =
+            |array| watch.state.note(|seen, now| seen.handle_telemetry(now, array, &MirrorTelemetry::default()));
+        watch.expect(2);
+        report(0);
+        assert_eq!(watch.room().held.as_deref(), Some(held), "array 1 does not report");
+        report(1);
+        assert!(!watch.room().is_held(), "the status is from before the release");
+        watch.expect(3);
+        assert_eq!(watch.room().held.as_deref(), Some(held));
+        watch.state.note_holder(&NodeStatus { node: NodeKind::Driver, ..state("running") });
+        assert!(watch.room().is_held(), "the status of another process");
+        watch.state.note_holder(&state("running"));
+        assert!(!watch.room().is_held(), "the controller holds it no longer");
+        watch.state.note_holder(&state(held));
+        let stamp = Stamp { source: 3, sequence: 4, ..Stamp::default() };
+        watch.order(&EmergencyStop { stamp, ..EmergencyStop::default() });
+        assert!(watch.room().held.is_none() && watch.room().is_held(), "it is one of the stops");
+    }
 
     #[test]
     fn a_control_character_of_a_reason_is_escaped_once() {

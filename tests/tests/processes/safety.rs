@@ -222,7 +222,7 @@ fn an_array_whose_last_state_is_unknown_starts_stopped_and_the_command_line_rele
     let listener = private_endpoint().expect("an endpoint");
     let mut driver = room.start_with(&["--connect", &listener]);
     let ended = Process::heliostat(&["rearm", "--room", "unknown", "--timeout", "60", "--listen", &listener]).wait();
-    assert!(ended.output.contains("the stop: 0000000000000000/0"), "{} {}", ended.output, ended.errors);
+    assert!(ended.output.contains("released: 0000000000000000/0"), "{} {}", ended.output, ended.errors);
     room.follow();
     room.wait_for_record(false);
     driver.kill();
@@ -375,7 +375,7 @@ fn a_simulated_room_keeps_its_stop_where_a_folder_is_given_and_starts_parked_oth
     let (_room, observer, endpoint) = start(&["--state", &state, "--start-armed"]);
     assert_eq!(state_of(&observer), ArrayState::Stopped);
     let ended = Process::heliostat(&["rearm", "--room", "sim", "--connect", &endpoint]).wait();
-    assert!(ended.output.contains("the stop: 0000000000000003/4 of \"bob\""), "{} {}", ended.output, ended.errors);
+    assert!(ended.output.contains("released: 0000000000000003/4 of \"bob\""), "{} {}", ended.output, ended.errors);
     wait_until("a parked room", || state_of(&observer) == ArrayState::Parked);
     drop(_room);
     let (_room, observer, _) = start(&[]);

@@ -181,7 +181,10 @@ pub fn rearm(args: RearmArgs) -> Result<()> {
     let named: Vec<RoomStop> = match (&args.stop, args.all) {
         (Some(StopLabel(name)), _) => {
             let found: Vec<_> = stops.into_iter().filter(|stop| stop.name == *name).collect();
-            ensure!(!found.is_empty(), "the stop {name} is not in force; nothing was sent");
+            if found.is_empty() {
+                let error = anyhow!("the stop {name} is not in force; nothing was sent");
+                return Err(with_held(error, switch.held_by_controller().as_deref()));
+            }
             found
         }
         (None, false) if stops.len() > 1 => {
@@ -193,10 +196,13 @@ pub fn rearm(args: RearmArgs) -> Result<()> {
     order.note_sent();
     let released = switch.rearm_and_confirm(&names, reason, timeout.saturating_sub(begun.elapsed()));
     note_shared(switch);
-    let took = released.map_err(|error| match error {
-        // The search for the stops is a part of the wait.
-        UiError::RearmUnconfirmed { arrays, .. } => UiError::RearmUnconfirmed { waited: *timeout, arrays },
-        error => error,
+    let took = released.map_err(|error| {
+        let error = match error {
+            // The search for the stops is a part of the wait.
+            UiError::RearmUnconfirmed { arrays, .. } => UiError::RearmUnconfirmed { waited: *timeout, arrays },
+            error => error,
+        };
+        with_held(error.into(), switch.held_by_controller().as_deref())
     })?;
     let left = timeout.saturating_sub(begun.elapsed());
     let further = if may_follow(&named) { switch.further_stops(&known, left) } else { Vec::new() };
@@ -207,6 +213,17 @@ pub fn rearm(args: RearmArgs) -> Result<()> {
     }
     written?;
     Ok(closed?)
+}
+
+/// An error of a release, with the stops that a controller holds for arrays that do not report, in the words of its state.
+fn with_held(error: anyhow::Error, held: Option<&str>) -> anyhow::Error {
+    match held {
+        Some(held) => anyhow!(
+            "{error}. Commands are {held}: the controller still holds this, and stops an array that returns; repeat the re-arm \
+             when it reports"
+        ),
+        None => error,
+    }
 }
 
 /// Whether one of these stops stands for others that the array could not list: their holders repeat them.
@@ -254,7 +271,8 @@ impl OrderArgs {
             let (room, took_ms) = (room.name(), took.as_secs_f64() * 1e3);
             let text = format!("the arrays of room {room} are stopped, confirmed after {took_ms:.1} ms");
             // Before the wait for the records.
-            (print_outcome(&with_stops(text, stops)), find_unrecorded())
+            let text = with_stops(text, "the stop", stops);
+            (print_outcome(&format!("{text}\n{}", release_command(stops))), find_unrecorded())
         };
         // An array that does not record its stop is the more serious failure.
         if unrecorded.is_empty() {
@@ -273,7 +291,7 @@ impl OrderArgs {
             };
             to_json(room, array, took, [released, held]).to_string()
         } else {
-            with_stops(release_in_words(room.name(), took, released, held), released)
+            with_stops(release_in_words(room.name(), took, released, held), "released", released)
         };
         Ok(print_outcome(&text)?)
     }
@@ -317,12 +335,21 @@ fn as_json(RoomStop { name, operator, reason, .. }: &RoomStop) -> serde_json::Va
     })
 }
 
-/// A text, with one line for each stop.
-fn with_stops(text: String, stops: &[RoomStop]) -> String {
+/// The command that releases these stops, for an operator who has just stopped the room.
+fn release_command(stops: &[RoomStop]) -> String {
+    let flag = match stops {
+        [stop] => format!("--stop {}", stop.name),
+        _ => "--stop NAME for one of them, or --all".to_owned(),
+    };
+    format!("to release: heliostat rearm {flag}, with the --room and the connection of this command")
+}
+
+/// A text, with one line for each stop, which begins with what it is.
+fn with_stops(text: String, what: &str, stops: &[RoomStop]) -> String {
     let line = |RoomStop { name, operator, reason, .. }: &RoomStop| {
         let (operator, reason) = (printable(operator), printable(reason));
         let by = if operator.is_empty() { String::new() } else { format!(" of \"{operator}\"") };
-        format!("the stop: {name}{by}: \"{reason}\"")
+        format!("{what}: {name}{by}: \"{reason}\"")
     };
     let lines: Vec<String> = [text].into_iter().chain(stops.iter().map(line)).collect();
     lines.join("\n")
@@ -343,21 +370,48 @@ mod tests {
         assert!(!text(&["array 0 does not answer: cut its power"]).contains("--arrays"));
     }
 
-    #[test]
-    fn a_release_of_a_stop_that_stands_for_others_is_not_called_the_release_of_the_arrays() {
-        let stop = |stands_for_unlisted| RoomStop {
+    /// A stop without sender.
+    fn stop(stands_for_unlisted: bool) -> RoomStop {
+        RoomStop {
             name: StopName::default(),
             operator: String::new(),
             reason: "no record".to_owned(),
             arrays: vec![0],
             known: Duration::ZERO,
             stands_for_unlisted,
-        };
+        }
+    }
+
+    #[test]
+    fn a_stop_names_the_command_that_releases_it_and_a_release_what_it_released() {
+        let stop = stop(false);
+        let one = release_command(std::slice::from_ref(&stop));
+        assert!(one.starts_with("to release: heliostat rearm --stop 0000000000000000/0, "), "{one}");
+        let several = release_command(&[stop.clone(), stop.clone()]);
+        assert!(
+            several.starts_with("to release: heliostat rearm --stop NAME for one of them, or --all, "),
+            "{several}"
+        );
+        let released = with_stops("done".to_owned(), "released", &[stop]);
+        assert_eq!(released, "done\nreleased: 0000000000000000/0: \"no record\"");
+    }
+
+    #[test]
+    fn a_release_of_a_stop_that_stands_for_others_is_not_called_the_release_of_the_arrays() {
         let words = |unlisted| release_in_words("lab", Duration::from_millis(5), &[stop(unlisted)], &[]);
         assert_eq!(words(false), "the arrays of room lab are released, confirmed after 5.0 ms");
         let unlisted = words(true);
         assert!(unlisted.starts_with("the named stop of room lab is released, confirmed after 5.0 ms"), "{unlisted}");
         assert!(unlisted.contains("further stops may hold the arrays: look at `heliostat status`"), "{unlisted}");
+    }
+
+    #[test]
+    fn a_rearm_without_an_array_names_the_stop_that_the_controller_still_holds() {
+        let text = |held| with_held(UiError::NoReceiver("array").into(), held).to_string();
+        let held = text(Some("withheld by the stop of bea"));
+        assert!(held.starts_with("no array received the order: "), "{held}");
+        assert!(held.contains(". Commands are withheld by the stop of bea: the controller still holds this"), "{held}");
+        assert_eq!(text(None), UiError::NoReceiver("array").to_string());
     }
 
     #[test]

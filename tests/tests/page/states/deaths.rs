@@ -77,6 +77,7 @@ fn a_server_that_ends_in_order_says_so_on_its_open_pages() {
     wait_until("no green state", || green(&browser).is_empty());
     assert!(banner(&browser).starts_with(expected), "a lost connection is no news");
     assert_eq!(browser.text("#sentence"), "The figures are the last ones before the end.");
+    assert!(browser.text("#problem").is_empty(), "no problem is a present one");
     setting.restart_server();
     wait_until("a page of the new server", || is_live(&browser) && banner(&browser).is_empty());
 }

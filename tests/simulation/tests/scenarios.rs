@@ -180,3 +180,23 @@ fn a_standby_whose_link_returns_leaves_the_lead_to_a_leader_that_lost_nothing() 
         }
     }
 }
+
+/// Telemetry that showed the answer came before the report to the only other controller, and the next one was sampled
+/// before the next answer: a report seemed unanswered, and the controller took the room from the calibration.
+#[test]
+fn a_calibration_that_answers_before_the_report_arrives_elsewhere_keeps_the_lead() {
+    let faults = [at(3607, 2953, Fault::Calibrate { array: 0 })];
+    holds(1_795_840_214_469_041, |_| {}, &faults);
+}
+
+/// The token of the tracker ended between its last report and the decision of a slow policy.
+#[test]
+fn a_decision_after_the_end_of_its_tracker_is_replayed_from_a_state() {
+    let faults = [
+        at(1597, 21, Fault::ReceiversSilent),
+        at(1662, 1994, Fault::SlowPolicy { controller: 0, ms: 30 }),
+        at(3311, 255, Fault::Crash { host: Role::Tracker, disk: DiskAfterCrash::Kept }),
+    ];
+    let room = |setup: &mut Setup| setup.reports = OptionalReports { leds: true, ..OptionalReports::default() };
+    holds(1_795_840_211_457_411, room, &faults);
+}

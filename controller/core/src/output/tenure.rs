@@ -39,8 +39,8 @@
 //! - **A standby that lost its link**, see `LOST_NS`, has lost tokens and telemetry with it.
 //!   The end of the leader's token counts again once a report is judged, and missing telemetry after a further 1 s.
 //! - **Guest**: a controller that leads within 1 s of its token, as a calibration does, from a leader that answers
-//!   and stays in the room. When its token ends, a standby resumes: this is no takeover, and former contested ones
-//!   do not delay it. A controller that left while another one led, and is back, is no guest.
+//!   and stays in the room. While it has its token, a standby needs one further unanswered
+//!   report. When its token ends, a standby resumes: this is no takeover, and former contested ones do not delay it. A controller that left while another one led, and is back, is no guest.
 //! - **Contested takeover**: the former leader was not gone if the array then refuses commands of a lower epoch, or
 //!   accepted one after the telemetry that decided. Each such takeover in sequence adds the number of standbys to
 //!   the reports that must be unanswered, up to [`BACK_OFF_MAX`], until [`FORGIVEN_NS`] after the last one. A command
@@ -336,7 +336,12 @@ impl Tenure {
         }
         let (_, shown) = self.seen?;
         let (rank, is_returned) = (self.rank(), self.guest.leads && self.watch.has_left);
-        let back_off = if is_returned { 0 } else { self.contest.back_off(now, self.standbys()) };
+        let back_off = match self.guest.leads {
+            true if is_returned => 0,
+            // The first report of a guest may have been answered before it came here.
+            true => self.contest.back_off(now, self.standbys()).saturating_add(1),
+            false => self.contest.back_off(now, self.standbys()),
+        };
         let is_paused = shown.stopped || since_last_ns > gap_ns;
         let watch = &mut self.watch;
         let is_answered = watch.judge(now, (self.shown_ns, shown), interval_ns, is_paused)?;

@@ -142,6 +142,8 @@ impl Shadow {
             self.handle(recorded, &handled.input);
             return Ok(());
         }
+        // What was handled before the decision, at the same time, and no state lists.
+        self.announce(&handled.input);
         if recorded.command {
             self.controller.repeat_withheld(recorded.sequence);
         }

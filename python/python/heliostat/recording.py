@@ -119,7 +119,7 @@ class Recording:
 
         `of` is `reports`, `channels`, `commands`, `telemetry`, `truth` or `decisions`. A column of vectors becomes one
         column for each component: `position_x_m`, `position_y_m`, `position_z_m`, or `roll_0`, `roll_1`, ... Times in ns
-        stay int64: `pandas.to_datetime(frame["time_ns"])` reads them. Needs the library.
+        stay int64: `pandas.to_datetime(frame["time_ns"])` reads them. Needs the library, which the extra `frames` installs.
         """
         if of not in get_args(Table):
             raise ValueError(f"table {of!r}: expected {', '.join(get_args(Table))}")

@@ -89,6 +89,12 @@ pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
         add(false, "the filter", because, "headings, tilts and obstacles are not inferred; set it to \"filter\"");
         return found;
     }
+    add(
+        scenario.blockage.forced_users == 0,
+        "the cause of a blocked path",
+        format!("blockage.forced_users = {}", scenario.blockage.forced_users),
+        "no body or obstacle blocks a forced path, so the gains show headings and obstacles that do not exist, above all with several LEDs; block paths by blockage.bodies and blockage.obstacles_per_m2",
+    );
     let is_reported = streams.orientation.is_some();
     let is_single_open = tilt::is_single_open_detector(model);
     add(
@@ -217,6 +223,7 @@ mod tests {
         assert!(of(&[]).is_empty(), "{:?}", of(&[]));
         for (change, key) in [
             ("blockage.bodies=false", "blockage.bodies = false"),
+            ("blockage.forced_users=2", "blockage.forced_users = 2"),
             ("receiver.preset=angle-diversity", "7 branches"),
             ("receiver.fov_deg=60", "a field of view of 60 degrees"),
             ("streams.channel.noise_relative=0.2", "streams.channel.noise_relative = 0.2"),

@@ -40,7 +40,8 @@
 //!   The end of the leader's token counts again once a report is judged, and missing telemetry after a further 1 s.
 //! - **Guest**: a controller that leads within 1 s of its token, as a calibration does, from a leader that answers
 //!   and stays in the room. While it has its token, a standby needs one further unanswered
-//!   report. When its token ends, a standby resumes: this is no takeover, and former contested ones do not delay it. A controller that left while another one led, and is back, is no guest.
+//!   report. When its token ends, a standby resumes: this is no takeover, and former contested ones do not delay it.
+//!   A controller that left while another one led, and is back, is no guest.
 //! - **Contested takeover**: the former leader was not gone if the array then refuses commands of a lower epoch, or
 //!   accepted one after the telemetry that decided. Each such takeover in sequence adds the number of standbys to
 //!   the reports that must be unanswered, up to [`BACK_OFF_MAX`], until [`FORGIVEN_NS`] after the last one. A command

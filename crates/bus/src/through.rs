@@ -30,24 +30,29 @@ pub fn join_all_through(config: &BusConfig, limit: Duration) -> (Vec<Bus>, Vec<S
     for (index, bus) in opened.into_iter().flatten() {
         match bus {
             Some(bus) => {
-                let alive = bus.alive(&bus.room().all_alive(), ALIVE_WITHIN).unwrap_or_default();
-                sessions.push((index, bus, alive.into_iter().collect::<BTreeSet<String>>()));
+                let alive = reached(&bus);
+                sessions.push((index, bus, alive));
             }
             None => unanswered.push(index),
         }
     }
     // Of those that reach as many, the first one.
     sessions.sort_by_key(|(index, _, alive)| (Reverse(alive.len()), *index));
-    let mut reached = BTreeSet::new();
+    let mut known = BTreeSet::new();
     let mut is_first = true;
     sessions.retain(|(_, _, alive)| {
-        let is_kept = is_first || !alive.is_subset(&reached);
-        (is_first, _) = (false, reached.extend(alive.iter().cloned()));
+        let is_kept = is_first || !alive.is_subset(&known);
+        (is_first, _) = (false, known.extend(alive.iter().cloned()));
         is_kept
     });
     unanswered.sort_unstable();
     let unanswered = unanswered.into_iter().map(|index| config.connect[index].clone()).collect();
     (sessions.into_iter().map(|(_, bus, _)| bus).collect(), unanswered)
+}
+
+/// The tokens of the processes that a session reaches. Those that it watches have come before.
+pub fn reached(bus: &Bus) -> BTreeSet<String> {
+    bus.alive(&bus.room().all_alive(), ALIVE_WITHIN).unwrap_or_default().into_iter().collect()
 }
 
 /// Opens a client of each process in `connect`, all at the same time. Each comes with the index of its endpoint as soon

@@ -5,7 +5,7 @@
 //! certificate. No data is exchanged.
 
 use std::io::{ErrorKind, Read};
-use std::net::{TcpStream, ToSocketAddrs};
+use std::net::{SocketAddr, TcpStream, ToSocketAddrs};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
@@ -28,10 +28,7 @@ pub(crate) fn accepts(endpoint: &str) -> bool {
     let Ok(parsed) = endpoint.parse::<EndPoint>() else { return false };
     let address = parsed.address().as_str().to_owned();
     match parsed.protocol().as_str() {
-        "tcp" | "tls" => {
-            let found = address.to_socket_addrs().ok().and_then(|mut found| found.next());
-            found.is_some_and(|at| TcpStream::connect_timeout(&at, STEP_LIMIT).is_ok())
-        }
+        "tcp" | "tls" => connect(&address).is_some(),
         "unixsock-stream" => platform::accepts_at_socket(&address),
         _ => true,
     }
@@ -79,12 +76,15 @@ fn encrypts(endpoint: &str) -> Option<bool> {
     Some(seen.certificate.get().is_some())
 }
 
-/// A connection whose steps have a bound.
+/// A connection to the first address of a name that accepts one. Its steps have a bound.
 fn connect(address: &str) -> Option<TcpStream> {
-    let at = address.to_socket_addrs().ok()?.next()?;
-    let stream = TcpStream::connect_timeout(&at, STEP_LIMIT).ok()?;
+    let stream = first_that_accepts(address.to_socket_addrs().ok()?)?;
     stream.set_read_timeout(Some(STEP_LIMIT)).and_then(|()| stream.set_write_timeout(Some(STEP_LIMIT))).ok()?;
     Some(stream)
+}
+
+fn first_that_accepts(mut addresses: impl Iterator<Item = SocketAddr>) -> Option<TcpStream> {
+    addresses.find_map(|at| TcpStream::connect_timeout(&at, STEP_LIMIT).ok())
 }
 
 /// The fault of a connection to an endpoint; `None` if there is none, or no process answers there.
@@ -230,6 +230,8 @@ impl ServerCertVerifier for Seen {
 
 #[cfg(test)]
 mod tests {
+    use std::net::TcpListener;
+
     use super::*;
 
     #[test]
@@ -238,5 +240,15 @@ mod tests {
         let expected = "if it is a process of this room, give --tls DIR, the folder of its room's keys, and \
                         --connect tls/10.0.0.7:443; otherwise check --connect";
         assert!(problem.ends_with(expected), "{problem}");
+    }
+
+    #[test]
+    fn a_name_is_reached_at_any_of_its_addresses() {
+        let bind = || TcpListener::bind("127.0.0.1:0").expect("a free port");
+        let address = |listener: &TcpListener| listener.local_addr().expect("bound");
+        let (listener, closed) = (bind(), address(&bind()));
+        let found = first_that_accepts([closed, address(&listener)].into_iter());
+        assert_eq!(found.and_then(|stream| stream.peer_addr().ok()), Some(address(&listener)));
+        assert!(first_that_accepts([closed].into_iter()).is_none());
     }
 }

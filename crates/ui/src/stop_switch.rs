@@ -23,6 +23,10 @@ use crate::notes::two_drivers;
 use crate::order_publisher::OrderPublisher;
 use crate::stop_watch::{RoomStops, StopWatch, UNKNOWN_ARRAYS, problem, unrecorded, unreleased};
 
+/// What an operator has to know of an endpoint that has not answered in time.
+const UNANSWERED_ENDPOINT: &str =
+    "an endpoint has not answered yet, and an array that only it reaches can move: cut its power";
+
 /// Time after which a stop or a re-arm is repeated.
 const REPEAT_AFTER: Duration = Duration::from_nanos(STOP_REPEAT_NS);
 
@@ -307,6 +311,9 @@ impl StopSwitch {
         let mut arrays: Vec<String> = seen.standings(self.seen.now(), Some(since)).iter().filter_map(open).collect();
         if !seen.has_geometry() && seen.has_array() {
             arrays.push(UNKNOWN_ARRAYS.to_owned());
+        }
+        if self.is_joining.load(Ordering::SeqCst) {
+            arrays.push(UNANSWERED_ENDPOINT.to_owned());
         }
         match sent {
             Some(error) if arrays.is_empty() => error,

@@ -97,7 +97,7 @@ pub(crate) fn unreleased(seen: &ReportedStops, names: &[StopName], now: Duration
         unnamed.iter().map(|array| (*array, format!("array {array} knows no names of stops: release all with --all")));
     let holding = seen.holding(names, now).into_iter().filter(|(array, _)| !unnamed.contains(array));
     let of_holding = holding.map(|(array, reports)| match reports {
-        true => (array, format!("array {array} has not released the stop")),
+        true => (array, format!("array {array} has not reported the release: it may have released the stop, and move")),
         false => (array, format!("array {array} {MAY_BE_RELEASED}")),
     });
     let mut open: Vec<(usize, String)> = of_unnamed.chain(of_holding).collect();

@@ -99,7 +99,7 @@ pub fn stop(args: StopArgs) -> Result<()> {
     if end.is_none() {
         order.end_with_a_word(
             "heliostat stop",
-            "the stop was sent, and is not confirmed: it is in force where it arrived",
+            "the stop was given, and is not confirmed: it may not have left, and is in force only where it arrived",
         );
     }
     // Every role may stop the array, so any certificate of the folder serves.

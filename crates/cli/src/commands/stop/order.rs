@@ -6,7 +6,9 @@ use std::thread;
 use std::time::Duration;
 
 use anyhow::{Result, anyhow};
-use heliostat_bus::{ACCEPTS_WITHIN, Bus, BusConfig, BusError, is_joined_through, join_all_through, join_each};
+use heliostat_bus::{
+    ACCEPTS_WITHIN, Bus, BusConfig, BusError, is_joined_through, join_all_through, join_each, reached,
+};
 use heliostat_proto::Room;
 use heliostat_service::output;
 use heliostat_service::signals::end_on_signals;
@@ -83,9 +85,10 @@ impl Order {
         let opened = join_each(&config, ACCEPTS_WITHIN);
         let (switch, sessions) = (Arc::clone(&self.switch), Arc::clone(&self.sessions));
         let (first, has_first) = mpsc::channel();
-        let endpoints = config.connect.clone();
+        let of_thread = config.clone();
         switch.set_joining(true);
         thread::spawn(move || {
+            let mut unanswered = Vec::new();
             for (index, bus) in opened {
                 match bus.filter(|bus| switch.join(bus).is_ok()) {
                     Some(bus) => {
@@ -93,9 +96,15 @@ impl Order {
                         // Only the first one is awaited.
                         let _ = first.send(());
                     }
-                    None if endpoints.len() > 1 => note_unanswered(&endpoints[index]),
-                    None => {}
+                    None => unanswered.push(of_thread.connect[index].clone()),
                 }
+            }
+            // Nobody waits for a first session that does not come.
+            drop(first);
+            // The drivers that each session reaches are known, and no stop is confirmed without them.
+            sessions.lock().unwrap_or_else(PoisonError::into_inner).iter().map(reached).for_each(drop);
+            if of_thread.connect.len() > 1 {
+                unanswered.iter().for_each(|endpoint| note_unanswered(&of_thread, endpoint));
             }
             switch.set_joining(false);
         });
@@ -113,7 +122,7 @@ impl Order {
         }
         let (sessions, unanswered) = join_all_through(&config, ACCEPTS_WITHIN);
         if config.connect.len() > 1 {
-            unanswered.iter().for_each(|endpoint| note_unanswered(endpoint));
+            unanswered.iter().for_each(|endpoint| note_unanswered(&config, endpoint));
         }
         if sessions.is_empty() {
             return self.join_late(&config);
@@ -150,8 +159,11 @@ pub(super) fn unsent(reason: String) -> anyhow::Error {
     )
 }
 
-fn note_unanswered(endpoint: &str) {
-    output::note(format_args!("no process of a room answers at {endpoint}"));
+/// Says why one of several endpoints has no connection.
+fn note_unanswered(config: &BusConfig, endpoint: &str) {
+    let alone = BusConfig { connect: vec![endpoint.to_owned()], ..config.clone() };
+    let silent = || format!("no process of a room answers at {endpoint}");
+    output::note(find_problem(&alone).unwrap_or_else(silent));
 }
 
 /// Says why a stop that waits for a connection has none yet.

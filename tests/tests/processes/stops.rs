@@ -332,7 +332,7 @@ fn a_stop_that_reaches_only_the_controller_reaches_the_arrays_through_it() {
 }
 
 #[test]
-fn a_stop_goes_through_every_endpoint_and_an_interrupted_one_says_what_was_sent() {
+fn a_stop_goes_through_every_endpoint_and_an_interrupted_one_says_what_is_known() {
     let mut room = TwoArrays::start("apart");
     // The drivers have no link to each other.
     room.controller.kill();
@@ -350,7 +350,7 @@ fn a_stop_goes_through_every_endpoint_and_an_interrupted_one_says_what_was_sent(
     wait_until("the first array stopped", || room.states()[0] == Some(ArrayState::Stopped));
     order.signal("INT");
     let ended = order.wait_mut();
-    assert!(!ended.status.success() && ended.errors.contains("interrupted: the stop was sent"), "{}", ended.errors);
+    assert!(!ended.status.success() && ended.errors.contains("interrupted: the stop was given"), "{}", ended.errors);
 }
 
 #[test]

@@ -99,7 +99,7 @@ impl Order {
                     None => unanswered.push(of_thread.connect[index].clone()),
                 }
             }
-            // Nobody waits for a first session that does not come.
+            // No first session comes any more, and the wait for it ends.
             drop(first);
             // The drivers that each session reaches are known, and no stop is confirmed without them.
             sessions.lock().unwrap_or_else(PoisonError::into_inner).iter().map(reached).for_each(drop);

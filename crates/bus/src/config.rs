@@ -281,18 +281,18 @@ impl TlsArgs {
     }
 }
 
-/// Command-line flags for the room, the endpoints and the certificate of a process.
+/// Command-line flags for the room, the endpoints and the certificate of a process. Their help is that of a command
+/// with [`BusArgs::config_or_connect`]; a command with [`BusArgs::config_or_listen`] has texts of its own.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct BusArgs {
     /// Name of the room; messages stay within their room [default: the room of --tls, or demo]
     #[arg(long, value_name = "NAME")]
     pub room: Option<String>,
-    /// Endpoint at which to listen (repeatable). Without --listen and --connect, sim-node listens
-    /// at tcp/127.0.0.1:7447
+    /// Endpoint at which to listen (repeatable)
     #[arg(long, value_name = "ENDPOINT")]
     pub listen: Vec<String>,
-    /// Endpoint of another process or of a router (repeatable). Without --listen and --connect, the
-    /// controller connects to tcp/127.0.0.1:7447
+    /// Endpoint of another process or of a router (repeatable) [default without --listen:
+    /// tcp/127.0.0.1:7447, or tls/127.0.0.1:7447 with --tls]
     #[arg(long, value_name = "ENDPOINT")]
     pub connect: Vec<String>,
     /// Exchange messages only through the Zenoh router given by --connect

@@ -330,6 +330,7 @@ impl Node {
             ticks: self.ticks.published_count(),
             unattended_ticks: self.ticks.unattended(),
             lost_ticks: self.ticks.lost(),
+            waiting_ticks: self.ticks.waiting(),
             late_ticks: self.reports.late_ticks(),
             commands: counters(|counters| counters.accepted),
             clipped_commands: counters(|counters| counters.clipped),

@@ -118,6 +118,11 @@ impl BusConfig {
         self.identity.as_ref().map(Identity::end)
     }
 
+    /// End of the certificate of the router, if the folder of the keys has that certificate too.
+    pub fn router_certificate_end(&self) -> Option<SystemTime> {
+        self.identity.as_ref().and_then(Identity::router_end)
+    }
+
     /// Whether other machines can read or send the messages of this session without a certificate.
     pub(crate) fn is_exposed(&self) -> bool {
         let reaches_out = |text: &String| text.parse::<EndPoint>().is_ok_and(|endpoint| !tls::is_local(&endpoint));

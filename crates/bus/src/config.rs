@@ -249,6 +249,14 @@ pub(crate) fn make_router(settings: &mut Vec<(String, String)>) {
     settings.extend(ROUTER_SETTINGS.map(|(key, value)| (key.to_owned(), value.to_owned())));
 }
 
+/// The settings of Zenoh of every router, with values in JSON5: without endpoints and keys.
+pub fn router_settings() -> Vec<(String, String)> {
+    let fixed = FIXED_SETTINGS.iter().map(|(key, value)| ((*key).to_owned(), (*value).to_owned()));
+    let mut settings: Vec<_> = fixed.collect();
+    make_router(&mut settings);
+    settings
+}
+
 /// Environment variable that overrides settings of Zenoh: `key=value`, separated by semicolons,
 /// values in JSON5.
 const ENVIRONMENT: &str = "HELIOSTAT_ZENOH";
@@ -409,14 +417,21 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_router_of_deploy_has_the_settings_of_every_router_about_congestion() {
+    fn the_router_of_deploy_has_the_settings_of_every_router() {
         let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../deploy/router/router.json5");
         let deployed = Config::from_file(&file).expect("a valid configuration");
-        let mut settings: Vec<(String, String)> =
-            FIXED_SETTINGS.iter().map(|(key, value)| ((*key).to_owned(), (*value).to_owned())).collect();
-        make_router(&mut settings);
-        let made = zenoh_config(settings.into_iter()).expect("valid settings");
-        for key in ["mode", "transport/link/tx/queue/congestion_control"] {
+        let made = zenoh_config(router_settings().into_iter()).expect("valid settings");
+        for key in [
+            "mode",
+            "scouting/multicast/enabled",
+            "scouting/gossip/enabled",
+            "transport/shared_memory/enabled",
+            "transport/unicast/accept_pending",
+            "transport/unicast/accept_timeout",
+            "transport/link/tx/lease",
+            "transport/link/tx/queue/congestion_control",
+            "transport/link/rx/max_message_size",
+        ] {
             assert_eq!(deployed.get_json(key).expect("a key"), made.get_json(key).expect("a key"), "{key}");
         }
     }

@@ -259,6 +259,7 @@ impl RoomRuntime {
         self.hand_over();
         drop(subscriptions);
         self.queue.close();
+        self.reporter.end();
         self.check_status();
         if let Some(thread) = self.thread.take()
             && lock_within(&self.decision_loop, POLICY_TIMEOUT).is_some()
@@ -299,7 +300,7 @@ impl RoomRuntime {
     /// Logs a change of state, or a problem that occurred so often unless one like it was logged just
     /// before.
     fn log(&mut self, problem: &Problem, occurrences: u64) {
-        let (Problem::Alarm(text) | Problem::Warning(text) | Problem::End(text)) = problem;
+        let (Problem::Alarm(text) | Problem::Warning(text) | Problem::Notice(text) | Problem::End(text)) = problem;
         let line = match occurrences {
             0 => Some(text.clone()),
             _ => self.log_limit.line(Instant::now(), text, occurrences),
@@ -308,7 +309,7 @@ impl RoomRuntime {
         match problem {
             Problem::Alarm(_) => tracing::error!(room = %self.bus.room(), "{line}"),
             Problem::Warning(_) => tracing::warn!(room = %self.bus.room(), "{line}"),
-            Problem::End(_) => tracing::info!(room = %self.bus.room(), "{line}"),
+            Problem::Notice(_) | Problem::End(_) => tracing::info!(room = %self.bus.room(), "{line}"),
         }
     }
 

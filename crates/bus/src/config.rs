@@ -118,6 +118,11 @@ impl BusConfig {
         self.identity.as_ref().map(Identity::end)
     }
 
+    /// End of the certificate of the router, if the folder of the keys has that certificate too.
+    pub fn router_certificate_end(&self) -> Option<SystemTime> {
+        self.identity.as_ref().and_then(Identity::router_end)
+    }
+
     /// Whether other machines can read or send the messages of this session without a certificate.
     pub(crate) fn is_exposed(&self) -> bool {
         let reaches_out = |text: &String| text.parse::<EndPoint>().is_ok_and(|endpoint| !tls::is_local(&endpoint));
@@ -244,6 +249,14 @@ pub(crate) fn make_router(settings: &mut Vec<(String, String)>) {
     settings.extend(ROUTER_SETTINGS.map(|(key, value)| (key.to_owned(), value.to_owned())));
 }
 
+/// The settings of Zenoh of every router, with values in JSON5: without endpoints and keys.
+pub fn router_settings() -> Vec<(String, String)> {
+    let fixed = FIXED_SETTINGS.iter().map(|(key, value)| ((*key).to_owned(), (*value).to_owned()));
+    let mut settings: Vec<_> = fixed.collect();
+    make_router(&mut settings);
+    settings
+}
+
 /// Environment variable that overrides settings of Zenoh: `key=value`, separated by semicolons,
 /// values in JSON5.
 const ENVIRONMENT: &str = "HELIOSTAT_ZENOH";
@@ -281,18 +294,18 @@ impl TlsArgs {
     }
 }
 
-/// Command-line flags for the room, the endpoints and the certificate of a process.
+/// Command-line flags for the room, the endpoints and the certificate of a process. Their help is that of a command
+/// with [`BusArgs::config_or_connect`]; a command with [`BusArgs::config_or_listen`] has texts of its own.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct BusArgs {
     /// Name of the room; messages stay within their room [default: the room of --tls, or demo]
     #[arg(long, value_name = "NAME")]
     pub room: Option<String>,
-    /// Endpoint at which to listen (repeatable). Without --listen and --connect, sim-node listens
-    /// at tcp/127.0.0.1:7447
+    /// Endpoint at which to listen (repeatable)
     #[arg(long, value_name = "ENDPOINT")]
     pub listen: Vec<String>,
-    /// Endpoint of another process or of a router (repeatable). Without --listen and --connect, the
-    /// controller connects to tcp/127.0.0.1:7447
+    /// Endpoint of another process or of a router (repeatable) [default without --listen:
+    /// tcp/127.0.0.1:7447, or tls/127.0.0.1:7447 with --tls]
     #[arg(long, value_name = "ENDPOINT")]
     pub connect: Vec<String>,
     /// Exchange messages only through the Zenoh router given by --connect
@@ -404,14 +417,21 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_router_of_deploy_has_the_settings_of_every_router_about_congestion() {
+    fn the_router_of_deploy_has_the_settings_of_every_router() {
         let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../deploy/router/router.json5");
         let deployed = Config::from_file(&file).expect("a valid configuration");
-        let mut settings: Vec<(String, String)> =
-            FIXED_SETTINGS.iter().map(|(key, value)| ((*key).to_owned(), (*value).to_owned())).collect();
-        make_router(&mut settings);
-        let made = zenoh_config(settings.into_iter()).expect("valid settings");
-        for key in ["mode", "transport/link/tx/queue/congestion_control"] {
+        let made = zenoh_config(router_settings().into_iter()).expect("valid settings");
+        for key in [
+            "mode",
+            "scouting/multicast/enabled",
+            "scouting/gossip/enabled",
+            "transport/shared_memory/enabled",
+            "transport/unicast/accept_pending",
+            "transport/unicast/accept_timeout",
+            "transport/link/tx/lease",
+            "transport/link/tx/queue/congestion_control",
+            "transport/link/rx/max_message_size",
+        ] {
             assert_eq!(deployed.get_json(key).expect("a key"), made.get_json(key).expect("a key"), "{key}");
         }
     }

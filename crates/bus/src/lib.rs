@@ -49,7 +49,7 @@ mod tls_check;
 pub use access::{AccessRole, UnknownRole, access_control};
 pub use building::{BuildingRouter, Protocol, RoomEndpoint};
 pub use certificate::Certificate;
-pub use config::{BusArgs, BusConfig, DEFAULT_ENDPOINT, DEFAULT_TLS_ENDPOINT, Reach, Role, TlsArgs};
+pub use config::{BusArgs, BusConfig, DEFAULT_ENDPOINT, DEFAULT_TLS_ENDPOINT, Reach, Role, TlsArgs, router_settings};
 pub use error::{BusError, KeyError};
 pub use free_endpoint::{free_loopback_endpoint, free_loopback_port, private_endpoint};
 pub use session::{Bus, Class, Presence, Publisher, Service, Subscription, Token};

@@ -41,6 +41,8 @@ pub struct Identity {
     role: AccessRole,
     /// End of the certificate.
     end: SystemTime,
+    /// End of the certificate of the router in the same folder, if there is one.
+    router_end: Option<SystemTime>,
 }
 
 impl Identity {
@@ -77,7 +79,10 @@ impl Identity {
         if public_key.is_some_and(|public_key| !public_key.ends_with(&certificate.public_key)) {
             return Err(KeyError::OtherKey { key, certificate: path });
         }
-        Ok(Self { folder, room, role, end: certificate.end() })
+        // Its private key need not be there, and the process does not use it.
+        let router = Certificate::read(&folder.join(certificate_file(AccessRole::Router)));
+        let router_end = router.ok().map(|router| router.end());
+        Ok(Self { folder, room, role, end: certificate.end(), router_end })
     }
 
     /// The certificate of another role in the same folder, for a process that has both.
@@ -101,6 +106,11 @@ impl Identity {
     /// End of its certificate.
     pub(crate) fn end(&self) -> SystemTime {
         self.end
+    }
+
+    /// End of the certificate of the router in its folder; `None` where there is none that can be read.
+    pub(crate) fn router_end(&self) -> Option<SystemTime> {
+        self.router_end
     }
 
     /// Folder of its files.

@@ -1,7 +1,7 @@
 //! The commands and their help.
 
 use anyhow::Result;
-use clap::{CommandFactory, Parser, Subcommand};
+use clap::{Args, CommandFactory, Parser, Subcommand};
 use heliostat_models::library::LibraryArgs;
 use heliostat_service::exit::UnusableInput;
 
@@ -16,12 +16,26 @@ use crate::commands::{
 /// on a wall provide a second path. Start with `heliostat demo`. Training, evaluation and reports are
 /// in `heliostat-lab`.
 #[derive(Debug, Parser)]
-#[command(name = "heliostat", version, arg_required_else_help = true)]
+#[command(name = "heliostat", version, arg_required_else_help = true, mut_subcommands(without_library))]
 pub struct Cli {
     #[command(flatten)]
     library: LibraryArgs,
     #[command(subcommand)]
     command: Command,
+}
+
+/// Commands that load no network.
+const WITHOUT_NETWORK: [&str; 10] =
+    ["sim-node", "driver", "status", "stop", "rearm", "keys", "record", "config", "completions", "manual"];
+
+/// The same command; one that loads no network takes the flag of the library, and does not list it.
+fn without_library(command: clap::Command) -> clap::Command {
+    if !WITHOUT_NETWORK.contains(&command.get_name()) {
+        return command;
+    }
+    let flags = LibraryArgs::augment_args(clap::Command::new("library"));
+    let hidden: Vec<clap::Arg> = flags.get_arguments().map(|flag| flag.clone().hide(true)).collect();
+    command.args(hidden)
 }
 
 // The doc comment of a variant replaces the help text of its arguments, the long one too. So a
@@ -86,5 +100,53 @@ pub fn run() -> Result<()> {
         Command::Replay(args) => heliostat_record::cli::replay(args),
         Command::Completions(args) => completions::completions(args, Cli::command()),
         Command::Manual(args) => completions::manual(args, Cli::command()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use heliostat_bus::DEFAULT_ENDPOINT;
+
+    use super::*;
+
+    #[test]
+    fn the_library_is_listed_where_a_network_is_loaded_and_taken_everywhere() {
+        let mut program = Cli::command();
+        program.build();
+        for (path, is_listed) in [
+            (&["driver", "check"][..], false),
+            (&["status"], false),
+            (&["demo"], true),
+            (&["controller"], true),
+            (&["replay"], true),
+            (&["bench", "decide"], true),
+        ] {
+            let find =
+                |command: &clap::Command, name: &&str| command.find_subcommand(*name).expect("a command").clone();
+            let mut command = path.iter().fold(program.clone(), |command, name| find(&command, name));
+            assert_eq!(command.render_long_help().to_string().contains("--onnxruntime"), is_listed, "{path:?}");
+        }
+        for name in WITHOUT_NETWORK {
+            assert!(program.find_subcommand(name).is_some(), "{name} is a command");
+        }
+        for words in [["driver", "check", "--onnxruntime", "lib.so"], ["--onnxruntime", "lib.so", "driver", "check"]] {
+            let parsed = Cli::try_parse_from(["heliostat"].into_iter().chain(words)).expect("a command line");
+            assert!(format!("{:?}", parsed.library).contains("lib.so"), "{words:?}");
+        }
+    }
+
+    #[test]
+    fn each_command_names_the_endpoint_that_it_has_by_default() {
+        let program = Cli::command();
+        for name in ["ui", "status", "controller", "sim-node", "stop", "rearm", "calibrate", "record"] {
+            let command = program.find_subcommand(name).expect("a command");
+            let names_default = |flag: &str| {
+                let argument = command.get_arguments().find(|argument| argument.get_long() == Some(flag));
+                let help = argument.and_then(|argument| argument.get_help()).expect("a flag with a help text");
+                help.to_string().contains(DEFAULT_ENDPOINT)
+            };
+            let listens = name == "sim-node";
+            assert_eq!([names_default("listen"), names_default("connect")], [listens, !listens], "{name}");
+        }
     }
 }

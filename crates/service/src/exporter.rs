@@ -41,14 +41,46 @@ pub struct MetricsArgs {
     pub metrics_listen: Option<SocketAddr>,
 }
 
+/// When certificates end that a process knows.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct CertificateEnds {
+    /// That of the process.
+    pub own: Option<SystemTime>,
+    /// That of the router, where the folder of keys has it.
+    pub router: Option<SystemTime>,
+}
+
+impl CertificateEnds {
+    /// Adds the known ones to a page.
+    fn add_to(self, page: &mut Page) {
+        let known = [
+            (
+                "heliostat_certificate_end_timestamp_seconds",
+                "End of the certificate with which the process started, in s since 1970-01-01 UTC",
+                self.own,
+            ),
+            (
+                "heliostat_router_certificate_end_timestamp_seconds",
+                "End of the certificate of the router beside the keys with which the process started, in s since 1970-01-01 UTC",
+                self.router,
+            ),
+        ];
+        for (name, help, end) in known {
+            if let Some(end) = end.and_then(|end| end.duration_since(SystemTime::UNIX_EPOCH).ok()) {
+                page.gauge(name, help, &[], end.as_secs_f64());
+            }
+        }
+    }
+}
+
 impl MetricsArgs {
-    /// Opens an exporter where the flag is given, for a process whose certificate ends then, if it has one.
+    /// Opens an exporter where the flag is given, for a process that knows when these certificates end.
     ///
     /// # Errors
     /// [`MetricsError`].
-    pub fn open(&self, certificate_end: Option<SystemTime>) -> Result<Option<Exporter>, MetricsError> {
+    pub fn open(&self, certificate_ends: CertificateEnds) -> Result<Option<Exporter>, MetricsError> {
         let exporter = self.metrics_listen.map(Exporter::open).transpose()?;
-        Ok(exporter.map(|exporter| Exporter { certificate_end, ..exporter }))
+        Ok(exporter.map(|exporter| Exporter { certificate_ends, ..exporter }))
     }
 }
 
@@ -56,8 +88,8 @@ impl MetricsArgs {
 #[derive(Debug)]
 pub struct Exporter {
     newest: Arc<Mutex<Page>>,
-    /// End of the certificate of the process; each page has it.
-    certificate_end: Option<SystemTime>,
+    /// Each page has them.
+    certificate_ends: CertificateEnds,
     server: http::Server,
 }
 
@@ -73,7 +105,7 @@ impl Exporter {
         let router = Router::new().route("/metrics", get(metrics)).fallback(elsewhere).with_state(Arc::clone(&newest));
         let server = http::serve("metrics", listener, router, Limits::default(), Stop::default()).map_err(failed)?;
         tracing::info!("metrics at http://{}/metrics", server.address());
-        Ok(Self { newest, certificate_end: None, server })
+        Ok(Self { newest, certificate_ends: CertificateEnds::default(), server })
     }
 
     /// Where it listens.
@@ -83,11 +115,7 @@ impl Exporter {
 
     /// Replaces the page.
     pub fn publish(&self, mut page: Page) {
-        let end = self.certificate_end.and_then(|end| end.duration_since(SystemTime::UNIX_EPOCH).ok());
-        if let Some(end) = end {
-            let help = "End of the certificate with which the process started, in s since 1970-01-01 UTC";
-            page.gauge("heliostat_certificate_end_timestamp_seconds", help, &[], end.as_secs_f64());
-        }
+        self.certificate_ends.add_to(&mut page);
         *self.newest.lock().unwrap_or_else(PoisonError::into_inner) = page;
     }
 }
@@ -136,18 +164,21 @@ mod tests {
     }
 
     #[test]
-    fn each_page_of_a_process_with_keys_has_the_end_of_its_certificate() {
+    fn each_page_of_a_process_with_keys_has_the_ends_of_the_certificates_that_it_knows() {
         let flags = MetricsArgs { metrics_listen: Some(([127, 0, 0, 1], 0).into()) };
-        let end = SystemTime::UNIX_EPOCH + std::time::Duration::from_secs(1_900_000_000);
-        for (certificate_end, is_there) in [(Some(end), true), (None, false)] {
-            let exporter = flags.open(certificate_end).expect("a free port").expect("the flag is given");
+        let end = Some(SystemTime::UNIX_EPOCH + std::time::Duration::from_secs(1_900_000_000));
+        let [own, router] =
+            ["", "router_"].map(|of| format!("heliostat_{of}certificate_end_timestamp_seconds{{room=\"a\"}} 1"));
+        for ends in [
+            CertificateEnds { own: end, router: end },
+            CertificateEnds { own: end, router: None },
+            CertificateEnds::default(),
+        ] {
+            let exporter = flags.open(ends).expect("a free port").expect("the flag is given");
             exporter.publish(Page::new(&[("room", "a")]));
             let answer = get(exporter.address(), "/metrics");
-            assert_eq!(
-                answer.contains("heliostat_certificate_end_timestamp_seconds{room=\"a\"} 1"),
-                is_there,
-                "{answer}"
-            );
+            let has = [&own, &router].map(|sample| answer.contains(sample.as_str()));
+            assert_eq!(has, [ends.own.is_some(), ends.router.is_some()], "{answer}");
         }
     }
 }

@@ -38,7 +38,7 @@ pub mod stop;
 mod waiting;
 pub mod whole_file;
 
-pub use exporter::{Exporter, MetricsArgs, MetricsError};
+pub use exporter::{CertificateEnds, Exporter, MetricsArgs, MetricsError};
 pub use logging::{LogArgs, LogFormat, LogGuard};
 pub use page::{Histogram, Page};
 pub use signals::EndArgs;

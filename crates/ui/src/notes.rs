@@ -134,8 +134,9 @@ const ROOM_GONE: &str = "no process of this room answers any longer: its driver 
 const ARRAY_GONE: &str = "no array answers any longer, and no controller: start its driver or the simulator again, then heliostat controller";
 /// The note about one controller that sees no other process of its room.
 pub(crate) const OTHERS_MISSING: &str = "no array, no tracker and no other controller is seen beside one controller: the link to their host or a router may be cut, or they have ended";
-const NO_CONTROLLER: &str =
-    "no controller commands the mirrors: start one with heliostat controller; in a demo, press restart";
+const NO_CONTROLLER: &str = "no controller commands the mirrors: start one with heliostat controller";
+/// The same note beside a page whose button restarts the controller.
+const RESTART_CONTROLLER: &str = "no controller commands the mirrors: press restart on the page";
 /// Beginning of the note about position reports that reach the controller, and not this process.
 pub(crate) const UNSEEN_REPORTS: &str = "no position reports reach this viewer, but the controller decides on them";
 /// The note about commands that reach the array from a controller that this process does not see.
@@ -165,6 +166,12 @@ fn causes_first(of_room: Vec<String>, of_geometry: Vec<String>) -> Vec<String> {
     let of_room: Vec<String> = of_room.into_iter().filter(|note| !follows_from(&notes, note)).collect();
     notes.extend(of_room.into_iter().chain(others));
     notes
+}
+
+/// These notes beside a page that can restart the controller: its button is the advice.
+pub(crate) fn with_restart(notes: Vec<String>) -> Vec<String> {
+    let replaced = |note: String| if note == NO_CONTROLLER { RESTART_CONTROLLER.to_owned() } else { note };
+    notes.into_iter().map(replaced).collect()
 }
 
 /// The notes from which other problems follow, about geometries that differ and about a cut link, and the others.
@@ -289,6 +296,15 @@ mod tests {
         received.alive.insert((NodeKind::Controller.name(), 5));
         received.users = Some((Instant::now(), UserReport::default()));
         assert_eq!(received.notes(1, ago(60)), Vec::<String>::new());
+    }
+
+    #[test]
+    fn only_beside_a_page_that_restarts_the_controller_its_button_is_the_advice() {
+        let notes = || vec![NO_CONTROLLER.to_owned(), ARRAY_GONE.to_owned()];
+        assert!(notes().iter().all(|note| !note.contains("press")), "without such a page");
+        assert_eq!(with_restart(notes()), [RESTART_CONTROLLER, ARRAY_GONE]);
+        let cause = |note: &str| note.split(": ").next().map(str::to_owned);
+        assert_eq!(cause(RESTART_CONTROLLER), cause(NO_CONTROLLER));
     }
 
     #[test]

@@ -55,7 +55,7 @@ impl Operator {
     pub fn new(bus: &Bus, view: &View, processes: Option<Sender<ProcessOrder>>) -> Result<Self, UiError> {
         let room = bus.room();
         let source = source_id::random();
-        Ok(Self {
+        let operator = Self {
             source,
             stop: StopSwitch::of(bus, "heliostat ui", Arc::clone(&view.stops))?,
             simulator: OrderPublisher::new(bus, "simulated room", &room.simulator_control())?,
@@ -64,7 +64,11 @@ impl Operator {
             log: OrderLog::default(),
             stop_state: Mutex::default(),
             _token: bus.announce(&room.alive(NodeKind::Viewer, source))?,
-        })
+        };
+        if operator.controls_processes() {
+            view.advise_restart();
+        }
+        Ok(operator)
     }
 
     /// The random id of this operator in its messages.

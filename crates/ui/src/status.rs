@@ -1,12 +1,13 @@
 //! The state of a room at one instant, for an operator: who leads, what the arrays do, and what is wrong.
 
+mod stop_lines;
+
 use std::fmt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
 use heliostat_bus::{Bus, Subscription};
-use heliostat_proto::messages::fault;
 use heliostat_proto::{ArrayState, UserReport, codec};
 use heliostat_service::counted::counted;
 use serde::Serialize;
@@ -109,9 +110,7 @@ impl RoomStatus {
     fn found(&self) -> Vec<String> {
         let Figures { controllers, array, nodes, .. } = &self.figures;
         let of_node = |NodeFigures { node, problem, .. }: &NodeFigures| {
-            // The stops have that of a stop that is not recorded.
-            let is_of_stop = self.stops.iter().any(|stop| stop.contains(problem.as_str()));
-            (!problem.is_empty() && !is_of_stop).then(|| format!("{node}: {problem}"))
+            (!problem.is_empty() && !self.is_of_stops(problem)).then(|| format!("{node}: {problem}"))
         };
         // The problems of the processes have that of the controller that commands.
         let unfit = controllers.iter().filter(|one| !one.unfit.is_empty() && !one.role.commands()).map(|one| {
@@ -144,16 +143,7 @@ impl RoomStatus {
         let reports = (self.reports_per_s == 0.0 && self.deciding().is_none()).then(|| {
             "no position reports: start the tracker or the simulator, or connect to its endpoint or router too".into()
         });
-        // A stop is one problem: state and fault of the array follow from it.
-        let is_of_stop = |text: &str, of: &str| !self.stops.is_empty() && text == of;
-        let is_following = array.state == ArrayState::Following.name();
-        let array_state = (!is_following && !is_of_stop(&array.state, ArrayState::Stopped.name()))
-            .then(|| format!("the array does not follow: {}", array.state));
-        let of_stop = fault::names(fault::STOP);
-        let faults: Vec<&str> =
-            array.faults.iter().copied().filter(|fault| !of_stop.iter().any(|of| is_of_stop(fault, of))).collect();
-        let faults = (!faults.is_empty()).then(|| format!("faults of the array: {}", faults.join(", ")));
-        let found = reports.into_iter().chain(leads.map(String::from)).chain(array_state).chain(faults);
+        let found = reports.into_iter().chain(leads.map(String::from)).chain(self.array_problems());
         let of_nodes = nodes.iter().filter_map(of_node);
         // The cause before what follows from it.
         let (causes, notes) = causes_and_others(self.notes().cloned());
@@ -184,17 +174,6 @@ impl RoomStatus {
     /// Whether any array reports.
     fn is_array_seen(&self) -> bool {
         self.figures.array.silent.len() < self.figures.array.arrays
-    }
-
-    /// The stops. Only the reports of an array show that no stop holds it.
-    fn stop_line(&self) -> String {
-        let silent = &self.figures.array.silent;
-        match (self.stops.is_empty(), self.is_array_seen(), silent.is_empty()) {
-            (false, ..) => self.stops.join("; "),
-            (true, true, true) => "none".into(),
-            (true, false, _) => "unknown: no array reports; connect to its process or router too".into(),
-            (true, true, false) => format!("none that reports show; unknown of {}", silent.join(" and ")),
-        }
     }
 }
 
@@ -266,7 +245,6 @@ fn users_line(users: &[UserFigures]) -> String {
 mod tests {
     use crate::figures::ArrayFigures;
     use crate::notes::{OTHERS_MISSING, room_unseen};
-    use crate::stop_watch::RoomStops;
 
     use super::*;
 
@@ -316,21 +294,6 @@ mod tests {
         assert!(measured.contains("\nsum rate     unknown: no measured gains\n"), "{measured}");
         let silent = shown(Origin::NoData);
         assert!(silent.contains("\nsum rate     unknown: no messages from the room\n"), "{silent}");
-    }
-
-    #[test]
-    fn a_stop_is_one_problem() {
-        let array = |faults| ArrayFigures { state: "stopped".into(), faults, ..ArrayFigures::default() };
-        let found = |stops: &[&str], faults| {
-            let figures =
-                Figures { controllers: vec![ControllerFigures::default()], array: array(faults), ..Figures::default() };
-            let stops = stops.iter().map(|stop| (*stop).to_owned()).collect();
-            RoomStatus { reports_per_s: 20.0, stops, figures, ..RoomStatus::default() }.found()
-        };
-        let stop = "no array has stopped: stop 7:1 (smoke)";
-        assert_eq!(found(&[stop], vec!["stop"]), [stop]);
-        assert_eq!(found(&[stop], vec!["mirror", "stop"]), ["faults of the array: mirror", stop]);
-        assert_eq!(found(&[], vec![]), ["the array does not follow: stopped"], "its stop is not seen");
     }
 
     #[test]
@@ -492,38 +455,5 @@ mod tests {
         };
         assert!(with(2, 1).contains("\ntakeovers    a 2 (false 1)\n"), "{}", with(2, 1));
         assert!(!with(0, 0).contains("takeovers"));
-    }
-
-    #[test]
-    fn no_stop_is_shown_as_absent_for_an_array_that_does_not_report() {
-        let line = |silent: &[&str]| {
-            let silent = silent.iter().map(|name| (*name).to_owned()).collect();
-            let array = ArrayFigures { arrays: 2, mirrors: 24, silent, ..ArrayFigures::default() };
-            let status = RoomStatus { figures: Figures { array, ..Figures::default() }, ..RoomStatus::default() };
-            let text = status.to_string();
-            let line = |name| text.lines().find(|line| line.starts_with(name)).unwrap_or_default().to_owned();
-            (line("stops"), line("array").contains("24 mirrors"))
-        };
-        assert_eq!(line(&[]), ("stops        none".into(), true));
-        assert_eq!(line(&["array 1"]), ("stops        none that reports show; unknown of array 1".into(), true));
-        let (stops, has_mirrors) = line(&["mirrors", "array 1"]);
-        assert!(stops.starts_with("stops        unknown: no array reports") && !has_mirrors, "{stops}");
-    }
-
-    #[test]
-    fn a_stop_that_a_controller_alone_holds_is_in_the_text_the_json_and_the_problems() {
-        let held = "withheld by the stop of anna (\"ladder\") since 12:00:00 UTC";
-        let stops = stops(&RoomStops { held: Some(held.to_owned()), ..RoomStops::default() });
-        assert_eq!(stops.len(), 1);
-        let node = NodeFigures { node: "controller".into(), problem: held.into(), ..NodeFigures::default() };
-        let array = ArrayFigures { arrays: 1, silent: vec!["mirrors".into()], ..ArrayFigures::default() };
-        let figures = Figures { array, nodes: vec![node], ..Figures::default() };
-        let status = RoomStatus { stops: stops.clone(), figures, ..RoomStatus::default() };
-        let line = format!("\nstops        no array here reports a stop, and commands are {held}: ");
-        assert!(status.to_string().contains(&line), "{status}");
-        let json = serde_json::to_value(&status).expect("numbers, texts and lists");
-        assert!(json["stops"][0].as_str().is_some_and(|stop| stop.contains(held)), "{json}");
-        let found = status.found();
-        assert_eq!(found.iter().filter(|problem| problem.contains(held)).collect::<Vec<_>>(), [&stops[0]]);
     }
 }

@@ -4,6 +4,7 @@
 //! absent.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -19,6 +20,7 @@ use crate::UiError;
 use crate::array_reports::ArrayReports;
 use crate::controllers::{ControllerFigures, Controllers, Role, controller_name};
 use crate::latency::Window;
+use crate::notes::with_restart;
 use crate::problems::Problems;
 use crate::shown_room::{AnnouncedController, Announcements, Findings, GeometrySource, RoomChooser, ShownRoom};
 use crate::stop_watch::StopWatch;
@@ -86,6 +88,8 @@ pub struct View {
     pub(crate) stops: Arc<StopWatch>,
     /// The session, for the reason of a connection that fails.
     bus: Bus,
+    /// Whether an operator of this view can restart the controller: the notes then advise it.
+    can_restart: AtomicBool,
     _subscriptions: Vec<Subscription>,
 }
 
@@ -102,7 +106,13 @@ impl View {
         let subscriptions = subscribe(bus, &received)?;
         let stops = StopWatch::open(bus)?;
         let bus = bus.enter(bus.room().clone());
-        Ok(Self { opened: Instant::now(), chooser, received, stops, bus, _subscriptions: subscriptions })
+        let can_restart = AtomicBool::new(false);
+        Ok(Self { opened: Instant::now(), chooser, received, stops, bus, can_restart, _subscriptions: subscriptions })
+    }
+
+    /// From now on the notes advise the button of the page that restarts the controller.
+    pub(crate) fn advise_restart(&self) {
+        self.can_restart.store(true, Ordering::Relaxed);
     }
 
     /// Whether messages of the room and of a controller have arrived.
@@ -124,6 +134,9 @@ impl View {
         let is_explained = !of_geometry.notes.is_empty();
         let arrays = room.model.mirrors.arrays().len();
         let mut notes = self.received().notes_with(of_geometry.notes, arrays, self.opened);
+        if self.can_restart.load(Ordering::Relaxed) {
+            notes = with_restart(notes);
+        }
         let connection = self.bus.connection_problem();
         if room.source == GeometrySource::Default
             && !is_explained

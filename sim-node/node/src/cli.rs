@@ -12,8 +12,16 @@ use heliostat_service::{EndArgs, LogArgs, MetricsArgs, output};
 use crate::run;
 use crate::settings::{Pace, Settings};
 
+/// Help of --listen: of the two endpoints, the simulator has this one by default.
+const LISTEN: &str = "Endpoint at which to listen (repeatable) [default without --connect: tcp/127.0.0.1:7447, or \
+                      tls/127.0.0.1:7447 with --tls]";
+
 /// Flags of the simulator.
 #[derive(Clone, Debug, clap::Args)]
+#[command(
+    mut_arg("listen", |flag| flag.help(LISTEN)),
+    mut_arg("connect", |flag| flag.help("Endpoint of another process or of a router (repeatable)"))
+)]
 pub struct Args {
     #[command(flatten)]
     scenario: ScenarioArgs,

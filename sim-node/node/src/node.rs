@@ -17,7 +17,7 @@ use heliostat_room::reports::Reports;
 use heliostat_room::reports::schedule::Schedule;
 use heliostat_room::room::SimulatedRoom;
 use heliostat_scenario::Scenario;
-use heliostat_service::{Exporter, Page};
+use heliostat_service::{CertificateEnds, Exporter, Page};
 
 use crate::array_node::ArrayNode;
 use crate::coverage::Coverage;
@@ -70,7 +70,9 @@ impl Node {
             Pace::Lockstep { .. } => [Class::RealTimeBlock; 2],
         };
         let scenario = settings.scenario.clone();
-        let exporter = settings.metrics.open(settings.bus.certificate_end())?;
+        let ends =
+            CertificateEnds { own: settings.bus.certificate_end(), router: settings.bus.router_certificate_end() };
+        let exporter = settings.metrics.open(ends)?;
         let mut room = SimulatedRoom::new(&scenario, scenario.read_trace()?.as_deref(), scenario.seed)?;
         if let Some(corrections) = &settings.calibration {
             if room.arrays() > 1 {
@@ -330,6 +332,7 @@ impl Node {
             ticks: self.ticks.published_count(),
             unattended_ticks: self.ticks.unattended(),
             lost_ticks: self.ticks.lost(),
+            waiting_ticks: self.ticks.waiting(),
             late_ticks: self.reports.late_ticks(),
             commands: counters(|counters| counters.accepted),
             clipped_commands: counters(|counters| counters.clipped),

@@ -76,6 +76,8 @@ pub struct Summary {
     pub unattended_ticks: u64,
     /// Ticks that no accepted command answered in time.
     pub lost_ticks: u64,
+    /// Ticks whose answer was awaited when a signal ended the run.
+    pub waiting_ticks: u64,
     /// Delayed ticks: published after their due time, or skipped because the next one was already
     /// due.
     pub late_ticks: u64,
@@ -142,8 +144,8 @@ impl fmt::Display for Summary {
         writeln!(f, "scenario        {} ({}), seed {}", self.scenario, self.scenario_hash, self.seed)?;
         writeln!(
             f,
-            "ticks           {} ({} lost, {} late, {} unattended)",
-            self.ticks, self.lost_ticks, self.late_ticks, self.unattended_ticks
+            "ticks           {} ({} lost, {} late, {} unattended, {} waiting at the end)",
+            self.ticks, self.lost_ticks, self.late_ticks, self.unattended_ticks, self.waiting_ticks
         )?;
         writeln!(f, "commands        {} ({} clipped)", self.commands, self.clipped_commands)?;
         let us = &self.loop_us;

@@ -100,6 +100,11 @@ impl TickLedger {
         self.in_flight.iter().any(|sent| !sent.answered)
     }
 
+    /// Ticks since the first answer that still wait for theirs: neither answered nor lost.
+    pub fn waiting(&self) -> u64 {
+        if self.attended { self.in_flight.iter().filter(|sent| !sent.answered).count() as u64 } else { 0 }
+    }
+
     /// Ticks that were published.
     pub fn published_count(&self) -> u64 {
         self.published
@@ -158,7 +163,7 @@ mod tests {
         for tick in 1..=6 {
             ledger.published(tick, tick * 1000);
         }
-        assert_eq!((ledger.unattended(), ledger.lost()), (6, 0));
+        assert_eq!((ledger.unattended(), ledger.lost(), ledger.waiting()), (6, 0, 0));
         // Ticks 1 and 2 were published before the first answer.
         assert_eq!(ledger.answered(3, 4000), Some(1000));
         assert_eq!(ledger.answered(5, 5200), Some(200));
@@ -166,11 +171,12 @@ mod tests {
         assert_eq!(ledger.answered(77, 5300), None, "a tick that was never sent");
         assert_eq!(ledger.answered(4, 5500), Some(1500));
         assert!(ledger.is_waiting());
-        assert_eq!((ledger.unattended(), ledger.lost()), (2, 0));
+        // With the three that are answered, these are all.
+        assert_eq!((ledger.unattended(), ledger.lost(), ledger.waiting()), (2, 0, 1));
         ledger.expire(6000 + TICK_TIMEOUT_NS);
         assert_eq!(ledger.lost(), 0);
         ledger.expire(6001 + TICK_TIMEOUT_NS);
-        assert_eq!((ledger.unattended(), ledger.lost()), (2, 1));
+        assert_eq!((ledger.unattended(), ledger.lost(), ledger.waiting()), (2, 1, 0));
         assert!(!ledger.is_waiting());
         let distribution = ledger.distribution();
         assert_eq!(distribution.count, 3);

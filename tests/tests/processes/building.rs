@@ -48,7 +48,12 @@ fn run_make_keys(folder: &Path) {
 fn the_command_that_makes_the_keys_of_a_building_renews_them() {
     let folder = make_keys();
     let read = |file: &str| fs::read_to_string(folder.path().join("building-keys").join(file)).expect("a file");
-    let renewed = ["host-a/router/foyer-router.pem", "host-b/studio/controller.pem", "host-b/foyer/driver.key"];
+    let renewed = [
+        "host-a/router/foyer-router.pem",
+        "host-b/studio/controller.pem",
+        "host-b/studio/router.pem",
+        "host-b/foyer/driver.key",
+    ];
     let (before, authority) = (renewed.map(read), read("authorities/studio/ca.pem"));
     run_make_keys(folder.path());
     for (file, before) in renewed.iter().zip(&before) {

@@ -64,6 +64,8 @@ pub struct Reporter {
     silent_peers: ReportedPeers,
     /// The stops that withhold commands, in words; empty for none.
     stops: String,
+    /// Whether the controller ends.
+    is_ending: bool,
     /// The newest problem since something kept commands from the mirrors, and what it is about.
     newest: (Subject, String),
 }
@@ -107,6 +109,8 @@ pub enum Problem {
     Alarm(String),
     /// Anything else.
     Warning(String),
+    /// What lasts and is expected: the status has it, and the log has it as information.
+    Notice(String),
     /// The end of a lasting one, or information.
     End(String),
 }
@@ -133,6 +137,11 @@ impl Reporter {
     /// The reporting node.
     pub fn identity(&self) -> &Identity {
         &self.identity
+    }
+
+    /// The controller ends: a successor is expected from now on.
+    pub fn end(&mut self) {
+        self.is_ending = true;
     }
 
     /// Copies the counters; the decision loop is locked meanwhile.
@@ -194,7 +203,7 @@ impl Reporter {
             return;
         }
         match problem {
-            Some((subject, Problem::Alarm(text) | Problem::Warning(text))) => {
+            Some((subject, Problem::Alarm(text) | Problem::Warning(text) | Problem::Notice(text))) => {
                 self.newest = (subject.clone(), text.clone());
             }
             Some((subject, Problem::End(_))) if *subject == self.newest.0 => self.newest = Default::default(),
@@ -325,7 +334,7 @@ impl Reporter {
         let events = TenureEvent::ALL.map(|event| counters.tenure(event));
         let before = std::mem::replace(&mut self.epoch_events, events);
         let rose = TenureEvent::ALL.into_iter().filter(|event| events[*event as usize] > before[*event as usize]);
-        describe_events(&rose.collect::<Vec<_>>(), tenure).map(|problem| (Subject::Tenure, problem))
+        describe_events(&rose.collect::<Vec<_>>(), tenure, self.is_ending).map(|problem| (Subject::Tenure, problem))
     }
 
     /// A stop that began or ended.

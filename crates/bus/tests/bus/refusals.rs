@@ -200,6 +200,25 @@ fn a_renewal_that_cannot_be_written_leaves_the_old_key_beside_the_old_certificat
 }
 
 #[test]
+fn the_end_of_the_certificate_of_the_router_is_known_where_the_folder_has_it() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let room = Room::new("studio").expect("a valid name");
+    keys::init(&room, folder.path(), &keys::Terms::of_days(30, &[])).expect("an empty folder");
+    let ends = || {
+        let identity = Identity::load(folder.path(), &[AccessRole::Controller]).expect("keys of each role");
+        let config = BusConfig::new(room.clone()).secured_by(identity);
+        (config.certificate_end(), config.router_certificate_end())
+    };
+    let (own, router) = ends();
+    assert!(own.is_some() && own == router, "they were made together: {own:?}, {router:?}");
+    std::fs::remove_file(folder.path().join("router.key")).expect("a private key");
+    assert_eq!(ends(), (own, router), "its private key is not needed");
+    std::fs::write(folder.path().join("router.pem"), "damaged").expect("a file");
+    assert_eq!(ends(), (own, None), "the process does not use it, and starts");
+    assert_eq!(BusConfig::new(room.clone()).router_certificate_end(), None, "a session without keys");
+}
+
+#[test]
 fn a_certificate_is_not_listed_as_valid_before_its_authority() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let room = Room::new("studio").expect("a valid name");

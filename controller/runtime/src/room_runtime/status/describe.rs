@@ -20,10 +20,13 @@ pub(super) fn describe_absence(without_driver: &[usize], arrays: usize) -> Strin
 }
 
 /// The most serious event of the tenure among those since the last snapshot. A takeover that proves contested in
-/// the same time is one event.
-pub(super) fn describe_events(rose: &[TenureEvent], tenure: &Tenure) -> Option<Problem> {
+/// the same time is one event. A controller that ends expects its successor.
+pub(super) fn describe_events(rose: &[TenureEvent], tenure: &Tenure, is_ending: bool) -> Option<Problem> {
     let is_takeover = |event: TenureEvent| event == TenureEvent::TookOver;
     let event = rose.iter().copied().max_by_key(|event| (is_alarm(*event), is_takeover(*event)))?;
+    if is_ending && event == TenureEvent::Superseded {
+        return Some(Problem::End(describe_hand_over(tenure)));
+    }
     let text = match rose.iter().any(|of| is_takeover(*of)) {
         true if event == TenureEvent::Contested => format!("{}. {LOOK_AFTER_CONTEST}", describe_takeover(tenure, true)),
         true if !is_takeover(event) => {
@@ -36,6 +39,8 @@ pub(super) fn describe_events(rose: &[TenureEvent], tenure: &Tenure) -> Option<P
         TenureEvent::Resumed => Problem::End(text),
         // As ordered.
         TenureEvent::StoodBy if tenure.is_reserve => Problem::End(text),
+        // At its first report a controller stands by beside a leader, as after a planned restart.
+        TenureEvent::StoodBy => Problem::Notice(text),
         TenureEvent::TookOver if tenure.has_leader_ended() => Problem::End(text),
         _ => Problem::Warning(text),
     })
@@ -49,6 +54,12 @@ fn is_alarm(event: TenureEvent) -> bool {
 
 /// What to do about a contested takeover.
 const LOOK_AFTER_CONTEST: &str = "Look for a slow controller, or a link that loses messages";
+
+/// The end of a leader that another controller follows.
+fn describe_hand_over(tenure: &Tenure) -> String {
+    let (successor, epoch) = (tenure.followed_epoch().unwrap_or_default(), tenure.epoch());
+    format!("this controller (epoch {epoch}) ends, and another one (epoch {successor}) has taken over")
+}
 
 /// A takeover with what is known of the former leader.
 fn describe_takeover(tenure: &Tenure, is_contested: bool) -> String {
@@ -189,7 +200,7 @@ mod tests {
     #[test]
     fn a_contested_takeover_is_an_alarm_with_the_reason_of_the_takeover() {
         let tenure = Tenure::live(2, INTERVAL);
-        let problem = describe_events(&[TenureEvent::TookOver, TenureEvent::Contested], &tenure);
+        let problem = describe_events(&[TenureEvent::TookOver, TenureEvent::Contested], &tenure, false);
         let Some(Problem::Alarm(text)) = problem else { panic!("an alarm") };
         for part in ["takes over", takeover_reason(false, true), LOOK_AFTER_CONTEST] {
             assert!(text.contains(part), "{text}");
@@ -208,10 +219,10 @@ mod tests {
         let mut events: Vec<TenureEvent> =
             (1..=3).filter_map(|step| tenure.permit(start + step * INTERVAL).1).collect();
         assert_eq!(events, [TenureEvent::TookOver]);
-        let Some(Problem::End(text)) = describe_events(&events, &tenure) else { panic!("no problem") };
+        let Some(Problem::End(text)) = describe_events(&events, &tenure, false) else { panic!("no problem") };
         assert!(text.ends_with(": the former leader has ended"), "{text}");
         events.push(TenureEvent::Contested);
-        let Some(Problem::Alarm(text)) = describe_events(&events, &tenure) else { panic!("an alarm") };
+        let Some(Problem::Alarm(text)) = describe_events(&events, &tenure, false) else { panic!("an alarm") };
         assert!(text.contains(takeover_reason(true, true)) && !text.contains("has ended"), "{text}");
     }
 
@@ -228,16 +239,29 @@ mod tests {
         assert_eq!(tenure.handle_telemetry(start, higher), Some(TenureEvent::Superseded));
         let events: Vec<TenureEvent> = (1..200).filter_map(|step| tenure.permit(start + step * INTERVAL).1).collect();
         assert_eq!(events, [TenureEvent::Resumed]);
-        let Some(Problem::End(text)) = describe_events(&events, &tenure) else { panic!("no problem") };
+        let Some(Problem::End(text)) = describe_events(&events, &tenure, false) else { panic!("no problem") };
         assert!(text.starts_with("standby has ended: there is no telemetry"), "{text}");
     }
 
     #[test]
-    fn a_standby_that_was_ordered_is_no_problem_and_one_beside_a_leader_is_a_warning() {
+    fn a_standby_that_was_ordered_is_no_problem_and_one_at_a_start_beside_a_leader_is_a_notice() {
         let tenure = Tenure::live(2, INTERVAL);
-        let found = |tenure: &Tenure| describe_events(&[TenureEvent::StoodBy], tenure);
-        assert!(matches!(found(&tenure), Some(Problem::Warning(_))));
+        let found = |tenure: &Tenure| describe_events(&[TenureEvent::StoodBy], tenure, false);
+        assert!(matches!(found(&tenure), Some(Problem::Notice(_))));
         assert!(matches!(found(&tenure.in_reserve(None)), Some(Problem::End(_))));
+    }
+
+    #[test]
+    fn a_leader_that_ends_expects_its_successor_and_another_one_is_warned_of_it() {
+        let tenure = Tenure::live(2, INTERVAL);
+        let found = |is_ending| describe_events(&[TenureEvent::Superseded], &tenure, is_ending);
+        let Some(Problem::Warning(text)) = found(false) else { panic!("a warning") };
+        assert!(text.starts_with("another controller") && text.contains("has superseded this one"), "{text}");
+        let Some(Problem::End(text)) = found(true) else { panic!("no problem") };
+        assert!(text.contains("ends, and another one"), "{text}");
+        // Another sender remains an alarm.
+        let events = [TenureEvent::Superseded, TenureEvent::LockedOut];
+        assert!(matches!(describe_events(&events, &tenure, true), Some(Problem::Alarm(_))));
     }
 
     #[test]

@@ -28,6 +28,17 @@ fn what_keeps_commands_from_the_mirrors_is_the_problem_until_it_ends() {
 }
 
 #[test]
+fn a_notice_is_in_the_status_until_its_end() {
+    let mut reporter = Reporter::new(Identity::default());
+    let mut shown = |problem| {
+        reporter.keep(Some(&(Subject::Tenure, problem)));
+        reporter.present_problem(1)
+    };
+    assert_eq!(shown(Problem::Notice("this one stands by".into())), "this one stands by");
+    assert_eq!(shown(Problem::End("this controller leads".into())), "");
+}
+
+#[test]
 fn light_that_is_not_watched_any_more_is_no_problem() {
     let mut reporter = Reporter::new(Identity::default());
     let mut shown = |light: &[ServedLight]| {

@@ -5,6 +5,7 @@ use std::ops::{AddAssign, Sub};
 use std::process::{Child, Command, Stdio};
 
 use anyhow::{Context, Result};
+use heliostat_bus::router_settings;
 use serde::Serialize;
 
 /// Units of the times in /proc/PID/stat a second: USER_HZ, a constant of the interface of Linux.
@@ -99,20 +100,13 @@ fn units(stat: &str) -> Option<f64> {
 pub struct Router(Child);
 
 impl Router {
-    /// Starts a router that listens at an endpoint, with the settings of deploy/router.
+    /// Starts a router that listens at an endpoint, with the settings of every router.
     ///
     /// # Errors
     /// The program does not start.
     pub fn start(program: &str, endpoint: &str) -> Result<Self> {
-        let settings = [
-            "scouting/multicast/enabled:false",
-            "scouting/gossip/enabled:false",
-            "transport/shared_memory/enabled:false",
-            "transport/link/tx/queue/congestion_control/drop/wait_before_drop:50",
-            "transport/link/tx/queue/congestion_control/block/wait_before_close:50000",
-        ];
         let mut command = Command::new(program);
-        command.args(["--listen", endpoint]).args(settings.iter().flat_map(|setting| ["--cfg", setting]));
+        command.args(["--listen", endpoint]).args(flags());
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
         let router = command.spawn().with_context(|| {
             format!("cannot start {program}; expected the program zenohd, which docs/deploy.md builds")
@@ -124,6 +118,11 @@ impl Router {
     pub fn id(&self) -> u32 {
         self.0.id()
     }
+}
+
+/// The settings of every router as flags of zenohd.
+fn flags() -> impl Iterator<Item = String> {
+    router_settings().into_iter().flat_map(|(key, value)| ["--cfg".to_owned(), format!("{key}:{value}")])
 }
 
 impl Drop for Router {
@@ -151,6 +150,15 @@ mod tests {
             "Inter-| Receive | Transmit\n  eth0: 1 2 0 0 0 0 0 0 3 4\n    lo: 10 2 0 0 0 0 0 0 30 4 0 0 0 0 0 0\n";
         assert_eq!(sent_bytes(devices), Some(30.0));
         assert_eq!(sent_bytes("  eth0: 1 2 0 0 0 0 0 0 3 4"), None);
+    }
+
+    #[test]
+    fn the_router_has_the_settings_of_every_router_as_flags() {
+        let flags: Vec<String> = flags().collect();
+        assert_eq!(flags.len(), 2 * router_settings().len());
+        for setting in ["mode:\"router\"", "transport/link/tx/queue/congestion_control/block/wait_before_close:50000"] {
+            assert!(flags.windows(2).any(|two| two == ["--cfg", setting]), "{setting}: {flags:?}");
+        }
     }
 
     #[test]

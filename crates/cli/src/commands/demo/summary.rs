@@ -41,6 +41,7 @@ struct RoomPart {
     ticks: u64,
     unattended_ticks: u64,
     lost_ticks: u64,
+    waiting_ticks: u64,
     late_ticks: u64,
     commands: u64,
     loop_us: Quantiles,
@@ -85,6 +86,15 @@ struct ControllerPart {
 }
 
 impl RoomPart {
+    /// The ticks by what became of them; late ones are among the others.
+    fn ticks_in_words(&self) -> String {
+        let Self { ticks, commands, lost_ticks, unattended_ticks, waiting_ticks, late_ticks, .. } = self;
+        format!(
+            "ticks {ticks}, commands {commands}, lost {lost_ticks}, unattended {unattended_ticks}, waiting at the end \
+             {waiting_ticks}; late {late_ticks}"
+        )
+    }
+
     /// Prints the mean rates; those of the mirrors are credited to a policy.
     fn print_rates(&self, credited: &str) -> io::Result<()> {
         let share = |value: Option<f64>| value.map_or("-".to_string(), |value| format!("{value:.3}"));
@@ -196,14 +206,7 @@ impl Summary {
         match room {
             Some(room) => {
                 outln!("{} (seed {}), policy {policies}", room.scenario, room.seed)?;
-                outln!(
-                    "ticks {}, commands {}, lost {}, late {}, unattended {}",
-                    room.ticks,
-                    room.commands,
-                    room.lost_ticks,
-                    room.late_ticks,
-                    room.unattended_ticks
-                )?;
+                outln!("{}", room.ticks_in_words())?;
             }
             None => outln!("policy {policies}; ticks, loop and rates are unknown: sim-node ended without its summary")?,
         }
@@ -300,6 +303,20 @@ mod tests {
         assert!(note.starts_with("2 controllers were started: ticks, commands"), "{note}");
         let json = serde_json::to_value(of(2)).expect("a summary has a JSON form");
         assert_eq!((json["controllers_started"].as_u64(), json["sum_rate_mbps"].is_null()), (Some(2), true));
+    }
+
+    #[test]
+    fn the_ticks_of_each_class_are_those_of_the_room_together() {
+        let room = heliostat_sim_node::Summary {
+            ticks: 356,
+            commands: 354,
+            unattended_ticks: 1,
+            waiting_ticks: 1,
+            ..heliostat_sim_node::Summary::default()
+        };
+        let room = RoomPart::deserialize(serde_json::to_value(room).expect("a JSON form")).expect("complete");
+        let expected = "ticks 356, commands 354, lost 0, unattended 1, waiting at the end 1; late 0";
+        assert_eq!(room.ticks_in_words(), expected);
     }
 
     #[test]

@@ -1,0 +1,96 @@
+//! What the state of a room says of emergency stops.
+
+use heliostat_proto::ArrayState;
+use heliostat_proto::messages::fault;
+
+use super::RoomStatus;
+
+impl RoomStatus {
+    /// Whether the stops have this problem of a process, as that of a stop that is not recorded.
+    pub(super) fn is_of_stops(&self, problem: &str) -> bool {
+        self.stops.iter().any(|stop| stop.contains(problem))
+    }
+
+    /// What is wrong with the arrays. A stop is one problem: state and fault of the array follow from it.
+    pub(super) fn array_problems(&self) -> impl Iterator<Item = String> {
+        let array = &self.figures.array;
+        let is_of_stop = |text: &str, of: &str| !self.stops.is_empty() && text == of;
+        let is_following = array.state == ArrayState::Following.name();
+        let state = (!is_following && !is_of_stop(&array.state, ArrayState::Stopped.name()))
+            .then(|| format!("the array does not follow: {}", array.state));
+        let of_stop = fault::names(fault::STOP);
+        let faults: Vec<&str> =
+            array.faults.iter().copied().filter(|fault| !of_stop.iter().any(|of| is_of_stop(fault, of))).collect();
+        let faults = (!faults.is_empty()).then(|| format!("faults of the array: {}", faults.join(", ")));
+        state.into_iter().chain(faults)
+    }
+
+    /// The stops. Only the reports of an array show that no stop holds it.
+    pub(super) fn stop_line(&self) -> String {
+        let silent = &self.figures.array.silent;
+        match (self.stops.is_empty(), self.is_array_seen(), silent.is_empty()) {
+            (false, ..) => self.stops.join("; "),
+            (true, true, true) => "none".into(),
+            (true, false, _) => "unknown: no array reports; connect to its process or router too".into(),
+            (true, true, false) => format!("none that reports show; unknown of {}", silent.join(" and ")),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::controllers::ControllerFigures;
+    use crate::figures::{ArrayFigures, Figures, NodeFigures};
+    use crate::stop_watch::RoomStops;
+    use crate::terminal::texts::stops;
+
+    use super::*;
+
+    #[test]
+    fn a_stop_is_one_problem() {
+        let array = |faults| ArrayFigures { state: "stopped".into(), faults, ..ArrayFigures::default() };
+        let found = |stops: &[&str], faults| {
+            let figures =
+                Figures { controllers: vec![ControllerFigures::default()], array: array(faults), ..Figures::default() };
+            let stops = stops.iter().map(|stop| (*stop).to_owned()).collect();
+            RoomStatus { reports_per_s: 20.0, stops, figures, ..RoomStatus::default() }.found()
+        };
+        let stop = "no array has stopped: stop 7:1 (smoke)";
+        assert_eq!(found(&[stop], vec!["stop"]), [stop]);
+        assert_eq!(found(&[stop], vec!["mirror", "stop"]), ["faults of the array: mirror", stop]);
+        assert_eq!(found(&[], vec![]), ["the array does not follow: stopped"], "its stop is not seen");
+    }
+
+    #[test]
+    fn no_stop_is_shown_as_absent_for_an_array_that_does_not_report() {
+        let line = |silent: &[&str]| {
+            let silent = silent.iter().map(|name| (*name).to_owned()).collect();
+            let array = ArrayFigures { arrays: 2, mirrors: 24, silent, ..ArrayFigures::default() };
+            let status = RoomStatus { figures: Figures { array, ..Figures::default() }, ..RoomStatus::default() };
+            let text = status.to_string();
+            let line = |name| text.lines().find(|line| line.starts_with(name)).unwrap_or_default().to_owned();
+            (line("stops"), line("array").contains("24 mirrors"))
+        };
+        assert_eq!(line(&[]), ("stops        none".into(), true));
+        assert_eq!(line(&["array 1"]), ("stops        none that reports show; unknown of array 1".into(), true));
+        let (stops, has_mirrors) = line(&["mirrors", "array 1"]);
+        assert!(stops.starts_with("stops        unknown: no array reports") && !has_mirrors, "{stops}");
+    }
+
+    #[test]
+    fn a_stop_that_a_controller_alone_holds_is_in_the_text_the_json_and_the_problems() {
+        let held = "withheld by the stop of anna (\"ladder\") since 12:00:00 UTC";
+        let stops = stops(&RoomStops { held: Some(held.to_owned()), ..RoomStops::default() });
+        assert_eq!(stops.len(), 1);
+        let node = NodeFigures { node: "controller".into(), problem: held.into(), ..NodeFigures::default() };
+        let array = ArrayFigures { arrays: 1, silent: vec!["mirrors".into()], ..ArrayFigures::default() };
+        let figures = Figures { array, nodes: vec![node], ..Figures::default() };
+        let status = RoomStatus { stops: stops.clone(), figures, ..RoomStatus::default() };
+        let line = format!("\nstops        no array here reports a stop, and commands are {held}: ");
+        assert!(status.to_string().contains(&line), "{status}");
+        let json = serde_json::to_value(&status).expect("numbers, texts and lists");
+        assert!(json["stops"][0].as_str().is_some_and(|stop| stop.contains(held)), "{json}");
+        let found = status.found();
+        assert_eq!(found.iter().filter(|problem| problem.contains(held)).collect::<Vec<_>>(), [&stops[0]]);
+    }
+}

@@ -44,22 +44,14 @@ function withoutIn(users) {
 // The controller, if it refuses the position reports; else `undefined`.
 export const refusal = (now) => now.nodes.find(({ node, state }) => node === "controller" && state === "position reports refused");
 
-// Whether no array can follow a command. An array without a stop may, where a stop holds another one.
-const isStopped = ({ array, stop }) => array.state.includes("stopped") && stop.free.length === 0;
+// Whether a calibration commands the mirrors in place of a controller, as the server judges it.
+export const isCalibrating = (now) => now.in_charge?.name === "calibration";
 
-// Whether a calibration commands the mirrors in place of a controller. It may compute while the array is stopped.
-export const isCalibrating = (now) => Boolean(now.calibration && now.controller_alive && !isStopped(now));
-
-// What the mirrors follow, as `name`, and why it is not the policy, as `idle`; empty while it is.
+// What the mirrors follow, as `name`, and why it is not the policy, as `idle`; empty while it is. The name is empty
+// while the policy is unknown. The server judges this; its judgement gets old with the telemetry.
 export function inCharge(now, arrayAge) {
-  if (isCalibrating(now)) return { name: "calibration", idle: "A calibration commands the mirrors." };
-  const state = arrayAge > STALE_S ? "no report" : now.array.state.split(",")[0];
-  if (!["following", "holding"].includes(state)) return { name: state, idle: `The mirrors do not follow the policy: ${state}.` };
-  if (now.controller_unseen) return { name: state, idle: "Another controller or a calibration commands the mirrors, but its messages do not reach this viewer." };
-  if (!now.controller_alive) return { name: state, idle: "No controller commands the mirrors." };
-  // The leader is the first one. Without it, a controller is about to take over.
-  if (now.controllers[0]?.role === "stands-by") return { name: state, idle: "Each controller that reports stands by." };
-  return { name: now.policy || state, idle: "" };
+  if (arrayAge <= STALE_S || isCalibrating(now)) return now.in_charge;
+  return { name: "no report", idle: "The mirrors do not follow the policy: no report." };
 }
 
 // The sentence for figures of an age in s; `now` is null before the first figures.

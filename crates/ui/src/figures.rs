@@ -18,11 +18,12 @@ use serde::Serialize;
 
 use crate::View;
 use crate::controllers::{ControllerFigures, controller_name};
+use crate::in_charge::InCharge;
 use crate::latency::Histogram;
 use crate::notes::{follows_from, follows_from_stop, of_stopped, without_figures};
 use crate::scene::unusable_mirrors;
 use crate::shown_room::Findings;
-use crate::view::{EXPIRY, Received};
+use crate::view::{EXPIRY, Received, Sample};
 use counts::counts;
 
 /// Where the figures come from.
@@ -76,6 +77,18 @@ pub struct SumFigures {
     pub flat: Option<f64>,
     /// At the best angles that meet the minimum rates.
     pub oracle: Option<f64>,
+}
+
+/// Sum rates at a past instant, and what the mirrors followed then.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PastSum {
+    /// The sum rates.
+    #[serde(flatten)]
+    pub sum: SumFigures,
+    /// What the mirrors followed, as in [`InCharge`].
+    pub name: String,
+    /// Whether it was not the policy.
+    pub idle: bool,
 }
 
 /// The mirror array.
@@ -175,6 +188,8 @@ pub struct Figures {
     pub controller_alive: bool,
     /// Whether an array accepts commands of a controller or a calibration that this viewer does not see.
     pub controller_unseen: bool,
+    /// What the mirrors follow.
+    pub in_charge: InCharge,
     /// The users.
     pub users: Vec<UserFigures>,
     /// Sum rates; absent without messages, and where the rate of no user is known.
@@ -240,6 +255,7 @@ impl View {
             network: controller.and_then(NodeStatus::actor).map(shown),
             controller_alive: received.is_controller_alive(),
             controller_unseen: received.is_controller_unseen(),
+            in_charge: received.in_charge(),
             sum_mbps: sum(&received, &users),
             users,
             array: array(model, unusable, silent, telemetry.as_ref()),
@@ -270,11 +286,16 @@ impl View {
         }
     }
 
-    /// Sum rates of the last 90 s: time since the view opened in s, then Mbit/s as in
-    /// [`SumFigures`].
-    pub fn history(&self) -> Vec<(f64, SumFigures)> {
+    /// Sum rates of the last 90 s: time since the view opened in s, then those of that instant.
+    pub fn history(&self) -> Vec<(f64, PastSum)> {
         let since = |at: Instant| at.saturating_duration_since(self.opened).as_secs_f64();
-        self.received().history.iter().map(|sample| (since(sample.at), sum_of(&sample.sum))).collect()
+        self.received().history.iter().map(|sample| (since(sample.at), PastSum::of(sample))).collect()
+    }
+}
+
+impl PastSum {
+    fn of(Sample { sum, in_charge, .. }: &Sample) -> Self {
+        Self { sum: sum_of(sum), name: in_charge.name.clone(), idle: !in_charge.idle.is_empty() }
     }
 }
 
@@ -415,6 +436,18 @@ mod tests {
     use heliostat_scenario::Scenario;
 
     use super::*;
+
+    #[test]
+    fn past_sum_rates_have_what_the_mirrors_followed_beside_them() {
+        let in_charge = InCharge { name: "stopped".into(), idle: "The mirrors do not follow the policy.".into() };
+        let sum = heliostat_proto::SumRates { policy: 3e6, ..heliostat_proto::SumRates::default() };
+        let past = PastSum::of(&Sample { at: Instant::now(), sum, in_charge });
+        let json = serde_json::to_value(past).expect("numbers and texts");
+        let expected = serde_json::json!({
+            "policy": 3.0, "no_irs": 0.0, "flat": 0.0, "oracle": 0.0, "name": "stopped", "idle": true
+        });
+        assert_eq!(json, expected);
+    }
 
     #[test]
     fn a_problem_that_a_note_states_too_is_not_repeated() {

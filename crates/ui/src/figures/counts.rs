@@ -62,7 +62,7 @@ pub(super) fn counts(
             ROOM,
             value(room, "lost_ticks"),
             true,
-            "Reports of the simulated room that no accepted command answered in time, also during a stop.",
+            "Reports of the simulated room that no accepted command answered in time. Those during a stop of all arrays do not count.",
         ),
         ("ticks late", ROOM, value(room, "late_ticks"), true, "Reports of the simulated room that it published late."),
         (

@@ -24,7 +24,7 @@ use crate::notes::{follows_from, follows_from_stop, of_stopped, without_figures}
 use crate::scene::unusable_mirrors;
 use crate::shown_room::Findings;
 use crate::view::{EXPIRY, Received, Sample};
-use counts::counts;
+use counts::{Counting, counts};
 
 /// Where the figures come from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -142,7 +142,7 @@ pub struct TimeFigures {
 }
 
 /// A counter since the start of its process.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Count {
     /// Name.
     pub name: String,
@@ -154,6 +154,10 @@ pub struct Count {
     pub is_problem: bool,
     /// What it counts.
     pub meaning: &'static str,
+    /// The process that counts, by its kind and its source; empty before its first status.
+    pub process: String,
+    /// For how many minutes this process had run at its last status; absent where it is unknown.
+    pub minutes: Option<u64>,
 }
 
 /// Time since the last message of each process in s; absent before the first.
@@ -273,7 +277,14 @@ impl View {
             ],
             latency: received.latency.histogram(),
             late: received.latency.late(),
-            counts: counts(last_controller, last_room, telemetry.as_ref(), received.unreadable),
+            counts: counts(&Counting {
+                controller: last_controller,
+                room: last_room,
+                driver: telemetry.as_ref().and_then(|telemetry| driver(&received, telemetry)),
+                array: telemetry.as_ref(),
+                unreadable: received.unreadable,
+                viewed_for: self.opened.elapsed(),
+            }),
             power_w: gauge("power_w"),
             jammed: gauge("faulty_mirrors").map(|count| count as u64),
             speed_m_s: gauge("speed_max_m_s"),
@@ -357,6 +368,14 @@ fn array(
         unusable,
         faults: fault::names(telemetry.faults),
     }
+}
+
+/// The last status of the process that moves the mirrors of this telemetry. Several drivers have no common one.
+fn driver<'a>(received: &'a Received, telemetry: &MirrorTelemetry) -> Option<&'a NodeStatus> {
+    let is_driver = |status: &NodeStatus| matches!(status.node, NodeKind::Driver | NodeKind::SimNode);
+    let mut drivers = received.statuses.values().map(|(_, status)| status).filter(|status| is_driver(status));
+    let first = drivers.next().filter(|first| first.stamp.source == telemetry.stamp.source)?;
+    drivers.next().is_none().then_some(first)
 }
 
 fn sum(received: &Received, users: &[UserFigures]) -> Option<SumFigures> {

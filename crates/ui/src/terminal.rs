@@ -180,7 +180,7 @@ mod tests {
                     of: "room",
                     value: Some(value),
                     is_problem: true,
-                    meaning: "",
+                    ..Count::default()
                 })
                 .collect(),
             notes: vec!["no driver receives the commands".into()],

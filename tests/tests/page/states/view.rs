@@ -383,6 +383,26 @@ fn a_learned_policy_has_the_file_of_its_network_or_the_hash_in_its_tooltip() {
 
 #[needs("browser")]
 #[test]
+fn the_tooltip_of_a_counter_names_its_process_and_when_it_started() {
+    let setting = Setting::new();
+    let browser = setting.browser();
+    let script = "return import('/figures.js').then(({ countedBy }) => \
+           [['controller 0a', 0], ['sim-node 0b', 61], ['driver 0c', 150], ['driver 0c', null], ['', null]] \
+             .map(([process, minutes]) => countedBy({ process, minutes })))";
+    let expected = [
+        "Counted since the start of controller 0a, less than a minute ago.",
+        "Counted since the start of sim-node 0b, 61 min ago.",
+        "Counted since the start of driver 0c, 2 h ago.",
+        "Counted since the start of driver 0c.",
+        "",
+    ];
+    assert_eq!(browser.run(script), serde_json::json!(expected));
+    let tip = "return [...document.querySelectorAll('#counts dfn')].find(({ textContent }) => textContent === 'ticks lost').title";
+    wait_until("a tooltip", || browser.run(tip).as_str().is_some_and(|tip| tip.contains("the start of sim-node ")));
+}
+
+#[needs("browser")]
+#[test]
 fn users_who_lose_their_link_without_the_mirrors_are_named_as_users() {
     let setting = Setting::new();
     let browser = setting.browser();

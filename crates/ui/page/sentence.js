@@ -8,9 +8,21 @@ export const STALE_S = 1;
 const rounded = (mbps) => (Math.abs(mbps) < 10 ? mbps.toFixed(1) : mbps.toFixed(0));
 export const seconds = (age) => (age < 10 ? age.toFixed(1) : age.toFixed(0)) + " s";
 
-// What the mirrors add to the sum rate.
-function mirrorsIn(sum) {
-  if (!sum) return "The rates are unknown.";
+// The sum rates of the channel model for the users of a frame; `null` where one of them has a measured rate, or an
+// array reports no angles.
+function modelledIn(users) {
+  if (users.length === 0 || users.some((user) => user.modelled_mbps == null)) return null;
+  const sum = (key) => users.reduce((total, user) => total + user[key], 0);
+  return { policy: sum("modelled_mbps"), no_irs: sum("without_mirrors_mbps") };
+}
+
+// What the mirrors add to the sum rate; where no receiver reports gains, by the channel model.
+function mirrorsIn(sum, frame) {
+  if (!sum) {
+    const modelled = modelledIn(frame?.users ?? []);
+    if (!modelled) return "The rates are unknown.";
+    return `The modelled sum rate is ${rounded(modelled.policy)} Mbit/s, and ${rounded(modelled.no_irs)} without the mirrors.`;
+  }
   if (sum.no_irs == null) return `The sum rate is ${rounded(sum.policy)} Mbit/s; the rate without mirrors is unknown.`;
   const gain = sum.policy - sum.no_irs;
   if (Math.abs(gain) < 0.05) return "Mirrors add nothing to the sum rate.";
@@ -65,7 +77,7 @@ export function sentence(now, age, shown, frame) {
   const refusing = refusal(now);
   if (refusing) return `The controller refuses the position reports${refusing.problem ? `: ${refusing.problem}` : "."}`;
   if (shown?.wall === false && frame) return withoutIn(frame.users);
-  return now.users.length === 0 ? usersIn(now.users) : `${mirrorsIn(now.sum_mbps)} ${usersIn(now.users)}`;
+  return now.users.length === 0 ? usersIn(now.users) : `${mirrorsIn(now.sum_mbps, frame)} ${usersIn(now.users)}`;
 }
 
 // Who ordered a stop, why, and since when the page knows of it.

@@ -322,6 +322,24 @@ fn the_sentence_says_what_is_unknown() {
 
 #[needs("browser")]
 #[test]
+fn the_sentence_has_the_modelled_sum_rate_where_no_receiver_reports_gains() {
+    let setting = Setting::new();
+    let browser = setting.browser();
+    let script = "return import('/sentence.js').then(({ sentence }) => { \
+           const users = [3, 7].map((user) => ({ user, rate_mbps: 0, is_rate_known: false, min_rate_mbps: 1 })); \
+           const now = { origin: 'measured', ages_s: { room: 0 }, nodes: [], users, sum_mbps: null }; \
+           const of = (modelled) => sentence(now, 0.1, { wall: true }, { \
+             users: modelled.map((modelled_mbps) => ({ modelled_mbps, without_mirrors_mbps: 6 })) }); \
+           return [of([20, 25]), of([20, undefined])]; })";
+    let expected = [
+        "The modelled sum rate is 45 Mbit/s, and 12 without the mirrors. No receiver reports the gains of its user.",
+        "The rates are unknown. No receiver reports the gains of its user.",
+    ];
+    assert_eq!(browser.run(script), serde_json::json!(expected));
+}
+
+#[needs("browser")]
+#[test]
 fn the_chip_of_the_policy_and_the_name_of_the_sum_rate_agree_on_what_the_mirrors_follow() {
     let setting = Setting::new();
     let browser = setting.browser();

@@ -415,7 +415,7 @@ fn the_tooltip_of_a_counter_names_its_process_and_when_it_started() {
         "",
     ];
     assert_eq!(browser.run(script), serde_json::json!(expected));
-    let tip = "return [...document.querySelectorAll('#counts dfn')].find(({ textContent }) => textContent === 'ticks lost').title";
+    let tip = "return [...document.querySelectorAll('#counts dfn')].find(({ textContent }) => textContent === 'ticks lost')?.title ?? ''";
     wait_until("a tooltip", || browser.run(tip).as_str().is_some_and(|tip| tip.contains("the start of sim-node ")));
 }
 

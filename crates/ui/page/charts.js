@@ -8,8 +8,8 @@ const GAP_S = 2;
 const FONT = "11px system-ui, sans-serif";
 const SMALL_FONT = "9px system-ui, sans-serif";
 
-// The name of what the mirrors followed at a time that the page did not see.
-const UNKNOWN = "mirrors";
+// What the mirrors follow, by its name; that of a policy that no status has stated is empty.
+const nameOf = ({ name }) => name || "policy unknown";
 
 // One colour for each policy, the same in every report and figure.
 const POLICY_COLOURS = {
@@ -39,16 +39,23 @@ export function stretches(points, now_s) {
   return begins.map(({ time_s, name, idle }) => ({ from_s: time_s - now_s, name, idle }));
 }
 
+// The background of a mark in the legend: the colour of a line, with the dashes of that line.
+export function markOf(colour, [on, off]) {
+  return on ? `repeating-linear-gradient(90deg, ${colour} 0 ${on}px, transparent ${on}px ${on + off}px)` : colour;
+}
+
 export class Charts {
   constructor(plan) {
     this.budget = plan.budget_us;
     this.sum = document.getElementById("sum-chart");
     this.latency = document.getElementById("latency-chart");
     this.sumPlot = this.latencyPlot = null;
-    // What the mirrors followed before this page was open is unknown to it.
-    this.past = plan.history.map(([time_s, sum]) => ({ time_s, name: UNKNOWN, idle: true, ...sum }));
+    this.past = plan.history.map(([time_s, sample]) => ({ time_s, ...sample }));
     this.followed = { name: "", idle: true };
     this.stretches = [];
+    // The legend of the line's earlier colours. It lies over the chart, which keeps its size.
+    this.earlier = Object.assign(document.createElement("p"), { className: "earlier", hidden: true });
+    this.sum.append(this.earlier);
     this.redraw = new RedrawLimiter(500);
     const observer = new ResizeObserver(() => {
       this.redraw.reset();
@@ -64,7 +71,9 @@ export class Charts {
     this.card = dark ? "#181d23cc" : "#ffffffcc";
     this.grid = dark ? "#2e3740" : "#e2e6ea";
     this.muted = dark ? "#a0aab5" : "#59626d";
-    this.flat = dark ? "#999999" : "#666666";
+    this.flat = dark ? "#7d7d7d" : "#666666";
+    this.idle = dark ? "#c08a4a" : "#8c510a";
+    this.unknown = dark ? "#b18cf0" : "#7b3fc4";
     this.redraw.reset();
   }
 
@@ -84,16 +93,17 @@ export class Charts {
 
   lines() {
     return [
-      ["policy", this.followed.name || "policy", this.colourOf(this.followed), [], 2.5],
+      ["policy", nameOf(this.followed), this.colourOf(this.followed), [], 2.5],
       ["no_irs", "no IRS", "#bbbbbb", [], 1.5],
       ["flat", "flat", this.flat, [2, 3], 1.5],
       ["oracle", "oracle", this.ink, [6, 4], 1.2],
     ];
   }
 
-  // A policy has its colour; what the mirrors follow in place of one is grey.
+  // A policy has its colour. What the mirrors follow in place of one, and an unknown policy, have colours of their own.
   colourOf({ name, idle }) {
-    return idle ? this.muted : POLICY_COLOURS[name] ?? "#0072b2";
+    if (idle) return this.idle;
+    return name ? POLICY_COLOURS[name] ?? "#0072b2" : this.unknown;
   }
 
   // The stroke of the line with the mirrors: each stretch has the colour of what the mirrors followed then.
@@ -111,12 +121,12 @@ export class Charts {
   // The present sum rates.
   figures(sum) {
     const list = document.getElementById("sum-figures");
-    this.lines().forEach(([key, name, colour], index) => {
+    this.lines().forEach(([key, name, colour, dash], index) => {
       if (!list.children[index]) list.insertAdjacentHTML("beforeend", "<div><dt></dt><dd><span></span> <small></small></dd></div>");
       const [term, figure] = list.children[index].children;
       const rate = sum?.[key];
       const share = rate != null && sum.oracle > 0 && key !== "oracle" ? `${((100 * rate) / sum.oracle).toFixed(0)} %` : "";
-      term.style.setProperty("--swatch", colour);
+      term.style.setProperty("--swatch", markOf(colour, dash));
       if (!term.firstChild) {
         const explained = Object.assign(document.createElement("dfn"), { tabIndex: 0, title: TIPS[key] });
         term.append(explained);
@@ -125,6 +135,18 @@ export class Charts {
       figure.children[0].textContent = rate == null ? "–" : rate.toFixed(1);
       figure.children[1].textContent = share;
     });
+  }
+
+  // The names and colours of the line with the mirrors that are no longer those of the present.
+  showEarlier() {
+    const earlier = new Map(this.stretches.map((stretch) => [nameOf(stretch), this.colourOf(stretch)]));
+    earlier.delete(nameOf(this.followed));
+    this.earlier.hidden = earlier.size === 0;
+    this.earlier.replaceChildren("earlier: ", ...[...earlier].map(([name, colour]) => {
+      const mark = Object.assign(document.createElement("span"), { textContent: name });
+      mark.style.setProperty("--swatch", colour);
+      return mark;
+    }));
   }
 
   // A plot in an element; `tip` gives the text for the index under the pointer.
@@ -176,13 +198,14 @@ export class Charts {
     const lines = this.lines().reverse();
     const points = withGaps(this.past);
     this.stretches = stretches(this.past, now_s);
+    this.showEarlier();
     const data = [points.map((point) => point.time_s - now_s), ...lines.map(([key]) => points.map((point) => point[key] ?? null))];
     if (this.sumPlot) return this.show(this.sumPlot, this.sum, data);
     const text = (index) => {
       const [x, ...rates] = this.sumPlot.data.map((values) => values[index]);
       const then = this.stretches.findLast(({ from_s }) => from_s <= x) ?? this.followed;
-      const nameOf = (key, name) => (key === "policy" ? then.name : name);
-      const named = this.lines().reverse().map(([key, name], line) => (rates[line] == null ? "" : `${nameOf(key, name)} ${rates[line].toFixed(1)}`));
+      const lineName = (key, name) => (key === "policy" ? nameOf(then) : name);
+      const named = this.lines().reverse().map(([key, name], line) => (rates[line] == null ? "" : `${lineName(key, name)} ${rates[line].toFixed(1)}`));
       const shown = named.filter(Boolean).reverse();
       return [`${(-x).toFixed(0)} s ago`, ...(shown.length ? shown : ["no figures"])].join(" · ");
     };

@@ -219,6 +219,13 @@ function servedLight(light) {
   return [["light received", farthest.ratio.toFixed(2), isOff ? "bad" : "", meaning, "controller"]];
 }
 
+// The process that counts, and since when: the counters of the list are of several processes.
+export function countedBy({ process, minutes }) {
+  if (!process) return "";
+  const ago = minutes === 0 ? "less than a minute" : minutes < 120 ? `${minutes} min` : `${Math.floor(minutes / 60)} h`;
+  return `Counted since the start of ${process}${minutes === null ? "" : `, ${ago} ago`}.`;
+}
+
 // Counters, times and faults.
 export function counters(now) {
   quantiles(now.times);
@@ -228,6 +235,6 @@ export function counters(now) {
   // Without any report it is unknown whether there are faults.
   const noFaults = now.array.silent.length < now.array.arrays ? "none" : "–";
   const faults = ["faults", now.array.faults.join(", ") || noFaults, now.array.faults.length ? "bad" : "", meaning, "array"];
-  const counts = now.counts.map((count) => [count.name, count.value === null ? "–" : String(count.value), count.is_problem && count.value > 0 ? "bad" : "", count.meaning, count.of]);
+  const counts = now.counts.map((count) => [count.name, count.value === null ? "–" : String(count.value), count.is_problem && count.value > 0 ? "bad" : "", `${count.meaning} ${countedBy(count)}`.trim(), count.of]);
   list(at("counts"), [...counts, faults, ...trackerNoise(now.tracker_noise), ...servedLight(now.light), ...standby(now.controllers)]);
 }

@@ -8,9 +8,21 @@ export const STALE_S = 1;
 const rounded = (mbps) => (Math.abs(mbps) < 10 ? mbps.toFixed(1) : mbps.toFixed(0));
 export const seconds = (age) => (age < 10 ? age.toFixed(1) : age.toFixed(0)) + " s";
 
-// What the mirrors add to the sum rate.
-function mirrorsIn(sum) {
-  if (!sum) return "The rates are unknown.";
+// The sum rates of the channel model for the users of a frame; `null` where one of them has a measured rate, or an
+// array reports no angles.
+function modelledIn(users) {
+  if (users.length === 0 || users.some((user) => user.modelled_mbps == null)) return null;
+  const sum = (key) => users.reduce((total, user) => total + user[key], 0);
+  return { policy: sum("modelled_mbps"), no_irs: sum("without_mirrors_mbps") };
+}
+
+// What the mirrors add to the sum rate; where no receiver reports gains, by the channel model.
+function mirrorsIn(sum, frame) {
+  if (!sum) {
+    const modelled = modelledIn(frame?.users ?? []);
+    if (!modelled) return "The rates are unknown.";
+    return `The modelled sum rate is ${rounded(modelled.policy)} Mbit/s, and ${rounded(modelled.no_irs)} without the mirrors.`;
+  }
   if (sum.no_irs == null) return `The sum rate is ${rounded(sum.policy)} Mbit/s; the rate without mirrors is unknown.`;
   const gain = sum.policy - sum.no_irs;
   if (Math.abs(gain) < 0.05) return "Mirrors add nothing to the sum rate.";
@@ -44,22 +56,14 @@ function withoutIn(users) {
 // The controller, if it refuses the position reports; else `undefined`.
 export const refusal = (now) => now.nodes.find(({ node, state }) => node === "controller" && state === "position reports refused");
 
-// Whether no array can follow a command. An array without a stop may, where a stop holds another one.
-const isStopped = ({ array, stop }) => array.state.includes("stopped") && stop.free.length === 0;
+// Whether a calibration commands the mirrors in place of a controller, as the server judges it.
+export const isCalibrating = (now) => now.in_charge?.name === "calibration";
 
-// Whether a calibration commands the mirrors in place of a controller. It may compute while the array is stopped.
-export const isCalibrating = (now) => Boolean(now.calibration && now.controller_alive && !isStopped(now));
-
-// What the mirrors follow, as `name`, and why it is not the policy, as `idle`; empty while it is.
+// What the mirrors follow, as `name`, and why it is not the policy, as `idle`; empty while it is. The name is empty
+// while the policy is unknown. The server judges this; its judgement gets old with the telemetry.
 export function inCharge(now, arrayAge) {
-  if (isCalibrating(now)) return { name: "calibration", idle: "A calibration commands the mirrors." };
-  const state = arrayAge > STALE_S ? "no report" : now.array.state.split(",")[0];
-  if (!["following", "holding"].includes(state)) return { name: state, idle: `The mirrors do not follow the policy: ${state}.` };
-  if (now.controller_unseen) return { name: state, idle: "Another controller or a calibration commands the mirrors, but its messages do not reach this viewer." };
-  if (!now.controller_alive) return { name: state, idle: "No controller commands the mirrors." };
-  // The leader is the first one. Without it, a controller is about to take over.
-  if (now.controllers[0]?.role === "stands-by") return { name: state, idle: "Each controller that reports stands by." };
-  return { name: now.policy || state, idle: "" };
+  if (arrayAge <= STALE_S || isCalibrating(now)) return now.in_charge;
+  return { name: "no report", idle: "The mirrors do not follow the policy: no report." };
 }
 
 // The sentence for figures of an age in s; `now` is null before the first figures.
@@ -73,7 +77,7 @@ export function sentence(now, age, shown, frame) {
   const refusing = refusal(now);
   if (refusing) return `The controller refuses the position reports${refusing.problem ? `: ${refusing.problem}` : "."}`;
   if (shown?.wall === false && frame) return withoutIn(frame.users);
-  return now.users.length === 0 ? usersIn(now.users) : `${mirrorsIn(now.sum_mbps)} ${usersIn(now.users)}`;
+  return now.users.length === 0 ? usersIn(now.users) : `${mirrorsIn(now.sum_mbps, frame)} ${usersIn(now.users)}`;
 }
 
 // Who ordered a stop, why, and since when the page knows of it.

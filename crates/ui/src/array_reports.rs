@@ -91,6 +91,11 @@ impl ArrayReports {
         self.fresh().map(|(_, (at, telemetry))| (*at, telemetry.state)).collect()
     }
 
+    /// The most serious state of the arrays whose telemetry is not old, in the order of [`joint`](Self::joint).
+    pub fn state(&self) -> Option<ArrayState> {
+        self.fresh().map(|(_, (_, telemetry))| telemetry.state).max_by_key(|state| severity(*state))
+    }
+
     /// The epoch of the commands that the first array follows, where its telemetry is not old.
     pub fn followed_epoch(&self) -> Option<u64> {
         self.fresh().find(|(array, _)| **array == 0).map(|(_, (_, telemetry))| telemetry.epoch)

@@ -18,12 +18,13 @@ use serde::Serialize;
 
 use crate::View;
 use crate::controllers::{ControllerFigures, controller_name};
+use crate::in_charge::InCharge;
 use crate::latency::Histogram;
 use crate::notes::{follows_from, follows_from_stop, of_stopped, without_figures};
 use crate::scene::unusable_mirrors;
 use crate::shown_room::Findings;
-use crate::view::{EXPIRY, Received};
-use counts::counts;
+use crate::view::{EXPIRY, Received, Sample};
+use counts::{Counting, counts};
 
 /// Where the figures come from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -78,6 +79,18 @@ pub struct SumFigures {
     pub oracle: Option<f64>,
 }
 
+/// Sum rates at a past instant, and what the mirrors followed then.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PastSum {
+    /// The sum rates.
+    #[serde(flatten)]
+    pub sum: SumFigures,
+    /// What the mirrors followed, as in [`InCharge`].
+    pub name: String,
+    /// Whether it was not the policy.
+    pub idle: bool,
+}
+
 /// The mirror array.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct ArrayFigures {
@@ -129,7 +142,7 @@ pub struct TimeFigures {
 }
 
 /// A counter since the start of its process.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Count {
     /// Name.
     pub name: String,
@@ -141,6 +154,10 @@ pub struct Count {
     pub is_problem: bool,
     /// What it counts.
     pub meaning: &'static str,
+    /// The process that counts, by its kind and its source; empty before its first status.
+    pub process: String,
+    /// For how many minutes this process had run at its last status; absent where it is unknown.
+    pub minutes: Option<u64>,
 }
 
 /// Time since the last message of each process in s; absent before the first.
@@ -175,6 +192,8 @@ pub struct Figures {
     pub controller_alive: bool,
     /// Whether an array accepts commands of a controller or a calibration that this viewer does not see.
     pub controller_unseen: bool,
+    /// What the mirrors follow.
+    pub in_charge: InCharge,
     /// The users.
     pub users: Vec<UserFigures>,
     /// Sum rates; absent without messages, and where the rate of no user is known.
@@ -240,6 +259,7 @@ impl View {
             network: controller.and_then(NodeStatus::actor).map(shown),
             controller_alive: received.is_controller_alive(),
             controller_unseen: received.is_controller_unseen(),
+            in_charge: received.in_charge(),
             sum_mbps: sum(&received, &users),
             users,
             array: array(model, unusable, silent, telemetry.as_ref()),
@@ -257,7 +277,14 @@ impl View {
             ],
             latency: received.latency.histogram(),
             late: received.latency.late(),
-            counts: counts(last_controller, last_room, telemetry.as_ref(), received.unreadable),
+            counts: counts(&Counting {
+                controller: last_controller,
+                room: last_room,
+                driver: telemetry.as_ref().and_then(|telemetry| driver(&received, telemetry)),
+                array: telemetry.as_ref(),
+                unreadable: received.unreadable,
+                viewed_for: self.opened.elapsed(),
+            }),
             power_w: gauge("power_w"),
             jammed: gauge("faulty_mirrors").map(|count| count as u64),
             speed_m_s: gauge("speed_max_m_s"),
@@ -270,11 +297,16 @@ impl View {
         }
     }
 
-    /// Sum rates of the last 90 s: time since the view opened in s, then Mbit/s as in
-    /// [`SumFigures`].
-    pub fn history(&self) -> Vec<(f64, SumFigures)> {
+    /// Sum rates of the last 90 s: time since the view opened in s, then those of that instant.
+    pub fn history(&self) -> Vec<(f64, PastSum)> {
         let since = |at: Instant| at.saturating_duration_since(self.opened).as_secs_f64();
-        self.received().history.iter().map(|sample| (since(sample.at), sum_of(&sample.sum))).collect()
+        self.received().history.iter().map(|sample| (since(sample.at), PastSum::of(sample))).collect()
+    }
+}
+
+impl PastSum {
+    fn of(Sample { sum, in_charge, .. }: &Sample) -> Self {
+        Self { sum: sum_of(sum), name: in_charge.name.clone(), idle: !in_charge.idle.is_empty() }
     }
 }
 
@@ -336,6 +368,14 @@ fn array(
         unusable,
         faults: fault::names(telemetry.faults),
     }
+}
+
+/// The last status of the process that moves the mirrors of this telemetry. Several drivers have no common one.
+fn driver<'a>(received: &'a Received, telemetry: &MirrorTelemetry) -> Option<&'a NodeStatus> {
+    let is_driver = |status: &NodeStatus| matches!(status.node, NodeKind::Driver | NodeKind::SimNode);
+    let mut drivers = received.statuses.values().map(|(_, status)| status).filter(|status| is_driver(status));
+    let first = drivers.next().filter(|first| first.stamp.source == telemetry.stamp.source)?;
+    drivers.next().is_none().then_some(first)
 }
 
 fn sum(received: &Received, users: &[UserFigures]) -> Option<SumFigures> {
@@ -415,6 +455,18 @@ mod tests {
     use heliostat_scenario::Scenario;
 
     use super::*;
+
+    #[test]
+    fn past_sum_rates_have_what_the_mirrors_followed_beside_them() {
+        let in_charge = InCharge { name: "stopped".into(), idle: "The mirrors do not follow the policy.".into() };
+        let sum = heliostat_proto::SumRates { policy: 3e6, ..heliostat_proto::SumRates::default() };
+        let past = PastSum::of(&Sample { at: Instant::now(), sum, in_charge });
+        let json = serde_json::to_value(past).expect("numbers and texts");
+        let expected = serde_json::json!({
+            "policy": 3.0, "no_irs": 0.0, "flat": 0.0, "oracle": 0.0, "name": "stopped", "idle": true
+        });
+        assert_eq!(json, expected);
+    }
 
     #[test]
     fn a_problem_that_a_note_states_too_is_not_repeated() {

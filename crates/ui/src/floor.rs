@@ -102,9 +102,8 @@ impl FloorMaps {
             );
             scene.update(model, &[point], &now.blockers, &[false]);
             let sinr = if with_mirrors {
-                // Of the model's own power, which may differ from the present one.
                 scene.sinr(model, &now.angles, &mut gain);
-                gain[0] / model.budget.sinr(1.0) * budget.sinr(1.0)
+                at_power_of(&budget, model, gain[0])
             } else {
                 budget.sinr(scene.los_gain()[0])
             };
@@ -114,6 +113,11 @@ impl FloorMaps {
         let max_mbps = rate_mbps.iter().copied().fold(0.0, f64::max);
         (now.room.id.clone(), FloorMap { columns, rows, rate_mbps, max_mbps })
     }
+}
+
+/// A SINR of the model's own power, at the power of a budget, which may differ from it.
+pub(crate) fn at_power_of(budget: &LinkBudget, model: &ChannelModel, sinr: f64) -> f64 {
+    sinr / model.budget.sinr(1.0) * budget.sinr(1.0)
 }
 
 /// The next of 1, 2, 5, 10, 20, 50 ... that is not below a rate.

@@ -7,6 +7,7 @@
 //! - [`view`]: subscribes to every topic, and keeps the latest message of each.
 //! - `array_reports`: the telemetry of all arrays as that of one.
 //! - `shown_room`: the room that is drawn: announced, given, or the default.
+//! - [`in_charge`]: what the mirrors follow, and why it is not the policy.
 //! - [`figures`]: rates, sums, times and counters for the page and the terminal.
 //! - [`scene`]: mirrors, users, obstacles and blocked areas for the page's 3-D view.
 //! - [`belief`]: where the controller believes a user to be, as an ellipse.
@@ -30,6 +31,7 @@ mod expiry;
 pub mod figures;
 pub mod floor;
 pub mod guard;
+pub mod in_charge;
 mod latency;
 mod live;
 mod notes;

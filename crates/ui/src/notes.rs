@@ -13,7 +13,7 @@ use crate::error::CHECK_REACH;
 use crate::view::{Dated, EXPIRY, Received};
 
 /// Telemetry of this age shows that an array is present, even without a process that is known.
-const REPORTING: Duration = Duration::from_secs(1);
+pub(crate) const REPORTING: Duration = Duration::from_secs(1);
 
 /// Time after its last process has left within which the last messages of a room get old. Some follow the token.
 const ENDING: Duration = EXPIRY.saturating_add(Duration::from_secs(1));

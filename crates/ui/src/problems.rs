@@ -23,6 +23,11 @@ const LASTING: [&str; 6] = [
     NodeStatus::OTHER_PROCESSES,
 ];
 
+/// How long a process had run when it sent its status.
+pub(crate) fn running_for(status: &NodeStatus) -> Duration {
+    Duration::from_nanos(status.stamp.time_ns.saturating_sub(status.started_ns))
+}
+
 /// The counters of commands of a former leader and to a stopped array: problems only where they rise in two statuses in
 /// succession. A leader commands until it receives the stop, or its successor is obeyed.
 const EXPECTED: [&str; 2] = ["refused:command:lower-epoch", "refused:command:stopped"];
@@ -85,7 +90,7 @@ impl Problems {
                 last.reported = now;
             }
             _ => {
-                let age = Duration::from_nanos(status.stamp.time_ns.saturating_sub(status.started_ns));
+                let age = running_for(status);
                 let are_expected = !rose.is_empty() && rose.iter().all(is_expected);
                 let is_current = !are_expected && (last.is_some() || rose.iter().any(lasts) || age < CURRENT);
                 let at = is_current.then_some(now);

@@ -16,6 +16,7 @@ use serde::Serialize;
 use crate::View;
 use crate::belief::Belief;
 use crate::blocked_area::blocked_area;
+use crate::floor::at_power_of;
 use crate::shown_room::{GeometrySource, ShownRoom};
 use crate::view::{Dated, Received};
 
@@ -61,6 +62,10 @@ pub struct SceneUser {
     pub min_rate_mbps: f64,
     /// Rate without the mirrors in Mbit/s, by the channel model.
     pub without_mirrors_mbps: f64,
+    /// Rate at the reported angles in Mbit/s, by the channel model; absent where a receiver reports the gains of this
+    /// user, in a simulated room, and where an array reports no angles.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub modelled_mbps: Option<f64>,
     /// Where the controller believes the user to be; absent if it publishes no belief.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub belief: Option<Belief>,
@@ -178,6 +183,12 @@ impl FrameBuilder {
             let sinr = budget.sinr(state.scene.los_gain()[index]);
             budget.rate_bps(sinr, users.len()) * 1e-6
         };
+        let is_modelled = are_reported && unknown.is_empty() && users.iter().any(|user| user.blocked.is_none());
+        let sinr = if is_modelled { state.modelled_sinr(&angles) } else { Vec::new() };
+        let modelled = |index: usize, user: &ObservedUser| {
+            let sinr = sinr.get(index).filter(|_| user.blocked.is_none())?;
+            Some(budget.rate_bps(at_power_of(&budget, &room.model, *sinr), users.len()) * 1e-6)
+        };
         Frame {
             geometry: room.id.clone(),
             mirrors_m: (0..angles.len()).map(|index| corners(&room.model.mirrors, index, &angles)).collect(),
@@ -188,6 +199,7 @@ impl FrameBuilder {
                     user: user.user,
                     min_rate_mbps: f64::from(user.min_rate_bps) * 1e-6,
                     without_mirrors_mbps: without_mirrors(index),
+                    modelled_mbps: modelled(index, user),
                     belief: user.belief.clone(),
                     at_m: rounded(&user.position),
                     body_m: body.as_ref().map(outline),
@@ -303,6 +315,13 @@ impl FrameState {
         };
         (0..mirrors).map(best).collect()
     }
+
+    /// The SINR of each user of the last [`serve`](Self::serve) at these angles. Shape: users.
+    fn modelled_sinr(&self, angles: &MirrorAngles) -> Vec<f64> {
+        let mut sinr = vec![0.0; self.scene.users()];
+        self.scene.sinr(&self.room.model, angles, &mut sinr);
+        sinr
+    }
 }
 
 /// A message that is not old; of any age in a room that is over.
@@ -391,13 +410,13 @@ mod tests {
     use std::time::Instant;
 
     use heliostat_bus::{Bus, BusConfig, private_endpoint};
-    use heliostat_proto::{Room, UserReport, UserState};
+    use heliostat_proto::{ChannelReport, Room, UserChannel, UserReport, UserState};
 
     use super::*;
     use crate::view::EXPIRY;
 
     #[test]
-    fn mirrors_without_telemetry_serve_no_user() {
+    fn mirrors_without_telemetry_serve_no_user_and_have_no_modelled_rate() {
         let scenario = Scenario::builtin("specular").and_then(|room| room.with_overrides(&["blockage.bodies=false"]));
         let endpoint = private_endpoint().expect("an endpoint");
         let config = BusConfig::new(Room::new("scene").expect("a valid name")).listen_at(&endpoint);
@@ -411,14 +430,20 @@ mod tests {
             view.received().users = Some((Instant::now(), report.clone()));
             let frame = frames.frame();
             assert_eq!((frame.users.len(), frame.serves.len(), frame.unusable.len()), (1, 100, 0));
-            frame.serves.iter().filter(|user| **user >= 0).count()
+            let SceneUser { modelled_mbps, without_mirrors_mbps, .. } = frame.users[0];
+            let is_served = frame.serves.iter().any(|user| *user >= 0);
+            (is_served, modelled_mbps.map(|rate| rate > without_mirrors_mbps))
         };
-        assert_eq!(served(), 0, "no array has reported");
+        assert_eq!(served(), (false, None), "no array has reported");
         let flat = || vec![0.0; 100];
         let telemetry = MirrorTelemetry { roll_commanded: flat(), yaw_commanded: flat(), ..MirrorTelemetry::default() };
         view.received().arrays.note(0, telemetry);
-        assert!(served() > 0, "the array reports flat mirrors");
+        assert_eq!(served(), (true, Some(true)), "the array reports flat mirrors");
+        let gains = ChannelReport { users: vec![UserChannel::default()], ..ChannelReport::default() };
+        view.received().channel = Some((Instant::now(), gains));
+        assert_eq!(served().1, None, "a receiver reports the gains of the user");
+        view.received().channel = None;
         view.received().arrays.age(EXPIRY);
-        assert_eq!(served(), 0, "the array is silent");
+        assert_eq!(served(), (false, None), "the array is silent");
     }
 }

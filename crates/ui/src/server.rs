@@ -3,7 +3,7 @@
 //! | path | method | content |
 //! | --- | --- | --- |
 //! | `/` and its files | GET | the page |
-//! | `/room.json` | GET | the static data and the sum rates of the last 90 s, JSON |
+//! | `/room.json` | GET | the static data, and the sum rates of the last 90 s with what the mirrors followed then, JSON |
 //! | `/live` | GET | events `figures` (10 a second) and `frame` (at most 10 a second), `log` where it changes, and `ended` as the last one, JSON |
 //! | `/floor.json` | GET | the rate over the floor, JSON; `?mirrors=0` without the mirrors |
 //! | `/events.json` | GET | the next events as one JSON object, for a browser without a free connection |
@@ -37,7 +37,7 @@ use serde::Serialize;
 
 use crate::UiError;
 use crate::assets;
-use crate::figures::SumFigures;
+use crate::figures::PastSum;
 use crate::floor::FloorMaps;
 use crate::guard::{self, Guard, PublicAddress};
 use crate::latency::BUDGET_US;
@@ -254,7 +254,7 @@ struct RoomJson {
     controls_processes: bool,
     network: Option<NetworkFile>,
     budget_us: u64,
-    history: Vec<(f64, SumFigures)>,
+    history: Vec<(f64, PastSum)>,
 }
 
 async fn room(State(Shared { page, .. }): State<Shared>) -> Response {

@@ -80,7 +80,7 @@ impl Display {
         match self {
             Self::Lines(lines) => lines.next(&figures, &stops).iter().for_each(output::note),
             Self::Screen(screen) => {
-                let history = view.history();
+                let history: Vec<_> = view.history().into_iter().map(|(at, past)| (at, past.sum)).collect();
                 screen.screen.draw(|frame| draw(frame, &screen.title, (&figures, &stops), &history))?;
             }
         }
@@ -180,7 +180,7 @@ mod tests {
                     of: "room",
                     value: Some(value),
                     is_problem: true,
-                    meaning: "",
+                    ..Count::default()
                 })
                 .collect(),
             notes: vec!["no driver receives the commands".into()],

@@ -19,6 +19,7 @@ use heliostat_scenario::{Scenario, USERS_MAX};
 use crate::UiError;
 use crate::array_reports::ArrayReports;
 use crate::controllers::{ControllerFigures, Controllers, Role, controller_name};
+use crate::in_charge::InCharge;
 use crate::latency::Window;
 use crate::notes::with_restart;
 use crate::problems::Problems;
@@ -43,11 +44,12 @@ const MEASURED_AFTER: Duration = Duration::from_secs(1);
 /// A message and its arrival time.
 pub(crate) type Dated<T> = Option<(Instant, T)>;
 
-/// Sum rates at an instant, for the chart.
-#[derive(Clone, Copy, Debug)]
+/// Sum rates at an instant, and what the mirrors followed then, for the chart.
+#[derive(Clone, Debug)]
 pub(crate) struct Sample {
     pub at: Instant,
     pub sum: SumRates,
+    pub in_charge: InCharge,
 }
 
 /// The latest messages of a room.
@@ -310,7 +312,8 @@ impl Received {
     fn take_truth(&mut self, truth: RoomTruth) {
         let at = Instant::now();
         if self.history.back().is_none_or(|last| at - last.at >= HISTORY_STEP) {
-            self.history.push_back(Sample { at, sum: truth.sum_rate_bps });
+            let in_charge = self.in_charge();
+            self.history.push_back(Sample { at, sum: truth.sum_rate_bps, in_charge });
         }
         while self.history.front().is_some_and(|first| at - first.at > HISTORY) {
             self.history.pop_front();
@@ -425,7 +428,7 @@ fn store<M: Message + 'static>(
 
 #[cfg(test)]
 mod tests {
-    use heliostat_proto::{MirrorTelemetry, Stamp};
+    use heliostat_proto::{ArrayState, MirrorTelemetry, Stamp};
 
     use super::*;
 
@@ -465,6 +468,20 @@ mod tests {
         assert_eq!(shown(&received), (2, 4), "its last status, of the handover");
         received.take_status(0, status(1, 503, 0));
         assert_eq!(shown(&received), (1, 503), "the second has left");
+    }
+
+    #[test]
+    fn the_history_keeps_what_the_mirrors_followed_at_each_time() {
+        let mut received = Received::default();
+        received.alive.insert((NodeKind::Controller.name(), 1));
+        received.take_status(0, NodeStatus { policy: "greedy".into(), ..status(1, 500, 0) });
+        for state in [ArrayState::Following, ArrayState::Stopped] {
+            received.arrays.note(0, MirrorTelemetry { state, ..MirrorTelemetry::default() });
+            received.take_truth(RoomTruth::default());
+            received.history.iter_mut().for_each(|sample| sample.at -= HISTORY_STEP);
+        }
+        let followed: Vec<&str> = received.history.iter().map(|sample| sample.in_charge.name.as_str()).collect();
+        assert_eq!(followed, ["greedy", "stopped"]);
     }
 
     #[test]

@@ -69,6 +69,8 @@ fn run_due(node: &mut Node, publisher: &mut PublisherThread, now: Moment) -> Res
             }
         })?;
     }
+    // After the publication, so that a stop excuses each tick that waits for an answer.
+    node.excuse_ticks();
     node.publish_telemetry(now)?;
     if node.truth.take(now.local_ns).is_some() {
         node.room.advance(now.local_ns);
@@ -102,6 +104,7 @@ fn drain(node: &mut Node) {
             }
         }
     }
+    node.excuse_ticks();
     node.ticks.expire(node.clock.local_ns());
 }
 

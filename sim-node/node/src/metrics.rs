@@ -14,7 +14,11 @@ pub(crate) fn page(room: &str, summary: &Summary, ticks: &TickLedger) -> Page {
         ("heliostat_ticks", "Position reports published", summary.ticks),
         ("heliostat_ticks_lost", "Ticks that no accepted command answered in time", summary.lost_ticks),
         ("heliostat_ticks_late", "Delayed ticks: published after their due time, or skipped", summary.late_ticks),
-        ("heliostat_ticks_unattended", "Ticks before the first answer", summary.unattended_ticks),
+        (
+            "heliostat_ticks_unattended",
+            "Ticks before the first answer, or without one during a stop",
+            summary.unattended_ticks,
+        ),
         ("heliostat_room_commands", "Commands that the array accepted", summary.commands),
         (
             "heliostat_room_commands_clipped",

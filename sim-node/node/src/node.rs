@@ -214,6 +214,13 @@ impl Node {
         arrays.filter(|array| self.room.array(*array).state() != ArrayState::Stopped).collect()
     }
 
+    /// While every array is stopped, no tick can be answered, and none is lost.
+    pub fn excuse_ticks(&mut self) {
+        if self.obedient().is_empty() {
+            self.ticks.excuse();
+        }
+    }
+
     /// Whether any array follows or has followed a command.
     fn is_commanded(&self) -> bool {
         (0..self.room.arrays()).any(|array| self.room.array(array).followed().is_some())

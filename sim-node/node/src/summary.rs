@@ -72,9 +72,10 @@ pub struct Summary {
     pub seed: u64,
     /// Position reports published.
     pub ticks: u64,
-    /// Ticks before the first answer: no controller was in the room yet.
+    /// Ticks before the first answer: no controller was in the room yet. Also those without one during a stop of all
+    /// arrays.
     pub unattended_ticks: u64,
-    /// Ticks that no accepted command answered in time.
+    /// Ticks that no accepted command answered in time, without those during a stop of all arrays.
     pub lost_ticks: u64,
     /// Ticks whose answer was awaited when a signal ended the run.
     pub waiting_ticks: u64,

@@ -1,7 +1,8 @@
 //! Matches each tick with the command that answers it, and measures the time between them.
 //!
 //! A tick is lost when no accepted command answers it within [`TICK_TIMEOUT_NS`]. Ticks before the
-//! first answer count as unattended, not as lost, because no controller was in the room yet.
+//! first answer count as unattended, not as lost, because no controller was in the room yet. So do ticks without an
+//! answer while every array is stopped: no array accepts one then.
 
 use std::collections::VecDeque;
 
@@ -30,6 +31,8 @@ struct InFlight {
     tick: u64,
     published_ns: u64,
     answered: bool,
+    /// Whether no array could accept its answer.
+    excused: bool,
 }
 
 /// A distribution of times in microseconds.
@@ -63,7 +66,7 @@ impl TickLedger {
     pub fn published(&mut self, tick: u64, now_ns: u64) {
         self.expire(now_ns);
         self.published += 1;
-        self.in_flight.push_back(InFlight { tick, published_ns: now_ns, answered: false });
+        self.in_flight.push_back(InFlight { tick, published_ns: now_ns, answered: false, excused: false });
     }
 
     /// Records the answer to a tick; returns the time since its publication if it is the first
@@ -80,13 +83,18 @@ impl TickLedger {
         self.mark(index, now_ns)
     }
 
+    /// Excuses the ticks that wait for their answers, because every array is stopped: none of them gets lost.
+    pub fn excuse(&mut self) {
+        self.in_flight.iter_mut().for_each(|sent| sent.excused = true);
+    }
+
     /// Removes ticks whose timeout has passed.
     pub fn expire(&mut self, now_ns: u64) {
         while let Some(oldest) = self.in_flight.front() {
             if !oldest.answered && now_ns.saturating_sub(oldest.published_ns) <= TICK_TIMEOUT_NS {
                 break;
             }
-            match (oldest.answered, self.attended) {
+            match (oldest.answered, self.attended && !oldest.excused) {
                 (true, _) => {}
                 (false, true) => self.lost += 1,
                 (false, false) => self.unattended += 1,
@@ -115,7 +123,7 @@ impl TickLedger {
         self.lost
     }
 
-    /// Ticks before the first answer.
+    /// Ticks before the first answer, and those without one while every array was stopped.
     pub fn unattended(&self) -> u64 {
         let waiting = if self.attended { 0 } else { self.in_flight.len() as u64 };
         self.unattended + waiting
@@ -181,6 +189,20 @@ mod tests {
         let distribution = ledger.distribution();
         assert_eq!(distribution.count, 3);
         assert!((distribution.p50 - 1.0).abs() < 0.01 && (distribution.max - 1.5).abs() < 0.01, "{distribution:?}");
+    }
+
+    #[test]
+    fn ticks_without_an_answer_during_a_stop_are_unattended_and_not_lost() {
+        let mut ledger = TickLedger::default();
+        for tick in 1..=4 {
+            ledger.published(tick, tick);
+        }
+        assert_eq!(ledger.answered(1, 5), Some(4));
+        ledger.excuse();
+        assert_eq!(ledger.answered(2, 6), Some(4), "a stop that was released in time");
+        ledger.published(5, 7);
+        ledger.expire(8 + TICK_TIMEOUT_NS);
+        assert_eq!((ledger.unattended(), ledger.lost()), (2, 1), "the last one came after the stop");
     }
 
     #[test]

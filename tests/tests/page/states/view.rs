@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use heliostat_needs::needs;
-use heliostat_tests::{choose_theme, wait_until};
+use heliostat_tests::{Browser, choose_theme, wait_until};
 use serde_json::Value;
 
 use super::setting::{Setting, drawn};
@@ -322,36 +322,34 @@ fn the_sentence_says_what_is_unknown() {
 
 #[needs("browser")]
 #[test]
+fn the_sentence_has_the_modelled_sum_rate_where_no_receiver_reports_gains() {
+    let setting = Setting::new();
+    let browser = setting.browser();
+    let script = "return import('/sentence.js').then(({ sentence }) => { \
+           const users = [3, 7].map((user) => ({ user, rate_mbps: 0, is_rate_known: false, min_rate_mbps: 1 })); \
+           const now = { origin: 'measured', ages_s: { room: 0 }, nodes: [], users, sum_mbps: null }; \
+           const of = (modelled) => sentence(now, 0.1, { wall: true }, { \
+             users: modelled.map((modelled_mbps) => ({ modelled_mbps, without_mirrors_mbps: 6 })) }); \
+           return [of([20, 25]), of([20, undefined])]; })";
+    let expected = [
+        "The modelled sum rate is 45 Mbit/s, and 12 without the mirrors. No receiver reports the gains of its user.",
+        "The rates are unknown. No receiver reports the gains of its user.",
+    ];
+    assert_eq!(browser.run(script), serde_json::json!(expected));
+}
+
+#[needs("browser")]
+#[test]
 fn the_chip_of_the_policy_and_the_name_of_the_sum_rate_agree_on_what_the_mirrors_follow() {
     let setting = Setting::new();
     let browser = setting.browser();
     let script = "return import('/sentence.js').then(({ inCharge }) => { \
-           const of = (state, age, more = {}) => { \
-             const now = { array: { state }, policy: 'greedy', controller_alive: true, controllers: [], ...more }; \
-             const { name, idle } = inCharge(now, age); \
-             return [name, idle !== '']; }; \
-           return [of('following', 0.1), of('holding, no telemetry of mirrors-1', 0.1), of('parked', 0.1), \
-             of('parked', 0.1, { controller_alive: false }), of('holding', 0.1, { controller_alive: false }), \
-             of('following', 0.1, { controller_alive: false, controller_unseen: true }), \
-             of('following', 0.1, { controller_unseen: true }), \
-             of('following', 0.1, { controllers: [{ role: 'stands-by' }] }), \
-             of('following', 2), of('following', 0.1, { policy: '', calibration: 'spot 1' }), \
-             of('stopped', 0.1, { calibration: 'spot 1', stop: { free: [] } }), \
-             of('stopped', 0.1, { calibration: 'spot 1', stop: { free: [1] } })]; })";
-    let expected = serde_json::json!([
-        ["greedy", false],
-        ["greedy", false],
-        ["parked", true],
-        ["parked", true],
-        ["holding", true],
-        ["following", true],
-        ["following", true],
-        ["following", true],
-        ["no report", true],
-        ["calibration", true],
-        ["stopped", true],
-        ["calibration", true]
-    ]);
+           const of = (name, idle, age) => { \
+             const found = inCharge({ in_charge: { name, idle } }, age); \
+             return [found.name, found.idle !== '']; }; \
+           return [of('greedy', '', 0.1), of('parked', 'They are parked.', 0.1), of('greedy', '', 2), \
+             of('calibration', 'It commands.', 2)]; })";
+    let expected = serde_json::json!([["greedy", false], ["parked", true], ["no report", true], ["calibration", true]]);
     assert_eq!(browser.run(script), expected);
     browser.click("#stop");
     wait_until("an idle policy", || browser.text("#chip-policy").ends_with(" (idle)"));
@@ -363,9 +361,30 @@ fn the_chip_of_the_policy_and_the_name_of_the_sum_rate_agree_on_what_the_mirrors
              .map(({ from_s, name, idle }) => [from_s, name, idle]); })";
     assert_eq!(browser.run(script), serde_json::json!([[-9, "greedy", false], [-7, "stopped", true]]));
     let of_greedy = "const canvas = document.querySelector('#sum-chart canvas'); \
+         if (!canvas) return false; \
          const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height); \
          return new Uint32Array(data.buffer).some((pixel) => pixel === 0xff337711)";
     wait_until("a line with the colour of the policy before the stop", || browser.run(of_greedy) == true);
+    // A page that is opened later draws the same, and names the colour.
+    let later = Browser::open_flat(&setting.server.url());
+    wait_until("the colour of the policy before the page was open", || later.run(of_greedy) == true);
+    wait_until("its name in the legend", || later.text("#sum-chart .earlier").contains("greedy"));
+}
+
+#[needs("browser")]
+#[test]
+fn the_marks_of_the_legend_have_the_dashes_of_their_lines_and_no_two_lines_share_a_colour() {
+    let setting = Setting::new();
+    let browser = setting.browser();
+    let script = "return import('/charts.js').then(({ Charts, markOf }) => { \
+           const colours = (dark) => { \
+             const of = Object.create(Charts.prototype); of.redraw = { reset: () => {} }; of.theme(dark); \
+             const followed = [{ name: 'stopped', idle: true }, { name: '', idle: false }, { name: 'greedy', idle: false }]; \
+             return [...followed.map((one) => of.colourOf(one)), of.flat, of.ink, '#bbbbbb', '#999999']; }; \
+           return [markOf('#111111', []), markOf('#111111', [2, 3]), \
+             ...[true, false].map((dark) => new Set(colours(dark)).size)]; })";
+    let dotted = "repeating-linear-gradient(90deg, #111111 0 2px, transparent 2px 5px)";
+    assert_eq!(browser.run(script), serde_json::json!(["#111111", dotted, 7, 7]));
 }
 
 #[needs("browser")]
@@ -378,6 +397,26 @@ fn a_learned_policy_has_the_file_of_its_network_or_the_hash_in_its_tooltip() {
            return [networkIn('1a2b', file), networkIn('3c4d', file), networkIn('3c4d', null), networkIn(null, file)]; })";
     let expected = ["Its network is own.onnx.", "Its network has the hash 3c4d.", "Its network has the hash 3c4d.", ""];
     assert_eq!(browser.run(script), serde_json::json!(expected));
+}
+
+#[needs("browser")]
+#[test]
+fn the_tooltip_of_a_counter_names_its_process_and_when_it_started() {
+    let setting = Setting::new();
+    let browser = setting.browser();
+    let script = "return import('/figures.js').then(({ countedBy }) => \
+           [['controller 0a', 0], ['sim-node 0b', 61], ['driver 0c', 150], ['driver 0c', null], ['', null]] \
+             .map(([process, minutes]) => countedBy({ process, minutes })))";
+    let expected = [
+        "Counted since the start of controller 0a, less than a minute ago.",
+        "Counted since the start of sim-node 0b, 61 min ago.",
+        "Counted since the start of driver 0c, 2 h ago.",
+        "Counted since the start of driver 0c.",
+        "",
+    ];
+    assert_eq!(browser.run(script), serde_json::json!(expected));
+    let tip = "return [...document.querySelectorAll('#counts dfn')].find(({ textContent }) => textContent === 'ticks lost')?.title ?? ''";
+    wait_until("a tooltip", || browser.run(tip).as_str().is_some_and(|tip| tip.contains("the start of sim-node ")));
 }
 
 #[needs("browser")]

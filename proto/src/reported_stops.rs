@@ -6,11 +6,14 @@
 //! Times are those of the process that uses it, on a clock that never steps, since any origin. An array
 //! has stopped where its last stop report is fresh, lists every stop that is held for it, and states
 //! that its device has executed them. Where the liveliness tokens of several drivers name the array, each
-//! driver has to: the reports of one say nothing about the mirrors of another one.
+//! driver has to: the reports of one say nothing about the mirrors of another one. A driver whose token ends while a
+//! stop is held, after a silence and without its confirmation, is lost: the stop stays unconfirmed until it answers, or
+//! until the release. One that ends reports until then.
 //!
 //! | the array publishes | its standing, by its last reports |
 //! | --- | --- |
 //! | reports of several drivers, or of one of them | [`Shared`](Standing::Shared) until each has stopped |
+//! | what confirms a stop, beside a driver that was lost before it answered | [`Lost`](Standing::Lost) |
 //! | stop reports | [`Stopped`](Standing::Stopped), [`Latched`](Standing::Latched) or [`Moving`](Standing::Moving) |
 //! | safety reports or telemetry only | [`Unknown`](Standing::Unknown) in state *stopped*, else [`Moving`](Standing::Moving) |
 //! | nothing for some time | [`Silent`](Standing::Silent) |
@@ -59,6 +62,11 @@ pub enum Standing {
         /// Why, as they report it; may be empty.
         problem: String,
     },
+    /// It has stopped by its reports, and a further driver of it was lost before it confirmed the stop.
+    Lost {
+        /// The sources of such drivers.
+        drivers: Vec<u64>,
+    },
     /// It has latched a stop; its driver publishes no stop reports.
     Unknown,
     /// It reports, and has not latched every stop.
@@ -103,7 +111,7 @@ struct ReportedArray {
     stops: Option<(Duration, StopReport)>,
     /// Whether its stop without sender has stood for others since it reported that stop first.
     had_unlisted: bool,
-    /// The last stop report of each of its drivers: an array can have two by mistake.
+    /// The last stop report of each of its drivers, and recent ones of others: an array can have two by mistake.
     by_source: BTreeMap<u64, (Duration, StopReport)>,
     hold: StopHold,
     /// The stops of this process that it has reported, the last of each sender.
@@ -116,6 +124,10 @@ pub struct ReportedStops {
     arrays: BTreeMap<usize, ReportedArray>,
     /// The processes with mirrors that are in the room.
     drivers: BTreeSet<Driver>,
+    /// Those that left it without a word before they confirmed a stop that is held.
+    lost: BTreeSet<Driver>,
+    /// When telemetry or a stop report of each source arrived last; old times are left out.
+    heard: BTreeMap<u64, Duration>,
     /// Number of arrays of the largest geometry that was announced; 0 before the first.
     announced: usize,
     /// When each stop became known here.
@@ -161,18 +173,34 @@ impl ReportedArray {
 
     /// Its standing if it has several drivers, and the own recent reports of any do not confirm its stops.
     fn shared(&self, drivers: &[u64], now: Duration) -> Option<Standing> {
-        let report = |source: &u64| {
-            let recent = self.by_source.get(source).filter(|(at, _)| now.saturating_sub(*at) < REPORT_AGE_MAX);
-            recent.map(|(_, report)| report)
-        };
-        let is_latched = |report: &StopReport| self.hold.stops().iter().all(|held| report.is_latched(held.name));
-        let has_stopped =
-            |source: &u64| report(source).is_some_and(|report| report.device_stopped && is_latched(report));
-        let open: Vec<u64> = drivers.iter().copied().filter(|source| !has_stopped(source)).collect();
-        let problems = open.iter().filter_map(report).map(|report| report.problem.as_str());
+        let open: Vec<u64> = drivers.iter().copied().filter(|source| !self.has_stopped(*source, now)).collect();
+        let reports = open.iter().filter_map(|source| self.recent_report(*source, now));
+        let problems = reports.map(|report| report.problem.as_str());
         let problem = problems.filter(|problem| !problem.is_empty()).collect::<Vec<_>>().join("; ");
         let is_shared = drivers.len() > 1 && !open.is_empty();
         is_shared.then_some(Standing::Shared { drivers: drivers.len(), open, problem })
+    }
+
+    /// The last stop report of a source, unless it is old.
+    fn recent_report(&self, source: u64, now: Duration) -> Option<&StopReport> {
+        let recent = self.by_source.get(&source).filter(|(at, _)| now.saturating_sub(*at) < REPORT_AGE_MAX);
+        recent.map(|(_, report)| report)
+    }
+
+    /// Whether the own recent report of a driver confirms its stops.
+    fn has_stopped(&self, source: u64, now: Duration) -> bool {
+        self.recent_report(source, now).is_some_and(|report| self.is_confirmed_by(report))
+    }
+
+    /// Whether a driver has not confirmed its stops, by its last report of any age.
+    fn is_unanswered(&self, source: u64) -> bool {
+        let is_answered = self.by_source.get(&source).is_some_and(|(_, report)| self.is_confirmed_by(report));
+        self.hold.is_stopped() && !is_answered
+    }
+
+    /// Whether a report shows that a device has executed every stop that is held.
+    fn is_confirmed_by(&self, report: &StopReport) -> bool {
+        report.device_stopped && self.hold.stops().iter().all(|held| report.is_latched(held.name))
     }
 
     /// Whether stop reports of its driver would have arrived.
@@ -213,8 +241,12 @@ impl ReportedStops {
     /// arrived after `since` count.
     pub fn standings(&self, now: Duration, since: Option<Duration>) -> Vec<(usize, Standing)> {
         let standing = |array: usize| {
-            let seen = self.arrays.get(&array);
-            (array, seen.map_or(Standing::Silent, |seen| seen.standing(&self.drivers_of(array), now, since)))
+            let Some(seen) = self.arrays.get(&array) else { return (array, Standing::Silent) };
+            let standing = seen.standing(&self.drivers_of(array), now, since);
+            let mut lost = sources_of(&self.lost, array);
+            lost.retain(|source| !seen.has_stopped(*source, now));
+            let is_lost = standing == Standing::Stopped && !lost.is_empty();
+            (array, if is_lost { Standing::Lost { drivers: lost } } else { standing })
         };
         (0..self.expected()).map(standing).collect()
     }
@@ -226,8 +258,21 @@ impl ReportedStops {
 
     /// The sources of the drivers whose tokens name an array.
     fn drivers_of(&self, array: usize) -> Vec<u64> {
-        let serves = |(of, source): &Driver| of.is_none_or(|of| of == array).then_some(*source);
-        self.drivers.iter().filter_map(serves).collect()
+        sources_of(&self.drivers, array)
+    }
+
+    /// Whether a driver whose token ends leaves without a word before it confirms a stop that is held. One that ends
+    /// reports until then; one that hangs is silent until its connection expires.
+    fn is_lost(&self, now: Duration, driver: Driver) -> bool {
+        let is_heard = |at: &Duration| now.saturating_sub(*at) < TELEMETRY_AGE_MAX;
+        let is_open = |(array, seen): (&usize, &ReportedArray)| serves(driver, *array) && seen.is_unanswered(driver.1);
+        !self.heard.get(&driver.1).is_some_and(is_heard) && self.arrays.iter().any(is_open)
+    }
+
+    /// Notes that a report of a source arrived.
+    fn hear(&mut self, now: Duration, source: u64) {
+        self.heard.retain(|_, at| now.saturating_sub(*at) < TELEMETRY_AGE_MAX);
+        self.heard.insert(source, now);
     }
 
     /// Whether every array holds a stop and has stopped, by reports that arrived after `since`.
@@ -395,16 +440,18 @@ impl ReportedStops {
     pub fn handle_driver(&mut self, now: Duration, driver: Driver, is_present: bool) {
         if is_present {
             self.drivers.insert(driver);
+            self.lost.remove(&driver);
             // A simulator announces its arrays with the geometry.
             self.add_arrays(driver.0.map_or(0, |array| array + 1));
-        } else {
-            self.drivers.remove(&driver);
+        } else if self.drivers.remove(&driver) && self.is_lost(now, driver) {
+            self.lost.insert(driver);
         }
         self.note_names(now);
     }
 
     /// Telemetry of an array arrived.
     pub fn handle_telemetry(&mut self, now: Duration, array: usize, report: &MirrorTelemetry) {
+        self.hear(now, report.stamp.source);
         let (seen, is_stopped) = (self.array(now, array), report.state == ArrayState::Stopped);
         seen.hold.handle_state(report.stamp.source, is_stopped);
         seen.state = Some((now, report.state));
@@ -416,10 +463,13 @@ impl ReportedStops {
 
     /// A stop report of an array arrived.
     pub fn handle_stops(&mut self, now: Duration, array: usize, report: StopReport) {
+        self.hear(now, report.stamp.source);
         // A report that arrives late must not show a device as stopped that has moved on since.
         if self.handle_reported(now, array, &report.stops, |hold| hold.handle_stops(&report)) {
+            let drivers = self.drivers_of(array);
             let seen = self.array(now, array);
-            seen.by_source.retain(|_, (at, _)| now.saturating_sub(*at) < REPORT_AGE_MAX);
+            let is_recent = |at: Duration| now.saturating_sub(at) < REPORT_AGE_MAX;
+            seen.by_source.retain(|source, (at, _)| is_recent(*at) || drivers.contains(source));
             let is_late = |(_, known): &(Duration, StopReport)| known.stamp.sequence > report.stamp.sequence;
             if !seen.by_source.get(&report.stamp.source).is_some_and(is_late) {
                 seen.by_source.insert(report.stamp.source, (now, report.clone()));
@@ -478,8 +528,12 @@ impl ReportedStops {
         counts
     }
 
-    /// Notes when stops became known, and which arrays have reported those of this process.
+    /// Notes when stops became known, and which arrays have reported those of this process. A release ends the wait for
+    /// the drivers that were lost.
     fn note_names(&mut self, now: Duration) {
+        let arrays = &self.arrays;
+        let is_held = |driver: Driver| arrays.iter().any(|(array, of)| serves(driver, *array) && of.hold.is_stopped());
+        self.lost.retain(|driver| is_held(*driver));
         for seen in self.arrays.values_mut() {
             for name in self.orders.iter().map(EmergencyStop::name) {
                 if seen.hold.has_reported(name) {
@@ -495,6 +549,16 @@ impl ReportedStops {
             self.known.entry(name).or_insert(now);
         }
     }
+}
+
+/// Whether a driver serves an array, by its token.
+fn serves((of, _): Driver, array: usize) -> bool {
+    of.is_none_or(|of| of == array)
+}
+
+/// The sources of those of these drivers that serve an array.
+fn sources_of(drivers: &BTreeSet<Driver>, array: usize) -> Vec<u64> {
+    drivers.iter().filter(|driver| serves(**driver, array)).map(|(_, source)| *source).collect()
 }
 
 /// The order of a stop that is known from reports.

@@ -93,6 +93,12 @@ pub enum BusError {
         /// Duration of the wait in ms.
         waited_ms: u64,
     },
+    /// The name of an endpoint is not resolved in time.
+    #[error("{problem}")]
+    Unresolved {
+        /// The endpoint, its name, and what to do.
+        problem: String,
+    },
     /// A process answers, and the TLS connection to it fails, or it accepts no connection without TLS.
     #[error("{problem}")]
     Untrusted {

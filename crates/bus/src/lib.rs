@@ -41,6 +41,7 @@ mod error;
 mod free_endpoint;
 pub mod keys;
 mod platform;
+mod resolve;
 mod session;
 mod through;
 mod tls;

@@ -16,6 +16,7 @@ use crate::bounded_session::BoundedSession;
 use crate::config::{BusConfig, Reach};
 use crate::connection_watch::{ConnectionWatch, connections};
 use crate::error::BusError;
+use crate::resolve::first_unresolved;
 use crate::tls_check::{accepts, first_encrypted, first_problem};
 
 /// Time between two looks for a connection.
@@ -136,6 +137,11 @@ impl Bus {
             Some(identity) => first_problem(identity, &config.connect),
             None => first_encrypted(&config.connect),
         }
+    }
+
+    /// That the name of an endpoint of the configuration is not resolved in time, with what to do.
+    pub fn find_unresolved(config: &BusConfig) -> Option<String> {
+        first_unresolved(&config.connect)
     }
 
     /// Why a TLS connection of this session fails, if the other side answers: the fault of a certificate.
@@ -395,13 +401,18 @@ fn open_error(config: &BusConfig, message: &str) -> BusError {
         _ if concerns_listening => {
             BusError::CannotListen { endpoint: named(&config.listen), problem: problem.to_owned() }
         }
-        Reach::Within(limit) if problem.contains("nable to connect") => match Bus::find_connection_problem(config) {
-            Some(problem) => BusError::Untrusted { problem },
-            None => BusError::CannotReach {
-                endpoints: config.connect.join(", "),
-                waited_ms: u64::try_from(limit.as_millis()).unwrap_or(u64::MAX),
-            },
-        },
+        Reach::Within(limit) if problem.contains("nable to connect") => {
+            if let Some(problem) = Bus::find_unresolved(config) {
+                return BusError::Unresolved { problem };
+            }
+            match Bus::find_connection_problem(config) {
+                Some(problem) => BusError::Untrusted { problem },
+                None => BusError::CannotReach {
+                    endpoints: config.connect.join(", "),
+                    waited_ms: u64::try_from(limit.as_millis()).unwrap_or(u64::MAX),
+                },
+            }
+        }
         _ => BusError::Open { problem: problem.to_owned() },
     }
 }

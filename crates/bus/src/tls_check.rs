@@ -5,7 +5,7 @@
 //! certificate. No data is exchanged.
 
 use std::io::{ErrorKind, Read};
-use std::net::{SocketAddr, TcpStream, ToSocketAddrs};
+use std::net::{SocketAddr, TcpStream};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
@@ -18,6 +18,7 @@ use zenoh::config::EndPoint;
 
 use crate::certificate::Certificate;
 use crate::platform;
+use crate::resolve::resolve;
 use crate::tls::Identity;
 
 /// Longest wait for the other side in each step.
@@ -76,9 +77,9 @@ fn encrypts(endpoint: &str) -> Option<bool> {
     Some(seen.certificate.get().is_some())
 }
 
-/// A connection to the first address of a name that accepts one. Its steps have a bound.
+/// A connection to the first address of a name that accepts one. Its steps, and the search for addresses, have a bound.
 fn connect(address: &str) -> Option<TcpStream> {
-    let stream = first_that_accepts(address.to_socket_addrs().ok()?)?;
+    let stream = first_that_accepts(resolve(address).ok()?.into_iter())?;
     stream.set_read_timeout(Some(STEP_LIMIT)).and_then(|()| stream.set_write_timeout(Some(STEP_LIMIT))).ok()?;
     Some(stream)
 }

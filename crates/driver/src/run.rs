@@ -209,7 +209,7 @@ fn open(config: &BusConfig, stop: &Stop) -> Result<Option<Bus>, SessionError> {
     while !stop.is_requested() {
         match Bus::open(config) {
             Ok(bus) => return Ok(Some(bus)),
-            Err(error @ BusError::CannotReach { .. }) => {
+            Err(error @ (BusError::CannotReach { .. } | BusError::Unresolved { .. })) => {
                 tracing::warn!("{error}; trying again in {pause:?}")
             }
             Err(error) => return Err(error.into()),

@@ -74,17 +74,21 @@ pub fn stop_on_signals() -> Result<Stop, SignalError> {
 /// # Errors
 /// [`SignalError`].
 pub fn end_on_signals(program: &'static str, said: impl Fn() -> String + Send + 'static) -> Result<(), SignalError> {
-    let stop = stop_on_signals()?;
+    end_on_request(stop_on_signals()?, program, move || Some(said()));
+    Ok(())
+}
+
+/// Ends a program at a request, as [`end_on_signals`] does. Where `said` returns nothing, the program ends by itself.
+pub fn end_on_request(stop: Stop, program: &'static str, said: impl Fn() -> Option<String> + Send + 'static) {
     // Another thread than that of the signals: the second one ends a note that a full pipe blocks.
     std::thread::spawn(move || {
         stop.wait();
-        let said = said();
+        let Some(said) = said() else { return };
         if std::env::var_os(PART).is_none() {
             note(format_args!("{program}: interrupted: {said}"));
         }
         std::process::exit(INTERRUPTED.into());
     });
-    Ok(())
 }
 
 /// Makes a process a part of the command of this one, which says itself how far it was and how to go on.

@@ -19,6 +19,10 @@ const TAKEOVERS: &str = "epoch:took-over";
 const FALSE_TAKEOVERS: &str = "epoch:contested";
 /// The counter of decisions on position reports.
 const DECISIONS: &str = "decisions";
+/// The counter of those on reports that are refused because they are too old.
+const STALE_DECISIONS: &str = "fallback:stale-report";
+/// Beginning of the counters of refused position reports; the reason follows.
+const REFUSED_REPORTS: &str = "refused:users:";
 
 /// A status comes at least once a second: a token without one for this time shows a controller that is silent.
 const REPORTS_WITHIN: Duration = Duration::from_secs(2);
@@ -84,6 +88,8 @@ pub struct ControllerFigures {
     pub is_deciding: bool,
     /// The arrays that it cannot command, because they do not fit its scenario, in words: "array", or their keys.
     pub unfit: String,
+    /// Why it refused each position report between its last two statuses; empty where it accepted one, and without any.
+    pub refuses: String,
 }
 
 impl fmt::Display for ControllerFigures {
@@ -120,12 +126,54 @@ fn counter(status: &NodeStatus, name: &str) -> u64 {
     status.counters.iter().find(|(counter, _)| counter == name).map_or(0, |(_, count)| *count)
 }
 
+/// How many position reports a controller has accepted and refused since its start.
+#[derive(Clone, Copy, Debug, Default)]
+struct ReportCounts {
+    accepted: u64,
+    refused: u64,
+}
+
+impl ReportCounts {
+    fn of(status: &NodeStatus) -> Self {
+        Self {
+            accepted: counter(status, DECISIONS).saturating_sub(counter(status, STALE_DECISIONS)),
+            refused: refusals(status).map(|(_, count)| count).sum(),
+        }
+    }
+
+    /// Whether reports came since these counts, and each was refused.
+    fn are_refused_since(self, before: Self) -> bool {
+        self.refused > before.refused && self.accepted <= before.accepted
+    }
+}
+
+/// The reasons of refused position reports, with their counts.
+fn refusals(status: &NodeStatus) -> impl Iterator<Item = (&str, u64)> {
+    status.counters.iter().filter_map(|(name, count)| Some((name.strip_prefix(REFUSED_REPORTS)?, *count)))
+}
+
+/// The reason in a problem of a controller that refuses position reports. Telemetry that is refused for its time shows
+/// the same difference of clocks.
+pub(crate) fn refusal_of(problem: &str) -> Option<&str> {
+    let (what, reason) = problem.split_once(" refused: ")?;
+    let is_of_time = what.starts_with("telemetry of ") && reason.starts_with("a report is ");
+    (what == "users" || is_of_time).then_some(reason)
+}
+
+/// Why a controller refuses position reports: its own words, unless its problem is another one.
+fn refusal_in_words(status: &NodeStatus) -> String {
+    let own = refusal_of(&status.last_problem);
+    let most = || refusals(status).max_by_key(|(_, count)| *count).map_or("", |(reason, _)| reason);
+    printable(own.unwrap_or_else(most)).into_owned()
+}
+
 /// What is known of a controller.
 #[derive(Debug)]
 struct Known {
     /// When its last status arrived, or its token where none has.
     at: Instant,
     figures: ControllerFigures,
+    reports: ReportCounts,
     /// The hash of its scenario; empty where no status states one.
     scenario: String,
     has_reported: bool,
@@ -164,7 +212,8 @@ impl Controllers {
         }
         let figures = ControllerFigures { name: controller_name(source), ..ControllerFigures::default() };
         let (at, scenario) = (Instant::now(), String::new());
-        self.0.insert(source, Known { at, figures, scenario, has_reported: false, is_lost: false });
+        let reports = ReportCounts::default();
+        self.0.insert(source, Known { at, figures, reports, scenario, has_reported: false, is_lost: false });
     }
 
     /// Notes the end of the token of a controller. One that ends reports shortly before or after that; one that hangs
@@ -187,6 +236,8 @@ impl Controllers {
         let decisions = counter(status, DECISIONS);
         let before = self.0.get(&source).filter(|known| known.has_reported && !known.is_silent());
         let is_deciding = before.is_some_and(|before| decisions > before.figures.decisions);
+        let reports = ReportCounts::of(status);
+        let is_refusing = before.is_some_and(|before| reports.are_refused_since(before.reports));
         let role = match (counter(status, STANDBY) > 0, CalibrationProgress::of(status)) {
             (true, _) => Role::StandsBy,
             (false, Some(_)) => Role::Calibrates,
@@ -202,13 +253,14 @@ impl Controllers {
             decisions,
             is_deciding,
             unfit: status.unfit_arrays().map(|keys| unfit_in_words(&keys)).unwrap_or_default(),
+            refuses: if is_refusing { refusal_in_words(status) } else { String::new() },
         };
         let is_new = self.0.get(&source).is_none_or(|known| !known.has_reported);
         if is_new && role != Role::Calibrates {
             self.replace_lost();
         }
         let (at, scenario) = (Instant::now(), status.scenario.clone());
-        self.0.insert(source, Known { at, figures, scenario, has_reported: true, is_lost: false });
+        self.0.insert(source, Known { at, figures, reports, scenario, has_reported: true, is_lost: false });
     }
 
     /// A new controller takes the place of the one that was lost first. A calibration takes none.
@@ -235,8 +287,8 @@ impl Controllers {
         let shown = |(source, known): (&u64, &Known)| {
             let figures = &known.figures;
             if (known.is_lost && known.is_remembered()) || (is_alive(source) && known.is_silent()) {
-                let (role, is_deciding, unfit) = (Role::Silent, false, String::new());
-                return Some(ControllerFigures { role, is_deciding, unfit, ..figures.clone() });
+                let (role, is_deciding, [unfit, refuses]) = (Role::Silent, false, [const { String::new() }; 2]);
+                return Some(ControllerFigures { role, is_deciding, unfit, refuses, ..figures.clone() });
             }
             (is_alive(source) && known.has_reported).then(|| figures.clone())
         };
@@ -427,6 +479,30 @@ mod tests {
         assert_eq!(shown, ["0000000000000007 does not report"]);
         controllers.leave(7);
         assert!(controllers.present(&BTreeSet::new(), None).is_empty(), "it never reported here");
+    }
+
+    #[test]
+    fn a_controller_refuses_the_reports_while_it_refuses_each_one() {
+        let (mut controllers, name) = (Controllers::default(), NodeKind::Controller.name());
+        let mut refuses = |decisions, stale, [from_future, of_stale]: [u64; 2], last_problem: &str| {
+            let counters = [
+                (STANDBY, 1),
+                (DECISIONS, decisions),
+                (STALE_DECISIONS, stale),
+                ("refused:users:from-future", from_future),
+                ("refused:users:stale", of_stale),
+            ];
+            controllers.take(&NodeStatus { last_problem: last_problem.into(), ..status(1, &counters) });
+            controllers.present(&[(name, 1)].into(), None)[0].refuses.clone()
+        };
+        let ahead = "users refused: a report is 5.0 s ahead of this controller's clock; check the clocks of both";
+        let reason = "a report is 5.0 s ahead of this controller's clock; check the clocks of both";
+        assert_eq!(refuses(0, 0, [40, 0], ahead), "", "the refusals may be old");
+        assert_eq!(refuses(0, 0, [50, 0], ahead), reason);
+        assert_eq!(refuses(0, 0, [60, 0], "withheld by the stop of ann"), "from-future", "its problem is another one");
+        assert_eq!(refuses(0, 0, [60, 0], ahead), "", "none came");
+        assert_eq!(refuses(9, 9, [60, 9], "users refused: a report is 5.0 s old"), "a report is 5.0 s old");
+        assert_eq!(refuses(20, 10, [60, 10], ""), "", "it has accepted some");
     }
 
     #[test]

@@ -8,7 +8,7 @@ use heliostat_proto::{NodeKind, NodeStatus};
 use heliostat_scenario::ROOM_DIFFERS;
 use heliostat_service::printable::printable;
 
-use crate::controllers::Role;
+use crate::controllers::{ControllerFigures, Role, refusal_of};
 use crate::error::CHECK_REACH;
 use crate::view::{Dated, EXPIRY, Received};
 
@@ -37,6 +37,7 @@ impl Received {
             notes.extend(absent_drivers(status, arrays));
             notes.extend(ServedLight::all_of(status).iter().filter_map(off_light));
         }
+        notes.extend(self.present_controllers().iter().filter_map(refusing_standby));
         let is_old = |at: Option<Instant>| at.unwrap_or(opened).elapsed() > EXPIRY;
         if is_old(arrival(&self.truth)) && is_old(arrival(&self.users)) {
             notes.push(if self.present_controllers().iter().any(|one| one.is_deciding) {
@@ -147,6 +148,9 @@ const TWO_DRIVERS: &str = "two drivers serve one array";
 const OF_TWO_DRIVERS: [(&str, &str); 2] =
     [("a second source ", " reports telemetry of "), ("an announcement of an array that is not followed ", "")];
 
+/// What follows the name in the note about a standby that refuses the reports.
+const STANDBY_REFUSES: &str = " refuses the reports ";
+
 /// Part of what a controller reports of the light of its users.
 const OF_LIGHT: &str = " of the expected light";
 
@@ -155,7 +159,10 @@ const OF_LIGHT: &str = " of the expected light";
 pub(crate) fn follows_from(notes: &[String], problem: &str) -> bool {
     let is_noted = |start: &str| notes.iter().any(|note| note.starts_with(start));
     let is_of = |(start, part): &(&str, &str)| problem.starts_with(start) && problem.contains(part);
-    (is_noted(TWO_DRIVERS) && OF_TWO_DRIVERS.iter().any(is_of))
+    let is_reason_noted =
+        |reason: &str| notes.iter().any(|note| note.contains(STANDBY_REFUSES) && note.contains(&format!("({reason})")));
+    refusal_of(problem).is_some_and(is_reason_noted)
+        || (is_noted(TWO_DRIVERS) && OF_TWO_DRIVERS.iter().any(is_of))
         || (is_noted(ROOM_DIFFERS) && problem.contains(OF_LIGHT))
 }
 
@@ -219,6 +226,12 @@ pub(crate) fn not_in<'a>(notes: &'a [String], others: &[String]) -> Vec<&'a Stri
 
 fn off_light(light: &ServedLight) -> Option<String> {
     light.off_since_s.map(|_| printable(&format!("{light}: {}", light.advice())).into_owned())
+}
+
+/// The note about a controller that stands by, and refuses each position report.
+fn refusing_standby(ControllerFigures { name, role, refuses, .. }: &ControllerFigures) -> Option<String> {
+    let is_refusing = *role == Role::StandsBy && !refuses.is_empty();
+    is_refusing.then(|| format!("standby {name}{STANDBY_REFUSES}({refuses}): it could not take over"))
 }
 
 /// The note about an array that two processes drive.
@@ -414,6 +427,28 @@ mod tests {
         }
         let notes = received.notes(1, ago(60));
         assert!(notes.len() == 1 && notes[0].starts_with(UNSEEN_REPORTS), "{notes:?}");
+    }
+
+    #[test]
+    fn a_standby_that_refuses_each_report_is_noted_and_its_own_problem_is_not_repeated() {
+        let mut received = Received::default();
+        let reason = "a report is 5.0 s ahead of this controller's clock; check the clocks of both";
+        let mut noted = |standby, refused| {
+            let last_problem = format!("users refused: {reason}");
+            let mut status = NodeStatus { last_problem, ..counting(7, "refused:users:from-future", refused) };
+            status.counters.push(("standby".to_owned(), standby));
+            received.alive.extend([(NodeKind::Controller.name(), 7), (NodeKind::Tracker.name(), 8)]);
+            received.users = Some((Instant::now(), UserReport::default()));
+            received.controllers.take(&status);
+            received.notes(1, ago(60))
+        };
+        assert_eq!(noted(1, 5), [""; 0], "they may be old");
+        let notes = noted(1, 6);
+        let note = format!("standby 0000000000000007 refuses the reports ({reason}): it could not take over");
+        assert_eq!(notes, [note]);
+        assert!(follows_from(&notes, &format!("users refused: {reason}")));
+        assert!(!follows_from(&notes, "users refused: outside-room"));
+        assert_eq!(noted(0, 7), [""; 0], "the problem of a leader is shown as its own");
     }
 
     #[test]

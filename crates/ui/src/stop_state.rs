@@ -245,6 +245,15 @@ mod tests {
     }
 
     #[test]
+    fn a_driver_that_was_lost_before_it_answered_is_named() {
+        let mut state = StopState { open: Some(ago(1200)), ..StopState::default() };
+        let figures = state.update(&room(Some(1500), Standing::Lost { drivers: vec![7] }));
+        let expected = "array 1 is not confirmed: driver 0000000000000007 was lost before it answered; its mirrors may \
+                        still move: cut the power";
+        assert_eq!((figures.phase, &figures.problems[..]), (StopPhase::Unconfirmed, &[expected.to_owned()][..]));
+    }
+
+    #[test]
     fn an_order_without_any_array_is_open() {
         let room = RoomStops { ordered: Some(ago(2000)), ..RoomStops::default() };
         assert_eq!(StopState::default().update(&room).phase, StopPhase::Unconfirmed);

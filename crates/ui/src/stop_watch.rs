@@ -54,6 +54,15 @@ pub(crate) fn problem(array: usize, standing: &Standing) -> Option<String> {
                 "array {array} has {drivers} drivers, and {named} {sources} {have} not confirmed the stop{why}: cut {their} power"
             )
         }
+        Standing::Lost { drivers } => {
+            let sources = drivers.iter().map(|source| format!("{source:016x}")).collect::<Vec<_>>().join(", ");
+            let (named, their) = if drivers.len() == 1 {
+                ("driver", "was lost before it answered; its")
+            } else {
+                ("drivers", "were lost before they answered; their")
+            };
+            format!("array {array} is not confirmed: {named} {sources} {their} mirrors may still move: cut the power")
+        }
         Standing::Unknown => format!(
             "array {array} has latched the stop; its driver does not report whether the device executed it: check its mirrors"
         ),

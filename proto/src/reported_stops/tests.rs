@@ -178,6 +178,54 @@ fn each_of_two_drivers_of_an_array_has_to_confirm_a_stop() {
     assert_eq!(stops.standings(NOW, None), [(0, Standing::Stopped)], "the other one has ended");
 }
 
+/// An array with the stop of [`order`] that its driver 9 confirms, and a driver 7 that has been silent since [`NOW`]; and
+/// the time when its connection expires.
+fn with_frozen_driver() -> (ReportedStops, Duration) {
+    let (mut stops, later) = (ordered(), NOW + TELEMETRY_AGE_MAX);
+    [7, 9].into_iter().for_each(|source| stops.handle_driver(NOW, (Some(0), source), true));
+    let stamp = Stamp { source: 7, sequence: 1, time_ns: 0 };
+    stops.handle_telemetry(NOW, 0, &MirrorTelemetry { stamp, ..MirrorTelemetry::default() });
+    stops.handle_stops(later, 0, report(1, true));
+    (stops, later)
+}
+
+#[test]
+fn a_driver_that_is_lost_before_it_answers_keeps_a_stop_unconfirmed_until_it_returns_and_answers() {
+    let (mut stops, later) = with_frozen_driver();
+    stops.handle_driver(later, (Some(0), 7), false);
+    assert_eq!(stops.standings(later, None), [(0, Standing::Lost { drivers: vec![7] })]);
+    assert!(!stops.has_stopped(order().name(), later, NOW));
+    stops.handle_driver(later, (Some(0), 7), true);
+    let open = Standing::Shared { drivers: 2, open: vec![7], problem: String::new() };
+    assert_eq!(stops.standings(later, None), [(0, open)], "it has returned");
+    let of_other = StopReport { stamp: Stamp { source: 7, sequence: 1, time_ns: 0 }, ..report(1, true) };
+    stops.handle_stops(later, 0, of_other);
+    assert!(stops.has_stopped(order().name(), later, NOW));
+    // It froze again after its answer.
+    let last = later + REPORT_AGE_MAX;
+    stops.handle_stops(last, 0, report(2, true));
+    stops.handle_driver(last, (Some(0), 7), false);
+    assert_eq!(stops.standings(last, None), [(0, Standing::Stopped)], "its device has executed the stop");
+}
+
+#[test]
+fn a_driver_that_ends_in_order_is_not_lost_and_a_release_forgets_one_that_was() {
+    let (mut stops, later) = with_frozen_driver();
+    let mut ended = stops.clone();
+    let stamp = Stamp { source: 7, sequence: 2, time_ns: 0 };
+    ended.handle_telemetry(later, 0, &MirrorTelemetry { stamp, ..MirrorTelemetry::default() });
+    ended.handle_driver(later, (Some(0), 7), false);
+    assert_eq!(ended.standings(later, None), [(0, Standing::Stopped)], "it reported until its end");
+    stops.handle_driver(later, (Some(0), 7), false);
+    stops.handle_stops(later, 0, StopReport { stops: Vec::new(), ..report(2, false) });
+    assert_eq!(stops.standings(later, None), [(0, Standing::Free)]);
+    let again = EmergencyStop { stamp: Stamp { sequence: 5, ..order().stamp }, ..order() };
+    stops.order(later, &again);
+    let latched = vec![LatchedStopReport { source: 3, sequence: 5, ..LatchedStopReport::default() }];
+    stops.handle_stops(later, 0, StopReport { stops: latched, ..report(3, true) });
+    assert_eq!(stops.standings(later, None), [(0, Standing::Stopped)], "it was not there at the order");
+}
+
 #[test]
 fn an_array_that_may_have_two_drivers_is_known_by_their_tokens() {
     let mut stops = ReportedStops::default();

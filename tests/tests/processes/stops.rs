@@ -354,6 +354,24 @@ fn a_stop_goes_through_every_endpoint_and_an_interrupted_one_says_what_is_known(
 }
 
 #[test]
+fn a_held_stop_joins_through_a_process_and_an_interrupted_one_without_connection_says_what_is_known() {
+    let room = TwoArrays::start("held");
+    // Peers pass nothing on: the reports of the arrays come through the controller only.
+    let flags = ["stop", "--hold", "--seconds", "1", "--room", &room.room, "--connect", &room.of_controller];
+    let held = Process::heliostat(&flags).wait();
+    assert!(held.output.contains("the arrays of room held are stopped, confirmed after "), "{}", held.errors);
+    let absent = free_loopback_endpoint().expect("a free port");
+    // The wait for a confirmation is longer than that of this test.
+    let flags = ["stop", "--hold", "--room", &room.room, "--connect", &absent, "--timeout", "600"];
+    let mut order = Process::heliostat(&flags);
+    wait_until("the reason", || order.errors().contains(&format!("no process answers at {absent}")));
+    order.signal("INT");
+    let ended = order.wait_mut();
+    assert_eq!(ended.status.code(), Some(130), "{}", ended.errors);
+    assert!(ended.errors.contains("heliostat stop: interrupted: "), "{}", ended.errors);
+}
+
+#[test]
 fn a_stop_at_an_endpoint_without_a_process_says_that_nothing_was_sent() {
     let endpoint = free_loopback_endpoint().expect("a free port");
     for order in ["stop", "rearm"] {

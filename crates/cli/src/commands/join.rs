@@ -45,11 +45,12 @@ pub(super) fn check_connected(bus: &Bus, config: &BusConfig, limit: Duration) ->
     why_unconnected(config, limit, || bus.wait_connected(limit.saturating_sub(begun.elapsed())).then_some(()))
 }
 
-/// Why an endpoint has no connection: the problem, or that no process answers. `None` where one accepts connections.
+/// Why an endpoint has no connection: a name without address, the problem, or that no process answers. `None` where one
+/// accepts connections.
 pub(super) fn find_problem(config: &BusConfig) -> Option<String> {
     let unanswered =
         || (!Bus::has_listener(config)).then(|| format!("no process answers at {}", config.connect.join(", ")));
-    Bus::find_connection_problem(config).or_else(unanswered)
+    Bus::find_unresolved(config).or_else(|| Bus::find_connection_problem(config)).or_else(unanswered)
 }
 
 /// What `again` connects, where a process accepts connections and has not answered yet; else why there is no

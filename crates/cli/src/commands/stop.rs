@@ -18,6 +18,9 @@ use order::{Order, unsent};
 
 /// Time between two looks at a held stop.
 const HOLD_INTERVAL: Duration = Duration::from_millis(50);
+/// What is known of a stop on its way.
+const GIVEN: &str =
+    "the stop was given, and is not confirmed: it may not have left, and is in force only where it arrived";
 /// What to do where further stops may hold the arrays.
 const LOOK_AND_REPEAT: &str = "look at `heliostat status`, and repeat the re-arm for the stops that it names";
 
@@ -94,13 +97,13 @@ pub fn stop(args: StopArgs) -> Result<()> {
     let OrderArgs { reason, timeout, .. } = &args.order;
     let begun = Instant::now();
     let order = Order::new(args.order.operator.as_deref(), args.order.timeout);
-    // A stop that is held ends with a word, from its order on. Nothing keeps it from being sent.
+    // Nothing keeps a stop that is held from being sent.
     let end = args.hold.then(|| args.end.stop());
-    if end.is_none() {
-        order.end_with_a_word(
-            "heliostat stop",
-            "the stop was given, and is not confirmed: it may not have left, and is in force only where it arrived",
-        );
+    match &end {
+        None => order.end_with_a_word("heliostat stop", GIVEN),
+        Some(Ok(end)) => order.end_at(end.clone(), "heliostat stop", GIVEN),
+        // It shows when the stop is held.
+        Some(Err(_)) => {}
     }
     // Every role may stop the array, so any certificate of the folder serves.
     let config = args.order.config_of_any_role()?;
@@ -127,6 +130,7 @@ pub fn stop(args: StopArgs) -> Result<()> {
         Err(error) => output::note(format_args!("heliostat stop: {error}; the stop is held: end with Ctrl-C")),
     }
     let end = end?;
+    order.note_held();
     let until = args.end.seconds.map(|seconds| Instant::now() + seconds);
     while switch.is_own_held() && !end.wait_for(HOLD_INTERVAL) && until.is_none_or(|until| Instant::now() < until) {
         switch.repeat();

@@ -1,7 +1,8 @@
 //! An order of `heliostat stop` or `heliostat rearm` on its way: its sessions, and what is known of it.
 
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError, mpsc};
+use std::sync::mpsc::{self, Receiver};
+use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::thread;
 use std::time::Duration;
 
@@ -10,14 +11,16 @@ use heliostat_bus::{
     ACCEPTS_WITHIN, Bus, BusConfig, BusError, is_joined_through, join_all_through, join_each, reached,
 };
 use heliostat_proto::Room;
-use heliostat_service::output;
-use heliostat_service::signals::end_on_signals;
+use heliostat_service::signals::{end_on_request, stop_on_signals};
+use heliostat_service::{Stop, output};
 use heliostat_ui::StopSwitch;
 
 use crate::commands::join::{find_problem, join, why_unconnected};
 
 /// An operator knows within this time whether the order has a connection. The help of `--timeout` names it.
 const JOINED_WITHIN: Duration = Duration::from_secs(2);
+/// Time between two attempts to join through an endpoint that has not answered.
+const AGAIN_EVERY: Duration = Duration::from_secs(1);
 
 /// An order on its way: its switch, and the sessions through which it goes out.
 pub(super) struct Order {
@@ -27,6 +30,51 @@ pub(super) struct Order {
     limit: Duration,
     /// Whether anything was sent.
     is_sent: Arc<AtomicBool>,
+    /// Whether the stop is only held from now on.
+    is_held: Arc<AtomicBool>,
+}
+
+/// Where sessions join, as long as the order lasts.
+struct Place {
+    switch: Weak<StopSwitch>,
+    sessions: Weak<Mutex<Vec<Bus>>>,
+}
+
+impl Place {
+    /// Joins the room through each endpoint, and calls `joined` after each session; returns the endpoints that have not
+    /// answered. Nothing after the end of the order.
+    fn join_each(&self, config: &BusConfig, joined: impl Fn()) -> Option<Vec<String>> {
+        let mut unanswered = Vec::new();
+        for (index, bus) in join_each(config, ACCEPTS_WITHIN) {
+            let (switch, sessions) = (self.switch.upgrade()?, self.sessions.upgrade()?);
+            match bus.filter(|bus| switch.join(bus).is_ok()) {
+                Some(bus) => {
+                    sessions.lock().unwrap_or_else(PoisonError::into_inner).push(bus);
+                    joined();
+                }
+                None => unanswered.push(config.connect[index].clone()),
+            }
+        }
+        Some(unanswered)
+    }
+
+    /// Ends the first attempt: no stop is confirmed before the drivers that each session reaches are known.
+    fn finish(&self) {
+        let Some(sessions) = self.sessions.upgrade() else { return };
+        let enter = |bus: &Bus| bus.enter(bus.room().clone());
+        // Without the lock: a further session joins meanwhile.
+        let entered: Vec<Bus> = sessions.lock().unwrap_or_else(PoisonError::into_inner).iter().map(enter).collect();
+        entered.iter().map(reached).for_each(drop);
+    }
+
+    /// Joins through these endpoints as soon as they answer.
+    fn join_later(&self, config: &BusConfig, mut connect: Vec<String>) {
+        while !connect.is_empty() {
+            thread::sleep(AGAIN_EVERY);
+            let Some(unanswered) = self.join_each(&BusConfig { connect, ..config.clone() }, || {}) else { return };
+            connect = unanswered;
+        }
+    }
 }
 
 impl Order {
@@ -39,23 +87,38 @@ impl Order {
             sessions: Arc::default(),
             limit: JOINED_WITHIN.min(timeout),
             is_sent: Arc::default(),
+            is_held: Arc::default(),
         }
     }
 
     /// Ends at a signal with what is known of the order: `sent`, or that nothing was sent.
     pub fn end_with_a_word(&self, program: &'static str, sent: &'static str) {
-        let is_sent = Arc::clone(&self.is_sent);
-        let said = move || match is_sent.load(Ordering::SeqCst) {
-            true => format!("{sent}; look at `heliostat status`"),
-            false => "nothing was sent".to_owned(),
-        };
         // Nothing keeps an order from being sent.
-        let _ = end_on_signals(program, said);
+        if let Ok(end) = stop_on_signals() {
+            self.end_at(end, program, sent);
+        }
+    }
+
+    /// The same at a request, until the stop is only held: that has an end of its own.
+    pub fn end_at(&self, end: Stop, program: &'static str, sent: &'static str) {
+        let (is_sent, is_held) = (Arc::clone(&self.is_sent), Arc::clone(&self.is_held));
+        end_on_request(end, program, move || {
+            let said = match is_sent.load(Ordering::SeqCst) {
+                true => format!("{sent}; look at `heliostat status`"),
+                false => "nothing was sent".to_owned(),
+            };
+            (!is_held.load(Ordering::SeqCst)).then_some(said)
+        });
     }
 
     /// From now on a signal says that the order was sent.
     pub fn note_sent(&self) {
         self.is_sent.store(true, Ordering::SeqCst);
+    }
+
+    /// From now on the stop is only held, and its end is not that of an order on its way.
+    pub fn note_held(&self) {
+        self.is_held.store(true, Ordering::SeqCst);
     }
 
     /// Adds a session.
@@ -65,10 +128,17 @@ impl Order {
         Ok(())
     }
 
-    /// Joins the room; where there is no connection yet, it waits for one.
+    /// Joins the room as [`join_at_once`](Self::join_at_once) does, and with a session that lasts beyond the end of each
+    /// process in `connect`. Where an endpoint has no process yet, it waits for one.
     pub fn join_and_wait(&self, config: BusConfig) -> Result<Room> {
+        let has_first = is_joined_through(&config).then(|| self.join_behind(&config, true));
         let (room, bus) = (config.room.clone(), Bus::open(&config)?);
-        if !bus.wait_connected(ACCEPTS_WITHIN.min(self.limit)) {
+        let limit = ACCEPTS_WITHIN.min(self.limit);
+        let is_connected = match has_first {
+            Some(has_first) => has_first.recv_timeout(limit).is_ok(),
+            None => bus.wait_connected(limit),
+        };
+        if !is_connected {
             // The search for the reason delays no order.
             thread::spawn(move || note_unconnected(&config));
         }
@@ -82,36 +152,39 @@ impl Order {
         if !is_joined_through(&config) {
             return self.join_widely(config);
         }
-        let opened = join_each(&config, ACCEPTS_WITHIN);
-        let (switch, sessions) = (Arc::clone(&self.switch), Arc::clone(&self.sessions));
-        let (first, has_first) = mpsc::channel();
-        let of_thread = config.clone();
-        switch.set_joining(true);
-        thread::spawn(move || {
-            let mut unanswered = Vec::new();
-            for (index, bus) in opened {
-                match bus.filter(|bus| switch.join(bus).is_ok()) {
-                    Some(bus) => {
-                        sessions.lock().unwrap_or_else(PoisonError::into_inner).push(bus);
-                        // Only the first one is awaited.
-                        let _ = first.send(());
-                    }
-                    None => unanswered.push(of_thread.connect[index].clone()),
-                }
-            }
-            // No first session comes any more, and the wait for it ends.
-            drop(first);
-            // The drivers that each session reaches are known, and no stop is confirmed without them.
-            sessions.lock().unwrap_or_else(PoisonError::into_inner).iter().map(reached).for_each(drop);
-            if of_thread.connect.len() > 1 {
-                unanswered.iter().for_each(|endpoint| note_unanswered(&of_thread, endpoint));
-            }
-            switch.set_joining(false);
-        });
-        if has_first.recv().is_ok() {
+        if self.join_behind(&config, false).recv().is_ok() {
             return Ok(config.room.clone());
         }
         self.join_late(&config)
+    }
+
+    /// Joins the room through each endpoint on another thread. A message comes with each session of the first attempt,
+    /// and the channel ends with it. A lasting order goes on with the endpoints that have not answered.
+    fn join_behind(&self, config: &BusConfig, is_lasting: bool) -> Receiver<()> {
+        let place = Place { switch: Arc::downgrade(&self.switch), sessions: Arc::downgrade(&self.sessions) };
+        let (first, has_first) = mpsc::channel();
+        let config = config.clone();
+        self.switch.set_joining(true);
+        thread::spawn(move || {
+            // Only the first one is awaited.
+            let joined = place.join_each(&config, || {
+                let _ = first.send(());
+            });
+            // No first session comes any more, and the wait for it ends.
+            drop(first);
+            let Some(unanswered) = joined else { return };
+            place.finish();
+            if config.connect.len() > 1 {
+                unanswered.iter().for_each(|endpoint| note_unanswered(&config, endpoint));
+            }
+            if let Some(switch) = place.switch.upgrade() {
+                switch.set_joining(false);
+            }
+            if is_lasting {
+                place.join_later(&config, unanswered);
+            }
+        });
+        has_first
     }
 
     /// Joins the room through each endpoint that reaches processes of its own.
@@ -146,7 +219,9 @@ impl Order {
     pub fn close(self) -> Result<(), BusError> {
         let sessions = std::mem::take(&mut *self.sessions.lock().unwrap_or_else(PoisonError::into_inner));
         drop(self.switch);
-        let closed: Vec<_> = sessions.into_iter().map(Bus::close).collect();
+        // Each takes up to half a second where no process answers.
+        let closing: Vec<_> = sessions.into_iter().map(|bus| thread::spawn(move || bus.close())).collect();
+        let closed: Vec<_> = closing.into_iter().map(|thread| thread.join().unwrap_or(Ok(()))).collect();
         closed.into_iter().collect()
     }
 }

@@ -154,6 +154,24 @@ impl Optics {
         self.lambertian(irradiance, q) * incidence / (length * length) * q[LOG_FACTOR].exp() * self.front_m2
     }
 
+    /// The largest gain by way of a mirror, of any mirror and wherever the detector is: by the shortest path from an
+    /// LED to a mirror, without angles of emission and incidence.
+    pub fn mirror_gain_max(&self) -> f64 {
+        let paths = self.leds.iter().flat_map(|led| self.centres.iter().map(move |centre| (led - centre).norm()));
+        self.reflectivity * self.gain_at(paths.fold(f64::INFINITY, f64::min))
+    }
+
+    /// The same of the direct path to a detector of this height in m; infinite where it can be at an LED.
+    pub fn direct_gain_max(&self, height_m: f64) -> f64 {
+        let paths = self.leds.iter().map(|led| (led.z - height_m).max(0.0));
+        self.gain_at(paths.fold(f64::INFINITY, f64::min))
+    }
+
+    /// The gain at this distance in m in the middle of an LED's light.
+    fn gain_at(&self, distance_m: f64) -> f64 {
+        self.front_m2 * self.lambertian(1.0, &[0.0; QUANTITIES]) / (distance_m * distance_m)
+    }
+
     /// Roll and yaw in rad of the mirror that reflects an LED's centre to the detector.
     ///
     /// `None` where the three points are in line.

@@ -122,6 +122,8 @@ pub struct Place {
 pub struct Setup {
     /// The nominal room.
     pub model: ChannelModel,
+    /// Its dimensions.
+    pub room: heliostat_scenario::Room,
     /// Index of the array.
     pub array: usize,
     /// What the array announces.

@@ -152,7 +152,7 @@ pub fn replay(args: ReplayArgs) -> Result<()> {
             "{} does not replay as recorded: {}{}",
             settings.file.display(),
             verdict.first_difference.as_deref().unwrap_or("a report has no command in the replay"),
-            verdict.missing_messages().map_or(String::new(), |missing| format!("; {missing}"))
+            verdict.cause().map_or(String::new(), |cause| format!("; {cause}"))
         );
     }
     Ok(())

@@ -31,7 +31,7 @@ impl Default for Room {
 
 impl Room {
     /// The extent of the floor along x and y in m.
-    pub(crate) fn floor_m(&self) -> [RangeInclusive<f64>; 2] {
+    pub fn floor_m(&self) -> [RangeInclusive<f64>; 2] {
         [self.length_x_m, self.length_y_m].map(|length_m| -length_m / 2.0..=length_m / 2.0)
     }
 }

@@ -160,6 +160,10 @@ fn a_lockstep_run_replays_bit_for_bit_and_a_changed_one_does_not() {
     // Another policy gives other commands. Without --verify that is not an error.
     let other = replay(&file, &["--policy", "nearest"]).wait().json();
     assert!(other["different"].as_u64() > Some(100) && other["largest_difference_rad"].as_f64() > Some(0.0), "{other}");
+    assert_eq!(
+        (&other["replaced"][0], &verdict["replaced"][0]),
+        (&"nearest in place of fixed-point".into(), &Value::Null)
+    );
     let ended = replay(&file, &["--verify", "--policy", "nearest"]).wait();
     assert_eq!(ended.status.code(), Some(1));
     assert!(ended.refusal().contains("does not replay as recorded: tick 1: "), "{}", ended.errors);

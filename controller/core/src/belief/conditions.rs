@@ -4,12 +4,16 @@
 use std::fmt;
 
 use heliostat_channel::{ChannelModel, Vec3, los};
-use heliostat_scenario::{self as scenario, MismatchLevel, MobilityModel, OrientationModel, Scenario};
+use heliostat_scenario::{
+    self as scenario, AssumedTilt, DegradedAction, MismatchLevel, MobilityModel, OrientationModel, Scenario,
+    UserOrientation,
+};
 use serde::Serialize;
 
-use crate::belief::{channel_evidence::SPREAD_OF_DIRECT, tilt};
+use crate::belief::{channel_evidence::SPREAD_OF_DIRECT, device::AZIMUTH_SPREAD_RAD, tilt};
 
-/// Difference in degrees between the mean tilt of receivers and the assumed one that changes results.
+/// Difference in degrees between an angle of receivers, or its standard deviation, and the assumed one that changes
+/// results.
 const TILT_DIFFERENCE_DEG: f64 = 5.0;
 
 /// A method that does not apply to a room, or a promise that does not hold in it.
@@ -54,6 +58,13 @@ pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
             "streams.channel: readings become {gains_ms:.0} ms old, above control.report_age_max_ms = {age_max_ms}"
         ),
         "decisions between fall back to modelled gains, which know no blocked path; raise control.report_age_max_ms, or the rate",
+    );
+    let because = gap_between_commands(scenario);
+    add(
+        because.is_none(),
+        "a valid command until the next one",
+        because.unwrap_or_default(),
+        "the array holds the angles of an expired command for the driver's park_after_ms, then parks until the next report; raise control.validity_ms above the time between two reports",
     );
     let (mismatch, users) = (&scenario.mismatch, &scenario.users);
     add(
@@ -122,23 +133,20 @@ pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
             false => "every receiver counts as facing up; report orientations",
         },
     );
-    let assumed = scenario.control.tilt.unwrap_or_default();
-    let differing = users.orientation.iter().filter(|_| !is_reported).find_map(|held| {
-        let angles = [
-            ("walking", held.walking_polar_mean_deg, assumed.walking_deg),
-            ("sitting", held.sitting_polar_mean_deg, assumed.sitting_deg),
-        ];
-        let mut of_model = angles.into_iter().filter(|_| held.model == OrientationModel::Measured);
-        of_model.find(|(_, held, assumed)| (held - assumed).abs() > TILT_DIFFERENCE_DEG)
-    });
-    let because = differing.map(|(posture, held, assumed)| {
-        format!("users.orientation.{posture}_polar_mean_deg = {held}, and the belief assumes {assumed} degrees")
-    });
+    let held = users.orientation.as_ref().filter(|held| !is_reported && held.model == OrientationModel::Measured);
+    let because = held.and_then(|held| differing_mean(held, &scenario.control.tilt.unwrap_or_default()));
     add(
         because.is_none(),
         "the assumed tilt of receivers that users hold",
         because.unwrap_or_default(),
         "expected gains are those at the assumed tilt, so ratios are lower; set both angles of control.tilt to those of the users",
+    );
+    let because = held.and_then(wider_spread);
+    add(
+        because.is_none(),
+        "the assumed spread of the angles of receivers that users hold",
+        because.unwrap_or_default(),
+        "expected gains and headings count as more certain than they are, so ratios are lower; report orientations",
     );
     let noise = scenario.streams.channel.noise_relative;
     add(
@@ -184,6 +192,45 @@ pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
         "speed and direction change at every report, and the ellipses of the belief are too small",
     );
     found
+}
+
+/// The keys by which a command expires before the next position report causes another one.
+fn gap_between_commands(scenario: &Scenario) -> Option<String> {
+    let (control, rate_hz) = (&scenario.control, scenario.streams.positions.rate_hz);
+    let interval_ms = 1e3 / rate_hz;
+    // In silence a controller can repeat the last command.
+    let is_repeated = control.when_silent == DegradedAction::LastGood;
+    let next_ms = if is_repeated { interval_ms.min(control.report_age_max_ms) } else { interval_ms };
+    (control.validity_ms < next_ms).then(|| {
+        format!(
+            "control.validity_ms = {}, and streams.positions.rate_hz = {rate_hz} causes a command each {interval_ms:.1} ms",
+            control.validity_ms
+        )
+    })
+}
+
+/// A mean tilt of held receivers that is not the assumed one.
+fn differing_mean(held: &UserOrientation, assumed: &AssumedTilt) -> Option<String> {
+    let angles = [
+        ("walking", held.walking_polar_mean_deg, assumed.walking_deg),
+        ("sitting", held.sitting_polar_mean_deg, assumed.sitting_deg),
+    ];
+    let (posture, held, assumed) =
+        angles.into_iter().find(|(_, held, assumed)| (held - assumed).abs() > TILT_DIFFERENCE_DEG)?;
+    Some(format!("users.orientation.{posture}_polar_mean_deg = {held}, and the belief assumes {assumed} degrees"))
+}
+
+/// A standard deviation of the angles of held receivers above the one that the belief assumes.
+fn wider_spread(held: &UserOrientation) -> Option<String> {
+    let angles = [
+        ("walking_polar", held.walking_polar_std_deg, tilt::POLAR_SPREAD_RAD),
+        ("walking_azimuth", held.walking_azimuth_std_deg, AZIMUTH_SPREAD_RAD),
+        ("sitting_polar", held.sitting_polar_std_deg, tilt::POLAR_SPREAD_RAD),
+        ("sitting_azimuth", held.sitting_azimuth_std_deg, AZIMUTH_SPREAD_RAD),
+    ];
+    let mut angles = angles.into_iter().map(|(angle, held, assumed)| (angle, held, assumed.to_degrees()));
+    let (angle, held, assumed) = angles.find(|(_, held, assumed)| held - assumed > TILT_DIFFERENCE_DEG)?;
+    Some(format!("users.orientation.{angle}_std_deg = {held}, and the belief assumes {assumed:.1} degrees"))
 }
 
 /// The largest direct gain of an upright receiver straight below an LED; 0 where none detects it.
@@ -232,6 +279,11 @@ mod tests {
             ("streams.positions.latency_ms=2000", "streams.positions.latency_ms = 2000"),
             ("streams.channel.rate_hz=0.5", "readings become 2"),
             ("users.orientation.walking_polar_mean_deg=0", "walking_polar_mean_deg = 0, and the belief assumes 29.67"),
+            (
+                "users.orientation.sitting_azimuth_std_deg=60",
+                "sitting_azimuth_std_deg = 60, and the belief assumes 7.4 degrees",
+            ),
+            ("users.orientation.sitting_polar_std_deg=30", "sitting_polar_std_deg = 30, and the belief assumes 7.7"),
             ("mismatch.level=typical", "mismatch.level = \"typical\""),
             ("mismatch.unknown_leds_m=[[1,1,3]]", "1 in mismatch.unknown_leds_m"),
             ("users.mixture=[{mobility=\"seated\",count=2}]", "users.mobility is another model"),
@@ -242,6 +294,10 @@ mod tests {
         }
         let held = ["users.orientation.walking_polar_mean_deg=0", "control.tilt.walking_deg=0"];
         assert!(of(&held).is_empty(), "{:?}", of(&held));
+        for answer in ["streams.orientation.rate_hz=10", "users.orientation.model=up"] {
+            let answered = of(&["users.orientation.sitting_polar_std_deg=30", answer]);
+            assert!(answered.is_empty(), "{answer}: {answered:?}");
+        }
         let converter = |bits: u32, full_scale: f64| {
             let bits = format!("streams.channel.resolution_bits={bits}");
             of(&[&bits, &format!("streams.channel.full_scale_gain={full_scale}")])
@@ -255,6 +311,23 @@ mod tests {
         }
         assert_eq!(of(&["mismatch.level=rough", "mismatch.unknown_leds_m=[[1,1,3]]"]).len(), 2);
         assert_eq!(of(&["control.belief=none", "blockage.bodies=false"]).len(), 1, "no filter, no methods");
+    }
+
+    #[test]
+    fn a_command_that_expires_before_the_next_report_is_a_condition() {
+        let slow = "streams.positions.rate_hz=1";
+        let found = of(&[slow]);
+        assert!(found.len() == 1 && found[0].contains("control.validity_ms = 400, and"), "{found:?}");
+        assert!(found[0].contains("a command each 1000.0 ms: "), "{found:?}");
+        let repeated = of(&[slow, "control.validity_ms=600", "control.when_silent=last-good"]);
+        assert!(repeated.is_empty(), "{repeated:?}");
+        let long = of(&[slow, "control.validity_ms=1000"]);
+        assert!(long.is_empty(), "{long:?}");
+        let without_filter = of(&[slow, "control.belief=none"]);
+        assert_eq!(without_filter.len(), 2, "{without_filter:?}");
+        for name in scenario::BUILTIN_NAMES {
+            assert_eq!(gap_between_commands(&Scenario::builtin(name).unwrap()), None, "{name}");
+        }
     }
 
     #[test]

@@ -14,7 +14,7 @@ use crate::belief::device::{AZIMUTH_SPREAD_RAD, Lean};
 
 /// Standard deviation of the polar angle of a held device in rad: 7.7 degrees for users who sit and
 /// 7.8 degrees for users who walk (Soltani et al., IEEE Trans. Commun. 67(3), 2019).
-const POLAR_SPREAD_RAD: f64 = 0.135;
+pub(super) const POLAR_SPREAD_RAD: f64 = 0.135;
 
 /// The normal of a tilted detector, and its derivatives.
 #[derive(Clone, Copy, Debug)]

@@ -65,6 +65,7 @@ impl Session {
         let complete = log.complete;
         let values = std::mem::take(&mut log.estimate);
         self.take(log)?;
+        self.check_commands()?;
         if !self.readings.is_empty() {
             self.start_from(values)?;
             self.fit();
@@ -92,6 +93,7 @@ impl Session {
     /// Takes the spots and readings of a log.
     pub(super) fn take(&mut self, log: Log) -> Result<(), SetupError> {
         log.check(self.optics.centres.len(), self.optics.leds.len())?;
+        self.check_light(&log)?;
         self.spots = log.spots;
         self.places = log.places;
         self.readings = log.readings;
@@ -142,6 +144,33 @@ mod tests {
             estimate.values[layout.semi_angle()] = f64::NAN;
         }
         assert_eq!(room.session.log(), Log { estimate: Vec::new(), ..log });
+    }
+
+    #[test]
+    fn spots_readings_and_angles_that_the_room_cannot_have_are_refused_by_name() {
+        let mut room = Room::new(20.0);
+        room.step_until(|session| session.readings().len() > 5);
+        let log = room.session.log();
+        Room::new(20.0).session.resume(log.clone()).expect("as it was written");
+        let refusal = |change: &dyn Fn(&mut Log)| {
+            let mut changed = log.clone();
+            change(&mut changed);
+            Room::new(20.0).session.resume(changed).expect_err("refused").to_string()
+        };
+        let bright = 11.0 * room.session.optics.mirror_gain_max();
+        type Change<'a> = &'a dyn Fn(&mut Log);
+        let cases: [(Change, &str); 6] = [
+            (&|log| log.spots[0].tracked_m[0] = 5.0, " of spots[0].tracked_m in the room = "),
+            (&|log| log.spots[0].height_m = 3.5, "spots[0].height_m = 3.5: expected 0.0 to 3.0"),
+            (&|log| log.spots[0].direct_gain = 0.5, "spots[0].direct_gain = 0.5: expected -"),
+            (&|log| log.readings[2].gain = bright + log.spots[0].noise_gain * 11.0, "readings[2].gain = "),
+            (&|log| log.readings[2].gain = -0.5, "readings[2].gain = -0.5: expected -"),
+            (&|log| log.readings[3].command[1] = 1.1, "readings[3].command[1] = 1.1: expected -1.0"),
+        ];
+        for (change, expected) in cases {
+            let found = refusal(change);
+            assert!(found.contains(expected), "{found:?}, expected {expected:?}");
+        }
     }
 
     #[test]

@@ -4,19 +4,28 @@ use std::collections::BTreeMap;
 use std::fmt::{Debug, Display};
 use std::ops::RangeInclusive;
 
+use heliostat_channel::Vec3;
+
 use super::refinement::FORMER_PLACE;
+use super::stages::TRACKED_MIN_M;
 use super::{Log, Session, SetupError};
 use crate::code;
 use crate::parameters::Layout;
 
-/// Coordinates on a floor in m: the longest room of a scenario.
-const FLOOR_M: RangeInclusive<f64> = -200.0..=200.0;
+/// How far in m outside of the room a spot can seem to be: by a tracker with another frame, and by a search.
+const OUTSIDE_M: f64 = 2.0;
 
-/// Heights in m, up to the highest room of a scenario.
-const HEIGHT_M: RangeInclusive<f64> = 0.0..=50.0;
+/// Standard deviations of a tracked place in m. Numbers may be rounded on their way through JSON.
+const DEVIATION_M: RangeInclusive<f64> = 0.99 * TRACKED_MIN_M..=200.0;
 
-/// Standard deviations in m.
-const DEVIATION_M: RangeInclusive<f64> = 0.0..=200.0;
+/// Factor between the light of a room and the largest by its nominal equipment: LEDs have other half-power angles.
+const BRIGHTER: f64 = 10.0;
+
+/// Standard deviations of a reading without light within which readings are.
+const NOISE_DEVIATIONS: f64 = 10.0;
+
+/// How far in rad a command may seem to be outside of the range of the array, by rounding.
+const ROUNDED_RAD: f64 = 1e-6;
 
 /// Gains: shares of an LED's light. Noise can make a reading negative.
 pub(super) const GAIN: RangeInclusive<f64> = -1.0..=1.0;
@@ -60,6 +69,43 @@ impl Session {
         Ok(())
     }
 
+    /// Checks that the room can have the spots, and that its LEDs can give the light.
+    pub(super) fn check_light(&self, log: &Log) -> Result<(), SetupError> {
+        let floor_m = self.setup.room.floor_m();
+        for (index, spot) in log.spots.iter().enumerate() {
+            let [x, y] = spot.tracked_m;
+            let at = self.optics.array().room_from_wall(&Vec3::new(x, y, 0.0));
+            for ((axis, value), within_m) in [("x", at.x), ("y", at.y)].into_iter().zip(&floor_m) {
+                let field = format!("the {axis} of spots[{index}].tracked_m in the room");
+                within(&field, value, within_m.start() - OUTSIDE_M..=within_m.end() + OUTSIDE_M)?;
+            }
+            within(&format_args!("spots[{index}].height_m"), spot.height_m, 0.0..=self.setup.room.height_m)?;
+            let most = BRIGHTER * self.optics.direct_gain_max(spot.height_m);
+            within(&format_args!("spots[{index}].direct_gain"), spot.direct_gain, -most..=most)?;
+        }
+        let brightest = BRIGHTER * self.optics.mirror_gain_max();
+        for (index, reading) in log.readings.iter().enumerate() {
+            let most = brightest + NOISE_DEVIATIONS * log.spots[reading.spot].noise_gain;
+            within(&format_args!("readings[{index}].gain"), reading.gain, -most..=most)?;
+        }
+        Ok(())
+    }
+
+    /// Checks that the array can turn to the angles of the readings, without those of a former calibration, for which
+    /// it had another range.
+    pub(super) fn check_commands(&self) -> Result<(), SetupError> {
+        let axes = [&self.setup.capabilities.roll, &self.setup.capabilities.yaw];
+        let former = self.former_spots();
+        for (index, reading) in self.readings.iter().enumerate().filter(|(_, reading)| reading.spot >= former) {
+            for (axis, (angle, limits)) in reading.command.into_iter().zip(axes).enumerate() {
+                let [low, high] = [limits.min_rad, limits.max_rad].map(f64::from);
+                let field = format!("readings[{index}].command[{axis}]");
+                within(&field, angle, low - ROUNDED_RAD..=high + ROUNDED_RAD)?;
+            }
+        }
+        Ok(())
+    }
+
     /// The least and the largest value of each parameter. None of them includes a value that is not finite.
     fn plausible(&self, layout: &Layout) -> Vec<[f64; 2]> {
         let spots = &self.spots[..layout.spots().min(self.spots.len())];
@@ -88,9 +134,7 @@ impl Log {
         within("the number of spots", spots, 0..=SPOTS_MAX)?;
         for (index, spot) in self.spots.iter().enumerate() {
             let at = |field: &str| format!("spots[{index}].{field}");
-            spot.tracked_m.iter().try_for_each(|value| within(&at("tracked_m"), *value, FLOOR_M))?;
             within(&at("tracked_deviation_m"), spot.tracked_deviation_m, DEVIATION_M)?;
-            within(&at("height_m"), spot.height_m, HEIGHT_M)?;
             below(&at("led"), spot.led, leds)?;
             within(&at("direct_gain"), spot.direct_gain, GAIN)?;
             within(&at("direct_deviation"), spot.direct_deviation, RELATIVE_NOISE)?;
@@ -107,6 +151,9 @@ impl Log {
                 within(&format_args!("readings[{index}].command"), angle, ANGLE_RAD)?;
             }
             within(&format_args!("readings[{index}].gain"), reading.gain, LIGHT)?;
+            // A session ends a spot before it begins the next one.
+            let earlier = index.checked_sub(1).map_or(0, |index| self.readings[index].spot);
+            within(&format_args!("readings[{index}].spot"), reading.spot, earlier..=spots - 1)?;
         }
         self.check_counts()
     }
@@ -122,11 +169,22 @@ impl Log {
         })
     }
 
-    /// Checks the places for a walk with so many: the verification comes after the last one.
+    /// Checks the places for a walk with so many: the verification comes after the last one. Places follow each other,
+    /// and a complete one has a spot.
     pub(super) fn check_places(&self, walk: usize) -> Result<(), SetupError> {
         within("complete", self.complete, 0..=walk)?;
-        let mut own = self.places.iter().enumerate().filter(|(_, place)| **place != FORMER_PLACE);
-        own.try_for_each(|(index, place)| within(&format_args!("places[{index}]"), *place, 0..=walk))
+        let mut earlier = 0;
+        for (index, place) in self.places.iter().enumerate().filter(|(_, place)| **place != FORMER_PLACE) {
+            within(&format_args!("places[{index}]"), *place, earlier..=walk)?;
+            earlier = *place;
+        }
+        match (0..self.complete).find(|place| !self.places.contains(place)) {
+            None => Ok(()),
+            Some(place) => Err(SetupError::Field(format!(
+                "complete = {}, and no spot at place {place}: expected at most {place}",
+                self.complete
+            ))),
+        }
     }
 }
 
@@ -172,7 +230,7 @@ mod tests {
         let reading = Reading { spot: 2, mirror: 8, command: [0.1, -0.2], gain: -1e-9 };
         Log {
             mirrors: 9,
-            complete: 3,
+            complete: 2,
             spots: vec![spot; 3],
             places: vec![0, 1, 3],
             readings: vec![reading; 4],
@@ -189,13 +247,13 @@ mod tests {
     #[test]
     fn each_field_of_a_log_beyond_its_bound_is_named_with_the_bound() {
         assert_eq!(refusal(|_| {}), "");
-        assert_eq!(refusal(|log| log.places[0] = FORMER_PLACE), "", "of a former calibration");
+        assert_eq!(refusal(|log| log.places = vec![FORMER_PLACE, 0, 1]), "", "of a former calibration");
         type Change<'a> = &'a dyn Fn(&mut Log);
-        let cases: [(Change, &str); 15] = [
+        let cases: [(Change, &str); 17] = [
             (&|log| log.mirrors = 4, "of 4 mirrors: expected 9"),
             (&|log| log.spots[0].led = 99, "spots[0].led = 99: expected an index below 4"),
-            (&|log| log.spots[1].tracked_m[0] = 1e30, "spots[1].tracked_m = 1e30: expected -200.0 to 200.0"),
-            (&|log| log.spots[1].height_m = -1e9, "spots[1].height_m = -1000000000.0: expected 0.0 to 50.0"),
+            (&|log| log.spots[1].tracked_deviation_m = 0.0, "spots[1].tracked_deviation_m = 0.0: expected 0.002"),
+            (&|log| log.readings[1].spot = 1, "readings[1].spot = 1: expected 2 to 2"),
             (&|log| log.spots[2].noise_gain = f64::NAN, "spots[2].noise_gain = NaN: expected 0.0 to 4.0"),
             (&|log| log.spots[2].group = 5, "spots[2].group = 5: expected [1, 3, 7, 15, 31]"),
             (&|log| log.readings[3].spot = 9_999_999, "readings[3].spot = 9999999: expected an index below 3"),
@@ -212,7 +270,9 @@ mod tests {
                 "the number of readings of mirror 8 at spot 2 = 1000: expected 0 to 200",
             ),
             (&|log| log.complete = 999, "complete = 999: expected 0 to 3"),
-            (&|log| log.places[2] = 7, "places[2] = 7: expected 0 to 3"),
+            (&|log| log.places[2] = 7, "places[2] = 7: expected 1 to 3"),
+            (&|log| log.places[2] = 0, "places[2] = 0: expected 1 to 3"),
+            (&|log| log.complete = 3, "complete = 3, and no spot at place 2: expected at most 2"),
         ];
         for (change, expected) in cases {
             let found = refusal(change);

@@ -32,7 +32,7 @@ const APART_M: f64 = 0.5;
 const NOISE_RELATIVE: f64 = 0.05;
 
 /// Least standard deviation in m of a tracked mean: a hand is not a tripod.
-const TRACKED_MIN_M: f64 = 0.003;
+pub(super) const TRACKED_MIN_M: f64 = 0.003;
 
 /// Mirrors probed first at a later spot, and the share of them that has to show light.
 const FIRST_MIRRORS: usize = 12;

@@ -43,6 +43,7 @@ impl Room {
         let axis = AxisLimits { min_rad: -1.0, max_rad: 1.0, ..AxisLimits::default() };
         let setup = Setup {
             model: scenario.channel_model().expect("a model"),
+            room: scenario.room.clone(),
             array: 0,
             capabilities: Capabilities { rows: 8, columns: 8, roll: axis, yaw: axis, ..Capabilities::default() },
             prior: Prior::of_level(MismatchLevel::Rough),

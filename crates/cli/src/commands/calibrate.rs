@@ -134,6 +134,7 @@ fn new_session(args: &Args, scenario: &Scenario, room: &LiveRoom, refinement: Op
     prior.scale = if args.scales { SCALE_SPREAD } else { 0.0 };
     let setup = Setup {
         model: scenario.channel_model()?,
+        room: scenario.room.clone(),
         array: args.array,
         capabilities: match refinement {
             Some(refinement) => refinement.capabilities(room.capabilities().clone()),

@@ -266,6 +266,12 @@ impl Plan {
         actors.first().filter(|_| actors.len() == 1).map(String::as_str)
     }
 
+    /// The policies that decided in an epoch, by the statuses of its controller.
+    pub fn policies_of(&self, epoch: u64) -> Vec<&str> {
+        let history = self.controllers.get(&epoch).into_iter();
+        history.flat_map(|history| &history.policies).map(String::as_str).collect()
+    }
+
     /// The policy that decided in an epoch.
     ///
     /// # Errors
@@ -370,6 +376,18 @@ mod tests {
         let counters = vec![("epoch".into(), unseen)];
         live.add_status(NodeStatus { scenario: "recorded".into(), counters, ..NodeStatus::default() }, "recorded");
         assert!(!live.leaves_out(unseen));
+    }
+
+    #[test]
+    fn the_policies_of_an_epoch_are_those_of_its_statuses() {
+        let mut live = plan(Clock::Live, &[]);
+        for policy in ["greedy", "flat", "greedy"] {
+            let counters = vec![("epoch".into(), OWN + EPOCH_SLOTS)];
+            let status = NodeStatus { policy: policy.into(), counters, ..NodeStatus::default() };
+            live.add_status(status, "recorded");
+        }
+        assert_eq!(live.policies_of(OWN + EPOCH_SLOTS), ["flat", "greedy"]);
+        assert!(live.policies_of(OWN + 2 * EPOCH_SLOTS).is_empty());
     }
 
     #[test]

@@ -46,6 +46,8 @@ pub(super) struct Player<'a> {
     /// Messages after the last step of the current controller's schedule.
     tail: Vec<Tail>,
     policies: BTreeMap<u64, String>,
+    /// What decides in place of the recorded policies, by epoch.
+    replaced: BTreeMap<u64, String>,
     verdict: Comparison,
     /// Why a recorded state was not restored.
     unrestored: Option<String>,
@@ -73,6 +75,7 @@ impl<'a> Player<'a> {
             read: 0,
             tail: Vec::new(),
             policies: BTreeMap::new(),
+            replaced: BTreeMap::new(),
             unrestored: None,
             settle: 0,
         };
@@ -91,6 +94,7 @@ impl<'a> Player<'a> {
         let source = self.settings.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
         let policy = build(kind, scenario, &source)?;
         self.check_actor(epoch, policy.as_ref())?;
+        let replaced = self.replaced(epoch, policy.as_ref());
         let mut controller = Controller::new(scenario, scenario.channel_model()?, policy, epoch);
         controller.warm_up(0..WARM_UP_RUNS);
         for (array, capabilities) in &self.arrays {
@@ -100,6 +104,7 @@ impl<'a> Player<'a> {
             controller.handle_safety(*array, report);
         }
         self.policies.insert(epoch, controller.policy_name().to_owned());
+        self.replaced.extend(replaced.map(|replaced| (epoch, replaced)));
         let recorded_from_start = first == 1 && self.plan.clock == Clock::Lockstep;
         let schedule = self.plan.schedules.get(&epoch).filter(|_| !recorded_from_start);
         let progress = schedule.map(|schedule| Progress::new(schedule.clone()));
@@ -123,6 +128,16 @@ impl<'a> Player<'a> {
             self.settings.file.display()
         );
         Ok(())
+    }
+
+    /// What decides in place of the recorded policy of an epoch; `None` where the recording names no other one.
+    fn replaced(&self, epoch: u64, policy: &dyn Policy) -> Option<String> {
+        let recorded = self.plan.policies_of(epoch);
+        if recorded.iter().any(|recorded| *recorded != policy.name()) {
+            return Some(format!("{} in place of {}", policy.name(), recorded.join(", ")));
+        }
+        let (recorded, found) = (self.plan.actor_of(epoch)?, policy.file_hash()?);
+        (recorded != found).then(|| format!("the actor file {found} in place of {recorded}"))
     }
 
     /// Takes the next entry of the recording.
@@ -417,11 +432,18 @@ impl<'a> Player<'a> {
         self.keep_problem();
         let verdict = self.verdict;
         let header = reading.header();
+        let mut replaced = Vec::new();
+        for one in self.replaced.into_values() {
+            if !replaced.contains(&one) {
+                replaced.push(one);
+            }
+        }
         Verdict {
             file: file.to_owned(),
             room: header.room.clone(),
             scenario: header.scenario_name.clone(),
             policies: self.policies.into_values().collect(),
+            replaced,
             clock: self.plan.clock,
             complete: reading.account().is_some(),
             account: self.plan.account,

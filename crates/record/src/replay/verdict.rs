@@ -20,6 +20,8 @@ pub struct Verdict {
     pub scenario: String,
     /// The policies, one for each epoch.
     pub policies: Vec<String>,
+    /// What decided in place of the recorded policies, where the caller chose another policy or actor file.
+    pub replaced: Vec<String>,
     /// The clock of the room.
     pub clock: Clock,
     /// Whether the recorder closed the file.
@@ -77,12 +79,17 @@ impl Verdict {
         self.same > 0 && self.different == 0 && self.held == 0
     }
 
-    /// Whether the recording lacks messages, which may explain the differences that were found.
-    pub fn missing_messages(&self) -> Option<String> {
+    /// What may explain the differences that were found: another policy than the recorded one, or else messages
+    /// that the recording lacks.
+    pub fn cause(&self) -> Option<String> {
+        if self.different == 0 && self.held == 0 {
+            return None;
+        }
+        if !self.replaced.is_empty() {
+            return Some(format!("decided by {}: this is the cause", self.replaced.join("; ")));
+        }
         let missing = self.account.missing();
-        let differs = self.different > 0 || self.held > 0;
-        (differs && missing > 0)
-            .then(|| format!("the recording lacks {missing} messages, see the table: this may be the cause"))
+        (missing > 0).then(|| format!("the recording lacks {missing} messages, see the table: this may be the cause"))
     }
 
     /// The policies, each once, in the order of the epochs.
@@ -196,8 +203,8 @@ impl fmt::Display for Verdict {
                 "left out: {commands} commands of controller {controller}, which used another scenario: {scenario}"
             )?;
         }
-        if let Some(missing) = self.missing_messages() {
-            writeln!(formatter, "{missing}")?;
+        if let Some(cause) = self.cause() {
+            writeln!(formatter, "{cause}")?;
         }
         match &self.first_difference {
             Some(found) => {
@@ -234,6 +241,15 @@ mod tests {
             let text = Verdict { different, held, ..verdict() }.to_string();
             assert!(text.contains(cause), "{text}");
         }
+    }
+
+    #[test]
+    fn another_policy_than_the_recorded_one_is_the_cause_and_no_missing_message() {
+        let replaced = vec!["greedy in place of fixed-point".to_owned()];
+        let text = Verdict { different: 4, replaced: replaced.clone(), ..verdict() }.to_string();
+        assert!(text.contains("decided by greedy in place of fixed-point: this is the cause\n"), "{text}");
+        assert!(!text.contains("lacks 2 messages"), "{text}");
+        assert_eq!(Verdict { replaced, ..verdict() }.cause(), None, "nothing differs");
     }
 
     #[test]

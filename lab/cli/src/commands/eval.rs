@@ -296,11 +296,16 @@ pub fn run(args: Args) -> Result<()> {
         None if args.json => outln!("{}", origin::in_json(&reports[0])?)?,
         None => output::print_table(&reports[0])?,
         Some(grid) if args.json => {
+            let bases = grid.bases();
             let of_points = grid.points().iter().zip(&reports).enumerate().map(|(index, (point, report))| {
                 let report = origin::in_json(report)?;
                 let mut entry = json!({ "value": point.join(", "), "values": point, "report": report });
-                if let Some(differences) = differences::to_first_point(&reports, index) {
-                    entry["difference_to_first"] = differences;
+                for bases in &bases {
+                    let Some(differences) = differences::to_base(&reports, bases, index) else { continue };
+                    match bases.key {
+                        None => entry["difference_to_first"] = differences,
+                        Some(key) => entry["difference_along"][key] = differences,
+                    }
                 }
                 Ok(entry)
             });

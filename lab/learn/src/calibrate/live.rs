@@ -147,6 +147,7 @@ pub fn session(scenario: &Scenario, capabilities: Capabilities) -> anyhow::Resul
     };
     Ok(Session::new(Setup {
         model: scenario.channel_model()?,
+        room: scenario.room.clone(),
         array: 0,
         capabilities,
         prior: Prior::of_level(level),

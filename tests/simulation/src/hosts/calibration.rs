@@ -309,6 +309,7 @@ impl Calibration {
         let place = Place { floor_m: None, height_m: self.room.scenario.receiver.height_m };
         let session = Session::new(Setup {
             model: (*self.room.model).clone(),
+            room: self.room.scenario.room.clone(),
             array: self.array,
             capabilities: capabilities.clone(),
             prior: Prior::of_level(MismatchLevel::Typical),

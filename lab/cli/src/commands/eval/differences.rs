@@ -1,8 +1,10 @@
-//! The figures of a policy minus those of the first one, or those of a point of a sweep minus those of the first
+//! The figures of a policy minus those of the first one, or those of a point of a sweep minus those of another
 //! point, for tables, files and plots.
 
 use heliostat_learn::comparison::{Report, Row, Spread};
 use serde_json::{Map, Value, json};
+
+use super::sweep::Bases;
 
 /// A paired difference.
 pub struct Difference {
@@ -83,28 +85,29 @@ impl Difference {
         DIFFERENCES.into_iter().filter(has)
     }
 
-    /// The figure at a point of a sweep minus that at the first point, of a policy or of the oracle (`None`), paired
-    /// by episode; `None` at the first point, and where the episodes have other rooms.
-    pub fn to_first_point(&self, reports: &[Report], index: usize, policy: Option<&str>) -> Option<Spread> {
-        let (first, own) = (reports.first()?, reports.get(index)?);
-        (index > 0).then(|| own.minus(first, policy, self.of_figure)).flatten()
+    /// The figure at a point of a sweep minus that at its base, of a policy or of the oracle (`None`), paired by
+    /// episode; `None` at the base itself, and where the episodes have other rooms.
+    pub fn to_base(&self, reports: &[Report], bases: &Bases, index: usize, policy: Option<&str>) -> Option<Spread> {
+        let base = *bases.points.get(index)?;
+        let (first, own) = (reports.get(base)?, reports.get(index)?);
+        (index != base).then(|| own.minus(first, policy, self.of_figure)).flatten()
     }
 
-    /// The differences that at least one point of a sweep has from the first one.
-    pub fn of_points(reports: &[Report]) -> impl Iterator<Item = Self> {
+    /// The differences that at least one point of a sweep has from its base.
+    pub fn of_points(reports: &[Report], bases: &Bases) -> impl Iterator<Item = Self> {
         let has = move |difference: &Self| {
-            (1..reports.len()).any(|index| difference.to_first_point(reports, index, None).is_some())
+            (0..reports.len()).any(|index| difference.to_base(reports, bases, index, None).is_some())
         };
         DIFFERENCES.into_iter().filter(has)
     }
 }
 
-/// The differences of a point of a sweep from the first one as JSON, of the oracle and of each policy that both have;
-/// `None` at the first point, and where the episodes have other rooms.
-pub fn to_first_point(reports: &[Report], index: usize) -> Option<Value> {
+/// The differences of a point of a sweep from its base as JSON, of the oracle and of each policy that both have;
+/// `None` at the base itself, and where the episodes have other rooms.
+pub fn to_base(reports: &[Report], bases: &Bases, index: usize) -> Option<Value> {
     let of = |policy: Option<&str>| {
         let difference = |one: Difference| {
-            let found = one.to_first_point(reports, index, policy)?;
+            let found = one.to_base(reports, bases, index, policy)?;
             Some((one.of_figure.to_owned(), json!(found)))
         };
         DIFFERENCES.into_iter().filter_map(difference).collect::<Map<_, _>>()

@@ -55,7 +55,7 @@ fn page(command: &str, scenario: &Scenario, grid: Option<&Grid>, reports: &[Repo
          <title>{title}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<h1>{title}</h1>"
     )?;
     write_origin(&mut page, command, grid, reports)?;
-    for note in notes_on_episodes(reports, false) {
+    for note in notes_on_episodes(reports, None) {
         writeln!(page, "<p class=\"note\">{}</p>", text(&note))?;
     }
     if let Some(grid) = grid {

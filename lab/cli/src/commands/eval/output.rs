@@ -8,7 +8,7 @@ use heliostat_learn::comparison::{BeliefQuality, EPISODES_MIN, Loop, Report, Row
 use heliostat_service::counted::counted;
 
 use super::differences::Difference;
-use super::sweep::{Grid, Sweep};
+use super::sweep::{Bases, Grid, Sweep};
 use super::{ABOVE_ONE, exceeds_one};
 use heliostat_service::outln;
 
@@ -79,7 +79,7 @@ pub fn print_table(report: &Report) -> io::Result<()> {
             time(row.decision_us.map(|times| times.p99)),
         )?;
     }
-    note_on_episodes(std::slice::from_ref(report), false)?;
+    note_on_episodes(std::slice::from_ref(report), None)?;
     outln!("trained: number of training seeds of a learned policy; the interval includes their spread")?;
     outln!(
         "±: half the width of the 95 % confidence interval of the mean; ratio: to the sum rate of the oracle with minimum rates; p5: its 5th percentile"
@@ -224,20 +224,22 @@ pub fn print_sweep(grid: &Grid, reports: &[Report]) -> io::Result<()> {
         outln!("difference to {}, paired: {}", reference.unwrap_or_default(), one.figure)?;
         print_columns(grid, reports, |index, _, row| difference(one.to(reference, &reports[index], row), &one))?;
     }
-    print_differences_to_first_point(grid, reports)?;
-    note_on_episodes(reports, true)?;
+    print_differences_of_points(grid, reports)?;
+    note_on_episodes(reports, Some(grid))?;
     note_on_ratios(reports)?;
     print_beliefs(Some(grid), reports)?;
     print_conditions(reports)
 }
 
-/// Prints the paired differences of each point from the first one, where the points have the same rooms.
-fn print_differences_to_first_point(grid: &Grid, reports: &[Report]) -> io::Result<()> {
-    for one in Difference::of_points(reports) {
-        outln!("difference to {}, paired by episode: {}", grid.name(&grid.points()[0]), one.figure)?;
-        print_columns(grid, reports, |index, name, _| {
-            difference(one.to_first_point(reports, index, of_policy(name)), &one)
-        })?;
+/// Prints the paired differences of each point from its bases, where the points have the same rooms.
+fn print_differences_of_points(grid: &Grid, reports: &[Report]) -> io::Result<()> {
+    for bases in &grid.bases() {
+        for one in Difference::of_points(reports, bases) {
+            outln!("difference to {}, paired by episode: {}", bases.name, one.figure)?;
+            print_columns(grid, reports, |index, name, _| {
+                difference(one.to_base(reports, bases, index, of_policy(name)), &one)
+            })?;
+        }
     }
     Ok(())
 }
@@ -331,16 +333,16 @@ fn note_on_ratios(reports: &[Report]) -> io::Result<()> {
 
 /// Why a figure has no interval, or one that says little; nothing where all is well.
 /// The table of a sweep has fewer figures.
-pub(super) fn notes_on_episodes(reports: &[Report], is_sweep: bool) -> Vec<String> {
+pub(super) fn notes_on_episodes(reports: &[Report], sweep: Option<&Grid>) -> Vec<String> {
     let mut notes = Vec::new();
     let Some(few) = reports.iter().find(|report| report.has_few_episodes()) else {
-        return few_blocked(reports, is_sweep).into_iter().chain(crossing(reports, is_sweep)).collect();
+        return few_blocked(reports, sweep.is_some()).into_iter().chain(crossing(reports, sweep)).collect();
     };
     let is_single = few.oracle.sum_rate_mbps.ci95.is_nan();
     // Each state of a static comparison is an episode of its own.
     let flag = if few.mode == Loop::Static { "--states" } else { "--episodes" };
     notes.push(few_episodes(&counted(few.episodes, few.group()), flag, few.seeds, is_single));
-    notes.extend(crossing(reports, is_sweep));
+    notes.extend(crossing(reports, sweep));
     notes
 }
 
@@ -365,14 +367,14 @@ fn few_blocked(reports: &[Report], is_sweep: bool) -> Option<String> {
 }
 
 /// What a marked interval means, if there is one.
-fn crossing(reports: &[Report], is_sweep: bool) -> Option<String> {
+fn crossing(reports: &[Report], sweep: Option<&Grid>) -> Option<String> {
     let of_belief = |quality: &BeliefQuality| {
         let errors = [quality.place_error_cm, quality.heading_error_walking_deg, quality.heading_error_standing_deg];
         errors.into_iter().chain([quality.coverage_50, quality.coverage_95]).any(|spread| spread.crosses_bound)
     };
-    let marked = marks_difference(reports, is_sweep)
+    let marked = marks_difference(reports, sweep)
         || reports.iter().any(|report| {
-            rows(report).any(|(_, row)| is_marked(row, is_sweep))
+            rows(report).any(|(_, row)| is_marked(row, sweep.is_some()))
                 || report.beliefs.iter().any(|(_, quality)| of_belief(quality))
         });
     marked.then(|| {
@@ -390,24 +392,28 @@ fn is_marked(row: &Row, is_sweep: bool) -> bool {
     shown.any(|spread| spread.crosses_bound)
 }
 
-/// Whether the interval of a difference is marked. A sweep subtracts one policy at all points, and the first point.
-fn marks_difference(reports: &[Report], is_sweep: bool) -> bool {
+/// Whether the interval of a difference is marked. A sweep subtracts one policy at all points, and other points.
+fn marks_difference(reports: &[Report], sweep: Option<&Grid>) -> bool {
     let reference = Difference::reference(reports);
     let of_policies = |one: &Difference, report: &Report| {
-        let shown = |row: &Row| if is_sweep { one.to(reference, report, row) } else { (one.of)(row) };
+        let shown = |row: &Row| if sweep.is_some() { one.to(reference, report, row) } else { (one.of)(row) };
         report.policies.iter().filter_map(|(_, row)| shown(row)).any(|spread| spread.crosses_bound)
     };
-    let of_points = |one: &Difference, index: usize| {
+    let of_point = |one: &Difference, bases: &Bases, index: usize| {
         let mut shown =
-            rows(&reports[index]).filter_map(|(name, _)| one.to_first_point(reports, index, of_policy(name)));
+            rows(&reports[index]).filter_map(|(name, _)| one.to_base(reports, bases, index, of_policy(name)));
         shown.any(|spread| spread.crosses_bound)
     };
+    let of_points = |bases: &Bases| {
+        let mut shown = Difference::of_points(reports, bases);
+        shown.any(|one| (0..reports.len()).any(|index| of_point(&one, bases, index)))
+    };
     Difference::of_any(reports).any(|one| reports.iter().any(|report| of_policies(&one, report)))
-        || is_sweep && Difference::of_points(reports).any(|one| (1..reports.len()).any(|index| of_points(&one, index)))
+        || sweep.is_some_and(|grid| grid.bases().iter().any(of_points))
 }
 
-fn note_on_episodes(reports: &[Report], is_sweep: bool) -> io::Result<()> {
-    notes_on_episodes(reports, is_sweep).iter().try_for_each(|note| outln!("{note}"))
+fn note_on_episodes(reports: &[Report], sweep: Option<&Grid>) -> io::Result<()> {
+    notes_on_episodes(reports, sweep).iter().try_for_each(|note| outln!("{note}"))
 }
 
 /// Marks an interval that reaches beyond the bounds of its quantity.

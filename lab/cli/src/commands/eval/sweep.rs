@@ -35,6 +35,17 @@ pub struct Grid<'a> {
     points: Vec<Vec<&'a str>>,
 }
 
+/// The points of which the figures are subtracted from those of a sweep, one for each of its points.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Bases<'a> {
+    /// The key along which they are the first; `None`: the first point of all.
+    pub key: Option<&'a str>,
+    /// In words.
+    pub name: String,
+    /// Their indices.
+    pub points: Vec<usize>,
+}
+
 /// A point of a sweep as changes to a scenario.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Change {
@@ -90,6 +101,27 @@ impl<'a> Grid<'a> {
     /// The values of the keys at each point.
     pub fn points(&self) -> &[Vec<&'a str>] {
         &self.points
+    }
+
+    /// What is subtracted from the figures of the points: those of the first point, and with two keys also those of the
+    /// point with the first value of one key and the same value of the other.
+    pub fn bases(&self) -> Vec<Bases<'a>> {
+        let first = Bases { key: None, name: self.name(&self.points[0]), points: vec![0; self.points.len()] };
+        let keys = (0..self.sweeps.len()).filter(|_| self.sweeps.len() > 1);
+        std::iter::once(first).chain(keys.map(|key| self.bases_along(key))).collect()
+    }
+
+    fn bases_along(&self, key: usize) -> Bases<'a> {
+        let sweep = &self.sweeps[key];
+        // How far two neighbours along the key are apart, as the last key changes fastest.
+        let stride: usize = self.sweeps[key + 1..].iter().map(|later| later.values.len()).product();
+        let base = |index: usize| index - index / stride % sweep.values.len() * stride;
+        let others: Vec<&str> = self.keys().filter(|other| *other != sweep.key()).collect();
+        Bases {
+            key: Some(sweep.key()),
+            name: format!("{} = {} with the same {}", sweep.key(), sweep.values[0], others.join(", ")),
+            points: (0..self.points.len()).map(base).collect(),
+        }
     }
 
     /// The changes to the scenario at each point. A room of 0 rows or columns of mirrors has none.
@@ -228,6 +260,25 @@ mod tests {
         let single = sweeps(&["users.count=3"]);
         let grid = Grid::new(&single).expect("a key").expect("a sweep");
         assert_eq!(grid.without_effect(&[5]), [""; 0], "one value shows nothing");
+    }
+
+    #[test]
+    fn the_points_of_two_keys_are_compared_with_the_first_one_and_along_each_key() {
+        let two = sweeps(&["led.power_w=1,2", "users.count=1..3"]);
+        let bases = Grid::new(&two).expect("two keys").expect("a sweep").bases();
+        let found: Vec<_> = bases.iter().map(|bases| (bases.key, bases.points.as_slice())).collect();
+        assert_eq!(
+            found,
+            [
+                (None, &[0; 6][..]),
+                (Some("led.power_w"), &[0, 1, 2, 0, 1, 2]),
+                (Some("users.count"), &[0, 0, 0, 3, 3, 3]),
+            ]
+        );
+        assert_eq!(bases[0].name, "led.power_w = 1, users.count = 1");
+        assert_eq!(bases[2].name, "users.count = 1 with the same led.power_w");
+        let one = sweeps(&["users.count=1..3"]);
+        assert_eq!(Grid::new(&one).expect("a key").expect("a sweep").bases().len(), 1);
     }
 
     #[test]

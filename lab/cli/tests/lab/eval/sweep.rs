@@ -163,6 +163,16 @@ fn two_keys_give_each_combination_with_its_outage_and_a_room_without_mirrors() {
             assert_eq!(each.as_array().map(Vec::len), Some(2), "a value for each episode: {each}");
         }
     }
+    assert!(reports[0].get("difference_along").is_none(), "{}", reports[0]);
+    for (key, base) in [("mirrors.rows", 1), ("blockage.forced_users", 2)] {
+        let found = reports[3]["difference_along"][key]["policies"]["flat"]["sum_rate_mbps"]["mean"].as_f64();
+        let [own, base] = [3, base].map(|point: usize| mean(&reports[point]["report"], "flat", "sum_rate_mbps"));
+        assert!((found.expect("a difference") - (own - base)).abs() < 1e-9, "{key}: {}", reports[3]);
+    }
+    assert!(reports[2]["difference_along"].get("blockage.forced_users").is_none(), "the first value of this key");
+    let along =
+        "difference to mirrors.rows = 0 with the same blockage.forced_users, paired by episode: sum rate in Mbit/s";
+    assert_eq!([["0", "2"], ["3", "2"]].map(|point| intervals(along, point)), [0, 3], "{text}");
     let beliefs = text.split("belief about the users").nth(1).expect("the table of the beliefs");
     // No policy observes users in a room without mirrors.
     let points: Vec<Vec<&str>> = beliefs.lines().map(|line| line.split_whitespace().take(3).collect()).collect();

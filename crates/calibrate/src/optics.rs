@@ -169,7 +169,7 @@ impl Optics {
 
     /// The gain at this distance in m in the middle of an LED's light.
     fn gain_at(&self, distance_m: f64) -> f64 {
-        self.front_m2 * self.lambertian(1.0, &[0.0; QUANTITIES]) / (distance_m * distance_m)
+        self.front_m2 * self.lambertian(1.0_f64, &[0.0; QUANTITIES]) / (distance_m * distance_m)
     }
 
     /// Roll and yaw in rad of the mirror that reflects an LED's centre to the detector.

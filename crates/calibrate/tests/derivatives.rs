@@ -51,6 +51,25 @@ fn every_derivative_is_the_slope_of_the_gain() {
 }
 
 #[test]
+fn no_place_has_more_light_than_the_largest_gains() {
+    let optics = Optics::new(&model(&["led.positions_m=[[0,0,3]]"]), 0).unwrap();
+    let most = (optics.direct_gain_max(0.85), optics.mirror_gain_max());
+    for [x, y] in [[0.0, 0.0], [-1.2, 0.4], [0.6, -0.7], [2.0, 2.0], [0.0, 2.3]] {
+        let at = optics.array().wall_from_room(&Vec3::new(x, y, 0.85));
+        let mut quantities: Quantities = [0.0; QUANTITIES];
+        quantities[PLACE..PLACE + 3].copy_from_slice(at.as_slice());
+        let direct = optics.direct_gain(0, &quantities);
+        assert!(direct <= 1.000_001 * most.0, "{direct:e} at {x} {y}, and at most {:e}", most.0);
+        for mirror in 0..100 {
+            let Some(aim) = optics.aim((mirror, 0), &quantities) else { continue };
+            let gain = optics.mirror_gain((mirror, 0), aim, &quantities);
+            assert!(gain <= most.1, "{gain:e} of mirror {mirror} at {x} {y}, and at most {:e}", most.1);
+        }
+    }
+    assert_eq!(optics.direct_gain_max(3.0), f64::INFINITY, "at the LED");
+}
+
+#[test]
 fn the_smooth_light_is_that_of_the_channel_on_every_wall() {
     for wall in ["+y", "-y", "+x", "-x"] {
         let model = model(&[&format!("mirrors.wall={wall:?}"), "led.points_per_side=40"]);

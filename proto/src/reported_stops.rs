@@ -6,9 +6,9 @@
 //! Times are those of the process that uses it, on a clock that never steps, since any origin. An array
 //! has stopped where its last stop report is fresh, lists every stop that is held for it, and states
 //! that its device has executed them. Where the liveliness tokens of several drivers name the array, each
-//! driver has to: the reports of one say nothing about the mirrors of another one. A driver whose token ends while a
-//! stop is held, after a silence and without its confirmation, is lost: the stop stays unconfirmed until it answers, or
-//! until the release. One that ends reports until then.
+//! driver has to: the reports of one say nothing about the mirrors of another one. A driver is lost if its token ends
+//! after a silence, while a stop is held that it has not confirmed. The stop then stays unconfirmed until this driver
+//! answers, or until the release. One that ends in order reports until its token ends.
 //!
 //! | the array publishes | its standing, by its last reports |
 //! | --- | --- |

@@ -78,7 +78,8 @@ pub fn end_on_signals(program: &'static str, said: impl Fn() -> String + Send + 
     Ok(())
 }
 
-/// Ends a program at a request, as [`end_on_signals`] does. Where `said` returns nothing, the program ends by itself.
+/// Ends a program at a request, as [`end_on_signals`] does. Where `said` returns nothing, the program goes on, and ends in
+/// its own way.
 pub fn end_on_request(stop: Stop, program: &'static str, said: impl Fn() -> Option<String> + Send + 'static) {
     // Another thread than that of the signals: the second one ends a note that a full pipe blocks.
     std::thread::spawn(move || {

@@ -20,7 +20,7 @@ use crate::View;
 use crate::controllers::{ControllerFigures, controller_name};
 use crate::in_charge::InCharge;
 use crate::latency::Histogram;
-use crate::notes::{follows_from, follows_from_stop, of_stopped, without_figures};
+use crate::notes::{follows_from, follows_from_stop, is_of_standby, of_stopped, without_figures};
 use crate::scene::unusable_mirrors;
 use crate::shown_room::Findings;
 use crate::view::{EXPIRY, Received, Sample};
@@ -409,7 +409,8 @@ fn without_known(mut node: NodeFigures, notes: &[String], is_stopped: bool) -> N
     let fault = |text: &str| without_figures(text.split(": ").next().unwrap_or_default());
     let of_node = fault(&node.problem);
     let is_noted = notes.iter().any(|note| of_node.starts_with(&fault(note))) || follows_from(notes, &node.problem);
-    if is_noted || (is_stopped && follows_from_stop(&node.problem)) {
+    let is_of_standby = is_of_standby(notes, &node.source, &node.problem);
+    if is_noted || is_of_standby || (is_stopped && follows_from_stop(&node.problem)) {
         node.problem.clear();
     }
     if let Some(problem) = of_stopped(&node.problem, is_stopped) {

@@ -148,9 +148,6 @@ const TWO_DRIVERS: &str = "two drivers serve one array";
 const OF_TWO_DRIVERS: [(&str, &str); 2] =
     [("a second source ", " reports telemetry of "), ("an announcement of an array that is not followed ", "")];
 
-/// What follows the name in the note about a standby that refuses the reports.
-const STANDBY_REFUSES: &str = " refuses the reports ";
-
 /// Part of what a controller reports of the light of its users.
 const OF_LIGHT: &str = " of the expected light";
 
@@ -159,10 +156,7 @@ const OF_LIGHT: &str = " of the expected light";
 pub(crate) fn follows_from(notes: &[String], problem: &str) -> bool {
     let is_noted = |start: &str| notes.iter().any(|note| note.starts_with(start));
     let is_of = |(start, part): &(&str, &str)| problem.starts_with(start) && problem.contains(part);
-    let is_reason_noted =
-        |reason: &str| notes.iter().any(|note| note.contains(STANDBY_REFUSES) && note.contains(&format!("({reason})")));
-    refusal_of(problem).is_some_and(is_reason_noted)
-        || (is_noted(TWO_DRIVERS) && OF_TWO_DRIVERS.iter().any(is_of))
+    (is_noted(TWO_DRIVERS) && OF_TWO_DRIVERS.iter().any(is_of))
         || (is_noted(ROOM_DIFFERS) && problem.contains(OF_LIGHT))
 }
 
@@ -228,10 +222,21 @@ fn off_light(light: &ServedLight) -> Option<String> {
     light.off_since_s.map(|_| printable(&format!("{light}: {}", light.advice())).into_owned())
 }
 
+/// The beginning of the note about a standby of this name that refuses the reports.
+fn standby_refuses(name: &str) -> String {
+    format!("standby {name} refuses the reports (")
+}
+
+/// Whether a note states this problem of the controller of this name, which stands by and refuses the reports.
+pub(crate) fn is_of_standby(notes: &[String], name: &str, problem: &str) -> bool {
+    let start = standby_refuses(name);
+    refusal_of(problem).is_some() && notes.iter().any(|note| note.starts_with(&start))
+}
+
 /// The note about a controller that stands by, and refuses each position report.
 fn refusing_standby(ControllerFigures { name, role, refuses, .. }: &ControllerFigures) -> Option<String> {
     let is_refusing = *role == Role::StandsBy && !refuses.is_empty();
-    is_refusing.then(|| format!("standby {name}{STANDBY_REFUSES}({refuses}): it could not take over"))
+    is_refusing.then(|| format!("{}{refuses}): it could not take over", standby_refuses(name)))
 }
 
 /// The note about an array that two processes drive.
@@ -446,8 +451,11 @@ mod tests {
         let notes = noted(1, 6);
         let note = format!("standby 0000000000000007 refuses the reports ({reason}): it could not take over");
         assert_eq!(notes, [note]);
-        assert!(follows_from(&notes, &format!("users refused: {reason}")));
-        assert!(!follows_from(&notes, "users refused: outside-room"));
+        let is_stated = |name: &str, problem: &str| is_of_standby(&notes, name, problem);
+        let problem = format!("users refused: {reason}");
+        assert!(is_stated("0000000000000007", &problem));
+        assert!(!is_stated("0000000000000009", &problem), "of the leader, which refuses them too");
+        assert!(!is_stated("0000000000000007", "the array receives no commands"));
         assert_eq!(noted(0, 7), [""; 0], "the problem of a leader is shown as its own");
     }
 

@@ -2,8 +2,10 @@
 
 import os
 import shutil
+import struct
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -14,10 +16,10 @@ NAMES = ["heliostat", "heliostat-lab"]
 pytestmark = pytest.mark.skipif(not shutil.which("maturin"), reason="maturin is not on the path")
 
 
-def pack(programs: Path, folder: Path) -> subprocess.CompletedProcess[str]:
+def pack(programs: Path, folder: Path, *flags: str) -> subprocess.CompletedProcess[str]:
     """Runs pack-programs at a fixed date."""
     environment = os.environ | {"SOURCE_DATE_EPOCH": "1700000000"}
-    command = [sys.executable, str(PACK), str(programs), str(folder)]
+    command = [sys.executable, str(PACK), str(programs), str(folder), *flags]
     return subprocess.run(command, env=environment, capture_output=True, text=True)
 
 
@@ -54,3 +56,57 @@ def test_a_folder_without_one_of_the_programs_is_refused_by_its_name(tmp_path: P
     assert result.returncode == 1
     assert "has no heliostat-lab; expected heliostat and heliostat-lab" in result.stderr
     assert not (tmp_path / "wheels").exists()
+
+
+def elf(machine: int, symbols: bytes = b"") -> bytes:
+    """The beginning of an ELF file for a machine, and the names of its symbols' versions."""
+    return b"\x7fELF" + bytes(14) + struct.pack("<H", machine) + bytes(44) + symbols
+
+
+X86_64, AARCH64 = 62, 183
+MACH_O_ARM64 = b"\xcf\xfa\xed\xfe" + struct.pack("<I", 0x0100000C)
+PE_X86_64 = b"MZ" + bytes(58) + struct.pack("<I", 64) + b"PE\0\0" + struct.pack("<H", 0x8664)
+
+
+@pytest.mark.parametrize(
+    ("content", "target", "found"),
+    [
+        (elf(X86_64), "aarch64-unknown-linux-gnu", "x86_64 and linux"),
+        (elf(AARCH64), "x86_64-unknown-linux-gnu", "aarch64 and linux"),
+        (elf(AARCH64), "aarch64-apple-darwin", "aarch64 and linux"),
+        (elf(X86_64, b"\0GLIBC_2.17\0"), "x86_64-unknown-linux-musl", "x86_64 and linux with glibc"),
+        (MACH_O_ARM64, "x86_64-apple-darwin", "aarch64 and apple-darwin"),
+        (MACH_O_ARM64, "aarch64-unknown-linux-gnu", "aarch64 and apple-darwin"),
+        (PE_X86_64, "x86_64-unknown-linux-gnu", "x86_64 and windows"),
+    ],
+)
+def test_programs_of_another_target_are_refused(content: bytes, target: str, found: str, tmp_path: Path) -> None:
+    programs = write_programs(tmp_path / "programs", NAMES)
+    (programs / "heliostat-lab").write_bytes(content)
+    result = pack(programs, tmp_path / "wheels", "--target", target)
+    assert result.returncode == 1
+    assert f"heliostat-lab is built for {found}; expected {target}" in result.stderr
+    assert not (tmp_path / "wheels").exists()
+
+
+def test_a_file_that_is_no_program_is_refused(tmp_path: Path) -> None:
+    programs = write_programs(tmp_path / "programs", NAMES)
+    for content in [b"text", b"\x7fELF", elf(8), b"MZ"]:
+        (programs / "heliostat").write_bytes(content)
+        result = pack(programs, tmp_path / "wheels")
+        assert result.returncode == 1
+        assert "heliostat is no program of Linux, macOS or Windows" in result.stderr
+
+
+def test_the_tag_of_the_wheel_has_the_latest_glibc_of_both_programs(tmp_path: Path) -> None:
+    programs = write_programs(tmp_path / "programs", NAMES)
+    (programs / "heliostat").write_bytes(elf(X86_64, b"\0GLIBC_2.9\0GLIBC_2.28\0"))
+    (programs / "heliostat-lab").write_bytes(elf(X86_64, b"\0GLIBC_2.2.5\0GLIBC_2.17\0"))
+    result = pack(programs, tmp_path / "wheels", "--target", "x86_64-unknown-linux-gnu")
+    assert result.returncode == 0, result.stderr
+    (wheel,) = (tmp_path / "wheels").iterdir()
+    assert wheel.name.endswith("-py3-none-manylinux_2_28_x86_64.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        information = wheel.name.split("-py3")[0] + ".dist-info"
+        assert "Tag: py3-none-manylinux_2_28_x86_64" in archive.read(f"{information}/WHEEL").decode()
+        assert f"{information}/licenses/LICENSE-MIT" in archive.namelist()

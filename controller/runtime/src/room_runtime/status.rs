@@ -91,7 +91,7 @@ pub enum Subject {
 /// What is wrong in the room outside the decision loop.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Conditions {
-    /// Indices of the arrays of which there is no sign of a driver, although commands are sent.
+    /// Indices of the arrays of which there is no sign of a driver, although one is expected.
     pub without_driver: Vec<usize>,
     /// Why the room's geometry is not that of this controller.
     pub geometry: Option<String>,

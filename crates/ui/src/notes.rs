@@ -125,6 +125,13 @@ fn arrival<T>(message: &Dated<T>) -> Option<Instant> {
     message.as_ref().map(|(at, _)| *at)
 }
 
+/// The notes of a viewer that has lost its router: the other ones would state what it no longer sees. `reason` is why it
+/// does not connect again, where that is known.
+pub(crate) fn without_router(router: &str, reason: Option<String>) -> Vec<String> {
+    let lost = format!("this page has lost its connection to {router}: what follows is the last that it saw");
+    [lost].into_iter().chain(reason).collect()
+}
+
 /// The note of a room of which nothing was seen so far.
 pub(crate) fn room_unseen() -> String {
     format!("no process of this room answers: {CHECK_REACH}, or start a driver or a simulator, and a controller")
@@ -382,6 +389,14 @@ mod tests {
         received.users = None;
         take(&mut received, 6, 1);
         assert_eq!(received.others_missing(), None, "another controller is seen");
+    }
+
+    #[test]
+    fn a_viewer_without_its_router_says_so_alone_with_the_reason_if_it_is_known() {
+        let lost = "this page has lost its connection to tls/one:7448: what follows is the last that it saw";
+        let notes = |reason: Option<&str>| without_router("tls/one:7448", reason.map(str::to_owned));
+        assert_eq!(notes(None), [lost]);
+        assert_eq!(notes(Some("its certificate has expired")), [lost, "its certificate has expired"]);
     }
 
     #[test]

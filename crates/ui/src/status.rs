@@ -75,6 +75,10 @@ impl RoomStatus {
             figures: view.figures(),
             ..Self::default()
         };
+        if let Some(lost) = view.notes_without_router() {
+            status.problems = lost;
+            return status;
+        }
         let (unseen, missing) = {
             let received = view.received();
             (received.unseen(), received.others_missing())

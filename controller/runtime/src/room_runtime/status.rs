@@ -19,7 +19,7 @@ use crate::report::{
 use describe::{describe_absence, describe_events, describe_foreign_array, describe_left_out, describe_refusal};
 
 /// What to do about commands without a receiver.
-const DRIVER_ABSENT: &str = "there is no telemetry, and no liveliness token of a driver or simulator; start one, with an endpoint in common with this controller";
+const DRIVER_ABSENT: &str = "there is no telemetry, and no liveliness token of a driver or simulator; start one, with an endpoint in common with this controller, or restart one that hangs";
 
 /// The reporting node.
 #[derive(Clone, Debug, Default)]

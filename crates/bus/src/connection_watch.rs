@@ -282,7 +282,7 @@ mod tests {
         };
         let router = Some("tls/one:7447, tls/two:7447".to_owned());
         assert_eq!(lost(Role::Client), [None, None, None, router, None]);
-        assert_eq!(lost(Role::Peer), [const { None }; 5]);
+        assert!(lost(Role::Peer).iter().all(Option::is_none));
     }
 
     #[test]

@@ -139,7 +139,7 @@ pub(crate) fn room_unseen() -> String {
 }
 
 /// End of the advice to start a process that was seen before.
-const AGAIN: &str = " again, or restart it if it hangs";
+pub(crate) const AGAIN: &str = " again, or restart it if it hangs";
 /// The note of a room that was seen before.
 const ROOM_GONE: &str = "no process of this room answers any longer: its driver or simulator has ended or hangs, or the connection to it has ended; start it again";
 const ARRAY_GONE: &str = "no array answers any longer, and no controller: start its driver or the simulator again, or restart it if it hangs; then heliostat controller";

@@ -305,7 +305,7 @@ impl RoomCore {
         self.newest_ns.is_some()
     }
 
-    /// The arrays without a sign of a driver for 2 s, although commands are given, by index.
+    /// The arrays without a sign of a driver for 2 s, although this controller expects one, by index.
     pub fn without_driver(&mut self, now: Nanos) -> Vec<usize> {
         self.drivers.absent(now, &self.controller)
     }

@@ -64,6 +64,11 @@ impl ConnectionWatch {
         let Watched { role, endpoints, found, .. } = &*self.watched;
         lock(found).link.is_lost().then(|| describe_lost(*role, endpoints))
     }
+
+    /// The router of a client while the connection to it is lost, by its endpoints.
+    pub fn lost_router(&self) -> Option<String> {
+        self.watched.lost_router()
+    }
 }
 
 impl Drop for ConnectionWatch {
@@ -97,6 +102,11 @@ impl Watched {
             Role::Client => connections == 0,
             Role::Peer => connections < self.endpoints.len(),
         }
+    }
+
+    /// The endpoints of a client that has lost its connection. A peer may have lost a process that connected to it.
+    fn lost_router(&self) -> Option<String> {
+        (self.role == Role::Client && lock(&self.found).link.is_lost()).then(|| self.endpoints.join(", "))
     }
 
     /// Looks for the reason why an endpoint has no connection.
@@ -259,6 +269,20 @@ mod tests {
         };
         assert!(shown(0).is_some());
         assert_eq!(shown(1), None);
+    }
+
+    #[test]
+    fn a_client_alone_has_lost_its_router() {
+        let lost = |role| {
+            let watched = watched(role);
+            [1, 0, 0, 0, 1].map(|connections| {
+                note_connections(connections, &watched);
+                watched.lost_router()
+            })
+        };
+        let router = Some("tls/one:7447, tls/two:7447".to_owned());
+        assert_eq!(lost(Role::Client), [None, None, None, router, None]);
+        assert!(lost(Role::Peer).iter().all(Option::is_none));
     }
 
     #[test]

@@ -155,6 +155,11 @@ impl Bus {
         self.watch.as_ref()?.lost()
     }
 
+    /// The endpoints of the router to which this session, as a client, has lost its connection, until it is back.
+    pub fn lost_router(&self) -> Option<String> {
+        self.watch.as_ref()?.lost_router()
+    }
+
     /// The same session in another room; [`close`](Self::close) closes it for all rooms.
     #[must_use]
     pub fn enter(&self, room: Room) -> Self {

@@ -10,7 +10,7 @@ use heliostat_proto::Room;
 use heliostat_scenario::{BUILTIN_NAMES, ScenarioArgs};
 use heliostat_service::exit::UnusableInput;
 use heliostat_service::printable::printable;
-use heliostat_service::{EndArgs, duration, output, signals};
+use heliostat_service::{EndArgs, LogArgs, duration, output, signals};
 use serde::Serialize;
 
 use crate::ring::Bounds;
@@ -39,6 +39,8 @@ pub struct RecordArgs {
     /// Seconds before and after a fault or a stop whose files stay
     #[arg(long, value_name = "N", default_value = "30", value_parser = duration::seconds, requires = "ring_mb")]
     around_fault: Duration,
+    #[command(flatten)]
+    log: LogArgs,
     #[command(flatten)]
     end: EndArgs,
     /// End when every process that was seen in the room has left it
@@ -103,6 +105,8 @@ pub struct ReplayArgs {
 /// Any error that prevents the start; a file that could not be written completely, after the counts
 /// were printed.
 pub fn record(args: RecordArgs) -> Result<()> {
+    // The session says there that its connection is lost.
+    let _log = args.log.start();
     let stop = args.end.stop()?;
     let settings = recorder::Settings {
         scenario: args.scenario.load_arrays()?,

@@ -34,7 +34,7 @@ impl Received {
             notes.extend(self.without_controller().map(String::from));
         }
         if let Some(status) = self.fresh_status(NodeKind::Controller.name()) {
-            notes.extend(absent_drivers(status, arrays));
+            notes.extend(absent_drivers(status, arrays, self.arrays.at().is_some()));
             notes.extend(ServedLight::all_of(status).iter().filter_map(off_light));
         }
         notes.extend(self.present_controllers().iter().filter_map(refusing_standby));
@@ -43,7 +43,8 @@ impl Received {
             notes.push(if self.present_controllers().iter().any(|one| one.is_deciding) {
                 format!("{UNSEEN_REPORTS}: connect to the tracker, or to the router of the room, too")
             } else {
-                "no process reports the positions of users: start the tracker or the simulator".into()
+                let again = if self.truth.is_some() || self.users.is_some() { AGAIN } else { "" };
+                format!("no process reports the positions of users: start the tracker or the simulator{again}")
             });
         }
         notes
@@ -125,16 +126,25 @@ fn arrival<T>(message: &Dated<T>) -> Option<Instant> {
     message.as_ref().map(|(at, _)| *at)
 }
 
+/// The notes of a viewer that has lost its router: the other ones would state what it no longer sees. `reason` is why it
+/// does not connect again, where that is known.
+pub(crate) fn without_router(router: &str, reason: Option<String>) -> Vec<String> {
+    let lost = format!("this page has lost its connection to {router}: what follows is the last that it saw");
+    [lost].into_iter().chain(reason).collect()
+}
+
 /// The note of a room of which nothing was seen so far.
 pub(crate) fn room_unseen() -> String {
     format!("no process of this room answers: {CHECK_REACH}, or start a driver or a simulator, and a controller")
 }
 
+/// End of the advice to start a process that was seen before.
+pub(crate) const AGAIN: &str = " again, or restart it if it hangs";
 /// The note of a room that was seen before.
-const ROOM_GONE: &str = "no process of this room answers any longer: its driver or simulator has ended, or the connection to it; start it again";
-const ARRAY_GONE: &str = "no array answers any longer, and no controller: start its driver or the simulator again, then heliostat controller";
+const ROOM_GONE: &str = "no process of this room answers any longer: its driver or simulator has ended or hangs, or the connection to it has ended; start it again";
+const ARRAY_GONE: &str = "no array answers any longer, and no controller: start its driver or the simulator again, or restart it if it hangs; then heliostat controller";
 /// The note about one controller that sees no other process of its room.
-pub(crate) const OTHERS_MISSING: &str = "no array, no tracker and no other controller is seen beside one controller: the link to their host or a router may be cut, or they have ended";
+pub(crate) const OTHERS_MISSING: &str = "no array, no tracker and no other controller is seen beside one controller: the link to their host or a router may be cut, or they have ended or hang";
 const NO_CONTROLLER: &str = "no controller commands the mirrors: start one with heliostat controller";
 /// The same note beside a page whose button restarts the controller.
 const RESTART_CONTROLLER: &str = "no controller commands the mirrors: press restart on the page";
@@ -252,15 +262,16 @@ fn is_driver_absent((name, count): &(String, u64)) -> bool {
     name == "driver_absent" && *count > 0
 }
 
-/// Which commands reach no driver, by the status of a controller of so many arrays.
-fn absent_drivers(status: &NodeStatus, arrays: usize) -> Option<String> {
+/// Which commands reach no driver, by the status of a controller of so many arrays. A driver that was seen may hang.
+fn absent_drivers(status: &NodeStatus, arrays: usize, was_seen: bool) -> Option<String> {
+    let again = if was_seen { AGAIN } else { "" };
     let (_, absent) = status.counters.iter().find(|counter| is_driver_absent(counter))?;
     let name = |(name, _): &(String, u64)| Some(name.strip_prefix("driver_absent:")?.to_owned());
     let names: Vec<String> = status.counters.iter().filter_map(name).collect();
     if names.is_empty() || *absent == arrays as u64 {
-        return Some("no driver receives the commands: start a driver or a simulator".into());
+        return Some(format!("no driver receives the commands: start a driver or a simulator{again}"));
     }
-    Some(format!("no driver receives the commands to {}: start its driver", printable(&names.join(" and "))))
+    Some(format!("no driver receives the commands to {}: start its driver{again}", printable(&names.join(" and "))))
 }
 
 #[cfg(test)]
@@ -382,6 +393,28 @@ mod tests {
         received.users = None;
         take(&mut received, 6, 1);
         assert_eq!(received.others_missing(), None, "another controller is seen");
+    }
+
+    #[test]
+    fn a_process_that_was_seen_and_is_silent_may_hang() {
+        let status = counting(5, "driver_absent", 1);
+        let advice = |was_seen| absent_drivers(&status, 1, was_seen).expect("a note");
+        let start = "no driver receives the commands: start a driver or a simulator";
+        assert_eq!([advice(false), advice(true)], [start.to_owned(), format!("{start}{AGAIN}")]);
+        let mut received = Received::default();
+        received.alive.insert((NodeKind::Controller.name(), 5));
+        let start = "no process reports the positions of users: start the tracker or the simulator";
+        assert_eq!(received.notes(1, ago(60)), [start]);
+        received.users = Some((ago(60), UserReport::default()));
+        assert_eq!(received.notes(1, ago(60)), [format!("{start}{AGAIN}")]);
+    }
+
+    #[test]
+    fn a_viewer_without_its_router_says_so_alone_with_the_reason_if_it_is_known() {
+        let lost = "this page has lost its connection to tls/one:7448: what follows is the last that it saw";
+        let notes = |reason: Option<&str>| without_router("tls/one:7448", reason.map(str::to_owned));
+        assert_eq!(notes(None), [lost]);
+        assert_eq!(notes(Some("its certificate has expired")), [lost, "its certificate has expired"]);
     }
 
     #[test]

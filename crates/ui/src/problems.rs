@@ -76,8 +76,8 @@ impl Problems {
             .collect();
         match last {
             Some(last) if last.text == status.last_problem => {
-                // A cause is counted at times only after its text.
-                if last.causes.is_empty() {
+                // A cause is counted at times only after its text; what is counted long after it has another text.
+                if last.causes.is_empty() && last.at.is_none_or(|at| at.elapsed() < CURRENT) {
                     last.causes.clone_from(&rose);
                 }
                 let has_recurred =
@@ -210,6 +210,20 @@ mod tests {
         // A stop withholds commands; the status still has the last text.
         problems.take(node, &refusal(5));
         assert_eq!(problems.current(node, 7), "");
+    }
+
+    #[test]
+    fn an_old_problem_without_a_counted_cause_does_not_return_with_a_later_count() {
+        let (mut problems, node) = (Problems::default(), NodeKind::Controller.name());
+        let left = |missed| status("controller 7 has left", &[("missed:late", missed)]);
+        problems.take(node, &status("", &[("missed:late", 0)]));
+        problems.take(node, &left(0));
+        assert_eq!(problems.current(node, 7), "controller 7 has left");
+        age(&mut problems, CURRENT);
+        for missed in 1..3 {
+            problems.take(node, &left(missed));
+            assert_eq!(problems.current(node, 7), "", "{missed}");
+        }
     }
 
     #[test]

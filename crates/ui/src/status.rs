@@ -14,7 +14,7 @@ use serde::Serialize;
 
 use crate::controllers::{ControllerFigures, Role};
 use crate::figures::{Figures, NodeFigures, Origin, UserFigures};
-use crate::notes::{UNSEEN_CONTROLLER, UNSEEN_REPORTS, causes_and_others};
+use crate::notes::{AGAIN, UNSEEN_CONTROLLER, UNSEEN_REPORTS, causes_and_others};
 use crate::terminal::texts::{stops, time, why_without_rates};
 use crate::view::NO_GEOMETRY;
 use crate::{UiError, View};
@@ -75,6 +75,10 @@ impl RoomStatus {
             figures: view.figures(),
             ..Self::default()
         };
+        if let Some(lost) = view.notes_without_router() {
+            status.problems = lost;
+            return status;
+        }
         let (unseen, missing) = {
             let received = view.received();
             (received.unseen(), received.others_missing())
@@ -141,7 +145,9 @@ impl RoomStatus {
             _ => Some("no controller leads: each stands by"),
         };
         let reports = (self.reports_per_s == 0.0 && self.deciding().is_none()).then(|| {
-            "no position reports: start the tracker or the simulator, or connect to its endpoint or router too".into()
+            // A controller that has decided has seen the process that reports.
+            let again = if controllers.iter().any(|one| one.decisions > 0) { AGAIN } else { "" };
+            format!("no position reports: start the tracker or the simulator{again}, or connect to its endpoint or router too")
         });
         let found = reports.into_iter().chain(leads.map(String::from)).chain(self.array_problems());
         let of_nodes = nodes.iter().filter_map(of_node);
@@ -330,6 +336,18 @@ mod tests {
         assert_eq!(found[0], OTHERS_MISSING);
         assert_eq!(found.iter().filter(|problem| *problem == OTHERS_MISSING).count(), 1, "{found:?}");
         assert!(found.contains(&"no controller leads: each stands by".to_owned()), "{found:?}");
+    }
+
+    #[test]
+    fn a_tracker_that_a_controller_has_seen_may_hang() {
+        let found = |decisions| {
+            let controllers = vec![ControllerFigures { decisions, ..ControllerFigures::default() }];
+            RoomStatus { figures: Figures { controllers, ..Figures::default() }, ..RoomStatus::default() }.found()
+        };
+        let start = "no position reports: start the tracker or the simulator";
+        let connect = ", or connect to its endpoint or router too";
+        assert_eq!(found(0)[0], format!("{start}{connect}"));
+        assert_eq!(found(9)[0], format!("{start}{AGAIN}{connect}"));
     }
 
     #[test]

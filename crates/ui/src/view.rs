@@ -21,7 +21,7 @@ use crate::array_reports::ArrayReports;
 use crate::controllers::{ControllerFigures, Controllers, Role, controller_name};
 use crate::in_charge::InCharge;
 use crate::latency::Window;
-use crate::notes::with_restart;
+use crate::notes::{with_restart, without_router};
 use crate::problems::Problems;
 use crate::shown_room::{AnnouncedController, Announcements, Findings, GeometrySource, RoomChooser, ShownRoom};
 use crate::stop_watch::StopWatch;
@@ -133,6 +133,9 @@ impl View {
     /// scenarios, an unknown geometry, a connection that fails because of a certificate. Also what is no fault.
     pub(crate) fn findings(&self) -> Findings {
         let (room, of_geometry) = self.chooser.choose(self.announcements());
+        if let Some(notes) = self.notes_without_router() {
+            return Findings { notes, remarks: of_geometry.remarks };
+        }
         let is_explained = !of_geometry.notes.is_empty();
         let arrays = room.model.mirrors.arrays().len();
         let mut notes = self.received().notes_with(of_geometry.notes, arrays, self.opened);
@@ -152,6 +155,12 @@ impl View {
         }
         notes.extend(connection);
         Findings { notes, remarks: of_geometry.remarks }
+    }
+
+    /// The notes of this view while its connection to a router is lost.
+    pub(crate) fn notes_without_router(&self) -> Option<Vec<String>> {
+        let router = self.bus.lost_router()?;
+        Some(without_router(&router, self.bus.connection_problem()))
     }
 
     /// The room to draw. Takes the lock of the messages, so it must not be held.

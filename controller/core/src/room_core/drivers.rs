@@ -20,11 +20,13 @@ pub(super) struct Drivers {
     detectors: Vec<AbsenceDetector>,
 }
 
-/// Detects that commands are sent for a while without any sign of a driver.
+/// Detects that a driver is expected and gives no sign for a while.
 #[derive(Clone, Debug, Default)]
 struct AbsenceDetector {
     telemetry: Option<Stamp>,
-    /// Since when there is no sign of a driver although commands were sent.
+    /// Whether a driver was seen, or had to be there.
+    is_expected: bool,
+    /// Since when there is no sign of an expected driver.
     since_ns: Option<Nanos>,
 }
 
@@ -44,13 +46,14 @@ impl Drivers {
         }
     }
 
-    /// The arrays without a driver that receives the commands of a controller, by index.
+    /// The arrays without a driver that receives the commands of a controller, by index. A controller expects one once
+    /// it has seen one or has sent commands, and where it was started to stand by.
     pub fn absent(&mut self, now: Nanos, controller: &Controller) -> Vec<usize> {
-        let commands = controller.counters().commands;
         let tokens = &self.tokens;
         let is_absent = |(array, detector): (usize, &mut AbsenceDetector)| {
             let telemetry = controller.inbox().telemetry(array).map(|telemetry| telemetry.stamp);
-            detector.is_absent(now, drives(tokens, array), telemetry, commands).then_some(array)
+            let is_due = controller.counters().commands > 0 || controller.tenure(array).is_reserve;
+            detector.is_absent(now, drives(tokens, array), telemetry, is_due).then_some(array)
         };
         self.detectors.iter_mut().enumerate().filter_map(is_absent).collect()
     }
@@ -62,11 +65,12 @@ fn drives(tokens: &BTreeSet<Token>, array: usize) -> bool {
 }
 
 impl AbsenceDetector {
-    /// `telemetry` is the stamp of the latest one, `commands` the number of commands so far. A clock
-    /// that steps back begins again.
-    fn is_absent(&mut self, now: Nanos, has_token: bool, telemetry: Option<Stamp>, commands: u64) -> bool {
+    /// `telemetry` is the stamp of the latest one; `is_due` whether a driver has to be there, although none was seen. A
+    /// clock that steps back begins again.
+    fn is_absent(&mut self, now: Nanos, has_token: bool, telemetry: Option<Stamp>, is_due: bool) -> bool {
         let has_news = std::mem::replace(&mut self.telemetry, telemetry) != telemetry;
-        if has_token || has_news || commands == 0 {
+        self.is_expected |= has_token || has_news || is_due;
+        if has_token || has_news || !self.is_expected {
             self.since_ns = None;
             return false;
         }
@@ -98,23 +102,34 @@ mod tests {
     }
 
     #[test]
-    fn a_driver_with_telemetry_or_a_controller_without_commands_lacks_nothing() {
+    fn a_driver_with_telemetry_or_a_controller_that_expects_no_driver_lacks_nothing() {
         let (mut detector, start) = (AbsenceDetector::default(), 7);
         for step in 0..10 {
-            assert!(!detector.is_absent(start + step * ABSENT_AFTER_NS, false, stamp(step), 5));
+            assert!(!detector.is_absent(start + step * ABSENT_AFTER_NS, false, stamp(step), true));
         }
         let last = start + 10 * ABSENT_AFTER_NS;
-        assert!(!detector.is_absent(last, false, stamp(9), 5));
-        assert!(detector.is_absent(last + ABSENT_AFTER_NS, false, stamp(9), 5), "the telemetry ended");
+        assert!(!detector.is_absent(last, false, stamp(9), true));
+        assert!(detector.is_absent(last + ABSENT_AFTER_NS, false, stamp(9), true), "the telemetry ended");
         let mut idle = AbsenceDetector::default();
-        assert!(!idle.is_absent(start, false, None, 0) && !idle.is_absent(last, false, None, 0));
+        assert!(!idle.is_absent(start, false, None, false) && !idle.is_absent(last, false, None, false));
+    }
+
+    #[test]
+    fn a_controller_without_commands_misses_a_driver_that_it_has_seen() {
+        for (has_token, telemetry) in [(true, None), (false, stamp(1))] {
+            let mut detector = AbsenceDetector::default();
+            assert!(!detector.is_absent(7, has_token, telemetry, false));
+            assert!(!detector.is_absent(8, false, telemetry, false));
+            assert!(detector.is_absent(8 + ABSENT_AFTER_NS, false, telemetry, false));
+            assert!(!detector.is_absent(9 + ABSENT_AFTER_NS, true, telemetry, false), "it is back");
+        }
     }
 
     #[test]
     fn a_clock_that_steps_back_makes_no_driver_absent() {
         let mut detector = AbsenceDetector::default();
-        assert!(!detector.is_absent(9 * ABSENT_AFTER_NS, false, None, 1));
-        assert!(!detector.is_absent(ABSENT_AFTER_NS, false, None, 1));
-        assert!(detector.is_absent(2 * ABSENT_AFTER_NS, false, None, 1));
+        assert!(!detector.is_absent(9 * ABSENT_AFTER_NS, false, None, true));
+        assert!(!detector.is_absent(ABSENT_AFTER_NS, false, None, true));
+        assert!(detector.is_absent(2 * ABSENT_AFTER_NS, false, None, true));
     }
 }

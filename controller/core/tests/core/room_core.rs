@@ -244,3 +244,14 @@ fn commands_without_a_sign_of_a_driver_are_noticed_by_liveliness() {
     core.advance(0, Input::Presence { token: &token, is_alive: false }, &mut Published::new());
     assert_eq!((absent(&mut core, 3_000), absent(&mut core, 5_000)), (vec![], vec![0]));
 }
+
+#[test]
+fn a_standby_misses_the_array_of_its_room_before_its_first_command() {
+    let absent_of = |tenure: Tenure| {
+        let mut core = core(RoomSettings::new(3, tenure));
+        [0, 2_000].map(|ms| core.without_driver(Room::time(1) + ms * MS))
+    };
+    let (tenure, none) = (|| Tenure::live(3, 50 * MS), Vec::<usize>::new());
+    assert_eq!(absent_of(tenure().in_reserve(None)), [none.clone(), vec![0]]);
+    assert_eq!(absent_of(tenure()), [none.clone(), none], "it may be the first process of the room");
+}

@@ -20,6 +20,9 @@ use super::{
 /// Time without a status after which a controller is silent.
 const SILENCE: Duration = Duration::from_secs(5);
 
+/// Most controllers of which it is remembered that they left while they were silent.
+const LEFT_MAX: usize = 8;
+
 /// When each controller that has a token gave its last sign: its token, or a status.
 #[derive(Clone, Default)]
 pub struct PeerStatuses(Arc<Mutex<BTreeMap<u64, Instant>>>);
@@ -59,27 +62,49 @@ impl PeerStatuses {
     }
 }
 
-/// The controllers that were reported as silent.
+/// The controllers that were reported as silent, and those that left meanwhile.
 #[derive(Default)]
-pub struct ReportedPeers(Vec<u64>);
+pub struct ReportedPeers {
+    silent: Vec<u64>,
+    /// Oldest first.
+    left: Vec<u64>,
+}
 
 impl ReportedPeers {
-    /// The next controller that is silent since the last call, or is silent no longer, by the controllers with a token.
+    /// The next controller that is silent since the last call, is silent no longer, or is back, by the controllers with a
+    /// token.
     pub fn news(&mut self, silent: &[u64], present: &[u64]) -> Option<(Subject, Problem)> {
-        if let Some(begun) = silent.iter().copied().find(|peer| !self.0.contains(peer)) {
-            self.0.push(begun);
+        if let Some(begun) = silent.iter().copied().find(|peer| !self.silent.contains(peer)) {
+            self.silent.push(begun);
+            self.left.retain(|peer| *peer != begun);
             return Some((Subject::Peer(begun), Problem::Warning(describe_silent(begun))));
         }
-        let ended = self.0.iter().copied().find(|peer| !silent.contains(peer))?;
-        self.0.retain(|peer| *peer != ended);
+        let Some(ended) = self.silent.iter().copied().find(|peer| !silent.contains(peer)) else {
+            return self.returned(present);
+        };
+        self.silent.retain(|peer| *peer != ended);
         let problem = if present.contains(&ended) {
             Problem::End(format!("the status of controller {ended:016x} comes again"))
         } else {
+            self.note_left(ended);
             Problem::Warning(format!(
                 "controller {ended:016x}, whose status did not come, has left: it has ended, or the link to it is still cut"
             ))
         };
         Some((Subject::Peer(ended), problem))
+    }
+
+    fn note_left(&mut self, peer: u64) {
+        if self.left.len() >= LEFT_MAX {
+            self.left.remove(0);
+        }
+        self.left.push(peer);
+    }
+
+    /// The next controller that had left while it was silent, and has a token again.
+    fn returned(&mut self, present: &[u64]) -> Option<(Subject, Problem)> {
+        let back = self.left.remove(self.left.iter().position(|peer| present.contains(peer))?);
+        Some((Subject::Peer(back), Problem::End(format!("controller {back:016x} is in the room again"))))
     }
 }
 
@@ -129,5 +154,34 @@ mod tests {
         let Some((Subject::Peer(7), Problem::Warning(text))) = reported.news(&[], &[]) else { panic!("a warning") };
         assert!(text.ends_with("has left: it has ended, or the link to it is still cut"), "{text}");
         assert!(reported.news(&[], &[]).is_none());
+    }
+
+    #[test]
+    fn the_return_of_a_controller_that_had_left_ends_the_warning_once() {
+        let mut reported = ReportedPeers::default();
+        assert!(reported.news(&[7], &[7]).is_some() && reported.news(&[], &[]).is_some());
+        assert!(reported.news(&[], &[8]).is_none(), "another controller");
+        let Some((Subject::Peer(7), Problem::End(text))) = reported.news(&[], &[7, 8]) else { panic!("an end") };
+        assert_eq!(text, "controller 0000000000000007 is in the room again");
+        assert!(reported.news(&[], &[7, 8]).is_none());
+    }
+
+    #[test]
+    fn a_controller_whose_token_is_back_without_its_status_is_silent_again() {
+        let mut reported = ReportedPeers::default();
+        assert!(reported.news(&[7], &[7]).is_some() && reported.news(&[], &[]).is_some());
+        assert!(matches!(reported.news(&[7], &[7]), Some((Subject::Peer(7), Problem::Warning(_)))));
+        assert!(matches!(reported.news(&[], &[7]), Some((Subject::Peer(7), Problem::End(_)))));
+        assert!(reported.news(&[], &[7]).is_none(), "one end");
+    }
+
+    #[test]
+    fn of_the_controllers_that_left_the_last_ones_are_remembered() {
+        let mut reported = ReportedPeers::default();
+        for peer in 0..=LEFT_MAX as u64 {
+            assert!(reported.news(&[peer], &[peer]).is_some() && reported.news(&[], &[]).is_some());
+        }
+        assert!(reported.news(&[], &[0]).is_none());
+        assert!(matches!(reported.news(&[], &[1]), Some((Subject::Peer(1), Problem::End(_)))));
     }
 }

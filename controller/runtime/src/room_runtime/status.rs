@@ -19,7 +19,7 @@ use crate::report::{
 use describe::{describe_absence, describe_events, describe_foreign_array, describe_left_out, describe_refusal};
 
 /// What to do about commands without a receiver.
-const DRIVER_ABSENT: &str = "there is no telemetry, and no liveliness token of a driver or simulator; start one, with an endpoint in common with this controller";
+const DRIVER_ABSENT: &str = "there is no telemetry, and no liveliness token of a driver or simulator; start one, with an endpoint in common with this controller, or restart one that hangs";
 
 /// The reporting node.
 #[derive(Clone, Debug, Default)]
@@ -91,7 +91,7 @@ pub enum Subject {
 /// What is wrong in the room outside the decision loop.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Conditions {
-    /// Indices of the arrays of which there is no sign of a driver, although commands are sent.
+    /// Indices of the arrays of which there is no sign of a driver, although one is expected.
     pub without_driver: Vec<usize>,
     /// Why the room's geometry is not that of this controller.
     pub geometry: Option<String>,

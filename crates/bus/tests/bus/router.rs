@@ -76,6 +76,7 @@ fn a_client_that_has_lost_its_router_says_so_until_it_is_back() {
         }
     };
     assert!(lost.contains(&endpoint), "{lost}");
+    assert_eq!(client.lost_router().as_ref(), Some(&endpoint));
     let second = router();
     while client.lost_connection().is_some() {
         assert!(Instant::now() < deadline, "the return is not noticed");

@@ -68,8 +68,8 @@ pub struct PageArgs {
     /// the token in the URL that is printed
     #[arg(long, value_name = "ADDRESS", default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST))]
     ui_listen: IpAddr,
-    /// File with the token of the page; without it, a random token at each start where the page
-    /// requires one
+    /// File with the token of the page, made with a random one if absent; without this flag, a random
+    /// token at each start where the page requires one
     #[arg(long, value_name = "FILE")]
     ui_token_file: Option<PathBuf>,
     /// Address at which a proxy serves the page, for example `https://mirrors.example.org`: orders from
@@ -85,7 +85,7 @@ pub struct Place {
     pub address: IpAddr,
     /// Port; 0 selects a free one.
     pub port: u16,
-    /// File with the token; `None` for a random one.
+    /// File with the token, made if absent; `None` for a random one at each start.
     pub token_file: Option<PathBuf>,
     /// Whether the page requires a token on a loopback address too: with the keys of an operator,
     /// every user of this machine could otherwise give orders.
@@ -108,7 +108,7 @@ impl Place {
 
     fn token(&self) -> Result<Option<Token>, UiError> {
         match &self.token_file {
-            Some(file) => Token::read(file).map(Some),
+            Some(file) => Token::kept_in(file).map(Some),
             None if self.address.is_loopback() && !self.authenticated => Ok(None),
             None => Token::random().map(Some),
         }

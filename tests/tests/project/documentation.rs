@@ -424,6 +424,15 @@ fn each_unit_keeps_its_files_in_a_folder_of_its_own() {
 }
 
 #[test]
+fn the_unit_of_the_page_keeps_its_token_over_a_restart() {
+    let unit = fs::read_to_string(root().join("deploy/systemd/heliostat-page@.service")).expect("a unit");
+    assert!(unit.contains("\nStateDirectory=heliostat-page/%i\n"), "{unit}");
+    assert!(unit.contains(" --ui-token-file %S/heliostat-page/%i/token "), "{unit}");
+    let guide = fs::read_to_string(root().join("docs/deploy.md")).expect("a guide");
+    assert!(guide.contains("/var/lib/heliostat-page/ROOM/token"), "the guide does not name the file");
+}
+
+#[test]
 fn the_containers_pass_flags_that_the_programs_accept() {
     let deploy = root().join("deploy");
     let read = |file: &str| fs::read_to_string(deploy.join(file)).unwrap_or_else(|error| panic!("{file}: {error}"));

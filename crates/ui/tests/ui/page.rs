@@ -224,3 +224,19 @@ fn a_token_file_guards_a_page_on_any_address() {
     std::fs::remove_file(&file).unwrap();
     assert!(setting.server.url().ends_with("/?token=0123456789abcdefXYZ"));
 }
+
+#[test]
+fn an_absent_token_file_is_made_and_the_next_server_keeps_its_token() {
+    let file = std::env::temp_dir().join(format!("heliostat-new-token-{}", std::process::id()));
+    // A test that was interrupted may have left one.
+    drop(std::fs::remove_file(&file));
+    let url = || {
+        let setting = Setting::at("kept", &Place { token_file: Some(file.clone()), ..Place::loopback(0) });
+        setting.server.url()
+    };
+    let token = |url: String| url.split_once("?token=").expect("a token").1.to_owned();
+    let [first, second] = [url(), url()].map(token);
+    let kept = std::fs::read_to_string(&file).unwrap();
+    std::fs::remove_file(&file).unwrap();
+    assert_eq!((first.as_str(), second.as_str()), (kept.trim(), kept.trim()));
+}

@@ -12,7 +12,7 @@
 //!
 //! The page uses relative paths, so it can be served below a path of another host. The answer to an order is 202 with its number if it was published to a subscriber, and 503 if there is none.
 //! The events `figures` have the answers of the receivers under these numbers. An
-//! invalid order is answered with 422 and the reason. With keys, and on any other than a loopback address, each
+//! invalid order, or one that the certificate of the page does not permit, is answered with 422 and the reason. With keys, and on any other than a loopback address, each
 //! request without the token is answered with 401.
 //!
 //! The limits of [`heliostat_service::http`] hold for every client.
@@ -252,6 +252,9 @@ struct RoomJson {
     plan: Plan,
     policies: Vec<PolicyChoice>,
     controls_processes: bool,
+    /// Why only the stop button acts; absent where every button does.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    stop_only: Option<&'static str>,
     network: Option<NetworkFile>,
     budget_us: u64,
     history: Vec<(f64, PastSum)>,
@@ -272,6 +275,7 @@ fn room_json(page: &Page) -> serde_json::Result<String> {
         plan: page.view.plan(&page.room),
         policies: (page.policies)(&page.view.served_room()),
         controls_processes: page.operator.controls_processes(),
+        stop_only: page.operator.rights().limit(),
         network: page.network.clone(),
         budget_us: BUDGET_US,
         history: page.view.history(),

@@ -6,6 +6,7 @@
 //! An event is one line. Its fields may quote a message or a file, so they are made
 //! [`printable`](crate::printable).
 
+use std::ffi::OsStr;
 use std::fmt::{self, Debug};
 use std::io::{self, IsTerminal, Write, stderr};
 
@@ -58,8 +59,8 @@ impl Drop for LogGuard {
 }
 
 impl LogArgs {
-    /// Starts the log; it is written until the result is dropped. Does nothing where another part of the
-    /// process has started it.
+    /// Starts the log; it is written until the result is dropped. Its first line names program and version. Does
+    /// nothing where another part of the process has started it.
     #[must_use]
     pub fn start(&self) -> LogGuard {
         let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(DEFAULT_FILTER));
@@ -75,9 +76,18 @@ impl LogArgs {
                 .try_init(),
             LogFormat::Json => log.json().flatten_event(true).with_writer(move || Printable(writer.clone())).try_init(),
         };
-        drop(started);
+        if started.is_ok() {
+            tracing::info!("{}", program_and_version());
+        }
         LogGuard { writer: Some(guard), lost }
     }
+}
+
+/// The file of this program, and the version that all programs have in common.
+fn program_and_version() -> String {
+    let file = std::env::current_exe().unwrap_or_default();
+    let name = file.file_stem().map_or("heliostat".into(), OsStr::to_string_lossy);
+    format!("{name} {}", env!("CARGO_PKG_VERSION"))
 }
 
 /// Writes a field of an event or a span as text.
@@ -124,6 +134,14 @@ mod tests {
         fn flush(&mut self) -> io::Result<()> {
             Ok(())
         }
+    }
+
+    #[test]
+    fn the_first_line_names_the_file_of_the_program_and_a_version() {
+        let line = program_and_version();
+        let (name, version) = line.split_once(' ').expect("two words");
+        assert!(name.starts_with("heliostat_service"), "the file of this test: {line}");
+        assert_eq!(version, env!("CARGO_PKG_VERSION"));
     }
 
     #[test]

@@ -6,7 +6,6 @@
 //! An event is one line. Its fields may quote a message or a file, so they are made
 //! [`printable`](crate::printable).
 
-use std::ffi::OsStr;
 use std::fmt::{self, Debug};
 use std::io::{self, IsTerminal, Write, stderr};
 
@@ -17,6 +16,7 @@ use tracing_subscriber::field::MakeExt;
 use tracing_subscriber::fmt::format::{Writer, debug_fn};
 
 use crate::printable::{printable, printable_lines};
+use crate::process::program_and_version;
 
 /// What is logged unless RUST_LOG says otherwise. Zenoh warns about discovery, which is switched off.
 const DEFAULT_FILTER: &str = "warn,zenoh=error,heliostat=info";
@@ -83,13 +83,6 @@ impl LogArgs {
     }
 }
 
-/// The file of this program, and the version that all programs have in common.
-fn program_and_version() -> String {
-    let file = std::env::current_exe().unwrap_or_default();
-    let name = file.file_stem().map_or("heliostat".into(), OsStr::to_string_lossy);
-    format!("{name} {}", env!("CARGO_PKG_VERSION"))
-}
-
 /// Writes a field of an event or a span as text.
 fn write_field(out: &mut Writer<'_>, field: &Field, value: &dyn Debug) -> fmt::Result {
     let value = format!("{value:?}");
@@ -134,14 +127,6 @@ mod tests {
         fn flush(&mut self) -> io::Result<()> {
             Ok(())
         }
-    }
-
-    #[test]
-    fn the_first_line_names_the_file_of_the_program_and_a_version() {
-        let line = program_and_version();
-        let (name, version) = line.split_once(' ').expect("two words");
-        assert!(name.starts_with("heliostat_service"), "the file of this test: {line}");
-        assert_eq!(version, env!("CARGO_PKG_VERSION"));
     }
 
     #[test]

@@ -9,7 +9,7 @@ use heliostat_bus::{AccessRole, Bus, BusArgs, Identity};
 use heliostat_core::policy::PolicyKind;
 use heliostat_models::ActorSource;
 use heliostat_scenario::{Scenario, ViewerScenarioArgs};
-use heliostat_service::{Stop, duration, output, signals};
+use heliostat_service::{Stop, duration, output, process, signals};
 use heliostat_ui::{Display, Operator, Page, PageArgs, PoliciesOf, PolicyChoice, Rights, View};
 
 use super::ending::Ending;
@@ -48,6 +48,9 @@ pub fn run(args: Args) -> Result<()> {
     let config = args.bus.config_or_connect(&[AccessRole::Operator, AccessRole::Viewer])?;
     let stop = signals::stop_on_signals()?;
 
+    if args.quiet {
+        output::note(process::program_and_version());
+    }
     let rights = Rights::of(config.identity.as_ref().map(Identity::role), &config.room);
     if let Some(limit) = rights.limit() {
         output::note(limit);

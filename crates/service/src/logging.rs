@@ -16,6 +16,7 @@ use tracing_subscriber::field::MakeExt;
 use tracing_subscriber::fmt::format::{Writer, debug_fn};
 
 use crate::printable::{printable, printable_lines};
+use crate::process::program_and_version;
 
 /// What is logged unless RUST_LOG says otherwise. Zenoh warns about discovery, which is switched off.
 const DEFAULT_FILTER: &str = "warn,zenoh=error,heliostat=info";
@@ -58,8 +59,8 @@ impl Drop for LogGuard {
 }
 
 impl LogArgs {
-    /// Starts the log; it is written until the result is dropped. Does nothing where another part of the
-    /// process has started it.
+    /// Starts the log; it is written until the result is dropped. Its first line names program and version. Does
+    /// nothing where another part of the process has started it.
     #[must_use]
     pub fn start(&self) -> LogGuard {
         let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(DEFAULT_FILTER));
@@ -75,7 +76,9 @@ impl LogArgs {
                 .try_init(),
             LogFormat::Json => log.json().flatten_event(true).with_writer(move || Printable(writer.clone())).try_init(),
         };
-        drop(started);
+        if started.is_ok() {
+            tracing::info!("{}", program_and_version());
+        }
         LogGuard { writer: Some(guard), lost }
     }
 }

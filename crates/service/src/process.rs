@@ -1,5 +1,7 @@
 //! What the operating system reports about this process and its machine.
 
+use std::ffi::OsStr;
+
 /// Memory, files and threads of this process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Usage {
@@ -28,9 +30,24 @@ pub fn machine_name() -> Option<String> {
     gethostname::gethostname().into_string().ok()
 }
 
+/// The file of this program, and the version that all programs have in common: the first line of a log.
+pub fn program_and_version() -> String {
+    let file = std::env::current_exe().unwrap_or_default();
+    let name = file.file_stem().map_or("heliostat".into(), OsStr::to_string_lossy);
+    format!("{name} {}", env!("CARGO_PKG_VERSION"))
+}
+
 #[cfg(all(test, target_os = "linux"))]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_first_line_names_the_file_of_the_program_and_a_version() {
+        let line = program_and_version();
+        let (name, version) = line.split_once(' ').expect("two words");
+        assert!(name.starts_with("heliostat_service"), "the file of this test: {line}");
+        assert_eq!(version, env!("CARGO_PKG_VERSION"));
+    }
 
     #[test]
     fn memory_that_is_written_to_is_resident_and_open_files_count() {

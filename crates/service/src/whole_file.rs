@@ -1,6 +1,6 @@
 //! Files that a command writes after its work: complete, or not at all.
 
-use std::fs::{self, File, TryLockError};
+use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
@@ -101,8 +101,26 @@ pub fn write(file: &Path, contents: &[u8]) -> Result<()> {
 /// # Errors
 /// A file that exists or cannot be written, by name. Nothing is left of what was begun.
 pub fn write_new(file: &Path, contents: &[u8]) -> Result<()> {
+    write_opened(file, File::options().write(true).create_new(true), contents)
+}
+
+/// As [`write_new`], for a secret: only its owner may read and write the file. On Windows it has the permissions of
+/// its folder.
+///
+/// # Errors
+/// As of [`write_new`].
+pub fn write_new_secret(file: &Path, contents: &[u8]) -> Result<()> {
+    let mut options = File::options();
+    options.write(true).create_new(true);
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+    write_opened(file, &options, contents)
+}
+
+/// Writes a new file that these options open.
+fn write_opened(file: &Path, options: &OpenOptions, contents: &[u8]) -> Result<()> {
     let refused = |error| unwritable(file, error, EXPECTED_NEW);
-    let mut begun = File::options().write(true).create_new(true).open(file).map_err(refused)?;
+    let mut begun = options.open(file).map_err(refused)?;
     // Some file systems report only then that they are full.
     let written = begun.write_all(contents).and_then(|()| begun.sync_all());
     drop(begun);
@@ -253,6 +271,19 @@ mod tests {
         assert!(!file.exists());
         let refusal = unwritable(&file, full, EXPECTED_NEW).to_string();
         assert!(refusal.ends_with("room.toml: free some space, or choose another disk"), "{refusal}");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_new_secret_is_for_its_owner_only() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = folder.path().join("token");
+        write_new_secret(&file, b"secret").expect("written");
+        assert_eq!(fs::read_to_string(&file).expect("the file"), "secret");
+        assert_eq!(fs::metadata(&file).expect("the file").permissions().mode() & 0o777, 0o600);
+        let refusal = write_new_secret(&file, b"other").expect_err("a file").to_string();
+        assert!(refusal.contains("expected a file that does not exist yet"), "{refusal}");
     }
 
     #[test]

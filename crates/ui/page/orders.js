@@ -43,6 +43,11 @@ export class Orders {
     this.speed = this.group("speed", SPEEDS, (max_m_s) => ({ order: "speed", max_m_s }));
     this.blocked = [];
     this.jammed = document.getElementById("label-mirrors");
+    if (plan.stop_only) {
+      for (const id of ["rearm", "switch-policy"]) {
+        Object.assign(document.getElementById(id), { disabled: true, title: plan.stop_only });
+      }
+    }
     if (!plan.controls_processes) {
       for (const id of ["kill", "restart"]) document.getElementById(id).title = "only `heliostat demo` can kill or restart the processes that it started";
     }
@@ -72,11 +77,12 @@ export class Orders {
     pressed(this.speed, now.speed_m_s);
     const jammed = now.jammed ? `Mirrors (${now.jammed} jammed)` : "Mirrors";
     if (this.jammed.textContent !== jammed) this.jammed.textContent = jammed;
+    const limit = this.plan.stop_only;
     const simulated = now.origin === "simulated";
     const ofSimulator = [...this.power, ...this.speed, ...this.blocked].map(([button]) => button);
     for (const button of [...ofSimulator, document.getElementById("stick"), document.getElementById("release")]) {
-      button.disabled = !simulated;
-      button.title = simulated ? button.dataset.title ?? "" : "only a simulated room takes this order";
+      button.disabled = !!limit || !simulated;
+      button.title = limit ?? (simulated ? button.dataset.title ?? "" : "only a simulated room takes this order");
     }
     const enable = (id, enabled) => { document.getElementById(id).disabled = !enabled; };
     enable("kill", this.plan.controls_processes && now.controller_alive);
@@ -88,7 +94,7 @@ export class Orders {
       if (document.activeElement !== select) select.value = now.policy;
       this.describe(select.value);
     }
-    enable("switch-policy", now.controller_alive && select.value !== "");
+    enable("switch-policy", !limit && now.controller_alive && select.value !== "");
   }
 
   // What the chosen policy does.

@@ -61,6 +61,9 @@ pub enum UiError {
          otherwise end or start the process directly"
     )]
     NoProcessControl(&'static str),
+    /// An order that the certificate of the page does not permit.
+    #[error("{0}; nothing was sent")]
+    NoRight(&'static str),
     /// An order that was published without a subscriber.
     #[error(
         "no {0} received the order: expected one that is connected to this process; {reach}, or start one",

@@ -12,6 +12,7 @@
 //! - [`scene`]: mirrors, users, obstacles and blocked areas for the page's 3-D view.
 //! - [`belief`]: where the controller believes a user to be, as an ellipse.
 //! - [`orders`]: the orders of the page's buttons, and their publishers.
+//! - `rights`: which of these orders the certificate of the page permits.
 //! - `notes`: what is wrong in the room and lasts, with what to do.
 //! - `event_log`: what happened in the room, with times.
 //! - [`order_log`]: the answers to these orders; [`stop_state`]: how far a stop has come.
@@ -42,6 +43,7 @@ mod order_publisher;
 pub mod orders;
 mod page;
 mod problems;
+mod rights;
 pub mod scene;
 pub mod server;
 mod shown_room;
@@ -60,6 +62,7 @@ pub use order::StopLabel;
 pub use order::{Order, ProcessOrder};
 pub use orders::Operator;
 pub use page::{NetworkFile, Page, PoliciesOf, PolicyChoice};
+pub use rights::Rights;
 pub use server::{PageArgs, Place, Server};
 pub use shown_room::GeometrySource;
 pub use stop_switch::StopSwitch;

@@ -19,6 +19,7 @@ use crate::order::{Order, ProcessOrder};
 use crate::order_answer::Reported;
 use crate::order_log::{OrderFigures, OrderLog};
 use crate::order_publisher::OrderPublisher;
+use crate::rights::Rights;
 use crate::stop_state::{StopFigures, StopState};
 use crate::stop_switch::StopSwitch;
 use crate::{UiError, View};
@@ -37,6 +38,7 @@ const SPEED_MAX_M_S: f32 = 10.0;
 /// Sends orders into a room.
 pub struct Operator {
     source: u64,
+    rights: Rights,
     stop: StopSwitch,
     simulator: OrderPublisher,
     controller: OrderPublisher,
@@ -57,6 +59,7 @@ impl Operator {
         let source = source_id::random();
         let operator = Self {
             source,
+            rights: Rights::All,
             stop: StopSwitch::of(bus, "heliostat ui", Arc::clone(&view.stops))?,
             simulator: OrderPublisher::new(bus, "simulated room", &room.simulator_control())?,
             controller: OrderPublisher::new(bus, "controller", &room.controller_control())?,
@@ -69,6 +72,17 @@ impl Operator {
             view.advise_restart();
         }
         Ok(operator)
+    }
+
+    /// Refuses the orders that these rights exclude.
+    #[must_use]
+    pub fn with_rights(self, rights: Rights) -> Self {
+        Self { rights, ..self }
+    }
+
+    /// The orders that this operator may give.
+    pub(crate) fn rights(&self) -> Rights {
+        self.rights
     }
 
     /// The random id of this operator in its messages.
@@ -86,6 +100,7 @@ impl Operator {
     ///
     /// # Errors
     /// - [`UiError::InvalidOrder`] if a value is outside its domain; nothing was sent.
+    /// - [`UiError::NoRight`] if its rights exclude the order; nothing was sent.
     /// - [`UiError::NoProcessControl`] if the processes were started separately.
     /// - [`UiError::NoReceiver`] if the order was published without a subscriber.
     /// - [`UiError::NotStopped`] for a re-arm of an array that reports no stop.
@@ -93,7 +108,8 @@ impl Operator {
     /// - [`UiError::Bus`] if the session is closed.
     pub fn send(&self, order: &Order, view: &View) -> Result<u64, UiError> {
         let id = self.log.begin(order, self.reported(view));
-        let sent = order.check().and_then(|()| self.publish(order, id));
+        let permitted = self.rights.check(order).and_then(|()| order.check());
+        let sent = permitted.and_then(|()| self.publish(order, id));
         if let Err(error) = &sent {
             let is_answered = match error {
                 // The arrays can confirm a stop at any later time.

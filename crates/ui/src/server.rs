@@ -12,7 +12,7 @@
 //!
 //! The page uses relative paths, so it can be served below a path of another host. The answer to an order is 202 with its number if it was published to a subscriber, and 503 if there is none.
 //! The events `figures` have the answers of the receivers under these numbers. An
-//! invalid order is answered with 422 and the reason. With keys, and on any other than a loopback address, each
+//! invalid order, or one that the certificate of the page does not permit, is answered with 422 and the reason. With keys, and on any other than a loopback address, each
 //! request without the token is answered with 401.
 //!
 //! The limits of [`heliostat_service::http`] hold for every client.
@@ -68,8 +68,8 @@ pub struct PageArgs {
     /// the token in the URL that is printed
     #[arg(long, value_name = "ADDRESS", default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST))]
     ui_listen: IpAddr,
-    /// File with the token of the page; without it, a random token at each start where the page
-    /// requires one
+    /// File with the token of the page, made with a random one if absent; without this flag, a random
+    /// token at each start where the page requires one
     #[arg(long, value_name = "FILE")]
     ui_token_file: Option<PathBuf>,
     /// Address at which a proxy serves the page, for example `https://mirrors.example.org`: orders from
@@ -85,7 +85,7 @@ pub struct Place {
     pub address: IpAddr,
     /// Port; 0 selects a free one.
     pub port: u16,
-    /// File with the token; `None` for a random one.
+    /// File with the token, made if absent; `None` for a random one at each start.
     pub token_file: Option<PathBuf>,
     /// Whether the page requires a token on a loopback address too: with the keys of an operator,
     /// every user of this machine could otherwise give orders.
@@ -108,7 +108,7 @@ impl Place {
 
     fn token(&self) -> Result<Option<Token>, UiError> {
         match &self.token_file {
-            Some(file) => Token::read(file).map(Some),
+            Some(file) => Token::kept_in(file).map(Some),
             None if self.address.is_loopback() && !self.authenticated => Ok(None),
             None => Token::random().map(Some),
         }
@@ -252,6 +252,9 @@ struct RoomJson {
     plan: Plan,
     policies: Vec<PolicyChoice>,
     controls_processes: bool,
+    /// Why only the stop button acts; absent where every button does.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    stop_only: Option<&'static str>,
     network: Option<NetworkFile>,
     budget_us: u64,
     history: Vec<(f64, PastSum)>,
@@ -272,6 +275,7 @@ fn room_json(page: &Page) -> serde_json::Result<String> {
         plan: page.view.plan(&page.room),
         policies: (page.policies)(&page.view.served_room()),
         controls_processes: page.operator.controls_processes(),
+        stop_only: page.operator.rights().limit(),
         network: page.network.clone(),
         budget_us: BUDGET_US,
         history: page.view.history(),

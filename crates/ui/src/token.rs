@@ -8,6 +8,7 @@
 //! of the page.
 
 use std::fmt::Write;
+use std::io::ErrorKind;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -17,6 +18,7 @@ use axum::http::header::{AUTHORIZATION, COOKIE, HeaderMap, LOCATION, SET_COOKIE}
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use heliostat_files::read_text;
+use heliostat_service::whole_file;
 use subtle::ConstantTimeEq;
 
 use crate::UiError;
@@ -48,22 +50,34 @@ impl Token {
         Ok(Self(text))
     }
 
-    /// The token in a file, without the white space around it.
+    /// The token in a file, without the white space around it. An absent file is made, with a random token.
     ///
     /// # Errors
-    /// [`UiError::Token`] if the file cannot be read, or its token is too short or has other
+    /// [`UiError::Token`] if the file cannot be read or made, or its token is too short or has other
     /// characters.
-    pub fn read(file: &Path) -> Result<Self, UiError> {
-        let text =
-            read_text(file).map_err(|error| UiError::Token(format!("cannot read {}: {error}", file.display())))?;
+    pub fn kept_in(file: &Path) -> Result<Self, UiError> {
+        let text = match read_text(file) {
+            Ok(text) => text,
+            Err(error) if error.kind() == ErrorKind::NotFound => return Self::make(file),
+            Err(error) => return Err(UiError::Token(format!("cannot read {}: {error}", file.display()))),
+        };
         let token = text.trim();
         if token.len() < LENGTH_MIN || !token.bytes().all(|byte| byte.is_ascii_alphanumeric()) {
             return Err(UiError::Token(format!(
-                "{} holds no token: expected at least {LENGTH_MIN} ASCII letters and digits",
+                "{} holds no token: expected at least {LENGTH_MIN} ASCII letters and digits; \
+                 without the file the next start makes one",
                 file.display()
             )));
         }
         Ok(Self(token.to_owned()))
+    }
+
+    /// A random token, in a new file for its owner only.
+    fn make(file: &Path) -> Result<Self, UiError> {
+        let token = Self::random()?;
+        let written = whole_file::write_new_secret(file, format!("{}\n", token.as_str()).as_bytes());
+        written.map_err(|error| UiError::Token(format!("{error:#}")))?;
+        Ok(token)
     }
 
     /// The token as text, for the URL.

@@ -28,13 +28,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .driver import Capabilities, Device, Health, main, parser
+from ._program import USAGE, end_program
 
 try:
-    import dynamixel_sdk as sdk
-    import serial
-except ImportError as problem:
-    raise ImportError('the package dynamixel-sdk is missing: pip install "heliostat[zenoh,dynamixel]"') from problem
+    from .driver import Capabilities, Device, Health, main, parser
+
+    try:
+        import dynamixel_sdk as sdk
+        import serial
+    except ImportError as problem:
+        raise ImportError('the package dynamixel-sdk is missing: pip install "heliostat[zenoh,dynamixel]"') from problem
+except ImportError as missing:
+    end_program(__name__, missing)
+    raise
 
 STEP_RAD = 2 * math.pi / 4096
 """Angle of one position of the axle."""
@@ -295,5 +301,5 @@ if __name__ == "__main__":
         )
     except ValueError as unusable:
         print(f"error: {unusable}", file=sys.stderr)
-        sys.exit(2)
+        sys.exit(USAGE)
     main(mirrors, given)

@@ -179,6 +179,8 @@ fn a_driver_serves_metrics_and_logs_as_json() {
     let ended = driver.end();
     assert!(ended.status.success(), "{}", ended.errors);
     assert!(ended.errors.lines().count() > 1, "{}", ended.errors);
+    let first = ended.errors.lines().next().unwrap_or_default();
+    assert!(first.contains(concat!("\"heliostat ", env!("CARGO_PKG_VERSION"), "\"")), "no version: {first}");
     for line in ended.errors.lines() {
         let entry: serde_json::Value = serde_json::from_str(line).unwrap_or_else(|error| panic!("{error}: {line}"));
         assert!(entry["level"].is_string() && entry["timestamp"].is_string(), "{line}");

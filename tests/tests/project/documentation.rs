@@ -402,6 +402,15 @@ fn every_unit_that_cannot_start_waits_for_an_operator_after_as_many_attempts() {
     assert!(texts.len() >= 8 && texts.iter().all(|text| text.contains(limits)), "a unit has other limits");
 }
 
+#[test]
+fn every_process_that_a_command_or_a_stop_passes_has_the_same_priority() {
+    for unit in ["controller@", "standby@", "driver@", "sim-node@", "router"] {
+        let file = root().join(format!("deploy/systemd/heliostat-{unit}.service"));
+        let text = fs::read_to_string(file).expect("a unit");
+        assert!(text.contains("\nNice=-5\n"), "{unit}: another priority");
+    }
+}
+
 /// systemd gives a folder to the user of the unit that starts last: another unit would lose its files.
 #[test]
 fn each_unit_keeps_its_files_in_a_folder_of_its_own() {
@@ -421,6 +430,15 @@ fn each_unit_keeps_its_files_in_a_folder_of_its_own() {
         let shares = |other: &String| Path::new(other).starts_with(folder) || Path::new(folder).starts_with(other);
         assert!(!folders[index + 1..].iter().any(shares), "{folder} is a folder of two units");
     }
+}
+
+#[test]
+fn the_unit_of_the_page_keeps_its_token_over_a_restart() {
+    let unit = fs::read_to_string(root().join("deploy/systemd/heliostat-page@.service")).expect("a unit");
+    assert!(unit.contains("\nStateDirectory=heliostat-page/%i\n"), "{unit}");
+    assert!(unit.contains(" --ui-token-file %S/heliostat-page/%i/token "), "{unit}");
+    let guide = fs::read_to_string(root().join("docs/deploy.md")).expect("a guide");
+    assert!(guide.contains("/var/lib/heliostat-page/ROOM/token"), "the guide does not name the file");
 }
 
 #[test]

@@ -5,12 +5,12 @@ use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use clap::ValueEnum;
-use heliostat_bus::{AccessRole, Bus, BusArgs};
+use heliostat_bus::{AccessRole, Bus, BusArgs, Identity};
 use heliostat_core::policy::PolicyKind;
 use heliostat_models::ActorSource;
 use heliostat_scenario::{Scenario, ViewerScenarioArgs};
-use heliostat_service::{Stop, duration, output, signals};
-use heliostat_ui::{Display, Operator, Page, PageArgs, PoliciesOf, PolicyChoice, View};
+use heliostat_service::{Stop, duration, output, process, signals};
+use heliostat_ui::{Display, Operator, Page, PageArgs, PoliciesOf, PolicyChoice, Rights, View};
 
 use super::ending::Ending;
 
@@ -48,14 +48,18 @@ pub fn run(args: Args) -> Result<()> {
     let config = args.bus.config_or_connect(&[AccessRole::Operator, AccessRole::Viewer])?;
     let stop = signals::stop_on_signals()?;
 
-    if config.identity.as_ref().is_some_and(|identity| identity.role() == AccessRole::Viewer) {
-        output::note("with the certificate of a viewer only the stop button acts; the others need that of an operator");
+    if args.quiet {
+        output::note(process::program_and_version());
+    }
+    let rights = Rights::of(config.identity.as_ref().map(Identity::role), &config.room);
+    if let Some(limit) = rights.limit() {
+        output::note(limit);
     }
     let bus = Bus::open(&config)?;
     let view = Arc::new(View::open(&bus, scenario.as_ref())?);
     let room = config.room.name().to_owned();
     let server = args.page.serve(config.is_authenticated(), || {
-        let operator = Operator::new(&bus, &view, None)?;
+        let operator = Operator::new(&bus, &view, None)?.with_rights(rights);
         let (view, room) = (Arc::clone(&view), room.clone());
         Ok(Page { view, operator, room, policies: fitting_policies(), network: None })
     })?;

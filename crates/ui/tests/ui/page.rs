@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use heliostat_bus::{Bus, BusConfig, private_endpoint};
 use heliostat_proto::Room;
 use heliostat_scenario::Scenario;
-use heliostat_ui::{Operator, Page, Place, Server, UiError, View};
+use heliostat_ui::{Operator, Page, Place, Rights, Server, UiError, View};
 
 /// Time limit for an action that takes some seconds on an idle machine.
 const TIME_LIMIT: Duration = Duration::from_secs(60);
@@ -31,6 +31,10 @@ impl Setting {
     }
 
     fn start(room: &str, place: &Place) -> Result<Self, UiError> {
+        Self::with_rights(room, place, Rights::All)
+    }
+
+    fn with_rights(room: &str, place: &Place, rights: Rights) -> Result<Self, UiError> {
         // 1024 mirrors make frames large enough to fill the socket buffers soon.
         let set = ["rows=32", "columns=32", "width_m=0.1", "height_m=0.04", "gap_m=0.005"];
         let set = set.map(|text| format!("mirrors.{text}"));
@@ -38,7 +42,7 @@ impl Setting {
         let endpoint = private_endpoint().unwrap();
         let bus = Bus::open(&BusConfig::new(Room::new(room).unwrap()).listen_at(&endpoint)).unwrap();
         let view = Arc::new(View::open(&bus, Some(&scenario)).unwrap());
-        let operator = Operator::new(&bus, &view, None).unwrap();
+        let operator = Operator::new(&bus, &view, None).unwrap().with_rights(rights);
         let page = Page { view, operator, room: room.to_owned(), policies: Box::new(|_| Vec::new()), network: None };
         Ok(Self { server: Server::start(page, place)?, _bus: bus })
     }
@@ -223,4 +227,40 @@ fn a_token_file_guards_a_page_on_any_address() {
     let setting = start("0123456789abcdefXYZ\n").unwrap();
     std::fs::remove_file(&file).unwrap();
     assert!(setting.server.url().ends_with("/?token=0123456789abcdefXYZ"));
+}
+
+#[test]
+fn an_absent_token_file_is_made_and_the_next_server_keeps_its_token() {
+    let file = std::env::temp_dir().join(format!("heliostat-new-token-{}", std::process::id()));
+    // A test that was interrupted may have left one.
+    drop(std::fs::remove_file(&file));
+    let url = || {
+        let setting = Setting::at("kept", &Place { token_file: Some(file.clone()), ..Place::loopback(0) });
+        setting.server.url()
+    };
+    let token = |url: String| url.split_once("?token=").expect("a token").1.to_owned();
+    let [first, second] = [url(), url()].map(token);
+    let kept = std::fs::read_to_string(&file).unwrap();
+    std::fs::remove_file(&file).unwrap();
+    assert_eq!((first.as_str(), second.as_str()), (kept.trim(), kept.trim()));
+}
+
+#[test]
+fn a_page_with_the_rights_of_a_viewer_refuses_a_rearm_at_once_and_tells_the_buttons_why() {
+    let setting = Setting::with_rights("viewer", &Place::loopback(0), Rights::StopOnly).unwrap();
+    let answer = |request: &str| {
+        let mut answer = String::new();
+        setting.send(request).read_to_string(&mut answer).unwrap();
+        answer
+    };
+    let reason = Rights::StopOnly.limit().expect("a reason");
+    let order = r#"{"order":"rearm","stops":["0000000000000003/4"]}"#;
+    let length = order.len();
+    let head = format!("Content-Type: application/json\r\nContent-Length: {length}\r\nConnection: close\r\n");
+    let refused = answer(&format!("POST /order\n{head}\r\n{order}"));
+    assert!(refused.starts_with("HTTP/1.1 422") && refused.contains(reason), "{refused}");
+    let room = answer("GET /room.json\nConnection: close\r\n\r\n");
+    assert!(room.contains(&format!("\"stop_only\":\"{reason}\"")), "{room}");
+    let events = answer("GET /events.json\nConnection: close\r\n\r\n");
+    assert!(events.contains("\"state\":\"refused\"") && events.contains(reason), "{events}");
 }

@@ -21,15 +21,18 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..peer import PeerError, Settings, add_arguments
-from .frame import AXES, UNITS_M, Frame, about_z
-from .users import CLOCKS, Report, Setup
+from .._program import USAGE, end_program
+
+try:
+    from ..peer import PeerError, Settings, add_arguments
+    from .frame import AXES, UNITS_M, Frame, about_z
+    from .users import CLOCKS, Report, Setup
+except ImportError as missing:
+    end_program(__name__, missing)
+    raise
 
 if TYPE_CHECKING:
     from .bridge import Source
-
-USAGE = 2
-"""Exit status for a command line that cannot be used, as of the Rust programs."""
 
 
 def vector(text: str, length: int = 3) -> tuple[float, ...]:

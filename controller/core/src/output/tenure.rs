@@ -32,8 +32,8 @@
 //!   it answers one higher epoch by a new epoch of its own, and stands by from the second on.
 //! - **Takeover**: a report is unanswered if telemetry that came a quarter of a report interval or more after it
 //!   shows no further accepted command. Telemetry that waited on its way, as in a connection that was interrupted,
-//!   counts as if it had not. A report that waited may have been answered before it came. After as many unanswered reports in sequence as its rank, a standby takes a
-//!   new epoch and answers the report that is due. A leader whose liveliness token has ended counts as one
+//!   counts as if it had not. A report that waited may have been answered before it came. After as many unanswered
+//!   reports in sequence as its rank, a standby takes a new epoch and answers the report that is due. A leader whose liveliness token has ended counts as one
 //!   unanswered report, until it answers one or its token returns. The rank is 1 plus the number of other standbys
 //!   with a lower source id, up to [`RANK_MAX`], or given by the operator.
 //! - **A standby that lost its link**, see `LOST_NS`, has lost tokens and telemetry with it.
@@ -136,7 +136,9 @@ pub struct Tenure {
     delay: Delay,
     /// When it would have come with the shortest delay.
     shown_ns: Nanos,
+    /// When it showed further accepted commands.
     rises: Rises,
+    /// Of the reports.
     report_delay: Delay,
     /// When the report that is due would have come with the shortest delay.
     asked_ns: Option<Nanos>,

@@ -22,10 +22,10 @@ const GUEST_NS: Nanos = 1_000_000_000;
 /// Controllers that are known to be no guests.
 const RESIDENTS_MAX: usize = 16;
 
-/// Period in ns of the shortest delay of telemetry. A delay that stays for two periods is the shortest one.
+/// Period in ns of the shortest delay of a stream. A delay that stays for two periods is the shortest one.
 const DELAY_PERIOD_NS: Nanos = TELEMETRY_TIMEOUT_NS / 2;
 
-/// Messages of telemetry that a report can wait for on its way without being taken for a later one.
+/// Messages of telemetry with further accepted commands that are remembered: a report seldom waits for more of them.
 const RISES_MAX: usize = 8;
 
 /// Longest time in ns for which a leader that ends commands on without a token: twice that of the hand-over.

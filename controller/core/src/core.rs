@@ -244,6 +244,7 @@ impl Controller {
                     self.observer.handle_users(report);
                 }
                 self.last_report = Some(LastReport { accepted_ns: now, silence_handled: false });
+                self.arrays.iter_mut().for_each(|array| array.guard.tenure.handle_report(now, &stamp));
                 return Due::Command;
             }
             (Stream::Users, Err(Refusal::Stale)) => return Due::StaleCommand,

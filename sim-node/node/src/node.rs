@@ -16,7 +16,7 @@ use heliostat_room::mismatch::true_room;
 use heliostat_room::reports::Reports;
 use heliostat_room::reports::schedule::Schedule;
 use heliostat_room::room::SimulatedRoom;
-use heliostat_scenario::Scenario;
+use heliostat_scenario::{Scenario, Streams};
 use heliostat_service::{CertificateEnds, Exporter, Page};
 
 use crate::array_node::ArrayNode;
@@ -37,6 +37,17 @@ const STATUS_HZ: f64 = 2.0;
 
 /// Longest text of a problem in a status, in characters.
 const PROBLEM_CHARACTERS: usize = 250;
+
+/// When the first telemetry is due: a quarter of an interval before a position report is published.
+///
+/// A standby judges by the telemetry between two reports whether the leader has answered the first one. Where telemetry
+/// is as rare as reports, this leaves the leader most of the interval, and delays no takeover.
+fn telemetry_phase_ns(streams: &Streams) -> u64 {
+    let interval_ns = streams.positions.interval_ns();
+    let published_ns = (streams.positions.latency_ms * 1e6).round() as u64;
+    let between_ns = Schedule::new(streams.telemetry.rate_hz, 0).period_ns();
+    (published_ns + interval_ns / 4 * 3) % interval_ns % between_ns
+}
 
 /// The simulated room with its session, clock, schedules and counters.
 pub(crate) struct Node {
@@ -100,9 +111,14 @@ impl Node {
         // Halfway between two ticks: this samples the mean age of the angles, and does not delay a
         // tick.
         let between_ticks_ns = Schedule::new(scenario.streams.positions.rate_hz, 0).period_ns() / 2;
+        let streams = true_room(&scenario, scenario.seed).streams;
+        let telemetry_ns = match settings.pace {
+            Pace::Live { .. } => telemetry_phase_ns(&streams),
+            Pace::Lockstep { .. } => between_ticks_ns,
+        };
         Ok(Self {
-            reports: Reports::new(&true_room(&scenario, scenario.seed).streams, scenario.seed, session.source()),
-            telemetry: Schedule::new(scenario.streams.telemetry.rate_hz, between_ticks_ns),
+            reports: Reports::new(&streams, scenario.seed, session.source()),
+            telemetry: Schedule::new(scenario.streams.telemetry.rate_hz, telemetry_ns),
             truth: Schedule::new(scenario.streams.truth.rate_hz, between_ticks_ns),
             status: Schedule::new(STATUS_HZ, between_ticks_ns),
             started_ns: clock.now().room_ns,
@@ -353,5 +369,22 @@ impl Node {
         };
         summary.set_rates(&measurements.counters);
         summary
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn telemetry_is_due_a_quarter_of_an_interval_before_a_report_whatever_the_latency() {
+        for (rate_hz, latency_ms, due_ms) in
+            [(20.0, 0.0, 37.5), (20.0, 60.0, 47.5), (20.0, 15.0, 2.5), (100.0, 0.0, 7.5), (1.0, 0.0, 0.0)]
+        {
+            let mut streams = Streams::default();
+            (streams.positions.rate_hz, streams.positions.latency_ms) = (rate_hz, latency_ms);
+            streams.telemetry.rate_hz = 20.0;
+            assert_eq!(telemetry_phase_ns(&streams) as f64 / 1e6, due_ms, "{rate_hz} Hz, {latency_ms} ms");
+        }
     }
 }

@@ -200,3 +200,45 @@ fn a_decision_after_the_end_of_its_tracker_is_replayed_from_a_state() {
     let room = |setup: &mut Setup| setup.reports = OptionalReports { leds: true, ..OptionalReports::default() };
     holds(1_795_840_211_457_411, room, &faults);
 }
+
+/// Reports waited for a standby that did not run for a moment. Telemetry had shown their answers before it decided, so
+/// that it awaited a further answer, and took over from a leader that had answered each report.
+#[test]
+fn a_standby_that_pauses_leaves_the_lead_to_a_leader_that_answers_each_report() {
+    let others = [Role::Tracker, Role::Array(0), Role::Controller(0)];
+    let pairs = others.map(|other| (other, Role::Controller(1))).into();
+    // The link of the standby's host returns, and then the standby is late again and again.
+    let returns = at(3000, 2000, Fault::Partition { pairs, holds: false });
+    let pauses =
+        (0..60).map(|index| at(6000 + 233 * index, 5 + index % 41, Fault::Freeze { host: Role::Controller(1) }));
+    let faults: Vec<Timed> = std::iter::once(returns).chain(pauses).collect();
+    for (seed, (rate_hz, telemetry_hz)) in (0..5).flat_map(|seed| [(20, 100), (10, 20)].map(|rates| (seed, rates))) {
+        let room = |setup: &mut Setup| {
+            (setup.arrays, setup.controllers, setup.is_reserve, setup.has_ranks) = (1, 2, true, false);
+            (setup.rate_hz, setup.telemetry_hz) = (rate_hz, telemetry_hz);
+        };
+        let occurred = holds(seed, room, &faults).occurred;
+        for unexpected in ["took-over", "contested"] {
+            assert!(!occurred.contains(unexpected), "seed {seed}, {rate_hz} reports a second: {occurred:?}");
+        }
+    }
+}
+
+/// In a room whose telemetry is as rare as its reports, a standby took the room from a leader that answered one report
+/// 20 ms late: telemetry always came 15 ms after a report, and nothing later was judged.
+#[test]
+fn a_leader_that_is_late_once_keeps_the_lead_where_telemetry_comes_shortly_before_the_next_report() {
+    for (seed, (after_ms, is_lost)) in (0..5).flat_map(|seed| [(15, true), (37, false)].map(|case| (seed, case))) {
+        let room = |setup: &mut Setup| {
+            (setup.arrays, setup.controllers, setup.is_reserve, setup.has_ranks) = (1, 2, true, false);
+            (setup.rate_hz, setup.telemetry_hz) = (20, 20);
+        };
+        // Reports come each 50 ms from the start. Telemetry comes so long after them once the array has paused.
+        let faults = [
+            at(1990, 10 + after_ms, Fault::Freeze { host: Role::Array(0) }),
+            at(6040, 30, Fault::Freeze { host: Role::Controller(0) }),
+        ];
+        let occurred = holds(seed, room, &faults).occurred;
+        assert_eq!(occurred.contains("contested"), is_lost, "seed {seed}, {after_ms} ms: {occurred:?}");
+    }
+}

@@ -32,8 +32,8 @@
 //!   it answers one higher epoch by a new epoch of its own, and stands by from the second on.
 //! - **Takeover**: a report is unanswered if telemetry that came a quarter of a report interval or more after it
 //!   shows no further accepted command. Telemetry that waited on its way, as in a connection that was interrupted,
-//!   counts as if it had not. After as many unanswered reports in sequence as its rank, a standby takes a
-//!   new epoch and answers the report that is due. A leader whose liveliness token has ended counts as one
+//!   counts as if it had not. A report that waited may have been answered before it came. After as many unanswered
+//!   reports in sequence as its rank, a standby takes a new epoch and answers the report that is due. A leader whose liveliness token has ended counts as one
 //!   unanswered report, until it answers one or its token returns. The rank is 1 plus the number of other standbys
 //!   with a lower source id, up to [`RANK_MAX`], or given by the operator.
 //! - **A standby that lost its link**, see `LOST_NS`, has lost tokens and telemetry with it.
@@ -65,9 +65,9 @@ mod evidence;
 mod numbers;
 mod peers;
 
-use heliostat_proto::{EPOCH_SLOTS, Nanos};
+use heliostat_proto::{EPOCH_SLOTS, Nanos, Stamp};
 
-use self::evidence::{Contest, Delay, Guest, Unaccepted, Watch};
+use self::evidence::{Contest, Delay, Guest, Rises, Unaccepted, Watch};
 pub use self::evidence::{Evidence, TenureEvent};
 use self::numbers::{Numbers, Rule};
 
@@ -136,6 +136,12 @@ pub struct Tenure {
     delay: Delay,
     /// When it would have come with the shortest delay.
     shown_ns: Nanos,
+    /// When it showed further accepted commands.
+    rises: Rises,
+    /// Of the reports.
+    report_delay: Delay,
+    /// When the report that is due would have come with the shortest delay.
+    asked_ns: Option<Nanos>,
     /// The epoch that the array announced before the first telemetry.
     announced: u64,
     unaccepted: Option<Unaccepted>,
@@ -161,6 +167,9 @@ impl Tenure {
             seen: None,
             delay: Delay::default(),
             shown_ns: 0,
+            rises: Rises::default(),
+            report_delay: Delay::default(),
+            asked_ns: None,
             announced: 0,
             unaccepted: None,
             attempts: 0,
@@ -227,6 +236,14 @@ impl Tenure {
         self.standing == Standing::Leading && self.watch.has_left
     }
 
+    /// A report with this stamp comes at `now`, and makes the next command due. One that waited on its way may have been
+    /// answered before.
+    pub fn handle_report(&mut self, now: Nanos, stamp: &Stamp) {
+        if let Rule::Live { .. } = self.rule {
+            self.asked_ns = Some(self.report_delay.undelayed(now, (stamp.source, stamp.time_ns)));
+        }
+    }
+
     /// A command is due at `now`: its epoch, or `None` in standby.
     ///
     /// The event is the begin or the end of a standby.
@@ -254,9 +271,10 @@ impl Tenure {
     }
 
     fn permit_due(&mut self, now: Nanos, is_report: bool) -> (Option<u64>, Option<TenureEvent>) {
+        let asked_ns = self.asked_ns.take().unwrap_or(now);
         let event = match self.standing {
             Standing::Waiting => self.start(now),
-            Standing::Standby => self.watch_leader(now, is_report),
+            Standing::Standby => self.watch_leader((now, asked_ns), is_report),
             Standing::Leading => None,
         };
         self.note_due(now);
@@ -266,7 +284,10 @@ impl Tenure {
     /// Compares telemetry that arrived at `now`.
     pub fn handle_telemetry(&mut self, now: Nanos, evidence: Evidence) -> Option<TenureEvent> {
         let former = self.seen.replace((now, evidence)).map(|(_, evidence)| evidence);
-        self.shown_ns = self.delay.undelayed(now, &evidence);
+        self.shown_ns = self.delay.undelayed(now, (evidence.source, evidence.sampled_ns));
+        if let Some(former) = &former {
+            self.rises.note(self.shown_ns, (former, &evidence));
+        }
         if let Some(former) = former.filter(|former| former.epoch != evidence.epoch) {
             self.note_followed(now, former, evidence.epoch);
         }
@@ -322,8 +343,9 @@ impl Tenure {
         self.is_current(now) && self.seen.is_some_and(|(_, shown)| has_leader(shown))
     }
 
-    /// A command is due in standby: judges whether the leader has answered the awaited report.
-    fn watch_leader(&mut self, now: Nanos, is_report: bool) -> Option<TenureEvent> {
+    /// A command is due in standby, for a report that would have come at `asked_ns` with the shortest delay: judges whether
+    /// the leader has answered the awaited report.
+    fn watch_leader(&mut self, (now, asked_ns): (Nanos, Nanos), is_report: bool) -> Option<TenureEvent> {
         let Rule::Live { interval_ns, .. } = self.rule else {
             return (!self.is_current(now)).then(|| self.resume(now));
         };
@@ -344,8 +366,9 @@ impl Tenure {
             false => self.contest.back_off(now, self.standbys()),
         };
         let is_paused = shown.stopped || since_last_ns > gap_ns;
+        let before = self.rises.accepted_at(asked_ns, shown.accepted);
         let watch = &mut self.watch;
-        let is_answered = watch.judge(now, (self.shown_ns, shown), interval_ns, is_paused)?;
+        let is_answered = watch.judge((now, before), (self.shown_ns, shown), interval_ns, is_paused)?;
         if watch.unanswered + u8::from(watch.is_gone()) < rank.saturating_add(back_off) {
             // An answer that came before the token ended shows no leader.
             if watch.has_left && is_answered && !is_returned {

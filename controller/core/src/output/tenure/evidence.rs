@@ -22,8 +22,11 @@ const GUEST_NS: Nanos = 1_000_000_000;
 /// Controllers that are known to be no guests.
 const RESIDENTS_MAX: usize = 16;
 
-/// Period in ns of the shortest delay of telemetry. A delay that stays for two periods is the shortest one.
+/// Period in ns of the shortest delay of a stream. A delay that stays for two periods is the shortest one.
 const DELAY_PERIOD_NS: Nanos = TELEMETRY_TIMEOUT_NS / 2;
+
+/// Messages of telemetry with further accepted commands that are remembered: a report seldom waits for more of them.
+const RISES_MAX: usize = 8;
 
 /// Longest time in ns for which a leader that ends commands on without a token: twice that of the hand-over.
 const ENDING_NS: Nanos = 1_000_000_000;
@@ -92,13 +95,13 @@ impl From<&MirrorTelemetry> for Evidence {
     }
 }
 
-/// How long telemetry was on its way, beside the shortest delay of the last second: a constant difference of the clocks
-/// does not count.
+/// How long the messages of a stream were on their way, beside the shortest delay of the last second: a constant
+/// difference of the clocks does not count.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub(super) struct Delay {
-    /// The driver.
+    /// The sender.
     source: u64,
-    /// When the latest telemetry was sampled, and when the first one of this time came.
+    /// When the latest message was sampled, and when the first one of this time came.
     sampled_ns: Nanos,
     came_ns: Nanos,
     /// When it would have come with the shortest delay.
@@ -106,15 +109,14 @@ pub(super) struct Delay {
     /// The shortest delay since the last period began, and in the period before, each with the difference of the clocks.
     shortest_ns: [i64; 2],
     began_ns: Nanos,
-    /// The clock of the driver stands still.
+    /// The clock of the sender stands still.
     is_still: bool,
 }
 
 impl Delay {
-    /// When telemetry that comes at `now` would have come with the shortest delay. Another driver, a clock that
-    /// steps back behind the latest sample, and one that stands still, begin again.
-    pub(super) fn undelayed(&mut self, now: Nanos, evidence: &Evidence) -> Nanos {
-        let Evidence { source, sampled_ns, .. } = *evidence;
+    /// When a message of this source and sample, which comes at `now`, would have come with the shortest delay. Another
+    /// sender, a clock that steps back behind the latest sample, and one that stands still, begin again.
+    pub(super) fn undelayed(&mut self, now: Nanos, (source, sampled_ns): (u64, Nanos)) -> Nanos {
         let delay_ns = now.wrapping_sub(sampled_ns) as i64;
         let is_same = source == self.source && self.came_ns > 0 && now >= self.came_ns;
         let is_repeated = is_same && sampled_ns == self.sampled_ns;
@@ -134,6 +136,29 @@ impl Delay {
     }
 }
 
+/// The latest messages of telemetry that showed further accepted commands.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub(super) struct Rises([(Nanos, u64); RISES_MAX]);
+
+impl Rises {
+    /// Telemetry that shows more accepted commands than the former one, which would have come at `shown_ns` with the
+    /// shortest delay.
+    pub(super) fn note(&mut self, shown_ns: Nanos, (former, evidence): (&Evidence, &Evidence)) {
+        if former.source != evidence.source || former.accepted > evidence.accepted {
+            *self = Self::default();
+        } else if former.accepted < evidence.accepted {
+            self.0.rotate_right(1);
+            self.0[0] = (shown_ns, former.accepted);
+        }
+    }
+
+    /// The commands that telemetry until `at_ns` showed as accepted, where the latest one shows `accepted`.
+    pub(super) fn accepted_at(&self, at_ns: Nanos, accepted: u64) -> u64 {
+        let later = self.0.iter().filter(|(shown_ns, _)| *shown_ns > at_ns);
+        later.map(|(_, before)| *before).min().unwrap_or(accepted)
+    }
+}
+
 /// Commands that were due since the array last accepted one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) struct Unaccepted {
@@ -148,7 +173,7 @@ pub(super) struct Unaccepted {
 /// What a standby has seen of the leader.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub(super) struct Watch {
-    /// The report whose answer is awaited, and the commands accepted until then.
+    /// The report whose answer is awaited, and the commands accepted before it.
     pub(super) awaited: Option<(Nanos, u64)>,
     /// When a command was due last, for a report or for the absence of reports.
     pub(super) last_ns: Nanos,
@@ -191,10 +216,10 @@ impl Watch {
     }
 
     /// Judges by telemetry, with the time at which it would have come without further delay, whether the awaited report is answered. `None` where the observation
-    /// of the leader begins again.
+    /// of the leader begins again. The next awaited report comes now, after this number of accepted commands.
     pub(super) fn judge(
         &mut self,
-        now: Nanos,
+        (now, before): (Nanos, u64),
         (shown_ns, shown): (Nanos, Evidence),
         interval_ns: Nanos,
         is_paused: bool,
@@ -202,14 +227,14 @@ impl Watch {
         // Fewer accepted commands than before are those of a driver that has started since.
         let is_compared = |(_, accepted): &(Nanos, u64)| !is_paused && *accepted <= shown.accepted;
         let Some((since_ns, accepted)) = self.awaited.filter(is_compared) else {
-            self.awaited = Some((now, shown.accepted));
+            self.awaited = Some((now, before));
             self.unanswered = 0;
             return None;
         };
         let is_answered = shown.accepted > accepted;
         if shown_ns >= since_ns.saturating_add(interval_ns / 4) {
             self.unanswered = if is_answered { 0 } else { self.unanswered.saturating_add(1) };
-            self.awaited = Some((now, shown.accepted));
+            self.awaited = Some((now, before));
             // The awaited report came after the end of the token.
             if std::mem::take(&mut self.was_lost) && is_answered && self.has_left {
                 self.note_answer(now);

@@ -2,6 +2,8 @@
 
 use std::collections::VecDeque;
 
+use heliostat_proto::Stamp;
+
 use super::*;
 
 /// A controller gets nothing for 3 s. When its link returns, the token of the other one is not back yet.
@@ -184,4 +186,34 @@ fn a_difference_of_the_clocks_does_not_delay_a_takeover() {
     let stepped = |tick| vec![[1, 0, if tick < 200 { 0 } else { 8 }]];
     assert_eq!(takeover_after(210, stepped), Some(3), "telemetry seems late for a second");
     assert_eq!(takeover_after(310, stepped), Some(2));
+}
+
+#[test]
+fn a_report_that_waited_on_its_way_may_have_been_answered_before() {
+    for (answered, expected) in [(500, None), (200, Some(2)), (300, Some(2))] {
+        let mut room = led_room(&[1, 600]);
+        let (start, shown, tenure) = (room.now, room.array.shown, &mut room.controllers[1].tenure);
+        let granted = (1..500).find(|tick| {
+            let report_ns = start + tick * INTERVAL;
+            let accepted = shown.accepted + answered.min(*tick);
+            let show = |tenure: &mut Tenure, after_ms: u64| {
+                let sampled_ns = report_ns + after_ms * MS;
+                let sample = Evidence { source: 7, sampled_ns, accepted, ..shown };
+                assert_eq!(tenure.handle_telemetry(sampled_ns, sample), None);
+            };
+            // The first telemetry after a report shows the answer. The report of tick 200 comes after it.
+            let came_ns = report_ns + if *tick == 200 { 4 * MS } else { 0 };
+            if came_ns > report_ns {
+                show(tenure, 2);
+            }
+            tenure.handle_report(came_ns, &Stamp { source: 9, sequence: *tick, time_ns: report_ns });
+            let is_granted = tenure.permit(came_ns).0.is_some();
+            if !is_granted {
+                let shown_ms: &[u64] = if came_ns > report_ns { &[8] } else { &[2, 8] };
+                shown_ms.iter().for_each(|after_ms| show(tenure, *after_ms));
+            }
+            is_granted
+        });
+        assert_eq!(granted.map(|tick| tick - answered), expected, "{answered} answers");
+    }
 }

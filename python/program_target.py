@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 ELF = {62: "x86_64", 183: "aarch64"}
+# e_type, e_shoff, e_shentsize and e_shnum.
+ELF_FIELDS = [("<H", 16), ("<Q", 40), ("<H", 58), ("<H", 60)]
 MACH_O = {0x01000007: "x86_64", 0x0100000C: "aarch64"}
 PE = {0x8664: "x86_64", 0xAA64: "aarch64"}
 
@@ -32,7 +34,11 @@ def read(program: Path) -> Built | None:
     if content.startswith(b"#!"):
         return None
     try:
-        if content.startswith(b"\x7fELF"):
+        # 64 bits, little-endian, executable by itself or at any address, with its last table.
+        if content.startswith(b"\x7fELF\2\1"):
+            kind, table, size, entries = (struct.unpack_from(form, content, at)[0] for form, at in ELF_FIELDS)
+            if kind not in (2, 3) or table + size * entries > len(content):
+                raise KeyError(kind)
             return Built("linux", ELF[struct.unpack_from("<H", content, 18)[0]], glibc_of(content))
         if content.startswith(b"\xcf\xfa\xed\xfe"):
             return Built("apple-darwin", MACH_O[struct.unpack_from("<I", content, 4)[0]], None)
@@ -41,7 +47,7 @@ def read(program: Path) -> Built | None:
             return Built("windows", PE[struct.unpack_from("<H", content, header + 4)[0]], None)
     except (KeyError, struct.error):
         pass
-    raise ValueError(f"{program} is no program of Linux, macOS or Windows for x86_64 or aarch64")
+    raise ValueError(f"{program} is no whole program of Linux, macOS or Windows for x86_64 or aarch64: build it again")
 
 
 def glibc_of(content: bytes) -> tuple[int, int] | None:

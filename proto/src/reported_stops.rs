@@ -7,8 +7,8 @@
 //! has stopped where its last stop report is fresh, lists every stop that is held for it, and states
 //! that its device has executed them. Where the liveliness tokens of several drivers name the array, each
 //! driver has to: the reports of one say nothing about the mirrors of another one. A driver is lost if its token ends
-//! after a silence, while a stop is held that it has not confirmed. The stop then stays unconfirmed until this driver
-//! answers, or until the release. One that ends in order reports until its token ends.
+//! while a stop is held that it has not confirmed, whether it hung, was killed or ended in order. The stop then stays
+//! unconfirmed until this driver answers, or until the release.
 //!
 //! | the array publishes | its standing, by its last reports |
 //! | --- | --- |
@@ -124,10 +124,8 @@ pub struct ReportedStops {
     arrays: BTreeMap<usize, ReportedArray>,
     /// The processes with mirrors that are in the room.
     drivers: BTreeSet<Driver>,
-    /// Those that left it without a word before they confirmed a stop that is held.
+    /// Those that left it before they confirmed a stop that is held.
     lost: BTreeSet<Driver>,
-    /// When telemetry or a stop report of each source arrived last; old times are left out.
-    heard: BTreeMap<u64, Duration>,
     /// Number of arrays of the largest geometry that was announced; 0 before the first.
     announced: usize,
     /// When each stop became known here.
@@ -261,18 +259,10 @@ impl ReportedStops {
         sources_of(&self.drivers, array)
     }
 
-    /// Whether a driver whose token ends leaves without a word before it confirms a stop that is held. One that ends
-    /// reports until then; one that hangs is silent until its connection expires.
-    fn is_lost(&self, now: Duration, driver: Driver) -> bool {
-        let is_heard = |at: &Duration| now.saturating_sub(*at) < TELEMETRY_AGE_MAX;
+    /// Whether a driver whose token ends has not confirmed a stop that is held.
+    fn is_lost(&self, driver: Driver) -> bool {
         let is_open = |(array, seen): (&usize, &ReportedArray)| serves(driver, *array) && seen.is_unanswered(driver.1);
-        !self.heard.get(&driver.1).is_some_and(is_heard) && self.arrays.iter().any(is_open)
-    }
-
-    /// Notes that a report of a source arrived.
-    fn hear(&mut self, now: Duration, source: u64) {
-        self.heard.retain(|_, at| now.saturating_sub(*at) < TELEMETRY_AGE_MAX);
-        self.heard.insert(source, now);
+        self.arrays.iter().any(is_open)
     }
 
     /// Whether every array holds a stop and has stopped, by reports that arrived after `since`.
@@ -443,7 +433,7 @@ impl ReportedStops {
             self.lost.remove(&driver);
             // A simulator announces its arrays with the geometry.
             self.add_arrays(driver.0.map_or(0, |array| array + 1));
-        } else if self.drivers.remove(&driver) && self.is_lost(now, driver) {
+        } else if self.drivers.remove(&driver) && self.is_lost(driver) {
             self.lost.insert(driver);
         }
         self.note_names(now);
@@ -451,7 +441,6 @@ impl ReportedStops {
 
     /// Telemetry of an array arrived.
     pub fn handle_telemetry(&mut self, now: Duration, array: usize, report: &MirrorTelemetry) {
-        self.hear(now, report.stamp.source);
         let (seen, is_stopped) = (self.array(now, array), report.state == ArrayState::Stopped);
         seen.hold.handle_state(report.stamp.source, is_stopped);
         seen.state = Some((now, report.state));
@@ -463,7 +452,6 @@ impl ReportedStops {
 
     /// A stop report of an array arrived.
     pub fn handle_stops(&mut self, now: Duration, array: usize, report: StopReport) {
-        self.hear(now, report.stamp.source);
         // A report that arrives late must not show a device as stopped that has moved on since.
         if self.handle_reported(now, array, &report.stops, |hold| hold.handle_stops(&report)) {
             let drivers = self.drivers_of(array);

@@ -60,7 +60,7 @@ def test_a_folder_without_one_of_the_programs_is_refused_by_its_name(tmp_path: P
 
 def elf(machine: int, symbols: bytes = b"") -> bytes:
     """The beginning of an ELF file for a machine, and the names of its symbols' versions."""
-    return b"\x7fELF" + bytes(14) + struct.pack("<H", machine) + bytes(44) + symbols
+    return b"\x7fELF\2\1" + bytes(10) + struct.pack("<HH", 3, machine) + bytes(44) + symbols
 
 
 X86_64, AARCH64 = 62, 183
@@ -89,13 +89,17 @@ def test_programs_of_another_target_are_refused(content: bytes, target: str, fou
     assert not (tmp_path / "wheels").exists()
 
 
-def test_a_file_that_is_no_program_is_refused(tmp_path: Path) -> None:
+def test_a_file_that_is_no_whole_program_is_refused(tmp_path: Path) -> None:
     programs = write_programs(tmp_path / "programs", NAMES)
-    for content in [b"text", b"\x7fELF", elf(8), b"MZ"]:
+    whole = elf(X86_64)
+    object_file, of_32_bits = whole[:16] + b"\1" + whole[17:], whole[:4] + b"\1" + whole[5:]
+    # Its table of sections would begin behind its end.
+    cut = whole[:40] + struct.pack("<Q", 4096) + whole[48:58] + struct.pack("<HH", 64, 30) + whole[62:]
+    for content in [b"text", b"\x7fELF", elf(8), b"MZ", object_file, of_32_bits, cut]:
         (programs / "heliostat").write_bytes(content)
         result = pack(programs, tmp_path / "wheels")
         assert result.returncode == 1
-        assert "heliostat is no program of Linux, macOS or Windows" in result.stderr
+        assert "heliostat is no whole program of Linux, macOS or Windows" in result.stderr
 
 
 def test_the_tag_of_the_wheel_has_the_latest_glibc_of_both_programs(tmp_path: Path) -> None:

@@ -232,9 +232,9 @@ fn off_light(light: &ServedLight) -> Option<String> {
     light.off_since_s.map(|_| printable(&format!("{light}: {}", light.advice())).into_owned())
 }
 
-/// The beginning of the note about a standby of this name that refuses the reports.
+/// The beginning of the note about a controller of this name that does not lead, and refuses the reports.
 fn standby_refuses(name: &str) -> String {
-    format!("standby {name} refuses the reports (")
+    format!("controller {name} refuses the reports (")
 }
 
 /// Whether a note states this problem of the controller of this name, which stands by and refuses the reports.
@@ -243,9 +243,10 @@ pub(crate) fn is_of_standby(notes: &[String], name: &str, problem: &str) -> bool
     refusal_of(problem).is_some() && notes.iter().any(|note| note.starts_with(&start))
 }
 
-/// The note about a controller that stands by, and refuses each position report.
+/// The note about a controller that does not lead, and refuses each position report. One with a wrong clock may refuse
+/// telemetry too, and then never knows that it has to stand by.
 fn refusing_standby(ControllerFigures { name, role, refuses, .. }: &ControllerFigures) -> Option<String> {
-    let is_refusing = *role == Role::StandsBy && !refuses.is_empty();
+    let is_refusing = matches!(role, Role::StandsBy | Role::Unfollowed) && !refuses.is_empty();
     is_refusing.then(|| format!("{}{refuses}): it could not take over", standby_refuses(name)))
 }
 
@@ -482,7 +483,7 @@ mod tests {
         };
         assert_eq!(noted(1, 5), [""; 0], "they may be old");
         let notes = noted(1, 6);
-        let note = format!("standby 0000000000000007 refuses the reports ({reason}): it could not take over");
+        let note = format!("controller 0000000000000007 refuses the reports ({reason}): it could not take over");
         assert_eq!(notes, [note]);
         let is_stated = |name: &str, problem: &str| is_of_standby(&notes, name, problem);
         let problem = format!("users refused: {reason}");
@@ -490,6 +491,9 @@ mod tests {
         assert!(!is_stated("0000000000000009", &problem), "of the leader, which refuses them too");
         assert!(!is_stated("0000000000000007", "the array receives no commands"));
         assert_eq!(noted(0, 7), [""; 0], "the problem of a leader is shown as its own");
+        let with_role = |role| ControllerFigures { role, refuses: reason.into(), ..ControllerFigures::default() };
+        let is_noted = |role| refusing_standby(&with_role(role)).is_some();
+        assert_eq!([Role::StandsBy, Role::Unfollowed, Role::Leads].map(is_noted), [true, true, false]);
     }
 
     #[test]

@@ -209,14 +209,19 @@ fn a_driver_that_is_lost_before_it_answers_keeps_a_stop_unconfirmed_until_it_ret
 }
 
 #[test]
-fn a_driver_that_ends_in_order_is_not_lost_and_a_release_forgets_one_that_was() {
+fn a_driver_that_reports_until_its_end_is_lost_too_unless_it_has_confirmed_and_a_release_forgets_it() {
     let (mut stops, later) = with_frozen_driver();
-    let mut ended = stops.clone();
-    let stamp = Stamp { source: 7, sequence: 2, time_ns: 0 };
-    ended.handle_telemetry(later, 0, &MirrorTelemetry { stamp, ..MirrorTelemetry::default() });
-    ended.handle_driver(later, (Some(0), 7), false);
-    assert_eq!(ended.standings(later, None), [(0, Standing::Stopped)], "it reported until its end");
+    let of_it = |sequence, has_executed| StopReport {
+        stamp: Stamp { source: 7, sequence, time_ns: 0 },
+        ..report(sequence as u64, has_executed)
+    };
+    let mut confirmed = stops.clone();
+    confirmed.handle_stops(later, 0, of_it(2, true));
+    confirmed.handle_driver(later, (Some(0), 7), false);
+    assert_eq!(confirmed.standings(later, None), [(0, Standing::Stopped)], "its device has executed the stop");
+    stops.handle_stops(later, 0, of_it(2, false));
     stops.handle_driver(later, (Some(0), 7), false);
+    assert_eq!(stops.standings(later, None), [(0, Standing::Lost { drivers: vec![7] })], "its device moves");
     stops.handle_stops(later, 0, StopReport { stops: Vec::new(), ..report(2, false) });
     assert_eq!(stops.standings(later, None), [(0, Standing::Free)]);
     let again = EmergencyStop { stamp: Stamp { sequence: 5, ..order().stamp }, ..order() };

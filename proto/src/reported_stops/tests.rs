@@ -221,13 +221,14 @@ fn a_driver_that_reports_until_its_end_is_lost_too_unless_it_has_confirmed_and_a
     assert_eq!(confirmed.standings(later, None), [(0, Standing::Stopped)], "its device has executed the stop");
     stops.handle_stops(later, 0, of_it(2, false));
     stops.handle_driver(later, (Some(0), 7), false);
+    stops.handle_stops(later, 0, report(2, true));
     assert_eq!(stops.standings(later, None), [(0, Standing::Lost { drivers: vec![7] })], "its device moves");
-    stops.handle_stops(later, 0, StopReport { stops: Vec::new(), ..report(2, false) });
+    stops.handle_stops(later, 0, StopReport { stops: Vec::new(), ..report(3, false) });
     assert_eq!(stops.standings(later, None), [(0, Standing::Free)]);
     let again = EmergencyStop { stamp: Stamp { sequence: 5, ..order().stamp }, ..order() };
     stops.order(later, &again);
     let latched = vec![LatchedStopReport { source: 3, sequence: 5, ..LatchedStopReport::default() }];
-    stops.handle_stops(later, 0, StopReport { stops: latched, ..report(3, true) });
+    stops.handle_stops(later, 0, StopReport { stops: latched, ..report(4, true) });
     assert_eq!(stops.standings(later, None), [(0, Standing::Stopped)], "it was not there at the order");
 }
 

@@ -213,7 +213,7 @@ fn a_driver_that_reports_until_its_end_is_lost_too_unless_it_has_confirmed_and_a
     let (mut stops, later) = with_frozen_driver();
     let of_it = |sequence, has_executed| StopReport {
         stamp: Stamp { source: 7, sequence, time_ns: 0 },
-        ..report(sequence as u64, has_executed)
+        ..report(sequence, has_executed)
     };
     let mut confirmed = stops.clone();
     confirmed.handle_stops(later, 0, of_it(2, true));

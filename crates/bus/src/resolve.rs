@@ -81,7 +81,7 @@ fn begin(address: &str, ask: impl FnOnce(&str) -> Result<Vec<SocketAddr>, NoAddr
     let (of_thread, key) = (Arc::clone(&search), address.to_owned());
     let thread = thread::Builder::new().name("resolve".into()).spawn(move || {
         let found = ask(&key);
-        // A later search asks anew.
+        // A later search asks again.
         lock(&SEARCHES).remove(&key);
         of_thread.end(found);
     });

@@ -117,7 +117,7 @@ fn of_configuration(report: &Report) -> [(&'static str, String); 5] {
     [
         ("configuration", report.configuration.clone()),
         ("users", users(report)),
-        ("seeds", format!("{} to {last_seed}: {} states for each", report.seed, report.states)),
+        ("seeds", format!("{} to {last_seed}: {} for each", report.seed, counted(report.states, "state"))),
         ("episodes", format!("{}; intervals come from them", counted(report.episodes, report.group()))),
         ("blocked", blocked_states(report)),
     ]

@@ -1,6 +1,6 @@
 //! Checks of NumPy arrays, and their conversion to the types of the channel.
 
-use heliostat_channel::{Cylinder, MirrorAngles, Vec3};
+use heliostat_channel::{Cylinder, MirrorAngles, Orientation, Vec3};
 use heliostat_scenario::USERS_MAX;
 use numpy::{PyArray1, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
@@ -21,6 +21,21 @@ pub fn positions(array: &PyReadonlyArray2<'_, f64>, name: &str) -> PyResult<Vec<
     }
     all_finite(rows.iter().flat_map(|row| row.iter().copied()), name)?;
     Ok(rows)
+}
+
+/// Orientations from the normals of receivers, an array of shape (K, 3) of vectors of any length: the smallest
+/// rotations from an upright receiver.
+pub fn orientations(normals: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<Orientation>> {
+    let normals = positions(normals, "normals")?;
+    if let Some(user) = normals.iter().position(|normal| *normal == Vec3::zeros()) {
+        return Err(refused(format!(
+            "normals holds a vector of length 0 for user {user}, expected a direction, such as 0, 0, 1 for a receiver that faces up"
+        )));
+    }
+    let orientation = |normal: &Vec3| {
+        Orientation::from_polar_azimuth(normal.x.hypot(normal.y).atan2(normal.z), normal.y.atan2(normal.x))
+    };
+    Ok(normals.iter().map(orientation).collect())
 }
 
 /// Refuses more users than a room may have: the tables of the solver grow with their square.

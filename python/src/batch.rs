@@ -325,6 +325,9 @@ impl Batch {
         let state = PyDict::new(py);
         let positions: Vec<f64> = world.positions().iter().flat_map(|place| place.iter().copied()).collect();
         state.set_item("positions", PyArray1::from_vec(py, positions).reshape([world.positions().len(), 3])?)?;
+        let normals = world.orientations().iter().map(|held| held.normal());
+        let normals: Vec<f64> = normals.flat_map(|normal| [normal.x, normal.y, normal.z]).collect();
+        state.set_item("normals", PyArray1::from_vec(py, normals).reshape([world.orientations().len(), 3])?)?;
         let blockers: Vec<f64> = world
             .blockers()
             .iter()

@@ -7,7 +7,7 @@ use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArra
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::arrays::{AnglePair, angles, cylinders, few_users, numbers, pair, positions};
+use crate::arrays::{AnglePair, angles, cylinders, few_users, numbers, orientations, pair, positions};
 use crate::error::{guarded, refused};
 use crate::scenario::Scenario;
 
@@ -28,6 +28,7 @@ impl Channel {
         &self,
         places: &PyReadonlyArray2<'_, f64>,
         blockers: Option<&PyReadonlyArray2<'_, f64>>,
+        normals: Option<&PyReadonlyArray2<'_, f64>>,
     ) -> PyResult<Scene> {
         let places = positions(places, "positions")?;
         let most = PAIRS_MAX / self.model.mirrors.len();
@@ -35,9 +36,14 @@ impl Channel {
             return Err(refused(format!("positions holds {} users, expected at most {most} at once", places.len())));
         }
         let blockers = cylinders(blockers)?;
+        let held = normals.map(orientations).transpose()?;
         guarded(|| {
             let mut scene = Scene::new(&self.model, places.len());
-            scene.update(&self.model, &places, &blockers, &vec![false; places.len()]);
+            let forced = vec![false; places.len()];
+            match &held {
+                Some(held) => scene.update_turned(&self.model, &places, held, &blockers, &forced),
+                None => scene.update(&self.model, &places, &blockers, &forced),
+            }
             Ok(scene)
         })
     }
@@ -73,8 +79,10 @@ impl Channel {
     /// Gains, SINR, rates and bit error rates of users under mirror angles: arrays of shape (K,).
     ///
     /// `positions`: (K, 3) in m. `roll`, `yaw`: (M,) in rad. `blockers`: (N, 4), x, y, radius and
-    /// height in m. `sharing`: the number of users that share the bandwidth, K if absent.
-    #[pyo3(signature = (positions, roll, yaw, blockers = None, sharing = None))]
+    /// height in m. `sharing`: the number of users that share the bandwidth, K if absent. `normals`, here and below:
+    /// (K, 3), the directions in which the receivers face; up if absent.
+    #[pyo3(signature = (positions, roll, yaw, blockers = None, sharing = None, normals = None))]
+    #[expect(clippy::too_many_arguments, reason = "the arguments of a Python method")]
     fn link<'py>(
         &self,
         py: Python<'py>,
@@ -83,8 +91,9 @@ impl Channel {
         yaw: PyReadonlyArray1<'py, f64>,
         blockers: Option<PyReadonlyArray2<'py, f64>>,
         sharing: Option<usize>,
+        normals: Option<PyReadonlyArray2<'py, f64>>,
     ) -> PyResult<Bound<'py, PyDict>> {
-        let scene = self.scene(&positions, blockers.as_ref())?;
+        let scene = self.scene(&positions, blockers.as_ref(), normals.as_ref())?;
         let angles = angles(&roll, &yaw, self.mirrors())?;
         let sharing = sharing.unwrap_or(scene.users());
         if sharing == 0 {
@@ -110,27 +119,29 @@ impl Channel {
     }
 
     /// The gain of each mirror for each user if it were aimed at that user: shape (K, M).
-    #[pyo3(signature = (positions, blockers = None))]
+    #[pyo3(signature = (positions, blockers = None, normals = None))]
     fn steering_gain<'py>(
         &self,
         py: Python<'py>,
         positions: PyReadonlyArray2<'py, f64>,
         blockers: Option<PyReadonlyArray2<'py, f64>>,
+        normals: Option<PyReadonlyArray2<'py, f64>>,
     ) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let scene = self.scene(&positions, blockers.as_ref())?;
+        let scene = self.scene(&positions, blockers.as_ref(), normals.as_ref())?;
         PyArray1::from_slice(py, scene.steering_gain()).reshape([scene.users(), scene.mirrors()])
     }
 
     /// The decoder: roll and yaw of each mirror in rad from one weight per user, not negative.
-    #[pyo3(signature = (positions, weights, blockers = None))]
+    #[pyo3(signature = (positions, weights, blockers = None, normals = None))]
     fn decode<'py>(
         &self,
         py: Python<'py>,
         positions: PyReadonlyArray2<'py, f64>,
         weights: PyReadonlyArray1<'py, f64>,
         blockers: Option<PyReadonlyArray2<'py, f64>>,
+        normals: Option<PyReadonlyArray2<'py, f64>>,
     ) -> PyResult<AnglePair<'py>> {
-        let scene = self.scene(&positions, blockers.as_ref())?;
+        let scene = self.scene(&positions, blockers.as_ref(), normals.as_ref())?;
         let weights = numbers(&weights, scene.users(), "weights")?;
         if let Some(weight) = weights.iter().find(|weight| **weight < 0.0) {
             return Err(refused(format!("weights holds {weight}, expected numbers from 0")));
@@ -146,15 +157,16 @@ impl Channel {
     }
 
     /// The angles of the oracle with minimum rates in Mbit/s; those of the scenario if absent.
-    #[pyo3(signature = (positions, blockers = None, min_rate_mbps = None))]
+    #[pyo3(signature = (positions, blockers = None, min_rate_mbps = None, normals = None))]
     fn oracle<'py>(
         &self,
         py: Python<'py>,
         positions: PyReadonlyArray2<'py, f64>,
         blockers: Option<PyReadonlyArray2<'py, f64>>,
         min_rate_mbps: Option<PyReadonlyArray1<'py, f64>>,
+        normals: Option<PyReadonlyArray2<'py, f64>>,
     ) -> PyResult<AnglePair<'py>> {
-        let scene = self.scene(&positions, blockers.as_ref())?;
+        let scene = self.scene(&positions, blockers.as_ref(), normals.as_ref())?;
         few_users(scene.users())?;
         let min_rate_bps = match min_rate_mbps {
             Some(rates) => numbers(&rates, scene.users(), "min_rate_mbps")?.iter().map(|rate| 1e6 * rate).collect(),

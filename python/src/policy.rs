@@ -15,7 +15,7 @@ use numpy::{PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
-use crate::arrays::{AnglePair, angles, cylinders, few_users, numbers, pair, positions};
+use crate::arrays::{AnglePair, angles, cylinders, few_users, numbers, orientations, pair, positions};
 use crate::error::{guarded, refused};
 use crate::exclusive::Exclusive;
 use crate::scenario::Scenario;
@@ -139,18 +139,20 @@ impl Policy {
     }
 
     /// Roll and yaw of each mirror in rad, within the controller's range, for users at `positions`
-    /// (K, 3) in m, `blockers` (N, 4) and minimum rates in Mbit/s.
-    #[pyo3(signature = (positions, blockers = None, min_rate_mbps = None))]
+    /// (K, 3) in m, `blockers` (N, 4), minimum rates in Mbit/s and normals of the receivers (K, 3).
+    #[pyo3(signature = (positions, blockers = None, min_rate_mbps = None, normals = None))]
     fn act<'py>(
         &self,
         py: Python<'py>,
         positions: PyReadonlyArray2<'py, f64>,
         blockers: Option<PyReadonlyArray2<'py, f64>>,
         min_rate_mbps: Option<PyReadonlyArray1<'py, f64>>,
+        normals: Option<PyReadonlyArray2<'py, f64>>,
     ) -> PyResult<AnglePair<'py>> {
         let places = self::positions(&positions, "positions")?;
         few_users(places.len())?;
         let blockers = cylinders(blockers.as_ref())?;
+        let held = normals.as_ref().map(orientations).transpose()?;
         let users = places.len();
         let min_rate_bps = match min_rate_mbps {
             Some(rates) => numbers(&rates, users, "min_rate_mbps")?.iter().map(|rate| 1e6 * rate).collect(),
@@ -159,7 +161,7 @@ impl Policy {
         let state = RoomState {
             tick: 0,
             positions: &places,
-            orientations: None,
+            orientations: held.as_deref(),
             velocities: &vec![heliostat_channel::Vec3::zeros(); users],
             min_rate_bps: &min_rate_bps,
             blockers: &blockers,

@@ -95,6 +95,12 @@ impl Scenario {
         self.range()
     }
 
+    /// Whether the users hold their receivers tilted, at random angles.
+    #[getter]
+    fn has_tilted_receivers(&self) -> bool {
+        self.inner.has_tilted_receivers()
+    }
+
     /// The hash of the effective configuration.
     #[getter]
     fn hash(&self) -> String {

@@ -46,6 +46,87 @@ def test_the_direct_gain_follows_the_equation_of_the_paper() -> None:
     assert ratio == pytest.approx(float(value["filter_gain"]) * concentrator / sine**2, rel=1e-9)
 
 
+def test_a_tilted_receiver_has_the_cosine_of_its_own_incidence_angle() -> None:
+    room = heliostat.Room("paper", {"led.side_m": 0.0})
+    place = np.array([[0.6, -0.8, 0.85]])
+    to_led = np.array(room.scenario.leds_m[0]) - place[0]
+    to_led /= np.linalg.norm(to_led)
+    normal = np.array([0.3, -0.1, 1.0])
+    expected = normal @ to_led / np.linalg.norm(normal) / to_led[2]
+    held: list[Any] = [normal, [7.0 * normal], None]
+    gains = [room.link(place, FLAT, FLAT, normals=one)["los_gain"][0] for one in held]
+    assert gains[0] / gains[2] == pytest.approx(expected, rel=1e-9) and gains[1] == pytest.approx(gains[0], rel=1e-12)
+    assert room.link(place, FLAT, FLAT, normals=[0.0, 0.0, -1.0])["los_gain"][0] == 0.0
+
+
+def test_receivers_face_up_without_normals_and_each_function_takes_them() -> None:
+    room, policy = heliostat.Room(), heliostat.Policy("nearest")
+    angles = room.decode(USERS, [0.0, 1.0, 0.0])
+    calls: list[Callable[..., Any]] = [
+        lambda **held: list(room.link(USERS, *angles, **held).values()),
+        lambda **held: room.steering_gain(USERS, **held),
+        lambda **held: room.oracle(USERS, **held),
+        lambda **held: room.decode(USERS, [1.0, 2.0, 1.0], **held),
+        lambda **held: heliostat.decode(USERS, [1.0, 2.0, 1.0], **held),
+        lambda **held: policy.act(USERS, **held),
+        lambda **held: heliostat.rate_map(room, *angles, step_m=1.0, **held),
+    ]
+    for call in calls:
+        np.testing.assert_equal(call(normals=[0.0, 0.0, 2.0]), call())
+    only_one = [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]
+    served = room.link(USERS, *policy.act(USERS, normals=only_one), normals=only_one)["irs_gain"]
+    aimed = room.link(USERS, *angles, normals=only_one)["irs_gain"]
+    assert served[1] == pytest.approx(aimed[1], rel=0.1) and aimed[1] > 0.0
+
+
+def test_a_room_with_tilted_receivers_warns_where_no_normals_are_given() -> None:
+    room, users = heliostat.Room("office"), [[0.5, 0.5, 0.85]]
+    flat = np.zeros(room.mirrors)
+    policy = heliostat.Policy("nearest", "office")
+    calls: list[Callable[..., object]] = [
+        lambda **held: room.link(users, flat, flat, **held),
+        lambda **held: room.steering_gain(users, **held),
+        lambda **held: room.decode(users, [1.0], **held),
+        lambda **held: heliostat.decode(users, [1.0], "office", **held),
+        lambda **held: room.oracle(users, **held),
+        lambda **held: policy.act(users, **held),
+        lambda **held: heliostat.rate_map(room, flat, flat, step_m=1.0, **held),
+    ]
+    for call in calls:
+        with pytest.warns(UserWarning, match="normals is absent, so every receiver faces up: give normals") as warned:
+            call()
+        assert [warning.filename for warning in warned] == [__file__]
+        call(normals=[0.0, 0.0, 1.0])
+
+
+def test_the_normals_of_a_state_give_the_rates_of_the_room() -> None:
+    held = {"users.orientation.model": "measured"}
+    env = heliostat.HeliostatEnv("specular", overrides=held)
+    env.reset(seed=6)
+    state = env.state()
+    assert np.linalg.norm(state["normals"], axis=1) == pytest.approx(1.0)
+    *_, info = env.step(np.zeros(200, np.float32))
+    room = heliostat.Room("specular", held)
+    tilted, upright = (
+        room.link(state["positions"], FLAT, FLAT, state["blockers"], normals=normals)["rate_mbps"]
+        for normals in (state["normals"], [0.0, 0.0, 1.0])
+    )
+    assert info["rates_mbps"] == pytest.approx(tilted, rel=1e-9)
+    assert np.abs(upright - tilted).max() > 0.1
+    env.close()
+
+
+def test_the_bounds_of_a_room_are_those_of_its_mirrors_and_users() -> None:
+    bounds = heliostat.bounds_of("specular", {"room.length_x_m": 8.0, "control.range_deg": 30.0})
+    assert bounds.roll_rad == bounds.yaw_rad == pytest.approx((-np.pi / 6, np.pi / 6))
+    assert bounds.position_m == ((-4.0, -2.5, 0.0), (4.0, 2.5, 3.0))
+    room = heliostat.Room()
+    bounds = heliostat.bounds_of(room.scenario)
+    assert room.link(bounds.position_m, FLAT, FLAT)["los_gain"].shape == (2,)
+    drawn = np.random.default_rng(3).uniform(*bounds.position_m, (4, 3))
+    assert room.link(drawn, FLAT, FLAT)["los_gain"].shape == (4,)
+
+
 def test_a_cylinder_blocks_the_direct_path_of_the_user_behind_it() -> None:
     room = heliostat.Room()
     clear = room.link(USERS, FLAT, FLAT)
@@ -154,6 +235,10 @@ def test_arguments_outside_their_domain_are_refused_with_the_reason() -> None:
         (lambda: heliostat.rate_map(room, FLAT, FLAT - 2.0), "yaw holds -2 at index 0: expected radians"),
         (lambda: room.link(USERS, FLAT, FLAT, np.zeros((1, 3))), "blockers has the shape"),
         (lambda: room.link(USERS, FLAT, FLAT, [[0.0, 0.0, -0.1, 2.0]]), "blockers holds the radius -0.1, expected metres"),
+        (lambda: room.link(USERS, FLAT, FLAT, normals=USERS[:2]), r"normals has the shape \(2, 3\), expected \(3, 3\), one"),
+        (lambda: room.link(USERS, FLAT, FLAT, normals=[0.0, 1.0]), r"normals has the shape \(2,\), .* or \(3,\), one for all"),
+        (lambda: room.steering_gain(USERS, normals=0.0 * USERS), "normals holds a vector of length 0 for user 0, expected"),
+        (lambda: room.decode(USERS, [1.0] * 3, normals=nan), "normals holds NaN, expected finite numbers"),
         (lambda: room.oracle(USERS, [[0.0, 0.0, 0.1, -2.0]]), "blockers holds the height -2, expected metres from 0"),
         (lambda: room.link(USERS, FLAT, FLAT, sharing=0), "sharing = 0"),
         (lambda: room.decode(USERS, [1.0, -1.0, 0.0]), "weights holds -1"),
@@ -192,9 +277,9 @@ def test_a_user_outside_the_room_is_refused_by_its_number_and_place(place: list[
 def test_a_map_in_parts_equals_one_evaluation_of_all_places(monkeypatch: pytest.MonkeyPatch) -> None:
     room = heliostat.Room("office")
     angles = np.random.default_rng(2).uniform(-0.2, 0.2, (2, room.mirrors))
-    complete = heliostat.rate_map(room, *angles, step_m=0.5)
+    complete = heliostat.rate_map(room, *angles, step_m=0.5, normals=[0.0, 0.0, 1.0])
     monkeypatch.setattr("heliostat.physics._PLACES_AT_ONCE", 7)
-    in_parts = heliostat.rate_map(room, *angles, step_m=0.5)
+    in_parts = heliostat.rate_map(room, *angles, step_m=0.5, normals=[0.0, 0.0, 1.0])
     assert all(np.array_equal(one, two) for one, two in zip(complete, in_parts, strict=True))
     assert complete[2].size > 14 and complete[2].max() > complete[2].min()
     with pytest.raises(ValueError, match="quantity = 'rate': expected one of los_gain"):

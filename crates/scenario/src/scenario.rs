@@ -16,6 +16,7 @@ use crate::runtime::{Actuator, Control};
 use crate::similar::hint;
 use crate::streams::Streams;
 use crate::tables::{Blockage, Channel, Led, Link, MinRate, Noise, PowerLaw, Receiver, Room, Users};
+use crate::user_orientation::OrientationModel;
 
 /// The description of one room; the files in deploy/scenarios explain every key.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -211,6 +212,11 @@ impl Scenario {
     /// Number of mirrors of all arrays.
     pub fn mirror_count(&self) -> usize {
         self.mirrors.count()
+    }
+
+    /// Whether the users hold their receivers tilted, at random angles.
+    pub fn has_tilted_receivers(&self) -> bool {
+        self.users.orientation.as_ref().is_some_and(|held| held.model == OrientationModel::Measured)
     }
 
     /// Minimum rate of each user in bit/s. Shape: K.

@@ -106,6 +106,11 @@ impl Spread {
         Self { crosses_bound: (low..=high).contains(&mean) && beyond, bounds: [low, high], ..self }
     }
 
+    /// Whether the interval leaves out 0; false without an interval.
+    pub fn excludes_zero(&self) -> bool {
+        self.mean.abs() > self.ci95
+    }
+
     /// The ends of the interval, cut at the bounds of the quantity; NaN without an interval.
     pub fn ends(&self) -> [f64; 2] {
         let [low, high] = self.bounds;
@@ -192,6 +197,13 @@ mod tests {
         let gap = of(&[vec![f64::NAN], vec![2.0], vec![4.0]]);
         assert_eq!(gap.mean, 3.0);
         assert!(of(&[vec![f64::NAN]]).mean.is_nan() && of(&[vec![1.0, 2.0]]).ci95.is_nan());
+    }
+
+    #[test]
+    fn an_interval_excludes_zero_where_its_half_width_is_smaller_than_the_mean() {
+        let of = |values: &[f64]| Spread::of(&[values.iter().map(|value| vec![*value]).collect()]).excludes_zero();
+        assert!(of(&[-1.0, -1.1, -0.9]) && of(&[1.0, 1.0]) && !of(&[1.0, -0.9, 0.5]));
+        assert!(!of(&[0.0, 0.0]) && !of(&[1.0]) && !of(&[]), "no difference, and no interval");
     }
 
     #[test]

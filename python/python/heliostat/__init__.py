@@ -29,12 +29,13 @@ from .evaluation import Score, evaluate
 from .export import export_onnx
 from .physics import Policy, Room, decode, rate_map
 from .recording import Recording
-from .scenario import Scenario, load_scenario
+from .scenario import Bounds, Scenario, bounds_of, load_scenario
 from .vector import HeliostatVectorEnv
 
 __all__ = [
     "BELIEF_COLUMNS",
     "BUILTIN_SCENARIOS",
+    "Bounds",
     "EnvState",
     "HeliostatEnv",
     "HeliostatVectorEnv",
@@ -45,6 +46,7 @@ __all__ = [
     "Scenario",
     "Score",
     "__version__",
+    "bounds_of",
     "decode",
     "evaluate",
     "export_onnx",

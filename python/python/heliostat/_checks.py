@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import operator
+import sys
 from typing import Any, get_args
 
 import numpy as np
@@ -17,6 +18,9 @@ POINTS_MAX = 4_000_000
 
 STATES_MAX = 1_000_000
 """Most states of all seeds of a comparison."""
+
+_CALLERS = {"heliostat", "gymnasium", "stable_baselines3"}
+"""The packages that call this one on behalf of a user's code."""
 
 
 def integer(name: str, value: Any, least: int, most: int) -> int:
@@ -90,6 +94,14 @@ def printable(text: str) -> str:
     """A text of another process, made safe for a terminal: lines stay, other control characters become JSON escapes, as
     in the log of the Rust programs."""
     return "".join(one if one == "\n" or one.isprintable() else f"\\u{ord(one):04x}" for one in text)
+
+
+def outer_level() -> int:
+    """The `stacklevel` with which a warning of the calling function names the user's code."""
+    level, frame = 1, sys._getframe(1)
+    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in _CALLERS:
+        level, frame = level + 1, frame.f_back
+    return level
 
 
 def _text(number: int) -> str:

@@ -17,7 +17,6 @@ import copy
 import difflib
 import inspect
 import os
-import sys
 import warnings
 from collections.abc import Iterator, Mapping, Sequence, Set
 from contextlib import contextmanager
@@ -29,7 +28,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from ._checks import integer, one_of, real, seed_of, states_of
+from ._checks import integer, one_of, outer_level, real, seed_of, states_of
 from ._core import Batch, Settings, check_exact, closed_loop_conditions, held_out_seed
 from .names import ActionForm, Dynamics, ObservationForm, RenderMode, RewardForm
 from .rendering import Window, draw
@@ -78,9 +77,6 @@ def make_settings(
     )
 
 
-_MAKERS = {"heliostat", "gymnasium", "stable_baselines3"}
-"""The packages that make environments for their callers."""
-
 SETTINGS = frozenset(inspect.signature(make_settings).parameters) - {"scenario"}
 """The keywords of `make_settings`."""
 
@@ -115,7 +111,7 @@ def make_scenario(
         )
     scenario = load_scenario(source, overrides)
     for condition in _conditions(dynamics, scenario, overrides):
-        warnings.warn(condition, stacklevel=_outer_level())
+        warnings.warn(condition, stacklevel=outer_level())
     return scenario
 
 
@@ -124,17 +120,6 @@ def _conditions(dynamics: str, scenario: Scenario, overrides: Mapping[str, Value
     if dynamics == "static":
         return check_exact(scenario, override_texts(overrides or {}))
     return closed_loop_conditions(scenario) if dynamics == "closed-loop" else []
-
-
-def _outer_level() -> int:
-    """The `stacklevel` with which a warning of the calling function names the code that makes the environment.
-
-    This package, Gymnasium and Stable-Baselines3 may call constructors on its behalf.
-    """
-    level, frame = 1, sys._getframe(1)
-    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in _MAKERS:
-        level, frame = level + 1, frame.f_back
-    return level
 
 
 def _episode_of(value: Any) -> tuple[int, int, int]:

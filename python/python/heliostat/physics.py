@@ -13,6 +13,7 @@ from __future__ import annotations
 import difflib
 import importlib.util
 import os
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, get_args
@@ -20,11 +21,11 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ._checks import POINTS_MAX, finite, integer, real
+from ._checks import POINTS_MAX, finite, integer, outer_level, real
 from ._core import Channel, Scenario, use_onnxruntime
 from ._core import Policy as _Policy
 from .names import Quantity
-from .scenario import Value, load_scenario
+from .scenario import Value, bounds_of, load_scenario
 from .tables import LinkResult
 
 # The places of a map in parts of this size, since each place needs memory for each mirror.
@@ -32,6 +33,7 @@ _PLACES_AT_ONCE = 4096
 # Users at a wall can be beyond it by rounding.
 _ROUNDING_M = 1e-6
 _ROUNDING_RAD = 1e-6
+_UP = (0.0, 0.0, 1.0)
 
 Angles = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Roll and yaw of each mirror in rad, each of shape (M,)."""
@@ -44,20 +46,19 @@ def _array(values: ArrayLike, name: str, dimensions: int) -> NDArray[np.float64]
     return array
 
 
-def _places(positions: ArrayLike, room_m: tuple[float, float, float]) -> NDArray[np.float64]:
+def _places(positions: ArrayLike, scenario: Scenario) -> NDArray[np.float64]:
     """Positions of users, (K, 3), which are in the room: on its floor, at most at its ceiling."""
     places = _array(positions, "positions", 2)
     if places.shape[1] != 3:
         return places  # The shape is refused with the other ones.
-    length_x, length_y, height = room_m
-    most = np.array([length_x / 2, length_y / 2, height]) + _ROUNDING_M
+    low, high = np.array(bounds_of(scenario).position_m)
     # NaN, which is refused too, is in no comparison.
-    outside = (places > most).any(axis=1) | (places < [-most[0], -most[1], -_ROUNDING_M]).any(axis=1)
+    outside = (places > high + _ROUNDING_M).any(axis=1) | (places < low - _ROUNDING_M).any(axis=1)
     if outside.any():
         user = int(outside.argmax())
         place = ", ".join(f"{part:g}" for part in places[user])
-        bounds = f"x from {-length_x / 2:g} to {length_x / 2:g} m, y from {-length_y / 2:g} to {length_y / 2:g} m"
-        raise ValueError(f"user {user} at ({place}) is outside the room: expected {bounds}, z from 0 to {height:g} m")
+        bounds = ", ".join(f"{axis} from {low[i]:g} to {high[i]:g} m" for i, axis in enumerate("xyz"))
+        raise ValueError(f"user {user} at ({place}) is outside the room: expected {bounds}")
     return places
 
 
@@ -71,6 +72,31 @@ def _angles(values: ArrayLike, name: str) -> NDArray[np.float64]:
     return angles
 
 
+def _normals(values: ArrayLike | None, users: int, scenario: Scenario) -> NDArray[np.float64] | None:
+    """Normals of the receivers, (K, 3), from one for each user or one for all; `None` where every receiver faces up."""
+    if values is None:
+        _warn_of_tilt(scenario)
+        return None
+    normals = np.ascontiguousarray(real("normals", values), np.float64)
+    if normals.shape == (3,):
+        return np.tile(normals, (users, 1))
+    if normals.shape != (users, 3):
+        raise ValueError(
+            f"normals has the shape {normals.shape}, expected ({users}, 3), one vector for each user, or (3,), one for all"
+        )
+    return normals
+
+
+def _warn_of_tilt(scenario: Scenario) -> None:
+    if scenario.has_tilted_receivers:
+        warnings.warn(
+            "users.orientation tilts the receivers of this room, and normals is absent, so every receiver faces up: "
+            'give normals, such as state()["normals"] of an environment, or [0, 0, 1] for receivers that face up',
+            UserWarning,
+            stacklevel=outer_level(),
+        )
+
+
 def _optional(values: ArrayLike | None, name: str, dimensions: int) -> NDArray[np.float64] | None:
     return None if values is None else _array(values, name, dimensions)
 
@@ -79,7 +105,9 @@ class Room:
     """The channel of a scenario's room.
 
     `positions` have the shape (K, 3) in m and are in the room; `blockers` (N, 4): x, y, radius and height of cylinders
-    in m.
+    in m. `normals`, (K, 3) or (3,) for all users: the directions in which the receivers face, as vectors of any length; a
+    receiver has the smallest rotation from upright. Receivers face up if it is absent, which warns with `UserWarning` where
+    the users of the scenario hold theirs tilted.
     """
 
     def __init__(
@@ -105,37 +133,64 @@ class Room:
         yaw: ArrayLike,
         blockers: ArrayLike | None = None,
         sharing: int | None = None,
+        *,
+        normals: ArrayLike | None = None,
     ) -> LinkResult:
         """Direct gain, gain over the mirrors, SINR (linear), rate, bit error rate and blockage of each user.
 
         `roll` and `yaw`, (M,), are in rad. `sharing`: the number of users that share the bandwidth; K if absent.
         """
+        places = _places(positions, self.scenario)
         return self._channel.link(
-            _places(positions, self.scenario.room_m),
+            places,
             _angles(roll, "roll"),
             _angles(yaw, "yaw"),
             _optional(blockers, "blockers", 2),
             None if sharing is None else integer("sharing", sharing, 1, 2**31 - 1),
+            _normals(normals, len(places), self.scenario),
         )
 
-    def steering_gain(self, positions: ArrayLike, blockers: ArrayLike | None = None) -> NDArray[np.float64]:
+    def steering_gain(
+        self, positions: ArrayLike, blockers: ArrayLike | None = None, *, normals: ArrayLike | None = None
+    ) -> NDArray[np.float64]:
         """The gain of each mirror for each user if it were aimed at that user, (K, M)."""
-        return self._channel.steering_gain(_places(positions, self.scenario.room_m), _optional(blockers, "blockers", 2))
+        places = _places(positions, self.scenario)
+        return self._channel.steering_gain(
+            places, _optional(blockers, "blockers", 2), _normals(normals, len(places), self.scenario)
+        )
 
-    def decode(self, positions: ArrayLike, weights: ArrayLike, blockers: ArrayLike | None = None) -> Angles:
+    def decode(
+        self,
+        positions: ArrayLike,
+        weights: ArrayLike,
+        blockers: ArrayLike | None = None,
+        *,
+        normals: ArrayLike | None = None,
+    ) -> Angles:
         """The angles that the decoder computes from one weight per user, (K,)."""
+        places = _places(positions, self.scenario)
         return self._channel.decode(
-            _places(positions, self.scenario.room_m), _array(weights, "weights", 1), _optional(blockers, "blockers", 2)
+            places,
+            _array(weights, "weights", 1),
+            _optional(blockers, "blockers", 2),
+            _normals(normals, len(places), self.scenario),
         )
 
     def oracle(
-        self, positions: ArrayLike, blockers: ArrayLike | None = None, min_rate_mbps: ArrayLike | None = None
+        self,
+        positions: ArrayLike,
+        blockers: ArrayLike | None = None,
+        min_rate_mbps: ArrayLike | None = None,
+        *,
+        normals: ArrayLike | None = None,
     ) -> Angles:
         """The angles of the oracle with minimum rates; those of the scenario if `min_rate_mbps` is absent."""
+        places = _places(positions, self.scenario)
         return self._channel.oracle(
-            _places(positions, self.scenario.room_m),
+            places,
             _optional(blockers, "blockers", 2),
             _optional(min_rate_mbps, "min_rate_mbps", 1),
+            _normals(normals, len(places), self.scenario),
         )
 
 
@@ -159,13 +214,23 @@ class Policy:
         self._policy = _Policy(self.scenario, name)
 
     def act(
-        self, positions: ArrayLike, blockers: ArrayLike | None = None, min_rate_mbps: ArrayLike | None = None
+        self,
+        positions: ArrayLike,
+        blockers: ArrayLike | None = None,
+        min_rate_mbps: ArrayLike | None = None,
+        *,
+        normals: ArrayLike | None = None,
     ) -> Angles:
-        """The angles for users at these positions in the room, within the controller's range."""
+        """The angles for users at these positions in the room, within the controller's range.
+
+        `normals`: as for `Room`.
+        """
+        places = _places(positions, self.scenario)
         return self._policy.act(
-            _places(positions, self.scenario.room_m),
+            places,
             _optional(blockers, "blockers", 2),
             _optional(min_rate_mbps, "min_rate_mbps", 1),
+            _normals(normals, len(places), self.scenario),
         )
 
     def answer(self, observation: ArrayLike) -> Angles:
@@ -187,9 +252,11 @@ def decode(
     weights: ArrayLike,
     scenario: str | os.PathLike[str] | Scenario = "specular",
     blockers: ArrayLike | None = None,
+    *,
+    normals: ArrayLike | None = None,
 ) -> Angles:
     """The angles that the decoder computes from one weight per user; `Room.decode` for many calls."""
-    return Room(scenario).decode(positions, weights, blockers)
+    return Room(scenario).decode(positions, weights, blockers, normals=normals)
 
 
 def rate_map(
@@ -202,11 +269,12 @@ def rate_map(
     blockers: ArrayLike | None = None,
     sharing: int = 1,
     quantity: Quantity = "rate_mbps",
+    normals: ArrayLike | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[Any]]:
     """A quantity of `Room.link` over the floor: x of the columns, y of the rows, and the values (rows, columns).
 
     `blockers`: as for `Room.link`; nothing blocks the light if it is absent. `sharing`: the number of users that share the
-    bandwidth; 1 gives the rate of a user alone in the room.
+    bandwidth; 1 gives the rate of a user alone in the room. `normals`: as for `Room`, for the places in the order of rows.
     """
     if not isinstance(room, Room):
         raise TypeError(f"room: expected a Room, found {type(room).__name__}")
@@ -230,6 +298,11 @@ def rate_map(
         similar = difflib.get_close_matches(str(quantity), known, 1)
         hint = f"; a similar name exists: {similar[0]}" if similar else ""
         raise ValueError(f"quantity = {quantity!r}: expected one of {', '.join(known)}{hint}")
-    parts = (places[first : first + _PLACES_AT_ONCE] for first in range(0, len(places), _PLACES_AT_ONCE))
-    values: list[Any] = [dict(room.link(part, roll, yaw, blockers, sharing))[quantity] for part in parts]
+    held = _normals(normals, len(places), room.scenario)
+    if held is None:
+        held = np.tile(_UP, (len(places), 1))
+    parts = (slice(first, first + _PLACES_AT_ONCE) for first in range(0, len(places), _PLACES_AT_ONCE))
+    values: list[Any] = [
+        dict(room.link(places[part], roll, yaw, blockers, sharing, normals=held[part]))[quantity] for part in parts
+    ]
     return x, y, np.concatenate(values).reshape(grid_x.shape)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -14,7 +15,7 @@ from ._core import Scenario
 Value: TypeAlias = bool | int | float | str | Sequence[Any] | Mapping[str, Any]
 """A value of a scenario's key; a mapping is a table."""
 
-__all__ = ["Scenario", "Value", "load_scenario"]
+__all__ = ["Bounds", "Scenario", "Value", "bounds_of", "load_scenario"]
 
 
 def load_scenario(
@@ -31,6 +32,32 @@ def load_scenario(
             raise ValueError("overrides apply to a name or a file, not to a Scenario that is already checked")
         return source
     return Scenario(os.fspath(source), override_texts({} if overrides is None else overrides))
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """The smallest and the largest values of a room."""
+
+    roll_rad: tuple[float, float]
+    """Roll of each mirror, to which the controller limits it."""
+    yaw_rad: tuple[float, float]
+    """Yaw of each mirror, to which the controller limits it."""
+    position_m: tuple[tuple[float, float, float], tuple[float, float, float]]
+    """Position of a user: x, y and z."""
+
+
+def bounds_of(
+    scenario: str | os.PathLike[str] | Scenario = "specular", overrides: Mapping[str, Value] | None = None
+) -> Bounds:
+    """The bounds of mirrors and users in a scenario's room.
+
+    >>> bounds_of("specular").position_m
+    ((-2.5, -2.5, 0.0), (2.5, 2.5, 3.0))
+    """
+    checked = load_scenario(scenario, overrides)
+    axis = (-checked.range_rad, checked.range_rad)
+    x, y, height = checked.room_m
+    return Bounds(axis, axis, ((-x / 2, -y / 2, 0.0), (x / 2, y / 2, height)))
 
 
 def override_texts(overrides: Mapping[str, Value]) -> list[str]:

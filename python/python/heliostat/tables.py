@@ -30,6 +30,7 @@ class State(TypedDict):
     """The true state of a room."""
 
     positions: _F64
+    normals: _F64
     blockers: _F64
     headings: _F64
     min_rates_mbps: _F64

@@ -73,11 +73,13 @@ pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
         format!("mismatch.level = \"{}\"", mismatch.level.name()),
         "they assume the nominal room, and the oracle knows the true one, so ratios are lower; calibrate the mirrors",
     );
+    let unknown = mismatch.unknown_leds_m.len();
+    let (leds, light) = if unknown == 1 { ("LED", "its light") } else { ("LEDs", "their light") };
     add(
-        mismatch.unknown_leds_m.is_empty(),
+        unknown == 0,
         "the channel model of belief and policies",
-        format!("LEDs that the controller does not know: {} in mismatch.unknown_leds_m", mismatch.unknown_leds_m.len()),
-        "their light counts as another heading or LED, so ratios are lower; name each LED in led.positions_m",
+        format!("mismatch.unknown_leds_m has {unknown} {leds} that the controller does not know"),
+        &format!("{light} counts as another heading or LED, so ratios are lower; name each LED in led.positions_m"),
     );
     let is_mixed = users.mobility == MobilityModel::Mixture;
     add(
@@ -285,7 +287,11 @@ mod tests {
             ),
             ("users.orientation.sitting_polar_std_deg=30", "sitting_polar_std_deg = 30, and the belief assumes 7.7"),
             ("mismatch.level=typical", "mismatch.level = \"typical\""),
-            ("mismatch.unknown_leds_m=[[1,1,3]]", "1 in mismatch.unknown_leds_m"),
+            (
+                "mismatch.unknown_leds_m=[[1,1,3]]",
+                "unknown_leds_m has 1 LED that the controller does not know: its light",
+            ),
+            ("mismatch.unknown_leds_m=[[1,1,3],[-1,1,3]]", "has 2 LEDs that the controller does not know: their light"),
             ("users.mixture=[{mobility=\"seated\",count=2}]", "users.mobility is another model"),
             ("users.seats_m=[[1,1]]", "no user of users.mobility"),
         ] {

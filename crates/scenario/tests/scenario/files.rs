@@ -321,3 +321,13 @@ fn every_new_name_of_a_rename_exists() {
         }
     }
 }
+
+#[test]
+fn receivers_are_tilted_where_their_angles_are_drawn() {
+    let of = |name: &str, overrides: &[&str]| {
+        let scenario = Scenario::builtin(name).unwrap().with_overrides(overrides).unwrap();
+        scenario.has_tilted_receivers()
+    };
+    assert!(of("office", &[]) && of("hall", &["users.orientation={}"]));
+    assert!(!of("hall", &[]) && !of("office", &["users.orientation.model=up"]));
+}

@@ -34,6 +34,13 @@ const DEFAULT_POLICIES: [&str; 7] = ["ddpg", "greedy", "fixed-point", "nearest",
 pub const ABOVE_ONE: &str = "a ratio can exceed 1: the oracle gives up sum rate to meet minimum rates, and a policy may leave users \
      below them. The oracle is a local optimum, no upper bound";
 
+/// Marks the name of a policy that is not told apart from the best one.
+pub const NEAR_BEST: &str = "~";
+
+/// What the mark [`NEAR_BEST`] means.
+pub const NEAR_BEST_NOTE: &str = "not distinguishable from the best: the interval of the paired difference to the largest ratio \
+     includes 0, or there is no interval";
+
 /// What serves instead of an array without rows or columns, which no scenario describes.
 const WITHOUT_MIRRORS: &str = "for a room without mirrors choose the policy no-irs, or --sweep mirrors.rows=0";
 

@@ -124,6 +124,9 @@ fn a_policy_that_knows_the_true_room_is_above_one_with_reports() {
     assert!(reports < present && present < future && future < 1.001, "{reports} {present} {future}");
     assert!(compared["policies"].get("flat+true-present").is_none(), "flat mirrors observe nothing");
     assert!(compared["policies"]["greedy+true-present"].get("decision_us").is_none());
+    let has_difference = ["greedy", "flat", "greedy+true-present", "greedy+true-future"]
+        .map(|name| compared["policies"][name].get("difference_to_best").is_some());
+    assert_eq!(has_difference, [false, true, false, false], "the best policy is one that observes reports: {compared}");
 }
 
 /// In the recording the user stands near the mirrors, then in a far corner.
@@ -169,6 +172,25 @@ fn every_policy_and_belief_has_paired_differences_from_the_first_row() {
     };
     assert!(differences.contains("greedy+filter") && differences.contains(" +0."), "{table}");
     assert!(differences.lines().nth(1).is_some_and(|heads| heads.ends_with("QoS met          outage")), "{table}");
+}
+
+/// Two names of one actor have equal rates.
+#[test]
+fn a_policy_that_is_not_told_apart_from_the_best_is_marked() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let html = folder.path().join("report.html");
+    let flags = ["--policies", "flat,ddpg,actor", "--training-seed", "1", "--states", "20", "--seeds", "1"];
+    let flags = [&flags[..], &["--html", html.to_str().expect("a plain path")]].concat();
+    let compared = report(&flags);
+    let difference = |policy: &str| compared["policies"][policy]["difference_to_best"]["mean"].as_f64();
+    assert_eq!((difference("ddpg"), difference("actor")), (None, Some(0.0)), "{compared}");
+    assert!(difference("flat").is_some_and(|mean| mean < -0.1), "{compared}");
+    let table = String::from_utf8(eval(&flags).stdout).expect("text");
+    let marked: Vec<&str> = table.lines().filter(|line| line.contains('~')).collect();
+    let [row, note] = marked[..] else { panic!("{table}") };
+    assert!(row.starts_with("actor ~ ") && note.starts_with("~: not distinguishable from the best: "), "{table}");
+    let page = std::fs::read_to_string(&html).expect("readable");
+    assert!(page.contains("<th>actor ~</th>") && page.contains("<th>ddpg</th>"), "{page}");
 }
 
 #[test]

@@ -2,6 +2,8 @@
 
 use std::process::{Command, Output, Stdio};
 
+use heliostat_scenario::DEFAULT_SCENARIO;
+
 fn lab(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_heliostat-lab")).args(arguments).output().expect("the program starts")
 }
@@ -18,9 +20,14 @@ fn every_command_has_a_help_text() {
 
 #[test]
 fn a_help_text_states_what_a_flag_requires() {
-    let help = String::from_utf8(lab(&["eval", "--help"]).stdout).expect("text");
-    let words = help.split_whitespace().collect::<Vec<_>>().join(" ");
-    assert!(words.contains("to the first measured instant of an episode, at least 0.01"), "{help}");
+    let words = |command: &[&str]| {
+        let help = String::from_utf8(lab(command).stdout).expect("text");
+        help.split_whitespace().collect::<Vec<_>>().join(" ")
+    };
+    let help = words(&["eval", "--help"]);
+    assert!(help.contains("to the first measured instant of an episode, at least 0.01"), "{help}");
+    let help = words(&["trace", "import", "--help"]);
+    assert!(help.contains(&format!("[default: {DEFAULT_SCENARIO}; the report says so]")), "{help}");
 }
 
 #[test]

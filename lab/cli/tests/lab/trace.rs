@@ -54,13 +54,15 @@ fn the_report_names_what_was_read_refused_chosen_and_how_to_use_the_file() {
         "x 0.00 to 8.00 m, y 0.00 to 2.00 m",
         "together from 2.00 s after the first row",
         "median 1.00 m/s",
-        "--set users.count=2 --set users.trace=walk.csv",
+        "  room        hall (default, --scenario names another one)",
+        "heliostat demo --scenario hall --set users.count=2 --set users.trace=walk.csv",
     ] {
         assert!(report.contains(part), "{part} is missing in:\n{report}");
     }
     let json = heliostat(&folder, &format!("{} --json", IMPORT.replace("walk.csv", "again.csv")));
     let report: serde_json::Value = serde_json::from_slice(&json.stdout).expect("one JSON object");
     assert_eq!((&report["read"]["refused_rows"], &report["selected"]["duration_s"]), (&2.into(), &6.0.into()));
+    assert_eq!((&report["selected"]["room"], &report["selected"]["is_default_room"]), (&"hall".into(), &true.into()));
     // The walk is as long as the part in which both are present.
     let walk = fs::read_to_string(folder.path().join("walk.csv")).expect("the walk");
     assert_eq!(walk.lines().last().map(|row| row.starts_with("6,")), Some(true), "{walk}");
@@ -69,7 +71,9 @@ fn the_report_names_what_was_read_refused_chosen_and_how_to_use_the_file() {
 #[test]
 fn a_room_plays_an_imported_walk() {
     let folder = folder();
-    assert!(heliostat(&folder, &format!("{IMPORT} --rate-hz 10 --scenario hall")).status.success());
+    let imported = heliostat(&folder, &format!("{IMPORT} --rate-hz 10 --scenario hall"));
+    let report = text(&imported.stdout);
+    assert!(imported.status.success() && report.contains("  room        hall\n"), "{report}");
     let room = "[users]\ncount = 2\ntrace = \"walk.csv\"\n";
     fs::write(folder.path().join("room.toml"), room).expect("written");
     let played = heliostat(&folder, "map --scenario room.toml --array flat --at-seconds 1 --step-cm 50");

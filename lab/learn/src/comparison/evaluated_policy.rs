@@ -236,6 +236,36 @@ mod tests {
     use super::*;
 
     #[test]
+    fn the_table_of_the_documents_has_each_policy_with_its_needs_its_condition_and_where_it_is_accepted() {
+        let (_, section) =
+            include_str!("../../../../docs/evaluation.md").split_once("## The policies").expect("the section");
+        let rows = section.lines().skip_while(|line| !line.starts_with('|')).skip(2);
+        let crowded = Scenario::builtin("hall").unwrap().with_overrides(&["users.count=12"]).unwrap();
+        let mut listed = Vec::new();
+        for row in rows.take_while(|line| line.starts_with('|')) {
+            let cells: Vec<&str> = row.trim_matches(['|', ' ']).split(" | ").collect();
+            let [policies, _, needs, condition, place] = cells[..] else { panic!("{row}") };
+            for name in policies.split('`').skip(1).step_by(2) {
+                listed.push(name.to_owned());
+                let Ok(kind) = PolicyKind::from_str(name, false) else {
+                    assert!(name != CODEBOOK || place == "`heliostat-lab eval`", "{row}");
+                    continue;
+                };
+                let has_none = kind != PolicyKind::Exhaustive && kind.conditions(&crowded).is_empty();
+                assert_eq!(condition == "none", has_none, "{row}");
+                assert_eq!(needs.starts_with("an actor"), kind.is_learned(), "{row}");
+                assert_eq!(needs.starts_with("an actor, built in for any array"), kind.fits_any_array(), "{row}");
+                assert_eq!(place, "every program", "{row}");
+            }
+        }
+        let mut expected = EvaluatedPolicy::names();
+        expected.extend(["FILE.onnx", "FILE.py:FUNCTION"].map(String::from));
+        listed.sort_unstable();
+        expected.sort_unstable();
+        assert_eq!(listed, expected);
+    }
+
+    #[test]
     fn names_aliases_and_files_are_found_and_the_error_lists_the_names() {
         let parse = |name: &str| EvaluatedPolicy::parse(name, &ActorSource::Shipped);
         for name in EvaluatedPolicy::names() {

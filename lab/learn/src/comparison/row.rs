@@ -41,7 +41,24 @@ pub(super) fn rows(settings: &Settings, runs: &[Vec<Run>], oracle: &[Vec<Sample>
             ..Row::new(own, oracle, (evaluated, settings.mode))
         }
     });
-    (Row::of_oracle(oracle, settings.mode), of_policies.collect())
+    let mut of_policies: Vec<Row> = of_policies.collect();
+    subtract_best(settings, runs, oracle, &mut of_policies);
+    (Row::of_oracle(oracle, settings.mode), of_policies)
+}
+
+/// Sets the difference to the policy with the largest ratio. A policy that knows the true room is not compared.
+fn subtract_best(settings: &Settings, runs: &[Vec<Run>], oracle: &[Vec<Sample>], rows: &mut [Row]) {
+    let ratios: Vec<f64> = rows.iter().map(|row| row.ratio_to_oracle.mean).collect();
+    let is_compared = |index: &usize| settings.policies[*index].known().is_none() && !ratios[*index].is_nan();
+    let compared = (0..rows.len()).filter(is_compared);
+    // Of equal ratios the first one is the best.
+    let Some(best) = compared.clone().rev().max_by(|one, other| ratios[*one].total_cmp(&ratios[*other])) else {
+        return;
+    };
+    let of_best = values(&runs[best], oracle, ratio);
+    for index in compared.filter(|index| *index != best) {
+        rows[index].difference_to_best = Some(difference(&values(&runs[index], oracle, ratio), &of_best));
+    }
 }
 
 /// A quantity of a policy's sample, which the oracle's sample of the same state may enter.
@@ -99,6 +116,10 @@ pub struct Row {
     /// state by state.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub difference_outage_time: Option<Spread>,
+    /// Ratio to the oracle minus that of the policy with the largest one, state by state; `None` for that
+    /// policy, for the oracle, and for a policy that knows the true room.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub difference_to_best: Option<Spread>,
     /// Ratio of the sum rate to that of the oracle with minimum rates, state by state; missing
     /// where no user can be served.
     pub ratio_to_oracle: Spread,
@@ -140,6 +161,11 @@ impl Row {
         }
     }
 
+    /// Whether the states do not tell the policy apart from the one with the largest ratio.
+    pub fn is_near_best(&self) -> bool {
+        self.difference_to_best.is_some_and(|difference| !difference.excludes_zero())
+    }
+
     /// The results of the reference itself.
     pub(super) fn of_oracle(oracle: &[Vec<Sample>], mode: Loop) -> Self {
         Self::of_samples(&[oracle], oracle, mode)
@@ -162,6 +188,7 @@ impl Row {
             difference_ratio: None,
             difference_qos_met: None,
             difference_outage_time: None,
+            difference_to_best: None,
             // An angle by the oracle is not the best one under drives and latency, so a ratio has no upper bound.
             ratio_to_oracle: Spread::of(&runs.iter().map(ratios).collect::<Vec<_>>()).within(0.0, f64::INFINITY),
             qos_met: spread(|sample| sample.met).within(0.0, 1.0),

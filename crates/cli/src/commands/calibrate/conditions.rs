@@ -5,7 +5,7 @@ use heliostat_calibrate::optics::Optics;
 use heliostat_calibrate::probes::READINGS_MAX;
 use heliostat_calibrate::signal::Signal;
 use heliostat_core::belief::conditions::Condition;
-use heliostat_scenario::{OrientationModel, Scenario};
+use heliostat_scenario::Scenario;
 
 /// What a user of the program can do where the light of single mirrors is too weak.
 pub const STRONGER: &str =
@@ -17,8 +17,7 @@ pub fn conditions(scenario: &Scenario, array: usize, spots: &[Place]) -> Vec<Con
 }
 
 fn tilted(scenario: &Scenario) -> Option<Condition> {
-    scenario.users.orientation.as_ref().filter(|held| held.model == OrientationModel::Measured)?;
-    Some(Condition {
+    scenario.has_tilted_receivers().then(|| Condition {
         method: "the calibration with a tilted receiver".to_owned(),
         because: "users.orientation.model = \"measured\"".to_owned(),
         consequence: "put the receiver down level at each spot; that of a simulated user is tilted, so simulate the \

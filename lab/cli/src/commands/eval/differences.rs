@@ -4,6 +4,7 @@
 use heliostat_learn::comparison::{Report, Row, Spread};
 use serde_json::{Map, Value, json};
 
+use super::NEAR_BEST;
 use super::sweep::Bases;
 
 /// A paired difference.
@@ -100,6 +101,11 @@ impl Difference {
         };
         DIFFERENCES.into_iter().filter(has)
     }
+}
+
+/// The name of a row, with a mark where the policy is not told apart from the best one.
+pub fn marked_name(name: &str, row: &Row) -> String {
+    if row.is_near_best() { format!("{name} {NEAR_BEST}") } else { name.to_owned() }
 }
 
 /// The differences of a point of a sweep from its base as JSON, of the oracle and of each policy that both have;

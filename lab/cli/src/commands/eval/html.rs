@@ -14,14 +14,14 @@ use heliostat_scenario::Scenario;
 use heliostat_service::counted::counted;
 use heliostat_service::printable::{printable, printable_lines};
 
-use super::ABOVE_ONE;
-use super::differences::Difference;
+use super::differences::{Difference, marked_name};
 use super::origin;
 use super::output::{
     BELIEF_NOTE, BLOCKED, belief_columns, ber, blocked_states, difference, interval, notes_on_episodes, number, rows,
     users,
 };
 use super::sweep::{Grid, Sweep};
+use super::{ABOVE_ONE, NEAR_BEST, NEAR_BEST_NOTE};
 use heliostat_service::whole_file;
 
 /// Writes the report of a comparison, or of one comparison for each value of a sweep.
@@ -117,7 +117,7 @@ fn of_configuration(report: &Report) -> [(&'static str, String); 5] {
     [
         ("configuration", report.configuration.clone()),
         ("users", users(report)),
-        ("seeds", format!("{} to {last_seed}: {} states for each", report.seed, report.states)),
+        ("seeds", format!("{} to {last_seed}: {} for each", report.seed, counted(report.states, "state"))),
         ("episodes", format!("{}; intervals come from them", counted(report.episodes, report.group()))),
         ("blocked", blocked_states(report)),
     ]
@@ -170,7 +170,7 @@ fn write_table(page: &mut String, report: &Report) -> std::fmt::Result {
     writeln!(page, "<div class=\"wide\"><table class=\"figures\">\n<tr><th>policy</th>{headings}</tr>")?;
     for (name, row) in rows(report) {
         let cells = columns.iter().map(|(_, cell)| format!("<td>{}</td>", cell(row))).collect::<String>();
-        writeln!(page, "<tr><th>{}</th>{cells}</tr>", text(name))?;
+        writeln!(page, "<tr><th>{}</th>{cells}</tr>", text(&marked_name(name, row)))?;
     }
     writeln!(page, "</table></div>")
 }
@@ -192,6 +192,7 @@ fn write_beliefs(page: &mut String, report: &Report) -> std::fmt::Result {
 fn write_notes(page: &mut String, report: &Report) -> std::fmt::Result {
     writeln!(page, "<h2>How to read this</h2>\n<ul>")?;
     let blocked = format!("Blocked: {BLOCKED}.");
+    let near_best = format!("{NEAR_BEST}: {NEAR_BEST_NOTE}.");
     let ratio = format!(
         "Ratio: to the sum rate of the oracle with minimum rates, state by state; p5: its 5th percentile over the states. \
          Note that {ABOVE_ONE}."
@@ -200,6 +201,7 @@ fn write_notes(page: &mut String, report: &Report) -> std::fmt::Result {
         "±: half the width of the 95 % confidence interval of the mean, by Student's t. A single state has no interval.",
         "Difference: the figure minus that of the first policy, state by state. Its interval is narrower than that of two means, because \
          both policies meet the same states. An interval that does not contain 0 is a difference beyond the variation of the states.",
+        near_best.as_str(),
         ratio.as_str(),
         "QoS met: share of the users whose minimum rate is met. Jain: Jain's fairness index of the rates. BER: with on-off keying.",
         blocked.as_str(),

@@ -7,9 +7,9 @@ use heliostat_learn::comparison::{BeliefQuality, EPISODES_MIN, Loop, Report, Row
 
 use heliostat_service::counted::counted;
 
-use super::differences::Difference;
+use super::differences::{Difference, marked_name};
 use super::sweep::{Bases, Grid, Sweep};
-use super::{ABOVE_ONE, exceeds_one};
+use super::{ABOVE_ONE, NEAR_BEST, NEAR_BEST_NOTE, exceeds_one};
 use heliostat_service::outln;
 
 /// The name of the oracle's row.
@@ -34,7 +34,7 @@ pub fn figures(report: &Report) -> Vec<u64> {
 
 /// Width of the column of names.
 fn name_width(report: &Report) -> usize {
-    rows(report).map(|(name, _)| name.len()).max().unwrap_or(0).max(22)
+    rows(report).map(|(name, row)| marked_name(name, row).len()).max().unwrap_or(0).max(22)
 }
 
 /// The number of users, and of those that never have a direct path.
@@ -66,7 +66,8 @@ pub fn print_table(report: &Report) -> io::Result<()> {
         let (rate, ratio) = (row.sum_rate_mbps, row.ratio_to_oracle);
         let time = |time: Option<f64>| time.map_or("-".into(), |time| format!("{time:.0}"));
         outln!(
-            "{name:<width$} {:>7} {:>13} {:>13} {:>6} {:>12} {:>12} {:>13} {:>18} {:>8} {:>8}",
+            "{:<width$} {:>7} {:>13} {:>13} {:>6} {:>12} {:>12} {:>13} {:>18} {:>8} {:>8}",
+            marked_name(name, row),
             row.training_seeds.map_or("-".into(), |seeds| seeds.to_string()),
             interval(rate, 1),
             interval(ratio, 3),
@@ -84,6 +85,9 @@ pub fn print_table(report: &Report) -> io::Result<()> {
     outln!(
         "±: half the width of the 95 % confidence interval of the mean; ratio: to the sum rate of the oracle with minimum rates; p5: its 5th percentile"
     )?;
+    if report.policies.iter().any(|(_, row)| row.is_near_best()) {
+        outln!("{NEAR_BEST}: {NEAR_BEST_NOTE}")?;
+    }
     note_on_ratios(std::slice::from_ref(report))?;
     outln!("blocked: {BLOCKED}: {}", blocked_states(report))?;
     print_differences(report)?;
@@ -492,6 +496,7 @@ mod tests {
             difference_ratio: None,
             difference_qos_met: None,
             difference_outage_time: None,
+            difference_to_best: None,
             ratio_to_oracle: Spread::MISSING,
             qos_met: Spread::MISSING,
             jain,

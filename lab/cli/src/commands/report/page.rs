@@ -12,7 +12,7 @@ use crate::commands::eval::{ABOVE_ONE, exceeds_one};
 use super::archive::{Archive, Finished};
 use super::definition::{Definition, Section};
 use super::summary;
-use super::table::{check_columns, crosses_note, grid, markdown, rows};
+use super::table::{check_columns, crosses_note, grid, markdown, near_best_note, rows};
 
 /// A page, and why it does not show all that is finished.
 pub struct Page {
@@ -146,7 +146,7 @@ fn of_points(output: &Value) -> Vec<&Value> {
     reports.unwrap_or_else(|| vec![output])
 }
 
-/// The methods whose conditions the rooms do not meet, and what a marked interval of the tables means.
+/// The methods whose conditions the rooms do not meet, and what the marks of the tables mean.
 fn notes(output: &Value, tables: &str) -> Vec<String> {
     let mut notes: Vec<String> = Vec::new();
     for condition in of_points(output).into_iter().filter_map(|report| report["conditions"].as_array()).flatten() {
@@ -158,6 +158,7 @@ fn notes(output: &Value, tables: &str) -> Vec<String> {
         }
     }
     notes.extend(crosses_note(tables));
+    notes.extend(near_best_note(tables));
     notes
 }
 

@@ -1,8 +1,11 @@
 //! Tables in Markdown from the JSON objects of commands.
 
 use anyhow::{Context, Result, ensure};
+use heliostat_learn::comparison::Spread;
 use serde::Deserialize;
 use serde_json::Value;
+
+use crate::commands::eval::{NEAR_BEST, NEAR_BEST_NOTE};
 
 /// Marks an interval that reaches beyond the bounds of its figure, in Markdown.
 const CROSSES: &str = "\\*";
@@ -192,10 +195,11 @@ fn rank(name: &str, arguments: &[String]) -> (usize, usize, usize) {
 pub fn markdown(rows: &[Row], columns: &[Column], heading: Option<&str>) -> String {
     let titles = columns.iter().map(|column| column.title.clone());
     let first = |name: &str| heading.map(|_| name.to_owned());
+    let mark = |row: &Value| if is_near_best(row) { format!(" \\{NEAR_BEST}") } else { String::new() };
     let mut lines = vec![first(heading.unwrap_or_default()).into_iter().chain(titles).collect::<Vec<_>>()];
     for (name, row) in rows {
         let cells = columns.iter().map(|column| cell(row.pointer(&column.at).unwrap_or(&Value::Null), column.form));
-        lines.push(first(name).into_iter().chain(cells).collect());
+        lines.push(first(&(name.clone() + &mark(row))).into_iter().chain(cells).collect());
     }
     grid(&lines)
 }
@@ -204,6 +208,19 @@ pub fn markdown(rows: &[Row], columns: &[Column], heading: Option<&str>) -> Stri
 pub fn crosses_note(tables: &str) -> Option<String> {
     let note = || format!("{CROSSES}: the interval reaches beyond what the figure can be, such as below 0.");
     tables.contains(CROSSES).then(note)
+}
+
+/// Whether a row of `eval` is that of a policy which is not told apart from the best one.
+fn is_near_best(row: &Value) -> bool {
+    let part = |name: &str| row["difference_to_best"][name].as_f64();
+    let difference = |mean: f64| Spread { mean, ci95: part("ci95").unwrap_or(f64::NAN), ..Spread::MISSING };
+    part("mean").is_some_and(|mean| !difference(mean).excludes_zero())
+}
+
+/// What a marked name of these tables means, if there is one.
+pub fn near_best_note(tables: &str) -> Option<String> {
+    let mark = format!("\\{NEAR_BEST}");
+    tables.contains(&mark).then(|| format!("{mark}: {NEAR_BEST_NOTE}."))
 }
 
 /// A figure as text; a dash where it does not exist.
@@ -317,6 +334,23 @@ mod tests {
             [true, false].map(|crosses| cell(&of(crosses), Form::Interval(2))),
             ["0.01 ± 0.02\\*", "0.01 ± 0.02"]
         );
+    }
+
+    #[test]
+    fn the_name_of_a_policy_that_is_not_told_apart_from_the_best_is_marked() {
+        let of = |difference: Value| json!({ "us": 1.0, "difference_to_best": difference });
+        let rows = [
+            ("greedy", json!({ "us": 1.0 })),
+            ("ddpg", of(json!({ "mean": -0.01, "ci95": 0.02 }))),
+            ("flat", of(json!({ "mean": -0.1, "ci95": 0.02 }))),
+            ("hold", of(json!({ "mean": -0.1, "ci95": null }))),
+        ];
+        let rows = rows.map(|(name, row)| (name.to_owned(), row));
+        let table = markdown(&rows, &columns(&["us | /us | .0"]), Some(""));
+        let expected = "| greedy | 1 |\n| ddpg \\~ | 1 |\n| flat | 1 |\n| hold \\~ | 1 |\n";
+        assert!(table.ends_with(expected), "{table}");
+        assert!(near_best_note(&table).is_some_and(|note| note.starts_with("\\~: not distinguishable from the best")));
+        assert_eq!(near_best_note("| greedy | 1 |"), None);
     }
 
     #[test]

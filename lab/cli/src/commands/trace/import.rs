@@ -12,7 +12,7 @@ use heliostat_room::walks::plausibility::{is_mostly_refused, warnings};
 use heliostat_room::walks::selection::{Choice, Presence, select};
 use heliostat_room::walks::tracks::{Collected, Collector, Kept, Rectangle};
 use heliostat_room::world::walker::Floor;
-use heliostat_scenario::{BUILTIN_NAMES, Scenario, ScenarioArgs};
+use heliostat_scenario::{DEFAULT_SCENARIO, Scenario, ScenarioArgs};
 use heliostat_service::duration::{DurationError, seconds};
 use heliostat_service::exit::UnusableInput;
 
@@ -43,9 +43,9 @@ pub struct ImportArgs {
     /// Its format
     #[arg(long, value_enum)]
     format: FormatName,
-    /// The room: a scenario file (TOML) or the name of a built-in scenario
-    #[arg(long, visible_alias = "room", value_name = "SCENARIO", default_value = BUILTIN_NAMES[0])]
-    scenario: String,
+    /// The room: a scenario file (TOML) or the name of a built-in scenario [default: hall; the report says so]
+    #[arg(long, visible_alias = "room", value_name = "SCENARIO")]
+    scenario: Option<String>,
     /// Override a key of the scenario, for example --set room.length_x_m=8 (repeatable)
     #[arg(long = "set", value_name = "TABLE.KEY=VALUE")]
     overrides: Vec<String>,
@@ -187,7 +187,8 @@ pub fn run(args: &ImportArgs) -> Result<()> {
     let report = ImportReport {
         file: args.file.display().to_string(),
         out: args.out.display().to_string(),
-        scenario: args.scenario.clone(),
+        scenario: named(args).to_owned(),
+        is_default_room: args.scenario.is_none(),
         overrides: args.overrides.clone(),
         collected,
         warnings,
@@ -199,8 +200,13 @@ pub fn run(args: &ImportArgs) -> Result<()> {
     print(&report, args.json)
 }
 
+/// The scenario of the room by its name or file.
+fn named(args: &ImportArgs) -> &str {
+    args.scenario.as_deref().unwrap_or(DEFAULT_SCENARIO)
+}
+
 fn scenario(args: &ImportArgs) -> Result<Scenario> {
-    let (scenario, overrides) = (args.scenario.clone(), args.overrides.clone());
+    let (scenario, overrides) = (named(args).to_owned(), args.overrides.clone());
     Ok(ScenarioArgs { scenario, overrides, seed: None }.load_arrays()?)
 }
 

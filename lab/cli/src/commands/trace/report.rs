@@ -21,6 +21,8 @@ pub(super) struct ImportReport {
     pub file: String,
     pub out: String,
     pub scenario: String,
+    /// Whether no flag has named the room.
+    pub is_default_room: bool,
     pub overrides: Vec<String>,
     pub collected: Collected,
     /// What is unusual about the file.
@@ -75,6 +77,8 @@ fn print_read(file: &str, collected: &Collected) -> Result<()> {
 fn print_selected(report: &ImportReport) -> Result<()> {
     let Selected { users, starts_s, duration_s } = &report.selected;
     outln!("selected")?;
+    let default = if report.is_default_room { " (default, --scenario names another one)" } else { "" };
+    outln!("  room        {}{default}", report.scenario)?;
     let from_s = starts_s[0] - report.collected.first_s;
     match report.presence {
         Presence::Together => outln!("  users       {}, together from {from_s:.2} s after the first row", users.len())?,
@@ -143,6 +147,8 @@ fn json_of(report: &ImportReport) -> Value {
             "warnings": report.warnings,
         },
         "selected": {
+            "room": report.scenario,
+            "is_default_room": report.is_default_room,
             "users": report.selected.users.len(),
             "pedestrians": pedestrians(report),
             "starts_s": starts_s,

@@ -388,3 +388,15 @@ async fn other_method() -> Response {
 fn reply(status: StatusCode, media: &'static str, body: impl Into<Body>) -> Response {
     (status, [(CONTENT_TYPE, media)], body.into()).into_response()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_with_a_port_is_refused_with_the_flag_for_the_port() {
+        assert_eq!(ip_address("::1").map(|address| address.is_loopback()), Ok(true));
+        let refused = ip_address("127.0.0.1:7480").expect_err("a port is no part of it");
+        assert!(refused.ends_with("--ui-port has the port"), "{refused}");
+    }
+}

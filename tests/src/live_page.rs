@@ -17,7 +17,6 @@ impl PageServer {
     /// # Panics
     /// When the page is not served within the time limit.
     pub fn start(arguments: &[&str]) -> Self {
-        // `ui` takes another port if this one is in use by then.
         let (process, port) = serve(free_loopback_port().expect("a free port"), arguments);
         Self { process, port }
     }

@@ -12,5 +12,6 @@ pub mod cli;
 pub mod config;
 pub mod machine;
 pub mod node;
+mod pauses;
 pub mod report;
 pub mod room_runtime;

@@ -14,6 +14,7 @@ use heliostat_service::{CertificateEnds, Stop};
 
 use crate::{
     config::NodeConfig,
+    pauses::Pauses,
     report::{metrics, summary::Summary},
     room_runtime::{RoomRuntime, transport::LocalArray},
 };
@@ -45,13 +46,15 @@ pub fn run(config: &NodeConfig, mut local: Vec<LocalArray>, stop: &Stop) -> anyh
     let deadline = config.run_for.map(|run_for| started + run_for);
     let mut next_check = Instant::now() + STATUS_INTERVAL;
     let mut has_warned = false;
-    while !wait_for_stop(stop, deadline) {
+    let mut pauses = Pauses::default();
+    while !wait_for_stop(stop, deadline, &mut pauses) {
         rooms.iter_mut().for_each(RoomRuntime::handle_timeouts);
         if Instant::now() < next_check {
             continue;
         }
         next_check += STATUS_INTERVAL;
-        rooms.iter_mut().for_each(RoomRuntime::check_status);
+        let pause = pauses.recent(Instant::now());
+        rooms.iter_mut().for_each(|room| room.check_status(pause));
         if let Some(exporter) = &exporter {
             let mut page = metrics::page(&rooms.iter().map(RoomRuntime::report).collect::<Vec<_>>());
             if !records.is_empty() {
@@ -91,9 +94,13 @@ fn no_reports(config: &NodeConfig) -> String {
 }
 
 /// Waits until the rooms are due for a check; true if the node has to end instead.
-fn wait_for_stop(stop: &Stop, deadline: Option<Instant>) -> bool {
-    let left = deadline.map_or(WAKE_INTERVAL, |deadline| deadline.saturating_duration_since(Instant::now()));
-    left.is_zero()
-        || stop.wait_for(left.min(WAKE_INTERVAL))
-        || deadline.is_some_and(|deadline| Instant::now() >= deadline)
+fn wait_for_stop(stop: &Stop, deadline: Option<Instant>, pauses: &mut Pauses) -> bool {
+    let begun = Instant::now();
+    let left = deadline.map_or(WAKE_INTERVAL, |deadline| deadline.saturating_duration_since(begun)).min(WAKE_INTERVAL);
+    if left.is_zero() || stop.wait_for(left) {
+        return true;
+    }
+    let woken = Instant::now();
+    pauses.note_wake(woken, begun + left);
+    deadline.is_some_and(|deadline| woken >= deadline)
 }

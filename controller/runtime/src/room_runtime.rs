@@ -210,8 +210,9 @@ impl RoomRuntime {
         }
     }
 
-    /// Takes the new stage times, publishes a status report, and updates the summary.
-    pub fn check_status(&mut self) {
+    /// Takes the new stage times, publishes a status report, and updates the summary. `pause` is the longest recent one
+    /// of this process.
+    pub fn check_status(&mut self, pause: Option<Duration>) {
         let Some(mut decision_loop) = lock_within(&self.decision_loop, POLICY_TIMEOUT) else {
             self.report_stall();
             return;
@@ -227,6 +228,7 @@ impl RoomRuntime {
         };
         let changed = self.geometry.changed(decision_loop.room.announced_geometry(utc_ns()));
         let former = std::mem::take(&mut decision_loop.former_times);
+        self.reporter.note_pause(pause);
         let mut snapshot = self.reporter.take_snapshot(&decision_loop, self.policy_swap.counters(), conditions);
         drop(decision_loop);
         self.announcements.settle();
@@ -260,7 +262,7 @@ impl RoomRuntime {
         drop(subscriptions);
         self.queue.close();
         self.reporter.end();
-        self.check_status();
+        self.check_status(None);
         if let Some(thread) = self.thread.take()
             && lock_within(&self.decision_loop, POLICY_TIMEOUT).is_some()
         {

@@ -1,7 +1,7 @@
 //! Errors of the page and the terminal view.
 
 use std::io;
-use std::net::IpAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::time::Duration;
 
 use heliostat_bus::BusError;
@@ -33,6 +33,17 @@ pub enum UiError {
     CannotListen {
         /// The address.
         address: IpAddr,
+        /// The error of the operating system.
+        problem: io::Error,
+    },
+    /// The port that was asked for is in use, or this user may not open it.
+    #[error(
+        "the page cannot be served at {at}: {problem}; expected a free port: end the process that listens there, \
+         set another --ui-port, or leave the flag out for the next free port"
+    )]
+    PortRefused {
+        /// Address and port.
+        at: SocketAddr,
         /// The error of the operating system.
         problem: io::Error,
     },

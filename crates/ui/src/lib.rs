@@ -51,6 +51,7 @@ pub mod status;
 pub mod stop_state;
 pub mod stop_switch;
 mod stop_watch;
+mod telemetry_ages;
 pub mod terminal;
 mod token;
 pub mod view;

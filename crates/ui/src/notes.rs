@@ -38,6 +38,7 @@ impl Received {
             notes.extend(ServedLight::all_of(status).iter().filter_map(off_light));
         }
         notes.extend(self.present_controllers().iter().filter_map(refusing_standby));
+        notes.extend(self.telemetry_ages.problems(Instant::now()));
         let is_old = |at: Option<Instant>| at.unwrap_or(opened).elapsed() > EXPIRY;
         if is_old(arrival(&self.truth)) && is_old(arrival(&self.users)) {
             notes.push(if self.present_controllers().iter().any(|one| one.is_deciding) {

@@ -18,6 +18,7 @@
 //! The limits of [`heliostat_service::http`] hold for every client.
 
 use std::convert::Infallible;
+use std::io::ErrorKind;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -48,7 +49,9 @@ use crate::scene::Plan;
 use crate::token::{self, Gate, Token};
 
 /// Default port of the page.
-pub const DEFAULT_PORT: u16 = 7480;
+const DEFAULT_PORT: u16 = 7480;
+/// Ports that are tried from the default one on.
+const DEFAULT_PORTS: u16 = 100;
 /// Maximum length of an order in bytes.
 const ORDER_MAX: usize = 4096;
 const JSON: &str = "application/json";
@@ -61,12 +64,13 @@ pub struct PageArgs {
     /// Do not serve the page
     #[arg(long)]
     no_ui: bool,
-    /// Port of the page; 0, or a port in use, selects a free one
-    #[arg(long, value_name = "PORT", default_value_t = DEFAULT_PORT)]
-    ui_port: u16,
-    /// Address of the page; with --tls, and on any other than a loopback address, a browser needs
-    /// the token in the URL that is printed
-    #[arg(long, value_name = "ADDRESS", default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST))]
+    /// Port of the page; 0 selects a free one, and one in use is refused. Without this flag 7480, or
+    /// the next free port
+    #[arg(long, value_name = "PORT")]
+    ui_port: Option<u16>,
+    /// IP address of the page, without a port (see --ui-port); with --tls, and on any other than a
+    /// loopback address, a browser needs the token in the URL that is printed
+    #[arg(long, value_name = "ADDRESS", value_parser = ip_address, default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST))]
     ui_listen: IpAddr,
     /// File with the token of the page, made with a random one if absent; without this flag, a random
     /// token at each start where the page requires one
@@ -83,8 +87,8 @@ pub struct PageArgs {
 pub struct Place {
     /// Address at which it listens. On any other than a loopback address it requires a token.
     pub address: IpAddr,
-    /// Port; 0 selects a free one.
-    pub port: u16,
+    /// Port; 0 selects a free one, and `None` the default port or the next free one.
+    pub port: Option<u16>,
     /// File with the token, made if absent; `None` for a random one at each start.
     pub token_file: Option<PathBuf>,
     /// Whether the page requires a token on a loopback address too: with the keys of an operator,
@@ -99,7 +103,7 @@ impl Place {
     pub fn loopback(port: u16) -> Self {
         Self {
             address: IpAddr::V4(Ipv4Addr::LOCALHOST),
-            port,
+            port: Some(port),
             token_file: None,
             authenticated: false,
             public: Vec::new(),
@@ -113,6 +117,30 @@ impl Place {
             None => Token::random().map(Some),
         }
     }
+
+    /// Listens at the port; without one at the default port, or at the next free one.
+    fn listener(&self) -> Result<TcpListener, UiError> {
+        let address = self.address;
+        let bind = |port| TcpListener::bind((address, port));
+        let bound = match self.port {
+            Some(port) => bind(port),
+            None => {
+                let mut ports = DEFAULT_PORT..DEFAULT_PORT + DEFAULT_PORTS;
+                ports.find_map(|port| bind(port).ok()).map_or_else(|| bind(0), Ok)
+            }
+        };
+        bound.map_err(|problem| match (self.port, problem.kind()) {
+            (Some(port), ErrorKind::AddrInUse | ErrorKind::PermissionDenied) => {
+                UiError::PortRefused { at: SocketAddr::new(address, port), problem }
+            }
+            _ => UiError::CannotListen { address, problem },
+        })
+    }
+}
+
+fn ip_address(text: &str) -> Result<IpAddr, String> {
+    text.parse::<IpAddr>()
+        .map_err(|_| "expected an IP address without a port, for example 0.0.0.0; --ui-port has the port".into())
 }
 
 /// The state that all handlers share.
@@ -130,8 +158,8 @@ pub struct Server {
     feed: Arc<Feed>,
     /// An address at which a browser opens the page.
     opened_at: String,
-    /// The requested port, if it was in use and a free one replaced it.
-    replaced: Option<u16>,
+    /// The default port was in use, and another one replaced it.
+    is_replaced: bool,
     token: Option<Arc<Token>>,
     public: Vec<PublicAddress>,
 }
@@ -140,8 +168,7 @@ impl PageArgs {
     /// Serves the page unless the flags forbid it; `authenticated` for a session with keys.
     ///
     /// # Errors
-    /// [`UiError::CannotListen`] if the address does not belong to this machine;
-    /// [`UiError::Token`]; [`UiError::Threads`].
+    /// As [`Server::start`].
     pub fn serve(
         &self,
         authenticated: bool,
@@ -158,17 +185,16 @@ impl PageArgs {
 }
 
 impl Server {
-    /// Serves a page at an address, on the given port, or on a free port if that one is in use.
+    /// Serves a page at an address and a port; without a port at the default one, or at the next free one.
     ///
     /// # Errors
-    /// [`UiError::CannotListen`] if no port is available at the address; [`UiError::Token`];
-    /// [`UiError::Threads`].
+    /// [`UiError::PortRefused`] if the port is in use; [`UiError::CannotListen`] if the address does not belong to
+    /// this machine; [`UiError::Token`]; [`UiError::Threads`].
     pub fn start(page: Page, place: &Place) -> Result<Self, UiError> {
-        let Place { address, port, .. } = *place;
+        let address = place.address;
         let token = place.token()?.map(Arc::new);
+        let listener = place.listener()?;
         let cannot_listen = |problem| UiError::CannotListen { address, problem };
-        let bind = |port| TcpListener::bind((address, port));
-        let listener = bind(port).or_else(|_| bind(0)).map_err(cannot_listen)?;
         let bound = listener.local_addr().map_err(cannot_listen)?.port();
         let stop = Stop::default();
         let floor = Arc::new(FloorMaps::new(Arc::clone(&page.view)));
@@ -182,8 +208,8 @@ impl Server {
         let limits = Limits { body_bytes: ORDER_MAX, ..Limits::default() };
         let served = http::serve("page", listener, router, limits, stop.clone());
         let http = served.inspect_err(|_| stop.request()).map_err(UiError::Threads)?;
-        let replaced = (port != 0 && bound != port).then_some(port);
-        Ok(Self { http, feed, opened_at, replaced, token, public: place.public.clone() })
+        let is_replaced = place.port.is_none() && bound != DEFAULT_PORT;
+        Ok(Self { http, feed, opened_at, is_replaced, token, public: place.public.clone() })
     }
 
     /// Ends the server. Open pages show this sentence, which says that it has ended and why.
@@ -212,14 +238,14 @@ impl Server {
 }
 
 impl std::fmt::Display for Server {
-    /// The URL of the page, the requested port if it was in use, and the public addresses.
+    /// The URL of the page, the default port if it was in use, and the public addresses.
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(formatter, "the page is at {}", self.url())?;
         if self.address().ip().is_unspecified() {
             write!(formatter, " and at each address of this machine")?;
         }
-        if let Some(port) = self.replaced {
-            write!(formatter, " (port {port} is in use)")?;
+        if self.is_replaced {
+            write!(formatter, " (port {DEFAULT_PORT} is in use)")?;
         }
         self.public.iter().try_for_each(|public| write!(formatter, ", through a proxy at {public}{}", self.query()))
     }
@@ -361,4 +387,16 @@ async fn other_method() -> Response {
 
 fn reply(status: StatusCode, media: &'static str, body: impl Into<Body>) -> Response {
     (status, [(CONTENT_TYPE, media)], body.into()).into_response()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_with_a_port_is_refused_with_the_flag_for_the_port() {
+        assert_eq!(ip_address("::1").map(|address| address.is_loopback()), Ok(true));
+        let refused = ip_address("127.0.0.1:7480").expect_err("a port is no part of it");
+        assert!(refused.ends_with("--ui-port has the port"), "{refused}");
+    }
 }

@@ -11,10 +11,11 @@ use std::time::{Duration, Instant};
 use heliostat_bus::{Bus, Presence, Subscription};
 use heliostat_proto::keys::parse_alive;
 use heliostat_proto::{
-    BeliefReport, ChannelReport, Message, NodeKind, NodeStatus, ObstacleReport, Room, RoomGeometry, RoomTruth,
-    SumRates, UserReport, codec,
+    ArrayKeys, BeliefReport, Capabilities, ChannelReport, Message, MirrorTelemetry, NodeKind, NodeStatus,
+    ObstacleReport, Room, RoomGeometry, RoomTruth, SumRates, UserReport, codec,
 };
 use heliostat_scenario::{Scenario, USERS_MAX};
+use heliostat_service::clock::utc_ns;
 
 use crate::UiError;
 use crate::array_reports::ArrayReports;
@@ -25,6 +26,7 @@ use crate::notes::{with_restart, without_router};
 use crate::problems::Problems;
 use crate::shown_room::{AnnouncedController, Announcements, Findings, GeometrySource, RoomChooser, ShownRoom};
 use crate::stop_watch::StopWatch;
+use crate::telemetry_ages::TelemetryAges;
 
 pub use crate::expiry::EXPIRY;
 
@@ -60,6 +62,7 @@ pub(crate) struct Received {
     pub channel: Dated<ChannelReport>,
     pub obstacles: Dated<ObstacleReport>,
     pub arrays: ArrayReports,
+    pub telemetry_ages: TelemetryAges,
     /// Of the controller whose status is displayed.
     pub belief: Dated<BeliefReport>,
     /// The geometry that the simulator announces, as TOML.
@@ -330,6 +333,11 @@ impl Received {
         self.truth = Some((at, truth));
     }
 
+    fn take_telemetry(&mut self, array: usize, telemetry: MirrorTelemetry) {
+        self.telemetry_ages.handle_telemetry(array, telemetry.stamp, (Instant::now(), utc_ns()));
+        self.arrays.note(array, telemetry);
+    }
+
     fn take_belief(&mut self, belief: BeliefReport) {
         let displayed = self.fresh_status(NodeKind::Controller.name());
         if displayed.is_none_or(|status| status.stamp.source == belief.stamp.source) {
@@ -374,8 +382,10 @@ fn subscribe(bus: &Bus, received: &Arc<Mutex<Received>>) -> Result<Vec<Subscript
         store(bus, &room.obstacles(), received, |received, obstacles| {
             received.obstacles = Some((Instant::now(), obstacles))
         })?,
-        store(bus, &room.telemetry(), received, |received, telemetry| received.arrays.note(0, telemetry))?,
+        store(bus, &room.telemetry(), received, |received, telemetry| received.take_telemetry(0, telemetry))?,
         later_arrays(bus, received)?,
+        capabilities(bus, received, &room.array(0))?,
+        capabilities(bus, received, &room.later_arrays())?,
         store(bus, &room.belief(), received, Received::take_belief)?,
         statuses(bus, received)?,
         store(bus, &room.geometry(NodeKind::SimNode), received, |received, geometry: RoomGeometry| {
@@ -406,8 +416,19 @@ fn later_arrays(bus: &Bus, received: &Arc<Mutex<Received>>) -> Result<Subscripti
     Ok(bus.subscribe_keyed(&bus.room().later_arrays().telemetry(), move |key, payload| {
         let (array, _) = room.first_array_key(key);
         match codec::decode(payload) {
-            Ok(telemetry) if array > 0 => lock(&received).arrays.note(array, telemetry),
+            Ok(telemetry) if array > 0 => lock(&received).take_telemetry(array, telemetry),
             _ => lock(&received).unreadable += 1,
+        }
+    })?)
+}
+
+/// Keeps which drivers have a synchronised clock.
+fn capabilities(bus: &Bus, received: &Arc<Mutex<Received>>, keys: &ArrayKeys) -> Result<Subscription, UiError> {
+    let (room, received) = (bus.room().clone(), Arc::clone(received));
+    Ok(bus.subscribe_keyed(&keys.capabilities(), move |key, payload| {
+        if let Ok(capabilities) = codec::decode::<Capabilities>(payload) {
+            let (array, _) = room.first_array_key(key);
+            lock(&received).telemetry_ages.handle_capabilities(array, &capabilities);
         }
     })?)
 }
@@ -437,7 +458,7 @@ fn store<M: Message + 'static>(
 
 #[cfg(test)]
 mod tests {
-    use heliostat_proto::{ArrayState, MirrorTelemetry, Stamp};
+    use heliostat_proto::{ArrayState, Stamp};
 
     use super::*;
 

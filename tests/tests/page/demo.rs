@@ -131,11 +131,14 @@ fn a_page_behind_a_proxy_says_whether_orders_are_accepted() {
 }
 
 #[test]
-fn a_port_in_use_is_replaced_and_reported() {
+fn a_port_that_was_asked_for_and_is_in_use_is_an_error_that_names_it() {
     let in_use = std::net::TcpListener::bind(("127.0.0.1", 0)).expect("a free port");
     let port = in_use.local_addr().expect("bound").port().to_string();
     let demo = Process::heliostat(&["demo", "--plain", "--policy", "flat", "--ui-port", &port]);
-    wait_until("a page on another port", || demo.errors().contains(&format!("(port {port} is in use)")));
+    let ended = demo.wait();
+    let refusal = ended.refusal();
+    assert!(refusal.contains(&format!("the page cannot be served at 127.0.0.1:{port}: ")), "{refusal}");
+    assert!(refusal.contains("another --ui-port"), "{refusal}");
     let none = Process::heliostat(&["demo", "--plain", "--policy", "flat", "--no-ui"]);
     wait_until("a demo without a page", || none.errors().contains("sum rate"));
     assert!(!none.errors().contains("the page is at"), "{}", none.errors());

@@ -1,5 +1,6 @@
 //! What the repository promises without a room in operation: documents, packages, release and rules.
 
+mod alerts;
 mod documentation;
 mod invariants;
 mod release;

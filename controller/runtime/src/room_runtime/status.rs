@@ -2,6 +2,8 @@
 
 mod describe;
 
+use std::time::Duration;
+
 use heliostat_core::{
     core::{Counters, DegradedMode, Stage, clock_time},
     refusal::{Refusal, Stream},
@@ -16,7 +18,9 @@ use crate::report::{
     stage_times::{StageTimes, quantiles_us},
     summary::Summary,
 };
-use describe::{describe_absence, describe_events, describe_foreign_array, describe_left_out, describe_refusal};
+use describe::{
+    describe_absence, describe_events, describe_foreign_array, describe_left_out, describe_refusal, with_pause,
+};
 
 /// What to do about commands without a receiver.
 const DRIVER_ABSENT: &str = "there is no telemetry, and no liveliness token of a driver or simulator; start one, with an endpoint in common with this controller, or restart one that hangs";
@@ -66,6 +70,8 @@ pub struct Reporter {
     stops: String,
     /// Whether the controller ends.
     is_ending: bool,
+    /// The longest recent pause of this process.
+    pause: Option<Duration>,
     /// The newest problem since something kept commands from the mirrors, and what it is about.
     newest: (Subject, String),
 }
@@ -115,6 +121,18 @@ pub enum Problem {
     End(String),
 }
 
+impl Problem {
+    /// The same with another text.
+    fn map(self, change: impl FnOnce(String) -> String) -> Self {
+        match self {
+            Self::Alarm(text) => Self::Alarm(change(text)),
+            Self::Warning(text) => Self::Warning(change(text)),
+            Self::Notice(text) => Self::Notice(change(text)),
+            Self::End(text) => Self::End(change(text)),
+        }
+    }
+}
+
 /// A copy of the counters, taken while the decision loop is locked.
 pub struct Snapshot {
     /// Counters and names.
@@ -142,6 +160,11 @@ impl Reporter {
     /// The controller ends: a successor is expected from now on.
     pub fn end(&mut self) {
         self.is_ending = true;
+    }
+
+    /// The longest recent pause of this process, for the next snapshot.
+    pub fn note_pause(&mut self, pause: Option<Duration>) {
+        self.pause = pause;
     }
 
     /// Copies the counters; the decision loop is locked meanwhile.
@@ -334,7 +357,9 @@ impl Reporter {
         let events = TenureEvent::ALL.map(|event| counters.tenure(event));
         let before = std::mem::replace(&mut self.epoch_events, events);
         let rose = TenureEvent::ALL.into_iter().filter(|event| events[*event as usize] > before[*event as usize]);
-        describe_events(&rose.collect::<Vec<_>>(), tenure, self.is_ending).map(|problem| (Subject::Tenure, problem))
+        let rose: Vec<TenureEvent> = rose.collect();
+        let problem = describe_events(&rose, tenure, self.is_ending)?;
+        Some((Subject::Tenure, with_pause(problem, &rose, self.pause)))
     }
 
     /// A stop that began or ended.

@@ -19,7 +19,8 @@ const OBSERVED: Duration = Duration::from_millis(2300);
 ///
 /// It observes the room for more than two seconds. The exit status is 0 if a controller leads or a calibration
 /// commands the mirrors, position reports arrive here or a controller decides on them, every array follows, each
-/// controller reports, no standby refuses the reports, no stop is in force, the expected light arrives, and the cause of no reported problem recurs; otherwise 1.
+/// controller reports, no standby refuses the reports, no stop is in force, the expected light arrives, telemetry
+/// is at most 50 ms old when it arrives here, and the cause of no reported problem recurs; otherwise 1.
 /// Connect to one process of the room, which passes on the messages of those to which it is connected, or to
 /// their router; with --tls, to each process or to their router. `heliostat ui` shows the same figures continuously; `heliostat doctor` checks a
 /// machine before a run.

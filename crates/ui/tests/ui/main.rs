@@ -1,4 +1,5 @@
-//! The live page and the stop switch from outside.
+//! The live page, the stop switch and the view from outside.
 
 mod page;
 mod stop_switch;
+mod view;

@@ -215,6 +215,18 @@ fn a_page_with_keys_requires_a_token_on_a_loopback_address_too() {
 }
 
 #[test]
+fn a_default_port_in_use_is_replaced_and_one_that_was_asked_for_is_refused() {
+    let [first, second] =
+        ["first", "second"].map(|room| Setting::at(room, &Place { port: None, ..Place::loopback(0) }));
+    assert_ne!(first.address().port(), second.address().port());
+    let shown = second.server.to_string();
+    assert!(shown.ends_with(&format!("http://{}/ (port 7480 is in use)", second.address())), "{shown}");
+    let refused = Setting::start("third", &Place::loopback(first.address().port()));
+    let expected = format!("the page cannot be served at {}: ", first.address());
+    assert!(refused.is_err_and(|error| error.to_string().starts_with(&expected)));
+}
+
+#[test]
 fn a_token_file_guards_a_page_on_any_address() {
     let file = std::env::temp_dir().join(format!("heliostat-token-{}", std::process::id()));
     let start = |text: &str| {

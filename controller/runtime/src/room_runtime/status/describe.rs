@@ -1,10 +1,13 @@
 //! The texts of a controller's status: absent drivers, events of the tenure, refused reports.
 
+use std::time::Duration;
+
 use heliostat_core::{
     refusal::{Found, LastRefusal, LeftOut, Refusal, Stream, TelemetrySizes},
     tenure::{Tenure, TenureEvent},
 };
 use heliostat_proto::{array_keys::array_name, takeover_reason};
+use heliostat_service::duration::in_seconds;
 
 use super::super::decision_loop::DecisionLoop;
 use super::Problem;
@@ -43,6 +46,18 @@ pub(super) fn describe_events(rose: &[TenureEvent], tenure: &Tenure, is_ending: 
         TenureEvent::StoodBy => Problem::Notice(text),
         TenureEvent::TookOver if tenure.has_leader_ended() => Problem::End(text),
         _ => Problem::Warning(text),
+    })
+}
+
+/// The same problem; the takeover of a room, by this controller or from it, with the pause of this process before it.
+pub(super) fn with_pause(problem: Problem, rose: &[TenureEvent], pause: Option<Duration>) -> Problem {
+    let is_takeover = |event: &TenureEvent| matches!(event, TenureEvent::TookOver | TenureEvent::Superseded);
+    let Some(pause) = pause.filter(|_| rose.iter().any(is_takeover)) else { return problem };
+    let pause = in_seconds(pause);
+    problem.map(|text| {
+        format!(
+            "{text}; this process itself stood still for {pause} shortly before: look at the load of its host first"
+        )
     })
 }
 
@@ -205,6 +220,21 @@ mod tests {
         for part in ["takes over", takeover_reason(false, true), LOOK_AFTER_CONTEST] {
             assert!(text.contains(part), "{text}");
         }
+    }
+
+    #[test]
+    fn a_takeover_names_the_pause_of_this_process_before_it_and_another_event_does_not() {
+        use TenureEvent::{LockedOut, Superseded, TookOver};
+        let tenure = Tenure::live(2, INTERVAL);
+        let names_pause = |event: TenureEvent, pause: Option<Duration>| {
+            let problem = describe_events(&[event], &tenure, false).expect("a problem");
+            let (Problem::Alarm(text) | Problem::Warning(text) | Problem::Notice(text) | Problem::End(text)) =
+                with_pause(problem, &[event], pause);
+            text.contains("; this process itself stood still for 0.35 s shortly before: look at the load of its host")
+        };
+        let pause = Some(Duration::from_millis(350));
+        assert_eq!([TookOver, Superseded, LockedOut].map(|event| names_pause(event, pause)), [true, true, false]);
+        assert!(!names_pause(TookOver, None));
     }
 
     #[test]

@@ -1,0 +1,36 @@
+//! The alert rules against their rows in docs/deploy.md.
+
+use std::fs;
+use std::path::Path;
+
+fn read(file: &str) -> String {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(file);
+    fs::read_to_string(&file).unwrap_or_else(|error| panic!("{}: {error}", file.display()))
+}
+
+#[test]
+fn each_alert_has_its_row_in_the_section_that_its_annotation_names() {
+    let (rules, guide) = (read("deploy/prometheus/alerts.yml"), read("docs/deploy.md"));
+    let (_, section) = guide.split_once("\n## Alerts\n").expect("the guide has the section");
+    let section = section.split("\n## ").next().unwrap_or_default();
+    let rows: Vec<Vec<&str>> = section
+        .lines()
+        .filter(|line| line.starts_with("| `Heliostat"))
+        .map(|line| line.split(" | ").collect())
+        .collect();
+    let documented: Vec<&str> = rows.iter().map(|cells| cells[0].trim_matches(['|', ' ', '`'])).collect();
+    let alerts: Vec<(&str, &str)> =
+        rules.split("- alert: ").skip(1).map(|rule| rule.split_once('\n').expect("a rule has several lines")).collect();
+    let named: Vec<&str> = alerts.iter().map(|(name, _)| *name).collect();
+    assert!(named.len() >= 18, "{named:?}");
+    assert_eq!(named, documented, "the rules in deploy/prometheus/alerts.yml, and the rows in docs/deploy.md");
+    for (name, rule) in &alerts {
+        assert!(rule.contains("\n          runbook_url: docs/deploy.md#alerts\n"), "{name} has no runbook_url");
+    }
+    for cells in &rows {
+        assert!(
+            cells.len() == 4 && cells.iter().all(|cell| cell.len() > 3),
+            "expected name, meaning, look at and do: {cells:?}"
+        );
+    }
+}

@@ -4,13 +4,16 @@
 //! only the flags of the guard.
 
 use heliostat_channel::specular::bisector;
-use heliostat_channel::{ChannelModel, MirrorArray, Vec3, los};
+use heliostat_channel::{ChannelModel, Led, MirrorArray, Vec3, los};
 use heliostat_proto::{AxisLimits, Capabilities, NodeKind};
 use heliostat_scenario::{ChannelMode, Scenario};
 use thiserror::Error;
 
 /// Distance between the points of the floor whose reachability is tested, in m.
 const FLOOR_STEP_M: f64 = 0.25;
+
+/// About the largest number of these points: on larger floors they are farther apart.
+const FLOOR_POINTS_MAX: f64 = 10_000.0;
 
 /// Why an array receives no commands.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -67,6 +70,8 @@ pub struct Force {
 #[derive(Clone, Debug)]
 pub struct Examiner {
     model: ChannelModel,
+    /// The LEDs without their extent.
+    leds: Vec<Led>,
     paper: bool,
     force: Force,
     half_floor_m: [f64; 2],
@@ -78,6 +83,7 @@ impl Examiner {
     pub fn new(scenario: &Scenario, model: &ChannelModel, force: Force) -> Self {
         Self {
             model: model.clone(),
+            leds: model.leds.iter().map(|led| Led { side_m: 0.0, points_per_side: 1, ..led.clone() }).collect(),
             paper: scenario.channel.mode != ChannelMode::Specular,
             force,
             half_floor_m: [scenario.room.length_x_m / 2.0, scenario.room.length_y_m / 2.0],
@@ -167,8 +173,8 @@ impl Examiner {
     /// The position of the LED with the largest direct gain at an upright receiver; that of the first one
     /// where none has a gain.
     fn serving_led(&self, place: &Vec3) -> Vec3 {
-        let (mut serving, mut largest) = (self.model.leds[0].position, 0.0);
-        for led in &self.model.leds {
+        let (mut serving, mut largest) = (self.leds[0].position, 0.0);
+        for led in &self.leds {
             let gain = los::combined_gain(led, &self.model.receiver, place).unwrap_or(0.0);
             if gain > largest {
                 (serving, largest) = (led.position, gain);
@@ -179,11 +185,12 @@ impl Examiner {
 
     /// The centres of equal squares that cover the floor, at the height of the receivers.
     fn floor(&self) -> impl Iterator<Item = Vec3> {
-        let middles = |half: f64| {
-            let count = (2.0 * half / FLOOR_STEP_M).round().max(1.0);
+        let [half_x, half_y] = self.half_floor_m;
+        let step_m = (4.0 * half_x * half_y / FLOOR_POINTS_MAX).sqrt().max(FLOOR_STEP_M);
+        let middles = move |half: f64| {
+            let count = (2.0 * half / step_m).round().max(1.0);
             (0..count as usize).map(move |index| 2.0 * half * ((index as f64 + 0.5) / count) - half)
         };
-        let [half_x, half_y] = self.half_floor_m;
         let height = self.receiver_height_m;
         middles(half_x).flat_map(move |x| middles(half_y).map(move |y| Vec3::new(x, y, height)))
     }
@@ -261,6 +268,15 @@ mod tests {
             let place = Vec3::new(x, 0.3, examiner.receiver_height_m);
             assert_eq!(examiner.serving_led(&place).x, led_x, "{x}");
         }
+    }
+
+    #[test]
+    fn the_number_of_points_on_a_large_floor_is_bounded() {
+        let large =
+            Scenario::builtin("specular").unwrap().with_overrides(&["room.length_x_m=200", "room.length_y_m=150"]);
+        let large = large.unwrap();
+        let examiner = Examiner::new(&large, &large.channel_model().unwrap(), Force::default());
+        assert!((9_000..11_000).contains(&examiner.floor().count()));
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 pub mod angle_state;
 pub mod codeword_state;
-mod lead;
+pub(crate) mod lead;
 pub mod observation;
 pub mod observer;
 pub mod selection;

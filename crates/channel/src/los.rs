@@ -55,6 +55,15 @@ pub fn gain(led: &Led, receiver: &Receiver, branch: &Branch, detector: &Vec3) ->
     Ok(front_factor(order, receiver) * receiver.concentrator_gain(branch) * sum / points.len() as f64)
 }
 
+/// The gain of the unblocked line-of-sight path from one LED to an upright receiver: [`gain`] of each branch, combined.
+///
+/// # Errors
+/// As [`gain`].
+pub fn combined_gain(led: &Led, receiver: &Receiver, detector: &Vec3) -> Result<f64, GeometryError> {
+    let gains = receiver.branches.iter().map(|branch| gain(led, receiver, branch, detector));
+    Ok(receiver.combining.combine(&gains.collect::<Result<Vec<f64>, GeometryError>>()?))
+}
+
 /// (n + 1) A_r T_s / (2 pi) in m2: the common factor of the line-of-sight and the specular gain.
 pub(crate) fn front_factor(order: f64, receiver: &Receiver) -> f64 {
     (order + 1.0) * receiver.detector_area_m2 * receiver.filter_gain / (2.0 * PI)

@@ -39,10 +39,10 @@ use anyhow::ensure;
 use indicatif::ProgressBar;
 use serde::{Serialize, Serializer};
 
-use heliostat_core::belief::conditions::{Condition, conditions};
+use heliostat_core::belief::conditions::{Condition, conditions, small_range};
 use heliostat_environment::EnvironmentError;
 use heliostat_environment::exact_states;
-use heliostat_scenario::Scenario;
+use heliostat_scenario::{Actuator, Scenario};
 
 /// The rows of a comparison, and the figures of each episode.
 type Compared = (row::Rows, Vec<EpisodeRow>);
@@ -169,10 +169,14 @@ pub fn compare_under(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<R
     bar.finish_and_clear();
     let names = settings.policies.iter().map(|evaluated| evaluated.name().to_owned());
     let is_closed = settings.mode == Loop::ClosedLoop;
+    let model = scenario.channel_model()?;
     let mut found = if is_closed {
-        conditions(scenario, &scenario.channel_model()?)
+        conditions(scenario, &model)
     } else {
-        exact_states::conditions(scenario, "a static comparison", "choose --closed-loop")
+        // Exact mirrors have the range of the controller alone.
+        let exact = Scenario { actuator: Actuator::default(), ..scenario.clone() };
+        let of_states = exact_states::conditions(scenario, "a static comparison", "choose --closed-loop");
+        of_states.into_iter().chain(small_range(&exact, &model)).collect()
     };
     for (evaluated, row) in settings.policies.iter().zip(&policies) {
         let of_policy = evaluated

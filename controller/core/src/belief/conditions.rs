@@ -1,6 +1,10 @@
 //! Where a method of the belief does not apply to a room, and other conditions that change a result
 //! without an error.
 
+mod range;
+mod upright;
+mod walks;
+
 use std::fmt;
 
 use heliostat_channel::{ChannelModel, Vec3, los};
@@ -35,7 +39,7 @@ impl fmt::Display for Condition {
 
 /// The methods that do not apply to a valid scenario.
 pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
-    let mut found = Vec::new();
+    let mut found: Vec<Condition> = small_range(scenario, model).into_iter().collect();
     let mut add = |applies: bool, method: &str, because: String, consequence: &str| {
         if !applies {
             found.push(Condition { method: method.into(), because, consequence: consequence.into() });
@@ -97,6 +101,9 @@ pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
         "no user of users.mobility or users.mixture is seated".to_owned(),
         "the places have no effect; set users.mobility to \"seated\", or to \"mixture\" with an entry \"seated\" in users.mixture",
     );
+    if let Some((because, consequence)) = upright::counted_upright(scenario, model) {
+        add(false, "the orientation of receivers that users hold", because, consequence);
+    }
     if scenario.control.belief != scenario::Belief::Filter {
         let because = format!("control.belief = \"{}\"", scenario.control.belief);
         add(false, "the filter", because, "headings, tilts and obstacles are not inferred; set it to \"filter\"");
@@ -109,7 +116,6 @@ pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
         "no body or obstacle blocks a forced path, so the gains show headings and obstacles that do not exist, above all with several LEDs; block paths by blockage.bodies and blockage.obstacles_per_m2",
     );
     let is_reported = streams.orientation.is_some();
-    let is_single_open = tilt::is_single_open_detector(model);
     add(
         scenario.blockage.bodies || is_reported,
         "the heading of a standing user by measured gains",
@@ -117,23 +123,10 @@ pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
         "the gains show neither headings nor tilted receivers; report orientations",
     );
     add(
-        is_single_open || is_reported,
+        tilt::is_single_open_detector(model) || is_reported,
         "the tilt of a receiver by measured gains",
         format!("receiver: {}", receiver(model)),
         "an expected gain is that at the mean heading; report orientations, or use one detector that faces up with a field of view of 90 degrees",
-    );
-    add(
-        scenario.users.orientation.is_none()
-            || is_reported
-            || scenario.control.tilt.is_some()
-            || (is_single_open && scenario.blockage.bodies),
-        "the orientation of receivers that users hold",
-        "users.orientation, without streams.orientation and without control.tilt".to_owned(),
-        // The assumed tilt of other receivers has no effect on what their gains show.
-        match is_single_open {
-            true => "every receiver counts as facing up; add the table [control.tilt], or report orientations",
-            false => "every receiver counts as facing up; report orientations",
-        },
     );
     let held = users.orientation.as_ref().filter(|held| !is_reported && held.model == OrientationModel::Measured);
     let because = held.and_then(|held| differing_mean(held, &scenario.control.tilt.unwrap_or_default()));
@@ -186,14 +179,41 @@ pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
         ),
         "receivers near an LED report full_scale_gain, so headings and serving LEDs can be wrong; raise full_scale_gain",
     );
-    let mut models = users.mixture.iter().map(|entry| entry.mobility).chain([users.mobility]);
+    let because = walks::late_heading(scenario);
     add(
-        !models.any(|model| model == MobilityModel::GaussMarkov),
+        because.is_none(),
+        "the heading of a user by the direction of the walk",
+        because.unwrap_or_default(),
+        "on curves bodies and tilted receivers are elsewhere than the belief takes for certain; lower the lag, or the latency",
+    );
+    let because = walks::too_fast(scenario);
+    add(
+        because.is_none(),
+        "the assumed speed of walks",
+        because.unwrap_or_default(),
+        "the belief follows turns late, or takes a fast user for another one; raise control.walk.speed_m_s to the speed in the room",
+    );
+    let because = walks::too_far_ahead(scenario);
+    add(
+        because.is_none(),
+        "the prediction of walks until a command acts",
+        because.unwrap_or_default(),
+        "the ellipses of the belief are too small, and light misses users who stop or turn; raise the rate of the reports, or lower their latency",
+    );
+    add(
+        !walks::models(users).any(|model| model == MobilityModel::GaussMarkov),
         "the hypotheses about walks",
         "users.mobility = \"gauss-markov\"".to_owned(),
         "speed and direction change at every report, and the ellipses of the belief are too small",
     );
     found
+}
+
+/// The condition of a room in which the range of the mirrors leaves a part of the floor without their light.
+pub fn small_range(scenario: &Scenario, model: &ChannelModel) -> Option<Condition> {
+    let because = range::too_small(scenario, model)?;
+    let consequence = "users elsewhere get none; widen the range, or move the mirrors or the LEDs".into();
+    Some(Condition { method: "light by mirrors on all of the floor".into(), because, consequence })
 }
 
 /// The keys by which a command expires before the next position report causes another one.
@@ -237,11 +257,9 @@ fn wider_spread(held: &UserOrientation) -> Option<String> {
 
 /// The largest direct gain of an upright receiver straight below an LED; 0 where none detects it.
 fn largest_direct_gain(scenario: &Scenario, model: &ChannelModel) -> f64 {
-    let receiver = &model.receiver;
     let below = model.leds.iter().map(|led| {
         let detector = Vec3::new(led.position.x, led.position.y, scenario.receiver.height_m);
-        let of_branch = |branch| los::gain(led, receiver, branch, &detector).unwrap_or(0.0);
-        receiver.combining.combine(&receiver.branches.iter().map(of_branch).collect::<Vec<f64>>())
+        los::combined_gain(led, &model.receiver, &detector).unwrap_or(0.0)
     });
     below.fold(0.0, f64::max)
 }
@@ -294,6 +312,10 @@ mod tests {
             ("mismatch.unknown_leds_m=[[1,1,3],[-1,1,3]]", "has 2 LEDs that the controller does not know: their light"),
             ("users.mixture=[{mobility=\"seated\",count=2}]", "users.mobility is another model"),
             ("users.seats_m=[[1,1]]", "no user of users.mobility"),
+            ("control.range_deg=12", "control.range_deg = 12.0, within which mirrors reach"),
+            ("users.heading_lag_s=1", "users.heading_lag_s = 1: 45.0 degrees behind"),
+            ("users.speed_max_m_s=3", "users walk at up to 3.00 m/s"),
+            ("streams.positions.latency_ms=450", "latency_ms = 450: a user is predicted 500 ms ahead"),
         ] {
             let found = of(&[change]);
             assert!(found.len() == 1 && found[0].contains(key), "{change}: {found:?}");
@@ -321,15 +343,17 @@ mod tests {
 
     #[test]
     fn a_command_that_expires_before_the_next_report_is_a_condition() {
-        let slow = "streams.positions.rate_hz=1";
-        let found = of(&[slow]);
+        // A slow user, whose stops move the light little.
+        let slow =
+            |more: &[&str]| of(&[&["streams.positions.rate_hz=1", "users.speed_max_m_s=0.2"][..], more].concat());
+        let found = slow(&[]);
         assert!(found.len() == 1 && found[0].contains("control.validity_ms = 400, and"), "{found:?}");
         assert!(found[0].contains("a command each 1000.0 ms: "), "{found:?}");
-        let repeated = of(&[slow, "control.validity_ms=600", "control.when_silent=last-good"]);
+        let repeated = slow(&["control.validity_ms=600", "control.when_silent=last-good"]);
         assert!(repeated.is_empty(), "{repeated:?}");
-        let long = of(&[slow, "control.validity_ms=1000"]);
+        let long = slow(&["control.validity_ms=1000"]);
         assert!(long.is_empty(), "{long:?}");
-        let without_filter = of(&[slow, "control.belief=none"]);
+        let without_filter = slow(&["control.belief=none"]);
         assert_eq!(without_filter.len(), 2, "{without_filter:?}");
         for name in scenario::BUILTIN_NAMES {
             assert_eq!(gap_between_commands(&Scenario::builtin(name).unwrap()), None, "{name}");

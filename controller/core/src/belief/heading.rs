@@ -126,6 +126,11 @@ impl Heading {
     }
 }
 
+/// Standard deviation in rad of the heading of a fast walk.
+pub(super) fn walk_spread_rad() -> f64 {
+    CONCENTRATION_MAX.sqrt().recip()
+}
+
 /// The unit vectors of all headings.
 pub fn directions() -> [Vec3; HEADINGS] {
     std::array::from_fn(Heading::direction)

@@ -91,15 +91,19 @@ struct Suspect {
 }
 
 impl Occupancy {
-    /// The map of a scenario; `None` where there are no obstacles, or surveys report them.
+    /// Whether a scenario has obstacles that no survey reports.
+    pub fn is_needed(scenario: &Scenario) -> bool {
+        scenario.blockage.obstacles_per_m2 > 0.0 && scenario.streams.obstacles.rate_hz <= 0.0
+    }
+
+    /// The map of a scenario; `None` where none [is needed](Self::is_needed).
     pub fn new(scenario: &Scenario) -> Option<Self> {
-        let blockage = &scenario.blockage;
-        if blockage.obstacles_per_m2 <= 0.0 || scenario.streams.obstacles.rate_hz > 0.0 {
+        if !Self::is_needed(scenario) {
             return None;
         }
         let grid = Grid::new(scenario);
         let cells = grid.len();
-        let mean = (blockage.obstacles_per_m2 * grid.cell_m2()).clamp(BOUNDS[0], BOUNDS[1]);
+        let mean = (scenario.blockage.obstacles_per_m2 * grid.cell_m2()).clamp(BOUNDS[0], BOUNDS[1]);
         Some(Self {
             grid,
             probability: vec![mean; cells],

@@ -4,13 +4,16 @@
 //! only the flags of the guard.
 
 use heliostat_channel::specular::bisector;
-use heliostat_channel::{ChannelModel, Vec3};
+use heliostat_channel::{ChannelModel, Led, MirrorArray, Vec3, los};
 use heliostat_proto::{AxisLimits, Capabilities, NodeKind};
 use heliostat_scenario::{ChannelMode, Scenario};
 use thiserror::Error;
 
 /// Distance between the points of the floor whose reachability is tested, in m.
 const FLOOR_STEP_M: f64 = 0.25;
+
+/// About the largest number of these points: on larger floors they are farther apart.
+const FLOOR_POINTS_MAX: f64 = 10_000.0;
 
 /// Why an array receives no commands.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -67,6 +70,8 @@ pub struct Force {
 #[derive(Clone, Debug)]
 pub struct Examiner {
     model: ChannelModel,
+    /// The LEDs without their extent.
+    leds: Vec<Led>,
     paper: bool,
     force: Force,
     half_floor_m: [f64; 2],
@@ -78,6 +83,7 @@ impl Examiner {
     pub fn new(scenario: &Scenario, model: &ChannelModel, force: Force) -> Self {
         Self {
             model: model.clone(),
+            leds: model.leds.iter().map(|led| Led { side_m: 0.0, points_per_side: 1, ..led.clone() }).collect(),
             paper: scenario.channel.mode != ChannelMode::Specular,
             force,
             half_floor_m: [scenario.room.length_x_m / 2.0, scenario.room.length_y_m / 2.0],
@@ -129,23 +135,15 @@ impl Examiner {
     /// Shares of the floor that at least one mirror of an array can light, and of all pairs of its
     /// mirrors and a floor point.
     ///
-    /// A mirror reaches a point if the bisector of the directions to the first LED and to the point
-    /// is within its range.
+    /// A mirror reaches a point if the bisector of the directions to the point and to the LED that
+    /// serves it is within its range.
     pub fn reach(&self, index: usize, roll: &AxisLimits, yaw: &AxisLimits) -> (f64, f64) {
-        let within = |angle: f64, axis: &AxisLimits| {
-            (f64::from(axis.min_rad) - 1e-6..=f64::from(axis.max_rad) + 1e-6).contains(&angle)
-        };
         let mirrors = &self.model.mirrors.arrays()[index];
-        let led = self.model.leds[0].position;
         let (mut places, mut lit, mut pairs) = (0.0, 0.0, 0.0);
         for place in self.floor() {
-            let reaches = |mirror: &&Vec3| {
-                bisector(mirror, &led, &place).is_some_and(|normal| {
-                    let angles = mirrors.angles_of(&normal);
-                    within(angles.0, roll) && within(angles.1, yaw)
-                })
-            };
-            let reaching = mirrors.positions().iter().filter(reaches).count() as f64;
+            let led = self.serving_led(&place);
+            let is_reaching = |mirror: &&Vec3| reaches(mirrors, mirror, [&led, &place], [roll, yaw]);
+            let reaching = mirrors.positions().iter().filter(is_reaching).count() as f64;
             places += 1.0;
             lit += f64::from(u8::from(reaching > 0.0));
             pairs += reaching / mirrors.len() as f64;
@@ -153,16 +151,61 @@ impl Examiner {
         (lit / places, pairs / places)
     }
 
+    /// Share of the floor that at least one mirror of all arrays can light, where both axes turn by this
+    /// angle in rad, plus and minus.
+    pub fn reach_of_all(&self, range_rad: f64) -> f64 {
+        let axis = AxisLimits { min_rad: -range_rad as f32, max_rad: range_rad as f32, ..AxisLimits::default() };
+        let is_lit = |place: &Vec3| {
+            let led = self.serving_led(place);
+            let is_reached = |array: &MirrorArray| {
+                array.positions().iter().any(|mirror| reaches(array, mirror, [&led, place], [&axis; 2]))
+            };
+            self.model.mirrors.arrays().iter().any(is_reached)
+        };
+        let (mut places, mut lit) = (0.0, 0.0);
+        for place in self.floor() {
+            places += 1.0;
+            lit += f64::from(u8::from(is_lit(&place)));
+        }
+        lit / places
+    }
+
+    /// The position of the LED with the largest direct gain at an upright receiver; that of the first one
+    /// where none has a gain.
+    fn serving_led(&self, place: &Vec3) -> Vec3 {
+        let (mut serving, mut largest) = (self.leds[0].position, 0.0);
+        for led in &self.leds {
+            let gain = los::combined_gain(led, &self.model.receiver, place).unwrap_or(0.0);
+            if gain > largest {
+                (serving, largest) = (led.position, gain);
+            }
+        }
+        serving
+    }
+
     /// The centres of equal squares that cover the floor, at the height of the receivers.
     fn floor(&self) -> impl Iterator<Item = Vec3> {
-        let middles = |half: f64| {
-            let count = (2.0 * half / FLOOR_STEP_M).round().max(1.0);
+        let [half_x, half_y] = self.half_floor_m;
+        let step_m = (4.0 * half_x * half_y / FLOOR_POINTS_MAX).sqrt().max(FLOOR_STEP_M);
+        let middles = move |half: f64| {
+            let count = (2.0 * half / step_m).round().max(1.0);
             (0..count as usize).map(move |index| 2.0 * half * ((index as f64 + 0.5) / count) - half)
         };
-        let [half_x, half_y] = self.half_floor_m;
         let height = self.receiver_height_m;
         middles(half_x).flat_map(move |x| middles(half_y).map(move |y| Vec3::new(x, y, height)))
     }
+}
+
+/// Whether a mirror of an array can turn light from the first point to the second one within these limits
+/// of roll and yaw.
+fn reaches(array: &MirrorArray, mirror: &Vec3, [led, place]: [&Vec3; 2], [roll, yaw]: [&AxisLimits; 2]) -> bool {
+    let within = |angle: f64, axis: &AxisLimits| {
+        (f64::from(axis.min_rad) - 1e-6..=f64::from(axis.max_rad) + 1e-6).contains(&angle)
+    };
+    bisector(mirror, led, place).is_some_and(|normal| {
+        let angles = array.angles_of(&normal);
+        within(angles.0, roll) && within(angles.1, yaw)
+    })
 }
 
 #[cfg(test)]
@@ -208,6 +251,32 @@ mod tests {
             let (_, pairs) = examiner.reach(0, &array.roll, &array.yaw);
             assert!((pairs - expected).abs() < 0.03, "{range_deg} degrees: {pairs}");
         }
+    }
+
+    /// The nearest of the LEDs of the corridor serves a user below it, by mirrors that turn far to the side.
+    #[test]
+    fn the_reach_in_a_room_with_several_leds_is_that_of_the_led_that_serves_each_place() {
+        let examiner = examiner("corridor", Force::default());
+        for (range_deg, reached) in [(60.0, false), (90.0, true)] {
+            let array = array(10, 10, range_deg);
+            let (floor, _) = examiner.reach(0, &array.roll, &array.yaw);
+            assert_eq!(floor, examiner.reach_of_all(f64::from(range_deg).to_radians()), "one array is all of them");
+            assert_eq!(floor == 1.0, reached, "{range_deg} degrees: {floor}");
+        }
+        let places = [(5.0, 4.0), (-1.0, 0.0), (-3.0, -4.0)];
+        for (x, led_x) in places {
+            let place = Vec3::new(x, 0.3, examiner.receiver_height_m);
+            assert_eq!(examiner.serving_led(&place).x, led_x, "{x}");
+        }
+    }
+
+    #[test]
+    fn the_number_of_points_on_a_large_floor_is_bounded() {
+        let large =
+            Scenario::builtin("specular").unwrap().with_overrides(&["room.length_x_m=200", "room.length_y_m=150"]);
+        let large = large.unwrap();
+        let examiner = Examiner::new(&large, &large.channel_model().unwrap(), Force::default());
+        assert!((9_000..11_000).contains(&examiner.floor().count()));
     }
 
     #[test]

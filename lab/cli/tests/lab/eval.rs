@@ -485,3 +485,12 @@ fn conditions_that_change_a_figure_are_printed_and_are_in_each_form() {
     }
     assert!(text.lines().next().is_some_and(|header| header.ends_with(",conditions")), "{text}");
 }
+
+#[test]
+fn a_range_that_leaves_places_without_light_is_a_condition_of_exact_states_too() {
+    let few = ["--scenario", "specular", "--policies", "flat", "--states", "2", "--seeds", "1"];
+    let found = report(&[&few[..], &["--set", "control.range_deg=12"]].concat());
+    let because = found["conditions"][0]["because"].as_str().expect("a condition");
+    assert!(because.starts_with("control.range_deg = 12.0, within which mirrors reach 91 % of the floor"), "{found}");
+    assert_eq!(report(&few)["conditions"].as_array().map(Vec::len), Some(0));
+}

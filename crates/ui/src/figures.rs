@@ -18,10 +18,11 @@ use heliostat_service::printable::printable;
 use serde::Serialize;
 
 use crate::View;
+use crate::causes::{folded, follows_from, follows_from_stop, of_stopped, without_figures};
 use crate::controllers::{ControllerFigures, controller_name};
 use crate::in_charge::InCharge;
 use crate::latency::Histogram;
-use crate::notes::{follows_from, follows_from_stop, is_of_standby, of_stopped, without_figures};
+use crate::notes::is_of_standby;
 use crate::scene::unusable_mirrors;
 use crate::shown_room::Findings;
 use crate::view::{EXPIRY, Received};
@@ -178,7 +179,7 @@ pub struct Figures {
     pub calibration: Option<String>,
     /// The hash of the drawn geometry, as in the plan: another one needs another plan.
     pub geometry: String,
-    /// What is wrong in the room and lasts, with what to do.
+    /// What is wrong in the room and lasts, with what to do and what follows from it.
     pub notes: Vec<String>,
     /// What differs in the room without a fault.
     pub remarks: Vec<String>,
@@ -244,7 +245,7 @@ impl View {
             light: last_controller.map(ServedLight::all_of).unwrap_or_default(),
             calibration: controller.and_then(CalibrationProgress::of).map(|progress| progress.to_string()),
             geometry,
-            notes,
+            notes: folded(notes),
             remarks,
         }
     }

@@ -150,6 +150,7 @@ const RESTART_CONTROLLER: &str = "no controller commands the mirrors: press rest
 pub(crate) const UNSEEN_REPORTS: &str = "no position reports reach this viewer, but the controller decides on them";
 /// The note about commands that reach the array from a controller that this process does not see.
 pub(crate) const UNSEEN_CONTROLLER: &str = "a controller or a calibration commands the mirrors, but its messages do not reach this viewer: connect to it, or to the router of the room, too";
+
 /// These notes beside a page that can restart the controller: its button is the advice.
 pub(crate) fn with_restart(notes: Vec<String>) -> Vec<String> {
     let replaced = |note: String| if note == NO_CONTROLLER { RESTART_CONTROLLER.to_owned() } else { note };

@@ -3,16 +3,16 @@
 //! Callbacks decode and store; the readers compute. A message older than [`EXPIRY`] counts as
 //! absent.
 
+mod subscriptions;
+
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use heliostat_bus::{Bus, Presence, Subscription};
-use heliostat_proto::keys::parse_alive;
 use heliostat_proto::{
-    BeliefReport, ChannelReport, Message, NodeKind, NodeStatus, ObstacleReport, Room, RoomGeometry, RoomTruth,
-    SumRates, UserReport, codec,
+    BeliefReport, ChannelReport, NodeKind, NodeStatus, ObstacleReport, RoomGeometry, RoomTruth, SumRates, UserReport,
 };
 use heliostat_scenario::{Scenario, USERS_MAX};
 
@@ -25,6 +25,7 @@ use crate::notes::{with_restart, without_router};
 use crate::problems::Problems;
 use crate::shown_room::{AnnouncedController, Announcements, Findings, GeometrySource, RoomChooser, ShownRoom};
 use crate::stop_watch::StopWatch;
+use subscriptions::subscribe;
 
 pub use crate::expiry::EXPIRY;
 
@@ -360,79 +361,10 @@ fn lock(received: &Mutex<Received>) -> MutexGuard<'_, Received> {
     received.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-fn subscribe(bus: &Bus, received: &Arc<Mutex<Received>>) -> Result<Vec<Subscription>, UiError> {
-    let room: &Room = bus.room();
-    let on_alive = Arc::clone(received);
-    let alive = bus.watch(&room.all_alive(), move |key, presence| {
-        let Some((node, source)) = parse_alive(key) else { return };
-        lock(&on_alive).take_presence((node.name(), source), presence);
-    })?;
-    Ok(vec![
-        store(bus, &room.truth(), received, Received::take_truth)?,
-        store(bus, &room.users(), received, |received, users| received.users = Some((Instant::now(), users)))?,
-        store(bus, &room.channel(), received, |received, channel| received.channel = Some((Instant::now(), channel)))?,
-        store(bus, &room.obstacles(), received, |received, obstacles| {
-            received.obstacles = Some((Instant::now(), obstacles))
-        })?,
-        store(bus, &room.telemetry(), received, |received, telemetry| received.arrays.note(0, telemetry))?,
-        later_arrays(bus, received)?,
-        store(bus, &room.belief(), received, Received::take_belief)?,
-        statuses(bus, received)?,
-        store(bus, &room.geometry(NodeKind::SimNode), received, |received, geometry: RoomGeometry| {
-            keep_text(&mut received.room_geometry, geometry.scenario)
-        })?,
-        store(bus, &room.geometry(NodeKind::Controller), received, Received::take_controller_geometry)?,
-        alive,
-    ])
-}
-
-/// Keeps the status of each process.
-fn statuses(bus: &Bus, received: &Arc<Mutex<Received>>) -> Result<Subscription, UiError> {
-    let (room, received) = (bus.room().clone(), Arc::clone(received));
-    Ok(bus.subscribe_keyed(&bus.room().all_status(), move |key, payload| {
-        match codec::decode::<NodeStatus>(payload) {
-            Ok(status) => {
-                let driven = room.driver_array(key).filter(|_| status.node == NodeKind::Driver);
-                lock(&received).take_status(driven.unwrap_or(0), status);
-            }
-            Err(_) => lock(&received).unreadable += 1,
-        }
-    })?)
-}
-
-/// Keeps the telemetry of the arrays after the first.
-fn later_arrays(bus: &Bus, received: &Arc<Mutex<Received>>) -> Result<Subscription, UiError> {
-    let (room, received) = (bus.room().clone(), Arc::clone(received));
-    Ok(bus.subscribe_keyed(&bus.room().later_arrays().telemetry(), move |key, payload| {
-        let (array, _) = room.first_array_key(key);
-        match codec::decode(payload) {
-            Ok(telemetry) if array > 0 => lock(&received).arrays.note(array, telemetry),
-            _ => lock(&received).unreadable += 1,
-        }
-    })?)
-}
-
 /// Keeps an announcement; an unchanged text keeps its memory.
 fn keep_text(kept: &mut Dated<Arc<str>>, text: String) {
     let known = kept.take().map(|(_, known)| known).filter(|known| **known == *text);
     *kept = Some((Instant::now(), known.unwrap_or_else(|| text.into())));
-}
-
-fn store<M: Message + 'static>(
-    bus: &Bus,
-    key: &str,
-    received: &Arc<Mutex<Received>>,
-    take: fn(&mut Received, M),
-) -> Result<Subscription, UiError> {
-    let received = Arc::clone(received);
-    Ok(bus.subscribe(key, move |payload| {
-        let decoded = codec::decode::<M>(payload);
-        let mut received = lock(&received);
-        match decoded {
-            Ok(message) => take(&mut received, message),
-            Err(_) => received.unreadable += 1,
-        }
-    })?)
 }
 
 #[cfg(test)]

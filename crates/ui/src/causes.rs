@@ -128,10 +128,17 @@ pub(crate) fn without_figures(text: &str) -> String {
     kept
 }
 
-/// The notes that are not among the others; one whose figures or consequences alone differ is the same.
+/// Whether a line of a cause has this problem as a consequence.
+fn has_consequence(line: &str, problem: &str) -> bool {
+    let fault = problem.split(": ").next().unwrap_or_default();
+    line.split_once(CONSEQUENCES).is_some_and(|(_, all)| all.split(", ").any(|one| one == fault))
+}
+
+/// The notes that are neither among the others nor consequences of one of them; one whose figures or consequences alone
+/// differ is the same.
 pub(crate) fn not_in<'a>(notes: &'a [String], others: &[String]) -> Vec<&'a String> {
     let cause = |note: &str| without_figures(note.split(CONSEQUENCES).next().unwrap_or_default());
-    let is_other = |note: &str| others.iter().any(|other| cause(other) == cause(note));
+    let is_other = |note: &str| others.iter().any(|other| cause(other) == cause(note) || has_consequence(other, note));
     notes.iter().filter(|note| !is_other(note)).collect()
 }
 
@@ -144,13 +151,14 @@ mod tests {
         let silent = format!("{NOT_FOLLOWING}: no telemetry");
         let reports = format!("{NO_REPORTS}: start the tracker");
         let driver = format!("{NO_DRIVER}: start a driver");
-        let problems = |cause: &str| [&reports, cause, &silent, "another", &driver].map(str::to_owned).to_vec();
+        let problems = |cause: &str| [reports.as_str(), cause, &silent, "another", &driver].map(str::to_owned).to_vec();
         let line = format!("{OTHERS_MISSING}; it causes: {NO_REPORTS}, {NOT_FOLLOWING}, {NO_DRIVER}");
         assert_eq!(folded(problems(OTHERS_MISSING)), [line.clone(), "another".to_owned()]);
         // The notes of a viewer are folded before its other problems come to them.
         let of_viewer = format!("{OTHERS_MISSING}; it causes: {NO_DRIVER}");
         assert_eq!(folded(vec![reports, of_viewer.clone()]), [format!("{of_viewer}, {NO_REPORTS}")]);
         assert_eq!(not_in(std::slice::from_ref(&line), &[of_viewer]), [""; 0], "the same note");
+        assert_eq!(not_in(&[driver, "another".to_owned()], &[line]), ["another"], "it is not over");
     }
 
     #[test]

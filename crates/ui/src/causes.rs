@@ -8,6 +8,8 @@ pub(crate) const OTHERS_MISSING: &str = "no array, no tracker and no other contr
 pub(crate) const NO_DRIVER: &str = "no driver receives the commands";
 /// Beginning of the note about absent position reports, of a viewer that stays open.
 pub(crate) const NO_POSITIONS: &str = "no process reports the positions of users";
+/// Beginning of the same note about a simulated room, whose positions and array are of one process.
+pub(crate) const NO_SIMULATED_POSITIONS: &str = "the simulator reports no positions of users";
 /// Beginning of the same problem, of a viewer that counts the reports.
 pub(crate) const NO_REPORTS: &str = "no position reports";
 /// Beginning of the problem of an array that does not follow; its state comes behind a colon.
@@ -30,10 +32,11 @@ fn causes(cause: &str, text: &str) -> bool {
     let is_silent = state.is_some_and(|state| state.contains("no telemetry"));
     let begins_with = |starts: &[&str]| starts.iter().any(|start| text.starts_with(start));
     if cause.starts_with(OTHERS_MISSING) {
-        return is_silent || begins_with(&[NO_DRIVER, NO_POSITIONS, NO_REPORTS]);
+        return is_silent || begins_with(&[NO_DRIVER, NO_POSITIONS, NO_SIMULATED_POSITIONS, NO_REPORTS]);
     }
-    if cause.starts_with(NO_DRIVER) {
-        return is_silent || text == UNKNOWN_LEADER;
+    if let Some(which) = cause.strip_prefix(NO_DRIVER) {
+        let is_of_all = which.starts_with(": ");
+        return is_silent || text == UNKNOWN_LEADER || (is_of_all && begins_with(&[NO_SIMULATED_POSITIONS]));
     }
     let is_uncommanding = [NO_REPORTS, NO_CONTROLLER_SEEN, ALL_STAND_BY].iter().any(|start| cause.starts_with(start));
     is_uncommanding && state.is_some_and(|state| UNCOMMANDED.contains(&state))
@@ -168,6 +171,12 @@ mod tests {
         let expected = format!("{absent}; it causes: {NOT_FOLLOWING}, no controller leads");
         let silent = state("following, no telemetry of mirrors-1");
         assert_eq!(folded(vec![silent.clone(), UNKNOWN_LEADER.to_owned(), absent]), [expected]);
+        let simulator = format!("{NO_SIMULATED_POSITIONS}: start it");
+        let lines = |driver: &str| folded(vec![driver.to_owned(), simulator.clone()]);
+        let all = format!("{NO_DRIVER}: start a driver or a simulator");
+        assert_eq!(lines(&all), [format!("{all}; it causes: {NO_SIMULATED_POSITIONS}")]);
+        let one = format!("{NO_DRIVER} to mirrors-1: start its driver");
+        assert_eq!(lines(&one), [one.as_str(), &simulator], "the simulator has another array");
         for cause in [NO_REPORTS, NO_CONTROLLER_SEEN, ALL_STAND_BY] {
             let lines = |state: &str| folded(vec![cause.to_owned(), state.to_owned()]);
             for uncommanded in UNCOMMANDED {

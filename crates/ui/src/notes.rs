@@ -7,7 +7,7 @@ use heliostat_proto::gauges::ServedLight;
 use heliostat_proto::{NodeKind, NodeStatus};
 use heliostat_service::printable::printable;
 
-use crate::causes::{NO_DRIVER, NO_POSITIONS, OTHERS_MISSING, TWO_DRIVERS, causes_first};
+use crate::causes::{NO_DRIVER, NO_POSITIONS, NO_SIMULATED_POSITIONS, OTHERS_MISSING, TWO_DRIVERS, causes_first};
 use crate::controllers::{ControllerFigures, Role, refusal_of};
 use crate::error::CHECK_REACH;
 use crate::view::{Dated, EXPIRY, Received};
@@ -42,8 +42,10 @@ impl Received {
         if is_old(arrival(&self.truth)) && is_old(arrival(&self.users)) {
             notes.push(if self.present_controllers().iter().any(|one| one.is_deciding) {
                 format!("{UNSEEN_REPORTS}: connect to the tracker, or to the router of the room, too")
+            } else if self.is_simulated() {
+                format!("{NO_SIMULATED_POSITIONS}: start it{AGAIN}")
             } else {
-                let again = if self.truth.is_some() || self.users.is_some() { AGAIN } else { "" };
+                let again = if self.users.is_some() { AGAIN } else { "" };
                 format!("{NO_POSITIONS}: start the tracker or the simulator{again}")
             });
         }
@@ -209,7 +211,7 @@ mod tests {
     use std::time::Duration;
 
     use heliostat_bus::Presence;
-    use heliostat_proto::{Counters, MirrorTelemetry, Stamp, UserReport};
+    use heliostat_proto::{Counters, MirrorTelemetry, RoomTruth, Stamp, UserReport};
 
     use super::*;
     use crate::causes::{causes_and_others, follows_from};
@@ -338,6 +340,11 @@ mod tests {
         assert_eq!(received.notes(1, ago(60)), [start]);
         received.users = Some((ago(60), UserReport::default()));
         assert_eq!(received.notes(1, ago(60)), [format!("{start}{AGAIN}")]);
+        received.truth = Some((ago(60), RoomTruth::default()));
+        let of_simulator = format!("{NO_SIMULATED_POSITIONS}: start it{AGAIN}");
+        assert_eq!(received.notes(1, ago(60)), [of_simulator.as_str()], "both came from one process");
+        received.truth = Some((ago(70), RoomTruth::default()));
+        assert_eq!(received.notes(1, ago(60)), [format!("{start}{AGAIN}")], "a tracker came after the simulator");
     }
 
     #[test]

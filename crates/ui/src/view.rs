@@ -217,10 +217,15 @@ impl Received {
     /// has fallen silent is none.
     pub fn measured_users(&self) -> Option<&UserReport> {
         let (at, users) = self.users.as_ref().filter(|(at, _)| at.elapsed() < EXPIRY)?;
-        let is_measured = |(of_truth, _): &(Instant, RoomTruth)| {
-            of_truth.elapsed() >= EXPIRY && at.saturating_duration_since(*of_truth) >= MEASURED_AFTER
-        };
+        let is_measured =
+            |(of_truth, _): &(Instant, RoomTruth)| of_truth.elapsed() >= EXPIRY && is_after(*of_truth, *at);
         self.truth.as_ref().is_none_or(is_measured).then_some(users)
+    }
+
+    /// Whether the last positions, of any age, are those of a simulated room.
+    pub fn is_simulated(&self) -> bool {
+        let is_later = |of_truth| self.users.as_ref().is_some_and(|(at, _)| is_after(of_truth, *at));
+        self.truth.as_ref().is_some_and(|(of_truth, _)| !is_later(*of_truth))
     }
 
     /// Whether a recent message has the positions of the users.
@@ -354,6 +359,11 @@ impl Received {
         }
         self.statuses.insert(name, (Instant::now(), status));
     }
+}
+
+/// Whether a report of users is that of a tracker, by the arrivals of the last truth and of the report.
+fn is_after(of_truth: Instant, of_users: Instant) -> bool {
+    of_users.saturating_duration_since(of_truth) >= MEASURED_AFTER
 }
 
 fn lock(received: &Mutex<Received>) -> MutexGuard<'_, Received> {

@@ -1,4 +1,4 @@
-//! Gauges in the status of a controller that other processes read by their names.
+//! Gauges in the status of a controller or a simulated room that other processes read by their names.
 
 use std::fmt;
 
@@ -120,6 +120,36 @@ impl fmt::Display for ServedLight {
     }
 }
 
+/// The rate of a user with the angles of the oracle, which a simulated room computes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OracleRate {
+    /// Number of the user.
+    pub user: u32,
+    /// Rate in Mbit/s.
+    pub mbps: f64,
+}
+
+impl OracleRate {
+    /// Beginning and end of the name of the gauge.
+    const NAME: [&'static str; 2] = ["oracle:", ":rate_mbps"];
+
+    /// Name and value of the gauge.
+    pub fn gauge(&self) -> (String, f64) {
+        let [start, end] = Self::NAME;
+        (format!("{start}{}{end}", self.user), self.mbps)
+    }
+
+    /// The rates of all users in a status.
+    pub fn all_of(status: &NodeStatus) -> Vec<Self> {
+        let [start, end] = Self::NAME;
+        let of = |(name, mbps): &(String, f64)| {
+            let user = name.strip_prefix(start)?.strip_suffix(end)?.parse().ok()?;
+            Some(Self { user, mbps: *mbps })
+        };
+        status.gauges.iter().filter_map(of).collect()
+    }
+}
+
 /// How far a calibration is that commands a room in place of a controller.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CalibrationProgress {
@@ -227,6 +257,14 @@ mod tests {
         let all = vec![light("mirrors", 0.6, Some(12.0)), light("led-0", 1.0, None)];
         let gauges = all.iter().flat_map(ServedLight::gauges).collect();
         assert_eq!(ServedLight::all_of(&NodeStatus { gauges, ..NodeStatus::default() }), all);
+    }
+
+    #[test]
+    fn the_rates_of_the_oracle_are_read_from_the_gauges_that_it_wrote() {
+        let all = vec![OracleRate { user: 0, mbps: 12.5 }, OracleRate { user: 41, mbps: 0.0 }];
+        let mut gauges: Vec<_> = all.iter().map(OracleRate::gauge).collect();
+        gauges.push(("oracle_mbps".to_owned(), 12.5));
+        assert_eq!(OracleRate::all_of(&NodeStatus { gauges, ..NodeStatus::default() }), all);
     }
 
     #[test]

@@ -367,13 +367,13 @@ impl Player {
 
 impl fmt::Display for Playback {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(formatter, "reports played {}, answered {}", self.reports, self.answered)?;
         if self.clock == Clock::Lockstep {
-            write!(formatter, "; answers as recorded {}, different {}", self.same, self.different)?;
+            writeln!(formatter, "answers as recorded {}, different {}", self.same, self.different)?;
         }
         if let Some(found) = &self.first_difference {
-            write!(formatter, "\nfirst difference: {found}")?;
+            writeln!(formatter, "first difference: {found}")?;
         }
+        write!(formatter, "reports played {}, answered {}", self.reports, self.answered)?;
         if self.was_cut {
             write!(formatter, "\nthe recording was cut: later messages are missing")?;
         }

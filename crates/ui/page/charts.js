@@ -5,6 +5,8 @@ const SPAN_S = 90;
 const KEEP_EVERY_S = 0.2;
 // A longer time without figures is a gap in the lines.
 const GAP_S = 2;
+// Height of the line with the earlier policies, and the distance to the plot.
+const EARLIER_PX = 18;
 const FONT = "11px system-ui, sans-serif";
 const SMALL_FONT = "9px system-ui, sans-serif";
 
@@ -53,7 +55,7 @@ export class Charts {
     this.past = plan.history.map(([time_s, sample]) => ({ time_s, ...sample }));
     this.followed = { name: "", idle: true };
     this.stretches = [];
-    // The legend of the line's earlier colours. It lies over the chart, which keeps its size.
+    // The legend of the line's earlier colours, above the lines of the chart, which keeps its size.
     this.earlier = Object.assign(document.createElement("p"), { className: "earlier", hidden: true });
     this.sum.append(this.earlier);
     this.redraw = new RedrawLimiter(500);
@@ -141,7 +143,10 @@ export class Charts {
   showEarlier() {
     const earlier = new Map(this.stretches.map((stretch) => [nameOf(stretch), this.colourOf(stretch)]));
     earlier.delete(nameOf(this.followed));
+    const wasHidden = this.earlier.hidden;
     this.earlier.hidden = earlier.size === 0;
+    // The plot computes its padding again.
+    if (this.earlier.hidden !== wasHidden) this.sumPlot?.redraw(false, true);
     this.earlier.replaceChildren("earlier: ", ...[...earlier].map(([name, colour]) => {
       const mark = Object.assign(document.createElement("span"), { textContent: name });
       mark.style.setProperty("--swatch", colour);
@@ -210,6 +215,7 @@ export class Charts {
       return [`${(-x).toFixed(0)} s ago`, ...(shown.length ? shown : ["no figures"])].join(" · ");
     };
     this.sumPlot = this.plot(this.sum, {
+      padding: [() => (this.earlier.hidden ? 4 : EARLIER_PX), 6, 0, 0],
       scales: { x: { time: false, range: [-SPAN_S, 0] }, y: this.fromZero() },
       series: [{}, ...lines.map(([key, , , dash, width], line) => ({
         stroke: (plot) => (key === "policy" ? this.strokeOf(plot) : this.lines()[lines.length - 1 - line][2]), dash, width, points: { show: false },

@@ -83,7 +83,7 @@ export function users(now, shown, frame, outages) {
 function newRow(user) {
   const row = document.createElement("tr");
   row.dataset.user = user;
-  row.innerHTML = '<td><span class="swatch"></span><span></span></td><td></td><td class="number"></td>' +
+  row.innerHTML = '<td><span class="swatch"></span><span></span></td><td></td><td class="number"><span></span><small></small></td>' +
     '<td class="number"></td><td class="number"></td><td><div class="bar"><i></i><b></b></div></td>';
   row.querySelector(".swatch").style.background = userColour(user);
   row.querySelector(".bar i").style.background = userColour(user);
@@ -96,7 +96,11 @@ function fill(row, user, largest) {
   const below = rate !== null && rate < user.min_rate_mbps;
   setText(name.lastChild, String(user.user));
   setText(path, user.blocked === null ? "unknown" : user.forced ? "by order" : user.blocked ? "blocked" : "clear");
-  setText(figure, rate === null ? "unknown" : rate.toFixed(rate < 100 ? 2 : 1));
+  const [known, possible] = figure.children;
+  setText(known, rate === null ? "unknown" : rate.toFixed(rate < 100 ? 2 : 1));
+  const oracle = rate === null ? null : user.oracle_mbps ?? null;
+  setText(possible, oracle === null ? "" : ` of ${oracle.toFixed(oracle < 100 ? 1 : 0)}`);
+  setTitle(figure, oracle === null ? "" : `The oracle gives this user ${oracle.toFixed(2)} Mbit/s.`);
   setClass(figure, below ? "number bad" : "number");
   setText(minimum, `${below ? "below " : ""}${user.min_rate_mbps.toFixed(1)}`);
   setTitle(minimum, below ? "The rate is below the minimum rate." : "");

@@ -7,10 +7,10 @@ use heliostat_proto::takeover_reason;
 use heliostat_service::clock::utc_ns;
 use serde::Serialize;
 
+use crate::causes::{follows_from_stop, not_in, without_figures};
 use crate::controllers::{ControllerFigures, Role};
 use crate::expiry::EXPIRY;
 use crate::figures::{Figures, GONE, Origin};
-use crate::notes::{follows_from_stop, not_in, without_figures};
 use crate::order_log::OrderFigures;
 use crate::stop_state::{StopFigure, StopFigures, StopPhase};
 

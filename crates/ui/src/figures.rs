@@ -5,6 +5,7 @@
 //! and measured gains: rates are then computed from the measured SINR, and there are no references.
 
 mod counts;
+mod rates;
 
 use std::time::Instant;
 
@@ -17,14 +18,18 @@ use heliostat_service::printable::printable;
 use serde::Serialize;
 
 use crate::View;
+use crate::causes::{folded, follows_from, follows_from_stop, of_stopped, without_figures};
 use crate::controllers::{ControllerFigures, controller_name};
 use crate::in_charge::InCharge;
 use crate::latency::Histogram;
-use crate::notes::{follows_from, follows_from_stop, is_of_standby, of_stopped, without_figures};
+use crate::notes::is_of_standby;
 use crate::scene::unusable_mirrors;
 use crate::shown_room::Findings;
-use crate::view::{EXPIRY, Received, Sample};
+use crate::view::{EXPIRY, Received};
 use counts::{Counting, counts};
+use rates::{sum, users};
+
+pub use rates::{PastSum, SumFigures, UserFigures};
 
 /// Where the figures come from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -37,58 +42,6 @@ pub enum Origin {
     /// No message arrived within [`EXPIRY`].
     #[default]
     NoData,
-}
-
-/// One user.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct UserFigures {
-    /// Number of the user.
-    pub user: u32,
-    /// Position of the detector in m.
-    pub position_m: [f32; 3],
-    /// Whether the direct path is blocked; absent where no process reports it.
-    pub blocked: Option<bool>,
-    /// Whether it is blocked by order.
-    pub forced: bool,
-    /// Rate in Mbit/s; 0 where it is unknown.
-    pub rate_mbps: f32,
-    /// Whether the rate is known: a receiver reported the user's SINR, or the room its truth.
-    pub is_rate_known: bool,
-    /// The user's minimum rate in Mbit/s.
-    pub min_rate_mbps: f32,
-}
-
-impl UserFigures {
-    /// Whether the minimum rate is met.
-    pub fn is_met(&self) -> bool {
-        self.rate_mbps >= self.min_rate_mbps
-    }
-}
-
-/// Sum rates at the same instant in Mbit/s; references are absent in a real room. The sum covers the
-/// users whose rate is known.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct SumFigures {
-    /// With the mirrors as they are.
-    pub policy: f64,
-    /// Without mirrors.
-    pub no_irs: Option<f64>,
-    /// With all mirrors flat.
-    pub flat: Option<f64>,
-    /// At the best angles that meet the minimum rates.
-    pub oracle: Option<f64>,
-}
-
-/// Sum rates at a past instant, and what the mirrors followed then.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct PastSum {
-    /// The sum rates.
-    #[serde(flatten)]
-    pub sum: SumFigures,
-    /// What the mirrors followed, as in [`InCharge`].
-    pub name: String,
-    /// Whether it was not the policy.
-    pub idle: bool,
 }
 
 /// The mirror array.
@@ -226,7 +179,7 @@ pub struct Figures {
     pub calibration: Option<String>,
     /// The hash of the drawn geometry, as in the plan: another one needs another plan.
     pub geometry: String,
-    /// What is wrong in the room and lasts, with what to do.
+    /// What is wrong in the room and lasts, with what to do and what follows from it.
     pub notes: Vec<String>,
     /// What differs in the room without a fault.
     pub remarks: Vec<String>,
@@ -292,7 +245,7 @@ impl View {
             light: last_controller.map(ServedLight::all_of).unwrap_or_default(),
             calibration: controller.and_then(CalibrationProgress::of).map(|progress| progress.to_string()),
             geometry,
-            notes,
+            notes: folded(notes),
             remarks,
         }
     }
@@ -302,43 +255,6 @@ impl View {
         let since = |at: Instant| at.saturating_duration_since(self.opened).as_secs_f64();
         self.received().history.iter().map(|sample| (since(sample.at), PastSum::of(sample))).collect()
     }
-}
-
-impl PastSum {
-    fn of(Sample { sum, in_charge, .. }: &Sample) -> Self {
-        Self { sum: sum_of(sum), name: in_charge.name.clone(), idle: !in_charge.idle.is_empty() }
-    }
-}
-
-fn users(model: &ChannelModel, received: &Received) -> (Origin, u64, Vec<UserFigures>) {
-    if let Some(truth) = Received::fresh(&received.truth) {
-        let user = |user: &heliostat_proto::TruthUser| UserFigures {
-            user: user.user,
-            position_m: user.position_m,
-            blocked: Some(user.los_blocked),
-            forced: user.forced,
-            rate_mbps: user.rate_bps * 1e-6,
-            is_rate_known: true,
-            min_rate_mbps: user.min_rate_bps * 1e-6,
-        };
-        return (Origin::Simulated, truth.tick, truth.users.iter().map(user).collect());
-    }
-    let Some(report) = received.measured_users() else { return (Origin::NoData, 0, Vec::new()) };
-    let channel = Received::fresh(&received.channel).map_or(&[][..], |report| &report.users);
-    let user = |user: &heliostat_proto::UserState| {
-        let gains = channel.iter().find(|gains| gains.user == user.user);
-        let rate = |sinr: f32| model.budget.rate_bps(f64::from(sinr), report.users.len());
-        UserFigures {
-            user: user.user,
-            position_m: user.position_m,
-            blocked: gains.map(|gains| gains.los_gain == 0.0),
-            forced: false,
-            rate_mbps: gains.map_or(0.0, |gains| rate(gains.sinr) * 1e-6) as f32,
-            is_rate_known: gains.is_some(),
-            min_rate_mbps: user.min_rate_bps * 1e-6,
-        }
-    };
-    (Origin::Measured, report.tick, report.users.iter().map(user).collect())
 }
 
 /// The figures of all arrays: their number of unusable mirrors, and the names of the arrays without
@@ -376,21 +292,6 @@ fn driver<'a>(received: &'a Received, telemetry: &MirrorTelemetry) -> Option<&'a
     let mut drivers = received.statuses.values().map(|(_, status)| status).filter(|status| is_driver(status));
     let first = drivers.next().filter(|first| first.stamp.source == telemetry.stamp.source)?;
     drivers.next().is_none().then_some(first)
-}
-
-fn sum(received: &Received, users: &[UserFigures]) -> Option<SumFigures> {
-    if let Some(truth) = Received::fresh(&received.truth) {
-        return Some(sum_of(&truth.sum_rate_bps));
-    }
-    let policy = users.iter().map(|user| f64::from(user.rate_mbps)).sum();
-    // A sum without the unknown rates would be too small.
-    let is_known = !users.is_empty() && users.iter().all(|user| user.is_rate_known);
-    is_known.then_some(SumFigures { policy, ..SumFigures::default() })
-}
-
-fn sum_of(sum: &heliostat_proto::SumRates) -> SumFigures {
-    let mbps = |bps: f64| Some(bps * 1e-6);
-    SumFigures { policy: sum.policy * 1e-6, no_irs: mbps(sum.no_irs), flat: mbps(sum.flat), oracle: mbps(sum.oracle) }
 }
 
 fn node(received: &Received, name: &str, at: Instant, status: &NodeStatus) -> NodeFigures {
@@ -450,24 +351,7 @@ fn time(name: &'static str, of: &'static str, status: Option<&NodeStatus>) -> Ti
 
 #[cfg(test)]
 mod tests {
-    use std::time::Duration;
-
-    use heliostat_proto::{RoomTruth, UserReport};
-    use heliostat_scenario::Scenario;
-
     use super::*;
-
-    #[test]
-    fn past_sum_rates_have_what_the_mirrors_followed_beside_them() {
-        let in_charge = InCharge { name: "stopped".into(), idle: "The mirrors do not follow the policy.".into() };
-        let sum = heliostat_proto::SumRates { policy: 3e6, ..heliostat_proto::SumRates::default() };
-        let past = PastSum::of(&Sample { at: Instant::now(), sum, in_charge });
-        let json = serde_json::to_value(past).expect("numbers and texts");
-        let expected = serde_json::json!({
-            "policy": 3.0, "no_irs": 0.0, "flat": 0.0, "oracle": 0.0, "name": "stopped", "idle": true
-        });
-        assert_eq!(json, expected);
-    }
 
     #[test]
     fn a_problem_that_a_note_states_too_is_not_repeated() {
@@ -492,22 +376,6 @@ mod tests {
         assert!(left(commanded, true).starts_with("commands still arrive at the stopped array"), "another sender");
         assert_eq!(left(commanded, false), "", "over with the release");
         assert_eq!(left("the device does not answer", true), "the device does not answer");
-    }
-
-    #[test]
-    fn a_simulator_that_falls_silent_leaves_no_measured_room() {
-        let model = Scenario::default().channel_model().expect("a model");
-        let ago = |ms| Instant::now() - Duration::from_millis(ms);
-        let origin = |truth, reports| {
-            let truth = Some((truth, RoomTruth::default()));
-            let received = Received { truth, users: Some((reports, UserReport::default())), ..Received::default() };
-            users(&model, &received).0
-        };
-        assert_eq!(origin(ago(100), ago(0)), Origin::Simulated);
-        // Its last report came after its last truth.
-        assert_eq!(origin(ago(3010), ago(2000)), Origin::Measured, "trackers go on");
-        assert_eq!(origin(ago(3010), ago(2900)), Origin::NoData);
-        assert_eq!(origin(ago(9000), ago(0)), Origin::Measured);
     }
 
     #[test]

@@ -13,7 +13,7 @@
 //! - [`belief`]: where the controller believes a user to be, as an ellipse.
 //! - [`orders`]: the orders of the page's buttons, and their publishers.
 //! - `rights`: which of these orders the certificate of the page permits.
-//! - `notes`: what is wrong in the room and lasts, with what to do.
+//! - `notes`: what is wrong in the room and lasts, with what to do; `causes`: what follows from it.
 //! - `event_log`: what happened in the room, with times.
 //! - [`order_log`]: the answers to these orders; [`stop_state`]: how far a stop has come.
 //! - [`floor`]: the rate over the floor, for the heat map.
@@ -25,6 +25,7 @@ mod array_reports;
 mod assets;
 pub mod belief;
 mod blocked_area;
+mod causes;
 pub mod controllers;
 mod error;
 mod event_log;

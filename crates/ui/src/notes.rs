@@ -5,9 +5,9 @@ use std::time::{Duration, Instant};
 use heliostat_proto::array_keys::array_name;
 use heliostat_proto::gauges::ServedLight;
 use heliostat_proto::{NodeKind, NodeStatus};
-use heliostat_scenario::ROOM_DIFFERS;
 use heliostat_service::printable::printable;
 
+use crate::causes::{NO_DRIVER, NO_POSITIONS, NO_SIMULATED_POSITIONS, OTHERS_MISSING, TWO_DRIVERS, causes_first};
 use crate::controllers::{ControllerFigures, Role, refusal_of};
 use crate::error::CHECK_REACH;
 use crate::view::{Dated, EXPIRY, Received};
@@ -43,9 +43,11 @@ impl Received {
         if is_old(arrival(&self.truth)) && is_old(arrival(&self.users)) {
             notes.push(if self.present_controllers().iter().any(|one| one.is_deciding) {
                 format!("{UNSEEN_REPORTS}: connect to the tracker, or to the router of the room, too")
+            } else if self.is_simulated() {
+                format!("{NO_SIMULATED_POSITIONS}: start it{AGAIN}")
             } else {
-                let again = if self.truth.is_some() || self.users.is_some() { AGAIN } else { "" };
-                format!("no process reports the positions of users: start the tracker or the simulator{again}")
+                let again = if self.users.is_some() { AGAIN } else { "" };
+                format!("{NO_POSITIONS}: start the tracker or the simulator{again}")
             });
         }
         notes
@@ -144,8 +146,6 @@ pub(crate) const AGAIN: &str = " again, or restart it if it hangs";
 /// The note of a room that was seen before.
 const ROOM_GONE: &str = "no process of this room answers any longer: its driver or simulator has ended or hangs, or the connection to it has ended; start it again";
 const ARRAY_GONE: &str = "no array answers any longer, and no controller: start its driver or the simulator again, or restart it if it hangs; then heliostat controller";
-/// The note about one controller that sees no other process of its room.
-pub(crate) const OTHERS_MISSING: &str = "no array, no tracker and no other controller is seen beside one controller: the link to their host or a router may be cut, or they have ended or hang";
 const NO_CONTROLLER: &str = "no controller commands the mirrors: start one with heliostat controller";
 /// The same note beside a page whose button restarts the controller.
 const RESTART_CONTROLLER: &str = "no controller commands the mirrors: press restart on the page";
@@ -153,80 +153,11 @@ const RESTART_CONTROLLER: &str = "no controller commands the mirrors: press rest
 pub(crate) const UNSEEN_REPORTS: &str = "no position reports reach this viewer, but the controller decides on them";
 /// The note about commands that reach the array from a controller that this process does not see.
 pub(crate) const UNSEEN_CONTROLLER: &str = "a controller or a calibration commands the mirrors, but its messages do not reach this viewer: connect to it, or to the router of the room, too";
-/// The beginning of the note about two drivers, and beginning and part of what a controller reports because
-/// of them. A second source of users is another fault.
-const TWO_DRIVERS: &str = "two drivers serve one array";
-const OF_TWO_DRIVERS: [(&str, &str); 2] =
-    [("a second source ", " reports telemetry of "), ("an announcement of an array that is not followed ", "")];
-
-/// Part of what a controller reports of the light of its users.
-const OF_LIGHT: &str = " of the expected light";
-
-/// Whether a controller reports this problem because of what a note states: in a room of another geometry it expects
-/// another light.
-pub(crate) fn follows_from(notes: &[String], problem: &str) -> bool {
-    let is_noted = |start: &str| notes.iter().any(|note| note.starts_with(start));
-    let is_of = |(start, part): &(&str, &str)| problem.starts_with(start) && problem.contains(part);
-    (is_noted(TWO_DRIVERS) && OF_TWO_DRIVERS.iter().any(is_of))
-        || (is_noted(ROOM_DIFFERS) && problem.contains(OF_LIGHT))
-}
-
-/// The notes of a room and of its geometry, a difference of geometries before its consequences, and without those
-/// that follow from it.
-fn causes_first(of_room: Vec<String>, of_geometry: Vec<String>) -> Vec<String> {
-    let (mut notes, others) = causes_and_others(of_geometry);
-    let of_room: Vec<String> = of_room.into_iter().filter(|note| !follows_from(&notes, note)).collect();
-    notes.extend(of_room.into_iter().chain(others));
-    notes
-}
 
 /// These notes beside a page that can restart the controller: its button is the advice.
 pub(crate) fn with_restart(notes: Vec<String>) -> Vec<String> {
     let replaced = |note: String| if note == NO_CONTROLLER { RESTART_CONTROLLER.to_owned() } else { note };
     notes.into_iter().map(replaced).collect()
-}
-
-/// The notes from which other problems follow, about geometries that differ and about a cut link, and the others.
-pub(crate) fn causes_and_others(notes: impl IntoIterator<Item = String>) -> (Vec<String>, Vec<String>) {
-    notes.into_iter().partition(|note| note.starts_with(ROOM_DIFFERS) || note == OTHERS_MISSING)
-}
-
-/// Whether a controller reports this problem because of an emergency stop in force.
-pub(crate) fn follows_from_stop(problem: &str) -> bool {
-    problem.starts_with("withheld by ")
-}
-
-/// What a driver reports of a command that it refuses because it is stopped, with advice for the sender.
-const LATCHED: &str = "command: an emergency stop is latched";
-
-/// This problem in words for an operator, where commands of another process to a stopped array cause it; empty where no
-/// stop is shown: it is over with the release.
-pub(crate) fn of_stopped(problem: &str, is_stopped: bool) -> Option<&'static str> {
-    let still =
-        "commands still arrive at the stopped array, which refuses them: find the process that sends them, and end it";
-    problem.starts_with(LATCHED).then_some(if is_stopped { still } else { "" })
-}
-
-/// A text without its figures, which differ at each occurrence of one fault. The digit of a name stays, as in
-/// `LED 0` and `mirrors-1`.
-pub(crate) fn without_figures(text: &str) -> String {
-    let mut kept = String::with_capacity(text.len());
-    for symbol in text.chars() {
-        // A digit stays only in a name, so one before another is of the same name.
-        let is_in_name = kept.ends_with("LED ")
-            || kept.ends_with(|last: char| last.is_ascii_digit())
-            || kept.strip_suffix('-').is_some_and(|word| word.ends_with(char::is_alphabetic));
-        if !symbol.is_ascii_digit() || is_in_name {
-            kept.push(symbol);
-        }
-    }
-    kept
-}
-
-/// The notes that are not among the others; one whose figures alone differ is the same.
-pub(crate) fn not_in<'a>(notes: &'a [String], others: &[String]) -> Vec<&'a String> {
-    let is_other = |note: &str| others.iter().any(|other| without_figures(other) == without_figures(note));
-    notes.iter().filter(|note| !is_other(note)).collect()
 }
 
 fn off_light(light: &ServedLight) -> Option<String> {
@@ -271,9 +202,9 @@ fn absent_drivers(status: &NodeStatus, arrays: usize, was_seen: bool) -> Option<
     let name = |(name, _): &(String, u64)| Some(name.strip_prefix("driver_absent:")?.to_owned());
     let names: Vec<String> = status.counters.iter().filter_map(name).collect();
     if names.is_empty() || *absent == arrays as u64 {
-        return Some(format!("no driver receives the commands: start a driver or a simulator{again}"));
+        return Some(format!("{NO_DRIVER}: start a driver or a simulator{again}"));
     }
-    Some(format!("no driver receives the commands to {}: start its driver{again}", printable(&names.join(" and "))))
+    Some(format!("{NO_DRIVER} to {}: start its driver{again}", printable(&names.join(" and "))))
 }
 
 #[cfg(test)]
@@ -281,9 +212,10 @@ mod tests {
     use std::time::Duration;
 
     use heliostat_bus::Presence;
-    use heliostat_proto::{Counters, MirrorTelemetry, Stamp, UserReport};
+    use heliostat_proto::{Counters, MirrorTelemetry, RoomTruth, Stamp, UserReport};
 
     use super::*;
+    use crate::causes::{causes_and_others, follows_from};
 
     fn ago(seconds: u64) -> Instant {
         Instant::now() - Duration::from_secs(seconds)
@@ -409,6 +341,11 @@ mod tests {
         assert_eq!(received.notes(1, ago(60)), [start]);
         received.users = Some((ago(60), UserReport::default()));
         assert_eq!(received.notes(1, ago(60)), [format!("{start}{AGAIN}")]);
+        received.truth = Some((ago(60), RoomTruth::default()));
+        let of_simulator = format!("{NO_SIMULATED_POSITIONS}: start it{AGAIN}");
+        assert_eq!(received.notes(1, ago(60)), [of_simulator.as_str()], "both came from one process");
+        received.truth = Some((ago(70), RoomTruth::default()));
+        assert_eq!(received.notes(1, ago(60)), [format!("{start}{AGAIN}")], "a tracker came after the simulator");
     }
 
     #[test]
@@ -520,21 +457,6 @@ mod tests {
         let second = |name| format!("a second source 09 reports {name} in this room, which source 07 owns");
         assert!(follows_from(&notes, &second("telemetry of mirrors")) && !follows_from(&notes, &second("users")));
         assert!(!follows_from(&[], &second("telemetry of mirrors")));
-    }
-
-    #[test]
-    fn a_difference_of_geometries_comes_first_and_the_light_that_follows_from_it_is_left_out() {
-        let [differ, light, missing, other] = [
-            format!("{ROOM_DIFFERS}: room.height_m is 2.8 in the room and 4.0 in the controller c1; start both"),
-            "LED 0 brings 1.31 of the expected light: look for receivers".to_owned(),
-            "no driver receives the commands".to_owned(),
-            "the picture shows another room".to_owned(),
-        ];
-        let of_room = || vec![light.clone(), missing.clone()];
-        let expected = [differ.clone(), missing.clone(), other.clone()];
-        assert_eq!(causes_first(of_room(), vec![other.clone(), differ.clone()]), expected);
-        assert_eq!(causes_first(of_room(), vec![other.clone()]), [light.clone(), missing, other]);
-        assert!(follows_from(&[differ], &light), "the status of the controller has it too");
     }
 
     #[test]

@@ -12,9 +12,10 @@ use heliostat_proto::{ArrayState, UserReport, codec};
 use heliostat_service::counted::counted;
 use serde::Serialize;
 
+use crate::causes::{ALL_STAND_BY, NO_CONTROLLER_SEEN, NO_REPORTS, UNKNOWN_LEADER, causes_and_others, folded};
 use crate::controllers::{ControllerFigures, Role};
 use crate::figures::{Figures, NodeFigures, Origin, UserFigures};
-use crate::notes::{AGAIN, UNSEEN_CONTROLLER, UNSEEN_REPORTS, causes_and_others};
+use crate::notes::{AGAIN, UNSEEN_CONTROLLER, UNSEEN_REPORTS};
 use crate::terminal::texts::{stops, time, why_without_rates};
 use crate::view::NO_GEOMETRY;
 use crate::{UiError, View};
@@ -92,7 +93,7 @@ impl RoomStatus {
     /// Adds a note from which others follow: this command ends before a view states it.
     fn add_cause(&mut self, cause: Option<&str>) {
         let notes = &mut self.figures.notes;
-        if let Some(cause) = cause.filter(|cause| !notes.iter().any(|note| note == cause)) {
+        if let Some(cause) = cause.filter(|cause| !notes.iter().any(|note| note.starts_with(cause))) {
             notes.insert(0, cause.to_owned());
         }
     }
@@ -133,35 +134,28 @@ impl RoomStatus {
         });
         let has = |role| controllers.iter().any(|one| one.role == role);
         let leads = match controllers.iter().filter(|one| one.role != Role::Silent).count() {
-            0 if self.figures.controller_unseen => Some(UNSEEN_CONTROLLER),
+            0 if self.figures.controller_unseen => Some(UNSEEN_CONTROLLER.to_owned()),
             // Each is named as silent.
             0 if has(Role::Silent) => None,
-            0 => Some("no controller: start one, or connect to its endpoint or router too"),
+            0 => Some(format!("{NO_CONTROLLER_SEEN}, or connect to its endpoint or router too")),
             _ if controllers.iter().any(|one| one.role.commands()) => None,
-            _ if has(Role::Unfollowed) => Some("no controller leads: no telemetry shows which one the array follows"),
+            _ if has(Role::Unfollowed) => Some(UNKNOWN_LEADER.to_owned()),
             _ if array.state == ArrayState::Following.name() => Some(
-                "no controller that reaches this viewer leads: connect to the one that the array follows, or to the router of the room, too",
+                "no controller that reaches this viewer leads: connect to the one that the array follows, or to the router of the room, too".to_owned(),
             ),
-            _ => Some("no controller leads: each stands by"),
+            _ => Some(ALL_STAND_BY.to_owned()),
         };
         let reports = (self.reports_per_s == 0.0 && self.deciding().is_none()).then(|| {
             // A controller that has decided has seen the process that reports.
             let again = if controllers.iter().any(|one| one.decisions > 0) { AGAIN } else { "" };
-            format!("no position reports: start the tracker or the simulator{again}, or connect to its endpoint or router too")
+            format!("{NO_REPORTS}: start the tracker or the simulator{again}, or connect to its endpoint or router too")
         });
-        let found = reports.into_iter().chain(leads.map(String::from)).chain(self.array_problems());
+        let found = reports.into_iter().chain(leads).chain(self.array_problems());
         let of_nodes = nodes.iter().filter_map(of_node);
         // The cause before what follows from it.
         let (causes, notes) = causes_and_others(self.notes().cloned());
-        causes
-            .into_iter()
-            .chain(found)
-            .chain(self.stops.iter().cloned())
-            .chain(of_nodes)
-            .chain(unfit)
-            .chain(silent)
-            .chain(notes)
-            .collect()
+        let others = self.stops.iter().cloned().chain(of_nodes).chain(unfit).chain(silent).chain(notes);
+        folded(causes.into_iter().chain(found).chain(others).collect())
     }
 
     /// The number of decisions of a controller that decides on position reports, if one does.
@@ -190,9 +184,13 @@ impl fmt::Display for RoomStatus {
         writeln!(formatter, "room {}: {verdict}", self.room)?;
         let or_none = |text: String| if text.is_empty() { "none".to_owned() } else { text };
         let controllers: Vec<String> = controllers.iter().map(ToString::to_string).collect();
+        // Without reports, whose line says so, both are unknown.
         let are_users_seen = self.figures.origin != Origin::NoData;
-        let users = if are_users_seen { users_line(users) } else { "unknown: no position reports here".into() };
-        let unknown = || format!("unknown: {}", why_without_rates(&self.figures));
+        let users = if are_users_seen { users_line(users) } else { "unknown".into() };
+        let unknown = || match are_users_seen {
+            true => format!("unknown: {}", why_without_rates(&self.figures)),
+            false => "unknown".into(),
+        };
         let rate = sum_mbps.map_or_else(unknown, |sum| format!("{:.1} Mbit/s", sum.policy));
         let decision = times.first().map(|decision| (time(decision, |us| us.p50), time(decision, |us| us.p99)));
         let (p50, p99) = decision.unwrap_or_default();
@@ -249,8 +247,9 @@ fn users_line(users: &[UserFigures]) -> String {
 
 #[cfg(test)]
 mod tests {
+    use crate::causes::OTHERS_MISSING;
     use crate::figures::ArrayFigures;
-    use crate::notes::{OTHERS_MISSING, room_unseen};
+    use crate::notes::room_unseen;
 
     use super::*;
 
@@ -264,7 +263,8 @@ mod tests {
         let stands_by = || figures(vec![controller(Role::StandsBy)]);
         assert!(found(stands_by())[0].starts_with("no controller that reaches this viewer leads: connect"));
         let holding = ArrayFigures { state: "holding".into(), ..ArrayFigures::default() };
-        assert_eq!(found(Figures { array: holding, ..stands_by() })[0], "no controller leads: each stands by");
+        let unled = found(Figures { array: holding, ..stands_by() });
+        assert_eq!(unled, ["no controller leads: each stands by; it causes: the array does not follow"]);
         let unfollowed = found(figures(vec![controller(Role::Unfollowed); 2]));
         assert_eq!(unfollowed, ["no controller leads: no telemetry shows which one the array follows"]);
         let calibrated = figures(vec![controller(Role::Calibrates), controller(Role::StandsBy)]);
@@ -299,7 +299,7 @@ mod tests {
         let measured = shown(Origin::Measured);
         assert!(measured.contains("\nsum rate     unknown: no measured gains\n"), "{measured}");
         let silent = shown(Origin::NoData);
-        assert!(silent.contains("\nsum rate     unknown: no messages from the room\n"), "{silent}");
+        assert!(silent.contains("\nusers        unknown\nsum rate     unknown\n"), "{silent}");
     }
 
     #[test]
@@ -333,9 +333,8 @@ mod tests {
         status.add_cause(Some(OTHERS_MISSING));
         status.add_cause(Some(OTHERS_MISSING));
         let found = status.found();
-        assert_eq!(found[0], OTHERS_MISSING);
-        assert_eq!(found.iter().filter(|problem| *problem == OTHERS_MISSING).count(), 1, "{found:?}");
-        assert!(found.contains(&"no controller leads: each stands by".to_owned()), "{found:?}");
+        let line = format!("{OTHERS_MISSING}; it causes: no position reports, the array does not follow");
+        assert_eq!(found, [line.as_str(), "no controller leads: each stands by", "another note"]);
     }
 
     #[test]

@@ -18,8 +18,8 @@ use heliostat_service::printable::printable;
 
 use crate::UiError;
 use crate::array_reports::ArrayReports;
+use crate::causes::follows_from_stop;
 use crate::expiry::EXPIRY;
-use crate::notes::follows_from_stop;
 
 /// Time within which two drivers of one array have reported it in turn, each at least twice a second.
 const REPORTED_WITHIN: Duration = Duration::from_millis(1500);

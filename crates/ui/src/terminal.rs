@@ -12,8 +12,8 @@ use std::time::Duration;
 
 use heliostat_service::output;
 
+use crate::causes::not_in;
 use crate::figures::Figures;
-use crate::notes::not_in;
 use crate::{UiError, View};
 use drawing::draw;
 use full_screen::FullScreen;

@@ -3,16 +3,17 @@
 //! Callbacks decode and store; the readers compute. A message older than [`EXPIRY`] counts as
 //! absent.
 
+mod subscriptions;
+
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use heliostat_bus::{Bus, Presence, Subscription};
-use heliostat_proto::keys::parse_alive;
 use heliostat_proto::{
-    ArrayKeys, BeliefReport, Capabilities, ChannelReport, Message, MirrorTelemetry, NodeKind, NodeStatus,
-    ObstacleReport, Room, RoomGeometry, RoomTruth, SumRates, UserReport, codec,
+    BeliefReport, ChannelReport, MirrorTelemetry, NodeKind, NodeStatus, ObstacleReport, RoomGeometry, RoomTruth,
+    SumRates, UserReport,
 };
 use heliostat_scenario::{Scenario, USERS_MAX};
 use heliostat_service::clock::utc_ns;
@@ -27,6 +28,7 @@ use crate::problems::Problems;
 use crate::shown_room::{AnnouncedController, Announcements, Findings, GeometrySource, RoomChooser, ShownRoom};
 use crate::stop_watch::StopWatch;
 use crate::telemetry_ages::TelemetryAges;
+use subscriptions::subscribe;
 
 pub use crate::expiry::EXPIRY;
 
@@ -219,10 +221,15 @@ impl Received {
     /// has fallen silent is none.
     pub fn measured_users(&self) -> Option<&UserReport> {
         let (at, users) = self.users.as_ref().filter(|(at, _)| at.elapsed() < EXPIRY)?;
-        let is_measured = |(of_truth, _): &(Instant, RoomTruth)| {
-            of_truth.elapsed() >= EXPIRY && at.saturating_duration_since(*of_truth) >= MEASURED_AFTER
-        };
+        let is_measured =
+            |(of_truth, _): &(Instant, RoomTruth)| of_truth.elapsed() >= EXPIRY && is_after(*of_truth, *at);
         self.truth.as_ref().is_none_or(is_measured).then_some(users)
+    }
+
+    /// Whether the last positions, of any age, are those of a simulated room.
+    pub fn is_simulated(&self) -> bool {
+        let is_later = |of_truth| self.users.as_ref().is_some_and(|(at, _)| is_after(of_truth, *at));
+        self.truth.as_ref().is_some_and(|(of_truth, _)| !is_later(*of_truth))
     }
 
     /// Whether a recent message has the positions of the users.
@@ -363,97 +370,20 @@ impl Received {
     }
 }
 
+/// Whether a report of users is that of a tracker, by the arrivals of the last truth and of the report.
+fn is_after(of_truth: Instant, of_users: Instant) -> bool {
+    of_users.saturating_duration_since(of_truth) >= MEASURED_AFTER
+}
+
 fn lock(received: &Mutex<Received>) -> MutexGuard<'_, Received> {
     // Each message replaces a complete slot, so a poisoned lock protects consistent data.
     received.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-fn subscribe(bus: &Bus, received: &Arc<Mutex<Received>>) -> Result<Vec<Subscription>, UiError> {
-    let room: &Room = bus.room();
-    let on_alive = Arc::clone(received);
-    let alive = bus.watch(&room.all_alive(), move |key, presence| {
-        let Some((node, source)) = parse_alive(key) else { return };
-        lock(&on_alive).take_presence((node.name(), source), presence);
-    })?;
-    Ok(vec![
-        store(bus, &room.truth(), received, Received::take_truth)?,
-        store(bus, &room.users(), received, |received, users| received.users = Some((Instant::now(), users)))?,
-        store(bus, &room.channel(), received, |received, channel| received.channel = Some((Instant::now(), channel)))?,
-        store(bus, &room.obstacles(), received, |received, obstacles| {
-            received.obstacles = Some((Instant::now(), obstacles))
-        })?,
-        store(bus, &room.telemetry(), received, |received, telemetry| received.take_telemetry(0, telemetry))?,
-        later_arrays(bus, received)?,
-        capabilities(bus, received, &room.array(0))?,
-        capabilities(bus, received, &room.later_arrays())?,
-        store(bus, &room.belief(), received, Received::take_belief)?,
-        statuses(bus, received)?,
-        store(bus, &room.geometry(NodeKind::SimNode), received, |received, geometry: RoomGeometry| {
-            keep_text(&mut received.room_geometry, geometry.scenario)
-        })?,
-        store(bus, &room.geometry(NodeKind::Controller), received, Received::take_controller_geometry)?,
-        alive,
-    ])
-}
-
-/// Keeps the status of each process.
-fn statuses(bus: &Bus, received: &Arc<Mutex<Received>>) -> Result<Subscription, UiError> {
-    let (room, received) = (bus.room().clone(), Arc::clone(received));
-    Ok(bus.subscribe_keyed(&bus.room().all_status(), move |key, payload| {
-        match codec::decode::<NodeStatus>(payload) {
-            Ok(status) => {
-                let driven = room.driver_array(key).filter(|_| status.node == NodeKind::Driver);
-                lock(&received).take_status(driven.unwrap_or(0), status);
-            }
-            Err(_) => lock(&received).unreadable += 1,
-        }
-    })?)
-}
-
-/// Keeps the telemetry of the arrays after the first.
-fn later_arrays(bus: &Bus, received: &Arc<Mutex<Received>>) -> Result<Subscription, UiError> {
-    let (room, received) = (bus.room().clone(), Arc::clone(received));
-    Ok(bus.subscribe_keyed(&bus.room().later_arrays().telemetry(), move |key, payload| {
-        let (array, _) = room.first_array_key(key);
-        match codec::decode(payload) {
-            Ok(telemetry) if array > 0 => lock(&received).take_telemetry(array, telemetry),
-            _ => lock(&received).unreadable += 1,
-        }
-    })?)
-}
-
-/// Keeps which drivers have a synchronised clock.
-fn capabilities(bus: &Bus, received: &Arc<Mutex<Received>>, keys: &ArrayKeys) -> Result<Subscription, UiError> {
-    let (room, received) = (bus.room().clone(), Arc::clone(received));
-    Ok(bus.subscribe_keyed(&keys.capabilities(), move |key, payload| {
-        if let Ok(capabilities) = codec::decode::<Capabilities>(payload) {
-            let (array, _) = room.first_array_key(key);
-            lock(&received).telemetry_ages.handle_capabilities(array, &capabilities);
-        }
-    })?)
 }
 
 /// Keeps an announcement; an unchanged text keeps its memory.
 fn keep_text(kept: &mut Dated<Arc<str>>, text: String) {
     let known = kept.take().map(|(_, known)| known).filter(|known| **known == *text);
     *kept = Some((Instant::now(), known.unwrap_or_else(|| text.into())));
-}
-
-fn store<M: Message + 'static>(
-    bus: &Bus,
-    key: &str,
-    received: &Arc<Mutex<Received>>,
-    take: fn(&mut Received, M),
-) -> Result<Subscription, UiError> {
-    let received = Arc::clone(received);
-    Ok(bus.subscribe(key, move |payload| {
-        let decoded = codec::decode::<M>(payload);
-        let mut received = lock(&received);
-        match decoded {
-            Ok(message) => take(&mut received, message),
-            Err(_) => received.unreadable += 1,
-        }
-    })?)
 }
 
 #[cfg(test)]

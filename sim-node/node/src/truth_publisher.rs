@@ -7,6 +7,7 @@ use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::thread::JoinHandle;
 use std::time::Instant;
 
+use heliostat_proto::gauges::OracleRate;
 use heliostat_proto::{NodeStatus, RoomGeometry, RoomTruth, Stamp, TruthUser};
 use heliostat_room::baselines::{Baselines, Measured, RateCounters, Snapshot};
 use heliostat_room::reports;
@@ -35,6 +36,8 @@ pub(crate) struct TruthPublisher {
     exporter: Option<Exporter>,
     /// The latest computed instant.
     measured: Option<Measured>,
+    /// The users' rates with the angles of the oracle at that instant.
+    oracle: Vec<OracleRate>,
     truth_sequence: u64,
     status_sequence: u64,
 }
@@ -64,6 +67,7 @@ impl TruthPublisher {
             geometry: RoomGeometry { scenario: geometry, ..RoomGeometry::default() },
             exporter,
             measured: None,
+            oracle: Vec::new(),
             truth_sequence: 0,
             status_sequence: 0,
         })
@@ -78,6 +82,8 @@ impl TruthPublisher {
             self.counters.add(measured);
             self.cost_s += begun.elapsed().as_secs_f64();
         }
+        let of_user = |(user, bps): (&u32, &f64)| OracleRate { user: *user, mbps: bps * 1e-6 };
+        self.oracle = at.ids.iter().zip(&measured.oracle_rates_bps).map(of_user).collect();
         if self.exporter.is_some() {
             self.measured = Some(measured.clone());
         }
@@ -109,6 +115,7 @@ impl TruthPublisher {
         // Without an instant there is no mean.
         let rates = rates.into_iter().filter(|_| self.counters.samples > 0);
         status.gauges.extend(rates.map(|(name, bps)| (name.to_owned(), bps * 1e-6)));
+        status.gauges.extend(self.oracle.iter().map(OracleRate::gauge));
         if self.status_sequence % GEOMETRY_EVERY == 1 {
             self.announce_geometry(status.stamp.time_ns)?;
         }

@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 use heliostat_array::calibration_file::{AxisCorrections, CalibrationFile};
 use heliostat_bus::{Bus, BusConfig, Class, Subscription, Token, free_loopback_endpoint};
 use heliostat_driver::session::SessionError;
+use heliostat_proto::gauges::OracleRate;
 use heliostat_proto::{
     FaultKind, Message, MirrorCommand, MirrorFault, NodeKind, NodeStatus, Room, RoomTruth, SimulatorControl,
     UserReport, decode, encode,
@@ -236,6 +237,9 @@ fn valid_orders_of_an_operator_change_the_room_and_invalid_ones_are_counted() {
     for expected in [("power_w", 1.5), ("forced_users", 2.0), ("faulty_mirrors", 25.0)] {
         assert!(gauges.contains(&(expected.0.to_owned(), expected.1)), "{expected:?} in {gauges:?}");
     }
+    let users: Vec<u32> = OracleRate::all_of(statuses.last().unwrap()).iter().map(|rate| rate.user).collect();
+    let present: Vec<u32> = truths.last().unwrap().users.iter().map(|user| user.user).collect();
+    assert_eq!(users, present, "a rate of the oracle for each user");
     assert_eq!(summary.refused.get("control:speed"), Some(&1), "{summary:?}");
     assert_eq!(summary.refused.get("control:truncated"), Some(&1), "{summary:?}");
 }

@@ -79,6 +79,8 @@ pub struct Measured {
     pub irs_gain: Vec<f64>,
     /// For each user, whether the direct path is off.
     pub los_blocked: Vec<bool>,
+    /// Each user's rate in bit/s, with the angles of the oracle.
+    pub oracle_rates_bps: Vec<f64>,
     /// Users whose minimum rate is met.
     pub met: usize,
     /// Users whose minimum rate the oracle would meet.
@@ -123,6 +125,7 @@ impl Baselines {
             &mut measured.sinr,
             &mut measured.los_gain,
             &mut measured.irs_gain,
+            &mut measured.oracle_rates_bps,
         ] {
             list.resize(users, 0.0);
         }
@@ -160,9 +163,9 @@ impl Baselines {
         if scene.users() > 0 {
             solver.solve(model, scene, &minimum_rates, Method::Oracle, best);
         }
-        scene.rates_bps(model, best, rates);
-        measured.sum_rates_bps.oracle = rates.iter().sum();
-        measured.met_oracle = met(rates);
+        scene.rates_bps(model, best, &mut measured.oracle_rates_bps);
+        measured.sum_rates_bps.oracle = measured.oracle_rates_bps.iter().sum();
+        measured.met_oracle = met(&measured.oracle_rates_bps);
         measured
     }
 }

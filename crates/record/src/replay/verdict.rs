@@ -103,39 +103,60 @@ impl Verdict {
         distinct
     }
 
+    /// Whether the commands that count are equal, how many differ, and why.
+    fn write_result(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (same, different) = (self.same, self.different);
+        match (self.is_empty(), self.is_good()) {
+            (true, _) => write!(formatter, "no command counts")?,
+            (false, true) => {
+                write!(formatter, "equal: every command that counts ({same}) equals the recorded one bit for bit")?;
+            }
+            (false, false) => write!(
+                formatter,
+                "different: {different} of {} commands that count; recorded and missing in the replay {}",
+                same + different,
+                self.held
+            )?,
+        }
+        if let Some(cause) = self.cause() {
+            write!(formatter, "\n{cause}")?;
+        }
+        if let Some(found) = &self.first_difference {
+            write!(formatter, "\nfirst difference: {found}")?;
+            write!(formatter, "\nlargest difference of an angle: {:e} rad", self.largest_difference_rad)?;
+        }
+        Ok(())
+    }
+
     /// The reports, and why some have no command in the recording.
     fn write_reports(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(formatter, "reports {}, without a recorded command {}", self.reports, self.unanswered)?;
+        write!(formatter, "\nreports {}, without a recorded command {}", self.reports, self.unanswered)?;
         if self.unanswered > 0 {
-            writeln!(
+            write!(
                 formatter,
-                "  possible causes: no controller led, as before a takeover; a stop; a newer report came first; the recording lacks the command, or it is left out"
+                "\n  possible causes: no controller led, as before a takeover; a stop; a newer report came first; the recording lacks the command, or it is left out"
             )?;
         }
         Ok(())
     }
 
-    /// The commands, and why some do not count.
+    /// The compared commands, and why some do not count.
     fn write_commands(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(
-            formatter,
-            "commands compared {}: equal {}, different {}, not counted {}; recorded and missing in the replay {}",
-            self.compared, self.same, self.different, self.not_counted, self.held
-        )?;
+        write!(formatter, "\ncommands compared {}, not counted {}", self.compared, self.not_counted)?;
         if self.not_counted > 0 {
             let first = match self.settle {
                 0 => String::new(),
                 settle => format!("the first {settle} decisions of a controller; "),
             };
-            writeln!(
+            write!(
                 formatter,
-                "  not counted: {first}commands before the first recorded state of a controller, also at a takeover; after a stop, a standby or a missing message, those before the next state; with the belief filter, those after the last state"
+                "\n  not counted: {first}commands before the first recorded state of a controller, also at a takeover; after a stop, a standby or a missing message, those before the next state; with the belief filter, those after the last state"
             )?;
         }
         if self.without_report > 0 {
-            writeln!(
+            write!(
                 formatter,
-                "recorded commands not decided again: {}; the recording lacks their report, or another controller answered it first",
+                "\nrecorded commands not decided again: {}; the recording lacks their report, or another controller answered it first",
                 self.without_report
             )?;
         }
@@ -173,49 +194,38 @@ pub(crate) fn difference(ours: &MirrorCommand, theirs: &MirrorCommand, clock: Cl
 }
 
 impl fmt::Display for Verdict {
+    /// The result, then what it rests on.
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         let clock = match self.clock {
             Clock::Live => "live",
             Clock::Lockstep => "lockstep",
         };
-        writeln!(
+        self.write_result(formatter)?;
+        write!(
             formatter,
-            "room {}, scenario {}, {clock}, policy {}",
+            "\nroom {}, scenario {}, {clock}, policy {}",
             self.room,
             self.scenario,
             self.distinct_policies().join(", ")
         )?;
-        writeln!(formatter, "{}", self.account)?;
+        write!(formatter, "\n{}", self.account)?;
         if !self.complete {
-            writeln!(
+            write!(
                 formatter,
-                "the recording was cut: it is complete up to here, and the recorder's counts are missing"
+                "\nthe recording was cut: it is complete up to here, and the recorder's counts are missing"
             )?;
         }
         self.write_reports(formatter)?;
         self.write_commands(formatter)?;
         if let Some(problem) = &self.unrestored {
-            writeln!(formatter, "a recorded state of the controller was not restored: {problem}")?;
+            write!(formatter, "\na recorded state of the controller was not restored: {problem}")?;
         }
-        for LeftOut { controller, scenario, commands } in &self.left_out {
-            writeln!(
+        self.left_out.iter().try_for_each(|LeftOut { controller, scenario, commands }| {
+            write!(
                 formatter,
-                "left out: {commands} commands of controller {controller}, which used another scenario: {scenario}"
-            )?;
-        }
-        if let Some(cause) = self.cause() {
-            writeln!(formatter, "{cause}")?;
-        }
-        match &self.first_difference {
-            Some(found) => {
-                writeln!(formatter, "first difference: {found}")?;
-                write!(formatter, "largest difference of an angle: {:e} rad", self.largest_difference_rad)
-            }
-            None if self.same > 0 => {
-                write!(formatter, "every command that counts equals the recorded one bit for bit")
-            }
-            None => write!(formatter, "no command counts"),
-        }
+                "\nleft out: {commands} commands of controller {controller}, which used another scenario: {scenario}"
+            )
+        })
     }
 }
 
@@ -231,6 +241,18 @@ mod tests {
             account.count("users", 10, Some(Origin { source: 1, sequence, time_ns: 0 }));
         }
         Verdict { account, same: 5, ..Verdict::default() }
+    }
+
+    #[test]
+    fn the_result_comes_first_and_its_cause_and_first_difference_before_the_counts() {
+        let first = |verdict: &Verdict| verdict.to_string().lines().next().unwrap_or_default().to_owned();
+        assert_eq!(first(&Verdict::default()), "no command counts");
+        assert_eq!(first(&verdict()), "equal: every command that counts (5) equals the recorded one bit for bit");
+        let different = Verdict { different: 2, held: 1, first_difference: Some("tick 7".into()), ..verdict() };
+        assert_eq!(first(&different), "different: 2 of 7 commands that count; recorded and missing in the replay 1");
+        let text = different.to_string();
+        let at = |part: &str| text.find(part).expect("a line of the result");
+        assert!(at("lacks 2 messages") < at("first difference: tick 7") && at("tick 7") < at("room "), "{text}");
     }
 
     #[test]

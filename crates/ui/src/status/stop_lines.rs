@@ -4,6 +4,7 @@ use heliostat_proto::ArrayState;
 use heliostat_proto::messages::fault;
 
 use super::RoomStatus;
+use crate::causes::NOT_FOLLOWING;
 
 impl RoomStatus {
     /// Whether the stops have this problem of a process, as that of a stop that is not recorded.
@@ -17,7 +18,7 @@ impl RoomStatus {
         let is_of_stop = |text: &str, of: &str| !self.stops.is_empty() && text == of;
         let is_following = array.state == ArrayState::Following.name();
         let state = (!is_following && !is_of_stop(&array.state, ArrayState::Stopped.name()))
-            .then(|| format!("the array does not follow: {}", array.state));
+            .then(|| format!("{NOT_FOLLOWING}: {}", array.state));
         let of_stop = fault::names(fault::STOP);
         let faults: Vec<&str> =
             array.faults.iter().copied().filter(|fault| !of_stop.iter().any(|of| is_of_stop(fault, of))).collect();
@@ -25,10 +26,12 @@ impl RoomStatus {
         state.into_iter().chain(faults)
     }
 
-    /// The stops. Only the reports of an array show that no stop holds it.
+    /// The stops, unless each is a problem with a line of its own. Only the reports of an array show that no stop holds
+    /// it.
     pub(super) fn stop_line(&self) -> String {
         let silent = &self.figures.array.silent;
         match (self.stops.is_empty(), self.is_array_seen(), silent.is_empty()) {
+            (false, ..) if self.stops.iter().all(|stop| self.problems.contains(stop)) => "see the problems".into(),
             (false, ..) => self.stops.join("; "),
             (true, true, true) => "none".into(),
             (true, false, _) => "unknown: no array reports; connect to its process or router too".into(),
@@ -90,7 +93,10 @@ mod tests {
         assert!(status.to_string().contains(&line), "{status}");
         let json = serde_json::to_value(&status).expect("numbers, texts and lists");
         assert!(json["stops"][0].as_str().is_some_and(|stop| stop.contains(held)), "{json}");
-        let found = status.found();
-        assert_eq!(found.iter().filter(|problem| problem.contains(held)).collect::<Vec<_>>(), [&stops[0]]);
+        let problems = status.found();
+        assert_eq!(problems.iter().filter(|problem| problem.contains(held)).collect::<Vec<_>>(), [&stops[0]]);
+        let text = RoomStatus { problems, ..status }.to_string();
+        assert_eq!(text.matches(held).count(), 1, "{text}");
+        assert!(text.contains("\nstops        see the problems\n"), "{text}");
     }
 }

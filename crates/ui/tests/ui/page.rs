@@ -1,5 +1,6 @@
 //! The live page against clients that are slow, idle or do not read.
 
+use std::collections::BTreeSet;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpStream};
 use std::sync::Arc;
@@ -8,7 +9,9 @@ use std::time::{Duration, Instant};
 use heliostat_bus::{Bus, BusConfig, private_endpoint};
 use heliostat_proto::Room;
 use heliostat_scenario::Scenario;
+use heliostat_ui::floor::FloorMap;
 use heliostat_ui::{Operator, Page, Place, Rights, Server, UiError, View};
+use serde_json::Value;
 
 /// Time limit for an action that takes some seconds on an idle machine.
 const TIME_LIMIT: Duration = Duration::from_secs(60);
@@ -275,4 +278,54 @@ fn a_page_with_the_rights_of_a_viewer_refuses_a_rearm_at_once_and_tells_the_butt
     assert!(room.contains(&format!("\"stop_only\":\"{reason}\"")), "{room}");
     let events = answer("GET /events.json\nConnection: close\r\n\r\n");
     assert!(events.contains("\"state\":\"refused\"") && events.contains(reason), "{events}");
+}
+
+/// The fields of an object that the guide to the page lists.
+fn documented(object: &str) -> BTreeSet<String> {
+    let object = format!("`{object}`");
+    let field = |line: &str| {
+        let mut cells = line.split('|').map(str::trim).skip(1);
+        (cells.next()? == object).then_some(())?;
+        Some(cells.next()?.trim_matches('`').to_owned())
+    };
+    include_str!("../../../../docs/page.md").lines().filter_map(field).collect()
+}
+
+#[test]
+fn the_guide_lists_every_field_of_the_json_that_the_page_serves() {
+    // A refused order is an event of the log, and such rights have a field of their own.
+    let setting = Setting::with_rights("json", &Place::loopback(0), Rights::StopOnly).unwrap();
+    let body = |request: &str| {
+        let mut answer = String::new();
+        setting.send(request).read_to_string(&mut answer).unwrap();
+        answer.split_once("\r\n\r\n").expect("a body").1.to_owned()
+    };
+    let json = |path: &str| -> Value {
+        serde_json::from_str(&body(&format!("GET {path}\nConnection: close\r\n\r\n"))).expect("JSON")
+    };
+    let head = "Content-Type: application/json\r\nContent-Length: 19\r\nConnection: close\r\n";
+    body(&format!("POST /order\n{head}\r\n{{\"order\":\"release\"}}"));
+    let begun = Instant::now();
+    let mut events = loop {
+        let events = json("/events.json");
+        if events["log"].is_array() {
+            break events;
+        }
+        assert!(begun.elapsed() < TIME_LIMIT, "no event of the log: {events}");
+    };
+    // The last answer of a server has this field alone.
+    events["ended"] = Value::Null;
+    let floor = FloorMap { columns: 1, rows: 1, rate_mbps: vec![0.0], max_mbps: 0.0 };
+    let served = [
+        ("room.json", &json("/room.json")),
+        ("events.json", &events),
+        ("figures", &events["figures"]),
+        ("frame", &events["frame"]),
+        ("log", &events["log"][0]),
+        ("floor.json", &serde_json::to_value(floor).expect("numbers")),
+    ];
+    for (object, value) in served {
+        let fields: BTreeSet<String> = value.as_object().expect("an object").keys().cloned().collect();
+        assert_eq!(documented(object), fields, "{object}: docs/page.md has the left ones");
+    }
 }

@@ -75,7 +75,7 @@ fn a_missing_controller_and_a_missing_room_are_named_at_the_top_with_what_to_sta
     setting.room.kill();
     wait_until("a note about the positions, or about all processes", || {
         let wrong = wrong(&browser);
-        wrong.contains("No process reports the positions of users: start the tracker or the simulator")
+        wrong.contains("The simulator reports no positions of users: start it again")
             || wrong.contains("No process of this room answers")
     });
 }

@@ -126,7 +126,7 @@ fn without_the_mirrors_table_sentence_and_picture_are_of_one_report() {
     // Figures and a frame of different instants.
     let script = "return Promise.all([import('/figures.js'), import('/sentence.js')]).then(([{ sums, users }, { sentence }]) => { \
            const now = { origin: 'simulated', ages_s: { room: 0 }, nodes: [], sum_mbps: { policy: 5, no_irs: 2 }, \
-             users: [{ user: 3, blocked: false, forced: false, is_rate_known: true, rate_mbps: 5, min_rate_mbps: 1 }] }; \
+             users: [{ user: 3, blocked: false, forced: false, is_rate_known: true, rate_mbps: 5, oracle_mbps: 6, min_rate_mbps: 1 }] }; \
            const frame = { users: [{ user: 3, blocked: true, forced: false, without_mirrors_mbps: 0, min_rate_mbps: 1 }] }; \
            const shown = (wall) => { \
              users(now, { wall }, frame, { of: () => null }); \
@@ -136,7 +136,7 @@ fn without_the_mirrors_table_sentence_and_picture_are_of_one_report() {
     let expected = serde_json::json!([
         [["blocked", "0.00", "below 1.0"]],
         "Without the mirrors, 1 of 1 users is below the minimum rate: user 3.",
-        [["clear", "5.00", "1.0"]],
+        [["clear", "5.00 of 6.0", "1.0"]],
         0,
         2
     ]);
@@ -260,7 +260,7 @@ fn the_fairness_index_is_that_of_the_rates_in_the_table() {
     assert_eq!(browser.run(script), serde_json::json!([1, 0.25, 36.0 / 42.0, 1, null, null]));
     // Users who stand have rates that stay.
     browser.click("#speed [data-value='0']");
-    let shown = "const rates = [...document.querySelectorAll('#users tr')].map((row) => Number(row.cells[2].textContent)); \
+    let shown = "const rates = [...document.querySelectorAll('#users tr')].map((row) => Number(row.cells[2].firstChild.textContent)); \
                  const sum = rates.reduce((total, rate) => total + rate, 0); \
                  const squares = rates.reduce((total, rate) => total + rate * rate, 0); \
                  return [Number(document.getElementById('jain').textContent), sum * sum / (rates.length * squares)]";

@@ -1,0 +1,205 @@
+//! Which problems follow from which: one cause is one line.
+
+use heliostat_scenario::ROOM_DIFFERS;
+
+/// The note about one controller that sees no other process of its room.
+pub(crate) const OTHERS_MISSING: &str = "no array, no tracker and no other controller is seen beside one controller: the link to their host or a router may be cut, or they have ended or hang";
+/// Beginning of the note about commands that reach no driver.
+pub(crate) const NO_DRIVER: &str = "no driver receives the commands";
+/// Beginning of the note about absent position reports, of a viewer that stays open.
+pub(crate) const NO_POSITIONS: &str = "no process reports the positions of users";
+/// Beginning of the same note about a simulated room, whose positions and array are of one process.
+pub(crate) const NO_SIMULATED_POSITIONS: &str = "the simulator reports no positions of users";
+/// Beginning of the same problem, of a viewer that counts the reports.
+pub(crate) const NO_REPORTS: &str = "no position reports";
+/// Beginning of the problem of an array that does not follow; its state comes behind a colon.
+pub(crate) const NOT_FOLLOWING: &str = "the array does not follow";
+/// The problem of a room whose controllers all stand by.
+pub(crate) const ALL_STAND_BY: &str = "no controller leads: each stands by";
+/// The problem of a room in which no telemetry shows the leader.
+pub(crate) const UNKNOWN_LEADER: &str = "no controller leads: no telemetry shows which one the array follows";
+/// Beginning of the problem of a room without a controller.
+pub(crate) const NO_CONTROLLER_SEEN: &str = "no controller: start one";
+
+/// Between a cause and what follows from it.
+const CONSEQUENCES: &str = "; it causes: ";
+/// States of an array that receives no commands.
+const UNCOMMANDED: [&str; 2] = ["parked", "holding"];
+
+/// Whether the second text follows from the first one.
+fn causes(cause: &str, text: &str) -> bool {
+    let state = text.strip_prefix(NOT_FOLLOWING).and_then(|rest| rest.strip_prefix(": "));
+    let is_silent = state.is_some_and(|state| state.contains("no telemetry"));
+    let begins_with = |starts: &[&str]| starts.iter().any(|start| text.starts_with(start));
+    if cause.starts_with(OTHERS_MISSING) {
+        return is_silent || begins_with(&[NO_DRIVER, NO_POSITIONS, NO_SIMULATED_POSITIONS, NO_REPORTS]);
+    }
+    if let Some(which) = cause.strip_prefix(NO_DRIVER) {
+        let is_of_all = which.starts_with(": ");
+        return is_silent || text == UNKNOWN_LEADER || (is_of_all && begins_with(&[NO_SIMULATED_POSITIONS]));
+    }
+    let is_uncommanding = [NO_REPORTS, NO_CONTROLLER_SEEN, ALL_STAND_BY].iter().any(|start| cause.starts_with(start));
+    is_uncommanding && state.is_some_and(|state| UNCOMMANDED.contains(&state))
+}
+
+/// These problems with each one that follows from another in the line of its cause, without its advice. The line has
+/// the place of the first of them.
+pub(crate) fn folded(mut problems: Vec<String>) -> Vec<String> {
+    let mut lines = Vec::new();
+    while !problems.is_empty() {
+        let first = &problems[0];
+        let of_first = problems.iter().position(|other| causes(other, first)).unwrap_or(0);
+        let cause = problems.remove(of_first);
+        let (following, others): (Vec<String>, Vec<String>) =
+            problems.into_iter().partition(|problem| causes(&cause, problem));
+        lines.push(with_consequences(cause, &following));
+        problems = others;
+    }
+    lines
+}
+
+/// A line of a cause and these problems; the line may have others already.
+fn with_consequences(mut cause: String, following: &[String]) -> String {
+    for problem in following {
+        cause += if cause.contains(CONSEQUENCES) { ", " } else { CONSEQUENCES };
+        cause += problem.split(": ").next().unwrap_or_default();
+    }
+    cause
+}
+
+/// The beginning of the note about two drivers, and beginning and part of what a controller reports because
+/// of them. A second source of users is another fault.
+pub(crate) const TWO_DRIVERS: &str = "two drivers serve one array";
+const OF_TWO_DRIVERS: [(&str, &str); 2] =
+    [("a second source ", " reports telemetry of "), ("an announcement of an array that is not followed ", "")];
+
+/// Part of what a controller reports of the light of its users.
+const OF_LIGHT: &str = " of the expected light";
+
+/// Whether a controller reports this problem because of what a note states: in a room of another geometry it expects
+/// another light.
+pub(crate) fn follows_from(notes: &[String], problem: &str) -> bool {
+    let is_noted = |start: &str| notes.iter().any(|note| note.starts_with(start));
+    let is_of = |(start, part): &(&str, &str)| problem.starts_with(start) && problem.contains(part);
+    (is_noted(TWO_DRIVERS) && OF_TWO_DRIVERS.iter().any(is_of))
+        || (is_noted(ROOM_DIFFERS) && problem.contains(OF_LIGHT))
+}
+
+/// The notes of a room and of its geometry, a difference of geometries before its consequences, and without those
+/// that follow from it.
+pub(crate) fn causes_first(of_room: Vec<String>, of_geometry: Vec<String>) -> Vec<String> {
+    let (mut notes, others) = causes_and_others(of_geometry);
+    let of_room: Vec<String> = of_room.into_iter().filter(|note| !follows_from(&notes, note)).collect();
+    notes.extend(of_room.into_iter().chain(others));
+    notes
+}
+
+/// The notes from which other problems follow, about geometries that differ and about a cut link, and the others.
+pub(crate) fn causes_and_others(notes: impl IntoIterator<Item = String>) -> (Vec<String>, Vec<String>) {
+    notes.into_iter().partition(|note| note.starts_with(ROOM_DIFFERS) || note.starts_with(OTHERS_MISSING))
+}
+
+/// Whether a controller reports this problem because of an emergency stop in force.
+pub(crate) fn follows_from_stop(problem: &str) -> bool {
+    problem.starts_with("withheld by ")
+}
+
+/// What a driver reports of a command that it refuses because it is stopped, with advice for the sender.
+const LATCHED: &str = "command: an emergency stop is latched";
+
+/// This problem in words for an operator, where commands of another process to a stopped array cause it; empty where no
+/// stop is shown: it is over with the release.
+pub(crate) fn of_stopped(problem: &str, is_stopped: bool) -> Option<&'static str> {
+    let still =
+        "commands still arrive at the stopped array, which refuses them: find the process that sends them, and end it";
+    problem.starts_with(LATCHED).then_some(if is_stopped { still } else { "" })
+}
+
+/// A text without its figures, which differ at each occurrence of one fault. The digit of a name stays, as in
+/// `LED 0` and `mirrors-1`.
+pub(crate) fn without_figures(text: &str) -> String {
+    let mut kept = String::with_capacity(text.len());
+    for symbol in text.chars() {
+        // A digit stays only in a name, so one before another is of the same name.
+        let is_in_name = kept.ends_with("LED ")
+            || kept.ends_with(|last: char| last.is_ascii_digit())
+            || kept.strip_suffix('-').is_some_and(|word| word.ends_with(char::is_alphabetic));
+        if !symbol.is_ascii_digit() || is_in_name {
+            kept.push(symbol);
+        }
+    }
+    kept
+}
+
+/// Whether a line of a cause has this problem as a consequence.
+fn has_consequence(line: &str, problem: &str) -> bool {
+    let fault = problem.split(": ").next().unwrap_or_default();
+    line.split_once(CONSEQUENCES).is_some_and(|(_, all)| all.split(", ").any(|one| one == fault))
+}
+
+/// The notes that are neither among the others nor consequences of one of them; one whose figures or consequences alone
+/// differ is the same.
+pub(crate) fn not_in<'a>(notes: &'a [String], others: &[String]) -> Vec<&'a String> {
+    let cause = |note: &str| without_figures(note.split(CONSEQUENCES).next().unwrap_or_default());
+    let is_other = |note: &str| others.iter().any(|other| cause(other) == cause(note) || has_consequence(other, note));
+    notes.iter().filter(|note| !is_other(note)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_lost_simulator_is_one_line_with_what_follows_from_it() {
+        let silent = format!("{NOT_FOLLOWING}: no telemetry");
+        let reports = format!("{NO_REPORTS}: start the tracker");
+        let driver = format!("{NO_DRIVER}: start a driver");
+        let problems = |cause: &str| [reports.as_str(), cause, &silent, "another", &driver].map(str::to_owned).to_vec();
+        let line = format!("{OTHERS_MISSING}; it causes: {NO_REPORTS}, {NOT_FOLLOWING}, {NO_DRIVER}");
+        assert_eq!(folded(problems(OTHERS_MISSING)), [line.clone(), "another".to_owned()]);
+        // The notes of a viewer are folded before its other problems come to them.
+        let of_viewer = format!("{OTHERS_MISSING}; it causes: {NO_DRIVER}");
+        assert_eq!(folded(vec![reports, of_viewer.clone()]), [format!("{of_viewer}, {NO_REPORTS}")]);
+        assert_eq!(not_in(std::slice::from_ref(&line), &[of_viewer]), [""; 0], "the same note");
+        assert_eq!(not_in(&[driver, "another".to_owned()], &[line]), ["another"], "it is not over");
+    }
+
+    #[test]
+    fn an_array_without_a_driver_and_one_without_commands_are_one_line_with_their_cause() {
+        let state = |state: &str| format!("{NOT_FOLLOWING}: {state}");
+        let absent = format!("{NO_DRIVER} to mirrors-1: start its driver");
+        let expected = format!("{absent}; it causes: {NOT_FOLLOWING}, no controller leads");
+        let silent = state("following, no telemetry of mirrors-1");
+        assert_eq!(folded(vec![silent.clone(), UNKNOWN_LEADER.to_owned(), absent]), [expected]);
+        let simulator = format!("{NO_SIMULATED_POSITIONS}: start it");
+        let lines = |driver: &str| folded(vec![driver.to_owned(), simulator.clone()]);
+        let all = format!("{NO_DRIVER}: start a driver or a simulator");
+        assert_eq!(lines(&all), [format!("{all}; it causes: {NO_SIMULATED_POSITIONS}")]);
+        let one = format!("{NO_DRIVER} to mirrors-1: start its driver");
+        assert_eq!(lines(&one), [one.as_str(), &simulator], "the simulator has another array");
+        for cause in [NO_REPORTS, NO_CONTROLLER_SEEN, ALL_STAND_BY] {
+            let lines = |state: &str| folded(vec![cause.to_owned(), state.to_owned()]);
+            for uncommanded in UNCOMMANDED {
+                assert_eq!(lines(&state(uncommanded)), [format!("{cause}; it causes: {NOT_FOLLOWING}")]);
+            }
+            for other in [state("fault"), silent.clone()] {
+                assert_eq!(lines(&other), [cause, &other], "it has a cause of its own");
+            }
+        }
+    }
+
+    #[test]
+    fn a_difference_of_geometries_comes_first_and_the_light_that_follows_from_it_is_left_out() {
+        let [differ, light, missing, other] = [
+            format!("{ROOM_DIFFERS}: room.height_m is 2.8 in the room and 4.0 in the controller c1; start both"),
+            "LED 0 brings 1.31 of the expected light: look for receivers".to_owned(),
+            "no driver receives the commands".to_owned(),
+            "the picture shows another room".to_owned(),
+        ];
+        let of_room = || vec![light.clone(), missing.clone()];
+        let expected = [differ.clone(), missing.clone(), other.clone()];
+        assert_eq!(causes_first(of_room(), vec![other.clone(), differ.clone()]), expected);
+        assert_eq!(causes_first(of_room(), vec![other.clone()]), [light.clone(), missing, other]);
+        assert!(follows_from(&[differ], &light), "the status of the controller has it too");
+    }
+}

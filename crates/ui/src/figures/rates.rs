@@ -1,0 +1,188 @@
+//! The rates of the users and their sums, with the references of a simulated room.
+
+use heliostat_channel::ChannelModel;
+use heliostat_proto::gauges::OracleRate;
+use heliostat_proto::{NodeKind, SumRates, TruthUser, UserState};
+use serde::Serialize;
+
+use super::Origin;
+use crate::view::{Received, Sample};
+
+/// One user.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct UserFigures {
+    /// Number of the user.
+    pub user: u32,
+    /// Position of the detector in m.
+    pub position_m: [f32; 3],
+    /// Whether the direct path is blocked; absent where no process reports it.
+    pub blocked: Option<bool>,
+    /// Whether it is blocked by order.
+    pub forced: bool,
+    /// Rate in Mbit/s; 0 where it is unknown.
+    pub rate_mbps: f32,
+    /// Rate at the angles of the oracle in Mbit/s, by the last status of a simulated room; absent where it is unknown
+    /// and while the mirrors do not follow a policy.
+    pub oracle_mbps: Option<f64>,
+    /// Whether the rate is known: a receiver reported the user's SINR, or the room its truth.
+    pub is_rate_known: bool,
+    /// The user's minimum rate in Mbit/s.
+    pub min_rate_mbps: f32,
+}
+
+impl UserFigures {
+    /// Whether the minimum rate is met.
+    pub fn is_met(&self) -> bool {
+        self.rate_mbps >= self.min_rate_mbps
+    }
+}
+
+/// Sum rates at the same instant in Mbit/s; references are absent in a real room. The sum covers the
+/// users whose rate is known.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct SumFigures {
+    /// With the mirrors as they are.
+    pub policy: f64,
+    /// Without mirrors.
+    pub no_irs: Option<f64>,
+    /// With all mirrors flat.
+    pub flat: Option<f64>,
+    /// At the best angles that meet the minimum rates.
+    pub oracle: Option<f64>,
+}
+
+/// Sum rates at a past instant, and what the mirrors followed then.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PastSum {
+    /// The sum rates.
+    #[serde(flatten)]
+    pub sum: SumFigures,
+    /// What the mirrors followed, as in [`InCharge`](crate::in_charge::InCharge).
+    pub name: String,
+    /// Whether it was not the policy.
+    pub idle: bool,
+}
+
+impl PastSum {
+    pub(super) fn of(Sample { sum, in_charge, .. }: &Sample) -> Self {
+        Self { sum: sum_of(sum), name: in_charge.name.clone(), idle: !in_charge.idle.is_empty() }
+    }
+}
+
+/// Where the users come from, the tick, and the users.
+pub(super) fn users(model: &ChannelModel, received: &Received) -> (Origin, u64, Vec<UserFigures>) {
+    if let Some(truth) = Received::fresh(&received.truth) {
+        let oracle = oracle_rates(received);
+        let user = |user: &TruthUser| UserFigures {
+            user: user.user,
+            position_m: user.position_m,
+            blocked: Some(user.los_blocked),
+            forced: user.forced,
+            rate_mbps: user.rate_bps * 1e-6,
+            oracle_mbps: oracle.iter().find(|rate| rate.user == user.user).map(|rate| rate.mbps),
+            is_rate_known: true,
+            min_rate_mbps: user.min_rate_bps * 1e-6,
+        };
+        return (Origin::Simulated, truth.tick, truth.users.iter().map(user).collect());
+    }
+    let Some(report) = received.measured_users() else { return (Origin::NoData, 0, Vec::new()) };
+    let channel = Received::fresh(&received.channel).map_or(&[][..], |report| &report.users);
+    let user = |user: &UserState| {
+        let gains = channel.iter().find(|gains| gains.user == user.user);
+        let rate = |sinr: f32| model.budget.rate_bps(f64::from(sinr), report.users.len());
+        UserFigures {
+            user: user.user,
+            position_m: user.position_m,
+            blocked: gains.map(|gains| gains.los_gain == 0.0),
+            forced: false,
+            rate_mbps: gains.map_or(0.0, |gains| rate(gains.sinr) * 1e-6) as f32,
+            oracle_mbps: None,
+            is_rate_known: gains.is_some(),
+            min_rate_mbps: user.min_rate_bps * 1e-6,
+        }
+    };
+    (Origin::Measured, report.tick, report.users.iter().map(user).collect())
+}
+
+/// The rates of the users at the angles of the oracle, while the mirrors of a simulated room follow a policy.
+fn oracle_rates(received: &Received) -> Vec<OracleRate> {
+    let room = received.fresh_status(NodeKind::SimNode.name()).filter(|_| received.in_charge().idle.is_empty());
+    room.map(OracleRate::all_of).unwrap_or_default()
+}
+
+/// The sum rates; `None` where they are unknown.
+pub(super) fn sum(received: &Received, users: &[UserFigures]) -> Option<SumFigures> {
+    if let Some(truth) = Received::fresh(&received.truth) {
+        return Some(sum_of(&truth.sum_rate_bps));
+    }
+    let policy = users.iter().map(|user| f64::from(user.rate_mbps)).sum();
+    // A sum without the unknown rates would be too small.
+    let is_known = !users.is_empty() && users.iter().all(|user| user.is_rate_known);
+    is_known.then_some(SumFigures { policy, ..SumFigures::default() })
+}
+
+fn sum_of(sum: &SumRates) -> SumFigures {
+    let mbps = |bps: f64| Some(bps * 1e-6);
+    SumFigures { policy: sum.policy * 1e-6, no_irs: mbps(sum.no_irs), flat: mbps(sum.flat), oracle: mbps(sum.oracle) }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::{Duration, Instant};
+
+    use heliostat_proto::{ArrayState, MirrorTelemetry, NodeStatus, RoomTruth, UserReport};
+    use heliostat_scenario::Scenario;
+
+    use super::*;
+    use crate::in_charge::InCharge;
+
+    #[test]
+    fn past_sum_rates_have_what_the_mirrors_followed_beside_them() {
+        let in_charge = InCharge { name: "stopped".into(), idle: "The mirrors do not follow the policy.".into() };
+        let sum = SumRates { policy: 3e6, ..SumRates::default() };
+        let past = PastSum::of(&Sample { at: Instant::now(), sum, in_charge });
+        let json = serde_json::to_value(past).expect("numbers and texts");
+        let expected = serde_json::json!({
+            "policy": 3.0, "no_irs": 0.0, "flat": 0.0, "oracle": 0.0, "name": "stopped", "idle": true
+        });
+        assert_eq!(json, expected);
+    }
+
+    #[test]
+    fn a_simulator_that_falls_silent_leaves_no_measured_room() {
+        let model = Scenario::default().channel_model().expect("a model");
+        let ago = |ms| Instant::now() - Duration::from_millis(ms);
+        let origin = |truth, reports| {
+            let truth = Some((truth, RoomTruth::default()));
+            let received = Received { truth, users: Some((reports, UserReport::default())), ..Received::default() };
+            users(&model, &received).0
+        };
+        assert_eq!(origin(ago(100), ago(0)), Origin::Simulated);
+        // Its last report came after its last truth.
+        assert_eq!(origin(ago(3010), ago(2000)), Origin::Measured, "trackers go on");
+        assert_eq!(origin(ago(3010), ago(2900)), Origin::NoData);
+        assert_eq!(origin(ago(9000), ago(0)), Origin::Measured);
+    }
+
+    #[test]
+    fn the_rate_of_the_oracle_is_known_in_a_simulated_room_whose_mirrors_follow_a_policy() {
+        let model = Scenario::default().channel_model().expect("a model");
+        let mut received = Received::default();
+        received.alive.insert((NodeKind::Controller.name(), 7));
+        let gauges = vec![OracleRate { user: 3, mbps: 12.5 }.gauge()];
+        let status = NodeStatus { node: NodeKind::SimNode, gauges, ..NodeStatus::default() };
+        received.statuses.insert(NodeKind::SimNode.name().into(), (Instant::now(), status));
+        let truth = |user| {
+            let users = vec![TruthUser { user, ..TruthUser::default() }];
+            Some((Instant::now(), RoomTruth { users, ..RoomTruth::default() }))
+        };
+        let mut oracle = |state, user| {
+            received.arrays.note(0, MirrorTelemetry { state, ..MirrorTelemetry::default() });
+            received.truth = truth(user);
+            users(&model, &received).2[0].oracle_mbps
+        };
+        assert_eq!(oracle(ArrayState::Following, 3), Some(12.5));
+        assert_eq!(oracle(ArrayState::Following, 4), None, "this user has just entered");
+        assert_eq!(oracle(ArrayState::Parked, 3), None, "no policy is judged");
+    }
+}

@@ -1,0 +1,94 @@
+//! The subscriptions of a view: each decodes a message and stores it.
+
+use std::sync::{Arc, Mutex};
+use std::time::Instant;
+
+use heliostat_bus::{Bus, Subscription};
+use heliostat_proto::keys::parse_alive;
+use heliostat_proto::{ArrayKeys, Capabilities, Message, NodeKind, NodeStatus, Room, RoomGeometry, codec};
+
+use super::{Received, keep_text, lock};
+use crate::UiError;
+
+/// Subscribes to every topic of the room.
+pub(super) fn subscribe(bus: &Bus, received: &Arc<Mutex<Received>>) -> Result<Vec<Subscription>, UiError> {
+    let room: &Room = bus.room();
+    let on_alive = Arc::clone(received);
+    let alive = bus.watch(&room.all_alive(), move |key, presence| {
+        let Some((node, source)) = parse_alive(key) else { return };
+        lock(&on_alive).take_presence((node.name(), source), presence);
+    })?;
+    Ok(vec![
+        store(bus, &room.truth(), received, Received::take_truth)?,
+        store(bus, &room.users(), received, |received, users| received.users = Some((Instant::now(), users)))?,
+        store(bus, &room.channel(), received, |received, channel| received.channel = Some((Instant::now(), channel)))?,
+        store(bus, &room.obstacles(), received, |received, obstacles| {
+            received.obstacles = Some((Instant::now(), obstacles))
+        })?,
+        store(bus, &room.telemetry(), received, |received, telemetry| received.take_telemetry(0, telemetry))?,
+        later_arrays(bus, received)?,
+        capabilities(bus, received, &room.array(0))?,
+        capabilities(bus, received, &room.later_arrays())?,
+        store(bus, &room.belief(), received, Received::take_belief)?,
+        statuses(bus, received)?,
+        store(bus, &room.geometry(NodeKind::SimNode), received, |received, geometry: RoomGeometry| {
+            keep_text(&mut received.room_geometry, geometry.scenario)
+        })?,
+        store(bus, &room.geometry(NodeKind::Controller), received, Received::take_controller_geometry)?,
+        alive,
+    ])
+}
+
+/// Keeps the status of each process.
+fn statuses(bus: &Bus, received: &Arc<Mutex<Received>>) -> Result<Subscription, UiError> {
+    let (room, received) = (bus.room().clone(), Arc::clone(received));
+    Ok(bus.subscribe_keyed(&bus.room().all_status(), move |key, payload| {
+        match codec::decode::<NodeStatus>(payload) {
+            Ok(status) => {
+                let driven = room.driver_array(key).filter(|_| status.node == NodeKind::Driver);
+                lock(&received).take_status(driven.unwrap_or(0), status);
+            }
+            Err(_) => lock(&received).unreadable += 1,
+        }
+    })?)
+}
+
+/// Keeps the telemetry of the arrays after the first.
+fn later_arrays(bus: &Bus, received: &Arc<Mutex<Received>>) -> Result<Subscription, UiError> {
+    let (room, received) = (bus.room().clone(), Arc::clone(received));
+    Ok(bus.subscribe_keyed(&bus.room().later_arrays().telemetry(), move |key, payload| {
+        let (array, _) = room.first_array_key(key);
+        match codec::decode(payload) {
+            Ok(telemetry) if array > 0 => lock(&received).take_telemetry(array, telemetry),
+            _ => lock(&received).unreadable += 1,
+        }
+    })?)
+}
+
+/// Keeps which drivers have a synchronised clock.
+fn capabilities(bus: &Bus, received: &Arc<Mutex<Received>>, keys: &ArrayKeys) -> Result<Subscription, UiError> {
+    let (room, received) = (bus.room().clone(), Arc::clone(received));
+    Ok(bus.subscribe_keyed(&keys.capabilities(), move |key, payload| {
+        if let Ok(capabilities) = codec::decode::<Capabilities>(payload) {
+            let (array, _) = room.first_array_key(key);
+            lock(&received).telemetry_ages.handle_capabilities(array, &capabilities);
+        }
+    })?)
+}
+
+fn store<M: Message + 'static>(
+    bus: &Bus,
+    key: &str,
+    received: &Arc<Mutex<Received>>,
+    take: fn(&mut Received, M),
+) -> Result<Subscription, UiError> {
+    let received = Arc::clone(received);
+    Ok(bus.subscribe(key, move |payload| {
+        let decoded = codec::decode::<M>(payload);
+        let mut received = lock(&received);
+        match decoded {
+            Ok(message) => take(&mut received, message),
+            Err(_) => received.unreadable += 1,
+        }
+    })?)
+}

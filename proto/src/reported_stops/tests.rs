@@ -1,5 +1,6 @@
 //! What the stop reports of a room are read as.
 
+use super::reported_array::TELEMETRY_AGE_MAX;
 use super::*;
 use crate::limits::MAX_STOPS;
 

@@ -3,12 +3,15 @@
 mod describe;
 
 use heliostat_core::{
-    core::{Counters, DegradedMode, Stage, clock_time},
+    core::{Counters, DegradedMode, Stage},
     refusal::{Refusal, Stream},
     room_core::UndecodableCounts,
     tenure::{Standing, Tenure, TenureEvent},
 };
-use heliostat_proto::{Nanos, NodeKind, NodeStatus, Stamp, gauges::ServedLight};
+use heliostat_proto::{
+    Nanos, NodeKind, NodeStatus, Stamp, clock_time,
+    gauges::{LostDriver, ServedLight},
+};
 use heliostat_service::{clock::utc_ns, printable::printable};
 
 use super::{decision_loop::DecisionLoop, peers::ReportedPeers, policy_swap::SwapCounters};
@@ -58,6 +61,8 @@ pub struct Reporter {
     /// Occurrences of the problem of the present snapshot; 0 for a change of state.
     occurrences: u64,
     conditions: Conditions,
+    /// The drivers that have left the room, for operators who stop it.
+    lost_drivers: Vec<LostDriver>,
     /// Of what the light is not the expected one.
     off_light: Vec<String>,
     /// Controllers that were reported as silent.
@@ -152,6 +157,7 @@ impl Reporter {
         conditions: Conditions,
     ) -> Snapshot {
         let controller = decision_loop.room.controller();
+        self.lost_drivers = decision_loop.room.lost_drivers().collect();
         let mut summary = Summary::of(controller);
         summary.unsent = decision_loop.unsent();
         summary.dropped = decision_loop.room.superseded();
@@ -275,7 +281,10 @@ impl Reporter {
                 .chain(absent)
                 .chain(unfit)
                 .collect(),
-            gauges: noise.chain(summary.light.iter().flat_map(ServedLight::gauges)).collect(),
+            gauges: noise
+                .chain(summary.light.iter().flat_map(ServedLight::gauges))
+                .chain(self.lost_drivers.iter().map(LostDriver::gauge))
+                .collect(),
             timings: totals.into_iter().chain(stages).collect(),
             last_problem: summary.last_problem.clone(),
             ..self.blank()
@@ -289,6 +298,7 @@ impl Reporter {
             state: "no answer from the policy".into(),
             policy: summary.policy.clone(),
             counters: vec![("unanswered".into(), summary.unanswered)],
+            gauges: self.lost_drivers.iter().map(LostDriver::gauge).collect(),
             last_problem: summary.last_problem.clone(),
             ..self.blank()
         }

@@ -7,8 +7,9 @@
 //! has stopped where its last stop report is fresh, lists every stop that is held for it, and states
 //! that its device has executed them. Where the liveliness tokens of several drivers name the array, each
 //! driver has to: the reports of one say nothing about the mirrors of another one. A driver is lost if its token ends
-//! while a stop is held that it has not confirmed, whether it hung, was killed or ended in order. The stop then stays
-//! unconfirmed until this driver answers, or until the release.
+//! while a stop is held that it has not confirmed, whether it hung, was killed or ended in order. A driver that left
+//! before is lost if a controller reports it. The stop then stays unconfirmed until this driver answers, or until the
+//! release.
 //!
 //! | the array publishes | its standing, by its last reports |
 //! | --- | --- |
@@ -18,16 +19,18 @@
 //! | safety reports or telemetry only | [`Unknown`](Standing::Unknown) in state *stopped*, else [`Moving`](Standing::Moving) |
 //! | nothing for some time | [`Silent`](Standing::Silent) |
 
+mod lost_reports;
 mod reported_array;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use crate::enumerations::ArrayState;
-use crate::limits::{MAX_ARRAYS, cut};
-use crate::messages::{EmergencyStop, MirrorTelemetry, SafetyReport, StopReport, fault};
+use crate::limits::{MAX_ARRAYS, Nanos, cut};
+use crate::messages::{EmergencyStop, MirrorTelemetry, NodeStatus, SafetyReport, StopReport, fault};
 use crate::stop_hold::{HeldStop, StopHold, unknown_stops};
 use crate::structures::{LatchedStopReport, Stamp, StopName};
+use lost_reports::LostReports;
 use reported_array::{REPORT_AGE_MAX, ReportedArray};
 
 /// A driver that publishes stop reports has published one after this time of telemetry.
@@ -62,6 +65,8 @@ pub enum Standing {
     Lost {
         /// The sources of such drivers.
         drivers: Vec<u64>,
+        /// Since when the first of them is lost, UTC in ns; known of those that a controller reports.
+        since_ns: Option<Nanos>,
     },
     /// It has latched a stop; its driver publishes no stop reports.
     Unknown,
@@ -103,6 +108,8 @@ pub struct ReportedStops {
     drivers: BTreeSet<Driver>,
     /// Those that left it before they confirmed a stop that is held.
     lost: BTreeSet<Driver>,
+    /// Those that controllers have lost, also before this process looked.
+    reported_lost: LostReports,
     /// Number of arrays of the largest geometry that was announced; 0 before the first.
     announced: usize,
     /// When each stop became known here.
@@ -130,12 +137,32 @@ impl ReportedStops {
         let standing = |array: usize| {
             let Some(seen) = self.arrays.get(&array) else { return (array, Standing::Silent) };
             let standing = seen.standing(&self.drivers_of(array), now, since);
-            let mut lost = sources_of(&self.lost, array);
-            lost.retain(|source| !seen.has_stopped(*source, now));
-            let is_lost = standing == Standing::Stopped && !lost.is_empty();
-            (array, if is_lost { Standing::Lost { drivers: lost } } else { standing })
+            let lost = if standing == Standing::Stopped { self.lost_of(array, now) } else { None };
+            (array, lost.unwrap_or(standing))
         };
         (0..self.expected()).map(standing).collect()
+    }
+
+    /// The arrays of which drivers are lost, whether or not a stop is held, each with [`Standing::Lost`].
+    pub fn lost(&self, now: Duration) -> Vec<(usize, Standing)> {
+        (0..self.expected()).filter_map(|array| Some((array, self.lost_of(array, now)?))).collect()
+    }
+
+    /// That drivers of an array are lost; `None` if there is none, or each has stopped since.
+    fn lost_of(&self, array: usize, now: Duration) -> Option<Standing> {
+        let (present, seen) = (self.drivers_of(array), self.arrays.get(&array));
+        let has_stopped = |source: u64| seen.is_some_and(|seen| seen.has_stopped(source, now));
+        let is_lost = |source: &u64| !present.contains(source) && !has_stopped(*source);
+        let reported: Vec<_> = self.reported_lost.of(array, now).filter(|lost| is_lost(&lost.source)).collect();
+        let own = sources_of(&self.lost, array).into_iter().filter(is_lost);
+        let drivers: BTreeSet<u64> = own.chain(reported.iter().map(|lost| lost.source)).collect();
+        let since_ns = reported.iter().map(|lost| lost.since_ns).min();
+        (!drivers.is_empty()).then(|| Standing::Lost { drivers: drivers.into_iter().collect(), since_ns })
+    }
+
+    /// The controllers that are in the room and have not reported yet which drivers they have lost.
+    pub fn unheard_controllers(&self) -> Vec<u64> {
+        self.reported_lost.unheard()
     }
 
     /// Whether the tokens of several drivers name one array.
@@ -325,6 +352,18 @@ impl ReportedStops {
         } else if self.drivers.remove(&driver) && self.is_lost(driver) {
             self.lost.insert(driver);
         }
+        self.note_names(now);
+    }
+
+    /// The token of a controller has appeared in the room, or has left it.
+    pub fn handle_controller(&mut self, source: u64, is_present: bool) {
+        self.reported_lost.handle_controller(source, is_present);
+    }
+
+    /// The status of a process arrived: that of a controller names the drivers that it has lost.
+    pub fn handle_status(&mut self, now: Duration, status: &NodeStatus) {
+        let arrays = self.reported_lost.handle_status(now, status);
+        self.add_arrays(arrays);
         self.note_names(now);
     }
 

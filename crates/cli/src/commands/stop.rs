@@ -122,6 +122,8 @@ pub fn stop(args: StopArgs) -> Result<()> {
         ensure!(unrecorded.is_empty(), "{}", unrecorded.join("; "));
         return Ok(closed?);
     };
+    // Before the notes: a signal that answers them ends the stop as one that is held.
+    order.note_held();
     match &stopped {
         Ok(took) => match args.order.report(&room, switch, *took, begun) {
             Ok(unrecorded) => unrecorded.into_iter().for_each(output::note),
@@ -130,7 +132,6 @@ pub fn stop(args: StopArgs) -> Result<()> {
         Err(error) => output::note(format_args!("heliostat stop: {error}; the stop is held: end with Ctrl-C")),
     }
     let end = end?;
-    order.note_held();
     let until = args.end.seconds.map(|seconds| Instant::now() + seconds);
     let mut was_confirmed = stopped.is_ok();
     while switch.is_own_held() && !end.wait_for(HOLD_INTERVAL) && until.is_none_or(|until| Instant::now() < until) {

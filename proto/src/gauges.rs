@@ -4,8 +4,6 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use crate::array_keys::array_name;
-use crate::limits::{MAX_ARRAYS, Nanos};
 use crate::messages::NodeStatus;
 
 /// Standard deviations of one axis of a tracker's reports.
@@ -122,40 +120,6 @@ impl fmt::Display for ServedLight {
     }
 }
 
-/// A driver or a simulator of an array that a controller has lost: its liveliness token has ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct LostDriver {
-    /// Index of the array.
-    pub array: usize,
-    /// Source id in the stamps of the driver.
-    pub source: u64,
-    /// When the token ended, UTC in ns by the clock of the controller.
-    pub since_ns: Nanos,
-}
-
-impl LostDriver {
-    /// Beginning and end of the name of the gauge; array and source are between them.
-    const NAME: [&'static str; 2] = ["driver_lost:", ":since_s"];
-
-    /// Name and value of its gauge.
-    pub fn gauge(&self) -> (String, f64) {
-        let ([start, end], array) = (Self::NAME, array_name(self.array));
-        (format!("{start}{array}:{:016x}{end}", self.source), self.since_ns as f64 / 1e9)
-    }
-
-    /// All lost drivers in a status.
-    pub fn all_of(status: &NodeStatus) -> Vec<Self> {
-        let [start, end] = Self::NAME;
-        let of = |(name, since_s): &(String, f64)| {
-            let (of, source) = name.strip_prefix(start)?.strip_suffix(end)?.split_once(':')?;
-            let array = (0..MAX_ARRAYS).find(|array| array_name(*array) == of)?;
-            // A cast of a number from the network saturates.
-            Some(Self { array, source: u64::from_str_radix(source, 16).ok()?, since_ns: (since_s * 1e9) as Nanos })
-        };
-        status.gauges.iter().filter_map(of).collect()
-    }
-}
-
 /// How far a calibration is that commands a room in place of a controller.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CalibrationProgress {
@@ -263,17 +227,6 @@ mod tests {
         let all = vec![light("mirrors", 0.6, Some(12.0)), light("led-0", 1.0, None)];
         let gauges = all.iter().flat_map(ServedLight::gauges).collect();
         assert_eq!(ServedLight::all_of(&NodeStatus { gauges, ..NodeStatus::default() }), all);
-    }
-
-    #[test]
-    fn the_lost_drivers_are_read_from_the_gauges_that_they_wrote() {
-        let lost = |array, source, since_s: u64| LostDriver { array, source, since_ns: since_s * 1_000_000_000 };
-        let all = vec![lost(0, 7, 43_384), lost(2, u64::MAX, 1_800_000_000)];
-        let mut gauges: Vec<(String, f64)> = all.iter().map(LostDriver::gauge).collect();
-        assert_eq!(gauges[1].0, "driver_lost:mirrors-2:ffffffffffffffff:since_s");
-        let unread = ["driver_lost:mirrors-99:7:since_s", "driver_lost:mirrors:x:since_s", "driver_lost:mirrors"];
-        gauges.extend(unread.map(|name| (name.to_owned(), 1.0)));
-        assert_eq!(LostDriver::all_of(&NodeStatus { gauges, ..NodeStatus::default() }), all);
     }
 
     #[test]

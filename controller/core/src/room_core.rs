@@ -70,8 +70,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use heliostat_channel::ChannelError;
 use heliostat_proto::{
-    Capabilities, CodecError, EmergencyStop, Nanos, NodeKind, RoomGeometry, SafetyReport, StopReport,
-    gauges::LostDriver, keys::parse_alive,
+    Capabilities, CodecError, EmergencyStop, LostDriver, Nanos, NodeKind, RoomGeometry, SafetyReport, StopReport,
+    keys::parse_alive,
 };
 use heliostat_scenario::Scenario;
 

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use crate::enumerations::NodeKind;
-use crate::gauges::LostDriver;
+use crate::lost_driver::LostDriver;
 use crate::messages::NodeStatus;
 
 /// A status is published twice a second. That of a controller without a token counts for this time.

@@ -3,8 +3,8 @@
 use super::reported_array::TELEMETRY_AGE_MAX;
 use super::*;
 use crate::enumerations::NodeKind;
-use crate::gauges::LostDriver;
 use crate::limits::MAX_STOPS;
+use crate::lost_driver::LostDriver;
 
 const NOW: Duration = Duration::from_secs(100);
 
@@ -242,8 +242,8 @@ fn a_driver_that_reports_until_its_end_is_lost_too_unless_it_has_confirmed_and_a
 /// The status of a controller that has lost these drivers.
 fn status_with(lost: &[LostDriver]) -> NodeStatus {
     let stamp = Stamp { source: 5, ..Stamp::default() };
-    let gauges = lost.iter().map(LostDriver::gauge).collect();
-    NodeStatus { stamp, node: NodeKind::Controller, gauges, ..NodeStatus::default() }
+    let counters = lost.iter().map(LostDriver::counter).collect();
+    NodeStatus { stamp, node: NodeKind::Controller, counters, ..NodeStatus::default() }
 }
 
 #[test]

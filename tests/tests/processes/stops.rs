@@ -7,10 +7,9 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use heliostat_bus::{Bus, BusConfig, Class, Publisher, Subscription, free_loopback_endpoint};
-use heliostat_proto::gauges::LostDriver;
 use heliostat_proto::{
-    ArrayState, EmergencyStop, Message, MirrorTelemetry, NodeStatus, Rearm, Room, Stamp, StopReport, UserReport,
-    UserState, decode, encode,
+    ArrayState, EmergencyStop, LostDriver, Message, MirrorTelemetry, NodeStatus, Rearm, Room, Stamp, StopReport,
+    UserReport, UserState, decode, encode,
 };
 use heliostat_service::clock::utc_ns;
 use heliostat_tests::faults::{Behaviour, LoopbackBoard};

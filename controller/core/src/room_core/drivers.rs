@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use heliostat_proto::{Nanos, Stamp, StopReport, gauges::LostDriver, keys::parse_array_alive};
+use heliostat_proto::{LostDriver, Nanos, Stamp, StopReport, keys::parse_array_alive};
 
 use crate::core::Controller;
 
@@ -11,7 +11,7 @@ use crate::core::Controller;
 const ABSENT_AFTER_NS: Nanos = 2_000_000_000;
 
 /// Most drivers of which it is remembered that they have left.
-const LOST_MAX: usize = 32;
+const LOST_MAX: usize = 16;
 
 /// The array of a driver, and its source; a simulator drives every array of its room.
 type Token = (Option<usize>, u64);

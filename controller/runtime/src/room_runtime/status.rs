@@ -8,10 +8,7 @@ use heliostat_core::{
     room_core::UndecodableCounts,
     tenure::{Standing, Tenure, TenureEvent},
 };
-use heliostat_proto::{
-    Nanos, NodeKind, NodeStatus, Stamp, clock_time,
-    gauges::{LostDriver, ServedLight},
-};
+use heliostat_proto::{LostDriver, Nanos, NodeKind, NodeStatus, Stamp, clock_time, gauges::ServedLight};
 use heliostat_service::{clock::utc_ns, printable::printable};
 
 use super::{decision_loop::DecisionLoop, peers::ReportedPeers, policy_swap::SwapCounters};
@@ -280,11 +277,9 @@ impl Reporter {
                 .chain(actor)
                 .chain(absent)
                 .chain(unfit)
+                .chain(self.lost_counters())
                 .collect(),
-            gauges: noise
-                .chain(summary.light.iter().flat_map(ServedLight::gauges))
-                .chain(self.lost_drivers.iter().map(LostDriver::gauge))
-                .collect(),
+            gauges: noise.chain(summary.light.iter().flat_map(ServedLight::gauges)).collect(),
             timings: totals.into_iter().chain(stages).collect(),
             last_problem: summary.last_problem.clone(),
             ..self.blank()
@@ -297,11 +292,14 @@ impl Reporter {
             stamp: Stamp { source: self.identity.source, sequence: self.sequence, time_ns: utc_ns() },
             state: "no answer from the policy".into(),
             policy: summary.policy.clone(),
-            counters: vec![("unanswered".into(), summary.unanswered)],
-            gauges: self.lost_drivers.iter().map(LostDriver::gauge).collect(),
+            counters: [("unanswered".into(), summary.unanswered)].into_iter().chain(self.lost_counters()).collect(),
             last_problem: summary.last_problem.clone(),
             ..self.blank()
         }
+    }
+
+    fn lost_counters(&self) -> impl Iterator<Item = (String, u64)> {
+        self.lost_drivers.iter().map(LostDriver::counter)
     }
 
     fn blank(&self) -> NodeStatus {

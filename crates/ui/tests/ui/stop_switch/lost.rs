@@ -1,7 +1,6 @@
 //! Drivers that left before the stop, by the status of a controller of this test.
 
-use heliostat_proto::NodeStatus;
-use heliostat_proto::gauges::LostDriver;
+use heliostat_proto::{LostDriver, NodeStatus};
 
 use super::*;
 
@@ -11,8 +10,8 @@ const CONTROLLER: u64 = 5;
 /// The status of the controller, which has lost these drivers.
 fn status(lost: &[LostDriver]) -> NodeStatus {
     let stamp = Stamp { source: CONTROLLER, ..Stamp::default() };
-    let gauges = lost.iter().map(LostDriver::gauge).collect();
-    NodeStatus { stamp, node: NodeKind::Controller, gauges, ..NodeStatus::default() }
+    let counters = lost.iter().map(LostDriver::counter).collect();
+    NodeStatus { stamp, node: NodeKind::Controller, counters, ..NodeStatus::default() }
 }
 
 fn awaited(what: &str, is_so: impl Fn() -> bool) {

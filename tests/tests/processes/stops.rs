@@ -261,7 +261,10 @@ fn a_driver_that_was_lost_before_the_stop_is_named_until_a_release() {
     let own = ["--room", "lost", "--connect", &room.of_controller, "--exit-with-parent"];
     let mut third = Process::heliostat(&[&flags[..], &own].concat());
     let status = || room.latest().controller.unwrap_or_default();
-    wait_until("both drivers of the second array", || status().last_problem.contains("mirrors-1"));
+    wait_until("both drivers of the second array", || {
+        let problem = status().last_problem;
+        problem.contains("mirrors-1") && ["a second source", "is not followed"].iter().any(|part| problem.contains(part))
+    });
     third.kill();
     let lost = || LostDriver::all_of(&status());
     wait_until("the loss of one of them", || !lost().is_empty());

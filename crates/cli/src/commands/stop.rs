@@ -239,10 +239,10 @@ pub fn rearm(args: RearmArgs) -> Result<()> {
         };
         with_held(error.into(), switch.held_by_controller().as_deref())
     })?;
-    lost.into_iter().for_each(output::note);
+    lost.iter().for_each(output::note);
     let left = timeout.saturating_sub(begun.elapsed());
     let further = if may_follow(&named) { switch.further_stops(&known, left) } else { Vec::new() };
-    let written = args.order.report_release(&room, took, &named, &switch.known_stops());
+    let written = args.order.report_release(&room, took, [&named, &switch.known_stops()], &lost);
     let closed = order.close();
     if let Some(rest) = still_stopped(&further) {
         bail!("{rest}; {LOOK_AND_REPEAT}");
@@ -318,15 +318,23 @@ impl OrderArgs {
         Ok(unrecorded)
     }
 
-    /// Prints that stops are released, and what the arrays report to hold after that.
-    fn report_release(&self, room: &Room, took: Duration, released: &[RoomStop], held: &[RoomStop]) -> Result<()> {
+    /// Prints that stops are released, and what the arrays report to hold after that; as JSON also the lost drivers.
+    fn report_release(
+        &self,
+        room: &Room,
+        took: Duration,
+        [released, held]: [&[RoomStop]; 2],
+        lost: &[String],
+    ) -> Result<()> {
         let text = if self.json {
             let array = match (held.is_empty(), may_follow(released)) {
                 (false, _) => "stopped",
                 (true, true) => "unknown",
                 (true, false) => "released",
             };
-            to_json(room, array, took, [released, held]).to_string()
+            let mut result = to_json(room, array, took, [released, held]);
+            result["lost"] = json!(lost);
+            result.to_string()
         } else {
             with_stops(release_in_words(room.name(), took, released, held), "released", released)
         };

@@ -203,7 +203,7 @@ impl StopSwitch {
     /// What is to be said of controllers that have not reported which drivers they have lost.
     pub fn unheard_controllers(&self) -> Vec<String> {
         let unheard = self.seen.lock().unheard_controllers();
-        let text = |source| {
+        let text = |source: u64| {
             format!(
                 "controller {source:016x} has not reported which drivers it has lost: mirrors of a driver that left before may \
                  move"

@@ -32,7 +32,7 @@ pub(super) struct Drivers {
 /// A driver that has left.
 struct Lost {
     driver: LostDriver,
-    /// Whether another driver served the array then: a driver that appears later takes the place of that one.
+    /// Whether another driver served the array then. If not, a driver that appears later takes its place.
     had_other: bool,
 }
 

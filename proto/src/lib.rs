@@ -51,6 +51,7 @@ pub mod gauges;
 pub mod keys;
 mod kind;
 mod limits;
+mod lost_driver;
 pub mod messages;
 pub mod reported_stops;
 mod stamp;
@@ -68,8 +69,9 @@ pub use kind::Kind;
 pub use limits::{
     CLOCK_LEAD_MAX_NS, EPOCH_SLOTS, MAX_ARRAYS, MAX_BRANCHES, MAX_ENTRIES, MAX_GEOMETRY, MAX_INPUTS, MAX_LED_GAINS,
     MAX_MIRRORS, MAX_OBSTACLES, MAX_PAYLOAD, MAX_STATE, MAX_STOPS, MAX_TEXT, MAX_USERS, Nanos, SPEED_MAX_M_S,
-    UNLISTED_STOPS, VERSION, cut,
+    UNLISTED_STOPS, VERSION, clock_time, cut,
 };
+pub use lost_driver::LostDriver;
 pub use messages::{
     BeliefReport, BranchReport, Calibration, Capabilities, ChannelReport, ControllerControl, ControllerMemory,
     EmergencyStop, LedReport, MirrorCommand, MirrorTelemetry, NodeStatus, ObstacleReport, OrientationReport, Rearm,

@@ -65,3 +65,9 @@ pub const UNLISTED_STOPS: &str = "more stops than an array can list";
 
 /// Room time in ns: UTC since 1970 in live operation, simulated time in lockstep.
 pub type Nanos = u64;
+
+/// The time of day of a time in UTC, in words.
+pub fn clock_time(time_ns: Nanos) -> String {
+    let seconds = time_ns / 1_000_000_000 % 86_400;
+    format!("{:02}:{:02}:{:02} UTC", seconds / 3600, seconds / 60 % 60, seconds % 60)
+}

@@ -7,8 +7,9 @@
 //! has stopped where its last stop report is fresh, lists every stop that is held for it, and states
 //! that its device has executed them. Where the liveliness tokens of several drivers name the array, each
 //! driver has to: the reports of one say nothing about the mirrors of another one. A driver is lost if its token ends
-//! while a stop is held that it has not confirmed, whether it hung, was killed or ended in order. The stop then stays
-//! unconfirmed until this driver answers, or until the release.
+//! while a stop is held that it has not confirmed, whether it hung, was killed or ended in order. A driver that left
+//! before is lost if a controller reports it. The stop then stays unconfirmed until this driver answers, or until the
+//! release.
 //!
 //! | the array publishes | its standing, by its last reports |
 //! | --- | --- |
@@ -18,21 +19,19 @@
 //! | safety reports or telemetry only | [`Unknown`](Standing::Unknown) in state *stopped*, else [`Moving`](Standing::Moving) |
 //! | nothing for some time | [`Silent`](Standing::Silent) |
 
+mod lost_reports;
+mod reported_array;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use crate::enumerations::ArrayState;
-use crate::limits::{MAX_ARRAYS, UNLISTED_STOPS, cut};
-use crate::messages::{EmergencyStop, MirrorTelemetry, SafetyReport, StopReport, fault};
+use crate::limits::{MAX_ARRAYS, Nanos, cut};
+use crate::messages::{EmergencyStop, MirrorTelemetry, NodeStatus, SafetyReport, StopReport, fault};
 use crate::stop_hold::{HeldStop, StopHold, unknown_stops};
 use crate::structures::{LatchedStopReport, Stamp, StopName};
-
-/// A stop report is published each second, and at each change. An array without one for this time does
-/// not answer.
-const REPORT_AGE_MAX: Duration = Duration::from_millis(2500);
-
-/// Telemetry is published ten times a second.
-const TELEMETRY_AGE_MAX: Duration = Duration::from_millis(1500);
+use lost_reports::LostReports;
+use reported_array::{REPORT_AGE_MAX, ReportedArray};
 
 /// A driver that publishes stop reports has published one after this time of telemetry.
 pub const STOPS_WITHIN: Duration = Duration::from_millis(1500);
@@ -66,6 +65,8 @@ pub enum Standing {
     Lost {
         /// The sources of such drivers.
         drivers: Vec<u64>,
+        /// Since when the first of them is lost, UTC in ns; known of those that a controller reports.
+        since_ns: Option<Nanos>,
     },
     /// It has latched a stop; its driver publishes no stop reports.
     Unknown,
@@ -99,25 +100,6 @@ pub struct RoomStop {
     pub stands_for_unlisted: bool,
 }
 
-/// What an array reported last, with arrival times.
-#[derive(Clone, Debug, Default)]
-struct ReportedArray {
-    /// Arrival of its first report.
-    first: Option<Duration>,
-    state: Option<(Duration, ArrayState)>,
-    /// Arrival of the last telemetry of a stopped device, and its source.
-    device_stopped: Option<(Duration, u64)>,
-    has_safety: bool,
-    stops: Option<(Duration, StopReport)>,
-    /// Whether its stop without sender has stood for others since it reported that stop first.
-    had_unlisted: bool,
-    /// The last stop report of each of its drivers, and recent ones of others: an array can have two by mistake.
-    by_source: BTreeMap<u64, (Duration, StopReport)>,
-    hold: StopHold,
-    /// The stops of this process that it has reported, the last of each sender.
-    reported: Vec<StopName>,
-}
-
 /// What the arrays of a room reported, and what is held for them.
 #[derive(Clone, Debug, Default)]
 pub struct ReportedStops {
@@ -126,100 +108,14 @@ pub struct ReportedStops {
     drivers: BTreeSet<Driver>,
     /// Those that left it before they confirmed a stop that is held.
     lost: BTreeSet<Driver>,
+    /// Those that controllers have lost, also before this process looked.
+    reported_lost: LostReports,
     /// Number of arrays of the largest geometry that was announced; 0 before the first.
     announced: usize,
     /// When each stop became known here.
     known: BTreeMap<StopName, Duration>,
     /// The stops of this process, the last of each sender. An array that appears later never got them.
     orders: Vec<EmergencyStop>,
-}
-
-impl ReportedArray {
-    /// What the array with these drivers does about its stops, with reports that arrived after `since` only.
-    fn standing(&self, drivers: &[u64], now: Duration, since: Option<Duration>) -> Standing {
-        if !self.hold.is_stopped() {
-            return Standing::Free;
-        }
-        if let Some(shared) = self.shared(drivers, now) {
-            return shared;
-        }
-        let mut held = self.hold.stops().iter().map(|held| held.name);
-        let is_recent = |at: Duration, age_max: Duration| now.saturating_sub(at) < age_max;
-        let counts = |at: Duration, age_max| is_recent(at, age_max) && since.is_none_or(|since| at >= since);
-        // A report from before `since` counts if telemetry has confirmed it meanwhile.
-        let is_confirmed = |report: &StopReport| {
-            let telemetry = self.device_stopped.filter(|(_, source)| *source == report.stamp.source);
-            report.device_stopped && telemetry.is_some_and(|(at, _)| counts(at, TELEMETRY_AGE_MAX))
-        };
-        let is_fresh = |(at, report): &&(Duration, StopReport)| {
-            counts(*at, REPORT_AGE_MAX) || (is_recent(*at, REPORT_AGE_MAX) && is_confirmed(report))
-        };
-        if let Some((_, report)) = self.stops.as_ref().filter(is_fresh) {
-            return match (held.all(|name| report.is_latched(name)), report.device_stopped) {
-                (false, _) => Standing::Moving,
-                (true, true) => Standing::Stopped,
-                (true, false) => Standing::Latched { problem: report.problem.clone() },
-            };
-        }
-        let is_older = self.stops.is_none() && self.is_settled(now);
-        match self.state.filter(|(at, _)| counts(*at, TELEMETRY_AGE_MAX)) {
-            Some((_, ArrayState::Stopped)) if is_older => Standing::Unknown,
-            Some(_) => Standing::Moving,
-            None => Standing::Silent,
-        }
-    }
-
-    /// Its standing if it has several drivers, and the own recent reports of any do not confirm its stops.
-    fn shared(&self, drivers: &[u64], now: Duration) -> Option<Standing> {
-        let open: Vec<u64> = drivers.iter().copied().filter(|source| !self.has_stopped(*source, now)).collect();
-        let reports = open.iter().filter_map(|source| self.recent_report(*source, now));
-        let problems = reports.map(|report| report.problem.as_str());
-        let problem = problems.filter(|problem| !problem.is_empty()).collect::<Vec<_>>().join("; ");
-        let is_shared = drivers.len() > 1 && !open.is_empty();
-        is_shared.then_some(Standing::Shared { drivers: drivers.len(), open, problem })
-    }
-
-    /// The last stop report of a source, unless it is old.
-    fn recent_report(&self, source: u64, now: Duration) -> Option<&StopReport> {
-        let recent = self.by_source.get(&source).filter(|(at, _)| now.saturating_sub(*at) < REPORT_AGE_MAX);
-        recent.map(|(_, report)| report)
-    }
-
-    /// Whether the own recent report of a driver confirms its stops.
-    fn has_stopped(&self, source: u64, now: Duration) -> bool {
-        self.recent_report(source, now).is_some_and(|report| self.is_confirmed_by(report))
-    }
-
-    /// Whether a driver has not confirmed its stops, by its last report of any age.
-    fn is_unanswered(&self, source: u64) -> bool {
-        let is_answered = self.by_source.get(&source).is_some_and(|(_, report)| self.is_confirmed_by(report));
-        self.hold.is_stopped() && !is_answered
-    }
-
-    /// Whether a report shows that a device has executed every stop that is held.
-    fn is_confirmed_by(&self, report: &StopReport) -> bool {
-        report.device_stopped && self.hold.stops().iter().all(|held| report.is_latched(held.name))
-    }
-
-    /// Whether stop reports of its driver would have arrived.
-    fn is_settled(&self, now: Duration) -> bool {
-        self.first.is_some_and(|first| now.saturating_sub(first) > STOPS_WITHIN)
-    }
-
-    fn is_silent(&self, now: Duration) -> bool {
-        self.state.is_none_or(|(at, _)| now.saturating_sub(at) >= TELEMETRY_AGE_MAX)
-    }
-
-    /// Whether a stop of this name, which is held for it, stands for stops that it could not list. Its reason states it
-    /// also to a process that has seen no full list of the array.
-    fn stands_for_unlisted(&self, HeldStop { name, reason, .. }: &HeldStop) -> bool {
-        *name == StopName::default() && (self.had_unlisted || reason.contains(UNLISTED_STOPS))
-    }
-
-    /// Whether its driver is present and has published no stop reports.
-    fn lacks_stop_reports(&self, now: Duration) -> bool {
-        !self.is_silent(now) && !self.hold.has_stop_reports()
-    }
 }
 
 impl ReportedStops {
@@ -241,12 +137,32 @@ impl ReportedStops {
         let standing = |array: usize| {
             let Some(seen) = self.arrays.get(&array) else { return (array, Standing::Silent) };
             let standing = seen.standing(&self.drivers_of(array), now, since);
-            let mut lost = sources_of(&self.lost, array);
-            lost.retain(|source| !seen.has_stopped(*source, now));
-            let is_lost = standing == Standing::Stopped && !lost.is_empty();
-            (array, if is_lost { Standing::Lost { drivers: lost } } else { standing })
+            let lost = if standing == Standing::Stopped { self.lost_of(array, now) } else { None };
+            (array, lost.unwrap_or(standing))
         };
         (0..self.expected()).map(standing).collect()
+    }
+
+    /// The arrays of which drivers are lost, whether or not a stop is held, each with [`Standing::Lost`].
+    pub fn lost(&self, now: Duration) -> Vec<(usize, Standing)> {
+        (0..self.expected()).filter_map(|array| Some((array, self.lost_of(array, now)?))).collect()
+    }
+
+    /// That drivers of an array are lost; `None` if there is none, or each has stopped since.
+    fn lost_of(&self, array: usize, now: Duration) -> Option<Standing> {
+        let (present, seen) = (self.drivers_of(array), self.arrays.get(&array));
+        let has_stopped = |source: u64| seen.is_some_and(|seen| seen.has_stopped(source, now));
+        let is_lost = |source: &u64| !present.contains(source) && !has_stopped(*source);
+        let reported: Vec<_> = self.reported_lost.of(array, now).filter(|lost| is_lost(&lost.source)).collect();
+        let own = sources_of(&self.lost, array).into_iter().filter(is_lost);
+        let drivers: BTreeSet<u64> = own.chain(reported.iter().map(|lost| lost.source)).collect();
+        let since_ns = reported.iter().map(|lost| lost.since_ns).min();
+        (!drivers.is_empty()).then(|| Standing::Lost { drivers: drivers.into_iter().collect(), since_ns })
+    }
+
+    /// The controllers that are in the room and have not reported yet which drivers they have lost.
+    pub fn unheard_controllers(&self) -> Vec<u64> {
+        self.reported_lost.unheard()
     }
 
     /// Whether the tokens of several drivers name one array.
@@ -436,6 +352,18 @@ impl ReportedStops {
         } else if self.drivers.remove(&driver) && self.is_lost(driver) {
             self.lost.insert(driver);
         }
+        self.note_names(now);
+    }
+
+    /// The token of a controller has appeared in the room, or has left it.
+    pub fn handle_controller(&mut self, source: u64, is_present: bool) {
+        self.reported_lost.handle_controller(source, is_present);
+    }
+
+    /// The status of a process arrived: that of a controller names the drivers that it has lost.
+    pub fn handle_status(&mut self, now: Duration, status: &NodeStatus) {
+        let arrays = self.reported_lost.handle_status(now, status);
+        self.add_arrays(arrays);
         self.note_names(now);
     }
 

@@ -169,9 +169,9 @@ impl Commander {
     }
 
     /// A process has appeared or left, by its liveliness token.
-    fn presence(&self, key: &str, is_alive: bool) -> PyResult<()> {
+    fn presence(&self, key: &str, is_alive: bool, now: u64) -> PyResult<()> {
         let input = Input::Presence { token: key, is_alive };
-        self.step(|room, out| _ = room.handle(0, input, out)).map(drop)
+        self.step(|room, out| _ = room.handle(now, input, out)).map(drop)
     }
 
     /// Decides for the newest position report, if one waits: the function is called.
@@ -221,7 +221,7 @@ impl Commander {
     }
 
     /// The counters of the status by name, as those of every controller: of `standby` and `array_unfit` only
-    /// whether they hold now.
+    /// whether they hold now. Those of lost drivers have the time of the loss.
     fn status<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let room = self.room()?;
         let controller = room.controller();
@@ -244,6 +244,9 @@ impl Commander {
         let events = TenureEvent::ALL.map(|event| ("epoch:", event.name(), counters.tenure(event)));
         for (prefix, name, count) in modes.into_iter().chain(events).filter(|(_, _, count)| *count > 0) {
             table.set_item(format!("{prefix}{name}"), count)?;
+        }
+        for (name, since_s) in room.lost_drivers().map(|lost| lost.counter()) {
+            table.set_item(name, since_s)?;
         }
         Ok(table)
     }

@@ -109,7 +109,6 @@ use heliostat_scenario::{Control, DegradedAction, Scenario};
 use serde::{Deserialize, Serialize};
 
 pub use decision::Observed;
-pub use held_stops::clock_time;
 
 pub use crate::output::outcome::{ArrayCommand, Counters, Decision, DegradedMode, Due, Stage, Timing};
 use crate::{

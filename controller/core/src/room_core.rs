@@ -70,7 +70,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use heliostat_channel::ChannelError;
 use heliostat_proto::{
-    Capabilities, CodecError, EmergencyStop, Nanos, NodeKind, RoomGeometry, SafetyReport, StopReport, keys::parse_alive,
+    Capabilities, CodecError, EmergencyStop, LostDriver, Nanos, NodeKind, RoomGeometry, SafetyReport, StopReport,
+    keys::parse_alive,
 };
 use heliostat_scenario::Scenario;
 
@@ -216,7 +217,7 @@ impl RoomCore {
             Input::Payload { key: InputKey::Report(channel), bytes } => self.handle_report(now, channel, bytes, out),
             Input::Payload { key, bytes } => self.handle_announcement(now, key, bytes),
             Input::Presence { token, is_alive } => {
-                self.handle_token(token, is_alive);
+                self.handle_token(now, token, is_alive);
                 Handled::Nothing
             }
             Input::Examined(Examined { array, capabilities, verdict }) => {
@@ -310,6 +311,11 @@ impl RoomCore {
         self.drivers.absent(now, &self.controller)
     }
 
+    /// The drivers that have left since the last release of a stop, and have neither returned nor been replaced.
+    pub fn lost_drivers(&self) -> impl Iterator<Item = LostDriver> + '_ {
+        self.drivers.lost()
+    }
+
     /// The geometry that the simulator announces, as TOML; `None` where none does.
     pub fn announced_geometry(&self, now: Nanos) -> Option<&str> {
         let fresh = self.announced.as_ref().filter(|(at, _)| now.abs_diff(*at) < GEOMETRY_EXPIRY_NS);
@@ -360,7 +366,7 @@ impl RoomCore {
 
     fn handle_announcement(&mut self, now: Nanos, key: InputKey, payload: &[u8]) -> Handled {
         let room_ns = self.room_time_ns(now);
-        let Self { controller, undecodable, .. } = self;
+        let Self { controller, undecodable, drivers, .. } = self;
         match key {
             InputKey::Report(_) => {}
             InputKey::Capabilities(array) => {
@@ -371,6 +377,7 @@ impl RoomCore {
             InputKey::Stops(array) => {
                 if let Some(report) = undecodable.decode::<StopReport>(key, payload) {
                     controller.handle_stops(array, &report);
+                    drivers.handle_stops(array, &report);
                 }
             }
             InputKey::Safety(array) => {
@@ -408,8 +415,8 @@ impl RoomCore {
         Handled::Examination(Box::new(Examination { array, capabilities, examiner }))
     }
 
-    fn handle_token(&mut self, token: &str, is_alive: bool) {
-        self.drivers.handle_token(token, is_alive);
+    fn handle_token(&mut self, now: Nanos, token: &str, is_alive: bool) {
+        self.drivers.handle_token(now, token, is_alive);
         let Some((node, source)) = parse_alive(token) else { return };
         if is_alive {
             self.controller.handle_source_found(node, source);
@@ -439,13 +446,15 @@ impl RoomCore {
 
     /// Lists the stops that arrays have not reported, for repetition.
     fn list_stops(&mut self, now: Nanos) {
-        let mut unreported = Vec::new();
+        let (mut unreported, mut is_stopped) = (Vec::new(), false);
         let room_ns = self.room_time_ns(now);
         for array in 0..self.controller.arrays() {
+            is_stopped |= !self.controller.stops(array).is_empty();
             let is_older = !self.controller.understands_repetitions(room_ns, array);
             let stops = self.controller.unreported_stops(array);
             unreported.extend(stops.map(|stop| Unreported { array, is_older, stop: stop.clone() }));
         }
+        self.drivers.set_stopped(is_stopped);
         self.locked_repeater().update(unreported);
     }
 

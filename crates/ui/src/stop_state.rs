@@ -247,10 +247,15 @@ mod tests {
     #[test]
     fn a_driver_that_was_lost_before_it_answered_is_named() {
         let mut state = StopState { open: Some(ago(1200)), ..StopState::default() };
-        let figures = state.update(&room(Some(1500), Standing::Lost { drivers: vec![7] }));
+        let lost = |drivers: &[u64], since_ns| Standing::Lost { drivers: drivers.to_vec(), since_ns };
+        let figures = state.update(&room(Some(1500), lost(&[7], None)));
         let expected = "array 1 is not confirmed: driver 0000000000000007 was lost before it answered; its mirrors may \
                         still move: cut the power";
         assert_eq!((figures.phase, &figures.problems[..]), (StopPhase::Unconfirmed, &[expected.to_owned()][..]));
+        let figures = state.update(&room(Some(1500), lost(&[7, 9], Some(43_384_000_000_000))));
+        let expected = "array 1 is not confirmed: drivers 0000000000000007, 0000000000000009 were lost at 12:03:04 UTC; \
+                        their mirrors may still move: cut the power";
+        assert_eq!(figures.problems, [expected.to_owned()]);
     }
 
     #[test]

@@ -21,7 +21,7 @@ use heliostat_service::source_id;
 use crate::UiError;
 use crate::notes::two_drivers;
 use crate::order_publisher::OrderPublisher;
-use crate::stop_watch::{RoomStops, StopWatch, UNKNOWN_ARRAYS, problem, unrecorded, unreleased};
+use crate::stop_watch::{RoomStops, StopWatch, UNKNOWN_ARRAYS, problem, unrecorded, unreleased, unreleased_lost};
 
 /// What an operator has to know of an endpoint that has not answered in time.
 const UNANSWERED_ENDPOINT: &str =
@@ -37,7 +37,8 @@ const REPEATED_WITHIN: Duration = Duration::from_secs(1);
 /// Time between two looks at the sessions that are on their way.
 const JOIN_CHECK_EVERY: Duration = Duration::from_millis(20);
 
-/// The geometry of a room is announced each second, and so is a safety report.
+/// The geometry of a room is announced each second, and so is a safety report. A controller publishes its status twice a
+/// second.
 const ANNOUNCED_WITHIN: Duration = Duration::from_millis(1500);
 
 /// Stops the arrays of a room and releases them.
@@ -142,10 +143,10 @@ impl StopSwitch {
     }
 
     /// All stops that are held or in force. Waits for a first array for `limit` at most, and then until
-    /// every array has published its stops.
+    /// every array has published its stops, and each controller its lost drivers.
     pub fn stops(&self, limit: Duration) -> Vec<RoomStop> {
         self.seen.wait(limit, |seen, _| seen.has_array());
-        self.seen.wait(ANNOUNCED_WITHIN, |seen, _| seen.is_complete());
+        self.seen.wait(ANNOUNCED_WITHIN, |seen, _| seen.is_complete() && seen.unheard_controllers().is_empty());
         self.known_stops()
     }
 
@@ -192,6 +193,34 @@ impl StopSwitch {
     /// What is to be said of arrays that two processes drive.
     pub fn shared_arrays(&self) -> Vec<String> {
         self.seen.shared().into_iter().map(two_drivers).collect()
+    }
+
+    /// What is to be said after a release of the arrays of which drivers are lost.
+    pub fn unreleased_lost(&self) -> Vec<String> {
+        self.seen.lock().lost(self.seen.now()).iter().filter_map(unreleased_lost).collect()
+    }
+
+    /// What is to be said of controllers that have not reported which drivers they have lost.
+    pub fn unheard_controllers(&self) -> Vec<String> {
+        let unheard = self.seen.lock().unheard_controllers();
+        let text = |source: u64| {
+            format!(
+                "controller {source:016x} has not reported which drivers it has lost: mirrors of a driver that left before may \
+                 move"
+            )
+        };
+        unheard.into_iter().map(text).collect()
+    }
+
+    /// The arrays that have stopped, by index, as far as it is known now.
+    pub fn stopped_arrays(&self) -> Vec<usize> {
+        let standings = self.room_stops().standings.into_iter();
+        standings.filter(|(_, standing)| *standing == Standing::Stopped).map(|(array, _)| array).collect()
+    }
+
+    /// What is open of the stops of the room, array by array, as far as it is known now.
+    pub fn problems(&self) -> Vec<String> {
+        self.room_stops().problems()
     }
 
     /// Whether the last stop of this process is held for any array.
@@ -258,7 +287,8 @@ impl StopSwitch {
     }
 
     /// Stops the arrays, and repeats the stop until each has reported that its device executed it;
-    /// returns the time that this took.
+    /// returns the time that this took. It then awaits the status of each controller that is there, which names the
+    /// drivers that left before.
     ///
     /// # Errors
     /// [`UiError::StopUnconfirmed`] names each array that has not, after `limit`; otherwise as
@@ -278,7 +308,10 @@ impl StopSwitch {
             let is_confirmed = self.seen.wait(REPEAT_AFTER, is_stopped);
             confirmed = if is_confirmed { confirmed.or(Some(begun.elapsed())) } else { None };
             let (has_geometry, is_joining) = (self.seen.lock().has_geometry(), self.is_joining.load(Ordering::SeqCst));
-            if let Some(took) = confirmed.filter(|_| has_geometry && !is_joining) {
+            let is_told = |seen: &ReportedStops| {
+                begun.elapsed() >= ANNOUNCED_WITHIN.min(limit) || seen.unheard_controllers().is_empty()
+            };
+            if let Some(took) = confirmed.filter(|_| has_geometry && !is_joining && is_told(&self.seen.lock())) {
                 return Ok(took);
             }
             let is_counted = has_geometry || is_joining;
@@ -289,7 +322,8 @@ impl StopSwitch {
             if is_confirmed {
                 // The geometry may name an array that has not reported yet.
                 let is_joined = || !self.is_joining.load(Ordering::SeqCst);
-                self.seen.wait(JOIN_CHECK_EVERY.min(limit), |seen, _| seen.has_geometry() && is_joined());
+                self.seen
+                    .wait(JOIN_CHECK_EVERY.min(limit), |seen, _| seen.has_geometry() && is_joined() && is_told(seen));
             } else {
                 // Only while no array is known: it would also stop those at which an operator has released it.
                 if self.seen.lock().is_empty() {

@@ -7,11 +7,11 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use heliostat_bus::{Bus, Presence, Subscription};
-use heliostat_proto::keys::parse_array_alive;
-use heliostat_proto::reported_stops::{Driver, ReportedStops, RoomStop, Standing};
+use heliostat_proto::keys::{parse_alive, parse_array_alive};
+use heliostat_proto::reported_stops::{ReportedStops, RoomStop, Standing};
 use heliostat_proto::{
-    EmergencyStop, Message, MirrorTelemetry, NodeKind, NodeStatus, RoomGeometry, SafetyReport, StopName, StopReport,
-    codec,
+    EmergencyStop, Message, MirrorTelemetry, Nanos, NodeKind, NodeStatus, RoomGeometry, SafetyReport, StopName,
+    StopReport, clock_time, codec,
 };
 use heliostat_scenario::Scenario;
 use heliostat_service::printable::printable;
@@ -54,19 +54,29 @@ pub(crate) fn problem(array: usize, standing: &Standing) -> Option<String> {
                 "array {array} has {drivers} drivers, and {named} {sources} {have} not confirmed the stop{why}: cut {their} power"
             )
         }
-        Standing::Lost { drivers } => {
-            let sources = drivers.iter().map(|source| format!("{source:016x}")).collect::<Vec<_>>().join(", ");
-            let (named, their) = if drivers.len() == 1 {
-                ("driver", "was lost before it answered; its")
-            } else {
-                ("drivers", "were lost before they answered; their")
-            };
-            format!("array {array} is not confirmed: {named} {sources} {their} mirrors may still move: cut the power")
+        Standing::Lost { drivers, since_ns } => {
+            let (lost, their) = (lost_in_words(drivers, *since_ns), if drivers.len() == 1 { "its" } else { "their" });
+            format!("array {array} is not confirmed: {lost}; {their} mirrors may still move: cut the power")
         }
         Standing::Unknown => format!(
             "array {array} has latched the stop; its driver does not report whether the device executed it: check its mirrors"
         ),
     })
+}
+
+/// That these drivers of one array are lost, and since when, where a controller reports it.
+fn lost_in_words(drivers: &[u64], since_ns: Option<Nanos>) -> String {
+    let sources = drivers.iter().map(|source| format!("{source:016x}")).collect::<Vec<_>>().join(", ");
+    let (named, were, they) = if drivers.len() == 1 { ("driver", "was", "it") } else { ("drivers", "were", "they") };
+    let lost = format!("{named} {sources} {were} lost before {they} answered");
+    since_ns.map_or(lost, |since_ns| format!("{named} {sources} {were} lost at {}", clock_time(since_ns)))
+}
+
+/// What an operator has to know of lost drivers of an array, after a release.
+pub(crate) fn unreleased_lost((array, standing): &(usize, Standing)) -> Option<String> {
+    let Standing::Lost { drivers, since_ns } = standing else { return None };
+    let lost = lost_in_words(drivers, *since_ns);
+    Some(format!("array {array}: {lost}, without a confirmation of the release: its mirrors may stand, or still move"))
 }
 
 /// The arrays that have stopped and do not record the stop, in words.
@@ -180,8 +190,8 @@ struct WatchState {
     arrays: Mutex<ArrayReports>,
     /// The states of the controllers that hold stops, by their sources, with the arrival times.
     holders: Mutex<BTreeMap<u64, (Instant, String)>>,
-    /// The sessions in which the token of each driver is seen.
-    tokens: Mutex<BTreeMap<Driver, BTreeSet<usize>>>,
+    /// The sessions in which each token is seen, by its key.
+    tokens: Mutex<BTreeMap<String, BTreeSet<usize>>>,
 }
 
 impl StopWatch {
@@ -255,13 +265,12 @@ impl StopWatch {
         subscriptions.push(bus.subscribe_keyed(&room.all_status(), move |_, payload| {
             if let Ok(status) = codec::decode::<NodeStatus>(payload) {
                 holding.note_holder(&status);
+                holding.note(|seen, now| seen.handle_status(now, &status));
             }
         })?);
         let present = Arc::clone(state);
         subscriptions.push(bus.watch(&room.all_alive(), move |key, presence| {
-            if let Some(driver) = parse_array_alive(key) {
-                present.note_token(session, driver, presence == Presence::Alive);
-            }
+            present.note_token(session, key, presence == Presence::Alive);
         })?);
         sessions.push(subscriptions);
         Ok(())
@@ -370,10 +379,10 @@ impl WatchState {
         holders.values().find(|(at, _)| at.elapsed() < EXPIRY).map(|(_, state)| state.clone())
     }
 
-    /// A driver is there as long as one session sees its token.
-    fn note_token(&self, session: usize, driver: Driver, is_alive: bool) {
+    /// A process is there as long as one session sees its token.
+    fn note_token(&self, session: usize, key: &str, is_alive: bool) {
         let mut tokens = self.tokens.lock().unwrap_or_else(PoisonError::into_inner);
-        let seen_in = tokens.entry(driver).or_default();
+        let seen_in = tokens.entry(key.to_owned()).or_default();
         if is_alive {
             seen_in.insert(session);
         } else {
@@ -381,10 +390,14 @@ impl WatchState {
         }
         let is_there = !seen_in.is_empty();
         if !is_there {
-            tokens.remove(&driver);
+            tokens.remove(key);
         }
         // Under the lock: two sessions report in the order of their changes.
-        self.note(|seen, now| seen.handle_driver(now, driver, is_there));
+        self.note(|seen, now| match (parse_array_alive(key), parse_alive(key)) {
+            (Some(driver), _) => seen.handle_driver(now, driver, is_there),
+            (None, Some((NodeKind::Controller, source))) => seen.handle_controller(source, is_there),
+            (None, _) => {}
+        });
     }
 
     fn note(&self, set: impl FnOnce(&mut ReportedStops, Duration)) {

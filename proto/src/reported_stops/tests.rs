@@ -1,7 +1,10 @@
 //! What the stop reports of a room are read as.
 
+use super::reported_array::TELEMETRY_AGE_MAX;
 use super::*;
+use crate::enumerations::NodeKind;
 use crate::limits::MAX_STOPS;
+use crate::lost_driver::LostDriver;
 
 const NOW: Duration = Duration::from_secs(100);
 
@@ -193,7 +196,7 @@ fn with_frozen_driver() -> (ReportedStops, Duration) {
 fn a_driver_that_is_lost_before_it_answers_keeps_a_stop_unconfirmed_until_it_returns_and_answers() {
     let (mut stops, later) = with_frozen_driver();
     stops.handle_driver(later, (Some(0), 7), false);
-    assert_eq!(stops.standings(later, None), [(0, Standing::Lost { drivers: vec![7] })]);
+    assert_eq!(stops.standings(later, None), [(0, Standing::Lost { drivers: vec![7], since_ns: None })]);
     assert!(!stops.has_stopped(order().name(), later, NOW));
     stops.handle_driver(later, (Some(0), 7), true);
     let open = Standing::Shared { drivers: 2, open: vec![7], problem: String::new() };
@@ -222,7 +225,11 @@ fn a_driver_that_reports_until_its_end_is_lost_too_unless_it_has_confirmed_and_a
     stops.handle_stops(later, 0, of_it(2, false));
     stops.handle_driver(later, (Some(0), 7), false);
     stops.handle_stops(later, 0, report(2, true));
-    assert_eq!(stops.standings(later, None), [(0, Standing::Lost { drivers: vec![7] })], "its device moves");
+    assert_eq!(
+        stops.standings(later, None),
+        [(0, Standing::Lost { drivers: vec![7], since_ns: None })],
+        "its device moves"
+    );
     stops.handle_stops(later, 0, StopReport { stops: Vec::new(), ..report(3, false) });
     assert_eq!(stops.standings(later, None), [(0, Standing::Free)]);
     let again = EmergencyStop { stamp: Stamp { sequence: 5, ..order().stamp }, ..order() };
@@ -230,6 +237,47 @@ fn a_driver_that_reports_until_its_end_is_lost_too_unless_it_has_confirmed_and_a
     let latched = vec![LatchedStopReport { source: 3, sequence: 5, ..LatchedStopReport::default() }];
     stops.handle_stops(later, 0, StopReport { stops: latched, ..report(4, true) });
     assert_eq!(stops.standings(later, None), [(0, Standing::Stopped)], "it was not there at the order");
+}
+
+/// The status of a controller that has lost these drivers.
+fn status_with(lost: &[LostDriver]) -> NodeStatus {
+    let stamp = Stamp { source: 5, ..Stamp::default() };
+    let counters = lost.iter().map(LostDriver::counter).collect();
+    NodeStatus { stamp, node: NodeKind::Controller, counters, ..NodeStatus::default() }
+}
+
+#[test]
+fn a_driver_that_was_lost_before_this_process_looked_keeps_a_stop_unconfirmed_while_a_controller_reports_it() {
+    let mut stops = ordered();
+    stops.handle_controller(5, true);
+    stops.handle_stops(NOW, 0, report(1, true));
+    assert_eq!((stops.unheard_controllers(), stops.lost(NOW)), (vec![5], vec![]));
+    let lost = LostDriver { array: 0, source: 7, since_ns: 3_000_000_000 };
+    stops.handle_status(NOW, &NodeStatus { node: NodeKind::Driver, ..status_with(&[lost]) });
+    assert_eq!(stops.unheard_controllers(), [5], "the status of another process");
+    stops.handle_status(NOW, &status_with(&[lost]));
+    let standing = Standing::Lost { drivers: vec![7], since_ns: Some(3_000_000_000) };
+    assert!(stops.unheard_controllers().is_empty());
+    assert_eq!((stops.standings(NOW, None), stops.lost(NOW)), (vec![(0, standing.clone())], vec![(0, standing)]));
+    assert!(!stops.has_stopped(order().name(), NOW, NOW));
+    let mut returned = stops.clone();
+    returned.handle_driver(NOW, (Some(0), 7), true);
+    assert_eq!(returned.lost(NOW), [], "its token shows that it is there");
+    let mut ended = stops.clone();
+    ended.handle_controller(5, false);
+    assert_eq!(ended.lost(NOW), []);
+    ended.handle_status(NOW, &status_with(&[lost]));
+    assert_eq!((ended.lost(NOW).len(), ended.lost(NOW + REPORT_AGE_MAX).len()), (1, 0), "it has no token");
+    stops.handle_status(NOW, &status_with(&[]));
+    assert_eq!(stops.standings(NOW, None), [(0, Standing::Stopped)], "the controller has seen a release");
+}
+
+#[test]
+fn an_array_that_only_a_controller_has_seen_has_to_confirm_a_stop_too() {
+    let mut stops = ordered();
+    stops.handle_stops(NOW, 0, report(1, true));
+    stops.handle_status(NOW, &status_with(&[LostDriver { array: 1, source: 7, since_ns: 1 }]));
+    assert_eq!(stops.standings(NOW, None), [(0, Standing::Stopped), (1, Standing::Silent)]);
 }
 
 #[test]

@@ -302,7 +302,7 @@ class _Run:
         """Gives all waiting messages to the core; waits a moment for the first one."""
         while not self._present.empty():
             token, is_alive = self._present.get_nowait()
-            self._core.presence(token, is_alive)
+            self._core.presence(token, is_alive, time.time_ns())
             if token != self._peer.keys["alive"]:
                 (self._others.add if is_alive else self._others.discard)(token)
         wait = True

@@ -8,8 +8,8 @@ use std::time::{Duration, Instant};
 
 use heliostat_bus::{Bus, BusConfig, Class, Publisher, Subscription, free_loopback_endpoint};
 use heliostat_proto::{
-    ArrayState, EmergencyStop, Message, MirrorTelemetry, NodeStatus, Rearm, Room, Stamp, StopReport, UserReport,
-    UserState, decode, encode,
+    ArrayState, EmergencyStop, LostDriver, Message, MirrorTelemetry, NodeStatus, Rearm, Room, Stamp, StopReport,
+    UserReport, UserState, decode, encode,
 };
 use heliostat_service::clock::utc_ns;
 use heliostat_tests::faults::{Behaviour, LoopbackBoard};
@@ -251,6 +251,50 @@ fn a_frozen_driver_is_named_and_stopped_as_soon_as_it_continues() {
 }
 
 #[test]
+fn a_driver_that_was_lost_before_the_stop_is_named_until_a_release() {
+    let room = TwoArrays::start("lost");
+    // Peers pass nothing on: neither driver of the second array sees the other one.
+    let board = LoopbackBoard::start(8);
+    let (config, state) = (config(room.folder.path(), 2), room.folder.path().join("third").display().to_string());
+    std::fs::write(&config, board.configuration()).expect("a writable folder");
+    let flags = ["driver", "run", "--config", &config, "--state", &state, "--start-armed", "--array", "1"];
+    let own = ["--room", "lost", "--connect", &room.of_controller, "--exit-with-parent"];
+    let mut third = Process::heliostat(&[&flags[..], &own].concat());
+    let status = || room.latest().controller.unwrap_or_default();
+    wait_until("both drivers of the second array", || {
+        ["source ", "mirrors-1"].iter().all(|part| status().last_problem.contains(part))
+    });
+    third.kill();
+    let lost = || LostDriver::all_of(&status());
+    wait_until("the loss of one of them", || !lost().is_empty());
+    let LostDriver { array, source, .. } = lost()[0];
+    let stopped = room.order_within("4", "stop", &[]);
+    let (refusal, lost_one) = (stopped.refusal(), format!("driver {source:016x} was lost at "));
+    let is_named = refusal.contains(&format!("array 1 is not confirmed: {lost_one}"));
+    assert!(array == 1 && is_named && !refusal.contains("array 0"), "{refusal}");
+    room.wait_for([ArrayState::Stopped; 2]);
+    let released = room.order("rearm", &["--all"]);
+    let is_named = released.errors.contains(&format!("array 1: {lost_one}"));
+    assert!(released.status.success() && is_named, "{}", released.errors);
+    wait_until("the release at the controller", || lost().is_empty());
+    assert!(room.order("stop", &[]).status.success(), "the release has ended the loss");
+}
+
+#[test]
+fn a_held_stop_that_an_array_never_confirms_ends_with_status_1_also_after_a_signal() {
+    let mut room = TwoArrays::start("never");
+    room.driver(1).kill();
+    let flags = ["stop", "--hold", "--timeout", "1", "--room", "never", "--connect", &room.of_controller];
+    let mut held = Process::heliostat(&flags);
+    wait_until("the held stop", || held.errors().contains("the stop is held: end with Ctrl-C"));
+    held.signal("INT");
+    let ended = held.wait_mut();
+    assert_eq!(ended.status.code(), Some(1), "{}", ended.errors);
+    let named = "not every array has confirmed the stop: stopped by their reports: array 0; array 1 does not answer";
+    assert!(ended.errors.contains(named), "{}", ended.errors);
+}
+
+#[test]
 fn an_array_whose_board_refuses_the_stop_or_hangs_up_is_named() {
     let room = TwoArrays::start("refusing");
     for behaviour in [Behaviour::RefusesStops, Behaviour::Absent] {
@@ -350,7 +394,10 @@ fn a_stop_goes_through_every_endpoint_and_an_interrupted_one_says_what_is_known(
     wait_until("the first array stopped", || room.states()[0] == Some(ArrayState::Stopped));
     order.signal("INT");
     let ended = order.wait_mut();
-    assert!(!ended.status.success() && ended.errors.contains("interrupted: the stop was given"), "{}", ended.errors);
+    let is_named = ["interrupted: the stop was given, and is not confirmed: ", "; array 1 does not answer"]
+        .iter()
+        .all(|part| ended.errors.contains(part));
+    assert!(!ended.status.success() && is_named, "{}", ended.errors);
 }
 
 #[test]

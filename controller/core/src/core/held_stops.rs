@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use heliostat_proto::{Nanos, array_keys::array_name, stop_hold::HeldStop};
+use heliostat_proto::{array_keys::array_name, clock_time, stop_hold::HeldStop};
 
 use super::Controller;
 use crate::output::guard::describe_stop;
@@ -52,10 +52,4 @@ fn shortened(text: Cow<'_, str>) -> String {
         Some((end, _)) => format!("{}...", &text[..end]),
         None => text.into_owned(),
     }
-}
-
-/// The time of day of a time in UTC.
-pub fn clock_time(time_ns: Nanos) -> String {
-    let seconds = time_ns / 1_000_000_000 % 86_400;
-    format!("{:02}:{:02}:{:02} UTC", seconds / 3600, seconds / 60 % 60, seconds % 60)
 }

@@ -1,8 +1,8 @@
-//! Whether each array has a driver or a simulator that receives the commands.
+//! Whether each array has a driver or a simulator that receives the commands, and which of them have left.
 
 use std::collections::BTreeSet;
 
-use heliostat_proto::{Nanos, Stamp, keys::parse_array_alive};
+use heliostat_proto::{LostDriver, Nanos, Stamp, StopReport, keys::parse_array_alive};
 
 use crate::core::Controller;
 
@@ -10,14 +10,30 @@ use crate::core::Controller;
 /// driver publishes telemetry at least 10 times a second.
 const ABSENT_AFTER_NS: Nanos = 2_000_000_000;
 
+/// Most drivers of which it is remembered that they have left.
+const LOST_MAX: usize = 16;
+
 /// The array of a driver, and its source; a simulator drives every array of its room.
 type Token = (Option<usize>, u64);
 
 /// The liveliness tokens of drivers and simulators, and the telemetry of each array.
 pub(super) struct Drivers {
     tokens: BTreeSet<Token>,
+    /// Array and source of those whose device has executed a stop, by their last stop report.
+    stopped: BTreeSet<(usize, u64)>,
+    /// Oldest first.
+    lost: Vec<Lost>,
+    /// Whether a stop is held for any array.
+    is_stopped: bool,
     /// One for each array.
     detectors: Vec<AbsenceDetector>,
+}
+
+/// A driver that has left.
+struct Lost {
+    driver: LostDriver,
+    /// Whether another driver served the array then. If not, a driver that appears later takes its place.
+    had_other: bool,
 }
 
 /// Detects that a driver is expected and gives no sign for a while.
@@ -33,17 +49,56 @@ struct AbsenceDetector {
 impl Drivers {
     /// No driver, for so many arrays.
     pub fn new(arrays: usize) -> Self {
-        Self { tokens: BTreeSet::new(), detectors: vec![AbsenceDetector::default(); arrays] }
+        Self {
+            tokens: BTreeSet::new(),
+            stopped: BTreeSet::new(),
+            lost: Vec::new(),
+            is_stopped: false,
+            detectors: vec![AbsenceDetector::default(); arrays],
+        }
     }
 
     /// A liveliness token appeared or ended.
-    pub fn handle_token(&mut self, key: &str, is_alive: bool) {
-        let Some(token) = parse_array_alive(key) else { return };
+    pub fn handle_token(&mut self, now: Nanos, key: &str, is_alive: bool) {
+        let Some(token @ (driven, source)) = parse_array_alive(key) else { return };
+        let served = driven.map_or(0..self.detectors.len(), |array| array..array + 1);
         if is_alive {
             self.tokens.insert(token);
-        } else {
-            self.tokens.remove(&token);
+            let is_replaced = |lost: &Lost| !lost.had_other && served.contains(&lost.driver.array);
+            self.lost.retain(|lost| lost.driver.source != source && !is_replaced(lost));
+        } else if self.tokens.remove(&token) {
+            for array in served {
+                // A device that has executed a stop stands.
+                if !self.stopped.remove(&(array, source)) {
+                    let driver = LostDriver { array, source, since_ns: now };
+                    self.lost.push(Lost { driver, had_other: drives(&self.tokens, array) });
+                }
+            }
+            let oldest = self.lost.len().saturating_sub(LOST_MAX);
+            self.lost.drain(..oldest);
         }
+    }
+
+    /// A driver of an array has reported its stops.
+    pub fn handle_stops(&mut self, array: usize, report: &StopReport) {
+        let driver = (array, report.stamp.source);
+        if !report.device_stopped {
+            self.stopped.remove(&driver);
+        } else if self.tokens.iter().any(|(_, source)| *source == driver.1) {
+            self.stopped.insert(driver);
+        }
+    }
+
+    /// A stop is held for an array, or none is: after a release no driver that has left is of concern any longer.
+    pub fn set_stopped(&mut self, is_stopped: bool) {
+        if std::mem::replace(&mut self.is_stopped, is_stopped) && !is_stopped {
+            self.lost.clear();
+        }
+    }
+
+    /// The drivers that have left since the last release of a stop, and have neither returned nor been replaced.
+    pub fn lost(&self) -> impl Iterator<Item = LostDriver> + '_ {
+        self.lost.iter().map(|lost| lost.driver)
     }
 
     /// The arrays without a driver that receives the commands of a controller, by index. A controller expects one once
@@ -99,6 +154,54 @@ mod tests {
         assert_eq!(driven(&of(room.array(1).driver_alive(7))), [false, true, false]);
         assert_eq!(driven(&of(room.alive(NodeKind::SimNode, 7))), [true; 3]);
         assert_eq!(driven(&of(room.alive(NodeKind::Viewer, 7))), [false; 3]);
+    }
+
+    #[test]
+    fn a_driver_that_has_left_is_lost_until_it_returns_is_replaced_or_a_stop_is_released() {
+        let room = Room::new("lab").expect("a valid name");
+        let mut drivers = Drivers::new(2);
+        let token = |source| room.array(1).driver_alive(source);
+        let lost = |drivers: &Drivers| drivers.lost().map(|lost| (lost.array, lost.source)).collect::<Vec<_>>();
+        drivers.handle_token(1, &token(7), true);
+        drivers.handle_token(2, &token(7), false);
+        assert_eq!(drivers.lost().collect::<Vec<_>>(), [LostDriver { array: 1, source: 7, since_ns: 2 }]);
+        drivers.handle_token(3, &token(8), true);
+        assert_eq!(lost(&drivers), [], "it has the mirrors of the only one");
+        drivers.handle_token(4, &token(7), true);
+        drivers.handle_token(5, &token(8), false);
+        drivers.handle_token(6, &token(9), true);
+        assert_eq!(lost(&drivers), [(1, 8)], "the new one may be a third one");
+        drivers.handle_token(7, &token(8), true);
+        assert_eq!(lost(&drivers), [], "it is back");
+        drivers.handle_token(8, &token(8), false);
+        drivers.set_stopped(true);
+        assert_eq!(lost(&drivers), [(1, 8)]);
+        drivers.set_stopped(false);
+        assert_eq!(lost(&drivers), []);
+        drivers.handle_token(9, &room.alive(NodeKind::SimNode, 6), true);
+        drivers.handle_token(10, &room.alive(NodeKind::SimNode, 6), false);
+        assert_eq!(lost(&drivers), [(0, 6), (1, 6)], "a simulator drives every array");
+        (20..99).for_each(|source| {
+            [true, false].iter().for_each(|is_alive| drivers.handle_token(11, &token(source), *is_alive))
+        });
+        assert_eq!((drivers.lost().count(), drivers.lost().last().map(|lost| lost.source)), (LOST_MAX, Some(98)));
+    }
+
+    #[test]
+    fn a_driver_that_has_left_with_a_stopped_device_is_not_lost() {
+        let token = Room::new("lab").expect("a valid name").alive(NodeKind::Driver, 7);
+        let lost = |reported: &[bool]| {
+            let mut drivers = Drivers::new(1);
+            drivers.handle_token(1, &token, true);
+            for device_stopped in reported {
+                let stamp = Stamp { source: 7, ..Stamp::default() };
+                drivers
+                    .handle_stops(0, &StopReport { stamp, device_stopped: *device_stopped, ..StopReport::default() });
+            }
+            drivers.handle_token(2, &token, false);
+            drivers.lost().count()
+        };
+        assert_eq!((lost(&[]), lost(&[true]), lost(&[true, false])), (1, 0, 1));
     }
 
     #[test]

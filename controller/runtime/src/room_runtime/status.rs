@@ -5,12 +5,12 @@ mod describe;
 use std::time::Duration;
 
 use heliostat_core::{
-    core::{Counters, DegradedMode, Stage, clock_time},
+    core::{Counters, DegradedMode, Stage},
     refusal::{Refusal, Stream},
     room_core::UndecodableCounts,
     tenure::{Standing, Tenure, TenureEvent},
 };
-use heliostat_proto::{Nanos, NodeKind, NodeStatus, Stamp, gauges::ServedLight};
+use heliostat_proto::{LostDriver, Nanos, NodeKind, NodeStatus, Stamp, clock_time, gauges::ServedLight};
 use heliostat_service::{clock::utc_ns, printable::printable};
 
 use super::{decision_loop::DecisionLoop, peers::ReportedPeers, policy_swap::SwapCounters};
@@ -62,6 +62,8 @@ pub struct Reporter {
     /// Occurrences of the problem of the present snapshot; 0 for a change of state.
     occurrences: u64,
     conditions: Conditions,
+    /// The drivers that have left the room, for operators who stop it.
+    lost_drivers: Vec<LostDriver>,
     /// Of what the light is not the expected one.
     off_light: Vec<String>,
     /// Controllers that were reported as silent.
@@ -175,6 +177,7 @@ impl Reporter {
         conditions: Conditions,
     ) -> Snapshot {
         let controller = decision_loop.room.controller();
+        self.lost_drivers = decision_loop.room.lost_drivers().collect();
         let mut summary = Summary::of(controller);
         summary.unsent = decision_loop.unsent();
         summary.dropped = decision_loop.room.superseded();
@@ -297,6 +300,7 @@ impl Reporter {
                 .chain(actor)
                 .chain(absent)
                 .chain(unfit)
+                .chain(self.lost_counters())
                 .collect(),
             gauges: noise.chain(summary.light.iter().flat_map(ServedLight::gauges)).collect(),
             timings: totals.into_iter().chain(stages).collect(),
@@ -311,10 +315,14 @@ impl Reporter {
             stamp: Stamp { source: self.identity.source, sequence: self.sequence, time_ns: utc_ns() },
             state: "no answer from the policy".into(),
             policy: summary.policy.clone(),
-            counters: vec![("unanswered".into(), summary.unanswered)],
+            counters: [("unanswered".into(), summary.unanswered)].into_iter().chain(self.lost_counters()).collect(),
             last_problem: summary.last_problem.clone(),
             ..self.blank()
         }
+    }
+
+    fn lost_counters(&self) -> impl Iterator<Item = (String, u64)> {
+        self.lost_drivers.iter().map(LostDriver::counter)
     }
 
     fn blank(&self) -> NodeStatus {

@@ -18,9 +18,6 @@ use order::{Order, unsent};
 
 /// Time between two looks at a held stop.
 const HOLD_INTERVAL: Duration = Duration::from_millis(50);
-/// What is known of a stop on its way.
-const GIVEN: &str =
-    "the stop was given, and is not confirmed: it may not have left, and is in force only where it arrived";
 /// What to do where further stops may hold the arrays.
 const LOOK_AND_REPEAT: &str = "look at `heliostat status`, and repeat the re-arm for the stops that it names";
 
@@ -30,9 +27,12 @@ const LOOK_AND_REPEAT: &str = "look at `heliostat status`, and repeat the re-arm
 /// and every array that was seen. Otherwise the exit status is 1, and each other array is named: cut the
 /// power of an array that does not answer. Where several drivers serve one array, each has to confirm. The status is 1 too where no process announces how many arrays
 /// the room has: connect to its controller or router, or give --arrays. The status is 1 too for a driver that does not report whether
-/// its device executed the stop. The status is 1 too for an array that has stopped and does not record the
-/// stop; the message states what a restart of its driver does. With --hold the command notes all this and
-/// goes on, and its status does not show it.
+/// its device executed the stop. The status is 1 too for a driver that left before the stop, where a controller reports this:
+/// its return or a release ends that. The status is 1 too for an array that has stopped and does not record the
+/// stop; the message states what a restart of its driver does.
+///
+/// With --hold the command notes all this and goes on. Its status is 1 at its end, also after Ctrl-C, if not every array
+/// has confirmed the stop by then. A stop that is interrupted during its first wait names what is confirmed.
 ///
 /// The result names every stop in force; `heliostat rearm --stop` takes such a name.
 ///
@@ -100,8 +100,8 @@ pub fn stop(args: StopArgs) -> Result<()> {
     // Nothing keeps a stop that is held from being sent.
     let end = args.hold.then(|| args.end.stop());
     match &end {
-        None => order.end_with_a_word("heliostat stop", GIVEN),
-        Some(Ok(end)) => order.end_at(end.clone(), "heliostat stop", GIVEN),
+        None => order.end_with_a_word("heliostat stop", given),
+        Some(Ok(end)) => order.end_at(end.clone(), "heliostat stop", given),
         // It shows when the stop is held.
         Some(Err(_)) => {}
     }
@@ -115,13 +115,15 @@ pub fn stop(args: StopArgs) -> Result<()> {
     let joined = begun.elapsed();
     order.note_sent();
     let stopped = switch.stop_and_confirm(reason, *timeout).map(|took| joined + took).map_err(with_reach);
-    note_shared(switch);
+    note_unverified(switch);
     let Some(end) = end else {
         let unrecorded = args.order.report(&room, switch, stopped?, begun)?;
         let closed = order.close();
         ensure!(unrecorded.is_empty(), "{}", unrecorded.join("; "));
         return Ok(closed?);
     };
+    // Before the notes: a signal that answers them ends the stop as one that is held.
+    order.note_held();
     match &stopped {
         Ok(took) => match args.order.report(&room, switch, *took, begun) {
             Ok(unrecorded) => unrecorded.into_iter().for_each(output::note),
@@ -130,21 +132,49 @@ pub fn stop(args: StopArgs) -> Result<()> {
         Err(error) => output::note(format_args!("heliostat stop: {error}; the stop is held: end with Ctrl-C")),
     }
     let end = end?;
-    order.note_held();
     let until = args.end.seconds.map(|seconds| Instant::now() + seconds);
+    let mut was_confirmed = stopped.is_ok();
     while switch.is_own_held() && !end.wait_for(HOLD_INTERVAL) && until.is_none_or(|until| Instant::now() < until) {
         switch.repeat();
+        was_confirmed |= switch.is_own_confirmed();
     }
-    if !switch.is_own_held() {
+    let (is_held, is_confirmed) = (switch.is_own_held(), switch.is_own_confirmed());
+    was_confirmed |= is_confirmed;
+    if !is_held {
         let rest = still_stopped(&switch.known_stops()).map_or_else(String::new, |rest| format!("; {rest}"));
         output::note(format_args!("heliostat stop: the stop is released{rest}"));
-    } else if !switch.is_own_confirmed() {
+    } else if was_confirmed && !is_confirmed {
         output::note(
             "heliostat stop: the stop is no longer held, and not every array confirms it now: look at `heliostat status`, or \
              cut the power",
         );
     }
-    Ok(order.close()?)
+    let open = if is_held { open_in_words(switch) } else { "another operator has released the stop".to_owned() };
+    order.close()?;
+    ensure!(
+        was_confirmed,
+        "not every array has confirmed the stop: {open}; look at `heliostat status`, or cut the power"
+    );
+    Ok(())
+}
+
+/// What is known of a stop on its way, array by array.
+fn given(switch: &StopSwitch) -> String {
+    if switch.is_own_confirmed() {
+        return "every array that this command sees has confirmed the stop".to_owned();
+    }
+    format!(
+        "the stop was given, and is not confirmed: {}. It may not have left, and is in force only where it arrived",
+        open_in_words(switch)
+    )
+}
+
+/// What is open of the stops of the room, and which arrays have stopped.
+fn open_in_words(switch: &StopSwitch) -> String {
+    let stopped: Vec<String> = switch.stopped_arrays().iter().map(usize::to_string).collect();
+    let stopped = if stopped.is_empty() { "none".to_owned() } else { format!("array {}", stopped.join(", ")) };
+    let stopped = [format!("stopped by their reports: {stopped}")];
+    stopped.into_iter().chain(switch.problems()).collect::<Vec<_>>().join("; ")
 }
 
 /// An error of a stop; of an unconfirmed one with what this command cannot see.
@@ -173,10 +203,9 @@ fn with_reach(error: UiError) -> anyhow::Error {
 pub fn rearm(args: RearmArgs) -> Result<()> {
     let OrderArgs { reason, timeout, .. } = &args.order;
     let order = Order::new(args.order.operator.as_deref(), args.order.timeout);
-    order.end_with_a_word(
-        "heliostat rearm",
-        "the release was sent, and is not confirmed: it takes effect where it arrived",
-    );
+    order.end_with_a_word("heliostat rearm", |_| {
+        "the release was sent, and is not confirmed: it takes effect where it arrived".to_owned()
+    });
     let room = order.join_widely(args.order.bus.config_or_connect(&[AccessRole::Operator])?)?;
     let switch = &order.switch;
     let begun = Instant::now();
@@ -197,9 +226,11 @@ pub fn rearm(args: RearmArgs) -> Result<()> {
         _ => stops,
     };
     let names: Vec<StopName> = named.iter().map(|stop| stop.name).collect();
+    // A controller forgets them at the release.
+    let lost = switch.unreleased_lost();
     order.note_sent();
     let released = switch.rearm_and_confirm(&names, reason, timeout.saturating_sub(begun.elapsed()));
-    note_shared(switch);
+    note_unverified(switch);
     let took = released.map_err(|error| {
         let error = match error {
             // The search for the stops is a part of the wait.
@@ -208,9 +239,10 @@ pub fn rearm(args: RearmArgs) -> Result<()> {
         };
         with_held(error.into(), switch.held_by_controller().as_deref())
     })?;
+    lost.iter().for_each(output::note);
     let left = timeout.saturating_sub(begun.elapsed());
     let further = if may_follow(&named) { switch.further_stops(&known, left) } else { Vec::new() };
-    let written = args.order.report_release(&room, took, &named, &switch.known_stops());
+    let written = args.order.report_release(&room, took, [&named, &switch.known_stops()], &lost);
     let closed = order.close();
     if let Some(rest) = still_stopped(&further) {
         bail!("{rest}; {LOOK_AND_REPEAT}");
@@ -235,9 +267,10 @@ fn may_follow(released: &[RoomStop]) -> bool {
     released.iter().any(|stop| stop.stands_for_unlisted)
 }
 
-/// Names the arrays that two processes drive: the reports of one hide those of the other.
-fn note_shared(switch: &StopSwitch) {
-    switch.shared_arrays().into_iter().for_each(output::note);
+/// Names the arrays that two processes drive: the reports of one hide those of the other. Names the controllers that
+/// may have lost drivers without a report of it.
+fn note_unverified(switch: &StopSwitch) {
+    switch.shared_arrays().into_iter().chain(switch.unheard_controllers()).for_each(output::note);
 }
 
 impl OrderArgs {
@@ -285,15 +318,23 @@ impl OrderArgs {
         Ok(unrecorded)
     }
 
-    /// Prints that stops are released, and what the arrays report to hold after that.
-    fn report_release(&self, room: &Room, took: Duration, released: &[RoomStop], held: &[RoomStop]) -> Result<()> {
+    /// Prints that stops are released, and what the arrays report to hold after that; as JSON also the lost drivers.
+    fn report_release(
+        &self,
+        room: &Room,
+        took: Duration,
+        [released, held]: [&[RoomStop]; 2],
+        lost: &[String],
+    ) -> Result<()> {
         let text = if self.json {
             let array = match (held.is_empty(), may_follow(released)) {
                 (false, _) => "stopped",
                 (true, true) => "unknown",
                 (true, false) => "released",
             };
-            to_json(room, array, took, [released, held]).to_string()
+            let mut result = to_json(room, array, took, [released, held]);
+            result["lost"] = json!(lost);
+            result.to_string()
         } else {
             with_stops(release_in_words(room.name(), took, released, held), "released", released)
         };

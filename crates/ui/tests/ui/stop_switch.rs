@@ -1,5 +1,7 @@
 //! The emergency stop and its release, against arrays of this test.
 
+mod lost;
+
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::{Duration, Instant};

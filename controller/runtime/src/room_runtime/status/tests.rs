@@ -100,3 +100,14 @@ fn a_driver_is_not_blamed_while_this_process_has_no_connection() {
     assert_eq!(problem(Some("no connection")), "no driver receives the commands: no connection");
     assert_eq!(problem(None), format!("no driver receives the commands: {DRIVER_ABSENT}"));
 }
+
+#[test]
+fn the_drivers_that_have_left_are_in_each_status_also_while_the_policy_does_not_return() {
+    let lost = vec![LostDriver { array: 1, source: 7, since_ns: 5_000_000_000 }];
+    let mut reporter = Reporter { lost_drivers: lost.clone(), ..Reporter::default() };
+    let (summary, swaps) = (Summary::default(), SwapCounters::default());
+    let stalled = reporter.report_stall(&summary);
+    let snapshot = Snapshot { summary, problem: None, occurrences: 0, now: 0, state: String::new(), swaps };
+    let running = reporter.report(&snapshot, &StageTimes::default());
+    assert_eq!([running, stalled].map(|status| LostDriver::all_of(&status)), [lost.clone(), lost]);
+}

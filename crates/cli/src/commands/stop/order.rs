@@ -91,8 +91,8 @@ impl Order {
         }
     }
 
-    /// Ends at a signal with what is known of the order: `sent`, or that nothing was sent.
-    pub fn end_with_a_word(&self, program: &'static str, sent: &'static str) {
+    /// Ends at a signal with what is known of the order: what `sent` returns, or that nothing was sent.
+    pub fn end_with_a_word(&self, program: &'static str, sent: impl Fn(&StopSwitch) -> String + Send + 'static) {
         // Nothing keeps an order from being sent.
         if let Ok(end) = stop_on_signals() {
             self.end_at(end, program, sent);
@@ -100,11 +100,16 @@ impl Order {
     }
 
     /// The same at a request, until the stop is only held: that has an end of its own.
-    pub fn end_at(&self, end: Stop, program: &'static str, sent: &'static str) {
+    pub fn end_at(&self, end: Stop, program: &'static str, sent: impl Fn(&StopSwitch) -> String + Send + 'static) {
         let (is_sent, is_held) = (Arc::clone(&self.is_sent), Arc::clone(&self.is_held));
+        let switch = Arc::downgrade(&self.switch);
         end_on_request(end, program, move || {
+            // Without its switch the order is over, and its result is printed.
             let said = match is_sent.load(Ordering::SeqCst) {
-                true => format!("{sent}; look at `heliostat status`"),
+                true => {
+                    let switch = switch.upgrade()?;
+                    format!("{}; look at `heliostat status`", sent(&switch))
+                }
                 false => "nothing was sent".to_owned(),
             };
             (!is_held.load(Ordering::SeqCst)).then_some(said)

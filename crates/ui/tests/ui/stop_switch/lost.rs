@@ -1,0 +1,62 @@
+//! Drivers that left before the stop, by the status of a controller of this test.
+
+use heliostat_proto::{LostDriver, NodeStatus};
+
+use super::*;
+
+/// The source of the controller.
+const CONTROLLER: u64 = 5;
+
+/// The status of the controller, which has lost these drivers.
+fn status(lost: &[LostDriver]) -> NodeStatus {
+    let stamp = Stamp { source: CONTROLLER, ..Stamp::default() };
+    let counters = lost.iter().map(LostDriver::counter).collect();
+    NodeStatus { stamp, node: NodeKind::Controller, counters, ..NodeStatus::default() }
+}
+
+fn awaited(what: &str, is_so: impl Fn() -> bool) {
+    let begun = Instant::now();
+    while !is_so() {
+        assert!(begun.elapsed() < TIME_LIMIT, "{what}");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+#[test]
+fn a_stop_awaits_the_controllers_and_names_the_driver_that_one_of_them_has_lost() {
+    let (arrays, switch, (own, _bus)) = arrays("lost", &[Manner::Stops]);
+    let _token = own.announce(&own.room().alive(NodeKind::Controller, CONTROLLER)).unwrap();
+    let publisher = own.publisher(&own.room().status(NodeKind::Controller), Class::LowDrop).unwrap();
+    awaited("the token of the controller", || !switch.unheard_controllers().is_empty());
+    let lost = LostDriver { array: 0, source: 7, since_ns: 43_384_000_000_000 };
+    let open = std::thread::scope(|scope| {
+        let order = scope.spawn(|| unconfirmed(&switch));
+        awaited("the stop at the array", || order.is_finished() || !arrays[0].stops().is_empty());
+        // The array has confirmed the stop before the first status.
+        while !order.is_finished() {
+            publish(&publisher, &status(&[lost]));
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        order.join().unwrap()
+    });
+    let was_lost = "driver 0000000000000007 was lost at 12:03:04 UTC";
+    let expected = format!("array 0 is not confirmed: {was_lost}; its mirrors may still move: cut the power");
+    assert_eq!(open, [expected]);
+    let unreleased = switch.unreleased_lost();
+    assert!(unreleased.len() == 1 && unreleased[0].starts_with(&format!("array 0: {was_lost}, ")), "{unreleased:?}");
+    awaited("the end of the loss", || {
+        publish(&publisher, &status(&[]));
+        switch.unreleased_lost().is_empty()
+    });
+    switch.stop_and_confirm("test", TIME_LIMIT).unwrap();
+}
+
+#[test]
+fn a_controller_whose_status_does_not_come_is_named_and_keeps_no_stop_unconfirmed() {
+    let (_arrays, switch, (own, _bus)) = arrays("unheard", &[Manner::Stops]);
+    let _token = own.announce(&own.room().alive(NodeKind::Controller, CONTROLLER)).unwrap();
+    awaited("the token of the controller", || !switch.unheard_controllers().is_empty());
+    switch.stop_and_confirm("test", TIME_LIMIT).unwrap();
+    let unheard = switch.unheard_controllers();
+    assert!(unheard[0].starts_with("controller 0000000000000005 has not reported which drivers"), "{unheard:?}");
+}

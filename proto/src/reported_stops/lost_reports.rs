@@ -1,0 +1,61 @@
+//! The drivers that the controllers of a room report as lost: they left before this process looked.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+use crate::enumerations::NodeKind;
+use crate::lost_driver::LostDriver;
+use crate::messages::NodeStatus;
+
+/// A status is published twice a second. That of a controller without a token counts for this time.
+const STATUS_AGE_MAX: Duration = Duration::from_millis(2500);
+
+/// Most controllers whose statuses are kept.
+const CONTROLLERS_MAX: usize = 64;
+
+/// The controllers that are in the room, and the lost drivers in the last status of each.
+#[derive(Clone, Debug, Default)]
+pub(super) struct LostReports {
+    controllers: BTreeSet<u64>,
+    /// By the sources of the controllers, with the arrival.
+    last: BTreeMap<u64, (Duration, Vec<LostDriver>)>,
+}
+
+impl LostReports {
+    /// The token of a controller has appeared, or has ended.
+    pub fn handle_controller(&mut self, source: u64, is_present: bool) {
+        if is_present {
+            self.controllers.insert(source);
+        } else {
+            self.controllers.remove(&source);
+            self.last.remove(&source);
+        }
+    }
+
+    /// Notes the status of a controller; returns the number of arrays that its lost drivers show.
+    pub fn handle_status(&mut self, now: Duration, status: &NodeStatus) -> usize {
+        let source = status.stamp.source;
+        let is_kept = self.last.contains_key(&source) || self.last.len() < CONTROLLERS_MAX;
+        if status.node != NodeKind::Controller || !is_kept {
+            return 0;
+        }
+        let lost = LostDriver::all_of(status);
+        let arrays = lost.iter().map(|driver| driver.array + 1).max().unwrap_or_default();
+        self.last.insert(source, (now, lost));
+        arrays
+    }
+
+    /// The controllers that are in the room and have published no status yet.
+    pub fn unheard(&self) -> Vec<u64> {
+        self.controllers.iter().copied().filter(|source| !self.last.contains_key(source)).collect()
+    }
+
+    /// The lost drivers of an array; one that several controllers report comes several times.
+    pub fn of(&self, array: usize, now: Duration) -> impl Iterator<Item = &LostDriver> {
+        let counts = move |(source, (at, _)): &(&u64, &(Duration, Vec<LostDriver>))| {
+            self.controllers.contains(*source) || now.saturating_sub(*at) < STATUS_AGE_MAX
+        };
+        let all = self.last.iter().filter(counts).flat_map(|(_, (_, lost))| lost);
+        all.filter(move |driver| driver.array == array)
+    }
+}

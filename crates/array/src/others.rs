@@ -9,8 +9,8 @@
 //!
 //! Two processes that start together announce themselves before either has received the token of the other
 //! one. Both then receive it within [`START_WINDOW_NS`] and compare the source ids: the process with the higher
-//! one ends, within this time too. The other one may have started long before, as where two networks are joined: then it
-//! goes on. So a process that should have ended and is still present after this time is a problem.
+//! one ends, within this time too. The other one may have started long before, as where two networks are joined: then
+//! it goes on. So a process that should have ended and is still present after this time is a problem.
 
 use heliostat_proto::keys::parse_array_alive;
 use heliostat_proto::{Nanos, NodeKind, START_WINDOW_NS};

@@ -85,7 +85,8 @@ fn lost_beside_another((array, standing): &(usize, Standing)) -> Option<String> 
     let lost = lost_in_words(drivers, *since_ns);
     let until = if drivers.len() == 1 { "it returns" } else { "they return" };
     Some(format!(
-        "array {array}: {lost}, and another driver serves it: a stop stays unconfirmed until {until}, or until its release"
+        "array {array}: {lost}, and another driver serves it: a stop stays unconfirmed until {until}, or until its \
+         release"
     ))
 }
 

@@ -90,8 +90,8 @@ impl Drivers {
         }
     }
 
-    /// Whether a driver has ended at its start, beside another one of the array with a lower source id, before it accepted
-    /// a command: it has moved no mirror.
+    /// Whether a driver has ended at its start, beside another one of the array with a lower source id, before it
+    /// accepted a command: it has moved no mirror.
     fn has_yielded(&self, now: Nanos, array: usize, source: u64, left: Present) -> bool {
         let is_at_start = now.abs_diff(left.since_ns) <= START_WINDOW_NS;
         let lower = self.tokens.keys().filter(|(_, other)| *other < source);

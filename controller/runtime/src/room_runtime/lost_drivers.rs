@@ -31,8 +31,8 @@ impl LostDrivers {
         self.named.push(driver);
         let (source, array) = (driver.source, array_name(driver.array));
         let text = format!(
-            "driver {source:016x} of {array} has left the room, and another one serves this array: a stop stays unconfirmed \
-             until it returns, or until the release of the stop"
+            "driver {source:016x} of {array} has left the room, and another one serves this array: a stop stays \
+             unconfirmed until it returns, or until the release of the stop"
         );
         Some((Subject::Driver, Problem::End(text)))
     }

@@ -69,7 +69,7 @@ pub use kind::Kind;
 pub use limits::{
     CLOCK_LEAD_MAX_NS, EPOCH_SLOTS, MAX_ARRAYS, MAX_BRANCHES, MAX_ENTRIES, MAX_GEOMETRY, MAX_INPUTS, MAX_LED_GAINS,
     MAX_MIRRORS, MAX_OBSTACLES, MAX_PAYLOAD, MAX_STATE, MAX_STOPS, MAX_TEXT, MAX_USERS, Nanos, SPEED_MAX_M_S,
-    UNLISTED_STOPS, VERSION, clock_time, cut,
+    START_WINDOW_NS, UNLISTED_STOPS, VERSION, clock_time, cut,
 };
 pub use lost_driver::LostDriver;
 pub use messages::{

@@ -44,6 +44,10 @@ pub const EPOCH_SLOTS: u64 = 1024;
 /// this.
 pub const CLOCK_LEAD_MAX_NS: Nanos = 50_000_000;
 
+/// Time in ns from the liveliness token of a driver in which another token is that of a driver that started together
+/// with it: the one with the higher source id ends.
+pub const START_WINDOW_NS: Nanos = 5_000_000_000;
+
 /// Largest speed of a reported user in m/s: far beyond any walk and its noise, and within the bounds of
 /// a state that can be restored. A controller leaves a faster user out.
 pub const SPEED_MAX_M_S: f64 = 100.0;

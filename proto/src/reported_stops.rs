@@ -170,6 +170,11 @@ impl ReportedStops {
         (0..MAX_ARRAYS).any(|array| self.drivers_of(array).len() > 1)
     }
 
+    /// Whether the token of a driver names an array.
+    pub fn has_driver(&self, array: usize) -> bool {
+        !self.drivers_of(array).is_empty()
+    }
+
     /// The sources of the drivers whose tokens name an array.
     fn drivers_of(&self, array: usize) -> Vec<u64> {
         sources_of(&self.drivers, array)

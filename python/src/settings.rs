@@ -156,11 +156,13 @@ fn settings_of(
 }
 
 /// Refuses overrides of the form "table.key=value" that have no effect on exact states; the conditions of a
-/// scenario with late, noisy or lost reports or with faults of mirrors, which a static room does not have.
+/// scenario with late, noisy or lost reports or with faults of mirrors, which a static room does not have, and that of
+/// places out of the range of the controller.
 #[pyfunction]
 pub fn check_exact(scenario: &Scenario, overrides: Vec<String>) -> PyResult<Vec<String>> {
     exact_states::check_overrides(&overrides).map_err(refused)?;
-    let found = exact_states::conditions(&scenario.inner, "a static room", "choose dynamics=\"closed-loop\"");
+    let advice = "choose dynamics=\"closed-loop\"";
+    let found = guarded(|| exact_states::conditions(&scenario.inner, "a static room", advice).map_err(refused))?;
     Ok(as_texts(&found))
 }
 

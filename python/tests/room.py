@@ -91,7 +91,7 @@ class Observer:
         self.latest: dict[str, dict[str, Any]] = {}
         self.counts: dict[str, int] = {}
         self._statuses: dict[int, dict[str, Any]] = {}
-        names = ("users", "telemetry", "safety", "obstacles", "channel", "orientation", "leds", "command")
+        names = ("users", "telemetry", "safety", "stops", "obstacles", "channel", "orientation", "leds", "command")
         listened = {name: self.keys[name] for name in names}
         listened["status"] = f"heliostat/v1/{room}/status/*"
         self.subscribers = [self.session.declare_subscriber(key, self._note(name)) for name, key in listened.items()]

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 pytest.importorskip("zenoh")
 from heliostat._watched import Watched
-from heliostat.driver import Capabilities, Device, _Log, run
+from heliostat.driver import Capabilities, Device, _Log, _Shown, run
 from heliostat.peer import Peer, PeerError, Settings, duration_s, stop_on_signals
 from room import EXAMPLES, LIMIT_S, end_by, free_endpoint, heliostat, needs_program, observer, python, wait_until
 
@@ -95,8 +95,11 @@ def test_a_stop_outlives_the_driver_and_ctrl_c_ends_it(tmp_path: Path) -> None:
             assert len(operator.alive(operator.keys["drivers"])) == 1
             operator.publish("stop", action=0, operator="ann", reason="test")
             wait_until("stopped array", lambda: state() == STOPPED)
+            wait_until("stopped device", lambda: operator.latest.get("stops", {}).get("device_stopped") is True)
             _, errors = end_by(signal.SIGINT, driver)
-            assert "the array is stopped by 000000000000004d/1" in errors
+            ordered, _, executed = errors.partition("stop ordered by 000000000000004d/1")
+            assert "the array is stopped" not in ordered
+            assert "the array is stopped: its device has executed the stop" in executed
         wait_until("withdrawn token", lambda: not operator.alive(operator.keys["drivers"]))
         operator.latest.clear()
         with python(*example, "--start-armed", folder=tmp_path) as driver:
@@ -329,6 +332,19 @@ def test_a_text_from_the_room_cannot_control_the_terminal(capsys: pytest.Capture
     with _Log() as log:
         log.show("é\x1b[2Jcleared\r")
     assert capsys.readouterr().err == "é\\u001b[2Jcleared\\u000d\n"
+
+
+def test_the_log_has_a_stop_at_its_order_and_once_when_the_device_has_executed_it(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with _Log() as log:
+        shown = _Shown(log, "")
+        for stop, executed in (("7/3", False), ("7/3", True), ("7/3", True), ("7/4", True), ("", False)):
+            shown.note_stop(stop)
+            shown.note_stopped(executed)
+    stopped = "the array is stopped: its device has executed the stop"
+    expected = ["stop ordered by 7/3", stopped, "stop ordered by 7/4", stopped, "the array is released"]
+    assert capsys.readouterr().err.splitlines() == expected
 
 
 def test_the_advice_about_several_stops_has_a_line_for_each(capsys: pytest.CaptureFixture[str]) -> None:

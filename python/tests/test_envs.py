@@ -307,6 +307,12 @@ def test_faults_of_mirrors_and_of_reports_in_a_scenario_are_warnings_of_a_static
         make_one(scenario, dynamics="closed-loop").close()
 
 
+@pytest.mark.parametrize("make_one", [heliostat.HeliostatEnv, heliostat.HeliostatVectorEnv, made_by_gymnasium])
+def test_a_range_that_leaves_places_without_light_is_a_warning_of_a_static_room_too(make_one: Any) -> None:
+    with pytest.warns(UserWarning, match="control.range_deg = 12.0, within which mirrors reach 91 % of the floor"):
+        make_one("specular", overrides={"control.range_deg": 12.0}).close()
+
+
 def made_in_closed_loop(scenario: str, **settings: Any) -> Any:
     return gymnasium.make("heliostat/Hall-v0", scenario=scenario, **settings)
 

@@ -81,7 +81,7 @@ pub use undecodable::UndecodableCounts;
 
 use crate::{
     core::{Controller, Decision, Due, Stage, Timing},
-    input::refusal::Refusal,
+    input::{inbox::Message, refusal::Refusal},
     output::{
         capabilities::{Examiner, Force},
         tenure::Tenure,
@@ -316,6 +316,11 @@ impl RoomCore {
         self.drivers.lost()
     }
 
+    /// Those of them that left while another driver served their array.
+    pub fn lost_beside_others(&self) -> impl Iterator<Item = LostDriver> + '_ {
+        self.drivers.lost_beside_others()
+    }
+
     /// The geometry that the simulator announces, as TOML; `None` where none does.
     pub fn announced_geometry(&self, now: Nanos) -> Option<&str> {
         let fresh = self.announced.as_ref().filter(|(at, _)| now.abs_diff(*at) < GEOMETRY_EXPIRY_NS);
@@ -347,6 +352,9 @@ impl RoomCore {
                 return Handled::Nothing;
             }
         };
+        if let Message::Telemetry(array, telemetry) = &message {
+            self.drivers.handle_telemetry(*array, telemetry);
+        }
         if let Some(newest_ns) = &mut self.newest_ns {
             *newest_ns = message.stamp().time_ns.max(*newest_ns);
         }

@@ -19,6 +19,7 @@ mod announcements;
 pub mod decision_loop;
 mod geometry;
 mod locks;
+mod lost_drivers;
 mod peers;
 mod policy_swap;
 pub mod receive_queue;

@@ -9,16 +9,12 @@
 //!
 //! Two processes that start together announce themselves before either has received the token of the other
 //! one. Both then receive it within [`START_WINDOW_NS`] and compare the source ids: the process with the higher
-//! one ends. The other one may have started long before, as where two networks are joined: then it goes on. So a
-//! process that should have ended and is still present after this time is a problem.
+//! one ends, within this time too. The other one may have started long before, as where two networks are joined: then
+//! it goes on. So a process that should have ended and is still present after this time is a problem.
 
 use heliostat_proto::keys::parse_array_alive;
-use heliostat_proto::{Nanos, NodeKind};
+use heliostat_proto::{Nanos, NodeKind, START_WINDOW_NS};
 use thiserror::Error;
-
-/// Time from the own token in which another token is one of a process that started together with this one, and time
-/// from that token in which such a process ends.
-pub const START_WINDOW_NS: Nanos = 5_000_000_000;
 
 /// Another process controls the mirrors of this room, or those of the same array.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]

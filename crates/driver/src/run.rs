@@ -149,6 +149,7 @@ impl<D: Device> ArrayDriver<D> {
             room: bus.room().to_string(),
             exporter,
             logged_latch: Latch::default(),
+            is_stop_logged: false,
             logged_problem: String::new(),
             device_log: DeviceLog::default(),
             unusable: Vec::new(),
@@ -231,6 +232,8 @@ struct Driver<D> {
     is_recorded: Arc<AtomicBool>,
     /// The latch that was logged last.
     logged_latch: Latch,
+    /// Whether the log has that the device has executed its stops.
+    is_stop_logged: bool,
     /// The problem that was logged last.
     logged_problem: String,
     device_log: DeviceLog,
@@ -318,11 +321,17 @@ impl<D: Device> Driver<D> {
                 let latch = self.shared.lock().kit().array().latch().clone();
                 if self.logged_latch != latch {
                     stop_record::log_change(&self.room, &latch);
-                    self.logged_latch = latch;
+                    (self.logged_latch, self.is_stop_logged) = (latch, false);
                 }
                 self.session.publish_safety(safety)
             }
-            Report::Stops(stops) => self.session.publish_stops(stops),
+            Report::Stops(stops) => {
+                let was_logged = std::mem::replace(&mut self.is_stop_logged, stops.device_stopped);
+                if stops.device_stopped && !was_logged {
+                    stop_record::log_stopped(&self.room);
+                }
+                self.session.publish_stops(stops)
+            }
             Report::Capabilities(capabilities) => self.session.publish_capabilities(capabilities),
             Report::Status(status) => {
                 self.show();

@@ -132,22 +132,27 @@ fn replace(file: &Path, text: &str) -> io::Result<()> {
     if cfg!(unix) { File::open(folder)?.sync_all() } else { Ok(()) }
 }
 
-/// Logs a new stop, or the release of the last one.
+/// Logs the order of a new stop, or the release of the last one.
 pub fn log_change(room: &str, latch: &Latch) {
     match latch.stop() {
         None => tracing::warn!(room, "the array is released"),
-        Some(stop) => tracing::warn!(room, "the array is stopped by {}", in_words(stop)),
+        Some(stop) => tracing::warn!(room, "{}", in_words(stop)),
     }
 }
 
-/// A stop with its sender, its operator and its reason, as far as it has them.
+/// Logs that the device has executed each stop.
+pub fn log_stopped(room: &str) {
+    tracing::warn!(room, "the array is stopped: its device has executed the stop");
+}
+
+/// The order of a stop with its sender, its operator and its reason, as far as it has them.
 fn in_words(stop: &LatchedStop) -> String {
     let LatchedStop { operator, reason, .. } = stop;
     let name = stop.name();
     match (name == StopName::default(), operator.is_empty()) {
-        (true, _) => format!("a stop without sender: {reason:?}"),
-        (false, true) => format!("{name}: {reason:?}"),
-        (false, false) => format!("{name}, operator {operator:?}: {reason:?}"),
+        (true, _) => format!("stop without sender: {reason:?}"),
+        (false, true) => format!("stop ordered by {name}: {reason:?}"),
+        (false, false) => format!("stop ordered by {name}, operator {operator:?}: {reason:?}"),
     }
 }
 
@@ -161,8 +166,8 @@ mod tests {
             let (operator, reason) = (operator.to_owned(), "ladder".to_owned());
             in_words(&LatchedStop { source, sequence: source, operator, reason, ..LatchedStop::default() })
         };
-        assert_eq!(stop(0, ""), "a stop without sender: \"ladder\"");
-        assert_eq!(stop(7, ""), "0000000000000007/7: \"ladder\"");
-        assert_eq!(stop(7, "ann"), "0000000000000007/7, operator \"ann\": \"ladder\"");
+        assert_eq!(stop(0, ""), "stop without sender: \"ladder\"");
+        assert_eq!(stop(7, ""), "stop ordered by 0000000000000007/7: \"ladder\"");
+        assert_eq!(stop(7, "ann"), "stop ordered by 0000000000000007/7, operator \"ann\": \"ladder\"");
     }
 }

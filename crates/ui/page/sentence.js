@@ -110,24 +110,27 @@ export function banner(now, silence, arrayAge, controllerAge) {
   if (silence > STALE_S) {
     return { kind: "bad", text: `No connection to the server of this page for ${seconds(silence)}. Everything below is old. ${check}` };
   }
-  const { phase, since_s, stops, held, problems, free } = now.stop;
+  const { phase, since_s, stops, held, problems, free, lost } = now.stop;
   const several = now.array.arrays > 1;
   const [who, have, their] = several ? ["The arrays", "have", "their devices have"] : ["The array", "has", "its device has"];
   const lacking = several ? "Not every array has" : "The array has not";
   const by = stops.length ? ` ${stops.map(orderedBy).join(" ")}` : "";
   const open = problems.length ? ` ${problems.map(asSentence).join(" ")}` : "";
+  const ends = lost.length ? " Only reports of the arrays, the return of a lost driver or a release can end this warning." : " Only the arrays can end this warning.";
   const moving = free.map((array) => ` Array ${array} is not stopped: no stop holds it.`).join("");
   switch (phase) {
     case "requested": return { kind: "bad", text: `Stop requested. ${lacking} confirmed it yet.${open}` };
     case "unconfirmed":
-      return { kind: "bad", text: `${lacking} confirmed the stop for ${seconds(since_s)}.${open || " No array reports: cut the power of the mirrors."}${moving}${by}${held ? "" : " Only the arrays can end this warning."}` };
+      return { kind: "bad", text: `${lacking} confirmed the stop for ${seconds(since_s)}.${open || " No array reports: cut the power of the mirrors."}${moving}${by}${held ? "" : ends}` };
     case "confirmed":
       if (arrayAge > STALE_S) {
         return { kind: "bad", text: `${who} confirmed the stop, but ${have} not reported for ${seconds(arrayAge)}: ${several ? "their" : "its"} state is unknown.${by}` };
       }
       return { kind: free.length || problems.length ? "bad" : "stop", text: `${who} ${have} confirmed the stop: ${their} executed it.${open}${moving}${by} Re-arm releases ${stops.length > 1 ? `these ${stops.length} stops` : "it"}.` };
     // A state that contradicts it comes from a second driver, or from a stop that follows. Without telemetry none is known.
-    case "released": return arrayAge > STALE_S || now.array.state.includes("stopped") ? null : { kind: "good", text: `The stop is released: ${who.toLowerCase()} ${have} confirmed it.` };
+    case "released":
+      if (lost.length) return { kind: "bad", text: `The stop is released, and a lost driver has not confirmed it. ${lost.map(asSentence).join(" ")}` };
+      return arrayAge > STALE_S || now.array.state.includes("stopped") ? null : { kind: "good", text: `The stop is released: ${who.toLowerCase()} ${have} confirmed it.` };
     default: return controllerBanner(controllerAge);
   }
 }

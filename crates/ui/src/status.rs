@@ -76,6 +76,7 @@ impl RoomStatus {
             figures: view.figures(),
             ..Self::default()
         };
+        status.figures.remarks.extend(view.stops.remarks());
         if let Some(lost) = view.notes_without_router() {
             status.problems = lost;
             return status;

@@ -81,6 +81,8 @@ pub struct StopFigures {
     pub problems: Vec<String>,
     /// Indices of the arrays that no stop holds while one holds another array.
     pub free: Vec<usize>,
+    /// The lost drivers that confirm no release, in words: those at the end of the stop while it is shown as released.
+    pub lost: Vec<String>,
 }
 
 /// Follows the phases of a stop.
@@ -94,6 +96,8 @@ pub(crate) struct StopState {
     confirmed: Vec<StopName>,
     /// Whether a controller alone holds the stop: no array confirms its end.
     is_unreported: bool,
+    /// The lost drivers while a stop was held last, in words: controllers forget them at the release.
+    lost: Vec<String>,
 }
 
 impl StopState {
@@ -104,6 +108,9 @@ impl StopState {
         let is_held = room.is_held() || room.ordered.is_some();
         let is_unreported = room.held.is_some() && room.ordered.is_none();
         let was_unreported = std::mem::replace(&mut self.is_unreported, is_unreported);
+        if is_held {
+            self.lost.clone_from(&room.unreleased_lost);
+        }
         let is_confirmed = is_held && room.is_confirmed();
         self.open = if is_held && !is_confirmed { self.open.or(Some(now)) } else { None };
         match (is_held, is_confirmed) {
@@ -144,6 +151,7 @@ impl StopState {
             held: room.held.clone(),
             problems: room.problems(),
             free: room.free(),
+            lost: self.lost.clone(),
         }
     }
 }
@@ -167,6 +175,7 @@ mod tests {
             held: None,
             standings: vec![(0, Standing::Stopped), (1, second)],
             unrecorded: Vec::new(),
+            unreleased_lost: Vec::new(),
             report_age: Some(Duration::from_millis(10)),
             ordered: ordered_ms.map(ago),
             has_geometry: true,
@@ -256,6 +265,20 @@ mod tests {
         let expected = "array 1 is not confirmed: drivers 0000000000000007, 0000000000000009 were lost at 12:03:04 UTC; \
                         their mirrors may still move: cut the power";
         assert_eq!(figures.problems, [expected.to_owned()]);
+    }
+
+    #[test]
+    fn a_release_that_a_lost_driver_has_not_confirmed_names_it_and_the_next_one_does_not() {
+        let mut state = StopState::default();
+        let lost = vec!["array 1: driver 0000000000000007 was lost".to_owned()];
+        let held = RoomStops { unreleased_lost: lost.clone(), ..room(Some(100), Standing::Stopped) };
+        assert_eq!(state.update(&held).lost, lost);
+        // The controllers have forgotten the driver.
+        let released = state.update(&RoomStops::default());
+        assert_eq!((released.phase, released.lost), (StopPhase::Released, lost));
+        state.update(&room(Some(100), Standing::Stopped));
+        let released = state.update(&RoomStops::default());
+        assert_eq!((released.phase, released.lost), (StopPhase::Released, Vec::new()));
     }
 
     #[test]

@@ -21,7 +21,7 @@ use heliostat_service::source_id;
 use crate::UiError;
 use crate::notes::two_drivers;
 use crate::order_publisher::OrderPublisher;
-use crate::stop_watch::{RoomStops, StopWatch, UNKNOWN_ARRAYS, problem, unrecorded, unreleased, unreleased_lost};
+use crate::stop_watch::{RoomStops, StopWatch, UNKNOWN_ARRAYS, problem, unrecorded, unreleased};
 
 /// What an operator has to know of an endpoint that has not answered in time.
 const UNANSWERED_ENDPOINT: &str =
@@ -197,7 +197,7 @@ impl StopSwitch {
 
     /// What is to be said after a release of the arrays of which drivers are lost.
     pub fn unreleased_lost(&self) -> Vec<String> {
-        self.seen.lock().lost(self.seen.now()).iter().filter_map(unreleased_lost).collect()
+        self.seen.room().unreleased_lost
     }
 
     /// What is to be said of controllers that have not reported which drivers they have lost.

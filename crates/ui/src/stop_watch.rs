@@ -73,10 +73,21 @@ fn lost_in_words(drivers: &[u64], since_ns: Option<Nanos>) -> String {
 }
 
 /// What an operator has to know of lost drivers of an array, after a release.
-pub(crate) fn unreleased_lost((array, standing): &(usize, Standing)) -> Option<String> {
+fn unreleased_lost((array, standing): &(usize, Standing)) -> Option<String> {
     let Standing::Lost { drivers, since_ns } = standing else { return None };
     let lost = lost_in_words(drivers, *since_ns);
     Some(format!("array {array}: {lost}, without a confirmation of the release: its mirrors may stand, or still move"))
+}
+
+/// What an operator has to know of lost drivers of an array that another driver serves, while no stop is held.
+fn lost_beside_another((array, standing): &(usize, Standing)) -> Option<String> {
+    let Standing::Lost { drivers, since_ns } = standing else { return None };
+    let lost = lost_in_words(drivers, *since_ns);
+    let until = if drivers.len() == 1 { "it returns" } else { "they return" };
+    Some(format!(
+        "array {array}: {lost}, and another driver serves it: a stop stays unconfirmed until {until}, or until its \
+         release"
+    ))
 }
 
 /// The arrays that have stopped and do not record the stop, in words.
@@ -138,6 +149,8 @@ pub(crate) struct RoomStops {
     pub standings: Vec<(usize, Standing)>,
     /// The arrays that have stopped and do not record the stop, in words.
     pub unrecorded: Vec<String>,
+    /// What is to be said of the arrays of which drivers are lost, after a release.
+    pub unreleased_lost: Vec<String>,
     /// Age of the oldest of the arrays' last reports.
     pub report_age: Option<Duration>,
     /// When this process ordered a stop that is still held.
@@ -299,8 +312,16 @@ impl StopWatch {
         let is_hidden = stops.is_empty() && seen.has_silent_array(now);
         let held = if is_hidden { self.state.held() } else { None };
         let report_age = seen.oldest_report().map(|at| now.saturating_sub(at));
+        let unreleased_lost = seen.lost(now).iter().filter_map(unreleased_lost).collect();
         let (unrecorded, has_geometry) = (unrecorded(seen.unrecorded(now)), seen.has_geometry());
-        RoomStops { now, stops, held, standings, unrecorded, report_age, ordered: None, has_geometry }
+        RoomStops { now, stops, held, standings, unrecorded, unreleased_lost, report_age, ordered: None, has_geometry }
+    }
+
+    /// What differs without a fault while no stop is held: the lost drivers of arrays that another driver serves.
+    pub fn remarks(&self) -> Vec<String> {
+        let (seen, now) = (self.lock(), self.now());
+        let lost = if seen.stops().is_empty() { seen.lost(now) } else { Vec::new() };
+        lost.iter().filter(|(array, _)| seen.has_driver(*array)).filter_map(lost_beside_another).collect()
     }
 
     /// The arrays that two processes report, with the sources of both. A token alone only keeps a stop unconfirmed: it
@@ -410,7 +431,7 @@ impl WatchState {
 
 #[cfg(test)]
 mod tests {
-    use heliostat_proto::Stamp;
+    use heliostat_proto::{LostDriver, Stamp};
 
     use super::*;
 
@@ -441,6 +462,22 @@ mod tests {
         let stamp = Stamp { source: 3, sequence: 4, ..Stamp::default() };
         watch.order(&EmergencyStop { stamp, ..EmergencyStop::default() });
         assert!(watch.room().held.is_none() && watch.room().is_held(), "it is one of the stops");
+    }
+
+    #[test]
+    fn a_lost_driver_is_a_remark_while_another_one_serves_its_array_and_no_stop_is_held() {
+        let watch = StopWatch::without_session();
+        let counters = vec![LostDriver { array: 0, source: 7, since_ns: 43_384_000_000_000 }.counter()];
+        let status = NodeStatus { node: NodeKind::Controller, counters, ..NodeStatus::default() };
+        watch.state.note(|seen, now| seen.handle_status(now, &status));
+        assert_eq!(watch.remarks(), [""; 0], "the array has no driver");
+        watch.state.note(|seen, now| seen.handle_driver(now, (Some(0), 9), true));
+        let remark = "array 0: driver 0000000000000007 was lost at 12:03:04 UTC, and another driver serves it: a stop \
+                      stays unconfirmed until it returns, or until its release";
+        assert_eq!(watch.remarks(), [remark]);
+        let stamp = Stamp { source: 3, sequence: 4, ..Stamp::default() };
+        watch.order(&EmergencyStop { stamp, ..EmergencyStop::default() });
+        assert_eq!(watch.remarks(), [""; 0], "the stop names it");
     }
 
     #[test]

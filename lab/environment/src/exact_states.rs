@@ -3,8 +3,9 @@
 //! Training, held-out states and static tasks have neither reports nor a belief, and their mirrors
 //! turn at once to the angles of an action.
 
-use heliostat_core::belief::conditions::Condition;
-use heliostat_scenario::{Scenario, Streams, override_keys};
+use heliostat_channel::ChannelError;
+use heliostat_core::belief::conditions::{Condition, small_range};
+use heliostat_scenario::{Actuator, Scenario, Streams, override_keys};
 
 use crate::error::EnvironmentError;
 
@@ -45,11 +46,18 @@ fn has_effect(key: &str) -> bool {
 }
 
 /// The conditions of a scenario with late, noisy or lost reports, or with faults of mirrors, which
-/// exact states do not have.
+/// exact states do not have, and that of places out of the range of the controller.
 ///
 /// `of` names what uses the states, as `a static comparison`, and `advice` what to do for the faults.
-pub fn conditions(scenario: &Scenario, of: &str, advice: &str) -> Vec<Condition> {
-    [exact_reports(scenario, of, advice), exact_mirrors(scenario, of, advice)].into_iter().flatten().collect()
+///
+/// # Errors
+/// [`ChannelError`] where the scenario describes no channel.
+pub fn conditions(scenario: &Scenario, of: &str, advice: &str) -> Result<Vec<Condition>, ChannelError> {
+    // Exact mirrors have the range of the controller alone.
+    let exact = Scenario { actuator: Actuator::default(), ..scenario.clone() };
+    let out_of_range = small_range(&exact, &exact.channel_model()?);
+    let found = [exact_reports(scenario, of, advice), exact_mirrors(scenario, of, advice), out_of_range];
+    Ok(found.into_iter().flatten().collect())
 }
 
 /// The condition of a scenario with faults of mirrors; `of` and `advice` as in [`conditions`].
@@ -139,10 +147,11 @@ mod tests {
     }
 
     #[test]
-    fn late_noisy_and_lost_reports_are_a_condition() {
+    fn late_noisy_and_lost_reports_and_a_small_range_of_the_controller_are_conditions() {
         let of = |text: &str| {
             let scenario = Scenario::from_toml(text).expect("a room");
             conditions(&scenario, "a static comparison", "measure it")
+                .expect("a channel")
                 .iter()
                 .map(Condition::to_string)
                 .collect::<Vec<_>>()
@@ -152,5 +161,8 @@ mod tests {
         assert!(found[0].contains("and streams.positions.loss, streams.channel.latency_ms: "), "{found:?}");
         assert!(found.len() == 2 && found[1].contains("and actuator.stuck_share: "), "{found:?}");
         assert_eq!(of(""), Vec::<String>::new());
+        let found = of("[control]\nrange_deg = 12.0\n[actuator]\nrange_deg = 5.0\n");
+        let range = "control.range_deg = 12.0, within which mirrors reach 91 % of the floor: ";
+        assert!(found.len() == 1 && found[0].contains(range), "{found:?}");
     }
 }

@@ -39,10 +39,10 @@ use anyhow::ensure;
 use indicatif::ProgressBar;
 use serde::{Serialize, Serializer};
 
-use heliostat_core::belief::conditions::{Condition, conditions, small_range};
+use heliostat_core::belief::conditions::{Condition, conditions};
 use heliostat_environment::EnvironmentError;
 use heliostat_environment::exact_states;
-use heliostat_scenario::{Actuator, Scenario};
+use heliostat_scenario::Scenario;
 
 /// The rows of a comparison, and the figures of each episode.
 type Compared = (row::Rows, Vec<EpisodeRow>);
@@ -88,7 +88,8 @@ pub struct Report {
     /// Users whose direct path is forced off.
     pub blocked: usize,
     /// The promises of policies that do not hold in the room; in closed loop the methods of the
-    /// controller's belief that do not apply to it, in a static comparison the faults of reports and mirrors.
+    /// controller's belief that do not apply to it, in a static comparison the faults of reports and mirrors, and
+    /// places out of the range of the controller.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub conditions: Vec<Condition>,
     /// The oracle with minimum rates, on the true states.
@@ -169,14 +170,10 @@ pub fn compare_under(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<R
     bar.finish_and_clear();
     let names = settings.policies.iter().map(|evaluated| evaluated.name().to_owned());
     let is_closed = settings.mode == Loop::ClosedLoop;
-    let model = scenario.channel_model()?;
     let mut found = if is_closed {
-        conditions(scenario, &model)
+        conditions(scenario, &scenario.channel_model()?)
     } else {
-        // Exact mirrors have the range of the controller alone.
-        let exact = Scenario { actuator: Actuator::default(), ..scenario.clone() };
-        let of_states = exact_states::conditions(scenario, "a static comparison", "choose --closed-loop");
-        of_states.into_iter().chain(small_range(&exact, &model)).collect()
+        exact_states::conditions(scenario, "a static comparison", "choose --closed-loop")?
     };
     for (evaluated, row) in settings.policies.iter().zip(&policies) {
         let of_policy = evaluated

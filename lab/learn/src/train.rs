@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
+use heliostat_channel::ChannelError;
 use heliostat_core::belief::conditions::Condition;
 use heliostat_core::observation::USERS_CAPACITY;
 use heliostat_core::policy::NameParser;
@@ -92,7 +93,7 @@ pub fn run_train(args: TrainArgs, stop_requested: StopRequested<'_>) -> anyhow::
 fn train(args: &TrainArgs, stop_requested: StopRequested<'_>) -> anyhow::Result<()> {
     let scenario = args.scenario.load_arrays()?;
     exact_states::check_training(&args.scenario.overrides)?;
-    conditions(&scenario).iter().for_each(|condition| eprintln!("condition: {condition}"));
+    conditions(&scenario)?.iter().for_each(|condition| eprintln!("condition: {condition}"));
     let mut training = args.algorithm.begin(scenario, args.preset, &args.changes())?;
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
     let checkpoint = args.out.join("checkpoint.safetensors");
@@ -118,8 +119,8 @@ fn train(args: &TrainArgs, stop_requested: StopRequested<'_>) -> anyhow::Result<
     }
 }
 
-/// What a scenario describes and training leaves out.
-fn conditions(scenario: &Scenario) -> Vec<Condition> {
+/// What a scenario describes and training leaves out, and places out of the range of the controller.
+fn conditions(scenario: &Scenario) -> Result<Vec<Condition>, ChannelError> {
     exact_states::conditions(scenario, "training", "measure the actor with heliostat-lab eval --closed-loop")
 }
 
@@ -270,7 +271,7 @@ fn finish(
     let card_path = path.with_extension("md");
     std::fs::write(&card_path, card.markdown()).with_context(|| format!("cannot write {}", card_path.display()))?;
     if args.json {
-        println!("{}", report((&path, &command), training, duration, scores));
+        println!("{}", report((&path, &command), training, duration, scores)?);
     } else {
         println!("{}", card.markdown());
         println!("actor: {}\ncard:  {}", path.display(), card_path.display());
@@ -338,15 +339,16 @@ fn report(
     training: &Training,
     duration: Option<Duration>,
     scores: &[ScoreRow],
-) -> serde_json::Value {
+) -> Result<serde_json::Value, ChannelError> {
     let notes: std::collections::BTreeMap<_, _> = training.learner().notes().into_iter().collect();
-    serde_json::json!({
+    let conditions = conditions(training.scenario())?;
+    Ok(serde_json::json!({
         "actor": path.display().to_string(),
         "command": command,
         "notes": notes,
-        "conditions": conditions(training.scenario()),
+        "conditions": conditions,
         "duration_s": duration.map(|duration| duration.as_secs_f64()),
         "hardware": hardware(),
         "scores": scores,
-    })
+    }))
 }

@@ -364,6 +364,8 @@ def run(
                 peer.put(name, payload)
                 if name == "safety":
                     shown.note_stop(station.stop)
+                if name == "stops":
+                    shown.note_stopped(decode(payload, KINDS["stops"])["device_stopped"])
                 if name == "status":
                     shown.note_problem(station.last_problem)
         if not station.is_settled:
@@ -423,15 +425,22 @@ class _Log:
 
 
 class _Shown:
-    """What the log has shown: each change of the stop, and once a second a new problem."""
+    """What the log has shown: each change of the stop, that the device has executed it, and once a second a new
+    problem."""
 
     def __init__(self, log: _Log, stop: str) -> None:
         self._log, self._stop, self._problem = log, stop, ""
+        self._is_stopped = False
 
     def note_stop(self, stop: str) -> None:
         if stop != self._stop:
-            self._log.show(f"the array is stopped by {stop}" if stop else "the array is released")
-            self._stop = stop
+            self._log.show(f"stop ordered by {stop}" if stop else "the array is released")
+            self._stop, self._is_stopped = stop, False
+
+    def note_stopped(self, is_stopped: bool) -> None:
+        if is_stopped and not self._is_stopped:
+            self._log.show("the array is stopped: its device has executed the stop")
+        self._is_stopped = is_stopped
 
     def note_problem(self, problem: str) -> None:
         if problem not in ("", self._problem):

@@ -175,6 +175,12 @@ fn a_stop_survives_the_end_of_the_driver_and_no_mirror_turns_until_the_rearm() {
     let mut driver = room.start(true);
     room.follow();
     room.stop(1, 0);
+    wait_until("the execution of the stop in the log", || {
+        let errors = driver.errors();
+        let ordered = errors.split_once("stop ordered by 0000000000000abc/1, operator \"ann\": \"smoke\"");
+        let executed = "the array is stopped: its device has executed the stop";
+        ordered.is_some_and(|(before, after)| !before.contains(executed) && after.contains(executed))
+    });
     room.wait_for_record(true);
     driver.kill();
     room.lines.lock().expect("no test panics").clear();

@@ -268,6 +268,8 @@ fn a_driver_that_was_lost_before_the_stop_is_named_until_a_release() {
     let lost = || LostDriver::all_of(&status());
     wait_until("the loss of one of them", || !lost().is_empty());
     let LostDriver { array, source, .. } = lost()[0];
+    let line = format!("driver {source:016x} of mirrors-1 has left the room, and another one serves this array");
+    wait_until("the journal", || room.controller.errors().contains(&line));
     let stopped = room.order_within("4", "stop", &[]);
     let (refusal, lost_one) = (stopped.refusal(), format!("driver {source:016x} was lost at "));
     let is_named = refusal.contains(&format!("array 1 is not confirmed: {lost_one}"));

@@ -1,8 +1,10 @@
 //! Whether each array has a driver or a simulator that receives the commands, and which of them have left.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
-use heliostat_proto::{LostDriver, Nanos, Stamp, StopReport, keys::parse_array_alive};
+use heliostat_proto::{
+    LostDriver, MirrorTelemetry, Nanos, START_WINDOW_NS, Stamp, StopReport, keys::parse_array_alive,
+};
 
 use crate::core::Controller;
 
@@ -18,7 +20,7 @@ type Token = (Option<usize>, u64);
 
 /// The liveliness tokens of drivers and simulators, and the telemetry of each array.
 pub(super) struct Drivers {
-    tokens: BTreeSet<Token>,
+    tokens: BTreeMap<Token, Present>,
     /// Array and source of those whose device has executed a stop, by their last stop report.
     stopped: BTreeSet<(usize, u64)>,
     /// Oldest first.
@@ -27,6 +29,15 @@ pub(super) struct Drivers {
     is_stopped: bool,
     /// One for each array.
     detectors: Vec<AbsenceDetector>,
+}
+
+/// A driver or a simulator that is in the room.
+#[derive(Clone, Copy, Debug)]
+struct Present {
+    /// When its token appeared.
+    since_ns: Nanos,
+    /// Number of commands that it has accepted, by its telemetry; absent without telemetry.
+    accepted: Option<u64>,
 }
 
 /// A driver that has left.
@@ -50,7 +61,7 @@ impl Drivers {
     /// No driver, for so many arrays.
     pub fn new(arrays: usize) -> Self {
         Self {
-            tokens: BTreeSet::new(),
+            tokens: BTreeMap::new(),
             stopped: BTreeSet::new(),
             lost: Vec::new(),
             is_stopped: false,
@@ -63,19 +74,37 @@ impl Drivers {
         let Some(token @ (driven, source)) = parse_array_alive(key) else { return };
         let served = driven.map_or(0..self.detectors.len(), |array| array..array + 1);
         if is_alive {
-            self.tokens.insert(token);
+            self.tokens.entry(token).or_insert(Present { since_ns: now, accepted: None });
             let is_replaced = |lost: &Lost| !lost.had_other && served.contains(&lost.driver.array);
             self.lost.retain(|lost| lost.driver.source != source && !is_replaced(lost));
-        } else if self.tokens.remove(&token) {
+        } else if let Some(left) = self.tokens.remove(&token) {
             for array in served {
                 // A device that has executed a stop stands.
-                if !self.stopped.remove(&(array, source)) {
+                if !self.stopped.remove(&(array, source)) && !self.has_yielded(now, array, source, left) {
                     let driver = LostDriver { array, source, since_ns: now };
-                    self.lost.push(Lost { driver, had_other: drives(&self.tokens, array) });
+                    self.lost.push(Lost { driver, had_other: drives(self.tokens.keys(), array) });
                 }
             }
             let oldest = self.lost.len().saturating_sub(LOST_MAX);
             self.lost.drain(..oldest);
+        }
+    }
+
+    /// Whether a driver has ended at its start, beside another one of the array with a lower source id, before it
+    /// accepted a command: it has moved no mirror.
+    fn has_yielded(&self, now: Nanos, array: usize, source: u64, left: Present) -> bool {
+        let is_at_start = now.abs_diff(left.since_ns) <= START_WINDOW_NS;
+        let lower = self.tokens.keys().filter(|(_, other)| *other < source);
+        is_at_start && left.accepted == Some(0) && drives(lower, array)
+    }
+
+    /// A driver of an array has published telemetry. Does not allocate.
+    pub fn handle_telemetry(&mut self, array: usize, report: &MirrorTelemetry) {
+        let (source, accepted) = (report.stamp.source, report.counters.accepted);
+        for token in [(Some(array), source), (None, source)] {
+            if let Some(present) = self.tokens.get_mut(&token) {
+                present.accepted = present.accepted.max(Some(accepted));
+            }
         }
     }
 
@@ -84,7 +113,7 @@ impl Drivers {
         let driver = (array, report.stamp.source);
         if !report.device_stopped {
             self.stopped.remove(&driver);
-        } else if self.tokens.iter().any(|(_, source)| *source == driver.1) {
+        } else if self.tokens.keys().any(|(_, source)| *source == driver.1) {
             self.stopped.insert(driver);
         }
     }
@@ -101,6 +130,11 @@ impl Drivers {
         self.lost.iter().map(|lost| lost.driver)
     }
 
+    /// Those of them that left while another driver served their array.
+    pub fn lost_beside_others(&self) -> impl Iterator<Item = LostDriver> + '_ {
+        self.lost.iter().filter(|lost| lost.had_other).map(|lost| lost.driver)
+    }
+
     /// The arrays without a driver that receives the commands of a controller, by index. A controller expects one once
     /// it has seen one or has sent commands, and where it was started to stand by.
     pub fn absent(&mut self, now: Nanos, controller: &Controller) -> Vec<usize> {
@@ -108,15 +142,15 @@ impl Drivers {
         let is_absent = |(array, detector): (usize, &mut AbsenceDetector)| {
             let telemetry = controller.inbox().telemetry(array).map(|telemetry| telemetry.stamp);
             let is_due = controller.counters().commands > 0 || controller.tenure(array).is_reserve;
-            detector.is_absent(now, drives(tokens, array), telemetry, is_due).then_some(array)
+            detector.is_absent(now, drives(tokens.keys(), array), telemetry, is_due).then_some(array)
         };
         self.detectors.iter_mut().enumerate().filter_map(is_absent).collect()
     }
 }
 
 /// Whether a process with one of these tokens drives an array.
-fn drives(tokens: &BTreeSet<Token>, array: usize) -> bool {
-    tokens.iter().any(|(driven, _)| driven.is_none_or(|driven| driven == array))
+fn drives<'a>(mut tokens: impl Iterator<Item = &'a Token>, array: usize) -> bool {
+    tokens.any(|(driven, _)| driven.is_none_or(|driven| driven == array))
 }
 
 impl AbsenceDetector {
@@ -137,7 +171,7 @@ impl AbsenceDetector {
 
 #[cfg(test)]
 mod tests {
-    use heliostat_proto::{NodeKind, Room};
+    use heliostat_proto::{Counters, NodeKind, Room};
 
     use super::*;
 
@@ -149,7 +183,7 @@ mod tests {
     fn a_driver_drives_its_array_and_a_simulator_every_one() {
         let room = Room::new("lab").expect("a valid name");
         let of = |key: String| parse_array_alive(&key).into_iter().collect::<BTreeSet<Token>>();
-        let driven = |tokens: &BTreeSet<Token>| [0, 1, 2].map(|array| drives(tokens, array));
+        let driven = |tokens: &BTreeSet<Token>| [0, 1, 2].map(|array| drives(tokens.iter(), array));
         assert_eq!(driven(&of(room.alive(NodeKind::Driver, 7))), [true, false, false]);
         assert_eq!(driven(&of(room.array(1).driver_alive(7))), [false, true, false]);
         assert_eq!(driven(&of(room.alive(NodeKind::SimNode, 7))), [true; 3]);
@@ -165,12 +199,14 @@ mod tests {
         drivers.handle_token(1, &token(7), true);
         drivers.handle_token(2, &token(7), false);
         assert_eq!(drivers.lost().collect::<Vec<_>>(), [LostDriver { array: 1, source: 7, since_ns: 2 }]);
+        assert_eq!(drivers.lost_beside_others().count(), 0, "it was the only one");
         drivers.handle_token(3, &token(8), true);
         assert_eq!(lost(&drivers), [], "it has the mirrors of the only one");
         drivers.handle_token(4, &token(7), true);
         drivers.handle_token(5, &token(8), false);
         drivers.handle_token(6, &token(9), true);
         assert_eq!(lost(&drivers), [(1, 8)], "the new one may be a third one");
+        assert_eq!(drivers.lost_beside_others().count(), 1);
         drivers.handle_token(7, &token(8), true);
         assert_eq!(lost(&drivers), [], "it is back");
         drivers.handle_token(8, &token(8), false);
@@ -202,6 +238,28 @@ mod tests {
             drivers.lost().count()
         };
         assert_eq!((lost(&[]), lost(&[true]), lost(&[true, false])), (1, 0, 1));
+    }
+
+    #[test]
+    fn a_driver_that_ends_at_its_start_for_another_one_before_it_accepted_a_command_is_not_lost() {
+        let room = Room::new("lab").expect("a valid name");
+        let lost = |source: u64, accepted: &[u64], end: Nanos| {
+            let mut drivers = Drivers::new(1);
+            [5, source].iter().for_each(|source| drivers.handle_token(1, &room.alive(NodeKind::Driver, *source), true));
+            for accepted in accepted {
+                let (stamp, counters) =
+                    (Stamp { source, ..Stamp::default() }, Counters { accepted: *accepted, ..Counters::default() });
+                drivers.handle_telemetry(0, &MirrorTelemetry { stamp, counters, ..MirrorTelemetry::default() });
+            }
+            drivers.handle_token(end, &room.alive(NodeKind::Driver, source), false);
+            drivers.lost().count()
+        };
+        let end = 1 + START_WINDOW_NS;
+        assert_eq!(lost(7, &[0], end), 0);
+        assert_eq!(lost(7, &[0, 1, 0], end), 1, "it has moved mirrors");
+        assert_eq!(lost(7, &[], end), 1, "nothing shows that it moved none");
+        assert_eq!(lost(7, &[0], end + 1), 1, "it ends for another reason");
+        assert_eq!(lost(3, &[0], end), 1, "the other one had to end");
     }
 
     #[test]

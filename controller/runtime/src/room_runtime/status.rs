@@ -10,10 +10,10 @@ use heliostat_core::{
     room_core::UndecodableCounts,
     tenure::{Standing, Tenure, TenureEvent},
 };
-use heliostat_proto::{LostDriver, Nanos, NodeKind, NodeStatus, Stamp, clock_time, gauges::ServedLight};
+use heliostat_proto::{Nanos, NodeKind, NodeStatus, Stamp, clock_time, gauges::ServedLight};
 use heliostat_service::{clock::utc_ns, printable::printable};
 
-use super::{decision_loop::DecisionLoop, peers::ReportedPeers, policy_swap::SwapCounters};
+use super::{decision_loop::DecisionLoop, lost_drivers::LostDrivers, peers::ReportedPeers, policy_swap::SwapCounters};
 use crate::report::{
     stage_times::{StageTimes, quantiles_us},
     summary::Summary,
@@ -63,7 +63,7 @@ pub struct Reporter {
     occurrences: u64,
     conditions: Conditions,
     /// The drivers that have left the room, for operators who stop it.
-    lost_drivers: Vec<LostDriver>,
+    lost_drivers: LostDrivers,
     /// Of what the light is not the expected one.
     off_light: Vec<String>,
     /// Controllers that were reported as silent.
@@ -177,7 +177,8 @@ impl Reporter {
         conditions: Conditions,
     ) -> Snapshot {
         let controller = decision_loop.room.controller();
-        self.lost_drivers = decision_loop.room.lost_drivers().collect();
+        let room = &decision_loop.room;
+        self.lost_drivers.set(room.lost_drivers().collect(), room.lost_beside_others().collect());
         let mut summary = Summary::of(controller);
         summary.unsent = decision_loop.unsent();
         summary.dropped = decision_loop.room.superseded();
@@ -192,6 +193,7 @@ impl Reporter {
             .new_alarm(&summary, controller.counters(), tenure)
             .or_else(|| self.new_stops(&stops_before))
             .or_else(|| self.new_condition(conditions, controller.arrays()))
+            .or_else(|| self.lost_drivers.news())
             .or_else(|| self.new_light(&summary.light))
             .or_else(|| self.new_problem(decision_loop, &swaps).map(warning))
             .or_else(|| self.new_undecodable(undecodable).map(warning));
@@ -300,7 +302,7 @@ impl Reporter {
                 .chain(actor)
                 .chain(absent)
                 .chain(unfit)
-                .chain(self.lost_counters())
+                .chain(self.lost_drivers.counters())
                 .collect(),
             gauges: noise.chain(summary.light.iter().flat_map(ServedLight::gauges)).collect(),
             timings: totals.into_iter().chain(stages).collect(),
@@ -315,14 +317,10 @@ impl Reporter {
             stamp: Stamp { source: self.identity.source, sequence: self.sequence, time_ns: utc_ns() },
             state: "no answer from the policy".into(),
             policy: summary.policy.clone(),
-            counters: [("unanswered".into(), summary.unanswered)].into_iter().chain(self.lost_counters()).collect(),
+            counters: self.lost_drivers.counters().chain([("unanswered".into(), summary.unanswered)]).collect(),
             last_problem: summary.last_problem.clone(),
             ..self.blank()
         }
-    }
-
-    fn lost_counters(&self) -> impl Iterator<Item = (String, u64)> {
-        self.lost_drivers.iter().map(LostDriver::counter)
     }
 
     fn blank(&self) -> NodeStatus {

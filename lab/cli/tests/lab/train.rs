@@ -111,11 +111,11 @@ fn a_scenario_that_is_missing_is_named() {
 }
 
 #[test]
-fn faults_of_reports_and_mirrors_in_a_scenario_file_are_conditions_of_training() {
+fn faults_of_reports_and_mirrors_and_a_small_range_in_a_scenario_file_are_conditions_of_training() {
     let folder = TempDir::new().expect("a folder");
     let file = folder.path().join("room.toml");
     let room = "mirrors = { rows = 2, columns = 2 }\nactuator = { stuck_share = 0.5 }\n\
-                streams = { positions = { latency_ms = 100.0 } }\n";
+                control = { range_deg = 12.0 }\nstreams = { positions = { latency_ms = 100.0 } }\n";
     std::fs::write(&file, room).expect("written");
     let output = Command::new(env!("CARGO_BIN_EXE_heliostat-lab"))
         .args(["train", "ddpg", "--episodes", "1", "--steps", "2", "--states", "2", "--json"])
@@ -132,6 +132,8 @@ fn faults_of_reports_and_mirrors_in_a_scenario_file_are_conditions_of_training()
     let report: serde_json::Value = serde_json::from_slice(&output.stdout).expect("one object");
     assert_eq!(report["conditions"][0]["because"], "training, and streams.positions.latency_ms");
     assert_eq!(report["conditions"][1]["because"], "training, and actuator.stuck_share");
+    let small = "control.range_deg = 12.0, within which mirrors reach ";
+    assert!(report["conditions"][2]["because"].as_str().is_some_and(|because| because.starts_with(small)), "{report}");
 }
 
 #[test]

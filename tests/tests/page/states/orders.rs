@@ -53,6 +53,26 @@ fn the_banner_says_whether_the_array_confirmed_a_stop() {
 
 #[needs("browser")]
 #[test]
+fn the_banner_names_a_lost_driver_and_what_ends_its_warning() {
+    let setting = Setting::new();
+    let browser = setting.browser();
+    let script = "return import('/sentence.js').then(({ banner }) => { \
+           const of = (phase, lost) => banner({ array: { arrays: 1, state: 'parked' }, \
+             stop: { phase, since_s: 2, stops: [], held: null, problems: [], free: [], lost } }, 0, 0, 0).text; \
+           const lost = ['array 0: driver 7 was lost']; \
+           return [of('unconfirmed', []), of('unconfirmed', lost), of('released', []), of('released', lost)]; })";
+    let texts = browser.run(script);
+    let ends_with = |index: usize, end: &str| texts[index].as_str().is_some_and(|text| text.ends_with(end));
+    assert!(ends_with(0, " Only the arrays can end this warning."), "{texts}");
+    let ends = " Only reports of the arrays, the return of a lost driver or a release can end this warning.";
+    assert!(ends_with(1, ends), "{texts}");
+    assert_eq!(texts[2], "The stop is released: the array has confirmed it.");
+    let lost = "The stop is released, and a lost driver has not confirmed it. Array 0: driver 7 was lost.";
+    assert_eq!(texts[3], lost);
+}
+
+#[needs("browser")]
+#[test]
 fn an_order_that_the_server_does_not_answer_has_the_words_of_its_button() {
     let setting = Setting::new();
     let browser = setting.browser();

@@ -127,6 +127,15 @@ pub enum Found {
     },
 }
 
+/// The result of a check: why a message is refused, and the value for which it is.
+pub(crate) type Checked = Result<(), (Refusal, Found)>;
+
+impl From<Refusal> for (Refusal, Found) {
+    fn from(refusal: Refusal) -> Self {
+        (refusal, Found::Nothing)
+    }
+}
+
 /// Speed and minimum rate of a reported user.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct UserValues {

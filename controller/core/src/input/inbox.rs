@@ -57,33 +57,17 @@ pub enum Message<'a> {
 }
 
 impl Message<'_> {
-    /// The stream that the message belongs to.
-    pub fn stream(&self) -> Stream {
+    /// The stream that the message belongs to, the array whose state it is (0 for reports about the room), and source,
+    /// sequence number and time of the sample.
+    pub fn origin(&self) -> (Stream, usize, &Stamp) {
         match self {
-            Self::Users(_) => Stream::Users,
-            Self::Channel(_) => Stream::Channel,
-            Self::Obstacles(_) => Stream::Obstacles,
-            Self::Telemetry(..) => Stream::Telemetry,
-            Self::Orientation(_) => Stream::Orientation,
-            Self::Leds(_) => Stream::Leds,
+            Self::Users(report) => (Stream::Users, 0, &report.stamp),
+            Self::Channel(report) => (Stream::Channel, 0, &report.stamp),
+            Self::Obstacles(report) => (Stream::Obstacles, 0, &report.stamp),
+            Self::Telemetry(array, report) => (Stream::Telemetry, *array, &report.stamp),
+            Self::Orientation(report) => (Stream::Orientation, 0, &report.stamp),
+            Self::Leds(report) => (Stream::Leds, 0, &report.stamp),
         }
-    }
-
-    /// Source, sequence number and time of the sample.
-    pub fn stamp(&self) -> &Stamp {
-        match self {
-            Self::Users(report) => &report.stamp,
-            Self::Channel(report) => &report.stamp,
-            Self::Obstacles(report) => &report.stamp,
-            Self::Telemetry(_, report) => &report.stamp,
-            Self::Orientation(report) => &report.stamp,
-            Self::Leds(report) => &report.stamp,
-        }
-    }
-
-    /// Index of the array whose state it is; 0 for reports about the room.
-    pub(crate) fn array(&self) -> usize {
-        if let Self::Telemetry(array, _) = self { *array } else { 0 }
     }
 }
 
@@ -115,7 +99,7 @@ impl Inbox {
     /// # Errors
     /// The [`Refusal`], already counted.
     pub fn accept(&mut self, now: Nanos, message: Message<'_>) -> Result<(), Refusal> {
-        let (stream, array, stamp) = (message.stream(), message.array(), *message.stamp());
+        let (stream, array, &stamp) = message.origin();
         let checked = self.check(now, &message);
         match checked {
             Ok(()) => {
@@ -263,7 +247,7 @@ impl Inbox {
 
     /// The checks of a message that arrived at `now`, in the order of the [module](self).
     fn check(&mut self, now: Nanos, message: &Message<'_>) -> Checked {
-        let (stream, array, stamp) = (message.stream(), message.array(), message.stamp());
+        let (stream, array, stamp) = message.origin();
         self.check_content(message)?;
         self.check_source(now, (stream, array), stamp.source)?;
         let timeout_ns = self.rules.source_timeout_ns;

@@ -2,9 +2,7 @@
 
 use std::fmt;
 
-use heliostat_proto::{CodecError, SPEED_MAX_M_S, UserState};
-
-use crate::named::named;
+use heliostat_proto::{CodecError, SPEED_MAX_M_S, UserState, named};
 
 named! {
     /// A stream of reports.

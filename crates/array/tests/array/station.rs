@@ -2,7 +2,7 @@
 
 use std::cell::RefCell;
 use std::rc::Rc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
 use heliostat_array::arrivals::{Arrival, Arrivals};
@@ -309,69 +309,14 @@ fn a_flood_of_stops_on_a_slow_disk_leaves_the_reports() {
     assert!((200..=250).contains(&longest_ms), "{longest_ms} ms without a report");
 }
 
-/// A mirror that answers when it is told to.
-struct Late(Rc<RefCell<bool>>);
-
-impl Device for Late {
-    fn capabilities(&self) -> Capabilities {
-        Mirror.capabilities()
-    }
-
-    fn connect(&mut self, _now: Moment) -> Result<(), DeviceError> {
-        if *self.0.borrow() { Ok(()) } else { Err(DeviceError::new("port", "no answer")) }
-    }
-
-    fn apply(&mut self, _now: Moment, _angles: &MirrorAngles) -> Result<(), DeviceError> {
-        Ok(())
-    }
-
-    fn measure(&mut self, _now: Moment, _into: &mut MirrorAngles) -> Result<bool, DeviceError> {
-        Ok(false)
-    }
-
-    fn stop(&mut self, _now: Moment) -> Result<(), DeviceError> {
-        Ok(())
-    }
-}
-
-#[test]
-fn an_old_failure_of_the_device_hides_no_refusal_and_a_refusal_no_present_failure() {
-    let (memory, is_there) = (Memory::default(), Rc::default());
-    let identity = Identity { source: 9, array: 0, software: "test".into() };
-    let (record, latch) = StopRecord::open(memory.clone(), true, 0);
-    let kit = Kit::new(Late(Rc::clone(&is_there)));
-    let mut station = Station::new(kit, (record.split().0, latch), identity, Moment::simulated(0));
-    let absent = |station: &mut Station<Late>, now: u64| {
-        station.advance(Moment::simulated(now));
-        let reports: Vec<Report> = std::iter::from_fn(|| station.poll_report(Moment::simulated(now))).collect();
-        let counters = reports.into_iter().find_map(|report| match report {
-            Report::Status(status) => Some(status.counters),
-            _ => None,
-        });
-        counters.expect("a status").into_iter().find(|(name, _)| name == "device_absent").expect("counted").1
-    };
-    let refused = |station: &mut Station<Late>, at: u64| {
-        let command = MirrorCommand { roll: vec![0.0; 2], yaw: vec![0.0; 2], ..MirrorCommand::default() };
-        station.handle_command(Moment::simulated(at), &command);
-    };
-    assert_eq!(absent(&mut station, 1), 1);
-    assert_eq!(station.last_problem(), "port: no answer");
-    refused(&mut station, 2);
-    assert_eq!(station.last_problem(), "port: no answer", "a refusal hides no present failure");
-    *is_there.borrow_mut() = true;
-    assert_eq!(absent(&mut station, 2000 * MS), 0, "the device has returned");
-    refused(&mut station, 2001 * MS);
-    assert!(station.last_problem().starts_with("command: "), "{}", station.last_problem());
-    assert_eq!(absent(&mut station, 4000 * MS), 0);
-    assert!(station.last_problem().starts_with("command: "), "{}", station.last_problem());
-}
-
 /// A clock, a queue, and a mirror with the calls that it received.
 #[derive(Default)]
 struct World {
     local_ns: AtomicU64,
     queue: Mutex<Arrivals>,
     calls: Mutex<Vec<String>>,
+    /// Whether the mirror answers, where a script reads it.
+    is_there: AtomicBool,
 }
 
 impl World {
@@ -466,6 +411,34 @@ fn step(world: &World, station: &mut Station<Blocking>) {
     station.advance(world.now());
     let now = world.now();
     while station.poll_report(now).is_some() {}
+}
+
+#[test]
+fn an_old_failure_of_the_device_hides_no_refusal_and_a_refusal_no_present_failure() {
+    let (world, mut station) = blocking(|world, _| world.is_there.load(Ordering::SeqCst));
+    let absent = |station: &mut Station<Blocking>, now: u64| {
+        station.advance(Moment::simulated(now));
+        let reports: Vec<Report> = std::iter::from_fn(|| station.poll_report(Moment::simulated(now))).collect();
+        let counters = reports.into_iter().find_map(|report| match report {
+            Report::Status(status) => Some(status.counters),
+            _ => None,
+        });
+        counters.expect("a status").into_iter().find(|(name, _)| name == "device_absent").expect("counted").1
+    };
+    let refused = |station: &mut Station<Blocking>, at: u64| {
+        let command = MirrorCommand { roll: vec![0.0; 2], yaw: vec![0.0; 2], ..MirrorCommand::default() };
+        station.handle_command(Moment::simulated(at), &command);
+    };
+    assert_eq!(absent(&mut station, 1), 1);
+    assert_eq!(station.last_problem(), "port: no answer");
+    refused(&mut station, 2);
+    assert_eq!(station.last_problem(), "port: no answer", "a refusal hides no present failure");
+    world.is_there.store(true, Ordering::SeqCst);
+    assert_eq!(absent(&mut station, 2000 * MS), 0, "the device has returned");
+    refused(&mut station, 2001 * MS);
+    assert!(station.last_problem().starts_with("command: "), "{}", station.last_problem());
+    assert_eq!(absent(&mut station, 4000 * MS), 0);
+    assert!(station.last_problem().starts_with("command: "), "{}", station.last_problem());
 }
 
 #[test]

@@ -12,13 +12,12 @@ use heliostat_proto::{
 };
 use heliostat_scenario::Scenario;
 
-use crate::support::{MS, Room, build, controller, receive, report_gains, scenario};
+use crate::support::{MS, Room, build, by_policy, controller, receive, report_gains, scenario};
 
 #[test]
 fn the_belief_of_a_decision_is_reported_without_an_allocation() {
-    let scenario = scenario(&["control.belief=\"filter\"", "streams.positions.rate_hz=100"]);
-    let mut controller = controller(&scenario, build(PolicyKind::Nearest, &scenario).unwrap());
-    let mut room = Room::new(&scenario);
+    let overrides = ["control.belief=\"filter\"", "streams.positions.rate_hz=100"];
+    let (mut controller, mut room) = by_policy(PolicyKind::Nearest, &overrides);
     let mut report = BeliefReport::buffer();
     assert!(!controller.report_beliefs(Room::time(0), &mut report), "no report has arrived");
     for tick in 1..=30 {
@@ -97,9 +96,8 @@ fn the_published_probability_of_a_blocked_path_is_that_over_all_headings() {
 #[test]
 fn without_a_filter_there_is_no_belief() {
     for belief in ["none", "constant-velocity"] {
-        let scenario = scenario(&[&format!("control.belief=\"{belief}\"")]);
-        let mut controller = controller(&scenario, build(PolicyKind::Nearest, &scenario).unwrap());
-        Room::new(&scenario).tick(&mut controller, 1);
+        let (mut controller, mut room) = by_policy(PolicyKind::Nearest, &[&format!("control.belief=\"{belief}\"")]);
+        room.tick(&mut controller, 1);
         assert!(!controller.report_beliefs(Room::time(1), &mut BeliefReport::buffer()), "{belief}");
         assert_eq!(controller.innovations(), None, "{belief}");
     }

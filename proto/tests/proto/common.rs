@@ -316,6 +316,16 @@ pub fn refusal<T: Message + std::fmt::Debug>(payload: &[u8]) -> CodecError {
     decode::<T>(payload).expect_err("this payload is invalid")
 }
 
+/// Why a payload does not decode as a message of this kind.
+pub fn any_refusal(kind: Kind, payload: &[u8]) -> Option<CodecError> {
+    macro_rules! of_kind {
+        ($($message:ident $sample:ident,)*) => {
+            match kind { $(Kind::$message => decode::<$message>(payload).err(),)* }
+        };
+    }
+    each_message!(of_kind)
+}
+
 /// The payload with the four bytes at an offset replaced by those of a number.
 pub fn with_f32(mut payload: Vec<u8>, at: usize, value: f32) -> Vec<u8> {
     payload[at..at + 4].copy_from_slice(&value.to_le_bytes());

@@ -3,15 +3,6 @@
 use crate::common::*;
 use heliostat_proto::*;
 
-fn any_refusal(kind: Kind, payload: &[u8]) -> Option<CodecError> {
-    macro_rules! of_kind {
-        ($($message:ident $sample:ident,)*) => {
-            match kind { $(Kind::$message => decode::<$message>(payload).err(),)* }
-        };
-    }
-    each_message!(of_kind)
-}
-
 #[test]
 fn a_wrong_version_is_refused_before_any_other_fault() {
     for version in (0..=u8::MAX).filter(|version| *version != VERSION) {

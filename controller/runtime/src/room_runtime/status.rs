@@ -409,7 +409,7 @@ impl Reporter {
             counters.foreign_arrays,
         ];
         let descriptions: [&dyn Fn() -> Option<String>; 6] = [
-            &|| controller.last_failure().map(|failure| format!("policy {}: {failure}", controller.policy_name())),
+            &|| controller.last_failure().map(|failure| format!("policy {}: {failure}", controller.policy().name())),
             &|| Some("a command could not be sent: the session is closed".into()),
             &|| swaps.last_refusal.clone(),
             &|| swaps.last_warning.clone(),

@@ -66,12 +66,8 @@ fn a_lead_that_a_guest_took_and_gives_back_is_no_takeover() {
 #[test]
 fn contested_takeovers_do_not_delay_the_return_of_the_lead() {
     let mut room = led_room(&[1, 600]);
-    room.controllers[0].is_alive = false;
-    room.until_accepted(1);
-    let (epoch, sequence) = room.controllers[0].sent;
-    assert!(!room.array.handle(room.now, epoch, sequence + 1));
-    room.run(INTERVAL);
-    assert_eq!(room.controllers[1].events.last(), Some(&TenureEvent::Contested));
+    room.takeover(0, 1);
+    assert!(room.is_contested(0, 1));
     room.announce(1, false);
     lend(&mut room);
     assert_eq!(room.controllers[1].events.last(), Some(&TenureEvent::Resumed));
@@ -80,10 +76,7 @@ fn contested_takeovers_do_not_delay_the_return_of_the_lead() {
 #[test]
 fn the_end_of_a_controller_that_stood_by_before_it_led_is_a_takeover() {
     let mut room = led_room(&[1, 600]);
-    room.controllers[0].is_alive = false;
-    room.until_accepted(1);
-    room.controllers[0].is_alive = true;
-    room.run(S);
+    room.hang(0, 1);
     room.announce(600, false);
     room.controllers[1].is_alive = false;
     room.run(S);

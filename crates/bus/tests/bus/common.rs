@@ -44,12 +44,19 @@ impl Keys {
         self.folder.path()
     }
 
-    /// Takes the authority of other keys, and makes all certificates again.
-    pub fn adopt(&self, other: &Self) {
+    /// Keys of the same authority whose certificates end at this time.
+    pub fn until(&self, end: SystemTime) -> Self {
+        let other = Self::new();
         for file in ["ca.key", "ca.pem"] {
-            std::fs::copy(other.folder().join(file), self.folder().join(file)).expect("both are folders of keys");
+            std::fs::copy(self.folder().join(file), other.folder().join(file)).expect("both are folders of keys");
         }
-        keys::renew(self.folder(), self.folder(), keys::end_after(1)).expect("a folder of keys");
+        keys::renew(other.folder(), other.folder(), end).expect("a folder of keys");
+        other
+    }
+
+    /// Keys of the same authority whose certificates have expired.
+    pub fn expired(&self) -> Self {
+        self.until(SystemTime::now() - Duration::from_secs(60))
     }
 
     /// An operator's files with another common name, signed by the authority of these keys.
@@ -70,17 +77,6 @@ impl Keys {
         std::fs::write(folder.path().join("operator.pem"), certificate.pem()).expect("a file");
         std::fs::write(folder.path().join("operator.key"), key.serialize_pem()).expect("a file");
         folder
-    }
-
-    /// Makes all certificates again, so that they have expired.
-    pub fn expire(&self) {
-        let minute = Duration::from_secs(60);
-        keys::renew(self.folder(), self.folder(), SystemTime::now() - minute).expect("a folder of keys");
-    }
-
-    /// Makes all certificates again, so that they expire after this time.
-    pub fn expire_in(&self, time: Duration) {
-        keys::renew(self.folder(), self.folder(), SystemTime::now() + time).expect("a folder of keys");
     }
 
     /// Configuration of a peer with a role.

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant, SystemTime};
 
-use crate::common::{self, Keys, LIMIT, ROOM, router};
+use crate::common::{self, Keys, LIMIT, ROOM, router, wait_until};
 use heliostat_bus::*;
 use heliostat_proto::{NodeKind, Room};
 use zenoh::Wait;
@@ -154,14 +154,6 @@ const AGAIN: Duration = Duration::from_secs(10);
 
 /// Payload of a stop that shows that a connection works.
 const PROBE: &[u8] = b"probe";
-
-fn wait_until(what: &str, mut is_so: impl FnMut() -> bool) {
-    let deadline = Instant::now() + LIMIT;
-    while !is_so() {
-        assert!(Instant::now() < deadline, "{what}: not within the limit");
-        std::thread::sleep(Duration::from_millis(10));
-    }
-}
 
 fn words(text: &str) -> BTreeSet<String> {
     text.split_whitespace().map(str::to_owned).collect()

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, SystemTime};
+use std::time::{Duration, Instant, SystemTime};
 
 use heliostat_bus::*;
 use heliostat_proto::Room;
@@ -18,6 +18,15 @@ pub const LIMIT: Duration = Duration::from_secs(60);
 
 /// Time limit of a connection that must fail.
 pub const REFUSAL_LIMIT: Duration = Duration::from_millis(1500);
+
+/// Waits until this is so.
+pub fn wait_until(what: &str, mut is_so: impl FnMut() -> bool) {
+    let deadline = Instant::now() + LIMIT;
+    while !is_so() {
+        assert!(Instant::now() < deadline, "{what}: not within the limit");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
 
 /// One test at a time: the more sessions a process has, the more often a data race in Zenoh's TLS
 /// links aborts it. Source: eclipse-zenoh/zenoh, issue 2557.

@@ -12,7 +12,7 @@ use heliostat_proto::{
 };
 use heliostat_scenario::Scenario;
 
-use crate::support::{MS, Room, build, by_policy, controller, receive, report_gains, scenario};
+use crate::support::{MS, Room, build, by_policy, controller, hall, receive, report_gains, scenario};
 
 #[test]
 fn the_belief_of_a_decision_is_reported_without_an_allocation() {
@@ -105,9 +105,7 @@ fn without_a_filter_there_is_no_belief() {
 
 /// The probability of a clear direct path in `hall`, after 30 readings of this gain.
 fn direct_clear(los_gain: f64, overrides: &[&str]) -> f64 {
-    let scenario = Scenario::builtin("hall").unwrap().with_overrides(overrides).unwrap();
-    let model = scenario.channel_model().unwrap();
-    let mut belief = Belief::new(&scenario, &model, 64);
+    let (_, model, mut belief) = hall(overrides);
     let (place, gains) = (Vec3::new(1.0, 0.5, 0.85), [[los_gain, 0.0]]);
     (1..=30).for_each(|tick| report_gains(&mut belief, &model, tick, &[place], (&gains, None)));
     belief.estimate(0, 0.0).unwrap().direct_clear

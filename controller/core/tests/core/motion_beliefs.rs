@@ -3,8 +3,9 @@
 use heliostat_channel::Vec3;
 use heliostat_core::belief::{Belief, innovations::Innovations};
 use heliostat_proto::{Stamp, UserReport, UserState};
-use heliostat_scenario::Scenario;
 use rand_chacha::rand_core::{Rng, SeedableRng};
+
+use crate::support::hall;
 
 fn report(tick: u64, users: &[(u32, [f32; 3], [f32; 2])]) -> UserReport {
     let stamp = Stamp { source: 1, sequence: tick, time_ns: tick * 100_000_000 };
@@ -18,9 +19,7 @@ fn report(tick: u64, users: &[(u32, [f32; 3], [f32; 2])]) -> UserReport {
 }
 
 fn belief() -> Belief {
-    let scenario = Scenario::builtin("hall").expect("a built-in scenario");
-    let model = scenario.channel_model().expect("a valid channel");
-    Belief::new(&scenario, &model, 64)
+    hall(&[]).2
 }
 
 /// The position after user 7 walked along x at 1 m/s for ten reports, beside these others.

@@ -36,6 +36,14 @@ pub fn model(scenario: &Scenario) -> ChannelModel {
     scenario.channel_model().unwrap()
 }
 
+/// The room `hall`, its channel, and a belief about its users.
+pub fn hall(overrides: &[&str]) -> (Scenario, ChannelModel, Belief) {
+    let scenario = Scenario::builtin("hall").unwrap().with_overrides(overrides).unwrap();
+    let model = model(&scenario);
+    let belief = Belief::new(&scenario, &model, 64);
+    (scenario, model, belief)
+}
+
 pub fn controller(scenario: &Scenario, policy: Box<dyn Policy>) -> Controller {
     Controller::new(scenario, model(scenario), policy, 7)
 }

@@ -31,7 +31,7 @@ fn an_actor_acts_on_the_dense_engine() {
     let mut angles = MirrorAngles::flat(9);
     actor.act(&model, &Observation::new(&model, 3), &mut angles).unwrap();
     assert!(angles.roll.iter().chain(&angles.yaw).all(|angle| *angle == 0.25));
-    assert_eq!(actor.engine_name(), DENSE);
+    assert_eq!(actor.engine(), Some(DENSE));
 }
 
 #[test]
@@ -95,7 +95,7 @@ fn a_graph_that_is_not_dense_runs_on_onnxruntime_or_says_what_to_do() {
     let file = SIN.actor(&scenario);
     match load_actor(&file, &scenario) {
         Ok(mut actor) => {
-            assert_eq!(actor.engine_name(), ORT);
+            assert_eq!(actor.engine(), Some(ORT));
             let (model, mut angles) = (model(&scenario), MirrorAngles::flat(9));
             actor.act(&model, &Observation::new(&model, 3), &mut angles).unwrap();
             assert!(angles.roll.iter().all(|angle| (angle - 0.25_f64.sin()).abs() < 1e-6), "{angles:?}");
@@ -149,7 +149,7 @@ fn a_decision_of_a_shipped_actor_allocates_nothing() {
     for kind in [PolicyKind::Ddpg, PolicyKind::DdpgRaw, PolicyKind::Dql, PolicyKind::QLearning, PolicyKind::Sarsa] {
         let file = ActorSource::Shipped.fetch(kind, &scenario).unwrap();
         let mut actor = load_actor(&file, &scenario).unwrap();
-        assert_eq!((actor.engine_name(), allocations(&mut actor, &scenario)), (DENSE, (0, 0)), "{}", file.origin);
+        assert_eq!((actor.engine(), allocations(&mut actor, &scenario)), (Some(DENSE), (0, 0)), "{}", file.origin);
     }
 }
 

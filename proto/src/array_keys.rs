@@ -73,42 +73,31 @@ impl Room {
     }
 }
 
+/// The keys of messages that each array has.
+macro_rules! array_keys {
+    ($($key:ident: $message:ident,)*) => {
+        impl ArrayKeys {
+            $(
+                #[doc = concat!("Key of [`", stringify!($message), "`](crate::", stringify!($message), ").")]
+                pub fn $key(&self) -> String {
+                    self.own(self.room.$key())
+                }
+            )*
+        }
+    };
+}
+
+array_keys! {
+    command: MirrorCommand,
+    telemetry: MirrorTelemetry,
+    capabilities: Capabilities,
+    calibration: Calibration,
+    safety: SafetyReport,
+    stops: StopReport,
+    stop_repetition: StopRepetition,
+}
+
 impl ArrayKeys {
-    /// Key of [`MirrorCommand`](crate::MirrorCommand).
-    pub fn command(&self) -> String {
-        self.own(self.room.command())
-    }
-
-    /// Key of [`MirrorTelemetry`](crate::MirrorTelemetry).
-    pub fn telemetry(&self) -> String {
-        self.own(self.room.telemetry())
-    }
-
-    /// Key of [`Capabilities`](crate::Capabilities).
-    pub fn capabilities(&self) -> String {
-        self.own(self.room.capabilities())
-    }
-
-    /// Key of [`Calibration`](crate::Calibration).
-    pub fn calibration(&self) -> String {
-        self.own(self.room.calibration())
-    }
-
-    /// Key of [`SafetyReport`](crate::SafetyReport).
-    pub fn safety(&self) -> String {
-        self.own(self.room.safety())
-    }
-
-    /// Key of [`StopReport`](crate::StopReport).
-    pub fn stops(&self) -> String {
-        self.own(self.room.stops())
-    }
-
-    /// Key of [`StopRepetition`](crate::StopRepetition).
-    pub fn stop_repetition(&self) -> String {
-        self.own(self.room.stop_repetition())
-    }
-
     /// Key of the [`NodeStatus`](crate::NodeStatus) of a driver of this array.
     pub fn driver_status(&self) -> String {
         let start = self.room.all_status();

@@ -77,6 +77,30 @@ macro_rules! enumerations {
     )* };
 }
 
+/// An enumeration that is not on the wire, the list of its variants, and the name of each.
+#[macro_export]
+macro_rules! named {
+    ($(#[$about:meta])* pub enum $Type:ident { $($(#[$of:meta])* $Variant:ident = $name:literal,)+ }) => {
+        $(#[$about])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+        pub enum $Type {
+            $($(#[$of])* $Variant,)+
+        }
+
+        impl $Type {
+            /// All variants, in the order of their counters.
+            pub const ALL: [Self; [$($name),+].len()] = [$(Self::$Variant),+];
+
+            /// The name in counters, messages and files.
+            pub fn name(self) -> &'static str {
+                match self {
+                    $(Self::$Variant => $name,)+
+                }
+            }
+        }
+    };
+}
+
 /// The problem of a number that no value has.
 fn unknown(number: u32) -> String {
     format!("no value has the number {number}")

@@ -100,26 +100,19 @@ pub mod fault {
     }
 }
 
-impl UserReport {
-    /// An empty report with memory for the largest number of users, to decode into.
-    pub fn buffer() -> Self {
-        Self { users: Vec::with_capacity(MAX_USERS), ..Self::default() }
-    }
+/// Gives reports about users a buffer.
+macro_rules! buffers {
+    ($($report:ident)*) => { $(
+        impl $report {
+            /// An empty report with memory for the largest number of users, to fill or to decode into.
+            pub fn buffer() -> Self {
+                Self { users: Vec::with_capacity(MAX_USERS), ..Self::default() }
+            }
+        }
+    )* };
 }
 
-impl ChannelReport {
-    /// An empty report with memory for the largest number of users, to decode into.
-    pub fn buffer() -> Self {
-        Self { users: Vec::with_capacity(MAX_USERS), ..Self::default() }
-    }
-}
-
-impl OrientationReport {
-    /// An empty report with memory for the largest number of users, to decode into.
-    pub fn buffer() -> Self {
-        Self { users: Vec::with_capacity(MAX_USERS), ..Self::default() }
-    }
-}
+buffers! { UserReport ChannelReport OrientationReport BeliefReport }
 
 impl LedReport {
     /// An empty report with memory for the largest number of users and gains, to decode into.
@@ -129,31 +122,30 @@ impl LedReport {
     }
 }
 
-impl BeliefReport {
-    /// An empty report with memory for the largest number of users, to fill and to decode into.
-    pub fn buffer() -> Self {
-        Self { users: Vec::with_capacity(MAX_USERS), ..Self::default() }
-    }
+/// Gives messages of one array a check of their number of mirrors.
+macro_rules! check_mirrors {
+    ($($message:ident: $found:expr;)*) => { $(
+        impl $message {
+            /// Checks that the message is of an array of this number of mirrors.
+            ///
+            /// # Errors
+            /// [`CodecError::WrongMirrors`].
+            pub fn check_mirrors(&self, expected: usize) -> Result<(), CodecError> {
+                let count: fn(&Self) -> usize = $found;
+                match count(self) {
+                    found if found == expected => Ok(()),
+                    found => Err(CodecError::WrongMirrors { kind: Kind::$message, found, expected }),
+                }
+            }
+        }
+    )* };
 }
 
-impl MirrorCommand {
-    /// Checks that the command is for an array of this number of mirrors.
-    ///
-    /// # Errors
-    /// [`CodecError::WrongMirrors`].
-    pub fn check_mirrors(&self, expected: usize) -> Result<(), CodecError> {
-        check_mirrors(Kind::MirrorCommand, self.roll.len(), expected)
-    }
-}
-
-impl MirrorTelemetry {
-    /// Checks that the telemetry is of an array of this number of mirrors.
-    ///
-    /// # Errors
-    /// [`CodecError::WrongMirrors`].
-    pub fn check_mirrors(&self, expected: usize) -> Result<(), CodecError> {
-        check_mirrors(Kind::MirrorTelemetry, self.roll_commanded.len(), expected)
-    }
+check_mirrors! {
+    MirrorCommand: |command| command.roll.len();
+    MirrorTelemetry: |telemetry| telemetry.roll_commanded.len();
+    Capabilities: Capabilities::mirrors;
+    Calibration: |calibration| calibration.roll_offset_rad.len();
 }
 
 impl Stamp {
@@ -300,26 +292,4 @@ impl Capabilities {
     pub fn mirrors(&self) -> usize {
         (self.rows as usize).saturating_mul(self.columns as usize)
     }
-
-    /// Checks that the array has this number of mirrors.
-    ///
-    /// # Errors
-    /// [`CodecError::WrongMirrors`].
-    pub fn check_mirrors(&self, expected: usize) -> Result<(), CodecError> {
-        check_mirrors(Kind::Capabilities, self.mirrors(), expected)
-    }
-}
-
-impl Calibration {
-    /// Checks that the calibration is for an array of this number of mirrors.
-    ///
-    /// # Errors
-    /// [`CodecError::WrongMirrors`].
-    pub fn check_mirrors(&self, expected: usize) -> Result<(), CodecError> {
-        check_mirrors(Kind::Calibration, self.roll_offset_rad.len(), expected)
-    }
-}
-
-fn check_mirrors(kind: Kind, found: usize, expected: usize) -> Result<(), CodecError> {
-    if found == expected { Ok(()) } else { Err(CodecError::WrongMirrors { kind, found, expected }) }
 }

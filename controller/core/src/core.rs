@@ -228,7 +228,7 @@ impl Controller {
 
     /// Handles a message that arrived at `now`; the result names the `poll_*` method to call.
     pub fn handle_message(&mut self, now: Nanos, message: Message<'_>) -> Due {
-        let (stream, array, stamp) = (message.stream(), message.array(), *message.stamp());
+        let (stream, array, &stamp) = message.origin();
         let sources = self.inbox.sources();
         let accepted = self.inbox.accept(now, message);
         if self.inbox.sources() != sources {

@@ -73,7 +73,6 @@
 pub mod belief;
 pub mod core;
 mod input;
-mod named;
 mod observe;
 mod output;
 pub mod policy;

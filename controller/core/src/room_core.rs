@@ -356,7 +356,7 @@ impl RoomCore {
             self.drivers.handle_telemetry(*array, telemetry);
         }
         if let Some(newest_ns) = &mut self.newest_ns {
-            *newest_ns = message.stamp().time_ns.max(*newest_ns);
+            *newest_ns = message.origin().2.time_ns.max(*newest_ns);
         }
         let now = self.newest_ns.unwrap_or(now);
         match self.controller.handle_message(now, message) {

@@ -123,8 +123,8 @@ impl RoomRuntime {
         core.warm_up(warm_up_runs());
         let room = bus.room().clone();
         let controller = core.controller();
-        let (engine, arrays) = (controller.engine_name(), controller.arrays());
-        tracing::info!(policy = controller.policy_name(), engine, scenario = scenario.name, %room, "ready");
+        let (engine, arrays) = (controller.policy().engine(), controller.arrays());
+        tracing::info!(policy = controller.policy().name(), engine, scenario = scenario.name, %room, "ready");
 
         let repeater = core.repeater();
         let transport = Transport::open(bus, arrays, class, local)?;

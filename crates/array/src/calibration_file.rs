@@ -134,25 +134,24 @@ impl CalibrationFile {
     ///
     /// drive angle = gain' (gain angle + offset) + offset', with the former driver's gain' and offset'.
     pub fn after(&self, former: &Self) -> Self {
-        let axis = |own: &AxisCorrections, former: &AxisCorrections| {
-            let pairs = own.offset_deg.iter().zip(&own.gain).zip(former.offset_deg.iter().zip(&former.gain));
-            let joined = pairs.map(|((offset, gain), (former_offset, former_gain))| {
-                (former_gain * offset + former_offset, former_gain * gain)
-            });
-            let (offset_deg, gain) = joined.unzip();
-            AxisCorrections { offset_deg, gain }
-        };
-        Self { roll: axis(&self.roll, &former.roll), yaw: axis(&self.yaw, &former.yaw), ..*self }
+        self.joined(former, |[offset, gain], [former_offset, former_gain]| {
+            (former_gain * offset + former_offset, former_gain * gain)
+        })
     }
 
     /// The corrections of an angle by which a driver that uses these turns a mirror as one that uses
     /// `other` turns it without: gain (gain' angle + offset') + offset is the drive angle of `other`.
     pub fn in_place_of(&self, other: &Self) -> Self {
+        self.joined(other, |[offset, gain], [other_offset, other_gain]| {
+            ((other_offset - offset) / gain, other_gain / gain)
+        })
+    }
+
+    /// The offset and gain that `join` makes of those of this file and of `other`, for every axis.
+    fn joined(&self, other: &Self, join: impl Fn([f64; 2], [f64; 2]) -> (f64, f64)) -> Self {
         let axis = |own: &AxisCorrections, other: &AxisCorrections| {
             let pairs = own.offset_deg.iter().zip(&own.gain).zip(other.offset_deg.iter().zip(&other.gain));
-            let joined = pairs.map(|((offset, gain), (other_offset, other_gain))| {
-                ((other_offset - offset) / gain, other_gain / gain)
-            });
+            let joined = pairs.map(|((a, b), (c, d))| join([*a, *b], [*c, *d]));
             let (offset_deg, gain) = joined.unzip();
             AxisCorrections { offset_deg, gain }
         };

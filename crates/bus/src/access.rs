@@ -15,30 +15,31 @@
 use std::fmt;
 use std::str::FromStr;
 
-use heliostat_proto::{NodeKind, Room};
+use heliostat_proto::{NodeKind, Room, named};
 use serde_json::{Value, json};
 
-/// What the holder of a certificate may do in its room.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum AccessRole {
-    /// Reports positions, channel gains, also of branches and LEDs, obstacles and orientations.
-    Tracker,
-    /// Commands the mirrors.
-    Controller,
-    /// Drives the mirrors and reports their state.
-    Driver,
-    /// A tracker and a driver in one process, which also publishes the truth of its room.
-    Simulator,
-    /// Releases stops and gives orders to controller and simulator.
-    Operator,
-    /// Corrects the mounting of the mirrors.
-    Calibrator,
-    /// Tests a driver: publishes commands, calibrations and re-arms.
-    Checker,
-    /// Receives only; may stop the array.
-    Viewer,
-    /// Forwards the messages of all roles. A process trusts it to check their senders.
-    Router,
+named! {
+    /// What the holder of a certificate may do in its room.
+    pub enum AccessRole {
+        /// Reports positions, channel gains, also of branches and LEDs, obstacles and orientations.
+        Tracker = "tracker",
+        /// Commands the mirrors.
+        Controller = "controller",
+        /// Drives the mirrors and reports their state.
+        Driver = "driver",
+        /// A tracker and a driver in one process, which also publishes the truth of its room.
+        Simulator = "simulator",
+        /// Releases stops and gives orders to controller and simulator.
+        Operator = "operator",
+        /// Corrects the mounting of the mirrors.
+        Calibrator = "calibrator",
+        /// Tests a driver: publishes commands, calibrations and re-arms.
+        Checker = "checker",
+        /// Receives only; may stop the array.
+        Viewer = "viewer",
+        /// Forwards the messages of all roles. A process trusts it to check their senders.
+        Router = "router",
+    }
 }
 
 /// Every message about which Zenoh has rules, except `delete`: the contract has no deletions.
@@ -57,34 +58,6 @@ const ALL_MESSAGES: [&str; 8] = [
 const RECEIVING: [&str; 4] = ["declare_subscriber", "query", "liveliness_query", "declare_liveliness_subscriber"];
 
 impl AccessRole {
-    /// All roles.
-    pub const ALL: [Self; 9] = [
-        Self::Tracker,
-        Self::Controller,
-        Self::Driver,
-        Self::Simulator,
-        Self::Operator,
-        Self::Calibrator,
-        Self::Checker,
-        Self::Viewer,
-        Self::Router,
-    ];
-
-    /// Its name in files and flags.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Tracker => "tracker",
-            Self::Controller => "controller",
-            Self::Driver => "driver",
-            Self::Simulator => "simulator",
-            Self::Operator => "operator",
-            Self::Calibrator => "calibrator",
-            Self::Checker => "checker",
-            Self::Viewer => "viewer",
-            Self::Router => "router",
-        }
-    }
-
     /// Common name of its certificate in a room.
     pub fn common_name(self, room: &Room) -> String {
         format!("{COMMON_NAME_PREFIX}{room}-{self}")

@@ -129,7 +129,7 @@ fn the_dense_engine_equals_onnxruntime_on_every_shipped_actor() {
             let Ok(file) = ActorSource::Shipped.fetch(kind, &scenario) else { continue };
             let mut engines =
                 [load_actor(&file, &scenario), load_actor_on_onnxruntime(&file, &scenario)].map(Result::unwrap);
-            assert_eq!(engines.each_ref().map(|actor| actor.engine_name()), [DENSE, ORT]);
+            assert_eq!(engines.each_ref().map(|actor| actor.engine()), [DENSE, ORT].map(Some));
             let (observation, flat) = (Observation::new(&model, scenario.users.count), MirrorAngles::flat(100));
             let [dense, ort] = engines.each_mut().map(|actor| {
                 let mut angles = flat.clone();

@@ -262,32 +262,44 @@ pub fn encoded<T: Message>(message: &T) -> Vec<u8> {
     payload
 }
 
-/// The payload of every sample, with its name in CONTRACT.md.
+/// Calls the macro with the given name on every message and the function of its sample, in the order of the kinds.
+macro_rules! each_message {
+    ($expand:ident) => {
+        $expand! {
+            UserReport user_report,
+            ChannelReport channel_report,
+            ObstacleReport obstacle_report,
+            MirrorCommand mirror_command,
+            MirrorTelemetry mirror_telemetry,
+            NodeStatus node_status,
+            RoomTruth room_truth,
+            Capabilities capabilities,
+            EmergencyStop emergency_stop,
+            Calibration calibration,
+            SimulatorControl simulator_control,
+            ControllerControl controller_control,
+            Rearm rearm,
+            SafetyReport safety_report,
+            RoomGeometry room_geometry,
+            BeliefReport belief_report,
+            ControllerMemory controller_memory,
+            OrientationReport orientation_report,
+            BranchReport branch_report,
+            StopReport stop_report,
+            StopRepetition stop_repetition,
+            LedReport led_report,
+        }
+    };
+}
+
+pub(crate) use each_message;
+
+/// The payload of every sample, with the name of its kind.
 pub fn payloads() -> Vec<(&'static str, Vec<u8>)> {
-    vec![
-        ("user report", encoded(&user_report())),
-        ("channel report", encoded(&channel_report())),
-        ("obstacle report", encoded(&obstacle_report())),
-        ("mirror command", encoded(&mirror_command())),
-        ("mirror telemetry", encoded(&mirror_telemetry())),
-        ("node status", encoded(&node_status())),
-        ("room truth", encoded(&room_truth())),
-        ("capabilities", encoded(&capabilities())),
-        ("emergency stop", encoded(&emergency_stop())),
-        ("calibration", encoded(&calibration())),
-        ("simulator control", encoded(&simulator_control())),
-        ("controller control", encoded(&controller_control())),
-        ("re-arm", encoded(&rearm())),
-        ("safety report", encoded(&safety_report())),
-        ("room geometry", encoded(&room_geometry())),
-        ("belief report", encoded(&belief_report())),
-        ("controller memory", encoded(&controller_memory())),
-        ("orientation report", encoded(&orientation_report())),
-        ("branch report", encoded(&branch_report())),
-        ("stop report", encoded(&stop_report())),
-        ("stop repetition", encoded(&stop_repetition())),
-        ("LED report", encoded(&led_report())),
-    ]
+    macro_rules! samples {
+        ($($message:ident $sample:ident,)*) => { vec![$(($message::KIND.name(), encoded(&$sample()))),*] };
+    }
+    each_message!(samples)
 }
 
 pub fn hex(bytes: &[u8]) -> String {
@@ -302,6 +314,16 @@ pub fn unhex(text: &str) -> Vec<u8> {
 /// Why a payload does not decode.
 pub fn refusal<T: Message + std::fmt::Debug>(payload: &[u8]) -> CodecError {
     decode::<T>(payload).expect_err("this payload is invalid")
+}
+
+/// Why a payload does not decode as a message of this kind.
+pub fn any_refusal(kind: Kind, payload: &[u8]) -> Option<CodecError> {
+    macro_rules! of_kind {
+        ($($message:ident $sample:ident,)*) => {
+            match kind { $(Kind::$message => decode::<$message>(payload).err(),)* }
+        };
+    }
+    each_message!(of_kind)
 }
 
 /// The payload with the four bytes at an offset replaced by those of a number.

@@ -14,28 +14,10 @@ fn decodes_or_refuses(payload: &[u8]) -> Result<(), TestCaseError> {
         prop_assert_eq!(decode::<T>(&again), Ok(message));
         Ok(())
     }
-    one::<UserReport>(payload)?;
-    one::<ChannelReport>(payload)?;
-    one::<ObstacleReport>(payload)?;
-    one::<OrientationReport>(payload)?;
-    one::<BranchReport>(payload)?;
-    one::<StopReport>(payload)?;
-    one::<StopRepetition>(payload)?;
-    one::<LedReport>(payload)?;
-    one::<MirrorCommand>(payload)?;
-    one::<MirrorTelemetry>(payload)?;
-    one::<NodeStatus>(payload)?;
-    one::<RoomTruth>(payload)?;
-    one::<Capabilities>(payload)?;
-    one::<EmergencyStop>(payload)?;
-    one::<Calibration>(payload)?;
-    one::<SimulatorControl>(payload)?;
-    one::<ControllerControl>(payload)?;
-    one::<Rearm>(payload)?;
-    one::<SafetyReport>(payload)?;
-    one::<RoomGeometry>(payload)?;
-    one::<BeliefReport>(payload)?;
-    one::<ControllerMemory>(payload)
+    macro_rules! as_each {
+        ($($message:ident $sample:ident,)*) => { [$(one::<$message>(payload)),*] };
+    }
+    each_message!(as_each).into_iter().collect()
 }
 
 fn finite() -> impl Strategy<Value = f32> {

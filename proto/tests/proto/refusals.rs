@@ -3,33 +3,6 @@
 use crate::common::*;
 use heliostat_proto::*;
 
-fn any_refusal(kind: Kind, payload: &[u8]) -> Option<CodecError> {
-    match kind {
-        Kind::UserReport => decode::<UserReport>(payload).err(),
-        Kind::ChannelReport => decode::<ChannelReport>(payload).err(),
-        Kind::ObstacleReport => decode::<ObstacleReport>(payload).err(),
-        Kind::MirrorCommand => decode::<MirrorCommand>(payload).err(),
-        Kind::MirrorTelemetry => decode::<MirrorTelemetry>(payload).err(),
-        Kind::NodeStatus => decode::<NodeStatus>(payload).err(),
-        Kind::RoomTruth => decode::<RoomTruth>(payload).err(),
-        Kind::Capabilities => decode::<Capabilities>(payload).err(),
-        Kind::EmergencyStop => decode::<EmergencyStop>(payload).err(),
-        Kind::Calibration => decode::<Calibration>(payload).err(),
-        Kind::SimulatorControl => decode::<SimulatorControl>(payload).err(),
-        Kind::ControllerControl => decode::<ControllerControl>(payload).err(),
-        Kind::Rearm => decode::<Rearm>(payload).err(),
-        Kind::SafetyReport => decode::<SafetyReport>(payload).err(),
-        Kind::RoomGeometry => decode::<RoomGeometry>(payload).err(),
-        Kind::BeliefReport => decode::<BeliefReport>(payload).err(),
-        Kind::ControllerMemory => decode::<ControllerMemory>(payload).err(),
-        Kind::OrientationReport => decode::<OrientationReport>(payload).err(),
-        Kind::BranchReport => decode::<BranchReport>(payload).err(),
-        Kind::StopReport => decode::<StopReport>(payload).err(),
-        Kind::StopRepetition => decode::<StopRepetition>(payload).err(),
-        Kind::LedReport => decode::<LedReport>(payload).err(),
-    }
-}
-
 #[test]
 fn a_wrong_version_is_refused_before_any_other_fault() {
     for version in (0..=u8::MAX).filter(|version| *version != VERSION) {

@@ -9,7 +9,7 @@ use crate::{
     input::inbox::Inbox,
     observe::{observation::Observation, observer::Observer},
     output::outcome::Counters,
-    policy::{PolicyError, Tally},
+    policy::{Policy, PolicyError, Tally},
 };
 
 impl Controller {
@@ -23,19 +23,9 @@ impl Controller {
         &self.counters
     }
 
-    /// Name of the policy.
-    pub fn policy_name(&self) -> &str {
-        self.policy.policy().name()
-    }
-
-    /// The hash of the policy's file; `None` for a policy that is not learned.
-    pub fn policy_file_hash(&self) -> Option<&str> {
-        self.policy.policy().file_hash()
-    }
-
-    /// The name of the inference engine; `None` for a policy that is not learned.
-    pub fn engine_name(&self) -> Option<&'static str> {
-        self.policy.policy().engine()
+    /// The policy in charge.
+    pub fn policy(&self) -> &dyn Policy {
+        self.policy.policy()
     }
 
     /// The figures of each policy since the start.

@@ -30,11 +30,11 @@ use heliostat_proto::{
 use heliostat_scenario::Scenario;
 
 use crate::input::{
-    refusal::{Found, LeftOut, Refusal, Refused, Stream},
+    refusal::{Checked, LeftOut, Refusal, Refused, Stream},
     sequence::SequenceTrack,
 };
 use array::ArrayInbox;
-use rules::{Rules, check_channel, check_obstacles, check_orientation, first_repeated, is_gain};
+use rules::{Rules, check_channel, check_obstacles, check_orientation};
 use slot::Owner;
 pub use state::InboxState;
 
@@ -57,33 +57,17 @@ pub enum Message<'a> {
 }
 
 impl Message<'_> {
-    /// The stream that the message belongs to.
-    pub fn stream(&self) -> Stream {
+    /// The stream that the message belongs to, the array whose state it is (0 for reports about the room), and source,
+    /// sequence number and time of the sample.
+    pub fn origin(&self) -> (Stream, usize, &Stamp) {
         match self {
-            Self::Users(_) => Stream::Users,
-            Self::Channel(_) => Stream::Channel,
-            Self::Obstacles(_) => Stream::Obstacles,
-            Self::Telemetry(..) => Stream::Telemetry,
-            Self::Orientation(_) => Stream::Orientation,
-            Self::Leds(_) => Stream::Leds,
+            Self::Users(report) => (Stream::Users, 0, &report.stamp),
+            Self::Channel(report) => (Stream::Channel, 0, &report.stamp),
+            Self::Obstacles(report) => (Stream::Obstacles, 0, &report.stamp),
+            Self::Telemetry(array, report) => (Stream::Telemetry, *array, &report.stamp),
+            Self::Orientation(report) => (Stream::Orientation, 0, &report.stamp),
+            Self::Leds(report) => (Stream::Leds, 0, &report.stamp),
         }
-    }
-
-    /// Source, sequence number and time of the sample.
-    pub fn stamp(&self) -> &Stamp {
-        match self {
-            Self::Users(report) => &report.stamp,
-            Self::Channel(report) => &report.stamp,
-            Self::Obstacles(report) => &report.stamp,
-            Self::Telemetry(_, report) => &report.stamp,
-            Self::Orientation(report) => &report.stamp,
-            Self::Leds(report) => &report.stamp,
-        }
-    }
-
-    /// Index of the array whose state it is; 0 for reports about the room.
-    pub(crate) fn array(&self) -> usize {
-        if let Self::Telemetry(array, _) = self { *array } else { 0 }
     }
 }
 
@@ -115,32 +99,23 @@ impl Inbox {
     /// # Errors
     /// The [`Refusal`], already counted.
     pub fn accept(&mut self, now: Nanos, message: Message<'_>) -> Result<(), Refusal> {
-        let (stream, array) = (message.stream(), message.array());
-        let stamp = *message.stamp();
-        let checked = self
-            .check_content(&message)
-            .and_then(|()| self.check_source(now, (stream, array), stamp.source))
-            .and_then(|()| self.track(stream, array).check(now, &stamp, self.rules.source_timeout_ns))
-            .and_then(|()| match self.has_clock(stream, array) {
-                true => self.rules.check_time(now, &stamp),
-                false => Ok(()),
-            });
+        let (stream, array, &stamp) = message.origin();
+        let checked = self.check(now, &message);
         match checked {
             Ok(()) => {
                 self.track_mut(stream, array).on_accepted(now, &stamp);
                 self.renew_owner(now, (stream, array), stamp.source);
                 self.keep(message);
             }
-            Err(Refusal::ForeignSource) => self.refused.count_foreign((stream, array), stamp.source),
-            Err(refusal) => {
+            Err((Refusal::ForeignSource, _)) => self.refused.count_foreign((stream, array), stamp.source),
+            Err((refusal, found)) => {
                 if array < self.state.arrays.len() {
                     self.track_mut(stream, array).on_refused(&stamp);
                 }
-                let found = self.found(now, &message, refusal);
                 self.refused.count_found((stream, array), refusal, found);
             }
         }
-        checked
+        checked.map_err(|(refusal, _)| refusal)
     }
 
     /// Counts a payload of a stream, and of an array for telemetry, that does not decode. It arrived, if it is of
@@ -238,10 +213,6 @@ impl Inbox {
         self.state.arrays[array].has_clock = has_clock;
     }
 
-    fn has_clock(&self, stream: Stream, array: usize) -> bool {
-        stream != Stream::Telemetry || self.state.arrays[array].has_clock
-    }
-
     /// A process has left: its source owns nothing, its reports are discarded, and its delayed
     /// reports are refused.
     ///
@@ -274,8 +245,17 @@ impl Inbox {
         }
     }
 
-    fn track(&self, stream: Stream, array: usize) -> &SequenceTrack {
-        if stream == Stream::Telemetry { &self.state.arrays[array].track } else { &self.state.tracks[stream as usize] }
+    /// The checks of a message that arrived at `now`, in the order of the [module](self).
+    fn check(&mut self, now: Nanos, message: &Message<'_>) -> Checked {
+        let (stream, array, stamp) = message.origin();
+        self.check_content(message)?;
+        self.check_source(now, (stream, array), stamp.source)?;
+        let timeout_ns = self.rules.source_timeout_ns;
+        self.track_mut(stream, array).check(now, stamp, timeout_ns)?;
+        if stream == Stream::Telemetry && !self.state.arrays[array].has_clock {
+            return Ok(());
+        }
+        self.rules.check_time(now, stamp)
     }
 
     fn track_mut(&mut self, stream: Stream, array: usize) -> &mut SequenceTrack {
@@ -351,54 +331,18 @@ impl Inbox {
         }
     }
 
-    /// The value for which a message is refused.
-    fn found(&self, now: Nanos, message: &Message<'_>, refusal: Refusal) -> Found {
-        match (refusal, message) {
-            (Refusal::WrongMirrorCount, Message::Telemetry(array, report)) => {
-                self.state.arrays.get(*array).map_or(Found::Nothing, |array| Found::Sizes(array.sizes(report)))
-            }
-            (Refusal::Stale | Refusal::FromFuture, message) => {
-                let sampled_ns = message.stamp().time_ns;
-                let age_s = now.abs_diff(sampled_ns) as f64 / 1e9;
-                Found::AgeS(if now < sampled_ns { -age_s } else { age_s })
-            }
-            (Refusal::OutsideRoom | Refusal::Implausible, Message::Users(report)) => {
-                let is_refused = |user: &&UserState| self.rules.check_user(user) == Err(refusal);
-                let found = report.users.iter().find(is_refused);
-                found.map_or(Found::Nothing, |user| Found::User(LeftOut::new(user, refusal)))
-            }
-            (Refusal::Implausible, Message::Channel(report)) => {
-                let found = report.users.iter().find(|user| !is_gain(user.los_gain));
-                found.map_or(Found::Nothing, |user| Found::Gain { user: user.user, los_gain: user.los_gain })
-            }
-            (Refusal::DuplicateUser, message) => repeated_user(message).map_or(Found::Nothing, Found::Twice),
-            _ => Found::Nothing,
-        }
-    }
-
-    fn check_content(&self, message: &Message<'_>) -> Result<(), Refusal> {
+    fn check_content(&self, message: &Message<'_>) -> Checked {
         match message {
             Message::Users(report) => self.rules.check_users(report),
             Message::Channel(report) => check_channel(report),
             Message::Obstacles(report) => check_obstacles(report),
             Message::Telemetry(array, report) => match self.state.arrays.get(*array) {
                 Some(array) => array.check(report),
-                None => Err(Refusal::WrongMirrorCount),
+                None => Err(Refusal::WrongMirrorCount.into()),
             },
             Message::Orientation(report) => check_orientation(report),
             Message::Leds(report) => self.rules.check_leds(report),
         }
-    }
-}
-
-/// The user with two entries in a report about users.
-fn repeated_user(message: &Message<'_>) -> Option<u32> {
-    match message {
-        Message::Users(report) => first_repeated(report.users.iter().map(|user| user.user)),
-        Message::Channel(report) => first_repeated(report.users.iter().map(|user| user.user)),
-        Message::Orientation(report) => first_repeated(report.users.iter().map(|user| user.user)),
-        Message::Leds(report) => first_repeated(report.users.iter().map(|user| user.user)),
-        Message::Obstacles(_) | Message::Telemetry(..) => None,
     }
 }
 

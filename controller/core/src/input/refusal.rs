@@ -2,9 +2,7 @@
 
 use std::fmt;
 
-use heliostat_proto::{CodecError, SPEED_MAX_M_S, UserState};
-
-use crate::named::named;
+use heliostat_proto::{CodecError, SPEED_MAX_M_S, UserState, named};
 
 named! {
     /// A stream of reports.
@@ -125,6 +123,15 @@ pub enum Found {
         /// The reported gain of the direct path.
         los_gain: f32,
     },
+}
+
+/// The result of a check: why a message is refused, and the value for which it is.
+pub(crate) type Checked = Result<(), (Refusal, Found)>;
+
+impl From<Refusal> for (Refusal, Found) {
+    fn from(refusal: Refusal) -> Self {
+        (refusal, Found::Nothing)
+    }
 }
 
 /// Speed and minimum rate of a reported user.

@@ -3,12 +3,9 @@
 use std::ops::Range;
 
 use heliostat_channel::MirrorArrays;
-use heliostat_proto::{InputKind, MirrorCommand, Nanos};
+use heliostat_proto::{InputKind, MirrorCommand, Nanos, named};
 
-use crate::{
-    named::named,
-    output::{safety::Clipped, tenure::TenureEvent},
-};
+use crate::output::{safety::Clipped, tenure::TenureEvent};
 
 named! {
     /// A stage of a decision that has just ended; a caller may record its time.

@@ -62,11 +62,6 @@ impl Actor {
         Self { name, ..self }
     }
 
-    /// The name of the engine that evaluates the network.
-    pub fn engine_name(&self) -> &'static str {
-        self.network.engine()
-    }
-
     /// The angles for an observation vector.
     ///
     /// # Errors

@@ -5,12 +5,10 @@
 use std::str::FromStr;
 
 use heliostat_channel::{ChannelModel, decode, mirrors::MirrorAngles};
+use heliostat_proto::named;
 use serde::{Deserialize, Serialize};
 
-use crate::{
-    named::named,
-    observe::observation::{Observation, ObservationEncoder, Summary},
-};
+use crate::observe::observation::{Observation, ObservationEncoder, Summary};
 
 named! {
     /// The baseline weight b_k, which is the decoder weight for an action of zero.

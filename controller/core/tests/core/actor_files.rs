@@ -34,10 +34,21 @@ fn assert_contains(error: &dyn std::error::Error, words: &[&str]) {
     }
 }
 
+/// An actor that fits the room of these tests.
+fn fitting() -> ActorRecipe {
+    ActorRecipe::fitting(&scenario(&[]))
+}
+
+/// The actor is refused in the room of these tests, with these words.
+#[track_caller]
+fn expect_refusal(recipe: &ActorRecipe, words: &[&str]) {
+    assert_contains(&refusal(recipe, &scenario(&[])), words);
+}
+
 #[test]
 fn a_truncated_file_is_refused() {
     let scenario = scenario(&[]);
-    let bytes = ActorRecipe::fitting(&scenario).bytes();
+    let bytes = fitting().bytes();
     for length in [1, bytes.len() / 2, bytes.len() - 1] {
         let file = ActorFile { origin: "cut.onnx".into(), bytes: bytes[..length].to_vec().into() };
         assert!(load_actor(&file, &scenario).is_err(), "{length} bytes were accepted");
@@ -46,76 +57,64 @@ fn a_truncated_file_is_refused() {
 
 #[test]
 fn other_ports_are_refused() {
-    let scenario = scenario(&[]);
-    let error = refusal(&ActorRecipe { input_name: "state", ..ActorRecipe::fitting(&scenario) }, &scenario);
-    assert_contains(&error, &["inputs", "state", "\"observation\""]);
-    let error = refusal(&ActorRecipe { output_name: "action", ..ActorRecipe::fitting(&scenario) }, &scenario);
-    assert_contains(&error, &["outputs", "action", "\"angles\""]);
+    expect_refusal(&ActorRecipe { input_name: "state", ..fitting() }, &["inputs", "state", "\"observation\""]);
+    expect_refusal(&ActorRecipe { output_name: "action", ..fitting() }, &["outputs", "action", "\"angles\""]);
 }
 
 #[test]
 fn an_unknown_action_is_named_with_the_known_ones() {
-    let scenario = scenario(&[]);
-    let with = |action: &str| ActorRecipe::fitting(&scenario).with_metadata(key::ACTION, action);
-    assert!(load_actor(&with("angles").file(), &scenario).is_ok());
+    let with = |action: &str| fitting().with_metadata(key::ACTION, action);
+    assert!(load_actor(&with("angles").file(), &scenario(&[])).is_ok());
     for action in ["COMPACT", ""] {
-        let error = refusal(&with(action), &scenario);
-        assert_contains(
-            &error,
+        expect_refusal(
+            &with(action),
             &[&format!("unknown action \"{action}\""), "\"angles\"", "\"codebook\"", "heliostat.action"],
         );
     }
     for action in ["compact", "displacements"] {
-        assert_contains(&refusal(&with(action), &scenario), &[&format!("the action {action} was removed"), "weights"]);
+        expect_refusal(&with(action), &[&format!("the action {action} was removed"), "weights"]);
     }
-    let error = refusal(&with(&"\u{1b}x".repeat(5000)), &scenario);
+    let error = refusal(&with(&"\u{1b}x".repeat(5000)), &scenario(&[]));
     assert!(error.to_string().len() < 600 && !error.to_string().contains('\u{1b}'), "{error}");
 }
 
 #[test]
 fn an_opset_that_is_not_known_is_refused_with_the_known_ones() {
-    let scenario = scenario(&[]);
     for opset in [6, 29, -5] {
-        let error = refusal(&ActorRecipe { opset, ..ActorRecipe::fitting(&scenario) }, &scenario);
-        assert_contains(&error, &["test.onnx", &format!("the opset {opset}"), "from 7 to 28", "export it again"]);
+        let recipe = ActorRecipe { opset, ..fitting() };
+        expect_refusal(&recipe, &["test.onnx", &format!("the opset {opset}"), "from 7 to 28", "export it again"]);
     }
 }
 
 #[test]
 fn other_shapes_are_refused() {
-    let scenario = scenario(&[]);
     // 4 users and 9 mirrors: 4 * (17 + 9) + 18 = 122.
-    let error = refusal(&ActorRecipe { input_length: 117, ..ActorRecipe::fitting(&scenario) }, &scenario);
-    assert_contains(&error, &["observation", "f32 [1, 117]", "f32 [1, 122]", "users.count = 4", "size 9"]);
-    let error = refusal(&ActorRecipe { output_length: 9, ..ActorRecipe::fitting(&scenario) }, &scenario);
-    assert_contains(&error, &["angles", "f32 [1, 9]", "f32 [1, 18]"]);
+    let recipe = ActorRecipe { input_length: 117, ..fitting() };
+    expect_refusal(&recipe, &["observation", "f32 [1, 117]", "f32 [1, 122]", "users.count = 4", "size 9"]);
+    expect_refusal(&ActorRecipe { output_length: 9, ..fitting() }, &["angles", "f32 [1, 9]", "f32 [1, 18]"]);
 }
 
 #[test]
 fn missing_and_unreadable_metadata_is_named() {
-    let scenario = scenario(&[]);
     for key in [key::OBSERVATION_VERSION, key::USERS_MAX, key::MIRRORS, key::MODE, key::GEOMETRY] {
-        assert_contains(&refusal(&ActorRecipe::fitting(&scenario).without_metadata(key), &scenario), &[key]);
+        expect_refusal(&fitting().without_metadata(key), &[key]);
     }
-    let error = refusal(&ActorRecipe::fitting(&scenario).with_metadata(key::MIRRORS, "nine"), &scenario);
-    assert_contains(&error, &[key::MIRRORS, "nine"]);
+    expect_refusal(&fitting().with_metadata(key::MIRRORS, "nine"), &[key::MIRRORS, "nine"]);
 }
 
 #[test]
 fn an_actor_of_another_observation_version_is_refused() {
-    let scenario = scenario(&[]);
     // As long as these versions were, 4 * (6 + 9) + 18 and 4 * (16 + 9) + 18: it is the version
     // that is wrong, not the shape.
     for (version, input_length) in [("1", 122), ("1", 78), ("2", 118)] {
-        let former = ActorRecipe { input_length, ..ActorRecipe::fitting(&scenario) };
-        let error = refusal(&former.with_metadata(key::OBSERVATION_VERSION, version), &scenario);
-        assert_contains(&error, &[&format!("observation version {version}"), "expected 3", "train it again"]);
+        let former = ActorRecipe { input_length, ..fitting() }.with_metadata(key::OBSERVATION_VERSION, version);
+        expect_refusal(&former, &[&format!("observation version {version}"), "expected 3", "train it again"]);
     }
 }
 
 #[test]
 fn an_actor_of_another_room_is_refused_with_what_differs_and_one_of_another_noise_is_not() {
-    let recipe = ActorRecipe::fitting(&scenario(&[]));
+    let recipe = fitting();
     for (change, words) in [
         ("mirrors.rows=4", &["mirrors of 9", "12 (4 x 3)", "heliostat-lab train", "policy fixed-point"][..]),
         ("users.count=5", &["at most 4", "expected 5"]),
@@ -130,24 +129,20 @@ fn an_actor_of_another_room_is_refused_with_what_differs_and_one_of_another_nois
 
 #[test]
 fn a_file_with_nan_or_infinite_weights_is_refused_with_the_name_of_the_tensor() {
-    let scenario = scenario(&[]);
     for bias in [f32::NAN, f32::INFINITY] {
-        let error = refusal(&ActorRecipe { bias: vec![bias; 18], ..ActorRecipe::fitting(&scenario) }, &scenario);
-        assert_contains(&error, &["test.onnx", "tensor bias", "NaN or infinity"]);
+        let recipe = ActorRecipe { bias: vec![bias; 18], ..fitting() };
+        expect_refusal(&recipe, &["test.onnx", "tensor bias", "NaN or infinity"]);
     }
 }
 
 #[test]
 fn a_file_without_any_metadata_says_which_command_prints_what_is_needed() {
-    let scenario = scenario(&[]);
-    let recipe =
-        ActorRecipe { metadata: vec![("author".into(), "a stranger".into())], ..ActorRecipe::fitting(&scenario) };
-    let error = refusal(&recipe, &scenario);
-    assert_contains(
-        &error,
+    let recipe = ActorRecipe { metadata: vec![("author".into(), "a stranger".into())], ..fitting() };
+    expect_refusal(
+        &recipe,
         &["without the metadata of an actor", "heliostat config --as-json actor", "heliostat-lab train"],
     );
-    let error = refusal(&ActorRecipe::fitting(&scenario).without_metadata(key::USERS_MAX), &scenario).to_string();
+    let error = refusal(&fitting().without_metadata(key::USERS_MAX), &scenario(&[])).to_string();
     assert!(error.contains("found none") && !error.contains("None"), "{error}");
 }
 
@@ -195,7 +190,7 @@ fn a_slow_network_is_tried_only_once() {
         NOW.fetch_add(300_000_000, Relaxed)
     }
     let scenario = scenario(&[]);
-    let file = ActorRecipe::fitting(&scenario).file();
+    let file = fitting().file();
     let engine = Stepping::default();
     let mut actor = Actor::load(&file, &scenario, &engine).unwrap();
     let verified = engine.runs.load(Relaxed);
@@ -208,7 +203,7 @@ fn a_slow_network_is_tried_only_once() {
 #[test]
 fn a_network_that_samples_is_refused() {
     let scenario = scenario(&[]);
-    let file = ActorRecipe::fitting(&scenario).file();
+    let file = fitting().file();
     let error =
         Actor::load(&file, &scenario, &Stepping { step: 1e-6, ..Stepping::default() }).err().expect("a refusal");
     assert_contains(&error, &["test.onnx", "two runs on one observation differ", "export the mean"]);
@@ -219,14 +214,14 @@ fn outputs_for_fixed_inputs_are_compared_with_those_of_the_trainer() {
     let scenario = scenario(&[]);
     let line = |first: &str| format!("{first} {}", ["0.25"; 17].join(" "));
     let check = |lines: [&str; 4]| {
-        let recipe = ActorRecipe::fitting(&scenario).with_metadata(key::CHECK, &lines.map(line).join("; "));
+        let recipe = fitting().with_metadata(key::CHECK, &lines.map(line).join("; "));
         let file = recipe.file();
         let actor = load_actor(&file, &scenario);
         actor.map(|mut actor| actor.try_out(&scenario, || 0).unwrap())
     };
     let findings = check(["0.25"; 4]).expect("equal outputs");
     assert!(!format!("{findings:?}").contains("not verified"), "{findings:?}");
-    let findings = load_actor(&ActorRecipe::fitting(&scenario).file(), &scenario).unwrap().try_out(&scenario, || 0);
+    let findings = load_actor(&fitting().file(), &scenario).unwrap().try_out(&scenario, || 0);
     assert!(format!("{findings:?}").contains("not verified"), "{findings:?}");
     let error = check(["0.25", "0.25", "0.2502", "0.25"]).expect_err("another output");
     assert_contains(&error, &["output 0", "fixed input 2", "0.25 on the engine bias", "0.2502", key::CHECK]);
@@ -236,7 +231,7 @@ fn outputs_for_fixed_inputs_are_compared_with_those_of_the_trainer() {
 #[test]
 fn an_actor_without_angles_on_any_observation_is_refused() {
     let scenario = scenario(&[]);
-    let file = ActorRecipe::fitting(&scenario).file();
+    let file = fitting().file();
     let infinite = Stepping { step: f32::INFINITY, ..Stepping::default() };
     let mut actor = Actor::load(&file, &scenario, &infinite).unwrap();
     let error = actor.try_out(&scenario, || 0).unwrap_err();
@@ -299,14 +294,12 @@ fn samples(scenario: &Scenario, model: &ChannelModel, observation: &mut Observat
 
 #[test]
 fn kinds_that_do_not_go_together_are_refused() {
-    let scenario = scenario(&[]);
     let with = |observation: &str, action: &str| {
-        let recipe = ActorRecipe::fitting(&scenario).with_metadata(key::OBSERVATION, observation);
-        refusal(&recipe.with_metadata(key::ACTION, action), &scenario)
+        fitting().with_metadata(key::OBSERVATION, observation).with_metadata(key::ACTION, action)
     };
-    assert_contains(&with("users", "angles"), &["\"angles\"", "\"users\"", "expected weights"]);
-    assert_contains(&with("cell", "weights"), &["\"weights\"", "\"cell\"", "expected codebook"]);
-    assert_contains(&with("pixels", "angles"), &["unknown observation \"pixels\"", "codewords", key::OBSERVATION]);
+    expect_refusal(&with("users", "angles"), &["\"angles\"", "\"users\"", "expected weights"]);
+    expect_refusal(&with("cell", "weights"), &["\"weights\"", "\"cell\"", "expected codebook"]);
+    expect_refusal(&with("pixels", "angles"), &["unknown observation \"pixels\"", "codewords", key::OBSERVATION]);
 }
 
 #[test]
@@ -328,8 +321,7 @@ fn a_file_that_holds_no_network_is_named() {
 
 #[test]
 fn an_open_first_extent_admits_one_row_and_a_batch_does_not() {
-    let scenario = scenario(&[]);
-    assert!(load_actor(&ActorRecipe { port: f32_rows, ..ActorRecipe::fitting(&scenario) }.file(), &scenario).is_ok());
+    assert!(load_actor(&ActorRecipe { port: f32_rows, ..fitting() }.file(), &scenario(&[])).is_ok());
     fn batch(name: &str, length: usize) -> ValueInfoProto {
         let mut port = f32_row(name, length);
         let Some(TypeProto { value: Some(Value::TensorType(tensor)), .. }) = &mut port.r#type else {
@@ -338,8 +330,7 @@ fn an_open_first_extent_admits_one_row_and_a_batch_does_not() {
         tensor.shape.as_mut().expect("a shape").dim[0].value = Some(dimension::Value::DimValue(4));
         port
     }
-    let error = refusal(&ActorRecipe { port: batch, ..ActorRecipe::fitting(&scenario) }, &scenario);
-    assert_contains(&error, &["f32 [4, 122]", "f32 [1, 122]", "fixed batch of 1"]);
+    expect_refusal(&ActorRecipe { port: batch, ..fitting() }, &["f32 [4, 122]", "f32 [1, 122]", "fixed batch of 1"]);
 }
 
 #[test]

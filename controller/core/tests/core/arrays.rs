@@ -57,6 +57,12 @@ impl Policy for Reaching {
     }
 }
 
+/// A controller of two arrays by [`Reaching`], and its room.
+fn reaching() -> (Controller, Room) {
+    let scenario = two_arrays();
+    (controller(&scenario, Box::new(Reaching)), Room::new(&scenario))
+}
+
 fn telemetry(array: usize, sequence: u64, tick: u64, state: ArrayState) -> MirrorTelemetry {
     let stamp = Stamp { source: DRIVERS[array], sequence, time_ns: Room::time(tick) };
     let angles = vec![0.5; [4, 6][array]];
@@ -110,8 +116,7 @@ fn each_array_gets_its_mirrors_and_the_bounds_of_its_own() {
 
 #[test]
 fn mirrors_of_a_stopped_array_are_left_out_and_the_other_array_continues() {
-    let scenario = two_arrays();
-    let (mut controller, mut room) = (controller(&scenario, Box::new(Reaching)), Room::new(&scenario));
+    let (mut controller, mut room) = reaching();
     report(&mut controller, 0, 1, 1, ArrayState::Following);
     report(&mut controller, 1, 1, 1, ArrayState::Following);
     let (rolls, commands) = decide(&mut controller, &mut room, 1);
@@ -135,8 +140,7 @@ fn mirrors_of_a_stopped_array_are_left_out_and_the_other_array_continues() {
 
 #[test]
 fn a_stop_concerns_every_array_until_each_has_reported_and_dropped_it() {
-    let scenario = two_arrays();
-    let (mut controller, mut room) = (controller(&scenario, Box::new(Reaching)), Room::new(&scenario));
+    let (mut controller, mut room) = reaching();
     let order = stop(Room::time(0));
     controller.handle_stop_order(Room::time(0), &order);
     assert_eq!(decide(&mut controller, &mut room, 1).1, []);
@@ -165,8 +169,7 @@ fn a_stop_concerns_every_array_until_each_has_reported_and_dropped_it() {
 
 #[test]
 fn each_array_has_numbers_of_its_own_without_a_gap_where_it_gets_no_command() {
-    let scenario = two_arrays();
-    let (mut controller, mut room) = (controller(&scenario, Box::new(Reaching)), Room::new(&scenario));
+    let (mut controller, mut room) = reaching();
     let mut numbers = |controller: &mut Controller, tick| {
         let (_, commands) = decide(controller, &mut room, tick);
         commands.iter().map(|(array, command)| (*array, command.sequence)).collect::<Vec<_>>()
@@ -180,8 +183,7 @@ fn each_array_has_numbers_of_its_own_without_a_gap_where_it_gets_no_command() {
 
 #[test]
 fn an_array_that_counts_validity_from_arrival_is_not_judged_by_its_clock() {
-    let scenario = two_arrays();
-    let (mut controller, mut room) = (controller(&scenario, Box::new(Reaching)), Room::new(&scenario));
+    let (mut controller, mut room) = reaching();
     let behind = |controller: &mut Controller, array: usize, state: ArrayState| {
         let mut telemetry = telemetry(array, 1, 0, state);
         telemetry.stamp.time_ns -= 3_600_000 * MS;
@@ -197,7 +199,7 @@ fn an_array_that_counts_validity_from_arrival_is_not_judged_by_its_clock() {
 
 #[test]
 fn an_announcement_of_a_second_driver_is_refused_and_its_source_is_named() {
-    let mut controller = controller(&two_arrays(), Box::new(Reaching));
+    let (mut controller, _) = reaching();
     report(&mut controller, 1, 1, 1, ArrayState::Following);
     let announced = |source| Capabilities { stamp: Stamp { source, ..Stamp::default() }, ..Capabilities::default() };
     assert!(controller.handle_capabilities(1, &announced(DRIVERS[1]), Ok(())));
@@ -209,8 +211,7 @@ fn an_announcement_of_a_second_driver_is_refused_and_its_source_is_named() {
 
 #[test]
 fn an_array_that_left_or_is_silent_gets_no_command_until_its_telemetry_returns() {
-    let scenario = two_arrays();
-    let (mut controller, mut room) = (controller(&scenario, Box::new(Reaching)), Room::new(&scenario));
+    let (mut controller, mut room) = reaching();
     let mut given = |controller: &mut Controller, tick| arrays_of(&decide(controller, &mut room, tick).1);
     report(&mut controller, 0, 1, 1, ArrayState::Following);
     report(&mut controller, 1, 1, 1, ArrayState::Following);
@@ -230,8 +231,7 @@ fn an_array_that_left_or_is_silent_gets_no_command_until_its_telemetry_returns()
 
 #[test]
 fn an_array_without_a_driver_is_lost_a_second_after_the_first_decision() {
-    let scenario = two_arrays();
-    let (mut controller, mut room) = (controller(&scenario, Box::new(Reaching)), Room::new(&scenario));
+    let (mut controller, mut room) = reaching();
     let mut given = |controller: &mut Controller, tick| {
         report(controller, 0, tick, tick, ArrayState::Following);
         arrays_of(&decide(controller, &mut room, tick).1)
@@ -243,9 +243,8 @@ fn an_array_without_a_driver_is_lost_a_second_after_the_first_decision() {
 
 #[test]
 fn each_array_has_an_epoch_of_its_own() {
-    let scenario = two_arrays();
-    let room_of = controller(&scenario, Box::new(Reaching)).with_tenure(Tenure::live(3, 10 * MS));
-    let (mut controller, mut room) = (room_of, Room::new(&scenario));
+    let (controller, mut room) = reaching();
+    let mut controller = controller.with_tenure(Tenure::live(3, 10 * MS));
     // The second array followed another controller, with a higher epoch than any by the clock.
     let mut followed = telemetry(1, 1, 1, ArrayState::Parked);
     followed.epoch = 1 << 50;
@@ -266,8 +265,7 @@ fn each_array_has_an_epoch_of_its_own() {
 
 #[test]
 fn telemetry_of_one_array_is_none_of_another() {
-    let scenario = two_arrays();
-    let mut controller = controller(&scenario, Box::new(Reaching));
+    let (mut controller, mut room) = reaching();
     for (array, expected) in [(0, 1), (2, 2)] {
         let mut second = telemetry(1, 1, 1, ArrayState::Following);
         receive(&mut controller, Room::time(1), Message::Telemetry(array, &mut second));
@@ -277,7 +275,7 @@ fn telemetry_of_one_array_is_none_of_another() {
     second.unusable = vec![2];
     receive(&mut controller, Room::time(1), Message::Telemetry(1, &mut second));
     assert_eq!((controller.inbox().telemetry(0), controller.inbox().unusable()), (None, &[6][..]));
-    let (rolls, _) = decide(&mut controller, &mut Room::new(&scenario), 1);
+    let (rolls, _) = decide(&mut controller, &mut room, 1);
     assert_eq!(rolls.iter().position(|roll| *roll == 0.0), Some(6));
 }
 
@@ -335,9 +333,8 @@ fn the_journal_names_the_arrays_so_that_a_replay_repeats_what_was_withheld() {
     let Some(ControllerInput { sequence: withheld, command: true, .. }) = last.last() else { panic!("{last:?}") };
     assert_eq!(*withheld, 1, "the first array is stopped");
     // A replay that knows of no stop repeats the decision by these bits.
-    let mut second = controller(&scenario, Box::new(Reaching));
+    let (mut second, mut room) = reaching();
     second.repeat_withheld(*withheld);
-    let mut room = Room::new(&scenario);
     assert_eq!(arrays_of(&decide(&mut second, &mut room, 1).1), [1]);
     assert_eq!(arrays_of(&decide(&mut second, &mut room, 2).1), [0, 1]);
 }

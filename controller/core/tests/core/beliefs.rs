@@ -12,13 +12,12 @@ use heliostat_proto::{
 };
 use heliostat_scenario::Scenario;
 
-use crate::support::{MS, Room, build, controller, receive, report_gains, scenario};
+use crate::support::{MS, Room, build, by_policy, controller, hall, receive, report_gains, scenario};
 
 #[test]
 fn the_belief_of_a_decision_is_reported_without_an_allocation() {
-    let scenario = scenario(&["control.belief=\"filter\"", "streams.positions.rate_hz=100"]);
-    let mut controller = controller(&scenario, build(PolicyKind::Nearest, &scenario).unwrap());
-    let mut room = Room::new(&scenario);
+    let overrides = ["control.belief=\"filter\"", "streams.positions.rate_hz=100"];
+    let (mut controller, mut room) = by_policy(PolicyKind::Nearest, &overrides);
     let mut report = BeliefReport::buffer();
     assert!(!controller.report_beliefs(Room::time(0), &mut report), "no report has arrived");
     for tick in 1..=30 {
@@ -97,9 +96,8 @@ fn the_published_probability_of_a_blocked_path_is_that_over_all_headings() {
 #[test]
 fn without_a_filter_there_is_no_belief() {
     for belief in ["none", "constant-velocity"] {
-        let scenario = scenario(&[&format!("control.belief=\"{belief}\"")]);
-        let mut controller = controller(&scenario, build(PolicyKind::Nearest, &scenario).unwrap());
-        Room::new(&scenario).tick(&mut controller, 1);
+        let (mut controller, mut room) = by_policy(PolicyKind::Nearest, &[&format!("control.belief=\"{belief}\"")]);
+        room.tick(&mut controller, 1);
         assert!(!controller.report_beliefs(Room::time(1), &mut BeliefReport::buffer()), "{belief}");
         assert_eq!(controller.innovations(), None, "{belief}");
     }
@@ -107,9 +105,7 @@ fn without_a_filter_there_is_no_belief() {
 
 /// The probability of a clear direct path in `hall`, after 30 readings of this gain.
 fn direct_clear(los_gain: f64, overrides: &[&str]) -> f64 {
-    let scenario = Scenario::builtin("hall").unwrap().with_overrides(overrides).unwrap();
-    let model = scenario.channel_model().unwrap();
-    let mut belief = Belief::new(&scenario, &model, 64);
+    let (_, model, mut belief) = hall(overrides);
     let (place, gains) = (Vec3::new(1.0, 0.5, 0.85), [[los_gain, 0.0]]);
     (1..=30).for_each(|tick| report_gains(&mut belief, &model, tick, &[place], (&gains, None)));
     belief.estimate(0, 0.0).unwrap().direct_clear

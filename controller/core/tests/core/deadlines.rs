@@ -7,13 +7,11 @@ use heliostat_core::{
 };
 use heliostat_proto::MirrorCommand;
 
-use crate::support::{MS, Outcome, Room, Scripted, build, controller, scenario};
+use crate::support::{MS, Outcome, Room, by_policy, scripted};
 
 /// Two ticks in time, then one that is late.
 fn late_action(action: &str) -> (MirrorCommand, Outcome, Controller) {
-    let scenario = scenario(&[&format!("control.when_late={action}")]);
-    let mut controller = controller(&scenario, build(PolicyKind::Greedy, &scenario).unwrap());
-    let mut room = Room::new(&scenario);
+    let (mut controller, mut room) = by_policy(PolicyKind::Greedy, &[&format!("control.when_late={action}")]);
     room.tick(&mut controller, 1);
     let good = room.tick(&mut controller, 2).command();
     controller.handle_message(Room::time(30), Message::Channel(&mut room.gains(30, 1e-6)));
@@ -48,16 +46,14 @@ fn a_late_decision_has_the_configured_answer() {
 
 #[test]
 fn without_a_last_command_the_array_holds() {
-    let scenario = scenario(&["control.when_stale=last-good"]);
-    let mut controller = controller(&scenario, build(PolicyKind::Nearest, &scenario).unwrap());
+    let (mut controller, _) = by_policy(PolicyKind::Nearest, &["control.when_stale=last-good"]);
     assert_eq!(controller.poll_stale_command(Room::time(1)), Decision::Hold(DegradedMode::Held));
     assert_eq!(controller.counters().degraded(DegradedMode::StaleReport), 1);
 }
 
 #[test]
 fn a_failing_policy_may_be_replaced_by_the_last_command() {
-    let scenario = scenario(&["control.fallback=last-good"]);
-    let once = Scripted(|observation, out| {
+    let (mut controller, mut room) = scripted(&["control.fallback=last-good"], |observation, out| {
         if observation.tick > 1 {
             return Err(PolicyError::Inference { message: "silent".into() });
         }
@@ -65,8 +61,6 @@ fn a_failing_policy_may_be_replaced_by_the_last_command() {
         out.yaw.fill(-0.25);
         Ok(())
     });
-    let mut controller = controller(&scenario, Box::new(once));
-    let mut room = Room::new(&scenario);
     let good = room.tick(&mut controller, 1).command();
     let again = room.tick(&mut controller, 2).command();
     assert_eq!((again.roll, again.yaw), (good.roll, good.yaw));
@@ -75,10 +69,9 @@ fn a_failing_policy_may_be_replaced_by_the_last_command() {
 
 /// Commands given over a silence of one second, looked at every 50 ms.
 fn silence(action: &str) -> (Vec<MirrorCommand>, Controller) {
-    let scenario = scenario(&[&format!("control.when_silent={action}"), "control.report_age_max_ms=100"]);
-    let mut controller = controller(&scenario, build(PolicyKind::Greedy, &scenario).unwrap());
+    let when_silent = format!("control.when_silent={action}");
+    let (mut controller, mut room) = by_policy(PolicyKind::Greedy, &[&when_silent, "control.report_age_max_ms=100"]);
     assert!(controller.poll_timeout_command(Room::time(1)).is_none(), "no report has arrived yet");
-    let mut room = Room::new(&scenario);
     room.tick(&mut controller, 1);
     let mut commands = Vec::new();
     for step in 1..=20 {
@@ -108,9 +101,7 @@ fn silence_is_counted_once_and_answered_as_configured() {
 
 #[test]
 fn a_report_ends_the_silence() {
-    let scenario = scenario(&["control.report_age_max_ms=100"]);
-    let mut controller = controller(&scenario, build(PolicyKind::Nearest, &scenario).unwrap());
-    let mut room = Room::new(&scenario);
+    let (mut controller, mut room) = by_policy(PolicyKind::Nearest, &["control.report_age_max_ms=100"]);
     for (tick, silences) in [(1, 1), (100, 2)] {
         room.tick(&mut controller, tick).command();
         assert!(controller.poll_timeout_command(Room::time(tick) + 50 * MS).is_none());

@@ -7,15 +7,15 @@ use heliostat_core::{
 };
 use heliostat_proto::{ArrayState, AxisLimits, Capabilities, MirrorTelemetry, encode};
 
-use crate::support::{MS, Outcome, Room, Scripted, build, controller, flat, receive, scenario, telemetry};
+use crate::support::{
+    MS, Outcome, Room, Scripted, build, by_policy, controller, flat, receive, scenario, scripted, telemetry,
+};
 
 #[test]
 fn a_failing_policy_is_replaced_and_counted() {
-    let scenario = scenario(&["control.fallback=nearest"]);
-    let failing = Scripted(|_, _| Err(PolicyError::Inference { message: "broken".into() }));
-    let mut broken = controller(&scenario, Box::new(failing));
-    let mut nearest = controller(&scenario, build(PolicyKind::Nearest, &scenario).unwrap());
-    let (mut one, mut other) = (Room::new(&scenario), Room::new(&scenario));
+    let fallback = ["control.fallback=nearest"];
+    let (mut broken, mut one) = scripted(&fallback, |_, _| Err(PolicyError::Inference { message: "broken".into() }));
+    let (mut nearest, mut other) = by_policy(PolicyKind::Nearest, &fallback);
     let (answer, expected) = (one.tick(&mut broken, 1).command(), other.tick(&mut nearest, 1).command());
     assert_eq!((answer.roll, answer.yaw), (expected.roll, expected.yaw));
     assert_eq!(broken.counters().degraded(DegradedMode::PolicyFailed), 1);
@@ -25,16 +25,12 @@ fn a_failing_policy_is_replaced_and_counted() {
 
 #[test]
 fn a_value_that_is_not_finite_is_never_commanded() {
-    let scenario = scenario(&["control.fallback=flat"]);
-    let mut controller = controller(
-        &scenario,
-        Box::new(Scripted(|_, out| {
-            out.roll.fill(0.1);
-            out.yaw[4] = f64::NAN;
-            Ok(())
-        })),
-    );
-    let command = Room::new(&scenario).tick(&mut controller, 1).command();
+    let (mut controller, mut room) = scripted(&["control.fallback=flat"], |_, out| {
+        out.roll.fill(0.1);
+        out.yaw[4] = f64::NAN;
+        Ok(())
+    });
+    let command = room.tick(&mut controller, 1).command();
     assert!(command.roll.iter().chain(&command.yaw).all(|angle| *angle == 0.0), "the fallback is flat");
     assert_eq!(controller.counters().degraded(DegradedMode::PolicyFailed), 1);
     assert!(controller.last_failure().unwrap().to_string().contains("mirror 4"));
@@ -42,10 +38,9 @@ fn a_value_that_is_not_finite_is_never_commanded() {
 
 #[test]
 fn without_a_fallback_the_array_is_left_to_hold() {
-    let scenario = scenario(&["control.fallback=hold"]);
-    let failing = Scripted(|_, _| Err(PolicyError::Inference { message: "broken".into() }));
-    let mut controller = controller(&scenario, Box::new(failing));
-    assert_eq!(Room::new(&scenario).tick(&mut controller, 1), Outcome::Held(DegradedMode::Held));
+    let (mut controller, mut room) =
+        scripted(&["control.fallback=hold"], |_, _| Err(PolicyError::Inference { message: "broken".into() }));
+    assert_eq!(room.tick(&mut controller, 1), Outcome::Held(DegradedMode::Held));
     assert_eq!(controller.counters().degraded(DegradedMode::Held), 1);
     assert_eq!((controller.counters().decisions, controller.counters().commands), (1, 0));
 }
@@ -68,16 +63,11 @@ fn missing_and_outdated_gains_are_modelled_and_counted() {
 
 #[test]
 fn angles_turn_no_faster_than_the_slew_limit() {
-    let scenario = scenario(&["control.slew_deg_per_s=100"]);
-    let mut controller = controller(
-        &scenario,
-        Box::new(Scripted(|_, out| {
-            out.roll.fill(0.5);
-            out.yaw.fill(0.0);
-            Ok(())
-        })),
-    );
-    let mut room = Room::new(&scenario);
+    let (mut controller, mut room) = scripted(&["control.slew_deg_per_s=100"], |_, out| {
+        out.roll.fill(0.5);
+        out.yaw.fill(0.0);
+        Ok(())
+    });
     let step = 1f64.to_radians();
     for tick in 1..=3 {
         let command = room.tick(&mut controller, tick).command();
@@ -92,16 +82,12 @@ fn angles_turn_no_faster_than_the_slew_limit() {
 
 #[test]
 fn angles_stay_within_the_range() {
-    let scenario = scenario(&["control.range_deg=20"]);
-    let mut controller = controller(
-        &scenario,
-        Box::new(Scripted(|_, out| {
-            out.roll.fill(1.0);
-            out.yaw.fill(-1.0);
-            Ok(())
-        })),
-    );
-    let command = Room::new(&scenario).tick(&mut controller, 1).command();
+    let (mut controller, mut room) = scripted(&["control.range_deg=20"], |_, out| {
+        out.roll.fill(1.0);
+        out.yaw.fill(-1.0);
+        Ok(())
+    });
+    let command = room.tick(&mut controller, 1).command();
     let range = 20f64.to_radians();
     assert!(command.roll.iter().all(|roll| f64::from(*roll) <= range && f64::from(*roll) > range - 1e-6));
     assert!(command.yaw.iter().all(|yaw| f64::from(*yaw) >= -range && f64::from(*yaw) < 1e-6 - range));
@@ -161,10 +147,8 @@ fn the_core_is_deterministic() {
     for kind in [PolicyKind::FixedPoint, PolicyKind::Greedy, PolicyKind::Nearest, PolicyKind::Random, PolicyKind::Ddpg]
     {
         let run = || {
-            let scenario = scenario(&["control.slew_deg_per_s=2000"]);
-            let mut controller = controller(&scenario, build(kind, &scenario).unwrap());
+            let (mut controller, mut room) = by_policy(kind, &["control.slew_deg_per_s=2000"]);
             controller.warm_up(0..3);
-            let mut room = Room::new(&scenario);
             let (mut all, mut payload) = (Vec::new(), Vec::new());
             for tick in 1..=200 {
                 let command = room.tick(&mut controller, tick).command();

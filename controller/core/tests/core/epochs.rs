@@ -122,6 +122,28 @@ impl Room {
         self.now - start
     }
 
+    /// A controller is served no longer; the time until the next accepted command of another one.
+    fn takeover(&mut self, from: usize, by: usize) -> Nanos {
+        self.controllers[from].is_alive = false;
+        self.until_accepted(by)
+    }
+
+    /// A controller hangs until another one has taken over, and is served again for a second.
+    fn hang(&mut self, from: usize, by: usize) -> Nanos {
+        let waited = self.takeover(from, by);
+        self.controllers[from].is_alive = true;
+        self.run(S);
+        waited
+    }
+
+    /// A command of the former leader arrives, and the next telemetry shows it; whether this contests the takeover.
+    fn is_contested(&mut self, from: usize, by: usize) -> bool {
+        let (epoch, sequence) = self.controllers[from].sent;
+        assert!(!self.array.handle(self.now, epoch, sequence + 1));
+        self.run(INTERVAL);
+        self.controllers[by].events.last() == Some(&TenureEvent::Contested)
+    }
+
     fn standings(&self) -> Vec<Standing> {
         self.controllers.iter().map(|controller| controller.tenure.standing()).collect()
     }
@@ -204,8 +226,7 @@ fn a_leader_that_commands_on_after_its_token_has_ended_is_known_to_have_ended_un
         room.announce(1, false);
         room.run(goes_on);
         assert_eq!(room.standings(), [Standing::Leading, Standing::Standby], "each report is answered");
-        room.controllers[0].is_alive = false;
-        room.until_accepted(1);
+        room.takeover(0, 1);
         assert_eq!(room.controllers[1].tenure.has_leader_ended(), has_ended, "{goes_on} ns");
     }
 }
@@ -241,8 +262,7 @@ fn of_two_standbys_the_one_of_the_lower_rank_takes_over_and_the_other_waits_for_
         assert_eq!(room.standings()[1..], [Standing::Standby, Standing::Leading]);
         assert_eq!(room.controllers[1].events, [TenureEvent::StoodBy]);
         // A controller whose token has not ended counts for the rank.
-        room.controllers[2].is_alive = false;
-        assert_eq!(room.until_accepted(1), if is_announced { 2 } else { 3 } * INTERVAL);
+        assert_eq!(room.takeover(2, 1), if is_announced { 2 } else { 3 } * INTERVAL);
     }
 }
 
@@ -255,8 +275,7 @@ fn a_rank_that_the_operator_gives_counts_unanswered_reports() {
         room.controllers.push(reserve);
         room.run(S);
         assert_eq!(room.standings()[1], Standing::Standby);
-        room.controllers[0].is_alive = false;
-        assert_eq!(room.until_accepted(1), (1 + Nanos::from(rank)) * INTERVAL);
+        assert_eq!(room.takeover(0, 1), (1 + Nanos::from(rank)) * INTERVAL);
     }
 }
 
@@ -297,8 +316,7 @@ fn a_standby_whose_telemetry_is_sparser_than_the_reports_takes_over_after_two_me
     room.controllers.push(standby);
     room.run(60 * S);
     assert_eq!(room.standings(), [Standing::Leading, Standing::Standby]);
-    room.controllers[0].is_alive = false;
-    let waited = room.until_accepted(1);
+    let waited = room.takeover(0, 1);
     assert!(waited <= 110 * MS, "{} ms", waited / MS);
 }
 
@@ -391,8 +409,7 @@ fn commands_continue_after_a_clock_has_stepped_back() {
     room.run(S);
     room.now -= 3600 * S;
     room.run(S);
-    room.controllers[1].is_alive = false;
-    let waited = room.until_accepted(0);
+    let waited = room.takeover(1, 0);
     assert!(waited <= 1200 * MS, "{} ms", waited / MS);
 }
 

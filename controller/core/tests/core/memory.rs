@@ -39,20 +39,14 @@ fn gain(tick: u64) -> f32 {
     if tick.is_multiple_of(9) { 0.0 } else { 1e-6 }
 }
 
-/// What the receivers report of a tick; their orientations are old at times.
-fn measure(room: &mut Room, controller: &mut Controller, tick: u64) {
+/// One tick of a room whose users come and go; their orientations are old at times.
+fn tick(room: &mut Room, controller: &mut Controller, tick: u64) -> Outcome {
     let (now, users) = (Room::time(tick), users(tick));
     if tick.is_multiple_of(3) {
         let polar = 0.01 * tick as f64;
         receive(controller, now, Message::Orientation(&mut room.orientations_of(tick, polar, &users)));
     }
     receive(controller, now, Message::Channel(&mut room.gains_of(tick, gain(tick), &users)));
-}
-
-/// One tick of a room whose users come and go.
-fn tick(room: &mut Room, controller: &mut Controller, tick: u64) -> Outcome {
-    let (now, users) = (Room::time(tick), users(tick));
-    measure(room, controller, tick);
     receive(controller, now, Message::Users(&mut room.positions_of(tick, &users))).unnumbered()
 }
 
@@ -84,11 +78,8 @@ fn a_restored_controller_gives_the_same_commands_with_each_belief_and_policy() {
             second.restore(&Memory::from_bytes(&bytes).unwrap()).unwrap();
             for number in 41..=80 {
                 let sequence = room.sequence;
-                let (now, users) = (Room::time(number), users(number));
-                measure(&mut room, &mut first, number);
-                let expected = receive(&mut first, now, Message::Users(&mut room.positions_of(number, &users)));
+                let expected = tick(&mut room, &mut first, number);
                 room.sequence = sequence;
-                let expected = expected.unnumbered();
                 assert_eq!(tick(&mut room, &mut second, number), expected, "{belief}, {kind:?}, tick {number}");
             }
             let states = [&second, &first].map(|controller| controller.memory().to_bytes().unwrap());

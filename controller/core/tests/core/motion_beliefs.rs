@@ -3,8 +3,9 @@
 use heliostat_channel::Vec3;
 use heliostat_core::belief::{Belief, innovations::Innovations};
 use heliostat_proto::{Stamp, UserReport, UserState};
-use heliostat_scenario::Scenario;
 use rand_chacha::rand_core::{Rng, SeedableRng};
+
+use crate::support::hall;
 
 fn report(tick: u64, users: &[(u32, [f32; 3], [f32; 2])]) -> UserReport {
     let stamp = Stamp { source: 1, sequence: tick, time_ns: tick * 100_000_000 };
@@ -18,9 +19,19 @@ fn report(tick: u64, users: &[(u32, [f32; 3], [f32; 2])]) -> UserReport {
 }
 
 fn belief() -> Belief {
-    let scenario = Scenario::builtin("hall").expect("a built-in scenario");
-    let model = scenario.channel_model().expect("a valid channel");
-    Belief::new(&scenario, &model, 64)
+    hall(&[]).2
+}
+
+/// The report of user 7, who walks along x at 1 m/s.
+fn walk(tick: u64) -> UserReport {
+    report(tick, &[(7, [0.1 * tick as f32, 0.0, 0.9], [1.0, 0.0])])
+}
+
+/// A belief after ten reports of that walk.
+fn walked() -> Belief {
+    let mut belief = belief();
+    (1..=10).for_each(|tick| belief.handle_users(&walk(tick)));
+    belief
 }
 
 /// The position after user 7 walked along x at 1 m/s for ten reports, beside these others.
@@ -51,16 +62,12 @@ fn a_user_is_found_by_number_whatever_the_order_of_the_report() {
 /// returns at the expected place, as a share of that of the reports: 1 for a new user. The reports
 /// are 0.1 s apart.
 fn variance_after_absence(absent: u64) -> f64 {
-    let mut belief = belief();
-    let walk = |belief: &mut Belief, tick: u64| {
-        belief.handle_users(&report(tick, &[(7, [0.1 * tick as f32, 0.0, 0.9], [1.0, 0.0])]));
-    };
-    (1..=10).for_each(|tick| walk(&mut belief, tick));
+    let mut belief = walked();
     for tick in 11..11 + absent {
         belief.handle_users(&report(tick, &[(3, [0.0; 3], [0.0; 2])]));
         assert_eq!(belief.estimate(7, 0.0), None, "an absent user has no estimate");
     }
-    walk(&mut belief, 11 + absent);
+    belief.handle_users(&walk(11 + absent));
     share_of_noise(&belief, 7)
 }
 
@@ -79,10 +86,7 @@ fn a_user_who_returns_within_a_second_continues_and_later_starts_again() {
 #[test]
 fn another_user_under_a_number_that_was_absent_is_followed_at_once() {
     for absent in [1, 20] {
-        let mut belief = belief();
-        for tick in 1..=10 {
-            belief.handle_users(&report(tick, &[(7, [0.1 * tick as f32, 0.0, 0.9], [1.0, 0.0])]));
-        }
+        let mut belief = walked();
         (11..11 + absent).for_each(|tick| belief.handle_users(&report(tick, &[])));
         belief.handle_users(&report(11 + absent, &[(7, [-3.0, 2.0, 0.9], [0.0, 0.5])]));
         let back = belief.estimate(7, 0.0).expect("a user").position;
@@ -101,10 +105,7 @@ fn the_first_report_of_a_user_is_of_no_old_number() {
 
 #[test]
 fn another_user_under_an_old_number_inherits_nothing_but_the_number() {
-    let (mut first, mut second) = (belief(), belief());
-    for tick in 1..=10 {
-        first.handle_users(&report(tick, &[(7, [0.1 * tick as f32, 0.0, 0.9], [1.0, 0.0])]));
-    }
+    let (mut first, mut second) = (walked(), belief());
     let before = first.innovations();
     let certainty = |belief: &Belief| belief.estimate(7, 0.0).expect("a user").heading.norm();
     assert!(certainty(&first) > 0.9);

@@ -2,11 +2,9 @@
 //! who stays at a place show.
 
 use heliostat_channel::{ChannelModel, Orientation, Scene, Vec3, decode::aim_at_point, mirrors::MirrorAngles};
-use heliostat_core::belief::Belief;
 use heliostat_proto::MirrorCommand;
-use heliostat_scenario::Scenario;
 
-use crate::support::report_gains;
+use crate::support::{hall, report_gains};
 
 /// Where a user of `hall` stays.
 const PLACE: Vec3 = Vec3::new(0.8, -0.6, 0.85);
@@ -34,11 +32,9 @@ fn gains(model: &ChannelModel, held: Orientation) -> [f64; 2] {
 /// from the user, after reports of gains of a receiver held so, of which `share` arrives by the
 /// mirrors.
 fn unobstructed(overrides: &[&str], held: Orientation, share: f64) -> f64 {
-    let scenario = Scenario::builtin("hall").unwrap().with_overrides(overrides).unwrap();
-    let model = scenario.channel_model().unwrap();
+    let (scenario, model, mut belief) = hall(overrides);
     let [direct, reflected] = gains(&model, held);
     let angles = aimed(&model);
-    let mut belief = Belief::new(&scenario, &model, 64);
     let [roll, yaw] = [&angles.roll, &angles.yaw].map(|each| each.iter().map(|angle| *angle as f32).collect());
     let command = MirrorCommand { time_ns: 1, validity_ms: 60_000, roll, yaw, ..MirrorCommand::default() };
     belief.handle_command(&command);

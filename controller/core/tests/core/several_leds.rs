@@ -8,13 +8,14 @@ use heliostat_core::{
 use heliostat_proto::{ChannelReport, LedGain, LedReport, Stamp, UserLeds};
 use heliostat_scenario::Scenario;
 
-use crate::support::{MS, report_gains};
+use crate::support::{self, MS, report_gains};
 
 /// Two LEDs, where the reported positions are exact.
 const TWO_LEDS: [&str; 2] = ["led.positions_m=[[-1.25,0,3],[1.25,0,3]]", "streams.positions.noise_m=0.001"];
 
-fn hall(overrides: &[&str]) -> Scenario {
-    Scenario::builtin("hall").unwrap().with_overrides(&[&TWO_LEDS, overrides].concat()).unwrap()
+fn hall(overrides: &[&str]) -> (Scenario, ChannelModel) {
+    let (scenario, model, _) = support::hall(&[&TWO_LEDS, overrides].concat());
+    (scenario, model)
 }
 
 /// The direct gains of users at these places in these orientations past blockers.
@@ -45,8 +46,7 @@ fn reported_with(
 
 #[test]
 fn the_gain_of_the_farther_led_shows_that_the_body_blocks_the_nearer_one() {
-    let scenario = hall(&["blockage.obstacles_per_m2=0.0"]);
-    let model = scenario.channel_model().unwrap();
+    let (scenario, model) = hall(&["blockage.obstacles_per_m2=0.0"]);
     let place = Vec3::new(-0.3, 0.0, 0.85);
     let body = scenario.blockage.body().unwrap().behind(&place, &Vec3::x());
     let held = [(place, Orientation::UPRIGHT)];
@@ -62,8 +62,7 @@ fn the_gain_of_the_farther_led_shows_that_the_body_blocks_the_nearer_one() {
 #[test]
 fn the_gain_of_the_farther_led_shows_an_obstacle_before_the_nearer_one() {
     let leds = "led.positions_m=[[0,0.2,3],[0,-2.3,3]]";
-    let scenario = hall(&[leds, "blockage.bodies=false"]);
-    let model = scenario.channel_model().unwrap();
+    let (scenario, model) = hall(&[leds, "blockage.bodies=false"]);
     let place = Vec3::new(0.0, -0.8, 0.85);
     let obstacle = Cylinder::new(0.0, -0.5, 0.2, 1.75).unwrap();
     let clear = |blockers: &[Cylinder]| {
@@ -81,8 +80,7 @@ fn the_gain_of_the_farther_led_shows_an_obstacle_before_the_nearer_one() {
 #[test]
 fn tilted_receivers_are_noticed_under_several_leds() {
     // Low bodies leave the direct paths clear at every heading.
-    let scenario = hall(&["blockage.body_height_m=0.9"]);
-    let model = scenario.channel_model().unwrap();
+    let (scenario, model) = hall(&["blockage.body_height_m=0.9"]);
     let seats = [Vec3::new(0.2, 1.2, 0.85), Vec3::new(0.3, -1.2, 0.85), Vec3::new(-1.9, 0.5, 0.85)];
     for polar_deg in [41.39_f64, 0.0] {
         // The users face the middle of the room.
@@ -103,8 +101,7 @@ fn led_report(gains: &[f64]) -> LedReport {
 
 #[test]
 fn the_gains_of_both_leds_show_the_heading_that_one_of_them_leaves_open() {
-    let scenario = hall(&["blockage.body_height_m=0.9", "blockage.obstacles_per_m2=0.0", "control.tilt={}"]);
-    let model = scenario.channel_model().unwrap();
+    let (scenario, model) = hall(&["blockage.body_height_m=0.9", "blockage.obstacles_per_m2=0.0", "control.tilt={}"]);
     let (place, towards) = (Vec3::new(0.4, 1.1, 0.85), Vec3::new(0.6, 0.8, 0.0));
     let held = Orientation::from_polar_azimuth(41.39_f64.to_radians(), (-towards.y).atan2(-towards.x));
     let mut scene = Scene::new(&model, 1);
@@ -121,7 +118,7 @@ fn the_gains_of_both_leds_show_the_heading_that_one_of_them_leaves_open() {
 
 #[test]
 fn an_led_report_belongs_to_the_channel_report_of_its_time() {
-    let mut inbox = Inbox::new(&hall(&[]));
+    let mut inbox = Inbox::new(&hall(&[]).0);
     let stamp = |sequence: u64, time_ms: u64| Stamp { source: 1, sequence, time_ns: time_ms * MS };
     for (sequence, led_ms, channel_ms) in [(1, 1000, 1000), (2, 1100, 1200)] {
         let mut leds = LedReport { stamp: stamp(sequence, led_ms), ..led_report(&[1e-6, 2e-6]) };

@@ -7,7 +7,7 @@ use heliostat_core::{
 };
 use heliostat_proto::{ArrayState, Counters, MirrorCommand, MirrorTelemetry, Nanos, Stamp};
 
-use crate::support::{MS, Outcome, Room, Scripted, controller, receive, scenario, telemetry};
+use crate::support::{MS, Outcome, Room, Scripted, controller, receive, scenario, scripted, telemetry};
 
 const DRIVER: u64 = 9;
 
@@ -16,13 +16,11 @@ const LEADER: u64 = 1 << 50;
 
 /// A controller whose own policy turns every mirror to 0.125.
 fn other_policy() -> (Controller, Room) {
-    let scenario = scenario(&[]);
-    let policy = Scripted(|_, out| {
+    scripted(&[], |_, out| {
         out.roll.fill(0.125);
         out.yaw.fill(0.125);
         Ok(())
-    });
-    (controller(&scenario, Box::new(policy)), Room::new(&scenario))
+    })
 }
 
 /// The same, which stands by from the start.

@@ -7,7 +7,7 @@ use heliostat_core::{
     inbox::Message,
     observation::{Observation, ObservationEncoder},
     policy::{
-        self, Actor, BuildError, Engine, Fixed, Network, Policy, PolicyKind, PolicyResult, Resources,
+        self, Actor, BuildError, Engine, Network, Policy, PolicyKind, PolicyResult, Resources,
         actor_file::{ActorError, ActorFile, INPUT_NAME, OUTPUT_NAME, room_entries},
     },
 };
@@ -36,14 +36,33 @@ pub fn model(scenario: &Scenario) -> ChannelModel {
     scenario.channel_model().unwrap()
 }
 
+/// The room `hall`, its channel, and a belief about its users.
+pub fn hall(overrides: &[&str]) -> (Scenario, ChannelModel, Belief) {
+    let scenario = Scenario::builtin("hall").unwrap().with_overrides(overrides).unwrap();
+    let model = model(&scenario);
+    let belief = Belief::new(&scenario, &model, 64);
+    (scenario, model, belief)
+}
+
 pub fn controller(scenario: &Scenario, policy: Box<dyn Policy>) -> Controller {
     Controller::new(scenario, model(scenario), policy, 7)
 }
 
 /// A controller with flat mirrors, and its room.
 pub fn flat(overrides: &[&str]) -> (Controller, Room) {
+    by_policy(PolicyKind::Flat, overrides)
+}
+
+/// A controller with this policy, and its room.
+pub fn by_policy(kind: PolicyKind, overrides: &[&str]) -> (Controller, Room) {
     let scenario = scenario(overrides);
-    (controller(&scenario, Box::new(Fixed::flat(scenario.mirror_count()))), Room::new(&scenario))
+    (controller(&scenario, build(kind, &scenario).unwrap()), Room::new(&scenario))
+}
+
+/// A controller with a policy that calls a function, and its room.
+pub fn scripted(overrides: &[&str], act: fn(&Observation, &mut MirrorAngles) -> PolicyResult) -> (Controller, Room) {
+    let scenario = scenario(overrides);
+    (controller(&scenario, Box::new(Scripted(act))), Room::new(&scenario))
 }
 
 /// Telemetry of flat mirrors.

@@ -3,9 +3,8 @@
 use heliostat_channel::{ChannelModel, Orientation, Scene, Vec3};
 use heliostat_core::belief::Belief;
 use heliostat_proto::{OrientationReport, Stamp, UserOrientation};
-use heliostat_scenario::Scenario;
 
-use crate::support::{MS, report_gains};
+use crate::support::{self, MS, report_gains};
 
 /// Low bodies, which leave the direct path clear at every heading.
 const LOW_BODIES: &str = "blockage.body_height_m=0.9";
@@ -35,8 +34,9 @@ fn headings(belief: &Belief) -> Vec<Vec3> {
     (0..SEATS.len() as u32).map(|user| belief.estimate(user, 0.0).unwrap().heading).collect()
 }
 
-fn hall(overrides: &[&str]) -> Scenario {
-    Scenario::builtin("hall").unwrap().with_overrides(&[&[LOW_BODIES], overrides].concat()).unwrap()
+fn hall(overrides: &[&str]) -> (ChannelModel, Belief) {
+    let (_, model, belief) = support::hall(&[&[LOW_BODIES], overrides].concat());
+    (model, belief)
 }
 
 /// The receiver of a seated user with this heading.
@@ -46,10 +46,8 @@ fn tilted(heading: Vec3) -> Orientation {
 
 /// The headings that are believed after ten reports where users hold their receivers so.
 fn believed(overrides: &[&str], held: impl Fn(&Vec3) -> Orientation) -> Vec<Vec3> {
-    let scenario = hall(overrides);
-    let model = scenario.channel_model().unwrap();
+    let (model, mut belief) = hall(overrides);
     let gains = direct_gains(&model, &SEATS, &SEATS.each_ref().map(held));
-    let mut belief = Belief::new(&scenario, &model, 64);
     (1..=10).for_each(|tick| report(&mut belief, &model, &gains, tick));
     headings(&belief)
 }
@@ -94,12 +92,9 @@ fn a_detector_that_is_tilted_in_its_device_does_not_tilt_the_receivers_of_others
 
 #[test]
 fn a_restored_belief_has_the_evidence_of_tilted_receivers() {
-    let scenario = hall(&[]);
-    let model = scenario.channel_model().unwrap();
+    let ((model, mut first), (_, mut second)) = (hall(&[]), hall(&[]));
     let gains = direct_gains(&model, &SEATS, &SEATS.each_ref().map(|seat| tilted(towards_led(seat))));
-    let mut first = Belief::new(&scenario, &model, 64);
     report(&mut first, &model, &gains, 1);
-    let mut second = Belief::new(&scenario, &model, 64);
     assert!(second.restore(&first.memory()));
     for belief in [&mut first, &mut second] {
         (2..=3).for_each(|tick| report(belief, &model, &gains, tick));
@@ -119,11 +114,9 @@ fn report_held(belief: &mut Belief, (tick, late_ms): (u64, u64), held: &[Orienta
 
 /// A belief after ten ticks with orientation reports, where users hold their receivers so.
 fn with_reports(held: impl Fn(&Vec3) -> Orientation) -> Belief {
-    let scenario = hall(&[]);
-    let model = scenario.channel_model().unwrap();
+    let (model, mut belief) = hall(&[]);
     let held = SEATS.each_ref().map(held);
     let gains = direct_gains(&model, &SEATS, &held);
-    let mut belief = Belief::new(&scenario, &model, 64);
     for tick in 1..=10 {
         report(&mut belief, &model, &gains, tick);
         report_held(&mut belief, (tick, 0), &held);
@@ -166,9 +159,7 @@ fn an_old_report_of_a_receiver_counts_less_than_the_direction_to_the_face() {
 #[test]
 fn a_restored_belief_has_what_reports_have_shown_of_devices() {
     let first = with_reports(|_| tilted(Vec3::x()));
-    let scenario = hall(&[]);
-    let model = scenario.channel_model().unwrap();
-    let mut second = Belief::new(&scenario, &model, 64);
+    let (_, mut second) = hall(&[]);
     let held = |belief: &Belief| belief.orientation(0, 1.0, (&Vec3::x(), 0.0));
     assert_ne!(held(&second), held(&first));
     assert!(second.restore(&first.memory()));

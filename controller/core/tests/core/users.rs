@@ -1,20 +1,16 @@
 //! Users who come and go: who is served, and what is remembered of whom.
 
-use heliostat_channel::MirrorAngles;
 use heliostat_core::{
     core::{Controller, DegradedMode},
     inbox::Message,
-    policy::{PolicyError, PolicyKind},
+    policy::PolicyKind,
 };
 use heliostat_proto::MirrorCommand;
-use heliostat_scenario::Scenario;
 
-use crate::support::{Outcome, Room, Scripted, build, controller, flat, receive, scenario};
+use crate::support::{Outcome, Room, by_policy, flat, receive, scripted};
 
 /// Users are where they are reported: the filter learns its noise from all users in turn.
-fn as_reported() -> Scenario {
-    scenario(&["control.belief=none"])
-}
+const AS_REPORTED: [&str; 1] = ["control.belief=none"];
 
 /// Reports the gains and then the positions of these users.
 fn tick(controller: &mut Controller, room: &mut Room, tick: u64, ids: &[u32]) -> Outcome {
@@ -29,27 +25,22 @@ fn angles(command: &MirrorCommand) -> (Vec<f32>, Vec<f32>) {
 #[test]
 fn a_user_is_served_by_the_answer_to_the_first_report_that_has_it() {
     // One user on each side of the room: the mirrors turn as soon as the second is the only one.
-    let scenario = as_reported();
-    let mut controller = controller(&scenario, build(PolicyKind::FixedPoint, &scenario).unwrap());
-    let mut room = Room::new(&scenario);
+    let (mut controller, mut room) = by_policy(PolicyKind::FixedPoint, &AS_REPORTED);
     let former = tick(&mut controller, &mut room, 1, &[0]).command();
     let next = tick(&mut controller, &mut room, 2, &[41]).command();
     assert_eq!(controller.observation().ids, [41]);
-    let mut alone = crate::support::controller(&scenario, build(PolicyKind::FixedPoint, &scenario).unwrap());
-    let expected = tick(&mut alone, &mut Room::new(&scenario), 2, &[41]).command();
+    let (mut alone, mut other_room) = by_policy(PolicyKind::FixedPoint, &AS_REPORTED);
+    let expected = tick(&mut alone, &mut other_room, 2, &[41]).command();
     assert_eq!(angles(&next), angles(&expected));
     assert_ne!(angles(&next), angles(&former));
 }
 
 #[test]
 fn a_report_without_users_repeats_the_last_angles_and_is_flat_before_any() {
-    let scenario = scenario(&[]);
-    let policy = Scripted(|_, out: &mut MirrorAngles| {
+    let (mut controller, mut room) = scripted(&[], |_, out| {
         out.roll.fill(0.125);
-        Ok::<(), PolicyError>(())
+        Ok(())
     });
-    let mut controller = controller(&scenario, Box::new(policy));
-    let mut room = Room::new(&scenario);
     for (number, ids, roll) in [(1, &[][..], 0.0), (2, &[4][..], 0.125), (3, &[][..], 0.125)] {
         let command = tick(&mut controller, &mut room, number, ids).command();
         assert_eq!((command.answers, command.roll), (number, vec![roll; 9]));
@@ -59,11 +50,9 @@ fn a_report_without_users_repeats_the_last_angles_and_is_flat_before_any() {
 
 #[test]
 fn the_order_of_the_users_in_the_reports_changes_no_command() {
-    let scenario = as_reported();
     for kind in [PolicyKind::FixedPoint, PolicyKind::Greedy] {
         let run = |shuffle: bool| -> Vec<(Vec<f32>, Vec<f32>)> {
-            let mut controller = controller(&scenario, build(kind, &scenario).unwrap());
-            let mut room = Room::new(&scenario);
+            let (mut controller, mut room) = by_policy(kind, &AS_REPORTED);
             let mut answer = |tick: u64| {
                 let (mut gains, mut users) = (room.gains(tick, 1e-6), room.positions(tick));
                 for entry in &mut gains.users {
@@ -107,9 +96,7 @@ fn a_user_without_a_measured_gain_has_the_modelled_one_and_foreign_entries_are_i
 
 #[test]
 fn users_beyond_the_capacity_of_an_actor_are_counted_and_the_policy_goes_on() {
-    let scenario = scenario(&[]);
-    let mut controller = controller(&scenario, build(PolicyKind::Ddpg, &scenario).unwrap());
-    let mut room = Room::new(&scenario);
+    let (mut controller, mut room) = by_policy(PolicyKind::Ddpg, &[]);
     for (number, users) in [(1, 3), (2, 6), (3, 5), (4, 4)] {
         let ids: Vec<u32> = (0..users).collect();
         assert_eq!(tick(&mut controller, &mut room, number, &ids).command().roll, [0.25; 9]);

@@ -251,9 +251,9 @@ impl Summary {
         let (withheld, fallbacks): (Vec<_>, Vec<_>) =
             degraded.into_iter().partition(|(mode, _)| NodeStatus::WITHHELD.contains(mode));
         Self {
-            policy: controller.policy_name().into(),
-            engine: controller.engine_name().map(str::to_owned),
-            actor: controller.policy_file_hash().map(str::to_owned),
+            policy: controller.policy().name().into(),
+            engine: controller.policy().engine().map(str::to_owned),
+            actor: controller.policy().file_hash().map(str::to_owned),
             policies: controller
                 .tallies()
                 .iter()

@@ -126,7 +126,7 @@ impl DecisionLoop {
     /// policy are kept apart.
     pub fn replace_policy(&mut self, policy: Box<dyn Policy>, fresh: StageTimes) -> Handled {
         let times = std::mem::replace(&mut self.times, fresh);
-        self.former_times.push((self.room.controller().policy_name().to_owned(), times));
+        self.former_times.push((self.room.controller().policy().name().to_owned(), times));
         self.handle(Input::Policy(policy))
     }
 

@@ -45,17 +45,13 @@ pub struct Reporter {
     sequence: u64,
     decisions: u64,
     commands: u64,
-    refused: u64,
     /// Refused reports of positions at the last snapshot.
     refused_positions: u64,
     /// Whether reports of positions were refused since the last snapshot.
     has_refused_positions: bool,
     left_out: u64,
-    failed: u64,
-    unsent: u64,
-    orders_refused: u64,
-    policy_warnings: u64,
-    foreign_arrays: u64,
+    /// The counts of problems at the last snapshot, in the order of [`Self::new_problem`].
+    problems: [u64; 6],
     undecodable: u64,
     epoch_events: [u64; TenureEvent::ALL.len()],
     unfit: Option<String>,
@@ -434,45 +430,36 @@ impl Reporter {
     /// The most serious problem since the last snapshot.
     fn new_problem(&mut self, decision_loop: &DecisionLoop, swaps: &SwapCounters) -> Option<String> {
         let controller = decision_loop.room.controller();
-        let counters = controller.counters();
-        let failed = counters.degraded(DegradedMode::PolicyFailed) + counters.degraded(DegradedMode::Held);
-        let rose = |before: &mut u64, after: u64| after.saturating_sub(std::mem::replace(before, after));
-        let failed_rose = rose(&mut self.failed, failed);
-        let unsent_rose = rose(&mut self.unsent, decision_loop.unsent());
-        let refused_rose = rose(&mut self.refused, controller.inbox().refused().total());
-        let foreign_rose = rose(&mut self.foreign_arrays, counters.foreign_arrays);
-        let order_refused = rose(&mut self.orders_refused, swaps.refused);
-        let policy_warned = rose(&mut self.policy_warnings, swaps.warnings);
-        if failed_rose > 0
-            && let Some(failure) = controller.last_failure()
-        {
-            self.occurrences = failed_rose;
-            return Some(format!("policy {}: {failure}", controller.policy_name()));
-        }
-        if unsent_rose > 0 {
-            self.occurrences = unsent_rose;
-            return Some("a command could not be sent: the session is closed".into());
-        }
-        if order_refused > 0 {
-            self.occurrences = order_refused;
-            return swaps.last_refusal.clone();
-        }
-        if policy_warned > 0 {
-            self.occurrences = policy_warned;
-            return swaps.last_warning.clone();
-        }
-        if refused_rose > 0 {
-            self.occurrences = refused_rose;
-            return describe_refusal(decision_loop);
-        }
-        if foreign_rose > 0
-            && let Some((array, source)) = counters.last_foreign_array
-        {
-            self.occurrences = foreign_rose;
-            return Some(describe_foreign_array(array, source, controller.inbox().array_source(array)));
+        let (counters, refused) = (controller.counters(), controller.inbox().refused());
+        let counts = [
+            counters.degraded(DegradedMode::PolicyFailed) + counters.degraded(DegradedMode::Held),
+            decision_loop.unsent(),
+            swaps.refused,
+            swaps.warnings,
+            refused.total(),
+            counters.foreign_arrays,
+        ];
+        let descriptions: [&dyn Fn() -> Option<String>; 6] = [
+            &|| controller.last_failure().map(|failure| format!("policy {}: {failure}", controller.policy().name())),
+            &|| Some("a command could not be sent: the session is closed".into()),
+            &|| swaps.last_refusal.clone(),
+            &|| swaps.last_warning.clone(),
+            &|| describe_refusal(decision_loop),
+            &|| {
+                let (array, source) = counters.last_foreign_array?;
+                Some(describe_foreign_array(array, source, controller.inbox().array_source(array)))
+            },
+        ];
+        let before = std::mem::replace(&mut self.problems, counts);
+        for ((count, before), describe) in counts.into_iter().zip(before).zip(descriptions) {
+            if count > before
+                && let Some(text) = describe()
+            {
+                self.occurrences = count - before;
+                return Some(text);
+            }
         }
         // The first of a series; the counter shows the others.
-        let refused = controller.inbox().refused();
         let left_out_before = std::mem::replace(&mut self.left_out, refused.left_out());
         (left_out_before == 0).then(|| refused.last_left_out().map(describe_left_out)).flatten()
     }

@@ -3,27 +3,16 @@
 
 use heliostat_array::bounds::{Bounds, EPOCH_MAX_WITHOUT_UTC};
 use heliostat_array::moment::Moment;
-use heliostat_array::rules::{Array, Limits, Refusal};
+use heliostat_array::rules::{Array, Refusal};
 use heliostat_proto::messages::fault;
 use heliostat_proto::{ArrayState, MirrorCommand, ValidityClock};
 
-const MS: u64 = 1_000_000;
-const UTC_MS: u64 = 1_800_000_000_000;
+use crate::common::{MS, UTC, at as live, limits};
 
-fn live(ms: u64) -> Moment {
-    Moment { local_ns: ms * MS, room_ns: (UTC_MS + ms) * MS }
-}
+const UTC_MS: u64 = UTC / MS;
 
 fn array(clock: ValidityClock) -> Array {
-    Array::new(Limits {
-        mirrors: 1,
-        roll_rad: [-0.5, 0.5],
-        yaw_rad: [-0.5, 0.5],
-        park_rad: [0.0, 0.0],
-        hold_ns: 300 * MS,
-        clock,
-        bounds: Bounds::default(),
-    })
+    Array::new(limits(1, clock))
 }
 
 fn command(at: Moment, epoch: u64, sequence: u64, validity_ms: u32) -> MirrorCommand {

@@ -15,12 +15,7 @@ use heliostat_proto::{
     Stamp, StopAction,
 };
 
-const MS: u64 = 1_000_000;
-const UTC: u64 = 1_800_000_000_000_000_000;
-
-fn at(ms: u64) -> Moment {
-    Moment { local_ns: ms * MS, room_ns: UTC + ms * MS }
-}
+use crate::common::at;
 
 /// One mirror that is always at the angle of its drive, and the calls that it received.
 #[derive(Default)]
@@ -75,20 +70,15 @@ impl Device for Mirror {
     }
 }
 
+fn command(epoch: u64, sequence: u64, ms: u64) -> MirrorCommand {
+    let (time_ns, angles) = (at(ms).room_ns, vec![0.25]);
+    MirrorCommand { epoch, sequence, time_ns, validity_ms: 200, roll: angles.clone(), yaw: angles, answers: 1 }
+}
+
 fn following() -> Kit<Mirror> {
     let mut kit = Kit::new(Mirror::default());
     kit.advance(at(0));
-    let angles = vec![0.25];
-    let command = MirrorCommand {
-        epoch: 3,
-        sequence: 1,
-        time_ns: at(0).room_ns,
-        validity_ms: 200,
-        roll: angles.clone(),
-        yaw: angles,
-        answers: 1,
-    };
-    kit.handle_command(at(0), &command).unwrap();
+    kit.handle_command(at(0), &command(3, 1, 0)).unwrap();
     kit
 }
 
@@ -275,27 +265,18 @@ fn refused_rearms_are_counted_by_name() {
 
 #[test]
 fn a_command_in_flight_at_a_stop_or_a_takeover_is_no_problem_and_a_later_one_is() {
-    let command = |epoch, ms: u64| MirrorCommand {
-        epoch,
-        sequence: 2,
-        time_ns: at(ms).room_ns,
-        validity_ms: 200,
-        roll: vec![0.25],
-        yaw: vec![0.25],
-        answers: 1,
-    };
     for name in ["command:stopped", "command:lower-epoch"] {
         let (mut kit, mut refused) = (following(), RefusalCounts::default());
         if name == "command:stopped" {
             kit.handle_stop(at(1000), &stop(1)).unwrap();
         } else {
-            kit.handle_command(at(1000), &command(4, 1000)).unwrap();
+            kit.handle_command(at(1000), &command(4, 2, 1000)).unwrap();
         }
         for ms in [1001, 1499] {
-            assert!(!kit.follow((at(ms), at(ms)), &command(3, ms), &mut refused), "{name} at {ms} ms");
+            assert!(!kit.follow((at(ms), at(ms)), &command(3, 2, ms), &mut refused), "{name} at {ms} ms");
         }
         assert_eq!((refused.counts()[name], refused.problems(), refused.last_problem()), (2, 0, ""));
-        assert!(!kit.follow((at(1500), at(1500)), &command(3, 1500), &mut refused));
+        assert!(!kit.follow((at(1500), at(1500)), &command(3, 2, 1500), &mut refused));
         assert_eq!((refused.counts()[name], refused.problems()), (3, 1));
         assert!(refused.last_problem().starts_with("command: "), "{}", refused.last_problem());
     }

@@ -1,6 +1,7 @@
 //! The states of an array from outside, without a transport.
 
 mod bounds;
+mod common;
 mod kit;
 mod rules;
 mod station;

@@ -1,30 +1,13 @@
 //! The rules of an array, one by one.
 
-use heliostat_array::bounds::Bounds;
-use heliostat_array::moment::Moment;
-use heliostat_array::rules::{Array, Limits, Refusal};
+use heliostat_array::rules::{Array, Refusal};
 use heliostat_proto::messages::fault;
 use heliostat_proto::{ArrayState, CLOCK_LEAD_MAX_NS, MirrorCommand, ValidityClock};
 
-const MS: u64 = 1_000_000;
-const HOLD_NS: u64 = 300 * MS;
-/// Any UTC; local time starts at another value, so that a mix of the two fails.
-const UTC: u64 = 1_800_000_000_000_000_000;
-
-fn at(ms: u64) -> Moment {
-    Moment { local_ns: ms * MS, room_ns: UTC + ms * MS }
-}
+use crate::common::{HOLD_NS, MS, at, limits};
 
 fn array() -> Array {
-    Array::new(Limits {
-        mirrors: 2,
-        roll_rad: [-0.5, 0.5],
-        yaw_rad: [-0.5, 0.5],
-        park_rad: [0.0, 0.0],
-        hold_ns: HOLD_NS,
-        clock: ValidityClock::SourceTime,
-        bounds: Bounds::default(),
-    })
+    Array::new(limits(2, ValidityClock::SourceTime))
 }
 
 fn command(epoch: u64, sequence: u64, made_at_ms: u64) -> MirrorCommand {
@@ -140,9 +123,7 @@ fn a_sender_with_a_clock_ahead_does_not_delay_parking() {
 
 #[test]
 fn without_a_clock_validity_counts_from_arrival() {
-    let mut limits = *array().limits();
-    limits.clock = ValidityClock::Arrival;
-    let mut array = Array::new(limits);
+    let mut array = Array::new(limits(2, ValidityClock::Arrival));
     array.handle_command(at(60_000), &command(1, 1, 0)).unwrap();
     array.handle_command(at(60_001), &command(1, 2, 200_000)).unwrap();
     assert_eq!(array.parks_at_ns(), Some(60_201 * MS + HOLD_NS));
@@ -151,7 +132,7 @@ fn without_a_clock_validity_counts_from_arrival() {
 #[test]
 fn a_command_whose_validity_ends_while_it_waits_is_refused_with_either_clock() {
     for clock in [ValidityClock::SourceTime, ValidityClock::Arrival] {
-        let mut array = Array::new(Limits { clock, ..*array().limits() });
+        let mut array = Array::new(limits(2, clock));
         let waiting = command(1, 1, 0);
         let validity_ms = u64::from(waiting.validity_ms);
         let refusal = array.handle_waiting_command((at(0), at(validity_ms)), &waiting).unwrap_err();

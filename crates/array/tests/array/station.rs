@@ -2,7 +2,7 @@
 
 use std::cell::RefCell;
 use std::rc::Rc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
 use heliostat_array::arrivals::{Arrival, Arrivals};
@@ -102,6 +102,23 @@ fn reports(station: &mut Station<Mirror>, at_ms: u64) -> Vec<(&'static str, u64)
     .collect()
 }
 
+/// A driver after its first reports.
+fn running() -> (Memory, Station<Mirror>) {
+    let memory = Memory::default();
+    let mut station = start(&memory);
+    advance(&mut station, &memory, 0).unwrap();
+    reports(&mut station, 0);
+    (memory, station)
+}
+
+/// The status that is due, after every other report.
+fn status<D: Device>(station: &mut Station<D>, now: Moment) -> NodeStatus {
+    let reports: Vec<_> = std::iter::from_fn(|| station.poll_report(now)).collect();
+    let status =
+        reports.into_iter().find_map(|report| if let Report::Status(status) = report { Some(status) } else { None });
+    status.expect("a status is due")
+}
+
 fn stop(station: &mut Station<Mirror>, at_ms: u64) {
     let at = Moment::simulated(at_ms * MS);
     station.handle(at, Arrival { at, content: stop_at(at) });
@@ -141,11 +158,7 @@ fn the_status_names_the_array_its_state_and_what_was_refused() {
     station.handle(at, Arrival { at, content: Content::Stop(Ok(order)) });
     station.set_dropped(3);
     station.set_other_processes(2);
-    let status = std::iter::from_fn(|| station.poll_report(Moment::simulated(0))).find_map(|report| match report {
-        Report::Status(status) => Some(status),
-        _ => None,
-    });
-    let status = status.expect("it is due at the start");
+    let status = status(&mut station, at);
     assert_eq!((status.state.as_str(), status.name.as_str()), ("mirrors-2 stopped", "0000000000000009"));
     let count = |name: &str| status.counters.iter().find(|(found, _)| found == name).map(|(_, count)| *count);
     assert_eq!((count("refused:dropped"), count("commands")), (Some(3), Some(0)), "{:?}", status.counters);
@@ -184,10 +197,7 @@ fn a_stop_that_cannot_be_recorded_is_tried_again_with_the_next_safety_report() {
 
 #[test]
 fn stop_report_and_status_say_that_a_stop_is_not_recorded_until_it_is() {
-    let memory = Memory::default();
-    let mut station = start(&memory);
-    advance(&mut station, &memory, 0).unwrap();
-    reports(&mut station, 0);
+    let (memory, mut station) = running();
     // What the stop report and the status say of the record.
     let said = |station: &mut Station<Mirror>, at_ms: u64| {
         let (mut of_stops, mut unrecorded) = (None, None);
@@ -246,9 +256,7 @@ fn a_slow_disk_delays_no_stop_and_a_report_that_names_one_only_for_a_while() {
 
 #[test]
 fn a_release_on_a_slow_disk_is_named_and_no_stop_that_is_not_recorded() {
-    let memory = Memory::default();
-    let mut station = start(&memory);
-    advance(&mut station, &memory, 0).unwrap();
+    let (memory, mut station) = running();
     stop(&mut station, 5);
     advance(&mut station, &memory, 5).unwrap();
     let at = |ms: u64| Moment::simulated(ms * MS);
@@ -265,10 +273,7 @@ fn a_release_on_a_slow_disk_is_named_and_no_stop_that_is_not_recorded() {
 
 #[test]
 fn a_check_of_the_record_that_takes_long_leaves_the_stop_recorded() {
-    let memory = Memory::default();
-    let mut station = start(&memory);
-    advance(&mut station, &memory, 0).unwrap();
-    reports(&mut station, 0);
+    let (memory, mut station) = running();
     stop(&mut station, 5);
     advance(&mut station, &memory, 5).unwrap();
     reports(&mut station, 5);
@@ -283,10 +288,7 @@ fn a_check_of_the_record_that_takes_long_leaves_the_stop_recorded() {
 
 #[test]
 fn a_flood_of_stops_on_a_slow_disk_leaves_the_reports() {
-    let memory = Memory::default();
-    let mut station = start(&memory);
-    advance(&mut station, &memory, 0).unwrap();
-    reports(&mut station, 0);
+    let (memory, mut station) = running();
     let mut silent_ms = 0;
     let mut longest_ms = 0;
     // Each write takes 100 ms, and each meets a newer stop.
@@ -309,69 +311,14 @@ fn a_flood_of_stops_on_a_slow_disk_leaves_the_reports() {
     assert!((200..=250).contains(&longest_ms), "{longest_ms} ms without a report");
 }
 
-/// A mirror that answers when it is told to.
-struct Late(Rc<RefCell<bool>>);
-
-impl Device for Late {
-    fn capabilities(&self) -> Capabilities {
-        Mirror.capabilities()
-    }
-
-    fn connect(&mut self, _now: Moment) -> Result<(), DeviceError> {
-        if *self.0.borrow() { Ok(()) } else { Err(DeviceError::new("port", "no answer")) }
-    }
-
-    fn apply(&mut self, _now: Moment, _angles: &MirrorAngles) -> Result<(), DeviceError> {
-        Ok(())
-    }
-
-    fn measure(&mut self, _now: Moment, _into: &mut MirrorAngles) -> Result<bool, DeviceError> {
-        Ok(false)
-    }
-
-    fn stop(&mut self, _now: Moment) -> Result<(), DeviceError> {
-        Ok(())
-    }
-}
-
-#[test]
-fn an_old_failure_of_the_device_hides_no_refusal_and_a_refusal_no_present_failure() {
-    let (memory, is_there) = (Memory::default(), Rc::default());
-    let identity = Identity { source: 9, array: 0, software: "test".into() };
-    let (record, latch) = StopRecord::open(memory.clone(), true, 0);
-    let kit = Kit::new(Late(Rc::clone(&is_there)));
-    let mut station = Station::new(kit, (record.split().0, latch), identity, Moment::simulated(0));
-    let absent = |station: &mut Station<Late>, now: u64| {
-        station.advance(Moment::simulated(now));
-        let reports: Vec<Report> = std::iter::from_fn(|| station.poll_report(Moment::simulated(now))).collect();
-        let counters = reports.into_iter().find_map(|report| match report {
-            Report::Status(status) => Some(status.counters),
-            _ => None,
-        });
-        counters.expect("a status").into_iter().find(|(name, _)| name == "device_absent").expect("counted").1
-    };
-    let refused = |station: &mut Station<Late>, at: u64| {
-        let command = MirrorCommand { roll: vec![0.0; 2], yaw: vec![0.0; 2], ..MirrorCommand::default() };
-        station.handle_command(Moment::simulated(at), &command);
-    };
-    assert_eq!(absent(&mut station, 1), 1);
-    assert_eq!(station.last_problem(), "port: no answer");
-    refused(&mut station, 2);
-    assert_eq!(station.last_problem(), "port: no answer", "a refusal hides no present failure");
-    *is_there.borrow_mut() = true;
-    assert_eq!(absent(&mut station, 2000 * MS), 0, "the device has returned");
-    refused(&mut station, 2001 * MS);
-    assert!(station.last_problem().starts_with("command: "), "{}", station.last_problem());
-    assert_eq!(absent(&mut station, 4000 * MS), 0);
-    assert!(station.last_problem().starts_with("command: "), "{}", station.last_problem());
-}
-
 /// A clock, a queue, and a mirror with the calls that it received.
 #[derive(Default)]
 struct World {
     local_ns: AtomicU64,
     queue: Mutex<Arrivals>,
     calls: Mutex<Vec<String>>,
+    /// Whether the mirror answers, where a script reads it.
+    is_there: AtomicBool,
 }
 
 impl World {
@@ -466,6 +413,30 @@ fn step(world: &World, station: &mut Station<Blocking>) {
     station.advance(world.now());
     let now = world.now();
     while station.poll_report(now).is_some() {}
+}
+
+#[test]
+fn an_old_failure_of_the_device_hides_no_refusal_and_a_refusal_no_present_failure() {
+    let (world, mut station) = blocking(|world, _| world.is_there.load(Ordering::SeqCst));
+    let absent = |station: &mut Station<Blocking>, now: u64| {
+        station.advance(Moment::simulated(now));
+        let counters = status(station, Moment::simulated(now)).counters;
+        counters.into_iter().find(|(name, _)| name == "device_absent").expect("counted").1
+    };
+    let refused = |station: &mut Station<Blocking>, at: u64| {
+        let command = MirrorCommand { roll: vec![0.0; 2], yaw: vec![0.0; 2], ..MirrorCommand::default() };
+        station.handle_command(Moment::simulated(at), &command);
+    };
+    assert_eq!(absent(&mut station, 1), 1);
+    assert_eq!(station.last_problem(), "port: no answer");
+    refused(&mut station, 2);
+    assert_eq!(station.last_problem(), "port: no answer", "a refusal hides no present failure");
+    world.is_there.store(true, Ordering::SeqCst);
+    assert_eq!(absent(&mut station, 2000 * MS), 0, "the device has returned");
+    refused(&mut station, 2001 * MS);
+    assert!(station.last_problem().starts_with("command: "), "{}", station.last_problem());
+    assert_eq!(absent(&mut station, 4000 * MS), 0);
+    assert!(station.last_problem().starts_with("command: "), "{}", station.last_problem());
 }
 
 #[test]

@@ -4,9 +4,9 @@
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
-use crate::common::{self, Keys, LIMIT, ROOM, router};
+use crate::common::{self, Keys, LIMIT, ROOM, router, wait_until};
 use heliostat_bus::*;
 use heliostat_proto::{NodeKind, Room};
 use zenoh::Wait;
@@ -154,14 +154,6 @@ const AGAIN: Duration = Duration::from_secs(10);
 
 /// Payload of a stop that shows that a connection works.
 const PROBE: &[u8] = b"probe";
-
-fn wait_until(what: &str, mut is_so: impl FnMut() -> bool) {
-    let deadline = Instant::now() + LIMIT;
-    while !is_so() {
-        assert!(Instant::now() < deadline, "{what}: not within the limit");
-        std::thread::sleep(Duration::from_millis(10));
-    }
-}
 
 fn words(text: &str) -> BTreeSet<String> {
     text.split_whitespace().map(str::to_owned).collect()
@@ -369,9 +361,8 @@ fn a_certificate_of_the_authority_with_another_name_gives_no_right() {
 #[test]
 fn without_a_valid_certificate_of_the_room_a_process_sends_and_receives_nothing() {
     let _turn = common::turn();
-    let (keys, other, expired) = (Keys::new(), Keys::new(), Keys::new());
-    expired.adopt(&keys);
-    expired.expire();
+    let (keys, other) = (Keys::new(), Keys::new());
+    let expired = keys.expired();
     let (router, router_endpoint) = router(keys.folder());
     let endpoint = common::tls_endpoint();
     let driver = keys.open(AccessRole::Driver, |config| config.listen_at(&endpoint));
@@ -407,9 +398,8 @@ fn without_a_valid_certificate_of_the_room_a_process_sends_and_receives_nothing(
 #[test]
 fn a_process_does_not_connect_to_a_listener_with_an_expired_or_foreign_certificate() {
     let _turn = common::turn();
-    let (keys, other, expired) = (Keys::new(), Keys::new(), Keys::new());
-    expired.adopt(&keys);
-    expired.expire();
+    let (keys, other) = (Keys::new(), Keys::new());
+    let expired = keys.expired();
     for (folder, host, expected) in [
         (other.folder(), "127.0.0.1", "another authority than"),
         (expired.folder(), "127.0.0.1", "the certificate of 127.0.0.1 expired on 20"),
@@ -425,15 +415,12 @@ fn a_process_does_not_connect_to_a_listener_with_an_expired_or_foreign_certifica
         assert!(error.to_string().contains(&endpoint) && error.to_string().contains(expected), "{error}");
         // A session that waits for its peer finds the same.
         let waiting = Bus::open(&viewer).expect("it waits");
-        let deadline = Instant::now() + LIMIT;
-        let found = loop {
-            if let Some(found) = waiting.connection_problem() {
-                break found;
-            }
-            assert!(Instant::now() < deadline, "no reason is found at {host}");
-            std::thread::sleep(Duration::from_millis(20));
-        };
-        assert!(found.contains(expected), "{found}");
+        let mut found = None;
+        wait_until(&format!("a reason is found at {host}"), || {
+            found = waiting.connection_problem();
+            found.is_some()
+        });
+        assert!(found.as_ref().is_some_and(|found| found.contains(expected)), "{found:?}");
     }
 }
 
@@ -462,20 +449,12 @@ fn an_endpoint_without_tls_or_without_a_process_is_told_apart() {
 fn a_connection_ends_when_its_certificate_expires() {
     let _turn = common::turn();
     let keys = Keys::new();
-    let brief = Keys::new();
-    brief.adopt(&keys);
-    brief.expire_in(Duration::from_secs(12));
+    let brief = keys.until(SystemTime::now() + Duration::from_secs(12));
     let endpoint = common::tls_endpoint();
     let driver = keys.open(AccessRole::Driver, |config| config.listen_at(&endpoint));
     let viewer = brief.open(AccessRole::Viewer, |config| config.connect_to(&endpoint));
     let _token = viewer.announce(&viewer.room().alive(NodeKind::Viewer, 1)).expect("a valid key");
     let present = || !driver.alive(&driver.room().all_alive(), Duration::from_secs(1)).expect("a valid key").is_empty();
-    let deadline = Instant::now() + LIMIT;
-    while !present() {
-        assert!(Instant::now() < deadline, "the certificate is valid, but the connection carries nothing");
-    }
-    while present() {
-        assert!(Instant::now() < deadline, "the connection outlives its certificate");
-        std::thread::sleep(Duration::from_millis(100));
-    }
+    wait_until("a token arrives while the certificate is valid", present);
+    wait_until("the connection ends with its certificate", || !present());
 }

@@ -3,14 +3,14 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use heliostat_bus::*;
 use heliostat_proto::{NodeKind, Room};
 use tempfile::TempDir;
 use zenoh::Wait;
 
-use crate::common::{self, LIMIT};
+use crate::common::{self, LIMIT, wait_until};
 
 const ROOMS: [&str; 2] = ["studio", "foyer"];
 
@@ -108,12 +108,10 @@ fn everything(bus: &Bus) -> (Arc<Mutex<BTreeSet<String>>>, Subscription) {
 /// Publishes on a key until `is_so`.
 fn publish_until(bus: &Bus, key: &str, mut is_so: impl FnMut() -> bool) {
     let publisher = bus.publisher(key, Class::RealTimeBlock).expect("a valid key");
-    let deadline = Instant::now() + LIMIT;
-    while !is_so() {
-        assert!(Instant::now() < deadline, "{key} does not arrive");
+    wait_until(key, || {
         publisher.put(b"content").expect("the session is open");
-        std::thread::sleep(Duration::from_millis(20));
-    }
+        is_so()
+    });
 }
 
 fn messages_pass_between_the_routers(protocol: Protocol, name: &str) {
@@ -132,10 +130,9 @@ fn messages_pass_between_the_routers(protocol: Protocol, name: &str) {
         publish_until(&array, &telemetry, || received.lock().expect("no callback panics").contains(&telemetry));
         let _token = array.announce(&array.room().alive(NodeKind::Driver, 7)).expect("a valid key");
         let pattern = array.room().alive_of(NodeKind::Driver);
-        let deadline = Instant::now() + LIMIT;
-        while standby.alive(&pattern, LIMIT).expect("a valid pattern").is_empty() {
-            assert!(Instant::now() < deadline, "liveliness does not pass between the routers");
-        }
+        wait_until("liveliness passes between the routers", || {
+            !standby.alive(&pattern, LIMIT).expect("a valid pattern").is_empty()
+        });
         // A controller has no right to re-arm, at either router.
         let rearm = array.room().rearm();
         standby.publisher(&rearm, Class::RealTimeBlock).expect("a valid key").put(b"content").expect("open");

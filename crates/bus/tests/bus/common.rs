@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, SystemTime};
+use std::time::{Duration, Instant, SystemTime};
 
 use heliostat_bus::*;
 use heliostat_proto::Room;
@@ -18,6 +18,15 @@ pub const LIMIT: Duration = Duration::from_secs(60);
 
 /// Time limit of a connection that must fail.
 pub const REFUSAL_LIMIT: Duration = Duration::from_millis(1500);
+
+/// Waits until this is so.
+pub fn wait_until(what: &str, mut is_so: impl FnMut() -> bool) {
+    let deadline = Instant::now() + LIMIT;
+    while !is_so() {
+        assert!(Instant::now() < deadline, "{what}: not within the limit");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
 
 /// One test at a time: the more sessions a process has, the more often a data race in Zenoh's TLS
 /// links aborts it. Source: eclipse-zenoh/zenoh, issue 2557.
@@ -44,12 +53,19 @@ impl Keys {
         self.folder.path()
     }
 
-    /// Takes the authority of other keys, and makes all certificates again.
-    pub fn adopt(&self, other: &Self) {
+    /// Keys of the same authority whose certificates end at this time.
+    pub fn until(&self, end: SystemTime) -> Self {
+        let other = Self::new();
         for file in ["ca.key", "ca.pem"] {
-            std::fs::copy(other.folder().join(file), self.folder().join(file)).expect("both are folders of keys");
+            std::fs::copy(self.folder().join(file), other.folder().join(file)).expect("both are folders of keys");
         }
-        keys::renew(self.folder(), self.folder(), keys::end_after(1)).expect("a folder of keys");
+        keys::renew(other.folder(), other.folder(), end).expect("a folder of keys");
+        other
+    }
+
+    /// Keys of the same authority whose certificates have expired.
+    pub fn expired(&self) -> Self {
+        self.until(SystemTime::now() - Duration::from_secs(60))
     }
 
     /// An operator's files with another common name, signed by the authority of these keys.
@@ -70,17 +86,6 @@ impl Keys {
         std::fs::write(folder.path().join("operator.pem"), certificate.pem()).expect("a file");
         std::fs::write(folder.path().join("operator.key"), key.serialize_pem()).expect("a file");
         folder
-    }
-
-    /// Makes all certificates again, so that they have expired.
-    pub fn expire(&self) {
-        let minute = Duration::from_secs(60);
-        keys::renew(self.folder(), self.folder(), SystemTime::now() - minute).expect("a folder of keys");
-    }
-
-    /// Makes all certificates again, so that they expire after this time.
-    pub fn expire_in(&self, time: Duration) {
-        keys::renew(self.folder(), self.folder(), SystemTime::now() + time).expect("a folder of keys");
     }
 
     /// Configuration of a peer with a role.

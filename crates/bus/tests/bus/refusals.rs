@@ -6,6 +6,8 @@ use std::time::{Duration, Instant};
 use heliostat_bus::*;
 use heliostat_proto::{Room, RoomError};
 
+use crate::common::Keys;
+
 const ANY: [AccessRole; 9] = AccessRole::ALL;
 
 fn config() -> BusConfig {
@@ -123,14 +125,12 @@ fn free_ports_differ_and_are_below_the_ephemeral_range() {
 
 #[test]
 fn a_private_key_that_is_empty_cut_or_of_another_encoding_is_refused_with_what_to_do() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let room = Room::new("studio").expect("a valid name");
-    keys::init(&room, folder.path(), &keys::Terms::of_days(1, &[])).expect("an empty folder");
-    let key = folder.path().join("controller.key");
+    let keys = Keys::new();
+    let key = keys.folder().join("controller.key");
     let text = std::fs::read_to_string(&key).expect("a key");
     let load = |content: &[u8]| {
         std::fs::write(&key, content).expect("a file");
-        Identity::load(folder.path(), &[AccessRole::Controller])
+        Identity::load(keys.folder(), &[AccessRole::Controller])
     };
     let refused = |content: &[u8]| load(content).expect_err("refused").to_string();
     let (lines, utf16) = (text.lines().collect::<Vec<_>>(), text.encode_utf16().flat_map(u16::to_le_bytes));
@@ -149,16 +149,11 @@ fn a_private_key_that_is_empty_cut_or_of_another_encoding_is_refused_with_what_t
 
 #[test]
 fn a_private_key_of_another_certificate_is_refused_by_name() {
-    let [own, other] = [(); 2].map(|()| {
-        let folder = tempfile::tempdir().expect("a temporary folder");
-        let room = Room::new("studio").expect("a valid name");
-        keys::init(&room, folder.path(), &keys::Terms::of_days(1, &[])).expect("an empty folder");
-        folder
-    });
-    Identity::load(own.path(), &[AccessRole::Operator]).expect("the key of the certificate");
-    let key = |folder: &tempfile::TempDir| folder.path().join("operator.key");
+    let (own, other) = (Keys::new(), Keys::new());
+    Identity::load(own.folder(), &[AccessRole::Operator]).expect("the key of the certificate");
+    let key = |keys: &Keys| keys.folder().join("operator.key");
     std::fs::copy(key(&other), key(&own)).expect("a file");
-    let refused = Identity::load(own.path(), &[AccessRole::Operator]).expect_err("another key").to_string();
+    let refused = Identity::load(own.folder(), &[AccessRole::Operator]).expect_err("another key").to_string();
     assert!(refused.contains("operator.key is not the private key of"), "{refused}");
 }
 
@@ -189,33 +184,29 @@ fn keys_that_cannot_all_be_written_leave_nothing_and_the_next_attempt_succeeds()
 
 #[test]
 fn a_renewal_that_cannot_be_written_leaves_the_old_key_beside_the_old_certificate() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let (room, terms) = (Room::new("studio").expect("a valid name"), keys::Terms::of_days(1, &[]));
-    keys::init(&room, folder.path(), &terms).expect("an empty folder");
-    let first = keys::list(folder.path()).expect("certificates")[0].0;
-    std::fs::create_dir(folder.path().join(format!("{first}.pem.new"))).expect("a folder");
-    keys::renew(folder.path(), folder.path(), keys::end_after(1)).expect_err("refused");
-    Identity::load(folder.path(), &[first]).expect("the former keys");
-    assert!(!folder.path().join(format!("{first}.key.new")).exists());
+    let keys = Keys::new();
+    let folder = keys.folder();
+    let first = keys::list(folder).expect("certificates")[0].0;
+    std::fs::create_dir(folder.join(format!("{first}.pem.new"))).expect("a folder");
+    keys::renew(folder, folder, keys::end_after(1)).expect_err("refused");
+    Identity::load(folder, &[first]).expect("the former keys");
+    assert!(!folder.join(format!("{first}.key.new")).exists());
 }
 
 #[test]
 fn the_end_of_the_certificate_of_the_router_is_known_where_the_folder_has_it() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let room = Room::new("studio").expect("a valid name");
-    keys::init(&room, folder.path(), &keys::Terms::of_days(30, &[])).expect("an empty folder");
+    let keys = Keys::new();
     let ends = || {
-        let identity = Identity::load(folder.path(), &[AccessRole::Controller]).expect("keys of each role");
-        let config = BusConfig::new(room.clone()).secured_by(identity);
+        let config = keys.config(AccessRole::Controller);
         (config.certificate_end(), config.router_certificate_end())
     };
     let (own, router) = ends();
     assert!(own.is_some() && own == router, "they were made together: {own:?}, {router:?}");
-    std::fs::remove_file(folder.path().join("router.key")).expect("a private key");
+    std::fs::remove_file(keys.folder().join("router.key")).expect("a private key");
     assert_eq!(ends(), (own, router), "its private key is not needed");
-    std::fs::write(folder.path().join("router.pem"), "damaged").expect("a file");
+    std::fs::write(keys.folder().join("router.pem"), "damaged").expect("a file");
     assert_eq!(ends(), (own, None), "the process does not use it, and starts");
-    assert_eq!(BusConfig::new(room.clone()).router_certificate_end(), None, "a session without keys");
+    assert_eq!(config().router_certificate_end(), None, "a session without keys");
 }
 
 #[test]

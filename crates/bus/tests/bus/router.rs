@@ -2,13 +2,13 @@
 
 use std::path::Path;
 use std::sync::mpsc::channel;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use heliostat_bus::*;
 use heliostat_proto::{NodeKind, Room};
 use zenoh::Wait;
 
-const LIMIT: Duration = Duration::from_secs(60);
+use crate::common::{LIMIT, wait_until};
 
 fn client(room: &str, endpoint: &str) -> Bus {
     let room = Room::new(room).expect("a valid name");
@@ -34,21 +34,19 @@ fn clients_of_the_deployed_router_receive_messages_of_their_room_only() {
         lab.publisher(&lab.room().users(), Class::RealTimeDrop).expect("a valid key"),
         atrium.publisher(&atrium.room().users(), Class::RealTimeDrop).expect("a valid key"),
     );
-    let deadline = Instant::now() + LIMIT;
-    loop {
-        assert!(Instant::now() < deadline, "no payload passes the router");
+    let mut received = None;
+    wait_until("a payload passes the router", || {
         foreign.put(b"of another room").expect("the session is open");
         own.put(b"of this room").expect("the session is open");
-        if let Ok(payload) = receiver.recv_timeout(Duration::from_millis(50)) {
-            assert_eq!(payload, b"of this room");
-            break;
-        }
-    }
+        received = receiver.recv_timeout(Duration::from_millis(50)).ok();
+        received.is_some()
+    });
+    assert_eq!(received, Some(b"of this room".to_vec()));
     let _token = lab.announce(&lab.room().alive(NodeKind::Driver, 7)).expect("a valid key");
     let pattern = controller.room().alive_of(NodeKind::Driver);
-    while controller.alive(&pattern, LIMIT).expect("a valid pattern").is_empty() {
-        assert!(Instant::now() < deadline, "liveliness does not pass the router");
-    }
+    wait_until("liveliness passes the router", || {
+        !controller.alive(&pattern, LIMIT).expect("a valid pattern").is_empty()
+    });
     router.close().wait().expect("the router closes");
 }
 
@@ -63,24 +61,18 @@ fn a_client_that_has_lost_its_router_says_so_until_it_is_back() {
         set("listen/endpoints", &format!("[{endpoint:?}]"));
         zenoh::open(config).wait().expect("the router opens")
     };
-    let deadline = Instant::now() + LIMIT;
     let first = router();
     let client = client("lab", &endpoint);
     assert_eq!(client.lost_connection(), None);
     first.close().wait().expect("the router closes");
-    let lost = loop {
-        assert!(Instant::now() < deadline, "the loss is not noticed");
-        match client.lost_connection() {
-            Some(lost) => break lost,
-            None => std::thread::sleep(Duration::from_millis(20)),
-        }
-    };
-    assert!(lost.contains(&endpoint), "{lost}");
+    let mut lost = None;
+    wait_until("the loss is noticed", || {
+        lost = client.lost_connection();
+        lost.is_some()
+    });
+    assert!(lost.as_ref().is_some_and(|lost| lost.contains(&endpoint)), "{lost:?}");
     assert_eq!(client.lost_router().as_ref(), Some(&endpoint));
     let second = router();
-    while client.lost_connection().is_some() {
-        assert!(Instant::now() < deadline, "the return is not noticed");
-        std::thread::sleep(Duration::from_millis(20));
-    }
+    wait_until("the return is noticed", || client.lost_connection().is_none());
     second.close().wait().expect("the router closes");
 }

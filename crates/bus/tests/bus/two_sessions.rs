@@ -1,14 +1,12 @@
 //! Two sessions in one process over a loopback port.
 
 use std::sync::mpsc::{Receiver, channel};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use heliostat_bus::*;
 use heliostat_proto::{NodeKind, Room};
 
-/// Time limit of each wait, long enough for a busy machine; a test that succeeds does not wait for
-/// it.
-const LIMIT: Duration = Duration::from_secs(60);
+use crate::common::{LIMIT, wait_until};
 
 fn room() -> Room {
     Room::new("test").expect("a valid name")
@@ -40,14 +38,10 @@ fn subscribed(bus: &Bus, key: &str) -> (Subscription, Receiver<Vec<u8>>) {
 
 /// Publishes until the other side receives the payload, since declarations take a moment to arrive.
 fn publish_until_received(publisher: &Publisher, payload: &[u8], receiver: &Receiver<Vec<u8>>) {
-    let deadline = Instant::now() + LIMIT;
-    while Instant::now() < deadline {
+    wait_until("a subscriber receives the payload", || {
         publisher.put(payload).expect("the session is open");
-        if receiver.recv_timeout(Duration::from_millis(50)).is_ok_and(|found| found == payload) {
-            return;
-        }
-    }
-    panic!("no subscriber received the payload");
+        receiver.recv_timeout(Duration::from_millis(50)).is_ok_and(|found| found == payload)
+    });
 }
 
 /// Waits for the next change of presence, which must be this one.
@@ -115,15 +109,13 @@ fn subscriptions_to_patterns_give_the_key() {
     let _subscription = second.subscribe_keyed(&second.room().all_status(), keep).expect("a valid pattern");
     let key = first.room().status(NodeKind::Controller);
     let publisher = first.publisher(&key, Class::LowDrop).expect("a valid key");
-    let deadline = Instant::now() + LIMIT;
-    let found = loop {
+    let mut found = None;
+    wait_until("a subscriber receives the status", || {
         publisher.put(b"well").expect("open");
-        match receiver.recv_timeout(Duration::from_millis(50)) {
-            Ok(found) => break found,
-            Err(_) => assert!(Instant::now() < deadline, "no subscriber received the status"),
-        }
-    };
-    assert_eq!(found, (key, b"well".to_vec()));
+        found = receiver.recv_timeout(Duration::from_millis(50)).ok();
+        found.is_some()
+    });
+    assert_eq!(found, Some((key, b"well".to_vec())));
 }
 
 #[test]
@@ -194,14 +186,9 @@ fn services_answer_until_they_are_dropped() {
     assert_eq!(second.fetch(&key, LIMIT), Ok(vec![]));
     let answer = |payload: &mut Vec<u8>| payload.extend_from_slice(b"ten by ten");
     let service = first.serve(&key, answer).expect("a valid key");
-    let deadline = Instant::now() + LIMIT;
-    while second.fetch(&key, LIMIT) != Ok(vec![b"ten by ten".to_vec()]) {
-        assert!(Instant::now() < deadline, "no service answers");
-    }
+    wait_until("a service answers", || second.fetch(&key, LIMIT) == Ok(vec![b"ten by ten".to_vec()]));
     drop(service);
-    while second.fetch(&key, LIMIT) != Ok(vec![]) {
-        assert!(Instant::now() < deadline, "the service still answers");
-    }
+    wait_until("no service answers", || second.fetch(&key, LIMIT) == Ok(vec![]));
 }
 
 #[test]
@@ -212,11 +199,7 @@ fn a_stop_published_right_before_the_close_arrives() {
     for number in 0..20_u8 {
         let sender = connecting(&endpoint);
         let publisher = sender.publisher(&room().stop(), Class::RealTimeBlock).expect("a valid key");
-        let deadline = Instant::now() + LIMIT;
-        while !publisher.has_subscribers().expect("the session is open") {
-            assert!(Instant::now() < deadline, "the subscriber is not discovered");
-            std::thread::sleep(Duration::from_millis(5));
-        }
+        wait_until("the subscriber is discovered", || publisher.has_subscribers().expect("the session is open"));
         publisher.put(&[number]).expect("the session is open");
         drop(publisher);
         sender.close().expect("the session closes");

@@ -103,7 +103,7 @@ impl<'a> Player<'a> {
         for (array, report) in &self.safety {
             controller.handle_safety(*array, report);
         }
-        self.policies.insert(epoch, controller.policy_name().to_owned());
+        self.policies.insert(epoch, controller.policy().name().to_owned());
         self.replaced.extend(replaced.map(|replaced| (epoch, replaced)));
         let recorded_from_start = first == 1 && self.plan.clock == Clock::Lockstep;
         let schedule = self.plan.schedules.get(&epoch).filter(|_| !recorded_from_start);

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::slot::{Owner, Slot};
 use crate::input::{
-    refusal::{Refusal, TelemetrySizes},
+    refusal::{Checked, Found, Refusal, TelemetrySizes},
     sequence::SequenceTrack,
 };
 
@@ -32,21 +32,16 @@ impl ArrayInbox {
     }
 
     /// Whether telemetry is of an array of this shape.
-    pub fn check(&self, telemetry: &MirrorTelemetry) -> Result<(), Refusal> {
-        let TelemetrySizes { roll, yaw, expected } = self.sizes(telemetry);
-        if [roll, yaw] == [expected; 2] { Ok(()) } else { Err(Refusal::WrongMirrorCount) }
+    pub fn check(&self, telemetry: &MirrorTelemetry) -> Checked {
+        let (roll, yaw) = (telemetry.roll_commanded.len(), telemetry.yaw_commanded.len());
+        let sizes = TelemetrySizes { roll, yaw, expected: self.mirrors };
+        if [roll, yaw] == [self.mirrors; 2] { Ok(()) } else { Err((Refusal::WrongMirrorCount, Found::Sizes(sizes))) }
     }
 
     /// Whether a recorded state is one of this array.
     pub fn admits(&self, state: &Self) -> bool {
         (state.first, state.mirrors) == (self.first, self.mirrors)
             && state.telemetry.get().is_none_or(|telemetry| self.check(telemetry).is_ok())
-    }
-
-    /// The sizes of telemetry beside that of the array.
-    pub fn sizes(&self, telemetry: &MirrorTelemetry) -> TelemetrySizes {
-        let (roll, yaw) = (telemetry.roll_commanded.len(), telemetry.yaw_commanded.len());
-        TelemetrySizes { roll, yaw, expected: self.mirrors }
     }
 
     /// The source has left: its delayed telemetry is refused.

@@ -5,7 +5,7 @@ use heliostat_proto::{
 };
 use heliostat_scenario::Scenario;
 
-use crate::input::refusal::{Refusal, UserValues};
+use crate::input::refusal::{Checked, Found, LeftOut, Refusal, UserValues};
 
 /// How far outside the room a reported position may lie, in m: a tracker's noise may exceed a wall.
 const OUTSIDE_MARGIN_M: f64 = 1.0;
@@ -38,22 +38,25 @@ impl Rules {
     }
 
     /// Checks the time of a report that arrived at `now`.
-    pub fn check_time(&self, now: Nanos, stamp: &Stamp) -> Result<(), Refusal> {
+    pub fn check_time(&self, now: Nanos, stamp: &Stamp) -> Checked {
+        let age_s = now.abs_diff(stamp.time_ns) as f64 / 1e9;
         if stamp.time_ns > now.saturating_add(CLOCK_LEAD_MAX_NS) {
-            return Err(Refusal::FromFuture);
+            return Err((Refusal::FromFuture, Found::AgeS(-age_s)));
         }
         if now.saturating_sub(stamp.time_ns) > self.age_max_ns {
-            return Err(Refusal::Stale);
+            return Err((Refusal::Stale, Found::AgeS(age_s)));
         }
         Ok(())
     }
 
     /// Checks the users of a report, and that at least one of several entries is usable.
-    pub fn check_users(&self, report: &UserReport) -> Result<(), Refusal> {
+    pub fn check_users(&self, report: &UserReport) -> Checked {
         check_distinct(report.users.iter().map(|user| user.user))?;
-        let mut entries = report.users.iter().map(|user| self.check_user(user));
+        let mut entries = report.users.iter().map(|user| (user, self.check_user(user)));
         match entries.next() {
-            Some(Err(first)) if entries.all(|entry| entry.is_err()) => Err(first),
+            Some((user, Err(first))) if entries.all(|(_, entry)| entry.is_err()) => {
+                Err((first, Found::User(LeftOut::new(user, first))))
+            }
             _ => Ok(()),
         }
     }
@@ -71,43 +74,44 @@ impl Rules {
     }
 
     /// Checks the users and the LEDs of a report: each LED must be one of the scenario.
-    pub fn check_leds(&self, report: &LedReport) -> Result<(), Refusal> {
+    pub fn check_leds(&self, report: &LedReport) -> Checked {
         check_distinct(report.users.iter().map(|user| user.user))?;
         let is_led = |led: u32| (led as usize) < self.leds;
-        plausible(
+        Ok(plausible(
             report.users.iter().all(|user| user.serving.is_none_or(is_led))
                 && report.gains.iter().all(|gain| is_led(gain.led) && is_gain(gain.los_gain)),
-        )
+        )?)
     }
 }
 
 /// Each user may appear once. The codec bounds the number of entries.
-fn check_distinct(ids: impl Iterator<Item = u32> + Clone) -> Result<(), Refusal> {
-    if first_repeated(ids).is_some() { Err(Refusal::DuplicateUser) } else { Ok(()) }
-}
-
-/// The first user with an earlier entry.
-pub(super) fn first_repeated(ids: impl Iterator<Item = u32> + Clone) -> Option<u32> {
+fn check_distinct(ids: impl Iterator<Item = u32> + Clone) -> Checked {
     let is_repeated = |(index, id): &(usize, u32)| ids.clone().take(*index).any(|earlier| earlier == *id);
-    ids.clone().enumerate().find(is_repeated).map(|(_, id)| id)
+    match ids.clone().enumerate().find(is_repeated) {
+        Some((_, id)) => Err((Refusal::DuplicateUser, Found::Twice(id))),
+        None => Ok(()),
+    }
 }
 
-pub(super) fn check_orientation(report: &OrientationReport) -> Result<(), Refusal> {
+pub(super) fn check_orientation(report: &OrientationReport) -> Checked {
     check_distinct(report.users.iter().map(|user| user.user))
 }
 
-pub(super) fn check_channel(report: &ChannelReport) -> Result<(), Refusal> {
+pub(super) fn check_channel(report: &ChannelReport) -> Checked {
     check_distinct(report.users.iter().map(|user| user.user))?;
-    plausible(report.users.iter().all(|user| is_gain(user.los_gain)))
+    match report.users.iter().find(|user| !is_gain(user.los_gain)) {
+        Some(user) => Err((Refusal::Implausible, Found::Gain { user: user.user, los_gain: user.los_gain })),
+        None => Ok(()),
+    }
 }
 
 /// A gain is the received share of the transmitted light.
-pub(super) fn is_gain(gain: f32) -> bool {
+fn is_gain(gain: f32) -> bool {
     (0.0..=1.0).contains(&gain)
 }
 
-pub(super) fn check_obstacles(report: &ObstacleReport) -> Result<(), Refusal> {
-    plausible(report.obstacles.iter().all(|obstacle| obstacle.radius_m >= 0.0 && obstacle.height_m >= 0.0))
+pub(super) fn check_obstacles(report: &ObstacleReport) -> Checked {
+    Ok(plausible(report.obstacles.iter().all(|obstacle| obstacle.radius_m >= 0.0 && obstacle.height_m >= 0.0))?)
 }
 
 fn plausible(holds: bool) -> Result<(), Refusal> {

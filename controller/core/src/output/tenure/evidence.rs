@@ -1,9 +1,8 @@
 //! What a [`Tenure`](super::Tenure) reads of telemetry, what it keeps of it, and what it says of a change.
 
-use heliostat_proto::{ArrayState, EPOCH_SLOTS, MirrorTelemetry, Nanos};
+use heliostat_proto::{ArrayState, EPOCH_SLOTS, MirrorTelemetry, Nanos, named};
 
 use super::{BACK_OFF_MAX, FORGIVEN_NS, TELEMETRY_TIMEOUT_NS};
-use crate::named::named;
 
 /// Accepted commands after which a contested takeover does not delay the next one.
 const SETTLED: u64 = 8;

@@ -1,10 +1,9 @@
 //! What the network of an actor reads and gives; its metadata names both.
 
-use heliostat_proto::MAX_USERS;
+use heliostat_proto::{MAX_USERS, named};
 
 use super::{ANGLES, key};
 use crate::{
-    named::named,
     observe::observation::{ObservationEncoder, Summary, USERS_CAPACITY},
     policy::weights::Head,
 };

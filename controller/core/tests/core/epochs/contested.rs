@@ -8,18 +8,9 @@ fn taken_room(standby: Tenure) -> Room {
     room.controllers[1].tenure = standby;
     room.controllers[1].events.clear();
     room.run(S);
-    room.controllers[0].is_alive = false;
-    room.until_accepted(1);
+    room.takeover(0, 1);
     assert_eq!(room.controllers[1].events.last(), Some(&TenureEvent::TookOver));
     room
-}
-
-/// A command of the former leader arrives, and the next telemetry shows it; whether this contests the takeover.
-fn is_contested(room: &mut Room) -> bool {
-    let (epoch, sequence) = room.controllers[0].sent;
-    assert!(!room.array.handle(room.now, epoch, sequence + 1));
-    room.run(INTERVAL);
-    room.controllers[1].events.last() == Some(&TenureEvent::Contested)
 }
 
 #[test]
@@ -29,20 +20,12 @@ fn contested_takeovers_make_a_standby_more_patient() {
     for _ in 0..3 {
         // The leader is slow: its command comes after the takeover.
         let leader = room.standings().iter().position(|standing| *standing == Standing::Leading).unwrap();
-        let (standby, before) = (1 - leader, room.now);
-        room.controllers[leader].is_alive = false;
-        room.until_accepted(standby);
-        unanswered.push((room.now - before) / INTERVAL);
-        let (epoch, sequence) = room.controllers[leader].sent;
-        assert!(!room.array.handle(room.now, epoch, sequence + 1));
-        room.run(INTERVAL);
-        assert_eq!(room.controllers[standby].events.last(), Some(&TenureEvent::Contested));
+        let standby = 1 - leader;
+        unanswered.push(room.takeover(leader, standby) / INTERVAL);
+        assert!(room.is_contested(leader, standby));
         room.controllers[leader].is_alive = true;
         room.run(S);
-        room.controllers[standby].is_alive = false;
-        room.until_accepted(leader);
-        room.controllers[standby].is_alive = true;
-        room.run(S);
+        room.hang(standby, leader);
     }
     assert_eq!(unanswered, [2, 3, 4]);
 }
@@ -50,15 +33,11 @@ fn contested_takeovers_make_a_standby_more_patient() {
 /// A room whose first standby has taken over once from a leader that was only slow, and then stands by again.
 fn twice_taken_room() -> Room {
     let mut room = led_room(&[600, 1, 300]);
-    room.controllers[0].is_alive = false;
-    room.until_accepted(1);
-    assert!(is_contested(&mut room));
+    room.takeover(0, 1);
+    assert!(room.is_contested(0, 1));
     room.controllers[0].is_alive = true;
     room.run(S);
-    room.controllers[1].is_alive = false;
-    assert_eq!(room.until_accepted(2), 2 * INTERVAL);
-    room.controllers[1].is_alive = true;
-    room.run(S);
+    assert_eq!(room.hang(1, 2), 2 * INTERVAL);
     room.controllers[2].is_alive = false;
     room
 }
@@ -79,8 +58,7 @@ fn a_contested_takeover_is_forgiven_after_ten_minutes() {
     room.until_accepted(0);
     room.controllers[2].is_alive = true;
     room.run(FORGIVEN_NS);
-    room.controllers[0].is_alive = false;
-    assert_eq!(room.until_accepted(1), 2 * INTERVAL);
+    assert_eq!(room.takeover(0, 1), 2 * INTERVAL);
 }
 
 #[test]
@@ -105,15 +83,11 @@ fn a_slow_leader_contests_a_takeover_for_a_second_and_delays_no_later_one() {
     for (after, expected) in [(500 * MS, true), (2 * S, false)] {
         let mut room = taken_room(Tenure::live(600, INTERVAL));
         room.run(after);
-        assert_eq!(is_contested(&mut room), expected, "{} ms after the takeover", after / MS);
+        assert_eq!(room.is_contested(0, 1), expected, "{} ms after the takeover", after / MS);
         room.controllers[0].is_alive = true;
         room.run(S);
-        room.controllers[1].is_alive = false;
-        room.until_accepted(0);
-        room.controllers[1].is_alive = true;
-        room.run(S);
-        room.controllers[0].is_alive = false;
-        assert_eq!(room.until_accepted(1), 2 * INTERVAL);
+        room.hang(1, 0);
+        assert_eq!(room.takeover(0, 1), 2 * INTERVAL);
     }
 }
 
@@ -152,7 +126,7 @@ fn a_leader_that_left_a_report_unanswered_or_is_back_after_a_minute_had_ended() 
 fn a_takeover_of_last_resort_can_be_contested() {
     // The rank counts more reports than the array may leave without a command.
     let mut room = taken_room(Tenure::live(600, INTERVAL).in_reserve(Some(u8::MAX)));
-    assert!(is_contested(&mut room));
+    assert!(room.is_contested(0, 1));
 }
 
 #[test]

@@ -76,16 +76,14 @@ fn the_end_of_a_forged_token_of_the_leaders_remainder_is_no_end_of_the_leader() 
 fn many_forged_tokens_of_low_ids_delay_a_standby_by_three_reports_at_most() {
     let mut room = led_room(&[1, 600]);
     (2..40).for_each(|forged| room.announce(forged, true));
-    room.controllers[0].is_alive = false;
-    assert_eq!(room.until_accepted(1), (1 + Nanos::from(RANK_MAX)) * INTERVAL);
+    assert_eq!(room.takeover(0, 1), (1 + Nanos::from(RANK_MAX)) * INTERVAL);
 }
 
 #[test]
 fn forged_tokens_of_high_ids_leave_the_order_of_the_standbys() {
     let mut room = led_room(&[1, 600, 700]);
     (800..840).for_each(|forged| room.announce(forged, true));
-    room.controllers[0].is_alive = false;
-    room.until_accepted(1);
+    room.takeover(0, 1);
     room.run(S);
     assert_eq!(room.standings()[1..], [Standing::Leading, Standing::Standby]);
     assert_eq!(room.controllers[2].events, [TenureEvent::StoodBy], "it waits for the one before it");

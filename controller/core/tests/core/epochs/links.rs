@@ -38,10 +38,7 @@ fn a_standby_whose_link_returns_replaces_a_leader_that_has_ended_at_the_first_un
 #[test]
 fn telemetry_is_absent_when_none_has_come_for_a_second_after_the_return_of_the_link() {
     let mut room = led_room(&[1, 600]);
-    room.controllers[0].is_alive = false;
-    room.until_accepted(1);
-    room.controllers[0].is_alive = true;
-    room.run(S);
+    room.hang(0, 1);
     assert_eq!(room.standings(), [Standing::Standby, Standing::Leading]);
     cut_off(&mut room, 0, 600);
     let (now, tenure) = (room.now, &mut room.controllers[0].tenure);

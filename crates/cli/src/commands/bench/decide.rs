@@ -232,8 +232,8 @@ impl Args {
             users: scenario.users.count,
             rooms: 1,
             controllers: None,
-            policy: decider.controller.policy_name().into(),
-            engine: decider.controller.engine_name().map(str::to_owned),
+            policy: decider.controller.policy().name().into(),
+            engine: decider.controller.policy().engine().map(str::to_owned),
         };
         let by_stage = Stage::ALL.map(|stage| (stage.name().to_string(), times.over_budget_by(stage)));
         let row = Row::new(varied, (decision.into(), times.over_budget(), decision.count), &compared);

@@ -25,7 +25,7 @@ mod team;
 mod tracker;
 mod witness;
 
-pub use attacker::{Attacker, encoded};
+pub use attacker::Attacker;
 pub use board::{Behaviour, LoopbackBoard};
 pub use building::{Building, Host};
 pub use effect::Effect;

@@ -25,7 +25,7 @@ mod wait;
 
 pub use browser::Browser;
 pub use live_page::{PageServer, choose_theme};
-pub use observer::RoomObserver;
+pub use observer::{RoomObserver, encoded};
 pub use pauses::Pauses;
 pub use process::{Ended, Process, programs, workspace};
 pub use python::{PythonExample, python};

@@ -4,10 +4,20 @@ use std::sync::{Arc, Mutex};
 
 use heliostat_bus::{Bus, BusConfig, Class, Subscription};
 use heliostat_proto::{
-    MirrorCommand, MirrorTelemetry, NodeKind, NodeStatus, Room, RoomTruth, SafetyReport, UserReport, codec,
+    Message, MirrorCommand, MirrorTelemetry, NodeKind, NodeStatus, Room, RoomTruth, SafetyReport, UserReport, codec,
 };
 
 use crate::wait::wait_until;
+
+/// The payload of a message.
+///
+/// # Panics
+/// When it cannot be encoded.
+pub fn encoded<T: Message>(message: &T) -> Vec<u8> {
+    let mut payload = Vec::new();
+    codec::encode(message, &mut payload).expect("the message is valid");
+    payload
+}
 
 /// The latest message of each kind, and for some their number.
 #[derive(Clone, Debug, Default)]

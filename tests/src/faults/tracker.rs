@@ -10,7 +10,7 @@ use heliostat_proto::{ChannelReport, Stamp, UserChannel, UserReport, UserState};
 use heliostat_service::clock::utc_ns;
 use heliostat_service::source_id;
 
-use crate::faults::attacker::encoded;
+use crate::observer::encoded;
 
 /// Time between two reports, the default of the scenarios.
 pub const PERIOD: Duration = Duration::from_millis(10);

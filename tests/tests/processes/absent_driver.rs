@@ -1,9 +1,9 @@
 //! Commands without a driver: the controller reports it, and so do viewers.
 
 use heliostat_bus::private_endpoint;
-use heliostat_proto::{NodeKind, Stamp, UserReport, UserState, encode};
+use heliostat_proto::{NodeKind, Stamp, UserReport, UserState};
 use heliostat_service::clock::utc_ns;
-use heliostat_tests::{Process, RoomObserver, wait_until};
+use heliostat_tests::{Process, RoomObserver, encoded, wait_until};
 
 const PROBLEM: &str = "no driver receives the commands";
 
@@ -11,10 +11,8 @@ const PROBLEM: &str = "no driver receives the commands";
 fn report(observer: &RoomObserver, sequence: u64) {
     let user = |user: u32| UserState { user, position_m: [0.5 * user as f32 - 1.0, 0.0, 0.85], ..UserState::default() };
     let stamp = Stamp { source: 7, sequence, time_ns: utc_ns() };
-    let mut payload = Vec::new();
     let users = (0..5).map(user).collect();
-    encode(&UserReport { stamp, tick: sequence, users }, &mut payload).expect("a valid report");
-    observer.publish(&observer.room().users(), &payload);
+    observer.publish(&observer.room().users(), &encoded(&UserReport { stamp, tick: sequence, users }));
 }
 
 #[test]

@@ -5,9 +5,9 @@ use std::time::{Duration, Instant};
 
 use heliostat_bus::{BusConfig, private_endpoint};
 use heliostat_needs::needs;
-use heliostat_proto::{ArrayState, MirrorCommand, MirrorTelemetry, Rearm, Room, Stamp, UserReport, UserState, encode};
+use heliostat_proto::{ArrayState, MirrorCommand, MirrorTelemetry, Rearm, Room, Stamp, UserReport, UserState};
 use heliostat_service::clock::utc_ns;
-use heliostat_tests::{Process, PythonExample, RoomObserver, python, wait_until};
+use heliostat_tests::{Process, PythonExample, RoomObserver, encoded, python, wait_until};
 use serde_json::Value;
 
 /// The example driver of 2 x 3 mirrors.
@@ -91,9 +91,7 @@ fn report(tick: u64) -> Vec<u8> {
         min_rate_bps: 1e6,
     };
     let stamp = Stamp { source: 7, sequence: tick, time_ns };
-    let mut payload = Vec::new();
-    encode(&UserReport { stamp, tick, users: (0..5).map(user).collect() }, &mut payload).expect("a sound report");
-    payload
+    encoded(&UserReport { stamp, tick, users: (0..5).map(user).collect() })
 }
 
 /// Whether telemetry acknowledges this command.
@@ -117,8 +115,7 @@ fn a_driver_in_python_follows_the_controller() {
     let tracker = RoomObserver::join(&room.listen_at(&of_tracker).connect_to(&of_controller));
     let _driver = python_driver(&python, "driven", &[&of_controller, &of_tracker]);
     // Its first start is stopped, by a stop without sender.
-    let mut rearm = Vec::new();
-    encode(&Rearm::default(), &mut rearm).expect("a sound re-arm");
+    let rearm = encoded(&Rearm::default());
     wait_until("a released array", || {
         tracker.publish(&tracker.room().rearm(), &rearm);
         tracker.telemetry().is_some_and(|telemetry| telemetry.state == ArrayState::Parked)

@@ -2,9 +2,9 @@
 
 use heliostat_bus::private_endpoint;
 use heliostat_proto::{
-    ArrayState, AxisLimits, Capabilities, MirrorCommand, MirrorTelemetry, NodeKind, Stamp, UserReport, codec,
+    ArrayState, AxisLimits, Capabilities, MirrorCommand, MirrorTelemetry, NodeKind, Stamp, UserReport,
 };
-use heliostat_tests::{Process, RoomObserver, wait_until};
+use heliostat_tests::{Process, RoomObserver, encoded, wait_until};
 
 /// A day in ms.
 const DAY_MS: u64 = 86_400_000;
@@ -45,12 +45,6 @@ impl Setting {
         wait_until("a command and a user report", || observer.command().0 > 0 && observer.users().is_some());
         observer
     }
-}
-
-fn encoded<T: codec::Message>(message: &T) -> Vec<u8> {
-    let mut bytes = Vec::new();
-    codec::encode(message, &mut bytes).expect("the message is valid");
-    bytes
 }
 
 fn telemetry(observer: &RoomObserver) -> MirrorTelemetry {

@@ -4,14 +4,8 @@
 use std::time::Instant;
 
 use heliostat_bus::private_endpoint;
-use heliostat_proto::{ControllerControl, FaultKind, MirrorFault, NodeKind, SimulatorControl, Stamp, codec};
-use heliostat_tests::{Process, RoomObserver, wait_until};
-
-fn encoded<T: codec::Message>(message: &T) -> Vec<u8> {
-    let mut bytes = Vec::new();
-    codec::encode(message, &mut bytes).expect("the message is valid");
-    bytes
-}
+use heliostat_proto::{ControllerControl, FaultKind, MirrorFault, NodeKind, SimulatorControl, Stamp};
+use heliostat_tests::{Process, RoomObserver, encoded, wait_until};
 
 fn tick(observer: &RoomObserver) -> u64 {
     observer.users().map_or(0, |report| report.tick)

@@ -4,9 +4,9 @@
 use heliostat_bus::private_endpoint;
 use heliostat_proto::{
     ChannelReport, EmergencyStop, MirrorCommand, MirrorTelemetry, NodeKind, Obstacle, ObstacleReport, Stamp,
-    UserChannel, UserReport, UserState, codec,
+    UserChannel, UserReport, UserState,
 };
-use heliostat_tests::{Process, RoomObserver, wait_until};
+use heliostat_tests::{Process, RoomObserver, encoded, wait_until};
 
 /// An invalid number.
 const NAN: [u8; 4] = f32::NAN.to_le_bytes();
@@ -34,12 +34,6 @@ fn invalid_variants(valid: &[u8]) -> Vec<(&'static str, Vec<u8>)> {
         ("oversized", vec![1; 2 << 20]),
         ("wrong-version", b"garbage".to_vec()),
     ]
-}
-
-fn encoded<T: codec::Message>(message: &T) -> Vec<u8> {
-    let mut bytes = Vec::new();
-    codec::encode(message, &mut bytes).expect("the message is valid");
-    bytes
 }
 
 /// A room, a controller, and an observer that has received commands.

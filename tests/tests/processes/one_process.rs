@@ -8,8 +8,8 @@ use heliostat_bus::{BusConfig, free_loopback_endpoint, free_loopback_port, priva
 use heliostat_proto::messages::fault;
 use heliostat_proto::{ArrayState, EmergencyStop, MirrorTelemetry, NodeKind, Rearm, Room, Stamp, StopAction};
 use heliostat_service::clock::utc_ns;
-use heliostat_tests::faults::{LoopbackBoard, Proxy, Tracker, encoded};
-use heliostat_tests::{Process, RoomObserver, wait_until};
+use heliostat_tests::faults::{LoopbackBoard, Proxy, Tracker};
+use heliostat_tests::{Process, RoomObserver, encoded, wait_until};
 use serde_json::Value;
 
 use crate::metrics::fetch;

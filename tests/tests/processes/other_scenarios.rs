@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use heliostat_proto::{MirrorCommand, NodeKind, NodeStatus, codec};
 use heliostat_record::account::Account;
 use heliostat_record::file::{Reading, Recording};
-use heliostat_tests::Process;
+use heliostat_tests::{Process, encoded};
 use tempfile::TempDir;
 
 /// The source id of the controller with another scenario.
@@ -33,9 +33,7 @@ fn of_visitor(payload: &[u8], later: u64) -> Option<Vec<u8>> {
     status.stamp.source = VISITOR;
     status.scenario = "0123456789abcdef".into();
     status.counters.iter_mut().filter(|(name, _)| name == "epoch").for_each(|(_, epoch)| *epoch += later);
-    let mut changed = Vec::new();
-    codec::encode(&status, &mut changed).unwrap();
-    Some(changed)
+    Some(encoded(&status))
 }
 
 fn verify(file: &Path) -> Process {
@@ -49,9 +47,7 @@ fn a_visitor_with_another_scenario_leaves_the_commands_of_the_others_replayable(
         let command = codec::decode::<MirrorCommand>(&payload).ok().map(|mut command| {
             command.epoch += 1;
             command.roll.fill(0.0);
-            let mut changed = Vec::new();
-            codec::encode(&command, &mut changed).unwrap();
-            changed
+            encoded(&command)
         });
         let further = command.or_else(|| of_visitor(&payload, 1));
         [Some(payload), further].into_iter().flatten().collect()

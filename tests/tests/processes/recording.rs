@@ -14,7 +14,7 @@ use heliostat_proto::{
 use heliostat_record::account::Account;
 use heliostat_record::file::{Reading, Recording};
 use heliostat_scenario::Scenario;
-use heliostat_tests::{Process, RoomObserver, programs, wait_until};
+use heliostat_tests::{Process, RoomObserver, encoded, programs, wait_until};
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -418,9 +418,7 @@ fn gaps_are_counted_by_sequence_number() {
     let key = tracker.room().users();
     let publish = |sequence| {
         let stamp = Stamp { source: 7, sequence, time_ns: 1 };
-        let mut payload = Vec::new();
-        codec::encode(&UserReport { stamp, tick: sequence, ..UserReport::default() }, &mut payload).unwrap();
-        tracker.publish(&key, &payload);
+        tracker.publish(&key, &encoded(&UserReport { stamp, tick: sequence, ..UserReport::default() }));
     };
     let size = || fs::metadata(setting.file()).map_or(0, |file| file.len());
     let publish_until_written = |sequence| {

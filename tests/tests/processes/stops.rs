@@ -8,12 +8,12 @@ use std::time::{Duration, Instant};
 
 use heliostat_bus::{Bus, BusConfig, Class, Publisher, Subscription, free_loopback_endpoint};
 use heliostat_proto::{
-    ArrayState, EmergencyStop, Message, MirrorTelemetry, NodeStatus, Rearm, Room, Stamp, StopReport, UserReport,
-    UserState, decode, encode,
+    ArrayState, EmergencyStop, MirrorTelemetry, NodeStatus, Rearm, Room, Stamp, StopReport, UserReport, UserState,
+    decode,
 };
 use heliostat_service::clock::utc_ns;
 use heliostat_tests::faults::{Behaviour, LoopbackBoard};
-use heliostat_tests::{Ended, Process, wait_until};
+use heliostat_tests::{Ended, Process, encoded, wait_until};
 
 /// Six mirrors on one wall, then eight on another.
 const TWO: &str =
@@ -93,9 +93,7 @@ impl TwoArrays {
                 tick += 1;
                 let stamp = Stamp { source: 7, sequence: tick, time_ns: utc_ns() };
                 let users = vec![UserState { position_m: [0.5, 0.5, 0.85], min_rate_bps: 1e6, ..UserState::default() }];
-                let mut payload = Vec::new();
-                encode(&UserReport { stamp, tick, users }, &mut payload).expect("a sound report");
-                drop(publisher.put(&payload));
+                drop(publisher.put(&encoded(&UserReport { stamp, tick, users })));
                 std::thread::sleep(Duration::from_millis(20));
             }
         });
@@ -318,11 +316,9 @@ fn a_stop_that_reaches_only_the_controller_reaches_the_arrays_through_it() {
     let publisher = bus.publisher(&bus.room().stop(), Class::RealTimeBlock).expect("a valid key");
     let stamp = Stamp { source: 0xabc, sequence: 1, time_ns: utc_ns() };
     let order = EmergencyStop { stamp, operator: "eve".into(), reason: "smoke".into(), ..EmergencyStop::default() };
-    let mut payload = Vec::new();
-    encode(&order, &mut payload).expect("a sound stop");
     wait_until("the stop at both arrays", || {
         // The first messages of a session may find no subscriber.
-        publisher.put(&payload).expect("the session is open");
+        publisher.put(&encoded(&order)).expect("the session is open");
         room.operators(0) == ["eve"] && room.operators(1) == ["eve"]
     });
     drop(bus);
@@ -443,10 +439,4 @@ fn latencies(bus: &Bus, array: usize) -> Vec<Duration> {
         stopped - begun
     };
     (1..=60).map(time).collect()
-}
-
-fn encoded<M: Message>(message: &M) -> Vec<u8> {
-    let mut payload = Vec::new();
-    encode(message, &mut payload).expect("a sound message");
-    payload
 }

@@ -9,12 +9,13 @@ use heliostat_bus::{Bus, BusConfig, Subscription};
 use heliostat_driver::run::{self, Settings};
 use heliostat_driver::stop_record::StopRecordSettings;
 use heliostat_proto::{
-    ArrayState, MirrorCommand, MirrorTelemetry, NodeStatus, Room, Stamp, UserReport, UserState, decode, encode,
+    ArrayState, MirrorCommand, MirrorTelemetry, NodeStatus, Room, Stamp, UserReport, UserState, decode,
 };
 use heliostat_room::mirrors::SimulatedMirrors;
 use heliostat_scenario::Scenario;
 use heliostat_service::Stop;
 use heliostat_service::clock::utc_ns;
+use heliostat_tests::encoded;
 
 /// Six mirrors on one wall, then eight on another.
 pub const TWO: &str =
@@ -108,9 +109,7 @@ pub fn report(tick: u64) -> Vec<u8> {
     let at = |user: u32| [user as f32 - 2.0, 0.5 * user as f32 - 1.0, 0.85];
     let user = |user: u32| UserState { user, position_m: at(user), velocity_m_s: [0.0; 2], min_rate_bps: 1e6 };
     let stamp = Stamp { source: 7, sequence: tick, time_ns: utc_ns() };
-    let mut payload = Vec::new();
-    encode(&UserReport { stamp, tick, users: (0..5).map(user).collect() }, &mut payload).expect("a sound report");
-    payload
+    encoded(&UserReport { stamp, tick, users: (0..5).map(user).collect() })
 }
 
 /// Requests stops when dropped, so that every thread ends where a check fails.

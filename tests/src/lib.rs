@@ -27,6 +27,6 @@ pub use browser::Browser;
 pub use live_page::{PageServer, choose_theme};
 pub use observer::{RoomObserver, encoded};
 pub use pauses::Pauses;
-pub use process::{Ended, Process, programs, workspace};
+pub use process::{Ended, Process, golden_recording, programs, workspace};
 pub use python::{PythonExample, python};
 pub use wait::wait_until;

@@ -238,8 +238,19 @@ fn in_test_room<'a>(arguments: &[&'a str]) -> Vec<&'a str> {
 }
 
 /// The folder of the workspace.
+///
+/// # Panics
+/// When it is gone.
 pub fn workspace() -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("..")
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().expect("the workspace is there")
+}
+
+/// A recording of 120 ticks that every version replays.
+///
+/// # Panics
+/// As [`workspace`].
+pub fn golden_recording() -> PathBuf {
+    workspace().join("tests/data/golden.mcap")
 }
 
 /// The folder of the built programs.

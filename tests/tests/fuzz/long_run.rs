@@ -2,11 +2,11 @@
 
 use std::fmt::Write as _;
 use std::panic::catch_unwind;
-use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
 use heliostat_proto::Kind;
+use heliostat_tests::workspace;
 
 use crate::INPUT_MAX;
 use crate::bounds::within_bounds;
@@ -54,10 +54,6 @@ impl Inputs {
     }
 }
 
-fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
-}
-
 fn setting(name: &str, default: u64) -> u64 {
     match std::env::var(name) {
         Ok(text) => text.parse().unwrap_or_else(|_| panic!("invalid {name} \"{text}\": expected a whole number")),
@@ -67,7 +63,7 @@ fn setting(name: &str, default: u64) -> u64 {
 
 fn commit() -> String {
     let output =
-        Command::new("git").args(["describe", "--always", "--abbrev=12", "--dirty"]).current_dir(root()).output();
+        Command::new("git").args(["describe", "--always", "--abbrev=12", "--dirty"]).current_dir(workspace()).output();
     output.map_or_else(|_| "unknown".into(), |output| String::from_utf8_lossy(&output.stdout).trim().to_owned())
 }
 
@@ -89,7 +85,7 @@ fn many_payloads_leave_the_room_sound() {
         match found {
             Ok(found) => tally += found,
             Err(panic) => {
-                let folder = root().join("tests/tests/fuzz/__fuzz__/payloads/crashes");
+                let folder = workspace().join("tests/tests/fuzz/__fuzz__/payloads/crashes");
                 let file = folder.join(format!("seed-{seed}-input-{count}"));
                 std::fs::create_dir_all(&folder).and_then(|()| std::fs::write(&file, &input)).expect("a folder");
                 eprintln!("input {count} of seed {seed} fails; it is in {}", file.display());
@@ -102,7 +98,7 @@ fn many_payloads_leave_the_room_sound() {
         }
     }
     let page = page(&tally, wanted, seed, count, &commit, start.elapsed());
-    std::fs::write(root().join("docs/results/fuzzing.md"), page).expect("the folder exists");
+    std::fs::write(workspace().join("docs/results/fuzzing.md"), page).expect("the folder exists");
 }
 
 fn page(tally: &Tally, wanted: u64, seed: u64, inputs: u64, commit: &str, taken: Duration) -> String {

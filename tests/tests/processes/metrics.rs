@@ -4,10 +4,9 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
-use std::path::Path;
 
 use heliostat_bus::{free_loopback_port, private_endpoint};
-use heliostat_tests::{Process, wait_until};
+use heliostat_tests::{Process, wait_until, workspace};
 
 fn free_address() -> SocketAddr {
     SocketAddr::from(([127, 0, 0, 1], free_loopback_port().expect("a free port")))
@@ -50,7 +49,7 @@ fn names_of_dashboard() -> BTreeSet<String> {
 }
 
 fn read(file: &str) -> String {
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(file);
+    let file = workspace().join(file);
     fs::read_to_string(&file).unwrap_or_else(|error| panic!("{}: {error}", file.display()))
 }
 
@@ -126,9 +125,10 @@ fn the_dashboard_uses_metrics_that_a_running_room_serves() {
         "crates/service/src/exporter.rs",
     ];
     for (name, file) in by_cause.into_iter().zip(files) {
-        let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(file);
-        let text = fs::read_to_string(source).expect("the source is there");
-        assert!(text.contains(&format!("\"{}\"", name.trim_end_matches("_total"))), "{name} is not made in {file}");
+        assert!(
+            read(file).contains(&format!("\"{}\"", name.trim_end_matches("_total"))),
+            "{name} is not made in {file}"
+        );
         known.insert(name.to_owned());
     }
     let drawn = names_of_dashboard();

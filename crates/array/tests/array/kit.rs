@@ -15,12 +15,7 @@ use heliostat_proto::{
     Stamp, StopAction,
 };
 
-const MS: u64 = 1_000_000;
-const UTC: u64 = 1_800_000_000_000_000_000;
-
-fn at(ms: u64) -> Moment {
-    Moment { local_ns: ms * MS, room_ns: UTC + ms * MS }
-}
+use crate::at;
 
 /// One mirror that is always at the angle of its drive, and the calls that it received.
 #[derive(Default)]

@@ -1,30 +1,13 @@
 //! The rules of an array, one by one.
 
-use heliostat_array::bounds::Bounds;
-use heliostat_array::moment::Moment;
 use heliostat_array::rules::{Array, Limits, Refusal};
 use heliostat_proto::messages::fault;
 use heliostat_proto::{ArrayState, CLOCK_LEAD_MAX_NS, MirrorCommand, ValidityClock};
 
-const MS: u64 = 1_000_000;
-const HOLD_NS: u64 = 300 * MS;
-/// Any UTC; local time starts at another value, so that a mix of the two fails.
-const UTC: u64 = 1_800_000_000_000_000_000;
-
-fn at(ms: u64) -> Moment {
-    Moment { local_ns: ms * MS, room_ns: UTC + ms * MS }
-}
+use crate::{MS, at, limits};
 
 fn array() -> Array {
-    Array::new(Limits {
-        mirrors: 2,
-        roll_rad: [-0.5, 0.5],
-        yaw_rad: [-0.5, 0.5],
-        park_rad: [0.0, 0.0],
-        hold_ns: HOLD_NS,
-        clock: ValidityClock::SourceTime,
-        bounds: Bounds::default(),
-    })
+    Array::new(limits(2))
 }
 
 fn command(epoch: u64, sequence: u64, made_at_ms: u64) -> MirrorCommand {
@@ -53,7 +36,7 @@ fn follows_holds_and_parks() {
     assert_eq!(array.state(), ArrayState::Holding);
     assert!(array.target().roll[1] > 0.0, "the last command is held");
     let parks_at = array.parks_at_ns().unwrap();
-    assert_eq!(parks_at, 205 * MS + HOLD_NS);
+    assert_eq!(parks_at, 205 * MS + 300 * MS);
     assert!(!array.advance(parks_at - 1));
     assert!(array.advance(parks_at), "the array parks");
     assert_eq!(array.state(), ArrayState::Parked);
@@ -135,7 +118,7 @@ fn angles_beyond_the_range_are_clamped_and_counted_once_per_command() {
 fn a_sender_with_a_clock_ahead_does_not_delay_parking() {
     let mut array = array();
     array.handle_command(at(0), &command(1, 1, 40)).unwrap();
-    assert_eq!(array.parks_at_ns(), Some(200 * MS + HOLD_NS));
+    assert_eq!(array.parks_at_ns(), Some(200 * MS + 300 * MS));
 }
 
 #[test]
@@ -145,7 +128,7 @@ fn without_a_clock_validity_counts_from_arrival() {
     let mut array = Array::new(limits);
     array.handle_command(at(60_000), &command(1, 1, 0)).unwrap();
     array.handle_command(at(60_001), &command(1, 2, 200_000)).unwrap();
-    assert_eq!(array.parks_at_ns(), Some(60_201 * MS + HOLD_NS));
+    assert_eq!(array.parks_at_ns(), Some(60_201 * MS + 300 * MS));
 }
 
 #[test]

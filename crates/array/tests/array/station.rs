@@ -16,9 +16,13 @@ use heliostat_proto::{
     ArrayState, AxisLimits, Capabilities, EmergencyStop, MirrorCommand, NodeStatus, Rearm, Stamp, StopRepetition,
 };
 
-const MS: u64 = 1_000_000;
+use crate::MS;
 
-struct Mirror;
+/// A mirror that answers while it is not absent.
+#[derive(Default)]
+struct Mirror {
+    is_absent: Rc<RefCell<bool>>,
+}
 
 impl Device for Mirror {
     fn capabilities(&self) -> Capabilities {
@@ -27,7 +31,7 @@ impl Device for Mirror {
     }
 
     fn connect(&mut self, _now: Moment) -> Result<(), DeviceError> {
-        Ok(())
+        if *self.is_absent.borrow() { Err(DeviceError::new("port", "no answer")) } else { Ok(()) }
     }
 
     fn apply(&mut self, _now: Moment, _angles: &MirrorAngles) -> Result<(), DeviceError> {
@@ -74,9 +78,13 @@ impl StopStore for Memory {
 }
 
 fn start(memory: &Memory) -> Station<Mirror> {
+    started(memory, Kit::new(Mirror::default()))
+}
+
+fn started<D: Device>(memory: &Memory, kit: Kit<D>) -> Station<D> {
     let identity = Identity { source: 9, array: 2, software: "test".into() };
     let (record, latch) = StopRecord::open(memory.clone(), true, 0);
-    Station::new(Kit::new(Mirror), (record.split().0, latch), identity, Moment::simulated(0))
+    Station::new(kit, (record.split().0, latch), identity, Moment::simulated(0))
 }
 
 /// Advances to a time, and writes the record if that is due.
@@ -309,39 +317,11 @@ fn a_flood_of_stops_on_a_slow_disk_leaves_the_reports() {
     assert!((200..=250).contains(&longest_ms), "{longest_ms} ms without a report");
 }
 
-/// A mirror that answers when it is told to.
-struct Late(Rc<RefCell<bool>>);
-
-impl Device for Late {
-    fn capabilities(&self) -> Capabilities {
-        Mirror.capabilities()
-    }
-
-    fn connect(&mut self, _now: Moment) -> Result<(), DeviceError> {
-        if *self.0.borrow() { Ok(()) } else { Err(DeviceError::new("port", "no answer")) }
-    }
-
-    fn apply(&mut self, _now: Moment, _angles: &MirrorAngles) -> Result<(), DeviceError> {
-        Ok(())
-    }
-
-    fn measure(&mut self, _now: Moment, _into: &mut MirrorAngles) -> Result<bool, DeviceError> {
-        Ok(false)
-    }
-
-    fn stop(&mut self, _now: Moment) -> Result<(), DeviceError> {
-        Ok(())
-    }
-}
-
 #[test]
 fn an_old_failure_of_the_device_hides_no_refusal_and_a_refusal_no_present_failure() {
-    let (memory, is_there) = (Memory::default(), Rc::default());
-    let identity = Identity { source: 9, array: 0, software: "test".into() };
-    let (record, latch) = StopRecord::open(memory.clone(), true, 0);
-    let kit = Kit::new(Late(Rc::clone(&is_there)));
-    let mut station = Station::new(kit, (record.split().0, latch), identity, Moment::simulated(0));
-    let absent = |station: &mut Station<Late>, now: u64| {
+    let is_absent = Rc::new(RefCell::new(true));
+    let mut station = started(&Memory::default(), Kit::new(Mirror { is_absent: Rc::clone(&is_absent) }));
+    let absent = |station: &mut Station<Mirror>, now: u64| {
         station.advance(Moment::simulated(now));
         let reports: Vec<Report> = std::iter::from_fn(|| station.poll_report(Moment::simulated(now))).collect();
         let counters = reports.into_iter().find_map(|report| match report {
@@ -350,7 +330,7 @@ fn an_old_failure_of_the_device_hides_no_refusal_and_a_refusal_no_present_failur
         });
         counters.expect("a status").into_iter().find(|(name, _)| name == "device_absent").expect("counted").1
     };
-    let refused = |station: &mut Station<Late>, at: u64| {
+    let refused = |station: &mut Station<Mirror>, at: u64| {
         let command = MirrorCommand { roll: vec![0.0; 2], yaw: vec![0.0; 2], ..MirrorCommand::default() };
         station.handle_command(Moment::simulated(at), &command);
     };
@@ -358,7 +338,7 @@ fn an_old_failure_of_the_device_hides_no_refusal_and_a_refusal_no_present_failur
     assert_eq!(station.last_problem(), "port: no answer");
     refused(&mut station, 2);
     assert_eq!(station.last_problem(), "port: no answer", "a refusal hides no present failure");
-    *is_there.borrow_mut() = true;
+    *is_absent.borrow_mut() = false;
     assert_eq!(absent(&mut station, 2000 * MS), 0, "the device has returned");
     refused(&mut station, 2001 * MS);
     assert!(station.last_problem().starts_with("command: "), "{}", station.last_problem());
@@ -422,7 +402,7 @@ impl Blocking {
 
 impl Device for Blocking {
     fn capabilities(&self) -> Capabilities {
-        Mirror.capabilities()
+        Mirror::default().capabilities()
     }
 
     fn connect(&mut self, _now: Moment) -> Result<(), DeviceError> {
@@ -447,9 +427,7 @@ fn blocking(script: Script) -> (Arc<World>, Station<Blocking>) {
     let mut kit = Kit::new(Blocking(Arc::clone(&world), script));
     let (clock, waiting) = (Arc::clone(&world), Arc::clone(&world));
     kit.set_watch(Watch::new(move || clock.now(), move |is_stop| waiting.queue.lock().unwrap().has_stop(is_stop)));
-    let identity = Identity { source: 9, array: 0, software: "test".into() };
-    let (record, latch) = StopRecord::open(Memory::default(), true, 0);
-    let station = Station::new(kit, (record.split().0, latch), identity, world.now());
+    let station = started(&Memory::default(), kit);
     (world, station)
 }
 

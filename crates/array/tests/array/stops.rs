@@ -1,31 +1,15 @@
 //! The emergency stop of an array: every stop is obeyed, and each can be released.
 
-use heliostat_array::bounds::Bounds;
 use heliostat_array::latch::{Latch, LatchedStop};
-use heliostat_array::moment::Moment;
 use heliostat_array::rules::{Array, Limits, RearmRefusal, Refusal};
-use heliostat_proto::{
-    ArrayState, EmergencyStop, MirrorCommand, Rearm, Stamp, StopAction, StopName, StopRepetition, ValidityClock,
-};
+use heliostat_proto::{ArrayState, EmergencyStop, MirrorCommand, Rearm, Stamp, StopAction, StopName, StopRepetition};
 
-const MS: u64 = 1_000_000;
-const UTC: u64 = 1_800_000_000_000_000_000;
+use crate::{MS, UTC, at, limits};
+
 const HOUR_MS: u64 = 3_600_000;
 
-fn at(ms: u64) -> Moment {
-    Moment { local_ns: ms * MS, room_ns: UTC + ms * MS }
-}
-
 fn array() -> Array {
-    let mut array = Array::new(Limits {
-        mirrors: 1,
-        roll_rad: [-0.5, 0.5],
-        yaw_rad: [-0.5, 0.5],
-        park_rad: [0.25, 0.0],
-        hold_ns: 300 * MS,
-        clock: ValidityClock::SourceTime,
-        bounds: Bounds::default(),
-    });
+    let mut array = Array::new(Limits { park_rad: [0.25, 0.0], ..limits(1) });
     array.handle_command(at(0), &command(1, 0)).unwrap();
     array
 }

@@ -225,6 +225,10 @@ fn collect(mut stream: impl Read + Send + 'static, into: &Arc<Mutex<String>>) ->
 /// reports in a short time.
 const TEST_SCENARIO: &str = "specular";
 
+/// A scenario with six mirrors on one wall, then eight on another.
+pub const TWO_ARRAYS: &str =
+    "name = \"two\"\n[[mirrors]]\nrows = 2\ncolumns = 3\n[[mirrors]]\nrows = 2\ncolumns = 4\nwall = \"-x\"\n";
+
 /// The arguments of a process, with the scenario of the tests where they name none.
 fn in_test_room<'a>(arguments: &[&'a str]) -> Vec<&'a str> {
     let runs_a_room = matches!(arguments, ["sim-node" | "controller" | "demo" | "record", ..]);

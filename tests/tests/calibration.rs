@@ -162,8 +162,9 @@ fn a_refinement_commands_only_while_the_receiver_is_alone_and_gives_the_room_bac
     let of_calibration = || {
         let status = observer.status(NodeKind::Controller)?;
         let is_calibration = status.state.starts_with("calibrating: spot 1 of 3");
-        let epoch = status.counters.iter().find(|(name, _)| name == "epoch").map(|(_, epoch)| *epoch);
-        epoch.filter(|epoch| is_calibration && observer.telemetry().is_some_and(|array| array.epoch == *epoch))
+        status
+            .counter("epoch")
+            .filter(|epoch| is_calibration && observer.telemetry().is_some_and(|array| array.epoch == *epoch))
     };
     let calibrating = |refinement: &mut Process| {
         let mut epoch = None;

@@ -140,8 +140,7 @@ impl Witness {
 
     /// The value of a counter in the newest status; 0 if it is absent.
     pub fn counter(&self, node: NodeKind, name: &str) -> u64 {
-        let counters = self.status(node).map(|status| status.counters).unwrap_or_default();
-        counters.iter().find(|(counter, _)| counter == name).map_or(0, |(_, count)| *count)
+        self.status(node).and_then(|status| status.counter(name)).unwrap_or(0)
     }
 
     /// Counters of refusals and degraded modes, by process and its source.

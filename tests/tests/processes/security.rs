@@ -216,9 +216,7 @@ fn an_array_in_the_controllers_process_has_the_keys_of_a_driver() {
     let process = start(&keys);
     wait_until("a controller that knows the array, and an array that reports", || {
         viewer.telemetry().is_some_and(|array| array.state == ArrayState::Parked)
-            && viewer.status(NodeKind::Controller).is_some_and(|status| {
-                status.counters.iter().any(|(name, count)| name == "driver_absent" && *count == 0)
-            })
+            && viewer.status(NodeKind::Controller).is_some_and(|status| status.counter("driver_absent") == Some(0))
     });
     process.end().json();
 }

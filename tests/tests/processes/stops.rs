@@ -2,30 +2,18 @@
 //! while a mirror can move, and a stop reaches each array, whenever it returns.
 
 use std::path::Path;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use heliostat_bus::{Bus, BusConfig, Class, Publisher, Subscription, free_loopback_endpoint};
+use heliostat_bus::{Bus, BusConfig, Class, Publisher, free_loopback_endpoint};
 use heliostat_proto::{
-    ArrayState, EmergencyStop, MirrorTelemetry, NodeStatus, Rearm, Room, Stamp, StopReport, UserReport, UserState,
-    decode,
+    ArrayState, EmergencyStop, MirrorTelemetry, NodeKind, NodeStatus, Rearm, Room, Stamp, StopReport, UserReport,
+    UserState, decode,
 };
 use heliostat_service::clock::utc_ns;
 use heliostat_tests::faults::{Behaviour, LoopbackBoard};
-use heliostat_tests::{Ended, Process, encoded, wait_until};
-
-/// Six mirrors on one wall, then eight on another.
-const TWO: &str =
-    "name = \"two\"\n[[mirrors]]\nrows = 2\ncolumns = 3\n[[mirrors]]\nrows = 2\ncolumns = 4\nwall = \"-x\"\n";
-
-/// What was published last.
-#[derive(Clone, Debug, Default)]
-struct Latest {
-    telemetry: [Option<MirrorTelemetry>; 2],
-    stops: [Option<StopReport>; 2],
-    controller: Option<NodeStatus>,
-}
+use heliostat_tests::{Ended, Latest, Process, TWO_ARRAYS, encoded, wait_until};
 
 /// A controller, two drivers with a board each, and a tracker of this test.
 struct TwoArrays {
@@ -38,9 +26,10 @@ struct TwoArrays {
     scenario: String,
     controller: Process,
     bus: Bus,
-    latest: Arc<Mutex<Latest>>,
+    telemetry: [Latest<MirrorTelemetry>; 2],
+    stops: [Latest<StopReport>; 2],
+    status: Latest<NodeStatus>,
     is_ended: Arc<AtomicBool>,
-    _subscriptions: Vec<Subscription>,
 }
 
 impl TwoArrays {
@@ -48,7 +37,7 @@ impl TwoArrays {
         let folder = tempfile::tempdir().expect("a folder");
         let boards = [LoopbackBoard::start(6), LoopbackBoard::start(8)];
         let scenario = folder.path().join("two.toml");
-        std::fs::write(&scenario, TWO).expect("a writable folder");
+        std::fs::write(&scenario, TWO_ARRAYS).expect("a writable folder");
         for (array, board) in boards.iter().enumerate() {
             std::fs::write(config(folder.path(), array), board.configuration()).expect("a writable folder");
         }
@@ -59,8 +48,6 @@ impl TwoArrays {
         let config = BusConfig::new(Room::new(room).expect("a valid name"));
         let config = config.connect_to(&endpoints[0]).connect_to(&endpoints[1]).connect_to(&of_controller);
         let bus = Bus::open(&config).expect("the bus opens");
-        let latest: Arc<Mutex<Latest>> = Arc::default();
-        let subscriptions = subscribe(&bus, &latest);
         let is_ended = Arc::new(AtomicBool::new(false));
         let mut room = Self {
             room: room.to_owned(),
@@ -71,10 +58,11 @@ impl TwoArrays {
             of_controller,
             scenario,
             controller,
+            telemetry: [0, 1].map(|array| Latest::of(&bus, &bus.room().array(array).telemetry())),
+            stops: [0, 1].map(|array| Latest::of(&bus, &bus.room().array(array).stops())),
+            status: Latest::of(&bus, &bus.room().status(NodeKind::Controller)),
             bus,
-            latest,
             is_ended,
-            _subscriptions: subscriptions,
         };
         room.report_users();
         room.start_driver(0);
@@ -111,12 +99,8 @@ impl TwoArrays {
         self.drivers[array].as_mut().expect("it was started")
     }
 
-    fn latest(&self) -> Latest {
-        self.latest.lock().expect("no callback panics").clone()
-    }
-
     fn states(&self) -> [Option<ArrayState>; 2] {
-        self.latest().telemetry.map(|telemetry| telemetry.map(|telemetry| telemetry.state))
+        self.telemetry.each_ref().map(|telemetry| telemetry.get().map(|telemetry| telemetry.state))
     }
 
     fn wait_for(&self, states: [ArrayState; 2]) {
@@ -125,7 +109,7 @@ impl TwoArrays {
 
     /// The names of the stops that an array reports.
     fn operators(&self, array: usize) -> Vec<String> {
-        let stops = self.latest().stops[array].clone().map(|report| report.stops).unwrap_or_default();
+        let stops = self.stops[array].get().map(|report| report.stops).unwrap_or_default();
         stops.into_iter().map(|stop| stop.operator).collect()
     }
 
@@ -165,26 +149,6 @@ fn config(folder: &Path, array: usize) -> String {
     folder.join(format!("array-{array}.toml")).display().to_string()
 }
 
-fn subscribe(bus: &Bus, latest: &Arc<Mutex<Latest>>) -> Vec<Subscription> {
-    let mut subscriptions = Vec::new();
-    for array in [0, 1] {
-        let keys = bus.room().array(array);
-        let kept = Arc::clone(latest);
-        subscriptions.push(bus.subscribe(&keys.telemetry(), move |payload| {
-            kept.lock().expect("no callback panics").telemetry[array] = decode(payload).ok();
-        }));
-        let kept = Arc::clone(latest);
-        subscriptions.push(bus.subscribe(&keys.stops(), move |payload| {
-            kept.lock().expect("no callback panics").stops[array] = decode(payload).ok();
-        }));
-    }
-    let kept = Arc::clone(latest);
-    subscriptions.push(bus.subscribe(&bus.room().status(heliostat_proto::NodeKind::Controller), move |payload| {
-        kept.lock().expect("no callback panics").controller = decode(payload).ok();
-    }));
-    subscriptions.into_iter().collect::<Result<_, _>>().expect("valid keys")
-}
-
 #[test]
 fn a_room_with_an_absent_array_is_not_called_stopped_and_the_array_gets_the_stop_when_it_returns() {
     let mut room = TwoArrays::start("absent");
@@ -201,14 +165,13 @@ fn a_room_with_an_absent_array_is_not_called_stopped_and_the_array_gets_the_stop
     room.start_driver(1);
     wait_until("the stop at the array that returned", || room.operators(1) == ["ann"]);
     wait_until("a controller that names the stop", || {
-        let state = room.latest().controller.map(|status| status.state).unwrap_or_default();
+        let state = room.status.get().map(|status| status.state).unwrap_or_default();
         state.starts_with("withheld by the stop of ann (\"person on the ladder\") since ")
     });
     // The telemetry of the driver that was killed shows an array that follows.
     room.wait_for([ArrayState::Stopped; 2]);
-    let accepted =
-        |room: &TwoArrays| room.latest().telemetry[1].as_ref().map_or(0, |telemetry| telemetry.counters.accepted);
-    assert_eq!(accepted(&room), 0, "it followed no command before the stop");
+    let accepted = room.telemetry[1].get().map_or(0, |telemetry| telemetry.counters.accepted);
+    assert_eq!(accepted, 0, "it followed no command before the stop");
     assert!(room.order("stop", &[]).status.success(), "now every array has stopped");
     let released = room.order("rearm", &["--all"]);
     assert!(released.status.success(), "{}", released.errors);
@@ -244,7 +207,7 @@ fn a_frozen_driver_is_named_and_stopped_as_soon_as_it_continues() {
     room.wait_for([ArrayState::Stopped; 2]);
     room.boards[1].longest_pause();
     wait_until("stop reports of both devices", || {
-        room.latest().stops.iter().flatten().filter(|report| report.device_stopped).count() == 2
+        room.stops.iter().all(|stops| stops.get().is_some_and(|report| report.device_stopped))
     });
 }
 
@@ -279,7 +242,7 @@ fn the_stops_of_two_operators_are_listed_and_released_one_by_one() {
         refusal.contains("2 stops are in force") && refusal.contains("of ann") && refusal.contains("--all"),
         "{refusal}"
     );
-    let stops = room.latest().stops[0].clone().expect("a report").stops;
+    let stops = room.stops[0].get().expect("a report").stops;
     let name = stops[1].name().to_string();
     let released = room.order("rearm", &["--stop", &name]);
     assert!(released.status.success(), "{}", released.errors);

@@ -155,7 +155,7 @@ fn the_status_names_the_array_its_state_and_what_was_refused() {
     });
     let status = status.expect("it is due at the start");
     assert_eq!((status.state.as_str(), status.name.as_str()), ("mirrors-2 stopped", "0000000000000009"));
-    let count = |name: &str| status.counters.iter().find(|(found, _)| found == name).map(|(_, count)| *count);
+    let count = |name: &str| status.counter(name);
     assert_eq!((count("refused:dropped"), count("commands")), (Some(3), Some(0)), "{:?}", status.counters);
     assert_eq!(count(NodeStatus::OTHER_PROCESSES), Some(2), "{:?}", status.counters);
     assert!(status.last_problem.contains("rearm"), "{}", status.last_problem);
@@ -202,10 +202,7 @@ fn stop_report_and_status_say_that_a_stop_is_not_recorded_until_it_is() {
         while let Some(report) = station.poll_report(Moment::simulated(at_ms * MS)) {
             match report {
                 Report::Stops(stops) => of_stops = Some((stops.device_stopped, stops.problem)),
-                Report::Status(status) => {
-                    let found = status.counters.into_iter().find(|(name, _)| name == NodeStatus::STOP_UNRECORDED);
-                    unrecorded = found.map(|(_, count)| count);
-                }
+                Report::Status(status) => unrecorded = status.counter(NodeStatus::STOP_UNRECORDED),
                 _ => {}
             }
         }
@@ -324,11 +321,11 @@ fn an_old_failure_of_the_device_hides_no_refusal_and_a_refusal_no_present_failur
     let absent = |station: &mut Station<Mirror>, now: u64| {
         station.advance(Moment::simulated(now));
         let reports: Vec<Report> = std::iter::from_fn(|| station.poll_report(Moment::simulated(now))).collect();
-        let counters = reports.into_iter().find_map(|report| match report {
-            Report::Status(status) => Some(status.counters),
+        let absent = reports.into_iter().find_map(|report| match report {
+            Report::Status(status) => status.counter("device_absent"),
             _ => None,
         });
-        counters.expect("a status").into_iter().find(|(name, _)| name == "device_absent").expect("counted").1
+        absent.expect("a count")
     };
     let refused = |station: &mut Station<Mirror>, at: u64| {
         let command = MirrorCommand { roll: vec![0.0; 2], yaw: vec![0.0; 2], ..MirrorCommand::default() };

@@ -2,10 +2,10 @@
 
 use std::fmt::Write as _;
 use std::panic::catch_unwind;
-use std::process::Command;
 use std::time::{Duration, Instant};
 
 use heliostat_proto::Kind;
+use heliostat_tests::faults::page::Origin;
 use heliostat_tests::workspace;
 
 use crate::INPUT_MAX;
@@ -61,17 +61,11 @@ fn setting(name: &str, default: u64) -> u64 {
     }
 }
 
-fn commit() -> String {
-    let output =
-        Command::new("git").args(["describe", "--always", "--abbrev=12", "--dirty"]).current_dir(workspace()).output();
-    output.map_or_else(|_| "unknown".into(), |output| String::from_utf8_lossy(&output.stdout).trim().to_owned())
-}
-
 #[test]
 #[ignore = "takes hours and writes a page; HELIOSTAT_FUZZ_PAYLOADS and HELIOSTAT_FUZZ_SEED are its settings"]
 fn many_payloads_leave_the_room_sound() {
     let (wanted, seed) = (setting("HELIOSTAT_FUZZ_PAYLOADS", 100_000_000), setting("HELIOSTAT_FUZZ_SEED", 1));
-    let (commit, start) = (commit(), Instant::now());
+    let (commit, start) = (Origin::here().commit, Instant::now());
     let (mut inputs, mut input) = (Inputs { state: seed }, Vec::new());
     let (mut tally, mut count, mut reported) = (Tally::default(), 0_u64, start);
     while tally.hostile < wanted {

@@ -119,7 +119,7 @@ fn the_dashboard_uses_metrics_that_a_running_room_serves() {
         "controller/runtime/src/report/metrics.rs",
         "controller/runtime/src/report/metrics.rs",
         "controller/runtime/src/report/metrics.rs",
-        "sim-node/node/src/metrics.rs",
+        "crates/service/src/page.rs",
         "controller/runtime/src/report/metrics.rs",
         "crates/service/src/exporter.rs",
         "crates/service/src/exporter.rs",

@@ -49,8 +49,9 @@ impl MessagePublisher {
     ///
     /// # Errors
     /// A message that violates the contract.
-    pub fn encode<T: Message>(&mut self, message: &T) -> Result<(), SessionError> {
-        Ok(encode(message, &mut self.buffer)?)
+    pub fn encode<T: Message>(&mut self, message: &T) -> Result<&Self, SessionError> {
+        encode(message, &mut self.buffer)?;
+        Ok(self)
     }
 
     /// Publishes the message that was encoded last.

@@ -141,8 +141,7 @@ impl ArraySession {
     /// # Errors
     /// A transport that fails, or telemetry that violates the contract.
     pub fn publish_telemetry(&mut self, telemetry: &MirrorTelemetry) -> Result<(), SessionError> {
-        self.telemetry.encode(telemetry)?;
-        self.telemetry.put()
+        self.telemetry.encode(telemetry)?.put()
     }
 
     /// Publishes the capabilities, and answers queries with them from now on.

@@ -29,7 +29,16 @@ impl Process {
         Self::heliostat_under(&[], &[], arguments)
     }
 
-    /// The same, for tests that may lose no message: on a busy machine Zenoh waits up to a second
+    /// Starts a controller that connects to a room, listens, and ends with this process.
+    ///
+    /// # Panics
+    /// As [`Process::heliostat`].
+    pub fn controller(policy: &str, room: &str, own: &str, more: &[&str]) -> Self {
+        let flags = ["controller", "--policy", policy, "--connect", room, "--listen", own, "--exit-with-parent"];
+        Self::heliostat(&[&flags[..], more].concat())
+    }
+
+    /// Like [`Process::heliostat`], for tests that may lose no message: on a busy machine Zenoh waits up to a second
     /// before it drops one, instead of 50 us.
     ///
     /// # Panics

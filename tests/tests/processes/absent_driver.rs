@@ -18,17 +18,7 @@ fn report(observer: &RoomObserver, sequence: u64) {
 #[test]
 fn commands_without_a_driver_are_reported_until_one_is_there() {
     let (at, driver_at) = (private_endpoint().unwrap(), private_endpoint().unwrap());
-    let controller = Process::heliostat(&[
-        "controller",
-        "--policy",
-        "flat",
-        "--listen",
-        &at,
-        "--connect",
-        &driver_at,
-        "--exit-with-parent",
-        "--json",
-    ]);
+    let controller = Process::controller("flat", &driver_at, &at, &["--json"]);
     let observer = RoomObserver::connect("demo", &[&at]);
     let ui = Process::heliostat(&["ui", "--plain", "--no-ui", "--connect", &at]);
     let mut sequence = 0;

@@ -25,17 +25,12 @@ impl Setting {
     }
 
     fn controller(&self, index: usize) -> Process {
-        Process::heliostat(&[
-            "controller",
-            "--policy",
-            "nearest",
-            "--connect",
-            &self.room_endpoint,
-            "--listen",
-            &self.controller_endpoints[index],
-            "--exit-with-parent",
-            "--json",
-        ])
+        self.controller_with(index, &[])
+    }
+
+    fn controller_with(&self, index: usize, more: &[&str]) -> Process {
+        let all = [&["--json"], more].concat();
+        Process::controller("nearest", &self.room_endpoint, &self.controller_endpoints[index], &all)
     }
 
     /// An observer of the room and its first controller, after the first commands.
@@ -204,21 +199,7 @@ fn a_controller_that_ends_hands_over_to_the_standby_that_it_is_connected_to() {
     let first = setting.controller(0);
     let observer = setting.observer();
     let epoch = telemetry(&observer).epoch;
-    let endpoints = [&setting.room_endpoint, &setting.controller_endpoints[0]].map(String::as_str);
-    let second = Process::heliostat(&[
-        "controller",
-        "--standby",
-        "--policy",
-        "nearest",
-        "--connect",
-        endpoints[0],
-        "--connect",
-        endpoints[1],
-        "--listen",
-        &setting.controller_endpoints[1],
-        "--exit-with-parent",
-        "--json",
-    ]);
+    let second = setting.controller_with(1, &["--standby", "--connect", &setting.controller_endpoints[0]]);
     let of_second = RoomObserver::connect("demo", &[&setting.room_endpoint, &setting.controller_endpoints[1]]);
     wait_until("a second controller in standby", || {
         of_second.status(NodeKind::Controller).is_some_and(|status| status.state == "standby")

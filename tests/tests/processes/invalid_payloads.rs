@@ -40,17 +40,7 @@ fn invalid_variants(valid: &[u8]) -> Vec<(&'static str, Vec<u8>)> {
 fn running() -> (Process, Process, RoomObserver) {
     let (room, controller) = (private_endpoint().expect("a port"), private_endpoint().expect("a port"));
     let sim = Process::heliostat(&["sim-node", "--listen", &room, "--exit-with-parent", "--json"]);
-    let central = Process::heliostat(&[
-        "controller",
-        "--policy",
-        "nearest",
-        "--connect",
-        &room,
-        "--listen",
-        &controller,
-        "--exit-with-parent",
-        "--json",
-    ]);
+    let central = Process::controller("nearest", &room, &controller, &["--json"]);
     let observer = RoomObserver::connect("demo", &[&room, &controller]);
     observer.wait_for_commands();
     (sim, central, observer)

@@ -26,7 +26,7 @@ impl Process {
     /// # Panics
     /// When the program is not built or does not start.
     pub fn heliostat(arguments: &[&str]) -> Self {
-        Self::heliostat_under(&[], &[], arguments)
+        Self::heliostat_under::<&str>(&[], &[], arguments)
     }
 
     /// Starts a controller that connects to a room, listens, and ends with this process.
@@ -45,7 +45,7 @@ impl Process {
     /// When the program is not built or does not start.
     pub fn heliostat_without_loss(arguments: &[&str]) -> Self {
         let wait = "transport/link/tx/queue/congestion_control/drop/wait_before_drop=1000000";
-        Self::heliostat_under(&[], &[("HELIOSTAT_ZENOH", wait)], arguments)
+        Self::heliostat_under::<&str>(&[], &[("HELIOSTAT_ZENOH", wait)], arguments)
     }
 
     /// Starts `heliostat` with these environment variables, under another program if `wrapper` is
@@ -53,10 +53,11 @@ impl Process {
     ///
     /// # Panics
     /// When the program is not built or does not start.
-    pub fn heliostat_under(wrapper: &[&str], variables: &[(&str, &str)], arguments: &[&str]) -> Self {
+    pub fn heliostat_under<W: AsRef<str>>(wrapper: &[W], variables: &[(&str, &str)], arguments: &[&str]) -> Self {
+        let wrapper: Vec<&str> = wrapper.iter().map(AsRef::as_ref).collect();
         let path = built("heliostat");
         let arguments = &in_test_room(arguments)[..];
-        match wrapper {
+        match &wrapper[..] {
             [] => Self::start(&path, arguments, variables),
             [first, rest @ ..] => {
                 let program = [path.to_str().expect("the path is text")];
@@ -69,8 +70,9 @@ impl Process {
     ///
     /// # Panics
     /// When it does not start.
-    pub fn foreign(wrapper: &[&str], program: &Path, arguments: &[&str]) -> Self {
-        let words = [wrapper, &[program.to_str().expect("the path is text")], arguments].concat();
+    pub fn foreign(wrapper: &[String], program: &Path, arguments: &[&str]) -> Self {
+        let wrapper: Vec<&str> = wrapper.iter().map(String::as_str).collect();
+        let words = [&wrapper[..], &[program.to_str().expect("the path is text")], arguments].concat();
         Self::start(Path::new(words[0]), &words[1..], &[])
     }
 

@@ -154,7 +154,6 @@ impl Scene {
         let room = setup.start();
         let operator = Operator::join(&session);
         let wrapper = link.map(Link::wrapper).unwrap_or_default();
-        let wrapper: Vec<&str> = wrapper.iter().map(String::as_str).collect();
         let files = tempfile::tempdir().expect("a folder");
         let viewer = |number: usize| {
             let file = files.path().join(format!("{number}.mcap")).display().to_string();

@@ -13,7 +13,7 @@ const SERVICES: [&str; 3] = ["router", "sim-node", "controller"];
 
 /// Starts `heliostat` in the network of the engine.
 fn heliostat(engine: &Engine, arguments: &[&str]) -> Process {
-    Process::heliostat_under(&engine.wrapper().each_ref().map(String::as_str), &[], arguments)
+    Process::heliostat_under(&engine.wrapper(), &[], arguments)
 }
 
 /// Runs an operator's command through the router of the containers.

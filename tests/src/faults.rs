@@ -36,5 +36,5 @@ pub use room::{Array, FaultRoom, Launch, Setup, make_keys};
 pub use system_clock::SystemClock;
 pub use table::{FAULTS, Fault};
 pub use team::{Succession, Team};
-pub use tracker::Tracker;
+pub use tracker::{Tracker, users_at_rest};
 pub use witness::Witness;

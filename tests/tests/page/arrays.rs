@@ -6,9 +6,10 @@ use std::time::Duration;
 use heliostat_bus::{BusConfig, Class, private_endpoint};
 use heliostat_proto::{ArrayState, MirrorCommand, NodeKind, Room};
 use heliostat_service::Stop;
-use heliostat_tests::{Process, wait_until};
+use heliostat_tests::faults::users_at_rest;
+use heliostat_tests::{Process, encoded, wait_until};
 
-use room::{Observer, RequestAtEnd, drive, report, scenario_file};
+use room::{Observer, RequestAtEnd, drive, scenario_file};
 
 mod page;
 mod room;
@@ -167,7 +168,7 @@ fn two_drivers_share_a_room_and_the_end_of_one_leaves_the_other_commanded() {
         let mut until = |what: &str, is_so: &dyn Fn() -> bool| {
             wait_until(what, || {
                 tick += 1;
-                tracker.put(&report(tick)).expect("the session is open");
+                tracker.put(&encoded(&users_at_rest(7, tick))).expect("the session is open");
                 std::thread::sleep(Duration::from_millis(10));
                 is_so()
             });

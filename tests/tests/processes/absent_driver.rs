@@ -1,19 +1,11 @@
 //! Commands without a driver: the controller reports it, and so do viewers.
 
 use heliostat_bus::private_endpoint;
-use heliostat_proto::{NodeKind, Stamp, UserReport, UserState};
-use heliostat_service::clock::utc_ns;
+use heliostat_proto::NodeKind;
+use heliostat_tests::faults::users_at_rest;
 use heliostat_tests::{Process, RoomObserver, encoded, wait_until};
 
 const PROBLEM: &str = "no driver receives the commands";
-
-/// Publishes the positions of five users like a tracker.
-fn report(observer: &RoomObserver, sequence: u64) {
-    let user = |user: u32| UserState { user, position_m: [0.5 * user as f32 - 1.0, 0.0, 0.85], ..UserState::default() };
-    let stamp = Stamp { source: 7, sequence, time_ns: utc_ns() };
-    let users = (0..5).map(user).collect();
-    observer.publish(&observer.room().users(), &encoded(&UserReport { stamp, tick: sequence, users }));
-}
 
 #[test]
 fn commands_without_a_driver_are_reported_until_one_is_there() {
@@ -25,7 +17,7 @@ fn commands_without_a_driver_are_reported_until_one_is_there() {
     let mut until = |what: &str, condition: &dyn Fn() -> bool| {
         wait_until(what, || {
             sequence += 1;
-            report(&observer, sequence);
+            observer.publish(&observer.room().users(), &encoded(&users_at_rest(7, sequence)));
             condition()
         });
     };

@@ -4,10 +4,11 @@ use heliostat_bus::{Bus, BusConfig, Class, private_endpoint};
 use heliostat_needs::needs;
 use heliostat_proto::Room;
 use heliostat_service::Stop;
-use heliostat_tests::{Browser, PageServer, Process, wait_until};
+use heliostat_tests::faults::users_at_rest;
+use heliostat_tests::{Browser, PageServer, Process, encoded, wait_until};
 use serde_json::{Value, json};
 
-use super::room::{RequestAtEnd, drive, report, scenario_file};
+use super::room::{RequestAtEnd, drive, scenario_file};
 use super::simulated;
 
 /// The server of a page about a room.
@@ -86,7 +87,7 @@ fn the_page_names_the_array_whose_driver_has_left() {
             let mut tick = 0;
             while !stop.wait_for(std::time::Duration::from_millis(10)) {
                 tick += 1;
-                users.put(&report(tick)).expect("the session is open");
+                users.put(&encoded(&users_at_rest(7, tick))).expect("the session is open");
             }
         });
         let server = page("shown", &[first, second, of_controller]);

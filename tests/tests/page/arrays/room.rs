@@ -6,14 +6,11 @@ use heliostat_array::Kit;
 use heliostat_bus::{Bus, BusConfig};
 use heliostat_driver::run::{self, Settings};
 use heliostat_driver::stop_record::StopRecordSettings;
-use heliostat_proto::{
-    ArrayState, MirrorCommand, MirrorTelemetry, NodeKind, NodeStatus, Room, Stamp, UserReport, UserState,
-};
+use heliostat_proto::{ArrayState, MirrorCommand, MirrorTelemetry, NodeKind, NodeStatus, Room};
 use heliostat_room::mirrors::SimulatedMirrors;
 use heliostat_scenario::Scenario;
 use heliostat_service::Stop;
-use heliostat_service::clock::utc_ns;
-use heliostat_tests::{Latest, TWO_ARRAYS, encoded};
+use heliostat_tests::{Latest, TWO_ARRAYS};
 
 pub fn scenario_file(folder: &Path) -> String {
     let file = folder.join("two.toml");
@@ -69,14 +66,6 @@ pub fn drive(array: usize, config: BusConfig, folder: PathBuf, stop: &Stop) -> R
     let record = StopRecordSettings { directory: Some(folder), start_armed: true };
     let settings = Settings { record, array, ..Settings::new(config) };
     run::run(Kit::new(mirrors), &settings, stop).map(|summary| summary.commands).map_err(|error| error.to_string())
-}
-
-/// Users at rest, as a tracker would report them.
-pub fn report(tick: u64) -> Vec<u8> {
-    let at = |user: u32| [user as f32 - 2.0, 0.5 * user as f32 - 1.0, 0.85];
-    let user = |user: u32| UserState { user, position_m: at(user), velocity_m_s: [0.0; 2], min_rate_bps: 1e6 };
-    let stamp = Stamp { source: 7, sequence: tick, time_ns: utc_ns() };
-    encoded(&UserReport { stamp, tick, users: (0..5).map(user).collect() })
 }
 
 /// Requests stops when dropped, so that every thread ends where a check fails.

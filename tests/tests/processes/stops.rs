@@ -2,20 +2,17 @@
 //! while a mirror can move, and a stop reaches each array, whenever it returns.
 
 use std::path::Path;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use heliostat_bus::{Bus, BusConfig, Class, Publisher, free_loopback_endpoint};
 use heliostat_proto::{
-    ArrayState, EmergencyStop, MirrorTelemetry, NodeKind, NodeStatus, Rearm, Room, Stamp, StopReport, UserReport,
-    UserState, decode,
+    ArrayState, EmergencyStop, MirrorTelemetry, NodeKind, NodeStatus, Rearm, Room, Stamp, StopReport, decode,
 };
 use heliostat_service::clock::utc_ns;
-use heliostat_tests::faults::{Behaviour, LoopbackBoard};
+use heliostat_tests::faults::{Behaviour, LoopbackBoard, Tracker};
 use heliostat_tests::{Ended, Latest, Process, TWO_ARRAYS, encoded, wait_until};
 
-/// A controller, two drivers with a board each, and a tracker of this test.
+/// A controller, two drivers with a board each, and a tracker.
 struct TwoArrays {
     room: String,
     folder: tempfile::TempDir,
@@ -29,7 +26,8 @@ struct TwoArrays {
     telemetry: [Latest<MirrorTelemetry>; 2],
     stops: [Latest<StopReport>; 2],
     status: Latest<NodeStatus>,
-    is_ended: Arc<AtomicBool>,
+    /// Reports users, so that the controller commands.
+    _tracker: Tracker,
 }
 
 impl TwoArrays {
@@ -48,7 +46,6 @@ impl TwoArrays {
         let config = BusConfig::new(Room::new(room).expect("a valid name"));
         let config = config.connect_to(&endpoints[0]).connect_to(&endpoints[1]).connect_to(&of_controller);
         let bus = Bus::open(&config).expect("the bus opens");
-        let is_ended = Arc::new(AtomicBool::new(false));
         let mut room = Self {
             room: room.to_owned(),
             folder,
@@ -62,29 +59,12 @@ impl TwoArrays {
             stops: [0, 1].map(|array| Latest::of(&bus, &bus.room().array(array).stops())),
             status: Latest::of(&bus, &bus.room().status(NodeKind::Controller)),
             bus,
-            is_ended,
+            _tracker: Tracker::start(&config),
         };
-        room.report_users();
         room.start_driver(0);
         room.start_driver(1);
         room.wait_for([ArrayState::Following; 2]);
         room
-    }
-
-    /// Reports users, so that the controller commands, until the end.
-    fn report_users(&self) {
-        let publisher = self.bus.publisher(&self.bus.room().users(), Class::RealTimeDrop).expect("a valid key");
-        let is_ended = Arc::clone(&self.is_ended);
-        std::thread::spawn(move || {
-            let mut tick = 0;
-            while !is_ended.load(Ordering::SeqCst) {
-                tick += 1;
-                let stamp = Stamp { source: 7, sequence: tick, time_ns: utc_ns() };
-                let users = vec![UserState { position_m: [0.5, 0.5, 0.85], min_rate_bps: 1e6, ..UserState::default() }];
-                drop(publisher.put(&encoded(&UserReport { stamp, tick, users })));
-                std::thread::sleep(Duration::from_millis(20));
-            }
-        });
     }
 
     fn start_driver(&mut self, array: usize) {
@@ -129,12 +109,6 @@ impl TwoArrays {
         let [first, second] = &self.endpoints;
         let connect = ["--connect", first, "--connect", second, "--connect", &self.of_controller];
         Process::heliostat_under(wrapper, &[], &[&own[..], &connect, flags].concat()).wait()
-    }
-}
-
-impl Drop for TwoArrays {
-    fn drop(&mut self) {
-        self.is_ended.store(true, Ordering::SeqCst);
     }
 }
 

@@ -16,6 +16,7 @@ mod browser;
 pub mod containers;
 pub mod faults;
 mod live_page;
+mod metrics;
 mod observer;
 pub mod packages;
 mod pauses;
@@ -25,6 +26,7 @@ mod wait;
 
 pub use browser::Browser;
 pub use live_page::{PageServer, choose_theme};
+pub use metrics::{fetch_metrics, sample_value};
 pub use observer::{Latest, RoomObserver, encoded};
 pub use pauses::Pauses;
 pub use process::{Ended, Process, TWO_ARRAYS, golden_recording, programs, workspace};

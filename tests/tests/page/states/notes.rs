@@ -61,8 +61,7 @@ fn two_drivers_of_one_array_are_named_at_the_top_with_what_to_do() {
 #[needs("browser")]
 #[test]
 fn a_missing_controller_and_a_missing_room_are_named_at_the_top_with_what_to_start() {
-    let mut setting = Setting::new();
-    let browser = setting.browser();
+    let (mut setting, browser) = Setting::shown();
     setting.controller.kill();
     wait_until("a note about the controller", || {
         wrong(&browser).contains("No controller commands the mirrors: start one") && is_at_the_top(&browser) == true

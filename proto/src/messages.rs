@@ -259,7 +259,7 @@ impl NodeStatus {
     /// The keys of the arrays that do not fit the scenario of a controller, so that it sends them no commands: none
     /// are named where no array fits. `None` where each one fits.
     pub fn unfit_arrays(&self) -> Option<Vec<&str>> {
-        let is_unfit = self.counters.iter().any(|(name, count)| name == Self::ARRAY_UNFIT && *count > 0);
+        let is_unfit = self.counter(Self::ARRAY_UNFIT).is_some_and(|count| count > 0);
         let key = |(name, _): &'_ (String, u64)| name.starts_with(Self::ARRAY_UNFIT_OF);
         let named = self.counters.iter().filter(|counter| key(counter));
         is_unfit.then(|| named.map(|(name, _)| &name[Self::ARRAY_UNFIT_OF.len()..]).collect())
@@ -273,6 +273,11 @@ impl NodeStatus {
     /// The hash of the network of the policy in use; `None` for a policy that is not learned.
     pub fn actor(&self) -> Option<&str> {
         self.counters.iter().find_map(|(name, _)| name.strip_prefix(Self::ACTOR))
+    }
+
+    /// The count with this name.
+    pub fn counter(&self, name: &str) -> Option<u64> {
+        self.counters.iter().find(|(counter, _)| counter == name).map(|(_, count)| *count)
     }
 
     /// The present value with this name.

@@ -7,7 +7,7 @@ import os
 import signal
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -22,15 +22,6 @@ from dynamixel_chain import ERROR, GOAL, MODE, TEMPERATURE, TORQUE, VELOCITY, Ch
 from heliostat.dynamixel import MIDDLE, STEP_RAD, Dynamixel, ServoError
 from room import end_by, free_endpoint, needs_program, python, wait_until
 from test_driver import verdicts
-
-
-@contextmanager
-def chain(*identifiers: int) -> Iterator[Chain]:
-    one = Chain(*identifiers)
-    try:
-        yield one
-    finally:
-        one.close()
 
 
 def angles(*values: float) -> NDArray[np.float64]:
@@ -50,7 +41,7 @@ def test_the_checksum_of_the_emulated_servos_is_that_of_the_manual() -> None:
 @needs_program
 def test_a_chain_keeps_every_rule_of_the_contract(tmp_path: Path) -> None:
     endpoint = free_endpoint()
-    with chain(1, 2, 3, 4) as servos:
+    with closing(Chain(1, 2, 3, 4)) as servos:
         flags = ("--port", servos.port, "--rows", "1", "--columns", "2", "--servos", "1,2,3,4", "--speed-deg-s", "600")
         with python("-m", "heliostat.dynamixel", *flags, "--connect", endpoint, folder=tmp_path) as driver:
             found = verdicts("--listen", endpoint)
@@ -60,7 +51,7 @@ def test_a_chain_keeps_every_rule_of_the_contract(tmp_path: Path) -> None:
 
 
 def test_angles_reach_the_servos_of_their_axes_and_come_back_as_measured() -> None:
-    with chain(1, 2, 7, 8) as servos:
+    with closing(Chain(1, 2, 7, 8)) as servos:
         device = Dynamixel(servos.port, 1, 2, [1, 2, 7, 8], range_rad=0.5, speed_rad_s=20.0, reversed_servos=[8])
         device.connect()
         assert all(servo.get(MODE, 1) == 3 and not servo.get(TORQUE, 1) for servo in servos.servos.values())
@@ -76,7 +67,7 @@ def test_angles_reach_the_servos_of_their_axes_and_come_back_as_measured() -> No
 
 
 def test_a_stop_switches_the_torque_off_and_reads_it_back() -> None:
-    with chain(1, 2) as servos:
+    with closing(Chain(1, 2)) as servos:
         device = Dynamixel(servos.port, 1, 1, [1, 2])
         device.connect()
         device.turn(angles(0.2), angles(0.2))
@@ -97,7 +88,7 @@ def test_a_stop_switches_the_torque_off_and_reads_it_back() -> None:
 
 
 def test_a_servo_that_falls_silent_makes_its_mirror_unusable_and_keeps_no_other_from_turning() -> None:
-    with chain(1, 2, 3, 4) as servos:
+    with closing(Chain(1, 2, 3, 4)) as servos:
         device = Dynamixel(servos.port, 1, 2, [1, 2, 3, 4], speed_rad_s=20.0)
         device.connect()
         servos.servos[2].is_connected = False
@@ -115,7 +106,7 @@ def test_a_servo_that_falls_silent_makes_its_mirror_unusable_and_keeps_no_other_
 
 def test_servos_that_do_not_answer_are_asked_one_at_a_time_so_that_a_stop_does_not_wait() -> None:
     identifiers = range(1, 13)
-    with chain(*identifiers) as servos:
+    with closing(Chain(*identifiers)) as servos:
         device = Dynamixel(servos.port, 2, 3, list(identifiers))
         device.connect()
         device.turn(np.zeros(6), np.zeros(6))
@@ -149,11 +140,11 @@ def test_servos_that_do_not_answer_are_asked_one_at_a_time_so_that_a_stop_does_n
 
 
 def test_a_chain_without_servos_and_a_port_that_is_absent_are_named() -> None:
-    with chain(9) as servos, pytest.raises(ServoError, match="no servo answers at .* check power and cable"):
+    with closing(Chain(9)) as servos, pytest.raises(ServoError, match="no servo answers at .* check power and cable"):
         Dynamixel(servos.port, 1, 1, [1, 2]).connect()
     with pytest.raises(ServoError, match="/dev/absent"):
         Dynamixel("/dev/absent", 1, 1, [1, 2]).connect()
-    with chain(1, 2) as servos:
+    with closing(Chain(1, 2)) as servos:
         device = Dynamixel(servos.port, 1, 1, [1, 2])
         with pytest.raises(ServoError, match="not connected"):
             device.stop()

@@ -9,7 +9,7 @@ import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -101,15 +101,6 @@ class Gateway:
         self.client.loop_stop()
 
 
-@contextmanager
-def gateway(port: int, login: tuple[str, str] | None = None) -> Iterator[Gateway]:
-    one = Gateway(port, login)
-    try:
-        yield one
-    finally:
-        one.close()
-
-
 def dwm(x: Any, y: Any, z: Any) -> dict[str, Any]:
     return {"position": {"x": x, "y": y, "z": z, "quality": 71}, "superFrameNumber": 133}
 
@@ -121,7 +112,7 @@ def pozyx(tag: str, x: float, y: float, z: float, success: bool = True) -> dict[
 
 @needs_broker
 def test_uwb_tags_become_users_whom_a_controller_answers(tmp_path: Path) -> None:
-    with broker(tmp_path) as port, gateway(port) as tags:
+    with broker(tmp_path) as port, closing(Gateway(port)) as tags:
         flags = ("mqtt", "--broker", "127.0.0.1", "--port", str(port), "--layout", "dwm1001", "--origin=-2,-2,0")
         with tracked(tmp_path, *flags, "--user", "4F2A=0", "--user", "11CC=1", "--timeout-s", "0.4") as run:
             both = [("dwm/node/4F2A/uplink/location", dwm(3.0, 2.5, 0.85)), ("dwm/node/11CC/uplink/location", dwm(1.0, 1.0, 1.2))]
@@ -138,7 +129,7 @@ def test_uwb_tags_become_users_whom_a_controller_answers(tmp_path: Path) -> None
 
 @needs_broker
 def test_the_clock_of_tags_is_used_and_lost_positions_leave(tmp_path: Path) -> None:
-    with broker(tmp_path) as port, gateway(port) as tags:
+    with broker(tmp_path) as port, closing(Gateway(port)) as tags:
         with tracked(tmp_path, "mqtt", "--broker", "127.0.0.1", "--port", str(port), "--layout", "pozyx", "--timeout-s", "0.4") as run:
             tags.messages = lambda: [("tags", [pozyx("26895", 1000.0, -500.0, 850.0), pozyx("26896", 0.0, 0.0, 1000.0)])]
             run.wait_for({0: [1.0, -0.5, 0.85], 1: [0.0, 0.0, 1.0]})
@@ -161,7 +152,7 @@ def test_a_broker_with_passwords_and_messages_that_cannot_be_read_are_named(
         with tracked(tmp_path, *flags) as run:
             wait_until("refusal", lambda: "refuses the connection: Not authorized" in run.problem())
         monkeypatch.setenv("HELIOSTAT_MQTT_PASSWORD", "right")
-        with gateway(port, ("ann", "right")) as tags, tracked(tmp_path, *flags) as run:
+        with closing(Gateway(port, ("ann", "right"))) as tags, tracked(tmp_path, *flags) as run:
             wait_until("silence", lambda: "the broker answers; check the topic" in run.problem())
             for payload, problem in (("{", "cannot be read: Expecting"), ({"id": "a", "x": 1}, "y = None: expected a number")):
                 tags.messages = lambda payload=payload: [("heliostat/tags/a", payload)]  # type: ignore[misc]

@@ -25,7 +25,7 @@ mod team;
 mod tracker;
 mod witness;
 
-pub use attacker::{Attacker, encoded};
+pub use attacker::Attacker;
 pub use board::{Behaviour, LoopbackBoard};
 pub use building::{Building, Host};
 pub use effect::Effect;
@@ -36,5 +36,5 @@ pub use room::{Array, FaultRoom, Launch, Setup, make_keys};
 pub use system_clock::SystemClock;
 pub use table::{FAULTS, Fault};
 pub use team::{Succession, Team};
-pub use tracker::Tracker;
+pub use tracker::{Tracker, users_at_rest};
 pub use witness::Witness;

@@ -1,7 +1,7 @@
 //! Shared parts of the tests across processes, and the packages of the build.
 //!
 //! - [`Process`]: a built program as a process.
-//! - [`RoomObserver`]: a session that receives the messages of a room.
+//! - [`RoomObserver`]: a session that receives the messages of a room, and [`Latest`], those of one key.
 //! - [`Browser`]: a browser with one page.
 //! - [`PageServer`]: a server of the live page.
 //! - [`Pauses`]: the longest pause of the machine.
@@ -16,6 +16,7 @@ mod browser;
 pub mod containers;
 pub mod faults;
 mod live_page;
+mod metrics;
 mod observer;
 pub mod packages;
 mod pauses;
@@ -25,8 +26,9 @@ mod wait;
 
 pub use browser::Browser;
 pub use live_page::{PageServer, choose_theme};
-pub use observer::RoomObserver;
+pub use metrics::{fetch_metrics, sample_value};
+pub use observer::{Latest, RoomObserver, encoded};
 pub use pauses::Pauses;
-pub use process::{Ended, Process, programs, workspace};
+pub use process::{Ended, Process, TWO_ARRAYS, golden_recording, programs, workspace};
 pub use python::{PythonExample, python};
 pub use wait::wait_until;

@@ -4,30 +4,68 @@ use std::sync::{Arc, Mutex};
 
 use heliostat_bus::{Bus, BusConfig, Class, Subscription};
 use heliostat_proto::{
-    MirrorCommand, MirrorTelemetry, NodeKind, NodeStatus, Room, RoomTruth, SafetyReport, UserReport, codec,
+    Message, MirrorCommand, MirrorTelemetry, NodeKind, NodeStatus, Room, RoomTruth, SafetyReport, UserReport, codec,
 };
 
 use crate::wait::wait_until;
 
-/// The latest message of each kind, and for some their number.
-#[derive(Clone, Debug, Default)]
-struct Received {
-    users: (u64, Option<UserReport>),
-    command: (u64, Option<MirrorCommand>),
-    telemetry: (u64, Option<MirrorTelemetry>),
-    safety: (u64, Option<SafetyReport>),
-    truth: (u64, Option<RoomTruth>),
-    controller: (u64, Option<NodeStatus>),
-    sim_node: (u64, Option<NodeStatus>),
-    driver: (u64, Option<NodeStatus>),
+/// The payload of a message.
+///
+/// # Panics
+/// When it cannot be encoded.
+pub fn encoded<T: Message>(message: &T) -> Vec<u8> {
+    let mut payload = Vec::new();
+    codec::encode(message, &mut payload).expect("the message is valid");
+    payload
+}
+
+/// The number of valid messages of a key, and the latest.
+pub struct Latest<T> {
+    found: Arc<Mutex<(u64, Option<T>)>>,
+    _subscription: Subscription,
+}
+
+impl<T: Message + Clone + Send + 'static> Latest<T> {
+    /// Subscribes to a key.
+    ///
+    /// # Panics
+    /// When the key is invalid.
+    pub fn of(bus: &Bus, key: &str) -> Self {
+        let found: Arc<Mutex<(u64, Option<T>)>> = Arc::default();
+        let kept = Arc::clone(&found);
+        let subscription = bus.subscribe(key, move |payload| {
+            // A test may publish invalid payloads.
+            if let Ok(message) = codec::decode(payload) {
+                let mut kept = kept.lock().expect("no callback panics");
+                kept.0 += 1;
+                kept.1 = Some(message);
+            }
+        });
+        Self { found, _subscription: subscription.expect("the key is valid") }
+    }
+
+    /// The number of messages so far, and the latest.
+    pub fn counted(&self) -> (u64, Option<T>) {
+        self.found.lock().expect("no callback panics").clone()
+    }
+
+    /// The latest message.
+    pub fn get(&self) -> Option<T> {
+        self.counted().1
+    }
 }
 
 /// A session in a room that keeps the latest message of each kind.
 pub struct RoomObserver {
     bus: Bus,
-    room: Room,
-    received: Arc<Mutex<Received>>,
-    _subscriptions: Vec<Subscription>,
+    users: Latest<UserReport>,
+    command: Latest<MirrorCommand>,
+    telemetry: Latest<MirrorTelemetry>,
+    safety: Latest<SafetyReport>,
+    truth: Latest<RoomTruth>,
+    controller: Latest<NodeStatus>,
+    sim_node: Latest<NodeStatus>,
+    driver: Latest<NodeStatus>,
 }
 
 impl RoomObserver {
@@ -45,22 +83,24 @@ impl RoomObserver {
     /// # Panics
     /// When the bus does not open.
     pub fn join(config: &BusConfig) -> Self {
-        let room = config.room.clone();
-        let bus = Bus::open(config).expect("the bus opens");
-        let received: Arc<Mutex<Received>> = Arc::default();
-        let keys = [room.users(), room.command(), room.telemetry(), room.safety(), room.truth(), room.all_status()];
-        let subscriptions = keys.map(|key| {
-            let received = Arc::clone(&received);
-            let on_message =
-                move |key: &str, payload: &[u8]| received.lock().expect("no callback panics").take(key, payload);
-            bus.subscribe_keyed(&key, on_message).expect("the key is valid")
-        });
-        Self { bus, room, received, _subscriptions: subscriptions.into() }
+        let (room, bus) = (&config.room, Bus::open(config).expect("the bus opens"));
+        let status = |node: NodeKind| Latest::of(&bus, &room.status(node));
+        Self {
+            users: Latest::of(&bus, &room.users()),
+            command: Latest::of(&bus, &room.command()),
+            telemetry: Latest::of(&bus, &room.telemetry()),
+            safety: Latest::of(&bus, &room.safety()),
+            truth: Latest::of(&bus, &room.truth()),
+            controller: status(NodeKind::Controller),
+            sim_node: status(NodeKind::SimNode),
+            driver: status(NodeKind::Driver),
+            bus,
+        }
     }
 
     /// The room.
     pub fn room(&self) -> &Room {
-        &self.room
+        self.bus.room()
     }
 
     /// Publishes bytes on a key.
@@ -75,48 +115,46 @@ impl RoomObserver {
 
     /// The newest position report.
     pub fn users(&self) -> Option<UserReport> {
-        self.received().users.1
+        self.users.get()
     }
 
     /// The number of commands, and the newest.
     pub fn command(&self) -> (u64, Option<MirrorCommand>) {
-        self.received().command
+        self.command.counted()
     }
 
     /// The newest telemetry.
     pub fn telemetry(&self) -> Option<MirrorTelemetry> {
-        self.received().telemetry.1
+        self.telemetry.get()
     }
 
     /// The number of telemetry messages.
     pub fn telemetry_count(&self) -> u64 {
-        self.received().telemetry.0
+        self.telemetry.counted().0
     }
 
     /// The newest safety report.
     pub fn safety(&self) -> Option<SafetyReport> {
-        self.received().safety.1
+        self.safety.get()
     }
 
     /// The newest truth.
     pub fn truth(&self) -> Option<RoomTruth> {
-        self.received().truth.1
+        self.truth.get()
     }
 
     /// The newest status of a kind of process.
     pub fn status(&self, node: NodeKind) -> Option<NodeStatus> {
-        let received = self.received();
         match node {
-            NodeKind::Controller => received.controller.1,
-            NodeKind::Driver => received.driver.1,
-            _ => received.sim_node.1,
+            NodeKind::Controller => self.controller.get(),
+            NodeKind::Driver => self.driver.get(),
+            _ => self.sim_node.get(),
         }
     }
 
     /// The value of a counter in the newest status; 0 if it is absent.
     pub fn counter(&self, node: NodeKind, name: &str) -> u64 {
-        let counters = self.status(node).map(|status| status.counters).unwrap_or_default();
-        counters.iter().find(|(counter, _)| counter == name).map_or(0, |(_, count)| *count)
+        self.status(node).and_then(|status| status.counter(name)).unwrap_or(0)
     }
 
     /// Waits for ten more commands.
@@ -126,34 +164,5 @@ impl RoomObserver {
     pub fn wait_for_commands(&self) {
         let before = self.command().0;
         wait_until("ten commands", || self.command().0 >= before + 10);
-    }
-
-    fn received(&self) -> Received {
-        self.received.lock().expect("no callback panics").clone()
-    }
-}
-
-impl Received {
-    fn take(&mut self, key: &str, payload: &[u8]) {
-        // A test may publish invalid payloads: the observer counts valid ones only.
-        let last = key.rsplit_once('/').map_or("", |(_, last)| last);
-        match last {
-            "users" => keep(&mut self.users, codec::decode(payload).ok()),
-            "command" => keep(&mut self.command, codec::decode(payload).ok()),
-            "telemetry" => keep(&mut self.telemetry, codec::decode(payload).ok()),
-            "safety" => keep(&mut self.safety, codec::decode(payload).ok()),
-            "truth" => keep(&mut self.truth, codec::decode(payload).ok()),
-            name if name == NodeKind::Controller.name() => keep(&mut self.controller, codec::decode(payload).ok()),
-            name if name == NodeKind::Driver.name() => keep(&mut self.driver, codec::decode(payload).ok()),
-            name if name == NodeKind::SimNode.name() => keep(&mut self.sim_node, codec::decode(payload).ok()),
-            _ => {}
-        }
-    }
-}
-
-fn keep<T>(slot: &mut (u64, Option<T>), message: Option<T>) {
-    if message.is_some() {
-        slot.0 += 1;
-        slot.1 = message;
     }
 }

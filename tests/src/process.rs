@@ -26,17 +26,26 @@ impl Process {
     /// # Panics
     /// When the program is not built or does not start.
     pub fn heliostat(arguments: &[&str]) -> Self {
-        Self::heliostat_under(&[], &[], arguments)
+        Self::heliostat_under::<&str>(&[], &[], arguments)
     }
 
-    /// The same, for tests that may lose no message: on a busy machine Zenoh waits up to a second
+    /// Starts a controller that connects to a room, listens, and ends with this process.
+    ///
+    /// # Panics
+    /// As [`Process::heliostat`].
+    pub fn controller(policy: &str, room: &str, own: &str, more: &[&str]) -> Self {
+        let flags = ["controller", "--policy", policy, "--connect", room, "--listen", own, "--exit-with-parent"];
+        Self::heliostat(&[&flags[..], more].concat())
+    }
+
+    /// Like [`Process::heliostat`], for tests that may lose no message: on a busy machine Zenoh waits up to a second
     /// before it drops one, instead of 50 us.
     ///
     /// # Panics
     /// When the program is not built or does not start.
     pub fn heliostat_without_loss(arguments: &[&str]) -> Self {
         let wait = "transport/link/tx/queue/congestion_control/drop/wait_before_drop=1000000";
-        Self::heliostat_under(&[], &[("HELIOSTAT_ZENOH", wait)], arguments)
+        Self::heliostat_under::<&str>(&[], &[("HELIOSTAT_ZENOH", wait)], arguments)
     }
 
     /// Starts `heliostat` with these environment variables, under another program if `wrapper` is
@@ -44,10 +53,11 @@ impl Process {
     ///
     /// # Panics
     /// When the program is not built or does not start.
-    pub fn heliostat_under(wrapper: &[&str], variables: &[(&str, &str)], arguments: &[&str]) -> Self {
+    pub fn heliostat_under<W: AsRef<str>>(wrapper: &[W], variables: &[(&str, &str)], arguments: &[&str]) -> Self {
+        let wrapper: Vec<&str> = wrapper.iter().map(AsRef::as_ref).collect();
         let path = built("heliostat");
         let arguments = &in_test_room(arguments)[..];
-        match wrapper {
+        match &wrapper[..] {
             [] => Self::start(&path, arguments, variables),
             [first, rest @ ..] => {
                 let program = [path.to_str().expect("the path is text")];
@@ -60,8 +70,9 @@ impl Process {
     ///
     /// # Panics
     /// When it does not start.
-    pub fn foreign(wrapper: &[&str], program: &Path, arguments: &[&str]) -> Self {
-        let words = [wrapper, &[program.to_str().expect("the path is text")], arguments].concat();
+    pub fn foreign(wrapper: &[String], program: &Path, arguments: &[&str]) -> Self {
+        let wrapper: Vec<&str> = wrapper.iter().map(String::as_str).collect();
+        let words = [&wrapper[..], &[program.to_str().expect("the path is text")], arguments].concat();
         Self::start(Path::new(words[0]), &words[1..], &[])
     }
 
@@ -225,6 +236,10 @@ fn collect(mut stream: impl Read + Send + 'static, into: &Arc<Mutex<String>>) ->
 /// reports in a short time.
 const TEST_SCENARIO: &str = "specular";
 
+/// A scenario with six mirrors on one wall, then eight on another.
+pub const TWO_ARRAYS: &str =
+    "name = \"two\"\n[[mirrors]]\nrows = 2\ncolumns = 3\n[[mirrors]]\nrows = 2\ncolumns = 4\nwall = \"-x\"\n";
+
 /// The arguments of a process, with the scenario of the tests where they name none.
 fn in_test_room<'a>(arguments: &[&'a str]) -> Vec<&'a str> {
     let runs_a_room = matches!(arguments, ["sim-node" | "controller" | "demo" | "record", ..]);
@@ -238,8 +253,19 @@ fn in_test_room<'a>(arguments: &[&'a str]) -> Vec<&'a str> {
 }
 
 /// The folder of the workspace.
+///
+/// # Panics
+/// When it is gone.
 pub fn workspace() -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("..")
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().expect("the workspace is there")
+}
+
+/// A recording of 120 ticks that every version replays.
+///
+/// # Panics
+/// As [`workspace`].
+pub fn golden_recording() -> PathBuf {
+    workspace().join("tests/data/golden.mcap")
 }
 
 /// The folder of the built programs.

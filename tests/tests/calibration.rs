@@ -13,9 +13,9 @@ use heliostat_array::calibration_file::{AxisCorrections, CalibrationFile};
 use heliostat_bus::{BusConfig, private_endpoint};
 use heliostat_needs::needs;
 use heliostat_proto::messages::fault;
-use heliostat_proto::{ArrayState, NodeKind, Room, UserReport, encode};
+use heliostat_proto::{ArrayState, NodeKind, Room, UserReport};
 use heliostat_service::clock::utc_ns;
-use heliostat_tests::{Browser, Ended, PageServer, Process, RoomObserver, wait_until};
+use heliostat_tests::{Browser, Ended, PageServer, Process, RoomObserver, encoded, wait_until};
 use serde_json::Value;
 
 /// The room as it is described: 4 x 4 mirrors, 100 reports a second.
@@ -162,8 +162,9 @@ fn a_refinement_commands_only_while_the_receiver_is_alone_and_gives_the_room_bac
     let of_calibration = || {
         let status = observer.status(NodeKind::Controller)?;
         let is_calibration = status.state.starts_with("calibrating: spot 1 of 3");
-        let epoch = status.counters.iter().find(|(name, _)| name == "epoch").map(|(_, epoch)| *epoch);
-        epoch.filter(|epoch| is_calibration && observer.telemetry().is_some_and(|array| array.epoch == *epoch))
+        status
+            .counter("epoch")
+            .filter(|epoch| is_calibration && observer.telemetry().is_some_and(|array| array.epoch == *epoch))
     };
     let calibrating = |refinement: &mut Process| {
         let mut epoch = None;
@@ -185,9 +186,7 @@ fn a_refinement_commands_only_while_the_receiver_is_alone_and_gives_the_room_bac
         report.users.push(heliostat_proto::UserState { user: 5, ..holder });
         report.stamp.sequence += 1;
         report.stamp.time_ns = utc_ns();
-        let mut payload = Vec::new();
-        encode(report, &mut payload).expect("a sound report");
-        observer.publish(&observer.room().users(), &payload);
+        observer.publish(&observer.room().users(), &encoded(report));
     };
     let entered = Instant::now();
     wait_until("the controller in the lead", || {

@@ -14,7 +14,7 @@ use heliostat_needs::needs;
 use heliostat_proto::{ArrayState, EmergencyStop, MirrorTelemetry, NodeKind, Stamp, StopAction, codec};
 use heliostat_service::clock::utc_ns;
 use heliostat_tests::faults::{Array, FaultRoom, Launch, Link, Setup};
-use heliostat_tests::{Pauses, Process, wait_until};
+use heliostat_tests::{Pauses, Process, encoded, wait_until};
 use tempfile::TempDir;
 
 /// Setting of the viewers: in ms, the time after which the others end a silent connection.
@@ -111,9 +111,8 @@ impl Operator {
     fn order(&mut self, action: StopAction) -> Instant {
         self.sequence += 1;
         let stamp = Stamp { source: 1, sequence: self.sequence, time_ns: utc_ns() };
-        let mut payload = Vec::new();
         let order = EmergencyStop { stamp, action, operator: "test".into(), reason: "frozen viewers".into() };
-        codec::encode(&order, &mut payload).expect("the order can be encoded");
+        let payload = encoded(&order);
         let ordered = Instant::now();
         self.stops.put(&payload).expect("the session is open");
         ordered
@@ -155,7 +154,6 @@ impl Scene {
         let room = setup.start();
         let operator = Operator::join(&session);
         let wrapper = link.map(Link::wrapper).unwrap_or_default();
-        let wrapper: Vec<&str> = wrapper.iter().map(String::as_str).collect();
         let files = tempfile::tempdir().expect("a folder");
         let viewer = |number: usize| {
             let file = files.path().join(format!("{number}.mcap")).display().to_string();

@@ -335,8 +335,7 @@ impl<D: Device> Driver<D> {
             Report::Capabilities(capabilities) => self.session.publish_capabilities(capabilities),
             Report::Status(status) => {
                 self.show();
-                self.status.encode(status)?;
-                self.status.put()
+                self.status.encode(status)?.put()
             }
         }
     }

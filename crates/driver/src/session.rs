@@ -49,8 +49,9 @@ impl MessagePublisher {
     ///
     /// # Errors
     /// A message that violates the contract.
-    pub fn encode<T: Message>(&mut self, message: &T) -> Result<(), SessionError> {
-        Ok(encode(message, &mut self.buffer)?)
+    pub fn encode<T: Message>(&mut self, message: &T) -> Result<&Self, SessionError> {
+        encode(message, &mut self.buffer)?;
+        Ok(self)
     }
 
     /// Publishes the message that was encoded last.
@@ -140,8 +141,7 @@ impl ArraySession {
     /// # Errors
     /// A transport that fails, or telemetry that violates the contract.
     pub fn publish_telemetry(&mut self, telemetry: &MirrorTelemetry) -> Result<(), SessionError> {
-        self.telemetry.encode(telemetry)?;
-        self.telemetry.put()
+        self.telemetry.encode(telemetry)?.put()
     }
 
     /// Publishes the capabilities, and answers queries with them from now on.

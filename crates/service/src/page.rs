@@ -1,5 +1,6 @@
 //! The metrics of one moment.
 
+use std::collections::BTreeMap;
 use std::fmt;
 
 use prometheus_client::collector::Collector;
@@ -122,6 +123,17 @@ impl Page {
     pub fn array_state(&mut self, labels: &[(&str, &str)], state: &str) {
         let labels = [labels, &[("state", state)]].concat();
         self.gauge("heliostat_array_state_info", "State of the array; the value is always 1", &labels, 1.0);
+    }
+
+    /// Adds for a process with mirrors the commands that its arrays accepted, and what they refused by its reason.
+    pub fn commands(&mut self, accepted: u64, clipped: u64, refused: &BTreeMap<String, u64>) {
+        self.counter("heliostat_room_commands", "Commands that the array accepted", &[], accepted);
+        let help = "Accepted commands with an angle beyond the range";
+        self.counter("heliostat_room_commands_clipped", help, &[], clipped);
+        let help = "Payloads and commands refused, by reason";
+        for (reason, count) in refused {
+            self.counter("heliostat_room_refused", help, &[("reason", reason.as_str())], *count);
+        }
     }
 
     /// The page as text.

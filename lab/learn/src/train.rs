@@ -174,10 +174,10 @@ impl TrainArgs {
     }
 }
 
-/// A word of a shell command, in quotes where it needs them.
-fn quoted(word: &str) -> String {
-    let is_plain = |letter: char| letter.is_ascii_alphanumeric() || "-_./=,:+@%".contains(letter);
-    if !word.is_empty() && word.chars().all(is_plain) {
+/// A word quoted for a shell. A pair of braces without content is literal in every shell.
+pub fn quoted(word: &str) -> String {
+    let is_plain = |letter: char| letter.is_alphanumeric() || "-_./=,:+@%".contains(letter);
+    if !word.is_empty() && word.replace("{}", "").chars().all(is_plain) {
         word.into()
     } else {
         format!("'{}'", word.replace('\'', r"'\''"))

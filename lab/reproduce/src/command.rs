@@ -1,6 +1,8 @@
 //! The command line that reproduces a figure. Local paths (`--out`, `--write-docs`) and output
 //! options are omitted.
 
+pub use heliostat_learn::train::quoted;
+
 use crate::plan::Room;
 
 /// The command that reproduces one figure in one room.
@@ -11,16 +13,6 @@ pub fn of_figure(id: &str, room: &Room) -> String {
 /// The command up to its flags.
 pub(crate) fn begun(what: &str) -> String {
     format!("heliostat-lab reproduce {what} --out DIR")
-}
-
-/// A word quoted for a shell. A pair of braces without content is literal in every shell.
-pub fn quoted(word: &str) -> String {
-    let plain = |letter: char| letter.is_alphanumeric() || "-_./,=:+".contains(letter);
-    if !word.is_empty() && word.replace("{}", "").chars().all(plain) {
-        word.into()
-    } else {
-        format!("'{}'", word.replace('\'', r"'\''"))
-    }
 }
 
 #[cfg(test)]

@@ -19,18 +19,10 @@ pub(crate) fn page(room: &str, summary: &Summary, ticks: &TickLedger) -> Page {
             "Ticks before the first answer, or without one during a stop",
             summary.unattended_ticks,
         ),
-        ("heliostat_room_commands", "Commands that the array accepted", summary.commands),
-        (
-            "heliostat_room_commands_clipped",
-            "Accepted commands with an angle beyond the range",
-            summary.clipped_commands,
-        ),
     ] {
         page.counter(name, help, &[], value);
     }
-    for (reason, count) in &summary.refused {
-        page.counter("heliostat_room_refused", "Payloads and commands refused", &[("reason", reason.as_str())], *count);
-    }
+    page.commands(summary.commands, summary.clipped_commands, &summary.refused);
     if let Some(BeliefSummary { places, inside_50, inside_95 }) = summary.belief {
         let help = "Places in the controller's belief that were compared with the truth";
         page.counter("heliostat_belief_places", help, &[], places);

@@ -9,7 +9,7 @@ use heliostat_array::stop_record;
 use heliostat_bus::Class;
 use heliostat_driver::clock::Clock;
 use heliostat_proto::array_keys::array_name;
-use heliostat_proto::{ArrayState, Counters, MirrorCommand, NodeKind, NodeStatus, Quantiles, Stamp};
+use heliostat_proto::{ArrayState, Counters, MirrorCommand, NodeKind, NodeStatus, Stamp};
 use heliostat_room::baselines::Snapshot;
 use heliostat_room::control;
 use heliostat_room::mismatch::true_room;
@@ -287,9 +287,6 @@ impl Node {
             ("users", world.ids().len() as f64),
             ("faulty_mirrors", self.room.faulty_mirrors() as f64),
         ];
-        let us = summary.loop_us;
-        let quantiles =
-            Quantiles { count: us.count, p50: us.p50, p90: us.p90, p99: us.p99, p999: us.p999, max: us.max };
         NodeStatus {
             stamp: self.session.stamp(0, time_ns),
             node: NodeKind::SimNode,
@@ -305,7 +302,7 @@ impl Node {
                 .chain(refused)
                 .collect(),
             gauges: gauges.map(|(name, value)| (name.to_owned(), value)).to_vec(),
-            timings: vec![("loop".to_owned(), quantiles)],
+            timings: vec![("loop".to_owned(), summary.loop_us)],
             last_problem: self.last_problem().chars().take(PROBLEM_CHARACTERS).collect(),
             ..NodeStatus::default()
         }
@@ -361,7 +358,7 @@ impl Node {
             clipped_commands: counters(|counters| counters.clipped),
             refused: refused.collect(),
             turnover: self.room.world().turnover().map(TurnoverSummary::from),
-            loop_us: self.ticks.distribution(),
+            loop_us: self.ticks.quantiles_us(),
             belief: BeliefSummary::of(self.coverage.covered()),
             truth_us_mean: measurements.mean_cost_s * 1e6,
             last_problem: self.last_problem().into_owned(),

@@ -179,30 +179,12 @@ impl RoomSession {
     /// Publishes a report; `before` runs between its encoding and its publication.
     pub fn publish(&mut self, report: &Report, before: impl FnOnce()) -> Result<(), NodeError> {
         let publisher = match report {
-            Report::Obstacles(report) => {
-                self.obstacles.encode(report)?;
-                &self.obstacles
-            }
-            Report::Orientation(report) => {
-                self.orientation.encode(report)?;
-                &self.orientation
-            }
-            Report::Branches(report) => {
-                self.branches.encode(report)?;
-                &self.branches
-            }
-            Report::Leds(report) => {
-                self.leds.encode(report)?;
-                &self.leds
-            }
-            Report::Channel(report) => {
-                self.channel.encode(report)?;
-                &self.channel
-            }
-            Report::Users(report) => {
-                self.users.encode(report)?;
-                &self.users
-            }
+            Report::Obstacles(report) => self.obstacles.encode(report)?,
+            Report::Orientation(report) => self.orientation.encode(report)?,
+            Report::Branches(report) => self.branches.encode(report)?,
+            Report::Leds(report) => self.leds.encode(report)?,
+            Report::Channel(report) => self.channel.encode(report)?,
+            Report::Users(report) => self.users.encode(report)?,
         };
         before();
         Ok(publisher.put()?)

@@ -3,13 +3,13 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
+use heliostat_proto::Quantiles;
 use heliostat_room::baselines::RateCounters;
 use heliostat_room::world::arrivals::Turnover;
 use heliostat_service::printable::printable;
 use serde::Serialize;
 
 use crate::coverage::Covered;
-use crate::tick_ledger::Distribution;
 
 /// Mean sum rates in Mbit/s over the same instants.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
@@ -89,7 +89,7 @@ pub struct Summary {
     /// Payloads and commands refused, by name.
     pub refused: BTreeMap<String, u64>,
     /// Time from the publication of a tick to the arrival of the command that answers it.
-    pub loop_us: Distribution,
+    pub loop_us: Quantiles,
     /// Instants at which rates were computed, from the first command on.
     pub truth_samples: u64,
     /// Mean time to compute such an instant, with the oracle, in us.

@@ -7,7 +7,7 @@
 use std::collections::VecDeque;
 
 use hdrhistogram::Histogram;
-use serde::Serialize;
+use heliostat_proto::Quantiles;
 
 /// A tick without an answer for this time is lost.
 pub const TICK_TIMEOUT_NS: u64 = 500_000_000;
@@ -33,23 +33,6 @@ struct InFlight {
     answered: bool,
     /// Whether no array could accept its answer.
     excused: bool,
-}
-
-/// A distribution of times in microseconds.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct Distribution {
-    /// Number of measurements.
-    pub count: u64,
-    /// Median.
-    pub p50: f64,
-    /// 90th percentile.
-    pub p90: f64,
-    /// 99th percentile.
-    pub p99: f64,
-    /// 99.9th percentile.
-    pub p999: f64,
-    /// Largest.
-    pub max: f64,
 }
 
 impl Default for TickLedger {
@@ -135,21 +118,11 @@ impl TickLedger {
     }
 
     /// Quantiles of the latency.
-    pub fn distribution(&self) -> Distribution {
+    pub fn quantiles_us(&self) -> Quantiles {
         let histogram = &self.latency_ns;
-        let microseconds = |ns: u64| ns as f64 * 1e-3;
-        if histogram.is_empty() {
-            return Distribution::default();
-        }
-        let at = |quantile| microseconds(histogram.value_at_quantile(quantile));
-        Distribution {
-            count: histogram.len(),
-            p50: at(0.5),
-            p90: at(0.9),
-            p99: at(0.99),
-            p999: at(0.999),
-            max: microseconds(histogram.max()),
-        }
+        let at = |quantile| histogram.value_at_quantile(quantile) as f64 * 1e-3;
+        let (p50, p90, p99, p999) = (at(0.5), at(0.9), at(0.99), at(0.999));
+        Quantiles { count: histogram.len(), p50, p90, p99, p999, max: histogram.max() as f64 * 1e-3 }
     }
 
     fn mark(&mut self, index: usize, now_ns: u64) -> Option<u64> {
@@ -186,9 +159,9 @@ mod tests {
         ledger.expire(6001 + TICK_TIMEOUT_NS);
         assert_eq!((ledger.unattended(), ledger.lost(), ledger.waiting()), (2, 1, 0));
         assert!(!ledger.is_waiting());
-        let distribution = ledger.distribution();
-        assert_eq!(distribution.count, 3);
-        assert!((distribution.p50 - 1.0).abs() < 0.01 && (distribution.max - 1.5).abs() < 0.01, "{distribution:?}");
+        let us = ledger.quantiles_us();
+        assert_eq!(us.count, 3);
+        assert!((us.p50 - 1.0).abs() < 0.01 && (us.max - 1.5).abs() < 0.01, "{us:?}");
     }
 
     #[test]

@@ -89,8 +89,7 @@ impl TruthPublisher {
         }
         self.truth_sequence += 1;
         let stamp = Stamp { source: self.source, sequence: self.truth_sequence, time_ns: at.time_ns };
-        self.publishers.truth.encode(&room_truth(stamp, at, measured))?;
-        self.publishers.truth.put()?;
+        self.publishers.truth.encode(&room_truth(stamp, at, measured))?.put()?;
         Ok(measured)
     }
 
@@ -119,15 +118,13 @@ impl TruthPublisher {
         if self.status_sequence % GEOMETRY_EVERY == 1 {
             self.announce_geometry(status.stamp.time_ns)?;
         }
-        self.publishers.status.encode(&status)?;
-        Ok(self.publishers.status.put()?)
+        Ok(self.publishers.status.encode(&status)?.put()?)
     }
 
     fn announce_geometry(&mut self, time_ns: u64) -> Result<(), NodeError> {
         let sequence = self.geometry.stamp.sequence + 1;
         self.geometry.stamp = Stamp { source: self.source, sequence, time_ns };
-        self.publishers.geometry.encode(&self.geometry)?;
-        Ok(self.publishers.geometry.put()?)
+        Ok(self.publishers.geometry.encode(&self.geometry)?.put()?)
     }
 
     pub fn measurements(&self) -> Measurements {

@@ -171,10 +171,7 @@ fn invalid_payloads_are_counted_by_name_and_do_not_stop_the_room() {
         publisher.put(payload).unwrap();
     }
     // Messages of one class keep their order: all are counted when this one is.
-    let counter = |name: &str| {
-        let counters = status.lock().unwrap().as_ref().map(|status| status.counters.clone()).unwrap_or_default();
-        counters.iter().find(|(counter, _)| counter == name).map_or(0, |(_, count)| *count)
-    };
+    let counter = |name: &str| status.lock().unwrap().as_ref().and_then(|status| status.counter(name)).unwrap_or(0);
     wait_until("a count of the last payload", || counter("refused:command:wrong-version") == 2);
     wait_until("many ticks", || counter("ticks") > 100);
     stop.request();
@@ -224,10 +221,9 @@ fn valid_orders_of_an_operator_change_the_room_and_invalid_ones_are_counted() {
         let power = ("power_w".to_owned(), 1.5);
         seen.lock().unwrap().1.last().is_some_and(|status| status.gauges.contains(&power))
     });
-    let truncated = "refused:control:truncated";
     wait_until("a count of the invalid order", || {
         let seen = seen.lock().unwrap();
-        seen.1.last().is_some_and(|status| status.counters.iter().any(|(name, count)| name == truncated && *count == 1))
+        seen.1.last().is_some_and(|status| status.counter("refused:control:truncated") == Some(1))
     });
     stop.request();
     let summary = node.join().unwrap().unwrap();

@@ -10,87 +10,58 @@ use rand_chacha::ChaCha8Rng;
 /// The generator of all random numbers in the room.
 pub type RoomRng = ChaCha8Rng;
 
-/// The purpose of a stream of random numbers.
+/// The purpose of a stream of random numbers, with the upper half of the stream number: never reused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Purpose {
     /// The walk of one user.
-    Walk,
+    Walk = 1,
     /// The positions of the obstacles.
-    Obstacles,
+    Obstacles = 2,
     /// Calibration offsets, drift and jitter of the mirrors.
-    Actuator,
+    Actuator = 3,
     /// Measurement noise of positions and velocities.
-    PositionNoise,
+    PositionNoise = 4,
     /// Measurement noise of channel gains.
-    ChannelNoise,
+    ChannelNoise = 5,
     /// The mirrors that have a fault.
-    Faults,
+    Faults = 6,
     /// Measurement noise during calibration of an array.
-    CalibrationNoise,
+    CalibrationNoise = 7,
     /// When users enter, and how long they stay.
-    Arrivals,
+    Arrivals = 8,
     /// The difference between the true equipment and the nominal one.
-    Mismatch,
+    Mismatch = 9,
     /// The difference between the true body of a user and the nominal one.
-    Body,
+    Body = 10,
     /// The fixed tilt of the receiver of a user.
-    ReceiverTilt,
+    ReceiverTilt = 14,
     /// How one user holds the receiver.
-    Orientation,
+    Orientation = 11,
     /// Measurement noise of orientations.
-    OrientationNoise,
+    OrientationNoise = 12,
     /// Which users of a mixture have which mobility model.
-    MobilityModel,
+    MobilityModel = 13,
     /// Measurement noise of the receivers that does not depend on the gain.
-    ReceiverNoise,
+    ReceiverNoise = 15,
     /// Which position reports are lost.
-    PositionLoss,
+    PositionLoss = 16,
     /// Which channel reports are lost.
-    ChannelLoss,
+    ChannelLoss = 17,
     /// Measurement noise of the gains of each branch.
-    BranchNoise,
+    BranchNoise = 18,
     /// Measurement noise of the branches that does not depend on the gain.
-    BranchReceiverNoise,
+    BranchReceiverNoise = 19,
     /// Measurement noise of the gains of each LED.
-    LedNoise,
+    LedNoise = 20,
     /// Measurement noise of the LEDs that does not depend on the gain.
-    LedReceiverNoise,
-}
-
-impl Purpose {
-    /// The upper half of the stream number: a constant for each purpose, never reused.
-    fn code(self) -> u64 {
-        match self {
-            Self::Walk => 1,
-            Self::Obstacles => 2,
-            Self::Actuator => 3,
-            Self::PositionNoise => 4,
-            Self::ChannelNoise => 5,
-            Self::Faults => 6,
-            Self::CalibrationNoise => 7,
-            Self::Arrivals => 8,
-            Self::Mismatch => 9,
-            Self::Body => 10,
-            Self::Orientation => 11,
-            Self::OrientationNoise => 12,
-            Self::MobilityModel => 13,
-            Self::ReceiverTilt => 14,
-            Self::ReceiverNoise => 15,
-            Self::PositionLoss => 16,
-            Self::ChannelLoss => 17,
-            Self::BranchNoise => 18,
-            Self::BranchReceiverNoise => 19,
-            Self::LedNoise => 20,
-            Self::LedReceiverNoise => 21,
-        }
-    }
+    LedReceiverNoise = 21,
 }
 
 /// The generator of one purpose; `index` distinguishes instances of the same purpose, such as
 /// users.
 pub fn stream(seed: u64, purpose: Purpose, index: u32) -> RoomRng {
     let mut rng = RoomRng::seed_from_u64(seed);
-    rng.set_stream(purpose.code() << 32 | u64::from(index));
+    rng.set_stream((purpose as u64) << 32 | u64::from(index));
     rng
 }
 

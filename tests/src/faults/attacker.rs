@@ -4,9 +4,10 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use heliostat_bus::{Bus, BusConfig, Class, Publisher};
-use heliostat_proto::{Message, NodeKind, Room, Stamp, codec};
+use heliostat_proto::{Message, NodeKind, Room, Stamp};
 use heliostat_service::clock::utc_ns;
 
+use crate::observer::encoded;
 use crate::wait::wait_until;
 
 /// The source in the stamps of an attacker.
@@ -115,14 +116,4 @@ impl Attacker {
         }
         publisher
     }
-}
-
-/// The payload of a message.
-///
-/// # Panics
-/// When it cannot be encoded.
-pub fn encoded<T: Message>(message: &T) -> Vec<u8> {
-    let mut payload = Vec::new();
-    codec::encode(message, &mut payload).expect("the message is valid");
-    payload
 }

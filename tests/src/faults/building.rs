@@ -136,17 +136,9 @@ impl Building {
         wait_until("a standby", || self.is_standby()[host as usize] == Some(true));
     }
 
-    /// Whether the controllers of the first room stand by; `None` without a status. A status is of the
-    /// controller that was started last before the start that it names.
-    fn is_standby(&self) -> [Option<bool>; 2] {
-        let mut found = [None; 2];
-        for (process_ns, state) in self.witness.controllers() {
-            let before = |index: &usize| self.started_ns[*index] <= process_ns;
-            if let Some(index) = (0..2).filter(before).max_by_key(|index| self.started_ns[*index]) {
-                found[index] = Some(state == "standby");
-            }
-        }
-        found
+    /// Whether the controllers of the first room stand by.
+    fn is_standby(&self) -> Vec<Option<bool>> {
+        self.witness.is_standby(&self.started_ns)
     }
 
     fn controller(&mut self, host: usize) -> &mut Process {
@@ -196,10 +188,8 @@ impl Building {
     pub fn operate(&self, host: Host, room: usize, command: &[&str]) -> Ended {
         let keys = self.folder.path().join(ROOMS[room]).display().to_string();
         let router = router_endpoint(room);
-        let wrapper = self.hosts[host as usize].wrapper();
-        let wrapper: Vec<&str> = wrapper.iter().map(String::as_str).collect();
         let shared = ["--client", "--connect", &router, "--tls", &keys];
-        Process::heliostat_under(&wrapper, &[], &[command, &shared].concat()).wait()
+        Process::heliostat_under(&self.hosts[host as usize].wrapper(), &[], &[command, &shared].concat()).wait()
     }
 
     /// Kills all processes of host B.
@@ -249,8 +239,7 @@ fn make_keys(folder: &Path, hosts: &[Link; 2], cable: &Cable) {
 
 fn start_router(zenohd: &Path, folder: &Path, host: &Link, index: usize) -> Process {
     let config = folder.join(format!("router-{index}/router.json5")).display().to_string();
-    let wrapper = host.wrapper();
-    Process::foreign(&wrapper.iter().map(String::as_str).collect::<Vec<_>>(), zenohd, &["--config", &config])
+    Process::foreign(&host.wrapper(), zenohd, &["--config", &config])
 }
 
 /// The endpoint of a room at the router of each host.
@@ -280,7 +269,5 @@ fn start_process(folder: &Path, hosts: &[Link; 2], room: usize, kind: Kind) -> P
         Kind::Standby => vec!["controller", "--policy", "nearest", "--standby"],
     };
     let shared = ["--client", "--connect", &router, "--tls", &keys, "--exit-with-parent", "--json"];
-    let wrapper = hosts[host].wrapper();
-    let wrapper: Vec<&str> = wrapper.iter().map(String::as_str).collect();
-    Process::heliostat_under(&wrapper, &[], &[&own[..], &shared].concat())
+    Process::heliostat_under(&hosts[host].wrapper(), &[], &[&own[..], &shared].concat())
 }

@@ -22,7 +22,8 @@ static WRITING: Mutex<()> = Mutex::new(());
 /// Where and with which build the faults were measured.
 #[derive(Clone, Debug)]
 pub struct Origin {
-    commit: String,
+    /// The commit, followed by `+changes` if the working copy was modified.
+    pub commit: String,
     machine: String,
 }
 

@@ -51,11 +51,14 @@ impl Launch {
     }
 
     fn start(&self, arguments: &[&str]) -> Process {
-        let wrapper: Vec<&str> = self.wrapper.iter().map(String::as_str).collect();
         let variables: Vec<(&str, &str)> =
             self.variables.iter().map(|(name, value)| (name.as_str(), value.as_str())).collect();
         let flags: Vec<&str> = self.flags.iter().map(String::as_str).collect();
-        Process::heliostat_under(&wrapper, &variables, &[arguments, &flags, &["--exit-with-parent", "--json"]].concat())
+        Process::heliostat_under(
+            &self.wrapper,
+            &variables,
+            &[arguments, &flags, &["--exit-with-parent", "--json"]].concat(),
+        )
     }
 }
 
@@ -224,8 +227,7 @@ impl FaultRoom {
     pub fn start_process(&self, launch: &Launch, arguments: &[&str]) -> Process {
         let links =
             ["--room", ROOM, "--connect", &self.setup.array_endpoint, "--connect", &self.setup.controller_endpoint];
-        let wrapper: Vec<&str> = launch.wrapper.iter().map(String::as_str).collect();
-        Process::heliostat_under(&wrapper, &[], &[arguments, &links].concat())
+        Process::heliostat_under(&launch.wrapper, &[], &[arguments, &links].concat())
     }
 
     /// A publisher that is no part of the room, connected to array and controller.

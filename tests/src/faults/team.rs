@@ -142,15 +142,7 @@ impl Team {
 
     /// Whether each controller stands by, by its newest status.
     fn is_standby(&self) -> Vec<Option<bool>> {
-        let mut found = vec![None; self.controllers.len()];
-        for (process_ns, state) in self.witness.controllers() {
-            // A status is of the controller that was started last before the start that it names.
-            let before = |index: &usize| self.started_ns[*index] <= process_ns;
-            if let Some(index) = (0..found.len()).filter(before).max_by_key(|index| self.started_ns[*index]) {
-                found[index] = Some(state == "standby");
-            }
-        }
-        found
+        self.witness.is_standby(&self.started_ns)
     }
 
     fn start_controller(&self, index: usize) -> Process {
@@ -162,10 +154,8 @@ impl Team {
         let links = others.iter().flat_map(|other| ["--connect", other.as_str()]);
         let start = ["controller", "--policy", "nearest", "--room", ROOM, "--set", &self.rate, "--listen", &own];
         let arguments: Vec<&str> = start.into_iter().chain(links).collect();
-        let wrapper = self.segment.wrapper(index);
-        let wrapper: Vec<&str> = wrapper.iter().map(String::as_str).collect();
         Process::heliostat_under(
-            &wrapper,
+            &self.segment.wrapper(index),
             &[],
             &[&arguments[..], &["--insecure", "--exit-with-parent", "--json"]].concat(),
         )

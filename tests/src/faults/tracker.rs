@@ -10,7 +10,7 @@ use heliostat_proto::{ChannelReport, Stamp, UserChannel, UserReport, UserState};
 use heliostat_service::clock::utc_ns;
 use heliostat_service::source_id;
 
-use crate::faults::attacker::encoded;
+use crate::observer::encoded;
 
 /// Time between two reports, the default of the scenarios.
 pub const PERIOD: Duration = Duration::from_millis(10);
@@ -56,13 +56,18 @@ fn report(bus: &Bus, ended: &AtomicBool) {
         due = (due + PERIOD).max(Instant::now());
         thread::sleep(due.saturating_duration_since(Instant::now()));
         tick += 1;
-        let stamp = Stamp { source, sequence: tick, time_ns: utc_ns() };
-        let channel = ChannelReport { stamp, tick, users: (0..USERS).map(gains).collect() };
-        let users = UserReport { stamp, tick, users: (0..USERS).map(user).collect() };
+        let users = users_at_rest(source, tick);
+        let channel = ChannelReport { stamp: users.stamp, tick, users: (0..USERS).map(gains).collect() };
         // The user report completes the tick.
         of_channel.put(&encoded(&channel)).expect("the session is open");
         of_users.put(&encoded(&users)).expect("the session is open");
     }
+}
+
+/// A report of users at rest.
+pub fn users_at_rest(source: u64, tick: u64) -> UserReport {
+    let stamp = Stamp { source, sequence: tick, time_ns: utc_ns() };
+    UserReport { stamp, tick, users: (0..USERS).map(user).collect() }
 }
 
 fn user(user: u32) -> UserState {

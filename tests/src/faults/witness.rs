@@ -133,6 +133,20 @@ impl Witness {
         self.with(|received| received.controllers.clone())
     }
 
+    /// Whether each controller stands by, by its newest status; `None` without one. `started_ns` has the time before
+    /// the start of each.
+    pub fn is_standby(&self, started_ns: &[Nanos]) -> Vec<Option<bool>> {
+        let mut found = vec![None; started_ns.len()];
+        for (process_ns, state) in self.controllers() {
+            // A status is of the controller that was started last before the start that it names.
+            let before = |index: &usize| started_ns[*index] <= process_ns;
+            if let Some(index) = (0..found.len()).filter(before).max_by_key(|index| started_ns[*index]) {
+                found[index] = Some(state == "standby");
+            }
+        }
+        found
+    }
+
     /// Forgets the states of the controllers.
     pub fn forget_controllers(&self) {
         self.received.lock().expect("no callback panics").controllers.clear();
@@ -140,8 +154,7 @@ impl Witness {
 
     /// The value of a counter in the newest status; 0 if it is absent.
     pub fn counter(&self, node: NodeKind, name: &str) -> u64 {
-        let counters = self.status(node).map(|status| status.counters).unwrap_or_default();
-        counters.iter().find(|(counter, _)| counter == name).map_or(0, |(_, count)| *count)
+        self.status(node).and_then(|status| status.counter(name)).unwrap_or(0)
     }
 
     /// Counters of refusals and degraded modes, by process and its source.

@@ -3,7 +3,7 @@
 use heliostat_needs::needs;
 use heliostat_tests::faults::{Building, Effect, Host};
 
-use crate::{measure, wait_s};
+use crate::{freeze, measure, wait_s};
 
 /// Time after which a service manager starts a process again, `RestartSec` of the units.
 const RESTART_S: f64 = 1.0;
@@ -28,9 +28,7 @@ fn the_standby_of_the_other_host_replaces_a_killed_controller() {
 #[test]
 fn the_standby_of_the_other_host_replaces_a_frozen_controller() {
     in_building("the_standby_of_the_other_host_replaces_a_frozen_controller", |building| {
-        building.leader().signal("STOP");
-        wait_s(3.0);
-        building.leader().signal("CONT");
+        freeze(building.leader(), 3.0);
     });
 }
 
@@ -44,9 +42,7 @@ fn a_killed_standby_does_not_disturb_the_room() {
 #[test]
 fn a_frozen_standby_does_not_disturb_the_room() {
     in_building("a_frozen_standby_does_not_disturb_the_room", |building| {
-        building.standby().signal("STOP");
-        wait_s(3.0);
-        building.standby().signal("CONT");
+        freeze(building.standby(), 3.0);
     });
 }
 
@@ -64,9 +60,7 @@ fn a_killed_array_is_served_again_through_its_router() {
 #[test]
 fn a_frozen_array_is_served_again_through_its_router() {
     in_building("a_frozen_array_is_served_again_through_its_router", |building| {
-        building.array().signal("STOP");
-        wait_s(3.0);
-        building.array().signal("CONT");
+        freeze(building.array(), 3.0);
     });
 }
 
@@ -84,9 +78,7 @@ fn the_room_follows_again_after_its_router_was_killed() {
 #[test]
 fn the_room_follows_again_after_its_router_was_frozen() {
     in_building("the_room_follows_again_after_its_router_was_frozen", |building| {
-        building.router(Host::A).signal("STOP");
-        wait_s(3.0);
-        building.router(Host::A).signal("CONT");
+        freeze(building.router(Host::A), 3.0);
     });
 }
 
@@ -104,9 +96,7 @@ fn a_killed_router_of_the_other_host_does_not_disturb_the_room() {
 #[test]
 fn a_frozen_router_of_the_other_host_does_not_disturb_the_room() {
     in_building("a_frozen_router_of_the_other_host_does_not_disturb_the_room", |building| {
-        building.router(Host::B).signal("STOP");
-        wait_s(8.0);
-        building.router(Host::B).signal("CONT");
+        freeze(building.router(Host::B), 8.0);
     });
 }
 

@@ -3,7 +3,8 @@
 use std::time::Duration;
 
 use heliostat_proto::{MirrorCommand, MirrorTelemetry, UserReport};
-use heliostat_tests::faults::{Array, Attacker, Effect, Launch, Setup, encoded};
+use heliostat_tests::encoded;
+use heliostat_tests::faults::{Array, Attacker, Effect, Launch, Setup};
 
 use crate::measure;
 

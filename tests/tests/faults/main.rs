@@ -17,9 +17,9 @@ mod takeovers;
 
 use std::time::Duration;
 
-use heliostat_tests::Pauses;
 use heliostat_tests::faults::page::{Origin, record};
 use heliostat_tests::faults::{Effect, Fault};
+use heliostat_tests::{Pauses, Process};
 
 /// A pause of the machine above this time explains an effect beyond the bound: a command is valid for 200 ms.
 const PAUSE_MAX: Duration = Duration::from_millis(150);
@@ -59,4 +59,11 @@ fn without_pause(fault: &Fault, mut run: impl FnMut() -> Effect) -> Effect {
 
 fn wait_s(seconds: f64) {
     std::thread::sleep(Duration::from_secs_f64(seconds));
+}
+
+/// Freezes a process for a time.
+fn freeze(process: &Process, seconds: f64) {
+    process.signal("STOP");
+    wait_s(seconds);
+    process.signal("CONT");
 }

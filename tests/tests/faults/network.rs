@@ -7,7 +7,8 @@ use std::time::Duration;
 use heliostat_bus::{AccessRole, BusConfig, Identity};
 use heliostat_needs::needs;
 use heliostat_proto::EmergencyStop;
-use heliostat_tests::faults::{Array, Attacker, Effect, Link, Setup, encoded, make_keys};
+use heliostat_tests::encoded;
+use heliostat_tests::faults::{Array, Attacker, Effect, Link, Setup, make_keys};
 
 use crate::{measure, wait_s};
 

@@ -4,7 +4,8 @@ use heliostat_proto::{
     Calibration, ChannelReport, ControllerControl, EmergencyStop, LedReport, NodeKind, ObstacleReport,
     OrientationReport, Rearm, SafetyReport, SimulatorControl,
 };
-use heliostat_tests::faults::{Array, Attacker, Effect, FaultRoom, Setup, encoded};
+use heliostat_tests::encoded;
+use heliostat_tests::faults::{Array, Attacker, Effect, FaultRoom, Setup};
 use heliostat_tests::wait_until;
 
 use crate::{measure, wait_s};

@@ -1,21 +1,14 @@
 //! Processes that are frozen, killed or ended.
 
 use heliostat_tests::Process;
-use heliostat_tests::faults::{Array, Effect, FaultRoom, Launch, Setup};
+use heliostat_tests::faults::{Array, Effect, Launch, Setup};
 
-use crate::{measure, wait_s};
-
-/// Freezes a process of the room for a time.
-fn freeze(room: &mut FaultRoom, process: fn(&FaultRoom) -> &Process, seconds: f64) {
-    process(room).signal("STOP");
-    wait_s(seconds);
-    process(room).signal("CONT");
-}
+use crate::{freeze, measure, wait_s};
 
 #[test]
 fn the_array_parks_while_the_controller_is_frozen() {
     measure("the_array_parks_while_the_controller_is_frozen", || {
-        Setup::new(Array::Simulated).start().undergo(|room| freeze(room, |room| &room.controller, 3.0))
+        Setup::new(Array::Simulated).start().undergo(|room| freeze(&room.controller, 3.0))
     });
 }
 
@@ -82,9 +75,7 @@ fn with_viewers(count: usize, arguments: &[&str], fault: impl FnOnce(&mut [Proce
 fn a_frozen_recorder_does_not_disturb_the_room() {
     measure("a_frozen_recorder_does_not_disturb_the_room", || {
         with_viewers(1, &["record", "--out", "FILE"], |viewers| {
-            viewers[0].signal("STOP");
-            wait_s(3.0);
-            viewers[0].signal("CONT");
+            freeze(&viewers[0], 3.0);
         })
     });
 }

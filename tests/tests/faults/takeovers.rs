@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use heliostat_tests::faults::page::Origin;
 use heliostat_tests::faults::{Succession, Team};
 
-use crate::wait_s;
+use crate::{freeze, wait_s};
 
 /// Duration of a fault, and time until a killed controller starts again.
 const FAULT_S: f64 = 3.0;
@@ -45,11 +45,7 @@ impl Fault {
                 team.controller(leader).wait_mut();
                 team.restart(leader);
             }
-            Self::Frozen => {
-                team.controller(leader).signal("STOP");
-                wait_s(FAULT_S);
-                team.controller(leader).signal("CONT");
-            }
+            Self::Frozen => freeze(team.controller(leader), FAULT_S),
             Self::LeaderCut | Self::StandbyCut => {
                 let host = if matches!(self, Self::LeaderCut) { leader } else { standby };
                 team.segment().cut(host);

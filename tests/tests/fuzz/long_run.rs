@@ -2,11 +2,11 @@
 
 use std::fmt::Write as _;
 use std::panic::catch_unwind;
-use std::path::{Path, PathBuf};
-use std::process::Command;
 use std::time::{Duration, Instant};
 
 use heliostat_proto::Kind;
+use heliostat_tests::faults::page::Origin;
+use heliostat_tests::workspace;
 
 use crate::INPUT_MAX;
 use crate::bounds::within_bounds;
@@ -54,10 +54,6 @@ impl Inputs {
     }
 }
 
-fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
-}
-
 fn setting(name: &str, default: u64) -> u64 {
     match std::env::var(name) {
         Ok(text) => text.parse().unwrap_or_else(|_| panic!("invalid {name} \"{text}\": expected a whole number")),
@@ -65,17 +61,11 @@ fn setting(name: &str, default: u64) -> u64 {
     }
 }
 
-fn commit() -> String {
-    let output =
-        Command::new("git").args(["describe", "--always", "--abbrev=12", "--dirty"]).current_dir(root()).output();
-    output.map_or_else(|_| "unknown".into(), |output| String::from_utf8_lossy(&output.stdout).trim().to_owned())
-}
-
 #[test]
 #[ignore = "takes hours and writes a page; HELIOSTAT_FUZZ_PAYLOADS and HELIOSTAT_FUZZ_SEED are its settings"]
 fn many_payloads_leave_the_room_sound() {
     let (wanted, seed) = (setting("HELIOSTAT_FUZZ_PAYLOADS", 100_000_000), setting("HELIOSTAT_FUZZ_SEED", 1));
-    let (commit, start) = (commit(), Instant::now());
+    let (commit, start) = (Origin::here().commit, Instant::now());
     let (mut inputs, mut input) = (Inputs { state: seed }, Vec::new());
     let (mut tally, mut count, mut reported) = (Tally::default(), 0_u64, start);
     while tally.hostile < wanted {
@@ -89,7 +79,7 @@ fn many_payloads_leave_the_room_sound() {
         match found {
             Ok(found) => tally += found,
             Err(panic) => {
-                let folder = root().join("tests/tests/fuzz/__fuzz__/payloads/crashes");
+                let folder = workspace().join("tests/tests/fuzz/__fuzz__/payloads/crashes");
                 let file = folder.join(format!("seed-{seed}-input-{count}"));
                 std::fs::create_dir_all(&folder).and_then(|()| std::fs::write(&file, &input)).expect("a folder");
                 eprintln!("input {count} of seed {seed} fails; it is in {}", file.display());
@@ -102,7 +92,7 @@ fn many_payloads_leave_the_room_sound() {
         }
     }
     let page = page(&tally, wanted, seed, count, &commit, start.elapsed());
-    std::fs::write(root().join("docs/results/fuzzing.md"), page).expect("the folder exists");
+    std::fs::write(workspace().join("docs/results/fuzzing.md"), page).expect("the folder exists");
 }
 
 fn page(tally: &Tally, wanted: u64, seed: u64, inputs: u64, commit: &str, taken: Duration) -> String {

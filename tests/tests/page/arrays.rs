@@ -6,9 +6,10 @@ use std::time::Duration;
 use heliostat_bus::{BusConfig, Class, private_endpoint};
 use heliostat_proto::{ArrayState, MirrorCommand, NodeKind, Room};
 use heliostat_service::Stop;
-use heliostat_tests::{Process, wait_until};
+use heliostat_tests::faults::users_at_rest;
+use heliostat_tests::{Process, encoded, wait_until};
 
-use room::{Latest, Observer, RequestAtEnd, drive, report, scenario_file};
+use room::{Observer, RequestAtEnd, drive, scenario_file};
 
 mod page;
 mod room;
@@ -31,16 +32,15 @@ fn each_array_follows_its_own_commands_and_one_stop_stops_both() {
     let observer = Observer::join("stopped", &[&of_sim, &of_controller]);
     wait_until("two arrays that follow", || observer.states() == [ArrayState::Following; 2]);
     wait_until("commands to both that telemetry shows", || {
-        let Latest { commands, telemetry, .. } = observer.latest();
-        let shows = |(array, (_, command)): (&usize, &(u64, MirrorCommand))| {
-            telemetry.get(array).is_some_and(|telemetry| telemetry.roll_commanded == command.roll)
-        };
-        commands.len() == 2 && commands.iter().all(shows)
+        observer.commands.iter().zip(&observer.telemetry).all(|(command, telemetry)| {
+            let both = command.get().zip(telemetry.get());
+            both.is_some_and(|(command, telemetry)| telemetry.roll_commanded == command.roll)
+        })
     });
-    let commands = observer.latest().commands;
-    assert_eq!([&commands[&0], &commands[&1]].map(|(_, command)| command.roll.len()), [6, 8]);
-    let turned = |array: usize| commands[&array].1.yaw.iter().any(|angle| angle.abs() > 0.01);
-    assert!(turned(0) && turned(1), "{commands:?}");
+    let commands = observer.commands.each_ref().map(|command| command.get().expect("waited for"));
+    assert_eq!(commands.each_ref().map(|command| command.roll.len()), [6, 8]);
+    let turned = |command: &MirrorCommand| command.yaw.iter().any(|angle| angle.abs() > 0.01);
+    assert!(commands.iter().all(turned), "{commands:?}");
 
     let order =
         |order: &str| Process::heliostat(&[order, "--room", "stopped", "--connect", &of_sim, "--json"]).wait().json();
@@ -70,8 +70,6 @@ fn the_second_array_of_a_simulated_room_keeps_every_rule() {
     // The check waits for a driver for some seconds only.
     let observer = Observer::join("checked", &[&endpoint]);
     wait_until("telemetry of both arrays", || observer.states().len() == 2);
-    // It reads no invalid commands, which the check sends.
-    drop(observer);
     let check = |arguments: &[&str]| {
         let flags = ["driver", "check", "--json", "--connect", &endpoint];
         Process::heliostat(&[&flags[..], arguments].concat()).wait().output
@@ -170,7 +168,7 @@ fn two_drivers_share_a_room_and_the_end_of_one_leaves_the_other_commanded() {
         let mut until = |what: &str, is_so: &dyn Fn() -> bool| {
             wait_until(what, || {
                 tick += 1;
-                tracker.put(&report(tick)).expect("the session is open");
+                tracker.put(&encoded(&users_at_rest(7, tick))).expect("the session is open");
                 std::thread::sleep(Duration::from_millis(10));
                 is_so()
             });
@@ -182,9 +180,8 @@ fn two_drivers_share_a_room_and_the_end_of_one_leaves_the_other_commanded() {
         assert!(refused.as_ref().is_err_and(|error| error.contains("driver-1/")), "{refused:?}");
 
         until("a status of each driver under its own key", &|| {
-            let Latest { statuses, .. } = observer.latest();
-            let source = |name: &str| statuses.get(name).map(|status| status.stamp.source);
-            source("driver").is_some() && source("driver-1").is_some() && source("driver") != source("driver-1")
+            let [first, second] = observer.drivers.each_ref().map(|status| status.get().map(|it| it.stamp.source));
+            first.is_some() && second.is_some() && first != second
         });
 
         stops[1].request();
@@ -198,15 +195,14 @@ fn two_drivers_share_a_room_and_the_end_of_one_leaves_the_other_commanded() {
         assert_eq!(observer.controller_counter("driver_absent:mirrors"), 0);
         let absence = "no driver receives the commands to mirrors-1";
         until("a status that names the absence", &|| {
-            let Latest { statuses, .. } = observer.latest();
-            let status = &statuses["controller"];
+            let status = observer.controller.get().expect("a status");
             status.last_problem.starts_with(absence) && status.state == absence
         });
         until("no more commands to the array that left", &|| observer.commands(0) > lost + 200);
         let (before, others) = (observer.commands(1), observer.commands(0));
         until("commands to the first array alone", &|| observer.commands(0) > others + 50);
         assert_eq!(observer.commands(1), before);
-        until("a first array that follows", &|| observer.latest().telemetry[&0].state == ArrayState::Following);
+        until("a first array that follows", &|| observer.states()[0] == ArrayState::Following);
         stops[0].request();
         assert!(first_driver.join().expect("no panic").expect("a driver that ends") > 250);
     });

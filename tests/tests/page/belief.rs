@@ -3,13 +3,12 @@
 
 use std::net::SocketAddr;
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
 
 use heliostat_bus::{Bus, BusConfig, Subscription, free_loopback_port, private_endpoint};
 use heliostat_needs::needs;
 use heliostat_proto::gauges::TrackerNoise;
 use heliostat_proto::{BeliefReport, MirrorCommand, NodeKind, Room, RoomTruth, codec};
-use heliostat_tests::{Browser, PageServer, Process, RoomObserver, wait_until};
+use heliostat_tests::{Browser, PageServer, Process, RoomObserver, fetch_metrics, sample_value, wait_until};
 
 const FILTER: [&str; 6] =
     ["--scenario", "hall", "--set", "control.belief=\"filter\"", "--set", "streams.positions.rate_hz=50"];
@@ -61,19 +60,6 @@ fn collect<T: codec::Message + Send + 'static>(bus: &Bus, key: &str) -> (Arrived
         keep.lock().expect("no callback panics").push(codec::decode(payload).expect("a valid message"));
     });
     (arrived, subscription.expect("the key is valid"))
-}
-
-fn fetch(address: SocketAddr) -> String {
-    let agent: ureq::Agent = ureq::Agent::config_builder().timeout_global(Some(Duration::from_secs(60))).build().into();
-    let page =
-        agent.get(format!("http://{address}/metrics")).call().map(|mut answer| answer.body_mut().read_to_string());
-    page.ok().and_then(Result::ok).unwrap_or_default()
-}
-
-/// The value of the first sample with this prefix.
-fn value(page: &str, sample: &str) -> f64 {
-    let line = page.lines().find(|line| line.starts_with(sample));
-    line.and_then(|line| line.rsplit(' ').next()?.parse().ok()).unwrap_or(f64::NAN)
 }
 
 #[test]
@@ -142,22 +128,22 @@ fn the_metrics_compare_the_belief_with_the_reports_and_the_truth() {
     let setting = Setting::new(&FILTER);
     let [room_at, controller_at] = setting.metrics;
     wait_until("many compared places and reports", || {
-        value(&fetch(room_at), "heliostat_belief_places_total") > 1000.0
-            && value(&fetch(controller_at), "heliostat_belief_reports_total") > 500.0
+        sample_value(&fetch_metrics(room_at), "heliostat_belief_places_total") > 1000.0
+            && sample_value(&fetch_metrics(controller_at), "heliostat_belief_reports_total") > 500.0
     });
-    let (room, controller) = (fetch(room_at), fetch(controller_at));
-    let places = value(&room, "heliostat_belief_places_total");
+    let (room, controller) = (fetch_metrics(room_at), fetch_metrics(controller_at));
+    let places = sample_value(&room, "heliostat_belief_places_total");
     let inside = |ellipse: &str| {
         let sample = format!("heliostat_belief_places_inside_total{{room=\"demo\",ellipse=\"{ellipse}\"}}");
-        value(&room, &sample) / places
+        sample_value(&room, &sample) / places
     };
     println!("{places} places: {:.3} within 50 %, {:.3} within 95 %", inside("50"), inside("95"));
     assert!(inside("50") > 0.2 && inside("50") < 0.8, "{room}");
     assert!(inside("95") > 0.7 && inside("95") > inside("50"), "{room}");
-    let mean = value(&controller, "heliostat_belief_innovation_mean");
+    let mean = sample_value(&controller, "heliostat_belief_innovation_mean");
     println!("mean normalised innovation squared {mean:.2}");
     assert!(mean > 1.0 && mean < 4.0, "{controller}");
-    assert!(value(&controller, "heliostat_belief_reports_total") > 500.0, "{controller}");
+    assert!(sample_value(&controller, "heliostat_belief_reports_total") > 500.0, "{controller}");
 
     let summary = setting.controller.end().json();
     assert!(summary["belief"]["reports"].as_u64() > Some(500), "{summary}");
@@ -171,7 +157,7 @@ fn a_tracker_with_twice_the_stated_noise_shows_in_metrics_status_summary_and_doc
     let setting = Setting::new(&[&FILTER[..], &rough].concat());
     let noise = |by: &str| {
         let sample = format!("heliostat_tracker_position_noise_metres{{room=\"demo\",by=\"{by}\"}}");
-        value(&fetch(setting.metrics[1]), &sample)
+        sample_value(&fetch_metrics(setting.metrics[1]), &sample)
     };
     wait_until("twice the stated noise", || noise("belief") > 1.7 * noise("scenario"));
     let observer = RoomObserver::connect("demo", &setting.endpoints.each_ref().map(String::as_str));
@@ -200,11 +186,11 @@ fn mirrors_out_of_place_are_a_problem_of_the_controller_with_the_time_since_when
     let light = setting.doctor("light");
     assert_eq!(light["verdict"], "warn", "{light}");
     let led = "heliostat_light_off{room=\"demo\",of=\"led-0\"}";
-    wait_until("enough ratios of the LED", || fetch(setting.metrics[1]).contains(led));
-    let page = fetch(setting.metrics[1]);
-    assert!(value(&page, "heliostat_light_ratio{room=\"demo\",of=\"mirrors\"}") < 0.8, "{page}");
-    assert_eq!(value(&page, "heliostat_light_off{room=\"demo\",of=\"mirrors\"}"), 1.0, "{page}");
-    assert_eq!(value(&page, led), 0.0, "{page}");
+    wait_until("enough ratios of the LED", || fetch_metrics(setting.metrics[1]).contains(led));
+    let page = fetch_metrics(setting.metrics[1]);
+    assert!(sample_value(&page, "heliostat_light_ratio{room=\"demo\",of=\"mirrors\"}") < 0.8, "{page}");
+    assert_eq!(sample_value(&page, "heliostat_light_off{room=\"demo\",of=\"mirrors\"}"), 1.0, "{page}");
+    assert_eq!(sample_value(&page, led), 0.0, "{page}");
     let summary = setting.controller.end().json();
     assert_eq!(summary["light"][0]["of"], "mirrors", "{summary}");
 }

@@ -6,12 +6,11 @@
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
-use std::path::Path;
 use std::process::Command;
 
 use heliostat_needs::needs;
 use heliostat_proto::{ArrayState, NodeKind};
-use heliostat_tests::{Browser, Process, RoomObserver, choose_theme, wait_until};
+use heliostat_tests::{Browser, Process, RoomObserver, choose_theme, wait_until, workspace};
 
 /// A demo with a page, and an observer of its topics.
 struct Setting {
@@ -258,7 +257,7 @@ fn pictures_of_the_default_demo() {
     let setting = Setting::start(&["--scenario", "hall"]);
     let browser = Browser::open(&setting.url());
     wait_until("a page that shows the room", || browser.text("#chip-array") == "following");
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/images");
+    let folder = workspace().join("docs/images");
     std::fs::create_dir_all(&folder).expect("a folder for screenshots");
     // The chart of the sum rates needs 90 s of history.
     std::thread::sleep(std::time::Duration::from_secs(60));
@@ -273,7 +272,7 @@ fn pictures_of_the_default_demo() {
         std::fs::write(folder.join(name).with_extension("png"), browser.screenshot()).expect("written");
     }
     // The frames of the moving picture, 8 s of the room.
-    let frames = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/page-frames");
+    let frames = workspace().join("target/page-frames");
     std::fs::create_dir_all(&frames).expect("a folder for frames");
     browser.resize(1100, 720);
     for frame in 0..16 {

@@ -1,43 +1,23 @@
 //! Commands without a driver: the controller reports it, and so do viewers.
 
 use heliostat_bus::private_endpoint;
-use heliostat_proto::{NodeKind, Stamp, UserReport, UserState, encode};
-use heliostat_service::clock::utc_ns;
-use heliostat_tests::{Process, RoomObserver, wait_until};
+use heliostat_proto::NodeKind;
+use heliostat_tests::faults::users_at_rest;
+use heliostat_tests::{Process, RoomObserver, encoded, wait_until};
 
 const PROBLEM: &str = "no driver receives the commands";
-
-/// Publishes the positions of five users like a tracker.
-fn report(observer: &RoomObserver, sequence: u64) {
-    let user = |user: u32| UserState { user, position_m: [0.5 * user as f32 - 1.0, 0.0, 0.85], ..UserState::default() };
-    let stamp = Stamp { source: 7, sequence, time_ns: utc_ns() };
-    let mut payload = Vec::new();
-    let users = (0..5).map(user).collect();
-    encode(&UserReport { stamp, tick: sequence, users }, &mut payload).expect("a valid report");
-    observer.publish(&observer.room().users(), &payload);
-}
 
 #[test]
 fn commands_without_a_driver_are_reported_until_one_is_there() {
     let (at, driver_at) = (private_endpoint().unwrap(), private_endpoint().unwrap());
-    let controller = Process::heliostat(&[
-        "controller",
-        "--policy",
-        "flat",
-        "--listen",
-        &at,
-        "--connect",
-        &driver_at,
-        "--exit-with-parent",
-        "--json",
-    ]);
+    let controller = Process::controller("flat", &driver_at, &at, &["--json"]);
     let observer = RoomObserver::connect("demo", &[&at]);
     let ui = Process::heliostat(&["ui", "--plain", "--no-ui", "--connect", &at]);
     let mut sequence = 0;
     let mut until = |what: &str, condition: &dyn Fn() -> bool| {
         wait_until(what, || {
             sequence += 1;
-            report(&observer, sequence);
+            observer.publish(&observer.room().users(), &encoded(&users_at_rest(7, sequence)));
             condition()
         });
     };

@@ -2,9 +2,9 @@
 //! answer to the first report with a new user already serves it.
 
 use heliostat_bus::{Bus, BusConfig, Class, Publisher, private_endpoint};
-use heliostat_proto::{ChannelReport, MirrorCommand, NodeKind, Room, Stamp, UserChannel, UserReport, UserState, codec};
+use heliostat_proto::{ChannelReport, MirrorCommand, NodeKind, Room, Stamp, UserChannel, UserReport, UserState};
 use heliostat_service::clock::utc_ns;
-use heliostat_tests::{Process, RoomObserver, wait_until};
+use heliostat_tests::{Process, RoomObserver, encoded, wait_until};
 
 /// A tracker that reports the users that a test names.
 struct Crowd {
@@ -41,12 +41,6 @@ impl Crowd {
         self.users.put(&encoded(&users)).expect("the session is open");
         self.tick
     }
-}
-
-fn encoded<M: codec::Message>(message: &M) -> Vec<u8> {
-    let mut payload = Vec::new();
-    codec::encode(message, &mut payload).expect("a valid message");
-    payload
 }
 
 /// Reports users and waits for the command that answers.

@@ -4,20 +4,16 @@
 //! The tests of containers.rs state what they need. docs/faults.md measures the faults.
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 
 use heliostat_needs::needs;
 use heliostat_tests::containers::{Engine, Host, built_programs, metric, zenohd};
-use heliostat_tests::{programs, wait_until};
-
-fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
-}
+use heliostat_tests::{programs, wait_until, workspace};
 
 /// The commands of the section "Two hosts" that follow this comment, up to the next comment or block.
 fn commands(place: &str) -> String {
-    let text = fs::read_to_string(root().join("docs/deploy.md")).expect("there is a guide");
+    let text = fs::read_to_string(workspace().join("docs/deploy.md")).expect("there is a guide");
     let section = text.split_once("\n## Two hosts\n").expect("a section").1;
     let section = section.split("\n## ").next().unwrap_or_default();
     let after = section.split_once(&format!("\n# {place}\n")).unwrap_or_else(|| panic!("no commands {place}")).1;
@@ -28,7 +24,7 @@ fn commands(place: &str) -> String {
 /// A folder in which the commands of the guide have made `building-keys`.
 fn make_keys() -> tempfile::TempDir {
     let folder = tempfile::tempdir().expect("a folder");
-    std::os::unix::fs::symlink(root().join("deploy"), folder.path().join("deploy")).expect("a fresh folder");
+    std::os::unix::fs::symlink(workspace().join("deploy"), folder.path().join("deploy")).expect("a fresh folder");
     run_make_keys(folder.path());
     folder
 }
@@ -81,7 +77,7 @@ fn the_units_of_two_hosts_run_two_rooms_and_a_standby_replaces_a_stopped_control
     engine.docker(&["network", "create", "cable"]);
     let hosts = ["host-a", "host-b"].map(|name| {
         let host = Host::start(&engine, name, "cable", context.path());
-        host.install(&root().join("deploy"), "/root/deploy");
+        host.install(&workspace().join("deploy"), "/root/deploy");
         host.install(&keys.path().join("building-keys").join(name), "/etc/heliostat/keys");
         host
     });

@@ -4,22 +4,16 @@
 //! The programs are those built beside this test: the images are built from a folder that holds them,
 //! as the head of the Containerfile describes. That the build compiles the programs is not tested.
 
-use std::path::{Path, PathBuf};
-
 use heliostat_bus::free_loopback_endpoint;
 use heliostat_needs::needs;
 use heliostat_tests::containers::{Engine, Host, built_programs, metric, zenohd};
-use heliostat_tests::{Process, wait_until};
+use heliostat_tests::{Process, wait_until, workspace};
 
 const SERVICES: [&str; 3] = ["router", "sim-node", "controller"];
 
-fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
-}
-
 /// Starts `heliostat` in the network of the engine.
 fn heliostat(engine: &Engine, arguments: &[&str]) -> Process {
-    Process::heliostat_under(&engine.wrapper().each_ref().map(String::as_str), &[], arguments)
+    Process::heliostat_under(&engine.wrapper(), &[], arguments)
 }
 
 /// Runs an operator's command through the router of the containers.
@@ -65,7 +59,7 @@ fn the_images_run_a_room_that_answers_and_stop_in_an_orderly_way() {
         page.is_some_and(|page| metric(&page, "heliostat_decisions_total") > 10.0)
     });
 
-    let scenario = root().join("deploy/rooms/studio.toml");
+    let scenario = workspace().join("deploy/rooms/studio.toml");
     let flags = ["ui", "--room", "studio", "--plain", "--client", "--connect", &router, "--ui-port", "0", "--scenario"];
     let ui = heliostat(&engine, &[&flags[..], &[scenario.to_str().expect("a plain path")]].concat());
     let before = "the page is at http://127.0.0.1:";
@@ -108,9 +102,9 @@ fn the_units_start_restart_after_a_kill_and_stop_in_an_orderly_way() {
     engine.import_base("systemd");
     let context = built_programs(&zenohd);
     let host = Host::start(&engine, "host", "none", context.path());
-    host.install(&root().join("deploy/rooms"), "/etc/heliostat/");
-    host.install(&root().join("deploy/router"), "/etc/heliostat/");
-    host.install(&root().join("deploy/systemd"), "/etc/systemd/system/");
+    host.install(&workspace().join("deploy/rooms"), "/etc/heliostat/");
+    host.install(&workspace().join("deploy/router"), "/etc/heliostat/");
+    host.install(&workspace().join("deploy/systemd"), "/etc/systemd/system/");
     host.shell("systemctl daemon-reload");
     let units = [
         "heliostat-router",

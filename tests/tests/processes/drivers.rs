@@ -5,9 +5,9 @@ use std::time::{Duration, Instant};
 
 use heliostat_bus::{BusConfig, private_endpoint};
 use heliostat_needs::needs;
-use heliostat_proto::{ArrayState, MirrorCommand, MirrorTelemetry, Rearm, Room, Stamp, UserReport, UserState, encode};
-use heliostat_service::clock::utc_ns;
-use heliostat_tests::{Process, PythonExample, RoomObserver, python, wait_until};
+use heliostat_proto::{ArrayState, MirrorCommand, MirrorTelemetry, Rearm, Room};
+use heliostat_tests::faults::users_at_rest;
+use heliostat_tests::{Process, PythonExample, RoomObserver, encoded, python, wait_until};
 use serde_json::Value;
 
 /// The example driver of 2 x 3 mirrors.
@@ -81,21 +81,6 @@ fn a_driver_in_python_keeps_every_rule() {
     assert!(verdicts.iter().all(|(_, verdict)| verdict == "kept"), "{verdicts:?}");
 }
 
-/// Five users at rest, as a tracker would report them.
-fn report(tick: u64) -> Vec<u8> {
-    let time_ns = utc_ns();
-    let user = |user: u32| UserState {
-        user,
-        position_m: [user as f32 - 2.0, 0.5 * user as f32 - 1.0, 0.85],
-        velocity_m_s: [0.0, 0.0],
-        min_rate_bps: 1e6,
-    };
-    let stamp = Stamp { source: 7, sequence: tick, time_ns };
-    let mut payload = Vec::new();
-    encode(&UserReport { stamp, tick, users: (0..5).map(user).collect() }, &mut payload).expect("a sound report");
-    payload
-}
-
 /// Whether telemetry acknowledges this command.
 fn acknowledges(telemetry: &MirrorTelemetry, command: &MirrorCommand) -> bool {
     (telemetry.epoch, telemetry.applied_sequence, telemetry.answers)
@@ -117,8 +102,7 @@ fn a_driver_in_python_follows_the_controller() {
     let tracker = RoomObserver::join(&room.listen_at(&of_tracker).connect_to(&of_controller));
     let _driver = python_driver(&python, "driven", &[&of_controller, &of_tracker]);
     // Its first start is stopped, by a stop without sender.
-    let mut rearm = Vec::new();
-    encode(&Rearm::default(), &mut rearm).expect("a sound re-arm");
+    let rearm = encoded(&Rearm::default());
     wait_until("a released array", || {
         tracker.publish(&tracker.room().rearm(), &rearm);
         tracker.telemetry().is_some_and(|telemetry| telemetry.state == ArrayState::Parked)
@@ -126,7 +110,7 @@ fn a_driver_in_python_follows_the_controller() {
     let (mut tick, mut acknowledged) = (0, 0);
     wait_until("ten commands that the driver acknowledges by number, tick and angles", || {
         tick += 1;
-        tracker.publish(&tracker.room().users(), &report(tick));
+        tracker.publish(&tracker.room().users(), &encoded(&users_at_rest(7, tick)));
         // Telemetry comes after its interval, and later on a busy machine. A first report may have no receiver.
         let acknowledging = || {
             let both = tracker.telemetry().zip(tracker.command().1);

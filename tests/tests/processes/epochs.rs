@@ -2,9 +2,9 @@
 
 use heliostat_bus::private_endpoint;
 use heliostat_proto::{
-    ArrayState, AxisLimits, Capabilities, MirrorCommand, MirrorTelemetry, NodeKind, Stamp, UserReport, codec,
+    ArrayState, AxisLimits, Capabilities, MirrorCommand, MirrorTelemetry, NodeKind, Stamp, UserReport,
 };
-use heliostat_tests::{Process, RoomObserver, wait_until};
+use heliostat_tests::{Process, RoomObserver, encoded, wait_until};
 
 /// A day in ms.
 const DAY_MS: u64 = 86_400_000;
@@ -25,17 +25,12 @@ impl Setting {
     }
 
     fn controller(&self, index: usize) -> Process {
-        Process::heliostat(&[
-            "controller",
-            "--policy",
-            "nearest",
-            "--connect",
-            &self.room_endpoint,
-            "--listen",
-            &self.controller_endpoints[index],
-            "--exit-with-parent",
-            "--json",
-        ])
+        self.controller_with(index, &[])
+    }
+
+    fn controller_with(&self, index: usize, more: &[&str]) -> Process {
+        let all = [&["--json"], more].concat();
+        Process::controller("nearest", &self.room_endpoint, &self.controller_endpoints[index], &all)
     }
 
     /// An observer of the room and its first controller, after the first commands.
@@ -45,12 +40,6 @@ impl Setting {
         wait_until("a command and a user report", || observer.command().0 > 0 && observer.users().is_some());
         observer
     }
-}
-
-fn encoded<T: codec::Message>(message: &T) -> Vec<u8> {
-    let mut bytes = Vec::new();
-    codec::encode(message, &mut bytes).expect("the message is valid");
-    bytes
 }
 
 fn telemetry(observer: &RoomObserver) -> MirrorTelemetry {
@@ -210,21 +199,7 @@ fn a_controller_that_ends_hands_over_to_the_standby_that_it_is_connected_to() {
     let first = setting.controller(0);
     let observer = setting.observer();
     let epoch = telemetry(&observer).epoch;
-    let endpoints = [&setting.room_endpoint, &setting.controller_endpoints[0]].map(String::as_str);
-    let second = Process::heliostat(&[
-        "controller",
-        "--standby",
-        "--policy",
-        "nearest",
-        "--connect",
-        endpoints[0],
-        "--connect",
-        endpoints[1],
-        "--listen",
-        &setting.controller_endpoints[1],
-        "--exit-with-parent",
-        "--json",
-    ]);
+    let second = setting.controller_with(1, &["--standby", "--connect", &setting.controller_endpoints[0]]);
     let of_second = RoomObserver::connect("demo", &[&setting.room_endpoint, &setting.controller_endpoints[1]]);
     wait_until("a second controller in standby", || {
         of_second.status(NodeKind::Controller).is_some_and(|status| status.state == "standby")

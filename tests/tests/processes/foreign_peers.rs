@@ -56,7 +56,7 @@ fn a_listener_that_is_no_zenoh_peer_does_not_delay_the_end_of_a_process() {
         ];
         for arguments in arguments {
             let before = connections.load(Ordering::SeqCst);
-            let process = Process::heliostat_under(&[], &[TIMEOUTS], arguments);
+            let process = Process::heliostat_under::<&str>(&[], &[TIMEOUTS], arguments);
             wait_until("a connection", || connections.load(Ordering::SeqCst) > before);
             // Until it listens for signals.
             std::thread::sleep(Duration::from_secs(1));
@@ -69,7 +69,7 @@ fn a_listener_that_is_no_zenoh_peer_does_not_delay_the_end_of_a_process() {
 #[test]
 fn silent_connections_to_a_process_do_not_delay_its_end() {
     let endpoint = free_loopback_endpoint().expect("a free port");
-    let room = Process::heliostat_under(&[], &[TIMEOUTS], &["sim-node", "--listen", &endpoint]);
+    let room = Process::heliostat_under::<&str>(&[], &[TIMEOUTS], &["sim-node", "--listen", &endpoint]);
     let address = endpoint.strip_prefix("tcp/").expect("a TCP endpoint");
     let mut silent = Vec::new();
     wait_until("a connection", || TcpStream::connect(address).map(|stream| silent.push(stream)).is_ok());

@@ -14,9 +14,7 @@ fn simulator(endpoint: &str, sets: &[&str]) -> Process {
 }
 
 fn controller(room: &str, endpoint: &str, sets: &[&str]) -> Process {
-    let fixed =
-        ["controller", "--policy", "flat", "--connect", room, "--listen", endpoint, "--exit-with-parent", "--json"];
-    Process::heliostat(&[&fixed, sets].concat())
+    Process::controller("flat", room, endpoint, &[&["--json"], sets].concat())
 }
 
 /// `heliostat ui` without a scenario.

@@ -9,7 +9,7 @@ use heliostat_onnx::tensor_proto::DataType;
 use heliostat_onnx::{AttributeProto, ModelProto, NodeProto, TensorProto};
 use heliostat_record::file::{Header, Recording};
 use heliostat_scenario::Scenario;
-use heliostat_tests::{Ended, Process};
+use heliostat_tests::{Ended, Process, workspace};
 use prost::Message;
 use tempfile::TempDir;
 
@@ -69,7 +69,7 @@ fn integers(name: &str, values: &[i64]) -> TensorProto {
 
 /// A built-in actor to whose angles the sum of the value "huge" is added.
 fn actor(nodes: Vec<NodeProto>, tensors: Vec<TensorProto>) -> Vec<u8> {
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../models/actors/ddpg-raw-specular-10x10.onnx");
+    let file = workspace().join("models/actors/ddpg-raw-specular-10x10.onnx");
     let mut model = ModelProto::decode(&fs::read(file).expect("the built-in actor is a file")[..]).expect("it is ONNX");
     let graph = model.graph.as_mut().expect("it has a graph");
     let last = graph.node.last_mut().expect("it has nodes");

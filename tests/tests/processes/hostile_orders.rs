@@ -4,14 +4,8 @@
 use std::time::Instant;
 
 use heliostat_bus::private_endpoint;
-use heliostat_proto::{ControllerControl, FaultKind, MirrorFault, NodeKind, SimulatorControl, Stamp, codec};
-use heliostat_tests::{Process, RoomObserver, wait_until};
-
-fn encoded<T: codec::Message>(message: &T) -> Vec<u8> {
-    let mut bytes = Vec::new();
-    codec::encode(message, &mut bytes).expect("the message is valid");
-    bytes
-}
+use heliostat_proto::{ControllerControl, FaultKind, MirrorFault, NodeKind, SimulatorControl, Stamp};
+use heliostat_tests::{Process, RoomObserver, encoded, wait_until};
 
 fn tick(observer: &RoomObserver) -> u64 {
     observer.users().map_or(0, |report| report.tick)
@@ -80,16 +74,7 @@ fn control_characters_of_a_message_do_not_reach_a_log_or_a_summary() {
     let endpoint = private_endpoint().expect("a port");
     let sim = Process::heliostat(&["sim-node", "--listen", &endpoint, "--exit-with-parent"]);
     let at_controller = private_endpoint().expect("a port");
-    let controller = Process::heliostat(&[
-        "controller",
-        "--policy",
-        "nearest",
-        "--connect",
-        &endpoint,
-        "--listen",
-        &at_controller,
-        "--exit-with-parent",
-    ]);
+    let controller = Process::controller("nearest", &endpoint, &at_controller, &[]);
     let observer = RoomObserver::connect("demo", &[&endpoint, &at_controller]);
     observer.wait_for_commands();
     let policy = "x\u{1b}[2J\u{1b}]0;owned\u{7}\u{9b}31m\r\nlast problem none";

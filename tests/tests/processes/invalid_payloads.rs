@@ -4,9 +4,9 @@
 use heliostat_bus::private_endpoint;
 use heliostat_proto::{
     ChannelReport, EmergencyStop, MirrorCommand, MirrorTelemetry, NodeKind, Obstacle, ObstacleReport, Stamp,
-    UserChannel, UserReport, UserState, codec,
+    UserChannel, UserReport, UserState,
 };
-use heliostat_tests::{Process, RoomObserver, wait_until};
+use heliostat_tests::{Process, RoomObserver, encoded, wait_until};
 
 /// An invalid number.
 const NAN: [u8; 4] = f32::NAN.to_le_bytes();
@@ -36,27 +36,11 @@ fn invalid_variants(valid: &[u8]) -> Vec<(&'static str, Vec<u8>)> {
     ]
 }
 
-fn encoded<T: codec::Message>(message: &T) -> Vec<u8> {
-    let mut bytes = Vec::new();
-    codec::encode(message, &mut bytes).expect("the message is valid");
-    bytes
-}
-
 /// A room, a controller, and an observer that has received commands.
 fn running() -> (Process, Process, RoomObserver) {
     let (room, controller) = (private_endpoint().expect("a port"), private_endpoint().expect("a port"));
     let sim = Process::heliostat(&["sim-node", "--listen", &room, "--exit-with-parent", "--json"]);
-    let central = Process::heliostat(&[
-        "controller",
-        "--policy",
-        "nearest",
-        "--connect",
-        &room,
-        "--listen",
-        &controller,
-        "--exit-with-parent",
-        "--json",
-    ]);
+    let central = Process::controller("nearest", &room, &controller, &["--json"]);
     let observer = RoomObserver::connect("demo", &[&room, &controller]);
     observer.wait_for_commands();
     (sim, central, observer)

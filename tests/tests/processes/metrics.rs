@@ -2,27 +2,13 @@
 
 use std::collections::BTreeSet;
 use std::fs;
-use std::io::{Read, Write};
-use std::net::{SocketAddr, TcpStream};
-use std::path::Path;
+use std::net::SocketAddr;
 
 use heliostat_bus::{free_loopback_port, private_endpoint};
-use heliostat_tests::{Process, wait_until};
+use heliostat_tests::{Process, fetch_metrics, sample_value, wait_until, workspace};
 
 fn free_address() -> SocketAddr {
     SocketAddr::from(([127, 0, 0, 1], free_loopback_port().expect("a free port")))
-}
-
-/// The page at an address; empty without a response.
-pub(crate) fn fetch(address: SocketAddr) -> String {
-    let request = || -> std::io::Result<String> {
-        let mut stream = TcpStream::connect(address)?;
-        write!(stream, "GET /metrics HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")?;
-        let mut answer = String::new();
-        stream.read_to_string(&mut answer)?;
-        Ok(answer)
-    };
-    request().unwrap_or_default()
 }
 
 /// Whether a metric is one of the project, or a standard one of a process.
@@ -36,12 +22,6 @@ fn names(page: &str) -> BTreeSet<String> {
     samples.filter_map(|line| line.split(['{', ' ']).next()).map(str::to_owned).collect()
 }
 
-/// The value of the first sample with this prefix.
-fn value(page: &str, sample: &str) -> f64 {
-    let line = page.lines().find(|line| line.starts_with(sample));
-    line.and_then(|line| line.rsplit(' ').next()?.parse().ok()).unwrap_or(f64::NAN)
-}
-
 /// Every name that the dashboard uses, in expressions and variables alike.
 fn names_of_dashboard() -> BTreeSet<String> {
     let text = read("deploy/grafana/heliostat.json");
@@ -50,7 +30,7 @@ fn names_of_dashboard() -> BTreeSet<String> {
 }
 
 fn read(file: &str) -> String {
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(file);
+    let file = workspace().join(file);
     fs::read_to_string(&file).unwrap_or_else(|error| panic!("{}: {error}", file.display()))
 }
 
@@ -84,25 +64,25 @@ fn the_dashboard_uses_metrics_that_a_running_room_serves() {
         "--exit-with-parent",
     ]);
     wait_until("rates, decisions and light on both pages", || {
-        value(&fetch(controller_at), "heliostat_decisions_total") > 10.0
-            && value(&fetch(room_at), "heliostat_sum_rate_bps{room=\"demo\",angles=\"oracle\"}") > 0.0
-            && value(&fetch(room_at), "heliostat_room_commands_total") > 10.0
-            && value(&fetch(controller_at), "heliostat_light_off") >= 0.0
+        sample_value(&fetch_metrics(controller_at), "heliostat_decisions_total") > 10.0
+            && sample_value(&fetch_metrics(room_at), "heliostat_sum_rate_bps{room=\"demo\",angles=\"oracle\"}") > 0.0
+            && sample_value(&fetch_metrics(room_at), "heliostat_room_commands_total") > 10.0
+            && sample_value(&fetch_metrics(controller_at), "heliostat_light_off") >= 0.0
     });
-    let (room_page, controller_page) = (fetch(room_at), fetch(controller_at));
+    let (room_page, controller_page) = (fetch_metrics(room_at), fetch_metrics(controller_at));
     for (page, process) in [(&room_page, &room), (&controller_page, &controller)] {
-        let resident = value(page, "process_resident_memory_bytes");
+        let resident = sample_value(page, "process_resident_memory_bytes");
         assert!((1e6..1e9).contains(&resident), "process {}: {resident} bytes", process.id());
     }
-    let count = value(&controller_page, "heliostat_decision_seconds_count");
+    let count = sample_value(&controller_page, "heliostat_decision_seconds_count");
     assert!(count > 0.0, "{controller_page}");
-    assert_eq!(count, value(&controller_page, "heliostat_decision_seconds_bucket{le=\"+Inf\",room=\"demo\"}"));
+    assert_eq!(count, sample_value(&controller_page, "heliostat_decision_seconds_bucket{le=\"+Inf\",room=\"demo\"}"));
     assert!(controller_page.contains("heliostat_policy_info{room=\"demo\",policy=\"fixed-point\"} 1"));
     assert!(
         controller_page.contains("content-type: application/openmetrics-text")
             || controller_page.contains("Content-Type: application/openmetrics-text")
     );
-    assert!(value(&room_page, "heliostat_loop_seconds_count") > 0.0, "{room_page}");
+    assert!(sample_value(&room_page, "heliostat_loop_seconds_count") > 0.0, "{room_page}");
 
     // Counters by cause appear with the first cause, and the end of a certificate with keys, so those names are known
     // from the sources.
@@ -120,15 +100,16 @@ fn the_dashboard_uses_metrics_that_a_running_room_serves() {
         "controller/runtime/src/report/metrics.rs",
         "controller/runtime/src/report/metrics.rs",
         "controller/runtime/src/report/metrics.rs",
-        "sim-node/node/src/metrics.rs",
+        "crates/service/src/page.rs",
         "controller/runtime/src/report/metrics.rs",
         "crates/service/src/exporter.rs",
         "crates/service/src/exporter.rs",
     ];
     for (name, file) in by_cause.into_iter().zip(files) {
-        let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(file);
-        let text = fs::read_to_string(source).expect("the source is there");
-        assert!(text.contains(&format!("\"{}\"", name.trim_end_matches("_total"))), "{name} is not made in {file}");
+        assert!(
+            read(file).contains(&format!("\"{}\"", name.trim_end_matches("_total"))),
+            "{name} is not made in {file}"
+        );
         known.insert(name.to_owned());
     }
     let drawn = names_of_dashboard();
@@ -136,7 +117,7 @@ fn the_dashboard_uses_metrics_that_a_running_room_serves() {
     let unknown: Vec<_> = drawn.difference(&known).collect();
     assert!(unknown.is_empty(), "the dashboard names unknown metrics: {unknown:?}");
 
-    assert_eq!(value(&room_page, "heliostat_stop_recorded"), 1.0);
+    assert_eq!(sample_value(&room_page, "heliostat_stop_recorded"), 1.0);
     assert!(room_page.contains("heliostat_array_state_info{room=\"demo\",state=\""), "{room_page}");
     let alerts = names_in(&read("deploy/prometheus/alerts.yml"));
     assert!(alerts.len() > 8, "{alerts:?}");
@@ -170,7 +151,7 @@ fn a_driver_serves_metrics_and_logs_as_json() {
     let flags = [&flags[..], &["--state", &state]].concat();
     let driver = Process::heliostat(&[&["driver", "run", "--config", &file], &flags[..]].concat());
     wait_until("the driver's metrics", || {
-        let page = fetch(metrics_at);
+        let page = fetch_metrics(metrics_at);
         page.contains("heliostat_device_connections_total{room=\"demo\"} 0")
             && page.contains("heliostat_array_state_info{room=\"demo\",state=\"")
             && page.contains("process=\"driver\"")

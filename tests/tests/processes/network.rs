@@ -49,10 +49,8 @@ fn run(protocol: &str, percent: u32) -> Run {
     let (_folder, keys) = keys(&link.address());
     let security = if protocol == "tcp" { vec!["--insecure"] } else { vec!["--tls", &keys] };
     let endpoint = format!("{protocol}/{}:7447", link.address());
-    let wrapper = link.wrapper();
-    let wrapper: Vec<&str> = wrapper.iter().map(String::as_str).collect();
     let room = ["sim-node", "--listen", &endpoint, "--seconds", RUN_S, "--json", "--set", "streams.truth.rate_hz=0.1"];
-    let room = Process::heliostat_under(&wrapper, &[], &[&room[..], &security].concat());
+    let room = Process::heliostat_under(&link.wrapper(), &[], &[&room[..], &security].concat());
     let controller = ["controller", "--policy", "nearest", "--connect", &endpoint, "--exit-with-parent", "--json"];
     let _controller = Process::heliostat(&[&controller[..], &security].concat());
     std::thread::sleep(Duration::from_secs(2));

@@ -8,11 +8,9 @@ use heliostat_bus::{BusConfig, free_loopback_endpoint, free_loopback_port, priva
 use heliostat_proto::messages::fault;
 use heliostat_proto::{ArrayState, EmergencyStop, MirrorTelemetry, NodeKind, Rearm, Room, Stamp, StopAction};
 use heliostat_service::clock::utc_ns;
-use heliostat_tests::faults::{LoopbackBoard, Proxy, Tracker, encoded};
-use heliostat_tests::{Process, RoomObserver, wait_until};
+use heliostat_tests::faults::{LoopbackBoard, Proxy, Tracker};
+use heliostat_tests::{Process, RoomObserver, encoded, fetch_metrics, wait_until};
 use serde_json::Value;
-
-use crate::metrics::fetch;
 
 const ROOM: &str = "one-process";
 const MIRRORS: [&str; 4] = ["--set", "mirrors.rows=2", "--set", "mirrors.columns=2"];
@@ -135,7 +133,9 @@ fn the_metrics_of_the_controller_say_whether_the_stop_of_its_array_is_recorded()
     let setting = Setting::new();
     let address = SocketAddr::from(([127, 0, 0, 1], free_loopback_port().expect("a free port")));
     let process = setting.start(&["--metrics-listen", &address.to_string()]);
-    wait_until("the metric", || fetch(address).contains(&format!("heliostat_stop_recorded{{room=\"{ROOM}\"}} 1")));
+    wait_until("the metric", || {
+        fetch_metrics(address).contains(&format!("heliostat_stop_recorded{{room=\"{ROOM}\"}} 1"))
+    });
     process.end().json();
 }
 

@@ -14,7 +14,7 @@ use heliostat_proto::{
 use heliostat_record::account::Account;
 use heliostat_record::file::{Reading, Recording};
 use heliostat_scenario::Scenario;
-use heliostat_tests::{Process, RoomObserver, programs, wait_until};
+use heliostat_tests::{Process, RoomObserver, encoded, golden_recording, programs, wait_until};
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -95,13 +95,14 @@ fn verified(file: &Path) -> Value {
     replay(file, &["--verify"]).wait().json()
 }
 
-/// A copy of a recording, each payload changed by `change`.
-fn copy(from: &Path, to: &Path, mut change: impl FnMut(&str, &mut Vec<u8>)) {
+/// A copy of a recording, each payload replaced by those that `change` makes of it.
+pub fn copy<I: IntoIterator<Item = Vec<u8>>>(from: &Path, to: &Path, mut change: impl FnMut(&str, Vec<u8>) -> I) {
     let mut reading = Reading::open(File::open(from).unwrap()).unwrap();
     let mut recording = Recording::create(File::create_new(to).unwrap(), reading.header()).unwrap();
-    while let Some(mut entry) = reading.entry().unwrap() {
-        change(&entry.topic, &mut entry.data);
-        recording.payload(&entry.topic, entry.arrived_ns, entry.arrived_ns, &entry.data).unwrap();
+    while let Some(entry) = reading.entry().unwrap() {
+        for payload in change(&entry.topic, entry.data) {
+            recording.payload(&entry.topic, entry.arrived_ns, entry.arrived_ns, &payload).unwrap();
+        }
     }
     recording.finish(&Account::default()).unwrap();
 }
@@ -171,12 +172,13 @@ fn a_lockstep_run_replays_bit_for_bit_and_a_changed_one_does_not() {
     // One bit of the last angle of the 70th command: the lowest of its mantissa.
     let changed = setting.folder.path().join("changed.mcap");
     let mut commands = 0;
-    copy(&file, &changed, |topic, payload| {
+    copy(&file, &changed, |topic, mut payload| {
         commands += u64::from(topic.ends_with("mirrors/command"));
         if topic.ends_with("mirrors/command") && commands == 70 {
             let lowest = payload.len() - 4;
             payload[lowest] ^= 1;
         }
+        Some(payload)
     });
     let ended = replay(&changed, &["--verify"]).wait();
     assert_eq!(ended.status.code(), Some(1), "{}", ended.errors);
@@ -240,13 +242,14 @@ fn a_room_with_reported_orientations_replays_bit_for_bit_and_not_without_them() 
     assert_eq!((verdict["same"].as_u64(), verdict["different"].as_u64()), (Some(150), Some(0)), "{verdict}");
     let upright = setting.folder.path().join("upright.mcap");
     let mut reports = 0;
-    copy(&file, &upright, |topic, payload| {
+    copy(&file, &upright, |topic, mut payload| {
         if topic.ends_with("/orientation") {
             reports += 1;
-            let mut report: OrientationReport = codec::decode(payload).unwrap();
+            let mut report: OrientationReport = codec::decode(&payload).unwrap();
             report.users.iter_mut().for_each(|user| user.quaternion = [1.0, 0.0, 0.0, 0.0]);
-            codec::encode(&report, payload).unwrap();
+            payload = encoded(&report);
         }
+        Some(payload)
     });
     assert!(reports >= 70, "{reports}");
     let other = replay(&upright, &["--policy", "fixed-point"]).wait().json();
@@ -273,12 +276,13 @@ fn a_room_with_reported_leds_replays_bit_for_bit_and_not_without_them() {
     let verdict = verified(&file);
     assert_eq!((verdict["same"].as_u64(), verdict["different"].as_u64()), (Some(150), Some(0)), "{verdict}");
     let without = setting.folder.path().join("without.mcap");
-    copy(&file, &without, |topic, payload| {
+    copy(&file, &without, |topic, mut payload| {
         if topic.ends_with("/leds") {
-            let mut report: LedReport = codec::decode(payload).unwrap();
+            let mut report: LedReport = codec::decode(&payload).unwrap();
             (report.users, report.gains) = (Vec::new(), Vec::new());
-            codec::encode(&report, payload).unwrap();
+            payload = encoded(&report);
         }
+        Some(payload)
     });
     let other = replay(&without, &["--policy", "fixed-point"]).wait().json();
     assert!(other["different"].as_u64() > Some(0), "{other}");
@@ -353,8 +357,7 @@ fn a_live_recording_replays_after_the_first_decisions() {
 
 #[test]
 fn the_golden_recording_replays() {
-    let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/golden.mcap");
-    let verdict = verified(&golden);
+    let verdict = verified(&golden_recording());
     assert_eq!((verdict["same"].as_u64(), verdict["not_counted"].as_u64()), (Some(120), Some(0)), "{verdict}");
 }
 
@@ -418,9 +421,7 @@ fn gaps_are_counted_by_sequence_number() {
     let key = tracker.room().users();
     let publish = |sequence| {
         let stamp = Stamp { source: 7, sequence, time_ns: 1 };
-        let mut payload = Vec::new();
-        codec::encode(&UserReport { stamp, tick: sequence, ..UserReport::default() }, &mut payload).unwrap();
-        tracker.publish(&key, &payload);
+        tracker.publish(&key, &encoded(&UserReport { stamp, tick: sequence, ..UserReport::default() }));
     };
     let size = || fs::metadata(setting.file()).map_or(0, |file| file.len());
     let publish_until_written = |sequence| {
@@ -450,9 +451,8 @@ fn a_recording_is_not_played_into_a_room_with_an_array_of_its_own() {
     let [at_room, at_controller] = [(); 2].map(|()| private_endpoint().unwrap());
     let _room = Process::heliostat(&["sim-node", "--listen", &at_room]);
     let _controller = Process::heliostat(&["controller", "--connect", &at_room, "--listen", &at_controller]);
-    let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/golden.mcap");
     let join = ["--room", "demo", "--connect", &at_room, "--connect", &at_controller];
-    let ended = replay(&golden, &join).wait();
+    let ended = replay(&golden_recording(), &join).wait();
     let refusal = ended.refusal();
     assert!(refusal.contains("has a sim-node already") && refusal.contains("Nothing was played"), "{refusal}");
 }
@@ -471,7 +471,7 @@ fn a_failed_recording_or_replay_is_reported_with_the_cause() {
     let alone = Process::heliostat(&["record", "--seconds", "1", "--connect", &unused, "--out", &text(&empty)]).wait();
     assert!(alone.refusal().contains("nothing was received"), "{}", alone.errors);
 
-    let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/golden.mcap");
+    let golden = golden_recording();
     let refused = |name: &str, expected: &str| {
         for arguments in [&["--verify"][..], &["--listen", "tcp/127.0.0.1:0"]] {
             let ended = replay(&folder.path().join(name), arguments).wait();

@@ -23,18 +23,8 @@ impl Setting {
     }
 
     fn controller(&self, more: &[&str]) -> Process {
-        let own = [
-            "controller",
-            "--policy",
-            "fixed-point",
-            "--connect",
-            &self.room_endpoint,
-            "--listen",
-            &self.controller_endpoint,
-            "--exit-with-parent",
-            "--json",
-        ];
-        Process::heliostat(&[&own[..], more].concat())
+        let all = [&["--json"], more].concat();
+        Process::controller("fixed-point", &self.room_endpoint, &self.controller_endpoint, &all)
     }
 
     fn observer(&self) -> RoomObserver {

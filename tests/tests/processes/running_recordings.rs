@@ -1,17 +1,16 @@
 //! Recordings of a room and a controller that were running before the recorder: a replay compares
 //! commands from the first recorded state of the controller on, and a new controller answers a playback.
 
-use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use heliostat_bus::private_endpoint;
 use heliostat_proto::{ControllerMemory, InputKind, MirrorTelemetry, UserReport, codec};
-use heliostat_record::account::Account;
-use heliostat_record::file::{Reading, Recording};
-use heliostat_tests::{Process, wait_until};
+use heliostat_tests::{Process, encoded, golden_recording, wait_until};
 use serde_json::Value;
 use tempfile::TempDir;
+
+use crate::recording::copy;
 
 /// A room with the filter, whose recorder starts some seconds after the controller.
 struct Setting {
@@ -75,18 +74,6 @@ fn assert_replays(file: &Path, policy: &str) -> Value {
     verdict
 }
 
-/// A copy of a recording without the messages that `keep` refuses.
-fn copy(from: &Path, to: &Path, mut keep: impl FnMut(&str, &mut Vec<u8>) -> bool) {
-    let mut reading = Reading::open(File::open(from).unwrap()).unwrap();
-    let mut recording = Recording::create(File::create_new(to).unwrap(), reading.header()).unwrap();
-    while let Some(mut entry) = reading.entry().unwrap() {
-        if keep(&entry.topic, &mut entry.data) {
-            recording.payload(&entry.topic, entry.arrived_ns, entry.arrived_ns, &entry.data).unwrap();
-        }
-    }
-    recording.finish(&Account::default()).unwrap();
-}
-
 /// The counts of a playback into a controller that starts with it: position reports, and answers.
 fn play(file: &Path, controller: &[&str]) -> (u64, u64) {
     let endpoint = private_endpoint().unwrap();
@@ -114,12 +101,10 @@ fn a_new_controller_answers_the_playback_of_a_recording_that_began_while_another
     let ahead = file.with_file_name("ahead.mcap");
     let mut first = None;
     copy(&file, &ahead, |_, payload| {
-        if let Ok(mut telemetry) = codec::decode::<MirrorTelemetry>(payload) {
-            first.get_or_insert(telemetry.epoch);
-            telemetry.epoch += 24 * 3600 * 1000;
-            codec::encode(&telemetry, payload).unwrap();
-        }
-        true
+        let Ok(mut telemetry) = codec::decode::<MirrorTelemetry>(&payload) else { return Some(payload) };
+        first.get_or_insert(telemetry.epoch);
+        telemetry.epoch += 24 * 3600 * 1000;
+        Some(encoded(&telemetry))
     });
     assert!(first > Some(0), "the recording began while the array followed a controller");
     let (reports, answered) = play(&ahead, &[]);
@@ -131,9 +116,9 @@ fn a_new_lockstep_controller_answers_the_second_half_of_a_recording() {
     let folder = TempDir::new().unwrap();
     let half = folder.path().join("half.mcap");
     let mut begun = false;
-    copy(&Path::new(env!("CARGO_MANIFEST_DIR")).join("data/golden.mcap"), &half, |topic, payload| {
-        begun |= codec::decode::<UserReport>(payload).is_ok_and(|report| report.tick > 60);
-        begun || topic.ends_with("capabilities")
+    copy(&golden_recording(), &half, |topic, payload| {
+        begun |= codec::decode::<UserReport>(&payload).is_ok_and(|report| report.tick > 60);
+        (begun || topic.ends_with("capabilities")).then_some(payload)
     });
     let array = ["--set", "mirrors.rows=5", "--set", "mirrors.columns=5"];
     assert_eq!(play(&half, &[&["--lockstep", "--scenario", "specular"], &array[..]].concat()), (60, 60));
@@ -156,7 +141,7 @@ fn a_recording_of_a_running_controller_with_a_filter_replays_bit_for_bit() {
 
     // The state that the controller had before the recording is what makes the commands equal.
     let without = file.with_file_name("without.mcap");
-    copy(&file, &without, |topic, _| !topic.ends_with("controller/memory"));
+    copy(&file, &without, |topic, payload| (!topic.ends_with("controller/memory")).then_some(payload));
     let settled = ["replay", &without.to_string_lossy(), "--json", "--policy", "greedy", "--settle", "20"];
     let other = Process::heliostat(&settled).wait().json();
     assert!(other["different"].as_u64() > Some(0), "{other}");
@@ -164,10 +149,10 @@ fn a_recording_of_a_running_controller_with_a_filter_replays_bit_for_bit() {
     // A report that the recorder did not receive makes the state unknown until the next one.
     let gap = file.with_file_name("gap.mcap");
     let (mut reports, mut states) = (0, 0);
-    copy(&file, &gap, |topic, _| {
+    copy(&file, &gap, |topic, payload| {
         states += u64::from(topic.ends_with("controller/memory"));
         reports += u64::from(topic.ends_with("/users") && states == 1);
-        !(topic.ends_with("/users") && states == 1 && reports == 5)
+        (!(topic.ends_with("/users") && states == 1 && reports == 5)).then_some(payload)
     });
     let fewer = assert_replays(&gap, "greedy");
     assert!(fewer["same"].as_u64() < verdict["same"].as_u64(), "{fewer} {verdict}");
@@ -175,8 +160,8 @@ fn a_recording_of_a_running_controller_with_a_filter_replays_bit_for_bit() {
     // A report that the controller did not accept, beside those that it did.
     let foreign = file.with_file_name("foreign.mcap");
     let (mut dropped, mut states) = (0, 0);
-    copy(&file, &foreign, |topic, payload| {
-        let Ok(mut memory) = codec::decode::<ControllerMemory>(payload) else { return true };
+    copy(&file, &foreign, |topic, mut payload| {
+        let Ok(mut memory) = codec::decode::<ControllerMemory>(&payload) else { return Some(payload) };
         states += 1;
         if topic.ends_with("controller/memory") && states == 3 {
             let before = memory.inputs.len();
@@ -184,9 +169,9 @@ fn a_recording_of_a_running_controller_with_a_filter_replays_bit_for_bit() {
             let report = inputs.position(|input| input == InputKind::Users).expect("a report");
             memory.inputs.remove(report);
             dropped = before - memory.inputs.len();
-            codec::encode(&memory, payload).unwrap();
+            payload = encoded(&memory);
         }
-        true
+        Some(payload)
     });
     assert_eq!(dropped, 1);
     let differs = replay(&foreign, "greedy");

@@ -10,10 +10,10 @@ use heliostat_bus::{BusConfig, private_endpoint};
 use heliostat_proto::messages::fault;
 use heliostat_proto::{
     ArrayState, Calibration, EmergencyStop, Message, MirrorCommand, NodeKind, Rearm, Room, SafetyReport, Stamp,
-    StopAction, encode,
+    StopAction,
 };
 use heliostat_service::clock::utc_ns;
-use heliostat_tests::{Process, RoomObserver, wait_until};
+use heliostat_tests::{Process, RoomObserver, encoded, wait_until};
 
 /// A servo board of one mirror on a socket, and the lines that it received.
 fn board() -> (String, Arc<Mutex<Vec<String>>>) {
@@ -99,9 +99,7 @@ impl DrivenRoom {
     }
 
     fn send<T: Message>(&self, key: &str, message: &T) {
-        let mut payload = Vec::new();
-        encode(message, &mut payload).expect("a valid message");
-        self.observer.publish(key, &payload);
+        self.observer.publish(key, &encoded(message));
     }
 
     /// Sends a command with the next sequence number.
@@ -369,10 +367,8 @@ fn a_simulated_room_keeps_its_stop_where_a_folder_is_given_and_starts_parked_oth
     assert_eq!(state_of(&observer), ArrayState::Parked);
     let stamp = Stamp { source: 3, sequence: 4, time_ns: utc_ns() };
     let order = EmergencyStop { stamp, operator: "bob".into(), ..EmergencyStop::default() };
-    let mut payload = Vec::new();
-    encode(&order, &mut payload).expect("a valid stop");
     wait_until("a stopped room", || {
-        observer.publish(&observer.room().stop(), &payload);
+        observer.publish(&observer.room().stop(), &encoded(&order));
         state_of(&observer) == ArrayState::Stopped
     });
     let record = folder.path().join("sim.stop.toml");

@@ -5,12 +5,10 @@ use std::path::Path;
 use std::time::{Duration, SystemTime};
 
 use heliostat_bus::{AccessRole, Bus, BusConfig, Certificate, Identity, free_loopback_endpoint, keys};
-use heliostat_proto::{
-    ArrayState, EmergencyStop, Message, NodeKind, Rearm, Room, SafetyReport, Stamp, StopAction, decode, encode,
-};
+use heliostat_proto::{ArrayState, EmergencyStop, NodeKind, Rearm, Room, SafetyReport, Stamp, StopAction, decode};
 use heliostat_service::clock::utc_ns;
 use heliostat_tests::faults::LoopbackBoard;
-use heliostat_tests::{Process, RoomObserver, wait_until};
+use heliostat_tests::{Process, RoomObserver, encoded, wait_until};
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -78,12 +76,6 @@ fn start(keys: &Keys, room: &str, controller: &str) -> [Process; 2] {
     [Process::heliostat(&room_arguments), Process::heliostat(&[&policy[..], &common].concat())]
 }
 
-fn publish<M: Message>(observer: &RoomObserver, key: &str, message: &M) {
-    let mut payload = Vec::new();
-    encode(message, &mut payload).expect("a valid message");
-    observer.publish(key, &payload);
-}
-
 #[test]
 fn a_room_with_keys_answers_reports_and_only_an_operator_releases_a_stop() {
     let keys = Keys::new();
@@ -110,10 +102,10 @@ fn a_room_with_keys_answers_reports_and_only_an_operator_releases_a_stop() {
     for sequence in 1..=20 {
         let (operator, reason) = ("viewer".to_owned(), String::new());
         let unnamed = EmergencyStop { action: StopAction::Rearm, stamp: stamp(sequence), operator, reason };
-        publish(&viewer, &names.stop(), &unnamed);
+        viewer.publish(&names.stop(), &encoded(&unnamed));
         let SafetyReport { stop_source, stop_sequence, .. } = latched;
         let named = Rearm { stamp: stamp(sequence), stop_source, stop_sequence, ..Rearm::default() };
-        publish(&viewer, &names.rearm(), &named);
+        viewer.publish(&names.rearm(), &encoded(&named));
         std::thread::sleep(Duration::from_millis(50));
         assert_eq!(state(), Some(ArrayState::Stopped));
     }
@@ -175,7 +167,7 @@ fn a_plain_process_gets_nothing_from_a_room_with_keys() {
     let stranger = RoomObserver::join(&config);
     let stop = EmergencyStop { action: StopAction::Stop, ..EmergencyStop::default() };
     for _ in 0..20 {
-        publish(&stranger, &stranger.room().stop(), &stop);
+        stranger.publish(&stranger.room().stop(), &encoded(&stop));
         std::thread::sleep(Duration::from_millis(50));
     }
     assert!(stranger.users().is_none() && stranger.telemetry().is_none() && stranger.command().0 == 0);
@@ -224,9 +216,7 @@ fn an_array_in_the_controllers_process_has_the_keys_of_a_driver() {
     let process = start(&keys);
     wait_until("a controller that knows the array, and an array that reports", || {
         viewer.telemetry().is_some_and(|array| array.state == ArrayState::Parked)
-            && viewer.status(NodeKind::Controller).is_some_and(|status| {
-                status.counters.iter().any(|(name, count)| name == "driver_absent" && *count == 0)
-            })
+            && viewer.status(NodeKind::Controller).is_some_and(|status| status.counter("driver_absent") == Some(0))
     });
     process.end().json();
 }

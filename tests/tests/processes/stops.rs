@@ -2,32 +2,17 @@
 //! while a mirror can move, and a stop reaches each array, whenever it returns.
 
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use heliostat_bus::{Bus, BusConfig, Class, Publisher, Subscription, free_loopback_endpoint};
+use heliostat_bus::{Bus, BusConfig, Class, Publisher, free_loopback_endpoint};
 use heliostat_proto::{
-    ArrayState, EmergencyStop, LostDriver, Message, MirrorTelemetry, NodeStatus, Rearm, Room, Stamp, StopReport,
-    UserReport, UserState, decode, encode,
+    ArrayState, EmergencyStop, LostDriver, MirrorTelemetry, NodeKind, NodeStatus, Rearm, Room, Stamp, StopReport, decode,
 };
 use heliostat_service::clock::utc_ns;
-use heliostat_tests::faults::{Behaviour, LoopbackBoard};
-use heliostat_tests::{Ended, Process, wait_until};
+use heliostat_tests::faults::{Behaviour, LoopbackBoard, Tracker};
+use heliostat_tests::{Ended, Latest, Process, TWO_ARRAYS, encoded, wait_until};
 
-/// Six mirrors on one wall, then eight on another.
-const TWO: &str =
-    "name = \"two\"\n[[mirrors]]\nrows = 2\ncolumns = 3\n[[mirrors]]\nrows = 2\ncolumns = 4\nwall = \"-x\"\n";
-
-/// What was published last.
-#[derive(Clone, Debug, Default)]
-struct Latest {
-    telemetry: [Option<MirrorTelemetry>; 2],
-    stops: [Option<StopReport>; 2],
-    controller: Option<NodeStatus>,
-}
-
-/// A controller, two drivers with a board each, and a tracker of this test.
+/// A controller, two drivers with a board each, and a tracker.
 struct TwoArrays {
     room: String,
     folder: tempfile::TempDir,
@@ -38,9 +23,11 @@ struct TwoArrays {
     scenario: String,
     controller: Process,
     bus: Bus,
-    latest: Arc<Mutex<Latest>>,
-    is_ended: Arc<AtomicBool>,
-    _subscriptions: Vec<Subscription>,
+    telemetry: [Latest<MirrorTelemetry>; 2],
+    stops: [Latest<StopReport>; 2],
+    status: Latest<NodeStatus>,
+    /// Reports users, so that the controller commands.
+    _tracker: Tracker,
 }
 
 impl TwoArrays {
@@ -48,7 +35,7 @@ impl TwoArrays {
         let folder = tempfile::tempdir().expect("a folder");
         let boards = [LoopbackBoard::start(6), LoopbackBoard::start(8)];
         let scenario = folder.path().join("two.toml");
-        std::fs::write(&scenario, TWO).expect("a writable folder");
+        std::fs::write(&scenario, TWO_ARRAYS).expect("a writable folder");
         for (array, board) in boards.iter().enumerate() {
             std::fs::write(config(folder.path(), array), board.configuration()).expect("a writable folder");
         }
@@ -59,9 +46,6 @@ impl TwoArrays {
         let config = BusConfig::new(Room::new(room).expect("a valid name"));
         let config = config.connect_to(&endpoints[0]).connect_to(&endpoints[1]).connect_to(&of_controller);
         let bus = Bus::open(&config).expect("the bus opens");
-        let latest: Arc<Mutex<Latest>> = Arc::default();
-        let subscriptions = subscribe(&bus, &latest);
-        let is_ended = Arc::new(AtomicBool::new(false));
         let mut room = Self {
             room: room.to_owned(),
             folder,
@@ -71,34 +55,16 @@ impl TwoArrays {
             of_controller,
             scenario,
             controller,
+            telemetry: [0, 1].map(|array| Latest::of(&bus, &bus.room().array(array).telemetry())),
+            stops: [0, 1].map(|array| Latest::of(&bus, &bus.room().array(array).stops())),
+            status: Latest::of(&bus, &bus.room().status(NodeKind::Controller)),
             bus,
-            latest,
-            is_ended,
-            _subscriptions: subscriptions,
+            _tracker: Tracker::start(&config),
         };
-        room.report_users();
         room.start_driver(0);
         room.start_driver(1);
         room.wait_for([ArrayState::Following; 2]);
         room
-    }
-
-    /// Reports users, so that the controller commands, until the end.
-    fn report_users(&self) {
-        let publisher = self.bus.publisher(&self.bus.room().users(), Class::RealTimeDrop).expect("a valid key");
-        let is_ended = Arc::clone(&self.is_ended);
-        std::thread::spawn(move || {
-            let mut tick = 0;
-            while !is_ended.load(Ordering::SeqCst) {
-                tick += 1;
-                let stamp = Stamp { source: 7, sequence: tick, time_ns: utc_ns() };
-                let users = vec![UserState { position_m: [0.5, 0.5, 0.85], min_rate_bps: 1e6, ..UserState::default() }];
-                let mut payload = Vec::new();
-                encode(&UserReport { stamp, tick, users }, &mut payload).expect("a sound report");
-                drop(publisher.put(&payload));
-                std::thread::sleep(Duration::from_millis(20));
-            }
-        });
     }
 
     fn start_driver(&mut self, array: usize) {
@@ -113,12 +79,8 @@ impl TwoArrays {
         self.drivers[array].as_mut().expect("it was started")
     }
 
-    fn latest(&self) -> Latest {
-        self.latest.lock().expect("no callback panics").clone()
-    }
-
     fn states(&self) -> [Option<ArrayState>; 2] {
-        self.latest().telemetry.map(|telemetry| telemetry.map(|telemetry| telemetry.state))
+        self.telemetry.each_ref().map(|telemetry| telemetry.get().map(|telemetry| telemetry.state))
     }
 
     fn wait_for(&self, states: [ArrayState; 2]) {
@@ -127,7 +89,7 @@ impl TwoArrays {
 
     /// The names of the stops that an array reports.
     fn operators(&self, array: usize) -> Vec<String> {
-        let stops = self.latest().stops[array].clone().map(|report| report.stops).unwrap_or_default();
+        let stops = self.stops[array].get().map(|report| report.stops).unwrap_or_default();
         stops.into_iter().map(|stop| stop.operator).collect()
     }
 
@@ -150,12 +112,6 @@ impl TwoArrays {
     }
 }
 
-impl Drop for TwoArrays {
-    fn drop(&mut self) {
-        self.is_ended.store(true, Ordering::SeqCst);
-    }
-}
-
 fn start_controller(room: &str, scenario: &str, endpoints: &[String; 2], own: &str) -> Process {
     let set = ["--set", "control.validity_ms=10000", "--policy", "fixed-point", "--exit-with-parent"];
     let flags = ["controller", "--scenario", scenario, "--room", room, "--listen", own];
@@ -165,26 +121,6 @@ fn start_controller(room: &str, scenario: &str, endpoints: &[String; 2], own: &s
 
 fn config(folder: &Path, array: usize) -> String {
     folder.join(format!("array-{array}.toml")).display().to_string()
-}
-
-fn subscribe(bus: &Bus, latest: &Arc<Mutex<Latest>>) -> Vec<Subscription> {
-    let mut subscriptions = Vec::new();
-    for array in [0, 1] {
-        let keys = bus.room().array(array);
-        let kept = Arc::clone(latest);
-        subscriptions.push(bus.subscribe(&keys.telemetry(), move |payload| {
-            kept.lock().expect("no callback panics").telemetry[array] = decode(payload).ok();
-        }));
-        let kept = Arc::clone(latest);
-        subscriptions.push(bus.subscribe(&keys.stops(), move |payload| {
-            kept.lock().expect("no callback panics").stops[array] = decode(payload).ok();
-        }));
-    }
-    let kept = Arc::clone(latest);
-    subscriptions.push(bus.subscribe(&bus.room().status(heliostat_proto::NodeKind::Controller), move |payload| {
-        kept.lock().expect("no callback panics").controller = decode(payload).ok();
-    }));
-    subscriptions.into_iter().collect::<Result<_, _>>().expect("valid keys")
 }
 
 #[test]
@@ -203,14 +139,13 @@ fn a_room_with_an_absent_array_is_not_called_stopped_and_the_array_gets_the_stop
     room.start_driver(1);
     wait_until("the stop at the array that returned", || room.operators(1) == ["ann"]);
     wait_until("a controller that names the stop", || {
-        let state = room.latest().controller.map(|status| status.state).unwrap_or_default();
+        let state = room.status.get().map(|status| status.state).unwrap_or_default();
         state.starts_with("withheld by the stop of ann (\"person on the ladder\") since ")
     });
     // The telemetry of the driver that was killed shows an array that follows.
     room.wait_for([ArrayState::Stopped; 2]);
-    let accepted =
-        |room: &TwoArrays| room.latest().telemetry[1].as_ref().map_or(0, |telemetry| telemetry.counters.accepted);
-    assert_eq!(accepted(&room), 0, "it followed no command before the stop");
+    let accepted = room.telemetry[1].get().map_or(0, |telemetry| telemetry.counters.accepted);
+    assert_eq!(accepted, 0, "it followed no command before the stop");
     assert!(room.order("stop", &[]).status.success(), "now every array has stopped");
     let released = room.order("rearm", &["--all"]);
     assert!(released.status.success(), "{}", released.errors);
@@ -246,7 +181,7 @@ fn a_frozen_driver_is_named_and_stopped_as_soon_as_it_continues() {
     room.wait_for([ArrayState::Stopped; 2]);
     room.boards[1].longest_pause();
     wait_until("stop reports of both devices", || {
-        room.latest().stops.iter().flatten().filter(|report| report.device_stopped).count() == 2
+        room.stops.iter().all(|stops| stops.get().is_some_and(|report| report.device_stopped))
     });
 }
 
@@ -327,7 +262,7 @@ fn the_stops_of_two_operators_are_listed_and_released_one_by_one() {
         refusal.contains("2 stops are in force") && refusal.contains("of ann") && refusal.contains("--all"),
         "{refusal}"
     );
-    let stops = room.latest().stops[0].clone().expect("a report").stops;
+    let stops = room.stops[0].get().expect("a report").stops;
     let name = stops[1].name().to_string();
     let released = room.order("rearm", &["--stop", &name]);
     assert!(released.status.success(), "{}", released.errors);
@@ -364,11 +299,9 @@ fn a_stop_that_reaches_only_the_controller_reaches_the_arrays_through_it() {
     let publisher = bus.publisher(&bus.room().stop(), Class::RealTimeBlock).expect("a valid key");
     let stamp = Stamp { source: 0xabc, sequence: 1, time_ns: utc_ns() };
     let order = EmergencyStop { stamp, operator: "eve".into(), reason: "smoke".into(), ..EmergencyStop::default() };
-    let mut payload = Vec::new();
-    encode(&order, &mut payload).expect("a sound stop");
     wait_until("the stop at both arrays", || {
         // The first messages of a session may find no subscriber.
-        publisher.put(&payload).expect("the session is open");
+        publisher.put(&encoded(&order)).expect("the session is open");
         room.operators(0) == ["eve"] && room.operators(1) == ["eve"]
     });
     drop(bus);
@@ -492,10 +425,4 @@ fn latencies(bus: &Bus, array: usize) -> Vec<Duration> {
         stopped - begun
     };
     (1..=60).map(time).collect()
-}
-
-fn encoded<M: Message>(message: &M) -> Vec<u8> {
-    let mut payload = Vec::new();
-    encode(message, &mut payload).expect("a sound message");
-    payload
 }

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use heliostat_bus::{BusConfig, Role, private_endpoint};
 use heliostat_needs::needs;
 use heliostat_proto::{ArrayState, Room};
-use heliostat_tests::{Process, PythonExample, RoomObserver, python, wait_until};
+use heliostat_tests::{Process, PythonExample, RoomObserver, python, wait_until, workspace};
 
 /// Waits for the end of an example.
 fn end(example: &mut PythonExample) -> ExitStatus {
@@ -63,8 +63,7 @@ fn a_controller_answers_a_tracker_in_python_whose_users_enter_and_leave() {
 
 /// The tutorial with free ports, and with the path of a scenario file.
 fn tutorial(file: &Path) -> (String, [String; 2]) {
-    let page = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/tutorials/own-room.md"));
-    let page = page.expect("the tutorial is there");
+    let page = fs::read_to_string(workspace().join("docs/tutorials/own-room.md")).expect("the tutorial is there");
     let scenario = page.split("<<'END'\n").nth(1).and_then(|rest| rest.split("END\n").next()).expect("a scenario");
     fs::write(file, scenario).expect("writable");
     let endpoints = [(); 2].map(|()| private_endpoint().unwrap());

@@ -13,15 +13,11 @@ use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use heliostat_tests::programs;
+use heliostat_tests::{programs, workspace};
 use tempfile::TempDir;
 
 /// Time limit for one block, in s; on an idle machine a block needs a small part of it.
 const BLOCK_LIMIT_S: u32 = 900;
-
-fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().expect("the workspace is there")
-}
 
 #[derive(Debug)]
 struct Block {
@@ -65,13 +61,13 @@ fn stopped_soon(line: &str) -> String {
 /// Links the repository's folders into a folder, so that a command can name them.
 fn stage(folder: &TempDir) {
     for name in ["deploy", "docs", "examples", "lab", "models", "tests"] {
-        symlink(root().join(name), folder.path().join(name)).expect("a fresh folder takes a link");
+        symlink(workspace().join(name), folder.path().join(name)).expect("a fresh folder takes a link");
     }
 }
 
 /// Runs a file's blocks; returns the number of commands.
 fn run(file: &str) -> usize {
-    let text = fs::read_to_string(root().join(file)).unwrap_or_else(|error| panic!("{file}: {error}"));
+    let text = fs::read_to_string(workspace().join(file)).unwrap_or_else(|error| panic!("{file}: {error}"));
     let folder = TempDir::new().expect("a folder");
     stage(&folder);
     let path = format!("{}:{}", programs().display(), std::env::var("PATH").unwrap_or_default());
@@ -179,8 +175,9 @@ fn recording_runs() {
 
 #[test]
 fn every_tutorial_is_run() {
-    let tests = fs::read_to_string(root().join("tests/tests/project/documentation.rs")).expect("this file is there");
-    for entry in fs::read_dir(root().join("docs/tutorials")).expect("there are tutorials") {
+    let tests =
+        fs::read_to_string(workspace().join("tests/tests/project/documentation.rs")).expect("this file is there");
+    for entry in fs::read_dir(workspace().join("docs/tutorials")).expect("there are tutorials") {
         let name = entry.expect("a folder can be read").file_name().to_string_lossy().into_owned();
         assert!(tests.contains(&format!("run(\"docs/tutorials/{name}\")")), "{name} is not run by any test here");
     }
@@ -199,8 +196,10 @@ fn documents() -> Vec<PathBuf> {
         }
     }
     let mut found = Vec::new();
-    collect(&root(), 0, &mut found);
-    ["docs", "deploy", "models", "examples"].iter().for_each(|folder| collect(&root().join(folder), 4, &mut found));
+    collect(&workspace(), 0, &mut found);
+    ["docs", "deploy", "models", "examples"]
+        .iter()
+        .for_each(|folder| collect(&workspace().join(folder), 4, &mut found));
     found
 }
 
@@ -255,7 +254,7 @@ fn internal_links_lead_to_files_and_headings_that_exist() {
                     || fs::read_to_string(&target)
                         .is_ok_and(|text| anchors(&text).iter().any(|found| found == anchor)));
             if !leads {
-                broken.push(format!("{}: {link}", document.strip_prefix(root()).unwrap_or(&document).display()));
+                broken.push(format!("{}: {link}", document.strip_prefix(workspace()).unwrap_or(&document).display()));
             }
         }
     }
@@ -267,7 +266,7 @@ fn internal_links_lead_to_files_and_headings_that_exist() {
 fn tests_that_the_documents_name_exist() {
     // Test functions, and test targets by the names of their files.
     let (mut sources, mut targets) = (String::new(), Vec::new());
-    let mut folders = vec![root()];
+    let mut folders = vec![workspace()];
     while let Some(folder) = folders.pop() {
         for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
             let path = entry.path();
@@ -280,7 +279,7 @@ fn tests_that_the_documents_name_exist() {
             }
         }
     }
-    let text = fs::read_to_string(root().join("docs/physics.md")).expect("the physics is there");
+    let text = fs::read_to_string(workspace().join("docs/physics.md")).expect("the physics is there");
     let spans: Vec<&str> = text.split('`').skip(1).step_by(2).collect();
     let named = spans.iter().filter_map(|span| {
         let test = span.strip_prefix("test ").or_else(|| span.starts_with("cargo test ").then_some(*span))?;
@@ -295,7 +294,7 @@ fn tests_that_the_documents_name_exist() {
 
 #[test]
 fn the_readme_is_short() {
-    let text = fs::read_to_string(root().join("README.md")).expect("there is a README");
+    let text = fs::read_to_string(workspace().join("README.md")).expect("there is a README");
     assert!(text.lines().count() <= 120, "the README has {} lines; expected at most 120", text.lines().count());
 }
 
@@ -307,7 +306,7 @@ fn no_room_or_tutorial_has_the_name_of_a_built_in_scenario() {
     };
     let mut checked = 0;
     for folder in ["deploy/rooms", "docs/tutorials"] {
-        for entry in fs::read_dir(root().join(folder)).expect("a folder").flatten() {
+        for entry in fs::read_dir(workspace().join(folder)).expect("a folder").flatten() {
             let text = fs::read_to_string(entry.path()).expect("a text");
             assert_eq!(builtin(&text), None, "{}", entry.path().display());
             checked += 1;
@@ -318,7 +317,7 @@ fn no_room_or_tutorial_has_the_name_of_a_built_in_scenario() {
 
 #[test]
 fn units_and_rooms_of_the_deployment_agree_with_the_programs() {
-    let deploy = root().join("deploy");
+    let deploy = workspace().join("deploy");
     for room in ["studio", "foyer"] {
         let toml = fs::read_to_string(deploy.join(format!("rooms/{room}.toml"))).expect("a room has a scenario");
         heliostat_scenario::Scenario::from_toml(&toml).unwrap_or_else(|error| panic!("{room}: {error}"));
@@ -365,7 +364,7 @@ fn units_and_rooms_of_the_deployment_agree_with_the_programs() {
 
 #[test]
 fn the_rooms_of_a_building_have_the_variables_and_the_keys_of_every_unit() {
-    let deploy = root().join("deploy");
+    let deploy = workspace().join("deploy");
     let read = |file: &str| fs::read_to_string(deploy.join(file)).unwrap_or_else(|error| panic!("{file}: {error}"));
     let script = read("building/make-keys");
     for room in ["studio", "foyer"] {
@@ -396,7 +395,7 @@ fn the_rooms_of_a_building_have_the_variables_and_the_keys_of_every_unit() {
 
 #[test]
 fn every_unit_that_cannot_start_waits_for_an_operator_after_as_many_attempts() {
-    let units = fs::read_dir(root().join("deploy/systemd")).expect("a folder").flatten();
+    let units = fs::read_dir(workspace().join("deploy/systemd")).expect("a folder").flatten();
     let texts: Vec<String> = units.map(|entry| fs::read_to_string(entry.path()).expect("a unit")).collect();
     let limits = "\nStartLimitIntervalSec=60\nStartLimitBurst=10\n";
     assert!(texts.len() >= 8 && texts.iter().all(|text| text.contains(limits)), "a unit has other limits");
@@ -405,7 +404,7 @@ fn every_unit_that_cannot_start_waits_for_an_operator_after_as_many_attempts() {
 #[test]
 fn every_process_that_a_command_or_a_stop_passes_has_the_same_priority() {
     for unit in ["controller@", "standby@", "driver@", "sim-node@", "router"] {
-        let file = root().join(format!("deploy/systemd/heliostat-{unit}.service"));
+        let file = workspace().join(format!("deploy/systemd/heliostat-{unit}.service"));
         let text = fs::read_to_string(file).expect("a unit");
         assert!(text.contains("\nNice=-5\n"), "{unit}: another priority");
     }
@@ -415,7 +414,7 @@ fn every_process_that_a_command_or_a_stop_passes_has_the_same_priority() {
 #[test]
 fn each_unit_keeps_its_files_in_a_folder_of_its_own() {
     let mut folders: Vec<String> = Vec::new();
-    for entry in fs::read_dir(root().join("deploy/systemd")).expect("a folder").flatten() {
+    for entry in fs::read_dir(workspace().join("deploy/systemd")).expect("a folder").flatten() {
         let text = fs::read_to_string(entry.path()).expect("a unit");
         let Some(folder) = text.lines().find_map(|line| line.strip_prefix("StateDirectory=")) else {
             assert!(!text.contains("%S/"), "{}: it has no folder", entry.path().display());
@@ -434,16 +433,16 @@ fn each_unit_keeps_its_files_in_a_folder_of_its_own() {
 
 #[test]
 fn the_unit_of_the_page_keeps_its_token_over_a_restart() {
-    let unit = fs::read_to_string(root().join("deploy/systemd/heliostat-page@.service")).expect("a unit");
+    let unit = fs::read_to_string(workspace().join("deploy/systemd/heliostat-page@.service")).expect("a unit");
     assert!(unit.contains("\nStateDirectory=heliostat-page/%i\n"), "{unit}");
     assert!(unit.contains(" --ui-token-file %S/heliostat-page/%i/token "), "{unit}");
-    let guide = fs::read_to_string(root().join("docs/deploy.md")).expect("a guide");
+    let guide = fs::read_to_string(workspace().join("docs/deploy.md")).expect("a guide");
     assert!(guide.contains("/var/lib/heliostat-page/ROOM/token"), "the guide does not name the file");
 }
 
 #[test]
 fn the_containers_pass_flags_that_the_programs_accept() {
-    let deploy = root().join("deploy");
+    let deploy = workspace().join("deploy");
     let read = |file: &str| fs::read_to_string(deploy.join(file)).unwrap_or_else(|error| panic!("{file}: {error}"));
     let (compose, image) = (read("container/compose.yaml"), read("container/Containerfile"));
     for service in ["controller", "sim-node"] {
@@ -462,13 +461,13 @@ fn the_containers_pass_flags_that_the_programs_accept() {
         let output = output.expect("heliostat runs");
         assert!(output.status.success(), "{service}: {}", String::from_utf8_lossy(&output.stderr));
     }
-    let lock = fs::read_to_string(root().join("Cargo.lock")).expect("a lock file");
+    let lock = fs::read_to_string(workspace().join("Cargo.lock")).expect("a lock file");
     let zenoh = lock.split_once("name = \"zenoh\"\nversion = \"").expect("zenoh is there").1;
     let version = zenoh.split('"').next().expect("a version");
     // The build of the router reads the version with this command.
     let command = image.lines().find_map(|line| Some(line.split_once("version=$(")?.1)).expect("a command");
     let command = command.trim_end_matches([' ', '\\']);
     let command = command.strip_suffix(')').expect("the command ends its line");
-    let output = Command::new("bash").args(["-c", command]).current_dir(root()).output().expect("bash runs");
+    let output = Command::new("bash").args(["-c", command]).current_dir(workspace()).output().expect("bash runs");
     assert_eq!(String::from_utf8_lossy(&output.stdout).trim(), version, "{command}");
 }

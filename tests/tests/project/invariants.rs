@@ -4,10 +4,10 @@
 
 use std::collections::BTreeSet;
 use std::fs;
-use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use heliostat_tests::packages::Packages;
+use heliostat_tests::workspace;
 
 /// Packages from the lowest to the highest layer. A package depends only on packages in earlier rows.
 const LAYERS: [&str; 26] = [
@@ -87,10 +87,6 @@ const SINGLE_USERS: [(&str, &str); 8] = [
     ("signal-hook", "heliostat-service"),
 ];
 
-fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
-}
-
 /// The needed packages that match one of the patterns.
 fn forbidden<'a>(needed: &BTreeSet<&'a str>, patterns: &[&str]) -> Vec<&'a str> {
     let matches = |name: &str, pattern: &&str| match pattern.strip_suffix('*') {
@@ -102,7 +98,7 @@ fn forbidden<'a>(needed: &BTreeSet<&'a str>, patterns: &[&str]) -> Vec<&'a str> 
 
 #[test]
 fn a_package_depends_only_on_packages_of_lower_layers() {
-    let packages = Packages::read(&root());
+    let packages = Packages::read(&workspace());
     assert_eq!(packages.of_the_workspace(), BTreeSet::from(LAYERS), "the layers name every package");
     for (index, package) in LAYERS.iter().enumerate() {
         let direct = packages.workspace_dependencies(package);
@@ -113,7 +109,7 @@ fn a_package_depends_only_on_packages_of_lower_layers() {
 
 #[test]
 fn a_package_needs_nothing_that_its_row_bans() {
-    let packages = Packages::read(&root());
+    let packages = Packages::read(&workspace());
     for (package, banned) in BANS {
         let found = forbidden(&packages.needed_by(package), banned);
         assert!(found.is_empty(), "{package} needs {found:?}; its row of BANS excludes them");
@@ -122,7 +118,7 @@ fn a_package_needs_nothing_that_its_row_bans() {
 
 #[test]
 fn each_foreign_library_has_one_user() {
-    let packages = Packages::read(&root());
+    let packages = Packages::read(&workspace());
     for (library, user) in SINGLE_USERS {
         assert_eq!(packages.users_of(library), BTreeSet::from([user]), "direct users of {library}");
     }
@@ -132,7 +128,7 @@ fn each_foreign_library_has_one_user() {
 fn each_program_is_built_without_the_other_packages() {
     for program in ["heliostat", "heliostat-controller", "heliostat-sim-node", "heliostat-driver", "heliostat-lab"] {
         let mut tree = Command::new(env!("CARGO"));
-        tree.args(["tree", "--offline", "--locked", "--depth", "0", "--package", program]).current_dir(root());
+        tree.args(["tree", "--offline", "--locked", "--depth", "0", "--package", program]).current_dir(workspace());
         let output = tree.output().expect("cargo runs");
         assert!(output.status.success(), "{program}: {}", String::from_utf8_lossy(&output.stderr));
     }
@@ -148,6 +144,6 @@ fn a_needed_package_is_found_by_name_and_by_prefix() {
 fn the_readme_names_the_test_command_that_continuous_integration_runs() {
     let command = "cargo test --release --workspace";
     for file in ["README.md", ".ci/run", "CONTRIBUTING.md"] {
-        assert!(fs::read_to_string(root().join(file)).expect("readable").contains(command), "{file}");
+        assert!(fs::read_to_string(workspace().join(file)).expect("readable").contains(command), "{file}");
     }
 }

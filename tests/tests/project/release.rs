@@ -6,11 +6,7 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use heliostat_tests::programs;
-
-fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
-}
+use heliostat_tests::{programs, workspace};
 
 /// Runs a program of the release in a folder; returns its standard output.
 fn run(program: &Path, arguments: &[&str]) -> String {
@@ -24,7 +20,7 @@ fn run(program: &Path, arguments: &[&str]) -> String {
 fn archive(folder: &Path) -> PathBuf {
     let programs = programs();
     let texts = [folder, &programs].map(|path| path.to_str().expect("a plain path"));
-    run(&root().join("deploy/release/build"), &[texts[0], "--programs", texts[1], "archive", "checksums"]);
+    run(&workspace().join("deploy/release/build"), &[texts[0], "--programs", texts[1], "archive", "checksums"]);
     let files = std::fs::read_dir(folder).expect("a folder").flatten().map(|entry| entry.path());
     let mut archives = files.filter(|file| file.extension().is_some_and(|extension| extension == "gz"));
     archives.next().expect("an archive")
@@ -54,7 +50,8 @@ fn the_archive_has_programs_documents_and_units_and_its_demo_runs_from_an_empty_
     let sums =
         Command::new("sha256sum").args(["--check", "--strict", "SHA256SUMS"]).current_dir(folder.path()).output();
     assert!(sums.expect("sha256sum runs").status.success());
-    let measured = run(&root().join("deploy/release/first-beam"), &[folder.path().to_str().expect("a plain path")]);
+    let measured =
+        run(&workspace().join("deploy/release/first-beam"), &[folder.path().to_str().expect("a plain path")]);
     assert!(measured.contains("first answered report after"), "{measured}");
 }
 
@@ -69,7 +66,7 @@ fn two_archives_of_the_same_programs_are_equal() {
 fn binstall_finds_the_program_in_the_archive() {
     let folder = tempfile::tempdir().expect("a folder");
     let archive = archive(folder.path());
-    let manifest = std::fs::read_to_string(root().join("crates/cli/Cargo.toml")).expect("a manifest");
+    let manifest = std::fs::read_to_string(workspace().join("crates/cli/Cargo.toml")).expect("a manifest");
     let manifest: toml::Table = manifest.parse().expect("TOML");
     let metadata = &manifest["package"]["metadata"]["binstall"];
     let name = archive.file_name().expect("a file").to_string_lossy().into_owned();
@@ -106,13 +103,13 @@ fn a_release_that_cannot_be_built_says_what_is_missing_and_writes_nothing() {
         (&["--programs", "absent", "archive"], "--programs absent is not a folder"),
         (&["--host-program", "absent", "archive"], "--host-program absent is not a program"),
     ] {
-        let mut command = Command::new(root().join("deploy/release/build"));
+        let mut command = Command::new(workspace().join("deploy/release/build"));
         let output = command.arg(&place).args(arguments).output().expect("the script runs");
         let errors = String::from_utf8_lossy(&output.stderr);
         assert!(!output.status.success() && errors.contains(expected), "{arguments:?}: {errors}");
         assert!(std::fs::read_dir(&place).map_or(0, Iterator::count) == 0, "{arguments:?}");
     }
-    let mut command = Command::new(root().join("deploy/release/build"));
+    let mut command = Command::new(workspace().join("deploy/release/build"));
     let programs = programs();
     command.arg(&place).arg("--programs").arg(&programs).arg("image").env("DOCKER_HOST", "unix:///absent");
     let output = command.output().expect("the script runs");

@@ -437,7 +437,7 @@ pub fn bytes<T: Message>(message: &T) -> Result<Vec<u8>> {
 /// The other problems there are refusals, such as those of the commands of the check. A driver that counts
 /// no absent devices does not tell them apart.
 fn problem_of_device<'a>(statuses: impl DoubleEndedIterator<Item = &'a NodeStatus>) -> Option<&'a str> {
-    let is_absent = |status: &NodeStatus| status.counters.iter().any(|(name, n)| name == "device_absent" && *n > 0);
+    let is_absent = |status: &NodeStatus| status.counter("device_absent").is_some_and(|count| count > 0);
     let latest = statuses.rev().find(|status| is_absent(status) && !status.last_problem.is_empty());
     latest.map(|status| status.last_problem.as_str())
 }

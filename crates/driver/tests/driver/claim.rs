@@ -1,7 +1,6 @@
 //! One process for each array: two drivers that start together.
 
 use std::sync::{Arc, Mutex};
-use std::time::{Duration, Instant};
 
 use heliostat_bus::{Bus, BusConfig, private_endpoint};
 use heliostat_driver::Kit;
@@ -12,21 +11,11 @@ use heliostat_proto::{NodeStatus, Room, decode};
 use heliostat_service::Stop;
 
 use crate::stops::RequestAtEnd;
-
-/// Longest wait for something that happens soon.
-const LIMIT: Duration = Duration::from_secs(60);
+use crate::{LIMIT, wait_until};
 
 /// One board at which nothing answers: the driver tries again.
 const BOARD: &str = "rows = 1\ncolumns = 1\n[[boards]]\nkind = \"servo-board\"\naddress = \"tcp:127.0.0.1:1\"\n\
                      min_deg = -30.0\nmax_deg = 30.0\nmirrors = [0]\n";
-
-fn until(what: &str, mut is_so: impl FnMut() -> bool) {
-    let begun = Instant::now();
-    while !is_so() {
-        assert!(begun.elapsed() < LIMIT, "{what} has not come");
-        std::thread::sleep(Duration::from_millis(5));
-    }
-}
 
 /// Whether each of two claims that begin together, of the sources 7 and 9, is given up; `None` where one took the
 /// other for late, as on a machine that stood still.
@@ -41,7 +30,7 @@ fn given_up_claims(config: &BusConfig, endpoint: &str) -> Option<[bool; 2]> {
         *is_given_up = claim.announce(bus, &bus.room().array(0).driver_alive(source)).is_err();
     }
     let mut is_late = false;
-    until("the end of one", || {
+    wait_until("the end of one", || {
         for (claim, is_given_up) in &mut claims {
             *is_given_up |= claim.check(|_| is_late = true).is_err();
         }
@@ -76,9 +65,9 @@ fn driver_beside_another(config: &BusConfig, endpoint: &str) -> Option<String> {
     std::thread::scope(|scope| {
         let driver = scope.spawn(|| run::run(kit, &settings, &stop));
         let _end = RequestAtEnd(&stop);
-        until("the driver's token", || !observer.alive(&keys.drivers_alive(), LIMIT).unwrap().is_empty());
+        wait_until("the driver's token", || !observer.alive(&keys.drivers_alive(), LIMIT).unwrap().is_empty());
         let _other = observer.announce(&keys.driver_alive(0)).unwrap();
-        until("an answer to the other token", || driver.is_finished() || *is_late.lock().unwrap());
+        wait_until("an answer to the other token", || driver.is_finished() || *is_late.lock().unwrap());
         stop.request();
         driver.join().unwrap().err().map(|error| error.to_string())
     })

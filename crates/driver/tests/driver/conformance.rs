@@ -23,8 +23,7 @@ use heliostat_proto::{
 };
 use heliostat_service::Stop;
 
-/// Longest wait for something that happens soon.
-const LIMIT: Duration = Duration::from_secs(60);
+use crate::LIMIT;
 
 /// How mirrors fail.
 enum Failure {

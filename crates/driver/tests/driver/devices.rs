@@ -19,6 +19,8 @@ use heliostat_needs::needs;
 use heliostat_proto::messages::fault;
 use heliostat_proto::{ArrayState, Feedback, MirrorCommand, MirrorTelemetry, Stamp};
 
+use crate::{LIMIT, until};
+
 const NOW: Moment = Moment { local_ns: 0, room_ns: 1_800_000_000_000_000_000 };
 
 fn wall(text: &str) -> Wall {
@@ -29,22 +31,10 @@ fn wall(text: &str) -> Wall {
 /// stopped device receives the stop again and again.
 fn received<T: Clone + PartialEq>(log: &Mutex<Vec<T>>, expected: &[T]) -> Vec<T> {
     let begun = Instant::now();
-    while log.lock().unwrap().len() < expected.len() && begun.elapsed() < Duration::from_secs(60) {
+    while log.lock().unwrap().len() < expected.len() && begun.elapsed() < LIMIT {
         std::thread::sleep(Duration::from_millis(5));
     }
     log.lock().unwrap().iter().take(expected.len()).cloned().collect()
-}
-
-/// Waits until a value is there.
-fn until<T>(what: &str, mut find: impl FnMut() -> Option<T>) -> T {
-    let begun = Instant::now();
-    loop {
-        match find() {
-            Some(found) => return found,
-            None => assert!(begun.elapsed() < Duration::from_secs(60), "{what} has not come"),
-        }
-        std::thread::sleep(Duration::from_millis(5));
-    }
 }
 
 /// The problem of a wall whose boards do not answer.

@@ -4,7 +4,6 @@
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex};
 use std::thread::{self, ThreadId};
-use std::time::{Duration, Instant};
 
 use heliostat_array::moment::Moment;
 use heliostat_bus::{Bus, BusConfig, private_endpoint};
@@ -18,8 +17,7 @@ use heliostat_proto::{AxisLimits, Capabilities, MirrorCommand, Room, decode, enc
 use heliostat_service::Stop;
 use heliostat_service::clock::utc_ns;
 
-/// Longest wait for something that happens soon.
-const LIMIT: Duration = Duration::from_secs(60);
+use crate::{LIMIT, wait_until};
 
 /// A device of one mirror that notes who turns it, and whose measurement waits where that is ordered.
 struct Noting {
@@ -95,14 +93,6 @@ impl Running {
     fn turned_to(&self, roll: f64) -> Option<ThreadId> {
         let turns = self.turns.lock().unwrap();
         turns.iter().find(|(_, turned)| (turned - roll).abs() < 1e-6).map(|(thread, _)| *thread)
-    }
-}
-
-fn wait_until(what: &str, mut is_so: impl FnMut() -> bool) {
-    let begun = Instant::now();
-    while !is_so() {
-        assert!(begun.elapsed() < LIMIT, "{what}");
-        thread::sleep(Duration::from_millis(5));
     }
 }
 

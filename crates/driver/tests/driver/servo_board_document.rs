@@ -8,6 +8,8 @@ use heliostat_channel::MirrorAngles;
 use heliostat_driver::Device;
 use heliostat_driver::config::Config;
 
+use crate::until;
+
 const NOW: Moment = Moment { local_ns: 0, room_ns: 1_800_000_000_000_000_000 };
 
 /// The lines of the example by their sender: the host's, each with the board's answer.
@@ -51,25 +53,16 @@ fn the_driver_sends_and_accepts_the_bytes_of_the_documented_example() {
         "rows = 1\ncolumns = 2\n[[boards]]\nkind = \"servo-board\"\naddress = \"tcp:{address}\"\nmin_deg = -30.0\nmax_deg = 30.0\nmeasures = true\nmirrors = [0, 1]"
     );
     let mut device = toml::from_str::<Config>(&file).expect("the file is valid").wall().expect("the array is valid");
-    // The thread of the board has answered.
-    fn until<T>(mut found: impl FnMut() -> Option<T>) -> T {
-        loop {
-            if let Some(found) = found() {
-                return found;
-            }
-            std::thread::yield_now();
-        }
-    }
     device.connect(NOW).unwrap();
     device.apply(NOW, &MirrorAngles { roll: vec![0.2, 0.1], yaw: vec![0.4, -0.3] }).unwrap();
     device.request_measurement();
     let mut measured = MirrorAngles::flat(2);
-    until(|| device.measure(NOW, &mut measured).unwrap().then_some(()));
+    until("a measurement", || device.measure(NOW, &mut measured).unwrap().then_some(()));
     assert_eq!(measured, MirrorAngles { roll: vec![0.1998, 0.1], yaw: vec![0.4001, -0.3] });
     device.stop(NOW).unwrap();
-    until(|| device.has_stopped().unwrap().then_some(()));
+    until("a stop", || device.has_stopped().unwrap().then_some(()));
     device.apply(NOW, &MirrorAngles { roll: vec![0.6, 0.0], yaw: vec![0.0, 0.0] }).unwrap();
-    let message = until(|| device.health(NOW).unwrap().problem).to_string();
+    let message = until("a problem", || device.health(NOW).unwrap().problem).to_string();
     assert!(message.contains("600000 is beyond 523599"), "{message}");
     board.join().expect("the board received what the page says");
 }

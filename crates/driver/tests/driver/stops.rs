@@ -6,7 +6,7 @@ use std::net::{TcpListener, TcpStream};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use heliostat_bus::{Bus, BusConfig, Class, Publisher, Subscription, free_loopback_endpoint};
 use heliostat_driver::Kit;
@@ -18,6 +18,8 @@ use heliostat_proto::{
 };
 use heliostat_service::Stop;
 use heliostat_service::clock::utc_ns;
+
+use crate::until;
 
 /// How a board answers.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -93,18 +95,6 @@ fn listener() -> (TcpListener, String) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap().to_string();
     (listener, address)
-}
-
-/// Waits until a value is there.
-fn until<T>(what: &str, mut find: impl FnMut() -> Option<T>) -> T {
-    let begun = Instant::now();
-    loop {
-        match find() {
-            Some(found) => return found,
-            None => assert!(begun.elapsed() < Duration::from_secs(60), "{what} has not come"),
-        }
-        std::thread::sleep(Duration::from_millis(2));
-    }
 }
 
 /// What the driver published last, and the number of telemetry messages.

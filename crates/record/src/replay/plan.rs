@@ -241,8 +241,7 @@ impl Plan {
 
     /// Adds the status of a controller; `hash` is that of the recorded scenario.
     fn add_status(&mut self, status: NodeStatus, hash: &str) {
-        let counter =
-            |name: &str| status.counters.iter().find(|(known, _)| known == name).map_or(0, |(_, count)| *count);
+        let counter = |name: &str| status.counter(name).unwrap_or(0);
         let actor = status.actor().map(String::from);
         let history = self.controllers.entry(counter("epoch")).or_default();
         history.late = history.late.max(counter("fallback:late"));

@@ -44,17 +44,17 @@ const LINE_BYTES_MAX: u64 = 1 << 20;
 const COMMENT_BYTES_MAX: usize = 1 << 16;
 
 /// A published format.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum WalkFormat {
-    /// ETH and UCY: `obsmat.txt`, or `frame id x y`.
+    /// ETH and UCY: obsmat.txt, or frame id x y.
     EthUcy,
-    /// ATC: one file for each day.
+    /// ATC shopping centre: one file for each day.
     Atc,
-    /// An experiment: `id frame x y z`.
+    /// Experiments with pedestrians: id frame x y z in cm, or in m where a comment names x/m.
     Experiment,
     /// THÖR-MAGNI or THÖR: one file for each run.
     ThorMagni,
-    /// A CSV with a header.
+    /// CSV with a header of time, user, x, y and optionally heading_deg, in any order.
     Csv,
 }
 

@@ -7,15 +7,15 @@ use crate::walks::tracks::Track;
 use crate::world::walker::Floor;
 
 /// How walks are scaled to a floor; all but `None` also centre their bounding box.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Fit {
-    /// Smaller where they do not fit, with the same factor on x and y.
+    /// Centred; smaller where they do not fit.
     Shrink,
-    /// As large as fits, with the same factor on x and y.
+    /// Centred; as large as fits.
     Fill,
-    /// As large as fits, with a factor for each of x and y.
+    /// Centred; as large as fits along x and along y, which changes shapes.
     Stretch,
-    /// Neither scaled nor moved: the positions are in the room frame.
+    /// Positions are in the room frame, and stay as they are.
     None,
 }
 

@@ -11,11 +11,11 @@ use crate::walks::tracks::{Track, TrackPoint};
 const INTERVAL_MIN_S: f64 = 1e-3;
 
 /// Which pedestrians become users.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Presence {
     /// Pedestrians who were present at the same time, over the longest such time.
     Together,
-    /// The longest tracks; each begins at time 0, whenever it was recorded.
+    /// The longest tracks; each begins at 0 s, whenever it was recorded.
     Longest,
 }
 

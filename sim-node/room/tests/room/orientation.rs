@@ -72,35 +72,30 @@ const LAPLACE_QUARTILE: f64 = std::f64::consts::LN_2 * std::f64::consts::FRAC_1_
 /// The same for a normal distribution.
 const NORMAL_QUARTILE: f64 = 0.674_489_75;
 
-#[test]
-fn the_angles_of_users_who_sit_have_the_measured_laplace_distribution_at_any_time() {
+/// Expects angles that each have a mean, a deviation within a tolerance, and half of their values
+/// within `quartile` deviations of the mean.
+fn expect_moments(speed_m_s: f64, quartile: f64, expected: [[f64; 3]; 2]) {
     // Samples at nodes, and samples in the middle between two.
     for interval_s in [NODE_S * 40.0, NODE_S * 40.5] {
-        let records = record(&walkers(0.0), interval_s, 500);
-        let [polar_mean, polar_std, within] = moments(&records, 0, 7.68 * LAPLACE_QUARTILE);
-        close(polar_mean, 41.39, 0.1, "mean polar angle");
-        close(polar_std, 7.68, 0.1, "deviation of the polar angle");
-        close(within, 0.5, 0.01, "share within the quartiles");
-        let [azimuth_mean, azimuth_std, within] = moments(&records, 1, 3.67 * LAPLACE_QUARTILE);
-        close(azimuth_mean, 0.0, 0.1, "mean azimuth");
-        close(azimuth_std, 3.67, 0.05, "deviation of the azimuth");
-        close(within, 0.5, 0.01, "share within the quartiles");
+        let records = record(&walkers(speed_m_s), interval_s, 500);
+        for (angle, name) in ["polar angle", "azimuth"].into_iter().enumerate() {
+            let [centre, deviation, tolerance] = expected[angle];
+            let found = moments(&records, angle, deviation * quartile);
+            close(found[0], centre, 0.1, &format!("mean of the {name}"));
+            close(found[1], deviation, tolerance, &format!("deviation of the {name}"));
+            close(found[2], 0.5, 0.01, &format!("share of the {name} within the quartiles"));
+        }
     }
 }
 
 #[test]
+fn the_angles_of_users_who_sit_have_the_measured_laplace_distribution_at_any_time() {
+    expect_moments(0.0, LAPLACE_QUARTILE, [[41.39, 7.68, 0.1], [0.0, 3.67, 0.05]]);
+}
+
+#[test]
 fn the_angles_of_users_who_walk_have_the_measured_normal_distribution_at_any_time() {
-    for interval_s in [NODE_S * 40.0, NODE_S * 40.5] {
-        let records = record(&walkers(1.0), interval_s, 500);
-        let [polar_mean, polar_std, within] = moments(&records, 0, 7.78 * NORMAL_QUARTILE);
-        close(polar_mean, 29.67, 0.1, "mean polar angle");
-        close(polar_std, 7.78, 0.1, "deviation of the polar angle");
-        close(within, 0.5, 0.01, "share within the quartiles");
-        let [azimuth_mean, azimuth_std, within] = moments(&records, 1, 10.0 * NORMAL_QUARTILE);
-        close(azimuth_mean, 0.0, 0.1, "mean azimuth");
-        close(azimuth_std, 10.0, 0.1, "deviation of the azimuth");
-        close(within, 0.5, 0.01, "share within the quartiles");
-    }
+    expect_moments(1.0, NORMAL_QUARTILE, [[29.67, 7.78, 0.1], [0.0, 10.0, 0.1]]);
 }
 
 /// Correlation of an angle with itself `lag` samples later.

@@ -29,26 +29,24 @@ fn run(overrides: &[&str], until_ms: u64) -> Vec<(u64, Report)> {
     }
 }
 
-fn users(reports: &[(u64, Report)]) -> Vec<(u64, &UserReport)> {
-    reports
-        .iter()
-        .filter_map(|(at, report)| if let Report::Users(r) = report { Some((*at, r)) } else { None })
-        .collect()
+/// Functions that select the reports of one kind, each with the time of its release.
+macro_rules! selections {
+    ($($name:ident: $kind:ident($report:ty)),+) => { $(
+        fn $name(reports: &[(u64, Report)]) -> Vec<(u64, &$report)> {
+            reports
+                .iter()
+                .filter_map(|(at, report)| if let Report::$kind(found) = report { Some((*at, found)) } else { None })
+                .collect()
+        }
+    )+ };
 }
 
-fn channels(reports: &[(u64, Report)]) -> Vec<(u64, &ChannelReport)> {
-    reports
-        .iter()
-        .filter_map(|(at, report)| if let Report::Channel(r) = report { Some((*at, r)) } else { None })
-        .collect()
-}
-
-fn branches(reports: &[(u64, Report)]) -> Vec<(u64, &BranchReport)> {
-    reports
-        .iter()
-        .filter_map(|(at, report)| if let Report::Branches(r) = report { Some((*at, r)) } else { None })
-        .collect()
-}
+selections!(
+    users: Users(UserReport),
+    channels: Channel(ChannelReport),
+    branches: Branches(BranchReport),
+    orientations: Orientation(OrientationReport)
+);
 
 /// Receivers of seven branches, which are reported.
 const BRANCHES: [&str; 2] = ["receiver.preset=angle-diversity", "streams.channel.branches=true"];
@@ -194,13 +192,6 @@ fn lost_reports_are_missing_and_the_others_do_not_change() {
     assert!((share(arrived.len(), all.len()) - 0.2).abs() < 0.06, "{} {}", arrived.len(), all.len());
     assert!(arrived.iter().all(|report| all.contains(report)));
     assert!(arrived.windows(2).any(|pair| pair[1].1.tick >= pair[0].1.tick + 5), "losses in a row");
-}
-
-fn orientations(reports: &[(u64, Report)]) -> Vec<(u64, &OrientationReport)> {
-    reports
-        .iter()
-        .filter_map(|(at, report)| if let Report::Orientation(r) = report { Some((*at, r)) } else { None })
-        .collect()
 }
 
 fn held(report: &OrientationReport) -> Vec<Orientation> {

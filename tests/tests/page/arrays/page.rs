@@ -1,13 +1,14 @@
 //! The live page of a room with two arrays, in a browser.
 
-use heliostat_bus::{Bus, BusConfig, Class, private_endpoint};
+use heliostat_bus::{BusConfig, private_endpoint};
 use heliostat_needs::needs;
 use heliostat_proto::Room;
 use heliostat_service::Stop;
+use heliostat_tests::faults::Tracker;
 use heliostat_tests::{Browser, PageServer, Process, wait_until};
 use serde_json::{Value, json};
 
-use super::room::{RequestAtEnd, drive, report, scenario_file};
+use super::room::{RequestAtEnd, drive, scenario_file};
 use super::simulated;
 
 /// The server of a page about a room.
@@ -66,9 +67,9 @@ fn the_page_names_the_array_whose_driver_has_left() {
     let endpoints: Vec<String> = (0..3).map(|_| private_endpoint().expect("an endpoint")).collect();
     let [first, second, of_controller] = &endpoints[..] else { unreachable!("three endpoints") };
     let config = || BusConfig::new(Room::new("shown").expect("a valid name"));
-    let [both, later, tracker_stop] = [Stop::default(), Stop::default(), Stop::default()];
+    let [both, later] = [Stop::default(), Stop::default()];
     std::thread::scope(|scope| {
-        let _end = RequestAtEnd(vec![both.clone(), later.clone(), tracker_stop.clone()]);
+        let _end = RequestAtEnd(vec![both.clone(), later.clone()]);
         let drive_second = |stop: &Stop| {
             let (config, folder, stop) = (config().listen_at(second), folder.path().to_owned(), stop.clone());
             scope.spawn(move || drive(1, config, folder, &stop))
@@ -79,16 +80,7 @@ fn the_page_names_the_array_whose_driver_has_left() {
         let flags = ["controller", "--scenario", &file, "--room", "shown", "--listen", of_controller];
         let policy = ["--connect", first, "--connect", second, "--policy", "fixed-point", "--exit-with-parent"];
         let _controller = Process::heliostat(&[&flags[..], &policy].concat());
-        let (tracked, stop) = (config().connect_to(of_controller).connect_to(first), tracker_stop.clone());
-        scope.spawn(move || {
-            let bus = Bus::open(&tracked).expect("the bus opens");
-            let users = bus.publisher(&bus.room().users(), Class::RealTimeDrop).expect("a valid key");
-            let mut tick = 0;
-            while !stop.wait_for(std::time::Duration::from_millis(10)) {
-                tick += 1;
-                users.put(&report(tick)).expect("the session is open");
-            }
-        });
+        let _tracker = Tracker::start(&config().connect_to(of_controller).connect_to(first));
         let server = page("shown", &[first, second, of_controller]);
         let browser = Browser::open_flat(&server.url());
         wait_until("two arrays that follow", || arrays(&browser) == (true, "following".into()));

@@ -27,8 +27,7 @@ fn is_row_stale(browser: &Browser, name: &str) -> bool {
 #[needs("browser")]
 #[test]
 fn a_process_that_dies_leaves_no_green_state_and_no_current_figure() {
-    let mut setting = Setting::new();
-    let browser = setting.browser();
+    let (mut setting, browser) = Setting::shown();
     wait_until("green states", || green(&browser).len() == 2);
     wait_until("a page without a stale part", || {
         let sentence = browser.text("#sentence");
@@ -69,8 +68,7 @@ fn a_process_that_dies_leaves_no_green_state_and_no_current_figure() {
 #[needs("browser")]
 #[test]
 fn a_server_that_ends_in_order_says_so_on_its_open_pages() {
-    let mut setting = Setting::new();
-    let browser = setting.browser();
+    let (mut setting, browser) = Setting::shown();
     setting.server.end();
     let expected = "The server of this page has ended by Ctrl-C or a signal. The room goes on without it.";
     wait_until("a banner with the reason", || banner(&browser).starts_with(expected));
@@ -85,8 +83,7 @@ fn a_server_that_ends_in_order_says_so_on_its_open_pages() {
 #[needs("browser")]
 #[test]
 fn a_controller_that_hangs_is_named_by_the_banner_while_it_is_in_the_room() {
-    let setting = Setting::new();
-    let browser = setting.browser();
+    let (setting, browser) = Setting::shown();
     setting.controller.signal("STOP");
     // The chip and the banner in one script: both say so at the same time.
     let shown = "const chip = document.getElementById('chip-controller').textContent; \
@@ -104,8 +101,7 @@ fn a_controller_that_hangs_is_named_by_the_banner_while_it_is_in_the_room() {
 #[needs("browser")]
 #[test]
 fn the_last_picture_stays_when_the_process_of_the_room_ends() {
-    let mut setting = Setting::new();
-    let browser = setting.browser();
+    let (mut setting, browser) = Setting::shown();
     browser.run("window.loaded_before = true");
     let users = "return document.getElementById('room').room.motion.to?.users.length ?? 0";
     let shown = browser.run(users);
@@ -127,8 +123,7 @@ fn the_last_picture_stays_when_the_process_of_the_room_ends() {
 #[needs("browser")]
 #[test]
 fn the_death_of_the_server_alone_makes_everything_stale() {
-    let mut setting = Setting::new();
-    let browser = setting.browser();
+    let (mut setting, browser) = Setting::shown();
     setting.server.kill();
     wait_until("a banner", || banner(&browser).contains("No connection to the server"));
     wait_until("no green state", || green(&browser).is_empty());
@@ -138,8 +133,7 @@ fn the_death_of_the_server_alone_makes_everything_stale() {
 #[needs("browser")]
 #[test]
 fn another_server_on_the_same_port_reloads_the_page() {
-    let mut setting = Setting::new();
-    let browser = setting.browser();
+    let (mut setting, browser) = Setting::shown();
     browser.run("window.loaded_before = true");
     setting.server.kill();
     wait_until("a banner", || banner(&browser).contains("No connection"));

@@ -13,8 +13,7 @@ const WITH_HINT: &str = "const late = document.getElementById('late'); late.hidd
 #[needs("browser")]
 #[test]
 fn the_answer_to_an_order_covers_nothing() {
-    let setting = Setting::new();
-    let browser = setting.browser();
+    let (_setting, browser) = Setting::shown();
     // Parts of the page that are in view and have another element in their middle.
     let covered = "const status = document.getElementById('order-status').getBoundingClientRect(); \
         if (!status.height) return 'no answer'; \
@@ -48,8 +47,7 @@ fn the_answer_to_an_order_covers_nothing() {
 #[needs("browser")]
 #[test]
 fn the_answer_to_a_stop_is_readable_completely_beside_the_buttons() {
-    let setting = Setting::new();
-    let browser = setting.browser();
+    let (_setting, browser) = Setting::shown();
     // In one script, before the next event of the server takes the text away.
     let readable = "return import('/orders.js').then(({ notConfirmed }) => { \
         const at = (id) => document.getElementById(id); \
@@ -73,8 +71,7 @@ fn the_answer_to_a_stop_is_readable_completely_beside_the_buttons() {
 #[needs("browser")]
 #[test]
 fn a_long_path_in_a_text_does_not_widen_the_page_of_a_phone() {
-    let setting = Setting::new();
-    let browser = setting.browser();
+    let (_setting, browser) = Setting::shown();
     browser.resize(390, 844);
     // In one script, before the next event of the server takes the texts away.
     let wider = "document.getElementById('events').open = true; \
@@ -92,8 +89,7 @@ fn a_long_path_in_a_text_does_not_widen_the_page_of_a_phone() {
 #[needs("browser")]
 #[test]
 fn the_charts_keep_their_size_while_the_log_of_events_opens_and_grows() {
-    let setting = Setting::new();
-    let browser = setting.browser();
+    let (_setting, browser) = Setting::shown();
     for (width, height) in [(1024, 768), (1440, 900), (1920, 1080)] {
         browser.resize(width, height);
         let sizes =
@@ -121,8 +117,7 @@ fn the_charts_keep_their_size_while_the_log_of_events_opens_and_grows() {
 #[needs("browser")]
 #[test]
 fn every_figure_and_order_is_in_view_on_a_small_desktop_once_the_column_of_figures_is_scrolled() {
-    let setting = Setting::new();
-    let browser = setting.browser();
+    let (_setting, browser) = Setting::shown();
     for (width, height) in [(1024, 768), (1280, 800), (1440, 900)] {
         browser.resize(width, height);
         // With the explanation of late decisions: a busy machine shows it.
@@ -149,8 +144,7 @@ fn every_figure_and_order_is_in_view_on_a_small_desktop_once_the_column_of_figur
 #[needs("browser")]
 #[test]
 fn warnings_and_takeovers_leave_picture_orders_and_stop_in_view_on_a_small_desktop() {
-    let setting = Setting::new();
-    let browser = setting.browser();
+    let (_setting, browser) = Setting::shown();
     for (width, height) in [(1024, 768), (1280, 700), (1280, 800), (1440, 900)] {
         browser.resize(width, height);
         // All that can be shown at one time: a stop, four warnings, unusable mirrors, takeovers.
@@ -172,8 +166,7 @@ fn warnings_and_takeovers_leave_picture_orders_and_stop_in_view_on_a_small_deskt
 #[needs("browser")]
 #[test]
 fn the_charts_stay_readable_at_every_size_with_and_without_a_hint_on_late_decisions() {
-    let setting = Setting::new();
-    let browser = setting.browser();
+    let (_setting, browser) = Setting::shown();
     for (width, height) in [(1024, 768), (1280, 720), (1280, 800), (1366, 768), (1440, 900), (390, 844)] {
         browser.resize(width, height);
         let charts = "['sum-chart', 'latency-chart'].map((id) => document.getElementById(id).clientHeight)";
@@ -205,8 +198,7 @@ fn the_names_of_earlier_policies_are_above_the_lines_of_a_chart_that_keeps_its_s
 #[needs("browser")]
 #[test]
 fn the_charts_stay_readable_beside_notes_and_a_calibration() {
-    let setting = Setting::new();
-    let browser = setting.browser();
+    let (_setting, browser) = Setting::shown();
     for (width, height) in [(1366, 768), (1366, 657), (1920, 1080), (390, 844)] {
         browser.resize(width, height);
         // As beside a calibration: two controllers, and a long note. In one script, before the next figures.
@@ -225,8 +217,7 @@ fn the_charts_stay_readable_beside_notes_and_a_calibration() {
 #[needs("browser")]
 #[test]
 fn the_charts_stay_readable_below_the_banner_of_a_stop() {
-    let setting = Setting::new();
-    let browser = setting.browser();
+    let (_setting, browser) = Setting::shown();
     for (width, height) in [(1024, 768), (1366, 768), (1440, 900)] {
         browser.resize(width, height);
         let heights = "const banner = document.getElementById('banner'); banner.hidden = false; \
@@ -240,8 +231,7 @@ fn the_charts_stay_readable_below_the_banner_of_a_stop() {
 #[needs("browser")]
 #[test]
 fn what_is_no_fault_takes_no_place_above_the_figures_of_a_phone() {
-    let setting = Setting::new();
-    let browser = setting.browser();
+    let (_setting, browser) = Setting::shown();
     browser.resize(390, 844);
     // In one script, before the next figures.
     let places = "scrollTo(0, 0); const at = (id) => document.getElementById(id); const remark = at('remark'); \
@@ -284,8 +274,7 @@ const FAINT: &str = "
 #[needs("browser")]
 #[test]
 fn every_text_has_a_contrast_of_at_least_4_5_also_where_it_is_old() {
-    let mut setting = Setting::new();
-    let browser = setting.browser();
+    let (mut setting, browser) = Setting::shown();
     let check = |state: &str| {
         for theme in ["light", "dark"] {
             choose_theme(&browser, theme);
@@ -343,8 +332,7 @@ fn every_order_is_reached_by_the_tab_key_with_a_visible_focus() {
 #[needs("browser")]
 #[test]
 fn each_policy_is_explained_where_it_is_chosen() {
-    let setting = Setting::new();
-    let browser = setting.browser();
+    let (_setting, browser) = Setting::shown();
     let policies = browser.run("return fetch('/room.json').then((answer) => answer.json())")["policies"].clone();
     let policies = policies.as_array().expect("a list");
     assert!(policies.len() > 5, "{policies:?}");

@@ -1,8 +1,8 @@
 //! What is wrong in the room and lasts: a banner at the top names it, with what to do.
 
 use heliostat_needs::needs;
-use heliostat_proto::{MirrorTelemetry, NodeKind, encode};
-use heliostat_tests::{Browser, wait_until};
+use heliostat_proto::{MirrorTelemetry, NodeKind};
+use heliostat_tests::{Browser, encoded, wait_until};
 use serde_json::Value;
 
 use super::setting::Setting;
@@ -34,9 +34,7 @@ fn two_drivers_of_one_array_are_named_at_the_top_with_what_to_do() {
     second.stamp.source ^= 1;
     let report = |telemetry: &mut MirrorTelemetry| {
         telemetry.stamp.sequence += 1;
-        let mut payload = Vec::new();
-        encode(telemetry, &mut payload).expect("sound telemetry");
-        observer.publish(&observer.room().telemetry(), &payload);
+        observer.publish(&observer.room().telemetry(), &encoded(telemetry));
     };
     for (width, height) in [(390, 844), (1024, 768), (1440, 900)] {
         browser.resize(width, height);
@@ -63,8 +61,7 @@ fn two_drivers_of_one_array_are_named_at_the_top_with_what_to_do() {
 #[needs("browser")]
 #[test]
 fn a_missing_controller_and_a_missing_room_are_named_at_the_top_with_what_to_start() {
-    let mut setting = Setting::new();
-    let browser = setting.browser();
+    let (mut setting, browser) = Setting::shown();
     setting.controller.kill();
     wait_until("a note about the controller", || {
         wrong(&browser).contains("No controller commands the mirrors: start one") && is_at_the_top(&browser) == true

@@ -19,8 +19,7 @@ fn order(browser: &Browser, order: &str) {
 #[needs("browser")]
 #[test]
 fn the_banner_says_whether_the_array_confirmed_a_stop() {
-    let setting = Setting::new();
-    let browser = setting.browser();
+    let (setting, browser) = Setting::shown();
     browser.click("#stop");
     wait_until("a confirmation", || banner(&browser).contains("has confirmed the stop"));
     wait_until("a state of the array", || browser.text("#chip-array") == "stopped");
@@ -74,8 +73,7 @@ fn the_banner_names_a_lost_driver_and_what_ends_its_warning() {
 #[needs("browser")]
 #[test]
 fn an_order_that_the_server_does_not_answer_has_the_words_of_its_button() {
-    let setting = Setting::new();
-    let browser = setting.browser();
+    let (_setting, browser) = Setting::shown();
     let script = "return import('/orders.js').then(({ notConfirmed }) => \
            ['stick', 'kill-controller', 'stop'].map((order) => notConfirmed(order, 'no answer')))";
     let advice = "check that `heliostat ui` or `heliostat demo` still runs, and that this computer reaches it";
@@ -90,8 +88,7 @@ fn an_order_that_the_server_does_not_answer_has_the_words_of_its_button() {
 #[needs("browser")]
 #[test]
 fn an_order_without_a_server_or_with_the_answer_of_a_proxy_says_so_without_the_words_of_the_browser() {
-    let mut setting = Setting::new();
-    let browser = setting.browser();
+    let (mut setting, browser) = Setting::shown();
     // A proxy whose server is gone answers by itself.
     let refusal = "return import('/requests.js').then(({ refusalIn }) => { \
            const of = (status, type) => refusalIn(new Response('<h1>Bad Gateway</h1>', { status, headers: { 'content-type': type } })) \
@@ -110,8 +107,7 @@ fn an_order_without_a_server_or_with_the_answer_of_a_proxy_says_so_without_the_w
 #[needs("browser")]
 #[test]
 fn a_stop_without_an_array_is_answered_at_once_and_a_rearm_keeps_the_warning() {
-    let mut setting = Setting::new();
-    let browser = setting.browser();
+    let (mut setting, browser) = Setting::shown();
     setting.room.kill();
     wait_until("an array that has left", || browser.text("#chip-array").starts_with("no report for"));
     let status = || browser.text("#order-status");
@@ -141,8 +137,7 @@ fn a_stop_without_an_array_is_answered_at_once_and_a_rearm_keeps_the_warning() {
 #[needs("browser")]
 #[test]
 fn a_refused_order_is_shown_as_refused_until_another_takes_effect() {
-    let setting = Setting::new();
-    let browser = setting.browser();
+    let (_setting, browser) = Setting::shown();
     let status = || browser.text("#order-status");
     order(&browser, r#"{ order: "policy", name: "clairvoyant" }"#);
     wait_until("a refusal with its reason", || {

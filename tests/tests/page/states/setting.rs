@@ -17,12 +17,19 @@ impl Setting {
         Self::with(&[])
     }
 
-    /// The same with settings of the room's scenario, which the other processes share.
+    /// The processes with a browser that shows them from above.
+    pub fn shown() -> (Self, Browser) {
+        let setting = Self::new();
+        let browser = setting.browser();
+        (setting, browser)
+    }
+
+    /// The processes with settings of the room's scenario, which the other processes share.
     pub fn with(set: &[&str]) -> Self {
         Self::seen_by(set, &[])
     }
 
-    /// The same with an observer whose messages reach all processes.
+    /// The processes with an observer whose messages reach all processes.
     pub fn observed() -> (Self, RoomObserver) {
         let of_observer = private_endpoint().expect("an endpoint");
         let setting = Self::seen_by(&[], &["--connect", &of_observer]);

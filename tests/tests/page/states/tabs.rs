@@ -8,8 +8,7 @@ use super::setting::{Setting, is_live};
 #[needs("browser")]
 #[test]
 fn seven_tabs_share_one_stream_and_each_sends_orders() {
-    let setting = Setting::new();
-    let browser = setting.browser();
+    let (setting, browser) = Setting::shown();
     let first = browser.tab();
     let tabs: Vec<String> = (0..6).map(|_| browser.open_tab(&setting.server.url())).collect();
     for tab in [&first, &tabs[0], &tabs[5]] {
@@ -28,8 +27,7 @@ fn seven_tabs_share_one_stream_and_each_sends_orders() {
 #[needs("browser")]
 #[test]
 fn more_rooms_than_a_host_has_connections_for_are_polled_and_receive_orders() {
-    let setting = Setting::new();
-    let browser = setting.browser();
+    let (_setting, browser) = Setting::shown();
     // Pages of other rooms of this host announce their streams in the same way.
     browser.run(
         "window.rooms = [1, 2, 3, 4].map((room) => { const channel = new BroadcastChannel('heliostat-streams'); \

@@ -121,8 +121,7 @@ fn the_switches_show_what_the_one_channel_model_computes() {
 #[needs("browser")]
 #[test]
 fn without_the_mirrors_table_sentence_and_picture_are_of_one_report() {
-    let setting = Setting::new();
-    let browser = setting.browser();
+    let (_setting, browser) = Setting::shown();
     // Figures and a frame of different instants.
     let script = "return Promise.all([import('/figures.js'), import('/sentence.js')]).then(([{ sums, users }, { sentence }]) => { \
            const now = { origin: 'simulated', ages_s: { room: 0 }, nodes: [], sum_mbps: { policy: 5, no_irs: 2 }, \
@@ -163,8 +162,7 @@ fn without_the_mirrors_table_sentence_and_picture_are_of_one_report() {
 #[needs("browser")]
 #[test]
 fn the_names_of_users_who_stand_behind_each_other_do_not_cover_each_other() {
-    let setting = Setting::new();
-    let browser = setting.browser();
+    let (_setting, browser) = Setting::shown();
     let script = "return Promise.all([import('/vendor/three.module.min.js'), import('/labels.js')]).then(([THREE, { Label, separateSprites }]) => { \
            const camera = new THREE.PerspectiveCamera(22, 1.5, 0.05, 400); \
            camera.up.set(0, 0, 1); camera.position.set(-9, 0, 1); camera.lookAt(0, 0, 1); \
@@ -184,8 +182,7 @@ fn the_names_of_users_who_stand_behind_each_other_do_not_cover_each_other() {
 #[needs("browser")]
 #[test]
 fn the_name_of_a_user_behind_the_camera_is_not_drawn_and_shifts_no_other_name() {
-    let setting = Setting::new();
-    let browser = setting.browser();
+    let (_setting, browser) = Setting::shown();
     let script = "return Promise.all([import('/vendor/three.module.min.js'), import('/labels.js')]).then(([THREE, { Label, separateSprites }]) => { \
            const camera = new THREE.PerspectiveCamera(22, 1.5, 0.05, 400); \
            camera.up.set(0, 0, 1); camera.position.set(-9, 0, 1); camera.lookAt(0, 0, 1); \
@@ -202,8 +199,7 @@ fn the_name_of_a_user_behind_the_camera_is_not_drawn_and_shifts_no_other_name() 
 #[needs("browser")]
 #[test]
 fn an_outage_lasts_from_a_rate_below_the_minimum_to_the_next_one_above_it() {
-    let setting = Setting::new();
-    let browser = setting.browser();
+    let (_setting, browser) = Setting::shown();
     let script = "return import('/outages.js').then(({ Outages }) => { \
            const outages = new Outages(); \
            const at = (time_s, rate_mbps) => \
@@ -230,8 +226,7 @@ fn an_outage_lasts_from_a_rate_below_the_minimum_to_the_next_one_above_it() {
 #[needs("browser")]
 #[test]
 fn an_outage_names_the_time_in_which_its_user_was_observed() {
-    let setting = Setting::new();
-    let browser = setting.browser();
+    let (_setting, browser) = Setting::shown();
     let script = "return Promise.all([import('/outages.js'), import('/figures.js')]).then(([{ Outages }, { outageLengths }]) => { \
            const outages = new Outages(); \
            const texts = []; \
@@ -273,8 +268,7 @@ fn the_fairness_index_is_that_of_the_rates_in_the_table() {
 #[needs("browser")]
 #[test]
 fn the_sentence_says_what_is_unknown() {
-    let setting = Setting::new();
-    let browser = setting.browser();
+    let (_setting, browser) = Setting::shown();
     let sentence = |now: &str, age: f64| {
         let script = format!(
             "return import('/sentence.js').then(({{ sentence }}) => {{ \
@@ -323,8 +317,7 @@ fn the_sentence_says_what_is_unknown() {
 #[needs("browser")]
 #[test]
 fn the_sentence_has_the_modelled_sum_rate_where_no_receiver_reports_gains() {
-    let setting = Setting::new();
-    let browser = setting.browser();
+    let (_setting, browser) = Setting::shown();
     let script = "return import('/sentence.js').then(({ sentence }) => { \
            const users = [3, 7].map((user) => ({ user, rate_mbps: 0, is_rate_known: false, min_rate_mbps: 1 })); \
            const now = { origin: 'measured', ages_s: { room: 0 }, nodes: [], users, sum_mbps: null }; \
@@ -341,8 +334,7 @@ fn the_sentence_has_the_modelled_sum_rate_where_no_receiver_reports_gains() {
 #[needs("browser")]
 #[test]
 fn the_chip_of_the_policy_and_the_name_of_the_sum_rate_agree_on_what_the_mirrors_follow() {
-    let setting = Setting::new();
-    let browser = setting.browser();
+    let (setting, browser) = Setting::shown();
     let script = "return import('/sentence.js').then(({ inCharge }) => { \
            const of = (name, idle, age) => { \
              const found = inCharge({ in_charge: { name, idle } }, age); \
@@ -374,8 +366,7 @@ fn the_chip_of_the_policy_and_the_name_of_the_sum_rate_agree_on_what_the_mirrors
 #[needs("browser")]
 #[test]
 fn the_marks_of_the_legend_have_the_dashes_of_their_lines_and_no_two_lines_share_a_colour() {
-    let setting = Setting::new();
-    let browser = setting.browser();
+    let (_setting, browser) = Setting::shown();
     let script = "return import('/charts.js').then(({ Charts, markOf }) => { \
            const colours = (dark) => { \
              const of = Object.create(Charts.prototype); of.redraw = { reset: () => {} }; of.theme(dark); \
@@ -390,8 +381,7 @@ fn the_marks_of_the_legend_have_the_dashes_of_their_lines_and_no_two_lines_share
 #[needs("browser")]
 #[test]
 fn a_learned_policy_has_the_file_of_its_network_or_the_hash_in_its_tooltip() {
-    let setting = Setting::new();
-    let browser = setting.browser();
+    let (_setting, browser) = Setting::shown();
     let script = "return import('/figures.js').then(({ networkIn }) => { \
            const file = { hash: '1a2b', name: 'own.onnx' }; \
            return [networkIn('1a2b', file), networkIn('3c4d', file), networkIn('3c4d', null), networkIn(null, file)]; })";
@@ -402,8 +392,7 @@ fn a_learned_policy_has_the_file_of_its_network_or_the_hash_in_its_tooltip() {
 #[needs("browser")]
 #[test]
 fn the_tooltip_of_a_counter_names_its_process_and_when_it_started() {
-    let setting = Setting::new();
-    let browser = setting.browser();
+    let (_setting, browser) = Setting::shown();
     let script = "return import('/figures.js').then(({ countedBy }) => \
            [['controller 0a', 0], ['sim-node 0b', 61], ['driver 0c', 150], ['driver 0c', null], ['', null]] \
              .map(([process, minutes]) => countedBy({ process, minutes })))";
@@ -422,8 +411,7 @@ fn the_tooltip_of_a_counter_names_its_process_and_when_it_started() {
 #[needs("browser")]
 #[test]
 fn users_who_lose_their_link_without_the_mirrors_are_named_as_users() {
-    let setting = Setting::new();
-    let browser = setting.browser();
+    let (_setting, browser) = Setting::shown();
     let script = "return import('/sentence.js').then(({ sentence }) => { \
            const now = { origin: 'simulated', ages_s: { room: 0 }, nodes: [], users: [] }; \
            const of = (rates) => sentence(now, 0.1, { wall: false }, { \
@@ -439,8 +427,7 @@ fn users_who_lose_their_link_without_the_mirrors_are_named_as_users() {
 #[needs("browser")]
 #[test]
 fn a_browser_without_webgl_shows_a_plan() {
-    let setting = Setting::new();
-    let browser = setting.browser();
+    let (_setting, browser) = Setting::shown();
     assert_eq!(browser.run("return document.documentElement.dataset.view"), "2d");
     let first = drawn(&browser);
     wait_until("more pictures", || drawn(&browser) > first + 5);

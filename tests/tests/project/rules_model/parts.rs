@@ -26,6 +26,25 @@ pub fn instant(round: u32) -> Moment {
     Moment { local_ns, room_ns: START_NS + local_ns }
 }
 
+/// Equality and hash by the `key`: two values are equal if they behave alike from now on.
+macro_rules! by_key {
+    ($($type:ident),+) => { $(
+        impl PartialEq for $type {
+            fn eq(&self, other: &Self) -> bool {
+                self.key() == other.key()
+            }
+        }
+
+        impl Hash for $type {
+            fn hash<H: Hasher>(&self, state: &mut H) {
+                self.key().hash(state);
+            }
+        }
+    )+ };
+}
+
+pub(crate) use by_key;
+
 /// One mirror that turns at once; it keeps its angle when the driver crashes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Hardware {
@@ -57,7 +76,7 @@ impl Device for Hardware {
     }
 }
 
-/// A running driver. Two are equal if they behave alike from now on.
+/// A running driver.
 #[derive(Clone, Debug)]
 pub struct Driver {
     pub kit: Kit<Hardware>,
@@ -97,18 +116,6 @@ impl Driver {
         let released: Vec<StopName> = array.released().collect();
         let stop = (array.latch().clone(), released, self.kit.device_stopped(), self.source);
         (state, epoch, sequence, array.changes_at_ns(), stop, angles, self.evidence())
-    }
-}
-
-impl PartialEq for Driver {
-    fn eq(&self, other: &Self) -> bool {
-        self.key() == other.key()
-    }
-}
-
-impl Hash for Driver {
-    fn hash<H: Hasher>(&self, state: &mut H) {
-        self.key().hash(state);
     }
 }
 
@@ -160,17 +167,7 @@ impl Controller {
     }
 }
 
-impl PartialEq for Controller {
-    fn eq(&self, other: &Self) -> bool {
-        self.key() == other.key()
-    }
-}
-
-impl Hash for Controller {
-    fn hash<H: Hasher>(&self, state: &mut H) {
-        self.key().hash(state);
-    }
-}
+by_key!(Driver, Controller);
 
 /// A command without angles.
 pub const COMMAND: MirrorCommand = MirrorCommand {

@@ -22,7 +22,7 @@ use heliostat_proto::stop_hold::StopHold;
 use heliostat_proto::*;
 use stateright::{Checker, HasDiscoveries, Model as _, Property};
 
-use super::parts::{COMMAND, instant};
+use super::parts::{COMMAND, by_key, instant};
 
 const TOLD: &str = "told stopped only while no mirror can move";
 const KEPT: &str = "a latched stop is kept until its own re-arm";
@@ -193,17 +193,7 @@ impl State {
     }
 }
 
-impl PartialEq for State {
-    fn eq(&self, other: &Self) -> bool {
-        self.key() == other.key()
-    }
-}
-
-impl Hash for State {
-    fn hash<H: Hasher>(&self, state: &mut H) {
-        self.key().hash(state);
-    }
-}
+by_key!(State);
 
 #[derive(Clone, Debug, PartialEq)]
 enum Event {

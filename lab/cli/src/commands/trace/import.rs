@@ -42,7 +42,7 @@ pub struct ImportArgs {
     file: PathBuf,
     /// Its format
     #[arg(long, value_enum)]
-    format: FormatName,
+    format: WalkFormat,
     /// The room: a scenario file (TOML) or the name of a built-in scenario [default: hall; the report says so]
     #[arg(long, visible_alias = "room", value_name = "SCENARIO")]
     scenario: Option<String>,
@@ -58,7 +58,7 @@ pub struct ImportArgs {
     choosing: Choosing,
     /// How the walks are scaled to the floor
     #[arg(long, value_enum, default_value = "shrink")]
-    fit: FitName,
+    fit: Fit,
     /// Distance of the scaled walks from the walls in m
     #[arg(long, value_name = "M", default_value_t = 0.3, value_parser = not_negative, allow_negative_numbers = true)]
     margin_m: f64,
@@ -106,27 +106,13 @@ struct Choosing {
     users: Option<u32>,
     /// Which pedestrians become users
     #[arg(long, value_enum, default_value = "together")]
-    select: PresenceName,
+    select: Presence,
     /// Duration of the walk in s [default: as long as all users are present]
     #[arg(long, value_name = "S", value_parser = duration_s, allow_negative_numbers = true)]
     duration_s: Option<f64>,
     /// Resample at this rate [default: the recorded times]
     #[arg(long, value_name = "HZ", value_parser = rate, allow_negative_numbers = true)]
     rate_hz: Option<f64>,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum FormatName {
-    /// ETH and UCY: obsmat.txt, or frame id x y
-    EthUcy,
-    /// ATC shopping centre: one file for each day
-    Atc,
-    /// Experiments with pedestrians: id frame x y z in cm, or in m where a comment names x/m
-    Experiment,
-    /// THÖR-MAGNI or THÖR: one file for each run
-    ThorMagni,
-    /// CSV with a header of time, user, x, y and optionally heading_deg, in any order
-    Csv,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -139,26 +125,6 @@ enum TimeUnit {
     Us,
     /// Nanoseconds
     Ns,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum PresenceName {
-    /// Pedestrians who were present at the same time, over the longest such time
-    Together,
-    /// The longest tracks; each begins at 0 s, whenever it was recorded
-    Longest,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum FitName {
-    /// Centred; smaller where they do not fit
-    Shrink,
-    /// Centred; as large as fits
-    Fill,
-    /// Centred; as large as fits along x and along y, which changes shapes
-    Stretch,
-    /// Positions are in the room frame, and stay as they are
-    None,
 }
 
 /// Reads, chooses, places, writes, and prints the report.
@@ -180,7 +146,7 @@ pub fn run(args: &ImportArgs) -> Result<()> {
         })
         .with_context(unusable)?;
     let recorded = selected.users.clone();
-    let placement = place(&mut selected.users, &floor, args.fit.into(), args.margin_m)
+    let placement = place(&mut selected.users, &floor, args.fit, args.margin_m)
         .map_err(|error| anyhow!("{error}: choose another --fit, --crop, --scale or --margin-m"))
         .with_context(unusable)?;
     write_trace(&selected.users, &floor, &args.out)?;
@@ -222,7 +188,7 @@ fn collect(args: &ImportArgs) -> Result<Collected> {
     };
     let mut collector = Collector::new(kept);
     let source = Source {
-        format: args.format.into(),
+        format: args.format,
         frame_rate_hz: reading.frame_rate_hz,
         time_unit_s: reading.time_unit.seconds(),
         columns: reading.columns.clone().unwrap_or_default(),
@@ -265,21 +231,9 @@ fn advised(error: ReadError) -> anyhow::Error {
 fn choice(args: &ImportArgs, scenario: &Scenario) -> Choice {
     Choice {
         users: args.choosing.users.map_or(scenario.users.count, |users| users as usize),
-        presence: args.choosing.select.into(),
+        presence: args.choosing.select,
         duration_s: args.choosing.duration_s,
         rate_hz: args.choosing.rate_hz,
-    }
-}
-
-impl From<FormatName> for WalkFormat {
-    fn from(name: FormatName) -> Self {
-        match name {
-            FormatName::EthUcy => Self::EthUcy,
-            FormatName::Atc => Self::Atc,
-            FormatName::Experiment => Self::Experiment,
-            FormatName::ThorMagni => Self::ThorMagni,
-            FormatName::Csv => Self::Csv,
-        }
     }
 }
 
@@ -290,26 +244,6 @@ impl TimeUnit {
             Self::Ms => 1e-3,
             Self::Us => 1e-6,
             Self::Ns => 1e-9,
-        }
-    }
-}
-
-impl From<PresenceName> for Presence {
-    fn from(name: PresenceName) -> Self {
-        match name {
-            PresenceName::Together => Self::Together,
-            PresenceName::Longest => Self::Longest,
-        }
-    }
-}
-
-impl From<FitName> for Fit {
-    fn from(name: FitName) -> Self {
-        match name {
-            FitName::Shrink => Self::Shrink,
-            FitName::Fill => Self::Fill,
-            FitName::Stretch => Self::Stretch,
-            FitName::None => Self::None,
         }
     }
 }

@@ -6,7 +6,8 @@ use std::time::{Duration, Instant};
 
 use heliostat_bus::{Bus, BusConfig, Class, Publisher, free_loopback_endpoint};
 use heliostat_proto::{
-    ArrayState, EmergencyStop, LostDriver, MirrorTelemetry, NodeKind, NodeStatus, Rearm, Room, Stamp, StopReport, decode,
+    ArrayState, EmergencyStop, LostDriver, MirrorTelemetry, NodeKind, NodeStatus, Rearm, Room, Stamp, StopReport,
+    decode,
 };
 use heliostat_service::clock::utc_ns;
 use heliostat_tests::faults::{Behaviour, LoopbackBoard, Tracker};

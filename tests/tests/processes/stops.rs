@@ -194,12 +194,17 @@ fn a_driver_that_was_lost_before_the_stop_is_named_until_a_release() {
     let (config, state) = (config(room.folder.path(), 2), room.folder.path().join("third").display().to_string());
     std::fs::write(&config, board.configuration()).expect("a writable folder");
     let flags = ["driver", "run", "--config", &config, "--state", &state, "--start-armed", "--array", "1"];
-    let own = ["--room", "lost", "--connect", &room.of_controller, "--exit-with-parent"];
+    let listen = free_loopback_endpoint().expect("a free port");
+    let own = ["--room", "lost", "--listen", &listen, "--connect", &room.of_controller, "--exit-with-parent"];
     let mut third = Process::heliostat(&[&flags[..], &own].concat());
-    let status = || room.latest().controller.unwrap_or_default();
+    let beside = Bus::open(&BusConfig::new(room.bus.room().clone()).connect_to(&listen)).expect("the bus opens");
+    let telemetry = Latest::<MirrorTelemetry>::of(&beside, &beside.room().array(1).telemetry());
+    let status = || room.status.get().unwrap_or_default();
     wait_until("both drivers of the second array", || {
         ["source ", "mirrors-1"].iter().all(|part| status().last_problem.contains(part))
     });
+    // One that ends at its start without a command has moved no mirror.
+    wait_until("a command at the third driver", || telemetry.get().is_some_and(|found| found.counters.accepted > 0));
     third.kill();
     let lost = || LostDriver::all_of(&status());
     wait_until("the loss of one of them", || !lost().is_empty());

@@ -24,8 +24,10 @@ pub(crate) const NO_CONTROLLER_SEEN: &str = "no controller: start one";
 
 /// Between a cause and what follows from it.
 const CONSEQUENCES: &str = "; it causes: ";
+/// State of arrays without telemetry; where others have some, the names follow.
+pub(crate) const NO_TELEMETRY: &str = "no telemetry";
 /// Between the names of arrays.
-const AND: &str = " and ";
+pub(crate) const AND: &str = " and ";
 /// States of an array that receives no commands.
 const UNCOMMANDED: [&str; 2] = ["parked", "holding"];
 
@@ -53,7 +55,7 @@ fn causes(cause: &str, text: &str) -> bool {
 /// The names of the arrays without telemetry, of which a state has nothing else to say; empty for all arrays.
 fn silent_arrays(state: &str) -> Option<&str> {
     let rest = state.strip_prefix(ArrayState::Following.name()).map_or(state, |rest| rest.trim_start_matches(", "));
-    match rest.strip_prefix("no telemetry")? {
+    match rest.strip_prefix(NO_TELEMETRY)? {
         "" => Some(""),
         of => of.strip_prefix(" of "),
     }

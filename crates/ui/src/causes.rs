@@ -1,5 +1,6 @@
 //! Which problems follow from which: one cause is one line.
 
+use heliostat_proto::ArrayState;
 use heliostat_scenario::ROOM_DIFFERS;
 
 /// The note about one controller that sees no other process of its room.
@@ -23,23 +24,41 @@ pub(crate) const NO_CONTROLLER_SEEN: &str = "no controller: start one";
 
 /// Between a cause and what follows from it.
 const CONSEQUENCES: &str = "; it causes: ";
+/// State of arrays without telemetry; where others have some, the names follow.
+pub(crate) const NO_TELEMETRY: &str = "no telemetry";
+/// Between the names of arrays.
+pub(crate) const AND: &str = " and ";
 /// States of an array that receives no commands.
 const UNCOMMANDED: [&str; 2] = ["parked", "holding"];
 
 /// Whether the second text follows from the first one.
 fn causes(cause: &str, text: &str) -> bool {
     let state = text.strip_prefix(NOT_FOLLOWING).and_then(|rest| rest.strip_prefix(": "));
-    let is_silent = state.is_some_and(|state| state.contains("no telemetry"));
+    let silent = state.and_then(silent_arrays);
     let begins_with = |starts: &[&str]| starts.iter().any(|start| text.starts_with(start));
     if cause.starts_with(OTHERS_MISSING) {
-        return is_silent || begins_with(&[NO_DRIVER, NO_POSITIONS, NO_SIMULATED_POSITIONS, NO_REPORTS]);
+        return silent.is_some() || begins_with(&[NO_DRIVER, NO_POSITIONS, NO_SIMULATED_POSITIONS, NO_REPORTS]);
     }
     if let Some(which) = cause.strip_prefix(NO_DRIVER) {
-        let is_of_all = which.starts_with(": ");
-        return is_silent || text == UNKNOWN_LEADER || (is_of_all && begins_with(&[NO_SIMULATED_POSITIONS]));
+        let absent = which.strip_prefix(" to ").and_then(|which| which.split_once(": ")).map(|(names, _)| names);
+        let Some(absent) = absent else {
+            return silent.is_some() || text == UNKNOWN_LEADER || begins_with(&[NO_SIMULATED_POSITIONS]);
+        };
+        // Another array that is silent has a cause of its own.
+        let is_absent = |name: &str| absent.split(AND).any(|absent| absent == name);
+        return text == UNKNOWN_LEADER || silent.is_some_and(|names| names.split(AND).all(is_absent));
     }
     let is_uncommanding = [NO_REPORTS, NO_CONTROLLER_SEEN, ALL_STAND_BY].iter().any(|start| cause.starts_with(start));
     is_uncommanding && state.is_some_and(|state| UNCOMMANDED.contains(&state))
+}
+
+/// The names of the arrays without telemetry, of which a state has nothing else to say; empty for all arrays.
+fn silent_arrays(state: &str) -> Option<&str> {
+    let rest = state.strip_prefix(ArrayState::Following.name()).map_or(state, |rest| rest.trim_start_matches(", "));
+    match rest.strip_prefix(NO_TELEMETRY)? {
+        "" => Some(""),
+        of => of.strip_prefix(" of "),
+    }
 }
 
 /// These problems with each one that follows from another in the line of its cause, without its advice. The line has
@@ -171,6 +190,12 @@ mod tests {
         let expected = format!("{absent}; it causes: {NOT_FOLLOWING}, no controller leads");
         let silent = state("following, no telemetry of mirrors-1");
         assert_eq!(folded(vec![silent.clone(), UNKNOWN_LEADER.to_owned(), absent]), [expected]);
+        for other in
+            ["following, no telemetry of mirrors-1 and mirrors-2", "fault, no telemetry of mirrors-1"].map(state)
+        {
+            let absent = format!("{NO_DRIVER} to mirrors-1: start its driver");
+            assert_eq!(folded(vec![absent.clone(), other.clone()]), [absent, other], "a part has another cause");
+        }
         let simulator = format!("{NO_SIMULATED_POSITIONS}: start it");
         let lines = |driver: &str| folded(vec![driver.to_owned(), simulator.clone()]);
         let all = format!("{NO_DRIVER}: start a driver or a simulator");

@@ -18,7 +18,7 @@ use heliostat_service::printable::printable;
 use serde::Serialize;
 
 use crate::View;
-use crate::causes::{folded, follows_from, follows_from_stop, of_stopped, without_figures};
+use crate::causes::{AND, NO_TELEMETRY, folded, follows_from, follows_from_stop, of_stopped, without_figures};
 use crate::controllers::{ControllerFigures, controller_name};
 use crate::in_charge::InCharge;
 use crate::latency::Histogram;
@@ -267,7 +267,7 @@ fn array(
 ) -> ArrayFigures {
     let (arrays, mirrors) = (model.mirrors.arrays().len(), model.mirrors.len());
     let Some(telemetry) = telemetry else {
-        return ArrayFigures { state: "no telemetry".into(), arrays, mirrors, silent, ..ArrayFigures::default() };
+        return ArrayFigures { state: NO_TELEMETRY.into(), arrays, mirrors, silent, ..ArrayFigures::default() };
     };
     let state = telemetry.state.name();
     // An array knows its mirrors; the room that is shown can be another one.
@@ -276,7 +276,7 @@ fn array(
         state: if silent.is_empty() {
             state.into()
         } else {
-            format!("{state}, no telemetry of {}", silent.join(" and "))
+            format!("{state}, {NO_TELEMETRY} of {}", silent.join(AND))
         },
         arrays,
         mirrors,

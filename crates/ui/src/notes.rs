@@ -7,7 +7,7 @@ use heliostat_proto::gauges::ServedLight;
 use heliostat_proto::{NodeKind, NodeStatus};
 use heliostat_service::printable::printable;
 
-use crate::causes::{NO_DRIVER, NO_POSITIONS, NO_SIMULATED_POSITIONS, OTHERS_MISSING, TWO_DRIVERS, causes_first};
+use crate::causes::{AND, NO_DRIVER, NO_POSITIONS, NO_SIMULATED_POSITIONS, OTHERS_MISSING, TWO_DRIVERS, causes_first};
 use crate::controllers::{ControllerFigures, Role, refusal_of};
 use crate::error::CHECK_REACH;
 use crate::view::{Dated, EXPIRY, Received};
@@ -204,7 +204,7 @@ fn absent_drivers(status: &NodeStatus, arrays: usize, was_seen: bool) -> Option<
     if names.is_empty() || *absent == arrays as u64 {
         return Some(format!("{NO_DRIVER}: start a driver or a simulator{again}"));
     }
-    Some(format!("{NO_DRIVER} to {}: start its driver{again}", printable(&names.join(" and "))))
+    Some(format!("{NO_DRIVER} to {}: start its driver{again}", printable(&names.join(AND))))
 }
 
 #[cfg(test)]

@@ -311,7 +311,12 @@ impl StopSwitch {
             let is_told = |seen: &ReportedStops| {
                 begun.elapsed() >= ANNOUNCED_WITHIN.min(limit) || seen.unheard_controllers().is_empty()
             };
-            if let Some(took) = confirmed.filter(|_| has_geometry && !is_joining && is_told(&self.seen.lock())) {
+            // By what has arrived since: it can show a further array, or a lost driver.
+            let is_final = || {
+                let seen = self.seen.lock();
+                is_told(&seen) && is_stopped(&seen, self.seen.now())
+            };
+            if let Some(took) = confirmed.filter(|_| has_geometry && !is_joining && is_final()) {
                 return Ok(took);
             }
             let is_counted = has_geometry || is_joining;

@@ -75,8 +75,10 @@ fn lost_in_words(drivers: &[u64], since_ns: Option<Nanos>) -> String {
 /// What an operator has to know of lost drivers of an array, after a release.
 fn unreleased_lost((array, standing): &(usize, Standing)) -> Option<String> {
     let Standing::Lost { drivers, since_ns } = standing else { return None };
-    let lost = lost_in_words(drivers, *since_ns);
-    Some(format!("array {array}: {lost}, without a confirmation of the release: its mirrors may stand, or still move"))
+    let (lost, their) = (lost_in_words(drivers, *since_ns), if drivers.len() == 1 { "its" } else { "their" });
+    Some(format!(
+        "array {array}: {lost}, without a confirmation of the release: {their} mirrors may stand, or still move"
+    ))
 }
 
 /// What an operator has to know of lost drivers of an array that another driver serves, while no stop is held.

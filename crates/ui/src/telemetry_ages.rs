@@ -12,7 +12,10 @@ use heliostat_proto::{Capabilities, Nanos, Stamp, ValidityClock};
 use crate::expiry::EXPIRY;
 
 /// Telemetry that is older than this when it arrives, or as far ahead, is a problem.
-const LIMIT_NS: i64 = 50_000_000;
+const LIMIT_NS: u64 = 50_000_000;
+
+/// Age at which the problem ends: an age near the limit would fill the log of events.
+const OVER_NS: u64 = LIMIT_NS / 2;
 
 /// Length of a period. The least age is that of the present one and of the one before, which is complete.
 const PERIOD: Duration = Duration::from_secs(1);
@@ -39,6 +42,7 @@ struct LeastAge {
     present_ns: i64,
     /// In the period before; `None` in the first one.
     before_ns: Option<i64>,
+    is_problem: bool,
 }
 
 impl TelemetryAges {
@@ -56,14 +60,17 @@ impl TelemetryAges {
             return;
         }
         let age_ns = utc_ns.wrapping_sub(stamp.time_ns) as i64;
-        let first = LeastAge { source: stamp.source, began: now, last: now, present_ns: age_ns, before_ns: None };
+        let source = stamp.source;
+        let first = LeastAge { source, began: now, last: now, present_ns: age_ns, before_ns: None, is_problem: false };
         let least = self.least.entry(array).or_insert(first);
-        if least.source != stamp.source || now.saturating_duration_since(least.last) > EXPIRY {
+        if least.source != source || now.saturating_duration_since(least.last) > EXPIRY {
             *least = first;
         } else if now.saturating_duration_since(least.began) > PERIOD {
-            *least = LeastAge { before_ns: Some(least.present_ns), ..first };
+            *least = LeastAge { before_ns: Some(least.present_ns), is_problem: least.is_problem, ..first };
         }
         (least.present_ns, least.last) = (least.present_ns.min(age_ns), now);
+        let limit_ns = if least.is_problem { OVER_NS } else { LIMIT_NS };
+        least.is_problem = least.age_ns().is_some_and(|age_ns| age_ns.unsigned_abs() > limit_ns);
     }
 
     /// What the ages at `now` show, array by array.
@@ -71,28 +78,33 @@ impl TelemetryAges {
         let of_array = |(array, least): (&usize, &LeastAge)| {
             let has_clock = self.synchronised.get(array) == Some(&least.source);
             let is_recent = now.saturating_duration_since(least.last) < EXPIRY;
-            let age_ns = least.before_ns.filter(|_| has_clock && is_recent)?.min(least.present_ns);
-            problem(*array, age_ns)
+            let age_ns = least.age_ns().filter(|_| has_clock && is_recent && least.is_problem)?;
+            Some(problem(*array, age_ns))
         };
         self.least.iter().filter_map(of_array).collect()
     }
 }
 
-/// What an age of telemetry shows; `None` for one that is usual.
-fn problem(array: usize, age_ns: i64) -> Option<String> {
+impl LeastAge {
+    /// The least age in ns; `None` before the first period is complete.
+    fn age_ns(&self) -> Option<i64> {
+        Some(self.before_ns?.min(self.present_ns))
+    }
+}
+
+/// What an age of telemetry shows that is a problem.
+fn problem(array: usize, age_ns: i64) -> String {
     let (name, seconds) = (array_name(array), age_ns.unsigned_abs() as f64 * 1e-9);
-    if age_ns > LIMIT_NS {
-        return Some(format!(
+    if age_ns > 0 {
+        return format!(
             "telemetry of {name} is {seconds:.2} s old when it arrives: it waits on its way, or the clock of its driver \
              is behind that of this viewer; look at the link and the load of both hosts, and synchronise their clocks"
-        ));
+        );
     }
-    (age_ns < -LIMIT_NS).then(|| {
-        format!(
-            "the clock of the driver of {name} is {seconds:.2} s ahead of that of this viewer: synchronise the clocks \
-             of both hosts"
-        )
-    })
+    format!(
+        "the clock of the driver of {name} is {seconds:.2} s ahead of that of this viewer: synchronise the clocks of \
+         both hosts"
+    )
 }
 
 #[cfg(test)]
@@ -134,6 +146,18 @@ mod tests {
         let start = "the clock of the driver of mirrors-1 is 0.35 s ahead of that of this viewer: ";
         assert!(ahead.len() == 1 && ahead[0].starts_with(start), "{ahead:?}");
         assert_eq!([lasting(40), lasting(-40)], [[""; 0], [""; 0]]);
+    }
+
+    #[test]
+    fn an_age_near_the_limit_does_not_begin_and_end_a_problem_in_turn() {
+        let changing = |ages_ms: &[i64]| {
+            let ages = ages_ms.iter().flat_map(|age_ms| std::iter::repeat_n(*age_ms, 23));
+            problems(ValidityClock::SourceTime, ages).len()
+        };
+        assert_eq!(
+            [changing(&[40]), changing(&[60, 40]), changing(&[60, 40, 20]), changing(&[60, 20, 40])],
+            [0, 1, 0, 0]
+        );
     }
 
     #[test]

@@ -13,12 +13,15 @@ const STATUS_AGE_MAX: Duration = Duration::from_millis(2500);
 /// Most controllers whose statuses are kept.
 const CONTROLLERS_MAX: usize = 64;
 
+/// Arrival of a status, and the lost drivers in it.
+type Report = (Duration, Vec<LostDriver>);
+
 /// The controllers that are in the room, and the lost drivers in the last status of each.
 #[derive(Clone, Debug, Default)]
 pub(super) struct LostReports {
     controllers: BTreeSet<u64>,
-    /// By the sources of the controllers, with the arrival.
-    last: BTreeMap<u64, (Duration, Vec<LostDriver>)>,
+    /// By the sources of the controllers.
+    last: BTreeMap<u64, Report>,
 }
 
 impl LostReports {
@@ -34,9 +37,12 @@ impl LostReports {
 
     /// Notes the status of a controller; returns the number of arrays that its lost drivers show.
     pub fn handle_status(&mut self, now: Duration, status: &NodeStatus) -> usize {
-        let source = status.stamp.source;
-        let is_kept = self.last.contains_key(&source) || self.last.len() < CONTROLLERS_MAX;
-        if status.node != NodeKind::Controller || !is_kept {
+        if status.node != NodeKind::Controller {
+            return 0;
+        }
+        let (source, controllers) = (status.stamp.source, &self.controllers);
+        self.last.retain(|source, (at, _)| counts(controllers, *source, *at, now));
+        if !self.last.contains_key(&source) && self.last.len() >= CONTROLLERS_MAX {
             return 0;
         }
         let lost = LostDriver::all_of(status);
@@ -52,10 +58,13 @@ impl LostReports {
 
     /// The lost drivers of an array; one that several controllers report comes several times.
     pub fn of(&self, array: usize, now: Duration) -> impl Iterator<Item = &LostDriver> {
-        let counts = move |(source, (at, _)): &(&u64, &(Duration, Vec<LostDriver>))| {
-            self.controllers.contains(*source) || now.saturating_sub(*at) < STATUS_AGE_MAX
-        };
-        let all = self.last.iter().filter(counts).flat_map(|(_, (_, lost))| lost);
+        let reports = self.last.iter().filter(move |(source, (at, _))| counts(&self.controllers, **source, *at, now));
+        let all = reports.flat_map(|(_, (_, lost))| lost);
         all.filter(move |driver| driver.array == array)
     }
+}
+
+/// Whether the status of a controller counts: while it is in the room, and for some time without a token.
+fn counts(controllers: &BTreeSet<u64>, source: u64, at: Duration, now: Duration) -> bool {
+    controllers.contains(&source) || now.saturating_sub(at) < STATUS_AGE_MAX
 }

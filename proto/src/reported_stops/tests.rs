@@ -273,6 +273,17 @@ fn a_driver_that_was_lost_before_this_process_looked_keeps_a_stop_unconfirmed_wh
 }
 
 #[test]
+fn the_statuses_of_many_controllers_that_have_ended_do_not_keep_out_that_of_another_one() {
+    let mut stops = ordered();
+    let status = |source| NodeStatus { stamp: Stamp { source, ..Stamp::default() }, ..status_with(&[]) };
+    (100..200).for_each(|source| stops.handle_status(NOW, &status(source)));
+    let later = NOW + REPORT_AGE_MAX;
+    stops.handle_controller(5, true);
+    stops.handle_status(later, &status_with(&[]));
+    assert!(stops.unheard_controllers().is_empty());
+}
+
+#[test]
 fn an_array_that_only_a_controller_has_seen_has_to_confirm_a_stop_too() {
     let mut stops = ordered();
     stops.handle_stops(NOW, 0, report(1, true));

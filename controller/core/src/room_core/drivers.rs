@@ -75,8 +75,8 @@ impl Drivers {
         let served = driven.map_or(0..self.detectors.len(), |array| array..array + 1);
         if is_alive {
             self.tokens.entry(token).or_insert(Present { since_ns: now, accepted: None });
-            let is_replaced = |lost: &Lost| !lost.had_other && served.contains(&lost.driver.array);
-            self.lost.retain(|lost| lost.driver.source != source && !is_replaced(lost));
+            let is_over = |lost: &Lost| !lost.had_other || lost.driver.source == source;
+            self.lost.retain(|lost| !(served.contains(&lost.driver.array) && is_over(lost)));
         } else if let Some(left) = self.tokens.remove(&token) {
             for array in served {
                 // A device that has executed a stop stands.
@@ -113,7 +113,7 @@ impl Drivers {
         let driver = (array, report.stamp.source);
         if !report.device_stopped {
             self.stopped.remove(&driver);
-        } else if self.tokens.keys().any(|(_, source)| *source == driver.1) {
+        } else if self.tokens.keys().any(|token| token.1 == driver.1 && serves(token, array)) {
             self.stopped.insert(driver);
         }
     }
@@ -150,7 +150,11 @@ impl Drivers {
 
 /// Whether a process with one of these tokens drives an array.
 fn drives<'a>(mut tokens: impl Iterator<Item = &'a Token>, array: usize) -> bool {
-    tokens.any(|(driven, _)| driven.is_none_or(|driven| driven == array))
+    tokens.any(|token| serves(token, array))
+}
+
+fn serves((driven, _): &Token, array: usize) -> bool {
+    driven.is_none_or(|driven| driven == array)
 }
 
 impl AbsenceDetector {
@@ -217,6 +221,8 @@ mod tests {
         drivers.handle_token(9, &room.alive(NodeKind::SimNode, 6), true);
         drivers.handle_token(10, &room.alive(NodeKind::SimNode, 6), false);
         assert_eq!(lost(&drivers), [(0, 6), (1, 6)], "a simulator drives every array");
+        drivers.handle_token(10, &room.array(0).driver_alive(6), true);
+        assert_eq!(lost(&drivers), [(1, 6)], "its other array has no driver yet");
         (20..99).for_each(|source| {
             [true, false].iter().for_each(|is_alive| drivers.handle_token(11, &token(source), *is_alive))
         });

@@ -68,9 +68,13 @@ fn later_arrays(bus: &Bus, received: &Arc<Mutex<Received>>) -> Result<Subscripti
 /// Keeps which drivers have a synchronised clock.
 fn capabilities(bus: &Bus, received: &Arc<Mutex<Received>>, keys: &ArrayKeys) -> Result<Subscription, UiError> {
     let (room, received) = (bus.room().clone(), Arc::clone(received));
+    let first = room.array(0).capabilities();
     Ok(bus.subscribe_keyed(&keys.capabilities(), move |key, payload| {
-        if let Ok(capabilities) = codec::decode::<Capabilities>(payload) {
-            let (array, _) = room.first_array_key(key);
+        let (array, of_first) = room.first_array_key(key);
+        // Any other key names no array.
+        if of_first == first
+            && let Ok(capabilities) = codec::decode::<Capabilities>(payload)
+        {
             lock(&received).telemetry_ages.handle_capabilities(array, &capabilities);
         }
     })?)

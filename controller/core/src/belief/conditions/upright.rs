@@ -1,7 +1,7 @@
 //! Receivers that users tilt, and that count as facing up.
 
 use heliostat_channel::ChannelModel;
-use heliostat_scenario::{Belief, MobilityModel, OrientationModel, Scenario};
+use heliostat_scenario::{Belief, MobilityModel, Scenario};
 
 use super::walks;
 use crate::belief::{
@@ -30,8 +30,7 @@ const WALK_REPORTS: usize = 200;
 /// are held, or finds it by measured gains.
 pub(super) fn counted_upright(scenario: &Scenario, model: &ChannelModel) -> Option<(String, &'static str)> {
     let (control, streams) = (&scenario.control, &scenario.streams);
-    scenario.users.orientation.as_ref().filter(|held| held.model == OrientationModel::Measured)?;
-    if streams.orientation.is_some() || control.tilt.is_some() {
+    if !scenario.has_tilted_receivers() || streams.orientation.is_some() || control.tilt.is_some() {
         return None;
     }
     if control.belief != Belief::Filter {

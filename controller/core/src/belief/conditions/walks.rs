@@ -1,6 +1,6 @@
 //! Walks that the belief's model of motion does not cover.
 
-use heliostat_scenario::{MobilityModel, OrientationModel, Scenario, Users};
+use heliostat_scenario::{MobilityModel, Scenario, Users};
 
 use crate::{belief::heading, observe::lead::Lead};
 
@@ -80,8 +80,7 @@ pub(super) fn too_far_ahead(scenario: &Scenario) -> Option<String> {
 /// that a report shows later by t than the positions.
 pub(super) fn late_heading(scenario: &Scenario) -> Option<String> {
     let (users, streams) = (&scenario.users, &scenario.streams);
-    let is_tilted = users.orientation.as_ref().is_some_and(|held| held.model == OrientationModel::Measured);
-    if !scenario.blockage.bodies && !is_tilted {
+    if !scenario.blockage.bodies && !scenario.has_tilted_receivers() {
         return None;
     }
     let of_model = |model: MobilityModel| match model {

@@ -52,7 +52,9 @@ pub(super) fn describe_events(rose: &[TenureEvent], tenure: &Tenure, is_ending: 
 /// The same problem; the takeover of a room, by this controller or from it, with the pause of this process before it.
 pub(super) fn with_pause(problem: Problem, rose: &[TenureEvent], pause: Option<Duration>) -> Problem {
     let is_takeover = |event: &TenureEvent| matches!(event, TenureEvent::TookOver | TenureEvent::Superseded);
-    let Some(pause) = pause.filter(|_| rose.iter().any(is_takeover)) else { return problem };
+    // An orderly end of the former leader needs no other reason.
+    let is_expected = matches!(problem, Problem::End(_));
+    let Some(pause) = pause.filter(|_| !is_expected && rose.iter().any(is_takeover)) else { return problem };
     let pause = in_seconds(pause);
     problem.map(|text| {
         format!(
@@ -249,7 +251,9 @@ mod tests {
         let mut events: Vec<TenureEvent> =
             (1..=3).filter_map(|step| tenure.permit(start + step * INTERVAL).1).collect();
         assert_eq!(events, [TenureEvent::TookOver]);
-        let Some(Problem::End(text)) = describe_events(&events, &tenure, false) else { panic!("no problem") };
+        let problem = describe_events(&events, &tenure, false).expect("an event");
+        let pause = Some(Duration::from_millis(350));
+        let Problem::End(text) = with_pause(problem, &events, pause) else { panic!("no problem") };
         assert!(text.ends_with(": the former leader has ended"), "{text}");
         events.push(TenureEvent::Contested);
         let Some(Problem::Alarm(text)) = describe_events(&events, &tenure, false) else { panic!("an alarm") };

@@ -14,7 +14,7 @@ use heliostat_service::outln;
 
 /// Print the effective configuration of a process.
 ///
-/// It has the scenario with every key, the room and the endpoints. Give the same flags as to the
+/// It has the scenario with its defaults, the room and the endpoints. Give the same flags as to the
 /// process; no process is started. The file of a policy is checked.
 #[derive(Debug, clap::Args)]
 pub struct Args {

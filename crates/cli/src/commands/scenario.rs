@@ -39,7 +39,7 @@ enum Action {
         #[arg(long, default_value = BUILTIN_NAMES[0], value_parser = BUILTIN_NAMES)]
         from: String,
     },
-    /// Print the effective scenario as TOML, with every key
+    /// Print the effective scenario as TOML, with defaults and overrides
     Show {
         /// The file, or the name of a built-in one: the same as --scenario
         #[arg(conflicts_with = "scenario")]

@@ -17,13 +17,16 @@ const OBSERVED: Duration = Duration::from_millis(2300);
 
 /// Print the state of a running room once: controllers, arrays, stops, reports, problems.
 ///
-/// It observes the room for more than two seconds. The exit status is 0 if a controller leads or a calibration
-/// commands the mirrors, position reports arrive here or a controller decides on them, every array follows, each
-/// controller reports, no standby refuses the reports, no stop is in force, the expected light arrives, telemetry
-/// is at most 50 ms old when it arrives here, and the cause of no reported problem recurs; otherwise 1.
+/// It observes the room for more than two seconds. The exit status is 0 if the room is healthy, otherwise 1.
+///
+/// In a healthy room a controller leads, or a calibration commands the mirrors. Position reports arrive here,
+/// or a controller decides on them. Every array follows, and each controller reports. No standby refuses the
+/// reports, and no stop is in force. The expected light arrives, and telemetry is at most 50 ms old when it
+/// arrives here. No process reports a problem whose cause recurs.
+///
 /// Connect to one process of the room, which passes on the messages of those to which it is connected, or to
-/// their router; with --tls, to each process or to their router. `heliostat ui` shows the same figures continuously; `heliostat doctor` checks a
-/// machine before a run.
+/// their router; with --tls, to each process or to their router. `heliostat ui` shows the same figures
+/// continuously; `heliostat doctor` checks a machine before a run.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]

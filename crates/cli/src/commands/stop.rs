@@ -24,20 +24,24 @@ const LOOK_AND_REPEAT: &str = "look at `heliostat status`, and repeat the re-arm
 /// Stop all mirrors of a room at once, and wait until every array confirms it.
 ///
 /// An array confirms that its device has executed the stop. Every array of the announced geometry has to,
-/// and every array that was seen. Otherwise the exit status is 1, and each other array is named: cut the
-/// power of an array that does not answer. Where several drivers serve one array, each has to confirm. The status is 1 too where no process announces how many arrays
-/// the room has: connect to its controller or router, or give --arrays. The status is 1 too for a driver that does not report whether
-/// its device executed the stop. The status is 1 too for a driver that left before the stop, where a controller reports this:
-/// its return or a release ends that. The status is 1 too for an array that has stopped and does not record the
-/// stop; the message states what a restart of its driver does.
+/// and every array that was seen. Where several drivers serve one array, each has to confirm. Otherwise the
+/// exit status is 1, and the message names what is open and what to do: cut the power of an array that does
+/// not answer.
 ///
-/// With --hold the command notes all this and goes on. Its status is 1 at its end, also after Ctrl-C, if not every array
-/// has confirmed the stop by then. A stop that is interrupted during its first wait names what is confirmed.
+/// The exit status is 1 too in four other cases. No process announces how many arrays the room has: connect
+/// to its controller or router, or give --arrays. A driver does not report whether its device executed the
+/// stop. A driver left before the stop, and a controller reports this: its return or a release ends it. An
+/// array has stopped and does not record the stop: the message states what a restart of its driver does.
+///
+/// With --hold the command notes all this and goes on. Its status is 1 at its end, also after Ctrl-C, if not
+/// every array has confirmed the stop by then. A stop that is interrupted during its first wait names what is
+/// confirmed.
 ///
 /// The result names every stop in force; `heliostat rearm --stop` takes such a name.
 ///
 /// The stop stays in force, also over a restart of the driver, until an operator releases it with
-/// `heliostat rearm`. Connect to the process that drives the mirrors, to one that is connected to it, or to their router.
+/// `heliostat rearm`. Connect to the process that drives the mirrors, to one that is connected to it, or to
+/// their router.
 #[derive(Debug, clap::Args)]
 pub struct StopArgs {
     #[command(flatten)]

@@ -52,14 +52,16 @@ pub fn exceeds_one(ratio: f64) -> bool {
 /// Compare policies with the oracle on the same states.
 ///
 /// The oracle is the best local optimum that the solver finds from the true state. It penalises
-/// rates below the minimum. A learned policy is evaluated once per training seed: the shipped
-/// actor has seed 1, the others are in the folder lab/actors. The confidence interval includes the variation across training seeds. By
-/// default each policy observes exact held-out states, and its mirrors move instantly. With
-/// --closed-loop, reports and mirrors have the rate, delay, noise and dynamics of the scenario. The
-/// oracle still knows the true state and moves its mirrors instantly. The decision time is that of
-/// the policy; in closed loop it includes belief and observation.
+/// rates below the minimum. By default each policy observes exact held-out states, and its mirrors
+/// move instantly. With --closed-loop, reports and mirrors have the rate, delay, noise and dynamics
+/// of the scenario. The oracle still knows the true state and moves its mirrors instantly. The
+/// decision time is that of the policy; in closed loop it includes belief and observation.
 ///
-/// Tables and files follow the last comparison. Ctrl-C ends the command without them, and says how far it was.
+/// A learned policy is evaluated once per training seed: the shipped actor has seed 1, the others are
+/// in the folder lab/actors. The confidence interval includes the variation across training seeds.
+///
+/// Tables and files follow the last comparison. Ctrl-C ends the command without them, and reports the
+/// progress.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]

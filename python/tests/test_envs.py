@@ -271,7 +271,7 @@ def test_an_unknown_keyword_is_a_type_error_with_all_that_are_accepted() -> None
 
 @pytest.mark.parametrize("make_one", [heliostat.HeliostatEnv, heliostat.HeliostatVectorEnv])
 def test_overrides_without_an_effect_on_a_static_room_are_refused(make_one: Any) -> None:
-    for key, value in {"actuator.stuck_share": 1.0, "streams.positions.latency_ms": 300.0, "control.belief": "none"}.items():
+    for key, value in {"actuator.stuck_share": 1.0, "streams.positions.latency_ms": 30.0, "control.belief": "none"}.items():
         with pytest.raises(ValueError, match=f"{key}: no effect .*closed-loop"):
             make_one("specular", overrides={key: value})
         with warnings.catch_warnings():

@@ -492,5 +492,5 @@ fn a_range_that_leaves_places_without_light_is_a_condition_of_exact_states_too()
     let found = report(&[&few[..], &["--set", "control.range_deg=12"]].concat());
     let because = found["conditions"][0]["because"].as_str().expect("a condition");
     assert!(because.starts_with("control.range_deg = 12.0, within which mirrors reach 91 % of the floor"), "{found}");
-    assert_eq!(report(&few)["conditions"].as_array().map(Vec::len), Some(0));
+    assert!(report(&few)["conditions"].is_null());
 }

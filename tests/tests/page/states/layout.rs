@@ -4,7 +4,7 @@ use heliostat_needs::needs;
 use heliostat_tests::{Browser, choose_theme, wait_until};
 use serde_json::{Value, json};
 
-use super::setting::Setting;
+use super::setting::{GREEDY_LINE, Setting};
 
 /// Shows the explanation of late decisions, as on a busy machine.
 const WITH_HINT: &str = "const late = document.getElementById('late'); late.hidden = false; late.textContent = \
@@ -181,13 +181,14 @@ fn the_charts_stay_readable_at_every_size_with_and_without_a_hint_on_late_decisi
 fn the_names_of_earlier_policies_are_above_the_lines_of_a_chart_that_keeps_its_size() {
     let setting = Setting::new();
     let browser = setting.browser();
+    wait_until("a line of the first policy", || browser.run(GREEDY_LINE) == true);
     browser.run("document.getElementById('policy').value = 'nearest'");
     browser.click("#switch-policy");
     let is_above = "const of = (part) => document.querySelector(`#sum-chart ${part}`)?.getBoundingClientRect(); \
          const [names, lines] = [of('.earlier'), of('.u-over')]; \
          return names.height > 0 && lines?.top >= names.bottom";
     wait_until("the name of the former policy above the lines", || browser.run(is_above) == true);
-    assert!(browser.text("#sum-chart .earlier").contains("greedy"));
+    wait_until("its name", || browser.text("#sum-chart .earlier").contains("greedy"));
     // In one script, before the next figures.
     let heights = "const [chart, names] = ['#sum-chart', '#sum-chart .earlier'].map((of) => document.querySelector(of)); \
          const [before, after] = [true, false].map((hidden) => { names.hidden = hidden; return chart.clientHeight; }); \

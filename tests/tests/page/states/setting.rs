@@ -4,6 +4,12 @@ use heliostat_bus::{BusConfig, private_endpoint};
 use heliostat_proto::Room;
 use heliostat_tests::{Browser, PageServer, Process, RoomObserver, wait_until};
 
+/// A script: whether the chart of the sum rate has a line in the colour of the policy "greedy".
+pub const GREEDY_LINE: &str = "const canvas = document.querySelector('#sum-chart canvas'); \
+     if (!canvas) return false; \
+     const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height); \
+     return new Uint32Array(data.buffer).some((pixel) => pixel === 0xff337711)";
+
 /// Room, controller and page.
 pub struct Setting {
     pub room: Process,

@@ -6,7 +6,7 @@ use heliostat_needs::needs;
 use heliostat_tests::{Browser, choose_theme, wait_until};
 use serde_json::Value;
 
-use super::setting::{Setting, drawn};
+use super::setting::{GREEDY_LINE, Setting, drawn};
 
 #[needs("browser")]
 #[test]
@@ -352,14 +352,10 @@ fn the_chip_of_the_policy_and_the_name_of_the_sum_rate_agree_on_what_the_mirrors
            return stretches([point(1, 'greedy', false), point(2, 'greedy', false), point(3, 'stopped', true)], 10) \
              .map(({ from_s, name, idle }) => [from_s, name, idle]); })";
     assert_eq!(browser.run(script), serde_json::json!([[-9, "greedy", false], [-7, "stopped", true]]));
-    let of_greedy = "const canvas = document.querySelector('#sum-chart canvas'); \
-         if (!canvas) return false; \
-         const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height); \
-         return new Uint32Array(data.buffer).some((pixel) => pixel === 0xff337711)";
-    wait_until("a line with the colour of the policy before the stop", || browser.run(of_greedy) == true);
+    wait_until("a line with the colour of the policy before the stop", || browser.run(GREEDY_LINE) == true);
     // A page that is opened later draws the same, and names the colour.
     let later = Browser::open_flat(&setting.server.url());
-    wait_until("the colour of the policy before the page was open", || later.run(of_greedy) == true);
+    wait_until("the colour of the policy before the page was open", || later.run(GREEDY_LINE) == true);
     wait_until("its name in the legend", || later.text("#sum-chart .earlier").contains("greedy"));
 }
 

@@ -105,7 +105,7 @@ mod tests {
         ] {
             assert_eq!(of(&[&WALKING[..], &[change]].concat()), None, "{change}");
         }
-        assert_eq!(of(&WALKING[1..]), None, "nobody tilts a receiver");
+        assert_eq!(of(&WALKING[1..]), None, "no user tilts a receiver");
         let mixture = "users.mixture=[{mobility=\"seated\",count=1},{mobility=\"random-waypoint\",share=1}]";
         assert_eq!(of(&[&WALKING[..], &["users.mobility=mixture", mixture]].concat()), None, "one user sits");
     }

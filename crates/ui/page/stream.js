@@ -12,7 +12,7 @@ const POLL_MS = 400;
 // A poll without an answer ends after this time.
 const POLL_LIMIT_MS = 4000;
 const STREAMS_MAX = 3;
-// Other streams of this host answer within this time.
+// The pages of this host answer within this time; of a busy browser they may answer later.
 const COUNT_MS = 150;
 // How often a polled room looks for a free place.
 const RECOUNT_POLLS = 20;
@@ -21,7 +21,6 @@ export class Stream {
   // `deliver` gets the kind and the text of each event: "figures", "frame", "log", "ended", "mode" ("live" or "polled"), or "problem".
   constructor(deliver) {
     this.deliver = deliver;
-    this.id = `${Date.now()}-${Math.random()}`;
     this.others = new BroadcastChannel("heliostat-streams");
     this.others.onmessage = ({ data }) => this.answer(data);
     this.open();
@@ -32,8 +31,9 @@ export class Stream {
     else this.poll(1);
   }
 
-  // The number of streams that other pages of this host hold.
+  // The number of streams that come before this one: a page that has counted earlier comes first.
   async countOthers() {
+    this.id = `${Date.now()}-${Math.random()}`;
     this.holders = new Set();
     this.isCounting = true;
     this.others.postMessage({ asks: this.id });
@@ -42,11 +42,19 @@ export class Stream {
     return this.holders.size;
   }
 
-  // Of pages that count at the same time, the one with the lower id comes first.
   answer({ asks, holds, to }) {
-    const isFirst = this.isStreaming || (this.isCounting && this.id < asks);
-    if (asks && isFirst) this.others.postMessage({ holds: this.id, to: asks });
-    if (holds && to === this.id) this.holders?.add(holds);
+    const isHeld = this.isStreaming || this.isCounting;
+    if (isHeld && this.id < asks) this.others.postMessage({ holds: this.id, to: asks });
+    if (to !== this.id) return;
+    this.holders.add(holds);
+    if (this.isStreaming && this.holders.size >= STREAMS_MAX) this.giveUp();
+  }
+
+  // The answers of other pages came after the stream was opened.
+  giveUp() {
+    this.isStreaming = false;
+    this.source.close();
+    this.poll(1);
   }
 
   stream() {
@@ -58,7 +66,7 @@ export class Stream {
     this.source.addEventListener("error", async () => {
       if (this.source.readyState !== EventSource.CLOSED) return;
       await this.fetch();
-      setTimeout(() => this.stream(), RETRY_MS);
+      setTimeout(() => this.isStreaming && this.stream(), RETRY_MS);
     });
   }
 

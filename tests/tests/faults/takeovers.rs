@@ -131,6 +131,8 @@ ORIGIN; RUNS faults for each row.
 | changes | faults with no, one, and more changes of the controller that the array follows, until all controllers are back |
 | parked | faults during which the array parked |
 
+The cut of a standby's link does not concern the leader: its rows show what the machine and the network add to each gap.
+
 | fault | reports/s | controllers | gap, median | gap, largest | up to 2.1 | lost, median | lost, largest | changes 0, 1, more | parked |
 | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |
 ";

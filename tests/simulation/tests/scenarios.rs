@@ -242,3 +242,11 @@ fn a_leader_that_is_late_once_keeps_the_lead_where_telemetry_comes_shortly_befor
         assert_eq!(occurred.contains("contested"), is_lost, "seed {seed}, {after_ms} ms: {occurred:?}");
     }
 }
+
+/// Rare telemetry came between the time at which a report was due and its arrival, and showed the commands of before. A
+/// standby compared the next telemetry with those before them, and took this for an answer of a leader that was frozen.
+#[test]
+fn telemetry_that_comes_while_a_report_is_on_its_way_delays_no_takeover() {
+    let faults = [at(2860, 2500, Fault::Freeze { host: Role::Controller(0) })];
+    holds(1_795_884_633_175_214, |_| {}, &faults);
+}

@@ -32,7 +32,7 @@
 //!   it answers one higher epoch by a new epoch of its own, and stands by from the second on.
 //! - **Takeover**: a report is unanswered if telemetry that came a quarter of a report interval or more after it
 //!   shows no further accepted command. Telemetry that waited on its way, as in a connection that was interrupted,
-//!   counts as if it had not. A report that waited may have been answered before it came. After as many unanswered
+//!   counts as if it had not. A report that waited may have been answered before it came: the first one after telemetry is judged in its place. After as many unanswered
 //!   reports in sequence as its rank, a standby takes a new epoch and answers the report that is due. A leader whose liveliness token has ended counts as one
 //!   unanswered report, until it answers one or its token returns. The rank is 1 plus the number of other standbys
 //!   with a lower source id, up to [`RANK_MAX`], or given by the operator.
@@ -67,7 +67,7 @@ mod peers;
 
 use heliostat_proto::{EPOCH_SLOTS, Nanos, Stamp};
 
-use self::evidence::{Contest, Delay, Guest, Rises, Unaccepted, Watch};
+use self::evidence::{Contest, Delay, Guest, Unaccepted, Watch};
 pub use self::evidence::{Evidence, TenureEvent};
 use self::numbers::{Numbers, Rule};
 
@@ -136,8 +136,6 @@ pub struct Tenure {
     delay: Delay,
     /// When it would have come with the shortest delay.
     shown_ns: Nanos,
-    /// When it showed further accepted commands.
-    rises: Rises,
     /// Of the reports.
     report_delay: Delay,
     /// When the report that is due would have come with the shortest delay.
@@ -167,7 +165,6 @@ impl Tenure {
             seen: None,
             delay: Delay::default(),
             shown_ns: 0,
-            rises: Rises::default(),
             report_delay: Delay::default(),
             asked_ns: None,
             announced: 0,
@@ -285,9 +282,6 @@ impl Tenure {
     pub fn handle_telemetry(&mut self, now: Nanos, evidence: Evidence) -> Option<TenureEvent> {
         let former = self.seen.replace((now, evidence)).map(|(_, evidence)| evidence);
         self.shown_ns = self.delay.undelayed(now, (evidence.source, evidence.sampled_ns));
-        if let Some(former) = &former {
-            self.rises.note(self.shown_ns, (former, &evidence));
-        }
         if let Some(former) = former.filter(|former| former.epoch != evidence.epoch) {
             self.note_followed(now, former, evidence.epoch);
         }
@@ -366,9 +360,10 @@ impl Tenure {
             false => self.contest.back_off(now, self.standbys()),
         };
         let is_paused = shown.stopped || since_last_ns > gap_ns;
-        let before = self.rises.accepted_at(asked_ns, shown.accepted);
+        // A clock may step.
+        let next_ns = due_after(self.shown_ns, asked_ns, interval_ns).clamp(now, now.saturating_add(interval_ns));
         let watch = &mut self.watch;
-        let is_answered = watch.judge((now, before), (self.shown_ns, shown), interval_ns, is_paused)?;
+        let is_answered = watch.judge((now, next_ns), (self.shown_ns, shown), interval_ns, is_paused)?;
         if watch.unanswered + u8::from(watch.is_gone()) < rank.saturating_add(back_off) {
             // An answer that came before the token ended shows no leader.
             if watch.has_left && is_answered && !is_returned {
@@ -515,4 +510,11 @@ impl Tenure {
         self.attempts = if self.attempts < 6 { self.attempts + 1 } else { 5 };
         self.unaccepted = None;
     }
+}
+
+/// When the first report after telemetry of `shown_ns` is due, where one was due at `asked_ns` and each after
+/// `interval_ns`: that telemetry may show the answers to all before.
+fn due_after(shown_ns: Nanos, asked_ns: Nanos, interval_ns: Nanos) -> Nanos {
+    let passed_ns = shown_ns.saturating_sub(asked_ns);
+    asked_ns.saturating_add(passed_ns.div_ceil(interval_ns.max(1)).saturating_mul(interval_ns))
 }

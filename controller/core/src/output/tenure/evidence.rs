@@ -24,9 +24,6 @@ const RESIDENTS_MAX: usize = 16;
 /// Period in ns of the shortest delay of a stream. A delay that stays for two periods is the shortest one.
 const DELAY_PERIOD_NS: Nanos = TELEMETRY_TIMEOUT_NS / 2;
 
-/// Messages of telemetry with further accepted commands that are remembered: a report seldom waits for more of them.
-const RISES_MAX: usize = 8;
-
 /// Longest time in ns for which a leader that ends commands on without a token: twice that of the hand-over.
 const ENDING_NS: Nanos = 1_000_000_000;
 
@@ -135,29 +132,6 @@ impl Delay {
     }
 }
 
-/// The latest messages of telemetry that showed further accepted commands.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub(super) struct Rises([(Nanos, u64); RISES_MAX]);
-
-impl Rises {
-    /// Telemetry that shows more accepted commands than the former one, which would have come at `shown_ns` with the
-    /// shortest delay.
-    pub(super) fn note(&mut self, shown_ns: Nanos, (former, evidence): (&Evidence, &Evidence)) {
-        if former.source != evidence.source || former.accepted > evidence.accepted {
-            *self = Self::default();
-        } else if former.accepted < evidence.accepted {
-            self.0.rotate_right(1);
-            self.0[0] = (shown_ns, former.accepted);
-        }
-    }
-
-    /// The commands that telemetry until `at_ns` showed as accepted, where the latest one shows `accepted`.
-    pub(super) fn accepted_at(&self, at_ns: Nanos, accepted: u64) -> u64 {
-        let later = self.0.iter().filter(|(shown_ns, _)| *shown_ns > at_ns);
-        later.map(|(_, before)| *before).min().unwrap_or(accepted)
-    }
-}
-
 /// Commands that were due since the array last accepted one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) struct Unaccepted {
@@ -215,10 +189,10 @@ impl Watch {
     }
 
     /// Judges by telemetry, with the time at which it would have come without further delay, whether the awaited report is answered. `None` where the observation
-    /// of the leader begins again. The next awaited report comes now, after this number of accepted commands.
+    /// of the leader begins again. The next report to await is due at `next_ns`, after the commands of this telemetry.
     pub(super) fn judge(
         &mut self,
-        (now, before): (Nanos, u64),
+        (now, next_ns): (Nanos, Nanos),
         (shown_ns, shown): (Nanos, Evidence),
         interval_ns: Nanos,
         is_paused: bool,
@@ -226,14 +200,14 @@ impl Watch {
         // Fewer accepted commands than before are those of a driver that has started since.
         let is_compared = |(_, accepted): &(Nanos, u64)| !is_paused && *accepted <= shown.accepted;
         let Some((since_ns, accepted)) = self.awaited.filter(is_compared) else {
-            self.awaited = Some((now, before));
+            self.awaited = Some((next_ns, shown.accepted));
             self.unanswered = 0;
             return None;
         };
         let is_answered = shown.accepted > accepted;
         if shown_ns >= since_ns.saturating_add(interval_ns / 4) {
             self.unanswered = if is_answered { 0 } else { self.unanswered.saturating_add(1) };
-            self.awaited = Some((now, before));
+            self.awaited = Some((next_ns, shown.accepted));
             // The awaited report came after the end of the token.
             if std::mem::take(&mut self.was_lost) && is_answered && self.has_left {
                 self.note_answer(now);

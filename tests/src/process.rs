@@ -184,6 +184,14 @@ impl Drop for Process {
     }
 }
 
+/// The number at a JSON pointer.
+///
+/// # Panics
+/// When there is none.
+pub fn number(value: &Value, path: &str) -> f64 {
+    value.pointer(path).and_then(Value::as_f64).unwrap_or_else(|| panic!("no number at {path} in {value}"))
+}
+
 /// The output of a process that has ended.
 #[derive(Debug)]
 pub struct Ended {

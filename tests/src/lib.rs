@@ -29,6 +29,6 @@ pub use live_page::{PageServer, choose_theme};
 pub use metrics::{fetch_metrics, sample_value};
 pub use observer::{Latest, RoomObserver, encoded};
 pub use pauses::Pauses;
-pub use process::{Ended, Process, TWO_ARRAYS, golden_recording, programs, workspace};
+pub use process::{Ended, Process, TWO_ARRAYS, golden_recording, number, programs, workspace};
 pub use python::{PythonExample, python};
 pub use wait::wait_until;

@@ -18,6 +18,8 @@ pub struct Process {
     output: Arc<Mutex<String>>,
     errors: Arc<Mutex<String>>,
     readers: Vec<JoinHandle<()>>,
+    /// The files of the Unix sockets at which it listens. A killed process leaves them behind.
+    sockets: Vec<String>,
 }
 
 impl Process {
@@ -99,13 +101,15 @@ impl Process {
         let stdout = child.stdout.take().expect("standard output is piped");
         let stderr = child.stderr.take().expect("standard error is piped");
         let readers = vec![collect(stdout, &output), collect(stderr, &errors)];
-        Self { child, output, errors, readers }
+        Self { child, output, errors, readers, sockets: sockets(arguments) }
     }
 
-    /// Sends SIGKILL.
+    /// Sends SIGKILL, and removes the Unix sockets of the process.
     pub fn kill(&mut self) {
         self.child.kill().expect("the process can be killed");
         self.child.wait().expect("the process can be waited for");
+        // A process that never listened made none.
+        self.sockets.drain(..).for_each(|file| drop(std::fs::remove_file(file)));
     }
 
     /// Sends a signal by its name, for example `STOP`.
@@ -175,10 +179,17 @@ impl Process {
 impl Drop for Process {
     fn drop(&mut self) {
         if self.is_running() {
-            self.child.kill().ok();
-            self.child.wait().ok();
+            self.kill();
         }
     }
+}
+
+/// The number at a JSON pointer.
+///
+/// # Panics
+/// When there is none.
+pub fn number(value: &Value, path: &str) -> f64 {
+    value.pointer(path).and_then(Value::as_f64).unwrap_or_else(|| panic!("no number at {path} in {value}"))
 }
 
 /// The output of a process that has ended.
@@ -219,6 +230,13 @@ impl Ended {
         assert!(!self.status.success(), "ended with success: {}", self.output);
         &self.errors
     }
+}
+
+/// The Unix sockets at which a process with these arguments listens, each with its lock.
+fn sockets(arguments: &[&str]) -> Vec<String> {
+    let listen = arguments.windows(2).filter(|words| words[0] == "--listen");
+    let paths = listen.filter_map(|words| words[1].strip_prefix("unixsock-stream/"));
+    paths.flat_map(|path| [path.to_owned(), format!("{path}.lock")]).collect()
 }
 
 fn collect(mut stream: impl Read + Send + 'static, into: &Arc<Mutex<String>>) -> JoinHandle<()> {

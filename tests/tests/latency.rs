@@ -11,7 +11,7 @@ use heliostat_core::policy::actor_file::{INPUT_NAME, OUTPUT_NAME, room_entries};
 use heliostat_onnx::graph::{Ends, Graph};
 use heliostat_proto::{ArrayState, MirrorCommand, NodeKind, Room, UserReport, codec};
 use heliostat_scenario::Scenario;
-use heliostat_tests::{Process, RoomObserver, wait_until};
+use heliostat_tests::{Process, RoomObserver, number, wait_until};
 use serde_json::Value;
 
 /// Reports and commands in the order of arrival.
@@ -86,10 +86,6 @@ impl Pair {
         let room = self.room.end().json();
         (room, self.controller.end().json())
     }
-}
-
-fn number(value: &Value, path: &str) -> f64 {
-    value.pointer(path).and_then(Value::as_f64).unwrap_or_else(|| panic!("no number at {path} in {value}"))
 }
 
 fn show(name: &str, times: &Value) {

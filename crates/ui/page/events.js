@@ -1,10 +1,11 @@
 // The log of events, newest first. The server keeps it.
 
+import { at } from "./figures.js";
+
 // Height of a window in which the list is open at the start, in CSS pixels.
 const OPEN_FROM = 1000;
 
 const time = new Intl.DateTimeFormat(undefined, { hour: "2-digit", minute: "2-digit", second: "2-digit", hourCycle: "h23" });
-const at = (id) => document.getElementById(id);
 
 export function openEvents() {
   at("events").open = innerHeight >= OPEN_FROM;

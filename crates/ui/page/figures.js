@@ -3,8 +3,8 @@ import { jain } from "./fairness.js";
 import { userColour } from "./geometry.js";
 import { asSentence, inCharge, isCalibrating, refusal, seconds } from "./sentence.js";
 
-const at = (id) => document.getElementById(id);
-const setText = (element, text) => { if (element.textContent !== text) element.textContent = text; };
+export const at = (id) => document.getElementById(id);
+export const setText = (element, text) => { if (element.textContent !== text) element.textContent = text; };
 const setTitle = (element, text) => { if (element.title !== text) element.title = text; };
 const setClass = (element, name) => { if (element.className !== name) element.className = name; };
 

@@ -8,12 +8,9 @@ import { CHECK_SERVER, Refused, Unanswered, ask, refusalIn } from "./requests.js
 import { Room } from "./room.js";
 import { presentUsers } from "./geometry.js";
 import { banner, endBanner, inCharge, lastSentence, sentence } from "./sentence.js";
-import { chips, clearProblems, counters, problems, sums, users } from "./figures.js";
+import { at, chips, clearProblems, counters, problems, setText, sums, users } from "./figures.js";
 import { heatGradient } from "./heat.js";
 import { openEvents, showEvents } from "./events.js";
-
-const at = (id) => document.getElementById(id);
-const setText = (element, text) => { if (element.textContent !== text) element.textContent = text; };
 
 // Theme: the system's until the user chooses one.
 const systemDark = matchMedia("(prefers-color-scheme: dark)");

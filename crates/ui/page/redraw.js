@@ -1,7 +1,7 @@
 // Limits the redraw rate: a slow machine draws less often instead of falling behind.
 
 // Pause after a draw, as a multiple of its duration.
-const PAUSE = 2;
+export const PAUSE = 2;
 
 export class RedrawLimiter {
   constructor(interval_ms) {

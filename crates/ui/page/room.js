@@ -1,6 +1,7 @@
 // The view of the room: takes the frames of the server, and draws them at the rate of the display.
 import { Motion } from "./motion.js";
 import { boundsOf, palette } from "./geometry.js";
+import { PAUSE } from "./redraw.js";
 import { Plan2D } from "./plan2d.js";
 import { ask } from "./requests.js";
 import { View3D } from "./view3d.js";
@@ -8,8 +9,6 @@ import { View3D } from "./view3d.js";
 export const SWITCHES = ["wall", "beams", "paths", "heat", "belief"];
 // A machine that needs longer than this for a picture draws fewer, so that orders and the rest of the page stay fast.
 const SLOW_MS = 80;
-// Its pause after a picture, as a multiple of the time for it.
-const PAUSE = 2;
 const HEAT_EVERY_MS = 1000;
 // A map that is not there by then is given up.
 const HEAT_LIMIT_MS = 4000;

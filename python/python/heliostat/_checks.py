@@ -10,8 +10,11 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-SEED_MAX = 2**64 - 1
-"""Largest seed of a room."""
+U32_MAX = 2**32 - 1
+"""Largest number of 32 bits in a message."""
+
+U64_MAX = 2**64 - 1
+"""The same of 64 bits, and the largest seed of a room."""
 
 POINTS_MAX = 4_000_000
 """Most points of a map, as for `heliostat-lab map`."""
@@ -40,7 +43,7 @@ def integer(name: str, value: Any, least: int, most: int) -> int:
 
 def seed_of(value: Any, name: str = "seed") -> int:
     """A seed of a room."""
-    return integer(name, value, 0, SEED_MAX)
+    return integer(name, value, 0, U64_MAX)
 
 
 def states_of(states: Any, seeds: Any) -> tuple[int, int]:
@@ -105,4 +108,4 @@ def outer_level() -> int:
 
 
 def _text(number: int) -> str:
-    return "2**64 - 1" if number == SEED_MAX else str(number)
+    return "2**64 - 1" if number == U64_MAX else str(number)

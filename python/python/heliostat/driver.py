@@ -36,7 +36,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ._checks import finite, integer, printable
+from ._checks import U32_MAX, finite, integer, printable
 from ._claim import Claim
 from ._core import (
     ARRAYS_MAX,
@@ -53,7 +53,6 @@ from ._watched import Watched
 from .peer import INTERRUPTED, SOFTWARE, Peer, PeerError, Settings, add_arguments, stop_on_signals
 
 _LONGEST_WAIT_NS = 50_000_000
-_NUMBER_MAX = 2**32 - 1
 
 
 def _pair(name: str, values: Any, expected: str) -> tuple[float, float]:
@@ -123,9 +122,9 @@ class Capabilities:
 
     def __post_init__(self) -> None:
         checked: dict[str, Any] = {
-            "rows": integer("rows", self.rows, 1, _NUMBER_MAX),
-            "columns": integer("columns", self.columns, 1, _NUMBER_MAX),
-            "park_after_ms": integer("park_after_ms", self.park_after_ms, 0, _NUMBER_MAX),
+            "rows": integer("rows", self.rows, 1, U32_MAX),
+            "columns": integer("columns", self.columns, 1, U32_MAX),
+            "park_after_ms": integer("park_after_ms", self.park_after_ms, 0, U32_MAX),
             "roll_rad": _limits("roll_rad", self.roll_rad),
             "yaw_rad": _limits("yaw_rad", self.yaw_rad),
             "park_rad": _pair("park_rad", self.park_rad, "roll and yaw in rad"),

@@ -21,13 +21,11 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Any
 
-from ._checks import finite, integer
+from ._checks import U32_MAX, U64_MAX, finite, integer
 from ._core import Refused
 from .peer import INTERRUPTED, Peer, PeerError, Settings, add_arguments, stop_on_signals
 
 _STATUS_NS = 1_000_000_000
-_USER_MAX = 2**32 - 1
-_TIME_MAX_NS = 2**64 - 1
 
 
 @dataclass(frozen=True)
@@ -53,7 +51,7 @@ def _entry(user: Any) -> dict[str, Any]:
     if not isinstance(user, User):
         raise Refused(f"{user!r} in the list of users: expected a heliostat.tracker.User")
     try:
-        number = integer("user", user.user, 0, _USER_MAX)
+        number = integer("user", user.user, 0, U32_MAX)
     except (TypeError, ValueError) as problem:
         raise Refused(str(problem)) from None
     try:
@@ -72,7 +70,7 @@ def _time(time_ns: Any) -> int | None:
     if time_ns is None:
         return None
     try:
-        return integer("time_ns", time_ns, 0, _TIME_MAX_NS)
+        return integer("time_ns", time_ns, 0, U64_MAX)
     except TypeError:
         kind = type(time_ns).__name__
         raise Refused(f"time_ns: expected an integer in ns, got a {kind} {time_ns!r}") from None

@@ -3,7 +3,7 @@
 use std::process::Command;
 
 use heliostat_bus::private_endpoint;
-use heliostat_tests::{Process, wait_until};
+use heliostat_tests::{Process, number, wait_until};
 use serde_json::Value;
 
 /// The summary of 8 s at 20 reports/s: a busy machine that stalls for less than the 50 ms between two
@@ -15,10 +15,6 @@ fn demo(arguments: &[&str]) -> Value {
     let set: Vec<&str> = rates.into_iter().chain(patience).flat_map(|change| ["--set", change]).collect();
     let all = [&["demo", "--seconds", "8", "--json"], &set[..], specular, arguments].concat();
     Process::heliostat(&all).wait().json()
-}
-
-fn number(summary: &Value, path: &str) -> f64 {
-    summary.pointer(path).and_then(Value::as_f64).unwrap_or_else(|| panic!("no number at {path} in {summary}"))
 }
 
 fn assert_complete(summary: &Value) {

@@ -1,5 +1,7 @@
 //! Processes that are killed, restarted, or find another process in their role.
 
+use std::path::Path;
+
 use heliostat_bus::private_endpoint;
 use heliostat_proto::NodeKind;
 use heliostat_tests::{Process, RoomObserver, programs, wait_until};
@@ -42,6 +44,9 @@ fn the_controller_serves_a_simulator_that_comes_back() {
     let first = observer.users().expect("received").stamp.source;
 
     room.kill();
+    let socket = setting.room_endpoint.trim_start_matches("unixsock-stream/");
+    let left = [socket.to_owned(), format!("{socket}.lock")].into_iter().find(|file| Path::new(file).exists());
+    assert_eq!(left, None, "of the killed process");
     let room = setting.room();
     wait_until("reports of the new simulator", || observer.users().is_some_and(|report| report.stamp.source != first));
     observer.wait_for_commands();

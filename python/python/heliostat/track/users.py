@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .._checks import U32_MAX
 from .._core import CLOCK_LEAD_MAX_NS, USERS_MAX
 from ..tracker import User
 from .frame import Frame, rotation_matrix
@@ -90,7 +91,7 @@ class Setup:
         for upright in self.uprights.values():
             rotation_matrix(upright)
         for user in self.numbers.values():
-            if not 0 <= user < 2**32:
+            if not 0 <= user <= U32_MAX:
                 raise ValueError(f"user {user}: expected a number from 0 to 2^32 - 1")
         if len(set(self.numbers.values())) < len(self.numbers):
             raise ValueError("two bodies have the number of one user: expected a number of its own for each")

@@ -9,8 +9,8 @@ use heliostat_bus::{ACCEPTS_WITHIN, AccessRole, Bus, BusArgs, BusConfig, BusErro
 use heliostat_controller::report::summary::describe_unfit;
 use heliostat_core::belief::conditions::{Condition, conditions};
 use heliostat_core::capabilities::{Examiner, Force, Unfit};
-use heliostat_core::policy::{Finding, PolicyKind};
-use heliostat_models::{ActorSource, build_tried};
+use heliostat_core::policy::Finding;
+use heliostat_models::{PolicyArgs, build_tried};
 use heliostat_proto::array_keys::array_name;
 use heliostat_proto::messages::fault;
 use heliostat_proto::{ArrayState, Capabilities, MirrorTelemetry, NodeStatus, ValidityClock, decode};
@@ -63,9 +63,8 @@ pub(super) fn checks(args: &Args) -> Vec<Check> {
     );
     let mut checks = vec![Check::ok("scenario", found)];
     checks.extend(check_belief(&scenario));
-    checks.push(check_policy(args, &scenario));
-    let kind = PolicyKind::selected(args.policy, args.model.is_some());
-    checks.extend(kind.conditions(&scenario).into_iter().map(|condition| warning("policy", condition)));
+    checks.push(check_policy(&args.policy, &scenario));
+    checks.extend(args.policy.kind().conditions(&scenario).into_iter().map(|condition| warning("policy", condition)));
     let joined = args.joins().then(|| open_bus(args));
     if let Some(Ok((_, unanswered))) = &joined {
         checks.extend(unanswered.iter().map(|endpoint| check_unanswered(endpoint)));
@@ -99,10 +98,8 @@ fn warning(name: &'static str, condition: Condition) -> Check {
     Check::warn(name, found, condition.consequence)
 }
 
-fn check_policy(args: &Args, scenario: &Scenario) -> Check {
-    let source = args.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
-    let kind = PolicyKind::selected(args.policy, args.model.is_some());
-    let (policy, findings) = match build_tried(kind, scenario, &source) {
+fn check_policy(args: &PolicyArgs, scenario: &Scenario) -> Check {
+    let (policy, findings) = match build_tried(args.kind(), scenario, &args.actor()) {
         Ok(tried) => tried,
         Err(error) => {
             let advice = "choose a policy that needs no file (--policy fixed-point), or train an actor for this scenario: heliostat-lab train ddpg";

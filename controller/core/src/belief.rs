@@ -150,7 +150,7 @@ impl Belief {
             stated_noise: [streams.noise_m, streams.velocity_noise_m_s],
             tracks: Tracks::new(capacity),
             last_ns: 0,
-            report_age_max_ns: (scenario.control.report_age_max_ms * 1e6) as Nanos,
+            report_age_max_ns: scenario.control.report_age_max_ns(),
             body: scenario.blockage.body(),
             posture: Posture::new(scenario.control.tilt),
             devices: DeviceSettings::new(scenario),

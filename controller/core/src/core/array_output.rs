@@ -63,7 +63,7 @@ impl ArrayOutput {
         let rate_hz = scenario.streams.telemetry.rate_hz;
         let silence_ns = (LOST_AFTER_MESSAGES * 1e9 / rate_hz) as Nanos;
         let lost_after_ns = (mirrors.arrays().len() > 1 && rate_hz > 0.0).then_some(silence_ns.max(LOST_AFTER_NS));
-        let validity_ms = scenario.control.validity_ms.round() as u32;
+        let validity_ms = scenario.control.command_validity_ms();
         let output = |mirrors: Range<usize>| Self {
             mirrors,
             limits: Limits::new(&scenario.control),

@@ -26,14 +26,13 @@ pub(super) struct Rules {
 impl Rules {
     /// Those of a scenario.
     pub fn new(scenario: &Scenario) -> Self {
-        let nanoseconds = |milliseconds: f64| (milliseconds * 1e6) as Nanos;
         Self {
             half_x_m: scenario.room.length_x_m / 2.0,
             half_y_m: scenario.room.length_y_m / 2.0,
             height_m: scenario.room.height_m,
             leds: scenario.led.positions_m.len(),
-            age_max_ns: nanoseconds(scenario.control.report_age_max_ms),
-            source_timeout_ns: nanoseconds(scenario.control.source_timeout_ms),
+            age_max_ns: scenario.control.report_age_max_ns(),
+            source_timeout_ns: (scenario.control.source_timeout_ms * 1e6) as Nanos,
         }
     }
 

@@ -9,7 +9,7 @@ use hdrhistogram::Histogram;
 use heliostat_proto::Quantiles;
 use serde::Serialize;
 
-use heliostat_service::outln;
+use heliostat_service::{clock::as_ns, outln};
 
 use super::usage::ReportUsage;
 
@@ -33,7 +33,7 @@ impl Times {
 
     /// Adds a time.
     pub fn record(&mut self, time: Duration) {
-        self.0.saturating_record(u64::try_from(time.as_nanos()).unwrap_or(u64::MAX).max(1));
+        self.0.saturating_record(as_ns(time).max(1));
     }
 
     /// Number of times longer than a limit; exact to the histogram's three digits.

@@ -79,8 +79,7 @@ pub struct StageTimes {
 impl Default for StageTimes {
     /// Empty distributions, with all memory allocated.
     fn default() -> Self {
-        let empty = Histogram::new_with_bounds(1, LONGEST_NS, DIGITS)
-            .expect("the bounds are in order and the digits at most 5");
+        let empty = empty_ns();
         Self {
             stages: std::array::from_fn(|_| empty.clone()),
             age: empty.clone(),
@@ -177,6 +176,11 @@ impl PolicyTimes {
             None => drop(self.0.insert(policy.to_owned(), decisions.clone())),
         }
     }
+}
+
+/// A histogram of times in ns up to a minute, without entries and with all memory allocated.
+pub fn empty_ns() -> Histogram<u64> {
+    Histogram::new_with_bounds(1, LONGEST_NS, DIGITS).expect("the bounds are in order and the digits at most 5")
 }
 
 /// The quantiles in us of times in ns.

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use heliostat_channel::{MirrorAngles, MirrorArrays};
+use heliostat_channel::{MirrorAngles, MirrorArrays, mirrors::copy_widened};
 use heliostat_proto::{ArrayState, MirrorCommand, MirrorTelemetry, Nanos};
 use heliostat_scenario::Scenario;
 use serde::{Deserialize, Serialize};
@@ -201,12 +201,6 @@ impl ArrayOutput {
         let Some(lost_after_ns) = self.lost_after_ns else { return false };
         let heard_ns = *self.heard_ns.get_or_insert(now);
         self.has_left || now.abs_diff(heard_ns) > lost_after_ns
-    }
-}
-
-pub(super) fn copy_widened(from: &[f32], to: &mut [f64]) {
-    for (to, from) in to.iter_mut().zip(from) {
-        *to = f64::from(*from);
     }
 }
 

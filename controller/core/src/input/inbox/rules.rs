@@ -18,7 +18,7 @@ pub(super) struct Rules {
     height_m: f64,
     leds: usize,
     /// A report older than this is refused.
-    pub age_max_ns: Nanos,
+    age_max_ns: Nanos,
     /// An owner without an accepted report for this time can be replaced.
     pub source_timeout_ns: Nanos,
 }
@@ -36,13 +36,18 @@ impl Rules {
         }
     }
 
+    /// Whether a report is too old at `now`.
+    pub fn is_stale(&self, now: Nanos, stamp: &Stamp) -> bool {
+        now.saturating_sub(stamp.time_ns) > self.age_max_ns
+    }
+
     /// Checks the time of a report that arrived at `now`.
     pub fn check_time(&self, now: Nanos, stamp: &Stamp) -> Checked {
         let age_s = now.abs_diff(stamp.time_ns) as f64 / 1e9;
         if stamp.time_ns > now.saturating_add(CLOCK_LEAD_MAX_NS) {
             return Err((Refusal::FromFuture, Found::AgeS(-age_s)));
         }
-        if now.saturating_sub(stamp.time_ns) > self.age_max_ns {
+        if self.is_stale(now, stamp) {
             return Err((Refusal::Stale, Found::AgeS(age_s)));
         }
         Ok(())

@@ -438,6 +438,10 @@ mod tests {
         (scenario, array)
     }
 
+    fn driver(state: Option<ArrayState>, faults: u32) -> DriverState {
+        DriverState { capabilities: Capabilities::default(), device_problem: None, calibration: None, faults, state }
+    }
+
     #[test]
     fn a_small_range_that_is_accepted_is_a_warning_with_its_share_and_who_has_accepted_it() {
         let (scenario, array) = small();
@@ -455,16 +459,9 @@ mod tests {
     #[test]
     fn a_range_is_accepted_by_the_flag_or_by_a_controller_that_the_array_follows() {
         let flags = |given: &[&str]| Flags::parse_from([&["doctor"][..], given].concat()).args;
-        let following = |state| DriverState {
-            capabilities: Capabilities::default(),
-            device_problem: None,
-            calibration: None,
-            faults: 0,
-            state,
-        };
         let controller = ControllerState::default();
         let accepted = |given: &[&str], state, controller: Option<&ControllerState>| {
-            accepted_range(&flags(given), 0, &following(state), controller)
+            accepted_range(&flags(given), 0, &driver(state, 0), controller)
         };
         let by_flag = accepted(&["--accept-small-range"], None, None);
         assert_eq!(by_flag, Some("accepted by --accept-small-range"));
@@ -475,13 +472,6 @@ mod tests {
 
     #[test]
     fn an_array_that_fits_is_a_warning_while_it_is_stopped_or_has_a_fault() {
-        let driver = |state, faults| DriverState {
-            capabilities: Capabilities::default(),
-            device_problem: None,
-            calibration: None,
-            faults,
-            state,
-        };
         let found = |state, faults| with_state(Check::ok("driver", "mirrors"), &driver(state, faults));
         let following = found(Some(ArrayState::Following), 0);
         assert_eq!((following.verdict, following.found.as_str()), (Verdict::Ok, "mirrors"));

@@ -82,8 +82,7 @@ impl PolicyBuilder {
 }
 
 fn unknown(name: &str) -> String {
-    let values = PolicyKind::value_variants().iter().filter_map(ValueEnum::to_possible_value);
-    let names: Vec<String> = values.map(|value| value.get_name().to_owned()).collect();
+    let names: Vec<String> = PolicyKind::value_variants().iter().map(|kind| kind.name()).collect();
     let (known, hint) = (names.join(", "), similar::hint(name, names.iter().map(String::as_str)));
     format!("there is no policy \"{name:.64}\": expected one of {known}{hint}")
 }

@@ -23,8 +23,9 @@ use heliostat_core::{
 use heliostat_models::{ActorSource, build_tried};
 use heliostat_proto::{ControllerControl, decode};
 use heliostat_scenario::{Scenario, similar};
+use heliostat_service::locks::lock;
 
-use super::{decision_loop::DecisionLoop, locks::lock};
+use super::decision_loop::DecisionLoop;
 use crate::report::stage_times::StageTimes;
 
 /// Orders that wait while a policy is being built; further orders are refused.

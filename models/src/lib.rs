@@ -23,5 +23,5 @@ pub use engine::{build, build_tried, load_actor, load_actor_on_onnxruntime, onnx
 pub use error::{BuildError, SourceError};
 pub use library::ORT;
 pub use onnxruntime::BareSession;
-pub use source::ActorSource;
+pub use source::{ActorSource, PolicyArgs};
 pub use time::monotonic_ns;

@@ -3,7 +3,7 @@
 use std::io::ErrorKind;
 use std::path::{Component, Path, PathBuf};
 
-use heliostat_core::policy::{PolicyKind, actor_file::ActorFile};
+use heliostat_core::policy::{NameParser, PolicyKind, actor_file::ActorFile};
 use heliostat_files::read_bytes;
 use heliostat_onnx::{ModelProto, external};
 use heliostat_scenario::Scenario;
@@ -27,6 +27,37 @@ pub enum ActorSource {
     Path(PathBuf),
     /// Bytes in memory.
     Bytes(ActorFile),
+}
+
+impl From<Option<PathBuf>> for ActorSource {
+    /// The file that a user names, or else the built-in actor.
+    fn from(file: Option<PathBuf>) -> Self {
+        file.map_or(Self::Shipped, Self::Path)
+    }
+}
+
+/// The flags of every command that runs a controller, or plans a run of one.
+#[derive(Clone, Debug, clap::Args)]
+pub struct PolicyArgs {
+    /// Policy of the controller [default: fixed-point, or ddpg with --model]
+    #[arg(long, value_enum, value_parser = NameParser::<PolicyKind>::default())]
+    pub policy: Option<PolicyKind>,
+    /// ONNX file of a learned policy, instead of the built-in one
+    #[arg(long, value_name = "FILE")]
+    pub model: Option<PathBuf>,
+}
+
+impl PolicyArgs {
+    /// The named policy, or else `ddpg` with a file of a learned policy, and
+    /// [`PolicyKind::DEFAULT`] without.
+    pub fn kind(&self) -> PolicyKind {
+        self.policy.unwrap_or(if self.model.is_some() { PolicyKind::Ddpg } else { PolicyKind::DEFAULT })
+    }
+
+    /// Where its actor comes from.
+    pub fn actor(&self) -> ActorSource {
+        self.model.clone().into()
+    }
 }
 
 impl ActorSource {

@@ -61,7 +61,7 @@ use angle_history::AngleHistory;
 use channel_evidence::{Beliefs, Bodies, ChannelEvidence};
 use device::DeviceSettings;
 use expected::Room;
-use heading::{HEADING_KNOWN, HEADINGS};
+use heading::HEADINGS;
 use independence::independent_share;
 use innovations::{Innovations, normalised_squared};
 use light::LightWatch;
@@ -150,7 +150,7 @@ impl Belief {
             stated_noise: [streams.noise_m, streams.velocity_noise_m_s],
             tracks: Tracks::new(capacity),
             last_ns: 0,
-            report_age_max_ns: (scenario.control.report_age_max_ms * 1e6) as Nanos,
+            report_age_max_ns: scenario.control.report_age_max_ns(),
             body: scenario.blockage.body(),
             posture: Posture::new(scenario.control.tilt),
             devices: DeviceSettings::new(scenario),
@@ -219,10 +219,8 @@ impl Belief {
         evidence.expect(&room, places);
         bodies.clear();
         bodies.extend(tracks.iter().zip(evidence.positions()).map(|(track, position)| {
-            let heading = track.heading.mean(directions);
-            let length = heading.norm();
-            let body = body.filter(|_| length > HEADING_KNOWN)?;
-            Some(body.behind(position, &(heading / length)))
+            let (shape, heading) = (body.as_ref()?, track.heading.known(directions)?);
+            Some(shape.behind(position, &heading))
         }));
         let bodies = body.as_ref().map(|shape| Bodies { shape, directions, known: bodies });
         for (user, track) in tracks.iter_mut().enumerate() {

@@ -168,7 +168,6 @@ impl Controller {
     pub fn new(scenario: &Scenario, model: ChannelModel, policy: Box<dyn Policy>, epoch: u64) -> Self {
         let observation = Observation::with_capacity(&model, scenario.users.count, MAX_USERS);
         let mirrors = model.mirrors.len();
-        let validity_ms = scenario.control.validity_ms.round() as u32;
         Self {
             inbox: Inbox::new(scenario),
             observer: Observer::new(scenario, &model),
@@ -187,7 +186,7 @@ impl Controller {
                 sequence: 0,
                 answers: 0,
                 time_ns: 0,
-                validity_ms,
+                validity_ms: scenario.control.command_validity_ms(),
                 roll: vec![0.0; mirrors],
                 yaw: vec![0.0; mirrors],
             },
@@ -326,7 +325,7 @@ impl Controller {
     pub fn poll_timeout_command(&mut self, now: Nanos) -> Option<Decision<'_>> {
         let LastReport { accepted_ns, silence_handled } = self.last_report?;
         // A clock that steps back must not hide a silence.
-        if now.abs_diff(accepted_ns) <= (self.control.report_age_max_ms * 1e6) as Nanos {
+        if now.abs_diff(accepted_ns) <= self.control.report_age_max_ns() {
             return None;
         }
         self.last_report = Some(LastReport { accepted_ns, silence_handled: true });

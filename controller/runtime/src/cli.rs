@@ -1,14 +1,9 @@
 //! The flags of the controller, for its own program and for the `heliostat` command line.
 
-use std::path::PathBuf;
-
 use anyhow::{Context, bail};
 use heliostat_bus::{AccessRole, BusArgs};
-use heliostat_core::{
-    capabilities::Force,
-    policy::{NameParser, PolicyKind},
-};
-use heliostat_models::ActorSource;
+use heliostat_core::capabilities::Force;
+use heliostat_models::PolicyArgs;
 use heliostat_proto::Room;
 use heliostat_scenario::ScenarioArgs;
 use heliostat_service::{EndArgs, LogArgs, LogGuard, MetricsArgs, Stop, output};
@@ -39,12 +34,8 @@ pub struct Args {
     scenario: ScenarioArgs,
     #[command(flatten)]
     bus: BusArgs,
-    /// Policy that decides the mirror angles [default: fixed-point, or ddpg with --model]
-    #[arg(long, value_enum, value_parser = NameParser::<PolicyKind>::default())]
-    policy: Option<PolicyKind>,
-    /// ONNX file of a learned policy, in place of the built-in one
-    #[arg(long, value_name = "FILE")]
-    model: Option<PathBuf>,
+    #[command(flatten)]
+    policy: PolicyArgs,
     /// Serve these rooms too (comma-separated), with the same scenario and over the same session
     #[arg(long, value_name = "ROOM", value_delimiter = ',')]
     also_room: Vec<String>,
@@ -85,9 +76,8 @@ impl Args {
     /// # Errors
     /// If a flag or the scenario is invalid.
     pub fn node_config(&self) -> anyhow::Result<NodeConfig> {
-        let source = self.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
-        let policy = PolicyKind::selected(self.policy, self.model.is_some());
-        source.check_used_by(policy).context("--model names the file of a learned policy")?;
+        let policy = self.policy.kind();
+        self.policy.actor().check_used_by(policy).context("--model names the file of a learned policy")?;
         let bus = self.bus.config_or_connect(&[AccessRole::Controller])?;
         if bus.is_authenticated() && !self.also_room.is_empty() {
             bail!(
@@ -105,7 +95,7 @@ impl Args {
             also_rooms: self.also_room.iter().map(|name| Room::new(name)).collect::<Result<_, _>>()?,
             times_from_tick: self.times_from_tick,
             policy,
-            model: self.model.clone(),
+            model: self.policy.model.clone(),
             force: Force { small_range: self.range.accept_small_range, paper_angles: self.force_paper_angles },
             pace: if self.lockstep { Pace::Lockstep } else { Pace::Live },
             standby: self.standby,

@@ -50,7 +50,7 @@ pub struct NodeConfig {
 impl NodeConfig {
     /// Where the actor of the policy comes from.
     pub fn actor(&self) -> ActorSource {
-        self.model.clone().map_or(ActorSource::Shipped, ActorSource::Path)
+        self.model.clone().into()
     }
 
     /// Checks that the policy can be built from the file of its actor, if one is given.

@@ -18,7 +18,6 @@
 mod announcements;
 pub mod decision_loop;
 mod geometry;
-mod locks;
 mod lost_drivers;
 mod peers;
 mod policy_swap;
@@ -41,7 +40,12 @@ use heliostat_core::{
 };
 use heliostat_models::build_tried;
 use heliostat_proto::{NodeKind, NodeStatus, Room, encode};
-use heliostat_service::{clock::utc_ns, log_limit::LogLimit, process, source_id};
+use heliostat_service::{
+    clock::utc_ns,
+    locks::{lock, lock_within, try_lock},
+    log_limit::LogLimit,
+    process, source_id,
+};
 
 use crate::{
     config::{NodeConfig, Pace},
@@ -53,7 +57,6 @@ use crate::{
 use announcements::Announcements;
 use decision_loop::{DecisionLoop, PayloadHandler};
 use geometry::GeometryComparison;
-use locks::{lock, lock_within, try_lock};
 use peers::PeerStatuses;
 use policy_swap::{PolicyBuilder, PolicySwap, warm_up_runs};
 use receive_queue::ReceiveQueue;

@@ -50,9 +50,7 @@ impl FollowCheck {
     /// Compares the measured angles with the commanded ones.
     pub fn update(&mut self, now_ns: u64, commanded: &MirrorAngles, measured: &MirrorAngles) {
         let (tolerance_rad, timeout_ns) = (self.tolerance_rad, self.timeout_ns);
-        let commanded = commanded.roll.iter().chain(&commanded.yaw);
-        let measured = measured.roll.iter().chain(&measured.yaw);
-        for (axis, (&commanded, &measured)) in self.axes.iter_mut().zip(commanded.zip(measured)) {
+        for (axis, (&commanded, &measured)) in self.axes.iter_mut().zip(commanded.axes().zip(measured.axes())) {
             axis.update(now_ns, (commanded, measured), tolerance_rad, timeout_ns);
         }
     }

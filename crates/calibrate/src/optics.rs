@@ -39,6 +39,13 @@ pub type Dual = DualSVec64<QUANTITIES>;
 /// Values of the quantities.
 pub type Quantities = [f64; QUANTITIES];
 
+/// The quantities of a nominal mirror and LED, with the detector at a place and a height in m.
+pub fn nominal_at([x, y]: [f64; 2], height_m: f64) -> Quantities {
+    let mut quantities = [0.0; QUANTITIES];
+    quantities[PLACE..PLACE + 3].copy_from_slice(&[x, y, height_m]);
+    quantities
+}
+
 /// Smallest spread of an edge, as a share of half a side of the mirror.
 const EDGE_MIN: f64 = 0.04;
 

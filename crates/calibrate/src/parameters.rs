@@ -1,6 +1,6 @@
 //! The estimated parameters: their order, their prior spreads, and the quantities of one reading.
 
-use heliostat_scenario::{Mismatch, MismatchLevel, Scenario, Spreads};
+use heliostat_scenario::{Mismatch, MismatchLevel, Spreads};
 use serde::{Deserialize, Serialize};
 
 use crate::optics::{LED, LOG_FACTOR, OFFSET, PLACE, QUANTITIES, Quantities, RAISE, SCALE, SEMI_ANGLE, TILT};
@@ -273,13 +273,5 @@ impl Layout {
             }
         }
         to
-    }
-}
-
-/// The nominal equipment that a scenario names, and its prior.
-pub fn prior_of(scenario: &Scenario) -> Prior {
-    match scenario.mismatch.level {
-        MismatchLevel::None => Prior::of_level(MismatchLevel::Rough),
-        level => Prior::of_level(level),
     }
 }

@@ -3,7 +3,7 @@
 use heliostat_channel::Vec3;
 
 use crate::code::{self, SIZES};
-use crate::optics::{Optics, PLACE, QUANTITIES, Quantities};
+use crate::optics::{Optics, nominal_at};
 use crate::stand::median;
 
 /// Ratio of the light of a mirror to the noise of a reading below which the readings of a spot do not locate
@@ -58,8 +58,7 @@ impl Signal {
 /// The gain of each mirror that is aimed at a place, from the LED that serves it.
 fn gains(optics: &Optics, [x, y, height_m]: [f64; 3]) -> Option<Vec<f64>> {
     let at = optics.array().wall_from_room(&Vec3::new(x, y, 0.0));
-    let mut exact: Quantities = [0.0; QUANTITIES];
-    exact[PLACE..PLACE + 3].copy_from_slice(&[at.x, at.y, height_m]);
+    let exact = nominal_at([at.x, at.y], height_m);
     let direct = |led: usize| optics.direct_gain(led, &exact);
     let led = (0..optics.leds.len()).max_by(|a, b| direct(*a).total_cmp(&direct(*b)))?;
     let gain = |mirror: usize| {

@@ -125,6 +125,16 @@ impl MirrorAngles {
         self.yaw.copy_from_slice(&other.yaw);
     }
 
+    /// Roll of each mirror, then yaw of each. Shape: 2 M.
+    pub fn axes(&self) -> impl Iterator<Item = &f64> {
+        self.roll.iter().chain(&self.yaw)
+    }
+
+    /// The mutable form of [`axes`](Self::axes).
+    pub fn axes_mut(&mut self) -> impl Iterator<Item = &mut f64> {
+        self.roll.iter_mut().chain(&mut self.yaw)
+    }
+
     /// Number of mirrors M.
     pub fn len(&self) -> usize {
         self.roll.len()
@@ -133,6 +143,13 @@ impl MirrorAngles {
     /// Whether there are none.
     pub fn is_empty(&self) -> bool {
         self.roll.is_empty()
+    }
+}
+
+/// Copies angles that are 32-bit floats in a message or in the output of a network.
+pub fn copy_widened(from: &[f32], to: &mut [f64]) {
+    for (to, from) in to.iter_mut().zip(from) {
+        *to = f64::from(*from);
     }
 }
 

@@ -9,12 +9,13 @@
 //! 4. [`Claim::check`] in the loop of the process, until its end.
 
 use std::ops::Range;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use heliostat_array::others::Others;
 use heliostat_bus::{Bus, Presence, Subscription, Token};
 use heliostat_proto::NodeKind;
 use heliostat_service::clock::monotonic_ns;
+use heliostat_service::locks::lock;
 
 use crate::session::{ALIVE_LIMIT, SessionError};
 
@@ -86,8 +87,4 @@ impl Claim {
     pub fn others(&self) -> Vec<String> {
         lock(&self.others).problems()
     }
-}
-
-fn lock(others: &Mutex<Others>) -> MutexGuard<'_, Others> {
-    others.lock().unwrap_or_else(PoisonError::into_inner)
 }

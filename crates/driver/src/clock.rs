@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use heliostat_service::clock::utc_ns;
+use heliostat_service::clock::{as_ns, utc_ns};
 
 use heliostat_array::moment::Moment;
 
@@ -32,9 +32,4 @@ impl Clock {
     pub fn instant_at(&self, local_ns: u64) -> Instant {
         self.start + Duration::from_nanos(local_ns)
     }
-}
-
-/// A duration in ns, at most the 584 years that fit.
-pub fn as_ns(duration: Duration) -> u64 {
-    u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX)
 }

@@ -14,12 +14,13 @@
 //! [`Wall`](crate::devices::wall::Wall): otherwise a command delays the next stop.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 
 use heliostat_array::content::Content;
 use heliostat_array::device::Device;
 use heliostat_array::station::Station;
 use heliostat_proto::{MirrorCommand, decode_into};
+use heliostat_service::locks::lock;
 
 use crate::clock::Clock;
 use crate::receive_queue::ReceiveQueue;
@@ -40,7 +41,7 @@ impl<D: Device> SharedStation<D> {
 
     /// The station, for the array's thread: [`DirectCommands`] hold it only while they handle a command.
     pub(crate) fn lock(&self) -> MutexGuard<'_, Station<D>> {
-        self.station.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.station)
     }
 
     /// When the array's thread must wake if no message arrives, in local time.

@@ -1,13 +1,14 @@
 //! The session of an array on the bus, real or simulated: it receives commands, stops, re-arms and
 //! calibrations, and publishes telemetry, capabilities and safety reports.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use heliostat_array::content::Content;
 use heliostat_array::others::RoomTaken;
 use heliostat_bus::{Bus, BusError, Class, Publisher, Service, Subscription};
 use heliostat_proto::{Capabilities, CodecError, Message, MirrorTelemetry, SafetyReport, StopReport, decode, encode};
+use heliostat_service::locks::lock;
 use thiserror::Error;
 
 use crate::clock::Clock;
@@ -76,14 +77,14 @@ impl AnsweringPublisher {
         let answer = Arc::new(Mutex::new(Vec::new()));
         let latest = Arc::clone(&answer);
         let service = bus.serve(key, move |payload| {
-            payload.extend_from_slice(&latest.lock().unwrap_or_else(PoisonError::into_inner));
+            payload.extend_from_slice(&lock(&latest));
         })?;
         Ok(Self { publisher: MessagePublisher::new(bus, key, class)?, answer, _service: service })
     }
 
     fn publish<T: Message>(&mut self, message: &T) -> Result<(), SessionError> {
         self.publisher.encode(message)?;
-        self.answer.lock().unwrap_or_else(PoisonError::into_inner).clone_from(&self.publisher.buffer);
+        lock(&self.answer).clone_from(&self.publisher.buffer);
         self.publisher.put()
     }
 }

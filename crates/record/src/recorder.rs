@@ -3,7 +3,9 @@
 //! Callbacks copy each payload into a queue, and one thread writes. Payloads are dropped and
 //! counted while the queue is full: the room never waits for its recorder.
 
-use std::fs::{self, File, OpenOptions};
+mod room_writer;
+
+use std::fs::{File, OpenOptions};
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -14,39 +16,21 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result};
 use heliostat_bus::{Bus, BusConfig, Presence as Liveliness};
 use heliostat_files::write_advice;
-use heliostat_proto::{Nanos, NodeKind, Room, VERSION, keys::parse_alive};
+use heliostat_proto::{NodeKind, keys::parse_alive};
 use heliostat_scenario::Scenario;
 use heliostat_service::clock::utc_ns;
 use heliostat_service::{Stop, output, source_id};
 use serde::Serialize;
 
 use crate::account::Account;
-use crate::file::{Header, PRESENCE_TOPIC, Presence, Recording, RecordingError, Storage, Topic};
-use crate::place::Place;
-use crate::received::Received;
-use crate::ring::{Bounds, FaultWatch, Ring};
-use crate::scene::Scene;
-use crate::series::Series;
+use crate::file::Presence;
+use crate::ring::{Bounds, Ring};
+use room_writer::{Begun, Item, RoomWriter};
 
 /// Length of the queue to the disk, in messages.
 const QUEUE: usize = 16_384;
-/// Longest time between two flushes: the most that a power failure can lose.
-const FLUSH_EVERY: Duration = Duration::from_secs(1);
-/// Time after which the recorder reports a missing stream, while there is time to mend it.
-const MISSING_AFTER: Duration = Duration::from_secs(5);
-/// What is wrong where no message was received.
-const NOTHING: &str =
-    "nothing was received; check that the room's process runs, with the same --room and a matching endpoint";
 /// Longest delay between a stop request and its effect.
 const WAIT: Duration = Duration::from_millis(50);
-
-const PRESENCE: Topic<'static> = Topic {
-    name: PRESENCE_TOPIC,
-    encoding: "json",
-    schema: "heliostat.Presence",
-    schema_encoding: "jsonschema",
-    schema_data: br#"{"type":"object","properties":{"node":{"type":"string"},"source":{"type":"number"},"alive":{"type":"boolean"}}}"#,
-};
 
 /// Settings of a recorder.
 #[derive(Clone, Debug)]
@@ -81,12 +65,6 @@ pub struct Outcome {
     /// The error that ended the writing, so that the file holds no counts and no index; or that
     /// nothing was received.
     pub failure: Option<String>,
-}
-
-/// An entry of the queue between the callbacks and the writer.
-enum Item {
-    Payload { key: String, arrived_ns: Nanos, payload: Vec<u8> },
-    Presence { arrived_ns: Nanos, presence: Presence },
 }
 
 /// Records a room until it is stopped.
@@ -172,27 +150,6 @@ fn cannot_create(out: &Path, error: io::Error) -> anyhow::Error {
     anyhow::Error::new(error).context(format!("cannot create {}: {advice}", out.display()))
 }
 
-/// A file without messages. Unless it is kept it is removed, because it would block the next attempt.
-struct Begun {
-    path: PathBuf,
-    is_kept: bool,
-}
-
-impl Begun {
-    /// Messages are to follow.
-    fn keep(mut self) {
-        self.is_kept = true;
-    }
-}
-
-impl Drop for Begun {
-    fn drop(&mut self) {
-        if !self.is_kept {
-            drop(fs::remove_file(&self.path));
-        }
-    }
-}
-
 /// Begins the next file of a ring if that is due, and keeps those around a fault.
 fn turn(ring: &mut Ring, writer: &mut RoomWriter<File>) {
     let now = Instant::now();
@@ -218,276 +175,11 @@ fn enqueue(queue: &SyncSender<Item>, item: Item, dropped: &AtomicU64) {
     }
 }
 
-/// Writes the messages of a room, and the data derived from them.
-struct RoomWriter<S: Storage> {
-    /// `None` after writing failed.
-    recording: Option<Recording<S>>,
-    scene: Scene,
-    series: Series,
-    /// Of all files.
-    account: Account,
-    /// Of the present file.
-    file_account: Account,
-    header: Header,
-    fault_watch: FaultWatch,
-    /// Faults that began since they were taken last, in words.
-    faults: Vec<String>,
-    present: Vec<u64>,
-    was_present: bool,
-    flushed: Instant,
-    /// Whether [`RoomWriter::missing_once`] has looked.
-    has_looked: bool,
-    room: Room,
-    place: Place,
-    problems: Vec<String>,
-    failure: Option<String>,
-}
-
-impl<S: Storage> RoomWriter<S> {
-    fn create(storage: S, settings: &Settings, out: PathBuf) -> Result<Self> {
-        let scenario = &settings.scenario;
-        let header = Header {
-            room: settings.bus.room.to_string(),
-            scenario_name: scenario.name.clone(),
-            scenario_hash: scenario.hash(),
-            scenario: scenario.to_shared_toml(),
-            software: concat!("heliostat ", env!("CARGO_PKG_VERSION")).into(),
-            contract: VERSION.to_string(),
-            started_ns: utc_ns().to_string(),
-        };
-        Ok(Self {
-            recording: Some(Recording::create(storage, &header)?),
-            scene: Scene::new(scenario)?,
-            series: Series::default(),
-            account: Account::default(),
-            file_account: Account::default(),
-            fault_watch: FaultWatch::default(),
-            faults: Vec::new(),
-            present: Vec::new(),
-            was_present: false,
-            flushed: Instant::now(),
-            has_looked: false,
-            room: settings.bus.room.clone(),
-            place: Place::new(out),
-            header,
-            problems: Vec::new(),
-            failure: None,
-        })
-    }
-
-    fn has_failed(&self) -> bool {
-        self.recording.is_none()
-    }
-
-    /// Whether processes were in the room and all have left.
-    fn is_empty_again(&self) -> bool {
-        self.was_present && self.present.is_empty()
-    }
-
-    fn take(&mut self, item: Item) {
-        let Some(mut recording) = self.recording.take() else { return };
-        let taken = match item {
-            Item::Payload { key, arrived_ns, payload } => self.payload(&mut recording, &key, arrived_ns, &payload),
-            Item::Presence { arrived_ns, presence } => {
-                output::note(format_args!("record: {presence}"));
-                self.present.retain(|source| *source != presence.source);
-                if presence.alive && presence.node != NodeKind::Viewer {
-                    self.present.push(presence.source);
-                    self.was_present = true;
-                }
-                let json = serde_json::to_vec(&presence).expect("a presence serialises to JSON");
-                recording.derived(&PRESENCE, arrived_ns, &json)
-            }
-        };
-        self.keep(recording, taken);
-    }
-
-    fn payload(
-        &mut self,
-        recording: &mut Recording<S>,
-        key: &str,
-        arrived_ns: Nanos,
-        payload: &[u8],
-    ) -> Result<(), RecordingError> {
-        let received = Received::read(payload).ok();
-        let origin = received.as_ref().map(Received::origin);
-        recording.payload(key, arrived_ns, origin.map_or(arrived_ns, |origin| origin.time_ns), payload)?;
-        self.account.count(key, payload.len(), origin);
-        self.file_account.count(key, payload.len(), origin);
-        let Some(received) = received else { return Ok(()) };
-        self.check_scenario(&received);
-        if let Received::Geometry(geometry) = &received {
-            self.draw_geometry(key, &geometry.scenario);
-        }
-        self.series.update(&received, arrived_ns, |topic, data| recording.derived(topic, arrived_ns, data))?;
-        let (array, _) = self.room.first_array_key(key);
-        if let Received::Telemetry(telemetry) = &received {
-            self.faults.extend(self.fault_watch.update(array, telemetry));
-        }
-        if self.scene.update(&received, array, arrived_ns) {
-            let data = self.scene.draw(arrived_ns).to_vec();
-            recording.derived(&self.scene.topic(), arrived_ns, &data)?;
-        }
-        Ok(())
-    }
-
-    /// Draws the geometry that a process of the room announces from now on.
-    fn draw_geometry(&mut self, key: &str, geometry: &str) {
-        let announces = |node: &NodeKind| key == self.room.geometry(*node);
-        let Some(node) = [NodeKind::SimNode, NodeKind::Controller].into_iter().find(announces) else { return };
-        if let Err(reason) = self.scene.announce(node, geometry) {
-            self.report(format!("the geometry that {node} announces cannot be drawn: {reason}"));
-        }
-    }
-
-    /// Reports a process whose scenario differs from the recorded one: a replay leaves out the commands
-    /// of such a controller.
-    fn check_scenario(&mut self, received: &Received) {
-        let Received::Status(status) = received else { return };
-        if status.scenario.is_empty() || status.scenario == self.header.scenario_hash {
-            return;
-        }
-        let problem = format!(
-            "{} {:016x} uses scenario {}, the recording holds {}; give record or that process the --scenario, --set and --seed of the room",
-            status.node, status.stamp.source, status.scenario, self.header.scenario_hash
-        );
-        if !self.problems.contains(&problem) {
-            self.report(problem);
-        }
-    }
-
-    fn report(&mut self, problem: String) {
-        output::note(format_args!("record: {problem}"));
-        self.problems.push(problem);
-    }
-
-    /// The stream that is missing after some seconds of recording, once.
-    fn missing_once(&mut self, recorded: Duration) -> Option<&'static str> {
-        if self.has_looked || recorded < MISSING_AFTER {
-            return None;
-        }
-        self.has_looked = true;
-        if self.account.messages() == 0 { Some(NOTHING) } else { self.missing_stream() }
-    }
-
-    /// The stream that a replay needs and that was not received.
-    fn missing_stream(&self) -> Option<&'static str> {
-        let received = |key: String| self.account.streams.contains_key(&key);
-        if !received(self.room.command()) {
-            Some(
-                "no command was received: peers exchange messages over direct links only; connect to the controller as well, or let it connect here (--listen)",
-            )
-        } else if !received(self.room.users()) {
-            Some(
-                "no position report was received: peers exchange messages over direct links only; connect to the room's process as well",
-            )
-        } else {
-            None
-        }
-    }
-
-    /// Length of the present file in bytes.
-    fn bytes(&self) -> u64 {
-        self.recording.as_ref().map_or(0, Recording::bytes)
-    }
-
-    /// Closes the present file, and continues in the one that `open` gives.
-    fn next_file(&mut self, open: impl FnOnce() -> io::Result<(S, PathBuf)>) -> Result<()> {
-        let Some(recording) = self.recording.take() else { return Ok(()) };
-        recording.finish(&std::mem::take(&mut self.file_account))?;
-        self.place.check()?;
-        let (storage, out) = open()?;
-        self.header.started_ns = utc_ns().to_string();
-        let begun = Begun { path: out.clone(), is_kept: false };
-        self.recording = Some(Recording::create(storage, &self.header)?);
-        begun.keep();
-        self.place = Place::new(out);
-        Ok(())
-    }
-
-    fn flush_if_due(&mut self) {
-        if self.flushed.elapsed() < FLUSH_EVERY {
-            return;
-        }
-        self.flushed = Instant::now();
-        let Some(mut recording) = self.recording.take() else { return };
-        let flushed = recording.flush().and_then(|()| self.place.check());
-        self.keep(recording, flushed);
-    }
-
-    /// Keeps the recording unless writing failed.
-    fn keep(&mut self, recording: Recording<S>, outcome: Result<(), RecordingError>) {
-        match outcome {
-            Ok(()) => self.recording = Some(recording),
-            Err(error) => self.failure = Some(error.to_string()),
-        }
-    }
-
-    fn finish(mut self, dropped: u64) -> Outcome {
-        self.account.dropped = dropped;
-        if self.account.messages() == 0 {
-            self.failure.get_or_insert(NOTHING.to_owned());
-        } else if let Some(problem) = self.missing_stream() {
-            self.report(problem.to_owned());
-        }
-        if let Some(recording) = self.recording.take() {
-            self.file_account.dropped = dropped;
-            let finished = recording.finish(&self.file_account).and_then(|()| self.place.check());
-            self.failure = finished.err().map(|error| error.to_string()).or(self.failure);
-        }
-        if self.account.messages() == 0 && self.place.has_file() {
-            // An empty file would block the next attempt, since files are not overwritten.
-            let _ = fs::remove_file(self.place.path());
-        }
-        Outcome {
-            file: self.place.path().to_owned(),
-            files: Vec::new(),
-            account: self.account,
-            problems: self.problems,
-            failure: self.failure,
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use foxglove::messages::SceneUpdate;
-    use heliostat_proto::{RoomGeometry, Stamp, encode};
-    use prost::Message;
+    use std::fs;
 
     use super::*;
-
-    fn writer(room: &Room, scenario: Scenario) -> RoomWriter<File> {
-        let settings = Settings {
-            scenario,
-            bus: BusConfig::new(room.clone()),
-            out: PathBuf::new(),
-            run_for: None,
-            until_empty: false,
-            ring: None,
-        };
-        let file = tempfile::tempfile().expect("a file");
-        RoomWriter::create(file, &settings, PathBuf::new()).expect("writable")
-    }
-
-    #[test]
-    fn a_missing_stream_is_reported_once_during_the_recording() {
-        let room = Room::new("alone").expect("a name");
-        let scenario = Scenario::builtin("specular").expect("a built-in one");
-        let early = MISSING_AFTER - Duration::from_millis(1);
-        let after = |keys: &[String]| {
-            let mut writer = writer(&room, scenario.clone());
-            for key in keys {
-                writer.take(Item::Payload { key: key.clone(), arrived_ns: 1, payload: Vec::new() });
-            }
-            [early, MISSING_AFTER, MISSING_AFTER].map(|recorded| writer.missing_once(recorded).unwrap_or_default())
-        };
-        assert_eq!(after(&[]), ["", NOTHING, ""]);
-        let [early, due, again] = after(&[room.users()]);
-        assert!(due.starts_with("no command was received") && (early, again) == ("", ""), "{due}");
-        assert!(after(&[room.command()])[1].starts_with("no position report was received"));
-        assert_eq!(after(&[room.users(), room.command()]), [""; 3]);
-    }
 
     #[test]
     fn a_file_that_gets_no_message_is_removed_and_a_full_disk_is_named_with_what_to_do() {
@@ -508,45 +200,6 @@ mod tests {
         assert_eq!(
             message(io::ErrorKind::StorageFull),
             "cannot create room.mcap: free some space, or choose another disk"
-        );
-    }
-
-    #[test]
-    fn a_recording_whose_file_is_deleted_fails_at_the_next_flush() {
-        let scenario = Scenario::builtin("specular").expect("a built-in one");
-        let mut writer = writer(&Room::new("deleted").expect("a name"), scenario);
-        let file = tempfile::NamedTempFile::new().expect("a file");
-        writer.place = Place::new(file.path().to_owned());
-        let mut has_failed = || {
-            writer.flushed -= FLUSH_EVERY;
-            writer.flush_if_due();
-            writer.has_failed()
-        };
-        assert!(!has_failed());
-        file.close().expect("a deleted file");
-        assert!(has_failed() && writer.failure.is_some_and(|failure| failure.contains("is gone")));
-    }
-
-    #[test]
-    fn scenes_show_the_geometry_that_the_room_announces() {
-        let room = Room::new("drawn").expect("a name");
-        let late_ns = 10_000_000_000;
-        let scenario = Scenario::builtin("specular").expect("a built-in one");
-        let announced = scenario.with_overrides(&["mirrors.rows=4", "mirrors.columns=3"]).expect("valid");
-        let mut writer = writer(&room, scenario);
-        let mut mirrors_after = |key: String, scenario: String| {
-            let mut payload = Vec::new();
-            encode(&RoomGeometry { stamp: Stamp::default(), scenario }, &mut payload).expect("it fits");
-            writer.take(Item::Payload { key, arrived_ns: 1, payload });
-            let update = SceneUpdate::decode(writer.scene.draw(late_ns)).expect("a scene");
-            let drawn = update.entities.iter().find(|entity| entity.id == "room").map(|room| room.cubes.len() - 1);
-            (drawn, writer.problems.len())
-        };
-        assert_eq!(mirrors_after(room.geometry(NodeKind::SimNode), announced.geometry_toml()), (Some(12), 0));
-        assert_eq!(
-            mirrors_after(room.geometry(NodeKind::SimNode), "[users]".into()),
-            (None, 1),
-            "a problem is reported"
         );
     }
 }

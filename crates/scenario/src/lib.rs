@@ -65,7 +65,7 @@ pub use mobility::*;
 pub use overrides::override_keys;
 pub use problems::{Checked, Problem};
 pub use runtime::*;
-pub use scenario::Scenario;
+pub use scenario::{Scenario, short_hash};
 pub use streams::*;
 pub use tables::*;
 pub use trace::TraceFileError;

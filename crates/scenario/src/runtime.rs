@@ -323,6 +323,18 @@ pub struct Control {
     pub search_time_us: f64,
 }
 
+impl Control {
+    /// Validity of a command in whole ms, as a command states it.
+    pub fn command_validity_ms(&self) -> u32 {
+        self.validity_ms.round() as u32
+    }
+
+    /// Maximum age of a report in ns.
+    pub fn report_age_max_ns(&self) -> u64 {
+        (self.report_age_max_ms * 1e6) as u64
+    }
+}
+
 impl Default for Control {
     fn default() -> Self {
         Self {

@@ -206,7 +206,7 @@ impl Scenario {
             mirrors: &self.mirrors,
             receiver: &self.receiver,
         };
-        short_hash(&toml::to_string(&geometry).expect("every table of a scenario has a TOML form"))
+        short_hash(toml::to_string(&geometry).expect("every table of a scenario has a TOML form"))
     }
 
     /// Number of mirrors of all arrays.
@@ -228,8 +228,9 @@ impl Scenario {
     }
 }
 
-fn short_hash(text: &str) -> String {
-    Sha256::digest(text).iter().take(8).map(|byte| format!("{byte:02x}")).collect()
+/// The first 16 digits of the SHA-256 of a text or of the bytes of a file, as `sha256sum` prints them.
+pub fn short_hash(content: impl AsRef<[u8]>) -> String {
+    Sha256::digest(content).iter().take(8).map(|byte| format!("{byte:02x}")).collect()
 }
 
 pub(crate) fn parse_error(origin: &str, error: &toml::de::Error) -> ScenarioError {

@@ -15,7 +15,7 @@ pub fn monotonic_ns() -> u64 {
 }
 
 /// A duration in whole ns; 584 years fit.
-fn as_ns(duration: Duration) -> u64 {
+pub fn as_ns(duration: Duration) -> u64 {
     u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX)
 }
 

@@ -1,7 +1,7 @@
 //! Serves the newest page under `/metrics`, on a thread of its own.
 
 use std::net::{SocketAddr, TcpListener};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::SystemTime;
 
 use axum::Router;
@@ -13,6 +13,7 @@ use axum::routing::get;
 use thiserror::Error;
 
 use crate::http::{self, Limits};
+use crate::locks::lock;
 use crate::page::Page;
 use crate::stop::Stop;
 
@@ -116,12 +117,12 @@ impl Exporter {
     /// Replaces the page.
     pub fn publish(&self, mut page: Page) {
         self.certificate_ends.add_to(&mut page);
-        *self.newest.lock().unwrap_or_else(PoisonError::into_inner) = page;
+        *lock(&self.newest) = page;
     }
 }
 
 async fn metrics(State(newest): State<Arc<Mutex<Page>>>) -> impl IntoResponse {
-    let page = newest.lock().unwrap_or_else(PoisonError::into_inner).clone();
+    let page = lock(&newest).clone();
     ([(CONTENT_TYPE, OPEN_METRICS)], page.text())
 }
 

@@ -1,6 +1,7 @@
 //! What every process of the project shares.
 //!
 //! - [`clock`]: UTC and monotonic time in ns.
+//! - [`locks`]: locks that survive a panic of another thread.
 //! - [`source_id`]: the random number by which others know one publisher.
 //! - [`stop`]: a request that a process ends, and what waits for it.
 //! - [`signals`]: Ctrl-C, SIGTERM and the end of standard input, as such a request.
@@ -26,6 +27,7 @@ pub mod exit;
 pub mod exporter;
 pub mod file_id;
 pub mod http;
+pub mod locks;
 pub mod log_limit;
 pub mod logging;
 pub mod output;

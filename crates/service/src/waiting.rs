@@ -6,7 +6,7 @@
 
 use std::pin::Pin;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::task::{Context, Poll};
 
 use axum::body::{Body, Bytes, HttpBody};
@@ -15,6 +15,8 @@ use axum::middleware::Next;
 use axum::response::Response;
 use hyper::body::{Frame, SizeHint};
 use tokio::task::AbortHandle;
+
+use crate::locks::lock;
 
 /// The requests of a connection that are being answered.
 #[derive(Clone, Debug, Default)]
@@ -68,7 +70,7 @@ pub(crate) async fn note(request: Request, next: Next) -> Response {
     let Some(answers) = request.extensions().get::<Answers>().cloned() else { return next.run(request).await };
     let slot = Slot::default();
     let request = if request.body().is_end_stream() {
-        *slot.lock().unwrap_or_else(PoisonError::into_inner) = Some(answers.begin());
+        *lock(&slot) = Some(answers.begin());
         request
     } else {
         let arriving = Some((answers, Arc::clone(&slot)));
@@ -98,7 +100,7 @@ impl HttpBody for Noted {
         let polled = Pin::new(&mut self.body).poll_frame(context);
         let is_over = matches!(polled, Poll::Ready(None)) || (polled.is_ready() && self.body.is_end_stream());
         if is_over && let Some((answers, slot)) = self.arriving.take() {
-            *slot.lock().unwrap_or_else(PoisonError::into_inner) = Some(answers.begin());
+            *lock(&slot) = Some(answers.begin());
         }
         polled
     }

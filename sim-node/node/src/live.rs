@@ -7,9 +7,8 @@
 use std::time::{Duration, Instant};
 
 use heliostat_array::moment::Moment;
-use heliostat_driver::clock::as_ns;
 use heliostat_room::reports::Report;
-use heliostat_service::Stop;
+use heliostat_service::{Stop, clock::as_ns};
 
 use crate::error::NodeError;
 use crate::node::Node;

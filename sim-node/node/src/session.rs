@@ -12,7 +12,7 @@ use heliostat_driver::receive_queue::ReceiveQueue;
 use heliostat_driver::session::{ALIVE_LIMIT, ArraySession, MessagePublisher};
 use heliostat_proto::{BeliefReport, CodecError, NodeKind, SimulatorControl, Stamp, decode};
 use heliostat_room::reports::Report;
-use heliostat_service::source_id;
+use heliostat_service::{locks::lock, source_id};
 
 use crate::error::NodeError;
 
@@ -37,14 +37,14 @@ struct Alarm {
 
 impl Alarm {
     fn raise(&self) {
-        *self.is_raised.lock().unwrap_or_else(PoisonError::into_inner) = true;
+        *lock(&self.is_raised) = true;
         self.raised.notify_one();
     }
 
     /// Waits until it is raised, or until an instant; then it is not raised.
     fn wait(&self, until: Instant) {
         let left = until.saturating_duration_since(Instant::now());
-        let guard = self.is_raised.lock().unwrap_or_else(PoisonError::into_inner);
+        let guard = lock(&self.is_raised);
         let waited = self.raised.wait_timeout_while(guard, left, |is_raised| !*is_raised);
         *waited.unwrap_or_else(PoisonError::into_inner).0 = false;
     }
@@ -92,7 +92,7 @@ impl RoomSession {
         let orders = Arc::new(Mutex::new(Vec::new()));
         let waiting = Arc::clone(&orders);
         let control = bus.subscribe(&keys.simulator_control(), move |payload| {
-            let mut waiting = waiting.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut waiting = lock(&waiting);
             if waiting.len() < ORDERS_MAX {
                 waiting.push(decode(payload));
             }
@@ -100,7 +100,7 @@ impl RoomSession {
         let beliefs = Arc::new(Mutex::new(Vec::new()));
         let arrived = Arc::clone(&beliefs);
         let belief = bus.subscribe(&keys.belief(), move |payload| {
-            let mut arrived = arrived.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut arrived = lock(&arrived);
             if let Ok(belief) = decode(payload)
                 && arrived.len() < BELIEFS_MAX
             {
@@ -212,12 +212,12 @@ impl RoomSession {
 
     /// The orders of operators since the last call, with those that cannot be decoded.
     pub fn new_orders(&self) -> Vec<Order> {
-        std::mem::take(&mut *self.orders.lock().unwrap_or_else(PoisonError::into_inner))
+        std::mem::take(&mut *lock(&self.orders))
     }
 
     /// The beliefs of controllers since the last call.
     pub fn new_beliefs(&self) -> Vec<BeliefReport> {
-        std::mem::take(&mut *self.beliefs.lock().unwrap_or_else(PoisonError::into_inner))
+        std::mem::take(&mut *lock(&self.beliefs))
     }
 
     /// A stamp with this process as its source.

@@ -60,7 +60,7 @@ impl Room {
         Self {
             policy: PolicyChoice::Nearest,
             interval_ns: 1_000_000_000 / rate_hz,
-            age_max_ns: (scenario.control.report_age_max_ms * 1e6) as u64,
+            age_max_ns: scenario.control.report_age_max_ns(),
             slew_rad_s: SLEW_DEG_PER_S.to_radians(),
             scenario: Rc::new(scenario),
             model: Rc::new(model),

@@ -1,6 +1,6 @@
 //! The angles of the mirrors at the time of a measurement: a short history of the commands.
 
-use heliostat_channel::mirrors::MirrorAngles;
+use heliostat_channel::mirrors::{MirrorAngles, copy_widened};
 use heliostat_proto::{MirrorCommand, Nanos};
 use serde::{Deserialize, Serialize};
 
@@ -102,11 +102,8 @@ impl AngleHistory {
         if !turning.all(|entry| entry.resembles(settled)) {
             return false;
         }
-        let widen = |from: &[f32], to: &mut [f64]| {
-            to.iter_mut().zip(from).for_each(|(to, from)| *to = f64::from(*from));
-        };
-        widen(&settled.roll, &mut out.roll);
-        widen(&settled.yaw, &mut out.yaw);
+        copy_widened(&settled.roll, &mut out.roll);
+        copy_widened(&settled.yaw, &mut out.yaw);
         true
     }
 }

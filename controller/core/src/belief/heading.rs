@@ -107,6 +107,13 @@ impl Heading {
         self.probability.iter().zip(directions).map(|(probability, direction)| *probability * direction).sum()
     }
 
+    /// The unit vector of the mean direction; `None` while the heading is unknown.
+    pub fn known(&self, directions: &[Vec3; HEADINGS]) -> Option<Vec3> {
+        let mean = self.mean(directions);
+        let length = mean.norm();
+        (length > HEADING_KNOWN).then(|| mean / length)
+    }
+
     /// The unit vector of the most probable direction: the mean of the headings near the most
     /// probable one.
     pub fn mode(&self, directions: &[Vec3; HEADINGS]) -> Vec3 {

@@ -9,7 +9,7 @@ use crate::belief::{
     covered::Covered,
     device::{Device, DeviceSettings},
     expected::HeldPlace,
-    heading::{HEADING_KNOWN, HEADINGS, Heading},
+    heading::{HEADINGS, Heading},
     height::Height,
     motion::Motion,
     posture::{Posture, TiltEvidence},
@@ -65,9 +65,7 @@ impl Track {
         let motion = self.motion.estimate(ahead_s);
         let [x, y] = motion.position_m;
         let [u, v] = motion.velocity_m_s;
-        let mean = self.heading.mean(directions);
-        let length = mean.norm();
-        let heading = if length > HEADING_KNOWN { mean / length } else { Vec3::zeros() };
+        let heading = self.heading.known(directions).unwrap_or_default();
         let position = Vec3::new(x, y, self.height.mean_m());
         let speed = u.hypot(v);
         let held = posture.held(self.device.lean(time_ns, speed, settings), speed);

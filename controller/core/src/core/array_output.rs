@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use heliostat_channel::{MirrorAngles, MirrorArrays};
+use heliostat_channel::{MirrorAngles, MirrorArrays, mirrors::copy_widened};
 use heliostat_proto::{ArrayState, MirrorCommand, MirrorTelemetry, Nanos};
 use heliostat_scenario::Scenario;
 use serde::{Deserialize, Serialize};
@@ -63,7 +63,7 @@ impl ArrayOutput {
         let rate_hz = scenario.streams.telemetry.rate_hz;
         let silence_ns = (LOST_AFTER_MESSAGES * 1e9 / rate_hz) as Nanos;
         let lost_after_ns = (mirrors.arrays().len() > 1 && rate_hz > 0.0).then_some(silence_ns.max(LOST_AFTER_NS));
-        let validity_ms = scenario.control.validity_ms.round() as u32;
+        let validity_ms = scenario.control.command_validity_ms();
         let output = |mirrors: Range<usize>| Self {
             mirrors,
             limits: Limits::new(&scenario.control),
@@ -201,12 +201,6 @@ impl ArrayOutput {
         let Some(lost_after_ns) = self.lost_after_ns else { return false };
         let heard_ns = *self.heard_ns.get_or_insert(now);
         self.has_left || now.abs_diff(heard_ns) > lost_after_ns
-    }
-}
-
-pub(super) fn copy_widened(from: &[f32], to: &mut [f64]) {
-    for (to, from) in to.iter_mut().zip(from) {
-        *to = f64::from(*from);
     }
 }
 

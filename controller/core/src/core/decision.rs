@@ -1,14 +1,11 @@
 //! The two halves of a decision: the observation, and the command of the action that is then due. A
 //! caller that proposes the angles itself acts between them.
 
-use heliostat_channel::MirrorAngles;
+use heliostat_channel::{MirrorAngles, mirrors::copy_widened};
 use heliostat_proto::Nanos;
 use heliostat_scenario::DegradedAction;
 
-use super::{
-    Controller,
-    array_output::{copy_narrowed, copy_widened},
-};
+use super::{Controller, array_output::copy_narrowed};
 use crate::{
     observe::observer::LosSource,
     output::{

@@ -28,8 +28,8 @@ impl Controller {
         self.policy.policy()
     }
 
-    /// The figures of each policy since the start.
-    pub fn tallies(&self) -> &[Tally] {
+    /// The name and the counts of each policy since the start.
+    pub fn tallies(&self) -> &[(String, Tally)] {
         self.policy.tallies.all()
     }
 

@@ -135,7 +135,7 @@ impl Inbox {
 
     /// The latest measured gains, unless they are too old at `now`.
     pub fn channel(&self, now: Nanos) -> Option<&ChannelReport> {
-        self.state.channel.get().filter(|report| now.saturating_sub(report.stamp.time_ns) <= self.rules.age_max_ns)
+        self.last_channel().filter(|report| !self.rules.is_stale(now, &report.stamp))
     }
 
     /// The latest measured gains, of any age.
@@ -156,7 +156,7 @@ impl Inbox {
 
     /// How the users hold their receivers, unless the report is too old at `now`.
     pub fn orientation(&self, now: Nanos) -> Option<&OrientationReport> {
-        self.last_orientation().filter(|report| now.saturating_sub(report.stamp.time_ns) <= self.rules.age_max_ns)
+        self.last_orientation().filter(|report| !self.rules.is_stale(now, &report.stamp))
     }
 
     /// The LEDs that the receivers detect, if the latest report of them is of the time of the latest

@@ -126,7 +126,7 @@ impl Observation {
             velocities: vec![Vec3::zeros(); users],
             min_rate_bps: vec![0.0; users],
             scene: Scene::new(model, users),
-            angles: MirrorAngles { roll: vec![0.0; mirrors], yaw: vec![0.0; mirrors] },
+            angles: MirrorAngles::flat(mirrors),
         }
     }
 

@@ -15,9 +15,8 @@ use std::borrow::Cow;
 use heliostat_onnx::{
     GraphProto, ModelProto, ValueInfoProto, describe, f32_extents, standard::check_versions, tensor::first_not_finite,
 };
-use heliostat_scenario::Scenario;
+use heliostat_scenario::{Scenario, short_hash};
 use prost::Message;
-use sha2::{Digest, Sha256};
 
 use super::removed::removed;
 use crate::observe::observation::{OBSERVATION_VERSION, ObservationEncoder, USERS_CAPACITY};
@@ -56,14 +55,10 @@ pub struct ActorFile {
     pub bytes: Cow<'static, [u8]>,
 }
 
-/// Hexadecimal digits of [`ActorFile::hash`].
-const HASH_DIGITS: usize = 16;
-
 impl ActorFile {
-    /// The first digits of the SHA-256 of the bytes, as `sha256sum` prints them.
+    /// The [`short_hash`] of the bytes.
     pub fn hash(&self) -> String {
-        let digest = Sha256::digest(&self.bytes);
-        digest.iter().take(HASH_DIGITS / 2).map(|byte| format!("{byte:02x}")).collect()
+        short_hash(&self.bytes)
     }
 
     /// The refusal of this file.

@@ -29,7 +29,7 @@ pub fn codewords(scenario: &Scenario, model: &ChannelModel) -> Vec<MirrorAngles>
         ChannelMode::Specular => focuses(model, scenario),
         ChannelMode::Paper | ChannelMode::PaperCalibrated => common(model.mirrors.len()),
     };
-    for angle in codewords.iter_mut().flat_map(|codeword| codeword.roll.iter_mut().chain(&mut codeword.yaw)) {
+    for angle in codewords.iter_mut().flat_map(MirrorAngles::axes_mut) {
         *angle = angle.clamp(-range_rad, range_rad);
     }
     codewords

@@ -1,6 +1,6 @@
 //! Exhaustive search over all assignments; feasible only for small arrays.
 
-use heliostat_channel::solver::{ASSIGNMENTS_MAX, MinimumRates, QOS_PENALTY, Solver, SolverError};
+use heliostat_channel::solver::{MinimumRates, QOS_PENALTY, Solver, SolverError};
 use heliostat_channel::{ChannelModel, MirrorAngles};
 use heliostat_scenario::{ChannelMode, Scenario};
 
@@ -17,17 +17,13 @@ impl Exhaustive {
     /// For the room of a scenario.
     ///
     /// # Errors
-    /// [`SolverError`] where there are more than [`ASSIGNMENTS_MAX`] assignments, or angles are
-    /// continuous.
+    /// [`SolverError`] where there are too many assignments, or angles are continuous.
     pub fn new(scenario: &Scenario) -> Result<Self, SolverError> {
         let (users, mirrors) = (scenario.users.count, scenario.mirror_count());
-        let assignments = (users as f64).powf(mirrors as f64);
         if scenario.channel.mode != ChannelMode::Specular {
             return Err(SolverError::Continuous);
         }
-        if assignments > ASSIGNMENTS_MAX {
-            return Err(SolverError::TooMany { users, mirrors, assignments });
-        }
+        SolverError::check_assignments(users, mirrors)?;
         Ok(Self { solver: Solver::new(users, mirrors) })
     }
 }

@@ -135,7 +135,7 @@ impl Population {
                 }
                 let place = &mut self.places[index];
                 rule.step(place, &Round { index, best: &self.best, spent }, &mut self.generator);
-                for angle in axes_mut(place) {
+                for angle in place.axes_mut() {
                     *angle = angle.clamp(-self.range_rad, self.range_rad);
                 }
                 self.evaluate(model, observation, index);
@@ -154,7 +154,7 @@ impl Population {
         first[0].copy_from(&observation.angles);
         self.best.copy_from(&observation.angles);
         let range = -self.range_rad..=self.range_rad;
-        for angle in others.iter_mut().flat_map(axes_mut) {
+        for angle in others.iter_mut().flat_map(MirrorAngles::axes_mut) {
             *angle = self.generator.random_range(range.clone());
         }
     }
@@ -182,14 +182,4 @@ impl Population {
             self.best.copy_from(place);
         }
     }
-}
-
-/// Roll of each mirror, then yaw of each.
-pub(super) fn axes(angles: &MirrorAngles) -> impl Iterator<Item = &f64> {
-    angles.roll.iter().chain(&angles.yaw)
-}
-
-/// The mutable form of [`axes`].
-pub(super) fn axes_mut(angles: &mut MirrorAngles) -> impl Iterator<Item = &mut f64> {
-    angles.roll.iter_mut().chain(&mut angles.yaw)
 }

@@ -17,7 +17,7 @@ use heliostat_scenario::Scenario;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-use super::metaheuristic::{Round, Rule, Search, axes, axes_mut};
+use super::metaheuristic::{Round, Rule, Search};
 use super::proposal::TimeSource;
 
 /// w: the constriction for c1 + c2 = 4.1.
@@ -53,14 +53,14 @@ impl Rule for Memory {
     fn begin(&mut self, places: &[MirrorAngles], objectives: &[f64]) {
         for (index, (place, objective)) in places.iter().zip(objectives).enumerate() {
             self.remember(index, place, *objective);
-            axes_mut(&mut self.velocities[index]).for_each(|velocity| *velocity = 0.0);
+            self.velocities[index].axes_mut().for_each(|velocity| *velocity = 0.0);
         }
     }
 
     fn step(&mut self, place: &mut MirrorAngles, round: &Round<'_>, generator: &mut ChaCha8Rng) {
-        let velocities = axes_mut(&mut self.velocities[round.index]);
-        let drawn_to = axes(&self.places[round.index]).zip(axes(round.best));
-        for ((angle, velocity), (own, best)) in axes_mut(place).zip(velocities).zip(drawn_to) {
+        let velocities = self.velocities[round.index].axes_mut();
+        let drawn_to = self.places[round.index].axes().zip(round.best.axes());
+        for ((angle, velocity), (own, best)) in place.axes_mut().zip(velocities).zip(drawn_to) {
             let mut pull = |to: &f64| ATTRACTION * generator.random::<f64>() * (to - *angle);
             *velocity = INERTIA * *velocity + pull(own) + pull(best);
             *angle += *velocity;

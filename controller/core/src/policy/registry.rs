@@ -138,12 +138,6 @@ impl PolicyKind {
     /// latency budget.
     pub const DEFAULT: Self = Self::FixedPoint;
 
-    /// The policy that the flags of a command select: the named one, or else `ddpg` with a file of a
-    /// learned policy, and [`DEFAULT`](Self::DEFAULT) without.
-    pub fn selected(named: Option<Self>, has_file: bool) -> Self {
-        named.unwrap_or(if has_file { Self::Ddpg } else { Self::DEFAULT })
-    }
-
     /// The name on the command line and in file names.
     pub fn name(self) -> String {
         self.to_possible_value().map(|value| value.get_name().to_owned()).expect("every policy has a name")

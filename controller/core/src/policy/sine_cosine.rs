@@ -18,7 +18,7 @@ use heliostat_scenario::Scenario;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-use super::metaheuristic::{Round, Rule, Search, axes, axes_mut};
+use super::metaheuristic::{Round, Rule, Search};
 use super::proposal::TimeSource;
 
 /// r1 at the start, as in the source.
@@ -37,7 +37,7 @@ impl Rule for Swing {
 
     fn step(&mut self, place: &mut MirrorAngles, round: &Round<'_>, generator: &mut ChaCha8Rng) {
         let reach = FIRST_REACH * (1.0 - round.spent);
-        for (angle, best) in axes_mut(place).zip(axes(round.best)) {
+        for (angle, best) in place.axes_mut().zip(round.best.axes()) {
             let (sin, cos) = generator.random_range(0.0..TAU).sin_cos();
             let distance = (generator.random_range(0.0..2.0) * best - *angle).abs();
             *angle += reach * distance * if generator.random_bool(0.5) { sin } else { cos };

@@ -11,6 +11,7 @@ use hdrhistogram::Histogram;
 use heliostat_proto::{Nanos, Quantiles};
 
 use heliostat_core::core::Stage;
+use heliostat_service::clock::as_ns;
 
 /// Budget of a decision, from the entry of the callback to the end of the publication.
 pub const BUDGET: Duration = Duration::from_micros(500);
@@ -40,7 +41,7 @@ impl StageStamps {
     /// A stage ends now, and the next one begins.
     pub fn mark(&mut self, stage: Stage) {
         let now = Instant::now();
-        self.stage_ns[stage as usize] = nanoseconds(now - self.last);
+        self.stage_ns[stage as usize] = as_ns(now - self.last);
         self.last = now;
     }
 
@@ -78,8 +79,7 @@ pub struct StageTimes {
 impl Default for StageTimes {
     /// Empty distributions, with all memory allocated.
     fn default() -> Self {
-        let empty = Histogram::new_with_bounds(1, LONGEST_NS, DIGITS)
-            .expect("the bounds are in order and the digits at most 5");
+        let empty = empty_ns();
         Self {
             stages: std::array::from_fn(|_| empty.clone()),
             age: empty.clone(),
@@ -93,7 +93,7 @@ impl Default for StageTimes {
 impl StageTimes {
     /// Records one published decision and the age of its positions. Does not allocate.
     pub fn record(&mut self, stamps: &StageStamps, age_ns: Nanos) {
-        self.decision.saturating_record(nanoseconds(stamps.total()).max(1));
+        self.decision.saturating_record(as_ns(stamps.total()).max(1));
         for stage in Stage::ALL {
             self.stages[stage as usize].saturating_record(stamps.stage_ns(stage).max(1));
         }
@@ -178,8 +178,9 @@ impl PolicyTimes {
     }
 }
 
-fn nanoseconds(duration: Duration) -> u64 {
-    u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX)
+/// A histogram of times in ns up to a minute, without entries and with all memory allocated.
+pub fn empty_ns() -> Histogram<u64> {
+    Histogram::new_with_bounds(1, LONGEST_NS, DIGITS).expect("the bounds are in order and the digits at most 5")
 }
 
 /// The quantiles in us of times in ns.

@@ -112,34 +112,14 @@ pub struct Summary {
     pub last_problem: String,
 }
 
-/// The figures of one policy.
+/// The figures of one policy while it was in charge.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PolicySummary {
-    /// Decisions on position reports while it was in charge.
-    pub decisions: u64,
-    /// Commands with its own angles.
-    pub commands: u64,
-    /// Commands while it was in charge with angles of the fallback or of a degraded action.
-    pub fallbacks: u64,
-    /// Axis values of its own that the limits changed.
-    pub clipped: Clipped,
-    /// From the entry of the callback to the end of the publication, while it was in charge.
+    /// Its counts.
+    #[serde(flatten)]
+    pub tally: Tally,
+    /// From the entry of the callback to the end of the publication.
     pub decision_us: Quantiles,
-}
-
-impl PolicySummary {
-    fn of(tally: &Tally) -> Self {
-        let Tally { decisions, commands, fallbacks, clipped, .. } = *tally;
-        Self { decisions, commands, fallbacks, clipped, decision_us: Quantiles::default() }
-    }
-
-    /// Adds the counts of another room; the times are added apart.
-    fn add(&mut self, other: &Self) {
-        self.decisions += other.decisions;
-        self.commands += other.commands;
-        self.fallbacks += other.fallbacks;
-        self.clipped += other.clipped;
-    }
 }
 
 /// One room's part of a report.
@@ -257,7 +237,7 @@ impl Summary {
             policies: controller
                 .tallies()
                 .iter()
-                .map(|tally| (tally.policy.clone(), PolicySummary::of(tally)))
+                .map(|(name, tally)| (name.clone(), PolicySummary { tally: *tally, ..PolicySummary::default() }))
                 .collect(),
             epoch: controller.epoch(),
             decisions: counters.decisions,
@@ -341,7 +321,7 @@ impl Summary {
         }
         self.clipped += other.clipped;
         for (name, policy) in &other.policies {
-            self.policies.entry(name.clone()).or_default().add(policy);
+            self.policies.entry(name.clone()).or_default().tally += policy.tally;
         }
         self.belief = match (self.belief, other.belief) {
             (Some(here), Some(there)) => Some(here.with(there)),

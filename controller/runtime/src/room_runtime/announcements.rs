@@ -11,11 +11,9 @@ use std::{
 
 use heliostat_core::room_core::{Examination, Handled, Input, InputKey, Repeater};
 use heliostat_service::clock::utc_ns;
+use heliostat_service::locks::{lock, try_lock};
 
-use super::{
-    decision_loop::DecisionLoop,
-    locks::{lock, try_lock},
-};
+use super::decision_loop::DecisionLoop;
 
 /// Most messages that wait; beyond that the oldest announcement is dropped, because arrays repeat
 /// theirs. No process repeats a stop order to this one, or a token.

@@ -27,13 +27,9 @@ use heliostat_core::{
 };
 use heliostat_proto::Nanos;
 use heliostat_service::clock::utc_ns;
+use heliostat_service::locks::{lock, try_lock};
 
-use super::{
-    announcements::Announcements,
-    locks::{lock, try_lock},
-    receive_queue::ReceiveQueue,
-    transport::Transport,
-};
+use super::{announcements::Announcements, receive_queue::ReceiveQueue, transport::Transport};
 use crate::report::stage_times::{StageStamps, StageTimes};
 
 /// A report that arrives within this time after a decision indicates a backlog. The callback then

@@ -11,11 +11,9 @@ use std::{
 
 use heliostat_bus::{Bus, Subscription};
 use heliostat_proto::{NodeKind, NodeStatus, decode};
+use heliostat_service::locks::lock;
 
-use super::{
-    locks::lock,
-    status::{Problem, Subject},
-};
+use super::status::{Problem, Subject};
 
 /// Time without a status after which a controller is silent.
 const SILENCE: Duration = Duration::from_secs(5);

@@ -23,8 +23,9 @@ use heliostat_core::{
 use heliostat_models::{ActorSource, build_tried};
 use heliostat_proto::{ControllerControl, decode};
 use heliostat_scenario::{Scenario, similar};
+use heliostat_service::locks::lock;
 
-use super::{decision_loop::DecisionLoop, locks::lock};
+use super::decision_loop::DecisionLoop;
 use crate::report::stage_times::StageTimes;
 
 /// Orders that wait while a policy is being built; further orders are refused.
@@ -82,8 +83,7 @@ impl PolicyBuilder {
 }
 
 fn unknown(name: &str) -> String {
-    let values = PolicyKind::value_variants().iter().filter_map(ValueEnum::to_possible_value);
-    let names: Vec<String> = values.map(|value| value.get_name().to_owned()).collect();
+    let names: Vec<String> = PolicyKind::value_variants().iter().map(|kind| kind.name()).collect();
     let (known, hint) = (names.join(", "), similar::hint(name, names.iter().map(String::as_str)));
     format!("there is no policy \"{name:.64}\": expected one of {known}{hint}")
 }

@@ -10,8 +10,7 @@ use std::{
 };
 
 use heliostat_core::room_core::InputChannel;
-
-use super::locks::lock;
+use heliostat_service::locks::lock;
 
 /// Most payloads that wait.
 const CAPACITY: usize = 64;

@@ -4,8 +4,9 @@ use std::time::{Duration, Instant};
 
 use heliostat_bus::{Bus, Presence, Subscription};
 use heliostat_core::room_core::InputKey;
+use heliostat_service::locks::lock;
 
-use super::{decision_loop::PayloadHandler, locks::lock};
+use super::decision_loop::PayloadHandler;
 
 /// How long the controller waits for the announcements of an array that is already there.
 const ANNOUNCED_WITHIN: Duration = Duration::from_millis(300);

@@ -5,8 +5,9 @@ use nalgebra::DMatrix;
 use super::{Session, Stage};
 use crate::fit::{self, Data, Estimate, Reading};
 use crate::grid::{Expected, Grid};
-use crate::optics::{LED, OFFSET, PLACE, QUANTITIES, Quantities, RAISE};
+use crate::optics::{LED, OFFSET, PLACE, Quantities, RAISE, nominal_at};
 use crate::outcome::{self, Outcome};
+use crate::parameters::Spot;
 use crate::probes::{LIT_SHARE, State};
 
 /// Mean square of a mirror's residuals at a spot above which they do not fit.
@@ -34,12 +35,7 @@ impl Session {
             Some(estimate) if spot < estimate.layout.spots() => {
                 self.data(&self.readings).quantities(&estimate.layout, &estimate.values, (mirror, spot))
             }
-            _ => {
-                let mut quantities = [0.0; QUANTITIES];
-                let of = &self.spots[spot];
-                quantities[PLACE..PLACE + 3].copy_from_slice(&[of.tracked_m[0], of.tracked_m[1], of.height_m]);
-                quantities
-            }
+            _ => nominal_at(self.spots[spot].tracked_m, self.spots[spot].height_m),
         }
     }
 
@@ -243,10 +239,8 @@ impl Session {
     /// The commanded angles of a mirror in the verification.
     pub(super) fn verified_aim(&self, mirror: usize, is_calibrated: bool) -> [f64; 2] {
         let spot = self.spots.len() - 1;
-        let led = self.spots[spot].led;
-        let mut quantities = [0.0; QUANTITIES];
-        let of = &self.spots[spot];
-        quantities[PLACE..PLACE + 3].copy_from_slice(&[of.tracked_m[0], of.tracked_m[1], of.height_m]);
+        let Spot { tracked_m, height_m, led, .. } = self.spots[spot];
+        let mut quantities = nominal_at(tracked_m, height_m);
         if is_calibrated && self.is_known(mirror) {
             quantities = self.quantities((mirror, spot));
         } else if !is_calibrated && let Some(before) = self.before() {

@@ -7,7 +7,7 @@ use super::timing::Purpose;
 use super::{Session, Stage};
 use crate::fit::Reading;
 use crate::grid::{Expected, Grid};
-use crate::optics::{OFFSET, PLACE, Quantities};
+use crate::optics::{OFFSET, nominal_at};
 use crate::parameters::Spot;
 use crate::probes::{self, Job, State};
 use crate::stand::{Stand, distance, median};
@@ -70,11 +70,7 @@ impl Session {
         let at = self.stand.mean();
         let led = (0..self.optics.leds.len())
             .max_by(|a, b| {
-                let gain = |led: usize| {
-                    let mut quantities: Quantities = [0.0; crate::optics::QUANTITIES];
-                    quantities[PLACE..PLACE + 3].copy_from_slice(&[at[0], at[1], height_m]);
-                    self.optics.direct_gain(led, &quantities)
-                };
+                let gain = |led: usize| self.optics.direct_gain(led, &nominal_at(at, height_m));
                 gain(*a).total_cmp(&gain(*b))
             })
             .unwrap_or(0);

@@ -56,7 +56,7 @@ impl Room {
         let at_m = PLACES_M[0];
         let place = std::iter::once((0, [at_m[0], at_m[1], HEIGHT_M]));
         let peak = Signal::weakest(&session.optics, place, 1.0).expect("light").gain;
-        let angles = MirrorAngles { roll: vec![0.0; 64], yaw: vec![0.0; 64] };
+        let angles = MirrorAngles::flat(64);
         let noise_gain = peak / ratio;
         let mut room = Self {
             session,

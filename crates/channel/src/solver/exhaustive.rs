@@ -9,10 +9,7 @@ use super::table::{Table, Utility};
 /// Writes the best assignment to `best`.
 pub(super) fn search(table: &Table, utility: &Utility, best: &mut Assignment) -> Result<(), SolverError> {
     let (users, mirrors) = (table.users, table.mirrors);
-    let assignments = (users as f64).powf(mirrors as f64);
-    if assignments > ASSIGNMENTS_MAX {
-        return Err(SolverError::TooMany { users, mirrors, assignments });
-    }
+    SolverError::check_assignments(users, mirrors)?;
     let midpoints = |m: usize| table.spill.midpoints_of(m).map(|(aim, _)| aim);
     let all: f64 = (0..mirrors).map(|m| (users + midpoints(m).count()) as f64).product();
     let aims: Vec<Vec<usize>> =

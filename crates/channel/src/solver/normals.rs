@@ -78,7 +78,7 @@ impl NormalSearch {
     /// one.
     pub(super) fn fixed_point(&mut self, table: &Table, utility: &Utility, weights: &mut [f64]) {
         self.best_nats = f64::NEG_INFINITY;
-        self.neutral_weights(table);
+        table.neutral_weights(&mut self.weights);
         self.iterate(table, utility, STEPS_MAX);
         self.weights.copy_from_slice(weights);
         if weights.iter().any(|&weight| weight > 0.0) {
@@ -97,7 +97,7 @@ impl NormalSearch {
         }
         self.weights.fill(1.0);
         self.screen(table, utility);
-        self.neutral_weights(table);
+        table.neutral_weights(&mut self.weights);
         self.screen(table, utility);
         for first in 0..users.min(PAIRED_USERS_MAX) {
             for second in first..users.min(PAIRED_USERS_MAX) {
@@ -108,7 +108,7 @@ impl NormalSearch {
             }
         }
         for start in 0..SPREAD_STARTS {
-            self.neutral_weights(table);
+            table.neutral_weights(&mut self.weights);
             for (k, weight) in self.weights.iter_mut().enumerate() {
                 *weight *= spread(start, k);
             }
@@ -170,13 +170,6 @@ impl NormalSearch {
     fn finish(&mut self, utility: &Utility, weights: &mut [f64]) {
         for (k, weight) in weights.iter_mut().enumerate() {
             *weight = utility.slope(k, self.best_amplitude[k]);
-        }
-    }
-
-    fn neutral_weights(&mut self, table: &Table) {
-        for (weight, line) in self.weights.iter_mut().zip(table.by_user.chunks_exact(table.mirrors)) {
-            let sum: f64 = line.iter().sum();
-            *weight = if sum > 0.0 { 1.0 / sum } else { 0.0 };
         }
     }
 

@@ -70,6 +70,17 @@ pub enum SolverError {
     Continuous,
 }
 
+impl SolverError {
+    /// Checks that an exhaustive search accepts this number of assignments.
+    ///
+    /// # Errors
+    /// [`SolverError::TooMany`].
+    pub fn check_assignments(users: usize, mirrors: usize) -> Result<(), Self> {
+        let assignments = (users as f64).powf(mirrors as f64);
+        if assignments > ASSIGNMENTS_MAX { Err(Self::TooMany { users, mirrors, assignments }) } else { Ok(()) }
+    }
+}
+
 /// The minimum rates of the users, and the penalty for missing them.
 #[derive(Clone, Copy, Debug)]
 pub struct MinimumRates<'a> {

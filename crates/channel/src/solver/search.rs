@@ -130,7 +130,7 @@ impl Search {
     /// its weights to `weights`.
     pub(super) fn fixed_point(&mut self, table: &Table, utility: &Utility, weights: &mut [f64]) {
         self.allowed.fill(true);
-        self.neutral_weights(table);
+        table.neutral_weights(&mut self.weights);
         // A user with weight 0 would keep it in every step.
         for (weight, &neutral) in weights.iter_mut().zip(&self.weights) {
             if *weight <= 0.0 {
@@ -179,7 +179,7 @@ impl Search {
         self.starts.order(table, utility);
         for index in 0..self.starts.len() {
             if self.starts.choose(index, &mut self.allowed) {
-                self.neutral_weights(table);
+                table.neutral_weights(&mut self.weights);
                 self.iterate(table, utility);
                 self.search_locally(table, utility);
                 self.fill(table, utility);
@@ -323,14 +323,6 @@ impl Search {
         self.trial_weights.copy_from_slice(&self.weights);
         for (served, &user) in self.trial.served.iter_mut().zip(&self.owners) {
             *served = user as usize;
-        }
-    }
-
-    /// w_k = 1 / sum_m a_km: weights that do not prefer users with large gains.
-    fn neutral_weights(&mut self, table: &Table) {
-        for (weight, line) in self.weights.iter_mut().zip(table.by_user.chunks_exact(table.mirrors)) {
-            let sum: f64 = line.iter().sum();
-            *weight = if sum > 0.0 { 1.0 / sum } else { 0.0 };
         }
     }
 

@@ -181,6 +181,14 @@ impl Table {
         }
     }
 
+    /// Writes w_k = 1 / sum_m a_km: weights that do not prefer users with large gains.
+    pub(super) fn neutral_weights(&self, weights: &mut [f64]) {
+        for (weight, line) in weights.iter_mut().zip(self.by_user.chunks_exact(self.mirrors)) {
+            let sum: f64 = line.iter().sum();
+            *weight = if sum > 0.0 { 1.0 / sum } else { 0.0 };
+        }
+    }
+
     /// Changes the number of users; the entries are undefined until the next load.
     pub(super) fn resize(&mut self, users: usize) {
         self.users = users;

@@ -73,7 +73,7 @@ pub fn run(args: Args) -> Result<()> {
         }
         Process::Demo(args) => {
             let process =
-                json!({ "name": "demo", "policy": args.policy().name(), "room": Room::new(&args.room)?.name() });
+                json!({ "name": "demo", "policy": args.policy.kind().name(), "room": Room::new(&args.room)?.name() });
             // Its endpoints are free ports, chosen at the start.
             document(&args.scenario.load_arrays()?, None, process)?
         }

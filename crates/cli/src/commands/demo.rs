@@ -4,7 +4,6 @@ pub mod child;
 mod processes;
 mod summary;
 
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver};
 use std::time::{Duration, Instant};
@@ -12,8 +11,8 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use heliostat_bus::{Bus, BusConfig, free_loopback_endpoint};
-use heliostat_core::policy::{NameParser, PolicyKind};
-use heliostat_models::{ActorSource, build, library};
+use heliostat_core::policy::PolicyKind;
+use heliostat_models::{PolicyArgs, build, library};
 use heliostat_proto::Room;
 use heliostat_room::World;
 use heliostat_scenario::{Scenario, ScenarioArgs};
@@ -44,12 +43,8 @@ const WATCH_EVERY: Duration = Duration::from_millis(50);
 pub struct Args {
     #[command(flatten)]
     pub(super) scenario: ScenarioArgs,
-    /// Policy of the controller [default: fixed-point, or ddpg with --model]
-    #[arg(long, value_enum, value_parser = NameParser::<PolicyKind>::default())]
-    policy: Option<PolicyKind>,
-    /// ONNX file of a learned policy, instead of the built-in one
-    #[arg(long, value_name = "FILE")]
-    model: Option<PathBuf>,
+    #[command(flatten)]
+    pub(super) policy: PolicyArgs,
     /// End after this many seconds, counted from the first answered report
     #[arg(long, value_name = "N", value_parser = duration::seconds, allow_negative_numbers = true)]
     seconds: Option<Duration>,
@@ -79,7 +74,7 @@ pub fn run(args: Args) -> Result<()> {
     let endpoints = (room_endpoint.as_str(), controller_endpoint.as_str());
     let mut processes = Processes::start(
         &args.process_arguments("sim-node", &[("--listen", endpoints.0)]),
-        &args.controller_arguments(endpoints, args.policy())?,
+        &args.controller_arguments(endpoints, args.policy.kind())?,
     )?;
     let (room_id, controller_id) = processes.ids();
     output::note(format_args!(
@@ -159,7 +154,7 @@ fn watch(args: &Args, watched: &Watched, processes: &mut Processes) -> Result<En
         for order in watched.process_orders.try_iter() {
             let policy = watched.view.policy().and_then(|name| PolicyKind::from_str(&name, true).ok());
             processes.apply(order, || {
-                args.controller_arguments(watched.endpoints, policy.unwrap_or_else(|| args.policy()))
+                args.controller_arguments(watched.endpoints, policy.unwrap_or_else(|| args.policy.kind()))
             })?;
         }
         match started {
@@ -200,25 +195,20 @@ impl Args {
         Ok(())
     }
 
-    /// The policy that the flags select.
-    pub(super) fn policy(&self) -> PolicyKind {
-        PolicyKind::selected(self.policy, self.model.is_some())
-    }
-
     /// Builds room and policy once here, so that an unsuitable walk or actor is refused before any
     /// process starts.
     fn check_room(&self, scenario: &Scenario) -> Result<()> {
         let trace = scenario.read_trace().context("nothing was started")?;
         World::new(scenario, trace.as_deref(), scenario.seed).context("nothing was started: there would be no room")?;
-        let source = self.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
-        build(self.policy(), scenario, &source).context("nothing was started: the controller would have no policy")?;
+        build(self.policy.kind(), scenario, &self.policy.actor())
+            .context("nothing was started: the controller would have no policy")?;
         Ok(())
     }
 
     /// The file of the network that the flags give.
     fn network(&self, scenario: &Scenario) -> Result<Option<NetworkFile>> {
-        let Some(path) = &self.model else { return Ok(None) };
-        let file = ActorSource::Path(path.clone()).fetch(self.policy(), scenario)?;
+        let Some(path) = &self.policy.model else { return Ok(None) };
+        let file = self.policy.actor().fetch(self.policy.kind(), scenario)?;
         let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy();
         Ok(Some(NetworkFile { hash: file.hash(), name: printable(&name).into_owned() }))
     }
@@ -245,7 +235,7 @@ impl Args {
         if let Some(library) = library::chosen() {
             arguments.extend(["--onnxruntime".into(), library.display().to_string()]);
         }
-        if let Some(model) = self.model.as_ref().filter(|_| kind == self.policy()) {
+        if let Some(model) = self.policy.model.as_ref().filter(|_| kind == self.policy.kind()) {
             arguments.extend(["--model".into(), model.display().to_string()]);
         }
         Ok(arguments)

@@ -80,10 +80,7 @@ impl<'a> Instant<'a> {
         } else if let Some(removed) = removed(how) {
             bail!("mirrors {how}: {removed}");
         } else {
-            let policies: Vec<String> = PolicyKind::value_variants()
-                .iter()
-                .filter_map(|kind| Some(kind.to_possible_value()?.get_name().to_owned()))
-                .collect();
+            let policies: Vec<String> = PolicyKind::value_variants().iter().map(|kind| kind.name()).collect();
             bail!(
                 "mirrors {how}: no such file; expected a CSV of angles, an ONNX actor (FILE.onnx), none, oracle, user:N, aim:X,Y or a policy: {}",
                 policies.join(", ")

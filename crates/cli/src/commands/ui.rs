@@ -1,6 +1,6 @@
 //! `heliostat ui`: the page and the terminal view of a running room.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use anyhow::Result;
@@ -9,7 +9,7 @@ use heliostat_bus::{AccessRole, Bus, BusArgs, Identity};
 use heliostat_core::policy::PolicyKind;
 use heliostat_models::ActorSource;
 use heliostat_scenario::{Scenario, ViewerScenarioArgs};
-use heliostat_service::{Stop, duration, output, process, signals};
+use heliostat_service::{Stop, duration, locks::lock, output, process, signals};
 use heliostat_ui::{Display, Operator, Page, PageArgs, PoliciesOf, PolicyChoice, Rights, View};
 
 use super::ending::Ending;
@@ -110,7 +110,7 @@ pub fn fitting_policies() -> PoliciesOf {
     let tried: Mutex<Option<(Scenario, Vec<PolicyChoice>)>> = Mutex::default();
     Box::new(move |scenario| {
         // A list is replaced as a unit.
-        let mut tried = tried.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut tried = lock(&tried);
         if let Some((_, policies)) = tried.as_ref().filter(|(known, _)| known == scenario) {
             return policies.clone();
         }

@@ -91,7 +91,7 @@ impl<'a> Player<'a> {
             None => self.plan.policy_of(epoch).with_context(|| unusable(&self.settings.file))?,
         };
         let scenario = &self.plan.scenario;
-        let source = self.settings.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
+        let source = ActorSource::from(self.settings.model.clone());
         let policy = build(kind, scenario, &source)?;
         self.check_actor(epoch, policy.as_ref())?;
         let replaced = self.replaced(epoch, policy.as_ref());

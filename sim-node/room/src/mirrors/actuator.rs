@@ -46,7 +46,7 @@ impl Actuator {
     pub fn new(parameters: &ActuatorParameters, mirrors: usize, rng: RoomRng) -> Self {
         let axes = 2 * mirrors;
         let second_order = parameters.second_order.map(|(frequency, damping)| SecondOrder { frequency, damping });
-        let flat = MirrorAngles { roll: vec![0.0; mirrors], yaw: vec![0.0; mirrors] };
+        let flat = MirrorAngles::flat(mirrors);
         let mut actuator = Self {
             slew_rad_per_s: parameters.slew_rad_per_s,
             dynamics: Dynamics::new(parameters.low_pass_rad_per_s, second_order),

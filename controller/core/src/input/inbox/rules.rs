@@ -18,7 +18,7 @@ pub(super) struct Rules {
     height_m: f64,
     leds: usize,
     /// A report older than this is refused.
-    pub age_max_ns: Nanos,
+    age_max_ns: Nanos,
     /// An owner without an accepted report for this time can be replaced.
     pub source_timeout_ns: Nanos,
 }
@@ -26,15 +26,19 @@ pub(super) struct Rules {
 impl Rules {
     /// Those of a scenario.
     pub fn new(scenario: &Scenario) -> Self {
-        let nanoseconds = |milliseconds: f64| (milliseconds * 1e6) as Nanos;
         Self {
             half_x_m: scenario.room.length_x_m / 2.0,
             half_y_m: scenario.room.length_y_m / 2.0,
             height_m: scenario.room.height_m,
             leds: scenario.led.positions_m.len(),
-            age_max_ns: nanoseconds(scenario.control.report_age_max_ms),
-            source_timeout_ns: nanoseconds(scenario.control.source_timeout_ms),
+            age_max_ns: scenario.control.report_age_max_ns(),
+            source_timeout_ns: (scenario.control.source_timeout_ms * 1e6) as Nanos,
         }
+    }
+
+    /// Whether a report is too old at `now`.
+    pub fn is_stale(&self, now: Nanos, stamp: &Stamp) -> bool {
+        now.saturating_sub(stamp.time_ns) > self.age_max_ns
     }
 
     /// Checks the time of a report that arrived at `now`.
@@ -43,7 +47,7 @@ impl Rules {
         if stamp.time_ns > now.saturating_add(CLOCK_LEAD_MAX_NS) {
             return Err((Refusal::FromFuture, Found::AgeS(-age_s)));
         }
-        if now.saturating_sub(stamp.time_ns) > self.age_max_ns {
+        if self.is_stale(now, stamp) {
             return Err((Refusal::Stale, Found::AgeS(age_s)));
         }
         Ok(())

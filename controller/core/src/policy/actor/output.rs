@@ -1,6 +1,9 @@
 //! Turns the output of a network into mirror angles, by the action kind of its file.
 
-use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
+use heliostat_channel::{
+    ChannelModel,
+    mirrors::{MirrorAngles, copy_widened},
+};
 use heliostat_scenario::Scenario;
 
 use crate::{
@@ -75,9 +78,8 @@ impl Output {
 pub fn split_angles(values: &[f32], out: &mut MirrorAngles) -> PolicyResult {
     let mirrors = out.roll.len();
     check_length(values, 2 * mirrors)?;
-    let widen = |from: &[f32], to: &mut [f64]| to.iter_mut().zip(from).for_each(|(to, from)| *to = f64::from(*from));
-    widen(&values[..mirrors], &mut out.roll);
-    widen(&values[mirrors..], &mut out.yaw);
+    copy_widened(&values[..mirrors], &mut out.roll);
+    copy_widened(&values[mirrors..], &mut out.yaw);
     Ok(check_finite(out)?)
 }
 

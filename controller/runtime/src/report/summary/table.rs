@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, fmt};
 
-use heliostat_core::core::Stage;
+use heliostat_core::{core::Stage, policy::Tally};
 use heliostat_proto::Quantiles;
 use heliostat_service::printable::printable;
 
@@ -101,8 +101,8 @@ impl Summary {
         names.iter().try_for_each(|name| write!(formatter, "{name:>10}"))?;
         writeln!(formatter)?;
         for (name, policy) in &self.policies {
-            let limited = policy.clipped.range + policy.clipped.slew;
-            let counts = [policy.decisions, policy.commands, policy.fallbacks, limited];
+            let Tally { decisions, commands, fallbacks, clipped } = policy.tally;
+            let counts = [decisions, commands, fallbacks, clipped.range + clipped.slew];
             write!(formatter, "{name:<14}")?;
             counts.iter().try_for_each(|count| write!(formatter, "{count:>10}"))?;
             writeln!(formatter, "{:>10.1}{:>10.1}", policy.decision_us.p50, policy.decision_us.p99)?;

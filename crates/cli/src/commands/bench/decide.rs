@@ -210,7 +210,7 @@ impl Args {
 
     /// The actor of the flags.
     fn source(&self) -> Result<ActorSource> {
-        let source = self.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
+        let source = ActorSource::from(self.model.clone());
         let kind = self.policy.unwrap_or(PolicyKind::Ddpg);
         source.check_used_by(kind).context("--model names the file of a learned policy")?;
         Ok(source)

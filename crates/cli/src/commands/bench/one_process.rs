@@ -1,7 +1,7 @@
 //! The controller process of `bench loop --driver`: it also drives an array, whose device notes when
 //! it gets angles.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, ensure};
@@ -11,7 +11,7 @@ use heliostat_driver::run::Settings;
 use heliostat_driver::stop_record::StopRecordSettings;
 use heliostat_driver::{Device, DeviceError, Kit};
 use heliostat_proto::{AxisLimits, Capabilities, Feedback, MirrorCommand, decode_into};
-use heliostat_service::outln;
+use heliostat_service::{locks::lock, outln};
 use serde::{Deserialize, Serialize};
 
 use crate::{one_process, platform};
@@ -105,10 +105,6 @@ struct Log {
     ticks: Vec<u64>,
     /// When the device got the angles of each.
     times_ns: Vec<u64>,
-}
-
-fn lock(log: &Mutex<Log>) -> std::sync::MutexGuard<'_, Log> {
-    log.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 struct NotingDevice {

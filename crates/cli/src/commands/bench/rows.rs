@@ -6,15 +6,13 @@ use std::io;
 use std::time::Duration;
 
 use hdrhistogram::Histogram;
+use heliostat_controller::report::stage_times::{empty_ns, quantiles_us};
 use heliostat_proto::Quantiles;
 use serde::Serialize;
 
-use heliostat_service::outln;
+use heliostat_service::{clock::as_ns, outln};
 
 use super::usage::ReportUsage;
-
-/// Longest time that is recorded exactly, in ns; longer times count as this.
-const LONGEST_NS: u64 = 60_000_000_000;
 
 /// A histogram of times.
 pub struct Times(Histogram<u64>);
@@ -28,12 +26,12 @@ impl Default for Times {
 impl Times {
     /// An empty histogram with all its memory.
     pub fn new() -> Self {
-        Self(Histogram::new_with_bounds(1, LONGEST_NS, 3).expect("the bounds and the precision are constants in range"))
+        Self(empty_ns())
     }
 
     /// Adds a time.
     pub fn record(&mut self, time: Duration) {
-        self.0.saturating_record(u64::try_from(time.as_nanos()).unwrap_or(u64::MAX).max(1));
+        self.0.saturating_record(as_ns(time).max(1));
     }
 
     /// Number of times longer than a limit; exact to the histogram's three digits.
@@ -48,8 +46,7 @@ impl Times {
 
     /// Their distribution.
     pub fn distribution(&self) -> Distribution {
-        let at = |quantile: f64| self.0.value_at_quantile(quantile) as f64 / 1e3;
-        Distribution { p50: at(0.5), p90: at(0.9), p99: at(0.99), p999: at(0.999), max: self.0.max() as f64 / 1e3 }
+        quantiles_us(&self.0).into()
     }
 }
 

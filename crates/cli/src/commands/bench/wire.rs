@@ -11,7 +11,6 @@ use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
-use clap::ValueEnum;
 use heliostat_bus::{Bus, BusConfig, Class, Publisher, Reach, Role, Subscription, free_loopback_endpoint};
 use heliostat_controller::report::stage_times::BUDGET;
 use heliostat_controller::report::summary::Summary;
@@ -145,7 +144,7 @@ impl Args {
         let mut measured = Side::open(&bus, "measured", scenario, rooms)?;
         let mut reference = Side::open(&bus, "reference", scenario, rooms)?;
         let controllers = shares(&measured.names, usize::from(self.controllers))
-            .map(|names| Part::start("controller", &self.controller_arguments(&endpoint, names, end)?))
+            .map(|names| Part::start("controller", &self.controller_arguments(&endpoint, names, end)))
             .collect::<Result<Vec<Part>>>()?;
         let mut echo = echo_arguments(&endpoint, &reference.names, scenario)?;
         echo.extend(router.iter().map(|_| "--client".to_owned()));
@@ -214,13 +213,12 @@ impl Args {
         Ok(row.across_processes(lost, summary.decision_us, used.of_a_report(reports)))
     }
 
-    fn controller_arguments(&self, endpoint: &str, rooms: &[String], end: End) -> Result<Vec<String>> {
-        let policy = self.policy.to_possible_value().context("every policy has a name")?;
+    fn controller_arguments(&self, endpoint: &str, rooms: &[String], end: End) -> Vec<String> {
         let command: &[&str] = if end == End::Device { &["bench", "one-process"] } else { &["controller"] };
         let mut arguments: Vec<String> = command
             .iter()
             .copied()
-            .chain(["--connect", endpoint, "--policy", policy.get_name()])
+            .chain(["--connect", endpoint, "--policy", &self.policy.name()])
             .chain(["--scenario", &self.scenario.scenario, "--room", &rooms[0]])
             .map(String::from)
             .collect();
@@ -236,7 +234,7 @@ impl Args {
         }
         arguments.extend(self.scenario.seed.map(|seed| format!("--seed={seed}")));
         arguments.extend(self.controller.iter().cloned());
-        Ok(arguments)
+        arguments
     }
 }
 

@@ -1,7 +1,7 @@
 //! The room of a calibration on the bus: its reports in a queue, its commands, and the status.
 
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail, ensure};
@@ -18,6 +18,7 @@ use heliostat_proto::{
 };
 use heliostat_scenario::Scenario;
 use heliostat_service::clock::{monotonic_ns, utc_ns};
+use heliostat_service::locks::lock;
 use heliostat_service::source_id;
 
 use super::args::Args;
@@ -457,10 +458,6 @@ pub fn wait<T>(mut value: impl FnMut() -> Option<T>) -> Option<T> {
         }
         std::thread::sleep(Duration::from_nanos(LEAD_EVERY_NS));
     }
-}
-
-fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
-    shared.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@ use std::io;
 
 use anyhow::{Context, Result};
 use heliostat_controller::report::summary::PolicySummary;
-use heliostat_core::safety::Clipped;
+use heliostat_core::{policy::Tally, safety::Clipped};
 use heliostat_proto::Quantiles;
 use heliostat_service::printable::printable;
 use heliostat_ui::NetworkFile;
@@ -124,11 +124,11 @@ const CREDITED_MIN: f64 = 0.02;
 impl ControllerPart {
     /// The policies, and the fallback, that gave at least [`CREDITED_MIN`] of the commands.
     fn credited(&self) -> Vec<String> {
-        let sum = |count: fn(&PolicySummary) -> u64| self.policies.values().map(count).sum::<u64>();
-        let fallbacks = sum(|figures| figures.fallbacks);
-        let all = sum(|figures| figures.commands) + fallbacks;
+        let sum = |count: fn(&Tally) -> u64| self.policies.values().map(|figures| count(&figures.tally)).sum::<u64>();
+        let fallbacks = sum(|tally| tally.fallbacks);
+        let all = sum(|tally| tally.commands) + fallbacks;
         let is_credited = |count: u64| count > 0 && count as f64 >= CREDITED_MIN * all as f64;
-        let own = self.policies.iter().filter(|(_, figures)| is_credited(figures.commands));
+        let own = self.policies.iter().filter(|(_, figures)| is_credited(figures.tally.commands));
         let mut names: Vec<String> = own.map(|(name, _)| name.clone()).collect();
         if is_credited(fallbacks) {
             names.push("fallback".into());
@@ -138,7 +138,7 @@ impl ControllerPart {
 
     /// Prints a line for each policy, where the figures of all are not those of one.
     fn print_policies(&self) -> io::Result<()> {
-        if self.policies.len() < 2 && self.policies.values().all(|figures| figures.fallbacks == 0) {
+        if self.policies.len() < 2 && self.policies.values().all(|figures| figures.tally.fallbacks == 0) {
             return Ok(());
         }
         outln!(
@@ -150,8 +150,8 @@ impl ControllerPart {
             "p50 (us)",
             "p99 (us)"
         )?;
-        for (name, figures) in &self.policies {
-            let PolicySummary { decisions, commands, fallbacks, decision_us: times, .. } = figures;
+        for (name, PolicySummary { tally, decision_us: times }) in &self.policies {
+            let Tally { decisions, commands, fallbacks, .. } = tally;
             outln!("{name:<26}{decisions:>10}{commands:>10}{fallbacks:>10}{:>10.0}{:>10.0}", times.p50, times.p99)?;
         }
         Ok(())
@@ -352,7 +352,8 @@ mod tests {
     }
 
     fn policy(commands: u64, fallbacks: u64) -> Value {
-        serde_json::json!(PolicySummary { commands, fallbacks, ..PolicySummary::default() })
+        let tally = Tally { commands, fallbacks, ..Tally::default() };
+        serde_json::json!(PolicySummary { tally, ..PolicySummary::default() })
     }
 
     #[test]

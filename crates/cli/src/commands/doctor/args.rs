@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use heliostat_bus::TlsArgs;
 use heliostat_controller::cli::RangeArgs;
-use heliostat_core::policy::{NameParser, PolicyKind};
+use heliostat_models::PolicyArgs;
 use heliostat_scenario::ScenarioArgs;
 
 /// The port of [`heliostat_bus::DEFAULT_ENDPOINT`].
@@ -22,12 +22,8 @@ const DEFAULT_PORT: u16 = 7447;
 pub struct Args {
     #[command(flatten)]
     pub scenario: ScenarioArgs,
-    /// Policy of the planned run [default: fixed-point, or ddpg with --model]
-    #[arg(long, value_enum, value_parser = NameParser::<PolicyKind>::default())]
-    pub policy: Option<PolicyKind>,
-    /// ONNX file of a learned policy, instead of the built-in one
-    #[arg(long, value_name = "FILE")]
-    pub model: Option<PathBuf>,
+    #[command(flatten)]
+    pub policy: PolicyArgs,
     /// Name of the room [default: the room of --tls, or demo]
     #[arg(long, value_name = "NAME")]
     pub room: Option<String>,

@@ -9,8 +9,8 @@ use heliostat_bus::{ACCEPTS_WITHIN, AccessRole, Bus, BusArgs, BusConfig, BusErro
 use heliostat_controller::report::summary::describe_unfit;
 use heliostat_core::belief::conditions::{Condition, conditions};
 use heliostat_core::capabilities::{Examiner, Force, Unfit};
-use heliostat_core::policy::{Finding, PolicyKind};
-use heliostat_models::{ActorSource, build_tried};
+use heliostat_core::policy::Finding;
+use heliostat_models::{PolicyArgs, build_tried};
 use heliostat_proto::array_keys::array_name;
 use heliostat_proto::messages::fault;
 use heliostat_proto::{ArrayState, Capabilities, MirrorTelemetry, NodeStatus, ValidityClock, decode};
@@ -63,9 +63,8 @@ pub(super) fn checks(args: &Args) -> Vec<Check> {
     );
     let mut checks = vec![Check::ok("scenario", found)];
     checks.extend(check_belief(&scenario));
-    checks.push(check_policy(args, &scenario));
-    let kind = PolicyKind::selected(args.policy, args.model.is_some());
-    checks.extend(kind.conditions(&scenario).into_iter().map(|condition| warning("policy", condition)));
+    checks.push(check_policy(&args.policy, &scenario));
+    checks.extend(args.policy.kind().conditions(&scenario).into_iter().map(|condition| warning("policy", condition)));
     let joined = args.joins().then(|| open_bus(args));
     if let Some(Ok((_, unanswered))) = &joined {
         checks.extend(unanswered.iter().map(|endpoint| check_unanswered(endpoint)));
@@ -99,10 +98,8 @@ fn warning(name: &'static str, condition: Condition) -> Check {
     Check::warn(name, found, condition.consequence)
 }
 
-fn check_policy(args: &Args, scenario: &Scenario) -> Check {
-    let source = args.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
-    let kind = PolicyKind::selected(args.policy, args.model.is_some());
-    let (policy, findings) = match build_tried(kind, scenario, &source) {
+fn check_policy(args: &PolicyArgs, scenario: &Scenario) -> Check {
+    let (policy, findings) = match build_tried(args.kind(), scenario, &args.actor()) {
         Ok(tried) => tried,
         Err(error) => {
             let advice = "choose a policy that needs no file (--policy fixed-point), or train an actor for this scenario: heliostat-lab train ddpg";
@@ -441,6 +438,10 @@ mod tests {
         (scenario, array)
     }
 
+    fn driver(state: Option<ArrayState>, faults: u32) -> DriverState {
+        DriverState { capabilities: Capabilities::default(), device_problem: None, calibration: None, faults, state }
+    }
+
     #[test]
     fn a_small_range_that_is_accepted_is_a_warning_with_its_share_and_who_has_accepted_it() {
         let (scenario, array) = small();
@@ -458,16 +459,9 @@ mod tests {
     #[test]
     fn a_range_is_accepted_by_the_flag_or_by_a_controller_that_the_array_follows() {
         let flags = |given: &[&str]| Flags::parse_from([&["doctor"][..], given].concat()).args;
-        let following = |state| DriverState {
-            capabilities: Capabilities::default(),
-            device_problem: None,
-            calibration: None,
-            faults: 0,
-            state,
-        };
         let controller = ControllerState::default();
         let accepted = |given: &[&str], state, controller: Option<&ControllerState>| {
-            accepted_range(&flags(given), 0, &following(state), controller)
+            accepted_range(&flags(given), 0, &driver(state, 0), controller)
         };
         let by_flag = accepted(&["--accept-small-range"], None, None);
         assert_eq!(by_flag, Some("accepted by --accept-small-range"));
@@ -478,13 +472,6 @@ mod tests {
 
     #[test]
     fn an_array_that_fits_is_a_warning_while_it_is_stopped_or_has_a_fault() {
-        let driver = |state, faults| DriverState {
-            capabilities: Capabilities::default(),
-            device_problem: None,
-            calibration: None,
-            faults,
-            state,
-        };
         let found = |state, faults| with_state(Check::ok("driver", "mirrors"), &driver(state, faults));
         let following = found(Some(ArrayState::Following), 0);
         assert_eq!((following.verdict, following.found.as_str()), (Verdict::Ok, "mirrors"));

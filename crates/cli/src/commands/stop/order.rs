@@ -2,7 +2,7 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver};
-use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::sync::{Arc, Mutex, Weak};
 use std::thread;
 use std::time::Duration;
 
@@ -11,6 +11,7 @@ use heliostat_bus::{
     ACCEPTS_WITHIN, Bus, BusConfig, BusError, is_joined_through, join_all_through, join_each, reached,
 };
 use heliostat_proto::Room;
+use heliostat_service::locks::lock;
 use heliostat_service::signals::{end_on_request, stop_on_signals};
 use heliostat_service::{Stop, output};
 use heliostat_ui::StopSwitch;
@@ -49,7 +50,7 @@ impl Place {
             let (switch, sessions) = (self.switch.upgrade()?, self.sessions.upgrade()?);
             match bus.filter(|bus| switch.join(bus).is_ok()) {
                 Some(bus) => {
-                    sessions.lock().unwrap_or_else(PoisonError::into_inner).push(bus);
+                    lock(&sessions).push(bus);
                     joined();
                 }
                 None => unanswered.push(config.connect[index].clone()),
@@ -63,7 +64,7 @@ impl Place {
         let Some(sessions) = self.sessions.upgrade() else { return };
         let enter = |bus: &Bus| bus.enter(bus.room().clone());
         // Without the lock: a further session joins meanwhile.
-        let entered: Vec<Bus> = sessions.lock().unwrap_or_else(PoisonError::into_inner).iter().map(enter).collect();
+        let entered: Vec<Bus> = lock(&sessions).iter().map(enter).collect();
         entered.iter().map(reached).for_each(drop);
     }
 
@@ -129,7 +130,7 @@ impl Order {
     /// Adds a session.
     fn add(&self, bus: Bus) -> Result<()> {
         self.switch.join(&bus)?;
-        self.sessions.lock().unwrap_or_else(PoisonError::into_inner).push(bus);
+        lock(&self.sessions).push(bus);
         Ok(())
     }
 
@@ -222,7 +223,7 @@ impl Order {
 
     /// Ends the sessions, so that what was sent leaves.
     pub fn close(self) -> Result<(), BusError> {
-        let sessions = std::mem::take(&mut *self.sessions.lock().unwrap_or_else(PoisonError::into_inner));
+        let sessions = std::mem::take(&mut *lock(&self.sessions));
         drop(self.switch);
         // Each takes up to half a second where no process answers.
         let closing: Vec<_> = sessions.into_iter().map(|bus| thread::spawn(move || bus.close())).collect();

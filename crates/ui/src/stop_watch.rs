@@ -244,41 +244,43 @@ impl StopWatch {
         let mut subscriptions = Vec::new();
         let room = bus.room();
         for keys in [room.array(0), room.later_arrays()] {
-            let (first, shown) = (room.clone(), Arc::clone(state));
+            let (shown, of_room) = (Arc::clone(state), room.clone());
             subscriptions.push(bus.subscribe_keyed(&keys.telemetry(), move |key, payload| {
-                if let Ok(report) = codec::decode::<MirrorTelemetry>(payload) {
-                    let (array, _) = first.first_array_key(key);
+                if let Some(array) = of_room.array_of(key, &of_room.telemetry())
+                    && let Ok(report) = codec::decode::<MirrorTelemetry>(payload)
+                {
                     shown.arrays().note(array, report.clone());
                     shown.note(|seen, now| seen.handle_telemetry(now, array, &report));
                 }
             })?);
             subscriptions.push(state.subscribe(
                 bus,
-                &keys.safety(),
+                (&keys.safety(), room.safety()),
                 |seen, now, (array, report): (_, SafetyReport)| {
                     seen.handle_safety(now, array, &report);
                 },
             )?);
             subscriptions.push(state.subscribe(
                 bus,
-                &keys.stops(),
+                (&keys.stops(), room.stops()),
                 |seen, now, (array, report): (_, StopReport)| {
                     seen.handle_stops(now, array, report);
                 },
             )?);
         }
-        subscriptions.push(state.subscribe(
-            bus,
-            &room.all_geometry(),
-            |seen, now, (_, report): (usize, RoomGeometry)| {
-                if let Ok(scenario) = Scenario::from_geometry_toml(&report.scenario) {
-                    seen.announce(now, scenario.mirrors.arrays().len());
-                }
-            },
-        )?);
-        let holding = Arc::clone(state);
-        subscriptions.push(bus.subscribe_keyed(&room.all_status(), move |_, payload| {
-            if let Ok(status) = codec::decode::<NodeStatus>(payload) {
+        let announcing = Arc::clone(state);
+        subscriptions.push(bus.subscribe(&room.all_geometry(), move |payload| {
+            if let Ok(report) = codec::decode::<RoomGeometry>(payload)
+                && let Ok(scenario) = Scenario::from_geometry_toml(&report.scenario)
+            {
+                announcing.note(|seen, now| seen.announce(now, scenario.mirrors.arrays().len()));
+            }
+        })?);
+        let (holding, of_room) = (Arc::clone(state), room.clone());
+        subscriptions.push(bus.subscribe_keyed(&room.all_status(), move |key, payload| {
+            if let Ok(status) = codec::decode::<NodeStatus>(payload)
+                && of_room.status_array(key, &status).is_some()
+            {
                 holding.note_holder(&status);
                 holding.note(|seen, now| seen.handle_status(now, &status));
             }
@@ -355,16 +357,18 @@ impl StopWatch {
 }
 
 impl WatchState {
+    /// Subscribes to the reports of arrays, under keys of which this is that of the first array.
     fn subscribe<M: Message + 'static>(
         self: &Arc<Self>,
         bus: &Bus,
-        keys: &str,
+        (keys, first): (&str, String),
         note: fn(&mut ReportedStops, Duration, (usize, M)),
     ) -> Result<Subscription, UiError> {
         let (room, state) = (bus.room().clone(), Arc::clone(self));
         Ok(bus.subscribe_keyed(keys, move |key, payload| {
-            if let Ok(report) = codec::decode::<M>(payload) {
-                let (array, _) = room.first_array_key(key);
+            if let Some(array) = room.array_of(key, &first)
+                && let Ok(report) = codec::decode::<M>(payload)
+            {
                 state.note(|seen, now| note(seen, now, (array, report)));
             }
         })?)

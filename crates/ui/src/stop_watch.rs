@@ -24,6 +24,9 @@ use crate::expiry::EXPIRY;
 /// Time within which two drivers of one array have reported it in turn, each at least twice a second.
 const REPORTED_WITHIN: Duration = Duration::from_millis(1500);
 
+/// Most processes that one text names: tokens and statuses can name any number of them.
+const NAMED_MAX: usize = 8;
+
 /// What is open where no process announces the geometry of the room.
 pub const UNKNOWN_ARRAYS: &str = "no process announces how many arrays the room has, and one that was not seen can move: connect to its controller or router";
 
@@ -44,7 +47,7 @@ pub(crate) fn problem(array: usize, standing: &Standing) -> Option<String> {
             printable(problem)
         ),
         Standing::Shared { drivers, open, problem } => {
-            let sources = open.iter().map(|source| format!("{source:016x}")).collect::<Vec<_>>().join(", ");
+            let sources = sources_in_words(open);
             let (named, have, their) = match open.len() {
                 1 => ("the one of source", "has", "its"),
                 _ => ("the ones of sources", "have", "their"),
@@ -64,9 +67,17 @@ pub(crate) fn problem(array: usize, standing: &Standing) -> Option<String> {
     })
 }
 
+/// The sources of processes: the first ones, and how many more there are.
+pub(crate) fn sources_in_words(sources: &[u64]) -> String {
+    let named: Vec<String> = sources.iter().take(NAMED_MAX).map(|source| format!("{source:016x}")).collect();
+    let more = sources.len().saturating_sub(NAMED_MAX);
+    let rest = if more > 0 { format!(" and {more} more") } else { String::new() };
+    format!("{}{rest}", named.join(", "))
+}
+
 /// That these drivers of one array are lost, and since when, where a controller reports it.
 fn lost_in_words(drivers: &[u64], since_ns: Option<Nanos>) -> String {
-    let sources = drivers.iter().map(|source| format!("{source:016x}")).collect::<Vec<_>>().join(", ");
+    let sources = sources_in_words(drivers);
     let (named, were, they) = if drivers.len() == 1 { ("driver", "was", "it") } else { ("drivers", "were", "they") };
     let lost = format!("{named} {sources} {were} lost before {they} answered");
     since_ns.map_or(lost, |since_ns| format!("{named} {sources} {were} lost at {}", clock_time(since_ns)))
@@ -484,6 +495,16 @@ mod tests {
         let stamp = Stamp { source: 3, sequence: 4, ..Stamp::default() };
         watch.order(&EmergencyStop { stamp, ..EmergencyStop::default() });
         assert_eq!(watch.remarks(), [""; 0], "the stop names it");
+    }
+
+    #[test]
+    fn a_text_names_the_first_of_many_lost_drivers_and_the_number_of_the_others() {
+        let words = |drivers: u64| {
+            problem(0, &Standing::Lost { drivers: (1..=drivers).collect(), since_ns: None }).expect("a problem")
+        };
+        assert!(words(8).contains(", 0000000000000008 were lost before they answered"), "{}", words(8));
+        assert!(words(9).contains(", 0000000000000008 and 1 more were lost before they answered"), "{}", words(9));
+        assert!(words(16_384).len() < 400, "{}", words(16_384));
     }
 
     #[test]

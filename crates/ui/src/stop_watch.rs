@@ -19,6 +19,7 @@ use heliostat_service::printable::printable;
 use crate::UiError;
 use crate::array_reports::ArrayReports;
 use crate::causes::follows_from_stop;
+use crate::controllers::SHOWN_MAX;
 use crate::expiry::EXPIRY;
 
 /// Time within which two drivers of one array have reported it in turn, each at least twice a second.
@@ -406,7 +407,7 @@ impl WatchState {
         let mut holders = self.holders();
         holders.remove(&status.stamp.source);
         holders.retain(|_, (at, _)| at.elapsed() < EXPIRY);
-        if follows_from_stop(&status.state) {
+        if follows_from_stop(&status.state) && holders.len() < SHOWN_MAX {
             holders.insert(status.stamp.source, (Instant::now(), printable(&status.state).into_owned()));
         }
     }

@@ -192,9 +192,9 @@ fn shown(header: &str) -> String {
 pub(crate) async fn check_origin(State(guard): State<Arc<Guard>>, request: Request, next: Next) -> Response {
     let is_read = matches!(*request.method(), Method::GET | Method::HEAD);
     let [site, mode] = [FETCH_SITE, FETCH_MODE].map(|name| header(&request, name));
-    let foreign = is_read && is_foreign(site, mode);
+    let is_load = is_read && is_foreign(site, mode);
     let refusal = guard.refusal(is_read, header(&request, HOST), header(&request, ORIGIN));
-    let mut response = match refusal.or_else(|| foreign.then(|| FOREIGN.to_owned())) {
+    let mut response = match refusal.or_else(|| is_load.then(|| FOREIGN.to_owned())) {
         Some(reason) => (StatusCode::FORBIDDEN, reason).into_response(),
         None => next.run(request).await,
     };

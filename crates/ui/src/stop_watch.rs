@@ -267,14 +267,14 @@ impl StopWatch {
             })?);
             subscriptions.push(state.subscribe(
                 bus,
-                (&keys.safety(), room.safety()),
+                (keys.safety().as_str(), room.safety()),
                 |seen, now, (array, report): (_, SafetyReport)| {
                     seen.handle_safety(now, array, &report);
                 },
             )?);
             subscriptions.push(state.subscribe(
                 bus,
-                (&keys.stops(), room.stops()),
+                (keys.stops().as_str(), room.stops()),
                 |seen, now, (array, report): (_, StopReport)| {
                     seen.handle_stops(now, array, report);
                 },

@@ -6,6 +6,7 @@
 
 use crate::enumerations::NodeKind;
 use crate::keys::{Room, driver_index, later_index};
+use crate::messages::NodeStatus;
 
 /// First part of the keys of an array, after that of the room.
 const ARRAY: &str = "mirrors";
@@ -52,10 +53,21 @@ impl Room {
         }
     }
 
-    /// Index of the array whose driver publishes its status under this key; `None` for other keys.
-    pub fn driver_array(&self, key: &str) -> Option<usize> {
+    /// Index of the array to which a key belongs, where the same key of the first array is `first`; `None` for any other
+    /// key, also for one whose array no room has.
+    pub fn array_of(&self, key: &str, first: &str) -> Option<usize> {
+        let (array, found) = self.first_array_key(key);
+        (found == first).then_some(array)
+    }
+
+    /// Index of the array of the driver that publishes this status under this key, and 0 for a process of another kind;
+    /// `None` where the key is not one of its kind of process: a role may publish under the keys of its own kind only.
+    pub fn status_array(&self, key: &str, status: &NodeStatus) -> Option<usize> {
         let node = key.strip_prefix(self.all_status().strip_suffix('*')?)?;
-        driver_index(node)
+        match status.node {
+            NodeKind::Driver => driver_index(node),
+            other => (node == other.name()).then_some(0),
+        }
     }
 
     fn arrays_named(&self, suffix: &str) -> ArrayKeys {
@@ -156,8 +168,8 @@ mod tests {
         assert_eq!(third.safety(), "heliostat/v1/mirrors/mirrors-2/safety");
         assert_eq!(third.drivers_alive(), "heliostat/v1/mirrors/alive/driver-2/*");
         assert_eq!(third.driver_status(), "heliostat/v1/mirrors/status/driver-2");
-        assert_eq!(room.driver_array(&third.driver_status()), Some(2));
-        assert_eq!(room.driver_array(&room.status(NodeKind::Driver)), Some(0));
+        assert_eq!(room.array_of(&third.stops(), &room.array(0).stops()), Some(2));
+        assert_eq!(room.array_of(&third.stops(), &room.array(0).safety()), None);
         assert_eq!(parse_driver_alive(&third.driver_alive(10)), Some((2, 10)));
         assert_eq!(parse_driver_alive(&room.alive(NodeKind::Driver, 10)), Some((0, 10)));
         assert_eq!(room.first_array_key(&third.telemetry()), (2, room.telemetry()));
@@ -167,9 +179,6 @@ mod tests {
     #[test]
     fn other_keys_belong_to_no_later_array() {
         let room = Room::new("lab").unwrap();
-        for key in [room.status(NodeKind::Controller), room.array(20).driver_status(), room.array(1).telemetry()] {
-            assert_eq!(room.driver_array(&key), None, "{key}");
-        }
         assert_eq!(parse_driver_alive(&room.alive(NodeKind::SimNode, 10)), None);
         assert_eq!(parse_driver_alive(&room.array(20).driver_alive(10)), None);
         for key in
@@ -177,8 +186,26 @@ mod tests {
         {
             let key = format!("heliostat/v1/lab/{key}");
             assert_eq!(room.first_array_key(&key), (0, key.clone()));
+            assert_eq!(room.array_of(&key, &room.command()), None, "{key}");
         }
         let other_room = "heliostat/v1/hall/mirrors-1/command";
         assert_eq!(room.first_array_key(other_room), (0, other_room.to_owned()));
+    }
+
+    #[test]
+    fn a_status_counts_under_the_keys_of_its_kind_of_process_only() {
+        let room = Room::new("lab").unwrap();
+        let array = |node, key: &str| room.status_array(key, &NodeStatus { node, ..NodeStatus::default() });
+        for node in NodeKind::ALL {
+            assert_eq!(array(node, &room.status(node)), Some(0), "{node}");
+            for other in NodeKind::ALL.into_iter().filter(|other| *other != node) {
+                assert_eq!(array(node, &room.status(other)), None, "{node} under the key of {other}");
+            }
+        }
+        assert_eq!(array(NodeKind::Driver, &room.array(2).driver_status()), Some(2));
+        assert_eq!(array(NodeKind::Controller, &room.array(2).driver_status()), None);
+        for key in [room.array(20).driver_status(), room.array(1).telemetry()] {
+            assert_eq!(array(NodeKind::Driver, &key), None, "{key}");
+        }
     }
 }

@@ -7,6 +7,7 @@ use std::str::FromStr;
 use thiserror::Error;
 
 use crate::enumerations::NodeKind;
+use crate::kind::Kind;
 use crate::limits::MAX_ARRAYS;
 use crate::table::message_table;
 
@@ -62,11 +63,30 @@ macro_rules! message_keys {
                     self.key(format_args!($path))
                 }
             )*
+
+            /// Kind of the messages under a key, also under that of a later array; `None` for a key that the contract
+            /// does not have.
+            pub fn kind_of(&self, key: &str) -> Option<Kind> {
+                let (_, first) = self.first_array_key(key);
+                let rest = first.strip_prefix(&self.key(format_args!("")))?;
+                let mut kinds = [$(($path, Kind::$message)),*].into_iter();
+                kinds.find(|(path, _)| is_path(path, rest)).map(|(_, kind)| kind)
+            }
         }
     };
 }
 
 message_table!(message_keys);
+
+/// Whether a path of the message table has this part of a key, after that of the room. What is in braces stands for the
+/// name of a process.
+fn is_path(path: &str, rest: &str) -> bool {
+    let is_process = |name: &str| NodeKind::from_name(name).is_some() || driver_index(name).is_some();
+    match path.split_once('{') {
+        Some((start, _)) => rest.strip_prefix(start).is_some_and(is_process),
+        None => path == rest,
+    }
+}
 
 impl Room {
     /// Checks the name.

@@ -82,7 +82,7 @@ impl Recording {
             if !entry.topic.starts_with("heliostat/") {
                 continue;
             }
-            if let Some(received) = failed.read(&entry.data) {
+            if let Some(received) = failed.read(&room, &entry.topic, &entry.data) {
                 let (array, _) = room.first_array_key(&entry.topic);
                 messages.push(Arrived { arrived_ns: entry.arrived_ns, array, received });
             }

@@ -178,8 +178,7 @@ fn check_driver(args: &CheckArgs) -> Result<()> {
 fn array_of(key: &str) -> Result<(Room, usize)> {
     let name = key.strip_prefix("heliostat/v1/").and_then(|rest| rest.split('/').next());
     if let Some(Ok(room)) = name.map(Room::new)
-        && let (array, first) = room.first_array_key(key)
-        && first == room.command()
+        && let Some(array) = room.array_of(key, &room.command())
     {
         return Ok((room, array));
     }

@@ -245,7 +245,7 @@ impl Player {
         if !self.channels.contains_key(&entry.topic) {
             return Ok(());
         }
-        let received = Received::read(&entry.data).ok();
+        let received = Received::read(&self.recorded_room, &entry.topic, &entry.data).ok();
         if let Some(received) = &received {
             let source = received.origin().source ^ self.salt;
             if let btree_map::Entry::Vacant(place) = self.present.entry(source) {

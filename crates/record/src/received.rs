@@ -5,7 +5,7 @@ use std::fmt;
 use heliostat_proto::{
     BeliefReport, BranchReport, Calibration, Capabilities, ChannelReport, CodecError, ControllerControl,
     ControllerMemory, EmergencyStop, Kind, LedReport, Message, MirrorCommand, MirrorTelemetry, Nanos, NodeStatus,
-    ObstacleReport, OrientationReport, Rearm, RoomGeometry, RoomTruth, SafetyReport, SimulatorControl, Stamp,
+    ObstacleReport, OrientationReport, Rearm, Room, RoomGeometry, RoomTruth, SafetyReport, SimulatorControl, Stamp,
     StopRepetition, StopReport, UserReport, codec::kind_of, decode,
 };
 
@@ -61,9 +61,9 @@ pub struct Unreadable {
 }
 
 impl Unreadable {
-    /// Decodes a payload; counts one that does not decode.
-    pub fn read(&mut self, payload: &[u8]) -> Option<Received> {
-        let refused = match Received::read(payload) {
+    /// Decodes a payload under a key of a room; counts one that does not decode.
+    pub fn read(&mut self, room: &Room, key: &str, payload: &[u8]) -> Option<Received> {
+        let refused = match Received::read(room, key, payload) {
             Ok(received) => return Some(received),
             Err(refused) => refused,
         };
@@ -81,15 +81,30 @@ impl fmt::Display for Unreadable {
 }
 
 impl Received {
-    /// Decodes a payload.
+    /// Decodes a payload under a key of a room. The key decides what a sender may publish: a status under the key of
+    /// another kind of process, and a message under a key that the contract does not have, keep their stamp alone.
     ///
     /// # Errors
-    /// The payload has no known kind, or does not decode.
-    pub fn read(payload: &[u8]) -> Result<Self, CodecError> {
+    /// The payload has no known kind, or another one than its key, or does not decode.
+    pub fn read(room: &Room, key: &str, payload: &[u8]) -> Result<Self, CodecError> {
+        let (found, expected) = (kind_of(payload)?, room.kind_of(key));
+        if let Some(expected) = expected.filter(|expected| *expected != found) {
+            return Err(CodecError::WrongKind { found, expected });
+        }
+        let received = Self::decoded(found, payload)?;
+        let is_of_key = match &received {
+            Self::Status(status) => room.status_array(key, status).is_some(),
+            _ => expected.is_some(),
+        };
+        let Origin { source, sequence, time_ns } = received.origin();
+        Ok(if is_of_key { received } else { Self::Other(found, Stamp { source, sequence, time_ns }) })
+    }
+
+    fn decoded(kind: Kind, payload: &[u8]) -> Result<Self, CodecError> {
         fn stamped<T: Message>(payload: &[u8], stamp: fn(&T) -> Stamp) -> Result<Received, CodecError> {
             decode::<T>(payload).map(|message| Received::Other(T::KIND, stamp(&message)))
         }
-        match kind_of(payload)? {
+        match kind {
             Kind::UserReport => decode(payload).map(Self::Users),
             Kind::ChannelReport => decode(payload).map(Self::Channel),
             Kind::ObstacleReport => decode(payload).map(Self::Obstacles),
@@ -135,5 +150,27 @@ impl Received {
             Self::Other(_, stamp) => *stamp,
         };
         Origin { source: stamp.source, sequence: stamp.sequence, time_ns: stamp.time_ns }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use heliostat_proto::{NodeKind, encode};
+
+    use super::*;
+
+    #[test]
+    fn a_message_counts_under_the_key_of_its_kind_and_of_its_process_only() {
+        let room = Room::new("lab").unwrap();
+        let status = NodeStatus { node: NodeKind::Controller, ..NodeStatus::default() };
+        let mut payload = Vec::new();
+        encode(&status, &mut payload).unwrap();
+        let read = |key: &str| Received::read(&room, key, &payload);
+        assert_eq!(read(&room.status(NodeKind::Controller)), Ok(Received::Status(status)));
+        let stamp_alone = Ok(Received::Other(Kind::NodeStatus, Stamp::default()));
+        assert_eq!(read(&room.status(NodeKind::Viewer)), stamp_alone);
+        assert_eq!(read("heliostat/v1/lab/own/status"), stamp_alone);
+        let expected = Kind::EmergencyStop;
+        assert_eq!(read(&room.stop()), Err(CodecError::WrongKind { found: Kind::NodeStatus, expected }));
     }
 }

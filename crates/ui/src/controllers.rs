@@ -67,6 +67,9 @@ impl Role {
     }
 }
 
+/// Most controllers that are shown, and whose geometries are kept: any number of processes can pass for one.
+pub(crate) const SHOWN_MAX: usize = 64;
+
 /// One controller.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct ControllerFigures {
@@ -276,8 +279,8 @@ impl Controllers {
         self.0.get(&source).map_or("", |known| &known.scenario)
     }
 
-    /// The controllers that are in the room, the leader first, and those that were lost. The first array follows the
-    /// commands of an epoch, if it reports.
+    /// The controllers that are in the room, the leader first, and those that were lost, [`SHOWN_MAX`] at most. The first
+    /// array follows the commands of an epoch, if it reports.
     pub fn present(
         &self,
         alive: &BTreeSet<(&'static str, u64)>,
@@ -304,6 +307,7 @@ impl Controllers {
             }
         }
         figures.sort_by_key(|figures| figures.role);
+        figures.truncate(SHOWN_MAX);
         figures
     }
 
@@ -391,6 +395,16 @@ mod tests {
         assert_eq!(roles(&[1, 2], renewed), [of("2", Role::Leads), of("1", Role::Unfollowed)]);
         assert_eq!(roles(&[1, 2], None), [of("1", Role::Unfollowed), of("2", Role::Unfollowed)]);
         assert_eq!(roles(&[1], Some(500)), [of("1", Role::Leads)], "no other one commands");
+    }
+
+    #[test]
+    fn of_very_many_controllers_the_leader_and_the_first_of_the_others_are_shown() {
+        let (mut controllers, name) = (Controllers::default(), NodeKind::Controller.name());
+        (1..200).for_each(|source| controllers.take(&status(source, &[(STANDBY, 1)])));
+        controllers.take(&status(500, &[]));
+        let alive = (1..=500).map(|source| (name, source)).collect();
+        let present = controllers.present(&alive, None);
+        assert_eq!((present.len(), present[0].name.as_str()), (SHOWN_MAX, controller_name(500).as_str()));
     }
 
     #[test]

@@ -1,12 +1,14 @@
 //! Protection of the page against requests of other origins.
 //!
-//! Any page that is open in the browser can send requests to this address. Three measures prevent
+//! Any page that is open in the browser can send requests to this address. Four measures prevent
 //! misuse:
 //!
 //! - The `Host` header must hold an IP address, `localhost`, the name of this machine, or that of a
 //!   public address ([`PublicAddress`]). Another name that an attacker resolves to this machine (DNS
 //!   rebinding) is refused.
 //! - The `Origin` header of an order must be the address of this page, or a public address.
+//! - A browser states in `Sec-Fetch-Site` that the page of another origin asks. Such a page may link to this one, but
+//!   not load anything: it would take the places of event streams.
 //! - The headers forbid the page to load from, send to, or be framed by other origins.
 
 use std::net::{IpAddr, SocketAddr};
@@ -36,6 +38,12 @@ const HEADERS: [(HeaderName, HeaderValue); 6] = [
     (HeaderName::from_static("cross-origin-resource-policy"), HeaderValue::from_static("same-origin")),
     (HeaderName::from_static("cache-control"), HeaderValue::from_static("no-store")),
 ];
+
+/// The headers by which a browser tells whose page asks, and whether it opens an address.
+const FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
+const FETCH_MODE: HeaderName = HeaderName::from_static("sec-fetch-mode");
+/// The answer to the page of another origin that loads from this one.
+const FOREIGN: &str = "invalid Sec-Fetch-Site: expected a request of this page; open it by a link or its address\n";
 
 /// An address at which a proxy serves the page: `https://HOST[:PORT]`, with the path of the page.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -157,6 +165,11 @@ impl Guard {
     }
 }
 
+/// Whether a browser loads for the page of another origin, by its headers; other programs send none.
+fn is_foreign(site: Option<&str>, mode: Option<&str>) -> bool {
+    matches!(site, Some("cross-site" | "same-site")) && mode != Some("navigate")
+}
+
 /// A host in lower case: names of hosts have no case, and a dot at their end has no meaning.
 fn folded(host: &str) -> String {
     let host = host.trim().to_ascii_lowercase();
@@ -178,7 +191,10 @@ fn shown(header: &str) -> String {
 /// Refuses a request of another origin with 403, and adds the headers to every answer.
 pub(crate) async fn check_origin(State(guard): State<Arc<Guard>>, request: Request, next: Next) -> Response {
     let is_read = matches!(*request.method(), Method::GET | Method::HEAD);
-    let mut response = match guard.refusal(is_read, header(&request, HOST), header(&request, ORIGIN)) {
+    let [site, mode] = [FETCH_SITE, FETCH_MODE].map(|name| header(&request, name));
+    let is_load = is_read && is_foreign(site, mode);
+    let refusal = guard.refusal(is_read, header(&request, HOST), header(&request, ORIGIN));
+    let mut response = match refusal.or_else(|| is_load.then(|| FOREIGN.to_owned())) {
         Some(reason) => (StatusCode::FORBIDDEN, reason).into_response(),
         None => next.run(request).await,
     };
@@ -214,6 +230,16 @@ mod tests {
         assert!(!post("127.0.0.1:7480", Some("http://127.0.0.1:8080")));
         assert!(!post("127.0.0.1:7480", Some("http://example.org")));
         assert!(!post("127.0.0.1:7480", Some("ftp://127.0.0.1:7480")));
+    }
+
+    #[test]
+    fn a_page_of_another_origin_may_link_to_this_one_and_load_nothing() {
+        for site in ["cross-site", "same-site"] {
+            assert!(is_foreign(Some(site), Some("no-cors")) && is_foreign(Some(site), None));
+            assert!(!is_foreign(Some(site), Some("navigate")));
+        }
+        assert!(!is_foreign(Some("same-origin"), Some("cors")) && !is_foreign(Some("none"), Some("navigate")));
+        assert!(!is_foreign(None, None), "a script");
     }
 
     #[test]

@@ -21,7 +21,7 @@ use heliostat_service::source_id;
 use crate::UiError;
 use crate::notes::two_drivers;
 use crate::order_publisher::OrderPublisher;
-use crate::stop_watch::{RoomStops, StopWatch, UNKNOWN_ARRAYS, problem, unrecorded, unreleased};
+use crate::stop_watch::{RoomStops, StopWatch, UNKNOWN_ARRAYS, problem, sources_in_words, unrecorded, unreleased};
 
 /// What an operator has to know of an endpoint that has not answered in time.
 const UNANSWERED_ENDPOINT: &str =
@@ -203,13 +203,15 @@ impl StopSwitch {
     /// What is to be said of controllers that have not reported which drivers they have lost.
     pub fn unheard_controllers(&self) -> Vec<String> {
         let unheard = self.seen.lock().unheard_controllers();
-        let text = |source: u64| {
-            format!(
-                "controller {source:016x} has not reported which drivers it has lost: mirrors of a driver that left before may \
-                 move"
-            )
+        let (named, have, they) = match unheard.len() {
+            0 => return Vec::new(),
+            1 => ("controller", "has", "it has"),
+            _ => ("controllers", "have", "they have"),
         };
-        unheard.into_iter().map(text).collect()
+        let sources = sources_in_words(&unheard);
+        vec![format!(
+            "{named} {sources} {have} not reported which drivers {they} lost: mirrors of a driver that left before may move"
+        )]
     }
 
     /// The arrays that have stopped, by index, as far as it is known now.

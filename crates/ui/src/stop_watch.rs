@@ -19,10 +19,14 @@ use heliostat_service::printable::printable;
 use crate::UiError;
 use crate::array_reports::ArrayReports;
 use crate::causes::follows_from_stop;
+use crate::controllers::SHOWN_MAX;
 use crate::expiry::EXPIRY;
 
 /// Time within which two drivers of one array have reported it in turn, each at least twice a second.
 const REPORTED_WITHIN: Duration = Duration::from_millis(1500);
+
+/// Most processes that one text names: tokens and statuses can name any number of them.
+const NAMED_MAX: usize = 8;
 
 /// What is open where no process announces the geometry of the room.
 pub const UNKNOWN_ARRAYS: &str = "no process announces how many arrays the room has, and one that was not seen can move: connect to its controller or router";
@@ -44,7 +48,7 @@ pub(crate) fn problem(array: usize, standing: &Standing) -> Option<String> {
             printable(problem)
         ),
         Standing::Shared { drivers, open, problem } => {
-            let sources = open.iter().map(|source| format!("{source:016x}")).collect::<Vec<_>>().join(", ");
+            let sources = sources_in_words(open);
             let (named, have, their) = match open.len() {
                 1 => ("the one of source", "has", "its"),
                 _ => ("the ones of sources", "have", "their"),
@@ -64,9 +68,17 @@ pub(crate) fn problem(array: usize, standing: &Standing) -> Option<String> {
     })
 }
 
+/// The sources of processes: the first ones, and how many more there are.
+pub(crate) fn sources_in_words(sources: &[u64]) -> String {
+    let named: Vec<String> = sources.iter().take(NAMED_MAX).map(|source| format!("{source:016x}")).collect();
+    let more = sources.len().saturating_sub(NAMED_MAX);
+    let rest = if more > 0 { format!(" and {more} more") } else { String::new() };
+    format!("{}{rest}", named.join(", "))
+}
+
 /// That these drivers of one array are lost, and since when, where a controller reports it.
 fn lost_in_words(drivers: &[u64], since_ns: Option<Nanos>) -> String {
-    let sources = drivers.iter().map(|source| format!("{source:016x}")).collect::<Vec<_>>().join(", ");
+    let sources = sources_in_words(drivers);
     let (named, were, they) = if drivers.len() == 1 { ("driver", "was", "it") } else { ("drivers", "were", "they") };
     let lost = format!("{named} {sources} {were} lost before {they} answered");
     since_ns.map_or(lost, |since_ns| format!("{named} {sources} {were} lost at {}", clock_time(since_ns)))
@@ -244,41 +256,43 @@ impl StopWatch {
         let mut subscriptions = Vec::new();
         let room = bus.room();
         for keys in [room.array(0), room.later_arrays()] {
-            let (first, shown) = (room.clone(), Arc::clone(state));
+            let (shown, of_room) = (Arc::clone(state), room.clone());
             subscriptions.push(bus.subscribe_keyed(&keys.telemetry(), move |key, payload| {
-                if let Ok(report) = codec::decode::<MirrorTelemetry>(payload) {
-                    let (array, _) = first.first_array_key(key);
+                if let Some(array) = of_room.array_of(key, &of_room.telemetry())
+                    && let Ok(report) = codec::decode::<MirrorTelemetry>(payload)
+                {
                     shown.arrays().note(array, report.clone());
                     shown.note(|seen, now| seen.handle_telemetry(now, array, &report));
                 }
             })?);
             subscriptions.push(state.subscribe(
                 bus,
-                &keys.safety(),
+                (keys.safety().as_str(), room.safety()),
                 |seen, now, (array, report): (_, SafetyReport)| {
                     seen.handle_safety(now, array, &report);
                 },
             )?);
             subscriptions.push(state.subscribe(
                 bus,
-                &keys.stops(),
+                (keys.stops().as_str(), room.stops()),
                 |seen, now, (array, report): (_, StopReport)| {
                     seen.handle_stops(now, array, report);
                 },
             )?);
         }
-        subscriptions.push(state.subscribe(
-            bus,
-            &room.all_geometry(),
-            |seen, now, (_, report): (usize, RoomGeometry)| {
-                if let Ok(scenario) = Scenario::from_geometry_toml(&report.scenario) {
-                    seen.announce(now, scenario.mirrors.arrays().len());
-                }
-            },
-        )?);
-        let holding = Arc::clone(state);
-        subscriptions.push(bus.subscribe_keyed(&room.all_status(), move |_, payload| {
-            if let Ok(status) = codec::decode::<NodeStatus>(payload) {
+        let announcing = Arc::clone(state);
+        subscriptions.push(bus.subscribe(&room.all_geometry(), move |payload| {
+            if let Ok(report) = codec::decode::<RoomGeometry>(payload)
+                && let Ok(scenario) = Scenario::from_geometry_toml(&report.scenario)
+            {
+                announcing.note(|seen, now| seen.announce(now, scenario.mirrors.arrays().len()));
+            }
+        })?);
+        let (holding, of_room) = (Arc::clone(state), room.clone());
+        subscriptions.push(bus.subscribe_keyed(&room.all_status(), move |key, payload| {
+            if let Ok(status) = codec::decode::<NodeStatus>(payload)
+                && of_room.status_array(key, &status).is_some()
+            {
                 holding.note_holder(&status);
                 holding.note(|seen, now| seen.handle_status(now, &status));
             }
@@ -355,16 +369,18 @@ impl StopWatch {
 }
 
 impl WatchState {
+    /// Subscribes to the reports of arrays, under keys of which this is that of the first array.
     fn subscribe<M: Message + 'static>(
         self: &Arc<Self>,
         bus: &Bus,
-        keys: &str,
+        (keys, first): (&str, String),
         note: fn(&mut ReportedStops, Duration, (usize, M)),
     ) -> Result<Subscription, UiError> {
         let (room, state) = (bus.room().clone(), Arc::clone(self));
         Ok(bus.subscribe_keyed(keys, move |key, payload| {
-            if let Ok(report) = codec::decode::<M>(payload) {
-                let (array, _) = room.first_array_key(key);
+            if let Some(array) = room.array_of(key, &first)
+                && let Ok(report) = codec::decode::<M>(payload)
+            {
                 state.note(|seen, now| note(seen, now, (array, report)));
             }
         })?)
@@ -391,7 +407,7 @@ impl WatchState {
         let mut holders = self.holders();
         holders.remove(&status.stamp.source);
         holders.retain(|_, (at, _)| at.elapsed() < EXPIRY);
-        if follows_from_stop(&status.state) {
+        if follows_from_stop(&status.state) && holders.len() < SHOWN_MAX {
             holders.insert(status.stamp.source, (Instant::now(), printable(&status.state).into_owned()));
         }
     }
@@ -480,6 +496,16 @@ mod tests {
         let stamp = Stamp { source: 3, sequence: 4, ..Stamp::default() };
         watch.order(&EmergencyStop { stamp, ..EmergencyStop::default() });
         assert_eq!(watch.remarks(), [""; 0], "the stop names it");
+    }
+
+    #[test]
+    fn a_text_names_the_first_of_many_lost_drivers_and_the_number_of_the_others() {
+        let words = |drivers: u64| {
+            problem(0, &Standing::Lost { drivers: (1..=drivers).collect(), since_ns: None }).expect("a problem")
+        };
+        assert!(words(8).contains(", 0000000000000008 were lost before they answered"), "{}", words(8));
+        assert!(words(9).contains(", 0000000000000008 and 1 more were lost before they answered"), "{}", words(9));
+        assert!(words(16_384).len() < 400, "{}", words(16_384));
     }
 
     #[test]

@@ -20,7 +20,7 @@ use heliostat_service::clock::utc_ns;
 
 use crate::UiError;
 use crate::array_reports::ArrayReports;
-use crate::controllers::{ControllerFigures, Controllers, Role, controller_name};
+use crate::controllers::{ControllerFigures, Controllers, Role, SHOWN_MAX, controller_name};
 use crate::in_charge::InCharge;
 use crate::latency::Window;
 use crate::notes::{with_restart, without_router};
@@ -325,6 +325,13 @@ impl Received {
         let mut kept = self.controller_geometries.remove(&source);
         keep_text(&mut kept, geometry.scenario);
         self.controller_geometries.retain(|_, (at, _)| at.elapsed() < EXPIRY);
+        if self.controller_geometries.len() >= SHOWN_MAX {
+            let is_stranger = |source: &u64| !self.alive.contains(&(NodeKind::Controller.name(), *source));
+            // A controller that is in the room takes the place of one that is not.
+            let stranger = self.controller_geometries.keys().copied().find(is_stranger);
+            let Some(stranger) = stranger.filter(|_| !is_stranger(&source)) else { return };
+            self.controller_geometries.remove(&stranger);
+        }
         self.controller_geometries.extend(kept.map(|kept| (source, kept)));
     }
 
@@ -482,6 +489,21 @@ mod tests {
         assert_eq!(received.announcements().sim_node_scenario, "room");
         let drawn = received.drawn_controller_geometry().map(|(_, text)| text);
         assert_eq!(drawn.as_deref(), Some("one"), "that of the displayed controller");
+    }
+
+    #[test]
+    fn the_geometries_of_very_many_controllers_do_not_keep_out_that_of_one_in_the_room() {
+        let mut received = Received::default();
+        let take = |received: &mut Received, source| {
+            let (stamp, scenario) = (Stamp { source, ..Stamp::default() }, "one".to_owned());
+            received.take_controller_geometry(RoomGeometry { stamp, scenario });
+        };
+        (1..200).for_each(|source| take(&mut received, source));
+        assert_eq!(received.controller_geometries.len(), SHOWN_MAX);
+        received.alive.insert((NodeKind::Controller.name(), 500));
+        take(&mut received, 500);
+        assert_eq!(received.controller_geometries.len(), SHOWN_MAX);
+        assert!(received.controller_geometries.contains_key(&500));
     }
 
     #[test]

@@ -43,7 +43,10 @@ impl LostReports {
         let (source, controllers) = (status.stamp.source, &self.controllers);
         self.last.retain(|source, (at, _)| counts(controllers, *source, *at, now));
         if !self.last.contains_key(&source) && self.last.len() >= CONTROLLERS_MAX {
-            return 0;
+            // A controller that is in the room takes the place of one that is not.
+            let stranger = self.last.keys().copied().find(|known| !controllers.contains(known));
+            let Some(stranger) = stranger.filter(|_| controllers.contains(&source)) else { return 0 };
+            self.last.remove(&stranger);
         }
         let lost = LostDriver::all_of(status);
         let arrays = lost.iter().map(|driver| driver.array + 1).max().unwrap_or_default();

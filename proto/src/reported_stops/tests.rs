@@ -284,6 +284,20 @@ fn the_statuses_of_many_controllers_that_have_ended_do_not_keep_out_that_of_anot
 }
 
 #[test]
+fn the_statuses_of_many_controllers_without_a_token_do_not_keep_out_that_of_one_with_a_token() {
+    let mut stops = ordered();
+    let status = |source| NodeStatus { stamp: Stamp { source, ..Stamp::default() }, ..status_with(&[]) };
+    let lost = LostDriver { array: 0, source: 7, since_ns: 1 };
+    (100..200).for_each(|source| stops.handle_status(NOW, &status(source)));
+    stops.handle_status(NOW, &status_with(&[lost]));
+    assert_eq!(stops.lost(NOW), [], "it has no token, and there is no place for it");
+    stops.handle_controller(5, true);
+    stops.handle_status(NOW, &status_with(&[lost]));
+    assert!(stops.unheard_controllers().is_empty());
+    assert_eq!(stops.lost(NOW), [(0, Standing::Lost { drivers: vec![7], since_ns: Some(1) })]);
+}
+
+#[test]
 fn an_array_that_only_a_controller_has_seen_has_to_confirm_a_stop_too() {
     let mut stops = ordered();
     stops.handle_stops(NOW, 0, report(1, true));

@@ -37,3 +37,27 @@ fn counters_and_messages_name_an_array_by_the_first_part_of_its_keys() {
         assert_eq!(key, room.array(array).command());
     }
 }
+
+#[test]
+fn a_key_has_the_kind_of_its_messages() {
+    let room = Room::new("status").expect("a valid name");
+    let kinds = [
+        (room.users(), Kind::UserReport),
+        (room.stop(), Kind::EmergencyStop),
+        (room.stops(), Kind::StopReport),
+        (room.array(15).stops(), Kind::StopReport),
+        (room.status(NodeKind::Viewer), Kind::NodeStatus),
+        (room.array(2).driver_status(), Kind::NodeStatus),
+        (room.geometry(NodeKind::SimNode), Kind::RoomGeometry),
+        (room.controller_memory(), Kind::ControllerMemory),
+    ];
+    for (key, kind) in kinds {
+        assert_eq!(room.kind_of(&key), Some(kind), "{key}");
+    }
+    let others = [room.array(16).stops(), room.array(16).driver_status(), room.alive(NodeKind::Driver, 7)];
+    let further =
+        ["battery", "users/more", "status/x", "geometry/", ""].map(|rest| format!("heliostat/v1/status/{rest}"));
+    for key in others.into_iter().chain(further).chain(["heliostat/v1/lab/users".into()]) {
+        assert_eq!(room.kind_of(&key), None, "{key}");
+    }
+}

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use heliostat_proto::{Nanos, NodeKind, Room, VERSION};
-use heliostat_service::{clock::utc_ns, output};
+use heliostat_service::{clock::utc_ns, output, printable::printable};
 
 use super::{Outcome, Settings};
 use crate::account::Account;
@@ -20,6 +20,10 @@ use crate::series::Series;
 
 /// Longest time between two flushes: the most that a power failure can lose.
 const FLUSH_EVERY: Duration = Duration::from_secs(1);
+/// Most recorded keys that the contract does not have.
+const OTHER_KEYS_MAX: usize = 256;
+/// Most differing scenarios of processes that are reported.
+const PROBLEMS_MAX: usize = 64;
 /// Time after which the recorder reports a missing stream, while there is time to mend it.
 const MISSING_AFTER: Duration = Duration::from_secs(5);
 /// What is wrong where no message was received.
@@ -80,6 +84,10 @@ pub(super) struct RoomWriter<S: Storage> {
     flushed: Instant,
     /// Whether [`RoomWriter::missing_once`] has looked.
     has_looked: bool,
+    /// Recorded keys that the contract does not have.
+    other_keys: usize,
+    /// Whether the messages of any further key were left out.
+    has_left_out: bool,
     room: Room,
     pub(super) place: Place,
     problems: Vec<String>,
@@ -110,6 +118,8 @@ impl<S: Storage> RoomWriter<S> {
             was_present: false,
             flushed: Instant::now(),
             has_looked: false,
+            other_keys: 0,
+            has_left_out: false,
             room: settings.bus.room.clone(),
             place: Place::new(out),
             header,
@@ -152,7 +162,10 @@ impl<S: Storage> RoomWriter<S> {
         arrived_ns: Nanos,
         payload: &[u8],
     ) -> Result<(), RecordingError> {
-        let received = Received::read(payload).ok();
+        if !self.has_place(key) {
+            return Ok(());
+        }
+        let received = Received::read(&self.room, key, payload).ok();
         let origin = received.as_ref().map(Received::origin);
         recording.payload(key, arrived_ns, origin.map_or(arrived_ns, |origin| origin.time_ns), payload)?;
         self.account.count(key, payload.len(), origin);
@@ -172,6 +185,24 @@ impl<S: Storage> RoomWriter<S> {
             recording.derived(&self.scene.topic(), arrived_ns, &data)?;
         }
         Ok(())
+    }
+
+    /// Whether the messages of a key are recorded: those of the contract, and those of the first other ones. A file
+    /// has places for a limited number of them, and a sender can invent any number.
+    fn has_place(&mut self, key: &str) -> bool {
+        if self.room.kind_of(key).is_some() || self.account.streams.contains_key(key) {
+            return true;
+        }
+        let has_place = self.other_keys < OTHER_KEYS_MAX;
+        if has_place {
+            self.other_keys += 1;
+        } else if !std::mem::replace(&mut self.has_left_out, true) {
+            self.report(format!(
+                "messages have more than {OTHER_KEYS_MAX} keys that the contract does not have: those of further keys are not recorded, for example of {}",
+                printable(key)
+            ));
+        }
+        has_place
     }
 
     /// Draws the geometry that a process of the room announces from now on.
@@ -194,7 +225,7 @@ impl<S: Storage> RoomWriter<S> {
             "{} {:016x} uses scenario {}, the recording holds {}; give record or that process the --scenario, --set and --seed of the room",
             status.node, status.stamp.source, status.scenario, self.header.scenario_hash
         );
-        if !self.problems.contains(&problem) {
+        if self.problems.len() < PROBLEMS_MAX && !self.problems.contains(&problem) {
             self.report(problem);
         }
     }
@@ -334,6 +365,19 @@ mod tests {
         assert!(due.starts_with("no command was received") && (early, again) == ("", ""), "{due}");
         assert!(after(&[room.command()])[1].starts_with("no position report was received"));
         assert_eq!(after(&[room.users(), room.command()]), [""; 3]);
+    }
+
+    #[test]
+    fn more_keys_than_a_file_has_places_do_not_end_a_recording() {
+        let room = Room::new("alone").expect("a name");
+        let mut writer = writer(&room, Scenario::builtin("specular").expect("a built-in one"));
+        let mut take = |key: String| writer.take(Item::Payload { key, arrived_ns: 1, payload: Vec::new() });
+        (0..=usize::from(u16::MAX) + 1).for_each(|index| take(format!("heliostat/v1/alone/mirrors-0{index}/stop")));
+        take(room.users());
+        assert!(!writer.has_failed());
+        assert_eq!(writer.account.streams.len(), OTHER_KEYS_MAX + 1);
+        assert!(writer.account.streams.contains_key(&room.users()));
+        assert_eq!(writer.problems.len(), 1, "{:?}", writer.problems);
     }
 
     #[test]

@@ -63,7 +63,7 @@ impl Beginning {
             if topic == room.capabilities() {
                 capabilities.insert(array, entry.data);
             } else if entry.topic == room.users()
-                && let Some(Received::Users(report)) = unreadable.read(&entry.data)
+                && let Some(Received::Users(report)) = unreadable.read(&room, &entry.topic, &entry.data)
             {
                 let clock = clock_of(report.stamp.time_ns, entry.arrived_ns);
                 return Ok(Self { clock, room, capabilities, mirrors });
@@ -138,7 +138,7 @@ impl Plan {
             if !entry.topic.starts_with("heliostat/") {
                 continue;
             }
-            let received = unreadable.read(&entry.data);
+            let received = unreadable.read(&plan.room, &entry.topic, &entry.data);
             let (array, _) = plan.room.first_array_key(&entry.topic);
             plan.account.count(&entry.topic, entry.data.len(), received.as_ref().map(Received::origin));
             if let Some((input, received)) =
@@ -391,10 +391,10 @@ mod tests {
 
     #[test]
     fn reports_that_cannot_be_read_are_no_absent_reports() {
-        let mut unreadable = Unreadable::default();
+        let (room, mut unreadable) = (Room::new("a").unwrap(), Unreadable::default());
         assert!(no_report(&unreadable).to_string().contains("the recorder was not connected"));
         for payload in [&[2, 1, 0][..], &[]] {
-            assert!(unreadable.read(payload).is_none());
+            assert!(unreadable.read(&room, &room.users(), payload).is_none());
         }
         let error = no_report(&unreadable).to_string();
         assert!(

@@ -231,7 +231,8 @@ impl<'a> Player<'a> {
     /// Passes a report or telemetry to the controllers: by their schedules, or at once.
     fn offer(&mut self, input: Input, entry: &Entry, answer: Option<RecordedCommand>) {
         let (read, clock) = (self.read, self.plan.clock);
-        let origin = Received::read(&entry.data).map(|received| received.origin()).unwrap_or_default();
+        let received = Received::read(&self.plan.room, &entry.topic, &entry.data);
+        let origin = received.map(|received| received.origin()).unwrap_or_default();
         let sequence = origin.sequence.wrapping_add((input.1 as u64) << ControllerInput::ARRAY_SHIFT);
         let offered = Offered { entry: read, input, source: origin.source, sequence, data: entry.data.clone() };
         if let Some(next) = &mut self.next {

@@ -43,12 +43,10 @@ pub(super) fn subscribe(bus: &Bus, received: &Arc<Mutex<Received>>) -> Result<Ve
 fn statuses(bus: &Bus, received: &Arc<Mutex<Received>>) -> Result<Subscription, UiError> {
     let (room, received) = (bus.room().clone(), Arc::clone(received));
     Ok(bus.subscribe_keyed(&bus.room().all_status(), move |key, payload| {
-        match codec::decode::<NodeStatus>(payload) {
-            Ok(status) => {
-                let driven = room.driver_array(key).filter(|_| status.node == NodeKind::Driver);
-                lock(&received).take_status(driven.unwrap_or(0), status);
-            }
-            Err(_) => lock(&received).unreadable += 1,
+        let status = codec::decode::<NodeStatus>(payload).ok();
+        match status.and_then(|status| Some((room.status_array(key, &status)?, status))) {
+            Some((array, status)) => lock(&received).take_status(array, status),
+            None => lock(&received).unreadable += 1,
         }
     })?)
 }
@@ -57,9 +55,8 @@ fn statuses(bus: &Bus, received: &Arc<Mutex<Received>>) -> Result<Subscription, 
 fn later_arrays(bus: &Bus, received: &Arc<Mutex<Received>>) -> Result<Subscription, UiError> {
     let (room, received) = (bus.room().clone(), Arc::clone(received));
     Ok(bus.subscribe_keyed(&bus.room().later_arrays().telemetry(), move |key, payload| {
-        let (array, _) = room.first_array_key(key);
-        match codec::decode(payload) {
-            Ok(telemetry) if array > 0 => lock(&received).take_telemetry(array, telemetry),
+        match (room.array_of(key, &room.telemetry()), codec::decode(payload)) {
+            (Some(array), Ok(telemetry)) => lock(&received).take_telemetry(array, telemetry),
             _ => lock(&received).unreadable += 1,
         }
     })?)
@@ -70,9 +67,7 @@ fn capabilities(bus: &Bus, received: &Arc<Mutex<Received>>, keys: &ArrayKeys) ->
     let (room, received) = (bus.room().clone(), Arc::clone(received));
     let first = room.array(0).capabilities();
     Ok(bus.subscribe_keyed(&keys.capabilities(), move |key, payload| {
-        let (array, of_first) = room.first_array_key(key);
-        // Any other key names no array.
-        if of_first == first
+        if let Some(array) = room.array_of(key, &first)
             && let Ok(capabilities) = codec::decode::<Capabilities>(payload)
         {
             lock(&received).telemetry_ages.handle_capabilities(array, &capabilities);

@@ -133,6 +133,18 @@ fn closing_a_page_admits_another() {
 }
 
 #[test]
+fn the_page_of_another_origin_gets_no_event_stream() {
+    let setting = Setting::new("foreign");
+    let status = |headers: &str| {
+        let mut status = String::new();
+        BufReader::new(setting.send(&format!("GET /live\n{headers}\r\n"))).read_line(&mut status).unwrap();
+        status
+    };
+    assert!(status("Sec-Fetch-Site: cross-site\r\nSec-Fetch-Mode: no-cors\r\n").starts_with("HTTP/1.1 403"));
+    assert!(status("Sec-Fetch-Site: same-origin\r\nSec-Fetch-Mode: cors\r\n").starts_with("HTTP/1.1 200"));
+}
+
+#[test]
 fn three_slow_orders_do_not_block_the_page() {
     let setting = Setting::new("slow");
     let order = "POST /order\nContent-Type: application/json\r\nContent-Length: 100\r\n\r\n{";

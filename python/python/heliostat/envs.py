@@ -351,7 +351,11 @@ class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
         return {**self.__dict__, "_window": None}
 
     def state(self) -> dict[str, Any]:
-        """The true state of the room: positions, blockers, headings, rates, angles. No part of the observation."""
+        """The true state of the room: positions, blockers, headings, angles, and the rates that these angles give there.
+
+        No part of the observation. The users of a static room walk behind the action of a step: `info` of the step has the
+        rates before, and the state those after.
+        """
         return dict(self._batch.state(0))
 
     @property

@@ -96,7 +96,7 @@ def make_scenario(
     Raises `TypeError` for an unknown keyword, and `ValueError` for an override that has no effect on a static room, or
     for `step_s`, which has none in a closed loop.
     Warns of the conditions of the scenario, as `heliostat-lab eval` states them. In a static room these are late, noisy or
-    lost reports and faults of mirrors, which it does not have, and places out of the range of the mirrors. In a closed
+    lost reports and slow or faulty mirrors, which it does not have, and places out of the range of the mirrors. In a closed
     loop they are the methods of the belief that do not apply, and a mismatch.
     """
     for name in settings:

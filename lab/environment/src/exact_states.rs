@@ -4,7 +4,7 @@
 //! turn at once to the angles of an action.
 
 use heliostat_channel::ChannelError;
-use heliostat_core::belief::conditions::{Condition, small_range};
+use heliostat_core::belief::conditions::{Condition, small_range, unused_keys};
 use heliostat_scenario::{Actuator, ActuatorProfile, Scenario, Streams, override_keys};
 
 use crate::error::EnvironmentError;
@@ -46,7 +46,8 @@ fn has_effect(key: &str) -> bool {
 }
 
 /// The conditions of a scenario with late, noisy or lost reports, or with slow or faulty mirrors, which
-/// exact states do not have, and that of places out of the range of the controller. The profile `mems` is none.
+/// exact states do not have, that of places out of the range of the controller, and those of keys without effect in any
+/// loop. The profile `mems` is none.
 ///
 /// `of` names what uses the states, as `a static comparison`, and `advice` what to do for the faults.
 ///
@@ -57,7 +58,7 @@ pub fn conditions(scenario: &Scenario, of: &str, advice: &str) -> Result<Vec<Con
     let exact = Scenario { actuator: Actuator::default(), ..scenario.clone() };
     let out_of_range = small_range(&exact, &exact.channel_model()?);
     let found = [exact_reports(scenario, of, advice), exact_mirrors(scenario, of, advice), out_of_range];
-    Ok(found.into_iter().flatten().collect())
+    Ok(found.into_iter().flatten().chain(unused_keys(scenario)).collect())
 }
 
 /// The condition of a scenario with slow or faulty mirrors; `of` and `advice` as in [`conditions`].
@@ -174,6 +175,8 @@ mod tests {
         let found = of("[control]\nrange_deg = 12.0\n[actuator]\nrange_deg = 5.0\n");
         let coarse = of("[streams.channel]\nresolution_bits = 4\nfull_scale_gain = 2e-6\n");
         assert!(coarse.len() == 1 && coarse[0].contains("and streams.channel.resolution_bits: "), "{coarse:?}");
+        let seats = of("[users]\nseats_m = [[1.0, 1.0]]\n");
+        assert!(seats.len() == 1 && seats[0].starts_with("users.seats_m does not apply: "), "{seats:?}");
         let range = "control.range_deg = 12.0, within which mirrors reach 91 % of the floor: ";
         assert!(found.len() == 1 && found[0].contains(range), "{found:?}");
     }

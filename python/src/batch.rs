@@ -338,7 +338,10 @@ impl Batch {
         state.set_item("headings", PyArray1::from_vec(py, headings))?;
         state
             .set_item("min_rates_mbps", PyArray1::from_iter(py, world.min_rate_bps().iter().map(|rate| 1e-6 * rate)))?;
-        state.set_item("rates_mbps", PyArray1::from_iter(py, slot.task.rates_bps().iter().map(|rate| 1e-6 * rate)))?;
+        // Those of the last step of a static room are of the places before its users walked on.
+        let mut rates_bps = vec![0.0; world.scene().users()];
+        world.scene().rates_bps(world.model(), angles, &mut rates_bps);
+        state.set_item("rates_mbps", PyArray1::from_iter(py, rates_bps.iter().map(|rate| 1e-6 * rate)))?;
         state.set_item("blocked", PyArray1::from_slice(py, world.scene().los_blocked()))?;
         state.set_item("roll", PyArray1::from_slice(py, &angles.roll))?;
         state.set_item("yaw", PyArray1::from_slice(py, &angles.yaw))?;

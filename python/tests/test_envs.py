@@ -386,11 +386,12 @@ def test_a_picture_shows_users_where_they_are_and_whether_they_are_served() -> N
     env = make(render_mode="rgb_array")
     env.reset(seed=1)
     for _ in range(5):
-        _, _, _, _, info = env.step(np.zeros(200, np.float32))
+        env.step(np.zeros(200, np.float32))
     picture, state = env.render(), env.state()
     assert picture.dtype == np.uint8 and picture.shape == (400, 400, 3)
     scale = (400 - 32) / env.scenario.room_m[1]
-    met = info["rates_mbps"] >= state["min_rates_mbps"]
+    link = heliostat.Room(env.scenario).link(state["positions"], state["roll"], state["yaw"], state["blockers"])
+    met = link["rate_mbps"] >= state["min_rates_mbps"]
     for place, is_met in zip(state["positions"], met, strict=True):
         column = round(16 + (place[0] + env.scenario.room_m[0] / 2) * scale)
         row = round(16 + (env.scenario.room_m[1] / 2 - place[1]) * scale)

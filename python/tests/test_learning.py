@@ -233,6 +233,46 @@ def test_a_policy_may_return_any_array_or_a_list() -> None:
     assert heliostat.evaluate(lambda _: (0,) * 10, env, states=10) == expected
 
 
+class _Counting:
+    """Counts its calls since the last reset, and serves one user after the other."""
+
+    action = "weights"
+
+    def __init__(self) -> None:
+        self.calls, self.resets = 0, 0
+
+    def reset(self) -> None:
+        self.calls, self.resets = 0, self.resets + 1
+
+    def __call__(self, _: Any) -> Any:
+        self.calls += 1
+        return np.eye(10, dtype=np.float32)[self.calls % 5]
+
+
+@pytest.mark.filterwarnings("ignore:the intervals come from")
+def test_a_function_with_a_state_is_reset_where_an_episode_begins() -> None:
+    act = _Counting()
+    static = heliostat.HeliostatEnv(action="weights")
+    first = heliostat.evaluate(act, static, states=3)
+    assert (act.calls, act.resets) == (1, 3)
+    assert heliostat.evaluate(lambda _: np.eye(10)[1], static, states=3) == first
+    hall = gymnasium.make("heliostat/Hall-v0", action="weights")
+    first = heliostat.evaluate(act, hall, episodes=2)
+    assert act.resets == 5 and heliostat.evaluate(act, hall, episodes=2) == first
+
+
+def test_a_function_for_another_form_of_actions_is_refused() -> None:
+    with pytest.raises(ValueError, match='act.action = "weights", and the actions of the environment are angles'):
+        heliostat.evaluate(_Counting(), heliostat.HeliostatEnv(), states=1)
+
+
+def test_a_ratio_has_no_upper_bound() -> None:
+    env = heliostat.HeliostatEnv(action="weights", overrides={"users.min_rate_mbps": 5})
+    score = heliostat.evaluate(lambda _: np.zeros(10), env, states=10)
+    assert score.ratio_to_oracle < 1.0 < score.ratio_to_oracle + score.ratio_to_oracle_ci95
+    assert "ratio_to_oracle" not in score.crossing
+
+
 def test_a_score_of_episodes_has_as_many_for_each_seed() -> None:
     for name, states in (("Static-v0", 1), ("Hall-v0", 20)):
         env = gymnasium.make(f"heliostat/{name}")

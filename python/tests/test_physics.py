@@ -13,7 +13,7 @@ from typing import Any, get_args
 import heliostat
 import numpy as np
 import pytest
-from heliostat.names import Quantity
+from heliostat.names import Dynamics, Quantity
 from heliostat.tables import LinkResult
 from room import needs_program
 
@@ -113,6 +113,20 @@ def test_the_normals_of_a_state_give_the_rates_of_the_room() -> None:
     )
     assert info["rates_mbps"] == pytest.approx(tilted, rel=1e-9)
     assert np.abs(upright - tilted).max() > 0.1
+    env.close()
+
+
+@pytest.mark.parametrize("dynamics", ["static", "closed-loop"])
+def test_the_rates_of_a_state_are_those_of_its_places_and_angles(dynamics: Dynamics) -> None:
+    env = heliostat.HeliostatEnv("specular", dynamics=dynamics, action="weights")
+    room = heliostat.Room("specular")
+    env.reset(seed=6)
+    for _ in range(3):
+        state = env.state()
+        link = room.link(state["positions"], state["roll"], state["yaw"], state["blockers"])
+        assert state["rates_mbps"] == pytest.approx(link["rate_mbps"], rel=1e-6)
+        assert np.array_equal(state["blocked"], link["blocked"])
+        env.step(np.eye(10, dtype=np.float32)[0])
     env.close()
 
 

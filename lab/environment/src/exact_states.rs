@@ -4,8 +4,8 @@
 //! turn at once to the angles of an action.
 
 use heliostat_channel::ChannelError;
-use heliostat_core::belief::conditions::{Condition, small_range};
-use heliostat_scenario::{Actuator, Scenario, Streams, override_keys};
+use heliostat_core::belief::conditions::{Condition, small_range, unused_keys};
+use heliostat_scenario::{Actuator, ActuatorProfile, Scenario, Streams, override_keys};
 
 use crate::error::EnvironmentError;
 
@@ -45,8 +45,9 @@ fn has_effect(key: &str) -> bool {
     }
 }
 
-/// The conditions of a scenario with late, noisy or lost reports, or with faults of mirrors, which
-/// exact states do not have, and that of places out of the range of the controller.
+/// The conditions of a scenario with late, noisy or lost reports, or with slow or faulty mirrors, which
+/// exact states do not have, that of places out of the range of the controller, and those of keys without effect in any
+/// loop. The profile `mems` is none.
 ///
 /// `of` names what uses the states, as `a static comparison`, and `advice` what to do for the faults.
 ///
@@ -57,12 +58,19 @@ pub fn conditions(scenario: &Scenario, of: &str, advice: &str) -> Result<Vec<Con
     let exact = Scenario { actuator: Actuator::default(), ..scenario.clone() };
     let out_of_range = small_range(&exact, &exact.channel_model()?);
     let found = [exact_reports(scenario, of, advice), exact_mirrors(scenario, of, advice), out_of_range];
-    Ok(found.into_iter().flatten().collect())
+    Ok(found.into_iter().flatten().chain(unused_keys(scenario)).collect())
 }
 
-/// The condition of a scenario with faults of mirrors; `of` and `advice` as in [`conditions`].
+/// The condition of a scenario with slow or faulty mirrors; `of` and `advice` as in [`conditions`].
 fn exact_mirrors(Scenario { actuator, .. }: &Scenario, of: &str, advice: &str) -> Option<Condition> {
+    let is_servo = actuator.profile == ActuatorProfile::Servo;
     let faults = [
+        ("actuator.profile", is_servo.then_some(1.0)),
+        ("actuator.natural_frequency_hz", actuator.natural_frequency_hz),
+        ("actuator.low_pass_hz", actuator.low_pass_hz),
+        ("actuator.slew_deg_per_s", actuator.slew_deg_per_s),
+        ("actuator.resolution_bits", actuator.resolution_bits.map(f64::from)),
+        ("actuator.delay_ms", actuator.delay_ms),
         ("actuator.stuck_share", actuator.stuck_share),
         ("actuator.offset_deg", actuator.offset_deg),
         ("actuator.scale_error_relative", actuator.scale_error_relative),
@@ -72,7 +80,7 @@ fn exact_mirrors(Scenario { actuator, .. }: &Scenario, of: &str, advice: &str) -
     ];
     let faults = faults.map(|(key, value)| (key, value.unwrap_or_default()));
     let consequence = format!("each mirror turns at once to the exact angle, so rates are higher; {advice}");
-    without_faults("the model of faulty mirrors", &faults, of, consequence)
+    without_faults("the model of slow or faulty mirrors", &faults, of, consequence)
 }
 
 /// As [`exact_mirrors`], for late, noisy or lost reports.
@@ -86,6 +94,7 @@ fn exact_reports(Scenario { streams, .. }: &Scenario, of: &str, advice: &str) ->
         ("streams.channel.latency_ms", channel.latency_ms),
         ("streams.channel.noise_relative", channel.noise_relative),
         ("streams.channel.noise_gain", channel.noise_gain),
+        ("streams.channel.resolution_bits", f64::from(channel.resolution_bits)),
         ("streams.channel.loss", channel.loss),
     ];
     let consequence = format!("policies know the true state, so rates are higher; {advice}");
@@ -143,7 +152,9 @@ mod tests {
         };
         let found = of("[actuator]\nstuck_share = 0.5\noffset_deg = 0.0\n").expect("a condition");
         assert!(found.contains("training, and actuator.stuck_share: ") && found.ends_with("; measure it"), "{found}");
-        assert_eq!(of(""), None);
+        let found = of("[actuator]\nprofile = \"servo\"\ndelay_ms = 40.0\nresolution_bits = 0\n").expect("a condition");
+        assert!(found.contains("training, and actuator.profile, actuator.delay_ms: "), "{found}");
+        assert_eq!([of(""), of("[actuator]\nprofile = \"mems\"\n")], [None, None]);
     }
 
     #[test]
@@ -162,6 +173,10 @@ mod tests {
         assert!(found.len() == 2 && found[1].contains("and actuator.stuck_share: "), "{found:?}");
         assert_eq!(of(""), Vec::<String>::new());
         let found = of("[control]\nrange_deg = 12.0\n[actuator]\nrange_deg = 5.0\n");
+        let coarse = of("[streams.channel]\nresolution_bits = 4\nfull_scale_gain = 2e-6\n");
+        assert!(coarse.len() == 1 && coarse[0].contains("and streams.channel.resolution_bits: "), "{coarse:?}");
+        let seats = of("[users]\nseats_m = [[1.0, 1.0]]\n");
+        assert!(seats.len() == 1 && seats[0].starts_with("users.seats_m does not apply: "), "{seats:?}");
         let range = "control.range_deg = 12.0, within which mirrors reach 91 % of the floor: ";
         assert!(found.len() == 1 && found[0].contains(range), "{found:?}");
     }

@@ -53,7 +53,7 @@ pub use episode_row::EpisodeRow;
 pub use evaluated_policy::{EvaluatedPolicy, UnknownPolicy};
 pub use heliostat_environment::outage::{OUTAGE_LENGTHS_S, Outages};
 pub use heliostat_environment::statistics::Spread;
-pub use paired::paired;
+pub use paired::{paired, paired_with_mean};
 pub use progress::Progress;
 pub(crate) use progress::progress_bar;
 pub use row::{Row, Times, bounded};

@@ -96,7 +96,7 @@ def make_scenario(
     Raises `TypeError` for an unknown keyword, and `ValueError` for an override that has no effect on a static room, or
     for `step_s`, which has none in a closed loop.
     Warns of the conditions of the scenario, as `heliostat-lab eval` states them. In a static room these are late, noisy or
-    lost reports and faults of mirrors, which it does not have, and places out of the range of the mirrors. In a closed
+    lost reports and slow or faulty mirrors, which it does not have, and places out of the range of the mirrors. In a closed
     loop they are the methods of the belief that do not apply, and a mismatch.
     """
     for name in settings:
@@ -351,7 +351,11 @@ class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
         return {**self.__dict__, "_window": None}
 
     def state(self) -> dict[str, Any]:
-        """The true state of the room: positions, blockers, headings, rates, angles. No part of the observation."""
+        """The true state of the room: positions, blockers, headings, angles, and the rates that these angles give there.
+
+        No part of the observation. The users of a static room walk behind the action of a step: `info` of the step has the
+        rates before, and the state those after.
+        """
         return dict(self._batch.state(0))
 
     @property

@@ -66,11 +66,20 @@ def evaluate(
     step between; in a closed loop those of `heliostat-lab eval --closed-loop`, at sampling times between which `act`
     decides for each position report. Any wrappers of Gymnasium that change observations or actions apply. Settings of
     `env` other than scenario, dynamics, action and observation do not matter.
+
+    A function `act.reset` without arguments is called where an episode begins, which is each state of a static room. A
+    name `act.action`, as for `heliostat-lab eval --policies FILE.py:FUNCTION`, must be the form of the actions of `env`.
     """
     function_of_observation("act", act)
     inner = getattr(env, "unwrapped", env)
     if not isinstance(inner, HeliostatEnv):
         raise TypeError(f"expected an environment of heliostat, found {type(inner).__name__}")
+    form = getattr(act, "action", inner.action_form)
+    if isinstance(form, str) and form != inner.action_form:
+        raise ValueError(
+            f'act.action = "{form}", and the actions of the environment are {inner.action_form}: '
+            f'expected an environment with action="{form}"'
+        )
     if episodes is not None:
         if states is not None:
             raise ValueError(f"states = {states!r} and episodes = {episodes!r}: expected one of them")
@@ -92,7 +101,8 @@ def evaluate(
         return np.divide(rate, oracle, out=np.full_like(rate, np.nan), where=oracle > 0.0)
 
     figures: dict[str, Any] = {
-        **of("ratio_to_oracle", ratio, 1.0),
+        # As in `heliostat-lab eval`, a ratio has no upper bound: a policy can exceed the oracle.
+        **of("ratio_to_oracle", ratio),
         **of("sum_rate_mbps", lambda group: group[:, 0]),
         **of("oracle_mbps", lambda group: group[:, 3]),
         **of("qos_met", lambda group: group[:, 1], 1.0),
@@ -114,11 +124,19 @@ def evaluate(
 _Samples: TypeAlias = NDArray[np.float64]
 
 
+def _begin_episode(act: Act) -> None:
+    """Lets a function with a state forget what it has seen."""
+    reset = getattr(act, "reset", None)
+    if callable(reset):
+        reset()
+
+
 def _static(act: Act, env: Any, inner: HeliostatEnv, states: int, seeds: int) -> list[_Samples]:
     """Sum rate, share of minimum rates met, fairness and the oracle's sum rate, (1, 4) for each state."""
     groups = []
     for seed in range(seeds):
         for index in range(states):
+            _begin_episode(act)
             observation, _ = env.reset(options={"held_out": index, "held_out_set": inner.scenario.seed + seed})
             info = env.step(act(observation))[4]
             rates = info["rates_mbps"]
@@ -133,6 +151,7 @@ def _closed_loop(act: Act, env: Any, inner: HeliostatEnv, states: int, seeds: in
     """The same at the sampling times of each episode."""
     samples = []
     for index in range(seeds * -(-states // INSTANTS)):
+        _begin_episode(act)
         observation, info = env.reset(options={"episode": (index, states, seeds)})
         while "samples" not in info:
             observation, _, _, _, info = env.step(act(observation))

@@ -44,8 +44,7 @@ def draw(scenario: Scenario, state: State) -> Picture:
         disc(centre, 0.06, _MIRROR)
     rates, needs = state["rates_mbps"], state["min_rates_mbps"]
     for user, (place, heading) in enumerate(zip(state["positions"], state["headings"], strict=True)):
-        met = user < len(rates) and rates[user] >= needs[user]
-        disc(place, _USER_RADIUS_M, _MET if met else _MISSED)
+        disc(place, _USER_RADIUS_M, _MET if rates[user] >= needs[user] else _MISSED)
         nose = place[:2] + _USER_RADIUS_M * np.array([np.cos(heading), np.sin(heading)])
         disc(nose, 0.05, _HEADING)
     return picture

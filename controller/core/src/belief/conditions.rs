@@ -2,6 +2,7 @@
 //! without an error.
 
 mod range;
+mod unused;
 mod upright;
 mod walks;
 
@@ -13,6 +14,8 @@ use heliostat_scenario::{
     UserOrientation,
 };
 use serde::Serialize;
+
+pub use unused::unused_keys;
 
 use crate::belief::{channel_evidence::SPREAD_OF_DIRECT, device::AZIMUTH_SPREAD_RAD, tilt};
 
@@ -39,7 +42,7 @@ impl fmt::Display for Condition {
 
 /// The methods that do not apply to a valid scenario.
 pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
-    let mut found: Vec<Condition> = small_range(scenario, model).into_iter().collect();
+    let mut found: Vec<Condition> = small_range(scenario, model).into_iter().chain(unused_keys(scenario)).collect();
     let mut add = |applies: bool, method: &str, because: String, consequence: &str| {
         if !applies {
             found.push(Condition { method: method.into(), because, consequence: consequence.into() });
@@ -84,22 +87,6 @@ pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
         "the channel model of belief and policies",
         format!("mismatch.unknown_leds_m has {unknown} {leds} that the controller does not know"),
         &format!("{light} counts as another heading or LED, so ratios are lower; name each LED in led.positions_m"),
-    );
-    let is_mixed = users.mobility == MobilityModel::Mixture;
-    add(
-        users.mixture.is_empty() || is_mixed,
-        "users.mixture",
-        "users.mobility is another model".to_owned(),
-        "all users walk by that model; set users.mobility to \"mixture\"",
-    );
-    let is_seated = |model: MobilityModel| model == MobilityModel::Seated;
-    add(
-        users.seats_m.is_empty()
-            || is_seated(users.mobility)
-            || users.mixture.iter().any(|entry| is_seated(entry.mobility)),
-        "users.seats_m",
-        "no user of users.mobility or users.mixture is seated".to_owned(),
-        "the places have no effect; set users.mobility to \"seated\", or to \"mixture\" with an entry \"seated\" in users.mixture",
     );
     if let Some((because, consequence)) = upright::counted_upright(scenario, model) {
         add(false, "the orientation of receivers that users hold", because, consequence);

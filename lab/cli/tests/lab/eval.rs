@@ -465,6 +465,33 @@ fn a_function_in_python_is_compared_with_the_built_in_policies_state_by_state() 
     assert!(message.contains("no file nowhere.py"), "{message}");
 }
 
+#[needs("numpy")]
+#[test]
+fn a_function_begins_each_episode_and_each_state_without_what_it_has_seen() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let [file, log] = ["mine.py", "calls"].map(|name| folder.path().join(name));
+    let name = format!("{}:act", file.to_str().expect("a plain path"));
+    std::fs::write(
+        &file,
+        "import pathlib\nimport numpy as np\n\
+         def note(letter):\n    with open(pathlib.Path(__file__).parent / 'calls', 'a') as log:\n        log.write(letter)\n\
+         def act(seen):\n    note('c')\n    return np.zeros(12)\n\
+         act.reset = lambda: note('r')\n",
+    )
+    .expect("writable");
+    let calls = |mode: &[&str]| {
+        report(&[&["--policies", &name, "--seeds", "2"], mode, &SMALL].concat());
+        let calls = std::fs::read_to_string(&log).expect("the calls");
+        std::fs::remove_file(&log).expect("removable");
+        calls
+    };
+    // The states of the warm-up, then each state.
+    assert_eq!(calls(&["--states", "2"]), format!("{}{}", "c".repeat(4), "rc".repeat(4)));
+    // Two synthetic rooms before each of two episodes.
+    let calls = calls(&["--closed-loop", "--episodes", "1"]);
+    assert!(calls.starts_with("ccrc") && calls.matches('r').count() == 2, "{calls}");
+}
+
 #[test]
 fn conditions_that_change_a_figure_are_printed_and_are_in_each_form() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -125,6 +125,7 @@ fn run(
             let failed = || format!("policy {}", evaluated.name());
             if let Some(known) = evaluated.known() {
                 let room = episode.begun(&scenario, trace.as_deref())?;
+                evaluated.begin_episode().with_context(failed)?;
                 Ceiling::new(&scenario, room, policy, known)
                     .run(&episode.looks_ns(), &mut look)
                     .with_context(failed)?;
@@ -135,6 +136,7 @@ fn run(
             let controller = Controller::new(&scenario, scenario.channel_model()?, policy, 1);
             let started = (controller, evaluated.is_aware());
             let mut lockstep = Lockstep::new(&scenario, trace.as_deref(), episode, started)?;
+            evaluated.begin_episode().with_context(failed)?;
             lockstep.run(&episode.looks_ns(), &mut look).with_context(failed)?;
             run.groups.push(samples);
             run.outages.push(outages);

@@ -229,6 +229,18 @@ impl EvaluatedPolicy {
             Origin::Python(function) => function.policy(&self.name, scenario),
         }
     }
+
+    /// Lets a function forget what it has seen: an episode begins, or the next state of a static comparison. Call it
+    /// behind the warm-up of the policy that [`EvaluatedPolicy::build`] returned.
+    ///
+    /// # Errors
+    /// The process of the function has ended.
+    pub(super) fn begin_episode(&self) -> anyhow::Result<()> {
+        match &self.origin {
+            Origin::Python(function) => function.begin_episode(),
+            Origin::Kind(..) | Origin::Codebook => Ok(()),
+        }
+    }
 }
 
 #[cfg(test)]

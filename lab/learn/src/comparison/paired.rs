@@ -4,7 +4,7 @@ use heliostat_environment::statistics::Spread;
 
 use super::Report;
 use super::episode_row::Group;
-use super::row::bounded;
+use super::row::{bounded, difference};
 
 /// A figure in each episode minus that in the same episode of another comparison.
 ///
@@ -13,8 +13,7 @@ use super::row::bounded;
 /// The interval comes from the episodes, and includes the spread over actors. `None` where the numbers of actors or
 /// episodes differ, or where no episode has both values.
 pub fn paired(figure: &str, own: &[Vec<f64>], other: &[Vec<f64>], states: &[usize]) -> Option<Spread> {
-    let fits = |runs: &[Vec<f64>]| runs.iter().all(|run| run.len() == states.len());
-    if own.len() != other.len() || !fits(own) || !fits(other) {
+    if own.len() != other.len() || !fits(own, states) || !fits(other, states) {
         return None;
     }
     let differences = |(own, other): (&Vec<f64>, &Vec<f64>)| -> Vec<Vec<f64>> {
@@ -23,6 +22,27 @@ pub fn paired(figure: &str, own: &[Vec<f64>], other: &[Vec<f64>], states: &[usiz
     };
     let spread = Spread::of(&own.iter().zip(other).map(differences).collect::<Vec<_>>());
     (!spread.mean.is_nan()).then(|| bounded(figure, spread))
+}
+
+/// A figure of one policy in each episode minus the mean over the actors of another policy, in the same episodes.
+///
+/// Arguments as for [`paired`], with any numbers of actors. The interval comes from the episodes, and includes the spread
+/// over the actors of both. `None` where the numbers of episodes differ, or where no episode has both values.
+pub fn paired_with_mean(own: &[Vec<f64>], other: &[Vec<f64>], states: &[usize]) -> Option<Spread> {
+    if own.is_empty() || other.is_empty() || !fits(own, states) || !fits(other, states) {
+        return None;
+    }
+    let in_states = |runs: &[Vec<f64>]| -> Vec<Vec<Vec<f64>>> {
+        let of_run = |run: &Vec<f64>| run.iter().zip(states).map(|(value, states)| vec![*value; *states]).collect();
+        runs.iter().map(of_run).collect()
+    };
+    let spread = difference(&in_states(own), &in_states(other));
+    (!spread.mean.is_nan()).then_some(spread)
+}
+
+/// Whether each actor has a value for each episode.
+fn fits(runs: &[Vec<f64>], states: &[usize]) -> bool {
+    runs.iter().all(|run| run.len() == states.len())
 }
 
 impl Report {
@@ -81,6 +101,18 @@ mod tests {
         let (rate, share) = (of("sum_rate_mbps"), of("qos_met"));
         assert!((rate.mean - 0.6).abs() < 1e-12 && !rate.crosses_bound, "{rate:?}");
         assert!(share.crosses_bound && share.mean == rate.mean, "{share:?}");
+    }
+
+    #[test]
+    fn the_actors_of_the_other_policy_are_averaged_and_widen_the_interval() {
+        let own = [vec![0.75, 0.5]];
+        let of = |other: &[Vec<f64>]| paired_with_mean(&own, other, &[20, 20]).expect("the same episodes");
+        let (one, two) = (of(&[vec![0.5, 0.25]]), of(&[vec![0.25, 0.0], vec![0.75, 0.5]]));
+        assert!(one.mean == 0.25 && two.mean == 0.25, "{one:?} {two:?}");
+        // Two actors, 0.5 apart: a standard error of 0.25.
+        assert!(one.ci95 < 1e-9 && (two.ci95 - 0.25 * T_1).abs() < 1e-9, "{one:?} {two:?}");
+        assert_eq!(paired_with_mean(&own, &[], &[20, 20]), None, "a policy that the comparison does not have");
+        assert_eq!(paired_with_mean(&own, &[vec![0.5]], &[20, 20]), None);
     }
 
     #[test]

@@ -3,7 +3,7 @@
 //! A process of Python evaluates the function, and answers over pipes. One process serves all
 //! episodes of a comparison. The function reads the observation of an environment with
 //! `observation="flat"` and returns an action; its attribute `action` names the form of its actions,
-//! `angles` if absent, and its attribute `reset` is called at the start of each episode.
+//! `angles` if absent, and its attribute `reset` is called where an episode begins.
 
 use std::fmt;
 use std::io::{BufReader, Read, Write};
@@ -76,7 +76,7 @@ impl PythonFunction {
         Ok(())
     }
 
-    /// A policy that calls the function, for an episode that begins.
+    /// A policy that calls the function.
     ///
     /// # Errors
     /// The process does not start, or the file has no such function.
@@ -87,9 +87,7 @@ impl PythonFunction {
             if process.is_none() {
                 *process = Some(Process::start(&self.file, &self.function)?);
             }
-            let process = process.as_mut().context("the process has started")?;
-            process.request(&[]).map_err(anyhow::Error::msg)?;
-            process.form
+            process.as_ref().context("the process has started")?.form
         };
         let process = Arc::clone(&self.process);
         let call = move |vector: &[f32]| {
@@ -103,6 +101,16 @@ impl PythonFunction {
             }
         };
         Ok(Box::new(FunctionPolicy::new(name, scenario, form, call)))
+    }
+
+    /// Calls the attribute `reset` of the function, of which a policy exists. What it raises is the failure of the
+    /// next decision.
+    ///
+    /// # Errors
+    /// The process has ended.
+    pub fn begin_episode(&self) -> Result<()> {
+        let mut process = self.process.lock().unwrap_or_else(PoisonError::into_inner);
+        process.as_mut().map_or(Ok(()), |process| process.request(&[])).map_err(anyhow::Error::msg)
     }
 }
 

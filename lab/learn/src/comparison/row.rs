@@ -76,7 +76,7 @@ fn values(runs: &[Run], oracle: &[Vec<Sample>], value: Value) -> Vec<Vec<Vec<f64
 ///
 /// Several runs of the first policy are averaged in each state. Their spread widens the interval,
 /// because the difference would be another one for other runs.
-fn difference(own: &[Vec<Vec<f64>>], first: &[Vec<Vec<f64>>]) -> Spread {
+pub(super) fn difference(own: &[Vec<Vec<f64>>], first: &[Vec<Vec<f64>>]) -> Spread {
     let of_first = |group: usize, state: usize| mean(&first.iter().map(|run| run[group][state]).collect::<Vec<_>>());
     let mut differences = own.to_vec();
     for (group, values) in differences.iter_mut().flat_map(|run| run.iter_mut().enumerate()) {

@@ -93,7 +93,7 @@ fn run(
     let draws = if evaluated.is_random() { RANDOM_DRAWS } else { 1 };
     let runs = (0..draws as u64).map(|draw| {
         let mut policy = evaluated.build(&settings.scenario, settings.scenario.seed.wrapping_add(draw))?;
-        run_once(settings, policy.as_mut(), states, evaluator)
+        run_once(settings, (evaluated, policy.as_mut()), states, evaluator)
             .map_err(|error| error.context(format!("policy {}", evaluated.name())))
     });
     Ok(Run::mean(runs.collect::<anyhow::Result<_>>()?))
@@ -101,7 +101,7 @@ fn run(
 
 fn run_once(
     settings: &Settings,
-    policy: &mut dyn Policy,
+    (evaluated, policy): (&EvaluatedPolicy, &mut dyn Policy),
     states: &[Observation],
     evaluator: &mut Evaluator,
 ) -> anyhow::Result<Run> {
@@ -113,6 +113,7 @@ fn run_once(
     }
     let mut run = Run::default();
     for seen in states {
+        evaluated.begin_episode()?;
         let begun = Instant::now();
         policy.act(evaluator.model(), seen, &mut angles)?;
         run.decisions_us.push(begun.elapsed().as_secs_f64() * 1e6);

@@ -4,7 +4,7 @@ use crate::walks::tracks::{Rectangle, Track, TrackPoint};
 
 /// Least time in s over which a speed is measured: the interval of the usual annotations. Over a
 /// shorter one the noise of a tracker appears as speed.
-const SPEED_SPAN_S: f64 = 0.4;
+pub(super) const SPEED_SPAN_S: f64 = 0.4;
 
 /// Median and 95th percentile of the speeds in m/s.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -3,8 +3,10 @@
 //! Users walk at 1.0 to 1.6 m/s (Weidmann, Transporttechnik der Fussgänger, 1993: mean 1.34 m/s,
 //! standard deviation 0.26 m/s).
 
-use crate::walks::figures::{SpeedFigures, bounds, percentile, speeds};
-use crate::walks::tracks::{Collected, Track};
+use std::f64::consts::{PI, TAU};
+
+use crate::walks::figures::{SPEED_SPAN_S, SpeedFigures, bounds, percentile, speeds};
+use crate::walks::tracks::{Collected, Track, turn};
 
 /// Medians of the speed in m/s that need no warning. Users who stand most of the time lower the median.
 const SPEED_M_S: [f64; 2] = [0.2, 1.7];
@@ -21,6 +23,12 @@ const INTERVAL_S: [f64; 2] = [5e-4, 5.0];
 /// Extents in m of a floor.
 const EXTENT_M: [f64; 2] = [0.1, 1000.0];
 
+/// The largest heading in rad that a file in rad shows where its numbers are read as degrees: a complete turn.
+const HEADING_IN_RAD: f64 = 1.001 * TAU * PI / 180.0;
+
+/// A larger median angle in rad between facing and walking is no heading of users who walk.
+const SIDEWAYS_RAD: f64 = 0.5;
+
 /// A larger share of refused rows needs a warning.
 const REFUSED_SHARE: f64 = 0.1;
 
@@ -30,8 +38,8 @@ const REFUSED_SHARE_MAX: f64 = 0.5;
 /// One sentence for each sign that a file was read in a wrong unit, rate or order of columns.
 pub fn warnings(collected: &Collected) -> Vec<String> {
     let tracks = &collected.tracks;
-    let found = [interval(collected), positions(collected), extent(tracks), speed(tracks), refused(collected)];
-    found.into_iter().flatten().collect()
+    let of_positions = [interval(collected), positions(collected), extent(tracks)];
+    of_positions.into_iter().chain([speed(tracks), headings(tracks), refused(collected)]).flatten().collect()
 }
 
 /// Whether more than half of the rows were refused.
@@ -82,6 +90,14 @@ fn extent(tracks: &[Track]) -> Option<String> {
 
 fn speed(tracks: &[Track]) -> Option<String> {
     let SpeedFigures { median_m_s: median, p95_m_s: fast } = speeds(tracks)?;
+    let fits = |unit_m: f64| (SPEED_M_S[0]..=SPEED_M_S[1]).contains(&(median * unit_m));
+    // A few lost points do not make the median as fast.
+    let unit = [("cm", 0.01), ("mm", 0.001)].into_iter().find(|(_, unit_m)| median > FAST_M_S && fits(*unit_m));
+    if let Some((name, unit_m)) = unit {
+        return Some(format!(
+            "median speed {median:.1} m/s, while users walk at 1.0 to 1.6 m/s: are the positions in {name}? Use --scale {unit_m}"
+        ));
+    }
     if fast > FAST_M_S {
         return Some(format!(
             "1 of 20 steps is faster than {fast:.1} m/s: are lost points in the file, as zeros or as a large number?"
@@ -91,6 +107,28 @@ fn speed(tracks: &[Track]) -> Option<String> {
     (!is_usual).then(|| {
         format!("median speed {median:.2} m/s, while users walk at 1.0 to 1.6 m/s: check frame rate, units and columns")
     })
+}
+
+/// Headings in rad, read as degrees: all are near 0, and users walk elsewhere.
+fn headings(tracks: &[Track]) -> Option<String> {
+    let mut deviations_rad = Vec::new();
+    for track in tracks {
+        let mut from = track.points.first()?;
+        for to in &track.points {
+            if to.heading_rad?.abs() > HEADING_IN_RAD {
+                return None;
+            }
+            let [x_m, y_m] = [0, 1].map(|axis| to.at_m[axis] - from.at_m[axis]);
+            let span_s = to.time_s - from.time_s;
+            if span_s > 0.999 * SPEED_SPAN_S {
+                let walks = x_m.hypot(y_m) > SPEED_M_S[0] * span_s;
+                deviations_rad.extend(from.heading_rad.filter(|_| walks).map(|own| turn(own, y_m.atan2(x_m)).abs()));
+                from = to;
+            }
+        }
+    }
+    percentile(&mut deviations_rad, 0.5).filter(|usual_rad| *usual_rad > SIDEWAYS_RAD)?;
+    Some("all headings are within 6.3 degrees of +x, and users walk in other directions: are they in rad?".into())
 }
 
 #[cfg(test)]
@@ -118,6 +156,30 @@ mod tests {
     }
 
     #[test]
+    fn headings_in_rad_that_were_read_as_degrees_are_named() {
+        // A walk on a circle at 1 m/s, facing forwards, with this factor on the headings.
+        let of = |factor: f64| {
+            let mut collector = Collector::new(Kept::default());
+            for index in 0..100 {
+                let time_s = 0.1 * f64::from(index);
+                let heading = time_s.rem_euclid(TAU);
+                let row = Row {
+                    line: 1,
+                    time_s,
+                    pedestrian: "a".into(),
+                    at_m: [heading.sin(), -heading.cos()],
+                    heading_rad: Some(factor * heading),
+                };
+                collector.add(Ok(row));
+            }
+            warnings(&collector.finish())
+        };
+        assert_eq!(of(1.0), Vec::<String>::new());
+        let found = of(PI / 180.0);
+        assert!(found.len() == 1 && found[0].ends_with("are they in rad?"), "{found:?}");
+    }
+
+    #[test]
     fn wrong_units_rates_and_columns_are_named() {
         for (rows, interval_s, step_m, expected) in [
             (50, 400.0, 0.48, "are the times in ms?"),
@@ -126,6 +188,9 @@ mod tests {
             (50, 1e-5, 0.48, "check the unit of time"),
             (50, 0.4, 480.0, "the positions span 23520.000 m"),
             (50, 0.24, 0.48, "median speed 2.00 m/s"),
+            (50, 0.4, 48.0, "are the positions in cm? Use --scale 0.01"),
+            (50, 0.4, 480.0, "are the positions in mm? Use --scale 0.001"),
+            (50, 0.4, 4.8, "are lost points in the file"),
             (3, 0.4, 0.48, "are the columns swapped?"),
         ] {
             let found = of(rows, interval_s, step_m);

@@ -39,7 +39,7 @@ impl TrackPoint {
 }
 
 /// The shortest turn from one heading to another, from -pi to pi.
-fn turn(from_rad: f64, to_rad: f64) -> f64 {
+pub(super) fn turn(from_rad: f64, to_rad: f64) -> f64 {
     (to_rad - from_rad + PI).rem_euclid(TAU) - PI
 }
 

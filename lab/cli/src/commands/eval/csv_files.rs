@@ -41,10 +41,13 @@ pub fn by_policy(grid: Option<&Grid>, reports: &[Report]) -> Result<Vec<u8>> {
     // The points of a sweep may have different policies, and all lines have the same columns.
     let differences: Vec<Difference> = Difference::of_any(reports).collect();
     let reference = Difference::reference(reports);
+    let mut all_rows = reports.iter().flat_map(|report| &report.policies);
+    let has_best = all_rows.any(|(_, row)| row.difference_to_best.is_some());
     let spreads = |report: &Report, row: &Row| {
         let further =
             differences.iter().map(|one| (one.key, one.to(reference, report, row).unwrap_or(Spread::MISSING)));
-        spreads(row).into_iter().chain(further).collect::<Vec<_>>()
+        let to_best = has_best.then(|| ("difference_to_best", row.difference_to_best.unwrap_or(Spread::MISSING)));
+        spreads(row).into_iter().chain(further).chain(to_best).collect::<Vec<_>>()
     };
     let mut header = keys(grid);
     header.push("policy".into());

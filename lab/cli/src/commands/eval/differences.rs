@@ -103,7 +103,7 @@ impl Difference {
     }
 }
 
-/// The name of a row, with a mark where the policy is not told apart from the best one.
+/// The name of a row, or the text of its cell, with a mark where the policy is not told apart from the best one.
 pub fn marked_name(name: &str, row: &Row) -> String {
     if row.is_near_best() { format!("{name} {NEAR_BEST}") } else { name.to_owned() }
 }

@@ -85,9 +85,7 @@ pub fn print_table(report: &Report) -> io::Result<()> {
     outln!(
         "±: half the width of the 95 % confidence interval of the mean; ratio: to the sum rate of the oracle with minimum rates; p5: its 5th percentile"
     )?;
-    if report.policies.iter().any(|(_, row)| row.is_near_best()) {
-        outln!("{NEAR_BEST}: {NEAR_BEST_NOTE}")?;
-    }
+    note_on_near_best(std::slice::from_ref(report))?;
     note_on_ratios(std::slice::from_ref(report))?;
     outln!("blocked: {BLOCKED}: {}", blocked_states(report))?;
     print_differences(report)?;
@@ -215,8 +213,9 @@ pub fn print_sweep(grid: &Grid, reports: &[Report]) -> io::Result<()> {
     outln!("ratio to the oracle with minimum rates, and share of minimum rates met; {states}{place}")?;
     print_columns(grid, reports, |_, name, row| match name {
         ORACLE => interval(row.qos_met, 3),
-        _ => format!("{} {}", interval(row.ratio_to_oracle, 3), interval(row.qos_met, 3)),
+        _ => marked_name(&format!("{} {}", interval(row.ratio_to_oracle, 3), interval(row.qos_met, 3)), row),
     })?;
+    note_on_near_best(reports)?;
     outln!("sum rate in Mbit/s")?;
     print_columns(grid, reports, |_, _, row| interval(row.sum_rate_mbps, 1))?;
     if first.oracle.outage_time.is_some() {
@@ -327,6 +326,12 @@ pub(super) fn blocked_states(report: &Report) -> String {
         (0, group) => format!("no {group} has such a user"),
         (some, group) => format!("from {some} of {}", counted(report.episodes, group)),
     }
+}
+
+/// Prints what the mark of a policy means, if one has it.
+fn note_on_near_best(reports: &[Report]) -> io::Result<()> {
+    let mut rows = reports.iter().flat_map(|report| &report.policies);
+    if rows.any(|(_, row)| row.is_near_best()) { outln!("{NEAR_BEST}: {NEAR_BEST_NOTE}") } else { Ok(()) }
 }
 
 /// Prints why a ratio exceeds 1, if one does.

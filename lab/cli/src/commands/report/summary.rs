@@ -1,12 +1,12 @@
 //! Tables over several sections.
 
 use anyhow::{Context, Result};
-use heliostat_learn::comparison::{Spread, bounded, paired};
+use heliostat_learn::comparison::{Spread, bounded, paired, paired_with_mean};
 use serde_json::{Map, Value, json};
 
 use super::archive::{Archive, Finished};
 use super::definition::{Definition, Lines, Section, Summary};
-use super::table::{Column, Form, ORACLE, Row, crosses_note, markdown, rows};
+use super::table::{Column, Form, ORACLE, Row, crosses_note, markdown, near_best_note, rows};
 
 /// The table in Markdown; empty without a finished section that it concerns.
 ///
@@ -33,8 +33,9 @@ pub fn write(summary: &Summary, definition: &Definition, archive: &Archive) -> R
         return Ok(String::new());
     }
     let table = markdown(&rows, columns, Some(""));
-    let note = crosses_note(&table).map_or(String::new(), |note| format!("{note}\n\n"));
-    Ok(format!("## {}\n\n{}\n\n{note}{table}\n", summary.title, summary.about))
+    let notes = [crosses_note(&table), near_best_note(&table)].into_iter().flatten();
+    let notes: String = notes.map(|note| format!("{note}\n\n")).collect();
+    Ok(format!("## {}\n\n{}\n\n{notes}{table}\n", summary.title, summary.about))
 }
 
 /// The figures of a section minus those of its base, paired by episode. Where the episodes of the two are not the
@@ -64,16 +65,29 @@ fn by_episode(own: &Value, other: &Value, at: &str) -> Option<Spread> {
     if rooms(own) != rooms(other) {
         return None;
     }
-    let values = |output: &Value| -> Option<Vec<Vec<f64>>> {
-        let runs = output.pointer(&format!("/each{at}"))?.as_array()?.iter();
-        let of_run = |run: &Value| -> Option<Vec<f64>> {
-            Some(run.as_array()?.iter().map(|value| value.as_f64().unwrap_or(f64::NAN)).collect())
-        };
-        runs.map(of_run).collect()
+    let values = |output: &Value| of_actors(output.pointer(&format!("/each{at}"))?);
+    paired(figure(at), &values(own)?, &values(other)?, &states(own)?)
+}
+
+/// A figure in each episode, one list for each actor; NaN is a missing value.
+fn of_actors(runs: &Value) -> Option<Vec<Vec<f64>>> {
+    let of_run = |run: &Value| -> Option<Vec<f64>> {
+        Some(run.as_array()?.iter().map(|value| value.as_f64().unwrap_or(f64::NAN)).collect())
     };
-    let states = own["each"]["states"].as_array()?.iter();
-    let states: Vec<usize> = states.map(|states| states.as_u64().unwrap_or(0) as usize).collect();
-    paired(figure(at), &values(own)?, &values(other)?, &states)
+    runs.as_array()?.iter().map(of_run).collect()
+}
+
+/// The numbers of states of the episodes of an output.
+fn states(output: &Value) -> Option<Vec<usize>> {
+    let states = output["each"]["states"].as_array()?.iter();
+    Some(states.map(|states| states.as_u64().unwrap_or(0) as usize).collect())
+}
+
+/// The ratio of a policy minus that of another one in the same episodes; `None` where an output keeps no episodes, or
+/// has not both policies.
+fn ratio_above(output: &Value, policy: &str, other: &str) -> Option<Spread> {
+    let values = |policy: &str| of_actors(&output["each"]["policies"][policy]["ratio_to_oracle"]);
+    paired_with_mean(&values(policy)?, &values(other)?, &states(output)?)
 }
 
 /// The same difference with an interval that treats the two as independent.
@@ -103,6 +117,11 @@ fn means(sections: &[(&Section, &Finished)], columns: &[Column]) -> Result<Vec<R
             }
         }
     }
+    // The oracle, and a policy that knows the true room, have no time of a decision. The marks leave them out.
+    let is_marked = |(name, found): &(String, Vec<Value>)| {
+        found.iter().any(|row| !row["decision_us"].is_null()).then(|| name.clone())
+    };
+    let marked: Vec<String> = by_name.iter().filter_map(is_marked).collect();
     let first = columns.iter().find(|column| matches!(column.form, Form::Interval(_)));
     let mut rows: Vec<Row> = by_name.into_iter().map(|(name, found)| (name, mean(&found, columns))).collect();
     let key =
@@ -112,7 +131,30 @@ fn means(sections: &[(&Section, &Finished)], columns: &[Column]) -> Result<Vec<R
         let count = other["sections"].as_u64().cmp(&one["sections"].as_u64());
         is_oracle.then(count).then(key(other).total_cmp(&key(one)))
     });
+    let outputs: Vec<&Value> = sections.iter().map(|(_, finished)| &finished.output).collect();
+    subtract_best(&mut rows, &marked, &outputs);
     Ok(rows)
+}
+
+/// Sets the difference of each of these policies to the one with the largest mean ratio among those with most sections:
+/// the mean of the paired differences over the sections that keep the episodes of both, with the mean half width.
+fn subtract_best(rows: &mut [Row], policies: &[String], outputs: &[&Value]) {
+    let place = |(name, row): &Row| {
+        let ratio = row["ratio_to_oracle"]["mean"].as_f64().filter(|_| policies.contains(name))?;
+        Some((row["sections"].as_u64(), ratio, name.clone()))
+    };
+    let places = rows.iter().rev().filter_map(place);
+    // Of equal ratios the first one is the best.
+    let best = places.max_by(|one, other| one.0.cmp(&other.0).then(one.1.total_cmp(&other.1)));
+    let Some((_, _, best)) = best else { return };
+    for (name, row) in rows.iter_mut().filter(|(name, _)| *name != best && policies.contains(name)) {
+        let found: Vec<Spread> = outputs.iter().filter_map(|output| ratio_above(output, name, &best)).collect();
+        if found.is_empty() {
+            continue;
+        }
+        let mean = |part: fn(&Spread) -> f64| found.iter().map(part).sum::<f64>() / found.len() as f64;
+        row["difference_to_best"] = json!({ "mean": mean(|one| one.mean), "ci95": mean(|one| one.ci95) });
+    }
 }
 
 fn mean(found: &[Value], columns: &[Column]) -> Value {
@@ -184,6 +226,32 @@ mod tests {
         not_kept["each"] = Value::Null;
         assert_eq!(by_episode(&not_kept, &not_kept, AT), None);
         assert_eq!(by_episode(&base, &base, "/beliefs/filter/coverage_95"), None);
+    }
+
+    #[test]
+    fn a_policy_that_the_sections_do_not_tell_apart_from_the_best_is_marked() {
+        let of = |ratios: [[f64; 2]; 3]| {
+            let policies: Map<_, _> = ["greedy", "ddpg", "flat"]
+                .iter()
+                .zip(ratios)
+                .map(|(name, ratios)| ((*name).to_owned(), json!({ "ratio_to_oracle": [ratios] })))
+                .collect();
+            json!({ "each": { "states": [20, 20], "policies": policies } })
+        };
+        let outputs = [of([[0.9, 0.8], [0.9, 0.7], [0.5, 0.4]]), of([[0.8, 0.8], [0.9, 0.7], [0.4, 0.4]])];
+        // One section is of exact states, whose output keeps no episodes.
+        let exact = json!({});
+        let outputs = [&outputs[0], &outputs[1], &exact];
+        let row = |ratio: f64| json!({ "sections": 3, "ratio_to_oracle": { "mean": ratio } });
+        let names = [(ORACLE, 1.0), ("greedy", 0.85), ("ddpg", 0.8), ("flat", 0.4)];
+        let mut rows: Vec<Row> = names.map(|(name, ratio)| (name.to_owned(), row(ratio))).into();
+        subtract_best(&mut rows, &["greedy", "ddpg", "flat"].map(String::from), &outputs);
+        let column = Column::try_from("ratio | /ratio_to_oracle/mean | .2".to_owned()).expect("a column");
+        let table = markdown(&rows, &[column], Some(""));
+        let expected = "| (oracle) | 1.00 |\n| greedy | 0.85 |\n| ddpg \\~ | 0.80 |\n| flat | 0.40 |\n";
+        assert!(table.ends_with(expected), "{table}");
+        let mean = rows[2].1["difference_to_best"]["mean"].as_f64().expect("a difference");
+        assert!((mean + 0.025).abs() < 1e-12, "{mean}");
     }
 
     #[test]

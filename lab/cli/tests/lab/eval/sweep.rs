@@ -51,6 +51,31 @@ fn a_point_that_subtracts_another_policy_has_no_difference_in_a_sweep() {
     assert_eq!(row(&text, "10"), ["10", "-", "-", "-", "-"], "{text}");
 }
 
+/// Two names of one actor have equal rates.
+#[test]
+fn a_point_marks_the_policies_that_are_not_told_apart_from_its_best() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("figures.csv");
+    let flags = ["--policies", "flat,ddpg,actor", "--training-seed", "1", "--states", "20", "--seeds", "1"];
+    let files = ["--sweep", "users.count=2,5", "--csv", file.to_str().expect("a plain path")];
+    let output = eval(&[&flags[..], &files].concat());
+    let text = String::from_utf8(output.stdout).expect("text");
+    let marked: Vec<&str> = text.lines().filter(|line| line.contains('~')).collect();
+    let [first, second, note] = marked[..] else { panic!("{text}") };
+    assert!([first, second].iter().all(|line| line.ends_with(" ~") && line.matches('~').count() == 1), "{text}");
+    assert!(note.starts_with("~: not distinguishable from the best: "), "{text}");
+    let csv = std::fs::read_to_string(&file).expect("readable");
+    let lines: Vec<Vec<&str>> = csv.lines().map(|line| line.split(',').collect()).collect();
+    let column = lines[0].iter().position(|name| *name == "difference_to_best_mean").expect("differences");
+    for line in &lines[1..] {
+        match line[1] {
+            "actor" => assert_eq!(line[column..column + 2], ["0", "0"], "{csv}"),
+            "flat" => assert!(line[column].parse::<f64>().is_ok_and(|mean| mean < -0.1), "{csv}"),
+            _ => assert_eq!(line[column], "", "{csv}"),
+        }
+    }
+}
+
 #[test]
 fn a_sweep_has_a_report_for_each_value_of_its_key() {
     let flags = ["--policies", "ddpg,flat", "--states", "3", "--seeds", "1", "--sweep", "users.count=1..3"];

@@ -9,6 +9,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable
+from datetime import datetime, timedelta, tzinfo
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +80,37 @@ def test_a_driver_with_keys_keeps_every_rule_and_takes_the_room_of_its_keys(tmp_
     (moved / "driver.key").chmod(0o644)
     with pytest.raises(PeerError, match="every user of this machine can read"):
         run(Mirrors(), Settings(connect=(endpoint,), tls=moved), seconds=0)
+
+
+@needs_program
+def test_keys_that_are_of_no_use_end_a_driver_with_the_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    keys = tmp_path / "keys"
+    made = heliostat("keys", "init", "--room", "locked", "--out", str(keys), "--days", "5")
+    assert made.returncode == 0, made.stderr
+
+    def refusal() -> str:
+        with pytest.raises(PeerError) as refused:
+            run(Mirrors(), Settings(connect=("tls/127.0.0.1:1",), tls=keys), state=tmp_path, seconds=0)
+        return str(refused.value)
+
+    def shifted(days: int) -> type[datetime]:
+        class Shifted(datetime):
+            @classmethod
+            def now(cls, tz: tzinfo | None = None) -> Any:
+                return datetime.now(tz) + timedelta(days=days)
+
+        return Shifted
+
+    for days, expected in ((6, "the certificate expired on "), (-6, "the certificate is not valid yet")):
+        with monkeypatch.context() as patched:
+            patched.setattr("heliostat.peer.datetime", shifted(days))
+            assert f"driver.pem: {expected}" in refusal()
+    own = (keys / "driver.key").read_bytes()
+    (keys / "driver.key").write_bytes((keys / "operator.key").read_bytes())
+    assert "with its private key driver.key beside it" in refusal()
+    (keys / "driver.key").write_bytes(own)
+    (keys / "driver.pem").write_text("no certificate")
+    assert "expected a certificate of heliostat keys in PEM format" in refusal()
 
 
 def test_a_stop_outlives_the_driver_and_ctrl_c_ends_it(tmp_path: Path) -> None:

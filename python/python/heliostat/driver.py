@@ -367,7 +367,7 @@ def run(
                 if name == "stops":
                     shown.note_stopped(decode(payload, KINDS["stops"])["device_stopped"])
                 if name == "status":
-                    shown.note_problem(station.last_problem)
+                    shown.note_problem(decode(payload, KINDS["status"])["last_problem"])
         if not station.is_settled:
             log.show("the last emergency stop is not recorded: its disk does not answer")
         if taken is not None:

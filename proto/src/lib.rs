@@ -53,6 +53,7 @@ mod kind;
 mod limits;
 mod lost_driver;
 pub mod messages;
+mod present_driver;
 pub mod reported_stops;
 mod stamp;
 pub mod stop_hold;
@@ -77,6 +78,7 @@ pub use messages::{
     EmergencyStop, LedReport, MirrorCommand, MirrorTelemetry, NodeStatus, ObstacleReport, OrientationReport, Rearm,
     RoomGeometry, RoomTruth, SafetyReport, SimulatorControl, StopRepetition, StopReport, UserReport,
 };
+pub use present_driver::PresentDriver;
 pub use stamp::sender_of;
 pub use structures::{
     AxisLimits, ControllerInput, Counters, LatchedStopReport, LedGain, MirrorFault, Obstacle, Quantiles, Stamp,

@@ -379,6 +379,25 @@ def test_the_log_has_a_stop_at_its_order_and_once_when_the_device_has_executed_i
     assert capsys.readouterr().err.splitlines() == expected
 
 
+def test_the_log_has_each_loss_of_the_device_and_its_end(capsys: pytest.CaptureFixture[str]) -> None:
+    with _Log() as log:
+        shown = _Shown(log, "")
+        for absent, connections, problem in (
+            (0, 1, ""),
+            (1, 1, "no answer"),
+            (1, 1, "no answer"),
+            (0, 2, "no answer"),
+            (0, 2, "command: expired"),
+            (0, 2, "no answer"),
+            (0, 3, "no answer"),
+        ):
+            counters = [("device_absent", absent), ("connections", connections)]
+            shown.note_status({"last_problem": problem, "counters": counters})
+    answers = "the device answers"
+    expected = ["no answer", answers, "command: expired", "no answer", "no answer", answers]
+    assert capsys.readouterr().err.splitlines() == expected
+
+
 def test_the_advice_about_several_stops_has_a_line_for_each(capsys: pytest.CaptureFixture[str]) -> None:
     with _Log() as log:
         log.show("the array starts stopped by ann: smoke\nthe array starts stopped by bob: fire")

@@ -504,7 +504,7 @@ def _validity(certificate: bytes) -> tuple[datetime, datetime]:
     # An explicit version comes before serial number, algorithm, issuer and validity.
     for _ in range(4 if certificate[at] == 0xA0 else 3):
         at = element(at)[2]
-    at, times = element(at)[1], []
+    at, times = element(at)[1], list[datetime]()
     for _ in range(2):
         tag, begin, at = element(at)
         form = "%y%m%d%H%M%SZ" if tag == 0x17 else "%Y%m%d%H%M%SZ"

@@ -53,6 +53,7 @@ mod kind;
 mod limits;
 mod lost_driver;
 pub mod messages;
+mod present_driver;
 pub mod reported_stops;
 mod stamp;
 pub mod stop_hold;
@@ -68,8 +69,8 @@ pub use keys::{Room, RoomError};
 pub use kind::Kind;
 pub use limits::{
     CLOCK_LEAD_MAX_NS, EPOCH_SLOTS, MAX_ARRAYS, MAX_BRANCHES, MAX_ENTRIES, MAX_GEOMETRY, MAX_INPUTS, MAX_LED_GAINS,
-    MAX_MIRRORS, MAX_OBSTACLES, MAX_PAYLOAD, MAX_STATE, MAX_STOPS, MAX_TEXT, MAX_USERS, Nanos, SPEED_MAX_M_S,
-    START_WINDOW_NS, UNLISTED_STOPS, VERSION, clock_time, cut,
+    MAX_MIRRORS, MAX_OBSTACLES, MAX_PAYLOAD, MAX_STATE, MAX_STOPS, MAX_TEXT, MAX_USERS, Nanos, SIMULATED_UNTIL_NS,
+    SPEED_MAX_M_S, START_WINDOW_NS, UNLISTED_STOPS, VERSION, clock_time, cut,
 };
 pub use lost_driver::LostDriver;
 pub use messages::{
@@ -77,6 +78,7 @@ pub use messages::{
     EmergencyStop, LedReport, MirrorCommand, MirrorTelemetry, NodeStatus, ObstacleReport, OrientationReport, Rearm,
     RoomGeometry, RoomTruth, SafetyReport, SimulatorControl, StopRepetition, StopReport, UserReport,
 };
+pub use present_driver::PresentDriver;
 pub use stamp::sender_of;
 pub use structures::{
     AxisLimits, ControllerInput, Counters, LatchedStopReport, LedGain, MirrorFault, Obstacle, Quantiles, Stamp,

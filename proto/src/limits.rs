@@ -70,8 +70,53 @@ pub const UNLISTED_STOPS: &str = "more stops than an array can list";
 /// Room time in ns: UTC since 1970 in live operation, simulated time in lockstep.
 pub type Nanos = u64;
 
-/// The time of day of a time in UTC, in words.
+/// Room time before this is simulated, as in lockstep: a stamp of the year 1970.
+pub const SIMULATED_UNTIL_NS: Nanos = 365 * NS_PER_DAY;
+
+const NS_PER_DAY: Nanos = 86_400_000_000_000;
+
+/// Date and time of day of a room time in ns, in UTC and in words; simulated time has no date.
 pub fn clock_time(time_ns: Nanos) -> String {
-    let seconds = time_ns / 1_000_000_000 % 86_400;
-    format!("{:02}:{:02}:{:02} UTC", seconds / 3600, seconds / 60 % 60, seconds % 60)
+    let seconds = time_ns % NS_PER_DAY / 1_000_000_000;
+    let time = format!("{:02}:{:02}:{:02} UTC", seconds / 3600, seconds / 60 % 60, seconds % 60);
+    if time_ns < SIMULATED_UNTIL_NS {
+        return time;
+    }
+    let (year, month, day) = date(time_ns / NS_PER_DAY);
+    format!("{year:04}-{month:02}-{day:02} {time}")
+}
+
+/// Year, month and day of a number of days since 1970-01-01, by years that begin in March.
+fn date(days: u64) -> (u64, u64, u64) {
+    let since_march_0 = days + 719_468;
+    let (era, day_of_era) = (since_march_0 / 146_097, since_march_0 % 146_097);
+    let year_of_era = (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
+    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+    let month_of_year = (5 * day_of_year + 2) / 153;
+    let day = day_of_year - (153 * month_of_year + 2) / 5 + 1;
+    let month = if month_of_year < 10 { month_of_year + 3 } else { month_of_year - 9 };
+    (400 * era + year_of_era + u64::from(month <= 2), month, day)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_time_of_yesterday_differs_from_one_of_today_and_simulated_time_has_no_date() {
+        let at = |seconds: u64| clock_time(seconds * 1_000_000_000);
+        assert_eq!(at(43_384), "12:03:04 UTC");
+        for (seconds, expected) in [
+            (31_536_000, "1971-01-01 00:00:00 UTC"),
+            (951_782_399, "2000-02-28 23:59:59 UTC"),
+            (951_782_400, "2000-02-29 00:00:00 UTC"),
+            (951_868_800, "2000-03-01 00:00:00 UTC"),
+            (1_767_323_045, "2026-01-02 03:04:05 UTC"),
+            (1_798_761_599, "2026-12-31 23:59:59 UTC"),
+            (1_798_761_600, "2027-01-01 00:00:00 UTC"),
+            (4_107_542_400, "2100-03-01 00:00:00 UTC"),
+        ] {
+            assert_eq!(at(seconds), expected);
+        }
+    }
 }

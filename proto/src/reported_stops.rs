@@ -7,9 +7,9 @@
 //! has stopped where its last stop report is fresh, lists every stop that is held for it, and states
 //! that its device has executed them. Where the liveliness tokens of several drivers name the array, each
 //! driver has to: the reports of one say nothing about the mirrors of another one. A driver is lost if its token ends
-//! while a stop is held that it has not confirmed, whether it hung, was killed or ended in order. A driver that left
-//! before is lost if a controller reports it. The stop then stays unconfirmed until this driver answers, or until the
-//! release.
+//! while a stop is held that it has not confirmed, whether it hung, was killed or ended in order; not so one that yields
+//! its array at its start, see [`PresentDriver`]. A driver that left before is lost if a controller reports it. The stop
+//! then stays unconfirmed until this driver answers, or until the release.
 //!
 //! | the array publishes | its standing, by its last reports |
 //! | --- | --- |
@@ -28,6 +28,7 @@ use std::time::Duration;
 use crate::enumerations::ArrayState;
 use crate::limits::{MAX_ARRAYS, Nanos, cut};
 use crate::messages::{EmergencyStop, MirrorTelemetry, NodeStatus, SafetyReport, StopReport, fault};
+use crate::present_driver::PresentDriver;
 use crate::stop_hold::{HeldStop, StopHold, unknown_stops};
 use crate::structures::{LatchedStopReport, Stamp, StopName};
 use lost_reports::LostReports;
@@ -105,7 +106,7 @@ pub struct RoomStop {
 pub struct ReportedStops {
     arrays: BTreeMap<usize, ReportedArray>,
     /// The processes with mirrors that are in the room.
-    drivers: BTreeSet<Driver>,
+    drivers: BTreeMap<Driver, PresentDriver>,
     /// Those that left it before they confirmed a stop that is held.
     lost: BTreeSet<Driver>,
     /// Those that controllers have lost, also before this process looked.
@@ -177,13 +178,19 @@ impl ReportedStops {
 
     /// The sources of the drivers whose tokens name an array.
     fn drivers_of(&self, array: usize) -> Vec<u64> {
-        sources_of(&self.drivers, array)
+        sources_of(self.drivers.keys(), array)
     }
 
     /// Whether a driver whose token ends has not confirmed a stop that is held.
     fn is_lost(&self, driver: Driver) -> bool {
         let is_open = |(array, seen): (&usize, &ReportedArray)| serves(driver, *array) && seen.is_unanswered(driver.1);
         self.arrays.iter().any(is_open)
+    }
+
+    /// Whether a driver whose token ends has yielded each of its arrays at its start to another driver.
+    fn has_yielded(&self, now: Duration, driver: Driver, left: PresentDriver) -> bool {
+        let mut served = (0..self.expected()).filter(|array| serves(driver, *array));
+        served.all(|array| left.has_yielded(now.as_nanos() as Nanos, driver.1, self.drivers_of(array)))
     }
 
     /// Whether every array holds a stop and has stopped, by reports that arrived after `since`.
@@ -350,11 +357,14 @@ impl ReportedStops {
     /// The token of a driver has appeared in the room, or has left it.
     pub fn handle_driver(&mut self, now: Duration, driver: Driver, is_present: bool) {
         if is_present {
-            self.drivers.insert(driver);
+            self.drivers.entry(driver).or_insert(PresentDriver::new(now.as_nanos() as Nanos));
             self.lost.remove(&driver);
             // A simulator announces its arrays with the geometry.
             self.add_arrays(driver.0.map_or(0, |array| array + 1));
-        } else if self.drivers.remove(&driver) && self.is_lost(driver) {
+        } else if let Some(left) = self.drivers.remove(&driver)
+            && self.is_lost(driver)
+            && !self.has_yielded(now, driver, left)
+        {
             self.lost.insert(driver);
         }
         self.note_names(now);
@@ -374,6 +384,9 @@ impl ReportedStops {
 
     /// Telemetry of an array arrived.
     pub fn handle_telemetry(&mut self, now: Duration, array: usize, report: &MirrorTelemetry) {
+        for driver in [Some(array), None].map(|of| (of, report.stamp.source)) {
+            self.drivers.get_mut(&driver).into_iter().for_each(|driver| driver.handle_telemetry(report));
+        }
         let (seen, is_stopped) = (self.array(now, array), report.state == ArrayState::Stopped);
         seen.hold.handle_state(report.stamp.source, is_stopped);
         seen.state = Some((now, report.state));
@@ -478,8 +491,8 @@ fn serves((of, _): Driver, array: usize) -> bool {
 }
 
 /// The sources of those of these drivers that serve an array.
-fn sources_of(drivers: &BTreeSet<Driver>, array: usize) -> Vec<u64> {
-    drivers.iter().filter(|driver| serves(**driver, array)).map(|(_, source)| *source).collect()
+fn sources_of<'a>(drivers: impl IntoIterator<Item = &'a Driver>, array: usize) -> Vec<u64> {
+    drivers.into_iter().filter(|driver| serves(**driver, array)).map(|(_, source)| *source).collect()
 }
 
 /// The order of a stop that is known from reports.

@@ -9,6 +9,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable
+from datetime import datetime, timedelta, tzinfo
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +80,37 @@ def test_a_driver_with_keys_keeps_every_rule_and_takes_the_room_of_its_keys(tmp_
     (moved / "driver.key").chmod(0o644)
     with pytest.raises(PeerError, match="every user of this machine can read"):
         run(Mirrors(), Settings(connect=(endpoint,), tls=moved), seconds=0)
+
+
+@needs_program
+def test_keys_that_are_of_no_use_end_a_driver_with_the_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    keys = tmp_path / "keys"
+    made = heliostat("keys", "init", "--room", "locked", "--out", str(keys), "--days", "5")
+    assert made.returncode == 0, made.stderr
+
+    def refusal() -> str:
+        with pytest.raises(PeerError) as refused:
+            run(Mirrors(), Settings(connect=("tls/127.0.0.1:1",), tls=keys), state=tmp_path, seconds=0)
+        return str(refused.value)
+
+    def shifted(days: int) -> type[datetime]:
+        class Shifted(datetime):
+            @classmethod
+            def now(cls, tz: tzinfo | None = None) -> Any:
+                return datetime.now(tz) + timedelta(days=days)
+
+        return Shifted
+
+    for days, expected in ((6, "the certificate expired on "), (-6, "the certificate is not valid yet")):
+        with monkeypatch.context() as patched:
+            patched.setattr("heliostat.peer.datetime", shifted(days))
+            assert f"driver.pem: {expected}" in refusal()
+    own = (keys / "driver.key").read_bytes()
+    (keys / "driver.key").write_bytes((keys / "operator.key").read_bytes())
+    assert "with its private key driver.key beside it" in refusal()
+    (keys / "driver.key").write_bytes(own)
+    (keys / "driver.pem").write_text("no certificate")
+    assert "expected a certificate of heliostat keys in PEM format" in refusal()
 
 
 def test_a_stop_outlives_the_driver_and_ctrl_c_ends_it(tmp_path: Path) -> None:
@@ -344,6 +376,25 @@ def test_the_log_has_a_stop_at_its_order_and_once_when_the_device_has_executed_i
             shown.note_stopped(executed)
     stopped = "the array is stopped: its device has executed the stop"
     expected = ["stop ordered by 7/3", stopped, "stop ordered by 7/4", stopped, "the array is released"]
+    assert capsys.readouterr().err.splitlines() == expected
+
+
+def test_the_log_has_each_loss_of_the_device_and_its_end(capsys: pytest.CaptureFixture[str]) -> None:
+    with _Log() as log:
+        shown = _Shown(log, "")
+        for absent, connections, problem in (
+            (0, 1, ""),
+            (1, 1, "no answer"),
+            (1, 1, "no answer"),
+            (0, 2, "no answer"),
+            (0, 2, "command: expired"),
+            (0, 2, "no answer"),
+            (0, 3, "no answer"),
+        ):
+            counters = [("device_absent", absent), ("connections", connections)]
+            shown.note_status({"last_problem": problem, "counters": counters})
+    answers = "the device answers"
+    expected = ["no answer", answers, "command: expired", "no answer", "no answer", answers]
     assert capsys.readouterr().err.splitlines() == expected
 
 

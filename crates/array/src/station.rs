@@ -118,6 +118,8 @@ pub struct Station<D> {
     /// Numbers of problems of the device and of refused messages, and whether the last one was of the
     /// device.
     problems: ([u64; 2], bool),
+    /// Number of problems of the device at the last status.
+    shown_of_device: u64,
     /// The time of the last advance.
     local_ns: u64,
 }
@@ -149,6 +151,7 @@ impl<D: Device> Station<D> {
             published_latch: Latch::default(),
             published_stops: PublishedStops::default(),
             problems: ([0; 2], false),
+            shown_of_device: 0,
             local_ns: now.local_ns,
         }
     }
@@ -253,7 +256,9 @@ impl<D: Device> Station<D> {
         }
         if is_due(&self.status) {
             let stamp = self.status.publish(source, now, ANNOUNCEMENT_NS);
-            return Some(Report::Status(self.status(stamp)));
+            let status = self.status(stamp);
+            self.shown_of_device = self.kit.problems();
+            return Some(Report::Status(status));
         }
         None
     }
@@ -324,11 +329,12 @@ impl<D: Device> Station<D> {
         self.record.is_recorded(self.kit.array().latch(), self.local_ns)
     }
 
-    /// The present problem of the record; else that of a device that does not answer; else the last one of
-    /// the device or of a refused message; empty if there was none.
+    /// The present problem of the record; else that of a device that does not answer, or did not since the last status;
+    /// else the last one of the device or of a refused message; empty if there was none.
     pub fn last_problem(&self) -> String {
         let (_, is_of_device) = self.problems;
-        let is_present = self.kit.is_device_absent();
+        // A status shows a failure that was over before it, as that of a board that resets.
+        let is_present = self.kit.is_device_absent() || self.kit.problems() > self.shown_of_device;
         let of_device = self.kit.last_problem().filter(|_| is_of_device || is_present).map(ToString::to_string);
         let problem = self.record_problem().map(str::to_owned).or(of_device);
         problem.unwrap_or_else(|| self.refused.last_problem().to_owned())

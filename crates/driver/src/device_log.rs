@@ -14,7 +14,7 @@ pub(crate) struct DeviceLog {
 /// What has changed since the last call.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub(crate) struct Changes {
-    /// Whether it no longer answers; its last problem has the reason.
+    /// Whether it no longer answers, or did not between the two calls; its last problem has the reason.
     pub is_lost: bool,
     /// Mirrors that do not follow.
     pub warning: Option<String>,
@@ -37,7 +37,7 @@ impl DeviceLog {
         let recovered = not_in(&before, unusable);
         let follow = said(&recovered, ["follows its commands again", "follow their commands again"]);
         Changes {
-            is_lost: false,
+            is_lost: has_failed && !was_absent,
             warning: said(&stuck, ["does not follow its commands", "do not follow their commands"]),
             ends: answers.into_iter().chain(follow).collect(),
         }
@@ -74,7 +74,9 @@ mod tests {
         assert_eq!(changes(false, 2).ends, ["the device answers"]);
         assert!(changes(true, 3).is_lost, "lost again, with the same reason");
         assert_eq!(changes(false, 3).ends, ["the device answers"]);
-        assert_eq!(changes(false, 4).ends, ["the device answers"], "lost for less than the time between two calls");
+        let short = changes(false, 4);
+        assert_eq!(short.ends, ["the device answers"], "lost for less than the time between two calls");
+        assert!(short.is_lost, "the reason comes before it");
         assert_eq!(changes(false, 4), Changes::default());
     }
 

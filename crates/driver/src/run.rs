@@ -334,14 +334,14 @@ impl<D: Device> Driver<D> {
             }
             Report::Capabilities(capabilities) => self.session.publish_capabilities(capabilities),
             Report::Status(status) => {
-                self.show();
+                self.show(&status.last_problem);
                 self.status.encode(status)?.put()
             }
         }
     }
 
-    /// Logs a new problem and the end of one, and renews the metrics.
-    fn show(&mut self) {
+    /// Logs a new problem of the status and the end of one, and renews the metrics.
+    fn show(&mut self, problem: &str) {
         let summary = self.summary();
         let station = self.shared.lock();
         let (is_absent, problems) = (station.kit().is_device_absent(), station.kit().problems());
@@ -349,11 +349,11 @@ impl<D: Device> Driver<D> {
         drop(station);
         self.is_recorded.store(is_recorded, Ordering::Relaxed);
         let changes = self.device_log.changes(is_absent, problems, &self.unusable);
-        if changes.is_lost || self.logged_problem != summary.last_problem {
-            if !summary.last_problem.is_empty() {
-                self.log(&summary.last_problem);
+        if changes.is_lost || self.logged_problem != problem {
+            if !problem.is_empty() {
+                self.log(problem);
             }
-            self.logged_problem.clone_from(&summary.last_problem);
+            problem.clone_into(&mut self.logged_problem);
         }
         changes.warning.iter().for_each(|line| tracing::warn!("{line}"));
         changes.ends.iter().for_each(|line| tracing::info!("{line}"));

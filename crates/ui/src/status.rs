@@ -140,6 +140,8 @@ impl RoomStatus {
             0 if has(Role::Silent) => None,
             0 => Some(format!("{NO_CONTROLLER_SEEN}, or connect to its endpoint or router too")),
             _ if controllers.iter().any(|one| one.role.commands()) => None,
+            // Which one the array follows shows after the release.
+            _ if self.is_stopped() => None,
             _ if has(Role::Unfollowed) => Some(UNKNOWN_LEADER.to_owned()),
             _ if array.state == ArrayState::Following.name() => Some(
                 "no controller that reaches this viewer leads: connect to the one that the array follows, or to the router of the room, too".to_owned(),

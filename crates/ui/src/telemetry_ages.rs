@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use heliostat_proto::array_keys::array_name;
-use heliostat_proto::{Capabilities, Nanos, Stamp, ValidityClock};
+use heliostat_proto::{Capabilities, Nanos, SIMULATED_UNTIL_NS, Stamp, ValidityClock};
 
 use crate::expiry::EXPIRY;
 
@@ -19,9 +19,6 @@ const OVER_NS: u64 = LIMIT_NS / 2;
 
 /// Length of a period. The least age is that of the present one and of the one before, which is complete.
 const PERIOD: Duration = Duration::from_secs(1);
-
-/// A stamp of the year 1970 is simulated time, as in lockstep.
-const SIMULATED_UNTIL_NS: Nanos = 365 * 86_400_000_000_000;
 
 /// The ages of the telemetry of each array.
 #[derive(Debug, Default)]

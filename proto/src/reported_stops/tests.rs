@@ -3,8 +3,9 @@
 use super::reported_array::TELEMETRY_AGE_MAX;
 use super::*;
 use crate::enumerations::NodeKind;
-use crate::limits::MAX_STOPS;
+use crate::limits::{MAX_STOPS, START_WINDOW_NS};
 use crate::lost_driver::LostDriver;
+use crate::structures::Counters;
 
 const NOW: Duration = Duration::from_secs(100);
 
@@ -237,6 +238,30 @@ fn a_driver_that_reports_until_its_end_is_lost_too_unless_it_has_confirmed_and_a
     let latched = vec![LatchedStopReport { source: 3, sequence: 5, ..LatchedStopReport::default() }];
     stops.handle_stops(later, 0, StopReport { stops: latched, ..report(4, true) });
     assert_eq!(stops.standings(later, None), [(0, Standing::Stopped)], "it was not there at the order");
+}
+
+#[test]
+fn a_driver_that_ends_at_its_start_for_another_one_before_it_accepted_a_command_is_not_lost() {
+    let lost = |source: u64, accepted: &[u64], token: fn(u64) -> Driver, end: Duration| {
+        let (mut stops, end) = (ordered(), NOW + end);
+        stops.handle_driver(NOW, (Some(0), 5), true);
+        stops.handle_driver(NOW, token(source), true);
+        for (sequence, accepted) in (1..).zip(accepted) {
+            let stamp = Stamp { source, sequence, time_ns: 0 };
+            let counters = Counters { accepted: *accepted, ..Counters::default() };
+            stops.handle_telemetry(NOW, 0, &MirrorTelemetry { stamp, counters, ..MirrorTelemetry::default() });
+        }
+        stops.handle_driver(end, token(source), false);
+        stops.lost(end).len()
+    };
+    let driver: fn(u64) -> Driver = |source| (Some(0), source);
+    let window = Duration::from_nanos(START_WINDOW_NS);
+    assert_eq!(lost(7, &[0], driver, window), 0);
+    assert_eq!(lost(7, &[0], |source| (None, source), window), 0, "a simulator");
+    assert_eq!(lost(7, &[0, 1, 0], driver, window), 1, "it has moved mirrors");
+    assert_eq!(lost(7, &[], driver, window), 1, "nothing shows that it moved none");
+    assert_eq!(lost(7, &[0], driver, window + Duration::from_nanos(1)), 1, "it ends for another reason");
+    assert_eq!(lost(3, &[0], driver, window), 1, "the other one had to end");
 }
 
 /// The status of a controller that has lost these drivers.

@@ -366,7 +366,7 @@ def run(
                 if name == "stops":
                     shown.note_stopped(decode(payload, KINDS["stops"])["device_stopped"])
                 if name == "status":
-                    shown.note_problem(station.last_problem)
+                    shown.note_status(decode(payload, KINDS["status"]))
         if not station.is_settled:
             log.show("the last emergency stop is not recorded: its disk does not answer")
         if taken is not None:
@@ -425,11 +425,12 @@ class _Log:
 
 class _Shown:
     """What the log has shown: each change of the stop, that the device has executed it, and once a second a new
-    problem."""
+    problem, a loss of the device and its end."""
 
     def __init__(self, log: _Log, stop: str) -> None:
         self._log, self._stop, self._problem = log, stop, ""
-        self._is_stopped = False
+        self._is_stopped = self._is_absent = False
+        self._connections = 0
 
     def note_stop(self, stop: str) -> None:
         if stop != self._stop:
@@ -441,10 +442,18 @@ class _Shown:
             self._log.show("the array is stopped: its device has executed the stop")
         self._is_stopped = is_stopped
 
-    def note_problem(self, problem: str) -> None:
-        if problem not in ("", self._problem):
+    def note_status(self, status: dict[str, Any]) -> None:
+        problem, counters = status["last_problem"], dict(status["counters"])
+        was_absent, self._is_absent = self._is_absent, counters["device_absent"] > 0
+        before, self._connections = self._connections, counters["connections"]
+        # It may have been lost and connected again since the last status.
+        is_connected_again = self._connections > before > 0
+        is_lost = not was_absent and (self._is_absent or is_connected_again)
+        if problem and (is_lost or problem != self._problem):
             self._log.show(problem)
         self._problem = problem
+        if not self._is_absent and (was_absent or is_connected_again):
+            self._log.show("the device answers")
 
 
 def _state_folder() -> Path:

@@ -22,6 +22,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
+from datetime import datetime, timezone
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -448,14 +449,17 @@ def _secured(folder: Path, role: str) -> tuple[zenoh.Config, str]:
     private_key = folder / f"{role}.key"
     try:
         if private_key.stat().st_mode & stat.S_IRWXO:
-            raise PeerError(f"{private_key}: every user of this machine can read this private key; expected chmod 600")
+            raise PeerError(
+                f"{private_key}: every user of this machine can read or change this private key; expected chmod 600 or 640"
+            )
         config = zenoh.Config.from_file(folder / f"zenoh-{role}.json5")
     except (OSError, zenoh.ZError) as problem:
         raise PeerError(
             f'{folder}: {problem}; expected the keys of role "{role}", made by heliostat keys init or keys issue'
         ) from problem
-    # The file has the paths of the folder in which it was made.
     certificate = f"{role}.pem"
+    _check_certificate(folder / certificate, private_key)
+    # The file has the paths of the folder in which it was made.
     for setting, name in (
         ("root_ca_certificate", "ca.pem"),
         ("listen_certificate", certificate),
@@ -466,6 +470,46 @@ def _secured(folder: Path, role: str) -> tuple[zenoh.Config, str]:
         config.insert_json5(f"transport/link/tls/{setting}", json.dumps(str(folder.resolve() / name)))
     rights = json.loads(config.get_json("access_control"))
     return config, rights["rules"][0]["key_exprs"][0].split("/")[2]
+
+
+def _check_certificate(path: Path, private_key: Path) -> None:
+    """Refuses a certificate that is no use at this time: Zenoh would retry its connections without a reason."""
+    try:
+        ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(path, private_key, password="")
+        begin, end = _validity(ssl.PEM_cert_to_DER_cert(path.read_text()))
+    except (OSError, ValueError, IndexError) as problem:
+        raise PeerError(
+            f"{path}: {problem}; expected a certificate of heliostat keys in PEM format, with its private key "
+            f"{private_key.name} beside it: copy both from the same folder, or issue them again with heliostat keys issue"
+        ) from problem
+    now = datetime.now(timezone.utc)
+    if now > end:
+        raise PeerError(f"{path}: the certificate expired on {end:%Y-%m-%d}; renew it with heliostat keys renew")
+    if now < begin:
+        raise PeerError(f"{path}: the certificate is not valid yet; set the clock of this machine, or issue it again")
+
+
+def _validity(certificate: bytes) -> tuple[datetime, datetime]:
+    """Begin and end of the validity of a certificate in DER (RFC 5280, section 4.1)."""
+
+    def element(at: int) -> tuple[int, int, int]:
+        """Tag, begin and end of the content of the element at a place."""
+        length, begin = certificate[at + 1], at + 2
+        if length & 0x80:
+            digits = length & 0x7F
+            length, begin = int.from_bytes(certificate[begin : begin + digits], "big"), begin + digits
+        return certificate[at], begin, begin + length
+
+    _, at, _ = element(element(0)[1])
+    # An explicit version comes before serial number, algorithm, issuer and validity.
+    for _ in range(4 if certificate[at] == 0xA0 else 3):
+        at = element(at)[2]
+    at, times = element(at)[1], list[datetime]()
+    for _ in range(2):
+        tag, begin, at = element(at)
+        form = "%y%m%d%H%M%SZ" if tag == 0x17 else "%Y%m%d%H%M%SZ"
+        times.append(datetime.strptime(certificate[begin:at].decode(), form).replace(tzinfo=timezone.utc))
+    return times[0], times[1]
 
 
 def _check(settings: Settings) -> None:

@@ -238,6 +238,31 @@ fn a_held_stop_that_an_array_never_confirms_ends_with_status_1_also_after_a_sign
 }
 
 #[test]
+fn a_held_stop_states_that_an_array_that_returned_has_confirmed_it_and_that_one_no_longer_does() {
+    let mut room = TwoArrays::start("returned");
+    room.driver(1).kill();
+    let [first, second] = &room.endpoints;
+    let flags = ["stop", "--hold", "--timeout", "1", "--room", "returned", "--connect", &room.of_controller];
+    let flags = [&flags[..], &["--connect", first, "--connect", second]].concat();
+    // Both outputs in one, in their order.
+    let mut held = Process::heliostat_under(&["sh", "-c", "exec \"$@\" 1>&2", "sh"], &[], &flags);
+    wait_until("the held stop", || held.errors().contains("the stop is held: end with Ctrl-C"));
+    let confirmed = "the arrays of room returned are stopped, confirmed after ";
+    assert!(!held.errors().contains(confirmed), "{}", held.errors());
+    room.start_driver(1);
+    wait_until("the confirmation", || held.errors().contains(confirmed));
+    room.driver(1).kill();
+    let open =
+        "not every array confirms the stop any longer: stopped by their reports: array 0; array 1 does not answer";
+    wait_until("the end of the confirmation", || held.errors().contains(open));
+    room.start_driver(1);
+    wait_until("the second confirmation", || held.errors().contains("every array confirms the stop again"));
+    held.signal("INT");
+    let ended = held.wait_mut();
+    assert!(ended.status.success(), "{}", ended.errors);
+}
+
+#[test]
 fn an_array_whose_board_refuses_the_stop_or_hangs_up_is_named() {
     let room = TwoArrays::start("refusing");
     for behaviour in [Behaviour::RefusesStops, Behaviour::Absent] {

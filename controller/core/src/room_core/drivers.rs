@@ -2,9 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use heliostat_proto::{
-    LostDriver, MirrorTelemetry, Nanos, START_WINDOW_NS, Stamp, StopReport, keys::parse_array_alive,
-};
+use heliostat_proto::{LostDriver, MirrorTelemetry, Nanos, PresentDriver, Stamp, StopReport, keys::parse_array_alive};
 
 use crate::core::Controller;
 
@@ -20,7 +18,7 @@ type Token = (Option<usize>, u64);
 
 /// The liveliness tokens of drivers and simulators, and the telemetry of each array.
 pub(super) struct Drivers {
-    tokens: BTreeMap<Token, Present>,
+    tokens: BTreeMap<Token, PresentDriver>,
     /// Array and source of those whose device has executed a stop, by their last stop report.
     stopped: BTreeSet<(usize, u64)>,
     /// Oldest first.
@@ -29,15 +27,6 @@ pub(super) struct Drivers {
     is_stopped: bool,
     /// One for each array.
     detectors: Vec<AbsenceDetector>,
-}
-
-/// A driver or a simulator that is in the room.
-#[derive(Clone, Copy, Debug)]
-struct Present {
-    /// When its token appeared.
-    since_ns: Nanos,
-    /// Number of commands that it has accepted, by its telemetry; absent without telemetry.
-    accepted: Option<u64>,
 }
 
 /// A driver that has left.
@@ -74,13 +63,13 @@ impl Drivers {
         let Some(token @ (driven, source)) = parse_array_alive(key) else { return };
         let served = driven.map_or(0..self.detectors.len(), |array| array..array + 1);
         if is_alive {
-            self.tokens.entry(token).or_insert(Present { since_ns: now, accepted: None });
+            self.tokens.entry(token).or_insert(PresentDriver::new(now));
             let is_over = |lost: &Lost| !lost.had_other || lost.driver.source == source;
             self.lost.retain(|lost| !(served.contains(&lost.driver.array) && is_over(lost)));
         } else if let Some(left) = self.tokens.remove(&token) {
             for array in served {
                 // A device that has executed a stop stands.
-                if !self.stopped.remove(&(array, source)) && !self.has_yielded(now, array, source, left) {
+                if !self.stopped.remove(&(array, source)) && !left.has_yielded(now, source, self.sources_of(array)) {
                     let driver = LostDriver { array, source, since_ns: now };
                     self.lost.push(Lost { driver, had_other: drives(self.tokens.keys(), array) });
                 }
@@ -90,21 +79,15 @@ impl Drivers {
         }
     }
 
-    /// Whether a driver has ended at its start, beside another one of the array with a lower source id, before it
-    /// accepted a command: it has moved no mirror.
-    fn has_yielded(&self, now: Nanos, array: usize, source: u64, left: Present) -> bool {
-        let is_at_start = now.abs_diff(left.since_ns) <= START_WINDOW_NS;
-        let lower = self.tokens.keys().filter(|(_, other)| *other < source);
-        is_at_start && left.accepted == Some(0) && drives(lower, array)
+    /// The sources of the drivers of an array that are in the room.
+    fn sources_of(&self, array: usize) -> impl Iterator<Item = u64> {
+        self.tokens.keys().filter(move |token| serves(token, array)).map(|(_, source)| *source)
     }
 
     /// A driver of an array has published telemetry. Does not allocate.
     pub fn handle_telemetry(&mut self, array: usize, report: &MirrorTelemetry) {
-        let (source, accepted) = (report.stamp.source, report.counters.accepted);
-        for token in [(Some(array), source), (None, source)] {
-            if let Some(present) = self.tokens.get_mut(&token) {
-                present.accepted = present.accepted.max(Some(accepted));
-            }
+        for token in [Some(array), None].map(|of| (of, report.stamp.source)) {
+            self.tokens.get_mut(&token).into_iter().for_each(|driver| driver.handle_telemetry(report));
         }
     }
 
@@ -175,7 +158,7 @@ impl AbsenceDetector {
 
 #[cfg(test)]
 mod tests {
-    use heliostat_proto::{Counters, NodeKind, Room};
+    use heliostat_proto::{Counters, NodeKind, Room, START_WINDOW_NS};
 
     use super::*;
 

@@ -141,6 +141,28 @@ fn an_old_failure_of_the_device_hides_no_refusal_and_a_refusal_no_present_failur
     assert!(station.last_problem().starts_with("command: "), "{}", station.last_problem());
     assert_eq!(absent(&mut station, 4000 * MS), 0);
     assert!(station.last_problem().starts_with("command: "), "{}", station.last_problem());
+    // It is lost and returns between two statuses.
+    world.is_there.store(false, Ordering::SeqCst);
+    let lost_at = Moment::simulated(4100 * MS);
+    let (time_ns, angles) = (lost_at.room_ns, vec![0.25]);
+    let command = MirrorCommand {
+        epoch: 3,
+        sequence: 1,
+        time_ns,
+        validity_ms: 200,
+        roll: angles.clone(),
+        yaw: angles,
+        ..MirrorCommand::default()
+    };
+    station.handle_command(lost_at, &command);
+    station.advance(lost_at);
+    world.is_there.store(true, Ordering::SeqCst);
+    station.advance(Moment::simulated(4400 * MS));
+    refused(&mut station, 4401 * MS);
+    let shown = status(&mut station, Moment::simulated(5000 * MS));
+    assert_eq!((shown.counter("device_absent"), shown.last_problem.as_str()), (Some(0), "port: no answer"));
+    refused(&mut station, 5001 * MS);
+    assert!(station.last_problem().starts_with("command: "), "{}", station.last_problem());
 }
 
 #[test]

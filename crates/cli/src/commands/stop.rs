@@ -18,6 +18,8 @@ use order::{Order, unsent};
 
 /// Time between two looks at a held stop.
 const HOLD_INTERVAL: Duration = Duration::from_millis(50);
+/// Time after which a change of the confirmation of a held stop is shown: a late report is none.
+const SETTLED: Duration = Duration::from_secs(1);
 /// What to do where further stops may hold the arrays.
 const LOOK_AND_REPEAT: &str = "look at `heliostat status`, and repeat the re-arm for the stops that it names";
 
@@ -33,7 +35,8 @@ const LOOK_AND_REPEAT: &str = "look at `heliostat status`, and repeat the re-arm
 /// stop. A driver left before the stop, and a controller reports this: its return or a release ends it. An
 /// array has stopped and does not record the stop: the message states what a restart of its driver does.
 ///
-/// With --hold the command notes all this and goes on. Its status is 1 at its end, also after Ctrl-C, if not
+/// With --hold the command notes all this and goes on. It states when every array has confirmed the stop, and
+/// when one no longer does. Its status is 1 at its end, also after Ctrl-C, if not
 /// every array has confirmed the stop by then. A stop that is interrupted during its first wait names what is
 /// confirmed.
 ///
@@ -128,19 +131,32 @@ pub fn stop(args: StopArgs) -> Result<()> {
     };
     // Before the notes: a signal that answers them ends the stop as one that is held.
     order.note_held();
+    let report = |took| match args.order.report(&room, switch, took, begun) {
+        Ok(unrecorded) => unrecorded.into_iter().for_each(output::note),
+        Err(error) => output::note(format_args!("heliostat stop: {error}; the stop is held: end with Ctrl-C")),
+    };
     match &stopped {
-        Ok(took) => match args.order.report(&room, switch, *took, begun) {
-            Ok(unrecorded) => unrecorded.into_iter().for_each(output::note),
-            Err(error) => output::note(format_args!("heliostat stop: {error}; the stop is held: end with Ctrl-C")),
-        },
+        Ok(took) => report(*took),
         Err(error) => output::note(format_args!("heliostat stop: {error}; the stop is held: end with Ctrl-C")),
     }
     let end = end?;
     let until = args.end.seconds.map(|seconds| Instant::now() + seconds);
     let mut was_confirmed = stopped.is_ok();
+    // What the last line said, and since when it is not so.
+    let (mut is_shown, mut differs_since) = (was_confirmed, None::<Instant>);
     while switch.is_own_held() && !end.wait_for(HOLD_INTERVAL) && until.is_none_or(|until| Instant::now() < until) {
         switch.repeat();
-        was_confirmed |= switch.is_own_confirmed();
+        let is_confirmed = switch.is_own_confirmed();
+        if is_confirmed && !was_confirmed {
+            report(begun.elapsed());
+            (was_confirmed, is_shown) = (true, true);
+        }
+        if is_confirmed == is_shown {
+            differs_since = None;
+        } else if differs_since.get_or_insert_with(Instant::now).elapsed() >= SETTLED {
+            is_shown = is_confirmed;
+            output::note(confirmation_in_words(is_confirmed, || open_in_words(switch)));
+        }
     }
     let (is_held, is_confirmed) = (switch.is_own_held(), switch.is_own_confirmed());
     was_confirmed |= is_confirmed;
@@ -160,6 +176,17 @@ pub fn stop(args: StopArgs) -> Result<()> {
         "not every array has confirmed the stop: {open}; look at `heliostat status`, or cut the power"
     );
     Ok(())
+}
+
+/// A change of the confirmation of a held stop that was confirmed before.
+fn confirmation_in_words(is_confirmed: bool, open: impl FnOnce() -> String) -> String {
+    match is_confirmed {
+        true => "heliostat stop: every array confirms the stop again".to_owned(),
+        false => format!(
+            "heliostat stop: not every array confirms the stop any longer: {}; the stop is held: end with Ctrl-C",
+            open()
+        ),
+    }
 }
 
 /// What is known of a stop on its way, array by array.

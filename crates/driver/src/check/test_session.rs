@@ -371,7 +371,7 @@ impl TestSession {
     pub fn problem(&self) -> Option<String> {
         let reported = self.inspect(|received| {
             let statuses = received.statuses.iter().filter_map(|(_, status)| status.as_ref().ok());
-            problem_of_device(statuses).unwrap_or("its status names no problem").to_owned()
+            problem_of_device(statuses).unwrap_or("its status names no problem, and its log may").to_owned()
         });
         describe_failure(self.failure, self.is_device_lost(0).then_some(reported.as_str()))
     }
@@ -435,11 +435,19 @@ pub fn bytes<T: Message>(message: &T) -> Result<Vec<u8>> {
 /// The latest problem of a device in the statuses of its driver.
 ///
 /// The other problems there are refusals, such as those of the commands of the check. A driver that counts
-/// no absent devices does not tell them apart.
-fn problem_of_device<'a>(statuses: impl DoubleEndedIterator<Item = &'a NodeStatus>) -> Option<&'a str> {
+/// no absent devices does not tell them apart. One that was absent between two statuses was connected again.
+fn problem_of_device<'a>(statuses: impl Iterator<Item = &'a NodeStatus>) -> Option<&'a str> {
     let is_absent = |status: &NodeStatus| status.counter("device_absent").is_some_and(|count| count > 0);
-    let latest = statuses.rev().find(|status| is_absent(status) && !status.last_problem.is_empty());
-    latest.map(|status| status.last_problem.as_str())
+    let (mut latest, mut before): (Option<&str>, Option<&NodeStatus>) = (None, None);
+    for status in statuses {
+        let connections = before.filter(|before| !is_absent(before)).and_then(|before| before.counter("connections"));
+        let was_absent = connections.is_some_and(|before| status.counter("connections") > Some(before));
+        if (is_absent(status) || was_absent) && !status.last_problem.is_empty() {
+            latest = Some(&status.last_problem);
+        }
+        before = Some(status);
+    }
+    latest
 }
 
 fn stop_message(stamp: Stamp, action: StopAction) -> Result<Vec<u8>> {
@@ -494,5 +502,19 @@ mod tests {
         let statuses = [status(1, "mirrors: roll of mirror 0 is not finite"), refused.clone()];
         assert_eq!(problem_of_device(statuses.iter()), Some("mirrors: roll of mirror 0 is not finite"));
         assert_eq!(problem_of_device([refused].iter()), None);
+    }
+
+    #[test]
+    fn the_problem_of_a_device_that_was_lost_between_two_statuses_is_the_one_of_its_next_connection() {
+        let connected = |absent, connections, problem| {
+            let mut status = status(absent, problem);
+            status.counters.push(("connections".to_owned(), connections));
+            status
+        };
+        let reset =
+            [connected(0, 1, "command: expired"), connected(0, 2, "port: a reset"), connected(0, 2, "rearm: late")];
+        assert_eq!(problem_of_device(reset.iter()), Some("port: a reset"));
+        let returned = [connected(1, 1, "port: no answer"), connected(0, 2, "command: expired")];
+        assert_eq!(problem_of_device(returned.iter()), Some("port: no answer"), "it was seen as absent");
     }
 }

@@ -12,16 +12,18 @@ impl RoomStatus {
         self.stops.iter().any(|stop| stop.contains(problem))
     }
 
+    /// Whether a stop that is seen holds the arrays: their state and the absence of a leader follow from it.
+    pub(super) fn is_stopped(&self) -> bool {
+        !self.stops.is_empty() && self.figures.array.state == ArrayState::Stopped.name()
+    }
+
     /// What is wrong with the arrays. A stop is one problem: state and fault of the array follow from it.
     pub(super) fn array_problems(&self) -> impl Iterator<Item = String> {
         let array = &self.figures.array;
-        let is_of_stop = |text: &str, of: &str| !self.stops.is_empty() && text == of;
         let is_following = array.state == ArrayState::Following.name();
-        let state = (!is_following && !is_of_stop(&array.state, ArrayState::Stopped.name()))
-            .then(|| format!("{NOT_FOLLOWING}: {}", array.state));
-        let of_stop = fault::names(fault::STOP);
-        let faults: Vec<&str> =
-            array.faults.iter().copied().filter(|fault| !of_stop.iter().any(|of| is_of_stop(fault, of))).collect();
+        let state = (!is_following && !self.is_stopped()).then(|| format!("{NOT_FOLLOWING}: {}", array.state));
+        let of_stop = if self.stops.is_empty() { Vec::new() } else { fault::names(fault::STOP) };
+        let faults: Vec<&str> = array.faults.iter().copied().filter(|fault| !of_stop.contains(fault)).collect();
         let faults = (!faults.is_empty()).then(|| format!("faults of the array: {}", faults.join(", ")));
         state.into_iter().chain(faults)
     }
@@ -42,7 +44,7 @@ impl RoomStatus {
 
 #[cfg(test)]
 mod tests {
-    use crate::controllers::ControllerFigures;
+    use crate::controllers::{ControllerFigures, Role};
     use crate::figures::{ArrayFigures, Figures, NodeFigures};
     use crate::stop_watch::RoomStops;
     use crate::terminal::texts::stops;
@@ -62,6 +64,24 @@ mod tests {
         assert_eq!(found(&[stop], vec!["stop"]), [stop]);
         assert_eq!(found(&[stop], vec!["mirror", "stop"]), ["faults of the array: mirror", stop]);
         assert_eq!(found(&[], vec![]), ["the array does not follow: stopped"], "its stop is not seen");
+    }
+
+    #[test]
+    fn controllers_of_which_none_leads_are_no_problem_of_their_own_during_a_stop() {
+        for role in [Role::Unfollowed, Role::StandsBy] {
+            let controllers = vec![ControllerFigures { role, ..ControllerFigures::default() }; 2];
+            let found = |stops: &[&str], state: &str| {
+                let array = ArrayFigures { state: state.into(), ..ArrayFigures::default() };
+                let figures = Figures { controllers: controllers.clone(), array, ..Figures::default() };
+                let stops = stops.iter().map(|stop| (*stop).to_owned()).collect();
+                RoomStatus { reports_per_s: 20.0, stops, figures, ..RoomStatus::default() }.found()
+            };
+            let stop = "array 0 has stopped: stop 7/1 of anna (ladder)";
+            assert_eq!(found(&[stop], "stopped"), [stop]);
+            for unseen in [found(&[], "stopped"), found(&[stop], "parked")] {
+                assert!(unseen.iter().any(|problem| problem.starts_with("no controller leads: ")), "{unseen:?}");
+            }
+        }
     }
 
     #[test]

@@ -28,13 +28,13 @@ fn a_stop_names_the_driver_that_a_controller_has_lost() {
     let _token = own.announce(&own.room().alive(NodeKind::Controller, CONTROLLER)).unwrap();
     let publisher = own.publisher(&own.room().status(NodeKind::Controller), Class::LowDrop).unwrap();
     awaited("the token of the controller", || !switch.unheard_controllers().is_empty());
-    let lost = LostDriver { array: 0, source: 7, since_ns: 43_384_000_000_000 };
+    let lost = LostDriver { array: 0, source: 7, since_ns: 1_767_355_384_000_000_000 };
     awaited("the status of the controller", || {
         publish(&publisher, &status(&[lost]));
         switch.unheard_controllers().is_empty()
     });
     let open = unconfirmed(&switch);
-    let was_lost = "driver 0000000000000007 was lost at 12:03:04 UTC";
+    let was_lost = "driver 0000000000000007 was lost at 2026-01-02 12:03:04 UTC";
     let expected = format!("array 0 is not confirmed: {was_lost}; its mirrors may still move: cut the power");
     assert_eq!(open, [expected]);
     let unreleased = switch.unreleased_lost();

@@ -3,9 +3,10 @@
     pip install "./python[pettingzoo]" "ray[rllib]" torch
     python python/examples/rllib.py [--scenario hall] [--workers 2] [--steps 100000]
 
-Each worker is a process with rooms of its own; a cluster of Ray spreads them over machines. An agent observes the belief
-about all users, its own user first, and chooses the weight of its user. The agents share the reward of the room. As in
-ppo.py, later rewards are left out (gamma = 0): an action hardly changes the rooms that follow.
+Each worker is a process with rooms of its own. With RAY_ADDRESS=auto a cluster of Ray that runs already spreads them
+over its machines; each needs the same packages. An agent observes the belief about all users, its own user first, and
+chooses the weight of its user. The agents share the reward of the room. As in ppo.py, later rewards are left out
+(gamma = 0): an action hardly changes the rooms that follow.
 
 It prints the steps a second of the workers, and the mean sum rate of the learned and of equal weights in the same rooms,
 which no worker has used.
@@ -88,7 +89,9 @@ def mean_rate(algorithm: Any, settings: dict[str, Any], rooms: int, *, learned: 
 def main(arguments: argparse.Namespace) -> None:
     import ray
 
-    ray.init(num_cpus=max(arguments.workers, os.cpu_count() or 1), include_dashboard=False, log_to_driver=False)
+    own: dict[str, Any] = {"num_cpus": max(arguments.workers, os.cpu_count() or 1), "include_dashboard": False}
+    # Ray refuses these for a cluster that runs already.
+    ray.init(log_to_driver=False, **({} if os.environ.get("RAY_ADDRESS") else own))
     dynamics = "static" if arguments.scenario in ("specular", "paper") else "closed-loop"
     settings = {
         "scenario": arguments.scenario,

@@ -49,6 +49,7 @@ fn the_command_that_makes_the_keys_of_a_building_renews_them() {
         "host-b/studio/controller.pem",
         "host-b/studio/router.pem",
         "host-b/foyer/driver.key",
+        "operator/studio/operator.pem",
     ];
     let (before, authority) = (renewed.map(read), read("authorities/studio/ca.pem"));
     run_make_keys(folder.path());
@@ -56,6 +57,19 @@ fn the_command_that_makes_the_keys_of_a_building_renews_them() {
         assert_ne!(read(file), *before, "{file}");
     }
     assert_eq!(read("authorities/studio/ca.pem"), authority);
+    // What leaves the machine of the keys has no private key of an authority.
+    for copied in ["host-a", "host-b", "operator"] {
+        for room in ["studio", "foyer"] {
+            let files = fs::read_dir(folder.path().join("building-keys").join(copied).join(room)).expect("a folder");
+            let mut names: Vec<String> =
+                files.flatten().map(|file| file.file_name().to_string_lossy().into_owned()).collect();
+            names.sort();
+            assert!(!names.iter().any(|name| name == "ca.key"), "{copied}, {room}: {names:?}");
+            if copied == "operator" {
+                assert_eq!(names, ["ca.pem", "operator.key", "operator.pem"], "{room}");
+            }
+        }
+    }
 }
 
 /// Waits until a controller is in standby, or in command.
@@ -78,26 +92,32 @@ fn the_units_of_two_hosts_run_two_rooms_and_a_standby_replaces_a_stopped_control
     let hosts = ["host-a", "host-b"].map(|name| {
         let host = Host::start(&engine, name, "cable", context.path());
         host.install(&workspace().join("deploy"), "/root/deploy");
-        host.install(&keys.path().join("building-keys").join(name), "/etc/heliostat/keys");
+        host.install(&keys.path().join("building-keys").join(name), &format!("/root/{name}"));
         host
     });
+    // Root's own commands need no sudo, which the base image lacks.
+    let run = |host: &Host, script: &str| host.shell(&format!("set -e; cd /root; sudo() {{ \"$@\"; }}; {script}"));
     // Not every container can: it needs a file system with access control lists, or a mount of its own.
     let probe = "systemd-run --quiet --wait --collect -p DynamicUser=yes -p LoadCredential=probe:/etc/hostname \
                  sh -c 'cat $CREDENTIALS_DIRECTORY/probe' && echo readable || true";
     let is_readable = hosts[0].shell(probe).contains("readable");
     assert!(is_readable, "systemd in a container of this machine passes no credentials to a dynamic user");
-    for (host, name) in hosts.iter().zip(["A", "B"]) {
-        let script = commands("on both hosts") + &commands(&format!("on host {name}"));
-        // Root's own commands need no sudo, which the base image lacks.
-        host.shell(&format!("set -e; cd /root; sudo() {{ \"$@\"; }}; {script}"));
+    let copy = commands("on host A, with its folder in the home directory; likewise on host B");
+    for (host, [name, folder]) in hosts.iter().zip([["A", "host-a"], ["B", "host-b"]]) {
+        let copy = copy.replace("host-a", folder);
+        run(host, &(copy + &commands("on both hosts") + &commands(&format!("on host {name}"))));
     }
     let [a, b] = &hosts;
     // The metrics of building/rooms: the array of each room, its controller and its standby.
-    for (array, standby, [of_array, of_controller, of_standby]) in
-        [(a, b, [9465, 9464, 9469]), (b, a, [9467, 9466, 9468])]
-    {
+    let rooms = [(a, b, [9465, 9464, 9469]), (b, a, [9467, 9466, 9468])];
+    for (array, _, [of_array, of_controller, _]) in rooms {
         wait_until("commands that the array accepts", || array.commands(of_array) > 10.0);
         wait_for_role(array, of_controller, false);
+    }
+    for (host, name) in hosts.iter().zip(["A", "B"]) {
+        run(host, &commands(&format!("on host {name}, when both controllers lead")));
+    }
+    for (_, standby, [_, _, of_standby]) in rooms {
         wait_for_role(standby, of_standby, true);
     }
     a.shell("systemctl stop heliostat-controller@studio");

@@ -394,6 +394,21 @@ fn the_rooms_of_a_building_have_the_variables_and_the_keys_of_every_unit() {
 }
 
 #[test]
+fn the_containers_of_a_building_have_the_names_of_their_hosts_and_a_standby_starts_after_its_leader() {
+    let compose = fs::read_to_string(workspace().join("deploy/building/compose.yaml")).expect("a compose file");
+    for (room, of_leader, of_standby) in [("studio", "a", "b"), ("foyer", "b", "a")] {
+        for (service, host) in [("room", of_leader), ("controller", of_leader), ("standby", of_standby)] {
+            let part = compose.split_once(&format!("\n  {room}-{service}:\n")).expect("a service").1;
+            let part = part.split("\n\n").next().unwrap_or_default();
+            assert!(part.contains(&format!("\n    hostname: {service}-on-host-{host}\n")), "{part}");
+            assert!(part.contains(&format!("\n    networks: [host-{host}]\n")), "{part}");
+            let waits = part.contains(&format!("\n      {room}-controller: {{ condition: service_healthy }}"));
+            assert_eq!(waits, service == "standby", "{part}");
+        }
+    }
+}
+
+#[test]
 fn every_unit_that_cannot_start_waits_for_an_operator_after_as_many_attempts() {
     let units = fs::read_dir(workspace().join("deploy/systemd")).expect("a folder").flatten();
     let texts: Vec<String> = units.map(|entry| fs::read_to_string(entry.path()).expect("a unit")).collect();

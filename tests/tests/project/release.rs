@@ -47,6 +47,12 @@ fn the_archive_has_programs_documents_and_units_and_its_demo_runs_from_an_empty_
     ] {
         assert!(listing.lines().any(|line| line.ends_with(&format!("/{member}"))), "{member} is missing:\n{listing}");
     }
+    let file = archive.to_str().expect("a plain path");
+    let install = run(Path::new("tar"), &["-xzOf", file, "--wildcards", "*/INSTALL"]);
+    let lock = std::fs::read_to_string(workspace().join("Cargo.lock")).expect("a lock file");
+    let zenoh = lock.split_once("name = \"zenoh\"\nversion = \"").expect("zenoh is there").1;
+    let version = zenoh.split('"').next().expect("a version");
+    assert!(install.contains(&format!(" zenohd --version {version}\n")), "{install}");
     let sums =
         Command::new("sha256sum").args(["--check", "--strict", "SHA256SUMS"]).current_dir(folder.path()).output();
     assert!(sums.expect("sha256sum runs").status.success());

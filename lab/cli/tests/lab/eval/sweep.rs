@@ -99,6 +99,31 @@ fn a_sweep_has_a_report_for_each_value_of_its_key() {
     assert!(message.contains("FIRST..LAST"), "{message}");
 }
 
+/// Machines share the seeds of a comparison: docs/evaluation.md.
+#[test]
+fn commands_of_one_seed_give_together_the_episodes_of_one_command() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("episodes.csv");
+    let episodes = |seed: &str, seeds: &str| -> Vec<Vec<String>> {
+        let flags = ["--closed-loop", "--scenario", "hall", "--policies", "flat", "--episodes", "1"];
+        let of_seeds = ["--seed", seed, "--seeds", seeds, "--csv-episodes", file.to_str().expect("a plain path")];
+        report(&[&flags[..], &of_seeds].concat());
+        let text = std::fs::read_to_string(&file).expect("readable");
+        let names: Vec<&str> = text.lines().next().expect("a head").split(',').collect();
+        let lines = text.lines().skip(1).map(|line| {
+            let cells = names.iter().zip(line.split(',')).filter(|(name, _)| **name != "configuration");
+            cells.map(|(_, cell)| cell.to_owned()).collect::<Vec<String>>()
+        });
+        lines.collect()
+    };
+    let mut together = episodes("5", "2");
+    let mut apart = [episodes("5", "1"), episodes("6", "1")].concat();
+    together.sort();
+    apart.sort();
+    assert_eq!(together.len(), 4, "the oracle and a policy, for each seed");
+    assert_eq!(apart, together);
+}
+
 #[test]
 fn two_keys_give_each_combination_with_its_outage_and_a_room_without_mirrors() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -156,8 +156,8 @@ fn settings_of(
 }
 
 /// Refuses overrides of the form "table.key=value" that have no effect on exact states; the conditions of a
-/// scenario with late, noisy or lost reports or with faults of mirrors, which a static room does not have, and that of
-/// places out of the range of the controller.
+/// scenario with late, noisy or lost reports or with slow or faulty mirrors, which a static room does not have, that of
+/// places out of the range of the controller, and those of keys without effect.
 #[pyfunction]
 pub fn check_exact(scenario: &Scenario, overrides: Vec<String>) -> PyResult<Vec<String>> {
     exact_states::check_overrides(&overrides).map_err(refused)?;

@@ -191,7 +191,16 @@ fn write_recording(script: &mut Script<'_>, file: &tempfile::NamedTempFile) {
             Kind::MirrorTelemetry => room.telemetry(),
             Kind::Capabilities => room.capabilities(),
             Kind::EmergencyStop => room.stop(),
-            _ => room.status(NodeKind::Controller),
+            Kind::Rearm => room.rearm(),
+            Kind::SafetyReport => room.safety(),
+            Kind::Calibration => room.calibration(),
+            Kind::RoomTruth => room.truth(),
+            Kind::RoomGeometry => room.geometry(NodeKind::SimNode),
+            Kind::BeliefReport => room.belief(),
+            Kind::ControllerMemory => room.controller_memory(),
+            Kind::ControllerControl => room.controller_control(),
+            Kind::SimulatorControl => room.simulator_control(),
+            Kind::NodeStatus => room.status(NodeKind::Controller),
         };
         let time_ns = start_ns + index * 10_000_000;
         let genuine = Genuine { source: 7, sequence: index + 1, time_ns, epoch: 7, tick: index / 2, stop: (0, 0) };

@@ -2,20 +2,20 @@
 
 use std::borrow::Cow;
 
-use heliostat_proto::{array_keys::array_name, clock_time, stop_hold::HeldStop};
+use heliostat_proto::{array_keys::array_name, clock_time, cut, stop_hold::HeldStop};
 
 use super::Controller;
 use crate::output::guard::describe_stop;
 
-/// Stops in the state of a status; a text of the contract has at most 1024 bytes.
+/// Stops in the state of a status.
 const STOPS_SHOWN: usize = 3;
 
 /// Characters of an operator's name and reason in it.
 const STOP_CHARACTERS: usize = 30;
 
 impl Controller {
-    /// The stops that withhold commands, empty for none; those of a part of the arrays with their names. Texts of
-    /// operators pass `printable`.
+    /// The stops that withhold commands, as long as a message may hold the text, empty for none; those of a part of the
+    /// arrays with their names. Texts of operators pass `printable`.
     pub fn describe_stops(&self, printable: impl Fn(&str) -> Cow<'_, str>) -> String {
         let arrays = 0..self.arrays();
         let mut texts: Vec<(String, Vec<usize>)> = Vec::new();
@@ -42,7 +42,10 @@ impl Controller {
                 }
             })
             .collect();
-        if parts.is_empty() { String::new() } else { format!("withheld by {}", parts.join("; ")) }
+        if parts.is_empty() {
+            return String::new();
+        }
+        cut(&format!("withheld by {}", parts.join("; "))).to_owned()
     }
 }
 

@@ -10,8 +10,8 @@ use heliostat_core::{
     tenure::Tenure,
 };
 use heliostat_proto::{
-    ArrayState, AxisLimits, Capabilities, ControllerInput, EmergencyStop, InputKind, LatchedStopReport, MirrorCommand,
-    MirrorTelemetry, Nanos, NodeKind, SafetyReport, Stamp, StopAction, StopReport, ValidityClock,
+    ArrayState, AxisLimits, Capabilities, ControllerInput, EmergencyStop, InputKind, LatchedStopReport, MAX_TEXT,
+    MirrorCommand, MirrorTelemetry, Nanos, NodeKind, SafetyReport, Stamp, StopAction, StopReport, ValidityClock,
 };
 use heliostat_scenario::Scenario;
 
@@ -92,6 +92,19 @@ fn arrays_of(commands: &[(usize, MirrorCommand)]) -> Vec<usize> {
 
 fn stop(time_ns: Nanos) -> EmergencyStop {
     EmergencyStop { stamp: Stamp { source: 5, sequence: 1, time_ns }, action: StopAction::Stop, ..Default::default() }
+}
+
+#[test]
+fn the_text_about_stops_with_long_names_and_reasons_fits_a_message() {
+    let (mut controller, _) = reaching();
+    for source in 1..=3 {
+        let stamp = Stamp { source, ..stop(Room::time(0)).stamp };
+        // A reason is shown with its control characters escaped.
+        let (operator, reason) = ("\u{1d11e}".repeat(40), "\u{80}".repeat(40));
+        controller.handle_stop_order(Room::time(0), &EmergencyStop { stamp, operator, reason, ..stop(0) });
+    }
+    let text = controller.describe_stops(|text| text.into());
+    assert!((1000..=MAX_TEXT).contains(&text.len()), "{} bytes: {text}", text.len());
 }
 
 #[test]

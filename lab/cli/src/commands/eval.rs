@@ -188,7 +188,7 @@ impl Args {
         let Change { overrides, without_mirrors } =
             change.unwrap_or(Change { overrides: Vec::new(), without_mirrors: false });
         let scenario = self.scenario(overrides)?;
-        let actor = self.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
+        let actor = ActorSource::from(self.model.clone());
         ensure!(
             self.model.is_none()
                 || self.policies.is_empty()

@@ -72,7 +72,7 @@ impl Ceiling {
             proposed: MirrorAngles::flat(mirrors),
             command: MirrorCommand {
                 epoch: 1,
-                validity_ms: scenario.control.validity_ms.round() as u32,
+                validity_ms: scenario.control.command_validity_ms(),
                 roll: vec![0.0; mirrors],
                 yaw: vec![0.0; mirrors],
                 ..MirrorCommand::default()

@@ -51,7 +51,9 @@ fn a_controller_whose_status_does_not_come_is_named_and_keeps_no_stop_unconfirme
     let (_arrays, switch, (own, _bus)) = arrays("unheard", &[Manner::Stops]);
     let _token = own.announce(&own.room().alive(NodeKind::Controller, CONTROLLER)).unwrap();
     awaited("the token of the controller", || !switch.unheard_controllers().is_empty());
+    let begun = Instant::now();
     switch.stop_and_confirm("test", TIME_LIMIT).unwrap();
+    assert!(begun.elapsed() >= Duration::from_millis(1500), "the stop awaits its status");
     let unheard = switch.unheard_controllers();
     assert!(unheard[0].starts_with("controller 0000000000000005 has not reported which drivers"), "{unheard:?}");
 }

@@ -74,8 +74,8 @@ export function sentence(now, age, shown, frame) {
     return `The room has not reported for ${seconds(age)}: users and rates are unknown.`;
   }
   if (isCalibrating(now)) return `A calibration commands the mirrors: ${now.calibration}. The rates are those of its probes.`;
-  const refusing = refusal(now);
-  if (refusing) return `The controller refuses the position reports${refusing.problem ? `: ${refusing.problem}` : "."}`;
+  // The list of problems has the reason.
+  if (refusal(now)) return "The controller refuses the position reports.";
   if (shown?.wall === false && frame) return withoutIn(frame.users);
   return now.users.length === 0 ? usersIn(now.users) : `${mirrorsIn(now.sum_mbps, frame)} ${usersIn(now.users)}`;
 }

@@ -376,6 +376,18 @@ fn the_marks_of_the_legend_have_the_dashes_of_their_lines_and_no_two_lines_share
 
 #[needs("browser")]
 #[test]
+fn no_two_policies_of_the_list_share_a_colour() {
+    let (_setting, browser) = Setting::shown();
+    let script = "return Promise.all([import('/charts.js'), fetch('/room.json').then((answer) => answer.json())]) \
+           .then(([{ Charts }, { policies }]) => { \
+             const of = Object.create(Charts.prototype); of.redraw = { reset: () => {} }; \
+             const colours = (dark) => { of.theme(dark); return policies.map(({ name }) => of.colourOf({ name, idle: false })); }; \
+             return [true, false].map((dark) => policies.length - new Set(colours(dark)).size); })";
+    assert_eq!(browser.run(script), serde_json::json!([0, 0]));
+}
+
+#[needs("browser")]
+#[test]
 fn a_learned_policy_has_the_file_of_its_network_or_the_hash_in_its_tooltip() {
     let (_setting, browser) = Setting::shown();
     let script = "return import('/figures.js').then(({ networkIn }) => { \

@@ -295,6 +295,13 @@ impl ReportedStops {
         self.has_geometry() && (0..self.expected()).all(has_reported)
     }
 
+    /// Whether all that can keep a stop unconfirmed was heard: the stops of every array, and the lost drivers of every
+    /// controller. What has not come some time after the first report of an array is not awaited.
+    pub fn is_heard(&self, now: Duration) -> bool {
+        let is_told = self.is_complete() && self.unheard_controllers().is_empty();
+        is_told || self.arrays.values().any(|seen| seen.is_settled(now))
+    }
+
     /// Whether a stop report of an array has arrived after this time.
     pub fn has_stops_after(&self, array: usize, time: Duration) -> bool {
         self.arrays.get(&array).and_then(|seen| seen.stops.as_ref()).is_some_and(|(at, _)| *at > time)

@@ -5,8 +5,8 @@ const SPAN_S = 90;
 const KEEP_EVERY_S = 0.2;
 // A longer time without figures is a gap in the lines.
 const GAP_S = 2;
-// Height of the line with the earlier policies, and the distance to the plot.
-const EARLIER_PX = 18;
+// Distance of the names of earlier policies to the plot.
+const EARLIER_GAP_PX = 4;
 const FONT = "11px system-ui, sans-serif";
 const SMALL_FONT = "9px system-ui, sans-serif";
 
@@ -17,6 +17,7 @@ const nameOf = ({ name }) => name || "policy unknown";
 const POLICY_COLOURS = {
   actor: "#0072b2", ddpg: "#0072b2", analytic: "#56b4e9", "ddpg-raw": "#cc79a7", dql: "#d55e00",
   "q-learning": "#e69f00", sarsa: "#f0e442", greedy: "#117733", "fixed-point": "#44aa99", nearest: "#882255", random: "#999999",
+  pso: "#aa4499", "sine-cosine": "#999933", hold: "#66a61e",
 };
 
 const TIPS = {
@@ -102,10 +103,11 @@ export class Charts {
     ];
   }
 
-  // A policy has its colour. What the mirrors follow in place of one, and an unknown policy, have colours of their own.
+  // A policy has its colour, and one that is a reference that of its line. What the mirrors follow in place of one, and an unknown policy, have colours of their own.
   colourOf({ name, idle }) {
     if (idle) return this.idle;
-    return name ? POLICY_COLOURS[name] ?? "#0072b2" : this.unknown;
+    const references = { flat: this.flat, "no-irs": "#bbbbbb", oracle: this.ink };
+    return name ? references[name] ?? POLICY_COLOURS[name] ?? "#0072b2" : this.unknown;
   }
 
   // The stroke of the line with the mirrors: each stretch has the colour of what the mirrors followed then.
@@ -143,15 +145,15 @@ export class Charts {
   showEarlier() {
     const earlier = new Map(this.stretches.map((stretch) => [nameOf(stretch), this.colourOf(stretch)]));
     earlier.delete(nameOf(this.followed));
-    const wasHidden = this.earlier.hidden;
+    const before = this.earlier.offsetHeight;
     this.earlier.hidden = earlier.size === 0;
-    // The plot computes its padding again.
-    if (this.earlier.hidden !== wasHidden) this.sumPlot?.redraw(false, true);
     this.earlier.replaceChildren("earlier: ", ...[...earlier].map(([name, colour]) => {
       const mark = Object.assign(document.createElement("span"), { textContent: name });
       mark.style.setProperty("--swatch", colour);
       return mark;
     }));
+    // The plot computes its padding again.
+    if (this.earlier.offsetHeight !== before) this.sumPlot?.redraw(false, true);
   }
 
   // A plot in an element; `tip` gives the text for the index under the pointer.
@@ -215,7 +217,7 @@ export class Charts {
       return [`${(-x).toFixed(0)} s ago`, ...(shown.length ? shown : ["no figures"])].join(" · ");
     };
     this.sumPlot = this.plot(this.sum, {
-      padding: [() => (this.earlier.hidden ? 4 : EARLIER_PX), 6, 0, 0],
+      padding: [() => this.earlier.offsetHeight + EARLIER_GAP_PX, 6, 0, 0],
       scales: { x: { time: false, range: [-SPAN_S, 0] }, y: this.fromZero() },
       series: [{}, ...lines.map(([key, , , dash, width], line) => ({
         stroke: (plot) => (key === "policy" ? this.strokeOf(plot) : this.lines()[lines.length - 1 - line][2]), dash, width, points: { show: false },

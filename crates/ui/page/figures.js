@@ -239,6 +239,6 @@ export function counters(now) {
   // Without any report it is unknown whether there are faults.
   const noFaults = now.array.silent.length < now.array.arrays ? "none" : "–";
   const faults = ["faults", now.array.faults.join(", ") || noFaults, now.array.faults.length ? "bad" : "", meaning, "array"];
-  const counts = now.counts.map((count) => [count.name, count.value === null ? "–" : String(count.value), count.is_problem && count.value > 0 ? "bad" : "", `${count.meaning} ${countedBy(count)}`.trim(), count.of]);
+  const counts = now.counts.map((count) => [count.name, count.value === null ? "–" : String(count.value), count.is_problem && count.value > 0 ? "bad" : "", `${count.meaning.replace(/\.?$/, ".")} ${countedBy(count)}`.trim(), count.of]);
   list(at("counts"), [...counts, faults, ...trackerNoise(now.tracker_noise), ...servedLight(now.light), ...standby(now.controllers)]);
 }

@@ -8,6 +8,9 @@ const SPEEDS = [["0 m/s", 0], ["0.5 m/s", 0.5], ["2 m/s", 2], ["4 m/s", 4]];
 const BLOCKED_MAX = 8;
 // A message of the page itself, for example without a connection, is shown this long.
 const OWN_MESSAGE_MS = 10000;
+// The server shows an answer for this time, and so does the page while the server is silent.
+const ANSWER_S = 5;
+const REFUSAL_S = 20;
 // An order without an answer of the server ends after this time.
 const ORDER_LIMIT_MS = 6000;
 
@@ -26,6 +29,7 @@ export class Orders {
     this.plan = plan;
     // The names of the stops that the page shows: a re-arm releases these and no others.
     this.stops = [];
+    this.newest = null;
     this.status = document.getElementById("order-status");
     const select = document.getElementById("policy");
     select.replaceChildren(...plan.policies.map(({ name, description }) => Object.assign(new Option(name, name), { title: description })));
@@ -69,7 +73,8 @@ export class Orders {
       this.blocked = this.group("blocked", choices, (users) => ({ order: "blocked", users }));
       for (const [button, users] of this.blocked) {
         button.ariaLabel = `${users || "no"} ${users === 1 ? "user" : "users"}`;
-        button.dataset.title = users ? `block the direct paths of the first ${button.ariaLabel}` : "leave every direct path as it is";
+        const which = users === 1 ? "path of the first user" : `paths of the first ${users} users`;
+        button.dataset.title = users ? `block the direct ${which}` : "leave every direct path as it is";
       }
     }
     pressed(this.blocked, now.users.filter((user) => user.forced).length);
@@ -156,6 +161,12 @@ export class Orders {
   // The newest order that still has something to say.
   answers(orders) {
     this.newest = orders[0] ?? null;
+    this.show();
+  }
+
+  // Ends what is shown for long enough, by the time since the last event of the server in s.
+  age(silence) {
+    if (silence > (this.newest?.state === "refused" ? REFUSAL_S : ANSWER_S)) this.newest = null;
     this.show();
   }
 

@@ -40,8 +40,9 @@ const START_LIMIT_MS = 15000;
 
 // What depends on the age of the figures, several times a second.
 function showAges(state) {
-  const { now, ages, room, frame, ended, network } = state;
+  const { now, ages, room, frame, ended, network, orders } = state;
   showBanner(state);
+  orders.age(ages.silence);
   setText(at("sentence"), ended ? lastSentence : sentence(now, ages.of("room"), room.shown, frame));
   ages.mark();
   if (!now) return;
@@ -97,7 +98,7 @@ async function start() {
     retheme();
   });
 
-  const state = { now: null, frame: null, framed: 0, room, ages: null, ended: "", network: plan.network };
+  const state = { now: null, frame: null, framed: 0, room, ages: null, ended: "", network: plan.network, orders };
   const outages = new Outages();
   const show = () => showAges(state);
   state.ages = new Ages(show);

@@ -74,8 +74,8 @@ export function sentence(now, age, shown, frame) {
     return `The room has not reported for ${seconds(age)}: users and rates are unknown.`;
   }
   if (isCalibrating(now)) return `A calibration commands the mirrors: ${now.calibration}. The rates are those of its probes.`;
-  const refusing = refusal(now);
-  if (refusing) return `The controller refuses the position reports${refusing.problem ? `: ${refusing.problem}` : "."}`;
+  // The list of problems has the reason.
+  if (refusal(now)) return "The controller refuses the position reports.";
   if (shown?.wall === false && frame) return withoutIn(frame.users);
   return now.users.length === 0 ? usersIn(now.users) : `${mirrorsIn(now.sum_mbps, frame)} ${usersIn(now.users)}`;
 }
@@ -83,7 +83,7 @@ export function sentence(now, age, shown, frame) {
 // Who ordered a stop, why, and since when the page knows of it.
 function orderedBy({ name, operator, reason, age_s }) {
   if (/^0+\/0$/.test(name)) return `The array started stopped${reason ? ` (${reason})` : ""}.`;
-  return `Ordered by ${operator || `stop ${name}`}${reason ? ` (${reason})` : ""}, known to this page for ${seconds(age_s)}.`;
+  return `Ordered by ${operator || `stop ${name}`}${reason ? ` (${reason})` : ""}, known to the server of this page for ${seconds(age_s)}.`;
 }
 
 export const asSentence = (text) => `${text[0].toUpperCase()}${text.slice(1)}.`;
@@ -94,12 +94,16 @@ function controllerBanner(age) {
   return { kind: "bad", text: `The controller has not reported for ${seconds(age)}: it hangs, or the connection to it is lost. Check its process, or restart it.` };
 }
 
-// The banner of a server that has ended in order, and the sentence beside it. The server says why.
-// A stop that was open then is still the first thing to know.
-export function endBanner(text, now) {
+// A stop that was open at the last event of the server is still the first thing to know.
+function openStop(now) {
   const isOpen = ["requested", "unconfirmed"].includes(now?.stop.phase);
-  const open = isOpen ? " Its last stop was not confirmed: run `heliostat stop`, or cut the power of the mirrors." : "";
-  return { kind: isOpen ? "bad" : "stop", text: `${text}${open} Everything below is old.` };
+  return isOpen ? " Its last stop was not confirmed: run `heliostat stop`, or cut the power of the mirrors." : "";
+}
+
+// The banner of a server that has ended in order, and the sentence beside it. The server says why.
+export function endBanner(text, now) {
+  const open = openStop(now);
+  return { kind: open ? "bad" : "stop", text: `${text}${open} Everything below is old.` };
 }
 export const lastSentence = "The figures are the last ones before the end.";
 
@@ -108,7 +112,7 @@ export function banner(now, silence, arrayAge, controllerAge) {
   const check = asSentence(CHECK_SERVER);
   if (now === null) return silence > 3 ? { kind: "bad", text: `No connection to the server of this page. ${check}` } : null;
   if (silence > STALE_S) {
-    return { kind: "bad", text: `No connection to the server of this page for ${seconds(silence)}. Everything below is old. ${check}` };
+    return { kind: "bad", text: `No connection to the server of this page for ${seconds(silence)}.${openStop(now)} Everything below is old. ${check}` };
   }
   const { phase, since_s, stops, held, problems, free, lost } = now.stop;
   const several = now.array.arrays > 1;

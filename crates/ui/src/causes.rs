@@ -4,7 +4,7 @@ use heliostat_proto::ArrayState;
 use heliostat_scenario::ROOM_DIFFERS;
 
 /// The note about one controller that sees no other process of its room.
-pub(crate) const OTHERS_MISSING: &str = "no array, no tracker and no other controller is seen beside one controller: the link to their host or a router may be cut, or they have ended or hang";
+pub(crate) const OTHERS_MISSING: &str = "no array, no tracker and no other controller is seen beside one controller: check the link to their host or router, and start them again if they have ended or hang";
 /// Beginning of the note about commands that reach no driver.
 pub(crate) const NO_DRIVER: &str = "no driver receives the commands";
 /// Beginning of the note about absent position reports, of a viewer that stays open.

@@ -320,6 +320,14 @@ fn without_known(mut node: NodeFigures, notes: &[String], is_stopped: bool) -> N
     node
 }
 
+impl Figures {
+    /// Without what a process said of a stop: the last status before a release still has it as its problem.
+    pub(crate) fn after_release(mut self) -> Self {
+        self.nodes.iter_mut().filter(|node| follows_from_stop(&node.problem)).for_each(|node| node.problem.clear());
+        self
+    }
+}
+
 fn ages(received: &Received) -> Ages {
     let age = |at: Instant| at.elapsed().as_secs_f64();
     // The figures come from the truth while it is fresh.
@@ -376,6 +384,14 @@ mod tests {
         assert!(left(commanded, true).starts_with("commands still arrive at the stopped array"), "another sender");
         assert_eq!(left(commanded, false), "", "over with the release");
         assert_eq!(left("the device does not answer", true), "the device does not answer");
+    }
+
+    #[test]
+    fn a_problem_of_the_status_before_a_release_is_not_shown_after_it() {
+        let problems = ["withheld by the stop of ann", "the device does not answer"];
+        let nodes = problems.map(|problem| NodeFigures { problem: problem.into(), ..NodeFigures::default() }).to_vec();
+        let shown = Figures { nodes, ..Figures::default() }.after_release().nodes;
+        assert_eq!([&shown[0].problem, &shown[1].problem], ["", problems[1]]);
     }
 
     #[test]

@@ -20,7 +20,7 @@ use crate::figures::Figures;
 use crate::order_log::OrderFigures;
 use crate::page::Page;
 use crate::scene::FrameBuilder;
-use crate::stop_state::StopFigures;
+use crate::stop_state::{StopFigures, StopPhase};
 
 /// Time between two `figures` events.
 const FIGURES_EVERY: Duration = Duration::from_millis(100);
@@ -141,6 +141,7 @@ impl Feed {
             if !has_readers {
                 continue;
             }
+            let figures = if stop.phase == StopPhase::Released { figures.after_release() } else { figures };
             let figures = json(&LiveFigures { figures, page: &page.id(), orders, stop });
             let mirrors = u32::try_from(view.shown_room().model.mirrors.len()).unwrap_or(u32::MAX);
             let frame_every = FRAME_EVERY.max(FRAME_TIME_PER_MIRROR.saturating_mul(mirrors));

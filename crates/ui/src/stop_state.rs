@@ -179,6 +179,7 @@ mod tests {
             report_age: Some(Duration::from_millis(10)),
             ordered: ordered_ms.map(ago),
             has_geometry: true,
+            is_heard: true,
         }
     }
 
@@ -215,6 +216,14 @@ mod tests {
         let unknown = RoomStops { has_geometry: false, ..room(Some(1500), Standing::Stopped) };
         let figures = StopState::default().update(&unknown);
         assert_eq!((figures.phase, figures.problems.len()), (StopPhase::Unconfirmed, 1));
+    }
+
+    #[test]
+    fn a_stop_is_not_confirmed_before_each_array_and_each_controller_was_heard() {
+        let mut state = StopState::default();
+        let unheard = RoomStops { is_heard: false, ..room(None, Standing::Stopped) };
+        assert_eq!(state.update(&unheard).phase, StopPhase::Requested);
+        assert_eq!(state.update(&room(None, Standing::Stopped)).phase, StopPhase::Confirmed);
     }
 
     #[test]

@@ -171,6 +171,8 @@ pub(crate) struct RoomStops {
     pub ordered: Option<Instant>,
     /// Whether the number of arrays of the room is known.
     pub has_geometry: bool,
+    /// Whether a viewer that has just opened has heard each array and each controller.
+    pub is_heard: bool,
 }
 
 impl RoomStops {
@@ -182,7 +184,8 @@ impl RoomStops {
     /// Whether every array for which a stop is held has stopped.
     pub fn is_confirmed(&self) -> bool {
         let is_open = self.standings.iter().any(|(_, standing)| standing.is_open());
-        self.has_geometry && !is_open && self.standings.iter().any(|(_, standing)| *standing == Standing::Stopped)
+        let is_known = self.has_geometry && self.is_heard;
+        is_known && !is_open && self.standings.iter().any(|(_, standing)| *standing == Standing::Stopped)
     }
 
     /// The arrays for which no stop is held, while one is held for another array.
@@ -329,8 +332,21 @@ impl StopWatch {
         let held = if is_hidden { self.state.held() } else { None };
         let report_age = seen.oldest_report().map(|at| now.saturating_sub(at));
         let unreleased_lost = seen.lost(now).iter().filter_map(unreleased_lost).collect();
-        let (unrecorded, has_geometry) = (unrecorded(seen.unrecorded(now)), seen.has_geometry());
-        RoomStops { now, stops, held, standings, unrecorded, unreleased_lost, report_age, ordered: None, has_geometry }
+        let unrecorded = unrecorded(seen.unrecorded(now));
+        let (has_geometry, is_heard) = (seen.has_geometry(), seen.is_heard(now));
+        let ordered = None;
+        RoomStops {
+            now,
+            stops,
+            held,
+            standings,
+            unrecorded,
+            unreleased_lost,
+            report_age,
+            ordered,
+            has_geometry,
+            is_heard,
+        }
     }
 
     /// What differs without a fault while no stop is held: the lost drivers of arrays that another driver serves.

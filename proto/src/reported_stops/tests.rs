@@ -298,6 +298,26 @@ fn a_driver_that_was_lost_before_this_process_looked_keeps_a_stop_unconfirmed_wh
 }
 
 #[test]
+fn a_room_is_heard_with_the_last_of_its_arrays_and_controllers_or_after_some_time() {
+    let mut stops = ReportedStops::default();
+    assert!(!stops.is_heard(NOW), "no array is known");
+    stops.announce(NOW, 2);
+    stops.handle_controller(5, true);
+    stops.handle_stops(NOW, 0, report(1, true));
+    stops.handle_stops(NOW, 1, report(1, true));
+    assert!(!stops.is_heard(NOW), "the controller may have lost a driver");
+    let later = NOW + STOPS_WITHIN + Duration::from_millis(1);
+    assert!(stops.is_heard(later), "a controller that hangs keeps no stop unconfirmed");
+    stops.handle_status(NOW, &status_with(&[]));
+    assert!(stops.is_heard(NOW));
+    let mut moving = ReportedStops::default();
+    moving.announce(NOW, 2);
+    moving.handle_stops(NOW, 0, report(1, true));
+    moving.handle_telemetry(NOW, 1, &MirrorTelemetry::default());
+    assert!(!moving.is_heard(NOW), "the stops of array 1 are on their way");
+}
+
+#[test]
 fn the_statuses_of_many_controllers_that_have_ended_do_not_keep_out_that_of_another_one() {
     let mut stops = ordered();
     let status = |source| NodeStatus { stamp: Stamp { source, ..Stamp::default() }, ..status_with(&[]) };

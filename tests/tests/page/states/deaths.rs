@@ -67,6 +67,29 @@ fn a_process_that_dies_leaves_no_green_state_and_no_current_figure() {
 
 #[needs("browser")]
 #[test]
+fn an_answer_to_an_order_does_not_outlive_its_server() {
+    let (mut setting, browser) = Setting::shown();
+    browser.click("#power [data-value='4']");
+    wait_until("an answer", || browser.text("#order-status").ends_with(": done"));
+    setting.server.kill();
+    wait_until("no answer", || browser.text("#order-status").is_empty());
+}
+
+#[needs("browser")]
+#[test]
+fn a_lost_connection_does_not_hide_that_a_stop_was_open() {
+    let (_setting, browser) = Setting::shown();
+    let script = "return import('/sentence.js').then(({ banner, endBanner }) => { \
+           const of = (phase) => ({ stop: { phase, stops: [], problems: [], free: [], lost: [] }, array: { arrays: 1 } }); \
+           const names = (shown) => shown.text.includes('Its last stop was not confirmed: run `heliostat stop`'); \
+           return ['requested', 'unconfirmed', 'confirmed', 'none'] \
+             .map((phase) => [names(banner(of(phase), 3, 0, 0)), names(endBanner('It has ended.', of(phase)))]); })";
+    let expected = serde_json::json!([[true, true], [true, true], [false, false], [false, false]]);
+    assert_eq!(browser.run(script), expected);
+}
+
+#[needs("browser")]
+#[test]
 fn a_server_that_ends_in_order_says_so_on_its_open_pages() {
     let (mut setting, browser) = Setting::shown();
     setting.server.end();

@@ -194,6 +194,33 @@ fn the_names_of_earlier_policies_are_above_the_lines_of_a_chart_that_keeps_its_s
          const [before, after] = [true, false].map((hidden) => { names.hidden = hidden; return chart.clientHeight; }); \
          return after - before";
     assert_eq!(browser.run(heights), 0);
+    // More names than one line of a phone has.
+    for policy in ["random", "hold", "no-irs", "fixed-point", "flat"] {
+        browser.run(&format!("document.getElementById('policy').value = '{policy}'"));
+        browser.click("#switch-policy");
+        wait_until("the policy in the legend", || browser.text("#sum-figures div:first-child dt") == policy);
+    }
+    browser.resize(390, 844);
+    let in_lines = "return document.querySelector('#sum-chart .earlier').clientHeight >= 28";
+    wait_until("several lines of names", || browser.run(in_lines) == true);
+    wait_until("all of them above the lines of the chart", || browser.run(is_above) == true);
+}
+
+#[needs("browser")]
+#[test]
+fn the_figures_of_a_user_are_in_one_line_on_a_phone_and_not_cut_off_on_a_smaller_one() {
+    let (_setting, browser) = Setting::shown();
+    // Long figures, in one script before the next ones.
+    let shown = "for (const { cells } of document.querySelectorAll('#users tr')) { \
+           [cells[1].textContent, cells[3].textContent, cells[4].textContent] = ['by order', 'below 1.0', '23 %, 1.2 s']; \
+           [cells[2].children[0].textContent, cells[2].children[1].textContent] = ['12.34', ' of 12.3']; } \
+         const rates = document.getElementById('rates'); \
+         const heights = [...document.querySelectorAll('#users td')].map((cell) => cell.clientHeight); \
+         return [rates.scrollWidth <= rates.clientWidth, Math.max(...heights) < 26]";
+    browser.resize(390, 844);
+    assert_eq!(browser.run(shown), json!([true, true]));
+    browser.resize(360, 640);
+    assert_eq!(browser.run(shown)[0], json!(true));
 }
 
 #[needs("browser")]

@@ -310,7 +310,7 @@ fn the_sentence_says_what_is_unknown() {
         "nodes: []",
         "nodes: [{ node: 'controller', state: 'position reports refused', problem: 'users: outside-room' }]",
     );
-    assert_eq!(sentence(&refusing, 0.1), "The controller refuses the position reports: users: outside-room");
+    assert_eq!(sentence(&refusing, 0.1), "The controller refuses the position reports.", "the list has why");
     assert!(sentence("null", 0.0).starts_with("Waiting"));
 }
 
@@ -372,6 +372,18 @@ fn the_marks_of_the_legend_have_the_dashes_of_their_lines_and_no_two_lines_share
              ...[true, false].map((dark) => new Set(colours(dark)).size)]; })";
     let dotted = "repeating-linear-gradient(90deg, #111111 0 2px, transparent 2px 5px)";
     assert_eq!(browser.run(script), serde_json::json!(["#111111", dotted, 7, 7]));
+}
+
+#[needs("browser")]
+#[test]
+fn no_two_policies_of_the_list_share_a_colour() {
+    let (_setting, browser) = Setting::shown();
+    let script = "return Promise.all([import('/charts.js'), fetch('/room.json').then((answer) => answer.json())]) \
+           .then(([{ Charts }, { policies }]) => { \
+             const of = Object.create(Charts.prototype); of.redraw = { reset: () => {} }; \
+             const colours = (dark) => { of.theme(dark); return policies.map(({ name }) => of.colourOf({ name, idle: false })); }; \
+             return [true, false].map((dark) => policies.length - new Set(colours(dark)).size); })";
+    assert_eq!(browser.run(script), serde_json::json!([0, 0]));
 }
 
 #[needs("browser")]

@@ -164,7 +164,7 @@ fn check_drivers(
     controller: Option<&ControllerState>,
 ) -> Vec<Check> {
     if drivers.is_empty() {
-        return vec![Check::ok("driver", "not checked: neither --connect nor --listen")];
+        return vec![Check::unknown("driver", "not checked: neither --connect nor --listen")];
     }
     let named = |(array, driver)| {
         let check = check_driver(args, driver, scenario, array, controller);
@@ -454,6 +454,13 @@ mod tests {
         assert!(accepted.advice.contains(expected), "{accepted:?}");
         let other = Capabilities { rows: array.rows + 1, ..array };
         assert_eq!(compare(0, &other, &scenario, Some("accepted")).verdict, Verdict::Fail, "another shape");
+    }
+
+    #[test]
+    fn a_driver_that_no_endpoint_reaches_is_not_checked() {
+        let args = Flags::parse_from(["doctor"]).args;
+        let checks = check_drivers(&args, &[], &Scenario::default(), None);
+        assert!(checks.len() == 1 && checks[0].verdict == Verdict::Unknown, "{checks:?}");
     }
 
     #[test]

@@ -310,7 +310,12 @@ fn the_sentence_says_what_is_unknown() {
         "nodes: []",
         "nodes: [{ node: 'controller', state: 'position reports refused', problem: 'users: outside-room' }]",
     );
-    assert_eq!(sentence(&refusing, 0.1), "The controller refuses the position reports.", "the list has why");
+    assert_eq!(sentence(&refusing, 0.1), "The controller refuses the position reports.");
+    // The reason is in the list of problems. In one script, before the next figures.
+    let listed = "return import('/figures.js').then(({ problems }) => { \
+           problems({ notes: [], remarks: [], orders: [], nodes: [{ node: 'controller', problem: 'users: outside-room' }] }); \
+           return document.getElementById('problem').textContent; })";
+    assert_eq!(browser.run(listed), "Controller: users: outside-room.");
     assert!(sentence("null", 0.0).starts_with("Waiting"));
 }
 

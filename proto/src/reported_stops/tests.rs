@@ -332,14 +332,14 @@ fn the_statuses_of_many_controllers_that_have_ended_do_not_keep_out_that_of_anot
 fn the_statuses_of_many_controllers_without_a_token_do_not_keep_out_that_of_one_with_a_token() {
     let mut stops = ordered();
     let status = |source| NodeStatus { stamp: Stamp { source, ..Stamp::default() }, ..status_with(&[]) };
-    let lost = LostDriver { array: 0, source: 7, since_ns: 1 };
+    let lost = LostDriver { array: 0, source: 7, since_ns: 1_000_000_000 };
     (100..200).for_each(|source| stops.handle_status(NOW, &status(source)));
     stops.handle_status(NOW, &status_with(&[lost]));
     assert_eq!(stops.lost(NOW), [], "it has no token, and there is no place for it");
     stops.handle_controller(5, true);
     stops.handle_status(NOW, &status_with(&[lost]));
     assert!(stops.unheard_controllers().is_empty());
-    assert_eq!(stops.lost(NOW), [(0, Standing::Lost { drivers: vec![7], since_ns: Some(1) })]);
+    assert_eq!(stops.lost(NOW), [(0, Standing::Lost { drivers: vec![7], since_ns: Some(1_000_000_000) })]);
 }
 
 #[test]

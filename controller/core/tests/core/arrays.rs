@@ -100,7 +100,7 @@ fn the_text_about_stops_with_long_names_and_reasons_fits_a_message() {
     for source in 1..=3 {
         let stamp = Stamp { source, ..stop(Room::time(0)).stamp };
         // A reason is shown with its control characters escaped.
-        let (operator, reason) = ("\u{1d11e}".repeat(40), "\u{80}".repeat(40));
+        let (operator, reason) = (format!("{source}{}", "\u{1d11e}".repeat(40)), "\u{80}".repeat(40));
         controller.handle_stop_order(Room::time(0), &EmergencyStop { stamp, operator, reason, ..stop(0) });
     }
     let text = controller.describe_stops(|text| text.into());

@@ -110,7 +110,7 @@ array_keys! {
 }
 
 impl ArrayKeys {
-    /// Key of the [`NodeStatus`](crate::NodeStatus) of a driver of this array.
+    /// Key of the [`NodeStatus`] of a driver of this array.
     pub fn driver_status(&self) -> String {
         let start = self.room.all_status();
         format!("{}{}", start.strip_suffix('*').unwrap_or_default(), self.driver)

@@ -4,7 +4,7 @@
 //! whether a command is due, under which epoch, and what happens where the function fails.
 
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 
 use heliostat_core::core::{DegradedMode, Timing};
 use heliostat_core::refusal::Stream;
@@ -18,6 +18,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 
 use crate::error::{failure, guarded, refused};
+use crate::exclusive::lock;
 use crate::scenario::Scenario;
 use crate::settings::action_form;
 
@@ -84,7 +85,7 @@ impl Commander {
     }
 
     fn repeater(&self) -> MutexGuard<'_, Repeater> {
-        self.repeater.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.repeater)
     }
 
     /// Runs a step, and then raises what the function raised.
@@ -95,7 +96,7 @@ impl Commander {
             work(&mut room, &mut published);
             Ok(())
         });
-        match self.raised.lock().unwrap_or_else(PoisonError::into_inner).take() {
+        match lock(&self.raised).take() {
             Some(raised) => Err(raised),
             None => done.map(|()| published),
         }
@@ -126,7 +127,7 @@ impl Commander {
                 answer.map_err(|error| {
                     let problem = failure(py, &error);
                     if !error.is_instance_of::<PyException>(py) {
-                        *shared.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
+                        *lock(&shared) = Some(error);
                     }
                     problem
                 })

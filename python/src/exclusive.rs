@@ -15,6 +15,11 @@ use pyo3::prelude::*;
 /// Time between two attempts to take the value.
 const PAUSE: Duration = Duration::from_micros(20);
 
+/// Waits for a lock, also after a panic of another thread.
+pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 /// A value with the process that uses it now.
 #[derive(Debug)]
 pub struct Exclusive<T> {
@@ -38,7 +43,7 @@ impl<T> Exclusive<T> {
         loop {
             match self.process.compare_exchange(0, own, Ordering::Acquire, Ordering::Relaxed) {
                 Ok(_) => {
-                    let value = self.value.lock().unwrap_or_else(PoisonError::into_inner);
+                    let value = lock(&self.value);
                     return Ok(Held { value: Some(value), process: &self.process });
                 }
                 Err(holder) if holder == own => std::thread::sleep(PAUSE),

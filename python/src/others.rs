@@ -1,6 +1,6 @@
 //! The other processes with the mirrors of a driver in Python: `heliostat_array::others`, with its calling order.
 
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 use heliostat_array::others::{Others as Rules, RoomTaken as Taken};
 use pyo3::create_exception;
@@ -8,6 +8,7 @@ use pyo3::exceptions::PyException;
 use pyo3::prelude::*;
 
 use crate::error::guarded;
+use crate::exclusive::lock;
 use crate::wire;
 
 create_exception!(heliostat, RoomTaken, PyException, "Another process has the mirrors; the text names it.");
@@ -18,7 +19,7 @@ pub struct Others(Mutex<Rules>);
 
 impl Others {
     fn with<T>(&self, work: impl FnOnce(&mut Rules) -> Result<T, Taken>) -> PyResult<T> {
-        let mut rules = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut rules = lock(&self.0);
         guarded(|| work(&mut rules).map_err(|taken| RoomTaken::new_err(taken.to_string())))
     }
 }

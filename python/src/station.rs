@@ -5,7 +5,7 @@
 //! from a method of the device.
 
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 
 use heliostat_array::arrivals::Arrivals;
 use heliostat_array::content::Content;
@@ -22,6 +22,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
 use crate::error::{failure, guarded};
+use crate::exclusive::lock;
 use crate::wire;
 
 /// An exception that is no failure of the device, such as `KeyboardInterrupt`.
@@ -390,10 +391,6 @@ impl Station {
     fn last_problem(&self) -> PyResult<String> {
         Ok(self.rules()?.last_problem())
     }
-}
-
-fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
-    shared.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 fn payload<T: Message>(message: &T) -> PyResult<Vec<u8>> {

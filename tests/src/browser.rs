@@ -2,10 +2,11 @@
 
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
-use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Condvar, Mutex, MutexGuard};
 use std::thread::available_parallelism;
 
 use base64::prelude::{BASE64_STANDARD, Engine as _};
+use heliostat_service::locks::{lock, unpoisoned};
 use serde_json::{Value, json};
 
 use crate::wait::wait_until;
@@ -52,7 +53,7 @@ static CLOSED: Condvar = Condvar::new();
 impl Turn {
     fn wait() -> Self {
         let most = available_parallelism().map_or(1, usize::from);
-        *CLOSED.wait_while(open_browsers(), |open| *open >= most).unwrap_or_else(PoisonError::into_inner) += 1;
+        *unpoisoned(CLOSED.wait_while(open_browsers(), |open| *open >= most)) += 1;
         Self
     }
 }
@@ -66,7 +67,7 @@ impl Drop for Turn {
 
 /// The number of open browsers; a test that failed beside it leaves it intact.
 fn open_browsers() -> MutexGuard<'static, usize> {
-    OPEN.lock().unwrap_or_else(PoisonError::into_inner)
+    lock(&OPEN)
 }
 
 impl Browser {

@@ -6,8 +6,9 @@ use std::fs;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard};
 
+use heliostat_service::locks::lock;
 use tempfile::TempDir;
 
 use crate::process::programs;
@@ -42,7 +43,7 @@ impl Engine {
     }
 
     fn started(compose: Vec<&'static str>) -> Result<Self, String> {
-        let alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
+        let alone = lock(&ALONE);
         let folder = tempfile::tempdir().expect("a folder");
         let path = |name: &str| folder.path().join(name);
         let log = fs::File::create(path("log")).expect("a log");

@@ -3,7 +3,7 @@
 //! Times are printed, and compared with each other with wide margins only: the machine may run
 //! other work.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 
 use heliostat_bus::{Bus, BusConfig, private_endpoint};
 use heliostat_core::observation::{ObservationEncoder, USERS_CAPACITY};
@@ -11,6 +11,7 @@ use heliostat_core::policy::actor_file::{INPUT_NAME, OUTPUT_NAME, room_entries};
 use heliostat_onnx::graph::{Ends, Graph};
 use heliostat_proto::{ArrayState, MirrorCommand, NodeKind, Room, UserReport, codec};
 use heliostat_scenario::Scenario;
+use heliostat_service::locks::lock;
 use heliostat_tests::{Process, RoomObserver, number, wait_until};
 use serde_json::Value;
 
@@ -63,7 +64,7 @@ struct Pair {
 
 impl Pair {
     fn start(room_flags: &[&str], controller_flags: &[&str]) -> Self {
-        let turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+        let turn = lock(&TURN);
         let endpoints = [private_endpoint().unwrap(), private_endpoint().unwrap()];
         let common = ["--exit-with-parent", "--json"];
         let room: Vec<&str> =

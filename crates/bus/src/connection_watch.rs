@@ -4,13 +4,14 @@
 //! session with keys another thread looks for the reason why an endpoint has no connection, which takes longer.
 
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, channel, sync_channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::Duration;
 
 use zenoh::Wait;
 
 use crate::config::{BusConfig, Role};
+use crate::resolve::lock;
 use crate::tls::Identity;
 use crate::tls_check::first_problem;
 
@@ -181,11 +182,6 @@ fn describe_lost(role: Role, endpoints: &[String]) -> String {
         Role::Peer => "its last connection".to_owned(),
     };
     format!("this process has lost {connection}, and connects again")
-}
-
-fn lock<T>(held: &Mutex<T>) -> MutexGuard<'_, T> {
-    // Each value is replaced as a unit.
-    held.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 fn watch(watched: &Watched, search: &SyncSender<()>, ended: &Receiver<()>) {

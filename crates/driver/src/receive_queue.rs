@@ -1,6 +1,6 @@
 //! The bounded queue of messages for an array, between the transport's thread and the driver's.
 
-use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Condvar, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
 use heliostat_array::Waker;
@@ -9,6 +9,7 @@ use heliostat_array::content::Content;
 use heliostat_array::moment::Moment;
 use heliostat_array::watch::IsStop;
 use heliostat_proto::MirrorCommand;
+use heliostat_service::locks::{lock, unpoisoned};
 
 /// Epochs whose commands are known as passed on: a copy can arrive after a controller has begun the next.
 const EPOCHS: usize = 4;
@@ -96,7 +97,7 @@ impl ReceiveQueue {
             if left == Duration::ZERO {
                 return None;
             }
-            queue = self.filled.wait_timeout(queue, left).unwrap_or_else(PoisonError::into_inner).0;
+            queue = unpoisoned(self.filled.wait_timeout(queue, left)).0;
         }
     }
 
@@ -108,7 +109,7 @@ impl ReceiveQueue {
             if left == Duration::ZERO {
                 return;
             }
-            queue = self.filled.wait_timeout(queue, left).unwrap_or_else(PoisonError::into_inner).0;
+            queue = unpoisoned(self.filled.wait_timeout(queue, left)).0;
         }
     }
 
@@ -130,7 +131,7 @@ impl ReceiveQueue {
     fn lock(&self) -> MutexGuard<'_, Queue> {
         // The queue is consistent between two operations, so a panic of another thread does not
         // corrupt it.
-        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.queue)
     }
 }
 

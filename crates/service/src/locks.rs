@@ -4,16 +4,21 @@
 //! not invalidate it.
 
 use std::{
-    sync::{Mutex, MutexGuard, PoisonError, TryLockError},
+    sync::{LockResult, Mutex, MutexGuard, PoisonError, TryLockError},
     time::{Duration, Instant},
 };
 
 /// Pause between two attempts of [`lock_within`].
 const RETRY_INTERVAL: Duration = Duration::from_micros(100);
 
+/// The guard of a lock or of a wait, also after a panic of another thread.
+pub fn unpoisoned<T>(result: LockResult<T>) -> T {
+    result.unwrap_or_else(PoisonError::into_inner)
+}
+
 /// Waits for the lock.
 pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+    unpoisoned(mutex.lock())
 }
 
 /// The lock, unless another thread holds it.

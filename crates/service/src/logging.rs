@@ -111,16 +111,17 @@ impl<W: Write> Write for Printable<W> {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::{Arc, Mutex, PoisonError};
+    use std::sync::{Arc, Mutex};
 
     use super::*;
+    use crate::locks::lock;
 
     #[derive(Clone, Default)]
     struct Memory(Arc<Mutex<Vec<u8>>>);
 
     impl Write for Memory {
         fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-            self.0.lock().unwrap_or_else(PoisonError::into_inner).extend(bytes);
+            lock(&self.0).extend(bytes);
             Ok(bytes.len())
         }
 
@@ -143,7 +144,7 @@ mod tests {
         let event = || tracing::warn!(room = hostile, "policy {hostile}");
         tracing::subscriber::with_default(text, event);
         tracing::subscriber::with_default(json, event);
-        let bytes = memory.0.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let bytes = lock(&memory.0).clone();
         let lines = String::from_utf8(bytes).expect("the log is text");
         assert_eq!(lines.lines().count(), 2, "{lines}");
         assert!(lines.contains("policy \\u001b[2J\\u009b31m\\u000afaked line"), "{lines}");

@@ -1,9 +1,11 @@
 //! A request that a process ends, and what waits for it.
 
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard};
 use std::time::Duration;
 
 use tokio_util::sync::CancellationToken;
+
+use crate::locks::{lock, unpoisoned};
 
 /// A request to end, shared between those that may make it and the loops that obey it.
 ///
@@ -46,12 +48,12 @@ impl Stop {
     /// Waits until the end is requested, at most for `limit`; whether it has been.
     pub fn wait_for(&self, limit: Duration) -> bool {
         let waited = self.0.changed.wait_timeout_while(self.lock(), limit, |requested| !*requested);
-        *waited.unwrap_or_else(PoisonError::into_inner).0
+        *unpoisoned(waited).0
     }
 
     /// Waits until the end is requested.
     pub fn wait(&self) {
-        drop(self.0.changed.wait_while(self.lock(), |requested| !*requested).unwrap_or_else(PoisonError::into_inner));
+        drop(unpoisoned(self.0.changed.wait_while(self.lock(), |requested| !*requested)));
     }
 
     /// Completes when the end is requested.
@@ -60,6 +62,6 @@ impl Stop {
     }
 
     fn lock(&self) -> MutexGuard<'_, bool> {
-        self.0.requested.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.0.requested)
     }
 }

@@ -3,11 +3,12 @@
 //! The channel model that gives the users' rates evaluates it at the present angles of the mirrors.
 //! A map is computed when a page requests it, and is kept for a moment for all pages.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use heliostat_channel::{ChannelModel, LinkBudget, Scene, Vec3};
 use heliostat_proto::NodeKind;
+use heliostat_service::locks::lock;
 use serde::Serialize;
 
 use crate::View;
@@ -70,7 +71,7 @@ impl FloorMaps {
             return None;
         }
         // The lock is held while computing, so that pages share one computation.
-        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut kept = lock(&self.kept);
         let slot = usize::from(with_mirrors);
         if let Some((_, map)) = kept.maps[slot].as_ref().filter(|(at, _)| at.elapsed() < KEPT) {
             return Some(map.clone());

@@ -4,9 +4,10 @@
 //! message of an order has a sequence number. A process that refuses it names the order in its last
 //! problem, as [`order_name`](heliostat_proto::Stamp::order_name) writes it.
 
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
+use heliostat_service::locks::lock;
 use serde::Serialize;
 
 use crate::order::Order;
@@ -125,7 +126,7 @@ impl OrderLog {
 
     fn lock(&self) -> MutexGuard<'_, Vec<Entry>> {
         // Each change is complete before the lock is released.
-        self.entries.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.entries)
     }
 }
 

@@ -1,12 +1,13 @@
 //! A publisher of orders: it numbers them and reports a missing receiver.
 
-use std::sync::{Mutex, PoisonError, RwLock};
+use std::sync::{Mutex, RwLock};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use heliostat_bus::{Bus, Class, Publisher};
 use heliostat_proto::{Message, Stamp, codec};
 use heliostat_service::clock::utc_ns;
+use heliostat_service::locks::{lock, unpoisoned};
 
 use crate::UiError;
 
@@ -39,7 +40,7 @@ impl OrderPublisher {
     /// Publishes through this session too.
     pub fn join(&self, bus: &Bus, key: &str) -> Result<(), UiError> {
         let publisher = bus.publisher(key, Class::RealTimeBlock)?;
-        self.publishers.write().unwrap_or_else(PoisonError::into_inner).push(publisher);
+        unpoisoned(self.publishers.write()).push(publisher);
         Ok(())
     }
 
@@ -56,7 +57,7 @@ impl OrderPublisher {
     /// Publishes without regard to subscribers.
     pub fn publish_at_once<M: Message>(&self, source: u64, message: impl FnOnce(Stamp) -> M) -> Result<(), UiError> {
         // The lock is held while publishing, so that messages leave in the order of their numbers.
-        let mut sequence = self.sequence.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut sequence = lock(&self.sequence);
         *sequence += 1;
         let mut payload = Vec::new();
         codec::encode(&message(Stamp { source, sequence: *sequence, time_ns: utc_ns() }), &mut payload)?;
@@ -72,7 +73,7 @@ impl OrderPublisher {
 
     /// Puts a payload into every session; fails if one is closed.
     fn put(&self, payload: &[u8]) -> Result<(), UiError> {
-        let publishers = self.publishers.read().unwrap_or_else(PoisonError::into_inner);
+        let publishers = unpoisoned(self.publishers.read());
         let put: Vec<_> = publishers.iter().map(|publisher| publisher.put(payload)).collect();
         Ok(put.into_iter().collect::<Result<(), _>>()?)
     }
@@ -80,7 +81,7 @@ impl OrderPublisher {
     fn await_subscriber(&self) -> Result<bool, UiError> {
         let deadline = Instant::now() + DISCOVERY_LIMIT;
         loop {
-            let publishers = self.publishers.read().unwrap_or_else(PoisonError::into_inner);
+            let publishers = unpoisoned(self.publishers.read());
             let found: Result<Vec<bool>, _> = publishers.iter().map(Publisher::has_subscribers).collect();
             drop(publishers);
             let has_subscriber = found?.contains(&true);

@@ -7,11 +7,12 @@
 //!   receives a [`ProcessOrder`] over a channel, if there is one.
 
 use std::sync::mpsc::Sender;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 use heliostat_bus::{Bus, Token};
 use heliostat_proto::{ControllerControl, FaultKind, MAX_USERS, MirrorFault, NodeKind, SimulatorControl};
+use heliostat_service::locks::lock;
 use heliostat_service::printable::printable;
 use heliostat_service::source_id;
 
@@ -152,7 +153,7 @@ impl Operator {
 
     fn stop_state(&self) -> MutexGuard<'_, StopState> {
         // Each change is complete before the lock is released.
-        self.stop_state.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.stop_state)
     }
 
     fn publish(&self, order: &Order, id: u64) -> Result<(), UiError> {

@@ -5,11 +5,12 @@
 //! drawn flat, and serves no user. Lengths are in m, rounded to millimetres.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use heliostat_channel::{Cylinder, MirrorAngles, MirrorArrays, Scene, Vec3};
 use heliostat_proto::MirrorTelemetry;
 use heliostat_scenario::{Scenario, WALKING_M_S};
+use heliostat_service::locks::lock;
 use heliostat_service::printable::printable;
 use serde::Serialize;
 
@@ -156,7 +157,7 @@ impl FrameBuilder {
 
     /// The current frame.
     pub fn frame(&self) -> Frame {
-        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut state = lock(&self.state);
         let room = self.view.shown_room();
         if !Arc::ptr_eq(&room, &state.room) {
             *state = FrameState::new(Arc::clone(&room));
@@ -215,7 +216,7 @@ impl FrameBuilder {
 
     /// The positions of the users, all cylinders that block light, and the angles of the mirrors.
     pub(crate) fn optical_state(&self) -> OpticalState {
-        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut state = lock(&self.state);
         let room = self.view.shown_room();
         let (users, obstacles, telemetry) = self.latest(&room, &mut state.headings);
         let bodies = users.iter().filter_map(|user| body(&room.scenario, user));

@@ -4,10 +4,11 @@
 //! controller's, the default scenario. Announcements are text of other processes, so a refused one
 //! is reported and the next of the list is drawn.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use heliostat_channel::{ChannelError, ChannelModel};
 use heliostat_scenario::{GeometryDifference, RoomDifference, Scenario};
+use heliostat_service::locks::lock;
 use heliostat_service::printable::printable;
 use serde::Serialize;
 
@@ -110,7 +111,7 @@ impl RoomChooser {
 
     /// The room to draw, and what else the announcements show.
     pub fn choose(&self, announcements: Announcements) -> (Arc<ShownRoom>, Findings) {
-        let mut chosen = self.chosen.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut chosen = lock(&self.chosen);
         if chosen.announcements != announcements {
             let (room, findings) = self.evaluate(&announcements);
             // An unchanged room keeps its identity, so that the views of it stay.

@@ -8,7 +8,7 @@
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::sync::{Arc, Mutex, RwLock};
 use std::time::{Duration, Instant};
 
 use heliostat_bus::{Bus, Class, Publisher};
@@ -16,6 +16,7 @@ use heliostat_proto::reported_stops::{ReportedStops, RoomStop, Standing};
 use heliostat_proto::stop_hold::STOP_REPEAT_NS;
 use heliostat_proto::{EmergencyStop, MAX_ARRAYS, Rearm, Stamp, StopAction, StopName, codec, cut};
 use heliostat_service::clock::utc_ns;
+use heliostat_service::locks::{lock, unpoisoned};
 use heliostat_service::source_id;
 
 use crate::UiError;
@@ -110,7 +111,7 @@ impl StopSwitch {
     /// [`UiError::Bus`] if the session is closed.
     pub fn join(&self, bus: &Bus) -> Result<(), UiError> {
         self.publish_in(bus)?;
-        let own = self.own.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let own = lock(&self.own).clone();
         if let Some(own) = own.filter(|_| self.is_own_held()) {
             self.stop.publish_again(&own.order)?;
         }
@@ -121,14 +122,14 @@ impl StopSwitch {
         let room = bus.room();
         let publisher = |array| bus.publisher(&room.array(array).stop_repetition(), Class::RealTimeBlock);
         let repetitions = (0..MAX_ARRAYS).map(publisher).collect::<Result<_, _>>()?;
-        self.repetitions.sessions.write().unwrap_or_else(PoisonError::into_inner).push(repetitions);
+        unpoisoned(self.repetitions.sessions.write()).push(repetitions);
         self.rearm.join(bus, &room.rearm())?;
         self.stop.join(bus, &room.stop())
     }
 
     /// The stops of the room, and what each array does about them.
     pub(crate) fn room_stops(&self) -> RoomStops {
-        let own = self.own.lock().unwrap_or_else(PoisonError::into_inner);
+        let own = lock(&self.own);
         // Before the stops are read: each array that appears holds the stop from then on.
         let is_empty = self.seen.lock().is_empty();
         let room = self.seen.room();
@@ -232,7 +233,7 @@ impl StopSwitch {
 
     /// Whether every array has reported that its device executed the last stop of this process.
     pub fn is_own_confirmed(&self) -> bool {
-        let own = self.own.lock().unwrap_or_else(PoisonError::into_inner);
+        let own = lock(&self.own);
         let (seen, now) = (self.seen.lock(), self.seen.now());
         let is_stopped = |own: &OwnStop| seen.has_stopped(own.order.name(), now, Duration::ZERO);
         seen.has_geometry() && own.as_ref().is_some_and(is_stopped)
@@ -253,7 +254,7 @@ impl StopSwitch {
             // Before it is published, so that the first report of an array finds it.
             self.seen.order(&order);
             let own = OwnStop { order: order.clone(), at: Instant::now() };
-            *self.own.lock().unwrap_or_else(PoisonError::into_inner) = Some(own);
+            *lock(&self.own) = Some(own);
             sent = Some(order.clone());
             order
         });
@@ -262,7 +263,7 @@ impl StopSwitch {
 
     /// Repeats each held stop to the arrays that have not reported it, if that is due.
     pub fn repeat(&self) {
-        let mut last = self.repetitions.last.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut last = lock(&self.repetitions.last);
         if last.is_some_and(|last| last.elapsed() < REPEAT_AFTER) {
             return;
         }
@@ -274,13 +275,13 @@ impl StopSwitch {
                 let _ = self.stop.publish_again(&held.order());
                 continue;
             }
-            let mut sequences = self.repetitions.sequences.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut sequences = lock(&self.repetitions.sequences);
             let sequence = sequences.entry(array).or_default();
             *sequence += 1;
             let repetition = held.repetition(Stamp { source: self.source, sequence: *sequence, time_ns: utc_ns() });
             let mut payload = Vec::new();
             if codec::encode(&repetition, &mut payload).is_ok() {
-                let sessions = self.repetitions.sessions.read().unwrap_or_else(PoisonError::into_inner);
+                let sessions = unpoisoned(self.repetitions.sessions.read());
                 for publisher in sessions.iter().filter_map(|arrays| arrays.get(array)) {
                     let _ = publisher.put(&payload);
                 }
@@ -298,7 +299,7 @@ impl StopSwitch {
     pub fn stop_and_confirm(&self, reason: &str, limit: Duration) -> Result<Duration, UiError> {
         let (begun, since) = (Instant::now(), self.seen.now());
         let sent = self.stop(reason);
-        let own = self.own.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let own = lock(&self.own).clone();
         let Some(OwnStop { order, .. }) = own.filter(|_| !matches!(sent, Err(UiError::Bus(_) | UiError::Codec(_))))
         else {
             return sent.map(|_| begun.elapsed());

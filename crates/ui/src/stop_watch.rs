@@ -3,7 +3,7 @@
 //! [`ReportedStops`] decides whether a room is stopped; the page and the command line show its result.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
 use heliostat_bus::{Bus, Presence, Subscription};
@@ -14,6 +14,7 @@ use heliostat_proto::{
     StopReport, clock_time, codec,
 };
 use heliostat_scenario::Scenario;
+use heliostat_service::locks::{lock, unpoisoned};
 use heliostat_service::printable::printable;
 
 use crate::UiError;
@@ -254,7 +255,7 @@ impl StopWatch {
     /// [`UiError::Bus`] if the session is closed.
     pub fn join(&self, bus: &Bus) -> Result<(), UiError> {
         let state = &self.state;
-        let mut sessions = self.subscriptions.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut sessions = lock(&self.subscriptions);
         let session = sessions.len();
         let mut subscriptions = Vec::new();
         let room = bus.room();
@@ -379,7 +380,7 @@ impl StopWatch {
     pub fn wait(&self, limit: Duration, holds: impl Fn(&ReportedStops, Duration) -> bool) -> bool {
         let WatchState { changed, .. } = &*self.state;
         let waited = changed.wait_timeout_while(self.lock(), limit, |seen| !holds(seen, self.now()));
-        let (seen, _) = waited.unwrap_or_else(PoisonError::into_inner);
+        let (seen, _) = unpoisoned(waited);
         holds(&seen, self.now())
     }
 }
@@ -404,15 +405,15 @@ impl WatchState {
 
     fn lock(&self) -> MutexGuard<'_, ReportedStops> {
         // Each change is complete before the lock is released.
-        self.seen.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.seen)
     }
 
     fn arrays(&self) -> MutexGuard<'_, ArrayReports> {
-        self.arrays.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.arrays)
     }
 
     fn holders(&self) -> MutexGuard<'_, BTreeMap<u64, (Instant, String)>> {
-        self.holders.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.holders)
     }
 
     /// Keeps the state of a controller while it holds stops.
@@ -436,7 +437,7 @@ impl WatchState {
 
     /// A process is there as long as one session sees its token.
     fn note_token(&self, session: usize, key: &str, is_alive: bool) {
-        let mut tokens = self.tokens.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut tokens = lock(&self.tokens);
         let seen_in = tokens.entry(key.to_owned()).or_default();
         if is_alive {
             seen_in.insert(session);

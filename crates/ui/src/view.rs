@@ -7,7 +7,7 @@ mod subscriptions;
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
 use heliostat_bus::{Bus, Presence, Subscription};
@@ -17,6 +17,7 @@ use heliostat_proto::{
 };
 use heliostat_scenario::{Scenario, USERS_MAX};
 use heliostat_service::clock::utc_ns;
+use heliostat_service::locks::lock;
 
 use crate::UiError;
 use crate::array_reports::ArrayReports;
@@ -380,11 +381,6 @@ impl Received {
 /// Whether a report of users is that of a tracker, by the arrivals of the last truth and of the report.
 fn is_after(of_truth: Instant, of_users: Instant) -> bool {
     of_users.saturating_duration_since(of_truth) >= MEASURED_AFTER
-}
-
-fn lock(received: &Mutex<Received>) -> MutexGuard<'_, Received> {
-    // Each message replaces a complete slot, so a poisoned lock protects consistent data.
-    received.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Keeps an announcement; an unchanged text keeps its memory.

@@ -1,8 +1,9 @@
 //! How far a run is, for the thread that ends it on request.
 
 use std::path::Path;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 
+use heliostat_service::locks::lock;
 use indicatif::ProgressBar;
 
 /// The finished parts of a run, which another thread can read.
@@ -38,7 +39,7 @@ impl Progress {
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.0)
     }
 }
 

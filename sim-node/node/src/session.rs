@@ -1,7 +1,7 @@
 //! The session of the simulator on the bus: the arrays' sessions, the report streams, orders, and
 //! liveliness.
 
-use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::sync::{Arc, Condvar, Mutex};
 use std::time::{Duration, Instant};
 
 use heliostat_array::Waker;
@@ -12,7 +12,8 @@ use heliostat_driver::receive_queue::ReceiveQueue;
 use heliostat_driver::session::{ALIVE_LIMIT, ArraySession, MessagePublisher};
 use heliostat_proto::{BeliefReport, CodecError, NodeKind, SimulatorControl, Stamp, decode};
 use heliostat_room::reports::Report;
-use heliostat_service::{locks::lock, source_id};
+use heliostat_service::locks::{lock, unpoisoned};
+use heliostat_service::source_id;
 
 use crate::error::NodeError;
 
@@ -46,7 +47,7 @@ impl Alarm {
         let left = until.saturating_duration_since(Instant::now());
         let guard = lock(&self.is_raised);
         let waited = self.raised.wait_timeout_while(guard, left, |is_raised| !*is_raised);
-        *waited.unwrap_or_else(PoisonError::into_inner).0 = false;
+        *unpoisoned(waited).0 = false;
     }
 }
 

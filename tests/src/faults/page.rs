@@ -6,8 +6,10 @@ use std::fmt::{self, Write as _};
 use std::fs;
 use std::path::PathBuf;
 use std::process::Command;
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 use std::thread;
+
+use heliostat_service::locks::lock;
 
 use crate::faults::effect::Effect;
 use crate::faults::table::{FAULTS, Fault};
@@ -70,7 +72,7 @@ pub fn has_present_head(page: &str) -> bool {
 /// # Panics
 /// When the page cannot be written.
 pub fn record(fault: &Fault, effects: &[Effect], origin: &Origin) {
-    let _writing = WRITING.lock().unwrap_or_else(PoisonError::into_inner);
+    let _writing = lock(&WRITING);
     let mut rows = rows(&fs::read_to_string(path()).unwrap_or_default());
     rows.insert(fault.test.to_owned(), row(fault, effects, origin));
     fs::write(path(), page(&rows, origin)).expect("the page can be written");

@@ -3,9 +3,11 @@
 
 use std::io::{self, Write as _};
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
-use std::sync::{Mutex, Once, PoisonError};
+use std::sync::{Mutex, Once};
 use std::thread;
 use std::time::{Duration, Instant};
+
+use heliostat_service::locks::lock;
 
 /// Largest memory in use at a time, in bytes; the largest sound input needs a small part of it.
 const MEMORY_MAX: u64 = 256 << 20;
@@ -33,7 +35,7 @@ pub fn within_bounds(input: &[u8], run: impl FnOnce()) {
 }
 
 fn change(change: impl FnOnce(&mut Vec<(thread::ThreadId, Instant, Vec<u8>)>)) {
-    change(&mut RUNNING.lock().unwrap_or_else(PoisonError::into_inner));
+    change(&mut lock(&RUNNING));
 }
 
 /// Aborts the process when an input takes too long.

@@ -5,12 +5,12 @@
 
 use std::{
     collections::VecDeque,
-    sync::{Condvar, Mutex, PoisonError},
+    sync::{Condvar, Mutex},
     time::Instant,
 };
 
 use heliostat_core::room_core::InputChannel;
-use heliostat_service::locks::lock;
+use heliostat_service::locks::{lock, unpoisoned};
 
 /// Most payloads that wait.
 const CAPACITY: usize = 64;
@@ -88,7 +88,7 @@ impl ReceiveQueue {
     /// Waits for a payload; false once the queue is closed.
     pub fn wait(&self) -> bool {
         let waits = |state: &mut State| state.waiting.is_empty() && !state.closed;
-        !self.filled.wait_while(lock(&self.state), waits).unwrap_or_else(PoisonError::into_inner).closed
+        !unpoisoned(self.filled.wait_while(lock(&self.state), waits)).closed
     }
 }
 

@@ -3,7 +3,7 @@
 
 use std::cell::Cell;
 use std::collections::BTreeSet;
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
@@ -14,7 +14,9 @@ use heliostat_proto::{
     messages::fault,
 };
 
-use heliostat_service::{clock::utc_ns, source_id};
+use heliostat_service::clock::utc_ns;
+use heliostat_service::locks::{lock, unpoisoned};
+use heliostat_service::source_id;
 
 use super::PRESENCE_LIMIT;
 use super::report::{Failure, describe_failure};
@@ -112,7 +114,7 @@ impl TestSession {
         let (room, keys) = (bus.room().clone(), bus.room().array(array));
         let shared = Arc::clone(&received);
         let telemetry = bus.subscribe(&keys.telemetry(), move |payload| {
-            let mut received = lock(&shared);
+            let mut received = lock(&shared.0);
             match decode(payload) {
                 Ok(telemetry) => received.telemetry.push(telemetry),
                 Err(error) => received.undecodable.push(error),
@@ -122,21 +124,21 @@ impl TestSession {
         let shared = Arc::clone(&received);
         let announced = bus.subscribe(&keys.capabilities(), move |payload| {
             if let Ok(capabilities) = decode(payload) {
-                lock(&shared).capabilities.push(capabilities);
+                lock(&shared.0).capabilities.push(capabilities);
                 shared.1.notify_all();
             }
         })?;
         let shared = Arc::clone(&received);
         let safety = bus.subscribe(&keys.safety(), move |payload| {
             if let Ok(safety) = decode(payload) {
-                lock(&shared).safety.push(safety);
+                lock(&shared.0).safety.push(safety);
                 shared.1.notify_all();
             }
         })?;
         let shared = Arc::clone(&received);
         let stops = bus.subscribe(&keys.stops(), move |payload| {
             if let Ok(stops) = decode(payload) {
-                lock(&shared).stops.push(stops);
+                lock(&shared.0).stops.push(stops);
                 shared.1.notify_all();
             }
         })?;
@@ -145,7 +147,7 @@ impl TestSession {
         for (node, key) in statuses {
             let shared = Arc::clone(&received);
             subscriptions.push(bus.subscribe(&key, move |payload| {
-                lock(&shared).statuses.push((node, decode(payload)));
+                lock(&shared.0).statuses.push((node, decode(payload)));
                 shared.1.notify_all();
             })?);
         }
@@ -236,29 +238,29 @@ impl TestSession {
 
     /// The last telemetry.
     pub fn last(&self) -> MirrorTelemetry {
-        lock(&self.received).telemetry.last().cloned().unwrap_or_default()
+        lock(&self.received.0).telemetry.last().cloned().unwrap_or_default()
     }
 
     /// Number of telemetry messages so far.
     pub fn count(&self) -> usize {
-        lock(&self.received).telemetry.len()
+        lock(&self.received.0).telemetry.len()
     }
 
     /// Applies a function to all messages received.
     pub fn inspect<T>(&self, at: impl FnOnce(&Received) -> T) -> T {
-        at(&lock(&self.received))
+        at(&lock(&self.received.0))
     }
 
     /// Waits until `find` returns a value for the messages received.
     pub fn wait<T>(&self, limit: Duration, find: impl Fn(&Received) -> Option<T>) -> Option<T> {
         let deadline = Instant::now() + limit;
-        let mut received = lock(&self.received);
+        let mut received = lock(&self.received.0);
         loop {
             if let Some(found) = find(&received) {
                 return Some(found);
             }
             let left = deadline.checked_duration_since(Instant::now())?;
-            received = self.received.1.wait_timeout(received, left).unwrap_or_else(PoisonError::into_inner).0;
+            received = unpoisoned(self.received.1.wait_timeout(received, left)).0;
         }
     }
 
@@ -475,10 +477,6 @@ fn difference(after: &Counters, before: &Counters) -> Counters {
         expired: after.expired.saturating_sub(before.expired),
         stopped: after.stopped.saturating_sub(before.stopped),
     }
-}
-
-fn lock(received: &(Mutex<Received>, Condvar)) -> MutexGuard<'_, Received> {
-    received.0.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 #[cfg(test)]

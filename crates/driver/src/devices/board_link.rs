@@ -10,10 +10,11 @@
 //! answer is written at once, see [`Interrupt`]. While a stop is in force, the first line of each new
 //! connection is the stop.
 
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
 use heliostat_array::device::{DeviceError, Waker};
+use heliostat_service::locks::{lock, unpoisoned};
 
 use crate::devices::board::Board;
 use crate::devices::interrupt::Interrupt;
@@ -190,7 +191,7 @@ impl Drop for BoardLink {
 impl Mailbox {
     fn lock(&self) -> MutexGuard<'_, Mail> {
         // Each change of the mail is complete before the lock is released.
-        self.mail.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.mail)
     }
 }
 
@@ -270,7 +271,7 @@ impl LinkThread {
                     (false, false) => wait,
                 }
             };
-            mail = self.mailbox.filled.wait_timeout(mail, wait).unwrap_or_else(PoisonError::into_inner).0;
+            mail = unpoisoned(self.mailbox.filled.wait_timeout(mail, wait)).0;
         }
     }
 

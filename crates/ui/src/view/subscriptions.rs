@@ -6,8 +6,9 @@ use std::time::Instant;
 use heliostat_bus::{Bus, Subscription};
 use heliostat_proto::keys::parse_alive;
 use heliostat_proto::{ArrayKeys, Capabilities, Message, NodeKind, NodeStatus, Room, RoomGeometry, codec};
+use heliostat_service::locks::lock;
 
-use super::{Received, keep_text, lock};
+use super::{Received, keep_text};
 use crate::UiError;
 
 /// Subscribes to every topic of the room.

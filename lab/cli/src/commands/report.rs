@@ -14,7 +14,7 @@ mod table;
 
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail, ensure};
@@ -22,9 +22,8 @@ use clap::Parser;
 use heliostat::programs;
 use heliostat_reproduce::machine;
 use heliostat_scenario::ScenarioArgs;
-use heliostat_service::{outln, output, signals};
-
-use heliostat_service::whole_file;
+use heliostat_service::locks::lock;
+use heliostat_service::{outln, output, signals, whole_file};
 
 use super::json_command;
 use archive::{Archive, Finished};
@@ -98,9 +97,7 @@ pub fn run(args: Args) -> Result<()> {
     };
     let running: Arc<Mutex<Option<String>>> = Arc::default();
     let interrupted = Arc::clone(&running);
-    signals::end_on_signals(programs::LAB, move || {
-        said(interrupted.lock().unwrap_or_else(PoisonError::into_inner).as_deref())
-    })?;
+    signals::end_on_signals(programs::LAB, move || said(lock(&interrupted).as_deref()))?;
     let (mut problems, mut not_shown) = (Vec::new(), Vec::new());
     for (index, (section, arguments)) in steps.iter().enumerate() {
         let step = format!("{} of {}: {}", index + 1, steps.len(), section.name);
@@ -109,7 +106,7 @@ pub fn run(args: Args) -> Result<()> {
             continue;
         }
         output::note(format_args!("{step}: {}", page::command(arguments)));
-        *running.lock().unwrap_or_else(PoisonError::into_inner) = Some(section.name.clone());
+        *lock(&running) = Some(section.name.clone());
         match measure(section, arguments).with_context(|| unfinished(&section.name)) {
             Ok(finished) => archive.put(finished),
             Err(error) => {
@@ -122,7 +119,7 @@ pub fn run(args: Args) -> Result<()> {
             output::note(problem);
         }
         not_shown = found;
-        *running.lock().unwrap_or_else(PoisonError::into_inner) = None;
+        *lock(&running) = None;
     }
     problems.extend(write(&definition, &archive, &out, &kept)?);
     outln!("written: {} and {}", out.display(), kept.display())?;

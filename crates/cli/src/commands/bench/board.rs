@@ -1,7 +1,9 @@
 //! Due times of reports, and arrival times of the commands that answer them.
 
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
+
+use heliostat_service::locks::{lock, unpoisoned};
 
 use super::rows::Times;
 
@@ -72,7 +74,7 @@ impl Board {
             if left.is_zero() {
                 return false;
             }
-            inner = self.0.1.wait_timeout(inner, left).unwrap_or_else(PoisonError::into_inner).0;
+            inner = unpoisoned(self.0.1.wait_timeout(inner, left)).0;
         }
     }
 
@@ -98,7 +100,7 @@ impl Board {
     }
 
     fn lock(&self) -> MutexGuard<'_, Inner> {
-        self.0.0.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.0.0)
     }
 }
 

@@ -1,10 +1,11 @@
 //! What an interrupted evaluation says: how far it was, what is written, and how to go on.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use anyhow::Result;
 use heliostat::programs;
 use heliostat_learn::comparison::{Progress, Report, Settings, compare};
+use heliostat_service::locks::lock;
 use heliostat_service::signals;
 
 /// How to go on.
@@ -56,10 +57,6 @@ fn said((compared, of): (usize, usize), at: Option<String>) -> String {
     let name = if of == 1 { "the comparison".to_owned() } else { format!("comparison {} of {of}", compared + 1) };
     let at = at.map_or_else(|| "at its start".to_owned(), |at| format!("at {at}"));
     format!("{name} was {at}; nothing is written, because tables and files follow the last comparison; {AGAIN}")
-}
-
-fn lock(state: &Mutex<State>) -> MutexGuard<'_, State> {
-    state.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 #[cfg(test)]

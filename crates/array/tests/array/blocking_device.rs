@@ -58,7 +58,7 @@ impl World {
 }
 
 /// What happens during a call, by its number from 1; whether it succeeds.
-type Script = fn(&World, usize) -> bool;
+type Script = Box<dyn Fn(&World, usize) -> bool + Send>;
 
 /// A mirror whose calls can take long.
 struct Blocking(Arc<World>, Script);
@@ -93,9 +93,9 @@ impl Device for Blocking {
     }
 }
 
-fn blocking(script: Script) -> (Arc<World>, Station<Blocking>) {
+fn blocking(script: impl Fn(&World, usize) -> bool + Send + 'static) -> (Arc<World>, Station<Blocking>) {
     let world = Arc::<World>::default();
-    let mut kit = Kit::new(Blocking(Arc::clone(&world), script));
+    let mut kit = Kit::new(Blocking(Arc::clone(&world), Box::new(script)));
     let (clock, waiting) = (Arc::clone(&world), Arc::clone(&world));
     kit.set_watch(Watch::new(move || clock.now(), move |is_stop| waiting.queue.lock().unwrap().has_stop(is_stop)));
     let identity = Identity { source: 9, array: 0, software: "test".into() };
@@ -196,32 +196,11 @@ fn a_movement_that_is_due_waits_for_a_stop_even_if_the_caller_advances_first() {
     assert_eq!(world.calls(), ["connect", "turn 0", "turn 0.25", "stop"]);
 }
 
-#[test]
-fn a_stop_that_arrives_during_a_connection_comes_before_the_movement_after_it() {
-    let (world, mut station) = blocking(|world, call| {
+/// A device that has failed at its second movement, before a connection during which time passes.
+fn before_a_slow_connection(during: fn(&World)) -> (Arc<World>, Station<Blocking>) {
+    let (world, mut station) = blocking(move |world, call| {
         if call == 4 {
-            world.pass(1500);
-            world.push(stop_at(world.now()));
-            world.pass(2500);
-        }
-        call != 3
-    });
-    step(&world, &mut station);
-    world.command(1);
-    step(&world, &mut station);
-    world.pass(100);
-    world.command(2);
-    for _ in 0..2 {
-        step(&world, &mut station);
-    }
-    assert_eq!(world.calls(), ["connect", "turn 0", "turn 0.25", "connect", "stop"]);
-}
-
-/// A device that has failed at its second movement, before a connection that takes 4 s.
-fn before_a_slow_connection() -> (Arc<World>, Station<Blocking>) {
-    let (world, mut station) = blocking(|world, call| {
-        if call == 4 {
-            world.pass(4000);
+            during(world);
         }
         call != 3
     });
@@ -233,8 +212,22 @@ fn before_a_slow_connection() -> (Arc<World>, Station<Blocking>) {
 }
 
 #[test]
+fn a_stop_that_arrives_during_a_connection_comes_before_the_movement_after_it() {
+    let (world, mut station) = before_a_slow_connection(|world| {
+        world.pass(1500);
+        world.push(stop_at(world.now()));
+        world.pass(2500);
+    });
+    world.command(2);
+    for _ in 0..2 {
+        step(&world, &mut station);
+    }
+    assert_eq!(world.calls(), ["connect", "turn 0", "turn 0.25", "connect", "stop"]);
+}
+
+#[test]
 fn angles_that_expire_during_a_connection_are_not_applied_after_it() {
-    let (world, mut station) = before_a_slow_connection();
+    let (world, mut station) = before_a_slow_connection(|world| world.pass(4000));
     step(&world, &mut station);
     assert_eq!(world.calls(), ["connect", "turn 0", "turn 0.25", "connect", "turn 0"]);
     assert_eq!(station.kit().array().state(), ArrayState::Parked);
@@ -242,7 +235,7 @@ fn angles_that_expire_during_a_connection_are_not_applied_after_it() {
 
 #[test]
 fn a_command_that_expires_while_its_device_connects_is_refused() {
-    let (world, mut station) = before_a_slow_connection();
+    let (world, mut station) = before_a_slow_connection(|world| world.pass(4000));
     world.command(2);
     step(&world, &mut station);
     assert_eq!(world.calls(), ["connect", "turn 0", "turn 0.25", "connect", "turn 0"]);

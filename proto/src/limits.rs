@@ -1,5 +1,7 @@
 //! Version and limits of the contract.
 
+use std::time::Duration;
+
 /// Version of the contract: part of each key and the first byte of each payload.
 pub const VERSION: u8 = 1;
 
@@ -47,6 +49,9 @@ pub const CLOCK_LEAD_MAX_NS: Nanos = 50_000_000;
 /// Time in ns from the liveliness token of a driver in which another token is that of a driver that started together
 /// with it: the one with the higher source id ends.
 pub const START_WINDOW_NS: Nanos = 5_000_000_000;
+
+/// Time in which a process publishes its status at least once, and a controller twice.
+pub const STATUS_WITHIN: Duration = Duration::from_millis(1200);
 
 /// Largest speed of a reported user in m/s: far beyond any walk and its noise, and within the bounds of
 /// a state that can be restored. A controller leaves a faster user out.

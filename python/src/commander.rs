@@ -116,6 +116,7 @@ impl Commander {
     #[pyo3(signature = (scenario, function, action, source, name = "python"))]
     fn new(scenario: &Scenario, function: Py<PyAny>, action: &str, source: u64, name: &str) -> PyResult<Self> {
         let room = &scenario.inner;
+        let deadline_s = room.decision_deadline_s();
         let raised = Raised::default();
         let shared = Arc::clone(&raised);
         let call = move |vector: &[f32]| {
@@ -138,7 +139,6 @@ impl Commander {
             let policy = FunctionPolicy::new(name, room, form, call);
             let failures = policy.failures();
             let interval_s = 1.0 / room.streams.positions.rate_hz;
-            let deadline_s = if room.control.deadline_ms > 0.0 { 1e-3 * room.control.deadline_ms } else { interval_s };
             let settings = RoomSettings::new(source, Tenure::live(source, (interval_s * 1e9) as u64));
             let core = RoomCore::new(room, Box::new(policy), settings).map_err(refused)?;
             let arrays = core.controller().arrays();

@@ -131,7 +131,8 @@ impl RoomRuntime {
 
         let repeater = core.repeater();
         let transport = Transport::open(bus, arrays, class, local)?;
-        let decision_loop = DecisionLoop::new(core, transport, deadline(config), config.times_from_tick);
+        let deadline = Duration::from_secs_f64(config.scenario.decision_deadline_s());
+        let decision_loop = DecisionLoop::new(core, transport, deadline, config.times_from_tick);
         let decision_loop = Arc::new(Mutex::new(decision_loop));
         let queue = Arc::new(ReceiveQueue::default());
         let handler = PayloadHandler {
@@ -334,13 +335,4 @@ fn spawn(room: &Room, handler: &PayloadHandler) -> anyhow::Result<JoinHandle<()>
     let handler = handler.clone();
     let run = move || decision_loop::run(&handler);
     std::thread::Builder::new().name(format!("decide-{room}")).spawn(run).context("cannot start the room's thread")
-}
-
-/// The deadline of a decision after the arrival of its report: `control.deadline_ms`.
-fn deadline(config: &NodeConfig) -> Duration {
-    let seconds = match config.scenario.control.deadline_ms {
-        0.0 => 1.0 / config.scenario.streams.positions.rate_hz,
-        milliseconds => milliseconds * 1e-3,
-    };
-    Duration::from_secs_f64(seconds)
 }

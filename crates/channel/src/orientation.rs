@@ -16,7 +16,7 @@
 
 use crate::geometry::{GeometryError, Vec3};
 
-/// Largest difference of the length of a quaternion from 1.
+/// Largest difference of the length of a quaternion from 1, as in an orientation report of the contract.
 const LENGTH_TOLERANCE: f64 = 1e-3;
 
 /// A rotation from the upright device to the device as it is held, as a unit quaternion.

@@ -219,6 +219,15 @@ impl Scenario {
         self.users.orientation.as_ref().is_some_and(|held| held.model == OrientationModel::Measured)
     }
 
+    /// The deadline of a decision after the arrival of its report, in s: `control.deadline_ms`, or the time between two
+    /// position reports.
+    pub fn decision_deadline_s(&self) -> f64 {
+        match self.control.deadline_ms {
+            0.0 => 1.0 / self.streams.positions.rate_hz,
+            milliseconds => 1e-3 * milliseconds,
+        }
+    }
+
     /// Minimum rate of each user in bit/s. Shape: K.
     pub fn min_rate_bps(&self) -> Vec<f64> {
         match &self.users.min_rate_mbps {

@@ -2,19 +2,16 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::mpsc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use anyhow::{Result, bail};
 use heliostat_bus::{Bus, BusError};
 use heliostat_proto::keys::parse_alive;
-use heliostat_proto::{ArrayState, MirrorTelemetry, NodeKind, NodeStatus, decode};
+use heliostat_proto::{ArrayState, MirrorTelemetry, NodeKind, NodeStatus, STATUS_WITHIN, decode};
 use heliostat_service::counted::counted;
 use heliostat_service::printable::printable;
 
 use super::PRESENCE_LIMIT;
-
-/// A controller publishes its status, which names its host, twice in this time.
-const STATUS_WITHIN: Duration = Duration::from_millis(1200);
 
 /// Refuses a room with a controller: the check would take its array, and the controller would interfere with the check.
 ///

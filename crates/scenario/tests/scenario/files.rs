@@ -221,6 +221,15 @@ fn overrides_reach_any_key() {
 }
 
 #[test]
+fn a_decision_without_a_deadline_has_the_time_between_two_reports() {
+    let deadline_s = |deadline: &str| {
+        let set = ["streams.positions.rate_hz=20", deadline];
+        Scenario::default().with_overrides(&set).unwrap().decision_deadline_s()
+    };
+    assert_eq!(["control.deadline_ms=0", "control.deadline_ms=500"].map(deadline_s), [0.05, 0.5]);
+}
+
+#[test]
 fn a_misspelt_scenario_or_key_is_refused_with_the_similar_name_and_without_a_flag() {
     let of = |scenario: &str| ScenarioArgs { scenario: scenario.into(), ..ScenarioArgs::default() };
     for (named, hint) in [

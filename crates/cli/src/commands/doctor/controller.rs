@@ -6,12 +6,12 @@ use std::time::Instant;
 use heliostat_bus::{Bus, BusError, Subscription};
 use heliostat_proto::array_keys::array_name;
 use heliostat_proto::gauges::{ServedLight, TrackerNoise};
-use heliostat_proto::{Message, MirrorTelemetry, NodeKind, NodeStatus, RoomGeometry, decode};
+use heliostat_proto::{Message, MirrorTelemetry, NodeKind, NodeStatus, RoomGeometry, STATUS_WITHIN, decode};
 use heliostat_service::printable::printable;
 use heliostat_ui::controllers::{controller_name, leading};
 
 use super::check::Check;
-use super::system::{CONNECTED_WITHIN, STATUS_WITHIN};
+use super::system::CONNECTED_WITHIN;
 
 /// A tracker is noisier than stated if a learned deviation is larger than the stated one by this factor.
 const NOISIER: f64 = 1.5;

@@ -13,7 +13,7 @@ use heliostat_core::policy::Finding;
 use heliostat_models::{PolicyArgs, build_tried};
 use heliostat_proto::array_keys::array_name;
 use heliostat_proto::messages::fault;
-use heliostat_proto::{ArrayState, Capabilities, MirrorTelemetry, NodeStatus, ValidityClock, decode};
+use heliostat_proto::{ArrayState, Capabilities, MirrorTelemetry, NodeStatus, STATUS_WITHIN, ValidityClock, decode};
 use heliostat_room::World;
 use heliostat_scenario::Scenario;
 use heliostat_service::counted::counted;
@@ -32,9 +32,6 @@ const FETCH_EVERY: Duration = Duration::from_millis(50);
 
 /// Longest time until a session is connected.
 pub(super) const CONNECTED_WITHIN: Duration = DRIVER_WAIT;
-
-/// A driver publishes its status each second, and a controller twice.
-pub(super) const STATUS_WITHIN: Duration = Duration::from_millis(1200);
 
 /// Limits that differ by less than this, in rad, count as equal.
 const SAME_ANGLE_RAD: f64 = 1e-4;

@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 
 use heliostat_bus::{Bus, BusConfig, private_endpoint};
 use heliostat_core::observation::{ObservationEncoder, USERS_CAPACITY};
-use heliostat_core::policy::actor_file::{INPUT_NAME, OUTPUT_NAME, room_entries};
+use heliostat_core::policy::actor_file::{ANGLES, INPUT_NAME, room_entries};
 use heliostat_onnx::graph::{Ends, Graph};
 use heliostat_proto::{ArrayState, MirrorCommand, NodeKind, Room, UserReport, codec};
 use heliostat_scenario::Scenario;
@@ -290,7 +290,7 @@ fn actor(layers: impl FnOnce(&mut Graph, &str, usize)) -> Vec<u8> {
     let weights = graph.constant("weights", &[inputs, outputs], &weights);
     let present = graph.node("MatMul", &[INPUT_NAME, &weights]);
     layers(&mut graph, &present, outputs);
-    let (input, output) = ((INPUT_NAME, inputs), (OUTPUT_NAME, outputs));
+    let (input, output) = ((INPUT_NAME, inputs), (ANGLES, outputs));
     graph.finish(&Ends { name: "test", input, output }, &room_entries(&scenario, USERS_CAPACITY))
 }
 

@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use heliostat_core::observation::{ObservationEncoder, USERS_CAPACITY};
-use heliostat_core::policy::actor_file::{ActorFile, INPUT_NAME, OUTPUT_NAME, room_entries};
+use heliostat_core::policy::actor_file::{ANGLES, ActorFile, INPUT_NAME, room_entries};
 use heliostat_core::policy::{DENSE, Finding, PolicyKind};
 use heliostat_models::{ActorSource, build, build_tried, shipped};
 use heliostat_onnx::graph::{Ends, Graph};
@@ -19,7 +19,7 @@ fn file(scenario: &Scenario, layers: impl FnOnce(&mut Graph, &str, usize)) -> Ac
     let weights = graph.constant("passing", &[inputs, outputs], &passing);
     let angles = graph.node("MatMul", &[INPUT_NAME, &weights]);
     layers(&mut graph, &angles, outputs);
-    let (input, output) = ((INPUT_NAME, encoder.len()), (OUTPUT_NAME, encoder.angles().len()));
+    let (input, output) = ((INPUT_NAME, encoder.len()), (ANGLES, encoder.angles().len()));
     let bytes = graph.finish(&Ends { name: "test", input, output }, &room_entries(scenario, USERS_CAPACITY));
     ActorSource::Bytes(ActorFile { origin: "own.onnx".into(), bytes: bytes.into() })
 }

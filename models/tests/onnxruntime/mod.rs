@@ -1,7 +1,7 @@
 //! Graphs that only ONNX Runtime runs.
 
 use heliostat_core::observation::ObservationEncoder;
-use heliostat_core::policy::actor_file::{ActorFile, INPUT_NAME, OUTPUT_NAME, room_entries};
+use heliostat_core::policy::actor_file::{ANGLES, ActorFile, INPUT_NAME, room_entries};
 use heliostat_onnx::graph::{Ends, Graph};
 use heliostat_scenario::Scenario;
 
@@ -22,7 +22,7 @@ impl Operator {
         let quarter = graph.scalar(0.25);
         let sum = graph.node("Add", &[&product, &quarter]);
         graph.node(self.0, &[&sum]);
-        let ends = Ends { name: "test", input: (INPUT_NAME, encoder.len()), output: (OUTPUT_NAME, 2 * mirrors) };
+        let ends = Ends { name: "test", input: (INPUT_NAME, encoder.len()), output: (ANGLES, 2 * mirrors) };
         ActorFile { origin: "sin.onnx".into(), bytes: graph.finish(&ends, &room_entries(scenario, users_max)).into() }
     }
 }

@@ -28,10 +28,8 @@ pub use metadata::key;
 
 /// Name of the network's only input.
 pub const INPUT_NAME: &str = "observation";
-/// Name of the only output of a network that gives the angles.
-pub const OUTPUT_NAME: &str = "angles";
 
-/// The action of a network that gives the angles; that of a file without an entry.
+/// The action of a network that gives the angles, and its only output; that of a file without an entry.
 pub const ANGLES: &str = "angles";
 
 /// The metadata of an actor for at most `users_max` users of a scenario's room.

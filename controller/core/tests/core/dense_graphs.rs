@@ -1,7 +1,7 @@
 //! Dense graphs as ONNX files, for the tests of the dense engine.
 
 use heliostat_core::observation::{ObservationEncoder, USERS_CAPACITY};
-use heliostat_core::policy::actor_file::{INPUT_NAME, OUTPUT_NAME, room_entries};
+use heliostat_core::policy::actor_file::{ANGLES, INPUT_NAME, room_entries};
 use heliostat_onnx::{
     AttributeProto, ModelProto, StringStringEntryProto, TensorProto,
     attribute_proto::AttributeType,
@@ -108,7 +108,7 @@ pub fn dense_actor(scenario: &Scenario) -> Vec<u8> {
     let graph = model.graph.as_mut().expect("a graph");
     let renamed = |name: &mut String| match name.as_str() {
         "x" => *name = INPUT_NAME.into(),
-        "y" => *name = OUTPUT_NAME.into(),
+        "y" => *name = ANGLES.into(),
         _ => {}
     };
     graph.input.iter_mut().chain(&mut graph.output).for_each(|port| renamed(&mut port.name));

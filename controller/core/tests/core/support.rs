@@ -8,7 +8,7 @@ use heliostat_core::{
     observation::{Observation, ObservationEncoder},
     policy::{
         self, Actor, BuildError, Engine, Network, Policy, PolicyKind, PolicyResult, Resources,
-        actor_file::{ActorError, ActorFile, INPUT_NAME, OUTPUT_NAME, room_entries},
+        actor_file::{ANGLES, ActorError, ActorFile, INPUT_NAME, room_entries},
     },
 };
 use heliostat_onnx::{
@@ -237,7 +237,7 @@ impl ActorRecipe {
         let (users_max, mirrors) = (4, scenario.mirror_count());
         Self {
             input_name: INPUT_NAME,
-            output_name: OUTPUT_NAME,
+            output_name: ANGLES,
             input_length: ObservationEncoder::new(users_max, mirrors).len(),
             output_length: 2 * mirrors,
             bias: vec![0.25; 2 * mirrors],

@@ -3,7 +3,7 @@
 use anyhow::{Context, Result};
 use heliostat_bus::{BusConfig, Reach, Role};
 use heliostat_core::observation::{ObservationEncoder, USERS_CAPACITY};
-use heliostat_core::policy::actor_file::{INPUT_NAME, OUTPUT_NAME, room_entries};
+use heliostat_core::policy::actor_file::{ANGLES, INPUT_NAME, room_entries};
 use heliostat_proto::Room;
 use heliostat_scenario::{Scenario, ScenarioArgs};
 use heliostat_sim_node::Pace;
@@ -96,7 +96,7 @@ fn actor(scenario: &Scenario, users_max: usize) -> Map<String, Value> {
         room_entries(scenario, users_max).into_iter().map(|(key, value)| (key, value.into())).collect();
     let document = json!({
         "input": { "name": INPUT_NAME, "type": "f32", "shape": [1, encoder.len()] },
-        "output": { "name": OUTPUT_NAME, "type": "f32", "shape": [1, 2 * mirrors] },
+        "output": { "name": ANGLES, "type": "f32", "shape": [1, 2 * mirrors] },
         "metadata": metadata,
         // Index of the first value, and one past the last.
         "layout": {

@@ -117,7 +117,7 @@ impl ActionKind {
     /// The name of the network's only output.
     pub fn output(self) -> &'static str {
         match self {
-            Self::Angles => super::OUTPUT_NAME,
+            Self::Angles => ANGLES,
             Self::Weights(_) => WEIGHTS,
             Self::Codebook => "values",
         }

@@ -45,7 +45,8 @@ def section(root: Path, with_program: bool) -> list[str]:
         subprocess.run(["python3", "-m", "venv", str(folder / "venv")], check=True)
         pip = str(folder / "venv/bin/pip")
         # So that their download is no part of the time.
-        subprocess.run([pip, "install", "--quiet", "numpy>=1.26", "gymnasium>=1.1,<2"], check=True)
+        required = subprocess.run([str(root / ".ci/requirements")], check=True, capture_output=True, text=True)
+        subprocess.run([pip, "install", "--quiet", *required.stdout.split()], check=True)
         fetch = ["cargo", "fetch", "--quiet", "--manifest-path", "python/Cargo.toml"]
         subprocess.run(fetch, cwd=root, check=True)
         before, begun = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
@@ -54,7 +55,6 @@ def section(root: Path, with_program: bool) -> list[str]:
         processor_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
         flags = ["--cli"] if with_program else []
         path = f"{folder / 'venv/bin'}{os.pathsep}{os.environ['PATH']}"
-        subprocess.run([pip, "install", "--quiet", "maturin>=1.7,<2"], check=True)
         subprocess.run(
             [str(root / "python/build-wheels"), str(folder / "wheels"), *flags],
             env={**environment, "PATH": path},
@@ -69,7 +69,7 @@ def section(root: Path, with_program: bool) -> list[str]:
         f"The load average at the start was {load:.1f}.",
         "",
         f"`pip install ./python` with an empty CARGO_TARGET_DIR: {elapsed_s:.0f} s, and {processor_s:.0f} s of processor "
-        "time. Crates, NumPy and Gymnasium were downloaded before; pip also fetches maturin.",
+        "time. Crates and required packages were downloaded before.",
         "",
         "| file | MB | MB installed |",
         "| --- | --- | --- |",

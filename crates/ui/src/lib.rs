@@ -17,7 +17,8 @@
 //! - `event_log`: what happened in the room, with times.
 //! - [`order_log`]: the answers to these orders; [`stop_state`]: how far a stop has come.
 //! - [`floor`]: the rate over the floor, for the heat map.
-//! - [`stop_switch`]: the emergency stop and its release, for the page and the command line.
+//! - [`stop_switch`]: the emergency stop and its release, for the page and the command line; `stop_watch`: what the arrays
+//!   report of it; `stop_words`: both in words.
 //! - [`server`]: the HTTP server of the page; [`guard`] refuses requests from other pages.
 //! - [`terminal`]: the same figures on a terminal, or as plain lines; [`status`]: once, with what is wrong.
 
@@ -52,6 +53,7 @@ pub mod status;
 pub mod stop_state;
 pub mod stop_switch;
 mod stop_watch;
+mod stop_words;
 mod telemetry_ages;
 pub mod terminal;
 mod token;
@@ -68,6 +70,6 @@ pub use rights::Rights;
 pub use server::{PageArgs, Place, Server};
 pub use shown_room::GeometrySource;
 pub use stop_switch::StopSwitch;
-pub use stop_watch::{UNKNOWN_ARRAYS, still_stopped, stop_in_words};
+pub use stop_words::{UNKNOWN_ARRAYS, still_stopped, stop_in_words};
 pub use terminal::Display;
 pub use view::View;

@@ -10,7 +10,7 @@ use serde::Serialize;
 
 use crate::View;
 use crate::order::Order;
-use crate::stop_watch::still_stopped;
+use crate::stop_words::still_stopped;
 use crate::view::EXPIRY;
 
 /// Reported and ordered values differ at most by the rounding to 32 bits.

@@ -22,7 +22,8 @@ use heliostat_service::source_id;
 use crate::UiError;
 use crate::notes::two_drivers;
 use crate::order_publisher::OrderPublisher;
-use crate::stop_watch::{RoomStops, StopWatch, UNKNOWN_ARRAYS, problem, sources_in_words, unrecorded, unreleased};
+use crate::stop_watch::{RoomStops, StopWatch};
+use crate::stop_words::{UNKNOWN_ARRAYS, problem, sources_in_words, unrecorded, unreleased};
 
 /// What an operator has to know of an endpoint that has not answered in time.
 const UNANSWERED_ENDPOINT: &str =

@@ -1,5 +1,7 @@
 //! The controllers of a room: which one leads, which stand by, and how often they took over.
 
+mod refusals;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::time::{Duration, Instant};
@@ -9,7 +11,10 @@ use heliostat_proto::{EPOCH_SLOTS, NodeKind, NodeStatus};
 use heliostat_service::printable::printable;
 use serde::Serialize;
 
-use crate::view::EXPIRY;
+use crate::expiry::EXPIRY;
+use refusals::{DECISIONS, ReportCounts, refusal_in_words};
+
+pub(crate) use refusals::refusal_of;
 
 /// Counters of a controller's status: standby, its epoch, takeovers, and takeovers from a leader
 /// that was not gone.
@@ -17,12 +22,6 @@ const STANDBY: &str = "standby";
 const EPOCH: &str = "epoch";
 const TAKEOVERS: &str = "epoch:took-over";
 const FALSE_TAKEOVERS: &str = "epoch:contested";
-/// The counter of decisions on position reports.
-const DECISIONS: &str = "decisions";
-/// The counter of those on reports that are refused because they are too old.
-const STALE_DECISIONS: &str = "fallback:stale-report";
-/// Beginning of the counters of refused position reports; the reason follows.
-const REFUSED_REPORTS: &str = "refused:users:";
 
 /// A status comes at least once a second: a token without one for this time shows a controller that is silent.
 const REPORTS_WITHIN: Duration = Duration::from_secs(2);
@@ -124,52 +123,6 @@ pub fn leading(mut statuses: Vec<NodeStatus>, followed_epoch: Option<u64>) -> Op
     Some(statuses.swap_remove(last))
 }
 
-/// A counter of a status; 0 where it has none.
-fn counter(status: &NodeStatus, name: &str) -> u64 {
-    status.counters.iter().find(|(counter, _)| counter == name).map_or(0, |(_, count)| *count)
-}
-
-/// How many position reports a controller has accepted and refused since its start.
-#[derive(Clone, Copy, Debug, Default)]
-struct ReportCounts {
-    accepted: u64,
-    refused: u64,
-}
-
-impl ReportCounts {
-    fn of(status: &NodeStatus) -> Self {
-        Self {
-            accepted: counter(status, DECISIONS).saturating_sub(counter(status, STALE_DECISIONS)),
-            refused: refusals(status).map(|(_, count)| count).sum(),
-        }
-    }
-
-    /// Whether reports came since these counts, and each was refused.
-    fn are_refused_since(self, before: Self) -> bool {
-        self.refused > before.refused && self.accepted <= before.accepted
-    }
-}
-
-/// The reasons of refused position reports, with their counts.
-fn refusals(status: &NodeStatus) -> impl Iterator<Item = (&str, u64)> {
-    status.counters.iter().filter_map(|(name, count)| Some((name.strip_prefix(REFUSED_REPORTS)?, *count)))
-}
-
-/// The reason in a problem of a controller that refuses position reports. Telemetry that is refused for its time shows
-/// the same difference of clocks.
-pub(crate) fn refusal_of(problem: &str) -> Option<&str> {
-    let (what, reason) = problem.split_once(" refused: ")?;
-    let is_of_time = what.starts_with("telemetry of ") && reason.starts_with("a report is ");
-    (what == "users" || is_of_time).then_some(reason)
-}
-
-/// Why a controller refuses position reports: its own words, unless its problem is another one.
-fn refusal_in_words(status: &NodeStatus) -> String {
-    let own = refusal_of(&status.last_problem);
-    let most = || refusals(status).max_by_key(|(_, count)| *count).map_or("", |(reason, _)| reason);
-    printable(own.unwrap_or_else(most)).into_owned()
-}
-
 /// What is known of a controller.
 #[derive(Debug)]
 struct Known {
@@ -236,12 +189,13 @@ impl Controllers {
     /// Notes the status of a controller.
     pub fn take(&mut self, status: &NodeStatus) {
         let source = status.stamp.source;
-        let decisions = counter(status, DECISIONS);
+        let count = |name| status.counter(name).unwrap_or_default();
+        let decisions = count(DECISIONS);
         let before = self.0.get(&source).filter(|known| known.has_reported && !known.is_silent());
         let is_deciding = before.is_some_and(|before| decisions > before.figures.decisions);
         let reports = ReportCounts::of(status);
         let is_refusing = before.is_some_and(|before| reports.are_refused_since(before.reports));
-        let role = match (counter(status, STANDBY) > 0, CalibrationProgress::of(status)) {
+        let role = match (count(STANDBY) > 0, CalibrationProgress::of(status)) {
             (true, _) => Role::StandsBy,
             (false, Some(_)) => Role::Calibrates,
             (false, None) => Role::Leads,
@@ -250,9 +204,9 @@ impl Controllers {
             name: controller_name(source),
             host: printable(status.host().unwrap_or_default()).into_owned(),
             role,
-            epoch: counter(status, EPOCH),
-            takeovers: counter(status, TAKEOVERS),
-            false_takeovers: counter(status, FALSE_TAKEOVERS),
+            epoch: count(EPOCH),
+            takeovers: count(TAKEOVERS),
+            false_takeovers: count(FALSE_TAKEOVERS),
             decisions,
             is_deciding,
             unfit: status.unfit_arrays().map(|keys| unfit_in_words(&keys)).unwrap_or_default(),
@@ -341,6 +295,7 @@ impl Controllers {
 mod tests {
     use heliostat_proto::Stamp;
 
+    use super::refusals::STALE_DECISIONS;
     use super::*;
 
     fn status(source: u64, counters: &[(&str, u64)]) -> NodeStatus {

@@ -141,7 +141,8 @@ impl Published {
         let (at, status) = now.controller.as_ref().filter(|(at, _)| *at > self.at)?;
         let refusal = self.refusal(status);
         let before = self.before.controller.as_ref().map(|(_, status)| status);
-        let rose = |counter: &str| before.is_none_or(|before| count(before, counter) != count(status, counter));
+        let count = |status: &NodeStatus, name: &str| status.counter(name).unwrap_or_default();
+        let rose = |name: &str| before.is_none_or(|before| count(before, name) != count(status, name));
         let is_settled = at.duration_since(self.at) > SETTLED;
         if refusal.is_some() {
             return refusal;
@@ -176,10 +177,6 @@ impl Published {
         let (_, reason) = status.last_problem.split_once(&self.tag).filter(|_| !self.tag.is_empty())?;
         Some(Answer::Refused(printable(reason.trim_start_matches([':', ' '])).into_owned()))
     }
-}
-
-fn count(status: &NodeStatus, name: &str) -> u64 {
-    status.counters.iter().find(|(counter, _)| counter == name).map_or(0, |(_, count)| *count)
 }
 
 #[cfg(test)]

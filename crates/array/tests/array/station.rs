@@ -156,7 +156,7 @@ fn the_status_names_the_array_its_state_and_what_was_refused() {
     station.set_other_processes(2);
     let status = status(&mut station, at);
     assert_eq!((status.state.as_str(), status.name.as_str()), ("mirrors-2 stopped", "0000000000000009"));
-    let count = |name: &str| status.counters.iter().find(|(found, _)| found == name).map(|(_, count)| *count);
+    let count = |name: &str| status.counter(name);
     assert_eq!((count("refused:dropped"), count("commands")), (Some(3), Some(0)), "{:?}", status.counters);
     assert_eq!(count(NodeStatus::OTHER_PROCESSES), Some(2), "{:?}", status.counters);
     assert!(status.last_problem.contains("rearm"), "{}", status.last_problem);

@@ -8,7 +8,7 @@ use heliostat_proto::keys::parse_alive;
 use heliostat_proto::{ArrayKeys, Capabilities, Message, NodeKind, NodeStatus, Room, RoomGeometry, codec};
 use heliostat_service::locks::lock;
 
-use super::{Received, keep_text};
+use super::received::{Received, keep_text};
 use crate::UiError;
 
 /// Subscribes to every topic of the room.

@@ -1,0 +1,397 @@
+//! The latest messages of a room, and which of several senders is displayed.
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use heliostat_bus::Presence;
+use heliostat_proto::{
+    BeliefReport, ChannelReport, MirrorTelemetry, NodeKind, NodeStatus, ObstacleReport, RoomGeometry, RoomTruth,
+    SumRates, UserReport,
+};
+use heliostat_service::clock::utc_ns;
+
+use crate::array_reports::ArrayReports;
+use crate::controllers::{ControllerFigures, Controllers, Role, SHOWN_MAX, controller_name};
+use crate::expiry::EXPIRY;
+use crate::in_charge::InCharge;
+use crate::latency::Window;
+use crate::problems::Problems;
+use crate::shown_room::{AnnouncedController, Announcements};
+use crate::telemetry_ages::TelemetryAges;
+
+/// Time span of the chart of sum rates.
+const HISTORY: Duration = Duration::from_secs(90);
+/// Time between two points of that chart.
+const HISTORY_STEP: Duration = Duration::from_millis(200);
+
+/// Reports of users that arrive this long after the last truth are those of trackers: a simulated room sends both at
+/// a time.
+const MEASURED_AFTER: Duration = Duration::from_secs(1);
+
+/// A message and its arrival time.
+pub(crate) type Dated<T> = Option<(Instant, T)>;
+
+/// Sum rates at an instant, and what the mirrors followed then, for the chart.
+#[derive(Clone, Debug)]
+pub(crate) struct Sample {
+    pub at: Instant,
+    pub sum: SumRates,
+    pub in_charge: InCharge,
+}
+
+/// The latest messages of a room.
+#[derive(Default)]
+pub(crate) struct Received {
+    pub truth: Dated<RoomTruth>,
+    pub users: Dated<UserReport>,
+    pub channel: Dated<ChannelReport>,
+    pub obstacles: Dated<ObstacleReport>,
+    pub arrays: ArrayReports,
+    pub telemetry_ages: TelemetryAges,
+    /// Of the controller whose status is displayed.
+    pub belief: Dated<BeliefReport>,
+    /// The geometry that the simulator announces, as TOML.
+    pub room_geometry: Dated<Arc<str>>,
+    /// The geometry that each controller announces, as TOML, by its source.
+    pub controller_geometries: BTreeMap<u64, (Instant, Arc<str>)>,
+    /// By the name of the kind of process; that of a later array's driver has the array's index, as
+    /// `driver-1`.
+    pub statuses: BTreeMap<String, (Instant, NodeStatus)>,
+    /// Kind and source of the processes in the room.
+    pub alive: BTreeSet<(&'static str, u64)>,
+    /// When one of them last left it.
+    pub left_at: Option<Instant>,
+    pub history: VecDeque<Sample>,
+    pub latency: Window,
+    pub problems: Problems,
+    /// The controllers of the room.
+    pub controllers: Controllers,
+    pub unreadable: u64,
+}
+
+impl Received {
+    /// Notes a process that is in the room or has left it.
+    pub fn take_presence(&mut self, process: (&'static str, u64), presence: Presence) {
+        let (node, source) = process;
+        let is_controller = node == NodeKind::Controller.name();
+        match presence {
+            Presence::Alive => {
+                self.alive.insert(process);
+                if is_controller {
+                    self.controllers.join(source);
+                }
+            }
+            Presence::Gone => {
+                self.alive.remove(&process);
+                self.left_at = Some(Instant::now());
+                if is_controller {
+                    self.controllers.leave(source);
+                }
+            }
+        }
+    }
+
+    /// The message, unless it is old.
+    pub fn fresh<T>(message: &Dated<T>) -> Option<&T> {
+        message.as_ref().filter(|(at, _)| at.elapsed() < EXPIRY).map(|(_, message)| message)
+    }
+
+    /// The report of the users of a room that is not simulated, unless it is old. The last report of a simulator that
+    /// has fallen silent is none.
+    pub fn measured_users(&self) -> Option<&UserReport> {
+        let (at, users) = self.users.as_ref().filter(|(at, _)| at.elapsed() < EXPIRY)?;
+        let is_measured =
+            |(of_truth, _): &(Instant, RoomTruth)| of_truth.elapsed() >= EXPIRY && is_after(*of_truth, *at);
+        self.truth.as_ref().is_none_or(is_measured).then_some(users)
+    }
+
+    /// Whether the last positions, of any age, are those of a simulated room.
+    pub fn is_simulated(&self) -> bool {
+        let is_later = |of_truth| self.users.as_ref().is_some_and(|(at, _)| is_after(of_truth, *at));
+        self.truth.as_ref().is_some_and(|(of_truth, _)| !is_later(*of_truth))
+    }
+
+    /// Whether a recent message has the positions of the users.
+    pub fn has_users(&self) -> bool {
+        Self::fresh(&self.truth).is_some() || self.measured_users().is_some()
+    }
+
+    /// The controllers that are in the room, the leader first, and those that were lost. Only the reports of an array
+    /// show that one leads.
+    pub fn present_controllers(&self) -> Vec<ControllerFigures> {
+        let mut present = self.controllers.present(&self.alive, self.arrays.followed_epoch());
+        if self.arrays.states().is_empty() {
+            present.iter_mut().filter(|one| one.role == Role::Leads).for_each(|one| one.role = Role::Unheard);
+        }
+        present
+    }
+
+    /// Whether each controller that is seen stands by for one that is not.
+    pub fn stand_by_for_unseen(&self) -> bool {
+        self.controllers.follow_unseen(&self.alive, self.arrays.followed_epoch())
+    }
+
+    /// The status of a kind of process, unless it is old.
+    pub fn fresh_status<'a>(&'a self, node: &str) -> Option<&'a NodeStatus> {
+        self.statuses.get(node).filter(|(at, _)| at.elapsed() < EXPIRY).map(|(_, status)| status)
+    }
+
+    /// The source of the last status of a controller, of any age.
+    pub fn last_controller(&self) -> Option<u64> {
+        self.statuses.get(NodeKind::Controller.name()).map(|(_, status)| status.stamp.source)
+    }
+
+    /// Whether a status replaces that of its kind of process. One process of a kind is displayed at
+    /// a time, so that no figures of two processes mix: the one that is displayed already, while it
+    /// is in the room and no other controller leads.
+    fn is_displayed(&self, name: &str, status: &NodeStatus) -> bool {
+        let Some((at, known)) = self.statuses.get(name) else { return true };
+        let is_alive = |source| self.alive.contains(&(status.node.name(), source));
+        let is_present = is_alive(known.stamp.source) && at.elapsed() < EXPIRY;
+        // A controller that ends reports once more after its liveliness token.
+        let is_succeeded =
+            status.node == NodeKind::Controller && !is_alive(status.stamp.source) && self.is_controller_alive();
+        !is_succeeded && (known.stamp.source == status.stamp.source || !is_present || self.leads(status))
+    }
+
+    /// Whether a status is that of the controller that leads; of several that may lead, none.
+    fn leads(&self, status: &NodeStatus) -> bool {
+        let name = controller_name(status.stamp.source);
+        let is_leader = |one: &ControllerFigures| one.role.commands() && one.name == name;
+        status.node == NodeKind::Controller && self.present_controllers().iter().any(is_leader)
+    }
+
+    /// The newest announcements. Those of a process that has left are drawn until another one announces.
+    pub(super) fn announcements(&self) -> Announcements {
+        let (room, controller) = (&self.room_geometry, self.drawn_controller_geometry());
+        let is_old = |of: &Dated<Arc<str>>| Self::fresh(of).is_none();
+        let (is_sim_node_old, is_controller_old) = (is_old(room), is_old(&controller));
+        let is_outdated = is_sim_node_old && !is_controller_old;
+        let text = |of: &Dated<Arc<str>>| of.as_ref().map(|(_, text)| Arc::clone(text));
+        let simulator = self.fresh_status(NodeKind::SimNode.name());
+        Announcements {
+            sim_node: if is_outdated { None } else { text(room) },
+            sim_node_scenario: simulator.map(|status| status.scenario.clone()).unwrap_or_default(),
+            controller: text(&controller),
+            of_controllers: self.fresh_controller_geometries(),
+            is_sim_node_old,
+            is_controller_old,
+        }
+    }
+
+    /// The announcements of controllers that are not old.
+    fn fresh_controller_geometries(&self) -> Vec<AnnouncedController> {
+        let fresh = self.controller_geometries.iter().filter(|(_, (at, _))| at.elapsed() < EXPIRY);
+        let announced = |(source, (_, text)): (&u64, &(Instant, Arc<str>))| AnnouncedController {
+            name: controller_name(*source),
+            geometry: Arc::clone(text),
+            scenario: self.controllers.scenario(*source).to_owned(),
+        };
+        fresh.map(announced).collect()
+    }
+
+    /// The announcement of the displayed controller, else of another one, else the newest that is old.
+    fn drawn_controller_geometry(&self) -> Dated<Arc<str>> {
+        let displayed = self.last_controller();
+        let is_fresh = |(at, _): &&(Instant, Arc<str>)| at.elapsed() < EXPIRY;
+        let displayed = displayed.and_then(|source| self.controller_geometries.get(&source));
+        let drawn = displayed.filter(is_fresh).or_else(|| self.controller_geometries.values().find(is_fresh));
+        drawn.or_else(|| self.controller_geometries.values().max_by_key(|(at, _)| *at)).cloned()
+    }
+
+    pub(super) fn take_controller_geometry(&mut self, geometry: RoomGeometry) {
+        let source = geometry.stamp.source;
+        let mut kept = self.controller_geometries.remove(&source);
+        keep_text(&mut kept, geometry.scenario);
+        self.controller_geometries.retain(|_, (at, _)| at.elapsed() < EXPIRY);
+        if self.controller_geometries.len() >= SHOWN_MAX {
+            let is_stranger = |source: &u64| !self.alive.contains(&(NodeKind::Controller.name(), *source));
+            // A controller that is in the room takes the place of one that is not.
+            let stranger = self.controller_geometries.keys().copied().find(is_stranger);
+            let Some(stranger) = stranger.filter(|_| !is_stranger(&source)) else { return };
+            self.controller_geometries.remove(&stranger);
+        }
+        self.controller_geometries.extend(kept.map(|kept| (source, kept)));
+    }
+
+    pub(super) fn take_truth(&mut self, truth: RoomTruth) {
+        let at = Instant::now();
+        if self.history.back().is_none_or(|last| at - last.at >= HISTORY_STEP) {
+            let in_charge = self.in_charge();
+            self.history.push_back(Sample { at, sum: truth.sum_rate_bps, in_charge });
+        }
+        while self.history.front().is_some_and(|first| at - first.at > HISTORY) {
+            self.history.pop_front();
+        }
+        self.truth = Some((at, truth));
+    }
+
+    pub(super) fn take_telemetry(&mut self, array: usize, telemetry: MirrorTelemetry) {
+        self.telemetry_ages.handle_telemetry(array, telemetry.stamp, (Instant::now(), utc_ns()));
+        self.arrays.note(array, telemetry);
+    }
+
+    pub(super) fn take_belief(&mut self, belief: BeliefReport) {
+        let displayed = self.fresh_status(NodeKind::Controller.name());
+        if displayed.is_none_or(|status| status.stamp.source == belief.stamp.source) {
+            self.belief = Some((Instant::now(), belief));
+        }
+    }
+
+    pub(super) fn take_status(&mut self, array: usize, status: NodeStatus) {
+        let node = status.node.name();
+        let name = if array == 0 { node.to_owned() } else { format!("{node}-{array}") };
+        if status.node == NodeKind::Controller {
+            self.controllers.forget(&self.alive);
+            self.controllers.take(&status);
+        }
+        self.problems.take(&name, &status);
+        if !self.is_displayed(&name, &status) {
+            return;
+        }
+        if status.node == NodeKind::Controller {
+            self.latency.take(&status);
+        }
+        self.statuses.insert(name, (Instant::now(), status));
+    }
+}
+
+/// Whether a report of users is that of a tracker, by the arrivals of the last truth and of the report.
+fn is_after(of_truth: Instant, of_users: Instant) -> bool {
+    of_users.saturating_duration_since(of_truth) >= MEASURED_AFTER
+}
+
+/// Keeps an announcement; an unchanged text keeps its memory.
+pub(super) fn keep_text(kept: &mut Dated<Arc<str>>, text: String) {
+    let known = kept.take().map(|(_, known)| known).filter(|known| **known == *text);
+    *kept = Some((Instant::now(), known.unwrap_or_else(|| text.into())));
+}
+
+#[cfg(test)]
+mod tests {
+    use heliostat_proto::{ArrayState, Stamp};
+
+    use super::*;
+
+    fn status(source: u64, decisions: u64, standby: u64) -> NodeStatus {
+        NodeStatus {
+            stamp: Stamp { source, ..Stamp::default() },
+            counters: vec![("decisions".into(), decisions), ("standby".into(), standby)],
+            ..NodeStatus::default()
+        }
+    }
+
+    fn shown(received: &Received) -> (u64, u64) {
+        let status = received.fresh_status(NodeKind::Controller.name()).expect("a fresh status");
+        (status.stamp.source, status.counters[0].1)
+    }
+
+    #[test]
+    fn the_counters_of_two_controllers_do_not_mix() {
+        let mut received = Received::default();
+        let name = NodeKind::Controller.name();
+        received.alive.extend([(name, 1), (name, 2)]);
+        received.take_status(0, status(1, 500, 0));
+        received.take_status(0, status(2, 3, 0));
+        assert_eq!(shown(&received), (1, 500), "the one that is displayed stays");
+        received.take_status(0, status(1, 501, 1));
+        received.take_status(0, status(2, 4, 0));
+        assert_eq!(shown(&received), (2, 4), "the first is in standby");
+        received.take_status(0, status(1, 502, 1));
+        assert_eq!(shown(&received), (2, 4), "a controller in standby replaces none");
+        for (source, is_taken) in [(1, false), (2, true)] {
+            let stamp = Stamp { source, ..Stamp::default() };
+            received.take_belief(BeliefReport { stamp, ..BeliefReport::default() });
+            assert_eq!(received.belief.is_some(), is_taken, "the belief of the displayed controller");
+        }
+        received.alive.remove(&(name, 2));
+        received.take_status(0, status(2, 5, 1));
+        assert_eq!(shown(&received), (2, 4), "its last status, of the handover");
+        received.take_status(0, status(1, 503, 0));
+        assert_eq!(shown(&received), (1, 503), "the second has left");
+    }
+
+    #[test]
+    fn the_history_keeps_what_the_mirrors_followed_at_each_time() {
+        let mut received = Received::default();
+        received.alive.insert((NodeKind::Controller.name(), 1));
+        received.take_status(0, NodeStatus { policy: "greedy".into(), ..status(1, 500, 0) });
+        for state in [ArrayState::Following, ArrayState::Stopped] {
+            received.arrays.note(0, MirrorTelemetry { state, ..MirrorTelemetry::default() });
+            received.take_truth(RoomTruth::default());
+            received.history.iter_mut().for_each(|sample| sample.at -= HISTORY_STEP);
+        }
+        let followed: Vec<&str> = received.history.iter().map(|sample| sample.in_charge.name.as_str()).collect();
+        assert_eq!(followed, ["greedy", "stopped"]);
+    }
+
+    #[test]
+    fn a_controller_is_shown_to_lead_only_while_an_array_reports() {
+        let mut received = Received::default();
+        received.alive.extend([(NodeKind::Controller.name(), 1), (NodeKind::Controller.name(), 2)]);
+        received.take_status(0, status(1, 500, 0));
+        received.take_status(0, status(2, 0, 1));
+        let roles = |received: &Received| -> Vec<Role> {
+            received.present_controllers().into_iter().map(|one| one.role).collect()
+        };
+        assert_eq!(roles(&received), [Role::Unheard, Role::StandsBy], "no array has reported");
+        received.arrays.note(1, MirrorTelemetry::default());
+        assert_eq!(roles(&received), [Role::Leads, Role::StandsBy], "one of several arrays is enough");
+        received.arrays.age(EXPIRY);
+        assert_eq!(roles(&received), [Role::Unheard, Role::StandsBy], "the link to the array is cut");
+        assert_eq!(shown(&received), (1, 500), "its figures stay displayed");
+    }
+
+    #[test]
+    fn the_geometries_of_two_controllers_do_not_replace_each_other() {
+        let mut received = Received::default();
+        received.take_status(0, NodeStatus { scenario: "hash".into(), ..status(1, 500, 0) });
+        for (source, scenario) in [(1, "one"), (2, "other"), (1, "one"), (2, "other")] {
+            let stamp = Stamp { source, ..Stamp::default() };
+            received.take_controller_geometry(RoomGeometry { stamp, scenario: scenario.into() });
+        }
+        let announced = |source, geometry: &str, scenario: &str| AnnouncedController {
+            name: controller_name(source),
+            geometry: geometry.into(),
+            scenario: scenario.into(),
+        };
+        let announcements = received.announcements();
+        assert_eq!(announcements.of_controllers, [announced(1, "one", "hash"), announced(2, "other", "")]);
+        assert_eq!(announcements.sim_node_scenario, "", "no simulator");
+        let simulator = NodeStatus { node: NodeKind::SimNode, scenario: "room".into(), ..NodeStatus::default() };
+        received.take_status(0, simulator);
+        assert_eq!(received.announcements().sim_node_scenario, "room");
+        let drawn = received.drawn_controller_geometry().map(|(_, text)| text);
+        assert_eq!(drawn.as_deref(), Some("one"), "that of the displayed controller");
+    }
+
+    #[test]
+    fn the_geometries_of_very_many_controllers_do_not_keep_out_that_of_one_in_the_room() {
+        let mut received = Received::default();
+        let take = |received: &mut Received, source| {
+            let (stamp, scenario) = (Stamp { source, ..Stamp::default() }, "one".to_owned());
+            received.take_controller_geometry(RoomGeometry { stamp, scenario });
+        };
+        (1..200).for_each(|source| take(&mut received, source));
+        assert_eq!(received.controller_geometries.len(), SHOWN_MAX);
+        received.alive.insert((NodeKind::Controller.name(), 500));
+        take(&mut received, 500);
+        assert_eq!(received.controller_geometries.len(), SHOWN_MAX);
+        assert!(received.controller_geometries.contains_key(&500));
+    }
+
+    #[test]
+    fn of_two_controllers_that_command_the_one_is_displayed_that_the_array_follows() {
+        let mut received = Received::default();
+        received.alive.extend([(NodeKind::Controller.name(), 1), (NodeKind::Controller.name(), 2)]);
+        received.arrays.note(0, MirrorTelemetry { epoch: 500, ..MirrorTelemetry::default() });
+        let mut take = |source, epoch| {
+            let mut status = status(source, source, 0);
+            status.counters.push(("epoch".into(), epoch));
+            received.take_status(0, status);
+            shown(&received).0
+        };
+        assert_eq!([take(1, 900), take(2, 500), take(1, 900)], [1, 2, 2]);
+    }
+}

@@ -55,6 +55,8 @@ pub struct StopSwitch {
     own: Mutex<Option<OwnStop>>,
     /// Further sessions are on their way.
     is_joining: AtomicBool,
+    /// How long a stop awaits the statuses of the controllers that are there.
+    statuses_within: Duration,
 }
 
 /// The last stop of this process.
@@ -97,6 +99,7 @@ impl StopSwitch {
             seen,
             own: Mutex::default(),
             is_joining: AtomicBool::new(false),
+            statuses_within: ANNOUNCED_WITHIN,
         }
     }
 
@@ -313,7 +316,7 @@ impl StopSwitch {
             confirmed = if is_confirmed { confirmed.or(Some(begun.elapsed())) } else { None };
             let (has_geometry, is_joining) = (self.seen.lock().has_geometry(), self.is_joining.load(Ordering::SeqCst));
             let is_told = |seen: &ReportedStops| {
-                begun.elapsed() >= ANNOUNCED_WITHIN.min(limit) || seen.unheard_controllers().is_empty()
+                begun.elapsed() >= self.statuses_within.min(limit) || seen.unheard_controllers().is_empty()
             };
             // By what has arrived since: it can show a further array, or a lost driver.
             let is_final = || {
@@ -428,5 +431,63 @@ impl StopSwitch {
                 });
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::thread;
+
+    use heliostat_proto::{ArrayState, LatchedStopReport, MirrorTelemetry, NodeKind, NodeStatus, StopReport};
+
+    use super::*;
+
+    /// Time limit for an action that takes milliseconds on an idle machine.
+    const TIME_LIMIT: Duration = Duration::from_secs(60);
+
+    /// An array reports that its device has executed each stop that is held.
+    fn report_stopped(watch: &StopWatch, sequence: u64) {
+        watch.note(|seen, now| {
+            let stamp = Stamp { source: 9, sequence, time_ns: 0 };
+            let latched = |stop: RoomStop| LatchedStopReport {
+                source: stop.name.source,
+                sequence: stop.name.sequence,
+                ..LatchedStopReport::default()
+            };
+            let stops = seen.stops().into_iter().map(latched).collect();
+            let state = ArrayState::Stopped;
+            seen.handle_telemetry(now, 0, &MirrorTelemetry { stamp, state, ..MirrorTelemetry::default() });
+            seen.handle_stops(now, 0, StopReport { stamp, device_stopped: true, stops, ..StopReport::default() });
+        });
+    }
+
+    #[test]
+    fn a_stop_that_every_array_has_confirmed_awaits_the_status_of_a_controller() {
+        let watch = StopWatch::without_session();
+        let switch = StopSwitch { statuses_within: TIME_LIMIT, ..StopSwitch::with("ann", Arc::clone(&watch)) };
+        watch.expect(1);
+        watch.note(|seen, _| seen.handle_controller(5, true));
+        let mut sequence = 0;
+        let mut report_until = |is_so: &dyn Fn() -> bool| {
+            let begun = Instant::now();
+            while !is_so() {
+                assert!(begun.elapsed() < TIME_LIMIT);
+                sequence += 1;
+                report_stopped(&watch, sequence);
+                thread::sleep(Duration::from_millis(1));
+            }
+        };
+        thread::scope(|scope| {
+            let order = scope.spawn(|| switch.stop_and_confirm("test", TIME_LIMIT));
+            assert!(watch.wait(TIME_LIMIT, |seen, _| !seen.stops().is_empty()), "the stop is ordered");
+            report_until(&|| switch.is_own_confirmed());
+            // Otherwise it would end at once.
+            assert!(!watch.wait(10 * JOIN_CHECK_EVERY, |_, _| order.is_finished()), "it awaits the status");
+            let stamp = Stamp { source: 5, ..Stamp::default() };
+            let status = NodeStatus { stamp, node: NodeKind::Controller, ..NodeStatus::default() };
+            watch.note(|seen, now| seen.handle_status(now, &status));
+            report_until(&|| order.is_finished());
+            order.join().unwrap().unwrap();
+        });
     }
 }

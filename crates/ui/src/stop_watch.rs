@@ -253,6 +253,12 @@ impl StopWatch {
         self.state.lock()
     }
 
+    /// Notes a report without a session.
+    #[cfg(test)]
+    pub fn note(&self, set: impl FnOnce(&mut ReportedStops, Duration)) {
+        self.state.note(set);
+    }
+
     /// Waits until the condition holds at the present time, at most `limit`; returns whether it holds.
     pub fn wait(&self, limit: Duration, holds: impl Fn(&ReportedStops, Duration) -> bool) -> bool {
         let WatchState { changed, .. } = &*self.state;
@@ -357,8 +363,7 @@ mod tests {
         let room = watch.room();
         assert!(room.is_held() && room.stops.is_empty() && !room.is_confirmed(), "{room:?}");
         assert!(room.problems()[0].starts_with(&format!("no array here reports a stop, and commands are {held}: ")));
-        let report =
-            |array| watch.state.note(|seen, now| seen.handle_telemetry(now, array, &MirrorTelemetry::default()));
+        let report = |array| watch.note(|seen, now| seen.handle_telemetry(now, array, &MirrorTelemetry::default()));
         watch.expect(2);
         report(0);
         assert_eq!(watch.room().held.as_deref(), Some(held), "array 1 does not report");
@@ -381,9 +386,9 @@ mod tests {
         let watch = StopWatch::without_session();
         let counters = vec![LostDriver { array: 0, source: 7, since_ns: 43_384_000_000_000 }.counter()];
         let status = NodeStatus { node: NodeKind::Controller, counters, ..NodeStatus::default() };
-        watch.state.note(|seen, now| seen.handle_status(now, &status));
+        watch.note(|seen, now| seen.handle_status(now, &status));
         assert_eq!(watch.remarks(), [""; 0], "the array has no driver");
-        watch.state.note(|seen, now| seen.handle_driver(now, (Some(0), 9), true));
+        watch.note(|seen, now| seen.handle_driver(now, (Some(0), 9), true));
         let remark = "array 0: driver 0000000000000007 was lost at 12:03:04 UTC, and another driver serves it: a stop \
                       stays unconfirmed until it returns, or until its release";
         assert_eq!(watch.remarks(), [remark]);

@@ -1,185 +1,22 @@
 //! The emergency stop and its release, against arrays of this test.
 
+mod array;
 mod lost;
 
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard};
+use std::sync::MutexGuard;
 use std::time::{Duration, Instant};
 
-use heliostat_bus::{Bus, BusConfig, Class, Publisher, Subscription, private_endpoint};
-use heliostat_proto::{
-    ArrayState, EmergencyStop, LatchedStopReport, Message, MirrorTelemetry, NodeKind, Rearm, Room, RoomGeometry, Stamp,
-    StopAction, StopName, StopRepetition, StopReport, decode, encode,
-};
+use heliostat_bus::{Bus, BusConfig, Class, private_endpoint};
+use heliostat_proto::{ArrayState, MirrorTelemetry, NodeKind, Room, Stamp, StopName};
 use heliostat_ui::{StopSwitch, UiError};
+
+use array::{Array, Manner, State, latch, publish};
 
 /// Time limit for an action that takes milliseconds on an idle machine.
 const TIME_LIMIT: Duration = Duration::from_secs(60);
 
 /// Time limit for what has to fail; the arrays that do not fail answer within it on a busy machine too.
 const SHORT: Duration = Duration::from_secs(8);
-
-/// How an array treats a stop.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Manner {
-    Stops,
-    /// It obeys repetitions only.
-    Deaf,
-    /// Its device does not execute the stop.
-    Latches,
-    /// It publishes telemetry alone, as the first drivers did.
-    Older,
-}
-
-#[derive(Default)]
-struct State {
-    stops: Vec<StopName>,
-    /// Repetitions of them are ignored. They are too old for the list in a report.
-    released: Vec<StopName>,
-    sequence: u64,
-    rearms: Vec<Rearm>,
-    unnamed: u32,
-    /// Whether the disk has not answered.
-    is_unrecorded: bool,
-}
-
-/// An array that obeys stops, and reports until it is dropped.
-struct Array {
-    state: Arc<Mutex<State>>,
-    is_over: Arc<AtomicBool>,
-    _subscriptions: Vec<Subscription>,
-    reporter: Reporter,
-}
-
-#[derive(Clone)]
-struct Reporter {
-    manner: Manner,
-    telemetry: Arc<Publisher>,
-    stops: Arc<Publisher>,
-    /// Announces the geometry of the room, where there is one.
-    geometry: Option<(Arc<Publisher>, usize)>,
-}
-
-impl Reporter {
-    fn report(&self, state: &mut State) {
-        if let Some((geometry, arrays)) = &self.geometry {
-            let walls = ["+y", "-x", "+x"].into_iter().take(*arrays);
-            let mirrors = walls.map(|wall| format!("[[mirrors]]\nrows = 1\ncolumns = 1\nwall = \"{wall}\"\n"));
-            publish(geometry, &RoomGeometry { scenario: mirrors.collect(), ..RoomGeometry::default() });
-        }
-        state.sequence += 1;
-        let stamp = Stamp { source: 9, sequence: state.sequence, time_ns: 0 };
-        let is_stopped = !state.stops.is_empty();
-        if self.manner != Manner::Older {
-            let latched = |name: &StopName| LatchedStopReport {
-                source: name.source,
-                sequence: name.sequence,
-                operator: "ann".into(),
-                ..LatchedStopReport::default()
-            };
-            let device_stopped = is_stopped && self.manner != Manner::Latches;
-            let problem = match (is_stopped, device_stopped) {
-                (true, false) => "no link".to_owned(),
-                (true, true) if state.is_unrecorded => format!("no answer {}", state.sequence),
-                _ => String::new(),
-            };
-            let stops = state.stops.iter().map(latched).collect();
-            publish(&self.stops, &StopReport { stamp, device_stopped, stops, problem, ..StopReport::default() });
-        }
-        let state = if is_stopped { ArrayState::Stopped } else { ArrayState::Parked };
-        publish(&self.telemetry, &MirrorTelemetry { stamp, state, ..MirrorTelemetry::default() });
-    }
-}
-
-fn publish<M: Message>(publisher: &Publisher, message: &M) {
-    let mut payload = Vec::new();
-    encode(message, &mut payload).unwrap();
-    // At the end of a test its session is closed.
-    drop(publisher.put(&payload));
-}
-
-impl Array {
-    fn new(bus: &Bus, index: usize, manner: Manner, arrays: Option<usize>) -> Self {
-        let (room, keys) = (bus.room(), bus.room().array(index));
-        let publisher = |key: &str| Arc::new(bus.publisher(key, Class::HighDrop).unwrap());
-        let (telemetry, stops) = (publisher(&keys.telemetry()), publisher(&keys.stops()));
-        let geometry = arrays.map(|arrays| (publisher(&room.geometry(NodeKind::SimNode)), arrays));
-        let reporter = Reporter { manner, telemetry, stops, geometry };
-        let state: Arc<Mutex<State>> = Arc::default();
-        let on = |apply: fn(&mut State, &[u8], Manner)| {
-            let (state, reporter) = (Arc::clone(&state), reporter.clone());
-            move |payload: &[u8]| {
-                let mut state = state.lock().unwrap();
-                apply(&mut state, payload, reporter.manner);
-                reporter.report(&mut state);
-            }
-        };
-        let subscriptions = vec![
-            bus.subscribe(
-                &room.stop(),
-                on(|state, payload, manner| {
-                    let order: EmergencyStop = decode(payload).unwrap();
-                    match order.action {
-                        StopAction::Stop if manner != Manner::Deaf => latch(state, order.name()),
-                        StopAction::Stop => {}
-                        StopAction::Rearm => {
-                            state.unnamed += 1;
-                            state.stops.clear();
-                        }
-                    }
-                }),
-            ),
-            bus.subscribe(
-                &keys.stop_repetition(),
-                on(|state, payload, manner| {
-                    let order: StopRepetition = decode(payload).unwrap();
-                    if manner != Manner::Older && !state.released.contains(&order.name()) {
-                        latch(state, order.name());
-                    }
-                }),
-            ),
-            bus.subscribe(
-                &room.rearm(),
-                on(|state, payload, manner| {
-                    let order: Rearm = decode(payload).unwrap();
-                    if manner != Manner::Older {
-                        state.stops.retain(|name| *name != order.name());
-                    }
-                    state.rearms.push(order);
-                }),
-            ),
-        ];
-        let is_over = Arc::new(AtomicBool::new(false));
-        let (over, reported, regular) = (Arc::clone(&is_over), Arc::clone(&state), reporter.clone());
-        std::thread::spawn(move || {
-            while !over.load(Ordering::SeqCst) {
-                regular.report(&mut reported.lock().unwrap());
-                std::thread::sleep(Duration::from_millis(50));
-            }
-        });
-        Self { state, is_over, _subscriptions: subscriptions.into_iter().map(Result::unwrap).collect(), reporter }
-    }
-
-    fn report(&self) {
-        self.reporter.report(&mut self.state.lock().unwrap());
-    }
-
-    fn stops(&self) -> Vec<StopName> {
-        self.state.lock().unwrap().stops.clone()
-    }
-}
-
-impl Drop for Array {
-    fn drop(&mut self) {
-        self.is_over.store(true, Ordering::SeqCst);
-    }
-}
-
-fn latch(state: &mut State, name: StopName) {
-    if !state.stops.contains(&name) {
-        state.stops.push(name);
-    }
-}
 
 /// Arrays of these manners in a room, and a switch of an operator.
 fn arrays(room: &str, manners: &[Manner]) -> (Vec<Array>, StopSwitch, (Bus, Bus)) {
@@ -197,6 +34,15 @@ fn announced(room: &str, manners: &[Manner], count: Option<usize>) -> (Vec<Array
     let switch = StopSwitch::new("ann");
     switch.join(&bus).unwrap();
     (arrays, switch, (own, bus))
+}
+
+/// Waits until it is so.
+fn awaited(what: &str, mut is_so: impl FnMut() -> bool) {
+    let begun = Instant::now();
+    while !is_so() {
+        assert!(begun.elapsed() < TIME_LIMIT, "{what}");
+        std::thread::sleep(Duration::from_millis(1));
+    }
 }
 
 /// The arrays that are not confirmed as stopped.
@@ -229,18 +75,11 @@ fn a_session_that_joins_after_the_order_brings_it_to_its_arrays_before_it_is_con
     switch.set_joining(true);
     std::thread::scope(|scope| {
         let order = scope.spawn(|| switch.stop_and_confirm("test", TIME_LIMIT));
-        let awaited = |what: &str, is_so: &dyn Fn() -> bool| {
-            let begun = Instant::now();
-            while !is_so() {
-                assert!(begun.elapsed() < TIME_LIMIT, "{what}");
-                std::thread::sleep(Duration::from_millis(1));
-            }
-        };
-        awaited("the stop at the first array", &|| !first[0].stops().is_empty());
+        awaited("the stop at the first array", || !first[0].stops().is_empty());
         let late = Bus::open(&config.connect_to(&endpoint)).unwrap();
         switch.join(&late).unwrap();
-        awaited("the stop at the second array", &|| second.stops() == first[0].stops());
-        awaited("the confirmation of both", &|| switch.is_own_confirmed());
+        awaited("the stop at the second array", || second.stops() == first[0].stops());
+        awaited("the confirmation of both", || switch.is_own_confirmed());
         assert!(!order.is_finished(), "a further session may show another array");
         switch.set_joining(false);
         order.join().unwrap().unwrap();
@@ -258,11 +97,7 @@ fn a_stop_is_repeated_by_its_name_to_an_array_that_has_not_reported_it() {
 
 /// Awaits the stop at an array, and releases it there as another operator.
 fn release_elsewhere(array: &Array) {
-    let begun = Instant::now();
-    while array.stops().is_empty() {
-        assert!(begun.elapsed() < TIME_LIMIT, "the stop has not come");
-        std::thread::sleep(Duration::from_millis(1));
-    }
+    awaited("the stop", || !array.stops().is_empty());
     // Its report with the stop comes before the one without.
     array.report();
     let mut state = array.state.lock().unwrap();
@@ -291,11 +126,7 @@ fn a_stop_is_repeated_to_an_array_that_appears_after_another_operator_has_releas
     std::thread::scope(|scope| {
         let open = scope.spawn(|| unconfirmed(&switch));
         release_elsewhere(&first[0]);
-        let begun = Instant::now();
-        while !switch.known_stops().is_empty() {
-            assert!(begun.elapsed() < TIME_LIMIT, "the release has not come");
-            std::thread::sleep(Duration::from_millis(1));
-        }
+        awaited("the release", || switch.known_stops().is_empty());
         let later = Array::new(&own, 1, Manner::Deaf, None);
         let open = open.join().unwrap();
         assert_eq!(later.stops(), first[0].state.lock().unwrap().released, "{open:?}");
@@ -339,11 +170,10 @@ fn two_drivers_of_one_array_are_named_with_their_sources() {
     assert_eq!(switch.shared_arrays(), [""; 0], "a token alone drives nothing");
     let second = own.publisher(&own.room().array(0).telemetry(), Class::HighDrop).unwrap();
     let stamp = Stamp { source: 7, sequence: 1, time_ns: 0 };
-    let begun = Instant::now();
-    while switch.shared_arrays().is_empty() && begun.elapsed() < TIME_LIMIT {
+    awaited("two drivers", || {
         publish(&second, &MirrorTelemetry { stamp, state: ArrayState::Stopped, ..MirrorTelemetry::default() });
-        std::thread::sleep(Duration::from_millis(10));
-    }
+        !switch.shared_arrays().is_empty()
+    });
     let expected = "two drivers serve one array (mirrors, sources 0000000000000007 and 0000000000000009): stop one";
     let named = switch.shared_arrays();
     assert!(named.len() == 1 && named[0].starts_with(expected), "{named:?}");
@@ -356,11 +186,7 @@ fn silent_unrecorded<'a>(array: &'a Array, switch: &StopSwitch) -> (MutexGuard<'
     switch.stop_and_confirm("test", TIME_LIMIT).unwrap();
     let state = array.state.lock().unwrap();
     let last = format!("array 0 has stopped, but the stop is not recorded: no answer {}", state.sequence);
-    let begun = Instant::now();
-    while switch.unrecorded(Duration::ZERO) != [last.clone()] {
-        assert!(begun.elapsed() < TIME_LIMIT, "the last report has not come");
-        std::thread::sleep(Duration::from_millis(1));
-    }
+    awaited("the last report", || switch.unrecorded(Duration::ZERO) == [last.clone()]);
     (state, last)
 }
 
@@ -436,13 +262,11 @@ fn a_stop_that_one_array_reports_is_repeated_to_an_array_that_appears_later() {
     live[0].report();
     assert_eq!(switch.stops(TIME_LIMIT)[0].arrays, [0, 1], "a stop concerns every array");
     let later = Array::new(&own, 1, Manner::Deaf, None);
-    let begun = Instant::now();
-    while later.stops() != [other] {
-        assert!(begun.elapsed() < TIME_LIMIT, "the stop has not come");
+    awaited("the stop", || {
         later.report();
         switch.repeat();
-        std::thread::sleep(Duration::from_millis(10));
-    }
+        later.stops() == [other]
+    });
 }
 
 #[test]
@@ -450,11 +274,7 @@ fn a_rearm_succeeds_although_an_array_never_had_the_stop() {
     let (arrays, switch, _sessions) = arrays("never", &[Manner::Stops, Manner::Stops]);
     let other = StopName { source: 77, sequence: 1 };
     latch(&mut arrays[0].state.lock().unwrap(), other);
-    let begun = Instant::now();
-    while switch.known_stops().first().is_none_or(|stop| stop.arrays != [0, 1]) {
-        assert!(begun.elapsed() < TIME_LIMIT, "the stop is not held for both arrays");
-        std::thread::sleep(Duration::from_millis(1));
-    }
+    awaited("the stop of both arrays", || switch.known_stops().first().is_some_and(|stop| stop.arrays == [0, 1]));
     switch.rearm_and_confirm(&[other], "clear", TIME_LIMIT).unwrap();
     assert_eq!((arrays[0].stops(), switch.known_stops()), (vec![], vec![]));
 }
@@ -498,28 +318,22 @@ fn a_stop_that_its_holder_repeats_after_a_release_is_a_further_one() {
     switch.rearm_and_confirm(&known, "clear", TIME_LIMIT).unwrap();
     let other = StopName { source: 77, sequence: 1 };
     latch(&mut arrays[0].state.lock().unwrap(), other);
-    let begun = Instant::now();
-    let further = loop {
-        let further = switch.further_stops(&known, TIME_LIMIT);
-        if !further.is_empty() || begun.elapsed() > TIME_LIMIT {
-            break further;
-        }
-    };
+    let mut further = Vec::new();
+    awaited("a further stop", || {
+        further = switch.further_stops(&known, TIME_LIMIT);
+        !further.is_empty()
+    });
     assert_eq!(further.iter().map(|stop| stop.name).collect::<Vec<_>>(), [other]);
 }
 
 #[test]
 fn a_rearm_of_an_array_that_is_not_stopped_sends_nothing() {
     let (arrays, switch, _sessions) = arrays("moving", &[Manner::Stops]);
-    let begun = Instant::now();
     // Until its first report the array is not known.
-    loop {
+    awaited("the first report", || {
         arrays[0].report();
-        match switch.rearm(&[], "clear").unwrap_err() {
-            UiError::NotStopped => break,
-            error => assert!(begun.elapsed() < TIME_LIMIT, "{error}"),
-        }
-    }
+        matches!(switch.rearm(&[], "clear").unwrap_err(), UiError::NotStopped)
+    });
     let error = switch.rearm_and_confirm(&[], "clear", TIME_LIMIT).unwrap_err();
     assert!(matches!(error, UiError::NotStopped), "{error}");
     assert!(arrays[0].state.lock().unwrap().rearms.is_empty());

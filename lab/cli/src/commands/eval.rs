@@ -1,9 +1,11 @@
 //! `heliostat-lab eval`: policies on the same states, compared with the oracle.
 
+mod cells;
 mod csv_files;
 mod differences;
 mod html;
 mod interruption;
+mod notes;
 mod origin;
 mod output;
 mod paths;
@@ -40,6 +42,12 @@ pub const NEAR_BEST: &str = "~";
 /// What the mark [`NEAR_BEST`] means.
 pub const NEAR_BEST_NOTE: &str = "not distinguishable from the best: the interval of the paired difference to the largest ratio \
      includes 0, or there is no interval";
+
+/// What a marked interval means.
+pub const CROSSES_NOTE: &str = "the interval reaches beyond what the figure can be, such as below 0";
+
+/// The name of the oracle's row.
+pub const ORACLE: &str = "(oracle)";
 
 /// What serves instead of an array without rows or columns, which no scenario describes.
 const WITHOUT_MIRRORS: &str = "for a room without mirrors choose the policy no-irs, or --sweep mirrors.rows=0";

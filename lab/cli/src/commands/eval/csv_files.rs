@@ -4,8 +4,9 @@ use anyhow::Result;
 use heliostat_learn::comparison::{Loop, Report, Row, Spread};
 use heliostat_reproduce::machine;
 
+use super::ORACLE;
+use super::cells::rows;
 use super::differences::Difference;
-use super::output::{ORACLE, rows};
 use super::sweep::Grid;
 
 /// Columns that say where a line comes from.

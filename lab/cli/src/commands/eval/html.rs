@@ -14,12 +14,11 @@ use heliostat_scenario::Scenario;
 use heliostat_service::counted::counted;
 use heliostat_service::printable::{printable, printable_lines};
 
+use super::cells::{ber, difference, interval, number, rows};
 use super::differences::{Difference, marked_name};
+use super::notes::notes_on_episodes;
 use super::origin;
-use super::output::{
-    BELIEF_NOTE, BLOCKED, belief_columns, ber, blocked_states, difference, interval, notes_on_episodes, number, rows,
-    users,
-};
+use super::output::{BELIEF_NOTE, BLOCKED, belief_columns, blocked_states, users};
 use super::sweep::{Grid, Sweep};
 use super::{ABOVE_ONE, NEAR_BEST, NEAR_BEST_NOTE};
 use heliostat_service::whole_file;

@@ -6,7 +6,8 @@ use serde_json::{Map, Value, json};
 
 use super::archive::{Archive, Finished};
 use super::definition::{Definition, Lines, Section, Summary};
-use super::table::{Column, Form, ORACLE, Row, crosses_note, markdown, near_best_note, rows};
+use super::table::{Column, Form, Row, crosses_note, markdown, near_best_note, rows};
+use crate::commands::eval::ORACLE;
 
 /// The table in Markdown; empty without a finished section that it concerns.
 ///

@@ -5,12 +5,10 @@ use heliostat_learn::comparison::Spread;
 use serde::Deserialize;
 use serde_json::Value;
 
-use crate::commands::eval::{NEAR_BEST, NEAR_BEST_NOTE};
+use crate::commands::eval::{CROSSES_NOTE, NEAR_BEST, NEAR_BEST_NOTE, ORACLE};
 
 /// Marks an interval that reaches beyond the bounds of its figure, in Markdown.
 const CROSSES: &str = "\\*";
-/// Name of the oracle's row.
-pub const ORACLE: &str = "(oracle)";
 /// JSON pointer of the policies of `eval`, whose order is that of the command.
 const POLICIES: &str = "/policies";
 /// JSON pointer of the comparisons of `eval --sweep`.
@@ -206,8 +204,7 @@ pub fn markdown(rows: &[Row], columns: &[Column], heading: Option<&str>) -> Stri
 
 /// What a marked interval of these tables means, if there is one.
 pub fn crosses_note(tables: &str) -> Option<String> {
-    let note = || format!("{CROSSES}: the interval reaches beyond what the figure can be, such as below 0.");
-    tables.contains(CROSSES).then(note)
+    tables.contains(CROSSES).then(|| format!("{CROSSES}: {CROSSES_NOTE}."))
 }
 
 /// Whether a row of `eval` is that of a policy which is not told apart from the best one.

@@ -9,8 +9,8 @@ use heliostat_service::printable::printable;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
+use super::super::cells::rows;
 use super::super::differences::Difference;
-use super::super::output::rows;
 use super::super::sweep::Grid;
 
 /// Width of a plot, of its column of names, and height of a row and of the axis, in pixels.

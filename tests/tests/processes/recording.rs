@@ -107,6 +107,12 @@ pub fn copy<I: IntoIterator<Item = Vec<u8>>>(from: &Path, to: &Path, mut change:
     recording.finish(&Account::default()).unwrap();
 }
 
+/// The payloads of a recording, in their order.
+fn payloads(file: &Path) -> Vec<Vec<u8>> {
+    let mut reading = Reading::open(File::open(file).unwrap()).unwrap();
+    std::iter::from_fn(|| reading.entry().unwrap()).map(|entry| entry.data).collect()
+}
+
 #[test]
 fn a_ring_keeps_complete_files_around_a_stop_and_a_second_run_continues_it() {
     let setting = Setting::new();
@@ -134,13 +140,7 @@ fn a_ring_keeps_complete_files_around_a_stop_and_a_second_run_continues_it() {
     let summary = recorder.end().json();
     let files: Vec<PathBuf> = serde_json::from_value(summary["files"].clone()).expect("a list of files");
     assert_eq!(files.len(), names().len(), "the files of both runs: {summary}");
-    let mut messages = 0;
-    for file in &files {
-        let mut reading = Reading::open(File::open(file).unwrap()).expect("a complete recording");
-        while reading.entry().expect("readable").is_some() {
-            messages += 1;
-        }
-    }
+    let messages: usize = files.iter().map(|file| payloads(file).len()).sum();
     assert!(messages > 100, "{messages} messages in {files:?}");
     drop((controller, room));
 }
@@ -314,13 +314,8 @@ fn gains_of_branches_are_recorded_and_played_back() {
     let _controller = Process::heliostat(&[&arguments[..], &ends, &branches].concat());
     let playback = player.wait().json();
     assert_eq!(playback["same"].as_u64(), Some(60), "{playback}");
-    let mut recorded = Vec::new();
-    let mut reading = Reading::open(File::open(&file).unwrap()).unwrap();
-    while let Some(entry) = reading.entry().unwrap() {
-        if codec::decode::<BranchReport>(&entry.data).is_ok() {
-            recorded.push(entry.data.clone());
-        }
-    }
+    let mut recorded = payloads(&file);
+    recorded.retain(|payload| codec::decode::<BranchReport>(payload).is_ok());
     let played = played.lock().unwrap();
     // A subscription in its first moments may miss reports, but receives none that was not recorded.
     assert!(played.len() >= 50 && played.iter().all(|payload| recorded.contains(payload)), "{}", played.len());
@@ -332,12 +327,9 @@ fn a_live_recording_replays_after_the_first_decisions() {
     // After the room has ended, the controller publishes one more command, which answers no report.
     let account = setting.record(&["--set", "control.when_silent=\"park\""], &["--seconds", "8"], &[]);
     assert_eq!(account["problems"].as_array().map(Vec::len), Some(0), "{account}");
-    let mut unprompted = 0;
-    let mut reading = Reading::open(File::open(setting.file()).unwrap()).unwrap();
-    while let Some(entry) = reading.entry().unwrap() {
-        unprompted += u64::from(codec::decode::<MirrorCommand>(&entry.data).is_ok_and(|command| command.answers == 0));
-    }
-    assert!(unprompted > 0);
+    let is_unprompted =
+        |payload: &Vec<u8>| codec::decode::<MirrorCommand>(payload).is_ok_and(|command| command.answers == 0);
+    assert!(payloads(&setting.file()).iter().any(is_unprompted));
     let verdict = verified(&setting.file());
     assert_eq!(verdict["clock"], "live", "{verdict}");
     assert!(verdict["same"].as_u64() > Some(100) && verdict["different"] == 0, "{verdict}");

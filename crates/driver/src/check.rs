@@ -11,10 +11,11 @@
 //! - `rules`: the rules, one function each, with those of the stop in `safety_rules` and of bounds
 //!   in `bound_rules`; `judging`: what they share.
 //! - `room_in_use`: the controllers of the room, beside which no check begins.
-//! - `test_session`: the session of the check with the driver.
+//! - `test_session`: the session of the check with the driver; `received`: what it has received.
 
 mod bound_rules;
 mod judging;
+mod received;
 pub mod report;
 mod room_in_use;
 mod rules;

@@ -7,20 +7,18 @@ from __future__ import annotations
 
 import argparse
 import ipaddress
-import itertools
 import json
 import os
 import random
 import re
-import signal
 import socket
 import ssl
 import stat
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
@@ -29,6 +27,7 @@ from typing import Any
 
 from ._checks import integer
 from ._core import ARRAYS_MAX, KINDS, __version__, encode, keys
+from ._signals import stop_on_signals as stop_on_signals
 
 try:
     import zenoh
@@ -44,7 +43,6 @@ _ALIVE_LIMIT_S = 1.0
 SHORTEST_S, _LONGEST_S = 0.01, 1e7
 _UNITS_S = {"ms": 1e-3, "min": 60.0, "h": 3600.0, "s": 1.0}
 _PROBE_LIMIT_S = 0.5
-_INTERRUPT_S = 0.1
 _SILENT_S = 3.0
 _ENCRYPTED = ("tls", "quic")
 _SESSION = {
@@ -134,63 +132,6 @@ def duration_s(text: str) -> float:
             f'invalid duration "{text}": expected seconds between 0.01 and 10000000, for example 2.5, 2.5s, 500ms or 10min'
         )
     return seconds
-
-
-@contextmanager
-def stop_on_signals(stop: threading.Event) -> Iterator[threading.Event]:
-    """Requests the stop on Ctrl-C and SIGTERM while the block runs; from another than the main thread it does nothing.
-
-    A second signal raises `KeyboardInterrupt`: an orderly end may wait for a device that does not answer.
-
-    A shell starts background processes with Ctrl-C ignored; the block listens to it all the same.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield stop
-        return
-    signals, count = (signal.SIGINT, signal.SIGTERM), itertools.count()
-    over: list[bool] = []
-
-    # Runs only between two instructions of the main thread, and takes no lock, which this may hold.
-    def end(*_: object) -> None:
-        if next(count) > 0:
-            over.append(True)
-            raise KeyboardInterrupt
-
-    # Each signal is written here at once, also while the main thread waits in a call.
-    arrived, written = socket.socketpair()
-    written.setblocking(False)
-    main_thread = threading.get_ident()
-
-    def pass_on() -> None:
-        with arrived:
-            requests = (number for number in iter(lambda: arrived.recv(1), b"") if number[0] in signals)
-            if next(requests, None) is None:
-                return
-            stop.set()
-            if next(requests, None) is None:
-                return
-            # A signal that came as the main thread began to wait has not interrupted the wait: a further one does.
-            while hasattr(signal, "pthread_kill"):
-                time.sleep(_INTERRUPT_S)
-                if over:
-                    return
-                signal.pthread_kill(main_thread, signal.SIGINT)
-
-    before = [signal.signal(number, end) for number in signals]
-    wakeup = signal.set_wakeup_fd(written.fileno(), warn_on_full_buffer=False)
-    thread = threading.Thread(target=pass_on, name="signals", daemon=True)
-    thread.start()
-    try:
-        yield stop
-    finally:
-        over.append(True)
-        signal.set_wakeup_fd(wakeup)
-        written.close()
-        try:
-            thread.join()
-        finally:
-            for number, handler in zip(signals, before, strict=True):
-                signal.signal(number, handler)
 
 
 class Peer:

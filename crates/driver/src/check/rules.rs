@@ -11,8 +11,9 @@ use heliostat_proto::{
 use heliostat_service::clock::utc_ns;
 
 use super::judging::{Outcome, ROUNDING_RAD, aims, beside, conditions, evidence, not_judged, refused, shows, verdict};
+use super::received::Received;
 use super::report::{Failure, Finding, Verdict};
-use super::test_session::{ANSWER_TIMEOUT, Received, TestSession, bytes};
+use super::test_session::{ANSWER_TIMEOUT, TestSession, bytes};
 use super::{bound_rules, safety_rules};
 
 /// Number of commands in the burst.

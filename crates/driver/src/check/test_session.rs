@@ -8,17 +8,17 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
 use heliostat_bus::{Bus, BusError, Class, Publisher, Subscription};
+use heliostat_proto::messages::fault;
 use heliostat_proto::{
-    ArrayKeys, ArrayState, Calibration, Capabilities, CodecError, Counters, EmergencyStop, Message, MirrorCommand,
-    MirrorTelemetry, Nanos, NodeKind, NodeStatus, Rearm, SafetyReport, Stamp, StopAction, StopReport, decode, encode,
-    messages::fault,
+    ArrayKeys, ArrayState, Calibration, Capabilities, Counters, EmergencyStop, Message, MirrorCommand, MirrorTelemetry,
+    Nanos, NodeKind, Rearm, SafetyReport, Stamp, StopAction, StopReport, decode, encode,
 };
-
 use heliostat_service::clock::utc_ns;
 use heliostat_service::locks::{lock, unpoisoned};
 use heliostat_service::source_id;
 
 use super::PRESENCE_LIMIT;
+use super::received::{Received, problem_of_device};
 use super::report::{Failure, describe_failure};
 use super::room_in_use::is_commanded;
 
@@ -33,30 +33,6 @@ const QUERY_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Validity of commands in checks that do not concern validity.
 pub const VALIDITY_MS: u32 = 3000;
-
-/// All messages received.
-#[derive(Default)]
-pub struct Received {
-    /// Telemetry in the order of its arrival.
-    pub telemetry: Vec<MirrorTelemetry>,
-    /// Telemetry that could not be decoded.
-    pub undecodable: Vec<CodecError>,
-    /// Published capabilities.
-    pub capabilities: Vec<Capabilities>,
-    /// Published safety reports.
-    pub safety: Vec<SafetyReport>,
-    /// Published stop reports.
-    pub stops: Vec<StopReport>,
-    /// Statuses of drivers and simulators, with the kind of node that their key names.
-    pub statuses: Vec<(NodeKind, Result<NodeStatus, CodecError>)>,
-}
-
-impl Received {
-    /// Number of telemetry messages, decodable or not.
-    fn telemetry_count(&self) -> usize {
-        self.telemetry.len() + self.undecodable.len()
-    }
-}
 
 /// A session with one driver.
 pub struct TestSession {
@@ -434,24 +410,6 @@ pub fn bytes<T: Message>(message: &T) -> Result<Vec<u8>> {
     Ok(payload)
 }
 
-/// The latest problem of a device in the statuses of its driver.
-///
-/// The other problems there are refusals, such as those of the commands of the check. A driver that counts
-/// no absent devices does not tell them apart. One that was absent between two statuses was connected again.
-fn problem_of_device<'a>(statuses: impl Iterator<Item = &'a NodeStatus>) -> Option<&'a str> {
-    let is_absent = |status: &NodeStatus| status.counter("device_absent").is_some_and(|count| count > 0);
-    let (mut latest, mut before): (Option<&str>, Option<&NodeStatus>) = (None, None);
-    for status in statuses {
-        let connections = before.filter(|before| !is_absent(before)).and_then(|before| before.counter("connections"));
-        let was_absent = connections.is_some_and(|before| status.counter("connections") > Some(before));
-        if (is_absent(status) || was_absent) && !status.last_problem.is_empty() {
-            latest = Some(&status.last_problem);
-        }
-        before = Some(status);
-    }
-    latest
-}
-
 fn stop_message(stamp: Stamp, action: StopAction) -> Result<Vec<u8>> {
     let (operator, reason) = texts();
     bytes(&EmergencyStop { stamp, action, operator, reason })
@@ -476,43 +434,5 @@ fn difference(after: &Counters, before: &Counters) -> Counters {
         old_sequence: after.old_sequence.saturating_sub(before.old_sequence),
         expired: after.expired.saturating_sub(before.expired),
         stopped: after.stopped.saturating_sub(before.stopped),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn status(absent: u64, problem: &str) -> NodeStatus {
-        let counters = vec![("device_absent".to_owned(), absent)];
-        NodeStatus { counters, last_problem: problem.to_owned(), ..NodeStatus::default() }
-    }
-
-    #[test]
-    fn telemetry_that_cannot_be_decoded_is_no_silence() {
-        let undecodable = vec![decode::<MirrorTelemetry>(&[]).expect_err("no message")];
-        assert_eq!(Received { undecodable, ..Received::default() }.telemetry_count(), 1);
-    }
-
-    #[test]
-    fn a_refused_command_of_the_check_is_no_problem_of_the_device() {
-        let refused = status(0, "command: a command with a validity of 4294967295 ms");
-        let statuses = [status(1, "mirrors: roll of mirror 0 is not finite"), refused.clone()];
-        assert_eq!(problem_of_device(statuses.iter()), Some("mirrors: roll of mirror 0 is not finite"));
-        assert_eq!(problem_of_device([refused].iter()), None);
-    }
-
-    #[test]
-    fn the_problem_of_a_device_that_was_lost_between_two_statuses_is_the_one_of_its_next_connection() {
-        let connected = |absent, connections, problem| {
-            let mut status = status(absent, problem);
-            status.counters.push(("connections".to_owned(), connections));
-            status
-        };
-        let reset =
-            [connected(0, 1, "command: expired"), connected(0, 2, "port: a reset"), connected(0, 2, "rearm: late")];
-        assert_eq!(problem_of_device(reset.iter()), Some("port: a reset"));
-        let returned = [connected(1, 1, "port: no answer"), connected(0, 2, "command: expired")];
-        assert_eq!(problem_of_device(returned.iter()), Some("port: no answer"), "it was seen as absent");
     }
 }

@@ -237,6 +237,9 @@ impl NodeStatus {
     /// at present.
     pub const OTHER_PROCESSES: &'static str = "other_processes";
 
+    /// Beginning of the problem of a controller whose commands reach no driver; the arrays follow, unless it is all.
+    pub const NO_DRIVER: &'static str = "no driver receives the commands";
+
     /// Beginning of the name of the counter that names the host of a controller.
     pub const HOST: &'static str = "host:";
 

@@ -32,8 +32,8 @@ use crate::session::{ArraySession, MessagePublisher, SessionError};
 use crate::stop_record::{self, RecordInUse, StopRecordSettings};
 use crate::summary::Summary;
 
-/// Longest wait, so that a stop request takes effect soon.
-const SLEEP_MAX: Duration = Duration::from_millis(50);
+/// Longest wait of a process with mirrors, so that a request to end takes effect soon.
+pub const SLEEP_MAX: Duration = Duration::from_millis(50);
 
 /// First and longest pause before another attempt to reach the router.
 const ROUTER_PAUSES: [Duration; 2] = [Duration::from_millis(250), Duration::from_secs(5)];

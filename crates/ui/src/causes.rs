@@ -1,12 +1,12 @@
 //! Which problems follow from which: one cause is one line.
 
-use heliostat_proto::ArrayState;
+use heliostat_proto::{ArrayState, NodeStatus};
 use heliostat_scenario::ROOM_DIFFERS;
 
 /// The note about one controller that sees no other process of its room.
 pub(crate) const OTHERS_MISSING: &str = "no array, no tracker and no other controller is seen beside one controller: check the link to their host or router, and start them again if they have ended or hang";
 /// Beginning of the note about commands that reach no driver.
-pub(crate) const NO_DRIVER: &str = "no driver receives the commands";
+pub(crate) const NO_DRIVER: &str = NodeStatus::NO_DRIVER;
 /// Beginning of the note about absent position reports, of a viewer that stays open.
 pub(crate) const NO_POSITIONS: &str = "no process reports the positions of users";
 /// Beginning of the same note about a simulated room, whose positions and array are of one process.
@@ -218,7 +218,7 @@ mod tests {
         let [differ, light, missing, other] = [
             format!("{ROOM_DIFFERS}: room.height_m is 2.8 in the room and 4.0 in the controller c1; start both"),
             "LED 0 brings 1.31 of the expected light: look for receivers".to_owned(),
-            "no driver receives the commands".to_owned(),
+            NO_DRIVER.to_owned(),
             "the picture shows another room".to_owned(),
         ];
         let of_room = || vec![light.clone(), missing.clone()];

@@ -7,6 +7,7 @@
 use std::time::{Duration, Instant};
 
 use heliostat_array::moment::Moment;
+use heliostat_driver::run::SLEEP_MAX;
 use heliostat_room::reports::Report;
 use heliostat_service::{Stop, clock::as_ns};
 
@@ -15,9 +16,6 @@ use crate::node::Node;
 use crate::summary::Summary;
 use crate::tick_ledger::TICK_TIMEOUT_NS;
 use crate::truth_publisher::PublisherThread;
-
-/// Longest sleep, so that a stop request takes effect soon.
-const SLEEP_MAX: Duration = Duration::from_millis(50);
 
 /// Longest wait for one of the answers to the last ticks.
 const DRAIN_SLEEP: Duration = Duration::from_millis(1);

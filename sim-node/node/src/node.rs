@@ -9,7 +9,7 @@ use heliostat_array::stop_record;
 use heliostat_bus::Class;
 use heliostat_driver::clock::Clock;
 use heliostat_proto::array_keys::array_name;
-use heliostat_proto::{ArrayState, Counters, MirrorCommand, NodeKind, NodeStatus, Stamp};
+use heliostat_proto::{ArrayState, Counters, MirrorCommand, NodeKind, NodeStatus, Stamp, cut};
 use heliostat_room::baselines::Snapshot;
 use heliostat_room::control;
 use heliostat_room::mismatch::true_room;
@@ -34,9 +34,6 @@ const CAPABILITIES_HZ: f64 = 1.0;
 
 /// Publications of the status in Hz.
 const STATUS_HZ: f64 = 2.0;
-
-/// Longest text of a problem in a status, in characters.
-const PROBLEM_CHARACTERS: usize = 250;
 
 /// When the first telemetry is due: a quarter of an interval before a position report is published.
 ///
@@ -303,7 +300,7 @@ impl Node {
                 .collect(),
             gauges: gauges.map(|(name, value)| (name.to_owned(), value)).to_vec(),
             timings: vec![("loop".to_owned(), summary.loop_us)],
-            last_problem: self.last_problem().chars().take(PROBLEM_CHARACTERS).collect(),
+            last_problem: cut(&self.last_problem()).to_owned(),
             ..NodeStatus::default()
         }
     }

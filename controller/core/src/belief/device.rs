@@ -18,19 +18,12 @@
 
 use heliostat_channel::Vec3;
 use heliostat_proto::Nanos;
-use heliostat_scenario::{AssumedTilt, Scenario};
+use heliostat_scenario::{AssumedTilt, Scenario, UserOrientation};
 use serde::{Deserialize, Serialize};
 
 use crate::belief::heading::{HEADINGS, Heading};
 
-/// Time in s after which the autocorrelation of the angles is [`AT_COHERENCE_TIME`], of a user who
-/// sits or stands and of one who walks (Soltani et al., 2019).
-const COHERENCE_S: [f64; 2] = [0.373, 0.134];
-
-/// Autocorrelation at the coherence time (the same source).
-const AT_COHERENCE_TIME: f64 = 0.05;
-
-/// Standard deviation of the azimuth of a held device in rad: 3.7 and 10 degrees (the same source),
+/// Standard deviation of the azimuth of a held device in rad: 3.7 and 10 degrees (Soltani et al., 2019),
 /// and half a step between two headings.
 pub(super) const AZIMUTH_SPREAD_RAD: f64 = 0.13;
 
@@ -165,7 +158,8 @@ impl Lean {
 
 /// Autocorrelation of the angles between two times.
 fn correlation(walks: usize, (one_ns, other_ns): (Nanos, Nanos)) -> f64 {
-    AT_COHERENCE_TIME.powf(one_ns.abs_diff(other_ns) as f64 * 1e-9 / COHERENCE_S[walks])
+    let coherence_s = UserOrientation::COHERENCE_S[walks];
+    UserOrientation::AT_COHERENCE_TIME.powf(one_ns.abs_diff(other_ns) as f64 * 1e-9 / coherence_s)
 }
 
 /// Likelihood of each heading, relative to an unknown one: a von Mises distribution whose

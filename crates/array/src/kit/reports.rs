@@ -1,15 +1,12 @@
 //! What a [`Kit`] reports: telemetry, capabilities, stops and safety.
 
 use heliostat_proto::messages::fault;
-use heliostat_proto::{ArrayState, Capabilities, MirrorTelemetry, SafetyReport, Stamp, StopReport};
+use heliostat_proto::{ArrayState, Capabilities, MirrorTelemetry, SafetyReport, Stamp, StopReport, cut};
 
 use super::{Kit, Link};
 use crate::device::{Device, Health};
 use crate::latch::LatchedStop;
 use crate::moment::Moment;
-
-/// Longest problem in a stop report in characters; a character has at most four bytes.
-const PROBLEM_CHARACTERS: usize = 250;
 
 impl<D: Device> Kit<D> {
     /// Measures the mirrors and returns the telemetry of the contract.
@@ -74,7 +71,7 @@ impl<D: Device> Kit<D> {
             device_stopped: self.device_stopped,
             stops,
             released: self.array.released().collect(),
-            problem: problem.map(|problem| problem.chars().take(PROBLEM_CHARACTERS).collect()).unwrap_or_default(),
+            problem: problem.map(|problem| cut(&problem).to_owned()).unwrap_or_default(),
         }
     }
 

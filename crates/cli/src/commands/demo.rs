@@ -23,14 +23,12 @@ use heliostat_ui::{Display, NetworkFile, Operator, Page, PageArgs, ProcessOrder,
 
 use processes::Processes;
 
-use super::ending::Ending;
+use super::ending::{Ending, WATCH_EVERY};
 use super::ui::fitting_policies;
 use heliostat_service::outln;
 
 /// Time limit for the two processes to connect.
 const START_LIMIT: Duration = Duration::from_secs(60);
-/// Time between two checks of the processes.
-const WATCH_EVERY: Duration = Duration::from_millis(50);
 
 /// Run a simulated room and a controller as two processes, and display them.
 ///

@@ -3,6 +3,9 @@
 use std::fmt;
 use std::time::Duration;
 
+/// Time between two looks for a reason to end.
+pub const WATCH_EVERY: Duration = Duration::from_millis(50);
+
 /// Why a command ends.
 #[derive(Debug)]
 pub enum Ending {

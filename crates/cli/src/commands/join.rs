@@ -9,6 +9,11 @@ use heliostat_service::output;
 /// Shortest time in which another attempt to connect is of use.
 const AGAIN_FROM: Duration = Duration::from_millis(100);
 
+/// That no process answers at an endpoint.
+pub(super) fn unanswered_in_words(endpoint: &str) -> String {
+    format!("no process of a room answers at {endpoint}")
+}
+
 /// Joins a room; fails with the reason where there is no connection. `limit` is the time for a process that accepts
 /// connections and does not answer: it may be slow, or frozen.
 pub(super) fn join(config: &BusConfig, limit: Duration) -> Result<Bus, String> {
@@ -23,7 +28,7 @@ pub(super) fn join(config: &BusConfig, limit: Duration) -> Result<Bus, String> {
     let (bus, unanswered) = join_through(config, ACCEPTS_WITHIN);
     if config.connect.len() > 1 {
         for endpoint in &unanswered {
-            output::note(format_args!("no process of a room answers at {endpoint}"));
+            output::note(unanswered_in_words(endpoint));
         }
     }
     if let Some(bus) = bus {

@@ -2,6 +2,7 @@
 
 mod order;
 
+use std::fmt::Display;
 use std::io;
 use std::time::{Duration, Instant};
 
@@ -20,6 +21,8 @@ use order::{Order, unsent};
 const HOLD_INTERVAL: Duration = Duration::from_millis(50);
 /// Time after which a change of the confirmation of a held stop is shown: a late report is none.
 const SETTLED: Duration = Duration::from_secs(1);
+/// What becomes of a stop of which a problem is shown, and how to end it.
+const HELD: &str = "the stop is held: end with Ctrl-C";
 /// What to do where further stops may hold the arrays.
 const LOOK_AND_REPEAT: &str = "look at `heliostat status`, and repeat the re-arm for the stops that it names";
 
@@ -131,13 +134,14 @@ pub fn stop(args: StopArgs) -> Result<()> {
     };
     // Before the notes: a signal that answers them ends the stop as one that is held.
     order.note_held();
+    let note = |error: &dyn Display| output::note(format_args!("heliostat stop: {error}; {HELD}"));
     let report = |took| match args.order.report(&room, switch, took, begun) {
         Ok(unrecorded) => unrecorded.into_iter().for_each(output::note),
-        Err(error) => output::note(format_args!("heliostat stop: {error}; the stop is held: end with Ctrl-C")),
+        Err(error) => note(&error),
     };
     match &stopped {
         Ok(took) => report(*took),
-        Err(error) => output::note(format_args!("heliostat stop: {error}; the stop is held: end with Ctrl-C")),
+        Err(error) => note(error),
     }
     let end = end?;
     let until = args.end.seconds.map(|seconds| Instant::now() + seconds);
@@ -182,10 +186,7 @@ pub fn stop(args: StopArgs) -> Result<()> {
 fn confirmation_in_words(is_confirmed: bool, open: impl FnOnce() -> String) -> String {
     match is_confirmed {
         true => "heliostat stop: every array confirms the stop again".to_owned(),
-        false => format!(
-            "heliostat stop: not every array confirms the stop any longer: {}; the stop is held: end with Ctrl-C",
-            open()
-        ),
+        false => format!("heliostat stop: not every array confirms the stop any longer: {}; {HELD}", open()),
     }
 }
 

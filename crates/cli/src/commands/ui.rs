@@ -12,10 +12,7 @@ use heliostat_scenario::{Scenario, ViewerScenarioArgs};
 use heliostat_service::{Stop, duration, locks::lock, output, process, signals};
 use heliostat_ui::{Display, Operator, Page, PageArgs, PoliciesOf, PolicyChoice, Rights, View};
 
-use super::ending::Ending;
-
-/// Time between two checks for keys and signals.
-const WATCH_EVERY: Duration = Duration::from_millis(50);
+use super::ending::{Ending, WATCH_EVERY};
 
 /// Display a running room, simulated or real, in a browser and on the terminal.
 ///

@@ -26,8 +26,6 @@ use crate::world::walker::Walker;
 
 /// Time between two nodes of the processes in s.
 pub const NODE_S: f64 = 0.005;
-/// Autocorrelation of an angle at the coherence time.
-const AT_COHERENCE_TIME: f64 = 0.05;
 
 /// Quantile of a Laplace distribution of mean 0 at the probability of a standard normal number.
 ///
@@ -60,7 +58,7 @@ struct Distributions {
 
 impl Distributions {
     fn new(table: &UserOrientation) -> Self {
-        let correlation = |coherence_s: f64| AT_COHERENCE_TIME.powf(NODE_S / coherence_s);
+        let correlation = |coherence_s: f64| UserOrientation::AT_COHERENCE_TIME.powf(NODE_S / coherence_s);
         let innovation = |coherence_s: f64| (1.0 - correlation(coherence_s).powi(2)).sqrt();
         Self {
             sitting: Distribution {

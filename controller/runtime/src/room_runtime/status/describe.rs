@@ -6,7 +6,7 @@ use heliostat_core::{
     refusal::{Found, LastRefusal, LeftOut, Refusal, Stream, TelemetrySizes},
     tenure::{Tenure, TenureEvent},
 };
-use heliostat_proto::{array_keys::array_name, takeover_reason};
+use heliostat_proto::{NodeStatus, array_keys::array_name, takeover_reason};
 use heliostat_service::duration::in_seconds;
 
 use super::super::decision_loop::DecisionLoop;
@@ -14,7 +14,7 @@ use super::Problem;
 
 /// Which commands reach no driver, in a room with this number of arrays.
 pub(super) fn describe_absence(without_driver: &[usize], arrays: usize) -> String {
-    let all = "no driver receives the commands";
+    let all = NodeStatus::NO_DRIVER;
     if without_driver.len() == arrays {
         return all.into();
     }

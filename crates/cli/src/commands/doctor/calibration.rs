@@ -53,6 +53,11 @@ pub(super) fn checks(
     checks
 }
 
+/// A file without an array to compare it with.
+fn not_compared(name: &'static str, found: &str) -> Check {
+    Check::warn(name, format!("{found}; not compared: no array answers"), GIVE_DRIVER)
+}
+
 /// The corrections: whether the array can use them, and does.
 fn check_calibration(file: &Path, array: usize, driver: Option<&DriverState>) -> Vec<Check> {
     let shown = file.display();
@@ -69,7 +74,7 @@ fn check_calibration(file: &Path, array: usize, driver: Option<&DriverState>) ->
         return vec![Check::fail(FILE, format!("{shown}: {unfit}"), "a driver refuses this file: calibrate again")];
     }
     let Some(driver) = driver else {
-        return vec![Check::warn(FILE, format!("{found}; not compared: no array answers"), GIVE_DRIVER)];
+        return vec![not_compared(FILE, &found)];
     };
     if let Err(difference) = calibration.check_array(&driver.capabilities) {
         let advice = "give the file of this array, or name its array: --array N; else calibrate again";
@@ -130,7 +135,7 @@ fn check_measured(
             let fit = compare(array, &driver.capabilities, &room, accepted);
             checks.push(Check { name: ROOM, found: format!("{found}; for {}", fit.found), ..fit });
         }
-        None => checks.push(Check::warn(ROOM, format!("{found}; not compared: no array answers"), GIVE_DRIVER)),
+        None => checks.push(not_compared(ROOM, &found)),
     }
     checks.extend(controller.map(|controller| compare_rooms(file, &room, controller)));
     checks

@@ -23,6 +23,7 @@ use super::args::Args;
 use super::check::{Check, Verdict};
 use super::controller::ControllerState;
 use super::{calibration, controller, geometry};
+use crate::commands::join::unanswered_in_words;
 
 /// Longest time until a driver answers.
 const DRIVER_WAIT: Duration = Duration::from_secs(3);
@@ -150,7 +151,7 @@ fn ask_drivers(
 /// An endpoint at which no process of a room answers, beside one at which one does.
 fn check_unanswered(endpoint: &str) -> Check {
     let advice = "start the process there, or leave the endpoint out: what it alone reaches is not checked";
-    Check::warn("endpoint", format!("no process of a room answers at {endpoint}"), advice)
+    Check::warn("endpoint", unanswered_in_words(endpoint), advice)
 }
 
 /// One check for each array of the scenario.

@@ -220,6 +220,17 @@ impl StopReport {
 }
 
 impl NodeStatus {
+    /// Name of a controller's counter of decisions on position reports.
+    pub const DECISIONS: &'static str = "decisions";
+    /// Name of the counter that has the epoch of a controller; 0 before the first.
+    pub const EPOCH: &'static str = "epoch";
+    /// Name of the counter that is 1 while a controller stands by.
+    pub const STANDBY: &'static str = "standby";
+    /// Beginning of the names of a controller's counters of the events of its tenure.
+    pub const TENURE: &'static str = "epoch:";
+    /// Name of the counter of arrays whose driver is absent, of a controller.
+    pub const DRIVER_ABSENT: &'static str = "driver_absent";
+
     /// Beginning of the names of a controller's counters of decisions in a degraded mode.
     pub const DEGRADED: &'static str = "fallback:";
     /// The degraded modes in which the array takes no command of this controller. They are no fallbacks.

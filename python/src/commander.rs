@@ -230,19 +230,19 @@ impl Commander {
         let stands_by = (0..self.arrays).any(|array| controller.tenure(array).is_standing_by());
         let table = PyDict::new(py);
         for (name, count) in [
-            ("decisions", counters.decisions),
+            (NodeStatus::DECISIONS, counters.decisions),
             ("commands", counters.commands),
             ("exceptions", self.failures.load(Ordering::Relaxed)),
             ("superseded", room.superseded()),
-            ("epoch", controller.epoch()),
-            ("standby", u64::from(stands_by)),
+            (NodeStatus::EPOCH, controller.epoch()),
+            (NodeStatus::STANDBY, u64::from(stands_by)),
             ("peers", controller.tenure(0).peers().len() as u64),
-            ("array_unfit", u64::from(controller.unfit().is_some())),
+            (NodeStatus::ARRAY_UNFIT, u64::from(controller.unfit().is_some())),
         ] {
             table.set_item(name, count)?;
         }
         let modes = DegradedMode::ALL.map(|mode| (NodeStatus::DEGRADED, mode.name(), counters.degraded(mode)));
-        let events = TenureEvent::ALL.map(|event| ("epoch:", event.name(), counters.tenure(event)));
+        let events = TenureEvent::ALL.map(|event| (NodeStatus::TENURE, event.name(), counters.tenure(event)));
         for (prefix, name, count) in modes.into_iter().chain(events).filter(|(_, _, count)| *count > 0) {
             table.set_item(format!("{prefix}{name}"), count)?;
         }

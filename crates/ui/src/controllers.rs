@@ -18,8 +18,8 @@ pub(crate) use refusals::refusal_of;
 
 /// Counters of a controller's status: standby, its epoch, takeovers, and takeovers from a leader
 /// that was not gone.
-const STANDBY: &str = "standby";
-const EPOCH: &str = "epoch";
+const STANDBY: &str = NodeStatus::STANDBY;
+const EPOCH: &str = NodeStatus::EPOCH;
 const TAKEOVERS: &str = "epoch:took-over";
 const FALSE_TAKEOVERS: &str = "epoch:contested";
 

@@ -192,14 +192,14 @@ pub(crate) fn two_drivers((array, [one, other]): (usize, [u64; 2])) -> String {
 
 /// Whether this counter of a controller shows that commands reach no driver.
 fn is_driver_absent((name, count): &(String, u64)) -> bool {
-    name == "driver_absent" && *count > 0
+    name == NodeStatus::DRIVER_ABSENT && *count > 0
 }
 
 /// Which commands reach no driver, by the status of a controller of so many arrays. A driver that was seen may hang.
 fn absent_drivers(status: &NodeStatus, arrays: usize, was_seen: bool) -> Option<String> {
     let again = if was_seen { AGAIN } else { "" };
     let (_, absent) = status.counters.iter().find(|counter| is_driver_absent(counter))?;
-    let name = |(name, _): &(String, u64)| Some(name.strip_prefix("driver_absent:")?.to_owned());
+    let name = |(name, _): &(String, u64)| Some(name.strip_prefix(NodeStatus::DRIVER_ABSENT)?.strip_prefix(':')?.to_owned());
     let names: Vec<String> = status.counters.iter().filter_map(name).collect();
     if names.is_empty() || *absent == arrays as u64 {
         return Some(format!("{NO_DRIVER}: start a driver or a simulator{again}"));

@@ -16,8 +16,8 @@ const COUNTED: [&str; 6] = ["refused:", "fallback:", "missed:", "policies_refuse
 /// Counters that are above 0 as long as a problem lasts.
 const LASTING: [&str; 6] = [
     NodeStatus::ARRAY_UNFIT,
-    "standby",
-    "driver_absent",
+    NodeStatus::STANDBY,
+    NodeStatus::DRIVER_ABSENT,
     "device_absent",
     NodeStatus::STOP_UNRECORDED,
     NodeStatus::OTHER_PROCESSES,

@@ -240,7 +240,7 @@ impl Reporter {
         self.sequence += 1;
         let summary = &snapshot.summary;
         let own = [
-            ("decisions", summary.decisions),
+            (NodeStatus::DECISIONS, summary.decisions),
             ("commands", summary.commands),
             ("over_budget", times.over_budget()),
             ("unsent", summary.unsent),
@@ -250,11 +250,11 @@ impl Reporter {
             ("clipped_range", summary.clipped.range),
             ("clipped_slew", summary.clipped.slew),
             ("sources", summary.sources),
-            ("epoch", summary.epoch),
-            ("standby", u64::from(summary.standby)),
+            (NodeStatus::EPOCH, summary.epoch),
+            (NodeStatus::STANDBY, u64::from(summary.standby)),
             ("peers", summary.peers),
             (NodeStatus::ARRAY_UNFIT, u64::from(summary.unfit.is_some())),
-            ("driver_absent", self.conditions.without_driver.len() as u64),
+            (NodeStatus::DRIVER_ABSENT, self.conditions.without_driver.len() as u64),
             ("geometry_differs", u64::from(summary.geometry_differs)),
             ("policies_switched", snapshot.swaps.replaced),
             ("policies_refused", snapshot.swaps.refused),
@@ -266,11 +266,11 @@ impl Reporter {
         let named = |prefix: &'static str| move |(name, count): (&String, &u64)| (format!("{prefix}{name}"), *count);
         let fallbacks = summary.fallbacks.iter().chain(&summary.withheld).map(named(NodeStatus::DEGRADED));
         let refused = summary.refused.iter().map(named("refused:"));
-        let epochs = summary.epoch_events.iter().map(named("epoch:"));
+        let epochs = summary.epoch_events.iter().map(named(NodeStatus::TENURE));
         let missed = summary.missed.iter().map(named("missed:"));
         let users = summary.users.iter().map(named("users:"));
         let absent = summary.arrays.iter().filter(|array| array.driver_absent);
-        let absent = absent.map(|array| (format!("driver_absent:{}", array.name), 1));
+        let absent = absent.map(|array| (format!("{}:{}", NodeStatus::DRIVER_ABSENT, array.name), 1));
         let unfit = summary.arrays.iter().filter(|array| array.unfit && !summary.is_entirely_unfit());
         let unfit = unfit.map(|array| (format!("{}{}", NodeStatus::ARRAY_UNFIT_OF, array.name), 1));
         let host = (!self.identity.host.is_empty()).then(|| (format!("{}{}", NodeStatus::HOST, self.identity.host), 1));

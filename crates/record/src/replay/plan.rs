@@ -243,7 +243,7 @@ impl Plan {
     fn add_status(&mut self, status: NodeStatus, hash: &str) {
         let counter = |name: &str| status.counter(name).unwrap_or(0);
         let actor = status.actor().map(String::from);
-        let history = self.controllers.entry(counter("epoch")).or_default();
+        let history = self.controllers.entry(counter(NodeStatus::EPOCH)).or_default();
         history.late = history.late.max(counter("fallback:late"));
         if !status.scenario.is_empty() && status.scenario != hash {
             history.with_other_scenario = Some(status.stamp.source);

@@ -4,7 +4,7 @@ use heliostat_proto::NodeStatus;
 use heliostat_service::printable::printable;
 
 /// The counter of decisions on position reports.
-pub(super) const DECISIONS: &str = "decisions";
+pub(super) const DECISIONS: &str = NodeStatus::DECISIONS;
 /// The counter of those on reports that are refused because they are too old.
 pub(super) const STALE_DECISIONS: &str = "fallback:stale-report";
 /// Beginning of the counters of refused position reports; the reason follows.

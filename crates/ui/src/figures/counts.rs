@@ -45,7 +45,7 @@ pub(super) fn counts(counting: &Counting<'_>) -> Vec<Count> {
         let counters = &status?.counters;
         // A controller that waits for its policy publishes few counters; the others are unknown.
         if status.is_some_and(|status| status.node == NodeKind::Controller)
-            && !counters.iter().any(|(name, _)| name == "decisions")
+            && !counters.iter().any(|(name, _)| name == NodeStatus::DECISIONS)
         {
             return None;
         }
@@ -57,7 +57,7 @@ pub(super) fn counts(counting: &Counting<'_>) -> Vec<Count> {
     };
     // The array counts since its own start, also what earlier controllers sent.
     let refused = array.map(|array| array.counters.refused());
-    let decisions = value(controller, "decisions");
+    let decisions = value(controller, NodeStatus::DECISIONS);
     let all = [
         ("decisions", CONTROLLER, decisions, false, "Decisions on position reports."),
         (

@@ -325,7 +325,7 @@ impl LiveRoom {
         self.shown.stamp.sequence += 1;
         self.shown.stamp.time_ns = utc_ns();
         self.shown.state = format!("calibrating: {}", progress.place_name());
-        self.shown.counters = vec![("epoch".into(), lock(&self.commands).commander.epoch())];
+        self.shown.counters = vec![(NodeStatus::EPOCH.into(), lock(&self.commands).commander.epoch())];
         self.shown.gauges = progress.gauges().map(|(name, value)| (name.to_owned(), value)).to_vec();
         let mut payload = Vec::new();
         encode(&self.shown, &mut payload)?;

@@ -199,7 +199,8 @@ fn is_driver_absent((name, count): &(String, u64)) -> bool {
 fn absent_drivers(status: &NodeStatus, arrays: usize, was_seen: bool) -> Option<String> {
     let again = if was_seen { AGAIN } else { "" };
     let (_, absent) = status.counters.iter().find(|counter| is_driver_absent(counter))?;
-    let name = |(name, _): &(String, u64)| Some(name.strip_prefix(NodeStatus::DRIVER_ABSENT)?.strip_prefix(':')?.to_owned());
+    let name =
+        |(name, _): &(String, u64)| Some(name.strip_prefix(NodeStatus::DRIVER_ABSENT)?.strip_prefix(':')?.to_owned());
     let names: Vec<String> = status.counters.iter().filter_map(name).collect();
     if names.is_empty() || *absent == arrays as u64 {
         return Some(format!("{NO_DRIVER}: start a driver or a simulator{again}"));

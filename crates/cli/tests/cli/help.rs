@@ -1,10 +1,6 @@
 //! Help texts and scenario files on the command line.
 
-use std::process::{Command, Output};
-
-fn heliostat(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_heliostat")).args(arguments).output().expect("the program starts")
-}
+use super::heliostat;
 
 #[test]
 fn every_command_has_a_help_text() {

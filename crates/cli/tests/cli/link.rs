@@ -1,13 +1,11 @@
 //! `heliostat link` on the command line: closed forms, files, and errors.
 
-use std::process::{Command, Output, Stdio};
+use std::process::{Command, Stdio};
 
 use serde_json::Value;
 use tempfile::TempDir;
 
-fn heliostat(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_heliostat")).args(arguments).output().expect("the program starts")
-}
+use super::heliostat;
 
 /// The JSON of `heliostat link` with these arguments.
 fn link(arguments: &[&str]) -> Value {

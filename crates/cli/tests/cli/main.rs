@@ -8,3 +8,10 @@ mod help;
 mod link;
 #[cfg(target_os = "linux")]
 mod output;
+
+use std::process::{Command, Output};
+
+/// Runs the program.
+fn heliostat(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_heliostat")).args(arguments).output().expect("the program starts")
+}

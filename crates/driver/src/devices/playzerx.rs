@@ -18,7 +18,7 @@ use heliostat_proto::AxisLimits;
 
 use crate::devices::board::{self, Board};
 use crate::devices::interrupt::Interrupt;
-use crate::devices::port::{Address, Port};
+use crate::devices::port::{Address, Port, connected};
 
 /// Default speed of the port in baud; it has no effect on USB.
 pub const BAUD: u32 = 460_800;
@@ -65,8 +65,7 @@ impl PlayzerX {
     }
 
     fn port(&mut self) -> Result<&mut Port, DeviceError> {
-        let address = &self.address;
-        self.port.as_mut().ok_or_else(|| DeviceError::new(address.to_string(), "not connected"))
+        connected(&mut self.port, &self.address)
     }
 
     fn check_alive(&self, answer: &str) -> Result<(), DeviceError> {

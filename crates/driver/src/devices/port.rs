@@ -143,6 +143,14 @@ pub struct Port {
     unanswered: usize,
 }
 
+/// The port of a device.
+///
+/// # Errors
+/// [`DeviceError`] while the device is not connected.
+pub fn connected<'a>(port: &'a mut Option<Port>, address: &Address) -> Result<&'a mut Port, DeviceError> {
+    port.as_mut().ok_or_else(|| DeviceError::new(address.to_string(), "not connected"))
+}
+
 impl Port {
     /// Writes all bytes; a stop that was ordered before goes first.
     ///

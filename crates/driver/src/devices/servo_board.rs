@@ -24,7 +24,7 @@ use heliostat_proto::AxisLimits;
 
 use crate::devices::board::{self, Board};
 use crate::devices::interrupt::Interrupt;
-use crate::devices::port::{Address, Port};
+use crate::devices::port::{Address, Port, connected};
 
 /// Default speed of a serial port in baud.
 pub const BAUD: u32 = 115_200;
@@ -75,8 +75,7 @@ impl ServoBoard {
     }
 
     fn port(&mut self) -> Result<&mut Port, DeviceError> {
-        let address = &self.address;
-        self.port.as_mut().ok_or_else(|| DeviceError::new(address.to_string(), "not connected"))
+        connected(&mut self.port, &self.address)
     }
 
     /// The answer to the line that was written last.

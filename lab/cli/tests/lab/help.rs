@@ -1,12 +1,10 @@
 //! Help texts and refusals of the command line.
 
-use std::process::{Command, Output, Stdio};
+use std::process::{Command, Stdio};
 
 use heliostat_scenario::DEFAULT_SCENARIO;
 
-fn lab(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_heliostat-lab")).args(arguments).output().expect("the program starts")
-}
+use super::lab;
 
 #[test]
 fn every_command_has_a_help_text() {

@@ -1,14 +1,10 @@
 //! `heliostat-lab map` on the command line: a well-formed SVG with units, and values that follow from
 //! the physics.
 
-use std::process::{Command, Output};
-
 use serde_json::Value;
 use tempfile::TempDir;
 
-fn heliostat(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_heliostat-lab")).args(arguments).output().expect("the program starts")
-}
+use super::lab;
 
 /// The figures of a coarse map with these arguments, and its picture.
 fn map(arguments: &[&str]) -> (Value, String) {
@@ -16,7 +12,7 @@ fn map(arguments: &[&str]) -> (Value, String) {
     let out = folder.path().join("map.svg");
     let common =
         ["map", "--scenario", "specular", "--json", "--step-cm", "20", "--out", out.to_str().expect("a plain path")];
-    let output = heliostat(&[&common, arguments].concat());
+    let output = lab(&[&common, arguments].concat());
     assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
     let figures = serde_json::from_slice(&output.stdout).expect("one JSON object");
     (figures, std::fs::read_to_string(out).expect("a picture"))
@@ -108,7 +104,7 @@ fn an_onnx_actor_gives_the_angles() {
     for name in ["min", "mean", "max"] {
         assert_eq!(figure(&own, name), figure(&built_in, name), "{name}");
     }
-    let output = heliostat(&["map", "--array", "absent.onnx"]);
+    let output = lab(&["map", "--array", "absent.onnx"]);
     assert!(String::from_utf8_lossy(&output.stderr).contains("no actor at absent.onnx"));
 }
 
@@ -178,7 +174,7 @@ fn errors_name_the_cause() {
         (&["--scenario", "absent.toml"], "absent.toml"),
         (&["--what", "colour"], "coverage"),
     ] {
-        let output = heliostat(&[&["map"], arguments].concat());
+        let output = lab(&[&["map"], arguments].concat());
         let errors = String::from_utf8(output.stderr).expect("text");
         assert!(!output.status.success() && errors.contains(expected), "{arguments:?}: {errors}");
     }

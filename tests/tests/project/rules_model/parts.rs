@@ -51,10 +51,15 @@ pub struct Hardware {
     pub roll: f64,
 }
 
+/// The capabilities of an array of one mirror.
+pub fn one_mirror() -> Capabilities {
+    let axis = AxisLimits { min_rad: -0.5, max_rad: 0.5, ..AxisLimits::default() };
+    Capabilities { rows: 1, columns: 1, roll: axis, yaw: axis, park_after_ms: 500, ..Capabilities::default() }
+}
+
 impl Device for Hardware {
     fn capabilities(&self) -> Capabilities {
-        let axis = AxisLimits { min_rad: -0.5, max_rad: 0.5, ..AxisLimits::default() };
-        Capabilities { rows: 1, columns: 1, roll: axis, yaw: axis, park_after_ms: 500, ..Capabilities::default() }
+        one_mirror()
     }
 
     fn connect(&mut self, _now: Moment) -> Result<(), DeviceError> {

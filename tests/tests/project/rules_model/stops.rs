@@ -22,7 +22,7 @@ use heliostat_proto::stop_hold::StopHold;
 use heliostat_proto::*;
 use stateright::{Checker, HasDiscoveries, Model as _, Property};
 
-use super::parts::{COMMAND, by_key, instant};
+use super::parts::{COMMAND, by_key, instant, one_mirror};
 
 const TOLD: &str = "told stopped only while no mirror can move";
 const KEPT: &str = "a latched stop is kept until its own re-arm";
@@ -75,8 +75,7 @@ impl Hardware {
 
 impl Device for Hardware {
     fn capabilities(&self) -> Capabilities {
-        let axis = AxisLimits { min_rad: -0.5, max_rad: 0.5, ..AxisLimits::default() };
-        Capabilities { rows: 1, columns: 1, roll: axis, yaw: axis, park_after_ms: 500, ..Capabilities::default() }
+        one_mirror()
     }
 
     fn connect(&mut self, _now: Moment) -> Result<(), DeviceError> {

@@ -248,7 +248,7 @@ impl NodeStatus {
     /// at present.
     pub const OTHER_PROCESSES: &'static str = "other_processes";
 
-    /// Beginning of the problem of a controller whose commands reach no driver; the arrays follow, unless it is all.
+    /// Beginning of the problem of a controller whose commands reach no driver; keys follow, unless no array has one.
     pub const NO_DRIVER: &'static str = "no driver receives the commands";
 
     /// Beginning of the name of the counter that names the host of a controller.

@@ -75,6 +75,9 @@ impl ServedLight {
     /// Beginning of the names of the gauges, and their ends: of the ratio, and of the time.
     const NAME: [&'static str; 3] = ["light:", ":ratio", ":off_since_s"];
 
+    /// What follows the ratio in words.
+    pub const IN_WORDS: &'static str = " of the expected light";
+
     /// Name and value of each gauge.
     pub fn gauges(&self) -> impl Iterator<Item = (String, f64)> {
         let [start, ratio, since] = Self::NAME;
@@ -116,7 +119,7 @@ impl fmt::Display for ServedLight {
             Some(index) => write!(formatter, "LED {index} brings"),
             None => write!(formatter, "the {} bring", self.of),
         }?;
-        write!(formatter, " {:.2} of the expected light", self.ratio)
+        write!(formatter, " {:.2}{}", self.ratio, Self::IN_WORDS)
     }
 }
 

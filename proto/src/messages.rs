@@ -251,6 +251,11 @@ impl NodeStatus {
     /// Beginning of the problem of a controller whose commands reach no driver; keys follow, unless no array has one.
     pub const NO_DRIVER: &'static str = "no driver receives the commands";
 
+    /// Beginning of the state and of the problem of a controller that withholds its commands because of stops.
+    pub const WITHHELD_BY: &'static str = "withheld by ";
+    /// Beginning of the problem of a controller for which a second process announces an array.
+    pub const FOREIGN_ARRAY: &'static str = "an announcement of an array that is not followed ";
+
     /// Beginning of the name of the counter that names the host of a controller.
     pub const HOST: &'static str = "host:";
 

@@ -19,6 +19,7 @@ use heliostat_files::write_advice;
 use heliostat_proto::{NodeKind, keys::parse_alive};
 use heliostat_scenario::Scenario;
 use heliostat_service::clock::utc_ns;
+use heliostat_service::whole_file::EXPECTED_NEW;
 use heliostat_service::{Stop, output, source_id};
 use serde::Serialize;
 
@@ -146,7 +147,7 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Outcome> {
 
 /// The error of a file that cannot be created, with its name and what to do.
 fn cannot_create(out: &Path, error: io::Error) -> anyhow::Error {
-    let advice = write_advice(&error, "expected a file that does not exist yet, in a folder that exists");
+    let advice = write_advice(&error, EXPECTED_NEW);
     anyhow::Error::new(error).context(format!("cannot create {}: {advice}", out.display()))
 }
 

@@ -20,7 +20,7 @@ const NO_LOCKS: [i32; 2] = if cfg!(target_os = "linux") { [37, 95] } else { [77,
 const EXPECTED: &str = "expected a file in a folder that exists";
 
 /// What a file to create has to be.
-const EXPECTED_NEW: &str = "expected a file that does not exist yet, in a folder that exists";
+pub const EXPECTED_NEW: &str = "expected a file that does not exist yet, in a folder that exists";
 
 /// Attempts to hold a file whose holders end meanwhile; bounded, because some file systems change the numbers of files.
 const HOLD_TRIES: usize = 100;

@@ -1,5 +1,6 @@
 //! Which problems follow from which: one cause is one line.
 
+use heliostat_proto::gauges::ServedLight;
 use heliostat_proto::{ArrayState, NodeStatus};
 use heliostat_scenario::ROOM_DIFFERS;
 
@@ -90,10 +91,7 @@ fn with_consequences(mut cause: String, following: &[String]) -> String {
 /// of them. A second source of users is another fault.
 pub(crate) const TWO_DRIVERS: &str = "two drivers serve one array";
 const OF_TWO_DRIVERS: [(&str, &str); 2] =
-    [("a second source ", " reports telemetry of "), ("an announcement of an array that is not followed ", "")];
-
-/// Part of what a controller reports of the light of its users.
-const OF_LIGHT: &str = " of the expected light";
+    [("a second source ", " reports telemetry of "), (NodeStatus::FOREIGN_ARRAY, "")];
 
 /// Whether a controller reports this problem because of what a note states: in a room of another geometry it expects
 /// another light.
@@ -101,7 +99,7 @@ pub(crate) fn follows_from(notes: &[String], problem: &str) -> bool {
     let is_noted = |start: &str| notes.iter().any(|note| note.starts_with(start));
     let is_of = |(start, part): &(&str, &str)| problem.starts_with(start) && problem.contains(part);
     (is_noted(TWO_DRIVERS) && OF_TWO_DRIVERS.iter().any(is_of))
-        || (is_noted(ROOM_DIFFERS) && problem.contains(OF_LIGHT))
+        || (is_noted(ROOM_DIFFERS) && problem.contains(ServedLight::IN_WORDS))
 }
 
 /// The notes of a room and of its geometry, a difference of geometries before its consequences, and without those
@@ -120,7 +118,7 @@ pub(crate) fn causes_and_others(notes: impl IntoIterator<Item = String>) -> (Vec
 
 /// Whether a controller reports this problem because of an emergency stop in force.
 pub(crate) fn follows_from_stop(problem: &str) -> bool {
-    problem.starts_with("withheld by ")
+    problem.starts_with(NodeStatus::WITHHELD_BY)
 }
 
 /// What a driver reports of a command that it refuses because it is stopped, with advice for the sender.

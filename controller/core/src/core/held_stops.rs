@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use heliostat_proto::{array_keys::array_name, clock_time, cut, stop_hold::HeldStop};
+use heliostat_proto::{NodeStatus, array_keys::array_name, clock_time, cut, stop_hold::HeldStop};
 
 use super::Controller;
 use crate::output::guard::describe_stop;
@@ -45,7 +45,7 @@ impl Controller {
         if parts.is_empty() {
             return String::new();
         }
-        cut(&format!("withheld by {}", parts.join("; "))).to_owned()
+        cut(&format!("{}{}", NodeStatus::WITHHELD_BY, parts.join("; "))).to_owned()
     }
 }
 

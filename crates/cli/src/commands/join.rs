@@ -14,6 +14,11 @@ pub(super) fn unanswered_in_words(endpoint: &str) -> String {
     format!("no process of a room answers at {endpoint}")
 }
 
+/// That a process accepts the connections and has not answered yet.
+pub(super) fn accepting_in_words(config: &BusConfig) -> String {
+    format!("the process at {} accepts connections and has not answered yet", config.connect.join(", "))
+}
+
 /// Joins a room; fails with the reason where there is no connection. `limit` is the time for a process that accepts
 /// connections and does not answer: it may be slow, or frozen.
 pub(super) fn join(config: &BusConfig, limit: Duration) -> Result<Bus, String> {
@@ -69,7 +74,7 @@ pub(super) fn why_unconnected<T>(
         return Err(problem);
     }
     let endpoints = config.connect.join(", ");
-    output::note(format_args!("the process at {endpoints} accepts connections and has not answered yet"));
+    output::note(accepting_in_words(config));
     again().ok_or_else(|| {
         format!(
             "the process at {endpoints} does not answer as a process of a room within {} s: it is frozen, overloaded, or \

@@ -165,7 +165,8 @@ fn describe_stale(name: &str, age_s: f64) -> String {
 /// An announcement of this array by a source other than the one that is followed.
 pub(super) fn describe_foreign_array(array: usize, source: u64, followed: Option<u64>) -> String {
     format!(
-        "an announcement of an array that is not followed is refused: source {source:016x} announces {}, which source {:016x} drives; expected one driver of it: stop one of them",
+        "{}is refused: source {source:016x} announces {}, which source {:016x} drives; expected one driver of it: stop one of them",
+        NodeStatus::FOREIGN_ARRAY,
         array_name(array),
         followed.unwrap_or_default()
     )

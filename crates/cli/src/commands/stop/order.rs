@@ -16,7 +16,7 @@ use heliostat_service::signals::{end_on_request, stop_on_signals};
 use heliostat_service::{Stop, output};
 use heliostat_ui::StopSwitch;
 
-use crate::commands::join::{find_problem, join, why_unconnected};
+use crate::commands::join::{accepting_in_words, find_problem, join, unanswered_in_words, why_unconnected};
 
 /// An operator knows within this time whether the order has a connection. The help of `--timeout` names it.
 const JOINED_WITHIN: Duration = Duration::from_secs(2);
@@ -243,17 +243,14 @@ pub(super) fn unsent(reason: String) -> anyhow::Error {
 /// Says why one of several endpoints has no connection.
 fn note_unanswered(config: &BusConfig, endpoint: &str) {
     let alone = BusConfig { connect: vec![endpoint.to_owned()], ..config.clone() };
-    let silent = || format!("no process of a room answers at {endpoint}");
-    output::note(find_problem(&alone).unwrap_or_else(silent));
+    output::note(find_problem(&alone).unwrap_or_else(|| unanswered_in_words(endpoint)));
 }
 
 /// Says why a stop that waits for a connection has none yet.
 fn note_unconnected(config: &BusConfig) {
-    let accepts =
-        || format!("the process at {} accepts connections and has not answered yet", config.connect.join(", "));
     let reason = match config.connect.is_empty() {
         true => format!("no process has connected to {} yet", config.listen.join(", ")),
-        false => find_problem(config).unwrap_or_else(accepts),
+        false => find_problem(config).unwrap_or_else(|| accepting_in_words(config)),
     };
     output::note(format_args!(
         "{reason}. Until a process connects, no array has the stop: to stop the mirrors now, cut their power. The stop is \

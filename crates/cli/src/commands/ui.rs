@@ -9,7 +9,7 @@ use heliostat_bus::{AccessRole, Bus, BusArgs, Identity};
 use heliostat_core::policy::PolicyKind;
 use heliostat_models::ActorSource;
 use heliostat_scenario::{Scenario, ViewerScenarioArgs};
-use heliostat_service::{Stop, duration, locks::lock, output, process, signals};
+use heliostat_service::{LogArgs, LogFormat, Stop, duration, locks::lock, output, signals};
 use heliostat_ui::{Display, Operator, Page, PageArgs, PoliciesOf, PolicyChoice, Rights, View};
 
 use super::ending::Ending;
@@ -34,12 +34,29 @@ pub struct Args {
     /// Print lines instead of the full-screen view
     #[arg(long)]
     plain: bool,
-    /// Print lines of what begins or ends only, without figures: for the log of a service
+    /// Log what begins or ends only, without figures: for a service
     #[arg(long)]
     quiet: bool,
+    #[command(flatten)]
+    log: LogArgs,
     /// End after this many seconds; without it, run until stopped
     #[arg(long, value_name = "N", value_parser = duration::seconds, allow_negative_numbers = true)]
     seconds: Option<Duration>,
+}
+
+impl Args {
+    /// Whether the lines go to the log: those of a service, and JSON in place of the full-screen view.
+    fn is_log(&self) -> bool {
+        self.quiet || self.log.log_format == LogFormat::Json
+    }
+
+    fn note(&self, text: impl std::fmt::Display) {
+        if self.is_log() {
+            tracing::info!("{text}");
+        } else {
+            output::note(text);
+        }
+    }
 }
 
 /// Runs the command.
@@ -48,12 +65,10 @@ pub fn run(args: Args) -> Result<()> {
     let config = args.bus.config_or_connect(&[AccessRole::Operator, AccessRole::Viewer])?;
     let stop = signals::stop_on_signals()?;
 
-    if args.quiet {
-        output::note(process::program_and_version());
-    }
+    let _log = args.is_log().then(|| args.log.start());
     let rights = Rights::of(config.identity.as_ref().map(Identity::role), &config.room);
     if let Some(limit) = rights.limit() {
-        output::note(limit);
+        args.note(limit);
     }
     let bus = Bus::open(&config)?;
     let view = Arc::new(View::open(&bus, scenario.as_ref())?);
@@ -64,7 +79,7 @@ pub fn run(args: Args) -> Result<()> {
         Ok(Page { view, operator, room, policies: fitting_policies(), network: None })
     })?;
     if let Some(server) = &server {
-        output::note(server);
+        args.note(server);
     }
     let title = server.as_ref().map_or(format!("room {room}"), |server| {
         // Without the token, which would stay on the screen.
@@ -79,7 +94,7 @@ pub fn run(args: Args) -> Result<()> {
 
 /// Displays the room until it shall end. The terminal is as before then, since the end of the page takes time.
 fn watch(args: &Args, title: &str, view: &View, stop: &Stop) -> Result<Ending> {
-    let mut display = if args.quiet { Display::quiet() } else { Display::open(args.plain, title)? };
+    let mut display = if args.is_log() { Display::log(args.quiet) } else { Display::open(args.plain, title)? };
     let (opened, mut drawn) = (Instant::now(), Instant::now());
     loop {
         if stop.is_requested() {

@@ -19,7 +19,7 @@ use heliostat_files::write_advice;
 use heliostat_proto::{NodeKind, keys::parse_alive};
 use heliostat_scenario::Scenario;
 use heliostat_service::clock::utc_ns;
-use heliostat_service::{Stop, output, source_id};
+use heliostat_service::{CertificateEnds, MetricsArgs, Page, Stop, output, source_id};
 use serde::Serialize;
 
 use crate::account::Account;
@@ -31,6 +31,8 @@ use room_writer::{Begun, Item, RoomWriter};
 const QUEUE: usize = 16_384;
 /// Longest delay between a stop request and its effect.
 const WAIT: Duration = Duration::from_millis(50);
+/// Time between two pages of metrics.
+const EXPORT_EVERY: Duration = Duration::from_secs(1);
 
 /// Settings of a recorder.
 #[derive(Clone, Debug)]
@@ -45,6 +47,8 @@ pub struct Settings {
     pub run_for: Option<Duration>,
     /// Whether to end when every process that was seen in the room has left it.
     pub until_empty: bool,
+    /// Where metrics are served.
+    pub metrics: MetricsArgs,
     /// Bounds of a ring of files in place of one file.
     pub ring: Option<Bounds>,
 }
@@ -70,7 +74,7 @@ pub struct Outcome {
 /// Records a room until it is stopped.
 ///
 /// # Errors
-/// A bus or a file that cannot be opened. A later write error is reported in the [`Outcome`].
+/// A bus, a file or an address for metrics that cannot be opened. A later write error is reported in the [`Outcome`].
 pub fn run(settings: &Settings, stop: &Stop) -> Result<Outcome> {
     let started = Instant::now();
     let ring = settings.ring.map(|bounds| Ring::open(&settings.out, bounds, started)).transpose();
@@ -83,6 +87,9 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Outcome> {
     let begun = Begun { path: out.clone(), is_kept: false };
     let writer = RoomWriter::create(file, settings, out);
     let mut writer = writer.with_context(|| format!("cannot create {}", begun.path.display()))?;
+    let ends = CertificateEnds { own: settings.bus.certificate_end(), router: settings.bus.router_certificate_end() };
+    let exporter = settings.metrics.open(ends)?;
+    let mut exported: Option<Instant> = None;
     let (sender, queue) = sync_channel(QUEUE);
     let dropped = Arc::new(AtomicU64::new(0));
     let bus = Bus::open(&settings.bus).context("cannot join the room")?;
@@ -114,6 +121,10 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Outcome> {
             Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {}
         }
         writer.flush_if_due();
+        if let Some(exporter) = exporter.as_ref().filter(|_| exported.is_none_or(|at| at.elapsed() >= EXPORT_EVERY)) {
+            exported = Some(Instant::now());
+            exporter.publish(metrics(room.name(), dropped.load(Ordering::Relaxed)));
+        }
         if let Some(missing) = writer.missing_once(started.elapsed()) {
             output::note(format_args!("record: so far {missing}"));
         }
@@ -142,6 +153,15 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Outcome> {
         outcome.file = outcome.files.last().cloned().unwrap_or(outcome.file);
     }
     Ok(outcome)
+}
+
+/// The metrics of a recorder.
+fn metrics(room: &str, dropped: u64) -> Page {
+    let mut page = Page::new(&[("room", room)]);
+    page.build_info("recorder", env!("CARGO_PKG_VERSION"));
+    let help = "Messages that were not recorded, because the disk was slower than the room";
+    page.counter("heliostat_recorder_dropped", help, &[], dropped);
+    page
 }
 
 /// The error of a file that cannot be created, with its name and what to do.

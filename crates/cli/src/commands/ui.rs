@@ -9,7 +9,9 @@ use heliostat_bus::{AccessRole, Bus, BusArgs, Identity};
 use heliostat_core::policy::PolicyKind;
 use heliostat_models::ActorSource;
 use heliostat_scenario::{Scenario, ViewerScenarioArgs};
-use heliostat_service::{LogArgs, LogFormat, Stop, duration, locks::lock, output, signals};
+use heliostat_service::{
+    CertificateEnds, LogArgs, LogFormat, MetricsArgs, Page as MetricsPage, Stop, duration, locks::lock, output, signals,
+};
 use heliostat_ui::{Display, Operator, Page, PageArgs, PoliciesOf, PolicyChoice, Rights, View};
 
 use super::ending::Ending;
@@ -37,6 +39,8 @@ pub struct Args {
     /// Log what begins or ends only, without figures: for a service
     #[arg(long)]
     quiet: bool,
+    #[command(flatten)]
+    metrics: MetricsArgs,
     #[command(flatten)]
     log: LogArgs,
     /// End after this many seconds; without it, run until stopped
@@ -70,6 +74,8 @@ pub fn run(args: Args) -> Result<()> {
     if let Some(limit) = rights.limit() {
         args.note(limit);
     }
+    let ends = CertificateEnds { own: config.certificate_end(), router: config.router_certificate_end() };
+    let exporter = args.metrics.open(ends)?;
     let bus = Bus::open(&config)?;
     let view = Arc::new(View::open(&bus, scenario.as_ref())?);
     let room = config.room.name().to_owned();
@@ -85,17 +91,26 @@ pub fn run(args: Args) -> Result<()> {
         // Without the token, which would stay on the screen.
         format!("room {room}, page at {}", server.url_without_token())
     });
-    let ending = watch(&args, &title, &view, &stop);
+    let export = || exporter.iter().for_each(|exporter| exporter.publish(metrics(&room)));
+    let ending = watch(&args, &title, &view, &stop, &export);
     if let Some(server) = server {
         server.end(&last_sentence(ending.as_ref().ok()));
     }
     ending.map(drop)
 }
 
-/// Displays the room until it shall end. The terminal is as before then, since the end of the page takes time.
-fn watch(args: &Args, title: &str, view: &View, stop: &Stop) -> Result<Ending> {
+/// The metrics of a page.
+fn metrics(room: &str) -> MetricsPage {
+    let mut page = MetricsPage::new(&[("room", room)]);
+    page.build_info("page", env!("CARGO_PKG_VERSION"));
+    page
+}
+
+/// Displays the room until it shall end, and exports the metrics as often. The terminal is as before then, since the end of the page takes time.
+fn watch(args: &Args, title: &str, view: &View, stop: &Stop, export: &dyn Fn()) -> Result<Ending> {
     let mut display = if args.is_log() { Display::log(args.quiet) } else { Display::open(args.plain, title)? };
     let (opened, mut drawn) = (Instant::now(), Instant::now());
+    export();
     loop {
         if stop.is_requested() {
             return Ok(Ending::Signal);
@@ -110,6 +125,7 @@ fn watch(args: &Args, title: &str, view: &View, stop: &Stop) -> Result<Ending> {
         if drawn.elapsed() >= display.interval() {
             drawn = Instant::now();
             display.draw(view)?;
+            export();
         }
     }
 }

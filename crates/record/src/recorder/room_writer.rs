@@ -331,6 +331,7 @@ mod tests {
     use heliostat_bus::BusConfig;
     use heliostat_proto::{RoomGeometry, Stamp, encode};
     use heliostat_scenario::Scenario;
+    use heliostat_service::MetricsArgs;
     use prost::Message;
 
     use super::*;
@@ -341,6 +342,7 @@ mod tests {
             bus: BusConfig::new(room.clone()),
             out: PathBuf::new(),
             run_for: None,
+            metrics: MetricsArgs::default(),
             until_empty: false,
             ring: None,
         };

@@ -125,7 +125,7 @@ pub fn record(args: RecordArgs) -> Result<()> {
         bail!("{}: {failure}", outcome.file.display());
     }
     if outcome.account.missing() > 0 {
-        output::note(format_args!("record: missing messages: {}, see the table", outcome.account.missing()));
+        tracing::warn!("missing messages: {}, see the table", outcome.account.missing());
     }
     Ok(())
 }

@@ -19,7 +19,7 @@ use heliostat_files::write_advice;
 use heliostat_proto::{NodeKind, keys::parse_alive};
 use heliostat_scenario::Scenario;
 use heliostat_service::clock::utc_ns;
-use heliostat_service::{CertificateEnds, MetricsArgs, Page, Stop, output, source_id};
+use heliostat_service::{CertificateEnds, MetricsArgs, Page, Stop, source_id};
 use serde::Serialize;
 
 use crate::account::Account;
@@ -109,7 +109,7 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Outcome> {
     })?;
     let token = bus.announce(&room.alive(NodeKind::Viewer, source))?;
     begun.keep();
-    output::note(format_args!("record: room {room} into {}", writer.place.path().display()));
+    tracing::info!("records room {room} into {}", writer.place.path().display());
 
     let deadline = settings.run_for.map(|run_for| started + run_for);
     while !writer.has_failed() && !stop.is_requested() && deadline.is_none_or(|deadline| Instant::now() < deadline) {
@@ -126,7 +126,7 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Outcome> {
             exporter.publish(metrics(room.name(), dropped.load(Ordering::Relaxed)));
         }
         if let Some(missing) = writer.missing_once(started.elapsed()) {
-            output::note(format_args!("record: so far {missing}"));
+            tracing::warn!("so far {missing}");
         }
         if let Some(ring) = &mut ring {
             turn(ring, &mut writer);
@@ -174,7 +174,7 @@ fn cannot_create(out: &Path, error: io::Error) -> anyhow::Error {
 fn turn(ring: &mut Ring, writer: &mut RoomWriter<File>) {
     let now = Instant::now();
     for fault in std::mem::take(&mut writer.faults) {
-        output::note(format_args!("record: {fault}: the files around it are kept"));
+        tracing::warn!("{fault}: the files around it are kept");
         ring.note_fault(now);
     }
     if writer.has_failed() || !ring.is_due(writer.bytes(), now) {

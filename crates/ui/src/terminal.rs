@@ -135,7 +135,7 @@ impl Lines {
     }
 
     fn print(&self, Line { text, is_problem }: &Line) {
-        match (self.is_log, is_problem) {
+        match (self.is_log, *is_problem) {
             (false, _) => output::note(text),
             (true, true) => tracing::warn!("{text}"),
             (true, false) => tracing::info!("{text}"),

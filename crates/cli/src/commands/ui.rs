@@ -106,7 +106,8 @@ fn metrics(room: &str) -> MetricsPage {
     page
 }
 
-/// Displays the room until it shall end, and exports the metrics as often. The terminal is as before then, since the end of the page takes time.
+/// Displays the room until it shall end, and calls `export` at each update. The terminal is as before then, since the end
+/// of the page takes time.
 fn watch(args: &Args, title: &str, view: &View, stop: &Stop, export: &dyn Fn()) -> Result<Ending> {
     let mut display = if args.is_log() { Display::log(args.quiet) } else { Display::open(args.plain, title)? };
     let (opened, mut drawn) = (Instant::now(), Instant::now());

@@ -138,8 +138,8 @@ impl Process {
 
     /// Whether this recorder has noted a process of the kind in its room.
     pub fn has_noted(&self, node: NodeKind) -> bool {
-        let start = format!("record: {node} ");
-        self.errors().lines().any(|line| line.starts_with(&start) && line.ends_with(" is alive"))
+        let noted = format!(": {node} ");
+        self.errors().lines().any(|line| line.contains(&noted) && line.ends_with(" is alive"))
     }
 
     /// Closes its standard input, which ends a process started with `--exit-with-parent`, and waits

@@ -66,6 +66,7 @@ mod repeater;
 mod state_publisher;
 mod undecodable;
 
+use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use heliostat_channel::ChannelError;
@@ -141,6 +142,8 @@ pub struct RoomCore {
     /// The sources of nodes that must not receive the scenario's angles.
     unfit_nodes: Vec<u64>,
     drivers: Drivers,
+    /// The sources of the trackers whose liveliness tokens are there.
+    trackers: BTreeSet<u64>,
     /// Arrival and text of the simulator's geometry.
     announced: Option<(Nanos, String)>,
     repeater: Arc<Mutex<Repeater>>,
@@ -190,6 +193,7 @@ impl RoomCore {
             known: vec![Capabilities::default(); arrays],
             unfit_nodes: Vec::new(),
             drivers: Drivers::new(arrays),
+            trackers: BTreeSet::new(),
             announced: None,
             repeater: Arc::new(Mutex::new(Repeater::new(source, scenario))),
             states: StatePublisher::new(source),
@@ -321,6 +325,11 @@ impl RoomCore {
         self.drivers.lost_beside_others()
     }
 
+    /// Number of trackers in the room, by their liveliness tokens.
+    pub fn trackers(&self) -> usize {
+        self.trackers.len()
+    }
+
     /// The geometry that the simulator announces, as TOML; `None` where none does.
     pub fn announced_geometry(&self, now: Nanos) -> Option<&str> {
         let fresh = self.announced.as_ref().filter(|(at, _)| now.abs_diff(*at) < GEOMETRY_EXPIRY_NS);
@@ -430,6 +439,11 @@ impl RoomCore {
             self.controller.handle_source_found(node, source);
         } else {
             self.controller.handle_source_lost(node, source);
+        }
+        if node == NodeKind::Tracker && is_alive {
+            self.trackers.insert(source);
+        } else if node == NodeKind::Tracker {
+            self.trackers.remove(&source);
         }
         self.examine_node(node, source, is_alive);
     }

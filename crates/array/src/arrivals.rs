@@ -24,11 +24,22 @@ pub struct Arrivals {
     stops: VecDeque<Arrival>,
     others: VecDeque<Arrival>,
     dropped: u64,
+    /// Whether the driver ends.
+    is_ending: bool,
 }
 
 impl Arrivals {
+    /// The driver ends: commands, waiting and later ones, are no messages. No telemetry would show what they moved.
+    pub fn end(&mut self) {
+        self.is_ending = true;
+        self.others.retain(|queued| !queued.content.is_command());
+    }
+
     /// Adds a message.
     pub fn push(&mut self, at: Moment, content: Content) {
+        if self.is_ending && content.is_command() {
+            return;
+        }
         let target = if content.concerns_stops() { &mut self.stops } else { &mut self.others };
         let arrival = Arrival { at, content };
         if target.len() == CAPACITY {
@@ -86,6 +97,19 @@ mod tests {
         assert_eq!(queue.dropped(), 3);
         assert!(matches!(queue.pop().unwrap().content, Content::Stop(_)));
         assert_eq!(queue.pop().unwrap().at, Moment::simulated(3));
+    }
+
+    #[test]
+    fn an_ending_driver_gets_stops_and_no_command() {
+        let mut queue = Arrivals::default();
+        let stop = || Content::Stop(Ok(EmergencyStop::default()));
+        queue.push(Moment::simulated(0), command());
+        queue.push(Moment::simulated(1), stop());
+        queue.end();
+        queue.push(Moment::simulated(2), command());
+        queue.push(Moment::simulated(3), stop());
+        let all: Vec<Arrival> = std::iter::from_fn(|| queue.pop()).collect();
+        assert!(all.len() == 2 && all.iter().all(|queued| queued.content.is_stop()), "{all:?}");
     }
 
     #[test]

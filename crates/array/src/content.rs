@@ -27,6 +27,11 @@ impl Content {
         }
     }
 
+    /// Whether the message came under the key of the commands.
+    pub fn is_command(&self) -> bool {
+        matches!(self, Self::Command(_))
+    }
+
     /// Whether the message has a key on which stops arrive.
     pub fn concerns_stops(&self) -> bool {
         matches!(self, Self::Stop(_) | Self::Repetition(_))

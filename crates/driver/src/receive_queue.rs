@@ -67,6 +67,11 @@ impl ReceiveQueue {
         self.filled.notify_one();
     }
 
+    /// The driver ends: commands are no messages any more.
+    pub fn end(&self) {
+        self.lock().arrivals.end();
+    }
+
     /// Ends the present or the next wait for a message.
     pub fn wake(&self) {
         self.lock().is_woken = true;

@@ -185,6 +185,7 @@ impl<D: Device> ArrayDriver<D> {
             driver.shared.lock().set_other_processes(claim.count());
         }
         drop(running);
+        driver.session.received().end();
         // A stop that comes now is obeyed, and in the record before the end if the disk answers.
         let given_up = Instant::now() + Duration::from_nanos(END_WAIT_NS);
         while ended.is_ok() && !driver.is_settled() && Instant::now() < given_up {

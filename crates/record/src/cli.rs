@@ -10,7 +10,7 @@ use heliostat_proto::Room;
 use heliostat_scenario::{BUILTIN_NAMES, ScenarioArgs};
 use heliostat_service::exit::UnusableInput;
 use heliostat_service::printable::printable;
-use heliostat_service::{EndArgs, LogArgs, duration, output, signals};
+use heliostat_service::{EndArgs, LogArgs, MetricsArgs, duration, output, signals};
 use serde::Serialize;
 
 use crate::ring::Bounds;
@@ -39,6 +39,8 @@ pub struct RecordArgs {
     /// Seconds before and after a fault or a stop whose files stay
     #[arg(long, value_name = "N", default_value = "30", value_parser = duration::seconds, requires = "ring_mb")]
     around_fault: Duration,
+    #[command(flatten)]
+    metrics: MetricsArgs,
     #[command(flatten)]
     log: LogArgs,
     #[command(flatten)]
@@ -114,6 +116,7 @@ pub fn record(args: RecordArgs) -> Result<()> {
         out: args.out,
         run_for: args.end.seconds,
         until_empty: args.until_empty,
+        metrics: args.metrics,
         ring: args.ring_mb.map(|mb| Bounds { bytes: u64::from(mb) * 1_000_000, around_fault: args.around_fault }),
     };
     let outcome = recorder::run(&settings, &stop)?;
@@ -122,7 +125,7 @@ pub fn record(args: RecordArgs) -> Result<()> {
         bail!("{}: {failure}", outcome.file.display());
     }
     if outcome.account.missing() > 0 {
-        output::note(format_args!("record: missing messages: {}, see the table", outcome.account.missing()));
+        tracing::warn!("missing messages: {}, see the table", outcome.account.missing());
     }
     Ok(())
 }

@@ -8,6 +8,7 @@
 //! | other channels | derived data for viewers, see [`crate::scene`] and [`crate::series`] |
 //! | metadata `heliostat.account` | counts of received and missing messages, as JSON; absent if the recording was cut |
 
+mod declared;
 mod read;
 mod write;
 

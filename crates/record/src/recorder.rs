@@ -20,7 +20,7 @@ use heliostat_proto::{NodeKind, keys::parse_alive};
 use heliostat_scenario::Scenario;
 use heliostat_service::clock::utc_ns;
 use heliostat_service::whole_file::EXPECTED_NEW;
-use heliostat_service::{Stop, output, source_id};
+use heliostat_service::{CertificateEnds, MetricsArgs, Page, Stop, source_id};
 use serde::Serialize;
 
 use crate::account::Account;
@@ -32,6 +32,8 @@ use room_writer::{Begun, Item, RoomWriter};
 const QUEUE: usize = 16_384;
 /// Longest delay between a stop request and its effect.
 const WAIT: Duration = Duration::from_millis(50);
+/// Time between two pages of metrics.
+const EXPORT_EVERY: Duration = Duration::from_secs(1);
 
 /// Settings of a recorder.
 #[derive(Clone, Debug)]
@@ -46,6 +48,8 @@ pub struct Settings {
     pub run_for: Option<Duration>,
     /// Whether to end when every process that was seen in the room has left it.
     pub until_empty: bool,
+    /// Where metrics are served.
+    pub metrics: MetricsArgs,
     /// Bounds of a ring of files in place of one file.
     pub ring: Option<Bounds>,
 }
@@ -71,7 +75,7 @@ pub struct Outcome {
 /// Records a room until it is stopped.
 ///
 /// # Errors
-/// A bus or a file that cannot be opened. A later write error is reported in the [`Outcome`].
+/// A bus, a file or an address for metrics that cannot be opened. A later write error is reported in the [`Outcome`].
 pub fn run(settings: &Settings, stop: &Stop) -> Result<Outcome> {
     let started = Instant::now();
     let ring = settings.ring.map(|bounds| Ring::open(&settings.out, bounds, started)).transpose();
@@ -84,6 +88,9 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Outcome> {
     let begun = Begun { path: out.clone(), is_kept: false };
     let writer = RoomWriter::create(file, settings, out);
     let mut writer = writer.with_context(|| format!("cannot create {}", begun.path.display()))?;
+    let ends = CertificateEnds { own: settings.bus.certificate_end(), router: settings.bus.router_certificate_end() };
+    let exporter = settings.metrics.open(ends)?;
+    let mut exported: Option<Instant> = None;
     let (sender, queue) = sync_channel(QUEUE);
     let dropped = Arc::new(AtomicU64::new(0));
     let bus = Bus::open(&settings.bus).context("cannot join the room")?;
@@ -103,7 +110,7 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Outcome> {
     })?;
     let token = bus.announce(&room.alive(NodeKind::Viewer, source))?;
     begun.keep();
-    output::note(format_args!("record: room {room} into {}", writer.place.path().display()));
+    tracing::info!("records room {room} into {}", writer.place.path().display());
 
     let deadline = settings.run_for.map(|run_for| started + run_for);
     while !writer.has_failed() && !stop.is_requested() && deadline.is_none_or(|deadline| Instant::now() < deadline) {
@@ -115,8 +122,12 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Outcome> {
             Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {}
         }
         writer.flush_if_due();
+        if let Some(exporter) = exporter.as_ref().filter(|_| exported.is_none_or(|at| at.elapsed() >= EXPORT_EVERY)) {
+            exported = Some(Instant::now());
+            exporter.publish(metrics(room.name(), dropped.load(Ordering::Relaxed)));
+        }
         if let Some(missing) = writer.missing_once(started.elapsed()) {
-            output::note(format_args!("record: so far {missing}"));
+            tracing::warn!("so far {missing}");
         }
         if let Some(ring) = &mut ring {
             turn(ring, &mut writer);
@@ -145,6 +156,15 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Outcome> {
     Ok(outcome)
 }
 
+/// The metrics of a recorder.
+fn metrics(room: &str, dropped: u64) -> Page {
+    let mut page = Page::new(&[("room", room)]);
+    page.build_info("recorder", env!("CARGO_PKG_VERSION"));
+    let help = "Messages that were not recorded, because the disk was slower than the room";
+    page.counter("heliostat_recorder_dropped", help, &[], dropped);
+    page
+}
+
 /// The error of a file that cannot be created, with its name and what to do.
 fn cannot_create(out: &Path, error: io::Error) -> anyhow::Error {
     let advice = write_advice(&error, EXPECTED_NEW);
@@ -155,7 +175,7 @@ fn cannot_create(out: &Path, error: io::Error) -> anyhow::Error {
 fn turn(ring: &mut Ring, writer: &mut RoomWriter<File>) {
     let now = Instant::now();
     for fault in std::mem::take(&mut writer.faults) {
-        output::note(format_args!("record: {fault}: the files around it are kept"));
+        tracing::warn!("{fault}: the files around it are kept");
         ring.note_fault(now);
     }
     if writer.has_failed() || !ring.is_due(writer.bytes(), now) {

@@ -33,6 +33,29 @@ pub(crate) fn of_written(error: ScenarioError, table: &Table, written: &[Path]) 
     }
 }
 
+/// The same error with the domain of the key, for a written value of another type, as `users.count=nan`. An error about
+/// a key without a domain of numbers is unchanged.
+///
+/// `table` is the complete text with `written` among its keys.
+pub(crate) fn of_type(error: ScenarioError, table: &Table, written: &[Path]) -> ScenarioError {
+    let refused = written.iter().find_map(|path| Some((path, at(table, path)?, domain(table, path)?)));
+    let Some((path, found, expected)) = refused else { return error };
+    ScenarioError::Invalid { key: path.join("."), value: found.to_string(), expected, line: None }
+}
+
+/// What the check of a key expects, by trying numbers; `None` where each is accepted, or refused for another reason.
+fn domain(table: &Table, path: &Path) -> Option<String> {
+    let probes = [0, i64::from(u8::MAX), i64::from(u16::MAX), i64::from(u32::MAX), i64::MAX];
+    probes.into_iter().find_map(|probe| {
+        let mut probed = table.clone();
+        *at_mut(&mut probed, path)? = Value::Integer(probe);
+        match probed.try_into::<Scenario>().ok()?.check() {
+            Err(ScenarioError::Invalid { key, expected, .. }) if key == path.join(".") => Some(expected),
+            _ => None,
+        }
+    })
+}
+
 /// The key that was refused, which is not always the one that an error names.
 pub(crate) fn refused_key(error: &ScenarioError) -> Option<&str> {
     let ScenarioError::Invalid { key, expected, .. } = error else { return None };
@@ -54,13 +77,21 @@ fn is_cause(table: &Table, path: &Path, refused: &str) -> bool {
     }
 }
 
+/// A value by its keys; a number selects one of several tables.
 fn at<'a>(table: &'a Table, path: &Path) -> Option<&'a Value> {
-    let (last, tables) = path.split_last()?;
-    let mut table = table;
-    for name in tables {
-        table = table.get(name)?.as_table()?;
-    }
-    table.get(last)
+    let (first, names) = path.split_first()?;
+    names.iter().try_fold(table.get(first)?, |value, name| match value {
+        Value::Array(entries) => entries.get(name.parse::<usize>().ok()?),
+        value => value.as_table()?.get(name),
+    })
+}
+
+fn at_mut<'a>(table: &'a mut Table, path: &Path) -> Option<&'a mut Value> {
+    let (first, names) = path.split_first()?;
+    names.iter().try_fold(table.get_mut(first)?, |value, name| match value {
+        Value::Array(entries) => entries.get_mut(name.parse::<usize>().ok()?),
+        value => value.as_table_mut()?.get_mut(name),
+    })
 }
 
 fn remove(table: &mut Table, path: &Path) -> Option<Value> {
@@ -123,5 +154,29 @@ mod tests {
         // Two written keys that contradict each other stay as they are.
         let error = of(&["users.count=2", "blockage.forced_users=3"]);
         assert!(error.starts_with("blockage.forced_users = 3: expected"), "{error}");
+    }
+
+    #[test]
+    fn a_value_of_another_type_is_refused_with_the_domain_of_its_key() {
+        let of = |overrides: &[&str]| {
+            let text = Scenario::builtin_text("hall").expect("built in");
+            Scenario::from_toml_with(text, overrides).expect_err("refused").to_string()
+        };
+        for (refused, message) in [
+            ("users.count=nan", "users.count = nan: expected an integer from 1 to 64"),
+            ("users.count=-1", "users.count = -1: expected an integer from 1 to 64"),
+            ("users.count=2.5", "users.count = 2.5: expected an integer from 1 to 64"),
+            ("users.count=many", "users.count = \"many\": expected an integer from 1 to 64"),
+            ("room.height_m=high", "room.height_m = \"high\": expected a number from 0.5 to 50"),
+        ] {
+            assert_eq!(of(&[refused]), message);
+            assert_eq!(of(&["users.speed_max_m_s=1", refused]), message, "beside a value that is accepted");
+        }
+        let of_array =
+            Scenario::from_toml_with("[[mirrors]]\nrows = 4\n[[mirrors]]\nrows = 4\n", &["mirrors.1.rows=nan"]);
+        let of_array = of_array.expect_err("refused").to_string();
+        assert!(of_array.starts_with("mirrors.1.rows = nan: expected an integer from "), "{of_array}");
+        let of_name = of(&["users.mobility=3"]);
+        assert!(!of_name.contains("integer from"), "{of_name}");
     }
 }

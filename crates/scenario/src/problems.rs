@@ -279,7 +279,7 @@ mod tests {
             ("mismatch.unknown_leds_m=[[0,0]]", "invalid length 2, expected numbers in a list of length 3"),
             ("led.positions_m=[9,0,2]", "expected numbers in a list of length 3"),
             ("receiver.branches=[1]", "expected a table"),
-            ("users.count=many", "expected a whole number from 0"),
+            ("users.count=many", "expected an integer from 1 to 64"),
             ("seed=18446744073709551615", "expected a whole number from 0 to 9223372036854775807"),
         ] {
             let problems = texts(sound, &[refused]);

@@ -114,8 +114,9 @@ impl Scenario {
         }
         Renames(RENAMES).refuse(&table)?;
         lists::refuse_in_place_of_tables(&table)?;
-        let scenario: Self =
-            table.clone().try_into().map_err(|error: toml::de::Error| parse_error(&overrides.join(", "), &error))?;
+        let of_type =
+            |error: toml::de::Error| blame::of_type(parse_error(&overrides.join(", "), &error), &table, &written);
+        let scenario: Self = table.clone().try_into().map_err(of_type)?;
         scenario.check().map_err(|error| blame::of_written(error, &table, &written))?;
         Ok(scenario)
     }

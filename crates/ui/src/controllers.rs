@@ -228,6 +228,11 @@ impl Controllers {
         }
     }
 
+    /// Whether a status of a controller has arrived.
+    pub fn has_reported(&self, source: u64) -> bool {
+        self.0.get(&source).is_some_and(|known| known.has_reported)
+    }
+
     /// The hash of the scenario of a controller; empty where it is unknown.
     pub fn scenario(&self, source: u64) -> &str {
         self.0.get(&source).map_or("", |known| &known.scenario)

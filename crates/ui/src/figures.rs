@@ -120,7 +120,7 @@ pub struct Ages {
     pub room: Option<f64>,
     /// Telemetry of the array.
     pub array: Option<f64>,
-    /// Status of the controller.
+    /// Status of the controller; that of a predecessor is none of a controller that has not reported yet.
     pub controller: Option<f64>,
     /// The same while this controller is in the room; absent for a calibration.
     pub present_controller: Option<f64>,
@@ -203,6 +203,7 @@ impl View {
         // page shows their age.
         let last = |node: NodeKind| received.statuses.get(node.name()).map(|(_, status)| status);
         let [last_controller, last_room] = [NodeKind::Controller, NodeKind::SimNode].map(last);
+        let last_controller = last_controller.filter(|_| !received.awaits_controller());
         let gauge = |name: &str| room.and_then(|room| room.gauge(name));
         Figures {
             time_s: self.opened.elapsed().as_secs_f64(),
@@ -334,7 +335,7 @@ fn ages(received: &Received) -> Ages {
     let truth = received.truth.as_ref().map(|(at, _)| *at);
     let users = received.users.as_ref().map(|(at, _)| *at);
     let shown = if Received::fresh(&received.truth).is_some() { truth } else { users.or(truth) };
-    let controller = received.statuses.get(NodeKind::Controller.name());
+    let controller = received.statuses.get(NodeKind::Controller.name()).filter(|_| !received.awaits_controller());
     let is_present = |status: &NodeStatus| {
         received.alive.contains(&(NodeKind::Controller.name(), status.stamp.source))
             && CalibrationProgress::of(status).is_none()
@@ -359,6 +360,8 @@ fn time(name: &'static str, of: &'static str, status: Option<&NodeStatus>) -> Ti
 
 #[cfg(test)]
 mod tests {
+    use heliostat_proto::Stamp;
+
     use super::*;
 
     #[test]
@@ -413,7 +416,10 @@ mod tests {
         };
         received.alive.insert((name, 8));
         received.statuses.insert(name.into(), (Instant::now(), NodeStatus::default()));
-        assert_eq!(has_age(&received), (true, false), "its source has left, and another one has just started");
+        assert_eq!(has_age(&received), (false, false), "its source has left, and another one has just started");
+        let other = NodeStatus { stamp: Stamp { source: 8, ..Stamp::default() }, ..NodeStatus::default() };
+        received.controllers.take(&other);
+        assert_eq!(has_age(&received), (true, false), "a standby, whose status follows");
         received.alive.insert((name, NodeStatus::default().stamp.source));
         assert_eq!(has_age(&received), (true, true));
         let gauges = CalibrationProgress::default().gauges().map(|(name, value)| (name.to_owned(), value)).to_vec();

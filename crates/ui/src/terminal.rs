@@ -17,7 +17,7 @@ use crate::figures::Figures;
 use crate::{UiError, View};
 use drawing::draw;
 use full_screen::FullScreen;
-use texts::{line, stops};
+use texts::stops;
 
 /// The output of the figures.
 pub enum Display {
@@ -34,10 +34,18 @@ pub struct Lines {
     stops: Vec<String>,
     /// The notes and remarks at the last call.
     notes: Vec<String>,
-    /// The line that was printed last.
+    /// The line of figures that was printed last.
     line: String,
+    /// The lines go to the log.
+    is_log: bool,
     /// Figures are left out.
     is_quiet: bool,
+}
+
+/// A line of text, and whether it reports that something is wrong.
+struct Line {
+    text: String,
+    is_problem: bool,
 }
 
 /// The terminal in full-screen mode; dropping it restores the terminal.
@@ -58,9 +66,9 @@ impl Display {
         Ok(Self::Screen(Box::new(Screen { screen: FullScreen::open()?, title: title.to_owned() })))
     }
 
-    /// Lines of the stops and notes that begin or end, without figures: for the log of a service.
-    pub fn quiet() -> Self {
-        Self::Lines(Lines { is_quiet: true, ..Lines::default() })
+    /// Lines of the log: the stops and notes that begin or end, and the figures unless it is quiet.
+    pub fn log(is_quiet: bool) -> Self {
+        Self::Lines(Lines { is_log: true, is_quiet, ..Lines::default() })
     }
 
     /// Time between two updates.
@@ -78,7 +86,7 @@ impl Display {
     pub fn draw(&mut self, view: &View) -> Result<(), UiError> {
         let (figures, stops) = (view.figures(), stops(&view.stops.room()));
         match self {
-            Self::Lines(lines) => lines.next(&figures, &stops).iter().for_each(output::note),
+            Self::Lines(lines) => lines.take(&figures, &stops).iter().for_each(|line| lines.print(line)),
             Self::Screen(screen) => {
                 let history: Vec<_> = view.history().into_iter().map(|(at, past)| (at, past.sum)).collect();
                 screen.screen.draw(|frame| draw(frame, &screen.title, (&figures, &stops), &history))?;
@@ -102,25 +110,36 @@ impl Display {
 impl Lines {
     /// The stops, if they have changed, the notes that begin or end, and the figures, unless their line is the one
     /// before.
-    fn next(&mut self, figures: &Figures, stops: &[String]) -> Vec<String> {
+    fn take(&mut self, figures: &Figures, stops: &[String]) -> Vec<Line> {
+        let line = |text: String, is_problem| Line { text, is_problem };
         let mut lines = Vec::new();
         if self.stops != stops {
-            lines.extend_from_slice(stops);
+            lines.extend(stops.iter().map(|stop| line(stop.clone(), true)));
             if stops.is_empty() {
-                lines.push("no stop is in force".to_owned());
+                lines.push(line("no stop is in force".into(), false));
             }
             self.stops = stops.to_vec();
         }
         let notes = [figures.notes.as_slice(), figures.remarks.as_slice()].concat();
-        lines.extend(not_in(&notes, &self.notes).into_iter().cloned());
-        lines.extend(not_in(&self.notes, &notes).into_iter().map(|note| format!("over: {note}")));
+        lines.extend(
+            not_in(&notes, &self.notes).into_iter().map(|note| line(note.clone(), figures.notes.contains(note))),
+        );
+        lines.extend(not_in(&self.notes, &notes).into_iter().map(|note| line(format!("over: {note}"), false)));
         self.notes = notes;
-        let line = line(figures);
-        if self.line != line && !self.is_quiet {
-            lines.push(line.clone());
-            self.line = line;
+        let of_figures = texts::line(figures);
+        if self.line != of_figures && !self.is_quiet {
+            lines.push(line(of_figures.clone(), false));
+            self.line = of_figures;
         }
         lines
+    }
+
+    fn print(&self, Line { text, is_problem }: &Line) {
+        match (self.is_log, *is_problem) {
+            (false, _) => output::note(text),
+            (true, true) => tracing::warn!("{text}"),
+            (true, false) => tracing::info!("{text}"),
+        }
     }
 }
 
@@ -135,6 +154,14 @@ mod tests {
     use heliostat_proto::reported_stops::{RoomStop, Standing};
 
     use crate::stop_watch::RoomStops;
+    use texts::line;
+
+    impl Lines {
+        /// The texts of the next lines.
+        fn next(&mut self, figures: &Figures, stops: &[String]) -> Vec<String> {
+            self.take(figures, stops).into_iter().map(|line| line.text).collect()
+        }
+    }
 
     fn figures(users: u32) -> Figures {
         let user = |user: u32| UserFigures {
@@ -273,10 +300,22 @@ mod tests {
 
     #[test]
     fn the_lines_for_a_log_have_stops_and_notes_and_no_figures() {
-        let Display::Lines(mut lines) = Display::quiet() else { panic!("lines") };
-        assert!(lines.next(&Figures::default(), &[]).is_empty());
+        let Display::Lines(mut lines) = Display::log(true) else { panic!("lines") };
+        assert!(lines.is_log && lines.next(&Figures::default(), &[]).is_empty());
         assert_eq!(lines.next(&figures(2), &[]), ["no driver receives the commands"]);
         assert_eq!(lines.next(&figures(3), &stops(&room())), stops(&room()));
+    }
+
+    #[test]
+    fn of_the_lines_for_a_log_the_stops_and_the_notes_of_faults_are_problems() {
+        let Display::Lines(mut lines) = Display::log(false) else { panic!("lines") };
+        let mut problems = |figures: &Figures, stops: &[String]| {
+            lines.take(figures, stops).iter().map(|line| line.is_problem).collect::<Vec<_>>()
+        };
+        let remarks = vec!["another scenario outside the geometry".to_owned()];
+        let begun = Figures { remarks, ..figures(2) };
+        assert_eq!(problems(&begun, &["a stop".to_owned()]), [true, true, false, false], "stop, note, remark, figures");
+        assert_eq!(problems(&Figures { notes: Vec::new(), ..figures(2) }, &[]), [false; 3], "each is over");
     }
 
     #[test]

@@ -42,6 +42,20 @@ fn names_in(text: &str) -> BTreeSet<String> {
         .collect()
 }
 
+/// Every line of a log is a JSON object with level and time.
+fn assert_json(log: &str) {
+    for line in log.lines() {
+        let entry: serde_json::Value = serde_json::from_str(line).unwrap_or_else(|error| panic!("{error}: {line}"));
+        assert!(entry["level"].is_string() && entry["timestamp"].is_string(), "{line}");
+    }
+}
+
+/// The first line of a log names the program and its version.
+fn assert_version(log: &str) {
+    let first = log.lines().next().unwrap_or_default();
+    assert!(first.contains(concat!("\"heliostat ", env!("CARGO_PKG_VERSION"), "\"")), "no version: {first}");
+}
+
 #[test]
 fn the_dashboard_uses_metrics_that_a_running_room_serves() {
     let (room_at, controller_at) = (free_address(), free_address());
@@ -126,10 +140,7 @@ fn the_dashboard_uses_metrics_that_a_running_room_serves() {
 
     let ended = controller.end();
     assert!(ended.status.success(), "{}", ended.errors);
-    for line in ended.errors.lines() {
-        let entry: serde_json::Value = serde_json::from_str(line).unwrap_or_else(|error| panic!("{error}: {line}"));
-        assert!(entry["level"].is_string() && entry["timestamp"].is_string(), "{line}");
-    }
+    assert_json(&ended.errors);
     room.end();
 }
 
@@ -160,10 +171,20 @@ fn a_driver_serves_metrics_and_logs_as_json() {
     let ended = driver.end();
     assert!(ended.status.success(), "{}", ended.errors);
     assert!(ended.errors.lines().count() > 1, "{}", ended.errors);
-    let first = ended.errors.lines().next().unwrap_or_default();
-    assert!(first.contains(concat!("\"heliostat ", env!("CARGO_PKG_VERSION"), "\"")), "no version: {first}");
-    for line in ended.errors.lines() {
-        let entry: serde_json::Value = serde_json::from_str(line).unwrap_or_else(|error| panic!("{error}: {line}"));
-        assert!(entry["level"].is_string() && entry["timestamp"].is_string(), "{line}");
+    assert_version(&ended.errors);
+    assert_json(&ended.errors);
+}
+
+#[test]
+fn a_page_logs_as_json() {
+    let endpoint = private_endpoint().expect("an endpoint");
+    for flags in [&["--quiet"][..], &[]] {
+        let given = ["ui", "--log-format", "json", "--ui-port", "0", "--connect", &endpoint];
+        let page = Process::heliostat(&[&given[..], flags].concat());
+        wait_until("the address of the page", || page.errors().contains("the page is at http://"));
+        let ended = page.end();
+        assert!(ended.status.success(), "{}", ended.errors);
+        assert_version(&ended.errors);
+        assert_json(&ended.errors);
     }
 }

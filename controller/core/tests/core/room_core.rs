@@ -77,6 +77,19 @@ fn payloads_of_reports_become_numbered_payloads_of_commands() {
 }
 
 #[test]
+fn the_trackers_in_the_room_are_counted_by_their_tokens() {
+    let (mut core, room) = (live(), RoomName::new("lab").unwrap());
+    let mut count = |node, source, is_alive| {
+        let token = room.alive(node, source);
+        core.advance(0, Input::Presence { token: &token, is_alive }, &mut Published::new());
+        core.trackers()
+    };
+    assert_eq!([4, 5, 5].map(|source| count(NodeKind::Tracker, source, true)), [1, 2, 2]);
+    assert_eq!(count(NodeKind::Viewer, 6, true), 2);
+    assert_eq!([4, 4, 5].map(|source| count(NodeKind::Tracker, source, false)), [1, 1, 0]);
+}
+
+#[test]
 fn a_tick_that_a_newer_one_supersedes_costs_no_decision() {
     let (mut core, mut room) = (live(), Room::new(&scenario(&[])));
     let mut published = Published::new();

@@ -69,6 +69,12 @@ fn add_room(page: &mut Page, report: &RoomReport<'_>) {
         summary.peers as f64,
     );
     page.gauge(
+        "heliostat_trackers",
+        "Trackers in the room, by their liveliness tokens; a simulated room has none",
+        &[room],
+        summary.trackers as f64,
+    );
+    page.gauge(
         "heliostat_stops_held",
         "Emergency stops that withhold commands, also for arrays that do not report; a stop of several arrays counts for each",
         &[room],
@@ -202,12 +208,13 @@ mod tests {
     #[test]
     fn each_event_of_the_tenure_is_counted_from_0_and_held_stops_are_shown() {
         let epoch_events = BTreeMap::from([("took-over".to_owned(), 2)]);
-        let text = page_of(&Summary { epoch_events, stops_held: 1, ..Summary::default() });
+        let text = page_of(&Summary { epoch_events, stops_held: 1, trackers: 2, ..Summary::default() });
         for event in TenureEvent::ALL {
             let (name, count) = (event.name(), if event == TenureEvent::TookOver { 2 } else { 0 });
             let line = format!("heliostat_epoch_events_total{{room=\"demo\",event=\"{name}\"}} {count}\n");
             assert!(text.contains(&line), "{line}{text}");
         }
         assert!(text.contains("heliostat_stops_held{room=\"demo\"} 1"), "{text}");
+        assert!(text.contains("heliostat_trackers{room=\"demo\"} 2"), "{text}");
     }
 }

@@ -68,6 +68,9 @@ pub struct Summary {
     pub standby: bool,
     /// Other controllers in the room from which statuses arrive, and calibrations; 16 at most.
     pub peers: u64,
+    /// Trackers in the room, by their liveliness tokens.
+    #[serde(default)]
+    pub trackers: u64,
     /// Emergency stops that withhold commands; a stop of several arrays counts for each.
     pub stops_held: u64,
     /// Why an array receives no commands, if it does not fit the scenario.
@@ -329,6 +332,7 @@ impl Summary {
         };
         self.standby |= other.standby;
         self.peers += other.peers;
+        self.trackers += other.trackers;
         self.stops_held += other.stops_held;
         self.driver_absent |= other.driver_absent;
         self.geometry_differs |= other.geometry_differs;

@@ -177,8 +177,9 @@ impl Reporter {
         self.lost_drivers.set(room.lost_drivers().collect(), room.lost_beside_others().collect());
         let mut summary = Summary::of(controller);
         summary.unsent = decision_loop.unsent();
-        summary.dropped = decision_loop.room.superseded();
-        let undecodable = decision_loop.room.undecodable();
+        summary.dropped = room.superseded();
+        summary.trackers = room.trackers() as u64;
+        let undecodable = room.undecodable();
         summary.refused.extend(undecodable.named());
         summary.peers = summary.peers.saturating_sub(conditions.silent_peers.len() as u64);
         // Of several arrays, the first that follows another controller.

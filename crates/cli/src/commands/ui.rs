@@ -9,7 +9,9 @@ use heliostat_bus::{AccessRole, Bus, BusArgs, Identity};
 use heliostat_core::policy::PolicyKind;
 use heliostat_models::ActorSource;
 use heliostat_scenario::{Scenario, ViewerScenarioArgs};
-use heliostat_service::{Stop, duration, locks::lock, output, process, signals};
+use heliostat_service::{
+    CertificateEnds, LogArgs, LogFormat, MetricsArgs, Page as MetricsPage, Stop, duration, locks::lock, output, signals,
+};
 use heliostat_ui::{Display, Operator, Page, PageArgs, PoliciesOf, PolicyChoice, Rights, View};
 
 use super::ending::{Ending, WATCH_EVERY};
@@ -31,12 +33,31 @@ pub struct Args {
     /// Print lines instead of the full-screen view
     #[arg(long)]
     plain: bool,
-    /// Print lines of what begins or ends only, without figures: for the log of a service
+    /// Log what begins or ends only, without figures: for a service
     #[arg(long)]
     quiet: bool,
+    #[command(flatten)]
+    metrics: MetricsArgs,
+    #[command(flatten)]
+    log: LogArgs,
     /// End after this many seconds; without it, run until stopped
     #[arg(long, value_name = "N", value_parser = duration::seconds, allow_negative_numbers = true)]
     seconds: Option<Duration>,
+}
+
+impl Args {
+    /// Whether the lines go to the log: those of a service, and JSON in place of the full-screen view.
+    fn is_log(&self) -> bool {
+        self.quiet || self.log.log_format == LogFormat::Json
+    }
+
+    fn note(&self, text: impl std::fmt::Display) {
+        if self.is_log() {
+            tracing::info!("{text}");
+        } else {
+            output::note(text);
+        }
+    }
 }
 
 /// Runs the command.
@@ -45,13 +66,13 @@ pub fn run(args: Args) -> Result<()> {
     let config = args.bus.config_or_connect(&[AccessRole::Operator, AccessRole::Viewer])?;
     let stop = signals::stop_on_signals()?;
 
-    if args.quiet {
-        output::note(process::program_and_version());
-    }
+    let _log = args.is_log().then(|| args.log.start());
     let rights = Rights::of(config.identity.as_ref().map(Identity::role), &config.room);
     if let Some(limit) = rights.limit() {
-        output::note(limit);
+        args.note(limit);
     }
+    let ends = CertificateEnds { own: config.certificate_end(), router: config.router_certificate_end() };
+    let exporter = args.metrics.open(ends)?;
     let bus = Bus::open(&config)?;
     let view = Arc::new(View::open(&bus, scenario.as_ref())?);
     let room = config.room.name().to_owned();
@@ -61,23 +82,33 @@ pub fn run(args: Args) -> Result<()> {
         Ok(Page { view, operator, room, policies: fitting_policies(), network: None })
     })?;
     if let Some(server) = &server {
-        output::note(server);
+        args.note(server);
     }
     let title = server.as_ref().map_or(format!("room {room}"), |server| {
         // Without the token, which would stay on the screen.
         format!("room {room}, page at {}", server.url_without_token())
     });
-    let ending = watch(&args, &title, &view, &stop);
+    let export = || exporter.iter().for_each(|exporter| exporter.publish(metrics(&room)));
+    let ending = watch(&args, &title, &view, &stop, &export);
     if let Some(server) = server {
         server.end(&last_sentence(ending.as_ref().ok()));
     }
     ending.map(drop)
 }
 
-/// Displays the room until it shall end. The terminal is as before then, since the end of the page takes time.
-fn watch(args: &Args, title: &str, view: &View, stop: &Stop) -> Result<Ending> {
-    let mut display = if args.quiet { Display::quiet() } else { Display::open(args.plain, title)? };
+/// The metrics of a page.
+fn metrics(room: &str) -> MetricsPage {
+    let mut page = MetricsPage::new(&[("room", room)]);
+    page.build_info("page", env!("CARGO_PKG_VERSION"));
+    page
+}
+
+/// Displays the room until it shall end, and calls `export` at each update. The terminal is as before then, since the end
+/// of the page takes time.
+fn watch(args: &Args, title: &str, view: &View, stop: &Stop, export: &dyn Fn()) -> Result<Ending> {
+    let mut display = if args.is_log() { Display::log(args.quiet) } else { Display::open(args.plain, title)? };
     let (opened, mut drawn) = (Instant::now(), Instant::now());
+    export();
     loop {
         if stop.is_requested() {
             return Ok(Ending::Signal);
@@ -92,6 +123,7 @@ fn watch(args: &Args, title: &str, view: &View, stop: &Stop) -> Result<Ending> {
         if drawn.elapsed() >= display.interval() {
             drawn = Instant::now();
             display.draw(view)?;
+            export();
         }
     }
 }

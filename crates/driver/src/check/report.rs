@@ -51,7 +51,27 @@ pub struct Report {
 impl Report {
     /// The rules that are broken.
     pub fn broken(&self) -> impl Iterator<Item = &Finding> {
-        self.findings.iter().filter(|finding| finding.verdict == Verdict::Broken)
+        self.of(Verdict::Broken)
+    }
+
+    /// The last line: the names of the rules that are broken, and of those that could not be judged.
+    pub fn conclusion(&self) -> String {
+        let named = |verdict, words: &str| {
+            let rules: Vec<&str> = self.of(verdict).map(|finding| finding.rule).collect();
+            (!rules.is_empty()).then(|| format!("{} {words}: {}", rules.len(), rules.join(", ")))
+        };
+        let broken = named(Verdict::Broken, "broken");
+        match (broken, named(Verdict::NotJudged, "not judged")) {
+            (None, None) => "every rule is kept".into(),
+            (None, Some(not_judged)) => format!("every rule that could be judged is kept; {not_judged}"),
+            (Some(broken), not_judged) => {
+                [Some(broken), not_judged].into_iter().flatten().collect::<Vec<_>>().join("; ")
+            }
+        }
+    }
+
+    fn of(&self, verdict: Verdict) -> impl Iterator<Item = &Finding> {
+        self.findings.iter().filter(move |finding| finding.verdict == verdict)
     }
 }
 
@@ -77,16 +97,7 @@ impl fmt::Display for Report {
             writeln!(f, "{word:<7} {rule:<18} {requirement}")?;
             writeln!(f, "{:27}{evidence}", "")?;
         }
-        let not_judged = self.findings.iter().filter(|finding| finding.verdict == Verdict::NotJudged);
-        let not_judged: Vec<&str> = not_judged.map(|finding| finding.rule).collect();
-        if !not_judged.is_empty() {
-            writeln!(f, "{} not judged: {}", not_judged.len(), not_judged.join(", "))?;
-        }
-        let broken: Vec<&str> = self.broken().map(|finding| finding.rule).collect();
-        match broken.len() {
-            0 => writeln!(f, "every rule that could be judged is kept"),
-            count => writeln!(f, "{count} broken: {}", broken.join(", ")),
-        }
+        writeln!(f, "{}", self.conclusion())
     }
 }
 
@@ -159,6 +170,35 @@ mod tests {
         let text = report.to_string();
         let second = text.lines().nth(1);
         assert_eq!(second, report.problem.as_deref(), "{text}");
-        assert!(text.contains("1 not judged: follow") && !text.contains("BROKEN"), "{text}");
+        assert!(!text.contains("BROKEN"), "{text}");
+    }
+
+    #[test]
+    fn the_last_line_names_the_rules_that_are_broken_and_those_that_could_not_be_judged() {
+        let finding =
+            |(rule, verdict)| Finding { rule, requirement: "", verdict, evidence: "the driver had ended".into() };
+        let report = |findings: &[(&'static str, Verdict)]| Report {
+            room: "lab".into(),
+            hardware: "mirrors".into(),
+            driver: "test".into(),
+            mirrors: 2,
+            problem: None,
+            findings: findings.iter().copied().map(finding).collect(),
+        };
+        let (kept, broken, not_judged) = (("park", Verdict::Kept), ("stop", Verdict::Broken), Verdict::NotJudged);
+        for (findings, last) in [
+            (&[kept][..], "every rule is kept"),
+            (
+                &[("follow", not_judged), kept, ("expired", not_judged)],
+                "every rule that could be judged is kept; 2 not judged: follow, expired",
+            ),
+            (&[broken, ("follow", not_judged)], "1 broken: stop; 1 not judged: follow"),
+            (&[broken, kept], "1 broken: stop"),
+        ] {
+            let text = report(findings).to_string();
+            assert_eq!(text.lines().last(), Some(last), "{text}");
+        }
+        let json = serde_json::to_value(report(&[("follow", not_judged)])).expect("texts and numbers");
+        assert_eq!(json["findings"][0]["verdict"], "not-judged");
     }
 }

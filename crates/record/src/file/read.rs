@@ -11,6 +11,7 @@ use mcap::records::{Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use mcap::{MAGIC, McapError};
 
+use super::declared::DeclaredLengths;
 use super::{ACCOUNT_NAME, HEADER_NAME, Header, RecordingError};
 
 /// Longest record, and longest chunk before and after compression, in bytes. A length in the file
@@ -54,7 +55,7 @@ pub struct Entry {
 
 /// A recording that is being read, up to its end or to its last complete chunk.
 pub struct Reading<R> {
-    source: R,
+    source: DeclaredLengths<R>,
     reader: LinearReader,
     header: Header,
     topics: HashMap<u16, String>,
@@ -85,6 +86,7 @@ impl<R: Read> Reading<R> {
             .with_prevalidate_chunk_crcs(true)
             .with_record_length_limit(RECORD_MAX);
         let header = Header::default();
+        let source = DeclaredLengths::new(source, RECORD_MAX as u64);
         let reader = LinearReader::new_with_options(options);
         Self { source, reader, header, topics: HashMap::new(), account: None, has_footer: false }
     }

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use heliostat_proto::{Nanos, NodeKind, Room, VERSION};
-use heliostat_service::{clock::utc_ns, output, printable::printable};
+use heliostat_service::{clock::utc_ns, printable::printable};
 
 use super::{Outcome, Settings};
 use crate::account::Account;
@@ -142,7 +142,7 @@ impl<S: Storage> RoomWriter<S> {
         let taken = match item {
             Item::Payload { key, arrived_ns, payload } => self.payload(&mut recording, &key, arrived_ns, &payload),
             Item::Presence { arrived_ns, presence } => {
-                output::note(format_args!("record: {presence}"));
+                tracing::info!("{presence}");
                 self.present.retain(|source| *source != presence.source);
                 if presence.alive && presence.node != NodeKind::Viewer {
                     self.present.push(presence.source);
@@ -231,7 +231,7 @@ impl<S: Storage> RoomWriter<S> {
     }
 
     fn report(&mut self, problem: String) {
-        output::note(format_args!("record: {problem}"));
+        tracing::warn!("{problem}");
         self.problems.push(problem);
     }
 
@@ -331,6 +331,7 @@ mod tests {
     use heliostat_bus::BusConfig;
     use heliostat_proto::{RoomGeometry, Stamp, encode};
     use heliostat_scenario::Scenario;
+    use heliostat_service::MetricsArgs;
     use prost::Message;
 
     use super::*;
@@ -341,6 +342,7 @@ mod tests {
             bus: BusConfig::new(room.clone()),
             out: PathBuf::new(),
             run_for: None,
+            metrics: MetricsArgs::default(),
             until_empty: false,
             ring: None,
         };

@@ -1,11 +1,12 @@
 //! A recording stays readable wherever it ends: cut at any byte, or on a disk that is full.
 
+use std::collections::BTreeMap;
 use std::io::{self, Cursor, Read, Seek, SeekFrom, Write};
 use std::sync::{Arc, Mutex};
 
 use heliostat_record::account::Account;
 use heliostat_record::file::{self, Entry, Header, Reading, Recording, RecordingError, Storage};
-use mcap::records::{Metadata, Record};
+use mcap::records::{MessageHeader, Metadata, Record};
 use mcap::{Compression, WriteOptions};
 
 const KEY: &str = "heliostat/v1/a/users";
@@ -261,6 +262,27 @@ fn rewritten(compression: Option<Compression>, metadata_first: bool) -> tempfile
     }
     writer.finish().unwrap();
     file
+}
+
+#[test]
+fn a_small_file_whose_chunk_declares_more_than_is_accepted_is_refused_with_both_lengths() {
+    let map = serde_json::from_value(serde_json::to_value(header()).unwrap()).unwrap();
+    // Without a checksum: the library compares no length then.
+    let options = WriteOptions::new().compression(Some(Compression::Zstd)).chunk_size(None).calculate_chunk_crcs(false);
+    let mut writer = options.create(Cursor::new(Vec::new())).unwrap();
+    writer.write_metadata(&Metadata { name: "heliostat".into(), metadata: map }).unwrap();
+    let channel_id = writer.add_channel(0, KEY, "heliostat.v1", &BTreeMap::new()).unwrap();
+    let payload = vec![0; 1 << 20];
+    for sequence in 0..65 {
+        let header = MessageHeader { channel_id, sequence, log_time: 100, publish_time: 100 };
+        writer.write_to_known_channel(&header, &payload).unwrap();
+    }
+    writer.finish().unwrap();
+    let bytes = writer.into_inner().into_inner();
+    assert!(bytes.len() < 1 << 20, "{}", bytes.len());
+    let error = read(bytes.as_slice()).unwrap_err().to_string();
+    assert!(error.starts_with("the recording cannot be read: a chunk declares 6"), "{error}");
+    assert!(error.contains("expected at most 67108864: write the file again with smaller chunks"), "{error}");
 }
 
 #[test]

@@ -256,7 +256,7 @@ fn invalid_overrides_are_refused_by_name() {
         ("blockage.forced=2", "forced"),
         ("nonsense", "nonsense"),
         ("=3", "=3"),
-        ("users.count=many", "users.count=many"),
+        ("users.count=many", "users.count = \"many\""),
         ("users.count.deep=1", "users.count.deep=1"),
     ] {
         let message = Scenario::default().with_overrides(&[text]).unwrap_err().to_string();

@@ -142,6 +142,17 @@ impl Received {
         self.statuses.get(NodeKind::Controller.name()).map(|(_, status)| status.stamp.source)
     }
 
+    /// Whether the displayed status is that of a controller that has left, and those in the room have just started: none
+    /// of them has reported.
+    pub fn awaits_controller(&self) -> bool {
+        let of_controller =
+            |(node, source): &(&'static str, u64)| (*node == NodeKind::Controller.name()).then_some(*source);
+        let has_reported =
+            |source: u64| self.controllers.has_reported(source) || self.last_controller() == Some(source);
+        let mut present = self.alive.iter().filter_map(of_controller).peekable();
+        present.peek().is_some() && !present.any(has_reported)
+    }
+
     /// Whether a status replaces that of its kind of process. One process of a kind is displayed at
     /// a time, so that no figures of two processes mix: the one that is displayed already, while it
     /// is in the room and no other controller leads.

@@ -300,7 +300,7 @@ fn documented(object: &str) -> BTreeSet<String> {
         (cells.next()? == object).then_some(())?;
         Some(cells.next()?.trim_matches('`').to_owned())
     };
-    include_str!("../../../../docs/page.md").lines().filter_map(field).collect()
+    include_str!("../../../../docs/page-json.md").lines().filter_map(field).collect()
 }
 
 #[test]
@@ -338,6 +338,6 @@ fn the_guide_lists_every_field_of_the_json_that_the_page_serves() {
     ];
     for (object, value) in served {
         let fields: BTreeSet<String> = value.as_object().expect("an object").keys().cloned().collect();
-        assert_eq!(documented(object), fields, "{object}: docs/page.md has the left ones");
+        assert_eq!(documented(object), fields, "{object}: docs/page-json.md has the left ones");
     }
 }

@@ -238,7 +238,15 @@ fn points_with_other_rooms_are_not_paired() {
     let flags = ["--policies", "flat", "--states", "2", "--seeds", "2", "--sweep"];
     let differs = |sweep: &str| {
         let all = report(&[&flags[..], &[sweep]].concat());
-        assert!(all["reports"][1]["report"].get("each").is_none(), "a static comparison has a state for each episode");
+        let each = &all["reports"][1]["report"]["each"];
+        let length = |value: &serde_json::Value| value.as_array().map(Vec::len);
+        assert_eq!((length(&each["room_seed"]), &each["states"]), (Some(4), &serde_json::json!([1, 1, 1, 1])));
+        for figure in ["sum_rate_mbps", "jain", "ber"] {
+            let values = &each["policies"]["flat"][figure];
+            assert_eq!((length(values), length(&values[0])), (Some(1), Some(4)), "a value for each state: {each}");
+            assert_eq!(length(&each["oracle"][figure][0]), Some(4), "{each}");
+        }
+        assert!(each["policies"]["flat"].get("outage_time").is_none(), "a figure of the closed loop: {each}");
         all["reports"][1].get("difference_to_first").is_some()
     };
     assert_eq!(["led.power_w=1,2", "seed=1,7"].map(differs), [true, false]);

@@ -2,9 +2,6 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::mobility::MobilityModel;
-use crate::tables::Users;
-
 /// The model of the users' orientations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -47,25 +44,6 @@ pub struct UserOrientation {
     pub walking_coherence_s: f64,
     /// Speed in m/s from which a user walks.
     pub walking_from_m_s: f64,
-}
-
-impl Users {
-    /// How each group of users holds its receivers: the key of the table, and the table; `None` where the
-    /// receivers face up. A recorded walk has no entries of a mixture.
-    pub fn orientations(&self) -> Vec<(String, Option<&UserOrientation>)> {
-        let room = || ("users.orientation".to_owned(), self.orientation.as_ref());
-        let mut found = Vec::new();
-        if self.mobility == MobilityModel::Mixture && self.trace.is_none() {
-            for (index, entry) in self.mixture.iter().enumerate().filter(|(_, entry)| entry.has_users()) {
-                let own = entry.orientation.as_ref();
-                found.push(own.map_or_else(room, |own| (format!("users.mixture.{index}.orientation"), Some(own))));
-            }
-        } else {
-            found.push(room());
-        }
-        let is_measured = |held: &&UserOrientation| held.model == OrientationModel::Measured;
-        found.into_iter().map(|(key, held)| (key, held.filter(is_measured))).collect()
-    }
 }
 
 impl Default for UserOrientation {

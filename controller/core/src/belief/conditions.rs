@@ -396,10 +396,14 @@ mod tests {
                 &[][..],
                 "face up (users.orientation), and others are tilted (users.mixture.0.orientation)",
             ),
-            (",orientation={model=\"up\"}", &tilted, "face up (users.mixture.0.orientation), and others are tilted"),
+            (
+                ",orientation={model=\"up\"}",
+                &tilted[..],
+                "face up (users.mixture.0.orientation), and others are tilted",
+            ),
             (
                 ",orientation={sitting_polar_mean_deg=70}",
-                &tilted,
+                &tilted[..],
                 "users.mixture.0.orientation.sitting_polar_mean_deg = 70, and the belief assumes 41.39",
             ),
         ] {

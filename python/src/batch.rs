@@ -8,6 +8,7 @@ mod slot;
 
 use std::sync::Arc;
 
+use heliostat_environment::score::Sample;
 use heliostat_environment::task::{Step, TaskSettings};
 use numpy::{
     PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyReadwriteArray1, PyReadwriteArray2,
@@ -284,8 +285,8 @@ impl Batch {
         Ok((observation, reward, truncated, (sum_rate, met, oracle), rates))
     }
 
-    /// Restarts the only environment of a batch of one in episode `index` of a comparison in closed
-    /// loop with `states` sampling times of each of `seeds` room seeds; returns the observation.
+    /// Restarts the only environment of a batch of one in episode `index` of a comparison with `states`
+    /// states of each of `seeds` seeds; a static room has one state in each. Returns the observation.
     fn begin_episode<'py>(
         &self,
         py: Python<'py>,
@@ -307,14 +308,13 @@ impl Batch {
         Ok(observation)
     }
 
-    /// Whether all sampling times of the episode have passed, and sum rate in Mbit/s, share of minimum
-    /// rates met and Jain's fairness index at each of them: shape (n, 3).
+    /// Whether all sampling times of the episode have passed, and the values of [`Sample`] at each of them, in the
+    /// order of its fields: shape (n, 5).
     fn samples<'py>(&self, py: Python<'py>) -> PyResult<(bool, Bound<'py, PyArray2<f64>>)> {
         let slots = self.open()?;
         let sampling = slots[0].task.sampling().ok_or_else(|| refused("no episode of a comparison has begun"))?;
-        let rows: Vec<f64> = sampling.samples().iter().flat_map(|row| [row.sum_rate_mbps, row.met, row.jain]).collect();
-        let count = rows.len() / 3;
-        Ok((sampling.is_over(), PyArray1::from_vec(py, rows).reshape([count, 3])?))
+        let rows: Vec<f64> = sampling.samples().iter().flat_map(Sample::row).collect();
+        Ok((sampling.is_over(), PyArray1::from_vec(py, rows).reshape([sampling.samples().len(), 5])?))
     }
 
     /// The true state of one environment, for pictures and analysis: arrays by name.

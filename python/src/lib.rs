@@ -43,8 +43,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(settings::check_exact, module)?)?;
     module.add_function(wrap_pyfunction!(settings::closed_loop_conditions, module)?)?;
     module.add_function(wrap_pyfunction!(settings::held_out_seed, module)?)?;
-    module.add_function(wrap_pyfunction!(settings::oracle_samples, module)?)?;
-    module.add_function(wrap_pyfunction!(settings::spread, module)?)?;
+    module.add_function(wrap_pyfunction!(settings::score, module)?)?;
     module.add_function(wrap_pyfunction!(settings::restored_settings, module)?)?;
     module.add_function(wrap_pyfunction!(batch::restored_batch, module)?)?;
     module.add_function(wrap_pyfunction!(policy::restored_policy, module)?)?;

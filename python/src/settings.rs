@@ -8,13 +8,15 @@ use heliostat_core::policy::removed;
 use heliostat_environment::action::ActionForm;
 use heliostat_environment::episodes::{HeldOutEpisode, WARM, held_out_episodes};
 use heliostat_environment::exact_states;
+use heliostat_environment::held_out::held_out_state;
 use heliostat_environment::room::{Reward, RewardForm};
-use heliostat_environment::sampling::Sampled;
+use heliostat_environment::score::{Figure, Sample};
 use heliostat_environment::statistics::Spread;
 use heliostat_environment::task::{Dynamics, ObservationForm, TaskSettings};
 use heliostat_room::World;
 use heliostat_scenario::similar;
-use numpy::{PyArray1, PyArray2, PyArrayMethods};
+use numpy::ndarray::ArrayView1;
+use numpy::{PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
 use rayon::prelude::*;
@@ -184,44 +186,73 @@ pub fn held_out_seed(scenario_seed: u64, index: u64) -> u64 {
     heliostat_environment::held_out::held_out_seed(scenario_seed, index)
 }
 
-/// Mean, half the width of the 95 % interval, and whether this interval reaches beyond the bounds, of a
-/// quantity in independent groups; NaN is a missing value. The statistics are those of `heliostat-lab eval`.
-#[pyfunction]
-pub fn spread(groups: Vec<Vec<f64>>, low: f64, high: f64) -> (f64, f64, bool) {
-    let spread = Spread::of(&[groups]).within(low, high);
-    (spread.mean, spread.ci95, spread.crosses_bound)
-}
+/// A figure by its name: mean, half the width of its 95 % interval, and whether this interval reaches beyond what the
+/// figure can be.
+type Figures = Vec<(&'static str, (f64, f64, bool))>;
 
-/// Sum rate in Mbit/s, share of minimum rates met and Jain's fairness index of the oracle at each
-/// sampling time of each episode of a comparison in closed loop, in the order of the episodes: shape
-/// (n, 3).
+/// The figures of samples in the held-out rooms of a comparison beside those of the oracle, as `heliostat-lab eval`
+/// computes them, and the sum rate of the oracle as `oracle_mbps`.
+///
+/// `samples`: of each episode in its order, the samples that `Batch.samples` returns.
 #[pyfunction]
-pub fn oracle_samples<'py>(
-    py: Python<'py>,
+pub fn score(
+    py: Python<'_>,
     scenario: &Scenario,
+    closed_loop: bool,
     states: usize,
     seeds: usize,
-) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    samples: Vec<Bound<'_, PyArray2<f64>>>,
+) -> PyResult<Figures> {
+    let own = samples.iter().map(of_group).collect::<PyResult<Vec<_>>>()?;
     let room = &scenario.inner;
-    let samples = py.detach(|| {
-        on_all_cores(|| {
-            guarded(|| {
-                let trace = room.read_trace().map_err(refused)?;
-                let episodes = held_out_episodes(room, trace.as_deref(), (states, seeds), WARM).map_err(refused)?;
-                let solve = |episode: &HeldOutEpisode| {
-                    let mut rows = Vec::new();
-                    let look = |world: &World, angles: &MirrorAngles| {
-                        let Sampled { sum_rate_mbps, met, jain } = Sampled::of(world, angles);
-                        rows.extend([sum_rate_mbps, met, jain]);
-                    };
-                    episode.solve(room, trace.as_deref(), look).map_err(refused)?;
-                    Ok(rows)
-                };
-                let rows: PyResult<Vec<Vec<f64>>> = episodes.par_iter().map(solve).collect();
-                Ok(rows?.concat())
-            })
-        })
-    })?;
-    let count = samples.len() / 3;
-    PyArray1::from_vec(py, samples).reshape([count, 3])
+    let oracle = py.detach(|| on_all_cores(|| guarded(|| oracle_samples(room, closed_loop, (states, seeds)))))?;
+    let lengths = |groups: &[Vec<Sample>]| groups.iter().map(Vec::len).collect::<Vec<_>>();
+    if lengths(&own) != lengths(&oracle) {
+        let [found, expected] = [lengths(&own), lengths(&oracle)].map(|lengths| lengths.iter().sum::<usize>());
+        return Err(refused(format!("{found} samples: expected those of the {expected} states of the comparison")));
+    }
+    let spread = |figure: Figure, of: &[Vec<Sample>]| {
+        let Spread { mean, ci95, crosses_bound, .. } = figure.spread(&[of], &oracle);
+        (mean, ci95, crosses_bound)
+    };
+    let common =
+        [Figure::RATIO, Figure::SUM_RATE, Figure::QOS_MET, Figure::JAIN, Figure::BLOCKED_RATE, Figure::BER].into_iter();
+    let figures = common.chain(closed_loop.then_some(Figure::OUTAGE_TIME));
+    let of_oracle = ("oracle_mbps", spread(Figure::SUM_RATE, &oracle));
+    Ok(figures.map(|figure| (figure.name, spread(figure, &own))).chain([of_oracle]).collect())
+}
+
+/// The samples of an episode from an array of shape (n, 5).
+fn of_group(group: &Bound<'_, PyArray2<f64>>) -> PyResult<Vec<Sample>> {
+    let group = group.readonly();
+    let rows = group.as_array();
+    let sample = |row: ArrayView1<'_, f64>| {
+        let row: [f64; 5] = row.to_vec().try_into().map_err(|_| refused("samples: expected the shape (n, 5)"))?;
+        Ok(Sample::of_row(row))
+    };
+    rows.rows().into_iter().map(sample).collect()
+}
+
+/// The oracle's samples of a comparison, one list for each episode.
+fn oracle_samples(
+    room: &heliostat_scenario::Scenario,
+    closed_loop: bool,
+    (states, seeds): (usize, usize),
+) -> PyResult<Vec<Vec<Sample>>> {
+    let trace = room.read_trace().map_err(refused)?;
+    let trace = trace.as_deref();
+    if !closed_loop {
+        let solve = |index: usize| {
+            let state = held_out_state(room.seed, states, index);
+            Ok(vec![Sample::of_oracle(room, trace, state).map_err(refused)?])
+        };
+        return (0..states * seeds).into_par_iter().map(solve).collect();
+    }
+    let solve = |episode: &HeldOutEpisode| {
+        let mut samples = Vec::new();
+        let look = |world: &World, angles: &MirrorAngles| samples.push(Sample::of(world, angles));
+        episode.solve(room, trace, look).map_err(refused)?;
+        Ok(samples)
+    };
+    held_out_episodes(room, trace, (states, seeds), WARM).map_err(refused)?.par_iter().map(solve).collect()
 }

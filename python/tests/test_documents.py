@@ -31,6 +31,30 @@ def test_the_blocks_of_a_guide_run(page: str, count: int, printed: str, capsys: 
     assert printed in capsys.readouterr().out
 
 
+def test_the_titles_of_three_panels_of_the_study_do_not_overlap(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("matplotlib")
+    page = (DOCS / "tutorials" / "own-study.md").read_text(encoding="utf-8")
+    (script,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    keys = ["mirrors.rows", "blockage.forced_users", "policy"]
+    figures = ["outage_time_mean", "outage_time_ci95", "sum_rate_mbps_mean", "sum_rate_mbps_ci95", "episodes", "commit"]
+    points = [(rows, users) for rows in (0, 5) for users in (0, 3, 5)]
+    policies = ["(oracle)", "fixed-point", "flat"]
+    lines = [f"{rows},{users},{name},0.2,0.1,50,5,10,0" for rows, users in points for name in policies]
+    (tmp_path / "study.csv").write_text("\n".join([",".join(keys + figures), *lines]) + "\n", encoding="utf-8")
+    names: dict[str, Any] = {}
+    exec(compile(script, "own-study.md", "exec"), names)
+    figure, axes = names["figure"], names["axes"]
+    figure.draw_without_rendering()
+    titles = [axis.title.get_window_extent() for axis in axes]
+    assert len(titles) == 3 and all(left.x1 < right.x0 for left, right in zip(titles, titles[1:], strict=False)), titles
+    (common,) = figure.texts
+    assert common.get_window_extent().y0 >= max(title.y1 for title in titles)
+    assert titles[0].x0 >= 0.0 and titles[-1].x1 <= figure.bbox.x1
+
+
 @needs_program
 def test_the_study_gives_a_figure_and_a_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     pytest.importorskip("matplotlib")

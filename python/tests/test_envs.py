@@ -77,13 +77,23 @@ def test_an_episode_of_a_comparison_ends_with_its_samples() -> None:
         _, _, _, truncated, info = env.step(np.zeros(200, np.float32))
         steps += 1
     # 20 states of the first episode, and the other 10 here; about one in a quarter of a second.
-    assert info["samples"].shape == (10, 3) and 30 < steps < 45
+    assert info["samples"].shape == (10, 5) and 30 < steps < 45
     env.reset(seed=1)
     assert not env.step(np.zeros(200, np.float32))[3]
     with pytest.raises(ValueError, match="episode 2 of 2"):
         env.reset(options={"episode": (2, 30, 1)})
-    with pytest.raises(ValueError, match="closed-loop"):
-        make().reset(options={"episode": (0, 30, 1)})
+
+
+def test_an_episode_of_a_comparison_of_exact_states_is_one_state() -> None:
+    env, held_out = make(), make()
+    seen, _ = env.reset(options={"episode": (7, 5, 2)})
+    same, _ = held_out.reset(options={"held_out": 2, "held_out_set": env.scenario.seed + 1})
+    assert np.array_equal(seen, same)
+    _, _, _, truncated, info = env.step(np.zeros(200, np.float32))
+    assert truncated and info["samples"].shape == (1, 5)
+    assert info["samples"][0, 0] == pytest.approx(info["sum_rate_mbps"]) and info["samples"][0, 1] == info["qos_met"]
+    with pytest.raises(ValueError, match="index of the episode = 10"):
+        env.reset(options={"episode": (10, 5, 2)})
 
 
 @pytest.mark.parametrize("name", IDS)

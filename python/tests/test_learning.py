@@ -43,6 +43,7 @@ def test_a_score_is_that_of_the_held_out_rooms_and_leaves_the_environment_as_it_
         score = heliostat.evaluate(zero, env, states=5)
     assert score.states == score.episodes == 5 and 0.2 < score.ratio_to_oracle < 0.95
     assert score.ratio_to_oracle_ci95 > 0.0 and score.outage is None and 0.0 < score.fairness <= 1.0
+    assert 0.0 <= score.ber < 0.5 and score.conditions == ()
     assert score == heliostat.evaluate(zero, env, states=5)
     fresh = heliostat.HeliostatEnv()
     fresh.reset(seed=4)
@@ -273,6 +274,29 @@ def test_a_ratio_has_no_upper_bound() -> None:
     assert "ratio_to_oracle" not in score.crossing
 
 
+def test_a_score_of_exact_states_is_that_of_the_command_line() -> None:
+    program = program_or_skip()
+    env = heliostat.HeliostatEnv(overrides={"blockage.forced_users": 2})
+    score = heliostat.evaluate(lambda _: np.zeros(200, np.float32), env, states=10, seeds=2)
+    arguments = ("--scenario", "specular", "--set", "blockage.forced_users=2", "--states", "10", "--seeds", "2")
+    row, oracle = report_of(program, "flat", *arguments)
+    figures = [("ratio_to_oracle", "ratio_to_oracle"), ("fairness", "jain"), ("ber", "ber")]
+    for name, figure in [*figures, ("blocked_rate_mbps", "blocked_rate_mbps")]:
+        assert getattr(score, name) == pytest.approx(row[figure]["mean"], rel=1e-6), figure
+        assert getattr(score, f"{name}_ci95") == pytest.approx(row[figure]["ci95"], rel=1e-6), figure
+    assert score.oracle_mbps == pytest.approx(oracle["sum_rate_mbps"]["mean"], rel=1e-9)
+
+
+def test_a_score_has_the_conditions_of_its_scenario() -> None:
+    overrides = {"control.belief": "constant-velocity"}
+    with pytest.warns(UserWarning):
+        env = heliostat.HeliostatEnv("hall", overrides=overrides, dynamics="closed-loop", action="weights")
+    with pytest.warns(UserWarning, match="from 1 episode"):
+        score = heliostat.evaluate(lambda _: np.zeros(10), env, episodes=1)
+    assert score.conditions == env.conditions
+    assert any("constant-velocity" in condition for condition in score.conditions), score.conditions
+
+
 def test_a_score_of_episodes_has_as_many_for_each_seed() -> None:
     for name, states in (("Static-v0", 1), ("Hall-v0", 20)):
         env = gymnasium.make(f"heliostat/{name}")
@@ -298,7 +322,7 @@ def test_a_score_in_closed_loop_is_that_of_the_command_line() -> None:
     score = heliostat.evaluate(lambda _: flat, env, states=30, seeds=2)
     row, oracle = report_of(program, "flat", *arguments)
     assert score.states == 60
-    for figure in ("ratio_to_oracle", "sum_rate_mbps", "qos_met"):
+    for figure in ("ratio_to_oracle", "sum_rate_mbps", "qos_met", "blocked_rate_mbps", "ber"):
         assert getattr(score, figure) == pytest.approx(row[figure]["mean"], rel=1e-9), figure
         assert getattr(score, f"{figure}_ci95") == pytest.approx(row[figure]["ci95"], rel=1e-6), figure
     for own, figure in (("fairness", "jain"), ("outage", "outage_time")):
@@ -306,7 +330,7 @@ def test_a_score_in_closed_loop_is_that_of_the_command_line() -> None:
         assert getattr(score, f"{own}_ci95") == pytest.approx(row[figure]["ci95"], rel=1e-6), figure
     crossing = {name for name, value in row.items() if isinstance(value, dict) and value.get("crosses_bound")}
     names = {"fairness": "jain", "outage": "outage_time", "oracle_mbps": ""}
-    assert {names.get(name, name) for name in score.crossing} - {""} == crossing - {"blocked_rate_mbps", "ber"}
+    assert {names.get(name, name) for name in score.crossing} - {""} == crossing
     assert score.episodes == 4
     assert score.oracle_mbps == pytest.approx(oracle["sum_rate_mbps"]["mean"], rel=1e-9)
     # The environment is as it was.

@@ -152,7 +152,7 @@ impl Scenario {
             }
         }
         if let Some(orientation) = &users.orientation {
-            check_orientation(orientation)?;
+            check_orientation("users.orientation", orientation)?;
         }
         let blockage = &self.blockage;
         if blockage.forced_users > users.count {
@@ -255,16 +255,18 @@ fn check_loss(table: &str, loss: f64, burst_reports: f64) -> Result<(), Scenario
     within(&format!("{table}.loss"), loss, 0.0..=burst_reports / (burst_reports + 1.0))
 }
 
-fn check_orientation(held: &UserOrientation) -> Result<(), ScenarioError> {
-    within("users.orientation.sitting_polar_mean_deg", held.sitting_polar_mean_deg, 0.0..=90.0)?;
-    within("users.orientation.sitting_polar_std_deg", held.sitting_polar_std_deg, 0.0..=90.0)?;
-    within("users.orientation.sitting_azimuth_std_deg", held.sitting_azimuth_std_deg, 0.0..=180.0)?;
-    within("users.orientation.sitting_coherence_s", held.sitting_coherence_s, COHERENCE_S)?;
-    within("users.orientation.walking_polar_mean_deg", held.walking_polar_mean_deg, 0.0..=90.0)?;
-    within("users.orientation.walking_polar_std_deg", held.walking_polar_std_deg, 0.0..=90.0)?;
-    within("users.orientation.walking_azimuth_std_deg", held.walking_azimuth_std_deg, 0.0..=180.0)?;
-    within("users.orientation.walking_coherence_s", held.walking_coherence_s, COHERENCE_S)?;
-    within("users.orientation.walking_from_m_s", held.walking_from_m_s, 0.0..=*SPEED_M_S.end())
+/// Checks the table at this key of how users hold their receivers.
+pub(crate) fn check_orientation(key: &str, held: &UserOrientation) -> Result<(), ScenarioError> {
+    let within = |name: &str, value: f64, domain| within(&format!("{key}.{name}"), value, domain);
+    within("sitting_polar_mean_deg", held.sitting_polar_mean_deg, 0.0..=90.0)?;
+    within("sitting_polar_std_deg", held.sitting_polar_std_deg, 0.0..=90.0)?;
+    within("sitting_azimuth_std_deg", held.sitting_azimuth_std_deg, 0.0..=180.0)?;
+    within("sitting_coherence_s", held.sitting_coherence_s, COHERENCE_S)?;
+    within("walking_polar_mean_deg", held.walking_polar_mean_deg, 0.0..=90.0)?;
+    within("walking_polar_std_deg", held.walking_polar_std_deg, 0.0..=90.0)?;
+    within("walking_azimuth_std_deg", held.walking_azimuth_std_deg, 0.0..=180.0)?;
+    within("walking_coherence_s", held.walking_coherence_s, COHERENCE_S)?;
+    within("walking_from_m_s", held.walking_from_m_s, 0.0..=*SPEED_M_S.end())
 }
 
 /// Accepts an action that requires no decision of a policy.

@@ -4,6 +4,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::user_orientation::UserOrientation;
+
 /// Above this speed in m/s a motion shows the direction in which a user faces; half of the slowest walk.
 pub const WALKING_M_S: f64 = 0.05;
 
@@ -40,27 +42,35 @@ pub struct MixtureShare {
     /// entry with a number, and so on.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub count: Option<usize>,
+    /// How these users hold their receivers, in place of `users.orientation`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub orientation: Option<UserOrientation>,
 }
 
 impl MixtureShare {
-    /// The model of a user in a mixture, where `place` in [0, 1) is that of the user on the scale of the
-    /// shares; `None` in an empty mixture.
-    pub fn model_of(mixture: &[Self], user: usize, place: f64) -> Option<MobilityModel> {
-        let numbered = mixture.iter().filter_map(|entry| Some((entry, entry.count?)));
+    /// The index of the entry of a user in a mixture, where `place` in [0, 1) is that of the user on the scale
+    /// of the shares; `None` in an empty mixture.
+    pub fn index_of(mixture: &[Self], user: usize, place: f64) -> Option<usize> {
+        let numbered = mixture.iter().enumerate().filter_map(|(index, entry)| Some((index, entry.count?)));
         let mut before = 0;
-        for (entry, count) in numbered {
+        for (index, count) in numbered {
             before += count;
             if user < before {
-                return Some(entry.mobility);
+                return Some(index);
             }
         }
         let mut sum = 0.0;
-        let entry = mixture.iter().find(|entry| {
+        let index = mixture.iter().position(|entry| {
             sum += entry.share;
             place < sum
         });
         // Rounding can leave the sum of all shares below the place.
-        entry.or_else(|| mixture.iter().rfind(|entry| entry.share > 0.0)).map(|entry| entry.mobility)
+        index.or_else(|| mixture.iter().rposition(|entry| entry.share > 0.0))
+    }
+
+    /// Whether a user can have the entry.
+    pub(crate) fn has_users(&self) -> bool {
+        self.count.map_or(self.share > 0.0, |count| count > 0)
     }
 }
 

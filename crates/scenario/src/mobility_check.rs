@@ -1,6 +1,6 @@
 //! Checks of the keys of all mobility models.
 
-use crate::check::{count, invalid, place, within};
+use crate::check::{check_orientation, count, invalid, place, within};
 use crate::error::ScenarioError;
 use crate::mobility::{MobilityModel, SmoothRandom, SocialForce};
 use crate::tables::{Room, Users};
@@ -45,7 +45,10 @@ impl Users {
     fn check_mixture(&self) -> Result<(), ScenarioError> {
         let least = usize::from(self.mobility == MobilityModel::Mixture);
         count("users.mixture (entries)", self.mixture.len(), least..=SHARES_MAX)?;
-        for entry in &self.mixture {
+        for (index, entry) in self.mixture.iter().enumerate() {
+            if let Some(orientation) = &entry.orientation {
+                check_orientation(&format!("users.mixture.{index}.orientation"), orientation)?;
+            }
             within("users.mixture (share)", entry.share, 0.0..=1.0)?;
             if entry.count.is_some() && entry.share != 0.0 {
                 return invalid("users.mixture (share)", entry.share, "expected share or count, not both");

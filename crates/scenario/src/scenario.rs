@@ -16,7 +16,6 @@ use crate::runtime::{Actuator, Control};
 use crate::similar::hint;
 use crate::streams::Streams;
 use crate::tables::{Blockage, Channel, Led, Link, MinRate, Noise, PowerLaw, Receiver, Room, Users};
-use crate::user_orientation::OrientationModel;
 
 /// The description of one room; the files in deploy/scenarios explain every key.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -215,9 +214,9 @@ impl Scenario {
         self.mirrors.count()
     }
 
-    /// Whether the users hold their receivers tilted, at random angles.
+    /// Whether users hold their receivers tilted, at random angles.
     pub fn has_tilted_receivers(&self) -> bool {
-        self.users.orientation.as_ref().is_some_and(|held| held.model == OrientationModel::Measured)
+        self.users.orientations().iter().any(|(_, held)| held.is_some())
     }
 
     /// The deadline of a decision after the arrival of its report, in s: `control.deadline_ms`, or the time between two

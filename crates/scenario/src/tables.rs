@@ -9,7 +9,7 @@ use heliostat_channel::Body;
 use serde::{Deserialize, Serialize};
 
 use crate::mobility::{GaussMarkov, MixtureShare, MobilityModel, RandomDirection, Seated, SmoothRandom, SocialForce};
-use crate::user_orientation::UserOrientation;
+use crate::user_orientation::{OrientationModel, UserOrientation};
 
 /// Dimensions of the room; the origin is the centre of the floor.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -368,6 +368,25 @@ impl Default for Users {
             arrivals: None,
             orientation: None,
         }
+    }
+}
+
+impl Users {
+    /// How each group of users holds its receivers: the key of the table, and the table; `None` where the
+    /// receivers face up. A recorded walk has no entries of a mixture.
+    pub fn orientations(&self) -> Vec<(String, Option<&UserOrientation>)> {
+        let room = || ("users.orientation".to_owned(), self.orientation.as_ref());
+        let mut found = Vec::new();
+        if self.mobility == MobilityModel::Mixture && self.trace.is_none() {
+            for (index, entry) in self.mixture.iter().enumerate().filter(|(_, entry)| entry.has_users()) {
+                let own = entry.orientation.as_ref();
+                found.push(own.map_or_else(room, |own| (format!("users.mixture.{index}.orientation"), Some(own))));
+            }
+        } else {
+            found.push(room());
+        }
+        let is_measured = |held: &&UserOrientation| held.model == OrientationModel::Measured;
+        found.into_iter().map(|(key, held)| (key, held.filter(is_measured))).collect()
     }
 }
 

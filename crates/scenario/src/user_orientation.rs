@@ -1,4 +1,4 @@
-//! How users hold their receivers: the table `users.orientation`.
+//! How users hold their receivers: the table `users.orientation`, and `orientation` of an entry of a mixture.
 
 use serde::{Deserialize, Serialize};
 

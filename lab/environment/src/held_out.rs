@@ -22,6 +22,12 @@ pub fn held_out_seed(set: u64, index: u64) -> u64 {
     HELD_OUT_SEED.wrapping_add(set << 20).wrapping_add(index)
 }
 
+/// The state `index` of a static comparison with `states` states of each seed, counted up from `first_seed`: its set
+/// and its index in this set.
+pub fn held_out_state(first_seed: u64, states: usize, index: usize) -> (u64, u64) {
+    (first_seed.wrapping_add((index / states) as u64), (index % states) as u64)
+}
+
 /// A held-out room at the time of its state; `trace` is the text of the file `users.trace`.
 ///
 /// # Errors

@@ -8,7 +8,8 @@
 //!   training run.
 //! - [`closed_loop`]: a room whose reports are late and noisy, with the decision core.
 //! - [`held_out`]: rooms that training never uses, and the oracle on them.
-//! - [`episodes`], [`sampling`]: the episodes of a comparison in closed loop, and their rates.
+//! - [`episodes`], [`sampling`]: the episodes of a comparison in closed loop, and when they are sampled.
+//! - [`score`]: the true evaluation of angles, and the figures of a comparison.
 //! - [`exact_states`]: the keys of a scenario that have no effect without reports.
 //! - [`statistics`], [`outage`]: means with intervals, and outages, of a comparison.
 //! - [`action`], [`believed`]: what an action means, and what a learner observes.
@@ -27,6 +28,7 @@ pub mod held_out;
 pub mod outage;
 pub mod room;
 pub mod sampling;
+pub mod score;
 pub mod statistics;
 pub mod task;
 mod task_settings;

@@ -1,35 +1,12 @@
-//! The rates of a room in closed loop at the sampling times of an episode.
+//! The samples of a room: in closed loop at the sampling times of an episode, else in its one state.
 
 use heliostat_channel::MirrorAngles;
-use heliostat_channel::link::jain;
 use heliostat_room::World;
 
 use crate::closed_loop::ClosedLoop;
 use crate::episodes::HeldOutEpisode;
 use crate::error::EnvironmentError;
-use crate::held_out::met;
-
-/// The evaluation of angles at one time, with the true users and equipment.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Sampled {
-    /// sum_k R_k in Mbit/s; 0 without users.
-    pub sum_rate_mbps: f64,
-    /// Share of users whose minimum rate is met; NaN without users.
-    pub met: f64,
-    /// Jain's fairness index of the rates; NaN without users.
-    pub jain: f64,
-}
-
-impl Sampled {
-    /// The evaluation of angles in the present state of a world.
-    pub fn of(world: &World, angles: &MirrorAngles) -> Self {
-        let mut rates_bps = vec![0.0; world.scene().users()];
-        world.scene().rates_bps(world.model(), angles, &mut rates_bps);
-        let sum_rate_mbps = 1e-6 * rates_bps.iter().sum::<f64>();
-        let jain = if rates_bps.is_empty() { f64::NAN } else { jain(&rates_bps) };
-        Self { sum_rate_mbps, met: met(&rates_bps, world.min_rate_bps()), jain }
-    }
-}
+use crate::score::Sample;
 
 /// The samples of an episode that runs.
 #[derive(Clone, Debug)]
@@ -39,10 +16,22 @@ pub struct Sampling {
     /// as in a comparison, so that it is the same bit for bit.
     looks_ns: Vec<u64>,
     next: usize,
-    samples: Vec<Sampled>,
+    samples: Vec<Sample>,
 }
 
 impl Sampling {
+    /// Before the only action in a state of a static comparison, which has no sampling times.
+    pub(crate) fn of_state() -> Self {
+        Self { instants_ns: Vec::new(), looks_ns: Vec::new(), next: 0, samples: Vec::new() }
+    }
+
+    /// Takes the sample of the only action in a state; the users have walked on before a later one.
+    pub(crate) fn sample_state(&mut self, world: &World, angles: &MirrorAngles) {
+        if self.samples.is_empty() {
+            self.samples.push(Sample::of(world, angles));
+        }
+    }
+
     /// Before the first sampling time of an episode.
     pub fn new(episode: &HeldOutEpisode) -> Self {
         let (instants_ns, looks_ns) = (episode.instants_ns.clone(), episode.looks_ns());
@@ -50,11 +39,11 @@ impl Sampling {
     }
 
     /// The samples so far.
-    pub fn samples(&self) -> &[Sampled] {
+    pub fn samples(&self) -> &[Sample] {
         &self.samples
     }
 
-    /// Whether all sampling times have passed.
+    /// Whether all sampling times have passed; in a state, always.
     pub fn is_over(&self) -> bool {
         self.next == self.looks_ns.len()
     }
@@ -73,7 +62,7 @@ impl Sampling {
             inner.advance(*look_ns);
             now_ns = *look_ns;
             if self.instants_ns.binary_search(look_ns).is_ok() {
-                self.samples.push(Sampled::of(inner.room().world(), inner.room().angles()));
+                self.samples.push(Sample::of(inner.room().world(), inner.room().angles()));
             }
             self.next += 1;
         }

@@ -42,7 +42,7 @@ use crate::believed;
 use crate::closed_loop::ClosedLoop;
 use crate::episodes::HeldOutEpisode;
 use crate::error::EnvironmentError;
-use crate::held_out::{best_angles, met};
+use crate::held_out::{SETTLE_S, best_angles, met};
 use crate::room::{Environment, Outcome};
 use crate::sampling::Sampling;
 pub use crate::task_settings::{Dynamics, ObservationForm, TaskSettings};
@@ -67,16 +67,16 @@ enum Room {
 }
 
 impl Room {
-    fn new(settings: &TaskSettings, seed: u64) -> Result<Self, EnvironmentError> {
+    fn new(settings: &TaskSettings, seed: u64, settle_s: f64) -> Result<Self, EnvironmentError> {
         let (scenario, trace) = (&settings.scenario, settings.trace.as_deref());
         match settings.dynamics {
             Dynamics::Static { step_s } => {
                 let mut environment = Box::new(Environment::new(scenario, trace, seed)?);
-                environment.step(settings.settle_s)?;
+                environment.step(settle_s)?;
                 Ok(Self::Static { environment, step_s })
             }
             Dynamics::ClosedLoop => {
-                let start_ns = (settings.settle_s * 1e9) as u64;
+                let start_ns = (settle_s * 1e9) as u64;
                 let mut inner = begun(settings, Episode::new(scenario, trace, seed, start_ns)?)?;
                 let now_ns = inner.next_decision(start_ns)?.room_ns;
                 Ok(Self::Closed { inner, now_ns })
@@ -190,7 +190,7 @@ impl Task {
         let limits = Limits::new(&scenario.control);
         let solver = settings.oracle.then(|| new_solver(scenario));
         let mut task = Self {
-            room: Room::new(&settings, seed)?,
+            room: Room::new(&settings, seed, settings.settle_s)?,
             model: scenario.channel_model()?,
             encoder,
             angle_state: AngleState::of(scenario, true),
@@ -221,12 +221,16 @@ impl Task {
     /// # Errors
     /// As [`Task::new`].
     pub fn reset(&mut self, seed: u64) -> Result<(), EnvironmentError> {
+        self.restart(seed, self.settings.settle_s)
+    }
+
+    fn restart(&mut self, seed: u64, settle_s: f64) -> Result<(), EnvironmentError> {
         match &mut self.room {
             Room::Static { environment, .. } if self.settings.trace.is_none() => {
                 environment.restart(seed)?;
-                environment.step(self.settings.settle_s)?;
+                environment.step(settle_s)?;
             }
-            room => *room = Room::new(&self.settings, seed)?,
+            room => *room = Room::new(&self.settings, seed, settle_s)?,
         }
         self.sampling = None;
         self.restarted()
@@ -251,7 +255,23 @@ impl Task {
         self.restarted()
     }
 
-    /// The samples of the episode of a comparison; `None` in other rooms.
+    /// Restarts in the state of a static comparison whose room has this seed, as
+    /// [`held_out_world`](crate::held_out::held_out_world); [`Task::sampling`] then has the sample of the next action.
+    /// Needs exact states.
+    ///
+    /// # Errors
+    /// As [`Task::new`], and for other dynamics.
+    pub fn begin_state(&mut self, seed: u64) -> Result<(), EnvironmentError> {
+        if self.settings.dynamics == Dynamics::ClosedLoop {
+            let expected = "\"static\" for a state of a comparison";
+            return Err(EnvironmentError::Setting { name: "dynamics", value: "\"closed-loop\"".into(), expected });
+        }
+        self.restart(seed, SETTLE_S)?;
+        self.sampling = Some(Sampling::of_state());
+        Ok(())
+    }
+
+    /// The samples of the episode or state of a comparison; `None` in other rooms.
     pub fn sampling(&self) -> Option<&Sampling> {
         self.sampling.as_ref()
     }
@@ -283,6 +303,9 @@ impl Task {
                 self.rates_bps.clear();
                 self.rates_bps.extend_from_slice(environment.last_rates_bps());
                 let step = evaluated(outcome, &self.rates_bps, environment.world());
+                if let Some(sampling) = &mut self.sampling {
+                    sampling.sample_state(environment.world(), &self.angles);
+                }
                 let oracle_mbps = self.solver.as_mut().map(|solver| oracle_mbps(solver, environment.world()));
                 environment.step(*step_s)?;
                 Step { oracle_mbps, ..step }

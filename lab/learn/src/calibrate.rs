@@ -15,7 +15,7 @@ use heliostat_core::core::Controller;
 use heliostat_core::policy::PolicyKind;
 use heliostat_environment::closed_loop::ClosedLoop;
 use heliostat_environment::episodes::{HeldOutEpisode, INSTANTS, WARM, held_out_episodes, start_ns};
-use heliostat_environment::sampling::Sampled;
+use heliostat_environment::score::Sample;
 use heliostat_models::{ActorSource, build};
 use heliostat_proto::Stamp;
 use heliostat_room::SimulatedRoom;
@@ -220,7 +220,7 @@ fn room(
     let calibration = run.outcome.calibration();
     let mut oracle = 0.0;
     let trace = scenario.read_trace()?;
-    episode.solve(scenario, trace.as_deref(), |world, angles| oracle += Sampled::of(world, angles).sum_rate_mbps)?;
+    episode.solve(scenario, trace.as_deref(), |world, angles| oracle += Sample::of(world, angles).sum_rate_mbps)?;
     let ratio = |assumed: &Scenario, calibration: Option<&CalibrationFile>| {
         Ok::<f64, anyhow::Error>(sum_rate(settings.policy, (scenario, assumed), episode, calibration)? / oracle)
     };
@@ -270,7 +270,7 @@ fn sum_rate(
             closed.deliver(now, event, &mut |_| {})?;
         }
         closed.advance(*instant);
-        sum += Sampled::of(closed.room().world(), closed.room().angles()).sum_rate_mbps;
+        sum += Sample::of(closed.room().world(), closed.room().angles()).sum_rate_mbps;
     }
     Ok(sum)
 }

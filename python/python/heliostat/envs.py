@@ -254,9 +254,10 @@ class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
 
         `options={"held_out": index}` starts in a held-out room, which training never uses; "held_out_set" is the
         seed of the comparison, that of the scenario if absent. `options={"episode": (index, states, seeds)}` starts an
-        episode of a comparison in closed loop with that many states of each of that many seeds; its last step is
-        truncated, and its `info["samples"]` has sum rate in Mbit/s, share of minimum rates met and fairness at each of its
-        sampling times.
+        episode of a comparison with that many states of each of that many seeds; in a static room it is one state. Its
+        last step is truncated. The `info["samples"]` of this step has a row for each sampling time: sum rate in Mbit/s,
+        share of minimum rates met, fairness, mean rate in Mbit/s of the users without a direct path (NaN without such a
+        user), and mean bit error rate.
         """
         if seed is not None:
             seed = seed_of(seed)
@@ -363,16 +364,18 @@ class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
         """Whether the learner observes the true state, and the mirrors turn at once."""
         return bool(self._settings["dynamics"] == "static")
 
-    @contextmanager
-    def with_other_rooms(self, *, oracle: bool) -> Iterator[None]:
-        """Within the context, the environment has other rooms, whose users have walked for `SETTLE_S`.
+    @property
+    def conditions(self) -> tuple[str, ...]:
+        """The conditions of the scenario, as `heliostat-lab eval` states them; those of policies excepted."""
+        return tuple(_conditions(self._settings["dynamics"], self.scenario, None))
 
-        `oracle`: whether steps evaluate the oracle.
-        """
+    @contextmanager
+    def with_other_rooms(self) -> Iterator[None]:
+        """Within the context, the environment has other rooms, whose steps do not evaluate the oracle."""
         kept = self._batch, self._oracle, self._is_reset, self._in_episode
-        settings = {**self._settings, "oracle": oracle, "settle_s": SETTLE_S}
+        settings = {**self._settings, "oracle": False}
         self._batch = Batch(make_settings(self.scenario, **settings), [self.scenario.seed], "disabled", _UNLIMITED)
-        self._oracle = oracle
+        self._oracle = False
         try:
             yield
         finally:

@@ -8,16 +8,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ._checks import function_of_observation, integer, states_of
-from ._core import INSTANTS, oracle_samples, spread
+from ._core import INSTANTS, score
 from .envs import HeliostatEnv
 
 _EPISODES_FEW = 10
 _EPISODES_MAX = 50_000
 _STATES = 100
+_NAMES = {"jain": "fairness", "outage_time": "outage"}
 
 Act: TypeAlias = Callable[[Any], ArrayLike]
 """From an observation to an action: an array of any real type, or a list."""
@@ -44,6 +44,13 @@ class Score:
     fairness: float
     """Jain's fairness index of the rates."""
     fairness_ci95: float
+    ber: float
+    """Mean bit error rate of the users with on-off keying."""
+    ber_ci95: float
+    blocked_rate_mbps: float | None
+    """Mean rate of a user without a direct path, over the states with such a user; `None` where there is none."""
+    blocked_rate_mbps_ci95: float | None
+    """`None` also for a single episode with such a user."""
     outage: float | None
     """Closed loop: share of the users' time below the minimum rate, at the sampling times. `None` in a static room."""
     outage_ci95: float | None
@@ -53,6 +60,8 @@ class Score:
     """Independent episodes; in a static room each state is one. Below 10, the intervals say little."""
     crossing: tuple[str, ...]
     """The figures whose interval reaches beyond what they can be, such as an outage below 0: use more episodes."""
+    conditions: tuple[str, ...]
+    """The conditions of the scenario, as `heliostat-lab eval` states them; those of policies excepted."""
 
 
 def evaluate(
@@ -85,43 +94,31 @@ def evaluate(
             raise ValueError(f"states = {states!r} and episodes = {episodes!r}: expected one of them")
         states = integer("episodes", episodes, 1, _EPISODES_MAX) * (1 if inner.is_static else INSTANTS)
     states, seeds = states_of(_STATES if states is None else states, seeds)
-    with inner.with_other_rooms(oracle=inner.is_static):
-        samples = _static if inner.is_static else _closed_loop
-        groups = samples(act, env, inner, states, seeds)
-    crossing = []
-
-    def of(name: str, value: Callable[[_Samples], _Samples], high: float = math.inf) -> dict[str, float]:
-        mean, ci95, crosses = spread([value(group).tolist() for group in groups], 0.0, high)
+    with inner.with_other_rooms():
+        groups = _samples(act, env, inner, states, seeds)
+        found = score(inner.scenario, not inner.is_static, states, seeds, groups)
+    figures: dict[str, Any] = {"outage": None, "outage_ci95": None}
+    crossing: list[str] = []
+    for name, (mean, ci95, crosses) in found:
+        own = _NAMES.get(name, name)
+        figures |= {own: mean, f"{own}_ci95": ci95}
         if crosses:
-            crossing.append(name)
-        return {name: mean, f"{name}_ci95": ci95}
-
-    def ratio(group: _Samples) -> _Samples:
-        rate, oracle = group[:, 0], group[:, 3]
-        return np.divide(rate, oracle, out=np.full_like(rate, np.nan), where=oracle > 0.0)
-
-    figures: dict[str, Any] = {
-        # As in `heliostat-lab eval`, a ratio has no upper bound: a policy can exceed the oracle.
-        **of("ratio_to_oracle", ratio),
-        **of("sum_rate_mbps", lambda group: group[:, 0]),
-        **of("oracle_mbps", lambda group: group[:, 3]),
-        **of("qos_met", lambda group: group[:, 1], 1.0),
-        **of("fairness", lambda group: group[:, 2], 1.0),
-        "outage": None,
-        "outage_ci95": None,
-    }
-    if not inner.is_static:
-        figures |= of("outage", lambda group: 1.0 - group[:, 1], 1.0)
+            crossing.append(own)
+    for name in ("blocked_rate_mbps", "blocked_rate_mbps_ci95"):
+        figures[name] = None if math.isnan(figures[name]) else figures[name]
     if len(groups) < _EPISODES_FEW:
         count = "1 episode" if len(groups) == 1 else f"{len(groups)} episodes"
         warnings.warn(
             f"the intervals come from {count}; use at least {_EPISODES_FEW}: episodes, states or seeds larger",
             stacklevel=2,
         )
-    return Score(**figures, states=sum(len(group) for group in groups), episodes=len(groups), crossing=tuple(crossing))
-
-
-_Samples: TypeAlias = NDArray[np.float64]
+    return Score(
+        **figures,
+        states=sum(len(group) for group in groups),
+        episodes=len(groups),
+        crossing=tuple(crossing),
+        conditions=inner.conditions,
+    )
 
 
 def _begin_episode(act: Act) -> None:
@@ -131,31 +128,14 @@ def _begin_episode(act: Act) -> None:
         reset()
 
 
-def _static(act: Act, env: Any, inner: HeliostatEnv, states: int, seeds: int) -> list[_Samples]:
-    """Sum rate, share of minimum rates met, fairness and the oracle's sum rate, (1, 4) for each state."""
-    groups = []
-    for seed in range(seeds):
-        for index in range(states):
-            _begin_episode(act)
-            observation, _ = env.reset(options={"held_out": index, "held_out_set": inner.scenario.seed + seed})
-            info = env.step(act(observation))[4]
-            rates = info["rates_mbps"]
-            squares = float(np.sum(rates**2))
-            # As `heliostat_channel::link::jain`: 1 where all rates are 0.
-            fairness = float(np.sum(rates)) ** 2 / (len(rates) * squares) if squares > 0.0 else 1.0
-            groups.append(np.array([[info["sum_rate_mbps"], info["qos_met"], fairness, info["oracle_mbps"]]]))
-    return groups
-
-
-def _closed_loop(act: Act, env: Any, inner: HeliostatEnv, states: int, seeds: int) -> list[_Samples]:
-    """The same at the sampling times of each episode."""
+def _samples(act: Act, env: Any, inner: HeliostatEnv, states: int, seeds: int) -> list[Any]:
+    """The samples of each episode, as `info["samples"]`; in a static room an episode is one state."""
+    of_seed = states if inner.is_static else -(-states // INSTANTS)
     samples = []
-    for index in range(seeds * -(-states // INSTANTS)):
+    for index in range(seeds * of_seed):
         _begin_episode(act)
         observation, info = env.reset(options={"episode": (index, states, seeds)})
         while "samples" not in info:
             observation, _, _, _, info = env.step(act(observation))
         samples.append(info["samples"])
-    oracle = oracle_samples(inner.scenario, states, seeds)[:, :1]
-    ends = np.cumsum([len(one) for one in samples])[:-1]
-    return [np.hstack(pair) for pair in zip(samples, np.split(oracle, ends), strict=True)]
+    return samples

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use heliostat_environment::episodes::{WARM, held_out_episodes};
+use heliostat_environment::held_out::{held_out_seed, held_out_state};
 use heliostat_environment::task::{Dynamics, Step, Task, TaskSettings};
 use numpy::PyArray1;
 use pyo3::prelude::*;
@@ -112,11 +113,19 @@ impl Slot {
 
     /// Begins an episode of a comparison.
     pub(super) fn begin_episode(&mut self, (index, states, seeds): (usize, usize, usize)) -> PyResult<()> {
-        let TaskSettings { scenario, trace, .. } = self.task.settings();
-        let episodes = held_out_episodes(scenario, trace.as_deref(), (states, seeds), WARM).map_err(refused)?;
-        let count = episodes.len();
-        let episode = episodes.get(index).ok_or_else(|| refused(format!("episode {index} of {count}")))?;
-        self.task.begin_episode(episode).map_err(refused)?;
+        let TaskSettings { scenario, trace, dynamics, .. } = self.task.settings();
+        match dynamics {
+            Dynamics::Static { .. } => {
+                let (set, index) = held_out_state(scenario.seed, states, index);
+                self.task.begin_state(held_out_seed(set, index)).map_err(refused)?;
+            }
+            Dynamics::ClosedLoop => {
+                let episodes = held_out_episodes(scenario, trace.as_deref(), (states, seeds), WARM).map_err(refused)?;
+                let count = episodes.len();
+                let episode = episodes.get(index).ok_or_else(|| refused(format!("episode {index} of {count}")))?;
+                self.task.begin_episode(episode).map_err(refused)?;
+            }
+        }
         (self.steps, self.ended, self.begin) = (0, false, Begin::Episode((index, states, seeds)));
         self.actions = Actions::none(self.task.settings());
         Ok(())

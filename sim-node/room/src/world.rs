@@ -137,7 +137,7 @@ impl World {
             ids: Vec::new(),
             start: Walker { position: start, direction: [1.0, 0.0], velocity: [0.0, 0.0] },
             walkers: Vec::new(),
-            orientations: Orientations::new(scenario.users.orientation.as_ref()),
+            orientations: Orientations::new(&scenario.users),
             held: Vec::new(),
             positions: Vec::new(),
             bodies: Vec::new(),
@@ -201,7 +201,7 @@ impl World {
         }
         self.mobility.reserve(most);
         self.mobility.write(&mut self.walkers);
-        self.orientations.begin(seed, &self.walkers, most);
+        self.orientations.begin(seed, &self.walkers, most, |id| self.mobility.entry_of(id));
         self.refresh();
     }
 
@@ -242,7 +242,7 @@ impl World {
             match change {
                 Change::Enter { at_s, id } => {
                     self.mobility.enter(id, self.time_s - at_s);
-                    self.orientations.enter(id);
+                    self.orientations.enter(id, self.mobility.entry_of(id));
                     self.ids.push(id);
                 }
                 Change::Leave { index, .. } => {

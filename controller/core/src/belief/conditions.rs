@@ -10,8 +10,7 @@ use std::fmt;
 
 use heliostat_channel::{ChannelModel, Vec3, los};
 use heliostat_scenario::{
-    self as scenario, AssumedTilt, DegradedAction, MismatchLevel, MobilityModel, OrientationModel, Scenario,
-    UserOrientation,
+    self as scenario, AssumedTilt, DegradedAction, MismatchLevel, MobilityModel, Scenario, UserOrientation,
 };
 use serde::Serialize;
 
@@ -115,15 +114,27 @@ pub fn conditions(scenario: &Scenario, model: &ChannelModel) -> Vec<Condition> {
         format!("receiver: {}", receiver(model)),
         "an expected gain is that at the mean heading; report orientations, or use one detector that faces up with a field of view of 90 degrees",
     );
-    let held = users.orientation.as_ref().filter(|held| !is_reported && held.model == OrientationModel::Measured);
-    let because = held.and_then(|held| differing_mean(held, &scenario.control.tilt.unwrap_or_default()));
+    let held = if is_reported { Vec::new() } else { users.orientations() };
+    let tilted = || held.iter().filter_map(|(key, held)| Some((key.as_str(), (*held)?)));
+    let upright = held.iter().find(|(_, held)| held.is_none()).map(|(key, _)| key);
+    let because = upright.zip(tilted().next()).map(|(upright, (tilted, _))| {
+        format!("receivers of some users face up ({upright}), and others are tilted ({tilted})")
+    });
+    add(
+        because.is_none(),
+        "the tilt of receivers, which is one for all users",
+        because.unwrap_or_default(),
+        "all receivers count as tilted or all as facing up, so expected gains of some users are wrong; report orientations",
+    );
+    let assumed = scenario.control.tilt.unwrap_or_default();
+    let because = tilted().find_map(|(key, held)| differing_mean(key, held, &assumed));
     add(
         because.is_none(),
         "the assumed tilt of receivers that users hold",
         because.unwrap_or_default(),
         "expected gains are those at the assumed tilt, so ratios are lower; set both angles of control.tilt to those of the users",
     );
-    let because = held.and_then(wider_spread);
+    let because = tilted().find_map(|(key, held)| wider_spread(key, held));
     add(
         because.is_none(),
         "the assumed spread of the angles of receivers that users hold",
@@ -219,18 +230,18 @@ fn gap_between_commands(scenario: &Scenario) -> Option<String> {
 }
 
 /// A mean tilt of held receivers that is not the assumed one.
-fn differing_mean(held: &UserOrientation, assumed: &AssumedTilt) -> Option<String> {
+fn differing_mean(key: &str, held: &UserOrientation, assumed: &AssumedTilt) -> Option<String> {
     let angles = [
         ("walking", held.walking_polar_mean_deg, assumed.walking_deg),
         ("sitting", held.sitting_polar_mean_deg, assumed.sitting_deg),
     ];
     let (posture, held, assumed) =
         angles.into_iter().find(|(_, held, assumed)| (held - assumed).abs() > TILT_DIFFERENCE_DEG)?;
-    Some(format!("users.orientation.{posture}_polar_mean_deg = {held}, and the belief assumes {assumed} degrees"))
+    Some(format!("{key}.{posture}_polar_mean_deg = {held}, and the belief assumes {assumed} degrees"))
 }
 
 /// A standard deviation of the angles of held receivers above the one that the belief assumes.
-fn wider_spread(held: &UserOrientation) -> Option<String> {
+fn wider_spread(key: &str, held: &UserOrientation) -> Option<String> {
     let angles = [
         ("walking_polar", held.walking_polar_std_deg, tilt::POLAR_SPREAD_RAD),
         ("walking_azimuth", held.walking_azimuth_std_deg, AZIMUTH_SPREAD_RAD),
@@ -239,7 +250,7 @@ fn wider_spread(held: &UserOrientation) -> Option<String> {
     ];
     let mut angles = angles.into_iter().map(|(angle, held, assumed)| (angle, held, assumed.to_degrees()));
     let (angle, held, assumed) = angles.find(|(_, held, assumed)| held - assumed > TILT_DIFFERENCE_DEG)?;
-    Some(format!("users.orientation.{angle}_std_deg = {held}, and the belief assumes {assumed:.1} degrees"))
+    Some(format!("{key}.{angle}_std_deg = {held}, and the belief assumes {assumed:.1} degrees"))
 }
 
 /// The largest direct gain of an upright receiver straight below an LED; 0 where none detects it.
@@ -367,6 +378,46 @@ mod tests {
             let reported = of(&[change, "users.orientation={}", "streams.orientation.rate_hz=10"]);
             assert!(reported.is_empty(), "{change}: {reported:?}");
         }
+    }
+
+    #[test]
+    fn the_orientations_of_the_entries_of_a_mixture_are_those_of_the_conditions() {
+        let mixed = |own: &str, more: &[&str]| {
+            let entries =
+                format!("users.mixture=[{{mobility=\"seated\",count=2{own}}},{{mobility=\"seated\",share=1}}]");
+            of(&[&["users.mobility=mixture", &entries][..], more].concat())
+        };
+        let tilted = ["users.orientation={}"];
+        assert!(mixed("", &[]).is_empty() && mixed("", &tilted).is_empty());
+        assert!(mixed(",orientation={}", &tilted).is_empty(), "the same angles");
+        for (own, more, expected) in [
+            (
+                ",orientation={}",
+                &[][..],
+                "face up (users.orientation), and others are tilted (users.mixture.0.orientation)",
+            ),
+            (
+                ",orientation={model=\"up\"}",
+                &tilted[..],
+                "face up (users.mixture.0.orientation), and others are tilted",
+            ),
+            (
+                ",orientation={sitting_polar_mean_deg=70}",
+                &tilted[..],
+                "users.mixture.0.orientation.sitting_polar_mean_deg = 70, and the belief assumes 41.39",
+            ),
+        ] {
+            let found = mixed(own, more);
+            assert!(found.len() == 1 && found[0].contains(expected), "{own}: {found:?}");
+            let reported = mixed(own, &[more, &["streams.orientation.rate_hz=10"]].concat());
+            assert!(reported.is_empty(), "{own}: {reported:?}");
+        }
+        let trace = ["users.trace=walk.csv"];
+        let found = mixed(",orientation={model=\"up\"}", &trace);
+        assert!(found.iter().any(|text| text.contains("orientation in users.mixture")), "{found:?}");
+        let twice = "users.mixture=[{mobility=\"seated\",share=1,orientation={}}]";
+        let found = of(&["users.mobility=mixture", twice, "users.orientation.model=up"]);
+        assert!(found.len() == 1 && found[0].starts_with("users.orientation does not apply"), "{found:?}");
     }
 
     #[test]

@@ -125,6 +125,7 @@ fn values_that_contradict_each_other_are_refused() {
         "[users]\nmixture = [{ mobility = \"seated\", share = 1.5 }, { mobility = \"seated\", share = -0.5 }]",
         "[users]\nmixture = [{ mobility = \"seated\", count = 2, share = 1.0 }]",
         "[users]\nmixture = [{ mobility = \"seated\", count = 99 }]",
+        "[users]\nmixture = [{ mobility = \"seated\", share = 1.0, orientation = { sitting_polar_mean_deg = 91.0 } }]",
         "[users]\nmixture = [{ mobility = \"seated\", count = 9223372036854775807 }, \
          { mobility = \"seated\", count = 9223372036854775807 }, { mobility = \"seated\", count = 7 }]",
         "[users]\ncount = 5\nmobility = \"mixture\"\nmixture = [{ mobility = \"seated\", count = 2 }]",
@@ -339,4 +340,17 @@ fn receivers_are_tilted_where_their_angles_are_drawn() {
     };
     assert!(of("office", &[]) && of("hall", &["users.orientation={}"]));
     assert!(!of("hall", &[]) && !of("office", &["users.orientation.model=up"]));
+    let one = "users.mixture=[{mobility=\"seated\",count=1,orientation={}},{mobility=\"seated\",share=1}]";
+    assert!(!of("hall", &[one]) && of("hall", &["users.mobility=mixture", one]));
+}
+
+#[test]
+fn the_orientation_of_an_entry_of_a_mixture_is_refused_with_its_key_and_line_and_written_only_where_it_is_set() {
+    let text = "[users]\nmobility = \"mixture\"\n[[users.mixture]]\nmobility = \"seated\"\nshare = 1.0\n";
+    let own = |angle: &str| format!("{text}[users.mixture.orientation]\nsitting_polar_mean_deg = {angle}\n");
+    let refused = Scenario::from_toml(&own("91.0")).expect_err("beyond the horizon").to_string();
+    assert!(refused.starts_with("line 7: users.mixture.0.orientation.sitting_polar_mean_deg = 91: "), "{refused}");
+    let [without, with] = [text, &own("20.0")].map(|text| Scenario::from_toml(text).expect("a scenario"));
+    assert!(!without.to_toml().contains("sitting_polar_mean_deg"));
+    assert_eq!(Scenario::from_toml(&with.to_toml()), Ok(with));
 }

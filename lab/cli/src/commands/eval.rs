@@ -16,11 +16,13 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow, ensure};
+use clap::ValueEnum;
+use heliostat_core::policy::PolicyKind;
 use heliostat_environment::episodes::INSTANTS;
 use heliostat_environment::exact_states;
 use heliostat_learn::comparison::{EvaluatedPolicy, Known, Loop, Report, Settings};
 use heliostat_models::ActorSource;
-use heliostat_scenario::{Belief, Scenario, ScenarioArgs};
+use heliostat_scenario::{Belief, Scenario, ScenarioArgs, override_keys};
 use heliostat_service::duration::seconds;
 use serde_json::json;
 
@@ -48,6 +50,9 @@ pub const CROSSES_NOTE: &str = "the interval reaches beyond what the figure can 
 
 /// The name of the oracle's row.
 pub const ORACLE: &str = "(oracle)";
+
+/// The key for which `--blocked` is short.
+const FORCED_USERS: &str = "blockage.forced_users";
 
 /// What serves instead of an array without rows or columns, which no scenario describes.
 const WITHOUT_MIRRORS: &str = "for a room without mirrors choose the policy no-irs, or --sweep mirrors.rows=0";
@@ -145,7 +150,7 @@ impl Args {
     /// The room, with further overrides.
     fn scenario(&self, change: Vec<String>) -> Result<Scenario> {
         let mut scenario = self.scenario.clone();
-        scenario.overrides.extend(self.blocked.map(|blocked| format!("blockage.forced_users={blocked}")));
+        scenario.overrides.extend(self.blocked.map(|blocked| format!("{FORCED_USERS}={blocked}")));
         scenario.overrides.extend(change);
         let mut changed = scenario.overrides.iter().filter_map(|text| text.split_once('='));
         let is_without = changed.any(|(key, value)| sweep::is_without_mirrors(key.trim(), value.trim()));
@@ -159,14 +164,23 @@ impl Args {
         Ok(loaded)
     }
 
-    /// Refuses a key that a sweep varies and another flag fixes.
-    fn check_swept(&self) -> Result<()> {
-        let of_set = self.scenario.overrides.iter().filter_map(|text| Some(("--set", text.split_once('=')?.0.trim())));
-        let of_blocked = self.blocked.map(|_| ("--blocked", "blockage.forced_users"));
+    /// Refuses a key that two flags fix, or that a sweep varies and another flag fixes.
+    fn check_keys(&self) -> Result<()> {
+        let set: Vec<String> = self.scenario.overrides.iter().flat_map(|text| override_keys(text)).collect();
+        ensure!(
+            self.blocked.is_none() || set.iter().all(|key| key != FORCED_USERS),
+            "--blocked and --set both fix {FORCED_USERS}: expected one of the two"
+        );
+        let of_set = set.iter().map(|key| ("--set", key.as_str()));
+        let of_blocked = self.blocked.map(|_| ("--blocked", FORCED_USERS));
         let of_seed = self.scenario.seed.map(|_| ("--seed", "seed"));
         for (flag, key) in of_set.chain(of_blocked).chain(of_seed) {
+            // A value of a swept table replaces the keys of the table.
+            let varies = |sweep: &Sweep| {
+                key.strip_prefix(sweep.key()).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
+            };
             ensure!(
-                self.sweep.iter().all(|sweep| sweep.key() != key),
+                !self.sweep.iter().any(varies),
                 "{flag} fixes {key}, which --sweep varies: expected one of the two"
             );
         }
@@ -200,7 +214,7 @@ impl Args {
         ensure!(
             self.model.is_none()
                 || self.policies.is_empty()
-                || self.policies.iter().any(|name| name == "ddpg" || name == "actor"),
+                || self.policies.iter().any(|name| PolicyKind::from_str(name, false) == Ok(PolicyKind::Ddpg)),
             "--model gives the actor of ddpg, but --policies does not include ddpg; give the file in --policies instead: --policies greedy,FILE.onnx"
         );
         for (index, belief) in self.beliefs.iter().enumerate() {
@@ -271,7 +285,7 @@ fn note_point(grid: Option<&Grid>, index: usize) {
 pub fn run(args: Args) -> Result<()> {
     let grid = Grid::new(&args.sweep).map_err(anyhow::Error::msg)?;
     let grid = grid.as_ref();
-    args.check_swept()?;
+    args.check_keys()?;
     let settings: Vec<Settings> = match grid {
         None => vec![args.settings(None)?],
         // An invalid value is refused before the work starts.
@@ -316,7 +330,7 @@ pub fn run(args: Args) -> Result<()> {
             let bases = grid.bases();
             let of_points = grid.points().iter().zip(&reports).enumerate().map(|(index, (point, report))| {
                 let report = origin::in_json(report)?;
-                let mut entry = json!({ "value": point.join(", "), "values": point, "report": report });
+                let mut entry = json!({ "values": point, "report": report });
                 for bases in &bases {
                     let Some(differences) = differences::to_base(&reports, bases, index) else { continue };
                     match bases.key {
@@ -328,7 +342,7 @@ pub fn run(args: Args) -> Result<()> {
             });
             let reports = of_points.collect::<Result<Vec<_>>>()?;
             let keys: Vec<&str> = grid.keys().collect();
-            outln!("{}", json!({ "sweep": keys.join(", "), "keys": keys, "reports": reports }))?;
+            outln!("{}", json!({ "keys": keys, "reports": reports }))?;
         }
         Some(grid) => output::print_sweep(grid, &reports)?,
     }

@@ -6,8 +6,8 @@ use heliostat_core::core::Controller;
 use heliostat_core::policy::{Fixed, build_fallback};
 use heliostat_environment::action::ActionForm;
 use heliostat_environment::episodes::{HeldOutEpisode, WARM};
-use heliostat_environment::held_out::best_angles;
-use heliostat_environment::sampling::Sampled;
+use heliostat_environment::held_out::{best_angles, held_out_seed, held_out_state, held_out_world};
+use heliostat_environment::score::Sample;
 use heliostat_environment::task::{Dynamics, ObservationForm, Step, Task, TaskSettings};
 use heliostat_environment::{ClosedLoop, EnvironmentError};
 use heliostat_room::episode::Episode;
@@ -136,15 +136,39 @@ fn an_episode_of_a_comparison_is_sampled_at_its_times_whatever_the_steps() {
         }
         flat.advance(look_ns);
         if episode.instants_ns.contains(&look_ns) {
-            expected.push(Sampled::of(flat.room().world(), flat.room().angles()));
+            expected.push(Sample::of(flat.room().world(), flat.room().angles()));
         }
     }
-    assert_eq!(task.sampling().unwrap().samples(), expected);
+    // Bits, because NaN is the rate of blocked users where there is none.
+    let bits = |samples: &[Sample]| samples.iter().map(|one| one.row().map(f64::to_bits)).collect::<Vec<_>>();
+    assert_eq!(bits(task.sampling().unwrap().samples()), bits(&expected));
     assert!(expected.len() == 5 && steps > 20, "{steps}");
     task.reset(1).unwrap();
     assert!(task.sampling().is_none());
     let mut other = Task::new(TaskSettings::of_true_state(scenario), 1).unwrap();
     assert!(other.begin_episode(&episode).unwrap_err().to_string().contains("closed-loop"));
+}
+
+#[test]
+fn a_state_of_a_comparison_is_sampled_once_in_its_held_out_room() {
+    let mut settings = TaskSettings::of_true_state(scenario("specular", &[]));
+    settings.settle_s = 3.0;
+    let mut task = Task::new(settings, 1).unwrap();
+    let (set, index) = held_out_state(5, 4, 9);
+    assert_eq!((set, index), (7, 1));
+    task.begin_state(held_out_seed(set, index)).unwrap();
+    assert!(task.sampling().unwrap().samples().is_empty());
+    let world = held_out_world(&task.settings().scenario, None, set, index).unwrap();
+    let expected = Sample::of(&world, &MirrorAngles::flat(100));
+    // The users have walked on before the second action.
+    let steps = [0, 1].map(|_| task.step(&[0.0; 200]).unwrap());
+    assert!(steps[0].sum_rate_mbps != steps[1].sum_rate_mbps, "{steps:?}");
+    let sampling = task.sampling().unwrap();
+    let [sample] = sampling.samples() else { panic!("{:?}", sampling.samples()) };
+    assert_eq!(sample.row().map(f64::to_bits), expected.row().map(f64::to_bits));
+    assert!(sampling.is_over());
+    let mut closed = Task::new(TaskSettings::closed_loop(scenario("hall", &[])), 1).unwrap();
+    assert!(closed.begin_state(1).unwrap_err().to_string().contains("static"));
 }
 
 #[test]

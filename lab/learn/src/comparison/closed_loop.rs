@@ -17,6 +17,7 @@ use heliostat_core::core::{Controller, DegradedMode, Stage};
 use heliostat_environment::ClosedLoop;
 use heliostat_environment::episodes::{HeldOutEpisode, OUTAGE_STEP_NS, held_out_episodes, start_ns};
 use heliostat_environment::outage::OutageLog;
+use heliostat_environment::score::{Evaluator, Sample};
 use heliostat_room::SimulatedRoom;
 use heliostat_room::episode::Event;
 use heliostat_room::world::WorldError;
@@ -29,8 +30,8 @@ use super::belief_quality::{BeliefQuality, quality};
 use super::ceiling::Ceiling;
 use super::episode_row::{self, of_episodes};
 use super::evaluated_policy::EvaluatedPolicy;
-use super::evaluator::{Evaluator, Run, Sample};
 use super::row::rows;
+use super::run::Run;
 use super::settings::{RANDOM_DRAWS, Settings};
 use super::tracked_user::TrackedUser;
 

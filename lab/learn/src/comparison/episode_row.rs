@@ -1,12 +1,12 @@
 //! The figures of each policy in each episode, from which a reader can compute other statistics.
 
 use heliostat_environment::episodes::HeldOutEpisode;
-use heliostat_environment::held_out::held_out_seed;
+use heliostat_environment::held_out::{held_out_seed, held_out_state};
 use heliostat_environment::outage::Outages;
+use heliostat_environment::score::{Figure, Sample};
 use heliostat_environment::statistics::{mean, present};
 
-use super::evaluator::{Run, Sample};
-use super::row::ratio;
+use super::run::Run;
 use super::settings::{Loop, Settings};
 
 /// The figure that weights `blocked_rate_mbps`: the number of states with a user without a direct path.
@@ -56,9 +56,11 @@ pub(super) fn of_episodes(settings: &Settings, episodes: &[HeldOutEpisode]) -> V
 
 /// The rooms of a static comparison, one for each state.
 pub(super) fn of_states(settings: &Settings) -> Vec<Group> {
-    let sets = (0..settings.seeds as u64).map(|set| settings.scenario.seed.wrapping_add(set));
-    let states = settings.states as u64;
-    sets.flat_map(|set| (0..states).map(move |index| Group { set, room: held_out_seed(set, index) })).collect()
+    let of_state = |index| {
+        let (set, index) = held_out_state(settings.scenario.seed, settings.states, index);
+        Group { set, room: held_out_seed(set, index) }
+    };
+    (0..settings.seeds * settings.states).map(of_state).collect()
 }
 
 /// The figures of the oracle, then those of each policy.
@@ -92,21 +94,21 @@ pub(super) fn rows(
 }
 
 fn figures(mode: Loop, (own, oracle): (&[Sample], &[Sample]), outages: Option<Outages>) -> Vec<(&'static str, f64)> {
-    let of = |value: fn(&Sample) -> f64| mean(&present(&own.iter().map(value).collect::<Vec<_>>()));
-    let ratios: Vec<f64> = own.iter().zip(oracle).map(|(own, best)| ratio(own, best)).collect();
-    let blocked_states = own.iter().filter(|sample| !sample.blocked_rate_mbps.is_nan()).count();
+    let values =
+        |figure: Figure| present(&own.iter().zip(oracle).map(|(own, best)| (figure.of)(own, best)).collect::<Vec<_>>());
+    let of = |figure: Figure| (figure.name, mean(&values(figure)));
     let mut figures = vec![
-        ("sum_rate_mbps", of(|sample| sample.sum_rate_mbps)),
-        ("ratio_to_oracle", mean(&present(&ratios))),
-        (RATIO_STATES, present(&ratios).len() as f64),
-        ("qos_met", of(|sample| sample.met)),
-        ("jain", of(|sample| sample.jain)),
-        ("blocked_rate_mbps", of(|sample| sample.blocked_rate_mbps)),
-        (BLOCKED_STATES, blocked_states as f64),
-        ("ber", of(|sample| sample.ber)),
+        of(Figure::SUM_RATE),
+        of(Figure::RATIO),
+        (RATIO_STATES, values(Figure::RATIO).len() as f64),
+        of(Figure::QOS_MET),
+        of(Figure::JAIN),
+        of(Figure::BLOCKED_RATE),
+        (BLOCKED_STATES, values(Figure::BLOCKED_RATE).len() as f64),
+        of(Figure::BER),
     ];
     if mode == Loop::ClosedLoop {
-        figures.push(("outage_time", of(|sample| 1.0 - sample.met)));
+        figures.push(of(Figure::OUTAGE_TIME));
         let outage = |value: fn(&Outages) -> f64| outages.as_ref().map_or(f64::NAN, value);
         figures.push(("outages_per_user_minute", outage(|outages| outages.per_user_minute)));
         figures.push(("outage_p95_s", outage(|outages| outages.p95_s)));

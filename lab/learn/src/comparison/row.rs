@@ -5,11 +5,12 @@
 //! independent. Intervals come from the means of the groups.
 
 use heliostat_environment::outage::Outages;
+use heliostat_environment::score::{Figure, Sample};
 use heliostat_environment::statistics::{Estimate, Spread, mean, present, quantile};
 use serde::Serialize;
 
 use super::evaluated_policy::EvaluatedPolicy;
-use super::evaluator::{Run, Sample};
+use super::run::Run;
 use super::settings::{Loop, Settings};
 
 /// Quantiles of a policy's decision time in us.
@@ -27,17 +28,17 @@ pub(super) type Rows = (Row, Vec<Row>);
 /// The rows of a comparison; the first policy is the one that the others are subtracted from.
 pub(super) fn rows(settings: &Settings, runs: &[Vec<Run>], oracle: &[Vec<Sample>]) -> Rows {
     let of_policies = settings.policies.iter().zip(runs).enumerate().map(|(index, (evaluated, own))| {
-        let minus_first = |value: Value| {
-            (index > 0).then(|| difference(&values(own, oracle, value), &values(&runs[0], oracle, value)))
+        let minus_first = |figure: Figure| {
+            let values = |runs: &[Run]| values(runs, oracle, figure);
+            (index > 0).then(|| bounded(figure.name, difference(&values(own), &values(&runs[0]))))
         };
         Row {
-            difference_mbps: minus_first(|own, _| own.sum_rate_mbps),
-            difference_ratio: minus_first(ratio),
-            difference_qos_met: minus_first(|own, _| own.met).map(|one| bounded("qos_met", one)),
+            difference_mbps: minus_first(Figure::SUM_RATE),
+            difference_ratio: minus_first(Figure::RATIO),
+            difference_qos_met: minus_first(Figure::QOS_MET),
             difference_outage_time: (settings.mode == Loop::ClosedLoop)
-                .then(|| minus_first(outage))
-                .flatten()
-                .map(|one| bounded("outage_time", one)),
+                .then(|| minus_first(Figure::OUTAGE_TIME))
+                .flatten(),
             ..Row::new(own, oracle, (evaluated, settings.mode))
         }
     });
@@ -55,20 +56,15 @@ fn subtract_best(settings: &Settings, runs: &[Vec<Run>], oracle: &[Vec<Sample>],
     let Some(best) = compared.clone().rev().max_by(|one, other| ratios[*one].total_cmp(&ratios[*other])) else {
         return;
     };
-    let of_best = values(&runs[best], oracle, ratio);
+    let of_best = values(&runs[best], oracle, Figure::RATIO);
     for index in compared.filter(|index| *index != best) {
-        rows[index].difference_to_best = Some(difference(&values(&runs[index], oracle, ratio), &of_best));
+        rows[index].difference_to_best = Some(difference(&values(&runs[index], oracle, Figure::RATIO), &of_best));
     }
 }
 
-/// A quantity of a policy's sample, which the oracle's sample of the same state may enter.
-type Value = fn(&Sample, &Sample) -> f64;
-
-/// A quantity in each state of each group of each run.
-fn values(runs: &[Run], oracle: &[Vec<Sample>], value: Value) -> Vec<Vec<Vec<f64>>> {
-    let of_group =
-        |(own, best): (&Vec<Sample>, &Vec<Sample>)| own.iter().zip(best).map(|(own, best)| value(own, best)).collect();
-    runs.iter().map(|run| run.groups.iter().zip(oracle).map(of_group).collect()).collect()
+/// A figure in each state of each group of each run.
+fn values(runs: &[Run], oracle: &[Vec<Sample>], figure: Figure) -> Vec<Vec<Vec<f64>>> {
+    runs.iter().map(|run| figure.values(&run.groups, oracle)).collect()
 }
 
 /// A quantity of a policy minus that of the first policy, paired state by state; NaN is a missing
@@ -172,44 +168,25 @@ impl Row {
     }
 
     fn of_samples(runs: &[&[Vec<Sample>]], oracle: &[Vec<Sample>], mode: Loop) -> Self {
-        let spread = |value: fn(&Sample) -> f64| {
-            let values = |run: &&[Vec<Sample>]| run.iter().map(|group| group.iter().map(value).collect()).collect();
-            Spread::of(&runs.iter().map(values).collect::<Vec<_>>())
-        };
-        let ratios = |run: &&[Vec<Sample>]| {
-            let ratios = |(group, oracle): (&Vec<Sample>, &Vec<Sample>)| {
-                group.iter().zip(oracle).map(|(own, best)| ratio(own, best)).collect()
-            };
-            run.iter().zip(oracle).map(ratios).collect()
-        };
+        let spread = |figure: Figure| figure.spread(runs, oracle);
         Self {
-            sum_rate_mbps: spread(|sample| sample.sum_rate_mbps).within(0.0, f64::INFINITY),
+            sum_rate_mbps: spread(Figure::SUM_RATE),
             difference_mbps: None,
             difference_ratio: None,
             difference_qos_met: None,
             difference_outage_time: None,
             difference_to_best: None,
-            // An angle by the oracle is not the best one under drives and latency, so a ratio has no upper bound.
-            ratio_to_oracle: Spread::of(&runs.iter().map(ratios).collect::<Vec<_>>()).within(0.0, f64::INFINITY),
-            qos_met: spread(|sample| sample.met).within(0.0, 1.0),
-            jain: spread(|sample| sample.jain).within(0.0, 1.0),
-            blocked_rate_mbps: spread(|sample| sample.blocked_rate_mbps).within(0.0, f64::INFINITY),
-            ber: spread(|sample| sample.ber).within(0.0, 1.0),
-            outage_time: (mode == Loop::ClosedLoop).then(|| spread(|sample| outage(sample, sample)).within(0.0, 1.0)),
+            ratio_to_oracle: spread(Figure::RATIO),
+            qos_met: spread(Figure::QOS_MET),
+            jain: spread(Figure::JAIN),
+            blocked_rate_mbps: spread(Figure::BLOCKED_RATE),
+            ber: spread(Figure::BER),
+            outage_time: (mode == Loop::ClosedLoop).then(|| spread(Figure::OUTAGE_TIME)),
             outages: None,
             decision_us: None,
             training_seeds: None,
         }
     }
-}
-
-/// Share of the users below their minimum rate.
-fn outage(own: &Sample, _: &Sample) -> f64 {
-    1.0 - own.met
-}
-
-pub(super) fn ratio(own: &Sample, best: &Sample) -> f64 {
-    if best.sum_rate_mbps > 0.0 { own.sum_rate_mbps / best.sum_rate_mbps } else { f64::NAN }
 }
 
 #[cfg(test)]
@@ -233,7 +210,7 @@ mod tests {
             vec![Run { groups: rates.iter().map(|rate| vec![sample(*rate)]).collect(), ..Run::default() }]
         };
         let oracle: Vec<Vec<Sample>> = [10.0, 20.0, 0.0].map(|rate| vec![sample(rate)]).into();
-        let of = |rates: &[f64]| values(&run(rates), &oracle, ratio);
+        let of = |rates: &[f64]| values(&run(rates), &oracle, Figure::RATIO);
         let paired = difference(&of(&[6.0, 16.0, 0.0]), &of(&[5.0, 10.0, 0.0]));
         // 0.1 and 0.3 of the states with a ratio: a standard error of 0.1.
         assert!((paired.mean - 0.2).abs() < 1e-12 && (paired.ci95 - 0.1 * T_1).abs() < 1e-9, "{paired:?}");

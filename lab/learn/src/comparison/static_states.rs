@@ -7,13 +7,15 @@ use heliostat_channel::solver::Solver;
 use heliostat_core::observation::Observation;
 use heliostat_core::policy::Policy;
 use heliostat_core::safety::{Limits, check_finite};
+use heliostat_environment::held_out::held_out_state;
+use heliostat_environment::score::{Evaluator, Sample};
 use indicatif::ProgressBar;
 
 use super::Compared;
 use super::episode_row::{self, of_states};
 use super::evaluated_policy::EvaluatedPolicy;
-use super::evaluator::{Evaluator, Run, Sample};
 use super::row::rows;
+use super::run::Run;
 use super::settings::{RANDOM_DRAWS, Settings};
 use crate::environment::room::observe;
 use crate::evaluation::held_out::{best_angles, held_out_world};
@@ -47,16 +49,14 @@ fn states(settings: &Settings, bar: &ProgressBar, evaluator: &Evaluator) -> anyh
     bar.set_length((settings.seeds * settings.states) as u64);
     bar.set_message("rooms drawn");
     let mut states = Vec::new();
-    for set in 0..settings.seeds as u64 {
-        for index in 0..settings.states as u64 {
-            let trace = scenario.read_trace()?;
-            let world = held_out_world(scenario, trace.as_deref(), scenario.seed.wrapping_add(set), index)?;
-            let mut seen = Observation::new(evaluator.model(), scenario.users.count);
-            seen.min_rate_bps.copy_from_slice(world.min_rate_bps());
-            observe(&world, &mut seen);
-            states.push(seen);
-            bar.inc(1);
-        }
+    for index in 0..settings.seeds * settings.states {
+        let (set, index) = held_out_state(scenario.seed, settings.states, index);
+        let world = held_out_world(scenario, None, set, index)?;
+        let mut seen = Observation::new(evaluator.model(), scenario.users.count);
+        seen.min_rate_bps.copy_from_slice(world.min_rate_bps());
+        observe(&world, &mut seen);
+        states.push(seen);
+        bar.inc(1);
     }
     Ok(states)
 }

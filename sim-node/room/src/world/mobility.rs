@@ -104,6 +104,14 @@ impl Mobility {
         }
     }
 
+    /// The index of the entry of a user in `users.mixture`; `None` outside a mixture.
+    pub fn entry_of(&self, id: u32) -> Option<usize> {
+        match self {
+            Self::Crowd(crowd) => crowd.entry_of(id),
+            Self::RandomWaypoint { .. } | Self::Trace(_) => None,
+        }
+    }
+
     /// Makes room for this number of users in all.
     pub fn reserve(&mut self, users: usize) {
         match self {

@@ -19,7 +19,7 @@
 use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2, PI};
 
 use heliostat_channel::Orientation;
-use heliostat_scenario::{OrientationModel, UserOrientation};
+use heliostat_scenario::{OrientationModel, UserOrientation, Users};
 
 use crate::random::{self, Purpose, RoomRng};
 use crate::world::walker::Walker;
@@ -48,7 +48,7 @@ struct Distribution {
     innovation: f64,
 }
 
-/// The distributions of a scenario.
+/// The distributions of one table.
 #[derive(Clone, Copy, Debug)]
 struct Distributions {
     sitting: Distribution,
@@ -121,6 +121,7 @@ struct Node {
 /// The processes of one user between two nodes.
 #[derive(Clone, Debug)]
 struct Process {
+    distributions: Distributions,
     rng: RoomRng,
     last: Node,
     next: Node,
@@ -130,18 +131,18 @@ struct Process {
 
 impl Process {
     /// A process in its stationary regime.
-    fn new(distributions: &Distributions, mut rng: RoomRng, walking: bool) -> Self {
+    fn new(distributions: Distributions, mut rng: RoomRng, walking: bool) -> Self {
         let [polar, azimuth] = random::normal_pair(&mut rng);
         let first = Node { polar, azimuth, walking: f64::from(u8::from(walking)) };
-        let mut process = Self { rng, last: first, next: first, correlation: 1.0 };
-        process.pass_node(distributions, walking);
+        let mut process = Self { distributions, rng, last: first, next: first, correlation: 1.0 };
+        process.pass_node(walking);
         process
     }
 
     /// The next node becomes the last one.
-    fn pass_node(&mut self, distributions: &Distributions, walking: bool) {
+    fn pass_node(&mut self, walking: bool) {
         self.last = self.next;
-        let &Distribution { correlation: kept, innovation: drawn, .. } = distributions.of(walking);
+        let &Distribution { correlation: kept, innovation: drawn, .. } = self.distributions.of(walking);
         self.correlation = kept;
         let target = f64::from(u8::from(walking));
         let [polar, azimuth] = random::normal_pair(&mut self.rng);
@@ -168,21 +169,34 @@ impl Process {
 /// The orientations of all users, in the order of entry.
 #[derive(Clone, Debug)]
 pub struct Orientations {
-    /// `None`: every receiver faces up.
-    distributions: Option<Distributions>,
+    /// The distributions of users without an entry in a mixture; `None`: their receivers face up.
+    room: Option<Distributions>,
+    /// Those of the users of each entry of the mixture.
+    entries: Vec<Option<Distributions>>,
+    /// Whether some users hold their receivers at random angles.
+    is_measured: bool,
     seed: u64,
     /// Number of nodes that have passed.
     passed: u64,
-    processes: Vec<Process>,
+    /// Of each user; `None`: the receiver faces up.
+    processes: Vec<Option<Process>>,
     held: Vec<Orientation>,
 }
 
 impl Orientations {
     /// The orientations of a scenario, without users.
-    pub fn new(table: Option<&UserOrientation>) -> Self {
-        let measured = table.filter(|table| table.model == OrientationModel::Measured);
+    pub fn new(users: &Users) -> Self {
+        let distributions = |table: &Option<UserOrientation>| {
+            let measured = table.as_ref().filter(|table| table.model == OrientationModel::Measured);
+            measured.map(Distributions::new)
+        };
+        let room = distributions(&users.orientation);
+        // The table of an entry replaces that of the room.
+        let of_entry = |own: &Option<UserOrientation>| if own.is_some() { distributions(own) } else { room };
         Self {
-            distributions: measured.map(Distributions::new),
+            room,
+            entries: users.mixture.iter().map(|entry| of_entry(&entry.orientation)).collect(),
+            is_measured: users.orientations().iter().any(|(_, held)| held.is_some()),
             seed: 0,
             passed: 0,
             processes: Vec::new(),
@@ -190,62 +204,70 @@ impl Orientations {
         }
     }
 
-    /// Restarts at time 0 with these users; makes room for `most` users in all.
-    pub fn begin(&mut self, seed: u64, walkers: &[Walker], most: usize) {
+    /// Restarts at time 0 with these users; makes room for `most` users in all. `entry_of` is the index of
+    /// the entry of a user in the mixture.
+    pub fn begin(&mut self, seed: u64, walkers: &[Walker], most: usize, entry_of: impl Fn(u32) -> Option<usize>) {
         (self.seed, self.passed) = (seed, 0);
         self.processes.clear();
         self.held.reserve(most.saturating_sub(self.held.len()));
-        if let Some(distributions) = &self.distributions {
-            self.processes.reserve(most);
-            for (id, walker) in walkers.iter().enumerate() {
-                let rng = random::stream(seed, Purpose::Orientation, id as u32);
-                self.processes.push(Process::new(distributions, rng, distributions.is_walking(walker)));
-            }
+        self.processes.reserve(most);
+        for (id, walker) in walkers.iter().enumerate() {
+            let id = id as u32;
+            let process = self.process(id, entry_of(id), |distributions| distributions.is_walking(walker));
+            self.processes.push(process);
         }
     }
 
-    /// A user enters after the others, walking, with the process of its number.
-    pub fn enter(&mut self, id: u32) {
-        if let Some(distributions) = &self.distributions {
-            let rng = random::stream(self.seed, Purpose::Orientation, id);
-            self.processes.push(Process::new(distributions, rng, true));
-        }
+    /// A user enters after the others, walking, with the process of its number; `entry` is the index of its
+    /// entry in the mixture.
+    pub fn enter(&mut self, id: u32, entry: Option<usize>) {
+        let process = self.process(id, entry, |_| true);
+        self.processes.push(process);
+    }
+
+    /// The process of a user; `None` for a receiver that faces up.
+    fn process(
+        &self,
+        id: u32,
+        entry: Option<usize>,
+        is_walking: impl FnOnce(&Distributions) -> bool,
+    ) -> Option<Process> {
+        let distributions = entry.map_or(self.room, |entry| self.entries[entry])?;
+        let rng = random::stream(self.seed, Purpose::Orientation, id);
+        Some(Process::new(distributions, rng, is_walking(&distributions)))
     }
 
     /// The user at this index leaves.
     pub fn leave(&mut self, index: usize) {
-        if self.distributions.is_some() {
-            self.processes.remove(index);
-        }
+        self.processes.remove(index);
     }
 
     /// Time of the next node in s since the start; `None` where every receiver faces up.
     pub fn next_node_s(&self) -> Option<f64> {
-        self.distributions.map(|_| (self.passed + 1) as f64 * NODE_S)
+        self.is_measured.then(|| (self.passed + 1) as f64 * NODE_S)
     }
 
     /// Passes the next node, at which the users have these velocities.
     pub fn pass_node(&mut self, walkers: &[Walker]) {
         self.passed += 1;
-        if let Some(distributions) = &self.distributions {
-            for (process, walker) in self.processes.iter_mut().zip(walkers) {
-                process.pass_node(distributions, distributions.is_walking(walker));
+        for (process, walker) in self.processes.iter_mut().zip(walkers) {
+            if let Some(process) = process {
+                process.pass_node(process.distributions.is_walking(walker));
             }
         }
     }
 
     /// Computes the orientations at a time in s between the last node and the next.
     pub fn hold(&mut self, time_s: f64, walkers: &[Walker]) {
-        self.held.clear();
-        let Some(distributions) = &self.distributions else {
-            self.held.resize(walkers.len(), Orientation::UPRIGHT);
-            return;
-        };
         let share = (time_s / NODE_S - self.passed as f64).clamp(0.0, 1.0);
-        for (process, walker) in self.processes.iter().zip(walkers) {
-            let [polar, azimuth] = distributions.angles(&process.at(share));
-            self.held.push(Orientation::from_polar_azimuth(polar, walker.heading() + PI + azimuth));
-        }
+        let of_user = |(process, walker): (&Option<Process>, &Walker)| {
+            process.as_ref().map_or(Orientation::UPRIGHT, |process| {
+                let [polar, azimuth] = process.distributions.angles(&process.at(share));
+                Orientation::from_polar_azimuth(polar, walker.heading() + PI + azimuth)
+            })
+        };
+        self.held.clear();
+        self.held.extend(self.processes.iter().zip(walkers).map(of_user));
     }
 
     /// The orientation of each user's receiver.

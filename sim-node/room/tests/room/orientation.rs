@@ -5,7 +5,7 @@ use heliostat_room::World;
 use heliostat_room::baselines::{Baselines, Snapshot};
 use heliostat_room::world::orientation::{NODE_S, Orientations};
 use heliostat_room::world::walker::Walker;
-use heliostat_scenario::{Scenario, UserOrientation};
+use heliostat_scenario::{Scenario, UserOrientation, Users};
 
 const USERS: usize = 400;
 const SITTING_COHERENCE_S: f64 = 0.373;
@@ -17,8 +17,9 @@ fn walkers(speed_m_s: f64) -> Vec<Walker> {
 }
 
 fn begin(walkers: &[Walker], seed: u64) -> Orientations {
-    let mut orientations = Orientations::new(Some(&UserOrientation::default()));
-    orientations.begin(seed, walkers, USERS);
+    let users = Users { orientation: Some(UserOrientation::default()), ..Users::default() };
+    let mut orientations = Orientations::new(&users);
+    orientations.begin(seed, walkers, USERS, |_| None);
     orientations
 }
 
@@ -213,6 +214,43 @@ fn without_the_table_and_with_the_model_up_every_receiver_faces_up_and_the_walks
             assert!((a - b).norm() < 1e-9, "{a:?} {b:?}");
         }
     }
+}
+
+/// One user of the numbered entry sits, two others have a model of the shares.
+const MIXED: &str = "{mobility=\"social-force\",share=1}";
+
+#[test]
+fn an_entry_of_a_mixture_states_how_its_users_hold_their_receivers() {
+    let room = |own: &str| {
+        let mixture = format!("users.mixture=[{{mobility=\"seated\",count=1{own}}},{MIXED}]");
+        world(&["users.mobility=mixture", "users.count=3", "users.orientation={}", &mixture], 4)
+    };
+    let (mut alike, mut up) = (room(""), room(",orientation={model=\"up\"}"));
+    let mut flat = room(",orientation={sitting_polar_mean_deg=90,sitting_polar_std_deg=0}");
+    for _ in 0..50 {
+        for world in [&mut alike, &mut up, &mut flat] {
+            world.step(0.07);
+        }
+        let of = [&alike, &up, &flat].map(normals);
+        assert!(of[1][0] == Vec3::z() && of[2][0].z.abs() < 1e-12 && of[0][0].z < 1.0, "{of:?}");
+        assert!(of[1][1..] == of[0][1..] && of[2][1..] == of[0][1..], "the others: {of:?}");
+        assert_eq!(up.users(), alike.users(), "the walks are the same");
+    }
+    // An entry alone can be tilted, also where users enter and leave.
+    let mixture =
+        "users.mixture=[{mobility=\"seated\",share=0.5,orientation={}},{mobility=\"random-waypoint\",share=0.5}]";
+    let coming = ["users.arrivals.rate_per_min=60", "users.arrivals.mean_stay_s=4", "users.arrivals.max_users=9"];
+    let mut mixed = world(&[&["users.mobility=mixture", mixture][..], &coming].concat(), 4);
+    let (mut upright, mut tilted) = (0, 0);
+    for _ in 0..200 {
+        mixed.step(0.1);
+        for (user, normal) in mixed.users().iter().zip(normals(&mixed)) {
+            let sits = user.velocity == [0.0, 0.0];
+            assert!(sits || normal == Vec3::z(), "{user:?} {normal:?}");
+            *(if normal == Vec3::z() { &mut upright } else { &mut tilted }) += 1;
+        }
+    }
+    assert!(upright > 50 && tilted > 50, "{upright} {tilted}");
 }
 
 #[test]

@@ -32,7 +32,23 @@ fn of_users(users: &Users) -> Vec<Condition> {
             "the places have no effect; set users.mobility to \"seated\", or to \"mixture\" with an entry \"seated\" in users.mixture",
         )
     });
-    mixture.into_iter().chain(seats).collect()
+    let has_own = is_mixed && users.mixture.iter().any(|entry| entry.orientation.is_some());
+    let of_entries = (has_own && users.trace.is_some()).then(|| {
+        unused(
+            "orientation in users.mixture",
+            "users.trace replaces the models",
+            "all users hold their receivers as in users.orientation; set users.orientation",
+        )
+    });
+    let is_replaced = users.orientations().iter().all(|(key, _)| key != "users.orientation");
+    let of_room = (users.orientation.is_some() && is_replaced).then(|| {
+        unused(
+            "users.orientation",
+            "each entry of users.mixture has an orientation of its own",
+            "the table has no effect; remove it, or the orientation of an entry",
+        )
+    });
+    mixture.into_iter().chain(seats).chain(of_entries).chain(of_room).collect()
 }
 
 /// Tables of models of movement that no user has.

@@ -124,12 +124,12 @@ pub fn to_base(reports: &[Report], bases: &Bases, index: usize) -> Option<Value>
     Some(json!({ "oracle": oracle, "policies": policies.collect::<Map<_, _>>() }))
 }
 
-/// The episodes of a comparison and their figures as JSON: for each figure one list for each actor.
+/// The episodes of a comparison and their figures as JSON: for each figure one list for each actor. In a static
+/// comparison an episode is one state.
 pub fn in_episodes(report: &Report) -> Value {
+    let names = || report.each.first().into_iter().flat_map(|row| &row.figures).map(|(name, _)| *name);
     let of = |policy: Option<&str>| {
-        let figures = DIFFERENCES
-            .into_iter()
-            .map(|one| (one.of_figure.to_owned(), json!(report.in_episodes(policy, one.of_figure))));
+        let figures = names().map(|name| (name.to_owned(), json!(report.in_episodes(policy, name))));
         figures.collect::<Map<_, _>>()
     };
     let policies = report.policies.iter().map(|(name, _)| (name.clone(), Value::Object(of(Some(name.as_str())))));

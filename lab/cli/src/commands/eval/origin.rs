@@ -1,7 +1,7 @@
 //! Where figures come from: program, commit and configuration, for each file of a comparison.
 
 use anyhow::Result;
-use heliostat_learn::comparison::{Loop, Report};
+use heliostat_learn::comparison::Report;
 use heliostat_reproduce::machine;
 use heliostat_service::printable::printable;
 use serde_json::{Value, json};
@@ -13,7 +13,7 @@ pub fn program() -> String {
     format!("heliostat-lab {}", env!("CARGO_PKG_VERSION"))
 }
 
-/// A report as a JSON object with program and commit, in closed loop also with the figures of each episode.
+/// A report as a JSON object with program, commit and the figures of each episode.
 ///
 /// # Errors
 /// None for a report.
@@ -21,9 +21,7 @@ pub fn in_json(report: &Report) -> Result<Value> {
     let mut object = serde_json::to_value(report)?;
     object["program"] = json!(program());
     object["commit"] = json!(machine::COMMIT);
-    if report.mode == Loop::ClosedLoop {
-        object["each"] = differences::in_episodes(report);
-    }
+    object["each"] = differences::in_episodes(report);
     Ok(object)
 }
 

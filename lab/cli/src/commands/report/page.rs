@@ -12,7 +12,7 @@ use crate::commands::eval::{ABOVE_ONE, exceeds_one};
 use super::archive::{Archive, Finished};
 use super::definition::{Definition, Section};
 use super::summary;
-use super::table::{check_columns, crosses_note, grid, markdown, near_best_note, rows};
+use super::table::{check_columns, crosses_note, grid, markdown, near_best_note, rows, texts};
 
 /// A page, and why it does not show all that is finished.
 pub struct Page {
@@ -126,8 +126,8 @@ fn states(output: &Value) -> String {
 
 /// The heading of the names of rows, as [`rows`] makes them; `None` where they have no names.
 fn heading(output: &Value, pointer: &str) -> Option<String> {
-    match (output["sweep"].as_str(), output.pointer(pointer)) {
-        (Some(keys), _) => Some(format!("{keys}: policy")),
+    match (output["keys"].as_array(), output.pointer(pointer)) {
+        (Some(keys), _) => Some(format!("{}: policy", texts(keys))),
         (None, Some(Value::Array(_))) => None,
         (None, _) => Some(String::new()),
     }
@@ -269,13 +269,13 @@ mod tests {
     #[test]
     fn a_section_that_cannot_be_shown_leaves_the_others_on_the_page() {
         let mut archive = Archive::new("example", false);
-        archive.put(finished("first", json!({ "sweep": "users.count", "reports": [] })));
+        archive.put(finished("first", json!({ "keys": ["users.count"], "reports": [] })));
         archive.put(finished("last", json!({ "rows": [{ "p50": 1.5 }] })));
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("example.toml");
         std::fs::write(&file, REPORT).unwrap();
         let Page { text, problems } = write(&Definition::read(&file, &[]).unwrap(), &archive).unwrap();
-        let reason = "the output has nothing at /rows; it has /reports, /sweep";
+        let reason = "the output has nothing at /rows; it has /keys, /reports";
         assert_eq!(problems, [format!("in section first: {reason}")]);
         assert!(text.contains(&format!("Not shown: {reason}.\n\n## Last")), "{text}");
         assert!(text.contains("| p50 |\n| --- |\n| 1.5 |\n"), "{text}");
@@ -318,7 +318,7 @@ mod tests {
     fn a_sweep_has_its_keys_as_heading_and_a_ratio_above_one_is_explained() {
         let swept = |ratio: f64| {
             let policies = json!({ "flat": { "ratio_to_oracle": { "mean": ratio } } });
-            json!({ "sweep": "users.count, led.power_w", "reports": [{ "report": { "policies": policies } }] })
+            json!({ "keys": ["users.count", "led.power_w"], "reports": [{ "report": { "policies": policies } }] })
         };
         assert_eq!(heading(&swept(1.0), "/reports").as_deref(), Some("users.count, led.power_w: policy"));
         assert_eq!(heading(&json!({ "rows": [] }), "/rows"), None);

@@ -240,9 +240,9 @@ mod tests {
             json!({ "each": { "states": [20, 20], "policies": policies } })
         };
         let outputs = [of([[0.9, 0.8], [0.9, 0.7], [0.5, 0.4]]), of([[0.8, 0.8], [0.9, 0.7], [0.4, 0.4]])];
-        // One section is of exact states, whose output keeps no episodes.
-        let exact = json!({});
-        let outputs = [&outputs[0], &outputs[1], &exact];
+        // One section is of a command whose output keeps no episodes.
+        let other = json!({});
+        let outputs = [&outputs[0], &outputs[1], &other];
         let row = |ratio: f64| json!({ "sections": 3, "ratio_to_oracle": { "mean": ratio } });
         let names = [(ORACLE, 1.0), ("greedy", 0.85), ("ddpg", 0.8), ("flat", 0.4)];
         let mut rows: Vec<Row> = names.map(|(name, ratio)| (name.to_owned(), row(ratio))).into();

@@ -110,8 +110,8 @@ pub fn rows(output: &Value, pointer: &str, arguments: &[String]) -> Result<Vec<R
         Value::Array(reports) if pointer == SWEEP => {
             let swept = |report: &Value| {
                 let rows = rows(&report["report"], POLICIES, arguments)?;
-                let value = cell(&report["value"], Form::Text);
-                Ok(rows.into_iter().map(move |(name, row)| (format!("{value}: {name}"), row)))
+                let values = texts(report["values"].as_array().map_or(&[][..], Vec::as_slice));
+                Ok(rows.into_iter().map(move |(name, row)| (format!("{values}: {name}"), row)))
             };
             Ok(reports.iter().map(swept).collect::<Result<Vec<_>>>()?.into_iter().flatten().collect())
         }
@@ -129,6 +129,11 @@ pub fn rows(output: &Value, pointer: &str, arguments: &[String]) -> Result<Vec<R
         }
         _ => anyhow::bail!("the output has neither an array nor an object at {pointer}"),
     }
+}
+
+/// The keys of a sweep or their values in one text.
+pub fn texts(values: &[Value]) -> String {
+    values.iter().map(|value| cell(value, Form::Text)).collect::<Vec<_>>().join(", ")
 }
 
 /// Refuses columns whose figure no row of a table has, unless they are optional.
@@ -297,8 +302,8 @@ mod tests {
 
     #[test]
     fn a_sweep_has_a_row_for_each_value_and_policy() {
-        let swept = |value: &str| json!({ "value": value, "report": report(0.8) });
-        let output = json!({ "sweep": "users.count", "reports": [swept("1"), swept("2")] });
+        let swept = |value: &str| json!({ "values": [value], "report": report(0.8) });
+        let output = json!({ "keys": ["users.count"], "reports": [swept("1"), swept("2")] });
         let rows = rows(&output, SWEEP, &arguments("eval --policies greedy,flat")).unwrap();
         assert_eq!((rows.len(), rows[0].0.as_str(), rows[5].0.as_str()), (8, "1: (oracle)", "2: greedy"));
     }
@@ -320,8 +325,8 @@ mod tests {
         ] {
             assert_eq!(check(pointer, text), Ok(()), "{pointer} of {text}");
         }
-        let missing = rows(&json!({ "sweep": "users.count", "reports": [] }), POLICIES, &[]).expect_err("no policies");
-        assert_eq!(missing.to_string(), "the output has nothing at /policies; it has /reports, /sweep");
+        let missing = rows(&json!({ "keys": ["users.count"], "reports": [] }), POLICIES, &[]).expect_err("no policies");
+        assert_eq!(missing.to_string(), "the output has nothing at /policies; it has /keys, /reports");
     }
 
     #[test]

@@ -80,9 +80,9 @@ fn a_point_marks_the_policies_that_are_not_told_apart_from_its_best() {
 fn a_sweep_has_a_report_for_each_value_of_its_key() {
     let flags = ["--policies", "ddpg,flat", "--states", "3", "--seeds", "1", "--sweep", "users.count=1..3"];
     let sweep = report(&flags);
-    assert_eq!(sweep["sweep"], "users.count");
-    assert_eq!(sweep["keys"][0], "users.count");
+    assert_eq!(sweep["keys"], serde_json::json!(["users.count"]));
     let reports = sweep["reports"].as_array().expect("a list");
+    assert_eq!(reports[1]["values"], serde_json::json!(["2"]));
     let users: Vec<_> = reports.iter().map(|entry| entry["report"]["users"].as_u64()).collect();
     assert_eq!(users, [Some(1), Some(2), Some(3)]);
     let output = eval(&flags);
@@ -238,7 +238,15 @@ fn points_with_other_rooms_are_not_paired() {
     let flags = ["--policies", "flat", "--states", "2", "--seeds", "2", "--sweep"];
     let differs = |sweep: &str| {
         let all = report(&[&flags[..], &[sweep]].concat());
-        assert!(all["reports"][1]["report"].get("each").is_none(), "a static comparison has a state for each episode");
+        let each = &all["reports"][1]["report"]["each"];
+        let length = |value: &serde_json::Value| value.as_array().map(Vec::len);
+        assert_eq!((length(&each["room_seed"]), &each["states"]), (Some(4), &serde_json::json!([1, 1, 1, 1])));
+        for figure in ["sum_rate_mbps", "jain", "ber"] {
+            let values = &each["policies"]["flat"][figure];
+            assert_eq!((length(values), length(&values[0])), (Some(1), Some(4)), "a value for each state: {each}");
+            assert_eq!(length(&each["oracle"][figure][0]), Some(4), "{each}");
+        }
+        assert!(each["policies"]["flat"].get("outage_time").is_none(), "a figure of the closed loop: {each}");
         all["reports"][1].get("difference_to_first").is_some()
     };
     assert_eq!(["led.power_w=1,2", "seed=1,7"].map(differs), [true, false]);
@@ -288,7 +296,7 @@ fn flags_that_contradict_each_other_are_refused_with_point_and_reason() {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("figures.csv");
     let file = file.to_str().expect("a plain path");
-    let cases: [(&[&str], &[&str]); 10] = [
+    let cases: [(&[&str], &[&str]); 13] = [
         (&["--set", "mirrors.rows=0"], &["mirrors.rows = 0", "no-irs", "--sweep mirrors.rows=0"]),
         (
             &["--sweep", "users.count=1..5", "--blocked", "3"],
@@ -296,6 +304,12 @@ fn flags_that_contradict_each_other_are_refused_with_point_and_reason() {
         ),
         (&["--sweep", "users.count=1,1"], &["users.count = 1 is given twice"]),
         (&["--sweep", "users.count=1,2", "--set", "users.count=4"], &["--set fixes users.count"]),
+        (&["--sweep", "users.count=1,2", "--set", "users={count=4}"], &["--set fixes users.count"]),
+        (&["--sweep", "blockage={},{bodies=false}", "--set", "blockage.bodies=true"], &["--set fixes blockage.bodies"]),
+        (
+            &["--set", "blockage={forced_users=1}", "--blocked", "2"],
+            &["--blocked and --set both fix blockage.forced_users"],
+        ),
         (&["--sweep", "blockage.forced_users=1,2", "--blocked", "2"], &["--blocked fixes blockage.forced_users"]),
         (
             &["--scenario", "paper", "--sweep", "noise.thermal_a2_per_hz=1e-24,2e-24"],

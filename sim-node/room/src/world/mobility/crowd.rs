@@ -160,11 +160,19 @@ impl Crowd {
 
     /// The model of a user.
     fn model_of(&self, id: u32) -> MobilityModel {
-        if self.users.mobility != MobilityModel::Mixture {
-            return self.users.mobility;
+        match self.users.mobility {
+            MobilityModel::Mixture => {
+                self.entry_of(id).map_or(MobilityModel::RandomWaypoint, |entry| self.users.mixture[entry].mobility)
+            }
+            model => model,
         }
+    }
+
+    /// The index of the entry of a user in `users.mixture`; `None` outside a mixture.
+    pub fn entry_of(&self, id: u32) -> Option<usize> {
+        let mixture = if self.users.mobility == MobilityModel::Mixture { &self.users.mixture[..] } else { &[] };
         let place = (self.mixture_start + GOLDEN * f64::from(id)).fract();
-        MixtureShare::model_of(&self.users.mixture, id as usize, place).unwrap_or(MobilityModel::RandomWaypoint)
+        MixtureShare::index_of(mixture, id as usize, place)
     }
 
     fn member(&self, id: u32) -> Member {

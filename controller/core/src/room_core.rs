@@ -82,7 +82,10 @@ pub use undecodable::UndecodableCounts;
 
 use crate::{
     core::{Controller, Decision, Due, Stage, Timing},
-    input::{inbox::Message, refusal::Refusal},
+    input::{
+        inbox::{Message, publishes},
+        refusal::{Refusal, Stream},
+    },
     output::{
         capabilities::{Examiner, Force},
         tenure::Tenure,
@@ -142,7 +145,7 @@ pub struct RoomCore {
     /// The sources of nodes that must not receive the scenario's angles.
     unfit_nodes: Vec<u64>,
     drivers: Drivers,
-    /// The sources of the trackers whose liveliness tokens are there.
+    /// The sources of the trackers and simulators whose liveliness tokens are there.
     trackers: BTreeSet<u64>,
     /// Arrival and text of the simulator's geometry.
     announced: Option<(Nanos, String)>,
@@ -325,7 +328,7 @@ impl RoomCore {
         self.drivers.lost_beside_others()
     }
 
-    /// Number of trackers in the room, by their liveliness tokens.
+    /// Number of trackers and simulators in the room, by their liveliness tokens.
     pub fn trackers(&self) -> usize {
         self.trackers.len()
     }
@@ -440,10 +443,10 @@ impl RoomCore {
         } else {
             self.controller.handle_source_lost(node, source);
         }
-        if node == NodeKind::Tracker && is_alive {
-            self.trackers.insert(source);
-        } else if node == NodeKind::Tracker {
+        if !is_alive {
             self.trackers.remove(&source);
+        } else if publishes(node, Stream::Users) {
+            self.trackers.insert(source);
         }
         self.examine_node(node, source, is_alive);
     }

@@ -77,7 +77,7 @@ fn payloads_of_reports_become_numbered_payloads_of_commands() {
 }
 
 #[test]
-fn the_trackers_in_the_room_are_counted_by_their_tokens() {
+fn the_trackers_and_simulators_in_the_room_are_counted_by_their_tokens() {
     let (mut core, room) = (live(), RoomName::new("lab").unwrap());
     let mut count = |node, source, is_alive| {
         let token = room.alive(node, source);
@@ -85,8 +85,9 @@ fn the_trackers_in_the_room_are_counted_by_their_tokens() {
         core.trackers()
     };
     assert_eq!([4, 5, 5].map(|source| count(NodeKind::Tracker, source, true)), [1, 2, 2]);
-    assert_eq!(count(NodeKind::Viewer, 6, true), 2);
-    assert_eq!([4, 4, 5].map(|source| count(NodeKind::Tracker, source, false)), [1, 1, 0]);
+    assert_eq!([NodeKind::Viewer, NodeKind::SimNode].map(|node| count(node, 6, true)), [2, 3]);
+    assert_eq!([4, 4, 5].map(|source| count(NodeKind::Tracker, source, false)), [2, 2, 1]);
+    assert_eq!(count(NodeKind::SimNode, 6, false), 0);
 }
 
 #[test]

@@ -70,7 +70,7 @@ fn add_room(page: &mut Page, report: &RoomReport<'_>) {
     );
     page.gauge(
         "heliostat_trackers",
-        "Trackers in the room, by their liveliness tokens; a simulated room has none",
+        "Trackers and simulators in the room, by their liveliness tokens",
         &[room],
         summary.trackers as f64,
     );

@@ -68,7 +68,7 @@ pub struct Summary {
     pub standby: bool,
     /// Other controllers in the room from which statuses arrive, and calibrations; 16 at most.
     pub peers: u64,
-    /// Trackers in the room, by their liveliness tokens.
+    /// Trackers and simulators in the room, by their liveliness tokens.
     #[serde(default)]
     pub trackers: u64,
     /// Emergency stops that withhold commands; a stop of several arrays counts for each.

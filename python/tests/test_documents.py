@@ -63,6 +63,18 @@ def test_the_guide_has_each_part_and_each_column_of_an_observation() -> None:
         assert eval(cell, dict(sizes)) == shape, cell
 
 
+def test_the_symbols_of_the_physics_have_the_keys_and_values_of_the_default_room() -> None:
+    page = (DOCS / "physics.md").read_text(encoding="utf-8")
+    section = page.partition("## Symbols\n")[2].partition("\n## ")[0]
+    tables = heliostat.load_scenario("specular").tables()
+    rows = re.findall(r"\| `(\w+)\.(\w+)` \| ([\d.]*) ?\|$", section, re.MULTILINE)
+    assert len(rows) >= 14
+    for table, key, value in rows:
+        # A key without a value in the table is absent from the room.
+        found = tables[table].get(key)
+        assert found == (float(value) if value else None), f"{table}.{key}: {found} in the room, {value!r} on the page"
+
+
 def test_each_public_name_has_a_docstring() -> None:
     missing, seen = [], 0
     for found in pkgutil.walk_packages(heliostat.__path__, "heliostat.", onerror=lambda _: None):

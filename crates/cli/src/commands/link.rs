@@ -106,6 +106,7 @@ pub fn run(args: Args) -> Result<()> {
     } else {
         print_table(&report)?;
     }
+    instant.note_upright();
     Ok(())
 }
 

@@ -242,6 +242,19 @@ fn a_closed_output_is_not_an_error() {
 }
 
 #[test]
+fn a_room_whose_users_tilt_their_receivers_has_a_condition() {
+    let errors = |model: &str| {
+        let set = format!("users.orientation.model={model}");
+        let output = heliostat(&["link", "--user", "1,1", "--json", "--set", &set]);
+        assert!(output.status.success() && serde_json::from_slice::<Value>(&output.stdout).is_ok());
+        String::from_utf8(output.stderr).expect("text")
+    };
+    let found = errors("measured");
+    assert!(found.starts_with("condition: users.orientation") && found.contains("every receiver faces up"), "{found}");
+    assert_eq!(errors("up"), "");
+}
+
+#[test]
 fn an_onnx_actor_gives_the_angles() {
     let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../models/actors/ddpg-specular.onnx");
     let users = ["--user", "1,1", "--user", "-1,0.5"];

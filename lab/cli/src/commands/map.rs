@@ -99,6 +99,7 @@ pub fn run(args: Args) -> Result<()> {
             "{file}: {what} from {min:.3} to {max:.3}, mean {mean:.3}; {pixels_per_m:.1} pixels a metre on both axes"
         )?;
     }
+    instant.note_upright();
     Ok(())
 }
 

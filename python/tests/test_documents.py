@@ -31,17 +31,6 @@ def test_the_blocks_of_a_guide_run(page: str, count: int, printed: str, capsys: 
     assert printed in capsys.readouterr().out
 
 
-def test_the_study_names_points_without_an_interval(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("matplotlib")
-    (script,) = re.findall(r"```python\n(.*?)```", (DOCS / "tutorials" / "own-study.md").read_text("utf-8"), re.DOTALL)
-    monkeypatch.chdir(tmp_path)
-    # As `heliostat-lab eval --csv` writes an interval of one episode.
-    lines = ["mirrors.rows,blockage.forced_users,policy,outage_time_mean,outage_time_ci95", "2,0,(oracle),0.2,"]
-    (tmp_path / "study.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    with pytest.raises(SystemExit, match="points of one episode.*expected 2 episodes or more"):
-        exec(compile(script, "own-study.md", "exec"), {})
-
-
 @needs_program
 def test_the_study_gives_a_figure_and_a_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     pytest.importorskip("matplotlib")
@@ -84,6 +73,17 @@ def test_the_symbols_of_the_physics_have_the_keys_and_values_of_the_default_room
         # A key without a value in the table is absent from the room.
         found = tables[table].get(key)
         assert found == (float(value) if value else None), f"{table}.{key}: {found} in the room, {value!r} on the page"
+
+
+def test_the_study_names_points_without_an_interval(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("matplotlib")
+    (script,) = re.findall(r"```python\n(.*?)```", (DOCS / "tutorials" / "own-study.md").read_text("utf-8"), re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    # As `heliostat-lab eval --csv` writes an interval of one episode.
+    lines = ["mirrors.rows,blockage.forced_users,policy,outage_time_mean,outage_time_ci95", "2,0,(oracle),0.2,"]
+    (tmp_path / "study.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    with pytest.raises(SystemExit, match="points of one episode.*expected 2 episodes or more"):
+        exec(compile(script, "own-study.md", "exec"), {})
 
 
 def test_each_public_name_has_a_docstring() -> None:

@@ -128,10 +128,21 @@ def test_a_state_is_restored_as_often_as_needed_and_in_another_environment(make:
             one.restore_state(state)
         again = [one.step(action) for action in actions(env, 6, seed=2)]
         np.testing.assert_equal(again, first)
-    with pytest.raises(ValueError, match="another scenario"):
+    with pytest.raises(ValueError, match="of another environment: hash of the scenario"):
         heliostat.HeliostatEnv("specular").restore_state(heliostat.HeliostatEnv("paper").clone_state())
     with pytest.raises(TypeError, match="clone_state"):
         env.restore_state({})
+
+
+@pytest.mark.parametrize("kind", [heliostat.HeliostatEnv, heliostat.HeliostatVectorEnv])
+def test_a_state_fits_where_a_default_is_stated_and_a_refusal_names_what_differs(kind: Any) -> None:
+    state = kind("specular", action="weights", **SMALL).clone_state()
+    kind("specular", action="weights", penalty=1, settle_s=20.0, dynamics="static", **SMALL).restore_state(state)
+    with pytest.raises(ValueError, match=r"another environment: penalty = 1\.0 and not 2\.0; expected the same"):
+        kind("specular", action="weights", penalty=2.0, **SMALL).restore_state(state)
+    other: Any = heliostat.HeliostatEnv if kind is heliostat.HeliostatVectorEnv else heliostat.HeliostatVectorEnv
+    with pytest.raises(ValueError, match="form = "):
+        other("specular", action="weights", **SMALL).restore_state(state)
 
 
 def test_objects_of_the_package_are_copied_and_pickled() -> None:

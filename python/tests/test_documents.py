@@ -20,7 +20,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 @pytest.mark.parametrize(
     ("page", "count", "printed"),
-    [("python.md", 4, "Mbit/s, minimum rates met"), ("tutorials/python.md", 2, "ratio to the oracle")],
+    [("python.md", 5, "Mbit/s, minimum rates met"), ("tutorials/python.md", 2, "ratio to the oracle")],
 )
 def test_the_blocks_of_a_guide_run(page: str, count: int, printed: str, capsys: Any) -> None:
     blocks = re.findall(r"```python\n(.*?)```", (DOCS / page).read_text(encoding="utf-8"), re.DOTALL)
@@ -73,6 +73,41 @@ def test_the_study_gives_a_figure_and_a_table(tmp_path: Path, monkeypatch: pytes
     rows = [line for line in table.splitlines() if line.endswith(r"\\") and "policy" not in line]
     assert len(rows) == 4 * 2 * 3 and any(line.startswith("0 & 3 & oracle & ") for line in rows), table
     assert "nan" not in table
+
+
+def test_the_guide_has_each_part_and_each_column_of_an_observation() -> None:
+    page = (DOCS / "python.md").read_text(encoding="utf-8")
+    section = page.partition("## Observations and actions\n")[2].partition("\n## ")[0]
+    env = heliostat.HeliostatEnv("specular", overrides={"mirrors.rows": 3})
+    rows = re.findall(r"^\| (`.*?) \| (.*?) \|", section, re.MULTILINE)
+    names = [name for cell, _ in rows for name in re.findall(r"`(\w+)`", cell)]
+    assert names == [*env.parts, *heliostat.BELIEF_COLUMNS]
+    sizes = {"U": env.slots, "M": env.scenario.mirrors}
+    for (_, cell), (_, shape) in zip(rows, env.parts.values(), strict=False):
+        assert eval(cell, dict(sizes)) == shape, cell
+
+
+def test_the_symbols_of_the_physics_have_the_keys_and_values_of_the_default_room() -> None:
+    page = (DOCS / "physics.md").read_text(encoding="utf-8")
+    section = page.partition("## Symbols\n")[2].partition("\n## ")[0]
+    tables = heliostat.load_scenario("specular").tables()
+    rows = re.findall(r"\| `(\w+)\.(\w+)` \| ([\d.]*) ?\|$", section, re.MULTILINE)
+    assert len(rows) >= 14
+    for table, key, value in rows:
+        # A key without a value in the table is absent from the room.
+        found = tables[table].get(key)
+        assert found == (float(value) if value else None), f"{table}.{key}: {found} in the room, {value!r} on the page"
+
+
+def test_the_study_names_points_without_an_interval(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("matplotlib")
+    (script,) = re.findall(r"```python\n(.*?)```", (DOCS / "tutorials" / "own-study.md").read_text("utf-8"), re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    # As `heliostat-lab eval --csv` writes an interval of one episode.
+    lines = ["mirrors.rows,blockage.forced_users,policy,outage_time_mean,outage_time_ci95", "2,0,(oracle),0.2,"]
+    (tmp_path / "study.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    with pytest.raises(SystemExit, match="points of one episode.*expected 2 episodes or more"):
+        exec(compile(script, "own-study.md", "exec"), {})
 
 
 def test_each_public_name_has_a_docstring() -> None:

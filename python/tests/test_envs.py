@@ -125,6 +125,26 @@ def test_the_parts_of_a_dict_are_those_of_the_flat_observation() -> None:
     assert np.allclose(parts["positions"][:5], make_state(1)["positions"], atol=1e-6)
 
 
+def test_amplitudes_and_weights_are_those_of_the_guide() -> None:
+    env = make(action="weights", observation="dict")
+    parts, _ = env.reset(seed=1)
+    before, room = env.state(), heliostat.Room(env.scenario)
+    link = room.link(before["positions"], before["roll"], before["yaw"], before["blockers"])
+    gains = link["los_gain"] + link["irs_gain"]
+    lit = gains > 0.0
+    scales = np.sqrt(np.e / (2.0 * np.pi) * link["sinr"][lit]) / gains[lit]
+    assert np.allclose(scales, scales[0], rtol=1e-9), "one factor for all users"
+    assert np.allclose(parts["los_amplitude"][:5], scales[0] * link["los_gain"], rtol=1e-5)
+    steering = room.steering_gain(before["positions"], before["blockers"])
+    assert np.allclose(parts["steering_amplitude"][:5], scales[0] * steering, rtol=1e-4, atol=1e-6)
+    action = np.random.default_rng(3).uniform(-1, 1, env.slots).astype(np.float32)
+    env.step(action)
+    weights = np.exp(parts["summary"][-1] + 2.0 * action)[:5]
+    roll, yaw = room.decode(before["positions"], weights, before["blockers"])
+    after = env.state()
+    assert np.allclose(after["roll"], roll, atol=1e-6) and np.allclose(after["yaw"], yaw, atol=1e-6)
+
+
 def make_state(seed: int) -> dict[str, Any]:
     env = make()
     env.reset(seed=seed)

@@ -408,6 +408,18 @@ def test_stable_baselines_trains_on_the_parts_of_observations() -> None:
     env.close()
 
 
+def test_options_of_a_reset_are_refused_by_the_batch_and_not_ignored() -> None:
+    stable_baselines_or_skip()
+    from heliostat.sb3 import HeliostatVecEnv
+
+    env = HeliostatVecEnv(num_envs=2, action="weights")
+    env.set_options({"held_out": 0})
+    with pytest.raises(ValueError, match="have no options of a reset"):
+        env.reset()
+    assert env.reset().shape == (2, 1370), "the next reset has none"
+    env.close()
+
+
 def test_stable_baselines_trains_on_the_batch() -> None:
     sb3 = stable_baselines_or_skip()
     from heliostat.sb3 import HeliostatVecEnv

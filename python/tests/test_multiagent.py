@@ -7,6 +7,7 @@ from typing import Any
 import heliostat
 import numpy as np
 import pytest
+from gymnasium.error import ResetNeeded
 
 pytest.importorskip("pettingzoo", reason="pettingzoo is not installed")
 from heliostat.multiagent import parallel_env
@@ -38,12 +39,16 @@ def test_the_checks_of_pettingzoo_pass(agents: Agents, settings: dict[str, Any])
 
 def test_users_as_agents_choose_the_weights_of_one_learner_and_see_their_own_row_first() -> None:
     env, one = parallel_env("users", max_steps=5, **HALL), heliostat.HeliostatEnv(action="weights", observation="belief", **HALL)
+    with pytest.raises(ResetNeeded, match="before the first state"):
+        env.state()
     seen, _ = env.reset(seed=4)
     expected, _ = one.reset(seed=4)
     generator = np.random.default_rng(2)
     assert env.possible_agents == ["user_0", "user_1", "user_2"] and one.slots > 3
     for step in range(1, 6):
         rows = expected.reshape(one.slots, -1)
+        np.testing.assert_array_equal(env.state(), expected)
+        assert env.state_space.contains(env.state()), "the state of all agents"
         assert not rows[3:].any(), "users have the first slots"
         for slot in range(3):
             own = seen[f"user_{slot}"].reshape(3, -1)

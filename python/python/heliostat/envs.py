@@ -77,7 +77,14 @@ def make_settings(
     )
 
 
-SETTINGS = frozenset(inspect.signature(make_settings).parameters) - {"scenario"}
+DEFAULTS: dict[str, Any] = {
+    name: parameter.default
+    for name, parameter in inspect.signature(make_settings).parameters.items()
+    if parameter.default is not parameter.empty
+}
+"""The keywords of `make_settings` with their defaults."""
+
+SETTINGS = frozenset(DEFAULTS)
 """The keywords of `make_settings`."""
 
 KEYWORDS = SETTINGS | {"scenario", "overrides", "render_mode"}
@@ -130,12 +137,19 @@ def _episode_of(value: Any) -> tuple[int, int, int]:
     return integer("index of the episode", value[0], 0, states * seeds - 1), states, seeds
 
 
-def check_identity(state: Any, expected: tuple[Any, ...]) -> None:
+def identity(form: str, scenario: Scenario, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """What must be equal where a state is restored; `form` is "environment" or "batch"."""
+    return {"form": form, "hash of the scenario": scenario.hash, **settings}
+
+
+def check_identity(state: Any, expected: Mapping[str, Any]) -> None:
     """Refuses what is no state, and the state of another environment."""
     if not isinstance(state, EnvState):
         raise TypeError(f"expected a state that clone_state has returned, found {type(state).__name__}")
-    if state.settings != expected:
-        raise ValueError("the state is of an environment with another scenario or with other settings")
+    differing = [name for name, value in expected.items() if state.settings.get(name) != value]
+    if differing:
+        reasons = ", ".join(f"{name} = {state.settings.get(name)!r} and not {expected[name]!r}" for name in differing)
+        raise ValueError(f"the state is of another environment: {reasons}; expected the same scenario and settings")
 
 
 class Layout:
@@ -182,7 +196,7 @@ class EnvState:
     """The rooms; no part of the interface."""
     generator: Mapping[str, Any]
     flags: dict[str, Any]
-    settings: tuple[Any, ...]
+    settings: Mapping[str, Any]
 
 
 class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
@@ -231,6 +245,7 @@ class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
         self.scenario = make_scenario(scenario, overrides, dynamics, settings)
         self.action_form, self.observation_form = action, observation
         self._settings: dict[str, Any] = {
+            **DEFAULTS,
             "action": action,
             "observation": observation,
             "dynamics": dynamics,
@@ -238,7 +253,7 @@ class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
             **settings,
         }
         checked = make_settings(self.scenario, **self._settings)
-        self._oracle = bool(settings.get("oracle", False))
+        self._oracle = bool(self._settings["oracle"])
         self._batch = Batch(checked, [self.scenario.seed], "disabled", _UNLIMITED)
         self._layout = Layout(self._batch, observation)
         self.action_space = self._layout.action_space
@@ -326,7 +341,7 @@ class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
             copy.copy(self._batch),
             self.np_random.bit_generator.state,
             {"is_reset": self._is_reset, "in_episode": self._in_episode},
-            self._identity(),
+            identity("environment", self.scenario, self._settings),
         )
 
     def restore_state(self, state: EnvState) -> None:
@@ -334,14 +349,11 @@ class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
 
         Raises `ValueError` for a state of an environment with other settings.
         """
-        check_identity(state, self._identity())
+        check_identity(state, identity("environment", self.scenario, self._settings))
         batch, self._batch = self._batch, copy.copy(state.batch)
         batch.close()
         self.np_random.bit_generator.state = state.generator
         self._is_reset, self._in_episode = state.flags["is_reset"], state.flags["in_episode"]
-
-    def _identity(self) -> tuple[Any, ...]:
-        return (self.scenario.hash, tuple(sorted(self._settings.items())))
 
     def __copy__(self) -> HeliostatEnv:
         """A copy has a room of its own, as `copy.deepcopy`: two environments cannot share one room."""

@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
+from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from ._checks import integer, one_of
@@ -51,7 +52,8 @@ class HeliostatParallelEnv(ParallelEnv):  # type: ignore[misc]
     """A room as a parallel environment; `parallel_env` has its arguments.
 
     All agents act in each step, and all are truncated together. The observation of an empty slot is 0 in its own row,
-    and its action has no effect. `info` of each agent has the figures of `HeliostatEnv`.
+    and its action has no effect. `info` of each agent has the figures of `HeliostatEnv`. `state` is for critics that
+    read all users and mirrors during the training.
     """
 
     metadata: dict[str, Any] = {"name": "heliostat_v0", "render_modes": ["rgb_array"], "render_fps": 10}
@@ -72,6 +74,8 @@ class HeliostatParallelEnv(ParallelEnv):  # type: ignore[misc]
         self._parts = _Users(self.env) if agents == "users" else _Arrays(self.env)
         self.possible_agents = list(self._parts.names)
         self.agents: list[str] = []
+        self.state_space = self.env.observation_space
+        self._state: _Array | None = None
         self._steps = 0
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
@@ -88,6 +92,7 @@ class HeliostatParallelEnv(ParallelEnv):  # type: ignore[misc]
         """Starts an episode, as `HeliostatEnv.reset` does. PettingZoo requires that unknown options are ignored."""
         known = {name: value for name, value in (options or {}).items() if name in RESET_OPTIONS}
         seen, info = self.env.reset(seed=seed, options=known)
+        self._state = seen
         self.agents, self._steps = list(self.possible_agents), 0
         return self._parts.seen(seen), {agent: dict(info) for agent in self.agents}
 
@@ -105,6 +110,7 @@ class HeliostatParallelEnv(ParallelEnv):  # type: ignore[misc]
             if np.shape(actions[agent]) != shape:
                 raise ValueError(f"an action of {agent} of shape {np.shape(actions[agent])}, expected {shape}")
         seen, reward, _, is_over, info = self.env.step(self._parts.joined(actions))
+        self._state = seen
         self._steps += 1
         is_over = is_over or self._steps >= self._max_steps
         agents = self.agents
@@ -117,6 +123,15 @@ class HeliostatParallelEnv(ParallelEnv):  # type: ignore[misc]
             dict.fromkeys(agents, is_over),
             {agent: dict(info) for agent in agents},
         )
+
+    def state(self) -> _Array:
+        """What all agents observe, in `state_space`: the observation of `HeliostatEnv`.
+
+        Raises `gymnasium.error.ResetNeeded` before the first reset.
+        """
+        if self._state is None:
+            raise ResetNeeded("call reset before the first state")
+        return self._state.copy()
 
     def render(self) -> Any:
         """The floor from above, as `HeliostatEnv.render` draws it."""

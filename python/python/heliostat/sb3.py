@@ -30,7 +30,14 @@ class HeliostatVecEnv(VecEnv):  # type: ignore[misc]
         self._actions: Any = None
 
     def reset(self) -> Any:
-        """Restarts all environments, with the seeds of `seed` if it was called."""
+        """Restarts all environments, with the seeds of `seed` if it was called.
+
+        Raises `ValueError` for the options of `set_options`: a batch has none.
+        """
+        if any(self._options):
+            self._reset_options()
+            raise ValueError("set_options: the environments of a batch have no options of a reset; reset heliostat.HeliostatEnv "
+                             "with them, or call heliostat.evaluate for a score in held-out rooms")
         given = [one for one in self._seeds if one is not None]
         observation, _ = self.inner.reset(seed=list(self._seeds) if given else None)
         self._reset_seeds()

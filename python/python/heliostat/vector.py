@@ -16,7 +16,17 @@ from numpy.typing import NDArray
 
 from ._checks import integer, real, seed_of
 from ._core import Batch
-from .envs import _UNLIMITED, KEYWORDS, EnvState, Layout, check_identity, make_scenario, make_settings
+from .envs import (
+    _UNLIMITED,
+    DEFAULTS,
+    KEYWORDS,
+    EnvState,
+    Layout,
+    check_identity,
+    identity,
+    make_scenario,
+    make_settings,
+)
 from .names import ActionForm, Dynamics, ObservationForm, RewardForm
 from .rendering import draw
 from .scenario import Scenario, Value
@@ -96,20 +106,19 @@ class HeliostatVectorEnv(VectorEnv[Any, Any, Any]):
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.scenario = make_scenario(scenario, overrides, dynamics, settings, _KEYWORDS)
         forms = {"action": action, "observation": observation, "dynamics": dynamics, "reward": reward}
-        all_settings: dict[str, Any] = {**forms, **settings}
+        all_settings: dict[str, Any] = {**DEFAULTS, **forms, **settings}
         checked = make_settings(self.scenario, **all_settings)
         seeds = [self.scenario.seed + index for index in range(num_envs)]
         steps_max = _UNLIMITED if max_episode_steps is None else max_episode_steps
         self._batch = Batch(checked, seeds, _MODES[self.autoreset_mode], steps_max)
         self._layout = Layout(self._batch, observation)
-        self._oracle = bool(settings.get("oracle", False))
-        self._identity = (
-            self.scenario.hash,
-            num_envs,
-            max_episode_steps,
-            self.autoreset_mode.value,
-            tuple(sorted(all_settings.items())),
-        )
+        self._oracle = bool(all_settings["oracle"])
+        of_batch: dict[str, Any] = {
+            "num_envs": num_envs,
+            "max_episode_steps": max_episode_steps,
+            "autoreset_mode": self.autoreset_mode.value,
+        }
+        self._identity = identity("batch", self.scenario, {**of_batch, **all_settings})
         self.num_envs = num_envs
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}

@@ -106,6 +106,7 @@ pub fn run(args: Args) -> Result<()> {
     } else {
         print_table(&report)?;
     }
+    instant.note_upright();
     Ok(())
 }
 
@@ -248,7 +249,13 @@ fn ber_text(ber: f64) -> String {
 }
 
 fn print_table(report: &LinkBudgetReport) -> io::Result<()> {
-    outln!("{} mode, mirrors {}, noise {:.3e} A2", report.mode, report.angles, report.noise_variance_a2)?;
+    outln!(
+        "{} mode, mirrors {}, noise {:.3e} A2, {} on the bandwidth",
+        report.mode,
+        report.angles,
+        report.noise_variance_a2,
+        counted(report.users.len(), "user")
+    )?;
     outln!(
         "{:>4} {:>21} {:>11} {:>11} {:>9} {:>13} {:>9}  blocked",
         "user",

@@ -11,6 +11,7 @@ use heliostat_core::policy::{PolicyKind, removed};
 use heliostat_models::{ActorSource, build};
 use heliostat_scenario::{Room, Scenario};
 use heliostat_service::counted::counted;
+use heliostat_service::output::note;
 
 use super::number_table;
 
@@ -24,7 +25,7 @@ pub struct Instant<'a> {
 }
 
 impl<'a> Instant<'a> {
-    /// Users at `positions`; those marked in `forced` have no direct path.
+    /// Users at `positions`, whose receivers face up; those marked in `forced` have no direct path.
     pub fn new(
         scenario: &'a Scenario,
         model: &'a ChannelModel,
@@ -46,6 +47,16 @@ impl<'a> Instant<'a> {
         };
         observation.set_state(model, &state);
         Self { scenario, model, observation }
+    }
+
+    /// Notes on standard error where the users of the room tilt their receivers: here each one faces up.
+    pub fn note_upright(&self) {
+        if self.scenario.has_tilted_receivers() {
+            note(
+                "condition: users.orientation tilts the receivers of this room, and here every receiver faces up; for tilted \
+                 ones use `heliostat-lab eval`, or heliostat.Room in Python with normals",
+            );
+        }
     }
 
     /// The angles for a value of the command line.

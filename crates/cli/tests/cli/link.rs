@@ -240,6 +240,28 @@ fn a_closed_output_is_not_an_error() {
 }
 
 #[test]
+fn a_room_whose_users_tilt_their_receivers_has_a_condition() {
+    let errors = |model: &str| {
+        let set = format!("users.orientation.model={model}");
+        let output = heliostat(&["link", "--user", "1,1", "--json", "--set", &set]);
+        assert!(output.status.success() && serde_json::from_slice::<Value>(&output.stdout).is_ok());
+        String::from_utf8(output.stderr).expect("text")
+    };
+    let found = errors("measured");
+    assert!(found.starts_with("condition: users.orientation") && found.contains("every receiver faces up"), "{found}");
+    assert_eq!(errors("up"), "");
+}
+
+#[test]
+fn the_table_states_how_many_users_share_the_bandwidth() {
+    for (users, expected) in [(1, "1 user on the bandwidth"), (2, "2 users on the bandwidth")] {
+        let output = heliostat(&[&["link"][..], &["--user", "1,1", "--user", "-1,1"][..2 * users]].concat());
+        let table = String::from_utf8(output.stdout).expect("text");
+        assert!(table.lines().next().is_some_and(|line| line.ends_with(expected)), "{table}");
+    }
+}
+
+#[test]
 fn an_onnx_actor_gives_the_angles() {
     let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../models/actors/ddpg-specular.onnx");
     let users = ["--user", "1,1", "--user", "-1,0.5"];

@@ -14,6 +14,7 @@ use heliostat_room::World;
 use heliostat_scenario::{Scenario, ScenarioArgs};
 
 use heliostat::commands::mirrors::Instant;
+use heliostat_service::counted::counted;
 use heliostat_service::outln;
 use heliostat_service::whole_file;
 use picture::Picture;
@@ -95,10 +96,18 @@ pub fn run(args: Args) -> Result<()> {
         outln!("{summary}")?;
     } else {
         let (what, file) = (args.what.label(), args.out.display());
+        // A rate depends on how many users share the bandwidth, a SINR does not.
+        let sharing = match args.what {
+            Quantity::Rate | Quantity::Coverage => {
+                format!(", one of {} on the bandwidth", counted(scenario.users.count, "user"))
+            }
+            Quantity::Sinr => String::new(),
+        };
         outln!(
-            "{file}: {what} from {min:.3} to {max:.3}, mean {mean:.3}; {pixels_per_m:.1} pixels a metre on both axes"
+            "{file}: {what}{sharing}, from {min:.3} to {max:.3}, mean {mean:.3}; {pixels_per_m:.1} pixels a metre on both axes"
         )?;
     }
+    instant.note_upright();
     Ok(())
 }
 

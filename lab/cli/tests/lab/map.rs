@@ -179,3 +179,30 @@ fn errors_name_the_cause() {
         assert!(!output.status.success() && errors.contains(expected), "{arguments:?}: {errors}");
     }
 }
+
+#[test]
+fn a_map_of_rates_states_how_many_users_share_the_bandwidth() {
+    let folder = TempDir::new().expect("a folder");
+    let out = folder.path().join("map.svg");
+    let file = out.to_str().expect("a plain path");
+    for (what, expected) in [("rate", true), ("coverage", true), ("sinr", false)] {
+        let output = heliostat(&["map", "--scenario", "specular", "--step-cm", "50", "--out", file, "--what", what]);
+        let text = String::from_utf8(output.stdout).expect("text");
+        assert_eq!(text.contains(", one of 5 users on the bandwidth, from"), expected, "{text}");
+    }
+}
+
+#[test]
+fn a_map_of_a_room_with_tilted_receivers_has_a_condition() {
+    let folder = TempDir::new().expect("a folder");
+    let out = folder.path().join("map.svg");
+    let file = out.to_str().expect("a plain path");
+    let errors = |model: &str| {
+        let set = format!("users.orientation.model={model}");
+        let output = heliostat(&["map", "--scenario", "specular", "--step-cm", "50", "--out", file, "--set", &set]);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8(output.stderr).expect("text")
+    };
+    assert!(errors("measured").contains("every receiver faces up"));
+    assert_eq!(errors("up"), "");
+}

@@ -66,3 +66,27 @@ fn the_unit_of_the_page_keeps_its_token_over_a_restart() {
     let guide = fs::read_to_string(workspace().join("docs/deploy.md")).expect("a guide");
     assert!(guide.contains("/var/lib/heliostat-page/ROOM/token"), "the guide does not name the file");
 }
+
+#[test]
+fn prometheus_collects_every_process_of_the_rooms() {
+    for (rooms, configuration) in [
+        ("deploy/rooms", "deploy/prometheus/prometheus.yml"),
+        ("deploy/building/rooms", "deploy/building/prometheus.yml"),
+    ] {
+        let configured = fs::read_to_string(workspace().join(configuration)).expect("a configuration");
+        let mut ports = 0;
+        for entry in fs::read_dir(workspace().join(rooms)).expect("a folder").flatten() {
+            if entry.path().extension().is_none_or(|extension| extension != "env") {
+                continue;
+            }
+            let text = fs::read_to_string(entry.path()).expect("a room");
+            for line in text.lines().filter(|line| line.contains("_METRICS=")) {
+                let (_, port) = line.rsplit_once(':').expect("an address and a port");
+                let target = format!(":{port}\"");
+                assert!(configured.contains(&target), "{configuration} lacks {line} of {}", entry.path().display());
+                ports += 1;
+            }
+        }
+        assert!(ports >= 7, "{rooms}: {ports} ports");
+    }
+}

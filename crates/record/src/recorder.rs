@@ -156,6 +156,7 @@ fn turn(ring: &mut Ring, writer: &mut RoomWriter<File>) {
     for fault in std::mem::take(&mut writer.faults) {
         output::note(format_args!("record: {fault}: the files around it are kept"));
         ring.note_fault(now);
+        writer.place.rename(ring.path());
     }
     if writer.has_failed() || !ring.is_due(writer.bytes(), now) {
         return;

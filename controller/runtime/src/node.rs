@@ -65,7 +65,7 @@ pub fn run(config: &NodeConfig, mut local: Vec<LocalArray>, stop: &Stop) -> anyh
         }
         let has_reports = rooms.iter().any(|room| room.summary().decisions > 0);
         if !has_reports && !has_warned && started.elapsed() > SILENCE {
-            // The check of a TLS connection has logged its reason.
+            // The check of the connections has logged its reason.
             if bus.connection_problem().is_none() {
                 tracing::warn!("{}", no_reports(config));
             }

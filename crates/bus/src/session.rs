@@ -144,7 +144,8 @@ impl Bus {
         first_unresolved(&config.connect)
     }
 
-    /// Why a TLS connection of this session fails, if the other side answers: the fault of a certificate.
+    /// Why a connection of this session fails: the fault of a certificate. Until the first connection also that no process
+    /// answers, or that the one that answers needs keys.
     pub fn connection_problem(&self) -> Option<String> {
         self.watch.as_ref()?.problem()
     }

@@ -128,8 +128,10 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Outcome> {
     let refused = bus.connection_problem();
     bus.close()?;
     let mut outcome = writer.finish(dropped.load(Ordering::Relaxed));
-    if outcome.account.messages() == 0 && refused.is_some() {
-        outcome.failure = refused;
+    if outcome.account.messages() == 0
+        && let Some(reason) = refused
+    {
+        outcome.failure = Some(format!("nothing was received: {reason}"));
     }
     if let Some(mut ring) = ring {
         // The next file may not have been begun.

@@ -12,6 +12,7 @@ use std::time::Duration;
 use zenoh::Wait;
 
 use crate::config::{BusConfig, Role};
+use crate::resolve::first_unresolved;
 use crate::tls::Identity;
 use crate::tls_check::{first_encrypted, first_problem, unanswered};
 
@@ -120,6 +121,9 @@ impl Watched {
     fn never_connected(&self) -> Option<String> {
         if lock(&self.found).link.was_connected {
             return None;
+        }
+        if let Some(unresolved) = first_unresolved(&self.endpoints) {
+            return Some(unresolved);
         }
         if let Some(found) = unanswered(&self.endpoints) {
             return Some(format!("{found}: start the process that listens there, or correct --connect"));

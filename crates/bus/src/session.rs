@@ -144,7 +144,7 @@ impl Bus {
         }
     }
 
-    /// That the name of an endpoint of the configuration is not resolved in time, with what to do.
+    /// That the name of an endpoint of the configuration has no address, or none in time, with what to do.
     pub fn find_unresolved(config: &BusConfig) -> Option<String> {
         first_unresolved(&config.connect)
     }

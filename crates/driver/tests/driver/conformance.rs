@@ -231,9 +231,11 @@ fn flawed(flaw: Flaw, bus: &BusConfig, stop: &Stop) {
     let (mut announcement, mut latch) = (Instant::now(), Latch::default());
     while !stop.is_requested() {
         while let Some(mut arrival) = session.received().pop_until(Instant::now() + Duration::from_millis(20)) {
-            match (flaw, &arrival.content) {
-                (Flaw::IgnoresStops, Content::Stop(_)) | (Flaw::IgnoresRepetitions, Content::Repetition(_)) => continue,
-                _ => {}
+            if matches!(
+                (flaw, &arrival.content),
+                (Flaw::IgnoresStops, Content::Stop(_)) | (Flaw::IgnoresRepetitions, Content::Repetition(_))
+            ) {
+                continue;
             }
             let mut sent = None;
             if let Content::Command(Ok(command)) = &mut arrival.content {

@@ -65,7 +65,7 @@ pub fn run(config: &NodeConfig, mut local: Vec<LocalArray>, stop: &Stop) -> anyh
         }
         let has_reports = rooms.iter().any(|room| room.summary().decisions > 0);
         if !has_reports && !has_warned && started.elapsed() > SILENCE {
-            // The check of a TLS connection has logged its reason.
+            // The check of the connections has logged its reason.
             if bus.connection_problem().is_none() {
                 tracing::warn!("{}", no_reports(config));
             }
@@ -83,13 +83,18 @@ pub fn run(config: &NodeConfig, mut local: Vec<LocalArray>, stop: &Stop) -> anyh
 }
 
 fn no_reports(config: &NodeConfig) -> String {
-    let bus = &config.bus;
-    let rooms: Vec<&str> = std::iter::once(&bus.room).chain(&config.also_rooms).map(Room::name).collect();
+    let rooms: Vec<&str> = std::iter::once(&config.bus.room).chain(&config.also_rooms).map(Room::name).collect();
+    describe_silence(&rooms, &config.bus.listen)
+}
+
+/// The endpoints to which the controller connects are not named: one of them may be of its own array, and the watch over
+/// the connections names those that do not answer.
+fn describe_silence(rooms: &[&str], listen: &[String]) -> String {
+    let listening = if listen.is_empty() { String::new() } else { format!(", such as {}", listen.join(", ")) };
     format!(
-        "no position report from room \"{}\" (connecting to {}, listening at {}): start the room's process with the same --room and a matching endpoint",
-        rooms.join("\", \""),
-        if bus.connect.is_empty() { "no endpoint".into() } else { bus.connect.join(", ") },
-        if bus.listen.is_empty() { "no endpoint".into() } else { bus.listen.join(", ") },
+        "no position report from room \"{}\": start the tracker or the simulator with the same --room and an endpoint in \
+         common with this controller{listening}",
+        rooms.join("\", \"")
     )
 }
 
@@ -103,4 +108,22 @@ fn wait_for_stop(stop: &Stop, deadline: Option<Instant>, pauses: &mut Pauses) ->
     let woken = Instant::now();
     pauses.note_wake(woken, begun + left);
     deadline.is_some_and(|deadline| woken >= deadline)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_room_without_reports_is_named_with_where_its_tracker_connects() {
+        let start =
+            "start the tracker or the simulator with the same --room and an endpoint in common with this controller";
+        let alone = describe_silence(&["own"], &[]);
+        assert_eq!(alone, format!("no position report from room \"own\": {start}"));
+        let listening = describe_silence(&["own", "hall"], &["tcp/127.0.0.1:7447".to_owned()]);
+        assert_eq!(
+            listening,
+            format!("no position report from room \"own\", \"hall\": {start}, such as tcp/127.0.0.1:7447")
+        );
+    }
 }

@@ -1,7 +1,8 @@
 //! Whether a session has a connection, and why it has none.
 //!
-//! A thread looks twice a second. It says once that the last connection is lost, and once that one is back. For a
-//! session with keys another thread looks for the reason why an endpoint has no connection, which takes longer.
+//! A thread looks twice a second. It says once that the last connection is lost, and once that one is back. Another
+//! thread looks for the reason why an endpoint has no connection, which takes longer. Without keys, and where no process
+//! answers, it names a reason only until the first connection: processes may end, and peers may start in any order.
 
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, channel, sync_channel};
 use std::sync::{Arc, Mutex};
@@ -11,9 +12,9 @@ use std::time::Duration;
 use zenoh::Wait;
 
 use crate::config::{BusConfig, Role};
-use crate::resolve::lock;
+use crate::resolve::{first_unresolved, lock};
 use crate::tls::Identity;
-use crate::tls_check::first_problem;
+use crate::tls_check::{first_encrypted, first_problem, unanswered};
 
 /// Time between two looks.
 const EVERY: Duration = Duration::from_millis(500);
@@ -113,7 +114,21 @@ impl Watched {
     /// Looks for the reason why an endpoint has no connection.
     fn search(&self) {
         let problem = self.identity.as_ref().and_then(|identity| first_problem(identity, &self.endpoints));
-        self.note_problem(problem);
+        self.note_problem(problem.or_else(|| self.never_connected()));
+    }
+
+    /// Why a session that has never had a connection has none.
+    fn never_connected(&self) -> Option<String> {
+        if lock(&self.found).link.was_connected {
+            return None;
+        }
+        if let Some(unresolved) = first_unresolved(&self.endpoints) {
+            return Some(unresolved);
+        }
+        if let Some(found) = unanswered(&self.endpoints) {
+            return Some(format!("{found}: start the process that listens there, or correct --connect"));
+        }
+        if self.identity.is_some() { None } else { first_encrypted(&self.endpoints) }
     }
 
     /// Sets the problem, or none where no endpoint misses a connection any more: a search takes long.
@@ -149,6 +164,10 @@ impl Found {
     /// Notes the connections of a look: whether one is lost or back.
     fn note(&mut self, connections: usize) -> bool {
         self.connections = connections;
+        if connections > 0 && !self.link.was_connected {
+            // The first connection ends a reason why there is none; a search finds that of another endpoint again.
+            self.problem = None;
+        }
         self.link.note(connections > 0)
     }
 }
@@ -279,6 +298,21 @@ mod tests {
         let router = Some("tls/one:7447, tls/two:7447".to_owned());
         assert_eq!(lost(Role::Client), [None, None, None, router, None]);
         assert!(lost(Role::Peer).iter().all(Option::is_none));
+    }
+
+    #[test]
+    fn a_peer_names_the_endpoints_at_which_no_process_answers_until_its_first_connection() {
+        let free =
+            std::net::TcpListener::bind("127.0.0.1:0").and_then(|bound| bound.local_addr()).expect("a free port");
+        let watched = Watched { endpoints: vec![format!("tcp/{free}")], ..watched(Role::Peer) };
+        watched.search();
+        let problem = lock(&watched.found).problem.clone().unwrap_or_default();
+        assert!(problem.starts_with(&format!("no process answers at tcp/{free}: start the process")), "{problem}");
+        note_connections(1, &watched);
+        assert_eq!(lock(&watched.found).problem, None, "the first connection ends the reason");
+        note_connections(0, &watched);
+        watched.search();
+        assert_eq!(lock(&watched.found).problem, None, "the end of the other process is no wrong endpoint");
     }
 
     #[test]

@@ -93,7 +93,7 @@ pub enum BusError {
         /// Duration of the wait in ms.
         waited_ms: u64,
     },
-    /// The name of an endpoint is not resolved in time.
+    /// The name of an endpoint has no address, or none in time.
     #[error("{problem}")]
     Unresolved {
         /// The endpoint, its name, and what to do.

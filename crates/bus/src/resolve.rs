@@ -45,20 +45,24 @@ pub(crate) fn resolve(address: &str) -> Result<Vec<SocketAddr>, NoAddress> {
     }
 }
 
-/// That the name of one of these endpoints was not resolved within the limit, in words. All are searched at a time.
+/// That the name of one of these endpoints has no address, or none within the limit, in words. All are searched at a time.
 pub(crate) fn first_unresolved(endpoints: &[String]) -> Option<String> {
     let of = |endpoint: &String| Some((endpoint.clone(), address_of(endpoint)?));
     let addresses: Vec<(String, String)> = endpoints.iter().filter_map(of).collect();
     let is_name = |address: &String| address.parse::<SocketAddr>().is_err();
     addresses.iter().filter(|(_, address)| is_name(address)).for_each(|(_, address)| drop(begin(address, ask_system)));
-    let is_overdue = |(_, address): &&(String, String)| resolve(address) == Err(NoAddress::TimedOut);
-    addresses.iter().find(is_overdue).map(|(endpoint, address)| describe_overdue(endpoint, address))
+    addresses.iter().find_map(|(endpoint, address)| Some(describe(endpoint, address, resolve(address).err()?)))
 }
 
-fn describe_overdue(endpoint: &str, address: &str) -> String {
+fn describe(endpoint: &str, address: &str, reason: NoAddress) -> String {
     let host = address.rsplit_once(':').map_or(address, |(host, _)| host);
     let limit_s = RESOLVED_WITHIN.as_secs_f64();
-    format!("{endpoint}: the name {host} was not resolved within {limit_s} s: name an address")
+    match reason {
+        NoAddress::Unknown => format!("{endpoint}: the name {host} has no address: correct it, or name an address"),
+        NoAddress::TimedOut => {
+            format!("{endpoint}: the name {host} was not resolved within {limit_s} s: name an address")
+        }
+    }
 }
 
 /// `HOST:PORT` of an endpoint that has a host.
@@ -138,12 +142,16 @@ mod tests {
     }
 
     #[test]
-    fn an_endpoint_with_a_silent_name_server_is_named_with_what_to_do() {
+    fn an_endpoint_whose_name_has_no_address_is_named_with_what_to_do() {
         assert_eq!(address_of("tcp/lab.example:7447").as_deref(), Some("lab.example:7447"));
         assert_eq!(address_of("unixsock-stream/lab.sock"), None);
+        let described = |reason| describe("tcp/lab.example:7447", "lab.example:7447", reason);
         assert_eq!(
-            describe_overdue("tcp/lab.example:7447", "lab.example:7447"),
-            "tcp/lab.example:7447: the name lab.example was not resolved within 1 s: name an address"
+            [NoAddress::TimedOut, NoAddress::Unknown].map(described),
+            [
+                "tcp/lab.example:7447: the name lab.example was not resolved within 1 s: name an address",
+                "tcp/lab.example:7447: the name lab.example has no address: correct it, or name an address"
+            ]
         );
         let at = SocketAddr::from(([127, 0, 0, 1], 7447));
         assert_eq!(resolve("127.0.0.1:7447"), Ok(vec![at]), "an address is asked of no name server");

@@ -17,7 +17,7 @@ use crate::config::{BusConfig, Reach};
 use crate::connection_watch::{ConnectionWatch, connections};
 use crate::error::BusError;
 use crate::resolve::first_unresolved;
-use crate::tls_check::{accepts, first_encrypted, first_problem};
+use crate::tls_check::{first_encrypted, first_problem, unanswered};
 
 /// Time between two looks for a connection.
 const CONNECTED_EVERY: Duration = Duration::from_millis(20);
@@ -127,7 +127,12 @@ impl Bus {
 
     /// Whether any process accepts connections at an endpoint of the configuration.
     pub fn has_listener(config: &BusConfig) -> bool {
-        config.connect.iter().any(|endpoint| accepts(endpoint))
+        Self::find_unanswered(config).is_none()
+    }
+
+    /// That no process accepts connections at any endpoint of the configuration, in words.
+    pub fn find_unanswered(config: &BusConfig) -> Option<String> {
+        unanswered(&config.connect)
     }
 
     /// Looks now for the reason why a connection to an endpoint of the configuration fails although a
@@ -139,12 +144,13 @@ impl Bus {
         }
     }
 
-    /// That the name of an endpoint of the configuration is not resolved in time, with what to do.
+    /// That the name of an endpoint of the configuration has no address, or none in time, with what to do.
     pub fn find_unresolved(config: &BusConfig) -> Option<String> {
         first_unresolved(&config.connect)
     }
 
-    /// Why a TLS connection of this session fails, if the other side answers: the fault of a certificate.
+    /// Why a connection of this session fails: the fault of a certificate. Until the first connection also that no process
+    /// answers, or that the one that answers needs keys.
     pub fn connection_problem(&self) -> Option<String> {
         self.watch.as_ref()?.problem()
     }

@@ -25,7 +25,7 @@ use crate::tls::Identity;
 const STEP_LIMIT: Duration = Duration::from_millis(500);
 
 /// Whether a process accepts connections at an endpoint. One of a protocol without connections may.
-pub(crate) fn accepts(endpoint: &str) -> bool {
+fn accepts(endpoint: &str) -> bool {
     let Ok(parsed) = endpoint.parse::<EndPoint>() else { return false };
     let address = parsed.address().as_str().to_owned();
     match parsed.protocol().as_str() {
@@ -33,6 +33,12 @@ pub(crate) fn accepts(endpoint: &str) -> bool {
         "unixsock-stream" => platform::accepts_at_socket(&address),
         _ => true,
     }
+}
+
+/// That no process accepts connections at any of these endpoints, in words.
+pub(crate) fn unanswered(endpoints: &[String]) -> Option<String> {
+    let is_answered = endpoints.iter().any(|endpoint| accepts(endpoint));
+    (!is_answered).then(|| format!("no process answers at {}", endpoints.join(", ")))
 }
 
 /// The first fault of the endpoints that answer.

@@ -154,6 +154,16 @@ impl BoardConfig {
                     min_deg < max_deg,
                     "{at}: min_deg = {min_deg} and max_deg = {max_deg}: expected min_deg below max_deg, for example -30 and 30"
                 );
+                for (key, value) in [
+                    ("slew_deg_per_s", slew_deg_per_s),
+                    ("settling_ms", settling_ms),
+                    ("resolution_deg", resolution_deg),
+                ] {
+                    ensure!(
+                        value.is_finite() && *value >= 0.0,
+                        "{at}: invalid {key} {value}: expected 0 or more; 0 states that it is unknown"
+                    );
+                }
                 let radians = |degrees: &f64| degrees.to_radians() as f32;
                 let axis = AxisLimits {
                     min_rad: radians(min_deg),
@@ -247,9 +257,44 @@ mod tests {
             problem("calibration_reserve_deg = 1.0", "calibration_reserve_deg = -1.0").contains("expected 0 or more")
         );
         assert!(problem("max_deg = 30.0", "max_deg = nan").contains("expected min_deg below"));
+        for key in ["slew_deg_per_s", "settling_ms", "resolution_deg"] {
+            for value in ["-1.0", "nan", "inf"] {
+                let refused = problem("max_deg = 30.0", &format!("max_deg = 30.0\n{key} = {value}"));
+                assert!(refused.contains(&format!("127.0.0.1:9000: invalid {key}")), "{refused}");
+            }
+        }
         let same = problem("tcp:127.0.0.1:9000", "serial:/dev/ttyACM0@115200");
         assert!(same.contains("two boards have the address \"serial:/dev/ttyACM0\""), "{same}");
         assert!(problem("range_deg", "range_degrees").contains("range_degrees"));
         assert!(problem("range_deg = 5.0", "range_deg = 0.5").contains("no range is left"));
+    }
+
+    /// The keys of a table, from the refusal of a key that it does not have.
+    fn keys(text: &str) -> Vec<String> {
+        let refusal = toml::from_str::<Config>(text).expect_err("a key is unknown").message().to_owned();
+        let (_, known) = refusal.split_once("expected one of ").expect("the refusal names the keys");
+        known.split(", ").map(|key| key.trim_matches('`').to_owned()).collect()
+    }
+
+    #[test]
+    fn the_guide_has_every_key_of_the_file() {
+        let guide = include_str!("../../../docs/drivers.md");
+        let (_, section) = guide.split_once("\n## A file\n").expect("the guide has the section");
+        let section = section.split("\n## ").next().unwrap_or_default();
+        let documented = |table: &str| -> Vec<&str> {
+            let rows = section.lines().filter_map(|line| line.strip_prefix("| `")?.split_once("` | "));
+            rows.filter(|(_, row)| row.starts_with(table)).map(|(key, _)| key).collect()
+        };
+        let board = |kind: &str| keys(&format!("rows = 1\ncolumns = 1\n[[boards]]\nkind = \"{kind}\"\nx = 1"));
+        for (table, mut known) in
+            [("file", keys("x = 1")), ("`playzerx`", board("playzerx")), ("`servo-board`", board("servo-board"))]
+        {
+            let mut listed = if table == "file" { Vec::new() } else { documented("both") };
+            known.retain(|key| key != "boards");
+            listed.extend(documented(table));
+            listed.sort_unstable();
+            known.sort_unstable();
+            assert_eq!(listed, known, "{table}");
+        }
     }
 }

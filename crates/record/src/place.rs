@@ -26,6 +26,11 @@ impl Place {
         &self.path
     }
 
+    /// Notes that this process gave the file another path.
+    pub fn rename(&mut self, path: PathBuf) {
+        self.path = path;
+    }
+
     /// Whether the path leads to the file. A path that cannot be read at present shows no loss.
     pub fn has_file(&self) -> bool {
         match identify(&self.path) {

@@ -140,8 +140,10 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Outcome> {
     let refused = bus.connection_problem();
     bus.close()?;
     let mut outcome = writer.finish(dropped.load(Ordering::Relaxed));
-    if outcome.account.messages() == 0 && refused.is_some() {
-        outcome.failure = refused;
+    if outcome.account.messages() == 0
+        && let Some(reason) = refused
+    {
+        outcome.failure = Some(format!("nothing was received: {reason}"));
     }
     if let Some(mut ring) = ring {
         // The next file may not have been begun.
@@ -177,6 +179,7 @@ fn turn(ring: &mut Ring, writer: &mut RoomWriter<File>) {
     for fault in std::mem::take(&mut writer.faults) {
         tracing::warn!("{fault}: the files around it are kept");
         ring.note_fault(now);
+        writer.place.rename(ring.path());
     }
     if writer.has_failed() || !ring.is_due(writer.bytes(), now) {
         return;

@@ -34,6 +34,9 @@ pub struct Ring {
     /// Closed files, oldest first.
     closed: VecDeque<Closed>,
     number: u32,
+    /// Whether the file with this number is being written, and whether it is kept.
+    is_open: bool,
+    is_kept: bool,
     begun: Instant,
     /// Until when files are kept.
     keep_until: Option<Instant>,
@@ -64,22 +67,24 @@ impl Ring {
             let Some(rest) = rest else { continue };
             let is_kept = rest.ends_with(KEPT);
             let Ok(number) = rest.strip_suffix(KEPT).unwrap_or(rest).parse::<u32>() else { continue };
-            found.insert(number, Closed { path: entry.path(), bytes: entry.metadata()?.len(), ended: None, is_kept });
+            let metadata = entry.metadata()?;
+            // A fault right after a restart keeps the files before the restart too.
+            let age = metadata.modified().ok().and_then(|at| at.elapsed().ok());
+            let ended = age.and_then(|age| now.checked_sub(age));
+            found.insert(number, Closed { path: entry.path(), bytes: metadata.len(), ended, is_kept });
         }
         let number = found.last_key_value().map_or(0, |(number, _)| *number);
         // A process that was killed right after it created a file has written nothing to it.
         for (_, empty) in found.extract_if(.., |_, file| file.bytes == 0) {
             fs::remove_file(empty.path)?;
         }
-        Ok(Self { base, bounds, closed: found.into_values().collect(), number, begun: now, keep_until: None })
+        let closed = found.into_values().collect();
+        Ok(Self { base, bounds, closed, number, is_open: false, is_kept: false, begun: now, keep_until: None })
     }
 
     /// The path of the file that is being written.
     pub fn path(&self) -> PathBuf {
-        self.numbered("")
-    }
-
-    fn numbered(&self, ending: &str) -> PathBuf {
+        let ending = if self.is_kept { KEPT } else { "" };
         let mut name = self.base.clone().into_os_string();
         name.push(format!("-{:04}{ending}.mcap", self.number));
         name.into()
@@ -92,7 +97,11 @@ impl Ring {
     pub fn create(&mut self, now: Instant) -> io::Result<File> {
         self.number += 1;
         self.begun = now;
-        OpenOptions::new().write(true).create_new(true).open(self.path())
+        // Less than its time after a fault.
+        self.is_kept = self.keep_until.is_some_and(|until| now <= until);
+        let file = OpenOptions::new().write(true).create_new(true).open(self.path())?;
+        self.is_open = true;
+        Ok(file)
     }
 
     /// Whether the file of this size is to be closed.
@@ -102,14 +111,18 @@ impl Ring {
         is_full || (bytes > 0 && now.saturating_duration_since(self.begun) >= self.bounds.around_fault)
     }
 
-    /// Notes a fault: the files around it are kept.
+    /// Notes a fault: the files around it are kept. The present one gets another path at once, so that a later run
+    /// keeps it also where this process is killed.
     pub fn note_fault(&mut self, now: Instant) {
         self.keep_until = Some(now + self.bounds.around_fault);
         let around = self.bounds.around_fault;
         for file in &mut self.closed {
             if file.ended.is_some_and(|ended| now.saturating_duration_since(ended) <= around) {
-                keep(file);
+                file.keep();
             }
+        }
+        if self.is_open && !self.is_kept {
+            self.is_kept = rename_kept(&self.path()).is_some();
         }
     }
 
@@ -118,14 +131,10 @@ impl Ring {
     /// # Errors
     /// A file cannot be deleted.
     pub fn close(&mut self, now: Instant) -> io::Result<()> {
+        self.is_open = false;
         let path = self.path();
         let bytes = fs::metadata(&path).map_or(0, |found| found.len());
-        let mut file = Closed { path, bytes, ended: Some(now), is_kept: false };
-        // A fault within this file, or less than its time ago.
-        if self.keep_until.is_some_and(|until| self.begun <= until) {
-            keep(&mut file);
-        }
-        self.closed.push_back(file);
+        self.closed.push_back(Closed { path, bytes, ended: Some(now), is_kept: self.is_kept });
         for is_kept in [false, true] {
             let bytes = |closed: &VecDeque<Closed>| {
                 closed.iter().filter(|file| file.is_kept == is_kept).map(|file| file.bytes).sum::<u64>()
@@ -147,19 +156,24 @@ impl Ring {
     }
 }
 
-/// Marks a file as kept, by its name, so that a later run keeps it too.
-fn keep(file: &mut Closed) {
-    if file.is_kept {
-        return;
+impl Closed {
+    /// Marks the file as kept, by its name, so that a later run keeps it too.
+    fn keep(&mut self) {
+        if !self.is_kept
+            && let Some(path) = rename_kept(&self.path)
+        {
+            (self.path, self.is_kept) = (path, true);
+        }
     }
-    let mut name = file.path.with_extension("").into_os_string();
+}
+
+/// Gives a file the name of one that is kept. A file that cannot be renamed stays in the ring.
+fn rename_kept(path: &Path) -> Option<PathBuf> {
+    let mut name = path.with_extension("").into_os_string();
     name.push(KEPT);
     name.push(".mcap");
-    let path = PathBuf::from(name);
-    // A file that cannot be renamed stays in the ring.
-    if fs::rename(&file.path, &path).is_ok() {
-        (file.path, file.is_kept) = (path, true);
-    }
+    let kept = PathBuf::from(name);
+    fs::rename(path, &kept).ok().map(|()| kept)
 }
 
 /// Finds the faults of a room in what the arrays report.
@@ -253,6 +267,35 @@ mod tests {
         }
         let kept = names(folder.path()).into_iter().filter(|name| name.contains(KEPT)).count();
         assert_eq!(kept, 8, "faults without end are bounded too");
+    }
+
+    #[test]
+    fn the_file_of_a_fault_is_kept_also_if_its_run_is_killed_within_it() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (out, start) = (folder.path().join("room.mcap"), Instant::now());
+        let mut ring = Ring::open(&out, BOUNDS, start).expect("a ring");
+        ring.create(start).expect("a file").set_len(1_000).expect("a length");
+        ring.note_fault(start);
+        assert_eq!(ring.path(), folder.path().join("room-0001-fault.mcap"));
+        assert_eq!(names(folder.path()), ["room-0001-fault.mcap"]);
+        let mut ring = Ring::open(&out, BOUNDS, start).expect("a ring");
+        write(&mut ring, start, 20);
+        assert!(names(folder.path()).contains(&"room-0001-fault.mcap".to_owned()), "a later run has deleted it");
+    }
+
+    #[test]
+    fn a_fault_right_after_a_restart_keeps_the_file_before_the_restart() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (out, start) = (folder.path().join("room.mcap"), Instant::now());
+        let mut ring = Ring::open(&out, BOUNDS, start).expect("a ring");
+        write(&mut ring, start, 1);
+        // Longer than any delay between the two runs.
+        let bounds = Bounds { around_fault: Duration::from_secs(3600), ..BOUNDS };
+        let later = Instant::now();
+        let mut ring = Ring::open(&out, bounds, later).expect("a ring");
+        ring.create(later).expect("a file");
+        ring.note_fault(later);
+        assert_eq!(names(folder.path()), ["room-0001-fault.mcap", "room-0002-fault.mcap"]);
     }
 
     #[test]

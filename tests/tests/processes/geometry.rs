@@ -20,7 +20,12 @@ fn controller(room: &str, endpoint: &str, sets: &[&str]) -> Process {
 /// `heliostat ui` without a scenario.
 fn viewer(endpoints: &[&str]) -> Process {
     let connect: Vec<&str> = endpoints.iter().flat_map(|endpoint| ["--connect", endpoint]).collect();
-    let ui = Process::heliostat(&[&["ui", "--plain", "--ui-port", "0"], &connect[..]].concat());
+    page(&connect)
+}
+
+/// A page whose address is printed.
+fn page(endpoints: &[&str]) -> Process {
+    let ui = Process::heliostat(&[&["ui", "--plain", "--ui-port", "0"], endpoints].concat());
     wait_until("the address of the page", || ui.errors().contains("the page is at http://"));
     ui
 }
@@ -66,11 +71,21 @@ fn a_viewer_draws_the_announcement_of_a_controller_without_a_simulator() {
 
 #[test]
 fn a_viewer_of_a_room_without_announcements_says_that_it_draws_the_default_scenario() {
-    let ui = viewer(&[&private_endpoint().unwrap()]);
+    let ui = page(&["--listen", &private_endpoint().unwrap()]);
     wait_until("a note about the default", || {
         ui.errors().contains("no process announces the geometry of the room: the picture shows the scenario specular")
     });
     assert_eq!((mirrors(&ui), plan(&ui)["geometry_source"].as_str()), (100, Some("default")));
+}
+
+#[test]
+fn a_process_that_has_never_had_a_connection_names_the_endpoint_at_which_no_process_answers() {
+    let endpoint = private_endpoint().unwrap();
+    let problem = format!("no process answers at {endpoint}: start the process that listens there");
+    let (ui, controller) = (viewer(&[&endpoint]), Process::heliostat(&["controller", "--connect", &endpoint]));
+    wait_until("the endpoint in both logs", || [&ui, &controller].iter().all(|log| log.errors().contains(&problem)));
+    let _room = simulator(&endpoint, &ROOM);
+    wait_until("the room", || mirrors(&ui) == 20);
 }
 
 #[test]

@@ -409,53 +409,6 @@ fn the_containers_of_a_building_have_the_names_of_their_hosts_and_a_standby_star
 }
 
 #[test]
-fn every_unit_that_cannot_start_waits_for_an_operator_after_as_many_attempts() {
-    let units = fs::read_dir(workspace().join("deploy/systemd")).expect("a folder").flatten();
-    let texts: Vec<String> = units.map(|entry| fs::read_to_string(entry.path()).expect("a unit")).collect();
-    let limits = "\nStartLimitIntervalSec=60\nStartLimitBurst=10\n";
-    assert!(texts.len() >= 8 && texts.iter().all(|text| text.contains(limits)), "a unit has other limits");
-}
-
-#[test]
-fn every_process_that_a_command_or_a_stop_passes_has_the_same_priority() {
-    for unit in ["controller@", "standby@", "driver@", "sim-node@", "router"] {
-        let file = workspace().join(format!("deploy/systemd/heliostat-{unit}.service"));
-        let text = fs::read_to_string(file).expect("a unit");
-        assert!(text.contains("\nNice=-5\n"), "{unit}: another priority");
-    }
-}
-
-/// systemd gives a folder to the user of the unit that starts last: another unit would lose its files.
-#[test]
-fn each_unit_keeps_its_files_in_a_folder_of_its_own() {
-    let mut folders: Vec<String> = Vec::new();
-    for entry in fs::read_dir(workspace().join("deploy/systemd")).expect("a folder").flatten() {
-        let text = fs::read_to_string(entry.path()).expect("a unit");
-        let Some(folder) = text.lines().find_map(|line| line.strip_prefix("StateDirectory=")) else {
-            assert!(!text.contains("%S/"), "{}: it has no folder", entry.path().display());
-            continue;
-        };
-        let used = text.split_whitespace().filter_map(|word| word.strip_prefix("%S/"));
-        assert!(used.clone().count() > 0 && used.clone().all(|path| path.starts_with(folder)), "{folder}");
-        folders.push(folder.to_owned());
-    }
-    assert!(folders.len() >= 3, "{folders:?}");
-    for (index, folder) in folders.iter().enumerate() {
-        let shares = |other: &String| Path::new(other).starts_with(folder) || Path::new(folder).starts_with(other);
-        assert!(!folders[index + 1..].iter().any(shares), "{folder} is a folder of two units");
-    }
-}
-
-#[test]
-fn the_unit_of_the_page_keeps_its_token_over_a_restart() {
-    let unit = fs::read_to_string(workspace().join("deploy/systemd/heliostat-page@.service")).expect("a unit");
-    assert!(unit.contains("\nStateDirectory=heliostat-page/%i\n"), "{unit}");
-    assert!(unit.contains(" --ui-token-file %S/heliostat-page/%i/token "), "{unit}");
-    let guide = fs::read_to_string(workspace().join("docs/deploy.md")).expect("a guide");
-    assert!(guide.contains("/var/lib/heliostat-page/ROOM/token"), "the guide does not name the file");
-}
-
-#[test]
 fn the_containers_pass_flags_that_the_programs_accept() {
     let deploy = workspace().join("deploy");
     let read = |file: &str| fs::read_to_string(deploy.join(file)).unwrap_or_else(|error| panic!("{file}: {error}"));

@@ -58,9 +58,9 @@ pub(super) fn check_connected(bus: &Bus, config: &BusConfig, limit: Duration) ->
 /// Why an endpoint has no connection: a name without address, the problem, or that no process answers. `None` where one
 /// accepts connections.
 pub(super) fn find_problem(config: &BusConfig) -> Option<String> {
-    let unanswered =
-        || (!Bus::has_listener(config)).then(|| format!("no process answers at {}", config.connect.join(", ")));
-    Bus::find_unresolved(config).or_else(|| Bus::find_connection_problem(config)).or_else(unanswered)
+    Bus::find_unresolved(config)
+        .or_else(|| Bus::find_connection_problem(config))
+        .or_else(|| Bus::find_unanswered(config))
 }
 
 /// What `again` connects, where a process accepts connections and has not answered yet; else why there is no

@@ -40,7 +40,7 @@ type Judge = fn(&mut TestSession) -> Result<Outcome>;
 /// The name of a rule, its requirement, and what judges it.
 type Rule = (&'static str, &'static str, Judge);
 
-const RULES: [Rule; 26] = [
+const RULES: [Rule; 27] = [
     ("capabilities", "published each second, and in answer to queries", capabilities),
     ("telemetry", "at least ten per second, for all mirrors, with consecutive sequence numbers", telemetry),
     ("status", "a node status about once a second, from the source of the telemetry", status),
@@ -62,6 +62,11 @@ const RULES: [Rule; 26] = [
     ("calibration", "a valid calibration is used; an invalid one is refused with fault bit 16", calibration),
     ("safety-report", "a safety report each second, at each stop, and in answer to queries", safety_rules::report),
     ("stop-report", "a stop report names each stop, and that the device has executed it", safety_rules::stop_report),
+    (
+        "stop-repetition",
+        "a stop that is only repeated is held until its release, and not again",
+        safety_rules::stop_repetition,
+    ),
     ("named-rearm", "a re-arm releases the stop that it names, also one with a future time", safety_rules::named_rearm),
     ("epoch-bound", "an epoch beyond the bound is refused as rejected, and locks nothing out", bound_rules::epoch),
     ("sequence-bound", "a sequence beyond the bound is refused as rejected", bound_rules::sequence),

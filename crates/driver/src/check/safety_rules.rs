@@ -18,6 +18,9 @@ const HOUR_NS: u64 = 3_600_000_000_000;
 /// Why a rule is not judged for a driver without safety reports.
 pub const NOT_SUPPORTED: &str = "not supported: the driver publishes no safety report";
 
+/// Why a rule is not judged for a driver without stop reports.
+const NO_STOP_REPORT: &str = "not supported: the driver publishes no stop report";
+
 /// A stop is latched, and released by a later re-arm of kind 9.
 pub fn stop(session: &mut TestSession) -> Result<Outcome> {
     let stopped_ns = utc_ns();
@@ -112,7 +115,7 @@ pub fn report(session: &mut TestSession) -> Result<Outcome> {
 /// by its name.
 pub fn stop_report(session: &mut TestSession) -> Result<Outcome> {
     let Some(first) = session.fetch_stops()? else {
-        return not_judged("not supported: the driver publishes no stop report");
+        return not_judged(NO_STOP_REPORT);
     };
     let one = session.send_stop(StopAction::Stop, utc_ns())?;
     let two = session.send_stop_of_another(utc_ns())?;
@@ -139,6 +142,41 @@ pub fn stop_report(session: &mut TestSession) -> Result<Outcome> {
             ("the last report has no stop", cleared),
         ],
         &problem,
+    )
+}
+
+/// A stop that arrives by its repetition alone is held by its name; after its release the repetition has no effect.
+pub fn stop_repetition(session: &mut TestSession) -> Result<Outcome> {
+    if session.fetch_stops()?.is_none() {
+        return not_judged(NO_STOP_REPORT);
+    }
+    let stop = session.unknown_stop();
+    session.send_repetition(stop)?;
+    let names = |report: &StopReport| report.stops.iter().any(|held| (held.source, held.sequence) == stop);
+    if session.stop_report(|report| names(report) && report.device_stopped).is_none() {
+        // A driver that stops without naming it is released as far as possible.
+        release(session, stop)?;
+        return verdict(
+            false,
+            "a stop was repeated to the array; no stop report names it with an executed stop".into(),
+        );
+    }
+    let parked = release(session, stop)?;
+    session.send_repetition(stop)?;
+    let (roll, yaw) = session.angles_at(0.7);
+    let command = session.command(roll, yaw);
+    let (_, after) = session.send_and_count(&[bytes(&command)?])?;
+    let follows = shows(&after, &command);
+    if !follows {
+        release(session, stop)?;
+    }
+    conditions(
+        &[
+            ("it is held by its name, and executed by the device", true),
+            ("a re-arm by its name parks the array", parked),
+            ("its repetition after the release is ignored", follows),
+        ],
+        "",
     )
 }
 

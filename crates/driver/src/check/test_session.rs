@@ -11,7 +11,7 @@ use heliostat_bus::{Bus, BusError, Class, Publisher, Subscription};
 use heliostat_proto::messages::fault;
 use heliostat_proto::{
     ArrayKeys, ArrayState, Calibration, Capabilities, Counters, EmergencyStop, Message, MirrorCommand, MirrorTelemetry,
-    Nanos, NodeKind, Rearm, SafetyReport, Stamp, StopAction, StopReport, decode, encode,
+    Nanos, NodeKind, Rearm, SafetyReport, Stamp, StopAction, StopRepetition, StopReport, decode, encode,
 };
 use heliostat_service::clock::utc_ns;
 use heliostat_service::locks::{lock, unpoisoned};
@@ -42,6 +42,7 @@ pub struct TestSession {
     commands: Publisher,
     stops: Publisher,
     rearms: Publisher,
+    repetitions: Publisher,
     calibrations: Publisher,
     received: Arc<(Mutex<Received>, Condvar)>,
     _subscriptions: Vec<Subscription>,
@@ -132,6 +133,7 @@ impl TestSession {
             commands: bus.publisher(&keys.command(), Class::RealTimeBlock)?,
             stops: bus.publisher(&room.stop(), Class::RealTimeBlock)?,
             rearms: bus.publisher(&room.rearm(), Class::RealTimeBlock)?,
+            repetitions: bus.publisher(&keys.stop_repetition(), Class::RealTimeBlock)?,
             calibrations: bus.publisher(&keys.calibration(), Class::RealTimeBlock)?,
             received,
             _subscriptions: subscriptions,
@@ -299,6 +301,18 @@ impl TestSession {
         let stamp = self.stop_stamp(self.source, utc_ns());
         let (operator, reason) = texts();
         Ok(self.rearms.put(&bytes(&Rearm { stamp, stop_source, stop_sequence, operator, reason })?)?)
+    }
+
+    /// The name of a stop that the array has never had: its sender is not there.
+    pub fn unknown_stop(&self) -> (u64, u64) {
+        (self.source ^ 2, 1)
+    }
+
+    /// Publishes a repetition of a stop, as a controller does for an array that has not reported it.
+    pub fn send_repetition(&self, (stop_source, stop_sequence): (u64, u64)) -> Result<()> {
+        let stamp = self.stop_stamp(self.source, utc_ns());
+        let (operator, reason) = texts();
+        Ok(self.repetitions.put(&bytes(&StopRepetition { stamp, stop_source, stop_sequence, operator, reason })?)?)
     }
 
     fn stop_stamp(&self, source: u64, time_ns: Nanos) -> Stamp {

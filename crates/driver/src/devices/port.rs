@@ -94,15 +94,18 @@ impl Address {
     /// this is the first line.
     ///
     /// # Errors
-    /// [`DeviceError`] with the error of the operating system.
+    /// [`DeviceError`] with the error of the operating system, and what to do where it is known.
     pub fn open(&self, interrupt: &Arc<Interrupt>, stop_line: &'static [u8]) -> Result<Port, DeviceError> {
         let failed = |problem: &dyn ToString| DeviceError::new(self.to_string(), problem.to_string());
         let stream: Box<dyn Stream> = match self {
-            Self::Serial { path, baud } => Box::new(system::open_serial(path, *baud).map_err(|error| failed(&error))?),
+            Self::Serial { path, baud } => {
+                Box::new(system::open_serial(path, *baud).map_err(|error| failed(&with_advice(&error)))?)
+            }
             Self::Tcp(host) => {
                 let mut found = host.to_socket_addrs().map_err(|error| failed(&error))?;
                 let address = found.next().ok_or_else(|| failed(&"unknown host: check the name in the address"))?;
-                let stream = TcpStream::connect_timeout(&address, CONNECT_LIMIT).map_err(|error| failed(&error))?;
+                let stream = TcpStream::connect_timeout(&address, CONNECT_LIMIT);
+                let stream = stream.map_err(|error| failed(&with_advice(&error)))?;
                 let set = stream.set_nodelay(true).and_then(|()| stream.set_nonblocking(true));
                 set.map_err(|error| failed(&error))?;
                 Box::new(stream)
@@ -125,6 +128,17 @@ impl std::fmt::Display for Address {
             Self::Tcp(host) => write!(f, "tcp:{host}"),
         }
     }
+}
+
+/// Why a device cannot be opened, with what to do where it is known.
+fn with_advice(error: &std::io::Error) -> String {
+    let advice = match error.kind() {
+        ErrorKind::NotFound => "connect the device, or correct its address",
+        ErrorKind::PermissionDenied => "give this process the right to use the port, for example by the group dialout",
+        ErrorKind::ConnectionRefused => "start the program that listens there, or correct the address",
+        _ => return error.to_string(),
+    };
+    format!("{error}; {advice}")
 }
 
 /// An open connection to a device.
@@ -367,4 +381,27 @@ impl Port {
 
 fn is_transient(error: &std::io::Error) -> bool {
     matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted)
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use std::net::TcpListener;
+
+    use super::*;
+
+    #[test]
+    fn a_device_that_cannot_be_opened_is_named_with_what_to_do() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let absent = folder.path().join("ttyUSB0");
+        let closed = TcpListener::bind("127.0.0.1:0").and_then(|bound| bound.local_addr()).expect("a free port");
+        for (text, advice) in [
+            (format!("serial:{}", absent.display()), "connect the device, or correct its address"),
+            (format!("tcp:{closed}"), "start the program that listens there, or correct the address"),
+        ] {
+            let interrupt = Arc::new(Interrupt::new().expect("an interrupt"));
+            let address = Address::parse(&text, 115_200).expect("an address");
+            let error = address.open(&interrupt, b"stop\n").err().expect("no device is there").to_string();
+            assert!(error.contains(&text) && error.ends_with(advice), "{error}");
+        }
+    }
 }

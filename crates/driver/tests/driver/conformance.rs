@@ -18,8 +18,8 @@ use heliostat_driver::session::{ArraySession, MessagePublisher};
 use heliostat_driver::stop_record::StopRecordSettings;
 use heliostat_driver::{Device, DeviceError, Kit, run};
 use heliostat_proto::{
-    AxisLimits, Capabilities, EmergencyStop, Feedback, NodeKind, NodeStatus, Room, Stamp, StopAction, ValidityClock,
-    encode,
+    AxisLimits, Capabilities, EmergencyStop, Feedback, NodeKind, NodeStatus, Room, Stamp, StopAction, StopReport,
+    ValidityClock, encode,
 };
 use heliostat_service::Stop;
 
@@ -197,6 +197,7 @@ enum Flaw {
     FollowsAnyValidity,
     ReleasesAnyName,
     UsesAnyGain,
+    IgnoresRepetitions,
     PublishesNoSafety,
     PublishesNoStatus,
     PublishesAnothersStatus,
@@ -230,7 +231,10 @@ fn flawed(flaw: Flaw, bus: &BusConfig, stop: &Stop) {
     let (mut announcement, mut latch) = (Instant::now(), Latch::default());
     while !stop.is_requested() {
         while let Some(mut arrival) = session.received().pop_until(Instant::now() + Duration::from_millis(20)) {
-            if flaw == Flaw::IgnoresStops && matches!(arrival.content, Content::Stop(_)) {
+            if matches!(
+                (flaw, &arrival.content),
+                (Flaw::IgnoresStops, Content::Stop(_)) | (Flaw::IgnoresRepetitions, Content::Repetition(_))
+            ) {
                 continue;
             }
             let mut sent = None;
@@ -279,6 +283,12 @@ fn flawed(flaw: Flaw, bus: &BusConfig, stop: &Stop) {
         if flaw != Flaw::PublishesNoSafety && (Instant::now() >= announcement || *kit.array().latch() != latch) {
             latch.clone_from(kit.array().latch());
             session.publish_safety(&kit.safety(stamp)).unwrap();
+            if flaw == Flaw::IgnoresRepetitions {
+                let stops = latch.stops().iter().map(LatchedStop::report).collect();
+                let report =
+                    StopReport { stamp, device_stopped: latch.stop().is_some(), stops, ..StopReport::default() };
+                session.publish_stops(&report).unwrap();
+            }
         }
         let mut telemetry = kit.telemetry(now, stamp);
         (telemetry.epoch, telemetry.applied_sequence) = reported;
@@ -299,7 +309,7 @@ fn flawed(flaw: Flaw, bus: &BusConfig, stop: &Stop) {
 
 #[test]
 fn each_driver_with_a_flaw_fails_exactly_the_rules_that_it_breaks() {
-    let cases: [(Flaw, &str, &[&str]); 12] = [
+    let cases: [(Flaw, &str, &[&str]); 13] = [
         (Flaw::IgnoresStops, "ignores-stops", &["stop", "orphaned-stop", "safety-report", "named-rearm"]),
         (Flaw::ReleasesOrphanedStops, "releases-stops", &["orphaned-stop"]),
         (Flaw::FollowsAnySequence, "sequences", &["old-sequence", "old-epoch", "epoch-bound", "sequence-bound"]),
@@ -308,6 +318,7 @@ fn each_driver_with_a_flaw_fails_exactly_the_rules_that_it_breaks() {
         (Flaw::NeverParks, "never-parks", &["silence"]),
         (Flaw::FollowsAnyNumber, "numbers", &["epoch-bound", "sequence-bound", "validity-bound"]),
         (Flaw::FollowsAnyValidity, "validity", &["validity-bound"]),
+        (Flaw::IgnoresRepetitions, "repetitions", &["stop-repetition"]),
         (Flaw::ReleasesAnyName, "names", &["named-rearm"]),
         (Flaw::UsesAnyGain, "gains", &["calibration-bound"]),
         (Flaw::PublishesNoStatus, "no-status", &["status"]),
@@ -331,6 +342,7 @@ fn a_driver_without_safety_reports_is_not_judged_by_the_rules_that_need_them() {
     let expected = [
         "safety-report",
         "stop-report",
+        "stop-repetition",
         "named-rearm",
         "epoch-bound",
         "sequence-bound",

@@ -23,7 +23,8 @@ impl RoomStatus {
         let is_following = array.state == ArrayState::Following.name();
         let state = (!is_following && !self.is_stopped()).then(|| format!("{NOT_FOLLOWING}: {}", array.state));
         let of_stop = if self.stops.is_empty() { Vec::new() } else { fault::names(fault::STOP) };
-        let faults: Vec<&str> = array.faults.iter().copied().filter(|fault| !of_stop.contains(fault)).collect();
+        let faults = array.faults.iter().copied().filter(|fault| !of_stop.contains(fault));
+        let faults: Vec<String> = faults.map(with_advice).collect();
         let faults = (!faults.is_empty()).then(|| format!("faults of the array: {}", faults.join(", ")));
         state.into_iter().chain(faults)
     }
@@ -40,6 +41,19 @@ impl RoomStatus {
             (true, true, false) => format!("none that reports show; unknown of {}", silent.join(" and ")),
         }
     }
+}
+
+/// A fault of an array by its name. What ends it is added where that is no repair of the device.
+fn with_advice(name: &str) -> String {
+    let is = |bit| fault::names(bit).contains(&name);
+    let advice = if is(fault::CALIBRATION) {
+        "a calibration was refused, and the one in use is unchanged: heliostat calibrate apply FILE ends the fault"
+    } else if is(fault::CLOCK) {
+        "a command came from the future: synchronise the clocks of controller and driver"
+    } else {
+        return name.to_owned();
+    };
+    format!("{name} ({advice})")
 }
 
 #[cfg(test)]
@@ -64,6 +78,17 @@ mod tests {
         assert_eq!(found(&[stop], vec!["stop"]), [stop]);
         assert_eq!(found(&[stop], vec!["mirror", "stop"]), ["faults of the array: mirror", stop]);
         assert_eq!(found(&[], vec![]), ["the array does not follow: stopped"], "its stop is not seen");
+    }
+
+    #[test]
+    fn a_refused_calibration_and_a_wrong_clock_are_named_with_what_ends_them() {
+        for (fault, expected) in [("calibration", "calibrate apply FILE"), ("clock", "synchronise the clocks")] {
+            let array = ArrayFigures { state: "following".into(), faults: vec![fault], ..ArrayFigures::default() };
+            let status = RoomStatus { figures: Figures { array, ..Figures::default() }, ..RoomStatus::default() };
+            let problems: Vec<String> = status.array_problems().collect();
+            assert!(problems[0].starts_with(&format!("faults of the array: {fault} (")), "{problems:?}");
+            assert!(problems.len() == 1 && problems[0].contains(expected), "{problems:?}");
+        }
     }
 
     #[test]

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use anyhow::Result;
-use heliostat_proto::{Nanos, NodeKind, Room, VERSION};
+use heliostat_proto::{Nanos, NodeKind, Room, VERSION, cut};
 use heliostat_service::{clock::utc_ns, output, printable::printable};
 
 use super::{Outcome, Settings};
@@ -22,6 +22,8 @@ use crate::series::Series;
 const FLUSH_EVERY: Duration = Duration::from_secs(1);
 /// Most recorded keys that the contract does not have.
 const OTHER_KEYS_MAX: usize = 256;
+/// Longest of them in bytes.
+const OTHER_KEY_MAX: usize = 256;
 /// Most differing scenarios of processes that are reported.
 const PROBLEMS_MAX: usize = 64;
 /// Time after which the recorder reports a missing stream, while there is time to mend it.
@@ -188,18 +190,18 @@ impl<S: Storage> RoomWriter<S> {
     }
 
     /// Whether the messages of a key are recorded: those of the contract, and those of the first other ones. A file
-    /// has places for a limited number of them, and a sender can invent any number.
+    /// has places for a limited number of them, and a sender can invent any number, of any length.
     fn has_place(&mut self, key: &str) -> bool {
         if self.room.kind_of(key).is_some() || self.account.streams.contains_key(key) {
             return true;
         }
-        let has_place = self.other_keys < OTHER_KEYS_MAX;
+        let has_place = self.other_keys < OTHER_KEYS_MAX && key.len() <= OTHER_KEY_MAX;
         if has_place {
             self.other_keys += 1;
         } else if !std::mem::replace(&mut self.has_left_out, true) {
             self.report(format!(
-                "messages have more than {OTHER_KEYS_MAX} keys that the contract does not have: those of further keys are not recorded, for example of {}",
-                printable(key)
+                "of the keys that the contract does not have, the first {OTHER_KEYS_MAX} of at most {OTHER_KEY_MAX} bytes are recorded: not recorded are others, for example {}",
+                printable(cut(key))
             ));
         }
         has_place
@@ -372,12 +374,14 @@ mod tests {
         let room = Room::new("alone").expect("a name");
         let mut writer = writer(&room, Scenario::builtin("specular").expect("a built-in one"));
         let mut take = |key: String| writer.take(Item::Payload { key, arrived_ns: 1, payload: Vec::new() });
+        take(format!("heliostat/v1/alone/mirrors-{}/stop", "0".repeat(1 << 20)));
         (0..=usize::from(u16::MAX) + 1).for_each(|index| take(format!("heliostat/v1/alone/mirrors-0{index}/stop")));
         take(room.users());
         assert!(!writer.has_failed());
         assert_eq!(writer.account.streams.len(), OTHER_KEYS_MAX + 1);
         assert!(writer.account.streams.contains_key(&room.users()));
         assert_eq!(writer.problems.len(), 1, "{:?}", writer.problems);
+        assert!(writer.problems[0].len() < 2000, "{}", writer.problems[0].len());
     }
 
     #[test]

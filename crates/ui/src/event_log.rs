@@ -18,6 +18,8 @@ use crate::stop_state::{StopFigure, StopFigures, StopPhase};
 const EVENTS_MAX: usize = 100;
 /// A problem that is an event is no other one within this time: two that take turns would fill the log.
 const REPEATED_MS: u64 = 60_000;
+/// Most problems of one process that are events within this time: a sender can invent any number.
+const PROBLEMS_MAX: usize = 10;
 
 /// State of a controller that is in the room and reports.
 const ALIVE: &str = "alive";
@@ -120,8 +122,10 @@ impl EventLog {
             if self.states.get(&subject).is_some_and(|state| without_figures(state) == words) {
                 continue;
             }
-            let key = format!("{subject}: {words}");
-            if !self.problems.contains_key(&key) {
+            let of_subject = format!("{subject}: ");
+            let key = format!("{of_subject}{words}");
+            let noted = self.problems.keys().filter(|noted| noted.starts_with(&of_subject)).count();
+            if !self.problems.contains_key(&key) && (words.is_empty() || noted < PROBLEMS_MAX) {
                 self.change(at_ms, &subject, &node.problem, true);
                 if !words.is_empty() {
                     self.problems.insert(key, at_ms);
@@ -438,6 +442,20 @@ mod tests {
             (200_000, "problem of controller: two sources", true),
         ];
         assert_eq!(texts(&log)[first..], expected);
+    }
+
+    #[test]
+    fn a_process_that_invents_problems_does_not_fill_the_log() {
+        let (mut log, no_stop) = (EventLog::default(), StopFigures::default());
+        log.note_at(1, &figures("following", ""), &[], &no_stop);
+        let first = texts(&log).len();
+        for time in 0..100 {
+            let problem = if time % 2 == 0 { "x".repeat(time + 1) } else { String::new() };
+            log.note_at(100 * time as u64, &figures("following", &problem), &[], &no_stop);
+        }
+        assert_eq!(texts(&log)[first..].len(), 2 * PROBLEMS_MAX, "each with its end");
+        log.note_at(100_000, &figures("following", "another"), &[], &no_stop);
+        assert_eq!(texts(&log).last().copied(), Some((100_000, "problem of controller: another", true)));
     }
 
     #[test]
